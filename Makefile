@@ -1,0 +1,49 @@
+# The commands of the suite; each installs what is missing, builds what changed, and runs.
+#   make demo    replays an indoor world through roslaunch to one aligned, augmented map; results in out/
+#   make test    builds and runs every test
+#   make bench   prints the benchmarks, as ratios against plain references
+#   make build   builds all of it into build/
+# Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
+
+SHELL := /bin/bash
+ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
+BUILD := $(ROOT)build
+JOBS ?= $(shell nproc)
+OUT ?= $(ROOT)out
+
+# Another python3 may stand before the distribution's, which alone knows catkin_pkg and rospy.
+export PATH := /usr/bin:$(PATH)
+export CCACHE_DIR ?= $(ROOT).cache/ccache
+export CCACHE_BASEDIR := $(ROOT)
+export AIR_GROUND_CACHE ?= $(ROOT).cache
+
+NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
+ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
+
+.PHONY: build demo test bench packages clean
+
+packages:
+	@$(ROOT)tools/install_packages
+
+# configure,extra options
+configure = $(ENVIRONMENT) cmake -S $(ROOT) -B $(BUILD) -G Ninja -DPYTHON_EXECUTABLE=/usr/bin/python3 \
+	-DCATKIN_ENABLE_TESTING=ON -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
+	|| { tail -30 $(BUILD)/configure.log; echo "configuring failed: the lines above say why (all of it: $(BUILD)/configure.log)"; exit 1; }
+
+build: packages
+	@mkdir -p $(BUILD) && $(call configure,)
+	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
+
+demo: build
+	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && rosrun air_ground run_demo $(OUT)
+
+test: build
+	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && cd $(BUILD) && ctest --output-on-failure
+
+bench: packages
+	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_BENCHMARKS=ON)
+	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
+	@for b in $(BUILD)/bench/*; do echo "== $$(basename $$b)"; "$$b" || exit 1; done
+
+clean:
+	rm -rf $(BUILD)

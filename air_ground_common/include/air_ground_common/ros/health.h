@@ -1,0 +1,111 @@
+// What every node says about itself: diagnostics with rates, latency and counters, a warning when inputs stay away, and
+// detection of time jumping back (a looped bag).
+#pragma once
+
+#include <diagnostic_updater/diagnostic_updater.h>
+#include <ros/node_handle.h>
+#include <ros/time.h>
+
+#include <functional>
+#include <map>
+#include <mutex>
+#include <string>
+#include <vector>
+
+namespace air_ground_common::ros_utils {
+
+/// Thread-safe. One per node; all calls may come from any thread.
+class NodeHealth {
+ public:
+  /// `hardware_id` names the node in /diagnostics, e.g. "mav_vo".
+  explicit NodeHealth(const std::string& hardware_id);
+
+  /// Declares an input that the node waits for. After 3 s (wall time) without it a warning names the resolved topic,
+  /// whether anybody publishes it, and the last stamp seen. `continuous` false: a topic that may rightly pause (a latched
+  /// map); the warning comes only while nothing at all has arrived.
+  void expectInput(const std::string& resolved_topic, bool continuous = true);
+  /// Call in the callback of an expected input.
+  void received(const std::string& resolved_topic, const ros::Time& stamp);
+
+  /// Adds to a named counter shown in /diagnostics, e.g. count("images without calibration"). Warns once per name.
+  void count(const std::string& event, std::size_t times = 1);
+  /// Times the event was counted.
+  std::size_t counted(const std::string& event) const;
+
+  /// Records the time [s] that a step took: mean and maximum appear in /diagnostics.
+  void timing(const std::string& step, double seconds);
+
+  /// Sets the state line; level as in diagnostic_msgs::DiagnosticStatus (0 OK, 1 WARN, 2 ERROR).
+  void state(int level, const std::string& line);
+
+ private:
+  struct Input {
+    std::size_t messages = 0;
+    ros::Time last_stamp;
+    ros::WallTime last_arrival;
+    bool warned = false;
+    bool continuous = true;
+  };
+  struct Timing {
+    std::size_t runs = 0;
+    double sum = 0, max = 0;
+  };
+
+  void report(diagnostic_updater::DiagnosticStatusWrapper& status);
+  void watch();
+
+  mutable std::mutex mutex_;
+  std::map<std::string, Input> inputs_;
+  std::map<std::string, std::size_t> counters_;
+  std::map<std::string, Timing> timings_;
+  int level_ = 1;
+  std::string line_ = "starting";
+  ros::WallTime started_;
+  diagnostic_updater::Updater updater_;
+  ros::WallTimer timer_;
+};
+
+/// Detects time running backwards, as when a bag loops or /clock is reset. Thread-safe.
+class TimeJumpDetector {
+ public:
+  /// `tolerance` [s]: messages out of order by less are no jump.
+  explicit TimeJumpDetector(double tolerance = 1.0) : tolerance_(tolerance) {}
+  /// True once per jump: `stamp` lies more than the tolerance before the newest stamp seen. Then starts afresh from it.
+  bool jumped(const ros::Time& stamp);
+
+ private:
+  std::mutex mutex_;
+  double tolerance_;
+  ros::Time newest_;
+};
+
+/// The same for a node with several inputs, of which one may lag behind the others. The first stream to jump starts a new
+/// pass; what still comes of the old pass on the others is told apart. Not thread-safe.
+class StreamJumpDetector {
+ public:
+  enum class Verdict {
+    kInOrder,  ///< use it
+    kJump,     ///< time ran back: start afresh, then use it
+    kOld       ///< from before the jump: drop it
+  };
+
+  /// `patience`: a stream that has not followed a jump after this long is taken as it comes [s, wall clock].
+  explicit StreamJumpDetector(std::size_t streams, double tolerance = 1.0, double patience = 3.0)
+      : streams_(streams), tolerance_(tolerance), patience_(patience) {}
+
+  /// Throws std::out_of_range for an unknown stream.
+  Verdict watch(std::size_t stream, const ros::Time& stamp, const ros::WallTime& now = ros::WallTime::now());
+
+ private:
+  struct Stream {
+    ros::Time newest;
+    unsigned pass = 0;
+  };
+  std::vector<Stream> streams_;
+  double tolerance_, patience_;
+  unsigned pass_ = 0;
+  ros::Time newest_, ceiling_;  ///< of the present pass; between the passes
+  ros::WallTime jumped_;
+};
+
+}  // namespace air_ground_common::ros_utils

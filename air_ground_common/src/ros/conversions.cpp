@@ -1,0 +1,231 @@
+#include "air_ground_common/ros/conversions.h"
+
+#include <cv_bridge/cv_bridge.h>
+#include <sensor_msgs/image_encodings.h>
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <stdexcept>
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+Pose makePose(const Eigen::Vector3d& t, const Eigen::Quaterniond& q) {
+  if (!t.allFinite() || !q.coeffs().allFinite()) throw std::invalid_argument("pose: a number is not finite");
+  if (std::abs(q.norm() - 1) > 0.01) throw std::invalid_argument("pose: the quaternion is not of unit length");
+  Pose T = Pose::Identity();
+  T.linear() = q.normalized().toRotationMatrix();
+  T.translation() = t;
+  return T;
+}
+
+cv::Mat convert(const sensor_msgs::Image& msg, const std::string& encoding) {
+  try {
+    cv_bridge::CvImagePtr image = cv_bridge::toCvCopy(msg, encoding);
+    if (image->image.empty()) throw std::invalid_argument("image: it has no pixels");
+    return image->image;
+  } catch (const cv_bridge::Exception& e) {
+    throw std::invalid_argument("image: encoding " + msg.encoding + " cannot be read as " + encoding + " (" + e.what() + ")");
+  }
+}
+
+struct FieldOffsets {
+  int x = -1, y = -1, z = -1, rgb = -1, intensity = -1, source = -1;
+};
+
+FieldOffsets findFields(const sensor_msgs::PointCloud2& msg) {
+  FieldOffsets o;
+  for (const auto& f : msg.fields) {
+    const bool is_float = f.datatype == sensor_msgs::PointField::FLOAT32;
+    const int offset = static_cast<int>(f.offset);
+    if (f.name == "x" && is_float) o.x = offset;
+    if (f.name == "y" && is_float) o.y = offset;
+    if (f.name == "z" && is_float) o.z = offset;
+    if (f.name == "rgb" || f.name == "rgba") o.rgb = offset;
+    if (f.name == "intensity" && is_float) o.intensity = offset;
+    if (f.name == "source" && f.datatype == sensor_msgs::PointField::UINT8) o.source = offset;
+  }
+  if (o.x < 0 || o.y < 0 || o.z < 0) throw std::invalid_argument("point cloud: it needs float32 fields x, y, z");
+  return o;
+}
+
+void addField(sensor_msgs::PointCloud2* msg, const std::string& name, std::uint8_t type, std::uint32_t size) {
+  sensor_msgs::PointField f;
+  f.name = name;
+  f.offset = msg->point_step;
+  f.datatype = type;
+  f.count = 1;
+  msg->fields.push_back(f);
+  msg->point_step += size;
+}
+
+}  // namespace
+
+geometry_msgs::Pose toMsg(const Pose& T) {
+  const Eigen::Quaterniond q(T.linear());
+  geometry_msgs::Pose msg;
+  msg.position.x = T.translation().x();
+  msg.position.y = T.translation().y();
+  msg.position.z = T.translation().z();
+  msg.orientation.x = q.x();
+  msg.orientation.y = q.y();
+  msg.orientation.z = q.z();
+  msg.orientation.w = q.w();
+  return msg;
+}
+
+geometry_msgs::Transform toTransformMsg(const Pose& T) {
+  const geometry_msgs::Pose p = toMsg(T);
+  geometry_msgs::Transform msg;
+  msg.translation.x = p.position.x;
+  msg.translation.y = p.position.y;
+  msg.translation.z = p.position.z;
+  msg.rotation = p.orientation;
+  return msg;
+}
+
+Pose fromMsg(const geometry_msgs::Pose& m) {
+  return makePose({m.position.x, m.position.y, m.position.z}, {m.orientation.w, m.orientation.x, m.orientation.y, m.orientation.z});
+}
+
+Pose fromMsg(const geometry_msgs::Transform& m) {
+  return makePose({m.translation.x, m.translation.y, m.translation.z}, {m.rotation.w, m.rotation.x, m.rotation.y, m.rotation.z});
+}
+
+void setCovariance(const Matrix6d& covariance, boost::array<double, 36>* msg) {
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c < 6; ++c) (*msg)[6 * r + c] = covariance(r, c);
+}
+
+Matrix6d covarianceFromMsg(const boost::array<double, 36>& msg) {
+  Matrix6d covariance;
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c < 6; ++c) covariance(r, c) = msg[6 * r + c];
+  if (!covariance.allFinite()) throw std::invalid_argument("pose covariance: a number is not finite");
+  return covariance;
+}
+
+CameraModel fromMsg(const sensor_msgs::CameraInfo& msg) {
+  CameraModel c;
+  c.width = static_cast<int>(msg.width);
+  c.height = static_cast<int>(msg.height);
+  c.fx = msg.K[0];
+  c.fy = msg.K[4];
+  c.cx = msg.K[2];
+  c.cy = msg.K[5];
+  const bool plumb_bob = msg.distortion_model == "plumb_bob" || msg.distortion_model == "radtan";
+  if (!plumb_bob && !(msg.distortion_model.empty() && msg.D.empty()))
+    throw std::invalid_argument("camera_info: distortion model '" + msg.distortion_model + "' is not supported; calibrate with plumb_bob or rectify the image");
+  double* const coefficients[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
+  for (std::size_t i = 0; i < msg.D.size() && i < 5; ++i) *coefficients[i] = msg.D[i];
+  c.validate();
+  return c;
+}
+
+sensor_msgs::CameraInfo toMsg(const CameraModel& c, const std_msgs::Header& header) {
+  sensor_msgs::CameraInfo msg;
+  msg.header = header;
+  msg.width = static_cast<std::uint32_t>(c.width);
+  msg.height = static_cast<std::uint32_t>(c.height);
+  msg.distortion_model = "plumb_bob";
+  msg.D = {c.k1, c.k2, c.p1, c.p2, c.k3};
+  msg.K = {c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1};
+  msg.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  msg.P = {c.fx, 0, c.cx, 0, 0, c.fy, c.cy, 0, 0, 0, 1, 0};
+  return msg;
+}
+
+cv::Mat greyFromMsg(const sensor_msgs::Image& msg) { return convert(msg, sensor_msgs::image_encodings::MONO8); }
+
+cv::Mat bgrFromMsg(const sensor_msgs::Image& msg) { return convert(msg, sensor_msgs::image_encodings::BGR8); }
+
+cv::Mat depthFromMsg(const sensor_msgs::Image& msg) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  cv::Mat depth;
+  if (msg.encoding == "16UC1" || msg.encoding == "mono16") {
+    const cv::Mat mm = convert(msg, msg.encoding);
+    mm.convertTo(depth, CV_32F, 1e-3);
+    depth.setTo(nan, mm == 0);
+    depth.setTo(nan, mm == 65535);
+  } else if (msg.encoding == "32FC1") {
+    depth = convert(msg, msg.encoding);
+    for (int r = 0; r < depth.rows; ++r) {
+      float* row = depth.ptr<float>(r);
+      for (int c = 0; c < depth.cols; ++c)
+        if (!(row[c] > 0) || !std::isfinite(row[c])) row[c] = nan;
+    }
+  } else {
+    throw std::invalid_argument("depth image: encoding " + msg.encoding + " is neither 16UC1 [mm] nor 32FC1 [m]");
+  }
+  return depth;
+}
+
+sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, const std_msgs::Header& header) {
+  sensor_msgs::Image msg;
+  cv_bridge::CvImage(header, encoding, image).toImageMsg(msg);
+  return msg;
+}
+
+std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::size_t* dropped) {
+  const FieldOffsets o = findFields(msg);
+  const std::size_t count = static_cast<std::size_t>(msg.width) * msg.height;
+  if (msg.data.size() < static_cast<std::size_t>(msg.row_step) * msg.height || msg.row_step < msg.point_step * msg.width)
+    throw std::invalid_argument("point cloud: its data is shorter than its size says");
+  std::vector<CloudPoint> points;
+  points.reserve(count);
+  for (std::uint32_t r = 0; r < msg.height; ++r)
+    for (std::uint32_t c = 0; c < msg.width; ++c) {
+      const std::uint8_t* p = &msg.data[static_cast<std::size_t>(r) * msg.row_step + static_cast<std::size_t>(c) * msg.point_step];
+      CloudPoint point;
+      std::memcpy(&point.position[0], p + o.x, 4);
+      std::memcpy(&point.position[1], p + o.y, 4);
+      std::memcpy(&point.position[2], p + o.z, 4);
+      if (!point.position.allFinite()) continue;
+      if (o.rgb >= 0) {
+        point.rgb << p[o.rgb + 2], p[o.rgb + 1], p[o.rgb];
+      } else if (o.intensity >= 0) {
+        float intensity;
+        std::memcpy(&intensity, p + o.intensity, 4);
+        point.rgb.setConstant(static_cast<std::uint8_t>(std::isfinite(intensity) ? std::min(255.f, std::max(0.f, intensity)) : 0.f));
+      }
+      if (o.source >= 0) point.source = p[o.source];
+      points.push_back(point);
+    }
+  if (dropped) *dropped = count - points.size();
+  return points;
+}
+
+sensor_msgs::PointCloud2 toMsg(const std::vector<CloudPoint>& points, CloudFields fields, const std_msgs::Header& header) {
+  using Field = sensor_msgs::PointField;
+  sensor_msgs::PointCloud2 msg;
+  msg.header = header;
+  msg.height = 1;
+  msg.width = static_cast<std::uint32_t>(points.size());
+  msg.is_dense = true;
+  for (const char* axis : {"x", "y", "z"}) addField(&msg, axis, Field::FLOAT32, 4);
+  if (fields == CloudFields::kXyzIntensity) addField(&msg, "intensity", Field::FLOAT32, 4);
+  const bool rgb = fields == CloudFields::kXyzRgb || fields == CloudFields::kXyzRgbSource;
+  if (rgb) addField(&msg, "rgb", Field::FLOAT32, 4);
+  if (fields == CloudFields::kXyzRgbSource) addField(&msg, "source", Field::UINT8, 1);
+  msg.row_step = msg.point_step * msg.width;
+  msg.data.assign(msg.row_step, 0);
+  std::uint8_t* out = msg.data.data();
+  for (const auto& p : points) {
+    std::memcpy(out, p.position.data(), 12);
+    if (fields == CloudFields::kXyzIntensity) {
+      const float intensity = (p.rgb[0] + p.rgb[1] + p.rgb[2]) / 3.f;
+      std::memcpy(out + 12, &intensity, 4);
+    }
+    if (rgb) {
+      out[12] = p.rgb[2];
+      out[13] = p.rgb[1];
+      out[14] = p.rgb[0];
+    }
+    if (fields == CloudFields::kXyzRgbSource) out[16] = p.source;
+    out += msg.point_step;
+  }
+  return msg;
+}
+
+}  // namespace air_ground_common::ros_utils

@@ -1,0 +1,96 @@
+#include "air_ground_common/ros/pose_publisher.h"
+
+#include <geometry_msgs/TransformStamped.h>
+#include <nav_msgs/Odometry.h>
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <vector>
+
+#include "air_ground_common/ros/conversions.h"
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+geometry_msgs::TransformStamped edge(const ros::Time& stamp, const std::string& parent, const std::string& child, const Pose& T) {
+  geometry_msgs::TransformStamped msg;
+  msg.header.stamp = stamp;
+  msg.header.frame_id = parent;
+  msg.child_frame_id = child;
+  msg.transform = toTransformMsg(T);
+  return msg;
+}
+
+}  // namespace
+
+PosePublisher::PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings)
+    : settings_(settings),
+      odometry_(handle.advertise<nav_msgs::Odometry>(settings.odometry_topic, 100)),
+      path_(handle.advertise<nav_msgs::Path>(settings.path_topic, 5, true)) {
+  path_msg_.header.frame_id = settings_.map_frame;
+}
+
+bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Pose& T_previous_current, const Matrix6d& covariance) {
+  if (stamp <= last_stamp_) return false;
+  const Pose T_odom_base = normalized(T_odom_base_ ? *T_odom_base_ * T_previous_current : T_map_base);
+  nav_msgs::Odometry odometry;
+  odometry.header.stamp = stamp;
+  odometry.header.frame_id = settings_.map_frame;
+  odometry.child_frame_id = settings_.base_frame;
+  odometry.pose.pose = toMsg(T_map_base);
+  setCovariance(covariance, &odometry.pose.covariance);
+  if (T_odom_base_ && !last_stamp_.isZero()) {
+    const double dt = (stamp - last_stamp_).toSec();
+    const Eigen::Vector3d v = T_previous_current.translation() / dt, w = logSO3(T_previous_current.linear()) / dt;
+    odometry.twist.twist.linear.x = v.x();
+    odometry.twist.twist.linear.y = v.y();
+    odometry.twist.twist.linear.z = v.z();
+    odometry.twist.twist.angular.x = w.x();
+    odometry.twist.twist.angular.y = w.y();
+    odometry.twist.twist.angular.z = w.z();
+  }
+  odometry_.publish(odometry);
+  if (settings_.publish_tf)
+    broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{
+        edge(stamp, settings_.map_frame, settings_.odom_frame, normalized(T_map_base * T_odom_base.inverse())),
+        edge(stamp, settings_.odom_frame, settings_.base_frame, T_odom_base)});
+  geometry_msgs::PoseStamped pose;
+  pose.header = odometry.header;
+  pose.pose = odometry.pose.pose;
+  const auto distance = [&] {
+    const auto& a = path_msg_.poses.back().pose.position;
+    return (Eigen::Vector3d(a.x, a.y, a.z) - T_map_base.translation()).norm();
+  };
+  if (path_msg_.poses.empty() || distance() >= settings_.path_step) {
+    path_msg_.header.stamp = stamp;
+    path_msg_.poses.push_back(pose);
+    path_.publish(path_msg_);
+  }
+  T_odom_base_ = T_odom_base;
+  last_stamp_ = stamp;
+  return true;
+}
+
+void PosePublisher::reset() {
+  T_odom_base_.reset();
+  last_stamp_ = ros::Time();
+  path_msg_.poses.clear();
+}
+
+std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout, std::string* why) {
+  if (target == source) return Pose::Identity();
+  tf2_ros::Buffer buffer;
+  const tf2_ros::TransformListener listener(buffer);
+  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(timeout);
+  // Polled in wall time: canTransform's own timeout stands still when /clock does.
+  while (ros::ok()) {
+    std::string error;
+    if (buffer.canTransform(target, source, ros::Time(0), &error)) return fromMsg(buffer.lookupTransform(target, source, ros::Time(0)).transform);
+    if (why) *why = "no transform from " + source + " to " + target + " on /tf_static (" + error + ")";
+    if (ros::WallTime::now() >= end) break;
+    ros::WallDuration(0.05).sleep();
+  }
+  return std::nullopt;
+}
+
+}  // namespace air_ground_common::ros_utils

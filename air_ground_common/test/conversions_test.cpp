@@ -1,0 +1,82 @@
+#include "air_ground_common/ros/conversions.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+TEST(Conversions, PoseRoundTripAndRefusal) {
+  const Pose T = yawPose(0.4, {1, 2, 3});
+  EXPECT_LT((fromMsg(toMsg(T)).matrix() - T.matrix()).norm(), 1e-12);
+  EXPECT_LT((fromMsg(toTransformMsg(T)).matrix() - T.matrix()).norm(), 1e-12);
+  geometry_msgs::Pose bad = toMsg(T);
+  bad.orientation.w = bad.orientation.z = 0;
+  EXPECT_THROW(fromMsg(bad), std::invalid_argument);
+  bad = toMsg(T);
+  bad.position.x = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(fromMsg(bad), std::invalid_argument);
+}
+
+TEST(Conversions, CameraInfoWithoutCalibrationIsRefused) {
+  sensor_msgs::CameraInfo info;
+  info.width = 640;
+  info.height = 480;
+  info.distortion_model = "plumb_bob";
+  EXPECT_THROW(fromMsg(info), std::invalid_argument);
+  CameraModel camera;
+  camera.width = 640;
+  camera.height = 480;
+  camera.fx = 500;
+  camera.fy = 501;
+  camera.cx = 320;
+  camera.cy = 240;
+  camera.p2 = 0.01;
+  info = toMsg(camera, std_msgs::Header());
+  EXPECT_EQ(fromMsg(info).p2, 0.01);
+  EXPECT_EQ(fromMsg(info).fy, 501);
+  info.distortion_model = "equidistant";
+  EXPECT_THROW(fromMsg(info), std::invalid_argument);
+}
+
+TEST(Conversions, DepthInMillimetresBecomesMetresAndZeroBecomesNaN) {
+  cv::Mat mm = (cv::Mat_<std::uint16_t>(1, 3) << 0, 1500, 65535);
+  const cv::Mat depth = depthFromMsg(toMsg(mm, "16UC1", std_msgs::Header()));
+  EXPECT_TRUE(std::isnan(depth.at<float>(0, 0)));
+  EXPECT_FLOAT_EQ(depth.at<float>(0, 1), 1.5f);
+  EXPECT_TRUE(std::isnan(depth.at<float>(0, 2)));
+  cv::Mat m = (cv::Mat_<float>(1, 3) << -1.f, 2.5f, std::numeric_limits<float>::infinity());
+  const cv::Mat metric = depthFromMsg(toMsg(m, "32FC1", std_msgs::Header()));
+  EXPECT_TRUE(std::isnan(metric.at<float>(0, 0)));
+  EXPECT_FLOAT_EQ(metric.at<float>(0, 1), 2.5f);
+  EXPECT_TRUE(std::isnan(metric.at<float>(0, 2)));
+  EXPECT_THROW(depthFromMsg(toMsg(cv::Mat(1, 1, CV_8U), "mono8", std_msgs::Header())), std::invalid_argument);
+}
+
+TEST(Conversions, CloudRoundTripKeepsColourAndDropsNaN) {
+  std::vector<CloudPoint> points(2);
+  points[0].position = {1, 2, 3};
+  points[0].rgb << 200, 100, 50;
+  points[0].source = 1;
+  points[1].position.x() = std::numeric_limits<float>::quiet_NaN();
+  std::size_t dropped = 0;
+  auto read = cloudFromMsg(toMsg(points, CloudFields::kXyzRgbSource, std_msgs::Header()), &dropped);
+  ASSERT_EQ(read.size(), 1u);
+  EXPECT_EQ(dropped, 1u);
+  EXPECT_EQ(read[0].rgb, points[0].rgb);
+  EXPECT_EQ(read[0].source, 1);
+  points[0].rgb.setConstant(77);
+  read = cloudFromMsg(toMsg(points, CloudFields::kXyzIntensity, std_msgs::Header()));
+  EXPECT_EQ(read[0].rgb[1], 77);
+  EXPECT_TRUE(cloudFromMsg(toMsg({}, CloudFields::kXyz, std_msgs::Header())).empty());
+  sensor_msgs::PointCloud2 broken = toMsg(points, CloudFields::kXyz, std_msgs::Header());
+  broken.data.resize(3);
+  EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
+  EXPECT_THROW(cloudFromMsg(sensor_msgs::PointCloud2()), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace air_ground_common::ros_utils

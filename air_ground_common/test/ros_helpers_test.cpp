@@ -1,0 +1,155 @@
+// The helpers that need a master: parameters, health, pose publisher. Started by ros_helpers.test.
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <functional>
+
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/pose_publisher.h"
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+bool spinUntil(const std::function<bool()>& done, double seconds = 5) {
+  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+  while (ros::ok() && ros::WallTime::now() < end) {
+    ros::spinOnce();
+    if (done()) return true;
+    ros::WallDuration(0.01).sleep();
+  }
+  return false;
+}
+
+std::string errorOf(const std::function<void()>& call) {
+  try {
+    call();
+  } catch (const ParameterError& e) {
+    return e.what();
+  }
+  return "";
+}
+
+TEST(Parameters, OutOfRangeNamesParameterValueAndRange) {
+  ros::NodeHandle pnh("~range");
+  pnh.setParam("voxel", 7.0);
+  Parameters parameters(pnh);
+  const std::string error = errorOf([&] { parameters.number("voxel", 0.02, 0.001, 1.0); });
+  for (const char* part : {"range/voxel", "7", "0.001", "1"}) EXPECT_NE(error.find(part), std::string::npos) << error;
+}
+
+TEST(Parameters, WrongTypeChoiceAndSizeAreRefused) {
+  ros::NodeHandle pnh("~types");
+  pnh.setParam("count", "many");
+  pnh.setParam("mode", "fast");
+  pnh.setParam("origin", std::vector<double>{1, 2});
+  Parameters parameters(pnh);
+  EXPECT_NE(errorOf([&] { parameters.integer("count", 1, 0, 9); }).find("count"), std::string::npos);
+  EXPECT_NE(errorOf([&] { parameters.choice("mode", "slow", {"slow", "slower"}); }).find("slower"), std::string::npos);
+  EXPECT_NE(errorOf([&] { parameters.numbers("origin", {0, 0, 0}, 3); }).find("3"), std::string::npos);
+}
+
+TEST(Parameters, MisspeltNameIsFoundAndIntegerReadsAsNumber) {
+  ros::NodeHandle pnh("~names");
+  pnh.setParam("sigma", 2);
+  pnh.setParam("sgima", 3);
+  Parameters parameters(pnh);
+  EXPECT_DOUBLE_EQ(parameters.number("sigma", 1, 0, 5), 2.0);
+  EXPECT_NE(errorOf([&] { parameters.finish(); }).find("sgima"), std::string::npos);
+  EXPECT_EQ(errorOf([&] { parameters.finish({"sgima"}); }), "");
+}
+
+TEST(TimeJumpDetector, SeesALoopedBagOnceAndForgivesDisorder) {
+  TimeJumpDetector detector(1.0);
+  EXPECT_FALSE(detector.jumped(ros::Time(100.0)));
+  EXPECT_FALSE(detector.jumped(ros::Time(160.0)));
+  EXPECT_FALSE(detector.jumped(ros::Time(159.5))) << "late, not a jump";
+  EXPECT_TRUE(detector.jumped(ros::Time(100.0)));
+  EXPECT_FALSE(detector.jumped(ros::Time(100.1)));
+}
+
+TEST(StreamJumpDetector, LaggingStreamIsNoJumpAndLoopedBagIsOne) {
+  using Verdict = StreamJumpDetector::Verdict;
+  StreamJumpDetector detector(2);
+  const ros::WallTime wall(50.0);
+  EXPECT_EQ(detector.watch(0, ros::Time(110.0), wall), Verdict::kInOrder);
+  EXPECT_EQ(detector.watch(1, ros::Time(104.0), wall), Verdict::kInOrder) << "six seconds behind the other is a lag";
+  EXPECT_EQ(detector.watch(0, ros::Time(130.0), wall), Verdict::kInOrder);
+  EXPECT_EQ(detector.watch(0, ros::Time(100.0), wall), Verdict::kJump);
+  EXPECT_EQ(detector.watch(1, ros::Time(129.0), wall), Verdict::kOld) << "the end of the first pass";
+  EXPECT_EQ(detector.watch(0, ros::Time(100.1), wall), Verdict::kInOrder);
+  EXPECT_EQ(detector.watch(1, ros::Time(100.2), wall), Verdict::kInOrder) << "follows: no second reset";
+  EXPECT_EQ(detector.watch(1, ros::Time(120.0), wall), Verdict::kInOrder);
+  EXPECT_EQ(detector.watch(1, ros::Time(100.0), wall), Verdict::kJump) << "the next loop";
+  EXPECT_EQ(detector.watch(0, ros::Time(119.5), wall), Verdict::kOld);
+  EXPECT_EQ(detector.watch(0, ros::Time(119.6), wall + ros::WallDuration(5.0)), Verdict::kInOrder) << "patience is over";
+  EXPECT_THROW(detector.watch(2, ros::Time(1.0), wall), std::out_of_range);
+}
+
+TEST(NodeHealth, CountersReachDiagnostics) {
+  ros::NodeHandle nh;
+  std::string value;
+  const ros::Subscriber subscriber = nh.subscribe<diagnostic_msgs::DiagnosticArray>(
+      "/diagnostics", 10, [&](const diagnostic_msgs::DiagnosticArray::ConstPtr& msg) {
+        for (const auto& status : msg->status)
+          for (const auto& kv : status.values)
+            if (kv.key == "broken images") value = kv.value;
+      });
+  NodeHealth health("test");
+  health.count("broken images", 2);
+  health.count("broken images");
+  EXPECT_EQ(health.counted("broken images"), 3u);
+  EXPECT_TRUE(spinUntil([&] { return value == "3"; }));
+}
+
+TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
+  ros::NodeHandle nh;
+  PosePublisherSettings settings{"m", "o", "b", "odometry", "path"};
+  PosePublisher publisher(nh, settings);
+  std::vector<tf2_msgs::TFMessage> tf;
+  std::vector<nav_msgs::Odometry> odometry;
+  const ros::Subscriber a = nh.subscribe<tf2_msgs::TFMessage>("/tf", 10, [&](const tf2_msgs::TFMessage::ConstPtr& m) { tf.push_back(*m); });
+  const ros::Subscriber b = nh.subscribe<nav_msgs::Odometry>("odometry", 10, [&](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
+  ASSERT_TRUE(spinUntil([&] { return a.getNumPublishers() > 0 && b.getNumPublishers() > 0; }));
+  ros::WallDuration(0.3).sleep();
+
+  const Pose step = yawPose(0.1, {0.5, 0, 0});
+  const Matrix6d covariance = 0.01 * Matrix6d::Identity();
+  EXPECT_TRUE(publisher.publish(ros::Time(1.0), Pose::Identity(), Pose::Identity(), covariance));
+  EXPECT_TRUE(publisher.publish(ros::Time(2.0), step, step, covariance));
+  EXPECT_FALSE(publisher.publish(ros::Time(2.0), step, step, covariance)) << "a stamp is never sent twice";
+  // Loop closure moves the pose in the map by 1 m; the robot itself moved by one step.
+  const Pose corrected = yawPose(0, {1, 0, 0}) * step * step;
+  EXPECT_TRUE(publisher.publish(ros::Time(3.0), corrected, step, covariance));
+  ASSERT_TRUE(spinUntil([&] { return tf.size() >= 3 && odometry.size() >= 3; }));
+  ASSERT_EQ(tf.size(), 3u);
+
+  const Pose T_map_odom = fromMsg(tf[2].transforms[0].transform), T_odom_base = fromMsg(tf[2].transforms[1].transform);
+  EXPECT_EQ(tf[2].transforms[0].header.frame_id, "m");
+  EXPECT_EQ(tf[2].transforms[1].child_frame_id, "b");
+  EXPECT_LT(((T_map_odom * T_odom_base).matrix() - corrected.matrix()).norm(), 1e-9);
+  EXPECT_LT((T_odom_base.matrix() - (step * step).matrix()).norm(), 1e-9) << "odom jumped";
+  EXPECT_LT((fromMsg(odometry[2].pose.pose).matrix() - corrected.matrix()).norm(), 1e-9);
+  EXPECT_NEAR(odometry[1].twist.twist.linear.x, 0.5, 1e-9);
+}
+
+TEST(LookupStatic, SaysWhatIsMissing) {
+  std::string why;
+  EXPECT_FALSE(lookupStatic("base_link", "camera", 0.2, &why));
+  EXPECT_NE(why.find("camera"), std::string::npos);
+  EXPECT_TRUE(lookupStatic("same", "same", 0.2, &why));
+}
+
+}  // namespace
+}  // namespace air_ground_common::ros_utils
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "ros_helpers_test");
+  const ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}

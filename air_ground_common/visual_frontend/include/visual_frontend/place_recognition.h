@@ -1,0 +1,47 @@
+// Place recognition with ORB: for loop closure and to relocalise after tracking is lost.
+#pragma once
+
+#include <vector>
+
+#include "visual_frontend/map.h"
+#include "visual_frontend/pose_solver.h"
+#include "visual_frontend/types.h"
+
+namespace visual_frontend {
+
+struct PlaceSettings {
+  int orb_features = 500;
+  int orb_levels = 5;
+  int max_hamming = 60;            ///< of 256 bits
+  double max_ratio = 0.85;         ///< best over second-best distance
+  int min_matches = 25;            ///< mutual matches for a candidate
+  int max_candidates = 4;          ///< that are verified geometrically
+  int min_inliers = 20;            ///< of the pose
+  double pixel_sigma = 1.5;        ///< of ORB positions at level 0 [px]
+};
+
+/// ORB features of an image (CV_8UC1) into keyframe.orb_*; depth is left empty. Throws std::invalid_argument otherwise.
+void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const PlaceSettings& settings, Keyframe& keyframe);
+
+/// Mutual nearest descriptors with ratio test: pairs (index in a, index in b).
+std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Mat& b, const PlaceSettings& settings);
+
+struct PlaceMatch {
+  bool success = false;
+  std::string reason;
+  KeyframeId keyframe = kNoKeyframe;      ///< the place
+  Pose T_place_query = Pose::Identity();  ///< camera of the query in the camera frame of the place
+  Matrix6d covariance = Matrix6d::Zero(); ///< of T_place_query, in the place's camera frame
+  int matches = 0;
+  int inliers = 0;
+  /// Landmarks recognised: index of the query's ORB feature, landmark of the map.
+  std::vector<std::pair<int, LandmarkId>> landmarks;
+};
+
+/// Searches `places` (in the map) for the best place of `query` by descriptor matches, then verifies by 3D-2D pose
+/// RANSAC and refinement. 3D points: the place's ORB features with measured depth, otherwise those within 3 px of an
+/// observed landmark; failing both, the query's own depth measurements (inverse direction).
+PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query,
+                          const std::vector<KeyframeId>& places, const PlaceSettings& settings);
+
+}  // namespace visual_frontend

@@ -1,0 +1,376 @@
+#include "visual_frontend/feature_tracker.h"
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/features2d.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/video/tracking.hpp>
+#include <stdexcept>
+#include <string>
+#include <unordered_set>
+
+namespace visual_frontend {
+
+namespace {
+
+void require(bool ok, const char* field, const char* what) {
+  if (!ok) throw std::invalid_argument(std::string("TrackerSettings::") + field + " " + what);
+}
+
+/// Smaller eigenvalue of the mean structure tensor over a 9x9 window; image scaled to [0, 1].
+double shiTomasiScore(const cv::Mat& image, int x, int y) {
+  constexpr int kHalf = 4;
+  if (x < kHalf + 1 || y < kHalf + 1 || x >= image.cols - kHalf - 1 || y >= image.rows - kHalf - 1) return 0;
+  long sxx = 0, syy = 0, sxy = 0;
+  for (int v = y - kHalf; v <= y + kHalf; ++v) {
+    const std::uint8_t* row = image.ptr(v);
+    const std::uint8_t* above = image.ptr(v - 1);
+    const std::uint8_t* below = image.ptr(v + 1);
+    for (int u = x - kHalf; u <= x + kHalf; ++u) {
+      const int gx = row[u + 1] - row[u - 1];
+      const int gy = below[u] - above[u];
+      sxx += gx * gx;
+      syy += gy * gy;
+      sxy += gx * gy;
+    }
+  }
+  const double norm = 1.0 / (4.0 * 255.0 * 255.0 * (2 * kHalf + 1) * (2 * kHalf + 1));
+  const double a = sxx * norm, b = syy * norm, c = sxy * norm;
+  return 0.5 * (a + b - std::sqrt((a - b) * (a - b) + 4 * c * c));
+}
+
+float bilinear(const cv::Mat& image, float x, float y) {
+  const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
+  const float fx = x - x0, fy = y - y0;
+  const std::uint8_t* row = image.ptr(y0) + x0;
+  const std::uint8_t* below = image.ptr(y0 + 1) + x0;
+  return (1 - fy) * ((1 - fx) * row[0] + fx * row[1]) + fy * ((1 - fx) * below[0] + fx * below[1]);
+}
+
+/// Mean absolute difference of two 9x9 windows after removing their means; large near the edge.
+float patchDifference(const cv::Mat& a, const cv::Point2f& pa, const cv::Mat& b, const cv::Point2f& pb) {
+  constexpr int kHalf = 4, kSize = 2 * kHalf + 1;
+  const auto inside = [](const cv::Mat& m, const cv::Point2f& p) {
+    return p.x >= kHalf && p.y >= kHalf && p.x < m.cols - kHalf - 1 && p.y < m.rows - kHalf - 1;
+  };
+  if (!inside(a, pa) || !inside(b, pb)) return 1e6f;
+  float wa[kSize * kSize], wb[kSize * kSize], mean_a = 0, mean_b = 0;
+  int i = 0;
+  for (int v = -kHalf; v <= kHalf; ++v) {
+    for (int u = -kHalf; u <= kHalf; ++u, ++i) {
+      wa[i] = bilinear(a, pa.x + u, pa.y + v);
+      wb[i] = bilinear(b, pb.x + u, pb.y + v);
+      mean_a += wa[i];
+      mean_b += wb[i];
+    }
+  }
+  const float shift = (mean_a - mean_b) / (kSize * kSize);
+  float sum = 0;
+  for (i = 0; i < kSize * kSize; ++i) sum += std::abs(wa[i] - wb[i] - shift);
+  return sum / (kSize * kSize);
+}
+
+cv::Point2f toCv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
+
+}  // namespace
+
+void TrackerSettings::validate() const {
+  require(max_features > 0, "max_features", "must be positive");
+  require(min_distance >= 1, "min_distance", "must be at least 1 px");
+  require(fast_threshold >= 2 && fast_threshold < 255, "fast_threshold", "must be in [2, 254]");
+  require(window >= 5 && window % 2 == 1, "window", "must be odd and at least 5");
+  require(pyramid_levels >= 1 && pyramid_levels <= 8, "pyramid_levels", "must be in [1, 8]");
+  require(max_iterations >= 1, "max_iterations", "must be positive");
+  require(convergence > 0, "convergence", "must be positive");
+  require(max_forward_backward > 0, "max_forward_backward", "must be positive");
+  require(max_patch_difference > 0, "max_patch_difference", "must be positive");
+  require(border >= 5, "border", "must be at least 5 px");
+}
+
+ImagePyramid buildPyramid(const cv::Mat& gray, int levels) {
+  if (gray.empty() || gray.type() != CV_8UC1) throw std::invalid_argument("buildPyramid: needs a CV_8UC1 image");
+  ImagePyramid pyramid{gray};
+  while (static_cast<int>(pyramid.size()) < levels && pyramid.back().cols > 32 && pyramid.back().rows > 32) {
+    cv::Mat next;
+    cv::pyrDown(pyramid.back(), next);
+    pyramid.push_back(next);
+  }
+  return pyramid;
+}
+
+struct FeatureTracker::Impl {
+  CameraModel camera;
+  TrackerSettings settings;
+  std::vector<Feature> features;
+  std::vector<cv::Mat> lk_pyramid;  // images at even, derivatives at odd indices
+  ImagePyramid pyramid;
+  cv::Ptr<cv::CLAHE> clahe;
+  TrackId next_id = 0;
+  double survival = 1;
+
+  bool inside(const cv::Point2f& p) const {
+    const float b = static_cast<float>(settings.border);
+    return p.x >= b && p.y >= b && p.x <= camera.width - 1 - b && p.y <= camera.height - 1 - b;
+  }
+
+  std::vector<cv::Mat> lkPyramid(const cv::Mat& image) const {
+    std::vector<cv::Mat> result;
+    cv::buildOpticalFlowPyramid(image, result, cv::Size(settings.window, settings.window), settings.pyramid_levels - 1,
+                                true, cv::BORDER_REFLECT_101, cv::BORDER_CONSTANT, false);
+    return result;
+  }
+
+  Feature makeFeature(const Eigen::Vector2d& pixel, float response) {
+    Feature f;
+    f.id = next_id++;
+    f.pixel = f.previous_pixel = f.first_pixel = pixel;
+    f.normalized = camera.unproject(pixel);
+    f.response = response;
+    return f;
+  }
+
+  std::vector<cv::Point2f> predict(const TrackPrediction& prediction) const {
+    std::vector<cv::Point2f> result;
+    result.reserve(features.size());
+    for (const Feature& f : features) {
+      cv::Point2f guess = toCv(f.pixel);
+      const auto given = prediction.pixels.find(f.id);
+      if (given != prediction.pixels.end() && given->second.allFinite()) {
+        guess = toCv(given->second);
+      } else if (prediction.R_current_previous) {
+        const Eigen::Vector3d ray = *prediction.R_current_previous * f.normalized.homogeneous();
+        if (ray.z() > 0.1) {
+          if (const auto pixel = camera.project(ray)) guess = toCv(*pixel);
+        }
+      }
+      result.push_back(guess);
+    }
+    return result;
+  }
+
+  /// Corners of a region, strongest Shi-Tomasi score first.
+  std::vector<cv::KeyPoint> corners(const cv::Mat& image, const cv::Rect& cell, int threshold) const {
+    std::vector<cv::KeyPoint> found;
+    // FAST looks 3 px around a corner and leaves that border out.
+    const cv::Rect roi = cv::Rect(cell.x - 3, cell.y - 3, cell.width + 6, cell.height + 6) & cv::Rect(0, 0, image.cols, image.rows);
+    if (settings.detector == CornerDetector::kFast) {
+      cv::FAST(image(roi), found, threshold, true);
+      if (found.size() > 12) {
+        std::nth_element(found.begin(), found.begin() + 12, found.end(),
+                         [](const auto& a, const auto& b) { return a.response > b.response; });
+        found.resize(12);
+      }
+      for (cv::KeyPoint& k : found) {
+        k.pt += cv::Point2f(static_cast<float>(roi.x), static_cast<float>(roi.y));
+        k.response = static_cast<float>(shiTomasiScore(image, cvRound(k.pt.x), cvRound(k.pt.y)));
+      }
+    } else {
+      std::vector<cv::Point2f> points;
+      cv::goodFeaturesToTrack(image(roi), points, 6, 0.05, settings.min_distance / 2.0, cv::noArray(), 5);
+      for (cv::Point2f p : points) {
+        p += cv::Point2f(static_cast<float>(roi.x), static_cast<float>(roi.y));
+        found.emplace_back(p, 7.f, -1.f, static_cast<float>(shiTomasiScore(image, cvRound(p.x), cvRound(p.y))));
+      }
+    }
+    std::sort(found.begin(), found.end(), [](const auto& a, const auto& b) {
+      return std::tie(b.response, a.pt.y, a.pt.x) < std::tie(a.response, b.pt.y, b.pt.x);
+    });
+    return found;
+  }
+};
+
+FeatureTracker::FeatureTracker(const CameraModel& camera, const TrackerSettings& settings) : impl_(new Impl) {
+  camera.validate();
+  settings.validate();
+  impl_->camera = camera;
+  impl_->settings = settings;
+  if (settings.clahe) impl_->clahe = cv::createCLAHE(3.0, cv::Size(8, 8));
+}
+
+FeatureTracker::~FeatureTracker() = default;
+FeatureTracker::FeatureTracker(FeatureTracker&&) noexcept = default;
+FeatureTracker& FeatureTracker::operator=(FeatureTracker&&) noexcept = default;
+
+const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const TrackPrediction& prediction) {
+  Impl& s = *impl_;
+  if (gray.type() != CV_8UC1 || gray.cols != s.camera.width || gray.rows != s.camera.height) {
+    throw std::invalid_argument("FeatureTracker::track: needs a CV_8UC1 image of " + std::to_string(s.camera.width) + "x" +
+                                std::to_string(s.camera.height) + ", got " + std::to_string(gray.cols) + "x" +
+                                std::to_string(gray.rows) + " of OpenCV type " + std::to_string(gray.type()));
+  }
+  cv::Mat image = gray;
+  if (s.clahe) {
+    image = cv::Mat();
+    s.clahe->apply(gray, image);
+  }
+  std::vector<cv::Mat> current = s.lkPyramid(image);
+  const auto finish = [&] {
+    s.lk_pyramid = std::move(current);
+    s.pyramid.clear();
+    for (std::size_t i = 0; i < s.lk_pyramid.size(); i += 2) s.pyramid.push_back(s.lk_pyramid[i]);
+  };
+  s.survival = 1;
+  if (s.lk_pyramid.empty() || s.features.empty()) {
+    finish();
+    return s.features;
+  }
+
+  std::vector<cv::Point2f> before, after = s.predict(prediction);
+  for (const Feature& f : s.features) before.push_back(toCv(f.pixel));
+  const cv::Size window(s.settings.window, s.settings.window);
+  const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, s.settings.max_iterations, s.settings.convergence);
+  const int levels = s.settings.pyramid_levels - 1;
+  std::vector<unsigned char> status;
+  std::vector<float> error;
+  cv::calcOpticalFlowPyrLK(s.lk_pyramid, current, before, after, status, error, window, levels, criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
+  if (s.settings.forward_backward) {
+    std::vector<cv::Point2f> back = before;
+    std::vector<unsigned char> back_status;
+    // From a near start the coarse levels only cost time.
+    cv::calcOpticalFlowPyrLK(current, s.lk_pyramid, after, back, back_status, error, window, std::min(levels, 1), criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
+    for (std::size_t i = 0; i < before.size(); ++i) {
+      const cv::Point2f d = back[i] - before[i];
+      if (!back_status[i] || d.dot(d) > s.settings.max_forward_backward * s.settings.max_forward_backward) status[i] = 0;
+    }
+  }
+
+  std::vector<Feature> kept;
+  kept.reserve(s.features.size());
+  for (std::size_t i = 0; i < before.size(); ++i) {
+    if (!status[i] || !s.inside(after[i])) continue;
+    if (patchDifference(s.lk_pyramid[0], before[i], current[0], after[i]) > s.settings.max_patch_difference) continue;
+    Feature f = s.features[i];
+    f.previous_pixel = f.pixel;
+    f.pixel = {after[i].x, after[i].y};
+    f.normalized = s.camera.unproject(f.pixel);
+    ++f.age;
+    kept.push_back(f);
+  }
+  // Two tracks that ran together measure the same point: keep the older.
+  std::stable_sort(kept.begin(), kept.end(), [](const Feature& a, const Feature& b) { return a.age > b.age; });
+  cv::Mat taken(s.camera.height, s.camera.width, CV_8UC1, cv::Scalar(0));
+  const int radius = std::max(1, s.settings.min_distance / 3);
+  const std::size_t alive_before = s.features.size();
+  s.features.clear();
+  for (const Feature& f : kept) {
+    const cv::Point p(cvRound(f.pixel.x()), cvRound(f.pixel.y()));
+    if (taken.at<std::uint8_t>(p)) continue;
+    cv::circle(taken, p, radius, cv::Scalar(255), -1);
+    s.features.push_back(f);
+  }
+  s.survival = static_cast<double>(s.features.size()) / alive_before;
+  finish();
+  return s.features;
+}
+
+int FeatureTracker::replenish(const cv::Mat& mask) {
+  Impl& s = *impl_;
+  if (s.pyramid.empty()) return 0;
+  const cv::Mat& image = s.pyramid[0];
+  if (!mask.empty() && (mask.size() != image.size() || mask.type() != CV_8UC1)) {
+    throw std::invalid_argument("FeatureTracker::replenish: the mask must be CV_8UC1 of the image's size");
+  }
+  cv::Mat free(image.size(), CV_8UC1, cv::Scalar(255));
+  for (const Feature& f : s.features) cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), s.settings.min_distance, cv::Scalar(0), -1);
+  if (!mask.empty()) cv::bitwise_and(free, mask, free);
+
+  const int border = s.settings.border;
+  const int cell = std::max(s.settings.min_distance + 2,
+                            static_cast<int>(std::sqrt(double(image.cols) * image.rows / s.settings.max_features)));
+  std::vector<cv::Rect> cells;
+  for (int y = border; y < image.rows - border; y += cell) {
+    for (int x = border; x < image.cols - border; x += cell) {
+      cells.emplace_back(x, y, std::min(cell, image.cols - border - x), std::min(cell, image.rows - border - y));
+    }
+  }
+  std::vector<int> occupied(cells.size(), 0);
+  const int columns = (image.cols - 2 * border + cell - 1) / cell;
+  for (const Feature& f : s.features) {
+    const int cx = (cvRound(f.pixel.x()) - border) / cell, cy = (cvRound(f.pixel.y()) - border) / cell;
+    const std::size_t i = static_cast<std::size_t>(cy) * columns + cx;
+    if (i < occupied.size()) ++occupied[i];
+  }
+
+  int added = 0;
+  std::vector<cv::KeyPoint> spare;  // second choices of the cells, for what the empty cells leave over
+  const auto tryAdd = [&](const cv::KeyPoint& k) {
+    const cv::Point p(cvRound(k.pt.x), cvRound(k.pt.y));
+    if (static_cast<int>(s.features.size()) >= s.settings.max_features || k.response < s.settings.min_shi_tomasi ||
+        !s.inside(k.pt) || !free.at<std::uint8_t>(p)) {
+      return false;
+    }
+    s.features.push_back(s.makeFeature({k.pt.x, k.pt.y}, k.response));
+    cv::circle(free, p, s.settings.min_distance, cv::Scalar(0), -1);
+    ++added;
+    return true;
+  };
+  for (std::size_t i = 0; i < cells.size() && static_cast<int>(s.features.size()) < s.settings.max_features; ++i) {
+    if (occupied[i] || cv::countNonZero(free(cells[i])) == 0) continue;
+    auto found = s.corners(image, cells[i], s.settings.fast_threshold);
+    if (found.empty() && s.settings.detector == CornerDetector::kFast) found = s.corners(image, cells[i], std::max(2, s.settings.fast_threshold / 2));
+    bool done = false;
+    for (const cv::KeyPoint& k : found) {
+      if (!done) done = tryAdd(k);
+      else spare.push_back(k);
+    }
+  }
+  std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });
+  for (const cv::KeyPoint& k : spare) tryAdd(k);
+  return added;
+}
+
+TrackId FeatureTracker::addFeature(const Eigen::Vector2d& pixel) {
+  Impl& s = *impl_;
+  if (s.pyramid.empty() || !pixel.allFinite() || !s.inside(toCv(pixel))) return kNoTrack;
+  const double limit = s.settings.min_distance / 3.0;
+  for (const Feature& f : s.features) {
+    if ((f.pixel - pixel).squaredNorm() < limit * limit) return kNoTrack;
+  }
+  s.features.push_back(s.makeFeature(pixel, static_cast<float>(shiTomasiScore(s.pyramid[0], cvRound(pixel.x()), cvRound(pixel.y())))));
+  return s.features.back().id;
+}
+
+bool FeatureTracker::moveFeature(TrackId id, const Eigen::Vector2d& pixel) {
+  if (!pixel.allFinite() || !impl_->inside(toCv(pixel))) return false;
+  for (Feature& f : impl_->features) {
+    if (f.id != id) continue;
+    f.pixel = pixel;
+    f.normalized = impl_->camera.unproject(pixel);
+    return true;
+  }
+  return false;
+}
+
+void FeatureTracker::remove(const std::vector<TrackId>& ids) {
+  const std::unordered_set<TrackId> gone(ids.begin(), ids.end());
+  auto& f = impl_->features;
+  f.erase(std::remove_if(f.begin(), f.end(), [&](const Feature& x) { return gone.count(x.id) > 0; }), f.end());
+}
+
+void FeatureTracker::reset() {
+  impl_->features.clear();
+  impl_->lk_pyramid.clear();
+  impl_->pyramid.clear();
+  impl_->survival = 1;
+}
+
+const std::vector<Feature>& FeatureTracker::features() const { return impl_->features; }
+const ImagePyramid& FeatureTracker::pyramid() const { return impl_->pyramid; }
+const CameraModel& FeatureTracker::camera() const { return impl_->camera; }
+const TrackerSettings& FeatureTracker::settings() const { return impl_->settings; }
+double FeatureTracker::lastSurvival() const { return impl_->survival; }
+
+cv::Mat drawTracks(const cv::Mat& gray, const std::vector<Feature>& features, const std::vector<bool>& mapped) {
+  cv::Mat image;
+  cv::cvtColor(gray, image, cv::COLOR_GRAY2BGR);
+  for (std::size_t i = 0; i < features.size(); ++i) {
+    const Feature& f = features[i];
+    const double s = std::min(1.0, f.age / 20.0);
+    const cv::Scalar colour(0, 255 * s, 255 * (1 - s));
+    cv::line(image, toCv(f.previous_pixel), toCv(f.pixel), colour, 1, cv::LINE_AA);
+    cv::circle(image, toCv(f.pixel), 3, colour, i < mapped.size() && mapped[i] ? -1 : 1, cv::LINE_AA);
+  }
+  return image;
+}
+
+}  // namespace visual_frontend

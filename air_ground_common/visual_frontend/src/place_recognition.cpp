@@ -1,0 +1,175 @@
+#include "visual_frontend/place_recognition.h"
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/features2d.hpp>
+#include <stdexcept>
+
+#include "hamming.h"
+
+namespace visual_frontend {
+
+void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const PlaceSettings& settings, Keyframe& keyframe) {
+  if (gray.empty() || gray.type() != CV_8UC1) throw std::invalid_argument("describeKeyframe: needs a CV_8UC1 image");
+  const cv::Ptr<cv::ORB> orb = cv::ORB::create(settings.orb_features, 1.2f, settings.orb_levels, 19, 0, 2, cv::ORB::HARRIS_SCORE, 31, 12);
+  std::vector<cv::KeyPoint> keypoints;
+  keyframe.orb_descriptors = cv::Mat();
+  orb->detectAndCompute(gray, cv::noArray(), keypoints, keyframe.orb_descriptors);
+  keyframe.orb_pixels.clear();
+  keyframe.orb_normalized.clear();
+  keyframe.orb_angle.clear();
+  keyframe.orb_octave.clear();
+  keyframe.orb_depth.clear();
+  for (const cv::KeyPoint& k : keypoints) {
+    keyframe.orb_pixels.emplace_back(k.pt.x, k.pt.y);
+    keyframe.orb_normalized.push_back(camera.unproject(keyframe.orb_pixels.back()));
+    keyframe.orb_angle.push_back(static_cast<float>(k.angle * M_PI / 180));
+    keyframe.orb_octave.push_back(k.octave);
+  }
+}
+
+std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Mat& b, const PlaceSettings& settings) {
+  std::vector<std::pair<int, int>> matches;
+  if (a.rows < 2 || b.rows < 2) return matches;
+  std::vector<int> nearest_a(a.rows), distance_a(a.rows), second_a(a.rows), nearest_b(b.rows), distance_b(b.rows), second_b(b.rows);
+  nearestHamming(a.data, a.step, a.rows, b.data, b.step, b.rows, nearest_a.data(), distance_a.data(), second_a.data());
+  nearestHamming(b.data, b.step, b.rows, a.data, a.step, a.rows, nearest_b.data(), distance_b.data(), second_b.data());
+  for (int i = 0; i < a.rows; ++i) {
+    if (distance_a[i] > settings.max_hamming || distance_a[i] > settings.max_ratio * second_a[i]) continue;
+    if (nearest_b[nearest_a[i]] == i) matches.emplace_back(i, nearest_a[i]);
+  }
+  return matches;
+}
+
+namespace {
+
+/// Index into observations of the landmark nearest to a pixel, within 3 px; -1 when there is none.
+int observationNear(const Keyframe& keyframe, const Eigen::Vector2d& pixel) {
+  int best = -1;
+  double best2 = 9;
+  for (std::size_t i = 0; i < keyframe.observations.size(); ++i) {
+    if (keyframe.observations[i].landmark == kNoLandmark) continue;
+    const double d2 = (keyframe.observations[i].pixel - pixel).squaredNorm();
+    if (d2 < best2) {
+      best2 = d2;
+      best = static_cast<int>(i);
+    }
+  }
+  return best;
+}
+
+PoseResult solve(const std::vector<PoseCorrespondence>& correspondences, const PlaceSettings& settings) {
+  RansacSettings ransac;
+  ransac.min_inliers = std::min(settings.min_inliers, 12);
+  ransac.threshold = 3;
+  PoseResult pose = ransacPose(correspondences, ransac);
+  if (!pose.success) return pose;
+  RefineSettings refine;
+  refine.use_depth = false;
+  return refinePose(correspondences, pose.T_map_camera, refine);
+}
+
+PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& query, const Keyframe& place,
+                  const std::vector<std::pair<int, int>>& matches, const PlaceSettings& settings) {
+  PlaceMatch result;
+  result.keyframe = place.id;
+  result.matches = static_cast<int>(matches.size());
+  const double focal = 0.5 * (camera.fx + camera.fy);
+  const Pose T_place_map = place.T_map_camera.inverse();
+  std::vector<PoseCorrespondence> forward, backward;
+  std::vector<std::pair<int, LandmarkId>> forward_landmark;
+  for (const auto& [q, p] : matches) {
+    const int near = observationNear(place, place.orb_pixels[p]);
+    const LandmarkId landmark = near >= 0 ? place.observations[near].landmark : kNoLandmark;
+    PoseCorrespondence c;
+    c.normalized = query.orb_normalized[q];
+    c.sigma = settings.pixel_sigma * std::pow(1.2, query.orb_octave[q]) / focal;
+    if (!place.orb_depth.empty() && place.orb_depth[p] > 0) {
+      c.p_map = place.orb_depth[p] * place.orb_normalized[p].homogeneous();
+      forward.push_back(c);
+      forward_landmark.emplace_back(q, landmark);
+    } else if (landmark != kNoLandmark) {
+      c.p_map = T_place_map * map.landmark(landmark).position;
+      forward.push_back(c);
+      forward_landmark.emplace_back(q, landmark);
+    }
+    if (!query.orb_depth.empty() && query.orb_depth[q] > 0) {
+      c.p_map = query.orb_depth[q] * query.orb_normalized[q].homogeneous();
+      c.normalized = place.orb_normalized[p];
+      c.sigma = settings.pixel_sigma * std::pow(1.2, place.orb_octave[p]) / focal;
+      backward.push_back(c);
+    }
+  }
+  const bool use_forward = static_cast<int>(forward.size()) >= settings.min_inliers;
+  const std::vector<PoseCorrespondence>& used = use_forward ? forward : backward;
+  if (static_cast<int>(used.size()) < settings.min_inliers) {
+    result.reason = "only " + std::to_string(used.size()) + " matches with depth";
+    return result;
+  }
+  const PoseResult pose = solve(used, settings);
+  result.inliers = pose.inlier_count;
+  if (!pose.success || pose.inlier_count < settings.min_inliers) {
+    result.reason = pose.success ? "only " + std::to_string(pose.inlier_count) + " inliers" : pose.reason;
+    return result;
+  }
+  result.success = true;
+  result.covariance = pose.covariance;
+  result.T_place_query = pose.T_map_camera;
+  if (use_forward) {
+    for (std::size_t i = 0; i < forward.size(); ++i) {
+      if (pose.inliers[i] && forward_landmark[i].second != kNoLandmark) result.landmarks.push_back(forward_landmark[i]);
+    }
+  } else {
+    // Solved for the place in the query's frame: turn it round, and the covariance with it.
+    result.T_place_query = pose.T_map_camera.inverse();
+    Matrix6d J = Matrix6d::Zero();
+    const Eigen::Matrix3d R = result.T_place_query.linear();
+    J.topLeftCorner<3, 3>() = -R;
+    J.topRightCorner<3, 3>() = -R * air_ground_common::skew(pose.T_map_camera.translation());
+    J.bottomRightCorner<3, 3>() = -R;
+    result.covariance = J * pose.covariance * J.transpose();
+  }
+  return result;
+}
+
+}  // namespace
+
+PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query, const std::vector<KeyframeId>& places, const PlaceSettings& settings) {
+  struct Scored {
+    KeyframeId keyframe;
+    std::vector<std::pair<int, int>> matches;
+  };
+  // Most places fall out by a quarter of the descriptors, one way only.
+  std::vector<std::pair<int, KeyframeId>> coarse;
+  const cv::Mat& q = query.orb_descriptors;
+  constexpr int kStep = 4;
+  const int rows = q.rows / kStep;
+  std::vector<int> nearest(rows), distance(rows), second(rows);
+  for (const KeyframeId id : places) {
+    const cv::Mat& p = map.keyframe(id).orb_descriptors;
+    if (rows < 1 || p.rows < 2) continue;
+    nearestHamming(q.data, kStep * q.step, rows, p.data, p.step, p.rows, nearest.data(), distance.data(), second.data());
+    int close = 0;
+    for (int i = 0; i < rows; ++i) close += distance[i] <= settings.max_hamming && distance[i] <= settings.max_ratio * second[i];
+    coarse.emplace_back(-close, id);
+  }
+  std::sort(coarse.begin(), coarse.end());
+  if (coarse.size() > static_cast<std::size_t>(2 * settings.max_candidates)) coarse.resize(2 * settings.max_candidates);
+  PlaceMatch best;
+  best.reason = "no place has enough matching descriptors";
+  std::vector<Scored> scored;
+  for (const auto& [score, id] : coarse) {
+    Scored s{id, matchDescriptors(query.orb_descriptors, map.keyframe(id).orb_descriptors, settings)};
+    best.matches = std::max(best.matches, static_cast<int>(s.matches.size()));
+    if (static_cast<int>(s.matches.size()) >= settings.min_matches) scored.push_back(std::move(s));
+  }
+  std::stable_sort(scored.begin(), scored.end(), [](const Scored& a, const Scored& b) { return a.matches.size() > b.matches.size(); });
+  if (static_cast<int>(scored.size()) > settings.max_candidates) scored.resize(settings.max_candidates);
+  for (const Scored& s : scored) {
+    PlaceMatch match = verify(map, camera, query, map.keyframe(s.keyframe), s.matches, settings);
+    if ((match.success && !best.success) || (match.success == best.success && match.inliers >= best.inliers)) best = std::move(match);
+  }
+  return best;
+}
+
+}  // namespace visual_frontend

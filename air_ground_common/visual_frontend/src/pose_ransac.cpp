@@ -1,0 +1,259 @@
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include "visual_frontend/pose_solver.h"
+
+namespace visual_frontend {
+
+namespace {
+
+/// Squared reprojection error in sigmas; huge behind the camera.
+double squaredError(const PoseCorrespondence& c, const Pose& T_camera_map) {
+  const Eigen::Vector3d p = T_camera_map * c.p_map;
+  if (!(p.z() > 1e-3)) return 1e12;
+  return (p.head<2>() / p.z() - c.normalized).squaredNorm() / (c.sigma * c.sigma);
+}
+
+int countInliers(const std::vector<PoseCorrespondence>& correspondences, const Pose& T_map_camera, double threshold2,
+                 std::vector<unsigned char>* flags) {
+  const Pose T_camera_map = T_map_camera.inverse();
+  if (flags) flags->assign(correspondences.size(), 0);
+  int count = 0;
+  for (std::size_t i = 0; i < correspondences.size(); ++i) {
+    if (squaredError(correspondences[i], T_camera_map) >= threshold2) continue;
+    if (flags) (*flags)[i] = 1;
+    ++count;
+  }
+  return count;
+}
+
+/// Rounds after which a clean sample was drawn with the wanted confidence.
+int neededIterations(int inliers, std::size_t total, int sample, const RansacSettings& settings) {
+  const double clean = std::pow(static_cast<double>(inliers) / total, sample);
+  if (clean <= 1e-9) return settings.max_iterations;
+  if (clean >= 1 - 1e-9) return 1;
+  const double needed = std::log(1 - settings.confidence) / std::log(1 - clean);
+  return needed > settings.max_iterations ? settings.max_iterations : static_cast<int>(std::ceil(needed));
+}
+
+class Sampler {
+ public:
+  Sampler(unsigned seed, std::size_t size) : generator_(seed), size_(size) {}
+  template <std::size_t N>
+  void draw(std::size_t (&index)[N]) {
+    for (std::size_t i = 0; i < N; ++i) {
+      bool repeated = true;
+      while (repeated) {
+        index[i] = generator_() % size_;
+        repeated = std::find(index, index + i, index[i]) != index + i;
+      }
+    }
+  }
+
+ private:
+  std::mt19937 generator_;
+  std::size_t size_;
+};
+
+PoseResult failed(std::string reason, std::size_t size) {
+  PoseResult result;
+  result.reason = std::move(reason);
+  result.inliers.assign(size, 0);
+  return result;
+}
+
+void finish(const std::vector<PoseCorrespondence>& correspondences, const RansacSettings& settings, PoseResult& result) {
+  const double threshold2 = settings.threshold * settings.threshold;
+  result.inlier_count = countInliers(correspondences, result.T_map_camera, threshold2, &result.inliers);
+  const Pose T_camera_map = result.T_map_camera.inverse();
+  double sum = 0;
+  for (std::size_t i = 0; i < correspondences.size(); ++i) {
+    if (result.inliers[i]) sum += squaredError(correspondences[i], T_camera_map);
+  }
+  result.rms = result.inlier_count > 0 ? std::sqrt(sum / (2.0 * result.inlier_count)) : 0;
+  result.success = result.inlier_count >= settings.min_inliers;
+  if (!result.success) {
+    result.reason = "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
+  }
+}
+
+}  // namespace
+
+PoseResult ransacKnownRotation(const std::vector<PoseCorrespondence>& c, const Eigen::Matrix3d& R_map_camera, const RansacSettings& settings) {
+  if (c.size() < 2) return failed("fewer than 2 correspondences", c.size());
+  const double threshold2 = settings.threshold * settings.threshold;
+  Sampler sampler(settings.seed, c.size());
+  PoseResult best;
+  best.inlier_count = -1;
+  Pose T = Pose::Identity();
+  T.linear() = R_map_camera;
+  int needed = settings.max_iterations;
+  int iteration = 0;
+  for (; iteration < needed; ++iteration) {
+    std::size_t index[2];
+    sampler.draw(index);
+    const auto centre = solveP2P(R_map_camera, c[index[0]].p_map, c[index[0]].normalized.homogeneous(), c[index[1]].p_map,
+                                 c[index[1]].normalized.homogeneous());
+    if (!centre) continue;
+    T.translation() = *centre;
+    const int inliers = countInliers(c, T, threshold2, nullptr);
+    if (inliers <= best.inlier_count) continue;
+    best.inlier_count = inliers;
+    best.T_map_camera = T;
+    needed = neededIterations(inliers, c.size(), 2, settings);
+  }
+  if (best.inlier_count < 0) return failed("no sample gave a camera in front of its points", c.size());
+  best.iterations = iteration;
+
+  // All inliers at once: distances of points to rays, weighted to be reprojection errors.
+  std::vector<unsigned char> flags;
+  for (int round = 0; round < 2; ++round) {
+    countInliers(c, best.T_map_camera, threshold2, &flags);
+    Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d b = Eigen::Vector3d::Zero();
+    for (std::size_t i = 0; i < c.size(); ++i) {
+      if (!flags[i]) continue;
+      const Eigen::Vector3d d = (R_map_camera * c[i].normalized.homogeneous()).normalized();
+      const double range = (c[i].p_map - best.T_map_camera.translation()).norm();
+      const double weight = 1.0 / (range * range * c[i].sigma * c[i].sigma);
+      const Eigen::Matrix3d P = weight * (Eigen::Matrix3d::Identity() - d * d.transpose());
+      A += P;
+      b += P * c[i].p_map;
+    }
+    T.translation() = A.ldlt().solve(b);
+    if (!T.translation().allFinite() || countInliers(c, T, threshold2, nullptr) < best.inlier_count) break;
+    best.T_map_camera = T;
+    best.inlier_count = countInliers(c, T, threshold2, nullptr);
+  }
+  finish(c, settings, best);
+  return best;
+}
+
+PoseResult ransacPose(const std::vector<PoseCorrespondence>& c, const RansacSettings& settings) {
+  if (c.size() < 4) return failed("fewer than 4 correspondences", c.size());
+  const double threshold2 = settings.threshold * settings.threshold;
+  Sampler sampler(settings.seed, c.size());
+  PoseResult best;
+  best.inlier_count = -1;
+  int needed = settings.max_iterations;
+  int iteration = 0;
+  for (; iteration < needed; ++iteration) {
+    std::size_t index[4];
+    sampler.draw(index);
+    Eigen::Matrix3d points, rays;
+    for (int i = 0; i < 3; ++i) {
+      points.col(i) = c[index[i]].p_map;
+      rays.col(i) = c[index[i]].normalized.homogeneous();
+    }
+    const Pose* chosen = nullptr;
+    double chosen_error = 1e12;
+    const std::vector<Pose> poses = solveP3P(points, rays);
+    for (const Pose& T : poses) {
+      const double error = squaredError(c[index[3]], T.inverse());
+      if (error < chosen_error) {
+        chosen_error = error;
+        chosen = &T;
+      }
+    }
+    if (!chosen) continue;
+    const int inliers = countInliers(c, *chosen, threshold2, nullptr);
+    if (inliers <= best.inlier_count) continue;
+    best.inlier_count = inliers;
+    best.T_map_camera = *chosen;
+    needed = neededIterations(inliers, c.size(), 4, settings);
+  }
+  if (best.inlier_count < 0) return failed("no sample gave a pose", c.size());
+  best.iterations = iteration;
+  finish(c, settings, best);
+  return best;
+}
+
+TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vector2d>& a, const std::vector<Eigen::Vector2d>& b,
+                                                  const Eigen::Matrix3d& R_a_b, double sigma, const RansacSettings& settings) {
+  TranslationDirection result;
+  const std::size_t n = a.size();
+  result.inliers.assign(n, 0);
+  if (n != b.size() || n < 2) {
+    result.reason = "needs two lists of the same size, at least 2 points";
+    return result;
+  }
+  // Epipolar constraint a . (t x R b) = 0, so t is normal to (R b) x a.
+  std::vector<Eigen::Vector3d> ray_a(n), ray_b(n), normal(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    ray_a[i] = a[i].homogeneous();
+    ray_b[i] = R_a_b * b[i].homogeneous();
+    normal[i] = ray_b[i].cross(ray_a[i]);
+  }
+  // Sampson error in sigmas.
+  const auto error = [&](std::size_t i, const Eigen::Vector3d& t) {
+    const Eigen::Vector3d line_a = t.cross(ray_b[i]);
+    const Eigen::Vector3d line_b = R_a_b.transpose() * t.cross(ray_a[i]);
+    const double denominator = std::sqrt(line_a.head<2>().squaredNorm() + line_b.head<2>().squaredNorm());
+    return std::abs(normal[i].dot(t)) / (std::max(denominator, 1e-9) * sigma);
+  };
+  const auto inliersOf = [&](const Eigen::Vector3d& t) {
+    int count = 0;
+    for (std::size_t i = 0; i < n; ++i) count += error(i, t) < settings.threshold;
+    return count;
+  };
+  Sampler sampler(settings.seed, n);
+  Eigen::Vector3d best = Eigen::Vector3d::Zero();
+  int best_count = -1, needed = settings.max_iterations;
+  for (int iteration = 0; iteration < needed; ++iteration) {
+    std::size_t index[2];
+    sampler.draw(index);
+    Eigen::Vector3d t = normal[index[0]].cross(normal[index[1]]);
+    // Without parallax the normals are noise.
+    if (t.norm() < 1e-3 * sigma) continue;
+    t.normalize();
+    const int count = inliersOf(t);
+    if (count <= best_count) continue;
+    best_count = count;
+    best = t;
+    needed = neededIterations(count, n, 2, settings);
+  }
+  if (best_count < 0) {
+    result.reason = "no parallax";
+    return result;
+  }
+  for (int round = 0; round < 3; ++round) {
+    Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
+    for (std::size_t i = 0; i < n; ++i) {
+      if (error(i, best) >= settings.threshold) continue;
+      const double size = best.cross(ray_b[i]).squaredNorm();
+      A += normal[i] * normal[i].transpose() / std::max(size, 1e-9);
+    }
+    const Eigen::Vector3d t = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(A).eigenvectors().col(0);
+    if (inliersOf(t) < best_count) break;
+    best = t;
+    best_count = inliersOf(t);
+  }
+  // Sign: depths of the points with enough parallax must be positive: d_a a = t + d_b R b.
+  int votes = 0;
+  std::vector<double> parallax;
+  for (std::size_t i = 0; i < n; ++i) {
+    if (error(i, best) >= settings.threshold) continue;
+    const double sine = ray_a[i].normalized().cross(ray_b[i].normalized()).norm();
+    parallax.push_back(std::asin(std::min(1.0, sine)));
+    if (sine < 2 * sigma) continue;
+    const Eigen::Vector3d n_ab = ray_a[i].cross(ray_b[i]);
+    const double depth_a = best.cross(ray_b[i]).dot(n_ab), depth_b = best.cross(ray_a[i]).dot(n_ab);
+    votes += (depth_a > 0 && depth_b > 0) - (depth_a < 0 && depth_b < 0);
+  }
+  if (votes < 0) best = -best;
+  result.t_a_b = best;
+  for (std::size_t i = 0; i < n; ++i) result.inliers[i] = error(i, best) < settings.threshold;
+  result.inlier_count = best_count;
+  if (!parallax.empty()) {
+    std::nth_element(parallax.begin(), parallax.begin() + parallax.size() / 2, parallax.end());
+    result.median_parallax = parallax[parallax.size() / 2];
+  }
+  result.success = best_count >= settings.min_inliers;
+  if (!result.success) result.reason = "only " + std::to_string(best_count) + " inliers of " + std::to_string(n);
+  return result;
+}
+
+}  // namespace visual_frontend

@@ -1,0 +1,252 @@
+#include "visual_frontend/reobservation.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+namespace visual_frontend {
+
+namespace {
+
+constexpr int kMaxHalf = 8;
+
+/// Square patch of (2h)^2 grey values with its statistics; the template side also holds gradients.
+struct Patch {
+  int half = 4;
+  float values[4 * kMaxHalf * kMaxHalf];
+  float mean = 0, deviation = 0;  ///< deviation: root of the sum of squares about the mean
+  int area() const { return 4 * half * half; }
+  void statistics() {
+    float sum = 0;
+    for (int i = 0; i < area(); ++i) sum += values[i];
+    mean = sum / area();
+    float squares = 0;
+    for (int i = 0; i < area(); ++i) squares += (values[i] - mean) * (values[i] - mean);
+    deviation = std::sqrt(squares);
+  }
+};
+
+/// Bilinear value, or false outside the image.
+bool sample(const cv::Mat& image, float x, float y, float* value) {
+  if (!(x >= 0 && y >= 0 && x < image.cols - 1 && y < image.rows - 1)) return false;
+  const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
+  const float fx = x - x0, fy = y - y0;
+  const std::uint8_t* row = image.ptr(y0) + x0;
+  const std::uint8_t* below = image.ptr(y0 + 1) + x0;
+  *value = (1 - fy) * ((1 - fx) * row[0] + fx * row[1]) + fy * ((1 - fx) * below[0] + fx * below[1]);
+  return true;
+}
+
+/// Patch around `centre` whose steps of one pixel in the patch are the columns of A in the image. `margin` adds a rim.
+bool extract(const cv::Mat& image, const Eigen::Vector2f& centre, const Eigen::Matrix2f& A, int half, float* out) {
+  for (int v = -half; v < half; ++v) {
+    for (int u = -half; u < half; ++u) {
+      const Eigen::Vector2f p = centre + A * Eigen::Vector2f(u + 0.5f, v + 0.5f);
+      if (!sample(image, p.x(), p.y(), out++)) return false;
+    }
+  }
+  return true;
+}
+
+float zncc(const Patch& a, const Patch& b) {
+  if (a.deviation < 1e-3f || b.deviation < 1e-3f) return 0;
+  float sum = 0;
+  for (int i = 0; i < a.area(); ++i) sum += (a.values[i] - a.mean) * (b.values[i] - b.mean);
+  return sum / (a.deviation * b.deviation);
+}
+
+/// Inverse compositional alignment of the template (with a rim of one pixel, side 2h + 2) in `image` from `centre`;
+/// the window is brought to the template's mean and contrast first. Returns the score, or -1.
+float align(const cv::Mat& image, const float* rimmed, const Patch& reference, int max_iterations, Eigen::Vector2f* centre) {
+  const int side = 2 * reference.half, rim = side + 2;
+  float gx[4 * kMaxHalf * kMaxHalf], gy[4 * kMaxHalf * kMaxHalf];
+  float mean_x = 0, mean_y = 0;
+  for (int v = 0, i = 0; v < side; ++v) {
+    for (int u = 0; u < side; ++u, ++i) {
+      const float* c = rimmed + (v + 1) * rim + u + 1;
+      gx[i] = 0.5f * (c[1] - c[-1]);
+      gy[i] = 0.5f * (c[rim] - c[-rim]);
+      mean_x += gx[i];
+      mean_y += gy[i];
+    }
+  }
+  const int n = reference.area();
+  mean_x /= n;
+  mean_y /= n;
+  Eigen::Matrix2f H = Eigen::Matrix2f::Zero();
+  for (int i = 0; i < n; ++i) {
+    gx[i] -= mean_x;  // the offset in brightness is eliminated
+    gy[i] -= mean_y;
+    H(0, 0) += gx[i] * gx[i];
+    H(0, 1) += gx[i] * gy[i];
+    H(1, 1) += gy[i] * gy[i];
+  }
+  H(1, 0) = H(0, 1);
+  if (!(H.determinant() > 1e-2f * n * n)) return -1;
+  const Eigen::Matrix2f H_inverse = H.inverse();
+  Patch window;
+  window.half = reference.half;
+  const Eigen::Vector2f start = *centre;
+  for (int iteration = 0; iteration < max_iterations; ++iteration) {
+    if (!extract(image, *centre, Eigen::Matrix2f::Identity(), reference.half, window.values)) return -1;
+    window.statistics();
+    if (window.deviation < 1e-3f) return -1;
+    const float gain = reference.deviation / window.deviation;
+    Eigen::Vector2f b = Eigen::Vector2f::Zero();
+    for (int i = 0; i < n; ++i) {
+      const float r = gain * (window.values[i] - window.mean) - (reference.values[i] - reference.mean);
+      b.x() += gx[i] * r;
+      b.y() += gy[i] * r;
+    }
+    const Eigen::Vector2f step = -H_inverse * b;
+    *centre += step;
+    if (!centre->allFinite() || (*centre - start).squaredNorm() > 9.f) return -1;
+    if (step.squaredNorm() < 4e-4f) break;
+  }
+  if (!extract(image, *centre, Eigen::Matrix2f::Identity(), reference.half, window.values)) return -1;
+  window.statistics();
+  return zncc(reference, window);
+}
+
+/// Columns: movement in the current image for one pixel right and down in the reference image, plane facing it.
+std::optional<Eigen::Matrix2d> warp(const CameraModel& camera, const Eigen::Vector2d& pixel, double depth, const Pose& T_current_reference,
+                                    const Eigen::Vector2d& projected) {
+  Eigen::Matrix2d A;
+  constexpr double kStep = 4;
+  for (int i = 0; i < 2; ++i) {
+    const Eigen::Vector2d moved = pixel + kStep * Eigen::Vector2d::Unit(i);
+    const auto p = camera.project(T_current_reference * (depth * camera.unproject(moved).homogeneous()));
+    if (!p) return std::nullopt;
+    A.col(i) = (*p - projected) / kStep;
+  }
+  return A;
+}
+
+struct Candidate {
+  const Landmark* landmark;
+  Eigen::Vector2d pixel;
+  const Keyframe* reference;
+  const Observation* observation;
+};
+
+}  // namespace
+
+std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, const ImagePyramid& current, const Pose& T_map_camera,
+                                     const std::vector<LandmarkId>& candidates, const std::vector<Eigen::Vector2d>& occupied,
+                                     const ReobservationSettings& settings) {
+  std::vector<LandmarkMatch> matches;
+  if (current.empty()) return matches;
+  const int half = std::clamp(settings.half_patch, 2, kMaxHalf - 1);
+  const Pose T_camera_map = T_map_camera.inverse();
+  const double border = half + 4;
+  const double min_cosine = std::cos(settings.max_view_angle);
+
+  std::vector<Candidate> visible;
+  for (const LandmarkId id : candidates) {
+    if (!map.hasLandmark(id)) continue;
+    const Landmark& landmark = map.landmark(id);
+    const auto pixel = camera.project(T_camera_map * landmark.position);
+    if (!pixel || !camera.contains(*pixel, border)) continue;
+    const Eigen::Vector3d ray = (landmark.position - T_map_camera.translation()).normalized();
+    Candidate best{&landmark, *pixel, nullptr, nullptr};
+    double best_cosine = min_cosine;
+    for (const LandmarkObservation& o : landmark.observations) {
+      const Keyframe& keyframe = map.keyframe(o.keyframe);
+      if (keyframe.pyramid.empty()) continue;
+      const double cosine = ray.dot((landmark.position - keyframe.T_map_camera.translation()).normalized());
+      if (cosine < best_cosine) continue;
+      best_cosine = cosine;
+      best.reference = &keyframe;
+      best.observation = &keyframe.observations[o.index];
+    }
+    if (best.reference) visible.push_back(best);
+  }
+  std::stable_sort(visible.begin(), visible.end(), [](const Candidate& a, const Candidate& b) {
+    return a.landmark->observations.size() > b.landmark->observations.size();
+  });
+
+  const int cell = std::max(4, settings.cell_size);
+  const int columns = camera.width / cell + 1;
+  std::vector<unsigned char> taken(static_cast<std::size_t>(columns) * (camera.height / cell + 1), 0);
+  const auto cellOf = [&](const Eigen::Vector2d& p) { return static_cast<std::size_t>(p.y() / cell) * columns + static_cast<std::size_t>(p.x() / cell); };
+  for (const Eigen::Vector2d& p : occupied) {
+    if (camera.contains(p)) taken[cellOf(p)] = 1;
+  }
+
+  for (const Candidate& c : visible) {
+    if (static_cast<int>(matches.size()) >= settings.max_matches) break;
+    if (taken[cellOf(c.pixel)]) continue;
+    const Pose T_reference_map = c.reference->T_map_camera.inverse();
+    const double depth = (T_reference_map * c.landmark->position).z();
+    if (!(depth > 0.05)) continue;
+    // From where the landmark would appear in the reference, so that a reprojection error there does not bend the warp.
+    const Pose T_current_reference = T_camera_map * c.reference->T_map_camera;
+    const auto reference_pixel = camera.project(T_reference_map * c.landmark->position);
+    if (!reference_pixel) continue;
+    const auto A = warp(camera, *reference_pixel, depth, T_current_reference, c.pixel);
+    if (!A) continue;
+    const double scale = std::sqrt(std::abs(A->determinant()));
+    if (!(scale > settings.min_scale && scale < settings.max_scale)) continue;
+    // Seen larger now: search in a coarser level of the current image, where the scales meet.
+    int level = 0;
+    for (double s = scale; s > 1.5 && level + 1 < static_cast<int>(current.size()); s *= 0.5) ++level;
+    // Seen smaller now: take the template from a coarser level of the reference.
+    int reference_level = 0;
+    for (double s = scale; s < 0.7 && reference_level + 1 < static_cast<int>(c.reference->pyramid.size()); s *= 2) ++reference_level;
+
+    const auto makeTemplate = [&](int at_level, int from_level, int h, Patch* patch, float* rimmed) {
+      const Eigen::Matrix2f B = (A->inverse() * static_cast<double>(1 << at_level) / static_cast<double>(1 << from_level)).cast<float>();
+      const Eigen::Vector2f centre = (c.observation->pixel / static_cast<double>(1 << from_level)).cast<float>();
+      if (!extract(c.reference->pyramid[from_level], centre, B, h + 1, rimmed)) return false;
+      patch->half = h;
+      const int side = 2 * h, rim = side + 2;
+      for (int v = 0; v < side; ++v) std::copy_n(rimmed + (v + 1) * rim + 1, side, patch->values + v * side);
+      patch->statistics();
+      return true;
+    };
+    Patch fine, coarse, window;
+    float fine_rimmed[4 * kMaxHalf * kMaxHalf], coarse_rimmed[4 * kMaxHalf * kMaxHalf];
+    if (!makeTemplate(level, reference_level, half, &fine, fine_rimmed)) continue;
+
+    // Search one level up by correlation, then align there and at the fine level.
+    const int search_level = std::min(level + 1, static_cast<int>(current.size()) - 1);
+    const int coarse_reference = std::min(reference_level + (search_level - level), static_cast<int>(c.reference->pyramid.size()) - 1);
+    if (!makeTemplate(search_level, coarse_reference, half, &coarse, coarse_rimmed)) continue;
+    const double search_scale = 1 << search_level;
+    const int radius = static_cast<int>(std::ceil(settings.search_radius / search_scale));
+    const Eigen::Vector2f predicted = (c.pixel / search_scale).cast<float>();
+    Eigen::Vector2f best_position = predicted;
+    float best_score = -1;
+    window.half = half;
+    for (int dy = -radius; dy <= radius; ++dy) {
+      for (int dx = -radius; dx <= radius; ++dx) {
+        const Eigen::Vector2f p = predicted + Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
+        if (!extract(current[search_level], p, Eigen::Matrix2f::Identity(), half, window.values)) continue;
+        window.statistics();
+        const float score = zncc(coarse, window);
+        if (score > best_score) {
+          best_score = score;
+          best_position = p;
+        }
+      }
+    }
+    if (best_score < settings.min_zncc - 0.15) continue;
+    if (align(current[search_level], coarse_rimmed, coarse, settings.max_iterations, &best_position) < settings.min_zncc - 0.1) continue;
+    Eigen::Vector2f position = best_position * static_cast<float>(1 << (search_level - level));
+    const float score = align(current[level], fine_rimmed, fine, settings.max_iterations, &position);
+    if (score < settings.min_zncc) continue;
+
+    LandmarkMatch match;
+    match.landmark = c.landmark->id;
+    match.pixel = position.cast<double>() * static_cast<double>(1 << level);
+    if ((match.pixel - c.pixel).norm() > 1.5 * settings.search_radius || !camera.contains(match.pixel, 1)) continue;
+    match.normalized = camera.unproject(match.pixel);
+    match.zncc = score;
+    taken[cellOf(c.pixel)] = 1;
+    matches.push_back(match);
+  }
+  return matches;
+}
+
+}  // namespace visual_frontend

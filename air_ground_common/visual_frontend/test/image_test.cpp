@@ -1,0 +1,232 @@
+// Tracking, re-observation and place recognition on rendered views of a textured plane.
+#include <gtest/gtest.h>
+
+#include "../src/hamming.h"
+#include "synthetic.h"
+#include "visual_frontend/feature_tracker.h"
+#include "visual_frontend/place_recognition.h"
+#include "visual_frontend/reobservation.h"
+
+namespace visual_frontend {
+namespace {
+
+using synthetic::above;
+using synthetic::renderPlane;
+
+const cv::Mat& planeTexture() {
+  static const cv::Mat texture = synthetic::texture(1600, 7);
+  return texture;
+}
+constexpr double kPlane = 6.0;
+
+/// Point of the plane z = 0 seen at a pixel.
+Eigen::Vector3d onPlane(const CameraModel& camera, const Pose& T, const Eigen::Vector2d& pixel) {
+  const Eigen::Vector3d d = T.linear() * camera.unproject(pixel).homogeneous();
+  return T.translation() - T.translation().z() / d.z() * d;
+}
+
+TEST(Tracker, FollowsAMovingCameraToSubPixel) {
+  const CameraModel camera = synthetic::camera();
+  TrackerSettings settings;
+  FeatureTracker tracker(camera, settings);
+  tracker.track(renderPlane(camera, above(0, 0, 2), planeTexture(), kPlane));
+  EXPECT_GT(tracker.replenish(), 150);
+  EXPECT_LE(tracker.features().size(), static_cast<std::size_t>(settings.max_features));
+  // Spread: every ninth of the image has its share.
+  int ninth[9] = {};
+  std::vector<std::pair<TrackId, Eigen::Vector3d>> truth;
+  for (const Feature& f : tracker.features()) {
+    ++ninth[std::min(2, static_cast<int>(f.pixel.x() / 214)) + 3 * std::min(2, static_cast<int>(f.pixel.y() / 160))];
+    truth.emplace_back(f.id, onPlane(camera, above(0, 0, 2), f.pixel));
+  }
+  for (const int count : ninth) EXPECT_GT(count, 10);
+  Pose T;
+  for (int i = 1; i <= 6; ++i) {
+    T = above(0.02 * i, -0.01 * i, 2 + 0.01 * i, 0.01 * i, 0.005 * i);
+    tracker.track(renderPlane(camera, T, planeTexture(), kPlane));
+  }
+  std::vector<double> errors;
+  for (const Feature& f : tracker.features()) {
+    EXPECT_EQ(f.age, 6);
+    for (const auto& [id, p] : truth) {
+      if (id == f.id) errors.push_back((*camera.project(T.inverse() * p) - f.pixel).norm());
+    }
+  }
+  std::sort(errors.begin(), errors.end());
+  EXPECT_GT(errors.size(), truth.size() * 3 / 4);
+  EXPECT_LT(errors[errors.size() / 2], 0.25);
+  EXPECT_LT(errors[errors.size() * 9 / 10], 0.8);
+}
+
+TEST(Tracker, RotationPriorBridgesFastTurns) {
+  const CameraModel camera = synthetic::camera();
+  const Pose T0 = above(0, 0, 2), T1 = above(0, 0, 2, 0.35);
+  TrackPrediction right, wrong;
+  right.R_current_previous = T1.linear().transpose() * T0.linear();
+  wrong.R_current_previous = T0.linear().transpose() * T1.linear();
+  std::size_t survivors[2];
+  for (int i = 0; i < 2; ++i) {
+    FeatureTracker tracker(camera, {});
+    tracker.track(renderPlane(camera, T0, planeTexture(), kPlane));
+    const double begun = tracker.replenish();
+    tracker.track(renderPlane(camera, T1, planeTexture(), kPlane), i == 0 ? right : wrong);
+    survivors[i] = tracker.features().size();
+    EXPECT_NEAR(tracker.lastSurvival(), survivors[i] / begun, 1e-9);
+  }
+  EXPECT_GT(survivors[0], 80u);
+  EXPECT_GT(survivors[0], 3 * survivors[1]);
+}
+
+TEST(Tracker, ReseededAndRemovedFeatures) {
+  const CameraModel camera = synthetic::camera();
+  FeatureTracker tracker(camera, {});
+  EXPECT_EQ(tracker.addFeature({100, 100}), kNoTrack);  // no image yet
+  tracker.track(renderPlane(camera, above(0, 0, 2), planeTexture(), kPlane));
+  const TrackId id = tracker.addFeature({100, 100});
+  ASSERT_NE(id, kNoTrack);
+  EXPECT_EQ(tracker.addFeature({101, 100}), kNoTrack);
+  EXPECT_EQ(tracker.addFeature({2, 100}), kNoTrack);
+  EXPECT_TRUE(tracker.moveFeature(id, {102, 101}));
+  EXPECT_NEAR(tracker.features()[0].pixel.x(), 102, 0);
+  tracker.remove({id});
+  EXPECT_TRUE(tracker.features().empty());
+  EXPECT_FALSE(tracker.moveFeature(id, {100, 100}));
+  EXPECT_THROW(tracker.track(cv::Mat(10, 10, CV_8UC1)), std::invalid_argument);
+  EXPECT_THROW(tracker.track(cv::Mat(480, 640, CV_8UC3)), std::invalid_argument);
+  TrackerSettings bad;
+  bad.window = 8;
+  EXPECT_THROW(FeatureTracker(camera, bad), std::invalid_argument);
+}
+
+TEST(Tracker, DetectsWithBothDetectorsAndInsideTheMask) {
+  const CameraModel camera = synthetic::camera();
+  for (const CornerDetector detector : {CornerDetector::kFast, CornerDetector::kShiTomasi}) {
+    TrackerSettings settings;
+    settings.detector = detector;
+    FeatureTracker tracker(camera, settings);
+    tracker.track(renderPlane(camera, above(0, 0, 2), planeTexture(), kPlane));
+    cv::Mat mask(480, 640, CV_8UC1, cv::Scalar(0));
+    mask.colRange(0, 320) = 255;
+    EXPECT_GT(tracker.replenish(mask), 50);
+    for (const Feature& f : tracker.features()) EXPECT_LT(f.pixel.x(), 321);
+  }
+  FeatureTracker flat(camera, {});
+  flat.track(cv::Mat(480, 640, CV_8UC1, cv::Scalar(90)));
+  EXPECT_EQ(flat.replenish(), 0);
+}
+
+/// A map of one keyframe whose landmarks are corners of the plane.
+Map planeMap(const CameraModel& camera, const Pose& T, int levels = 4) {
+  Map map;
+  Keyframe k;
+  cv::Mat depth;
+  const cv::Mat image = renderPlane(camera, T, planeTexture(), kPlane, &depth);
+  FeatureTracker tracker(camera, {});
+  tracker.track(image);
+  tracker.replenish();
+  for (const Feature& f : tracker.features()) {
+    Observation o;
+    o.landmark = map.addLandmark(onPlane(camera, T, f.pixel));
+    o.pixel = f.pixel;
+    o.normalized = f.normalized;
+    k.observations.push_back(o);
+  }
+  k.pyramid = buildPyramid(image, levels);
+  k.T_map_camera = T;
+  describeKeyframe(image, camera, {}, k);
+  for (const Eigen::Vector2d& p : k.orb_pixels) k.orb_depth.push_back(depth.at<float>(cvRound(p.y()), cvRound(p.x())));
+  map.addKeyframe(k);
+  return map;
+}
+
+class ReobserveTest : public testing::TestWithParam<Pose> {};
+
+TEST_P(ReobserveTest, FindsLandmarksFromAnotherPose) {
+  const CameraModel camera = synthetic::camera();
+  const Map map = planeMap(camera, above(0, 0, 2));
+  const Pose T = GetParam();
+  cv::Mat image = renderPlane(camera, T, planeTexture(), kPlane);
+  image.convertTo(image, -1, 0.8, 15);  // another exposure
+  Pose predicted = T;
+  predicted.translation().x() += 0.012;  // some 3 px
+  const auto matches = reobserve(map, camera, buildPyramid(image, 4), predicted, map.landmarkIds(), {}, {});
+  std::vector<double> errors;
+  for (const LandmarkMatch& m : matches) errors.push_back((*camera.project(T.inverse() * map.landmark(m.landmark).position) - m.pixel).norm());
+  std::sort(errors.begin(), errors.end());
+  ASSERT_GT(errors.size(), 40u);
+  EXPECT_LT(errors[errors.size() / 2], 0.3);
+  EXPECT_LT(errors[errors.size() * 95 / 100], 1.5);
+}
+INSTANTIATE_TEST_SUITE_P(Poses, ReobserveTest,
+                         testing::Values(above(0.1, 0.05, 2), above(0.2, 0, 1.9, 0.8), above(0, 0.1, 1.4, -0.4), above(-0.1, 0, 2.9, 0.3), above(0, 0.3, 2, 0, 0.25)));
+
+TEST(Reobserve, ClaimsLittleInAnotherScene) {
+  const CameraModel camera = synthetic::camera();
+  const Map map = planeMap(camera, above(0, 0, 2));
+  // Turned, for the textures share a grid.
+  const cv::Mat image = renderPlane(camera, above(0.4, 0.2, 2.3, 0.6), synthetic::texture(1600, 99), kPlane);
+  EXPECT_LT(reobserve(map, camera, buildPyramid(image, 4), above(0, 0, 2), map.landmarkIds(), {}, {}).size(), 25u);
+  // A pose that looks away sees nothing.
+  EXPECT_TRUE(reobserve(map, camera, buildPyramid(image, 4), above(50, 0, 2), map.landmarkIds(), {}, {}).empty());
+}
+
+TEST(Place, RecognisesAndGivesTheRelativePose) {
+  const CameraModel camera = synthetic::camera();
+  const Pose T_place = above(0, 0, 2);
+  const Map map = planeMap(camera, T_place);
+  for (const bool query_depth : {false, true}) {
+    const Pose T = above(0.25, -0.1, 2.2, 0.9, 0.1);
+    cv::Mat depth;
+    const cv::Mat image = renderPlane(camera, T, planeTexture(), kPlane, &depth);
+    Keyframe query;
+    describeKeyframe(image, camera, {}, query);
+    Map used = map;
+    if (query_depth) {  // depth only on the query's side: the inverse direction
+      used.keyframe(0).orb_depth.clear();
+      used.keyframe(0).observations.clear();
+      for (const Eigen::Vector2d& p : query.orb_pixels) query.orb_depth.push_back(depth.at<float>(cvRound(p.y()), cvRound(p.x())));
+    }
+    const PlaceMatch match = recognizePlace(used, camera, query, {0}, {});
+    ASSERT_TRUE(match.success) << match.reason << ", matches " << match.matches;
+    const Pose truth = T_place.inverse() * T;
+    EXPECT_LT((match.T_place_query.translation() - truth.translation()).norm(), 0.03);
+    EXPECT_LT(air_ground_common::rotationAngle(match.T_place_query.linear(), truth.linear()), 0.012);
+    EXPECT_EQ(match.landmarks.size() > 5, !query_depth);
+  }
+}
+
+TEST(Place, RefusesAnotherScene) {
+  const CameraModel camera = synthetic::camera();
+  const Map map = planeMap(camera, above(0, 0, 2));
+  Keyframe query;
+  describeKeyframe(renderPlane(camera, above(0, 0, 2), synthetic::texture(1600, 99), kPlane), camera, {}, query);
+  const PlaceMatch match = recognizePlace(map, camera, query, {0}, {});
+  EXPECT_FALSE(match.success);
+  EXPECT_FALSE(match.reason.empty());
+}
+
+TEST(Hamming, MatchesBitByBitCount) {
+  cv::RNG rng(5);
+  cv::Mat a(37, 32, CV_8U), b(53, 32, CV_8U);
+  rng.fill(a, cv::RNG::UNIFORM, 0, 256);
+  rng.fill(b, cv::RNG::UNIFORM, 0, 256);
+  std::vector<int> nearest(a.rows), distance(a.rows), second(a.rows);
+  nearestHamming(a.data, a.step, a.rows, b.data, b.step, b.rows, nearest.data(), distance.data(), second.data());
+  for (int i = 0; i < a.rows; ++i) {
+    std::vector<int> all;
+    for (int j = 0; j < b.rows; ++j) {
+      int d = 0;
+      for (int k = 0; k < 32; ++k) {
+        for (int bit = 0; bit < 8; ++bit) d += ((a.at<std::uint8_t>(i, k) ^ b.at<std::uint8_t>(j, k)) >> bit) & 1;
+      }
+      all.push_back(d);
+    }
+    EXPECT_EQ(all[nearest[i]], distance[i]);
+    std::sort(all.begin(), all.end());
+    EXPECT_EQ(all[0], distance[i]);
+    EXPECT_EQ(all[1], second[i]);
+  }
+}
+
+}  // namespace
+}  // namespace visual_frontend

@@ -1,0 +1,132 @@
+// The map's bookkeeping and the IMU helpers.
+#include <gtest/gtest.h>
+
+#include "synthetic.h"
+#include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/map.h"
+
+namespace visual_frontend {
+namespace {
+
+using air_ground_common::expSO3;
+using synthetic::Random;
+
+Keyframe keyframeSeeing(const std::vector<LandmarkId>& landmarks) {
+  Keyframe k;
+  for (const LandmarkId id : landmarks) {
+    Observation o;
+    o.landmark = id;
+    k.observations.push_back(o);
+  }
+  return k;
+}
+
+TEST(Map, KeepsBothSidesConsistent) {
+  Map map;
+  std::vector<LandmarkId> l;
+  for (int i = 0; i < 6; ++i) l.push_back(map.addLandmark(Eigen::Vector3d(i, 0, 0)));
+  const KeyframeId a = map.addKeyframe(keyframeSeeing({l[0], l[1], l[2], kNoLandmark}));
+  const KeyframeId b = map.addKeyframe(keyframeSeeing({l[1], l[2], l[3]}));
+  const KeyframeId c = map.addKeyframe(keyframeSeeing({l[2], l[4]}));
+  ASSERT_EQ(map.covisible(b).size(), 2u);
+  EXPECT_EQ(map.covisible(b)[0].keyframe, a);
+  EXPECT_EQ(map.covisible(b)[0].shared, 2);
+  EXPECT_EQ(map.covisible(b, 2).size(), 1u);
+  EXPECT_FALSE(map.connect(a, 3, l[1]));  // a sees it already
+  EXPECT_TRUE(map.connect(a, 3, l[4]));
+  EXPECT_EQ(map.covisible(c)[0].shared, 2);
+  map.fuse(l[3], l[4]);
+  EXPECT_FALSE(map.hasLandmark(l[4]));
+  EXPECT_EQ(map.landmark(l[3]).observations.size(), 3u);
+  EXPECT_EQ(map.keyframe(c).observations[1].landmark, l[3]);
+  map.removeKeyframe(a);
+  EXPECT_FALSE(map.hasLandmark(l[0]));  // nobody else saw it
+  EXPECT_EQ(map.landmark(l[2]).observations.size(), 2u);
+  map.removeLandmark(l[2]);
+  EXPECT_EQ(map.keyframe(b).observations[1].landmark, kNoLandmark);
+  EXPECT_THROW(map.connect(a, 0, l[1]), std::out_of_range);
+  EXPECT_EQ(map.landmarksOf({b, c}), (std::vector<LandmarkId>{l[1], l[3]}));
+}
+
+TEST(Map, TransformMovesCamerasAndPointsTogether) {
+  Random random(1);
+  Map map;
+  const LandmarkId id = map.addLandmark(random.vector(2));
+  Keyframe k = keyframeSeeing({id});
+  k.T_map_camera = synthetic::randomPose(random);
+  k.observations[0].depth = 2;
+  const KeyframeId key = map.addKeyframe(k);
+  const Eigen::Vector3d before = map.keyframe(key).T_map_camera.inverse() * map.landmark(id).position;
+  air_ground_common::Similarity S;
+  S.scale = 1.7;
+  S.R = expSO3(random.vector(1));
+  S.t = random.vector(3);
+  map.transform(S);
+  const Eigen::Vector3d after = map.keyframe(key).T_map_camera.inverse() * map.landmark(id).position;
+  EXPECT_LT((after - 1.7 * before).norm(), 1e-12);
+  EXPECT_NEAR(map.keyframe(key).observations[0].depth, 3.4, 1e-12);
+}
+
+ImuSample imu(double stamp, const Eigen::Vector3d& rate, const Eigen::Vector3d& force) {
+  ImuSample s;
+  s.stamp = stamp;
+  s.angular_velocity = rate;
+  s.specific_force = force;
+  return s;
+}
+
+TEST(Imu, IntegratesTheRotationOfATrajectory) {
+  // R_world_imu(t) with a varying rate in the body frame; bias added.
+  const Eigen::Vector3d bias(0.02, -0.01, 0.03);
+  const auto rate = [](double t) { return Eigen::Vector3d(0.8 * std::sin(3 * t), 0.5 * std::cos(2 * t), 0.6 + 0.3 * t); };
+  ImuBuffer buffer;
+  for (int i = 0; i <= 400; ++i) buffer.add(imu(i * 0.005, rate(i * 0.005) + bias, {0, 0, 9.81}));
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
+  const double t0 = 0.3127, t1 = 1.4613;
+  constexpr int kSteps = 20000;
+  for (int i = 0; i < kSteps; ++i) R = R * expSO3(rate(t0 + (i + 0.5) * (t1 - t0) / kSteps) * (t1 - t0) / kSteps);
+  const auto estimate = buffer.integrateRotation(t0, t1, bias);
+  ASSERT_TRUE(estimate);
+  EXPECT_LT(air_ground_common::rotationAngle(*estimate, R), 1e-4);
+  EXPECT_GT(air_ground_common::rotationAngle(estimate->transpose(), R), 0.1);
+  EXPECT_FALSE(buffer.integrateRotation(1.5, 2.5, bias));
+  EXPECT_FALSE(buffer.add(imu(1.0, {0, 0, 0}, {0, 0, 9.81})));
+  EXPECT_FALSE(buffer.add(imu(3.0, {NAN, 0, 0}, {0, 0, 9.81})));
+}
+
+TEST(Imu, GapsAreNotCovered) {
+  ImuBuffer buffer;
+  for (int i = 0; i < 100; ++i) {
+    if (i < 40 || i > 60) buffer.add(imu(i * 0.005, {0, 0, 0}, {0, 0, 9.81}));
+  }
+  EXPECT_TRUE(buffer.covers(0.0, 0.19));
+  EXPECT_FALSE(buffer.covers(0.1, 0.4));
+}
+
+TEST(Attitude, RestGivesUpAndBiasThenFollowsRotation) {
+  Random random(2);
+  const Eigen::Matrix3d R_0 = expSO3(Eigen::Vector3d(0.2, -0.1, 0.5));  // R_world_imu
+  const Eigen::Vector3d bias(0.01, 0.02, -0.015);
+  AttitudeFilter filter;
+  Eigen::Matrix3d R = R_0;
+  double t = 0;
+  for (; t < 2; t += 0.005) filter.add(imu(t, bias + random.gaussVector(0.003), R.transpose() * Eigen::Vector3d(0, 0, 9.81) + random.gaussVector(0.03)));
+  ASSERT_TRUE(filter.initialized() && filter.atRest() && filter.biasKnown());
+  EXPECT_LT((filter.gyroBias() - bias).norm(), 0.002);
+  EXPECT_LT((filter.up() - R.transpose().col(2)).norm(), 0.01);
+  // Now it turns and shakes for ten seconds.
+  for (; t < 12; t += 0.005) {
+    const Eigen::Vector3d rate(0.4 * std::sin(t), 0.3 * std::cos(1.7 * t), 0.5);
+    R = R * expSO3(rate * 0.005);
+    const Eigen::Vector3d acceleration(0.5 * std::sin(4 * t), 0.4 * std::cos(5 * t), 0);
+    filter.add(imu(t, rate + bias + random.gaussVector(0.003), R.transpose() * (Eigen::Vector3d(0, 0, 9.81) + acceleration) + random.gaussVector(0.05)));
+  }
+  EXPECT_FALSE(filter.atRest());
+  EXPECT_LT((filter.up() - R.transpose().col(2)).norm(), 0.03);
+  EXPECT_LT(filter.upSigma(), 0.05);
+  filter.reset();
+  EXPECT_FALSE(filter.initialized());
+}
+
+}  // namespace
+}  // namespace visual_frontend

@@ -1,0 +1,105 @@
+// Synthetic cameras, points and images with exact truth, for the tests and benchmarks of the visual front end.
+#pragma once
+
+#include <opencv2/imgproc.hpp>
+#include <random>
+#include <vector>
+
+#include "visual_frontend/types.h"
+
+namespace visual_frontend::synthetic {
+
+inline CameraModel camera(bool distorted = true) {
+  CameraModel c;
+  c.width = 640;
+  c.height = 480;
+  c.fx = 525;
+  c.fy = 520;
+  c.cx = 318;
+  c.cy = 243;
+  if (distorted) {
+    c.k1 = -0.2;
+    c.k2 = 0.06;
+    c.p1 = 0.001;
+    c.p2 = -0.0007;
+  }
+  return c;
+}
+
+class Random {
+ public:
+  explicit Random(unsigned seed) : generator_(seed) {}
+  double uniform(double a, double b) { return a + (b - a) * (generator_() / 4294967296.0); }
+  double gauss(double sigma = 1) {
+    const double u = 1.0 - uniform(0, 1);
+    return sigma * std::sqrt(-2 * std::log(u)) * std::cos(2 * M_PI * uniform(0, 1));
+  }
+  Eigen::Vector3d vector(double size) { return {uniform(-size, size), uniform(-size, size), uniform(-size, size)}; }
+  Eigen::Vector3d gaussVector(double sigma) { return {gauss(sigma), gauss(sigma), gauss(sigma)}; }
+
+ private:
+  std::mt19937 generator_;
+};
+
+/// Any rotation and a position within 5 m.
+inline Pose randomPose(Random& random) {
+  Pose T = Pose::Identity();
+  T.linear() = air_ground_common::expSO3(random.vector(1.7));
+  T.translation() = random.vector(5);
+  return T;
+}
+
+/// Point in the view of a camera, 1 to 6 m away, in the map.
+inline Eigen::Vector3d visiblePoint(Random& random, const Pose& T_map_camera) {
+  const double z = random.uniform(1, 6);
+  return T_map_camera * Eigen::Vector3d(random.uniform(-0.55, 0.55) * z, random.uniform(-0.42, 0.42) * z, z);
+}
+
+/// Smooth random texture with corners at several scales, CV_8UC1.
+inline cv::Mat texture(int size, unsigned seed) {
+  cv::Mat sum = cv::Mat::zeros(size, size, CV_32F);
+  cv::RNG rng(seed);
+  for (const int cell : {4, 9, 21, 47}) {
+    cv::Mat noise(size / cell + 2, size / cell + 2, CV_32F), large;
+    rng.fill(noise, cv::RNG::UNIFORM, -1.f, 1.f);
+    cv::resize(noise, large, cv::Size(size, size), 0, 0, cell > 9 ? cv::INTER_NEAREST : cv::INTER_CUBIC);
+    sum += large * (cell > 9 ? 30.f : 22.f);
+  }
+  cv::Mat image;
+  cv::Mat(sum + 128.f).convertTo(image, CV_8U);
+  cv::GaussianBlur(image, image, cv::Size(3, 3), 0.8);
+  return image;
+}
+
+/// View of the textured plane z = 0 of the map (texture centre at the origin, `metres` wide). `depth` (CV_32F, z in the
+/// camera) if given. Pixels that miss the plane are grey and of depth 0.
+inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, const cv::Mat& texture, double metres, cv::Mat* depth = nullptr) {
+  cv::Mat map_x(camera.height, camera.width, CV_32F, cv::Scalar(-1)), map_y(camera.height, camera.width, CV_32F, cv::Scalar(-1)), image;
+  if (depth) *depth = cv::Mat::zeros(camera.height, camera.width, CV_32F);
+  const double scale = texture.cols / metres;
+  for (int v = 0; v < camera.height; ++v) {
+    for (int u = 0; u < camera.width; ++u) {
+      const Eigen::Vector3d ray = camera.unproject(Eigen::Vector2d(u, v)).homogeneous();
+      const Eigen::Vector3d direction = T_map_camera.linear() * ray;
+      const double z = -T_map_camera.translation().z() / direction.z();
+      if (!(z > 0)) continue;
+      const Eigen::Vector3d p = T_map_camera.translation() + z * direction;
+      map_x.at<float>(v, u) = static_cast<float>(p.x() * scale + texture.cols / 2.0);
+      map_y.at<float>(v, u) = static_cast<float>(p.y() * scale + texture.rows / 2.0);
+      if (depth) depth->at<float>(v, u) = static_cast<float>(z);
+    }
+  }
+  cv::remap(texture, image, map_x, map_y, cv::INTER_LINEAR, cv::BORDER_CONSTANT, cv::Scalar(100));
+  return image;
+}
+
+/// Camera above the plane looking down at (x, y) from height h, turned by yaw and tilted by pitch [rad].
+inline Pose above(double x, double y, double h, double yaw = 0, double pitch = 0) {
+  Pose T = Pose::Identity();
+  T.linear() = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix() *
+               Eigen::AngleAxisd(M_PI + pitch, Eigen::Vector3d::UnitX()).toRotationMatrix();
+  T.translation() = Eigen::Vector3d(x, y, h);
+  return T;
+}
+
+}  // namespace visual_frontend::synthetic

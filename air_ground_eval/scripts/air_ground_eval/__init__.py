@@ -1,0 +1,1 @@
+"""Experiments with air_ground: dataset conversion, bag checks, replay reports."""

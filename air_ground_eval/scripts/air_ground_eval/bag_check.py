@@ -1,0 +1,219 @@
+"""Checks of a bag against what the nodes need: topics, types, rates, stamps, calibration, IMU units, frames, transforms."""
+from collections import namedtuple
+
+import numpy as np
+import rosbag
+
+from .bag_reader import POSE_TYPES, BagFacts
+
+ERROR, WARNING, OK = 'ERROR', 'WARNING', 'ok'
+Finding = namedtuple('Finding', 'level text')
+
+# standard topic: (types, least rate [Hz], who needs it)
+STREAMS = {
+    '/mav/camera/image_raw': (('sensor_msgs/Image',), 8, 'visual odometry'),
+    '/mav/camera/camera_info': (('sensor_msgs/CameraInfo',), 0, 'visual odometry'),
+    '/mav/imu/data': (('sensor_msgs/Imu',), 80, 'rotation prior and scale of visual odometry'),
+    '/ground/rgb/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
+    '/ground/rgb/camera_info': (('sensor_msgs/CameraInfo',), 0, 'RGB-D SLAM'),
+    '/ground/depth/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
+    '/ground/imu/data': (('sensor_msgs/Imu',), 80, 'the gravity direction of RGB-D SLAM'),
+    '/ground_truth/mav': (tuple(POSE_TYPES), 0, 'errors in the report'),
+    '/ground_truth/ground': (tuple(POSE_TYPES), 0, 'errors in the report')}
+OPTIONAL = ('/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground')
+GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'bayer_rggb8', 'bayer_bggr8', 'bayer_gbrg8', 'bayer_grbg8', '8UC1', '8UC3')
+DEPTH = ('16UC1', 'mono16', '32FC1')
+
+
+class Stream:
+    """Stamps, bag times, frame ids and a few first messages of a topic."""
+
+    def __init__(self):
+        self.stamps, self.times, self.frames, self.samples, self.accel, self.gyro = [], [], set(), [], [], []
+
+
+def read(path, topics):
+    """One pass over the bag; images are kept only as a few samples."""
+    streams = {topic: Stream() for topic in topics}
+    with rosbag.Bag(path) as bag:
+        for topic, message, time in bag.read_messages(list(topics)):
+            stream = streams[topic]
+            stream.times.append(time.to_sec())
+            if hasattr(message, 'header'):
+                stream.stamps.append(message.header.stamp.to_sec())
+                stream.frames.add(message.header.frame_id)
+            if len(stream.samples) < 3:
+                stream.samples.append(message)
+            if message._type == 'sensor_msgs/Imu':
+                a, w = message.linear_acceleration, message.angular_velocity
+                stream.accel.append((a.x, a.y, a.z))
+                stream.gyro.append((w.x, w.y, w.z))
+    return streams
+
+
+def check(path, names=None, base='base_link'):
+    """Findings, most fundamental first. `names`: standard topic -> name in this bag."""
+    names = names or {}
+    facts = BagFacts(path)
+    actual = {standard: names.get(standard, standard) for standard in STREAMS}
+    findings = []
+    present = {}
+    for standard, (types, _, purpose) in STREAMS.items():
+        topic = actual[standard]
+        if topic not in facts.types:
+            similar = sorted(t for t, kind in facts.types.items() if kind in types and t not in actual.values())
+            hint = f'; the bag has {", ".join(similar[:4])} of this type: use --map, and the arguments of replay.launch' if similar else ''
+            level = WARNING if standard in OPTIONAL else ERROR
+            findings.append(Finding(level, f'{topic} is missing ({purpose}){hint}'))
+        elif facts.types[topic] not in types:
+            findings.append(Finding(ERROR, f'{topic} has type {facts.types[topic]}, expected {" or ".join(types)}'))
+        else:
+            present[standard] = topic
+    streams = read(path, present.values())
+    for standard, topic in present.items():
+        findings += _stamps(topic, streams[topic], STREAMS[standard][1])
+    for standard, topic in present.items():
+        if standard.endswith('camera_info'):
+            findings += _camera_info(topic, streams[topic])
+        elif standard.endswith('image_raw'):
+            findings += _image(topic, streams[topic], DEPTH if 'depth' in standard else GREY)
+        elif standard.endswith('imu/data'):
+            findings += _imu(topic, streams[topic])
+        elif facts.counts[topic] and streams[topic].frames != {'world'}:
+            findings.append(Finding(WARNING, f'{topic} is in frame {_list(streams[topic].frames)}; the report takes both robots\' as one frame'))
+    findings += _pairs(present, streams)
+    findings += _transforms(facts, present, streams, base)
+    return findings
+
+
+def _list(frames):
+    return ', '.join(repr(f) for f in sorted(frames))
+
+
+def _stamps(topic, stream, least_rate):
+    stamps, times = np.array(stream.stamps), np.array(stream.times)
+    result = []
+    if len(stamps) < 2:
+        return [Finding(ERROR, f'{topic} holds {len(stamps)} message(s)')]
+    steps = np.diff(stamps)
+    if np.any(stamps <= 0):
+        result.append(Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} messages have no stamp'))
+    if np.any(steps < 0):
+        result.append(Finding(WARNING, f'{topic}: stamps go back {np.count_nonzero(steps < 0)} times (by up to {-steps.min():.3f} s); '
+                              'by more than 1 s the nodes start afresh'))
+    if np.any(steps == 0):
+        result.append(Finding(WARNING, f'{topic}: {np.count_nonzero(steps == 0)} stamps repeat; the repeated messages will be dropped'))
+    delay = np.median(times - stamps)
+    if abs(delay) > 1.0:
+        result.append(Finding(WARNING, f'{topic}: stamps are {delay:.1f} s before the time of recording'))
+    rate = 1 / max(np.median(steps), 1e-9)
+    gap = steps.max()
+    if rate < least_rate:
+        result.append(Finding(WARNING, f'{topic}: {rate:.1f} Hz; at least {least_rate} Hz are advised'))
+    if least_rate > 0 and gap > max(0.5, 5 / rate):
+        result.append(Finding(WARNING, f'{topic}: a gap of {gap:.2f} s after {stamps[np.argmax(steps)] - stamps[0]:.1f} s'))
+    if not result:
+        result.append(Finding(OK, f'{topic}: {len(stamps)} messages, {rate:.1f} Hz'))
+    return result
+
+
+def _camera_info(topic, stream):
+    info = stream.samples[0]
+    result = []
+    if not (info.K[0] > 0 and info.K[4] > 0):
+        result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
+    elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
+        result.append(Finding(WARNING, f'{topic}: principal point ({info.K[2]:.1f}, {info.K[5]:.1f}) is far from the centre of {info.width}x{info.height}'))
+    if info.distortion_model not in ('plumb_bob', ''):
+        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know plumb_bob: undistort first'))
+    elif info.distortion_model == '' and any(info.D):
+        result.append(Finding(ERROR, f'{topic}: D is set but distortion_model is empty; plumb_bob is needed'))
+    return result
+
+
+def _image(topic, stream, encodings):
+    image = stream.samples[0]
+    result = []
+    if image.encoding not in encodings:
+        result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings[:6])}'))
+    if len(image.data) != image.step * image.height:
+        result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
+    elif image.encoding in ('16UC1', 'mono16') and encodings is DEPTH:
+        dtype = np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<')
+        depth = np.frombuffer(image.data, dtype).reshape(image.height, -1)
+        valid = depth[depth > 0]
+        if len(valid) < 0.02 * depth.size:
+            result.append(Finding(WARNING, f'{topic}: {100 * len(valid) / depth.size:.1f} % of the first image has a depth'))
+        elif np.median(valid) > 12000:
+            result.append(Finding(WARNING, f'{topic}: median depth {np.median(valid)} counts; 16UC1 is read as millimetres (TUM: 5000 a metre)'))
+    return result
+
+
+def _imu(topic, stream):
+    accel, gyro = np.array(stream.accel), np.array(stream.gyro)
+    result = []
+    if not (np.all(np.isfinite(accel)) and np.all(np.isfinite(gyro))):
+        bad = np.count_nonzero(~np.isfinite(accel).all(1) | ~np.isfinite(gyro).all(1))
+        result.append(Finding(WARNING, f'{topic}: {bad} readings are not finite'))
+        finite = np.isfinite(accel).all(1) & np.isfinite(gyro).all(1)
+        accel, gyro = accel[finite], gyro[finite]
+    if len(accel) == 0:
+        return result + [Finding(ERROR, f'{topic}: no finite reading')]
+    norm = np.median(np.linalg.norm(accel, axis=1))
+    if 0.9 < norm < 1.1:
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed'))
+    elif norm < 2:
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2: gravity was removed; specific force is needed'))
+    elif not 8.5 < norm < 11.5:
+        result.append(Finding(WARNING, f'{topic}: the acceleration is about {norm:.2f} m/s^2, not 9.81'))
+    rate = np.median(np.linalg.norm(gyro, axis=1))
+    if np.max(np.abs(gyro)) > 35:
+        result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}: they seem to be in degrees; rad/s are needed'))
+    elif rate == 0:
+        result.append(Finding(WARNING, f'{topic}: the turn rate is always zero'))
+    return result
+
+
+def _pairs(present, streams):
+    """Images with their camera_info, and colour with depth."""
+    result = []
+    for image, other, tolerance in (('/mav/camera/image_raw', '/mav/camera/camera_info', 1e-6),
+                                    ('/ground/rgb/image_raw', '/ground/rgb/camera_info', 1e-6),
+                                    ('/ground/rgb/image_raw', '/ground/depth/image_raw', 0.02)):
+        if image not in present or other not in present:
+            continue
+        a, b = np.array(streams[present[image]].stamps), np.sort(streams[present[other]].stamps)
+        if not len(a) or not len(b):
+            continue
+        i = np.clip(np.searchsorted(b, a), 1, max(len(b) - 1, 1))
+        distance = np.minimum(np.abs(b[np.minimum(i, len(b) - 1)] - a), np.abs(b[i - 1] - a))
+        alone = np.count_nonzero(distance > tolerance)
+        if alone > 0.02 * len(a):
+            result.append(Finding(WARNING, f'{present[image]}: {alone} of {len(a)} images have no {present[other]} within {1000 * tolerance:g} ms'))
+        if other.endswith('camera_info'):
+            info, picture = streams[present[other]].samples[0], streams[present[image]].samples[0]
+            if (info.width, info.height) != (picture.width, picture.height):
+                result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {picture.width}x{picture.height}'))
+        elif (streams[present[other]].samples[0].width, streams[present[other]].samples[0].height) != (
+                streams[present[image]].samples[0].width, streams[present[image]].samples[0].height):
+            result.append(Finding(ERROR, f'{present[other]} and {present[image]} differ in size: depth must be registered to colour'))
+    return result
+
+
+def _transforms(facts, present, streams, base):
+    result = []
+    sensors = (('mav', '/mav/camera/image_raw'), ('mav', '/mav/imu/data'), ('ground', '/ground/rgb/image_raw'), ('ground', '/ground/imu/data'))
+    for robot, standard in sensors:
+        if standard not in present:
+            continue
+        frames = streams[present[standard]].frames
+        if '' in frames:
+            result.append(Finding(ERROR, f'{present[standard]}: the frame id is empty'))
+            continue
+        if len(frames) > 1:
+            result.append(Finding(WARNING, f'{present[standard]}: several frame ids: {_list(frames)}'))
+        frame = sorted(frames)[0].lstrip('/')
+        if facts.static_transform(f'{robot}_{base}', frame) is None:
+            result.append(Finding(ERROR, f'/tf_static does not connect {robot}_{base} with {frame} (of {present[standard]}): add a '
+                                  'static_transform_publisher'))
+    return result

@@ -1,0 +1,271 @@
+"""Turns what was recorded during a replay into report.yaml, a table beside the paper's figures, and a figure."""
+import os
+import subprocess
+from dataclasses import dataclass, field
+from typing import Dict, List, Optional
+
+import numpy as np
+import yaml
+
+from . import evaluation, figures, geometry, ply
+from .evaluation import STAGE_COARSE, STAGE_REFINED, STATUS_CONVERGED, STATUS_NAMES, STATUS_SEARCHING, Track
+
+
+@dataclass
+class Recorded:
+    """Inputs of a report. Tracks hold camera poses; truths are in the frame world, estimates in their maps."""
+    out: str
+    bag: str
+    begin: float
+    end: float
+    mav: Track
+    ground: Track
+    estimates: List[evaluation.Estimate]
+    mav_truth: Optional[Track] = None
+    ground_truth: Optional[Track] = None
+    mesh: Optional[str] = None           # PLY of the true surface, in world
+    evaluate_map: str = 'evaluate_map'   # the program
+    has_map: bool = False                # augmented_map.ply was written
+    wall_time: float = 0.0
+    states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
+    tf_publishers: Dict[str, set] = field(default_factory=dict)  # 'parent -> child': nodes that publish the transform
+    notes: List[str] = field(default_factory=list)
+
+
+def rounded(value):
+    """Plain Python numbers with 6 significant digits, for YAML."""
+    if isinstance(value, dict):
+        return {k: rounded(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(v) for v in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(f'{value:.6g}')
+    return value
+
+
+class Report:
+    def __init__(self, recorded):
+        self.r = recorded
+        self.values = {}
+        self.figure = {'begin': recorded.begin, 'title': os.path.basename(recorded.bag)}
+        self.T_ground_map_world = None
+
+    def build(self):
+        """Computes everything, writes alignment.txt, report.yaml and report.png; returns the dict of report.yaml."""
+        r = self.r
+        self.values.update({
+            'bag': os.path.basename(r.bag), 'bag_duration_s': r.end - r.begin, 'wall_time_s': r.wall_time,
+            'ground_truth_in_bag': r.mav_truth is not None or r.ground_truth is not None})
+        self._odometry('vo', 'mav', r.mav, r.mav_truth)
+        self._odometry('slam', 'ground', r.ground, r.ground_truth)
+        self._alignment()
+        self._map()
+        self.values['tf_publishers'] = {edge: sorted(nodes) for edge, nodes in sorted(r.tf_publishers.items())}
+        for edge, nodes in sorted(r.tf_publishers.items()):
+            if len(nodes) > 1:
+                r.notes.append(f'the transform {edge} has several publishers: {", ".join(sorted(nodes))}')
+        if r.notes:
+            self.values['notes'] = list(r.notes)
+        self._figure_tracks()
+        evaluation.write_alignment(os.path.join(r.out, 'alignment.txt'), r.estimates)
+        figures.draw_report(os.path.join(r.out, 'report.png'), self.figure)
+        self.values = rounded(self.values)
+        with open(os.path.join(r.out, 'report.yaml'), 'w', encoding='utf-8') as stream:
+            stream.write('# Figures of one replay; units are in the names. Definitions: docs/experiments.md\n')
+            yaml.safe_dump(self.values, stream, sort_keys=False, allow_unicode=True)
+        return self.values
+
+    def _odometry(self, prefix, robot, track, truth):
+        v = self.values
+        v[f'{prefix}_poses'] = len(track)
+        v[f'{prefix}_estimated_path_length_m'] = evaluation.path_length(track.poses[:, :3, 3]) if len(track) else 0.0
+        v[f'{prefix}_coverage_percent'] = 100 * evaluation.coverage(track.stamps, self.r.begin, self.r.end, max_gap=1.0)
+        state = self.r.states.get(robot, {})
+        if state:
+            v[f'{prefix}_final_state'] = state['state']
+            v[f'{prefix}_final_reason'] = state['reason']
+            v[f'{prefix}_processing_time_mean_ms'] = state['processing_ms']
+            v[f'{prefix}_lost_frames'] = state['lost']
+        if truth is None or len(track) < 10:
+            return
+        error = evaluation.trajectory_error(truth, track)
+        if error is None:
+            self.r.notes.append(f'{prefix}: fewer than 10 poses have a ground truth')
+            return
+        for key, name in (('rmse_m', 'ate_rmse_m'), ('rmse_percent', 'ate_rmse_percent_of_path'), ('max_m', 'ate_max_m'),
+                          ('path_length_m', 'path_length_m'), ('scale_error_percent', 'scale_error_percent'),
+                          ('rmse_with_scale_m', 'ate_rmse_scale_corrected_m'), ('poses', 'poses_compared')):
+            v[f'{prefix}_{name}'] = error[key]
+        self.figure[f'{robot}_error'] = error
+
+    def _alignment(self):
+        r, v = self.r, self.values
+        coarse = [e for e in r.estimates if e.stage == STAGE_COARSE]
+        refined = [e for e in r.estimates if e.stage == STAGE_REFINED]
+        converged = [e for e in refined if e.status == STATUS_CONVERGED]
+        v['alignment_coarse_estimates'] = len(coarse)
+        v['alignment_refined_estimates'] = len(refined)
+        v['alignment_refined_converged'] = len(converged)
+        if coarse:
+            v['coarse_status'] = STATUS_NAMES.get(coarse[-1].status, str(coarse[-1].status))
+            v['coarse_reason'] = coarse[-1].reason
+        v['alignment_accepted'] = bool(converged)
+        last = converged[-1] if converged else (refined[-1] if refined else None)
+        v['refined_status'] = STATUS_NAMES.get(refined[-1].status, str(refined[-1].status)) if refined else 'NONE'
+        v['refined_reason'] = refined[-1].reason if refined else 'no refinement was published'
+        if not converged:
+            v['alignment_verdict'] = 'no alignment accepted: ' + self.refusal()
+            self.figure['no_alignment'] = 'no alignment accepted'
+        if last is not None and converged:
+            v['T_ground_map_mav_map_translation_m'] = list(last.pose[:3, 3])
+            v['T_ground_map_mav_map_quaternion_xyzw'] = list(geometry.quaternion_from_matrix(last.pose[:3, :3]))
+            v['refined_sigma_m_m_m_rad_rad_rad'] = list(last.deviations)
+            v['refined_overlap'] = last.overlap
+            v['refined_rms_residual_m'] = last.cost
+        self.final = converged[-1] if converged else None
+
+        if r.ground_truth is None or r.mav_truth is None or len(r.ground) < 3:
+            return
+        T_world_ground_map = evaluation.tie_to_world(r.ground_truth, r.ground)
+        first = evaluation.tie_through_first_pose(r.ground_truth, r.ground)
+        if T_world_ground_map is None:
+            return
+        self.T_ground_map_world = geometry.inverse(T_world_ground_map)
+        rows = evaluation.alignment_errors(coarse, self.T_ground_map_world, r.mav_truth)
+        if rows:
+            v['coarse_error_height_maps'] = [row['height_maps'] for row in rows]
+            v['coarse_error_m'] = [row['position_m'] for row in rows]
+            v['coarse_error_horizontal_m'] = [row['horizontal_m'] for row in rows]
+            v['coarse_error_yaw_deg'] = [row['yaw_deg'] for row in rows]
+            v['coarse_error_status'] = [STATUS_NAMES.get(row['status'], str(row['status'])) for row in rows]
+        self.figure['coarse'] = rows
+        rows = evaluation.alignment_errors(refined, self.T_ground_map_world, r.mav_truth)
+        if rows:
+            v['refined_error_m'] = rows[-1]['position_m']
+            v['refined_error_deg'] = rows[-1]['rotation_deg']
+            v['refined_error_median_m'] = float(np.median([row['position_m'] for row in rows]))
+            v['refined_error_median_deg'] = float(np.median([row['rotation_deg'] for row in rows]))
+            v['refined_errors_m'] = [row['position_m'] for row in rows]
+            v['refined_errors_deg'] = [row['rotation_deg'] for row in rows]
+            alternative = evaluation.alignment_errors(refined, geometry.inverse(first), r.mav_truth)
+            v['refined_error_through_first_pose_m'] = alternative[-1]['position_m']
+            v['refined_error_through_first_pose_deg'] = alternative[-1]['rotation_deg']
+        self.figure['refined'] = rows
+
+    def refusal(self):
+        """Why nothing was accepted, in one line."""
+        refined = [e for e in self.r.estimates if e.stage == STAGE_REFINED]
+        coarse = [e for e in self.r.estimates if e.stage == STAGE_COARSE]
+        waiting = refined and refined[-1].status == STATUS_SEARCHING  # for the coarse stage, whose reason then is the one that counts
+        stages = [('coarse localization', coarse), ('refinement', refined)]
+        for stage, estimates in stages if waiting else reversed(stages):
+            if estimates:
+                last = estimates[-1]
+                return f'{stage} says {STATUS_NAMES.get(last.status, last.status)}: {last.reason or "no reason given"}'
+        return 'no estimate was published (were both maps built? see the states of the nodes)'
+
+    def _map(self):
+        r, v = self.r, self.values
+        path = os.path.join(r.out, 'augmented_map.ply')
+        if not r.has_map:
+            self.figure['no_map'] = 'no augmented map (no alignment accepted)' if self.final is None else 'no augmented map'
+            return
+        command = [r.evaluate_map, path]
+        distances = os.path.join(r.out, '.distances.bin')
+        if r.mesh and self.T_ground_map_world is not None:
+            T = geometry.inverse(self.T_ground_map_world)
+            pose = list(T[:3, 3]) + list(geometry.quaternion_from_matrix(T[:3, :3]))
+            command += ['--mesh', r.mesh, '--distances', distances, '--transform'] + [f'{x:.9g}' for x in pose]
+        try:
+            result = subprocess.run(command, check=True, capture_output=True, text=True)
+            sizes = yaml.safe_load(result.stdout)
+            self.figure['map'] = ply.read_points(path)
+            if os.path.exists(distances):
+                self.figure['distances'] = np.fromfile(distances, '<f4')
+        except subprocess.CalledProcessError as error:
+            r.notes.append(f'evaluate_map failed: {error.stderr.strip()}')
+            return
+        except (OSError, ValueError) as error:
+            r.notes.append(f'the augmented map could not be evaluated: {error}')
+            return
+        finally:
+            if os.path.exists(distances):
+                os.remove(distances)
+        v['augmented_map_points'] = sizes['points']
+        v['augmented_map_ground_points'] = sizes['ground_points']
+        v['augmented_map_aerial_points'] = sizes['aerial_points']
+        for key in ('ground_area_m2', 'aerial_area_m2', 'added_area_m2'):
+            v[key] = sizes[key]
+        for part in ('map', 'ground', 'aerial'):
+            for key in ('surface_error_median_m', 'surface_error_95_percent_m'):
+                if f'{part}_{key}' in sizes:
+                    v[f'{part}_{key}'] = sizes[f'{part}_{key}']
+
+    def _figure_tracks(self):
+        r = self.r
+        T = self.final.pose if self.final is not None else np.eye(4)
+        self.figure['mav_in_own_map'] = self.final is None
+        for robot, track, transform in (('mav', r.mav, T), ('ground', r.ground, np.eye(4))):
+            if len(track):
+                self.figure[f'{robot}_estimate'] = (transform @ track.poses)[:, :3, 3]
+        if self.T_ground_map_world is not None:
+            for robot, truth in (('mav', r.mav_truth), ('ground', r.ground_truth)):
+                if truth is not None and (robot == 'ground' or self.final is not None):
+                    self.figure[f'{robot}_truth'] = (self.T_ground_map_world @ truth.poses)[:, :3, 3]
+
+    def table(self):
+        """The figures as text, beside the paper's."""
+        v = self.values
+        rows = []
+
+        def add(label, ours, paper=''):
+            rows.append((label, ours, paper))
+
+        def odometry(prefix, label, paper):
+            if f'{prefix}_ate_rmse_m' in v:
+                add(f'{label} ATE RMSE', f'{v[f"{prefix}_ate_rmse_m"]:.3f} m = {v[f"{prefix}_ate_rmse_percent_of_path"]:.2f} % of '
+                    f'{v[f"{prefix}_path_length_m"]:.1f} m', paper)
+                add(f'{label} scale error', f'{v[f"{prefix}_scale_error_percent"]:+.2f} %')
+            else:
+                add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_m"]:.2f} m, {v[f"{prefix}_poses"]} poses')
+            if v.get(f'{prefix}_final_state', 'TRACKING') != 'TRACKING':
+                add(f'{label} state at the end', f'{v[f"{prefix}_final_state"]}: {v[f"{prefix}_final_reason"]}')
+            if f'{prefix}_processing_time_mean_ms' in v:
+                add(f'{label} time a frame', f'{v[f"{prefix}_processing_time_mean_ms"]:.1f} ms', {'vo': '14 ms', 'slam': '15 ms'}[prefix])
+
+        odometry('vo', 'MAV odometry', '0.012 m over 23 m')
+        odometry('slam', 'RGB-D SLAM', '0.038 m over 7.7 m')
+        counts = v.get('coarse_error_height_maps', [])
+        shown = [c for c in (1, 4) if c in counts] or counts[:1]
+        for count in dict.fromkeys(shown + counts[-1:]):
+            i = counts.index(count)
+            add(f'coarse error after height map {count}', f'{v["coarse_error_m"][i]:.3f} m, {v["coarse_error_yaw_deg"][i]:.1f} deg '
+                f'({v["coarse_error_status"][i]})', {1: '< 0.5 m in 65 %', 4: '< 0.25 m in 89 %'}.get(count, ''))
+        if 'refined_error_m' in v:
+            add('refined error', f'{v["refined_error_m"]:.3f} m, {v["refined_error_deg"]:.2f} deg', '0.08 m, 3.0 deg')
+            add('  tied through the first pose', f'{v["refined_error_through_first_pose_m"]:.3f} m, '
+                f'{v["refined_error_through_first_pose_deg"]:.2f} deg')
+        add('status', f'coarse {v.get("coarse_status", "NONE")}, refined {v["refined_status"]}')
+        if v['alignment_accepted']:
+            add('1 sigma of the refined pose', ', '.join(f'{x:.3f}' for x in v['refined_sigma_m_m_m_rad_rad_rad']) + ' (m, rad)')
+        else:
+            add('alignment', v['alignment_verdict'])
+        if 'augmented_map_points' in v:
+            add('augmented map', f'{v["augmented_map_points"]} points ({v["augmented_map_ground_points"]} ground, '
+                f'{v["augmented_map_aerial_points"]} aerial)')
+            for part, label in (('map', 'surface error'), ('ground', '  ground points'), ('aerial', '  aerial points')):
+                if f'{part}_surface_error_median_m' in v:
+                    add(label, f'median {v[f"{part}_surface_error_median_m"]:.3f} m, 95 % {v[f"{part}_surface_error_95_percent_m"]:.3f} m')
+            add('area seen by the ground robot', f'{v["ground_area_m2"]:.1f} m^2')
+            add('area added by the aerial view', f'{v["added_area_m2"]:.1f} m^2')
+        width = max(len(row[0]) for row in rows) + 2
+        middle = max(52, max(len(row[1]) for row in rows if row[2]) + 2 if any(row[2] for row in rows) else 0)
+        lines = [f'{self.values["bag"]}: {v["bag_duration_s"]:.0f} s of data in {v["wall_time_s"]:.0f} s',
+                 f'{"":{width}}{"here":{middle}}Forster et al. 2013']
+        lines += [f'{label:{width}}{ours:{middle}}{paper}'.rstrip() for label, ours, paper in rows]
+        lines += [f'note: {note}' for note in self.r.notes]
+        return '\n'.join(lines)

@@ -1,0 +1,233 @@
+#!/usr/bin/env python3
+"""Folders in the three layouts, written here with known content, must come out of dataset_to_bag as bags that check_bag accepts."""
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+import rosbag
+import rosunit
+from PIL import Image
+
+HERE = os.path.dirname(os.path.realpath(__file__))
+sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
+from air_ground_eval import bag_check, datasets, geometry, imu_synthesis, registration  # noqa: E402
+
+WIDTH, HEIGHT = 160, 120
+RATE = 30.0
+
+
+def camera_pose(t):
+    """T_world_camera of a hand-held camera: level, looking along +y of a world with z up, swaying with known accelerations."""
+    position = np.array([0.3 * np.sin(2 * t), 0.1 * t, 1.0 + 0.1 * np.cos(3 * t)])
+    R_world_camera = geometry.rotation_z(0.4 * np.sin(t)) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]])
+    return geometry.pose(R_world_camera, position)
+
+
+def write_image(path, index):
+    gradient = np.add.outer(np.arange(HEIGHT), np.arange(WIDTH)) + index
+    Image.fromarray(np.stack([gradient % 256, gradient // 2 % 256, 0 * gradient], 2).astype(np.uint8)).save(path)
+
+
+def write_depth(path, counts):
+    Image.fromarray(np.full((HEIGHT, WIDTH), counts, np.uint16)).save(path)
+
+
+def write_7scenes(folder, count=60, tilt=True):
+    """The reference frame is tilted, so that gravity-direction.txt matters."""
+    T_reference_world = geometry.pose(geometry.leveling_rotation([0.3, -0.8, 0.5]).T if tilt else None)
+    for i in range(count):
+        stem = os.path.join(folder, f'frame-{i:06d}')
+        write_image(stem + '.color.png', i)
+        write_depth(stem + '.depth.png', 2000)
+        np.savetxt(stem + '.pose.txt', T_reference_world @ camera_pose(i / RATE))
+    if tilt:
+        np.savetxt(os.path.join(folder, 'gravity-direction.txt'), T_reference_world[:3, :3] @ [0, 0, -1.0])
+
+
+def write_tum(folder, count=60):
+    os.makedirs(os.path.join(folder, 'rgb'))
+    os.makedirs(os.path.join(folder, 'depth'))
+    with open(os.path.join(folder, 'rgb.txt'), 'w', encoding='utf-8') as rgb, open(os.path.join(folder, 'depth.txt'), 'w', encoding='utf-8') as depth, \
+            open(os.path.join(folder, 'groundtruth.txt'), 'w', encoding='utf-8') as truth:
+        for stream in (rgb, depth, truth):
+            stream.write('# comment\n')
+        for i in range(count):
+            t = 1305031102.0 + i / RATE
+            write_image(os.path.join(folder, 'rgb', f'{i}.png'), i)
+            write_depth(os.path.join(folder, 'depth', f'{i}.png'), 10000)
+            rgb.write(f'{t:.6f} rgb/{i}.png\n')
+            depth.write(f'{t + 0.004:.6f} depth/{i}.png\n')
+            pose = camera_pose(i / RATE)
+            q = geometry.quaternion_from_matrix(pose[:3, :3])
+            truth.write(f'{t:.6f} ' + ' '.join(f'{v:.9f}' for v in [*pose[:3, 3], *q]) + '\n')
+
+
+def write_euroc(folder, count=40):
+    T_body_camera = geometry.pose(geometry.rotation_z(0.3) @ geometry.R_BODY_DOWN_CAMERA, (0.02, -0.01, 0.03))
+    os.makedirs(os.path.join(folder, 'mav0', 'cam0', 'data'))
+    os.makedirs(os.path.join(folder, 'mav0', 'imu0'))
+    os.makedirs(os.path.join(folder, 'mav0', 'state_groundtruth_estimate0'))
+
+    def sensor(path, transform, more):
+        with open(path, 'w', encoding='utf-8') as stream:
+            data = ', '.join(f'{v:.9f}' for v in transform.ravel())
+            stream.write(f'%YAML:1.0\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{data}]\n{more}')
+
+    root = os.path.join(folder, 'mav0')
+    sensor(os.path.join(root, 'cam0', 'sensor.yaml'), T_body_camera,
+           f'resolution: [{WIDTH}, {HEIGHT}]\nintrinsics: [100, 101, 79.5, 59.5]\ndistortion_model: radial-tangential\n'
+           'distortion_coefficients: [-0.1, 0.01, 0.001, 0.0001]\n')
+    sensor(os.path.join(root, 'imu0', 'sensor.yaml'), np.eye(4), 'rate_hz: 200\n')
+    begin = 1403636579000000000
+    for i in range(count):
+        gradient = np.add.outer(np.arange(HEIGHT), np.arange(WIDTH)) + i
+        Image.fromarray((gradient % 256).astype(np.uint8)).save(os.path.join(root, 'cam0', 'data', f'{begin + i * 50000000}.png'))
+    with open(os.path.join(root, 'imu0', 'data.csv'), 'w', encoding='utf-8') as stream:
+        stream.write('#timestamp\n')
+        for i in range(count * 10):
+            stream.write(f'{begin + i * 5000000},0.1,0.2,0.3,0,0,9.81\n')
+    with open(os.path.join(root, 'state_groundtruth_estimate0', 'data.csv'), 'w', encoding='utf-8') as stream:
+        stream.write('#timestamp\n')
+        for i in range(count * 4):
+            stream.write(f'{begin + i * 12500000},{0.01 * i},0,1,1,0,0,0,0,0,0,0,0,0,0,0,0\n')
+    return T_body_camera
+
+
+def convert(*arguments):
+    program = os.path.join(HERE, '..', 'scripts', 'dataset_to_bag')
+    return subprocess.run(['/usr/bin/python3', program, *arguments], capture_output=True, text=True, check=False)
+
+
+def messages_of(path, topic):
+    with rosbag.Bag(path) as bag:
+        return [m for _, m, _ in bag.read_messages([topic])]
+
+
+class DatasetToBag(unittest.TestCase):
+    def setUp(self):
+        temporary = tempfile.TemporaryDirectory()
+        self.addCleanup(temporary.cleanup)
+        self.folder = temporary.name
+        self.bag = os.path.join(self.folder, 'out.bag')
+
+    def test_7scenes_both_robots(self):
+        data = os.path.join(self.folder, 'scene')
+        os.mkdir(data)
+        write_7scenes(data)
+        result = convert('--ground', data + '@0-29', '--mav', data + '@30-59', '--out', self.bag, '--imu-noise', '0')
+        self.assertEqual(result.returncode, 0, result.stderr)
+        errors = [f.text for f in bag_check.check(self.bag) if f.level == bag_check.ERROR]
+        self.assertEqual(errors, [])
+        mav, rgb, depth = (messages_of(self.bag, t) for t in ('/mav/camera/image_raw', '/ground/rgb/image_raw', '/ground/depth/image_raw'))
+        self.assertEqual((len(mav), mav[0].encoding), (30, 'mono8'))
+        self.assertEqual((len(rgb), rgb[0].encoding), (30, 'rgb8'))
+        self.assertEqual((len(depth), depth[0].encoding), (30, '16UC1'))
+        self.assertEqual(mav[0].header.stamp, rgb[0].header.stamp)
+        self.assertEqual(rgb[7].header.stamp, depth[7].header.stamp)
+        self.assertEqual(np.frombuffer(rgb[3].data, np.uint8).reshape(HEIGHT, WIDTH, 3)[10, 20, 0], 33)
+        # Ground truth is levelled: the camera stood 1.1 m up and looked horizontally, whatever the reference frame's tilt.
+        # (The world's horizontal origin and heading are free; heights and relative motion are not.)
+        truth = messages_of(self.bag, '/ground_truth/ground')
+        self.assertAlmostEqual(truth[0].pose.position.z, 1.1, places=4)
+        q = truth[0].pose.orientation
+        up = geometry.matrix_from_quaternion([q.x, q.y, q.z, q.w])[2]
+        self.assertTrue(np.allclose(up, [0, 0, 1], atol=1e-6), up)
+        self.assertIn('SYNTHESISED', messages_of(self.bag, '/dataset_info')[0].data)
+        with open(os.path.join(self.folder, 'out.README.txt'), encoding='utf-8') as stream:
+            self.assertIn('SYNTHESISED', stream.read())
+
+    def test_synthesised_imu_is_that_of_the_motion(self):
+        """Against the analytic derivatives of camera_pose."""
+        stamps = np.arange(0, 4, 1 / RATE)
+        T_base_camera = geometry.pose(geometry.R_BODY_FORWARD_CAMERA)
+        poses = np.array([camera_pose(t) @ geometry.inverse(T_base_camera) for t in stamps])
+        noisy = poses.copy()
+        noisy[:, :3, 3] += 0.002 * np.random.default_rng(3).standard_normal((len(stamps), 3))
+        imu = imu_synthesis.synthesize(stamps, noisy, noise=0.0)
+        t = imu['stamps']
+        acceleration = np.stack([-1.2 * np.sin(2 * t), 0 * t, -0.9 * np.cos(3 * t)], 1)
+        forces = []
+        for time, a in zip(t, acceleration):
+            R = (camera_pose(time) @ geometry.inverse(T_base_camera))[:3, :3]
+            forces.append(R.T @ (a + [0, 0, 9.81]))
+        inner = (t > 0.4) & (t < 3.6)
+        error = (imu['accel'] - np.array(forces))[inner]
+        self.assertLess(np.sqrt(np.mean(error ** 2)), 0.15)
+        self.assertLess(np.abs(error.mean(0)).max(), 0.05)
+        self.assertLess(np.abs(imu['gyro'][inner] - np.stack([0 * t, 0 * t, 0.4 * np.cos(t)], 1)[inner]).max(), 0.01)
+
+    def test_tum(self):
+        data = os.path.join(self.folder, 'rgbd')
+        os.mkdir(data)
+        write_tum(data)
+        result = convert('--ground', data, '--out', self.bag, '--keep-stamps')
+        self.assertEqual(result.returncode, 0, result.stderr)
+        depth = messages_of(self.bag, '/ground/depth/image_raw')
+        self.assertEqual(np.frombuffer(depth[0].data, np.uint16)[0], 2000)  # 10000 counts of 0.2 mm
+        self.assertAlmostEqual(depth[0].header.stamp.to_sec(), 1305031102.004, places=5)
+        truth = messages_of(self.bag, '/ground_truth/ground')
+        expected = camera_pose(10 / RATE) @ geometry.inverse(geometry.pose(geometry.R_BODY_FORWARD_CAMERA))
+        p, q = truth[10].pose.position, truth[10].pose.orientation
+        actual = geometry.pose_from_tq([p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
+        self.assertTrue(np.allclose(actual, expected, atol=1e-5))
+
+    def test_euroc(self):
+        data = os.path.join(self.folder, 'V1')
+        os.mkdir(data)
+        T_body_camera = write_euroc(data)
+        result = convert('--mav', data, '--out', self.bag, '--mav-mount', 'down')
+        self.assertEqual(result.returncode, 0, result.stderr)
+        info = messages_of(self.bag, '/mav/camera/camera_info')[0]
+        self.assertAlmostEqual(info.D[0], -0.1)
+        self.assertAlmostEqual(info.K[4], 101)
+        imu = messages_of(self.bag, '/mav/imu/data')
+        self.assertAlmostEqual(imu[5].linear_acceleration.z, 9.81)
+        self.assertNotIn('SYNTHESISED', messages_of(self.bag, '/dataset_info')[0].data)
+        # The camera relative to the IMU is what sensor.yaml says, whatever base_link was chosen.
+        from air_ground_eval.bag_reader import BagFacts
+        facts = BagFacts(self.bag)
+        self.assertTrue(np.allclose(facts.static_transform('mav_imu_link', 'mav_camera_optical_frame'), T_body_camera, atol=1e-6))
+        truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+        expected = geometry.pose(None, (0.01 * 40, 0, 1)) @ T_body_camera
+        self.assertTrue(np.allclose(truth.poses[40], expected, atol=1e-5))
+
+    def test_bad_input_is_named(self):
+        data = os.path.join(self.folder, 'scene')
+        os.mkdir(data)
+        write_7scenes(data, 10)
+        cases = [(['--ground', data + '@0-99'], 'range must lie within 0-9'), (['--ground', self.folder], 'known layouts'),
+                 ([], 'give --ground'), (['--mav', '/nonexistent'], 'no such folder')]
+        for arguments, text in cases:
+            result = convert(*arguments, '--out', self.bag)
+            self.assertEqual(result.returncode, 1, arguments)
+            self.assertIn(text, result.stderr)
+            self.assertNotIn('Traceback', result.stderr)
+        with open(os.path.join(data, 'frame-000003.pose.txt'), 'w', encoding='utf-8') as stream:
+            stream.write('1 2 3\n')
+        result = convert('--ground', data, '--out', self.bag)
+        self.assertIn('frame-000003.pose.txt: expected a 4x4 matrix', result.stderr)
+        self.assertFalse(os.path.exists(self.bag))
+
+    def test_registration(self):
+        """A point seen by the depth camera lands where the colour camera sees it, with its depth; nearer surfaces win."""
+        depth_camera = datasets.Camera(WIDTH, HEIGHT, 150, 150, 80, 60)
+        colour_camera = datasets.Camera(WIDTH, HEIGHT, 130, 130, 78, 61)
+        T_depth_colour = geometry.pose(geometry.rotation_z(0.05), (0.03, -0.01, 0.02))
+        depth = np.full((HEIGHT, WIDTH), np.nan)
+        depth[40, 100], depth[40, 101] = 2.0, 1.0
+        registered = registration.register_depth(depth, depth_camera, colour_camera, T_depth_colour)
+        for u, z in ((100, 2.0), (101, 1.0)):
+            point = np.array([(u - 80) / 150 * z, (40 - 60) / 150 * z, z, 1])
+            x, y, d = (geometry.inverse(T_depth_colour) @ point)[:3]
+            self.assertAlmostEqual(registered[int(round(130 * y / d + 61)), int(round(130 * x / d + 78))], d, places=6)
+        wall = registration.register_depth(np.full((HEIGHT, WIDTH), 2.0), depth_camera, colour_camera, np.eye(4))
+        self.assertTrue(np.all(np.isfinite(wall[15:-15, 20:-20])))
+        big = registration.register_depth(np.full((HEIGHT, WIDTH), 2.0), colour_camera, depth_camera, np.eye(4))
+        self.assertTrue(np.all(np.isfinite(big[5:-5, 5:-5])), 'holes where the colour camera resolves more')
+
+
+if __name__ == '__main__':
+    rosunit.unitrun('air_ground', 'dataset_to_bag_test', DatasetToBag)

@@ -1,0 +1,70 @@
+// Worlds made of textured surface patches: floors, boxes, pallets, debris, rocks, a height field.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+#include "air_ground_common/geometry.h"
+#include "air_ground_common/mesh.h"
+#include "air_ground_sim/config.h"
+
+namespace air_ground_sim {
+
+enum class Material { kConcrete, kPlanks, kTiles, kGravel, kCardboard, kPaintedBox, kWood, kBrick, kPlaster, kRock, kPaper };
+
+/// A grid of (columns + 1) x (rows + 1) vertices with one texture over it: a rectangle has one cell.
+struct Patch {
+  int columns = 1, rows = 1;
+  std::vector<Eigen::Vector3f> vertices;  ///< row by row, in world [m]; counter-clockwise seen from outside (column x row)
+  float width = 1, height = 1;            ///< extent of the texture along columns and rows [m]
+  float texel = 0.0025f;                  ///< size of a texel [m]
+  Material material = Material::kConcrete;
+  bool printed = false;     ///< carries marks, text, tape
+  bool top = false;         ///< the upper face of a box: tape along it
+  std::uint64_t seed = 0;   ///< of its texture
+  std::uint64_t object = 0;  ///< texture seed shared by the faces of one object (its base colour)
+
+  Eigen::Vector3f point(float u, float v) const;  ///< position at texture coordinates in [0, 1]
+};
+
+struct World {
+  std::vector<Patch> patches;
+  Eigen::Vector2d mav_start = Eigen::Vector2d::Zero();  ///< take-off place, free of obstacles [m]
+  LaneConfig lane;                                      ///< the ground robot's way after the seed's variation
+  FlightConfig flight;                                  ///< centre after the seed's variation
+  Eigen::Vector3f sun = Eigen::Vector3f(0.35f, 0.25f, 0.9f);  ///< direction towards the key light, unit
+  float ambient = 0.45f;   ///< share of the light that comes from everywhere
+  float sky = 0.5f;        ///< radiance where a ray meets nothing
+};
+
+/// Builds the world for a seed; the same seed gives the same world.
+World buildWorld(const SimConfig& config, std::uint64_t seed);
+
+/// All patches as one mesh; patch i's triangles follow those of patch i - 1, two a cell.
+air_ground_common::TriangleMesh meshOf(const World& world);
+
+/// Height [m] of the highest point of the mesh within `radius` of a place (vertices and triangle samples every 5 cm).
+class HeightLookup {
+ public:
+  explicit HeightLookup(const air_ground_common::TriangleMesh& mesh);
+  double operator()(const Eigen::Vector2d& place, double radius) const;
+
+ private:
+  static constexpr double kCell = 0.05;
+  int size_ = 0;
+  double origin_ = 0;
+  std::vector<float> cells_;
+};
+
+/// Oriented cuboid with its base centre at T_world_base: adds its six faces.
+struct Cuboid {
+  air_ground_common::Pose T_world_base = air_ground_common::Pose::Identity();
+  Eigen::Vector3d size = Eigen::Vector3d::Ones();  ///< [m]
+  Material material = Material::kCardboard;
+  bool printed = true;
+  std::uint64_t seed = 0;
+};
+void addCuboid(const Cuboid& cuboid, double texel, World* world);
+
+}  // namespace air_ground_sim

@@ -1,0 +1,279 @@
+#include "air_ground_sim/config.h"
+
+#include <yaml-cpp/yaml.h>
+
+#include <map>
+#include <set>
+#include <sstream>
+#include <stdexcept>
+
+namespace air_ground_sim {
+namespace {
+
+// One YAML map: typed, range-checked reads; finish() rejects the keys nobody asked for.
+class Section {
+ public:
+  Section(const YAML::Node& node, std::string where) : node_(node), where_(std::move(where)) {
+    if (node_ && !node_.IsNull() && !node_.IsMap()) fail("", "must be a map");
+  }
+
+  void number(const char* key, double* value, double low, double high) {
+    if (!find(key)) return;
+    *value = as<double>(key, "a number");
+    if (!(*value >= low && *value <= high)) failRange(key, *value, low, high);
+  }
+  void integer(const char* key, int* value, int low, int high) {
+    if (!find(key)) return;
+    *value = as<int>(key, "an integer");
+    if (*value < low || *value > high) failRange(key, *value, low, high);
+  }
+  void flag(const char* key, bool* value) {
+    if (find(key)) *value = as<bool>(key, "true or false");
+  }
+  void point(const char* key, Eigen::Vector2d* value) {
+    if (find(key)) *value = toPoint(node_[key], key);
+  }
+  void points(const char* key, std::vector<Eigen::Vector2d>* value) {
+    if (!find(key)) return;
+    if (!node_[key].IsSequence()) fail(key, "must be a list of [x, y]");
+    value->clear();
+    for (const auto& p : node_[key]) value->push_back(toPoint(p, key));
+  }
+  template <class T>
+  void choice(const char* key, T* value, const std::map<std::string, T>& options) {
+    if (!find(key)) return;
+    const auto it = options.find(as<std::string>(key, "text"));
+    if (it == options.end()) {
+      std::string names;
+      for (const auto& option : options) names += (names.empty() ? "" : ", ") + option.first;
+      fail(key, "must be one of " + names);
+    }
+    *value = it->second;
+  }
+  Section child(const char* key) {
+    find(key);
+    return Section(node_ && !node_.IsNull() ? node_[key] : YAML::Node(), where_ + "/" + key);
+  }
+  std::vector<Section> list(const char* key) {
+    std::vector<Section> sections;
+    if (!find(key)) return sections;
+    if (!node_[key].IsSequence()) fail(key, "must be a list");
+    for (std::size_t i = 0; i < node_[key].size(); ++i)
+      sections.emplace_back(node_[key][i], where_ + "/" + key + "[" + std::to_string(i) + "]");
+    return sections;
+  }
+  void finish() {
+    if (!node_ || node_.IsNull()) return;
+    for (const auto& entry : node_) {
+      const auto key = entry.first.as<std::string>();
+      if (!known_.count(key)) fail(key.c_str(), "is not a parameter");
+    }
+  }
+  [[noreturn]] void fail(const std::string& key, const std::string& why) const {
+    throw std::invalid_argument(where_ + (key.empty() ? "" : ": '" + key + "'") + " " + why);
+  }
+
+ private:
+  bool find(const char* key) {
+    known_.insert(key);
+    return node_ && !node_.IsNull() && node_[key];
+  }
+  template <class T>
+  T as(const char* key, const char* what) {
+    try {
+      return node_[key].as<T>();
+    } catch (const YAML::Exception&) {
+      fail(key, std::string("must be ") + what);
+    }
+  }
+  Eigen::Vector2d toPoint(const YAML::Node& node, const char* key) const {
+    try {
+      if (node.IsSequence() && node.size() == 2) {
+        const Eigen::Vector2d p(node[0].as<double>(), node[1].as<double>());
+        if (p.allFinite() && p.norm() < 100) return p;
+      }
+    } catch (const YAML::Exception&) {
+    }
+    fail(key, "must be [x, y] in metres, within 100 m");
+  }
+  void failRange(const char* key, double value, double low, double high) const {
+    std::ostringstream s;
+    s << "= " << value << " is outside [" << low << ", " << high << "]";
+    fail(key, s.str());
+  }
+
+  YAML::Node node_;
+  std::string where_;
+  std::set<std::string> known_;
+};
+
+void read(Section s, WorldConfig* w) {
+  s.choice<WorldKind>("kind", &w->kind, {{"indoor", WorldKind::kIndoor}, {"rubble", WorldKind::kRubble},
+                                         {"flat", WorldKind::kFlat}, {"grid", WorldKind::kGrid}});
+  s.choice<FloorStyle>("floor", &w->floor, {{"concrete", FloorStyle::kConcrete}, {"planks", FloorStyle::kPlanks},
+                                            {"tiles", FloorStyle::kTiles}, {"gravel", FloorStyle::kGravel}});
+  s.number("floor_size", &w->floor_size, 8, 40);
+  s.number("texel", &w->texel, 0.001, 0.05);
+  s.number("room_height", &w->room_height, 0, 10);
+  s.flag("vary_layout", &w->vary_layout);
+  s.integer("rocks", &w->rocks, 0, 1000);
+  s.number("relief", &w->relief, 0, 1);
+  s.integer("grid_rows", &w->grid_rows, 1, 20);
+  s.integer("grid_columns", &w->grid_columns, 1, 20);
+  s.number("grid_spacing", &w->grid_spacing, 0.3, 5);
+  s.number("grid_box", &w->grid_box, 0.1, 2);
+  for (Section& c : s.list("clusters")) {
+    ClusterConfig cluster;
+    c.point("center", &cluster.center);
+    c.number("radius", &cluster.radius, 0.2, 5);
+    c.integer("boxes", &cluster.boxes, 0, 200);
+    c.integer("pallets", &cluster.pallets, 0, 20);
+    c.integer("debris", &cluster.debris, 0, 200);
+    c.number("max_height", &cluster.max_height, 0.1, 3);
+    c.finish();
+    w->clusters.push_back(cluster);
+  }
+  for (Section& c : s.list("walls")) {
+    WallConfig wall;
+    c.point("from", &wall.from);
+    c.point("to", &wall.to);
+    c.number("height", &wall.height, 0.1, 3);
+    c.finish();
+    w->walls.push_back(wall);
+  }
+  s.finish();
+}
+
+void read(Section s, FlightConfig* f) {
+  s.number("stand_still", &f->stand_still, 0.5, 10);
+  s.number("duration", &f->duration, 8, 600);
+  s.number("speed", &f->speed, 0.1, 2);
+  s.number("min_height", &f->min_height, 0.5, 10);
+  s.number("max_height", &f->max_height, 0.5, 10);
+  if (f->max_height < f->min_height) s.fail("max_height", "is below min_height");
+  s.number("clearance", &f->clearance, 0.2, 5);
+  s.number("loop_x", &f->loop_x, 0.3, 10);
+  s.number("loop_y", &f->loop_y, 0.3, 10);
+  s.point("center", &f->center);
+  s.number("start_radius", &f->start_radius, 0.5, 10);
+  s.number("sway", &f->sway, 0, 0.5);
+  s.number("sway_period", &f->sway_period, 1, 10);
+  s.finish();
+}
+
+void read(Section s, LaneConfig* l) {
+  s.points("points", &l->points);
+  if (l->points.size() < 3) s.fail("points", "must list at least three [x, y] points for the ground robot's way");
+  s.point("look_at", &l->look_at);
+  s.number("stand_still", &l->stand_still, 0.2, 10);
+  s.number("heading_swing", &l->heading_swing, 0, 1.5);
+  s.number("half_width", &l->half_width, 0.2, 2);
+  s.finish();
+}
+
+void read(Section s, ImagerConfig* c) {
+  s.number("rate", &c->rate, 1, 60);
+  s.integer("samples", &c->samples, 1, 64);
+  s.number("target_mean", &c->target_mean, 0.05, 0.9);
+  s.number("min_exposure", &c->min_exposure, 1e-5, 0.05);
+  s.number("max_exposure", &c->max_exposure, 1e-5, 0.05);
+  if (c->max_exposure < c->min_exposure) s.fail("max_exposure", "is below min_exposure");
+  s.number("sensitivity", &c->sensitivity, 1, 1e5);
+  s.number("response", &c->response, 0.3, 1);
+  s.number("vignetting", &c->vignetting, 0, 0.9);
+  s.number("full_well", &c->full_well, 100, 1e6);
+  s.number("read_noise", &c->read_noise, 0, 1000);
+  s.finish();
+}
+
+void read(Section s, DepthConfig* d) {
+  s.number("min_range", &d->min_range, 0.1, 10);
+  s.number("max_range", &d->max_range, 0.2, 20);
+  s.number("focal", &d->focal, 50, 5000);
+  s.number("baseline", &d->baseline, 0.01, 1);
+  s.number("subpixel", &d->subpixel, 1, 64);
+  s.number("lateral", &d->lateral, 0, 5);
+  s.number("dropout", &d->dropout, 0, 0.5);
+  s.flag("noise", &d->noise);
+  s.finish();
+}
+
+void read(Section s, ImuConfig* i) {
+  s.number("rate", &i->rate, 20, 2000);
+  s.number("gyro_noise", &i->gyro_noise, 0, 0.1);
+  s.number("accel_noise", &i->accel_noise, 0, 1);
+  s.number("gyro_bias_walk", &i->gyro_bias_walk, 0, 0.1);
+  s.number("accel_bias_walk", &i->accel_bias_walk, 0, 1);
+  s.number("gyro_bias", &i->gyro_bias, 0, 1);
+  s.number("accel_bias", &i->accel_bias, 0, 5);
+  s.number("mag_rate", &i->mag_rate, 1, 200);
+  s.number("mag_noise", &i->mag_noise, 0, 1e-4);
+  s.finish();
+}
+
+}  // namespace
+
+SimConfig SimConfig::defaults() {
+  SimConfig c;
+  auto& mav = c.mav_camera;
+  mav.camera.width = 752;
+  mav.camera.height = 480;
+  mav.camera.fx = 420.6;
+  mav.camera.fy = 420.1;
+  mav.camera.cx = 371.2;
+  mav.camera.cy = 243.7;
+  mav.camera.k1 = -0.200;
+  mav.camera.k2 = 0.035;
+  mav.camera.p1 = 3.1e-4;
+  mav.camera.p2 = -2.2e-4;
+  auto& ground = c.ground_camera;
+  ground.camera.width = 640;
+  ground.camera.height = 480;
+  ground.camera.fx = 525.3;
+  ground.camera.fy = 525.8;
+  ground.camera.cx = 319.1;
+  ground.camera.cy = 240.6;
+  ground.rate = 15;
+  ground.max_exposure = 0.016;
+  ground.sensitivity = 150;
+  ground.response = 0.55;
+  ground.vignetting = 0.2;
+
+  // MAV: optical x = -y_base, optical y = -x_base, optical z = -z_base (looking straight down).
+  Eigen::Matrix3d R_down;
+  R_down << 0, -1, 0, -1, 0, 0, 0, 0, -1;
+  c.T_mav_base_camera.linear() = R_down;
+  c.T_mav_base_camera.translation() = Eigen::Vector3d(0.05, 0, -0.03);
+  // Ground robot: looking ahead, 17 degrees down.
+  Eigen::Matrix3d R_forward;
+  R_forward << 0, 0, 1, -1, 0, 0, 0, -1, 0;
+  c.T_ground_base_camera.linear() = Eigen::AngleAxisd(17.0 * M_PI / 180, Eigen::Vector3d::UnitY()) * R_forward;
+  c.T_ground_base_camera.translation() = Eigen::Vector3d(0.15, 0, 0.5);
+  c.T_ground_base_imu.translation() = Eigen::Vector3d(0.05, 0, 0.15);
+  return c;
+}
+
+SimConfig loadSimConfig(const std::string& yaml_path) {
+  YAML::Node root;
+  try {
+    root = YAML::LoadFile(yaml_path);
+  } catch (const YAML::Exception& e) {
+    throw std::invalid_argument("cannot read world file '" + yaml_path + "': " + e.what());
+  }
+  SimConfig config = SimConfig::defaults();
+  Section s(root, yaml_path);
+  read(s.child("world"), &config.world);
+  read(s.child("flight"), &config.flight);
+  read(s.child("lane"), &config.lane);
+  read(s.child("mav_camera"), &config.mav_camera);
+  read(s.child("ground_camera"), &config.ground_camera);
+  read(s.child("depth"), &config.depth);
+  read(s.child("imu"), &config.imu);
+  s.finish();
+  const auto slash = yaml_path.find_last_of('/');
+  config.name = yaml_path.substr(slash == std::string::npos ? 0 : slash + 1);
+  config.name = config.name.substr(0, config.name.rfind(".yaml"));
+  return config;
+}
+
+}  // namespace air_ground_sim

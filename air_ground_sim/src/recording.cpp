@@ -1,0 +1,56 @@
+#include "air_ground_sim/recording.h"
+
+#include <cmath>
+
+namespace air_ground_sim {
+
+using air_ground_common::Pose;
+
+Recording::Recording(const SimConfig& config, std::uint64_t seed)
+    : config_(config),
+      seed_(seed),
+      world_(buildWorld(config, seed)),
+      scene_(std::make_unique<Scene>(world_)),
+      mav_exposure_(config.mav_camera),
+      ground_exposure_(config.ground_camera),
+      mav_imager_(config.mav_camera, mix(seed, 21)),
+      ground_imager_(config.ground_camera, mix(seed, 22)) {
+  const HeightLookup heights(scene_->mesh());
+  mav_ = std::make_unique<BodyTrajectory>(makeFlight(world_.flight, world_.mav_start, heights, mix(seed, 11)));
+  ground_ = std::make_unique<BodyTrajectory>(makeDrive(world_.lane, config.flight.duration, mix(seed, 12)));
+  mav_renderer_ = std::make_unique<Renderer>(*scene_, config.mav_camera.camera, config.mav_camera.samples, mix(seed, 13));
+  ground_renderer_ = std::make_unique<Renderer>(*scene_, config.ground_camera.camera, config.ground_camera.samples, mix(seed, 14));
+}
+
+int Recording::frameCount(const ImagerConfig& camera) const {
+  return std::max(0, static_cast<int>(std::floor((duration() - 0.1) * camera.rate)) + 1);
+}
+
+std::vector<Pose> Recording::posesOver(const BodyTrajectory& body, const Pose& T_base_camera, double middle, double exposure, int samples) const {
+  std::vector<Pose> poses;
+  for (int s = 0; s < samples; ++s) poses.push_back(body.pose(middle + exposure * ((s + 0.5) / samples - 0.5)) * T_base_camera);
+  return poses;
+}
+
+void Recording::mavImage(int i, std::vector<std::uint8_t>* image) {
+  const double exposure = mav_exposure_.exposure();
+  const ImagerConfig& c = config_.mav_camera;
+  mav_renderer_->light(posesOver(*mav_, config_.T_mav_base_camera, frameTime(c, i), exposure, c.samples), 1, &mav_light_);
+  mav_exposure_.update(mav_imager_.expose(mav_light_, 1, exposure, i, image));
+}
+
+void Recording::groundImage(int i, RgbdFrame* frame) {
+  const double exposure = ground_exposure_.exposure();
+  const ImagerConfig& c = config_.ground_camera;
+  const double time = frameTime(c, i);
+  ground_renderer_->light(posesOver(*ground_, config_.T_ground_base_camera, time, exposure, c.samples), 3, &ground_light_);
+  ground_exposure_.update(ground_imager_.expose(ground_light_, 3, exposure, i, &frame->rgb));
+  ground_renderer_->depth(ground_->pose(time) * config_.T_ground_base_camera, config_.depth.noise ? static_cast<float>(config_.depth.baseline) : 0.0f,
+                          &depth_);
+  measureDepth(depth_, config_.depth, mix(seed_, 23), i, &frame->depth_mm);
+}
+
+Imu Recording::makeMavImu() const { return Imu(config_.imu, config_.T_mav_base_imu, mix(seed_, 31)); }
+Imu Recording::makeGroundImu() const { return Imu(config_.imu, config_.T_ground_base_imu, mix(seed_, 32)); }
+
+}  // namespace air_ground_sim

@@ -1,0 +1,427 @@
+// rosrun air_ground simulate --world indoor_boxes_a --seed 1 --out scene.bag
+// Renders both robots' sensors into a bag and writes the true mesh beside it.
+#include <geometry_msgs/PoseStamped.h>
+#include <omp.h>
+#include <ros/package.h>
+#include <rosbag/bag.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/Imu.h>
+#include <sensor_msgs/MagneticField.h>
+#include <sensor_msgs/image_encodings.h>
+#include <tf2_msgs/TFMessage.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <cstdio>
+#include <cstring>
+#include <deque>
+#include <filesystem>
+#include <exception>
+#include <fstream>
+#include <functional>
+#include <iostream>
+#include <mutex>
+#include <sstream>
+#include <thread>
+
+#include "air_ground_sim/recording.h"
+
+namespace {
+
+namespace fs = std::filesystem;
+using air_ground_common::Pose;
+using namespace air_ground_sim;
+
+constexpr double kStart = 1384300000.0;  // stamp of the recording's time 0 [s]
+
+struct Options {
+  std::string world = "indoor_boxes_a", out, cache, compression = "lz4";
+  std::uint64_t seed = 1;
+  double duration = 0;
+  int samples = 0, threads = 0;
+  bool no_mav = false, no_ground = false, quiet = false;
+};
+
+ros::Time stampOf(double time) { return ros::Time(kStart + time); }
+
+geometry_msgs::Quaternion toMsg(const Eigen::Matrix3d& R) {
+  const Eigen::Quaterniond q(R);
+  geometry_msgs::Quaternion m;
+  m.x = q.x();
+  m.y = q.y();
+  m.z = q.z();
+  m.w = q.w();
+  return m;
+}
+
+sensor_msgs::CameraInfo infoOf(const air_ground_common::CameraModel& c, const std::string& frame) {
+  sensor_msgs::CameraInfo m;
+  m.header.frame_id = frame;
+  m.width = c.width;
+  m.height = c.height;
+  m.distortion_model = "plumb_bob";
+  m.D = {c.k1, c.k2, c.p1, c.p2, c.k3};
+  m.K = {c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1};
+  m.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  m.P = {c.fx, 0, c.cx, 0, 0, c.fy, c.cy, 0, 0, 0, 1, 0};
+  return m;
+}
+
+geometry_msgs::TransformStamped transform(const std::string& parent, const std::string& child, const Pose& T) {
+  geometry_msgs::TransformStamped m;
+  m.header.stamp = stampOf(0);
+  m.header.frame_id = parent;
+  m.child_frame_id = child;
+  m.transform.translation.x = T.translation().x();
+  m.transform.translation.y = T.translation().y();
+  m.transform.translation.z = T.translation().z();
+  m.transform.rotation = toMsg(T.linear());
+  return m;
+}
+
+class Progress {
+ public:
+  Progress(std::size_t total, bool quiet) : total_(total), quiet_(quiet), begin_(std::chrono::steady_clock::now()) {}
+  void step() {
+    ++done_;
+    if (quiet_ || (done_ % 10 && done_ != total_)) return;
+    const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count();
+    const double share = static_cast<double>(done_) / static_cast<double>(total_);
+    std::string bar(static_cast<std::size_t>(40 * share), '#');
+    bar.resize(40, '.');
+    std::fprintf(stderr, "\r[%s] %3.0f %%  %zu of %zu frames  %.0f s, %.0f s to go   %s", bar.c_str(), 100 * share, done_, total_, elapsed,
+                 elapsed * (1 / share - 1), done_ == total_ ? "\n" : "");
+  }
+
+ private:
+  std::size_t total_, done_ = 0;
+  bool quiet_;
+  std::chrono::steady_clock::time_point begin_;
+};
+
+// One camera's frames, rendered ahead on a thread of its own. The two cameras run side by side: on two cores that beats
+// sharing each image between them, above all when other programs want the cores too.
+template <class Frame>
+class FrameStream {
+ public:
+  FrameStream(int count, int threads, std::function<void(int, Frame*)> render) {
+    worker_ = std::thread([this, count, threads, render = std::move(render)] {
+      omp_set_num_threads(threads);
+      try {
+        for (int i = 0; i < count; ++i) {
+          Frame frame;
+          render(i, &frame);
+          std::unique_lock<std::mutex> lock(mutex_);
+          changed_.wait(lock, [this] { return stop_ || ready_.size() < kAhead; });
+          if (stop_) return;
+          ready_.push_back(std::move(frame));
+          changed_.notify_all();
+        }
+      } catch (...) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        error_ = std::current_exception();
+        changed_.notify_all();
+      }
+    });
+  }
+  ~FrameStream() {
+    {
+      std::lock_guard<std::mutex> lock(mutex_);
+      stop_ = true;
+      changed_.notify_all();
+    }
+    worker_.join();
+  }
+  Frame next() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(lock, [this] { return error_ || !ready_.empty(); });
+    if (error_) std::rethrow_exception(error_);
+    Frame frame = std::move(ready_.front());
+    ready_.pop_front();
+    changed_.notify_all();
+    return frame;
+  }
+
+ private:
+  static constexpr std::size_t kAhead = 24;
+  std::deque<Frame> ready_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::exception_ptr error_;
+  bool stop_ = false;
+  std::thread worker_;
+};
+
+class BagRecorder {
+ public:
+  BagRecorder(Recording* recording, const Options& options, const std::string& path) : sim_(*recording), options_(options) {
+    bag_.open(path, rosbag::bagmode::Write);
+    if (options.compression == "lz4") bag_.setCompression(rosbag::compression::LZ4);
+    mav_info_ = infoOf(sim_.config().mav_camera.camera, "mav_camera_optical_frame");
+    ground_info_ = infoOf(sim_.config().ground_camera.camera, "ground_camera_optical_frame");
+  }
+
+  void run() {
+    writeStaticTransforms();
+    struct Event {
+      double time;
+      int kind, index;  // kinds in the order in which events of one time are written
+    };
+    std::vector<Event> events;
+    const auto schedule = [&](int kind, double first, double rate) {
+      for (int i = 0; first + i / rate <= sim_.duration(); ++i) events.push_back({first + i / rate, kind, i});
+    };
+    const SimConfig& c = sim_.config();
+    schedule(kTruth, 0, 100);
+    std::size_t frames = 0;
+    const auto cameraEvents = [&](int kind, const ImagerConfig& camera) {
+      for (int i = 0; i < sim_.frameCount(camera); ++i, ++frames) events.push_back({Recording::frameTime(camera, i), kind, i});
+    };
+    if (!options_.no_mav) {
+      schedule(kMavImu, 0, c.imu.rate);
+      schedule(kMavMag, 0, c.imu.mag_rate);
+      cameraEvents(kMavImage, c.mav_camera);
+    }
+    if (!options_.no_ground) {
+      schedule(kGroundImu, 0, c.imu.rate);
+      cameraEvents(kGroundImage, c.ground_camera);
+    }
+    std::stable_sort(events.begin(), events.end(), [](const Event& a, const Event& b) { return a.time < b.time; });
+
+    const int cameras = (options_.no_mav ? 0 : 1) + (options_.no_ground ? 0 : 1);
+    const int threads = std::max(1, (options_.threads > 0 ? options_.threads : omp_get_max_threads()) / std::max(1, cameras));
+    FrameStream<std::vector<std::uint8_t>> mav(options_.no_mav ? 0 : sim_.frameCount(c.mav_camera), threads,
+                                               [this](int i, std::vector<std::uint8_t>* image) { sim_.mavImage(i, image); });
+    FrameStream<RgbdFrame> ground(options_.no_ground ? 0 : sim_.frameCount(c.ground_camera), threads,
+                                  [this](int i, RgbdFrame* frame) { sim_.groundImage(i, frame); });
+
+    Imu mav_imu = sim_.makeMavImu(), ground_imu = sim_.makeGroundImu();
+    Rng mag_noise(mix(options_.seed, 33));
+    Progress progress(frames, options_.quiet);
+    for (const Event& e : events) {
+      switch (e.kind) {
+        case kTruth: writeTruth(e.time); break;
+        case kMavImu: writeImu("/mav/imu/data", "mav_imu_link", e.time, mav_imu.measure(sim_.mav().state(e.time))); break;
+        case kGroundImu: writeImu("/ground/imu/data", "ground_imu_link", e.time, ground_imu.measure(sim_.ground().state(e.time))); break;
+        case kMavMag: writeMag(e.time, &mag_noise); break;
+        case kMavImage:
+          writeMavImage(e.time, e.index, mav.next());
+          progress.step();
+          break;
+        case kGroundImage:
+          writeGroundImage(e.time, e.index, ground.next());
+          progress.step();
+          break;
+      }
+    }
+    bag_.close();
+  }
+
+ private:
+  enum Kind { kTruth, kMavImu, kGroundImu, kMavMag, kMavImage, kGroundImage };
+
+  void writeStaticTransforms() {
+    const SimConfig& c = sim_.config();
+    tf2_msgs::TFMessage m;
+    m.transforms = {transform("mav_base_link", "mav_camera_optical_frame", c.T_mav_base_camera),
+                    transform("mav_base_link", "mav_imu_link", c.T_mav_base_imu),
+                    transform("ground_base_link", "ground_camera_optical_frame", c.T_ground_base_camera),
+                    transform("ground_base_link", "ground_imu_link", c.T_ground_base_imu)};
+    auto header = boost::make_shared<ros::M_string>();
+    (*header)["latching"] = "1";
+    (*header)["callerid"] = "/simulate";
+    (*header)["type"] = ros::message_traits::datatype(m);
+    (*header)["md5sum"] = ros::message_traits::md5sum(m);
+    (*header)["message_definition"] = ros::message_traits::definition(m);
+    bag_.write("/tf_static", stampOf(0), m, header);
+  }
+
+  void writeTruth(double time) {
+    const auto write = [&](const std::string& topic, const BodyTrajectory& body) {
+      geometry_msgs::PoseStamped m;
+      m.header.stamp = stampOf(time);
+      m.header.frame_id = "world";
+      const Pose T = body.pose(time);
+      m.pose.position.x = T.translation().x();
+      m.pose.position.y = T.translation().y();
+      m.pose.position.z = T.translation().z();
+      m.pose.orientation = toMsg(T.linear());
+      bag_.write(topic, m.header.stamp, m);
+    };
+    if (!options_.no_mav) write("/ground_truth/mav", sim_.mav());
+    if (!options_.no_ground) write("/ground_truth/ground", sim_.ground());
+  }
+
+  void writeImu(const std::string& topic, const std::string& frame, double time, const ImuReading& reading) {
+    const ImuConfig& c = sim_.config().imu;
+    sensor_msgs::Imu m;
+    m.header.stamp = stampOf(time);
+    m.header.frame_id = frame;
+    m.orientation_covariance[0] = -1;  // no orientation estimate
+    m.angular_velocity.x = reading.angular_velocity.x();
+    m.angular_velocity.y = reading.angular_velocity.y();
+    m.angular_velocity.z = reading.angular_velocity.z();
+    m.linear_acceleration.x = reading.specific_force.x();
+    m.linear_acceleration.y = reading.specific_force.y();
+    m.linear_acceleration.z = reading.specific_force.z();
+    for (int i = 0; i < 3; ++i) {
+      m.angular_velocity_covariance[4 * i] = c.gyro_noise * c.gyro_noise * c.rate;
+      m.linear_acceleration_covariance[4 * i] = c.accel_noise * c.accel_noise * c.rate;
+    }
+    bag_.write(topic, m.header.stamp, m);
+  }
+
+  void writeMag(double time, Rng* noise) {
+    const SimConfig& c = sim_.config();
+    const Eigen::Matrix3d R_world_imu = (sim_.mav().pose(time) * c.T_mav_base_imu).linear();
+    Eigen::Vector3d field = R_world_imu.transpose() * earthMagneticField();
+    sensor_msgs::MagneticField m;
+    m.header.stamp = stampOf(time);
+    m.header.frame_id = "mav_imu_link";
+    for (int i = 0; i < 3; ++i) {
+      field[i] += c.imu.mag_noise * noise->gaussian();
+      m.magnetic_field_covariance[4 * i] = c.imu.mag_noise * c.imu.mag_noise;
+    }
+    m.magnetic_field.x = field.x();
+    m.magnetic_field.y = field.y();
+    m.magnetic_field.z = field.z();
+    bag_.write("/mav/imu/mag", m.header.stamp, m);
+  }
+
+  sensor_msgs::Image image(const sensor_msgs::CameraInfo& info, const std::string& encoding, int bytes_per_pixel) const {
+    sensor_msgs::Image m;
+    m.header = info.header;
+    m.width = info.width;
+    m.height = info.height;
+    m.encoding = encoding;
+    m.step = info.width * bytes_per_pixel;
+    return m;
+  }
+
+  void writeMavImage(double time, int index, std::vector<std::uint8_t> pixels) {
+    mav_info_.header.stamp = stampOf(time);
+    mav_info_.header.seq = index;
+    sensor_msgs::Image m = image(mav_info_, sensor_msgs::image_encodings::MONO8, 1);
+    m.data.swap(pixels);
+    bag_.write("/mav/camera/image_raw", mav_info_.header.stamp, m);
+    bag_.write("/mav/camera/camera_info", mav_info_.header.stamp, mav_info_);
+  }
+
+  void writeGroundImage(double time, int index, RgbdFrame frame) {
+    ground_info_.header.stamp = stampOf(time);
+    ground_info_.header.seq = index;
+    sensor_msgs::Image rgb = image(ground_info_, sensor_msgs::image_encodings::RGB8, 3);
+    rgb.data.swap(frame.rgb);
+    sensor_msgs::Image depth = image(ground_info_, sensor_msgs::image_encodings::TYPE_16UC1, 2);
+    depth.data.resize(2 * frame.depth_mm.size());
+    std::memcpy(depth.data.data(), frame.depth_mm.data(), depth.data.size());
+    bag_.write("/ground/rgb/image_raw", ground_info_.header.stamp, rgb);
+    bag_.write("/ground/rgb/camera_info", ground_info_.header.stamp, ground_info_);
+    bag_.write("/ground/depth/image_raw", ground_info_.header.stamp, depth);
+  }
+
+  Recording& sim_;
+  const Options& options_;
+  rosbag::Bag bag_;
+  sensor_msgs::CameraInfo mav_info_, ground_info_;
+};
+
+std::string worldFile(const std::string& world) {
+  if (world.size() > 5 && world.substr(world.size() - 5) == ".yaml") {
+    if (!fs::exists(world)) throw std::invalid_argument("no world file '" + world + "'");
+    return world;
+  }
+  const std::string package = ros::package::getPath("air_ground");
+  if (package.empty()) throw std::runtime_error("the package air_ground is not found: source the workspace's setup.bash, or give --world a .yaml file");
+  const fs::path folder = fs::path(package) / "config" / "worlds";
+  const fs::path file = folder / (world + ".yaml");
+  if (fs::exists(file)) return file.string();
+  std::string names;
+  if (fs::exists(folder))
+    for (const auto& entry : fs::directory_iterator(folder))
+      if (entry.path().extension() == ".yaml") names += " " + entry.path().stem().string();
+  throw std::invalid_argument("no world '" + world + "' in " + folder.string() + "; there are:" + names);
+}
+
+// Hash of everything that decides the recording's content.
+std::string contentKey(const std::string& world_file, const Options& o) {
+  std::ifstream in(world_file);
+  std::stringstream text;
+  text << in.rdbuf() << '|' << kRendererVersion << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground;
+  std::uint64_t h = 0;
+  for (const char c : text.str()) h = mix(h ^ static_cast<unsigned char>(c));
+  char hex[17];
+  std::snprintf(hex, sizeof hex, "%016llx", static_cast<unsigned long long>(h));
+  return hex;
+}
+
+int simulate(Options o) {
+  const std::string file = worldFile(o.world);
+  SimConfig config = loadSimConfig(file);
+  if (o.duration > 0) config.flight.duration = o.duration;
+  if (config.flight.duration < 6) throw std::invalid_argument("--duration must be at least 6 s: standing still and take-off need them");
+  if (o.samples > 0) config.mav_camera.samples = config.ground_camera.samples = o.samples;
+  if (!o.cache.empty()) {
+    fs::create_directories(o.cache);
+    o.out = (fs::path(o.cache) / (config.name + "_" + std::to_string(o.seed) + "_" + contentKey(file, o) + ".bag")).string();
+    if (fs::exists(o.out)) {
+      std::cout << o.out << std::endl;
+      return 0;
+    }
+  }
+  if (o.out.empty()) throw std::invalid_argument("give --out FILE.bag or --cache DIR");
+  if (fs::path(o.out).extension() != ".bag") throw std::invalid_argument("--out must end in .bag");
+  if (o.threads > 0) omp_set_num_threads(o.threads);
+
+  if (!o.quiet) std::cerr << "building world " << config.name << ", seed " << o.seed << " ..." << std::endl;
+  Recording recording(config, o.seed);
+  if (!o.quiet)
+    std::cerr << recording.scene().mesh().triangles.size() << " triangles, " << recording.scene().texelCount() / 1000000 << " million texels; flight "
+              << recording.mav().pathLength(0, recording.duration()) << " m, drive " << recording.ground().pathLength(0, recording.duration()) << " m in "
+              << recording.duration() << " s" << std::endl;
+
+  // Under a temporary name until complete: nobody reads half a bag.
+  const std::string part = o.out + "." + std::to_string(getpid()) + ".part";
+  const std::string mesh = o.out.substr(0, o.out.size() - 4) + ".world.ply";
+  try {
+    air_ground_common::writePly(mesh, recording.scene().mesh());
+    BagRecorder(&recording, o, part).run();
+    fs::rename(part, o.out);
+  } catch (...) {
+    std::error_code ignored;
+    fs::remove(part, ignored);
+    throw;
+  }
+  std::cout << o.out << std::endl;
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Options o;
+  CLI::App app{"Renders a simulated air-ground recording into a rosbag, with the true mesh beside it (x.world.ply).\n"
+               "Same world, seed and options give the same messages."};
+  app.add_option("--world", o.world, "name of a file in config/worlds, or a path to a .yaml file")->capture_default_str();
+  app.add_option("--seed", o.seed, "varies layout, textures, light, ways and noise")->capture_default_str();
+  app.add_option("--out", o.out, "bag to write");
+  app.add_option("--cache", o.cache, "instead of --out: folder of bags named by a hash of their parameters; renders only what is missing, prints the path");
+  app.add_option("--duration", o.duration, "length of the recording [s]; default: the world file's");
+  app.add_option("--spp", o.samples, "rays a pixel; default: the world file's")->check(CLI::Range(1, 64));
+  app.add_option("--threads", o.threads, "default: all cores")->check(CLI::Range(1, 1024));
+  app.add_option("--compression", o.compression, "lz4 or none")->check(CLI::IsMember({"lz4", "none"}))->capture_default_str();
+  app.add_flag("--no-mav", o.no_mav, "leave out the MAV");
+  app.add_flag("--no-ground", o.no_ground, "leave out the ground robot");
+  app.add_flag("--quiet", o.quiet, "no progress bar");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    return simulate(o);
+  } catch (const std::exception& e) {
+    std::cerr << "simulate: " << e.what() << std::endl;
+    return 1;
+  }
+}

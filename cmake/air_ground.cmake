@@ -1,0 +1,93 @@
+# Helpers that keep each module's CMakeLists.txt to a few lines. All targets carry the prefix air_ground_.
+
+# air_ground_library(NAME <name> SOURCES <files> [LINK <targets>])
+# A ROS-free library target air_ground_<name> with its headers in include/. GCC's alignment of Eigen types stays baseline.
+function(air_ground_library)
+  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LINK" ${ARGN})
+  set(target air_ground_${ARG_NAME})
+  add_library(${target} ${ARG_SOURCES})
+  target_include_directories(${target} PUBLIC ${CMAKE_CURRENT_SOURCE_DIR}/include)
+  target_link_libraries(${target} PUBLIC ${ARG_LINK})
+  install(TARGETS ${target} ARCHIVE DESTINATION ${CATKIN_PACKAGE_LIB_DESTINATION}
+    LIBRARY DESTINATION ${CATKIN_PACKAGE_LIB_DESTINATION})
+endfunction()
+
+# air_ground_executable(NAME <name> SOURCES <files> [LINK <targets>])
+# An executable found by `rosrun air_ground <name>`; the target is air_ground_<name>_exe. Links the ROS helpers.
+function(air_ground_executable)
+  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LINK" ${ARGN})
+  set(target air_ground_${ARG_NAME}_exe)
+  add_executable(${target} ${ARG_SOURCES})
+  set_target_properties(${target} PROPERTIES OUTPUT_NAME ${ARG_NAME}
+    RUNTIME_OUTPUT_DIRECTORY ${CATKIN_DEVEL_PREFIX}/${CATKIN_PACKAGE_BIN_DESTINATION})
+  target_link_libraries(${target} PRIVATE ${ARG_LINK} air_ground_common_ros)
+  add_dependencies(${target} ${air_ground_EXPORTED_TARGETS})
+  install(TARGETS ${target} RUNTIME DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
+endfunction()
+
+# air_ground_gtest(NAME <name> SOURCES <files> [LINK <targets>])
+# A plain gtest, no roscore. Run by `make test` through ctest; built by the target `tests`.
+function(air_ground_gtest)
+  if(NOT CATKIN_ENABLE_TESTING)
+    return()
+  endif()
+  cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SOURCES;LINK" ${ARGN})
+  set(target air_ground_${ARG_NAME})
+  add_executable(${target} ${ARG_SOURCES})
+  target_link_libraries(${target} PRIVATE ${ARG_LINK} GTest::gtest GTest::gtest_main)
+  # CI's 24 GiB and 2 cores are shared by the tests; each gets a limit so that a hang is a failure.
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 300)
+  endif()
+  add_test(NAME ${ARG_NAME} COMMAND ${target})
+  set_tests_properties(${ARG_NAME} PROPERTIES TIMEOUT ${ARG_TIMEOUT})
+endfunction()
+
+# air_ground_rostest(<file.test> [TIMEOUT s])
+# Runs a rostest file through ctest, with /usr/bin/python3 first on PATH. Each runs its own master on a port of its own.
+function(air_ground_rostest FILE)
+  if(NOT CATKIN_ENABLE_TESTING)
+    return()
+  endif()
+  cmake_parse_arguments(ARG "" "TIMEOUT" "" ${ARGN})
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 300)
+  endif()
+  get_filename_component(name ${FILE} NAME_WE)
+  add_test(NAME rostest_${name}
+    COMMAND ${CMAKE_SOURCE_DIR}/tools/run_rostest ${CATKIN_DEVEL_PREFIX} ${CMAKE_CURRENT_SOURCE_DIR}/${FILE})
+  set_tests_properties(rostest_${name} PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS rostest)
+endfunction()
+
+# air_ground_ros_gtest(NAME <name> SOURCES <files> [LINK <targets>])
+# A gtest that talks to nodes: started from a .test file as <test pkg="air_ground" type="<name>" ...>.
+function(air_ground_ros_gtest)
+  if(NOT CATKIN_ENABLE_TESTING)
+    return()
+  endif()
+  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LINK" ${ARGN})
+  set(target air_ground_${ARG_NAME})
+  add_executable(${target} ${ARG_SOURCES})
+  set_target_properties(${target} PROPERTIES OUTPUT_NAME ${ARG_NAME}
+    RUNTIME_OUTPUT_DIRECTORY ${CATKIN_DEVEL_PREFIX}/${CATKIN_PACKAGE_BIN_DESTINATION})
+  target_link_libraries(${target} PRIVATE ${ARG_LINK} air_ground_common_ros GTest::gtest)
+  add_dependencies(${target} ${air_ground_EXPORTED_TARGETS})
+endfunction()
+
+# air_ground_bench(NAME <name> SOURCES <files> [LINK <targets>])
+# A Google Benchmark program, built with -DAIR_GROUND_BENCHMARKS=ON into <build>/bench/, run by `make bench`.
+function(air_ground_bench)
+  if(NOT AIR_GROUND_BENCHMARKS)
+    return()
+  endif()
+  cmake_parse_arguments(ARG "" "NAME" "SOURCES;LINK" ${ARGN})
+  set(target air_ground_${ARG_NAME})
+  add_executable(${target} ${ARG_SOURCES})
+  set_target_properties(${target} PROPERTIES OUTPUT_NAME ${ARG_NAME} RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/bench)
+  target_link_libraries(${target} PRIVATE ${ARG_LINK} benchmark::benchmark benchmark::benchmark_main)
+endfunction()
+
+# air_ground_script(<file>): a Python program for `rosrun air_ground`, run by the distribution's Python.
+function(air_ground_script FILE)
+  catkin_install_python(PROGRAMS ${FILE} DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
+endfunction()

@@ -1,0 +1,54 @@
+// From several depth maps to one regularised surface (paper A, sections V and VIII-B).
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "dense_fusion/surface.h"
+#include "dense_fusion/tv_l1.h"
+
+namespace dense_fusion {
+
+struct FusionSettings {
+  double voxel_size = 0.02;            ///< [m]; grows when the scene would need more than max_voxels
+  std::size_t max_voxels = 13536000;   ///< 376 x 240 x 150, the paper's grid; about 31 bytes each
+  double truncation_voxels = 4;        ///< half width of the band around a surface in which a depth map votes for distances
+  double behind_voxels = 4;            ///< further reach of its votes for matter: keeps the regulariser from erasing sheets
+  int min_support = 2;                 ///< depth maps that must agree within the band for a surface to be kept
+  int fill_radius = 0;                 ///< surfaces up to this many voxels beside supported ones are kept, too
+  bool refine = true;                  ///< sub-voxel correction by the mean of the depth maps that agree
+  double extent_quantile = 0.003;      ///< share of the depths left out at each end when the grid is sized
+  TvL1Settings tv_l1;
+  int threads = 2;
+};
+
+struct FusionTimings {
+  double votes = 0, minimisation = 0, surface = 0;  ///< [s]
+};
+
+struct FusedMap {
+  DepthMap depth_map;                ///< the surface seen from the reference view; confidence grows with the maps that agree
+  cv::Mat normals;                   ///< CV_32FC3, map frame
+  std::vector<SurfacePoint> points;  ///< the whole surface in the grid
+  VoxelGrid grid;
+  int depth_maps = 0;                ///< fused
+  double mean_support = 0;           ///< depth maps behind a surface point
+  FusionTimings timings;
+};
+
+/// Heights between which surfaces are expected, e.g. from sparse points [m, map frame].
+struct HeightRange {
+  double lower = 0, upper = 0;
+};
+
+/// Box around the depths of all maps, without `extent_quantile` at each end of each axis and with room for the band; cut to
+/// `heights` if given. Empty when the maps hold fewer than 100 depths.
+std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const FusionSettings& settings,
+                                 const std::optional<HeightRange>& heights);
+
+/// Fuses the maps; `reference` is the index of the view to cast rays from. Empty when they hold too little depth.
+/// Throws std::invalid_argument for bad settings or an index out of range.
+std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference, const FusionSettings& settings,
+                                      const std::optional<HeightRange>& heights = std::nullopt);
+
+}  // namespace dense_fusion

@@ -1,0 +1,28 @@
+// Inner loops of the depth map fusion on plain arrays; vectorised per CPU generation at run time (target_clones).
+#pragma once
+
+#include <cstdint>
+
+namespace dense_fusion::kernels {
+
+/// One row of voxels against one depth map. The camera-frame position of voxel x is start + x * step [m].
+/// Writes the bin of the vote, or 255 for none: outside the view, no depth, f below `lowest`. Camera: fx fy cx cy [px].
+void voteRow(const float start[3], const float step[3], int nx, const float camera[4], const float* depth, int width,
+             int height, float inverse_truncation, float lowest, std::uint8_t* bin);
+
+/// counts[k * nx + x] += (bin[x] == k), saturating.
+void countRow(const std::uint8_t* bin, int nx, std::uint8_t* counts);
+
+/// Dual step of one row: p <- q / max(1, |q|), q = p + sigma grad(ubar), forward differences. ubar_y, ubar_z are the next
+/// rows in y and z; at the border pass the row itself (Neumann: the difference is zero).
+void dualRow(const float* ubar, const float* ubar_y, const float* ubar_z, float* px, float* py, float* pz, int nx,
+             float sigma);
+
+/// Primal step of one row: u+ = argmin of the data term around u + tau div p, then ubar = 2 u+ - u.
+/// py_before, pz_before: rows one step before in y and z; at the border pass zeros.
+void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint8_t* counts, int nx, float tau, float lambda);
+void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint16_t* counts, int nx, float tau, float lambda);
+
+}  // namespace dense_fusion::kernels

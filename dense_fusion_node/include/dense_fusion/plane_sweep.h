@@ -1,0 +1,63 @@
+// Depth of a reference view by sweeping a fronto-parallel plane through inverse depth (paper A, section V; Collins 1996).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "dense_fusion/depth_map.h"
+#include "dense_fusion/rectifier.h"
+
+namespace dense_fusion {
+
+struct PlaneSweepSettings {
+  int hypotheses = 200;            ///< planes, evenly spaced in inverse depth, 16..1000
+  int aggregation_radius = 2;      ///< costs are summed over a window of 2 r + 1 pixels before the winner is taken
+  int max_frames = 60;             ///< further frames are refused (64 fill the 16-bit sums)
+  int min_samples = 3;             ///< frames a pixel must be seen in beside the reference
+  double min_parallax = 2.0;       ///< shift of a pixel between the first and last plane, RMS over the frames [px]
+  double max_peak_ratio = 0.85;    ///< best cost over the best one elsewhere; above it a pixel is ambiguous
+  double confidence_sigma = 0.03;  ///< standard deviation of depth at which confidence is halved [m]
+  double min_confidence = 0.25;    ///< pixels below it are rejected, 0..1
+  int threads = 2;
+};
+
+/// Squared differences of one reference image with many frames, summed per pixel and hypothesis.
+class PlaneSweep {
+ public:
+  /// `camera`: undistorted pinhole of all frames. Throws std::invalid_argument for bad settings or a distorted camera.
+  PlaneSweep(const air_ground_common::CameraModel& camera, const PlaneSweepSettings& settings = {});
+
+  /// Clears the volume. Depth range in metres, 0 < depth_min < depth_max; throws std::invalid_argument otherwise.
+  void start(const Frame& reference, double depth_min, double depth_max);
+  bool started() const { return started_; }
+
+  /// Adds a frame. False, and no change, when the volume is full or no pixel of the reference is seen by it.
+  bool add(const Frame& frame);
+
+  const Frame& reference() const { return reference_; }
+  int frames() const { return frames_; }  ///< added so far, without the reference
+  /// RMS shift of a pixel over the frames between the nearest and the farthest plane [px].
+  double parallax() const;
+  double inverseDepth(int hypothesis) const { return inverse_depth_[hypothesis]; }  ///< [1/m], rising
+
+  /// Winner takes all with a quadratic fit around it. Confidence is the product of how unique the winner is and of how
+  /// well its valley fixes the depth: with cost S(rho) ~ S0 + a (rho - rho0)^2 over n samples, var(rho) = S0 / (n a).
+  DepthMap depthMap() const;
+
+ private:
+  void estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples, int half_width,
+                   DepthMap* map, std::vector<std::uint32_t>* scratch) const;
+
+  air_ground_common::CameraModel camera_;
+  PlaneSweepSettings settings_;
+  Frame reference_;
+  bool started_ = false;
+  int frames_ = 0;
+  double squared_parallax_ = 0;
+  std::vector<float> inverse_depth_;
+  std::vector<std::uint16_t> cost_;     // [y][hypothesis][x]
+  std::vector<std::uint16_t> samples_;  // [y][x], frames behind each pixel
+  std::vector<std::uint32_t> packed_;
+};
+
+}  // namespace dense_fusion

@@ -1,0 +1,140 @@
+#include "dense_fusion/cost_kernels.h"
+
+#include <algorithm>
+#include <cmath>
+
+// Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
+#define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+
+namespace dense_fusion::kernels {
+namespace {
+constexpr int kChunk = 256;         // pixels worked on at once, so that their operands stay in the first-level cache
+constexpr int kFractionBits = 6;    // sample positions are rounded to 1/64 px
+}  // namespace
+
+AIR_GROUND_CLONES
+void addRow(const std::uint8_t* reference, int x0, int x1, int width, const float* base, const float* step,
+            const float* shift, const float* inverse_depth, int hypotheses, const std::uint32_t* packed, int stride,
+            std::uint16_t* cost) {
+  alignas(64) float X[kChunk], Y[kChunk], W[kChunk];
+  alignas(64) std::int32_t target[kChunk];
+  constexpr int kOne = 1 << kFractionBits;
+  for (int begin = x0; begin < x1; begin += kChunk) {
+    const int n = std::min(kChunk, x1 - begin);
+    for (int i = 0; i < n; ++i) {
+      const float x = static_cast<float>(begin + i);
+      X[i] = base[0] + x * step[0];
+      Y[i] = base[1] + x * step[1];
+      W[i] = base[2] + x * step[2];
+      target[i] = reference[begin + i];
+    }
+    for (int d = 0; d < hypotheses; ++d) {
+      const float rho = inverse_depth[d];
+      const float sx = rho * shift[0], sy = rho * shift[1], sw = rho * shift[2];
+      std::uint16_t* out = cost + static_cast<std::ptrdiff_t>(d) * width + begin;
+#pragma GCC ivdep
+      for (int i = 0; i < n; ++i) {
+        const float scale = kOne / (W[i] + sw);
+        const std::int32_t u = static_cast<std::int32_t>((X[i] + sx) * scale + 0.5f);
+        const std::int32_t v = static_cast<std::int32_t>((Y[i] + sy) * scale + 0.5f);
+        const std::int32_t fu = u & (kOne - 1), fv = v & (kOne - 1);
+        const std::uint32_t q = packed[(v >> kFractionBits) * stride + (u >> kFractionBits)];
+        const std::int32_t a = q & 255, b = (q >> 8) & 255, c = (q >> 16) & 255, e = q >> 24;
+        const std::int32_t top = a * kOne + fu * (b - a);
+        const std::int32_t bottom = c * kOne + fu * (e - c);
+        const std::int32_t sample = (top * kOne + fv * (bottom - top) + kOne * kOne / 2) >> (2 * kFractionBits);
+        const std::int32_t difference = std::min(std::abs(sample - target[i]), kDifferenceLimit);
+        out[i] = static_cast<std::uint16_t>(out[i] + ((difference * difference) >> 2));
+      }
+    }
+  }
+}
+
+void addRowReference(const std::uint8_t* reference, int x0, int x1, int width, const float* base, const float* step,
+                     const float* shift, const float* inverse_depth, int hypotheses, const std::uint8_t* image,
+                     int stride, std::uint16_t* cost) {
+  for (int d = 0; d < hypotheses; ++d)
+    for (int x = x0; x < x1; ++x) {
+      const double w = base[2] + double(x) * step[2] + double(inverse_depth[d]) * shift[2];
+      const double u = (base[0] + double(x) * step[0] + double(inverse_depth[d]) * shift[0]) / w;
+      const double v = (base[1] + double(x) * step[1] + double(inverse_depth[d]) * shift[1]) / w;
+      const int iu = static_cast<int>(std::floor(u)), iv = static_cast<int>(std::floor(v));
+      const double fu = u - iu, fv = v - iv;
+      const std::uint8_t* p = image + static_cast<std::ptrdiff_t>(iv) * stride + iu;
+      const double sample = (1 - fv) * ((1 - fu) * p[0] + fu * p[1]) + fv * ((1 - fu) * p[stride] + fu * p[stride + 1]);
+      const int difference = std::min(std::abs(static_cast<int>(std::lround(sample)) - reference[x]), kDifferenceLimit);
+      std::uint16_t& out = cost[static_cast<std::ptrdiff_t>(d) * width + x];
+      out = static_cast<std::uint16_t>(out + difference * difference / 4);
+    }
+}
+
+void packNeighborhoods(const std::uint8_t* image, int width, int height, std::uint32_t* packed) {
+  for (int y = 0; y < height; ++y) {
+    const std::uint8_t* top = image + static_cast<std::ptrdiff_t>(y) * width;
+    const std::uint8_t* bottom = y + 1 < height ? top + width : top;
+    std::uint32_t* out = packed + static_cast<std::ptrdiff_t>(y) * width;
+    const auto pack = [&](int x, int right) {
+      out[x] = top[x] | std::uint32_t(top[right]) << 8 | std::uint32_t(bottom[x]) << 16 | std::uint32_t(bottom[right]) << 24;
+    };
+    for (int x = 0; x + 1 < width; ++x) pack(x, x + 1);
+    pack(width - 1, width - 1);
+  }
+}
+
+AIR_GROUND_CLONES
+void slideSum(std::uint32_t* sum, const std::uint16_t* enter, const std::uint16_t* leave, int count) {
+  if (enter && leave) {
+    for (int i = 0; i < count; ++i) sum[i] += static_cast<std::uint32_t>(enter[i]) - leave[i];
+  } else if (enter) {
+    for (int i = 0; i < count; ++i) sum[i] += enter[i];
+  } else if (leave) {
+    for (int i = 0; i < count; ++i) sum[i] -= leave[i];
+  }
+}
+
+AIR_GROUND_CLONES
+void boxRows(const std::uint32_t* sum, int rows, int width, int radius, std::uint32_t* out) {
+  for (int r = 0; r < rows; ++r) {
+    const std::uint32_t* in = sum + static_cast<std::ptrdiff_t>(r) * width;
+    std::uint32_t* to = out + static_cast<std::ptrdiff_t>(r) * width;
+    const int inner_end = std::max(radius, width - radius);
+    for (int x = radius; x < inner_end; ++x) to[x] = in[x];
+    for (int k = 1; k <= radius; ++k)
+      for (int x = radius; x < inner_end; ++x) to[x] += in[x - k] + in[x + k];
+    for (int x = 0; x < width; ++x) {
+      if (x == radius && inner_end > radius) x = inner_end;
+      if (x >= width) break;
+      std::uint32_t s = 0;
+      for (int k = std::max(0, x - radius); k <= std::min(width - 1, x + radius); ++k) s += in[k];
+      to[x] = s;
+    }
+  }
+}
+
+AIR_GROUND_CLONES
+void winnerTakesAll(const std::uint32_t* cost, int hypotheses, int width, int exclusion, std::uint32_t* best,
+                    std::int32_t* index, std::uint32_t* second) {
+  for (int x = 0; x < width; ++x) {
+    best[x] = cost[x];
+    index[x] = 0;
+    second[x] = 0x7fffffffu;
+  }
+  for (int d = 1; d < hypotheses; ++d) {
+    const std::uint32_t* c = cost + static_cast<std::ptrdiff_t>(d) * width;
+    for (int x = 0; x < width; ++x) {
+      const bool smaller = c[x] < best[x];
+      best[x] = smaller ? c[x] : best[x];
+      index[x] = smaller ? d : index[x];
+    }
+  }
+  for (int d = 0; d < hypotheses; ++d) {
+    const std::uint32_t* c = cost + static_cast<std::ptrdiff_t>(d) * width;
+    for (int x = 0; x < width; ++x) {
+      const bool outside = std::abs(d - index[x]) > exclusion;
+      const std::uint32_t candidate = outside ? c[x] : 0x7fffffffu;
+      second[x] = candidate < second[x] ? candidate : second[x];
+    }
+  }
+}
+
+}  // namespace dense_fusion::kernels

@@ -1,0 +1,407 @@
+// Dense reconstruction of the MAV's posed images: depth maps, fused maps and their clouds in the MAV's map frame.
+#include <air_ground/PosedDepthMap.h>
+#include <air_ground/PosedImage.h>
+#include <air_ground/SaveMap.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <pcl/io/pcd_io.h>
+#include <pcl/point_types.h>
+#include <ros/ros.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_srvs/Trigger.h>
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <thread>
+
+#include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/parameters.h"
+#include "dense_fusion/point_map.h"
+#include "node_parameters.h"
+
+namespace dense_fusion {
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+
+constexpr int kOk = 0, kWarn = 1;
+
+double secondsSince(std::chrono::steady_clock::time_point start) {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+diagnostic_msgs::KeyValue entry(const std::string& key, const std::string& value) {
+  diagnostic_msgs::KeyValue pair;
+  pair.key = key;
+  pair.value = value;
+  return pair;
+}
+
+class DenseFusionNode {
+ public:
+  explicit DenseFusionNode(const NodeSettings& settings)
+      : settings_(settings), health_("dense_fusion"), mapper_(settings.mapper), map_(settings.map_cell) {
+    depth_map_publisher_ = handle_.advertise<air_ground::PosedDepthMap>("mav/depth_map", 20);
+    cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20);
+    field_publisher_ = handle_.advertise<diagnostic_msgs::DiagnosticArray>("mav/distance_field", 20);
+    image_topic_ = handle_.resolveName("mav/posed_image");
+    health_.expectInput(image_topic_);
+    health_.state(kWarn, "waiting for posed images");
+    image_subscriber_ = handle_.subscribe("mav/posed_image", 400, &DenseFusionNode::onImage, this);
+    sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &DenseFusionNode::onSparseCloud, this);
+    save_service_ = private_handle_.advertiseService("save_map", &DenseFusionNode::saveMap, this);
+    flush_service_ = private_handle_.advertiseService("flush", &DenseFusionNode::flush, this);
+    reset_service_ = private_handle_.advertiseService("reset", &DenseFusionNode::reset, this);
+    last_arrival_ = ros::WallTime::now();
+    timer_ = handle_.createWallTimer(ros::WallDuration(0.5), &DenseFusionNode::onTimer, this);
+    worker_ = std::thread(&DenseFusionNode::work, this);
+  }
+
+  ~DenseFusionNode() {
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      stop_ = true;
+    }
+    queue_changed_.notify_all();
+    worker_.join();
+  }
+
+ private:
+  // ---- Inputs: only queueing happens in the callbacks -----------------------------------------------------------------
+
+  void onImage(const air_ground::PosedImage::ConstPtr& msg) {
+    health_.received(image_topic_, msg->header.stamp);
+    bool jumped = false;
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      if (jump_detector_.jumped(msg->header.stamp)) {
+        jumped = true;
+        queue_.clear();
+        reset_requested_ = true;
+      }
+      if (queue_.size() >= static_cast<std::size_t>(settings_.queue_size)) {
+        queue_.pop_front();
+        health_.count("images dropped: the queue was full");
+      }
+      queue_.push_back(msg);
+      last_arrival_ = ros::WallTime::now();
+      flush_due_ = true;
+    }
+    queue_changed_.notify_all();
+    if (jumped) ROS_WARN("time jumped back: the dense map starts afresh");
+  }
+
+  void onSparseCloud(const sensor_msgs::PointCloud2::ConstPtr& msg) {
+    try {
+      std::size_t dropped = 0;
+      const auto points = ros_utils::cloudFromMsg(*msg, &dropped);
+      constexpr std::size_t kEnough = 50;
+      if (points.size() < kEnough) return;
+      std::vector<float> z;
+      for (const auto& p : points) z.push_back(p.position.z());
+      const auto at = [&](double q) {
+        const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(z.size() - 1));
+        std::nth_element(z.begin(), z.begin() + i, z.end());
+        return static_cast<double>(z[i]);
+      };
+      const HeightRange heights{at(0.01) - settings_.heights_margin, at(0.99) + settings_.heights_margin};
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      heights_ = heights;
+      heights_frame_ = msg->header.frame_id;
+      heights_stamp_ = msg->header.stamp;
+    } catch (const std::exception& e) {
+      health_.count(std::string("sparse clouds refused: ") + e.what());
+    }
+  }
+
+  void onTimer(const ros::WallTimerEvent&) {
+    if (settings_.flush_timeout <= 0) return;
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      if (!flush_due_ || !queue_.empty() || busy_) return;
+      if ((ros::WallTime::now() - last_arrival_).toSec() < settings_.flush_timeout) return;
+      flush_due_ = false;
+      flush_requested_ = true;
+    }
+    queue_changed_.notify_all();
+  }
+
+  // ---- Services -------------------------------------------------------------------------------------------------------
+
+  // Waits until the worker has emptied the queue and fused what is left.
+  bool flushAndWait() {
+    std::unique_lock<std::mutex> lock(queue_mutex_);
+    flush_requested_ = true;
+    flush_due_ = false;
+    queue_changed_.notify_all();
+    constexpr auto kPatience = std::chrono::seconds(120);
+    return idle_.wait_for(lock, kPatience, [this] { return stop_ || (!flush_requested_ && queue_.empty() && !busy_); }) && !stop_;
+  }
+
+  bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    response.success = flushAndWait();
+    const std::lock_guard<std::mutex> lock(map_mutex_);
+    response.message = response.success ? "map holds " + std::to_string(map_.size()) + " points"
+                                        : "images are still waiting; try again when fewer come in";
+    return true;
+  }
+
+  bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
+    flushAndWait();
+    const std::lock_guard<std::mutex> lock(map_mutex_);
+    try {
+      const auto points = map_.points();
+      if (points.empty()) throw std::runtime_error("nothing has been reconstructed yet");
+      writeMap(request.path, points);
+      response.success = true;
+      response.points = points.size();
+      response.message = "wrote " + std::to_string(points.size()) + " points to " + request.path;
+    } catch (const std::exception& e) {
+      response.success = false;
+      response.message = e.what();
+    }
+    return true;
+  }
+
+  static void writeMap(const std::string& path, const std::vector<SurfacePoint>& points) {
+    const auto ends = [&path](const std::string& suffix) {
+      return path.size() > suffix.size() && path.compare(path.size() - suffix.size(), suffix.size(), suffix) == 0;
+    };
+    if (ends(".ply")) {
+      std::vector<air_ground_common::LabeledPoint> labeled(points.size());
+      for (std::size_t i = 0; i < points.size(); ++i) {
+        labeled[i].position = points[i].position;
+        labeled[i].rgb.setConstant(points[i].intensity);
+        labeled[i].source = 1;
+      }
+      air_ground_common::writePly(path, labeled);
+    } else if (ends(".pcd")) {
+      pcl::PointCloud<pcl::PointXYZI> cloud;
+      for (const SurfacePoint& p : points) {
+        pcl::PointXYZI point;
+        point.getVector3fMap() = p.position;
+        point.intensity = p.intensity;
+        cloud.push_back(point);
+      }
+      if (pcl::io::savePCDFileBinary(path, cloud) != 0) throw std::runtime_error("cannot write " + path);
+    } else {
+      throw std::runtime_error("the path must end in .ply or .pcd: " + path);
+    }
+  }
+
+  bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    std::unique_lock<std::mutex> lock(queue_mutex_);
+    queue_.clear();
+    heights_.reset();
+    reset_requested_ = true;
+    flush_requested_ = flush_due_ = false;
+    queue_changed_.notify_all();
+    idle_.wait_for(lock, std::chrono::seconds(30), [this] { return stop_ || !reset_requested_; });
+    response.success = !reset_requested_;
+    response.message = response.success ? "the dense map starts afresh" : "the reset waits for a fusion to end";
+    return true;
+  }
+
+  // ---- Worker ---------------------------------------------------------------------------------------------------------
+
+  void work() {
+    std::unique_lock<std::mutex> lock(queue_mutex_);
+    while (true) {
+      queue_changed_.wait(lock, [this] { return stop_ || reset_requested_ || flush_requested_ || !queue_.empty(); });
+      if (stop_) return;
+      busy_ = true;
+      if (reset_requested_) {
+        startAfresh();
+        reset_requested_ = false;
+      } else if (!queue_.empty()) {
+        const air_ground::PosedImage::ConstPtr msg = queue_.front();
+        queue_.pop_front();
+        const bool heights_fit = heights_ && heights_frame_ == msg->header.frame_id && heights_stamp_ >= map_since_;
+        mapper_.setHeights(heights_fit ? heights_ : std::nullopt);
+        lock.unlock();
+        process(*msg);
+        lock.lock();
+      } else {
+        flush_requested_ = false;
+        lock.unlock();
+        if (const auto fused = guarded([this] { return mapper_.flush(); })) publish(*fused);
+        lock.lock();
+      }
+      busy_ = false;
+      idle_.notify_all();
+    }
+  }
+
+  void startAfresh() {
+    mapper_.reset();
+    last_stamp_ = ros::Time();
+    map_id_.reset();
+    const std::lock_guard<std::mutex> lock(map_mutex_);
+    map_.clear();
+  }
+
+  template <typename Function>
+  std::optional<FusedMap> guarded(const Function& function) {
+    try {
+      return function();
+    } catch (const std::exception& e) {
+      health_.count(std::string("input refused: ") + e.what());
+      return std::nullopt;
+    }
+  }
+
+  void process(const air_ground::PosedImage& msg) {
+    const auto start = std::chrono::steady_clock::now();
+    if (!msg.metric) {
+      health_.state(kWarn, "waiting: the images' poses have no metric scale yet");
+      ++without_scale_;
+      return;
+    }
+    if (!map_id_ || *map_id_ != msg.map_id || frame_id_ != msg.header.frame_id) {
+      if (map_id_) ROS_WARN_STREAM("the MAV's map changed from " << *map_id_ << " to " << msg.map_id << ": the dense map starts afresh");
+      startAfresh();
+      map_id_ = msg.map_id;
+      frame_id_ = msg.header.frame_id;
+      map_since_ = msg.header.stamp;
+    }
+    if (!last_stamp_.isZero() && msg.header.stamp <= last_stamp_) {
+      health_.count("images refused: repeated or out of order");
+      return;
+    }
+    last_stamp_ = msg.header.stamp;
+    camera_frame_ = msg.camera_info.header.frame_id;
+    const auto fused = guarded([&] {
+      const auto camera = ros_utils::fromMsg(msg.camera_info);
+      return mapper_.add(ros_utils::greyFromMsg(msg.image), camera, static_cast<std::int64_t>(msg.header.stamp.toNSec()),
+                         ros_utils::fromMsg(msg.pose.pose), msg.depth_min, msg.depth_max);
+    });
+    health_.timing(fused ? "image that completes a fused map [s]" : "image [s]", secondsSince(start));
+    const MapperCounters& c = mapper_.counters();
+    std::size_t waiting;
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      waiting = queue_.size();
+    }
+    health_.state(kOk, std::to_string(c.images) + " images, " + std::to_string(c.depth_maps) + " depth maps (" +
+                           std::to_string(c.poor_depth_maps) + " too poor), " + std::to_string(c.fused) + " fused maps, " +
+                           std::to_string(waiting) + " images waiting, " + std::to_string(without_scale_) + " without scale ignored");
+    if (fused) publish(*fused);
+  }
+
+  void publish(const FusedMap& fused) {
+    std_msgs::Header header;
+    header.stamp.fromNSec(static_cast<std::uint64_t>(fused.depth_map.stamp));
+    header.frame_id = frame_id_;
+    std_msgs::Header optical = header;
+    optical.frame_id = camera_frame_;
+
+    air_ground::PosedDepthMap depth;
+    depth.header = header;
+    depth.depth = ros_utils::toMsg(fused.depth_map.depth, "32FC1", optical);
+    depth.confidence = ros_utils::toMsg(fused.depth_map.confidence, "32FC1", optical);
+    depth.intensity = ros_utils::toMsg(fused.depth_map.intensity, "mono8", optical);
+    depth.camera_info = ros_utils::toMsg(fused.depth_map.camera, optical);
+    depth.pose = ros_utils::toMsg(fused.depth_map.T_map_camera);
+    depth.frames = static_cast<std::uint32_t>(fused.depth_map.frames);
+    depth.map_id = *map_id_;
+    depth_map_publisher_.publish(depth);
+
+    std::vector<ros_utils::CloudPoint> cloud;
+    cloud.reserve(fused.points.size());
+    for (const SurfacePoint& p : fused.points) {
+      if (!p.position.allFinite()) continue;
+      ros_utils::CloudPoint point;
+      point.position = p.position;
+      point.rgb.setConstant(p.intensity);
+      point.source = 1;
+      cloud.push_back(point);
+    }
+    cloud_publisher_.publish(ros_utils::toMsg(cloud, ros_utils::CloudFields::kXyzIntensity, header));
+    publishField(fused, header);
+    {
+      const std::lock_guard<std::mutex> lock(map_mutex_);
+      map_.add(fused.points);
+    }
+    health_.timing("fusion: votes [s]", fused.timings.votes);
+    health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
+    health_.timing("fusion: surface [s]", fused.timings.surface);
+    ROS_INFO_STREAM("fused map " << mapper_.counters().fused << ": " << fused.depth_maps << " depth maps, " << cloud.size() << " points, "
+                                 << fused.timings.votes + fused.timings.minimisation + fused.timings.surface << " s");
+  }
+
+  void publishField(const FusedMap& fused, const std_msgs::Header& header) {
+    diagnostic_msgs::DiagnosticArray array;
+    array.header = header;
+    array.status.resize(1);
+    diagnostic_msgs::DiagnosticStatus& status = array.status[0];
+    status.name = "dense_fusion: distance field";
+    status.hardware_id = "dense_fusion";
+    status.message = "fused " + std::to_string(fused.depth_maps) + " depth maps";
+    const VoxelGrid& g = fused.grid;
+    status.values = {entry("depth maps", std::to_string(fused.depth_maps)),
+                     entry("voxels x", std::to_string(g.nx)),
+                     entry("voxels y", std::to_string(g.ny)),
+                     entry("voxels z", std::to_string(g.nz)),
+                     entry("voxel size [m]", std::to_string(g.voxel_size)),
+                     entry("origin x [m]", std::to_string(g.origin.x())),
+                     entry("origin y [m]", std::to_string(g.origin.y())),
+                     entry("origin z [m]", std::to_string(g.origin.z())),
+                     entry("points", std::to_string(fused.points.size())),
+                     entry("mean support [depth maps]", std::to_string(fused.mean_support)),
+                     entry("votes [s]", std::to_string(fused.timings.votes)),
+                     entry("minimisation [s]", std::to_string(fused.timings.minimisation)),
+                     entry("surface [s]", std::to_string(fused.timings.surface))};
+    field_publisher_.publish(array);
+  }
+
+  const NodeSettings settings_;
+  ros::NodeHandle handle_, private_handle_{"~"};
+  ros_utils::NodeHealth health_;
+  ros_utils::TimeJumpDetector jump_detector_;
+  ros::Publisher depth_map_publisher_, cloud_publisher_, field_publisher_;
+  ros::Subscriber image_subscriber_, sparse_subscriber_;
+  ros::ServiceServer save_service_, flush_service_, reset_service_;
+  ros::WallTimer timer_;
+  std::string image_topic_;
+
+  // Shared with the worker.
+  std::mutex queue_mutex_;
+  std::condition_variable queue_changed_, idle_;
+  std::deque<air_ground::PosedImage::ConstPtr> queue_;
+  std::optional<HeightRange> heights_;
+  std::string heights_frame_;
+  ros::Time heights_stamp_;
+  ros::WallTime last_arrival_;
+  bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flush_due_ = false, busy_ = false;
+
+  // Touched by the worker only.
+  DenseMapper mapper_;
+  std::optional<std::uint32_t> map_id_;
+  std::string frame_id_, camera_frame_;
+  ros::Time last_stamp_, map_since_;
+  std::size_t without_scale_ = 0;
+
+  std::mutex map_mutex_;
+  PointMap map_;
+  std::thread worker_;
+};
+
+}  // namespace
+}  // namespace dense_fusion
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "dense_fusion");
+  try {
+    const dense_fusion::NodeSettings settings = dense_fusion::readParameters(ros::NodeHandle("~"));
+    dense_fusion::DenseFusionNode node(settings);
+    ros::spin();
+  } catch (const std::exception& e) {
+    ROS_FATAL_STREAM(e.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,154 @@
+#include "dense_fusion/dense_mapper.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "air_ground_common/geometry.h"
+
+namespace dense_fusion {
+namespace {
+
+constexpr std::size_t kRecentFrames = 64;
+
+double distance(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) { return (a.translation() - b.translation()).norm(); }
+
+double angle(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
+  return air_ground_common::rotationAngle(a.linear(), b.linear());
+}
+
+double validShare(const cv::Mat& depth) {
+  std::size_t valid = 0;
+  for (int v = 0; v < depth.rows; ++v)
+    for (int u = 0; u < depth.cols; ++u) valid += !std::isnan(depth.at<float>(v, u));
+  return static_cast<double>(valid) / static_cast<double>(depth.total());
+}
+
+bool sameCalibration(const air_ground_common::CameraModel& a, const air_ground_common::CameraModel& b) {
+  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
+         a.k1 == b.k1 && a.k2 == b.k2 && a.p1 == b.p1 && a.p2 == b.p2 && a.k3 == b.k3;
+}
+
+}  // namespace
+
+DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings) {
+  const auto require = [](bool ok, const char* rule) {
+    if (!ok) throw std::invalid_argument(std::string("dense mapper: ") + rule);
+  };
+  require(settings.sweep_radius > 0 && settings.fusion_radius > 0, "sweep_radius and fusion_radius must be positive");
+  require(settings.frame_spacing >= 0 && settings.frame_spacing < settings.sweep_radius,
+          "frame_spacing must lie in [0, sweep_radius)");
+  require(settings.overlap >= 0 && settings.overlap < settings.fusion_radius, "overlap must lie in [0, fusion_radius)");
+  require(settings.min_depth_maps >= 1, "min_depth_maps must be at least 1");
+  require(settings.near_margin >= 1 && settings.far_margin >= 1, "near_margin and far_margin must be at least 1");
+  require(settings.default_depth_min > 0 && settings.default_depth_max > settings.default_depth_min,
+          "the default depth range must be positive and rising");
+}
+
+void DenseMapper::reset() {
+  sweeping_ = false;
+  recent_.clear();
+  group_.clear();
+  carried_over_ = 0;
+}
+
+std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_common::CameraModel& camera, std::int64_t stamp,
+                                         const Eigen::Isometry3d& T_map_camera, double depth_min, double depth_max) {
+  if (!air_ground_common::isValid(T_map_camera)) throw std::invalid_argument("dense mapper: the camera pose is not a rigid transform");
+  if (!rectifier_ || !sameCalibration(rectifier_->recordedCamera(), camera)) {
+    auto rectifier = std::make_unique<Rectifier>(camera, settings_.rectifier);
+    reset();
+    rectifier_ = std::move(rectifier);
+    sweep_ = std::make_unique<PlaneSweep>(rectifier_->camera(), settings_.sweep);
+  }
+  ++counters_.images;
+  constexpr double kRedundantRotation = 0.05;
+  if (!recent_.empty() && distance(recent_.back().T_map_camera, T_map_camera) < settings_.frame_spacing &&
+      angle(recent_.back().T_map_camera, T_map_camera) < kRedundantRotation) {
+    ++counters_.redundant;
+    return std::nullopt;
+  }
+  const Frame frame = rectifier_->rectify(image, stamp, T_map_camera);
+  std::optional<FusedMap> fused;
+  const bool joins = sweeping_ && distance(sweep_->reference().T_map_camera, T_map_camera) <= settings_.sweep_radius &&
+                     angle(sweep_->reference().T_map_camera, T_map_camera) <= settings_.max_rotation;
+  if (joins) {
+    counters_.swept += sweep_->add(frame);
+  } else {
+    if (sweeping_) fused = finishSweep();
+    startSweep(frame, depth_min, depth_max);
+  }
+  recent_.push_back(frame);
+  if (recent_.size() > kRecentFrames) recent_.pop_front();
+  return fused;
+}
+
+void DenseMapper::startSweep(const Frame& reference, double depth_min, double depth_max) {
+  const bool known = std::isfinite(depth_min) && std::isfinite(depth_max) && depth_min > 0 && depth_max >= depth_min;
+  const double near = known ? depth_min / settings_.near_margin : settings_.default_depth_min;
+  const double far = known ? depth_max * settings_.far_margin : settings_.default_depth_max;
+  sweeping_ = true;
+  sweep_->start(reference, near, std::max(far, near * 1.01));
+  // Frames from before the reference count as much as those after it: the baseline doubles.
+  for (const Frame& frame : recent_)
+    if (distance(frame.T_map_camera, reference.T_map_camera) <= settings_.sweep_radius &&
+        angle(frame.T_map_camera, reference.T_map_camera) <= settings_.max_rotation)
+      counters_.swept += sweep_->add(frame);
+}
+
+std::optional<FusedMap> DenseMapper::finishSweep() {
+  DepthMap map = sweep_->depthMap();
+  sweeping_ = false;
+  if (validShare(map.depth) < settings_.min_valid) {
+    ++counters_.poor_depth_maps;
+    return std::nullopt;
+  }
+  ++counters_.depth_maps;
+  if (on_depth_map_) on_depth_map_(map);
+  std::optional<FusedMap> fused;
+  constexpr std::size_t kMaxGroup = 255;
+  if (!group_.empty() && (distance(group_.front().T_map_camera, map.T_map_camera) > settings_.fusion_radius ||
+                          group_.size() >= kMaxGroup))
+    fused = fuseGroup();
+  group_.push_back(std::move(map));
+  return fused;
+}
+
+std::optional<FusedMap> DenseMapper::fuseGroup() {
+  std::optional<FusedMap> fused;
+  if (static_cast<int>(group_.size()) >= settings_.min_depth_maps) {
+    Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+    for (const DepthMap& map : group_) centre += map.T_map_camera.translation() / static_cast<double>(group_.size());
+    std::size_t reference = 0;
+    double nearest = std::numeric_limits<double>::max();
+    for (std::size_t i = 0; i < group_.size(); ++i) {
+      const double d = (group_[i].T_map_camera.translation() - centre).norm();
+      if (d < nearest) {
+        nearest = d;
+        reference = i;
+      }
+    }
+    fused = fuseDepthMaps(group_, reference, settings_.fusion, heights_);
+    counters_.fused += fused.has_value();
+  } else {
+    ++counters_.small_groups;
+  }
+  std::vector<DepthMap> next;
+  const Eigen::Isometry3d last = group_.back().T_map_camera;
+  for (DepthMap& map : group_)
+    if (distance(map.T_map_camera, last) < settings_.overlap) next.push_back(std::move(map));
+  group_ = std::move(next);
+  carried_over_ = group_.size();
+  return fused;
+}
+
+std::optional<FusedMap> DenseMapper::flush() {
+  std::optional<FusedMap> fused;
+  if (sweeping_) fused = finishSweep();
+  // What is left after a fusion that has just happened, or only carried over from the one before, brings nothing new.
+  if (!fused && group_.size() > carried_over_) fused = fuseGroup();
+  return fused;
+}
+
+}  // namespace dense_fusion

@@ -1,0 +1,356 @@
+// Dense reconstruction of a recording with given poses: rosbag (ground truth or posed images) or folder in 7-Scenes layout.
+// Writes a PLY and pictures for each fused map; with the true mesh, prints errors.
+#include <air_ground/PosedImage.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <iostream>
+#include <limits>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <random>
+
+#include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/trajectory.h"
+#include "dense_fusion/dense_mapper.h"
+
+namespace {
+
+using air_ground_common::CameraModel;
+using air_ground_common::Pose;
+namespace ros_utils = air_ground_common::ros_utils;
+namespace fs = std::filesystem;
+
+struct Options {
+  std::string input, mesh, out = "dense_out", posed_topic, trajectory, image_topic = "/mav/camera/image_raw",
+                                info_topic = "/mav/camera/camera_info", pose_topic = "/ground_truth/mav";
+  std::string camera_frame = "mav_camera_optical_frame";
+  double depth_min = 0, depth_max = 0, focal = 525, up_x = 0, up_y = 0, up_z = 1, offset_x = 0;
+  double noise_position = 0, noise_rotation = 0;
+  int first = 0, last = 1000000, threads = 2;
+  bool depth_maps = false;
+};
+
+using ImageSink = std::function<void(const cv::Mat&, const CameraModel&, std::int64_t stamp, const Pose& T_map_camera, double, double)>;
+
+// Posed images as recorded from mav/posed_image.
+void readPosedImages(const Options& options, const ImageSink& sink) {
+  rosbag::Bag bag(options.input);
+  rosbag::View view(bag, rosbag::TopicQuery(options.posed_topic));
+  for (const rosbag::MessageInstance& m : view) {
+    const auto msg = m.instantiate<air_ground::PosedImage>();
+    if (!msg || !msg->metric) continue;
+    sink(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info), static_cast<std::int64_t>(msg->header.stamp.toNSec()),
+         ros_utils::fromMsg(msg->pose.pose), msg->depth_min, msg->depth_max);
+  }
+}
+
+// Raw images with the true poses of the body.
+void readTruth(const Options& options, const ImageSink& sink) {
+  rosbag::Bag bag(options.input);
+  air_ground_common::Trajectory trajectory;
+  Pose T_base_camera = Pose::Identity();
+  bool found = false;
+  CameraModel camera;
+  {
+    rosbag::View view(bag, rosbag::TopicQuery(std::vector<std::string>{options.pose_topic, "/tf_static", options.info_topic}));
+    for (const rosbag::MessageInstance& m : view) {
+      if (const auto pose = m.instantiate<geometry_msgs::PoseStamped>())
+        trajectory.push_back({pose->header.stamp.toSec(), ros_utils::fromMsg(pose->pose)});
+      if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && camera.width == 0) camera = ros_utils::fromMsg(*info);
+      if (const auto tf = m.instantiate<tf2_msgs::TFMessage>())
+        for (const auto& t : tf->transforms)
+          if (t.child_frame_id == options.camera_frame) {
+            T_base_camera = ros_utils::fromMsg(t.transform);
+            found = true;
+          }
+    }
+  }
+  if (found && !options.trajectory.empty()) {
+    // Estimated camera poses, moved rigidly to the truth: what is left of drift and scale error shows in the result.
+    air_ground_common::Trajectory truth = trajectory;
+    for (auto& pose : truth) pose.T_map_body = pose.T_map_body * T_base_camera;
+    trajectory = air_ground_common::readTum(options.trajectory);
+    const auto error = air_ground_common::absoluteTrajectoryError(truth, trajectory, air_ground_common::Alignment::kRigid);
+    std::printf("trajectory: RMS error %.4f m over %.1f m after rigid alignment\n", error.rmse, error.path_length);
+    Pose T_truth_estimate = Pose::Identity();
+    T_truth_estimate.linear() = error.reference_from_estimate.R;
+    T_truth_estimate.translation() = error.reference_from_estimate.t;
+    for (auto& pose : trajectory) pose.T_map_body = T_truth_estimate * pose.T_map_body;
+    T_base_camera = Pose::Identity();
+  }
+  if (!found) throw std::runtime_error("no /tf_static transform to " + options.camera_frame + " in the bag");
+  if (camera.width == 0) throw std::runtime_error("no camera_info on " + options.info_topic);
+  rosbag::View view(bag, rosbag::TopicQuery(options.image_topic));
+  for (const rosbag::MessageInstance& m : view) {
+    const auto msg = m.instantiate<sensor_msgs::Image>();
+    if (!msg) continue;
+    const auto pose = air_ground_common::poseAt(trajectory, msg->header.stamp.toSec());
+    if (pose) sink(ros_utils::greyFromMsg(*msg), camera, static_cast<std::int64_t>(msg->header.stamp.toNSec()), *pose * T_base_camera, 0, 0);
+  }
+}
+
+// frame-000000.color.jpg and frame-000000.pose.txt (camera to world); the world is levelled by the given up direction.
+void readFolder(const Options& options, const ImageSink& sink) {
+  Pose T_level = Pose::Identity();
+  T_level.linear() = air_ground_common::levelingRotation({options.up_x, options.up_y, options.up_z});
+  for (int i = options.first; i <= options.last; ++i) {
+    char name[32];
+    std::snprintf(name, sizeof(name), "frame-%06d", i);
+    const fs::path base = fs::path(options.input) / name;
+    std::ifstream file(base.string() + ".pose.txt");
+    const cv::Mat image = cv::imread(base.string() + ".color.jpg", cv::IMREAD_GRAYSCALE);
+    if (!file || image.empty()) break;
+    Eigen::Matrix4d T;
+    for (int k = 0; k < 16; ++k) file >> T(k / 4, k % 4);
+    Pose pose = Pose::Identity();
+    pose.matrix() = T;
+    CameraModel camera;
+    camera.width = image.cols;
+    camera.height = image.rows;
+    camera.fx = camera.fy = options.focal;
+    camera.cx = 0.5 * image.cols;
+    camera.cy = 0.5 * image.rows;
+    sink(image, camera, static_cast<std::int64_t>(i / 30.0 * 1e9), T_level * air_ground_common::normalized(pose) * Pose(Eigen::Translation3d(options.offset_x, 0, 0)), 0, 0);
+  }
+}
+
+double quantile(std::vector<double> values, double q) {
+  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
+  const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), values.begin() + i, values.end());
+  return values[i];
+}
+
+// True depths of some rays, to stand in for the sparse points of visual odometry.
+void depthRange(const air_ground_common::MeshScene& mesh, const CameraModel& camera, const Pose& T, double* near, double* far) {
+  std::vector<double> depths;
+  for (int v = 20; v < camera.height; v += 40)
+    for (int u = 20; u < camera.width; u += 40) {
+      const Eigen::Vector3d ray = T.linear() * camera.ray({u, v});
+      if (const auto hit = mesh.cast(T.translation().cast<float>(), ray.cast<float>()))
+        depths.push_back(hit->distance * camera.ray({u, v}).z());
+    }
+  *near = depths.empty() ? 0 : quantile(depths, 0.05);
+  *far = depths.empty() ? 0 : quantile(depths, 0.95);
+}
+
+// Absolute errors of a depth map against the mesh, at the pixels where both are known.
+std::vector<double> depthErrors(const air_ground_common::MeshScene& mesh, const dense_fusion::DepthMap& map) {
+  std::vector<double> errors;
+  for (int v = 0; v < map.depth.rows; ++v)
+    for (int u = 0; u < map.depth.cols; ++u) {
+      const float z = map.depth.at<float>(v, u);
+      if (std::isnan(z)) continue;
+      const Eigen::Vector3d ray((u - map.camera.cx) / map.camera.fx, (v - map.camera.cy) / map.camera.fy, 1);
+      const auto hit = mesh.cast(map.T_map_camera.translation().cast<float>(),
+                                 (map.T_map_camera.linear() * ray.normalized()).cast<float>());
+      if (hit) errors.push_back(std::abs(z - hit->distance / ray.norm()));
+    }
+  return errors;
+}
+
+// Depth from near (red) to far (blue), black where unknown, beside the reference image.
+void drawDepth(const std::string& path, const dense_fusion::DepthMap& map) {
+  std::vector<double> depths;
+  for (int i = 0; i < map.depth.rows * map.depth.cols; ++i)
+    if (const float z = map.depth.ptr<float>()[i]; !std::isnan(z)) depths.push_back(z);
+  if (depths.empty()) return;
+  const double near = quantile(depths, 0.01), far = std::max(near + 0.01, quantile(depths, 0.99));
+  cv::Mat scaled(map.depth.size(), CV_8U), coloured, intensity, both;
+  for (int i = 0; i < map.depth.rows * map.depth.cols; ++i)
+    scaled.data[i] = cv::saturate_cast<std::uint8_t>(255 * (far - map.depth.ptr<float>()[i]) / (far - near));
+  cv::applyColorMap(scaled, coloured, cv::COLORMAP_JET);
+  coloured.setTo(cv::Scalar(0, 0, 0), map.confidence <= 0);
+  cv::cvtColor(map.intensity, intensity, cv::COLOR_GRAY2BGR);
+  cv::hconcat(intensity, coloured, both);
+  cv::imwrite(path, both);
+}
+
+// Highest point a cell seen from above: heights in colour beside grey levels, 50 cells a metre.
+void drawFromAbove(const std::string& path, const std::vector<dense_fusion::SurfacePoint>& points) {
+  if (points.empty()) return;
+  Eigen::Vector3f lower = points[0].position, upper = lower;
+  for (const auto& p : points) {
+    lower = lower.cwiseMin(p.position);
+    upper = upper.cwiseMax(p.position);
+  }
+  constexpr float kCells = 50;
+  const int width = static_cast<int>((upper.x() - lower.x()) * kCells) + 1, height = static_cast<int>((upper.y() - lower.y()) * kCells) + 1;
+  cv::Mat z(height, width, CV_32F, cv::Scalar(-1e9)), grey = cv::Mat::zeros(height, width, CV_8U), scaled, coloured, grey3, both;
+  for (const auto& p : points) {
+    const int x = static_cast<int>((p.position.x() - lower.x()) * kCells), y = height - 1 - static_cast<int>((p.position.y() - lower.y()) * kCells);
+    if (p.position.z() <= z.at<float>(y, x)) continue;
+    z.at<float>(y, x) = p.position.z();
+    grey.at<std::uint8_t>(y, x) = p.intensity;
+  }
+  const double range = std::max(0.05f, upper.z() - lower.z());
+  z.convertTo(scaled, CV_8U, 255 / range, -255 * lower.z() / range);
+  cv::applyColorMap(scaled, coloured, cv::COLORMAP_JET);
+  coloured.setTo(cv::Scalar(0, 0, 0), z < -1e8);
+  cv::cvtColor(grey, grey3, cv::COLOR_GRAY2BGR);
+  cv::hconcat(grey3, coloured, both);
+  cv::imwrite(path, both);
+}
+
+struct Report {
+  std::vector<double> depth_map, fused, cloud;
+  int maps = 0;
+};
+
+void reportFused(const Options& options, const dense_fusion::FusedMap& fused, const air_ground_common::MeshScene* mesh, Report* report) {
+  char name[64];
+  std::snprintf(name, sizeof(name), "fused_%03d", report->maps++);
+  const std::string base = (fs::path(options.out) / name).string();
+  std::vector<air_ground_common::LabeledPoint> cloud;
+  for (const auto& p : fused.points) {
+    air_ground_common::LabeledPoint point;
+    point.position = p.position;
+    point.rgb.setConstant(p.intensity);
+    point.source = 1;
+    cloud.push_back(point);
+  }
+  air_ground_common::writePly(base + ".ply", cloud);
+  drawDepth(base + "_view.png", fused.depth_map);
+  drawFromAbove(base + "_above.png", fused.points);
+  std::printf("%s: %d depth maps, grid %dx%dx%d of %.4f m, %zu points, support %.1f, votes %.0f + TV-L1 %.0f + surface %.0f ms", name,
+              fused.depth_maps, fused.grid.nx, fused.grid.ny, fused.grid.nz, fused.grid.voxel_size, fused.points.size(),
+              fused.mean_support, 1e3 * fused.timings.votes, 1e3 * fused.timings.minimisation, 1e3 * fused.timings.surface);
+  if (mesh) {
+    const auto view = depthErrors(*mesh, fused.depth_map);
+    std::vector<double> surface;
+    for (const auto& p : fused.points) surface.push_back(mesh->distance(p.position, 1.f));
+    std::printf("; depth median %.4f 95%% %.4f m, cloud to mesh median %.4f 95%% %.4f m", quantile(view, 0.5), quantile(view, 0.95),
+                quantile(surface, 0.5), quantile(surface, 0.95));
+    report->fused.insert(report->fused.end(), view.begin(), view.end());
+    report->cloud.insert(report->cloud.end(), surface.begin(), surface.end());
+  }
+  std::printf("\n");
+  std::fflush(stdout);
+}
+
+int run(const Options& options, const dense_fusion::MapperSettings& settings) {
+  fs::create_directories(options.out);
+  std::unique_ptr<air_ground_common::MeshScene> mesh;
+  if (!options.mesh.empty()) mesh = std::make_unique<air_ground_common::MeshScene>(air_ground_common::readPlyMesh(options.mesh));
+  dense_fusion::DenseMapper mapper(settings);
+  Report report;
+  int depth_maps = 0;
+  mapper.onDepthMap([&](const dense_fusion::DepthMap& map) {
+    if (mesh) {
+      const auto errors = depthErrors(*mesh, map);
+      report.depth_map.insert(report.depth_map.end(), errors.begin(), errors.end());
+    }
+    if (options.depth_maps) drawDepth((fs::path(options.out) / ("depth_" + std::to_string(depth_maps) + ".png")).string(), map);
+    ++depth_maps;
+  });
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal(0, 1);
+  int images = 0;
+  double seconds = 0;
+  const ImageSink sink = [&](const cv::Mat& image, const CameraModel& camera, std::int64_t stamp, const Pose& T, double near, double far) {
+    const int index = images++;
+    const bool folder = fs::is_directory(options.input);
+    if (!folder && (index < options.first || index > options.last)) return;
+    if (options.depth_max > 0) {
+      near = options.depth_min;
+      far = options.depth_max;
+    } else if (mesh && !(far > 0)) {
+      depthRange(*mesh, camera, T, &near, &far);
+    }
+    Pose noisy = T;
+    const auto draw = [&](double sigma) { return Eigen::Vector3d(sigma * normal(random), sigma * normal(random), sigma * normal(random)); };
+    noisy.translation() += draw(options.noise_position);
+    noisy.linear() = T.linear() * air_ground_common::expSO3(draw(options.noise_rotation));
+    const auto start = std::chrono::steady_clock::now();
+    const auto fused = mapper.add(image, camera, stamp, noisy, near, far);
+    seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    if (fused) reportFused(options, *fused, mesh.get(), &report);
+  };
+  if (fs::is_directory(options.input))
+    readFolder(options, sink);
+  else if (!options.posed_topic.empty())
+    readPosedImages(options, sink);
+  else
+    readTruth(options, sink);
+  if (const auto fused = mapper.flush()) reportFused(options, *fused, mesh.get(), &report);
+  const auto& c = mapper.counters();
+  std::printf("%zu images (%zu redundant), %zu sweeps, %zu depth maps (%zu poor), %zu fused (%zu groups too small), %.1f ms an image\n",
+              c.images, c.redundant, c.swept, c.depth_maps, c.poor_depth_maps, c.fused, c.small_groups,
+              1e3 * seconds / std::max<std::size_t>(1, c.images));
+  if (mesh)
+    std::printf("single depth maps: median %.4f 95%% %.4f m\nfused depth maps: median %.4f 95%% %.4f m\ncloud to mesh: median %.4f 95%% %.4f m\n",
+                quantile(report.depth_map, 0.5), quantile(report.depth_map, 0.95), quantile(report.fused, 0.5),
+                quantile(report.fused, 0.95), quantile(report.cloud, 0.5), quantile(report.cloud, 0.95));
+  return c.fused > 0 ? 0 : 1;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Options options;
+  dense_fusion::MapperSettings settings;
+  CLI::App app("Dense reconstruction of a recording whose camera poses are known");
+  app.add_option("input", options.input, "rosbag, or folder with frame-*.color.jpg and frame-*.pose.txt")->required()->check(CLI::ExistingPath);
+  app.add_option("--out", options.out, "folder for PLY and PNG files");
+  app.add_option("--mesh", options.mesh, "true mesh in the poses' frame (PLY): prints errors")->check(CLI::ExistingFile);
+  app.add_option("--posed-image-topic", options.posed_topic, "take images and poses from this topic instead of raw images and truth");
+  app.add_option("--image-topic", options.image_topic, "raw images");
+  app.add_option("--camera-info-topic", options.info_topic, "calibration");
+  app.add_option("--pose-topic", options.pose_topic, "true poses of the body");
+  app.add_option("--trajectory", options.trajectory, "estimated camera poses (TUM) to use instead of the truth, moved rigidly to it")
+      ->check(CLI::ExistingFile);
+  app.add_option("--camera-frame", options.camera_frame, "optical frame in /tf_static");
+  app.add_option("--depth-min", options.depth_min, "expected depths in view [m]; else from the mesh");
+  app.add_option("--depth-max", options.depth_max, "expected depths in view [m]; else from the mesh");
+  app.add_option("--focal", options.focal, "focal length of a folder's images [px]");
+  app.add_option("--offset-x", options.offset_x, "x of a folder's colour camera in the frame that its poses give [m]");
+  app.add_option("--up-x", options.up_x, "up direction in a folder's world frame");
+  app.add_option("--up-y", options.up_y, "up direction in a folder's world frame");
+  app.add_option("--up-z", options.up_z, "up direction in a folder's world frame");
+  app.add_option("--first", options.first, "first image");
+  app.add_option("--last", options.last, "last image");
+  app.add_option("--noise-position", options.noise_position, "white noise added to the poses [m]");
+  app.add_option("--noise-rotation", options.noise_rotation, "white noise added to the poses [rad]");
+  app.add_option("--threads", options.threads, "threads");
+  app.add_option("--voxel-size", settings.fusion.voxel_size, "[m]");
+  app.add_option("--truncation-voxels", settings.fusion.truncation_voxels, "half width of the band [voxels]");
+  app.add_option("--behind-voxels", settings.fusion.behind_voxels, "reach of votes for matter beyond the band [voxels]");
+  app.add_option("--lambda", settings.fusion.tv_l1.lambda, "weight of the votes");
+  app.add_option("--iterations", settings.fusion.tv_l1.iterations, "of TV-L1 at full resolution");
+  app.add_option("--min-support", settings.fusion.min_support, "depth maps that must agree");
+  app.add_option("--fill-radius", settings.fusion.fill_radius, "[voxels]");
+  app.add_option("--refine", settings.fusion.refine, "sub-voxel correction");
+  app.add_option("--sweep-radius", settings.sweep_radius, "[m]");
+  app.add_option("--frame-spacing", settings.frame_spacing, "[m]");
+  app.add_option("--fusion-radius", settings.fusion_radius, "[m]");
+  app.add_option("--overlap", settings.overlap, "[m]");
+  app.add_option("--hypotheses", settings.sweep.hypotheses, "planes of the sweep");
+  app.add_option("--aggregation-radius", settings.sweep.aggregation_radius, "[px]");
+  app.add_option("--min-confidence", settings.sweep.min_confidence, "0..1");
+  app.add_option("--max-peak-ratio", settings.sweep.max_peak_ratio, "0..1");
+  app.add_option("--contrast-floor", settings.rectifier.contrast_floor, "[grey levels]");
+  app.add_option("--normalization-radius", settings.rectifier.normalization_radius, "[px]");
+  app.add_option("--scale", settings.rectifier.scale, "size of the swept images");
+  app.add_flag("--write-depth-maps", options.depth_maps, "also draw every single depth map");
+  CLI11_PARSE(app, argc, argv);
+  settings.fusion.threads = settings.sweep.threads = options.threads;
+  try {
+    return run(options, settings);
+  } catch (const std::exception& e) {
+    std::cerr << "dense_offline: " << e.what() << std::endl;
+    return 1;
+  }
+}

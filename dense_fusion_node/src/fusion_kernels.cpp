@@ -1,0 +1,120 @@
+#include "dense_fusion/fusion_kernels.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "dense_fusion/histogram.h"
+
+// Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
+#define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+
+namespace dense_fusion::kernels {
+
+AIR_GROUND_CLONES
+void voteRow(const float* start, const float* step, int nx, const float* camera, const float* __restrict depth, int width,
+             int height, float inverse_truncation, float lowest, std::uint8_t* __restrict bin) {
+  const float fx = camera[0], fy = camera[1], cx = camera[2] + 0.5f, cy = camera[3] + 0.5f;
+  const float X0 = start[0], Y0 = start[1], Z0 = start[2], dX = step[0], dY = step[1], dZ = step[2];
+  const float right = static_cast<float>(width), bottom = static_cast<float>(height);
+  constexpr float kHalf = 0.5f * (kBins - 1);
+  for (int x = 0; x < nx; ++x) {
+    const float i = static_cast<float>(x);
+    const float X = X0 + i * dX, Y = Y0 + i * dY, Z = Z0 + i * dZ;
+    const float inverse_z = 1.f / std::max(Z, 1e-3f);
+    const float u = fx * X * inverse_z + cx, v = fy * Y * inverse_z + cy;  // +0.5: truncation rounds to the nearest pixel
+    const int inside = (u >= 0.f) & (v >= 0.f) & (u < right) & (v < bottom) & (Z > 1e-3f);
+    const int iu = static_cast<int>(std::min(std::max(u, 0.f), right - 1.f));
+    const int iv = static_cast<int>(std::min(std::max(v, 0.f), bottom - 1.f));
+    const float f = (depth[iv * width + iu] - Z) * inverse_truncation;
+    const int voted = inside & (f >= lowest);  // false for NaN depth
+    const int k = static_cast<int>(std::min(std::max(f, -1.f), 1.f) * kHalf + (kHalf + 0.5f));
+    bin[x] = static_cast<std::uint8_t>(voted ? k : 255);
+  }
+}
+
+AIR_GROUND_CLONES
+void countRow(const std::uint8_t* bin, int nx, std::uint8_t* counts) {
+  for (int k = 0; k < kBins; ++k) {
+    std::uint8_t* c = counts + static_cast<std::ptrdiff_t>(k) * nx;
+    for (int x = 0; x < nx; ++x) c[x] = static_cast<std::uint8_t>(c[x] + ((bin[x] == k) & (c[x] != 255)));
+  }
+}
+
+AIR_GROUND_CLONES
+void dualRow(const float* __restrict ubar, const float* __restrict ubar_y, const float* __restrict ubar_z,
+             float* __restrict px, float* __restrict py, float* __restrict pz, int nx, float sigma) {
+  for (int x = 0; x < nx - 1; ++x) {
+    const float qx = px[x] + sigma * (ubar[x + 1] - ubar[x]);
+    const float qy = py[x] + sigma * (ubar_y[x] - ubar[x]);
+    const float qz = pz[x] + sigma * (ubar_z[x] - ubar[x]);
+    const float scale = 1.f / std::sqrt(std::max(1.f, qx * qx + qy * qy + qz * qz));
+    px[x] = qx * scale;
+    py[x] = qy * scale;
+    pz[x] = qz * scale;
+  }
+  const int last = nx - 1;
+  const float qy = py[last] + sigma * (ubar_y[last] - ubar[last]);
+  const float qz = pz[last] + sigma * (ubar_z[last] - ubar[last]);
+  const float scale = 1.f / std::sqrt(std::max(1.f, qy * qy + qz * qz));
+  px[last] = 0;
+  py[last] = qy * scale;
+  pz[last] = qz * scale;
+}
+
+namespace {
+
+// Minimiser of (u - v)^2 / (2 tau) + lambda sum_k n_k |u - c_k|: the median of the bin centres and of
+// P_i = v + tau lambda (N - 2 sum_{k <= i} n_k), i = 0..K, here by u = max(P_K, max_i min(c_i, P_{i-1})).
+// `weight` is tau lambda, `n` the voxel's first count, the next ones lie nx apart.
+template <typename Count>
+__attribute__((always_inline)) inline float proximalStep(float v, const Count* n, int nx, float weight) {
+  const float n0 = n[0], n1 = n[nx], n2 = n[2 * nx], n3 = n[3 * nx], n4 = n[4 * nx], n5 = n[5 * nx], n6 = n[6 * nx],
+              n7 = n[7 * nx];
+  const float w2 = 2.f * weight;
+  const float P0 = v + weight * (((n0 + n1) + (n2 + n3)) + ((n4 + n5) + (n6 + n7)));
+  const float P1 = P0 - w2 * n0, P2 = P1 - w2 * n1, P3 = P2 - w2 * n2, P4 = P3 - w2 * n3, P5 = P4 - w2 * n4,
+              P6 = P5 - w2 * n5, P7 = P6 - w2 * n6, P8 = P7 - w2 * n7;
+  float u = std::max(P8, std::min(binCenter(0), P0));
+  u = std::max(u, std::min(binCenter(1), P1));
+  u = std::max(u, std::min(binCenter(2), P2));
+  u = std::max(u, std::min(binCenter(3), P3));
+  u = std::max(u, std::min(binCenter(4), P4));
+  u = std::max(u, std::min(binCenter(5), P5));
+  u = std::max(u, std::min(binCenter(6), P6));
+  u = std::max(u, std::min(binCenter(7), P7));
+  return std::min(1.f, std::max(-1.f, u));
+}
+
+template <typename Count>
+__attribute__((always_inline)) inline void primalRowImpl(float* __restrict u, float* __restrict ubar,
+                                                         const float* __restrict px, const float* __restrict py,
+                                                         const float* __restrict py_before, const float* __restrict pz,
+                                                         const float* __restrict pz_before,
+                                                         const Count* __restrict counts, int nx, float tau, float lambda) {
+  const float weight = tau * lambda;
+  const float first = proximalStep(u[0] + tau * (px[0] + py[0] - py_before[0] + pz[0] - pz_before[0]), counts, nx, weight);
+  ubar[0] = 2.f * first - u[0];
+  u[0] = first;
+  for (int x = 1; x < nx; ++x) {
+    const float divergence = px[x] - px[x - 1] + py[x] - py_before[x] + pz[x] - pz_before[x];
+    const float next = proximalStep(u[x] + tau * divergence, counts + x, nx, weight);
+    ubar[x] = 2.f * next - u[x];
+    u[x] = next;
+  }
+}
+
+}  // namespace
+
+AIR_GROUND_CLONES
+void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint8_t* counts, int nx, float tau, float lambda) {
+  primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, nx, tau, lambda);
+}
+
+AIR_GROUND_CLONES
+void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint16_t* counts, int nx, float tau, float lambda) {
+  primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, nx, tau, lambda);
+}
+
+}  // namespace dense_fusion::kernels

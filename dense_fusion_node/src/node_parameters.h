@@ -1,0 +1,21 @@
+// The node's parameters, read from its private namespace; config/dense_fusion.yaml documents them.
+#pragma once
+
+#include <ros/node_handle.h>
+
+#include "dense_fusion/dense_mapper.h"
+
+namespace dense_fusion {
+
+struct NodeSettings {
+  MapperSettings mapper;
+  int queue_size = 400;          ///< images waiting for the worker; older ones are dropped beyond it
+  double flush_timeout = 4.0;    ///< wall time without input after which what there is gets fused [s]; 0: never
+  double heights_margin = 0.5;   ///< room above and below the sparse points [m]
+  double map_cell = 0.02;        ///< thinning of the map that ~save_map writes [m]
+};
+
+/// Throws air_ground_common::ros_utils::ParameterError with a line that names the parameter.
+NodeSettings readParameters(const ros::NodeHandle& private_handle);
+
+}  // namespace dense_fusion

@@ -1,0 +1,209 @@
+#include "dense_fusion/plane_sweep.h"
+
+#include <omp.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <string>
+
+#include "dense_fusion/cost_kernels.h"
+
+namespace dense_fusion {
+namespace {
+
+constexpr double kBorder = 0.5;  // samples stay this far inside the image [px]
+
+// Interval of x in [0, width) where lower <= (a + x b) holds; intersects it with [*begin, *end].
+void clipHalfLine(double a, double b, double* begin, double* end) {
+  if (std::abs(b) < 1e-12) {
+    if (a < 0) *end = *begin - 1;
+  } else if (b > 0) {
+    *begin = std::max(*begin, -a / b);
+  } else {
+    *end = std::min(*end, -a / b);
+  }
+}
+
+// Pixels [x0, x1) of a row whose samples stay in the image for one hypothesis: they form an interval, because the set
+// of pixels that a homography with positive w maps into a rectangle is convex.
+void clipRow(const Eigen::Vector3d& at_zero, const Eigen::Vector3d& per_x, int width, int height, double* begin, double* end) {
+  clipHalfLine(at_zero.z() - 1e-3, per_x.z(), begin, end);
+  clipHalfLine(at_zero.x() - kBorder * at_zero.z(), per_x.x() - kBorder * per_x.z(), begin, end);
+  clipHalfLine(at_zero.y() - kBorder * at_zero.z(), per_x.y() - kBorder * per_x.z(), begin, end);
+  const double right = width - 1 - kBorder, bottom = height - 1 - kBorder;
+  clipHalfLine(right * at_zero.z() - at_zero.x(), right * per_x.z() - per_x.x(), begin, end);
+  clipHalfLine(bottom * at_zero.z() - at_zero.y(), bottom * per_x.z() - per_x.y(), begin, end);
+}
+
+}  // namespace
+
+PlaneSweep::PlaneSweep(const air_ground_common::CameraModel& camera, const PlaneSweepSettings& settings)
+    : camera_(camera), settings_(settings) {
+  camera.validate();
+  if (camera.hasDistortion()) throw std::invalid_argument("plane sweep: needs an undistorted camera");
+  if (settings.hypotheses < 16 || settings.hypotheses > 1000)
+    throw std::invalid_argument("plane sweep: hypotheses must lie in 16..1000, not " + std::to_string(settings.hypotheses));
+  if (settings.max_frames < 1 || settings.max_frames > 64)
+    throw std::invalid_argument("plane sweep: max_frames must lie in 1..64, not " + std::to_string(settings.max_frames));
+  if (settings.aggregation_radius < 0 || settings.aggregation_radius > 8)
+    throw std::invalid_argument("plane sweep: aggregation_radius must lie in 0..8");
+  if (settings.threads < 1) throw std::invalid_argument("plane sweep: threads must be at least 1");
+}
+
+void PlaneSweep::start(const Frame& reference, double depth_min, double depth_max) {
+  if (!(depth_min > 0) || !(depth_max > depth_min) || !std::isfinite(depth_max))
+    throw std::invalid_argument("plane sweep: depth range [" + std::to_string(depth_min) + ", " + std::to_string(depth_max) +
+                                "] m must be positive and rising");
+  if (reference.normalized.cols != camera_.width || reference.normalized.rows != camera_.height)
+    throw std::invalid_argument("plane sweep: the reference image's size differs from the camera's");
+  reference_ = reference;
+  const int D = settings_.hypotheses;
+  inverse_depth_.resize(D);
+  for (int d = 0; d < D; ++d) {
+    const double s = static_cast<double>(d) / (D - 1);
+    inverse_depth_[d] = static_cast<float>((1 - s) / depth_max + s / depth_min);
+  }
+  const std::size_t pixels = static_cast<std::size_t>(camera_.width) * camera_.height;
+  cost_.assign(pixels * D, 0);
+  samples_.assign(pixels, 0);
+  packed_.resize(pixels);
+  frames_ = 0;
+  squared_parallax_ = 0;
+  started_ = true;
+}
+
+double PlaneSweep::parallax() const { return frames_ > 0 ? std::sqrt(squared_parallax_ / frames_) : 0; }
+
+bool PlaneSweep::add(const Frame& frame) {
+  if (!started_) throw std::logic_error("plane sweep: add() before start()");
+  if (frame.normalized.cols != camera_.width || frame.normalized.rows != camera_.height)
+    throw std::invalid_argument("plane sweep: the frame's size differs from the camera's");
+  if (frames_ >= settings_.max_frames) return false;
+  const int width = camera_.width, height = camera_.height, D = settings_.hypotheses;
+  // A point at inverse depth rho on the reference pixel x = (u, v, 1): K (R K^-1 x + rho t), up to scale.
+  const Eigen::Isometry3d T_frame_reference = frame.T_map_camera.inverse() * reference_.T_map_camera;
+  const Eigen::Matrix3d K = camera_.K();
+  const Eigen::Matrix3d H = K * T_frame_reference.linear() * K.inverse();
+  const Eigen::Vector3d b = K * T_frame_reference.translation();
+  const double rho[2] = {inverse_depth_.front(), inverse_depth_.back()};
+
+  std::vector<int> x0(height), x1(height);
+  bool any = false;
+  for (int y = 0; y < height; ++y) {
+    double begin = 0, end = width - 1;
+    const Eigen::Vector3d at_zero = H * Eigen::Vector3d(0, y, 1);
+    for (const double r : rho) clipRow(at_zero + r * b, H.col(0), width, height, &begin, &end);
+    x0[y] = begin <= end ? static_cast<int>(std::ceil(begin)) : 0;
+    x1[y] = begin <= end ? static_cast<int>(std::floor(end)) + 1 : 0;
+    any = any || x1[y] > x0[y];
+  }
+  if (!any) return false;
+
+  kernels::packNeighborhoods(frame.normalized.ptr<std::uint8_t>(), width, height, packed_.data());
+  const float step[3] = {float(H(0, 0)), float(H(1, 0)), float(H(2, 0))};
+  const float shift[3] = {float(b.x()), float(b.y()), float(b.z())};
+#pragma omp parallel for schedule(dynamic, 8) num_threads(settings_.threads)
+  for (int y = 0; y < height; ++y) {
+    if (x1[y] <= x0[y]) continue;
+    const float base[3] = {float(H(0, 1) * y + H(0, 2)), float(H(1, 1) * y + H(1, 2)), float(H(2, 1) * y + H(2, 2))};
+    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0[y], x1[y], width, base, step, shift,
+                    inverse_depth_.data(), D, packed_.data(), width, &cost_[static_cast<std::size_t>(y) * D * width]);
+    for (int x = x0[y]; x < x1[y]; ++x) ++samples_[static_cast<std::size_t>(y) * width + x];
+  }
+  // Shift of the image centre's sample between the two end planes.
+  const Eigen::Vector3d centre(camera_.cx, camera_.cy, 1);
+  const Eigen::Vector2d far = (H * centre + rho[0] * b).hnormalized(), near = (H * centre + rho[1] * b).hnormalized();
+  squared_parallax_ += (near - far).squaredNorm();
+  ++frames_;
+  return true;
+}
+
+void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples, int half_width,
+                             DepthMap* map, std::vector<std::uint32_t>* scratch) const {
+  const int width = camera_.width, D = settings_.hypotheses;
+  std::uint32_t* best = scratch->data();
+  std::uint32_t* second = best + width;
+  std::int32_t* index = reinterpret_cast<std::int32_t*>(second + width);
+  kernels::winnerTakesAll(cost, D, width, 2 * half_width, best, index, second);
+  float* depth = map->depth.ptr<float>(y);
+  float* confidence = map->confidence.ptr<float>(y);
+  const double rho_step = (static_cast<double>(inverse_depth_.back()) - inverse_depth_.front()) / (D - 1);
+  // Least-squares parabola c0 + c1 k + c2 k^2 over k = -w..w: closed form from the moments of k.
+  const int w = half_width;
+  double m2 = 0, m4 = 0;
+  for (int k = -w; k <= w; ++k) {
+    m2 += k * k;
+    m4 += double(k) * k * k * k;
+  }
+  const double n_fit = 2 * w + 1, determinant = n_fit * m4 - m2 * m2;
+  for (int x = 0; x < width; ++x) {
+    if (samples_[static_cast<std::size_t>(y) * width + x] < settings_.min_samples) continue;
+    const int d = index[x];
+    if (d < w || d + w >= D || !(best[x] < settings_.max_peak_ratio * second[x])) continue;
+    double s0 = 0, s1 = 0, s2 = 0;
+    for (int k = -w; k <= w; ++k) {
+      const double c = cost[static_cast<std::ptrdiff_t>(d + k) * width + x];
+      s0 += c;
+      s1 += c * k;
+      s2 += c * k * k;
+    }
+    const double curvature = (n_fit * s2 - m2 * s0) / determinant, slope = s1 / m2;
+    if (!(curvature > 0)) continue;
+    const double offset = -slope / (2 * curvature);
+    if (!(std::abs(offset) < w)) continue;
+    // A floor of one unit a sample (two grey levels) stands for the quantisation.
+    const double n = samples[x], noise = std::max(1.0, best[x] / n);
+    const double sigma_rho = rho_step * std::sqrt(noise / curvature);
+    const double rho = inverse_depth_[d] + offset * rho_step;
+    const double z = 1 / rho, sigma_z = z * z * sigma_rho / settings_.confidence_sigma;
+    const double uniqueness = 1 - best[x] / (settings_.max_peak_ratio * second[x]);
+    const double c = std::min(1.0, 2 * uniqueness) / (1 + sigma_z * sigma_z);
+    if (c < settings_.min_confidence) continue;
+    depth[x] = static_cast<float>(z);
+    confidence[x] = static_cast<float>(c);
+  }
+}
+
+DepthMap PlaneSweep::depthMap() const {
+  if (!started_) throw std::logic_error("plane sweep: depthMap() before start()");
+  const int width = camera_.width, height = camera_.height, D = settings_.hypotheses, r = settings_.aggregation_radius;
+  DepthMap map;
+  map.stamp = reference_.stamp;
+  map.camera = camera_;
+  map.T_map_camera = reference_.T_map_camera;
+  map.intensity = reference_.intensity;
+  map.frames = frames_ + 1;
+  map.depth = cv::Mat(height, width, CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
+  map.confidence = cv::Mat::zeros(height, width, CV_32F);
+  if (parallax() < settings_.min_parallax) return map;
+  // The cost is near-quadratic within half a pixel of its minimum; fit over that range.
+  const double per_hypothesis = parallax() / (D - 1);
+  const int half_width = std::clamp(static_cast<int>(std::lround(0.5 / per_hypothesis)), 1, D / 10);
+  const int threads = settings_.threads, band = (height + threads - 1) / threads;
+  const std::size_t slab = static_cast<std::size_t>(D) * width;
+#pragma omp parallel for schedule(static, 1) num_threads(threads)
+  for (int t = 0; t < threads; ++t) {
+    const int first = t * band, last = std::min(height, first + band);
+    std::vector<std::uint32_t> column(slab, 0), aggregated(slab), scratch(3 * static_cast<std::size_t>(width));
+    std::vector<std::uint32_t> count_column(width, 0), count(width);
+    const auto slide = [&](int enter, int leave) {
+      const bool in = enter >= 0 && enter < height, out = leave >= 0;
+      kernels::slideSum(column.data(), in ? &cost_[enter * slab] : nullptr, out ? &cost_[leave * slab] : nullptr,
+                        static_cast<int>(slab));
+      kernels::slideSum(count_column.data(), in ? &samples_[static_cast<std::size_t>(enter) * width] : nullptr,
+                        out ? &samples_[static_cast<std::size_t>(leave) * width] : nullptr, width);
+    };
+    for (int y = std::max(0, first - r); y < first + r; ++y) slide(y, -1);
+    for (int y = first; y < last; ++y) {
+      slide(y + r, y == first ? -1 : y - r - 1);
+      kernels::boxRows(column.data(), D, width, r, aggregated.data());
+      kernels::boxRows(count_column.data(), 1, width, r, count.data());
+      estimateRow(y, aggregated.data(), count, half_width, &map, &scratch);
+    }
+  }
+  return map;
+}
+
+}  // namespace dense_fusion

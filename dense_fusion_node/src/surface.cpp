@@ -1,0 +1,215 @@
+#include "dense_fusion/surface.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <stdexcept>
+
+namespace dense_fusion {
+namespace {
+
+// Trilinear value at continuous voxel coordinates inside [0, n - 1].
+float sample(const VoxelGrid& grid, const std::vector<float>& phi, const Eigen::Vector3f& g) {
+  const int x = std::min(static_cast<int>(g.x()), grid.nx - 2), y = std::min(static_cast<int>(g.y()), grid.ny - 2),
+            z = std::min(static_cast<int>(g.z()), grid.nz - 2);
+  const float fx = g.x() - x, fy = g.y() - y, fz = g.z() - z;
+  const float* p = &phi[grid.index(x, y, z)];
+  const std::size_t dy = grid.nx, dz = static_cast<std::size_t>(grid.nx) * grid.ny;
+  const auto face = [&](const float* q) {
+    const float a = q[0] + fx * (q[1] - q[0]), b = q[dy] + fx * (q[dy + 1] - q[dy]);
+    return a + fy * (b - a);
+  };
+  const float low = face(p), high = face(p + dz);
+  return low + fz * (high - low);
+}
+
+constexpr float kFree = 0.9f;  // above it a voxel lies well in free space
+
+std::size_t nearestVoxel(const VoxelGrid& grid, const Eigen::Vector3f& g) {
+  return grid.index(static_cast<int>(g.x() + 0.5f), static_cast<int>(g.y() + 0.5f), static_cast<int>(g.z() + 0.5f));
+}
+
+bool inside(const VoxelGrid& grid, const Eigen::Vector3f& g) {
+  return g.x() >= 0 && g.y() >= 0 && g.z() >= 0 && g.x() <= grid.nx - 1 && g.y() <= grid.ny - 1 && g.z() <= grid.nz - 1;
+}
+
+// Unit gradient by differences over two voxels; zero where the field is constant.
+Eigen::Vector3f gradient(const VoxelGrid& grid, const std::vector<float>& phi, const Eigen::Vector3f& g) {
+  const Eigen::Array3f upper(grid.nx - 1.f, grid.ny - 1.f, grid.nz - 1.f);
+  Eigen::Vector3f result;
+  for (int axis = 0; axis < 3; ++axis) {
+    const Eigen::Vector3f e = Eigen::Vector3f::Unit(axis);
+    const Eigen::Vector3f a = (g + e).array().min(upper), b = (g - e).array().max(0.f);
+    result[axis] = (sample(grid, phi, a) - sample(grid, phi, b)) / std::max(a[axis] - b[axis], 1e-3f);
+  }
+  const float norm = result.norm();
+  if (norm > 1e-6f)
+    result /= norm;
+  else
+    result.setZero();
+  return result;
+}
+
+// Interval of ray parameters inside the grid; empty when the ray misses it.
+std::optional<Eigen::Vector2d> clipToGrid(const VoxelGrid& grid, const Eigen::Vector3d& start, const Eigen::Vector3d& direction) {
+  const Eigen::Vector3d upper(grid.nx - 1, grid.ny - 1, grid.nz - 1);
+  double begin = 1e-3, end = 1e9;
+  for (int axis = 0; axis < 3; ++axis) {
+    if (std::abs(direction[axis]) < 1e-12) {
+      if (start[axis] < 0 || start[axis] > upper[axis]) return std::nullopt;
+      continue;
+    }
+    const double a = -start[axis] / direction[axis], b = (upper[axis] - start[axis]) / direction[axis];
+    begin = std::max(begin, std::min(a, b));
+    end = std::min(end, std::max(a, b));
+  }
+  if (begin >= end) return std::nullopt;
+  return Eigen::Vector2d(begin, end);
+}
+
+}  // namespace
+
+std::vector<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fill_radius, int threads) {
+  if (fill_radius < 0) throw std::invalid_argument("surface: fill_radius must not be negative");
+  const int nx = votes.nx, ny = votes.ny, nz = votes.nz, r = fill_radius;
+  std::vector<std::uint8_t> support(static_cast<std::size_t>(nx) * ny * nz, 0);
+#pragma omp parallel for schedule(static) num_threads(threads)
+  for (int z = 0; z < nz; ++z) {
+    std::uint8_t* slice = &support[static_cast<std::size_t>(z) * nx * ny];
+    for (int y = 0; y < ny; ++y) {
+      const std::uint8_t* counts = votes.row(y, z);
+      for (int x = 0; x < nx; ++x) {
+        unsigned sum = 0;
+        for (int k = 1; k + 1 < kBins; ++k) sum += counts[static_cast<std::size_t>(k) * nx + x];
+        slice[static_cast<std::size_t>(y) * nx + x] = static_cast<std::uint8_t>(std::min(sum, 255u));
+      }
+    }
+    if (r == 0) continue;
+    std::vector<std::uint8_t> rows(static_cast<std::size_t>(nx) * ny);
+    for (int y = 0; y < ny; ++y)
+      for (int x = 0; x < nx; ++x) {
+        const std::uint8_t* row = slice + static_cast<std::size_t>(y) * nx;
+        rows[static_cast<std::size_t>(y) * nx + x] = *std::max_element(row + std::max(0, x - r), row + std::min(nx, x + r + 1));
+      }
+    for (int y = 0; y < ny; ++y)
+      for (int x = 0; x < nx; ++x) {
+        std::uint8_t best = 0;
+        for (int k = std::max(0, y - r); k <= std::min(ny - 1, y + r); ++k)
+          best = std::max(best, rows[static_cast<std::size_t>(k) * nx + x]);
+        slice[static_cast<std::size_t>(y) * nx + x] = best;
+      }
+  }
+  return support;
+}
+
+cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel& camera, const Eigen::Isometry3d& T_map_camera,
+                 int threads, cv::Mat* normals) {
+  const VoxelGrid& grid = field.grid;
+  if (grid.nx < 2 || grid.ny < 2 || grid.nz < 2) throw std::invalid_argument("ray casting: the grid needs 2 voxels a side");
+  cv::Mat depth(camera.height, camera.width, CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
+  if (normals) *normals = cv::Mat::zeros(camera.height, camera.width, CV_32FC3);
+  const Eigen::Vector3d origin = (T_map_camera.translation() - grid.origin) / grid.voxel_size;
+#pragma omp parallel for schedule(dynamic, 8) num_threads(threads)
+  for (int v = 0; v < camera.height; ++v)
+    for (int u = 0; u < camera.width; ++u) {
+      // In voxel units, per metre of depth along the optical axis.
+      const Eigen::Vector3d ray =
+          T_map_camera.linear() * Eigen::Vector3d((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1) / grid.voxel_size;
+      const auto range = clipToGrid(grid, origin, ray);
+      if (!range) continue;
+      const Eigen::Vector3f o = origin.cast<float>(), r = ray.cast<float>();
+      const float voxel = 1.f / r.norm(), end = static_cast<float>(range->y());
+      float z = static_cast<float>(range->x()) + 1e-4f * voxel, before = -1.f, z_before = z;
+      while (z < end) {
+        const Eigen::Vector3f g = o + z * r;
+        if (!inside(grid, g)) break;
+        // Far from a surface the nearest voxel tells enough.
+        const float nearest_value = field.phi[nearestVoxel(grid, g)];
+        const float value = nearest_value > kFree ? nearest_value : sample(grid, field.phi, g);
+        if (before > 0 && value <= 0) {
+          const float hit = z_before + (z - z_before) * before / (before - value);
+          const Eigen::Vector3f at = o + hit * r;
+          if (field.support[nearestVoxel(grid, at)] >= field.min_support) {
+            depth.at<float>(v, u) = hit;
+            if (normals) {
+              const Eigen::Vector3f n = gradient(grid, field.phi, at);
+              normals->at<cv::Vec3f>(v, u) = {n.x(), n.y(), n.z()};
+            }
+            break;
+          }
+        }
+        before = value;
+        z_before = z;
+        // Where the field is near 1 a surface is several voxels away: longer steps are safe.
+        z += (value > kFree ? 2.f : 0.7f) * voxel;
+      }
+    }
+  return depth;
+}
+
+std::vector<SurfacePoint> extractSurface(const SurfaceField& field, int threads) {
+  const VoxelGrid& grid = field.grid;
+  std::vector<std::vector<SurfacePoint>> of_slice(grid.nz);
+  const std::size_t strides[3] = {1, static_cast<std::size_t>(grid.nx), static_cast<std::size_t>(grid.nx) * grid.ny};
+#pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
+  for (int z = 0; z < grid.nz; ++z)
+    for (int y = 0; y < grid.ny; ++y)
+      for (int x = 0; x < grid.nx; ++x) {
+        const std::size_t i = grid.index(x, y, z);
+        const float here = field.phi[i];
+        const bool last[3] = {x + 1 >= grid.nx, y + 1 >= grid.ny, z + 1 >= grid.nz};
+        for (int axis = 0; axis < 3; ++axis) {
+          if (last[axis]) continue;
+          const std::size_t j = i + strides[axis];
+          const float there = field.phi[j];
+          if ((here > 0) == (there > 0)) continue;
+          const std::uint8_t support = std::max(field.support[i], field.support[j]);
+          if (support < field.min_support) continue;
+          Eigen::Vector3f g(x, y, z);
+          g[axis] += here / (here - there);
+          SurfacePoint point;
+          point.position = (grid.origin + grid.voxel_size * g.cast<double>()).cast<float>();
+          point.normal = gradient(grid, field.phi, g);
+          point.support = support;
+          of_slice[z].push_back(point);
+        }
+      }
+  std::vector<SurfacePoint> points;
+  for (const auto& slice : of_slice) points.insert(points.end(), slice.begin(), slice.end());
+  return points;
+}
+
+double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d& point, const RefineSettings& settings) {
+  double sum = 0, weights = 0;
+  int voices = 0;
+  for (const DepthMap& map : maps) {
+    const Eigen::Vector3d p = map.T_map_camera.inverse() * point;
+    const auto pixel = map.camera.project(p);
+    if (!pixel || !map.camera.contains(*pixel)) continue;
+    const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
+    const double residual = map.depth.at<float>(v, u) - p.z();
+    if (!(std::abs(residual) < settings.radius)) continue;
+    const double s = residual / settings.radius, weight = (1 - s * s) * (1 - s * s) * map.confidence.at<float>(v, u);
+    sum += weight * residual;
+    weights += weight;
+    ++voices;
+  }
+  if (voices < 2 || !(weights > 1e-6)) return 0;
+  return std::clamp(sum / weights, -settings.max_shift, settings.max_shift);
+}
+
+std::uint8_t intensityAt(const std::vector<DepthMap>& maps, std::size_t first, const Eigen::Vector3d& point, double tolerance,
+                         std::uint8_t fallback) {
+  for (std::size_t k = 0; k < maps.size(); ++k) {
+    const DepthMap& map = maps[(first + k) % maps.size()];
+    const Eigen::Vector3d p = map.T_map_camera.inverse() * point;
+    const auto pixel = map.camera.project(p);
+    if (!pixel || !map.camera.contains(*pixel)) continue;
+    const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
+    if (std::abs(map.depth.at<float>(v, u) - p.z()) < tolerance) return map.intensity.at<std::uint8_t>(v, u);
+  }
+  return fallback;
+}
+
+}  // namespace dense_fusion

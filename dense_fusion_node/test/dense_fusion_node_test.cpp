@@ -1,0 +1,243 @@
+// The node from outside: rendered flights in, clouds and depth maps out.
+#include <air_ground/PosedDepthMap.h>
+#include <air_ground/PosedImage.h>
+#include <air_ground/SaveMap.h>
+#include <gtest/gtest.h>
+#include <ros/ros.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <sensor_msgs/image_encodings.h>
+#include <std_srvs/Trigger.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <limits>
+#include <set>
+
+#include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/conversions.h"
+#include "synthetic_scene.h"
+
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+using dense_fusion::testing::lookDown;
+
+constexpr int kFrames = 30;
+constexpr double kStep = 0.02;  // [m] between frames
+
+class DenseFusionNodeTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    camera_ = new air_ground_common::CameraModel;
+    camera_->width = 376;
+    camera_->height = 240;
+    camera_->fx = camera_->fy = 210;
+    camera_->cx = 187.5;
+    camera_->cy = 119.5;
+    images_ = new std::vector<cv::Mat>;
+    const auto scene = dense_fusion::testing::boxScene();
+    for (int i = 0; i < kFrames; ++i) images_->push_back(scene.render(*camera_, pose(i), 1, 0));
+  }
+
+  static Eigen::Isometry3d pose(int i) { return lookDown({-0.3 + kStep * i, 0.05, 2}, 0.001 * i, 0.02, 0.3); }
+
+  void SetUp() override {
+    publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
+    cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>("mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
+    depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>("mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
+    ASSERT_TRUE(ros::service::waitForService("dense_fusion/flush", ros::Duration(20)));
+    for (int i = 0; i < 200 && (publisher_.getNumSubscribers() == 0 || cloud_subscriber_.getNumPublishers() == 0 || depth_subscriber_.getNumPublishers() == 0); ++i)
+      ros::WallDuration(0.05).sleep();
+    ASSERT_GT(publisher_.getNumSubscribers(), 0u);
+    std_srvs::Trigger trigger;
+    ASSERT_TRUE(ros::service::call("dense_fusion/reset", trigger));
+  }
+
+  // One image of the flight; the map frame may be shifted to tell maps apart.
+  air_ground::PosedImage message(int i, double start, std::uint32_t map_id, double shift_x = 0) {
+    air_ground::PosedImage msg;
+    msg.header.stamp.fromSec(start + 0.05 * i);
+    msg.header.stamp.nsec += 7;  // stamps must come back exactly
+    msg.header.frame_id = "mav_map";
+    std_msgs::Header optical = msg.header;
+    optical.frame_id = "mav_camera_optical_frame";
+    msg.image = ros_utils::toMsg((*images_)[i], "mono8", optical);
+    msg.camera_info = ros_utils::toMsg(*camera_, optical);
+    Eigen::Isometry3d T = pose(i);
+    T.translation().x() += shift_x;
+    msg.pose.pose = ros_utils::toMsg(T);
+    msg.depth_min = 1.4f;
+    msg.depth_max = 2.1f;
+    msg.metric = true;
+    msg.map_id = map_id;
+    return msg;
+  }
+
+  void fly(double start, std::uint32_t map_id, double shift_x = 0) {
+    for (int i = 0; i < kFrames; ++i) {
+      const auto msg = message(i, start, map_id, shift_x);
+      sent_.insert(msg.header.stamp);
+      publisher_.publish(msg);
+      ros::spinOnce();
+      ros::WallDuration(0.01).sleep();
+    }
+  }
+
+  // The flush service answers when the worker is done; then everything published is on its way.
+  void flush() {
+    ros::WallDuration(0.5).sleep();
+    std_srvs::Trigger trigger;
+    ASSERT_TRUE(ros::service::call("dense_fusion/flush", trigger));
+    ASSERT_TRUE(trigger.response.success) << trigger.response.message;
+    for (int i = 0; i < 30; ++i) {
+      ros::spinOnce();
+      ros::WallDuration(0.02).sleep();
+    }
+  }
+
+  void checkOutput(double shift_x) {
+    ASSERT_FALSE(clouds_.empty());
+    ASSERT_EQ(clouds_.size(), depth_maps_.size());
+    const auto scene = dense_fusion::testing::boxScene();
+    for (const auto& cloud : clouds_) {
+      EXPECT_EQ(cloud->header.frame_id, "mav_map");
+      EXPECT_TRUE(sent_.count(cloud->header.stamp)) << "the stamp is no reference image's";
+      std::size_t dropped = 0, wrong = 0, boxes = 0;
+      const auto points = ros_utils::cloudFromMsg(*cloud, &dropped);
+      EXPECT_EQ(dropped, 0u) << "points that are not finite";
+      ASSERT_GT(points.size(), 5000u);
+      std::set<int> greys;
+      for (const auto& p : points) {
+        const double x = p.position.x() - shift_x, y = p.position.y(), z = p.position.z();
+        bool fits = std::abs(z - scene.heightAt(x, y)) < 0.06;
+        for (const auto& b : scene.boxes)
+          fits = fits || (x > b.lower.x() - 0.06 && x < b.upper.x() + 0.06 && y > b.lower.y() - 0.06 && y < b.upper.y() + 0.06 && z > -0.06 && z < b.upper.z() + 0.06);
+        wrong += !fits;
+        boxes += z > 0.2;
+        greys.insert(p.rgb[0]);
+      }
+      EXPECT_LT(wrong, points.size() / 25);
+      EXPECT_GT(boxes, 200u);
+      EXPECT_GT(greys.size(), 50u);
+    }
+    for (const auto& map : depth_maps_) {
+      EXPECT_EQ(map->header.frame_id, "mav_map");
+      const cv::Mat depth = ros_utils::depthFromMsg(map->depth), confidence = ros_utils::depthFromMsg(map->confidence);
+      std::size_t valid = 0;
+      for (int v = 0; v < depth.rows; ++v)
+        for (int u = 0; u < depth.cols; ++u) valid += depth.at<float>(v, u) > 0.9 && depth.at<float>(v, u) < 2.4;
+      EXPECT_GT(valid, depth.total() / 2);
+      EXPECT_GT(map->frames, 10u);
+      EXPECT_GT(map->camera_info.K[0], 100);
+    }
+  }
+
+  static air_ground_common::CameraModel* camera_;
+  static std::vector<cv::Mat>* images_;
+  ros::NodeHandle handle_;
+  ros::Publisher publisher_;
+  ros::Subscriber cloud_subscriber_, depth_subscriber_;
+  std::vector<sensor_msgs::PointCloud2::ConstPtr> clouds_;
+  std::vector<air_ground::PosedDepthMap::ConstPtr> depth_maps_;
+  std::set<ros::Time> sent_;
+};
+
+air_ground_common::CameraModel* DenseFusionNodeTest::camera_ = nullptr;
+std::vector<cv::Mat>* DenseFusionNodeTest::images_ = nullptr;
+
+TEST_F(DenseFusionNodeTest, ReconstructsAFlightInTheMapFrame) {
+  fly(100, 1);
+  flush();
+  checkOutput(0);
+}
+
+TEST_F(DenseFusionNodeTest, ImagesWithoutScaleAreIgnored) {
+  for (int i = 0; i < kFrames; ++i) {
+    auto msg = message(i, 200, 1);
+    msg.metric = false;
+    publisher_.publish(msg);
+    ros::WallDuration(0.01).sleep();
+  }
+  flush();
+  EXPECT_TRUE(clouds_.empty());
+}
+
+TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  auto msg = message(0, 300, 1);
+  msg.pose.pose.position.x = nan;
+  publisher_.publish(msg);
+  msg = message(1, 300, 1);
+  msg.pose.pose.orientation.w = msg.pose.pose.orientation.x = msg.pose.pose.orientation.y = msg.pose.pose.orientation.z = 0;
+  publisher_.publish(msg);
+  msg = message(2, 300, 1);
+  msg.camera_info.K[0] = 0;
+  publisher_.publish(msg);
+  msg = message(3, 300, 1);
+  msg.image.data.resize(10);
+  publisher_.publish(msg);
+  msg = message(4, 300, 1);
+  msg.image.encoding = "nonsense";
+  publisher_.publish(msg);
+  msg = message(5, 300, 1);
+  msg.depth_min = std::numeric_limits<float>::quiet_NaN();
+  publisher_.publish(msg);
+  for (int i = 6; i < 9; ++i) publisher_.publish(message(6, 300, 1));  // repeated
+  publisher_.publish(message(3, 300, 1));                               // late
+  fly(301, 1);
+  flush();
+  checkOutput(0);
+}
+
+TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
+  fly(400, 1);
+  fly(410, 2, 10);
+  flush();
+  const std::string path = "/tmp/dense_fusion_node_test_" + std::to_string(getpid()) + ".ply";
+  air_ground::SaveMap save;
+  save.request.path = path;
+  ASSERT_TRUE(ros::service::call("dense_fusion/save_map", save));
+  ASSERT_TRUE(save.response.success) << save.response.message;
+  const auto points = air_ground_common::readPlyPoints(path);
+  std::remove(path.c_str());
+  EXPECT_EQ(points.size(), save.response.points);
+  ASSERT_GT(points.size(), 5000u);
+  for (const auto& p : points) {
+    ASSERT_GT(p.position.x(), 5) << "a point of the old map";
+    ASSERT_EQ(p.source, 1);
+  }
+  save.request.path = "/nonexistent/map.ply";
+  ASSERT_TRUE(ros::service::call("dense_fusion/save_map", save));
+  EXPECT_FALSE(save.response.success);
+}
+
+TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {
+  fly(600, 1, 10);
+  fly(550, 1);
+  flush();
+  // What was flown after the jump is there, in the same map id, and is not mixed with what was flown before it.
+  ASSERT_FALSE(clouds_.empty());
+  std::size_t dropped = 0;
+  const auto points = ros_utils::cloudFromMsg(*clouds_.back(), &dropped);
+  ASSERT_GT(points.size(), 5000u);
+  for (const auto& p : points) ASSERT_LT(p.position.x(), 5);
+  EXPECT_LT(clouds_.back()->header.stamp.toSec(), 560);
+}
+
+TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {
+  fly(700, 1);
+  for (int i = 0; i < 400 && clouds_.empty(); ++i) {
+    ros::spinOnce();
+    ros::WallDuration(0.05).sleep();
+  }
+  EXPECT_FALSE(clouds_.empty());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "dense_fusion_node_test");
+  ::testing::InitGoogleTest(&argc, argv);
+  return RUN_ALL_TESTS();
+}

@@ -1,0 +1,151 @@
+#include "dense_fusion/dense_mapper.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "dense_fusion/point_map.h"
+#include "synthetic_scene.h"
+
+namespace dense_fusion {
+namespace {
+
+using testing::boxScene;
+using testing::lookDown;
+
+air_ground_common::CameraModel smallCamera() {
+  air_ground_common::CameraModel c;
+  c.width = 240;
+  c.height = 160;
+  c.fx = c.fy = 150;
+  c.cx = 119.5;
+  c.cy = 79.5;
+  return c;
+}
+
+MapperSettings smallSettings() {
+  MapperSettings s;
+  s.rectifier.scale = 1;
+  s.fusion.voxel_size = 0.03;
+  s.sweep.hypotheses = 100;
+  s.frame_spacing = 0.02;
+  return s;
+}
+
+// A straight flight rendered once for all tests: 1.7 m at 2 m above the boxes.
+const std::vector<cv::Mat>& flight() {
+  static const std::vector<cv::Mat> images = [] {
+    std::vector<cv::Mat> result;
+    for (int i = 0; i < 57; ++i)
+      result.push_back(boxScene().render(smallCamera(), lookDown({-0.8 + 0.03 * i, 0, 2}, 0.02, 0.01, 0.1), 1 + 0.004 * i, -i * 0.2));
+    return result;
+  }();
+  return images;
+}
+
+Eigen::Isometry3d flightPose(int i) { return lookDown({-0.8 + 0.03 * i, 0, 2}, 0.02, 0.01, 0.1); }
+
+std::vector<FusedMap> fly(DenseMapper* mapper) {
+  std::vector<FusedMap> maps;
+  for (std::size_t i = 0; i < flight().size(); ++i)
+    if (auto fused = mapper->add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000, flightPose(static_cast<int>(i)), 1.3, 2.05))
+      maps.push_back(std::move(*fused));
+  if (auto fused = mapper->flush()) maps.push_back(std::move(*fused));
+  return maps;
+}
+
+TEST(DenseMapper, EmitsAMapEachTimeItHasMovedOn) {
+  DenseMapper mapper(smallSettings());
+  int depth_maps = 0;
+  mapper.onDepthMap([&](const DepthMap& map) {
+    ++depth_maps;
+    EXPECT_GT(map.frames, 4);
+  });
+  const auto maps = fly(&mapper);
+  // 1.7 m at 0.70 m a map: two complete ones and what flush() finds.
+  EXPECT_GE(maps.size(), 2u);
+  EXPECT_LE(maps.size(), 3u);
+  EXPECT_EQ(mapper.counters().fused, maps.size());
+  EXPECT_EQ(static_cast<int>(mapper.counters().depth_maps), depth_maps);
+  std::vector<double> errors;
+  double highest = 0;
+  for (const FusedMap& map : maps) {
+    EXPECT_EQ(map.depth_map.stamp % 50000000, 0);
+    for (const SurfacePoint& p : map.points) {
+      ASSERT_TRUE(p.position.allFinite());
+      highest = std::max(highest, double(p.position.z()));
+      if (p.normal.z() > 0.9) errors.push_back(std::abs(p.position.z() - boxScene().heightAt(p.position.x(), p.position.y())));
+    }
+  }
+  ASSERT_GT(errors.size(), 3000u);
+  std::sort(errors.begin(), errors.end());
+  std::printf("heights: median %.4f 90%% %.4f m\n", errors[errors.size() / 2], errors[errors.size() * 9 / 10]);
+  EXPECT_LT(errors[errors.size() / 2], 0.012);
+  EXPECT_LT(errors[errors.size() * 9 / 10], 0.05);
+  EXPECT_NEAR(highest, 0.8, 0.06);  // the top of the tallest box is there
+}
+
+TEST(DenseMapper, RepeatsItselfExactly) {
+  DenseMapper a(smallSettings()), b(smallSettings());
+  const auto first = fly(&a), second = fly(&b);
+  ASSERT_EQ(first.size(), second.size());
+  for (std::size_t k = 0; k < first.size(); ++k) {
+    ASSERT_EQ(first[k].points.size(), second[k].points.size());
+    for (std::size_t i = 0; i < first[k].points.size(); ++i) ASSERT_EQ(first[k].points[i].position, second[k].points[i].position);
+  }
+}
+
+TEST(DenseMapper, HoveringAndFlushingTwiceGiveNothing) {
+  DenseMapper mapper(smallSettings());
+  for (int i = 0; i < 30; ++i) EXPECT_FALSE(mapper.add(flight()[20], smallCamera(), i, flightPose(20), 1.3, 2.05));
+  EXPECT_FALSE(mapper.flush());
+  EXPECT_EQ(mapper.counters().redundant, 29u);
+  EXPECT_FALSE(fly(&mapper).empty());
+  EXPECT_FALSE(mapper.flush());
+}
+
+TEST(DenseMapper, ResetForgetsTheMap) {
+  DenseMapper mapper(smallSettings());
+  for (int i = 0; i < 20; ++i) mapper.add(flight()[i], smallCamera(), i, flightPose(i), 1.3, 2.05);
+  mapper.reset();
+  EXPECT_FALSE(mapper.flush());
+  EXPECT_FALSE(fly(&mapper).empty());
+}
+
+TEST(DenseMapper, RefusesWhatItCannotUse) {
+  MapperSettings bad = smallSettings();
+  bad.overlap = 2;
+  EXPECT_THROW(DenseMapper{bad}, std::invalid_argument);
+  DenseMapper mapper(smallSettings());
+  Eigen::Isometry3d T = flightPose(0);
+  T.translation().x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(mapper.add(flight()[0], smallCamera(), 0, T, 1, 2), std::invalid_argument);
+  auto camera = smallCamera();
+  camera.fx = 0;
+  EXPECT_THROW(mapper.add(flight()[0], camera, 0, flightPose(0), 1, 2), std::invalid_argument);
+  EXPECT_THROW(mapper.add(cv::Mat(), smallCamera(), 0, flightPose(0), 1, 2), std::invalid_argument);
+  // An unknown depth range falls back to the default one.
+  EXPECT_NO_THROW(mapper.add(flight()[0], smallCamera(), 0, flightPose(0), 0, std::numeric_limits<double>::quiet_NaN()));
+  EXPECT_FALSE(fly(&mapper).empty());
+}
+
+TEST(PointMap, KeepsTheBetterSupportedPointOfACell) {
+  PointMap map(0.02);
+  SurfacePoint a, b;
+  a.position = {-0.005f, 0.011f, 1.001f};
+  a.support = 5;
+  b.position = {-0.006f, 0.012f, 1.002f};
+  b.support = 3;
+  map.add({a});
+  map.add({b});
+  ASSERT_EQ(map.size(), 1u);
+  EXPECT_EQ(map.points()[0].support, 5);
+  b.position.x() = 0.005f;  // the neighbouring cell across zero
+  map.add({b});
+  EXPECT_EQ(map.size(), 2u);
+  EXPECT_THROW(PointMap(0), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace dense_fusion

@@ -1,0 +1,319 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <numeric>
+#include <opencv2/core.hpp>
+#include <random>
+
+#include "dense_fusion/depth_fusion.h"
+#include "dense_fusion/distance_field.h"
+#include "dense_fusion/fusion_kernels.h"
+#include "synthetic_scene.h"
+
+namespace dense_fusion {
+namespace {
+
+using testing::boxScene;
+using testing::lookDown;
+using testing::Scene;
+
+// Histograms as of `maps` distance fields around a tilted plane with a share of outliers.
+Histograms<std::uint8_t> planeVotes(int nx, int ny, int nz, int maps, double outliers, unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> noise(0, 0.25);
+  std::uniform_real_distribution<double> uniform(0, 1);
+  Histograms<std::uint8_t> votes;
+  votes.resize(nx, ny, nz);
+  for (int z = 0; z < nz; ++z)
+    for (int y = 0; y < ny; ++y)
+      for (int x = 0; x < nx; ++x)
+        for (int m = 0; m < maps; ++m) {
+          double f = (z - 0.5 * nz - 0.1 * x) / 4 + noise(random);
+          if (uniform(random) < outliers) f = 2 * uniform(random) - 1;
+          if (f < -1) continue;
+          const int bin = static_cast<int>(std::lround((std::min(f, 1.0) + 1) * 0.5 * (kBins - 1)));
+          ++votes.row(y, z)[bin * nx + x];
+        }
+  return votes;
+}
+
+double largestDifference(const std::vector<float>& a, const std::vector<float>& b) {
+  double largest = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) largest = std::max(largest, std::abs(double(a[i]) - b[i]));
+  return largest;
+}
+
+TEST(TvL1, FastScheduleMatchesTheReferenceOnRandomHistograms) {
+  for (const auto& size : {std::array<int, 3>{33, 17, 9}, {8, 8, 8}, {64, 3, 2}, {5, 4, 1}}) {
+    Histograms<std::uint8_t> votes;
+    votes.resize(size[0], size[1], size[2]);
+    std::mt19937 random(5);
+    for (auto& c : votes.counts) c = static_cast<std::uint8_t>(random() % 3 ? 0 : random() % 5);
+    for (const int threads : {1, 2, 3}) {
+      TvL1Solution fast, plain;
+      fast.reset(size[0], size[1], size[2]);
+      plain.reset(size[0], size[1], size[2]);
+      iterateTvL1(votes, 0.26, 12, threads, &fast);
+      iterateTvL1Reference(votes, 0.26, 12, &plain);
+      EXPECT_LT(largestDifference(fast.phi, plain.phi), 2e-4) << "threads " << threads;
+      EXPECT_LT(largestDifference(fast.pz, plain.pz), 2e-4) << "threads " << threads;
+    }
+  }
+}
+
+TEST(TvL1, GapFallsBelowOnePercentSoTheSolutionIsOptimal) {
+  const auto votes = planeVotes(40, 36, 32, 6, 0.12, 1);
+  TvL1Settings settings;
+  settings.iterations = 2000;
+  settings.relative_gap = 0.005;
+  const TvL1Solution solution = solveTvL1(votes, settings);
+  const PrimalDualGap gap = gapTvL1(votes, settings.lambda, solution);
+  EXPECT_GE(gap.primal, gap.dual);
+  EXPECT_LT(gap.relative(), 0.01);
+  EXPECT_LT(solution.iterations, 2000);
+  for (std::size_t i = 0; i < solution.phi.size(); ++i) {
+    ASSERT_LE(std::abs(solution.phi[i]), 1.f);
+    const double norm = std::hypot(solution.px[i], solution.py[i], solution.pz[i]);
+    ASSERT_LE(norm, 1 + 1e-5);
+  }
+}
+
+TEST(TvL1, CoarseStartBeatsColdStartAfterEightIterations) {
+  const auto votes = planeVotes(64, 48, 40, 6, 0.12, 2);
+  TvL1Settings settings;
+  settings.iterations = 1500;
+  settings.relative_gap = 0.001;
+  const double optimum = gapTvL1(votes, settings.lambda, solveTvL1(votes, settings)).dual;
+  settings.relative_gap = 0;
+  settings.iterations = 8;
+  const double warm = gapTvL1(votes, settings.lambda, solveTvL1(votes, settings)).primal / optimum - 1;
+  settings.coarse_levels = 0;
+  const double cold = gapTvL1(votes, settings.lambda, solveTvL1(votes, settings)).primal / optimum - 1;
+  std::printf("energy above the optimum after 8 iterations: cold %.1f %%, coarse to fine %.1f %%\n", 100 * cold, 100 * warm);
+  EXPECT_LT(warm, 0.08);
+  EXPECT_LT(warm, 0.7 * cold);
+}
+
+TEST(TvL1, RefusesBadSettings) {
+  Histograms<std::uint8_t> votes;
+  EXPECT_THROW(solveTvL1(votes), std::invalid_argument);
+  votes.resize(4, 4, 4);
+  TvL1Settings settings;
+  settings.lambda = 0;
+  EXPECT_THROW(solveTvL1(votes, settings), std::invalid_argument);
+}
+
+DepthMap exactDepth(const Scene& scene, const Eigen::Isometry3d& T, int width = 188, int height = 120) {
+  DepthMap map;
+  map.camera.width = width;
+  map.camera.height = height;
+  map.camera.fx = map.camera.fy = 0.55 * width;
+  map.camera.cx = 0.5 * (width - 1);
+  map.camera.cy = 0.5 * (height - 1);
+  map.T_map_camera = T;
+  map.intensity = scene.render(map.camera, T, 1, 0, &map.depth);
+  map.confidence = cv::Mat::ones(height, width, CV_32F);
+  map.frames = 10;
+  return map;
+}
+
+TEST(DistanceField, PositiveInFreeSpaceAndUnknownBehind) {
+  const DepthMap map = exactDepth(Scene{}, lookDown({0, 0, 2}));
+  const VoteBand band{0.06, 0.1};
+  EXPECT_FLOAT_EQ(distanceAt(map, {0, 0, 1}, band), 1.f);
+  EXPECT_NEAR(distanceAt(map, {0.2, 0.1, 0.03}, band), 0.5, 0.01);
+  EXPECT_NEAR(distanceAt(map, {0, 0, 0}, band), 0.0, 0.01);
+  EXPECT_NEAR(distanceAt(map, {0, 0, -0.03}, band), -0.5, 0.01);
+  EXPECT_FLOAT_EQ(distanceAt(map, {0, 0, -0.15}, band), -1.f);
+  EXPECT_TRUE(std::isnan(distanceAt(map, {0, 0, -0.17}, band)));
+  EXPECT_TRUE(std::isnan(distanceAt(map, {9, 0, 0}, band)));
+  EXPECT_TRUE(std::isnan(distanceAt(map, {0, 0, 3}, band)));
+}
+
+TEST(DistanceField, FastVotesMatchTheReference) {
+  DepthMap map = exactDepth(boxScene(), lookDown({0.1, -0.05, 2.1}, 0.1, -0.08, 0.7));
+  map.depth(cv::Rect(20, 20, 30, 15)).setTo(std::numeric_limits<float>::quiet_NaN());
+  const VoxelGrid grid = fitGrid({-1.5, -1, -0.1}, {1.5, 1, 1}, 0.04, 1000000);
+  Histograms<std::uint8_t> fast, plain;
+  fast.resize(grid.nx, grid.ny, grid.nz);
+  plain.resize(grid.nx, grid.ny, grid.nz);
+  addVotes(map, grid, {0.16, 0.3}, 2, &fast);
+  addVotesReference(map, grid, {0.16, 0.3}, &plain);
+  std::size_t differ = 0, total = 0;
+  for (std::size_t i = 0; i < fast.counts.size(); ++i) {
+    differ += fast.counts[i] != plain.counts[i];
+    total += plain.counts[i];
+  }
+  EXPECT_GT(total, grid.voxels() / 3);
+  // Rounding at the edge of a pixel or a bin may go either way.
+  EXPECT_LT(differ, total / 1000);
+}
+
+TEST(DistanceField, CountsSaturate) {
+  std::vector<std::uint8_t> bin = {0, 7, 255, 3}, counts(4 * kBins, 0);
+  counts[0] = 255;
+  kernels::countRow(bin.data(), 4, counts.data());
+  EXPECT_EQ(counts[0], 255);
+  EXPECT_EQ(counts[7 * 4 + 1], 1);
+  EXPECT_EQ(counts[3 * 4 + 3], 1);
+  EXPECT_EQ(std::accumulate(counts.begin() + 1, counts.end(), 0), 2);
+}
+
+TEST(VoxelGrid, GrowsVoxelsToStayWithinTheBound) {
+  const VoxelGrid grid = fitGrid({0, 0, 0}, {10, 10, 2}, 0.01, 2000000);
+  EXPECT_LE(grid.voxels(), 2000000u);
+  EXPECT_GT(grid.voxels(), 1000000u);
+  EXPECT_GE(grid.center(grid.nx - 1, grid.ny - 1, grid.nz - 1).x(), 10.0);
+  EXPECT_DOUBLE_EQ(fitGrid({0, 0, 0}, {1, 1, 1}, 0.02, 2000000).voxel_size, 0.02);
+  EXPECT_THROW(fitGrid({0, 0, 0}, {0, 1, 1}, 0.02, 2000000), std::invalid_argument);
+}
+
+// Field of an analytic shape: phi = clamp(distance / truncation).
+template <typename Distance>
+std::vector<float> analyticField(const VoxelGrid& grid, double truncation, Distance distance) {
+  std::vector<float> phi(grid.voxels());
+  for (int z = 0; z < grid.nz; ++z)
+    for (int y = 0; y < grid.ny; ++y)
+      for (int x = 0; x < grid.nx; ++x)
+        phi[grid.index(x, y, z)] = static_cast<float>(std::clamp(distance(grid.center(x, y, z)) / truncation, -1.0, 1.0));
+  return phi;
+}
+
+TEST(RayCasting, SphereAndPlaneAreHitWhereTheyAre) {
+  const VoxelGrid grid = fitGrid({-1, -1, -0.2}, {1, 1, 1}, 0.02, 10000000);
+  const Eigen::Vector3d centre(0.1, -0.05, 0.2);
+  const double radius = 0.5;
+  const auto phi = analyticField(grid, 0.08, [&](const Eigen::Vector3d& p) { return std::min((p - centre).norm() - radius, p.z()); });
+  const std::vector<std::uint8_t> support(grid.voxels(), 2);
+  const SurfaceField field{grid, phi, support, 2};
+  const DepthMap view = exactDepth(Scene{}, lookDown({0.2, 0.1, 2}, 0.15, -0.1, 0.5));
+  cv::Mat normals;
+  const cv::Mat depth = castRays(field, view.camera, view.T_map_camera, 2, &normals);
+  int hits = 0;
+  double worst_depth = 0, worst_normal = 0;
+  for (int v = 0; v < depth.rows; ++v)
+    for (int u = 0; u < depth.cols; ++u) {
+      const float z = depth.at<float>(v, u);
+      if (std::isnan(z)) continue;
+      const Eigen::Vector3d p =
+          view.T_map_camera * (z * Eigen::Vector3d((u - view.camera.cx) / view.camera.fx, (v - view.camera.cy) / view.camera.fy, 1));
+      const double to_sphere = (p - centre).norm() - radius;
+      const cv::Vec3f n = normals.at<cv::Vec3f>(v, u);
+      worst_depth = std::max(worst_depth, std::min(std::abs(to_sphere), std::abs(p.z())));
+      if (to_sphere < p.z() - 0.05) {
+        const double along = Eigen::Vector3d(n[0], n[1], n[2]).dot((p - centre).normalized());
+        worst_normal = std::max(worst_normal, std::acos(std::min(1.0, along)));
+        ++hits;
+      }
+    }
+  EXPECT_GT(hits, 1000);
+  EXPECT_LT(worst_depth, 0.005);
+  EXPECT_LT(worst_normal, 0.1);
+
+  const auto points = extractSurface(field, 2);
+  EXPECT_GT(points.size(), 8000u);
+  for (const SurfacePoint& point : points) {
+    const Eigen::Vector3d p = point.position.cast<double>();
+    ASSERT_LT(std::min(std::abs((p - centre).norm() - radius), std::abs(p.z())), 0.005);
+  }
+}
+
+TEST(RayCasting, UnsupportedSurfacesAreNotReported) {
+  const VoxelGrid grid = fitGrid({-1, -1, -0.2}, {1, 1, 0.4}, 0.04, 1000000);
+  const auto phi = analyticField(grid, 0.16, [](const Eigen::Vector3d& p) { return p.z(); });
+  const std::vector<std::uint8_t> support(grid.voxels(), 1);
+  const SurfaceField field{grid, phi, support, 2};
+  const DepthMap view = exactDepth(Scene{}, lookDown({0, 0, 2}));
+  EXPECT_EQ(cv::countNonZero(castRays(field, view.camera, view.T_map_camera, 2) > 0), 0);
+  EXPECT_TRUE(extractSurface(field, 2).empty());
+}
+
+// Depth maps of a flight over the boxes with noise and a share of gross outliers.
+std::vector<DepthMap> noisyMaps(const Scene& scene, int count, double sigma, double outliers, unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<float> noise(0, 1);
+  std::uniform_real_distribution<float> uniform(0, 1);
+  std::vector<DepthMap> maps;
+  for (int i = 0; i < count; ++i) {
+    DepthMap map = exactDepth(scene, lookDown({0.12 * (i - count / 2), 0.03 * i, 2}, 0.02 * i, -0.01 * i, 0.3 + 0.01 * i), 376, 240);
+    for (int v = 0; v < map.depth.rows; ++v)
+      for (int u = 0; u < map.depth.cols; ++u) {
+        float& z = map.depth.at<float>(v, u);
+        z += static_cast<float>(sigma) * noise(random);
+        if (uniform(random) < outliers) z = 0.9f + 1.7f * uniform(random);
+      }
+    maps.push_back(std::move(map));
+  }
+  return maps;
+}
+
+TEST(DepthFusion, RejectsTwelvePercentOutliers) {
+  const Scene scene = boxScene();
+  const auto maps = noisyMaps(scene, 7, 0.015, 0.12, 11);
+  FusionSettings settings;
+  const auto fused = fuseDepthMaps(maps, 3, settings);
+  ASSERT_TRUE(fused);
+  std::vector<double> errors;
+  cv::Mat truth;
+  scene.render(maps[3].camera, maps[3].T_map_camera, 1, 0, &truth);
+  std::size_t gross = 0, valid = 0;
+  for (int v = 0; v < truth.rows; ++v)
+    for (int u = 0; u < truth.cols; ++u) {
+      const float z = fused->depth_map.depth.at<float>(v, u);
+      if (std::isnan(z)) {
+        ASSERT_EQ(fused->depth_map.confidence.at<float>(v, u), 0);
+        continue;
+      }
+      errors.push_back(std::abs(z - truth.at<float>(v, u)));
+      ++valid;
+      gross += errors.back() > 0.10;
+    }
+  std::sort(errors.begin(), errors.end());
+  std::printf("fused: valid %.2f median %.4f p95 %.4f m, gross %.2f %%, grid %dx%dx%d, %zu points, %.0f + %.0f + %.0f ms\n",
+              double(valid) / truth.total(), errors[errors.size() / 2], errors[errors.size() * 95 / 100], 100.0 * gross / valid,
+              fused->grid.nx, fused->grid.ny, fused->grid.nz, fused->points.size(), 1e3 * fused->timings.votes,
+              1e3 * fused->timings.minimisation, 1e3 * fused->timings.surface);
+  EXPECT_GT(double(valid) / truth.total(), 0.9);
+  EXPECT_LT(errors[errors.size() / 2], 0.006);
+  EXPECT_LT(errors[errors.size() * 95 / 100], 0.03);
+  EXPECT_LT(double(gross) / valid, 0.02);  // 12 % went in; what is left lies at the boxes' edges
+  // Seen from above, the whole cloud lies on the scene's surfaces: heights of points away from box edges.
+  std::size_t floating = 0;
+  for (const SurfacePoint& p : fused->points) {
+    bool near_surface = std::abs(p.position.z() - scene.heightAt(p.position.x(), p.position.y())) < 0.05;
+    for (const testing::Box& b : scene.boxes) {
+      const Eigen::Array3d q = p.position.cast<double>();
+      near_surface = near_surface || ((q > b.lower.array() - 0.05).all() && (q < b.upper.array() + 0.05).all());
+    }
+    floating += !near_surface;
+  }
+  EXPECT_LT(double(floating) / fused->points.size(), 0.01);
+}
+
+TEST(DepthFusion, ThreadsDoNotChangeTheResult) {
+  const auto maps = noisyMaps(boxScene(), 3, 0.01, 0.05, 4);
+  FusionSettings one, three;
+  one.threads = 1;
+  three.threads = 3;
+  one.voxel_size = three.voxel_size = 0.03;
+  const auto a = fuseDepthMaps(maps, 0, one), b = fuseDepthMaps(maps, 0, three);
+  ASSERT_TRUE(a && b);
+  ASSERT_EQ(a->points.size(), b->points.size());
+  for (std::size_t i = 0; i < a->points.size(); ++i) ASSERT_EQ(a->points[i].position, b->points[i].position);
+}
+
+TEST(DepthFusion, HeightsCutTheGridAndEmptyMapsGiveNothing) {
+  const auto maps = noisyMaps(boxScene(), 3, 0.01, 0.05, 4);
+  FusionSettings settings;
+  const auto grid = gridFor(maps, settings, HeightRange{-0.1, 0.4});
+  ASSERT_TRUE(grid);
+  EXPECT_LT(grid->center(0, 0, grid->nz - 1).z(), 0.55);
+  auto empty = maps;
+  for (DepthMap& map : empty) map.depth.setTo(std::numeric_limits<float>::quiet_NaN());
+  EXPECT_FALSE(fuseDepthMaps(empty, 0, settings));
+  EXPECT_THROW(fuseDepthMaps(maps, 3, settings), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace dense_fusion

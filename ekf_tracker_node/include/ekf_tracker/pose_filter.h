@@ -1,0 +1,142 @@
+// The Kalman filter of paper B, section III, with the odometry's scale and the barometer's offset as further states, and
+// with rival hypotheses from which it starts and recovers. A plain value: copies are snapshots.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "ekf_tracker/motion_model.h"
+
+namespace ekf_tracker {
+
+using Vector6d = Eigen::Matrix<double, 6, 1>;
+using Matrix6d = Eigen::Matrix<double, 6, 6>;
+
+struct FilterSettings {
+  // Gates: a measurement inside holds this probability if the filter is right (chi-square, as many degrees of freedom as the
+  // measurement has components: 4 for a fix, 3 for GPS, 1 for heading and barometer). 0.9973 is 3 sigma in one dimension.
+  double gate_probability = 0.9973;
+  // Scale of the odometry.
+  double metric_scale_stddev = 0.05;      ///< relative, of odometry that calls itself metric and gives no variance
+  double scale_drift = 0.01;              ///< relative, per square root of metre travelled
+  double max_initial_scale_stddev = 0.3;  ///< relative: fixes too close together to give the scale better than this must wait
+  // Odometry.
+  double covariance_factor = 1;           ///< multiplies the increments' covariance
+  double min_translation_stddev = 0.001;  ///< floor of an increment [m, or the odometry's unit]
+  double min_yaw_stddev = 1e-4;           ///< floor of an increment [rad]
+  double gap_speed_stddev = 1.5;          ///< velocity while the odometry is silent [m/s]
+  double gap_yaw_rate_stddev = 0.3;       ///< [rad/s]
+  // Barometer.
+  double barometer_drift = 0.25;          ///< of its offset, per square root of second [m]
+  // Recovery.
+  int recovery_fixes = 3;                 ///< this many refused fixes that agree with each other replace the filter's state
+  int max_hypotheses = 4;                 ///< rivals kept
+};
+
+/// Throws std::invalid_argument that names the field out of range.
+void check(const FilterSettings& settings);
+
+enum class Source { kFix, kHeading, kGps, kBarometer };
+
+/// value: kFix x y z yaw; kHeading yaw; kGps x y z; kBarometer height above any fixed level [m, rad; world].
+struct Measurement {
+  Source source = Source::kFix;
+  double stamp = 0;  ///< [s]
+  Vector4d value = Vector4d::Zero();
+  Matrix4d covariance = Matrix4d::Identity();  ///< leading size() x size() block
+  int size() const { return source == Source::kFix ? 4 : source == Source::kGps ? 3 : 1; }
+};
+
+enum class Result {
+  kFused,
+  kRefusedByGate,   ///< outside the gate (a fix then supports or founds a rival hypothesis)
+  kWaiting,         ///< a fix kept for the start: nothing is known yet
+  kNotStarted,      ///< not a fix, and no state to correct
+  kInitialised,     ///< the filter starts with this fix
+  kRecovered,       ///< rival fixes agreed and replaced the state
+  // Found by Tracker before the filter sees the measurement:
+  kInvalid,         ///< not finite, or no positive definite covariance
+  kTooOld,          ///< before the buffered history
+  kFromFuture,      ///< too far ahead of the odometry
+  kDuplicate,       ///< same source and stamp as one already taken
+};
+const char* describe(Result result);
+
+/// What a measurement did.
+struct Outcome {
+  Measurement measurement;
+  Result result = Result::kInvalid;
+  int dof = 0;
+  double gate = 0;                               ///< chi-square bound of nis
+  double nis = 0;                                ///< normalised innovation squared; NaN where there was no prediction
+  Vector4d innovation = Vector4d::Zero();        ///< measurement minus prediction, angles wrapped
+  Vector4d innovation_stddev = Vector4d::Zero(); ///< predicted
+  double delay = 0;                              ///< newest odometry stamp minus its own, when it was taken [s]
+};
+
+/// Estimate of one hypothesis. x: position [m], yaw [rad] in `world`, scale of the odometry, offset of the barometer [m].
+struct State {
+  Vector6d x = Vector6d::Zero();
+  Matrix6d covariance = Matrix6d::Identity();
+  bool barometer_known = false;
+  bool scale_known = true;  ///< false: the odometry began anew in an unknown unit, only its turns are used
+  int support = 0;          ///< fixes fused
+};
+
+class PoseFilter {
+ public:
+  explicit PoseFilter(const FilterSettings& settings = FilterSettings());
+
+  /// Equations 7 and 8. Symmetric positive definite covariance in and out.
+  void predict(const Increment& increment);
+
+  /// Equations 12 and 13 with the gate, or the start (B-III.E), or a step towards recovery.
+  Outcome correct(const Measurement& measurement);
+
+  /// Forgets the pose. `metric`, `scale_stddev`: of the odometry to come, which fixes before its first step must know.
+  void restart(bool metric, double scale_stddev);
+
+  bool started() const { return state_.has_value(); }
+  /// Only when started().
+  const State& state() const { return *state_; }
+  int recoveries() const { return recoveries_; }
+  int starts() const { return starts_; }
+  /// Rival hypotheses, and fixes the strongest of them holds.
+  int rivals() const { return static_cast<int>(rivals_.size()); }
+  int strongestRival() const;
+
+ private:
+  // A rival lives on the fix that founded it and the odometry since. Its scale is free until two of its fixes give it.
+  struct Rival {
+    State state;             ///< its scale_known is false until a second fix gives the scale
+    int contradictions = 0;  ///< fixes that did not fit
+    Vector4d anchor = Vector4d::Zero();
+    Matrix4d anchor_covariance = Matrix4d::Identity();
+    Vector4d travelled = Vector4d::Zero();                ///< since the anchor, in its body frame, in the odometry's unit
+    Matrix4d travelled_covariance = Matrix4d::Zero();
+  };
+
+  void becomeMetric();
+  void loseScale();
+  void propagate(State* state, const Increment& increment) const;
+  Outcome test(const State& state, const Measurement& m) const;
+  static void fuse(State* state, const Measurement& m);
+  enum class Solution { kNone, kContradiction, kFound };
+  Solution solveScale(Rival* rival, const Measurement& fix) const;
+  Rival* supporterOf(const Measurement& fix);
+  Rival found(const Measurement& fix) const;
+  double priorScaleStddev() const;
+
+  FilterSettings settings_;
+  double gates_[5] = {};  ///< by degrees of freedom
+  std::optional<State> state_;
+  std::vector<Rival> rivals_;
+  bool metric_ = true;
+  double scale_stddev_ = 0;
+  int recoveries_ = 0, starts_ = 0;
+};
+
+/// Value that a chi-square variable with `dof` degrees of freedom stays below with probability p.
+double chiSquareQuantile(int dof, double p);
+
+}  // namespace ekf_tracker

@@ -1,0 +1,388 @@
+#include "ekf_tracker/pose_filter.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <boost/math/distributions/chi_squared.hpp>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <string>
+
+#include "air_ground_common/geometry.h"
+
+namespace ekf_tracker {
+namespace {
+
+using air_ground_common::wrapAngle;
+
+enum { kYaw = 3, kScale = 4, kOffset = 5 };
+
+// Rows of the state that a measurement observes; the barometer reads z plus its offset.
+Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> observation(Source source) {
+  Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> h;
+  switch (source) {
+    case Source::kFix:
+      h.setZero(4, 6);
+      h.leftCols<4>().setIdentity();
+      break;
+    case Source::kGps:
+      h.setZero(3, 6);
+      h.leftCols<3>().setIdentity();
+      break;
+    case Source::kHeading:
+      h.setZero(1, 6);
+      h(0, kYaw) = 1;
+      break;
+    case Source::kBarometer:
+      h.setZero(1, 6);
+      h(0, 2) = h(0, kOffset) = 1;
+      break;
+  }
+  return h;
+}
+
+using Small = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 4, 1>;
+using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 4, 4>;
+
+Small innovationOf(const State& s, const Measurement& m) {
+  Small v = m.value.head(m.size()) - observation(m.source) * s.x;
+  if (m.source == Source::kFix) v[3] = wrapAngle(v[3]);
+  if (m.source == Source::kHeading) v[0] = wrapAngle(v[0]);
+  return v;
+}
+
+void symmetrise(Matrix6d* p) { *p = 0.5 * (*p + p->transpose()).eval(); }
+
+void require(bool good, const char* what) {
+  if (!good) throw std::invalid_argument(std::string("ekf_tracker settings: ") + what);
+}
+
+}  // namespace
+
+double chiSquareQuantile(int dof, double p) { return boost::math::quantile(boost::math::chi_squared(dof), p); }
+
+const char* describe(Result result) {
+  switch (result) {
+    case Result::kFused: return "fused";
+    case Result::kRefusedByGate: return "outside the gate";
+    case Result::kWaiting: return "kept until the start";
+    case Result::kNotStarted: return "no state to correct yet";
+    case Result::kInitialised: return "started the filter";
+    case Result::kRecovered: return "replaced a state that was wrong";
+    case Result::kInvalid: return "not finite, or its covariance is not positive definite";
+    case Result::kTooOld: return "older than the buffered history";
+    case Result::kFromFuture: return "too far ahead of the odometry";
+    case Result::kDuplicate: return "taken already";
+  }
+  return "";
+}
+
+void check(const FilterSettings& s) {
+  require(s.gate_probability > 0.5 && s.gate_probability < 1, "gate_probability must lie between 0.5 and 1");
+  require(s.metric_scale_stddev > 0 && s.metric_scale_stddev < 1, "metric_scale_stddev must lie between 0 and 1");
+  require(s.scale_drift >= 0 && s.scale_drift < 1, "scale_drift must lie between 0 and 1");
+  require(s.max_initial_scale_stddev > 0 && s.max_initial_scale_stddev <= 1, "max_initial_scale_stddev must lie between 0 and 1");
+  require(s.covariance_factor > 0, "covariance_factor must be positive");
+  require(s.min_translation_stddev > 0 && s.min_yaw_stddev > 0, "the floors of an increment must be positive");
+  require(s.gap_speed_stddev > 0 && s.gap_yaw_rate_stddev > 0, "the motion in gaps must be positive");
+  require(s.barometer_drift >= 0, "barometer_drift must not be negative");
+  require(s.recovery_fixes >= 2 && s.max_hypotheses >= 1, "recovery needs at least 2 fixes and 1 hypothesis");
+}
+
+PoseFilter::PoseFilter(const FilterSettings& settings) : settings_(settings) {
+  check(settings);
+  for (int dof = 1; dof <= 4; ++dof) gates_[dof] = chiSquareQuantile(dof, settings.gate_probability);
+}
+
+int PoseFilter::strongestRival() const {
+  int most = 0;
+  for (const Rival& r : rivals_) most = std::max(most, r.state.support);
+  return most;
+}
+
+void PoseFilter::restart(bool metric, double scale_stddev) {
+  state_.reset();
+  rivals_.clear();
+  metric_ = metric;
+  scale_stddev_ = metric ? scale_stddev : 0;
+}
+
+double PoseFilter::priorScaleStddev() const {
+  // What odometry claims about its own scale is not believed below one per cent.
+  return scale_stddev_ > 0 ? std::max(scale_stddev_, 0.01) : settings_.metric_scale_stddev;
+}
+
+void PoseFilter::propagate(State* state, const Increment& given) const {
+  Increment increment = given;
+  if (!state->scale_known && !increment.gap) {
+    // The turn is known, the way is not: a random walk as broad, after ten seconds, as a silence of that length.
+    increment.gap = true;
+    increment.motion.head<3>().setZero();
+    increment.covariance.topLeftCorner<3, 4>().setZero();
+    increment.covariance.leftCols<3>().setZero();
+    increment.covariance.diagonal().head<3>().setConstant(std::pow(settings_.gap_speed_stddev, 2) * 10 * (increment.stamp - increment.previous_stamp));
+  }
+  Vector6d& x = state->x;
+  const double scale = increment.gap ? 1.0 : x[kScale];
+  const MotionJacobians j = motionJacobians(x.head<4>(), increment.motion, scale);
+  x.head<4>() = move<double>(x.head<4>(), increment.motion, scale);
+  x[kYaw] = wrapAngle(x[kYaw]);
+  Matrix6d f = Matrix6d::Identity();
+  f.topLeftCorner<4, 4>() = j.by_state;
+  if (!increment.gap) f.block<4, 1>(0, kScale) = j.by_scale;
+  Matrix6d& p = state->covariance;
+  p = f * p * f.transpose();
+  p.topLeftCorner<4, 4>() += j.by_increment * increment.covariance * j.by_increment.transpose();  // equation 8
+  const double length = scale * increment.motion.head<3>().norm();
+  p(kScale, kScale) += std::pow(x[kScale] * settings_.scale_drift, 2) * length;
+  p(kOffset, kOffset) += std::pow(settings_.barometer_drift, 2) * (increment.stamp - increment.previous_stamp);
+  symmetrise(&p);
+}
+
+// The odometry found its own scale: what was known of its old unit says nothing about what is left to apply.
+void PoseFilter::becomeMetric() {
+  rivals_.clear();
+  if (!state_) return;
+  state_->scale_known = true;
+  state_->x[kScale] = 1;
+  state_->covariance.row(kScale).setZero();
+  state_->covariance.col(kScale).setZero();
+  state_->covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
+}
+
+void PoseFilter::loseScale() {
+  rivals_.clear();
+  if (!state_) return;
+  state_->scale_known = false;
+  state_->x[kScale] = 1;  // without meaning from here on
+  state_->covariance.row(kScale).setZero();
+  state_->covariance.col(kScale).setZero();
+  state_->covariance(kScale, kScale) = 1;
+}
+
+void PoseFilter::predict(const Increment& given) {
+  Increment increment = given;
+  if (increment.gap) {
+    // A rival that still needs the scale cannot bridge a silence of unknown length in the odometry's unit.
+    rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), [](const Rival& r) { return !r.state.scale_known; }), rivals_.end());
+  } else {
+    scale_stddev_ = increment.metric ? increment.scale_stddev : 0;
+    if (increment.new_unit) loseScale();
+    if (increment.metric && !metric_) becomeMetric();
+    metric_ = increment.metric;
+    increment.covariance *= settings_.covariance_factor;
+    // Spread over the parts that split() makes, floors would add up; as a rate at 20 Hz they do not.
+    const double steps = std::max(0.0, increment.stamp - increment.previous_stamp) * 20;
+    increment.covariance.diagonal().head<3>().array() += std::pow(settings_.min_translation_stddev, 2) * steps;
+    increment.covariance(3, 3) += std::pow(settings_.min_yaw_stddev, 2) * steps;
+  }
+  if (state_) propagate(&*state_, increment);
+  for (Rival& rival : rivals_) {
+    if (rival.state.scale_known) propagate(&rival.state, increment);
+    const MotionJacobians j = motionJacobians(rival.travelled, increment.motion, 1);
+    rival.travelled = move<double>(rival.travelled, increment.motion, 1);
+    rival.travelled_covariance = j.by_state * rival.travelled_covariance * j.by_state.transpose() + j.by_increment * increment.covariance * j.by_increment.transpose();
+  }
+}
+
+Outcome PoseFilter::test(const State& state, const Measurement& m) const {
+  const auto h = observation(m.source);
+  const int n = m.size();
+  Outcome out;
+  out.measurement = m;
+  out.dof = n;
+  out.gate = gates_[n];
+  const Small v = innovationOf(state, m);
+  const SmallMatrix s = h * state.covariance * h.transpose() + m.covariance.topLeftCorner(n, n);
+  out.innovation.head(n) = v;
+  out.innovation_stddev.head(n) = s.diagonal().cwiseSqrt();
+  out.nis = v.dot(s.llt().solve(v));
+  out.result = out.nis <= out.gate ? Result::kFused : Result::kRefusedByGate;
+  return out;
+}
+
+void PoseFilter::fuse(State* state, const Measurement& m) {
+  const auto h = observation(m.source);
+  const int n = m.size();
+  Matrix6d& p = state->covariance;
+  const SmallMatrix r = m.covariance.topLeftCorner(n, n);
+  const SmallMatrix s = h * p * h.transpose() + r;
+  const Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, 4> gain = s.llt().solve(h * p).transpose();
+  state->x += gain * innovationOf(*state, m);  // equation 12
+  state->x[kYaw] = wrapAngle(state->x[kYaw]);
+  // Equation 13 in Joseph's form, which rounding cannot make indefinite.
+  const Matrix6d a = Matrix6d::Identity() - gain * h;
+  p = a * p * a.transpose() + gain * r * gain.transpose();
+  symmetrise(&p);
+  if (m.source == Source::kFix) ++state->support;
+}
+
+PoseFilter::Rival PoseFilter::found(const Measurement& fix) const {
+  Rival r;
+  r.anchor = fix.value;
+  r.anchor[3] = wrapAngle(r.anchor[3]);
+  r.anchor_covariance = fix.covariance;
+  r.state.support = 1;
+  r.state.scale_known = false;
+  r.state.x << r.anchor, 1, 0;
+  r.state.covariance.setZero();
+  r.state.covariance.topLeftCorner<4, 4>() = fix.covariance;
+  r.state.covariance(kOffset, kOffset) = 1;  // without meaning until the first pressure
+  if (metric_) {
+    r.state.scale_known = true;
+    r.state.x[kScale] = state_ && state_->scale_known ? state_->x[kScale] : 1;
+    r.state.covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
+  } else if (state_ && state_->scale_known) {
+    // Likely the scale is right although the pose is not; solveScale() answers where it is not.
+    r.state.scale_known = true;
+    r.state.x[kScale] = state_->x[kScale];
+    r.state.covariance(kScale, kScale) = std::max(state_->covariance(kScale, kScale), std::pow(settings_.max_initial_scale_stddev * state_->x[kScale], 2));
+  }
+  return r;
+}
+
+// B-III.E: the scale from two global fixes and the odometry between them. The paper divides the two lengths; this is the
+// weighted least-squares factor, which noise does not bias upwards, and whose residual (three degrees of freedom: the
+// direction of travel twice, and the yaw) tells whether the two fixes belong together at all.
+PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix) const {
+  const double length = rival->travelled.head<3>().norm();
+  const double ratio = (fix.value.head<3>() - rival->anchor.head<3>()).norm() / length;
+  if (!(length > 0) || !std::isfinite(ratio) || ratio <= 0) return Solution::kNone;
+  const MotionJacobians j = motionJacobians(rival->anchor, rival->travelled, ratio);
+  const Matrix4d s = j.by_state * rival->anchor_covariance * j.by_state.transpose() +
+                     j.by_increment * rival->travelled_covariance * j.by_increment.transpose() + fix.covariance;
+  const Vector4d& direction = j.by_scale;
+  Vector4d difference = fix.value - move<double>(rival->anchor, rival->travelled, 0.0);
+  difference[3] = wrapAngle(difference[3]);
+  const Eigen::LLT<Matrix4d> llt(s);
+  const double information = direction.dot(llt.solve(direction));
+  const double scale = direction.dot(llt.solve(difference)) / information;
+  // Too close together, to go by the lengths, for a useful scale: neither for nor against this rival.
+  if (1 / std::sqrt(information) > settings_.max_initial_scale_stddev * ratio) return Solution::kNone;
+  const Vector4d residual = difference - scale * direction;
+  if (residual.dot(llt.solve(residual)) > gates_[3] || 1 / std::sqrt(information) > settings_.max_initial_scale_stddev * scale) return Solution::kContradiction;
+
+  // The joint posterior of pose and scale: from the anchor with a scale that is as good as unknown, moved and corrected.
+  State& state = rival->state;
+  state.x << rival->anchor, scale, 0;
+  state.covariance.setZero();
+  state.covariance.topLeftCorner<4, 4>() = rival->anchor_covariance;
+  state.covariance(kScale, kScale) = std::pow(10 * scale, 2);
+  state.covariance(kOffset, kOffset) = 1;
+  state.barometer_known = false;
+  state.support = 1;
+  Matrix6d f = Matrix6d::Identity();
+  const MotionJacobians at = motionJacobians(rival->anchor, rival->travelled, scale);
+  f.topLeftCorner<4, 4>() = at.by_state;
+  f.block<4, 1>(0, kScale) = at.by_scale;
+  state.x.head<4>() = move<double>(rival->anchor, rival->travelled, scale);
+  state.x[kYaw] = wrapAngle(state.x[kYaw]);
+  state.covariance = f * state.covariance * f.transpose();
+  state.covariance.topLeftCorner<4, 4>() += at.by_increment * rival->travelled_covariance * at.by_increment.transpose();
+  symmetrise(&state.covariance);
+  fuse(&state, fix);
+  state.scale_known = true;
+  return state.x[kScale] > 0 ? Solution::kFound : Solution::kContradiction;
+}
+
+// The rival that the fix agrees with best, corrected by it; null when it agrees with none.
+PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
+  Rival* supported = nullptr;
+  double best = std::numeric_limits<double>::infinity();
+  for (Rival& r : rivals_) {
+    if (!r.state.scale_known) continue;
+    const Outcome o = test(r.state, fix);
+    if (o.result != Result::kFused) ++r.contradictions;
+    else if (o.nis < best) best = o.nis, supported = &r;
+  }
+  if (supported) {
+    fuse(&supported->state, fix);
+    return supported;
+  }
+  if (metric_) return nullptr;
+  for (Rival& r : rivals_) {
+    if (r.state.support > 1) continue;
+    const Solution solution = solveScale(&r, fix);
+    if (solution == Solution::kFound) return &r;
+    if (solution == Solution::kContradiction && !r.state.scale_known) ++r.contradictions;
+  }
+  return nullptr;
+}
+
+Outcome PoseFilter::correct(const Measurement& m) {
+  const auto readBarometer = [&](State* s) {
+    // The first pressure gives the offset, fully correlated with the height.
+    s->x[kOffset] = m.value[0] - s->x[2];
+    s->covariance.row(kOffset) = -s->covariance.row(2);
+    s->covariance.col(kOffset) = -s->covariance.col(2);
+    s->covariance(kOffset, kOffset) = s->covariance(2, 2) + m.covariance(0, 0);
+    s->barometer_known = true;
+  };
+  Outcome out;
+  out.measurement = m;
+  out.dof = m.size();
+  out.gate = gates_[out.dof];
+  out.nis = std::numeric_limits<double>::quiet_NaN();
+
+  if (m.source != Source::kFix) {
+    const auto apply = [&](State* s) {
+      if (m.source == Source::kBarometer && !s->barometer_known) {
+        readBarometer(s);
+        out.result = Result::kFused;
+        return;
+      }
+      out = test(*s, m);
+      if (out.result == Result::kFused) fuse(s, m);
+    };
+    for (Rival& r : rivals_)
+      if (r.state.scale_known) apply(&r.state);
+    out.result = Result::kNotStarted;
+    out.nis = std::numeric_limits<double>::quiet_NaN();
+    if (state_) apply(&*state_);
+    return out;
+  }
+
+  if (state_) {
+    out = test(*state_, m);
+    if (out.result == Result::kFused) {
+      fuse(&*state_, m);
+      if (state_->scale_known) {
+        rivals_.clear();
+        return out;
+      }
+    }
+  } else {
+    out.result = Result::kWaiting;
+  }
+
+  Rival* supported = supporterOf(m);
+  if (!supported) {
+    if (static_cast<int>(rivals_.size()) >= settings_.max_hypotheses) {
+      // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the scale.
+      const auto plausible = [](const Rival& r) { return 2 * r.state.support - r.contradictions; };
+      auto worst = rivals_.begin();
+      for (auto r = rivals_.begin(); r != rivals_.end(); ++r)
+        if (plausible(*r) <= plausible(*worst)) worst = r;
+      rivals_.erase(worst);
+    }
+    rivals_.push_back(found(m));
+    supported = &rivals_.back();
+  }
+  // A state that few fixes support yields to fewer rivals: with the first fix wrong, two good ones suffice.
+  const bool only_scale = state_ && !state_->scale_known && out.result == Result::kFused;
+  const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, std::max(2, state_->support + 1)) : (metric_ ? 1 : 2);
+  if (supported->state.scale_known && supported->state.support >= needed) {
+    if (only_scale) {  // no contradiction: the scale was all that was missing
+      state_ = supported->state;
+      rivals_.clear();
+      return out;
+    }
+    out.result = state_ ? Result::kRecovered : Result::kInitialised;
+    ++(state_ ? recoveries_ : starts_);
+    state_ = supported->state;
+    rivals_.clear();
+  }
+  return out;
+}
+
+}  // namespace ekf_tracker

@@ -1,0 +1,371 @@
+// The node with synthetic messages: what comes out, and what it does with a looped bag, gaps and bad input.
+#include <air_ground/SaveTrajectory.h>
+#include <air_ground/TrackerInnovation.h>
+#include <air_ground/VoIncrement.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <sensor_msgs/FluidPressure.h>
+#include <sensor_msgs/MagneticField.h>
+#include <sensor_msgs/NavSatFix.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <map>
+#include <random>
+
+#include "air_ground_common/geodesy.h"
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/trajectory.h"
+
+namespace {
+
+using air_ground_common::Pose;
+using air_ground_common::wrapAngle;
+using air_ground_common::yawOf;
+namespace ru = air_ground_common::ros_utils;
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kStart = 1000, kStep = 0.05;
+const Pose kWorldMap = air_ground_common::yawPose(2.0, {120, -40, 6});
+
+// A tilted vehicle on a weaving way.
+Pose mapPose(int i) {
+  const double t = i * kStep;
+  Pose T = air_ground_common::yawPose(0.4 * std::sin(0.3 * t), {1.5 * t, 2 * std::sin(0.4 * t), 0.5 * std::sin(0.2 * t)});
+  T.linear() = T.linear() * Eigen::AngleAxisd(0.15, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  return T;
+}
+
+ros::Time timeOf(int i) { return ros::Time(kStart + i * kStep); }
+
+class EkfTrackerNodeTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    increments_ = handle_.advertise<air_ground::VoIncrement>("mav/vo_increment", 400);
+    vo_ = handle_.advertise<nav_msgs::Odometry>("mav/odometry", 400);
+    fixes_ = handle_.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 100);
+    magnetometer_ = handle_.advertise<sensor_msgs::MagneticField>("mav/imu/mag", 100);
+    gps_ = handle_.advertise<sensor_msgs::NavSatFix>("gps/fix", 100);
+    barometer_ = handle_.advertise<sensor_msgs::FluidPressure>("barometer", 100);
+    odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>("tracked/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) {
+      tracked_.push_back(*m);
+    });
+    innovation_sub_ = handle_.subscribe<air_ground::TrackerInnovation>("tracked/innovation", 1000, [this](const air_ground::TrackerInnovation::ConstPtr& m) {
+      innovations_.push_back(*m);
+    });
+    geodetic_sub_ = handle_.subscribe<sensor_msgs::NavSatFix>("tracked/geodetic", 1000, [this](const sensor_msgs::NavSatFix::ConstPtr& m) { geodetic_ = *m; });
+    tf_sub_ = handle_.subscribe<tf2_msgs::TFMessage>("/tf", 1000, [this](const tf2_msgs::TFMessage::ConstPtr& m) {
+      for (const auto& t : m->transforms)
+        if (t.child_frame_id == "mav_map") edges_.push_back(t);
+    });
+    diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
+      for (const auto& s : m->status)
+        for (const auto& v : s.values) diagnostics_[v.key] = v.value;
+    });
+    ASSERT_TRUE(ros::service::waitForService("ekf_tracker/reset", 20000));
+    std_srvs::Trigger reset;
+    ASSERT_TRUE(ros::service::call("ekf_tracker/reset", reset) && reset.response.success);
+    ASSERT_TRUE(spinUntil([&] {
+      return increments_.getNumSubscribers() && vo_.getNumSubscribers() && fixes_.getNumSubscribers() && magnetometer_.getNumSubscribers() &&
+             gps_.getNumSubscribers() && barometer_.getNumSubscribers() && odometry_sub_.getNumPublishers() && innovation_sub_.getNumPublishers() &&
+             tf_sub_.getNumPublishers() && geodetic_sub_.getNumPublishers();
+    }));
+  }
+
+  static bool spinUntil(const std::function<bool()>& done, double seconds = 10) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    while (ros::ok() && ros::WallTime::now() < end) {
+      ros::spinOnce();
+      if (done()) return true;
+      ros::WallDuration(0.005).sleep();
+    }
+    return false;
+  }
+
+  static air_ground::VoIncrement increment(int from, int to) {
+    air_ground::VoIncrement m;
+    m.header.stamp = timeOf(to);
+    m.previous_stamp = timeOf(from);
+    m.relative_pose = ru::toMsg(Pose(mapPose(from).inverse() * mapPose(to)));
+    for (std::size_t k = 0; k < 4; ++k) m.covariance[5 * k] = k < 3 ? 1e-4 : 1e-6;
+    m.metric = true;
+    return m;
+  }
+
+  void fly(int from, int to) {
+    for (int i = from; i < to; ++i) {
+      nav_msgs::Odometry vo;
+      vo.header.stamp = timeOf(i + 1);
+      vo.header.frame_id = "mav_map";
+      vo.child_frame_id = "mav_base_link";
+      vo.pose.pose = ru::toMsg(mapPose(i + 1));
+      // Either topic may come first.
+      if (i % 2) vo_.publish(vo);
+      increments_.publish(increment(i, i + 1));
+      if (i % 2 == 0) vo_.publish(vo);
+      if (i % 40 == 39) spinUntil([] { return false; }, 0.02);
+    }
+  }
+
+  static geometry_msgs::PoseWithCovarianceStamped fix(int i, const Eigen::Vector3d& error = Eigen::Vector3d::Zero()) {
+    geometry_msgs::PoseWithCovarianceStamped m;
+    m.header.stamp = timeOf(i);
+    m.header.frame_id = "world";
+    Pose T = kWorldMap * mapPose(i);
+    T.translation() += error;
+    m.pose.pose = ru::toMsg(T);
+    for (std::size_t k = 0; k < 6; ++k) m.pose.covariance[7 * k] = k < 3 ? 1.0 : 0.01;
+    return m;
+  }
+
+  bool awaitStamp(int i) {
+    return spinUntil([&] { return !tracked_.empty() && tracked_.back().header.stamp >= timeOf(i) - ros::Duration(1e-4); });
+  }
+
+  int results(int result) const {
+    int n = 0;
+    for (const auto& m : innovations_) n += m.source == air_ground::TrackerInnovation::SOURCE_FIX && m.result == result;
+    return n;
+  }
+
+  double counter(const std::string& key) {
+    diagnostics_.clear();
+    spinUntil([&] { return !diagnostics_.empty(); }, 3);
+    return diagnostics_.count(key) ? std::stod(diagnostics_[key]) : 0;
+  }
+
+  void expectFinite() const {
+    for (const auto& m : tracked_) {
+      const Pose T = ru::fromMsg(m.pose.pose);  // throws unless finite and of unit length
+      const auto covariance = ru::covarianceFromMsg(m.pose.covariance);
+      EXPECT_GT(Eigen::LLT<air_ground_common::Matrix6d>(covariance).matrixL().toDenseMatrix().diagonal().minCoeff(), 0);
+      EXPECT_EQ(covariance, covariance.transpose());
+      EXPECT_LT(T.translation().norm(), 1e4);
+    }
+  }
+
+  void expectOnTheWay(int i, double metres) {
+    ASSERT_TRUE(awaitStamp(i));
+    const Pose estimate = ru::fromMsg(tracked_.back().pose.pose), truth = kWorldMap * mapPose(i);
+    EXPECT_LT((estimate.translation() - truth.translation()).norm(), metres);
+    EXPECT_LT(air_ground_common::rotationAngle(estimate.linear(), truth.linear()), 0.05);
+  }
+
+  ros::NodeHandle handle_;
+  ros::Publisher increments_, vo_, fixes_, magnetometer_, gps_, barometer_;
+  ros::Subscriber odometry_sub_, innovation_sub_, geodetic_sub_, tf_sub_, diagnostics_sub_;
+  std::vector<nav_msgs::Odometry> tracked_;
+  std::vector<air_ground::TrackerInnovation> innovations_;
+  std::vector<geometry_msgs::TransformStamped> edges_;
+  sensor_msgs::NavSatFix geodetic_;
+  std::map<std::string, std::string> diagnostics_;
+};
+
+TEST_F(EkfTrackerNodeTest, FollowsTheTruthOnOdometryTfAndGeodetic) {
+  fly(0, 40);
+  fixes_.publish(fix(10, {0.3, 0, 0}));  // late by a second and a half
+  fixes_.publish(fix(30, {-0.3, 0.2, 0}));
+  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1 && results(air_ground::TrackerInnovation::RESULT_FUSED) == 1; }));
+  EXPECT_TRUE(tracked_.empty());  // nothing was claimed before
+  for (const auto& m : innovations_) {
+    EXPECT_EQ(m.dof, 4);
+    EXPECT_NEAR(m.gate, 16.25, 0.01);
+    EXPECT_GT(m.delay, 0.4);
+  }
+  fly(40, 200);
+  fixes_.publish(fix(190));
+  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_FUSED) == 2; }));
+  fly(200, 240);
+  expectOnTheWay(240, 1.0);
+  EXPECT_EQ(tracked_.back().header.frame_id, "world");
+  EXPECT_EQ(tracked_.back().child_frame_id, "mav_base_link");
+  // The tilt stays in; the twist is the body's.
+  const Eigen::Vector3d moved = (mapPose(239).inverse() * mapPose(240)).translation() / kStep;
+  EXPECT_NEAR(tracked_.back().twist.twist.linear.x, moved.x(), 0.1);
+  EXPECT_NEAR(tracked_.back().twist.twist.linear.z, moved.z(), 0.1);
+
+  ASSERT_TRUE(spinUntil([&] { return !edges_.empty() && edges_.back().header.stamp == tracked_.back().header.stamp; }));
+  EXPECT_EQ(edges_.back().header.frame_id, "world");
+  const Pose T_world_base = ru::fromMsg(edges_.back().transform) * mapPose(240), published = ru::fromMsg(tracked_.back().pose.pose);
+  EXPECT_LT((T_world_base.matrix() - published.matrix()).norm(), 1e-6);
+  EXPECT_NEAR(ru::fromMsg(edges_.back().transform).linear()(2, 2), 1, 1e-12);  // level
+  for (std::size_t i = 1; i < edges_.size(); ++i) EXPECT_GT(edges_[i].header.stamp, edges_[i - 1].header.stamp);
+
+  ASSERT_TRUE(spinUntil([&] { return geodetic_.header.stamp == tracked_.back().header.stamp; }));
+  const air_ground_common::LocalFrame frame("EPSG:2056", {2683300, 1247900, 420});
+  EXPECT_LT((frame.fromGeodetic({geodetic_.latitude, geodetic_.longitude, geodetic_.altitude - 47.3}) - published.translation()).norm(), 1e-3);
+  EXPECT_NEAR(geodetic_.altitude, 420 + 47.3 + published.translation().z(), 0.1);
+  expectFinite();
+
+  air_ground::SaveTrajectory save;
+  save.request.path = ros::names::clean("/tmp/ekf_tracker_node_test.tum");
+  ASSERT_TRUE(ros::service::call("ekf_tracker/save_trajectory", save));
+  EXPECT_TRUE(save.response.success) << save.response.message;
+  EXPECT_EQ(air_ground_common::readTum(save.request.path).size(), save.response.poses);
+  std::remove(save.request.path.c_str());
+}
+
+TEST_F(EkfTrackerNodeTest, BadFixesAreRefusedCountedAndHarmless) {
+  fly(0, 20);
+  for (int i : {0, 5, 10}) fixes_.publish(fix(i));
+  fly(20, 100);
+  ASSERT_TRUE(awaitStamp(100));
+  innovations_.clear();
+  auto bad = fix(90);
+  bad.pose.covariance[0] = kNan;
+  fixes_.publish(bad);
+  bad = fix(91);
+  bad.pose.pose.position.y = kNan;
+  fixes_.publish(bad);
+  bad = fix(92);
+  bad.pose.pose.orientation.w = bad.pose.pose.orientation.z = bad.pose.pose.orientation.x = bad.pose.pose.orientation.y = 0;
+  fixes_.publish(bad);
+  bad = fix(93);
+  bad.pose.covariance[0] = -1;
+  fixes_.publish(bad);
+  bad = fix(94);
+  bad.header.frame_id = "map";
+  fixes_.publish(bad);
+  bad = fix(95);
+  bad.header.stamp += ros::Duration(500);  // from the future
+  fixes_.publish(bad);
+  bad = fix(0);
+  bad.header.stamp -= ros::Duration(500);  // long past
+  fixes_.publish(bad);
+  fixes_.publish(fix(96, {60, 0, 0}));     // a gross outlier
+  fixes_.publish(fix(80));                 // older than those before
+  fixes_.publish(fix(80));                 // and again
+  using I = air_ground::TrackerInnovation;
+  EXPECT_TRUE(spinUntil([&] { return results(I::RESULT_DUPLICATE) == 1; }));
+  EXPECT_EQ(results(I::RESULT_INVALID), 4);
+  EXPECT_EQ(results(I::RESULT_FROM_FUTURE), 1);
+  EXPECT_EQ(results(I::RESULT_TOO_OLD), 1);
+  EXPECT_EQ(results(I::RESULT_REFUSED_BY_GATE), 1);
+  EXPECT_EQ(results(I::RESULT_FUSED), 1);
+  for (const auto& m : innovations_) EXPECT_TRUE(std::isfinite(m.nis));
+  EXPECT_GE(counter("fix: too far ahead of the odometry"), 1);
+  EXPECT_GE(counter("fix: outside the gate"), 1);
+  EXPECT_GE(counter("fix: not finite, or its covariance is not positive definite"), 4);
+  EXPECT_GE(counter("fixes ignored: in frame 'map', expected 'world'"), 1);
+  fly(100, 140);
+  expectOnTheWay(140, 1.0);
+  expectFinite();
+}
+
+TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
+  fly(0, 60);
+  for (int i : {10, 30, 50}) fixes_.publish(fix(i));
+  fly(60, 100);
+  ASSERT_TRUE(awaitStamp(100));
+  auto bad = increment(99, 100);
+  increments_.publish(bad);  // repeated
+  bad = increment(85, 86);
+  increments_.publish(bad);  // out of order, by less than what a looped bag jumps
+  bad = increment(100, 101);
+  bad.relative_pose.position.x = kNan;
+  increments_.publish(bad);
+  bad = increment(100, 101);
+  bad.covariance[0] = kNan;
+  increments_.publish(bad);
+  nav_msgs::Odometry vo;
+  vo.header.stamp = timeOf(101);
+  vo.header.frame_id = "mav_map";
+  vo.pose.pose = ru::toMsg(mapPose(101));
+  vo_.publish(vo);
+  fly(101, 160);
+  ASSERT_TRUE(awaitStamp(160));
+  const double before = tracked_.back().pose.covariance[0];
+  // Ten seconds of silence, with tracked map poses on the other side.
+  fly(360, 380);
+  ASSERT_TRUE(awaitStamp(380));
+  EXPECT_GT(tracked_.back().pose.covariance[0], before + 100);
+  EXPECT_GE(counter("gaps in the odometry, bridged"), 1);
+  EXPECT_GE(counter("increments ignored: out of order or repeated"), 1);
+  EXPECT_GE(counter("increments whose covariance is not one: the default stands in"), 1);
+  for (int i : {365, 370, 378}) fixes_.publish(fix(i));
+  fly(380, 420);
+  expectOnTheWay(420, 1.5);
+  expectFinite();
+}
+
+TEST_F(EkfTrackerNodeTest, LoopedBagStartsAfresh) {
+  for (int round = 0; round < 2; ++round) {
+    fly(0, 60);
+    fixes_.publish(fix(20));
+    fixes_.publish(fix(40));
+    ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == round + 1; })) << round;
+    fly(60, 120);
+    ASSERT_TRUE(spinUntil([&] { return !tracked_.empty() && tracked_.back().header.stamp == timeOf(120); }));
+    expectOnTheWay(120, 1.0);
+    tracked_.clear();
+  }
+  EXPECT_GE(counter("time jumped back: started afresh"), 1);
+}
+
+TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
+  fly(0, 40);
+  fixes_.publish(fix(20));
+  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1; }));
+  const air_ground_common::LocalFrame frame("EPSG:2056", {2683300, 1247900, 420});
+  for (int i = 40; i < 400; i += 20) {
+    fly(i, i + 20);
+    const Pose T_world_base = kWorldMap * mapPose(i + 10);
+    sensor_msgs::MagneticField field;
+    field.header.stamp = timeOf(i + 10);
+    field.header.frame_id = "mav_base_link";
+    const double d = 3.0 * M_PI / 180;
+    const Eigen::Vector3d seen = T_world_base.linear().transpose() * Eigen::Vector3d(21e-6 * std::sin(d), 21e-6 * std::cos(d), -43e-6);
+    field.magnetic_field.x = seen.x(), field.magnetic_field.y = seen.y(), field.magnetic_field.z = seen.z();
+    magnetometer_.publish(field);
+    sensor_msgs::NavSatFix gps;
+    gps.header.stamp = timeOf(i + 10);
+    const auto g = frame.toGeodetic(T_world_base.translation());
+    gps.latitude = g.latitude, gps.longitude = g.longitude, gps.altitude = g.height + 47.3;
+    gps.status.status = sensor_msgs::NavSatStatus::STATUS_FIX;
+    gps_.publish(gps);
+    gps.latitude = kNan;
+    gps.header.stamp += ros::Duration(20);
+    gps_.publish(gps);
+    sensor_msgs::FluidPressure pressure;
+    pressure.header.stamp = timeOf(i + 10);
+    pressure.fluid_pressure = 101325 * std::pow(1 - 0.0065 * (420 + T_world_base.translation().z()) / 288.15, 5.255876);
+    barometer_.publish(pressure);
+    spinUntil([] { return false; }, 0.02);
+  }
+  ASSERT_TRUE(awaitStamp(400));
+  std::map<int, int> fused;
+  ASSERT_TRUE(spinUntil([&] {
+    fused.clear();
+    for (const auto& m : innovations_) fused[m.source] += m.result == air_ground::TrackerInnovation::RESULT_FUSED;
+    return fused[air_ground::TrackerInnovation::SOURCE_HEADING] > 10 && fused[air_ground::TrackerInnovation::SOURCE_BAROMETER] > 10;
+  })) << fused[1] << ' ' << fused[2] << ' ' << fused[3];
+  EXPECT_GE(fused[air_ground::TrackerInnovation::SOURCE_GPS], 1);
+  EXPECT_LE(fused[air_ground::TrackerInnovation::SOURCE_GPS], 3);  // thinned to one in ten seconds
+  for (const auto& m : innovations_) {
+    if (m.source == air_ground::TrackerInnovation::SOURCE_HEADING && m.predicted) {
+      EXPECT_LT(std::abs(m.innovation[0]), 0.03);
+    }
+    if (m.source == air_ground::TrackerInnovation::SOURCE_BAROMETER && m.predicted) {
+      EXPECT_LT(std::abs(m.innovation[0]), 0.2);
+    }
+    if (m.source == air_ground::TrackerInnovation::SOURCE_GPS && m.predicted) {
+      EXPECT_LT(std::abs(m.innovation[0]), 1);
+    }
+  }
+  expectOnTheWay(400, 1.0);
+  expectFinite();
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "ekf_tracker_node_test");
+  return RUN_ALL_TESTS();
+}

@@ -1,0 +1,214 @@
+#include "ekf_tracker/pose_filter.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <random>
+#include <stdexcept>
+
+#include "air_ground_common/geometry.h"
+#include "simulation.h"
+
+namespace ekf_tracker {
+namespace {
+
+const Matrix4d kFixCovariance = Vector4d(4, 5, 2, 0.017).asDiagonal();
+
+Measurement fixAt(const Vector4d& value, double stamp = 0) {
+  Measurement m;
+  m.stamp = stamp;
+  m.value = value;
+  m.covariance = kFixCovariance;
+  return m;
+}
+
+Increment stepOf(const Vector4d& motion, double stddev = 0.01) {
+  Increment i;
+  i.stamp = 0.05;
+  i.motion = motion;
+  i.covariance = Vector4d(stddev, stddev, stddev, 0.003).cwiseAbs2().asDiagonal();
+  return i;
+}
+
+TEST(PoseFilter, GatesAreChiSquareQuantiles) {
+  EXPECT_NEAR(chiSquareQuantile(1, 0.9973), 9.0, 0.01);
+  EXPECT_NEAR(chiSquareQuantile(3, 0.9973), 14.156, 0.01);
+  EXPECT_NEAR(chiSquareQuantile(4, 0.9973), 16.251, 0.01);
+}
+
+TEST(PoseFilter, FusionIsEquations12And13) {
+  PoseFilter filter;
+  const Vector4d first(1, 2, 3, 0.5), second(2.5, 1, 3.5, 0.6);
+  EXPECT_EQ(filter.correct(fixAt(first)).result, Result::kInitialised);
+  EXPECT_LT((filter.state().x.head<4>() - first).norm(), 1e-12);
+  const Outcome out = filter.correct(fixAt(second));
+  EXPECT_EQ(out.result, Result::kFused);
+  EXPECT_EQ(out.dof, 4);
+  const Vector4d difference = second - first;
+  EXPECT_NEAR(out.nis, difference.dot((2 * kFixCovariance).llt().solve(difference)), 1e-9);
+  // Equal covariances: the mean, with half the covariance.
+  EXPECT_LT((filter.state().x.head<4>() - 0.5 * (first + second)).norm(), 1e-9);
+  EXPECT_LT((filter.state().covariance.topLeftCorner<4, 4>() - 0.5 * kFixCovariance).norm(), 1e-9);
+}
+
+TEST(PoseFilter, YawIsWrappedInStateAndInnovation) {
+  PoseFilter filter;
+  filter.correct(fixAt({0, 0, 0, 3.1}));
+  const Outcome out = filter.correct(fixAt({0, 0, 0, -3.1}));
+  EXPECT_EQ(out.result, Result::kFused);
+  EXPECT_NEAR(out.innovation[3], 2 * M_PI - 6.2, 1e-12);
+  EXPECT_NEAR(std::abs(filter.state().x[3]), M_PI, 1e-9);
+  filter.predict(stepOf({1, 0, 0, 0.2}));
+  EXPECT_LE(std::abs(filter.state().x[3]), M_PI);
+  // Flying "ahead" while looking west.
+  EXPECT_NEAR(filter.state().x[0], -1, 1e-3);
+}
+
+TEST(PoseFilter, OutlierIsRefusedAndLeavesTheStateAlone) {
+  PoseFilter filter;
+  filter.correct(fixAt({0, 0, 0, 0}));
+  filter.correct(fixAt({0, 0, 0, 0}));
+  filter.correct(fixAt({0, 0, 0, 0}));
+  const Vector6d before = filter.state().x;
+  EXPECT_EQ(filter.correct(fixAt({30, 0, 0, 0})).result, Result::kRefusedByGate);
+  EXPECT_EQ(filter.correct(fixAt({0, 0, 0, 1.5})).result, Result::kRefusedByGate);
+  EXPECT_EQ(filter.state().x, before);
+  EXPECT_EQ(filter.correct(fixAt({1, 0, 0, 0})).result, Result::kFused);
+  EXPECT_EQ(filter.rivals(), 0);
+}
+
+TEST(PoseFilter, FirstFixWrongRecoversWithinThreeGoodOnes) {
+  const FilterSettings settings;
+  for (const bool metric : {true, false}) {
+    int recovered = 0;
+    constexpr int kRuns = 50;
+    for (unsigned seed = 0; seed < kRuns; ++seed) {
+      SimulationSettings s;
+      s.seed = 500 + seed;
+      s.metric = metric;
+      s.scale = metric ? 1 : 3;
+      s.fix_interval = 8;  // in an unknown unit two fixes must be far enough apart to give the scale
+      Simulation sim = simulate(s, settings);
+      sim.fixes[0].value += Vector4d(40, -30, 3, 1.0);
+      sim.fixes[0].value[3] = air_ground_common::wrapAngle(sim.fixes[0].value[3]);
+      Tracker tracker;
+      for (const Measurement& fix : {sim.fixes[0], sim.fixes[1], sim.fixes[2], sim.fixes[3]}) tracker.addMeasurement(fix);
+      for (std::size_t i = 0; sim.odometry[i].previous_stamp < sim.fixes[3].stamp; ++i) tracker.addIncrement(sim.odometry[i]);
+      const auto estimate = tracker.latest();
+      if (!estimate) continue;
+      const auto index = static_cast<std::size_t>(std::lround((estimate->stamp - sim.stamps[0]) * s.rate));
+      const Vector4d e = poseError(estimate->pose, sim.truth[index]);
+      const double nees = e.dot(estimate->covariance.llt().solve(e));
+      recovered += e.head<3>().norm() < 10 && nees < chiSquareQuantile(4, 0.9999);
+    }
+    std::cout << (metric ? "metric" : "unknown unit") << ": recovered in " << recovered << " of " << kRuns << '\n';
+    EXPECT_GE(recovered, kRuns - 1);
+  }
+}
+
+TEST(PoseFilter, SteadyFilterNeedsThreeAgreeingFixesToGiveUp) {
+  PoseFilter filter;
+  for (int i = 0; i < 6; ++i) filter.correct(fixAt({0, 0, 0, 0}));
+  EXPECT_EQ(filter.correct(fixAt({40, 0, 0, 0})).result, Result::kRefusedByGate);
+  EXPECT_EQ(filter.correct(fixAt({0, 60, 0, 0})).result, Result::kRefusedByGate);  // an outlier between them
+  EXPECT_EQ(filter.correct(fixAt({41, 1, 0, 0})).result, Result::kRefusedByGate);
+  EXPECT_EQ(filter.strongestRival(), 2);
+  EXPECT_EQ(filter.correct(fixAt({39, 0, 0, 0})).result, Result::kRecovered);
+  EXPECT_NEAR(filter.state().x[0], 40, 0.5);
+  EXPECT_EQ(filter.recoveries(), 1);
+}
+
+TEST(PoseFilter, ScaleFromTwoFixesAndItsUncertainty) {
+  // A single straight leg, many draws: the error of the scale must match what the filter claims.
+  std::mt19937 random(7);
+  double normalised = 0;
+  int solved = 0;
+  for (int run = 0; run < 400; ++run) {
+    PoseFilter filter;
+    filter.restart(false, 0);
+    const double scale = 2.5;
+    Vector4d q(0, 0, 0, 1);
+    EXPECT_EQ(filter.correct(fixAt(q + gaussian(&random, kFixCovariance))).result, Result::kWaiting);
+    for (int i = 0; i < 400; ++i) {
+      Increment increment = stepOf({0, -0.1 / scale, 0, 0}, 0.01 / scale);
+      increment.metric = false;
+      q = move<double>(q, increment.motion, scale);
+      increment.motion += gaussian(&random, increment.covariance);
+      filter.predict(increment);
+      if (i == 20) {
+        // Two metres on: too close to say anything about the scale.
+        EXPECT_EQ(filter.correct(fixAt(q)).result, Result::kWaiting);
+      }
+    }
+    if (filter.correct(fixAt(q + gaussian(&random, kFixCovariance))).result != Result::kInitialised) continue;
+    ++solved;
+    const double error = filter.state().x[4] - scale;
+    normalised += error * error / filter.state().covariance(4, 4);
+    EXPECT_LT(std::sqrt(filter.state().covariance(4, 4)), 0.15 * scale);
+  }
+  EXPECT_GT(solved, 395);
+  EXPECT_NEAR(normalised / solved, 1, 0.2);
+}
+
+TEST(PoseFilter, FixesThatContradictTheOdometryGiveNoScale) {
+  PoseFilter filter;
+  filter.restart(false, 0);
+  filter.correct(fixAt({0, 0, 0, 0}));
+  Increment increment = stepOf({20, 0, 0, 0}, 0.5);
+  increment.metric = false;
+  filter.predict(increment);
+  // The odometry flew ahead, the second fix lies behind.
+  EXPECT_EQ(filter.correct(fixAt({-30, 0, 0, 0})).result, Result::kWaiting);
+  EXPECT_EQ(filter.correct(fixAt({30, 0, 0, 2})).result, Result::kWaiting);
+  EXPECT_EQ(filter.correct(fixAt({30, 0, 0, 0})).result, Result::kInitialised);
+  EXPECT_NEAR(filter.state().x[4], 1.5, 0.05);
+}
+
+TEST(PoseFilter, HeadingGpsAndBarometerAreWeakCorrections) {
+  PoseFilter filter;
+  Measurement heading;
+  heading.source = Source::kHeading;
+  heading.value[0] = 0.1;
+  heading.covariance(0, 0) = 0.01;
+  EXPECT_EQ(filter.correct(heading).result, Result::kNotStarted);
+  filter.correct(fixAt({0, 0, 10, 0}));
+  EXPECT_EQ(filter.correct(heading).result, Result::kFused);
+  EXPECT_NEAR(filter.state().x[3], 0.1 * 0.017 / 0.027, 1e-9);
+  heading.value[0] = 2;
+  EXPECT_EQ(filter.correct(heading).result, Result::kRefusedByGate);
+
+  Measurement gps;
+  gps.source = Source::kGps;
+  gps.value << 3, 0, 10, 0;
+  gps.covariance.topLeftCorner<3, 3>() = Eigen::Vector3d(16, 16, 64).asDiagonal();
+  EXPECT_EQ(filter.correct(gps).result, Result::kFused);
+  EXPECT_NEAR(filter.state().x[0], 3 * 4.0 / 20, 1e-9);
+
+  Measurement pressure;
+  pressure.source = Source::kBarometer;
+  pressure.covariance(0, 0) = 0.01;
+  pressure.value[0] = 471;
+  EXPECT_EQ(filter.correct(pressure).result, Result::kFused);
+  EXPECT_NEAR(filter.state().x[2], 10, 1e-9);  // the first only sets the level
+  EXPECT_EQ(filter.state().support, 1);
+  // Odometry loses the height, the barometer keeps it.
+  Increment climb = stepOf({0, 0, 0, 0}, 3);
+  climb.stamp = 1;
+  filter.predict(climb);
+  pressure.value[0] = 476;
+  EXPECT_EQ(filter.correct(pressure).result, Result::kFused);
+  EXPECT_NEAR(filter.state().x[2], 15, 0.2);
+  EXPECT_TRUE(isCovariance(filter.state().covariance));
+}
+
+TEST(PoseFilter, SettingsOutOfRangeAreNamed) {
+  FilterSettings s;
+  s.gate_probability = 99.73;
+  EXPECT_THROW(PoseFilter{s}, std::invalid_argument);
+  s = FilterSettings();
+  s.min_yaw_stddev = 0;
+  EXPECT_THROW(PoseFilter{s}, std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace ekf_tracker

@@ -1,0 +1,211 @@
+// Success statistics of the coarse alignment over synthetic worlds, as in Forster 2013, Fig. 11 and 12: error and spread of
+// the particles after each aerial map. Prints a table; writes one CSV line a map on demand, and pictures of one run.
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <map>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "synthetic_world.h"
+
+namespace hm = heightmap_mcl;
+namespace syn = heightmap_mcl::synthetic;
+
+namespace {
+
+/// Grey by height, dark blue for holes, y up.
+cv::Mat picture(const hm::HeightMap& map, float low, float high) {
+  cv::Mat image(map.height, map.width, CV_8UC3);
+  for (int r = 0; r < map.height; ++r) {
+    for (int c = 0; c < map.width; ++c) {
+      const float h = map.at(r, c);
+      const auto v = static_cast<unsigned char>(std::clamp(255 * (h - low) / (high - low), 0.f, 255.f));
+      image.at<cv::Vec3b>(map.height - 1 - r, c) = std::isnan(h) ? cv::Vec3b(90, 40, 20) : cv::Vec3b(v, v, v);
+    }
+  }
+  return image;
+}
+
+void writePictures(const std::string& prefix, hm::Localizer& localizer, const Eigen::Vector3d& truth) {
+  const auto& ground = localizer.groundMap();
+  const auto limits = [](const hm::HeightMap& m) {
+    float low = 1e9f, high = -1e9f;
+    for (float h : m.heights) {
+      if (!std::isnan(h)) low = std::min(low, h), high = std::max(high, h);
+    }
+    return std::make_pair(low, high);
+  };
+  const auto g = limits(ground), a = limits(localizer.aerialMap());
+  cv::imwrite(prefix + "_ground.png", picture(ground, g.first, g.second));
+  cv::imwrite(prefix + "_air.png", picture(localizer.aerialMap(), a.first, a.second));
+
+  Eigen::Vector2d pivot;
+  const hm::CostMap cost = localizer.costMap(&pivot);
+  if (cost.cost.empty()) return;
+  float low = 1e9f, high = 0;
+  for (float c : cost.cost) {
+    if (std::isfinite(c)) low = std::min(low, c), high = std::max(high, c);
+  }
+  cv::Mat image(cost.height, cost.width, CV_8UC3, cv::Scalar(255, 255, 255));
+  for (int r = 0; r < cost.height; ++r) {
+    for (int c = 0; c < cost.width; ++c) {
+      if (!std::isfinite(cost.at(r, c))) continue;
+      const auto v = static_cast<unsigned char>(230 * std::sqrt((cost.at(r, c) - low) / (high - low + 1e-9f)));
+      image.at<cv::Vec3b>(cost.height - 1 - r, c) = cv::Vec3b(v, v, v);
+    }
+  }
+  const auto pixel = [&](double x, double y) {
+    return cv::Point(static_cast<int>(std::lround((x - cost.x0) / cost.resolution)),
+                     cost.height - 1 - static_cast<int>(std::lround((y - cost.y0) / cost.resolution)));
+  };
+  // Particles and truth are positions of the MAV; the map's cells are positions of the pivot.
+  const Eigen::Vector2d reference = localizer.filter().reference();
+  for (const auto& p : localizer.filter().particles()) {
+    const auto q = hm::changeReference(p.pose, reference, pivot);
+    cv::circle(image, pixel(q.x, q.y), 2, {0, 200, 0}, cv::FILLED);
+    cv::line(image, pixel(q.x, q.y), pixel(q.x + 0.15 * std::cos(q.yaw), q.y + 0.15 * std::sin(q.yaw)), {0, 160, 0});
+  }
+  const auto t = hm::changeReference({truth.x(), truth.y(), truth.z()}, reference, pivot);
+  cv::drawMarker(image, pixel(t.x, t.y), {0, 0, 255}, cv::MARKER_CROSS, 24, 2);
+  cv::imwrite(prefix + "_cost.png", image);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("Statistics of the height-map Monte Carlo localization on synthetic worlds");
+  int first_seed = 1001, runs = 41, maps = 12;
+  std::string world = "boxes", csv, pictures;
+  hm::LocalizerSettings s;
+  syn::Options options;
+  double known_heading_deg = -1;
+  std::string dilation = "all";
+  std::string merge = "highest";
+  app.add_option("--first-seed", first_seed, "seed of the first world");
+  app.add_option("--runs", runs, "number of worlds");
+  app.add_option("--maps", maps, "aerial clouds a world");
+  app.add_option("--world", world, "boxes, identical, flat or ridge")->check(CLI::IsMember({"boxes", "identical", "flat", "ridge"}));
+  app.add_option("--csv", csv, "file for one line a map");
+  app.add_option("--pictures", pictures, "prefix of PNG files for the first world");
+  app.add_option("--known-heading", known_heading_deg, "standard deviation of a known heading [deg]; negative: searched");
+  app.add_option("--particles", s.filter.particles, "");
+  app.add_option("--sampling-sigma", s.filter.sampling_sigma, "[m^2]");
+  app.add_option("--weight-sigma", s.filter.weight_sigma, "[m^2]");
+  app.add_option("--mixture", s.filter.mixture_ratio, "");
+  app.add_option("--unknown-weight", s.unknown_weight, "");
+  app.add_option("--min-overlap", s.min_overlap, "");
+  app.add_option("--accumulate", s.accumulate, "");
+  app.add_option("--verify", s.verify, "");
+  app.add_option("--coarse", s.coarse_factor, "");
+  app.add_option("--headings", s.headings, "");
+  app.add_option("--quantile", s.air_map.height_quantile, "");
+  app.add_option("--dilation", dilation, "none, holes, all");
+  app.add_option("--merge", merge, "highest, mean");
+  app.add_option("--ambiguity-ratio", s.ambiguity_ratio, "");
+  app.add_option("--scale-error", options.scale_error, "");
+  app.add_option("--noise", options.cloud_noise, "[m]");
+  app.add_option("--ground-path", options.ground_path, "[m]");
+  CLI11_PARSE(app, argc, argv);
+  const std::map<std::string, syn::World> worlds{{"boxes", syn::World::kBoxes}, {"identical", syn::World::kIdenticalBoxes},
+                                                 {"flat", syn::World::kFlatFloor}, {"ridge", syn::World::kRidge}};
+  s.air_map.dilation = s.ground_map.dilation =
+      dilation == "none" ? hm::Dilation::kNone : dilation == "holes" ? hm::Dilation::kHoles : hm::Dilation::kAll;
+  s.merge = merge == "mean" ? hm::Merge::kMean : hm::Merge::kHighest;
+  s.verify = std::max(s.verify, s.accumulate);
+  options.world = worlds.at(world);
+  options.aerial_clouds = maps;
+
+  std::ofstream out;
+  if (!csv.empty()) {
+    out.open(csv);
+    out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,probe,cost,overlap,nees,"
+           "mode_weight,ms\n";
+  }
+  std::vector<std::vector<double>> errors(maps), mean_errors(maps), yaws(maps), spreads(maps);
+  std::vector<int> good(maps, 0), mean_good(maps, 0), converged(maps, 0), wrong(maps, 0);
+  std::map<std::string, int> statuses;
+  double total_ms = 0, total_nees = 0;
+  int nees_count = 0;
+  for (int run_index = 0; run_index < runs; ++run_index) {
+    options.seed = first_seed + run_index;
+    const auto run = syn::makeRun(options);
+    s.seed = options.seed;
+    hm::Localizer localizer(s);
+    if (known_heading_deg >= 0) {
+      hm::Prior prior;
+      prior.yaw = air_ground_common::yawOf(run.T_ground_mav[0].rotation());
+      prior.yaw_sigma = std::max(known_heading_deg, 0.5) * M_PI / 180;
+      localizer.setPrior(prior);
+    }
+    localizer.setGround(run.ground);
+    for (int k = 0; k < maps; ++k) {
+      const auto start = std::chrono::steady_clock::now();
+      localizer.addAerial(run.aerial[k]);
+      const double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+      total_ms += ms;
+      const auto& e = localizer.estimate();
+      const Eigen::Vector3d& reference = run.aerial[k].reference;
+      const auto error = syn::errorOf(e.T_ground_mav, run.T_ground_mav[k], reference);
+      Eigen::Vector2d mean = Eigen::Vector2d::Zero();
+      for (const auto& p : localizer.filter().particles()) mean += p.weight * Eigen::Vector2d(p.pose.x, p.pose.y);
+      const double mean_error = (mean - (run.T_ground_mav[k] * reference).head<2>()).norm();
+      errors[k].push_back(error.position);
+      mean_errors[k].push_back(mean_error);
+      yaws[k].push_back(error.yaw * 180 / M_PI);
+      spreads[k].push_back(e.particle_spread);
+      const bool ok = error.position < 0.25 && error.yaw < 5 * M_PI / 180;
+      good[k] += ok;
+      mean_good[k] += mean_error < 0.25;
+      const bool is_converged = e.status == hm::Status::kConverged;
+      converged[k] += is_converged;
+      wrong[k] += is_converged && !ok;
+      ++statuses[hm::toString(e.status)];
+      // Consistency at the overlap's centre in x, y, z and yaw.
+      const Eigen::Vector3d d = e.reference_point - run.T_ground_mav[k] * (e.T_ground_mav.inverse() * e.reference_point);
+      Eigen::Vector4d delta(d.x(), d.y(), d.z(),
+                            air_ground_common::wrapAngle(air_ground_common::yawOf(e.T_ground_mav.rotation()) -
+                                                         air_ground_common::yawOf(run.T_ground_mav[k].rotation())));
+      const int index[4] = {0, 1, 2, 5};
+      Eigen::Matrix4d P;
+      for (int i = 0; i < 4; ++i) {
+        for (int j = 0; j < 4; ++j) P(i, j) = e.covariance(index[i], index[j]);
+      }
+      const double nees = delta.dot(P.ldlt().solve(delta));
+      if (is_converged) {
+        total_nees += nees;
+        ++nees_count;
+      }
+      if (out) {
+        out << options.seed << ',' << k << ',' << hm::toString(e.status) << ',' << error.position << ',' << error.yaw * 180 / M_PI << ','
+            << error.z << ',' << mean_error << ',' << e.particle_spread << ',' << e.particle_spread_yaw * 180 / M_PI << ','
+            << e.rival_ratio << ',' << e.explained << ',' << e.relief << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ','
+            << nees << ',' << e.mode_weight << ',' << ms << '\n';
+      }
+      if (!pictures.empty() && run_index == 0) {
+        const Eigen::Vector3d p = run.T_ground_mav[k] * reference;
+        writePictures(pictures + "_" + std::to_string(k + 1), localizer,
+                      {p.x(), p.y(), air_ground_common::yawOf(run.T_ground_mav[k].rotation())});
+      }
+    }
+  }
+  const auto quantile = [](std::vector<double> v, double q) {
+    std::sort(v.begin(), v.end());
+    return v[static_cast<std::size_t>(std::min<double>(v.size() - 1, q * v.size()))];
+  };
+  std::printf("%d worlds '%s' from seed %d; pose within 0.25 m and 5 deg counts as right\n", runs, world.c_str(), first_seed);
+  std::printf("map  right  particle mean<0.25m  CONVERGED  wrongly  error[m] median  90%%   heading[deg] median  spread[m] median\n");
+  for (int k = 0; k < maps; ++k) {
+    std::printf("%3d  %4.0f%%  %19.0f%%  %8.0f%%  %7d  %15.3f  %.3f  %19.2f  %16.3f\n", k + 1, 100.0 * good[k] / runs,
+                100.0 * mean_good[k] / runs, 100.0 * converged[k] / runs, wrong[k], quantile(errors[k], 0.5), quantile(errors[k], 0.9),
+                quantile(yaws[k], 0.5), quantile(spreads[k], 0.5));
+  }
+  for (const auto& status : statuses) std::printf("%s %d  ", status.first.c_str(), status.second);
+  std::printf("\nmean NEES of converged estimates (4 degrees of freedom): %.2f; %.0f ms a map\n", nees_count ? total_nees / nees_count : 0.0,
+              total_ms / (runs * maps));
+  return 0;
+}

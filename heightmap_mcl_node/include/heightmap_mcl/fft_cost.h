@@ -1,0 +1,62 @@
+// Equation 2 for every offset of one heading at once, by FFT: six transforms instead of overlap times offsets operations.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "heightmap_mcl/height_map.h"
+#include "heightmap_mcl/zmssd.h"
+
+namespace heightmap_mcl {
+
+/// Costs of placing the aerial map, turned to one heading, at every offset. Row-major.
+struct CostMap {
+  double resolution = 0;  ///< [m]
+  double x0 = 0, y0 = 0;  ///< position of the pivot in the ground frame for cell (0, 0) [m]
+  double yaw = 0;         ///< heading of the aerial frame [rad]
+  int width = 0, height = 0;
+  std::vector<float> cost;  ///< Zmssd::score (eq. 2 when unknown_cost is 0) [m^2]; infinite below the overlap threshold
+
+  float at(int row, int column) const { return cost[static_cast<std::size_t>(row) * width + column]; }
+  /// The pose that a cell stands for; its reference point is the pivot of the search.
+  PlanarPose pose(int row, int column) const { return {x0 + column * resolution, y0 + row * resolution, yaw}; }
+};
+
+/// Smallest product of powers of 2, 3 and 5 that is not below n.
+int fiveSmoothSize(int n);
+
+/// Keeps the transforms of one ground map; thread-safe.
+///
+/// With M the masks of defined cells, a and g the heights (centred, zero in holes), d = a - g:
+///   N = F^-1[conj(A0) G0],  S1 = sum d = F^-1[conj(A1) G0 - conj(A0) G1],
+///   S2 = sum d^2 = F^-1[conj(A2) G0 + conj(A0) G2 - 2 conj(A1) G1],  C = (S2 - S1^2/N) / (2 N)    (eq. 2)
+class FftCost {
+ public:
+  /// Throws std::invalid_argument for a map without a defined cell.
+  explicit FftCost(const HeightMap& ground);
+  ~FftCost();
+  FftCost(FftCost&&) noexcept;
+  FftCost& operator=(FftCost&&) noexcept;
+
+  /// `turned`: aerial map about its pivot, as from rotateAbout, of the ground map's resolution (else
+  /// std::invalid_argument). All offsets with any overlap are covered: width = ground width + aerial width - 1.
+  /// The error is that of single precision, about 2e-5 of the largest cost.
+  CostMap operator()(const HeightMap& turned, double yaw, const CostSettings& settings) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+struct CostMinimum {
+  int row = 0, column = 0;
+  PlanarPose pose;   ///< of the cell's offset
+  PlanarPose subcell;  ///< vertex of the parabolas through the neighbouring cells' costs
+  Zmssd zmssd;       ///< in double precision at `pose`
+};
+
+/// Minimum over the offsets of one heading (eq. 3): every cell that single precision cannot tell from the minimum is
+/// evaluated again in double precision. Returns an infinite cost when no offset has enough overlap.
+CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground, const CostSettings& settings);
+
+}  // namespace heightmap_mcl

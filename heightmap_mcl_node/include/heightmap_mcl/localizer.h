@@ -1,0 +1,149 @@
+// Global localization of the MAV in the ground robot's map from height maps: search, particles, and an honest verdict.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "air_ground_common/geometry.h"
+#include "heightmap_mcl/particle_filter.h"
+
+namespace heightmap_mcl {
+
+enum class Status { kSearching, kAmbiguous, kDegenerate, kConverged };
+const char* toString(Status status);
+
+struct LocalizerSettings {
+  HeightMapSettings air_map;
+  HeightMapSettings ground_map;  ///< same resolution as air_map
+  double min_overlap = 0.5;     ///< see CostSettings
+  double unknown_weight = 0.3;  ///< CostSettings::unknown_cost as a share of the aerial heights' variance; 0 = paper
+  FilterSettings filter;
+  std::uint64_t seed = 1;
+
+  int headings = 72;       ///< over the full circle, in the coarse search
+  int coarse_factor = 4;   ///< cells of the coarse search are this much larger
+  int accumulate = 1;      ///< aerial clouds merged into the map that weighs the particles; 1 = paper
+  int verify = 8;          ///< aerial clouds merged into the map that checks the result for rivals and refines it
+  Merge merge = Merge::kHighest;
+
+  // What it takes to be believed. Scores are those of the verification map at full resolution.
+  int min_maps = 2;                  ///< aerial maps seen before CONVERGED
+  double min_mode_weight = 0.7;      ///< share of the particles in the dominant mode
+  double max_spread = 0.20;          ///< of the position within the dominant mode [m]
+  double max_spread_yaw = 0.10;      ///< of the heading within the dominant mode [rad]
+  double ambiguity_ratio = 1.3;      ///< (cost + score of the best rival place - own score) / cost
+  double noise_cost = 1e-4;          ///< [m^2] added to both sides of a ratio: differences below it mean nothing
+  double rival_distance = 0.4;       ///< a rival lies at least this far off [m] ...
+  double rival_angle = 0.26;         ///< ... or is turned by this [rad]
+  double min_relief = 0.05;          ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
+  double min_explained = 0.25;       ///< share of the aerial map's variance that the ground map must explain
+  double probe_distance = 0.25;      ///< the cost this far along its flattest direction ... [m]
+  double probe_ratio = 1.1;          ///< ... must be this much higher, else the direction is not fixed
+
+  // Covariance.
+  double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
+  double floor_position = 0.07;        ///< standard deviation that no amount of data removes [m]
+  double floor_yaw = 0.03;             ///< [rad]
+  double floor_z = 0.05;               ///< [m]
+  double gravity_sigma = 0.01;         ///< of each map's vertical, about x and y [rad]
+};
+
+/// Checks ranges and consistency; throws std::invalid_argument naming the field.
+void validate(const LocalizerSettings& settings);
+
+/// One aerial point cloud.
+struct AerialCloud {
+  std::vector<Eigen::Vector3f> points;  ///< in mav_map [m]; points that are not finite are ignored
+  Eigen::Vector3d reference = Eigen::Vector3d::Zero();  ///< position of the MAV in mav_map [m]
+};
+
+struct Estimate {
+  Status status = Status::kSearching;
+  std::string reason;  ///< one line: why this status
+  /// False until there is a pose at all (best guess; to be trusted only when status is kConverged).
+  bool has_pose = false;
+  air_ground_common::Pose T_ground_mav = air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
+  /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
+  air_ground_common::Matrix6d covariance = air_ground_common::Matrix6d::Identity();
+  Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< centre of the overlap, ground frame [m]
+  double particle_spread = 0;      ///< [m], see ParticleFilter::Spread
+  double particle_spread_yaw = 0;  ///< [rad]
+  double mode_weight = 0;          ///< share of the particles in the dominant mode
+  double mode_spread = 0;          ///< of the position within it [m]
+  double mode_spread_yaw = 0;      ///< of the heading within it [rad]
+  double overlap = 0;              ///< share of the verification map's cells
+  double cost = 0;                 ///< eq. 2 at the estimate [m^2]
+  double rival_ratio = 0;          ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
+  double rival_distance = 0;       ///< [m]
+  double explained = 0;            ///< 1 - 2 C / variance of the aerial heights in the overlap
+  double relief = 0;               ///< smaller one of the two maps' height deviations in the overlap [m]
+  double probe_ratio = 0;          ///< see LocalizerSettings
+  int maps = 0;                    ///< aerial maps used since the search began
+  int restarts = 0;                ///< times all particles were drawn anew: they had lost the overlap or missed the best place
+};
+
+/// Not thread-safe: one worker owns it.
+class Localizer {
+ public:
+  explicit Localizer(const LocalizerSettings& settings);
+  ~Localizer();
+
+  /// Replaces the ground map. Transforms are recomputed lazily. A search that has not converged begins anew on the kept
+  /// aerial maps. Returns false (and forgets the ground map) when the cloud holds no finite point.
+  bool setGround(const std::vector<Eigen::Vector3f>& points);
+
+  /// Adds an aerial cloud and updates the particles. Returns false, changing nothing, when the cloud has no finite point
+  /// or the reference is not finite.
+  bool addAerial(const AerialCloud& cloud);
+
+  /// The verdict for the present maps; `has_pose` false while one of them is missing.
+  const Estimate& estimate() const { return estimate_; }
+
+  /// Begins the global search again. Aerial maps are kept unless `forget_aerial` (new mav_map).
+  void restart(bool forget_aerial);
+  void forgetGround();
+
+  /// Used from the next (re)start on; pass {} to search everywhere.
+  void setPrior(const Prior& prior) { prior_ = prior; }
+
+  bool hasGround() const { return direct_ != nullptr; }
+  bool hasAerial() const { return !aerial_.empty(); }
+  const ParticleFilter& filter() const { return filter_; }
+  const HeightMap& groundMap() const { return ground_; }
+  /// The map that weighs the particles: the last `accumulate` clouds.
+  const HeightMap& aerialMap() const { return filter_map_; }
+  /// Full-resolution cost map of the aerial map at the estimate's heading; poses refer to *pivot. Empty without maps.
+  CostMap costMap(Eigen::Vector2d* pivot);
+
+ private:
+  struct Kept {
+    HeightMap map;
+    Eigen::Vector3d reference;
+  };
+  void drawFromKeptMaps();
+  void updateFilter();
+  void updateEstimate();
+  void judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree);
+  void setCovariance(const Candidate& best, const AerialCells& cells, const CostSettings& cost, const Mode& mode);
+  HeightMap lastMaps(int count) const;
+  CostVolume coarseVolume(const HeightMap& map) const;
+  CostSettings costFor(const HeightMap& air) const;
+  double costRatio(const Zmssd& other, const Zmssd& best) const;
+
+  LocalizerSettings settings_;
+  Prior prior_;
+  ParticleFilter filter_;
+  HeightMap ground_, filter_map_;
+  std::unique_ptr<DirectCost> direct_;
+  std::unique_ptr<FftCost> coarse_fft_, full_fft_;
+  std::deque<Kept> aerial_;
+  Estimate estimate_;
+  int maps_ = 0, restarts_ = 0;
+  bool weighed_ = false;  // the particles carry weights that the next resampling consumes
+};
+
+}  // namespace heightmap_mcl

@@ -1,0 +1,178 @@
+#include "heightmap_mcl/global_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "air_ground_common/geometry.h"
+
+namespace heightmap_mcl {
+
+using air_ground_common::wrapAngle;
+
+double Prior::logDensity(const PlanarPose& pose, const Eigen::Vector2d& reference) const {
+  double log_density = 0;
+  if (yaw) {
+    const double d = wrapAngle(pose.yaw - *yaw) / yaw_sigma;
+    log_density -= 0.5 * d * d;
+  }
+  if (position) {
+    const PlanarPose there = changeReference(pose, reference, position_reference);
+    log_density -= 0.5 * (Eigen::Vector2d(there.x, there.y) - *position).squaredNorm() / (position_sigma * position_sigma);
+  }
+  return log_density;
+}
+
+std::vector<double> searchHeadings(int count, const Prior& prior) {
+  if (count < 4) throw std::invalid_argument("searchHeadings: at least 4 headings");
+  const double step = 2 * M_PI / count;
+  std::vector<double> headings;
+  if (!prior.yaw || 3 * prior.yaw_sigma >= M_PI) {
+    for (int i = 0; i < count; ++i) headings.push_back(wrapAngle(i * step));
+    return headings;
+  }
+  const double fine = std::min(step, prior.yaw_sigma);
+  const int half = static_cast<int>(std::ceil(3 * prior.yaw_sigma / fine));
+  for (int i = -half; i <= half; ++i) headings.push_back(wrapAngle(*prior.yaw + i * fine));
+  return headings;
+}
+
+double CostVolume::lowest() const {
+  float low = std::numeric_limits<float>::infinity();
+  for (const auto& slice : slices) {
+    for (float c : slice.cost) low = std::min(low, c);
+  }
+  return low;
+}
+
+Eigen::Vector2d centerOf(const HeightMap& map) {
+  int r0 = map.height, r1 = -1, c0 = map.width, c1 = -1;
+  for (int r = 0; r < map.height; ++r) {
+    for (int c = 0; c < map.width; ++c) {
+      if (std::isnan(map.at(r, c))) continue;
+      r0 = std::min(r0, r);
+      r1 = std::max(r1, r);
+      c0 = std::min(c0, c);
+      c1 = std::max(c1, c);
+    }
+  }
+  if (r1 < 0) return Eigen::Vector2d::Zero();
+  return {map.origin_x + 0.5 * (c0 + c1 + 1) * map.resolution, map.origin_y + 0.5 * (r0 + r1 + 1) * map.resolution};
+}
+
+CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings, bool circular,
+                             const CostSettings& settings) {
+  CostVolume volume;
+  volume.circular = circular;
+  volume.pivot = centerOf(air);
+  // The square that holds the defined cells at any heading.
+  double radius = 0;
+  for (int r = 0; r < air.height; ++r) {
+    for (int c = 0; c < air.width; ++c) {
+      if (!std::isnan(air.at(r, c))) radius = std::max(radius, (air.center(r, c) - volume.pivot).squaredNorm());
+    }
+  }
+  const int cells = 2 * static_cast<int>(std::ceil(std::sqrt(radius) / air.resolution + 1));
+  volume.slices.resize(headings.size());
+  const int n = static_cast<int>(headings.size());
+#pragma omp parallel for schedule(dynamic)
+  for (int i = 0; i < n; ++i) {
+    volume.slices[i] = fft(rotateAbout(air, volume.pivot, headings[i], cells), headings[i], settings);
+  }
+  return volume;
+}
+
+std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle) {
+  struct Entry {
+    float cost;
+    int slice, row, column;
+  };
+  std::vector<Entry> entries;
+  const int n = static_cast<int>(volume.slices.size());
+  for (int k = 0; k < n; ++k) {
+    const CostMap& map = volume.slices[k];
+    for (int r = 0; r < map.height; ++r) {
+      for (int c = 0; c < map.width; ++c) {
+        const float cost = map.at(r, c);
+        if (!std::isfinite(cost)) continue;
+        bool minimum = true;
+        for (int dk = -1; dk <= 1 && minimum; ++dk) {
+          int kk = k + dk;
+          if (volume.circular) kk = (kk + n) % n;
+          if (kk < 0 || kk >= n) continue;
+          const CostMap& other = volume.slices[kk];
+          for (int rr = std::max(r - 1, 0); rr <= std::min(r + 1, map.height - 1) && minimum; ++rr) {
+            for (int cc = std::max(c - 1, 0); cc <= std::min(c + 1, map.width - 1); ++cc) {
+              if (other.at(rr, cc) < cost) {
+                minimum = false;
+                break;
+              }
+            }
+          }
+        }
+        if (minimum) entries.push_back({cost, k, r, c});
+      }
+    }
+  }
+  std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.cost < b.cost; });
+  std::vector<PlanarPose> minima;
+  for (const Entry& e : entries) {
+    if (minima.size() >= count) break;
+    const PlanarPose pose = volume.slices[e.slice].pose(e.row, e.column);
+    const bool apart = std::all_of(minima.begin(), minima.end(), [&](const PlanarPose& other) {
+      return std::hypot(pose.x - other.x, pose.y - other.y) >= distance || std::abs(wrapAngle(pose.yaw - other.yaw)) >= angle;
+    });
+    if (apart) minima.push_back(pose);
+  }
+  return minima;
+}
+
+Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
+                  double step_yaw, const CostSettings& settings) {
+  Candidate best{start, cost(cells, start, settings)};
+  constexpr int kLevels = 4, kMovesPerLevel = 6;
+  std::vector<PlanarPose> poses;
+  for (int level = 0; level < kLevels; ++level, step_xy *= 0.5, step_yaw *= 0.5) {
+    for (int move = 0; move < kMovesPerLevel; ++move) {
+      poses.clear();
+      for (int i = 0; i < 27; ++i) {
+        if (i == 13) continue;
+        poses.push_back({best.pose.x + (i % 3 - 1) * step_xy, best.pose.y + (i / 3 % 3 - 1) * step_xy,
+                         best.pose.yaw + (i / 9 - 1) * step_yaw});
+      }
+      const auto values = cost(cells, poses, settings);
+      bool moved = false;
+      for (std::size_t i = 0; i < poses.size(); ++i) {
+        if (values[i].score < best.zmssd.score) {
+          best = {poses[i], values[i]};
+          moved = true;
+        }
+      }
+      if (!moved) break;
+    }
+  }
+  // Sub-cell: the cost is a mean over thousands of cells and therefore smooth at the scale of one.
+  const double h_xy = 1.5 * step_xy * 2, h_yaw = 1.5 * step_yaw * 2;
+  const PlanarPose& p = best.pose;
+  const auto values = cost(cells,
+                           {{p.x - h_xy, p.y, p.yaw},
+                            {p.x + h_xy, p.y, p.yaw},
+                            {p.x, p.y - h_xy, p.yaw},
+                            {p.x, p.y + h_xy, p.yaw},
+                            {p.x, p.y, p.yaw - h_yaw},
+                            {p.x, p.y, p.yaw + h_yaw}},
+                           settings);
+  double shift[3];
+  for (int axis = 0; axis < 3; ++axis) {
+    const double before = values[2 * axis].score, after = values[2 * axis + 1].score;
+    const double bend = before - 2 * best.zmssd.score + after;
+    shift[axis] = std::isfinite(bend) && bend > 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0.0;
+  }
+  const PlanarPose vertex{p.x + shift[0] * h_xy, p.y + shift[1] * h_xy, wrapAngle(p.yaw + shift[2] * h_yaw)};
+  const Zmssd value = cost(cells, vertex, settings);
+  if (value.score <= best.zmssd.score) best = {vertex, value};
+  best.pose.yaw = wrapAngle(best.pose.yaw);
+  return best;
+}
+
+}  // namespace heightmap_mcl

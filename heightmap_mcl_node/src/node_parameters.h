@@ -1,0 +1,23 @@
+// The node's parameters, see config/heightmap_mcl.yaml.
+#pragma once
+
+#include <string>
+
+#include "air_ground_common/ros/parameters.h"
+#include "heightmap_mcl/localizer.h"
+
+namespace heightmap_mcl {
+
+struct NodeSettings {
+  LocalizerSettings localizer;
+  Prior prior;  ///< empty when the heading is searched
+  std::string ground_map_frame, mav_map_frame;  ///< empty: as in the messages
+  bool publish_tf = false;
+  int cloud_queue = 30;
+  double odometry_gap = 0.3;  ///< [s]
+};
+
+/// Throws ParameterError for a parameter that is out of range, of the wrong type or unknown.
+NodeSettings readParameters(air_ground_common::ros_utils::Parameters& parameters);
+
+}  // namespace heightmap_mcl

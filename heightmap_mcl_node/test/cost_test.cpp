@@ -1,0 +1,239 @@
+// Equation 2: the fast kernels against the plain reference, and the signs of offset, heading and dz.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "heightmap_mcl/fft_cost.h"
+#include "heightmap_mcl/global_search.h"
+
+using namespace heightmap_mcl;
+
+namespace {
+
+/// Random blocks with holes, far from square, with an offset and a large mean height.
+HeightMap randomMap(int width, int height, std::uint64_t seed, double hole_share) {
+  std::mt19937_64 random(seed);
+  std::uniform_real_distribution<float> uniform(0, 1);
+  HeightMap map;
+  map.resolution = 0.05;
+  map.origin_x = -1.35;
+  map.origin_y = 2.15;
+  map.width = width;
+  map.height = height;
+  map.heights.assign(static_cast<std::size_t>(width) * height, 5.f);
+  for (int block = 0; block < width * height / 150; ++block) {
+    const int c0 = static_cast<int>(uniform(random) * width), r0 = static_cast<int>(uniform(random) * height);
+    const float h = uniform(random);
+    for (int r = r0; r < std::min(r0 + 9, height); ++r) {
+      for (int c = c0; c < std::min(c0 + 6, width); ++c) map.at(r, c) = 5.f + h;
+    }
+  }
+  for (float& h : map.heights) {
+    h += 0.02f * uniform(random);
+    if (uniform(random) < hole_share) h = kHole;
+  }
+  return map;
+}
+
+/// The part of `ground` below a window, as a MAV would map it: shifted, turned and lowered.
+HeightMap cutOut(const HeightMap& ground, const PlanarPose& pose, double dz, int width, int height) {
+  HeightMap air;
+  air.resolution = ground.resolution;
+  air.origin_x = -0.4;
+  air.origin_y = -0.7;
+  air.width = width;
+  air.height = height;
+  air.heights.assign(static_cast<std::size_t>(width) * height, kHole);
+  for (int r = 0; r < height; ++r) {
+    for (int c = 0; c < width; ++c) {
+      const Eigen::Vector2d p = air.center(r, c);
+      const double x = std::cos(pose.yaw) * p.x() - std::sin(pose.yaw) * p.y() + pose.x;
+      const double y = std::sin(pose.yaw) * p.x() + std::cos(pose.yaw) * p.y() + pose.y;
+      const int gc = static_cast<int>(std::floor((x - ground.origin_x) / ground.resolution));
+      const int gr = static_cast<int>(std::floor((y - ground.origin_y) / ground.resolution));
+      if (gc >= 0 && gr >= 0 && gc < ground.width && gr < ground.height) air.at(r, c) = ground.at(gr, gc) - static_cast<float>(dz);
+    }
+  }
+  return air;
+}
+
+}  // namespace
+
+TEST(Zmssd, HandComputedValue) {
+  HeightMap ground, air;
+  ground.resolution = air.resolution = 1;
+  ground.width = air.width = 3;
+  ground.height = air.height = 1;
+  ground.heights = {1, 2, kHole};
+  air.heights = {4, 7, 9};
+  // d = (3, 5), mean 4, sum of squares about it 2, eta = 1/4.
+  const CostSettings settings{0.5, 0.3};
+  const auto value = zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, settings);
+  EXPECT_EQ(value.overlap, 2);
+  EXPECT_NEAR(value.cost, 0.5, 1e-12);
+  EXPECT_NEAR(value.score, 0.5, 1e-12);  // all of the ground map's two cells, the fewer ones, have a partner
+  EXPECT_NEAR(value.dz, -4, 1e-12);
+  // One of two cells is half of them: enough for a threshold of one half, at a charge, and not for more.
+  const auto half = zmssdReference(air, ground, Eigen::Vector2d::Zero(), {1, 0, 0}, settings);
+  EXPECT_NEAR(half.cost, 0, 1e-12);
+  EXPECT_NEAR(half.score, 0.3 / 2, 1e-12);
+  EXPECT_TRUE(std::isinf(zmssdReference(air, ground, Eigen::Vector2d::Zero(), {1, 0, 0}, {0.6, 0.3}).cost));
+}
+
+TEST(Zmssd, KernelMatchesReferenceAtRandomPoses) {
+  const auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
+  const Eigen::Vector2d reference(-0.4, 2.9);
+  const auto cells = aerialCells(air, reference);
+  const DirectCost direct(ground);
+  std::mt19937_64 random(3);
+  std::uniform_real_distribution<double> x(-1.5, 3.6), y(2, 5.3), yaw(-4, 4);
+  const CostSettings settings{0.3, 0.01};
+  std::vector<PlanarPose> poses;
+  for (int i = 0; i < 300; ++i) poses.push_back({x(random), y(random), yaw(random)});
+  const auto fast = direct(cells, poses, settings);
+  int finite = 0;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const auto slow = zmssdReference(air, ground, reference, poses[i], settings);
+    // Single precision may put a cell whose centre lies on a border into the neighbour.
+    if (std::isinf(slow.cost) || std::isinf(fast[i].cost)) {
+      EXPECT_NEAR(slow.overlap, fast[i].overlap, 4);
+      continue;
+    }
+    ++finite;
+    EXPECT_NEAR(fast[i].overlap, slow.overlap, 4);
+    EXPECT_NEAR(fast[i].cost, slow.cost, 2e-3 * slow.cost + 1e-6);
+    EXPECT_NEAR(fast[i].score, slow.score, 2e-3 * slow.score + 1e-5);
+    EXPECT_NEAR(fast[i].dz, slow.dz, 1e-3);
+  }
+  EXPECT_GT(finite, 60);
+}
+
+TEST(Zmssd, ChangeOfReferenceKeepsThePlacement) {
+  const auto ground = randomMap(97, 61, 1, 0.1), air = randomMap(43, 37, 2, 0.1);
+  const PlanarPose pose{3.4, 1.9, 1.2};
+  const Eigen::Vector2d a(0.3, 0.1), b(-1.7, 0.9);
+  const CostSettings settings{0.1, 0};
+  // Rounding may put a cell whose centre lies on a border into the neighbour.
+  const double cost = zmssdReference(air, ground, a, pose, settings).cost;
+  ASSERT_TRUE(std::isfinite(cost));
+  EXPECT_NEAR(zmssdReference(air, ground, b, changeReference(pose, a, b), settings).cost, cost, 1e-2 * cost);
+}
+
+class FftMatchesReference : public ::testing::TestWithParam<int> {};
+
+TEST_P(FftMatchesReference, AtEveryOffset) {
+  const int seed = GetParam();
+  const auto ground = randomMap(71 + 3 * seed, 53 - 2 * seed, 10 + seed, 0.25);
+  // Not square: as if turned already, with its own origin.
+  auto air = randomMap(26 + seed, 37, 20 + seed, 0.3);
+  air.origin_x = -0.8;
+  air.origin_y = -0.6;
+  const CostSettings settings{0.5, seed % 2 ? 0.02 : 0.0};
+  const FftCost fft(ground);
+  const auto map = fft(air, 0, settings);
+  EXPECT_EQ(map.width, ground.width + air.width - 1);
+  EXPECT_EQ(map.height, ground.height + air.height - 1);
+  double largest = 0;
+  for (float c : map.cost) {
+    if (std::isfinite(c)) largest = std::max<double>(largest, c);
+  }
+  int finite = 0;
+  for (int r = 0; r < map.height; ++r) {
+    for (int c = 0; c < map.width; ++c) {
+      const auto pose = map.pose(r, c);
+      const auto value = zmssdReference(air, ground, Eigen::Vector2d::Zero(), pose, settings);
+      ASSERT_EQ(std::isfinite(value.score), std::isfinite(map.at(r, c))) << r << ' ' << c;
+      if (!std::isfinite(value.score)) continue;
+      ++finite;
+      ASSERT_NEAR(map.at(r, c), value.score, 2e-5 * largest) << r << ' ' << c;
+    }
+  }
+  EXPECT_GT(finite, 500);
+}
+INSTANTIATE_TEST_SUITE_P(Seeds, FftMatchesReference, ::testing::Range(0, 6));
+
+TEST(Fft, MinimumIsTheReferenceArgmin) {
+  const auto ground = randomMap(83, 59, 4, 0.2), air = randomMap(29, 33, 5, 0.2);
+  auto turned = air;
+  turned.origin_x = turned.origin_y = 0;
+  const CostSettings settings{0.5, 0};
+  const auto map = FftCost(ground)(turned, 0, settings);
+  const auto minimum = findMinimum(map, turned, ground, settings);
+  double best = kInfinity;
+  int row = -1, column = -1;
+  for (int r = 0; r < map.height; ++r) {
+    for (int c = 0; c < map.width; ++c) {
+      const auto value = zmssdReference(turned, ground, Eigen::Vector2d::Zero(), map.pose(r, c), settings);
+      if (value.score < best) best = value.score, row = r, column = c;
+    }
+  }
+  EXPECT_EQ(minimum.row, row);
+  EXPECT_EQ(minimum.column, column);
+  EXPECT_DOUBLE_EQ(minimum.zmssd.score, best);
+}
+
+TEST(Fft, FiveSmoothSizes) {
+  EXPECT_EQ(fiveSmoothSize(1), 1);
+  EXPECT_EQ(fiveSmoothSize(7), 8);
+  EXPECT_EQ(fiveSmoothSize(226), 240);
+  EXPECT_EQ(fiveSmoothSize(480), 480);
+  EXPECT_THROW(fiveSmoothSize(0), std::invalid_argument);
+}
+
+TEST(Fft, RefusesOtherResolutionsAndEmptyGround) {
+  const auto ground = randomMap(40, 30, 1, 0.1);
+  auto air = randomMap(20, 20, 2, 0.1);
+  air.resolution = 0.1;
+  const FftCost fft(ground);
+  EXPECT_THROW(fft(air, 0, CostSettings()), std::invalid_argument);
+  auto holes = ground;
+  holes.heights.assign(holes.heights.size(), kHole);
+  EXPECT_THROW(FftCost{holes}, std::invalid_argument);
+  EXPECT_THROW(DirectCost{holes}, std::invalid_argument);
+}
+
+struct Placement {
+  double x, y, yaw_deg, dz;
+};
+class SearchRecovers : public ::testing::TestWithParam<Placement> {};
+
+TEST_P(SearchRecovers, OffsetHeadingAndHeight) {
+  // Signs and axes: a wrong one lands elsewhere, since the map is neither square nor symmetric.
+  const auto p = GetParam();
+  const PlanarPose truth{p.x, p.y, p.yaw_deg * M_PI / 180};
+  const auto ground = randomMap(130, 90, 7, 0.05);
+  const auto air = cutOut(ground, truth, p.dz, 44, 31);
+  const CostSettings settings{0.5, 0};
+  const FftCost fft(ground);
+  const auto volume = computeCostVolume(fft, air, searchHeadings(72, {}), true, settings);
+  const auto minima = findLocalMinima(volume, 3, 0.4, 0.3);
+  ASSERT_FALSE(minima.empty());
+  const auto cells = aerialCells(air, volume.pivot);
+  const auto found = descend(DirectCost(ground), cells, minima.front(), 0.05, 0.04, settings);
+  const auto origin = changeReference(found.pose, volume.pivot, Eigen::Vector2d::Zero());
+  EXPECT_NEAR(origin.x, truth.x, 0.03);
+  EXPECT_NEAR(origin.y, truth.y, 0.03);
+  EXPECT_NEAR(std::remainder(origin.yaw - truth.yaw, 2 * M_PI), 0, 0.02);
+  EXPECT_NEAR(found.zmssd.dz, p.dz, 0.02);
+}
+INSTANTIATE_TEST_SUITE_P(Placements, SearchRecovers,
+                         ::testing::Values(Placement{1.2, 4.1, 0, 0.3}, Placement{1.7, 3.6, 33, -1.2}, Placement{2.1, 4.4, 90, 2},
+                                           Placement{1.9, 4.5, -128, 0}, Placement{2.6, 4.9, 178, 0.5}));
+
+TEST(Search, KnownHeadingLimitsTheHeadings) {
+  Prior prior;
+  prior.yaw = 3.1;
+  prior.yaw_sigma = 0.1;
+  const auto headings = searchHeadings(72, prior);
+  EXPECT_LT(headings.size(), 12u);
+  for (double h : headings) EXPECT_LT(std::abs(std::remainder(h - 3.1, 2 * M_PI)), 0.4);
+  EXPECT_EQ(searchHeadings(72, {}).size(), 72u);
+  EXPECT_GT(prior.logDensity({0, 0, 3.1}, {0, 0}), prior.logDensity({0, 0, -3.0}, {0, 0}));
+  prior.position = Eigen::Vector2d(2, 1);
+  prior.position_reference = {1, 0};
+  // A pose of the origin with heading 90 degrees carries (1, 0) to (x, y + 1).
+  Prior only_position = prior;
+  only_position.yaw.reset();
+  EXPECT_NEAR(only_position.logDensity({2, 0, M_PI / 2}, {0, 0}), 0, 1e-12);
+}

@@ -1,0 +1,243 @@
+// Particles and verdict on worlds with exact truth.
+#include "heightmap_mcl/localizer.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Eigenvalues>
+
+#include <cmath>
+
+#include "synthetic_world.h"
+
+using namespace heightmap_mcl;
+using air_ground_common::yawOf;
+
+namespace {
+
+CostVolume singleCell(double x, double y, double yaw) {
+  CostVolume volume;
+  CostMap map;
+  map.resolution = 1e-3;
+  map.x0 = x;
+  map.y0 = y;
+  map.yaw = yaw;
+  map.width = map.height = 1;
+  map.cost = {0.01f};
+  volume.slices = {map};
+  return volume;
+}
+
+Eigen::Vector2d meanOf(const ParticleFilter& filter) {
+  Eigen::Vector2d mean = Eigen::Vector2d::Zero();
+  for (const auto& p : filter.particles()) mean += p.weight * Eigen::Vector2d(p.pose.x, p.pose.y);
+  return mean;
+}
+
+struct Outcome {
+  Estimate last;
+  synthetic::Error error;
+  int converged = 0, wrong = 0, first_converged = -1;
+  std::vector<Status> statuses;
+};
+
+Outcome play(const synthetic::Run& run, Localizer& localizer) {
+  Outcome outcome;
+  localizer.setGround(run.ground);
+  for (std::size_t k = 0; k < run.aerial.size(); ++k) {
+    EXPECT_TRUE(localizer.addAerial(run.aerial[k]));
+    const auto& e = localizer.estimate();
+    outcome.last = e;
+    outcome.error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav[k], run.aerial[k].reference);
+    outcome.statuses.push_back(e.status);
+    EXPECT_FALSE(e.reason.empty());
+    if (e.has_pose) {
+      EXPECT_GT(Eigen::SelfAdjointEigenSolver<air_ground_common::Matrix6d>(e.covariance).eigenvalues().minCoeff(), 0);
+      EXPECT_TRUE(e.covariance.allFinite());
+      EXPECT_TRUE(e.reference_point.allFinite());
+    }
+    if (e.status != Status::kConverged) continue;
+    if (outcome.converged++ == 0) outcome.first_converged = static_cast<int>(k);
+    outcome.wrong += outcome.error.position > 0.25 || outcome.error.yaw > 5 * M_PI / 180;
+  }
+  return outcome;
+}
+
+}  // namespace
+
+TEST(ParticleFilter, MotionTurnsTheDisplacementByTheHeading) {
+  FilterSettings settings;
+  settings.position_noise = settings.yaw_noise = 0;
+  settings.position_noise_per_metre = settings.yaw_noise_per_metre = 0;
+  ParticleFilter filter(settings, 1);
+  // mav_map's x axis points along ground y.
+  ASSERT_TRUE(filter.initialize(singleCell(3, 4, M_PI / 2), {}, {0, 0}));
+  EXPECT_NEAR(meanOf(filter).x(), 3, 0.01);
+  filter.move({0.5, 0.2});
+  EXPECT_NEAR(meanOf(filter).x(), 3 - 0.2, 0.01);
+  EXPECT_NEAR(meanOf(filter).y(), 4 + 0.5, 0.01);
+}
+
+TEST(ParticleFilter, SamplesFollowTheCost) {
+  FilterSettings settings;
+  settings.particles = 1000;
+  settings.sampling_sigma = 0.02;
+  auto volume = singleCell(0, 0, 0);
+  auto& map = volume.slices[0];
+  map.width = 3;
+  map.resolution = 1;
+  map.cost = {0.05f, 0.03f, std::numeric_limits<float>::infinity()};
+  ParticleFilter filter(settings, 2);
+  ASSERT_TRUE(filter.initialize(volume, {}, {0, 0}));
+  int second = 0, third = 0;
+  for (const auto& p : filter.particles()) {
+    second += std::abs(p.pose.x - 1) <= 0.5;
+    third += p.pose.x > 1.5;
+  }
+  EXPECT_EQ(third, 0);
+  EXPECT_NEAR(second / 1000.0, std::exp(1) / (1 + std::exp(1)), 0.02);  // eq. 5
+  for (float& c : map.cost) c = std::numeric_limits<float>::infinity();
+  EXPECT_FALSE(filter.initialize(volume, {}, {0, 0}));
+  EXPECT_FALSE(filter.initialized());
+}
+
+TEST(ParticleFilter, SpreadIsCircularInHeading) {
+  FilterSettings settings;
+  ParticleFilter filter(settings, 1);
+  auto volume = singleCell(0, 0, M_PI - 0.05);
+  volume.slices.push_back(singleCell(0, 0, -M_PI + 0.05).slices[0]);
+  ASSERT_TRUE(filter.initialize(volume, {}, {0, 0}));
+  EXPECT_LT(filter.spread().yaw, 0.12);
+  const auto modes = filter.modes(0.3, 0.3);
+  EXPECT_NEAR(modes.front().weight, 1, 1e-9);
+  EXPECT_GT(std::abs(modes.front().mean.yaw), M_PI - 0.05);
+}
+
+class Boxes : public ::testing::TestWithParam<int> {};
+
+TEST_P(Boxes, ConvergesWithoutAGuessAndIsNeverWronglySure) {
+  synthetic::Options options;
+  options.seed = GetParam();
+  options.aerial_clouds = 8;
+  const auto run = synthetic::makeRun(options);
+  Localizer localizer({});
+  const auto outcome = play(run, localizer);
+  EXPECT_EQ(outcome.wrong, 0);
+  EXPECT_EQ(outcome.last.status, Status::kConverged) << outcome.last.reason;
+  EXPECT_LT(outcome.error.position, 0.15);
+  EXPECT_LT(outcome.error.yaw, 0.05);
+  EXPECT_LT(outcome.error.z, 0.15);
+}
+INSTANTIATE_TEST_SUITE_P(Seeds, Boxes, ::testing::Values(501, 502, 503));
+
+TEST(Localizer, KnownHeadingIsUsed) {
+  synthetic::Options options;
+  options.seed = 504;
+  options.aerial_clouds = 5;
+  const auto run = synthetic::makeRun(options);
+  Localizer localizer({});
+  Prior prior;
+  prior.yaw = yawOf(run.T_ground_mav[0].rotation()) + 0.05;
+  prior.yaw_sigma = 0.1;
+  localizer.setPrior(prior);
+  const auto outcome = play(run, localizer);
+  EXPECT_EQ(outcome.wrong, 0);
+  EXPECT_LT(outcome.error.position, 0.2);
+  // A wrong heading that excludes the truth must not be sold as a solution.
+  prior.yaw = *prior.yaw + M_PI;
+  Localizer misled({});
+  misled.setPrior(prior);
+  EXPECT_EQ(play(run, misled).converged, 0);
+}
+
+TEST(Localizer, FlatFloorIsDegenerate) {
+  synthetic::Options options;
+  options.world = synthetic::World::kFlatFloor;
+  options.aerial_clouds = 5;
+  for (int seed : {1, 2}) {
+    options.seed = seed;
+    Localizer localizer({});
+    const auto outcome = play(synthetic::makeRun(options), localizer);
+    EXPECT_EQ(outcome.converged, 0);
+    EXPECT_EQ(outcome.last.status, Status::kDegenerate) << outcome.last.reason;
+  }
+}
+
+TEST(Localizer, EndlessRidgeIsNeverConverged) {
+  synthetic::Options options;
+  options.world = synthetic::World::kRidge;
+  options.aerial_clouds = 5;
+  options.seed = 3;
+  Localizer localizer({});
+  const auto outcome = play(synthetic::makeRun(options), localizer);
+  EXPECT_EQ(outcome.converged, 0);
+}
+
+TEST(Localizer, IdenticalBoxesAreAmbiguous) {
+  synthetic::Options options;
+  options.world = synthetic::World::kIdenticalBoxes;
+  options.aerial_clouds = 6;
+  for (int seed : {1, 2}) {
+    options.seed = seed;
+    Localizer localizer({});
+    const auto outcome = play(synthetic::makeRun(options), localizer);
+    EXPECT_EQ(outcome.converged, 0);
+    EXPECT_EQ(outcome.last.status, Status::kAmbiguous) << outcome.last.reason;
+    EXPECT_LT(outcome.last.rival_ratio, 1.3);
+  }
+}
+
+TEST(Localizer, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
+  synthetic::Options options;
+  options.seed = 505;
+  options.aerial_clouds = 4;
+  const auto run = synthetic::makeRun(options);
+  Localizer localizer({});
+  EXPECT_FALSE(localizer.estimate().has_pose);
+  EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
+  for (const auto& cloud : run.aerial) localizer.addAerial(cloud);
+  EXPECT_EQ(localizer.estimate().status, Status::kSearching);
+  localizer.setGround(run.ground);
+  EXPECT_TRUE(localizer.estimate().has_pose);
+  const auto error = synthetic::errorOf(localizer.estimate().T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
+  EXPECT_LT(error.position, 0.2);
+  // Losing the ground map, or getting an empty one, takes the pose back.
+  EXPECT_FALSE(localizer.setGround({}));
+  EXPECT_FALSE(localizer.estimate().has_pose);
+  localizer.setGround(run.ground);
+  localizer.restart(true);
+  EXPECT_FALSE(localizer.estimate().has_pose);
+  EXPECT_NE(localizer.estimate().reason.find("aerial"), std::string::npos);
+}
+
+TEST(Localizer, BadCloudsChangeNothing) {
+  Localizer localizer({});
+  const float nan = std::nanf("");
+  EXPECT_FALSE(localizer.addAerial({}));
+  EXPECT_FALSE(localizer.addAerial({{{nan, nan, nan}}, Eigen::Vector3d::Zero()}));
+  EXPECT_FALSE(localizer.addAerial({{{0, 0, 0}}, Eigen::Vector3d(std::nan(""), 0, 0)}));
+  EXPECT_FALSE(localizer.hasAerial());
+}
+
+TEST(Localizer, SameSeedSameResult) {
+  synthetic::Options options;
+  options.seed = 506;
+  options.aerial_clouds = 3;
+  const auto run = synthetic::makeRun(options);
+  Localizer a({}), b({});
+  const auto first = play(run, a), second = play(run, b);
+  EXPECT_EQ(first.last.T_ground_mav.matrix(), second.last.T_ground_mav.matrix());
+  EXPECT_EQ(first.last.covariance, second.last.covariance);
+  ASSERT_EQ(a.filter().particles().size(), b.filter().particles().size());
+  EXPECT_EQ(a.filter().particles()[7].pose.x, b.filter().particles()[7].pose.x);
+}
+
+TEST(Localizer, BadSettingsAreNamed) {
+  LocalizerSettings settings;
+  settings.ambiguity_ratio = 0.9;
+  try {
+    Localizer localizer(settings);
+    FAIL();
+  } catch (const std::invalid_argument& e) {
+    EXPECT_NE(std::string(e.what()).find("ambiguity_ratio"), std::string::npos);
+  }
+}

@@ -1,0 +1,322 @@
+// The node as other nodes see it: frames, order of inputs, bad input, services, looped time, refusal.
+#include <air_ground/AlignmentEstimate.h>
+#include <air_ground/HeightMap.h>
+#include <air_ground/VoStatus.h>
+#include <geometry_msgs/PoseArray.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <gtest/gtest.h>
+#include <nav_msgs/OccupancyGrid.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <Eigen/Eigenvalues>
+#include <atomic>
+#include <cmath>
+#include <functional>
+
+#include "air_ground_common/ros/conversions.h"
+#include "synthetic_world.h"
+
+namespace ros_utils = air_ground_common::ros_utils;
+namespace syn = heightmap_mcl::synthetic;
+using air_ground::AlignmentEstimate;
+using air_ground_common::Pose;
+
+namespace {
+
+template <typename T>
+struct Inbox {
+  std::vector<T> messages;
+  ros::Subscriber subscriber;
+  void connect(ros::NodeHandle& node, const std::string& topic) {
+    subscriber = node.subscribe<T>(topic, 100, [this](const boost::shared_ptr<const T>& m) { messages.push_back(*m); });
+  }
+};
+
+class NodeTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    cloud_ = node_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20);
+    ground_ = node_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 1, true);
+    odometry_ = node_.advertise<nav_msgs::Odometry>("mav/odometry", 100);
+    status_ = node_.advertise<air_ground::VoStatus>("mav/vo_status", 100);
+    guess_ = node_.advertise<geometry_msgs::PoseWithCovarianceStamped>("initialpose", 1);
+    coarse_.connect(node_, "alignment/coarse");
+    particles_.connect(node_, "alignment/particles");
+    costmap_.connect(node_, "alignment/costmap");
+    air_.connect(node_, "alignment/height_map_air");
+    ground_map_.connect(node_, "alignment/height_map_ground");
+    tf_.connect(node_, "/tf");
+    tf_static_.connect(node_, "/tf_static");
+    ASSERT_TRUE(until([&] {
+      return cloud_.getNumSubscribers() > 0 && ground_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
+             status_.getNumSubscribers() > 0 && coarse_.subscriber.getNumPublishers() > 0 && costmap_.subscriber.getNumPublishers() > 0 &&
+             particles_.subscriber.getNumPublishers() > 0 && air_.subscriber.getNumPublishers() > 0;
+    }));
+    ASSERT_TRUE(call("/heightmap_mcl/reset"));
+    spin(0.5);
+    clear();
+    stamp_ = ros::Time(10000.0 + 5000.0 * ++test_number_);
+  }
+
+  bool until(const std::function<bool()>& done, double seconds = 20) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    while (ros::WallTime::now() < end) {
+      ros::spinOnce();
+      if (done()) return true;
+      ros::WallDuration(0.01).sleep();
+    }
+    return false;
+  }
+
+  void spin(double seconds) {
+    until([] { return false; }, seconds);
+  }
+
+  void clear() {
+    coarse_.messages.clear();
+    particles_.messages.clear();
+    costmap_.messages.clear();
+    air_.messages.clear();
+    ground_map_.messages.clear();
+  }
+
+  bool call(const std::string& service) {
+    std_srvs::Trigger request;
+    return ros::service::waitForService(service, 10000) && ros::service::call(service, request) && request.response.success;
+  }
+
+  static sensor_msgs::PointCloud2 cloudMsg(const std::vector<Eigen::Vector3f>& points, const std::string& frame, const ros::Time& stamp) {
+    std::vector<ros_utils::CloudPoint> cloud(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) cloud[i].position = points[i];
+    std_msgs::Header header;
+    header.frame_id = frame;
+    header.stamp = stamp;
+    return ros_utils::toMsg(cloud, ros_utils::CloudFields::kXyzIntensity, header);
+  }
+
+  void sendGround(const syn::Run& run) { ground_.publish(cloudMsg(run.ground, "ground_map", stamp_)); }
+
+  void sendOdometry(const Eigen::Vector3d& position, const ros::Time& stamp) {
+    nav_msgs::Odometry odometry;
+    odometry.header.frame_id = "mav_map";
+    odometry.header.stamp = stamp;
+    odometry.child_frame_id = "mav_base_link";
+    odometry.pose.pose = ros_utils::toMsg(air_ground_common::yawPose(0, position));
+    odometry_.publish(odometry);
+  }
+
+  void sendStatus(std::uint32_t map_id) {
+    air_ground::VoStatus status;
+    status.header.stamp = stamp_;
+    status.map_id = map_id;
+    status_.publish(status);
+    spin(0.1);
+  }
+
+  /// Publishes a cloud with odometry around its stamp and waits for the verdict on it.
+  bool sendAerial(const heightmap_mcl::AerialCloud& cloud) {
+    stamp_ += ros::Duration(2);
+    sendOdometry(cloud.reference, stamp_ - ros::Duration(0.05));
+    sendOdometry(cloud.reference, stamp_ + ros::Duration(0.05));
+    spin(0.1);
+    cloud_.publish(cloudMsg(cloud.points, "mav_map", stamp_));
+    return until([&] { return !coarse_.messages.empty() && coarse_.messages.back().header.stamp == stamp_; });
+  }
+
+  static syn::Run world(std::uint64_t seed, int clouds, syn::World kind = syn::World::kBoxes) {
+    syn::Options options;
+    options.seed = seed;
+    options.world = kind;
+    options.aerial_clouds = clouds;
+    return syn::makeRun(options);
+  }
+
+  const AlignmentEstimate& last() const { return coarse_.messages.back(); }
+
+  ros::NodeHandle node_;
+  ros::Publisher cloud_, ground_, odometry_, status_, guess_;
+  Inbox<AlignmentEstimate> coarse_;
+  Inbox<geometry_msgs::PoseArray> particles_;
+  Inbox<nav_msgs::OccupancyGrid> costmap_;
+  Inbox<air_ground::HeightMap> air_, ground_map_;
+  Inbox<tf2_msgs::TFMessage> tf_, tf_static_;
+  ros::Time stamp_;
+  static int test_number_;
+};
+int NodeTest::test_number_ = 0;
+
+void expectSane(const AlignmentEstimate& e) {
+  EXPECT_EQ(e.header.frame_id, "ground_map");
+  EXPECT_EQ(e.child_frame_id, "mav_map");
+  EXPECT_EQ(e.stage, AlignmentEstimate::STAGE_COARSE);
+  EXPECT_FALSE(e.reason.empty());
+  const Pose T = ros_utils::fromMsg(e.pose.pose);
+  EXPECT_TRUE(T.matrix().allFinite());
+  const auto covariance = ros_utils::covarianceFromMsg(e.pose.covariance);
+  EXPECT_GT(Eigen::SelfAdjointEigenSolver<air_ground_common::Matrix6d>(covariance).eigenvalues().minCoeff(), 0);
+  for (double v : {e.particle_spread, e.particle_spread_yaw, e.overlap, e.cost, e.reference_point.x, e.reference_point.y,
+                   e.reference_point.z}) {
+    EXPECT_TRUE(std::isfinite(v));
+  }
+}
+
+}  // namespace
+
+TEST_F(NodeTest, GroundMapThatComesLateTriggersTheSearchAndTheChainConverges) {
+  const auto run = world(601, 8);
+  for (int k = 0; k < 3; ++k) {
+    stamp_ += ros::Duration(2);
+    sendOdometry(run.aerial[k].reference, stamp_ - ros::Duration(0.05));
+    sendOdometry(run.aerial[k].reference, stamp_ + ros::Duration(0.05));
+    spin(0.1);
+    cloud_.publish(cloudMsg(run.aerial[k].points, "mav_map", stamp_));
+  }
+  ASSERT_TRUE(until([&] { return air_.messages.size() >= 3; }));
+  for (const auto& e : coarse_.messages) EXPECT_EQ(e.status, AlignmentEstimate::STATUS_SEARCHING);
+  sendGround(run);
+  ASSERT_TRUE(until([&] { return !coarse_.messages.empty() && coarse_.messages.back().overlap > 0; }));
+  EXPECT_EQ(last().header.stamp, stamp_);
+  for (int k = 3; k < 8; ++k) ASSERT_TRUE(sendAerial(run.aerial[k]));
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+  for (const auto& e : coarse_.messages) expectSane(e);
+  const auto error = syn::errorOf(ros_utils::fromMsg(last().pose.pose), run.T_ground_mav.back(), run.aerial.back().reference);
+  EXPECT_LT(error.position, 0.2);
+  EXPECT_LT(error.yaw, 0.05);
+
+  ASSERT_TRUE(until([&] {
+    return !particles_.messages.empty() && particles_.messages.back().header.stamp == stamp_ && !costmap_.messages.empty() &&
+           costmap_.messages.back().header.stamp == stamp_ && !ground_map_.messages.empty();
+  }));
+  const auto& particles = particles_.messages.back();
+  EXPECT_EQ(particles.header.frame_id, "ground_map");
+  ASSERT_EQ(particles.poses.size(), 200u);
+  // The particles are poses of the MAV, whose height they share.
+  const Eigen::Vector3d mav = run.T_ground_mav.back() * run.aerial.back().reference;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (const auto& p : particles.poses) mean += ros_utils::fromMsg(p).translation() / 200;
+  EXPECT_LT((mean - mav).norm(), 0.4);
+  const auto& air = air_.messages.back();
+  EXPECT_EQ(air.header.frame_id, "mav_map");
+  EXPECT_EQ(air.heights.size(), static_cast<std::size_t>(air.width) * air.height);
+  EXPECT_EQ(ground_map_.messages.back().header.frame_id, "ground_map");
+  const auto& grid = costmap_.messages.back();
+  EXPECT_EQ(grid.header.frame_id, "ground_map");
+  ASSERT_EQ(grid.data.size(), static_cast<std::size_t>(grid.info.width) * grid.info.height);
+  // The best cell of the cost map lies at the MAV's position.
+  const auto best = static_cast<int>(std::find(grid.data.begin(), grid.data.end(), 0) - grid.data.begin());
+  ASSERT_LT(best, static_cast<int>(grid.data.size()));
+  const double x = grid.info.origin.position.x + (best % grid.info.width + 0.5) * grid.info.resolution;
+  const double y = grid.info.origin.position.y + (best / grid.info.width + 0.5) * grid.info.resolution;
+  EXPECT_LT(std::hypot(x - mav.x(), y - mav.y()), 0.4);
+  // icp_refine owns the transform unless publish_tf is set.
+  EXPECT_TRUE(tf_.messages.empty());
+  EXPECT_TRUE(tf_static_.messages.empty());
+}
+
+TEST_F(NodeTest, SurvivesBadInput) {
+  const auto run = world(602, 2);
+  const float nan = std::nanf("");
+  sendGround(run);
+  cloud_.publish(cloudMsg({}, "mav_map", stamp_ += ros::Duration(1)));
+  cloud_.publish(cloudMsg({{nan, nan, nan}, {nan, 0, 0}}, "mav_map", stamp_ += ros::Duration(1)));
+  cloud_.publish(cloudMsg(run.aerial[0].points, "elsewhere", stamp_ += ros::Duration(1)));
+  sensor_msgs::PointCloud2 broken = cloudMsg(run.aerial[0].points, "mav_map", stamp_ += ros::Duration(1));
+  broken.data.resize(100);
+  cloud_.publish(broken);
+  broken.fields.clear();
+  cloud_.publish(broken);
+  ground_.publish(cloudMsg({}, "ground_map", stamp_));
+  spin(0.5);
+  for (const auto& e : coarse_.messages) {
+    expectSane(e);
+    EXPECT_EQ(e.status, AlignmentEstimate::STATUS_SEARCHING);
+  }
+  auto with_holes = run.aerial[0];
+  for (std::size_t i = 0; i < with_holes.points.size(); i += 7) with_holes.points[i].z() = nan;
+  ASSERT_TRUE(sendAerial(with_holes));
+  EXPECT_GT(last().overlap, 0.4);
+  expectSane(last());
+  // No odometry at the cloud's stamp: it is used nevertheless.
+  stamp_ += ros::Duration(3);
+  cloud_.publish(cloudMsg(run.aerial[1].points, "mav_map", stamp_));
+  EXPECT_TRUE(until([&] { return last().header.stamp == stamp_; }));
+  expectSane(last());
+}
+
+TEST_F(NodeTest, LoopedTimeStartsAfresh) {
+  const auto run = world(603, 6);
+  const ros::Time begin = stamp_;
+  sendGround(run);
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  EXPECT_GE(last().iterations, 6u);
+  // The bag begins again; the ground map of the run before is from the future and must go.
+  stamp_ = begin - ros::Duration(100);
+  clear();
+  ASSERT_TRUE(sendAerial(run.aerial[0]));
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_SEARCHING) << last().reason;
+  EXPECT_EQ(last().overlap, 0);
+  sendGround(run);
+  for (int k = 1; k < 6; ++k) ASSERT_TRUE(sendAerial(run.aerial[k]));
+  EXPECT_EQ(last().iterations, 6u);
+  EXPECT_GT(last().overlap, 0.4);
+}
+
+TEST_F(NodeTest, FreshMapOfTheMavAndRelocalizeStartTheSearchAgain) {
+  const auto run = world(604, 6);
+  sendGround(run);
+  sendStatus(3);
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  EXPECT_EQ(last().map_id, 3u);
+  const std::size_t before = coarse_.messages.size();
+  ASSERT_TRUE(call("/heightmap_mcl/relocalize"));
+  ASSERT_TRUE(until([&] { return coarse_.messages.size() > before; }));
+  EXPECT_GT(last().overlap, 0.4);  // on the maps at hand
+  clear();
+  stamp_ += ros::Duration(1);
+  sendStatus(4);
+  ASSERT_TRUE(until([&] { return !coarse_.messages.empty(); }));
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_SEARCHING);
+  EXPECT_EQ(last().map_id, 4u);
+  EXPECT_EQ(last().overlap, 0);
+  ASSERT_TRUE(sendAerial(run.aerial[0]));
+  EXPECT_EQ(last().iterations, 1u);
+}
+
+TEST_F(NodeTest, InitialPoseIsUsed) {
+  const auto run = world(605, 2, syn::World::kIdenticalBoxes);
+  sendGround(run);
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  geometry_msgs::PoseWithCovarianceStamped guess;
+  guess.header.frame_id = "ground_map";
+  // Odometry here has no heading: base_link is turned like mav_map.
+  const Pose truth = run.T_ground_mav[1];
+  guess.pose.pose = ros_utils::toMsg(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()), truth * run.aerial[1].reference));
+  guess.pose.covariance[0] = guess.pose.covariance[7] = 0.1 * 0.1;
+  guess.pose.covariance[35] = 0.05 * 0.05;
+  ASSERT_TRUE(until([&] { return guess_.getNumSubscribers() > 0; }));
+  const std::size_t before = coarse_.messages.size();
+  guess_.publish(guess);
+  ASSERT_TRUE(until([&] { return coarse_.messages.size() > before; }));
+  const auto error = syn::errorOf(ros_utils::fromMsg(last().pose.pose), truth, run.aerial[1].reference);
+  EXPECT_LT(error.position, 0.3);
+  EXPECT_LT(error.yaw, 0.15);
+}
+
+TEST_F(NodeTest, FlatFloorIsRefused) {
+  const auto run = world(606, 4, syn::World::kFlatFloor);
+  sendGround(run);
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  for (const auto& e : coarse_.messages) EXPECT_NE(e.status, AlignmentEstimate::STATUS_CONVERGED);
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_DEGENERATE) << last().reason;
+}
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "heightmap_mcl_node_test");
+  ros::NodeHandle keep;
+  return RUN_ALL_TESTS();
+}

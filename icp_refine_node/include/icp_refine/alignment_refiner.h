@@ -1,0 +1,91 @@
+// When to refine, from which guess, and whether to believe the result: the decisions of the node, without ROS.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <optional>
+#include <string>
+
+#include "icp_refine/height_check.h"
+#include "icp_refine/icp.h"
+
+namespace icp_refine {
+
+struct RefinerSettings {
+  int recent_clouds = 6;            ///< latest aerial clouds that make up the reading
+  double accumulation_leaf = 0.03;  ///< each cloud is thinned to this when it comes in [m]
+  int min_points = 300;             ///< aerial or ground points that a refinement needs after the filters
+  double margin = 0.6;              ///< aerial points farther than this from the ground map, in plan, are left out [m]
+  int retries = 6;                  ///< starts around a coarse or manual guess that is rejected
+  double retry_distance = 0.3;      ///< [m]
+  double retry_angle = 0.1;         ///< of heading [rad]
+  double min_overlap = 0.08;        ///< smallest share of the aerial map that overlaps the ground map, by columns
+  double max_rms = 0.05;            ///< largest RMS point-to-plane residual [m]
+  double min_agreement = 0.7;       ///< smallest share of relief cells without contradiction (height_check.h)
+  double max_sigma = 0.15;          ///< largest standard deviation of the position, any direction [m]
+  double max_sigma_angle = 0.09;    ///< and of the rotation, any axis [rad]
+  int lost_after = 3;               ///< refinements in a row that contradict the tracked pose end tracking
+  double coarse_distance = 0.5;     ///< a coarse pose this far from the refined one disagrees [m]
+  double coarse_angle = 0.26;       ///< or this far in heading [rad]
+  int coarse_disagreements = 3;     ///< in a row: then the coarse pose is tried against the refined one
+  HeightCheckSettings height_check;
+};
+
+enum class RefineStatus { kSearching, kDegenerate, kConverged, kRejected };
+
+struct RefineOutcome {
+  RefineStatus status = RefineStatus::kSearching;
+  std::string reason;                ///< one line for a person
+  Pose T_ground_map_mav_map = Pose::Identity();
+  Matrix6d covariance = Matrix6d::Identity();        ///< about reference_point, in ground_map
+  Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< in ground_map [m]
+  double overlap = 0;                ///< share of the aerial map's columns that the ground map has too
+  double residual_rms = 0;           ///< [m]
+  int iterations = 0;
+  double stamp = 0;                  ///< of the newest aerial cloud [s]
+  bool contradicted = false;         ///< rejected by data that speak against the pose, not for want of data
+  bool tracking = false;             ///< started from the last refined pose
+  HeightCheck heights;
+  IcpResult icp;
+};
+
+/// Not thread-safe: one caller.
+class AlignmentRefiner {
+ public:
+  AlignmentRefiner(IcpChain chain, const RefinerSettings& settings);
+
+  /// Replaces the ground map (ground_map frame); filters and trees are made at the next refine().
+  void setGround(Cloud cloud);
+  /// Adds one aerial cloud (mav_map frame), stamp in seconds.
+  void addAerial(double stamp, Cloud cloud);
+  /// Coarse pose of a global localization that has converged.
+  void setCoarse(const Pose& T_ground_map_mav_map);
+  /// A person's guess of x, y and heading: replaces whatever was tracked. The height is taken from the maps.
+  void setManual(const Pose& T_ground_map_mav_map);
+  /// Forgets all but the ground map: another aerial map has begun.
+  void startMap();
+  /// Forgets everything.
+  void reset();
+
+  /// Refines when there is a guess and data, else says what is missing. Never throws for poor data.
+  RefineOutcome refine();
+
+  bool tracking() const { return tracked_.has_value(); }
+  /// Last believed pose.
+  std::optional<Pose> refined() const { return tracked_; }
+
+ private:
+  RefineOutcome attempt(const Cloud& reading, const Pose& guess);
+  RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess);
+
+  IcpChain chain_;
+  RefinerSettings settings_;
+  Cloud ground_;
+  std::optional<IcpReference> reference_;
+  std::deque<std::pair<double, Cloud>> aerial_;
+  std::optional<Pose> coarse_, manual_, tracked_;
+  int rejections_ = 0, disagreements_ = 0;
+};
+
+}  // namespace icp_refine

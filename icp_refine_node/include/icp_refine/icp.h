@@ -1,0 +1,73 @@
+// Point-to-plane ICP as a chain of named stages read from YAML, in the style of libpointmatcher (Pomerleau 2011; A-VII).
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+
+#include "icp_refine/data_filters.h"
+#include "icp_refine/icp_stages.h"
+#include "icp_refine/localizability.h"
+
+namespace icp_refine {
+
+struct IcpResult {
+  enum class Outcome { kConverged, kFailed };
+  Outcome outcome = Outcome::kFailed;
+  std::string reason;  ///< why it failed; empty when converged
+  Pose T_reference_reading = Pose::Identity();
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< of the matches, reference frame: covariance is about this point
+  Matrix6d hessian = Matrix6d::Zero();               ///< sum w J^T J about centre (translation, rotation)
+  Matrix6d covariance = Matrix6d::Identity();        ///< translation [m], rotation [rad] about centre, reference frame
+  Localizability localizability;
+  std::size_t reading_points = 0, reference_points = 0;  ///< after the filters
+  std::size_t inliers = 0;     ///< matches with a weight > 0 in the last iteration
+  double overlap = 0;          ///< share of the reading's points that have an inlier match
+  double residual_rms = 0;     ///< weighted RMS point-to-plane residual of the inliers [m]
+  int iterations = 0;          ///< over all levels
+  double seconds = 0;          ///< of align() alone
+};
+
+/// A reference cloud after the filters, with the search trees that the levels need. Make it once a change of the map.
+class IcpReference {
+ public:
+  const Cloud& cloud() const { return cloud_; }
+  bool empty() const { return cloud_.empty(); }
+
+ private:
+  friend class IcpChain;
+  Cloud cloud_;
+  std::map<float, NeighborSearch> trees_;  // by normal weight
+};
+
+/// The chain:
+///   reading_filters, reference_filters: lists of data filters
+///   levels: coarse to fine; each has reading_filters (optional), matcher, outlier_filters, error_minimizer, checkers
+///   localizability, covariance: their settings (optional)
+/// A stage is written `Name` or `Name: {parameter: value}`.
+class IcpChain {
+ public:
+  /// Throws ConfigError, naming the stage or parameter, for anything unknown, missing or out of range.
+  explicit IcpChain(const YAML::Node& config);
+  static IcpChain fromString(const std::string& yaml);
+  static IcpChain fromFile(const std::string& path);
+  ~IcpChain();
+  IcpChain(IcpChain&&) noexcept;
+  IcpChain& operator=(IcpChain&&) noexcept;
+
+  IcpReference prepareReference(Cloud reference) const;
+  Cloud prepareReading(Cloud reading) const;
+
+  /// `reading` as prepareReading left it. T_initial: reference <- reading. Never throws for poor data: see outcome, reason.
+  /// Same input, same result, whatever the number of threads.
+  IcpResult align(const Cloud& reading, const IcpReference& reference, const Pose& T_initial) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// All stages with their parameters, as text for a person.
+std::string describeStages();
+
+}  // namespace icp_refine

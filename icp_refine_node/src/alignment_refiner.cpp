@@ -1,0 +1,215 @@
+#include "icp_refine/alignment_refiner.h"
+
+#include <Eigen/Eigenvalues>
+#include <cmath>
+#include <cstdio>
+
+#include <yaml-cpp/yaml.h>
+
+namespace icp_refine {
+namespace {
+
+constexpr double kDegrees = 180 / M_PI;
+
+template <class... Args>
+std::string line(const char* format, Args... args) {
+  char text[256];
+  std::snprintf(text, sizeof(text), format, args...);
+  return text;
+}
+
+double largestSigma(const Eigen::Matrix3d& covariance) {
+  return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
+}
+
+Eigen::Vector3d middle(const Cloud& cloud) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const auto& p : cloud.points) sum += p.cast<double>();
+  return sum / static_cast<double>(std::max<std::size_t>(1, cloud.size()));
+}
+
+}  // namespace
+
+AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settings)
+    : chain_(std::move(chain)), settings_(settings) {}
+
+void AlignmentRefiner::setGround(Cloud cloud) {
+  ground_ = std::move(cloud);
+  reference_.reset();
+}
+
+void AlignmentRefiner::addAerial(double stamp, Cloud cloud) {
+  removeInvalid(cloud);
+  YAML::Node leaf;
+  leaf["leaf"] = settings_.accumulation_leaf;
+  makeDataFilter("VoxelGrid", leaf)->apply(cloud);
+  if (cloud.empty()) return;
+  aerial_.emplace_back(stamp, std::move(cloud));
+  while (aerial_.size() > static_cast<std::size_t>(settings_.recent_clouds)) aerial_.pop_front();
+}
+
+void AlignmentRefiner::setCoarse(const Pose& T) { coarse_ = T; }
+
+void AlignmentRefiner::setManual(const Pose& T) {
+  manual_ = T;
+  tracked_.reset();
+  rejections_ = disagreements_ = 0;
+}
+
+void AlignmentRefiner::startMap() {
+  aerial_.clear();
+  coarse_.reset();
+  manual_.reset();
+  tracked_.reset();
+  rejections_ = disagreements_ = 0;
+}
+
+void AlignmentRefiner::reset() {
+  startMap();
+  ground_ = Cloud();
+  reference_.reset();
+}
+
+RefineOutcome AlignmentRefiner::refine() {
+  RefineOutcome out;
+  const auto wait = [&out](const std::string& reason) {
+    out.status = RefineStatus::kSearching;
+    out.reason = reason;
+    return out;
+  };
+  if (!tracked_ && !coarse_ && !manual_) return wait("waiting for a coarse alignment or a manual guess");
+  if (aerial_.empty()) return wait("waiting for aerial clouds");
+  if (ground_.empty()) return wait("waiting for the ground map");
+  if (!reference_) reference_ = chain_.prepareReference(ground_);
+  Cloud reading;
+  for (const auto& [stamp, cloud] : aerial_) {
+    reading.points.insert(reading.points.end(), cloud.points.begin(), cloud.points.end());
+  }
+  reading = chain_.prepareReading(std::move(reading));
+  if (reading.size() < static_cast<std::size_t>(settings_.min_points)) {
+    return wait(line("only %zu aerial points with a valid normal, %d are needed", reading.size(), settings_.min_points));
+  }
+  if (reference_->cloud().size() < static_cast<std::size_t>(settings_.min_points)) {
+    return wait(line("only %zu ground points with a valid normal, %d are needed", reference_->cloud().size(), settings_.min_points));
+  }
+
+  // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
+  const Eigen::Vector3d centre = middle(reading);
+  if (tracked_ && coarse_) {
+    const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
+    const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->linear()) -
+                                                               air_ground_common::yawOf(coarse_->linear())));
+    const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
+    disagreements_ = disagrees ? disagreements_ + 1 : 0;
+  }
+  const bool from_tracking = tracked_.has_value();
+  out = from_tracking ? attempt(reading, *tracked_) : attemptFromGuess(reading, manual_ ? *manual_ : *coarse_);
+  out.tracking = from_tracking;
+  if (from_tracking && disagreements_ >= settings_.coarse_disagreements) {
+    disagreements_ = 0;
+    RefineOutcome other = attemptFromGuess(reading, *coarse_);
+    if (other.status == RefineStatus::kConverged &&
+        (out.status != RefineStatus::kConverged || other.heights.agreement() > out.heights.agreement())) {
+      other.reason = "the coarse alignment disagreed and fits better: taken instead";
+      out = other;
+    }
+  }
+  coarse_ = from_tracking || out.status == RefineStatus::kConverged ? std::nullopt : coarse_;
+
+  if (out.status == RefineStatus::kConverged) {
+    tracked_ = out.T_ground_map_mav_map;
+    manual_.reset();
+    rejections_ = 0;
+  } else if (from_tracking && out.contradicted) {
+    // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be.
+    if (++rejections_ >= settings_.lost_after) {
+      tracked_.reset();
+      rejections_ = disagreements_ = 0;
+      out.reason += line("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
+    }
+  } else if (from_tracking) {
+    // Too little overlap or structure just now says nothing against the pose.
+    out.reason += "; the last refined pose is kept";
+  } else if (!from_tracking && manual_) {
+    // A guess that failed once fails again: the next try is the coarse pose.
+    manual_.reset();
+  }
+  return out;
+}
+
+RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose guess) {
+  // The height is the one thing that the maps tell at once, and a guess drawn on a plane knows nothing of it.
+  const auto dz = heightOffset(transformed(reading, guess), reference_->cloud(), settings_.height_check.cell);
+  if (dz) guess.translation().z() += *dz;
+  RefineOutcome best = attempt(reading, guess);
+  const Eigen::Vector3d centre = guess * middle(reading);
+  for (int k = 0; k < settings_.retries && (best.status == RefineStatus::kRejected || best.contradicted); ++k) {
+    const double heading = 2 * M_PI * k / settings_.retries, yaw = (k % 2 ? 1 : -1) * settings_.retry_angle;
+    const Eigen::Matrix3d R = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+    Pose shift = Pose::Identity();
+    shift.linear() = R;
+    shift.translation() = centre + settings_.retry_distance * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0) - R * centre;
+    RefineOutcome other = attempt(reading, shift * guess);
+    if (other.status == RefineStatus::kConverged) {
+      other.reason += line("; from a start %.2f m beside the guess", settings_.retry_distance);
+      best = other;
+    }
+  }
+  return best;
+}
+
+RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Pose& guess) {
+  RefineOutcome out;
+  out.stamp = aerial_.back().first;
+  // What lies beyond the ground map cannot match, and would take the samples of what can.
+  Cloud reading = whole;
+  reading.keep(nearGroundMap(transformed(whole, guess), reference_->cloud(), settings_.margin));
+  out.icp = chain_.align(reading, *reference_, guess);
+  const IcpResult& icp = out.icp;
+  out.T_ground_map_mav_map = icp.T_reference_reading;
+  out.covariance = icp.covariance;
+  out.reference_point = icp.centre;
+  out.residual_rms = icp.residual_rms;
+  out.iterations = icp.iterations;
+  const auto verdict = [&out](RefineStatus status, const std::string& reason) {
+    out.status = status;
+    out.reason = reason;
+    return out;
+  };
+  if (icp.outcome != IcpResult::Outcome::kConverged) return verdict(RefineStatus::kRejected, icp.reason);
+  out.heights = checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check);
+  out.overlap = out.heights.overlap();
+  out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
+                     (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
+  if (out.overlap < settings_.min_overlap) {
+    return verdict(RefineStatus::kRejected,
+                   line("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap, 100 * settings_.min_overlap));
+  }
+  if (!icp.localizability.complete()) {
+    return verdict(RefineStatus::kDegenerate, "the geometry does not fix: " + icp.localizability.describeMissing());
+  }
+  const double sigma = largestSigma(icp.covariance.topLeftCorner<3, 3>());
+  const double sigma_angle = largestSigma(icp.covariance.bottomRightCorner<3, 3>());
+  if (sigma > settings_.max_sigma || sigma_angle > settings_.max_sigma_angle) {
+    return verdict(RefineStatus::kDegenerate,
+                   line("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)", sigma, sigma_angle * kDegrees));
+  }
+  if (icp.residual_rms > settings_.max_rms) {
+    return verdict(RefineStatus::kRejected, line("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
+  }
+  if (!out.heights.conclusive) {
+    return verdict(RefineStatus::kDegenerate, line("only %d cells off the floor were seen by both: too few to verify the pose",
+                                                   out.heights.relief_cells));
+  }
+  if (out.heights.agreement() < settings_.min_agreement) {
+    return verdict(RefineStatus::kRejected,
+                   line("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
+                        100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
+  }
+  return verdict(RefineStatus::kConverged,
+                 line("residual %.3f m, overlap %.0f %%, heights agree in %.0f %% of %d cells, 1 sigma %.3f m %.2f deg",
+                      icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells, sigma,
+                      sigma_angle * kDegrees));
+}
+
+}  // namespace icp_refine

@@ -1,0 +1,51 @@
+#include "icp_refine/augmented_map.h"
+
+#include <algorithm>
+#include <cmath>
+#include <unordered_set>
+
+namespace icp_refine {
+
+void AerialVoxels::add(const Eigen::Vector3f& point, float intensity) {
+  if (!point.allFinite() || point.cwiseAbs().maxCoeff() > 1e4f || !std::isfinite(intensity)) return;
+  Voxel& v = voxels_[cellKey(point, leaf_)];
+  if (v.count == 0) v.order = voxels_.size();
+  v.sum += point;
+  v.intensity += intensity;
+  ++v.count;
+}
+
+std::vector<AerialVoxels::Point> AerialVoxels::points(int min_points) const {
+  std::vector<const Voxel*> kept;
+  kept.reserve(voxels_.size());
+  for (const auto& [key, v] : voxels_) {
+    if (v.count >= min_points) kept.push_back(&v);
+  }
+  std::sort(kept.begin(), kept.end(), [](const Voxel* a, const Voxel* b) { return a->order < b->order; });
+  std::vector<Point> out;
+  out.reserve(kept.size());
+  for (const Voxel* v : kept) {
+    const float n = static_cast<float>(v->count);
+    out.push_back({v->sum / n, static_cast<std::uint8_t>(std::clamp(v->intensity / n, 0.f, 255.f)), v->count});
+  }
+  return out;
+}
+
+std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const std::vector<Eigen::Vector3f>& ground, double leaf) {
+  const float size = static_cast<float>(leaf);
+  std::unordered_set<std::uint64_t> occupied;
+  for (const auto& p : ground) {
+    for (int dx = -1; dx <= 1; ++dx) {
+      for (int dy = -1; dy <= 1; ++dy) {
+        for (int dz = -1; dz <= 1; ++dz) {
+          occupied.insert(cellKey(p + size * Eigen::Vector3f(static_cast<float>(dx), static_cast<float>(dy), static_cast<float>(dz)), size));
+        }
+      }
+    }
+  }
+  std::vector<char> mask(aerial.size());
+  for (std::size_t i = 0; i < aerial.size(); ++i) mask[i] = !occupied.count(cellKey(aerial[i], size));
+  return mask;
+}
+
+}  // namespace icp_refine

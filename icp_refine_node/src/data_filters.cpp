@@ -1,0 +1,407 @@
+#include "icp_refine/data_filters.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <random>
+#include <unordered_map>
+
+#include "registry.h"
+
+namespace icp_refine {
+namespace {
+
+constexpr double kInf = 1e6;  // largest length that makes sense here [m]
+
+class BoundingBox : public DataFilter {
+ public:
+  explicit BoundingBox(const Parameters& p)
+      : min_(p("min_x"), p("min_y"), p("min_z")), max_(p("max_x"), p("max_y"), p("max_z")), inside_(p("remove_inside")) {}
+  void apply(Cloud& cloud) const override {
+    std::vector<char> mask(cloud.size());
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
+      const auto& q = cloud.points[i].array();
+      const bool inside = (q >= min_.array()).all() && (q <= max_.array()).all();
+      mask[i] = inside != inside_;
+    }
+    cloud.keep(mask);
+  }
+
+ private:
+  Eigen::Vector3f min_, max_;
+  bool inside_;
+};
+
+class Range : public DataFilter {
+ public:
+  explicit Range(const Parameters& p) : min_(p("min")), max_(p("max")) {}
+  void apply(Cloud& cloud) const override {
+    std::vector<char> mask(cloud.size());
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
+      const float r = cloud.points[i].norm();
+      mask[i] = r >= min_ && r <= max_;
+    }
+    cloud.keep(mask);
+  }
+
+ private:
+  float min_, max_;
+};
+
+// One point a cell, at the mean of the cell's points; cells in the order of their first point, so that it is deterministic.
+class VoxelGrid : public DataFilter {
+ public:
+  explicit VoxelGrid(const Parameters& p) : leaf_(p("leaf")), min_points_(static_cast<int>(p("min_points"))) {}
+  void apply(Cloud& cloud) const override {
+    struct Cell {
+      Eigen::Vector3f sum = Eigen::Vector3f::Zero(), normal = Eigen::Vector3f::Zero();
+      int count = 0;
+    };
+    const bool normals = cloud.hasNormals();
+    std::unordered_map<std::uint64_t, int> index;
+    index.reserve(cloud.size() / 4 + 1);
+    std::vector<Cell> cells;
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
+      const auto [it, added] = index.try_emplace(cellKey(cloud.points[i], leaf_), static_cast<int>(cells.size()));
+      if (added) cells.emplace_back();
+      Cell& cell = cells[it->second];
+      cell.sum += cloud.points[i];
+      if (normals) cell.normal += cloud.normals[i];
+      ++cell.count;
+    }
+    Cloud out;
+    for (const auto& cell : cells) {
+      if (cell.count < min_points_ || (normals && cell.normal.norm() < 1e-3f)) continue;
+      out.points.push_back(cell.sum / static_cast<float>(cell.count));
+      if (normals) out.normals.push_back(cell.normal.normalized());
+    }
+    cloud = std::move(out);
+  }
+
+ private:
+  float leaf_;
+  int min_points_;
+};
+
+// Principal component analysis of the neighbourhood. A normal is valid when enough neighbours are near, they do not lie on
+// a line, and they lie on a plane: points without a valid normal are removed, because they pull the pose away.
+class SurfaceNormals : public DataFilter {
+ public:
+  explicit SurfaceNormals(const Parameters& p)
+      : neighbors_(static_cast<int>(p("neighbors"))),
+        radius_(p("radius")),
+        min_neighbors_(static_cast<int>(p("min_neighbors"))),
+        max_curvature_(p("max_curvature")),
+        min_width_(p("min_width")) {}
+
+  void apply(Cloud& cloud) const override {
+    if (cloud.empty()) return;
+    Cloud bare;
+    bare.points = cloud.points;
+    const NeighborSearch tree(bare);
+    const int n = static_cast<int>(cloud.size());
+    std::vector<Eigen::Vector3f> normals(n, Eigen::Vector3f::UnitZ());
+    std::vector<char> valid(n);
+#pragma omp parallel
+    {
+      std::vector<int> index;
+      std::vector<float> squared;
+#pragma omp for schedule(static)
+      for (int i = 0; i < n; ++i) {
+        tree.nearestK(cloud.points[i], neighbors_, index, squared);
+        valid[i] = normal(cloud, index, squared, normals[i]);
+      }
+    }
+    cloud.normals = std::move(normals);
+    cloud.keep(valid);
+  }
+
+ private:
+  bool normal(const Cloud& cloud, const std::vector<int>& index, const std::vector<float>& squared,
+              Eigen::Vector3f& out) const {
+    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+    int count = 0;
+    for (std::size_t k = 0; k < index.size() && squared[k] <= radius_ * radius_; ++k, ++count) {
+      mean += cloud.points[index[k]].cast<double>();
+    }
+    if (count < min_neighbors_) return false;
+    mean /= count;
+    Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
+    for (int k = 0; k < count; ++k) {
+      const Eigen::Vector3d d = cloud.points[index[k]].cast<double>() - mean;
+      covariance += d * d.transpose();
+    }
+    Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
+    solver.computeDirect(covariance);
+    const Eigen::Vector3d values = solver.eigenvalues().cwiseMax(0);
+    const double sum = values.sum();
+    if (!(sum > 0) || values[0] > max_curvature_ * sum || values[1] < min_width_ * values[2]) return false;
+    out = solver.eigenvectors().col(0).cast<float>();
+    if (!out.allFinite() || std::abs(out.norm() - 1) > 1e-3f) return false;
+    if (out.z() < 0) out = -out;
+    return true;
+  }
+
+  int neighbors_;
+  float radius_;
+  int min_neighbors_;
+  double max_curvature_, min_width_;
+};
+
+// Turns normals to the free side without knowing the viewpoint: surfaces seen from above point up; a steep face points to
+// where the cloud is lower. Where nothing was seen (behind a face) it counts as solid.
+class OrientNormals : public DataFilter {
+ public:
+  explicit OrientNormals(const Parameters& p) : cell_(p("cell")), reach_(p("reach")), steep_(std::cos(p("steep"))) {}
+  void apply(Cloud& cloud) const override {
+    if (cloud.empty()) return;
+    if (!cloud.hasNormals()) throw ConfigError("OrientNormals needs normals: put SurfaceNormals before it");
+    std::unordered_map<std::uint64_t, float> top;
+    for (const auto& p : cloud.points) {
+      const auto [it, added] = top.try_emplace(column(p), p.z());
+      if (!added) it->second = std::max(it->second, p.z());
+    }
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
+      auto& n = cloud.normals[i];
+      if (n.z() < 0) n = -n;
+      if (n.z() > steep_) continue;
+      const Eigen::Vector3f side = Eigen::Vector3f(n.x(), n.y(), 0).normalized();
+      float front = 0, back = 0;
+      for (int k = 1; k <= 2; ++k) {
+        front += height(top, cloud.points[i] + 0.5f * k * reach_ * side, cloud.points[i].z());
+        back += height(top, cloud.points[i] - 0.5f * k * reach_ * side, cloud.points[i].z());
+      }
+      if (front > back) n = -n;
+    }
+  }
+
+ private:
+  std::uint64_t column(const Eigen::Vector3f& p) const { return cellKey({p.x(), p.y(), 0}, cell_); }
+  float height(const std::unordered_map<std::uint64_t, float>& top, const Eigen::Vector3f& p, float unseen) const {
+    const auto it = top.find(column(p));
+    return it == top.end() ? unseen : it->second;
+  }
+
+  float cell_, reach_, steep_;
+};
+
+// Thins crowded places: a cell with more than the allowed number of points keeps evenly spaced ones of them.
+class MaxDensity : public DataFilter {
+ public:
+  explicit MaxDensity(const Parameters& p)
+      : cell_(p("cell")), limit_(std::max(1, static_cast<int>(std::lround(p("max_density") * std::pow(p("cell"), 3))))) {}
+  void apply(Cloud& cloud) const override {
+    std::unordered_map<std::uint64_t, std::pair<int, int>> cells;  // points in the cell; points passed so far
+    for (const auto& p : cloud.points) ++cells[cellKey(p, cell_)].first;
+    std::vector<char> mask(cloud.size());
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
+      auto& [count, seen] = cells[cellKey(cloud.points[i], cell_)];
+      // Point k of n is kept where k*limit/n steps to the next integer: `limit_` of the n, evenly.
+      mask[i] = count <= limit_ || static_cast<long>(seen + 1) * limit_ / count > static_cast<long>(seen) * limit_ / count;
+      ++seen;
+    }
+    cloud.keep(mask);
+  }
+
+ private:
+  float cell_;
+  int limit_;
+};
+
+class StatisticalOutlier : public DataFilter {
+ public:
+  explicit StatisticalOutlier(const Parameters& p)
+      : neighbors_(static_cast<int>(p("neighbors"))), factor_(p("stddev_factor")) {}
+  void apply(Cloud& cloud) const override {
+    if (static_cast<int>(cloud.size()) <= neighbors_) return;
+    Cloud bare;
+    bare.points = cloud.points;
+    const NeighborSearch tree(bare);
+    const int n = static_cast<int>(cloud.size());
+    std::vector<double> mean_distance(n);
+#pragma omp parallel
+    {
+      std::vector<int> index;
+      std::vector<float> squared;
+#pragma omp for schedule(static)
+      for (int i = 0; i < n; ++i) {
+        tree.nearestK(cloud.points[i], neighbors_ + 1, index, squared);
+        double sum = 0;
+        for (float d : squared) sum += std::sqrt(d);
+        mean_distance[i] = sum / neighbors_;
+      }
+    }
+    double sum = 0, sum2 = 0;
+    for (double d : mean_distance) sum += d, sum2 += d * d;
+    const double mean = sum / n, stddev = std::sqrt(std::max(0.0, sum2 / n - mean * mean));
+    std::vector<char> mask(n);
+    for (int i = 0; i < n; ++i) mask[i] = mean_distance[i] <= mean + factor_ * stddev;
+    cloud.keep(mask);
+  }
+
+ private:
+  int neighbors_;
+  double factor_;
+};
+
+std::vector<int> randomSubset(std::size_t size, std::size_t count, std::uint32_t seed) {
+  std::vector<int> indices(size);
+  std::iota(indices.begin(), indices.end(), 0);
+  std::mt19937 rng(seed);
+  // Fisher-Yates by hand: std::shuffle's sequence is not the same in every standard library.
+  for (std::size_t i = 0; i < count; ++i) std::swap(indices[i], indices[i + rng() % (size - i)]);
+  indices.resize(count);
+  std::sort(indices.begin(), indices.end());
+  return indices;
+}
+
+class RandomSampling : public DataFilter {
+ public:
+  explicit RandomSampling(const Parameters& p) : fraction_(p("fraction")), seed_(static_cast<std::uint32_t>(p("seed"))) {}
+  void apply(Cloud& cloud) const override {
+    if (cloud.empty()) return;
+    const auto count = static_cast<std::size_t>(std::ceil(fraction_ * static_cast<double>(cloud.size())));
+    cloud.select(randomSubset(cloud.size(), std::min(count, cloud.size()), seed_));
+  }
+
+ private:
+  double fraction_;
+  std::uint32_t seed_;
+};
+
+class UniformSampling : public DataFilter {
+ public:
+  explicit UniformSampling(const Parameters& p) : step_(static_cast<std::size_t>(p("step"))) {}
+  void apply(Cloud& cloud) const override {
+    std::vector<char> mask(cloud.size());
+    for (std::size_t i = 0; i < cloud.size(); i += step_) mask[i] = 1;
+    cloud.keep(mask);
+  }
+
+ private:
+  std::size_t step_;
+};
+
+class MaxPoints : public DataFilter {
+ public:
+  explicit MaxPoints(const Parameters& p)
+      : count_(static_cast<std::size_t>(p("count"))), seed_(static_cast<std::uint32_t>(p("seed"))) {}
+  void apply(Cloud& cloud) const override {
+    if (cloud.size() > count_) cloud.select(randomSubset(cloud.size(), count_, seed_));
+  }
+
+ private:
+  std::size_t count_;
+  std::uint32_t seed_;
+};
+
+// Rusinkiewicz 2001: as many points from each direction of the normals, so that the few steep faces, which alone fix x, y and
+// yaw, are not outvoted by the floor.
+class NormalSpaceSampling : public DataFilter {
+ public:
+  explicit NormalSpaceSampling(const Parameters& p)
+      : count_(static_cast<std::size_t>(p("count"))), seed_(static_cast<std::uint32_t>(p("seed"))) {}
+  void apply(Cloud& cloud) const override {
+    if (cloud.size() <= count_) return;
+    if (!cloud.hasNormals()) throw ConfigError("NormalSpaceSampling needs normals: put SurfaceNormals before it");
+    // 3 bands of elevation (steep, slanted, flat) by 8 of azimuth, one bin for flat.
+    std::vector<std::vector<int>> bins(17);
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
+      const auto& n = cloud.normals[i];
+      const float z = std::abs(n.z());
+      const int azimuth = static_cast<int>((std::atan2(n.y(), n.x()) + M_PI) / (2 * M_PI) * 7.999);
+      bins[z > 0.9f ? 16 : azimuth + (z > 0.5f ? 8 : 0)].push_back(static_cast<int>(i));
+    }
+    // Smallest bins first: what they cannot fill is shared by the larger ones.
+    std::sort(bins.begin(), bins.end(), [](const auto& a, const auto& b) {
+      return a.size() != b.size() ? a.size() < b.size() : a < b;
+    });
+    std::vector<int> chosen;
+    for (std::size_t b = 0; b < bins.size(); ++b) {
+      const std::size_t share = (count_ - chosen.size()) / (bins.size() - b);
+      if (bins[b].empty()) continue;
+      for (int k : randomSubset(bins[b].size(), std::min(share, bins[b].size()), seed_)) chosen.push_back(bins[b][k]);
+    }
+    std::sort(chosen.begin(), chosen.end());
+    cloud.select(chosen);
+  }
+
+ private:
+  std::size_t count_;
+  std::uint32_t seed_;
+};
+
+template <class T>
+std::unique_ptr<DataFilter> make(const Parameters& p) {
+  return std::make_unique<T>(p);
+}
+
+const ParameterDoc kSeed{"seed", "seed of the random numbers", 1, 0, 4e9};
+
+const std::vector<StageEntry<std::unique_ptr<DataFilter>>>& table() {
+  static const std::vector<StageEntry<std::unique_ptr<DataFilter>>> entries = {
+      {{"BoundingBox",
+        "Keeps the points inside a box (or outside it)",
+        {{"min_x", "lower corner [m]", -kInf, -kInf, kInf},
+         {"min_y", "lower corner [m]", -kInf, -kInf, kInf},
+         {"min_z", "lower corner [m]", -kInf, -kInf, kInf},
+         {"max_x", "upper corner [m]", kInf, -kInf, kInf},
+         {"max_y", "upper corner [m]", kInf, -kInf, kInf},
+         {"max_z", "upper corner [m]", kInf, -kInf, kInf},
+         {"remove_inside", "1: removes what is inside instead", 0, 0, 1}}},
+       make<BoundingBox>},
+      {{"Range",
+        "Keeps the points whose distance from the cloud's origin is in a range",
+        {{"min", "[m]", 0, 0, kInf}, {"max", "[m]", 100, 0, kInf}}},
+       make<Range>},
+      {{"VoxelGrid",
+        "One point a cell, the mean of the points in it",
+        {{"leaf", "edge of a cell [m]", 0.03, 1e-3, 100},
+         {"min_points", "cells with fewer points are dropped", 1, 1, 1e6}}},
+       make<VoxelGrid>},
+      {{"SurfaceNormals",
+        "Normals by principal components of the neighbourhood; points without a valid normal are removed",
+        {{"neighbors", "nearest points used, the point itself included", 15, 4, 200},
+         {"radius", "and no farther than this [m]", 0.15, 1e-3, 100},
+         {"min_neighbors", "fewer make the normal invalid", 7, 3, 200},
+         {"max_curvature", "largest share of the smallest eigenvalue in their sum (0 plane, 1/3 ball)", 0.08, 0, 0.34},
+         {"min_width", "smallest ratio of the middle to the largest eigenvalue (0 line, 1 disc)", 0.1, 0, 1}}},
+       make<SurfaceNormals>},
+      {{"OrientNormals",
+        "Points normals to the free side: up, or for steep faces to where the cloud is lower",
+        {{"cell", "edge of a height cell [m]", 0.06, 1e-3, 10},
+         {"reach", "how far before and behind the face heights are compared [m]", 0.2, 1e-3, 10},
+         {"steep", "a face is steep when its normal is farther than this from vertical [rad]", 0.8, 0, 1.6}}},
+       make<OrientNormals>},
+      {{"MaxDensity",
+        "Thins places with more points than a limit",
+        {{"max_density", "[points/m^3]", 50000, 1, 1e12}, {"cell", "edge of the cell of the count [m]", 0.1, 1e-3, 100}}},
+       make<MaxDensity>},
+      {{"StatisticalOutlier",
+        "Removes points whose mean distance to their neighbours is unusually large",
+        {{"neighbors", "neighbours averaged", 8, 1, 200},
+         {"stddev_factor", "limit: mean + this times the standard deviation, over the cloud", 2, 0, 100}}},
+       make<StatisticalOutlier>},
+      {{"RandomSampling", "Keeps a random share", {{"fraction", "share kept", 0.5, 0, 1}, kSeed}}, make<RandomSampling>},
+      {{"UniformSampling", "Keeps every n-th point", {{"step", "n", 2, 1, 1e6}}}, make<UniformSampling>},
+      {{"MaxPoints", "Random subset when there are more points", {{"count", "points kept", 10000, 1, 1e9}, kSeed}},
+       make<MaxPoints>},
+      {{"NormalSpaceSampling",
+        "Random subset with all directions of normals equally present",
+        {{"count", "points kept", 5000, 1, 1e9}, kSeed}},
+       make<NormalSpaceSampling>},
+  };
+  return entries;
+}
+
+}  // namespace
+
+std::vector<StageDoc> dataFilterDocs() { return docsOf(table()); }
+
+std::unique_ptr<DataFilter> makeDataFilter(const std::string& name, const YAML::Node& parameters) {
+  return makeFrom(table(), "data filter", name, parameters);
+}
+
+}  // namespace icp_refine

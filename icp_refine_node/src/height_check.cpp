@@ -1,0 +1,114 @@
+#include "icp_refine/height_check.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <unordered_map>
+
+namespace icp_refine {
+namespace {
+
+using Columns = std::unordered_map<std::uint64_t, float>;
+
+std::uint64_t column(int x, int y) { return cellKey({x + 0.5f, y + 0.5f, 0.f}, 1.f); }
+
+int cellOf(float v, double cell) { return static_cast<int>(std::floor(v / cell)); }
+
+Columns tops(const Cloud& cloud, double cell) {
+  Columns out;
+  for (const auto& p : cloud.points) {
+    const auto [it, added] = out.try_emplace(column(cellOf(p.x(), cell), cellOf(p.y(), cell)), p.z());
+    if (!added) it->second = std::max(it->second, p.z());
+  }
+  return out;
+}
+
+// Most frequent height, by 5 cm bins.
+double mode(const Columns& columns) {
+  std::map<int, int> histogram;
+  for (const auto& [key, z] : columns) ++histogram[static_cast<int>(std::lround(z / 0.05))];
+  int best = 0, count = -1;
+  for (const auto& [bin, n] : histogram) {
+    if (n > count) best = bin, count = n;
+  }
+  return 0.05 * best;
+}
+
+}  // namespace
+
+HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& s) {
+  HeightCheck out;
+  const Columns air = tops(aerial, s.cell), floor_robot = tops(ground, s.cell);
+  out.floor_height = mode(floor_robot);
+  out.aerial_cells = static_cast<int>(air.size());
+  const int reach = std::max(1, static_cast<int>(std::lround(s.tolerance_xy / s.cell)));
+
+  // Highest value of a column's neighbourhood; an unseen column counts as `unseen`.
+  const auto highest = [reach](const Columns& columns, int x, int y, float unseen) {
+    float best = -std::numeric_limits<float>::infinity();
+    for (int dy = -reach; dy <= reach; ++dy) {
+      for (int dx = -reach; dx <= reach; ++dx) {
+        if (dx * dx + dy * dy > reach * reach) continue;
+        const auto it = columns.find(column(x + dx, y + dy));
+        best = std::max(best, it == columns.end() ? unseen : it->second);
+      }
+    }
+    return best;
+  };
+
+  std::unordered_map<std::uint64_t, char> done;
+  for (const auto& p : aerial.points) {
+    const int x = cellOf(p.x(), s.cell), y = cellOf(p.y(), s.cell);
+    const auto key = column(x, y);
+    const auto g = floor_robot.find(key);
+    if (g == floor_robot.end() || !done.try_emplace(key, 1).second) continue;
+    ++out.cells;
+    const float from_air = air.at(key), from_ground = g->second;
+    const bool air_relief = std::abs(from_air - out.floor_height) > s.relief;
+    const bool ground_relief = std::abs(from_ground - out.floor_height) > s.relief;
+    if (!air_relief && !ground_relief) continue;
+    ++out.relief_cells;
+    constexpr float kLow = -std::numeric_limits<float>::infinity();
+    if (from_ground > from_air + s.tolerance_z) {
+      if (highest(air, x, y, kLow) < from_ground - s.tolerance_z) ++out.contradictions;
+    } else if (air_relief && !ground_relief && from_air > from_ground + s.tolerance_z) {
+      // Unseen ground beside it may hold the object: no contradiction then.
+      if (highest(floor_robot, x, y, std::numeric_limits<float>::infinity()) < out.floor_height + s.relief) ++out.contradictions;
+    }
+  }
+  out.conclusive = out.relief_cells >= s.min_relief_cells;
+  return out;
+}
+
+std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, double cell) {
+  const Columns air = tops(aerial, cell), below = tops(ground, cell);
+  std::vector<double> differences;
+  for (const auto& [key, z] : air) {
+    const auto it = below.find(key);
+    if (it != below.end()) differences.push_back(it->second - z);
+  }
+  if (differences.size() < 50) return std::nullopt;
+  std::nth_element(differences.begin(), differences.begin() + differences.size() / 2, differences.end());
+  return differences[differences.size() / 2];
+}
+
+std::vector<char> nearGroundMap(const Cloud& aerial, const Cloud& ground, double margin) {
+  // Cells of half the margin, grown by two.
+  const double cell = std::max(margin / 2, 1e-3);
+  std::unordered_map<std::uint64_t, char> seen, grown;
+  for (const auto& p : ground.points) {
+    const int x = cellOf(p.x(), cell), y = cellOf(p.y(), cell);
+    if (!seen.try_emplace(column(x, y), 1).second) continue;
+    for (int dy = -2; dy <= 2; ++dy) {
+      for (int dx = -2; dx <= 2; ++dx) grown.try_emplace(column(x + dx, y + dy), 1);
+    }
+  }
+  std::vector<char> mask(aerial.size());
+  for (std::size_t i = 0; i < aerial.size(); ++i) {
+    mask[i] = grown.count(column(cellOf(aerial.points[i].x(), cell), cellOf(aerial.points[i].y(), cell))) > 0;
+  }
+  return mask;
+}
+
+}  // namespace icp_refine

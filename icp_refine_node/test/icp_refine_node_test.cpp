@@ -1,0 +1,358 @@
+// The running node on synthetic clouds: topics, tf, statuses, and what it does with bad input. Run from icp_refine_node.test.
+#include <air_ground/AlignmentEstimate.h>
+#include <air_ground/SaveMap.h>
+#include <air_ground/VoStatus.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <gtest/gtest.h>
+#include <ros/ros.h>
+#include <rosgraph_msgs/Clock.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <Eigen/Eigenvalues>
+#include <cstdio>
+#include <set>
+
+#include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/conversions.h"
+#include "synthetic_scene.h"
+
+namespace icp_refine {
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+using air_ground::AlignmentEstimate;
+
+class NodeTest : public testing::Test {
+ protected:
+  NodeTest() {
+    clock_ = handle_.advertise<rosgraph_msgs::Clock>("/clock", 10);
+    coarse_ = handle_.advertise<AlignmentEstimate>("alignment/coarse", 10);
+    aerial_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 10);
+    ground_ = handle_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 10);
+    status_ = handle_.advertise<air_ground::VoStatus>("mav/vo_status", 10);
+    guess_ = handle_.advertise<geometry_msgs::PoseWithCovarianceStamped>("initialpose", 10);
+    refined_sub_ = handle_.subscribe("alignment/refined", 100, &NodeTest::onRefined, this);
+    map_sub_ = handle_.subscribe("augmented_map", 10, &NodeTest::onMap, this);
+    tf_sub_ = handle_.subscribe("/tf", 1000, &NodeTest::onTf, this);
+    waitFor([this] {
+      return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 && aerial_.getNumSubscribers() > 0 &&
+             ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && refined_sub_.getNumPublishers() > 0 &&
+             tf_sub_.getNumPublishers() > 0;
+    });
+    // Every test starts with an empty node and later than the one before.
+    static double start = 100;
+    now_ = start += 1000;
+    tick();
+    std_srvs::Trigger reset;
+    EXPECT_TRUE(ros::service::call("/icp_refine/reset", reset));
+    EXPECT_TRUE(reset.response.success);
+    spin(0.3);
+    estimates_.clear();
+    maps_.clear();
+    transforms_.clear();
+  }
+
+  void onRefined(const AlignmentEstimate& msg) { estimates_.push_back(msg); }
+  void onMap(const sensor_msgs::PointCloud2& msg) { maps_.push_back(msg); }
+  void onTf(const tf2_msgs::TFMessage& msg) {
+    for (const auto& t : msg.transforms) transforms_.push_back(t);
+  }
+
+  void tick(double dt = 0.05) {
+    rosgraph_msgs::Clock msg;
+    msg.clock = ros::Time(now_ += dt);
+    clock_.publish(msg);
+  }
+
+  // Runs the clock at about real time.
+  void spin(double seconds) {
+    for (const auto end = ros::WallTime::now() + ros::WallDuration(seconds); ros::WallTime::now() < end;) {
+      tick(0.02);
+      ros::spinOnce();
+      ros::WallDuration(0.02).sleep();
+    }
+  }
+
+  template <class Condition>
+  bool waitFor(const Condition& condition, double seconds = 40) {
+    for (const auto end = ros::WallTime::now() + ros::WallDuration(seconds); ros::WallTime::now() < end;) {
+      if (condition()) return true;
+      spin(0.05);
+    }
+    return condition();
+  }
+
+  bool waitForStatus(std::uint8_t status) {
+    return waitFor([&] { return !estimates_.empty() && estimates_.back().status == status; });
+  }
+
+  sensor_msgs::PointCloud2 cloud(const Cloud& cloud, const std::string& frame) {
+    std::vector<ros_utils::CloudPoint> points;
+    for (const auto& p : cloud.points) points.push_back({p, {90, 90, 90}, 0});
+    std_msgs::Header header;
+    header.stamp = ros::Time(now_);
+    header.frame_id = frame;
+    return ros_utils::toMsg(points, frame == "mav_map" ? ros_utils::CloudFields::kXyzIntensity : ros_utils::CloudFields::kXyzRgb, header);
+  }
+
+  void sendScene(const synthetic::Scene& scene) {
+    ground_.publish(cloud(scene.ground, "ground_map"));
+    aerial_.publish(cloud(scene.aerial, "mav_map"));
+  }
+
+  void sendCoarse(const Pose& T, std::uint8_t status = AlignmentEstimate::STATUS_CONVERGED, std::uint32_t map_id = 0) {
+    AlignmentEstimate msg;
+    msg.header.stamp = ros::Time(now_);
+    msg.header.frame_id = "ground_map";
+    msg.child_frame_id = "mav_map";
+    msg.pose.pose = ros_utils::toMsg(T);
+    msg.status = status;
+    msg.map_id = map_id;
+    coarse_.publish(msg);
+  }
+
+  void sendStatus(std::uint32_t map_id) {
+    air_ground::VoStatus msg;
+    msg.header.stamp = ros::Time(now_);
+    msg.state = air_ground::VoStatus::STATE_TRACKING;
+    msg.map_id = map_id;
+    status_.publish(msg);
+  }
+
+  Pose offset(const synthetic::Scene& scene) {
+    std::mt19937 rng(4);
+    return synthetic::perturbed(scene.T_ground_map_mav_map, synthetic::centroid(scene.aerial), 0.12, 0.05, true, rng);
+  }
+
+  // Position error at the middle of the aerial map [m].
+  double error(const geometry_msgs::Pose& pose, const synthetic::Scene& scene) {
+    const Eigen::Vector3d c = synthetic::centroid(scene.aerial);
+    return (ros_utils::fromMsg(pose) * c - scene.T_ground_map_mav_map * c).norm();
+  }
+
+  ros::NodeHandle handle_;
+  ros::Publisher clock_, coarse_, aerial_, ground_, status_, guess_;
+  ros::Subscriber refined_sub_, map_sub_, tf_sub_;
+  std::vector<AlignmentEstimate> estimates_;
+  std::vector<sensor_msgs::PointCloud2> maps_;
+  std::vector<geometry_msgs::TransformStamped> transforms_;
+  double now_ = 0;
+};
+
+TEST_F(NodeTest, RefinesPublishesTfAndTheMap) {
+  const auto scene = synthetic::makeScene(1);
+  sendScene(scene);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_SEARCHING));
+  EXPECT_NE(estimates_.back().reason.find("coarse"), std::string::npos) << estimates_.back().reason;
+  sendCoarse(offset(scene), AlignmentEstimate::STATUS_AMBIGUOUS);
+  spin(1);
+  EXPECT_TRUE(transforms_.empty());
+  EXPECT_TRUE(maps_.empty());
+
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  const auto estimate = estimates_.back();
+  EXPECT_LT(error(estimate.pose.pose, scene), 0.08);
+  EXPECT_EQ(estimate.header.frame_id, "ground_map");
+  EXPECT_EQ(estimate.child_frame_id, "mav_map");
+  EXPECT_EQ(estimate.stage, AlignmentEstimate::STAGE_REFINED);
+  EXPECT_GT(estimate.overlap, 0.2);
+  EXPECT_GT(estimate.cost, 0);
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(ros_utils::covarianceFromMsg(estimate.pose.covariance));
+  EXPECT_GT(eigen.eigenvalues()[0], 0);
+  EXPECT_LT(eigen.eigenvalues()[5], 0.15 * 0.15);
+
+  // tf: one edge, the right way round, strictly increasing stamps.
+  ASSERT_TRUE(waitFor([this] { return transforms_.size() >= 8; }));
+  ros::Time last;
+  for (const auto& t : transforms_) {
+    EXPECT_EQ(t.header.frame_id, "ground_map");
+    EXPECT_EQ(t.child_frame_id, "mav_map");
+    EXPECT_GT(t.header.stamp, last);
+    last = t.header.stamp;
+  }
+  geometry_msgs::Pose pose;
+  pose.position.x = transforms_.back().transform.translation.x;
+  pose.position.y = transforms_.back().transform.translation.y;
+  pose.position.z = transforms_.back().transform.translation.z;
+  pose.orientation = transforms_.back().transform.rotation;
+  EXPECT_LT(error(pose, scene), 0.08);
+
+  // The map: both sources, aerial points on the scene's surface.
+  ASSERT_TRUE(waitFor([this] { return !maps_.empty(); }));
+  EXPECT_EQ(maps_.back().header.frame_id, "ground_map");
+  const auto points = ros_utils::cloudFromMsg(maps_.back());
+  const air_ground_common::MeshScene mesh(scene.mesh);
+  std::size_t aerial = 0, near = 0;
+  for (const auto& p : points) {
+    if (p.source == 0) {
+      EXPECT_GT(p.rgb[0], p.rgb[1] + 100);
+      continue;
+    }
+    EXPECT_EQ(p.rgb[0], p.rgb[1]);
+    ++aerial;
+    near += mesh.distance((scene.T_world_ground_map * p.position.cast<double>()).cast<float>(), 1) < 0.08f;
+  }
+  EXPECT_GT(aerial, 5000u);
+  EXPECT_LT(aerial, points.size());
+  EXPECT_GT(near, 0.9 * aerial);
+
+  for (const std::string extension : {".ply", ".pcd"}) {
+    air_ground::SaveMap save;
+    save.request.path = std::string(P_tmpdir) + "/icp_refine_node_test" + extension;
+    ASSERT_TRUE(ros::service::call("/icp_refine/save_map", save));
+    EXPECT_TRUE(save.response.success) << save.response.message;
+    EXPECT_EQ(save.response.points, points.size());
+    if (extension == ".ply") {
+      std::set<int> sources;
+      for (const auto& p : air_ground_common::readPlyPoints(save.request.path)) sources.insert(p.source);
+      EXPECT_EQ(sources, (std::set<int>{0, 1}));
+    }
+    std::remove(save.request.path.c_str());
+  }
+  air_ground::SaveMap save;
+  save.request.path = "/nonexistent/map.ply";
+  ASSERT_TRUE(ros::service::call("/icp_refine/save_map", save));
+  EXPECT_FALSE(save.response.success);
+
+  // Tracking: the next cloud needs no coarse pose.
+  estimates_.clear();
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED));
+}
+
+TEST_F(NodeTest, FlatFloorIsRefused) {
+  synthetic::SceneSettings settings;
+  settings.world = synthetic::World::kFlat;
+  const auto scene = synthetic::makeScene(2, settings);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_DEGENERATE)) << estimates_.back().reason;
+  EXPECT_NE(estimates_.back().reason.find("about z"), std::string::npos) << estimates_.back().reason;
+  EXPECT_GT(estimates_.back().pose.covariance[0], 0.25);
+  spin(1);
+  EXPECT_TRUE(transforms_.empty());
+  EXPECT_TRUE(maps_.empty());
+}
+
+TEST_F(NodeTest, AWrongBasinIsRejected) {
+  const auto scene = synthetic::makeScene(1);
+  sendScene(scene);
+  const Eigen::Vector3d m = scene.T_ground_map_mav_map * synthetic::centroid(scene.aerial);
+  Pose turn = Pose::Identity();
+  turn.linear() = Eigen::AngleAxisd(2.0, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  turn.translation() = m + Eigen::Vector3d(0.5, 0.3, 0) - turn.linear() * m;
+  sendCoarse(turn * scene.T_ground_map_mav_map);
+  ASSERT_TRUE(waitFor([this] {
+    return !estimates_.empty() && estimates_.back().status != AlignmentEstimate::STATUS_SEARCHING;
+  }));
+  EXPECT_NE(estimates_.back().status, AlignmentEstimate::STATUS_CONVERGED) << estimates_.back().reason;
+  EXPECT_FALSE(estimates_.back().reason.empty());
+  spin(0.5);
+  EXPECT_TRUE(transforms_.empty());
+}
+
+TEST_F(NodeTest, BadInputIsCountedNotFatal) {
+  const auto scene = synthetic::makeScene(1);
+  auto broken = scene;
+  for (auto& p : broken.aerial.points) p.x() = std::nanf("");
+  aerial_.publish(cloud(broken.aerial, "mav_map"));                // all NaN
+  aerial_.publish(cloud(Cloud{}, "mav_map"));                      // empty
+  aerial_.publish(sensor_msgs::PointCloud2());                     // no frame, no fields
+  aerial_.publish(cloud(scene.aerial, "ground_map"));              // wrong frame
+  ground_.publish(cloud(Cloud{}, "ground_map"));
+  Cloud few;
+  few.points.assign(5, Eigen::Vector3f(1, 2, 3));
+  ground_.publish(cloud(few, "ground_map"));                       // too few, all in one place
+  aerial_.publish(cloud(few, "mav_map"));
+  Pose nan = Pose::Identity();
+  nan.translation().x() = std::nan("");
+  sendCoarse(nan);
+  auto zero = geometry_msgs::PoseWithCovarianceStamped();
+  zero.header.frame_id = "ground_map";
+  guess_.publish(zero);  // quaternion 0 0 0 0
+  sendCoarse(Pose::Identity());
+  spin(2);
+  for (const auto& e : estimates_) {
+    EXPECT_NE(e.status, AlignmentEstimate::STATUS_CONVERGED);
+    for (double c : e.pose.covariance) EXPECT_TRUE(std::isfinite(c));
+    EXPECT_TRUE(std::isfinite(e.pose.pose.position.x) && std::isfinite(e.pose.pose.orientation.w));
+  }
+  // Still alive, and some NaN points do no harm.
+  for (std::size_t i = 0; i < broken.aerial.size(); ++i) {
+    if (i % 5) broken.aerial.points[i] = scene.aerial.points[i];
+  }
+  sendScene(broken);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  EXPECT_LT(error(estimates_.back().pose.pose, scene), 0.08);
+}
+
+TEST_F(NodeTest, ManualGuessNeedsNoCoarsePose) {
+  const auto scene = synthetic::makeScene(3);
+  sendScene(scene);
+  geometry_msgs::PoseWithCovarianceStamped guess;
+  guess.header.frame_id = "ground_map";
+  Pose T = offset(scene);
+  T.translation().z() -= 0.7;  // drawn on the plane: the height is unknown
+  guess.pose.pose = ros_utils::toMsg(T);
+  spin(0.5);
+  guess_.publish(guess);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  EXPECT_LT(error(estimates_.back().pose.pose, scene), 0.08);
+}
+
+TEST_F(NodeTest, AnotherMapStartsAfresh) {
+  const auto scene = synthetic::makeScene(1);
+  sendStatus(7);
+  spin(0.3);
+  sendScene(scene);
+  sendCoarse(offset(scene), AlignmentEstimate::STATUS_CONVERGED, 7);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  EXPECT_EQ(estimates_.back().map_id, 7u);
+  spin(0.3);
+  sendStatus(8);
+  spin(0.5);
+  transforms_.clear();
+  spin(0.5);
+  EXPECT_TRUE(transforms_.empty());
+  sendCoarse(offset(scene), AlignmentEstimate::STATUS_CONVERGED, 7);  // about the old map
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_SEARCHING));
+  sendCoarse(offset(scene), AlignmentEstimate::STATUS_CONVERGED, 8);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  EXPECT_EQ(estimates_.back().map_id, 8u);
+}
+
+TEST_F(NodeTest, ALoopedBagResets) {
+  const auto scene = synthetic::makeScene(1);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  now_ -= 500;
+  spin(0.3);
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_SEARCHING));
+  spin(0.5);
+  transforms_.clear();
+  spin(0.5);
+  EXPECT_TRUE(transforms_.empty());
+  // And works again, with stamps of the second loop.
+  sendScene(scene);
+  spin(0.3);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  ASSERT_TRUE(waitFor([this] { return !transforms_.empty(); }));
+}
+
+}  // namespace
+}  // namespace icp_refine
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "icp_refine_node_test");
+  ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}

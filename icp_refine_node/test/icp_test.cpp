@@ -1,0 +1,269 @@
+// The whole chain on synthetic scenes with known truth.
+#include <gtest/gtest.h>
+#include <omp.h>
+#include <yaml-cpp/yaml.h>
+
+#include <Eigen/Eigenvalues>
+#include <Eigen/LU>
+#include <cmath>
+
+#include "icp_refine/height_check.h"
+#include "icp_refine/icp.h"
+#include "synthetic_scene.h"
+
+namespace icp_refine {
+namespace {
+
+using synthetic::SceneSettings;
+using synthetic::World;
+
+YAML::Node shippedConfig() { return YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]; }
+
+const IcpChain& shipped() {
+  static const IcpChain chain(shippedConfig());
+  return chain;
+}
+
+SceneSettings exact() {
+  SceneSettings s;
+  s.scale_error = s.aerial_noise = s.aerial_bumps = s.missing = s.ground_drift = 0;
+  s.smooth_edges = false;
+  return s;
+}
+
+// Offset of `distance` [m] in a horizontal direction and `angle` [rad] of yaw, about `centre` of the reading.
+Pose offset(const Pose& T, const Eigen::Vector3d& centre, double distance, double direction, double angle) {
+  const Eigen::Vector3d m = T * centre;
+  const Eigen::Matrix3d R = Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  Pose D = Pose::Identity();
+  D.linear() = R;
+  D.translation() = m + distance * Eigen::Vector3d(std::cos(direction), std::sin(direction), 0.2) - R * m;
+  return D * T;
+}
+
+struct Error {
+  double translation, rotation;
+};
+
+Error errorAt(const Pose& T, const Pose& truth, const Eigen::Vector3d& centre_reading) {
+  return {(T * centre_reading - truth * centre_reading).norm(), air_ground_common::rotationAngle(T.linear(), truth.linear())};
+}
+
+TEST(Icp, ConvergesFromTheWholeBasin) {
+  for (unsigned seed : {1u, 2u}) {
+    const auto scene = synthetic::makeScene(seed);
+    const auto reference = shipped().prepareReference(scene.ground);
+    const Cloud reading = shipped().prepareReading(scene.aerial);
+    const Eigen::Vector3d centre = synthetic::centroid(scene.aerial);
+    for (double distance : {0.25, 0.4}) {
+      for (int k = 0; k < 4; ++k) {
+        const double angle = (k % 2 ? 1 : -1) * (distance > 0.3 ? 8 : 5) * M_PI / 180;
+        const Pose start = offset(scene.T_ground_map_mav_map, centre, distance, k * M_PI / 2 + 0.3, angle);
+        const auto result = shipped().align(reading, reference, start);
+        ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+        const auto e = errorAt(result.T_reference_reading, scene.T_ground_map_mav_map, centre);
+        EXPECT_LT(e.translation, 0.08) << "seed " << seed << " distance " << distance << " case " << k;
+        EXPECT_LT(e.rotation, 3 * M_PI / 180);
+        EXPECT_TRUE(result.localizability.complete()) << result.localizability.describeMissing();
+      }
+    }
+  }
+}
+
+TEST(Icp, MillimetresWithoutNoiseAndTheInverseIsTheInverse) {
+  const auto scene = synthetic::makeScene(5, exact());
+  const Eigen::Vector3d centre = synthetic::centroid(scene.aerial);
+  const Pose start = offset(scene.T_ground_map_mav_map, centre, 0.2, 1.0, 0.06);
+  const auto forward = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+  const auto e = errorAt(forward.T_reference_reading, scene.T_ground_map_mav_map, centre);
+  EXPECT_LT(e.translation, 0.006);
+  EXPECT_LT(e.rotation, 0.004);
+  const auto backward =
+      shipped().align(shipped().prepareReading(scene.ground), shipped().prepareReference(scene.aerial), start.inverse());
+  const auto b = errorAt(backward.T_reference_reading.inverse(), scene.T_ground_map_mav_map, centre);
+  EXPECT_LT(b.translation, 0.012);
+  EXPECT_LT(b.rotation, 0.008);
+}
+
+// One step on exact correspondences: catches a wrong sign or a lever arm about the wrong point.
+TEST(Icp, StepUndoesASmallMotion) {
+  std::mt19937 rng(3);
+  std::uniform_real_distribution<float> u(-2, 2);
+  Cloud reference;
+  for (int i = 0; i < 300; ++i) {
+    reference.points.emplace_back(u(rng) + 5, u(rng) - 3, u(rng));
+    reference.normals.push_back(Eigen::Vector3f(u(rng), u(rng), u(rng)).normalized());
+  }
+  Matches matches;
+  for (int i = 0; i < 300; ++i) matches.reference_index.push_back(i);
+  matches.weights.assign(300, 1);
+  for (const auto& [dof, motion] : {std::pair<int, Vector6d>{6, (Vector6d() << 0.01, -0.02, 0.03, 0.002, -0.003, 0.004).finished()},
+                                    std::pair<int, Vector6d>{4, (Vector6d() << 0.01, -0.02, 0.03, 0, 0, 0.004).finished()}}) {
+    Eigen::Vector3d centre = synthetic::centroid(reference);
+    Pose D = Pose::Identity();
+    D.linear() = air_ground_common::expSO3(motion.tail<3>());
+    D.translation() = centre + motion.head<3>() - D.linear() * centre;
+    const Cloud reading = transformed(reference, D);
+    const auto step = makeErrorMinimizer("PointToPlane", YAML::Load("{dof: " + std::to_string(dof) + "}"))
+                          ->solve({reading, reference, matches}, matches.weights, Pose::Identity());
+    ASSERT_TRUE(step.solved);
+    EXPECT_LT((step.delta + motion).cwiseAbs().maxCoeff(), 2e-4) << step.delta.transpose();
+    EXPECT_LT((step.centre - (centre + motion.head<3>())).norm(), 1e-4);
+  }
+}
+
+TEST(Icp, FourDegreesOfFreedomKeepTheTiltSixCorrectIt) {
+  const auto scene = synthetic::makeScene(6, exact());
+  const Eigen::Vector3d centre = synthetic::centroid(scene.aerial);
+  const Eigen::Vector3d m = scene.T_ground_map_mav_map * centre;
+  const Eigen::Matrix3d tilt = air_ground_common::expSO3({0.03, -0.02, 0});
+  Pose D = Pose::Identity();
+  D.linear() = tilt;
+  D.translation() = m - tilt * m;
+  const Pose start = D * scene.T_ground_map_mav_map;
+  YAML::Node four = YAML::Clone(shippedConfig());
+  for (auto level : four["levels"]) level["error_minimizer"]["PointToPlane"]["dof"] = 4;
+  const IcpChain chain4(four);
+  const auto r4 = chain4.align(chain4.prepareReading(scene.aerial), chain4.prepareReference(scene.ground), start);
+  const auto r6 = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+  const auto up = [](const Pose& T) { return Eigen::Vector3d(T.linear().row(2)); };
+  EXPECT_LT((up(r4.T_reference_reading) - up(start)).norm(), 1e-6);
+  EXPECT_LT((up(r6.T_reference_reading) - up(scene.T_ground_map_mav_map)).norm(), 0.004);
+}
+
+TEST(Icp, FlatFloorFixesOnlyHeightAndTilt) {
+  SceneSettings s;
+  s.world = World::kFlat;
+  for (unsigned seed = 1; seed <= 6; ++seed) {
+    const auto scene = synthetic::makeScene(seed, s);
+    const Pose start = offset(scene.T_ground_map_mav_map, synthetic::centroid(scene.aerial), 0.2, seed, 0.05);
+    const auto result = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+    ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+    int missing = 0;
+    for (const auto& d : result.localizability.directions) {
+      if (d.localizable) continue;
+      ++missing;
+      // x, y and yaw: nothing along z, nothing about x and y.
+      EXPECT_LT(std::abs(d.v[2]) + std::abs(d.v[3]) + std::abs(d.v[4]), 0.2) << d.v.transpose();
+    }
+    EXPECT_EQ(missing, 3) << result.localizability.describeMissing();
+    EXPECT_NE(result.localizability.describeMissing().find("about z"), std::string::npos);
+    EXPECT_GT(std::sqrt(result.covariance(0, 0)), 0.5);
+    EXPECT_GT(std::sqrt(result.covariance(1, 1)), 0.5);
+    EXPECT_LT(std::sqrt(result.covariance(2, 2)), 0.1);
+  }
+}
+
+TEST(Icp, CorridorIsFreeAlongItsAxis) {
+  SceneSettings s;
+  s.world = World::kCorridor;
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    const auto scene = synthetic::makeScene(seed, s);
+    const auto result = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground),
+                                        scene.T_ground_map_mav_map);
+    ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+    ASSERT_FALSE(result.localizability.complete());
+    const Eigen::Vector3d axis = scene.T_world_ground_map.linear().transpose() * Eigen::Vector3d::UnitX();
+    int missing = 0;
+    for (const auto& d : result.localizability.directions) {
+      if (d.localizable) continue;
+      ++missing;
+      EXPECT_GT(std::abs(d.v.head<3>().dot(axis)), 0.97) << d.v.transpose();
+    }
+    EXPECT_EQ(missing, 1) << result.localizability.describeMissing();
+  }
+}
+
+// NEES of 6 dimensions has mean 6 when the covariance is right; it includes drift and scale of the maps, which differ by scene.
+TEST(Icp, CovarianceIsConsistent) {
+  double sum = 0;
+  int runs = 0, beyond = 0;
+  for (unsigned seed = 100; seed < 116; ++seed) {
+    const auto scene = synthetic::makeScene(seed);
+    const auto result = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground),
+                                        scene.T_ground_map_mav_map);
+    ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged);
+    const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(result.covariance);
+    EXPECT_GT(eigen.eigenvalues()[0], 0);
+    Vector6d e;
+    const Eigen::Vector3d c = scene.T_ground_map_mav_map.inverse() * result.centre;
+    e.head<3>() = result.T_reference_reading * c - scene.T_ground_map_mav_map * c;
+    e.tail<3>() = air_ground_common::logSO3(result.T_reference_reading.linear() * scene.T_ground_map_mav_map.linear().transpose());
+    const double nees = e.dot(result.covariance.inverse() * e);
+    sum += nees;
+    beyond += nees > 16.8;  // 99 % of chi^2 with 6 degrees of freedom
+    ++runs;
+  }
+  EXPECT_GT(sum / runs, 2.0);
+  EXPECT_LT(sum / runs, 8.0);
+  EXPECT_LE(beyond, 2);
+}
+
+TEST(Icp, SameInputSameOutputForAnyNumberOfThreads) {
+  const auto scene = synthetic::makeScene(9);
+  const Pose start = offset(scene.T_ground_map_mav_map, synthetic::centroid(scene.aerial), 0.3, 2, 0.1);
+  const auto run = [&](int threads) {
+    omp_set_num_threads(threads);
+    return shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+  };
+  const auto a = run(1), b = run(2), c = run(2);
+  EXPECT_EQ(a.T_reference_reading.matrix(), b.T_reference_reading.matrix());
+  EXPECT_EQ(b.T_reference_reading.matrix(), c.T_reference_reading.matrix());
+  EXPECT_EQ(a.covariance, b.covariance);
+}
+
+TEST(Icp, PoorDataFailsWithAReason) {
+  auto scene = synthetic::makeScene(2);
+  const auto reference = shipped().prepareReference(scene.ground);
+  const auto reading = shipped().prepareReading(scene.aerial);
+  const auto reasonOf = [&](const Cloud& r, const IcpReference& f, const Pose& T) {
+    const auto result = shipped().align(r, f, T);
+    EXPECT_EQ(result.outcome, IcpResult::Outcome::kFailed);
+    EXPECT_FALSE(result.reason.empty());
+    EXPECT_TRUE(result.T_reference_reading.matrix().allFinite() || !T.matrix().allFinite());
+    return result.reason;
+  };
+  EXPECT_NE(reasonOf(Cloud{}, reference, Pose::Identity()).find("reading"), std::string::npos);
+  EXPECT_NE(reasonOf(reading, shipped().prepareReference(Cloud{}), Pose::Identity()).find("reference"), std::string::npos);
+  const Pose far(Eigen::Translation3d(100, 0, 0));
+  EXPECT_NE(reasonOf(reading, reference, far).find("overlap"), std::string::npos);
+  Pose broken = Pose::Identity();
+  broken.matrix()(0, 3) = std::nan("");
+  EXPECT_NE(reasonOf(reading, reference, broken).find("initial guess"), std::string::npos);
+  // Points that are not finite are dropped before anything else.
+  for (std::size_t i = 0; i < scene.aerial.size(); i += 7) scene.aerial.points[i].y() = std::nanf("");
+  scene.aerial.points[3].x() = INFINITY;
+  const auto result = shipped().align(shipped().prepareReading(scene.aerial), reference, scene.T_ground_map_mav_map);
+  EXPECT_EQ(result.outcome, IcpResult::Outcome::kConverged);
+}
+
+TEST(HeightCheck, TellsTheTruthFromAWrongBasin) {
+  for (unsigned seed = 1; seed <= 2; ++seed) {
+    const auto scene = synthetic::makeScene(seed);
+    const auto reference = shipped().prepareReference(scene.ground);
+    const Cloud reading = shipped().prepareReading(scene.aerial);
+    const auto right = checkHeights(transformed(reading, scene.T_ground_map_mav_map), reference.cloud());
+    EXPECT_TRUE(right.conclusive);
+    EXPECT_GT(right.agreement(), 0.85) << "seed " << seed;
+    for (int k = 0; k < 4; ++k) {
+      const Pose start = offset(scene.T_ground_map_mav_map, synthetic::centroid(reading), 0.8, k * M_PI / 2, 0.5);
+      const auto result = shipped().align(reading, reference, start);
+      if (errorAt(result.T_reference_reading, scene.T_ground_map_mav_map, synthetic::centroid(reading)).translation < 0.15) continue;
+      const auto wrong = checkHeights(transformed(reading, result.T_reference_reading), reference.cloud());
+      EXPECT_LT(wrong.agreement(), 0.65) << "seed " << seed << " case " << k;
+    }
+  }
+}
+
+TEST(HeightCheck, SaysNothingWithoutRelief) {
+  SceneSettings s;
+  s.world = World::kFlat;
+  const auto scene = synthetic::makeScene(1, s);
+  const auto check = checkHeights(transformed(scene.aerial, scene.T_ground_map_mav_map), scene.ground);
+  EXPECT_GT(check.cells, 100);
+  EXPECT_FALSE(check.conclusive);
+  EXPECT_EQ(checkHeights(Cloud{}, Cloud{}).cells, 0);
+}
+
+}  // namespace
+}  // namespace icp_refine

@@ -1,0 +1,154 @@
+// The decisions around the chain: which guess, tracking, loss, competition with the coarse pose.
+#include <gtest/gtest.h>
+#include <yaml-cpp/yaml.h>
+
+#include "icp_refine/alignment_refiner.h"
+#include "icp_refine/augmented_map.h"
+#include "icp_refine/pcd.h"
+#include "synthetic_scene.h"
+
+#include <cstdio>
+#include <fstream>
+
+namespace icp_refine {
+namespace {
+
+class Refiner : public testing::Test {
+ protected:
+  Refiner() : scene(synthetic::makeScene(1)), refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
+    refiner.setGround(scene.ground);
+    refiner.addAerial(1, scene.aerial);
+    centre = synthetic::centroid(scene.aerial);
+  }
+
+  Pose moved(double x, double y, double z, double yaw) const {
+    const Eigen::Vector3d m = scene.T_ground_map_mav_map * centre;
+    const Eigen::Matrix3d R = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+    Pose D = Pose::Identity();
+    D.linear() = R;
+    D.translation() = m + Eigen::Vector3d(x, y, z) - R * m;
+    return D * scene.T_ground_map_mav_map;
+  }
+
+  double error(const Pose& T) const { return (T * centre - scene.T_ground_map_mav_map * centre).norm(); }
+
+  synthetic::Scene scene;
+  AlignmentRefiner refiner;
+  Eigen::Vector3d centre;
+};
+
+TEST_F(Refiner, SaysWhatItWaitsFor) {
+  EXPECT_NE(refiner.refine().reason.find("coarse"), std::string::npos);
+  refiner.startMap();
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  EXPECT_NE(refiner.refine().reason.find("aerial"), std::string::npos);
+  refiner.addAerial(2, Cloud{});
+  EXPECT_NE(refiner.refine().reason.find("aerial"), std::string::npos);
+  refiner.reset();
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  refiner.addAerial(3, scene.aerial);
+  EXPECT_NE(refiner.refine().reason.find("ground"), std::string::npos);
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kSearching);
+}
+
+TEST_F(Refiner, TracksFromTheLastRefinedPose) {
+  refiner.setCoarse(moved(0.2, -0.1, 0.1, 0.06));
+  auto out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(out.tracking);
+  EXPECT_LT(error(out.T_ground_map_mav_map), 0.08);
+  refiner.addAerial(2, scene.aerial);
+  out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_TRUE(out.tracking);
+  EXPECT_EQ(out.stamp, 2);
+}
+
+TEST_F(Refiner, AGuessOnAPlaneGetsItsHeightFromTheMaps) {
+  refiner.setManual(moved(0.1, 0.1, 1.3, 0.05));
+  const auto out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_LT(error(out.T_ground_map_mav_map), 0.08);
+}
+
+TEST_F(Refiner, AWrongCoarsePoseIsRejectedAndNotTracked) {
+  refiner.setCoarse(moved(0.4, 0.3, 0, 2.4));
+  const auto out = refiner.refine();
+  EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(refiner.tracking());
+  EXPECT_FALSE(out.reason.empty());
+}
+
+TEST_F(Refiner, WantOfOverlapKeepsThePoseContradictionsEndIt) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  // The MAV flies away: no overlap, nothing against the pose.
+  Cloud away = scene.aerial;
+  for (auto& p : away.points) p.x() += 30;
+  for (int k = 0; k < 8; ++k) {
+    refiner.addAerial(10 + k, away);
+    if (k < 6) continue;  // the window still holds the first cloud
+    EXPECT_NE(refiner.refine().status, RefineStatus::kConverged);
+    EXPECT_TRUE(refiner.tracking());
+  }
+  // The world contradicts: another scene at the same place.
+  const auto other = synthetic::makeScene(17);
+  Cloud wrong = transformed(other.aerial, scene.T_ground_map_mav_map.inverse() * scene.T_world_ground_map.inverse() * other.T_world_mav_map);
+  for (int k = 0; k < 6; ++k) refiner.addAerial(20 + k, wrong);
+  for (int k = 0; k < 3; ++k) {
+    ASSERT_TRUE(refiner.tracking());
+    const auto out = refiner.refine();
+    EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
+  }
+  EXPECT_FALSE(refiner.tracking());
+}
+
+TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingDoesNotReplaceABetterOne) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  for (int k = 0; k < 4; ++k) {
+    refiner.setCoarse(moved(1.2, 0, 0, 1.5));
+    EXPECT_EQ(refiner.refine().status, RefineStatus::kConverged);
+    EXPECT_LT(error(*refiner.refined()), 0.08);
+  }
+}
+
+TEST(AerialVoxels, AverageIgnoreNanAndCount) {
+  AerialVoxels voxels(0.1);
+  voxels.add({0.02f, 0.02f, 0.02f}, 100);
+  voxels.add({0.06f, 0.06f, 0.06f}, 200);
+  voxels.add({0.5f, 0, 0}, 50);
+  voxels.add({std::nanf(""), 0, 0}, 50);
+  voxels.add({0, 0, 0}, std::nanf(""));
+  voxels.add({1e9f, 0, 0}, 1);
+  ASSERT_EQ(voxels.size(), 2u);
+  const auto points = voxels.points();
+  EXPECT_NEAR(points[0].position.x(), 0.04, 1e-6);
+  EXPECT_EQ(points[0].grey, 150);
+  EXPECT_EQ(points[1].grey, 50);
+  EXPECT_EQ(voxels.points(2).size(), 1u);
+}
+
+TEST(AddedByAir, OnlyWhereTheGroundRobotSawNothing) {
+  const std::vector<Eigen::Vector3f> ground{{0, 0, 0}}, aerial{{0.05f, 0, 0}, {0, 0.5f, 0}, {0, 0, 0.3f}};
+  EXPECT_EQ(addedByAir(aerial, ground, 0.1), (std::vector<char>{0, 1, 1}));
+}
+
+TEST(Pcd, HeaderAndSize) {
+  const std::string path = testing::TempDir() + "icp_refine_test.pcd";
+  air_ground_common::LabeledPoint p;
+  p.position = {1, 2, 3};
+  p.source = 1;
+  writePcd(path, {p, p, p});
+  std::ifstream file(path, std::ios::binary);
+  std::string line, all((std::istreambuf_iterator<char>(file)), {});
+  const auto data = all.find("DATA binary\n");
+  ASSERT_NE(data, std::string::npos);
+  EXPECT_NE(all.find("POINTS 3"), std::string::npos);
+  EXPECT_EQ(all.size() - data - 12, 3u * 17);
+  std::remove(path.c_str());
+  EXPECT_THROW(writePcd("/nonexistent/a.pcd", {p}), std::runtime_error);
+}
+
+}  // namespace
+}  // namespace icp_refine

@@ -1,0 +1,145 @@
+// Error distributions of the refinement over perturbed starts: the figures of docs/icp_refine.md.
+// Synthetic scenes, or clouds in PLY files whose true relative pose is the identity.
+#include <yaml-cpp/yaml.h>
+
+#include <CLI/CLI.hpp>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cstdio>
+
+#include "icp_refine/alignment_refiner.h"
+#include "synthetic_scene.h"
+
+using namespace icp_refine;
+
+namespace {
+
+struct Case {
+  std::string name;
+  Cloud ground;
+  std::vector<Cloud> aerial;
+  Pose truth;
+};
+
+struct Options {
+  std::string config, ground;
+  std::vector<std::string> aerial;
+  unsigned first_seed = 1000;
+  int scenes = 20, runs = 5, recent = 6;
+  double translation = 0.2, angle = 3;
+  bool exact = false, yaw_only = false, verbose = false;
+  synthetic::SceneSettings scene;
+};
+
+Cloud readCloud(const std::string& path) {
+  Cloud out;
+  for (const auto& p : air_ground_common::readPlyPoints(path)) out.points.push_back(p.position);
+  return out;
+}
+
+std::vector<Case> cases(const Options& options) {
+  std::vector<Case> out;
+  for (int s = 0; options.ground.empty() && s < options.scenes; ++s) {
+    auto scene = synthetic::makeScene(options.first_seed + s, options.scene);
+    out.push_back({"seed " + std::to_string(options.first_seed + s), std::move(scene.ground), {std::move(scene.aerial)}, scene.T_ground_map_mav_map});
+  }
+  // The node's reading: a sliding window over the fused clouds.
+  for (std::size_t last = 0; last < options.aerial.size(); ++last) {
+    Case c{options.aerial[last], readCloud(options.ground), {}, Pose::Identity()};
+    for (std::size_t k = last + 1 >= static_cast<std::size_t>(options.recent) ? last + 1 - options.recent : 0; k <= last; ++k) {
+      c.aerial.push_back(readCloud(options.aerial[k]));
+    }
+    out.push_back(std::move(c));
+  }
+  return out;
+}
+
+double quantile(std::vector<double> v, double p) {
+  std::sort(v.begin(), v.end());
+  return v.empty() ? 0.0 : v[std::min(v.size() - 1, static_cast<std::size_t>(p * static_cast<double>(v.size())))];
+}
+
+struct Statistics {
+  std::vector<double> before, translation, rotation, nees, milliseconds, agreement;
+  int converged = 0, wrong = 0, statuses[4] = {0, 0, 0, 0};
+};
+
+Pose start(const Case& c, const Eigen::Vector3d& centre, const Options& options, int run, std::mt19937& rng) {
+  if (!options.exact) return synthetic::perturbed(c.truth, centre, options.translation, options.angle * M_PI / 180, options.yaw_only, rng);
+  const double heading = 2 * M_PI * (run + rng() / 4294967296.0) / options.runs;
+  const Eigen::Vector3d m = c.truth * centre;
+  return Eigen::Translation3d(m + options.translation * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0)) *
+         Pose(Eigen::AngleAxisd((run % 2 ? 1 : -1) * options.angle * M_PI / 180, Eigen::Vector3d::UnitZ())) * Eigen::Translation3d(-m) *
+         c.truth;
+}
+
+void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, int run, std::mt19937& rng, Statistics& out) {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  for (const auto& cloud : c.aerial) centre += synthetic::centroid(cloud) / static_cast<double>(c.aerial.size());
+  const Pose guess = start(c, centre, options, run, rng);
+  refiner.setManual(guess);
+  const RefineOutcome result = refiner.refine();
+  const Pose& T = result.T_ground_map_mav_map;
+  const Eigen::Vector3d at = c.truth.inverse() * result.reference_point;
+  Vector6d e;
+  e.head<3>() = T * at - c.truth * at;
+  e.tail<3>() = air_ground_common::logSO3(T.linear() * c.truth.linear().transpose());
+  const double t = e.head<3>().norm(), a = e.tail<3>().norm() * 180 / M_PI, nees = e.dot(result.covariance.inverse() * e);
+  const bool good = result.status == RefineStatus::kConverged;
+  ++out.statuses[static_cast<int>(result.status)];
+  if (good) {
+    out.before.push_back((guess * centre - c.truth * centre).norm());
+    out.translation.push_back(t);
+    out.rotation.push_back(a);
+    out.nees.push_back(nees);
+    out.milliseconds.push_back(result.icp.seconds * 1e3);
+    out.agreement.push_back(result.heights.agreement());
+    out.wrong += t > 0.08 || a > 3;
+  }
+  if (!options.verbose) return;
+  static const char* kNames[] = {"SEARCHING", "DEGENERATE", "CONVERGED", "REJECTED"};
+  std::printf("%s %d: %s %.3f m %.2f deg (%.3f %.3f %.3f; %.2f %.2f %.2f) nees %.1f, %s\n", c.name.c_str(), run,
+              kNames[static_cast<int>(result.status)], t, a, e[0], e[1], e[2], e[3] * 57.3, e[4] * 57.3, e[5] * 57.3, nees, result.reason.c_str());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("Error distributions of ICP refinement from perturbed starts");
+  Options options;
+  app.add_option("--config", options.config, "YAML with a `chain`")->required();
+  app.add_option("--ground", options.ground, "PLY of the ground cloud; with --aerial, instead of synthetic scenes");
+  app.add_option("--aerial", options.aerial, "PLYs of the aerial clouds, in order, in the frame of the ground cloud");
+  app.add_option("--recent", options.recent, "aerial clouds in one reading");
+  app.add_option("--first-seed", options.first_seed);
+  app.add_option("--scenes", options.scenes);
+  app.add_option("--runs", options.runs, "starts a scene");
+  app.add_option("--sigma-translation", options.translation, "[m]");
+  app.add_option("--sigma-angle", options.angle, "[deg]");
+  app.add_flag("--exact", options.exact, "horizontal offset and yaw of exactly the sigmas, in all directions");
+  app.add_flag("--yaw-only", options.yaw_only);
+  app.add_option("--scale-error", options.scene.scale_error);
+  app.add_option("--drift", options.scene.ground_drift);
+  app.add_flag("--verbose", options.verbose);
+  CLI11_PARSE(app, argc, argv);
+  const YAML::Node chain = YAML::LoadFile(options.config)["chain"];
+  Statistics s;
+  std::mt19937 rng(options.first_seed);
+  for (const auto& c : cases(options)) {
+    RefinerSettings settings;
+    settings.recent_clouds = options.recent;
+    AlignmentRefiner refiner{IcpChain(chain), settings};
+    refiner.setGround(c.ground);
+    for (const auto& cloud : c.aerial) refiner.addAerial(0, cloud);
+    for (int run = 0; run < options.runs; ++run) runOne(c, options, refiner, run, rng, s);
+  }
+  double mean = 0;
+  for (double n : s.nees) mean += n / static_cast<double>(s.nees.size());
+  std::printf("converged %d, degenerate %d, rejected %d, searching %d; converged but beyond 0.08 m or 3 deg: %d\n", s.statuses[2], s.statuses[1],
+              s.statuses[3], s.statuses[0], s.wrong);
+  std::printf("before: median %.3f m; after: median %.4f, 95 %% %.4f, max %.4f m; rotation median %.3f, 95 %% %.3f, max %.3f deg\n",
+              quantile(s.before, .5), quantile(s.translation, .5), quantile(s.translation, .95), quantile(s.translation, 1),
+              quantile(s.rotation, .5), quantile(s.rotation, .95), quantile(s.rotation, 1));
+  std::printf("NEES mean %.2f, 95 %% %.1f; heights agree: least %.2f; ICP median %.0f ms, 95 %% %.0f ms\n", mean, quantile(s.nees, .95),
+              quantile(s.agreement, 0), quantile(s.milliseconds, .5), quantile(s.milliseconds, .95));
+}

@@ -1,0 +1,104 @@
+// Metric scale of monocular odometry from the accelerometer: Kalman filter over position, velocity, accelerometer bias, tilt of
+// the map and the logarithm of the scale (after Nuetzi, Weiss, Scaramuzza, Siegwart 2011), started by a linear solution.
+#pragma once
+
+#include <Eigen/Core>
+#include <deque>
+#include <optional>
+
+#include "air_ground_common/geometry.h"
+#include "mav_vo/imu_preintegration.h"
+
+namespace mav_vo {
+
+struct ScaleFilterSettings {
+  double position_stddev = 0.003;       ///< white noise of the visual position, as a share of the scene's distance [1]
+  double position_drift = 0.004;        ///< random walk of the visual position against the truth [m/sqrt(s)]
+  double scale_drift = 0.001;           ///< random walk of the logarithm of the scale [1/sqrt(s)]
+  double accel_bias_stddev = 0.15;      ///< before the first measurement, per axis [m/s^2]
+  double velocity_stddev = 2.0;         ///< before the first measurement, per axis [m/s]
+  double rotation_walk = 2e-4;          ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
+  double min_start_duration = 1.0;      ///< shortest window of the start [s]
+  double max_start_duration = 6.0;      ///< older frames leave the window of the start [s]
+  double start_relative_stddev = 0.03;  ///< the start succeeds below this relative standard deviation of the scale [1]
+  double gate = 16.27;                  ///< squared Mahalanobis distance, chi-squared with 3 degrees of freedom at 99.9 %
+};
+
+/// One frame of visual odometry with the inertial motion since the frame before it.
+struct ScaleMeasurement {
+  Eigen::Vector3d p_map_camera = Eigen::Vector3d::Zero();   ///< camera's position in the gravity-aligned map [visual unit]
+  Eigen::Matrix3d R_map_imu = Eigen::Matrix3d::Identity();  ///< its attitude, from vision
+  Eigen::Vector3d p_imu_camera = Eigen::Vector3d::Zero();   ///< camera's position in the IMU frame: the lever arm [m]
+  double scene_distance = 1.0;                              ///< median distance of the points seen [visual unit]
+};
+
+/// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1), all in the
+/// metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -9.81):
+///   p' = p + v dt + g dt^2 / 2 + R a_p(b),  v' = v + g dt + R a_v(b);   measurement: p_visual = exp(-L) (p + R l), l the lever arm.
+/// The start solves a window: first linearly (scale itself as state, measurement 0 = s p_visual - p - R l, linear in (s, p)), then by
+/// Gauss-Newton steps about that trajectory, which remove the linear form's bias.
+class ScaleFilter {
+ public:
+  static constexpr int kStates = 12;
+  using Covariance = Eigen::Matrix<double, kStates, kStates>;
+  struct State {
+    Eigen::Vector3d p = Eigen::Vector3d::Zero();           ///< of the IMU [m]
+    Eigen::Vector3d v = Eigen::Vector3d::Zero();           ///< [m/s]
+    Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2]
+    Eigen::Vector2d gravity_xy = Eigen::Vector2d::Zero();  ///< error of the map's tilt [m/s^2]
+    double scale = 1.0;                                    ///< metric over visual unit
+  };
+
+  /// `tilt_stddev`: of the map's z axis against gravity [rad].
+  ScaleFilter(const ScaleFilterSettings& settings, const ImuNoise& noise, double tilt_stddev);
+
+  /// Forgets everything; the next measurement starts afresh.
+  void reset(double tilt_stddev);
+
+  /// Starts in a metric map, without a window: at this frame the velocity [m/s] and the accelerometer bias [m/s^2] are known from
+  /// bundle adjustment and the scale is 1 within `scale_stddev`.
+  void startAt(const ScaleMeasurement& measurement, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias, double scale_stddev);
+
+  /// Next frame. `motion`: from the frame before to this one; empty for the first frame or after a gap in the IMU's data, which
+  /// lets the velocity go. Values that are not finite are ignored.
+  void add(const ScaleMeasurement& measurement, const std::optional<Preintegration>& motion);
+
+  /// Tells that the map moved: p' = S p for the visual positions.
+  void transform(const air_ground_common::Similarity& S_new_old);
+
+  bool initialized() const { return initialized_; }
+  double scale() const { return state_.scale; }  ///< metric over visual unit; 1 before initialisation
+  double scaleStddev() const;                    ///< absolute; infinite before initialisation
+  double relativeStddev() const;                 ///< of the scale; infinite before initialisation
+  const State& state() const { return state_; }
+  const Covariance& covariance() const { return P_; }  ///< of the error in the order above, scale as logarithm
+  double lastNis() const { return last_nis_; }         ///< squared Mahalanobis distance of the last innovation, 3 degrees of freedom
+  int rejected() const { return rejected_; }           ///< measurements outside the gate so far
+
+ private:
+  struct Frame {
+    ScaleMeasurement measurement;
+    std::optional<Preintegration> motion;
+  };
+  Covariance priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const;
+  void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F, Covariance* Q) const;
+  std::optional<State> linearSolution() const;
+  bool start();
+  void update(const ScaleMeasurement& measurement);
+  void restartMotion(const ScaleMeasurement& measurement);
+
+  ScaleFilterSettings settings_;
+  ImuNoise noise_;
+  double tilt_stddev_;
+  std::deque<Frame> window_;
+  bool initialized_ = false;
+  State state_;
+  Covariance P_ = Covariance::Zero();
+  Eigen::Matrix3d R_before_ = Eigen::Matrix3d::Identity();
+  double last_nis_ = 0;
+  int rejected_ = 0;
+  int rejected_in_a_row_ = 0;
+  int frames_waited_ = 0;
+};
+
+}  // namespace mav_vo

@@ -1,0 +1,475 @@
+// Visual odometry of the MAV: images and IMU in, metric poses, posed images, increments and the sparse map out.
+#include <air_ground/PosedImage.h>
+#include <air_ground/SaveMap.h>
+#include <air_ground/SaveTrajectory.h>
+#include <air_ground/VoIncrement.h>
+#include <air_ground/VoStatus.h>
+#include <pcl/io/pcd_io.h>
+#include <pcl/point_types.h>
+#include <ros/ros.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/Imu.h>
+#include <std_srvs/Trigger.h>
+
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <thread>
+
+#include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/pose_publisher.h"
+#include "node_parameters.h"
+#include "visual_frontend/feature_tracker.h"
+
+namespace mav_vo {
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+
+constexpr int kOk = 0, kWarn = 1;
+
+std::uint8_t stateOf(OdometryState state) {
+  switch (state) {
+    case OdometryState::kWaiting: return air_ground::VoStatus::STATE_WAITING;
+    case OdometryState::kInitializing: return air_ground::VoStatus::STATE_INITIALIZING;
+    case OdometryState::kScaling: return air_ground::VoStatus::STATE_SCALING;
+    case OdometryState::kTracking: return air_ground::VoStatus::STATE_TRACKING;
+    case OdometryState::kLost: return air_ground::VoStatus::STATE_LOST;
+  }
+  return air_ground::VoStatus::STATE_LOST;
+}
+
+bool endsWith(const std::string& text, const std::string& end) {
+  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
+}
+
+class MavVoNode {
+ public:
+  explicit MavVoNode(const NodeSettings& settings)
+      : settings_(settings),
+        health_("mav_vo"),
+        pose_publisher_(handle_, {settings.map_frame, settings.odom_frame, settings.base_frame, "mav/odometry", "mav/path", settings.publish_tf}) {
+    cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
+    posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
+    increment_publisher_ = handle_.advertise<air_ground::VoIncrement>("mav/vo_increment", 100);
+    status_publisher_ = handle_.advertise<air_ground::VoStatus>("mav/vo_status", 100);
+    track_publisher_ = handle_.advertise<sensor_msgs::Image>("mav/track_image", 5);
+    image_topic_ = handle_.resolveName("mav/camera/image_raw");
+    info_topic_ = handle_.resolveName("mav/camera/camera_info");
+    imu_topic_ = handle_.resolveName("mav/imu/data");
+    health_.expectInput(image_topic_);
+    health_.expectInput(info_topic_);
+    if (settings_.odometry.use_imu) health_.expectInput(imu_topic_);
+    health_.state(kWarn, "waiting for images");
+    info_subscriber_ = handle_.subscribe("mav/camera/camera_info", 20, &MavVoNode::onInfo, this);
+    if (settings_.odometry.use_imu) imu_subscriber_ = handle_.subscribe("mav/imu/data", 5000, &MavVoNode::onImu, this, ros::TransportHints().tcpNoDelay());
+    image_subscriber_ = handle_.subscribe("mav/camera/image_raw", settings_.queue_size, &MavVoNode::onImage, this);
+    map_service_ = private_handle_.advertiseService("save_map", &MavVoNode::saveMap, this);
+    trajectory_service_ = private_handle_.advertiseService("save_trajectory", &MavVoNode::saveTrajectory, this);
+    reset_service_ = private_handle_.advertiseService("reset", &MavVoNode::reset, this);
+    worker_ = std::thread(&MavVoNode::work, this);
+  }
+
+  ~MavVoNode() {
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      stop_ = true;
+    }
+    queue_changed_.notify_all();
+    worker_.join();
+  }
+
+ private:
+  enum Stream { kImage, kImu, kStreams };
+
+  // ---- Inputs: only checks and queueing happen in the callbacks -------------------------------------------------------
+
+  void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
+    health_.received(info_topic_, msg->header.stamp);
+    try {
+      const CameraModel camera = ros_utils::fromMsg(*msg);
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      camera_ = camera;
+      camera_info_ = *msg;
+    } catch (const std::exception& e) {
+      health_.count(std::string("camera calibrations refused: ") + e.what());
+    }
+    queue_changed_.notify_all();
+  }
+
+  void onImu(const sensor_msgs::Imu::ConstPtr& msg) {
+    health_.received(imu_topic_, msg->header.stamp);
+    ImuSample sample;
+    sample.stamp = msg->header.stamp.toSec();
+    sample.angular_velocity = {msg->angular_velocity.x, msg->angular_velocity.y, msg->angular_velocity.z};
+    sample.specific_force = {msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z};
+    if (!sample.angular_velocity.allFinite() || !sample.specific_force.allFinite()) {
+      health_.count("IMU samples refused: not a finite number");
+      return;
+    }
+    checkUnit(sample.specific_force.norm());
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      if (!admit(msg->header.stamp, kImu)) return;
+      imu_queue_.push_back(sample);
+      if (imu_queue_.size() > 20000) imu_queue_.pop_front();
+      newest_imu_ = std::max(newest_imu_, sample.stamp);
+      imu_frame_ = msg->header.frame_id;
+    }
+    queue_changed_.notify_all();
+  }
+
+  void onImage(const sensor_msgs::Image::ConstPtr& msg) {
+    health_.received(image_topic_, msg->header.stamp);
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      if (!admit(msg->header.stamp, kImage)) return;
+      if (image_queue_.size() >= static_cast<std::size_t>(settings_.queue_size)) {
+        image_queue_.pop_front();
+        health_.count("images dropped: the queue was full");
+      }
+      image_queue_.push_back(msg);
+    }
+    queue_changed_.notify_all();
+  }
+
+  /// Called with the queue locked. False: the message comes of the time before a jump and is dropped.
+  bool admit(const ros::Time& stamp, Stream stream) {
+    using Verdict = ros_utils::StreamJumpDetector::Verdict;
+    const Verdict verdict = jumps_.watch(stream, stamp);
+    if (verdict == Verdict::kOld) {
+      health_.count("messages of the time before a jump dropped");
+      return false;
+    }
+    if (verdict == Verdict::kJump) {
+      ROS_WARN("time jumped back: visual odometry starts afresh");
+      newest_imu_ = 0;
+      image_queue_.clear();
+      imu_queue_.clear();
+      reset_requested_ = true;
+    }
+    return true;
+  }
+
+  /// An accelerometer that reports g instead of m/s^2 makes every length wrong by a factor of ten.
+  void checkUnit(double force) {
+    if (unit_samples_ >= 200) return;
+    unit_sum_ += force;
+    if (++unit_samples_ < 200) return;
+    const double mean = unit_sum_ / unit_samples_;
+    if (mean < 3.0 || mean > 30.0)
+      health_.count("the IMU's mean acceleration is " + std::to_string(mean) + ", not about 9.81 m/s^2: wrong unit or gravity removed?");
+  }
+
+  // ---- Worker ---------------------------------------------------------------------------------------------------------
+
+  void work() {
+    while (true) {
+      sensor_msgs::Image::ConstPtr image;
+      std::deque<ImuSample> imu;
+      {
+        std::unique_lock<std::mutex> lock(queue_mutex_);
+        queue_changed_.wait_for(lock, std::chrono::milliseconds(200), [&] { return stop_ || reset_requested_ || imageReady(); });
+        if (stop_) return;
+        if (reset_requested_) {
+          reset_requested_ = false;
+          lock.unlock();
+          startAfresh();
+          continue;
+        }
+        if (!imageReady()) continue;
+        image = image_queue_.front();
+        image_queue_.pop_front();
+        const double stamp = image->header.stamp.toSec();
+        // One sample beyond the image lets the motion be interpolated up to its stamp.
+        while (!imu_queue_.empty() && (imu.empty() || imu.back().stamp < stamp)) {
+          imu.push_back(imu_queue_.front());
+          imu_queue_.pop_front();
+        }
+      }
+      try {
+        step(image, imu);
+      } catch (const std::exception& e) {
+        health_.count(std::string("images refused: ") + e.what());
+      }
+    }
+  }
+
+  /// Called with the queue locked: the oldest image has its calibration and its IMU samples, or has waited long enough for them.
+  bool imageReady() const {
+    if (image_queue_.empty() || !camera_) return false;
+    if (!settings_.odometry.use_imu) return true;
+    const double stamp = image_queue_.front()->header.stamp.toSec();
+    return newest_imu_ >= stamp || image_queue_.back()->header.stamp.toSec() - stamp > settings_.imu_wait;
+  }
+
+  void startAfresh() {
+    const std::lock_guard<std::mutex> lock(odometry_mutex_);
+    if (odometry_) odometry_->reset();
+    pose_publisher_.reset();
+    last_stamp_ = ros::Time();
+    last_cloud_ = ros::Time();
+    health_.state(kWarn, "started afresh: waiting for images");
+  }
+
+  /// Builds the odometry once calibration and mounting are known. False, with the reason in diagnostics, while they are not.
+  bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
+    if (odometry_ && (with_imu_ || !imu_seen)) return true;
+    CameraModel camera;
+    std::string camera_frame = settings_.camera_frame, imu_frame = settings_.imu_frame;
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      camera = *camera_;
+      if (camera_frame.empty()) camera_frame = camera_info_.header.frame_id.empty() ? image.header.frame_id : camera_info_.header.frame_id;
+      if (imu_frame.empty()) imu_frame = imu_frame_;
+    }
+    std::string why;
+    const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame) {
+      return given ? given : ros_utils::lookupStatic(settings_.base_frame, frame, settings_.transform_timeout, &why);
+    };
+    const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame);
+    if (!T_base_camera) {
+      health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + camera_frame + "': " + why);
+      health_.count("images without the camera's mounting (tf or parameter base_camera)");
+      return false;
+    }
+    OdometrySettings settings = settings_.odometry;
+    Pose T_base_imu = Pose::Identity();
+    settings.use_imu = settings.use_imu && imu_seen;
+    if (settings.use_imu) {
+      const auto mounting = mounted(settings_.T_base_imu, imu_frame);
+      if (!mounting) {
+        health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + imu_frame + "': " + why);
+        health_.count("images without the IMU's mounting (tf or parameter base_imu)");
+        return false;
+      }
+      T_base_imu = *mounting;
+    } else if (settings_.odometry.use_imu) {
+      ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": visual odometry runs without gyro prior and stays without metric scale");
+    }
+    // Map ids go on counting when the odometry is built anew because an IMU has turned up.
+    if (odometry_) map_id_offset_ += odometry_->mapId();
+    odometry_ = std::make_unique<Odometry>(camera, *T_base_camera, T_base_imu, settings);
+    with_imu_ = settings.use_imu;
+    camera_frame_ = camera_frame;
+    T_base_camera_ = *T_base_camera;
+    return true;
+  }
+
+  void step(const sensor_msgs::Image::ConstPtr& image, const std::deque<ImuSample>& imu) {
+    const std::lock_guard<std::mutex> lock(odometry_mutex_);
+    const ros::Time stamp = image->header.stamp;
+    if (stamp <= last_stamp_) {
+      health_.count("images refused: stamp not later than the last one's");
+      return;
+    }
+    if (!prepare(*image, !imu.empty() || imu_ever_)) return;
+    imu_ever_ = imu_ever_ || !imu.empty();
+    for (const ImuSample& sample : imu)
+      if (!odometry_->addImu(sample)) health_.count("IMU samples refused: stamp not later than the last one's");
+    last_stamp_ = stamp;
+    const cv::Mat grey = ros_utils::greyFromMsg(*image);
+    FrameResult r = odometry_->process(stamp.toSec(), grey);
+    r.map_id += map_id_offset_;
+    health_.timing("image [s]", r.seconds);
+    health_.state(r.state == OdometryState::kTracking ? kOk : kWarn,
+                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view");
+    publish(image, grey, r);
+  }
+
+  // ---- Outputs --------------------------------------------------------------------------------------------------------
+
+  void publish(const sensor_msgs::Image::ConstPtr& image, const cv::Mat& grey, const FrameResult& r) {
+    std_msgs::Header header;
+    header.stamp = image->header.stamp;
+    header.frame_id = settings_.map_frame;
+    publishStatus(header, r);
+    if (track_publisher_.getNumSubscribers() > 0 && frame_count_++ % settings_.track_image_every == 0) {
+      std_msgs::Header camera_header = header;
+      camera_header.frame_id = camera_frame_;
+      track_publisher_.publish(ros_utils::toMsg(visual_frontend::drawTracks(grey, odometry_->features(), odometry_->mappedFeatures()), "bgr8", camera_header));
+    }
+    if (!r.pose_valid || !r.T_map_base.matrix().allFinite() || !r.covariance.allFinite()) return;
+    if (r.map_id != map_id_) {
+      if (map_id_ != 0) pose_publisher_.reset();
+      map_id_ = r.map_id;
+    }
+    // Odometry and tf have no flag that says "not metric": they begin with the metric map.
+    if (r.metric) pose_publisher_.publish(header.stamp, r.T_map_base, r.increment ? r.increment->T_previous_current : Pose::Identity(), r.covariance);
+    air_ground::PosedImage posed;
+    posed.header = header;
+    posed.image = *image;
+    {
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      posed.camera_info = camera_info_;
+    }
+    posed.camera_info.header.stamp = header.stamp;
+    posed.camera_info.header.frame_id = camera_frame_;
+    posed.pose.pose = ros_utils::toMsg(r.T_map_camera);
+    ros_utils::setCovariance(r.camera_covariance, &posed.pose.covariance);
+    posed.depth_min = static_cast<float>(r.depth_min);
+    posed.depth_max = static_cast<float>(r.depth_max);
+    posed.keyframe = r.keyframe;
+    posed.metric = r.metric;
+    posed.map_id = r.map_id;
+    posed_publisher_.publish(posed);
+    if (r.increment) publishIncrement(header, r);
+    if (r.metric && r.keyframe && (header.stamp - last_cloud_).toSec() >= settings_.sparse_cloud_interval) {
+      last_cloud_ = header.stamp;
+      cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, header));
+    }
+  }
+
+  void publishStatus(const std_msgs::Header& header, const FrameResult& r) {
+    air_ground::VoStatus status;
+    status.header = header;
+    status.state = stateOf(r.state);
+    status.tracked_features = static_cast<std::uint32_t>(r.tracked);
+    status.inliers = static_cast<std::uint32_t>(r.inliers);
+    status.keyframes = static_cast<std::uint32_t>(r.keyframes);
+    status.map_points = static_cast<std::uint32_t>(r.landmarks);
+    status.scale = r.scale;
+    status.scale_stddev = r.scale_stddev;
+    status.processing_time = r.seconds;
+    status.reason = r.reason;
+    status.map_id = r.map_id;
+    status_publisher_.publish(status);
+  }
+
+  void publishIncrement(const std_msgs::Header& header, const FrameResult& r) {
+    air_ground::VoIncrement increment;
+    increment.header = header;
+    increment.previous_stamp = ros::Time(r.increment->previous_stamp);
+    increment.relative_pose = ros_utils::toMsg(r.increment->T_previous_current);
+    for (int row = 0; row < 4; ++row)
+      for (int column = 0; column < 4; ++column) increment.covariance[4 * row + column] = r.increment->covariance(row, column);
+    increment.metric = r.metric;
+    increment.scale_variance = r.metric ? r.scale_stddev * r.scale_stddev : 0.0;
+    increment.inliers = static_cast<std::uint32_t>(r.inliers);
+    increment.map_id = r.map_id;
+    increment_publisher_.publish(increment);
+  }
+
+  std::vector<ros_utils::CloudPoint> sparsePoints() const {
+    std::vector<ros_utils::CloudPoint> points;
+    for (const auto id : odometry_->map().landmarkIds()) {
+      ros_utils::CloudPoint point;
+      point.position = odometry_->map().landmark(id).position.cast<float>();
+      point.source = 1;
+      if (point.position.allFinite()) points.push_back(point);
+    }
+    return points;
+  }
+
+  // ---- Services -------------------------------------------------------------------------------------------------------
+
+  bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
+    const std::lock_guard<std::mutex> lock(odometry_mutex_);
+    try {
+      if (!odometry_ || !odometry_->metric()) throw std::runtime_error("there is no metric map yet");
+      odometry_->finish();
+      const auto points = sparsePoints();
+      if (endsWith(request.path, ".ply")) {
+        std::vector<air_ground_common::LabeledPoint> labeled;
+        for (const auto& p : points) {
+          labeled.emplace_back();
+          labeled.back().position = p.position;
+          labeled.back().rgb.setConstant(200);
+          labeled.back().source = 1;
+        }
+        air_ground_common::writePly(request.path, labeled);
+      } else if (endsWith(request.path, ".pcd")) {
+        pcl::PointCloud<pcl::PointXYZ> cloud;
+        for (const auto& p : points) cloud.push_back(pcl::PointXYZ(p.position.x(), p.position.y(), p.position.z()));
+        if (cloud.empty() || pcl::io::savePCDFileBinary(request.path, cloud) != 0) throw std::runtime_error("cannot write " + request.path);
+      } else {
+        throw std::runtime_error("the path must end in .ply or .pcd");
+      }
+      response.points = points.size();
+      response.success = true;
+      response.message = std::to_string(points.size()) + " landmarks written to " + request.path;
+    } catch (const std::exception& e) {
+      response.success = false;
+      response.message = e.what();
+    }
+    return true;
+  }
+
+  bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response) {
+    const std::lock_guard<std::mutex> lock(odometry_mutex_);
+    try {
+      if (!odometry_ || !odometry_->metric()) throw std::runtime_error("there is no metric trajectory yet");
+      odometry_->finish();
+      const auto trajectory = odometry_->trajectory();
+      air_ground_common::writeTum(request.path, trajectory);
+      response.poses = trajectory.size();
+      response.success = true;
+      response.message = std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
+    } catch (const std::exception& e) {
+      response.success = false;
+      response.message = e.what();
+    }
+    return true;
+  }
+
+  bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    startAfresh();
+    response.success = true;
+    response.message = "visual odometry starts afresh";
+    return true;
+  }
+
+  const NodeSettings settings_;
+  ros::NodeHandle handle_, private_handle_{"~"};
+  ros_utils::NodeHealth health_;
+  ros_utils::StreamJumpDetector jumps_{kStreams};
+  ros_utils::PosePublisher pose_publisher_;
+  ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, status_publisher_, track_publisher_;
+  ros::Subscriber info_subscriber_, imu_subscriber_, image_subscriber_;
+  ros::ServiceServer map_service_, trajectory_service_, reset_service_;
+  std::string image_topic_, info_topic_, imu_topic_;
+  double unit_sum_ = 0;
+  int unit_samples_ = 0;
+
+  // Shared with the worker.
+  std::mutex queue_mutex_;
+  std::condition_variable queue_changed_;
+  std::deque<sensor_msgs::Image::ConstPtr> image_queue_;
+  std::deque<ImuSample> imu_queue_;
+  double newest_imu_ = 0;
+  std::optional<CameraModel> camera_;
+  sensor_msgs::CameraInfo camera_info_;
+  std::string imu_frame_;
+  bool stop_ = false, reset_requested_ = false;
+
+  // Worker and services, one at a time.
+  std::mutex odometry_mutex_;
+  std::unique_ptr<Odometry> odometry_;
+  bool with_imu_ = false, imu_ever_ = false;
+  Pose T_base_camera_ = Pose::Identity();
+  std::string camera_frame_;
+  ros::Time last_stamp_, last_cloud_;
+  std::uint32_t map_id_ = 0, map_id_offset_ = 0;
+  std::size_t frame_count_ = 0;
+  std::thread worker_;
+};
+
+}  // namespace
+}  // namespace mav_vo
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "mav_vo");
+  try {
+    const mav_vo::NodeSettings settings = mav_vo::readParameters(ros::NodeHandle("~"));
+    mav_vo::MavVoNode node(settings);
+    ros::spin();
+  } catch (const std::exception& e) {
+    ROS_FATAL_STREAM(e.what());
+    return 1;
+  }
+  return 0;
+}

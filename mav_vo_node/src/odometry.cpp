@@ -1,0 +1,518 @@
+#include "mav_vo/odometry.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <opencv2/imgproc.hpp>
+#include <stdexcept>
+
+#include "odometry_impl.h"
+
+namespace mav_vo {
+
+namespace {
+
+constexpr double kRestSeconds = 0.6;         // the image and the IMU must be still for so long
+constexpr double kRestPixels = 0.4;          // median motion of the features per image [px]
+constexpr double kRestGyro = 0.015;          // scatter [rad/s]
+constexpr double kRestAccel = 0.2;           // scatter [m/s^2]
+constexpr double kRestGyroMean = 0.1;        // a larger mean rate is no bias [rad/s]
+constexpr std::size_t kRecentImages = 800;   // whose inertial motion is kept for the scale filter
+constexpr double kPlaceEvery = 5;            // images between searches for a known place while lost
+constexpr double kMinInlierShare = 0.35;     // of the tracked landmarks; below, the pose is not believed
+
+template <typename T>
+T quantile(std::vector<T>& values, double q) {
+  const auto k = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), values.begin() + k, values.end());
+  return values[static_cast<std::size_t>(k)];
+}
+
+}  // namespace
+
+void OdometrySettings::validate() const {
+  const auto require = [](bool good, const char* what) {
+    if (!good) throw std::invalid_argument(std::string("OdometrySettings: ") + what);
+  };
+  tracker.validate();
+  imu_noise.validate();
+  require(pixel_sigma > 0, "pixel_sigma must be positive");
+  require(gyro_prior_sigma > 0, "gyro_prior_sigma must be positive");
+  require(min_inliers >= 6, "min_inliers must be at least 6");
+  require(keyframe_distance > 0 && keyframe_angle > 0 && keyframe_max_interval > 0, "keyframe thresholds must be positive");
+  require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must lie in (0, 1)");
+  require(triangulation_parallax > 0, "triangulation_parallax must be positive");
+  require(window >= 3 && window_fixed >= 0, "window must be at least 3, window_fixed at least 0");
+  require(full_interval > 0 && full_max_keyframes >= window, "full_interval must be positive, full_max_keyframes at least window");
+  require(metric_stddev > 0 && metric_stddev < 0.5, "metric_stddev must lie in (0, 0.5)");
+  require(lost_timeout > 0, "lost_timeout must be positive");
+}
+
+const char* toString(OdometryState state) {
+  switch (state) {
+    case OdometryState::kWaiting: return "waiting";
+    case OdometryState::kInitializing: return "initializing";
+    case OdometryState::kScaling: return "scaling";
+    case OdometryState::kTracking: return "tracking";
+    case OdometryState::kLost: return "lost";
+  }
+  return "unknown";
+}
+
+Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, const Pose& T_base_imu, const OdometrySettings& settings_)
+    : camera(camera_),
+      T_base_camera(T_base_camera_),
+      T_camera_imu(T_base_camera_.inverse() * T_base_imu),
+      settings(settings_),
+      tracker(camera_, settings_.tracker),
+      bootstrap(camera_, settings_.bootstrap),
+      scale(settings_.scale, settings_.imu_noise, 0.1) {
+  settings.validate();
+  if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
+    throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
+}
+
+void Odometry::Impl::startMap() {
+  if (running.valid()) running.wait();
+  running = {};
+  tracker.reset();
+  bootstrap.reset();
+  map.clear();
+  inertial = {};
+  track_landmark.clear();
+  track_views.clear();
+  records.clear();
+  scale.reset(up_sigma);
+  ++map_id;
+  metric = false;
+  state = OdometryState::kInitializing;
+  reason = "new map";
+  located_stamp = -1;
+  velocity.setZero();
+  T_map_camera.setIdentity();
+  inliers = keyframe_landmarks = 0;
+  scene_distance = 1;
+  depth_min = depth_max = 0;
+}
+
+void Odometry::Impl::reset() {
+  startMap();
+  imu.clear();
+  attitude.reset();
+  bias = {};
+  gyro_bias_known = false;
+  up_imu.reset();
+  up_sigma = 0.1;
+  still_since = -1;
+  last_stamp = -1;
+  state = OdometryState::kWaiting;
+  reason = "no image yet";
+}
+
+// Gravity and gyro bias while the vehicle stands: the IMU alone cannot tell standing from flying straight, the image can.
+void Odometry::Impl::watchRest(double stamp) {
+  if (R_previous_current && up_imu) {
+    const Eigen::Matrix3d R_camera_imu = T_camera_imu.linear();
+    *up_imu = (R_camera_imu.transpose() * R_previous_current->transpose() * R_camera_imu * *up_imu).normalized();
+  }
+  std::vector<double> motion;
+  for (const Feature& f : tracker.features())
+    if (f.age > 0) motion.push_back((f.pixel - f.previous_pixel).norm());
+  const bool still = motion.size() < 10 || quantile(motion, 0.5) < kRestPixels;
+  if (!still) still_since = -1;
+  else if (still_since < 0) still_since = stamp;
+  if (still_since < 0 || stamp - still_since < kRestSeconds) return;
+  const auto mean = imu.mean(stamp - kRestSeconds, stamp);
+  if (mean.count < 20 || mean.angular_velocity_std > kRestGyro || mean.specific_force_std > kRestAccel ||
+      mean.angular_velocity.norm() > kRestGyroMean || std::abs(mean.specific_force.norm() - kGravity) > 0.6)
+    return;
+  // Once the map is metric its own estimate is better than a short rest in the air.
+  if (metric) return;
+  bias.gyro = mean.angular_velocity;
+  gyro_bias_known = true;
+  up_imu = mean.specific_force.normalized();
+  up_sigma = 0.012;
+}
+
+std::optional<LandmarkId> Odometry::Impl::landmarkOf(TrackId track) const {
+  const auto it = track_landmark.find(track);
+  if (it == track_landmark.end() || !map.hasLandmark(it->second)) return std::nullopt;
+  return it->second;
+}
+
+std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<TrackId>* tracks) const {
+  std::vector<PoseCorrespondence> list;
+  for (const Feature& f : tracker.features()) {
+    const auto id = landmarkOf(f.id);
+    if (!id) continue;
+    list.push_back({map.landmark(*id).position, f.normalized, sigma(), 0, 0});
+    tracks->push_back(f.id);
+  }
+  return list;
+}
+
+FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
+  const auto begin = std::chrono::steady_clock::now();
+  FrameResult result;
+  result.stamp = stamp;
+  increment.reset();
+  made_keyframe = false;
+  if (!std::isfinite(stamp) || stamp <= last_stamp) {
+    fillResult(&result);
+    result.reason = "the image's stamp is not later than the last one's";
+    return result;
+  }
+  adoptFinished(false);
+  image = &gray;
+  R_previous_current.reset();
+  if (settings.use_imu && last_stamp >= 0) {
+    if (const auto R = imu.integrateRotation(last_stamp, stamp, bias.gyro))
+      R_previous_current = T_camera_imu.linear() * *R * T_camera_imu.linear().transpose();
+  }
+  const bool tracking = state == OdometryState::kScaling || state == OdometryState::kTracking;
+  visual_frontend::TrackPrediction prediction;
+  Pose predicted = T_map_camera;
+  if (R_previous_current) prediction.R_current_previous = R_previous_current->transpose();
+  if (tracking && located_stamp == last_stamp) {
+    predicted.translation() += velocity * (stamp - located_stamp);
+    if (R_previous_current) predicted.linear() = T_map_camera.linear() * *R_previous_current;
+    const Pose T_camera_map = predicted.inverse();
+    for (const Feature& f : tracker.features()) {
+      const auto id = landmarkOf(f.id);
+      if (!id) continue;
+      if (const auto pixel = camera.project(T_camera_map * map.landmark(*id).position)) prediction.pixels[f.id] = *pixel;
+    }
+  }
+  tracker.track(gray, prediction);
+  result.tracked = static_cast<int>(tracker.features().size());
+  watchRest(stamp);
+  if (tracking) T_map_camera = predicted;
+  last_stamp = stamp;
+
+  if (state == OdometryState::kWaiting) {
+    state = OdometryState::kInitializing;
+    reason = "first image";
+  }
+  if (state == OdometryState::kInitializing) {
+    initialize(R_previous_current);
+  } else if (tracking) {
+    if (locate(R_previous_current.has_value())) {
+      localized(true);
+    } else {
+      state = OdometryState::kLost;
+      reason = "lost: " + last_pose.reason;
+      lost_since = stamp;
+      frames_lost = 0;
+    }
+  }
+  if (state == OdometryState::kLost) {
+    if (relocalize(gray, R_previous_current.has_value())) {
+      state = metric ? OdometryState::kTracking : OdometryState::kScaling;
+      localized(false);
+    } else if (stamp - lost_since > settings.lost_timeout) {
+      startMap();
+      reason = "lost for too long: a new map starts";
+    }
+  }
+  fillResult(&result);
+  image = nullptr;
+  result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return result;
+}
+
+void Odometry::Impl::initialize(const std::optional<Eigen::Matrix3d>& R) {
+  if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features) tracker.replenish();
+  auto start = bootstrap.add(last_stamp, tracker.features(), tracker.pyramid(), R);
+  if (!start) {
+    reason = "initialising: " + bootstrap.reason();
+    return;
+  }
+  // Level the map with what is known of gravity, heading 0 at the first view's base_link.
+  const BootstrapView &first = start->views.front(), &last = start->views.back();
+  Eigen::Matrix3d R_map_first;
+  double tilt = 0.5;
+  std::optional<Eigen::Vector3d> up;
+  if (up_imu) {
+    up = *up_imu;
+    tilt = up_sigma;
+  } else if (settings.use_imu && attitude.initialized()) {
+    up = attitude.up();
+    tilt = std::max(0.03, attitude.upSigma());
+    up_imu = up;
+    up_sigma = tilt;
+  }
+  if (up) {
+    const Eigen::Vector3d up_last = T_camera_imu.linear() * *up;
+    R_map_first = air_ground_common::levelingRotation(last.T_first_camera.linear() * up_last);
+  } else {
+    // No gravity: the vehicle is taken to be level.
+    R_map_first = T_base_camera.linear();
+  }
+  const double yaw = air_ground_common::yawOf(R_map_first * T_base_camera.linear().transpose());
+  R_map_first = Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix() * R_map_first;
+  Pose T_map_first = Pose::Identity();
+  T_map_first.linear() = R_map_first;
+
+  std::unordered_map<TrackId, LandmarkId> landmark_of;
+  for (const auto& point : start->points) landmark_of[point.track] = map.addLandmark(T_map_first * point.position);
+  for (BootstrapView& view : start->views) {
+    Keyframe keyframe;
+    keyframe.stamp = view.stamp;
+    keyframe.T_map_camera = T_map_first * view.T_first_camera;
+    for (const Feature& f : view.features) {
+      visual_frontend::Observation o;
+      const auto it = landmark_of.find(f.id);
+      if (it != landmark_of.end()) o.landmark = it->second;
+      o.track = f.id;
+      o.pixel = f.pixel;
+      o.normalized = f.normalized;
+      keyframe.observations.push_back(o);
+    }
+    keyframe.pyramid = std::move(view.pyramid);
+    if (up) {
+      keyframe.up_camera = keyframe.T_map_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+      keyframe.up_sigma = std::max(0.01, tilt);
+    }
+    insertKeyframe(std::move(keyframe));
+  }
+  track_landmark = landmark_of;
+  bootstrap.reset();
+  scale.reset(tilt);
+  scene_distance = 1;
+  velocity = (map.keyframe(map.lastKeyframe()).T_map_camera.translation() - T_map_first.translation()) / (last.stamp - first.stamp);
+  T_map_camera = map.keyframe(map.lastKeyframe()).T_map_camera;
+  located_stamp = -1;
+  state = OdometryState::kScaling;
+  reason = "metric scale is not known yet";
+  if (locate(false)) {
+    localized(false);
+    triangulateTracks(map.lastKeyframe());
+  } else {
+    startMap();
+    reason = "initialising: the first map did not hold";
+  }
+}
+
+bool Odometry::Impl::locate(bool gyro) {
+  std::vector<TrackId> tracks;
+  const auto points = correspondences(&tracks);
+  last_pose = PoseResult{};
+  if (static_cast<int>(points.size()) < settings.min_inliers) {
+    last_pose.reason = "only " + std::to_string(points.size()) + " landmarks in view";
+    return false;
+  }
+  visual_frontend::RansacSettings ransac;
+  ransac.seed = settings.seed;
+  ransac.min_inliers = settings.min_inliers / 2;
+  ransac.threshold = 4.0;
+  PoseResult start;
+  if (gyro) start = visual_frontend::ransacKnownRotation(points, T_map_camera.linear(), ransac);
+  if (!start.success || start.inlier_count < kMinInlierShare * static_cast<double>(points.size())) start = visual_frontend::ransacPose(points, ransac);
+  if (!start.success) {
+    last_pose = start;
+    return false;
+  }
+  visual_frontend::RefineSettings refine;
+  if (gyro) {
+    refine.R_map_camera_prior = T_map_camera.linear();
+    refine.rotation_prior_sigma = settings.gyro_prior_sigma;
+  }
+  last_pose = visual_frontend::refinePose(points, start.T_map_camera, refine);
+  if (!last_pose.success) return false;
+  if (last_pose.inlier_count < settings.min_inliers || last_pose.inlier_count < kMinInlierShare * static_cast<double>(points.size())) {
+    last_pose.success = false;
+    last_pose.reason = std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) + " landmarks agree on a pose";
+    return false;
+  }
+  T_map_camera = last_pose.T_map_camera;
+  std::vector<TrackId> wrong;
+  std::vector<double> depths;
+  const Pose T_camera_map = T_map_camera.inverse();
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
+    if (!last_pose.inliers[i]) wrong.push_back(tracks[i]);
+    else depths.push_back((T_camera_map * points[i].p_map).z());
+  }
+  tracker.remove(wrong);
+  for (const TrackId id : wrong) track_landmark.erase(id);
+  inliers = last_pose.inlier_count;
+  scene_distance = quantile(depths, 0.5);
+  depth_min = quantile(depths, 0.05);
+  depth_max = quantile(depths, 0.95);
+  return true;
+}
+
+void Odometry::Impl::localized(bool continuous) {
+  const bool known_before = continuous && located_stamp >= 0 && !records.empty();
+  if (known_before) {
+    const Pose T_map_previous = poseOfRecord(records.size() - 1);
+    const double dt = last_stamp - located_stamp;
+    velocity = (T_map_camera.translation() - T_map_previous.translation()) / dt;
+    Increment step;
+    step.previous_stamp = located_stamp;
+    step.T_previous_current = T_base_camera * T_map_previous.inverse() * T_map_camera * T_base_camera.inverse();
+    // Image noise of the two poses is independent; the map's error is common to both and drops out.
+    const Eigen::Matrix3d R = (T_map_previous * T_base_camera.inverse()).linear().transpose();
+    const Matrix6d sum = last_pose.covariance + previous_covariance;
+    step.covariance.topLeftCorner<3, 3>() = R * sum.topLeftCorner<3, 3>() * R.transpose();
+    step.covariance.block<3, 1>(0, 3) = R * sum.block<3, 1>(0, 5);
+    step.covariance.block<1, 3>(3, 0) = step.covariance.block<3, 1>(0, 3).transpose();
+    step.covariance(3, 3) = sum(5, 5);
+    increment = step;
+  } else {
+    velocity.setZero();
+  }
+  std::optional<Preintegration> motion;
+  if (known_before && settings.use_imu) {
+    const auto samples = samplesBetween(imu, located_stamp, last_stamp);
+    if (samples.size() >= 2) {
+      motion.emplace(settings.imu_noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
+      motion->integrate(samples);
+    }
+  }
+  previous_covariance = last_pose.covariance;
+  located_stamp = last_stamp;
+  if (settings.use_imu) scale.add(scaleMeasurement(T_map_camera, scene_distance), motion);
+  const KeyframeId reference = map.lastKeyframe();
+  records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance, motion});
+  if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
+
+  const bool keyframe = needsKeyframe();
+  if (settings.reobserve_matches > 0 && (keyframe || !continuous || records.size() % 2 == 0)) {
+    auto how = settings.reobservation;
+    how.max_matches = settings.reobserve_matches;
+    lookForOldLandmarks(how);
+  }
+  if (keyframe) addKeyframe();
+  if (!metric && settings.use_imu && scale.initialized() && scale.relativeStddev() < settings.metric_stddev &&
+      map.keyframeCount() >= settings.min_metric_keyframes)
+    makeMetric();
+  if (metric && last_stamp >= next_full && made_keyframe) adjustFully();
+  T_map_camera = poseOfRecord(records.size() - 1);
+  state = metric ? OdometryState::kTracking : OdometryState::kScaling;
+  reason = metric ? "" : settings.use_imu ? "metric scale is not known yet" : "no IMU: the scale stays unknown";
+}
+
+void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSettings& how) {
+  std::vector<LandmarkId> tracked;
+  std::vector<Eigen::Vector2d> occupied;
+  for (const Feature& f : tracker.features()) {
+    const auto id = landmarkOf(f.id);
+    if (id) tracked.push_back(*id);
+    occupied.push_back(f.pixel);
+  }
+  std::sort(tracked.begin(), tracked.end());
+  std::vector<LandmarkId> candidates;
+  for (const LandmarkId id : map.landmarksOf(map.nearestKeyframes(T_map_camera, 8, scene_distance)))
+    if (!std::binary_search(tracked.begin(), tracked.end(), id)) candidates.push_back(id);
+  reobserved = 0;
+  for (const auto& match : visual_frontend::reobserve(map, camera, tracker.pyramid(), T_map_camera, candidates, occupied, how)) {
+    const TrackId track = tracker.addFeature(match.pixel);
+    if (track == visual_frontend::kNoTrack) continue;
+    track_landmark[track] = match.landmark;
+    ++reobserved;
+  }
+}
+
+bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
+  if (map.keyframeCount() == 0) return false;
+  ++frames_lost;
+  if (tracker.features().size() < 0.5 * settings.tracker.max_features) tracker.replenish();
+  // Near the last pose the landmarks' patches are enough; elsewhere the image is recognised by its ORB features.
+  if (frames_lost <= 10 && last_stamp - located_stamp < 0.7) {
+    if (gyro && frames_lost > 1) T_map_camera.linear() = T_map_camera.linear() * *R_previous_current;
+    auto wide = settings.reobservation;
+    wide.search_radius = 25;
+    lookForOldLandmarks(wide);
+    if (locate(gyro)) return true;
+  }
+  if ((frames_lost - 1) % static_cast<int>(kPlaceEvery) != 0) return false;
+  Keyframe query;
+  query.stamp = last_stamp;
+  visual_frontend::describeKeyframe(gray, camera, settings.place, query);
+  std::vector<KeyframeId> places;
+  for (const auto& entry : map.keyframes()) places.push_back(entry.first);
+  const auto match = visual_frontend::recognizePlace(map, camera, query, places, settings.place);
+  if (!match.success) return false;
+  T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
+  for (const Feature& f : tracker.features()) track_landmark.erase(f.id);
+  tracker.reset();
+  tracker.track(gray);
+  auto wide = settings.reobservation;
+  wide.search_radius = 15;
+  lookForOldLandmarks(wide);
+  const bool found = locate(false);
+  tracker.replenish();
+  return found;
+}
+
+// Error of the pose in the map: image noise, and what the map's scale leaves open, which grows from the map's origin.
+Matrix6d Odometry::Impl::mapCovariance(const Matrix6d& camera_covariance) const {
+  Matrix6d C = camera_covariance;
+  const double relative = metric && scale.initialized() ? scale.relativeStddev() : 0.0;
+  const Eigen::Vector3d p = T_map_camera.translation();
+  C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
+  C.diagonal().array() += 1e-10;
+  return C;
+}
+
+void Odometry::Impl::fillResult(FrameResult* result) const {
+  result->state = state;
+  result->reason = reason;
+  result->metric = metric;
+  result->map_id = map_id;
+  result->keyframe = made_keyframe;
+  result->keyframes = map.keyframeCount();
+  result->landmarks = map.landmarkCount();
+  result->increment = increment;
+  result->scale = scale.initialized() ? scale.scale() : 1.0;
+  result->scale_stddev = scale.scaleStddev();
+  result->pose_valid = located_stamp >= 0 && located_stamp == result->stamp && last_pose.success;
+  if (!result->pose_valid) return;
+  result->inliers = inliers;
+  result->depth_min = depth_min;
+  result->depth_max = depth_max;
+  result->T_map_camera = T_map_camera;
+  result->camera_covariance = mapCovariance(last_pose.covariance);
+  // In the visual unit the lever arm between camera and base_link is not known: the base is put at the camera.
+  Pose T_camera_base = T_base_camera.inverse();
+  if (!metric) T_camera_base.translation() *= scale.initialized() ? 1.0 / scale.scale() : 0.0;
+  result->T_map_base = T_map_camera * T_camera_base;
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(T_map_camera.linear() * T_camera_base.translation());
+  result->covariance = J * result->camera_covariance * J.transpose();
+  if (metric && scale.initialized()) result->velocity = scale.state().v;
+}
+
+Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings)
+    : impl_(std::make_unique<Impl>(camera, T_base_camera, T_base_imu, settings)) {}
+
+Odometry::~Odometry() = default;
+
+bool Odometry::addImu(const ImuSample& sample) {
+  if (!impl_->imu.add(sample)) return false;
+  impl_->attitude.add(sample);
+  return true;
+}
+
+FrameResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
+void Odometry::reset() { impl_->reset(); }
+const visual_frontend::Map& Odometry::map() const { return impl_->map; }
+const std::vector<Feature>& Odometry::features() const { return impl_->tracker.features(); }
+bool Odometry::metric() const { return impl_->metric; }
+std::uint32_t Odometry::mapId() const { return impl_->map_id; }
+void Odometry::finish() { impl_->adoptFinished(true); }
+
+std::vector<bool> Odometry::mappedFeatures() const {
+  std::vector<bool> mapped;
+  for (const Feature& f : impl_->tracker.features()) mapped.push_back(impl_->landmarkOf(f.id).has_value());
+  return mapped;
+}
+
+air_ground_common::Trajectory Odometry::trajectory() const {
+  air_ground_common::Trajectory trajectory;
+  for (std::size_t i = 0; i < impl_->records.size(); ++i) trajectory.push_back({impl_->records[i].stamp, impl_->poseOfRecord(i)});
+  return trajectory;
+}
+
+}  // namespace mav_vo

@@ -1,0 +1,115 @@
+// State of the odometry, shared by odometry.cpp (images to poses) and odometry_mapping.cpp (keyframes, map, scale).
+#pragma once
+
+#include <future>
+#include <unordered_map>
+
+#include "bundle_job.h"
+#include "mav_vo/odometry.h"
+#include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/pose_solver.h"
+
+namespace mav_vo {
+
+using visual_frontend::Feature;
+using visual_frontend::Keyframe;
+using visual_frontend::KeyframeId;
+using visual_frontend::LandmarkId;
+using visual_frontend::LandmarkObservation;
+using visual_frontend::PoseCorrespondence;
+using visual_frontend::PoseResult;
+using visual_frontend::TrackId;
+
+struct Odometry::Impl {
+  Impl(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings);
+
+  // odometry.cpp: one image
+  FrameResult process(double stamp, const cv::Mat& gray);
+  void startMap();                    ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
+  void reset();
+  void watchRest(double stamp);
+  void initialize(const std::optional<Eigen::Matrix3d>& R_previous_current);
+  bool locate(bool gyro);             ///< pose of the current image from tracked landmarks
+  bool relocalize(const cv::Mat& gray, bool gyro);
+  void localized(bool continuous);    ///< bookkeeping after a pose was found
+  void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
+  std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* tracks) const;
+  std::optional<LandmarkId> landmarkOf(TrackId track) const;
+  void fillResult(FrameResult* result) const;
+  Matrix6d mapCovariance(const Matrix6d& camera_covariance) const;
+
+  // odometry_mapping.cpp
+  bool needsKeyframe() const;
+  void addKeyframe();
+  void insertKeyframe(Keyframe keyframe);  ///< with its inertial link
+  void triangulateTracks(KeyframeId id);
+  void adjustLocally();
+  void adjustFully();
+  void run(BundleJob job);
+  void adopt(const BundleJob& job);
+  void adoptFinished(bool wait);
+  ScaleMeasurement scaleMeasurement(const Pose& T_map_camera, double distance) const;
+  void rerunScale();                  ///< over the recent images, as the adjusted map places them
+  void makeMetric();
+  void transformMap(const air_ground_common::Similarity& S_new_old);
+  Pose poseOfRecord(std::size_t i) const;
+  double sigma() const { return settings.pixel_sigma / (0.5 * (camera.fx + camera.fy)); }
+
+  CameraModel camera;
+  Pose T_base_camera, T_camera_imu;
+  OdometrySettings settings;
+
+  visual_frontend::FeatureTracker tracker;
+  Bootstrap bootstrap;
+  ScaleFilter scale;
+  visual_frontend::ImuBuffer imu{12.0};
+  visual_frontend::AttitudeFilter attitude;
+  ImuBias bias;
+  bool gyro_bias_known = false;
+  std::optional<Eigen::Vector3d> up_imu;  ///< against gravity, IMU frame, at last_stamp
+  double up_sigma = 0.1;                  ///< [rad]
+  double still_since = -1;                ///< the image has not moved since [s]; negative: it moves
+
+  visual_frontend::Map map;
+  InertialMap inertial;
+  std::unordered_map<TrackId, LandmarkId> track_landmark;
+  std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark
+
+  OdometryState state = OdometryState::kWaiting;
+  std::string reason = "no image yet";
+  std::uint32_t map_id = 1;
+  bool metric = false;
+  double metric_since = 0;
+  double next_full = 0, full_interval = 0;
+
+  double last_stamp = -1;               ///< of the last image [s]
+  double located_stamp = -1;            ///< of the last localised one [s]
+  Pose T_map_camera = Pose::Identity(); ///< at located_stamp
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< of the camera in the map [unit/s], constant-velocity prediction
+  PoseResult last_pose;
+  Matrix6d previous_covariance = Matrix6d::Zero();
+  double lost_since = 0;
+  int frames_lost = 0;
+  double scene_distance = 1;
+  int keyframe_landmarks = 0;           ///< tracked landmarks when the last keyframe was made
+  int inliers = 0;
+  int reobserved = 0;
+  double depth_min = 0, depth_max = 0;
+  std::optional<Increment> increment;
+  bool made_keyframe = false;
+  std::optional<Eigen::Matrix3d> R_previous_current;  ///< of the camera, from the gyro
+
+  struct FrameRecord {
+    double stamp = 0;
+    KeyframeId reference = visual_frontend::kNoKeyframe;
+    Pose T_reference_camera = Pose::Identity();
+    double scene_distance = 1;
+    std::optional<Preintegration> motion;  ///< since the record before; kept for the recent ones
+  };
+  std::vector<FrameRecord> records;
+
+  std::future<BundleJob> running;
+  const cv::Mat* image = nullptr;       ///< the one being processed
+};
+
+}  // namespace mav_vo

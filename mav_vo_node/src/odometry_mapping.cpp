@@ -1,0 +1,318 @@
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "odometry_impl.h"
+#include "visual_frontend/triangulation.h"
+
+namespace mav_vo {
+
+namespace {
+
+constexpr double kMovingShare = 0.01;      // of the scene's distance; below, the vehicle hovers
+constexpr double kHoverInterval = 3.0;     // keyframes while hovering, so that inertial links stay short [s]
+constexpr double kRestBiasSigma = 1e-3;    // of a gyro bias measured at rest [rad/s]
+constexpr double kAdjustedTilt = 0.005;    // of the map's z axis after an inertial adjustment [rad]
+constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
+constexpr double kScaleHistory = 3.0;      // images from so long before the map became metric are judged too [s]
+constexpr int kMinShared = 8;              // landmarks that make an older keyframe hold the window
+
+}  // namespace
+
+Pose Odometry::Impl::poseOfRecord(std::size_t i) const {
+  return map.keyframe(records[i].reference).T_map_camera * records[i].T_reference_camera;
+}
+
+bool Odometry::Impl::needsKeyframe() const {
+  const Keyframe& last = map.keyframe(map.lastKeyframe());
+  const double elapsed = last_stamp - last.stamp;
+  const double distance = (T_map_camera.translation() - last.T_map_camera.translation()).norm() / scene_distance;
+  if (distance > settings.keyframe_distance) return true;
+  if (air_ground_common::rotationAngle(last.T_map_camera.linear(), T_map_camera.linear()) > settings.keyframe_angle) return true;
+  if (keyframe_landmarks > 0 && inliers < settings.keyframe_overlap * keyframe_landmarks) return true;
+  if (elapsed > settings.keyframe_max_interval && distance > kMovingShare) return true;
+  return elapsed > kHoverInterval;
+}
+
+void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
+  const double stamp = keyframe.stamp;
+  const KeyframeId previous = map.lastKeyframe();
+  std::optional<Preintegration> motion;
+  if (settings.use_imu && previous != visual_frontend::kNoKeyframe) {
+    const auto samples = samplesBetween(imu, map.keyframe(previous).stamp, stamp);
+    if (samples.size() >= 2) {
+      motion.emplace(settings.imu_noise, bias);
+      motion->integrate(samples);
+    }
+  }
+  const KeyframeId id = map.addKeyframe(std::move(keyframe));
+  for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
+    const auto& o = map.keyframe(id).observations[i];
+    if (o.landmark == visual_frontend::kNoLandmark) track_views[o.track].push_back({id, i});
+  }
+  InertialState state_here;
+  state_here.bias = bias;
+  if (motion) {
+    inertial.links.emplace(id, *motion);
+    if (metric) {
+      const InertialState& before = inertial.states.at(previous);
+      const Eigen::Matrix3d R = map.keyframe(previous).T_map_camera.linear() * T_camera_imu.linear();
+      state_here.velocity = before.velocity + Eigen::Vector3d(0, 0, -kGravity) * motion->duration() + R * motion->velocity(before.bias);
+      state_here.bias = before.bias;
+    }
+  } else if (metric && scale.initialized()) {
+    state_here.velocity = scale.state().v;
+  }
+  inertial.states[id] = state_here;
+}
+
+void Odometry::Impl::addKeyframe() {
+  Keyframe keyframe;
+  keyframe.stamp = last_stamp;
+  keyframe.T_map_camera = T_map_camera;
+  int landmarks = 0;
+  for (const Feature& f : tracker.features()) {
+    visual_frontend::Observation o;
+    if (const auto id = landmarkOf(f.id)) {
+      o.landmark = *id;
+      ++landmarks;
+    }
+    o.track = f.id;
+    o.pixel = f.pixel;
+    o.normalized = f.normalized;
+    keyframe.observations.push_back(o);
+  }
+  for (const cv::Mat& level : tracker.pyramid()) keyframe.pyramid.push_back(level.clone());
+  visual_frontend::describeKeyframe(*image, camera, settings.place, keyframe);
+  if (!metric && up_imu) {
+    keyframe.up_camera = T_camera_imu.linear() * *up_imu;
+    keyframe.up_sigma = std::max(0.02, up_sigma);
+  }
+  insertKeyframe(std::move(keyframe));
+  const KeyframeId id = map.lastKeyframe();
+  records.back().reference = id;
+  records.back().T_reference_camera.setIdentity();
+  triangulateTracks(id);
+  tracker.replenish();
+  adjustLocally();
+  keyframe_landmarks = 0;
+  for (const auto& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != visual_frontend::kNoLandmark;
+  made_keyframe = true;
+}
+
+void Odometry::Impl::triangulateTracks(KeyframeId id) {
+  visual_frontend::TriangulationSettings how;
+  how.min_parallax = settings.triangulation_parallax;
+  how.min_depth = 0.1 * scene_distance;
+  how.max_depth = 20 * scene_distance;
+  for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
+    const auto observation = map.keyframe(id).observations[i];
+    if (observation.landmark != visual_frontend::kNoLandmark) continue;
+    const auto seen = track_views.find(observation.track);
+    if (seen == track_views.end() || seen->second.size() < 2) continue;
+    std::vector<visual_frontend::ViewRay> rays;
+    for (const LandmarkObservation& o : seen->second) {
+      const Keyframe& keyframe = map.keyframe(o.keyframe);
+      rays.push_back({keyframe.T_map_camera, keyframe.observations[o.index].normalized, sigma(), 0, 0});
+    }
+    const auto point = visual_frontend::triangulate(rays, how);
+    if (!point.ok()) {
+      if (point.status == visual_frontend::TriangulationStatus::kLargeResidual || point.status == visual_frontend::TriangulationStatus::kBehindCamera) {
+        tracker.remove({observation.track});
+        track_views.erase(seen);
+      }
+      continue;
+    }
+    const LandmarkId landmark = map.addLandmark(point.p_map);
+    for (const LandmarkObservation& o : seen->second) map.connect(o.keyframe, o.index, landmark);
+    track_landmark[observation.track] = landmark;
+    track_views.erase(seen);
+  }
+  // Views of tracks that have ended are of no further use.
+  std::unordered_map<TrackId, std::vector<LandmarkObservation>> living;
+  for (const Feature& f : tracker.features()) {
+    const auto it = track_views.find(f.id);
+    if (it != track_views.end()) living.insert(std::move(*it));
+  }
+  track_views = std::move(living);
+  std::unordered_map<TrackId, LandmarkId> mapped;
+  for (const Feature& f : tracker.features())
+    if (const auto known = landmarkOf(f.id)) mapped[f.id] = *known;
+  track_landmark = std::move(mapped);
+}
+
+void Odometry::Impl::adjustLocally() {
+  std::vector<KeyframeId> free, fixed;
+  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
+    if (static_cast<int>(free.size()) < settings.window) {
+      free.push_back(it->first);
+    } else {
+      fixed.push_back(it->first);  // where the window's inertial chain begins
+      break;
+    }
+  }
+  std::sort(free.begin(), free.end());
+  for (const auto& other : map.observers(map.landmarksOf(free), kMinShared)) {
+    if (static_cast<int>(fixed.size()) > settings.window_fixed) break;
+    if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front())) fixed.push_back(other.keyframe);
+  }
+  BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), metric, T_camera_imu);
+  if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
+  job.settings.max_iterations = settings.local_iterations;
+  job.settings.threads = settings.bundle_threads;
+  job.settings.max_seconds = 10;
+  run(std::move(job));
+}
+
+void Odometry::Impl::adjustFully() {
+  std::vector<KeyframeId> free, fixed;
+  for (const auto& entry : map.keyframes()) free.push_back(entry.first);
+  if (static_cast<int>(free.size()) > settings.full_max_keyframes) {
+    const auto first = free.end() - settings.full_max_keyframes;
+    fixed.assign(free.begin(), first);
+    free.erase(free.begin(), first);
+  }
+  BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), true, T_camera_imu);
+  job.full = true;
+  if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
+  job.settings.max_iterations = settings.full_iterations;
+  job.settings.threads = settings.bundle_threads;
+  job.settings.max_seconds = 20;
+  next_full = last_stamp + full_interval;
+  full_interval = std::min(2 * full_interval, 4 * settings.full_interval);
+  run(std::move(job));
+}
+
+void Odometry::Impl::run(BundleJob job) {
+  if (settings.synchronous) {
+    job.solve();
+    adopt(job);
+    return;
+  }
+  // A thread that is still at work keeps its task; what this one would have done comes with the next keyframe.
+  if (running.valid()) {
+    if (job.full) next_full = last_stamp;
+    return;
+  }
+  running = std::async(std::launch::async, [job = std::move(job)]() mutable {
+    job.solve();
+    return std::move(job);
+  });
+}
+
+void Odometry::Impl::adoptFinished(bool wait) {
+  if (!running.valid()) return;
+  if (!wait && running.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+  adopt(running.get());
+  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
+}
+
+void Odometry::Impl::adopt(const BundleJob& job) {
+  if (!job.usable || job.problem.metric != metric) return;
+  applyBundleJob(job, map, inertial);
+  const auto newest = inertial.states.rbegin();
+  if (newest != inertial.states.rend() && settings.use_imu) bias.gyro = newest->second.bias.gyro;
+  if (!metric) return;
+  bias.accel = newest->second.bias.accel;
+  if (job.full) rerunScale();
+}
+
+ScaleMeasurement Odometry::Impl::scaleMeasurement(const Pose& T, double distance) const {
+  ScaleMeasurement measurement;
+  measurement.p_map_camera = T.translation();
+  measurement.R_map_imu = T.linear() * T_camera_imu.linear();
+  measurement.p_imu_camera = T_camera_imu.inverse().translation();
+  measurement.scene_distance = distance;
+  return measurement;
+}
+
+// The filter saw the images before the map was adjusted: what it says about the scale holds for the map as it is now only when it
+// sees them again.
+void Odometry::Impl::rerunScale() {
+  std::size_t i = 0;
+  while (i < records.size() && (i + 1 >= records.size() || !records[i + 1].motion || !records[i].T_reference_camera.matrix().isIdentity(1e-12) ||
+                                records[i].stamp < metric_since - kScaleHistory))
+    ++i;
+  if (i >= records.size()) return;
+  scale.reset(kAdjustedTilt);
+  const InertialState& start = inertial.states.at(records[i].reference);
+  scale.startAt(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), start.velocity, start.bias.accel, kRestartScaleStddev);
+  for (++i; i < records.size(); ++i) scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), records[i].motion);
+}
+
+void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
+  map.transform(S);
+  for (auto& record : records) {
+    record.T_reference_camera.translation() *= S.scale;
+    record.scene_distance *= S.scale;
+  }
+  scale.transform(S);
+  velocity = S.scale * (S.R * velocity);
+  scene_distance *= S.scale;
+  depth_min *= S.scale;
+  depth_max *= S.scale;
+  for (auto* covariance : {&last_pose.covariance, &previous_covariance}) {
+    Matrix6d J = Matrix6d::Zero();
+    J.topLeftCorner<3, 3>() = S.scale * S.R;
+    J.bottomRightCorner<3, 3>() = S.R;
+    *covariance = (J * *covariance * J.transpose()).eval();
+  }
+  if (increment) {
+    // Camera moves by the scaled step; the base's lever arm is metric already once the map is.
+    const Pose step = T_base_camera.inverse() * increment->T_previous_current * T_base_camera;
+    Pose scaled = step;
+    scaled.translation() *= S.scale;
+    increment->T_previous_current = T_base_camera * scaled * T_base_camera.inverse();
+    increment->covariance.topLeftCorner<3, 3>() *= S.scale * S.scale;
+    increment->covariance.block<3, 1>(0, 3) *= S.scale;
+    increment->covariance.block<1, 3>(3, 0) *= S.scale;
+  }
+}
+
+void Odometry::Impl::makeMetric() {
+  adoptFinished(true);
+  const auto& estimate = scale.state();
+  const Eigen::Vector3d up(-estimate.gravity_xy.x(), -estimate.gravity_xy.y(), kGravity);
+  air_ground_common::Similarity S;
+  S.scale = estimate.scale;
+  S.R = air_ground_common::levelingRotation(up);
+  const Pose& first = map.keyframes().begin()->second.T_map_camera;
+  // Origin and heading 0 at the base_link of the first keyframe.
+  const double yaw = air_ground_common::yawOf(S.R * first.linear() * T_base_camera.linear().transpose());
+  S.R = (Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()) * S.R).eval();
+  const Eigen::Vector3d p_first_base = T_base_camera.inverse().translation();
+  S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_first_base);
+  const Eigen::Vector3d accel_bias = estimate.accel_bias;
+  transformMap(S);
+  metric = true;
+  metric_since = last_stamp;
+  bias.accel = accel_bias;
+
+  // Velocities from the positions and the inertial motion between them.
+  for (auto it = map.keyframes().begin(); it != map.keyframes().end(); ++it) {
+    InertialState& here = inertial.states[it->first];
+    here.bias.accel = bias.accel;
+    const auto next = std::next(it);
+    const auto link = next == map.keyframes().end() ? inertial.links.end() : inertial.links.find(next->first);
+    const Eigen::Vector3d g(0, 0, -kGravity);
+    if (link != inertial.links.end()) {
+      const Preintegration& motion = link->second;
+      const double dt = motion.duration();
+      const Pose T_a = it->second.T_map_camera * T_camera_imu, T_b = next->second.T_map_camera * T_camera_imu;
+      here.velocity = (T_b.translation() - T_a.translation() - 0.5 * dt * dt * g - T_a.linear() * motion.position(here.bias)) / dt;
+    } else if (it != map.keyframes().begin() && inertial.links.count(it->first)) {
+      const auto previous = std::prev(it);
+      const Preintegration& motion = inertial.links.at(it->first);
+      here.velocity = inertial.states[previous->first].velocity + g * motion.duration() +
+                      previous->second.T_map_camera.linear() * T_camera_imu.linear() * motion.velocity(here.bias);
+    }
+  }
+  for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
+  full_interval = settings.full_interval / 2;
+  adjustFully();
+  adoptFinished(true);
+  full_interval = settings.full_interval / 2;
+  next_full = last_stamp + full_interval;
+}
+
+}  // namespace mav_vo

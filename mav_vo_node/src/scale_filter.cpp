@@ -1,0 +1,283 @@
+#include "mav_vo/scale_filter.h"
+
+#include <Eigen/Cholesky>
+#include <cmath>
+#include <limits>
+
+namespace mav_vo {
+
+namespace {
+
+constexpr int kP = 0, kV = 3, kB = 6, kG = 9, kS = 11;
+constexpr int kMaxRejectedInARow = 10;
+constexpr double kMapVelocityStddev = 0.05;  // of a velocity taken from bundle adjustment [m/s]
+constexpr double kDiffuseRatio = 30.0;  // standard deviation of the scale before the start, against the scale itself
+
+using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
+using MeasurementMatrix = Eigen::Matrix<double, 3, ScaleFilter::kStates>;
+
+/// Correction K * innovation for isotropic measurement noise; P becomes the posterior (Joseph form).
+ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, double sigma, ScaleFilter::Covariance* P) {
+  const Eigen::Matrix3d S = H * *P * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
+  const Eigen::Matrix<double, ScaleFilter::kStates, 3> K = S.ldlt().solve(H * *P).transpose();
+  const ScaleFilter::Covariance A = ScaleFilter::Covariance::Identity() - K * H;
+  *P = (A * *P * A.transpose() + K * K.transpose() * sigma * sigma).eval();
+  return K * innovation;
+}
+
+/// All of the error but the scale, which the linear and the logarithmic form treat differently.
+void addError(const ErrorVector& error, ScaleFilter::State* state) {
+  state->p += error.segment<3>(kP);
+  state->v += error.segment<3>(kV);
+  state->accel_bias += error.segment<3>(kB);
+  state->gravity_xy += error.segment<2>(kG);
+}
+
+Eigen::Vector3d lever(const ScaleMeasurement& m) { return m.R_map_imu * m.p_imu_camera; }
+
+/// Visual position of the camera: exp(-L) (p + R l).
+Eigen::Vector3d predictedVisual(const ScaleFilter::State& state, const ScaleMeasurement& m) { return (state.p + lever(m)) / state.scale; }
+
+/// Its derivative by the error.
+MeasurementMatrix measurementMatrix(const ScaleFilter::State& state, const ScaleMeasurement& m) {
+  MeasurementMatrix H = MeasurementMatrix::Zero();
+  H.block<3, 3>(0, kP) = Eigen::Matrix3d::Identity() / state.scale;
+  H.col(kS) = -predictedVisual(state, m);
+  return H;
+}
+
+}  // namespace
+
+ScaleFilter::ScaleFilter(const ScaleFilterSettings& settings, const ImuNoise& noise, double tilt_stddev)
+    : settings_(settings), noise_(noise), tilt_stddev_(tilt_stddev) {
+  noise_.validate();
+}
+
+void ScaleFilter::reset(double tilt_stddev) {
+  tilt_stddev_ = tilt_stddev;
+  window_.clear();
+  initialized_ = false;
+  state_ = State{};
+  P_.setZero();
+  rejected_in_a_row_ = 0;
+  frames_waited_ = 0;
+}
+
+void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias, double scale_stddev) {
+  state_ = State{};
+  state_.p = m.p_map_camera - lever(m);
+  state_.v = velocity;
+  state_.accel_bias = accel_bias;
+  P_ = priorCovariance(m.p_map_camera, scale_stddev, settings_.position_stddev * m.scene_distance);
+  // The velocity comes from the map, so it is as uncertain as the map's scale.
+  P_.diagonal().segment<3>(kV).setConstant(kMapVelocityStddev * kMapVelocityStddev);
+  const double map_speed = scale_stddev * velocity.norm();
+  P_.diagonal().segment<3>(kV).array() += map_speed * map_speed;
+  window_.clear();
+  R_before_ = m.R_map_imu;
+  rejected_in_a_row_ = 0;
+  initialized_ = true;
+}
+
+double ScaleFilter::relativeStddev() const {
+  return initialized_ ? std::sqrt(P_(kS, kS)) : std::numeric_limits<double>::infinity();
+}
+
+double ScaleFilter::scaleStddev() const { return initialized_ ? state_.scale * relativeStddev() : relativeStddev(); }
+
+ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const {
+  Covariance P = Covariance::Zero();
+  P.diagonal().segment<3>(kV).setConstant(settings_.velocity_stddev * settings_.velocity_stddev);
+  P.diagonal().segment<3>(kB).setConstant(settings_.accel_bias_stddev * settings_.accel_bias_stddev);
+  P.diagonal().segment<2>(kG).setConstant(kGravity * kGravity * tilt_stddev_ * tilt_stddev_);
+  // The first position is the visual one times the unknown scale.
+  P(kS, kS) = scale_stddev * scale_stddev;
+  P.block<3, 1>(kP, kS) = dp_dscale * P(kS, kS);
+  P.block<1, 3>(kS, kP) = P.block<3, 1>(kP, kS).transpose();
+  P.block<3, 3>(kP, kP) = dp_dscale * dp_dscale.transpose() * P(kS, kS) + Eigen::Matrix3d::Identity() * position_stddev * position_stddev;
+  return P;
+}
+
+void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out, Covariance* Q_out) const {
+  const double dt = motion.duration();
+  const Eigen::Vector3d gravity(state->gravity_xy.x(), state->gravity_xy.y(), -kGravity);
+  // Rotation comes from vision, so the deltas use the gyro bias they were integrated at.
+  const ImuBias bias{motion.bias().gyro, state->accel_bias};
+  state->p += state->v * dt + 0.5 * dt * dt * gravity + R * motion.position(bias);
+  state->v += gravity * dt + R * motion.velocity(bias);
+
+  Covariance& F = *F_out;
+  F.setIdentity();
+  F.block<3, 3>(kP, kV) = Eigen::Matrix3d::Identity() * dt;
+  F.block<3, 3>(kP, kB) = R * motion.biasJacobian().block<3, 3>(6, 3);
+  F.block<3, 3>(kV, kB) = R * motion.biasJacobian().block<3, 3>(3, 3);
+  F.block<2, 2>(kP, kG) = Eigen::Matrix2d::Identity() * 0.5 * dt * dt;
+  F.block<2, 2>(kV, kG) = Eigen::Matrix2d::Identity() * dt;
+  Covariance& Q = *Q_out;
+  Q.setZero();
+  const auto& C = motion.covariance();
+  Q.block<3, 3>(kV, kV) = R * C.block<3, 3>(3, 3) * R.transpose();
+  Q.block<3, 3>(kV, kP) = R * C.block<3, 3>(3, 6) * R.transpose();
+  Q.block<3, 3>(kP, kV) = R * C.block<3, 3>(6, 3) * R.transpose();
+  Q.block<3, 3>(kP, kP) = R * C.block<3, 3>(6, 6) * R.transpose();
+  Q.diagonal().segment<3>(kP).array() += settings_.position_drift * settings_.position_drift * dt;
+  Q.diagonal().segment<3>(kB).setConstant(noise_.accel_bias_walk * noise_.accel_bias_walk * dt);
+  const double gravity_walk = kGravity * settings_.rotation_walk;
+  Q.diagonal().segment<2>(kG).setConstant(gravity_walk * gravity_walk * dt);
+  Q(kS, kS) = settings_.scale_drift * settings_.scale_drift * dt;
+}
+
+void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<Preintegration>& motion) {
+  if (!measurement.p_map_camera.allFinite() || !measurement.R_map_imu.allFinite() || !(measurement.scene_distance > 0)) return;
+  if (initialized_) {
+    if (motion) {
+      Covariance F, Q;
+      propagate(*motion, R_before_, &state_, &F, &Q);
+      P_ = F * P_ * F.transpose() + Q;
+      update(measurement);
+    } else {
+      restartMotion(measurement);
+    }
+    R_before_ = measurement.R_map_imu;
+    return;
+  }
+  if (!motion) window_.clear();
+  window_.push_back({measurement, motion});
+  double duration = 0;
+  for (std::size_t i = 1; i < window_.size(); ++i) duration += window_[i].motion->duration();
+  while (window_.size() > 2 && duration - window_[1].motion->duration() > settings_.max_start_duration) {
+    duration -= window_[1].motion->duration();
+    window_.pop_front();
+  }
+  // The start solves the whole window, so it is tried at every fifth frame only.
+  if (duration < settings_.min_start_duration || ++frames_waited_ % 5 != 0 || !start()) return;
+  initialized_ = true;
+  R_before_ = measurement.R_map_imu;
+  window_.clear();
+}
+
+std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
+  // Two passes: the second knows the scale with which the visual noise becomes metric.
+  double guess = 1.0;
+  State state;
+  for (int pass = 0; pass < 2; ++pass) {
+    const ScaleMeasurement& first = window_.front().measurement;
+    state = State{};
+    state.scale = guess;
+    state.p = guess * first.p_map_camera - lever(first);
+    Covariance P = priorCovariance(first.p_map_camera, kDiffuseRatio * guess, settings_.position_stddev * first.scene_distance * guess);
+    for (std::size_t i = 1; i < window_.size(); ++i) {
+      const ScaleMeasurement& m = window_[i].measurement;
+      Covariance F, Q;
+      propagate(*window_[i].motion, window_[i - 1].measurement.R_map_imu, &state, &F, &Q);
+      P = F * P * F.transpose() + Q;
+      MeasurementMatrix H = MeasurementMatrix::Zero();
+      H.block<3, 3>(0, kP) = -Eigen::Matrix3d::Identity();
+      H.col(kS) = m.p_map_camera;
+      const ErrorVector dx = kalmanUpdate(H, state.p + lever(m) - state.scale * m.p_map_camera, settings_.position_stddev * m.scene_distance * guess, &P);
+      addError(dx, &state);
+      state.scale += dx(kS);
+    }
+    if (!(state.scale > 0) || !std::isfinite(state.scale)) return std::nullopt;
+    guess = state.scale;
+  }
+  return state;
+}
+
+bool ScaleFilter::start() {
+  const std::optional<State> linear = linearSolution();
+  if (!linear) return false;
+  // The linear solution is biased (its regressor p_visual is noisy): Gauss-Newton about the trajectory it predicts.
+  State solution = *linear;
+  Covariance P;
+  for (int pass = 0; pass < 3; ++pass) {
+    const ScaleMeasurement& first = window_.front().measurement;
+    State nominal = solution;
+    nominal.p = solution.scale * first.p_map_camera - lever(first);
+    const Eigen::Vector3d gravity(nominal.gravity_xy.x(), nominal.gravity_xy.y(), -kGravity);
+    for (std::size_t i = 1; i < window_.size(); ++i) {
+      const Preintegration& motion = *window_[i].motion;
+      const ImuBias bias{motion.bias().gyro, nominal.accel_bias};
+      nominal.v -= gravity * motion.duration() + window_[i - 1].measurement.R_map_imu * motion.velocity(bias);
+    }
+    P = priorCovariance(solution.scale * first.p_map_camera, kDiffuseRatio, settings_.position_stddev * first.scene_distance * nominal.scale);
+    ErrorVector error = ErrorVector::Zero();  // mean of the error about the nominal state; the prior means are zero
+    error.segment<3>(kV) = -nominal.v;
+    error.segment<3>(kB) = -nominal.accel_bias;
+    error.segment<2>(kG) = -nominal.gravity_xy;
+    for (std::size_t i = 1; i < window_.size(); ++i) {
+      const ScaleMeasurement& m = window_[i].measurement;
+      Covariance F, Q;
+      propagate(*window_[i].motion, window_[i - 1].measurement.R_map_imu, &nominal, &F, &Q);
+      error = F * error;
+      P = F * P * F.transpose() + Q;
+      const MeasurementMatrix H = measurementMatrix(nominal, m);
+      const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(nominal, m) - H * error;
+      error += kalmanUpdate(H, innovation, settings_.position_stddev * m.scene_distance, &P);
+    }
+    if (!error.allFinite() || std::abs(error(kS)) > 1.0) return false;
+    addError(error, &nominal);
+    nominal.scale *= std::exp(error(kS));
+    solution = nominal;
+  }
+  if (std::sqrt(P(kS, kS)) > settings_.start_relative_stddev) return false;
+  state_ = solution;
+  P_ = P;
+  return true;
+}
+
+void ScaleFilter::update(const ScaleMeasurement& m) {
+  const MeasurementMatrix H = measurementMatrix(state_, m);
+  const double sigma = settings_.position_stddev * m.scene_distance;
+  const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(state_, m);
+  const Eigen::Matrix3d S = H * P_ * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
+  last_nis_ = innovation.dot(S.ldlt().solve(innovation));
+  if (!(last_nis_ < settings_.gate)) {
+    ++rejected_;
+    // A jump of the visual map (relocalisation) shows as a row of rejections: accept the new place, keep the scale.
+    if (++rejected_in_a_row_ >= kMaxRejectedInARow) {
+      rejected_in_a_row_ = 0;
+      restartMotion(m);
+    }
+    return;
+  }
+  rejected_in_a_row_ = 0;
+  const ErrorVector dx = kalmanUpdate(H, innovation, sigma, &P_);
+  addError(dx, &state_);
+  state_.scale *= std::exp(dx(kS));
+}
+
+void ScaleFilter::restartMotion(const ScaleMeasurement& m) {
+  // The new position is the scale times the visual one, so it inherits the scale's correlations.
+  const double sigma = settings_.position_stddev * m.scene_distance * state_.scale;
+  const Eigen::Vector3d camera = state_.scale * m.p_map_camera;
+  state_.p = camera - lever(m);
+  state_.v.setZero();
+  Covariance J = Covariance::Identity();
+  J.topLeftCorner<6, 6>().setZero();
+  J.block<3, 1>(kP, kS) = camera;
+  P_ = (J * P_ * J.transpose()).eval();
+  P_.diagonal().segment<3>(kP).array() += sigma * sigma;
+  P_.diagonal().segment<3>(kV).array() += settings_.velocity_stddev * settings_.velocity_stddev;
+}
+
+void ScaleFilter::transform(const air_ground_common::Similarity& S) {
+  state_.scale /= S.scale;
+  state_.p = S.R * state_.p + state_.scale * S.t;
+  state_.v = S.R * state_.v;
+  state_.gravity_xy = (S.R * Eigen::Vector3d(state_.gravity_xy.x(), state_.gravity_xy.y(), -kGravity)).head<2>();
+  R_before_ = S.R * R_before_;
+  for (Frame& frame : window_) {
+    frame.measurement.p_map_camera = S * frame.measurement.p_map_camera;
+    frame.measurement.R_map_imu = S.R * frame.measurement.R_map_imu;
+    frame.measurement.scene_distance *= S.scale;
+  }
+  Covariance T = Covariance::Identity();
+  T.block<3, 3>(kP, kP) = S.R;
+  T.block<3, 1>(kP, kS) = state_.scale * S.t;
+  T.block<3, 3>(kV, kV) = S.R;
+  T.block<2, 2>(kG, kG) = S.R.topLeftCorner<2, 2>();
+  P_ = T * P_ * T.transpose();
+}
+
+}  // namespace mav_vo

@@ -1,0 +1,268 @@
+#include <air_ground/PosedImage.h>
+#include <air_ground/SaveMap.h>
+#include <air_ground/SaveTrajectory.h>
+#include <air_ground/VoIncrement.h>
+#include <air_ground/VoStatus.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <sensor_msgs/Imu.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+#include <tf2_ros/static_transform_broadcaster.h>
+
+#include <cstdio>
+#include <set>
+
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/trajectory.h"
+#include "synthetic_camera.h"
+
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+using synthetic::Pose;
+
+constexpr double kEpoch = 1000.0;  // stamp of the flight's start [s]
+
+/// Publishes a flight and collects what the node says about it.
+class MavVoNode : public testing::Test {
+ protected:
+  MavVoNode() : world_(3) {
+    image_ = handle_.advertise<sensor_msgs::Image>("mav/camera/image_raw", 400);
+    info_ = handle_.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 400);
+    imu_ = handle_.advertise<sensor_msgs::Imu>("mav/imu/data", 5000);
+    subscribers_ = {
+        handle_.subscribe<nav_msgs::Odometry>("mav/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry_.push_back(*m); }),
+        handle_.subscribe<air_ground::PosedImage>("mav/posed_image", 1000, [this](const air_ground::PosedImage::ConstPtr& m) { posed_.push_back(m); }),
+        handle_.subscribe<air_ground::VoIncrement>("mav/vo_increment", 1000, [this](const air_ground::VoIncrement::ConstPtr& m) { increments_.push_back(*m); }),
+        handle_.subscribe<air_ground::VoStatus>("mav/vo_status", 1000, [this](const air_ground::VoStatus::ConstPtr& m) { status_.push_back(*m); }),
+        handle_.subscribe<sensor_msgs::PointCloud2>("mav/sparse_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(*m); }),
+        handle_.subscribe<sensor_msgs::Image>("mav/track_image", 100, [this](const sensor_msgs::Image::ConstPtr& m) { tracks_.push_back(m); }),
+        handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) { diagnostics_ = *m; }),
+        handle_.subscribe("/tf", 1000, &MavVoNode::onTf, this)};
+    geometry_msgs::TransformStamped camera, imu;
+    camera.header.frame_id = imu.header.frame_id = "mav_base_link";
+    camera.child_frame_id = "mav_camera_optical_frame";
+    imu.child_frame_id = "mav_imu_link";
+    camera.transform = ros_utils::toTransformMsg(synthetic::T_imu_camera());
+    imu.transform = ros_utils::toTransformMsg(Pose::Identity());
+    static_tf_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu});
+  }
+
+  void onTf(const ros::MessageEvent<tf2_msgs::TFMessage const>& event) {
+    for (const auto& t : event.getMessage()->transforms) {
+      authorities_[t.child_frame_id].insert(event.getPublisherName());
+      parents_[t.child_frame_id] = t.header.frame_id;
+      stamps_[t.child_frame_id].push_back(t.header.stamp);
+    }
+  }
+
+  /// Until every topic is connected in both directions; /diagnostics and /tf have other publishers and are not waited for.
+  bool waitForNode() {
+    const auto connected = [this] {
+      for (std::size_t i = 0; i < 6; ++i)
+        if (subscribers_[i].getNumPublishers() == 0) return false;
+      return image_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 && imu_.getNumSubscribers() > 0;
+    };
+    for (int i = 0; i < 300 && !connected(); ++i) spin(0.1);
+    spin(0.5);
+    return connected();
+  }
+
+  static void spin(double seconds) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    while (ros::ok() && ros::WallTime::now() < end) {
+      ros::spinOnce();
+      ros::WallDuration(0.005).sleep();
+    }
+  }
+
+  /// Plays the flight from rest to `duration`; never more than 30 images ahead of the node.
+  void play(double duration) {
+    std::mt19937 random(11);
+    cv::RNG grain(5);
+    const auto samples = flight_.imuSamples(0, duration, 200, mav_vo::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4}, {{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}}, random);
+    std::size_t next = 0;
+    const std::size_t before = status_.size();
+    std::size_t sent = 0;
+    for (int i = 1; 0.05 * i <= duration; ++i) {
+      const double t = 0.05 * i;
+      for (; next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) {
+        sensor_msgs::Imu msg;
+        msg.header.stamp = ros::Time(kEpoch + samples[next].stamp);
+        msg.header.frame_id = "mav_imu_link";
+        msg.orientation_covariance[0] = -1;
+        const auto& s = samples[next];
+        msg.angular_velocity.x = next % 97 == 50 ? std::nan("") : s.angular_velocity.x();
+        msg.angular_velocity.y = s.angular_velocity.y();
+        msg.angular_velocity.z = s.angular_velocity.z();
+        msg.linear_acceleration.x = s.specific_force.x();
+        msg.linear_acceleration.y = s.specific_force.y();
+        msg.linear_acceleration.z = next % 89 == 30 ? INFINITY : s.specific_force.z();
+        imu_.publish(msg);
+      }
+      const Pose T = flight_.T_world_imu(t) * synthetic::T_imu_camera();
+      truth_camera_.push_back({kEpoch + t, T});
+      truth_base_.push_back({kEpoch + t, flight_.T_world_imu(t)});
+      std_msgs::Header header;
+      header.stamp = ros::Time(kEpoch + t);
+      header.frame_id = "mav_camera_optical_frame";
+      info_.publish(ros_utils::toMsg(synthetic::camera(), header));
+      image_.publish(ros_utils::toMsg(world_.render(synthetic::camera(), T, 1.0, &grain), "mono8", header));
+      ++sent;
+      ros::spinOnce();
+      for (int wait = 0; wait < 2000 && sent > status_.size() - before + 30; ++wait) spin(0.01);
+    }
+    for (int wait = 0; wait < 300 && status_.size() - before < sent; ++wait) spin(0.05);
+    EXPECT_GE(status_.size() - before + 2, sent) << "a status with every image";
+    spin(0.3);
+  }
+
+  ros::NodeHandle handle_;
+  tf2_ros::StaticTransformBroadcaster static_tf_;
+  synthetic::PlateWorld world_;
+  synthetic::Flight flight_;
+  ros::Publisher image_, info_, imu_;
+  std::vector<ros::Subscriber> subscribers_;
+  air_ground_common::Trajectory truth_camera_, truth_base_;
+  std::vector<nav_msgs::Odometry> odometry_;
+  std::vector<air_ground::PosedImage::ConstPtr> posed_;
+  std::vector<air_ground::VoIncrement> increments_;
+  std::vector<air_ground::VoStatus> status_;
+  std::vector<sensor_msgs::PointCloud2> clouds_;
+  std::vector<sensor_msgs::Image::ConstPtr> tracks_;
+  diagnostic_msgs::DiagnosticArray diagnostics_;
+  std::map<std::string, std::set<std::string>> authorities_;
+  std::map<std::string, std::string> parents_;
+  std::map<std::string, std::vector<ros::Time>> stamps_;
+};
+
+TEST_F(MavVoNode, FliesALoopedBag) {
+  ASSERT_TRUE(waitForNode()) << "mav_vo_node did not come up";
+  const double duration = 12.0;
+  play(duration);
+
+  // States in order; never a word of metres before the scale is known.
+  ASSERT_FALSE(status_.empty());
+  EXPECT_EQ(status_.front().state, air_ground::VoStatus::STATE_INITIALIZING);
+  EXPECT_EQ(status_.back().state, air_ground::VoStatus::STATE_TRACKING);
+  for (const auto& s : status_) EXPECT_TRUE(s.state == air_ground::VoStatus::STATE_TRACKING || !s.reason.empty()) << int(s.state);
+  ASSERT_GT(odometry_.size(), 60u);
+  ASSERT_GT(posed_.size(), odometry_.size());
+
+  // Frames, numbers, accuracy.
+  air_ground_common::Trajectory estimate;
+  for (const auto& m : odometry_) {
+    EXPECT_EQ(m.header.frame_id, "mav_map");
+    EXPECT_EQ(m.child_frame_id, "mav_base_link");
+    const Pose T = ros_utils::fromMsg(m.pose.pose);
+    ASSERT_TRUE(T.matrix().allFinite());
+    for (int i = 0; i < 6; ++i) EXPECT_GT(m.pose.covariance[7 * i], 0);
+    estimate.push_back({m.header.stamp.toSec(), T});
+  }
+  const auto error = air_ground_common::absoluteTrajectoryError(truth_base_, estimate, air_ground_common::Alignment::kYawTranslation);
+  std::printf("published: ATE %.4f m over %.2f m\n", error.rmse, error.path_length);
+  EXPECT_LT(error.rmse, 0.02 * error.path_length);
+  std::size_t metric = 0;
+  for (const auto& p : posed_) {
+    EXPECT_EQ(p->header.frame_id, "mav_map");
+    EXPECT_EQ(p->camera_info.header.frame_id, "mav_camera_optical_frame");
+    EXPECT_EQ(p->image.width, 752u);
+    EXPECT_GT(p->depth_min, 0);
+    EXPECT_GT(p->depth_max, p->depth_min);
+    ASSERT_TRUE(std::isfinite(p->pose.pose.position.x) && std::isfinite(p->pose.covariance[0]));
+    metric += p->metric;
+  }
+  // The posed image is of the camera, the odometry of the base.
+  EXPECT_EQ(metric, odometry_.size());
+  const Pose T_camera = ros_utils::fromMsg(posed_.back()->pose.pose), T_base = ros_utils::fromMsg(odometry_.back().pose.pose);
+  EXPECT_LT(((T_base * synthetic::T_imu_camera()).translation() - T_camera.translation()).norm(), 1e-6);
+  // Image rate: a pose with every image once metric.
+  EXPECT_NEAR(static_cast<double>(odometry_.size()), (odometry_.back().header.stamp - odometry_.front().header.stamp).toSec() / 0.05 + 1, 3);
+
+  for (const auto& v : increments_) {
+    for (int i = 0; i < 4; ++i) EXPECT_GT(v.covariance[5 * i], 0);
+    EXPECT_GT(v.header.stamp, v.previous_stamp);
+    EXPECT_GT(v.inliers, 0u);
+  }
+  // An increment says where the later base is in the earlier one.
+  const auto& last = increments_.back();
+  const auto a = air_ground_common::poseAt(truth_base_, last.previous_stamp.toSec()), b = air_ground_common::poseAt(truth_base_, last.header.stamp.toSec());
+  ASSERT_TRUE(a && b);
+  EXPECT_LT((ros_utils::fromMsg(last.relative_pose).translation() - (a->inverse() * *b).translation()).norm(), 0.01);
+
+  ASSERT_FALSE(clouds_.empty());
+  EXPECT_EQ(clouds_.back().header.frame_id, "mav_map");
+  EXPECT_GT(ros_utils::cloudFromMsg(clouds_.back()).size(), 100u);
+  ASSERT_FALSE(tracks_.empty());
+  EXPECT_EQ(tracks_.back()->encoding, "bgr8");
+
+  // One authority an edge, no stamp twice.
+  EXPECT_EQ(parents_["mav_odom"], "mav_map");
+  EXPECT_EQ(parents_["mav_base_link"], "mav_odom");
+  for (const char* child : {"mav_odom", "mav_base_link"}) {
+    EXPECT_EQ(authorities_[child].size(), 1u) << child;
+    EXPECT_EQ(std::set<ros::Time>(stamps_[child].begin(), stamps_[child].end()).size(), stamps_[child].size()) << child;
+  }
+
+  // Files.
+  air_ground::SaveTrajectory trajectory;
+  trajectory.request.path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + ".txt";
+  ASSERT_TRUE(ros::service::call("/mav_vo/save_trajectory", trajectory));
+  EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
+  const auto saved = air_ground_common::readTum(trajectory.request.path);
+  EXPECT_EQ(saved.size(), trajectory.response.poses);
+  EXPECT_LT(air_ground_common::absoluteTrajectoryError(truth_camera_, saved, air_ground_common::Alignment::kYawTranslation).rmse, 0.01 * error.path_length);
+  std::remove(trajectory.request.path.c_str());
+  air_ground::SaveMap map;
+  for (const std::string extension : {".ply", ".pcd"}) {
+    map.request.path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + extension;
+    ASSERT_TRUE(ros::service::call("/mav_vo/save_map", map));
+    EXPECT_TRUE(map.response.success) << map.response.message;
+    std::remove(map.request.path.c_str());
+  }
+  map.request.path = "/nowhere/map.ply";
+  ASSERT_TRUE(ros::service::call("/mav_vo/save_map", map));
+  EXPECT_FALSE(map.response.success);
+
+  // The bag loops: a new map, and metres again only when they are known again.
+  const std::uint32_t first_map = status_.back().map_id;
+  odometry_.clear();
+  posed_.clear();
+  status_.clear();
+  play(duration);
+  ASSERT_FALSE(status_.empty());
+  EXPECT_GT(status_.back().map_id, first_map);
+  EXPECT_EQ(status_.back().state, air_ground::VoStatus::STATE_TRACKING);
+  EXPECT_FALSE(posed_.empty() || posed_.front()->metric);
+  EXPECT_FALSE(odometry_.empty());
+
+  // The reset service does the same.
+  std_srvs::Trigger reset;
+  const std::uint32_t second_map = status_.back().map_id;
+  ASSERT_TRUE(ros::service::call("/mav_vo/reset", reset));
+  EXPECT_TRUE(reset.response.success);
+  ASSERT_TRUE(ros::service::call("/mav_vo/save_trajectory", trajectory));
+  EXPECT_FALSE(trajectory.response.success);
+  status_.clear();
+  play(2.0);
+  ASSERT_FALSE(status_.empty());
+  EXPECT_GT(status_.back().map_id, second_map);
+
+  bool counted = false;
+  for (const auto& s : diagnostics_.status)
+    for (const auto& v : s.values) counted = counted || v.key.find("not a finite number") != std::string::npos;
+  EXPECT_TRUE(counted) << "NaN samples appear in /diagnostics";
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "mav_vo_node_test");
+  ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}

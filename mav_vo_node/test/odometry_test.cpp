@@ -1,0 +1,206 @@
+// The whole odometry on rendered flights: accuracy, scale, determinism, and what a bad day brings.
+#include <gtest/gtest.h>
+
+#include <functional>
+
+#include "air_ground_common/trajectory.h"
+#include "mav_vo/odometry.h"
+#include "synthetic_camera.h"
+
+using namespace mav_vo;
+using air_ground_common::Alignment;
+
+namespace {
+
+struct Options {
+  double begin = 0, end = 12;
+  bool imu = true;
+  ImuBias bias{{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}};
+  std::function<bool(double)> drop_image = [](double) { return false; };
+  std::function<double(double)> gain = [](double) { return 1.0; };
+  std::function<bool(double)> black = [](double) { return false; };
+  std::function<bool(double)> nan_imu = [](double) { return false; };
+  synthetic::Flight flight;
+};
+
+struct Outcome {
+  air_ground_common::Trajectory truth, online, final_poses;  // of the camera
+  std::vector<FrameResult> frames;
+  double metric_at = -1;
+};
+
+Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* given = nullptr) {
+  static const synthetic::PlateWorld world(3);
+  settings.use_imu = options.imu;
+  std::unique_ptr<Odometry> own;
+  if (!given) {
+    own = std::make_unique<Odometry>(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), settings);
+    given = own.get();
+  }
+  std::mt19937 random(11);
+  cv::RNG grain(5);
+  const ImuNoise noise{1.7e-4, 2.9e-3, 2e-5, 6e-4};
+  const auto samples = options.flight.imuSamples(options.begin, options.end + 0.1, 200, noise, options.bias, random);
+  std::size_t next = 0;
+  Outcome outcome;
+  for (int i = 1; options.begin + 0.05 * i <= options.end; ++i) {
+    const double t = options.begin + 0.05 * i;
+    for (; options.imu && next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) {
+      ImuSample sample = samples[next];
+      if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
+      given->addImu(sample);
+    }
+    const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
+    outcome.truth.push_back({t, T});
+    if (options.drop_image(t)) continue;
+    cv::Mat image = world.render(synthetic::camera(), T, options.gain(t), &grain);
+    if (options.black(t)) image.setTo(3);
+    const FrameResult r = given->process(t, image);
+    EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));
+    EXPECT_TRUE(!r.metric || options.imu);
+    if (r.metric && outcome.metric_at < 0) outcome.metric_at = t;
+    if (r.metric && r.pose_valid) outcome.online.push_back({t, r.T_map_camera});
+    outcome.frames.push_back(r);
+  }
+  outcome.final_poses = given->trajectory();
+  return outcome;
+}
+
+double ate(const Outcome& o, const air_ground_common::Trajectory& estimate, double* scale_error = nullptr) {
+  if (scale_error)
+    *scale_error = air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kSimilarity).reference_from_estimate.scale - 1;
+  return air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kYawTranslation).rmse;
+}
+
+TEST(Odometry, IsMetricAndAccurate) {
+  const Outcome o = fly(Options{});
+  ASSERT_GT(o.metric_at, 0);
+  EXPECT_LT(o.metric_at, 8.0);
+  double scale_error = 1;
+  const double error = ate(o, o.final_poses, &scale_error);
+  const double length = air_ground_common::pathLength(o.truth);
+  std::printf("metric after %.2f s; final ATE %.4f m of %.2f m (%.3f %%), scale error %+.3f %%, as published %.4f m\n", o.metric_at, error, length,
+              100 * error / length, 100 * scale_error, ate(o, o.online));
+  EXPECT_LT(error, 0.01 * length);
+  EXPECT_LT(std::abs(scale_error), 0.015);
+  EXPECT_LT(ate(o, o.online), 0.02 * length);
+  // Once metric, it does not lose its way, and says how sure it is.
+  for (const FrameResult& r : o.frames) {
+    if (r.stamp < o.metric_at) continue;
+    EXPECT_TRUE(r.pose_valid) << r.stamp << " " << r.reason;
+    EXPECT_LT(std::abs(r.scale - 1), 5 * r.scale_stddev + 0.01);
+    EXPECT_GT(r.depth_min, 0.3);
+    EXPECT_LT(r.depth_max, 4.0);
+  }
+  // Gravity-aligned with heading 0 at the first keyframe.
+  const Outcome& c = o;
+  for (std::size_t i = 0; i < c.online.size(); i += 20) {
+    const auto truth = air_ground_common::poseAt(c.truth, c.online[i].stamp);
+    const Eigen::Vector3d up = c.online[i].T_map_body.linear().row(2), up_truth = truth->linear().row(2);
+    EXPECT_LT(std::acos(std::min(1.0, up.dot(up_truth))), 0.02);
+  }
+}
+
+TEST(Odometry, SameInputSameOutput) {
+  Options options;
+  options.end = 5;
+  const Outcome a = fly(options), b = fly(options);
+  ASSERT_EQ(a.final_poses.size(), b.final_poses.size());
+  for (std::size_t i = 0; i < a.final_poses.size(); ++i) ASSERT_EQ(a.final_poses[i].T_map_body.matrix(), b.final_poses[i].T_map_body.matrix()) << i;
+}
+
+TEST(Odometry, StartsInFlight) {
+  Options options;
+  options.begin = 4;
+  options.end = 14;
+  const Outcome o = fly(options);
+  ASSERT_GT(o.metric_at, 0);
+  double scale_error = 1;
+  const double error = ate(o, o.final_poses, &scale_error);
+  std::printf("start in flight: metric after %.2f s, ATE %.4f m, scale error %+.3f %%\n", o.metric_at - options.begin, error, 100 * scale_error);
+  EXPECT_LT(error, 0.02 * air_ground_common::pathLength(o.truth));
+  EXPECT_LT(std::abs(scale_error), 0.02);
+}
+
+TEST(Odometry, WithoutImuItTracksButNeverClaimsMetres) {
+  Options options;
+  options.imu = false;
+  options.end = 7;
+  const Outcome o = fly(options);
+  EXPECT_LT(o.metric_at, 0);
+  ASSERT_GT(o.final_poses.size(), 60u);
+  EXPECT_LT(air_ground_common::absoluteTrajectoryError(o.truth, o.final_poses, Alignment::kSimilarity).rmse, 0.05);
+  EXPECT_EQ(o.frames.back().state, OdometryState::kScaling);
+}
+
+TEST(Odometry, RecoversAfterBlackImagesInTheSameMap) {
+  Options options;
+  options.end = 11;
+  options.black = [](double t) { return t > 9 && t < 9.6; };
+  const Outcome o = fly(options);
+  bool lost = false;
+  for (const FrameResult& r : o.frames) lost = lost || r.state == OdometryState::kLost;
+  EXPECT_TRUE(lost);
+  EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
+  EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
+TEST(Odometry, StartsANewMapWhenLostForLong) {
+  Options options;
+  options.end = 9;
+  options.black = [](double t) { return t > 4 && t < 6; };
+  OdometrySettings settings;
+  settings.lost_timeout = 1.0;
+  const Outcome o = fly(options, settings);
+  EXPECT_GT(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_GE(static_cast<int>(o.frames.back().state), static_cast<int>(OdometryState::kScaling));
+  EXPECT_NE(o.frames.back().state, OdometryState::kLost);
+}
+
+TEST(Odometry, SurvivesDroppedImagesExposureChangesAndBadImuSamples) {
+  Options options;
+  options.drop_image = [](double t) { return std::fmod(t, 1.7) < 0.16; };  // three in a row
+  options.gain = [](double t) { return 1.0 + 0.25 * std::sin(3 * t); };
+  options.nan_imu = [](double t) { return std::fmod(t, 0.9) < 0.004; };
+  const Outcome o = fly(options);
+  ASSERT_GT(o.metric_at, 0);
+  double scale_error = 1;
+  EXPECT_LT(ate(o, o.final_poses, &scale_error), 0.02 * air_ground_common::pathLength(o.truth));
+  EXPECT_LT(std::abs(scale_error), 0.02);
+}
+
+TEST(Odometry, BridgesAGapInTheImu) {
+  Options options;
+  options.nan_imu = [](double t) { return t > 9 && t < 10.3; };
+  const Outcome o = fly(options);
+  EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
+TEST(Odometry, ResetGivesANewMap) {
+  Options options;
+  options.end = 5;
+  Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), OdometrySettings{});
+  const Outcome first = fly(options, {}, &odometry);
+  odometry.reset();
+  EXPECT_TRUE(odometry.trajectory().empty());
+  const Outcome second = fly(options, {}, &odometry);  // time runs again from the start, as in a looped bag
+  EXPECT_GT(second.frames.front().map_id, first.frames.back().map_id);
+  ASSERT_EQ(first.final_poses.size(), second.final_poses.size());
+  EXPECT_LT((first.final_poses.back().T_map_body.translation() - second.final_poses.back().T_map_body.translation()).norm(), 1e-6);
+}
+
+TEST(Odometry, RefusesWhatItCannotUse) {
+  Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), OdometrySettings{});
+  EXPECT_THROW(odometry.process(0.1, cv::Mat(10, 10, CV_8UC1)), std::invalid_argument);
+  EXPECT_THROW(odometry.process(0.2, cv::Mat(480, 752, CV_8UC3)), std::invalid_argument);
+  odometry.process(1.0, cv::Mat(480, 752, CV_8UC1, cv::Scalar(5)));
+  EXPECT_NE(odometry.process(0.9, cv::Mat(480, 752, CV_8UC1, cv::Scalar(5))).reason.find("stamp"), std::string::npos);
+  EXPECT_FALSE(odometry.addImu({std::nan(""), {0, 0, 0}, {0, 0, 9.8}}));
+  OdometrySettings bad;
+  bad.window = 1;
+  EXPECT_THROW(Odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), bad), std::invalid_argument);
+}
+
+}  // namespace

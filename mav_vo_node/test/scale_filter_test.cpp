@@ -1,0 +1,162 @@
+#include <gtest/gtest.h>
+
+#include "mav_vo/scale_filter.h"
+#include "synthetic_flight.h"
+
+using namespace mav_vo;
+
+namespace {
+
+struct Outcome {
+  double start_time = -1;        ///< when the filter started [s after the first frame]
+  double ratio = 0;              ///< estimated over true scale at the end
+  double relative_stddev = 0;
+  double nees = 0;               ///< squared error of the log scale over its variance
+  double nees_full = 0;          ///< of position, velocity, accel bias and scale (10 degrees of freedom)
+  double early_nees = 0;         ///< of the log scale one second after the start
+};
+
+Outcome simulate(unsigned seed, double true_scale, double duration, double visual_stddev = 0.002) {
+  const synthetic::Flight flight;
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  const auto vector = [&] { return Eigen::Vector3d(normal(random), normal(random), normal(random)); };
+  const ImuNoise noise;
+  const ImuBias bias{1e-3 * vector(), 0.05 * vector()};
+  const double begin = 2.5, frame = 0.05;
+  ScaleFilterSettings settings;
+  settings.position_stddev = visual_stddev;
+  settings.position_drift = 1e-5;
+  settings.scale_drift = 1e-5;
+  settings.rotation_walk = 1e-6;
+  settings.accel_bias_stddev = 0.05;
+  const double tilt = 0.01;
+  // A map tilted against gravity, as the attitude filter would leave it.
+  const Eigen::Matrix3d R_map_world = air_ground_common::expSO3(tilt * Eigen::Vector3d(normal(random), normal(random), 0));
+  ScaleFilter filter(settings, noise, tilt);
+  ImuBuffer buffer(1000);
+  for (const auto& s : flight.imuSamples(begin - 0.1, begin + duration + 0.1, 200, noise, bias, random)) buffer.add(s);
+  const Eigen::Vector3d origin = flight.T_world_imu(begin).translation();
+  Outcome run;
+  for (int i = 0; i * frame < duration; ++i) {
+    const double t = begin + i * frame;
+    ScaleMeasurement m;
+    m.p_imu_camera = synthetic::T_imu_camera().translation();
+    m.p_map_camera = R_map_world * (flight.T_world_imu(t) * m.p_imu_camera - origin) / true_scale + visual_stddev / true_scale * vector();
+    m.R_map_imu = R_map_world * flight.T_world_imu(t).linear();
+    m.scene_distance = 1.0 / true_scale;
+    std::optional<Preintegration> motion;
+    if (i > 0) {
+      motion.emplace(noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
+      motion->integrate(samplesBetween(buffer, t - frame, t));
+    }
+    filter.add(m, motion);
+    if (filter.initialized() && run.start_time < 0) run.start_time = i * frame;
+    const double log_error = filter.initialized() ? std::log(filter.scale() / true_scale) : 0;
+    if (run.start_time >= 0 && std::abs(i * frame - run.start_time - 1.0) < 0.5 * frame)
+      run.early_nees = log_error * log_error / std::pow(filter.relativeStddev(), 2);
+  }
+  const double t = begin + (std::ceil(duration / frame) - 1) * frame;
+  run.ratio = filter.scale() / true_scale;
+  run.relative_stddev = filter.relativeStddev();
+  Eigen::Matrix<double, 10, 1> error;
+  error << filter.state().p - R_map_world * (flight.T_world_imu(t).translation() - origin), filter.state().v - R_map_world * flight.velocity(t),
+      filter.state().accel_bias - bias.accel, std::log(run.ratio);
+  Eigen::Matrix<double, 10, 10> C;
+  const auto& P = filter.covariance();
+  C << P.topLeftCorner<9, 9>(), P.block<9, 1>(0, 11), P.block<1, 9>(11, 0), P(11, 11);
+  run.nees = error(9) * error(9) / C(9, 9);
+  run.nees_full = error.dot(C.ldlt().solve(error));
+  return run;
+}
+
+TEST(ScaleFilter, FindsTheScaleWhateverTheVisualUnit) {
+  for (const double scale : {0.2, 1.0, 3.7}) {
+    const Outcome run = simulate(3, scale, 15.0);
+    ASSERT_GE(run.start_time, 0.0) << "scale " << scale;
+    EXPECT_LT(run.start_time, 4.5);
+    EXPECT_NEAR(run.ratio, 1.0, 0.01) << "scale " << scale;
+    EXPECT_LT(run.relative_stddev, 0.01);
+  }
+}
+
+TEST(ScaleFilter, IsConsistentOverManyRuns) {
+  const int runs = 60;
+  double nees = 0, nees_full = 0, early = 0;
+  for (int i = 0; i < runs; ++i) {
+    const Outcome run = simulate(100 + i, 1.7, 8.0);
+    nees += run.nees / runs;
+    nees_full += run.nees_full / runs;
+    early += run.early_nees / runs;
+  }
+  std::printf("mean NEES over %d runs: log scale %.2f (1), 1 s after start %.2f (1), state %.2f (10)\n", runs, nees, early, nees_full);
+  // Chi-squared means over 60 runs, 99.9 % two-sided: 1 dof in [0.5, 1.7], 10 dof in [8.2, 12.0].
+  EXPECT_GT(nees, 0.45);
+  EXPECT_LT(nees, 1.7);
+  EXPECT_GT(nees_full, 8.2);
+  EXPECT_LT(nees_full, 12.0);
+  EXPECT_LT(early, 2.5);
+}
+
+TEST(ScaleFilter, DoesNotStartWhileHovering) {
+  // At rest the accelerometer says nothing about the scale.
+  ScaleFilter filter(ScaleFilterSettings{}, ImuNoise{}, 0.01);
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  const synthetic::Flight flight{1e6};
+  ImuBuffer buffer(1000);
+  for (const auto& s : flight.imuSamples(0, 12, 200, ImuNoise{}, ImuBias{}, random)) buffer.add(s);
+  for (int i = 0; i < 200; ++i) {
+    ScaleMeasurement m;
+    m.p_map_camera = 0.003 * Eigen::Vector3d(normal(random), normal(random), normal(random));
+    std::optional<Preintegration> motion;
+    if (i > 0) {
+      motion.emplace(ImuNoise{}, ImuBias{});
+      motion->integrate(samplesBetween(buffer, 0.05 * (i - 1), 0.05 * i));
+    }
+    filter.add(m, motion);
+  }
+  EXPECT_FALSE(filter.initialized() && filter.relativeStddev() < 0.1) << filter.scale() << " +- " << filter.scaleStddev();
+}
+
+TEST(ScaleFilter, TransformRescalesAndLevels) {
+  const synthetic::Flight flight;
+  std::mt19937 random(9);
+  const ImuNoise noise;
+  ImuBuffer buffer(1000);
+  for (const auto& s : flight.imuSamples(2.0, 20.0, 200, noise, ImuBias{}, random)) buffer.add(s);
+  ScaleFilter filter(ScaleFilterSettings{}, noise, 0.01);
+  const double unit = 2.5;
+  air_ground_common::Similarity S;
+  double worst = 0;
+  for (int i = 0; i < 280; ++i) {
+    const double t = 2.5 + 0.05 * i;
+    ScaleMeasurement m;
+    m.p_map_camera = S * Eigen::Vector3d(flight.T_world_imu(t).translation() / unit);
+    m.R_map_imu = S.R * flight.T_world_imu(t).linear();
+    m.scene_distance = 0.5;
+    std::optional<Preintegration> motion;
+    if (i > 0) {
+      motion.emplace(noise, ImuBias{});
+      motion->integrate(samplesBetween(buffer, t - 0.05, t));
+    }
+    filter.add(m, motion);
+    if (i == 150) {
+      ASSERT_TRUE(filter.initialized());
+      const double before = filter.relativeStddev();
+      air_ground_common::Similarity change;
+      change.scale = filter.scale();
+      change.R = air_ground_common::expSO3(Eigen::Vector3d(0, 0, 0.3));
+      change.t = Eigen::Vector3d(1, 2, 3);
+      filter.transform(change);
+      S = change;
+      EXPECT_NEAR(filter.scale(), 1.0, 1e-9);
+      EXPECT_NEAR(filter.relativeStddev(), before, 1e-12);
+    }
+    if (i > 150) worst = std::max(worst, std::abs(filter.scale() * S.scale / unit - 1));
+  }
+  EXPECT_EQ(filter.rejected(), 0);
+  EXPECT_LT(worst, 0.03);
+}
+
+}  // namespace

@@ -1,0 +1,148 @@
+// RGB-D SLAM of the ground robot (Forster 2013, section IV): the monocular front end with depth as a prior, a map of
+// keyframes and landmarks, loop closure, and the dense ground cloud.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "air_ground_common/trajectory.h"
+#include "rgbd_slam/depth_model.h"
+#include "rgbd_slam/ground_cloud.h"
+#include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/feature_tracker.h"
+#include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/map.h"
+#include "visual_frontend/place_recognition.h"
+#include "visual_frontend/pose_graph.h"
+#include "visual_frontend/reobservation.h"
+
+namespace rgbd_slam {
+
+using air_ground_common::CameraModel;
+using air_ground_common::Matrix6d;
+using air_ground_common::Pose;
+using visual_frontend::KeyframeId;
+using visual_frontend::LandmarkId;
+using visual_frontend::TrackId;
+
+struct SlamSettings {
+  SlamSettings();
+
+  visual_frontend::TrackerSettings tracker;
+  DepthModel depth;
+  double pixel_sigma = 0.7;            ///< of a tracked feature [px]
+
+  // Start
+  int min_start_features = 40;         ///< features with depth that the first frame must have
+  double gravity_timeout = 1.0;        ///< with an IMU: wait this long for the direction of gravity [s]
+
+  // Tracking
+  int min_inliers = 15;                ///< fewer make the frame lost
+  double min_inlier_ratio = 0.25;      ///< of the tracked landmarks
+  int reobserve_every = 3;             ///< frames between searches for landmarks of the local map, keyframes always do; 0 = never
+  int local_keyframes = 8;             ///< nearest keyframes whose landmarks are searched
+  double max_speed = 3.0;              ///< a faster motion between frames is taken for a failure [m/s]
+
+  // Keyframes
+  double keyframe_translation = 0.15;  ///< distance to the last keyframe, over the median depth
+  double keyframe_rotation = 0.20;     ///< angle to the last keyframe [rad]
+  double keyframe_overlap = 0.55;      ///< landmarks of the last keyframe still tracked, as a share
+  int keyframe_min_gap = 3;            ///< frames
+
+  // Mapping
+  visual_frontend::BundleSettings bundle;
+  int window = 7;                      ///< keyframes free in the windowed bundle adjustment
+  int window_fixed = 10;               ///< further keyframes that hold it
+  bool use_gravity = true;             ///< roll and pitch priors from the accelerometer
+  double gravity_sigma = 0.08;         ///< of those while moving, at least: accelerations look like tilt [rad]
+
+  // Loops
+  bool loop_closure = true;
+  visual_frontend::PlaceSettings place;
+  int loop_min_gap = 12;               ///< keyframes between the two ends of a loop
+  int loop_min_inliers = 30;
+  double loop_slack = 0.15;            ///< a loop may move the camera by this [m]
+  double loop_drift = 0.05;            ///< plus this share of the way between its ends; others are refused as false
+  double loop_max_rotation = 0.35;     ///< and may turn it by this [rad]
+
+  // Dense cloud
+  CloudSettings cloud;
+  int max_fused_frames = 12;           ///< frames after a keyframe that refine its depth
+
+  double restart_after = 0;            ///< lost for this long: begin a new map [s]; 0 = never
+
+  /// Throws std::invalid_argument, naming the field.
+  void validate() const;
+};
+
+/// Where sensors sit on the robot. Base: x forward, y left, z up.
+struct Mounting {
+  Pose T_base_camera = Pose::Identity();
+  std::optional<Eigen::Matrix3d> R_base_imu;  ///< none: no IMU is used
+};
+
+enum class State { kWaiting, kInitializing, kTracking, kLost };
+
+struct FrameResult {
+  State state = State::kWaiting;
+  std::string reason;                          ///< why not tracking
+  bool keyframe = false;
+  bool map_corrected = false;                  ///< a loop was closed: earlier poses moved
+  bool relocalized = false;                    ///< found again after being lost
+  bool new_map = false;                        ///< the map frame starts here
+  Pose T_map_camera = Pose::Identity();        ///< valid while tracking
+  Pose T_map_base = Pose::Identity();
+  Pose T_previous_current_base = Pose::Identity();  ///< motion since the last tracked frame, free of map corrections
+  Matrix6d covariance = Matrix6d::Zero();      ///< of T_map_base's translation and rotation about the map's axes
+  int tracked = 0;                             ///< features that reached this frame
+  int inliers = 0;                             ///< landmarks that agree with the pose
+  double rms = 0;                              ///< their reprojection error [sigma]
+};
+
+struct SlamCounters {
+  int frames = 0, lost_frames = 0, keyframes = 0, loops = 0, loops_refused = 0, relocalizations = 0, maps = 0;
+};
+
+class Slam {
+ public:
+  /// Throws std::invalid_argument for a bad camera, mounting or settings.
+  Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings);
+  ~Slam();
+
+  /// In order of time; samples between two frames must come before the second for the rotation prior. False: dropped.
+  bool addImu(const visual_frontend::ImuSample& sample);
+
+  /// Next frame: grey CV_8UC1, `bgr` CV_8UC3 (empty: grey is used) and depth CV_32F in metres (NaN or 0 unknown), all of
+  /// the camera's size and registered. Throws std::invalid_argument for other types or a stamp that is not newer.
+  FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+
+  /// Camera poses of all tracked frames in the map, placed by their keyframes as those stand now.
+  air_ground_common::Trajectory trajectory() const;
+
+  /// What fusePoints needs: posed points of all keyframes.
+  std::vector<PosedPoints> posedPoints() const;
+
+  const visual_frontend::Map& map() const;
+  const std::vector<visual_frontend::Feature>& features() const;
+  /// One flag for each of features(): it has a landmark.
+  std::vector<bool> mapped() const;
+  const SlamCounters& counters() const;
+  Eigen::Vector3d gyroBias() const;   ///< estimate [rad/s]
+  bool gravityKnown() const;          ///< the map was levelled by the accelerometer
+  int mapId() const;                  ///< counts the maps that were begun
+
+  /// Forgets everything except counters and the map's number.
+  void reset();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+const char* toString(State state);
+
+}  // namespace rgbd_slam

@@ -1,0 +1,146 @@
+// Keyframes and landmarks. Landmarks start from measured depth, also while the camera only turns (paper, section IV), and
+// from parallax where the sensor sees no depth.
+#include <algorithm>
+#include <cmath>
+
+#include "slam_impl.h"
+#include "visual_frontend/triangulation.h"
+
+namespace rgbd_slam {
+
+bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
+  if (since_keyframe < settings.keyframe_min_gap) return false;
+  const Keyframe& last = map.keyframe(map.lastKeyframe());
+  // Seen from afar, parallax grows slowly: distances count against the depth of the scene.
+  std::vector<double> depths;
+  for (const Observation& o : last.observations) {
+    if (o.landmark != kNoLandmark) depths.push_back((last.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
+  }
+  double median = 2.0;
+  if (!depths.empty()) {
+    std::nth_element(depths.begin(), depths.begin() + depths.size() / 2, depths.end());
+    median = depths[depths.size() / 2];
+  }
+  return (T_map_camera.translation() - last.T_map_camera.translation()).norm() > settings.keyframe_translation * median ||
+         air_ground_common::rotationAngle(T_map_camera.linear(), last.T_map_camera.linear()) > settings.keyframe_rotation ||
+         landmarks < settings.keyframe_overlap * keyframe_landmarks || landmarks < 3 * settings.min_inliers;
+}
+
+void Slam::Impl::finishDepth() {
+  if (!active_depth) return;
+  keyframe_points[map.lastKeyframe()] = std::make_shared<const std::vector<KeyframeDepth::Point>>(active_depth->points(settings.depth, settings.cloud));
+  active_depth.reset();
+}
+
+KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+  finishDepth();
+  tracker.replenish();
+  Keyframe keyframe;
+  keyframe.stamp = stamp;
+  keyframe.T_map_camera = T_map_camera;
+  keyframe.pyramid = tracker.pyramid();
+  if (settings.use_gravity && gravity_known && attitude.initialized()) {
+    keyframe.up_camera = R_camera_imu * attitude.up();
+    // In a curve the accelerometer leans for as long as the curve lasts.
+    keyframe.up_sigma = attitude.atRest() ? 1.5 * attitude.upSigma() : std::max(settings.gravity_sigma, attitude.upSigma());
+  }
+  for (const Feature& f : tracker.features()) {
+    Observation o;
+    o.track = f.id;
+    o.pixel = f.pixel;
+    o.normalized = f.normalized;
+    if (const auto z = sampleDepth(depth, f.pixel, settings.depth)) {
+      o.depth = *z;
+      o.depth_sigma = settings.depth.sigma(*z);
+    }
+    const auto it = track_landmark.find(f.id);
+    if (it != track_landmark.end() && map.hasLandmark(it->second)) o.landmark = it->second;
+    keyframe.observations.push_back(o);
+  }
+  fillOrb(gray, depth, keyframe);
+  const KeyframeId id = map.addKeyframe(std::move(keyframe));
+  ++counters.keyframes;
+  keyframe_path[id] = path;
+
+  // Uncertainty along the shortest chain of views: from the best known keyframe that shares enough landmarks.
+  Matrix6d best = Matrix6d::Zero();
+  bool any = false;
+  for (const auto& c : map.covisible(id, 20)) {
+    Matrix6d J = Matrix6d::Identity();
+    J.topRightCorner<3, 3>() = -air_ground_common::skew(T_map_camera.translation() - map.keyframe(c.keyframe).T_map_camera.translation());
+    const Matrix6d C = J * keyframe_covariance.at(c.keyframe) * J.transpose();
+    if (!any || C.topLeftCorner<3, 3>().trace() < best.topLeftCorner<3, 3>().trace()) best = C;
+    any = true;
+  }
+  if (!any && !keyframe_covariance.empty()) best = keyframe_covariance.rbegin()->second;
+  // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the standard
+  // deviation makes up for it (normalised errors of simulated runs).
+  keyframe_covariance[id] = best + 9 * covariance;
+
+  createLandmarks(id);
+  if (map.keyframeCount() > 1) adjustWindow(id);
+  keyframe_landmarks = 0;
+  for (const Observation& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != kNoLandmark;
+  since_keyframe = since_reobservation = 0;
+  active_depth = std::make_unique<KeyframeDepth>(camera, depth, bgr, settings.depth, settings.cloud);
+  return id;
+}
+
+void Slam::Impl::createLandmarks(KeyframeId id) {
+  visual_frontend::TriangulationSettings triangulation;
+  triangulation.max_depth = 15.0;
+  triangulation.min_depth = 0.2;
+  const int count = static_cast<int>(map.keyframe(id).observations.size());
+  for (int i = 0; i < count; ++i) {
+    const Observation& o = map.keyframe(id).observations[i];
+    if (o.landmark != kNoLandmark) continue;
+    std::vector<LandmarkObservation> views = track_views[o.track];
+    views.push_back({id, i});
+    std::vector<visual_frontend::ViewRay> rays;
+    for (const LandmarkObservation& view : views) {
+      const Keyframe& keyframe = map.keyframe(view.keyframe);
+      const Observation& seen = keyframe.observations[view.index];
+      rays.push_back({keyframe.T_map_camera, seen.normalized, settings.pixel_sigma / focal, seen.depth, seen.depth_sigma});
+    }
+    const auto result = visual_frontend::triangulate(rays, triangulation);
+    if (!result.ok()) {
+      // Views that contradict each other belong to a track that slipped: begin anew with this one.
+      if (result.status == visual_frontend::TriangulationStatus::kLargeResidual) views = {{id, i}};
+      track_views[o.track] = std::move(views);
+      continue;
+    }
+    const TrackId track = o.track;
+    const LandmarkId landmark = map.addLandmark(result.p_map);
+    map.landmark(landmark).covariance = result.covariance;
+    map.landmark(landmark).from_depth = o.depth > 0;
+    for (const LandmarkObservation& view : views) map.connect(view.keyframe, view.index, landmark);
+    track_landmark[track] = landmark;
+    track_views.erase(track);
+  }
+}
+
+void Slam::Impl::adjustWindow(KeyframeId id) {
+  std::vector<KeyframeId> free{id};
+  for (const auto& c : map.covisible(id, 10)) {
+    if (static_cast<int>(free.size()) >= settings.window) break;
+    free.push_back(c.keyframe);
+  }
+  std::vector<KeyframeId> fixed;
+  for (const auto& c : map.observers(map.landmarksOf(free), 5)) {
+    if (static_cast<int>(fixed.size()) >= settings.window_fixed) break;
+    if (std::find(free.begin(), free.end(), c.keyframe) == free.end()) fixed.push_back(c.keyframe);
+  }
+  // The first keyframe defines the map; with nothing outside the window the oldest inside holds it.
+  const auto oldest = std::min_element(free.begin(), free.end());
+  if (*oldest == map.keyframes().begin()->first || fixed.empty()) {
+    fixed.push_back(*oldest);
+    free.erase(oldest);
+  }
+  if (free.empty()) return;
+  visual_frontend::BundleSettings bundle = settings.bundle;
+  bundle.pixel_sigma = settings.pixel_sigma;
+  bundle.use_gravity = settings.use_gravity && leveled;
+  visual_frontend::adjustMap(map, camera, free, fixed, bundle);
+}
+
+}  // namespace rgbd_slam

@@ -1,0 +1,305 @@
+#include "rgbd_slam/slam.h"
+
+#include <cmath>
+#include <stdexcept>
+
+#include "slam_impl.h"
+
+namespace rgbd_slam {
+
+const char* toString(State state) {
+  switch (state) {
+    case State::kWaiting: return "waiting";
+    case State::kInitializing: return "initializing";
+    case State::kTracking: return "tracking";
+    case State::kLost: return "lost";
+  }
+  return "unknown";
+}
+
+SlamSettings::SlamSettings() {
+  tracker.max_features = 250;
+  tracker.min_shi_tomasi = 4e-5;  // with depth, a faint corner is better than none
+  bundle.max_iterations = 6;
+  bundle.max_seconds = 0.5;
+  bundle.pixel_sigma = 1.0;
+}
+
+void SlamSettings::validate() const {
+  const auto require = [](bool ok, const char* what) {
+    if (!ok) throw std::invalid_argument(std::string("SlamSettings::") + what);
+  };
+  tracker.validate();
+  depth.validate();
+  cloud.validate();
+  require(pixel_sigma > 0, "pixel_sigma must be positive");
+  require(min_start_features >= 10, "min_start_features must be at least 10");
+  require(min_inliers >= 6, "min_inliers must be at least 6");
+  require(min_inlier_ratio >= 0 && min_inlier_ratio < 1, "min_inlier_ratio must be in [0, 1)");
+  require(reobserve_every >= 0, "reobserve_every must not be negative");
+  require(local_keyframes >= 1, "local_keyframes must be at least 1");
+  require(max_speed > 0, "max_speed must be positive");
+  require(keyframe_translation > 0 && keyframe_rotation > 0, "keyframe_translation and keyframe_rotation must be positive");
+  require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must be in (0, 1)");
+  require(window >= 2 && window_fixed >= 1, "window must be at least 2 and window_fixed at least 1");
+  require(gravity_sigma > 0, "gravity_sigma must be positive");
+  require(loop_min_gap >= 2, "loop_min_gap must be at least 2");
+  require(max_fused_frames >= 0, "max_fused_frames must not be negative");
+}
+
+Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
+    : camera(camera_model), mounting(mounted), settings(slam_settings), tracker(camera_model, slam_settings.tracker) {
+  settings.validate();
+  if (!air_ground_common::isValid(mounting.T_base_camera)) throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
+  focal = 0.5 * (camera.fx + camera.fy);
+  T_camera_base = mounting.T_base_camera.inverse();
+  if (mounting.R_base_imu) R_camera_imu = T_camera_base.linear() * *mounting.R_base_imu;
+}
+
+void Slam::Impl::clear() {
+  tracker.reset();
+  map.clear();
+  track_landmark.clear();
+  track_views.clear();
+  keyframe_covariance.clear();
+  keyframe_path.clear();
+  keyframe_points.clear();
+  active_depth.reset();
+  gravity_known = leveled = false;
+  frames.clear();
+  state = State::kWaiting;
+  first_stamp = lost_since = -1;
+  path = 0;
+  velocity.setZero();
+  turn_rate.setZero();
+  since_keyframe = since_reobservation = keyframe_landmarks = 0;
+}
+
+FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+  FrameResult result;
+  result.state = state = State::kInitializing;
+  if (first_stamp < 0) first_stamp = stamp;
+  tracker.reset();
+  tracker.track(gray);
+  tracker.replenish();
+  int with_depth = 0;
+  for (const Feature& f : tracker.features()) with_depth += sampleDepth(depth, f.pixel, settings.depth).has_value();
+  result.tracked = static_cast<int>(tracker.features().size());
+  if (with_depth < settings.min_start_features) {
+    result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) + " features have depth, " +
+                    std::to_string(settings.min_start_features) + " are needed to start";
+    return result;
+  }
+  const bool imu_ready = mounting.R_base_imu && attitude.initialized();
+  if (mounting.R_base_imu && !imu_ready && stamp - first_stamp < settings.gravity_timeout) {
+    result.reason = "waiting for the IMU to show which way is up";
+    return result;
+  }
+  // Level, yaw 0, origin at the base.
+  Eigen::Matrix3d R_map_base = Eigen::Matrix3d::Identity();
+  if (imu_ready) {
+    R_map_base = air_ground_common::levelingRotation(*mounting.R_base_imu * attitude.up());
+    R_map_base = Eigen::AngleAxisd(-air_ground_common::yawOf(R_map_base), Eigen::Vector3d::UnitZ()) * R_map_base;
+  }
+  gravity_known = imu_ready;
+  // Begun in motion, the first direction is coarse: levelMap looks again when more is known.
+  leveled = !imu_ready || attitude.atRest();
+  const Pose T_map_camera = Pose(R_map_base) * mounting.T_base_camera;
+  ++map_id;
+  ++counters.maps;
+  addKeyframe(stamp, T_map_camera, Matrix6d::Identity() * 1e-10, gray, bgr, depth);
+  setGravityUncertainty();
+  frames.push_back({stamp, map.lastKeyframe(), Pose::Identity()});
+  result.state = state = State::kTracking;
+  result.keyframe = result.new_map = true;
+  result.T_map_camera = T_map_camera;
+  result.T_map_base = T_map_camera * T_camera_base;
+  result.covariance = keyframe_covariance.begin()->second;
+  result.covariance.diagonal().array() += 1e-10;
+  result.inliers = keyframe_landmarks;
+  return result;
+}
+
+bool Slam::Impl::levelMap() {
+  if (leveled) return false;
+  const double begun = map.keyframes().begin()->second.stamp;
+  Eigen::Vector3d up = Eigen::Vector3d::Zero();
+  if (attitude.atRest()) {
+    up = poseOf(frames.back()).linear() * R_camera_imu * attitude.up();
+  } else if (last_stamp - begun > 4.0) {
+    for (const auto& [id, keyframe] : map.keyframes()) {
+      // The first second's directions have not settled.
+      if (keyframe.up_camera && keyframe.stamp > begun + 1.0) up += keyframe.T_map_camera.linear() * *keyframe.up_camera;
+    }
+  } else {
+    return false;
+  }
+  leveled = true;
+  if (up.norm() < 1e-3) return false;
+  // About the map's origin, keeping its yaw.
+  air_ground_common::Similarity S;
+  S.R = air_ground_common::levelingRotation(up);
+  const Pose T_first = map.keyframes().begin()->second.T_map_camera * T_camera_base;
+  S.R = Eigen::AngleAxisd(-air_ground_common::yawOf(S.R * T_first.linear()), Eigen::Vector3d::UnitZ()) * S.R;
+  map.transform(S);
+  velocity = S.R * velocity;
+  setGravityUncertainty();
+  return true;
+}
+
+void Slam::Impl::setGravityUncertainty() {
+  // Tilt of the map against gravity, about its origin; every keyframe shares it.
+  const double sigma = gravity_known ? attitude.upSigma() : 0.05;
+  for (auto& [id, covariance] : keyframe_covariance) {
+    Matrix6d tilt = Matrix6d::Zero();
+    tilt(3, 3) = tilt(4, 4) = sigma * sigma;
+    Matrix6d J = Matrix6d::Identity();
+    J.topRightCorner<3, 3>() = -air_ground_common::skew(map.keyframe(id).T_map_camera.translation());
+    if (id == map.keyframes().begin()->first) covariance = Matrix6d::Identity() * 1e-10;
+    covariance += J * tilt * J.transpose();
+  }
+}
+
+FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+  const auto check = [&](const cv::Mat& image, bool type_ok, const char* what) {
+    if (!type_ok || image.cols != camera.width || image.rows != camera.height) {
+      throw std::invalid_argument(std::string("Slam::process: ") + what + " has " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
+                                  " pixels of OpenCV type " + std::to_string(image.type()) + ", the camera " + std::to_string(camera.width) +
+                                  "x" + std::to_string(camera.height));
+    }
+  };
+  check(gray, gray.type() == CV_8UC1, "the grey image (CV_8UC1)");
+  check(depth, depth.type() == CV_32F, "the depth image (CV_32F, registered)");
+  if (!bgr.empty()) check(bgr, bgr.type() == CV_8UC3, "the colour image (CV_8UC3)");
+  if (!std::isfinite(stamp) || stamp <= last_stamp) throw std::invalid_argument("Slam::process: the stamp is not newer than the last");
+  ++counters.frames;
+  last_stamp = stamp;
+  const cv::Mat& colour = bgr.empty() ? gray : bgr;
+  if (state == State::kWaiting || state == State::kInitializing) return initialize(stamp, gray, colour, depth);
+
+  FrameResult result;
+  const bool was_lost = state == State::kLost;
+  Tracked tracked;
+  if (!was_lost) tracked = track(stamp, gray, depth);
+  result.tracked = static_cast<int>(tracker.features().size());
+  std::string why = tracked.reason;
+  if (!tracked.success) {
+    tracked = relocalize(stamp, gray, depth);
+    result.relocalized = tracked.success;
+    if (why.empty()) why = tracked.reason;
+    result.tracked = static_cast<int>(tracker.features().size());
+  }
+  if (!tracked.success) {
+    if (!was_lost) lost_since = stamp;
+    state = result.state = State::kLost;
+    result.reason = why;
+    ++counters.lost_frames;
+    const bool restart = settings.restart_after > 0 && stamp - lost_since > settings.restart_after;
+    // A map this small is no loss; nor can much be recognised by it.
+    if (restart || map.keyframeCount() < 2) clear();
+    return result;
+  }
+  if (was_lost) ++counters.relocalizations;
+  state = State::kTracking;
+
+  const Pose T_before = poseOf(frames.back());
+  const double dt = stamp - frames.back().stamp;
+  Pose T_map_camera = tracked.pose.T_map_camera;
+  result.T_previous_current_base = mounting.T_base_camera * T_before.inverse() * T_map_camera * T_camera_base;
+  path += (T_map_camera.translation() - T_before.translation()).norm();
+  if (result.relocalized || dt > 1.0) {
+    velocity.setZero();
+    turn_rate.setZero();
+  } else {
+    updateMotion(stamp, T_before, T_map_camera);
+  }
+  result.inliers = tracked.pose.inlier_count;
+  result.rms = tracked.pose.rms;
+  ++since_keyframe;
+
+  // Uncertainty of the map here, then of the camera in the map.
+  const KeyframeId reference = map.lastKeyframe();
+  const Eigen::Vector3d lever = T_map_camera.translation() - map.keyframe(reference).T_map_camera.translation();
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
+  const Matrix6d covariance = J * keyframe_covariance.at(reference) * J.transpose() + tracked.pose.covariance;
+
+  if (result.relocalized || keyframeDue(T_map_camera, tracked.landmarks)) {
+    const KeyframeId id = addKeyframe(stamp, T_map_camera, tracked.pose.covariance, gray, colour, depth);
+    result.keyframe = true;
+    if (settings.loop_closure) result.map_corrected = closeLoop(id);
+    frames.push_back({stamp, id, Pose::Identity()});
+  } else {
+    frames.push_back({stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera});
+    if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
+      active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud);
+    }
+  }
+  if (levelMap()) result.map_corrected = true;
+  T_map_camera = poseOf(frames.back());
+  result.state = State::kTracking;
+  result.T_map_camera = T_map_camera;
+  result.T_map_base = T_map_camera * T_camera_base;
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(result.T_map_base.translation() - T_map_camera.translation());
+  result.covariance = J * covariance * J.transpose();
+  result.covariance.diagonal().array() += 1e-10;
+  return result;
+}
+
+// ---- Public interface
+
+Slam::Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings) : impl_(new Impl(camera, mounting, settings)) {}
+Slam::~Slam() = default;
+
+bool Slam::addImu(const visual_frontend::ImuSample& sample) {
+  if (!impl_->mounting.R_base_imu || !impl_->imu.add(sample)) return false;
+  impl_->attitude.add(sample);
+  if (impl_->attitude.biasKnown() && !impl_->gyro_bias_started) {
+    impl_->gyro_bias = impl_->attitude.gyroBias();
+    impl_->gyro_bias_started = true;
+  }
+  return true;
+}
+
+FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) { return impl_->process(stamp, gray, bgr, depth); }
+
+air_ground_common::Trajectory Slam::trajectory() const {
+  air_ground_common::Trajectory result;
+  result.reserve(impl_->frames.size());
+  for (const auto& frame : impl_->frames) result.push_back({frame.stamp, impl_->poseOf(frame)});
+  return result;
+}
+
+std::vector<PosedPoints> Slam::posedPoints() const {
+  std::vector<PosedPoints> result;
+  for (const auto& [id, points] : impl_->keyframe_points) result.push_back({impl_->map.keyframe(id).T_map_camera, points});
+  if (impl_->active_depth && impl_->map.keyframeCount() > 0) {
+    auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
+    result.push_back({impl_->map.keyframe(impl_->map.lastKeyframe()).T_map_camera, points});
+  }
+  return result;
+}
+
+const visual_frontend::Map& Slam::map() const { return impl_->map; }
+const std::vector<Feature>& Slam::features() const { return impl_->tracker.features(); }
+const SlamCounters& Slam::counters() const { return impl_->counters; }
+Eigen::Vector3d Slam::gyroBias() const { return impl_->gyro_bias; }
+bool Slam::gravityKnown() const { return impl_->gravity_known; }
+int Slam::mapId() const { return impl_->map_id; }
+
+std::vector<bool> Slam::mapped() const {
+  std::vector<bool> result;
+  for (const Feature& f : impl_->tracker.features()) result.push_back(impl_->track_landmark.count(f.id) > 0);
+  return result;
+}
+
+void Slam::reset() {
+  impl_->clear();
+  impl_->imu.clear();
+  impl_->attitude.reset();
+  impl_->gyro_bias.setZero();
+  impl_->gyro_bias_started = false;
+  impl_->last_stamp = -1;
+}
+
+}  // namespace rgbd_slam

@@ -1,0 +1,109 @@
+// State of Slam, shared by the files that implement it: slam.cpp (frames in, results out), tracking.cpp (pose of a frame),
+// mapping.cpp (keyframes, landmarks, local optimisation) and loops.cpp (places seen before).
+#pragma once
+
+#include <set>
+
+#include "rgbd_slam/slam.h"
+
+namespace rgbd_slam {
+
+using visual_frontend::Feature;
+using visual_frontend::Keyframe;
+using visual_frontend::kNoKeyframe;
+using visual_frontend::kNoLandmark;
+using visual_frontend::kNoTrack;
+using visual_frontend::Landmark;
+using visual_frontend::LandmarkMatch;
+using visual_frontend::LandmarkObservation;
+using visual_frontend::Observation;
+using visual_frontend::PoseCorrespondence;
+using visual_frontend::PoseResult;
+
+struct Slam::Impl {
+  Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings);
+
+  // ---- Fixed
+  CameraModel camera;
+  Mounting mounting;
+  SlamSettings settings;
+  double focal;
+  Pose T_camera_base;
+  Eigen::Matrix3d R_camera_imu = Eigen::Matrix3d::Identity();
+
+  // ---- Sensors
+  visual_frontend::FeatureTracker tracker;
+  visual_frontend::ImuBuffer imu;
+  visual_frontend::AttitudeFilter attitude;
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();
+  bool gyro_bias_started = false;
+
+  // ---- Map
+  visual_frontend::Map map;
+  std::unordered_map<TrackId, LandmarkId> track_landmark;
+  std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark
+  std::map<KeyframeId, Matrix6d> keyframe_covariance;
+  std::map<KeyframeId, double> keyframe_path;  ///< way driven until there [m]
+  std::map<KeyframeId, KeyframePoints> keyframe_points;
+  std::unique_ptr<KeyframeDepth> active_depth;  ///< of the last keyframe
+  bool gravity_known = false;
+  bool leveled = false;  ///< or nothing to level with
+  int map_id = 0;
+  SlamCounters counters;
+
+  // ---- Trajectory
+  struct FrameRecord {
+    double stamp;
+    KeyframeId reference;
+    Pose T_reference_camera;
+  };
+  std::vector<FrameRecord> frames;
+  State state = State::kWaiting;
+  double first_stamp = -1;
+  double last_stamp = -1;
+  double lost_since = -1;
+  double path = 0;
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< of the camera in the map [m/s]
+  Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero(); ///< of the camera, camera frame [rad/s]
+  int since_keyframe = 0;
+  int since_reobservation = 0;
+  int keyframe_landmarks = 0;  ///< landmarks that the last keyframe saw
+
+  // ---- slam.cpp
+  FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  FrameResult initialize(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  void clear();
+  Pose poseOf(const FrameRecord& frame) const { return map.keyframe(frame.reference).T_map_camera * frame.T_reference_camera; }
+  bool levelMap();  ///< once more is known about gravity than at the start; true when it turned the map
+  void setGravityUncertainty();
+
+  // ---- tracking.cpp
+  struct Tracked {
+    bool success = false;
+    std::string reason;
+    PoseResult pose;
+    int landmarks = 0;
+  };
+  Tracked track(double stamp, const cv::Mat& gray, const cv::Mat& depth);
+  Tracked relocalize(double stamp, const cv::Mat& gray, const cv::Mat& depth);
+  Pose predict(double stamp, bool* from_gyro) const;
+  PoseCorrespondence correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth) const;
+  PoseResult solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted, bool rotation_known) const;
+  /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
+  int reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose);
+  void updateMotion(double stamp, const Pose& T_before, const Pose& T_now);
+
+  // ---- mapping.cpp
+  bool keyframeDue(const Pose& T_map_camera, int landmarks) const;
+  KeyframeId addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  void createLandmarks(KeyframeId id);
+  void adjustWindow(KeyframeId id);
+  void finishDepth();
+
+  // ---- loops.cpp
+  void fillOrb(const cv::Mat& gray, const cv::Mat& depth, Keyframe& keyframe) const;
+  bool closeLoop(KeyframeId id);
+  void mergeLandmarks(KeyframeId id, const std::vector<std::pair<int, LandmarkId>>& seen);
+};
+
+}  // namespace rgbd_slam

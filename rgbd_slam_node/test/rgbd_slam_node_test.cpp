@@ -1,0 +1,198 @@
+// Drives rgbd_slam_node with a simulated robot: frames, one tf authority, finite numbers, bad input, a looped recording.
+#include <air_ground/SaveMap.h>
+#include <air_ground/SaveTrajectory.h>
+#include <air_ground/VoStatus.h>
+#include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <sensor_msgs/Imu.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+#include <tf2_ros/static_transform_broadcaster.h>
+
+#include <cstdio>
+#include <set>
+
+#include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/conversions.h"
+#include "simulated_robot.h"
+
+namespace rgbd_slam {
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+constexpr double kStart = 1000.0;
+
+class NodeTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    colour_ = handle_.advertise<sensor_msgs::Image>("ground/rgb/image_raw", 100);
+    depth_ = handle_.advertise<sensor_msgs::Image>("ground/depth/image_raw", 100);
+    info_ = handle_.advertise<sensor_msgs::CameraInfo>("ground/rgb/camera_info", 100);
+    imu_ = handle_.advertise<sensor_msgs::Imu>("ground/imu/data", 1000);
+    odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>("ground/odometry", 200, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
+    status_sub_ = handle_.subscribe<air_ground::VoStatus>("ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
+    cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
+    tf_sub_ = handle_.subscribe<tf2_msgs::TFMessage>("/tf", 500, [this](const tf2_msgs::TFMessage::ConstPtr& m) { tf.insert(tf.end(), m->transforms.begin(), m->transforms.end()); });
+    geometry_msgs::TransformStamped camera, imu;
+    camera.header.frame_id = imu.header.frame_id = "ground_base_link";
+    camera.child_frame_id = "ground_camera_optical_frame";
+    imu.child_frame_id = "ground_imu_link";
+    camera.transform = ros_utils::toTransformMsg(robot_.mounting.T_base_camera);
+    imu.transform = ros_utils::toTransformMsg(Pose(*robot_.mounting.R_base_imu));
+    broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu});
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(20);
+    while (colour_.getNumSubscribers() == 0 && ros::WallTime::now() < end) spin(0.05);
+    ASSERT_GT(colour_.getNumSubscribers(), 0u) << "the node did not start";
+    spin(0.5);
+  }
+
+  static void spin(double seconds) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    do {
+      ros::spinOnce();
+      ros::WallDuration(0.01).sleep();
+    } while (ros::WallTime::now() < end);
+  }
+
+  /// Publishes `frames` frames at 10 Hz of the robot's time from 0; `spoil` mixes in what must not hurt.
+  void drive(int frames, bool spoil) {
+    simulated::synthetic::Random random(3);
+    double next_imu = 0;
+    for (int i = 0; i < frames; ++i) {
+      const double t = 0.1 * i;
+      for (; next_imu <= t + 0.005; next_imu += 0.005) {
+        const auto s = robot_.imu(next_imu, random);
+        sensor_msgs::Imu msg;
+        msg.header.stamp = ros::Time(kStart + next_imu);
+        msg.header.frame_id = "ground_imu_link";
+        const auto set = [](geometry_msgs::Vector3& to, const Eigen::Vector3d& from) {
+          to.x = from.x();
+          to.y = from.y();
+          to.z = from.z();
+        };
+        set(msg.angular_velocity, s.angular_velocity);
+        set(msg.linear_acceleration, s.specific_force);
+        if (spoil && next_imu > 1 && next_imu < 1.02) msg.angular_velocity.x = NAN;
+        imu_.publish(msg);
+      }
+      const auto frame = robot_.frame(t, random);
+      std_msgs::Header header;
+      header.stamp = ros::Time(kStart + t);
+      header.frame_id = "ground_camera_optical_frame";
+      info_.publish(ros_utils::toMsg(robot_.camera, header));
+      cv::Mat millimetres(frame.depth.size(), CV_16U, cv::Scalar(0));
+      for (int v = 0; v < frame.depth.rows; ++v) {
+        for (int u = 0; u < frame.depth.cols; ++u) {
+          const float z = frame.depth.at<float>(v, u);
+          if (std::isfinite(z)) millimetres.at<std::uint16_t>(v, u) = static_cast<std::uint16_t>(std::lround(1000 * z));
+        }
+      }
+      auto colour = ros_utils::toMsg(frame.gray, "mono8", header);
+      if (spoil && i == 12) {  // an image of another size and one that comes twice
+        auto small = ros_utils::toMsg(cv::Mat(10, 10, CV_8UC1, cv::Scalar(0)), "mono8", header);
+        colour_.publish(small);
+      }
+      colour_.publish(colour);
+      if (spoil && i == 14) colour_.publish(colour);
+      header.stamp += ros::Duration(0.003);  // not quite the same stamp
+      if (!(spoil && i == 9)) depth_.publish(ros_utils::toMsg(millimetres, "16UC1", header));
+      spin(0.03);
+    }
+  }
+
+  void waitForStatus(std::size_t count) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(30);
+    while (status.size() < count && ros::WallTime::now() < end) spin(0.05);
+    spin(0.5);
+  }
+
+  simulated::Robot robot_;
+  ros::NodeHandle handle_;
+  ros::Publisher colour_, depth_, info_, imu_;
+  ros::Subscriber odometry_sub_, status_sub_, cloud_sub_, tf_sub_;
+  tf2_ros::StaticTransformBroadcaster broadcaster_;
+  std::vector<nav_msgs::Odometry> odometry;
+  std::vector<air_ground::VoStatus> status;
+  std::vector<sensor_msgs::PointCloud2> clouds;
+  std::vector<geometry_msgs::TransformStamped> tf;
+};
+
+TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
+  drive(40, true);
+  waitForStatus(37);
+  ASSERT_GT(odometry.size(), 33u);
+  for (const auto& m : odometry) {
+    EXPECT_EQ(m.header.frame_id, "ground_map");
+    EXPECT_EQ(m.child_frame_id, "ground_base_link");
+    const Pose T = ros_utils::fromMsg(m.pose.pose), truth = robot_.mapped(m.header.stamp.toSec() - kStart);
+    // The first frames' map is not levelled yet.
+    EXPECT_LT((T.translation() - truth.translation()).norm(), 0.06) << m.header.stamp.toSec() - kStart;
+    EXPECT_LT(air_ground_common::rotationAngle(T.linear(), truth.linear()), 0.05);
+    for (int i = 0; i < 6; ++i) EXPECT_GT(m.pose.covariance[7 * i], 0);
+  }
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING);
+  EXPECT_GT(status.back().map_points, 50u);
+  EXPECT_EQ(status.back().map_id, 1u);
+
+  std::map<std::string, std::set<std::string>> parents;
+  std::map<std::string, ros::Time> newest;
+  for (const auto& t : tf) {
+    parents[t.child_frame_id].insert(t.header.frame_id);
+    EXPECT_GT(t.header.stamp, newest[t.child_frame_id]) << "a repeated or older stamp on " << t.child_frame_id;
+    newest[t.child_frame_id] = t.header.stamp;
+  }
+  EXPECT_EQ(parents["ground_odom"], std::set<std::string>{"ground_map"});
+  EXPECT_EQ(parents["ground_base_link"], std::set<std::string>{"ground_odom"});
+
+  ASSERT_FALSE(clouds.empty());
+  EXPECT_EQ(clouds.back().header.frame_id, "ground_map");
+  std::size_t dropped = 0;
+  const auto points = ros_utils::cloudFromMsg(clouds.back(), &dropped);
+  EXPECT_GT(points.size(), 3000u);
+  EXPECT_EQ(dropped, 0u);
+  double height = 0;
+  for (const auto& p : points) height += p.position.z() / points.size();
+  EXPECT_NEAR(height, 0, 0.02);
+
+  air_ground::SaveMap map;
+  map.request.path = "/tmp/rgbd_slam_node_test.ply";
+  ASSERT_TRUE(ros::service::call("rgbd_slam/save_map", map));
+  EXPECT_TRUE(map.response.success) << map.response.message;
+  EXPECT_EQ(air_ground_common::readPlyPoints(map.request.path).size(), map.response.points);
+  std::remove(map.request.path.c_str());
+  map.request.path = "/nowhere/at/all.ply";
+  ASSERT_TRUE(ros::service::call("rgbd_slam/save_map", map));
+  EXPECT_FALSE(map.response.success);
+  air_ground::SaveTrajectory trajectory;
+  trajectory.request.path = "/tmp/rgbd_slam_node_test.txt";
+  ASSERT_TRUE(ros::service::call("rgbd_slam/save_trajectory", trajectory));
+  EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
+  EXPECT_EQ(air_ground_common::readTum(trajectory.request.path).size(), odometry.size());
+  std::remove(trajectory.request.path.c_str());
+
+  // The recording begins again: stamps jump back by four seconds.
+  odometry.clear();
+  status.clear();
+  drive(15, false);
+  waitForStatus(15);
+  ASSERT_GT(odometry.size(), 10u);
+  EXPECT_LT(odometry.front().header.stamp.toSec(), kStart + 0.5);
+  EXPECT_LT(ros_utils::fromMsg(odometry.front().pose.pose).translation().norm(), 0.02);
+  EXPECT_EQ(status.back().map_id, 2u);
+
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call("rgbd_slam/reset", reset));
+  EXPECT_TRUE(reset.response.success);
+  ASSERT_TRUE(ros::service::call("rgbd_slam/save_trajectory", trajectory));
+  EXPECT_FALSE(trajectory.response.success);
+}
+
+}  // namespace
+}  // namespace rgbd_slam
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "rgbd_slam_node_test");
+  return RUN_ALL_TESTS();
+}

@@ -1,0 +1,84 @@
+// A ground robot over a textured floor with exact truth: colour, depth with a Kinect's noise, and IMU.
+#pragma once
+
+#include <opencv2/imgproc.hpp>
+
+#include "rgbd_slam/slam.h"
+#include "synthetic.h"  // of the visual front end
+
+namespace rgbd_slam::simulated {
+
+using visual_frontend::ImuSample;
+namespace synthetic = visual_frontend::synthetic;
+
+struct Robot {
+  Robot() : camera(synthetic::camera(false)), texture(synthetic::texture(1800, 3)) {
+    texture.convertTo(texture, -1, 1.8, -102);
+    // 1.2 m up, looking forward and 60 degrees down: the floor fills the image.
+    mounting.T_base_camera.linear() = Eigen::AngleAxisd(1.05, Eigen::Vector3d::UnitY()).toRotationMatrix() * air_ground_common::opticalFromForwardBody();
+    mounting.T_base_camera.translation() = Eigen::Vector3d(0.1, 0.03, 1.2);
+    mounting.R_base_imu = Eigen::AngleAxisd(1.3, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  }
+
+  CameraModel camera;
+  cv::Mat texture;
+  double floor = 9.0;  ///< width of the texture [m]
+  Mounting mounting;
+  double radius = 1.0, speed = 0.3, rest = 0.8;  ///< circle [m], [m/s], standstill at the start [s]
+  bool spin = false;  ///< turn on the spot instead
+  Eigen::Vector3d tilt{0.03, -0.02, 0};  ///< the base is not level [rad]
+  Eigen::Vector3d gyro_bias{0.01, -0.02, 0.015};
+
+  /// T_world_base; the world's z is up, the floor at z = 0.
+  Pose base(double t) const {
+    const double s = std::max(0.0, t - rest);
+    // Sets off smoothly over a second.
+    const double way = speed * (s < 1 ? 0.5 * s * s : s - 0.5), angle = way / radius;
+    Pose T = Pose::Identity();
+    T.linear() = Eigen::AngleAxisd(angle + 0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix() * air_ground_common::expSO3(tilt);
+    if (!spin) T.translation() = Eigen::Vector3d(radius * std::sin(angle), radius * (1 - std::cos(angle)), 0);
+    return T;
+  }
+
+  /// Pose of the base in the map that SLAM should build: origin at the first base, level, yaw 0 there.
+  Pose mapped(double t) const {
+    const Pose first = base(0);
+    return air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse() * base(t);
+  }
+
+  struct Frame {
+    cv::Mat gray, depth;
+  };
+  Frame frame(double t, synthetic::Random& random) const {
+    Frame f;
+    f.gray = synthetic::renderPlane(camera, base(t) * mounting.T_base_camera, texture, floor, &f.depth);
+    cv::Mat noise(f.gray.size(), CV_16S), noisy;
+    cv::RNG rng(static_cast<std::uint64_t>(t * 1000) + 5);
+    rng.fill(noise, cv::RNG::NORMAL, 0, 2);
+    f.gray.convertTo(noisy, CV_16S);
+    cv::Mat(noisy + noise).convertTo(f.gray, CV_8U);
+    const DepthModel model;
+    for (int v = 0; v < f.depth.rows; ++v) {
+      for (int u = 0; u < f.depth.cols; ++u) {
+        float& z = f.depth.at<float>(v, u);
+        z = z > 0 ? static_cast<float>(std::round(1000 * (z + random.gauss(0.7 * model.sigma(z)))) / 1000) : NAN;
+      }
+    }
+    return f;
+  }
+
+  ImuSample imu(double t, synthetic::Random& random) const {
+    constexpr double h = 1e-3;
+    const Pose before = base(t - h), now = base(t), after = base(t + h);
+    const Eigen::Vector3d rate = air_ground_common::logSO3(before.linear().transpose() * after.linear()) / (2 * h);
+    const Eigen::Vector3d acceleration = (before.translation() + after.translation() - 2 * now.translation()) / (h * h);
+    const Eigen::Matrix3d R_imu_world = mounting.R_base_imu->transpose() * now.linear().transpose();
+    ImuSample s;
+    s.stamp = t;
+    s.angular_velocity = mounting.R_base_imu->transpose() * rate + gyro_bias + random.gaussVector(0.003);
+    s.specific_force = R_imu_world * (acceleration + Eigen::Vector3d(0, 0, 9.81)) + random.gaussVector(0.04);
+    return s;
+  }
+};
+
+}  // namespace rgbd_slam::simulated

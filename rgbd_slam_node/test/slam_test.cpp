@@ -1,0 +1,196 @@
+#include "rgbd_slam/slam.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <functional>
+
+#include "simulated_robot.h"
+
+namespace rgbd_slam {
+namespace {
+
+using simulated::Robot;
+using simulated::synthetic::Random;
+
+struct Drive {
+  std::vector<FrameResult> results;
+  std::vector<double> stamps;
+  air_ground_common::Trajectory truth;  ///< camera in the map
+};
+
+/// Drives SLAM from t0 to t1 at 10 Hz. `blind(t)`: the lens is covered.
+Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool imu = true, const std::function<bool(double)>& blind = {}) {
+  Drive run;
+  Random random(11);
+  double next_imu = t0;
+  for (int i = 0; t0 + 0.1 * i <= t1; ++i) {
+    const double t = t0 + 0.1 * i;
+    for (; imu && next_imu <= t + 0.005; next_imu += 0.005) slam.addImu(robot.imu(next_imu, random));
+    auto frame = robot.frame(t, random);
+    if (blind && blind(t)) frame.gray.setTo(15);
+    run.results.push_back(slam.process(t, frame.gray, cv::Mat(), frame.depth));
+    run.stamps.push_back(t);
+    run.truth.push_back({t, robot.mapped(t) * robot.mounting.T_base_camera});
+  }
+  return run;
+}
+
+double worst(const Drive& run, const air_ground_common::Trajectory& estimate) {
+  double largest = 0;
+  for (const auto& pose : estimate) {
+    const auto truth = air_ground_common::poseAt(run.truth, pose.stamp);
+    if (truth) largest = std::max(largest, (truth->translation() - pose.T_map_body.translation()).norm());
+  }
+  return largest;
+}
+
+TEST(Slam, CircleInAGravityAlignedMap) {
+  Robot robot;
+  Slam slam(robot.camera, robot.mounting, {});
+  const Drive run = drive(robot, slam, 0, 7);
+  int corrected = 0;
+  double nees = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < run.results.size(); ++i) {
+    const FrameResult& r = run.results[i];
+    corrected += r.map_corrected;
+    if (r.state != State::kTracking) {
+      EXPECT_LT(run.stamps[i], 0.3);
+      continue;
+    }
+    // Position within a few centimetres though the map is levelled by a noisy accelerometer; heading right from the start.
+    const Pose truth = robot.mapped(run.stamps[i]);
+    const Eigen::Vector3d e = r.T_map_base.translation() - truth.translation();
+    EXPECT_LT(e.norm(), 0.035) << run.stamps[i];
+    EXPECT_LT(air_ground_common::rotationAngle(r.T_map_base.linear(), truth.linear()), run.stamps[i] > 1.0 ? 0.012 : 0.04) << run.stamps[i];
+    nees += e.dot(Eigen::Matrix3d(r.covariance.topLeftCorner<3, 3>()).inverse() * e);
+    ++count;
+    EXPECT_EQ(Eigen::LLT<Matrix6d>(r.covariance).info(), Eigen::Success);
+  }
+  EXPECT_LE(corrected, 1);  // levelled once, when rest was known
+  EXPECT_TRUE(slam.gravityKnown());
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_LT((slam.gyroBias() - robot.gyro_bias).norm(), 0.004);
+  EXPECT_LT(worst(run, slam.trajectory()), 0.03);
+  EXPECT_LT(nees / count, 12.0);
+  // The floor of the dense cloud is flat and where it should be.
+  const auto cloud = fusePoints(slam.posedPoints(), SlamSettings().cloud);
+  ASSERT_GT(cloud.size(), 5000u);
+  double sum = 0, squares = 0;
+  for (const CloudPoint& p : cloud) {
+    sum += p.position.z();
+    squares += p.position.z() * p.position.z();
+  }
+  EXPECT_NEAR(sum / cloud.size(), 0, 0.015);
+  EXPECT_LT(std::sqrt(squares / cloud.size()), 0.02);
+}
+
+TEST(Slam, SameInputSameOutput) {
+  Robot robot;
+  Slam a(robot.camera, robot.mounting, {}), b(robot.camera, robot.mounting, {});
+  const Drive ra = drive(robot, a, 0, 2.5), rb = drive(robot, b, 0, 2.5);
+  for (std::size_t i = 0; i < ra.results.size(); ++i) EXPECT_EQ(ra.results[i].T_map_base.matrix(), rb.results[i].T_map_base.matrix());
+}
+
+TEST(Slam, WithoutImuTheBaseCountsAsLevel) {
+  Robot robot;
+  robot.tilt.setZero();
+  robot.mounting.R_base_imu.reset();
+  Slam slam(robot.camera, robot.mounting, {});
+  const Drive run = drive(robot, slam, 0, 4, false);
+  EXPECT_FALSE(slam.gravityKnown());
+  EXPECT_EQ(run.results.front().state, State::kTracking);
+  EXPECT_TRUE(run.results.front().new_map);
+  EXPECT_LT(run.results.front().T_map_base.translation().norm(), 1e-9);
+  EXPECT_LT(worst(run, slam.trajectory()), 0.03);
+}
+
+TEST(Slam, PureRotationMakesLandmarks) {
+  Robot robot;
+  robot.spin = true;
+  // The camera sits on the axis of the turn: not a millimetre of parallax.
+  robot.mounting.T_base_camera.translation() = Eigen::Vector3d(0, 0, 1.2);
+  robot.tilt.setZero();
+  robot.speed = 0.4;
+  Slam slam(robot.camera, robot.mounting, {});
+  const Drive run = drive(robot, slam, 0, 5);
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_GT(slam.map().keyframeCount(), 4u);
+  EXPECT_GT(slam.map().landmarkCount(), 300u);
+  EXPECT_LT(worst(run, slam.trajectory()), 0.02);
+}
+
+TEST(Slam, LostSaysSoAndFindsItsWayBack) {
+  Robot robot;
+  robot.rest = 0.8;
+  Slam slam(robot.camera, robot.mounting, {});
+  // Covered for two seconds, then the robot stands where it was before.
+  const auto blind = [](double t) { return t > 3.0 && t < 4.5; };
+  const Drive run = drive(robot, slam, 0, 4.4, true, blind);
+  EXPECT_EQ(run.results.back().state, State::kLost);
+  EXPECT_FALSE(run.results.back().reason.empty());
+  const std::size_t poses = slam.trajectory().size();
+  Random random(5);
+  const auto frame = robot.frame(2.0, random);
+  const FrameResult r = slam.process(5.0, frame.gray, cv::Mat(), frame.depth);
+  ASSERT_EQ(r.state, State::kTracking) << r.reason;
+  EXPECT_TRUE(r.relocalized);
+  EXPECT_LT((r.T_map_base.translation() - robot.mapped(2.0).translation()).norm(), 0.02);
+  EXPECT_EQ(slam.trajectory().size(), poses + 1);
+}
+
+TEST(Slam, LoopClosureRemovesDrift) {
+  Robot robot;
+  robot.mounting.R_base_imu.reset();
+  robot.tilt.setZero();
+  robot.speed = 0.35;
+  robot.radius = 0.5;
+  robot.rest = 0.2;
+  double end_error[2];
+  int loops = 0;
+  for (const bool closing : {false, true}) {
+    SlamSettings settings;
+    settings.loop_closure = closing;
+    settings.reobserve_every = 0;  // so that nothing else closes the circle
+    settings.loop_min_gap = 6;
+    CameraModel wrong = robot.camera;
+    wrong.fx *= 1.03;  // makes it drift
+    Slam slam(wrong, robot.mounting, settings);
+    const Drive run = drive(robot, slam, 0, 10.4, false);
+    const auto trajectory = slam.trajectory();
+    ASSERT_EQ(trajectory.size(), run.stamps.size());
+    end_error[closing] = (trajectory.back().T_map_body.translation() - run.truth.back().T_map_body.translation()).norm();
+    if (closing) loops = slam.counters().loops;
+  }
+  EXPECT_GE(loops, 1);
+  EXPECT_GT(end_error[0], 0.04);
+  EXPECT_LT(end_error[1], 0.5 * end_error[0]);
+}
+
+TEST(Slam, WaitsForDepthAndRefusesBadInput) {
+  Robot robot;
+  Slam slam(robot.camera, robot.mounting, {});
+  Random random(1);
+  const auto frame = robot.frame(0, random);
+  const cv::Mat no_depth(480, 640, CV_32F, cv::Scalar(NAN));
+  const FrameResult r = slam.process(1, frame.gray, cv::Mat(), no_depth);
+  EXPECT_EQ(r.state, State::kInitializing);
+  EXPECT_NE(r.reason.find("depth"), std::string::npos);
+  EXPECT_THROW(slam.process(1, frame.gray, cv::Mat(), frame.depth), std::invalid_argument);  // the same stamp
+  EXPECT_THROW(slam.process(2, frame.depth, cv::Mat(), frame.depth), std::invalid_argument);
+  EXPECT_THROW(slam.process(2, frame.gray, cv::Mat(), cv::Mat(10, 10, CV_32F)), std::invalid_argument);
+  // No IMU sample came: after the timeout the base counts as level.
+  EXPECT_EQ(slam.process(1.5, frame.gray, cv::Mat(), frame.depth).state, State::kInitializing);
+  EXPECT_EQ(slam.process(2.5, frame.gray, cv::Mat(), frame.depth).state, State::kTracking);
+  slam.reset();
+  EXPECT_TRUE(slam.trajectory().empty());
+  EXPECT_EQ(slam.process(1, frame.gray, cv::Mat(), frame.depth).state, State::kInitializing);
+  SlamSettings bad;
+  bad.keyframe_overlap = 1.5;
+  EXPECT_THROW(Slam(robot.camera, robot.mounting, bad), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace rgbd_slam

@@ -1,0 +1,130 @@
+#!/usr/bin/env python3
+"""Documentation against code: arguments, topics, services and parameters that are described exist, and those that exist are described."""
+import glob
+import os
+import re
+import unittest
+import xml.etree.ElementTree as ElementTree
+
+import rospkg
+import roslaunch.config
+import rosunit
+import yaml
+
+ROOT = rospkg.RosPack().get_path('air_ground')
+NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine')
+# Set by the launch files' arguments, so not in the parameter files.
+BY_LAUNCH = {'map_frame', 'odom_frame', 'base_frame', 'publish_tf', 'ground_map_frame', 'mav_map_frame'}
+
+
+def read(*path):
+    with open(os.path.join(ROOT, *path), encoding='utf-8') as stream:
+        return stream.read()
+
+
+def sources(node):
+    return '\n'.join(read(path) for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', '*.cpp')))
+
+
+def arguments(launch):
+    """name -> default (None without) of a launch file."""
+    root = ElementTree.fromstring(read('launch', launch))
+    return {arg.get('name'): arg.get('default') for arg in root.findall('arg')}
+
+
+def flat(tree, prefix=''):
+    names = set()
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            names |= flat(value, f'{prefix}{key}/')
+        else:
+            names.add(prefix + key)
+    return names
+
+
+class Documentation(unittest.TestCase):
+    def test_arguments_are_documented(self):
+        page = read('docs', 'frames_and_topics.md')
+        documented = dict(re.findall(r'^\| `(\w+)` \| (?:`([^`]*)`)?', page, re.M))
+        existing = {}
+        for launch in ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch'):
+            existing.update(arguments(launch))
+        self.assertEqual(sorted(existing), sorted(documented))
+        for name, default in documented.items():
+            if default and existing[name] is not None and '$(' not in existing[name]:
+                self.assertEqual(default, existing[name], f'default of {name}')
+
+    def test_launch_files_agree(self):
+        replay, both = arguments('replay.launch'), arguments('air_ground.launch')
+        for name, default in both.items():
+            self.assertEqual(replay.get(name), default, f'{name} in replay.launch')
+        for part in ('mav.launch', 'ground.launch'):
+            for name, default in arguments(part).items():
+                self.assertEqual(both.get(name), default, f'{name} in {part} and air_ground.launch')
+
+    def test_topics_of_the_nodes_are_arguments(self):
+        """Every relative topic in a node's source is remapped by an argument of the same default, and documented."""
+        page = read('docs', 'frames_and_topics.md')
+        defaults = set(arguments('air_ground.launch').values())
+        for node in NODES:
+            topics = set(re.findall(r'(?:advertise<[\w:]+>|subscribe(?:<[\w:]+>)?)\(\s*"([^"~]+)"', sources(node)))
+            self.assertTrue(topics, node)
+            for topic in topics:
+                self.assertIn(topic, defaults, f'{node}: no launch argument for the topic {topic}')
+                self.assertIn(f'`{topic}`', page, f'{node}: {topic} is not documented')
+        for launch in ('mav.launch', 'ground.launch'):
+            for node in ElementTree.fromstring(read('launch', launch)).findall('node'):
+                for remap in node.findall('remap'):
+                    self.assertIn(f'"{remap.get("from")}"', sources(node.get('name')), f'{launch}: {node.get("name")} does not use the topic')
+
+    def test_services_are_documented(self):
+        page = read('docs', 'frames_and_topics.md')
+        for node in NODES:
+            for service in re.findall(r'advertiseService\("(\w+)"', sources(node)):
+                self.assertTrue(f'`{node}/{service}`' in page or service == 'reset', f'{node}/{service} is not documented')
+
+    def test_parameters(self):
+        """Each parameter in a file is read by its node; each parameter that a node reads is in its file, or set by the launch files."""
+        for node in NODES:
+            text = read('config', f'{node}.yaml')
+            given = flat(yaml.safe_load(text))
+            code = sources(node)
+            used = set(re.findall(r'(?:number|integer|flag|text|choice|numbers|read|optional)(?:<\w+>)?\(\s*"([\w/]+)"', code))
+            for name in given:
+                if node == 'icp_refine' and name.startswith('chain/'):
+                    continue  # a chain of filters: its own reader checks it
+                leaf = name.split('/')[-1]
+                self.assertTrue(f'"{name}"' in code or f'"{leaf}"' in code, f'{node} does not read the parameter {name}')
+            for name in used:
+                described = name in given or re.search(rf'^\s*#?\s*{re.escape(name.split("/")[-1])}:', text, re.M)
+                self.assertTrue(described or name in BY_LAUNCH, f'{node} reads {name}, which config/{node}.yaml does not describe')
+
+    def test_all_configuration_loads(self):
+        files = glob.glob(os.path.join(ROOT, 'config', '**', '*.yaml'), recursive=True) + glob.glob(os.path.join(ROOT, 'config', 'rviz', '*.rviz'))
+        self.assertGreater(len(files), 7)
+        for path in files:
+            self.assertIsInstance(yaml.safe_load(read(path)), dict, path)
+
+    def test_rviz_shows_existing_topics(self):
+        rviz = yaml.safe_load(read('config', 'rviz', 'air_ground.rviz'))
+        self.assertEqual(rviz['Visualization Manager']['Global Options']['Fixed Frame'], arguments('air_ground.launch')['ground_map_frame'])
+        known = {default for default in arguments('air_ground.launch').values() if default}
+        known |= {'alignment/height_map_air_cloud', 'alignment/height_map_ground_cloud'}
+        for display in rviz['Visualization Manager']['Displays']:
+            for key in ('Topic', 'Image Topic'):
+                if key in display:
+                    self.assertIn(display[key], known, display['Name'])
+
+    def test_launch_files_resolve(self):
+        """roslaunch accepts each file, and every node in it is a program of its package."""
+        for launch, given in (('mav.launch', []), ('ground.launch', []), ('air_ground.launch', ['rviz:=true']), ('replay.launch', ['bag:=x.bag', 'out:=/tmp/x'])):
+            config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+            self.assertEqual(config.config_errors, [], launch)
+            for node in config.nodes:
+                if node.package == 'air_ground':
+                    from roslib.packages import find_node
+                    self.assertTrue(find_node('air_ground', node.type), f'{launch}: no program {node.type}')
+
+
+if __name__ == '__main__':
+    rosunit.unitrun('air_ground', 'documentation_test', Documentation)
