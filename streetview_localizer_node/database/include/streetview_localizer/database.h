@@ -1,0 +1,83 @@
+// The Street View database: panoramas, their views with features on facades, and the city model, in one GeoPackage.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "streetview_localizer/city_model.h"
+#include "streetview_localizer/types.h"
+
+namespace streetview_localizer {
+
+constexpr int kDatabaseVersion = 1;
+
+/// The database in memory.
+struct StreetviewDatabase {
+  std::string crs;                                   ///< as CityModel::crs; empty for a local frame
+  Eigen::Vector3d origin = Eigen::Vector3d::Zero();  ///< of world, in crs
+  std::vector<Panorama> panoramas;
+  std::vector<View> views;  ///< grouped by panorama, in its order; `panorama` and `id` are indices
+  CityModel model;
+  int version = kDatabaseVersion;
+
+  /// Indices of the views of a panorama.
+  std::vector<int> viewsOf(int panorama) const;
+
+  /// Indices of the panoramas within `radius` [m] in plan of a place in world, nearest first.
+  std::vector<int> near(const Eigen::Vector3d& position, double radius) const;
+  /// The `count` nearest panoramas in plan, nearest first.
+  std::vector<int> nearest(const Eigen::Vector3d& position, int count) const;
+
+  /// Builds what near() and nearest() search; loadDatabase() calls it. Call again after changing panoramas.
+  void buildIndex();
+
+ private:
+  struct Index;
+  std::shared_ptr<const Index> index_;
+  std::vector<int> first_view_;
+};
+
+struct DatabaseLoadOptions {
+  bool images = true;    ///< decode the views' images (colour); false: View::image stays empty, much less memory
+  bool features = true;  ///< read features, points and normals
+  /// Only panoramas within `radius` of this place, given in the database's crs: answered by the file's spatial index.
+  std::optional<Eigen::Vector2d> centre;
+  double radius = 200;  ///< [m]
+};
+
+/// Reads a GeoPackage file or, given "PG:..." , a PostGIS database. Throws std::runtime_error with one line for a
+/// missing or truncated file, another version, or a file that is no Street View database.
+StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options = {});
+
+/// Writes a database panorama by panorama. A file appears under its own name only with finish(); until then it grows as
+/// `<name>.partial.gpkg`, one transaction a panorama, so that a killed build loses at most one panorama and a new
+/// writer goes on from there. A finished file is added to through a copy.
+class DatabaseWriter {
+ public:
+  /// Starts, resumes or extends `path`. `settings`: one line that names all that shapes the contents; a resumed or
+  /// extended database must have been made with the same. `model`: stored at the start; of an existing database, that
+  /// file's model is kept. Throws std::runtime_error with one line.
+  DatabaseWriter(const std::string& path, const CityModel& model, const std::string& settings);
+  ~DatabaseWriter();
+
+  /// True when the panorama is stored whole.
+  bool has(const std::string& panorama_id) const;
+  /// Stores a panorama and its views in one transaction. View::panorama and View::id are ignored. Throws
+  /// std::runtime_error when the disk refuses; what was stored before stays.
+  void add(const Panorama& panorama, const std::vector<View>& views);
+  /// Panoramas stored so far.
+  int size() const;
+  /// Closes the file and gives it its name.
+  void finish();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace streetview_localizer
