@@ -6,6 +6,8 @@
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
+#include "halved_features.h"
+
 namespace streetview_localizer {
 namespace {
 
@@ -22,6 +24,23 @@ cv::Mat toGrey(const cv::Mat& image) {
   cv::Mat grey;
   cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
   return grey;
+}
+
+/// SIFT of `grey`, whose pixel x is pixel scale * x + (scale - 1) / 2 of the image that the keypoints are for.
+Features detect(const cv::Mat& grey, const cv::Mat& mask, const FeatureSettings& settings, float scale) {
+  Features features;
+  features.descriptors = cv::Mat(0, 128, CV_8U);
+  if (std::min(grey.rows, grey.cols) < kMinimumSize) return features;
+  const auto sift = cv::SIFT::create(settings.max_features, 3, settings.contrast_threshold, settings.edge_threshold);
+  cv::Mat descriptors;
+  sift->detectAndCompute(grey, mask, features.keypoints, descriptors);
+  const float shift = (scale - 1) / 2 - scale * kDoublingShift;
+  for (cv::KeyPoint& k : features.keypoints) {
+    k.pt = cv::Point2f(k.pt.x * scale + shift, k.pt.y * scale + shift);
+    k.size *= scale;
+  }
+  features.descriptors = rootSift(descriptors);
+  return features;
 }
 
 }  // namespace
@@ -44,31 +63,19 @@ cv::Mat rootSift(const cv::Mat& sift) {
 }
 
 Features extractFeatures(const cv::Mat& image, const FeatureSettings& settings, const cv::Mat& mask) {
-  Features features;
-  features.descriptors = cv::Mat(0, 128, CV_8U);
   if (!mask.empty() && (mask.type() != CV_8UC1 || mask.size() != image.size()))
     throw std::invalid_argument("extractFeatures: the mask must be CV_8U and as large as the image");
-  cv::Mat grey = toGrey(image), grey_mask = mask;
-  // Halving first cancels OpenCV's doubling: the finest octave then has as many pixels as the image. What halving
-  // removes (above a quarter of the sampling frequency), the first blur of 1.6 pixels would have removed as well.
-  const float scale = settings.double_image ? 1.f : 2.f;
-  if (std::min(grey.rows, grey.cols) < kMinimumSize * scale) return features;
-  if (!settings.double_image) {
-    cv::resize(grey, grey, cv::Size(grey.cols / 2, grey.rows / 2), 0, 0, cv::INTER_AREA);
-    if (!mask.empty()) cv::resize(mask, grey_mask, grey.size(), 0, 0, cv::INTER_NEAREST);
-  }
-  const auto sift = cv::SIFT::create(settings.max_features, 3, settings.contrast_threshold, settings.edge_threshold);
-  cv::Mat descriptors;
-  sift->detectAndCompute(grey, grey_mask, features.keypoints, descriptors);
-  // Halving maps pixel x to (x - 0.5) / 2.
-  const float shift = (scale - 1) / 2 - scale * kDoublingShift;
-  for (cv::KeyPoint& k : features.keypoints) {
-    k.pt.x = k.pt.x * scale + shift;
-    k.pt.y = k.pt.y * scale + shift;
-    k.size *= scale;
-  }
-  features.descriptors = rootSift(descriptors);
-  return features;
+  const cv::Mat grey = toGrey(image);
+  if (settings.double_image || std::min(grey.rows, grey.cols) < 2 * kMinimumSize)
+    return detect(grey, mask, settings, 1);
+  cv::Mat half, half_mask;
+  cv::resize(grey, half, cv::Size(grey.cols / 2, grey.rows / 2), 0, 0, cv::INTER_AREA);
+  if (!mask.empty()) cv::resize(mask, half_mask, half.size(), 0, 0, cv::INTER_NEAREST);
+  return extractHalvedFeatures(half, settings, half_mask);
+}
+
+Features extractHalvedFeatures(const cv::Mat& half, const FeatureSettings& settings, const cv::Mat& half_mask) {
+  return detect(half, half_mask, settings, 2);
 }
 
 }  // namespace streetview_localizer
