@@ -274,6 +274,37 @@ std::optional<RayHit> MeshScene::cast(const Eigen::Vector3f& o, const Eigen::Vec
                 Eigen::Vector3f(r.hit.Ng_x, r.hit.Ng_y, r.hit.Ng_z).normalized()};
 }
 
+std::vector<RayHit> MeshScene::castMany(const Eigen::Vector3f& o, const std::vector<Eigen::Vector3f>& directions, float max_distance) const {
+  constexpr std::size_t kPacket = 8;
+  std::vector<RayHit> hits(directions.size());
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  for (std::size_t first = 0; first < directions.size(); first += kPacket) {
+    alignas(32) int valid[kPacket];
+    alignas(32) RTCRayHit8 r;
+    for (std::size_t i = 0; i < kPacket; ++i) {
+      valid[i] = first + i < directions.size() ? -1 : 0;
+      const Eigen::Vector3f& d = directions[valid[i] ? first + i : first];
+      r.ray.org_x[i] = o.x(), r.ray.org_y[i] = o.y(), r.ray.org_z[i] = o.z();
+      r.ray.dir_x[i] = d.x(), r.ray.dir_y[i] = d.y(), r.ray.dir_z[i] = d.z();
+      r.ray.tnear[i] = 1e-5f, r.ray.tfar[i] = max_distance, r.ray.time[i] = 0;
+      r.ray.mask[i] = ~0u, r.ray.id[i] = 0, r.ray.flags[i] = 0;
+      r.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+      r.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
+    }
+    rtcIntersect8(valid, impl_->scene, &context, &r);
+    for (std::size_t i = 0; i < kPacket && first + i < directions.size(); ++i) {
+      RayHit& hit = hits[first + i];
+      hit.triangle = -1;
+      if (r.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
+      hit = {r.ray.tfar[i], static_cast<int>(r.hit.primID[i]), Eigen::Vector2f(r.hit.u[i], r.hit.v[i]),
+             Eigen::Vector3f(r.hit.Ng_x[i], r.hit.Ng_y[i], r.hit.Ng_z[i]).normalized()};
+    }
+  }
+  return hits;
+}
+
 bool MeshScene::occluded(const Eigen::Vector3f& o, const Eigen::Vector3f& d, float max_distance) const {
   RTCRay r = {o.x(), o.y(), o.z(), 1e-4f, d.x(), d.y(), d.z(), 0, max_distance, ~0u, 0, 0};
   RTCIntersectContext context;

@@ -33,6 +33,31 @@ TEST(Mesh, RayHitsTheNearFaceWithOutwardNormal) {
   EXPECT_FALSE(scene.occluded({-1, 1, 1}, {1, 0, 0}, 0.5f));
 }
 
+TEST(Mesh, PacketsOfRaysAgreeWithSingleRays) {
+  const MeshScene scene(box());
+  std::mt19937 rng(8);
+  std::normal_distribution<float> n;
+  const Eigen::Vector3f origin(-2.f, 1.2f, 1.1f);
+  std::vector<Eigen::Vector3f> directions;
+  for (int i = 0; i < 1003; ++i) directions.push_back(Eigen::Vector3f(n(rng) + 1, n(rng), n(rng)).normalized());
+  for (const float reach : {1e6f, 2.2f}) {
+    const std::vector<RayHit> hits = scene.castMany(origin, directions, reach);
+    ASSERT_EQ(hits.size(), directions.size());
+    int met = 0;
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+      const auto single = scene.cast(origin, directions[i], reach);
+      ASSERT_EQ(single.has_value(), hits[i].triangle >= 0) << i;
+      if (!single) continue;
+      ++met;
+      EXPECT_NEAR(hits[i].distance, single->distance, 1e-5f);
+      EXPECT_LT((hits[i].normal - single->normal).norm(), 1e-6f);
+      EXPECT_EQ(hits[i].triangle, single->triangle);
+    }
+    EXPECT_GT(met, 30);
+    EXPECT_LT(met, 900);
+  }
+}
+
 TEST(Mesh, DistanceAgreesWithTheAnalyticBox) {
   const MeshScene scene(box());
   std::mt19937 rng(4);

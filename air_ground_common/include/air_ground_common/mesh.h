@@ -50,6 +50,9 @@ class MeshScene {
   MeshScene& operator=(MeshScene&&) noexcept;
 
   std::optional<RayHit> cast(const Eigen::Vector3f& origin, const Eigen::Vector3f& direction, float max_distance = 1e6f) const;
+  /// As cast() for many rays from one point, in packets of eight: several times faster where neighbouring rays are alike.
+  /// One entry a ray; triangle is -1, and the rest undefined, where nothing is hit.
+  std::vector<RayHit> castMany(const Eigen::Vector3f& origin, const std::vector<Eigen::Vector3f>& directions, float max_distance = 1e6f) const;
   bool occluded(const Eigen::Vector3f& origin, const Eigen::Vector3f& direction, float max_distance) const;
   /// Distance from a point to the nearest point of the surface [m]; max_distance when nothing is nearer.
   float distance(const Eigen::Vector3f& point, float max_distance) const;

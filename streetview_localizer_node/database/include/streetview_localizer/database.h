@@ -21,25 +21,25 @@ struct StreetviewDatabase {
   std::string crs;                                   ///< as CityModel::crs; empty for a local frame
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();  ///< of world, in crs
   std::vector<Panorama> panoramas;
-  std::vector<View> views;  ///< grouped by panorama, in its order; `panorama` and `id` are indices
+  std::vector<View> views;  ///< grouped by panorama; View::panorama and View::id are indices
   CityModel model;
   int version = kDatabaseVersion;
 
-  /// Indices of the views of a panorama.
-  std::vector<int> viewsOf(int panorama) const;
+  /// Indices of the views of a panorama. Throws std::out_of_range.
+  const std::vector<int>& viewsOf(int panorama) const;
 
   /// Indices of the panoramas within `radius` [m] in plan of a place in world, nearest first.
   std::vector<int> near(const Eigen::Vector3d& position, double radius) const;
   /// The `count` nearest panoramas in plan, nearest first.
   std::vector<int> nearest(const Eigen::Vector3d& position, int count) const;
 
-  /// Builds what near() and nearest() search; loadDatabase() calls it. Call again after changing panoramas.
+  /// Builds what viewsOf(), near() and nearest() use; loadDatabase() calls it. Call again after a change.
   void buildIndex();
 
  private:
   struct Index;
   std::shared_ptr<const Index> index_;
-  std::vector<int> first_view_;
+  std::vector<std::vector<int>> views_of_;
 };
 
 struct DatabaseLoadOptions {
@@ -65,13 +65,17 @@ class DatabaseWriter {
   DatabaseWriter(const std::string& path, const CityModel& model, const std::string& settings);
   ~DatabaseWriter();
 
-  /// True when the panorama is stored whole.
+  /// Notes the poses of panoramas whose views are still to come, in one transaction; known ones are left as they are.
+  void plan(const std::vector<Panorama>& panoramas);
+  /// All panoramas noted or stored so far.
+  const std::vector<Panorama>& panoramas() const;
+  /// True when the panorama is stored with its views.
   bool has(const std::string& panorama_id) const;
-  /// Stores a panorama and its views in one transaction. View::panorama and View::id are ignored. Throws
-  /// std::runtime_error when the disk refuses; what was stored before stays.
+  /// Stores a panorama and its views (none, if it could not be placed) in one transaction. View::panorama and View::id are
+  /// ignored. Throws std::runtime_error when the disk refuses; what was stored before stays.
   void add(const Panorama& panorama, const std::vector<View>& views);
-  /// Panoramas stored so far.
-  int size() const;
+  /// The model that the database holds; what to cast onto when adding to an existing one.
+  const CityModel& model() const;
   /// Closes the file and gives it its name.
   void finish();
 

@@ -1,0 +1,306 @@
+#include "streetview_localizer/city_model.h"
+
+#include <ogr_spatialref.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <regex>
+#include <stdexcept>
+#include <unordered_map>
+
+#include "polygons.h"
+
+namespace streetview_localizer {
+
+namespace fs = std::filesystem;
+using air_ground_common::LocalFrame;
+
+CrsName parseCrs(const std::string& text) {
+  CrsName name;
+  std::string definition = text;
+  // The German surveys' own names: ETRS89_UTM32*DE_DHHN2016_NH, DE_DHDN_3GK4*...; coordinates come east first.
+  std::smatch m;
+  bool east_first = false;
+  if (std::regex_search(text, m, std::regex("ETRS89_UTM(3[123])"))) {
+    definition = "EPSG:258" + m[1].str();
+    east_first = true;
+  } else if (std::regex_search(text, m, std::regex("DHDN_3GK([2345])"))) {
+    definition = "EPSG:3146" + std::to_string(std::stoi(m[1].str()) + 4);
+    east_first = true;
+  } else if (std::regex_search(text, m, std::regex("epsg\\.xml#([0-9]+)"))) {
+    definition = "EPSG:" + m[1].str();
+    east_first = true;
+  } else if (std::regex_match(text, m, std::regex("[0-9]{4,6}"))) {
+    definition = "EPSG:" + text;
+    east_first = true;
+  } else if (std::regex_match(text, std::regex("(EPSG|epsg):.*"))) {
+    east_first = true;  // by long custom, the short form does not follow the authority's axis order
+  }
+  OGRSpatialReference srs;
+  CPLPushErrorHandler(CPLQuietErrorHandler);
+  OGRErr error = srs.SetFromUserInput(definition.c_str());
+  if (error == OGRERR_NONE) srs.GetAreaOfUse(&name.west, &name.south, &name.east, &name.north, nullptr);
+  if (error == OGRERR_NONE && (srs.IsCompound() || srs.IsVertical())) error = srs.StripVertical();
+  CPLPopErrorHandler();
+  if (error != OGRERR_NONE || (!srs.IsProjected() && !srs.IsGeographic()))
+    throw std::runtime_error("unknown coordinate system '" + text + "': give a projected or geographic one, like EPSG:2056");
+  if (!east_first) name.north_first = srs.EPSGTreatsAsLatLong() || srs.EPSGTreatsAsNorthingEasting();
+  const char* authority = srs.GetAuthorityName(nullptr);
+  const char* code = srs.GetAuthorityCode(nullptr);
+  if (authority && code) {
+    name.horizontal = std::string(authority) + ":" + code;
+  } else {
+    char* wkt = nullptr;
+    srs.exportToWkt(&wkt);
+    name.horizontal = wkt;
+    CPLFree(wkt);
+  }
+  return name;
+}
+
+namespace {
+
+struct Box {
+  Eigen::Vector3d low = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
+  Eigen::Vector3d high = -low;
+  void add(const Eigen::Vector3d& p) {
+    low = low.cwiseMin(p);
+    high = high.cwiseMax(p);
+  }
+  Eigen::Vector3d centre() const { return 0.5 * (low + high); }
+};
+
+Box bounds(const PolygonModel& model) {
+  Box box;
+  for (const Polygon& polygon : model.polygons)
+    for (const Ring& ring : polygon.rings)
+      for (const Eigen::Vector3d& p : ring) box.add(p);
+  return box;
+}
+
+bool inAreaOfUse(const CrsName& crs, const Eigen::Vector3d& east_north) {
+  try {
+    const auto g = LocalFrame(crs.horizontal, east_north).origin();
+    constexpr double kMargin = 0.5;  // [deg]
+    return g.latitude > crs.south - kMargin && g.latitude < crs.north + kMargin && g.longitude > crs.west - kMargin && g.longitude < crs.east + kMargin;
+  } catch (const std::invalid_argument&) {
+    return false;
+  }
+}
+
+// Puts easting first. The declared order is believed where it lands in the system's area of use; many files break it.
+void normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* model) {
+  const Eigen::Vector3d c = bounds(*model).centre(), swapped(c.y(), c.x(), c.z());
+  bool swap = crs.north_first;
+  if (!inAreaOfUse(crs, swap ? swapped : c)) {
+    if (!inAreaOfUse(crs, swap ? c : swapped))
+      throw std::runtime_error(path + ": coordinates around (" + std::to_string(c.x()) + ", " + std::to_string(c.y()) +
+                               ") lie outside the area of " + crs.horizontal + ": give the right system with --crs");
+    swap = !swap;
+    model->remarks.push_back(path + ": axis order taken as " + (swap ? "north, east" : "east, north") + ", against its declaration, since only that lies in the area of " + crs.horizontal);
+  }
+  if (!swap) return;
+  for (Polygon& polygon : model->polygons)
+    for (Ring& ring : polygon.rings)
+      for (Eigen::Vector3d& p : ring) std::swap(p.x(), p.y());
+}
+
+PolygonModel readFile(const std::string& path, const CityModelOptions& options) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw std::runtime_error("cannot open " + path);
+  std::string head(4096, '\0');
+  file.read(head.data(), static_cast<std::streamsize>(head.size()));
+  head.resize(static_cast<std::size_t>(file.gcount()));
+  const std::size_t start = head.find_first_not_of(" \t\r\n\xEF\xBB\xBF");
+  if (start == std::string::npos) throw std::runtime_error(path + " is empty");
+  if (head[start] == '<') return readCityGml(path, options.lod);
+  if (head[start] == '{') return readCityJson(path, options.lod);
+  std::string extension = fs::path(path).extension();
+  std::transform(extension.begin(), extension.end(), extension.begin(), ::tolower);
+  if (extension == ".obj") return readObj(path);
+  throw std::runtime_error(path + " is neither CityGML, nor CityJSON, nor OBJ");
+}
+
+std::vector<std::string> filesOf(const std::string& path) {
+  if (!fs::exists(path)) throw std::runtime_error("there is no " + path);
+  if (!fs::is_directory(path)) return {path};
+  std::vector<std::string> files;
+  for (const auto& entry : fs::directory_iterator(path)) {
+    const std::string e = entry.path().extension();
+    if (entry.is_regular_file() && (e == ".gml" || e == ".xml" || e == ".json" || e == ".jsonl" || e == ".obj")) files.push_back(entry.path());
+  }
+  if (files.empty()) throw std::runtime_error("no .gml, .xml, .json, .jsonl or .obj file in " + path);
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+PolygonModel readAll(const std::string& path, const CityModelOptions& options, std::string* crs) {
+  PolygonModel all;
+  for (const std::string& file : filesOf(path)) {
+    PolygonModel model = readFile(file, options);
+    const std::string& srs = options.crs.empty() ? model.srs : options.crs;
+    CrsName name;
+    if (!srs.empty()) {
+      try {
+        name = parseCrs(srs);
+      } catch (const std::runtime_error& e) {
+        throw std::runtime_error(file + ": " + e.what());
+      }
+      normaliseAxes(file, name, &model);
+    }
+    if (!all.polygons.empty() && name.horizontal != *crs)
+      throw std::runtime_error(file + " is in " + (srs.empty() ? "no coordinate system" : name.horizontal) + ", the files before it in " +
+                               (crs->empty() ? "none" : *crs) + ": convert them to one");
+    *crs = name.horizontal;
+    const int first = static_cast<int>(all.building_ids.size());
+    for (Polygon& polygon : model.polygons) {
+      if (polygon.building >= 0) polygon.building += first;
+      all.polygons.push_back(std::move(polygon));
+    }
+    all.building_ids.insert(all.building_ids.end(), model.building_ids.begin(), model.building_ids.end());
+    all.remarks.insert(all.remarks.end(), model.remarks.begin(), model.remarks.end());
+  }
+  return all;
+}
+
+// Where the file is silent: steep is wall; what faces down is a floor; the rest is roof, unless it belongs to no building.
+Surface classify(const Polygon& polygon) {
+  if (polygon.surface) return *polygon.surface;
+  if (polygon.building < 0) return Surface::kGround;
+  const Eigen::Vector3d n = areaVector(polygon.rings[0]).normalized();
+  if (std::abs(n.z()) < 0.5) return Surface::kWall;
+  return n.z() > 0 ? Surface::kRoof : Surface::kGround;
+}
+
+// Corners of one building that agree to 0.1 mm become one vertex.
+class VertexMerger {
+ public:
+  int index(const Eigen::Vector3d& p, CityModel* model) {
+    const Eigen::Vector3d q = p * 1e4;
+    const std::array<long long, 3> key = {std::llround(q.x()), std::llround(q.y()), std::llround(q.z())};
+    const auto inserted = vertices_.emplace(key, static_cast<int>(model->mesh.vertices.size()));
+    if (inserted.second) model->mesh.vertices.push_back(p.cast<float>());
+    return inserted.first->second;
+  }
+
+ private:
+  struct Hash {
+    std::size_t operator()(const std::array<long long, 3>& k) const {
+      return static_cast<std::size_t>(k[0]) * 73856093u ^ static_cast<std::size_t>(k[1]) * 19349663u ^ static_cast<std::size_t>(k[2]) * 83492791u;
+    }
+  };
+  std::unordered_map<std::array<long long, 3>, int, Hash> vertices_;
+};
+
+// A closed building whose volume comes out negative is inside out.
+void orientOutwards(CityModel* model) {
+  const std::size_t buildings = model->building_ids.size();
+  std::vector<std::map<std::pair<int, int>, int>> edges(buildings);
+  std::vector<double> volume(buildings, 0);
+  std::vector<Eigen::Vector3d> reference(buildings, Eigen::Vector3d::Zero());
+  std::vector<char> started(buildings, 0);
+  for (std::size_t i = 0; i < model->mesh.triangles.size(); ++i) {
+    const int b = model->building[i];
+    if (b < 0) continue;
+    const Eigen::Vector3i& t = model->mesh.triangles[i];
+    const auto& v = model->mesh.vertices;
+    if (!started[b]) reference[b] = v[t[0]].cast<double>();
+    started[b] = 1;
+    for (int k = 0; k < 3; ++k) ++edges[b][{t[k], t[(k + 1) % 3]}];
+    volume[b] += (v[t[0]].cast<double>() - reference[b]).dot((v[t[1]].cast<double>() - reference[b]).cross(v[t[2]].cast<double>() - reference[b]));
+  }
+  std::vector<char> flip(buildings, 0);
+  int flipped = 0;
+  for (std::size_t b = 0; b < buildings; ++b) {
+    if (volume[b] >= 0) continue;
+    const bool closed = std::all_of(edges[b].begin(), edges[b].end(), [&](const auto& e) {
+      const auto back = edges[b].find({e.first.second, e.first.first});
+      return back != edges[b].end() && back->second == e.second;
+    });
+    flip[b] = closed;
+    flipped += closed;
+  }
+  if (flipped == 0) return;
+  for (std::size_t i = 0; i < model->mesh.triangles.size(); ++i)
+    if (model->building[i] >= 0 && flip[model->building[i]]) std::swap(model->mesh.triangles[i][1], model->mesh.triangles[i][2]);
+  model->remarks.push_back(std::to_string(flipped) + " buildings were inside out and were turned");
+}
+
+}  // namespace
+
+Eigen::Vector3d CityModel::worldFromCrs(const Eigen::Vector3d& point) const { return frame ? frame->fromCrs(point) : Eigen::Vector3d(point - origin); }
+Eigen::Vector3d CityModel::crsFromWorld(const Eigen::Vector3d& point) const { return frame ? frame->toCrs(point) : Eigen::Vector3d(point + origin); }
+
+CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
+  CityModel model;
+  PolygonModel polygons = readAll(path, options, &model.crs);
+  for (Polygon& polygon : polygons.polygons)
+    for (Ring& ring : polygon.rings)
+      for (Eigen::Vector3d& p : ring) p.z() += options.height_offset;
+  const Box box = bounds(polygons);
+  model.remarks = std::move(polygons.remarks);
+  if (model.crs.empty()) {
+    if (box.low.cwiseAbs().maxCoeff() > 1e5 || box.high.cwiseAbs().maxCoeff() > 1e5)
+      throw std::runtime_error(path + " has coordinates of a national grid but does not name it: give its system, like --crs EPSG:2056");
+    model.origin = options.origin.value_or(Eigen::Vector3d::Zero());
+  } else {
+    const Eigen::Vector3d c = box.centre();
+    const bool degrees = box.high.head<2>().cwiseAbs().maxCoeff() <= 360;
+    const double step = degrees ? 1e-5 : 1;
+    model.origin = options.origin.value_or(Eigen::Vector3d(std::round(c.x() / step) * step, std::round(c.y() / step) * step, std::floor(box.low.z())));
+    try {
+      model.frame = std::make_shared<LocalFrame>(model.crs, model.origin);
+    } catch (const std::invalid_argument& e) {
+      throw std::runtime_error(path + ": " + e.what());
+    }
+  }
+
+  try {
+    for (Polygon& polygon : polygons.polygons)
+      for (Ring& ring : polygon.rings)
+        for (Eigen::Vector3d& p : ring) p = model.worldFromCrs(p);
+  } catch (const std::invalid_argument& e) {
+    throw std::runtime_error(path + ": " + e.what());
+  }
+
+  std::vector<int> triangles_of(polygons.building_ids.size(), 0);
+  std::map<int, VertexMerger> mergers;
+  std::vector<Eigen::Vector3d> points;
+  int empty = 0;
+  for (const Polygon& polygon : polygons.polygons) {
+    const auto triangles = triangulate(polygon.rings, &points);
+    if (triangles.empty()) ++empty;
+    const Surface surface = classify(polygon);
+    VertexMerger& merger = mergers[polygon.building];
+    for (const auto& t : triangles) {
+      Eigen::Vector3i corners;
+      for (int k = 0; k < 3; ++k) corners[k] = merger.index(points[t[k]], &model);
+      if (corners[0] == corners[1] || corners[1] == corners[2] || corners[2] == corners[0]) continue;
+      model.mesh.triangles.push_back(corners);
+      model.surface.push_back(surface);
+      model.building.push_back(polygon.building);
+      if (polygon.building >= 0) ++triangles_of[polygon.building];
+    }
+  }
+  if (empty > 0) model.remarks.push_back(std::to_string(empty) + " polygons without area were left out");
+
+  // Ids of buildings that came out empty go, so that every id has triangles.
+  std::vector<int> renumbered(triangles_of.size(), -1);
+  for (std::size_t b = 0; b < triangles_of.size(); ++b) {
+    if (triangles_of[b] == 0) continue;
+    renumbered[b] = static_cast<int>(model.building_ids.size());
+    model.building_ids.push_back(polygons.building_ids[b]);
+  }
+  for (int& b : model.building)
+    if (b >= 0) b = renumbered[b];
+  if (model.building_ids.empty()) throw std::runtime_error(path + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
+  orientOutwards(&model);
+  return model;
+}
+
+}  // namespace streetview_localizer

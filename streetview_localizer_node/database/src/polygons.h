@@ -1,0 +1,55 @@
+// What the readers produce before it becomes a mesh: polygons with holes in the file's own coordinates.
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "streetview_localizer/city_model.h"
+
+namespace streetview_localizer {
+
+using Ring = std::vector<Eigen::Vector3d>;
+
+struct Polygon {
+  std::vector<Ring> rings;         ///< the outer one first; not closed (last point differs from the first)
+  std::optional<Surface> surface;  ///< empty: the file does not say
+  int building = -1;
+};
+
+struct PolygonModel {
+  std::vector<Polygon> polygons;
+  std::vector<std::string> building_ids;
+  std::string srs;  ///< as in the file, empty if it does not say
+  std::vector<std::string> remarks;
+};
+
+/// Newell's normal, of length twice the area of the ring.
+Eigen::Vector3d areaVector(const Ring& ring);
+
+/// Triangles of a polygon, wound as its outer ring. Points are the corners of all rings in order. Self-touching and
+/// slightly non-planar rings are accepted; corners where edges cross are appended to `points`. Nothing for a polygon
+/// without area.
+std::vector<std::array<int, 3>> triangulate(const std::vector<Ring>& rings, std::vector<Eigen::Vector3d>* points);
+
+PolygonModel readCityGml(const std::string& path, int lod);
+PolygonModel readCityJson(const std::string& path, int lod);
+PolygonModel readObj(const std::string& path);
+
+/// Of an object's polygons by level of detail, the level to use: the wanted one, or the finest that holds at least half the
+/// area of the fullest (a building may carry one detailed door beside a complete coarser shell). -1 if there is none.
+int chooseLod(const std::array<double, 4>& area_of_lod, int wanted);
+
+/// Horizontal part of a coordinate system as files name it (EPSG:7415, urn:ogc:def:crs:EPSG::2056,
+/// https://www.opengis.net/def/crs/EPSG/0/25832, urn:adv:crs:ETRS89_UTM32*DE_DHHN2016_NH, compound systems).
+struct CrsName {
+  std::string horizontal;     ///< for LocalFrame: "EPSG:28992", or WKT where there is no code
+  bool north_first = false;   ///< the file's coordinates come as (northing, easting) or (latitude, longitude)
+  double west = -180, south = -90, east = 180, north = 90;  ///< area of use [deg]
+};
+/// Throws std::runtime_error: "unknown coordinate system '...'".
+CrsName parseCrs(const std::string& text);
+
+}  // namespace streetview_localizer
