@@ -2,12 +2,13 @@
 #   make demo    replays an indoor world through roslaunch to one aligned, augmented map; results in out/
 #   make test    builds and runs every test
 #   make bench   prints the benchmarks, as ratios against plain references
-#   make build   builds all of it into build/
+#   make build   builds all of it into _build/
 # Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
 
 SHELL := /bin/bash
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
-BUILD := $(ROOT)build
+# Not "build": rosrun overlooks a folder of that name inside a package.
+BUILD := $(ROOT)_build
 JOBS ?= $(shell nproc)
 OUT ?= $(ROOT)out
 

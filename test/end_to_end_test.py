@@ -36,8 +36,8 @@ class EndToEnd(unittest.TestCase):
         world, seed = rospy.get_param('~world'), str(rospy.get_param('~seed'))
         cache = os.path.join(os.environ.get('AIR_GROUND_CACHE') or os.path.expanduser('~/.cache/air_ground'), 'bags')
         rendered = run(['rosrun', 'air_ground', 'simulate', '--world', world, '--seed', seed, '--cache', cache, '--quiet',
-                        *str(rospy.get_param('~simulate', '')).split()], stdout=subprocess.PIPE)
-        assert rendered.returncode == 0, 'rendering failed'
+                        *str(rospy.get_param('~simulate', '')).split()], stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        assert rendered.returncode == 0, 'rendering failed:\n' + rendered.stdout
         bag = rendered.stdout.strip().splitlines()[-1]
         cls.accept = rospy.get_param('~accept')
         cls.folder = tempfile.TemporaryDirectory()
