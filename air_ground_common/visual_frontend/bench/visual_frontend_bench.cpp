@@ -59,7 +59,7 @@ void P3P(benchmark::State& state) {
     points.col(i) = s.points_map[i];
     rays.col(i) = s.bearings[i];
   }
-  for (auto _ : state) benchmark::DoNotOptimize(solveP3P(points, rays));
+  for (auto _ : state) benchmark::DoNotOptimize(solveP3PFixed(points, rays));
 }
 BENCHMARK(P3P);
 

@@ -61,7 +61,16 @@ std::optional<Eigen::Vector3d> solveP2P(const Eigen::Matrix3d& R_map_camera, con
                                         const Eigen::Vector3d& ray_0, const Eigen::Vector3d& p_map_1,
                                         const Eigen::Vector3d& ray_1);
 
-/// Up to four poses from three points; rays in the camera frame, any length.
+/// Up to four poses, without memory from the heap: for loops over many samples.
+struct P3PSolutions {
+  int size = 0;
+  Eigen::Matrix3d R_map_camera[4];
+  Eigen::Vector3d t_map_camera[4];
+};
+
+/// Up to four poses from three points (Kneip, Scaramuzza, Siegwart, CVPR 2011); rays in the camera frame, any length.
+/// None for points on a line or rays in a plane.
+P3PSolutions solveP3PFixed(const Eigen::Matrix3d& p_map_columns, const Eigen::Matrix3d& ray_columns);
 std::vector<Pose> solveP3P(const Eigen::Matrix3d& p_map_columns, const Eigen::Matrix3d& ray_columns);
 
 /// RANSAC with P2P: rotation known (gyro), two points a sample. The result keeps that rotation; refine afterwards.
