@@ -1,0 +1,43 @@
+// What is on a facade looks alike from two panoramas; a car or a person in front of it does not.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <opencv2/core.hpp>
+#include <vector>
+
+#include "streetview_localizer/back_projection.h"
+#include "streetview_localizer/types.h"
+
+namespace streetview_localizer {
+
+struct ConsistencySettings {
+  int neighbours = 2;            ///< panoramas that a feature is looked for in, the nearest that see its place
+  double max_distance = 25.0;    ///< from the feature's panorama [m]
+  double patch = 1.0;            ///< side of the compared square on the facade [m]
+  double search = 0.4;           ///< the square is sought so far to each side: errors of pose and model, balconies [m]
+  double min_correlation = 0.3;  ///< features below in every comparison are dropped
+  int image_width = 2048;        ///< panoramas are reduced to this for the comparison [px]
+};
+
+/// Compares squares on the facades between equirectangular panoramas. Methods are thread-safe.
+class FacadeConsistency {
+ public:
+  /// `load`: grey or colour image of a panorama by its index; called when needed, an empty image is passed over.
+  FacadeConsistency(const BackProjector& model, std::vector<Panorama> panoramas, std::function<cv::Mat(int)> load,
+                    const ConsistencySettings& settings = {});
+  ~FacadeConsistency();
+
+  /// Best correlation, in [-1, 1], of the square around a facade point as panorama `own` sees it with what its neighbours
+  /// see; NaN where no neighbour sees the place.
+  double correlation(int own, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const;
+
+  /// Drops features that no neighbour confirms though one sees their place; returns how many.
+  int apply(int own, View* view) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace streetview_localizer

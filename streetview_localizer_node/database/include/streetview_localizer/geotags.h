@@ -1,0 +1,52 @@
+// Where photographs and panoramas were taken: geotag files, EXIF, and surveyed poses.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "air_ground_common/camera_model.h"
+#include "air_ground_common/geodesy.h"
+#include "streetview_localizer/city_model.h"
+#include "streetview_localizer/types.h"
+
+namespace streetview_localizer {
+
+/// What headings are counted from. A heading on the map's grid plus the meridian convergence is one from true north.
+enum class North { kTrue, kGrid };
+
+/// One image and its geotag, in WGS 84. Angles at the image's centre: heading clockwise from north, pitch up positive,
+/// roll clockwise positive (the image's right side low).
+struct Geotag {
+  std::string image;  ///< as the file names it
+  air_ground_common::Geodetic position;
+  double heading = 0, pitch = 0, roll = 0;  ///< [rad]
+  std::string problem;  ///< one line when the geotag cannot be used (at 0,0, no heading, not a number); else empty
+};
+
+/// One photograph of known pose.
+struct SurveyedImage {
+  std::string image;
+  double fx = 0, fy = 0, cx = 0, cy = 0;  ///< [px]
+  air_ground_common::Pose T_crs_camera = air_ground_common::Pose::Identity();  ///< optical frame; position in the model's coordinates
+};
+
+/// CSV with a header line; columns by name, in any order: image, lat, lon, alt, heading_deg and, optional, pitch_deg,
+/// roll_deg. GeoJSON: points [lon, lat, alt] with properties image, heading_deg and the optional ones. Throws
+/// std::runtime_error with one line: file, line, what is wrong.
+std::vector<Geotag> readGeotags(const std::string& path);
+
+/// EXIF GPS position and direction of the JPEGs of a folder, in order of their names; XMP GPano angles where present.
+std::vector<Geotag> readExif(const std::string& folder);
+
+/// Lines of: image fx fy cx cy tx ty tz qx qy qz qw (camera to model, pixels and metres, optical axes); '#' starts a comment.
+std::vector<SurveyedImage> readSurveyedImages(const std::string& path);
+
+/// Focal length in pixels from EXIF (35 mm equivalent, or focal length over the pixels' density), if it tells.
+std::optional<double> exifFocalLength(const std::string& image, int width);
+
+/// Body pose in world (x towards the image's centre, y left, z up). Heights are taken in the model's vertical datum.
+/// Throws std::invalid_argument for a model without coordinate system, or a place outside it.
+air_ground_common::Pose worldPose(const Geotag& geotag, const CityModel& model, North north = North::kTrue);
+
+}  // namespace streetview_localizer

@@ -1,0 +1,130 @@
+// build_streetview_db: from images with geotags (or surveyed poses) and a city model to the database of the localizer.
+#include <unistd.h>
+#include <yaml-cpp/yaml.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <string>
+
+#include "streetview_localizer/database_builder.h"
+
+namespace {
+
+using namespace streetview_localizer;
+
+constexpr double kDegree = M_PI / 180;
+
+// A bar on a terminal, a line every tenth of the way elsewhere.
+class Progress {
+ public:
+  void operator()(const std::string& stage, int done, int all) {
+    if (stage != stage_) {
+      stage_ = stage;
+      tenth_ = -1;
+    }
+    if (isatty(STDERR_FILENO)) {
+      const int full = all > 0 ? 40 * done / all : 40;
+      std::fprintf(stderr, "\r%-24s [%s%s] %d of %d ", stage.c_str(), std::string(full, '#').c_str(), std::string(40 - full, ' ').c_str(), done, all);
+      if (done == all) std::fputc('\n', stderr);
+    } else if (const int tenth = all > 0 ? 10 * done / all : 10; tenth != tenth_) {
+      tenth_ = tenth;
+      std::fprintf(stderr, "%s: %d of %d\n", stage.c_str(), done, all);
+    }
+  }
+
+ private:
+  std::string stage_;
+  int tenth_ = -1;
+};
+
+// A ROS camera_info file, as camera_calibration writes it.
+air_ground_common::CameraModel readCamera(const std::string& path) {
+  air_ground_common::CameraModel c;
+  try {
+    const YAML::Node node = YAML::LoadFile(path);
+    c.width = node["image_width"].as<int>();
+    c.height = node["image_height"].as<int>();
+    const auto k = node["camera_matrix"]["data"].as<std::vector<double>>();
+    c.fx = k.at(0), c.cx = k.at(2), c.fy = k.at(4), c.cy = k.at(5);
+    if (node["distortion_coefficients"]) {
+      const auto d = node["distortion_coefficients"]["data"].as<std::vector<double>>();
+      if (d.size() > 5) throw std::runtime_error("only the plumb_bob model with up to five coefficients is supported");
+      double* fields[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
+      for (std::size_t i = 0; i < d.size(); ++i) *fields[i] = d[i];
+    }
+    c.validate();
+  } catch (const std::exception& e) {
+    throw std::runtime_error(path + " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
+  }
+  return c;
+}
+
+void print(const BuildReport& report, const std::string& output) {
+  for (const std::string& remark : report.remarks) std::printf("model: %s\n", remark.c_str());
+  for (const auto& refusal : report.refused) std::printf("not used: %s: %s\n", refusal.image.c_str(), refusal.reason.c_str());
+  const auto& f = report.features;
+  std::printf("%s: %d images stored, %d were there already, %zu not used; %d views with %d features\n", output.c_str(), report.stored, report.resumed,
+              report.refused.size(), report.views, f.kept - report.inconsistent);
+  std::printf("features left out: %d sky, %d ground and road, %d too near or far, %d grazing, %d at edges, %d unlike in other panoramas\n", f.sky, f.ground,
+              f.range, f.grazing, f.edge, report.inconsistent);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app(
+      "Builds the Street View database: cuts panoramas into views, extracts features, casts them onto the city model.\n"
+      "Interrupted, it goes on when started again; given an existing database, it adds the new images.");
+  BuildSettings s;
+  std::string camera, north = "true";
+  std::vector<double> origin;
+  double fov = s.views.horizontal_fov / kDegree, step = s.views.yaw_step / kDegree, incidence = s.back_projection.max_incidence / kDegree;
+  std::vector<double> pitches;
+  bool no_registration = false, no_consistency = false;
+  app.add_option("output", s.output, "the database: FILE.gpkg, or \"PG:dbname=...\" for PostGIS")->required();
+  app.add_option("--model", s.model, "city model: CityGML, CityJSON, OBJ, or a folder of them")->required();
+  app.add_option("--geotags", s.geotags, "CSV (image,lat,lon,alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
+  app.add_option("--poses", s.poses, "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model)");
+  app.add_option("--images", s.images, "folder of the images [that of the list]; alone: geotags from EXIF");
+  app.add_option("--every", s.take_every, "take every n-th image of the list")->capture_default_str();
+  app.add_option("--first", s.take_first, "index of the first image taken")->capture_default_str();
+  app.add_option("--crs", s.model_options.crs, "coordinate system of the model, if its file does not tell, like EPSG:2056");
+  app.add_option("--origin", origin, "of the local frame: easting northing height in that system [middle of the model]")->expected(3);
+  app.add_option("--lod", s.model_options.lod, "level of detail to take of the model [finest]");
+  app.add_option("--model-height-offset", s.model_options.height_offset, "added to the model's heights [m]");
+  app.add_option("--geotag-height-offset", s.geotag_height_offset, "added to the geotags' heights, into the model's vertical datum [m]");
+  app.add_option("--north", north, "headings are counted from `true` north or from `grid` north of the model's system")->check(CLI::IsMember({"true", "grid"}))->capture_default_str();
+  app.add_option("--camera", camera, "calibration (ROS camera_info YAML) of geotagged photographs that are no panoramas");
+  app.add_flag("--no-registration", no_registration, "take the geotags as they are");
+  app.add_flag("--keep-unregistered", s.keep_unregistered, "use the geotag of a panorama that could not be corrected");
+  app.add_flag("--no-consistency", no_consistency, "keep features that other panoramas do not see on the facade");
+  app.add_option("--camera-height", s.registration.camera_height, "of the panoramas above the model's ground [m], 0 if not known")->capture_default_str();
+  app.add_option("--view-width", s.views.width, "of the cut views [px]")->capture_default_str();
+  app.add_option("--view-height", s.views.height, "[px]")->capture_default_str();
+  app.add_option("--view-fov", fov, "their horizontal field of view [deg]")->capture_default_str();
+  app.add_option("--view-step", step, "angle between them [deg]")->capture_default_str();
+  app.add_option("--view-pitch", pitches, "of their axes, one ring of views each [15 deg]");
+  app.add_option("--max-depth", s.back_projection.max_depth, "of features [m]")->capture_default_str();
+  app.add_option("--max-incidence", incidence, "between ray and facade normal [deg]")->capture_default_str();
+  app.add_option("--max-features", s.features.max_features, "of a view, 0: all")->capture_default_str();
+  app.add_option("--threads", s.threads, "0: all cores")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  try {
+    s.north = north == "grid" ? North::kGrid : North::kTrue;
+    s.register_panoramas = !no_registration;
+    s.check_consistency = !no_consistency;
+    s.views.horizontal_fov = fov * kDegree;
+    s.views.yaw_step = step * kDegree;
+    s.back_projection.max_incidence = incidence * kDegree;
+    if (!pitches.empty()) s.views.pitches.clear();
+    for (const double p : pitches) s.views.pitches.push_back(p * kDegree);
+    if (!origin.empty()) s.model_options.origin = Eigen::Vector3d(origin[0], origin[1], origin[2]);
+    if (!camera.empty()) s.camera = readCamera(camera);
+    Progress progress;
+    print(buildDatabase(s, std::ref(progress)), s.output);
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "build_streetview_db: %s\n", e.what());
+    return 1;
+  }
+  return 0;
+}

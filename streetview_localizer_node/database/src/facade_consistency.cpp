@@ -1,0 +1,177 @@
+#include "streetview_localizer/facade_consistency.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <list>
+#include <map>
+#include <mutex>
+#include <opencv2/imgproc.hpp>
+
+#include "streetview_localizer/panorama_views.h"
+
+namespace streetview_localizer {
+namespace {
+
+constexpr int kSide = 12;             // samples along a patch
+constexpr std::size_t kImages = 24;   // kept in memory
+
+using Patch = std::array<float, kSide * kSide>;
+
+// Bilinear; the column wraps round.
+float sample(const cv::Mat& grey, const Eigen::Vector2d& p) {
+  const double y = std::clamp(p.y(), 0.0, grey.rows - 1.001);
+  const int v = static_cast<int>(y);
+  const int u = static_cast<int>(std::floor(p.x()));
+  const float a = static_cast<float>(p.x() - u), b = static_cast<float>(y - v);
+  const int u0 = (u + grey.cols) % grey.cols, u1 = (u0 + 1) % grey.cols;
+  const std::uint8_t* r0 = grey.ptr(v);
+  const std::uint8_t* r1 = grey.ptr(v + 1);
+  return (1 - b) * ((1 - a) * r0[u0] + a * r0[u1]) + b * ((1 - a) * r1[u0] + a * r1[u1]);
+}
+
+// Zero mean, unit length; false for a patch without texture.
+bool normalise(Patch* patch) {
+  float mean = 0, norm = 0;
+  for (const float v : *patch) mean += v / patch->size();
+  for (float& v : *patch) {
+    v -= mean;
+    norm += v * v;
+  }
+  if (norm < 4.f * patch->size()) return false;  // two grey levels: noise
+  for (float& v : *patch) v /= std::sqrt(norm);
+  return true;
+}
+
+}  // namespace
+
+struct FacadeConsistency::Impl {
+  const BackProjector& model;
+  std::vector<Panorama> panoramas;
+  std::function<cv::Mat(int)> load;
+  ConsistencySettings settings;
+
+  mutable std::mutex mutex;
+  mutable std::list<std::pair<int, cv::Mat>> images;  // the last used first
+
+  cv::Mat image(int index) const {
+    {
+      const std::lock_guard<std::mutex> lock(mutex);
+      for (auto it = images.begin(); it != images.end(); ++it)
+        if (it->first == index) {
+          images.splice(images.begin(), images, it);
+          return it->second;
+        }
+    }
+    cv::Mat grey = load(index);
+    if (!grey.empty() && grey.channels() == 3) cv::cvtColor(grey, grey, cv::COLOR_BGR2GRAY);
+    if (grey.cols > settings.image_width) cv::resize(grey, grey, {settings.image_width, settings.image_width / 2}, 0, 0, cv::INTER_AREA);
+    const std::lock_guard<std::mutex> lock(mutex);
+    images.emplace_front(index, grey);
+    if (images.size() > kImages) images.pop_back();
+    return grey;
+  }
+
+  bool sees(int index, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const {
+    const Eigen::Vector3d ray = point - panoramas[index].T_world_panorama.translation();
+    const double distance = ray.norm();
+    if (distance < 1 || -normal.dot(ray) < 0.26 * distance) return false;  // beyond 75 degrees
+    const Eigen::Vector3d origin = point - ray;
+    return !model.scene().occluded(origin.cast<float>(), (ray / distance).cast<float>(), static_cast<float>(distance - 0.3));
+  }
+
+  // The facade's square around `centre`, on a grid `step` finer than the patch where several offsets are wanted.
+  Patch patch(int index, const cv::Mat& grey, const Eigen::Vector3d& centre, const Eigen::Vector3d& right, const Eigen::Vector3d& up) const {
+    Patch p;
+    const air_ground_common::Pose T = panoramas[index].T_world_panorama.inverse();
+    for (int i = 0; i < kSide; ++i)
+      for (int j = 0; j < kSide; ++j) {
+        const double a = settings.patch * ((j + 0.5) / kSide - 0.5), b = settings.patch * ((i + 0.5) / kSide - 0.5);
+        p[i * kSide + j] = sample(grey, panoramaPixel(grey.size(), T * (centre + a * right + b * up)));
+      }
+    return p;
+  }
+
+  // Samples the neighbour once over patch and search range, then slides.
+  double bestCorrelation(int index, const cv::Mat& grey, const Patch& own, const Eigen::Vector3d& centre, const Eigen::Vector3d& right,
+                         const Eigen::Vector3d& up) const {
+    const double step = settings.patch / kSide;
+    const int reach = static_cast<int>(std::lround(settings.search / step)), side = kSide + 2 * reach;
+    std::vector<float> window(static_cast<std::size_t>(side * side));
+    const air_ground_common::Pose T = panoramas[index].T_world_panorama.inverse();
+    for (int i = 0; i < side; ++i)
+      for (int j = 0; j < side; ++j)
+        window[i * side + j] = sample(grey, panoramaPixel(grey.size(), T * (centre + step * (j - 0.5 * (side - 1)) * right + step * (i - 0.5 * (side - 1)) * up)));
+    double best = -1;
+    for (int di = 0; di <= 2 * reach; ++di)
+      for (int dj = 0; dj <= 2 * reach; ++dj) {
+        Patch other;
+        for (int i = 0; i < kSide; ++i) std::copy_n(&window[(i + di) * side + dj], kSide, &other[i * kSide]);
+        if (!normalise(&other)) continue;
+        double sum = 0;
+        for (std::size_t k = 0; k < own.size(); ++k) sum += own[k] * other[k];
+        best = std::max(best, sum);
+      }
+    return best;
+  }
+};
+
+FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<Panorama> panoramas, std::function<cv::Mat(int)> load,
+                                     const ConsistencySettings& settings)
+    : impl_(new Impl{model, std::move(panoramas), std::move(load), settings, {}, {}}) {}
+FacadeConsistency::~FacadeConsistency() = default;
+
+double FacadeConsistency::correlation(int own, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const {
+  const Impl& d = *impl_;
+  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+  if (std::abs(normal.z()) > 0.9) return kUnknown;
+  std::vector<std::pair<double, int>> neighbours;
+  const Eigen::Vector3d place = d.panoramas[own].T_world_panorama.translation();
+  for (std::size_t i = 0; i < d.panoramas.size(); ++i) {
+    const Panorama& p = d.panoramas[i];
+    const double distance = (p.T_world_panorama.translation() - place).norm();
+    // Closer than a metre, a car hides the same piece of wall from both.
+    if (static_cast<int>(i) != own && p.equirectangular && distance > 1 && distance < d.settings.max_distance) neighbours.emplace_back(distance, static_cast<int>(i));
+  }
+  std::sort(neighbours.begin(), neighbours.end());
+  const Eigen::Vector3d right = Eigen::Vector3d::UnitZ().cross(normal).normalized(), up = normal.cross(right);
+  const cv::Mat grey = d.image(own);
+  if (grey.empty()) return kUnknown;
+  Patch patch = d.patch(own, grey, point, right, up);
+  if (!normalise(&patch)) return kUnknown;
+  double best = kUnknown;
+  int asked = 0;
+  for (const auto& [distance, index] : neighbours) {
+    if (asked == d.settings.neighbours) break;
+    if (!d.sees(index, point, normal)) continue;
+    const cv::Mat other = d.image(index);
+    if (other.empty()) continue;
+    ++asked;
+    best = std::fmax(best, d.bestCorrelation(index, other, patch, point, right, up));
+  }
+  return best;
+}
+
+int FacadeConsistency::apply(int own, View* view) const {
+  Features kept;
+  std::vector<Eigen::Vector3f> points, normals;
+  std::vector<int> rows;
+  for (std::size_t i = 0; i < view->features.size(); ++i) {
+    const double c = correlation(own, view->points[i].cast<double>(), view->normals[i].cast<double>());
+    if (c < impl_->settings.min_correlation) continue;  // NaN stays
+    rows.push_back(static_cast<int>(i));
+    kept.keypoints.push_back(view->features.keypoints[i]);
+    points.push_back(view->points[i]);
+    normals.push_back(view->normals[i]);
+  }
+  const int dropped = static_cast<int>(view->features.size() - rows.size());
+  kept.descriptors.create(static_cast<int>(rows.size()), view->features.descriptors.cols, view->features.descriptors.type());
+  for (std::size_t i = 0; i < rows.size(); ++i) view->features.descriptors.row(rows[i]).copyTo(kept.descriptors.row(static_cast<int>(i)));
+  view->features = std::move(kept);
+  view->points = std::move(points);
+  view->normals = std::move(normals);
+  return dropped;
+}
+
+}  // namespace streetview_localizer

@@ -1,0 +1,261 @@
+#include "streetview_localizer/geotags.h"
+
+#include <gdal_priv.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <regex>
+#include <sstream>
+#include <stdexcept>
+
+#include "geopackage.h"
+
+namespace streetview_localizer {
+
+namespace fs = std::filesystem;
+using air_ground_common::Pose;
+
+namespace {
+
+constexpr double kDegree = M_PI / 180;
+
+// Empty, or why the geotag cannot be used.
+std::string problemOf(const Geotag& g) {
+  const auto& p = g.position;
+  if (!std::isfinite(p.latitude) || !std::isfinite(p.longitude)) return "has no latitude and longitude";
+  if (std::abs(p.latitude) < 1e-6 && std::abs(p.longitude) < 1e-6) return "has the geotag 0,0: it was never located";
+  if (std::abs(p.latitude) > 90 || std::abs(p.longitude) > 360) return "has a latitude or longitude that is none";
+  if (!std::isfinite(p.height)) return "has no height";
+  if (!std::isfinite(g.heading)) return "has no heading";
+  if (!std::isfinite(g.pitch) || !std::isfinite(g.roll)) return "has a pitch or roll that is no number";
+  return "";
+}
+
+std::vector<std::string> split(const std::string& line) {
+  std::vector<std::string> cells;
+  std::string cell;
+  bool quoted = false;
+  for (const char c : line) {
+    if (c == '"')
+      quoted = !quoted;
+    else if (c == ',' && !quoted)
+      cells.push_back(std::exchange(cell, ""));
+    else if (c != '\r')
+      cell += c;
+  }
+  cells.push_back(cell);
+  for (std::string& s : cells) {
+    s.erase(0, s.find_first_not_of(" \t"));
+    s.erase(s.find_last_not_of(" \t") + 1);
+  }
+  return cells;
+}
+
+double number(const std::string& text, const std::string& where) {
+  if (text.empty()) return std::nan("");
+  char* end = nullptr;
+  const double v = std::strtod(text.c_str(), &end);
+  if (*end) throw std::runtime_error(where + ": '" + text + "' is not a number");
+  return v;
+}
+
+std::vector<Geotag> readCsv(const std::string& path) {
+  std::ifstream file(path);
+  if (!file) throw std::runtime_error("cannot open " + path);
+  std::string line;
+  while (std::getline(file, line) && (line.empty() || line[0] == '#')) {
+  }
+  const std::vector<std::string> header = split(line);
+  std::map<std::string, std::size_t> column;
+  for (std::size_t i = 0; i < header.size(); ++i) column[header[i]] = i;
+  for (const char* name : {"image", "lat", "lon", "alt", "heading_deg"})
+    if (!column.count(name)) throw std::runtime_error(path + " has no column " + name + ": needed are image, lat, lon, alt, heading_deg; pitch_deg and roll_deg may follow");
+  std::vector<Geotag> tags;
+  for (int n = 2; std::getline(file, line); ++n) {
+    if (line.empty() || line == "\r" || line[0] == '#') continue;
+    const std::vector<std::string> cells = split(line);
+    const std::string where = path + " line " + std::to_string(n);
+    if (cells.size() < header.size()) throw std::runtime_error(where + " has " + std::to_string(cells.size()) + " columns instead of " + std::to_string(header.size()));
+    const auto value = [&](const char* name, double fallback) { return column.count(name) ? number(cells[column[name]], where) : fallback; };
+    Geotag g;
+    g.image = cells[column["image"]];
+    g.position = {value("lat", 0), value("lon", 0), value("alt", 0)};
+    g.heading = value("heading_deg", 0) * kDegree;
+    g.pitch = value("pitch_deg", 0) * kDegree;
+    g.roll = value("roll_deg", 0) * kDegree;
+    g.problem = problemOf(g);
+    tags.push_back(g);
+  }
+  return tags;
+}
+
+std::vector<Geotag> readGeoJson(const std::string& path) {
+  std::ifstream file(path);
+  if (!file) throw std::runtime_error("cannot open " + path);
+  std::vector<Geotag> tags;
+  try {
+    const nlohmann::json j = nlohmann::json::parse(file);
+    for (const auto& feature : j.at("features")) {
+      const auto& properties = feature.at("properties");
+      const auto value = [&](const char* name, double fallback) {
+        return properties.contains(name) && properties[name].is_number() ? properties[name].get<double>() : fallback;
+      };
+      Geotag g;
+      g.image = properties.at("image").get<std::string>();
+      const auto& geometry = feature.at("geometry");
+      if (geometry.is_null() || geometry.at("type") != "Point") {
+        g.position = {std::nan(""), std::nan(""), std::nan("")};
+      } else {
+        const auto& c = geometry.at("coordinates");
+        g.position = {c.at(1).get<double>(), c.at(0).get<double>(), c.size() > 2 ? c[2].get<double>() : value("alt", std::nan(""))};
+      }
+      g.heading = value("heading_deg", std::nan("")) * kDegree;
+      g.pitch = value("pitch_deg", 0) * kDegree;
+      g.roll = value("roll_deg", 0) * kDegree;
+      g.problem = problemOf(g);
+      tags.push_back(g);
+    }
+  } catch (const nlohmann::json::exception& e) {
+    throw std::runtime_error(path + " is no GeoJSON of points with a property image: " + e.what());
+  }
+  return tags;
+}
+
+// EXIF rationals come from GDAL as "(47) (22) (30.5)".
+std::vector<double> rationals(const char* text) {
+  std::vector<double> values;
+  if (!text) return values;
+  std::string s = text;
+  std::replace_if(s.begin(), s.end(), [](char c) { return c == '(' || c == ')'; }, ' ');
+  std::istringstream words(s);
+  for (double v; words >> v;) values.push_back(v);
+  return values;
+}
+
+double angle(const char* text) {
+  const std::vector<double> v = rationals(text);
+  if (v.empty()) return std::nan("");
+  return v[0] + (v.size() > 1 ? v[1] / 60 : 0) + (v.size() > 2 ? v[2] / 3600 : 0);
+}
+
+double xmpNumber(const std::string& xmp, const std::string& key) {
+  std::smatch m;
+  // As attribute, key="1.5", or as element, <key>1.5</key>.
+  if (std::regex_search(xmp, m, std::regex(key + "\\s*(?:=\\s*[\"']|>)\\s*([-+0-9.eE]+)"))) return std::strtod(m[1].str().c_str(), nullptr);
+  return std::nan("");
+}
+
+Dataset openImage(const std::string& path) {
+  GDALAllRegister();
+  return Dataset(GDALDataset::Open(path.c_str(), GDAL_OF_RASTER), &GDALClose);
+}
+
+Geotag exifOf(const std::string& path) {
+  Geotag g;
+  g.image = fs::path(path).filename();
+  g.position = {std::nan(""), std::nan(""), std::nan("")};
+  g.heading = std::nan("");
+  const QuietGdal quiet;
+  const Dataset image = openImage(path);
+  if (!image) {
+    g.problem = "cannot be read as an image";
+    return g;
+  }
+  const auto tag = [&](const char* name) { return image->GetMetadataItem(name); };
+  const auto letter = [&](const char* name, char fallback) { return tag(name) && *tag(name) ? tag(name)[0] : fallback; };
+  g.position.latitude = angle(tag("EXIF_GPSLatitude")) * (letter("EXIF_GPSLatitudeRef", 'N') == 'S' ? -1 : 1);
+  g.position.longitude = angle(tag("EXIF_GPSLongitude")) * (letter("EXIF_GPSLongitudeRef", 'E') == 'W' ? -1 : 1);
+  const char* below = tag("EXIF_GPSAltitudeRef");
+  g.position.height = angle(tag("EXIF_GPSAltitude")) * (below && std::string(below).find('1') != std::string::npos ? -1 : 1);
+  g.heading = angle(tag("EXIF_GPSImgDirection")) * kDegree;
+  bool magnetic = letter("EXIF_GPSImgDirectionRef", 'T') == 'M';
+  if (char** packet = image->GetMetadata("xml:XMP"); packet && *packet) {
+    const std::string xmp = *packet;
+    if (const double heading = xmpNumber(xmp, "GPano:PoseHeadingDegrees"); std::isfinite(heading)) g.heading = heading * kDegree, magnetic = false;
+    if (const double pitch = xmpNumber(xmp, "GPano:PosePitchDegrees"); std::isfinite(pitch)) g.pitch = pitch * kDegree;
+    if (const double roll = xmpNumber(xmp, "GPano:PoseRollDegrees"); std::isfinite(roll)) g.roll = roll * kDegree;
+  }
+  g.problem = problemOf(g);
+  if (g.problem.empty() && magnetic) g.problem = "has a heading from magnetic north: add the declination and give a geotag file";
+  return g;
+}
+
+}  // namespace
+
+std::vector<Geotag> readGeotags(const std::string& path) {
+  std::string extension = fs::path(path).extension();
+  std::transform(extension.begin(), extension.end(), extension.begin(), ::tolower);
+  std::vector<Geotag> tags = extension == ".geojson" || extension == ".json" ? readGeoJson(path) : readCsv(path);
+  if (tags.empty()) throw std::runtime_error(path + " lists no images");
+  return tags;
+}
+
+std::vector<Geotag> readExif(const std::string& folder) {
+  if (!fs::is_directory(folder)) throw std::runtime_error("there is no folder " + folder);
+  std::vector<std::string> files;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    std::string e = entry.path().extension();
+    std::transform(e.begin(), e.end(), e.begin(), ::tolower);
+    if (e == ".jpg" || e == ".jpeg") files.push_back(entry.path());
+  }
+  if (files.empty()) throw std::runtime_error("no JPEG files in " + folder);
+  std::sort(files.begin(), files.end());
+  std::vector<Geotag> tags;
+  for (const std::string& file : files) tags.push_back(exifOf(file));
+  return tags;
+}
+
+std::optional<double> exifFocalLength(const std::string& path, int width) {
+  const QuietGdal quiet;
+  const Dataset image = openImage(path);
+  if (!image) return std::nullopt;
+  const double equivalent = angle(image->GetMetadataItem("EXIF_FocalLengthIn35mmFilm"));
+  // The 35 mm frame is 36 mm wide.
+  if (equivalent > 5) return equivalent / 36 * std::max(width, image->GetRasterYSize());
+  return std::nullopt;
+}
+
+std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {
+  std::ifstream file(path);
+  if (!file) throw std::runtime_error("cannot open " + path);
+  std::vector<SurveyedImage> images;
+  std::string line;
+  for (int n = 1; std::getline(file, line); ++n) {
+    const std::size_t start = line.find_first_not_of(" \t\r");
+    if (start == std::string::npos || line[start] == '#') continue;
+    std::istringstream words(line);
+    SurveyedImage s;
+    Eigen::Vector3d t;
+    Eigen::Quaterniond q;
+    const std::string where = path + " line " + std::to_string(n);
+    if (!(words >> s.image >> s.fx >> s.fy >> s.cx >> s.cy >> t.x() >> t.y() >> t.z() >> q.x() >> q.y() >> q.z() >> q.w()))
+      throw std::runtime_error(where + ": expected image fx fy cx cy tx ty tz qx qy qz qw");
+    if (!(s.fx > 0) || !(s.fy > 0)) throw std::runtime_error(where + ": focal lengths must be positive");
+    if (std::abs(q.norm() - 1) > 1e-2) throw std::runtime_error(where + ": the quaternion has norm " + std::to_string(q.norm()) + " instead of 1");
+    s.T_crs_camera.translation() = t;
+    s.T_crs_camera.linear() = q.normalized().toRotationMatrix();
+    images.push_back(s);
+  }
+  if (images.empty()) throw std::runtime_error(path + " lists no images");
+  return images;
+}
+
+Pose worldPose(const Geotag& g, const CityModel& model, North north) {
+  if (!model.frame) throw std::invalid_argument("the city model has no coordinate system, so geotags have no place in it: give its system, like --crs EPSG:2056");
+  Pose T = Pose::Identity();
+  T.translation() = model.frame->fromGeodetic(g.position);
+  double heading = g.heading;
+  if (north == North::kGrid) heading += model.frame->meridianConvergence();
+  T.linear() = (Eigen::AngleAxisd(M_PI / 2 - heading, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-g.pitch, Eigen::Vector3d::UnitY()) *
+                Eigen::AngleAxisd(g.roll, Eigen::Vector3d::UnitX()))
+                   .toRotationMatrix();
+  return T;
+}
+
+}  // namespace streetview_localizer
