@@ -1,0 +1,86 @@
+// The city model as the registration needs it: which of its edges a camera at a place sees, and as what.
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "air_ground_common/mesh.h"
+#include "streetview_localizer/city_model.h"
+
+namespace streetview_localizer::registration {
+
+/// An edge between two faces that are not coplanar, or of one face only.
+struct ModelEdge {
+  Eigen::Vector3d a, b;
+  int building = -1;
+  bool vertical = false;
+};
+
+/// A point of the outline: beyond the edge, on the side `outside`, lies something else.
+struct OutlineSample {
+  enum class Kind { kSky, kFoot };  ///< what is beyond: the sky (roofs, free corners) or the ground below the wall
+  Kind kind = Kind::kSky;
+  Eigen::Vector3d point, direction;  ///< world; `direction` of the edge, unit length
+  Eigen::Vector3d outside;           ///< unit vector across the edge and the line of sight, to the other side
+  int building = -1;
+  double weight = 0;  ///< angle that the sample stands for [rad]
+};
+
+/// The seen part of a vertical edge, the corner of a building.
+struct OutlineVertical {
+  Eigen::Vector3d foot, top;  ///< [m]
+  int building = -1;
+  bool boundary = false;  ///< beyond it lies another building or the sky, not the same building's next wall
+};
+
+struct Outline {
+  std::vector<OutlineSample> samples;
+  std::vector<OutlineVertical> verticals;
+};
+
+/// Elevation (its tangent) of the highest building in each of `bins` directions, azimuth counted like the columns of a
+/// panorama: bin i looks to (1/2 - (i + 1/2) / bins) 2 pi. And at which horizontal distance, of which building (-1:
+/// none).
+struct SkyProfile {
+  std::vector<float> tangent, distance;
+  std::vector<int> building;
+};
+
+class ModelOutline {
+ public:
+  /// Throws std::invalid_argument for a model without buildings or lists of unequal length.
+  explicit ModelOutline(const CityModel& model);
+
+  /// Edges with a point within `radius` of `position`, in plan.
+  std::vector<ModelEdge> edgesNear(const Eigen::Vector3d& position, double radius) const;
+
+  static void skyProfile(const std::vector<ModelEdge>& edges, const Eigen::Vector3d& position, int bins,
+                         SkyProfile* profile);
+
+  Outline visible(const std::vector<ModelEdge>& edges, const Eigen::Vector3d& position) const;
+
+  /// Height of the ground below a place [m]; empty where the model has none.
+  std::optional<double> groundHeight(double x, double y) const;
+
+  /// True when a place lies inside a building: an odd number of walls and roofs above it.
+  bool insideBuilding(const Eigen::Vector3d& position) const;
+
+  const air_ground_common::MeshScene& scene() const { return *scene_; }
+  const air_ground_common::TriangleMesh& mesh() const { return mesh_; }
+  int building(int triangle) const { return building_[triangle]; }
+  /// True for walls, roofs and what is fixed to them.
+  bool solid(int triangle) const { return solid_[triangle]; }
+  int buildings() const { return building_count_; }
+
+ private:
+  air_ground_common::TriangleMesh mesh_;  // buildings and ground
+  std::vector<int> building_;
+  std::vector<char> solid_;
+  std::vector<ModelEdge> edges_;
+  int building_count_ = 0;
+  std::unique_ptr<air_ground_common::MeshScene> scene_, ground_;
+};
+
+}  // namespace streetview_localizer::registration

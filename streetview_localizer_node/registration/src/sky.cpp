@@ -1,0 +1,215 @@
+#include "sky.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <opencv2/imgproc.hpp>
+
+namespace streetview_localizer::registration {
+namespace {
+
+constexpr int kL = 16, kA = 16, kB = 16, kTexture = 4;
+constexpr int kBins = kL * kA * kB * kTexture;
+
+int binOf(const cv::Vec3b& lab, int texture) {
+  const int l = lab[0] / 16, a = std::clamp((lab[1] - 96) / 4, 0, kA - 1), b = std::clamp((lab[2] - 96) / 4, 0, kB - 1);
+  return ((l * kA + a) * kB + b) * kTexture + texture;
+}
+
+/// Spreads each count over its neighbours (1 2 1) along one axis.
+void smoothAxis(std::vector<float>* histogram, int size, int stride) {
+  std::vector<float> old = *histogram;
+  for (int i = 0; i < kBins; ++i) {
+    const int k = i / stride % size;
+    const float low = k > 0 ? old[i - stride] : old[i], high = k + 1 < size ? old[i + stride] : old[i];
+    (*histogram)[i] = 0.5f * old[i] + 0.25f * (low + high);
+  }
+}
+
+struct Columns {  // what the path search needs, rows [0, rows)
+  int width = 0, rows = 0;
+  std::vector<float> gain;  ///< row-major (rows + 1) x width: benefit of ending the sky at this row
+};
+
+/// The best closed path: row of each column; `step` a row of jump costs, at most `limit`.
+std::vector<int> bestPath(const Columns& columns, float step, float limit) {
+  const int width = columns.width, states = columns.rows + 1;
+  std::vector<float> value(states, 0.0f), next(states);
+  std::vector<std::int16_t> from(static_cast<std::size_t>(2 * width) * states);
+  std::vector<int> origin(states);
+  // Twice around: the second lap starts with what the first has learned, and closes the ring.
+  for (int lap = 0; lap < 2 * width; ++lap) {
+    const int u = lap % width;
+    const int best = static_cast<int>(std::max_element(value.begin(), value.end()) - value.begin());
+    const float jump = value[best] - limit;
+    for (int v = 0; v < states; ++v) origin[v] = v;
+    next = value;
+    for (int v = 1; v < states; ++v) {
+      if (next[v - 1] - step > next[v]) next[v] = next[v - 1] - step, origin[v] = origin[v - 1];
+    }
+    for (int v = states - 2; v >= 0; --v) {
+      if (next[v + 1] - step > next[v]) next[v] = next[v + 1] - step, origin[v] = origin[v + 1];
+    }
+    std::int16_t* trace = &from[static_cast<std::size_t>(lap) * states];
+    for (int v = 0; v < states; ++v) {
+      if (jump > next[v]) next[v] = jump, origin[v] = best;
+      trace[v] = static_cast<std::int16_t>(origin[v]);
+      value[v] = next[v] + columns.gain[static_cast<std::size_t>(v) * width + u];
+    }
+  }
+  std::vector<int> path(width);
+  int v = static_cast<int>(std::max_element(value.begin(), value.end()) - value.begin());
+  for (int lap = 2 * width - 1; lap >= width / 2; --lap) {
+    // The middle of the two laps: away from both ends.
+    path[lap % width] = (lap < width + width / 2) || lap >= 2 * width - (width - width / 2) ? v : path[lap % width];
+    v = from[static_cast<std::size_t>(lap) * states + v];
+  }
+  return path;
+}
+
+}  // namespace
+
+SkyLine findSkyLine(const cv::Mat& bgr, const cv::Mat& mask) {
+  SkyLine result;
+  const int width = std::min(1024, bgr.cols), height = width / 2;
+  cv::Mat small, lab, gray, gx, gy, gradient, valid;
+  cv::resize(bgr, small, {width, height}, 0, 0, cv::INTER_AREA);
+  if (!mask.empty()) cv::resize(mask, valid, {width, height}, 0, 0, cv::INTER_AREA);
+  const double degree = height / 180.0;
+  const int rows = static_cast<int>(92 * degree);  // down to 2 degrees below the horizon
+  cv::copyMakeBorder(small, small, 0, 0, 8, 8, cv::BORDER_WRAP);
+  cv::GaussianBlur(small, small, {0, 0}, 0.7);
+  cv::cvtColor(small, lab, cv::COLOR_BGR2Lab);
+  // Change of colour a pixel, in the channel where it is largest.
+  gradient = cv::Mat::zeros(small.size(), CV_32F);
+  std::vector<cv::Mat> channels, vertical;
+  cv::split(lab, channels);
+  cv::Mat down = cv::Mat::zeros(small.size(), CV_32F);
+  for (const auto& channel : channels) {
+    cv::Scharr(channel, gx, CV_32F, 1, 0, 1.0 / 32);
+    cv::Scharr(channel, gy, CV_32F, 0, 1, 1.0 / 32);
+    cv::Mat magnitude;
+    cv::magnitude(gx, gy, magnitude);
+    cv::max(gradient, magnitude, gradient);
+  }
+  auto isValid = [&](int v, int u) { return valid.empty() || valid.at<std::uint8_t>(v, u) == 255; };
+
+  // The noise of the smooth half of the upper image sets what counts as an edge.
+  std::vector<float> sample;
+  for (int v = static_cast<int>(5 * degree); v < rows; v += 2)
+    for (int u = 0; u < width; u += 2)
+      if (isValid(v, u)) sample.push_back(gradient.at<float>(v, u + 8));
+  if (sample.size() < 500) {
+    result.failure = "too little of the image lies above the horizon";
+    return result;
+  }
+  std::nth_element(sample.begin(), sample.begin() + sample.size() / 4, sample.end());
+  const float noise = std::max(0.7f, sample[sample.size() / 4]);
+  auto textureOf = [&](int v, int u) {
+    const float g = gradient.at<float>(v, u + 8) / noise;
+    return g < 2 ? 0 : g < 4 ? 1 : g < 8 ? 2 : 3;
+  };
+  std::vector<int> bins(static_cast<std::size_t>(rows) * width);
+  for (int v = 0; v < rows; ++v)
+    for (int u = 0; u < width; ++u)
+      bins[static_cast<std::size_t>(v) * width + u] = binOf(lab.at<cv::Vec3b>(v, u + 8), textureOf(v, u));
+
+  // First guess: the sky reaches down to the first strong edge of a column.
+  std::vector<int> path(width);
+  for (int u = 0; u < width; ++u) {
+    int v = static_cast<int>(8 * degree);
+    while (v < rows && gradient.at<float>(v, u + 8) < 6 * noise + 3) ++v;
+    path[u] = std::min(v, static_cast<int>(85 * degree));
+  }
+  Columns columns;
+  columns.width = width;
+  columns.rows = rows;
+  columns.gain.assign(static_cast<std::size_t>(rows + 1) * width, 0.0f);
+  for (int round = 0; round < 4; ++round) {
+    std::vector<float> sky(kBins, 0.0f), other(kBins, 0.0f);
+    for (int v = 0; v < rows; ++v) {
+      // Rows near the poles hold many pixels of little area.
+      const float area = static_cast<float>(std::max(0.05, std::sin((v + 0.5) / height * M_PI)));
+      for (int u = 0; u < width; ++u) {
+        if (!isValid(v, u)) continue;
+        (v < path[u] ? sky : other)[bins[static_cast<std::size_t>(v) * width + u]] += area;
+      }
+    }
+    double sky_sum = 0, other_sum = 0;
+    for (auto* histogram : {&sky, &other}) {
+      smoothAxis(histogram, kB, kTexture);
+      smoothAxis(histogram, kA, kTexture * kB);
+      smoothAxis(histogram, kL, kTexture * kB * kA);
+      double& sum = histogram == &sky ? sky_sum : other_sum;
+      for (const float count : *histogram) sum += count;
+    }
+    if (sky_sum < 500 * degree) {
+      result.failure = "no sky found";
+      return result;
+    }
+    std::vector<float> ratio(kBins);
+    for (int i = 0; i < kBins; ++i) {
+      const double s = (sky[i] + 0.3) / (sky_sum + 0.3 * kBins), o = (other[i] + 0.3) / (other_sum + 0.3 * kBins);
+      ratio[i] = static_cast<float>(std::clamp(std::log(s / o), -2.5, 2.5));
+    }
+    for (int u = 0; u < width; ++u) {
+      float sum = 0;
+      for (int v = 0; v <= rows; ++v) {
+        // An edge is worth as much as a few pixels of colour.
+        const int at = std::min(v, rows - 1);
+        const float edge = std::min(1.0f, std::max(0.0f, gradient.at<float>(at, u + 8) / (8 * noise) - 0.3f));
+        columns.gain[static_cast<std::size_t>(v) * width + u] = isValid(at, u) ? sum + 6 * edge : 0;
+        if (v < rows && isValid(v, u)) sum += ratio[bins[static_cast<std::size_t>(v) * width + u]];
+      }
+    }
+    path = bestPath(columns, 0.4f, 25.0f);
+  }
+
+  double area = 0;
+  int columns_valid = 0;
+  for (int u = 0; u < width; ++u) {
+    if (!isValid(std::min(path[u], height - 1), u)) continue;
+    ++columns_valid;
+    area += path[u] / degree;
+  }
+  if (columns_valid == 0 || area / columns_valid < 8) {
+    result.failure = "no sky found";
+    return result;
+  }
+
+  // To the full resolution: the strongest change of colour along the column within a pixel and a half of the small
+  // image.
+  const double factor = static_cast<double>(bgr.cols) / width;
+  cv::Mat full;
+  cv::cvtColor(bgr, full, cv::COLOR_BGR2Lab);
+  cv::GaussianBlur(full, full, {0, 0}, 0.6);
+  result.row.assign(bgr.cols, std::numeric_limits<float>::quiet_NaN());
+  for (int u = 0; u < bgr.cols; ++u) {
+    const int us = std::min(width - 1, static_cast<int>((u + 0.5) / factor));
+    const double centre = path[us] * factor - 0.5;  // the line runs between two pixels
+    const int reach = static_cast<int>(std::ceil(1.6 * factor)) + 1;
+    const int low = std::max(1, static_cast<int>(centre) - reach),
+              high = std::min(bgr.rows - 3, static_cast<int>(centre) + reach + 1);
+    if (!mask.empty() && mask.at<std::uint8_t>(std::clamp(static_cast<int>(centre), 0, bgr.rows - 1), u) < 255)
+      continue;
+    std::vector<float> change(std::max(0, high - low + 1));
+    int best = -1;
+    for (int v = low; v <= high; ++v) {
+      const auto& a = full.at<cv::Vec3b>(v, u);
+      const auto& b = full.at<cv::Vec3b>(v + 1, u);
+      float sum = 0;
+      for (int c = 0; c < 3; ++c) sum += std::abs(static_cast<float>(a[c]) - b[c]);
+      change[v - low] = sum;
+      if (best < 0 || sum > change[best]) best = v - low;
+    }
+    double row = centre;
+    if (best > 0 && best + 1 < static_cast<int>(change.size()) && change[best] > 3 * noise) {
+      const float a = change[best - 1], b = change[best], c = change[best + 1], curvature = a + c - 2 * b;
+      row = low + best + 0.5 + (curvature < 0 ? 0.5f * (a - c) / curvature : 0.0f);
+    }
+    result.row[u] = static_cast<float>(row);
+  }
+  return result;
+}
+
+}  // namespace streetview_localizer::registration
