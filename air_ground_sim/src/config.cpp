@@ -2,6 +2,7 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <cmath>
 #include <map>
 #include <set>
 #include <sstream>
@@ -33,11 +34,24 @@ class Section {
   void point(const char* key, Eigen::Vector2d* value) {
     if (find(key)) *value = toPoint(node_[key], key);
   }
-  void points(const char* key, std::vector<Eigen::Vector2d>* value) {
+  void place(const char* key, Eigen::Vector2d* value) {
+    if (find(key)) *value = toPoint(node_[key], key, 5000);
+  }
+  void vector(const char* key, Eigen::Vector3d* value) {
+    if (!find(key)) return;
+    const auto v = as<std::vector<double>>(key, "a list of three numbers");
+    if (v.size() != 3) fail(key, "must be a list of three numbers");
+    *value = Eigen::Vector3d(v[0], v[1], v[2]);
+    if (!value->allFinite()) fail(key, "must be finite");
+  }
+  void text(const char* key, std::string* value) {
+    if (find(key)) *value = as<std::string>(key, "text");
+  }
+  void points(const char* key, std::vector<Eigen::Vector2d>* value, double reach = 100) {
     if (!find(key)) return;
     if (!node_[key].IsSequence()) fail(key, "must be a list of [x, y]");
     value->clear();
-    for (const auto& p : node_[key]) value->push_back(toPoint(p, key));
+    for (const auto& p : node_[key]) value->push_back(toPoint(p, key, reach));
   }
   template <class T>
   void choice(const char* key, T* value, const std::map<std::string, T>& options) {
@@ -86,15 +100,15 @@ class Section {
       fail(key, std::string("must be ") + what);
     }
   }
-  Eigen::Vector2d toPoint(const YAML::Node& node, const char* key) const {
+  Eigen::Vector2d toPoint(const YAML::Node& node, const char* key, double reach = 100) const {
     try {
       if (node.IsSequence() && node.size() == 2) {
         const Eigen::Vector2d p(node[0].as<double>(), node[1].as<double>());
-        if (p.allFinite() && p.norm() < 100) return p;
+        if (p.allFinite() && p.norm() < reach) return p;
       }
     } catch (const YAML::Exception&) {
     }
-    fail(key, "must be [x, y] in metres, within 100 m");
+    fail(key, "must be [x, y] in metres, within " + std::to_string(static_cast<int>(reach)) + " m");
   }
   void failRange(const char* key, double value, double low, double high) const {
     std::ostringstream s;
@@ -109,7 +123,8 @@ class Section {
 
 void read(Section s, WorldConfig* w) {
   s.choice<WorldKind>("kind", &w->kind, {{"indoor", WorldKind::kIndoor}, {"rubble", WorldKind::kRubble},
-                                         {"flat", WorldKind::kFlat}, {"grid", WorldKind::kGrid}});
+                                         {"flat", WorldKind::kFlat}, {"grid", WorldKind::kGrid},
+                                         {"street", WorldKind::kStreet}});
   s.choice<FloorStyle>("floor", &w->floor, {{"concrete", FloorStyle::kConcrete}, {"planks", FloorStyle::kPlanks},
                                             {"tiles", FloorStyle::kTiles}, {"gravel", FloorStyle::kGravel}});
   s.number("floor_size", &w->floor_size, 8, 40);
@@ -146,10 +161,10 @@ void read(Section s, WorldConfig* w) {
 
 void read(Section s, FlightConfig* f) {
   s.number("stand_still", &f->stand_still, 0.5, 10);
-  s.number("duration", &f->duration, 8, 600);
-  s.number("speed", &f->speed, 0.1, 2);
-  s.number("min_height", &f->min_height, 0.5, 10);
-  s.number("max_height", &f->max_height, 0.5, 10);
+  s.number("duration", &f->duration, 8, 3600);
+  s.number("speed", &f->speed, 0.1, 5);
+  s.number("min_height", &f->min_height, 0.5, 30);
+  s.number("max_height", &f->max_height, 0.5, 30);
   if (f->max_height < f->min_height) s.fail("max_height", "is below min_height");
   s.number("clearance", &f->clearance, 0.2, 5);
   s.number("loop_x", &f->loop_x, 0.3, 10);
@@ -208,7 +223,79 @@ void read(Section s, ImuConfig* i) {
   s.number("accel_bias", &i->accel_bias, 0, 5);
   s.number("mag_rate", &i->mag_rate, 1, 200);
   s.number("mag_noise", &i->mag_noise, 0, 1e-4);
+  s.number("mag_disturbance", &i->mag_disturbance, 0, 1e-4);
   s.finish();
+}
+
+void read(Section s, StreetConfig* c) {
+  s.text("crs", &c->crs);
+  s.vector("origin", &c->origin);
+  s.number("geoid_undulation", &c->geoid_undulation, -120, 100);
+  for (Section& l : s.list("lines")) {
+    StreetLineConfig line;
+    l.place("from", &line.from);
+    l.place("to", &line.to);
+    l.flag("panoramas", &line.panoramas);
+    if ((line.to - line.from).norm() < 20) l.fail("to", "must lie at least 20 m from 'from'");
+    l.finish();
+    c->lines.push_back(line);
+  }
+  s.number("width", &c->width, 8, 40);
+  s.number("sidewalk", &c->sidewalk, 0.5, 6);
+  if (c->sidewalk > 0.5 * c->width - 2) s.fail("sidewalk", "leaves no road: the street is too narrow for it");
+  s.number("grade", &c->grade, -0.15, 0.15);
+  s.number("relief", &c->relief, 0, 3);
+  s.number("texel", &c->texel, 0.004, 0.05);
+  s.text("facade_images", &c->facade_images);
+  s.number("cars", &c->cars, 0, 30);
+  s.number("people", &c->people, 0, 100);
+  s.number("trees", &c->trees, 0, 20);
+  s.points("route", &c->route, 5000);
+  s.number("route_offset", &c->route_offset, -6, 6);
+  s.choice<bool>("camera_side", &c->camera_looks_left, {{"left", true}, {"right", false}});
+  s.number("camera_pitch", &c->camera_pitch, -1.2, 1.2);
+  s.number("panorama_spacing", &c->panorama_spacing, 2, 100);
+  s.number("panorama_height", &c->panorama_height, 1, 5);
+  s.integer("panorama_width", &c->panorama_width, 512, 8192);
+  if (c->panorama_width % 8) s.fail("panorama_width", "must be a multiple of 8");
+  s.integer("panorama_samples", &c->panorama_samples, 1, 16);
+  s.number("geotag_position_error", &c->geotag_position_error, 0, 20);
+  s.number("geotag_orientation_error", &c->geotag_orientation_error, 0, 0.5);
+  s.number("geotag_correlation", &c->geotag_correlation, 0, 1);
+  s.number("model_lateral_stddev", &c->model_lateral_stddev, 0, 5);
+  s.number("model_height_stddev", &c->model_height_stddev, 0, 5);
+  s.finish();
+}
+
+void read(Section s, GpsConfig* g) {
+  s.number("rate", &g->rate, 0, 20);
+  s.number("horizontal_stddev", &g->horizontal_stddev, 0, 50);
+  s.number("vertical_stddev", &g->vertical_stddev, 0, 50);
+  s.number("correlation_time", &g->correlation_time, 0.1, 1000);
+  s.number("jump_interval", &g->jump_interval, 0.1, 1e6);
+  s.number("jump_stddev", &g->jump_stddev, 0, 50);
+  s.number("noise", &g->noise, 0, 50);
+  s.number("stated_stddev", &g->stated_stddev, 0.1, 50);
+  s.finish();
+}
+
+void read(Section s, BarometerConfig* b) {
+  s.number("rate", &b->rate, 0, 200);
+  s.number("noise", &b->noise, 0, 100);
+  s.number("drift", &b->drift, 0, 100);
+  s.number("weather_stddev", &b->weather_stddev, 0, 3000);
+  s.finish();
+}
+
+// Optical axis along +y (left) or -y of the base, raised by `pitch`; optical y points down.
+air_ground_common::Pose sideCameraMount(bool left, double pitch) {
+  air_ground_common::Pose T = air_ground_common::Pose::Identity();
+  const double side = left ? 1 : -1;
+  T.linear().col(0) = Eigen::Vector3d(side, 0, 0);
+  T.linear().col(2) = Eigen::Vector3d(0, side * std::cos(pitch), std::sin(pitch));
+  T.linear().col(1) = T.linear().col(2).cross(T.linear().col(0));
+  T.translation() = Eigen::Vector3d(0.02, side * 0.06, -0.02);
+  return T;
 }
 
 }  // namespace
@@ -264,11 +351,19 @@ SimConfig loadSimConfig(const std::string& yaml_path) {
   Section s(root, yaml_path);
   read(s.child("world"), &config.world);
   read(s.child("flight"), &config.flight);
-  read(s.child("lane"), &config.lane);
+  if (config.hasGroundRobot()) read(s.child("lane"), &config.lane);
+  if (config.hasCity()) {
+    read(s.child("street"), &config.street);
+    if (config.street.lines.empty()) throw std::invalid_argument(yaml_path + "/street: 'lines' must name at least one street");
+    const auto& c = config.street;
+    config.T_mav_base_camera = sideCameraMount(c.camera_looks_left, c.camera_pitch);
+  }
   read(s.child("mav_camera"), &config.mav_camera);
   read(s.child("ground_camera"), &config.ground_camera);
   read(s.child("depth"), &config.depth);
   read(s.child("imu"), &config.imu);
+  read(s.child("gps"), &config.gps);
+  read(s.child("barometer"), &config.barometer);
   s.finish();
   const auto slash = yaml_path.find_last_of('/');
   config.name = yaml_path.substr(slash == std::string::npos ? 0 : slash + 1);

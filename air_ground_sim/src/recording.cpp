@@ -9,16 +9,21 @@ using air_ground_common::Pose;
 Recording::Recording(const SimConfig& config, std::uint64_t seed)
     : config_(config),
       seed_(seed),
-      world_(buildWorld(config, seed)),
+      street_(config.hasCity() ? std::make_unique<Street>(planStreet(config.street, seed)) : nullptr),
+      world_(street_ ? buildStreetWorld(*street_, Season::kFlight) : buildWorld(config, seed)),
       scene_(std::make_unique<Scene>(world_)),
       mav_exposure_(config.mav_camera),
       ground_exposure_(config.ground_camera),
       mav_imager_(config.mav_camera, mix(seed, 21)),
       ground_imager_(config.ground_camera, mix(seed, 22)) {
+  mav_renderer_ = std::make_unique<Renderer>(*scene_, config.mav_camera.camera, config.mav_camera.samples, mix(seed, 13));
+  if (street_) {
+    mav_ = std::make_unique<BodyTrajectory>(makeStreetFlight(*street_, config.flight, mix(seed, 11)));
+    return;
+  }
   const HeightLookup heights(scene_->mesh());
   mav_ = std::make_unique<BodyTrajectory>(makeFlight(world_.flight, world_.mav_start, heights, mix(seed, 11)));
   ground_ = std::make_unique<BodyTrajectory>(makeDrive(world_.lane, config.flight.duration, mix(seed, 12)));
-  mav_renderer_ = std::make_unique<Renderer>(*scene_, config.mav_camera.camera, config.mav_camera.samples, mix(seed, 13));
   ground_renderer_ = std::make_unique<Renderer>(*scene_, config.ground_camera.camera, config.ground_camera.samples, mix(seed, 14));
 }
 
@@ -48,6 +53,21 @@ void Recording::groundImage(int i, RgbdFrame* frame) {
   ground_renderer_->depth(ground_->pose(time) * config_.T_ground_base_camera, config_.depth.noise ? static_cast<float>(config_.depth.baseline) : 0.0f,
                           &depth_);
   measureDepth(depth_, config_.depth, mix(seed_, 23), i, &frame->depth_mm);
+}
+
+void Recording::photograph(const Pose& T_world_camera, const Eigen::Vector3d& velocity, int index, std::vector<std::uint8_t>* image) {
+  const ImagerConfig& c = config_.mav_camera;
+  ExposureControl control(c);
+  for (int round = 0; round < 2; ++round) {  // the blur hardly changes the mean: converge, then take it again as it came out
+    const double exposure = control.exposure();
+    std::vector<Pose> poses;
+    for (int s = 0; s < c.samples; ++s) {
+      poses.push_back(T_world_camera);
+      poses.back().translation() += velocity * exposure * ((s + 0.5) / c.samples - 0.5);
+    }
+    mav_renderer_->light(poses, 1, &mav_light_);
+    for (int i = 0; i < (round ? 1 : 25); ++i) control.update(mav_imager_.expose(mav_light_, 1, control.exposure(), index, image));
+  }
 }
 
 Imu Recording::makeMavImu() const { return Imu(config_.imu, config_.T_mav_base_imu, mix(seed_, 31)); }

@@ -70,8 +70,36 @@ struct LightJob {
   const float* rays;
   int width, height, samples, channels;
   float sky, footprint;
+  TextureLevel sky_map;
   float* result;
 };
+
+// Light that lane i of a traced packet brings.
+inline __attribute__((always_inline)) void shade(const LightJob& job, const RTCRayHit8& packet, int i, float texel[4]) {
+  const float dx = packet.ray.dir_x[i], dy = packet.ray.dir_y[i], dz = packet.ray.dir_z[i];
+  if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) {
+    for (int c = 0; c < 4; ++c) texel[c] = job.sky;
+    if (job.sky_map.texels) {
+      const float norm = 0.5f / (std::abs(dx) + std::abs(dy) + std::max(dz, 0.0f) + 1e-6f);
+      fetch(job.sky_map, dx * norm + 0.5f, dy * norm + 0.5f, texel);
+    }
+    return;
+  }
+  const TriangleShading& t = job.triangles[packet.hit.primID[i]];
+  const PatchTexture& texture = job.textures[t.patch];
+  const float u = packet.hit.u[i], v = packet.hit.v[i];
+  const float length2 = dx * dx + dy * dy + dz * dz;
+  const float facing = std::abs(t.nx * dx + t.ny * dy + t.nz * dz);
+  // Between the footprint's short and long axis, which grows with 1 / cos.
+  float size2 = packet.ray.tfar[i] * job.footprint / texture.texel;
+  size2 *= size2 * length2 / std::max(0.2f * std::sqrt(length2), facing);
+  int level = 0;
+  while (size2 > 2.0f && level + 1 < texture.levels) {
+    size2 *= 0.25f;
+    ++level;
+  }
+  fetch(texture.level[level], t.s0 + u * t.su + v * t.sv, t.t0 + u * t.tu + v * t.tv, texel);
+}
 
 // Two image rows.
 __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(const LightJob& job, int y0) {
@@ -99,26 +127,8 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(cons
       makeRays(job.poses[s], nx, ny, 1e6f, &packet);
       rtcIntersect8(valid, job.scene, &context, &packet);
       for (int i = 0; i < kLanes; ++i) {
-        if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) {
-          for (int c = 0; c < 4; ++c) sum[i][c] += job.sky;
-          continue;
-        }
-        const TriangleShading& t = job.triangles[packet.hit.primID[i]];
-        const PatchTexture& texture = job.textures[t.patch];
-        const float u = packet.hit.u[i], v = packet.hit.v[i];
-        const float dx = packet.ray.dir_x[i], dy = packet.ray.dir_y[i], dz = packet.ray.dir_z[i];
-        const float length2 = dx * dx + dy * dy + dz * dz;
-        const float facing = std::abs(t.nx * dx + t.ny * dy + t.nz * dz);
-        // Between the footprint's short and long axis, which grows with 1 / cos.
-        float size2 = packet.ray.tfar[i] * job.footprint / texture.texel;
-        size2 *= size2 * length2 / std::max(0.2f * std::sqrt(length2), facing);
-        int level = 0;
-        while (size2 > 2.0f && level + 1 < texture.levels) {
-          size2 *= 0.25f;
-          ++level;
-        }
         float texel[4];
-        fetch(texture.level[level], t.s0 + u * t.su + v * t.sv, t.t0 + u * t.tu + v * t.tv, texel);
+        shade(job, packet, i, texel);
         for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
       }
     }
@@ -127,6 +137,55 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(cons
       if (job.channels == 1) job.result[pixel] = sum[i][3] * scale;
       else
         for (int c = 0; c < 3; ++c) job.result[3 * pixel + c] = sum[i][c] * scale;
+    }
+  }
+}
+
+// Directions of a panorama's rays are products of a column's and a row's part, jittered for each sample.
+struct PanoramaJob {
+  LightJob light;
+  float R[9], t[3];
+  const float *cos_azimuth, *sin_azimuth;      // samples x width; azimuth clockwise from the body's x axis
+  const float *cos_elevation, *sin_elevation;  // samples x height
+};
+
+__attribute__((target_clones("avx512f", "avx2", "default"))) void panoramaRows(const PanoramaJob& job, int y0) {
+  const int w = job.light.width, h = job.light.height;
+  alignas(32) RTCRayHit8 packet;
+  alignas(32) int valid[kLanes];
+  std::fill(valid, valid + kLanes, -1);
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  for (int x0 = 0; x0 < w; x0 += 4) {
+    float sum[kLanes][4] = {};
+    for (int s = 0; s < job.light.samples; ++s) {
+      for (int i = 0; i < kLanes; ++i) {
+        const int x = s * w + x0 + i % 4, y = s * h + y0 + i / 4;
+        const float b[3] = {job.cos_elevation[y] * job.cos_azimuth[x], -job.cos_elevation[y] * job.sin_azimuth[x], job.sin_elevation[y]};
+        packet.ray.org_x[i] = job.t[0];
+        packet.ray.org_y[i] = job.t[1];
+        packet.ray.org_z[i] = job.t[2];
+        packet.ray.dir_x[i] = job.R[0] * b[0] + job.R[1] * b[1] + job.R[2] * b[2];
+        packet.ray.dir_y[i] = job.R[3] * b[0] + job.R[4] * b[1] + job.R[5] * b[2];
+        packet.ray.dir_z[i] = job.R[6] * b[0] + job.R[7] * b[1] + job.R[8] * b[2];
+        packet.ray.tnear[i] = 0;
+        packet.ray.tfar[i] = 1e6f;
+        packet.ray.time[i] = 0;
+        packet.ray.mask[i] = ~0u;
+        packet.ray.id[i] = packet.ray.flags[i] = 0;
+        packet.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+      }
+      rtcIntersect8(valid, job.light.scene, &context, &packet);
+      for (int i = 0; i < kLanes; ++i) {
+        float texel[4];
+        shade(job.light, packet, i, texel);
+        for (int c = 0; c < 3; ++c) sum[i][c] += texel[c];
+      }
+    }
+    for (int i = 0; i < kLanes; ++i) {
+      const std::size_t pixel = static_cast<std::size_t>(y0 + i / 4) * w + x0 + i % 4;
+      for (int c = 0; c < 3; ++c) job.light.result[3 * pixel + c] = sum[i][c] / static_cast<float>(job.light.samples);
     }
   }
 }
@@ -181,6 +240,7 @@ void Renderer::light(const std::vector<air_ground_common::Pose>& T_world_camera,
   job.samples = samples_;
   job.channels = channels;
   job.sky = scene_.sky();
+  job.sky_map = scene_.skyMap();
   // A sample's footprint at distance 1, in metres: its share of a pixel.
   job.footprint = static_cast<float>(1.0 / (camera_.fx * std::sqrt(static_cast<double>(samples_))));
   job.result = result->data();
@@ -247,6 +307,48 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
         if (valid[i] && shadow.tfar[i] < 0) result->lit[top + (i < 4 ? i : w + i - 4)] = 0;
     }
   }
+}
+
+void renderPanorama(const Scene& scene, const air_ground_common::Pose& T_world_panorama, int width, int samples, std::uint64_t seed, std::vector<float>* rgb) {
+  if (width < 8 || width % 8) throw std::invalid_argument("a panorama's width must be a multiple of 8");
+  if (samples < 1) throw std::invalid_argument("the renderer needs at least one sample a pixel");
+  const int height = width / 2;
+  rgb->resize(static_cast<std::size_t>(width) * height * 3);
+  std::vector<float> cos_a, sin_a, cos_e, sin_e;
+  Rng rng(seed);
+  const int side = static_cast<int>(std::ceil(std::sqrt(static_cast<double>(samples))));
+  for (int s = 0; s < samples; ++s) {
+    for (int x = 0; x < width; ++x) {
+      const double a = ((x + (s % side + rng.uniform()) / side) / width - 0.5) * 2 * M_PI;
+      cos_a.push_back(static_cast<float>(std::cos(a)));
+      sin_a.push_back(static_cast<float>(std::sin(a)));
+    }
+    for (int y = 0; y < height; ++y) {
+      const double e = (0.5 - (y + (s / side + rng.uniform()) / side) / height) * M_PI;
+      cos_e.push_back(static_cast<float>(std::cos(e)));
+      sin_e.push_back(static_cast<float>(std::sin(e)));
+    }
+  }
+  PanoramaJob job;
+  job.light.scene = scene.embree();
+  job.light.triangles = scene.triangles().data();
+  job.light.textures = scene.textures().data();
+  job.light.width = width;
+  job.light.height = height;
+  job.light.samples = samples;
+  job.light.sky = scene.sky();
+  job.light.sky_map = scene.skyMap();
+  job.light.footprint = static_cast<float>(2 * M_PI / width / std::sqrt(static_cast<double>(samples)));
+  job.light.result = rgb->data();
+  const CameraPose pose = toFloat(T_world_panorama);
+  std::copy(pose.R, pose.R + 9, job.R);
+  std::copy(pose.t, pose.t + 3, job.t);
+  job.cos_azimuth = cos_a.data();
+  job.sin_azimuth = sin_a.data();
+  job.cos_elevation = cos_e.data();
+  job.sin_elevation = sin_e.data();
+#pragma omp parallel for schedule(dynamic, 4)
+  for (int y0 = 0; y0 < height; y0 += 2) panoramaRows(job, y0);
 }
 
 }  // namespace air_ground_sim

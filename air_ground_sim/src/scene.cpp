@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <exception>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
@@ -39,13 +40,14 @@ Scene::Scene(const World& world) : mesh_(meshOf(world)), sky_(world.sky) {
   triangles_.reserve(mesh_.triangles.size());
   for (std::size_t i = 0; i < world.patches.size(); ++i) {
     const Patch& p = world.patches[i];
-    const float cu = 1.0f / p.columns, cv = 1.0f / p.rows;
+    const bool even = p.column_at.empty();
     for (int r = 0; r < p.rows; ++r)
       for (int c = 0; c < p.columns; ++c)
-        for (int half = 0; half < 2; ++half) {
+        for (int half = 0; half < 2 && !p.isHole(c, r); ++half) {
+          const float cu = even ? 1.0f / p.columns : p.columnAt(c + 1) - p.columnAt(c), cv = even ? 1.0f / p.rows : p.rowAt(r + 1) - p.rowAt(r);
           TriangleShading t;
-          t.s0 = c * cu;
-          t.t0 = r * cv;
+          t.s0 = even ? c * cu : p.columnAt(c);
+          t.t0 = even ? r * cv : p.rowAt(r);
           t.su = cu;
           t.tu = half ? cv : 0;  // triangle 0: (c,r) (c+1,r) (c+1,r+1); triangle 1: (c,r) (c+1,r+1) (c,r+1)
           t.sv = half ? 0 : cu;
@@ -60,8 +62,27 @@ Scene::Scene(const World& world) : mesh_(meshOf(world)), sky_(world.sky) {
           triangles_.push_back(t);
         }
   }
+  if (!world.sky_map.empty()) bakeSky(world);
   textures_.resize(world.patches.size());
-  for (std::size_t i = 0; i < world.patches.size(); ++i) bakePatch(world, world.patches[i], &textures_[i]);
+  storage_.resize(world.patches.size());
+  // Large patches share their pixels among the threads, small ones are shared whole.
+  const auto isLarge = [&](const Patch& p) { return p.width * p.height > 2e6f * p.texel * p.texel; };
+  const int patches = static_cast<int>(world.patches.size());
+  for (int i = 0; i < patches; ++i)
+    if (isLarge(world.patches[i])) bakePatch(world, world.patches[i], &textures_[i], &storage_[i]);
+  std::exception_ptr error;
+#pragma omp parallel for schedule(dynamic, 4)
+  for (int i = 0; i < patches; ++i) {
+    try {
+      if (!isLarge(world.patches[i])) bakePatch(world, world.patches[i], &textures_[i], &storage_[i]);
+    } catch (...) {
+#pragma omp critical
+      error = std::current_exception();
+    }
+  }
+  if (error) std::rethrow_exception(error);
+  for (const auto& levels : storage_)
+    for (const auto& level : levels) texels_ += level.size();
 }
 
 Scene::~Scene() {
@@ -87,13 +108,29 @@ void Scene::buildGeometry() {
   rtcCommitScene(scene_);
 }
 
-void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* texture) {
+void Scene::bakeSky(const World& world) {
+  const cv::Mat& map = world.sky_map;
+  sky_texels_.resize(map.total());
+  for (int y = 0; y < map.rows; ++y)
+    for (int x = 0; x < map.cols; ++x) {
+      const auto& c = map.at<cv::Vec3b>(y, x);
+      float l[4] = {0, 0, 0, 0};
+      for (int k = 0; k < 3; ++k) l[k] = world.sky * std::pow(c[k] / 255.0f, 2.2f);
+      l[3] = 0.30f * l[0] + 0.59f * l[1] + 0.11f * l[2];
+      std::uint32_t texel = 0;
+      for (int k = 0; k < 4; ++k) texel |= static_cast<std::uint32_t>(std::clamp(255.0f * std::sqrt(l[k]) + 0.5f, 0.0f, 255.0f)) << (8 * k);
+      sky_texels_[static_cast<std::size_t>(y) * map.cols + x] = texel;
+    }
+  sky_map_ = {sky_texels_.data(), map.cols, map.rows};
+}
+
+void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* texture, std::vector<std::vector<std::uint32_t>>* storage) const {
   const cv::Mat albedo = paintPatch(patch);
   const int w = albedo.cols, h = albedo.rows;
   texture->texel = patch.texel;
 
-  // Light at a quarter of the texture's resolution: shadows of a lamp of some size have no finer detail.
-  const int lw = std::max(2, w / 4), lh = std::max(2, h / 4);
+  // Light at a fraction of the texture's resolution: shadows of a lamp of some size have no finer detail.
+  const int lw = std::max(2, w / patch.light_step), lh = std::max(2, h / patch.light_step);
   cv::Mat light(lh, lw, CV_32F);
   const Eigen::Matrix3f sun_basis = basisAround(world.sun);
 #pragma omp parallel for schedule(dynamic, 4)
@@ -134,8 +171,8 @@ void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* text
       };
       const float facing = std::max(0.0f, n.dot(world.sun));
       // Outer walls do not cast the key light's shadow into the room: the lamp hangs inside.
-      const float sun = facing > 0 ? facing * visible(sun_basis, false, 4.0f) : 0.0f;
-      const float surround = visible(normal_basis, true, 1.5f);
+      const float sun = facing > 0 ? facing * visible(sun_basis, false, world.sun_reach) : 0.0f;
+      const float surround = visible(normal_basis, true, world.ambient_reach);
       // A tenth of the light is reflected by the surroundings whatever stands in the way.
       light.at<float>(y, x) = world.ambient * (0.15f + 0.85f * surround) + (1 - world.ambient) * sun;
     }
@@ -151,16 +188,16 @@ void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* text
     for (int x = 0; x < w; ++x) {
       const auto& a = albedo.at<cv::Vec3b>(y, x);
       const float l = full.at<float>(y, x);
-      const float c[4] = {linear[a[0]] * l, linear[a[1]] * l, linear[a[2]] * l, (0.30f * linear[a[0]] + 0.59f * linear[a[1]] + 0.11f * linear[a[2]]) * l};
+      const float red = linear[a[0]] * world.tint[0], green = linear[a[1]] * world.tint[1], blue = linear[a[2]] * world.tint[2];
+      const float c[4] = {red * l, green * l, blue * l, (0.30f * red + 0.59f * green + 0.11f * blue) * l};
       auto& out = level.at<cv::Vec4b>(y, x);
       for (int k = 0; k < 4; ++k) out[k] = static_cast<std::uint8_t>(std::clamp(255.0f * std::sqrt(c[k]) + 0.5f, 0.0f, 255.0f));
     }
   texture->levels = 0;
   for (int i = 0; i < kMaxLevels; ++i) {
-    storage_.emplace_back(static_cast<std::size_t>(level.cols) * level.rows);
-    for (int y = 0; y < level.rows; ++y) std::memcpy(storage_.back().data() + static_cast<std::size_t>(y) * level.cols, level.ptr(y), 4u * level.cols);
-    texture->level[i] = {storage_.back().data(), level.cols, level.rows};
-    texels_ += storage_.back().size();
+    storage->emplace_back(static_cast<std::size_t>(level.cols) * level.rows);
+    for (int y = 0; y < level.rows; ++y) std::memcpy(storage->back().data() + static_cast<std::size_t>(y) * level.cols, level.ptr(y), 4u * level.cols);
+    texture->level[i] = {storage->back().data(), level.cols, level.rows};
     texture->levels = i + 1;
     if (level.cols < 8 || level.rows < 8) break;
     cv::Mat smaller;

@@ -28,6 +28,7 @@
 #include <sstream>
 #include <thread>
 
+#include "air_ground_sim/city.h"
 #include "air_ground_sim/recording.h"
 
 namespace {
@@ -43,7 +44,8 @@ struct Options {
   std::uint64_t seed = 1;
   double duration = 0;
   int samples = 0, threads = 0;
-  bool no_mav = false, no_ground = false, quiet = false;
+  int queries = 0;
+  bool no_mav = false, no_ground = false, quiet = false, city_only = false, no_city = false;
 };
 
 ros::Time stampOf(double time) { return ros::Time(kStart + time); }
@@ -359,6 +361,16 @@ std::string contentKey(const std::string& world_file, const Options& o) {
   return hex;
 }
 
+void renderCity(const SimConfig& config, const Options& o, const std::string& folder) {
+  const Street street = planStreet(config.street, o.seed);
+  if (!o.quiet) std::cerr << "city: " << street.buildings.size() << " buildings, " << street.panoramas.size() << " panoramas ..." << std::endl;
+  std::unique_ptr<Progress> progress;
+  writeCity(config, street, folder, [&](int, int all) {
+    if (!progress) progress = std::make_unique<Progress>(all, o.quiet);
+    progress->step();
+  });
+}
+
 int simulate(Options o) {
   const std::string file = worldFile(o.world);
   SimConfig config = loadSimConfig(file);
@@ -377,16 +389,29 @@ int simulate(Options o) {
   if (fs::path(o.out).extension() != ".bag") throw std::invalid_argument("--out must end in .bag");
   if (o.threads > 0) omp_set_num_threads(o.threads);
 
+  const std::string stem = o.out.substr(0, o.out.size() - 4);
+  if (config.hasCity()) {
+    o.no_ground = true;
+    if (!o.no_city) renderCity(config, o, stem + ".city");
+    if (o.city_only && o.queries == 0) return 0;
+  } else if (o.city_only || o.queries > 0) {
+    throw std::invalid_argument("--city-only and --queries need a street world");
+  }
+
   if (!o.quiet) std::cerr << "building world " << config.name << ", seed " << o.seed << " ..." << std::endl;
   Recording recording(config, o.seed);
   if (!o.quiet)
     std::cerr << recording.scene().mesh().triangles.size() << " triangles, " << recording.scene().texelCount() / 1000000 << " million texels; flight "
-              << recording.mav().pathLength(0, recording.duration()) << " m, drive " << recording.ground().pathLength(0, recording.duration()) << " m in "
-              << recording.duration() << " s" << std::endl;
+              << recording.mav().pathLength(0, recording.duration()) << " m, drive "
+              << (config.hasGroundRobot() ? recording.ground().pathLength(0, recording.duration()) : 0.0) << " m in " << recording.duration() << " s" << std::endl;
+  if (o.queries > 0) {
+    writeQueries(&recording, o.queries, stem + ".city");
+    if (o.city_only) return 0;
+  }
 
   // Under a temporary name until complete: nobody reads half a bag.
   const std::string part = o.out + "." + std::to_string(getpid()) + ".part";
-  const std::string mesh = o.out.substr(0, o.out.size() - 4) + ".world.ply";
+  const std::string mesh = stem + ".world.ply";
   try {
     air_ground_common::writePly(mesh, recording.scene().mesh());
     BagRecorder(&recording, o, part).run();
@@ -416,6 +441,9 @@ int main(int argc, char** argv) {
   app.add_option("--compression", o.compression, "lz4 or none")->check(CLI::IsMember({"lz4", "none"}))->capture_default_str();
   app.add_flag("--no-mav", o.no_mav, "leave out the MAV");
   app.add_flag("--no-ground", o.no_ground, "leave out the ground robot");
+  app.add_flag("--city-only", o.city_only, "street worlds: only the folder x.city of panoramas, geotags, model and truth, no bag");
+  app.add_flag("--no-city", o.no_city, "street worlds: no such folder");
+  app.add_option("--queries", o.queries, "street worlds: so many pictures of the flight in x.city/queries, with their truth")->check(CLI::Range(0, 100000));
   app.add_flag("--quiet", o.quiet, "no progress bar");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -308,6 +308,7 @@ void printWall(const Patch& patch, cv::Mat* image) {
 }  // namespace
 
 cv::Mat paintPatch(const Patch& patch) {
+  if (patch.painter) return patch.painter(patch);
   const int w = std::max(4, static_cast<int>(std::lround(patch.width / patch.texel)));
   const int h = std::max(4, static_cast<int>(std::lround(patch.height / patch.texel)));
   cv::Mat image(h, w, CV_8UC3);

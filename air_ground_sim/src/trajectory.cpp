@@ -9,20 +9,6 @@ namespace air_ground_sim {
 namespace {
 
 constexpr double kKnot = 0.2;            // spline interval [s]
-constexpr double kStandingHeight = 0.10;  // base_link of the MAV above the floor before take-off [m]
-
-// 0 to 1 over [0, 1] with four vanishing derivatives at both ends is not needed: the spline smooths what is left.
-double smoothStep(double x) {
-  x = std::clamp(x, 0.0, 1.0);
-  return x * x * x * (x * (6 * x - 15) + 10);
-}
-
-QuinticSpline sample(double duration, const std::function<Eigen::Vector4d(double)>& f) {
-  const int n = static_cast<int>(std::ceil(duration / kKnot)) + 6;
-  std::vector<Eigen::Vector4d> control;
-  for (int i = 0; i < n; ++i) control.push_back(f((i - 2) * kKnot));
-  return QuinticSpline(std::move(control), 0.0, kKnot);
-}
 
 double lengthOf(const QuinticSpline& s, double from, double to) {
   double length = 0;
@@ -32,6 +18,19 @@ double lengthOf(const QuinticSpline& s, double from, double to) {
 }
 
 }  // namespace
+
+// The spline smooths what is left of the higher derivatives.
+double smoothStep(double x) {
+  x = std::clamp(x, 0.0, 1.0);
+  return x * x * x * (x * (6 * x - 15) + 10);
+}
+
+QuinticSpline splineAlong(double duration, const std::function<Eigen::Vector4d(double)>& f) {
+  const int n = static_cast<int>(std::ceil(duration / kKnot)) + 6;
+  std::vector<Eigen::Vector4d> control;
+  for (int i = 0; i < n; ++i) control.push_back(f((i - 2) * kKnot));
+  return QuinticSpline(std::move(control), 0.0, kKnot);
+}
 
 void BodyTrajectory::attitude(double time, Eigen::Matrix3d* R, Eigen::Vector3d* omega) const {
   const Eigen::Vector4d p = spline_.evaluate(time), v = spline_.evaluate(time, 1);
@@ -138,7 +137,7 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
       return {p.x(), p.y(), p.z(), yaw};
     };
     // The obstacle clearance has steps: average the height over 1.2 s before it becomes control points.
-    return sample(c.duration, [&path, &c](double t) {
+    return splineAlong(c.duration, [&path, &c](double t) {
       Eigen::Vector4d p = path(t);
       if (t <= c.stand_still) return p;
       double z = 0;
@@ -184,7 +183,7 @@ BodyTrajectory makeDrive(const LaneConfig& lane, double duration, std::uint64_t 
   const double phase = rng.uniform(0, 2 * M_PI), period = rng.uniform(8, 11);
   double previous_yaw = 0;
   bool first = true;
-  return BodyTrajectory(sample(duration, [&](double t) -> Eigen::Vector4d {
+  return BodyTrajectory(splineAlong(duration, [&](double t) -> Eigen::Vector4d {
     const double m = std::clamp(t - lane.stand_still, 0.0, moving);
     double s = 0;
     if (m < ramp) s = 0.5 * speed * m * m / ramp;

@@ -6,6 +6,7 @@
 
 #include "air_ground_sim/layout.h"
 #include "air_ground_sim/random.h"
+#include "air_ground_sim/street.h"
 #include "air_ground_sim/trajectory.h"
 
 namespace air_ground_sim {
@@ -72,6 +73,10 @@ double distanceToWall(const WallConfig& wall, const Eigen::Vector2d& p) {
 }  // namespace
 
 Eigen::Vector3f Patch::point(float u, float v) const {
+  if (!column_at.empty()) {  // uneven grids are flat rectangles
+    const Eigen::Vector3f &a = vertices.front(), &b = vertices[columns], &c = vertices[static_cast<std::size_t>(rows) * (columns + 1)];
+    return a + u * (b - a) + v * (c - a);
+  }
   const float x = u * columns, y = v * rows;
   const int ix = std::clamp(static_cast<int>(x), 0, columns - 1), iy = std::clamp(static_cast<int>(y), 0, rows - 1);
   const float a = x - ix, b = y - iy;
@@ -100,6 +105,7 @@ void addCuboid(const Cuboid& c, double texel, World* world) {
 }
 
 World buildWorld(const SimConfig& config, std::uint64_t seed) {
+  if (config.hasCity()) return buildStreetWorld(planStreet(config.street, seed), Season::kFlight);
   Rng rng(mix(seed, 1));
   World world;
   WorldConfig c = config.world;
@@ -158,6 +164,7 @@ World buildWorld(const SimConfig& config, std::uint64_t seed) {
       addFloor(c, mix(seed, 2), &world);
       addGrid(c, &world);
       break;
+    case WorldKind::kStreet: break;  // built above
   }
   if (c.room_height > 0 && c.kind != WorldKind::kRubble) addRoom(c, mix(seed, 3), &world);
   return world;
@@ -170,6 +177,7 @@ air_ground_common::TriangleMesh meshOf(const World& world) {
     mesh.vertices.insert(mesh.vertices.end(), p.vertices.begin(), p.vertices.end());
     for (int r = 0; r < p.rows; ++r)
       for (int c = 0; c < p.columns; ++c) {
+        if (p.isHole(c, r)) continue;
         const int i = base + r * (p.columns + 1) + c, below = i + p.columns + 1;
         mesh.triangles.emplace_back(i, i + 1, below + 1);
         mesh.triangles.emplace_back(i, below + 1, below);

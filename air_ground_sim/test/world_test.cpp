@@ -131,7 +131,7 @@ class WorldFile : public testing::Test {
 TEST_F(WorldFile, ErrorsNameTheKey) {
   EXPECT_EQ(errorOf(lane_), "");
   EXPECT_NE(errorOf(lane_ + "flight: {speeed: 0.4}").find("'speeed' is not a parameter"), std::string::npos);
-  EXPECT_NE(errorOf(lane_ + "flight: {speed: 40}").find("outside [0.1, 2]"), std::string::npos);
+  EXPECT_NE(errorOf(lane_ + "flight: {speed: 40}").find("outside [0.1, 5]"), std::string::npos);
   EXPECT_NE(errorOf(lane_ + "flight: {speed: fast}").find("must be a number"), std::string::npos);
   EXPECT_NE(errorOf(lane_ + "world: {floor: lava}").find("must be one of"), std::string::npos);
   EXPECT_NE(errorOf("lane: {points: [[1, 0]]}").find("at least three"), std::string::npos);

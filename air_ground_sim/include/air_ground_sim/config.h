@@ -10,7 +10,7 @@
 
 namespace air_ground_sim {
 
-enum class WorldKind { kIndoor, kRubble, kFlat, kGrid };
+enum class WorldKind { kIndoor, kRubble, kFlat, kGrid, kStreet };
 enum class FloorStyle { kConcrete, kPlanks, kTiles, kGravel };
 
 /// A heap of cardboard boxes, pallets and debris around a centre.
@@ -41,6 +41,61 @@ struct WorldConfig {
   double relief = 0.12;          ///< amplitude of the height field, rubble only [m]
   int grid_rows = 4, grid_columns = 5;  ///< identical boxes only
   double grid_spacing = 1.1, grid_box = 0.45;  ///< [m]
+};
+
+/// A straight street with a row of buildings on either side.
+struct StreetLineConfig {
+  Eigen::Vector2d from = Eigen::Vector2d::Zero(), to = Eigen::Vector2d::Zero();  ///< ends of the centre line in world [m]
+  bool panoramas = true;  ///< false: a street that the city's panoramas do not cover
+};
+
+/// The street world, its cadastral model and its panoramas. `world` is the local east-north-up frame at `origin`.
+struct StreetConfig {
+  std::string crs = "EPSG:2056";                      ///< a projected system, (easting, northing)
+  Eigen::Vector3d origin{2683500.0, 1247800.0, 410.0};  ///< in `crs` [m]
+  double geoid_undulation = 47.3;  ///< ellipsoidal height minus the height used in `origin` [m]
+  std::vector<StreetLineConfig> lines;
+  double width = 14;               ///< from facade to facade [m]
+  double sidewalk = 2.5;           ///< [m]
+  double grade = 0.04;             ///< rise of the terrain along the first line
+  double relief = 0.6;             ///< amplitude of its undulation [m]
+  double texel = 0.01;             ///< of the facades [m]
+  std::string facade_images;       ///< folder of photographs to be used as facades; empty: painted ones
+  double cars = 14, people = 12, trees = 5;  ///< on 100 m of street
+
+  std::vector<Eigen::Vector2d> route;  ///< of the MAV, along centre lines [m]; empty: the first line there and back
+  double route_offset = 2.0;           ///< the way lies so far to the right of the route [m]
+  bool camera_looks_left = true;       ///< false: to the right
+  double camera_pitch = 0.05;          ///< of the optical axis, upwards positive [rad]
+
+  double panorama_spacing = 12;  ///< [m]
+  double panorama_height = 2.5;  ///< above the road [m]
+  int panorama_width = 4096;     ///< [px]; the height is half of it
+  int panorama_samples = 4;      ///< rays a pixel
+  double geotag_position_error = 3.7;    ///< mean length of the error [m]; heights err half as much as each horizontal axis
+  double geotag_orientation_error = 0.0332;  ///< mean angle of the error [rad]
+  double geotag_correlation = 0.5;  ///< share of the position error's variance that neighbours have in common
+  double model_lateral_stddev = 0.1;     ///< of each building, east and north [m]
+  double model_height_stddev = 0.5;      ///< of each building [m]
+};
+
+/// Satellite positioning between facades: echoes shift the position for tens of seconds and let it jump.
+struct GpsConfig {
+  double rate = 0;                 ///< [Hz]; 0: no receiver
+  double horizontal_stddev = 2.8;  ///< of the slow error, each axis [m]
+  double vertical_stddev = 8.0;    ///< [m]
+  double correlation_time = 25;    ///< of the slow error [s]
+  double jump_interval = 15;       ///< mean time between changes of the echo [s]
+  double jump_stddev = 2.5;        ///< horizontal, each axis [m]; three times as much in height
+  double noise = 0.4;              ///< white [m]
+  double stated_stddev = 2.5;      ///< what the receiver believes, horizontally [m]; twice as much in height
+};
+
+struct BarometerConfig {
+  double rate = 0;             ///< [Hz]; 0: none
+  double noise = 1.2;          ///< [Pa], 8.4 Pa a metre
+  double drift = 0.3;          ///< [Pa/sqrt(s)]
+  double weather_stddev = 400;  ///< deviation from the standard atmosphere [Pa]
 };
 
 struct FlightConfig {
@@ -76,6 +131,7 @@ struct ImuConfig {
   double accel_bias = 0.06;        ///< standard deviation of the initial bias [m/s^2]
   double mag_rate = 50;            ///< [Hz]
   double mag_noise = 3e-7;         ///< [T]
+  double mag_disturbance = 0;      ///< by iron nearby, root mean square of each axis [T]; changes over a few metres
 };
 
 struct ImagerConfig {
@@ -106,16 +162,23 @@ struct DepthConfig {
 struct SimConfig {
   std::string name = "world";
   WorldConfig world;
+  StreetConfig street;
   FlightConfig flight;
   LaneConfig lane;
   ImagerConfig mav_camera;
   ImagerConfig ground_camera;
   DepthConfig depth;
   ImuConfig imu;
+  GpsConfig gps;
+  BarometerConfig barometer;
   air_ground_common::Pose T_mav_base_camera = air_ground_common::Pose::Identity();
   air_ground_common::Pose T_mav_base_imu = air_ground_common::Pose::Identity();
   air_ground_common::Pose T_ground_base_camera = air_ground_common::Pose::Identity();
   air_ground_common::Pose T_ground_base_imu = air_ground_common::Pose::Identity();
+
+  /// The street is flown by the MAV alone.
+  bool hasGroundRobot() const { return world.kind != WorldKind::kStreet; }
+  bool hasCity() const { return world.kind == WorldKind::kStreet; }
 
   /// Cameras and mounts of the suite's two robots.
   static SimConfig defaults();

@@ -9,6 +9,7 @@
 #include "air_ground_sim/renderer.h"
 #include "air_ground_sim/scene.h"
 #include "air_ground_sim/sensors.h"
+#include "air_ground_sim/street.h"
 #include "air_ground_sim/trajectory.h"
 #include "air_ground_sim/world.h"
 
@@ -31,7 +32,8 @@ class Recording {
   const World& world() const { return world_; }
   const Scene& scene() const { return *scene_; }
   const BodyTrajectory& mav() const { return *mav_; }
-  const BodyTrajectory& ground() const { return *ground_; }
+  const BodyTrajectory& ground() const { return *ground_; }  ///< only where config().hasGroundRobot()
+  const Street& street() const { return *street_; }          ///< only where config().hasCity()
   double duration() const { return config_.flight.duration; }  ///< [s]
 
   /// Time of frame i of a camera: the middle of its exposure [s].
@@ -42,6 +44,10 @@ class Recording {
   /// while another calls groundImage().
   void mavImage(int i, std::vector<std::uint8_t>* image);
   void groundImage(int i, RgbdFrame* frame);
+
+  /// A picture the MAV's camera takes from anywhere, well exposed; `index` selects the noise. `velocity` of the camera in world [m/s].
+  void photograph(const air_ground_common::Pose& T_world_camera, const Eigen::Vector3d& velocity, int index, std::vector<std::uint8_t>* image);
+
   double mavExposure() const { return mav_exposure_.exposure(); }  ///< of the next frame [s]
 
   Imu makeMavImu() const;
@@ -52,6 +58,7 @@ class Recording {
                                                  double exposure, int samples) const;
   SimConfig config_;
   std::uint64_t seed_;
+  std::unique_ptr<Street> street_;
   World world_;
   std::unique_ptr<Scene> scene_;
   std::unique_ptr<BodyTrajectory> mav_, ground_;

@@ -1,6 +1,7 @@
 // Rays through a distorted camera into a Scene: light per pixel, averaged over the exposure, and depth.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -38,5 +39,10 @@ class Renderer {
   std::vector<float> rays_;    // per sample and pixel: x/z, y/z as planes of one sample after the other
   std::vector<float> centers_;  // through pixel centres
 };
+
+/// Equirectangular picture, width x width / 2, of the light, linear, R G B interleaved. Body frame: x towards the image's
+/// centre, y left, z up. Pixel (u, v), (0, 0) being the centre of the top-left one, looks ((u + 1/2) / W - 1/2) 2 pi to the right
+/// of x and (1/2 - (v + 1/2) / H) pi above the horizon.
+void renderPanorama(const Scene& scene, const air_ground_common::Pose& T_world_panorama, int width, int samples, std::uint64_t seed, std::vector<float>* rgb);
 
 }  // namespace air_ground_sim

@@ -46,20 +46,24 @@ class Scene {
   const std::vector<PatchTexture>& textures() const { return textures_; }
   const air_ground_common::TriangleMesh& mesh() const { return mesh_; }
   float sky() const { return sky_; }
+  const TextureLevel& skyMap() const { return sky_map_; }  ///< as World::sky_map, encoded as the textures; may be empty
   std::size_t texelCount() const { return texels_; }
 
  private:
   void buildGeometry();
-  void bakePatch(const World& world, const Patch& patch, PatchTexture* texture);
+  void bakeSky(const World& world);
+  void bakePatch(const World& world, const Patch& patch, PatchTexture* texture, std::vector<std::vector<std::uint32_t>>* storage) const;
 
   RTCDeviceTy* device_ = nullptr;
   RTCSceneTy* scene_ = nullptr;
   air_ground_common::TriangleMesh mesh_;
   std::vector<TriangleShading> triangles_;
   std::vector<PatchTexture> textures_;
-  std::vector<std::vector<std::uint32_t>> storage_;
+  std::vector<std::vector<std::vector<std::uint32_t>>> storage_;  // levels of each patch
   std::size_t texels_ = 0;
   float sky_ = 0.5f;
+  TextureLevel sky_map_;
+  std::vector<std::uint32_t> sky_texels_;
 };
 
 }  // namespace air_ground_sim

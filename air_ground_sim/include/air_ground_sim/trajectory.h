@@ -47,6 +47,14 @@ BodyTrajectory makeFlight(const FlightConfig& config, const Eigen::Vector2d& sta
 /// The ground robot (omnidirectional) follows the lane's smoothed points within [0, duration], facing look_at.
 BodyTrajectory makeDrive(const LaneConfig& lane, double duration, std::uint64_t seed);
 
+/// Spline whose control points are samples of f(time), [0, duration] [s]: smooth where f has steps in its derivatives.
+QuinticSpline splineAlong(double duration, const std::function<Eigen::Vector4d(double)>& f);
+
+/// 0 to 1 over [0, 1], clamped outside, with vanishing first and second derivatives at both ends.
+double smoothStep(double x);
+
+constexpr double kStandingHeight = 0.10;  ///< base_link of the MAV above the floor before take-off [m]
+
 /// Points of a Catmull-Rom curve through `points`, every ~1 cm.
 std::vector<Eigen::Vector2d> smoothLane(const std::vector<Eigen::Vector2d>& points);
 

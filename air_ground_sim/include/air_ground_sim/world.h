@@ -3,6 +3,9 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
+#include <memory>
+#include <opencv2/core/mat.hpp>
 #include <vector>
 
 #include "air_ground_common/geometry.h"
@@ -25,6 +28,16 @@ struct Patch {
   std::uint64_t seed = 0;   ///< of its texture
   std::uint64_t object = 0;  ///< texture seed shared by the faces of one object (its base colour)
 
+  std::vector<float> column_at, row_at;  ///< texture coordinates of the grid's lines; empty: evenly spaced
+  std::vector<std::uint8_t> holes;       ///< 1 for each cell that is left open, row by row; empty: none
+  int light_step = 4;                    ///< texels between samples of the light
+  /// Paints the texture in place of the material: CV_8UC3, R G B, row 0 at v = 0.
+  std::function<cv::Mat(const Patch&)> painter;
+
+  float columnAt(int c) const { return column_at.empty() ? static_cast<float>(c) / static_cast<float>(columns) : column_at[c]; }
+  float rowAt(int r) const { return row_at.empty() ? static_cast<float>(r) / static_cast<float>(rows) : row_at[r]; }
+  bool isHole(int c, int r) const { return !holes.empty() && holes[static_cast<std::size_t>(r) * columns + c]; }
+
   Eigen::Vector3f point(float u, float v) const;  ///< position at texture coordinates in [0, 1]
 };
 
@@ -36,6 +49,11 @@ struct World {
   Eigen::Vector3f sun = Eigen::Vector3f(0.35f, 0.25f, 0.9f);  ///< direction towards the key light, unit
   float ambient = 0.45f;   ///< share of the light that comes from everywhere
   float sky = 0.5f;        ///< radiance where a ray meets nothing
+  cv::Mat sky_map;         ///< its picture (see paintSky), scaled by `sky`; empty: even
+  Eigen::Vector3f tint = Eigen::Vector3f::Ones();  ///< colour of the light
+  float sun_reach = 4.0f;      ///< what is farther casts no shadow of the key light [m]
+  float ambient_reach = 1.5f;  ///< what is farther does not shade the surrounding light [m]
+  std::shared_ptr<const void> keep_alive;  ///< what the painters refer to
 };
 
 /// Builds the world for a seed; the same seed gives the same world.
