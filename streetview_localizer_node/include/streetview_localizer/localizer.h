@@ -1,0 +1,94 @@
+// The whole of paper B, II: an image in, a camera pose in the city out, or an honest refusal. ROS-free and deterministic.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <opencv2/core.hpp>
+#include <string>
+#include <vector>
+
+#include "streetview_localizer/acceptance.h"
+#include "streetview_localizer/back_projection.h"
+#include "streetview_localizer/database.h"
+#include "streetview_localizer/kvld.h"
+#include "streetview_localizer/pairwise.h"
+#include "streetview_localizer/point_fusion.h"
+#include "streetview_localizer/pose_estimation.h"
+#include "streetview_localizer/virtual_views.h"
+
+namespace streetview_localizer {
+
+struct LocalizerSettings {
+  VirtualViewSettings features;
+  PairwiseSettings pairwise;
+  KvldSettings kvld;
+  PoseSettings pose;
+  AcceptanceSettings acceptance;
+  PointFusionSettings fusion;
+
+  int max_views = 8;             ///< of the database, matched pairwise with an image
+  int near_panoramas = 6;        ///< searched where the prior tells the position; the paper: 4 to 8
+  double max_prior_stddev = 15;  ///< a prior position worse than this is not used for the search [m]
+  int min_view_matches = 6;      ///< a view with fewer matches after k-VLD is dropped
+  /// Panoramas with poses better than these are matched as one: a point of the facade gets its place from several of them.
+  double merge_position_stddev = 0.03;      ///< [m]
+  double merge_orientation_stddev = 0.002;  ///< [rad]
+  double model_lateral_stddev = 0.1;        ///< of the city model's walls [m] (paper B, II.B)
+  double model_height_stddev = 0.5;         ///< [m]
+  double min_height = 0.2;                  ///< of the camera above the model's ground, where it has one [m]
+  double min_visible_share = 0.7;           ///< of the inliers' points not hidden by the model from the estimated pose [0, 1]
+  double max_disagreement = 1.0;            ///< between poses from different panoramas that are both accepted [m]
+  double max_turn = 0.1;                    ///< the same for the attitude [rad]
+
+  /// Throws std::invalid_argument, naming the field, when a value cannot work.
+  void validate() const;
+};
+
+enum class LocalizerStatus { kAccepted, kRefused, kNoPose, kNoMatch };
+const char* nameOf(LocalizerStatus status);  ///< "accepted", "refused", "no_pose", "no_match"
+
+/// Steps as in the paper's figure 4, and the pose.
+enum class Step { kFeatures, kSearch, kVoting, kMatching, kVerification, kPose };
+constexpr int kSteps = 6;
+const char* nameOf(Step step);
+
+struct LocalizerResult {
+  LocalizerStatus status = LocalizerStatus::kNoMatch;
+  std::string reason;      ///< one line for a person
+  PoseResult pose;         ///< its indices count `correspondences`
+  Acceptance acceptance;
+  std::vector<Correspondence> correspondences;  ///< of the panoramas behind the pose; of the best match without one
+  std::vector<int> views;                       ///< of each correspondence: index of the database's view
+  int panorama = -1;                            ///< index of the panorama with the most inliers, or matches without a pose
+  int view = -1;                                ///< its best view
+  std::vector<int> searched;                    ///< panoramas matched pairwise, best first
+  bool used_prior = false;                      ///< the prior chose them
+  int features = 0;                             ///< of the image and its virtual views
+  int matches = 0;                              ///< after k-VLD, all views together
+  std::array<double, kSteps> times{};           ///< [s]
+  double total_time = 0;                        ///< [s]
+
+  bool accepted() const { return status == LocalizerStatus::kAccepted; }
+};
+
+/// Thread-safe. Holds the search index and small caches.
+class Localizer {
+ public:
+  /// Throws std::invalid_argument for bad settings or a database without views, features or images.
+  Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings = {});
+  ~Localizer();
+
+  /// `image`: 8-bit, grey or BGR, as recorded with `camera`. Throws std::invalid_argument when they do not fit together or the
+  /// prior is not finite; everything that an image can show is answered in the result.
+  LocalizerResult localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior = {}) const;
+
+  const StreetviewDatabase& database() const;
+  const BackProjector& projector() const;
+  const LocalizerSettings& settings() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace streetview_localizer

@@ -1,0 +1,427 @@
+#include "streetview_localizer/localizer.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <list>
+#include <map>
+#include <mutex>
+#include <numeric>
+#include <opencv2/imgproc.hpp>
+#include <stdexcept>
+#include <utility>
+
+namespace streetview_localizer {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+constexpr double kDegree = M_PI / 180;
+constexpr std::size_t kPyramidsKept = 96;
+
+double seconds(Clock::time_point since) { return std::chrono::duration<double>(Clock::now() - since).count(); }
+
+std::string text(const char* format, double a, double b = 0, double c = 0) {
+  char line[240];
+  std::snprintf(line, sizeof line, format, a, b, c);
+  return line;
+}
+
+// Adds the time until its end to one step.
+class StepTimer {
+ public:
+  StepTimer(LocalizerResult* result, Step step) : result_(result), step_(step), start_(Clock::now()) {}
+  ~StepTimer() { result_->times[static_cast<std::size_t>(step_)] += seconds(start_); }
+
+ private:
+  LocalizerResult* result_;
+  Step step_;
+  Clock::time_point start_;
+};
+
+// Matches of the query with one view that survived k-VLD.
+struct ViewMatches {
+  int view = 0;
+  std::vector<Match> matches;
+  std::vector<int> supporters;
+};
+
+// Matches with panoramas whose points may be used as one.
+struct Group {
+  std::vector<ViewMatches> parts;
+  int size() const {
+    return std::accumulate(parts.begin(), parts.end(), 0, [](int n, const ViewMatches& p) { return n + static_cast<int>(p.matches.size()); });
+  }
+};
+
+struct Candidate {
+  PoseResult pose;
+  Acceptance acceptance;
+  std::vector<Correspondence> correspondences;
+  std::vector<int> views;
+  int panorama = -1, view = -1;
+};
+
+// Index of the most frequent value; the first of equals.
+int mostFrequent(const std::map<int, int>& counts) {
+  int best = -1, most = 0;
+  for (const auto& [value, count] : counts)
+    if (count > most) best = value, most = count;
+  return best;
+}
+
+}  // namespace
+
+const char* nameOf(LocalizerStatus status) {
+  switch (status) {
+    case LocalizerStatus::kAccepted: return "accepted";
+    case LocalizerStatus::kRefused: return "refused";
+    case LocalizerStatus::kNoPose: return "no_pose";
+    case LocalizerStatus::kNoMatch: return "no_match";
+  }
+  return "";
+}
+
+const char* nameOf(Step step) {
+  switch (step) {
+    case Step::kFeatures: return "1 virtual views, features";
+    case Step::kSearch: return "2 search in the database";
+    case Step::kVoting: return "3 voting";
+    case Step::kMatching: return "4 pairwise matching";
+    case Step::kVerification: return "5 k-VLD";
+    case Step::kPose: return "6 pose, acceptance";
+  }
+  return "";
+}
+
+void LocalizerSettings::validate() const {
+  const auto require = [](bool good, const char* what) {
+    if (!good) throw std::invalid_argument(std::string("localizer: ") + what);
+  };
+  require(max_views >= 1, "max_views must be at least 1");
+  require(near_panoramas >= 1, "near_panoramas must be at least 1");
+  require(max_prior_stddev > 0, "max_prior_stddev must be positive");
+  require(min_view_matches >= 1, "min_view_matches must be at least 1");
+  require(merge_position_stddev >= 0 && merge_orientation_stddev >= 0, "merge_position_stddev and merge_orientation_stddev must not be negative");
+  require(model_lateral_stddev >= 0 && model_height_stddev >= 0, "model_lateral_stddev and model_height_stddev must not be negative");
+  require(min_visible_share >= 0 && min_visible_share <= 1, "min_visible_share must lie in [0, 1]");
+  require(max_disagreement > 0 && max_turn > 0, "max_disagreement and max_turn must be positive");
+  pose.validate();
+  acceptance.validate();
+  fusion.validate();
+}
+
+struct Localizer::Impl {
+  std::shared_ptr<const StreetviewDatabase> database;
+  LocalizerSettings settings;
+  BackProjector projector;
+
+  mutable std::mutex mutex;
+  mutable std::list<std::pair<int, std::shared_ptr<const GradientPyramid>>> pyramids;  // the most recent first
+
+  Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s) : database(std::move(db)), settings(s), projector(database->model) {}
+
+  const View& view(int index) const { return database->views[static_cast<std::size_t>(index)]; }
+  const Panorama& panorama(int index) const { return database->panoramas[static_cast<std::size_t>(index)]; }
+
+  std::shared_ptr<const GradientPyramid> pyramidOf(int index) const {
+    {
+      const std::lock_guard<std::mutex> lock(mutex);
+      for (auto it = pyramids.begin(); it != pyramids.end(); ++it) {
+        if (it->first != index) continue;
+        pyramids.splice(pyramids.begin(), pyramids, it);
+        return it->second;
+      }
+    }
+    auto made = std::make_shared<const GradientPyramid>(view(index).image);
+    const std::lock_guard<std::mutex> lock(mutex);
+    pyramids.emplace_front(index, made);
+    if (pyramids.size() > kPyramidsKept) pyramids.pop_back();
+    return made;
+  }
+
+  // Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
+  std::vector<int> viewsByPrior(const CameraModel& camera, const PosePrior& prior) const {
+    const Pose& T = *prior.T_world_camera;
+    const Pose T_camera_world = T.inverse();
+    // Two standard deviations of the attitude, and of the position seen at 10 m.
+    const double angle = 2 * std::sqrt(prior.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff()) +
+                         0.2 * std::sqrt(prior.covariance.topLeftCorner<3, 3>().diagonal().maxCoeff());
+    const double half = std::min(std::atan(0.5 * std::hypot(camera.width, camera.height) / camera.fx) + angle, M_PI);
+    const double min_cosine = std::cos(half);
+    std::vector<std::pair<int, int>> ranked;
+    for (const int p : database->nearest(T.translation(), settings.near_panoramas)) {
+      for (const int v : database->viewsOf(p)) {
+        const View& candidate = view(v);
+        int seen = 0;
+        for (std::size_t i = 0; i < candidate.points.size(); ++i) {
+          const Eigen::Vector3d point = candidate.points[i].cast<double>();
+          const Eigen::Vector3d in_camera = T_camera_world * point;
+          seen += in_camera.z() > min_cosine * in_camera.norm() && candidate.normals[i].cast<double>().dot(T.translation() - point) > 0;
+        }
+        if (seen >= settings.min_view_matches) ranked.emplace_back(-seen, v);
+      }
+    }
+    std::sort(ranked.begin(), ranked.end());
+    std::vector<int> views;
+    for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(settings.max_views); ++i) views.push_back(ranked[i].second);
+    return views;
+  }
+
+  std::vector<int> viewsBySearch(const Features& query, LocalizerResult* result) const {
+    (void)query; (void)result;
+    std::vector<int> views(database->views.size());
+    std::iota(views.begin(), views.end(), 0);
+    return views;
+  }
+
+  ViewMatches match(const Features& query, const GradientPyramid& query_pyramid, int index, LocalizerResult* result) const {
+    ViewMatches out;
+    out.view = index;
+    const View& candidate = view(index);
+    std::vector<Match> putative;
+    {
+      const StepTimer timer(result, Step::kMatching);
+      putative = matchPairwise(query, candidate.features, settings.pairwise);
+    }
+    const StepTimer timer(result, Step::kVerification);
+    if (static_cast<int>(putative.size()) < settings.min_view_matches) return out;
+    const KvldResult kvld =
+        filterKvld(query_pyramid, *pyramidOf(index), query.keypoints, candidate.features.keypoints, putative, settings.kvld);
+    for (const int kept : kvld.kept) out.matches.push_back(putative[static_cast<std::size_t>(kept)]);
+    out.supporters = kvld.supporters;
+    return out;
+  }
+
+  // One group for all panoramas of well-known pose, one for each of the others: their errors, a decimetre, are common to the
+  // points of one and would set those of two against each other.
+  std::vector<Group> grouped(std::vector<ViewMatches> parts) const {
+    std::vector<Group> groups;
+    std::map<int, std::size_t> group_of;
+    for (ViewMatches& part : parts) {
+      if (static_cast<int>(part.matches.size()) < settings.min_view_matches) continue;
+      const int p = view(part.view).panorama;
+      const bool exact = panorama(p).position_stddev <= settings.merge_position_stddev &&
+                         panorama(p).orientation_stddev <= settings.merge_orientation_stddev;
+      const auto [it, is_new] = group_of.try_emplace(exact ? -1 : p, groups.size());
+      if (is_new) groups.emplace_back();
+      groups[it->second].parts.push_back(std::move(part));
+    }
+    std::stable_sort(groups.begin(), groups.end(), [](const Group& a, const Group& b) { return a.size() > b.size(); });
+    return groups;
+  }
+
+  Candidate locate(const Group& group, const Features& query, const CameraModel& camera, const PosePrior& prior) const {
+    Candidate c;
+    std::vector<ViewRay> rays;
+    std::map<int, int> matches_of_panorama;
+    for (const ViewMatches& part : group.parts) {
+      const View& from = view(part.view);
+      const Panorama& place = panorama(from.panorama);
+      matches_of_panorama[from.panorama] += static_cast<int>(part.matches.size());
+      for (std::size_t i = 0; i < part.matches.size(); ++i) {
+        const Match& m = part.matches[i];
+        const auto q = static_cast<std::size_t>(m.query), v = static_cast<std::size_t>(m.view);
+        Correspondence corr;
+        corr.pixel = {query.keypoints[q].pt.x, query.keypoints[q].pt.y};
+        corr.view_pixel = {from.features.keypoints[v].pt.x, from.features.keypoints[v].pt.y};
+        corr.p_world = from.points[v].cast<double>();
+        corr.normal = from.normals[v].cast<double>();
+        corr.quality = part.supporters[i] * (1 - m.ratio);
+        c.correspondences.push_back(corr);
+        c.views.push_back(part.view);
+        rays.push_back({from.T_world_camera.translation(), 1 / from.camera.fx, place.position_stddev});
+      }
+    }
+    c.panorama = mostFrequent(matches_of_panorama);
+    PointSource source = sourceOf(c.panorama);
+    c.pose = estimatePose(c.correspondences, camera, source, prior, settings.pose);
+    if (c.pose.success) {
+      // The panorama that the pose rests on.
+      std::map<int, int> inliers_of_panorama, inliers_of_view;
+      for (const int i : c.pose.inliers) {
+        const int v = c.views[static_cast<std::size_t>(i)];
+        ++inliers_of_view[v];
+        ++inliers_of_panorama[view(v).panorama];
+      }
+      c.panorama = mostFrequent(inliers_of_panorama);
+      c.view = mostFrequent(inliers_of_view);
+      source = sourceOf(c.panorama);
+      if (inliers_of_panorama.size() > 1) refine(camera, prior, rays, &c);
+    }
+    c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance);
+    if (c.acceptance.accepted) checkAgainstModel(&c);
+    return c;
+  }
+
+  PointSource sourceOf(int index) const {
+    PointSource source;
+    const Panorama& p = panorama(index);
+    source.position = p.T_world_panorama.translation();
+    source.position_stddev = p.position_stddev;
+    source.orientation_stddev = p.orientation_stddev;
+    source.model_lateral_stddev = settings.model_lateral_stddev;
+    source.model_height_stddev = settings.model_height_stddev;
+    return source;
+  }
+
+  // Several panoramas see the same points: their rays fix them better than the model.
+  void refine(const CameraModel& camera, const PosePrior& prior, const std::vector<ViewRay>& rays, Candidate* c) const {
+    const auto fused = fusePoints(c->correspondences, rays, c->pose.inliers, settings.fusion);
+    const FusedRefinement refined = refineOnFusedPoints(fused, camera, prior, c->pose.T_world_camera, settings.fusion);
+    const double moved = (refined.T_world_camera.translation() - c->pose.T_world_camera.translation()).norm();
+    if (!refined.converged || moved > settings.max_disagreement) return;
+    c->pose.covariance += refined.covariance - c->pose.image_covariance;
+    c->pose.image_covariance = refined.covariance;
+    c->pose.T_world_camera = refined.T_world_camera;
+  }
+
+  // A camera stands above the ground, outside of buildings, and sees what it matched.
+  void checkAgainstModel(Candidate* c) const {
+    const Eigen::Vector3d centre = c->pose.T_world_camera.translation();
+    const auto below = projector.cast(centre, -Eigen::Vector3d::UnitZ());
+    const auto above = projector.cast(centre, Eigen::Vector3d::UnitZ());
+    const CityModel& model = projector.model();
+    const auto refuse = [&](const std::string& why) {
+      c->acceptance.accepted = false;
+      c->acceptance.score = 0;
+      c->acceptance.reason = why;
+    };
+    const bool over_ground = below && !model.isBuilding(below->triangle);
+    if (over_ground && below->distance < settings.min_height)
+      return refuse(text("%.2f m above the ground of the model, at least %.2f", below->distance, settings.min_height));
+    if (above && !model.isBuilding(above->triangle)) return refuse("the camera would be below the ground of the model");
+    int visible = 0;
+    for (const int i : c->pose.inliers) {
+      const Correspondence& corr = c->correspondences[static_cast<std::size_t>(i)];
+      const Eigen::Vector3d ray = corr.p_world - centre;
+      const auto hit = projector.cast(centre, ray);
+      // Half a metre of tolerance: the model's own error, seen obliquely.
+      visible += !hit || hit->distance > ray.norm() - 0.5 - 0.03 * ray.norm();
+    }
+    const double share = static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c->pose.inliers.size(), 1));
+    if (share < settings.min_visible_share)
+      refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share));
+  }
+
+  void take(Candidate&& c, LocalizerResult* result) const {
+    result->pose = std::move(c.pose);
+    result->acceptance = std::move(c.acceptance);
+    result->correspondences = std::move(c.correspondences);
+    result->views = std::move(c.views);
+    result->panorama = c.panorama;
+    result->view = c.view;
+    result->reason = result->acceptance.reason;
+    result->status = !result->pose.success ? LocalizerStatus::kNoPose : result->acceptance.accepted ? LocalizerStatus::kAccepted : LocalizerStatus::kRefused;
+  }
+
+  void decide(std::vector<Candidate> candidates, LocalizerResult* result) const {
+    const auto better = [](const Candidate& a, const Candidate& b) {
+      if (a.acceptance.accepted != b.acceptance.accepted) return a.acceptance.accepted;
+      if (a.pose.success != b.pose.success) return a.pose.success;
+      return a.acceptance.evidence.inliers > b.acceptance.evidence.inliers;
+    };
+    std::stable_sort(candidates.begin(), candidates.end(), better);
+    std::string contradiction;
+    for (std::size_t i = 1; i < candidates.size(); ++i) {
+      if (!candidates[i].acceptance.accepted) break;
+      const Pose& a = candidates[0].pose.T_world_camera;
+      const Pose& b = candidates[i].pose.T_world_camera;
+      const double apart = (a.translation() - b.translation()).norm(), turn = air_ground_common::rotationAngle(a.linear(), b.linear());
+      if (apart > settings.max_disagreement || turn > settings.max_turn)
+        contradiction = text("poses from two panoramas lie %.1f m and %.1f degrees apart", apart, turn / kDegree);
+    }
+    take(std::move(candidates[0]), result);
+    if (!contradiction.empty()) {
+      result->status = LocalizerStatus::kRefused;
+      result->acceptance.accepted = false;
+      result->acceptance.score = 0;
+      result->acceptance.reason = result->reason = contradiction;
+    }
+  }
+
+  void run(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior, LocalizerResult* result) const {
+    cv::Mat grey = image;
+    if (image.channels() == 3) cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
+    Features query;
+    {
+      const StepTimer timer(result, Step::kFeatures);
+      query = extractWithVirtualViews(grey, camera, settings.features);
+    }
+    result->features = static_cast<int>(query.size());
+    if (result->features < settings.acceptance.min_inliers) {
+      result->reason = text("%.0f features in the image: nothing to match", result->features);
+      return;
+    }
+    const double prior_stddev =
+        prior.T_world_camera ? std::sqrt(prior.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff()) : std::numeric_limits<double>::infinity();
+    result->used_prior = prior_stddev <= settings.max_prior_stddev;
+    std::vector<int> views;
+    if (result->used_prior) {
+      const StepTimer timer(result, Step::kVoting);
+      views = viewsByPrior(camera, prior);
+    } else {
+      views = viewsBySearch(query, result);
+    }
+    std::vector<ViewMatches> parts;
+    if (!views.empty()) {
+      std::unique_ptr<GradientPyramid> pyramid;
+      {
+        const StepTimer timer(result, Step::kVerification);
+        pyramid = std::make_unique<GradientPyramid>(grey);
+      }
+      for (const int v : views) {
+        parts.push_back(match(query, *pyramid, v, result));
+        result->matches += static_cast<int>(parts.back().matches.size());
+        const int p = view(v).panorama;
+        if (std::find(result->searched.begin(), result->searched.end(), p) == result->searched.end()) result->searched.push_back(p);
+      }
+    }
+    const StepTimer timer(result, Step::kPose);
+    std::vector<Candidate> candidates;
+    for (const Group& group : grouped(std::move(parts))) candidates.push_back(locate(group, query, camera, prior));
+    if (candidates.empty()) {
+      result->reason = views.empty() ? "no panorama resembles the image" : text("fewer than %.0f matches with every view searched", settings.min_view_matches);
+      return;
+    }
+    decide(std::move(candidates), result);
+  }
+};
+
+Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings) {
+  settings.validate();
+  if (!database) throw std::invalid_argument("localizer: no database");
+  std::size_t features = 0;
+  for (const View& view : database->views) {
+    features += view.features.size();
+    if (view.image.empty()) throw std::invalid_argument("localizer: the database was loaded without its images, which k-VLD needs");
+  }
+  if (features == 0) throw std::invalid_argument("localizer: the database holds no features on buildings");
+  impl_ = std::make_unique<Impl>(std::move(database), settings);
+}
+
+Localizer::~Localizer() = default;
+
+LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
+  const auto start = Clock::now();
+  camera.validate();
+  if (image.depth() != CV_8U || (image.channels() != 1 && image.channels() != 3)) throw std::invalid_argument("localizer: the image must be grey or BGR of 8 bits");
+  if (image.cols != camera.width || image.rows != camera.height)
+    throw std::invalid_argument("localizer: the image has " + std::to_string(image.cols) + " x " + std::to_string(image.rows) + " pixels, its calibration " +
+                                std::to_string(camera.width) + " x " + std::to_string(camera.height));
+  if (prior.T_world_camera && (!air_ground_common::isValid(*prior.T_world_camera) || !prior.covariance.allFinite()))
+    throw std::invalid_argument("localizer: the predicted pose is not finite");
+  if (prior.up_camera && (!prior.up_camera->allFinite() || prior.up_camera->norm() < 1e-9))
+    throw std::invalid_argument("localizer: the direction of gravity is not finite");
+  LocalizerResult result;
+  impl_->run(image, camera, prior, &result);
+  result.total_time = seconds(start);
+  return result;
+}
+
+const StreetviewDatabase& Localizer::database() const { return *impl_->database; }
+const BackProjector& Localizer::projector() const { return impl_->projector; }
+const LocalizerSettings& Localizer::settings() const { return impl_->settings; }
+
+}  // namespace streetview_localizer

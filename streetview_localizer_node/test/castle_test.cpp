@@ -1,0 +1,58 @@
+// Real photographs of a real courtyard: every second one is the database, the others are located. The queries' own poses are
+// read by the test alone.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdio>
+
+#include "castle.h"
+#include "streetview_localizer/localizer.h"
+
+namespace streetview_localizer {
+namespace {
+
+using test::castleAvailable;
+
+double median(std::vector<double> values) {
+  std::nth_element(values.begin(), values.begin() + static_cast<long>(values.size() / 2), values.end());
+  return values[values.size() / 2];
+}
+
+class CastleTest : public ::testing::TestWithParam<int> {};
+
+TEST_P(CastleTest, LocatesTheOtherHalf) {
+  if (!castleAvailable()) GTEST_SKIP() << "no photographs at " << test::strechaFolder() << " (AIR_GROUND_SHARED names the folder above data/)";
+  const test::Castle castle = test::makeCastle(GetParam());
+  const Localizer localizer(castle.database);
+  std::vector<double> errors, turns;
+  int queries = 0;
+  for (std::size_t i = static_cast<std::size_t>(1 - GetParam()); i < castle.photos.size(); i += 2) {
+    const cv::Mat image = castle.image(i);
+    const LocalizerResult result = localizer.localize(image, test::cameraOf(castle.photos[i], image));
+    ++queries;
+    const auto T = test::truth(castle, i);
+    const double error = (result.pose.T_world_camera.translation() - T.translation()).norm();
+    const double turn = air_ground_common::rotationAngle(result.pose.T_world_camera.linear(), T.linear()) * 180 / M_PI;
+    const auto& e = result.acceptance.evidence;
+    std::printf("%s %-8s error %7.3f m %6.2f deg; %4d features %4d matches %4zu inliers; %.2f s (", castle.photos[i].image.c_str(), nameOf(result.status), error, turn,
+                result.features, result.matches, result.pose.inliers.size(), result.total_time);
+    for (const double t : result.times) std::printf(" %.2f", t);
+    std::printf(") range %.1f rms %.2f margin %.1f rival %.2f sd %.3f m; %s\n", e.range, e.rms, e.alternative_margin, e.competitor_share, e.position_stddev, result.reason.c_str());
+    if (!result.accepted()) continue;
+    errors.push_back(error);
+    turns.push_back(turn);
+    EXPECT_LT(error, 1) << castle.photos[i].image;
+    EXPECT_LT(turn, 3) << castle.photos[i].image;
+  }
+  EXPECT_GE(static_cast<double>(errors.size()), 0.9 * queries);
+  ASSERT_FALSE(errors.empty());
+  std::printf("half %d: %zu of %d located; median %.3f m, %.3f deg; largest %.3f m\n", GetParam(), errors.size(), queries, median(errors), median(turns),
+              *std::max_element(errors.begin(), errors.end()));
+  EXPECT_LT(median(errors), 0.05);
+  EXPECT_LT(median(turns), 0.1);
+}
+
+INSTANTIATE_TEST_SUITE_P(Halves, CastleTest, ::testing::Values(0, 1));
+
+}  // namespace
+}  // namespace streetview_localizer
