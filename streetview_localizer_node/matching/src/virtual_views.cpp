@@ -212,8 +212,10 @@ cv::Mat VirtualViewWarp::render(const cv::Mat& grey, bool half) const {
   const Eigen::Vector2d centre = toWarped({0.5 * (camera_.width - 1), 0.5 * (camera_.height - 1)});
   const Eigen::Matrix2d J = scale * jacobian(centre);
   const Eigen::Vector2d variance = kImageBlur * kImageBlur * ((J * J.transpose()).diagonal() - Eigen::Vector2d::Ones());
-  cv::Mat smooth = grey;
-  if (variance.maxCoeff() > 0.05)
+  cv::Mat smooth;
+  if (variance.maxCoeff() < 0.05)
+    smooth = grey;
+  else
     cv::GaussianBlur(grey, smooth, cv::Size(0, 0), std::sqrt(std::max(0.01, variance.x())),
                      std::sqrt(std::max(0.01, variance.y())), cv::BORDER_REPLICATE);
 
