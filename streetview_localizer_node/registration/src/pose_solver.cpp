@@ -77,8 +77,15 @@ std::optional<VerticalOffset> verticalOffset(const VerticalEvidence& evidence, d
   for (int i = 1; i < 2 * reach; ++i) {
     const float a = strength[i - 1], b = strength[i], c = strength[i + 1];
     if (b < 0.35f || b < a || b <= c) continue;
-    const double curvature = a + c - 2.0 * b;
-    const double offset = centre + i - reach - 0.5 + (curvature < 0 ? 0.5 * (a - c) / curvature : 0) - column;
+    // Strong edges saturate the columns beside them: the middle of the run that is nearly as strong.
+    double sum = 0, moment = 0;
+    for (const int side : {-1, 1}) {
+      for (int k = side < 0 ? i : i + 1; k >= 0 && k <= 2 * reach && strength[k] > 0.6f * b; k += side) {
+        sum += strength[k] - 0.5 * b;
+        moment += (strength[k] - 0.5 * b) * k;
+      }
+    }
+    const double offset = centre + moment / sum - reach - 0.5 - column;
     const double score = b * std::exp(-0.5 * offset * offset / (window * window) * 2);
     if (std::abs(offset) > window || score < best_score) continue;
     best_score = score;
