@@ -53,6 +53,14 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
   for (std::size_t i = width * (width / 8) * 3ul; i < width * (width / 3) * 3ul; i += 3 * 97) sample.push_back(rgb[i + 1]);
   std::nth_element(sample.begin(), sample.begin() + sample.size() / 2, sample.end());
   const float gain = 0.26f / std::max(1e-4f, sample[sample.size() / 2]);
+  // Response in steps of 1/1024 of the square root of the light, up to 8 times white.
+  constexpr int kSteps = 1024 * 3;
+  std::vector<float> response(kSteps);
+  for (int i = 0; i < kSteps; ++i) {
+    const float l = static_cast<float>(i * i) / (1024 * 1024);
+    const float shown = l * (1 + l / 6) / (1 + 0.8f * l);  // bright parts are held back, as cameras do
+    response[i] = 255 * std::pow(std::min(1.0f, shown), 1 / 2.2f);
+  }
   cv::Mat image(width / 2, width, CV_8UC3);
 #pragma omp parallel for schedule(static)
   for (int y = 0; y < image.rows; ++y) {
@@ -60,9 +68,8 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
     for (int x = 0; x < width; ++x)
       for (int c = 0; c < 3; ++c) {
         const float l = gain * rgb[(static_cast<std::size_t>(y) * width + x) * 3 + c];
-        const float shown = l * (1 + l / 6) / (1 + 0.8f * l);  // bright parts are held back, as cameras do
         // Noise uniform over +-3 grey values: the sum of shot noise and compression.
-        const double v = 255 * std::pow(std::min(1.0f, shown), 1 / 2.2f) + 6 * (rng.uniform() - 0.5);
+        const double v = response[std::min(kSteps - 1, static_cast<int>(1024 * std::sqrt(l)))] + 6 * (rng.uniform() - 0.5);
         image.at<cv::Vec3b>(y, x)[2 - c] = static_cast<std::uint8_t>(std::clamp(v + 0.5, 0.0, 255.0));
       }
   }

@@ -5,9 +5,11 @@
 #include <ros/package.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/FluidPressure.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <sensor_msgs/MagneticField.h>
+#include <sensor_msgs/NavSatFix.h>
 #include <sensor_msgs/image_encodings.h>
 #include <tf2_msgs/TFMessage.h>
 #include <unistd.h>
@@ -29,6 +31,7 @@
 #include <thread>
 
 #include "air_ground_sim/city.h"
+#include "air_ground_sim/positioning.h"
 #include "air_ground_sim/recording.h"
 
 namespace {
@@ -164,6 +167,8 @@ class BagRecorder {
     bag_.open(path, rosbag::bagmode::Write);
     if (options.compression == "lz4") bag_.setCompression(rosbag::compression::LZ4);
     mav_info_ = infoOf(sim_.config().mav_camera.camera, "mav_camera_optical_frame");
+    const StreetConfig& street = sim_.config().street;
+    if (sim_.config().hasCity()) frame_ = std::make_unique<air_ground_common::LocalFrame>(street.crs, street.origin);
     ground_info_ = infoOf(sim_.config().ground_camera.camera, "ground_camera_optical_frame");
   }
 
@@ -187,6 +192,8 @@ class BagRecorder {
       schedule(kMavImu, 0, c.imu.rate);
       schedule(kMavMag, 0, c.imu.mag_rate);
       cameraEvents(kMavImage, c.mav_camera);
+      if (frame_ && c.gps.rate > 0) schedule(kGps, 0.1, c.gps.rate);
+      if (frame_ && c.barometer.rate > 0) schedule(kPressure, 0, c.barometer.rate);
     }
     if (!options_.no_ground) {
       schedule(kGroundImu, 0, c.imu.rate);
@@ -203,6 +210,8 @@ class BagRecorder {
 
     Imu mav_imu = sim_.makeMavImu(), ground_imu = sim_.makeGroundImu();
     Rng mag_noise(mix(options_.seed, 33));
+    GpsReceiver gps(c.gps, mix(options_.seed, 34));
+    Barometer barometer(c.barometer, mix(options_.seed, 35));
     Progress progress(frames, options_.quiet);
     for (const Event& e : events) {
       switch (e.kind) {
@@ -210,6 +219,8 @@ class BagRecorder {
         case kMavImu: writeImu("/mav/imu/data", "mav_imu_link", e.time, mav_imu.measure(sim_.mav().state(e.time))); break;
         case kGroundImu: writeImu("/ground/imu/data", "ground_imu_link", e.time, ground_imu.measure(sim_.ground().state(e.time))); break;
         case kMavMag: writeMag(e.time, &mag_noise); break;
+        case kGps: writeGps(e.time, gps.measure(sim_.mav().pose(e.time).translation())); break;
+        case kPressure: writePressure(e.time, barometer.measure(c.street.origin.z() + sim_.mav().pose(e.time).translation().z())); break;
         case kMavImage:
           writeMavImage(e.time, e.index, mav.next());
           progress.step();
@@ -224,15 +235,17 @@ class BagRecorder {
   }
 
  private:
-  enum Kind { kTruth, kMavImu, kGroundImu, kMavMag, kMavImage, kGroundImage };
+  enum Kind { kTruth, kMavImu, kGroundImu, kMavMag, kMavImage, kGroundImage, kGps, kPressure };
 
   void writeStaticTransforms() {
     const SimConfig& c = sim_.config();
     tf2_msgs::TFMessage m;
     m.transforms = {transform("mav_base_link", "mav_camera_optical_frame", c.T_mav_base_camera),
-                    transform("mav_base_link", "mav_imu_link", c.T_mav_base_imu),
-                    transform("ground_base_link", "ground_camera_optical_frame", c.T_ground_base_camera),
-                    transform("ground_base_link", "ground_imu_link", c.T_ground_base_imu)};
+                    transform("mav_base_link", "mav_imu_link", c.T_mav_base_imu)};
+    if (c.hasGroundRobot()) {
+      m.transforms.push_back(transform("ground_base_link", "ground_camera_optical_frame", c.T_ground_base_camera));
+      m.transforms.push_back(transform("ground_base_link", "ground_imu_link", c.T_ground_base_imu));
+    }
     auto header = boost::make_shared<ros::M_string>();
     (*header)["latching"] = "1";
     (*header)["callerid"] = "/simulate";
@@ -279,8 +292,10 @@ class BagRecorder {
 
   void writeMag(double time, Rng* noise) {
     const SimConfig& c = sim_.config();
-    const Eigen::Matrix3d R_world_imu = (sim_.mav().pose(time) * c.T_mav_base_imu).linear();
-    Eigen::Vector3d field = R_world_imu.transpose() * earthMagneticField();
+    const Pose T_world_imu = sim_.mav().pose(time) * c.T_mav_base_imu;
+    Eigen::Vector3d field = earthMagneticField();
+    if (c.imu.mag_disturbance > 0) field += magneticDisturbance(T_world_imu.translation(), c.imu.mag_disturbance, mix(options_.seed, 36));
+    field = T_world_imu.linear().transpose() * field;
     sensor_msgs::MagneticField m;
     m.header.stamp = stampOf(time);
     m.header.frame_id = "mav_imu_link";
@@ -292,6 +307,31 @@ class BagRecorder {
     m.magnetic_field.y = field.y();
     m.magnetic_field.z = field.z();
     bag_.write("/mav/imu/mag", m.header.stamp, m);
+  }
+
+  void writeGps(double time, const Eigen::Vector3d& position) {
+    const air_ground_common::Geodetic place = frame_->toGeodetic(position);
+    const GpsConfig& c = sim_.config().gps;
+    sensor_msgs::NavSatFix m;
+    m.header.stamp = stampOf(time);
+    m.header.frame_id = "mav_base_link";
+    m.status.status = sensor_msgs::NavSatStatus::STATUS_FIX;
+    m.status.service = sensor_msgs::NavSatStatus::SERVICE_GPS;
+    m.latitude = place.latitude;
+    m.longitude = place.longitude;
+    m.altitude = place.height + sim_.config().street.geoid_undulation;  // above the ellipsoid
+    m.position_covariance = {c.stated_stddev * c.stated_stddev, 0, 0, 0, c.stated_stddev * c.stated_stddev, 0, 0, 0, 4 * c.stated_stddev * c.stated_stddev};
+    m.position_covariance_type = sensor_msgs::NavSatFix::COVARIANCE_TYPE_APPROXIMATED;
+    bag_.write("/gps/fix", m.header.stamp, m);
+  }
+
+  void writePressure(double time, double pressure) {
+    sensor_msgs::FluidPressure m;
+    m.header.stamp = stampOf(time);
+    m.header.frame_id = "mav_base_link";
+    m.fluid_pressure = pressure;
+    m.variance = std::pow(sim_.config().barometer.noise, 2);
+    bag_.write("/barometer", m.header.stamp, m);
   }
 
   sensor_msgs::Image image(const sensor_msgs::CameraInfo& info, const std::string& encoding, int bytes_per_pixel) const {
@@ -329,6 +369,7 @@ class BagRecorder {
   Recording& sim_;
   const Options& options_;
   rosbag::Bag bag_;
+  std::unique_ptr<air_ground_common::LocalFrame> frame_;  // of street worlds
   sensor_msgs::CameraInfo mav_info_, ground_info_;
 };
 

@@ -1,8 +1,10 @@
 #include "air_ground_sim/street.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <stdexcept>
 
 #include "air_ground_sim/noise.h"
@@ -206,6 +208,28 @@ void addBuildings(Street* street, Rng* rng) {
     b.model_error = Vector3d(c.model_lateral_stddev * rng->gaussian(), c.model_lateral_stddev * rng->gaussian(), c.model_height_stddev * rng->gaussian());
 }
 
+// Photographs in place of painted facades, in turn; what stands out of a painted wall is left off.
+void addPhotographs(Street* street) {
+  namespace fs = std::filesystem;
+  const std::string& folder = street->config.facade_images;
+  std::vector<std::string> files;
+  if (fs::is_directory(folder))
+    for (const auto& entry : fs::directory_iterator(folder)) {
+      std::string type = entry.path().extension().string();
+      std::transform(type.begin(), type.end(), type.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+      if (type == ".jpg" || type == ".jpeg" || type == ".png") files.push_back(entry.path().string());
+    }
+  if (files.empty()) throw std::invalid_argument("facade_images: no .jpg or .png files in '" + folder + "'");
+  std::sort(files.begin(), files.end());
+  const std::size_t first = mix(street->seed, 44) % files.size();
+  for (std::size_t i = 0; i < street->buildings.size(); ++i) {
+    Building& b = street->buildings[i];
+    b.photograph = files[(first + i) % files.size()];
+    b.openings.clear();
+    b.balconies.clear();
+  }
+}
+
 Stand standAt(const Street& street, const Vector2d& p, double yaw, Rng* rng) {
   Stand s;
   s.position << p.x(), p.y(), street.ground(p);
@@ -311,6 +335,7 @@ Street planStreet(const StreetConfig& config, std::uint64_t seed) {
   street.seed = seed;
   Rng houses(mix(seed, 41)), life(mix(seed, 42)), panoramas(mix(seed, 43));
   addBuildings(&street, &houses);
+  if (!config.facade_images.empty()) addPhotographs(&street);
   addStreetLife(&street, &life);
   addPanoramas(&street, &panoramas);
   return street;

@@ -100,10 +100,10 @@ std::vector<Vector2d> routeOf(const StreetConfig& c) {
   return {c.lines[0].from, c.lines[0].to, c.lines[0].from};
 }
 
-// Height above ground along the way: mostly low, now and then up to the roofs.
+// Height above ground along the way: low at first and mostly, now and then up to the roofs.
 double heightAt(const FlightConfig& f, double arc, double phase) {
-  const double a = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 75 + phase), b = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 31 + 2 * phase);
-  return f.min_height + (f.max_height - f.min_height) * std::pow(0.75 * a + 0.25 * b, 1.7);
+  const double a = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 120 + phase), b = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 53 + 2 * phase);
+  return f.min_height + (f.max_height - f.min_height) * smoothStep(arc / 30) * std::pow(0.75 * a + 0.25 * b, 1.7);
 }
 
 }  // namespace

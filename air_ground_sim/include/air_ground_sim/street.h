@@ -79,7 +79,7 @@ struct Street {
   double distanceToLine(const Eigen::Vector2d& p) const;    ///< to the nearest centre line [m]
 };
 
-/// Plans the street; throws std::invalid_argument when `lines` is empty.
+/// Plans the street; throws std::invalid_argument when `lines` or the folder of photographs is empty.
 Street planStreet(const StreetConfig& config, std::uint64_t seed);
 
 /// Draws the plan as it looks in one season.
