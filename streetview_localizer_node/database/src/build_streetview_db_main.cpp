@@ -65,7 +65,7 @@ void print(const BuildReport& report, const std::string& output) {
   const auto& f = report.features;
   std::printf("%s: %d images stored, %d were there already, %zu not used; %d views with %d features\n", output.c_str(), report.stored, report.resumed,
               report.refused.size(), report.views, f.kept - report.inconsistent);
-  std::printf("features left out: %d sky, %d ground and road, %d too near or far, %d grazing, %d at edges, %d unlike in other panoramas\n", f.sky, f.ground,
+  std::printf("features left out: %d sky, %d ground and road, %d too near or far, %d grazing, %d at edges, %d unlike in other images\n", f.sky, f.ground,
               f.range, f.grazing, f.edge, report.inconsistent);
 }
 
@@ -97,7 +97,7 @@ int main(int argc, char** argv) {
   app.add_option("--camera", camera, "calibration (ROS camera_info YAML) of geotagged photographs that are no panoramas");
   app.add_flag("--no-registration", no_registration, "take the geotags as they are");
   app.add_flag("--keep-unregistered", s.keep_unregistered, "use the geotag of a panorama that could not be corrected");
-  app.add_flag("--no-consistency", no_consistency, "keep features that other panoramas do not see on the facade");
+  app.add_flag("--no-consistency", no_consistency, "keep features that other images do not see on the facade");
   app.add_option("--camera-height", s.registration.camera_height, "of the panoramas above the model's ground [m], 0 if not known")->capture_default_str();
   app.add_option("--view-width", s.views.width, "of the cut views [px]")->capture_default_str();
   app.add_option("--view-height", s.views.height, "[px]")->capture_default_str();
@@ -107,6 +107,8 @@ int main(int argc, char** argv) {
   app.add_option("--max-depth", s.back_projection.max_depth, "of features [m]")->capture_default_str();
   app.add_option("--max-incidence", incidence, "between ray and facade normal [deg]")->capture_default_str();
   app.add_option("--max-features", s.features.max_features, "of a view, 0: all")->capture_default_str();
+  app.add_option("--textured-model", s.textured_model, "also write the city model with the facades' pictures: FILE.obj, with .mtl and .jpg beside it");
+  app.add_option("--texel", s.texture.resolution, "its resolution on the facades [m]")->capture_default_str();
   app.add_option("--threads", s.threads, "0: all cores")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   try {

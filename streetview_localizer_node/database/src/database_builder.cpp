@@ -62,6 +62,13 @@ class Builder {
     storeViews(&writer, projector);
     if (writer.panoramas().empty()) throw std::runtime_error(nothingLeft());
     writer.finish();
+    if (!s_.textured_model.empty()) {
+      tell("texturing", 0, 1);
+      DatabaseLoadOptions load;
+      load.features = false;
+      writeObj(makeTexturedModel(loadDatabase(s_.output, load), s_.texture), s_.textured_model);
+      tell("texturing", 1, 1);
+    }
     return report_;
   }
 
@@ -226,11 +233,12 @@ class Builder {
   bool usable(const Panorama& p) const { return p.registered || !s_.register_panoramas || s_.keep_unregistered || !p.equirectangular; }
 
   void storeViews(DatabaseWriter* writer, const BackProjector& projector) {
-    std::vector<Panorama> panoramas;
-    for (const Item& item : items_) panoramas.push_back(item.panorama);
-    for (Panorama& p : panoramas)
-      if (!usable(p)) p.equirectangular = false;  // what has no place confirms nothing
-    const FacadeConsistency consistency(projector, panoramas, [&](int i) { return cv::imread(items_[i].path, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION); }, s_.consistency);
+    std::vector<ConsistencyImage> images;
+    for (const Item& item : items_) {
+      const bool panorama = item.panorama.equirectangular;
+      images.push_back({usable(item.panorama), panorama, item.camera, panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
+    }
+    const FacadeConsistency consistency(projector, images, [&](int i) { return cv::imread(items_[i].path, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION); }, s_.consistency);
     int done = 0;
     std::string error;
     const int count = static_cast<int>(items_.size());
@@ -274,7 +282,7 @@ class Builder {
           view.features = extractFeatures(grey, s_.features);
           const BackProjectionCounts c = projector.apply(&view);
           counts.kept += c.kept, counts.sky += c.sky, counts.ground += c.ground, counts.range += c.range, counts.grazing += c.grazing, counts.edge += c.edge;
-          if (s_.check_consistency && panorama.equirectangular) inconsistent += consistency.apply(index, &view);
+          if (s_.check_consistency) inconsistent += consistency.apply(index, &view);
         }
         views.erase(std::remove_if(views.begin(), views.end(), [](const View& v) { return v.features.size() == 0; }), views.end());
         if (views.empty()) panorama.remark = "sees no facade of the model";
@@ -292,13 +300,18 @@ class Builder {
     }
   }
 
+  static Pose cameraPose(const Panorama& photograph) {
+    Pose T = photograph.T_world_panorama;
+    T.linear() = photograph.T_world_panorama.linear() * air_ground_common::opticalFromForwardBody().transpose();
+    return T;
+  }
+
   std::vector<View> viewsOf(const Item& item, const cv::Mat& image) const {
     if (item.panorama.equirectangular) return cutPanorama(image, item.panorama.T_world_panorama, s_.views);
     View view;
     view.camera = item.camera;
     view.image = image;
-    view.T_world_camera = item.panorama.T_world_panorama;
-    view.T_world_camera.linear() = item.panorama.T_world_panorama.linear() * air_ground_common::opticalFromForwardBody().transpose();
+    view.T_world_camera = cameraPose(item.panorama);
     return {view};
   }
 

@@ -94,11 +94,13 @@ struct DatabaseWriter::Impl {
   void createTables(const std::string& settings) {
     OGRSpatialReference srs;
     srs.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
-    OGRSpatialReference* reference = nullptr;
-    if (!model.crs.empty() && srs.SetFromUserInput(model.crs.c_str()) == OGRERR_NONE) reference = &srs;
+    if (model.crs.empty())
+      srs.SetLocalCS("Undefined Cartesian SRS");
+    else if (srs.SetFromUserInput(model.crs.c_str()) != OGRERR_NONE)
+      throw std::runtime_error("GDAL knows no coordinate system " + model.crs);
     begin();
     createTable(dataset.get(), kInfoTable, wkbNone, nullptr, {{"key", OFTString}, {"value", OFTString}});
-    createTable(dataset.get(), kPanoramaTable, wkbPoint25D, reference,
+    createTable(dataset.get(), kPanoramaTable, wkbPoint25D, &srs,
                 withPose({{"panorama_id", OFTString},
                           {"equirectangular", OFTInteger},
                           {"registered", OFTInteger},
@@ -117,7 +119,7 @@ struct DatabaseWriter::Impl {
                   for (const char* name : {"image", "keypoints", "octaves", "descriptors", "points", "normals"}) columns.push_back({name, OFTBinary});
                   return columns;
                 }());
-    createTable(dataset.get(), kBuildingTable, wkbMultiPolygon, reference,
+    createTable(dataset.get(), kBuildingTable, wkbMultiPolygon, &srs,
                 {{"building_id", OFTString}, {"vertices", OFTBinary}, {"triangles", OFTBinary}, {"surfaces", OFTBinary}});
     setInfo("version", std::to_string(kDatabaseVersion));
     setInfo("crs", model.crs);

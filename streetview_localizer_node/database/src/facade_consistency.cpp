@@ -19,12 +19,11 @@ constexpr std::size_t kImages = 24;   // kept in memory
 
 using Patch = std::array<float, kSide * kSide>;
 
-// Bilinear; the column wraps round.
-float sample(const cv::Mat& grey, const Eigen::Vector2d& p) {
-  const double y = std::clamp(p.y(), 0.0, grey.rows - 1.001);
-  const int v = static_cast<int>(y);
-  const int u = static_cast<int>(std::floor(p.x()));
-  const float a = static_cast<float>(p.x() - u), b = static_cast<float>(y - v);
+// Bilinear; the column of a panorama wraps round.
+float sample(const cv::Mat& grey, const Eigen::Vector2d& p, bool wraps) {
+  const double x = wraps ? p.x() : std::clamp(p.x(), 0.0, grey.cols - 1.001), y = std::clamp(p.y(), 0.0, grey.rows - 1.001);
+  const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(y);
+  const float a = static_cast<float>(x - u), b = static_cast<float>(y - v);
   const int u0 = (u + grey.cols) % grey.cols, u1 = (u0 + 1) % grey.cols;
   const std::uint8_t* r0 = grey.ptr(v);
   const std::uint8_t* r1 = grey.ptr(v + 1);
@@ -48,98 +47,109 @@ bool normalise(Patch* patch) {
 
 struct FacadeConsistency::Impl {
   const BackProjector& model;
-  std::vector<Panorama> panoramas;
+  std::vector<ConsistencyImage> images;
   std::function<cv::Mat(int)> load;
   ConsistencySettings settings;
 
   mutable std::mutex mutex;
-  mutable std::list<std::pair<int, cv::Mat>> images;  // the last used first
+  mutable std::list<std::pair<int, cv::Mat>> cache;  // the last used first
 
   cv::Mat image(int index) const {
     {
       const std::lock_guard<std::mutex> lock(mutex);
-      for (auto it = images.begin(); it != images.end(); ++it)
+      for (auto it = cache.begin(); it != cache.end(); ++it)
         if (it->first == index) {
-          images.splice(images.begin(), images, it);
+          cache.splice(cache.begin(), cache, it);
           return it->second;
         }
     }
     cv::Mat grey = load(index);
     if (!grey.empty() && grey.channels() == 3) cv::cvtColor(grey, grey, cv::COLOR_BGR2GRAY);
-    if (grey.cols > settings.image_width) cv::resize(grey, grey, {settings.image_width, settings.image_width / 2}, 0, 0, cv::INTER_AREA);
+    if (grey.cols > settings.image_width) {
+      const double factor = double(settings.image_width) / grey.cols;
+      cv::resize(grey, grey, {settings.image_width, static_cast<int>(std::lround(grey.rows * factor))}, 0, 0, cv::INTER_AREA);
+    }
     const std::lock_guard<std::mutex> lock(mutex);
-    images.emplace_front(index, grey);
-    if (images.size() > kImages) images.pop_back();
+    cache.emplace_front(index, grey);
+    if (cache.size() > kImages) cache.pop_back();
     return grey;
   }
 
+  // Samples a square of side x side points around `centre`; false where a photograph does not show all of it.
+  bool window(int index, const cv::Mat& grey, const Eigen::Vector3d& centre, const Eigen::Vector3d& right, const Eigen::Vector3d& up, int side,
+              float* out) const {
+    const ConsistencyImage& info = images[index];
+    const air_ground_common::Pose T = info.T_world_image.inverse();
+    const air_ground_common::CameraModel camera = info.equirectangular ? info.camera : info.camera.scaled(double(grey.cols) / info.camera.width);
+    const double step = settings.patch / kSide;
+    for (int i = 0; i < side; ++i)
+      for (int j = 0; j < side; ++j) {
+        const Eigen::Vector3d p = T * (centre + step * (j - 0.5 * (side - 1)) * right + step * (i - 0.5 * (side - 1)) * up);
+        if (info.equirectangular) {
+          *out++ = sample(grey, panoramaPixel(grey.size(), p), true);
+          continue;
+        }
+        const auto pixel = camera.project(p);
+        if (!pixel || !camera.contains(*pixel)) return false;
+        *out++ = sample(grey, *pixel, false);
+      }
+    return true;
+  }
+
   bool sees(int index, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const {
-    const Eigen::Vector3d ray = point - panoramas[index].T_world_panorama.translation();
+    const ConsistencyImage& info = images[index];
+    const Eigen::Vector3d ray = point - info.T_world_image.translation();
     const double distance = ray.norm();
     if (distance < 1 || -normal.dot(ray) < 0.26 * distance) return false;  // beyond 75 degrees
+    if (!info.equirectangular) {
+      const auto pixel = info.camera.project(info.T_world_image.inverse() * point);
+      if (!pixel || !info.camera.contains(*pixel)) return false;
+    }
     const Eigen::Vector3d origin = point - ray;
     return !model.scene().occluded(origin.cast<float>(), (ray / distance).cast<float>(), static_cast<float>(distance - 0.3));
   }
 
-  // The facade's square around `centre`, on a grid `step` finer than the patch where several offsets are wanted.
-  Patch patch(int index, const cv::Mat& grey, const Eigen::Vector3d& centre, const Eigen::Vector3d& right, const Eigen::Vector3d& up) const {
-    Patch p;
-    const air_ground_common::Pose T = panoramas[index].T_world_panorama.inverse();
-    for (int i = 0; i < kSide; ++i)
-      for (int j = 0; j < kSide; ++j) {
-        const double a = settings.patch * ((j + 0.5) / kSide - 0.5), b = settings.patch * ((i + 0.5) / kSide - 0.5);
-        p[i * kSide + j] = sample(grey, panoramaPixel(grey.size(), T * (centre + a * right + b * up)));
-      }
-    return p;
-  }
-
-  // Samples the neighbour once over patch and search range, then slides.
+  // Samples the neighbour once over patch and search range, then slides. NaN if it does not show all of that.
   double bestCorrelation(int index, const cv::Mat& grey, const Patch& own, const Eigen::Vector3d& centre, const Eigen::Vector3d& right,
                          const Eigen::Vector3d& up) const {
-    const double step = settings.patch / kSide;
-    const int reach = static_cast<int>(std::lround(settings.search / step)), side = kSide + 2 * reach;
-    std::vector<float> window(static_cast<std::size_t>(side * side));
-    const air_ground_common::Pose T = panoramas[index].T_world_panorama.inverse();
-    for (int i = 0; i < side; ++i)
-      for (int j = 0; j < side; ++j)
-        window[i * side + j] = sample(grey, panoramaPixel(grey.size(), T * (centre + step * (j - 0.5 * (side - 1)) * right + step * (i - 0.5 * (side - 1)) * up)));
+    const int reach = static_cast<int>(std::lround(settings.search * kSide / settings.patch)), side = kSide + 2 * reach;
+    std::vector<float> area(static_cast<std::size_t>(side * side));
+    if (!window(index, grey, centre, right, up, side, area.data())) return std::numeric_limits<double>::quiet_NaN();
     double best = -1;
     for (int di = 0; di <= 2 * reach; ++di)
       for (int dj = 0; dj <= 2 * reach; ++dj) {
         Patch other;
-        for (int i = 0; i < kSide; ++i) std::copy_n(&window[(i + di) * side + dj], kSide, &other[i * kSide]);
+        for (int i = 0; i < kSide; ++i) std::copy_n(&area[(i + di) * side + dj], kSide, &other[i * kSide]);
         if (!normalise(&other)) continue;
-        double sum = 0;
+        float sum = 0;
         for (std::size_t k = 0; k < own.size(); ++k) sum += own[k] * other[k];
-        best = std::max(best, sum);
+        best = std::max<double>(best, sum);
       }
     return best;
   }
 };
 
-FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<Panorama> panoramas, std::function<cv::Mat(int)> load,
+FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images, std::function<cv::Mat(int)> load,
                                      const ConsistencySettings& settings)
-    : impl_(new Impl{model, std::move(panoramas), std::move(load), settings, {}, {}}) {}
+    : impl_(new Impl{model, std::move(images), std::move(load), settings, {}, {}}) {}
 FacadeConsistency::~FacadeConsistency() = default;
 
 double FacadeConsistency::correlation(int own, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) const {
   const Impl& d = *impl_;
   constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
   if (std::abs(normal.z()) > 0.9) return kUnknown;
-  std::vector<std::pair<double, int>> neighbours;
-  const Eigen::Vector3d place = d.panoramas[own].T_world_panorama.translation();
-  for (std::size_t i = 0; i < d.panoramas.size(); ++i) {
-    const Panorama& p = d.panoramas[i];
-    const double distance = (p.T_world_panorama.translation() - place).norm();
-    // Closer than a metre, a car hides the same piece of wall from both.
-    if (static_cast<int>(i) != own && p.equirectangular && distance > 1 && distance < d.settings.max_distance) neighbours.emplace_back(distance, static_cast<int>(i));
-  }
-  std::sort(neighbours.begin(), neighbours.end());
   const Eigen::Vector3d right = Eigen::Vector3d::UnitZ().cross(normal).normalized(), up = normal.cross(right);
   const cv::Mat grey = d.image(own);
-  if (grey.empty()) return kUnknown;
-  Patch patch = d.patch(own, grey, point, right, up);
-  if (!normalise(&patch)) return kUnknown;
+  Patch patch;
+  if (grey.empty() || !d.window(own, grey, point, right, up, kSide, patch.data()) || !normalise(&patch)) return kUnknown;
+  std::vector<std::pair<double, int>> neighbours;
+  const Eigen::Vector3d place = d.images[own].T_world_image.translation();
+  for (std::size_t i = 0; i < d.images.size(); ++i) {
+    const double distance = (d.images[i].T_world_image.translation() - place).norm();
+    if (static_cast<int>(i) != own && d.images[i].usable && distance > d.settings.min_distance && distance < d.settings.max_distance)
+      neighbours.emplace_back(distance, static_cast<int>(i));
+  }
+  std::sort(neighbours.begin(), neighbours.end());
   double best = kUnknown;
   int asked = 0;
   for (const auto& [distance, index] : neighbours) {
@@ -147,8 +157,10 @@ double FacadeConsistency::correlation(int own, const Eigen::Vector3d& point, con
     if (!d.sees(index, point, normal)) continue;
     const cv::Mat other = d.image(index);
     if (other.empty()) continue;
+    const double correlation = d.bestCorrelation(index, other, patch, point, right, up);
+    if (std::isnan(correlation)) continue;
     ++asked;
-    best = std::fmax(best, d.bestCorrelation(index, other, patch, point, right, up));
+    best = std::fmax(best, correlation);
   }
   return best;
 }

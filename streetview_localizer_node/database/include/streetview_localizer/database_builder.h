@@ -13,6 +13,7 @@
 #include "streetview_localizer/geotags.h"
 #include "streetview_localizer/panorama_registration.h"
 #include "streetview_localizer/panorama_views.h"
+#include "streetview_localizer/textured_model.h"
 
 namespace streetview_localizer {
 
@@ -32,8 +33,10 @@ struct BuildSettings {
 
   bool register_panoramas = true;      ///< correct geotagged panoramas against the model
   bool keep_unregistered = false;      ///< use the geotag where that failed, instead of storing the panorama without views
-  bool check_consistency = true;       ///< leave out what other panoramas do not see on the facade (geotagged panoramas only)
+  bool check_consistency = true;       ///< leave out what other images do not see on the facade
   int threads = 0;                     ///< 0: all cores
+  std::string textured_model;          ///< .obj of the city model with facade textures, written at the end; empty: none
+  TextureSettings texture;
 
   PanoramaViewSettings views;
   FeatureSettings features;
@@ -53,7 +56,7 @@ struct BuildReport {
   int resumed = 0;   ///< stored by an earlier run
   int views = 0;
   BackProjectionCounts features;
-  int inconsistent = 0;              ///< features left out by the comparison of panoramas
+  int inconsistent = 0;              ///< features left out by the comparison of images
   std::vector<Refusal> refused;      ///< images that could not be used or corrected
   std::vector<std::string> remarks;  ///< of the city model
 };

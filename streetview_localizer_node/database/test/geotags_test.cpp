@@ -1,0 +1,139 @@
+#include "streetview_localizer/geotags.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <cmath>
+
+#include "test_files.h"
+
+namespace streetview_localizer {
+namespace {
+
+constexpr double kDegree = M_PI / 180;
+
+CityModel modelAt(const std::string& crs, const Eigen::Vector3d& origin) {
+  CityModel m;
+  m.crs = crs;
+  m.origin = origin;
+  m.frame = std::make_shared<air_ground_common::LocalFrame>(crs, origin);
+  return m;
+}
+
+TEST(Geotags, CsvColumnsByNameAndProblemsOfSingleImages) {
+  const TemporaryFolder folder;
+  const std::string path = folder.write("a.csv",
+                                        "image,heading_deg,lon,lat,alt,roll_deg\n"
+                                        "\"a,1.jpg\",90,8.54,47.37,410.5,2\n"
+                                        "b.jpg,90,0,0,0,0\r\n"
+                                        "c.jpg,,8.54,47.37,410,0\n"
+                                        "d.jpg,10,8.54,147.37,410,0\n");
+  const auto tags = readGeotags(path);
+  ASSERT_EQ(tags.size(), 4u);
+  EXPECT_EQ(tags[0].image, "a,1.jpg");
+  EXPECT_TRUE(tags[0].problem.empty());
+  EXPECT_DOUBLE_EQ(tags[0].position.latitude, 47.37);
+  EXPECT_DOUBLE_EQ(tags[0].position.longitude, 8.54);
+  EXPECT_NEAR(tags[0].heading, M_PI / 2, 1e-12);
+  EXPECT_NEAR(tags[0].roll, 2 * kDegree, 1e-12);
+  EXPECT_EQ(tags[0].pitch, 0);
+  EXPECT_NE(tags[1].problem.find("0,0"), std::string::npos);
+  EXPECT_NE(tags[2].problem.find("no heading"), std::string::npos);
+  EXPECT_NE(tags[3].problem.find("latitude"), std::string::npos);
+}
+
+TEST(Geotags, GeoJson) {
+  const TemporaryFolder folder;
+  const auto tags = readGeotags(folder.write("a.geojson",
+                                             R"({"type":"FeatureCollection","features":[
+    {"type":"Feature","geometry":{"type":"Point","coordinates":[8.54,47.37,410.5]},"properties":{"image":"a.jpg","heading_deg":350,"pitch_deg":1}},
+    {"type":"Feature","geometry":null,"properties":{"image":"b.jpg","heading_deg":350}}]})"));
+  ASSERT_EQ(tags.size(), 2u);
+  EXPECT_DOUBLE_EQ(tags[0].position.latitude, 47.37);
+  EXPECT_DOUBLE_EQ(tags[0].position.height, 410.5);
+  EXPECT_NEAR(tags[0].heading, 350 * kDegree, 1e-12);
+  EXPECT_TRUE(tags[0].problem.empty());
+  EXPECT_FALSE(tags[1].problem.empty());
+}
+
+TEST(Geotags, BrokenListsGiveOneClearLine) {
+  const TemporaryFolder folder;
+  const auto error = [&](const std::string& name, const std::string& text) {
+    const std::string m = messageOf([&, path = folder.write(name, text)] { readGeotags(path); });
+    EXPECT_EQ(m.find('\n'), std::string::npos);
+    return m;
+  };
+  EXPECT_NE(error("a.csv", "image,lat,lon,alt\n").find("no column heading_deg"), std::string::npos);
+  EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\n").find("lists no images"), std::string::npos);
+  EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2\n").find("line 2"), std::string::npos);
+  EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2,3,north\n").find("'north' is not a number"), std::string::npos);
+  EXPECT_NE(error("a.geojson", "{").find("no GeoJSON"), std::string::npos);
+  EXPECT_NE(messageOf([&] { readGeotags(folder / "none.csv"); }).find("cannot open"), std::string::npos);
+}
+
+// x towards the image's centre, y left, z up; heading clockwise from north, pitch up, roll clockwise.
+TEST(Geotags, AnglesTurnTheBodyAsTheirNamesSay) {
+  const CityModel m = modelAt("EPSG:2056", {2683000, 1247000, 410});
+  Geotag g;
+  g.position = m.frame->origin();
+  const auto x = [&](double heading, double pitch) {
+    g.heading = heading * kDegree, g.pitch = pitch * kDegree, g.roll = 0;
+    return Eigen::Vector3d(worldPose(g, m).linear().col(0));
+  };
+  EXPECT_LT((x(0, 0) - Eigen::Vector3d(0, 1, 0)).norm(), 1e-12);   // north
+  EXPECT_LT((x(90, 0) - Eigen::Vector3d(1, 0, 0)).norm(), 1e-12);  // east
+  EXPECT_LT((x(225, 0) - Eigen::Vector3d(-1, -1, 0).normalized()).norm(), 1e-12);
+  EXPECT_NEAR(x(40, 10).z(), std::sin(10 * kDegree), 1e-12);
+  g.heading = 0, g.pitch = 0, g.roll = 5 * kDegree;
+  EXPECT_NEAR(worldPose(g, m).linear().col(1).z(), std::sin(5 * kDegree), 1e-12);  // the left side rises
+  EXPECT_LT(worldPose(g, m).translation().norm(), 1e-6);
+}
+
+// Against PROJ through the frame: a point 100 m ahead on the grid's north has the origin's easting.
+TEST(Geotags, GridNorthDiffersFromTrueNorthByTheConvergence) {
+  // East and west of the central meridian of UTM 32 (9 E), and Swiss LV95 east of Berne.
+  const std::pair<const char*, Eigen::Vector3d> places[] = {{"EPSG:32632", {677000, 5403000, 370}}, {"EPSG:32632", {320000, 5403000, 370}}, {"EPSG:2056", {2683000, 1247000, 410}}};
+  for (const auto& [crs, origin] : places) {
+    const CityModel m = modelAt(crs, origin);
+    Geotag g;
+    g.position = m.frame->origin();
+    const Eigen::Vector3d ahead_grid = m.crsFromWorld(worldPose(g, m, North::kGrid) * Eigen::Vector3d(100, 0, 0));
+    EXPECT_NEAR(ahead_grid.x(), origin.x(), 5e-3);
+    EXPECT_NEAR(ahead_grid.y(), origin.y() + 100, 0.1);
+    const auto ahead_true = m.frame->toGeodetic(worldPose(g, m, North::kTrue) * Eigen::Vector3d(100, 0, 0));
+    EXPECT_NEAR(ahead_true.longitude, g.position.longitude, 1e-9);
+    EXPECT_GT(ahead_true.latitude, g.position.latitude);
+    // The two differ by more than this test's tolerance: 100 m times the convergence (0.8 to 1.9 degrees).
+    EXPECT_GT(std::abs(m.crsFromWorld(worldPose(g, m, North::kTrue) * Eigen::Vector3d(100, 0, 0)).x() - origin.x()), 1.0);
+  }
+}
+
+TEST(Geotags, ModelWithoutSystemHasNoPlaceForThem) {
+  EXPECT_NE(messageOf([] { worldPose(Geotag(), CityModel()); }).find("--crs"), std::string::npos);
+}
+
+TEST(Geotags, SurveyedImages) {
+  const TemporaryFolder folder;
+  const auto images = readSurveyedImages(folder.write("p.txt", "# comment\na.jpg 800 801 320 240 1 2 3 0 0 0.6 0.8\n"));
+  ASSERT_EQ(images.size(), 1u);
+  EXPECT_EQ(images[0].fy, 801);
+  EXPECT_LT((images[0].T_crs_camera.translation() - Eigen::Vector3d(1, 2, 3)).norm(), 1e-12);
+  EXPECT_NEAR(images[0].T_crs_camera.linear()(1, 0), 2 * 0.6 * 0.8, 1e-12);
+  EXPECT_NE(messageOf([&] { readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6\n")); }).find("line 1"), std::string::npos);
+  EXPECT_NE(messageOf([&] { readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6 0.9\n")); }).find("norm"), std::string::npos);
+}
+
+TEST(Geotags, ExifOfRealPhotographs) {
+  const std::string folder = sharedData("opensfm_lund/images");
+  if (!std::filesystem::exists(folder)) GTEST_SKIP() << folder << " is not there";
+  const auto tags = readExif(folder);
+  EXPECT_EQ(tags.size(), 29u);
+  for (const Geotag& g : tags) {
+    EXPECT_NEAR(g.position.latitude, 55.71, 0.03) << g.image;
+    EXPECT_NEAR(g.position.longitude, 13.19, 0.05);
+    EXPECT_NE(g.problem.find("no heading"), std::string::npos);  // the telephone had no compass
+  }
+}
+
+}  // namespace
+}  // namespace streetview_localizer
