@@ -255,7 +255,7 @@ void addStreetLife(Street* street, Rng* rng) {
     };
     const auto count = [&](double on_100m) { return static_cast<int>(std::lround(on_100m * length / 100)); };
     for (int k = 0; k < count(c.trees); ++k) {
-      const Vector2d p = at(rng->uniform(6, length - 6), (rng->chance(0.5) ? 1 : -1) * (kerb + 0.7));
+      const Vector2d p = at(rng->uniform(6, length - 6), (rng->chance(0.5) ? 1 : -1) * (kerb + 0.9));
       if (clear(p, half + 2)) street->trees.push_back(standAt(*street, p, rng->uniform(0, 2 * M_PI), rng));
     }
     for (const int season : {0, 1}) {
@@ -267,7 +267,7 @@ void addStreetLife(Street* street, Rng* rng) {
           street->cars[season].push_back(standAt(*street, p, std::atan2(d.y(), d.x()) + (side > 0 ? M_PI : 0) + 0.02 * rng->gaussian(), rng));
         }
       for (int k = 0; k < count(c.people); ++k) {
-        const double lateral = rng->chance(0.8) ? rng->uniform(kerb + 0.3, half - 0.5) : rng->uniform(0, kerb - 2.2);
+        const double lateral = rng->chance(0.8) ? rng->uniform(kerb + 0.3, half - 0.5) : rng->uniform(0, 0.7);  // not in the ways of MAV and vehicles
         const Vector2d p = at(rng->uniform(2, length - 2), (rng->chance(0.5) ? 1 : -1) * lateral);
         if ((p - start).norm() > 12) street->people[season].push_back(standAt(*street, p, rng->uniform(0, 2 * M_PI), rng));
       }

@@ -222,7 +222,7 @@ void addPerson(const Stand& s, Season season, World* world) {
 void addTree(const Stand& s, Season season, World* world) {
   Rng rng(s.seed);
   Builder add(world, standPose(s), s.seed, 0.03);
-  const double height = rng.uniform(3.2, 3.9), radius = rng.uniform(1.1, 1.6) * (season == Season::kPanoramas ? 1.0 : 0.8);
+  const double height = rng.uniform(3.2, 3.9), radius = rng.uniform(1.0, 1.35) * (season == Season::kPanoramas ? 1.0 : 0.8);
   const Picture bark = thing(Thing::kBark, s.seed, season);
   add.box({-0.12, -0.12, 0}, {0.12, 0.12, height}, {84, 72, 60}, 0.02, bark, bark, true);
   Patch p;

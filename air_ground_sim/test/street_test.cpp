@@ -123,6 +123,18 @@ TEST(StreetPlan, ErrorsOfGeotagsAndModelHaveTheirStatedSize) {
   EXPECT_NEAR(std::sqrt(height / buildings), 0.5, 0.025);
 }
 
+TEST(LongStreet, TwoKilometresOfClearFlightAroundTheBlock) {
+  const SimConfig config = loadSimConfig(std::string(AIR_GROUND_WORLDS) + "/street_long.yaml");
+  const Street s = planStreet(config.street, 1);
+  EXPECT_GT(s.buildings.size(), 100u);
+  EXPECT_GT(s.panoramas.size(), 60u);
+  const BodyTrajectory flight = makeStreetFlight(s, config.flight, mix(1, 11));
+  EXPECT_GT(flight.pathLength(0, config.flight.duration), 1900);
+  const air_ground_common::MeshScene mesh(meshOf(buildStreetWorld(s, Season::kFlight)));
+  for (double t = 8; t < config.flight.duration; t += 0.5)
+    ASSERT_GT(mesh.distance(flight.pose(t).translation().cast<float>(), 5), 0.6) << "at " << t << " s, " << flight.pose(t).translation().transpose();
+}
+
 TEST(Geotags, HeadingIsClockwiseFromTrueNorthPitchUpRollRightSideDown) {
   const StreetConfig c;
   const LocalFrame frame(c.crs, c.origin);
