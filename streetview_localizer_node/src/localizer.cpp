@@ -99,6 +99,8 @@ void LocalizerSettings::validate() const {
   const auto require = [](bool good, const char* what) {
     if (!good) throw std::invalid_argument(std::string("localizer: ") + what);
   };
+  require(search_features >= 0, "search_features must not be negative");
+  require(neighbors >= 2, "neighbors must be at least 2");
   require(max_views >= 1, "max_views must be at least 1");
   require(near_panoramas >= 1, "near_panoramas must be at least 1");
   require(max_prior_stddev > 0, "max_prior_stddev must be positive");
@@ -120,7 +122,47 @@ struct Localizer::Impl {
   mutable std::mutex mutex;
   mutable std::list<std::pair<int, std::shared_ptr<const GradientPyramid>>> pyramids;  // the most recent first
 
-  Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s) : database(std::move(db)), settings(s), projector(database->model) {}
+  cv::Mat descriptors;           // of all views
+  std::vector<int> view_of_row;  // of `descriptors`
+  std::unique_ptr<DescriptorIndex> index;
+  std::string index_remark;
+
+  Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s) : database(std::move(db)), settings(s), projector(database->model) {
+    std::vector<cv::Mat> parts;
+    for (std::size_t i = 0; i < database->views.size(); ++i) {
+      const Features& features = database->views[i].features;
+      if (features.size() == 0) continue;
+      parts.push_back(features.descriptors);
+      view_of_row.insert(view_of_row.end(), features.size(), static_cast<int>(i));
+    }
+    cv::vconcat(parts, descriptors);
+    prepareIndex();
+  }
+
+  void prepareIndex() {
+    const std::string count = std::to_string(descriptors.rows) + " descriptors";
+    if (!settings.index_file.empty()) {
+      try {
+        index = loadIndex(settings.index_file, descriptors, settings.index);
+        index_remark = "index over " + count + " read from " + settings.index_file;
+        return;
+      } catch (const std::runtime_error& e) {
+        index_remark = e.what();
+      }
+    }
+    const auto start = Clock::now();
+    index = buildIndex(descriptors, settings.index);
+    std::string remark = "index over " + count + " built in " + text("%.1f s", seconds(start));
+    if (!settings.index_file.empty()) {
+      try {
+        index->save(settings.index_file);
+        remark += ", kept in " + settings.index_file;
+      } catch (const std::runtime_error& e) {
+        remark += std::string(", not kept: ") + e.what();
+      }
+    }
+    index_remark = remark;
+  }
 
   const View& view(int index) const { return database->views[static_cast<std::size_t>(index)]; }
   const Panorama& panorama(int index) const { return database->panoramas[static_cast<std::size_t>(index)]; }
@@ -169,10 +211,30 @@ struct Localizer::Impl {
     return views;
   }
 
+  // Views that the whole database's nearest descriptors vote for.
   std::vector<int> viewsBySearch(const Features& query, LocalizerResult* result) const {
-    (void)query; (void)result;
-    std::vector<int> views(database->views.size());
-    std::iota(views.begin(), views.end(), 0);
+    std::vector<int> queried(query.size());
+    std::iota(queried.begin(), queried.end(), 0);
+    if (settings.search_features > 0 && static_cast<int>(queried.size()) > settings.search_features) {
+      std::stable_sort(queried.begin(), queried.end(), [&](int a, int b) {
+        return query.keypoints[static_cast<std::size_t>(a)].response > query.keypoints[static_cast<std::size_t>(b)].response;
+      });
+      queried.resize(static_cast<std::size_t>(settings.search_features));
+      std::sort(queried.begin(), queried.end());
+    }
+    cv::Mat rows(static_cast<int>(queried.size()), query.descriptors.cols, query.descriptors.type());
+    for (std::size_t i = 0; i < queried.size(); ++i) query.descriptors.row(queried[i]).copyTo(rows.row(static_cast<int>(i)));
+    std::vector<std::vector<Neighbor>> neighbors;
+    {
+      const StepTimer timer(result, Step::kSearch);
+      neighbors = index->search(rows, std::min(settings.neighbors, descriptors.rows));
+    }
+    const StepTimer timer(result, Step::kVoting);
+    VotingSettings voting = settings.voting;
+    voting.best = settings.max_views;
+    std::vector<int> views;
+    for (const Vote& vote : voteForPlaces(neighbors, queried, query.keypoints, view_of_row, static_cast<int>(database->views.size()), voting))
+      views.push_back(vote.place);
     return views;
   }
 
@@ -423,5 +485,6 @@ LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& cam
 const StreetviewDatabase& Localizer::database() const { return *impl_->database; }
 const BackProjector& Localizer::projector() const { return impl_->projector; }
 const LocalizerSettings& Localizer::settings() const { return impl_->settings; }
+const std::string& Localizer::indexRemark() const { return impl_->index_remark; }
 
 }  // namespace streetview_localizer

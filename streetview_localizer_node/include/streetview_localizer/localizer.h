@@ -10,22 +10,29 @@
 #include "streetview_localizer/acceptance.h"
 #include "streetview_localizer/back_projection.h"
 #include "streetview_localizer/database.h"
+#include "streetview_localizer/descriptor_index.h"
 #include "streetview_localizer/kvld.h"
 #include "streetview_localizer/pairwise.h"
 #include "streetview_localizer/point_fusion.h"
 #include "streetview_localizer/pose_estimation.h"
 #include "streetview_localizer/virtual_views.h"
+#include "streetview_localizer/voting.h"
 
 namespace streetview_localizer {
 
 struct LocalizerSettings {
   VirtualViewSettings features;
+  IndexSettings index;
+  VotingSettings voting;
   PairwiseSettings pairwise;
   KvldSettings kvld;
   PoseSettings pose;
   AcceptanceSettings acceptance;
   PointFusionSettings fusion;
 
+  std::string index_file;        ///< the index over the database is read from here, or built and kept here; empty: in memory alone
+  int search_features = 2000;    ///< of the query, the strongest, looked for in the whole database; 0: all
+  int neighbors = 12;            ///< found of each
   int max_views = 8;             ///< of the database, matched pairwise with an image
   int near_panoramas = 6;        ///< searched where the prior tells the position; the paper: 4 to 8
   double max_prior_stddev = 15;  ///< a prior position worse than this is not used for the search [m]
@@ -85,6 +92,8 @@ class Localizer {
   const StreetviewDatabase& database() const;
   const BackProjector& projector() const;
   const LocalizerSettings& settings() const;
+  /// One line on how the search index came to be: read, or built and kept, or why not.
+  const std::string& indexRemark() const;
 
  private:
   struct Impl;

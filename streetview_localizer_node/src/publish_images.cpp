@@ -1,0 +1,83 @@
+// Plays a folder of photographs as a camera: images and calibration on the topics of a driver.
+#include <ros/ros.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <map>
+#include <opencv2/imgcodecs.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "air_ground_common/ros/conversions.h"
+#include "query_list.h"
+
+namespace {
+
+namespace ru = air_ground_common::ros_utils;
+
+struct Arguments {
+  std::string images, camera, cameras, frame = "mav_camera_optical_frame";
+  double period = 2;
+  bool loop = false;
+};
+
+void run(const Arguments& a) {
+  if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
+  std::optional<air_ground_common::CameraModel> common;
+  std::map<std::string, air_ground_common::CameraModel> single;
+  if (!a.camera.empty()) common = streetview_localizer::readCameraFile(a.camera);
+  else single = streetview_localizer::readCameraList(a.cameras);
+  const std::vector<std::string> names = streetview_localizer::listImages(a.images);
+
+  ros::NodeHandle handle;
+  ros::Publisher images = handle.advertise<sensor_msgs::Image>("mav/camera/image_raw", 5);
+  ros::Publisher infos = handle.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 5);
+  const ros::WallDuration pause(0.05);
+  while (ros::ok() && (images.getNumSubscribers() == 0 || infos.getNumSubscribers() == 0)) pause.sleep();
+  do {
+    for (const std::string& name : names) {
+      if (!common && single.count(name) == 0) continue;
+      const cv::Mat image = cv::imread(a.images + "/" + name);
+      if (image.empty()) {
+        ROS_WARN("%s cannot be read", name.c_str());
+        continue;
+      }
+      air_ground_common::CameraModel camera = common ? *common : single.at(name);
+      if (!common) camera.width = image.cols, camera.height = image.rows;
+      std_msgs::Header header;
+      header.stamp = ros::Time::now();
+      header.frame_id = a.frame;
+      infos.publish(ru::toMsg(camera, header));
+      pause.sleep();  // the calibration first
+      images.publish(ru::toMsg(image, "bgr8", header));
+      ros::WallDuration(a.period).sleep();
+      if (!ros::ok()) return;
+    }
+  } while (a.loop);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "publish_images");
+  CLI::App app("Plays a folder of photographs as a camera, on mav/camera/image_raw and mav/camera/camera_info.");
+  Arguments a;
+  app.add_option("--images", a.images, "folder of photographs")->required();
+  app.add_option("--camera", a.camera, "calibration of all of them (ROS camera_info YAML)");
+  app.add_option("--cameras", a.cameras, "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");
+  app.add_option("--frame", a.frame, "of the camera")->capture_default_str();
+  app.add_option("--period", a.period, "between two images [s]")->capture_default_str()->check(CLI::Range(0.0, 3600.0));
+  app.add_flag("--loop", a.loop, "begin again after the last image");
+  app.allow_extras();  // roslaunch adds __name:= and the like, which ros::init reads
+  CLI11_PARSE(app, argc, argv);
+  try {
+    run(a);
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "publish_images: %s\n", e.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,403 @@
+// Wires the localizer to ROS: the newest image in, pose in the city or a refusal with its reason out. Callbacks only store; one
+// thread works.
+#include <air_ground/StreetviewMatch.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <algorithm>
+#include <cmath>
+#include <condition_variable>
+#include <cstdio>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/health.h"
+#include "city_display.h"
+#include "streetview_localizer/localizer.h"
+#include "streetview_localizer_parameters.h"
+
+namespace streetview_localizer {
+namespace {
+
+namespace ru = air_ground_common::ros_utils;
+using air_ground::StreetviewMatch;
+
+constexpr double kOdometryKept = 10;  // [s]
+
+std::uint8_t messageStatus(LocalizerStatus status) {
+  switch (status) {
+    case LocalizerStatus::kAccepted: return StreetviewMatch::STATUS_ACCEPTED;
+    case LocalizerStatus::kRefused: return StreetviewMatch::STATUS_REFUSED;
+    case LocalizerStatus::kNoPose: return StreetviewMatch::STATUS_NO_POSE;
+    case LocalizerStatus::kNoMatch: return StreetviewMatch::STATUS_NO_MATCH;
+  }
+  return StreetviewMatch::STATUS_NO_MATCH;
+}
+
+// Covariance of the body's pose from that of the camera's: with l the lever in world, dp_body = dp_camera + rot x l.
+Matrix6d covarianceOfBody(const Matrix6d& camera, const Eigen::Vector3d& lever) {
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
+  return J * camera * J.transpose();
+}
+
+struct TimedPose {
+  ros::Time stamp;
+  Pose pose = Pose::Identity();
+  Matrix6d covariance = Matrix6d::Identity();
+};
+
+// Recent odometry of one source, oldest first.
+class OdometryBuffer {
+ public:
+  void push(const TimedPose& pose) {
+    poses_.push_back(pose);
+    while ((poses_.back().stamp - poses_.front().stamp).toSec() > kOdometryKept) poses_.pop_front();
+  }
+  void clear() { poses_.clear(); }
+  bool reaches(const ros::Time& stamp) const { return !poses_.empty() && poses_.back().stamp >= stamp; }
+  std::optional<TimedPose> nearest(const ros::Time& stamp, double max_age) const {
+    const TimedPose* best = nullptr;
+    for (const TimedPose& p : poses_)
+      if (!best || std::abs((p.stamp - stamp).toSec()) < std::abs((best->stamp - stamp).toSec())) best = &p;
+    if (!best || std::abs((best->stamp - stamp).toSec()) > max_age) return std::nullopt;
+    return *best;
+  }
+
+ private:
+  std::deque<TimedPose> poses_;
+};
+
+class StreetviewLocalizerNode {
+ public:
+  StreetviewLocalizerNode(ros::NodeHandle handle, ros::NodeHandle private_handle)
+      : handle_(handle), settings_(readParameters(private_handle)), health_("streetview_localizer"), listener_(tf_) {
+    const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(settings_.database));
+    localizer_ = std::make_unique<Localizer>(database, settings_.localizer);
+    ROS_INFO("%s: %zu panoramas, %zu views, world %s", settings_.database.c_str(), database->panoramas.size(), database->views.size(),
+             database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());
+
+    ROS_INFO("%s", localizer_->indexRemark().c_str());
+
+    match_ = handle.advertise<StreetviewMatch>("streetview/match", 20);
+    pose_ = handle.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 20);
+    match_image_ = handle.advertise<sensor_msgs::Image>("streetview/match_image", 2);
+    synthesized_view_ = handle.advertise<sensor_msgs::Image>("streetview/synthesized_view", 2);
+    display_.advertise(&handle_);
+
+    image_ = handle.subscribe("mav/camera/image_raw", 3, &StreetviewLocalizerNode::onImage, this);
+    camera_info_ = handle.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
+    health_.expectInput(image_.getTopic());
+    health_.expectInput(camera_info_.getTopic());
+    if (settings_.use_prior) prior_ = handle.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
+    if (settings_.use_gravity) attitude_ = handle.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
+    reset_ = private_handle.advertiseService("reset", &StreetviewLocalizerNode::onReset, this);
+    health_.state(1, "waiting for images");
+    worker_ = std::thread([this] { work(); });
+  }
+
+  ~StreetviewLocalizerNode() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      stop_ = true;
+    }
+    wake_.notify_all();
+    worker_.join();
+  }
+
+ private:
+  struct Job {
+    sensor_msgs::Image::ConstPtr image;
+    CameraModel camera;
+    unsigned pass = 0;
+  };
+
+  // ---- Inputs ---------------------------------------------------------------------------------------------------------
+
+  void onCameraInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
+    health_.received(camera_info_.getTopic(), msg->header.stamp);
+    try {
+      const CameraModel camera = ru::fromMsg(*msg);
+      const std::lock_guard<std::mutex> lock(mutex_);
+      camera_ = camera;
+    } catch (const std::invalid_argument& e) {
+      health_.count(std::string("calibration ignored: ") + e.what());
+    }
+  }
+
+  void onImage(const sensor_msgs::Image::ConstPtr& msg) {
+    health_.received(image_.getTopic(), msg->header.stamp);
+    if (jumps_.jumped(msg->header.stamp)) {
+      ROS_WARN("the images' time jumped back (a looped bag?): starting afresh");
+      health_.count("time jumped back: started afresh");
+      reset();
+    }
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!camera_) return health_.count("images without calibration");
+    if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
+      return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " + std::to_string(msg->height) + " against " +
+                           std::to_string(camera_->width) + " x " + std::to_string(camera_->height) + ")");
+    if (!last_started_.isZero() && (msg->header.stamp - last_started_).toSec() < settings_.min_period) return;
+    if (job_) ++skipped_;
+    job_ = Job{msg, *camera_, pass_};
+    wake_.notify_all();
+  }
+
+  std::optional<TimedPose> read(const nav_msgs::Odometry& msg, const std::string& topic) {
+    try {
+      TimedPose out;
+      out.stamp = msg.header.stamp;
+      out.pose = ru::fromMsg(msg.pose.pose);
+      out.covariance = ru::covarianceFromMsg(msg.pose.covariance);
+      if (!out.covariance.allFinite()) throw std::invalid_argument("covariance is not finite");
+      return out;
+    } catch (const std::invalid_argument& e) {
+      health_.count(topic + " ignored: " + e.what());
+      return std::nullopt;
+    }
+  }
+
+  void onPrior(const nav_msgs::Odometry::ConstPtr& msg) {
+    if (msg->header.frame_id != settings_.world_frame)
+      return health_.count("tracked poses ignored: in frame '" + msg->header.frame_id + "', expected '" + settings_.world_frame + "'");
+    if (const auto pose = read(*msg, "tracked pose")) {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      priors_.push(*pose);
+    }
+  }
+
+  void onAttitude(const nav_msgs::Odometry::ConstPtr& msg) {
+    if (const auto pose = read(*msg, "attitude")) {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      attitudes_.push(*pose);
+      wake_.notify_all();
+    }
+  }
+
+  std::optional<Pose> baseFromCamera(const std::string& frame) {
+    if (frame == settings_.base_frame) return Pose::Identity();
+    try {
+      return ru::fromMsg(tf_.lookupTransform(settings_.base_frame, frame, ros::Time(0)).transform);
+    } catch (const std::exception&) {
+      return std::nullopt;
+    }
+  }
+
+  // ---- Work -----------------------------------------------------------------------------------------------------------
+
+  void work() {
+    if (settings_.display) {
+      display_.prepare(*localizer_, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points), settings_.cameras_shown);
+      display_.publishCity(settings_.world_frame);
+    }
+    while (true) {
+      std::optional<Job> job;
+      std::size_t skipped = 0;
+      {
+        std::unique_lock<std::mutex> lock(mutex_);
+        wake_.wait(lock, [this] { return stop_ || job_; });
+        if (stop_) return;
+        job.swap(job_);
+        last_started_ = job->image->header.stamp;
+        std::swap(skipped, skipped_);
+        // The attitude of the image's time may come a little later than the image.
+        if (settings_.use_gravity && attitude_.getNumPublishers() > 0)
+          wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait), [&] { return stop_ || attitudes_.reaches(job->image->header.stamp); });
+        if (stop_) return;
+      }
+      if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
+      try {
+        process(*job);
+      } catch (const std::exception& e) {
+        health_.count(std::string("images that could not be used: ") + e.what());
+      }
+    }
+  }
+
+  PosePrior priorOf(const Job& job, const std::optional<Pose>& T_base_camera) {
+    PosePrior prior;
+    std::optional<TimedPose> predicted, attitude;
+    const ros::Time stamp = job.image->header.stamp;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      predicted = priors_.nearest(stamp, settings_.prior_max_age);
+      attitude = attitudes_.nearest(stamp, settings_.gravity_max_age);
+    }
+    if (!T_base_camera) return prior;
+    if (predicted) {
+      prior.T_world_camera = predicted->pose * *T_base_camera;
+      const Eigen::Vector3d lever = predicted->pose.linear() * T_base_camera->translation();
+      prior.covariance = covarianceOfBody(predicted->covariance, -lever);
+      const double moved = settings_.prior_speed * std::abs((predicted->stamp - stamp).toSec());
+      prior.covariance.topLeftCorner<3, 3>() += moved * moved * Eigen::Matrix3d::Identity();
+      if (!(prior.covariance.diagonal().minCoeff() > 0)) prior.T_world_camera.reset(), health_.count("tracked poses ignored: covariance not positive");
+    }
+    if (attitude) {
+      prior.up_camera = (attitude->pose.linear() * T_base_camera->linear()).transpose() * Eigen::Vector3d::UnitZ();
+      prior.up_stddev = settings_.gravity_stddev;
+    }
+    return prior;
+  }
+
+  void process(const Job& job) {
+    const std::string frame = settings_.camera_frame.empty() ? job.image->header.frame_id : settings_.camera_frame;
+    const std::optional<Pose> T_base_camera = baseFromCamera(frame);
+    if (!T_base_camera) health_.count("images without a transform from " + frame + " to " + settings_.base_frame + ": no prior, no fix");
+    const cv::Mat image = ru::bgrFromMsg(*job.image);
+    const LocalizerResult result = localizer_->localize(image, job.camera, priorOf(job, T_base_camera));
+    {
+      // Time jumped back meanwhile: this image belongs to the past.
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (job.pass != pass_) return;
+    }
+    health_.timing("image", result.total_time);
+    for (int i = 0; i < kSteps; ++i) health_.timing(nameOf(static_cast<Step>(i)), result.times[static_cast<std::size_t>(i)]);
+    ++(result.accepted() ? accepted_ : refused_);
+    publishMatch(job, frame, result);
+    if (result.accepted() && T_base_camera) publishFix(job, result, *T_base_camera);
+    tell(job, result);
+    if (!settings_.display) return;
+    if (match_image_.getNumSubscribers() > 0)
+      match_image_.publish(ru::toMsg(display_.matchImage(image, result, settings_.display_width), "bgr8", job.image->header));
+    if (result.accepted() && synthesized_view_.getNumSubscribers() > 0)
+      synthesized_view_.publish(ru::toMsg(display_.besideModel(image, job.camera, result, settings_.display_width), "bgr8", job.image->header));
+    if (result.accepted()) display_.addCamera(job.camera, result.pose.T_world_camera, job.image->header.stamp, settings_.world_frame);
+  }
+
+  void publishMatch(const Job& job, const std::string& frame, const LocalizerResult& r) {
+    const StreetviewDatabase& db = localizer_->database();
+    StreetviewMatch msg;
+    msg.header.stamp = job.image->header.stamp;
+    msg.header.frame_id = settings_.world_frame;
+    msg.status = messageStatus(r.status);
+    msg.reason = r.reason;
+    if (r.panorama >= 0) msg.panorama_id = db.panoramas[static_cast<std::size_t>(r.panorama)].id;
+    if (r.view >= 0) msg.view_id = static_cast<std::uint32_t>(r.view);
+    msg.camera_frame = frame;
+    msg.score = r.acceptance.score;
+    msg.features = static_cast<std::uint32_t>(r.features);
+    msg.matches = static_cast<std::uint32_t>(r.matches);
+    msg.used_prior = r.used_prior;
+    for (const int p : r.searched) msg.searched.push_back(db.panoramas[static_cast<std::size_t>(p)].id);
+    msg.time = r.total_time;
+    if (r.pose.success && r.pose.covariance.allFinite()) {
+      msg.camera_pose.pose = ru::toMsg(r.pose.T_world_camera);
+      ru::setCovariance(r.pose.covariance, &msg.camera_pose.covariance);
+      msg.inliers = static_cast<std::uint32_t>(r.pose.inliers.size());
+      msg.rms = r.pose.rms;
+      msg.range = r.acceptance.evidence.range;
+      for (const int i : r.pose.inliers) {
+        const Correspondence& c = r.correspondences[static_cast<std::size_t>(i)];
+        air_ground::StreetviewPoint point;
+        point.u = static_cast<float>(c.pixel.x());
+        point.v = static_cast<float>(c.pixel.y());
+        point.view_id = static_cast<std::uint32_t>(r.views[static_cast<std::size_t>(i)]);
+        point.view_u = static_cast<float>(c.view_pixel.x());
+        point.view_v = static_cast<float>(c.view_pixel.y());
+        point.point.x = c.p_world.x();
+        point.point.y = c.p_world.y();
+        point.point.z = c.p_world.z();
+        msg.points.push_back(point);
+      }
+    }
+    match_.publish(msg);
+  }
+
+  void publishFix(const Job& job, const LocalizerResult& r, const Pose& T_base_camera) {
+    const Pose T_world_base = r.pose.T_world_camera * T_base_camera.inverse();
+    const Matrix6d covariance = covarianceOfBody(r.pose.covariance, T_world_base.translation() - r.pose.T_world_camera.translation());
+    if (!air_ground_common::isValid(T_world_base) || !covariance.allFinite()) return health_.count("poses that are not finite");
+    geometry_msgs::PoseWithCovarianceStamped msg;
+    msg.header.stamp = job.image->header.stamp;
+    msg.header.frame_id = settings_.world_frame;
+    msg.pose.pose = ru::toMsg(T_world_base);
+    ru::setCovariance(covariance, &msg.pose.covariance);
+    pose_.publish(msg);
+    last_fix_ = msg.header.stamp;
+  }
+
+  void tell(const Job& job, const LocalizerResult& r) {
+    char line[300];
+    const std::string tally = "; " + std::to_string(accepted_) + " images located, " + std::to_string(refused_) + " not";
+    if (r.accepted()) {
+      const Eigen::Vector3d stddev = r.pose.covariance.diagonal().head<3>().cwiseSqrt();
+      std::snprintf(line, sizeof line, "located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
+                    localizer_->database().panoramas[static_cast<std::size_t>(r.panorama)].id.c_str(), r.pose.inliers.size(), r.acceptance.score, stddev.x(), stddev.y(),
+                    stddev.z(), r.total_time);
+      health_.state(0, line + tally);
+      return;
+    }
+    std::snprintf(line, sizeof line, "last image %s: %s", nameOf(r.status), r.reason.c_str());
+    std::string state = line + tally;
+    if (!last_fix_.isZero()) state += "; last fix " + std::to_string(static_cast<int>((job.image->header.stamp - last_fix_).toSec())) + " s ago";
+    health_.state(1, state);
+  }
+
+  void reset() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++pass_;
+    job_.reset();
+    priors_.clear();
+    attitudes_.clear();
+    last_started_ = ros::Time();
+    tf_.clear();  // of moving edges; fixed ones stay
+  }
+
+  bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    reset();
+    response.success = true;
+    response.message = "forgot the predicted poses; the database stays";
+    return true;
+  }
+
+  ros::NodeHandle handle_;
+  const NodeSettings settings_;
+  ru::NodeHealth health_;
+  ru::TimeJumpDetector jumps_;
+  tf2_ros::Buffer tf_;
+  tf2_ros::TransformListener listener_;
+  std::unique_ptr<Localizer> localizer_;
+  CityDisplay display_;
+  ros::Publisher match_, pose_, match_image_, synthesized_view_;
+  ros::Subscriber image_, camera_info_, prior_, attitude_;
+  ros::ServiceServer reset_;
+  ros::Time last_fix_;  // of the worker, as are the tallies
+  std::size_t accepted_ = 0, refused_ = 0;
+
+  std::mutex mutex_;  // guards what follows
+  std::condition_variable wake_;
+  bool stop_ = false;
+  unsigned pass_ = 0;
+  std::size_t skipped_ = 0;
+  std::optional<CameraModel> camera_;
+  std::optional<Job> job_;
+  ros::Time last_started_;
+  OdometryBuffer priors_, attitudes_;
+  std::thread worker_;
+};
+
+}  // namespace
+}  // namespace streetview_localizer
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "streetview_localizer");
+  try {
+    streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
+    ros::spin();
+  } catch (const std::exception& e) {
+    ROS_FATAL("%s", e.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,184 @@
+// The engine on a painted courtyard with exact geometry: right where it answers, silent where it cannot know.
+#include "streetview_localizer/localizer.h"
+
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <opencv2/imgproc.hpp>
+
+#include "streetview_localizer/match_picture.h"
+#include "streetview_localizer/view_synthesis.h"
+#include "tiny_city.h"
+
+namespace streetview_localizer {
+namespace {
+
+using test::TinyCity;
+
+class LocalizerTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    city_ = new TinyCity(1);
+    localizer_ = new Localizer(city_->database());
+  }
+  static void TearDownTestSuite() {
+    delete localizer_;
+    delete city_;
+  }
+
+  static LocalizerResult locate(const Pose& T, const PosePrior& prior = {}) { return localizer_->localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior); }
+  static double error(const LocalizerResult& r, const Pose& T) { return (r.pose.T_world_camera.translation() - T.translation()).norm(); }
+  static double turn(const LocalizerResult& r, const Pose& T) { return air_ground_common::rotationAngle(r.pose.T_world_camera.linear(), T.linear()); }
+
+  static TinyCity* city_;
+  static Localizer* localizer_;
+};
+
+TinyCity* LocalizerTest::city_ = nullptr;
+Localizer* LocalizerTest::localizer_ = nullptr;
+
+TEST_F(LocalizerTest, FindsCamerasInTheAir) {
+  const Pose poses[] = {TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05), TinyCity::look({3, -1, 6}, -M_PI / 2 + 0.2, -0.15, 0.05),
+                        TinyCity::look({4, 0, 3}, 0.2, 0.1, -0.1), TinyCity::look({0, 2, 7}, -M_PI / 2 - 0.3, -0.2)};
+  for (const Pose& T : poses) {
+    const LocalizerResult r = locate(T);
+    EXPECT_TRUE(r.accepted()) << T.translation().transpose() << ": " << r.reason;
+    EXPECT_FALSE(r.used_prior);
+    EXPECT_LT(error(r, T), 0.1) << T.translation().transpose();
+    EXPECT_LT(turn(r, T), 0.01);
+    EXPECT_LT(r.acceptance.evidence.range, 8);
+    ASSERT_EQ(r.views.size(), r.correspondences.size());
+    // The covariance holds the error: 5 standard deviations of the largest axis.
+    EXPECT_LT(error(r, T), 5 * std::sqrt(r.pose.covariance.topLeftCorner<3, 3>().trace()));
+    for (const int i : r.pose.inliers) EXPECT_GE(r.correspondences[static_cast<std::size_t>(i)].p_world.z(), -0.1);
+  }
+}
+
+TEST_F(LocalizerTest, SameInSameOut) {
+  const Pose T = TinyCity::look({-2, 0, 5}, M_PI / 2 + 0.1, -0.1);
+  const LocalizerResult a = locate(T), b = locate(T);
+  EXPECT_EQ(a.pose.inliers, b.pose.inliers);
+  EXPECT_EQ(a.pose.T_world_camera.matrix(), b.pose.T_world_camera.matrix());
+  EXPECT_EQ(a.pose.covariance, b.pose.covariance);
+}
+
+TEST_F(LocalizerTest, PriorNamesThePanoramasAndNotThePose) {
+  LocalizerSettings settings;
+  settings.near_panoramas = 1;
+  const Localizer near_only(city_->database(), settings);
+  const Pose T = TinyCity::look({5, 1, 4}, M_PI / 2, 0);
+  const cv::Mat image = city_->photograph(TinyCity::camera(), T);
+  PosePrior prior;
+  prior.T_world_camera = T;
+  prior.T_world_camera->translation() += Eigen::Vector3d(1.5, -1, 0.5);
+  prior.covariance = Matrix6d::Identity() * 0.05;
+  prior.covariance.topLeftCorner<3, 3>() = 4 * Eigen::Matrix3d::Identity();
+  const LocalizerResult r = near_only.localize(image, TinyCity::camera(), prior);
+  EXPECT_TRUE(r.accepted()) << r.reason;
+  EXPECT_TRUE(r.used_prior);
+  EXPECT_EQ(r.searched, std::vector<int>{2});
+  EXPECT_LT(error(r, T), 0.1);  // not drawn towards the prediction
+
+  prior.covariance.topLeftCorner<3, 3>() *= 1e4;  // knows nothing: the whole database is searched
+  EXPECT_FALSE(near_only.localize(image, TinyCity::camera(), prior).used_prior);
+}
+
+TEST_F(LocalizerTest, WrongGravityIsNoticed) {
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  PosePrior prior;
+  prior.up_camera = T.linear().transpose() * Eigen::Vector3d::UnitZ();
+  const LocalizerResult right = locate(T, prior);
+  EXPECT_TRUE(right.accepted()) << right.reason;
+  EXPECT_LT(error(right, T), 0.1);
+  prior.up_camera = T.linear().transpose() * Eigen::Vector3d::UnitX();
+  const LocalizerResult wrong = locate(T, prior);
+  EXPECT_TRUE(!wrong.accepted() || error(wrong, T) < 0.3) << "a pose bent towards a gravity that cannot be was accepted";
+}
+
+TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
+  const CameraModel camera = TinyCity::camera();
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  const cv::Mat image = city_->photograph(camera, T);
+  cv::Mat mirrored, noise(camera.height, camera.width, CV_8UC1), upside_down;
+  cv::flip(image, mirrored, 1);
+  cv::randu(noise, 0, 255);
+  const TinyCity other(77);
+  const std::pair<const char*, cv::Mat> impossible[] = {{"black", cv::Mat::zeros(camera.height, camera.width, CV_8UC1)},
+                                                        {"blank wall", cv::Mat(camera.height, camera.width, CV_8UC3, cv::Scalar(180, 190, 200))},
+                                                        {"noise", noise},
+                                                        {"mirrored", mirrored},
+                                                        {"another street", other.photograph(camera, T)}};
+  for (const auto& [name, query] : impossible) {
+    const LocalizerResult r = localizer_->localize(query, camera);
+    EXPECT_FALSE(r.accepted()) << name;
+    EXPECT_FALSE(r.reason.empty()) << name;
+    EXPECT_NO_THROW(drawMatch(query, localizer_->database(), r)) << name;
+  }
+}
+
+TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
+  auto db = city_->database();
+  for (View& view : db->views) {
+    cv::flip(view.image, view.image, 1);
+    view.features = extractFeatures(view.image);
+    BackProjector(db->model).apply(&view);
+  }
+  const Localizer mirrored(db);
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  EXPECT_FALSE(mirrored.localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera()).accepted());
+}
+
+// A wall that repeats itself every 3 m fits a camera at several places: an answer must be right, or not be given.
+TEST(Repetition, IsRightOrSilent) {
+  const TinyCity city(5, 3.0);
+  const Localizer localizer(city.database());
+  for (const double x : {-5.0, -1.0, 2.5}) {
+    const Pose T = TinyCity::look({x, 1, 4}, M_PI / 2, 0.05);
+    const LocalizerResult r = localizer.localize(city.photograph(TinyCity::camera(), T), TinyCity::camera());
+    if (r.accepted()) {
+      EXPECT_LT((r.pose.T_world_camera.translation() - T.translation()).norm(), 0.3) << "x = " << x;
+    }
+  }
+}
+
+TEST_F(LocalizerTest, BadInputIsNamed) {
+  const CameraModel camera = TinyCity::camera();
+  EXPECT_THROW(localizer_->localize(cv::Mat(100, 100, CV_8UC1, cv::Scalar(0)), camera), std::invalid_argument);
+  EXPECT_THROW(localizer_->localize(cv::Mat(), camera), std::invalid_argument);
+  EXPECT_THROW(localizer_->localize(cv::Mat(480, 640, CV_32FC1, cv::Scalar(0)), camera), std::invalid_argument);
+  CameraModel uncalibrated = camera;
+  uncalibrated.fx = 0;
+  EXPECT_THROW(localizer_->localize(cv::Mat(480, 640, CV_8UC1, cv::Scalar(0)), uncalibrated), std::invalid_argument);
+  PosePrior prior;
+  prior.T_world_camera = Pose::Identity();
+  prior.T_world_camera->translation().x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(localizer_->localize(cv::Mat(480, 640, CV_8UC1, cv::Scalar(0)), camera, prior), std::invalid_argument);
+  EXPECT_THROW(Localizer(std::make_shared<StreetviewDatabase>()), std::invalid_argument);
+  LocalizerSettings settings;
+  settings.max_views = 0;
+  EXPECT_THROW(Localizer(city_->database(), settings), std::invalid_argument);
+}
+
+// The synthesised view shows what the camera saw.
+TEST_F(LocalizerTest, SynthesisedViewResemblesThePhotograph) {
+  const ViewSynthesizer synthesizer(localizer_->database(), localizer_->projector());
+  const CameraModel camera = TinyCity::camera().scaled(0.5);
+  const Pose T = TinyCity::look({-1, 0, 4}, M_PI / 2, 0.05);
+  const auto correlation = [&](const Pose& from) {
+    cv::Mat a = city_->photograph(camera, T), b = synthesizer.render(camera, from), score;
+    cv::cvtColor(a, a, cv::COLOR_BGR2GRAY);
+    cv::cvtColor(b, b, cv::COLOR_BGR2GRAY);
+    const cv::Rect middle(20, 20, a.cols - 40, a.rows - 40);
+    cv::matchTemplate(a(middle), b(middle), score, cv::TM_CCOEFF_NORMED);
+    return score.at<float>(0, 0);
+  };
+  EXPECT_GT(correlation(T), 0.8);
+  Pose aside = T;
+  aside.translation().x() += 0.5;
+  EXPECT_LT(correlation(aside), 0.6);
+  const auto cloud = synthesizer.sampleModel(0.5, 100000);
+  EXPECT_NEAR(static_cast<double>(cloud.size()), (24 + 16 + 24) * 9 / 0.25, 400);
+}
+
+}  // namespace
+}  // namespace streetview_localizer

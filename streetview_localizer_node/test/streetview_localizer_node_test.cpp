@@ -1,0 +1,267 @@
+// The node over a painted courtyard: what comes out, and what it does with a looped bag, missing calibration and bad input.
+#include <air_ground/StreetviewMatch.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/ros.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_ros/static_transform_broadcaster.h>
+#include <visualization_msgs/Marker.h>
+#include <visualization_msgs/MarkerArray.h>
+
+#include <cstdio>
+#include <functional>
+#include <limits>
+#include <map>
+#include <optional>
+
+#include "air_ground_common/ros/conversions.h"
+#include "tiny_city.h"
+
+namespace streetview_localizer {
+namespace {
+
+using air_ground::StreetviewMatch;
+using test::TinyCity;
+namespace ru = air_ground_common::ros_utils;
+
+// The camera is mounted off the body's centre, looks to the left and a little up.
+Pose baseFromCamera() { return TinyCity::look({0.2, 0.1, -0.05}, M_PI / 2, 0.1); }
+
+class StreetviewLocalizerNodeTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    city_ = new TinyCity(1);
+    std::remove("tiny_city.gpkg");
+    DatabaseWriter writer("tiny_city.gpkg", city_->model(), "test");
+    const BackProjector projector(city_->model());
+    for (const Panorama& place : city_->panoramas()) writer.add(place, city_->viewsOf(place, projector));
+    writer.finish();
+    mount_ = new tf2_ros::StaticTransformBroadcaster;
+    geometry_msgs::TransformStamped edge;
+    edge.header.frame_id = "mav_base_link";
+    edge.child_frame_id = "mav_camera_optical_frame";
+    edge.transform = ru::toTransformMsg(baseFromCamera());
+    mount_->sendTransform(edge);
+  }
+
+  void SetUp() override {
+    image_pub_ = handle_.advertise<sensor_msgs::Image>("mav/camera/image_raw", 5);
+    info_pub_ = handle_.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 5);
+    prior_pub_ = handle_.advertise<nav_msgs::Odometry>("tracked/odometry", 5);
+    attitude_pub_ = handle_.advertise<nav_msgs::Odometry>("mav/odometry", 5);
+    match_sub_ = handle_.subscribe<StreetviewMatch>("streetview/match", 50, [this](const StreetviewMatch::ConstPtr& m) { matches_.push_back(*m); });
+    pose_sub_ = handle_.subscribe<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 50, [this](const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& m) {
+      poses_.push_back(*m);
+    });
+    picture_sub_ = handle_.subscribe<sensor_msgs::Image>("streetview/match_image", 5, [this](const sensor_msgs::Image::ConstPtr& m) { picture_ = *m; });
+    view_sub_ = handle_.subscribe<sensor_msgs::Image>("streetview/synthesized_view", 5, [this](const sensor_msgs::Image::ConstPtr& m) { view_ = *m; });
+    model_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("streetview/textured_model", 1, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { model_ = *m; });
+    panoramas_sub_ = handle_.subscribe<visualization_msgs::MarkerArray>("streetview/panoramas", 1, [this](const visualization_msgs::MarkerArray::ConstPtr& m) { panoramas_ = *m; });
+    cameras_sub_ = handle_.subscribe<visualization_msgs::Marker>("streetview/cameras", 1, [this](const visualization_msgs::Marker::ConstPtr& m) { cameras_ = *m; });
+    diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 50, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
+      for (const auto& s : m->status) {
+        message_ = s.message;
+        for (const auto& v : s.values) diagnostics_[v.key] = v.value;
+      }
+    });
+    ASSERT_TRUE(ros::service::waitForService("streetview_localizer/reset", 60000)) << "the node did not come up with the database";
+    std_srvs::Trigger reset;
+    ASSERT_TRUE(ros::service::call("streetview_localizer/reset", reset) && reset.response.success);
+    ASSERT_TRUE(spinUntil([&] {
+      return image_pub_.getNumSubscribers() && info_pub_.getNumSubscribers() && prior_pub_.getNumSubscribers() && attitude_pub_.getNumSubscribers() &&
+             match_sub_.getNumPublishers() && pose_sub_.getNumPublishers() && picture_sub_.getNumPublishers() && view_sub_.getNumPublishers() && model_;
+    }, 60));
+  }
+
+  static bool spinUntil(const std::function<bool()>& done, double seconds = 30) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    while (ros::ok() && ros::WallTime::now() < end) {
+      ros::spinOnce();
+      if (done()) return true;
+      ros::WallDuration(0.01).sleep();
+    }
+    return false;
+  }
+
+  static std_msgs::Header header(double stamp) {
+    std_msgs::Header h;
+    h.stamp = ros::Time(stamp);
+    h.frame_id = "mav_camera_optical_frame";
+    return h;
+  }
+
+  void sendCalibration(double stamp) {
+    info_pub_.publish(ru::toMsg(TinyCity::camera(), header(stamp)));
+    spinUntil([] { return false; }, 0.2);
+  }
+
+  static Pose cameraAt(const Pose& T_world_base) { return T_world_base * baseFromCamera(); }
+
+  void sendImage(double stamp, const cv::Mat& image) { image_pub_.publish(ru::toMsg(image, "bgr8", header(stamp))); }
+
+  bool awaitMatch(double stamp) {
+    return spinUntil([&] { return !matches_.empty() && matches_.back().header.stamp == ros::Time(stamp); });
+  }
+
+  static nav_msgs::Odometry odometry(double stamp, const std::string& frame, const Pose& T) {
+    nav_msgs::Odometry m;
+    m.header.stamp = ros::Time(stamp);
+    m.header.frame_id = frame;
+    m.child_frame_id = "mav_base_link";
+    m.pose.pose = ru::toMsg(T);
+    for (std::size_t k = 0; k < 6; ++k) m.pose.covariance[7 * k] = k < 3 ? 1.0 : 0.01;
+    return m;
+  }
+
+  ros::NodeHandle handle_;
+  ros::Publisher image_pub_, info_pub_, prior_pub_, attitude_pub_;
+  ros::Subscriber match_sub_, pose_sub_, picture_sub_, view_sub_, model_sub_, panoramas_sub_, cameras_sub_, diagnostics_sub_;
+  std::vector<StreetviewMatch> matches_;
+  std::vector<geometry_msgs::PoseWithCovarianceStamped> poses_;
+  std::optional<sensor_msgs::Image> picture_, view_;
+  std::optional<sensor_msgs::PointCloud2> model_;
+  std::optional<visualization_msgs::MarkerArray> panoramas_;
+  std::optional<visualization_msgs::Marker> cameras_;
+  std::map<std::string, std::string> diagnostics_;
+  std::string message_;
+  static TinyCity* city_;
+  static tf2_ros::StaticTransformBroadcaster* mount_;
+};
+
+TinyCity* StreetviewLocalizerNodeTest::city_ = nullptr;
+tf2_ros::StaticTransformBroadcaster* StreetviewLocalizerNodeTest::mount_ = nullptr;
+
+// In order: the node has no calibration before this test sends one.
+TEST_F(StreetviewLocalizerNodeTest, AWaitsForCalibration) {
+  sendImage(1, cv::Mat(480, 640, CV_8UC3, cv::Scalar::all(100)));
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("images without calibration") > 0; }, 10));
+  EXPECT_TRUE(matches_.empty());
+}
+
+TEST_F(StreetviewLocalizerNodeTest, BodyPoseInWorld) {
+  const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(T_world_base));
+  sendCalibration(10);
+  // A level frame of its own origin and heading tells roll and pitch.
+  attitude_pub_.publish(odometry(10, "mav_map", air_ground_common::yawPose(2.0, {5, 5, 5}) * T_world_base));
+  sendImage(10, image);
+  ASSERT_TRUE(awaitMatch(10));
+  const StreetviewMatch& m = matches_.back();
+  EXPECT_EQ(m.status, StreetviewMatch::STATUS_ACCEPTED) << m.reason;
+  EXPECT_EQ(m.header.frame_id, "world");
+  EXPECT_FALSE(m.used_prior);
+  EXPECT_EQ(m.camera_frame, "mav_camera_optical_frame");
+  EXPECT_EQ(m.panorama_id.substr(0, 5), "pano_");
+  EXPECT_EQ(m.points.size(), m.inliers);
+  ASSERT_GE(m.points.size(), 12u);
+  const Pose T_world_camera = ru::fromMsg(m.camera_pose.pose);
+  EXPECT_LT((T_world_camera.translation() - cameraAt(T_world_base).translation()).norm(), 0.1);
+  for (const auto& p : m.points) {
+    const auto pixel = TinyCity::camera().project(T_world_camera.inverse() * Eigen::Vector3d(p.point.x, p.point.y, p.point.z));
+    ASSERT_TRUE(pixel);
+    EXPECT_LT((*pixel - Eigen::Vector2d(p.u, p.v)).norm(), 8);
+  }
+  ASSERT_TRUE(spinUntil([&] { return !poses_.empty(); }));
+  EXPECT_EQ(poses_.back().header.stamp, ros::Time(10));
+  EXPECT_EQ(poses_.back().header.frame_id, "world");
+  const Pose T = ru::fromMsg(poses_.back().pose.pose);
+  EXPECT_LT((T.translation() - T_world_base.translation()).norm(), 0.1);
+  EXPECT_LT(air_ground_common::rotationAngle(T.linear(), T_world_base.linear()), 0.01);
+  const auto covariance = ru::covarianceFromMsg(poses_.back().pose.covariance);
+  EXPECT_EQ(Eigen::LLT<air_ground_common::Matrix6d>(covariance).info(), Eigen::Success);
+  EXPECT_LT(covariance.topLeftCorner<3, 3>().trace(), 1.0);
+
+  EXPECT_TRUE(spinUntil([&] { return picture_ && view_ && panoramas_ && cameras_; }));
+  EXPECT_EQ(picture_->encoding, "bgr8");
+  EXPECT_EQ(panoramas_->markers.size(), 6u);
+  EXPECT_EQ(cameras_->points.size(), 16u);
+  EXPECT_GT(model_->width * model_->height, 1000u);
+}
+
+TEST_F(StreetviewLocalizerNodeTest, PriorChoosesThePanoramas) {
+  const Pose T_world_base = air_ground_common::yawPose(0.1, {4, 0, 3.5});
+  sendCalibration(20);
+  Pose predicted = T_world_base;
+  predicted.translation() += Eigen::Vector3d(1, 1, 0.5);
+  prior_pub_.publish(odometry(20, "world", predicted));
+  attitude_pub_.publish(odometry(20, "mav_map", T_world_base));
+  spinUntil([] { return false; }, 0.3);
+  sendImage(20, city_->photograph(TinyCity::camera(), cameraAt(T_world_base)));
+  ASSERT_TRUE(awaitMatch(20));
+  EXPECT_TRUE(matches_.back().used_prior);
+  EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+  ASSERT_TRUE(spinUntil([&] { return !poses_.empty(); }));
+  EXPECT_LT((ru::fromMsg(poses_.back().pose.pose).translation() - T_world_base.translation()).norm(), 0.1);
+}
+
+TEST_F(StreetviewLocalizerNodeTest, RefusesAndGoesOn) {
+  sendCalibration(30);
+  sendImage(30, cv::Mat(480, 640, CV_8UC3, cv::Scalar::all(0)));
+  ASSERT_TRUE(awaitMatch(30));
+  EXPECT_NE(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED);
+  EXPECT_FALSE(matches_.back().reason.empty());
+  EXPECT_TRUE(matches_.back().points.empty());
+
+  // Not finite, in the wrong frame, of the wrong size, uncalibrated: counted, nothing falls over.
+  nav_msgs::Odometry bad = odometry(31, "world", Pose::Identity());
+  bad.pose.pose.position.x = std::numeric_limits<double>::quiet_NaN();
+  prior_pub_.publish(bad);
+  prior_pub_.publish(odometry(31, "elsewhere", Pose::Identity()));
+  bad = odometry(31, "mav_map", Pose::Identity());
+  bad.pose.pose.orientation.w = std::numeric_limits<double>::quiet_NaN();
+  attitude_pub_.publish(bad);
+  sensor_msgs::CameraInfo uncalibrated = ru::toMsg(TinyCity::camera(), header(31));
+  uncalibrated.K[0] = 0;
+  info_pub_.publish(uncalibrated);
+  sendImage(31, cv::Mat(100, 100, CV_8UC3, cv::Scalar::all(0)));
+  EXPECT_TRUE(spinUntil([&] {
+    int seen = 0;
+    for (const auto& [key, value] : diagnostics_)
+      seen += key.rfind("tracked pose", 0) == 0 || key.rfind("attitude ignored", 0) == 0 || key.rfind("calibration ignored", 0) == 0 || key.rfind("images of another size", 0) == 0;
+    return seen >= 5;
+  }, 15));
+
+  const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  sendImage(32, city_->photograph(TinyCity::camera(), cameraAt(T_world_base)));
+  ASSERT_TRUE(awaitMatch(32));
+  EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+  EXPECT_TRUE(poses_.size() == 1 || spinUntil([&] { return poses_.size() == 1; }));
+}
+
+TEST_F(StreetviewLocalizerNodeTest, WorksOnTheNewestImage) {
+  sendCalibration(40);
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
+  for (int i = 0; i < 6; ++i) {
+    sendImage(40 + 0.1 * i, image);
+    spinUntil([] { return false; }, 0.02);
+  }
+  ASSERT_TRUE(awaitMatch(40.5));
+  EXPECT_LT(matches_.size(), 6u);
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("images skipped for newer ones while one was worked on") > 0; }, 10));
+}
+
+TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
+  sendCalibration(50);
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
+  sendImage(50, image);
+  ASSERT_TRUE(awaitMatch(50));
+  sendImage(5, image);
+  ASSERT_TRUE(awaitMatch(5));
+  EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("time jumped back: started afresh") > 0; }, 10));
+}
+
+}  // namespace
+}  // namespace streetview_localizer
+
+int main(int argc, char** argv) {
+  ::testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "streetview_localizer_node_test");
+  ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}
