@@ -74,20 +74,21 @@ struct LightJob {
   float* result;
 };
 
-// Light that lane i of a traced packet brings.
-inline __attribute__((always_inline)) void shade(const LightJob& job, const RTCRayHit8& packet, int i, float texel[4]) {
+// Light from where lane i of a packet met nothing.
+__attribute__((noinline)) void skyLight(const LightJob& job, const RTCRayHit8& packet, int i, float texel[4]) {
+  for (int c = 0; c < 4; ++c) texel[c] = job.sky;
+  if (!job.sky_map.texels) return;
   const float dx = packet.ray.dir_x[i], dy = packet.ray.dir_y[i], dz = packet.ray.dir_z[i];
-  if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) {
-    for (int c = 0; c < 4; ++c) texel[c] = job.sky;
-    if (job.sky_map.texels) {
-      const float norm = 0.5f / (std::abs(dx) + std::abs(dy) + std::max(dz, 0.0f) + 1e-6f);
-      fetch(job.sky_map, dx * norm + 0.5f, dy * norm + 0.5f, texel);
-    }
-    return;
-  }
+  const float norm = 0.5f / (std::abs(dx) + std::abs(dy) + std::max(dz, 0.0f) + 1e-6f);
+  fetch(job.sky_map, dx * norm + 0.5f, dy * norm + 0.5f, texel);
+}
+
+// Light from the surface that lane i of a packet met.
+inline __attribute__((always_inline)) void surfaceLight(const LightJob& job, const RTCRayHit8& packet, int i, float texel[4]) {
   const TriangleShading& t = job.triangles[packet.hit.primID[i]];
   const PatchTexture& texture = job.textures[t.patch];
   const float u = packet.hit.u[i], v = packet.hit.v[i];
+  const float dx = packet.ray.dir_x[i], dy = packet.ray.dir_y[i], dz = packet.ray.dir_z[i];
   const float length2 = dx * dx + dy * dy + dz * dz;
   const float facing = std::abs(t.nx * dx + t.ny * dy + t.nz * dz);
   // Between the footprint's short and long axis, which grows with 1 / cos.
@@ -128,7 +129,12 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(cons
       rtcIntersect8(valid, job.scene, &context, &packet);
       for (int i = 0; i < kLanes; ++i) {
         float texel[4];
-        shade(job, packet, i, texel);
+        if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) {
+          skyLight(job, packet, i, texel);
+          for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
+          continue;
+        }
+        surfaceLight(job, packet, i, texel);
         for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
       }
     }
@@ -179,7 +185,8 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void panoramaRows(c
       rtcIntersect8(valid, job.light.scene, &context, &packet);
       for (int i = 0; i < kLanes; ++i) {
         float texel[4];
-        shade(job.light, packet, i, texel);
+        if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) skyLight(job.light, packet, i, texel);
+        else surfaceLight(job.light, packet, i, texel);
         for (int c = 0; c < 3; ++c) sum[i][c] += texel[c];
       }
     }
