@@ -1,6 +1,7 @@
 #include "streetview_localizer/pose_estimation.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <opengv/absolute_pose/CentralAbsoluteAdapter.hpp>
@@ -44,8 +45,16 @@ void validate(const PosePrior& prior) {
   require(!(prior.min_z >= prior.max_z), "pose prior: min_z is not below max_z");
 }
 
-/// EPnP (Lepetit, Moreno-Noguer, Fua 2009) on the inliers. Flat scenes can fail it: the caller compares.
-Pose epnp(const Matches& m, const std::vector<int>& inliers) {
+/// EPnP (Lepetit, Moreno-Noguer, Fua 2009) on the inliers. Empty for points on a plane, on which OpenGV's crashes;
+/// theirs is IPPE, see planarAlternatives.
+std::optional<Pose> epnp(const Matches& m, const std::vector<int>& inliers) {
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (const int i : inliers) mean += m.points[i].p_map / static_cast<double>(inliers.size());
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const int i : inliers) scatter += (m.points[i].p_map - mean) * (m.points[i].p_map - mean).transpose();
+  const Eigen::Vector3d values =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter, Eigen::EigenvaluesOnly).eigenvalues();
+  if (!(values[0] > 1e-4 * values[1])) return std::nullopt;
   opengv::bearingVectors_t rays;
   opengv::points_t points;
   for (const int i : inliers) {
@@ -57,6 +66,7 @@ Pose epnp(const Matches& m, const std::vector<int>& inliers) {
   Pose T = Pose::Identity();
   T.linear() = found.leftCols<3>();
   T.translation() = found.col(3) + m.origin;
+  if (!air_ground_common::isValid(T)) return std::nullopt;
   return T;
 }
 
@@ -156,10 +166,9 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   // EPnP is a second start beside RANSAC's locally optimised pose; Levenberg-Marquardt from the better of the two.
   const double infinite = std::numeric_limits<double>::infinity();
   Pose pose = *start;
-  const Pose linear = epnp(m, inliers);
-  if (air_ground_common::isValid(linear) && detail::truncatedCost(m, linear, settings.inlier_threshold, infinite) <
-                                                detail::truncatedCost(m, pose, settings.inlier_threshold, infinite)) {
-    pose = linear;
+  if (const auto linear = epnp(m, inliers)) {
+    const auto cost = [&](const Pose& T) { return detail::truncatedCost(m, T, settings.inlier_threshold, infinite); };
+    if (cost(*linear) < cost(pose)) pose = *linear;
   }
   inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
   auto refined = detail::converge(m, inliers, pose, noiseOf(m, inliers, pose, settings), prior, settings);

@@ -40,8 +40,8 @@ struct AcceptanceSettings {
   double min_alternative_margin = 8;  ///< natural logarithm
   double harmless_alternative = 0.3;  ///< poses closer than this need no choice [m]
   double max_competitor_share = 0.5;
-  double max_position_stddev = 0.5;  ///< image noise only [m]
-  double max_angle_stddev = 0.03;    ///< image noise only [rad]
+  double max_position_stddev = 0.3;  ///< image noise only [m]
+  double max_angle_stddev = 0.012;   ///< image noise only [rad]
   double min_score = 0.9;
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
@@ -59,7 +59,9 @@ struct Acceptance {
 PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                             const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings);
 
-/// `correspondences`, camera, source and pose settings as given to estimatePose.
+/// `correspondences`, camera, source and pose settings as given to estimatePose. Give all matches that pass the ratio
+/// test, not only those that a filter such as k-VLD kept (its verdict belongs in `quality`): the wrong ones are
+/// evidence, too.
 Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                  const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
                  const AcceptanceSettings& settings);
