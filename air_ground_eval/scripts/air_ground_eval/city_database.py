@@ -1,0 +1,109 @@
+"""What the report of a city replay takes from the Street View database: where world lies, the panoramas, the buildings.
+
+Reads the GeoPackage with sqlite alone; a PostGIS database has to be exported first (ogr2ogr).
+"""
+import os
+import sqlite3
+from dataclasses import dataclass, field
+
+import numpy as np
+import yaml
+
+
+class CityError(Exception):
+    """One line that says what is wrong with a database or a city file."""
+
+
+@dataclass
+class City:
+    """crs: projected system ('' for a local frame); origin: of world, in it; lengths in metres, coordinates in world."""
+    crs: str = ''
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    panoramas: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))  # of all buildings
+
+
+def read_city(path):
+    """City of a database that build_streetview_db made. CityError when it is none."""
+    if path.startswith('PG:'):
+        raise CityError('a PostGIS database is not read here: export it with ogr2ogr to a .gpkg')
+    if not os.path.isfile(path):
+        raise CityError(f'{path}: no such database')
+    try:
+        with sqlite3.connect(f'file:{path}?mode=ro', uri=True) as database:
+            info = dict(database.execute('SELECT key, value FROM street_view_database'))
+            panoramas = list(database.execute('SELECT x, y, z FROM panoramas WHERE views > 0'))
+            triangles = [np.frombuffer(vertices, '<f4').reshape(-1, 3)[np.frombuffer(indices, '<i4').reshape(-1, 3)]
+                         for vertices, indices in database.execute('SELECT vertices, triangles FROM buildings')]
+        origin = np.array([float(info[f'origin_{axis}']) for axis in 'xyz'])
+    except (sqlite3.Error, KeyError, ValueError) as error:
+        raise CityError(f'{path} is no complete Street View database: {error}') from error
+    return City(info.get('crs', ''), origin, np.array(panoramas, float).reshape(-1, 3),
+                np.concatenate(triangles).astype(float) if triangles else np.zeros((0, 3, 3)))
+
+
+class WorldFrame:
+    """WGS 84 to the world frame: true east, north, up at `origin` of `crs`, as air_ground_common/geodesy.h defines it.
+
+    geoid_undulation: ellipsoidal height minus the height used in `origin` [m].
+    """
+
+    def __init__(self, crs, origin, geoid_undulation=0.0):
+        try:
+            import pyproj
+        except ImportError as error:
+            raise CityError('GPS is not drawn: python3-pyproj is not installed') from error
+        try:
+            to_geodetic = pyproj.Transformer.from_crs(crs, 'EPSG:4979', always_xy=True)
+            longitude, latitude = to_geodetic.transform(origin[0], origin[1])
+            self.to_cartesian = pyproj.Transformer.from_crs('EPSG:4979', 'EPSG:4978', always_xy=True)
+        except pyproj.exceptions.ProjError as error:
+            raise CityError(f'PROJ knows no coordinate system {crs}: {error}') from error
+        self.undulation = geoid_undulation
+        self.height = origin[2]
+        self.centre = np.array(self.to_cartesian.transform(longitude, latitude, 0.0))
+        l, p = np.radians(longitude), np.radians(latitude)
+        self.rotation = np.array([[-np.sin(l), np.cos(l), 0],
+                                  [-np.sin(p) * np.cos(l), -np.sin(p) * np.sin(l), np.cos(p)],
+                                  [np.cos(p) * np.cos(l), np.cos(p) * np.sin(l), np.sin(p)]])
+
+    def from_geodetic(self, latitude, longitude, ellipsoidal_height):
+        """Coordinates in world [m] of degrees and metres; arrays (n,) in, (n, 3) out."""
+        ground = np.array(self.to_cartesian.transform(longitude, latitude, np.zeros_like(np.asarray(latitude, float)))).T
+        result = (ground - self.centre) @ self.rotation.T
+        result[..., 2] += np.asarray(ellipsoidal_height) - self.undulation - self.height
+        return result
+
+
+def read_city_file(path):
+    """Content of a city's YAML file, as `simulate` writes beside a street bag; CityError says what is wrong with it."""
+    try:
+        with open(path, encoding='utf-8') as stream:
+            facts = yaml.safe_load(stream)
+    except (OSError, yaml.YAMLError) as error:
+        raise CityError(f'{path}: {error}') from error
+    if not isinstance(facts, dict):
+        raise CityError(f'{path}: expected lines such as "crs: EPSG:2056"')
+    for name in ('geoid_undulation', 'magnetic_declination'):
+        if name in facts and not isinstance(facts[name], (int, float)):
+            raise CityError(f'{path}: {name} must be a number')
+    return facts
+
+
+def tracker_parameters(city, facts):
+    """Parameters of ekf_tracker_node: where the world of `city` (None without a database) lies, and what the city's file adds.
+
+    CityError when the two disagree on the origin.
+    """
+    crs = city.crs if city is not None else facts.get('crs', '')
+    origin = [float(x) for x in (city.origin if city is not None else facts.get('origin', (0, 0, 0)))]
+    result = {}
+    if crs:
+        if 'crs' in facts and (facts['crs'] != crs or np.abs(np.subtract(facts.get('origin', origin), origin)).max() > 1e-3):
+            raise CityError(f'the database has its origin at {origin} in {crs}, the city file at {facts.get("origin")} in {facts["crs"]}: '
+                            'build the database with that --origin')
+        result.update({'origin_crs': crs, 'origin': origin})
+    for name, parameter in (('geoid_undulation', 'geoid_undulation'), ('magnetic_declination', 'declination')):
+        if name in facts:
+            result[parameter] = float(facts[name])
+    return result

@@ -1,0 +1,258 @@
+"""report.yaml, figures, trajectories and the printed table of a city replay. Free of ROS."""
+import os
+from dataclasses import dataclass, field
+from typing import Optional
+
+import numpy as np
+import yaml
+
+from . import city_evaluation as evaluate
+from . import city_figures
+from .city_database import City
+from .city_evaluation import Estimated, Way
+from .evaluation import Track, write_tum
+from .geometry import pose, rotation_z
+
+FUSED, REFUSED, INITIALISED, RECOVERED = 'fused', 'refused', 'initialised', 'recovered'
+CORRECTING = (FUSED, INITIALISED, RECOVERED)
+PAPER = {'stated_sigma_x_mean_m': '4.2 m', 'stated_sigma_y_mean_m': '4.3 m', 'stated_sigma_z_mean_m': '3.6 m',
+         'stated_sigma_yaw_mean_deg': '7.5 deg', 'stated_sigma_yaw_max_deg': '12.2 deg'}
+NAMES = {'vo': 'pure VO', 'gps': 'GPS', 'tracker': 'tracker', 'magnetometer': 'with magnetometer'}
+
+
+@dataclass
+class Recorded:
+    """What a replay left behind. truth: Track of base_link in world, or None."""
+    out: str
+    bag: str
+    begin: float
+    end: float
+    tracker: Estimated
+    updates: list  # Update of the fixes at the tracker, in order of arrival
+    magnetometer: Optional[Estimated] = None  # tracker with magnetometer
+    magnetometer_updates: list = field(default_factory=list)
+    increments: list = field(default_factory=list)
+    attitudes: dict = field(default_factory=dict)  # stamp -> T_map_base of mav/odometry
+    start_scale: float = 1.0  # of odometry that is not metric, as the tracker found it at its start
+    start_scale_stddev: float = 0.0
+    fixes: list = field(default_factory=list)
+    matches: dict = field(default_factory=dict)  # status -> number of images
+    match_times: list = field(default_factory=list)  # [s]
+    gps: Optional[Estimated] = None
+    truth: Optional[Track] = None
+    city: City = field(default_factory=City)
+    states: dict = field(default_factory=dict)
+    tf_publishers: dict = field(default_factory=dict)
+    wall_time: float = 0.0
+    notes: list = field(default_factory=list)
+
+
+def track_of(estimated):
+    """Track for the TUM format; level where only a heading is known, without turn where not even that."""
+    if estimated.poses is not None:
+        return Track(estimated.stamps, estimated.poses)
+    yaws = estimated.yaws if estimated.yaws is not None else np.zeros(len(estimated))
+    poses = [pose(rotation_z(yaw), p) for yaw, p in zip(yaws, estimated.positions)]
+    return Track(estimated.stamps, np.array(poses).reshape(-1, 4, 4))
+
+
+class Report:
+    def __init__(self, recorded):
+        self.r = recorded
+        self.values = {}
+        self.sources = {}
+
+    def build(self):
+        r, v = self.r, self.values
+        v.update({'bag': os.path.basename(r.bag), 'bag_duration_s': r.end - r.begin, 'wall_time_s': r.wall_time,
+                  'ground_truth_in_bag': r.truth is not None, 'tracker_started': len(r.tracker) > 0})
+        way = Way(r.truth.stamps, r.truth.poses) if r.truth is not None else None
+        self._gather(way)
+        line = way or (Way(r.tracker.stamps, r.tracker.poses) if len(r.tracker) > 1 else None)
+        self.distance_at = line.distance_at if line is not None else np.zeros_like
+        if line is not None:
+            v['way_length_m'] = float(line.distance[-1])
+            if len(r.tracker):
+                v['tracker_start_after_m'] = float(self.distance_at(r.tracker.stamps[:1])[0])
+        for name, estimated in self.sources.items():
+            v.update({f'{name}_{key}': value for key, value in evaluate.statistics(way, estimated).items()})
+        self._ratios()
+        self._fixes(way)
+        if way is not None:
+            ends, self.table_along = evaluate.along_the_way(way, self.sources)
+            v['along_way_end_m'] = [float(e) for e in ends]
+            for name, (error, stated) in self.table_along.items():
+                v[f'{name}_error_along_way_m'] = [float(e) for e in error]
+                if name != 'gps':
+                    v[f'{name}_stated_sigma_along_way_m'] = [float(s) for s in stated]
+        for robot, state in r.states.items():
+            v[f'{robot}_final_state'], v[f'{robot}_final_reason'] = state['state'], state['reason']
+            v[f'{robot}_processing_time_mean_ms'], v[f'{robot}_lost_images'] = state['processing_ms'], int(state['lost'])
+        v['tf_publishers'] = {edge: sorted(nodes) for edge, nodes in r.tf_publishers.items()}
+        self._draw(way)
+        v['notes'] = list(r.notes)
+        self._write()
+        return v
+
+    def _gather(self, way):
+        """All sources over the same stretch: from the tracker's first pose on."""
+        r = self.r
+        if not len(r.tracker):
+            return
+        start = r.tracker.stamps[0]
+        first = np.append(r.tracker.positions[0], r.tracker.yaws[0])
+        attitudes = {stamp: T[:3, :3] for stamp, T in r.attitudes.items()}
+
+        def reckon(state, covariance):
+            return evaluate.dead_reckoning(r.increments, start, state, covariance, r.start_scale, attitudes, r.start_scale_stddev)
+
+        self.sources['vo'] = reckon(first, r.tracker.covariances[0])
+        if way is not None:
+            truth, valid = way.at(np.array([start]))
+            if valid[0]:  # what the odometry alone is worth: no error at its start
+                ideal = reckon(np.append(truth[0, :3, 3], evaluate.yaw_of(truth)[0]), np.zeros((4, 4)))
+                self.values.update({f'vo_from_true_start_{k}': x for k, x in evaluate.statistics(way, ideal).items()})
+        if r.gps is not None and len(r.gps):
+            self.sources['gps'] = r.gps.after(start)
+        self.sources['tracker'] = r.tracker
+        if r.magnetometer is not None and len(r.magnetometer):
+            self.sources['magnetometer'] = r.magnetometer.after(start)
+
+    def _ratios(self):
+        v = self.values
+        for name in ('vo', 'vo_from_true_start', 'gps'):
+            if v.get(f'{name}_position_error_mean_m') and 'tracker_position_error_mean_m' in v:
+                v[f'tracker_error_over_{name}_error'] = v['tracker_position_error_mean_m'] / v[f'{name}_position_error_mean_m']
+
+    def _fixes(self, way):
+        r, v = self.r, self.values
+        v['images_tried'] = int(sum(r.matches.values()))
+        for status, count in sorted(r.matches.items()):
+            v[f'images_{status}'] = int(count)
+        v['fixes'] = len(r.fixes)
+        if r.match_times:
+            v['localizer_time_an_image_mean_s'] = float(np.mean(r.match_times))
+            v['localizer_time_an_image_max_s'] = float(np.max(r.match_times))
+        for name, updates in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates)):
+            if name not in self.sources:
+                continue
+            results = [u.result for u in updates]
+            v[f'{name}_fixes_fused'] = sum(x in CORRECTING for x in results)
+            v[f'{name}_fixes_refused'] = results.count(REFUSED)
+            v[f'{name}_fixes_other'] = len(results) - v[f'{name}_fixes_fused'] - v[f'{name}_fixes_refused']
+            v[f'{name}_recoveries'] = results.count(RECOVERED)
+            nis = [u.nis for u in updates if u.result == FUSED and np.isfinite(u.nis)]
+            if nis:
+                v[f'{name}_nis_mean'] = float(np.mean(nis))
+            at = np.sort(self.distance_at(np.array([u.stamp for u in updates if u.result in CORRECTING])))
+            if len(at) > 1:
+                v[f'{name}_distance_between_updates_mean_m'] = float(np.mean(np.diff(at)))
+                v[f'{name}_distance_between_updates_max_m'] = float(np.max(np.diff(at)))
+        rows = evaluate.fix_errors(way, r.fixes)
+        if rows:
+            position = np.array([row['position_m'] for row in rows])
+            yaw = np.degrees([row['yaw_rad'] for row in rows])
+            v.update({'fix_position_error_median_m': float(np.median(position)), 'fix_position_error_95_percent_m': float(np.quantile(position, 0.95)),
+                      'fix_position_error_max_m': float(position.max()), 'fix_yaw_error_median_deg': float(np.median(yaw)),
+                      'fix_yaw_error_max_deg': float(yaw.max()), 'fix_normalised_error_squared_mean': float(np.nanmean([row['normalised'] for row in rows])),
+                      'fixes_wrong': int(sum(row['wrong'] for row in rows))})
+            wrong = {row['stamp'] for row in rows if row['wrong']}
+            for name, updates in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates)):
+                if name in self.sources:
+                    v[f'{name}_wrong_fixes_fused'] = sum(u.result in CORRECTING and any(abs(u.stamp - s) < 1e-4 for s in wrong) for u in updates)
+
+    def _draw(self, way):
+        r = self.r
+        updates = {name: np.array([u.used for u in list_ if u.result in CORRECTING])
+                   for name, list_ in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates))}
+        data = {'title': f'{os.path.basename(r.bag)}: {self.values.get("way_length_m", 0):.0f} m', 'sources': self.sources, 'updates': updates, 'way': way,
+                'triangles': r.city.triangles, 'panoramas': r.city.panoramas, 'distance_at': self.distance_at, 'errors': {}}
+        if way is not None:
+            for name in ('tracker', 'magnetometer'):
+                if len(self.sources.get(name, ())) > 1:
+                    offset, yaw, valid = evaluate.errors(way, self.sources[name])
+                    data['errors'][name] = (valid, offset, yaw)
+        city_figures.draw_trajectories(os.path.join(r.out, 'trajectories.png'), data)
+        city_figures.draw_uncertainty(os.path.join(r.out, 'uncertainty.png'), data)
+
+    def _write(self):
+        r = self.r
+        for name, file in (('vo', 'vo'), ('gps', 'gps'), ('tracker', 'tracker'), ('magnetometer', 'tracker_with_magnetometer')):
+            if name in self.sources:
+                write_tum(os.path.join(r.out, f'{file}_trajectory.txt'), track_of(self.sources[name]))
+        if r.truth is not None:
+            write_tum(os.path.join(r.out, 'truth_trajectory.txt'), r.truth)
+        path = os.path.join(r.out, 'report.yaml')
+        with open(path + '.part', 'w', encoding='utf-8') as stream:
+            stream.write('# Positions of base_link in world, from the start of the tracker on; definitions: docs/experiments.md\n')
+            yaml.safe_dump(self.values, stream, sort_keys=False, default_flow_style=None, width=140)
+        os.replace(path + '.part', path)
+
+    def table(self):
+        """The figures as text, beside the paper's."""
+        v = self.values
+        head = f'{v["bag"]}: {v["bag_duration_s"]:.0f} s of data in {v["wall_time_s"]:.0f} s'
+        if 'way_length_m' in v:
+            head += f', {v["way_length_m"]:.0f} m travelled'
+        lines = [head]
+        names = [name for name in NAMES if name in self.sources]
+        if not names:
+            lines.append(f'the tracker never started: {v["fixes"]} fixes from {v["images_tried"]} images')
+        else:
+            lines.append(f'tracker started after {v.get("tracker_start_after_m", 0):.1f} m' + self._scale_line())
+            lines.append(f'{"":30}' + ''.join(f'{NAMES[name]:>19}' for name in names) + '   Majdik et al. 2014')
+            rows = [('position error, mean', 'position_error_mean_m', 'm'), ('  95 %', 'position_error_95_percent_m', 'm'),
+                    ('  at the end', 'position_error_at_end_m', 'm'), ('yaw error, mean', 'yaw_error_mean_deg', 'deg'),
+                    ('  greatest', 'yaw_error_max_deg', 'deg'), ('stated 1 sigma, mean: x', 'stated_sigma_x_mean_m', 'm'),
+                    ('  y', 'stated_sigma_y_mean_m', 'm'), ('  z', 'stated_sigma_z_mean_m', 'm'), ('  yaw', 'stated_sigma_yaw_mean_deg', 'deg'),
+                    ('  yaw, greatest', 'stated_sigma_yaw_max_deg', 'deg'), ('NEES (4 if consistent)', 'nees_mean', '')]
+            for label, key, unit in rows:
+                if any(f'{name}_{key}' in v for name in names):
+                    cells = ''.join(f'{v[f"{name}_{key}"]:>15.2f} {unit:3}' if f'{name}_{key}' in v else f'{"":19}' for name in names)
+                    lines.append(f'{label:30}{cells}   {PAPER.get(key, "")}'.rstrip())
+            lines += self._along(names)
+        lines += self._localizer_lines()
+        if 'vo_from_true_start_position_error_mean_m' in v:
+            lines.append(f'pure VO from the true pose at its start: {v["vo_from_true_start_position_error_mean_m"]:.2f} m mean, '
+                         f'{v["vo_from_true_start_position_error_at_end_m"]:.2f} m at the end')
+        return '\n'.join(lines + [f'note: {note}' for note in self.r.notes])
+
+    def _scale_line(self):
+        unscaled = any(not i.metric and i.stamp > self.r.tracker.stamps[0] for i in self.r.increments)
+        return f'; the scale of its odometry came from two fixes: {self.r.start_scale:.3f}' if unscaled else '; its odometry was metric'
+
+    def _along(self, names):
+        v, lines = self.values, []
+        if not v.get('along_way_end_m'):
+            return lines
+        lines.append('along the way, mean error / stated 1 sigma [m]')
+        begin = 0.0
+        for i, end in enumerate(v['along_way_end_m']):
+            cells = ''
+            for name in names:
+                error, stated = self.table_along[name][0][i], self.table_along[name][1][i]
+                cell = '' if np.isnan(error) else f'{error:.2f}' + ('' if np.isnan(stated) else f' / {stated:.2f}')
+                cells += f'{cell:>19}'
+            lines.append(f'  {begin:5.0f} to {min(end, v["way_length_m"]):.0f} m'.ljust(30) + cells)
+            begin = end
+        return lines
+
+    def _localizer_lines(self):
+        v = self.values
+        text = f'images tried {v["images_tried"]}, fixes {v["fixes"]}'
+        if 'fix_position_error_median_m' in v:
+            text += (f'; their error: median {v["fix_position_error_median_m"]:.2f} m, 95 % {v["fix_position_error_95_percent_m"]:.2f} m, greatest '
+                     f'{v["fix_position_error_max_m"]:.2f} m, yaw median {v["fix_yaw_error_median_deg"]:.1f} deg; wrong: {v["fixes_wrong"]}')
+        lines = [text]
+        if 'tracker_fixes_fused' in v:
+            text = f'fused {v["tracker_fixes_fused"]}, refused {v["tracker_fixes_refused"]}'
+            if 'tracker_wrong_fixes_fused' in v:
+                text += f', wrong ones fused {v["tracker_wrong_fixes_fused"]}'
+            if 'tracker_distance_between_updates_mean_m' in v:
+                text += (f'; an update every {v["tracker_distance_between_updates_mean_m"]:.1f} m (paper: 6.5 m), at most '
+                         f'{v["tracker_distance_between_updates_max_m"]:.1f} m apart')
+            lines.append(text)
+        if 'localizer_time_an_image_mean_s' in v:
+            lines.append(f'localizer: {v["localizer_time_an_image_mean_s"]:.2f} s an image, at most {v["localizer_time_an_image_max_s"]:.2f} s '
+                         '(paper: 3.2 s for steps 1, 4, 5)')
+        return lines

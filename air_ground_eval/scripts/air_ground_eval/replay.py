@@ -1,0 +1,289 @@
+"""What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
+import os
+import re
+import shutil
+import subprocess
+import threading
+import time
+import xmlrpc.client
+
+import rosgraph
+import rospy
+from air_ground.msg import VoStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import SetBool
+from tf2_msgs.msg import TFMessage
+
+from . import geometry
+
+CALLER = '/replay_report'
+STATES = {VoStatus.STATE_WAITING: 'WAITING', VoStatus.STATE_INITIALIZING: 'INITIALIZING', VoStatus.STATE_SCALING: 'SCALING',
+          VoStatus.STATE_TRACKING: 'TRACKING', VoStatus.STATE_LOST: 'LOST'}
+
+
+def pose_from_message(pose):
+    """4x4 transform of a geometry_msgs/Pose. ValueError for a quaternion that is zero or not finite."""
+    p, q = pose.position, pose.orientation
+    return geometry.pose_from_tq([p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
+
+
+class Robot:
+    """What was heard from a robot's odometry node."""
+
+    def __init__(self):
+        self.odometry = {}  # stamp -> T_map_base
+        self.last_status = None
+        self.processing, self.lost, self.frames = 0.0, 0, 0
+
+    def heard(self, status):
+        self.last_status = status
+        self.frames += 1
+        self.processing += status.processing_time
+        self.lost += status.state == VoStatus.STATE_LOST
+
+    def state(self):
+        return {'state': STATES.get(self.last_status.state, str(self.last_status.state)), 'reason': self.last_status.reason,
+                'processing_ms': 1000 * self.processing / self.frames, 'lost': self.lost}
+
+
+class Recorder:
+    """Listens to diagnostics and tf; a report's own recorder adds its topics. `nodes`: names of the nodes that are watched."""
+
+    def __init__(self, begin, nodes):
+        self.lock = threading.Lock()
+        self.begin, self.nodes = begin, nodes
+        self.progress = {}  # node -> newest stamp of its output [s]
+        self.diagnostics = {}  # hardware id -> {key: value} of the last message
+        self.tf_publishers = {}  # 'parent -> child': names of the nodes that publish it
+        self.last_output = time.monotonic()
+        self.subscribers = [rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100),
+                            rospy.Subscriber('/tf', TFMessage, self.on_tf, queue_size=1000)]
+
+    def touch(self):
+        self.last_output = time.monotonic()
+
+    def advance(self, node, stamp):
+        if stamp >= self.begin and stamp > self.progress.get(node, 0.0):
+            self.progress[node] = stamp
+
+    def on_diagnostics(self, message):
+        with self.lock:
+            for status in message.status:
+                # "<node>: <task>", as diagnostic_updater names them; two instances of a program share their hardware id.
+                for name in (status.name.split(':')[0].strip().lstrip('/'), status.hardware_id):
+                    if name in self.nodes:
+                        self.diagnostics[name] = {v.key: v.value for v in status.values}
+                        break
+
+    def on_tf(self, message):
+        node = message._connection_header.get('callerid', '?').lstrip('/')
+        with self.lock:
+            for edge in message.transforms:
+                name = f'{edge.header.frame_id.lstrip("/")} -> {edge.child_frame_id.lstrip("/")}'
+                self.tf_publishers.setdefault(name, set()).add(node)
+
+    def losses(self):
+        """A line for each counter of dropped data in the last diagnostics."""
+        with self.lock:
+            return [f'{node}: {key}: {value}' for node, values in sorted(self.diagnostics.items()) for key, value in values.items()
+                    if 'dropped' in key and value.strip() not in ('', '0')]
+
+
+class CpuLoad:
+    """CPU time that the nodes use, from /proc (zero for nodes on other machines)."""
+
+    def __init__(self, nodes):
+        self.nodes = nodes
+        self.processes = {}
+        self.previous = {}
+        self.last_lookup = 0.0
+
+    def cores(self):
+        """Mean number of cores that each node kept busy since the last call: name -> cores."""
+        now = time.monotonic()
+        if len(self.processes) < len(self.nodes) and now - self.last_lookup > 2.0:
+            self.last_lookup = now
+            self._find()
+        result = {}
+        for name, pid in self.processes.items():
+            try:
+                with open(f'/proc/{pid}/stat', encoding='ascii') as stream:
+                    words = stream.read().rsplit(')', 1)[1].split()
+                used = (int(words[11]) + int(words[12])) / os.sysconf('SC_CLK_TCK')
+            except (OSError, IndexError):
+                continue
+            before = self.previous.get(name)
+            self.previous[name] = (now, used)
+            if before is not None:
+                result[name] = max(0.0, used - before[1]) / max(now - before[0], 1e-3)
+        return result
+
+    def _find(self):
+        master = rosgraph.Master(CALLER)
+        for name in self.nodes:
+            if name not in self.processes:
+                try:
+                    uri = master.lookupNode(rospy.resolve_name(name))
+                    self.processes[name] = xmlrpc.client.ServerProxy(uri).getPid(CALLER)[2]
+                except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+                    continue
+
+
+class Pacer:
+    """Holds the player while a node lags, and lets go when the one that lags is idle (it is then waiting for data).
+
+    limits: node -> how far behind the clock its output may be [s of the bag].
+    """
+
+    def __init__(self, recorder, player, limits):
+        self.recorder, self.limits = recorder, limits
+        self.service = rospy.ServiceProxy(player + '/pause_playback', SetBool)
+        self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
+        self.paused, self.held, self.since = False, 0.0, None
+
+    def step(self, now):
+        """now: time of the bag [s]."""
+        wall = time.monotonic()
+        if wall - self.last_load > 1.0:
+            self.last_load = wall
+            self.busy = {name for name, cores in self.load.cores().items() if cores > 0.1}
+        with self.recorder.lock:
+            lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
+                    if name in self.busy and name in self.limits}
+        lag = max(lags.values(), default=0.0)
+        if not self.paused and lag > 1.0:
+            self._set(True)
+        elif self.paused and lag < 0.6:
+            self._set(False)
+
+    def release(self):
+        if self.paused:
+            self._set(False)
+
+    def _set(self, pause):
+        try:
+            self.service(pause)
+        except (rospy.ServiceException, rospy.ROSException):
+            return  # the player has ended
+        if pause:
+            self.since = time.monotonic()
+        elif self.since is not None:
+            self.held += time.monotonic() - self.since
+        self.paused = pause
+
+
+def node_exists(name):
+    try:
+        rosgraph.Master(CALLER).lookupNode(rospy.resolve_name(name))
+        return True
+    except (rosgraph.MasterException, OSError):
+        return False
+
+
+def subscribes(node, topic):
+    """True once the node has subscribed to the topic: its constructor has come so far."""
+    try:
+        subscribers = dict(rosgraph.Master(CALLER).getSystemState()[1])
+    except (rosgraph.MasterException, OSError):
+        return False
+    return rospy.resolve_name(node) in subscribers.get(rospy.resolve_name(topic), [])
+
+
+def start_player(player, ready, timeout=600.0):
+    """Lets a player that began paused go once `ready()`; False when it or the player did not come."""
+    begin = time.monotonic()
+    while not rospy.is_shutdown() and not ready():
+        if time.monotonic() - begin > timeout:
+            return False
+        time.sleep(0.2)
+    try:
+        rospy.wait_for_service(player + '/pause_playback', timeout=60.0)
+        time.sleep(1.0)  # connections of topics that the player advertises at its start
+        rospy.ServiceProxy(player + '/pause_playback', SetBool)(False)
+        return True
+    except (rospy.ROSException, rospy.ServiceException):
+        return False
+
+
+def play_to_end(recorder, player, end, limits, summary):
+    """Returns, when the bag has ended, for how long the player was held [s]. Shows summary() at every 10 % of the bag."""
+    pacer = Pacer(recorder, player, limits)
+    shown, seen_player, started = 0, False, time.monotonic()
+    while not rospy.is_shutdown():
+        now = rospy.get_time()
+        if now > 0:
+            pacer.step(now)
+            tenth = int(10 * (now - recorder.begin) / max(end - recorder.begin, 1e-3))
+            if tenth > shown and tenth <= 10:
+                shown = tenth
+                rospy.loginfo('replay %d %%: %s', 10 * tenth, summary())
+            if now >= end - 0.05:
+                break
+        exists = node_exists(player)
+        seen_player = seen_player or exists
+        if (seen_player and not exists) or (not seen_player and time.monotonic() - started > 30):
+            break
+        time.sleep(0.1)
+    pacer.release()
+    if not seen_player:
+        rospy.logerr('the player %s did not start: is the bag readable?', player)
+    return pacer.held
+
+
+def wait_for_rest(recorder, idle_time, limit):
+    """Returns when the nodes publish nothing more and use little CPU, at the latest after `limit` [s]."""
+    load = CpuLoad(recorder.nodes)
+    begin = quiet_since = time.monotonic()
+    load.cores()
+    while not rospy.is_shutdown() and time.monotonic() - begin < limit:
+        time.sleep(min(1.0, idle_time))
+        now = time.monotonic()
+        if sum(load.cores().values()) > 0.3 or now - recorder.last_output < 1.0:
+            quiet_since = now
+        if now - quiet_since >= idle_time:
+            return
+    rospy.logwarn('the nodes were still busy %.0f s after the end of the bag; the report is written now', limit)
+
+
+def save(service, kind, path, notes):
+    """Calls a node's save service; says in `notes` why nothing came."""
+    try:
+        rospy.wait_for_service(service, timeout=2.0)
+        answer = rospy.ServiceProxy(service, kind)(path)
+    except (rospy.ROSException, rospy.ServiceException) as error:
+        notes.append(f'{service}: {error}')
+        return False
+    if not answer.success:
+        notes.append(f'{service}: {answer.message}')
+    return answer.success and os.path.isfile(path)
+
+
+def take_screenshot(path, notes):
+    """A picture of rviz's window through X; needs xwininfo (x11-utils) and import (ImageMagick)."""
+    if not os.environ.get('DISPLAY'):
+        notes.append('no screenshot: there is no DISPLAY')
+        return
+    try:
+        tree = subprocess.run(['xwininfo', '-root', '-tree'], capture_output=True, text=True, timeout=10, check=True).stdout
+        windows = re.findall(r'(0x[0-9a-f]+) "[^"]*RViz[^"]*".*?(\d+)x(\d+)\+', tree)
+        if not windows:
+            notes.append('no screenshot: rviz shows no window')
+            return
+        window = max(windows, key=lambda w: int(w[1]) * int(w[2]))[0]
+        subprocess.run(['import', '-window', window, path], capture_output=True, text=True, timeout=30, check=True)
+    except (OSError, subprocess.SubprocessError) as error:
+        notes.append(f'no screenshot: {error}')
+
+
+def find_program(name):
+    """Path of a program of this package: beside the scripts, in the package's lib folder, or on PATH."""
+    import rospkg
+    scripts = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+    candidates = [os.path.join(scripts, name)]
+    for prefix in os.environ.get('CMAKE_PREFIX_PATH', '').split(os.pathsep):
+        candidates.append(os.path.join(prefix, 'lib', 'air_ground', name))
+    candidates.append(os.path.join(rospkg.RosPack().get_path('air_ground'), '..', '..', 'lib', 'air_ground', name))
+    for candidate in candidates:
+        if os.access(candidate, os.X_OK):
+            return candidate
+    return shutil.which(name) or name

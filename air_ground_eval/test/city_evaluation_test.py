@@ -1,0 +1,105 @@
+#!/usr/bin/env python3
+"""Dead reckoning, errors along the way and where world lies: against made truth."""
+import os
+import sys
+import unittest
+
+import numpy as np
+import rosunit
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
+from air_ground_eval import city_database, city_evaluation, geometry  # noqa: E402
+
+DURATION = 20.0
+
+
+def truth_at(t):
+    """2 m/s along an S, body tilted."""
+    yaw = 0.4 * np.sin(0.3 * t)
+    return geometry.pose(geometry.rotation_z(yaw) @ np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]]),
+                         (2 * t, 3 * np.sin(0.3 * t), 5 + np.sin(0.2 * t)))
+
+
+class CityEvaluation(unittest.TestCase):
+    def steps(self, metric=True, factor=1.0):
+        times = np.arange(0, DURATION, 0.1)
+        poses = [truth_at(t) for t in times]
+        result = []
+        for a, b, ta, tb in zip(poses, poses[1:], times, times[1:]):
+            motion = geometry.inverse(a) @ b
+            motion[:3, 3] *= factor
+            result.append(city_evaluation.Increment(ta, tb, motion, np.diag([1e-4] * 3 + [1e-6]), metric))
+        return result, {t: p[:3, :3] for t, p in zip(times, poses)}, poses
+
+    def test_exact_increments_return_the_truth(self):
+        """Also of a tilted body and with an unknown unit: a wrong sign or a neglected tilt is metres."""
+        steps, attitudes, poses = self.steps(metric=False, factor=0.25)
+        start = np.append(poses[0][:3, 3], city_evaluation.yaw_of(poses[0]))
+        result = city_evaluation.dead_reckoning(steps, 0.0, start, np.zeros((4, 4)), 4.0, attitudes)
+        self.assertLess(np.abs(result.positions - np.array([p[:3, 3] for p in poses])).max(), 1e-9)
+        self.assertLess(np.abs(result.yaws - city_evaluation.yaw_of(np.array(poses))).max(), 1e-9)
+
+    def test_covariance_is_the_spread(self):
+        steps, attitudes, poses = self.steps()
+        start = np.append(poses[0][:3, 3], city_evaluation.yaw_of(poses[0]))
+        stated = city_evaluation.dead_reckoning(steps, 0.0, start, np.zeros((4, 4)), 1.0, attitudes).deviations[-1]
+        random = np.random.default_rng(5)
+        ends = []
+        for _ in range(200):
+            noisy = [city_evaluation.Increment(s.previous_stamp, s.stamp, s.motion @ geometry.pose(
+                geometry.rotation_z(1e-3 * random.standard_normal()), 1e-2 * random.standard_normal(3)), s.covariance) for s in steps]
+            end = city_evaluation.dead_reckoning(noisy, 0.0, start, np.zeros((4, 4)), 1.0, attitudes)
+            ends.append(np.append(end.positions[-1], end.yaws[-1]))
+        self.assertTrue(np.allclose(np.std(ends, axis=0), stated, rtol=0.2), (np.std(ends, axis=0), stated))
+
+    def test_errors_by_hand(self):
+        times = np.arange(0, 10.01, 0.1)
+        way = city_evaluation.Way(times, np.array([geometry.pose(geometry.rotation_z(3.1), (5 * t, 0, 0)) for t in times]))
+        self.assertAlmostEqual(way.distance[-1], 50.0)
+        offset = np.array([(3, 0, 4)] * 51)
+        deviations = np.tile([3.0, 1.0, 4.0, 0.1], (51, 1))
+        covariances = np.tile(np.diag([9.0, 1.0, 16.0, 0.01]), (51, 1, 1))
+        at = times[::2]
+        estimated = city_evaluation.Estimated(at, np.column_stack([5 * at, 0 * at, 0 * at]) + offset, np.full(51, -3.1), deviations, covariances)
+        v = city_evaluation.statistics(way, estimated)
+        self.assertAlmostEqual(v['position_error_mean_m'], 5.0)
+        self.assertAlmostEqual(v['horizontal_error_mean_m'], 3.0)
+        self.assertAlmostEqual(v['stated_sigma_z_mean_m'], 4.0)
+        yaw = 2 * np.pi - 6.2  # across the seam
+        self.assertAlmostEqual(v['yaw_error_max_deg'], np.degrees(yaw))
+        self.assertAlmostEqual(v['nees_mean'], 1 + 1 + (yaw / 0.1) ** 2)
+        ends, table = city_evaluation.along_the_way(way, {'x': estimated.after(6.0)})
+        self.assertEqual(list(ends), [25.0, 50.0])
+        self.assertTrue(np.isnan(table['x'][0][0]))
+        self.assertAlmostEqual(table['x'][0][1], 5.0)
+        self.assertAlmostEqual(table['x'][1][1], np.sqrt(26))
+
+    def test_fixes(self):
+        times = np.array([0.0, 0.2])
+        way = city_evaluation.Way(times, np.array([np.eye(4)] * 2))
+        near, far = geometry.pose(None, (1, 0, 0)), geometry.pose(geometry.rotation_z(0.2), (0, 0, 0))
+        rows = city_evaluation.fix_errors(way, [city_evaluation.Fix(0.1, near, 0.25 * np.eye(6)), city_evaluation.Fix(0.1, far, np.eye(6)),
+                                                city_evaluation.Fix(5.0, near, np.eye(6))])
+        self.assertEqual([row['wrong'] for row in rows], [False, True])
+        self.assertAlmostEqual(rows[0]['normalised'], 4.0)
+
+    def test_frame(self):
+        """Against the geodetic definition: a minute of latitude is 1852 m to a percent, east is east, up is up."""
+        frame = city_database.WorldFrame('EPSG:4326', (8.5, 47.4, 400.0), 47.0)
+        x, y, z = frame.from_geodetic(np.array([47.4, 47.4 + 1 / 60, 47.4]), np.array([8.5, 8.5, 8.5 + 1 / 60]), np.full(3, 450.0)).T
+        self.assertTrue(np.allclose((x[0], y[0], z[0]), (0, 0, 3), atol=1e-6))
+        self.assertTrue(np.allclose((x[1], y[1]), (0, 1853), atol=2), (x, y))
+        self.assertTrue(np.allclose((x[2], y[2]), (1855 * np.cos(np.radians(47.4)), 0), atol=5), (x, y))
+
+    def test_parameters_of_the_tracker(self):
+        city = city_database.City('EPSG:2056', np.array([2600000.0, 1200000.0, 500.0]))
+        parameters = city_database.tracker_parameters(city, {'magnetic_declination': 2})
+        self.assertEqual(parameters, {'origin_crs': 'EPSG:2056', 'origin': [2600000.0, 1200000.0, 500.0], 'declination': 2.0})
+        with self.assertRaises(city_database.CityError):
+            city_database.tracker_parameters(city, {'crs': 'EPSG:2056', 'origin': [0, 0, 0]})
+        with self.assertRaises(city_database.CityError):
+            city_database.read_city('/nowhere.gpkg')
+
+
+if __name__ == '__main__':
+    rosunit.unitrun('air_ground', 'city_evaluation_test', CityEvaluation)
