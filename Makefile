@@ -1,8 +1,9 @@
 # The commands of the suite; each installs what is missing, builds what changed, and runs.
-#   make demo    replays an indoor world through roslaunch to one aligned, augmented map; results in out/
-#   make test    builds and runs every test
-#   make bench   prints the benchmarks, as ratios against plain references
-#   make build   builds all of it into _build/
+#   make demo       replays an indoor world through roslaunch to one aligned, augmented map; results in out/
+#   make demo-city  replays a flight along a street: odometry, localization in a city model, tracking; results in out-city/
+#   make test       builds and runs every test
+#   make bench      prints the benchmarks, as ratios against plain references
+#   make build      builds all of it into _build/
 # Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
 
 SHELL := /bin/bash
@@ -11,6 +12,7 @@ ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
 BUILD := $(ROOT)_build
 JOBS ?= $(shell nproc)
 OUT ?= $(ROOT)out
+OUT_CITY ?= $(ROOT)out-city
 
 # Another python3 may stand before the distribution's, which alone knows catkin_pkg and rospy.
 export PATH := /usr/bin:$(PATH)
@@ -21,7 +23,7 @@ export AIR_GROUND_CACHE ?= $(ROOT).cache
 NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
 ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
 
-.PHONY: build demo test bench packages clean
+.PHONY: build demo demo-city test bench packages clean
 
 packages:
 	@$(ROOT)tools/install_packages
@@ -37,6 +39,9 @@ build: packages
 
 demo: build
 	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && rosrun air_ground run_demo $(OUT)
+
+demo-city: build
+	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
 
 test: build
 	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && cd $(BUILD) && ctest --output-on-failure

@@ -12,9 +12,12 @@ import rosunit
 import yaml
 
 ROOT = rospkg.RosPack().get_path('air_ground')
-NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine')
+NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine', 'streetview_localizer', 'ekf_tracker')
+LAUNCH_FILES = ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch', 'tracker.launch', 'city_localizer.launch', 'city.launch')
+# What city.launch sets itself in the files that it includes.
+SET_BY_CITY = {'database', 'bag', 'rviz', 'rviz_config', 'rate', 'start', 'images', 'camera', 'cameras', 'period', 'mav_camera_frame', 'tracker_name'}
 # Set by the launch files' arguments, so not in the parameter files.
-BY_LAUNCH = {'map_frame', 'odom_frame', 'base_frame', 'publish_tf', 'ground_map_frame', 'mav_map_frame'}
+BY_LAUNCH = {'map_frame', 'odom_frame', 'base_frame', 'publish_tf', 'ground_map_frame', 'mav_map_frame', 'database'}
 
 
 def read(*path):
@@ -23,7 +26,7 @@ def read(*path):
 
 
 def sources(node):
-    return '\n'.join(read(path) for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', '*.cpp')))
+    return '\n'.join(read(path) for kind in ('cpp', 'h') for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', f'*.{kind}')))
 
 
 def arguments(launch):
@@ -47,7 +50,7 @@ class Documentation(unittest.TestCase):
         page = read('docs', 'frames_and_topics.md')
         documented = dict(re.findall(r'^\| `(\w+)` \| (?:`([^`]*)`)?', page, re.M))
         existing = {}
-        for launch in ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch'):
+        for launch in reversed(LAUNCH_FILES):
             existing.update(arguments(launch))
         self.assertEqual(sorted(existing), sorted(documented))
         for name, default in documented.items():
@@ -61,21 +64,27 @@ class Documentation(unittest.TestCase):
         for part in ('mav.launch', 'ground.launch'):
             for name, default in arguments(part).items():
                 self.assertEqual(both.get(name), default, f'{name} in {part} and air_ground.launch')
+        city = arguments('city.launch')
+        for part in ('mav.launch', 'tracker.launch', 'city_localizer.launch'):
+            for name, default in arguments(part).items():
+                if name not in SET_BY_CITY:
+                    self.assertEqual(city.get(name), default, f'{name} in {part} and city.launch')
 
     def test_topics_of_the_nodes_are_arguments(self):
         """Every relative topic in a node's source is remapped by an argument of the same default, and documented."""
         page = read('docs', 'frames_and_topics.md')
-        defaults = set(arguments('air_ground.launch').values())
+        defaults = set(arguments('air_ground.launch').values()) | set(arguments('city.launch').values())
         for node in NODES:
             topics = set(re.findall(r'(?:advertise<[\w:]+>|subscribe(?:<[\w:]+>)?)\(\s*"([^"~]+)"', sources(node)))
             self.assertTrue(topics, node)
             for topic in topics:
                 self.assertIn(topic, defaults, f'{node}: no launch argument for the topic {topic}')
                 self.assertIn(f'`{topic}`', page, f'{node}: {topic} is not documented')
-        for launch in ('mav.launch', 'ground.launch'):
+        for launch in ('mav.launch', 'ground.launch', 'tracker.launch', 'city_localizer.launch'):
             for node in ElementTree.fromstring(read('launch', launch)).findall('node'):
                 for remap in node.findall('remap'):
-                    self.assertIn(f'"{remap.get("from")}"', sources(node.get('name')), f'{launch}: {node.get("name")} does not use the topic')
+                    name = node.get('type').replace('_node', '')
+                    self.assertIn(f'"{remap.get("from")}"', sources(name), f'{launch}: {name} does not use the topic')
 
     def test_services_are_documented(self):
         page = read('docs', 'frames_and_topics.md')
@@ -106,18 +115,23 @@ class Documentation(unittest.TestCase):
             self.assertIsInstance(yaml.safe_load(read(path)), dict, path)
 
     def test_rviz_shows_existing_topics(self):
-        rviz = yaml.safe_load(read('config', 'rviz', 'air_ground.rviz'))
-        self.assertEqual(rviz['Visualization Manager']['Global Options']['Fixed Frame'], arguments('air_ground.launch')['ground_map_frame'])
-        known = {default for default in arguments('air_ground.launch').values() if default}
-        known |= {'alignment/height_map_air_cloud', 'alignment/height_map_ground_cloud'}
-        for display in rviz['Visualization Manager']['Displays']:
-            for key in ('Topic', 'Image Topic'):
-                if key in display:
-                    self.assertIn(display[key], known, display['Name'])
+        aerial, city = arguments('air_ground.launch'), arguments('city.launch')
+        shown = {'air_ground.rviz': (aerial['ground_map_frame'], set(aerial.values()) | {'alignment/height_map_air_cloud', 'alignment/height_map_ground_cloud'})}
+        topics = set(city.values()) | {'tracked_magnetometer/path'} | {f'report/{name}_path' for name in ('vo', 'gps', 'truth')}
+        shown['city.rviz'] = shown['city_tracking.rviz'] = (city['world_frame'], topics)
+        for name, (frame, known) in shown.items():
+            rviz = yaml.safe_load(read('config', 'rviz', name))
+            self.assertEqual(rviz['Visualization Manager']['Global Options']['Fixed Frame'], frame, name)
+            for display in rviz['Visualization Manager']['Displays']:
+                for key in ('Topic', 'Image Topic', 'Marker Topic'):
+                    if key in display:
+                        self.assertIn(display[key], known, f'{name}: {display["Name"]}')
 
     def test_launch_files_resolve(self):
         """roslaunch accepts each file, and every node in it is a program of its package."""
-        for launch, given in (('mav.launch', []), ('ground.launch', []), ('air_ground.launch', ['rviz:=true']), ('replay.launch', ['bag:=x.bag', 'out:=/tmp/x'])):
+        for launch, given in (('mav.launch', []), ('ground.launch', []), ('air_ground.launch', ['rviz:=true']), ('replay.launch', ['bag:=x.bag', 'out:=/tmp/x']),
+                              ('tracker.launch', []), ('city_localizer.launch', ['database:=x.gpkg', 'rviz:=true']), ('city.launch', ['db:=x.gpkg']),
+                              ('city.launch', ['db:=x.gpkg', 'bag:=x.bag', 'out:=/tmp/x', 'rviz:=true'])):
             config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
             self.assertEqual(config.config_errors, [], launch)
             for node in config.nodes:
