@@ -79,8 +79,9 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
 std::string cameraYaml(const air_ground_common::CameraModel& c) {
   std::ostringstream s;
   s << "# The MAV's camera (ROS calibration file, plumb_bob).\nimage_width: " << c.width << "\nimage_height: " << c.height
-    << "\ncamera_name: mav_camera\ndistortion_model: plumb_bob\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [" << c.fx << ", 0, " << c.cx << ", 0, " << c.fy << ", " << c.cy
-    << ", 0, 0, 1]\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [" << c.k1 << ", " << c.k2 << ", " << c.p1 << ", " << c.p2 << ", " << c.k3 << "]\n";
+    << "\ncamera_name: mav_camera\ndistortion_model: plumb_bob\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [" << c.fx << ", 0, " << c.cx
+    << ", 0, " << c.fy << ", " << c.cy << ", 0, 0, 1]\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [" << c.k1 << ", " << c.k2
+    << ", " << c.p1 << ", " << c.p2 << ", " << c.k3 << "]\n";
   return s.str();
 }
 
@@ -90,11 +91,13 @@ std::string cityYaml(const SimConfig& config, const Street& street, const LocalF
   std::ostringstream s;
   s.precision(12);
   s << "# Where the city lies and what belongs to it. Frame world: local east-north-up at `origin`, y to true north.\n"
-    << "crs: " << c.crs << "\norigin: [" << c.origin.x() << ", " << c.origin.y() << ", " << c.origin.z() << "]  # easting, northing, height of world's origin\n"
+    << "crs: " << c.crs << "\norigin: [" << c.origin.x() << ", " << c.origin.y() << ", " << c.origin.z()
+    << "]  # easting, northing, height of world's origin\n"
     << "geoid_undulation: " << c.geoid_undulation << "  # ellipsoidal height minus the height used in origin [m]; gps/fix is ellipsoidal\n"
     << "magnetic_declination: " << format("%.4f", std::atan2(field.x(), field.y()) / kDegree) << "  # [deg], east positive\n"
     << "meridian_convergence: " << format("%.5f", frame.meridianConvergence() / kDegree) << "  # from true to grid north, clockwise [deg]\n"
-    << "geotags: geotags.csv  # image, WGS 84, alt in the height system of origin [m]; heading of the image's centre, clockwise from true north, pitch up, roll right side down [deg]\n"
+    << "geotags: geotags.csv  # image, WGS 84, alt in the height system of origin [m]; heading of the image's centre, clockwise from true "
+       "north, pitch up, roll right side down [deg]\n"
     << "heading_reference: true_north\npanoramas: panoramas\nmodel: model.gml\nmodel_obj: model.obj\ncamera: camera.yaml\n"
     << "panorama_truth: panorama_truth.csv  # T_world_panorama: x to the image's centre, y left, z up\n"
     << "street: " << config.name << "\nseed: " << street.seed << '\n';
@@ -122,8 +125,9 @@ void writeCity(const SimConfig& config, const Street& street, const std::string&
   std::string tags = "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n", truth = "id,x,y,z,qx,qy,qz,qw\n";
   for (const auto& p : street.panoramas) {
     const Geotag g = geotagOf(frame, p.T_world_geotag);
-    tags += p.id + ".jpg," + format("%.9f", g.place.latitude) + "," + format("%.9f", g.place.longitude) + "," + format("%.3f", g.place.height) + "," + format("%.4f", g.heading) + "," +
-            format("%.4f", g.pitch) + "," + format("%.4f", g.roll) + "\n";
+    tags += p.id + ".jpg," + format("%.9f", g.place.latitude) + "," + format("%.9f", g.place.longitude) + "," +
+            format("%.3f", g.place.height) + "," + format("%.4f", g.heading) + "," + format("%.4f", g.pitch) + "," +
+            format("%.4f", g.roll) + "\n";
     truth += p.id + poseText(p.T_world_panorama) + "\n";
   }
   const Scene scene(buildStreetWorld(street, Season::kPanoramas));
@@ -132,7 +136,8 @@ void writeCity(const SimConfig& config, const Street& street, const std::string&
   for (std::size_t i = 0; i < street.panoramas.size(); ++i) {
     const auto& p = street.panoramas[i];
     renderPanorama(scene, p.T_world_panorama, c.panorama_width, c.panorama_samples, mix(street.seed, 5000 + i), &light);
-    writeImage(root / "panoramas" / (p.id + ".jpg"), develop(light, c.panorama_width, mix(street.seed, 6000 + i)), {cv::IMWRITE_JPEG_QUALITY, 92});
+    writeImage(root / "panoramas" / (p.id + ".jpg"), develop(light, c.panorama_width, mix(street.seed, 6000 + i)),
+               {cv::IMWRITE_JPEG_QUALITY, 92});
     if (progress) progress(static_cast<int>(i) + 1, static_cast<int>(street.panoramas.size()));
   }
   writeText(root / "camera.yaml", cameraYaml(config.mav_camera.camera));

@@ -69,33 +69,40 @@ void writeCityGml(const std::string& path, const Street& street, const air_groun
   std::ostringstream members;
   Vector3d low = Vector3d::Constant(1e30), high = -low;
   for (const auto& b : street.buildings) {
-    members << "  <core:cityObjectMember>\n    <bldg:Building gml:id=\"" << b.id << "\">\n      <bldg:measuredHeight uom=\"m\">" << number(b.eaves + b.roof_rise)
-            << "</bldg:measuredHeight>\n      <bldg:storeysAboveGround>" << b.floors << "</bldg:storeysAboveGround>\n";
+    members << "  <core:cityObjectMember>\n    <bldg:Building gml:id=\"" << b.id << "\">\n      <bldg:measuredHeight uom=\"m\">"
+            << number(b.eaves + b.roof_rise) << "</bldg:measuredHeight>\n      <bldg:storeysAboveGround>" << b.floors
+            << "</bldg:storeysAboveGround>\n";
     const auto surfaces = modelSurfaces(b, true);
     members << "      <bldg:lod2Solid>\n        <gml:Solid gml:id=\"" << b.id << "_solid\"><gml:exterior><gml:CompositeSurface>\n";
-    for (std::size_t i = 0; i < surfaces.size(); ++i) members << "          <gml:surfaceMember xlink:href=\"#" << b.id << "_poly_" << i << "\"/>\n";
+    for (std::size_t i = 0; i < surfaces.size(); ++i)
+      members << "          <gml:surfaceMember xlink:href=\"#" << b.id << "_poly_" << i << "\"/>\n";
     members << "        </gml:CompositeSurface></gml:exterior></gml:Solid>\n      </bldg:lod2Solid>\n";
     for (std::size_t i = 0; i < surfaces.size(); ++i) {
       const char* name = nameOf(surfaces[i].kind);
-      members << "      <bldg:boundedBy>\n        <bldg:" << name << " gml:id=\"" << b.id << "_surface_" << i << "\">\n          <bldg:lod2MultiSurface><gml:MultiSurface><gml:surfaceMember>\n"
-              << "            <gml:Polygon gml:id=\"" << b.id << "_poly_" << i << "\"><gml:exterior><gml:LinearRing><gml:posList srsDimension=\"3\">";
+      members << "      <bldg:boundedBy>\n        <bldg:" << name << " gml:id=\"" << b.id << "_surface_" << i
+              << "\">\n          <bldg:lod2MultiSurface><gml:MultiSurface><gml:surfaceMember>\n"
+              << "            <gml:Polygon gml:id=\"" << b.id << "_poly_" << i
+              << "\"><gml:exterior><gml:LinearRing><gml:posList srsDimension=\"3\">";
       for (std::size_t k = 0; k <= surfaces[i].polygon.size(); ++k) {
         const Vector3d p = frame.toCrs(surfaces[i].polygon[k % surfaces[i].polygon.size()]);
         low = low.cwiseMin(p);
         high = high.cwiseMax(p);
         members << (k ? " " : "") << number(p.x()) << ' ' << number(p.y()) << ' ' << number(p.z());
       }
-      members << "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon>\n          </gml:surfaceMember></gml:MultiSurface></bldg:lod2MultiSurface>\n        </bldg:"
+      members << "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon>\n          "
+                 "</gml:surfaceMember></gml:MultiSurface></bldg:lod2MultiSurface>\n        </bldg:"
               << name << ">\n      </bldg:boundedBy>\n";
     }
     members << "    </bldg:Building>\n  </core:cityObjectMember>\n";
   }
   std::ostringstream out;
-  out << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<core:CityModel xmlns:core=\"http://www.opengis.net/citygml/2.0\" xmlns:bldg=\"http://www.opengis.net/citygml/building/2.0\" "
-         "xmlns:gml=\"http://www.opengis.net/gml\" xmlns:xlink=\"http://www.w3.org/1999/xlink\">\n  <gml:boundedBy>\n    <gml:Envelope srsName=\""
-      << street.config.crs << "\" srsDimension=\"3\">\n      <gml:lowerCorner>" << number(low.x()) << ' ' << number(low.y()) << ' ' << number(low.z())
-      << "</gml:lowerCorner>\n      <gml:upperCorner>" << number(high.x()) << ' ' << number(high.y()) << ' ' << number(high.z())
-      << "</gml:upperCorner>\n    </gml:Envelope>\n  </gml:boundedBy>\n"
+  out << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<core:CityModel xmlns:core=\"http://www.opengis.net/citygml/2.0\" "
+         "xmlns:bldg=\"http://www.opengis.net/citygml/building/2.0\" "
+         "xmlns:gml=\"http://www.opengis.net/gml\" xmlns:xlink=\"http://www.w3.org/1999/xlink\">\n  <gml:boundedBy>\n    <gml:Envelope "
+         "srsName=\""
+      << street.config.crs << "\" srsDimension=\"3\">\n      <gml:lowerCorner>" << number(low.x()) << ' ' << number(low.y()) << ' '
+      << number(low.z()) << "</gml:lowerCorner>\n      <gml:upperCorner>" << number(high.x()) << ' ' << number(high.y()) << ' '
+      << number(high.z()) << "</gml:upperCorner>\n    </gml:Envelope>\n  </gml:boundedBy>\n"
       << members.str() << "</core:CityModel>\n";
   writeWhole(path, out.str());
 }

@@ -21,14 +21,17 @@ Eigen::Vector3d GpsReceiver::measure(const Eigen::Vector3d& position) {
   const double period = 1 / config_.rate;
   const Eigen::Vector3d measured = position + slow_ + echo_ + config_.noise * noise().cwiseProduct(Eigen::Vector3d(1, 1, 2));
   const double keep = std::exp(-period / config_.correlation_time), fresh = std::sqrt(1 - keep * keep);
-  slow_ = keep * slow_ + fresh * noise().cwiseProduct(Eigen::Vector3d(config_.horizontal_stddev, config_.horizontal_stddev, config_.vertical_stddev));
-  if (rng_.chance(1 - std::exp(-period / config_.jump_interval))) echo_ = config_.jump_stddev * noise().cwiseProduct(Eigen::Vector3d(1, 1, 3));
+  slow_ = keep * slow_ +
+          fresh * noise().cwiseProduct(Eigen::Vector3d(config_.horizontal_stddev, config_.horizontal_stddev, config_.vertical_stddev));
+  if (rng_.chance(1 - std::exp(-period / config_.jump_interval)))
+    echo_ = config_.jump_stddev * noise().cwiseProduct(Eigen::Vector3d(1, 1, 3));
   return measured;
 }
 
 double standardPressure(double height) { return 101325.0 * std::pow(1 - 0.0065 * height / 288.15, 5.25588); }
 
-Barometer::Barometer(const BarometerConfig& config, std::uint64_t seed) : config_(config), rng_(seed), offset_(config.weather_stddev * rng_.gaussian()) {}
+Barometer::Barometer(const BarometerConfig& config, std::uint64_t seed)
+    : config_(config), rng_(seed), offset_(config.weather_stddev * rng_.gaussian()) {}
 
 double Barometer::measure(double height) {
   const double pressure = standardPressure(height) + offset_ + config_.noise * rng_.gaussian();

@@ -205,7 +205,8 @@ void addBuildings(Street* street, Rng* rng) {
     }
   }
   for (auto& b : street->buildings)
-    b.model_error = Vector3d(c.model_lateral_stddev * rng->gaussian(), c.model_lateral_stddev * rng->gaussian(), c.model_height_stddev * rng->gaussian());
+    b.model_error = Vector3d(c.model_lateral_stddev * rng->gaussian(), c.model_lateral_stddev * rng->gaussian(),
+                             c.model_height_stddev * rng->gaussian());
 }
 
 // Photographs in place of painted facades, in turn; what stands out of a painted wall is left off.
@@ -264,10 +265,12 @@ void addStreetLife(Street* street, Rng* rng) {
           const Vector2d p = at(s, side * (kerb - 1.0));
           const bool parked = rng->chance(5.6 / 200 * c.cars);
           if (!parked || !clear(p, half + 1) || (p - start).norm() < 16) continue;
-          street->cars[season].push_back(standAt(*street, p, std::atan2(d.y(), d.x()) + (side > 0 ? M_PI : 0) + 0.02 * rng->gaussian(), rng));
+          street->cars[season].push_back(
+              standAt(*street, p, std::atan2(d.y(), d.x()) + (side > 0 ? M_PI : 0) + 0.02 * rng->gaussian(), rng));
         }
       for (int k = 0; k < count(c.people); ++k) {
-        const double lateral = rng->chance(0.8) ? rng->uniform(kerb + 0.3, half - 0.5) : rng->uniform(0, 0.7);  // not in the ways of MAV and vehicles
+        const double lateral =
+            rng->chance(0.8) ? rng->uniform(kerb + 0.3, half - 0.5) : rng->uniform(0, 0.7);  // not in the ways of MAV and vehicles
         const Vector2d p = at(rng->uniform(2, length - 2), (rng->chance(0.5) ? 1 : -1) * lateral);
         if ((p - start).norm() > 12) street->people[season].push_back(standAt(*street, p, rng->uniform(0, 2 * M_PI), rng));
       }
@@ -296,7 +299,8 @@ void addPanoramas(Street* street, Rng* rng) {
       // Yaw, then pitch (nose up is negative about y left), then roll.
       stand.T_world_panorama.linear() =
           (Eigen::AngleAxisd(yaw, Vector3d::UnitZ()) * Eigen::AngleAxisd(-rise + 0.008 * rng->gaussian(), Vector3d::UnitY()) *
-           Eigen::AngleAxisd(0.012 * rng->gaussian(), Vector3d::UnitX())).toRotationMatrix();
+           Eigen::AngleAxisd(0.012 * rng->gaussian(), Vector3d::UnitX()))
+              .toRotationMatrix();
       // Satellite positions of neighbours err alike; the common part is renewed over some 40 m.
       const double keep = std::exp(-c.panorama_spacing / 40), fresh = std::sqrt(1 - keep * keep);
       Vector3d own, turn;

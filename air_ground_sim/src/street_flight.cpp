@@ -11,10 +11,10 @@ namespace {
 using Eigen::Vector2d;
 using Eigen::Vector3d;
 
-constexpr double kStep = 0.1;            // [m]
-constexpr double kAcceleration = 0.7;    // along the way [m/s^2]
-constexpr double kLateral = 1.0;         // in curves [m/s^2]
-constexpr double kYawRate = 0.4;         // [rad/s]
+constexpr double kStep = 0.1;          // [m]
+constexpr double kAcceleration = 0.7;  // along the way [m/s^2]
+constexpr double kLateral = 1.0;       // in curves [m/s^2]
+constexpr double kYawRate = 0.4;       // [rad/s]
 
 struct Leg {
   Vector2d from, to, direction;
@@ -81,8 +81,10 @@ struct Schedule {
       if (curvature > 1e-4) speed[i] = std::min({cruise, std::sqrt(kLateral / curvature), kYawRate / curvature});
     }
     speed.front() = speed.back() = 0.1;
-    for (std::size_t i = 1; i < n; ++i) speed[i] = std::min(speed[i], std::sqrt(speed[i - 1] * speed[i - 1] + 2 * kAcceleration * (arc[i] - arc[i - 1])));
-    for (std::size_t i = n - 1; i-- > 0;) speed[i] = std::min(speed[i], std::sqrt(speed[i + 1] * speed[i + 1] + 2 * kAcceleration * (arc[i + 1] - arc[i])));
+    for (std::size_t i = 1; i < n; ++i)
+      speed[i] = std::min(speed[i], std::sqrt(speed[i - 1] * speed[i - 1] + 2 * kAcceleration * (arc[i] - arc[i - 1])));
+    for (std::size_t i = n - 1; i-- > 0;)
+      speed[i] = std::min(speed[i], std::sqrt(speed[i + 1] * speed[i + 1] + 2 * kAcceleration * (arc[i + 1] - arc[i])));
     for (std::size_t i = 1; i < n; ++i) time[i] = time[i - 1] + (arc[i] - arc[i - 1]) / (0.5 * (speed[i] + speed[i - 1]));
   }
 
@@ -119,17 +121,22 @@ BodyTrajectory makeStreetFlight(const Street& street, const FlightConfig& f, std
       period[axis][k] = f.sway_period * rng.uniform(0.8, 1.1) * (k ? 1.45 : 1.0);
       shift[axis][k] = rng.uniform(0, 2 * M_PI);
     }
-  return BodyTrajectory(splineAlong(f.duration, [&](double t) -> Eigen::Vector4d {
-    const double tf = t - f.stand_still, envelope = smoothStep(tf / 2.0);
-    const Eigen::Vector4d s = schedule.at(std::max(0.0, tf - 2.0));
-    Vector3d p(s[0], s[1], 0);
-    const double ground = street.ground(p.head<2>());
-    p.z() = ground + kStandingHeight + (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / 6.0);
-    for (int axis = 0; axis < 3; ++axis)
-      for (int k = 0; k < 2; ++k) p[axis] += envelope * amplitude[axis][k] * std::sin(2 * M_PI / period[axis][k] * tf + shift[axis][k]);
-    const double yaw = s[2] + envelope * (0.12 * std::sin(2 * M_PI * tf / 13 + yaw_phase) + 0.04 * std::sin(2 * M_PI * tf / 4.7));
-    return {p.x(), p.y(), p.z(), yaw};
-  }), true);
+  return BodyTrajectory(
+      splineAlong(f.duration,
+                  [&](double t) -> Eigen::Vector4d {
+                    const double tf = t - f.stand_still, envelope = smoothStep(tf / 2.0);
+                    const Eigen::Vector4d s = schedule.at(std::max(0.0, tf - 2.0));
+                    Vector3d p(s[0], s[1], 0);
+                    const double ground = street.ground(p.head<2>());
+                    p.z() = ground + kStandingHeight + (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / 6.0);
+                    for (int axis = 0; axis < 3; ++axis)
+                      for (int k = 0; k < 2; ++k)
+                        p[axis] += envelope * amplitude[axis][k] * std::sin(2 * M_PI / period[axis][k] * tf + shift[axis][k]);
+                    const double yaw =
+                        s[2] + envelope * (0.12 * std::sin(2 * M_PI * tf / 13 + yaw_phase) + 0.04 * std::sin(2 * M_PI * tf / 4.7));
+                    return {p.x(), p.y(), p.z(), yaw};
+                  }),
+      true);
 }
 
 std::vector<air_ground_common::Pose> posesAlongLine(const Street& street, int line, const FlightConfig& f, double step) {

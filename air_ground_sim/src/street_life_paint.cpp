@@ -59,7 +59,8 @@ Vec3f groundBehind(float x, float y, Season season, std::uint32_t s) {
 }  // namespace
 
 cv::Mat paintGround(const Street& street, const Patch& patch, Season season) {
-  const int w = std::max(4, static_cast<int>(std::lround(patch.width / patch.texel))), h = std::max(4, static_cast<int>(std::lround(patch.height / patch.texel)));
+  const int w = std::max(4, static_cast<int>(std::lround(patch.width / patch.texel))),
+            h = std::max(4, static_cast<int>(std::lround(patch.height / patch.texel)));
   cv::Mat image(h, w, CV_8UC3);
   const StreetConfig& c = street.config;
   const double half = 0.5 * c.width, kerb = half - c.sidewalk;
@@ -74,7 +75,8 @@ cv::Mat paintGround(const Street& street, const Patch& patch, Season season) {
   for (std::size_t i = 0; i < c.lines.size(); ++i) {
     const Eigen::Vector2d d = c.lines[i].to - c.lines[i].from;
     const double t = std::clamp((middle - c.lines[i].from).dot(d) / d.squaredNorm(), 0.0, 1.0);
-    if ((c.lines[i].from + t * d - middle).norm() < half + std::hypot(patch.width, patch.height)) lines.push_back({c.lines[i].from, d.normalized(), d.norm(), static_cast<int>(i)});
+    if ((c.lines[i].from + t * d - middle).norm() < half + std::hypot(patch.width, patch.height))
+      lines.push_back({c.lines[i].from, d.normalized(), d.norm(), static_cast<int>(i)});
   }
   const Eigen::Vector3f origin = patch.point(0, 0), du = patch.point(1, 0) - origin, dv = patch.point(0, 1) - origin;
 #pragma omp parallel for schedule(dynamic, 8)
@@ -87,7 +89,9 @@ cv::Mat paintGround(const Street& street, const Patch& patch, Season season) {
         if (across < g.across) g = {across, along + 1000, l.index};
       }
       const auto fx = static_cast<float>(p.x()), fy = static_cast<float>(p.y());
-      image.at<cv::Vec3b>(y, x) = bytes(g.across < kerb ? roadAt(fx, fy, g, kerb, s) : g.across < half + 0.6 ? sidewalkAt(fx, fy, g, kerb, s) : groundBehind(fx, fy, season, s));
+      image.at<cv::Vec3b>(y, x) = bytes(g.across < kerb         ? roadAt(fx, fy, g, kerb, s)
+                                        : g.across < half + 0.6 ? sidewalkAt(fx, fy, g, kerb, s)
+                                                                : groundBehind(fx, fy, season, s));
     }
   return image;
 }
@@ -97,8 +101,10 @@ cv::Mat paintThing(Thing thing, std::uint64_t seed, Season season, double width,
   cv::Mat image(h, w, CV_8UC3);
   Rng rng(mix(seed, 5));
   const auto s = static_cast<std::uint32_t>(rng.next());
-  static const Vec3f paint[] = {{36, 38, 42}, {200, 202, 204}, {150, 152, 156}, {160, 34, 32}, {36, 60, 110}, {220, 218, 212}, {60, 84, 70}, {90, 94, 100}};
-  static const Vec3f cloth[] = {{40, 44, 60}, {120, 40, 44}, {180, 176, 166}, {60, 90, 70}, {70, 100, 150}, {30, 30, 32}, {200, 170, 70}, {140, 110, 84}};
+  static const Vec3f paint[] = {{36, 38, 42},  {200, 202, 204}, {150, 152, 156}, {160, 34, 32},
+                                {36, 60, 110}, {220, 218, 212}, {60, 84, 70},    {90, 94, 100}};
+  static const Vec3f cloth[] = {{40, 44, 60},   {120, 40, 44}, {180, 176, 166}, {60, 90, 70},
+                                {70, 100, 150}, {30, 30, 32},  {200, 170, 70},  {140, 110, 84}};
   Vec3f color(200, 160, 130);
   if (thing == Thing::kCarBody || thing == Thing::kCarGlass) color = paint[rng.integer(8)];
   if (thing == Thing::kClothes) color = cloth[rng.integer(8)];
@@ -114,12 +120,15 @@ cv::Mat paintThing(Thing thing, std::uint64_t seed, Season season, double width,
       switch (thing) {
         case Thing::kCarBody:
           c *= 0.8f + 0.35f * v + 0.05f * valueNoise(3 * px, 5 * pz, s);
-          if (width > 2.5 && (std::abs(u - 0.35f) < 0.003f || std::abs(u - 0.62f) < 0.003f)) c *= 0.4f;                      // door gaps
-          if (width > 2.5 && std::abs(v - 0.68f) < 0.03f && (std::abs(u - 0.42f) < 0.025f || std::abs(u - 0.69f) < 0.025f)) c *= 0.5f;  // handles
+          if (width > 2.5 && (std::abs(u - 0.35f) < 0.003f || std::abs(u - 0.62f) < 0.003f)) c *= 0.4f;  // door gaps
+          if (width > 2.5 && std::abs(v - 0.68f) < 0.03f && (std::abs(u - 0.42f) < 0.025f || std::abs(u - 0.69f) < 0.025f))
+            c *= 0.5f;  // handles
           if (width > 2.5 && (std::hypot(px - 0.18 * width, pz - 0.05) < 0.33 || std::hypot(px - 0.8 * width, pz - 0.05) < 0.33))
-            c = std::hypot(px - 0.18 * width, pz - 0.05) < 0.2 || std::hypot(px - 0.8 * width, pz - 0.05) < 0.2 ? Vec3f(140, 142, 144) : Vec3f(26, 26, 28);  // wheels
-          if (width < 2.5 && (u < 0.18f || u > 0.82f) && v > 0.5f && v < 0.8f) c = Vec3f(210, 200, 190);                   // lamps
-          if (width < 2.5 && std::abs(u - 0.5f) < 0.15f && std::abs(v - 0.35f) < 0.09f) c = Vec3f(226, 224, 216);         // number plate
+            c = std::hypot(px - 0.18 * width, pz - 0.05) < 0.2 || std::hypot(px - 0.8 * width, pz - 0.05) < 0.2
+                    ? Vec3f(140, 142, 144)
+                    : Vec3f(26, 26, 28);                                                                           // wheels
+          if (width < 2.5 && (u < 0.18f || u > 0.82f) && v > 0.5f && v < 0.8f) c = Vec3f(210, 200, 190);           // lamps
+          if (width < 2.5 && std::abs(u - 0.5f) < 0.15f && std::abs(v - 0.35f) < 0.09f) c = Vec3f(226, 224, 216);  // number plate
           break;
         case Thing::kCarGlass:
           if (std::abs(u - 0.5f) > 0.46f || std::abs(v - 0.45f) > 0.4f || std::abs(u - 0.5f) < 0.02f) break;
@@ -130,8 +139,11 @@ cv::Mat paintThing(Thing thing, std::uint64_t seed, Season season, double width,
           c *= a < -0.35f ? 0.4f : 1 + 0.7f * a;
           break;
         }
-        case Thing::kBark: c *= 1 + 0.35f * fractalNoise(20 * px, 5 * pz, s, 3); break;
-        default: c *= 1 + 0.2f * fractalNoise(6 * px, 4 * pz, s, 3);
+        case Thing::kBark:
+          c *= 1 + 0.35f * fractalNoise(20 * px, 5 * pz, s, 3);
+          break;
+        default:
+          c *= 1 + 0.2f * fractalNoise(6 * px, 4 * pz, s, 3);
       }
       image.at<cv::Vec3b>(y, x) = bytes(c);
     }

@@ -23,7 +23,8 @@ Vec3f pick(Rng* rng, const std::vector<Vec3f>& palette) {
 }
 
 std::string syllables(Rng* rng, int count) {
-  static const char* const parts[] = {"BA", "CO", "DI", "FE", "GO", "HA", "KI", "LU", "MO", "NE", "PA", "RO", "SA", "TI", "VE", "ZU", "BLU", "CAF", "STO", "BER", "LIN", "MAR", "OPT", "REX"};
+  static const char* const parts[] = {"BA", "CO", "DI", "FE", "GO",  "HA",  "KI",  "LU",  "MO",  "NE",  "PA",  "RO",
+                                      "SA", "TI", "VE", "ZU", "BLU", "CAF", "STO", "BER", "LIN", "MAR", "OPT", "REX"};
   std::string s;
   for (int i = 0; i < count; ++i) s += parts[rng->integer(24)];
   return s;
@@ -42,7 +43,14 @@ struct Style {
   explicit Style(const Building& b) {
     Rng rng(mix(b.seed, 1));
     wall = static_cast<Wall>(std::min(5, rng.integer(8) % 7));
-    color = pick(&rng, {{206, 196, 172}, {188, 176, 150}, {202, 168, 124}, {168, 176, 170}, {196, 190, 186}, {176, 136, 112}, {150, 158, 168}, {210, 186, 148}});
+    color = pick(&rng, {{206, 196, 172},
+                        {188, 176, 150},
+                        {202, 168, 124},
+                        {168, 176, 170},
+                        {196, 190, 186},
+                        {176, 136, 112},
+                        {150, 158, 168},
+                        {210, 186, 148}});
     if (wall == Wall::kBrick) color = pick(&rng, {{146, 84, 66}, {160, 110, 84}, {122, 74, 62}, {176, 150, 116}});
     if (wall == Wall::kStone) color = pick(&rng, {{164, 156, 140}, {140, 136, 128}, {176, 160, 132}});
     if (wall == Wall::kShingles) color = pick(&rng, {{134, 98, 70}, {110, 92, 78}, {150, 126, 96}});
@@ -67,7 +75,8 @@ Vec3f wallAt(const Style& s, Wall wall, const Vec3f& color, float x, float z) {
   const float fine = fractalNoise(26 * x, 26 * z, s.noise + 7, 3, 0.85f), slow = fractalNoise(1.1f * x, 1.1f * z, s.noise + 3, 4, 0.7f);
   float f = 1 + 0.09f * slow;
   switch (wall) {
-    case Wall::kPlaster: return color * (f * (1 + 0.10f * fine));
+    case Wall::kPlaster:
+      return color * (f * (1 + 0.10f * fine));
     case Wall::kRoughPlaster: {
       const float pit = valueNoise(48 * x, 48 * z, s.noise + 9);
       return color * (f * (1 + 0.16f * fine + (pit > 0.5f ? 0.16f : pit < -0.55f ? -0.22f : 0)));
@@ -114,11 +123,15 @@ Vec3f wallAt(const Style& s, Wall wall, const Vec3f& color, float x, float z) {
 class Canvas {
  public:
   Canvas(double width, double height, double texel)
-      : texel_(texel), image_(std::max(4, static_cast<int>(std::lround(height / texel))), std::max(4, static_cast<int>(std::lround(width / texel))), CV_8UC3) {}
+      : texel_(texel),
+        image_(std::max(4, static_cast<int>(std::lround(height / texel))), std::max(4, static_cast<int>(std::lround(width / texel))),
+               CV_8UC3) {}
 
   cv::Mat& image() { return image_; }
   int px(double metres) const { return std::max(1, static_cast<int>(std::lround(metres / texel_))); }
-  cv::Point at(double x, double z) const { return {static_cast<int>(std::lround(x / texel_)), image_.rows - 1 - static_cast<int>(std::lround(z / texel_))}; }
+  cv::Point at(double x, double z) const {
+    return {static_cast<int>(std::lround(x / texel_)), image_.rows - 1 - static_cast<int>(std::lround(z / texel_))};
+  }
   double width() const { return image_.cols * texel_; }
   double height() const { return image_.rows * texel_; }
 
@@ -138,26 +151,33 @@ class Canvas {
         p = bytes(f(static_cast<float>((x + 0.5) * texel_), static_cast<float>((image_.rows - y - 0.5) * texel_), Vec3f(p[0], p[1], p[2])));
       }
   }
-  void box(double x0, double z0, double x1, double z1, const Vec3f& color) { cv::rectangle(image_, at(x0, z1), at(x1, z0), scalar(color), cv::FILLED); }
+  void box(double x0, double z0, double x1, double z1, const Vec3f& color) {
+    cv::rectangle(image_, at(x0, z1), at(x1, z0), scalar(color), cv::FILLED);
+  }
   void frame(double x0, double z0, double x1, double z1, double width, const Vec3f& color) {
     box(x0 - width, z0 - width, x1 + width, z0, color);
     box(x0 - width, z1, x1 + width, z1 + width, color);
     box(x0 - width, z0, x0, z1, color);
     box(x1, z0, x1 + width, z1, color);
   }
-  void line(double x0, double z0, double x1, double z1, double width, const Vec3f& color) { cv::line(image_, at(x0, z0), at(x1, z1), scalar(color), px(width), cv::LINE_AA); }
+  void line(double x0, double z0, double x1, double z1, double width, const Vec3f& color) {
+    cv::line(image_, at(x0, z0), at(x1, z1), scalar(color), px(width), cv::LINE_AA);
+  }
   void text(const std::string& s, double x, double z, double height, const Vec3f& color, int font, double weight = 0.13) {
     const double scale = height / texel_ / 21.0;
     cv::putText(image_, s, at(x, z), font, scale, scalar(color), std::max(1, static_cast<int>(weight * height / texel_)), cv::LINE_AA);
   }
-  double textWidth(const std::string& s, double height, int font) const { return cv::getTextSize(s, font, height / texel_ / 21.0, 2, nullptr).width * texel_; }
+  double textWidth(const std::string& s, double height, int font) const {
+    return cv::getTextSize(s, font, height / texel_ / 21.0, 2, nullptr).width * texel_;
+  }
 
  private:
   double texel_;
   cv::Mat image_;
 };
 
-constexpr int kFonts[] = {cv::FONT_HERSHEY_SIMPLEX, cv::FONT_HERSHEY_DUPLEX, cv::FONT_HERSHEY_COMPLEX, cv::FONT_HERSHEY_TRIPLEX, cv::FONT_HERSHEY_SCRIPT_COMPLEX};
+constexpr int kFonts[] = {cv::FONT_HERSHEY_SIMPLEX, cv::FONT_HERSHEY_DUPLEX, cv::FONT_HERSHEY_COMPLEX, cv::FONT_HERSHEY_TRIPLEX,
+                          cv::FONT_HERSHEY_SCRIPT_COMPLEX};
 
 // A printed sheet: text lines, or fields of colour like a photograph.
 void poster(Canvas* c, Rng* rng, double x, double z, double w, double h) {
@@ -166,7 +186,8 @@ void poster(Canvas* c, Rng* rng, double x, double z, double w, double h) {
   c->box(x, z, x + w, z + h, paper);
   if (rng->chance(0.6)) {
     const auto seed = static_cast<std::uint32_t>(rng->next());
-    const Vec3f a = pick(rng, {{60, 60, 80}, {190, 150, 110}, {220, 200, 60}}), b = pick(rng, {{200, 80, 60}, {70, 130, 80}, {40, 40, 50}, {220, 220, 216}});
+    const Vec3f a = pick(rng, {{60, 60, 80}, {190, 150, 110}, {220, 200, 60}}),
+                b = pick(rng, {{200, 80, 60}, {70, 130, 80}, {40, 40, 50}, {220, 220, 216}});
     c->change(x + 0.06 * w, z + 0.4 * h, x + 0.94 * w, z + 0.95 * h, [&](float u, float v, const Vec3f& old) {
       const float k = static_cast<float>(3.0 / h);
       const float n = fractalNoise(k * u, k * v, seed, 4), m = fractalNoise(2 * k * u, 2 * k * v, seed + 1, 3);
@@ -232,7 +253,8 @@ void clutter(Canvas* c, const Building& b, Season season, Rng* rng, Rng* changin
   };
   const int posters = 2 + static_cast<int>(b.width / 3);
   for (int i = 0; i < posters; ++i) {
-    const double w = rng->uniform(0.25, 0.8), h = w * rng->uniform(1.1, 1.5), x = rng->uniform(0.1, b.width - w - 0.1), z = b.street_level + rng->uniform(0.9, 2.0);
+    const double w = rng->uniform(0.25, 0.8), h = w * rng->uniform(1.1, 1.5), x = rng->uniform(0.1, b.width - w - 0.1),
+                 z = b.street_level + rng->uniform(0.9, 2.0);
     // A third of them is pasted over between the two days.
     Rng own(rng->next()), other(changing->next());
     if (!covered(x, z, w, h)) poster(c, i % 3 == 0 ? &other : &own, x, z, w, h);
@@ -240,10 +262,12 @@ void clutter(Canvas* c, const Building& b, Season season, Rng* rng, Rng* changin
   const int tags = rng->integer(4);
   for (int i = 0; i < tags; ++i) {
     const Vec3f color = pick(rng, {{30, 30, 34}, {40, 60, 150}, {160, 40, 60}, {60, 120, 70}, {220, 220, 220}});
-    c->text(syllables(rng, 2), rng->uniform(0, b.width - 1.5), b.street_level + rng->uniform(0.5, 1.6), rng->uniform(0.2, 0.5), color, cv::FONT_HERSHEY_SCRIPT_COMPLEX, 0.16);
+    c->text(syllables(rng, 2), rng->uniform(0, b.width - 1.5), b.street_level + rng->uniform(0.5, 1.6), rng->uniform(0.2, 0.5), color,
+            cv::FONT_HERSHEY_SCRIPT_COMPLEX, 0.16);
   }
   for (int i = 0; i < 5; ++i) {  // vents, meter boxes, lamps
-    const double x = rng->uniform(0.2, b.width - 0.6), z = rng->uniform(b.street_level + 0.4, b.eaves - 0.6), w = rng->uniform(0.15, 0.4), h = rng->uniform(0.15, 0.5);
+    const double x = rng->uniform(0.2, b.width - 0.6), z = rng->uniform(b.street_level + 0.4, b.eaves - 0.6), w = rng->uniform(0.15, 0.4),
+                 h = rng->uniform(0.15, 0.5);
     if (covered(x - 0.1, z - 0.1, w + 0.2, h + 0.2)) continue;
     const Vec3f color = pick(rng, {{90, 90, 92}, {190, 186, 178}, {120, 104, 88}});
     c->box(x, z, x + w, z + h, color);
@@ -258,7 +282,8 @@ void clutter(Canvas* c, const Building& b, Season season, Rng* rng, Rng* changin
     for (double z = b.street_level + 1; z < b.eaves; z += rng->uniform(1.7, 2.2)) c->box(x - 0.075, z, x + 0.075, z + 0.04, color * 0.6f);
   }
   for (int i = 0; i < 2; ++i) {  // cables
-    const double z = rng->uniform(b.street_level + 2.5, b.eaves - 0.5), x0 = rng->uniform(0, 0.4 * b.width), x1 = rng->uniform(0.5 * b.width, b.width);
+    const double z = rng->uniform(b.street_level + 2.5, b.eaves - 0.5), x0 = rng->uniform(0, 0.4 * b.width),
+                 x1 = rng->uniform(0.5 * b.width, b.width);
     c->line(x0, z, x1, z + rng->uniform(-0.05, 0.05), 0.015, {50, 50, 52});
     c->line(x1, z, x1, z - rng->uniform(0.3, 2), 0.015, {50, 50, 52});
   }
@@ -339,11 +364,14 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
   if (o.kind == OpeningKind::kDoor) {
     Rng leaf(mix(mix(b.seed, 60), o.column));
     const Vec3f color = pick(&leaf, {{96, 62, 42}, {60, 84, 70}, {120, 40, 36}, {64, 70, 84}, {150, 120, 86}, {44, 44, 48}});
-    c.fill([&](float x, float z) { return color * (1 + 0.10f * fractalNoise(60 * x, 4 * z, seed, 3) + 0.05f * fractalNoise(30 * x, 30 * z, seed, 2)); });
+    c.fill([&](float x, float z) {
+      return color * (1 + 0.10f * fractalNoise(60 * x, 4 * z, seed, 3) + 0.05f * fractalNoise(30 * x, 30 * z, seed, 2));
+    });
     const bool glazed = b.shop || leaf.chance(0.4);
     if (glazed) {
       c.box(0.12, 0.5, w - 0.12, h - 0.15, {46, 50, 54});
-      c.change(0.12, 0.5, w - 0.12, h - 0.15, [&](float x, float z, const Vec3f& old) { return old * (1 + 0.6f * fractalNoise(2 * x, 1.3f * z, mirror, 3)); });
+      c.change(0.12, 0.5, w - 0.12, h - 0.15,
+               [&](float x, float z, const Vec3f& old) { return old * (1 + 0.6f * fractalNoise(2 * x, 1.3f * z, mirror, 3)); });
       poster(&c, &rng, 0.2, 1.2, 0.35 * w, 0.4);
     } else {
       for (double z = 0.15; z < h - 0.5; z += 0.62)
@@ -360,7 +388,8 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
   // Glass: dark room, mirrored sky and houses from across.
   const float tone = season == Season::kPanoramas ? 1.0f : 0.8f;
   c.fill([&](float x, float z) {
-    const float n = fractalNoise(1.1f * x + 3.1f * index, 0.8f * z, mirror, 3), blocks = latticeHash(static_cast<int>(x / 0.21f), static_cast<int>(z / 0.3f), 0, mirror);
+    const float n = fractalNoise(1.1f * x + 3.1f * index, 0.8f * z, mirror, 3),
+                blocks = latticeHash(static_cast<int>(x / 0.21f), static_cast<int>(z / 0.3f), 0, mirror);
     return Vec3f(58, 66, 76) * (tone * (1 + 0.45f * n + 0.25f * (blocks - 0.5f) + 0.25f * z / static_cast<float>(h)));
   });
   if (o.kind == OpeningKind::kShopWindow) {
@@ -368,16 +397,22 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
     double x = 0.1;
     while (x < w - 0.3) {  // goods on the floor and on shelves
       const double gw = rng.uniform(0.12, 0.4), gh = rng.uniform(0.2, 0.9);
-      const Vec3f color = pick(&rng, {{190, 60, 50}, {60, 100, 160}, {220, 200, 120}, {230, 228, 222}, {90, 140, 90}, {120, 80, 130}, {60, 56, 54}, {210, 130, 60}});
-      if (rng.chance(0.5)) cv::ellipse(c.image(), c.at(x + 0.5 * gw, 0.5 * gh), {c.px(0.5 * gw), c.px(0.5 * gh)}, 0, 0, 360, scalar(color), cv::FILLED, cv::LINE_AA);
-      else c.box(x, 0, x + gw, gh, color);
+      const Vec3f color = pick(
+          &rng,
+          {{190, 60, 50}, {60, 100, 160}, {220, 200, 120}, {230, 228, 222}, {90, 140, 90}, {120, 80, 130}, {60, 56, 54}, {210, 130, 60}});
+      if (rng.chance(0.5))
+        cv::ellipse(c.image(), c.at(x + 0.5 * gw, 0.5 * gh), {c.px(0.5 * gw), c.px(0.5 * gh)}, 0, 0, 360, scalar(color), cv::FILLED,
+                    cv::LINE_AA);
+      else
+        c.box(x, 0, x + gw, gh, color);
       if (rng.chance(0.4)) c.text(std::to_string(rng.integer(99)), x + 0.02, 0.3 * gh, 0.1, {240, 240, 236}, kFonts[1]);
       if (rng.chance(0.6)) c.box(x, h - 0.6, x + 0.8 * gw, h - 0.6 + rng.uniform(0.1, 0.3), color * 0.8f);
       x += gw + rng.uniform(0.02, 0.25);
     }
     c.line(0, h - 0.62, w, h - 0.62, 0.03, {120, 110, 100});
     const int sheets = 1 + rng.integer(3);
-    for (int i = 0; i < sheets; ++i) poster(&c, &rng, rng.uniform(0.05, w - 0.5), rng.uniform(0.3, h - 0.9), rng.uniform(0.25, 0.5), rng.uniform(0.3, 0.6));
+    for (int i = 0; i < sheets; ++i)
+      poster(&c, &rng, rng.uniform(0.05, w - 0.5), rng.uniform(0.3, h - 0.9), rng.uniform(0.25, 0.5), rng.uniform(0.3, 0.6));
     if (fixed.chance(0.6)) c.text(syllables(&fixed, 2), 0.15, h - 0.35, 0.22, {236, 232, 220}, kFonts[fixed.integer(5)]);
     c.frame(0.06, 0.06, w - 0.06, h - 0.06, 0.06, s.frame * 0.8f);
     const int bars = std::max(1, static_cast<int>(w / 1.6));
@@ -407,12 +442,15 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
     for (int i = 0; i < 4; ++i) {
       const double x = rng.uniform(0.15, w - 0.15);
       for (int k = 0; k < 26; ++k)
-        cv::circle(c.image(), c.at(x + 0.08 * rng.gaussian(), 0.12 + 0.25 * rng.uniform()), c.px(rng.uniform(0.012, 0.035)), scalar(Vec3f(50, 90, 44) * static_cast<float>(rng.uniform(0.6, 1.4))), cv::FILLED);
+        cv::circle(c.image(), c.at(x + 0.08 * rng.gaussian(), 0.12 + 0.25 * rng.uniform()), c.px(rng.uniform(0.012, 0.035)),
+                   scalar(Vec3f(50, 90, 44) * static_cast<float>(rng.uniform(0.6, 1.4))), cv::FILLED);
       c.box(x - 0.09, 0.05, x + 0.09, 0.18, {150, 86, 60});
     }
   if (kind == 5) {  // a lamp, shelves
     cv::circle(c.image(), c.at(rng.uniform(0.3, 0.7) * w, 0.72 * h), c.px(0.11), {232, 214, 160}, cv::FILLED, cv::LINE_AA);
-    for (int i = 0; i < 7; ++i) c.box(0.1 + 0.1 * i, 0.25, 0.17 + 0.1 * i, 0.25 + rng.uniform(0.15, 0.3), pick(&rng, {{150, 60, 50}, {70, 90, 130}, {170, 160, 110}}));
+    for (int i = 0; i < 7; ++i)
+      c.box(0.1 + 0.1 * i, 0.25, 0.17 + 0.1 * i, 0.25 + rng.uniform(0.15, 0.3),
+            pick(&rng, {{150, 60, 50}, {70, 90, 130}, {170, 160, 110}}));
   }
   const double bar = 0.055;
   c.frame(bar, bar, w - bar, h - bar, bar, s.frame);
@@ -431,7 +469,9 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
 cv::Mat paintPlain(const Vec3f& color, double width, double height, double texel, std::uint64_t seed) {
   Canvas c(width, height, texel);
   const auto s = static_cast<std::uint32_t>(seed);
-  c.fill([&](float x, float z) { return color * (1 + 0.10f * fractalNoise(24 * x, 24 * z, s, 3, 0.85f) + 0.12f * fractalNoise(1.2f * x, 1.2f * z, s + 5, 4)); });
+  c.fill([&](float x, float z) {
+    return color * (1 + 0.10f * fractalNoise(24 * x, 24 * z, s, 3, 0.85f) + 0.12f * fractalNoise(1.2f * x, 1.2f * z, s + 5, 4));
+  });
   return c.image();
 }
 
@@ -452,12 +492,16 @@ cv::Mat paintSign(const Building& b, int shop, bool blade, double width, double 
     return c.image();
   }
   const double letters = 0.5 * height;
-  double x = rng.uniform(0.15, 0.4) ;
+  double x = rng.uniform(0.15, 0.4);
   const double w = c.textWidth(name, letters, font);
   if (w < width) x = rng.uniform(0.1, std::max(0.11, width - w - 0.1));
   c.text(name, x, 0.27 * height, letters, ink, font);
-  if (x > 0.9) cv::circle(c.image(), c.at(0.45, 0.5 * height), c.px(0.3 * height), scalar(pick(&rng, {{220, 170, 40}, {200, 60, 50}, {240, 240, 240}, {60, 140, 90}})), cv::FILLED, cv::LINE_AA);
-  if (x + w + 1.2 < width) c.text("Tel " + std::to_string(10 + rng.integer(89)) + " " + std::to_string(100 + rng.integer(899)), x + w + 0.25, 0.3 * height, 0.22 * height, ink, kFonts[0]);
+  if (x > 0.9)
+    cv::circle(c.image(), c.at(0.45, 0.5 * height), c.px(0.3 * height),
+               scalar(pick(&rng, {{220, 170, 40}, {200, 60, 50}, {240, 240, 240}, {60, 140, 90}})), cv::FILLED, cv::LINE_AA);
+  if (x + w + 1.2 < width)
+    c.text("Tel " + std::to_string(10 + rng.integer(89)) + " " + std::to_string(100 + rng.integer(899)), x + w + 0.25, 0.3 * height,
+           0.22 * height, ink, kFonts[0]);
   return c.image();
 }
 
@@ -473,15 +517,20 @@ cv::Mat paintRailing(const Building& b, int index, Season season, double width, 
   if (kind == 1)
     for (double x = 0; x < width; x += 0.18) c.line(x, 0, x, height, 0.012, color * 0.6f);
   if (kind == 2)
-    for (double x = 0.1; x < width; x += 0.3) cv::ellipse(c.image(), c.at(x, 0.5 * height), {c.px(0.08), c.px(0.32 * height)}, 0, 0, 360, scalar(color * 0.6f), c.px(0.025), cv::LINE_AA);
+    for (double x = 0.1; x < width; x += 0.3)
+      cv::ellipse(c.image(), c.at(x, 0.5 * height), {c.px(0.08), c.px(0.32 * height)}, 0, 0, 360, scalar(color * 0.6f), c.px(0.025),
+                  cv::LINE_AA);
   c.box(0, height - 0.07, width, height, color * 0.9f);
   c.box(0, 0, width, 0.07, color * 0.7f);
   if (own.chance(season == Season::kPanoramas ? 0.6 : 0.25)) {  // flower boxes
     Rng flowers(mix(own.next(), static_cast<int>(season)));
     const Vec3f bloom = pick(&flowers, {{200, 50, 60}, {220, 180, 60}, {180, 80, 160}, {230, 225, 220}});
     for (int i = 0; i < static_cast<int>(60 * width); ++i)
-      cv::circle(c.image(), c.at(flowers.uniform(0, width), height - 0.12 + 0.07 * flowers.gaussian()), c.px(flowers.uniform(0.012, 0.035)),
-                 scalar(flowers.chance(0.3) && season == Season::kPanoramas ? bloom : Vec3f(54, 92, 46) * static_cast<float>(flowers.uniform(0.6, 1.4))), cv::FILLED);
+      cv::circle(
+          c.image(), c.at(flowers.uniform(0, width), height - 0.12 + 0.07 * flowers.gaussian()), c.px(flowers.uniform(0.012, 0.035)),
+          scalar(flowers.chance(0.3) && season == Season::kPanoramas ? bloom
+                                                                     : Vec3f(54, 92, 46) * static_cast<float>(flowers.uniform(0.6, 1.4))),
+          cv::FILLED);
   }
   return c.image();
 }
@@ -491,13 +540,16 @@ cv::Mat paintAwning(const Building& b, int shop, double width, double height, do
   const Vec3f a = pick(&rng, {{170, 40, 40}, {40, 90, 60}, {40, 60, 120}, {200, 150, 60}}), white(226, 222, 212);
   const float stripe = static_cast<float>(rng.uniform(0.12, 0.35));
   Canvas c(width, height, texel);
-  c.fill([&](float x, float z) { return (static_cast<int>(x / stripe) & 1 ? a : white) * (1 + 0.08f * fractalNoise(9 * x, 9 * z, static_cast<std::uint32_t>(b.seed), 3)); });
+  c.fill([&](float x, float z) {
+    return (static_cast<int>(x / stripe) & 1 ? a : white) * (1 + 0.08f * fractalNoise(9 * x, 9 * z, static_cast<std::uint32_t>(b.seed), 3));
+  });
   return c.image();
 }
 
 cv::Mat paintRoof(const Building& b, double width, double height, double texel) {
   Rng rng(mix(b.seed, 95));
-  const Vec3f color = b.roof == RoofKind::kFlat ? Vec3f(110, 106, 100) : pick(&rng, {{150, 82, 62}, {120, 70, 56}, {92, 86, 84}, {136, 96, 74}});
+  const Vec3f color =
+      b.roof == RoofKind::kFlat ? Vec3f(110, 106, 100) : pick(&rng, {{150, 82, 62}, {120, 70, 56}, {92, 86, 84}, {136, 96, 74}});
   const auto s = static_cast<std::uint32_t>(b.seed);
   Canvas c(width, height, texel);
   c.fill([&](float x, float z) {

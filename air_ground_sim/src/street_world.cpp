@@ -21,7 +21,8 @@ using Picture = std::function<cv::Mat(const Patch&)>;  // row 0 at the top
 // Adds surfaces in the frame of a building, a car, a tree.
 class Builder {
  public:
-  Builder(World* world, const Pose& T_world_frame, std::uint64_t seed, double coarse) : world_(*world), T_(T_world_frame), seed_(seed), coarse_(coarse) {}
+  Builder(World* world, const Pose& T_world_frame, std::uint64_t seed, double coarse)
+      : world_(*world), T_(T_world_frame), seed_(seed), coarse_(coarse) {}
 
   Patch* rectangle(const Vector3d& origin, const Vector3d& u, const Vector3d& v, double texel, Picture picture) {
     return quad(origin, origin + u, origin + v, origin + u + v, texel, std::move(picture));
@@ -53,7 +54,8 @@ class Builder {
   }
 
   // Front (-y), left (-x), right (+x), back, top, bottom; `front` and `side` may carry pictures.
-  void box(const Vector3d& lo, const Vector3d& hi, const Vec3f& color, double texel, const Picture& front = nullptr, const Picture& side = nullptr, bool back = false) {
+  void box(const Vector3d& lo, const Vector3d& hi, const Vec3f& color, double texel, const Picture& front = nullptr,
+           const Picture& side = nullptr, bool back = false) {
     const Vector3d e = hi - lo, x(e.x(), 0, 0), y(0, e.y(), 0), z(0, 0, e.z());
     const double t = front ? texel : coarse_;
     rectangle(lo, x, z, t, front ? front : plain(color));
@@ -131,7 +133,8 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
     add.rectangle({0, 0, 0}, {w, 0, 0}, {0, 0, e}, texel, [file](const Patch& p) {
       cv::Mat photo = cv::imread(file, cv::IMREAD_COLOR), rgb;
       if (photo.empty()) throw std::runtime_error("cannot read the facade photograph '" + file + "'");
-      cv::resize(photo, photo, {std::max(4, static_cast<int>(p.width / p.texel)), std::max(4, static_cast<int>(p.height / p.texel))}, 0, 0, cv::INTER_AREA);
+      cv::resize(photo, photo, {std::max(4, static_cast<int>(p.width / p.texel)), std::max(4, static_cast<int>(p.height / p.texel))}, 0, 0,
+                 cv::INTER_AREA);
       cv::cvtColor(photo, rgb, cv::COLOR_BGR2RGB);
       return rgb;
     });
@@ -152,7 +155,8 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
     const Opening& o = b.openings[i];
     const double r = recessOf(o.kind), x0 = o.x, x1 = o.x + o.width, z0 = o.z, z1 = o.z + o.height;
     const int index = static_cast<int>(i);
-    add.rectangle({x0, r, z0}, {o.width, 0, 0}, {0, 0, o.height}, texel, [&b, index, season](const Patch& p) { return paintPane(b, index, season, p.texel); });
+    add.rectangle({x0, r, z0}, {o.width, 0, 0}, {0, 0, o.height}, texel,
+                  [&b, index, season](const Patch& p) { return paintPane(b, index, season, p.texel); });
     add.rectangle({x0, 0, z0}, {0, r, 0}, {0, 0, o.height}, coarse, add.plain(wall * 0.9f));
     add.rectangle({x1, r, z0}, {0, -r, 0}, {0, 0, o.height}, coarse, add.plain(wall * 0.9f));
     add.rectangle({x0, 0, z0}, {o.width, 0, 0}, {0, r, 0}, coarse, add.plain(trim));
@@ -177,7 +181,8 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
             [&b, shop](const Patch& p) { return paintSign(b, shop, false, p.width, p.height, p.texel); });
     Rng own(mix(mix(b.seed, 8), shop));
     if (own.chance(0.7)) {
-      const double x = own.chance(0.5) ? o.x - 0.25 : std::min(w - 0.2, o.x + o.width + 0.1), zb = b.street_level + b.shop_height + own.uniform(-0.3, 0.4);
+      const double x = own.chance(0.5) ? o.x - 0.25 : std::min(w - 0.2, o.x + o.width + 0.1),
+                   zb = b.street_level + b.shop_height + own.uniform(-0.3, 0.4);
       add.box({x, -0.85, zb}, {x + 0.1, -0.1, zb + own.uniform(0.6, 0.9)}, trim, texel, nullptr,
               [&b, shop](const Patch& p) { return paintSign(b, shop, true, p.width, p.height, p.texel); });
     }
@@ -199,7 +204,8 @@ Picture thing(Thing kind, std::uint64_t seed, Season season) {
 void addCar(const Stand& s, Season season, World* world) {
   Rng rng(s.seed);
   Builder add(world, standPose(s), s.seed, 0.05);
-  const double length = rng.uniform(3.9, 4.7), width = rng.uniform(1.68, 1.8), waist = rng.uniform(0.82, 1.0), top = waist + rng.uniform(0.48, 0.75);
+  const double length = rng.uniform(3.9, 4.7), width = rng.uniform(1.68, 1.8), waist = rng.uniform(0.82, 1.0),
+               top = waist + rng.uniform(0.48, 0.75);
   const Picture body = thing(Thing::kCarBody, s.seed, season), glass = thing(Thing::kCarGlass, s.seed, season);
   const Vec3f roof = paintThing(Thing::kCarGlass, s.seed, season, 0.04, 0.04, 0.01).at<cv::Vec3b>(0, 0);
   add.box({-0.5 * length, -0.5 * width, 0.18}, {0.5 * length, 0.5 * width, waist}, roof, 0.015, body, body, true);
@@ -235,9 +241,10 @@ void addTree(const Stand& s, Season season, World* world) {
     for (int c = 0; c <= p.columns; ++c) {
       const double azimuth = 2 * M_PI * (c % p.columns) / p.columns, elevation = M_PI * (static_cast<double>(r) / p.rows - 0.5);
       const Vector3d n(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
-      const double bump = 1 + 0.28 * fractalNoise(static_cast<float>(2.5 * n.x()), static_cast<float>(2.5 * n.y()), static_cast<float>(2.5 * n.z()),
-                                                  static_cast<std::uint32_t>(s.seed), 3);
-      p.vertices.push_back((T * Vector3d(radius * bump * n.x(), radius * bump * n.y(), height + radius * (0.7 + 1.2 * bump * n.z()))).cast<float>());
+      const double bump = 1 + 0.28 * fractalNoise(static_cast<float>(2.5 * n.x()), static_cast<float>(2.5 * n.y()),
+                                                  static_cast<float>(2.5 * n.z()), static_cast<std::uint32_t>(s.seed), 3);
+      p.vertices.push_back(
+          (T * Vector3d(radius * bump * n.x(), radius * bump * n.y(), height + radius * (0.7 + 1.2 * bump * n.z()))).cast<float>());
     }
   add.add(std::move(p), 0.02, thing(Thing::kLeaves, s.seed, season));
 }
@@ -266,7 +273,8 @@ void addGround(const std::shared_ptr<const Street>& street, Season season, World
           const Eigen::Vector2d at = corner + tile / 4 * Eigen::Vector2d(k, r);
           p.vertices.emplace_back(static_cast<float>(at.x()), static_cast<float>(at.y()), static_cast<float>(street->ground(at)));
         }
-      add.add(std::move(p), distance < 0.5 * c.width + 6 ? 2 * c.texel : 0.2, [street, season](const Patch& patch) { return paintGround(*street, patch, season); });
+      add.add(std::move(p), distance < 0.5 * c.width + 6 ? 2 * c.texel : 0.2,
+              [street, season](const Patch& patch) { return paintGround(*street, patch, season); });
     }
 }
 
@@ -288,7 +296,8 @@ World buildStreetWorld(const Street& plan, Season season) {
   const double summer = rng.uniform(0, 2 * M_PI), autumn = summer + (rng.chance(0.5) ? 1 : -1) * rng.uniform(1.6, 2.8);
   const bool panoramas = season == Season::kPanoramas;
   const double azimuth = panoramas ? summer : autumn, elevation = panoramas ? 0.95 : 0.55;
-  world.sun = Eigen::Vector3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)).cast<float>();
+  world.sun =
+      Eigen::Vector3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)).cast<float>();
   world.ambient = panoramas ? 0.5f : 0.68f;
   world.tint = panoramas ? Eigen::Vector3f(1.06f, 1.0f, 0.9f) : Eigen::Vector3f(0.92f, 0.97f, 1.08f);
   world.sun_reach = 300;

@@ -72,7 +72,8 @@ TEST(StreetPlan, RowsOfHousesOnRisingGroundWithPanoramasBetween) {
       // The facade frame: y goes into the building, away from the street; nobody builds on it.
       EXPECT_NEAR(b.T_world_front.linear().determinant(), 1, 1e-9);
       for (const double x : {0.0, 0.5, 1.0})
-        for (const double y : {0.0, 0.5, 1.0}) EXPECT_GT(s.distanceToLine(b.point(x * b.width, y * b.depth, 0).head<2>()), 0.5 * config.street.width - 0.1);
+        for (const double y : {0.0, 0.5, 1.0})
+          EXPECT_GT(s.distanceToLine(b.point(x * b.width, y * b.depth, 0).head<2>()), 0.5 * config.street.width - 0.1);
       EXPECT_LT(s.distanceToLine(b.point(0.5 * b.width, 0, 0).head<2>()), s.distanceToLine(b.point(0.5 * b.width, 5, 0).head<2>()));
       for (const double x : {0.0, 1.0})
         EXPECT_LT(b.point(x * b.width, 0, 0).z(), s.ground(b.point(x * b.width, 0, 0).head<2>())) << "the wall must reach the ground";
@@ -93,7 +94,8 @@ TEST(StreetPlan, RowsOfHousesOnRisingGroundWithPanoramasBetween) {
       EXPECT_LT(gap, 15);
     }
     EXPECT_GT(s.cars[0].size(), 5u);
-    EXPECT_NE(s.cars[0].size() ? s.cars[0][0].position : Vector3d(), s.cars[1].size() ? s.cars[1][0].position : Vector3d()) << "other cars on the day of the flight";
+    EXPECT_NE(s.cars[0].size() ? s.cars[0][0].position : Vector3d(), s.cars[1].size() ? s.cars[1][0].position : Vector3d())
+        << "other cars on the day of the flight";
   }
   EXPECT_NE(planStreet(config.street, 1).buildings[0].width, planStreet(config.street, 2).buildings[0].width);
 }
@@ -107,7 +109,8 @@ TEST(StreetPlan, ErrorsOfGeotagsAndModelHaveTheirStatedSize) {
     for (const auto& p : s.panoramas) {
       position += (p.T_world_geotag.translation() - p.T_world_panorama.translation()).norm();
       angle += air_ground_common::rotationAngle(p.T_world_geotag.linear(), p.T_world_panorama.linear());
-      yaw += air_ground_common::wrapAngle(air_ground_common::yawOf(p.T_world_geotag.linear()) - air_ground_common::yawOf(p.T_world_panorama.linear()));
+      yaw += air_ground_common::wrapAngle(air_ground_common::yawOf(p.T_world_geotag.linear()) -
+                                          air_ground_common::yawOf(p.T_world_panorama.linear()));
       ++panoramas;
     }
     for (const auto& b : s.buildings) {
@@ -132,7 +135,8 @@ TEST(LongStreet, TwoKilometresOfClearFlightAroundTheBlock) {
   EXPECT_GT(flight.pathLength(0, config.flight.duration), 1900);
   const air_ground_common::MeshScene mesh(meshOf(buildStreetWorld(s, Season::kFlight)));
   for (double t = 8; t < config.flight.duration; t += 0.5)
-    ASSERT_GT(mesh.distance(flight.pose(t).translation().cast<float>(), 5), 0.6) << "at " << t << " s, " << flight.pose(t).translation().transpose();
+    ASSERT_GT(mesh.distance(flight.pose(t).translation().cast<float>(), 5), 0.6)
+        << "at " << t << " s, " << flight.pose(t).translation().transpose();
 }
 
 TEST(Geotags, HeadingIsClockwiseFromTrueNorthPitchUpRollRightSideDown) {
@@ -140,7 +144,8 @@ TEST(Geotags, HeadingIsClockwiseFromTrueNorthPitchUpRollRightSideDown) {
   const LocalFrame frame(c.crs, c.origin);
   Pose T = Pose::Identity();
   // Looks to the north-east by east (60 degrees from north), 10 degrees up, right side 5 degrees down.
-  const Vector3d forward = Vector3d(std::sin(60 * kDegree) * std::cos(10 * kDegree), std::cos(60 * kDegree) * std::cos(10 * kDegree), std::sin(10 * kDegree));
+  const Vector3d forward =
+      Vector3d(std::sin(60 * kDegree) * std::cos(10 * kDegree), std::cos(60 * kDegree) * std::cos(10 * kDegree), std::sin(10 * kDegree));
   const Vector3d level_left = Vector3d(-std::cos(60 * kDegree), std::sin(60 * kDegree), 0), up = forward.cross(level_left);
   T.linear().col(0) = forward;
   T.linear().col(1) = std::cos(5 * kDegree) * level_left + std::sin(5 * kDegree) * up;  // left side up, right side down
@@ -150,8 +155,10 @@ TEST(Geotags, HeadingIsClockwiseFromTrueNorthPitchUpRollRightSideDown) {
   EXPECT_NEAR(g.pitch, 10, 1e-9);
   EXPECT_NEAR(g.roll, 5, 1e-9);
   EXPECT_NEAR(g.place.height, c.origin.z(), 1e-6);
-  const Eigen::Matrix3d back = (Eigen::AngleAxisd((90 - g.heading) * kDegree, Vector3d::UnitZ()) * Eigen::AngleAxisd(-g.pitch * kDegree, Vector3d::UnitY()) *
-                                Eigen::AngleAxisd(g.roll * kDegree, Vector3d::UnitX())).toRotationMatrix();
+  const Eigen::Matrix3d back =
+      (Eigen::AngleAxisd((90 - g.heading) * kDegree, Vector3d::UnitZ()) * Eigen::AngleAxisd(-g.pitch * kDegree, Vector3d::UnitY()) *
+       Eigen::AngleAxisd(g.roll * kDegree, Vector3d::UnitX()))
+          .toRotationMatrix();
   EXPECT_LT((back - T.linear()).norm(), 1e-9);
 
   // Facing along the grid's north is not facing true north: the convergence near Zurich is 0.8 degrees.
@@ -181,7 +188,9 @@ TEST(Panorama, AKnownPointLandsOnItsPixel) {
   const Scene scene(w);
   Pose T = Pose::Identity();
   T.translation() = Vector3d(1, -2, 1.5);
-  T.linear() = (Eigen::AngleAxisd(2.0, Vector3d::UnitZ()) * Eigen::AngleAxisd(-0.2, Vector3d::UnitY()) * Eigen::AngleAxisd(0.15, Vector3d::UnitX())).toRotationMatrix();
+  T.linear() =
+      (Eigen::AngleAxisd(2.0, Vector3d::UnitZ()) * Eigen::AngleAxisd(-0.2, Vector3d::UnitY()) * Eigen::AngleAxisd(0.15, Vector3d::UnitX()))
+          .toRotationMatrix();
   const int width = 1024;
   std::vector<float> rgb;
   renderPanorama(scene, T, width, 4, 1, &rgb);
@@ -256,7 +265,8 @@ TEST(City, FilesAgreeWithThePlan) {
     const Vector3d p = frame.fromGeodetic({std::stod(tags[i + 1][1]), std::stod(tags[i + 1][2]), std::stod(tags[i + 1][3])});
     EXPECT_LT((p - s.panoramas[i].T_world_geotag.translation()).norm(), 2e-3);
     EXPECT_NEAR(std::stod(truth[i + 1][2]), s.panoramas[i].T_world_panorama.translation().y(), 1e-5);
-    const Eigen::Quaterniond q(std::stod(truth[i + 1][7]), std::stod(truth[i + 1][4]), std::stod(truth[i + 1][5]), std::stod(truth[i + 1][6]));
+    const Eigen::Quaterniond q(std::stod(truth[i + 1][7]), std::stod(truth[i + 1][4]), std::stod(truth[i + 1][5]),
+                               std::stod(truth[i + 1][6]));
     EXPECT_LT(air_ground_common::rotationAngle(q.toRotationMatrix(), s.panoramas[i].T_world_panorama.linear()), 1e-6);
   }
 

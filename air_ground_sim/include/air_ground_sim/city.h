@@ -29,9 +29,9 @@ void writeObj(const std::string& path, const Street& street, const air_ground_co
 /// A line of geotags.csv.
 struct Geotag {
   air_ground_common::Geodetic place;  ///< height in the vertical datum of the origin
-  double heading = 0;  ///< of the image's centre, clockwise from true north [deg]
-  double pitch = 0;    ///< of the image's centre, upwards [deg]
-  double roll = 0;     ///< right side down [deg]
+  double heading = 0;                 ///< of the image's centre, clockwise from true north [deg]
+  double pitch = 0;                   ///< of the image's centre, upwards [deg]
+  double roll = 0;                    ///< right side down [deg]
 };
 
 /// `T_world_panorama`: x to the image's centre, y left, z up; R = Rz(90 deg - heading) Ry(-pitch) Rx(roll).

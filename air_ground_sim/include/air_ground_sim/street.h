@@ -38,13 +38,13 @@ struct Building {
   double eaves = 12;              ///< height of the walls above the origin [m]
   double roof_rise = 3;           ///< of the ridge above the eaves [m]
   RoofKind roof = RoofKind::kGable;
-  double street_level = 0.5;      ///< height of the ground floor above the origin [m]
+  double street_level = 0.5;                     ///< height of the ground floor above the origin [m]
   double floor_height = 3.1, shop_height = 3.6;  ///< upper floors and ground floor [m]
   int floors = 4;
   bool shop = false;
   std::vector<Opening> openings;
   std::vector<Opening> balconies;  ///< extent of slab and railing
-  std::string photograph;         ///< file shown on the facade in place of a painted one
+  std::string photograph;          ///< file shown on the facade in place of a painted one
   std::uint64_t seed = 0;
   int line = 0;  ///< index of its street
   /// Error of the cadastral model: the model's building is the true one moved by this [m].
@@ -75,8 +75,8 @@ struct Street {
   std::vector<Stand> cars[2], people[2];  ///< by Season
   std::vector<PanoramaStand> panoramas;
 
-  double ground(const Eigen::Vector2d& p) const;            ///< height of the terrain [m]
-  double distanceToLine(const Eigen::Vector2d& p) const;    ///< to the nearest centre line [m]
+  double ground(const Eigen::Vector2d& p) const;          ///< height of the terrain [m]
+  double distanceToLine(const Eigen::Vector2d& p) const;  ///< to the nearest centre line [m]
 };
 
 /// Plans the street; throws std::invalid_argument when `lines` or the folder of photographs is empty.
