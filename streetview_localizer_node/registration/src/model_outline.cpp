@@ -1,6 +1,6 @@
 #include "model_outline.h"
 
-#include <Eigen/Geometry>
+#include <Eigen/Dense>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -69,7 +69,18 @@ ModelOutline::ModelOutline(const CityModel& model) : mesh_(model.mesh), building
     if (edge.b.z() < edge.a.z()) std::swap(edge.a, edge.b);
     edge.building = key.first;
     edge.vertical = std::abs((edge.b - edge.a).normalized().z()) > 0.998;
+    for (const int user : users) edge.eave = edge.eave || (!edge.vertical && model.surface[user / 3] == Surface::kWall);
     edges_.push_back(edge);
+  }
+  std::map<int, std::pair<Eigen::Vector3d, int>> feet;  // sum of x and y, lowest z, count
+  for (const ModelEdge& edge : edges_) {
+    auto& [foot, used] =
+        feet.emplace(edge.building, std::make_pair(Eigen::Vector3d(0, 0, edge.a.z()), 0)).first->second;
+    foot += Eigen::Vector3d(edge.a.x(), edge.a.y(), std::min(0.0, edge.a.z() - foot.z()));
+    ++used;
+  }
+  for (const auto& [building, foot] : feet) {
+    feet_.emplace_back(foot.first.x() / foot.second, foot.first.y() / foot.second, foot.first.z());
   }
   if (edges_.empty())
     throw std::invalid_argument("the city model has no building: panoramas cannot be registered to it");
@@ -180,12 +191,13 @@ Outline ModelOutline::visible(const std::vector<ModelEdge>& edges, const Eigen::
       seen_high = std::max(seen_high, s);
       if (own == 1 && (sky || other || ground)) ++boundary;
       if (own != 1) continue;
-      if (!sky) continue;
+      if (!sky || p.z() < position.z()) continue;  // below the camera nothing is seen against the sky
       OutlineSample sample;
       sample.point = p;
       sample.direction = direction;
       sample.outside = outside_side * across;
       sample.building = edge.building;
+      sample.eave = edge.eave;
       sample.weight = angle;
       outline.samples.push_back(sample);
     }
@@ -232,6 +244,35 @@ std::optional<double> ModelOutline::groundHeight(double x, double y) const {
   if (!hit) return std::nullopt;
   // A ray from so high up resolves half a millimetre.
   return static_cast<double>(kAbove) - hit->distance;
+}
+
+GroundGuess ModelOutline::groundGuess(const Eigen::Vector3d& position) const {
+  GroundGuess guess;
+  if (const auto terrain = groundHeight(position.x(), position.y())) {
+    guess.known = true;
+    guess.height = *terrain;
+    return guess;
+  }
+  // A plane through the feet of the walls around.
+  Eigen::Matrix3d normal = Eigen::Vector3d(1e-9, 2.0, 2.0).asDiagonal();
+  Eigen::Vector3d right = Eigen::Vector3d::Zero();
+  double weights = 0;
+  for (const Eigen::Vector3d& foot : feet_) {
+    const Eigen::Vector2d off = foot.head<2>() - position.head<2>();
+    const double distance = off.norm();
+    if (distance > 80) continue;
+    const double w = 1 / (1 + distance * distance / 400);
+    const Eigen::Vector3d j(1, off.x() / 20, off.y() / 20);
+    normal += w * j * j.transpose();
+    right += w * foot.z() * j;
+    weights += w;
+  }
+  if (weights <= 0) return guess;
+  // Footings lie lower than the pavement in front of them.
+  constexpr double kFooting = 0.3;
+  guess.height = normal.ldlt().solve(right).x() + kFooting;
+  guess.guessed = true;
+  return guess;
 }
 
 bool ModelOutline::insideBuilding(const Eigen::Vector3d& position) const {

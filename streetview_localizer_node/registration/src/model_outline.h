@@ -16,6 +16,7 @@ struct ModelEdge {
   Eigen::Vector3d a, b;
   int building = -1;
   bool vertical = false;
+  bool eave = false;  ///< top of a wall: eaves, gutter or cornice may stand out there
 };
 
 /// A point of the outline: beyond the edge, on the side `outside`, lies something else.
@@ -25,6 +26,7 @@ struct OutlineSample {
   Eigen::Vector3d point, direction;  ///< world; `direction` of the edge, unit length
   Eigen::Vector3d outside;           ///< unit vector across the edge and the line of sight, to the other side
   int building = -1;
+  bool eave = false;
   double weight = 0;  ///< angle that the sample stands for [rad]
 };
 
@@ -48,6 +50,12 @@ struct SkyProfile {
   std::vector<int> building;
 };
 
+struct GroundGuess {
+  double height = 0;     ///< [m]
+  bool known = false;    ///< from the model's terrain
+  bool guessed = false;  ///< from the feet of the walls around: good to half a metre
+};
+
 class ModelOutline {
  public:
   /// Throws std::invalid_argument for a model without buildings or lists of unequal length.
@@ -64,6 +72,9 @@ class ModelOutline {
   /// Height of the ground below a place [m]; empty where the model has none.
   std::optional<double> groundHeight(double x, double y) const;
 
+  /// The same, or where the model has no terrain a guess from the buildings.
+  GroundGuess groundGuess(const Eigen::Vector3d& position) const;
+
   /// True when a place lies inside a building: an odd number of walls and roofs above it.
   bool insideBuilding(const Eigen::Vector3d& position) const;
 
@@ -79,6 +90,7 @@ class ModelOutline {
   std::vector<int> building_;
   std::vector<char> solid_;
   std::vector<ModelEdge> edges_;
+  std::vector<Eigen::Vector3d> feet_;  // one a building
   int building_count_ = 0;
   std::unique_ptr<air_ground_common::MeshScene> scene_, ground_;
 };

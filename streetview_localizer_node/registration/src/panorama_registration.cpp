@@ -36,6 +36,8 @@ void validate(const RegistrationSettings& s) {
   requireRange("model_radius", s.model_radius, 20, 1000);
   requireRange("model_lateral_stddev", s.model_lateral_stddev, 0.001, 5);
   requireRange("model_height_stddev", s.model_height_stddev, 0.001, 10);
+  requireRange("roof_overhang", s.roof_overhang, 0, 3);
+  requireRange("roof_overhang_stddev", s.roof_overhang_stddev, 0.001, 3);
   requireRange("max_position_stddev", s.max_position_stddev, 0.01, 10);
   requireRange("max_orientation_stddev", s.max_orientation_stddev, 1e-3, 1);
   requireRange("threads", s.threads, 1, 256);
@@ -116,7 +118,7 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
         format("only %.0f of the model's %.0f visible corners were found", best.verticals, best.verticals_seen);
   } else if (best.cost > 0.38) {
     selection.reason = format("the model's outline does not fit (cost %.2f)", best.cost);
-  } else if (selection.second_cost < best.cost + 0.06) {
+  } else if (selection.second_cost < best.cost + 0.025) {
     selection.reason =
         format("another place fits nearly as well (cost %.2f against %.2f)", selection.second_cost, best.cost);
   } else if (off > settings.search_radius + 0.5) {

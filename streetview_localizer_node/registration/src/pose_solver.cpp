@@ -15,6 +15,9 @@ using air_ground_common::Pose;
 using air_ground_common::Vector6d;
 
 constexpr int kBins = 720;
+constexpr double kInflation = 1.5;   // of the covariance
+constexpr double kFootStddev = 0.5;  // of the ground guessed from the walls' feet [m]
+constexpr int kLargestWidth = 2048;  // finer panoramas are reduced: the model is not as fine
 
 /// One scalar measurement, linear in the pose's step and in the errors of one building.
 struct Measurement {
@@ -24,6 +27,7 @@ struct Measurement {
   Vector6d pose = Vector6d::Zero();                 ///< d residual / d (position, rotation)
   int building = -1;                                ///< -1: none
   Eigen::Vector4d error = Eigen::Vector4d::Zero();  ///< d residual / d (x, y, height, turn) of the building
+  double overhang = 0;                              ///< d residual / d overhang of the roofs
 };
 
 bool isSky(const ImageCues& cues, double u, double v) {
@@ -110,8 +114,13 @@ double tukeyWeight(double r) {
 
 }  // namespace
 
-ImageCues findCues(const cv::Mat& bgr, const cv::Mat& mask, const Eigen::Matrix3d& R_world_geotag,
+ImageCues findCues(const cv::Mat& full, const cv::Mat& full_mask, const Eigen::Matrix3d& R_world_geotag,
                    const RegistrationSettings& settings) {
+  cv::Mat bgr = full, mask = full_mask;
+  if (full.cols > kLargestWidth) {
+    cv::resize(full, bgr, {kLargestWidth, kLargestWidth / 2}, 0, 0, cv::INTER_AREA);
+    if (!full_mask.empty()) cv::resize(full_mask, mask, bgr.size(), 0, 0, cv::INTER_AREA);
+  }
   ImageCues cues;
   // Up as the geotag has it, then as the vertical lines have it. The heading stays the body's.
   const double yaw = air_ground_common::yawOf(R_world_geotag);
@@ -158,10 +167,8 @@ std::vector<Candidate> searchCandidates(const ModelOutline& model, const std::ve
       if (std::hypot(ix, iy) * kGrid > settings.search_radius) continue;
       Candidate candidate;
       candidate.position = T_world_geotag.translation() + Eigen::Vector3d(ix * kGrid, iy * kGrid, 0);
-      const auto ground = settings.camera_height > 0
-                              ? model.groundHeight(candidate.position.x(), candidate.position.y())
-                              : std::nullopt;
-      if (ground) candidate.position.z() = *ground + settings.camera_height;
+      const GroundGuess ground = settings.camera_height > 0 ? model.groundGuess(candidate.position) : GroundGuess();
+      if (ground.known || ground.guessed) candidate.position.z() = ground.height + settings.camera_height;
       if (model.insideBuilding(candidate.position)) continue;
       ModelOutline::skyProfile(edges, candidate.position, kBins, &profile);
       for (int i = 0; i < kBins; ++i) elevation[i] = std::atan(profile.tangent[i]);
@@ -205,6 +212,7 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
   Eigen::Vector3d position = start.position;
   Eigen::Matrix3d R = Eigen::AngleAxisd(start.yaw, Eigen::Vector3d::UnitZ()).matrix();
   std::map<int, Eigen::Vector4d> errors;
+  double overhang = settings.roof_overhang;
   Fit fit;
 
   const double windows[] = {0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012, 0.012};
@@ -217,7 +225,12 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
     for (const OutlineSample& sample : outline.samples) {
       if (sample.kind != OutlineSample::Kind::kSky) continue;
       const Eigen::Vector4d error = errors.count(sample.building) ? errors[sample.building] : Eigen::Vector4d::Zero();
-      const Eigen::Vector3d p = sample.point + error.head<3>() - position;
+      Eigen::Vector3d out = Eigen::Vector3d::Zero();  // of the wall, towards the camera
+      if (sample.eave) {
+        out = Eigen::Vector3d(-sample.direction.y(), sample.direction.x(), 0).normalized();
+        if (out.dot(sample.point - position) > 0) out = -out;
+      }
+      const Eigen::Vector3d p = sample.point + error.head<3>() + overhang * out - position;
       const double distance = p.norm();
       Eigen::Vector3d n = p.cross(sample.direction).normalized();
       if (n.dot(sample.outside) < 0) n = -n;
@@ -243,6 +256,7 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
       m.pose.tail<3>() = (p / distance).cross(n);
       m.building = sample.building;
       m.error.head<3>() = -n / distance;
+      m.overhang = -n.dot(out) / distance;
       if (std::abs(*offset) < 0.012) sky_found += sample.weight;
       measurements.push_back(m);
     }
@@ -300,12 +314,13 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
       measurements.push_back(m);
     }
 
-    // Normal equations: the pose, then four errors of each building.
+    // Normal equations: the pose, the roofs' overhang, then four errors of each building.
     std::map<int, int> index;
     for (const Measurement& m : measurements) {
       if (m.building >= 0) index.emplace(m.building, 0);
     }
-    int size = 6;
+    constexpr int kOverhang = 6;
+    int size = 7;
     for (auto& [building, place] : index) place = size, size += 4;
     Eigen::MatrixXd hessian = Eigen::MatrixXd::Zero(size, size);
     Eigen::VectorXd gradient = Eigen::VectorXd::Zero(size);
@@ -318,17 +333,24 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
       if (w <= 0) continue;
       hessian.topLeftCorner<6, 6>() += w * m.pose * m.pose.transpose();
       gradient.head<6>() += w * m.residual * m.pose;
+      hessian(kOverhang, kOverhang) += w * m.overhang * m.overhang;
+      hessian.block<6, 1>(0, kOverhang) += w * m.overhang * m.pose;
+      hessian.block<1, 6>(kOverhang, 0) += w * m.overhang * m.pose.transpose();
+      gradient(kOverhang) += w * m.residual * m.overhang;
       if (m.building < 0) continue;
       const int k = index[m.building];
       hessian.block<6, 4>(0, k) += w * m.pose * m.error.transpose();
       hessian.block<4, 6>(k, 0) += w * m.error * m.pose.transpose();
       hessian.block<4, 4>(k, k) += w * m.error * m.error.transpose();
       gradient.segment<4>(k) += w * m.residual * m.error;
+      hessian.block<4, 1>(k, kOverhang) += w * m.overhang * m.error;
+      hessian.block<1, 4>(kOverhang, k) += w * m.overhang * m.error.transpose();
     }
     auto prior = [&](int at, double value, double sigma) {
       hessian(at, at) += 1 / (sigma * sigma);
       gradient(at) += value / (sigma * sigma);
     };
+    prior(kOverhang, overhang - settings.roof_overhang, settings.roof_overhang_stddev);
     for (const auto& [building, k] : index) {
       const Eigen::Vector4d error = errors.count(building) ? errors[building] : Eigen::Vector4d::Zero();
       prior(k, error.x(), settings.model_lateral_stddev);
@@ -339,9 +361,10 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
     const Eigen::Vector3d off = position - T_world_geotag.translation();
     prior(0, off.x(), settings.geotag_stddev);
     prior(1, off.y(), settings.geotag_stddev);
-    const auto ground = settings.camera_height > 0 ? model.groundHeight(position.x(), position.y()) : std::nullopt;
-    if (ground) {
-      prior(2, position.z() - *ground - settings.camera_height, settings.camera_height_stddev);
+    const GroundGuess ground = settings.camera_height > 0 ? model.groundGuess(position) : GroundGuess();
+    if (ground.known || ground.guessed) {
+      prior(2, position.z() - ground.height - settings.camera_height,
+            ground.known ? settings.camera_height_stddev : std::hypot(settings.camera_height_stddev, kFootStddev));
     } else {
       prior(2, off.z(), settings.height_stddev);
     }
@@ -359,13 +382,16 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
     if (longest > 1.5) step *= 1.5 / longest;
     position += step.head<3>();
     R = air_ground_common::expSO3(step.segment<3>(3)) * R;
+    overhang += step(kOverhang);
     for (const auto& [building, k] : index) {
       Eigen::Vector4d& error = errors.emplace(building, Eigen::Vector4d::Zero()).first->second;
       error += step.segment<4>(k);
     }
     if (last) {
       const Eigen::MatrixXd inverse = solver.solve(Eigen::MatrixXd::Identity(size, 6));
-      fit.covariance = inverse.topRows<6>();
+      // What matches wrongly by a little (a drain pipe for a corner, a ledge for a roof) adds half as much again;
+      // measured.
+      fit.covariance = kInflation * inverse.topRows<6>();
       fit.covariance = (0.5 * (fit.covariance + fit.covariance.transpose())).eval();
       fit.cost = cost / std::max(1.0, cost_count);
       fit.sky_angle = sky_seen;

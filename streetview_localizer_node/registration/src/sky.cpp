@@ -158,7 +158,10 @@ SkyLine findSkyLine(const cv::Mat& bgr, const cv::Mat& mask) {
         // An edge is worth as much as a few pixels of colour.
         const int at = std::min(v, rows - 1);
         const float edge = std::min(1.0f, std::max(0.0f, gradient.at<float>(at, u + 8) / (8 * noise) - 0.3f));
-        columns.gain[static_cast<std::size_t>(v) * width + u] = isValid(at, u) ? sum + 6 * edge : 0;
+        // The ridge of the gradient, not its flanks: the line must not keep away from the roof.
+        const bool ridge = at > 0 && gradient.at<float>(at, u + 8) >= gradient.at<float>(at - 1, u + 8) &&
+                           gradient.at<float>(at, u + 8) >= gradient.at<float>(at + 1, u + 8);
+        columns.gain[static_cast<std::size_t>(v) * width + u] = isValid(at, u) ? sum + (ridge ? 7 : 4) * edge : 0;
         if (v < rows && isValid(v, u)) sum += ratio[bins[static_cast<std::size_t>(v) * width + u]];
       }
     }
@@ -187,7 +190,7 @@ SkyLine findSkyLine(const cv::Mat& bgr, const cv::Mat& mask) {
   for (int u = 0; u < bgr.cols; ++u) {
     const int us = std::min(width - 1, static_cast<int>((u + 0.5) / factor));
     const double centre = path[us] * factor - 0.5;  // the line runs between two pixels
-    const int reach = static_cast<int>(std::ceil(1.6 * factor)) + 1;
+    const int reach = static_cast<int>(std::ceil(3 * factor));
     const int low = std::max(1, static_cast<int>(centre) - reach),
               high = std::min(bgr.rows - 3, static_cast<int>(centre) + reach + 1);
     if (!mask.empty() && mask.at<std::uint8_t>(std::clamp(static_cast<int>(centre), 0, bgr.rows - 1), u) < 255)

@@ -32,6 +32,10 @@ struct RegistrationSettings {
   double model_lateral_stddev = 0.1;  ///< [m]
   double model_height_stddev = 0.5;   ///< of roof lines [m]
 
+  // Eaves, gutters and cornices stand out from the walls; with 0 and a small deviation for models that contain them.
+  double roof_overhang = 0.15;         ///< [m]
+  double roof_overhang_stddev = 0.15;  ///< of the mean over a panorama's buildings [m]
+
   // When a correction is believed.
   double max_position_stddev = 0.4;        ///< horizontal, the larger axis [m]
   double max_orientation_stddev = 0.0175;  ///< the largest axis [rad]
