@@ -104,7 +104,6 @@ class OrderCheck {
     while (now.size() >= 4) {
       std::vector<double> score(now.size());
       const int n = static_cast<int>(now.size());
-#pragma omp parallel for schedule(static)
       for (int i = 0; i < n; ++i) score[i] = agreement(now, i);
       // The bad ones pull everyone down: take away only the worst before looking again.
       std::vector<double> sorted = score;
@@ -312,17 +311,18 @@ LineDescriptor describeLine(const GradientPyramid& pyramid, cv::Point2f from, cv
   if (total < kBlank * kDisks * kSamples) return line;
   line.valid = true;
   constexpr int kWide = kDirections / kHistogram;
+  static_assert(kWide == 3, "a histogram bin is three directions");
   for (int u = 0; u < kDisks; ++u) {
     int main = 0;
     for (int w = 1; w < kDirections; ++w)
       if (directions[u][w] > directions[u][main]) main = w;
     line.main_direction[u] = main;
     line.contrast[u] = sums[u] > 0 ? directions[u][main] / sums[u] * std::sqrt(sums[u] / total) : 0;
-    // Bin w stands for the direction w; histogram bin v for v * kWide and its neighbours.
+    // Bin w stands for the direction w; histogram bin v for v * kWide and its two neighbours.
     for (int v = 0; v < kHistogram; ++v) {
-      float sum = 0;
-      for (int w = -(kWide / 2); w <= kWide / 2; ++w) sum += directions[u][(v * kWide + w + kDirections) % kDirections];
-      line.histogram[u][v] = sum / total;
+      const int w = v * kWide;
+      line.histogram[u][v] =
+          (directions[u][w == 0 ? kDirections - 1 : w - 1] + directions[u][w] + directions[u][w + 1]) / total;
     }
   }
   return line;

@@ -35,7 +35,8 @@ struct IndexSettings {
 };
 
 /// An index over descriptors (n x 128, CV_8U); row i has the id i. Searching is deterministic, in OpenMP threads, and
-/// may be done by several callers at once.
+/// may be done by several callers at once. Building is deterministic but for FLANN's, whose trees draw on
+/// std::random_device.
 class DescriptorIndex {
  public:
   virtual ~DescriptorIndex() = default;
