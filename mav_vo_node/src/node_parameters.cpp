@@ -61,6 +61,12 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   o.pixel_sigma = p.number("pixel_sigma", o.pixel_sigma, 0.05, 10.0);
   o.bootstrap.pixel_sigma = o.pixel_sigma;
   o.bootstrap.min_parallax = p.number("start_parallax", o.bootstrap.min_parallax, 0.005, 1.0);
+  const std::string covariance = p.text("increment_covariance", "monte_carlo");
+  if (covariance != "monte_carlo" && covariance != "poses") {
+    throw ParameterError("parameter increment_covariance: \"" + covariance + "\" is neither monte_carlo nor poses");
+  }
+  o.increment_covariance = covariance == "poses" ? IncrementCovariance::kPoses : IncrementCovariance::kMonteCarlo;
+  o.increment_samples = p.integer("increment_samples", o.increment_samples, 50, 100000);
   o.min_inliers = p.integer("min_inliers", o.min_inliers, 6, 500);
   o.lost_timeout = p.number("lost_timeout", o.lost_timeout, 0.1, 600.0);
   o.keyframe_distance = p.number("keyframe_distance", o.keyframe_distance, 0.01, 1.0);

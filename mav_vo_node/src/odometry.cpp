@@ -47,6 +47,7 @@ void OdometrySettings::validate() const {
   require(full_interval > 0 && full_max_keyframes >= window, "full_interval must be positive, full_max_keyframes at least window");
   require(metric_stddev > 0 && metric_stddev < 0.5, "metric_stddev must lie in (0, 0.5)");
   require(lost_timeout > 0, "lost_timeout must be positive");
+  require(increment_samples >= 50, "increment_samples must be at least 50");
 }
 
 const char* toString(OdometryState state) {
@@ -358,6 +359,8 @@ void Odometry::Impl::localized(bool continuous) {
     step.covariance.block<3, 1>(0, 3) = R * sum.block<3, 1>(0, 5);
     step.covariance.block<1, 3>(3, 0) = step.covariance.block<3, 1>(0, 3).transpose();
     step.covariance(3, 3) = sum(5, 5);
+    step.pose_covariance = step.covariance;
+    if (settings.increment_covariance == IncrementCovariance::kMonteCarlo) scatterCovariance(R.transpose(), &step);
     increment = step;
   } else {
     velocity.setZero();
@@ -391,6 +394,23 @@ void Odometry::Impl::localized(bool continuous) {
   T_map_camera = poseOfRecord(records.size() - 1);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric ? "" : settings.use_imu ? "metric scale is not known yet" : "no IMU: the scale stays unknown";
+}
+
+// Where five points cannot tell (hovering, turning on the spot, too few tracks) the poses' covariance stays.
+void Odometry::Impl::scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const {
+  std::vector<RayPair> pairs;
+  for (const Feature& f : tracker.features()) {
+    if (f.age >= 1 && landmarkOf(f.id)) pairs.push_back({camera.unproject(f.previous_pixel), f.normalized});
+  }
+  MonteCarloSettings how;
+  how.samples = settings.increment_samples;
+  how.seed = settings.seed;
+  const Eigen::Vector3d t = step->T_previous_current.translation();
+  const double length = t.norm();
+  const Eigen::Vector3d along = length > 0 ? Eigen::Vector3d(t / length) : Eigen::Vector3d::UnitX();
+  const double length_variance = along.dot(step->pose_covariance.topLeftCorner<3, 3>() * along);
+  const auto scatter = monteCarloIncrement(pairs, step->T_previous_current, T_base_camera, R_map_base, length_variance, sigma(), how);
+  if (scatter.success) step->covariance = scatter.covariance;
 }
 
 void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSettings& how) {

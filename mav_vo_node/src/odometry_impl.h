@@ -32,6 +32,7 @@ struct Odometry::Impl {
   bool locate(bool gyro);             ///< pose of the current image from tracked landmarks
   bool relocalize(const cv::Mat& gray, bool gyro);
   void localized(bool continuous);    ///< bookkeeping after a pose was found
+  void scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const;
   void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
   std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* tracks) const;
   std::optional<LandmarkId> landmarkOf(TrackId track) const;

@@ -263,9 +263,11 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
     Pose scaled = step;
     scaled.translation() *= S.scale;
     increment->T_previous_current = T_base_camera * scaled * T_base_camera.inverse();
-    increment->covariance.topLeftCorner<3, 3>() *= S.scale * S.scale;
-    increment->covariance.block<3, 1>(0, 3) *= S.scale;
-    increment->covariance.block<1, 3>(3, 0) *= S.scale;
+    for (auto* covariance : {&increment->covariance, &increment->pose_covariance}) {
+      covariance->topLeftCorner<3, 3>() *= S.scale * S.scale;
+      covariance->block<3, 1>(0, 3) *= S.scale;
+      covariance->block<1, 3>(3, 0) *= S.scale;
+    }
   }
 }
 

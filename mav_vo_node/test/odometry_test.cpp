@@ -1,6 +1,8 @@
 // The whole odometry on rendered flights: accuracy, scale, determinism, and what a bad day brings.
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <functional>
 
 #include "air_ground_common/trajectory.h"
@@ -99,6 +101,42 @@ TEST(Odometry, IsMetricAndAccurate) {
     const Eigen::Vector3d up = c.online[i].T_map_body.linear().row(2), up_truth = truth->linear().row(2);
     EXPECT_LT(std::acos(std::min(1.0, up.dot(up_truth))), 0.02);
   }
+}
+
+TEST(Odometry, IncrementsCarryAnHonestCovariance) {
+  // Normalised errors of (x, y, z, yaw) between consecutive images; 4 on average if the covariance is honest. The paper's scatter
+  // of minimal samples is cautious by construction.
+  const Outcome o = fly({});
+  double scatter = 0, poses = 0, variance_ratio = 0;
+  int count = 0, cautious = 0;
+  for (const FrameResult& r : o.frames) {
+    if (!r.increment || !r.metric) continue;
+    const Increment& step = *r.increment;
+    const auto truthAt = [&](double stamp) {
+      for (const auto& pose : o.truth) {
+        if (std::abs(pose.stamp - stamp) < 1e-6) return Pose(pose.T_map_body * synthetic::T_imu_camera().inverse());
+      }
+      ADD_FAILURE() << "no true pose at " << stamp;
+      return Pose(Pose::Identity());
+    };
+    const Pose T_previous = truthAt(step.previous_stamp), truth = T_previous.inverse() * truthAt(r.stamp);
+    Eigen::Vector4d e;
+    e.head<3>() = step.T_previous_current.translation() - truth.translation();
+    e[3] = (T_previous.linear() * air_ground_common::logSO3(step.T_previous_current.linear() * truth.linear().transpose())).z();
+    EXPECT_GT(step.covariance.selfadjointView<Eigen::Lower>().eigenvalues().minCoeff(), 0);
+    EXPECT_NEAR((step.covariance - step.covariance.transpose()).norm(), 0, 1e-15);
+    scatter += e.dot(step.covariance.ldlt().solve(e));
+    poses += e.dot(step.pose_covariance.ldlt().solve(e));
+    variance_ratio += std::sqrt(step.covariance.topLeftCorner<3, 3>().trace() / step.pose_covariance.topLeftCorner<3, 3>().trace());
+    cautious += step.covariance.trace() >= step.pose_covariance.trace();
+    ++count;
+  }
+  ASSERT_GT(count, 80);
+  std::printf("increments: %d, mean NEES %.2f (monte_carlo), %.2f (poses), 4 expected; standard deviations %.1f times larger\n", count, scatter / count,
+              poses / count, variance_ratio / count);
+  EXPECT_LT(scatter / count, 4.5);
+  EXPECT_LT(poses / count, 12);
+  EXPECT_GT(cautious, 0.9 * count);
 }
 
 TEST(Odometry, SameInputSameOutput) {

@@ -12,6 +12,7 @@
 #include "air_ground_common/trajectory.h"
 #include "mav_vo/bootstrap.h"
 #include "mav_vo/imu_preintegration.h"
+#include "mav_vo/increment_covariance.h"
 #include "mav_vo/inertial_bundle.h"
 #include "mav_vo/scale_filter.h"
 #include "visual_frontend/feature_tracker.h"
@@ -24,6 +25,10 @@ namespace mav_vo {
 using air_ground_common::CameraModel;
 using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
+
+/// Covariance of an increment: scatter of five-point solutions between the two images (paper B, III.B), or that of the image
+/// noise in both refined poses.
+enum class IncrementCovariance { kMonteCarlo, kPoses };
 
 struct OdometrySettings {
   visual_frontend::TrackerSettings tracker;
@@ -53,6 +58,9 @@ struct OdometrySettings {
   int full_iterations = 12;
   int bundle_threads = 1;
 
+  IncrementCovariance increment_covariance = IncrementCovariance::kMonteCarlo;
+  int increment_samples = 1000;     ///< of five correspondences, for kMonteCarlo
+
   double metric_stddev = 0.02;      ///< relative standard deviation of the scale below which the map is made metric [1]
   double min_metric_keyframes = 6;  ///< and at least as many keyframes
   double lost_timeout = 4.0;        ///< lost for so long: start a new map [s]
@@ -69,6 +77,7 @@ struct Increment {
   double previous_stamp = 0;                        ///< [s]
   Pose T_previous_current = Pose::Identity();       ///< of base_link
   Eigen::Matrix4d covariance = Eigen::Matrix4d::Zero();  ///< of (x, y, z, yaw) in the earlier base_link [m^2, m rad, rad^2]
+  Eigen::Matrix4d pose_covariance = Eigen::Matrix4d::Zero();  ///< that of the image noise in both poses, as IncrementCovariance::kPoses
 };
 
 /// What one image gave.
