@@ -99,6 +99,8 @@ void LocalizerSettings::validate() const {
   const auto require = [](bool good, const char* what) {
     if (!good) throw std::invalid_argument(std::string("localizer: ") + what);
   };
+  require(quick_inliers >= 0, "quick_inliers must not be negative");
+  require(quick_features >= 1 && quick_views >= 1, "quick_features and quick_views must be at least 1");
   require(search_features >= 0, "search_features must not be negative");
   require(neighbors >= 2, "neighbors must be at least 2");
   require(max_views >= 1, "max_views must be at least 1");
@@ -108,6 +110,7 @@ void LocalizerSettings::validate() const {
   require(merge_position_stddev >= 0 && merge_orientation_stddev >= 0, "merge_position_stddev and merge_orientation_stddev must not be negative");
   require(model_lateral_stddev >= 0 && model_height_stddev >= 0, "model_lateral_stddev and model_height_stddev must not be negative");
   require(min_visible_share >= 0 && min_visible_share <= 1, "min_visible_share must lie in [0, 1]");
+  require(min_rival_share >= 0, "min_rival_share must not be negative");
   require(max_disagreement > 0 && max_turn > 0, "max_disagreement and max_turn must be positive");
   pose.validate();
   acceptance.validate();
@@ -184,7 +187,7 @@ struct Localizer::Impl {
   }
 
   // Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
-  std::vector<int> viewsByPrior(const CameraModel& camera, const PosePrior& prior) const {
+  std::vector<int> viewsByPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const {
     const Pose& T = *prior.T_world_camera;
     const Pose T_camera_world = T.inverse();
     // Two standard deviations of the attitude, and of the position seen at 10 m.
@@ -207,12 +210,12 @@ struct Localizer::Impl {
     }
     std::sort(ranked.begin(), ranked.end());
     std::vector<int> views;
-    for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(settings.max_views); ++i) views.push_back(ranked[i].second);
+    for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(max_views); ++i) views.push_back(ranked[i].second);
     return views;
   }
 
   // Views that the whole database's nearest descriptors vote for.
-  std::vector<int> viewsBySearch(const Features& query, LocalizerResult* result) const {
+  std::vector<int> viewsBySearch(const Features& query, int max_views, LocalizerResult* result) const {
     std::vector<int> queried(query.size());
     std::iota(queried.begin(), queried.end(), 0);
     if (settings.search_features > 0 && static_cast<int>(queried.size()) > settings.search_features) {
@@ -231,7 +234,7 @@ struct Localizer::Impl {
     }
     const StepTimer timer(result, Step::kVoting);
     VotingSettings voting = settings.voting;
-    voting.best = settings.max_views;
+    voting.best = max_views;
     std::vector<int> views;
     for (const Vote& vote : voteForPlaces(neighbors, queried, query.keypoints, view_of_row, static_cast<int>(database->views.size()), voting))
       views.push_back(vote.place);
@@ -391,8 +394,10 @@ struct Localizer::Impl {
       const Pose& a = candidates[0].pose.T_world_camera;
       const Pose& b = candidates[i].pose.T_world_camera;
       const double apart = (a.translation() - b.translation()).norm(), turn = air_ground_common::rotationAngle(a.linear(), b.linear());
+      const double inliers = candidates[i].acceptance.evidence.inliers;
+      if (inliers < settings.min_rival_share * candidates[0].acceptance.evidence.inliers) continue;
       if (apart > settings.max_disagreement || turn > settings.max_turn)
-        contradiction = text("poses from two panoramas lie %.1f m and %.1f degrees apart", apart, turn / kDegree);
+        contradiction = text("poses from two panoramas lie %.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn / kDegree, inliers);
     }
     take(std::move(candidates[0]), result);
     if (!contradiction.empty()) {
@@ -406,10 +411,32 @@ struct Localizer::Impl {
   void run(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior, LocalizerResult* result) const {
     cv::Mat grey = image;
     if (image.channels() == 3) cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
+    std::unique_ptr<GradientPyramid> pyramid;
+    {
+      const StepTimer timer(result, Step::kVerification);
+      pyramid = std::make_unique<GradientPyramid>(grey);
+    }
+    if (settings.quick_inliers > 0) {
+      VirtualViewSettings plain = settings.features;
+      plain.views.clear();
+      if (plain.original.max_features == 0 || plain.original.max_features > settings.quick_features) plain.original.max_features = settings.quick_features;
+      attempt(grey, *pyramid, camera, prior, plain, std::min(settings.quick_views, settings.max_views), result);
+      result->quick = result->accepted() && result->acceptance.evidence.inliers >= settings.quick_inliers;
+      // A blank image stays blank from every side.
+      if (result->quick || result->features < settings.acceptance.min_inliers) return;
+      LocalizerResult again;
+      again.times = result->times;
+      *result = again;
+    }
+    attempt(grey, *pyramid, camera, prior, settings.features, settings.max_views, result);
+  }
+
+  void attempt(const cv::Mat& grey, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior, const VirtualViewSettings& features, int max_views,
+               LocalizerResult* result) const {
     Features query;
     {
       const StepTimer timer(result, Step::kFeatures);
-      query = extractWithVirtualViews(grey, camera, settings.features);
+      query = extractWithVirtualViews(grey, camera, features);
     }
     result->features = static_cast<int>(query.size());
     if (result->features < settings.acceptance.min_inliers) {
@@ -422,23 +449,16 @@ struct Localizer::Impl {
     std::vector<int> views;
     if (result->used_prior) {
       const StepTimer timer(result, Step::kVoting);
-      views = viewsByPrior(camera, prior);
+      views = viewsByPrior(camera, prior, max_views);
     } else {
-      views = viewsBySearch(query, result);
+      views = viewsBySearch(query, max_views, result);
     }
     std::vector<ViewMatches> parts;
-    if (!views.empty()) {
-      std::unique_ptr<GradientPyramid> pyramid;
-      {
-        const StepTimer timer(result, Step::kVerification);
-        pyramid = std::make_unique<GradientPyramid>(grey);
-      }
-      for (const int v : views) {
-        parts.push_back(match(query, *pyramid, v, result));
-        result->matches += static_cast<int>(parts.back().matches.size());
-        const int p = view(v).panorama;
-        if (std::find(result->searched.begin(), result->searched.end(), p) == result->searched.end()) result->searched.push_back(p);
-      }
+    for (const int v : views) {
+      parts.push_back(match(query, pyramid, v, result));
+      result->matches += static_cast<int>(parts.back().matches.size());
+      const int p = view(v).panorama;
+      if (std::find(result->searched.begin(), result->searched.end(), p) == result->searched.end()) result->searched.push_back(p);
     }
     const StepTimer timer(result, Step::kPose);
     std::vector<Candidate> candidates;

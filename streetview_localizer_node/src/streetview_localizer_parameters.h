@@ -50,6 +50,9 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   l.min_view_matches = p.integer("min_view_matches", l.min_view_matches, 1, 10000);
   l.features.original.max_features = p.integer("max_features", l.features.original.max_features, 0, 1000000);
   if (!p.flag("virtual_views", true)) l.features.views.clear();
+  l.quick_inliers = p.integer("quick_inliers", l.quick_inliers, 0, 100000);
+  l.quick_features = p.integer("quick_features", l.quick_features, 1, 1000000);
+  l.quick_views = p.integer("quick_views", l.quick_views, 1, 1000);
   l.pairwise.max_ratio = p.number("max_ratio", l.pairwise.max_ratio, 0.1, 1);
   l.kvld.min_supporters = p.integer("kvld_supporters", l.kvld.min_supporters, 0, 100);
   l.merge_position_stddev = p.number("merge_position_stddev", l.merge_position_stddev, 0, 100);
@@ -72,6 +75,7 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   a.max_angle_stddev = kDegree * p.number("accept/max_angle_stddev", a.max_angle_stddev / kDegree, 0.01, 90);
   l.min_height = p.number("accept/min_height", l.min_height, -100, 100);
   l.min_visible_share = p.number("accept/min_visible_share", l.min_visible_share, 0, 1);
+  l.min_rival_share = p.number("accept/min_rival_share", l.min_rival_share, 0, 10);
   l.max_disagreement = p.number("accept/max_disagreement", l.max_disagreement, 0.01, 1000);
 
   s.display = p.flag("display", s.display);

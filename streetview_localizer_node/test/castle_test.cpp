@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cstdio>
 
+#include <opencv2/core.hpp>
+
 #include "castle.h"
 #include "streetview_localizer/localizer.h"
 
@@ -50,6 +52,30 @@ TEST_P(CastleTest, LocatesTheOtherHalf) {
               *std::max_element(errors.begin(), errors.end()));
   EXPECT_LT(median(errors), 0.05);
   EXPECT_LT(median(turns), 0.1);
+}
+
+// Photographs of other places, mirrored ones and such without content: no accepted match in any.
+TEST(CastleRefusals, NothingIsFoundWhereNothingIs) {
+  if (!castleAvailable()) GTEST_SKIP() << "no photographs at " << test::strechaFolder();
+  const test::Castle castle = test::makeCastle(0);
+  const Localizer localizer(castle.database);
+  const auto refuse = [&](const std::string& name, const cv::Mat& image) {
+    ASSERT_FALSE(image.empty()) << name;
+    const LocalizerResult r = localizer.localize(image, test::cameraOf(castle.photos[0], image));
+    std::printf("%-28s %-8s score %.3f, %3zu inliers: %s\n", name.c_str(), nameOf(r.status), r.acceptance.score, r.pose.inliers.size(), r.reason.c_str());
+    EXPECT_FALSE(r.accepted()) << name;
+    EXPECT_FALSE(r.reason.empty()) << name;
+  };
+  for (const char* other : {"fountain-P11/images/0000.jpg", "fountain-P11/images/0005.jpg", "fountain-P11/images/0010.jpg", "Herz-Jesus-P25/images/0003.jpg",
+                            "Herz-Jesus-P25/images/0012.jpg", "Herz-Jesus-P25/images/0021.jpg"})
+    refuse(other, cv::imread(test::strechaFolder() + "/" + other));
+  for (const std::size_t i : {1u, 9u, 15u, 21u}) {
+    cv::Mat mirrored;
+    cv::flip(castle.image(i), mirrored, 1);
+    refuse("mirrored " + castle.photos[i].image, mirrored);
+  }
+  refuse("black", cv::Mat::zeros(640, 960, CV_8UC3));
+  refuse("blank wall", cv::Mat(640, 960, CV_8UC3, cv::Scalar(170, 180, 190)));
 }
 
 INSTANTIATE_TEST_SUITE_P(Halves, CastleTest, ::testing::Values(0, 1));

@@ -1,6 +1,6 @@
 // Error and recall over a folder of the simulator's street world, for docs/streetview_localizer.md:
 //   street_study CITY [DB [PICTURES]]     database DB, or, given as "", one made here from true poses disturbed as after registration
-// Environment: STUDY_PRIOR = standard deviation [m] of a predicted position to search by, STUDY_MAX_VIEWS.
+// Environment: STUDY_PRIOR = standard deviation [m] of a predicted position to search by, STUDY_MAX_VIEWS, STUDY_NO_DOUBLING.
 // The truth of the queries is read to print errors, never by the localizer.
 #include <yaml-cpp/yaml.h>
 
@@ -88,7 +88,10 @@ int run(const std::string& city, const std::string& db_path, const std::string& 
   LocalizerSettings settings;
   const char* env = std::getenv("STUDY_MAX_VIEWS");
   if (env) settings.max_views = std::atoi(env);
+  if (std::getenv("STUDY_NO_DOUBLING")) settings.features.original.double_image = false;
+  if (!db_path.empty()) settings.index_file = db_path + ".index";
   const Localizer localizer(db, settings);
+  std::printf("%s\n", localizer.indexRemark().c_str());
   const auto camera = readCameraFile(city + "/camera.yaml");
   std::mt19937 rng(11);
   std::normal_distribution<double> normal;

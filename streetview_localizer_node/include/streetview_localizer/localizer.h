@@ -31,6 +31,11 @@ struct LocalizerSettings {
   PointFusionSettings fusion;
 
   std::string index_file;        ///< the index over the database is read from here, or built and kept here; empty: in memory alone
+  /// The image as it is comes first, with its strongest features and the likeliest views alone; all views, and the image's virtual
+  /// views, only where that gives no accepted pose with so many distinct inliers. 0: always everything.
+  int quick_inliers = 60;
+  int quick_features = 1500;     ///< then
+  int quick_views = 5;           ///< then
   int search_features = 2000;    ///< of the query, the strongest, looked for in the whole database; 0: all
   int neighbors = 12;            ///< found of each
   int max_views = 8;             ///< of the database, matched pairwise with an image
@@ -45,6 +50,7 @@ struct LocalizerSettings {
   double min_height = 0.2;                  ///< of the camera above the model's ground, where it has one [m]
   double min_visible_share = 0.7;           ///< of the inliers' points not hidden by the model from the estimated pose [0, 1]
   double max_disagreement = 1.0;            ///< between poses from different panoramas that are both accepted [m]
+  double min_rival_share = 0.25;            ///< a panorama with fewer of the best one's inliers has no say in this [0, 1]
   double max_turn = 0.1;                    ///< the same for the attitude [rad]
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
@@ -70,7 +76,8 @@ struct LocalizerResult {
   int view = -1;                                ///< its best view
   std::vector<int> searched;                    ///< panoramas matched pairwise, best first
   bool used_prior = false;                      ///< the prior chose them
-  int features = 0;                             ///< of the image and its virtual views
+  bool quick = false;                           ///< the image itself was enough
+  int features = 0;                             ///< of the image and, where made, its virtual views
   int matches = 0;                              ///< after k-VLD, all views together
   std::array<double, kSteps> times{};           ///< [s]
   double total_time = 0;                        ///< [s]
