@@ -26,7 +26,8 @@ struct BackProjector::Impl {
     s.distance = hit.distance;
     s.normal = hit.normal.cast<double>();
     const Eigen::Vector3i& t = model.mesh.triangles[hit.triangle];
-    const Eigen::Vector3d a = model.mesh.vertices[t[0]].cast<double>(), ab = model.mesh.vertices[t[1]].cast<double>() - a,
+    const Eigen::Vector3d a = model.mesh.vertices[t[0]].cast<double>(),
+                          ab = model.mesh.vertices[t[1]].cast<double>() - a,
                           ac = model.mesh.vertices[t[2]].cast<double>() - a;
     const Eigen::Vector3d cross = ab.cross(ac);
     const double longest = std::max({ab.norm(), ac.norm(), (ab - ac).norm()});
@@ -40,27 +41,31 @@ struct BackProjector::Impl {
     return s;
   }
 
-  // True when a ray beside the feature's meets nothing, or a surface that does not join the feature's: a silhouette, or a
-  // step between facades. Where two facades meet in a corner, one of them passes close to the other's point.
+  // True when a ray beside the feature's meets nothing, or a surface that does not join the feature's: a silhouette, or
+  // a step between facades. Where two facades meet in a corner, one of them passes close to the other's point.
   bool nearDiscontinuity(const View& view, const Eigen::Vector2d& pixel, const SurfacePoint& s) const {
     if (settings.edge_distance <= 0) return false;
     const Eigen::Vector3d origin = view.T_world_camera.translation();
     std::vector<Eigen::Vector3f> directions(8);
     for (int i = 0; i < 8; ++i) {
-      const Eigen::Vector2d q = pixel + settings.edge_distance * Eigen::Vector2d(std::cos(i * M_PI / 4), std::sin(i * M_PI / 4));
+      const Eigen::Vector2d q =
+          pixel + settings.edge_distance * Eigen::Vector2d(std::cos(i * M_PI / 4), std::sin(i * M_PI / 4));
       directions[i] = (view.T_world_camera.linear() * view.camera.ray(q)).cast<float>();
     }
     const std::vector<RayHit> hits = scene.castMany(origin.cast<float>(), directions);
     for (std::size_t i = 0; i < hits.size(); ++i) {
       if (hits[i].triangle < 0) return true;
       const Eigen::Vector3d offset = origin + hits[i].distance * directions[i].cast<double>() - s.point;
-      if (std::min(std::abs(s.normal.dot(offset)), std::abs(hits[i].normal.cast<double>().dot(offset))) > settings.discontinuity) return true;
+      if (std::min(std::abs(s.normal.dot(offset)), std::abs(hits[i].normal.cast<double>().dot(offset))) >
+          settings.discontinuity)
+        return true;
     }
     return false;
   }
 };
 
-BackProjector::BackProjector(const CityModel& model, const BackProjectionSettings& settings) : impl_(std::make_unique<Impl>(model, settings)) {}
+BackProjector::BackProjector(const CityModel& model, const BackProjectionSettings& settings)
+    : impl_(std::make_unique<Impl>(model, settings)) {}
 BackProjector::~BackProjector() = default;
 BackProjector::BackProjector(BackProjector&&) noexcept = default;
 
@@ -151,7 +156,8 @@ ModelImage BackProjector::render(const CameraModel& camera, const Pose& T_world_
     const std::vector<RayHit> hits = impl_->scene.castMany(origin, directions);
     for (std::size_t i = 0; i < hits.size(); ++i) {
       image.triangle.at<int>(pixels[i]) = hits[i].triangle;
-      image.depth.at<float>(pixels[i]) = hits[i].triangle < 0 ? 0.f : hits[i].distance * directions[i].dot(axis.cast<float>());
+      image.depth.at<float>(pixels[i]) =
+          hits[i].triangle < 0 ? 0.f : hits[i].distance * directions[i].dot(axis.cast<float>());
     }
   }
   return image;

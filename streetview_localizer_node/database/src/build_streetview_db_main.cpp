@@ -24,7 +24,8 @@ class Progress {
     }
     if (isatty(STDERR_FILENO)) {
       const int full = all > 0 ? 40 * done / all : 40;
-      std::fprintf(stderr, "\r%-24s [%s%s] %d of %d ", stage.c_str(), std::string(full, '#').c_str(), std::string(40 - full, ' ').c_str(), done, all);
+      std::fprintf(stderr, "\r%-24s [%s%s] %d of %d ", stage.c_str(), std::string(full, '#').c_str(),
+                   std::string(40 - full, ' ').c_str(), done, all);
       if (done == all) std::fputc('\n', stderr);
     } else if (const int tenth = all > 0 ? 10 * done / all : 10; tenth != tenth_) {
       tenth_ = tenth;
@@ -54,19 +55,24 @@ air_ground_common::CameraModel readCamera(const std::string& path) {
     }
     c.validate();
   } catch (const std::exception& e) {
-    throw std::runtime_error(path + " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
+    throw std::runtime_error(
+        path +
+        " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
   }
   return c;
 }
 
 void print(const BuildReport& report, const std::string& output) {
   for (const std::string& remark : report.remarks) std::printf("model: %s\n", remark.c_str());
-  for (const auto& refusal : report.refused) std::printf("not used: %s: %s\n", refusal.image.c_str(), refusal.reason.c_str());
+  for (const auto& refusal : report.refused)
+    std::printf("not used: %s: %s\n", refusal.image.c_str(), refusal.reason.c_str());
   const auto& f = report.features;
-  std::printf("%s: %d images stored, %d were there already, %zu not used; %d views with %d features\n", output.c_str(), report.stored, report.resumed,
-              report.refused.size(), report.views, f.kept - report.inconsistent);
-  std::printf("features left out: %d sky, %d ground and road, %d too near or far, %d grazing, %d at edges, %d unlike in other images\n", f.sky, f.ground,
-              f.range, f.grazing, f.edge, report.inconsistent);
+  std::printf("%s: %d images stored, %d were there already, %zu not used; %d views with %d features\n", output.c_str(),
+              report.stored, report.resumed, report.refused.size(), report.views, f.kept - report.inconsistent);
+  std::printf(
+      "features left out: %d sky, %d ground and road, %d too near or far, %d grazing, %d at edges, %d unlike in other "
+      "images\n",
+      f.sky, f.ground, f.range, f.grazing, f.edge, report.inconsistent);
 }
 
 }  // namespace
@@ -78,27 +84,41 @@ int main(int argc, char** argv) {
   BuildSettings s;
   std::string camera, north = "true";
   std::vector<double> origin;
-  double fov = s.views.horizontal_fov / kDegree, step = s.views.yaw_step / kDegree, incidence = s.back_projection.max_incidence / kDegree;
+  double fov = s.views.horizontal_fov / kDegree, step = s.views.yaw_step / kDegree,
+         incidence = s.back_projection.max_incidence / kDegree;
   std::vector<double> pitches;
   bool no_registration = false, no_consistency = false;
   app.add_option("output", s.output, "the database: FILE.gpkg, or \"PG:dbname=...\" for PostGIS")->required();
   app.add_option("--model", s.model, "city model: CityGML, CityJSON, OBJ, or a folder of them")->required();
-  app.add_option("--geotags", s.geotags, "CSV (image,lat,lon,alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
-  app.add_option("--poses", s.poses, "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model)");
+  app.add_option("--geotags", s.geotags,
+                 "CSV (image,lat,lon,alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
+  app.add_option("--poses", s.poses,
+                 "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model)");
   app.add_option("--images", s.images, "folder of the images [that of the list]; alone: geotags from EXIF");
   app.add_option("--every", s.take_every, "take every n-th image of the list")->capture_default_str();
   app.add_option("--first", s.take_first, "index of the first image taken")->capture_default_str();
-  app.add_option("--crs", s.model_options.crs, "coordinate system of the model, if its file does not tell, like EPSG:2056");
-  app.add_option("--origin", origin, "of the local frame: easting northing height in that system [middle of the model]")->expected(3);
+  app.add_option("--crs", s.model_options.crs,
+                 "coordinate system of the model, if its file does not tell, like EPSG:2056");
+  app.add_option("--origin", origin, "of the local frame: easting northing height in that system [middle of the model]")
+      ->expected(3);
   app.add_option("--lod", s.model_options.lod, "level of detail to take of the model [finest]");
   app.add_option("--model-height-offset", s.model_options.height_offset, "added to the model's heights [m]");
-  app.add_option("--geotag-height-offset", s.geotag_height_offset, "added to the geotags' heights, into the model's vertical datum [m]");
-  app.add_option("--north", north, "headings are counted from `true` north or from `grid` north of the model's system")->check(CLI::IsMember({"true", "grid"}))->capture_default_str();
-  app.add_option("--camera", camera, "calibration (ROS camera_info YAML) of geotagged photographs that are no panoramas");
+  app.add_option("--geotag-height-offset", s.geotag_height_offset,
+                 "added to the geotags' heights, into the model's vertical datum [m]");
+  app.add_option("--north", north, "headings are counted from `true` north or from `grid` north of the model's system")
+      ->check(CLI::IsMember({"true", "grid"}))
+      ->capture_default_str();
+  app.add_option("--camera", camera,
+                 "calibration (ROS camera_info YAML) of geotagged photographs that are no panoramas");
   app.add_flag("--no-registration", no_registration, "take the geotags as they are");
   app.add_flag("--keep-unregistered", s.keep_unregistered, "use the geotag of a panorama that could not be corrected");
   app.add_flag("--no-consistency", no_consistency, "keep features that other images do not see on the facade");
-  app.add_option("--camera-height", s.registration.camera_height, "of the panoramas above the model's ground [m], 0 if not known")->capture_default_str();
+  app.add_option("--min-correlation", s.consistency.min_correlation,
+                 "of a feature's surroundings with what other images show there")
+      ->capture_default_str();
+  app.add_option("--camera-height", s.registration.camera_height,
+                 "of the panoramas above the model's ground [m], 0 if not known")
+      ->capture_default_str();
   app.add_option("--view-width", s.views.width, "of the cut views [px]")->capture_default_str();
   app.add_option("--view-height", s.views.height, "[px]")->capture_default_str();
   app.add_option("--view-fov", fov, "their horizontal field of view [deg]")->capture_default_str();
@@ -107,7 +127,8 @@ int main(int argc, char** argv) {
   app.add_option("--max-depth", s.back_projection.max_depth, "of features [m]")->capture_default_str();
   app.add_option("--max-incidence", incidence, "between ray and facade normal [deg]")->capture_default_str();
   app.add_option("--max-features", s.features.max_features, "of a view, 0: all")->capture_default_str();
-  app.add_option("--textured-model", s.textured_model, "also write the city model with the facades' pictures: FILE.obj, with .mtl and .jpg beside it");
+  app.add_option("--textured-model", s.textured_model,
+                 "also write the city model with the facades' pictures: FILE.obj, with .mtl and .jpg beside it");
   app.add_option("--texel", s.texture.resolution, "its resolution on the facades [m]")->capture_default_str();
   app.add_option("--threads", s.threads, "0: all cores")->capture_default_str();
   CLI11_PARSE(app, argc, argv);

@@ -48,7 +48,8 @@ CrsName parseCrs(const std::string& text) {
   if (error == OGRERR_NONE && (srs.IsCompound() || srs.IsVertical())) error = srs.StripVertical();
   CPLPopErrorHandler();
   if (error != OGRERR_NONE || (!srs.IsProjected() && !srs.IsGeographic()))
-    throw std::runtime_error("unknown coordinate system '" + text + "': give a projected or geographic one, like EPSG:2056");
+    throw std::runtime_error("unknown coordinate system '" + text +
+                             "': give a projected or geographic one, like EPSG:2056");
   if (!east_first) name.north_first = srs.EPSGTreatsAsLatLong() || srs.EPSGTreatsAsNorthingEasting();
   const char* authority = srs.GetAuthorityName(nullptr);
   const char* code = srs.GetAuthorityCode(nullptr);
@@ -87,7 +88,8 @@ bool inAreaOfUse(const CrsName& crs, const Eigen::Vector3d& east_north) {
   try {
     const auto g = LocalFrame(crs.horizontal, east_north).origin();
     constexpr double kMargin = 0.5;  // [deg]
-    return g.latitude > crs.south - kMargin && g.latitude < crs.north + kMargin && g.longitude > crs.west - kMargin && g.longitude < crs.east + kMargin;
+    return g.latitude > crs.south - kMargin && g.latitude < crs.north + kMargin && g.longitude > crs.west - kMargin &&
+           g.longitude < crs.east + kMargin;
   } catch (const std::invalid_argument&) {
     return false;
   }
@@ -102,7 +104,8 @@ void normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* mo
       throw std::runtime_error(path + ": coordinates around (" + std::to_string(c.x()) + ", " + std::to_string(c.y()) +
                                ") lie outside the area of " + crs.horizontal + ": give the right system with --crs");
     swap = !swap;
-    model->remarks.push_back(path + ": axis order taken as " + (swap ? "north, east" : "east, north") + ", against its declaration, since only that lies in the area of " + crs.horizontal);
+    model->remarks.push_back(path + ": axis order taken as " + (swap ? "north, east" : "east, north") +
+                             ", against its declaration, since only that lies in the area of " + crs.horizontal);
   }
   if (!swap) return;
   for (Polygon& polygon : model->polygons)
@@ -132,7 +135,8 @@ std::vector<std::string> filesOf(const std::string& path) {
   std::vector<std::string> files;
   for (const auto& entry : fs::directory_iterator(path)) {
     const std::string e = entry.path().extension();
-    if (entry.is_regular_file() && (e == ".gml" || e == ".xml" || e == ".json" || e == ".jsonl" || e == ".obj")) files.push_back(entry.path());
+    if (entry.is_regular_file() && (e == ".gml" || e == ".xml" || e == ".json" || e == ".jsonl" || e == ".obj"))
+      files.push_back(entry.path());
   }
   if (files.empty()) throw std::runtime_error("no .gml, .xml, .json, .jsonl or .obj file in " + path);
   std::sort(files.begin(), files.end());
@@ -154,8 +158,8 @@ PolygonModel readAll(const std::string& path, const CityModelOptions& options, s
       normaliseAxes(file, name, &model);
     }
     if (!all.polygons.empty() && name.horizontal != *crs)
-      throw std::runtime_error(file + " is in " + (srs.empty() ? "no coordinate system" : name.horizontal) + ", the files before it in " +
-                               (crs->empty() ? "none" : *crs) + ": convert them to one");
+      throw std::runtime_error(file + " is in " + (srs.empty() ? "no coordinate system" : name.horizontal) +
+                               ", the files before it in " + (crs->empty() ? "none" : *crs) + ": convert them to one");
     *crs = name.horizontal;
     const int first = static_cast<int>(all.building_ids.size());
     for (Polygon& polygon : model.polygons) {
@@ -168,7 +172,8 @@ PolygonModel readAll(const std::string& path, const CityModelOptions& options, s
   return all;
 }
 
-// Where the file is silent: steep is wall; what faces down is a floor; the rest is roof, unless it belongs to no building.
+// Where the file is silent: steep is wall; what faces down is a floor; the rest is roof, unless it belongs to no
+// building.
 Surface classify(const Polygon& polygon) {
   if (polygon.surface) return *polygon.surface;
   if (polygon.building < 0) return Surface::kGround;
@@ -191,7 +196,8 @@ class VertexMerger {
  private:
   struct Hash {
     std::size_t operator()(const std::array<long long, 3>& k) const {
-      return static_cast<std::size_t>(k[0]) * 73856093u ^ static_cast<std::size_t>(k[1]) * 19349663u ^ static_cast<std::size_t>(k[2]) * 83492791u;
+      return static_cast<std::size_t>(k[0]) * 73856093u ^ static_cast<std::size_t>(k[1]) * 19349663u ^
+             static_cast<std::size_t>(k[2]) * 83492791u;
     }
   };
   std::unordered_map<std::array<long long, 3>, int, Hash> vertices_;
@@ -212,7 +218,8 @@ void orientOutwards(CityModel* model) {
     if (!started[b]) reference[b] = v[t[0]].cast<double>();
     started[b] = 1;
     for (int k = 0; k < 3; ++k) ++edges[b][{t[k], t[(k + 1) % 3]}];
-    volume[b] += (v[t[0]].cast<double>() - reference[b]).dot((v[t[1]].cast<double>() - reference[b]).cross(v[t[2]].cast<double>() - reference[b]));
+    volume[b] += (v[t[0]].cast<double>() - reference[b])
+                     .dot((v[t[1]].cast<double>() - reference[b]).cross(v[t[2]].cast<double>() - reference[b]));
   }
   std::vector<char> flip(buildings, 0);
   int flipped = 0;
@@ -227,14 +234,19 @@ void orientOutwards(CityModel* model) {
   }
   if (flipped == 0) return;
   for (std::size_t i = 0; i < model->mesh.triangles.size(); ++i)
-    if (model->building[i] >= 0 && flip[model->building[i]]) std::swap(model->mesh.triangles[i][1], model->mesh.triangles[i][2]);
+    if (model->building[i] >= 0 && flip[model->building[i]])
+      std::swap(model->mesh.triangles[i][1], model->mesh.triangles[i][2]);
   model->remarks.push_back(std::to_string(flipped) + " buildings were inside out and were turned");
 }
 
 }  // namespace
 
-Eigen::Vector3d CityModel::worldFromCrs(const Eigen::Vector3d& point) const { return frame ? frame->fromCrs(point) : Eigen::Vector3d(point - origin); }
-Eigen::Vector3d CityModel::crsFromWorld(const Eigen::Vector3d& point) const { return frame ? frame->toCrs(point) : Eigen::Vector3d(point + origin); }
+Eigen::Vector3d CityModel::worldFromCrs(const Eigen::Vector3d& point) const {
+  return frame ? frame->fromCrs(point) : Eigen::Vector3d(point - origin);
+}
+Eigen::Vector3d CityModel::crsFromWorld(const Eigen::Vector3d& point) const {
+  return frame ? frame->toCrs(point) : Eigen::Vector3d(point + origin);
+}
 
 CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
   CityModel model;
@@ -246,13 +258,15 @@ CityModel readCityModel(const std::string& path, const CityModelOptions& options
   model.remarks = std::move(polygons.remarks);
   if (model.crs.empty()) {
     if (box.low.cwiseAbs().maxCoeff() > 1e5 || box.high.cwiseAbs().maxCoeff() > 1e5)
-      throw std::runtime_error(path + " has coordinates of a national grid but does not name it: give its system, like --crs EPSG:2056");
+      throw std::runtime_error(
+          path + " has coordinates of a national grid but does not name it: give its system, like --crs EPSG:2056");
     model.origin = options.origin.value_or(Eigen::Vector3d::Zero());
   } else {
     const Eigen::Vector3d c = box.centre();
     const bool degrees = box.high.head<2>().cwiseAbs().maxCoeff() <= 360;
     const double step = degrees ? 1e-5 : 1;
-    model.origin = options.origin.value_or(Eigen::Vector3d(std::round(c.x() / step) * step, std::round(c.y() / step) * step, std::floor(box.low.z())));
+    model.origin = options.origin.value_or(
+        Eigen::Vector3d(std::round(c.x() / step) * step, std::round(c.y() / step) * step, std::floor(box.low.z())));
     try {
       model.frame = std::make_shared<LocalFrame>(model.crs, model.origin);
     } catch (const std::invalid_argument& e) {
@@ -298,7 +312,8 @@ CityModel readCityModel(const std::string& path, const CityModelOptions& options
   }
   for (int& b : model.building)
     if (b >= 0) b = renumbered[b];
-  if (model.building_ids.empty()) throw std::runtime_error(path + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
+  if (model.building_ids.empty())
+    throw std::runtime_error(path + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
   orientOutwards(&model);
   return model;
 }

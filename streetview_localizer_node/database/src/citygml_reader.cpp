@@ -56,15 +56,19 @@ class Reader {
     if (document.LoadFile(path_.c_str()) != tinyxml2::XML_SUCCESS)
       throw std::runtime_error(path_ + " is not well-formed XML: " + document.ErrorStr());
     const XMLElement* root = document.RootElement();
-    if (!root || !is(*root, {"CityModel", "FeatureCollection"})) throw std::runtime_error(path_ + " is XML but not CityGML");
+    if (!root || !is(*root, {"CityModel", "FeatureCollection"}))
+      throw std::runtime_error(path_ + " is XML but not CityGML");
     for (const XMLElement* e = root->FirstChildElement(); e; e = e->NextSiblingElement()) {
       if (is(*e, {"boundedBy"})) findSrs(*e);
       if (is(*e, {"cityObjectMember", "featureMember", "featureMembers", "member"}))
-        for (const XMLElement* object = e->FirstChildElement(); object; object = object->NextSiblingElement()) cityObject(*object);
+        for (const XMLElement* object = e->FirstChildElement(); object; object = object->NextSiblingElement())
+          cityObject(*object);
     }
     if (model_.building_ids.empty())
       throw std::runtime_error(path_ + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
-    if (implicit_ > 0) model_.remarks.push_back(path_ + ": " + std::to_string(implicit_) + " implicit geometries (shared templates) were left out");
+    if (implicit_ > 0)
+      model_.remarks.push_back(path_ + ": " + std::to_string(implicit_) +
+                               " implicit geometries (shared templates) were left out");
     return std::move(model_);
   }
 
@@ -85,8 +89,8 @@ class Reader {
       const std::size_t before = model_.polygons.size();
       building(e, static_cast<int>(model_.building_ids.size()) - 1);
       if (model_.polygons.size() == before) model_.building_ids.pop_back();
-    } else if (is(e, {"ReliefFeature", "TINRelief", "Road", "Railway", "Square", "Track", "TransportationComplex", "TrafficSpace", "LandUse",
-                      "WaterBody", "PlantCover"})) {
+    } else if (is(e, {"ReliefFeature", "TINRelief", "Road", "Railway", "Square", "Track", "TransportationComplex",
+                      "TrafficSpace", "LandUse", "WaterBody", "PlantCover"})) {
       std::vector<FoundPolygon> found;
       std::vector<const XMLElement*> parts;
       Context context;
@@ -123,7 +127,8 @@ class Reader {
     }
   }
 
-  void collect(const XMLElement& e, Context context, std::vector<FoundPolygon>* found, std::vector<const XMLElement*>* parts) {
+  void collect(const XMLElement& e, Context context, std::vector<FoundPolygon>* found,
+               std::vector<const XMLElement*>* parts) {
     const char* name = localName(e);
     if (std::strncmp(name, "lod", 3) == 0 && name[3] >= '0' && name[3] <= '4') {
       context.lod = name[3] - '0';
@@ -132,14 +137,14 @@ class Reader {
         return;
       }
     }
-    if (is(e, {"interiorRoom", "BuildingRoom", "Room", "ClosureSurface", "InteriorWallSurface", "CeilingSurface", "FloorSurface", "appearance",
-               "appearanceMember", "address"}))
+    if (is(e, {"interiorRoom", "BuildingRoom", "Room", "ClosureSurface", "InteriorWallSurface", "CeilingSurface",
+               "FloorSurface", "appearance", "appearanceMember", "address"}))
       return;
     if (is(e, {"WallSurface"})) context.surface = Surface::kWall;
     if (is(e, {"RoofSurface"})) context.surface = Surface::kRoof;
     if (is(e, {"GroundSurface"})) context.surface = Surface::kGround;
-    if (is(e, {"Window", "Door", "WindowSurface", "DoorSurface", "OuterCeilingSurface", "OuterFloorSurface", "BuildingInstallation",
-               "BridgeConstructionElement", "BridgeInstallation"}))
+    if (is(e, {"Window", "Door", "WindowSurface", "DoorSurface", "OuterCeilingSurface", "OuterFloorSurface",
+               "BuildingInstallation", "BridgeConstructionElement", "BridgeInstallation"}))
       context.surface = Surface::kOther;
     if (is(e, {"OrientableSurface"})) {
       const char* orientation = attribute(e, "orientation");
@@ -147,7 +152,8 @@ class Reader {
     }
     if (const char* dimension = attribute(e, "srsDimension")) context.dimension = std::atoi(dimension);
     if (const char* srs = e.Attribute("srsName"); srs && model_.srs.empty()) model_.srs = srs;
-    if (const char* href = attribute(e, "href"); href && href[0] == '#' && context.surface) hrefs_.emplace(href + 1, *context.surface);
+    if (const char* href = attribute(e, "href"); href && href[0] == '#' && context.surface)
+      hrefs_.emplace(href + 1, *context.surface);
     if (is(e, {"Polygon", "PolygonPatch", "Triangle", "Rectangle"})) {
       FoundPolygon f;
       if (!polygon(e, context, &f.polygon)) return;
@@ -193,7 +199,9 @@ class Reader {
         char* end = nullptr;
         const double v = std::strtod(p, &end);
         if (end == p) {
-          if (!std::strchr(" \t\r\n,", *p)) throw std::runtime_error(path_ + " line " + std::to_string(c->GetLineNum()) + ": not a number in a coordinate list");
+          if (!std::strchr(" \t\r\n,", *p))
+            throw std::runtime_error(path_ + " line " + std::to_string(c->GetLineNum()) +
+                                     ": not a number in a coordinate list");
           ++p;
           continue;
         }

@@ -12,9 +12,18 @@ namespace {
 
 using nlohmann::json;
 
-const std::set<std::string> kBuildingTypes = {"Building",     "BuildingPart", "BuildingInstallation", "BuildingConstructiveElement", "Bridge",
-                                              "BridgePart",   "BridgeInstallation", "BridgeConstructionElement", "BridgeConstructiveElement", "OtherConstruction"};
-const std::set<std::string> kGroundTypes = {"Road", "Railway", "TransportSquare", "Waterway", "LandUse", "WaterBody", "PlantCover", "TINRelief"};
+const std::set<std::string> kBuildingTypes = {"Building",
+                                              "BuildingPart",
+                                              "BuildingInstallation",
+                                              "BuildingConstructiveElement",
+                                              "Bridge",
+                                              "BridgePart",
+                                              "BridgeInstallation",
+                                              "BridgeConstructionElement",
+                                              "BridgeConstructiveElement",
+                                              "OtherConstruction"};
+const std::set<std::string> kGroundTypes = {"Road",    "Railway",   "TransportSquare", "Waterway",
+                                            "LandUse", "WaterBody", "PlantCover",      "TINRelief"};
 
 std::optional<Surface> surfaceOfSemantic(const std::string& type) {
   if (type == "WallSurface") return Surface::kWall;
@@ -36,14 +45,16 @@ class Reader {
       if (head.value("type", "") != "CityJSON") throw std::runtime_error(path_ + " is JSON but not CityJSON");
       const std::string version = head.value("version", "");
       if (version.rfind("1.", 0) != 0 && version.rfind("2.", 0) != 0)
-        throw std::runtime_error(path_ + " has CityJSON version '" + version + "': 1.0 to 2.0 are read; upgrade it with cjio");
+        throw std::runtime_error(path_ + " has CityJSON version '" + version +
+                                 "': 1.0 to 2.0 are read; upgrade it with cjio");
       if (head.contains("metadata")) {
         const json& metadata = head["metadata"];
         for (const char* key : {"referenceSystem", "crs"})  // 1.0 also wrote {"crs": {"epsg": 7415}}
           if (metadata.contains(key)) {
             const json& value = metadata[key];
             if (value.is_string()) model_.srs = value.get<std::string>();
-            if (value.is_object() && value.contains("epsg")) model_.srs = "EPSG:" + std::to_string(value["epsg"].get<int>());
+            if (value.is_object() && value.contains("epsg"))
+              model_.srs = "EPSG:" + std::to_string(value["epsg"].get<int>());
           }
       }
       if (head.contains("transform"))
@@ -61,7 +72,9 @@ class Reader {
     }
     if (std::none_of(model_.polygons.begin(), model_.polygons.end(), [](const Polygon& p) { return p.building >= 0; }))
       throw std::runtime_error(path_ + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
-    if (templates_ > 0) model_.remarks.push_back(path_ + ": " + std::to_string(templates_) + " geometry instances (shared templates) were left out");
+    if (templates_ > 0)
+      model_.remarks.push_back(path_ + ": " + std::to_string(templates_) +
+                               " geometry instances (shared templates) were left out");
     return std::move(model_);
   }
 
@@ -100,8 +113,10 @@ class Reader {
         if (inserted.second) model_.building_ids.push_back(root);
         index = inserted.first->second;
       }
-      const bool attached = type.find("Installation") != std::string::npos || type.find("Constructi") != std::string::npos;
-      object_ = {index, building ? (attached ? std::optional<Surface>(Surface::kOther) : std::nullopt) : std::optional<Surface>(Surface::kGround)};
+      const bool attached =
+          type.find("Installation") != std::string::npos || type.find("Constructi") != std::string::npos;
+      object_ = {index, building ? (attached ? std::optional<Surface>(Surface::kOther) : std::nullopt)
+                                 : std::optional<Surface>(Surface::kGround)};
       geometries(object["geometry"], building);
     }
   }
@@ -158,14 +173,18 @@ class Reader {
     const std::string type = geometry.at("type");
     const json& boundaries = geometry.at("boundaries");
     const json values = geometry.contains("semantics") ? geometry["semantics"].value("values", json()) : json();
-    const json surfaces = geometry.contains("semantics") ? geometry["semantics"].value("surfaces", json::array()) : json::array();
+    const json surfaces =
+        geometry.contains("semantics") ? geometry["semantics"].value("surfaces", json::array()) : json::array();
     const auto shell = [&](const json& polygons_of_shell, const json& values_of_shell) {
       for (std::size_t i = 0; i < polygons_of_shell.size(); ++i) {
-        const json value = values_of_shell.is_array() && i < values_of_shell.size() ? values_of_shell[i] : values_of_shell;
+        const json value =
+            values_of_shell.is_array() && i < values_of_shell.size() ? values_of_shell[i] : values_of_shell;
         addPolygon(polygons_of_shell[i], value, surfaces, &out);
       }
     };
-    const auto child = [](const json& v, std::size_t i) { return v.is_array() && i < v.size() ? v[i] : (v.is_array() ? json() : v); };
+    const auto child = [](const json& v, std::size_t i) {
+      return v.is_array() && i < v.size() ? v[i] : (v.is_array() ? json() : v);
+    };
     if (type == "MultiSurface" || type == "CompositeSurface") {
       shell(boundaries, values);
     } else if (type == "Solid") {
@@ -191,7 +210,8 @@ class Reader {
       Ring ring;
       for (const json& i : indices) {
         const std::size_t index = i.get<std::size_t>();
-        if (index >= vertices_.size()) throw std::runtime_error(path_ + ": vertex " + std::to_string(index) + " does not exist");
+        if (index >= vertices_.size())
+          throw std::runtime_error(path_ + ": vertex " + std::to_string(index) + " does not exist");
         ring.push_back(vertices_[index]);
       }
       while (ring.size() > 1 && ring.back() == ring.front()) ring.pop_back();

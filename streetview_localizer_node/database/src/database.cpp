@@ -28,17 +28,24 @@ void StreetviewDatabase::buildIndex() {
   index->tree = decltype(index->tree)(entries);
   index_ = index;
   views_of_.assign(panoramas.size(), {});
-  for (std::size_t i = 0; i < views.size(); ++i) views_of_.at(static_cast<std::size_t>(views[i].panorama)).push_back(static_cast<int>(i));
+  for (std::size_t i = 0; i < views.size(); ++i)
+    views_of_.at(static_cast<std::size_t>(views[i].panorama)).push_back(static_cast<int>(i));
 }
 
-const std::vector<int>& StreetviewDatabase::viewsOf(int panorama) const { return views_of_.at(static_cast<std::size_t>(panorama)); }
+const std::vector<int>& StreetviewDatabase::viewsOf(int panorama) const {
+  return views_of_.at(static_cast<std::size_t>(panorama));
+}
 
 std::vector<int> StreetviewDatabase::nearest(const Eigen::Vector3d& position, int count) const {
   std::vector<int> found;
   if (!index_ || count <= 0) return found;
   const PlanePoint centre(position.x(), position.y());
-  for (auto it = index_->tree.qbegin(bgi::nearest(centre, static_cast<unsigned>(count))); it != index_->tree.qend(); ++it) found.push_back(it->second);
-  const auto distance = [&](int i) { return (panoramas[i].T_world_panorama.translation() - position).head<2>().norm(); };
+  for (auto it = index_->tree.qbegin(bgi::nearest(centre, static_cast<unsigned>(count))); it != index_->tree.qend();
+       ++it)
+    found.push_back(it->second);
+  const auto distance = [&](int i) {
+    return (panoramas[i].T_world_panorama.translation() - position).head<2>().norm();
+  };
   std::sort(found.begin(), found.end(), [&](int a, int b) { return distance(a) < distance(b); });
   return found;
 }
@@ -47,8 +54,11 @@ std::vector<int> StreetviewDatabase::near(const Eigen::Vector3d& position, doubl
   std::vector<int> found;
   if (!index_) return found;
   using Box = boost::geometry::model::box<PlanePoint>;
-  const Box box(PlanePoint(position.x() - radius, position.y() - radius), PlanePoint(position.x() + radius, position.y() + radius));
-  const auto distance = [&](int i) { return (panoramas[i].T_world_panorama.translation() - position).head<2>().norm(); };
+  const Box box(PlanePoint(position.x() - radius, position.y() - radius),
+                PlanePoint(position.x() + radius, position.y() + radius));
+  const auto distance = [&](int i) {
+    return (panoramas[i].T_world_panorama.translation() - position).head<2>().norm();
+  };
   for (auto it = index_->tree.qbegin(bgi::intersects(box)); it != index_->tree.qend(); ++it)
     if (distance(it->second) <= radius) found.push_back(it->second);
   std::sort(found.begin(), found.end(), [&](int a, int b) { return distance(a) < distance(b); });
@@ -66,9 +76,11 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
   view.camera.width = row.GetFieldAsInteger("width");
   view.camera.height = row.GetFieldAsInteger("height");
   view.camera.fx = real("fx"), view.camera.fy = real("fy"), view.camera.cx = real("cx"), view.camera.cy = real("cy");
-  view.camera.k1 = real("k1"), view.camera.k2 = real("k2"), view.camera.p1 = real("p1"), view.camera.p2 = real("p2"), view.camera.k3 = real("k3");
+  view.camera.k1 = real("k1"), view.camera.k2 = real("k2"), view.camera.p1 = real("p1"), view.camera.p2 = real("p2"),
+  view.camera.k3 = real("k3");
   view.T_world_camera.translation() << real("x"), real("y"), real("z");
-  view.T_world_camera.linear() = Eigen::Quaterniond(real("qw"), real("qx"), real("qy"), real("qz")).normalized().toRotationMatrix();
+  view.T_world_camera.linear() =
+      Eigen::Quaterniond(real("qw"), real("qx"), real("qy"), real("qz")).normalized().toRotationMatrix();
   if (options.images) {
     const auto encoded = blob<std::uint8_t>(row, "image");
     if (!encoded.empty()) view.image = cv::imdecode(encoded, cv::IMREAD_COLOR);
@@ -80,7 +92,8 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
   const auto descriptors = blob<std::uint8_t>(row, "descriptors");
   const auto points = blob<float>(row, "points");
   const auto normals = blob<float>(row, "normals");
-  if (keypoints.size() != kKeypointFloats * n || octaves.size() != n || descriptors.size() != 128 * n || points.size() != 3 * n || normals.size() != 3 * n)
+  if (keypoints.size() != kKeypointFloats * n || octaves.size() != n || descriptors.size() != 128 * n ||
+      points.size() != 3 * n || normals.size() != 3 * n)
     throw std::runtime_error(path + " holds a view whose lists do not fit together: build it again");
   view.features.descriptors.create(static_cast<int>(n), 128, CV_8U);
   if (n > 0) std::copy(descriptors.begin(), descriptors.end(), view.features.descriptors.data);
@@ -98,7 +111,8 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
 StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options) {
   const Dataset dataset = openDataset(path, false);
   checkVersion(dataset.get(), path);
-  if (infoValue(dataset.get(), "complete") != "1") throw std::runtime_error(path + " was not finished: run the same build_streetview_db command again, it goes on");
+  if (infoValue(dataset.get(), "complete") != "1")
+    throw std::runtime_error(path + " was not finished: run the same build_streetview_db command again, it goes on");
   StreetviewDatabase database;
   database.model = readStoredModel(dataset.get(), path);
   database.crs = database.model.crs;
@@ -111,17 +125,20 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
   if (options.centre) {
     const Eigen::Vector2d& c = *options.centre;
     double reach = options.radius * 1.001;  // grid lengths differ from true ones by less
-    if (database.model.frame && layer->GetSpatialRef() && layer->GetSpatialRef()->IsGeographic()) reach /= 111000 * std::max(0.01, std::cos(c.y() * M_PI / 180));
+    if (database.model.frame && layer->GetSpatialRef() && layer->GetSpatialRef()->IsGeographic())
+      reach /= 111000 * std::max(0.01, std::cos(c.y() * M_PI / 180));
     layer->SetSpatialFilterRect(c.x() - reach, c.y() - reach, c.x() + reach, c.y() + reach);
   }
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-  if (options.centre) centre = database.model.worldFromCrs({options.centre->x(), options.centre->y(), database.origin.z()});
+  if (options.centre)
+    centre = database.model.worldFromCrs({options.centre->x(), options.centre->y(), database.origin.z()});
   std::map<GIntBig, int> index_of;
   std::map<int, int> expected;
   layer->ResetReading();
   for (auto& row : layer) {
     Panorama panorama = readPanorama(*row);
-    if (options.centre && (panorama.T_world_panorama.translation() - centre).head<2>().norm() > options.radius) continue;
+    if (options.centre && (panorama.T_world_panorama.translation() - centre).head<2>().norm() > options.radius)
+      continue;
     index_of[row->GetFID()] = static_cast<int>(database.panoramas.size());
     expected[static_cast<int>(database.panoramas.size())] = row->GetFieldAsInteger("views");
     database.panoramas.push_back(std::move(panorama));
@@ -145,14 +162,18 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
     for (const auto& entry : index_of) fids.push_back(entry.first);
     for (std::size_t first = 0; first < fids.size(); first += kChunk) {
       std::string filter = "panorama_fid IN (";
-      for (std::size_t i = first; i < std::min(fids.size(), first + kChunk); ++i) filter += (i > first ? "," : "") + std::to_string(fids[i]);
+      for (std::size_t i = first; i < std::min(fids.size(), first + kChunk); ++i)
+        filter += (i > first ? "," : "") + std::to_string(fids[i]);
       view_layer->SetAttributeFilter((filter + ")").c_str());
       readViews();
     }
   }
   const bool lost = std::any_of(expected.begin(), expected.end(), [](const auto& e) { return e.second > 0; });
-  if (lost || *CPLGetLastErrorMsg()) throw std::runtime_error(path + " is damaged (" + (lost ? "views are missing" : CPLGetLastErrorMsg()) + "): build it again");
-  std::stable_sort(database.views.begin(), database.views.end(), [](const View& a, const View& b) { return a.panorama < b.panorama; });
+  if (lost || CPLGetLastErrorType() >= CE_Failure)
+    throw std::runtime_error(path + " is damaged (" + (lost ? "views are missing" : CPLGetLastErrorMsg()) +
+                             "): build it again");
+  std::stable_sort(database.views.begin(), database.views.end(),
+                   [](const View& a, const View& b) { return a.panorama < b.panorama; });
   for (std::size_t i = 0; i < database.views.size(); ++i) database.views[i].id = static_cast<int>(i);
   database.buildIndex();
   return database;

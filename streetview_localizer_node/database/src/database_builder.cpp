@@ -21,12 +21,17 @@ using air_ground_common::Pose;
 
 std::string BuildSettings::fingerprint() const {
   std::ostringstream out;
-  out << "views " << views.width << "x" << views.height << " fov " << views.horizontal_fov << " step " << views.yaw_step << " pitch";
+  out << "views " << views.width << "x" << views.height << " fov " << views.horizontal_fov << " step " << views.yaw_step
+      << " pitch";
   for (const double p : views.pitches) out << " " << p;
-  out << "; sift " << features.max_features << " " << features.contrast_threshold << " " << features.edge_threshold << " " << features.double_image;
-  out << "; rays " << back_projection.max_incidence << " " << back_projection.min_depth << " " << back_projection.max_depth << " "
-      << back_projection.edge_distance << " " << back_projection.discontinuity << " " << back_projection.walls_only;
-  out << "; consistency " << (check_consistency ? consistency.min_correlation : -1) << "; registered " << register_panoramas << keep_unregistered;
+  out << "; sift " << features.max_features << " " << features.contrast_threshold << " " << features.edge_threshold
+      << " " << features.double_image;
+  out << "; rays " << back_projection.max_incidence << " " << back_projection.min_depth << " "
+      << back_projection.max_depth << " " << back_projection.edge_distance << " " << back_projection.discontinuity
+      << " " << back_projection.walls_only;
+  out << "; consistency " << (check_consistency ? consistency.min_correlation : -1) << "; registered "
+      << register_panoramas << keep_unregistered << "; north " << (north == North::kGrid ? "grid" : "true")
+      << " height " << geotag_height_offset;
   return out.str();
 }
 
@@ -40,18 +45,22 @@ struct Item {
 
 class Builder {
  public:
-  Builder(const BuildSettings& settings, const std::function<void(const std::string&, int, int)>& progress) : s_(settings), progress_(progress) {}
+  Builder(const BuildSettings& settings, const std::function<void(const std::string&, int, int)>& progress)
+      : s_(settings), progress_(progress) {}
 
   BuildReport build() {
     if (s_.output.empty()) throw std::invalid_argument("no output given");
-    if (s_.take_every < 1 || s_.take_first < 0) throw std::invalid_argument("take_every must be at least 1, take_first at least 0");
+    if (s_.take_every < 1 || s_.take_first < 0)
+      throw std::invalid_argument("take_every must be at least 1, take_first at least 0");
     const CityModel model = readCityModel(s_.model, s_.model_options);
     report_.remarks = model.remarks;
     listImages(model);
     if (items_.empty()) throw std::runtime_error(nothingLeft());
     DatabaseWriter writer(s_.output, model, s_.fingerprint());
     // An existing database keeps its own model and frame.
-    if (writer.model().crs != model.crs) throw std::runtime_error(s_.output + " is in " + writer.model().crs + ", the model in " + model.crs + ": use the model it was made with");
+    if (writer.model().crs != model.crs)
+      throw std::runtime_error(s_.output + " is in " + writer.model().crs + ", the model in " + model.crs +
+                               ": use the model it was made with");
     if ((writer.model().origin - model.origin).norm() > 1e-6) {
       items_.clear();
       report_.refused.clear();
@@ -117,7 +126,8 @@ class Builder {
       }
       return;
     }
-    if (s_.geotags.empty() && s_.images.empty()) throw std::invalid_argument("no images given: --geotags FILE, --images FOLDER (EXIF), or --poses FILE");
+    if (s_.geotags.empty() && s_.images.empty())
+      throw std::invalid_argument("no images given: --geotags FILE, --images FOLDER (EXIF), or --poses FILE");
     for (const Geotag& geotag : s_.geotags.empty() ? readExif(s_.images) : readGeotags(s_.geotags)) {
       Item item;
       if (!taken()) continue;
@@ -129,23 +139,19 @@ class Builder {
     }
   }
 
-  // Width and height of an image without decoding all of it would need another library; the file is read once more later.
-  static cv::Size sizeOf(const std::string& path) {
-    const cv::Mat image = cv::imread(path, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
-    return image.size();
-  }
-
   void addSurveyed(const SurveyedImage& surveyed, const CityModel& model, Item* item) {
-    const cv::Size size = sizeOf(item->path);
+    const cv::Size size = imageSize(item->path);
     if (size.empty()) return refuse(surveyed.image, "cannot be read as an image");
     CameraModel& c = item->camera;
     c.width = size.width, c.height = size.height;
     c.fx = surveyed.fx, c.fy = surveyed.fy, c.cx = surveyed.cx, c.cy = surveyed.cy;
-    if (!c.contains({c.cx, c.cy})) return refuse(surveyed.image, "has a principal point outside its " + std::to_string(size.width) + "x" + std::to_string(size.height) + " pixels");
+    if (!c.contains({c.cx, c.cy}))
+      return refuse(surveyed.image, "has a principal point outside its " + std::to_string(size.width) + "x" +
+                                        std::to_string(size.height) + " pixels");
     Panorama& p = item->panorama;
     p.equirectangular = false;
     p.registered = true;
-    p.position_stddev = 0.02;      // bundle adjustment of good photographs
+    p.position_stddev = 0.02;  // bundle adjustment of good photographs
     p.orientation_stddev = 0.001;
     Pose T_world_camera = surveyed.T_crs_camera;
     try {
@@ -154,7 +160,9 @@ class Builder {
       return refuse(surveyed.image, e.what());
     }
     // Grid north lies clockwise of the frame's true north by the convergence.
-    if (model.frame) T_world_camera.linear() = Eigen::AngleAxisd(-model.frame->meridianConvergence(), Eigen::Vector3d::UnitZ()) * surveyed.T_crs_camera.linear();
+    if (model.frame)
+      T_world_camera.linear() = Eigen::AngleAxisd(-model.frame->meridianConvergence(), Eigen::Vector3d::UnitZ()) *
+                                surveyed.T_crs_camera.linear();
     p.T_world_panorama = T_world_camera;
     p.T_world_panorama.linear() = T_world_camera.linear() * air_ground_common::opticalFromForwardBody();
     p.T_world_geotag = p.T_world_panorama;
@@ -162,28 +170,32 @@ class Builder {
   }
 
   void addGeotagged(Geotag geotag, const CityModel& model, Item* item) {
-    const cv::Size size = sizeOf(item->path);
+    const cv::Size size = imageSize(item->path);
     if (size.empty()) return refuse(geotag.image, "cannot be read as an image");
     Panorama& p = item->panorama;
     p.equirectangular = std::abs(size.width - 2.0 * size.height) <= 0.02 * size.width;
     if (!p.equirectangular) {
       if (s_.camera) {
         item->camera = *s_.camera;
-        if (s_.camera->width != size.width || s_.camera->height != size.height) return refuse(geotag.image, "has another size than the camera");
+        if (s_.camera->width != size.width || s_.camera->height != size.height)
+          return refuse(geotag.image, "has another size than the camera");
       } else if (const auto focal = exifFocalLength(item->path, size.width)) {
         item->camera.width = size.width, item->camera.height = size.height;
         item->camera.fx = item->camera.fy = *focal;
         item->camera.cx = 0.5 * (size.width - 1), item->camera.cy = 0.5 * (size.height - 1);
       } else {
-        return refuse(geotag.image, "is no panorama (twice as wide as high) and its focal length is not known: give --camera FILE");
+        return refuse(geotag.image,
+                      "is no panorama (twice as wide as high) and its focal length is not known: give --camera FILE");
       }
     }
     geotag.position.height += s_.geotag_height_offset;
     p.T_world_geotag = worldPose(geotag, model, s_.north);
     p.T_world_panorama = p.T_world_geotag;
     double nearest = std::numeric_limits<double>::infinity();
-    for (const auto& v : model.mesh.vertices) nearest = std::min(nearest, (v.cast<double>() - p.T_world_geotag.translation()).head<2>().norm());
-    if (nearest > 500) return refuse(geotag.image, "lies " + std::to_string(std::lround(nearest / 1000)) + " km from the city model");
+    for (const auto& v : model.mesh.vertices)
+      nearest = std::min(nearest, (v.cast<double>() - p.T_world_geotag.translation()).head<2>().norm());
+    if (nearest > 500)
+      return refuse(geotag.image, "lies " + std::to_string(std::lround(nearest / 1000)) + " km from the city model");
     items_.push_back(*item);
   }
 
@@ -202,7 +214,8 @@ class Builder {
     constexpr std::size_t kBatch = 100;  // of one joint correction, lost by an interruption
     for (std::size_t first = 0; first < open.size(); first += kBatch) {
       const std::vector<Item*> batch(open.begin() + first, open.begin() + std::min(open.size(), first + kBatch));
-      if (s_.register_panoramas) correct(writer->model(), batch, static_cast<int>(first), static_cast<int>(open.size()));
+      if (s_.register_panoramas)
+        correct(writer->model(), batch, static_cast<int>(first), static_cast<int>(open.size()));
       std::vector<Panorama> panoramas;
       for (const Item* item : batch) panoramas.push_back(item->panorama);
       writer->plan(panoramas);
@@ -218,8 +231,12 @@ class Builder {
     settings.threads = s_.threads > 0 ? s_.threads : omp_get_num_procs();
     const PanoramaRegistrar registrar(model, settings);
     std::vector<RegistrationInput> inputs;
-    for (const Item* item : wanted) inputs.push_back({[path = item->path] { return cv::imread(path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION); }, item->panorama.T_world_geotag});
-    const auto results = registrar.registerPanoramas(inputs, [&](std::size_t done) { tell("correcting poses", before + static_cast<int>(done), all); });
+    for (const Item* item : wanted)
+      inputs.push_back(
+          {[path = item->path] { return cv::imread(path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION); },
+           item->panorama.T_world_geotag});
+    const auto results = registrar.registerPanoramas(
+        inputs, [&](std::size_t done) { tell("correcting poses", before + static_cast<int>(done), all); });
     for (std::size_t i = 0; i < results.size(); ++i) {
       Panorama& p = wanted[i]->panorama;
       p.registered = results[i].accepted;
@@ -230,15 +247,21 @@ class Builder {
     }
   }
 
-  bool usable(const Panorama& p) const { return p.registered || !s_.register_panoramas || s_.keep_unregistered || !p.equirectangular; }
+  bool usable(const Panorama& p) const {
+    return p.registered || !s_.register_panoramas || s_.keep_unregistered || !p.equirectangular;
+  }
 
   void storeViews(DatabaseWriter* writer, const BackProjector& projector) {
     std::vector<ConsistencyImage> images;
     for (const Item& item : items_) {
       const bool panorama = item.panorama.equirectangular;
-      images.push_back({usable(item.panorama), panorama, item.camera, panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
+      images.push_back({usable(item.panorama), panorama, item.camera,
+                        panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
     }
-    const FacadeConsistency consistency(projector, images, [&](int i) { return cv::imread(items_[i].path, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION); }, s_.consistency);
+    const FacadeConsistency consistency(
+        projector, images,
+        [&](int i) { return cv::imread(items_[i].path, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION); },
+        s_.consistency);
     int done = 0;
     std::string error;
     const int count = static_cast<int>(items_.size());
@@ -264,7 +287,8 @@ class Builder {
     if (!error.empty()) throw std::runtime_error(error);
   }
 
-  void storeOne(int index, DatabaseWriter* writer, const BackProjector& projector, const FacadeConsistency& consistency) {
+  void storeOne(int index, DatabaseWriter* writer, const BackProjector& projector,
+                const FacadeConsistency& consistency) {
     const Item& item = items_[index];
     Panorama panorama = item.panorama;
     std::vector<View> views;
@@ -281,10 +305,12 @@ class Builder {
           cv::cvtColor(view.image, grey, cv::COLOR_BGR2GRAY);
           view.features = extractFeatures(grey, s_.features);
           const BackProjectionCounts c = projector.apply(&view);
-          counts.kept += c.kept, counts.sky += c.sky, counts.ground += c.ground, counts.range += c.range, counts.grazing += c.grazing, counts.edge += c.edge;
+          counts.kept += c.kept, counts.sky += c.sky, counts.ground += c.ground, counts.range += c.range,
+              counts.grazing += c.grazing, counts.edge += c.edge;
           if (s_.check_consistency) inconsistent += consistency.apply(index, &view);
         }
-        views.erase(std::remove_if(views.begin(), views.end(), [](const View& v) { return v.features.size() == 0; }), views.end());
+        views.erase(std::remove_if(views.begin(), views.end(), [](const View& v) { return v.features.size() == 0; }),
+                    views.end());
         if (views.empty()) panorama.remark = "sees no facade of the model";
       }
     }
@@ -296,7 +322,8 @@ class Builder {
       report_.views += static_cast<int>(views.size());
       report_.inconsistent += inconsistent;
       BackProjectionCounts& r = report_.features;
-      r.kept += counts.kept, r.sky += counts.sky, r.ground += counts.ground, r.range += counts.range, r.grazing += counts.grazing, r.edge += counts.edge;
+      r.kept += counts.kept, r.sky += counts.sky, r.ground += counts.ground, r.range += counts.range,
+          r.grazing += counts.grazing, r.edge += counts.edge;
     }
   }
 
@@ -323,7 +350,8 @@ class Builder {
 
 }  // namespace
 
-BuildReport buildDatabase(const BuildSettings& settings, const std::function<void(const std::string&, int, int)>& progress) {
+BuildReport buildDatabase(const BuildSettings& settings,
+                          const std::function<void(const std::string&, int, int)>& progress) {
   return Builder(settings, progress).build();
 }
 

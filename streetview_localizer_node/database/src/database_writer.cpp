@@ -26,13 +26,15 @@ struct Column {
   OGRFieldType type;
 };
 
-OGRLayer* createTable(GDALDataset* dataset, const char* name, OGRwkbGeometryType geometry, OGRSpatialReference* srs, const std::vector<Column>& columns) {
+OGRLayer* createTable(GDALDataset* dataset, const char* name, OGRwkbGeometryType geometry, OGRSpatialReference* srs,
+                      const std::vector<Column>& columns) {
   const char* options[] = {geometry == wkbNone ? nullptr : "SPATIAL_INDEX=YES", nullptr};
   OGRLayer* layer = dataset->CreateLayer(name, srs, geometry, const_cast<char**>(options));
   if (!layer) throw std::runtime_error(std::string("cannot create table ") + name + ": " + CPLGetLastErrorMsg());
   for (const Column& column : columns) {
     OGRFieldDefn field(column.name, column.type);
-    if (layer->CreateField(&field) != OGRERR_NONE) throw std::runtime_error(std::string("cannot create column ") + column.name + ": " + CPLGetLastErrorMsg());
+    if (layer->CreateField(&field) != OGRERR_NONE)
+      throw std::runtime_error(std::string("cannot create column ") + column.name + ": " + CPLGetLastErrorMsg());
   }
   return layer;
 }
@@ -110,17 +112,20 @@ struct DatabaseWriter::Impl {
                           {"heading_deg", OFTReal},
                           {"views", OFTInteger},
                           {"features", OFTInteger}},
-                         {"x", "y", "z", "qx", "qy", "qz", "qw", "geotag_x", "geotag_y", "geotag_z", "geotag_qx", "geotag_qy", "geotag_qz", "geotag_qw"}));
-    createTable(dataset.get(), kViewTable, wkbNone, nullptr,
-                [] {
-                  auto columns = withPose({{"panorama_fid", OFTInteger64}, {"panorama_id", OFTString}, {"width", OFTInteger}, {"height", OFTInteger}},
-                                          {"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "z", "qx", "qy", "qz", "qw"});
-                  columns.push_back({"features", OFTInteger});
-                  for (const char* name : {"image", "keypoints", "octaves", "descriptors", "points", "normals"}) columns.push_back({name, OFTBinary});
-                  return columns;
-                }());
-    createTable(dataset.get(), kBuildingTable, wkbMultiPolygon, &srs,
-                {{"building_id", OFTString}, {"vertices", OFTBinary}, {"triangles", OFTBinary}, {"surfaces", OFTBinary}});
+                         {"x", "y", "z", "qx", "qy", "qz", "qw", "geotag_x", "geotag_y", "geotag_z", "geotag_qx",
+                          "geotag_qy", "geotag_qz", "geotag_qw"}));
+    createTable(dataset.get(), kViewTable, wkbNone, nullptr, [] {
+      auto columns = withPose(
+          {{"panorama_fid", OFTInteger64}, {"panorama_id", OFTString}, {"width", OFTInteger}, {"height", OFTInteger}},
+          {"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "z", "qx", "qy", "qz", "qw"});
+      columns.push_back({"features", OFTInteger});
+      for (const char* name : {"image", "keypoints", "octaves", "descriptors", "points", "normals"})
+        columns.push_back({name, OFTBinary});
+      return columns;
+    }());
+    createTable(
+        dataset.get(), kBuildingTable, wkbMultiPolygon, &srs,
+        {{"building_id", OFTString}, {"vertices", OFTBinary}, {"triangles", OFTBinary}, {"surfaces", OFTBinary}});
     setInfo("version", std::to_string(kDatabaseVersion));
     setInfo("crs", model.crs);
     for (int i = 0; i < 3; ++i) {
@@ -139,7 +144,8 @@ struct DatabaseWriter::Impl {
 
   void writeModel() {
     std::map<int, std::vector<int>> triangles_of;
-    for (std::size_t i = 0; i < model.mesh.triangles.size(); ++i) triangles_of[model.building[i]].push_back(static_cast<int>(i));
+    for (std::size_t i = 0; i < model.mesh.triangles.size(); ++i)
+      triangles_of[model.building[i]].push_back(static_cast<int>(i));
     OGRLayer* layer = table(kBuildingTable);
     for (const auto& [building, list] : triangles_of) {
       OGRFeature row(layer->GetLayerDefn());
@@ -151,7 +157,8 @@ struct DatabaseWriter::Impl {
         for (int k = 0; k < 3; ++k) {
           const int v = model.mesh.triangles[t][k];
           const auto inserted = index.emplace(v, static_cast<std::int32_t>(index.size()));
-          if (inserted.second) vertices.insert(vertices.end(), model.mesh.vertices[v].data(), model.mesh.vertices[v].data() + 3);
+          if (inserted.second)
+            vertices.insert(vertices.end(), model.mesh.vertices[v].data(), model.mesh.vertices[v].data() + 3);
           triangles.push_back(inserted.first->second);
         }
         surfaces.push_back(static_cast<std::uint8_t>(model.surface[t]));
@@ -181,7 +188,8 @@ struct DatabaseWriter::Impl {
     checkVersion(dataset.get(), working);
     const std::string old = infoValue(dataset.get(), "settings");
     if (old != settings)
-      throw std::runtime_error(working + " was made with other settings (" + old + ", now " + settings + "): use those, or another output, or delete it");
+      throw std::runtime_error(working + " was made with other settings (" + old + ", now " + settings +
+                               "): use those, or another output, or delete it");
     model = readStoredModel(dataset.get(), working);
     readExisting();
     setInfo("complete", "0");
@@ -211,9 +219,15 @@ struct DatabaseWriter::Impl {
     row.SetField("panorama_id", panorama.id.c_str());
     row.SetField("width", view.camera.width);
     row.SetField("height", view.camera.height);
-    const std::array<std::pair<const char*, double>, 9> camera = {{{"fx", view.camera.fx}, {"fy", view.camera.fy}, {"cx", view.camera.cx},
-                                                                   {"cy", view.camera.cy}, {"k1", view.camera.k1}, {"k2", view.camera.k2},
-                                                                   {"p1", view.camera.p1}, {"p2", view.camera.p2}, {"k3", view.camera.k3}}};
+    const std::array<std::pair<const char*, double>, 9> camera = {{{"fx", view.camera.fx},
+                                                                   {"fy", view.camera.fy},
+                                                                   {"cx", view.camera.cx},
+                                                                   {"cy", view.camera.cy},
+                                                                   {"k1", view.camera.k1},
+                                                                   {"k2", view.camera.k2},
+                                                                   {"p1", view.camera.p1},
+                                                                   {"p2", view.camera.p2},
+                                                                   {"k3", view.camera.k3}}};
     for (const auto& [name, value] : camera) row.SetField(name, value);
     writePose(view.T_world_camera, "", &row);
     std::vector<std::uint8_t> encoded;
@@ -221,8 +235,10 @@ struct DatabaseWriter::Impl {
     setBlob(&row, "image", encoded);
     const std::size_t n = view.features.size();
     const cv::Mat& d = view.features.descriptors;
-    if (view.points.size() != n || view.normals.size() != n || (n > 0 && (d.rows != static_cast<int>(n) || d.cols != 128 || d.type() != CV_8U)))
-      throw std::invalid_argument("DatabaseWriter: lists of a view differ in length, or its descriptors are not 128 bytes");
+    if (view.points.size() != n || view.normals.size() != n ||
+        (n > 0 && (d.rows != static_cast<int>(n) || d.cols != 128 || d.type() != CV_8U)))
+      throw std::invalid_argument(
+          "DatabaseWriter: lists of a view differ in length, or its descriptors are not 128 bytes");
     std::vector<float> keypoints, points, normals;
     std::vector<std::int32_t> octaves;
     for (std::size_t i = 0; i < n; ++i) {
@@ -249,7 +265,8 @@ struct DatabaseWriter::Impl {
   }
 };
 
-DatabaseWriter::DatabaseWriter(const std::string& path, const CityModel& model, const std::string& settings) : impl_(std::make_unique<Impl>()) {
+DatabaseWriter::DatabaseWriter(const std::string& path, const CityModel& model, const std::string& settings)
+    : impl_(std::make_unique<Impl>()) {
   Impl& d = *impl_;
   d.path = path;
   GDALAllRegister();
@@ -263,7 +280,8 @@ DatabaseWriter::DatabaseWriter(const std::string& path, const CityModel& model, 
   } else {
     d.working = partialName(path);
     const fs::path folder = fs::path(path).parent_path();
-    if (!folder.empty() && !fs::is_directory(folder)) throw std::runtime_error("there is no folder " + folder.string() + " for " + path);
+    if (!folder.empty() && !fs::is_directory(folder))
+      throw std::runtime_error("there is no folder " + folder.string() + " for " + path);
     if (!fs::exists(d.working) && fs::exists(path)) {
       checkVersion(openDataset(path, false).get(), path);
       // Copied under a third name first, so that a half-written copy is never taken for a build to resume.
@@ -366,8 +384,10 @@ void DatabaseWriter::finish() {
   d.setInfo("complete", "1");
   d.dataset->FlushCache();
   d.dataset.reset();
-  if (CPLGetLastErrorType() >= CE_Failure) throw std::runtime_error("cannot finish " + d.working + ": " + CPLGetLastErrorMsg());
-  if (!isServer(d.path) && std::rename(d.working.c_str(), d.path.c_str()) != 0) throw std::runtime_error("cannot rename " + d.working + " to " + d.path);
+  if (CPLGetLastErrorType() >= CE_Failure)
+    throw std::runtime_error("cannot finish " + d.working + ": " + CPLGetLastErrorMsg());
+  if (!isServer(d.path) && std::rename(d.working.c_str(), d.path.c_str()) != 0)
+    throw std::runtime_error("cannot rename " + d.working + " to " + d.path);
 }
 
 }  // namespace streetview_localizer

@@ -14,14 +14,15 @@
 namespace streetview_localizer {
 namespace {
 
-constexpr int kSide = 12;             // samples along a patch
-constexpr std::size_t kImages = 24;   // kept in memory
+constexpr int kSide = 12;            // samples along a patch
+constexpr std::size_t kImages = 24;  // kept in memory
 
 using Patch = std::array<float, kSide * kSide>;
 
 // Bilinear; the column of a panorama wraps round.
 float sample(const cv::Mat& grey, const Eigen::Vector2d& p, bool wraps) {
-  const double x = wraps ? p.x() : std::clamp(p.x(), 0.0, grey.cols - 1.001), y = std::clamp(p.y(), 0.0, grey.rows - 1.001);
+  const double x = wraps ? p.x() : std::clamp(p.x(), 0.0, grey.cols - 1.001),
+               y = std::clamp(p.y(), 0.0, grey.rows - 1.001);
   const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(y);
   const float a = static_cast<float>(x - u), b = static_cast<float>(y - v);
   const int u0 = (u + grey.cols) % grey.cols, u1 = (u0 + 1) % grey.cols;
@@ -67,7 +68,8 @@ struct FacadeConsistency::Impl {
     if (!grey.empty() && grey.channels() == 3) cv::cvtColor(grey, grey, cv::COLOR_BGR2GRAY);
     if (grey.cols > settings.image_width) {
       const double factor = double(settings.image_width) / grey.cols;
-      cv::resize(grey, grey, {settings.image_width, static_cast<int>(std::lround(grey.rows * factor))}, 0, 0, cv::INTER_AREA);
+      cv::resize(grey, grey, {settings.image_width, static_cast<int>(std::lround(grey.rows * factor))}, 0, 0,
+                 cv::INTER_AREA);
     }
     const std::lock_guard<std::mutex> lock(mutex);
     cache.emplace_front(index, grey);
@@ -76,15 +78,17 @@ struct FacadeConsistency::Impl {
   }
 
   // Samples a square of side x side points around `centre`; false where a photograph does not show all of it.
-  bool window(int index, const cv::Mat& grey, const Eigen::Vector3d& centre, const Eigen::Vector3d& right, const Eigen::Vector3d& up, int side,
-              float* out) const {
+  bool window(int index, const cv::Mat& grey, const Eigen::Vector3d& centre, const Eigen::Vector3d& right,
+              const Eigen::Vector3d& up, int side, float* out) const {
     const ConsistencyImage& info = images[index];
     const air_ground_common::Pose T = info.T_world_image.inverse();
-    const air_ground_common::CameraModel camera = info.equirectangular ? info.camera : info.camera.scaled(double(grey.cols) / info.camera.width);
+    const air_ground_common::CameraModel camera =
+        info.equirectangular ? info.camera : info.camera.scaled(double(grey.cols) / info.camera.width);
     const double step = settings.patch / kSide;
     for (int i = 0; i < side; ++i)
       for (int j = 0; j < side; ++j) {
-        const Eigen::Vector3d p = T * (centre + step * (j - 0.5 * (side - 1)) * right + step * (i - 0.5 * (side - 1)) * up);
+        const Eigen::Vector3d p =
+            T * (centre + step * (j - 0.5 * (side - 1)) * right + step * (i - 0.5 * (side - 1)) * up);
         if (info.equirectangular) {
           *out++ = sample(grey, panoramaPixel(grey.size(), p), true);
           continue;
@@ -106,12 +110,13 @@ struct FacadeConsistency::Impl {
       if (!pixel || !info.camera.contains(*pixel)) return false;
     }
     const Eigen::Vector3d origin = point - ray;
-    return !model.scene().occluded(origin.cast<float>(), (ray / distance).cast<float>(), static_cast<float>(distance - 0.3));
+    return !model.scene().occluded(origin.cast<float>(), (ray / distance).cast<float>(),
+                                   static_cast<float>(distance - 0.3));
   }
 
   // Samples the neighbour once over patch and search range, then slides. NaN if it does not show all of that.
-  double bestCorrelation(int index, const cv::Mat& grey, const Patch& own, const Eigen::Vector3d& centre, const Eigen::Vector3d& right,
-                         const Eigen::Vector3d& up) const {
+  double bestCorrelation(int index, const cv::Mat& grey, const Patch& own, const Eigen::Vector3d& centre,
+                         const Eigen::Vector3d& right, const Eigen::Vector3d& up) const {
     const int reach = static_cast<int>(std::lround(settings.search * kSide / settings.patch)), side = kSide + 2 * reach;
     std::vector<float> area(static_cast<std::size_t>(side * side));
     if (!window(index, grey, centre, right, up, side, area.data())) return std::numeric_limits<double>::quiet_NaN();
@@ -129,8 +134,8 @@ struct FacadeConsistency::Impl {
   }
 };
 
-FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images, std::function<cv::Mat(int)> load,
-                                     const ConsistencySettings& settings)
+FacadeConsistency::FacadeConsistency(const BackProjector& model, std::vector<ConsistencyImage> images,
+                                     std::function<cv::Mat(int)> load, const ConsistencySettings& settings)
     : impl_(new Impl{model, std::move(images), std::move(load), settings, {}, {}}) {}
 FacadeConsistency::~FacadeConsistency() = default;
 
@@ -141,12 +146,14 @@ double FacadeConsistency::correlation(int own, const Eigen::Vector3d& point, con
   const Eigen::Vector3d right = Eigen::Vector3d::UnitZ().cross(normal).normalized(), up = normal.cross(right);
   const cv::Mat grey = d.image(own);
   Patch patch;
-  if (grey.empty() || !d.window(own, grey, point, right, up, kSide, patch.data()) || !normalise(&patch)) return kUnknown;
+  if (grey.empty() || !d.window(own, grey, point, right, up, kSide, patch.data()) || !normalise(&patch))
+    return kUnknown;
   std::vector<std::pair<double, int>> neighbours;
   const Eigen::Vector3d place = d.images[own].T_world_image.translation();
   for (std::size_t i = 0; i < d.images.size(); ++i) {
     const double distance = (d.images[i].T_world_image.translation() - place).norm();
-    if (static_cast<int>(i) != own && d.images[i].usable && distance > d.settings.min_distance && distance < d.settings.max_distance)
+    if (static_cast<int>(i) != own && d.images[i].usable && distance > d.settings.min_distance &&
+        distance < d.settings.max_distance)
       neighbours.emplace_back(distance, static_cast<int>(i));
   }
   std::sort(neighbours.begin(), neighbours.end());
@@ -178,8 +185,10 @@ int FacadeConsistency::apply(int own, View* view) const {
     normals.push_back(view->normals[i]);
   }
   const int dropped = static_cast<int>(view->features.size() - rows.size());
-  kept.descriptors.create(static_cast<int>(rows.size()), view->features.descriptors.cols, view->features.descriptors.type());
-  for (std::size_t i = 0; i < rows.size(); ++i) view->features.descriptors.row(rows[i]).copyTo(kept.descriptors.row(static_cast<int>(i)));
+  kept.descriptors.create(static_cast<int>(rows.size()), view->features.descriptors.cols,
+                          view->features.descriptors.type());
+  for (std::size_t i = 0; i < rows.size(); ++i)
+    view->features.descriptors.row(rows[i]).copyTo(kept.descriptors.row(static_cast<int>(i)));
   view->features = std::move(kept);
   view->points = std::move(points);
   view->normals = std::move(normals);

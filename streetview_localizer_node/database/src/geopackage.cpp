@@ -18,16 +18,21 @@ bool isServer(const std::string& path) { return path.rfind("PG:", 0) == 0; }
 // SQLite's header tells how long the file ought to be (fields at 16 and 28, sqlite.org/fileformat2.html).
 void checkFile(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::runtime_error("cannot open " + path + (std::filesystem::exists(path) ? "" : ": there is no such file"));
+  if (!file)
+    throw std::runtime_error("cannot open " + path + (std::filesystem::exists(path) ? "" : ": there is no such file"));
   std::array<unsigned char, 100> h{};
   file.read(reinterpret_cast<char*>(h.data()), h.size());
-  if (file.gcount() < static_cast<std::streamsize>(h.size()) || std::string(h.begin(), h.begin() + 15) != "SQLite format 3")
-    throw std::runtime_error(path + " is no Street View database (not a GeoPackage): build one with build_streetview_db");
+  if (file.gcount() < static_cast<std::streamsize>(h.size()) ||
+      std::string(h.begin(), h.begin() + 15) != "SQLite format 3")
+    throw std::runtime_error(path +
+                             " is no Street View database (not a GeoPackage): build one with build_streetview_db");
   const std::uint64_t page = h[16] == 0 && h[17] == 1 ? 65536 : (std::uint64_t{h[16]} << 8 | h[17]);
-  const std::uint64_t pages = std::uint64_t{h[28]} << 24 | std::uint64_t{h[29]} << 16 | std::uint64_t{h[30]} << 8 | h[31];
+  const std::uint64_t pages =
+      std::uint64_t{h[28]} << 24 | std::uint64_t{h[29]} << 16 | std::uint64_t{h[30]} << 8 | h[31];
   const std::uint64_t size = std::filesystem::file_size(path);
   if (size < page * pages)
-    throw std::runtime_error(path + " is truncated (" + std::to_string(size) + " of " + std::to_string(page * pages) + " bytes): copy or build it again");
+    throw std::runtime_error(path + " is truncated (" + std::to_string(size) + " of " + std::to_string(page * pages) +
+                             " bytes): copy or build it again");
 }
 
 Pose readPose(OGRFeature& row, const std::string& prefix) {
@@ -42,8 +47,13 @@ Pose readPose(OGRFeature& row, const std::string& prefix) {
 
 void writePose(const Pose& T, const std::string& prefix, OGRFeature* row) {
   const Eigen::Quaterniond q(T.linear());
-  const std::array<std::pair<const char*, double>, 7> values = {{{"x", T.translation().x()}, {"y", T.translation().y()}, {"z", T.translation().z()},
-                                                                 {"qx", q.x()}, {"qy", q.y()}, {"qz", q.z()}, {"qw", q.w()}}};
+  const std::array<std::pair<const char*, double>, 7> values = {{{"x", T.translation().x()},
+                                                                 {"y", T.translation().y()},
+                                                                 {"z", T.translation().z()},
+                                                                 {"qx", q.x()},
+                                                                 {"qy", q.y()},
+                                                                 {"qz", q.z()},
+                                                                 {"qw", q.w()}}};
   for (const auto& [name, value] : values) row->SetField((prefix + name).c_str(), value);
 }
 
@@ -71,15 +81,19 @@ std::string infoValue(GDALDataset* dataset, const std::string& key) {
 
 void checkVersion(GDALDataset* dataset, const std::string& path) {
   const std::string version = infoValue(dataset, "version");
-  if (version.empty()) throw std::runtime_error(path + " is no Street View database (it has no table " + kInfoTable + "): build one with build_streetview_db");
+  if (version.empty())
+    throw std::runtime_error(path + " is no Street View database (it has no table " + kInfoTable +
+                             "): build one with build_streetview_db");
   if (version != std::to_string(kDatabaseVersion))
-    throw std::runtime_error(path + " has database version " + version + ", this program reads version " + std::to_string(kDatabaseVersion) + ": build it again");
+    throw std::runtime_error(path + " has database version " + version + ", this program reads version " +
+                             std::to_string(kDatabaseVersion) + ": build it again");
 }
 
 CityModel readStoredModel(GDALDataset* dataset, const std::string& path) {
   CityModel model;
   model.crs = infoValue(dataset, "crs");
-  for (int i = 0; i < 3; ++i) model.origin[i] = std::atof(infoValue(dataset, std::string("origin_") + "xyz"[i]).c_str());
+  for (int i = 0; i < 3; ++i)
+    model.origin[i] = std::atof(infoValue(dataset, std::string("origin_") + "xyz"[i]).c_str());
   if (!model.crs.empty()) {
     try {
       model.frame = std::make_shared<air_ground_common::LocalFrame>(model.crs, model.origin);
@@ -96,9 +110,11 @@ CityModel readStoredModel(GDALDataset* dataset, const std::string& path) {
     const auto triangles = blob<std::int32_t>(*row, "triangles");
     const auto surfaces = blob<std::uint8_t>(*row, "surfaces");
     const int count = static_cast<int>(vertices.size() / 3);
-    if (vertices.size() % 3 != 0 || triangles.size() != 3 * surfaces.size()) throw std::runtime_error(path + " holds a broken building: build it again");
+    if (vertices.size() % 3 != 0 || triangles.size() != 3 * surfaces.size())
+      throw std::runtime_error(path + " holds a broken building: build it again");
     const int first = static_cast<int>(model.mesh.vertices.size());
-    for (std::size_t i = 0; i + 2 < vertices.size(); i += 3) model.mesh.vertices.emplace_back(vertices[i], vertices[i + 1], vertices[i + 2]);
+    for (std::size_t i = 0; i + 2 < vertices.size(); i += 3)
+      model.mesh.vertices.emplace_back(vertices[i], vertices[i + 1], vertices[i + 2]);
     const std::string id = row->GetFieldAsString("building_id");
     int building = -1;
     if (row->GetGeometryRef()) {
@@ -107,13 +123,14 @@ CityModel readStoredModel(GDALDataset* dataset, const std::string& path) {
     }
     for (std::size_t i = 0; i < surfaces.size(); ++i) {
       Eigen::Vector3i t(triangles[3 * i], triangles[3 * i + 1], triangles[3 * i + 2]);
-      if (t.minCoeff() < 0 || t.maxCoeff() >= count || surfaces[i] > 3) throw std::runtime_error(path + " holds a broken building: build it again");
+      if (t.minCoeff() < 0 || t.maxCoeff() >= count || surfaces[i] > 3)
+        throw std::runtime_error(path + " holds a broken building: build it again");
       model.mesh.triangles.push_back(t + Eigen::Vector3i::Constant(first));
       model.surface.push_back(static_cast<Surface>(surfaces[i]));
       model.building.push_back(building);
     }
   }
-  if (*CPLGetLastErrorMsg()) throw std::runtime_error(path + " cannot be read: " + CPLGetLastErrorMsg());
+  if (CPLGetLastErrorType() >= CE_Failure) throw std::runtime_error(path + " cannot be read: " + CPLGetLastErrorMsg());
   return model;
 }
 

@@ -12,8 +12,8 @@
 
 namespace streetview_localizer {
 
-// panoramas: points in the database's system. views: one row an image, linked by panorama_fid. buildings: footprints, with
-// the 3D mesh in blobs; the row without geometry and id is the terrain. street_view_database: keys and values.
+// panoramas: points in the database's system. views: one row an image, linked by panorama_fid. buildings: footprints,
+// with the 3D mesh in blobs; the row without geometry and id is the terrain. street_view_database: keys and values.
 constexpr char kPanoramaTable[] = "panoramas";
 constexpr char kViewTable[] = "views";
 constexpr char kBuildingTable[] = "buildings";
@@ -51,7 +51,8 @@ void writePose(const air_ground_common::Pose& T, const std::string& prefix, OGRF
 /// Blobs are little-endian arrays.
 template <typename T>
 void setBlob(OGRFeature* row, const char* field, const std::vector<T>& values) {
-  row->SetField(row->GetFieldIndex(field), static_cast<int>(values.size() * sizeof(T)), static_cast<const void*>(values.data()));
+  row->SetField(row->GetFieldIndex(field), static_cast<int>(values.size() * sizeof(T)),
+                static_cast<const void*>(values.data()));
 }
 
 template <typename T>

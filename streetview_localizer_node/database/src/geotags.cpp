@@ -75,14 +75,20 @@ std::vector<Geotag> readCsv(const std::string& path) {
   std::map<std::string, std::size_t> column;
   for (std::size_t i = 0; i < header.size(); ++i) column[header[i]] = i;
   for (const char* name : {"image", "lat", "lon", "alt", "heading_deg"})
-    if (!column.count(name)) throw std::runtime_error(path + " has no column " + name + ": needed are image, lat, lon, alt, heading_deg; pitch_deg and roll_deg may follow");
+    if (!column.count(name))
+      throw std::runtime_error(path + " has no column " + name +
+                               ": needed are image, lat, lon, alt, heading_deg; pitch_deg and roll_deg may follow");
   std::vector<Geotag> tags;
   for (int n = 2; std::getline(file, line); ++n) {
     if (line.empty() || line == "\r" || line[0] == '#') continue;
     const std::vector<std::string> cells = split(line);
     const std::string where = path + " line " + std::to_string(n);
-    if (cells.size() < header.size()) throw std::runtime_error(where + " has " + std::to_string(cells.size()) + " columns instead of " + std::to_string(header.size()));
-    const auto value = [&](const char* name, double fallback) { return column.count(name) ? number(cells[column[name]], where) : fallback; };
+    if (cells.size() < header.size())
+      throw std::runtime_error(where + " has " + std::to_string(cells.size()) + " columns instead of " +
+                               std::to_string(header.size()));
+    const auto value = [&](const char* name, double fallback) {
+      return column.count(name) ? number(cells[column[name]], where) : fallback;
+    };
     Geotag g;
     g.image = cells[column["image"]];
     g.position = {value("lat", 0), value("lon", 0), value("alt", 0)};
@@ -113,7 +119,8 @@ std::vector<Geotag> readGeoJson(const std::string& path) {
         g.position = {std::nan(""), std::nan(""), std::nan("")};
       } else {
         const auto& c = geometry.at("coordinates");
-        g.position = {c.at(1).get<double>(), c.at(0).get<double>(), c.size() > 2 ? c[2].get<double>() : value("alt", std::nan(""))};
+        g.position = {c.at(1).get<double>(), c.at(0).get<double>(),
+                      c.size() > 2 ? c[2].get<double>() : value("alt", std::nan(""))};
       }
       g.heading = value("heading_deg", std::nan("")) * kDegree;
       g.pitch = value("pitch_deg", 0) * kDegree;
@@ -132,7 +139,8 @@ std::vector<double> rationals(const char* text) {
   std::vector<double> values;
   if (!text) return values;
   std::string s = text;
-  std::replace_if(s.begin(), s.end(), [](char c) { return c == '(' || c == ')'; }, ' ');
+  std::replace_if(
+      s.begin(), s.end(), [](char c) { return c == '(' || c == ')'; }, ' ');
   std::istringstream words(s);
   for (double v; words >> v;) values.push_back(v);
   return values;
@@ -147,7 +155,8 @@ double angle(const char* text) {
 double xmpNumber(const std::string& xmp, const std::string& key) {
   std::smatch m;
   // As attribute, key="1.5", or as element, <key>1.5</key>.
-  if (std::regex_search(xmp, m, std::regex(key + "\\s*(?:=\\s*[\"']|>)\\s*([-+0-9.eE]+)"))) return std::strtod(m[1].str().c_str(), nullptr);
+  if (std::regex_search(xmp, m, std::regex(key + "\\s*(?:=\\s*[\"']|>)\\s*([-+0-9.eE]+)")))
+    return std::strtod(m[1].str().c_str(), nullptr);
   return std::nan("");
 }
 
@@ -168,21 +177,26 @@ Geotag exifOf(const std::string& path) {
     return g;
   }
   const auto tag = [&](const char* name) { return image->GetMetadataItem(name); };
-  const auto letter = [&](const char* name, char fallback) { return tag(name) && *tag(name) ? tag(name)[0] : fallback; };
+  const auto letter = [&](const char* name, char fallback) {
+    return tag(name) && *tag(name) ? tag(name)[0] : fallback;
+  };
   g.position.latitude = angle(tag("EXIF_GPSLatitude")) * (letter("EXIF_GPSLatitudeRef", 'N') == 'S' ? -1 : 1);
   g.position.longitude = angle(tag("EXIF_GPSLongitude")) * (letter("EXIF_GPSLongitudeRef", 'E') == 'W' ? -1 : 1);
   const char* below = tag("EXIF_GPSAltitudeRef");
-  g.position.height = angle(tag("EXIF_GPSAltitude")) * (below && std::string(below).find('1') != std::string::npos ? -1 : 1);
+  g.position.height =
+      angle(tag("EXIF_GPSAltitude")) * (below && std::string(below).find('1') != std::string::npos ? -1 : 1);
   g.heading = angle(tag("EXIF_GPSImgDirection")) * kDegree;
   bool magnetic = letter("EXIF_GPSImgDirectionRef", 'T') == 'M';
   if (char** packet = image->GetMetadata("xml:XMP"); packet && *packet) {
     const std::string xmp = *packet;
-    if (const double heading = xmpNumber(xmp, "GPano:PoseHeadingDegrees"); std::isfinite(heading)) g.heading = heading * kDegree, magnetic = false;
+    if (const double heading = xmpNumber(xmp, "GPano:PoseHeadingDegrees"); std::isfinite(heading))
+      g.heading = heading * kDegree, magnetic = false;
     if (const double pitch = xmpNumber(xmp, "GPano:PosePitchDegrees"); std::isfinite(pitch)) g.pitch = pitch * kDegree;
     if (const double roll = xmpNumber(xmp, "GPano:PoseRollDegrees"); std::isfinite(roll)) g.roll = roll * kDegree;
   }
   g.problem = problemOf(g);
-  if (g.problem.empty() && magnetic) g.problem = "has a heading from magnetic north: add the declination and give a geotag file";
+  if (g.problem.empty() && magnetic)
+    g.problem = "has a heading from magnetic north: add the declination and give a geotag file";
   return g;
 }
 
@@ -221,6 +235,12 @@ std::optional<double> exifFocalLength(const std::string& path, int width) {
   return std::nullopt;
 }
 
+cv::Size imageSize(const std::string& path) {
+  const QuietGdal quiet;
+  const Dataset image = openImage(path);
+  return image ? cv::Size(image->GetRasterXSize(), image->GetRasterYSize()) : cv::Size();
+}
+
 std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {
   std::ifstream file(path);
   if (!file) throw std::runtime_error("cannot open " + path);
@@ -234,10 +254,12 @@ std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {
     Eigen::Vector3d t;
     Eigen::Quaterniond q;
     const std::string where = path + " line " + std::to_string(n);
-    if (!(words >> s.image >> s.fx >> s.fy >> s.cx >> s.cy >> t.x() >> t.y() >> t.z() >> q.x() >> q.y() >> q.z() >> q.w()))
+    if (!(words >> s.image >> s.fx >> s.fy >> s.cx >> s.cy >> t.x() >> t.y() >> t.z() >> q.x() >> q.y() >> q.z() >>
+          q.w()))
       throw std::runtime_error(where + ": expected image fx fy cx cy tx ty tz qx qy qz qw");
     if (!(s.fx > 0) || !(s.fy > 0)) throw std::runtime_error(where + ": focal lengths must be positive");
-    if (std::abs(q.norm() - 1) > 1e-2) throw std::runtime_error(where + ": the quaternion has norm " + std::to_string(q.norm()) + " instead of 1");
+    if (std::abs(q.norm() - 1) > 1e-2)
+      throw std::runtime_error(where + ": the quaternion has norm " + std::to_string(q.norm()) + " instead of 1");
     s.T_crs_camera.translation() = t;
     s.T_crs_camera.linear() = q.normalized().toRotationMatrix();
     images.push_back(s);
@@ -247,14 +269,18 @@ std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {
 }
 
 Pose worldPose(const Geotag& g, const CityModel& model, North north) {
-  if (!model.frame) throw std::invalid_argument("the city model has no coordinate system, so geotags have no place in it: give its system, like --crs EPSG:2056");
+  if (!model.frame)
+    throw std::invalid_argument(
+        "the city model has no coordinate system, so geotags have no place in it: give its system, like --crs "
+        "EPSG:2056");
   Pose T = Pose::Identity();
   T.translation() = model.frame->fromGeodetic(g.position);
   double heading = g.heading;
   if (north == North::kGrid) heading += model.frame->meridianConvergence();
-  T.linear() = (Eigen::AngleAxisd(M_PI / 2 - heading, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-g.pitch, Eigen::Vector3d::UnitY()) *
-                Eigen::AngleAxisd(g.roll, Eigen::Vector3d::UnitX()))
-                   .toRotationMatrix();
+  T.linear() =
+      (Eigen::AngleAxisd(M_PI / 2 - heading, Eigen::Vector3d::UnitZ()) *
+       Eigen::AngleAxisd(-g.pitch, Eigen::Vector3d::UnitY()) * Eigen::AngleAxisd(g.roll, Eigen::Vector3d::UnitX()))
+          .toRotationMatrix();
   return T;
 }
 

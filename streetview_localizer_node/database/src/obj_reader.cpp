@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cctype>
 #include <fstream>
 #include <map>
@@ -10,20 +9,29 @@
 namespace streetview_localizer {
 namespace {
 
-std::optional<Surface> surfaceOfName(std::string name) {
-  std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
-  const auto has = [&](const char* word) { return name.find(word) != std::string::npos; };
-  for (const char* word : {"ground", "terrain", "road", "street", "pavement", "sidewalk", "floor", "dtm", "dem"})
-    if (has(word)) return Surface::kGround;
-  if (has("roof")) return Surface::kRoof;
-  if (has("wall") || has("facade")) return Surface::kWall;
-  return std::nullopt;
+// Whole words alone: "academy_wall" is no digital elevation model ("dem").
+std::optional<Surface> surfaceOfName(const std::string& name) {
+  std::optional<Surface> surface;
+  std::string word;
+  for (const char c : name + " ") {
+    if (std::isalpha(static_cast<unsigned char>(c))) {
+      word += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+      continue;
+    }
+    for (const char* w : {"ground", "groundsurface", "terrain", "road", "pavement", "sidewalk", "dtm", "dem"})
+      if (word == w) return Surface::kGround;
+    if (word == "roof" || word == "roofs" || word == "roofsurface") surface = Surface::kRoof;
+    if (word == "wall" || word == "wallsurface" || word == "walls" || word == "facade" || word == "facades")
+      surface = Surface::kWall;
+    word.clear();
+  }
+  return surface;
 }
 
 }  // namespace
 
-// Vertices, faces with any number of corners, `o` and `g` names. A building is an object (`o`), or where the file has none,
-// a group (`g`); groups inside an object, and materials, may tell walls from roofs and ground by their names.
+// Vertices, faces with any number of corners, `o` and `g` names. A building is an object (`o`), or where the file has
+// none, a group (`g`); groups inside an object, and materials, may tell walls from roofs and ground by their names.
 PolygonModel readObj(const std::string& path) {
   std::ifstream file(path);
   if (!file) throw std::runtime_error("cannot open " + path);
@@ -32,7 +40,9 @@ PolygonModel readObj(const std::string& path) {
   std::map<std::string, int> ids;
   std::string line, object, group, material;
   int number = 0;
-  const auto fail = [&](const std::string& what) { throw std::runtime_error(path + " line " + std::to_string(number) + ": " + what); };
+  const auto fail = [&](const std::string& what) {
+    throw std::runtime_error(path + " line " + std::to_string(number) + ": " + what);
+  };
   while (std::getline(file, line)) {
     ++number;
     std::istringstream words(line);
@@ -60,7 +70,8 @@ PolygonModel readObj(const std::string& path) {
           fail("'" + corner + "' is no corner of a face");
         }
         const long index = i < 0 ? static_cast<long>(vertices.size()) + i : i - 1;
-        if (i == 0 || index < 0 || index >= static_cast<long>(vertices.size())) fail("face corner " + corner + " names a vertex that does not exist");
+        if (i == 0 || index < 0 || index >= static_cast<long>(vertices.size()))
+          fail("face corner " + corner + " names a vertex that does not exist");
         ring.push_back(vertices[static_cast<std::size_t>(index)]);
       }
       if (ring.size() < 3) fail("a face needs three corners");

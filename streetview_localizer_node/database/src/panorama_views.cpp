@@ -27,10 +27,12 @@ Eigen::Vector2d panoramaPixel(const cv::Size& size, const Eigen::Vector3d& d) {
 std::vector<View> cutPanorama(const cv::Mat& image, const Pose& T_world_panorama, const PanoramaViewSettings& s) {
   if (image.empty()) throw std::invalid_argument("the panorama is empty");
   if (std::abs(image.cols - 2.0 * image.rows) > 0.02 * image.cols)
-    throw std::invalid_argument("an equirectangular panorama is twice as wide as high, this image has " + std::to_string(image.cols) + "x" +
-                                std::to_string(image.rows) + " pixels");
-  if (!(s.horizontal_fov > 0.1) || !(s.horizontal_fov < 2.8) || !(s.yaw_step > 0.05) || s.width < 16 || s.height < 16 || s.pitches.empty())
-    throw std::invalid_argument("panorama views need a field of view of 6 to 160 degrees, a yaw step above 3 degrees and 16 pixels");
+    throw std::invalid_argument("an equirectangular panorama is twice as wide as high, this image has " +
+                                std::to_string(image.cols) + "x" + std::to_string(image.rows) + " pixels");
+  if (!(s.horizontal_fov > 0.1) || !(s.horizontal_fov < 2.8) || !(s.yaw_step > 0.05) || s.width < 16 || s.height < 16 ||
+      s.pitches.empty())
+    throw std::invalid_argument(
+        "panorama views need a field of view of 6 to 160 degrees, a yaw step above 3 degrees and 16 pixels");
   CameraModel camera;
   camera.width = s.width;
   camera.height = s.height;
@@ -59,14 +61,16 @@ std::vector<View> cutPanorama(const cv::Mat& image, const Pose& T_world_panorama
       view.id = static_cast<int>(views.size());
       view.camera = camera;
       Pose T_panorama_camera = Pose::Identity();
-      T_panorama_camera.linear() = (Eigen::AngleAxisd(-2 * M_PI * i / count, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY()))
+      T_panorama_camera.linear() = (Eigen::AngleAxisd(-2 * M_PI * i / count, Eigen::Vector3d::UnitZ()) *
+                                    Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY()))
                                        .toRotationMatrix() *
                                    air_ground_common::opticalFromForwardBody().transpose();
       view.T_world_camera = T_world_panorama * T_panorama_camera;
       cv::Mat map(s.height, s.width, CV_32FC2);
       for (int y = 0; y < s.height; ++y)
         for (int x = 0; x < s.width; ++x) {
-          const Eigen::Vector2d p = panoramaPixel(source.size(), T_panorama_camera.linear() * camera.ray({double(x), double(y)}));
+          const Eigen::Vector2d p =
+              panoramaPixel(source.size(), T_panorama_camera.linear() * camera.ray({double(x), double(y)}));
           map.at<cv::Vec2f>(y, x) = {float(p.x() + kBorder), float(p.y() + kBorder)};
         }
       cv::remap(padded, view.image, map, cv::noArray(), cv::INTER_CUBIC, cv::BORDER_REPLICATE);

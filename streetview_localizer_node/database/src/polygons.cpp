@@ -17,7 +17,9 @@ struct Tessellation {
   bool failed = false;
 };
 
-void onVertex(void* vertex, void* user) { static_cast<Tessellation*>(user)->corners.push_back(*static_cast<int*>(vertex)); }
+void onVertex(void* vertex, void* user) {
+  static_cast<Tessellation*>(user)->corners.push_back(*static_cast<int*>(vertex));
+}
 void onEdgeFlag(GLboolean, void*) {}  // its presence makes GLU emit plain triangles
 void onError(GLenum, void* user) { static_cast<Tessellation*>(user)->failed = true; }
 void onCombine(GLdouble[3], void* data[4], GLfloat weight[4], void** out, void* user) {

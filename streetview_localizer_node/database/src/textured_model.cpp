@@ -25,7 +25,7 @@ struct Facet {
   double offset = 0;
   std::vector<int> triangles;
   Eigen::Vector2d low = Eigen::Vector2d::Constant(1e30), high = Eigen::Vector2d::Constant(-1e30);
-  double texel = 0;         // [m]
+  double texel = 0;           // [m]
   int width = 0, height = 0;  // [px]
   int page = -1, x = 0, y = 0;
 
@@ -42,17 +42,22 @@ std::vector<Facet> findFacets(const CityModel& m, double resolution, int page_si
   for (const auto& [building, triangles] : of_building) {
     const std::size_t first = facets.size();
     for (const int t : triangles) {
-      const auto corner = [&](int k) { return Eigen::Vector3d(m.mesh.vertices[m.mesh.triangles[t][k]].cast<double>()); };
+      const auto corner = [&](int k) {
+        return Eigen::Vector3d(m.mesh.vertices[m.mesh.triangles[t][k]].cast<double>());
+      };
       const Eigen::Vector3d cross = (corner(1) - corner(0)).cross(corner(2) - corner(0));
       if (cross.norm() < 1e-4) continue;
       const Eigen::Vector3d n = cross.normalized(), centre = (corner(0) + corner(1) + corner(2)) / 3;
       std::size_t f = first;
-      while (f < facets.size() && !(facets[f].normal.dot(n) > 0.9994 && std::abs(facets[f].normal.dot(centre) - facets[f].offset) < 0.05)) ++f;
+      while (f < facets.size() &&
+             !(facets[f].normal.dot(n) > 0.9994 && std::abs(facets[f].normal.dot(centre) - facets[f].offset) < 0.05))
+        ++f;
       if (f == facets.size()) {
         Facet facet;
         facet.normal = n;
         facet.offset = n.dot(centre);
-        facet.right = std::abs(n.z()) < 0.99 ? Eigen::Vector3d::UnitZ().cross(n).normalized() : Eigen::Vector3d::UnitX();
+        facet.right =
+            std::abs(n.z()) < 0.99 ? Eigen::Vector3d::UnitZ().cross(n).normalized() : Eigen::Vector3d::UnitX();
         facet.right = (facet.right - facet.right.dot(n) * n).normalized();
         facet.up = n.cross(facet.right);
         facets.push_back(facet);
@@ -75,7 +80,8 @@ std::vector<Facet> findFacets(const CityModel& m, double resolution, int page_si
 }
 
 // How many pixels of a view fall on a metre of the facade; 0 where it does not see the point.
-double pixelsPerMetre(const View& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal, const MeshScene& scene, const TextureSettings& s) {
+double pixelsPerMetre(const View& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
+                      const MeshScene& scene, const TextureSettings& s) {
   const Eigen::Vector3d ray = view.T_world_camera.translation() - point;
   const double distance = ray.norm(), cosine = normal.dot(ray) / distance;
   if (distance > s.max_distance || distance < 0.5 || cosine < std::cos(s.max_incidence)) return 0;
@@ -89,14 +95,16 @@ double pixelsPerMetre(const View& view, const Eigen::Vector3d& point, const Eige
 cv::Vec3b colourOf(const View& view, const Eigen::Vector3d& point) {
   const auto p = view.camera.project(view.T_world_camera.inverse() * point);
   if (!p) return kUnseen;
-  const double x = std::clamp(p->x(), 0.0, view.image.cols - 1.001), y = std::clamp(p->y(), 0.0, view.image.rows - 1.001);
+  const double x = std::clamp(p->x(), 0.0, view.image.cols - 1.001),
+               y = std::clamp(p->y(), 0.0, view.image.rows - 1.001);
   const int u = static_cast<int>(x), v = static_cast<int>(y);
   const double a = x - u, b = y - v;
   const auto at = [&](int row, int column) {
     if (view.image.channels() == 3) return cv::Vec3d(view.image.at<cv::Vec3b>(row, column));
     return cv::Vec3d::all(view.image.at<uchar>(row, column));
   };
-  return cv::Vec3b((1 - b) * ((1 - a) * at(v, u) + a * at(v, u + 1)) + b * ((1 - a) * at(v + 1, u) + a * at(v + 1, u + 1)));
+  return cv::Vec3b((1 - b) * ((1 - a) * at(v, u) + a * at(v, u + 1)) +
+                   b * ((1 - a) * at(v + 1, u) + a * at(v + 1, u + 1)));
 }
 
 // Empty if no view sees the facet.
@@ -106,7 +114,8 @@ cv::Mat paint(const Facet& f, const StreetviewDatabase& d, const MeshScene& scen
   std::vector<const View*> views;
   for (const View& view : d.views) {
     const Eigen::Vector3d to = view.T_world_camera.translation();
-    if (!view.image.empty() && (to - centre).norm() < s.max_distance + radius && f.normal.dot(to) > f.offset) views.push_back(&view);
+    if (!view.image.empty() && (to - centre).norm() < s.max_distance + radius && f.normal.dot(to) > f.offset)
+      views.push_back(&view);
   }
   if (views.empty()) return {};
   cv::Mat image(f.height, f.width, CV_8UC3, kUnseen);
@@ -132,7 +141,8 @@ cv::Mat paint(const Facet& f, const StreetviewDatabase& d, const MeshScene& scen
 
 // Shelf packing: facets by falling height, in rows.
 void pack(std::vector<std::pair<Facet*, cv::Mat>>* painted, int size, std::vector<cv::Mat>* pages) {
-  std::sort(painted->begin(), painted->end(), [](const auto& a, const auto& b) { return a.first->height > b.first->height; });
+  std::sort(painted->begin(), painted->end(),
+            [](const auto& a, const auto& b) { return a.first->height > b.first->height; });
   int x = 0, y = 0, shelf = 0;
   std::vector<int> used;
   for (auto& [facet, image] : *painted) {
@@ -145,13 +155,15 @@ void pack(std::vector<std::pair<Facet*, cv::Mat>>* painted, int size, std::vecto
     used.back() = std::max(used.back(), y + shelf);
   }
   for (const int height : used) pages->emplace_back(height, size, CV_8UC3, kUnseen);
-  for (auto& [facet, image] : *painted) image.copyTo((*pages)[facet->page](cv::Rect(facet->x, facet->y, facet->width, facet->height)));
+  for (auto& [facet, image] : *painted)
+    image.copyTo((*pages)[facet->page](cv::Rect(facet->x, facet->y, facet->width, facet->height)));
 }
 
 }  // namespace
 
 TexturedModel makeTexturedModel(const StreetviewDatabase& database, const TextureSettings& settings) {
-  if (!(settings.resolution > 0) || !(settings.block > 0) || settings.page < 256) throw std::invalid_argument("makeTexturedModel: resolution, block and page must be positive");
+  if (!(settings.resolution > 0) || !(settings.block > 0) || settings.page < 256)
+    throw std::invalid_argument("makeTexturedModel: resolution, block and page must be positive");
   TexturedModel out;
   out.mesh = database.model.mesh;
   out.uv.resize(out.mesh.triangles.size());
@@ -172,7 +184,9 @@ TexturedModel makeTexturedModel(const StreetviewDatabase& database, const Textur
       out.page[t] = f.page;
       for (int k = 0; k < 3; ++k) {
         const Eigen::Vector3d p = out.mesh.vertices[out.mesh.triangles[t][k]].cast<double>();
-        out.uv[t][k] = Eigen::Vector2d(f.x + kPad + (f.right.dot(p) - f.low.x()) / f.texel, f.y + kPad + (f.high.y() - f.up.dot(p)) / f.texel).cast<float>();
+        out.uv[t][k] = Eigen::Vector2d(f.x + kPad + (f.right.dot(p) - f.low.x()) / f.texel,
+                                       f.y + kPad + (f.high.y() - f.up.dot(p)) / f.texel)
+                           .cast<float>();
       }
     }
   }
@@ -184,12 +198,20 @@ void writeObj(const TexturedModel& model, const std::string& path) {
   const fs::path p(path);
   const std::string stem = p.stem().string();
   const auto beside = [&](const std::string& name) { return (p.parent_path() / name).string(); };
-  for (std::size_t i = 0; i < model.pages.size(); ++i)
-    if (!cv::imwrite(beside(stem + "_" + std::to_string(i) + ".jpg"), model.pages[i], {cv::IMWRITE_JPEG_QUALITY, 92}))
-      throw std::runtime_error("cannot write " + beside(stem + "_" + std::to_string(i) + ".jpg"));
+  for (std::size_t i = 0; i < model.pages.size(); ++i) {
+    const std::string page = beside(stem + "_" + std::to_string(i) + ".jpg"), partial_page = page + ".partial.jpg";
+    bool written = false;
+    try {
+      written = cv::imwrite(partial_page, model.pages[i], {cv::IMWRITE_JPEG_QUALITY, 92});
+    } catch (const cv::Exception&) {
+    }
+    if (!written || std::rename(partial_page.c_str(), page.c_str()) != 0)
+      throw std::runtime_error("cannot write " + page);
+  }
   std::ofstream mtl(beside(stem + ".mtl"));
   mtl << "newmtl plain\nKd 0.67 0.67 0.67\n";
-  for (std::size_t i = 0; i < model.pages.size(); ++i) mtl << "newmtl page" << i << "\nKa 1 1 1\nKd 1 1 1\nmap_Kd " << stem << "_" << i << ".jpg\n";
+  for (std::size_t i = 0; i < model.pages.size(); ++i)
+    mtl << "newmtl page" << i << "\nKa 1 1 1\nKd 1 1 1\nmap_Kd " << stem << "_" << i << ".jpg\n";
   mtl.close();
   if (!mtl) throw std::runtime_error("cannot write " + beside(stem + ".mtl"));
 
@@ -214,7 +236,8 @@ void writeObj(const TexturedModel& model, const std::string& path) {
     }
     // OBJ counts from the lower left corner of the image, in units of its size; our pixel (0, 0) is a pixel's centre.
     const cv::Mat& image = model.pages[page];
-    for (const auto& uv : model.uv[t]) obj << "vt " << (uv.x() + 0.5) / image.cols << " " << 1 - (uv.y() + 0.5) / image.rows << "\n";
+    for (const auto& uv : model.uv[t])
+      obj << "vt " << (uv.x() + 0.5) / image.cols << " " << 1 - (uv.y() + 0.5) / image.rows << "\n";
     obj << "f";
     for (int k = 0; k < 3; ++k) obj << " " << c[k] << "/" << ++texture;
     obj << "\n";
@@ -234,7 +257,8 @@ TexturedRenderer::~TexturedRenderer() = default;
 TexturedRenderer::TexturedRenderer(TexturedRenderer&&) noexcept = default;
 const TexturedModel& TexturedRenderer::model() const { return impl_->model; }
 
-cv::Mat TexturedRenderer::render(const air_ground_common::CameraModel& camera, const air_ground_common::Pose& T_world_camera) const {
+cv::Mat TexturedRenderer::render(const air_ground_common::CameraModel& camera,
+                                 const air_ground_common::Pose& T_world_camera) const {
   camera.validate();
   const TexturedModel& m = impl_->model;
   cv::Mat image(camera.height, camera.width, CV_8UC3, cv::Scalar(235, 215, 190));
@@ -253,7 +277,8 @@ cv::Mat TexturedRenderer::render(const air_ground_common::CameraModel& camera, c
         const auto& uv = m.uv[hit.triangle];
         const Eigen::Vector2f p = (1 - hit.uv.x() - hit.uv.y()) * uv[0] + hit.uv.x() * uv[1] + hit.uv.y() * uv[2];
         const cv::Mat& page = m.pages[m.page[hit.triangle]];
-        colour = page.at<cv::Vec3b>(std::clamp(int(std::lround(p.y())), 0, page.rows - 1), std::clamp(int(std::lround(p.x())), 0, page.cols - 1));
+        colour = page.at<cv::Vec3b>(std::clamp(int(std::lround(p.y())), 0, page.rows - 1),
+                                    std::clamp(int(std::lround(p.x())), 0, page.cols - 1));
       } else {
         const float shade = 0.6f + 0.4f * std::abs(hit.normal.dot(directions[x]));  // so that edges of plain parts show
         colour = cv::Vec3b(uchar(shade * 170), uchar(shade * 170), uchar(shade * 170));

@@ -21,16 +21,20 @@ void addQuad(CityModel* m, const std::array<Eigen::Vector3f, 4>& q, Surface surf
   }
 }
 
-// A facade in the plane y = 12 + 0.1 x (building 0), 10 m high from z = 0; one set back by 3 m right of x = 8 (building 1);
-// ground at z = 0. Far from the origin, as cities are.
+// A facade in the plane y = 12 + 0.1 x (building 0), 10 m high from z = 0; one set back by 3 m right of x = 8 (building
+// 1); ground at z = 0. Far from the origin, as cities are.
 const Eigen::Vector3f kOffset(800, -600, 40);
 CityModel street() {
   CityModel m;
   m.building_ids = {"a", "b"};
-  const auto wall = [](float x, float back, float z) { return Eigen::Vector3f(Eigen::Vector3f(x, 12 + 0.1f * x + back, z) + kOffset); };
+  const auto wall = [](float x, float back, float z) {
+    return Eigen::Vector3f(Eigen::Vector3f(x, 12 + 0.1f * x + back, z) + kOffset);
+  };
   addQuad(&m, {wall(-40, 0, 0), wall(8, 0, 0), wall(8, 0, 10), wall(-40, 0, 10)}, Surface::kWall, 0);
   addQuad(&m, {wall(8, 3, 0), wall(60, 3, 0), wall(60, 3, 10), wall(8, 3, 10)}, Surface::kWall, 1);
-  addQuad(&m, {Eigen::Vector3f(-100, -100, 0) + kOffset, Eigen::Vector3f(100, -100, 0) + kOffset, Eigen::Vector3f(100, 100, 0) + kOffset, Eigen::Vector3f(-100, 100, 0) + kOffset},
+  addQuad(&m,
+          {Eigen::Vector3f(-100, -100, 0) + kOffset, Eigen::Vector3f(100, -100, 0) + kOffset,
+           Eigen::Vector3f(100, 100, 0) + kOffset, Eigen::Vector3f(-100, 100, 0) + kOffset},
           Surface::kGround, -1);
   return m;
 }
@@ -45,7 +49,9 @@ View viewOf(double yaw, double pitch) {
   view.camera.cy = 239.5;
   view.camera.k1 = -0.05;
   view.T_world_camera.translation() = Eigen::Vector3d(1.5, -2, 2.5) + kOffset.cast<double>();
-  view.T_world_camera.linear() = (Eigen::AngleAxisd(M_PI / 2 + yaw, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY())).toRotationMatrix() *
+  view.T_world_camera.linear() = (Eigen::AngleAxisd(M_PI / 2 + yaw, Eigen::Vector3d::UnitZ()) *
+                                  Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY()))
+                                     .toRotationMatrix() *
                                  air_ground_common::opticalFromForwardBody().transpose();
   return view;
 }
@@ -80,9 +86,11 @@ TEST(BackProjection, PointsLieOnTheAnalyticPlaneAndOnTheRay) {
       EXPECT_LT((view.normals[i].cast<double>() - n).norm(), 1e-4);
       const auto pixel = view.camera.project(view.T_world_camera.inverse() * view.points[i].cast<double>());
       ASSERT_TRUE(pixel);
-      EXPECT_LT((*pixel - Eigen::Vector2d(view.features.keypoints[i].pt.x, view.features.keypoints[i].pt.y)).norm(), 5e-3);
+      EXPECT_LT((*pixel - Eigen::Vector2d(view.features.keypoints[i].pt.x, view.features.keypoints[i].pt.y)).norm(),
+                5e-3);
       // The descriptor is still that of its keypoint.
-      const auto it = std::find_if(before.begin(), before.end(), [&](const cv::KeyPoint& k) { return k.pt == view.features.keypoints[i].pt; });
+      const auto it = std::find_if(before.begin(), before.end(),
+                                   [&](const cv::KeyPoint& k) { return k.pt == view.features.keypoints[i].pt; });
       EXPECT_EQ(view.features.descriptors.at<std::uint8_t>(static_cast<int>(i), 0), (it - before.begin() + 1) % 251);
     }
     kept += counts.kept;
@@ -93,7 +101,9 @@ TEST(BackProjection, PointsLieOnTheAnalyticPlaneAndOnTheRay) {
 TEST(BackProjection, DropsEdgesGrazingRaysAndTheFar) {
   const CityModel model = street();
   const BackProjector projector(model);
-  const auto pixelOf = [](const View& view, const Eigen::Vector3d& p) { return *view.camera.project(view.T_world_camera.inverse() * (p + kOffset.cast<double>())); };
+  const auto pixelOf = [](const View& view, const Eigen::Vector3d& p) {
+    return *view.camera.project(view.T_world_camera.inverse() * (p + kOffset.cast<double>()));
+  };
   const auto counts = [&](double yaw, const Eigen::Vector3d& point, const Eigen::Vector2d& shift) {
     View view = viewOf(yaw, 0);
     addFeature(&view, pixelOf(view, point) + shift);
@@ -112,10 +122,10 @@ TEST(BackProjection, DropsEdgesGrazingRaysAndTheFar) {
   narrow.max_depth = 30;
   const BackProjector strict(model, narrow);
   View view = viewOf(1.2, 0);
-  addFeature(&view, pixelOf(view, {-35, 8.5, 3}));   // 38 m
-  addFeature(&view, pixelOf(view, {-27, 9.3, 3}));   // 31 m along the ray
+  addFeature(&view, pixelOf(view, {-35, 8.5, 3}));     // 38 m
+  addFeature(&view, pixelOf(view, {-27, 9.3, 3}));     // 31 m along the ray
   addFeature(&view, pixelOf(view, {-25.5, 9.45, 3}));  // 29 m, 61 degrees from the normal
-  addFeature(&view, pixelOf(view, {-20, 10, 3}));    // 55 degrees
+  addFeature(&view, pixelOf(view, {-20, 10, 3}));      // 55 degrees
   const BackProjectionCounts c = strict.apply(&view);
   EXPECT_EQ(c.range, 2);
   EXPECT_EQ(c.grazing, 1);
@@ -132,7 +142,8 @@ TEST(BackProjection, RenderAgreesWithSingleRaysAndWithThePlane) {
   int hits = 0;
   for (int y = 0; y < image.depth.rows; ++y)
     for (int x = 0; x < image.depth.cols; ++x) {
-      const auto s = projector.cast(view.T_world_camera.translation(), view.T_world_camera.linear() * view.camera.ray({double(x), double(y)}));
+      const auto s = projector.cast(view.T_world_camera.translation(),
+                                    view.T_world_camera.linear() * view.camera.ray({double(x), double(y)}));
       ASSERT_EQ(s.has_value(), image.triangle.at<int>(y, x) >= 0);
       if (!s) continue;
       ++hits;

@@ -28,7 +28,9 @@ double areaOf(const CityModel& m, Surface surface) {
 double volumeOf(const CityModel& m) {
   double volume = 0;
   for (const auto& t : m.mesh.triangles)
-    volume += m.mesh.vertices[t[0]].cast<double>().dot(m.mesh.vertices[t[1]].cast<double>().cross(m.mesh.vertices[t[2]].cast<double>())) / 6;
+    volume += m.mesh.vertices[t[0]].cast<double>().dot(
+                  m.mesh.vertices[t[1]].cast<double>().cross(m.mesh.vertices[t[2]].cast<double>())) /
+              6;
   return volume;
 }
 
@@ -43,14 +45,16 @@ Faces boxFaces(const Eigen::Vector3d& o) {
           {{p(0, 20, 0), p(0, 0, 0), p(0, 0, 5), p(0, 20, 5)}},
           {{p(10, 0, 0), p(10, 20, 0), p(10, 20, 5), p(10, 0, 5)}}};
 }
-const char* const kNames[] = {"GroundSurface", "RoofSurface", "WallSurface", "WallSurface", "WallSurface", "WallSurface"};
+const char* const kNames[] = {"GroundSurface", "RoofSurface", "WallSurface",
+                              "WallSurface",   "WallSurface", "WallSurface"};
 
 std::string posList(const Ring& ring, bool north_first) {
   char text[128];
   std::string out;
   for (std::size_t i = 0; i <= ring.size(); ++i) {
     const Eigen::Vector3d& p = ring[i % ring.size()];
-    std::snprintf(text, sizeof(text), "%.6f %.6f %.6f ", north_first ? p.y() : p.x(), north_first ? p.x() : p.y(), p.z());
+    std::snprintf(text, sizeof(text), "%.6f %.6f %.6f ", north_first ? p.y() : p.x(), north_first ? p.x() : p.y(),
+                  p.z());
     out += text;
   }
   return out;
@@ -60,25 +64,31 @@ std::string gmlPolygon(const std::vector<Ring>& rings, bool north_first) {
   std::string out = "<gml:Polygon>";
   for (std::size_t i = 0; i < rings.size(); ++i) {
     const std::string side = i == 0 ? "exterior" : "interior";
-    out += "<gml:" + side + "><gml:LinearRing><gml:posList>" + posList(rings[i], north_first) + "</gml:posList></gml:LinearRing></gml:" + side + ">";
+    out += "<gml:" + side + "><gml:LinearRing><gml:posList>" + posList(rings[i], north_first) +
+           "</gml:posList></gml:LinearRing></gml:" + side + ">";
   }
   return out + "</gml:Polygon>";
 }
 
 // LoD2 with thematic surfaces; `version` 1, 2 or 3.
 std::string cityGml(const std::string& srs, const Eigen::Vector3d& origin, int version = 2, bool north_first = false) {
-  std::string out = "<?xml version=\"1.0\"?>\n<CityModel xmlns:gml=\"http://www.opengis.net/gml\" xmlns:bldg=\"http://www.opengis.net/citygml/building/" +
-                    std::to_string(version) + ".0\"><gml:boundedBy><gml:Envelope srsName=\"" + srs +
-                    "\" srsDimension=\"3\"/></gml:boundedBy><cityObjectMember><bldg:Building gml:id=\"house\">";
+  std::string out =
+      "<?xml version=\"1.0\"?>\n<CityModel xmlns:gml=\"http://www.opengis.net/gml\" "
+      "xmlns:bldg=\"http://www.opengis.net/citygml/building/" +
+      std::to_string(version) + ".0\"><gml:boundedBy><gml:Envelope srsName=\"" + srs +
+      "\" srsDimension=\"3\"/></gml:boundedBy><cityObjectMember><bldg:Building gml:id=\"house\">";
   const Faces faces = boxFaces(origin);
   const std::string boundary = version == 3 ? "boundary" : "bldg:boundedBy", prefix = version == 3 ? "con:" : "bldg:";
   for (std::size_t i = 0; i < faces.size(); ++i)
-    out += "<" + boundary + "><" + prefix + kNames[i] + "><" + prefix + "lod2MultiSurface><gml:MultiSurface><gml:surfaceMember>" + gmlPolygon(faces[i], north_first) +
-           "</gml:surfaceMember></gml:MultiSurface></" + prefix + "lod2MultiSurface></" + prefix + kNames[i] + "></" + boundary + ">";
+    out += "<" + boundary + "><" + prefix + kNames[i] + "><" + prefix +
+           "lod2MultiSurface><gml:MultiSurface><gml:surfaceMember>" + gmlPolygon(faces[i], north_first) +
+           "</gml:surfaceMember></gml:MultiSurface></" + prefix + "lod2MultiSurface></" + prefix + kNames[i] + "></" +
+           boundary + ">";
   return out + "</bldg:Building></cityObjectMember></CityModel>";
 }
 
-std::string cityJson(const std::string& version, const std::string& crs, const Eigen::Vector3d& origin, bool transform) {
+std::string cityJson(const std::string& version, const std::string& crs, const Eigen::Vector3d& origin,
+                     bool transform) {
   std::string vertices, boundaries;
   int count = 0;
   for (const auto& rings : boxFaces(origin)) {
@@ -88,19 +98,27 @@ std::string cityJson(const std::string& version, const std::string& crs, const E
       for (std::size_t i = 0; i < ring.size(); ++i, ++count) {
         boundaries += (i ? "," : "") + std::to_string(count);
         const Eigen::Vector3d p = transform ? Eigen::Vector3d((ring[i] - origin) * 1000) : ring[i];
-        vertices += (count ? ",[" : "[") + std::to_string(transform ? std::llround(p.x()) : p.x()) + "," + std::to_string(p.y()) + "," + std::to_string(p.z()) + "]";
+        vertices += (count ? ",[" : "[") + std::to_string(transform ? std::llround(p.x()) : p.x()) + "," +
+                    std::to_string(p.y()) + "," + std::to_string(p.z()) + "]";
       }
       boundaries += "]";
     }
     boundaries += "]";
   }
   const std::string lod = version == "1.0" ? "2" : "\"2.2\"";
-  std::string out = "{\"type\":\"CityJSON\",\"version\":\"" + version + "\",\"metadata\":{\"referenceSystem\":\"" + crs + "\"},";
+  std::string out =
+      "{\"type\":\"CityJSON\",\"version\":\"" + version + "\",\"metadata\":{\"referenceSystem\":\"" + crs + "\"},";
   if (transform)
-    out += "\"transform\":{\"scale\":[0.001,0.001,0.001],\"translate\":[" + std::to_string(origin.x()) + "," + std::to_string(origin.y()) + "," + std::to_string(origin.z()) + "]},";
-  out += "\"CityObjects\":{\"part\":{\"type\":\"BuildingPart\",\"parents\":[\"house\"],\"geometry\":[{\"type\":\"Solid\",\"lod\":" + lod + ",\"boundaries\":[[" + boundaries +
-         "]],\"semantics\":{\"surfaces\":[{\"type\":\"GroundSurface\"},{\"type\":\"RoofSurface\"},{\"type\":\"WallSurface\"}],\"values\":[[0,1,2,2,2,2]]}}]},"
-         "\"house\":{\"type\":\"Building\",\"children\":[\"part\"]}},\"vertices\":[" + vertices + "]}";
+    out += "\"transform\":{\"scale\":[0.001,0.001,0.001],\"translate\":[" + std::to_string(origin.x()) + "," +
+           std::to_string(origin.y()) + "," + std::to_string(origin.z()) + "]},";
+  out +=
+      "\"CityObjects\":{\"part\":{\"type\":\"BuildingPart\",\"parents\":[\"house\"],\"geometry\":[{\"type\":\"Solid\","
+      "\"lod\":" +
+      lod + ",\"boundaries\":[[" + boundaries +
+      "]],\"semantics\":{\"surfaces\":[{\"type\":\"GroundSurface\"},{\"type\":\"RoofSurface\"},{\"type\":"
+      "\"WallSurface\"}],\"values\":[[0,1,2,2,2,2]]}}]},"
+      "\"house\":{\"type\":\"Building\",\"children\":[\"part\"]}},\"vertices\":[" +
+      vertices + "]}";
   return out;
 }
 
@@ -115,14 +133,16 @@ void expectBox(const CityModel& m, double tolerance) {
   Eigen::Vector3f low = m.mesh.vertices[0], high = low;
   for (const auto& v : m.mesh.vertices) low = low.cwiseMin(v), high = high.cwiseMax(v);
   EXPECT_NEAR(high.z() - low.z(), 5, 0.01);
-  for (std::size_t i = 0; i < m.building.size(); ++i) EXPECT_EQ(m.isBuilding(static_cast<int>(i)), m.surface[i] != Surface::kGround);
+  for (std::size_t i = 0; i < m.building.size(); ++i)
+    EXPECT_EQ(m.isBuilding(static_cast<int>(i)), m.surface[i] != Surface::kGround);
 }
 
 TEST(CityModel, CityGmlOfAllVersionsGivesTheBox) {
   const TemporaryFolder folder;
   const Eigen::Vector3d o(2683000, 1247000, 410);
   for (const int version : {1, 2, 3}) {
-    const CityModel m = readCityModel(folder.write("a.gml", cityGml("urn:ogc:def:crs:EPSG::2056", o, version)), {"", o});
+    const CityModel m =
+        readCityModel(folder.write("a.gml", cityGml("urn:ogc:def:crs:EPSG::2056", o, version)), {"", o});
     EXPECT_EQ(m.crs, "EPSG:2056");
     expectBox(m, 0.06);  // grid metres are not metres: 1 + 1e-4
     EXPECT_TRUE(m.remarks.empty()) << m.remarks[0];
@@ -157,7 +177,8 @@ TEST(CityModel, CityJsonWithAndWithoutTransformGivesTheBox) {
 
 TEST(CityModel, AxisOrderFollowsTheDeclarationAndTheAreaOfUse) {
   const TemporaryFolder folder;
-  // EPSG:31468 (Gauss-Krueger 4) is defined northing first; Munich. The urn follows the definition, the short form custom.
+  // EPSG:31468 (Gauss-Krueger 4) is defined northing first; Munich. The urn follows the definition, the short form
+  // custom.
   const Eigen::Vector3d o(4468000, 5333000, 515);
   const auto check = [&](const std::string& srs, bool north_first, bool remark) {
     const CityModel m = readCityModel(folder.write("a.gml", cityGml(srs, o, 2, north_first)));
@@ -193,9 +214,14 @@ TEST(CityModel, TheFinestCompleteLevelIsTaken) {
   const Eigen::Vector3d o(2683000, 1247000, 410);
   std::string gml = cityGml("EPSG:2056", o);
   // A coarser shell, twice as high, and one detailed door: neither replaces the complete LoD2.
-  const std::string extra = "<bldg:lod1Solid><gml:Solid>" + gmlPolygon({{o, o + Eigen::Vector3d(10, 0, 0), o + Eigen::Vector3d(10, 0, 40), o + Eigen::Vector3d(0, 0, 40)}}, false) +
-                            "</gml:Solid></bldg:lod1Solid><bldg:lod3MultiSurface>" +
-                            gmlPolygon({{o, o + Eigen::Vector3d(1, 0, 0), o + Eigen::Vector3d(1, 0, 2), o + Eigen::Vector3d(0, 0, 2)}}, false) + "</bldg:lod3MultiSurface>";
+  const std::string extra =
+      "<bldg:lod1Solid><gml:Solid>" +
+      gmlPolygon({{o, o + Eigen::Vector3d(10, 0, 0), o + Eigen::Vector3d(10, 0, 40), o + Eigen::Vector3d(0, 0, 40)}},
+                 false) +
+      "</gml:Solid></bldg:lod1Solid><bldg:lod3MultiSurface>" +
+      gmlPolygon({{o, o + Eigen::Vector3d(1, 0, 0), o + Eigen::Vector3d(1, 0, 2), o + Eigen::Vector3d(0, 0, 2)}},
+                 false) +
+      "</bldg:lod3MultiSurface>";
   gml.insert(gml.find("</bldg:Building>"), extra);
   const std::string path = folder.write("a.gml", gml);
   expectBox(readCityModel(path, {"", o}), 0.06);
@@ -253,7 +279,8 @@ TEST(Polygons, TriangulationKeepsAreaAndOrientation) {
   std::uniform_real_distribution<double> u(0, 1);
   std::vector<Eigen::Vector3d> points;
   for (int trial = 0; trial < 300; ++trial) {
-    const Eigen::Quaterniond q = Eigen::Quaterniond(u(rng) - 0.5, u(rng) - 0.5, u(rng) - 0.5, u(rng) - 0.5).normalized();
+    const Eigen::Quaterniond q =
+        Eigen::Quaterniond(u(rng) - 0.5, u(rng) - 0.5, u(rng) - 0.5, u(rng) - 0.5).normalized();
     const Eigen::Vector3d offset(1000 * u(rng), 1000 * u(rng), 100 * u(rng));
     const auto star = [&](double low, double high, bool reverse) {
       Ring ring;
@@ -295,15 +322,21 @@ TEST(CityModel, BrokenFilesGiveOneClearLine) {
     EXPECT_NE(m.find(path), std::string::npos) << m;
     return m;
   };
-  EXPECT_NE(error("a.gml", "<CityModel><cityObjectMember><Road/></cityObjectMember></CityModel>").find("has no buildings"), std::string::npos);
-  EXPECT_NE(error("a.gml", cityGml("EPSG:999999", o)).find("unknown coordinate system 'EPSG:999999'"), std::string::npos);
+  EXPECT_NE(
+      error("a.gml", "<CityModel><cityObjectMember><Road/></cityObjectMember></CityModel>").find("has no buildings"),
+      std::string::npos);
+  EXPECT_NE(error("a.gml", cityGml("EPSG:999999", o)).find("unknown coordinate system 'EPSG:999999'"),
+            std::string::npos);
   EXPECT_NE(error("a.gml", cityGml("EPSG:28992", o)).find("outside the area"), std::string::npos);
   EXPECT_NE(error("a.gml", cityGml("EPSG:2056", o).substr(0, 900)).find("not well-formed"), std::string::npos);
   EXPECT_NE(error("a.json", "{\"type\":\"FeatureCollection\"}").find("not CityJSON"), std::string::npos);
-  EXPECT_NE(error("a.json", "{\"type\":\"CityJSON\",\"version\":\"1.1\",\"CityObjects\":{},\"vertices\":[]}").find("has no buildings"), std::string::npos);
+  EXPECT_NE(error("a.json", "{\"type\":\"CityJSON\",\"version\":\"1.1\",\"CityObjects\":{},\"vertices\":[]}")
+                .find("has no buildings"),
+            std::string::npos);
   EXPECT_NE(error("a.json", "{\"type\":\"CityJSON\", ").find("no valid CityJSON"), std::string::npos);
   EXPECT_NE(error("a.obj", "v 0 0 0\nf 1 2 3\n").find("line 2"), std::string::npos);
-  EXPECT_NE(error("a.obj", "v 2683000 1247000 0\nv 2683001 1247000 0\nv 2683000 1247000 9\nf 1 2 3\n").find("--crs"), std::string::npos);
+  EXPECT_NE(error("a.obj", "v 2683000 1247000 0\nv 2683001 1247000 0\nv 2683000 1247000 9\nf 1 2 3\n").find("--crs"),
+            std::string::npos);
   EXPECT_NE(error("a.txt", "hello").find("neither CityGML"), std::string::npos);
   EXPECT_NE(error("a.txt", "").find("empty"), std::string::npos);
   EXPECT_NE(messageOf([&] { readCityModel(folder / "missing.gml"); }).find("there is no"), std::string::npos);
@@ -315,7 +348,8 @@ double outwardShare(const CityModel& m) {
   for (std::size_t i = 0; i < m.mesh.triangles.size(); ++i) {
     if (m.surface[i] != Surface::kRoof) continue;
     const auto& t = m.mesh.triangles[i];
-    const Eigen::Vector3f n = (m.mesh.vertices[t[1]] - m.mesh.vertices[t[0]]).cross(m.mesh.vertices[t[2]] - m.mesh.vertices[t[0]]);
+    const Eigen::Vector3f n =
+        (m.mesh.vertices[t[1]] - m.mesh.vertices[t[0]]).cross(m.mesh.vertices[t[2]] - m.mesh.vertices[t[0]]);
     if (n.norm() < 0.2f) continue;
     ++all;
     out += n.z() > 0;

@@ -66,7 +66,8 @@ TEST(Geotags, BrokenListsGiveOneClearLine) {
   EXPECT_NE(error("a.csv", "image,lat,lon,alt\n").find("no column heading_deg"), std::string::npos);
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\n").find("lists no images"), std::string::npos);
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2\n").find("line 2"), std::string::npos);
-  EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2,3,north\n").find("'north' is not a number"), std::string::npos);
+  EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2,3,north\n").find("'north' is not a number"),
+            std::string::npos);
   EXPECT_NE(error("a.geojson", "{").find("no GeoJSON"), std::string::npos);
   EXPECT_NE(messageOf([&] { readGeotags(folder / "none.csv"); }).find("cannot open"), std::string::npos);
 }
@@ -92,7 +93,9 @@ TEST(Geotags, AnglesTurnTheBodyAsTheirNamesSay) {
 // Against PROJ through the frame: a point 100 m ahead on the grid's north has the origin's easting.
 TEST(Geotags, GridNorthDiffersFromTrueNorthByTheConvergence) {
   // East and west of the central meridian of UTM 32 (9 E), and Swiss LV95 east of Berne.
-  const std::pair<const char*, Eigen::Vector3d> places[] = {{"EPSG:32632", {677000, 5403000, 370}}, {"EPSG:32632", {320000, 5403000, 370}}, {"EPSG:2056", {2683000, 1247000, 410}}};
+  const std::pair<const char*, Eigen::Vector3d> places[] = {{"EPSG:32632", {677000, 5403000, 370}},
+                                                            {"EPSG:32632", {320000, 5403000, 370}},
+                                                            {"EPSG:2056", {2683000, 1247000, 410}}};
   for (const auto& [crs, origin] : places) {
     const CityModel m = modelAt(crs, origin);
     Geotag g;
@@ -104,7 +107,8 @@ TEST(Geotags, GridNorthDiffersFromTrueNorthByTheConvergence) {
     EXPECT_NEAR(ahead_true.longitude, g.position.longitude, 1e-9);
     EXPECT_GT(ahead_true.latitude, g.position.latitude);
     // The two differ by more than this test's tolerance: 100 m times the convergence (0.8 to 1.9 degrees).
-    EXPECT_GT(std::abs(m.crsFromWorld(worldPose(g, m, North::kTrue) * Eigen::Vector3d(100, 0, 0)).x() - origin.x()), 1.0);
+    EXPECT_GT(std::abs(m.crsFromWorld(worldPose(g, m, North::kTrue) * Eigen::Vector3d(100, 0, 0)).x() - origin.x()),
+              1.0);
   }
 }
 
@@ -119,8 +123,14 @@ TEST(Geotags, SurveyedImages) {
   EXPECT_EQ(images[0].fy, 801);
   EXPECT_LT((images[0].T_crs_camera.translation() - Eigen::Vector3d(1, 2, 3)).norm(), 1e-12);
   EXPECT_NEAR(images[0].T_crs_camera.linear()(1, 0), 2 * 0.6 * 0.8, 1e-12);
-  EXPECT_NE(messageOf([&] { readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6\n")); }).find("line 1"), std::string::npos);
-  EXPECT_NE(messageOf([&] { readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6 0.9\n")); }).find("norm"), std::string::npos);
+  EXPECT_NE(messageOf([&] {
+              readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6\n"));
+            }).find("line 1"),
+            std::string::npos);
+  EXPECT_NE(messageOf([&] {
+              readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6 0.9\n"));
+            }).find("norm"),
+            std::string::npos);
 }
 
 TEST(Geotags, ExifOfRealPhotographs) {

@@ -12,7 +12,8 @@ namespace {
 
 // Smooth on the sphere, and different in every direction: no symmetry hides a flipped or shifted axis.
 Eigen::Vector3d pattern(const Eigen::Vector3d& d) {
-  return {128 + 100 * std::sin(9 * d.x() + 1) * std::cos(5 * d.z()), 128 + 100 * std::sin(11 * d.y() + 3 * d.x()), 128 + 60 * d.z() + 50 * std::cos(12 * d.y() - 1)};
+  return {128 + 100 * std::sin(9 * d.x() + 1) * std::cos(5 * d.z()), 128 + 100 * std::sin(11 * d.y() + 3 * d.x()),
+          128 + 60 * d.z() + 50 * std::cos(12 * d.y() - 1)};
 }
 
 cv::Mat render(int width) {
@@ -20,18 +21,20 @@ cv::Mat render(int width) {
   for (int v = 0; v < image.rows; ++v)
     for (int u = 0; u < image.cols; ++u) {
       const Eigen::Vector3d c = pattern(panoramaRay(image.size(), {double(u), double(v)}));
-      image.at<cv::Vec3b>(v, u) = {cv::saturate_cast<uchar>(c.x()), cv::saturate_cast<uchar>(c.y()), cv::saturate_cast<uchar>(c.z())};
+      image.at<cv::Vec3b>(v, u) = {cv::saturate_cast<uchar>(c.x()), cv::saturate_cast<uchar>(c.y()),
+                                   cv::saturate_cast<uchar>(c.z())};
     }
   return image;
 }
 
 TEST(PanoramaViews, RaysFollowTheConvention) {
   const cv::Size size(2000, 1000);
-  EXPECT_LT((panoramaRay(size, {999.5, 499.5}) - Eigen::Vector3d(1, 0, 0)).norm(), 1e-12);   // the middle: ahead
-  EXPECT_LT((panoramaRay(size, {1499.5, 499.5}) - Eigen::Vector3d(0, -1, 0)).norm(), 1e-12);  // right in the image: right, -y
+  EXPECT_LT((panoramaRay(size, {999.5, 499.5}) - Eigen::Vector3d(1, 0, 0)).norm(), 1e-12);  // the middle: ahead
+  EXPECT_LT((panoramaRay(size, {1499.5, 499.5}) - Eigen::Vector3d(0, -1, 0)).norm(),
+            1e-12);  // right in the image: right, -y
   EXPECT_LT((panoramaRay(size, {499.5, 499.5}) - Eigen::Vector3d(0, 1, 0)).norm(), 1e-12);
-  EXPECT_LT((panoramaRay(size, {-0.5, 499.5}) - Eigen::Vector3d(-1, 0, 0)).norm(), 1e-12);    // the left border: behind
-  EXPECT_NEAR(panoramaRay(size, {0, -0.5}).z(), 1, 1e-12);                                    // the top border: zenith
+  EXPECT_LT((panoramaRay(size, {-0.5, 499.5}) - Eigen::Vector3d(-1, 0, 0)).norm(), 1e-12);  // the left border: behind
+  EXPECT_NEAR(panoramaRay(size, {0, -0.5}).z(), 1, 1e-12);                                  // the top border: zenith
   std::mt19937 rng(1);
   std::uniform_real_distribution<double> u(0, 1);
   for (int i = 0; i < 1000; ++i) {
@@ -40,10 +43,12 @@ TEST(PanoramaViews, RaysFollowTheConvention) {
   }
 }
 
-// Every pixel of every view shows what the sphere shows along its ray: half a pixel of shift would be ten times the bound.
+// Every pixel of every view shows what the sphere shows along its ray: half a pixel of shift would be ten times the
+// bound.
 TEST(PanoramaViews, PixelsShowWhatLiesAlongTheirRays) {
   air_ground_common::Pose T = air_ground_common::Pose::Identity();
-  T.linear() = (Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(0.05, Eigen::Vector3d::UnitX())).toRotationMatrix();
+  T.linear() = (Eigen::AngleAxisd(0.7, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(0.05, Eigen::Vector3d::UnitX()))
+                   .toRotationMatrix();
   T.translation() << 5, 6, 7;
   PanoramaViewSettings s;
   s.width = 160;
@@ -59,7 +64,10 @@ TEST(PanoramaViews, PixelsShowWhatLiesAlongTheirRays) {
       for (int y = 0; y < s.height; ++y)
         for (int x = 0; x < s.width; ++x) {
           const cv::Vec3b c = view.image.at<cv::Vec3b>(y, x);
-          const auto expected = [&](double dx) { return pattern(T.linear().transpose() * (view.T_world_camera.linear() * view.camera.ray({x + dx, double(y)}))); };
+          const auto expected = [&](double dx) {
+            return pattern(T.linear().transpose() *
+                           (view.T_world_camera.linear() * view.camera.ray({x + dx, double(y)})));
+          };
           const Eigen::Vector3d seen(c[0], c[1], c[2]);
           sum += (seen - expected(0)).norm();
           shifted += (seen - expected(0.5)).norm();

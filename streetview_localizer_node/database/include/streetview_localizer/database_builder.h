@@ -18,24 +18,24 @@
 namespace streetview_localizer {
 
 struct BuildSettings {
-  std::string model;     ///< CityGML, CityJSON, OBJ, or a folder of them
-  std::string images;    ///< folder; empty: the folder of the geotag file
-  std::string geotags;   ///< CSV or GeoJSON; empty: EXIF of the images, unless `poses` is given
-  std::string poses;     ///< surveyed photographs (readSurveyedImages) instead of geotags
-  std::string output;    ///< .gpkg, or "PG:..."
-  int take_every = 1;    ///< of the listed images ...
-  int take_first = 0;    ///< ... beginning with this one
+  std::string model;    ///< CityGML, CityJSON, OBJ, or a folder of them
+  std::string images;   ///< folder; empty: the folder of the geotag file
+  std::string geotags;  ///< CSV or GeoJSON; empty: EXIF of the images, unless `poses` is given
+  std::string poses;    ///< surveyed photographs (readSurveyedImages) instead of geotags
+  std::string output;   ///< .gpkg, or "PG:..."
+  int take_every = 1;   ///< of the listed images ...
+  int take_first = 0;   ///< ... beginning with this one
 
   CityModelOptions model_options;
-  North north = North::kTrue;          ///< what the geotags' headings are counted from
-  double geotag_height_offset = 0;     ///< added to their heights, into the model's vertical datum [m]
+  North north = North::kTrue;       ///< what the geotags' headings are counted from
+  double geotag_height_offset = 0;  ///< added to their heights, into the model's vertical datum [m]
   std::optional<air_ground_common::CameraModel> camera;  ///< of geotagged photographs that are no panoramas
 
-  bool register_panoramas = true;      ///< correct geotagged panoramas against the model
-  bool keep_unregistered = false;      ///< use the geotag where that failed, instead of storing the panorama without views
-  bool check_consistency = true;       ///< leave out what other images do not see on the facade
-  int threads = 0;                     ///< 0: all cores
-  std::string textured_model;          ///< .obj of the city model with facade textures, written at the end; empty: none
+  bool register_panoramas = true;  ///< correct geotagged panoramas against the model
+  bool keep_unregistered = false;  ///< use the geotag where that failed, instead of storing the panorama without views
+  bool check_consistency = true;   ///< leave out what other images do not see on the facade
+  int threads = 0;                 ///< 0: all cores
+  std::string textured_model;      ///< .obj of the city model with facade textures, written at the end; empty: none
   TextureSettings texture;
 
   PanoramaViewSettings views;
@@ -52,8 +52,8 @@ struct BuildReport {
   struct Refusal {
     std::string image, reason;
   };
-  int stored = 0;    ///< panoramas and photographs with views, in this run
-  int resumed = 0;   ///< stored by an earlier run
+  int stored = 0;   ///< panoramas and photographs with views, in this run
+  int resumed = 0;  ///< stored by an earlier run
   int views = 0;
   BackProjectionCounts features;
   int inconsistent = 0;              ///< features left out by the comparison of images
@@ -61,8 +61,9 @@ struct BuildReport {
   std::vector<std::string> remarks;  ///< of the city model
 };
 
-/// `progress`: called with the stage, images done and images in all; from one thread at a time. Throws std::runtime_error
-/// or std::invalid_argument with one line when nothing can be built.
-BuildReport buildDatabase(const BuildSettings& settings, const std::function<void(const std::string&, int, int)>& progress = {});
+/// `progress`: called with the stage, images done and images in all; from one thread at a time. Throws
+/// std::runtime_error or std::invalid_argument with one line when nothing can be built.
+BuildReport buildDatabase(const BuildSettings& settings,
+                          const std::function<void(const std::string&, int, int)>& progress = {});
 
 }  // namespace streetview_localizer

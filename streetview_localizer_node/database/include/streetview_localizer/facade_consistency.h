@@ -17,7 +17,7 @@ struct ConsistencySettings {
   double max_distance = 25.0;    ///< from the feature's image [m]
   double patch = 1.0;            ///< side of the compared square on the facade [m]
   double search = 0.4;           ///< the square is sought so far to each side: errors of pose and model, balconies [m]
-  double min_correlation = 0.3;  ///< features below in every comparison are dropped
+  double min_correlation = 0.6;  ///< features below in every comparison are dropped
   int image_width = 2048;        ///< wider images are reduced to this for the comparison [px]
 };
 
@@ -26,7 +26,8 @@ struct ConsistencyImage {
   bool usable = true;  ///< false: its place is not known
   bool equirectangular = true;
   air_ground_common::CameraModel camera;  ///< of a photograph
-  air_ground_common::Pose T_world_image = air_ground_common::Pose::Identity();  ///< panorama: body frame; photograph: optical frame
+  air_ground_common::Pose T_world_image =
+      air_ground_common::Pose::Identity();  ///< panorama: body frame; photograph: optical frame
 };
 
 /// Compares squares on the facades between images. Methods are thread-safe.

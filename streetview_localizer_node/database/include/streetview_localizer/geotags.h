@@ -1,6 +1,7 @@
 // Where photographs and panoramas were taken: geotag files, EXIF, and surveyed poses.
 #pragma once
 
+#include <opencv2/core.hpp>
 #include <optional>
 #include <string>
 #include <vector>
@@ -28,7 +29,8 @@ struct Geotag {
 struct SurveyedImage {
   std::string image;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< [px]
-  air_ground_common::Pose T_crs_camera = air_ground_common::Pose::Identity();  ///< optical frame; position in the model's coordinates
+  air_ground_common::Pose T_crs_camera =
+      air_ground_common::Pose::Identity();  ///< optical frame; position in the model's coordinates
 };
 
 /// CSV with a header line; columns by name, in any order: image, lat, lon, alt, heading_deg and, optional, pitch_deg,
@@ -39,11 +41,15 @@ std::vector<Geotag> readGeotags(const std::string& path);
 /// EXIF GPS position and direction of the JPEGs of a folder, in order of their names; XMP GPano angles where present.
 std::vector<Geotag> readExif(const std::string& folder);
 
-/// Lines of: image fx fy cx cy tx ty tz qx qy qz qw (camera to model, pixels and metres, optical axes); '#' starts a comment.
+/// Lines of: image fx fy cx cy tx ty tz qx qy qz qw (camera to model, pixels and metres, optical axes); '#' starts a
+/// comment.
 std::vector<SurveyedImage> readSurveyedImages(const std::string& path);
 
-/// Focal length in pixels from EXIF (35 mm equivalent, or focal length over the pixels' density), if it tells.
+/// Focal length in pixels from EXIF's 35 mm equivalent, if it has one.
 std::optional<double> exifFocalLength(const std::string& image, int width);
+
+/// From the file's header; empty for what is no image.
+cv::Size imageSize(const std::string& image);
 
 /// Body pose in world (x towards the image's centre, y left, z up). Heights are taken in the model's vertical datum.
 /// Throws std::invalid_argument for a model without coordinate system, or a place outside it.

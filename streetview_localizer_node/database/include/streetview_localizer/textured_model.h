@@ -12,22 +12,22 @@
 namespace streetview_localizer {
 
 struct TextureSettings {
-  double resolution = 0.05;      ///< size of a texel on the facade [m]
-  double block = 0.5;            ///< side of the squares that take their colour from one view [m]
-  double max_distance = 50.0;    ///< of a view from what it colours [m]
-  double max_incidence = 1.31;   ///< between ray and normal [rad]
-  int page = 4096;               ///< largest side of a texture image [px]
+  double resolution = 0.05;     ///< size of a texel on the facade [m]
+  double block = 0.5;           ///< side of the squares that take their colour from one view [m]
+  double max_distance = 50.0;   ///< of a view from what it colours [m]
+  double max_incidence = 1.31;  ///< between ray and normal [rad]
+  int page = 4096;              ///< largest side of a texture image [px]
 };
 
 struct TexturedModel {
-  air_ground_common::TriangleMesh mesh;                    ///< in world [m]
-  std::vector<std::array<Eigen::Vector2f, 3>> uv;          ///< of each triangle's corners, in pixels of its page
-  std::vector<int> page;                                   ///< of each triangle; -1: no view saw it
-  std::vector<cv::Mat> pages;                              ///< CV_8UC3, BGR
+  air_ground_common::TriangleMesh mesh;            ///< in world [m]
+  std::vector<std::array<Eigen::Vector2f, 3>> uv;  ///< of each triangle's corners, in pixels of its page
+  std::vector<int> page;                           ///< of each triangle; -1: no view saw it
+  std::vector<cv::Mat> pages;                      ///< CV_8UC3, BGR
 };
 
-/// Colours the buildings from the database's views: each square of a facade from the view that sees it best (pixels a metre,
-/// not occluded by the model). Squares that none sees stay grey. Needs a database loaded with images.
+/// Colours the buildings from the database's views: each square of a facade from the view that sees it best (pixels a
+/// metre, not occluded by the model). Squares that none sees stay grey. Needs a database loaded with images.
 TexturedModel makeTexturedModel(const StreetviewDatabase& database, const TextureSettings& settings = {});
 
 /// Wavefront OBJ with its MTL and one JPEG a page beside it, in world. Throws std::runtime_error.

@@ -1,0 +1,217 @@
+#include "streetview_localizer/database_builder.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "streetview_localizer/facade_consistency.h"
+#include "streetview_localizer/textured_model.h"
+#include "test_files.h"
+#include "wall_scene.h"
+
+namespace streetview_localizer {
+namespace {
+
+const Eigen::Vector3d kOrigin(2683500, 1247800, 410);
+
+// The wall as OBJ in Swiss coordinates, panoramas at x = -12, 0, 12 and their geotags.
+class Street {
+ public:
+  Street() {
+    const air_ground_common::LocalFrame frame("EPSG:2056", kOrigin);
+    std::string obj = "o wall\n";
+    char line[160];
+    for (const auto& v : wallModel().mesh.vertices) {
+      const Eigen::Vector3d p = frame.toCrs(v.cast<double>());
+      std::snprintf(line, sizeof(line), "v %.6f %.6f %.6f\n", p.x(), p.y(), p.z());
+      obj += line;
+    }
+    settings.model = folder.write("wall.obj", obj + "f 1 2 3 4\n");
+    settings.model_options.crs = "EPSG:2056";
+    settings.model_options.origin = kOrigin;
+    std::string csv = "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n";
+    for (int i = 0; i < 3; ++i) {
+      const air_ground_common::Pose T = panoramaPose(12.0 * (i - 1));
+      const std::string name = "p" + std::to_string(i) + ".png";
+      cv::imwrite(folder / name, wallPanorama(1024, T, i == 1));
+      const auto g = frame.toGeodetic(T.translation());
+      std::snprintf(line, sizeof(line), "%s,%.10f,%.10f,%.4f,%.6f,0,0\n", name.c_str(), g.latitude, g.longitude,
+                    g.height, 90 - 0.9 * 180 / M_PI);
+      csv += line;
+    }
+    settings.geotags = folder.write("geotags.csv", csv);
+    settings.output = folder / "street.gpkg";
+    settings.register_panoramas = false;
+    settings.threads = 2;
+    settings.views.width = settings.views.height = 256;
+  }
+
+  TemporaryFolder folder;
+  BuildSettings settings;
+};
+
+TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
+  Street street;
+  street.settings.textured_model = street.folder / "street.obj";
+  int calls = 0;
+  const BuildReport report = buildDatabase(street.settings, [&](const std::string&, int done, int all) {
+    ++calls;
+    EXPECT_LE(done, all);
+  });
+  EXPECT_EQ(report.stored, 3);
+  EXPECT_TRUE(report.refused.empty());
+  EXPECT_GE(calls, 3);
+  const StreetviewDatabase d = loadDatabase(street.settings.output);
+  ASSERT_EQ(d.panoramas.size(), 3u);
+  std::size_t features = 0, on_car = 0;
+  for (const View& view : d.views) {
+    EXPECT_LT((view.T_world_camera.translation() - d.panoramas[view.panorama].T_world_panorama.translation()).norm(),
+              1e-9);
+    features += view.features.size();
+    for (std::size_t i = 0; i < view.features.size(); ++i) {
+      const Eigen::Vector3f& p = view.points[i];
+      EXPECT_NEAR(p.y(), 10, 2e-3);
+      EXPECT_LT((view.normals[i] - Eigen::Vector3f(0, -1, 0)).norm(), 1e-3f);
+      // What the middle panorama sees of the car lands on the wall from x = 1.4 to 7.1, below 1.07 m.
+      if (d.panoramas[view.panorama].id == "p1.png" && p.x() > 1.6f && p.x() < 6.9f && p.z() < 0.9f) ++on_car;
+    }
+  }
+  EXPECT_GT(features, 600u);
+  EXPECT_LT(on_car, 8u);  // of some hundred
+  EXPECT_GT(report.inconsistent, 5);
+  // The synthesised view from a new place shows the painted wall.
+  const TexturedModel textured = makeTexturedModel(d);
+  EXPECT_EQ(textured.pages.size(), 1u);
+  View camera = d.views[0];
+  camera.camera = camera.camera.scaled(0.5);
+  camera.T_world_camera.translation() = Eigen::Vector3d(3, 2, 5);
+  camera.T_world_camera.linear() = (Eigen::Matrix3d() << 1, 0, 0, 0, 0, 1, 0, -1, 0).finished();
+  const cv::Mat image = TexturedRenderer(textured).render(camera.camera, camera.T_world_camera);
+  double mean = 0, difference = 0;
+  int count = 0;
+  for (int y = 30; y < 70; ++y)
+    for (int x = 20; x < 108; ++x) {
+      const auto hit = (camera.T_world_camera.linear() * camera.camera.ray({double(x), double(y)})).eval();
+      const Eigen::Vector3d p = camera.T_world_camera.translation() + 8 / hit.y() * hit;
+      const double expected = noise(p.x(), p.z());
+      difference += std::abs(image.at<cv::Vec3b>(y, x)[1] - expected);
+      mean += std::abs(expected - 127);
+      ++count;
+    }
+  EXPECT_LT(difference, 0.6 * mean) << count;  // blurred by 4 cm a pixel of the panoramas
+  EXPECT_TRUE(std::filesystem::exists(street.folder / "street.mtl"));
+  EXPECT_TRUE(std::filesystem::exists(street.folder / "street_0.jpg"));
+}
+
+TEST(DatabaseBuilder, AddsToAnExistingDatabaseWhatWasMissing) {
+  Street street;
+  BuildSettings first = street.settings;
+  first.take_every = 2;  // p0 and p2
+  EXPECT_EQ(buildDatabase(first).stored, 2);
+  const BuildReport second = buildDatabase(street.settings);
+  EXPECT_EQ(second.stored, 1);
+  EXPECT_EQ(second.resumed, 2);
+  EXPECT_EQ(loadDatabase(street.settings.output).panoramas.size(), 3u);
+  BuildSettings other = street.settings;
+  other.back_projection.max_depth = 20;
+  EXPECT_NE(messageOf([&] { buildDatabase(other); }).find("other settings"), std::string::npos);
+}
+
+TEST(DatabaseBuilder, SurveyedPhotographsAndGridConvergence) {
+  Street street;
+  BuildSettings s = street.settings;
+  s.geotags.clear();
+  // A view of the middle panorama as a photograph, its pose in the grid: turned back by the convergence.
+  const air_ground_common::LocalFrame frame("EPSG:2056", kOrigin);
+  const View view = cutPanorama(wallPanorama(1024, panoramaPose(0), false), panoramaPose(0), s.views)[0];
+  cv::imwrite(street.folder / "photo.png", view.image);
+  const Eigen::Quaterniond q(Eigen::AngleAxisd(frame.meridianConvergence(), Eigen::Vector3d::UnitZ()) *
+                             view.T_world_camera.linear());
+  const Eigen::Vector3d t = frame.toCrs(view.T_world_camera.translation());
+  char line[300];
+  std::snprintf(line, sizeof(line), "photo.png %.6f %.6f %.3f %.3f %.6f %.6f %.6f %.9f %.9f %.9f %.9f\n",
+                view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy, t.x(), t.y(), t.z(), q.x(), q.y(),
+                q.z(), q.w());
+  s.poses = street.folder.write("poses.txt", line);
+  s.register_panoramas = true;  // must leave surveyed photographs alone
+  EXPECT_EQ(buildDatabase(s).stored, 1);
+  const StreetviewDatabase d = loadDatabase(s.output);
+  ASSERT_EQ(d.views.size(), 1u);
+  EXPECT_FALSE(d.panoramas[0].equirectangular);
+  EXPECT_LT((d.views[0].T_world_camera.translation() - view.T_world_camera.translation()).norm(), 5e-3);
+  EXPECT_LT(air_ground_common::rotationAngle(d.views[0].T_world_camera.linear(), view.T_world_camera.linear()), 1e-5);
+  EXPECT_GT(d.views[0].features.size(), 30u);
+}
+
+TEST(DatabaseBuilder, BrokenInputsGiveOneClearLineEach) {
+  Street street;
+  std::ofstream(street.settings.geotags, std::ios::app)
+      << "missing.png,47.37,8.54,412,0,0,0\nzero.png,0,0,0,0,0,0\np0.png,47.37,8.54,412,0,0,0\nfar.png,46.9,7.4,412,0,"
+         "0,0\ntext.png,47.3756,8.5444,412,0,0,0\n";
+  std::filesystem::copy_file(street.folder / "p0.png", street.folder / "far.png");
+  street.folder.write("text.png", "no image");
+  const BuildReport report = buildDatabase(street.settings);
+  EXPECT_EQ(report.stored, 3);
+  std::map<std::string, std::string> reasons;
+  for (const auto& r : report.refused) {
+    reasons[r.image] = r.reason;
+    EXPECT_EQ(r.reason.find('\n'), std::string::npos);
+  }
+  ASSERT_EQ(reasons.size(), 5u);
+  EXPECT_NE(reasons["missing.png"].find("is missing"), std::string::npos);
+  EXPECT_NE(reasons["zero.png"].find("0,0"), std::string::npos);
+  EXPECT_NE(reasons["p0.png"].find("twice"), std::string::npos);
+  EXPECT_NE(reasons["far.png"].find("km from"), std::string::npos);
+  EXPECT_NE(reasons["text.png"].find("cannot be read"), std::string::npos);
+
+  BuildSettings s = street.settings;
+  s.output = street.folder / "other.gpkg";
+  const auto error = [&] {
+    const std::string m = messageOf([&] { buildDatabase(s); });
+    EXPECT_EQ(m.find('\n'), std::string::npos);
+    EXPECT_FALSE(std::filesystem::exists(s.output));
+    EXPECT_FALSE(std::filesystem::exists(street.folder / "other.partial.gpkg"));
+    return m;
+  };
+  s.model_options.crs = "EPSG:999999";
+  EXPECT_NE(error().find("unknown coordinate system"), std::string::npos);
+  s.model_options.crs = "EPSG:2056";
+  s.model = street.folder.write("road.gml", "<CityModel><cityObjectMember><Road/></cityObjectMember></CityModel>");
+  EXPECT_NE(error().find("no buildings"), std::string::npos);
+  s = street.settings;
+  s.output = street.folder / "other.gpkg";
+  s.geotags = street.folder.write("none.csv", "image,lat,lon,alt,heading_deg\nzero.png,0,0,0,0\n");
+  EXPECT_NE(error().find("zero.png has the geotag 0,0"), std::string::npos);
+  s.geotags.clear();
+  EXPECT_NE(error().find("--geotags"), std::string::npos);
+}
+
+TEST(FacadeConsistency, TheWallAgreesAndTheCarDoesNot) {
+  const CityModel model = wallModel();
+  const BackProjector projector(model);
+  std::vector<ConsistencyImage> images(3);
+  for (int i = 0; i < 3; ++i) images[i].T_world_image = panoramaPose(10.0 * (i - 1));
+  // The assumed poses are wrong as after registration.
+  const auto load = [&](int i) {
+    air_ground_common::Pose T = images[i].T_world_image;
+    T.translation() += Eigen::Vector3d(i == 0 ? 0.15 : -0.1, 0.1, 0.05);
+    T.linear() = T.linear() * Eigen::AngleAxisd(i == 2 ? 0.006 : -0.004, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+    return wallPanorama(1024, T, i == 1);
+  };
+  const FacadeConsistency consistency(projector, images, load);
+  const Eigen::Vector3d normal(0, -1, 0);
+  int good = 0, all = 0, car = 0, cars = 0;
+  for (double x = -8; x < 9; x += 0.9)
+    for (double z = 2.6; z < 6; z += 0.9, ++all)
+      good += consistency.correlation(1, {x, 10, z}, normal) > ConsistencySettings().min_correlation;
+  for (double x = 2.2; x < 6.3; x += 0.3, ++cars)
+    car += consistency.correlation(1, {x, 10, 0.4}, normal) > ConsistencySettings().min_correlation;
+  EXPECT_GT(good, 0.9 * all);
+  EXPECT_EQ(car, 0);
+  EXPECT_EQ(cars, 14);
+}
+
+}  // namespace
+}  // namespace streetview_localizer
