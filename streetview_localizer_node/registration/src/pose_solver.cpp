@@ -15,7 +15,7 @@ using air_ground_common::Pose;
 using air_ground_common::Vector6d;
 
 constexpr int kBins = 720;
-constexpr double kInflation = 1.5;   // of the covariance
+constexpr double kInflation = 2.2;   // of the covariance
 constexpr double kFootStddev = 0.5;  // of the ground guessed from the walls' feet [m]
 constexpr int kLargestWidth = 2048;  // finer panoramas are reduced: the model is not as fine
 
@@ -389,8 +389,7 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
     }
     if (last) {
       const Eigen::MatrixXd inverse = solver.solve(Eigen::MatrixXd::Identity(size, 6));
-      // What matches wrongly by a little (a drain pipe for a corner, a ledge for a roof) adds half as much again;
-      // measured.
+      // What matches wrongly by a little (a drain pipe for a corner, a ledge for a roof) adds to it; measured.
       fit.covariance = kInflation * inverse.topRows<6>();
       fit.covariance = (0.5 * (fit.covariance + fit.covariance.transpose())).eval();
       fit.cost = cost / std::max(1.0, cost_count);
