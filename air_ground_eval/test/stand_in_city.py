@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Stands in for visual odometry and the street-level localizer: makes both out of the ground truth of a bag.
 
-Parameters: ~yaw_drift [rad/m] and ~scale of the odometry, ~fix_period [s], ~fix_delay [s], ~fix_sigma [m] (its noise, and what is
+Parameters: ~odometry (false: fixes alone), ~yaw_drift [rad/m] and ~scale of the odometry, ~fix_period [s], ~fix_delay [s], ~fix_sigma [m] (its noise, and what is
 stated; the yaw's is 0.02 rad a metre of it), ~wrong_every (each n-th fix is 30 m off; 0: none), ~seed.
 """
 import os
@@ -24,6 +24,7 @@ class StandIn:
         self.random = np.random.default_rng(rospy.get_param('~seed', 1))
         self.drift, self.scale = rospy.get_param('~yaw_drift', 0.0), rospy.get_param('~scale', 1.0)
         self.sigma = rospy.get_param('~fix_sigma', 0.2)
+        self.odometry_made = rospy.get_param('~odometry', True)
         self.period, self.delay = rospy.get_param('~fix_period', 1.0), rospy.get_param('~fix_delay', 0.5)
         self.wrong_every = rospy.get_param('~wrong_every', 0)
         self.last = self.last_stamp = None
@@ -42,7 +43,7 @@ class StandIn:
             self.T_map_base = geometry.pose(geometry.rotation_z(-np.arctan2(pose[1, 0], pose[0, 0])) @ pose[:3, :3])
         elif (stamp - self.last_stamp).to_sec() < 1 / RATE - 1e-3:
             return
-        else:
+        elif self.odometry_made:
             self.step(stamp, geometry.inverse(self.last) @ pose, pose[:3, :3])
         self.last, self.last_stamp = pose, stamp
         if stamp.to_sec() - self.last_fix >= self.period:
