@@ -119,6 +119,7 @@ Geotag geotagOf(const LocalFrame& frame, const Pose& T) {
 void writeCity(const SimConfig& config, const Street& street, const std::string& folder, const std::function<void(int, int)>& progress) {
   const fs::path root(folder);
   fs::create_directories(root / "panoramas");
+  fs::remove(root / "city.yaml");  // written last: where it is, the folder is complete
   const LocalFrame frame(street.config.crs, street.config.origin);
   writeCityGml((root / "model.gml").string(), street, frame);
   writeObj((root / "model.obj").string(), street, frame);

@@ -421,22 +421,20 @@ int simulate(Options o) {
   if (!o.cache.empty()) {
     fs::create_directories(o.cache);
     o.out = (fs::path(o.cache) / (config.name + "_" + std::to_string(o.seed) + "_" + contentKey(file, o) + ".bag")).string();
-    if (fs::exists(o.out)) {
-      std::cout << o.out << std::endl;
-      return 0;
-    }
   }
   if (o.out.empty()) throw std::invalid_argument("give --out FILE.bag or --cache DIR");
   if (fs::path(o.out).extension() != ".bag") throw std::invalid_argument("--out must end in .bag");
   if (o.threads > 0) omp_set_num_threads(o.threads);
 
-  const std::string stem = o.out.substr(0, o.out.size() - 4);
-  if (config.hasCity()) {
-    o.no_ground = true;
-    if (!o.no_city) renderCity(config, o, stem + ".city");
-    if (o.city_only && o.queries == 0) return 0;
-  } else if (o.city_only || o.queries > 0) {
-    throw std::invalid_argument("--city-only and --queries need a street world");
+  const std::string stem = o.out.substr(0, o.out.size() - 4), city = stem + ".city";
+  const auto isWanted = [&](bool asked, const std::string& file) { return asked && (o.cache.empty() || !fs::exists(file)); };
+  if (!config.hasCity() && (o.city_only || o.queries > 0)) throw std::invalid_argument("--city-only and --queries need a street world");
+  o.no_ground = o.no_ground || !config.hasGroundRobot();
+  if (isWanted(config.hasCity() && !o.no_city, city + "/city.yaml")) renderCity(config, o, city);
+  const bool queries = isWanted(o.queries > 0, city + "/queries_truth.csv"), bag = isWanted(!o.city_only, o.out);
+  if (!queries && !bag) {
+    std::cout << (o.city_only ? city : o.out) << std::endl;
+    return 0;
   }
 
   if (!o.quiet) std::cerr << "building world " << config.name << ", seed " << o.seed << " ..." << std::endl;
@@ -445,9 +443,10 @@ int simulate(Options o) {
     std::cerr << recording.scene().mesh().triangles.size() << " triangles, " << recording.scene().texelCount() / 1000000 << " million texels; flight "
               << recording.mav().pathLength(0, recording.duration()) << " m, drive "
               << (config.hasGroundRobot() ? recording.ground().pathLength(0, recording.duration()) : 0.0) << " m in " << recording.duration() << " s" << std::endl;
-  if (o.queries > 0) {
-    writeQueries(&recording, o.queries, stem + ".city");
-    if (o.city_only) return 0;
+  if (queries) writeQueries(&recording, o.queries, city);
+  if (!bag) {
+    std::cout << (o.city_only ? city : o.out) << std::endl;
+    return 0;
   }
 
   // Under a temporary name until complete: nobody reads half a bag.
