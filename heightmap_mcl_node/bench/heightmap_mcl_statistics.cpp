@@ -85,7 +85,7 @@ int main(int argc, char** argv) {
   syn::Options options;
   double known_heading_deg = -1;
   std::string dilation = "all";
-  std::string merge = "highest";
+  std::string merge = "mean";
   app.add_option("--first-seed", first_seed, "seed of the first world");
   app.add_option("--runs", runs, "number of worlds");
   app.add_option("--maps", maps, "aerial clouds a world");

@@ -32,7 +32,7 @@ NodeSettings readParameters(Parameters& p) {
   readHeightMap(p, "ground/", s.ground_map);
   s.accumulate = p.integer("accumulate", s.accumulate, 1, 200);
   s.verify = p.integer("verify", s.verify, 1, 200);
-  s.merge = p.choice("merge", "highest", {"highest", "mean"}) == "mean" ? Merge::kMean : Merge::kHighest;
+  s.merge = p.choice("merge", "mean", {"highest", "mean"}) == "mean" ? Merge::kMean : Merge::kHighest;
 
   s.min_overlap = p.number("min_overlap", s.min_overlap, 0.05, 1.0);
   s.unknown_weight = p.number("unknown_weight", s.unknown_weight, 0.0, 2.0);

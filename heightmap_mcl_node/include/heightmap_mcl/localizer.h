@@ -20,15 +20,15 @@ struct LocalizerSettings {
   HeightMapSettings air_map;
   HeightMapSettings ground_map;  ///< same resolution as air_map
   double min_overlap = 0.5;     ///< see CostSettings
-  double unknown_weight = 0.3;  ///< CostSettings::unknown_cost as a share of the aerial heights' variance; 0 = paper
+  double unknown_weight = 0.5;  ///< CostSettings::unknown_cost as a share of the aerial heights' variance; 0 = paper
   FilterSettings filter;
   std::uint64_t seed = 1;
 
   int headings = 72;       ///< over the full circle, in the coarse search
   int coarse_factor = 4;   ///< cells of the coarse search are this much larger
-  int accumulate = 1;      ///< aerial clouds merged into the map that weighs the particles; 1 = paper
+  int accumulate = 4;      ///< aerial clouds merged into the map that weighs the particles; 1 = paper
   int verify = 8;          ///< aerial clouds merged into the map that checks the result for rivals and refines it
-  Merge merge = Merge::kHighest;
+  Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
   int min_maps = 2;                  ///< aerial maps seen before CONVERGED
