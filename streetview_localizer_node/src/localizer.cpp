@@ -19,6 +19,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 constexpr double kDegree = M_PI / 180;
 constexpr std::size_t kPyramidsKept = 96;
+constexpr double kGravityGate = 4;  // standard deviations
 
 double seconds(Clock::time_point since) { return std::chrono::duration<double>(Clock::now() - since).count(); }
 
@@ -316,6 +317,7 @@ struct Localizer::Impl {
       if (inliers_of_panorama.size() > 1) refine(camera, prior, rays, &c);
     }
     c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance);
+    if (c.acceptance.accepted && prior.up_camera) checkGravity(prior, &c);
     if (c.acceptance.accepted) checkAgainstModel(&c);
     return c;
   }
@@ -342,21 +344,29 @@ struct Localizer::Impl {
     c->pose.T_world_camera = refined.T_world_camera;
   }
 
+  static void refuse(const std::string& why, Candidate* c) {
+    c->acceptance.accepted = false;
+    c->acceptance.score = 0;
+    c->acceptance.reason = why;
+  }
+
+  // Gravity is part of the estimate; matches that pull away from it all the same belong to another attitude.
+  static void checkGravity(const PosePrior& prior, Candidate* c) {
+    const Eigen::Vector3d up = c->pose.T_world_camera.linear() * prior.up_camera->normalized();
+    const double angle = std::acos(std::clamp(up.z(), -1.0, 1.0)), bound = kGravityGate * prior.up_stddev;
+    if (angle > bound) refuse(text("the attitude is %.1f degrees off the direction of gravity, at most %.1f", angle / kDegree, bound / kDegree), c);
+  }
+
   // A camera stands above the ground, outside of buildings, and sees what it matched.
   void checkAgainstModel(Candidate* c) const {
     const Eigen::Vector3d centre = c->pose.T_world_camera.translation();
     const auto below = projector.cast(centre, -Eigen::Vector3d::UnitZ());
     const auto above = projector.cast(centre, Eigen::Vector3d::UnitZ());
     const CityModel& model = projector.model();
-    const auto refuse = [&](const std::string& why) {
-      c->acceptance.accepted = false;
-      c->acceptance.score = 0;
-      c->acceptance.reason = why;
-    };
     const bool over_ground = below && !model.isBuilding(below->triangle);
     if (over_ground && below->distance < settings.min_height)
-      return refuse(text("%.2f m above the ground of the model, at least %.2f", below->distance, settings.min_height));
-    if (above && !model.isBuilding(above->triangle)) return refuse("the camera would be below the ground of the model");
+      return refuse(text("%.2f m above the ground of the model, at least %.2f", below->distance, settings.min_height), c);
+    if (above && !model.isBuilding(above->triangle)) return refuse("the camera would be below the ground of the model", c);
     int visible = 0;
     for (const int i : c->pose.inliers) {
       const Correspondence& corr = c->correspondences[static_cast<std::size_t>(i)];
@@ -367,7 +377,7 @@ struct Localizer::Impl {
     }
     const double share = static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c->pose.inliers.size(), 1));
     if (share < settings.min_visible_share)
-      refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share));
+      refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share), c);
   }
 
   void take(Candidate&& c, LocalizerResult* result) const {

@@ -13,6 +13,7 @@ using air_ground_common::Pose;
 constexpr int kReduction = 4;        // of the depth images that tell what is occluded
 constexpr double kOccluded = 0.5;    // the model in front of a point by more than this hides it [m]
 constexpr double kMinIncidence = 0.1;  // cosine: beyond 84 degrees a pixel smears over the wall
+constexpr int kViewsUsed = 32;         // for a place of the model
 const cv::Vec3b kSky(235, 225, 215);
 
 cv::Vec3b shade(const Eigen::Vector3d& normal) {
@@ -54,11 +55,13 @@ ViewSynthesizer::ViewSynthesizer(const StreetviewDatabase& database, const BackP
   }
 }
 
-std::vector<int> ViewSynthesizer::viewsNear(const Eigen::Vector3d& position, int panoramas) const {
+std::vector<int> ViewSynthesizer::viewsNear(const Eigen::Vector3d& position, int count) const {
   std::vector<int> views;
-  for (const int p : database_.nearest(position, panoramas))
+  for (const int p : database_.nearest(position, count)) {
     for (const int v : database_.viewsOf(p))
       if (!database_.views[static_cast<std::size_t>(v)].image.empty()) views.push_back(v);
+    if (static_cast<int>(views.size()) >= count) break;
+  }
   return views;
 }
 
@@ -90,9 +93,9 @@ bool ViewSynthesizer::colour(const Eigen::Vector3d& point, const Eigen::Vector3d
   return true;
 }
 
-cv::Mat ViewSynthesizer::render(const CameraModel& camera, const Pose& T_world_camera, int panoramas) const {
+cv::Mat ViewSynthesizer::render(const CameraModel& camera, const Pose& T_world_camera, int views_used) const {
   const ModelImage model = projector_.render(camera, T_world_camera);
-  const std::vector<int> views = viewsNear(T_world_camera.translation(), panoramas);
+  const std::vector<int> views = viewsNear(T_world_camera.translation(), views_used);
   cv::Mat image(camera.height, camera.width, CV_8UC3, cv::Scalar(kSky[0], kSky[1], kSky[2]));
   const auto& mesh = projector_.model().mesh;
 #pragma omp parallel for schedule(dynamic, 16)
@@ -139,7 +142,7 @@ std::vector<ColouredPoint> ViewSynthesizer::sampleModel(double spacing, std::siz
       for (double u = left + 0.5 * spacing; u < right; u += spacing) {
         ColouredPoint p;
         const Eigen::Vector3d point = a + u * x + v * y;
-        if ((point - views_at).norm() > 5) views = viewsNear(views_at = point, 4);
+        if ((point - views_at).norm() > 5) views = viewsNear(views_at = point, kViewsUsed);
         p.position = point.cast<float>();
         if (!colour(point, normal, views, &p.bgr)) p.bgr = shade(normal);
         parts[i].push_back(p);

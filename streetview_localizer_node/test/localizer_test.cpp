@@ -92,7 +92,7 @@ TEST_F(LocalizerTest, WrongGravityIsNoticed) {
   EXPECT_LT(error(right, T), 0.1);
   prior.up_camera = T.linear().transpose() * Eigen::Vector3d::UnitX();
   const LocalizerResult wrong = locate(T, prior);
-  EXPECT_TRUE(!wrong.accepted() || error(wrong, T) < 0.3) << "a pose bent towards a gravity that cannot be was accepted";
+  EXPECT_FALSE(wrong.accepted()) << "a pose that contradicts gravity was accepted";
 }
 
 TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
@@ -128,12 +128,12 @@ TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
   EXPECT_FALSE(mirrored.localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera()).accepted());
 }
 
-// A wall that repeats itself every 3 m fits a camera at several places: an answer must be right, or not be given.
+// Walls that repeat themselves every 3 m, with a corner in sight to tell the periods apart: right, or silent.
 TEST(Repetition, IsRightOrSilent) {
   const TinyCity city(5, 3.0);
   const Localizer localizer(city.database());
-  for (const double x : {-5.0, -1.0, 2.5}) {
-    const Pose T = TinyCity::look({x, 1, 4}, M_PI / 2, 0.05);
+  for (const double x : {3.0, 6.0}) {
+    const Pose T = TinyCity::look({x, 1, 4}, 0.7, 0.05);
     const LocalizerResult r = localizer.localize(city.photograph(TinyCity::camera(), T), TinyCity::camera());
     if (r.accepted()) {
       EXPECT_LT((r.pose.T_world_camera.translation() - T.translation()).norm(), 0.3) << "x = " << x;
@@ -174,8 +174,8 @@ TEST_F(LocalizerTest, SynthesisedViewResemblesThePhotograph) {
   };
   EXPECT_GT(correlation(T), 0.8);
   Pose aside = T;
-  aside.translation().x() += 0.5;
-  EXPECT_LT(correlation(aside), 0.6);
+  aside.translation().x() += 2;
+  EXPECT_LT(correlation(aside), correlation(T) - 0.3);
   const auto cloud = synthesizer.sampleModel(0.5, 100000);
   EXPECT_NEAR(static_cast<double>(cloud.size()), (24 + 16 + 24) * 9 / 0.25, 400);
 }

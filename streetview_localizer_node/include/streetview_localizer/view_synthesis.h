@@ -20,10 +20,10 @@ class ViewSynthesizer {
  public:
   ViewSynthesizer(const StreetviewDatabase& database, const BackProjector& projector);
 
-  /// What a camera sees of the textured model, BGR, of the camera's size: each pixel takes its colour from that view of the
-  /// `panoramas` panoramas nearest to the camera which sees the place unoccluded, most squarely and from nearest. Facades that none
+  /// What a camera sees of the textured model, BGR, of the camera's size: each pixel takes its colour from that one of about
+  /// `views_used` views of the nearest panoramas which sees the place unoccluded, most squarely and from nearest. Facades that none
   /// of them sees are grey, shaded by their slope; sky is pale blue.
-  cv::Mat render(const air_ground_common::CameraModel& camera, const air_ground_common::Pose& T_world_camera, int panoramas = 4) const;
+  cv::Mat render(const air_ground_common::CameraModel& camera, const air_ground_common::Pose& T_world_camera, int views_used = 32) const;
 
   /// Points over the buildings, one in about `spacing` x `spacing` [m], coloured by the best view of the nearest panoramas. The
   /// spacing grows until about `max_points` do.
@@ -31,7 +31,7 @@ class ViewSynthesizer {
 
  private:
   bool colour(const Eigen::Vector3d& point, const Eigen::Vector3d& normal, const std::vector<int>& views, cv::Vec3b* bgr) const;
-  std::vector<int> viewsNear(const Eigen::Vector3d& position, int panoramas) const;
+  std::vector<int> viewsNear(const Eigen::Vector3d& position, int count) const;
 
   const StreetviewDatabase& database_;
   const BackProjector& projector_;
