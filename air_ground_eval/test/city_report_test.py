@@ -92,7 +92,7 @@ class CityReport(unittest.TestCase):
             stream.write('<launch><arg name="bag"/><arg name="db"/><arg name="out"/><arg name="world_config"/>'
                          f'<node pkg="air_ground" type="stand_in_city.py" name="stand_in_city">{params}</node>'
                          f'<include file="{package}/launch/city.launch" pass_all_args="true"><arg name="mav_vo" value="false"/>'
-                         '<arg name="streetview_localizer" value="false"/><arg name="compare_magnetometer" value="false"/></include></launch>')
+                         '<arg name="streetview_localizer" value="false"/><arg name="compare_magnetometer" value="false"/><arg name="vo_covariance_factor" value="1"/></include></launch>')
         port = free_port()
         result = subprocess.run(['roslaunch', '-p', str(port), path('x.launch'), f'bag:={path("x.bag")}', f'db:={path("x.gpkg")}',
                                  f'world_config:={path("world.yaml")}', f'out:={path("out")}'],
