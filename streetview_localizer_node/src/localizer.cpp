@@ -72,6 +72,20 @@ int mostFrequent(const std::map<int, int>& counts) {
   return best;
 }
 
+// SIFT descriptors of the image's mirror image. In a keypoint's own frame, x along its direction, mirroring turns y about: rows of
+// the 4 x 4 grid are reversed, directions change sign.
+cv::Mat mirroredDescriptors(const cv::Mat& descriptors) {
+  cv::Mat out(descriptors.size(), descriptors.type());
+  for (int i = 0; i < descriptors.rows; ++i) {
+    const auto* from = descriptors.ptr<uchar>(i);
+    auto* to = out.ptr<uchar>(i);
+    for (int row = 0; row < 4; ++row)
+      for (int col = 0; col < 4; ++col)
+        for (int bin = 0; bin < 8; ++bin) to[(row * 4 + col) * 8 + bin] = from[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
+  }
+  return out;
+}
+
 }  // namespace
 
 const char* nameOf(LocalizerStatus status) {
@@ -319,6 +333,7 @@ struct Localizer::Impl {
     c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance);
     if (c.acceptance.accepted && prior.up_camera) checkGravity(prior, &c);
     if (c.acceptance.accepted) checkAgainstModel(&c);
+    if (c.acceptance.accepted) checkMirror(query, &c);
     return c;
   }
 
@@ -378,6 +393,15 @@ struct Localizer::Impl {
     const double share = static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c->pose.inliers.size(), 1));
     if (share < settings.min_visible_share)
       refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share), c);
+  }
+
+  // A facade is often its own mirror image: so that an image that was flipped finds a place too, but fewer matches than as it was.
+  void checkMirror(const Features& query, Candidate* c) const {
+    const Features& features = view(c->view).features;
+    const Features mirrored{query.keypoints, mirroredDescriptors(query.descriptors)};
+    const std::size_t straight = matchPairwise(query, features, settings.pairwise).size(), flipped = matchPairwise(mirrored, features, settings.pairwise).size();
+    if (flipped > straight)
+      refuse(text("mirrored, the image has %.0f matches with the view, as it is %.0f", static_cast<double>(flipped), static_cast<double>(straight)), c);
   }
 
   void take(Candidate&& c, LocalizerResult* result) const {

@@ -2,6 +2,7 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
+#include <tf2_ros/static_transform_broadcaster.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
@@ -19,7 +20,7 @@ namespace {
 namespace ru = air_ground_common::ros_utils;
 
 struct Arguments {
-  std::string images, camera, cameras, frame = "mav_camera_optical_frame";
+  std::string images, camera, cameras, frame = "mav_camera_optical_frame", base_frame;
   double period = 2;
   bool loop = false;
 };
@@ -35,6 +36,16 @@ void run(const Arguments& a) {
   ros::NodeHandle handle;
   ros::Publisher images = handle.advertise<sensor_msgs::Image>("mav/camera/image_raw", 5);
   ros::Publisher infos = handle.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 5);
+  tf2_ros::StaticTransformBroadcaster mount;
+  if (!a.base_frame.empty()) {  // photographs have no body: the camera looks along its x axis
+    air_ground_common::Pose T_base_camera = air_ground_common::Pose::Identity();
+    T_base_camera.linear() = air_ground_common::opticalFromForwardBody().transpose();
+    geometry_msgs::TransformStamped edge;
+    edge.header.frame_id = a.base_frame;
+    edge.child_frame_id = a.frame;
+    edge.transform = ru::toTransformMsg(T_base_camera);
+    mount.sendTransform(edge);
+  }
   const ros::WallDuration pause(0.05);
   while (ros::ok() && (images.getNumSubscribers() == 0 || infos.getNumSubscribers() == 0)) pause.sleep();
   do {
@@ -69,6 +80,7 @@ int main(int argc, char** argv) {
   app.add_option("--camera", a.camera, "calibration of all of them (ROS camera_info YAML)");
   app.add_option("--cameras", a.cameras, "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");
   app.add_option("--frame", a.frame, "of the camera")->capture_default_str();
+  app.add_option("--base-frame", a.base_frame, "if given, a fixed transform from it to the camera is published");
   app.add_option("--period", a.period, "between two images [s]")->capture_default_str()->check(CLI::Range(0.0, 3600.0));
   app.add_flag("--loop", a.loop, "begin again after the last image");
   app.allow_extras();  // roslaunch adds __name:= and the like, which ros::init reads

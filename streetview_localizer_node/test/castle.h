@@ -58,7 +58,7 @@ inline Castle makeCastle(int first) {
     place.T_world_panorama.translation() = db.model.worldFromCrs(photo.T_crs_camera.translation());
     View view;
     view.T_world_camera = place.T_world_panorama;
-    place.T_world_panorama.linear() = view.T_world_camera.linear() * air_ground_common::opticalFromForwardBody().transpose();
+    place.T_world_panorama.linear() = view.T_world_camera.linear() * air_ground_common::opticalFromForwardBody();
     place.T_world_geotag = place.T_world_panorama;
     place.registered = true;
     place.position_stddev = 0.02;

@@ -56,7 +56,7 @@ class TinyCity {
     const Eigen::Matrix3d body = (Eigen::AngleAxisd(heading, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY()) *
                                   Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()))
                                      .toRotationMatrix();
-    T.linear() = body * air_ground_common::opticalFromForwardBody();
+    T.linear() = body * air_ground_common::opticalFromForwardBody().transpose();
     T.translation() = position;
     return T;
   }
