@@ -19,6 +19,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 constexpr double kDegree = M_PI / 180;
 constexpr std::size_t kPyramidsKept = 96;
+constexpr int kMirrorFeatures = 600;
 constexpr double kGravityGate = 4;  // standard deviations
 
 double seconds(Clock::time_point since) { return std::chrono::duration<double>(Clock::now() - since).count(); }
@@ -229,19 +230,29 @@ struct Localizer::Impl {
     return views;
   }
 
+  // Indices of the `count` features of strongest response (0: all), ascending.
+  static std::vector<int> strongest(const Features& query, int count) {
+    std::vector<int> indices(query.size());
+    std::iota(indices.begin(), indices.end(), 0);
+    if (count == 0 || static_cast<int>(indices.size()) <= count) return indices;
+    std::stable_sort(indices.begin(), indices.end(), [&](int a, int b) {
+      return query.keypoints[static_cast<std::size_t>(a)].response > query.keypoints[static_cast<std::size_t>(b)].response;
+    });
+    indices.resize(static_cast<std::size_t>(count));
+    std::sort(indices.begin(), indices.end());
+    return indices;
+  }
+
+  static cv::Mat rowsOf(const cv::Mat& all, const std::vector<int>& indices) {
+    cv::Mat rows(static_cast<int>(indices.size()), all.cols, all.type());
+    for (std::size_t i = 0; i < indices.size(); ++i) all.row(indices[i]).copyTo(rows.row(static_cast<int>(i)));
+    return rows;
+  }
+
   // Views that the whole database's nearest descriptors vote for.
   std::vector<int> viewsBySearch(const Features& query, int max_views, LocalizerResult* result) const {
-    std::vector<int> queried(query.size());
-    std::iota(queried.begin(), queried.end(), 0);
-    if (settings.search_features > 0 && static_cast<int>(queried.size()) > settings.search_features) {
-      std::stable_sort(queried.begin(), queried.end(), [&](int a, int b) {
-        return query.keypoints[static_cast<std::size_t>(a)].response > query.keypoints[static_cast<std::size_t>(b)].response;
-      });
-      queried.resize(static_cast<std::size_t>(settings.search_features));
-      std::sort(queried.begin(), queried.end());
-    }
-    cv::Mat rows(static_cast<int>(queried.size()), query.descriptors.cols, query.descriptors.type());
-    for (std::size_t i = 0; i < queried.size(); ++i) query.descriptors.row(queried[i]).copyTo(rows.row(static_cast<int>(i)));
+    const std::vector<int> queried = strongest(query, settings.search_features);
+    const cv::Mat rows = rowsOf(query.descriptors, queried);
     std::vector<std::vector<Neighbor>> neighbors;
     {
       const StepTimer timer(result, Step::kSearch);
@@ -395,13 +406,19 @@ struct Localizer::Impl {
       refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share), c);
   }
 
-  // A facade is often its own mirror image: so that an image that was flipped finds a place too, but fewer matches than as it was.
+  // A facade is often its own mirror image: an image that was flipped finds a place too, but a worse one than as it was.
   void checkMirror(const Features& query, Candidate* c) const {
-    const Features& features = view(c->view).features;
-    const Features mirrored{query.keypoints, mirroredDescriptors(query.descriptors)};
-    const std::size_t straight = matchPairwise(query, features, settings.pairwise).size(), flipped = matchPairwise(mirrored, features, settings.pairwise).size();
-    if (flipped > straight)
-      refuse(text("mirrored, the image has %.0f matches with the view, as it is %.0f", static_cast<double>(flipped), static_cast<double>(straight)), c);
+    const double straight = bestVote(query, false), flipped = bestVote(query, true);
+    if (flipped > straight) refuse(text("mirrored, the image finds a better view (votes %.1f) than as it is (%.1f)", flipped, straight), c);
+  }
+
+  // Score of the view that the strongest features vote for, of the image or of its mirror image.
+  double bestVote(const Features& query, bool mirrored) const {
+    const std::vector<int> queried = strongest(query, kMirrorFeatures);
+    const cv::Mat rows = rowsOf(query.descriptors, queried);
+    const auto neighbors = index->search(mirrored ? mirroredDescriptors(rows) : rows, std::min(settings.neighbors, descriptors.rows));
+    const auto votes = voteForPlaces(neighbors, queried, query.keypoints, view_of_row, static_cast<int>(database->views.size()), settings.voting);
+    return votes.empty() ? 0 : votes.front().score;
   }
 
   void take(Candidate&& c, LocalizerResult* result) const {
