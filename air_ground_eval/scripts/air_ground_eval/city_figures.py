@@ -6,8 +6,9 @@ import numpy as np  # noqa: E402
 from matplotlib.collections import PolyCollection  # noqa: E402
 
 # The paper's colours: VO magenta, GPS green, tracker blue with squares, with magnetometer red with circles.
-STYLES = {'vo': ('pure visual odometry', '#d81bd8', None), 'gps': ('GPS', '#2a9d2a', None), 'tracker': ('tracker', '#1f4fd8', 's'),
-          'magnetometer': ('tracker with magnetometer', '#d01c1c', 'o')}
+# Name: label, colour, mark of an update and its size, width of the line; in the order of drawing, wide below narrow.
+STYLES = {'gps': ('GPS', '#2a9d2a', None, 0, 1.4), 'vo': ('pure visual odometry', '#d81bd8', None, 0, 1.4),
+          'magnetometer': ('tracker with magnetometer', '#d01c1c', 'o', 10, 3.2), 'tracker': ('tracker', '#1f4fd8', 's', 6, 1.3)}
 
 
 def draw_trajectories(path, data):
@@ -23,18 +24,18 @@ def draw_trajectories(path, data):
         truth = data['way'].poses[:, :3, 3]
         above.plot(truth[:, 0], truth[:, 1], color='0.25', lw=2.2, ls='--', label='ground truth', zorder=2)
         side.plot(data['way'].distance, truth[:, 2], color='0.25', lw=2.2, ls='--')
-    for name, estimated in data['sources'].items():
-        if not len(estimated):
+    for name, (label, colour, marker, size, width) in STYLES.items():
+        estimated = data['sources'].get(name)
+        if estimated is None or not len(estimated):
             continue
-        label, colour, marker = STYLES[name]
         p, travelled = estimated.positions, data['distance_at'](estimated.stamps)
-        above.plot(p[:, 0], p[:, 1], color=colour, lw=1.4, label=label, zorder=4)
-        side.plot(travelled, p[:, 2], color=colour, lw=1.4)
+        above.plot(p[:, 0], p[:, 1], color=colour, lw=width, label=label, zorder=4)
+        side.plot(travelled, p[:, 2], color=colour, lw=width)
         stamps = data['updates'].get(name, [])
         if marker and len(stamps):
             i = np.clip(np.searchsorted(estimated.stamps, stamps, side='right'), 0, len(estimated) - 1)
-            above.plot(p[i, 0], p[i, 1], marker, mfc='none', mec=colour, ms=8, label=f'{label}: updates', zorder=5)
-            side.plot(travelled[i], p[i, 2], marker, mfc='none', mec=colour, ms=8)
+            above.plot(p[i, 0], p[i, 1], marker, mfc='none', mec=colour, ms=size, label=f'{label}: updates', zorder=5)
+            side.plot(travelled[i], p[i, 2], marker, mfc='none', mec=colour, ms=size)
     above.set_aspect('equal', 'datalim')
     centre = data['way'].poses[:, :2, 3] if data['way'] is not None else next((e.positions[:, :2] for e in data['sources'].values() if len(e)), None)
     if centre is not None:
@@ -61,17 +62,17 @@ def draw_uncertainty(path, data):
     papers = (4.2, 4.3, 3.6, 7.5)
     for i, (axis, quantity) in enumerate(zip(axes, ('x [m]', 'y [m]', 'z [m]', 'yaw [deg]'))):
         unit = 180 / np.pi if i == 3 else 1.0
-        for name in ('tracker', 'magnetometer'):
+        for name in ('magnetometer', 'tracker'):
             estimated = data['sources'].get(name)
             if estimated is None or not len(estimated):
                 continue
-            label, colour, marker = STYLES[name]
+            label, colour, marker, size, width = STYLES[name]
             travelled = data['distance_at'](estimated.stamps)
-            axis.plot(travelled, unit * estimated.deviations[:, i], color=colour, lw=1.6, label=f'{label}: stated 1 sigma')
+            axis.plot(travelled, unit * estimated.deviations[:, i], color=colour, lw=width, label=f'{label}: stated 1 sigma')
             stamps = data['updates'].get(name, [])
             if len(stamps):
                 at = np.clip(np.searchsorted(estimated.stamps, stamps, side='right'), 0, len(estimated) - 1)
-                axis.plot(travelled[at], unit * estimated.deviations[at, i], marker, mfc='none', mec=colour, ms=6)
+                axis.plot(travelled[at], unit * estimated.deviations[at, i], marker, mfc='none', mec=colour, ms=0.7 * size)
             if name in data['errors']:
                 valid, offset, yaw = data['errors'][name]
                 axis.plot(travelled[valid], unit * np.abs(yaw if i == 3 else offset[:, i]), color=colour, lw=0.7, alpha=0.6, label=f'{label}: error')
