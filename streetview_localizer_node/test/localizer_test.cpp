@@ -19,10 +19,12 @@ class LocalizerTest : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     city_ = new TinyCity(1);
-    localizer_ = new Localizer(city_->database());
+    database_ = city_->database();
+    localizer_ = new Localizer(database_);
   }
   static void TearDownTestSuite() {
     delete localizer_;
+    database_.reset();
     delete city_;
   }
 
@@ -31,10 +33,12 @@ class LocalizerTest : public ::testing::Test {
   static double turn(const LocalizerResult& r, const Pose& T) { return air_ground_common::rotationAngle(r.pose.T_world_camera.linear(), T.linear()); }
 
   static TinyCity* city_;
+  static std::shared_ptr<StreetviewDatabase> database_;
   static Localizer* localizer_;
 };
 
 TinyCity* LocalizerTest::city_ = nullptr;
+std::shared_ptr<StreetviewDatabase> LocalizerTest::database_;
 Localizer* LocalizerTest::localizer_ = nullptr;
 
 TEST_F(LocalizerTest, FindsCamerasInTheAir) {
@@ -65,7 +69,7 @@ TEST_F(LocalizerTest, SameInSameOut) {
 TEST_F(LocalizerTest, PriorNamesThePanoramasAndNotThePose) {
   LocalizerSettings settings;
   settings.near_panoramas = 1;
-  const Localizer near_only(city_->database(), settings);
+  const Localizer near_only(database_, settings);
   const Pose T = TinyCity::look({5, 1, 4}, M_PI / 2, 0);
   const cv::Mat image = city_->photograph(TinyCity::camera(), T);
   PosePrior prior;
@@ -117,11 +121,14 @@ TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
 }
 
 TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
-  auto db = city_->database();
+  auto db = std::make_shared<StreetviewDatabase>(*database_);
+  const BackProjector projector(db->model);
   for (View& view : db->views) {
-    cv::flip(view.image, view.image, 1);
+    cv::Mat mirrored;
+    cv::flip(view.image, mirrored, 1);
+    view.image = mirrored;
     view.features = extractFeatures(view.image);
-    BackProjector(db->model).apply(&view);
+    projector.apply(&view);
   }
   const Localizer mirrored(db);
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
@@ -156,7 +163,7 @@ TEST_F(LocalizerTest, BadInputIsNamed) {
   EXPECT_THROW(Localizer(std::make_shared<StreetviewDatabase>()), std::invalid_argument);
   LocalizerSettings settings;
   settings.max_views = 0;
-  EXPECT_THROW(Localizer(city_->database(), settings), std::invalid_argument);
+  EXPECT_THROW(Localizer(database_, settings), std::invalid_argument);
 }
 
 // The synthesised view shows what the camera saw.
