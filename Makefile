@@ -3,13 +3,14 @@
 #   make demo-city  replays a flight along a street: odometry, localization in a city model, tracking; results in out-city/
 #   make test       builds and runs every test
 #   make bench      prints the benchmarks, as ratios against plain references
-#   make build      builds all of it into _build/
+#   make build      builds all of it into build/ and devel/
 # Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
 
 SHELL := /bin/bash
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
-# Not "build": rosrun overlooks a folder of that name inside a package.
-BUILD := $(ROOT)_build
+BUILD := $(ROOT)build
+# Beside build/, as in a workspace: rosrun overlooks what lies below a package's folder build/.
+DEVEL := $(ROOT)devel
 JOBS ?= $(shell nproc)
 OUT ?= $(ROOT)out
 OUT_CITY ?= $(ROOT)out-city
@@ -30,7 +31,7 @@ packages:
 
 # configure,extra options
 configure = $(ENVIRONMENT) cmake -S $(ROOT) -B $(BUILD) -G Ninja -DPYTHON_EXECUTABLE=/usr/bin/python3 \
-	-DCATKIN_ENABLE_TESTING=ON -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
+	-DCATKIN_DEVEL_PREFIX=$(DEVEL) -DCATKIN_ENABLE_TESTING=ON -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
 	|| { tail -30 $(BUILD)/configure.log; echo "configuring failed: the lines above say why (all of it: $(BUILD)/configure.log)"; exit 1; }
 
 build: packages
@@ -38,13 +39,13 @@ build: packages
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
 
 demo: build
-	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && rosrun air_ground run_demo $(OUT)
+	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_demo $(OUT)
 
 demo-city: build
-	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
+	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
 
 test: build
-	@$(ENVIRONMENT) source $(BUILD)/devel/setup.bash && cd $(BUILD) && ctest --output-on-failure
+	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && cd $(BUILD) && ctest --output-on-failure
 
 bench: packages
 	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_BENCHMARKS=ON)
@@ -52,4 +53,4 @@ bench: packages
 	@for b in $(BUILD)/bench/*; do echo "== $$(basename $$b)"; "$$b" || exit 1; done
 
 clean:
-	rm -rf $(BUILD)
+	rm -rf $(BUILD) $(DEVEL)

@@ -55,7 +55,7 @@ function(air_ground_rostest FILE)
   endif()
   get_filename_component(name ${FILE} NAME_WE)
   add_test(NAME rostest_${name}
-    COMMAND ${CMAKE_SOURCE_DIR}/tools/run_rostest ${CATKIN_DEVEL_PREFIX} ${CMAKE_CURRENT_SOURCE_DIR}/${FILE})
+    COMMAND ${CMAKE_SOURCE_DIR}/tools/run_rostest ${CATKIN_DEVEL_PREFIX} ${CMAKE_CURRENT_SOURCE_DIR}/${FILE} ${CMAKE_BINARY_DIR}/ros_home)
   set_tests_properties(rostest_${name} PROPERTIES TIMEOUT ${ARG_TIMEOUT} LABELS rostest)
 endfunction()
 
