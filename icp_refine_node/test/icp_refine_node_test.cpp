@@ -76,7 +76,7 @@ class NodeTest : public testing::Test {
   }
 
   template <class Condition>
-  bool waitFor(const Condition& condition, double seconds = 40) {
+  bool waitFor(const Condition& condition, double seconds = 90) {
     for (const auto end = ros::WallTime::now() + ros::WallDuration(seconds); ros::WallTime::now() < end;) {
       if (condition()) return true;
       spin(0.05);
