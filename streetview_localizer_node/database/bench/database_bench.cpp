@@ -43,16 +43,21 @@ struct Camera {
     T.linear() = Eigen::AngleAxisd(0.6, Eigen::Vector3d::UnitZ()).toRotationMatrix() *
                  air_ground_common::opticalFromForwardBody().transpose();
   }
+
+  /// Rays through all pixels, in world.
+  std::vector<Eigen::Vector3f> directions() const {
+    std::vector<Eigen::Vector3f> result;
+    for (int y = 0; y < model.height; ++y)
+      for (int x = 0; x < model.width; ++x) result.push_back((T.linear() * model.ray({double(x), double(y)})).cast<float>());
+    return result;
+  }
 };
 
 void BM_SingleRays640x480(benchmark::State& state) {
   const CityModel model = city();
   const air_ground_common::MeshScene scene(model.mesh);
   const Camera c;
-  std::vector<Eigen::Vector3f> directions;
-  for (int y = 0; y < c.model.height; ++y)
-    for (int x = 0; x < c.model.width; ++x)
-      directions.push_back((c.T.linear() * c.model.ray({double(x), double(y)})).cast<float>());
+  const std::vector<Eigen::Vector3f> directions = c.directions();
   const Eigen::Vector3f origin = c.T.translation().cast<float>();
   for (auto _ : state)
     for (const auto& d : directions) benchmark::DoNotOptimize(scene.cast(origin, d));
@@ -63,10 +68,7 @@ void BM_PacketsOf8Rays640x480(benchmark::State& state) {
   const CityModel model = city();
   const air_ground_common::MeshScene scene(model.mesh);
   const Camera c;
-  std::vector<Eigen::Vector3f> directions;
-  for (int y = 0; y < c.model.height; ++y)
-    for (int x = 0; x < c.model.width; ++x)
-      directions.push_back((c.T.linear() * c.model.ray({double(x), double(y)})).cast<float>());
+  const std::vector<Eigen::Vector3f> directions = c.directions();
   const Eigen::Vector3f origin = c.T.translation().cast<float>();
   for (auto _ : state) benchmark::DoNotOptimize(scene.castMany(origin, directions));
 }
