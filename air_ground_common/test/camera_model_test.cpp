@@ -1,10 +1,15 @@
 #include "air_ground_common/camera_model.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
+#include <filesystem>
+#include <fstream>
 #include <opencv2/calib3d.hpp>
 #include <random>
 #include <stdexcept>
+
+#include "air_ground_common/camera_file.h"
 
 namespace air_ground_common {
 namespace {
@@ -80,6 +85,40 @@ TEST(CameraModel, ScalingKeepsTheImageCornerInPlace) {
   EXPECT_EQ(half.width, 376);
   EXPECT_LT((camera.ray({-0.5, -0.5}) - half.ray({-0.5, -0.5})).norm(), 1e-12);
   EXPECT_LT((camera.ray({751.5, 479.5}) - half.ray({375.5, 239.5})).norm(), 1e-12);
+}
+
+class CameraFile : public ::testing::Test {
+ protected:
+  void TearDown() override { std::filesystem::remove(path_); }
+
+  // What a calibration file holds that differs from a good one by `model` and `coefficients`.
+  CameraModel read(const std::string& model, const std::string& coefficients) const {
+    std::ofstream(path_) << "image_width: 752\nimage_height: 480\ncamera_name: mav\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+                         << "  data: [410, 0, 370.5, 0, 412, 236.25, 0, 0, 1]\ndistortion_model: " << model
+                         << "\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: " << coefficients << "\n";
+    return readCameraFile(path_);
+  }
+
+  const std::string path_ = (std::filesystem::temp_directory_path() / ("camera_file_" + std::to_string(::getpid()) + ".yaml")).string();
+};
+
+TEST_F(CameraFile, HoldsWhatCalibrationWrote) {
+  const CameraModel c = read("plumb_bob", "[-0.28, 0.07, 0.0002, -0.0003, 0.01]"), expected = wideAngle();
+  EXPECT_EQ(c.width, 752);
+  EXPECT_EQ(c.height, 480);
+  EXPECT_EQ(c.K(), expected.K());
+  EXPECT_EQ(c.k1, -0.28);
+  EXPECT_EQ(c.k2, 0.07);
+  EXPECT_EQ(c.p1, 2e-4);
+  EXPECT_EQ(c.p2, -3e-4);
+  EXPECT_EQ(c.k3, 0.01);
+}
+
+TEST_F(CameraFile, RefusesOtherModelsAndMissingFiles) {
+  EXPECT_THROW(read("equidistant", "[0.1, 0.2, 0.3, 0.4]"), std::runtime_error);
+  EXPECT_THROW(read("rational_polynomial", "[1, 2, 3, 4, 5, 6, 7, 8]"), std::runtime_error);
+  EXPECT_THROW(read("plumb_bob", "[nan]"), std::runtime_error);
+  EXPECT_THROW(readCameraFile("/no/such/camera.yaml"), std::runtime_error);
 }
 
 }  // namespace

@@ -27,22 +27,33 @@ CameraPose toFloat(const air_ground_common::Pose& T) {
   return c;
 }
 
+// A packet's lane i as a fresh ray; the length of `direction` is the unit of its parameter.
+inline __attribute__((always_inline)) void setRay(const float origin[3], const float direction[3], float max_depth, int i, RTCRayHit8* r) {
+  r->ray.org_x[i] = origin[0];
+  r->ray.org_y[i] = origin[1];
+  r->ray.org_z[i] = origin[2];
+  r->ray.dir_x[i] = direction[0];
+  r->ray.dir_y[i] = direction[1];
+  r->ray.dir_z[i] = direction[2];
+  r->ray.tnear[i] = 0;
+  r->ray.tfar[i] = max_depth;
+  r->ray.time[i] = 0;
+  r->ray.mask[i] = ~0u;
+  r->ray.id[i] = 0;
+  r->ray.flags[i] = 0;
+  r->hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+}
+
+inline __attribute__((always_inline)) void rotate(const float R[9], float x, float y, float z, float out[3]) {
+  for (int k = 0; k < 3; ++k) out[k] = R[3 * k] * x + R[3 * k + 1] * y + R[3 * k + 2] * z;
+}
+
 // Sets up rays from `pose` through normalised coordinates; length along the optical axis is then the ray parameter.
 inline void makeRays(const CameraPose& pose, const float* x, const float* y, float max_depth, RTCRayHit8* r) {
   for (int i = 0; i < kLanes; ++i) {
-    r->ray.org_x[i] = pose.t[0];
-    r->ray.org_y[i] = pose.t[1];
-    r->ray.org_z[i] = pose.t[2];
-    r->ray.dir_x[i] = pose.R[0] * x[i] + pose.R[1] * y[i] + pose.R[2];
-    r->ray.dir_y[i] = pose.R[3] * x[i] + pose.R[4] * y[i] + pose.R[5];
-    r->ray.dir_z[i] = pose.R[6] * x[i] + pose.R[7] * y[i] + pose.R[8];
-    r->ray.tnear[i] = 0;
-    r->ray.tfar[i] = max_depth;
-    r->ray.time[i] = 0;
-    r->ray.mask[i] = ~0u;
-    r->ray.id[i] = 0;
-    r->ray.flags[i] = 0;
-    r->hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+    float direction[3];
+    rotate(pose.R, x[i], y[i], 1, direction);
+    setRay(pose.t, direction, max_depth, i, r);
   }
 }
 
@@ -102,11 +113,31 @@ inline __attribute__((always_inline)) void surfaceLight(const LightJob& job, con
   fetch(texture.level[level], t.s0 + u * t.su + v * t.sv, t.t0 + u * t.tu + v * t.tv, texel);
 }
 
+// Adds what the packet's rays met to the lanes' sums.
+inline __attribute__((always_inline)) void addLight(const LightJob& job, const RTCRayHit8& packet, float sum[kLanes][4]) {
+  for (int i = 0; i < kLanes; ++i) {
+    float texel[4];
+    if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) skyLight(job, packet, i, texel);
+    else surfaceLight(job, packet, i, texel);
+    for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
+  }
+}
+
+// Writes the mean of a packet's samples; grey images take the luminance.
+inline __attribute__((always_inline)) void writeLight(const LightJob& job, int x0, int y0, const float sum[kLanes][4]) {
+  const float scale = 1.0f / job.samples;
+  for (int i = 0; i < kLanes; ++i) {
+    const std::size_t pixel = static_cast<std::size_t>(y0 + i / 4) * job.width + x0 + i % 4;
+    if (job.channels == 1) job.result[pixel] = sum[i][3] * scale;
+    else
+      for (int c = 0; c < 3; ++c) job.result[3 * pixel + c] = sum[i][c] * scale;
+  }
+}
+
 // Two image rows.
 __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(const LightJob& job, int y0) {
   const int w = job.width;
   const std::size_t pixels = static_cast<std::size_t>(w) * job.height;
-  const float scale = 1.0f / job.samples;
   alignas(32) RTCRayHit8 packet;
   alignas(32) int valid[kLanes];
   std::fill(valid, valid + kLanes, -1);
@@ -127,23 +158,9 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(cons
       }
       makeRays(job.poses[s], nx, ny, 1e6f, &packet);
       rtcIntersect8(valid, job.scene, &context, &packet);
-      for (int i = 0; i < kLanes; ++i) {
-        float texel[4];
-        if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) {
-          skyLight(job, packet, i, texel);
-          for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
-          continue;
-        }
-        surfaceLight(job, packet, i, texel);
-        for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
-      }
+      addLight(job, packet, sum);
     }
-    for (int i = 0; i < kLanes; ++i) {
-      const std::size_t pixel = top + (i < 4 ? i : w + i - 4);
-      if (job.channels == 1) job.result[pixel] = sum[i][3] * scale;
-      else
-        for (int c = 0; c < 3; ++c) job.result[3 * pixel + c] = sum[i][c] * scale;
-    }
+    writeLight(job, x0, y0, sum);
   }
 }
 
@@ -168,32 +185,14 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void panoramaRows(c
     for (int s = 0; s < job.light.samples; ++s) {
       for (int i = 0; i < kLanes; ++i) {
         const int x = s * w + x0 + i % 4, y = s * h + y0 + i / 4;
-        const float b[3] = {job.cos_elevation[y] * job.cos_azimuth[x], -job.cos_elevation[y] * job.sin_azimuth[x], job.sin_elevation[y]};
-        packet.ray.org_x[i] = job.t[0];
-        packet.ray.org_y[i] = job.t[1];
-        packet.ray.org_z[i] = job.t[2];
-        packet.ray.dir_x[i] = job.R[0] * b[0] + job.R[1] * b[1] + job.R[2] * b[2];
-        packet.ray.dir_y[i] = job.R[3] * b[0] + job.R[4] * b[1] + job.R[5] * b[2];
-        packet.ray.dir_z[i] = job.R[6] * b[0] + job.R[7] * b[1] + job.R[8] * b[2];
-        packet.ray.tnear[i] = 0;
-        packet.ray.tfar[i] = 1e6f;
-        packet.ray.time[i] = 0;
-        packet.ray.mask[i] = ~0u;
-        packet.ray.id[i] = packet.ray.flags[i] = 0;
-        packet.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+        float direction[3];
+        rotate(job.R, job.cos_elevation[y] * job.cos_azimuth[x], -job.cos_elevation[y] * job.sin_azimuth[x], job.sin_elevation[y], direction);
+        setRay(job.t, direction, 1e6f, i, &packet);
       }
       rtcIntersect8(valid, job.light.scene, &context, &packet);
-      for (int i = 0; i < kLanes; ++i) {
-        float texel[4];
-        if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) skyLight(job.light, packet, i, texel);
-        else surfaceLight(job.light, packet, i, texel);
-        for (int c = 0; c < 3; ++c) sum[i][c] += texel[c];
-      }
+      addLight(job.light, packet, sum);
     }
-    for (int i = 0; i < kLanes; ++i) {
-      const std::size_t pixel = static_cast<std::size_t>(y0 + i / 4) * w + x0 + i % 4;
-      for (int c = 0; c < 3; ++c) job.light.result[3 * pixel + c] = sum[i][c] / static_cast<float>(job.light.samples);
-    }
+    writeLight(job.light, x0, y0, sum);
   }
 }
 
@@ -343,6 +342,7 @@ void renderPanorama(const Scene& scene, const air_ground_common::Pose& T_world_p
   job.light.width = width;
   job.light.height = height;
   job.light.samples = samples;
+  job.light.channels = 3;
   job.light.sky = scene.sky();
   job.light.sky_map = scene.skyMap();
   job.light.footprint = static_cast<float>(2 * M_PI / width / std::sqrt(static_cast<double>(samples)));

@@ -11,6 +11,7 @@
 #include <optional>
 #include <string>
 
+#include "air_ground_common/camera_file.h"
 #include "query_list.h"
 #include "streetview_localizer/localizer.h"
 #include "streetview_localizer/match_picture.h"
@@ -68,7 +69,7 @@ int run(Arguments a) {
   if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
   std::optional<air_ground_common::CameraModel> common;
   std::map<std::string, air_ground_common::CameraModel> single;
-  if (!a.camera.empty()) common = readCameraFile(a.camera);
+  if (!a.camera.empty()) common = air_ground_common::readCameraFile(a.camera);
   else single = readCameraList(a.cameras);
   std::map<std::string, Eigen::Vector3d> ups;
   if (!a.up.empty()) ups = readUpList(a.up);

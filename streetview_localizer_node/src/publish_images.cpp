@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "air_ground_common/camera_file.h"
 #include "air_ground_common/ros/conversions.h"
 #include "query_list.h"
 
@@ -29,7 +30,7 @@ void run(const Arguments& a) {
   if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
   std::optional<air_ground_common::CameraModel> common;
   std::map<std::string, air_ground_common::CameraModel> single;
-  if (!a.camera.empty()) common = streetview_localizer::readCameraFile(a.camera);
+  if (!a.camera.empty()) common = air_ground_common::readCameraFile(a.camera);
   else single = streetview_localizer::readCameraList(a.cameras);
   const std::vector<std::string> names = streetview_localizer::listImages(a.images);
 

@@ -1,9 +1,8 @@
 #include "query_list.h"
 
-#include <yaml-cpp/yaml.h>
-
 #include <algorithm>
 #include <cctype>
+#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -46,30 +45,6 @@ std::map<std::string, std::vector<double>> readTable(const std::string& path, co
 }
 
 }  // namespace
-
-CameraModel readCameraFile(const std::string& path) {
-  CameraModel c;
-  try {
-    const YAML::Node node = YAML::LoadFile(path);
-    c.width = node["image_width"].as<int>();
-    c.height = node["image_height"].as<int>();
-    const auto k = node["camera_matrix"]["data"].as<std::vector<double>>();
-    c.fx = k.at(0);
-    c.cx = k.at(2);
-    c.fy = k.at(4);
-    c.cy = k.at(5);
-    if (node["distortion_coefficients"]) {
-      const auto d = node["distortion_coefficients"]["data"].as<std::vector<double>>();
-      if (d.size() > 5) throw std::runtime_error("only plumb_bob with up to five coefficients is supported");
-      double* fields[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
-      for (std::size_t i = 0; i < d.size(); ++i) *fields[i] = d[i];
-    }
-    c.validate();
-  } catch (const std::exception& e) {
-    throw std::runtime_error(path + " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
-  }
-  return c;
-}
 
 std::map<std::string, CameraModel> readCameraList(const std::string& path) {
   std::map<std::string, CameraModel> cameras;

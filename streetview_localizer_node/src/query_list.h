@@ -10,9 +10,6 @@
 
 namespace streetview_localizer {
 
-/// A ROS camera_info file, as camera_calibration writes it. Throws std::runtime_error with one line.
-air_ground_common::CameraModel readCameraFile(const std::string& path);
-
 /// Calibrations of single images: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`, separated by blanks or commas; '#' and a header
 /// line that begins with `image` are skipped. Width and height stay 0. A line with other columns, such as poses, is an error:
 /// what is to be found out must not be in the input. Throws std::runtime_error with file and line.

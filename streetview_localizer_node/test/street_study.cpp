@@ -14,7 +14,7 @@
 #include <random>
 #include <sstream>
 
-#include "../src/query_list.h"
+#include "air_ground_common/camera_file.h"
 #include "streetview_localizer/features.h"
 #include "streetview_localizer/localizer.h"
 #include "streetview_localizer/match_picture.h"
@@ -92,7 +92,7 @@ int run(const std::string& city, const std::string& db_path, const std::string& 
   if (!db_path.empty()) settings.index_file = db_path + ".index";
   const Localizer localizer(db, settings);
   std::printf("%s\n", localizer.indexRemark().c_str());
-  const auto camera = readCameraFile(city + "/camera.yaml");
+  const auto camera = air_ground_common::readCameraFile(city + "/camera.yaml");
   std::mt19937 rng(11);
   std::normal_distribution<double> normal;
   for (const std::string folder : {"queries", "queries_elsewhere"}) {

@@ -7,7 +7,7 @@
 
 namespace air_ground_common::ros_utils {
 
-NodeHealth::NodeHealth(const std::string& hardware_id) : started_(ros::WallTime::now()) {
+NodeHealth::NodeHealth(const std::string& hardware_id) : started_(ros::WallTime::now()), watched_(started_) {
   updater_.setHardwareID(hardware_id);
   updater_.add("state", this, &NodeHealth::report);
   // A wall timer: diagnostics and warnings must come when /clock stands still, too.
@@ -70,12 +70,17 @@ void NodeHealth::watch() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     const ros::WallTime now = ros::WallTime::now();
+    const ros::Time clock = ros::Time::now();
+    const bool paused = ros::Time::isSimTime() && clock == clock_;
     for (auto& [topic, input] : inputs_) {
+      if (paused && input.messages > 0) input.last_arrival += now - watched_;
       if (!input.continuous && input.messages > 0) continue;
       if (input.warned || (now - input.last_arrival).toSec() < 3.0) continue;
       input.warned = true;
       silent.emplace_back(topic, input);
     }
+    watched_ = now;
+    clock_ = clock;
   }
   if (silent.empty()) return;
   ros::master::V_TopicInfo published;

@@ -2,9 +2,9 @@
 #pragma once
 
 #include <opencv2/imgproc.hpp>
-#include <random>
 #include <vector>
 
+#include "air_ground_common/testing/random.h"
 #include "visual_frontend/types.h"
 
 namespace visual_frontend::synthetic {
@@ -26,20 +26,7 @@ inline CameraModel camera(bool distorted = true) {
   return c;
 }
 
-class Random {
- public:
-  explicit Random(unsigned seed) : generator_(seed) {}
-  double uniform(double a, double b) { return a + (b - a) * (generator_() / 4294967296.0); }
-  double gauss(double sigma = 1) {
-    const double u = 1.0 - uniform(0, 1);
-    return sigma * std::sqrt(-2 * std::log(u)) * std::cos(2 * M_PI * uniform(0, 1));
-  }
-  Eigen::Vector3d vector(double size) { return {uniform(-size, size), uniform(-size, size), uniform(-size, size)}; }
-  Eigen::Vector3d gaussVector(double sigma) { return {gauss(sigma), gauss(sigma), gauss(sigma)}; }
-
- private:
-  std::mt19937 generator_;
-};
+using air_ground_common::testing::Random;
 
 /// Any rotation and a position within 5 m.
 inline Pose randomPose(Random& random) {

@@ -1,11 +1,11 @@
 // build_streetview_db: from images with geotags (or surveyed poses) and a city model to the database of the localizer.
 #include <unistd.h>
-#include <yaml-cpp/yaml.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <string>
 
+#include "air_ground_common/camera_file.h"
 #include "streetview_localizer/database_builder.h"
 
 namespace {
@@ -37,30 +37,6 @@ class Progress {
   std::string stage_;
   int tenth_ = -1;
 };
-
-// A ROS camera_info file, as camera_calibration writes it.
-air_ground_common::CameraModel readCamera(const std::string& path) {
-  air_ground_common::CameraModel c;
-  try {
-    const YAML::Node node = YAML::LoadFile(path);
-    c.width = node["image_width"].as<int>();
-    c.height = node["image_height"].as<int>();
-    const auto k = node["camera_matrix"]["data"].as<std::vector<double>>();
-    c.fx = k.at(0), c.cx = k.at(2), c.fy = k.at(4), c.cy = k.at(5);
-    if (node["distortion_coefficients"]) {
-      const auto d = node["distortion_coefficients"]["data"].as<std::vector<double>>();
-      if (d.size() > 5) throw std::runtime_error("only the plumb_bob model with up to five coefficients is supported");
-      double* fields[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
-      for (std::size_t i = 0; i < d.size(); ++i) *fields[i] = d[i];
-    }
-    c.validate();
-  } catch (const std::exception& e) {
-    throw std::runtime_error(
-        path +
-        " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
-  }
-  return c;
-}
 
 void print(const BuildReport& report, const std::string& output) {
   for (const std::string& remark : report.remarks) std::printf("model: %s\n", remark.c_str());
@@ -142,7 +118,7 @@ int main(int argc, char** argv) {
     if (!pitches.empty()) s.views.pitches.clear();
     for (const double p : pitches) s.views.pitches.push_back(p * kDegree);
     if (!origin.empty()) s.model_options.origin = Eigen::Vector3d(origin[0], origin[1], origin[2]);
-    if (!camera.empty()) s.camera = readCamera(camera);
+    if (!camera.empty()) s.camera = air_ground_common::readCameraFile(camera);
     Progress progress;
     print(buildDatabase(s, std::ref(progress)), s.output);
   } catch (const std::exception& e) {

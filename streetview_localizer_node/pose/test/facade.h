@@ -2,28 +2,13 @@
 #pragma once
 
 #include <cmath>
-#include <random>
 
+#include "air_ground_common/testing/random.h"
 #include "streetview_localizer/acceptance.h"
 
 namespace streetview_localizer::simulation {
 
-class Random {
- public:
-  explicit Random(unsigned seed) : generator_(seed) {}
-  double uniform(double a, double b) { return a + (b - a) * (generator_() / 4294967296.0); }
-  double gauss(double sigma) {
-    const double u = 1.0 - uniform(0, 1);
-    return sigma * std::sqrt(-2 * std::log(u)) * std::cos(2 * M_PI * uniform(0, 1));
-  }
-  Eigen::Vector3d gaussVector(double sigma) {
-    const double x = gauss(sigma), y = gauss(sigma), z = gauss(sigma);
-    return {x, y, z};
-  }
-
- private:
-  std::mt19937 generator_;
-};
+using air_ground_common::testing::Random;
 
 /// Small front camera of a MAV.
 inline CameraModel camera(bool distorted = true) {

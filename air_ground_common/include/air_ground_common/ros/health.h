@@ -22,7 +22,7 @@ class NodeHealth {
 
   /// Declares an input that the node waits for. After 3 s (wall time) without it a warning names the resolved topic,
   /// whether anybody publishes it, and the last stamp seen. `continuous` false: a topic that may rightly pause (a latched
-  /// map); the warning comes only while nothing at all has arrived.
+  /// map); the warning comes only while nothing at all has arrived. A replay that is paused (/clock stands still) is no silence.
   void expectInput(const std::string& resolved_topic, bool continuous = true);
   /// Call in the callback of an expected input.
   void received(const std::string& resolved_topic, const ros::Time& stamp);
@@ -60,7 +60,8 @@ class NodeHealth {
   std::map<std::string, Timing> timings_;
   int level_ = 1;
   std::string line_ = "starting";
-  ros::WallTime started_;
+  ros::WallTime started_, watched_;
+  ros::Time clock_;  ///< when watched_
   diagnostic_updater::Updater updater_;
   ros::WallTimer timer_;
 };
