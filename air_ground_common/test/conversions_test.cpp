@@ -76,6 +76,21 @@ TEST(Conversions, CloudRoundTripKeepsColourAndDropsNaN) {
   broken.data.resize(3);
   EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
   EXPECT_THROW(cloudFromMsg(sensor_msgs::PointCloud2()), std::invalid_argument);
+
+  // Fields that would be read beyond a point.
+  broken = toMsg(points, CloudFields::kXyz, std_msgs::Header());
+  broken.fields[2].offset = broken.point_step - 2;
+  EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
+  broken = toMsg(points, CloudFields::kXyz, std_msgs::Header());
+  broken.point_step = 0;
+  EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
+  broken = toMsg(points, CloudFields::kXyz, std_msgs::Header());
+  broken.fields.push_back(broken.fields[0]);
+  broken.fields.back().name = "rgb";
+  broken.fields.back().offset = broken.point_step;
+  EXPECT_EQ(cloudFromMsg(broken).size(), 1u) << "a colour outside is left out";
+  broken.is_bigendian = true;
+  EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
 }
 
 }  // namespace

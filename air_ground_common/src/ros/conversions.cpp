@@ -34,19 +34,23 @@ struct FieldOffsets {
   int x = -1, y = -1, z = -1, rgb = -1, intensity = -1, source = -1;
 };
 
+// Only fields that lie within a point are found.
 FieldOffsets findFields(const sensor_msgs::PointCloud2& msg) {
   FieldOffsets o;
   for (const auto& f : msg.fields) {
     const bool is_float = f.datatype == sensor_msgs::PointField::FLOAT32;
+    const std::size_t size = f.datatype == sensor_msgs::PointField::UINT8 ? 1 : 4;
+    if (f.offset + size > msg.point_step) continue;
     const int offset = static_cast<int>(f.offset);
     if (f.name == "x" && is_float) o.x = offset;
     if (f.name == "y" && is_float) o.y = offset;
     if (f.name == "z" && is_float) o.z = offset;
-    if (f.name == "rgb" || f.name == "rgba") o.rgb = offset;
+    if ((f.name == "rgb" || f.name == "rgba") && (is_float || f.datatype == sensor_msgs::PointField::UINT32)) o.rgb = offset;
     if (f.name == "intensity" && is_float) o.intensity = offset;
     if (f.name == "source" && f.datatype == sensor_msgs::PointField::UINT8) o.source = offset;
   }
-  if (o.x < 0 || o.y < 0 || o.z < 0) throw std::invalid_argument("point cloud: it needs float32 fields x, y, z");
+  if (o.x < 0 || o.y < 0 || o.z < 0) throw std::invalid_argument("point cloud: it needs float32 fields x, y, z within point_step");
+  if (msg.is_bigendian) throw std::invalid_argument("point cloud: big-endian data is not supported");
   return o;
 }
 
@@ -170,7 +174,7 @@ sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, cons
 std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::size_t* dropped) {
   const FieldOffsets o = findFields(msg);
   const std::size_t count = static_cast<std::size_t>(msg.width) * msg.height;
-  if (msg.data.size() < static_cast<std::size_t>(msg.row_step) * msg.height || msg.row_step < msg.point_step * msg.width)
+  if (msg.data.size() < static_cast<std::size_t>(msg.row_step) * msg.height || msg.row_step < static_cast<std::size_t>(msg.point_step) * msg.width)
     throw std::invalid_argument("point cloud: its data is shorter than its size says");
   std::vector<CloudPoint> points;
   points.reserve(count);

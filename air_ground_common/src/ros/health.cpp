@@ -98,6 +98,9 @@ void NodeHealth::watch() {
 void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
   const std::lock_guard<std::mutex> lock(mutex_);
   status.summary(static_cast<unsigned char>(level_), line_);
+  for (const auto& [topic, input] : inputs_)
+    if (input.warned && input.messages > 0)
+      status.mergeSummaryf(diagnostic_msgs::DiagnosticStatus::ERROR, "nothing on %s for %.0f s", topic.c_str(), (ros::WallTime::now() - input.last_arrival).toSec());
   const double alive = (ros::WallTime::now() - started_).toSec();
   for (const auto& [topic, input] : inputs_) {
     status.addf(topic + " messages", "%zu", input.messages);
@@ -113,32 +116,50 @@ void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
 
 bool TimeJumpDetector::jumped(const ros::Time& stamp) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!newest_.isZero() && stamp + ros::Duration(tolerance_) < newest_) {
-    newest_ = stamp;
-    return true;
-  }
-  newest_ = std::max(newest_, stamp);
-  return false;
+  const double t = stamp.toSec();
+  const bool back = t + tolerance_ < newest_;
+  newest_ = back ? t : std::max(newest_, t);
+  return back;
+}
+
+bool StreamJumpDetector::hold(Stream* stream, double t) const {
+  constexpr double kFast = 0.5;  // [s] between messages; a slow stream's single message is too precious to hold
+  const double leap = std::max(tolerance_, 20 * stream->interval);
+  const bool confirmed = stream->held >= 0 && t > stream->held - tolerance_ && t < stream->held + leap;
+  stream->held = -1;
+  if (confirmed || stream->messages < 10 || stream->interval > kFast) return false;
+  if (t > stream->newest - tolerance_ && t < stream->newest + leap) return false;
+  stream->held = t;
+  return true;
 }
 
 StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const ros::Time& stamp, const ros::WallTime& now) {
   Stream& stream = streams_.at(index);
-  const bool back = !stream.newest.isZero() && stamp + ros::Duration(tolerance_) < stream.newest;
+  if (stamp.isZero()) return Verdict::kOld;
+  const double t = stamp.toSec();
+  const bool back = t + tolerance_ < stream.newest;
   Verdict verdict = Verdict::kInOrder;
-  if (stream.pass == pass_ && back) {
-    // Halfway between the passes lies what tells the old one from the new one on streams that have yet to follow.
-    ceiling_ = stamp + (newest_ - stamp) * 0.5;
-    stream.pass = ++pass_;
-    newest_ = stamp;
-    jumped_ = now;
-    verdict = Verdict::kJump;
-  } else if (stream.pass != pass_) {
-    if (!back && stamp > ceiling_ && (now - jumped_).toSec() < patience_) return Verdict::kOld;
+  if (stream.pass == pass_) {
+    if (hold(&stream, t)) return Verdict::kOld;
+    if (back) {
+      // Halfway between the passes lies what tells the old one from the new one on streams that have yet to follow.
+      ceiling_ = t + (newest_ - t) * 0.5;
+      stream.pass = ++pass_;
+      newest_ = t;
+      jumped_ = now;
+      verdict = Verdict::kJump;
+    }
+  } else {
+    if (!back && t > ceiling_ && (now - jumped_).toSec() < patience_) return Verdict::kOld;
     stream.pass = pass_;
-    stream.newest = stamp;
+    stream.newest = t;
   }
-  stream.newest = verdict == Verdict::kJump ? stamp : std::max(stream.newest, stamp);
-  newest_ = std::max(newest_, stamp);
+  if (stream.newest >= 0 && t > stream.newest) {
+    const double interval = t - stream.newest;
+    stream.interval += (interval - stream.interval) / std::min<std::size_t>(++stream.messages, 50);
+  }
+  stream.newest = verdict == Verdict::kJump ? t : std::max(stream.newest, t);
+  newest_ = std::max(newest_, t);
   return verdict;
 }
 

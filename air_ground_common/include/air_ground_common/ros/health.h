@@ -77,17 +77,18 @@ class TimeJumpDetector {
  private:
   std::mutex mutex_;
   double tolerance_;
-  ros::Time newest_;
+  double newest_ = -1;  ///< [s]; differences of ros::Time throw for stamps of more than 2^31 s
 };
 
 /// The same for a node with several inputs, of which one may lag behind the others. The first stream to jump starts a new
-/// pass; what still comes of the old pass on the others is told apart. Not thread-safe.
+/// pass; what still comes of the old pass on the others is told apart. A single wrong stamp in a fast stream (IMU, images,
+/// odometry) is no jump: there, a leap forth or back counts when the next message confirms it. Not thread-safe.
 class StreamJumpDetector {
  public:
   enum class Verdict {
     kInOrder,  ///< use it
     kJump,     ///< time ran back: start afresh, then use it
-    kOld       ///< from before the jump: drop it
+    kOld       ///< drop it: from before the jump, stamp not set, or far off and not confirmed
   };
 
   /// `patience`: a stream that has not followed a jump after this long is taken as it comes [s, wall clock].
@@ -99,13 +100,19 @@ class StreamJumpDetector {
 
  private:
   struct Stream {
-    ros::Time newest;
+    double newest = -1;  ///< [s]; -1: nothing yet
+    double interval = 0;  ///< running mean [s]
+    double held = -1;  ///< stamp of a leap that the next message may confirm [s]
+    std::size_t messages = 0;
     unsigned pass = 0;
   };
+  /// True when `t` must wait for confirmation by the next message.
+  bool hold(Stream* stream, double t) const;
+
   std::vector<Stream> streams_;
   double tolerance_, patience_;
   unsigned pass_ = 0;
-  ros::Time newest_, ceiling_;  ///< of the present pass; between the passes
+  double newest_ = -1, ceiling_ = 0;  ///< of the present pass; between the passes [s]
   ros::WallTime jumped_;
 };
 
