@@ -15,7 +15,7 @@ ROOT = rospkg.RosPack().get_path('air_ground')
 NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine', 'streetview_localizer', 'ekf_tracker')
 LAUNCH_FILES = ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch', 'tracker.launch', 'city_localizer.launch', 'city.launch')
 # What city.launch sets itself in the files that it includes.
-SET_BY_CITY = {'database', 'bag', 'rviz', 'rviz_config', 'rate', 'start', 'images', 'camera', 'cameras', 'period', 'mav_camera_frame', 'tracker_name'}
+SET_BY_CITY = {'database', 'bag', 'rviz', 'rviz_config', 'rate', 'start', 'images', 'camera', 'cameras', 'period', 'mav_camera_frame', 'tracker_name', 'localizer_required'}
 # Set by the launch files' arguments, so not in the parameter files.
 BY_LAUNCH = {'map_frame', 'odom_frame', 'base_frame', 'publish_tf', 'ground_map_frame', 'mav_map_frame', 'database'}
 
@@ -134,6 +134,13 @@ class Documentation(unittest.TestCase):
                               ('city.launch', ['db:=x.gpkg', 'bag:=x.bag', 'out:=/tmp/x', 'rviz:=true'])):
             config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
             self.assertEqual(config.config_errors, [], launch)
+            # Nodes run in another folder: what the user names from here must reach them as a path from the root.
+            for name, parameter in config.params.items():
+                if name.rsplit('/', 1)[-1] in ('bag', 'out', 'database') and parameter.value:
+                    self.assertTrue(str(parameter.value).startswith('/'), f'{launch}: {name} = {parameter.value}')
+            for node in config.nodes:
+                if node.package == 'rosbag':
+                    self.assertRegex(node.args, ' /[^ ]*x[.]bag$', launch)
             for node in config.nodes:
                 if node.package == 'air_ground':
                     from roslib.packages import find_node

@@ -79,6 +79,17 @@ class BagCheck(unittest.TestCase):
             write(path, imu_elsewhere=True)
             self.assertEqual([f.text for f in bag_check.check(path, {'/mav/imu/data': '/imu0'}) if f.level == bag_check.ERROR], [])
 
+    def test_a_flight_in_the_city_needs_no_ground_robot(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            write(path, no_depth=True, no_frame=True)
+            self.assertTrue([f for f in bag_check.check(path) if f.level == bag_check.ERROR])
+            found = bag_check.check(path, city=True)
+            self.assertEqual([f.text for f in found if f.level == bag_check.ERROR], [])
+            self.assertTrue(any('/gps/fix is missing' in f.text for f in found if f.level == bag_check.WARNING))
+            other = bag_check.check(path, bases={'mav': 'imu_link'}, city=True)
+            self.assertTrue(any('does not connect imu_link' in f.text for f in other if f.level == bag_check.ERROR))
+
 
 if __name__ == '__main__':
     rosunit.unitrun('air_ground', 'bag_check_test', BagCheck)

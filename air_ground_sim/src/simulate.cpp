@@ -27,6 +27,7 @@
 #include <functional>
 #include <iostream>
 #include <mutex>
+#include <set>
 #include <sstream>
 #include <thread>
 
@@ -390,11 +391,18 @@ std::string worldFile(const std::string& world) {
   throw std::invalid_argument("no world '" + world + "' in " + folder.string() + "; there are:" + names);
 }
 
-// Hash of everything that decides the recording's content.
-std::string contentKey(const std::string& world_file, const Options& o) {
+// Hash of everything that decides the recording's content: the world's parameters, the options, the simulator's own sources.
+std::string contentKey(const std::string& world_file, const SimConfig& config, const Options& o) {
   std::ifstream in(world_file);
   std::stringstream text;
-  text << in.rdbuf() << '|' << kRendererVersion << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground;
+  text << in.rdbuf() << '|' << AIR_GROUND_SIM_SOURCES;
+  if (!config.street.facade_images.empty()) {
+    std::set<fs::path> images;
+    for (const auto& entry : fs::directory_iterator(config.street.facade_images)) images.insert(entry.path());
+    for (const fs::path& image : images)
+      if (fs::is_regular_file(image)) text << '|' << image.filename() << std::ifstream(image, std::ios::binary).rdbuf();
+  }
+  text << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground;
   std::uint64_t h = 0;
   for (const char c : text.str()) h = mix(h ^ static_cast<unsigned char>(c));
   char hex[17];
@@ -420,7 +428,7 @@ int simulate(Options o) {
   if (o.samples > 0) config.mav_camera.samples = config.ground_camera.samples = o.samples;
   if (!o.cache.empty()) {
     fs::create_directories(o.cache);
-    o.out = (fs::path(o.cache) / (config.name + "_" + std::to_string(o.seed) + "_" + contentKey(file, o) + ".bag")).string();
+    o.out = (fs::path(o.cache) / (config.name + "_" + std::to_string(o.seed) + "_" + contentKey(file, config, o) + ".bag")).string();
   }
   if (o.out.empty()) throw std::invalid_argument("give --out FILE.bag or --cache DIR");
   if (fs::path(o.out).extension() != ".bag") throw std::invalid_argument("--out must end in .bag");

@@ -6,6 +6,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <optional>
@@ -21,12 +22,13 @@ namespace {
 namespace ru = air_ground_common::ros_utils;
 
 struct Arguments {
-  std::string images, camera, cameras, frame = "mav_camera_optical_frame", base_frame;
+  std::string folder, images, camera, cameras, frame = "mav_camera_optical_frame", base_frame;
   double period = 2;
   bool loop = false;
 };
 
 void run(const Arguments& a) {
+  if (!a.folder.empty()) std::filesystem::current_path(a.folder);
   if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
   std::optional<air_ground_common::CameraModel> common;
   std::map<std::string, air_ground_common::CameraModel> single;
@@ -77,6 +79,7 @@ int main(int argc, char** argv) {
   ros::init(argc, argv, "publish_images");
   CLI::App app("Plays a folder of photographs as a camera, on mav/camera/image_raw and mav/camera/camera_info.");
   Arguments a;
+  app.add_option("--folder", a.folder, "where relative names begin; roslaunch starts nodes elsewhere than it was started itself");
   app.add_option("--images", a.images, "folder of photographs")->required();
   app.add_option("--camera", a.camera, "calibration of all of them (ROS camera_info YAML)");
   app.add_option("--cameras", a.cameras, "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");

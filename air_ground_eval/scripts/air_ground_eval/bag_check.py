@@ -10,17 +10,22 @@ ERROR, WARNING, OK = 'ERROR', 'WARNING', 'ok'
 Finding = namedtuple('Finding', 'level text')
 
 # standard topic: (types, least rate [Hz], who needs it)
-STREAMS = {
+MAV = {
     '/mav/camera/image_raw': (('sensor_msgs/Image',), 8, 'visual odometry'),
     '/mav/camera/camera_info': (('sensor_msgs/CameraInfo',), 0, 'visual odometry'),
     '/mav/imu/data': (('sensor_msgs/Imu',), 80, 'rotation prior and scale of visual odometry'),
+    '/ground_truth/mav': (tuple(POSE_TYPES), 0, 'errors in the report')}
+GROUND = {
     '/ground/rgb/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
     '/ground/rgb/camera_info': (('sensor_msgs/CameraInfo',), 0, 'RGB-D SLAM'),
     '/ground/depth/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
     '/ground/imu/data': (('sensor_msgs/Imu',), 80, 'the gravity direction of RGB-D SLAM'),
-    '/ground_truth/mav': (tuple(POSE_TYPES), 0, 'errors in the report'),
     '/ground_truth/ground': (tuple(POSE_TYPES), 0, 'errors in the report')}
-OPTIONAL = ('/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground')
+CITY = {
+    '/gps/fix': (('sensor_msgs/NavSatFix',), 0, 'GPS of the tracker, and for comparison'),
+    '/mav/imu/mag': (('sensor_msgs/MagneticField',), 0, 'heading of the tracker with magnetometer'),
+    '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
+OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'bayer_rggb8', 'bayer_bggr8', 'bayer_gbrg8', 'bayer_grbg8', '8UC1', '8UC3')
 DEPTH = ('16UC1', 'mono16', '32FC1')
 
@@ -51,18 +56,25 @@ def read(path, topics):
     return streams
 
 
-def check(path, names=None, base='base_link'):
-    """Findings, most fundamental first. `names`: standard topic -> name in this bag."""
+def check(path, names=None, bases=None, city=False):
+    """Findings, most fundamental first.
+
+    `names`: standard topic -> name in this bag; `bases`: robot -> its body frame, where that is not mav_base_link or ground_base_link;
+    `city`: a flight for city.launch, without a ground robot.
+    """
     names = names or {}
+    bases = {'mav': 'mav_base_link', 'ground': 'ground_base_link', **(bases or {})}
+    wanted = {**MAV, **(CITY if city else GROUND)}
+    launch_file = 'city.launch' if city else 'replay.launch'
     facts = BagFacts(path)
-    actual = {standard: names.get(standard, standard) for standard in STREAMS}
+    actual = {standard: names.get(standard, standard) for standard in wanted}
     findings = []
     present = {}
-    for standard, (types, _, purpose) in STREAMS.items():
+    for standard, (types, _, purpose) in wanted.items():
         topic = actual[standard]
         if topic not in facts.types:
             similar = sorted(t for t, kind in facts.types.items() if kind in types and t not in actual.values())
-            hint = f'; the bag has {", ".join(similar[:4])} of this type: use --map, and the arguments of replay.launch' if similar else ''
+            hint = f'; the bag has {", ".join(similar[:4])} of this type: use --map, and the arguments of {launch_file}' if similar else ''
             level = WARNING if standard in OPTIONAL else ERROR
             findings.append(Finding(level, f'{topic} is missing ({purpose}){hint}'))
         elif facts.types[topic] not in types:
@@ -71,7 +83,7 @@ def check(path, names=None, base='base_link'):
             present[standard] = topic
     streams = read(path, present.values())
     for standard, topic in present.items():
-        findings += _stamps(topic, streams[topic], STREAMS[standard][1])
+        findings += _stamps(topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
         if standard.endswith('camera_info'):
             findings += _camera_info(topic, streams[topic])
@@ -79,10 +91,12 @@ def check(path, names=None, base='base_link'):
             findings += _image(topic, streams[topic], DEPTH if 'depth' in standard else GREY)
         elif standard.endswith('imu/data'):
             findings += _imu(topic, streams[topic])
-        elif facts.counts[topic] and streams[topic].frames != {'world'}:
+        elif standard in CITY or city or not facts.counts[topic]:
+            continue
+        elif streams[topic].frames != {'world'}:
             findings.append(Finding(WARNING, f'{topic} is in frame {_list(streams[topic].frames)}; the report takes both robots\' as one frame'))
     findings += _pairs(present, streams)
-    findings += _transforms(facts, present, streams, base)
+    findings += _transforms(facts, present, streams, bases)
     return findings
 
 
@@ -200,7 +214,7 @@ def _pairs(present, streams):
     return result
 
 
-def _transforms(facts, present, streams, base):
+def _transforms(facts, present, streams, bases):
     result = []
     sensors = (('mav', '/mav/camera/image_raw'), ('mav', '/mav/imu/data'), ('ground', '/ground/rgb/image_raw'), ('ground', '/ground/imu/data'))
     for robot, standard in sensors:
@@ -213,7 +227,7 @@ def _transforms(facts, present, streams, base):
         if len(frames) > 1:
             result.append(Finding(WARNING, f'{present[standard]}: several frame ids: {_list(frames)}'))
         frame = sorted(frames)[0].lstrip('/')
-        if facts.static_transform(f'{robot}_{base}', frame) is None:
-            result.append(Finding(ERROR, f'/tf_static does not connect {robot}_{base} with {frame} (of {present[standard]}): add a '
+        if facts.static_transform(bases[robot], frame) is None:
+            result.append(Finding(ERROR, f'/tf_static does not connect {bases[robot]} with {frame} (of {present[standard]}): add a '
                                   'static_transform_publisher'))
     return result

@@ -15,9 +15,6 @@
 
 namespace air_ground_sim {
 
-/// Changes whenever the same parameters give different data: part of the key under which recordings are cached.
-constexpr int kRendererVersion = 1;
-
 struct RgbdFrame {
   std::vector<std::uint8_t> rgb;        ///< R G B, row by row
   std::vector<std::uint16_t> depth_mm;  ///< registered to rgb; 0 = no measurement
