@@ -12,13 +12,17 @@ constexpr int kP = 0, kV = 3, kB = 6, kG = 9, kS = 11;
 constexpr int kMaxRejectedInARow = 10;
 constexpr double kMapVelocityStddev = 0.05;  // of a velocity taken from bundle adjustment [m/s]
 constexpr double kDiffuseRatio = 30.0;  // standard deviation of the scale before the start, against the scale itself
+constexpr double kMaxRejectedShare = 0.1;   // of the measurements since the start, when the scale counts as certain
+constexpr double kForcedScaleStddev = 0.1;  // added when a row of rejections forces the motion to start afresh [1]
 
 using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
 using MeasurementMatrix = Eigen::Matrix<double, 3, ScaleFilter::kStates>;
 
-/// Correction K * innovation for isotropic measurement noise; P becomes the posterior (Joseph form).
-ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, double sigma, ScaleFilter::Covariance* P) {
+/// Correction K * innovation for isotropic measurement noise; P becomes the posterior (Joseph form), `nis` grows by the squared
+/// Mahalanobis distance of the innovation.
+ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, double sigma, ScaleFilter::Covariance* P, double* nis = nullptr) {
   const Eigen::Matrix3d S = H * *P * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
+  if (nis) *nis += innovation.dot(S.ldlt().solve(innovation));
   const Eigen::Matrix<double, ScaleFilter::kStates, 3> K = S.ldlt().solve(H * *P).transpose();
   const ScaleFilter::Covariance A = ScaleFilter::Covariance::Identity() - K * H;
   *P = (A * *P * A.transpose() + K * K.transpose() * sigma * sigma).eval();
@@ -61,6 +65,8 @@ void ScaleFilter::reset(double tilt_stddev) {
   P_.setZero();
   rejected_in_a_row_ = 0;
   frames_waited_ = 0;
+  updates_ = rejected_updates_ = 0;
+  contradicted_ = false;
 }
 
 void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias, double scale_stddev) {
@@ -76,7 +82,14 @@ void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velo
   window_.clear();
   R_before_ = m.R_map_imu;
   rejected_in_a_row_ = 0;
+  updates_ = rejected_updates_ = 0;
   initialized_ = true;
+}
+
+double ScaleFilter::rejectedShare() const { return updates_ > 0 ? static_cast<double>(rejected_updates_) / updates_ : 0.0; }
+
+bool ScaleFilter::certain(double relative_stddev) const {
+  return initialized_ && relativeStddev() < relative_stddev && rejectedShare() <= kMaxRejectedShare;
 }
 
 double ScaleFilter::relativeStddev() const {
@@ -190,7 +203,9 @@ bool ScaleFilter::start() {
   // The linear solution is biased (its regressor p_visual is noisy): Gauss-Newton about the trajectory it predicts.
   State solution = *linear;
   Covariance P;
+  double nis = 0;
   for (int pass = 0; pass < 3; ++pass) {
+    nis = 0;
     const ScaleMeasurement& first = window_.front().measurement;
     State nominal = solution;
     nominal.p = solution.scale * first.p_map_camera - lever(first);
@@ -213,7 +228,7 @@ bool ScaleFilter::start() {
       P = F * P * F.transpose() + Q;
       const MeasurementMatrix H = measurementMatrix(nominal, m);
       const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(nominal, m) - H * error;
-      error += kalmanUpdate(H, innovation, settings_.position_stddev * m.scene_distance, &P);
+      error += kalmanUpdate(H, innovation, settings_.position_stddev * m.scene_distance, &P, &nis);
     }
     if (!error.allFinite() || std::abs(error(kS)) > 1.0) return false;
     addError(error, &nominal);
@@ -221,6 +236,9 @@ bool ScaleFilter::start() {
     solution = nominal;
   }
   if (std::sqrt(P(kS, kS)) > settings_.start_relative_stddev) return false;
+  // A sure scale that does not fit: wrong unit, gravity removed, wrong mounting.
+  contradicted_ = nis > settings_.start_max_nis * 3.0 * static_cast<double>(window_.size() - 1);
+  if (contradicted_) return false;
   state_ = solution;
   P_ = P;
   return true;
@@ -232,11 +250,14 @@ void ScaleFilter::update(const ScaleMeasurement& m) {
   const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(state_, m);
   const Eigen::Matrix3d S = H * P_ * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
   last_nis_ = innovation.dot(S.ldlt().solve(innovation));
+  ++updates_;
   if (!(last_nis_ < settings_.gate)) {
     ++rejected_;
-    // A jump of the visual map (relocalisation) shows as a row of rejections: accept the new place, keep the scale.
+    ++rejected_updates_;
+    // A jump of the visual map (relocalisation) shows as a row of rejections: accept the new place. The scale may be what is wrong.
     if (++rejected_in_a_row_ >= kMaxRejectedInARow) {
       rejected_in_a_row_ = 0;
+      P_(kS, kS) += kForcedScaleStddev * kForcedScaleStddev;
       restartMotion(m);
     }
     return;

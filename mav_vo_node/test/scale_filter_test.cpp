@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <functional>
+
 #include "mav_vo/scale_filter.h"
 #include "synthetic_flight.h"
 
@@ -96,6 +98,99 @@ TEST(ScaleFilter, IsConsistentOverManyRuns) {
   EXPECT_GT(nees_full, 8.2);
   EXPECT_LT(nees_full, 12.0);
   EXPECT_LT(early, 2.5);
+}
+
+/// What a wrong IMU makes of a sample.
+using Spoil = std::function<ImuSample(ImuSample)>;
+
+struct Believed {
+  bool metric = false;   ///< at any time what the odometry takes for certain
+  double metric_at = -1; ///< [s]
+  double ratio = 0;      ///< then: estimated over true scale
+  bool contradicted = false;
+};
+
+/// Flies with the default settings, as the odometry uses the filter: the map is levelled by what the IMU calls up at the start.
+Believed believe(unsigned seed, const Spoil& spoil) {
+  const synthetic::Flight flight;
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  const auto vector = [&] { return Eigen::Vector3d(normal(random), normal(random), normal(random)); };
+  const ImuNoise noise;
+  const ImuBias bias{1e-3 * vector(), 0.05 * vector()};
+  const double begin = 1.5, frame = 0.05, duration = 12.0, true_scale = 1.7;
+  ImuBuffer buffer(1000);
+  for (const auto& s : flight.imuSamples(begin - 0.1, begin + duration + 0.1, 200, noise, bias, random)) buffer.add(spoil(s));
+  const Eigen::Vector3d up = spoil(flight.imu(0.5)).specific_force;
+  const Eigen::Matrix3d R_map_world = air_ground_common::expSO3(0.01 * Eigen::Vector3d(normal(random), normal(random), 0)) *
+                                      (up.norm() > 0.5 ? air_ground_common::levelingRotation(flight.T_world_imu(0.5).linear() * up) : Eigen::Matrix3d::Identity());
+  const Eigen::Vector3d origin = flight.T_world_imu(begin).translation();
+  ScaleFilter filter(ScaleFilterSettings{}, noise, 0.012);
+  Believed result;
+  for (int i = 0; i * frame < duration; ++i) {
+    const double t = begin + i * frame;
+    ScaleMeasurement m;
+    m.p_imu_camera = synthetic::T_imu_camera().translation();
+    m.p_map_camera = R_map_world * (flight.T_world_imu(t) * m.p_imu_camera - origin) / true_scale + 0.002 / true_scale * vector();
+    m.R_map_imu = R_map_world * flight.T_world_imu(t).linear();
+    m.scene_distance = 1.0 / true_scale;
+    std::optional<Preintegration> motion;
+    if (i > 0) {
+      motion.emplace(noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
+      motion->integrate(samplesBetween(buffer, t - frame, t));
+    }
+    filter.add(m, motion);
+    result.contradicted = result.contradicted || filter.contradicted();
+    if (filter.certain(0.02) && !result.metric) {
+      result.metric = true;
+      result.metric_at = i * frame;
+      result.ratio = filter.scale() / true_scale;
+    }
+  }
+  return result;
+}
+
+TEST(ScaleFilter, IsNotCertainWithAWrongImu) {
+  const auto rotated = [](const Eigen::Vector3d& axis) {
+    const Eigen::Matrix3d R = Eigen::AngleAxisd(M_PI / 2, axis).toRotationMatrix();
+    return [R](ImuSample s) {
+      s.angular_velocity = (R * s.angular_velocity).eval();
+      s.specific_force = (R * s.specific_force).eval();
+      return s;
+    };
+  };
+  const auto in_g = [](ImuSample s) {
+    s.specific_force /= 9.81;
+    return s;
+  };
+  const synthetic::Flight flight;
+  const auto gravity_removed = [&](ImuSample s) {
+    s.specific_force -= flight.T_world_imu(s.stamp).linear().transpose() * Eigen::Vector3d(0, 0, kGravity);
+    return s;
+  };
+  const std::vector<std::pair<const char*, Spoil>> cases = {{"in g", in_g},
+                                                            {"gravity removed", gravity_removed},
+                                                            {"turned about x", rotated(Eigen::Vector3d::UnitX())},
+                                                            {"turned about y", rotated(Eigen::Vector3d::UnitY())},
+                                                            {"turned about z", rotated(Eigen::Vector3d::UnitZ())}};
+  for (const auto& [name, spoil] : cases) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      const Believed b = believe(seed, spoil);
+      EXPECT_FALSE(b.metric) << name << ", seed " << seed << ": after " << b.metric_at << " s, " << b.ratio << " of the true scale";
+    }
+  }
+}
+
+TEST(ScaleFilter, IsCertainWithAGoodImu) {
+  double latest = 0;
+  for (unsigned seed = 1; seed <= 8; ++seed) {
+    const Believed b = believe(seed, [](ImuSample s) { return s; });
+    ASSERT_TRUE(b.metric) << seed;
+    EXPECT_NEAR(b.ratio, 1.0, 0.05) << seed;
+    latest = std::max(latest, b.metric_at);
+  }
+  std::printf("certain after %.2f s at the latest\n", latest);
+  EXPECT_LT(latest, 6.0);
 }
 
 TEST(ScaleFilter, DoesNotStartWhileHovering) {

@@ -21,6 +21,7 @@ struct ScaleFilterSettings {
   double min_start_duration = 1.0;      ///< shortest window of the start [s]
   double max_start_duration = 6.0;      ///< older frames leave the window of the start [s]
   double start_relative_stddev = 0.03;  ///< the start succeeds below this relative standard deviation of the scale [1]
+  double start_max_nis = 4.0;           ///< mean squared Mahalanobis distance of the start's innovations by degrees of freedom; 1 expected
   double gate = 16.27;                  ///< squared Mahalanobis distance, chi-squared with 3 degrees of freedom at 99.9 %
 };
 
@@ -36,7 +37,8 @@ struct ScaleMeasurement {
 /// metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -9.81):
 ///   p' = p + v dt + g dt^2 / 2 + R a_p(b),  v' = v + g dt + R a_v(b);   measurement: p_visual = exp(-L) (p + R l), l the lever arm.
 /// The start solves a window: first linearly (scale itself as state, measurement 0 = s p_visual - p - R l, linear in (s, p)), then by
-/// Gauss-Newton steps about that trajectory, which remove the linear form's bias.
+/// Gauss-Newton steps about that trajectory, which remove the linear form's bias. A window whose innovations are too large for their
+/// covariance gives no start.
 class ScaleFilter {
  public:
   static constexpr int kStates = 12;
@@ -74,6 +76,12 @@ class ScaleFilter {
   const Covariance& covariance() const { return P_; }  ///< of the error in the order above, scale as logarithm
   double lastNis() const { return last_nis_; }         ///< squared Mahalanobis distance of the last innovation, 3 degrees of freedom
   int rejected() const { return rejected_; }           ///< measurements outside the gate so far
+  /// The scale is known within `relative_stddev`, and few measurements since the start spoke against it.
+  bool certain(double relative_stddev) const;
+  int updates() const { return updates_; }             ///< measurements since the start
+  double rejectedShare() const;                        ///< of them, outside the gate
+  /// The last window that gave a sure scale was refused: IMU and images do not tell of the same motion.
+  bool contradicted() const { return contradicted_; }
 
  private:
   struct Frame {
@@ -98,6 +106,8 @@ class ScaleFilter {
   double last_nis_ = 0;
   int rejected_ = 0;
   int rejected_in_a_row_ = 0;
+  int updates_ = 0, rejected_updates_ = 0;  ///< since the start
+  bool contradicted_ = false;
   int frames_waited_ = 0;
 };
 
