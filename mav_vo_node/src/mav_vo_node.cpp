@@ -4,24 +4,24 @@
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoIncrement.h>
 #include <air_ground/VoStatus.h>
-#include <pcl/io/pcd_io.h>
-#include <pcl/point_types.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <std_srvs/Trigger.h>
 
+#include <atomic>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
 #include <thread>
 
-#include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
+#include "air_ground_common/ros/sensor_input.h"
 #include "node_parameters.h"
 #include "visual_frontend/feature_tracker.h"
 
@@ -41,10 +41,6 @@ std::uint8_t stateOf(OdometryState state) {
     case OdometryState::kLost: return air_ground::VoStatus::STATE_LOST;
   }
   return air_ground::VoStatus::STATE_LOST;
-}
-
-bool endsWith(const std::string& text, const std::string& end) {
-  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
 class MavVoNode {
@@ -93,8 +89,7 @@ class MavVoNode {
     try {
       const CameraModel camera = ros_utils::fromMsg(*msg);
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      camera_ = camera;
-      camera_info_ = *msg;
+      calibration_ = Calibration{camera, *msg};
     } catch (const std::exception& e) {
       health_.count(std::string("camera calibrations refused: ") + e.what());
     }
@@ -103,21 +98,14 @@ class MavVoNode {
 
   void onImu(const sensor_msgs::Imu::ConstPtr& msg) {
     health_.received(imu_topic_, msg->header.stamp);
-    ImuSample sample;
-    sample.stamp = msg->header.stamp.toSec();
-    sample.angular_velocity = {msg->angular_velocity.x, msg->angular_velocity.y, msg->angular_velocity.z};
-    sample.specific_force = {msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z};
-    if (!sample.angular_velocity.allFinite() || !sample.specific_force.allFinite()) {
-      health_.count("IMU samples refused: not a finite number");
-      return;
-    }
-    checkUnit(sample.specific_force.norm());
+    const auto sample = imu_input_.read(*msg);
+    if (!sample) return;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
       if (!admit(msg->header.stamp, kImu)) return;
-      imu_queue_.push_back(sample);
+      imu_queue_.push_back({sample->stamp, sample->angular_velocity, sample->specific_force});
       if (imu_queue_.size() > 20000) imu_queue_.pop_front();
-      newest_imu_ = std::max(newest_imu_, sample.stamp);
+      newest_imu_ = std::max(newest_imu_, sample->stamp);
       imu_frame_ = msg->header.frame_id;
     }
     queue_changed_.notify_all();
@@ -155,16 +143,6 @@ class MavVoNode {
     return true;
   }
 
-  /// An accelerometer that reports g instead of m/s^2 makes every length wrong by a factor of ten.
-  void checkUnit(double force) {
-    if (unit_samples_ >= 200) return;
-    unit_sum_ += force;
-    if (++unit_samples_ < 200) return;
-    const double mean = unit_sum_ / unit_samples_;
-    if (mean < 3.0 || mean > 30.0)
-      health_.count("the IMU's mean acceleration is " + std::to_string(mean) + ", not about 9.81 m/s^2: wrong unit or gravity removed?");
-  }
-
   // ---- Worker ---------------------------------------------------------------------------------------------------------
 
   void work() {
@@ -178,7 +156,7 @@ class MavVoNode {
         if (reset_requested_) {
           reset_requested_ = false;
           lock.unlock();
-          startAfresh();
+          startAfresh(false);
           continue;
         }
         if (!imageReady()) continue;
@@ -201,83 +179,109 @@ class MavVoNode {
 
   /// Called with the queue locked: the oldest image has its calibration and its IMU samples, or has waited long enough for them.
   bool imageReady() const {
-    if (image_queue_.empty() || !camera_) return false;
+    if (image_queue_.empty() || !calibration_) return false;
     if (!settings_.odometry.use_imu) return true;
     const double stamp = image_queue_.front()->header.stamp.toSec();
     return newest_imu_ >= stamp || image_queue_.back()->header.stamp.toSec() - stamp > settings_.imu_wait;
   }
 
-  void startAfresh() {
+  /// `anew`: calibration and mountings are read again, too.
+  void startAfresh(bool anew) {
     const std::lock_guard<std::mutex> lock(odometry_mutex_);
-    if (odometry_) odometry_->reset();
+    if (odometry_ && anew) dropOdometry();
+    else if (odometry_) odometry_->reset();
+    imu_input_.reset();
+    imu_unplaced_ = false;
+    if (anew) imu_ever_ = false;
     pose_publisher_.reset();
     last_stamp_ = ros::Time();
     last_cloud_ = ros::Time();
     health_.state(kWarn, "started afresh: waiting for images");
   }
 
-  /// Builds the odometry once calibration and mounting are known. False, with the reason in diagnostics, while they are not.
+  /// With the odometry locked. Map ids go on counting.
+  void dropOdometry() {
+    map_id_offset_ += odometry_->mapId();
+    odometry_.reset();
+  }
+
+  /// Builds the odometry once calibration and mounting are known, and anew when the calibration changes or an IMU turns up. False,
+  /// with the reason in diagnostics, while there is none. Waits for tf with nothing locked.
   bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
-    if (odometry_ && (with_imu_ || !imu_seen)) return true;
-    CameraModel camera;
-    std::string camera_frame = settings_.camera_frame, imu_frame = settings_.imu_frame;
+    Calibration calibration;
+    std::string imu_frame = settings_.imu_frame;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      camera = *camera_;
-      if (camera_frame.empty()) camera_frame = camera_info_.header.frame_id.empty() ? image.header.frame_id : camera_info_.header.frame_id;
+      calibration = *calibration_;
       if (imu_frame.empty()) imu_frame = imu_frame_;
     }
+    const bool imu_wanted = settings_.odometry.use_imu && imu_seen && !imu_unplaced_;
+    bool recalibrated = false;
+    {
+      const std::lock_guard<std::mutex> lock(odometry_mutex_);
+      // Images of the old size may still be on their way.
+      recalibrated = odometry_ && !ros_utils::sameCalibration(calibration.info, built_.info) && image.width == calibration.info.width &&
+                     image.height == calibration.info.height;
+      if (odometry_ && !recalibrated && (with_imu_ || !imu_wanted)) return true;
+    }
+    std::string camera_frame = settings_.camera_frame;
+    if (camera_frame.empty()) camera_frame = calibration.info.header.frame_id.empty() ? image.header.frame_id : calibration.info.header.frame_id;
     std::string why;
-    const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame) {
-      return given ? given : ros_utils::lookupStatic(settings_.base_frame, frame, settings_.transform_timeout, &why);
+    const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame, const char* sensor) {
+      const auto T = given ? given : ros_utils::lookupStatic(settings_.base_frame, frame, settings_.transform_timeout, &why);
+      if (!T) {
+        health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + frame + "': " + why);
+        health_.count(std::string("images without the mounting of the ") + sensor + " (tf, or parameter base_" + sensor + ")");
+      }
+      return T;
     };
-    const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame);
-    if (!T_base_camera) {
-      health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + camera_frame + "': " + why);
-      health_.count("images without the camera's mounting (tf or parameter base_camera)");
-      return false;
+    const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame, "camera");
+    if (!T_base_camera) return false;
+    std::optional<Pose> T_base_imu;
+    if (imu_wanted) T_base_imu = mounted(settings_.T_base_imu, imu_frame, "imu");
+    const std::lock_guard<std::mutex> lock(odometry_mutex_);
+    if (imu_wanted && !T_base_imu) {
+      if (!odometry_) return false;
+      imu_unplaced_ = true;  // the map goes on without it; ~reset asks again
+      if (!recalibrated) return true;
+    }
+    if (odometry_) {
+      ROS_WARN_STREAM((recalibrated ? "the camera's calibration has changed" : "an IMU has turned up") << ": a new map begins");
+      dropOdometry();
     }
     OdometrySettings settings = settings_.odometry;
-    Pose T_base_imu = Pose::Identity();
-    settings.use_imu = settings.use_imu && imu_seen;
-    if (settings.use_imu) {
-      const auto mounting = mounted(settings_.T_base_imu, imu_frame);
-      if (!mounting) {
-        health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + imu_frame + "': " + why);
-        health_.count("images without the IMU's mounting (tf or parameter base_imu)");
-        return false;
-      }
-      T_base_imu = *mounting;
-    } else if (settings_.odometry.use_imu) {
+    settings.use_imu = T_base_imu.has_value();
+    if (settings_.odometry.use_imu && !settings.use_imu) {
       ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": visual odometry runs without gyro prior and stays without metric scale");
     }
-    // Map ids go on counting when the odometry is built anew because an IMU has turned up.
-    if (odometry_) map_id_offset_ += odometry_->mapId();
-    odometry_ = std::make_unique<Odometry>(camera, *T_base_camera, T_base_imu, settings);
+    odometry_ = std::make_unique<Odometry>(calibration.camera, *T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
     with_imu_ = settings.use_imu;
+    built_ = calibration;
     camera_frame_ = camera_frame;
-    T_base_camera_ = *T_base_camera;
     return true;
   }
 
   void step(const sensor_msgs::Image::ConstPtr& image, const std::deque<ImuSample>& imu) {
-    const std::lock_guard<std::mutex> lock(odometry_mutex_);
     const ros::Time stamp = image->header.stamp;
+    imu_ever_ = imu_ever_ || !imu.empty();
+    if (!prepare(*image, imu_ever_)) return;
+    const std::lock_guard<std::mutex> lock(odometry_mutex_);
+    if (!odometry_) return;  // reset meanwhile
     if (stamp <= last_stamp_) {
       health_.count("images refused: stamp not later than the last one's");
       return;
     }
-    if (!prepare(*image, !imu.empty() || imu_ever_)) return;
-    imu_ever_ = imu_ever_ || !imu.empty();
     for (const ImuSample& sample : imu)
-      if (!odometry_->addImu(sample)) health_.count("IMU samples refused: stamp not later than the last one's");
+      if (with_imu_ && !odometry_->addImu(sample)) health_.count("IMU samples refused: stamp not later than the last one's");
+    odometry_->setImuProblem(imu_input_.problem());
     last_stamp_ = stamp;
     const cv::Mat grey = ros_utils::greyFromMsg(*image);
     FrameResult r = odometry_->process(stamp.toSec(), grey);
     r.map_id += map_id_offset_;
     health_.timing("image [s]", r.seconds);
     health_.state(r.state == OdometryState::kTracking ? kOk : kWarn,
-                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view");
+                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view" +
+                      (settings_.odometry.use_imu && !with_imu_ ? ", without IMU" : ""));
     publish(image, grey, r);
   }
 
@@ -303,10 +307,7 @@ class MavVoNode {
     air_ground::PosedImage posed;
     posed.header = header;
     posed.image = *image;
-    {
-      const std::lock_guard<std::mutex> lock(queue_mutex_);
-      posed.camera_info = camera_info_;
-    }
+    posed.camera_info = built_.info;
     posed.camera_info.header.stamp = header.stamp;
     posed.camera_info.header.frame_id = camera_frame_;
     posed.pose.pose = ros_utils::toMsg(r.T_map_camera);
@@ -368,72 +369,58 @@ class MavVoNode {
   // ---- Services -------------------------------------------------------------------------------------------------------
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
-    const std::lock_guard<std::mutex> lock(odometry_mutex_);
-    try {
-      if (!odometry_ || !odometry_->metric()) throw std::runtime_error("there is no metric map yet");
-      odometry_->finish();
-      const auto points = sparsePoints();
-      if (endsWith(request.path, ".ply")) {
-        std::vector<air_ground_common::LabeledPoint> labeled;
-        for (const auto& p : points) {
-          labeled.emplace_back();
-          labeled.back().position = p.position;
-          labeled.back().rgb.setConstant(200);
-          labeled.back().source = 1;
-        }
-        air_ground_common::writePly(request.path, labeled);
-      } else if (endsWith(request.path, ".pcd")) {
-        pcl::PointCloud<pcl::PointXYZ> cloud;
-        for (const auto& p : points) cloud.push_back(pcl::PointXYZ(p.position.x(), p.position.y(), p.position.z()));
-        if (cloud.empty() || pcl::io::savePCDFileBinary(request.path, cloud) != 0) throw std::runtime_error("cannot write " + request.path);
-      } else {
-        throw std::runtime_error("the path must end in .ply or .pcd");
+    return ros_utils::answer(response, [&] {
+      std::vector<ros_utils::CloudPoint> points;
+      {
+        const std::lock_guard<std::mutex> lock(odometry_mutex_);
+        if (!odometry_ || !odometry_->metric()) throw std::runtime_error("there is no metric map yet");
+        odometry_->finish();
+        points = sparsePoints();
       }
+      for (auto& p : points) p.rgb.setConstant(200);
+      ros_utils::writeCloud(request.path, points);
       response.points = points.size();
-      response.success = true;
-      response.message = std::to_string(points.size()) + " landmarks written to " + request.path;
-    } catch (const std::exception& e) {
-      response.success = false;
-      response.message = e.what();
-    }
-    return true;
+      return std::to_string(points.size()) + " landmarks written to " + request.path;
+    });
   }
 
   bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response) {
-    const std::lock_guard<std::mutex> lock(odometry_mutex_);
-    try {
-      if (!odometry_ || !odometry_->metric()) throw std::runtime_error("there is no metric trajectory yet");
-      odometry_->finish();
-      const auto trajectory = odometry_->trajectory();
+    return ros_utils::answer(response, [&] {
+      air_ground_common::Trajectory trajectory;
+      {
+        const std::lock_guard<std::mutex> lock(odometry_mutex_);
+        if (!odometry_ || !odometry_->metric()) throw std::runtime_error("there is no metric trajectory yet");
+        odometry_->finish();
+        trajectory = odometry_->trajectory();
+      }
       air_ground_common::writeTum(request.path, trajectory);
       response.poses = trajectory.size();
-      response.success = true;
-      response.message = std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
-    } catch (const std::exception& e) {
-      response.success = false;
-      response.message = e.what();
-    }
-    return true;
+      return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
+    });
   }
 
   bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    startAfresh();
+    startAfresh(true);
     response.success = true;
     response.message = "visual odometry starts afresh";
     return true;
   }
 
+  struct Calibration {
+    CameraModel camera;
+    sensor_msgs::CameraInfo info;
+  };
+
   const NodeSettings settings_;
   ros::NodeHandle handle_, private_handle_{"~"};
   ros_utils::NodeHealth health_;
+  ros_utils::ImuInput imu_input_{health_};
   ros_utils::StreamJumpDetector jumps_{kStreams};
   ros_utils::PosePublisher pose_publisher_;
   ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, status_publisher_, track_publisher_;
   ros::Subscriber info_subscriber_, imu_subscriber_, image_subscriber_;
   ros::ServiceServer map_service_, trajectory_service_, reset_service_;
   std::string image_topic_, info_topic_, imu_topic_;
-  double unit_sum_ = 0;
-  int unit_samples_ = 0;
 
   // Shared with the worker.
   std::mutex queue_mutex_;
@@ -441,20 +428,21 @@ class MavVoNode {
   std::deque<sensor_msgs::Image::ConstPtr> image_queue_;
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;
-  std::optional<CameraModel> camera_;
-  sensor_msgs::CameraInfo camera_info_;
+  std::optional<Calibration> calibration_;
   std::string imu_frame_;
   bool stop_ = false, reset_requested_ = false;
 
   // Worker and services, one at a time.
   std::mutex odometry_mutex_;
   std::unique_ptr<Odometry> odometry_;
-  bool with_imu_ = false, imu_ever_ = false;
-  Pose T_base_camera_ = Pose::Identity();
+  Calibration built_;  ///< what the odometry was built with
+  bool with_imu_ = false;
   std::string camera_frame_;
   ros::Time last_stamp_, last_cloud_;
   std::uint32_t map_id_ = 0, map_id_offset_ = 0;
   std::size_t frame_count_ = 0;
+  std::atomic<bool> imu_unplaced_{false};  ///< its mounting is not known: the present map does without it
+  std::atomic<bool> imu_ever_{false};
   std::thread worker_;
 };
 
@@ -466,7 +454,7 @@ int main(int argc, char** argv) {
   try {
     const mav_vo::NodeSettings settings = mav_vo::readParameters(ros::NodeHandle("~"));
     mav_vo::MavVoNode node(settings);
-    ros::spin();
+    ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
   } catch (const std::exception& e) {
     ROS_FATAL_STREAM(e.what());
     return 1;

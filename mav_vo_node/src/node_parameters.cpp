@@ -1,30 +1,11 @@
 #include "node_parameters.h"
 
-#include <algorithm>
-#include <cmath>
-
 #include "air_ground_common/ros/parameters.h"
 
 namespace mav_vo {
 
 using air_ground_common::ros_utils::ParameterError;
 using air_ground_common::ros_utils::Parameters;
-
-namespace {
-
-/// "x y z qx qy qz qw", or seven zeros for "not given".
-std::optional<Pose> readPose(Parameters& parameters, const std::string& name) {
-  const auto v = parameters.numbers(name, std::vector<double>(7, 0.0), 7);
-  if (std::all_of(v.begin(), v.end(), [](double x) { return x == 0; })) return std::nullopt;
-  const Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
-  if (std::abs(q.norm() - 1) > 1e-2) throw ParameterError("parameter " + name + ": the quaternion (last four numbers) must have length 1");
-  Pose T = Pose::Identity();
-  T.linear() = q.normalized().toRotationMatrix();
-  T.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
-  return T;
-}
-
-}  // namespace
 
 NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   Parameters p(private_handle);
@@ -34,8 +15,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   n.base_frame = p.text("base_frame", "mav_base_link");
   n.camera_frame = p.text("camera_frame", "");
   n.imu_frame = p.text("imu_frame", "");
-  n.T_base_camera = readPose(p, "base_camera");
-  n.T_base_imu = readPose(p, "base_imu");
+  n.T_base_camera = p.pose("base_camera");
+  n.T_base_imu = p.pose("base_imu");
   n.publish_tf = p.flag("publish_tf", n.publish_tf);
   n.transform_timeout = p.number("transform_timeout", n.transform_timeout, 0.0, 600.0);
   n.imu_wait = p.number("imu_wait", n.imu_wait, 0.0, 10.0);
@@ -69,11 +50,14 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   o.increment_samples = p.integer("increment_samples", o.increment_samples, 50, 100000);
   o.min_inliers = p.integer("min_inliers", o.min_inliers, 6, 500);
   o.lost_timeout = p.number("lost_timeout", o.lost_timeout, 0.1, 600.0);
+  o.max_speed = p.number("max_speed", o.max_speed, 0.01, 100.0);
+  o.relocalization_slack = p.number("relocalization_slack", o.relocalization_slack, 0.0, 100.0);
   o.keyframe_distance = p.number("keyframe_distance", o.keyframe_distance, 0.01, 1.0);
   o.keyframe_angle = p.number("keyframe_angle", o.keyframe_angle, 0.02, 1.5);
   o.keyframe_overlap = p.number("keyframe_overlap", o.keyframe_overlap, 0.1, 0.95);
   o.keyframe_max_interval = p.number("keyframe_max_interval", o.keyframe_max_interval, 0.1, 5.0);
   o.reobserve_matches = p.integer("reobserve_matches", o.reobserve_matches, 0, 500);
+  o.max_image_keyframes = p.integer("max_image_keyframes", o.max_image_keyframes, 10, 100000);
   o.window = p.integer("window", o.window, 3, 100);
   o.window_fixed = p.integer("window_fixed", o.window_fixed, 0, 200);
   o.full_interval = p.number("full_adjustment_interval", o.full_interval, 0.5, 1e6);
@@ -81,6 +65,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   o.bundle_threads = p.integer("bundle_threads", o.bundle_threads, 1, 64);
   o.metric_stddev = p.number("metric_stddev", o.metric_stddev, 0.001, 0.2);
   o.scale.start_relative_stddev = p.number("scale_start_stddev", o.scale.start_relative_stddev, 0.001, 0.5);
+  o.scale.start_max_nis = p.number("scale_start_max_nis", o.scale.start_max_nis, 1.0, 1000.0);
   o.scale.position_stddev = p.number("scale_position_stddev", o.scale.position_stddev, 1e-5, 0.1);
   o.scale.position_drift = p.number("scale_position_drift", o.scale.position_drift, 0.0, 0.5);
   o.scale.scale_drift = p.number("scale_drift", o.scale.scale_drift, 0.0, 0.1);

@@ -18,8 +18,13 @@ constexpr double kRestPixels = 0.4;          // median motion of the features pe
 constexpr double kRestGyro = 0.015;          // scatter [rad/s]
 constexpr double kRestAccel = 0.2;           // scatter [m/s^2]
 constexpr double kRestGyroMean = 0.1;        // a larger mean rate is no bias [rad/s]
+constexpr double kKnownBiasDrift = 1e-3;     // of a direction turned by the gyro, with a bias measured at rest [rad/s]
+constexpr double kUnknownBiasDrift = 1e-2;   // without
+constexpr double kMapTilt = 0.002;           // of the adjusted map as a whole [rad]
+constexpr double kMetricTilt = 0.01;         // of the metric map's z axis against gravity [rad]
 constexpr std::size_t kRecentImages = 800;   // whose inertial motion is kept for the scale filter
 constexpr double kPlaceEvery = 5;            // images between searches for a known place while lost
+constexpr int kScaleTrial = 40;              // images after which a scale that most of them reject is given up
 constexpr double kMinInlierShare = 0.35;     // of the tracked landmarks; below, the pose is not believed
 
 template <typename T>
@@ -46,6 +51,9 @@ void OdometrySettings::validate() const {
   require(window >= 3 && window_fixed >= 0, "window must be at least 3, window_fixed at least 0");
   require(full_interval > 0 && full_max_keyframes >= window, "full_interval must be positive, full_max_keyframes at least window");
   require(metric_stddev > 0 && metric_stddev < 0.5, "metric_stddev must lie in (0, 0.5)");
+  require(max_speed > 0 && relocalization_slack >= 0, "max_speed must be positive, relocalization_slack not negative");
+  require(max_image_keyframes >= 10, "max_image_keyframes must be at least 10");
+  require(scale.start_max_nis >= 1, "scale.start_max_nis must be at least 1");
   require(lost_timeout > 0, "lost_timeout must be positive");
   require(increment_samples >= 50, "increment_samples must be at least 50");
 }
@@ -83,6 +91,8 @@ void Odometry::Impl::startMap() {
   inertial = {};
   track_landmark.clear();
   track_views.clear();
+  keyframe_covariance.clear();
+  hovering = false;
   records.clear();
   scale.reset(up_sigma);
   ++map_id;
@@ -113,14 +123,19 @@ void Odometry::Impl::reset() {
 
 // Gravity and gyro bias while the vehicle stands: the IMU alone cannot tell standing from flying straight, the image can.
 void Odometry::Impl::watchRest(double stamp) {
-  if (R_previous_current && up_imu) {
+  if (up_imu && R_previous_current) {
     const Eigen::Matrix3d R_camera_imu = T_camera_imu.linear();
     *up_imu = (R_camera_imu.transpose() * R_previous_current->transpose() * R_camera_imu * *up_imu).normalized();
+    up_sigma = std::min(0.5, up_sigma + (gyro_bias_known ? kKnownBiasDrift : kUnknownBiasDrift) * (stamp - last_stamp));
+  } else if (up_imu) {
+    // The IMU had a gap: what the vehicle did meanwhile is not known. The attitude filter takes over.
+    up_imu.reset();
+    up_sigma = 0.1;
   }
   std::vector<double> motion;
   for (const Feature& f : tracker.features())
     if (f.age > 0) motion.push_back((f.pixel - f.previous_pixel).norm());
-  const bool still = motion.size() < 10 || quantile(motion, 0.5) < kRestPixels;
+  const bool still = motion.size() >= 10 && quantile(motion, 0.5) < kRestPixels;  // a camera that sees nothing knows nothing
   if (!still) still_since = -1;
   else if (still_since < 0) still_since = stamp;
   if (still_since < 0 || stamp - still_since < kRestSeconds) return;
@@ -234,10 +249,11 @@ void Odometry::Impl::initialize(const std::optional<Eigen::Matrix3d>& R) {
   Eigen::Matrix3d R_map_first;
   double tilt = 0.5;
   std::optional<Eigen::Vector3d> up;
-  if (up_imu) {
+  const bool filtered = settings.use_imu && attitude.initialized();
+  if (up_imu && !(filtered && up_sigma > std::max(0.03, attitude.upSigma()))) {
     up = *up_imu;
     tilt = up_sigma;
-  } else if (settings.use_imu && attitude.initialized()) {
+  } else if (filtered) {
     up = attitude.up();
     tilt = std::max(0.03, attitude.upSigma());
     up_imu = up;
@@ -373,11 +389,16 @@ void Odometry::Impl::localized(bool continuous) {
       motion->integrate(samples);
     }
   }
+  if (metric && settings.use_imu) {
+    up_imu = (T_map_camera.linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ();
+    up_sigma = kMetricTilt;
+  }
   previous_covariance = last_pose.covariance;
   located_stamp = last_stamp;
   if (settings.use_imu) scale.add(scaleMeasurement(T_map_camera, scene_distance), motion);
   const KeyframeId reference = map.lastKeyframe();
-  records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance, motion});
+  records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance,
+                     motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
   if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
 
   const bool keyframe = needsKeyframe();
@@ -387,13 +408,22 @@ void Odometry::Impl::localized(bool continuous) {
     lookForOldLandmarks(how);
   }
   if (keyframe) addKeyframe();
-  if (!metric && settings.use_imu && scale.initialized() && scale.relativeStddev() < settings.metric_stddev &&
-      map.keyframeCount() >= settings.min_metric_keyframes)
+  // A scale that most images since its start speak against was wrong from the start.
+  if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(up_sigma);
+  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(settings.metric_stddev) && map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if (metric && last_stamp >= next_full && made_keyframe) adjustFully();
   T_map_camera = poseOfRecord(records.size() - 1);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
-  reason = metric ? "" : settings.use_imu ? "metric scale is not known yet" : "no IMU: the scale stays unknown";
+  reason = metric ? "" : scaleReason();
+}
+
+std::string Odometry::Impl::scaleReason() const {
+  if (!settings.use_imu) return "no IMU: the scale stays unknown";
+  if (!imu_problem.empty()) return imu_problem;
+  if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))
+    return "metric scale is not known: IMU and images tell of different motions (mounting, unit, time stamps?)";
+  return "metric scale is not known yet";
 }
 
 // Where five points cannot tell (hovering, turning on the spot, too few tracks) the poses' covariance stays.
@@ -435,7 +465,7 @@ void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSet
 }
 
 bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
-  if (map.keyframeCount() == 0) return false;
+  if (map.keyframeCount() == 0 || records.empty()) return false;
   ++frames_lost;
   if (tracker.features().size() < 0.5 * settings.tracker.max_features) tracker.replenish();
   // Near the last pose the landmarks' patches are enough; elsewhere the image is recognised by its ORB features.
@@ -450,10 +480,18 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   Keyframe query;
   query.stamp = last_stamp;
   visual_frontend::describeKeyframe(gray, camera, settings.place, query);
-  std::vector<KeyframeId> places;
-  for (const auto& entry : map.keyframes()) places.push_back(entry.first);
-  const auto match = visual_frontend::recognizePlace(map, camera, query, places, settings.place);
-  if (!match.success) return false;
+  visual_frontend::RelocalizationGate gate;
+  gate.T_map_last = poseOfRecord(records.size() - 1);
+  if (metric) gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - records.back().stamp);
+  if (metric && settings.use_imu && attitude.initialized()) {
+    gate.up_camera = T_camera_imu.linear() * attitude.up();
+    gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());
+  }
+  const auto match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
+  if (!match.success) {
+    reason = "lost: " + match.reason;
+    return false;
+  }
   T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
   for (const Feature& f : tracker.features()) track_landmark.erase(f.id);
   tracker.reset();
@@ -466,12 +504,20 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   return found;
 }
 
-// Error of the pose in the map: image noise, and what the map's scale leaves open, which grows from the map's origin.
+// Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map leave open,
+// which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance(const Matrix6d& camera_covariance) const {
   Matrix6d C = camera_covariance;
   const double relative = metric && scale.initialized() ? scale.relativeStddev() : 0.0;
   const Eigen::Vector3d p = T_map_camera.translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
+  const auto known = records.empty() ? keyframe_covariance.end() : keyframe_covariance.find(records.back().reference);
+  if (known != keyframe_covariance.end()) C += visual_frontend::covarianceAt(known->second, p - map.keyframe(known->first).T_map_camera.translation());
+  if (metric) {
+    Matrix6d tilt = Matrix6d::Zero();
+    tilt(3, 3) = tilt(4, 4) = kMapTilt * kMapTilt;
+    C += visual_frontend::covarianceAt(tilt, p);
+  }
   C.diagonal().array() += 1e-10;
   return C;
 }
@@ -515,6 +561,7 @@ bool Odometry::addImu(const ImuSample& sample) {
   return true;
 }
 
+void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }
 FrameResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
 void Odometry::reset() { impl_->reset(); }
 const visual_frontend::Map& Odometry::map() const { return impl_->map; }

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <future>
+#include <map>
+#include <memory>
 #include <unordered_map>
 
 #include "bundle_job.h"
@@ -25,6 +27,7 @@ struct Odometry::Impl {
 
   // odometry.cpp: one image
   FrameResult process(double stamp, const cv::Mat& gray);
+  std::string scaleReason() const;    ///< why the map is not metric
   void startMap();                    ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   void reset();
   void watchRest(double stamp);
@@ -41,6 +44,7 @@ struct Odometry::Impl {
 
   // odometry_mapping.cpp
   bool needsKeyframe() const;
+  bool moved(const Keyframe& since) const;  ///< enough to see anything new
   void addKeyframe();
   void insertKeyframe(Keyframe keyframe);  ///< with its inertial link
   void triangulateTracks(KeyframeId id);
@@ -76,8 +80,12 @@ struct Odometry::Impl {
   std::unordered_map<TrackId, LandmarkId> track_landmark;
   std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark
 
+  std::map<KeyframeId, Matrix6d> keyframe_covariance;  ///< of their poses in the map
+  bool hovering = false;                ///< the last keyframe saw what the one before it saw
+
   OdometryState state = OdometryState::kWaiting;
   std::string reason = "no image yet";
+  std::string imu_problem;
   std::uint32_t map_id = 1;
   bool metric = false;
   double metric_since = 0;
@@ -105,7 +113,7 @@ struct Odometry::Impl {
     KeyframeId reference = visual_frontend::kNoKeyframe;
     Pose T_reference_camera = Pose::Identity();
     double scene_distance = 1;
-    std::optional<Preintegration> motion;  ///< since the record before; kept for the recent ones
+    std::unique_ptr<const Preintegration> motion;  ///< since the record before; kept for the recent ones
   };
   std::vector<FrameRecord> records;
 

@@ -10,7 +10,8 @@ namespace mav_vo {
 namespace {
 
 constexpr double kMovingShare = 0.01;      // of the scene's distance; below, the vehicle hovers
-constexpr double kHoverInterval = 3.0;     // keyframes while hovering, so that inertial links stay short [s]
+constexpr double kHoverInterval = 3.0;     // a keyframe once the vehicle hovers, so that inertial links stay short [s]
+constexpr double kLongHoverInterval = 9.0; // and while it goes on hovering; the IMU's samples reach back 12 s [s]
 constexpr double kRestBiasSigma = 1e-3;    // of a gyro bias measured at rest [rad/s]
 constexpr double kAdjustedTilt = 0.005;    // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
@@ -31,7 +32,12 @@ bool Odometry::Impl::needsKeyframe() const {
   if (air_ground_common::rotationAngle(last.T_map_camera.linear(), T_map_camera.linear()) > settings.keyframe_angle) return true;
   if (keyframe_landmarks > 0 && inliers < settings.keyframe_overlap * keyframe_landmarks) return true;
   if (elapsed > settings.keyframe_max_interval && distance > kMovingShare) return true;
-  return elapsed > kHoverInterval;
+  return elapsed > (hovering && !moved(last) ? kLongHoverInterval : kHoverInterval);
+}
+
+bool Odometry::Impl::moved(const Keyframe& since) const {
+  return (T_map_camera.translation() - since.T_map_camera.translation()).norm() > kMovingShare * scene_distance ||
+         air_ground_common::rotationAngle(since.T_map_camera.linear(), T_map_camera.linear()) > 0.25 * settings.keyframe_angle;
 }
 
 void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
@@ -82,7 +88,10 @@ void Odometry::Impl::addKeyframe() {
     o.normalized = f.normalized;
     keyframe.observations.push_back(o);
   }
-  for (const cv::Mat& level : tracker.pyramid()) keyframe.pyramid.push_back(level.clone());
+  hovering = !moved(map.keyframe(map.lastKeyframe()));
+  // What a hovering camera sees is in earlier images already.
+  if (!hovering)
+    for (const cv::Mat& level : tracker.pyramid()) keyframe.pyramid.push_back(level.clone());
   visual_frontend::describeKeyframe(*image, camera, settings.place, keyframe);
   if (!metric && up_imu) {
     keyframe.up_camera = T_camera_imu.linear() * *up_imu;
@@ -94,6 +103,8 @@ void Odometry::Impl::addKeyframe() {
   records.back().T_reference_camera.setIdentity();
   triangulateTracks(id);
   tracker.replenish();
+  keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, last_pose.covariance);
+  map.dropFarImages(T_map_camera, settings.max_image_keyframes, scene_distance);
   adjustLocally();
   keyframe_landmarks = 0;
   for (const auto& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != visual_frontend::kNoLandmark;
@@ -237,7 +248,10 @@ void Odometry::Impl::rerunScale() {
   scale.reset(kAdjustedTilt);
   const InertialState& start = inertial.states.at(records[i].reference);
   scale.startAt(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), start.velocity, start.bias.accel, kRestartScaleStddev);
-  for (++i; i < records.size(); ++i) scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), records[i].motion);
+  for (++i; i < records.size(); ++i) {
+    const auto& motion = records[i].motion;
+    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+  }
 }
 
 void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
@@ -251,7 +265,9 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   scene_distance *= S.scale;
   depth_min *= S.scale;
   depth_max *= S.scale;
-  for (auto* covariance : {&last_pose.covariance, &previous_covariance}) {
+  std::vector<Matrix6d*> covariances{&last_pose.covariance, &previous_covariance};
+  for (auto& entry : keyframe_covariance) covariances.push_back(&entry.second);
+  for (Matrix6d* covariance : covariances) {
     Matrix6d J = Matrix6d::Zero();
     J.topLeftCorner<3, 3>() = S.scale * S.R;
     J.bottomRightCorner<3, 3>() = S.R;

@@ -80,15 +80,15 @@ class MavVoNode : public testing::Test {
     }
   }
 
-  /// Plays the flight from rest to `duration`; never more than 30 images ahead of the node.
-  void play(double duration) {
+  /// Plays the flight from `begin` (rest) to `duration`, with images smaller by `factor`; never more than 30 images ahead of the node.
+  void play(double duration, double begin = 0, double factor = 1) {
     std::mt19937 random(11);
     cv::RNG grain(5);
-    const auto samples = flight_.imuSamples(0, duration, 200, mav_vo::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4}, {{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}}, random);
+    const auto samples = flight_.imuSamples(begin, duration, 200, mav_vo::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4}, {{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}}, random);
     std::size_t next = 0;
     const std::size_t before = status_.size();
     std::size_t sent = 0;
-    for (int i = 1; 0.05 * i <= duration; ++i) {
+    for (int i = static_cast<int>(std::lround(begin / 0.05)) + 1; 0.05 * i <= duration; ++i) {
       const double t = 0.05 * i;
       for (; next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) {
         sensor_msgs::Imu msg;
@@ -110,8 +110,9 @@ class MavVoNode : public testing::Test {
       std_msgs::Header header;
       header.stamp = ros::Time(kEpoch + t);
       header.frame_id = "mav_camera_optical_frame";
-      info_.publish(ros_utils::toMsg(synthetic::camera(), header));
-      image_.publish(ros_utils::toMsg(world_.render(synthetic::camera(), T, 1.0, &grain), "mono8", header));
+      const auto camera = synthetic::camera().scaled(factor);
+      info_.publish(ros_utils::toMsg(camera, header));
+      image_.publish(ros_utils::toMsg(world_.render(camera, T, 1.0, &grain), "mono8", header));
       ++sent;
       ros::spinOnce();
       for (int wait = 0; wait < 2000 && sent > status_.size() - before + 30; ++wait) spin(0.01);
@@ -256,6 +257,23 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   for (const auto& s : diagnostics_.status)
     for (const auto& v : s.values) counted = counted || v.key.find("not a finite number") != std::string::npos;
   EXPECT_TRUE(counted) << "NaN samples appear in /diagnostics";
+}
+
+TEST_F(MavVoNode, BeginsANewMapWithAnotherCalibration) {
+  ASSERT_TRUE(waitForNode());
+  play(5.0);
+  ASSERT_FALSE(posed_.empty());
+  EXPECT_EQ(posed_.back()->image.width, 752u);
+  const std::uint32_t before = status_.back().map_id;
+  posed_.clear();
+  play(9.0, 5.0, 0.5);
+  EXPECT_GT(status_.back().map_id, before);
+  ASSERT_FALSE(posed_.empty());
+  for (const auto& p : posed_) {
+    EXPECT_EQ(p->image.width, p->camera_info.width);
+    EXPECT_NEAR(p->camera_info.K[0], p->image.width == 752 ? 420 : 210, 1e-6);
+  }
+  EXPECT_EQ(posed_.back()->image.width, 376u);
 }
 
 }  // namespace

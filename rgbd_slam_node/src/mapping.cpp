@@ -21,9 +21,13 @@ bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
     std::nth_element(depths.begin(), depths.begin() + depths.size() / 2, depths.end());
     median = depths[depths.size() / 2];
   }
-  return (T_map_camera.translation() - last.T_map_camera.translation()).norm() > settings.keyframe_translation * median ||
-         air_ground_common::rotationAngle(T_map_camera.linear(), last.T_map_camera.linear()) > settings.keyframe_rotation ||
-         landmarks < settings.keyframe_overlap * keyframe_landmarks || landmarks < 3 * settings.min_inliers;
+  // Both against their thresholds.
+  const double moved = (T_map_camera.translation() - last.T_map_camera.translation()).norm() / (settings.keyframe_translation * median);
+  const double turned = air_ground_common::rotationAngle(T_map_camera.linear(), last.T_map_camera.linear()) / settings.keyframe_rotation;
+  if (moved > 1 || turned > 1) return true;
+  // From where the last keyframe stood, another sees nothing new, unless landmarks were lost since.
+  const bool something_new = moved > 0.25 || turned > 0.25 || keyframe_landmarks > 1.25 * landmarks;
+  return something_new && (landmarks < settings.keyframe_overlap * keyframe_landmarks || landmarks < 3 * settings.min_inliers);
 }
 
 void Slam::Impl::finishDepth() {
@@ -62,26 +66,14 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
   ++counters.keyframes;
   keyframe_path[id] = path;
 
-  // Uncertainty along the shortest chain of views: from the best known keyframe that shares enough landmarks.
-  Matrix6d best = Matrix6d::Zero();
-  bool any = false;
-  for (const auto& c : map.covisible(id, 20)) {
-    Matrix6d J = Matrix6d::Identity();
-    J.topRightCorner<3, 3>() = -air_ground_common::skew(T_map_camera.translation() - map.keyframe(c.keyframe).T_map_camera.translation());
-    const Matrix6d C = J * keyframe_covariance.at(c.keyframe) * J.transpose();
-    if (!any || C.topLeftCorner<3, 3>().trace() < best.topLeftCorner<3, 3>().trace()) best = C;
-    any = true;
-  }
-  if (!any && !keyframe_covariance.empty()) best = keyframe_covariance.rbegin()->second;
-  // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the standard
-  // deviation makes up for it (normalised errors of simulated runs).
-  keyframe_covariance[id] = best + 9 * covariance;
+  keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, covariance);
 
   createLandmarks(id);
   if (map.keyframeCount() > 1) adjustWindow(id);
   keyframe_landmarks = 0;
   for (const Observation& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != kNoLandmark;
   since_keyframe = since_reobservation = 0;
+  map.dropFarImages(T_map_camera, settings.max_image_keyframes);
   active_depth = std::make_unique<KeyframeDepth>(camera, depth, bgr, settings.depth, settings.cloud);
   return id;
 }
@@ -112,7 +104,6 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
     const TrackId track = o.track;
     const LandmarkId landmark = map.addLandmark(result.p_map);
     map.landmark(landmark).covariance = result.covariance;
-    map.landmark(landmark).from_depth = o.depth > 0;
     for (const LandmarkObservation& view : views) map.connect(view.keyframe, view.index, landmark);
     track_landmark[track] = landmark;
     track_views.erase(track);

@@ -1,30 +1,11 @@
 #include "node_parameters.h"
 
-#include <algorithm>
-#include <cmath>
-
 #include "air_ground_common/ros/parameters.h"
 
 namespace rgbd_slam {
 
 using air_ground_common::ros_utils::ParameterError;
 using air_ground_common::ros_utils::Parameters;
-
-namespace {
-
-/// "x y z qx qy qz qw", or seven zeros for "not given".
-std::optional<Pose> readPose(Parameters& parameters, const std::string& name) {
-  const auto v = parameters.numbers(name, std::vector<double>(7, 0.0), 7);
-  if (std::all_of(v.begin(), v.end(), [](double x) { return x == 0; })) return std::nullopt;
-  const Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
-  if (std::abs(q.norm() - 1) > 1e-2) throw ParameterError("parameter " + name + ": the quaternion (last four numbers) must have length 1");
-  Pose T = Pose::Identity();
-  T.linear() = q.normalized().toRotationMatrix();
-  T.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
-  return T;
-}
-
-}  // namespace
 
 NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   Parameters p(private_handle);
@@ -35,8 +16,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   n.publish_tf = p.flag("publish_tf", n.publish_tf);
   n.camera_frame = p.text("camera_frame", "");
   n.imu_frame = p.text("imu_frame", "");
-  n.T_base_camera = readPose(p, "base_camera");
-  n.T_base_imu = readPose(p, "base_imu");
+  n.T_base_camera = p.pose("base_camera");
+  n.T_base_imu = p.pose("base_imu");
   n.transform_timeout = p.number("transform_timeout", n.transform_timeout, 0.0, 600.0);
 
   n.use_imu = p.flag("use_imu", n.use_imu);
@@ -64,6 +45,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.min_inliers = p.integer("min_inliers", s.min_inliers, 6, 500);
   s.min_inlier_ratio = p.number("min_inlier_ratio", s.min_inlier_ratio, 0.0, 0.95);
   s.max_speed = p.number("max_speed", s.max_speed, 0.01, 100.0);
+  s.relocalization_slack = p.number("relocalization_slack", s.relocalization_slack, 0.0, 100.0);
   s.reobserve_every = p.integer("reobserve_every", s.reobserve_every, 0, 1000);
   s.local_keyframes = p.integer("local_keyframes", s.local_keyframes, 1, 100);
   s.restart_after = p.number("restart_after", s.restart_after, 0.0, 3600.0);
@@ -72,6 +54,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.keyframe_rotation = p.number("keyframe_angle", s.keyframe_rotation, 0.02, 1.5);
   s.keyframe_overlap = p.number("keyframe_overlap", s.keyframe_overlap, 0.1, 0.95);
   s.keyframe_min_gap = p.integer("keyframe_min_gap", s.keyframe_min_gap, 1, 100);
+  s.max_image_keyframes = p.integer("max_image_keyframes", s.max_image_keyframes, s.local_keyframes, 100000);
   s.window = p.integer("window", s.window, 2, 50);
   s.window_fixed = p.integer("window_fixed", s.window_fixed, 1, 100);
   s.bundle.max_iterations = p.integer("bundle_iterations", s.bundle.max_iterations, 1, 100);

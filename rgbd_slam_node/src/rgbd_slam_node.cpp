@@ -2,24 +2,24 @@
 #include <air_ground/SaveMap.h>
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoStatus.h>
-#include <pcl/io/pcd_io.h>
-#include <pcl/point_types.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <std_srvs/Trigger.h>
 
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
 #include <thread>
 
-#include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/pose_publisher.h"
+#include "air_ground_common/ros/sensor_input.h"
 #include "node_parameters.h"
 #include "rgbd_slam/frame_pairer.h"
 
@@ -39,10 +39,6 @@ std::uint8_t stateOf(State state) {
     case State::kLost: return air_ground::VoStatus::STATE_LOST;
   }
   return air_ground::VoStatus::STATE_LOST;
-}
-
-bool endsWith(const std::string& text, const std::string& end) {
-  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
 std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& cloud) {
@@ -103,8 +99,7 @@ class RgbdSlamNode {
     try {
       const CameraModel camera = ros_utils::fromMsg(*msg);
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      camera_ = camera;
-      info_frame_ = msg->header.frame_id;
+      calibration_ = Calibration{camera, *msg};
     } catch (const std::exception& e) {
       health_.count(std::string("camera calibrations refused: ") + e.what());
     }
@@ -113,21 +108,14 @@ class RgbdSlamNode {
 
   void onImu(const sensor_msgs::Imu::ConstPtr& msg) {
     health_.received(imu_topic_, msg->header.stamp);
-    ImuSample sample;
-    sample.stamp = msg->header.stamp.toSec();
-    sample.angular_velocity = {msg->angular_velocity.x, msg->angular_velocity.y, msg->angular_velocity.z};
-    sample.specific_force = {msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z};
-    if (!sample.angular_velocity.allFinite() || !sample.specific_force.allFinite()) {
-      health_.count("IMU samples refused: not a finite number");
-      return;
-    }
+    const auto sample = imu_input_.read(*msg);
+    if (!sample) return;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      checkUnit(sample.specific_force.norm());
       if (!admit(msg->header.stamp, kImu)) return;
-      imu_queue_.push_back(sample);
+      imu_queue_.push_back({sample->stamp, sample->angular_velocity, sample->specific_force});
       if (imu_queue_.size() > 40000) imu_queue_.pop_front();
-      newest_imu_ = std::max(newest_imu_, sample.stamp);
+      newest_imu_ = std::max(newest_imu_, sample->stamp);
       imu_frame_ = msg->header.frame_id;
     }
     queue_changed_.notify_all();
@@ -173,18 +161,6 @@ class RgbdSlamNode {
     reported_unmatched_ = 0;
   }
 
-  /// With the queue locked. An accelerometer in g still shows which way is up, but never looks at rest.
-  void checkUnit(double force) {
-    if (unit_samples_ >= 200) return;
-    unit_sum_ += force;
-    if (++unit_samples_ < 200) return;
-    const double mean = unit_sum_ / unit_samples_;
-    if (mean < 3.0 || mean > 30.0) {
-      ROS_WARN_STREAM("the IMU's mean acceleration is " << mean << ", not about 9.81 m/s^2: wrong unit, or gravity removed?");
-      health_.count("IMU with an implausible mean acceleration");
-    }
-  }
-
   // ---- Worker ---------------------------------------------------------------------------------------------------------
 
   void work() {
@@ -209,7 +185,7 @@ class RgbdSlamNode {
         }
       }
       if (restart) {
-        startAfresh();
+        startAfresh(false);
       } else if (pair) {
         try {
           step(*pair, imu);
@@ -218,7 +194,7 @@ class RgbdSlamNode {
         }
       } else {
         const std::lock_guard<std::mutex> lock(slam_mutex_);
-        if (cloud_outdated_) requestCloud();  // no more images come: show what there is
+        if (cloud_outdated_ && slam_) requestCloud();  // no more images come: show what there is
       }
     }
   }
@@ -226,7 +202,7 @@ class RgbdSlamNode {
   /// Called with the queue locked: the oldest pair has its calibration and its IMU samples, or has waited long enough.
   bool pairReady() {
     const auto* pair = pairer_.front();
-    if (!pair || !camera_) return false;
+    if (!pair || !calibration_) return false;
     if (!settings_.use_imu || newest_imu_ >= pair->stamp) return true;
     return pairer_.newerBy(pair->stamp) > settings_.imu_wait;
   }
@@ -243,26 +219,61 @@ class RgbdSlamNode {
     }
   }
 
-  void startAfresh() {
+  /// `anew`: calibration and mountings are read again, too.
+  void startAfresh(bool anew) {
     const std::lock_guard<std::mutex> lock(slam_mutex_);
-    if (slam_) slam_->reset();
-    pose_publisher_.reset();
+    if (slam_ && anew) dropSlam();
+    else if (slam_) slam_->reset();
+    imu_input_.reset();
+    imu_unplaced_ = false;
+    if (anew) imu_ever_ = false;
+    forgetMap(0);
     last_stamp_ = last_cloud_ = ros::Time();
-    cloud_outdated_ = false;
     health_.state(kWarn, "started afresh: waiting for images");
   }
 
-  /// Builds SLAM once calibration and mounting are known. False, with the reason in diagnostics, while they are not.
+  /// With slam locked. Map ids go on counting.
+  void dropSlam() {
+    map_id_offset_ += slam_->mapId();
+    slam_.reset();
+  }
+
+  /// With slam locked: nothing of another map than `map_id` is published any more, and no cloud of one stays latched.
+  void forgetMap(int map_id) {
+    pose_publisher_.reset();
+    cloud_outdated_ = false;
+    const std::lock_guard<std::mutex> lock(cloud_mutex_);
+    cloud_map_id_ = map_id;
+    cloud_request_.reset();
+    if (!cloud_latched_) return;
+    cloud_latched_ = false;
+    std_msgs::Header header;
+    header.stamp = last_stamp_;
+    header.frame_id = settings_.map_frame;
+    cloud_publisher_.publish(ros_utils::toMsg(std::vector<ros_utils::CloudPoint>(), ros_utils::CloudFields::kXyzRgb, header));
+  }
+
+  /// Builds SLAM once calibration and mounting are known, and anew when the calibration changes or an IMU turns up. False, with the
+  /// reason in diagnostics, while there is none. Waits for tf with nothing locked.
   bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
-    if (slam_) return true;
-    CameraModel camera;
-    std::string camera_frame = settings_.camera_frame, imu_frame = settings_.imu_frame;
+    Calibration calibration;
+    std::string imu_frame = settings_.imu_frame;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      camera = *camera_;
-      if (camera_frame.empty()) camera_frame = info_frame_.empty() ? image.header.frame_id : info_frame_;
+      calibration = *calibration_;
       if (imu_frame.empty()) imu_frame = imu_frame_;
     }
+    const bool imu_wanted = settings_.use_imu && imu_seen && !imu_unplaced_;
+    bool recalibrated = false;
+    {
+      const std::lock_guard<std::mutex> lock(slam_mutex_);
+      // Images of the old size may still be on their way.
+      recalibrated = slam_ && !ros_utils::sameCalibration(calibration.info, built_.info) && image.width == calibration.info.width &&
+                     image.height == calibration.info.height;
+      if (slam_ && !recalibrated && (with_imu_ || !imu_wanted)) return true;
+    }
+    std::string camera_frame = settings_.camera_frame;
+    if (camera_frame.empty()) camera_frame = calibration.info.header.frame_id.empty() ? image.header.frame_id : calibration.info.header.frame_id;
     std::string why;
     const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame, const char* sensor) {
       const auto T = given ? given : ros_utils::lookupStatic(settings_.base_frame, frame, settings_.transform_timeout, &why);
@@ -276,28 +287,44 @@ class RgbdSlamNode {
     const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame, "camera");
     if (!T_base_camera) return false;
     mounting.T_base_camera = *T_base_camera;
-    if (settings_.use_imu && imu_seen) {
+    if (imu_wanted) {
       const auto T_base_imu = mounted(settings_.T_base_imu, imu_frame, "imu");
-      if (!T_base_imu) return false;
-      mounting.R_base_imu = T_base_imu->linear();
-    } else if (settings_.use_imu) {
+      if (T_base_imu) mounting.R_base_imu = T_base_imu->linear();
+    }
+    const std::lock_guard<std::mutex> lock(slam_mutex_);
+    if (imu_wanted && !mounting.R_base_imu) {
+      if (!slam_) return false;
+      imu_unplaced_ = true;  // the map goes on without it; ~reset asks again
+      if (!recalibrated) return true;
+    }
+    if (slam_) {
+      ROS_WARN_STREAM((recalibrated ? "the camera's calibration has changed" : "an IMU has turned up") << ": a new map begins");
+      dropSlam();
+      forgetMap(0);
+    }
+    if (settings_.use_imu && !mounting.R_base_imu) {
       ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": SLAM runs without rotation prior and takes the robot's base for level at the start");
     }
-    slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
+    slam_ = std::make_unique<Slam>(calibration.camera, mounting, settings_.slam);
+    with_imu_ = mounting.R_base_imu.has_value();
+    built_ = calibration;
     camera_frame_ = camera_frame;
     return true;
   }
 
   void step(const FramePairer<sensor_msgs::Image::ConstPtr>::Pair& pair, const std::deque<ImuSample>& imu) {
-    const std::lock_guard<std::mutex> lock(slam_mutex_);
     const ros::Time stamp = pair.colour->header.stamp;
     ++pairs_;
+    imu_ever_ = imu_ever_ || !imu.empty();
+    if (!prepare(*pair.colour, imu_ever_)) return;
+    const std::lock_guard<std::mutex> lock(slam_mutex_);
+    if (!slam_) return;  // reset meanwhile
     if (stamp <= last_stamp_) {
       health_.count("images refused: stamp not later than the last one's");
       return;
     }
-    if (!prepare(*pair.colour, !imu.empty())) return;
-    for (const ImuSample& sample : imu) slam_->addImu(sample);
+    for (const ImuSample& sample : imu)
+      if (with_imu_ && !slam_->addImu(sample)) health_.count("IMU samples refused: stamp not later than the last one's");
     last_stamp_ = stamp;
     const auto begin = std::chrono::steady_clock::now();
     const cv::Mat grey = ros_utils::greyFromMsg(*pair.colour);
@@ -306,7 +333,8 @@ class RgbdSlamNode {
     health_.timing("frame", seconds);
     if (r.keyframe) health_.timing("keyframe", seconds);
     health_.state(r.state == State::kTracking ? kOk : kWarn,
-                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view");
+                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view" +
+                      (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
     if (r.relocalized) ROS_INFO("found the way back into the map");
     if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, or levelled)");
     publish(stamp, grey, r, seconds);
@@ -326,11 +354,11 @@ class RgbdSlamNode {
     status.scale = 1.0;
     status.processing_time = seconds;
     status.reason = r.reason;
-    status.map_id = static_cast<std::uint32_t>(slam_->mapId());
+    status.map_id = static_cast<std::uint32_t>(mapId());
     status_publisher_.publish(status);
     if (r.state != State::kTracking || !r.T_map_base.matrix().allFinite() || !r.covariance.allFinite()) return;
 
-    if (r.new_map) pose_publisher_.reset();
+    if (r.new_map) forgetMap(mapId());
     pose_publisher_.publish(stamp, r.T_map_base, r.T_previous_current_base, r.covariance);
     if (r.keyframe) {
       cloud_outdated_ = true;
@@ -344,13 +372,16 @@ class RgbdSlamNode {
     if ((cloud_outdated_ && (stamp - last_cloud_).toSec() >= settings_.cloud_interval) || r.map_corrected) requestCloud();
   }
 
+  /// With slam locked.
+  int mapId() const { return map_id_offset_ + slam_->mapId(); }
+
   /// With slam locked: hands the points as they stand to the cloud's thread; a request not yet begun is replaced.
   void requestCloud() {
     cloud_outdated_ = false;
     last_cloud_ = last_stamp_;
     {
       const std::lock_guard<std::mutex> lock(cloud_mutex_);
-      cloud_request_ = CloudRequest{last_stamp_, slam_->posedPoints()};
+      cloud_request_ = CloudRequest{last_stamp_, mapId(), slam_->posedPoints()};
     }
     cloud_changed_.notify_one();
   }
@@ -370,7 +401,13 @@ class RgbdSlamNode {
       std_msgs::Header header;
       header.stamp = request.stamp;
       header.frame_id = settings_.map_frame;
-      cloud_publisher_.publish(ros_utils::toMsg(messagePoints(cloud), ros_utils::CloudFields::kXyzRgb, header));
+      const auto message = ros_utils::toMsg(messagePoints(cloud), ros_utils::CloudFields::kXyzRgb, header);
+      {
+        const std::lock_guard<std::mutex> lock(cloud_mutex_);
+        if (request.map_id != cloud_map_id_) continue;  // its map was given up meanwhile
+        cloud_publisher_.publish(message);
+        cloud_latched_ = true;
+      }
       health_.timing("ground cloud", std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
     }
   }
@@ -378,7 +415,7 @@ class RgbdSlamNode {
   // ---- Services -------------------------------------------------------------------------------------------------------
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
-    try {
+    return ros_utils::answer(response, [&] {
       std::vector<PosedPoints> points;
       {
         const std::lock_guard<std::mutex> lock(slam_mutex_);
@@ -386,52 +423,24 @@ class RgbdSlamNode {
         points = slam_->posedPoints();
       }
       const auto cloud = messagePoints(fusePoints(points, settings_.slam.cloud));
-      if (cloud.empty()) throw std::runtime_error("the map has no dense points yet");
-      if (endsWith(request.path, ".ply")) {
-        std::vector<air_ground_common::LabeledPoint> labeled(cloud.size());
-        for (std::size_t i = 0; i < cloud.size(); ++i) {
-          labeled[i].position = cloud[i].position;
-          labeled[i].rgb = cloud[i].rgb;
-        }
-        air_ground_common::writePly(request.path, labeled);
-      } else if (endsWith(request.path, ".pcd")) {
-        pcl::PointCloud<pcl::PointXYZRGB> pcd;
-        for (const auto& p : cloud) {
-          pcl::PointXYZRGB q;
-          q.getVector3fMap() = p.position;
-          q.r = p.rgb[0];
-          q.g = p.rgb[1];
-          q.b = p.rgb[2];
-          pcd.push_back(q);
-        }
-        if (pcl::io::savePCDFileBinary(request.path, pcd) != 0) throw std::runtime_error("cannot write " + request.path);
-      } else {
-        throw std::runtime_error("the path must end in .ply or .pcd");
-      }
+      ros_utils::writeCloud(request.path, cloud);
       response.points = cloud.size();
-      response.success = true;
-      response.message = std::to_string(cloud.size()) + " points in " + settings_.map_frame + " written to " + request.path;
-    } catch (const std::exception& e) {
-      response.success = false;
-      response.message = e.what();
-    }
-    return true;
+      return std::to_string(cloud.size()) + " points in " + settings_.map_frame + " written to " + request.path;
+    });
   }
 
   bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response) {
-    const std::lock_guard<std::mutex> lock(slam_mutex_);
-    try {
-      if (!slam_ || slam_->map().keyframeCount() == 0) throw std::runtime_error("there is no trajectory yet");
-      const auto trajectory = slam_->trajectory();
+    return ros_utils::answer(response, [&] {
+      air_ground_common::Trajectory trajectory;
+      {
+        const std::lock_guard<std::mutex> lock(slam_mutex_);
+        if (!slam_ || slam_->map().keyframeCount() == 0) throw std::runtime_error("there is no trajectory yet");
+        trajectory = slam_->trajectory();
+      }
       air_ground_common::writeTum(request.path, trajectory);
       response.poses = trajectory.size();
-      response.success = true;
-      response.message = std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
-    } catch (const std::exception& e) {
-      response.success = false;
-      response.message = e.what();
-    }
-    return true;
+      return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
+    });
   }
 
   bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -439,20 +448,26 @@ class RgbdSlamNode {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
       clearQueues();
     }
-    startAfresh();
+    startAfresh(true);
     response.success = true;
     response.message = "SLAM starts afresh";
     return true;
   }
 
+  struct Calibration {
+    CameraModel camera;
+    sensor_msgs::CameraInfo info;
+  };
   struct CloudRequest {
     ros::Time stamp;
+    int map_id;
     std::vector<PosedPoints> points;
   };
 
   const NodeSettings settings_;
   ros::NodeHandle handle_, private_handle_{"~"};
   ros_utils::NodeHealth health_;
+  ros_utils::ImuInput imu_input_{health_};
   ros_utils::StreamJumpDetector jumps_{kStreams};
   ros_utils::PosePublisher pose_publisher_;
   ros::Publisher cloud_publisher_, status_publisher_, keyframe_publisher_;
@@ -466,25 +481,30 @@ class RgbdSlamNode {
   FramePairer<sensor_msgs::Image::ConstPtr> pairer_;
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;
-  double unit_sum_ = 0;
-  int unit_samples_ = 0;
   std::size_t reported_unmatched_ = 0;
-  std::optional<CameraModel> camera_;
-  std::string info_frame_, imu_frame_;
+  std::optional<Calibration> calibration_;
+  std::string imu_frame_;
   bool stop_ = false, reset_requested_ = false;
 
   // Worker and services, one at a time.
   std::mutex slam_mutex_;
   std::unique_ptr<Slam> slam_;
+  Calibration built_;  ///< what SLAM was built with
+  bool with_imu_ = false;
+  int map_id_offset_ = 0;
   std::string camera_frame_;
   ros::Time last_stamp_, last_cloud_;
   bool cloud_outdated_ = false;
-  std::size_t pairs_ = 0;
+  std::atomic<bool> imu_unplaced_{false};  ///< its mounting is not known: the present map does without it
+  std::atomic<bool> imu_ever_{false};
+  std::size_t pairs_ = 0;                  ///< the worker's own
 
   // Shared with the cloud's thread.
   std::mutex cloud_mutex_;
   std::condition_variable cloud_changed_;
   std::optional<CloudRequest> cloud_request_;
+  int cloud_map_id_ = 0;       ///< clouds of another map are dropped; 0: of any
+  bool cloud_latched_ = false; ///< the last one published has points
 
   std::thread worker_, cloud_worker_;
 };
@@ -497,7 +517,7 @@ int main(int argc, char** argv) {
   try {
     const rgbd_slam::NodeSettings settings = rgbd_slam::readParameters(ros::NodeHandle("~"));
     rgbd_slam::RgbdSlamNode node(settings);
-    ros::spin();
+    ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
   } catch (const std::exception& e) {
     ROS_FATAL_STREAM(e.what());
     return 1;

@@ -39,6 +39,8 @@ void SlamSettings::validate() const {
   require(reobserve_every >= 0, "reobserve_every must not be negative");
   require(local_keyframes >= 1, "local_keyframes must be at least 1");
   require(max_speed > 0, "max_speed must be positive");
+  require(relocalization_slack >= 0, "relocalization_slack must not be negative");
+  require(max_image_keyframes >= local_keyframes, "max_image_keyframes must be at least local_keyframes");
   require(keyframe_translation > 0 && keyframe_rotation > 0, "keyframe_translation and keyframe_rotation must be positive");
   require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must be in (0, 1)");
   require(window >= 2 && window_fixed >= 1, "window must be at least 2 and window_fixed at least 1");

@@ -206,9 +206,14 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   if (stamp - frames.back().stamp < 0.5 && accept(predict(stamp, &from_gyro), 16.0)) return tracked;
   Keyframe query;
   fillOrb(gray, depth, query);
-  std::vector<KeyframeId> places;
-  for (const auto& [id, keyframe] : map.keyframes()) places.push_back(id);
-  const visual_frontend::PlaceMatch match = visual_frontend::recognizePlace(map, camera, query, places, settings.place);
+  visual_frontend::RelocalizationGate gate;
+  gate.T_map_last = poseOf(frames.back());
+  gate.max_distance = settings.relocalization_slack + settings.max_speed * (stamp - frames.back().stamp);
+  if (gravity_known && attitude.initialized()) {
+    gate.up_camera = R_camera_imu * attitude.up();
+    gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());
+  }
+  const visual_frontend::PlaceMatch match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
   if (match.success && accept(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, 10.0)) return tracked;
   tracked.success = false;
   tracked.reason = match.success ? "a place was recognised but too few of its landmarks were found" : "lost: " + match.reason;

@@ -2,6 +2,7 @@
 #include <air_ground/SaveMap.h>
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoStatus.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
@@ -33,7 +34,10 @@ class NodeTest : public testing::Test {
     odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>("ground/odometry", 200, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
     status_sub_ = handle_.subscribe<air_ground::VoStatus>("ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
     cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
-    tf_sub_ = handle_.subscribe<tf2_msgs::TFMessage>("/tf", 500, [this](const tf2_msgs::TFMessage::ConstPtr& m) { tf.insert(tf.end(), m->transforms.begin(), m->transforms.end()); });
+    tf_sub_ = handle_.subscribe("/tf", 500, &NodeTest::onTf, this);
+    diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 50, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
+      for (const auto& s : m->status) states += s.message + "\n";
+    });
     geometry_msgs::TransformStamped camera, imu;
     camera.header.frame_id = imu.header.frame_id = "ground_base_link";
     camera.child_frame_id = "ground_camera_optical_frame";
@@ -47,6 +51,13 @@ class NodeTest : public testing::Test {
     spin(0.5);
   }
 
+  void onTf(const ros::MessageEvent<tf2_msgs::TFMessage const>& event) {
+    for (const auto& t : event.getMessage()->transforms) {
+      authorities[t.child_frame_id].insert(event.getPublisherName());
+      tf.push_back(t);
+    }
+  }
+
   static void spin(double seconds) {
     const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
     do {
@@ -55,11 +66,17 @@ class NodeTest : public testing::Test {
     } while (ros::WallTime::now() < end);
   }
 
-  /// Publishes `frames` frames at 10 Hz of the robot's time from 0; `spoil` mixes in what must not hurt.
-  void drive(int frames, bool spoil) {
+  struct Course {
+    int first = 0;         ///< frame
+    double imu_from = 0;   ///< the IMU's first sample [s]
+    bool cropped = false;  ///< images and calibration of the middle only
+  };
+
+  /// Publishes frames up to `frames` at 10 Hz of the robot's time; `spoil` mixes in what must not hurt.
+  void drive(int frames, bool spoil, const Course& course) {
     simulated::synthetic::Random random(3);
-    double next_imu = 0;
-    for (int i = 0; i < frames; ++i) {
+    double next_imu = std::max(course.imu_from, 0.1 * course.first);
+    for (int i = course.first; i < frames; ++i) {
       const double t = 0.1 * i;
       for (; next_imu <= t + 0.005; next_imu += 0.005) {
         const auto s = robot_.imu(next_imu, random);
@@ -76,11 +93,21 @@ class NodeTest : public testing::Test {
         if (spoil && next_imu > 1 && next_imu < 1.02) msg.angular_velocity.x = NAN;
         imu_.publish(msg);
       }
-      const auto frame = robot_.frame(t, random);
+      auto frame = robot_.frame(t, random);
+      CameraModel camera = robot_.camera;
+      if (course.cropped) {
+        const cv::Rect middle(40, 30, 560, 420);
+        frame.gray = frame.gray(middle).clone();
+        frame.depth = frame.depth(middle).clone();
+        camera.width = middle.width;
+        camera.height = middle.height;
+        camera.cx -= middle.x;
+        camera.cy -= middle.y;
+      }
       std_msgs::Header header;
       header.stamp = ros::Time(kStart + t);
       header.frame_id = "ground_camera_optical_frame";
-      info_.publish(ros_utils::toMsg(robot_.camera, header));
+      info_.publish(ros_utils::toMsg(camera, header));
       cv::Mat millimetres(frame.depth.size(), CV_16U, cv::Scalar(0));
       for (int v = 0; v < frame.depth.rows; ++v) {
         for (int u = 0; u < frame.depth.cols; ++u) {
@@ -110,16 +137,18 @@ class NodeTest : public testing::Test {
   simulated::Robot robot_;
   ros::NodeHandle handle_;
   ros::Publisher colour_, depth_, info_, imu_;
-  ros::Subscriber odometry_sub_, status_sub_, cloud_sub_, tf_sub_;
+  ros::Subscriber odometry_sub_, status_sub_, cloud_sub_, tf_sub_, diagnostics_sub_;
   tf2_ros::StaticTransformBroadcaster broadcaster_;
   std::vector<nav_msgs::Odometry> odometry;
   std::vector<air_ground::VoStatus> status;
   std::vector<sensor_msgs::PointCloud2> clouds;
   std::vector<geometry_msgs::TransformStamped> tf;
+  std::map<std::string, std::set<std::string>> authorities;
+  std::string states;  ///< of all diagnostics so far
 };
 
 TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
-  drive(40, true);
+  drive(40, true, {});
   waitForStatus(37);
   ASSERT_GT(odometry.size(), 33u);
   for (const auto& m : odometry) {
@@ -142,6 +171,7 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
     EXPECT_GT(t.header.stamp, newest[t.child_frame_id]) << "a repeated or older stamp on " << t.child_frame_id;
     newest[t.child_frame_id] = t.header.stamp;
   }
+  for (const char* child : {"ground_odom", "ground_base_link"}) EXPECT_EQ(authorities[child].size(), 1u) << child;
   EXPECT_EQ(parents["ground_odom"], std::set<std::string>{"ground_map"});
   EXPECT_EQ(parents["ground_base_link"], std::set<std::string>{"ground_odom"});
 
@@ -174,7 +204,7 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   // The recording begins again: stamps jump back by four seconds.
   odometry.clear();
   status.clear();
-  drive(15, false);
+  drive(15, false, {});
   waitForStatus(15);
   ASSERT_GT(odometry.size(), 10u);
   EXPECT_LT(odometry.front().header.stamp.toSec(), kStart + 0.5);
@@ -184,8 +214,47 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   std_srvs::Trigger reset;
   ASSERT_TRUE(ros::service::call("rgbd_slam/reset", reset));
   EXPECT_TRUE(reset.response.success);
+  // The latched cloud is of a map that is no more: an empty one takes its place, and none of the old map comes after it.
+  spin(2.0);
+  ASSERT_FALSE(clouds.empty());
+  EXPECT_EQ(clouds.back().width * clouds.back().height, 0u);
   ASSERT_TRUE(ros::service::call("rgbd_slam/save_trajectory", trajectory));
   EXPECT_FALSE(trajectory.response.success);
+}
+
+TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call("rgbd_slam/reset", reset));
+  Course course;
+  course.imu_from = 2.0;
+  drive(40, false, course);
+  waitForStatus(37);
+  ASSERT_FALSE(odometry.empty());
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING);
+  std::uint32_t first_map = 0;
+  for (const auto& s : status)
+    if (first_map == 0 && s.state == air_ground::VoStatus::STATE_TRACKING) first_map = s.map_id;
+  EXPECT_EQ(status.back().map_id, first_map + 1) << "a new map, once";
+  // Only the IMU knows that the base is not level.
+  const Eigen::Vector3d up = ros_utils::fromMsg(odometry.back().pose.pose).linear().row(2), truth = robot_.mapped(odometry.back().header.stamp.toSec() - kStart).linear().row(2);
+  EXPECT_LT((up - truth).norm(), 0.02);
+  EXPECT_NE(states.find("without IMU"), std::string::npos);
+}
+
+TEST_F(NodeTest, BeginsANewMapWithAnotherCalibration) {
+  drive(20, false, {});
+  waitForStatus(20);
+  ASSERT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING);
+  const std::uint32_t before = status.back().map_id;
+  odometry.clear();
+  Course course;
+  course.first = 20;
+  course.cropped = true;
+  drive(40, false, course);
+  waitForStatus(40);
+  EXPECT_EQ(status.back().map_id, before + 1);
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+  EXPECT_GT(odometry.size(), 10u);
 }
 
 }  // namespace

@@ -122,6 +122,41 @@ TEST(Slam, PureRotationMakesLandmarks) {
   EXPECT_LT(worst(run, slam.trajectory()), 0.02);
 }
 
+TEST(Slam, StandingStillMakesNoKeyframes) {
+  Robot robot;
+  robot.rest = 1e3;
+  SlamSettings settings;
+  settings.tracker.max_features = 40;  // fewer than three times the inliers that a pose needs
+  settings.min_start_features = 20;
+  Slam slam(robot.camera, robot.mounting, settings);
+  Random random(2);
+  std::vector<Robot::Frame> frames;
+  for (int i = 0; i < 6; ++i) frames.push_back(robot.frame(0.1 * i, random));
+  double next_imu = 0;
+  for (int i = 0; i < 600; ++i) {
+    const double t = 0.1 * i;
+    for (; next_imu <= t + 0.005; next_imu += 0.005) slam.addImu(robot.imu(next_imu, random));
+    const Robot::Frame& frame = frames[i % frames.size()];
+    slam.process(t, frame.gray, cv::Mat(), frame.depth);
+  }
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_LE(slam.counters().keyframes, 5);
+}
+
+TEST(Slam, OnlyTheNearestKeyframesKeepTheirImage) {
+  Robot robot;
+  SlamSettings settings;
+  settings.local_keyframes = settings.max_image_keyframes = 4;
+  Slam slam(robot.camera, robot.mounting, settings);
+  const Drive run = drive(robot, slam, 0, 6);
+  int with_image = 0;
+  for (const auto& entry : slam.map().keyframes()) with_image += !entry.second.pyramid.empty();
+  EXPECT_GT(slam.map().keyframeCount(), 6u);
+  EXPECT_EQ(with_image, 4);
+  EXPECT_FALSE(slam.map().keyframes().rbegin()->second.pyramid.empty());
+  EXPECT_LT(worst(run, slam.trajectory()), 0.03);
+}
+
 TEST(Slam, LostSaysSoAndFindsItsWayBack) {
   Robot robot;
   robot.rest = 0.8;

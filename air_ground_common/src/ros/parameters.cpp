@@ -3,6 +3,7 @@
 #include <ros/console.h>
 #include <ros/param.h>
 
+#include <algorithm>
 #include <cmath>
 #include <sstream>
 
@@ -80,6 +81,18 @@ std::vector<double> Parameters::numbers(const std::string& name, const std::vect
   for (const double v : value) finite = finite && std::isfinite(v);
   if (!finite) throw ParameterError("parameter " + handle_.resolveName(name) + " = " + printed(value) + " must hold " + std::to_string(size) + " finite numbers");
   return value;
+}
+
+std::optional<Pose> Parameters::pose(const std::string& name) {
+  const auto v = numbers(name, std::vector<double>(7, 0.0), 7);
+  if (std::all_of(v.begin(), v.end(), [](double x) { return x == 0; })) return std::nullopt;
+  const Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
+  if (std::abs(q.norm() - 1) > 1e-2)
+    throw ParameterError("parameter " + handle_.resolveName(name) + " = " + printed(v) + ": the quaternion (last four numbers) must have length 1");
+  Pose T = Pose::Identity();
+  T.linear() = q.normalized().toRotationMatrix();
+  T.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
+  return T;
 }
 
 void Parameters::finish(const std::set<std::string>& ignored) const {

@@ -123,7 +123,7 @@ struct FeatureTracker::Impl {
   Feature makeFeature(const Eigen::Vector2d& pixel, float response) {
     Feature f;
     f.id = next_id++;
-    f.pixel = f.previous_pixel = f.first_pixel = pixel;
+    f.pixel = f.previous_pixel = pixel;
     f.normalized = camera.unproject(pixel);
     f.response = response;
     return f;
@@ -328,17 +328,6 @@ TrackId FeatureTracker::addFeature(const Eigen::Vector2d& pixel) {
   }
   s.features.push_back(s.makeFeature(pixel, static_cast<float>(shiTomasiScore(s.pyramid[0], cvRound(pixel.x()), cvRound(pixel.y())))));
   return s.features.back().id;
-}
-
-bool FeatureTracker::moveFeature(TrackId id, const Eigen::Vector2d& pixel) {
-  if (!pixel.allFinite() || !impl_->inside(toCv(pixel))) return false;
-  for (Feature& f : impl_->features) {
-    if (f.id != id) continue;
-    f.pixel = pixel;
-    f.normalized = impl_->camera.unproject(pixel);
-    return true;
-  }
-  return false;
 }
 
 void FeatureTracker::remove(const std::vector<TrackId>& ids) {

@@ -134,6 +134,19 @@ std::vector<KeyframeId> Map::nearestKeyframes(const Pose& T_map_camera, int coun
   return result;
 }
 
+void Map::dropFarImages(const Pose& T_map_camera, int keep, double metres_per_radian) {
+  int with_image = 0;
+  for (const auto& entry : keyframes_) with_image += !entry.second.pyramid.empty();
+  if (with_image <= keep) return;
+  const std::vector<KeyframeId> ranked = nearestKeyframes(T_map_camera, static_cast<int>(keyframes_.size()), metres_per_radian);
+  for (auto id = ranked.rbegin(); id != ranked.rend() && with_image > keep; ++id) {
+    Keyframe& k = keyframes_.at(*id);
+    if (k.pyramid.empty()) continue;
+    k.pyramid.clear();
+    --with_image;
+  }
+}
+
 void Map::transform(const air_ground_common::Similarity& S) {
   for (auto& [id, keyframe] : keyframes_) {
     keyframe.T_map_camera.translation() = S * keyframe.T_map_camera.translation();
@@ -155,6 +168,29 @@ void Map::transform(const air_ground_common::Similarity& S) {
 void Map::clear() {
   keyframes_.clear();
   landmarks_.clear();
+}
+
+Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever) {
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
+  return J * covariance * J.transpose();
+}
+
+Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id, const Matrix6d& pose_covariance) {
+  const Eigen::Vector3d p = map.keyframe(id).T_map_camera.translation();
+  Matrix6d best = Matrix6d::Zero();
+  bool any = false;
+  for (const auto& c : map.covisible(id, 20)) {
+    const auto other = known.find(c.keyframe);
+    if (other == known.end()) continue;
+    const Matrix6d C = covarianceAt(other->second, p - map.keyframe(c.keyframe).T_map_camera.translation());
+    if (!any || C.topLeftCorner<3, 3>().trace() < best.topLeftCorner<3, 3>().trace()) best = C;
+    any = true;
+  }
+  if (!any && !known.empty()) best = known.rbegin()->second;
+  // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the standard
+  // deviation makes up for it (normalised errors of simulated runs).
+  return best + 9 * pose_covariance;
 }
 
 }  // namespace visual_frontend

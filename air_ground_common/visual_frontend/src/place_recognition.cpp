@@ -132,9 +132,9 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
   return result;
 }
 
-}  // namespace
-
-PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query, const std::vector<KeyframeId>& places, const PlaceSettings& settings) {
+/// The best candidates with what their geometric check gave, most descriptor matches first. `matches`: the most that any had.
+std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera, const Keyframe& query, const std::vector<KeyframeId>& places,
+                                      const PlaceSettings& settings, int* matches) {
   struct Scored {
     KeyframeId keyframe;
     std::vector<std::pair<int, int>> matches;
@@ -155,19 +155,80 @@ PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyfr
   }
   std::sort(coarse.begin(), coarse.end());
   if (coarse.size() > static_cast<std::size_t>(2 * settings.max_candidates)) coarse.resize(2 * settings.max_candidates);
-  PlaceMatch best;
-  best.reason = "no place has enough matching descriptors";
   std::vector<Scored> scored;
+  *matches = 0;
   for (const auto& [score, id] : coarse) {
     Scored s{id, matchDescriptors(query.orb_descriptors, map.keyframe(id).orb_descriptors, settings)};
-    best.matches = std::max(best.matches, static_cast<int>(s.matches.size()));
+    *matches = std::max(*matches, static_cast<int>(s.matches.size()));
     if (static_cast<int>(s.matches.size()) >= settings.min_matches) scored.push_back(std::move(s));
   }
   std::stable_sort(scored.begin(), scored.end(), [](const Scored& a, const Scored& b) { return a.matches.size() > b.matches.size(); });
   if (static_cast<int>(scored.size()) > settings.max_candidates) scored.resize(settings.max_candidates);
-  for (const Scored& s : scored) {
-    PlaceMatch match = verify(map, camera, query, map.keyframe(s.keyframe), s.matches, settings);
+  std::vector<PlaceMatch> checked;
+  for (const Scored& s : scored) checked.push_back(verify(map, camera, query, map.keyframe(s.keyframe), s.matches, settings));
+  return checked;
+}
+
+PlaceMatch bestOf(std::vector<PlaceMatch>& checked, int matches) {
+  PlaceMatch best;
+  best.reason = "no place has enough matching descriptors";
+  best.matches = matches;
+  for (PlaceMatch& match : checked) {
     if ((match.success && !best.success) || (match.success == best.success && match.inliers >= best.inliers)) best = std::move(match);
+  }
+  return best;
+}
+
+}  // namespace
+
+PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query, const std::vector<KeyframeId>& places, const PlaceSettings& settings) {
+  int matches = 0;
+  std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
+  return bestOf(checked, matches);
+}
+
+PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate, const PlaceSettings& settings) {
+  std::vector<KeyframeId> places;
+  for (const auto& entry : map.keyframes()) places.push_back(entry.first);
+  int matches = 0;
+  std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
+  const auto poseIn = [&](const PlaceMatch& m) { return Pose(map.keyframe(m.keyframe).T_map_camera * m.T_place_query); };
+  for (PlaceMatch& m : checked) {
+    if (!m.success) continue;
+    const Pose T = poseIn(m);
+    const double jump = (T.translation() - gate.T_map_last.translation()).norm();
+    if (jump > gate.max_distance) {
+      m.success = false;
+      m.reason = "a place was recognised, but it is " + std::to_string(jump) + " away and only " + std::to_string(gate.max_distance) + " can lie behind";
+    } else if (gate.up_camera) {
+      const double tilt = std::acos(std::clamp(gate.up_camera->dot(T.linear().transpose() * Eigen::Vector3d::UnitZ()), -1.0, 1.0));
+      if (tilt > gate.max_tilt) {
+        m.success = false;
+        m.reason = "a place was recognised, but gravity contradicts it by " + std::to_string(tilt) + " rad";
+      }
+    }
+  }
+  // Places that put the camera elsewhere, by more than a fifth of the way to what it sees.
+  std::vector<std::pair<Pose, int>> poses;
+  for (const PlaceMatch& m : checked)
+    if (m.success) poses.emplace_back(poseIn(m), m.inliers);
+  PlaceMatch best = bestOf(checked, matches);
+  if (!best.success) return best;
+  const Pose T_best = poseIn(best);
+  double depth = 0;
+  int seen = 0;
+  for (const auto& o : map.keyframe(best.keyframe).observations) {
+    if (o.landmark == kNoLandmark) continue;
+    depth += (map.keyframe(best.keyframe).T_map_camera.inverse() * map.landmark(o.landmark).position).z();
+    ++seen;
+  }
+  const double elsewhere = seen > 0 ? 0.2 * depth / seen : 0.2;
+  for (const auto& [T, inliers] : poses) {
+    const bool other = (T.translation() - T_best.translation()).norm() > elsewhere || air_ground_common::rotationAngle(T.linear(), T_best.linear()) > 0.2;
+    if (!other || best.inliers > gate.min_lead * inliers) continue;
+    best.success = false;
+    best.reason = "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(inliers) + " points agree)";
+    break;
   }
   return best;
 }

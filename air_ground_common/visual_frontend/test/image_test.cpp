@@ -86,11 +86,8 @@ TEST(Tracker, ReseededAndRemovedFeatures) {
   ASSERT_NE(id, kNoTrack);
   EXPECT_EQ(tracker.addFeature({101, 100}), kNoTrack);
   EXPECT_EQ(tracker.addFeature({2, 100}), kNoTrack);
-  EXPECT_TRUE(tracker.moveFeature(id, {102, 101}));
-  EXPECT_NEAR(tracker.features()[0].pixel.x(), 102, 0);
   tracker.remove({id});
   EXPECT_TRUE(tracker.features().empty());
-  EXPECT_FALSE(tracker.moveFeature(id, {100, 100}));
   EXPECT_THROW(tracker.track(cv::Mat(10, 10, CV_8UC1)), std::invalid_argument);
   EXPECT_THROW(tracker.track(cv::Mat(480, 640, CV_8UC3)), std::invalid_argument);
   TrackerSettings bad;
@@ -203,6 +200,46 @@ TEST(Place, RefusesAnotherScene) {
   const PlaceMatch match = recognizePlace(map, camera, query, {0}, {});
   EXPECT_FALSE(match.success);
   EXPECT_FALSE(match.reason.empty());
+}
+
+TEST(Place, RelocalisesOnlyWhereItCanBe) {
+  const CameraModel camera = synthetic::camera();
+  const Pose T_place = above(0, 0, 2);
+  Map map = planeMap(camera, T_place);
+  // The same patch of floor three metres further on.
+  const Eigen::Vector3d shift(3, 0, 0);
+  Keyframe twin = map.keyframe(0);
+  for (Observation& o : twin.observations) {
+    if (o.landmark != kNoLandmark) o.landmark = map.addLandmark(map.landmark(o.landmark).position + shift);
+  }
+  twin.T_map_camera.translation() += shift;
+  map.addKeyframe(twin);
+  const Pose T = above(0.2, -0.1, 2.1, 0.4);
+  Keyframe query;
+  describeKeyframe(renderPlane(camera, T, planeTexture(), kPlane), camera, {}, query);
+
+  RelocalizationGate gate;
+  gate.T_map_last = T_place;
+  const PlaceMatch anywhere = relocalize(map, camera, query, gate, {});
+  EXPECT_FALSE(anywhere.success);
+  EXPECT_NE(anywhere.reason.find("look alike"), std::string::npos) << anywhere.reason;
+  for (const double x : {0.0, 3.0}) {
+    gate.T_map_last.translation().x() = x;
+    gate.max_distance = 1.0;
+    const PlaceMatch match = relocalize(map, camera, query, gate, {});
+    ASSERT_TRUE(match.success) << match.reason;
+    const Pose found = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
+    EXPECT_LT((found.translation() - T.translation() - Eigen::Vector3d(x, 0, 0)).norm(), 0.03);
+  }
+  gate.T_map_last.translation().x() = 10;
+  EXPECT_NE(relocalize(map, camera, query, gate, {}).reason.find("away"), std::string::npos);
+  gate.T_map_last = T_place;
+  const Eigen::Vector3d up = T.linear().transpose() * Eigen::Vector3d::UnitZ();
+  gate.up_camera = up;
+  EXPECT_TRUE(relocalize(map, camera, query, gate, {}).success);
+  gate.max_distance = 10;
+  gate.up_camera = Eigen::Vector3d(air_ground_common::expSO3(Eigen::Vector3d(0.3, 0, 0)) * up);
+  EXPECT_NE(relocalize(map, camera, query, gate, {}).reason.find("gravity"), std::string::npos);
 }
 
 TEST(Hamming, MatchesBitByBitCount) {

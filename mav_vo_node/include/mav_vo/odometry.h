@@ -52,6 +52,7 @@ struct OdometrySettings {
   int reobserve_matches = 40;       ///< old landmarks looked for in a frame, at most; 0 = off
   int window = 10;                  ///< keyframes the local bundle adjustment moves
   int window_fixed = 15;            ///< older keyframes that hold it, at most
+  int max_image_keyframes = 300;    ///< keyframes that keep their image for patch search; the farthest lose it first
   int local_iterations = 8;
   double full_interval = 8.0;       ///< between adjustments of the whole map, doubled after each up to 4 times that [s]
   int full_max_keyframes = 120;     ///< the newest of them move in it
@@ -63,6 +64,8 @@ struct OdometrySettings {
 
   double metric_stddev = 0.02;      ///< relative standard deviation of the scale below which the map is made metric [1]
   double min_metric_keyframes = 6;  ///< and at least as many keyframes
+  double max_speed = 5.0;           ///< of the vehicle; bounds how far a place recognised while lost can lie [m/s]
+  double relocalization_slack = 0.5;  ///< added to max_speed times the time lost [m]
   double lost_timeout = 4.0;        ///< lost for so long: start a new map [s]
   bool synchronous = true;          ///< bundle adjustment inside process(): deterministic; false: on a thread of its own
   unsigned seed = 1;
@@ -111,6 +114,9 @@ class Odometry {
 
   /// False when the sample is dropped: not finite or not newer than the last. Feed samples up to an image's stamp before it.
   bool addImu(const ImuSample& sample);
+
+  /// Not empty: the accelerometer cannot be right (its unit, say). The map does not become metric, and results say so.
+  void setImuProblem(const std::string& problem);
 
   /// Next image, CV_8UC1 of the camera's size (std::invalid_argument otherwise). Stamps must increase; an image that does not is
   /// answered with the last state and no pose.

@@ -46,6 +46,7 @@ struct SlamSettings {
   int reobserve_every = 3;             ///< frames between searches for landmarks of the local map, keyframes always do; 0 = never
   int local_keyframes = 8;             ///< nearest keyframes whose landmarks are searched
   double max_speed = 3.0;              ///< a faster motion between frames is taken for a failure [m/s]
+  double relocalization_slack = 0.5;   ///< a place recognised while lost may lie this and max_speed times the time lost away [m]
 
   // Keyframes
   double keyframe_translation = 0.15;  ///< distance to the last keyframe, over the median depth
@@ -71,6 +72,7 @@ struct SlamSettings {
 
   // Dense cloud
   CloudSettings cloud;
+  int max_image_keyframes = 300;       ///< keyframes that keep their image for patch search; the farthest lose it first
   int max_fused_frames = 12;           ///< frames after a keyframe that refine its depth
 
   double restart_after = 0;            ///< lost for this long: begin a new map [s]; 0 = never

@@ -3,9 +3,12 @@
 
 #include <ros/node_handle.h>
 
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
+
+#include "air_ground_common/geometry.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -27,6 +30,8 @@ class Parameters {
   /// `allowed` lists the accepted values.
   std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>& allowed);
   std::vector<double> numbers(const std::string& name, const std::vector<double>& fallback, std::size_t size);
+  /// "x y z qx qy qz qw" [m]; seven zeros, the default, for "not given".
+  std::optional<Pose> pose(const std::string& name);
 
   /// Call after the last getter: throws for a private parameter that nobody read (a misspelt name). `ignored` lists
   /// names, or prefixes ending in '/', that others own.

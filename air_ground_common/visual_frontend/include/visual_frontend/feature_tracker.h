@@ -38,7 +38,6 @@ struct Feature {
   Eigen::Vector2d pixel = Eigen::Vector2d::Zero();           ///< distorted image [px]
   Eigen::Vector2d normalized = Eigen::Vector2d::Zero();      ///< undistorted x/z, y/z
   Eigen::Vector2d previous_pixel = Eigen::Vector2d::Zero();  ///< in the frame before; == pixel at age 0 [px]
-  Eigen::Vector2d first_pixel = Eigen::Vector2d::Zero();     ///< where the track began [px]
   int age = 0;                                               ///< frames tracked since detection
   float response = 0;                                        ///< corner score at detection
 };
@@ -77,9 +76,6 @@ class FeatureTracker {
   /// Starts a track at a pixel of the current image (for example of a re-observed landmark); kNoTrack when it lies too
   /// near to the edge or to a living feature.
   TrackId addFeature(const Eigen::Vector2d& pixel);
-
-  /// Moves a living track (for example after aligning it with its landmark's first patch). False when it does not live.
-  bool moveFeature(TrackId id, const Eigen::Vector2d& pixel);
 
   /// Drops tracks (for example outliers).
   void remove(const std::vector<TrackId>& ids);

@@ -52,9 +52,6 @@ struct Landmark {
   Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< in the map [m]
   std::vector<LandmarkObservation> observations;       ///< the first is the reference: its patch is the landmark's look
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();///< of position [m^2]; zero = not known
-  bool from_depth = false;                             ///< initialised by the depth camera, not yet by parallax
-  int expected = 0;                                    ///< frames in which it should have been seen
-  int found = 0;                                       ///< frames in which it was
 };
 
 /// Owns keyframes and landmarks; keeps both sides of each observation consistent. Not thread-safe.
@@ -107,6 +104,10 @@ class Map {
   /// Keyframes nearest to a pose by distance plus `metres_per_radian` times the angle between the optical axes.
   std::vector<KeyframeId> nearestKeyframes(const Pose& T_map_camera, int count, double metres_per_radian = 1.0) const;
 
+  /// Bounds the memory: of the keyframes with an image pyramid only the `keep` nearest to a pose keep it. The others stay in the map
+  /// and can be recognised by their ORB features, but no patch is taken from them.
+  void dropFarImages(const Pose& T_map_camera, int keep, double metres_per_radian = 1.0);
+
   /// Applies p' = S * p to all landmarks and moves the cameras with it (camera poses stay rigid). For scale and leveling.
   void transform(const air_ground_common::Similarity& S_new_old);
 
@@ -118,5 +119,12 @@ class Map {
   KeyframeId next_keyframe_ = 0;
   LandmarkId next_landmark_ = 0;
 };
+
+/// Covariance of a pose (x y z rotX rotY rotZ, map axes) carried over to a point that `lever` leads to, fixed to it.
+Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
+
+/// Covariance of a keyframe in the map along the shortest chain of views: that of the best known keyframe (`known`) which shares
+/// 20 landmarks with it, plus what its own pose adds.
+Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id, const Matrix6d& pose_covariance);
 
 }  // namespace visual_frontend

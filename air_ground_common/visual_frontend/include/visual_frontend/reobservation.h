@@ -30,8 +30,7 @@ struct LandmarkMatch {
 
 /// Projects `candidates` into the current image with the predicted pose, warps each landmark's patch from the
 /// observation whose viewing direction is nearest (plane facing that camera), searches by ZNCC at half resolution and
-/// aligns with sub-pixel accuracy (inverse compositional, with gain and offset). Counts `expected` and
-/// `found` are left to the caller. `occupied`: pixels whose cells are skipped (living tracks).
+/// aligns with sub-pixel accuracy (inverse compositional, with gain and offset). `occupied`: pixels whose cells are skipped (living tracks).
 std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, const ImagePyramid& current,
                                      const Pose& T_map_camera_predicted, const std::vector<LandmarkId>& candidates,
                                      const std::vector<Eigen::Vector2d>& occupied,
