@@ -5,7 +5,9 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <pcl/io/pcd_io.h>
 #include <pcl/point_types.h>
+#include <ros/callback_queue.h>
 #include <ros/ros.h>
+#include <ros/spinner.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
 
@@ -44,7 +46,7 @@ diagnostic_msgs::KeyValue entry(const std::string& key, const std::string& value
 class DenseFusionNode {
  public:
   explicit DenseFusionNode(const NodeSettings& settings)
-      : settings_(settings), health_("dense_fusion"), mapper_(settings.mapper), map_(settings.map_cell) {
+      : settings_(settings), health_("dense_fusion"), mapper_(settings.mapper), map_(settings.map_cell, settings.map_max_points) {
     depth_map_publisher_ = handle_.advertise<air_ground::PosedDepthMap>("mav/depth_map", 20);
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20);
     field_publisher_ = handle_.advertise<diagnostic_msgs::DiagnosticArray>("mav/distance_field", 20);
@@ -53,12 +55,15 @@ class DenseFusionNode {
     health_.state(kWarn, "waiting for posed images");
     image_subscriber_ = handle_.subscribe("mav/posed_image", 400, &DenseFusionNode::onImage, this);
     sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &DenseFusionNode::onSparseCloud, this);
-    save_service_ = private_handle_.advertiseService("save_map", &DenseFusionNode::saveMap, this);
-    flush_service_ = private_handle_.advertiseService("flush", &DenseFusionNode::flush, this);
-    reset_service_ = private_handle_.advertiseService("reset", &DenseFusionNode::reset, this);
+    // Services wait for the worker, which must not keep the inputs from being received.
+    service_handle_.setCallbackQueue(&service_queue_);
+    save_service_ = service_handle_.advertiseService("save_map", &DenseFusionNode::saveMap, this);
+    flush_service_ = service_handle_.advertiseService("flush", &DenseFusionNode::flush, this);
+    reset_service_ = service_handle_.advertiseService("reset", &DenseFusionNode::reset, this);
     last_arrival_ = ros::WallTime::now();
     timer_ = handle_.createWallTimer(ros::WallDuration(0.5), &DenseFusionNode::onTimer, this);
     worker_ = std::thread(&DenseFusionNode::work, this);
+    service_spinner_.start();
   }
 
   ~DenseFusionNode() {
@@ -67,22 +72,21 @@ class DenseFusionNode {
       stop_ = true;
     }
     queue_changed_.notify_all();
+    idle_.notify_all();
+    service_spinner_.stop();
     worker_.join();
   }
 
  private:
+  enum Stream { kImages, kSparseClouds, kStreams };
+
   // ---- Inputs: only queueing happens in the callbacks -----------------------------------------------------------------
 
   void onImage(const air_ground::PosedImage::ConstPtr& msg) {
     health_.received(image_topic_, msg->header.stamp);
-    bool jumped = false;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      if (jump_detector_.jumped(msg->header.stamp)) {
-        jumped = true;
-        queue_.clear();
-        reset_requested_ = true;
-      }
+      if (!admit(kImages, msg->header.stamp)) return;
       if (queue_.size() >= static_cast<std::size_t>(settings_.queue_size)) {
         queue_.pop_front();
         health_.count("images dropped: the queue was full");
@@ -92,30 +96,46 @@ class DenseFusionNode {
       flush_due_ = true;
     }
     queue_changed_.notify_all();
-    if (jumped) ROS_WARN("time jumped back: the dense map starts afresh");
   }
 
   void onSparseCloud(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     try {
       std::size_t dropped = 0;
-      const auto points = ros_utils::cloudFromMsg(*msg, &dropped);
-      constexpr std::size_t kEnough = 50;
-      if (points.size() < kEnough) return;
-      std::vector<float> z;
-      for (const auto& p : points) z.push_back(p.position.z());
-      const auto at = [&](double q) {
-        const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(z.size() - 1));
-        std::nth_element(z.begin(), z.begin() + i, z.end());
-        return static_cast<double>(z[i]);
-      };
-      const HeightRange heights{at(0.01) - settings_.heights_margin, at(0.99) + settings_.heights_margin};
-      const std::lock_guard<std::mutex> lock(queue_mutex_);
-      heights_ = heights;
-      heights_frame_ = msg->header.frame_id;
-      heights_stamp_ = msg->header.stamp;
+      std::vector<Eigen::Vector3f> points;
+      for (const auto& p : ros_utils::cloudFromMsg(*msg, &dropped)) points.push_back(p.position);
+      {
+        const std::lock_guard<std::mutex> lock(queue_mutex_);
+        if (!admit(kSparseClouds, msg->header.stamp)) return;
+        sparse_points_ = std::move(points);
+        sparse_frame_ = msg->header.frame_id;
+        sparse_stamp_ = msg->header.stamp;
+      }
+      queue_changed_.notify_all();
     } catch (const std::exception& e) {
       health_.count(std::string("sparse clouds refused: ") + e.what());
     }
+  }
+
+  // Called with the queue locked. False: the message is from before a jump of time and is dropped.
+  bool admit(Stream stream, const ros::Time& stamp) {
+    using Verdict = ros_utils::StreamJumpDetector::Verdict;
+    const Verdict verdict = jumps_.watch(stream, stamp);
+    if (verdict == Verdict::kOld) {
+      health_.count("messages of the time before a jump dropped");
+      return false;
+    }
+    if (verdict == Verdict::kJump) {
+      ROS_WARN("time jumped back: the dense map starts afresh");
+      forgetInputs();
+    }
+    return true;
+  }
+
+  // Called with the queue locked.
+  void forgetInputs() {
+    queue_.clear();
+    sparse_points_.clear();
+    reset_requested_ = true;
   }
 
   void onTimer(const ros::WallTimerEvent&) {
@@ -132,28 +152,28 @@ class DenseFusionNode {
 
   // ---- Services -------------------------------------------------------------------------------------------------------
 
-  // Waits until the worker has emptied the queue and fused what is left.
+  // Waits until the worker has emptied the queue and fused what is left. False: it did not come to that in time.
   bool flushAndWait() {
     std::unique_lock<std::mutex> lock(queue_mutex_);
     flush_requested_ = true;
     flush_due_ = false;
     queue_changed_.notify_all();
-    constexpr auto kPatience = std::chrono::seconds(120);
-    return idle_.wait_for(lock, kPatience, [this] { return stop_ || (!flush_requested_ && queue_.empty() && !busy_); }) && !stop_;
+    const std::chrono::duration<double> patience(settings_.service_timeout);
+    return idle_.wait_for(lock, patience, [this] { return stop_ || (!flush_requested_ && !flushing_); }) && !stop_;
   }
 
   bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     response.success = flushAndWait();
     const std::lock_guard<std::mutex> lock(map_mutex_);
-    response.message = response.success ? "map holds " + std::to_string(map_.size()) + " points"
-                                        : "images are still waiting; try again when fewer come in";
+    response.message = response.success ? "map holds " + std::to_string(map_.size()) + " points" : kNotFlushed;
     return true;
   }
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
-    flushAndWait();
+    const bool flushed = flushAndWait();
     const std::lock_guard<std::mutex> lock(map_mutex_);
     try {
+      if (!flushed) throw std::runtime_error(kNotFlushed);
       const auto points = map_.points();
       if (points.empty()) throw std::runtime_error("nothing has been reconstructed yet");
       writeMap(request.path, points);
@@ -195,9 +215,7 @@ class DenseFusionNode {
 
   bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     std::unique_lock<std::mutex> lock(queue_mutex_);
-    queue_.clear();
-    heights_.reset();
-    reset_requested_ = true;
+    forgetInputs();
     flush_requested_ = flush_due_ = false;
     queue_changed_.notify_all();
     idle_.wait_for(lock, std::chrono::seconds(30), [this] { return stop_ || !reset_requested_; });
@@ -220,16 +238,18 @@ class DenseFusionNode {
       } else if (!queue_.empty()) {
         const air_ground::PosedImage::ConstPtr msg = queue_.front();
         queue_.pop_front();
-        const bool heights_fit = heights_ && heights_frame_ == msg->header.frame_id && heights_stamp_ >= map_since_;
-        mapper_.setHeights(heights_fit ? heights_ : std::nullopt);
+        const bool sparse_fit = sparse_frame_ == msg->header.frame_id && sparse_stamp_ >= map_since_;
+        mapper_.setSparsePoints(sparse_fit ? sparse_points_ : std::vector<Eigen::Vector3f>());
         lock.unlock();
         process(*msg);
         lock.lock();
       } else {
         flush_requested_ = false;
+        flushing_ = true;
         lock.unlock();
         if (const auto fused = guarded([this] { return mapper_.flush(); })) publish(*fused);
         lock.lock();
+        flushing_ = false;
       }
       busy_ = false;
       idle_.notify_all();
@@ -308,7 +328,6 @@ class DenseFusionNode {
     depth.pose = ros_utils::toMsg(fused.depth_map.T_map_camera);
     depth.frames = static_cast<std::uint32_t>(fused.depth_map.frames);
     depth.map_id = *map_id_;
-    depth_map_publisher_.publish(depth);
 
     std::vector<ros_utils::CloudPoint> cloud;
     cloud.reserve(fused.points.size());
@@ -320,11 +339,24 @@ class DenseFusionNode {
       point.source = 1;
       cloud.push_back(point);
     }
-    cloud_publisher_.publish(ros_utils::toMsg(cloud, ros_utils::CloudFields::kXyzIntensity, header));
-    publishField(fused, header);
+    const sensor_msgs::PointCloud2 cloud_msg = ros_utils::toMsg(cloud, ros_utils::CloudFields::kXyzIntensity, header);
+    const diagnostic_msgs::DiagnosticArray field = fieldMessage(fused, header);
+    {
+      // Locked: nothing of the time before a jump or a reset goes out after it.
+      const std::lock_guard<std::mutex> lock(queue_mutex_);
+      if (reset_requested_) {
+        health_.count("fused maps of the time before a jump or reset dropped");
+        return;
+      }
+      depth_map_publisher_.publish(depth);
+      cloud_publisher_.publish(cloud_msg);
+      field_publisher_.publish(field);
+    }
     {
       const std::lock_guard<std::mutex> lock(map_mutex_);
-      map_.add(fused.points);
+      const double cell = map_.cell();
+      health_.count("points left out of the map: not finite, or too far away", map_.add(fused.points));
+      if (map_.cell() > cell) health_.count("map_max_points reached: the cells of the map were doubled");
     }
     health_.timing("fusion: votes [s]", fused.timings.votes);
     health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
@@ -333,7 +365,7 @@ class DenseFusionNode {
                                  << fused.timings.votes + fused.timings.minimisation + fused.timings.surface << " s");
   }
 
-  void publishField(const FusedMap& fused, const std_msgs::Header& header) {
+  static diagnostic_msgs::DiagnosticArray fieldMessage(const FusedMap& fused, const std_msgs::Header& header) {
     diagnostic_msgs::DiagnosticArray array;
     array.header = header;
     array.status.resize(1);
@@ -355,13 +387,16 @@ class DenseFusionNode {
                      entry("votes [s]", std::to_string(fused.timings.votes)),
                      entry("minimisation [s]", std::to_string(fused.timings.minimisation)),
                      entry("surface [s]", std::to_string(fused.timings.surface))};
-    field_publisher_.publish(array);
+    return array;
   }
 
+  static constexpr const char* kNotFlushed = "images are still waiting or being fused; try again when fewer come in";
+
   const NodeSettings settings_;
-  ros::NodeHandle handle_, private_handle_{"~"};
+  ros::CallbackQueue service_queue_;
+  ros::NodeHandle handle_, service_handle_{"~"};
   ros_utils::NodeHealth health_;
-  ros_utils::TimeJumpDetector jump_detector_;
+  ros::AsyncSpinner service_spinner_{1, &service_queue_};
   ros::Publisher depth_map_publisher_, cloud_publisher_, field_publisher_;
   ros::Subscriber image_subscriber_, sparse_subscriber_;
   ros::ServiceServer save_service_, flush_service_, reset_service_;
@@ -372,11 +407,12 @@ class DenseFusionNode {
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_, idle_;
   std::deque<air_ground::PosedImage::ConstPtr> queue_;
-  std::optional<HeightRange> heights_;
-  std::string heights_frame_;
-  ros::Time heights_stamp_;
+  ros_utils::StreamJumpDetector jumps_{kStreams};
+  std::vector<Eigen::Vector3f> sparse_points_;
+  std::string sparse_frame_;
+  ros::Time sparse_stamp_;
   ros::WallTime last_arrival_;
-  bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flush_due_ = false, busy_ = false;
+  bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flushing_ = false, flush_due_ = false, busy_ = false;
 
   // Touched by the worker only.
   DenseMapper mapper_;

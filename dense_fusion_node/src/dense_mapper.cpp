@@ -117,19 +117,25 @@ std::optional<FusedMap> DenseMapper::finishSweep() {
 
 std::optional<FusedMap> DenseMapper::fuseGroup() {
   std::optional<FusedMap> fused;
+  if (group_.size() == carried_over_) {  // the camera has leapt: nothing new to fuse these with
+    group_.clear();
+    carried_over_ = 0;
+    return fused;
+  }
   if (static_cast<int>(group_.size()) >= settings_.min_depth_maps) {
     Eigen::Vector3d centre = Eigen::Vector3d::Zero();
     for (const DepthMap& map : group_) centre += map.T_map_camera.translation() / static_cast<double>(group_.size());
-    std::size_t reference = 0;
+    // Among the new views: the stamps of fused maps must rise, which those of carried ones need not.
+    std::size_t reference = carried_over_;
     double nearest = std::numeric_limits<double>::max();
-    for (std::size_t i = 0; i < group_.size(); ++i) {
+    for (std::size_t i = carried_over_; i < group_.size(); ++i) {
       const double d = (group_[i].T_map_camera.translation() - centre).norm();
       if (d < nearest) {
         nearest = d;
         reference = i;
       }
     }
-    fused = fuseDepthMaps(group_, reference, settings_.fusion, heights_);
+    fused = fuseDepthMaps(group_, reference, settings_.fusion, sparse_points_);
     counters_.fused += fused.has_value();
   } else {
     ++counters_.small_groups;

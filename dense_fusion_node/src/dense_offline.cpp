@@ -6,6 +6,7 @@
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
+#include <sensor_msgs/PointCloud2.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <CLI/CLI.hpp>
@@ -34,22 +35,32 @@ namespace ros_utils = air_ground_common::ros_utils;
 namespace fs = std::filesystem;
 
 struct Options {
-  std::string input, mesh, out = "dense_out", posed_topic, trajectory, image_topic = "/mav/camera/image_raw",
+  std::string input, mesh, out = "dense_out", posed_topic, sparse_topic, trajectory, image_topic = "/mav/camera/image_raw",
                                 info_topic = "/mav/camera/camera_info", pose_topic = "/ground_truth/mav";
   std::string camera_frame = "mav_camera_optical_frame";
   double depth_min = 0, depth_max = 0, focal = 525, up_x = 0, up_y = 0, up_z = 1, offset_x = 0;
   double noise_position = 0, noise_rotation = 0;
   int first = 0, last = 1000000, threads = 2;
-  bool depth_maps = false;
+  bool depth_maps = false, corners = false;
 };
 
 using ImageSink = std::function<void(const cv::Mat&, const CameraModel&, std::int64_t stamp, const Pose& T_map_camera, double, double)>;
 
-// Posed images as recorded from mav/posed_image.
-void readPosedImages(const Options& options, const ImageSink& sink) {
+using SparseSink = std::function<void(std::vector<Eigen::Vector3f>)>;
+
+// Posed images as recorded from mav/posed_image, and sparse clouds of the same map if asked for.
+void readPosedImages(const Options& options, const ImageSink& sink, const SparseSink& sparse_sink) {
   rosbag::Bag bag(options.input);
-  rosbag::View view(bag, rosbag::TopicQuery(options.posed_topic));
+  std::vector<std::string> topics{options.posed_topic};
+  if (!options.sparse_topic.empty()) topics.push_back(options.sparse_topic);
+  rosbag::View view(bag, rosbag::TopicQuery(topics));
   for (const rosbag::MessageInstance& m : view) {
+    if (const auto cloud = m.instantiate<sensor_msgs::PointCloud2>()) {
+      std::size_t dropped = 0;
+      std::vector<Eigen::Vector3f> points;
+      for (const auto& p : ros_utils::cloudFromMsg(*cloud, &dropped)) points.push_back(p.position);
+      sparse_sink(std::move(points));
+    }
     const auto msg = m.instantiate<air_ground::PosedImage>();
     if (!msg || !msg->metric) continue;
     sink(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info), static_cast<std::int64_t>(msg->header.stamp.toNSec()),
@@ -145,6 +156,20 @@ void depthRange(const air_ground_common::MeshScene& mesh, const CameraModel& cam
     }
   *near = depths.empty() ? 0 : quantile(depths, 0.05);
   *far = depths.empty() ? 0 : quantile(depths, 0.95);
+}
+
+// Where rays through an image's corners meet the mesh, their depth wrong by 2 %: stand-ins for the sparse points of visual odometry.
+void appendCorners(const air_ground_common::MeshScene& mesh, const cv::Mat& image, const CameraModel& camera, const Pose& T, std::mt19937* random,
+                   std::vector<Eigen::Vector3f>* points) {
+  std::vector<cv::Point2f> corners;
+  constexpr int kCorners = 150, kSpacing = 15;
+  cv::goodFeaturesToTrack(image, corners, kCorners, 0.01, kSpacing);
+  std::normal_distribution<double> scale(1, 0.02);
+  for (const cv::Point2f& corner : corners) {
+    const Eigen::Vector3d ray = T.linear() * camera.ray({corner.x, corner.y});
+    if (const auto hit = mesh.cast(T.translation().cast<float>(), ray.cast<float>()))
+      points->push_back((T.translation() + scale(*random) * hit->distance * ray).cast<float>());
+  }
 }
 
 // Absolute errors of a depth map against the mesh, at the pixels where both are known.
@@ -258,6 +283,7 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   });
   std::mt19937 random(1);
   std::normal_distribution<double> normal(0, 1);
+  std::vector<Eigen::Vector3f> corners;
   int images = 0;
   double seconds = 0;
   const ImageSink sink = [&](const cv::Mat& image, const CameraModel& camera, std::int64_t stamp, const Pose& T, double near, double far) {
@@ -269,6 +295,11 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
       far = options.depth_max;
     } else if (mesh && !(far > 0)) {
       depthRange(*mesh, camera, T, &near, &far);
+    }
+    constexpr int kCornersEvery = 20;
+    if (options.corners && mesh && index % kCornersEvery == 0) {
+      appendCorners(*mesh, image, camera, T, &random, &corners);
+      mapper.setSparsePoints(corners);
     }
     Pose noisy = T;
     const auto draw = [&](double sigma) { return Eigen::Vector3d(sigma * normal(random), sigma * normal(random), sigma * normal(random)); };
@@ -282,7 +313,7 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   if (fs::is_directory(options.input))
     readFolder(options, sink);
   else if (!options.posed_topic.empty())
-    readPosedImages(options, sink);
+    readPosedImages(options, sink, [&](std::vector<Eigen::Vector3f> points) { mapper.setSparsePoints(std::move(points)); });
   else
     readTruth(options, sink);
   if (const auto fused = mapper.flush()) reportFused(options, *fused, mesh.get(), &report);
@@ -307,6 +338,8 @@ int main(int argc, char** argv) {
   app.add_option("--out", options.out, "folder for PLY and PNG files");
   app.add_option("--mesh", options.mesh, "true mesh in the poses' frame (PLY): prints errors")->check(CLI::ExistingFile);
   app.add_option("--posed-image-topic", options.posed_topic, "take images and poses from this topic instead of raw images and truth");
+  app.add_option("--sparse-cloud-topic", options.sparse_topic, "with posed images: sparse points that bound the voxel grid");
+  app.add_flag("--sparse-corners", options.corners, "without posed images: points of --mesh at corners of the images bound the voxel grid");
   app.add_option("--image-topic", options.image_topic, "raw images");
   app.add_option("--camera-info-topic", options.info_topic, "calibration");
   app.add_option("--pose-topic", options.pose_topic, "true poses of the body");
@@ -332,6 +365,7 @@ int main(int argc, char** argv) {
   app.add_option("--iterations", settings.fusion.tv_l1.iterations, "of TV-L1 at full resolution");
   app.add_option("--min-support", settings.fusion.min_support, "depth maps that must agree");
   app.add_option("--fill-radius", settings.fusion.fill_radius, "[voxels]");
+  app.add_option("--sparse-margin", settings.fusion.sparse_margin, "room around the sparse points [m]");
   app.add_option("--refine", settings.fusion.refine, "sub-voxel correction");
   app.add_option("--sweep-radius", settings.sweep_radius, "[m]");
   app.add_option("--frame-spacing", settings.frame_spacing, "[m]");

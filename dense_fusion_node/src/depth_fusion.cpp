@@ -1,6 +1,8 @@
 #include "dense_fusion/depth_fusion.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <stdexcept>
@@ -58,11 +60,39 @@ void dropBackFaces(const std::vector<DepthMap>& maps, std::vector<SurfacePoint>*
   points->erase(std::remove_if(points->begin(), points->end(), faces_away), points->end());
 }
 
+using Axes = std::array<std::vector<double>, 3>;
+
+void append(const Eigen::Vector3d& point, Axes* axes) {
+  for (int k = 0; k < 3; ++k) (*axes)[k].push_back(point[k]);
+}
+
+// Axis-aligned box without the share `tail` of the coordinates at each end of each axis.
+Eigen::AlignedBox3d innerBox(Axes axes, double tail) {
+  Eigen::AlignedBox3d box;
+  for (int k = 0; k < 3; ++k) {
+    const auto at = [&](double q) {
+      const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(axes[k].size() - 1));
+      std::nth_element(axes[k].begin(), axes[k].begin() + i, axes[k].end());
+      return axes[k][i];
+    };
+    box.min()[k] = at(tail);
+    box.max()[k] = at(1 - tail);
+  }
+  return box;
+}
+
+bool inView(const DepthMap& map, const Eigen::Vector3d& point) {
+  const Eigen::Vector3d p = map.T_map_camera.inverse() * point;
+  if (!(p.z() > 0.05)) return false;
+  const double u = map.camera.fx * p.x() / p.z() + map.camera.cx, v = map.camera.fy * p.y() / p.z() + map.camera.cy;
+  return u >= 0 && v >= 0 && u <= map.camera.width - 1 && v <= map.camera.height - 1;
+}
+
 }  // namespace
 
 std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const FusionSettings& settings,
-                                 const std::optional<HeightRange>& heights) {
-  std::vector<double> axis[3];
+                                 const std::vector<Eigen::Vector3f>& sparse_points) {
+  Axes depths;
   constexpr int kStride = 3;
   for (const DepthMap& map : maps)
     for (int v = 0; v < map.depth.rows; v += kStride)
@@ -70,37 +100,46 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
         const float z = map.depth.at<float>(v, u);
         if (std::isnan(z)) continue;
         const auto& c = map.camera;
-        const Eigen::Vector3d p = map.T_map_camera * (z * Eigen::Vector3d((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1));
-        for (int k = 0; k < 3; ++k) axis[k].push_back(p[k]);
+        append(map.T_map_camera * (z * Eigen::Vector3d((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1)), &depths);
       }
-  if (axis[0].size() < 100) return std::nullopt;
-  Eigen::Vector3d lower, upper;
-  for (int k = 0; k < 3; ++k) {
-    const auto at = [&](double q) {
-      const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(axis[k].size() - 1));
-      std::nth_element(axis[k].begin(), axis[k].begin() + i, axis[k].end());
-      return axis[k][i];
-    };
-    lower[k] = at(settings.extent_quantile);
-    upper[k] = at(1 - settings.extent_quantile);
+  if (depths[0].size() < 100) return std::nullopt;
+  Eigen::AlignedBox3d box = innerBox(std::move(depths), settings.extent_quantile);
+
+  Axes sparse;
+  for (const Eigen::Vector3f& point : sparse_points) {
+    const Eigen::Vector3d p = point.cast<double>();
+    if (p.allFinite() && std::any_of(maps.begin(), maps.end(), [&](const DepthMap& map) { return inView(map, p); })) append(p, &sparse);
   }
-  if (heights && heights->upper > heights->lower) {
-    lower.z() = std::max(lower.z(), heights->lower);
-    upper.z() = std::min(upper.z(), heights->upper);
-    if (!(upper.z() > lower.z())) return std::nullopt;
+  if (!sparse[0].empty() && static_cast<int>(sparse[0].size()) >= settings.min_sparse_points) {
+    constexpr double kOutliers = 0.01;
+    const Eigen::AlignedBox3d seen = innerBox(std::move(sparse), kOutliers);
+    const Eigen::Vector3d room = Eigen::Vector3d::Constant(settings.sparse_margin);
+    box = box.intersection(Eigen::AlignedBox3d(seen.min() - room, seen.max() + room));
   }
-  const double margin = (settings.truncation_voxels + 1) * settings.voxel_size;
-  return fitGrid(lower.array() - margin, upper.array() + margin, settings.voxel_size, settings.max_voxels);
+  if (!((box.max() - box.min()).array() > 0).all()) return std::nullopt;
+
+  // The band grows with the voxels, and with it the room it needs around the box. Where the band alone is more than
+  // max_voxels, that has no end: the last round's grid is within max_voxels all the same.
+  VoxelGrid grid;
+  grid.voxel_size = settings.voxel_size;
+  constexpr int kRounds = 8;
+  for (int round = 0; round < kRounds; ++round) {
+    const double wanted = grid.voxel_size;
+    const Eigen::Vector3d band = Eigen::Vector3d::Constant((settings.truncation_voxels + 1) * wanted);
+    grid = fitGrid(box.min() - band, box.max() + band, wanted, settings.max_voxels);
+    if (grid.voxel_size == wanted) break;
+  }
+  return grid;
 }
 
 std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference, const FusionSettings& settings,
-                                      const std::optional<HeightRange>& heights) {
+                                      const std::vector<Eigen::Vector3f>& sparse_points) {
   if (reference >= maps.size()) throw std::invalid_argument("depth fusion: the reference view is not among the maps");
   if (maps.size() > 255) throw std::invalid_argument("depth fusion: at most 255 depth maps fit in the 8-bit votes");
   if (!(settings.truncation_voxels >= 1) || !(settings.behind_voxels >= 0))
     throw std::invalid_argument("depth fusion: truncation_voxels must be at least 1, behind_voxels not negative");
   if (settings.min_support < 1) throw std::invalid_argument("depth fusion: min_support must be at least 1");
-  const auto grid = gridFor(maps, settings, heights);
+  const auto grid = gridFor(maps, settings, sparse_points);
   if (!grid) return std::nullopt;
 
   FusedMap fused;

@@ -10,8 +10,9 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   MapperSettings& m = s.mapper;
   s.queue_size = p.integer("queue_size", s.queue_size, 10, 10000);
   s.flush_timeout = p.number("flush_timeout", s.flush_timeout, 0, 3600);
-  s.heights_margin = p.number("heights_margin", s.heights_margin, 0, 100);
+  s.service_timeout = p.number("service_timeout", s.service_timeout, 0.01, 3600);
   s.map_cell = p.number("map_cell", s.map_cell, 0.001, 1);
+  s.map_max_points = p.integer("map_max_points", s.map_max_points, 1000, 100000000);
   const int threads = p.integer("threads", m.sweep.threads, 1, 64);
   m.sweep.threads = m.fusion.threads = threads;
 
@@ -50,6 +51,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   m.fusion.fill_radius = p.integer("fusion/fill_radius", m.fusion.fill_radius, 0, 50);
   m.fusion.refine = p.flag("fusion/refine", m.fusion.refine);
   m.fusion.extent_quantile = p.number("fusion/extent_quantile", m.fusion.extent_quantile, 0, 0.2);
+  m.fusion.sparse_margin = p.number("fusion/sparse_margin", m.fusion.sparse_margin, 0, 1000);
+  m.fusion.min_sparse_points = p.integer("fusion/min_sparse_points", m.fusion.min_sparse_points, 1, 1000000);
   m.fusion.tv_l1.lambda = p.number("fusion/lambda", m.fusion.tv_l1.lambda, 1e-4, 100);
   m.fusion.tv_l1.iterations = p.integer("fusion/iterations", m.fusion.tv_l1.iterations, 1, 10000);
   m.fusion.tv_l1.relative_gap = p.number("fusion/relative_gap", m.fusion.tv_l1.relative_gap, 0, 1);

@@ -11,8 +11,9 @@ struct NodeSettings {
   MapperSettings mapper;
   int queue_size = 400;          ///< images waiting for the worker; older ones are dropped beyond it
   double flush_timeout = 4.0;    ///< wall time without input after which what there is gets fused [s]; 0: never
-  double heights_margin = 0.5;   ///< room above and below the sparse points [m]
+  double service_timeout = 120;  ///< wall time that ~flush and ~save_map wait for the worker [s]
   double map_cell = 0.02;        ///< thinning of the map that ~save_map writes [m]
+  int map_max_points = 5000000;  ///< of that map; beyond it the cells double
 };
 
 /// Throws air_ground_common::ros_utils::ParameterError with a line that names the parameter.

@@ -2,6 +2,7 @@
 #include <air_ground/PosedDepthMap.h>
 #include <air_ground/PosedImage.h>
 #include <air_ground/SaveMap.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
@@ -12,6 +13,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <limits>
+#include <map>
 #include <set>
 
 #include "air_ground_common/mesh.h"
@@ -46,8 +48,14 @@ class DenseFusionNodeTest : public ::testing::Test {
     publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
     cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>("mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
     depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>("mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
+    sparse_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 10);
+    diagnostics_subscriber_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
+      for (const auto& status : m->status)
+        if (status.hardware_id == "dense_fusion" && status.name.find("impatient") == std::string::npos)
+          for (const auto& value : status.values) diagnostics_[value.key] = value.value;
+    });
     ASSERT_TRUE(ros::service::waitForService("dense_fusion/flush", ros::Duration(20)));
-    for (int i = 0; i < 200 && (publisher_.getNumSubscribers() == 0 || cloud_subscriber_.getNumPublishers() == 0 || depth_subscriber_.getNumPublishers() == 0); ++i)
+    for (int i = 0; i < 200 && (publisher_.getNumSubscribers() == 0 || sparse_publisher_.getNumSubscribers() == 0 || cloud_subscriber_.getNumPublishers() == 0 || depth_subscriber_.getNumPublishers() == 0); ++i)
       ros::WallDuration(0.05).sleep();
     ASSERT_GT(publisher_.getNumSubscribers(), 0u);
     std_srvs::Trigger trigger;
@@ -96,6 +104,34 @@ class DenseFusionNodeTest : public ::testing::Test {
     }
   }
 
+  // How often the node has counted an event whose name begins so; waits until it has `atLeast` times.
+  int counted(const std::string& event, int at_least) {
+    int times = 0;
+    for (int i = 0; i < 200; ++i) {
+      times = 0;
+      for (const auto& [key, value] : diagnostics_)
+        if (key.compare(0, event.size(), event) == 0) times += std::stoi(value);
+      if (times >= at_least) break;
+      ros::spinOnce();
+      ros::WallDuration(0.05).sleep();
+    }
+    return times;
+  }
+
+  // Points all over the flight's view at one height.
+  sensor_msgs::PointCloud2 sparseCloud(double stamp, float z) {
+    std::vector<ros_utils::CloudPoint> points;
+    for (int i = 0; i < 400; ++i) {
+      ros_utils::CloudPoint point;
+      point.position = {-1.f + 0.1f * static_cast<float>(i % 20), -1.f + 0.1f * static_cast<float>(i / 20), z};
+      points.push_back(point);
+    }
+    std_msgs::Header header;
+    header.stamp.fromSec(stamp);
+    header.frame_id = "mav_map";
+    return ros_utils::toMsg(points, ros_utils::CloudFields::kXyz, header);
+  }
+
   void checkOutput(double shift_x) {
     ASSERT_FALSE(clouds_.empty());
     ASSERT_EQ(clouds_.size(), depth_maps_.size());
@@ -136,8 +172,9 @@ class DenseFusionNodeTest : public ::testing::Test {
   static air_ground_common::CameraModel* camera_;
   static std::vector<cv::Mat>* images_;
   ros::NodeHandle handle_;
-  ros::Publisher publisher_;
-  ros::Subscriber cloud_subscriber_, depth_subscriber_;
+  ros::Publisher publisher_, sparse_publisher_;
+  ros::Subscriber cloud_subscriber_, depth_subscriber_, diagnostics_subscriber_;
+  std::map<std::string, std::string> diagnostics_;
   std::vector<sensor_msgs::PointCloud2::ConstPtr> clouds_;
   std::vector<air_ground::PosedDepthMap::ConstPtr> depth_maps_;
   std::set<ros::Time> sent_;
@@ -164,6 +201,12 @@ TEST_F(DenseFusionNodeTest, ImagesWithoutScaleAreIgnored) {
 }
 
 TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
+  const std::string refused = "input refused: ", late = "images refused: repeated or out of order";
+  for (int i = 0; i < 400 && diagnostics_.empty(); ++i) {
+    ros::spinOnce();
+    ros::WallDuration(0.05).sleep();
+  }
+  const int refused_before = counted(refused, 0), late_before = counted(late, 0);
   const double nan = std::numeric_limits<double>::quiet_NaN();
   auto msg = message(0, 300, 1);
   msg.pose.pose.position.x = nan;
@@ -188,6 +231,8 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   fly(301, 1);
   flush();
   checkOutput(0);
+  EXPECT_EQ(counted(refused, refused_before + 5) - refused_before, 5);  // two poses, a calibration, a size, an encoding
+  EXPECT_EQ(counted(late, late_before + 3) - late_before, 3);
 }
 
 TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
@@ -213,16 +258,55 @@ TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
 }
 
 TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {
+  const std::string old = "messages of the time before a jump dropped";
+  const int old_before = counted(old, 0);
   fly(600, 1, 10);
-  fly(550, 1);
+  sparse_publisher_.publish(sparseCloud(600, 0.4f));
+  flush();
+  publisher_.publish(message(0, 550, 1));
+  // Late, and of the pass before the jump: their heights would cut the floor off. Several, as the topics are not in step.
+  for (int i = 0; i < 15; ++i) {
+    sparse_publisher_.publish(sparseCloud(600.5 + 0.01 * i, 1.1f));
+    ros::WallDuration(0.1).sleep();
+  }
+  EXPECT_GE(counted(old, old_before + 1) - old_before, 1);
+  clouds_.clear();
+  fly(550.05, 1);
   flush();
   // What was flown after the jump is there, in the same map id, and is not mixed with what was flown before it.
   ASSERT_FALSE(clouds_.empty());
   std::size_t dropped = 0;
   const auto points = ros_utils::cloudFromMsg(*clouds_.back(), &dropped);
   ASSERT_GT(points.size(), 5000u);
-  for (const auto& p : points) ASSERT_LT(p.position.x(), 5);
-  EXPECT_LT(clouds_.back()->header.stamp.toSec(), 560);
+  std::size_t floor = 0;
+  for (const auto& p : points) {
+    ASSERT_LT(p.position.x(), 5);
+    floor += std::abs(p.position.z()) < 0.05;
+  }
+  EXPECT_GT(floor, points.size() / 4);
+  for (const auto& cloud : clouds_) EXPECT_LT(cloud->header.stamp.toSec(), 560) << "of the time before the jump";
+}
+
+TEST_F(DenseFusionNodeTest, NothingIncompleteIsSavedAndServicesLetImagesIn) {
+  ros::Publisher images = handle_.advertise<air_ground::PosedImage>("impatient/mav/posed_image", 100);
+  ASSERT_TRUE(ros::service::waitForService("impatient/dense_fusion/save_map", ros::Duration(20)));
+  for (int i = 0; i < 200 && images.getNumSubscribers() == 0; ++i) ros::WallDuration(0.05).sleep();
+  for (int i = 0; i < kFrames; ++i) images.publish(message(i, 800, 1));
+  const std::string path = "/tmp/dense_fusion_node_test_" + std::to_string(getpid()) + ".pcd";
+  air_ground::SaveMap save;
+  save.request.path = path;
+  bool refused = false;
+  for (int i = 0; i < 600 && !save.response.success; ++i) {
+    ASSERT_TRUE(ros::service::call("impatient/dense_fusion/save_map", save));
+    const bool waiting = save.response.message.find("still waiting") != std::string::npos;
+    EXPECT_FALSE(waiting && save.response.success);
+    refused = refused || waiting;
+    ros::WallDuration(0.1).sleep();
+  }
+  EXPECT_TRUE(refused) << "a map was saved, or none was found, without waiting for the images";
+  EXPECT_TRUE(save.response.success) << save.response.message;
+  EXPECT_GT(save.response.points, 5000u);
+  std::remove(path.c_str());
 }
 
 TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {

@@ -130,6 +130,29 @@ TEST(DenseMapper, RefusesWhatItCannotUse) {
   EXPECT_FALSE(fly(&mapper).empty());
 }
 
+// To and fro over the same place: carried views then lie nearer to the middle of a group than new ones.
+TEST(DenseMapper, StampsRiseWithOverlap) {
+  MapperSettings settings = smallSettings();
+  settings.fusion_radius = 0.35;
+  settings.overlap = 0.3;
+  settings.fusion.voxel_size = 0.06;
+  DenseMapper mapper(settings);
+  std::vector<std::int64_t> stamps;
+  const auto note = [&](const std::optional<FusedMap>& fused) {
+    if (fused) stamps.push_back(fused->depth_map.stamp);
+  };
+  constexpr int kTurn = 24;
+  std::int64_t stamp = 0;
+  for (int pass = 0; pass < 3; ++pass)
+    for (int i = 0; i < kTurn; ++i) {
+      const int k = pass % 2 ? kTurn - 1 - i : i;
+      note(mapper.add(flight()[k], smallCamera(), stamp += 50000000, flightPose(k), 1.3, 2.05));
+    }
+  note(mapper.flush());
+  ASSERT_GE(stamps.size(), 3u);
+  for (std::size_t i = 1; i < stamps.size(); ++i) EXPECT_GT(stamps[i], stamps[i - 1]) << "fused map " << i;
+}
+
 TEST(PointMap, KeepsTheBetterSupportedPointOfACell) {
   PointMap map(0.02);
   SurfacePoint a, b;
@@ -145,6 +168,35 @@ TEST(PointMap, KeepsTheBetterSupportedPointOfACell) {
   map.add({b});
   EXPECT_EQ(map.size(), 2u);
   EXPECT_THROW(PointMap(0), std::invalid_argument);
+  EXPECT_THROW(PointMap(0.02, 7), std::invalid_argument);
+}
+
+TEST(PointMap, LeavesOutWhatHasNoCell) {
+  PointMap map(0.02);
+  std::vector<SurfacePoint> points(5);
+  points[0].position.setZero();
+  points[1].position = {0, std::numeric_limits<float>::quiet_NaN(), 0};
+  points[2].position = {0, 0, std::numeric_limits<float>::infinity()};
+  points[3].position = {-1e30f, 0, 0};
+  points[4].position = {3e4f, 0, 0};  // would wrap around to another place
+  EXPECT_EQ(map.add(points), 4u);
+  EXPECT_EQ(map.size(), 1u);
+}
+
+TEST(PointMap, CellsDoubleWhenItIsFull) {
+  PointMap map(0.02, 1000);
+  std::vector<SurfacePoint> points(5000);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    points[i].position = {0.03f * (i % 100), 0.03f * (i / 100), 0};
+    points[i].support = static_cast<int>(i % 7);
+  }
+  EXPECT_EQ(map.add(points), 0u);
+  EXPECT_LE(map.size(), 1000u);
+  EXPECT_GT(map.size(), 200u);
+  EXPECT_DOUBLE_EQ(map.cell(), 0.08);
+  map.clear();
+  EXPECT_DOUBLE_EQ(map.cell(), 0.02);
+  EXPECT_EQ(map.size(), 0u);
 }
 
 }  // namespace

@@ -303,12 +303,66 @@ TEST(DepthFusion, ThreadsDoNotChangeTheResult) {
   for (std::size_t i = 0; i < a->points.size(); ++i) ASSERT_EQ(a->points[i].position, b->points[i].position);
 }
 
-TEST(DepthFusion, HeightsCutTheGridAndEmptyMapsGiveNothing) {
+// Points every 5 cm of x and y, at heights that alternate between the ends of the box.
+std::vector<Eigen::Vector3f> pointsIn(const Eigen::Vector3f& lower, const Eigen::Vector3f& upper) {
+  std::vector<Eigen::Vector3f> points;
+  for (float x = lower.x(); x <= upper.x(); x += 0.05f)
+    for (float y = lower.y(); y <= upper.y(); y += 0.05f) points.push_back({x, y, points.size() % 2 ? upper.z() : lower.z()});
+  return points;
+}
+
+TEST(DepthFusion, SparsePointsInViewBoundTheGrid) {
   const auto maps = noisyMaps(boxScene(), 3, 0.01, 0.05, 4);
   FusionSettings settings;
-  const auto grid = gridFor(maps, settings, HeightRange{-0.1, 0.4});
-  ASSERT_TRUE(grid);
-  EXPECT_LT(grid->center(0, 0, grid->nz - 1).z(), 0.55);
+  settings.sparse_margin = 0.1;
+  const double band = (settings.truncation_voxels + 1) * settings.voxel_size, slack = 0.03;
+  const auto whole = gridFor(maps, settings, {});
+  auto points = pointsIn({-0.3f, -0.2f, 0.f}, {0.4f, 0.3f, 0.3f});
+  const auto cut = gridFor(maps, settings, points);
+  ASSERT_TRUE(whole && cut);
+  const auto upperEnd = [](const VoxelGrid& g) { return g.center(g.nx - 1, g.ny - 1, g.nz - 1); };
+  const Eigen::Vector3d expected_lower = Eigen::Vector3d(-0.4, -0.3, -0.1).array() - band;
+  const Eigen::Vector3d expected_upper = Eigen::Vector3d(0.5, 0.4, 0.4).array() + band;
+  EXPECT_LT((cut->origin - expected_lower.cwiseMax(whole->origin)).cwiseAbs().maxCoeff(), slack);
+  EXPECT_LT((upperEnd(*cut) - expected_upper.cwiseMin(upperEnd(*whole))).cwiseAbs().maxCoeff(), slack);
+  EXPECT_LT(cut->voxels(), whole->voxels() / 2);
+
+  // What other views saw, or what is behind the cameras, says nothing about this one.
+  const auto elsewhere = pointsIn({8, 8, -3}, {10, 10, 3}), above = pointsIn({-0.3f, -0.2f, 3}, {0.4f, 0.3f, 4});
+  points.insert(points.end(), elsewhere.begin(), elsewhere.end());
+  points.insert(points.end(), above.begin(), above.end());
+  points.push_back({std::numeric_limits<float>::quiet_NaN(), 0, 0});
+  const auto same = gridFor(maps, settings, points);
+  ASSERT_TRUE(same);
+  EXPECT_EQ(same->origin, cut->origin);
+  EXPECT_EQ(same->voxels(), cut->voxels());
+  const auto few = gridFor(maps, settings, {points.begin(), points.begin() + settings.min_sparse_points - 1});
+  ASSERT_TRUE(few);
+  EXPECT_EQ(few->voxels(), whole->voxels());
+  EXPECT_FALSE(gridFor(maps, settings, pointsIn({-0.3f, -0.2f, 1.5f}, {0.4f, 0.3f, 1.6f}))) << "no depth is near these";
+}
+
+TEST(DepthFusion, TheBandFitsAroundTheBoxWhenVoxelsGrow) {
+  const auto maps = noisyMaps(boxScene(), 3, 0, 0, 4);
+  FusionSettings settings;
+  const auto fine = gridFor(maps, settings, {});
+  settings.max_voxels = 20000;
+  const auto coarse = gridFor(maps, settings, {});
+  ASSERT_TRUE(fine && coarse);
+  EXPECT_LE(coarse->voxels(), 20000u);
+  ASSERT_GT(coarse->voxel_size, 2 * fine->voxel_size);
+  const double wider = (settings.truncation_voxels + 1) * (coarse->voxel_size - fine->voxel_size);
+  EXPECT_LT((coarse->origin.array() + wider - fine->origin.array()).abs().maxCoeff(), 0.1 * wider);
+  settings.truncation_voxels = 50;  // more than max_voxels can hold, however large the voxels
+  settings.max_voxels = 1000;
+  const auto hopeless = gridFor(maps, settings, {});
+  ASSERT_TRUE(hopeless);
+  EXPECT_LE(hopeless->voxels(), 1000u);
+}
+
+TEST(DepthFusion, EmptyMapsGiveNothing) {
+  const auto maps = noisyMaps(boxScene(), 3, 0.01, 0.05, 4);
+  FusionSettings settings;
   auto empty = maps;
   for (DepthMap& map : empty) map.depth.setTo(std::numeric_limits<float>::quiet_NaN());
   EXPECT_FALSE(fuseDepthMaps(empty, 0, settings));

@@ -57,8 +57,8 @@ class DenseMapper {
   /// Forgets images and depth maps, not the counters.
   void reset();
 
-  /// Heights of sparse points bound the grid of the next fusions; empty lifts the bound.
-  void setHeights(const std::optional<HeightRange>& heights) { heights_ = heights; }
+  /// Sparse points in the map frame [m] bound the grid of the next fusions where they are in view; none lift the bound.
+  void setSparsePoints(std::vector<Eigen::Vector3f> points) { sparse_points_ = std::move(points); }
 
   const MapperCounters& counters() const { return counters_; }
   /// Called with each kept depth map before it is fused, e.g. to look at it.
@@ -75,7 +75,7 @@ class DenseMapper {
   bool sweeping_ = false;
   std::deque<Frame> recent_;
   std::vector<DepthMap> group_;
-  std::optional<HeightRange> heights_;
+  std::vector<Eigen::Vector3f> sparse_points_;
   std::size_t carried_over_ = 0;  // depth maps of the group that the fusion before has used already
   MapperCounters counters_;
   std::function<void(const DepthMap&)> on_depth_map_;

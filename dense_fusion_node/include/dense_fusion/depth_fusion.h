@@ -18,6 +18,8 @@ struct FusionSettings {
   int fill_radius = 0;                 ///< surfaces up to this many voxels beside supported ones are kept, too
   bool refine = true;                  ///< sub-voxel correction by the mean of the depth maps that agree
   double extent_quantile = 0.003;      ///< share of the depths left out at each end when the grid is sized
+  double sparse_margin = 0.5;          ///< room around the sparse points in view, beyond which the grid is cut [m]
+  int min_sparse_points = 50;          ///< in view; fewer do not bound the grid
   TvL1Settings tv_l1;
   int threads = 2;
 };
@@ -36,19 +38,16 @@ struct FusedMap {
   FusionTimings timings;
 };
 
-/// Heights between which surfaces are expected, e.g. from sparse points [m, map frame].
-struct HeightRange {
-  double lower = 0, upper = 0;
-};
-
-/// Box around the depths of all maps, without `extent_quantile` at each end of each axis and with room for the band; cut to
-/// `heights` if given. Empty when the maps hold fewer than 100 depths.
+/// The box of the `sparse_points` (map frame, [m]) that lie in the view of any of the maps, with `sparse_margin` on all sides,
+/// as far as the maps' depths reach (`extent_quantile` of them left out at each end of each axis), and room for the band.
+/// With fewer than `min_sparse_points` in view the depths alone. Empty when the maps hold fewer than 100 depths, or none in
+/// the box.
 std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const FusionSettings& settings,
-                                 const std::optional<HeightRange>& heights);
+                                 const std::vector<Eigen::Vector3f>& sparse_points);
 
 /// Fuses the maps; `reference` is the index of the view to cast rays from. Empty when they hold too little depth.
 /// Throws std::invalid_argument for bad settings or an index out of range.
 std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference, const FusionSettings& settings,
-                                      const std::optional<HeightRange>& heights = std::nullopt);
+                                      const std::vector<Eigen::Vector3f>& sparse_points = {});
 
 }  // namespace dense_fusion
