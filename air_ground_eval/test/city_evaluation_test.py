@@ -52,6 +52,26 @@ class CityEvaluation(unittest.TestCase):
             ends.append(np.append(end.positions[-1], end.yaws[-1]))
         self.assertTrue(np.allclose(np.std(ends, axis=0), stated, rtol=0.2), (np.std(ends, axis=0), stated))
 
+    def test_noise_is_the_trackers(self):
+        steps, attitudes, poses = self.steps(metric=False, factor=0.25)
+        start = np.append(poses[0][:3, 3], city_evaluation.yaw_of(poses[0]))
+
+        def stated(**values):
+            return city_evaluation.dead_reckoning(steps[:1], 0.0, start, np.zeros((4, 4)), 4.0, attitudes, noise=city_evaluation.Noise(**values)).covariances[-1]
+
+        # A step of a tenth of a second, covariance 1e-4 and 1e-6 in a unit of 4 m; floors are given for a twentieth.
+        self.assertAlmostEqual(stated(covariance_factor=0.1)[2, 2], 16 * (1e-5 + 2 * 1e-6))
+        self.assertAlmostEqual(stated(covariance_factor=0.1)[3, 3], 1e-7 + 2 * 1e-8)
+        self.assertAlmostEqual(stated(min_translation_stddev=0.01)[2, 2], 16 * (1e-4 + 2 * 1e-4))
+
+    def test_the_last_word_on_a_fix_counts(self):
+        updates = city_evaluation.Updates()
+        for stamp, result, revised in ((1, 'waiting', False), (1, 'duplicate', False), (1, 'agreed', True), (2, 'initialised', False), (2, 'refused', True)):
+            updates.add(city_evaluation.Update(stamp, result), revised)
+        self.assertEqual([u.result for u in updates], ['agreed', 'duplicate', 'refused'])
+        updates.add(city_evaluation.Update(3, 'agreed'), True)  # what was said before was not heard
+        self.assertEqual(len(updates), 3 + 1)
+
     def test_errors_by_hand(self):
         times = np.arange(0, 10.01, 0.1)
         way = city_evaluation.Way(times, np.array([geometry.pose(geometry.rotation_z(3.1), (5 * t, 0, 0)) for t in times]))

@@ -120,6 +120,9 @@ class CityReport(unittest.TestCase):
         self.assertEqual(values['fixes_wrong'], values['fixes'] // 5)
         self.assertEqual(values['tracker_wrong_fixes_fused'], 0)
         self.assertEqual(values['tracker_fixes_refused'], values['fixes_wrong'])
+        # All others are part of the pose, the first as well, which waited for the second.
+        self.assertEqual(values['tracker_fixes_fused'], values['fixes'] - values['fixes_wrong'])
+        self.assertEqual(values['tracker_fixes_other'], 0)
         self.assertLess(values['fix_position_error_median_m'], 0.4)
         self.assertEqual(values['tf_publishers']['world -> mav_map'], ['ekf_tracker'])
         self.assertIn('Majdik', output)

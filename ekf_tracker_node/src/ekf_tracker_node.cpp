@@ -6,7 +6,6 @@
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/TransformStamped.h>
 #include <nav_msgs/Odometry.h>
-#include <nav_msgs/Path.h>
 #include <ros/ros.h>
 #include <sensor_msgs/FluidPressure.h>
 #include <sensor_msgs/Imu.h>
@@ -26,10 +25,12 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "air_ground_common/geodesy.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/trajectory.h"
 #include "ekf_tracker/sensors.h"
 #include "ekf_tracker/tracker.h"
@@ -43,6 +44,12 @@ namespace ru = air_ground_common::ros_utils;
 
 constexpr double kOdometryKept = 30;  // [s]
 constexpr double kSameStamp = 1e-3;   // [s]
+constexpr double kTiltInterval = 0.02, kTiltTolerance = 0.2;  // of the accelerometer's tilts kept [s]
+constexpr double kSilence = 1.0;      // without odometry that could be used: it is lost [s]
+constexpr std::size_t kJump = 3;      // increments in a row from the past: time ran back
+
+// [s]; the difference of two ros::Time throws where they lie more than 2^31 s apart.
+double since(const ros::Time& earlier, const ros::Time& later) { return later.toSec() - earlier.toSec(); }
 
 // Roll and pitch alone.
 Eigen::Matrix3d tiltOf(const Eigen::Matrix3d& R_level_body) {
@@ -62,7 +69,11 @@ const char* nameOf(Source source) {
 class EkfTrackerNode {
  public:
   EkfTrackerNode(ros::NodeHandle handle, ros::NodeHandle private_handle)
-      : settings_(readParameters(private_handle)), tracker_(settings_.tracker), health_("ekf_tracker"), listener_(tf_) {
+      : settings_(readParameters(private_handle)),
+        tracker_(settings_.tracker),
+        health_("ekf_tracker"),
+        listener_(tf_),
+        bounded_path_(settings_.world_frame, settings_.path_step) {
     if (!settings_.origin_crs.empty()) {
       frame_.emplace(settings_.origin_crs, Eigen::Vector3d(settings_.origin[0], settings_.origin[1], settings_.origin[2]));
       const auto& o = frame_->origin();
@@ -70,7 +81,6 @@ class EkfTrackerNode {
                frame_->meridianConvergence() * 180 / M_PI, frame_->usesGrid() ? "; by a grid file" : "");
       geodetic_ = handle.advertise<sensor_msgs::NavSatFix>("tracked/geodetic", 100);
     }
-    path_msg_.header.frame_id = settings_.world_frame;
     odometry_ = handle.advertise<nav_msgs::Odometry>("tracked/odometry", 100);
     path_ = handle.advertise<nav_msgs::Path>("tracked/path", 5, true);
     innovation_ = handle.advertise<air_ground::TrackerInnovation>("tracked/innovation", 100);
@@ -83,8 +93,8 @@ class EkfTrackerNode {
       vo_poses_ = handle.subscribe("mav/odometry", 400, &EkfTrackerNode::onVoPose, this);
       health_.expectInput(vo_poses_.getTopic());
     }
+    if (settings_.magnetometer || settings_.odometry_wait > 0) imu_ = handle.subscribe("mav/imu/data", 1000, &EkfTrackerNode::onImu, this);
     if (settings_.magnetometer) {
-      imu_ = handle.subscribe("mav/imu/data", 1000, &EkfTrackerNode::onImu, this);
       magnetometer_ = handle.subscribe("mav/imu/mag", 400, &EkfTrackerNode::onMagneticField, this);
       health_.expectInput(magnetometer_.getTopic());
     }
@@ -98,7 +108,7 @@ class EkfTrackerNode {
     }
     reset_ = private_handle.advertiseService("reset", &EkfTrackerNode::onReset, this);
     save_ = private_handle.advertiseService("save_trajectory", &EkfTrackerNode::onSave, this);
-    timer_ = handle.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) { drain(), drainFields(); });
+    timer_ = handle.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) { drain(), drainFields(), watch(); });
     health_.state(1, "waiting for visual odometry");
   }
 
@@ -107,34 +117,58 @@ class EkfTrackerNode {
     ros::Time stamp;
     Pose T_map_base;
   };
+  struct Up {
+    ros::Time stamp;
+    Eigen::Vector3d up_base;  // specific force, smoothed
+  };
 
   // ---- Visual odometry ------------------------------------------------------------------------------------------------
 
   void onIncrement(const air_ground::VoIncrement::ConstPtr& msg) {
     health_.received(increments_.getTopic(), msg->header.stamp);
-    if (jumps_.jumped(msg->header.stamp)) {
-      health_.count("time jumped back: started afresh");
-      ROS_WARN("the odometry's time jumped back (a looped bag?): starting afresh");
-      reset();
+    const ros::Time now = ros::Time::now();
+    if (ros::Time::isSimTime() && clock_.jumped(now)) startAfresh();
+    // One from the future would push the history out, and all good ones behind it would be late.
+    if (!now.isZero() && since(now, msg->header.stamp) > settings_.clock_tolerance)
+      return health_.count("increments ignored: stamped ahead of the clock");
+    std::vector<air_ground::VoIncrement::ConstPtr> taken{msg};
+    if (since(msg->header.stamp, newest_increment_) > 1.0 && !newest_increment_.isZero()) {
+      // A single one is a stray, a run of them in order is a looped bag.
+      if (!from_the_past_.empty() && msg->header.stamp <= from_the_past_.back()->header.stamp) from_the_past_.clear();
+      from_the_past_.push_back(msg);
+      if (from_the_past_.size() < kJump) return health_.count("increments set aside: more than a second older than the newest");
+      taken.swap(from_the_past_);
+      startAfresh();
+    } else {
+      from_the_past_.clear();
     }
-    pending_.emplace_back(msg, ros::WallTime::now());
+    newest_increment_ = std::max(newest_increment_, taken.back()->header.stamp);
+    for (const auto& increment : taken) pending_.emplace_back(increment, ros::WallTime::now());
     drain();
+  }
+
+  void startAfresh() {
+    health_.count("time jumped back: started afresh");
+    ROS_WARN("time jumped back (a looped bag?): starting afresh");
+    reset();
   }
 
   void onVoPose(const nav_msgs::Odometry::ConstPtr& msg) {
     health_.received(vo_poses_.getTopic(), msg->header.stamp);
+    // Of a frame that is not the one named here nothing is known, not even that it is level: no tilt and no tf from it.
+    if (msg->header.frame_id != settings_.map_frame)
+      return health_.count("mav/odometry ignored: in frame '" + msg->header.frame_id + "', expected map_frame '" + settings_.map_frame + "'");
+    if (!msg->child_frame_id.empty() && msg->child_frame_id != settings_.base_frame)
+      return health_.count("mav/odometry ignored: of frame '" + msg->child_frame_id + "', expected base_frame '" + settings_.base_frame + "'");
     try {
       const Pose T = ru::fromMsg(msg->pose.pose);
-      if (!map_frame_checked_ && msg->header.frame_id != settings_.map_frame)
-        ROS_WARN("mav/odometry is in the frame '%s', but map_frame is '%s'", msg->header.frame_id.c_str(), settings_.map_frame.c_str());
-      map_frame_checked_ = true;
-      if (!vo_buffer_.empty() && msg->header.stamp + ros::Duration(1.0) < vo_buffer_.back().stamp) vo_buffer_.clear();
+      if (!vo_buffer_.empty() && since(msg->header.stamp, vo_buffer_.back().stamp) > 1.0) vo_buffer_.clear();
       vo_buffer_.push_back({msg->header.stamp, T});
     } catch (const std::invalid_argument& e) {
       health_.count(std::string("mav/odometry ignored: ") + e.what());
       return;
     }
-    while ((vo_buffer_.back().stamp - vo_buffer_.front().stamp).toSec() > kOdometryKept) vo_buffer_.pop_front();
+    while (since(vo_buffer_.front().stamp, vo_buffer_.back().stamp) > kOdometryKept) vo_buffer_.pop_front();
     drain();
     drainFields();
   }
@@ -142,15 +176,16 @@ class EkfTrackerNode {
   std::optional<Pose> voPoseAt(const ros::Time& stamp, double tolerance = kSameStamp) const {
     const VoPose* best = nullptr;
     for (auto it = vo_buffer_.rbegin(); it != vo_buffer_.rend(); ++it) {
-      if (!best || std::abs((it->stamp - stamp).toSec()) < std::abs((best->stamp - stamp).toSec())) best = &*it;
-      if (it->stamp + ros::Duration(1.0) < stamp) break;
+      if (!best || std::abs(since(stamp, it->stamp)) < std::abs(since(stamp, best->stamp))) best = &*it;
+      if (since(it->stamp, stamp) > 1.0) break;
     }
-    if (!best || std::abs((best->stamp - stamp).toSec()) > tolerance) return std::nullopt;
+    if (!best || std::abs(since(stamp, best->stamp)) > tolerance) return std::nullopt;
     return best->T_map_base;
   }
 
   // Two topics carry one instant: an increment waits for the pose of its stamp, which tells tilt and tf, until a later pose
-  // shows that it was left out or the wait is over. Wall time: a bag may be replayed at any rate.
+  // shows that it was left out or the wait is over. Wall time: a bag may be replayed at any rate. While the odometry is not
+  // metric it has no such pose to give (mav_vo): it is waited for only if it gave one at the increment's begin.
   void drain() {
     while (!pending_.empty()) {
       const auto [msg, received] = pending_.front();
@@ -158,8 +193,8 @@ class EkfTrackerNode {
       if (settings_.odometry_wait > 0) {
         T_map_base = voPoseAt(msg->header.stamp);
         const bool passed = !vo_buffer_.empty() && vo_buffer_.back().stamp > msg->header.stamp;
-        if (!T_map_base && !passed && (ros::WallTime::now() - received).toSec() <= settings_.odometry_wait) return;
-        if (!T_map_base) health_.count("increments without mav/odometry of their stamp: roll and pitch neglected, no tf");
+        const bool expected = msg->metric || voPoseAt(msg->previous_stamp);
+        if (!T_map_base && !passed && expected && (ros::WallTime::now() - received).toSec() <= settings_.odometry_wait) return;
       }
       pending_.pop_front();
       use(*msg, T_map_base);
@@ -171,8 +206,11 @@ class EkfTrackerNode {
     Increment increment;
     try {
       const Pose T_previous_current = ru::fromMsg(msg.relative_pose);
-      const bool tilted = settings_.level_increments && T_map_base;
-      const Eigen::Matrix3d tilt = tilted ? tiltOf(T_map_base->linear() * T_previous_current.linear().transpose()) : Eigen::Matrix3d::Identity();
+      const auto now = tiltAt(msg.header.stamp, T_map_base);
+      if (settings_.odometry_wait > 0 && !T_map_base)
+        health_.count(now ? "increments without mav/odometry of their stamp: tilt from mav/imu/data, no tf"
+                          : "increments without mav/odometry of their stamp, nor mav/imu/data: roll and pitch neglected, no tf");
+      const Eigen::Matrix3d tilt = settings_.level_increments && now ? tiltOf(*now * T_previous_current.linear().transpose()) : Eigen::Matrix3d::Identity();
       increment = levelIncrement(T_previous_current, Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(msg.covariance.data()), tilt);
     } catch (const std::invalid_argument& e) {
       health_.count(std::string("increments ignored: ") + e.what());
@@ -193,6 +231,8 @@ class EkfTrackerNode {
       case IncrementResult::kOutOfOrder: health_.count("increments ignored: out of order or repeated"); return;
       case IncrementResult::kInvalid: health_.count("increments ignored: not finite"); return;
     }
+    used_ = seconds();
+    lost_ = false;
     health_.timing("odometry step", (ros::WallTime::now() - started).toSec());
     tellOutcomes();
     publish(msg, increment, T_map_base);
@@ -239,15 +279,35 @@ class EkfTrackerNode {
     add(m);
   }
 
+  // R_level_body from the odometry or, without, the accelerometer; empty where neither says anything.
+  std::optional<Eigen::Matrix3d> tiltAt(const ros::Time& stamp, const std::optional<Pose>& T_map_base) const {
+    if (T_map_base) return tiltOf(T_map_base->linear());
+    if (settings_.odometry_wait <= 0) return std::nullopt;
+    return accelerometerTiltAt(stamp);
+  }
+
+  std::optional<Eigen::Matrix3d> accelerometerTiltAt(const ros::Time& stamp) const {
+    const Up* best = nullptr;
+    for (auto it = ups_.rbegin(); it != ups_.rend(); ++it) {
+      if (!best || std::abs(since(stamp, it->stamp)) < std::abs(since(stamp, best->stamp))) best = &*it;
+      if (it->stamp < stamp) break;
+    }
+    if (!best || std::abs(since(stamp, best->stamp)) > kTiltTolerance || best->up_base.norm() < 1) return std::nullopt;
+    return tiltOf(air_ground_common::levelingRotation(best->up_base));
+  }
+
   void onImu(const sensor_msgs::Imu::ConstPtr& msg) {
     const Eigen::Vector3d force(msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z);
     const auto R_base_sensor = rotationFrom(msg->header.frame_id);
     if (!force.allFinite() || !R_base_sensor) return;
-    const double dt = up_stamp_.isZero() ? 0 : (msg->header.stamp - up_stamp_).toSec();
+    const double dt = up_stamp_.isZero() ? 0 : since(up_stamp_, msg->header.stamp);
     up_stamp_ = msg->header.stamp;
     // Low-pass of one second: flight accelerations average out.
     const double share = dt > 0 && dt < 1 ? dt : 1;
     up_base_ = share >= 1 ? Eigen::Vector3d(*R_base_sensor * force) : Eigen::Vector3d(up_base_ + share * (*R_base_sensor * force - up_base_));
+    if (!ups_.empty() && msg->header.stamp < ups_.back().stamp) ups_.clear();
+    if (ups_.empty() || since(ups_.back().stamp, msg->header.stamp) >= kTiltInterval) ups_.push_back({msg->header.stamp, up_base_});
+    while (since(ups_.front().stamp, ups_.back().stamp) > kOdometryKept) ups_.pop_front();
   }
 
   void onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg) {
@@ -272,10 +332,9 @@ class EkfTrackerNode {
   void useField(const sensor_msgs::MagneticField& msg) {
     const auto R_base_sensor = rotationFrom(msg.header.frame_id);
     if (!R_base_sensor) return;
-    std::optional<Eigen::Matrix3d> tilt;
-    if (const auto T_map_base = voPoseAt(msg.header.stamp, 0.2)) tilt = tiltOf(T_map_base->linear());
-    else if (up_base_.norm() > 1) tilt = tiltOf(air_ground_common::levelingRotation(up_base_));
-    if (!tilt) return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data yet");
+    const auto T_map_base = voPoseAt(msg.header.stamp, 0.2);
+    const auto tilt = T_map_base ? std::optional<Eigen::Matrix3d>(tiltOf(T_map_base->linear())) : accelerometerTiltAt(msg.header.stamp);
+    if (!tilt) return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data at their time");
     const Eigen::Vector3d field(msg.magnetic_field.x, msg.magnetic_field.y, msg.magnetic_field.z);
     const auto yaw = yawFromMagneticField(*R_base_sensor * field, *tilt, settings_.declination);
     if (!yaw) return health_.count("magnetometer readings ignored: no usable horizontal field");
@@ -324,8 +383,8 @@ class EkfTrackerNode {
 
   // Slowly changing errors are not new information: readings closer than the interval are dropped. Time that ran back passes.
   static bool tooSoon(const ros::Time& stamp, double interval, const ros::Time* last) {
-    const double since = (stamp - *last).toSec();
-    return !last->isZero() && since >= 0 && since < interval - kSameStamp;
+    const double passed = since(*last, stamp);
+    return !last->isZero() && passed >= 0 && passed < interval - kSameStamp;
   }
 
   std::optional<Eigen::Matrix3d> rotationFrom(const std::string& frame) {
@@ -351,12 +410,12 @@ class EkfTrackerNode {
 
   void tell(const Outcome& o) {
     const Source source = o.measurement.source;
-    if (source == Source::kFix && (o.result == Result::kFused || o.result == Result::kInitialised || o.result == Result::kRecovered))
-      last_fix_ = std::max(last_fix_, o.measurement.stamp);
+    if (source == Source::kFix && isUsed(o.result)) last_fix_ = std::max(last_fix_, o.measurement.stamp);
     // Refusals are counted by name; waiting for a partner is none.
-    if (o.result != Result::kFused && o.result != Result::kInitialised && o.result != Result::kWaiting && o.result != Result::kNotStarted)
+    if (o.revised) health_.count("results of earlier measurements revised by later ones");
+    else if (o.result == Result::kRecovered || (!isUsed(o.result) && o.result != Result::kWaiting && o.result != Result::kNotStarted))
       health_.count(std::string(nameOf(source)) + ": " + describe(o.result));
-    if (o.result == Result::kInitialised) ROS_INFO("the first fixes start the tracker");
+    if (o.result == Result::kInitialised) ROS_INFO("fixes that agree start the tracker");
     if (!std::isfinite(o.measurement.stamp) || o.measurement.stamp < 0) return;
     air_ground::TrackerInnovation msg;
     msg.header.stamp.fromSec(o.measurement.stamp);
@@ -365,6 +424,7 @@ class EkfTrackerNode {
     msg.result = static_cast<std::uint8_t>(o.result);
     msg.reason = describe(o.result);
     msg.dof = static_cast<std::uint8_t>(o.dof);
+    msg.revised = o.revised;
     msg.predicted = std::isfinite(o.nis);
     msg.innovation.assign(static_cast<std::size_t>(o.dof), 0);
     msg.stddev.assign(static_cast<std::size_t>(o.dof), 0);
@@ -389,7 +449,7 @@ class EkfTrackerNode {
   void publish(const air_ground::VoIncrement& cause, const Increment& increment, const std::optional<Pose>& T_map_base) {
     const auto estimate = tracker_.latest();
     if (!estimate) {
-      std::string line = cause.metric ? "waiting for a first fix" : "waiting for two fixes far enough apart to give the odometry's scale";
+      std::string line = cause.metric ? "waiting for two fixes that agree" : "waiting for fixes that agree, two of them far enough apart to give the odometry's scale";
       line += "; " + std::to_string(fixes_heard_) + " came on " + fixes_.getTopic() + ", which has " + std::to_string(fixes_.getNumPublishers()) + " publishers";
       health_.state(1, line);
       if (fixes_heard_ == 0) {
@@ -399,7 +459,7 @@ class EkfTrackerNode {
       return;
     }
     const ros::Time stamp = cause.header.stamp;
-    const Eigen::Matrix3d tilt = T_map_base ? tiltOf(T_map_base->linear()) : Eigen::Matrix3d::Identity();
+    const Eigen::Matrix3d tilt = tiltAt(stamp, T_map_base).value_or(Eigen::Matrix3d::Identity());
     Pose T_world_base = air_ground_common::yawPose(estimate->pose[3], estimate->pose.head<3>());
     T_world_base.linear() = T_world_base.linear() * tilt;
 
@@ -414,13 +474,7 @@ class EkfTrackerNode {
       for (int j = 0; j < 4; ++j) covariance(rows[i], rows[j]) = estimate->covariance(i, j);
     covariance(3, 3) = covariance(4, 4) = std::pow(settings_.tilt_stddev, 2);
     ru::setCovariance(covariance, &odometry.pose.covariance);
-    const double dt = increment.stamp - increment.previous_stamp;
-    // Zero where the odometry's unit is not known.
-    const Eigen::Vector3d velocity = (estimate->scale_known ? 1 : 0) * tilt.transpose() * increment.motion.head<3>() * estimate->scale / dt;
-    odometry.twist.twist.linear.x = velocity.x();
-    odometry.twist.twist.linear.y = velocity.y();
-    odometry.twist.twist.linear.z = velocity.z();
-    odometry.twist.twist.angular.z = increment.motion[3] / dt;
+    setTwist(tilt, &odometry.twist);
     odometry_.publish(odometry);
 
     if (settings_.publish_tf && T_map_base) {
@@ -449,15 +503,10 @@ class EkfTrackerNode {
       geodetic_.publish(fix);
     }
     trajectory_.push_back({increment.stamp, T_world_base});
-    if (!last_path_ || (*last_path_ - T_world_base.translation()).norm() >= settings_.path_step) {
-      last_path_ = T_world_base.translation();
-      geometry_msgs::PoseStamped pose;
-      pose.header = odometry.header;
-      pose.pose = odometry.pose.pose;
-      path_msg_.header.stamp = stamp;
-      path_msg_.poses.push_back(pose);
-      path_.publish(path_msg_);
-    }
+    geometry_msgs::PoseStamped pose;
+    pose.header = odometry.header;
+    pose.pose = odometry.pose.pose;
+    if (bounded_path_.add(pose)) path_.publish(bounded_path_.message());
     const Vector4d stddev = estimate->covariance.diagonal().cwiseSqrt();
     char line[200];
     std::snprintf(line, sizeof line, "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago", stddev[0],
@@ -467,15 +516,53 @@ class EkfTrackerNode {
     else health_.state(0, line);
   }
 
+  // Velocity of the body over the last step, in the body frame; the variance is huge where nothing is known.
+  void setTwist(const Eigen::Matrix3d& tilt, geometry_msgs::TwistWithCovariance* twist) const {
+    air_ground_common::Matrix6d covariance = kUnknownVariance * air_ground_common::Matrix6d::Identity();
+    if (const auto rate = tracker_.rate()) {
+      Matrix4d turn = Matrix4d::Identity();
+      turn.topLeftCorner<3, 3>() = tilt.transpose();
+      const Vector4d value = turn * rate->value;
+      const Matrix4d turned = turn * rate->covariance * turn.transpose();
+      twist->twist.linear.x = value.x();
+      twist->twist.linear.y = value.y();
+      twist->twist.linear.z = value.z();
+      twist->twist.angular.z = value[3];
+      const int rows[4] = {0, 1, 2, 5};
+      for (int i = 0; i < 4; ++i)
+        for (int j = 0; j < 4; ++j) covariance(rows[i], rows[j]) = turned(i, j);
+    }
+    ru::setCovariance(covariance, &twist->covariance);
+  }
+
+  // By the clock that the messages follow, so that a paused replay is no silence; else by one that nobody sets.
+  static double seconds() { return ros::Time::isSimTime() ? ros::Time::now().toSec() : ros::SteadyTime::now().toSec(); }
+
+  // What was said last must not stand when the odometry has died.
+  void watch() {
+    if (!used_ || lost_) return;
+    const double silent = seconds() - *used_;
+    if (silent < 0) used_ = seconds();  // the clock ran back
+    if (silent < kSilence) return;
+    lost_ = true;
+    health_.count("visual odometry was lost");
+    health_.state(2, "no usable visual odometry on " + increments_.getTopic() + " for more than a second: no pose is published");
+  }
+
   void reset() {
+    used_.reset();
+    lost_ = false;
+    health_.state(1, "forgot the pose; waiting for visual odometry");
+    newest_increment_ = ros::Time();
+    from_the_past_.clear();
+    ups_.clear();
     tracker_.reset();
     tf_.clear();  // of moving edges; fixed ones stay
     pending_.clear();
     pending_fields_.clear();
     vo_buffer_.clear();
     trajectory_.clear();
-    path_msg_.poses.clear();
-    last_path_.reset();
+    bounded_path_.clear();
     last_magnetometer_ = last_gps_ = last_barometer_ = up_stamp_ = ros::Time();
     up_base_.setZero();
     last_fix_ = 0;
@@ -506,7 +593,7 @@ class EkfTrackerNode {
   Tracker tracker_;
   std::optional<air_ground_common::LocalFrame> frame_;
   ru::NodeHealth health_;
-  ru::TimeJumpDetector jumps_;
+  ru::TimeJumpDetector clock_;
   tf2_ros::Buffer tf_;
   tf2_ros::TransformListener listener_;
   tf2_ros::TransformBroadcaster broadcaster_;
@@ -518,10 +605,13 @@ class EkfTrackerNode {
   std::deque<std::pair<air_ground::VoIncrement::ConstPtr, ros::WallTime>> pending_;
   std::deque<std::pair<sensor_msgs::MagneticField::ConstPtr, ros::WallTime>> pending_fields_;
   std::deque<VoPose> vo_buffer_;
-  bool map_frame_checked_ = false;
-  air_ground_common::Trajectory trajectory_;
-  nav_msgs::Path path_msg_;
-  std::optional<Eigen::Vector3d> last_path_;
+  std::deque<Up> ups_;
+  ros::Time newest_increment_;
+  std::vector<air_ground::VoIncrement::ConstPtr> from_the_past_;
+  std::optional<double> used_;  // when an increment was, by seconds()
+  bool lost_ = false;
+  air_ground_common::Trajectory trajectory_;  // for ~save_trajectory: 10 MB an hour at 20 Hz
+  ru::BoundedPath bounded_path_;
   ros::Time last_magnetometer_, last_gps_, last_barometer_, up_stamp_;
   Eigen::Vector3d up_base_ = Eigen::Vector3d::Zero();
   double last_fix_ = 0, unlocated_since_ = 0;

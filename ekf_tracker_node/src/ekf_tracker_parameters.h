@@ -45,6 +45,9 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   f.gap_yaw_rate_stddev = p.number("gap_yaw_rate_stddev", f.gap_yaw_rate_stddev, 0.001, 10);
 
   f.gate_probability = p.number("gate_probability", f.gate_probability, 0.9, 0.999999);
+  f.pairing_time = p.number("pairing_time", f.pairing_time, 1, 3600);
+  f.pairing_drift = p.number("pairing_drift", f.pairing_drift, 0.1, 100);
+  f.unscaled_start_fixes = p.integer("unscaled_start_fixes", f.unscaled_start_fixes, 2, 20);
   f.recovery_fixes = p.integer("recovery_fixes", f.recovery_fixes, 2, 20);
   f.max_hypotheses = p.integer("max_hypotheses", f.max_hypotheses, 1, 20);
   s.tracker.history = p.number("history", s.tracker.history, 1, 600);

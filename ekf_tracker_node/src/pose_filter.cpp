@@ -67,14 +67,19 @@ const char* describe(Result result) {
     case Result::kRefusedByGate: return "outside the gate";
     case Result::kWaiting: return "kept until the start";
     case Result::kNotStarted: return "no state to correct yet";
-    case Result::kInitialised: return "started the filter";
+    case Result::kInitialised: return "agreed with one kept before, which starts the filter";
     case Result::kRecovered: return "replaced a state that was wrong";
+    case Result::kAgreed: return "used after all: a later one agreed with it";
     case Result::kInvalid: return "not finite, or its covariance is not positive definite";
     case Result::kTooOld: return "older than the buffered history";
     case Result::kFromFuture: return "too far ahead of the odometry";
     case Result::kDuplicate: return "taken already";
   }
   return "";
+}
+
+bool isUsed(Result result) {
+  return result == Result::kFused || result == Result::kInitialised || result == Result::kRecovered || result == Result::kAgreed;
 }
 
 void check(const FilterSettings& s) {
@@ -86,7 +91,20 @@ void check(const FilterSettings& s) {
   require(s.min_translation_stddev > 0 && s.min_yaw_stddev > 0, "the floors of an increment must be positive");
   require(s.gap_speed_stddev > 0 && s.gap_yaw_rate_stddev > 0, "the motion in gaps must be positive");
   require(s.barometer_drift >= 0, "barometer_drift must not be negative");
+  require(s.pairing_time > 0 && s.pairing_drift > 0, "pairing_time and pairing_drift must be positive");
+  require(s.unscaled_start_fixes >= 2, "a start needs at least 2 fixes");
   require(s.recovery_fixes >= 2 && s.max_hypotheses >= 1, "recovery needs at least 2 fixes and 1 hypothesis");
+}
+
+Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {
+  Matrix4d noise = increment.covariance;
+  if (increment.gap) return noise;
+  if (!increment.assumed_covariance) noise *= settings.covariance_factor;
+  // Spread over the parts that split() makes, floors would add up; as a rate at 20 Hz they do not.
+  const double steps = std::max(0.0, increment.stamp - increment.previous_stamp) * 20;
+  noise.diagonal().head<3>().array() += std::pow(settings.min_translation_stddev, 2) * steps;
+  noise(3, 3) += std::pow(settings.min_yaw_stddev, 2) * steps;
+  return noise;
 }
 
 PoseFilter::PoseFilter(const FilterSettings& settings) : settings_(settings) {
@@ -170,19 +188,22 @@ void PoseFilter::predict(const Increment& given) {
     if (increment.new_unit) loseScale();
     if (increment.metric && !metric_) becomeMetric();
     metric_ = increment.metric;
-    increment.covariance *= settings_.covariance_factor;
-    // Spread over the parts that split() makes, floors would add up; as a rate at 20 Hz they do not.
-    const double steps = std::max(0.0, increment.stamp - increment.previous_stamp) * 20;
-    increment.covariance.diagonal().head<3>().array() += std::pow(settings_.min_translation_stddev, 2) * steps;
-    increment.covariance(3, 3) += std::pow(settings_.min_yaw_stddev, 2) * steps;
+    increment.covariance = noiseOf(given, settings_);
   }
   if (state_) propagate(&*state_, increment);
   for (Rival& rival : rivals_) {
+    rival.age += increment.stamp - increment.previous_stamp;
     if (rival.state.scale_known) propagate(&rival.state, increment);
     const MotionJacobians j = motionJacobians(rival.travelled, increment.motion, 1);
     rival.travelled = move<double>(rival.travelled, increment.motion, 1);
     rival.travelled_covariance = j.by_state * rival.travelled_covariance * j.by_state.transpose() + j.by_increment * increment.covariance * j.by_increment.transpose();
   }
+  // When long has passed, or the odometry was silent, almost anything agrees with a single fix.
+  const double drift = std::pow(settings_.pairing_drift, 2);
+  const auto alone = [&](const Rival& r) {
+    return r.state.support < 2 && (r.age > settings_.pairing_time || (metric_ && r.travelled_covariance.diagonal().head<3>().maxCoeff() > drift));
+  };
+  rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), alone), rivals_.end());
 }
 
 Outcome PoseFilter::test(const State& state, const Measurement& m) const {
@@ -222,6 +243,7 @@ PoseFilter::Rival PoseFilter::found(const Measurement& fix) const {
   r.anchor = fix.value;
   r.anchor[3] = wrapAngle(r.anchor[3]);
   r.anchor_covariance = fix.covariance;
+  r.stamps = {fix.stamp};
   r.state.support = 1;
   r.state.scale_known = false;
   r.state.x << r.anchor, 1, 0;
@@ -297,13 +319,17 @@ PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
   }
   if (supported) {
     fuse(&supported->state, fix);
+    supported->stamps.push_back(fix.stamp);
     return supported;
   }
   if (metric_) return nullptr;
   for (Rival& r : rivals_) {
     if (r.state.support > 1) continue;
     const Solution solution = solveScale(&r, fix);
-    if (solution == Solution::kFound) return &r;
+    if (solution == Solution::kFound) {
+      r.stamps.push_back(fix.stamp);
+      return &r;
+    }
     if (solution == Solution::kContradiction && !r.state.scale_known) ++r.contradictions;
   }
   return nullptr;
@@ -368,10 +394,14 @@ Outcome PoseFilter::correct(const Measurement& m) {
     rivals_.push_back(found(m));
     supported = &rivals_.back();
   }
-  // A state that few fixes support yields to fewer rivals: with the first fix wrong, two good ones suffice.
+  // Two fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior it
+  // would keep the localizer from finding out. In an unknown unit some scale fits many a wrong pair: a third one confirms it. A
+  // state that few fixes support yields to fewer rivals.
   const bool only_scale = state_ && !state_->scale_known && out.result == Result::kFused;
-  const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, std::max(2, state_->support + 1)) : (metric_ ? 1 : 2);
+  const int to_start = metric_ ? 2 : settings_.unscaled_start_fixes;
+  const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, state_->support + 1) : to_start;
   if (supported->state.scale_known && supported->state.support >= needed) {
+    out.joined.assign(supported->stamps.begin(), supported->stamps.end() - 1);
     if (only_scale) {  // no contradiction: the scale was all that was missing
       state_ = supported->state;
       rivals_.clear();

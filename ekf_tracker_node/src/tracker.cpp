@@ -61,13 +61,14 @@ std::vector<Outcome> Tracker::takeOutcomes() {
 IncrementResult Tracker::addIncrement(const Increment& given, bool* covariance_replaced) {
   if (covariance_replaced) *covariance_replaced = false;
   Increment increment = given;
-  increment.gap = increment.new_unit = false;
+  increment.gap = increment.new_unit = increment.assumed_covariance = false;
   if (!std::isfinite(increment.stamp) || !std::isfinite(increment.previous_stamp) || !increment.motion.allFinite() || !std::isfinite(increment.scale_stddev))
     return IncrementResult::kInvalid;
   if (increment.stamp <= increment.previous_stamp) return IncrementResult::kOutOfOrder;
   if (!isCovariance(increment.covariance)) {
     const double stddev = settings_.default_translation_stddev * increment.motion.head<3>().norm() + settings_.filter.min_translation_stddev;
     increment.covariance = Vector4d(stddev, stddev, stddev, settings_.default_yaw_stddev).cwiseAbs2().asDiagonal();
+    increment.assumed_covariance = true;
     if (covariance_replaced) *covariance_replaced = true;
   }
 
@@ -128,7 +129,7 @@ void Tracker::addMeasurement(const Measurement& m) {
   const double delay = steps_.empty() || !std::isfinite(m.stamp) ? 0 : steps_.back().increment.stamp - m.stamp;
   if (!usable(m)) return report(m, Result::kInvalid, delay);
   if (-delay > settings_.max_ahead) return report(m, Result::kFromFuture, delay);
-  Kept kept{m, delay, false};
+  Kept kept{m, delay, {}, {}};
   if (m.source == Source::kFix) kept.measurement.value[3] = air_ground_common::wrapAngle(m.value[3]);
   if (steps_.empty() || delay < -settings_.same_time) {
     const auto same = [&](const Kept& k) { return k.measurement.source == m.source && k.measurement.stamp == m.stamp; };
@@ -179,10 +180,27 @@ void Tracker::replay(std::size_t first) {
       step.before = now_;
     }
     for (Kept& k : step.measurements) {
-      Outcome out = now_.correct(k.measurement);
-      out.delay = k.delay;
-      if (!k.reported) outcomes_.push_back(out);
-      k.reported = true;
+      k.outcome = now_.correct(k.measurement);
+      k.outcome.delay = k.delay;
+    }
+  }
+  tellChanges();
+}
+
+// Reports every measurement whose result is new, or another one than was told.
+void Tracker::tellChanges() {
+  std::vector<double> joined;  // fixes that entered the state by a later one
+  for (const Step& step : steps_)
+    for (const Kept& k : step.measurements) joined.insert(joined.end(), k.outcome.joined.begin(), k.outcome.joined.end());
+  for (Step& step : steps_) {
+    for (Kept& k : step.measurements) {
+      Outcome out = k.outcome;
+      const bool unused = out.result == Result::kWaiting || out.result == Result::kRefusedByGate;
+      if (unused && std::find(joined.begin(), joined.end(), k.measurement.stamp) != joined.end() && k.measurement.source == Source::kFix) out.result = Result::kAgreed;
+      if (k.told == out.result) continue;
+      out.revised = k.told.has_value();
+      k.told = out.result;
+      outcomes_.push_back(out);
     }
   }
 }
@@ -207,6 +225,23 @@ Estimate estimateOf(const PoseFilter& filter, double stamp) {
 std::optional<Estimate> Tracker::latest() const {
   if (steps_.empty() || !now_.started()) return std::nullopt;
   return estimateOf(now_, steps_.back().increment.stamp);
+}
+
+std::optional<Rate> Tracker::rate() const {
+  if (steps_.empty() || !now_.started()) return std::nullopt;
+  const State& s = now_.state();
+  const Increment& step = steps_.back().increment;
+  const double dt = step.stamp - step.previous_stamp;
+  if (!(dt > 0)) return std::nullopt;
+  Vector4d unit;
+  unit << Eigen::Vector3d::Constant(s.scale_known ? s.x[4] / dt : 0), 1 / dt;
+  Rate rate;
+  rate.value = unit.cwiseProduct(step.motion);
+  rate.covariance = unit.asDiagonal() * noiseOf(step, settings_.filter) * unit.asDiagonal();
+  const Eigen::Vector3d by_scale = step.motion.head<3>() / dt;
+  if (s.scale_known) rate.covariance.topLeftCorner<3, 3>() += s.covariance(4, 4) * by_scale * by_scale.transpose();
+  else rate.covariance.diagonal().head<3>().setConstant(kUnknownVariance);
+  return rate;
 }
 
 std::optional<Estimate> Tracker::at(double stamp) const {

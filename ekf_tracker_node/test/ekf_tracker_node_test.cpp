@@ -6,8 +6,10 @@
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
+#include <nav_msgs/Path.h>
 #include <ros/ros.h>
 #include <sensor_msgs/FluidPressure.h>
+#include <sensor_msgs/Imu.h>
 #include <sensor_msgs/MagneticField.h>
 #include <sensor_msgs/NavSatFix.h>
 #include <std_srvs/Trigger.h>
@@ -60,13 +62,17 @@ class EkfTrackerNodeTest : public ::testing::Test {
       innovations_.push_back(*m);
     });
     geodetic_sub_ = handle_.subscribe<sensor_msgs::NavSatFix>("tracked/geodetic", 1000, [this](const sensor_msgs::NavSatFix::ConstPtr& m) { geodetic_ = *m; });
+    path_sub_ = handle_.subscribe<nav_msgs::Path>("tracked/path", 1000, [this](const nav_msgs::Path::ConstPtr& m) { paths_.push_back(*m); });
     tf_sub_ = handle_.subscribe<tf2_msgs::TFMessage>("/tf", 1000, [this](const tf2_msgs::TFMessage::ConstPtr& m) {
       for (const auto& t : m->transforms)
         if (t.child_frame_id == "mav_map") edges_.push_back(t);
     });
     diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
-      for (const auto& s : m->status)
+      for (const auto& s : m->status) {
+        if (s.name != "ekf_tracker: state") continue;
+        state_ = s;
         for (const auto& v : s.values) diagnostics_[v.key] = v.value;
+      }
     });
     ASSERT_TRUE(ros::service::waitForService("ekf_tracker/reset", 20000));
     std_srvs::Trigger reset;
@@ -74,8 +80,10 @@ class EkfTrackerNodeTest : public ::testing::Test {
     ASSERT_TRUE(spinUntil([&] {
       return increments_.getNumSubscribers() && vo_.getNumSubscribers() && fixes_.getNumSubscribers() && magnetometer_.getNumSubscribers() &&
              gps_.getNumSubscribers() && barometer_.getNumSubscribers() && odometry_sub_.getNumPublishers() && innovation_sub_.getNumPublishers() &&
-             tf_sub_.getNumPublishers() && geodetic_sub_.getNumPublishers();
+             tf_sub_.getNumPublishers() && geodetic_sub_.getNumPublishers() && path_sub_.getNumPublishers();
     }));
+    spinUntil([] { return false; }, 0.1);
+    paths_.clear();  // what an earlier test left latched
   }
 
   static bool spinUntil(const std::function<bool()>& done, double seconds = 10) {
@@ -98,12 +106,12 @@ class EkfTrackerNodeTest : public ::testing::Test {
     return m;
   }
 
-  void fly(int from, int to) {
+  void fly(int from, int to, const std::string& map_frame = "mav_map", const std::string& base_frame = "mav_base_link") {
     for (int i = from; i < to; ++i) {
       nav_msgs::Odometry vo;
       vo.header.stamp = timeOf(i + 1);
-      vo.header.frame_id = "mav_map";
-      vo.child_frame_id = "mav_base_link";
+      vo.header.frame_id = map_frame;
+      vo.child_frame_id = base_frame;
       vo.pose.pose = ru::toMsg(mapPose(i + 1));
       // Either topic may come first.
       if (i % 2) vo_.publish(vo);
@@ -159,28 +167,34 @@ class EkfTrackerNodeTest : public ::testing::Test {
 
   ros::NodeHandle handle_;
   ros::Publisher increments_, vo_, fixes_, magnetometer_, gps_, barometer_;
-  ros::Subscriber odometry_sub_, innovation_sub_, geodetic_sub_, tf_sub_, diagnostics_sub_;
+  ros::Subscriber odometry_sub_, innovation_sub_, geodetic_sub_, path_sub_, tf_sub_, diagnostics_sub_;
   std::vector<nav_msgs::Odometry> tracked_;
   std::vector<air_ground::TrackerInnovation> innovations_;
   std::vector<geometry_msgs::TransformStamped> edges_;
   sensor_msgs::NavSatFix geodetic_;
+  std::vector<nav_msgs::Path> paths_;
   std::map<std::string, std::string> diagnostics_;
+  diagnostic_msgs::DiagnosticStatus state_;
 };
 
 TEST_F(EkfTrackerNodeTest, FollowsTheTruthOnOdometryTfAndGeodetic) {
+  using I = air_ground::TrackerInnovation;
   fly(0, 40);
   fixes_.publish(fix(10, {0.3, 0, 0}));  // late by a second and a half
+  ASSERT_TRUE(spinUntil([&] { return results(I::RESULT_WAITING) == 1; }));
+  fly(40, 50);
   fixes_.publish(fix(30, {-0.3, 0.2, 0}));
-  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1 && results(air_ground::TrackerInnovation::RESULT_FUSED) == 1; }));
+  ASSERT_TRUE(spinUntil([&] { return results(I::RESULT_INITIALISED) == 1 && results(I::RESULT_AGREED) == 1; }));
   EXPECT_TRUE(tracked_.empty());  // nothing was claimed before
   for (const auto& m : innovations_) {
     EXPECT_EQ(m.dof, 4);
     EXPECT_NEAR(m.gate, 16.25, 0.01);
     EXPECT_GT(m.delay, 0.4);
+    EXPECT_EQ(m.revised, m.result == I::RESULT_AGREED);
   }
-  fly(40, 200);
+  fly(50, 200);
   fixes_.publish(fix(190));
-  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_FUSED) == 2; }));
+  ASSERT_TRUE(spinUntil([&] { return results(I::RESULT_FUSED) == 1; }));
   fly(200, 240);
   expectOnTheWay(240, 1.0);
   EXPECT_EQ(tracked_.back().header.frame_id, "world");
@@ -189,6 +203,14 @@ TEST_F(EkfTrackerNodeTest, FollowsTheTruthOnOdometryTfAndGeodetic) {
   const Eigen::Vector3d moved = (mapPose(239).inverse() * mapPose(240)).translation() / kStep;
   EXPECT_NEAR(tracked_.back().twist.twist.linear.x, moved.x(), 0.1);
   EXPECT_NEAR(tracked_.back().twist.twist.linear.z, moved.z(), 0.1);
+  const auto spread = ru::covarianceFromMsg(tracked_.back().twist.covariance);
+  EXPECT_GT(spread(0, 0), 1e-4 / (kStep * kStep));  // of the increment, and some of the scale
+  EXPECT_LT(spread(0, 0), 3e-4 / (kStep * kStep));
+  EXPECT_NEAR(spread(5, 5), (1e-6 + 1e-8) / (kStep * kStep), 1e-6);
+  EXPECT_GE(spread(3, 3), 1e6);  // never measured
+  // The path comes once a second, not with each of its poses.
+  ASSERT_TRUE(spinUntil([&] { return !paths_.empty() && paths_.back().poses.size() > 30; }));
+  EXPECT_LE(paths_.size(), 11u);
 
   ASSERT_TRUE(spinUntil([&] { return !edges_.empty() && edges_.back().header.stamp == tracked_.back().header.stamp; }));
   EXPECT_EQ(edges_.back().header.frame_id, "world");
@@ -267,6 +289,11 @@ TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
   increments_.publish(bad);  // repeated
   bad = increment(85, 86);
   increments_.publish(bad);  // out of order, by less than what a looped bag jumps
+  increments_.publish(increment(5, 6));  // a stray from long ago is no looped bag
+  bad = increment(100, 101);
+  bad.header.stamp = ros::Time::now() + ros::Duration(100);
+  bad.previous_stamp = bad.header.stamp - ros::Duration(kStep);
+  increments_.publish(bad);  // from the future
   bad = increment(100, 101);
   bad.relative_pose.position.x = kNan;
   increments_.publish(bad);
@@ -280,6 +307,8 @@ TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
   vo_.publish(vo);
   fly(101, 160);
   ASSERT_TRUE(awaitStamp(160));
+  for (std::size_t i = 1; i < tracked_.size(); ++i) EXPECT_LT(tracked_[i].pose.covariance[0], 2);  // no gap was bridged
+  EXPECT_EQ(results(air_ground::TrackerInnovation::RESULT_INITIALISED), 1);
   const double before = tracked_.back().pose.covariance[0];
   // Ten seconds of silence, with tracked map poses on the other side.
   fly(360, 380);
@@ -287,6 +316,8 @@ TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
   EXPECT_GT(tracked_.back().pose.covariance[0], before + 100);
   EXPECT_GE(counter("gaps in the odometry, bridged"), 1);
   EXPECT_GE(counter("increments ignored: out of order or repeated"), 1);
+  EXPECT_GE(counter("increments ignored: stamped ahead of the clock"), 1);
+  EXPECT_GE(counter("increments set aside: more than a second older than the newest"), 1);
   EXPECT_GE(counter("increments whose covariance is not one: the default stands in"), 1);
   for (int i : {365, 370, 378}) fixes_.publish(fix(i));
   fly(380, 420);
@@ -308,9 +339,90 @@ TEST_F(EkfTrackerNodeTest, LoopedBagStartsAfresh) {
   EXPECT_GE(counter("time jumped back: started afresh"), 1);
 }
 
+TEST_F(EkfTrackerNodeTest, DiagnosticsTellThatTheOdometryDied) {
+  fly(0, 60);
+  for (int i : {10, 30, 50}) fixes_.publish(fix(i));
+  fly(60, 100);
+  ASSERT_TRUE(awaitStamp(100));
+  EXPECT_TRUE(spinUntil([&] { return state_.message.find("no usable visual odometry") == 0; })) << state_.message;
+  EXPECT_EQ(state_.level, diagnostic_msgs::DiagnosticStatus::ERROR);
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call("ekf_tracker/reset", reset));
+  EXPECT_TRUE(spinUntil([&] { return state_.message.find("forgot the pose") == 0; })) << state_.message;
+  EXPECT_NE(state_.level, diagnostic_msgs::DiagnosticStatus::OK);
+}
+
+TEST_F(EkfTrackerNodeTest, OdometryOfForeignFramesGivesNoTf) {
+  const auto flyIn = [&](const std::string& map, const std::string& base) {
+    std_srvs::Trigger reset;
+    ASSERT_TRUE(ros::service::call("ekf_tracker/reset", reset));
+    tracked_.clear();
+    edges_.clear();
+    fly(0, 60, map, base);
+    fixes_.publish(fix(20));
+    fixes_.publish(fix(40));
+    ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) > 0; }));
+    innovations_.clear();
+    fly(60, 80, map, base);
+    ASSERT_TRUE(awaitStamp(80));  // each increment after its wait
+  };
+  flyIn("mav_odom", "mav_base_link");
+  EXPECT_TRUE(edges_.empty());
+  EXPECT_GE(counter("mav/odometry ignored: in frame 'mav_odom', expected map_frame 'mav_map'"), 80);
+  flyIn("mav_map", "mav_camera");
+  EXPECT_TRUE(edges_.empty());
+  EXPECT_GE(counter("mav/odometry ignored: of frame 'mav_camera', expected base_frame 'mav_base_link'"), 80);
+}
+
+// As mav_vo before it knows the scale: increments in a unit of its own, no odometry. This node would wait for it for 10 s.
+TEST_F(EkfTrackerNodeTest, OdometryThatIsNotMetricYetIsNotWaitedFor) {
+  ros::NodeHandle other("unscaled");
+  const ros::Publisher increments = other.advertise<air_ground::VoIncrement>("mav/vo_increment", 400), imu = other.advertise<sensor_msgs::Imu>("mav/imu/data", 1000),
+                       fixes = other.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 100);
+  std::vector<nav_msgs::Odometry> tracked;
+  const ros::Subscriber sub = other.subscribe<nav_msgs::Odometry>("tracked/odometry", 1000, [&](const nav_msgs::Odometry::ConstPtr& m) { tracked.push_back(*m); });
+  const ros::Subscriber outcomes =
+      other.subscribe<air_ground::TrackerInnovation>("tracked/innovation", 100, [this](const air_ground::TrackerInnovation::ConstPtr& m) { innovations_.push_back(*m); });
+  ASSERT_TRUE(spinUntil([&] {
+    return increments.getNumSubscribers() && imu.getNumSubscribers() && fixes.getNumSubscribers() && sub.getNumPublishers() && outcomes.getNumPublishers();
+  }, 20));
+  edges_.clear();
+  constexpr int kEnd = 300;
+  sensor_msgs::Imu gravity;
+  gravity.header.frame_id = "mav_base_link";
+  const auto feel = [&](int i) {
+    const Eigen::Vector3d force = mapPose(i).linear().transpose() * Eigen::Vector3d(0, 0, 9.81);
+    gravity.header.stamp = timeOf(i);
+    gravity.linear_acceleration.x = force.x(), gravity.linear_acceleration.y = force.y(), gravity.linear_acceleration.z = force.z();
+    imu.publish(gravity);
+  };
+  for (int i = 0; i <= kEnd; ++i) feel(i);
+  spinUntil([] { return false; }, 0.3);
+  const auto flyOn = [&](int from, int to) {
+    for (int i = from; i < to; ++i) {
+      auto m = increment(i, i + 1);
+      m.metric = false;
+      for (double* x : {&m.relative_pose.position.x, &m.relative_pose.position.y, &m.relative_pose.position.z}) *x /= 2;
+      increments.publish(m);
+      if (i % 40 == 39) spinUntil([] { return false; }, 0.02);
+    }
+  };
+  flyOn(0, kEnd - 20);
+  for (int i : {20, 200, 270}) fixes.publish(fix(i));
+  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1; }, 8));
+  flyOn(kEnd - 20, kEnd);
+  ASSERT_TRUE(spinUntil([&] { return !tracked.empty() && tracked.back().header.stamp == timeOf(kEnd); }, 8));
+  const Pose estimate = ru::fromMsg(tracked.back().pose.pose), truth = kWorldMap * mapPose(kEnd);
+  // Without the tilt of 0.15 rad the way of 22 m would climb by three.
+  EXPECT_LT((estimate.translation() - truth.translation()).norm(), 1.0);
+  EXPECT_LT(air_ground_common::rotationAngle(estimate.linear(), truth.linear()), 0.05);
+  EXPECT_TRUE(edges_.empty());
+}
+
 TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
   fly(0, 40);
   fixes_.publish(fix(20));
+  fixes_.publish(fix(30));
   ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1; }));
   const air_ground_common::LocalFrame frame("EPSG:2056", {2683300, 1247900, 420});
   for (int i = 40; i < 400; i += 20) {

@@ -30,6 +30,19 @@ Increment stepOf(const Vector4d& motion, double stddev = 0.01) {
   return i;
 }
 
+// Two fixes at one place start the filter there, with half a fix's covariance.
+void startAt(const Vector4d& pose, PoseFilter* filter) {
+  EXPECT_EQ(filter->correct(fixAt(pose)).result, Result::kWaiting);
+  EXPECT_FALSE(filter->started());
+  EXPECT_EQ(filter->correct(fixAt(pose)).result, Result::kInitialised);
+}
+
+FilterSettings twoGiveTheScale() {
+  FilterSettings settings;
+  settings.unscaled_start_fixes = 2;
+  return settings;
+}
+
 TEST(PoseFilter, GatesAreChiSquareQuantiles) {
   EXPECT_NEAR(chiSquareQuantile(1, 0.9973), 9.0, 0.01);
   EXPECT_NEAR(chiSquareQuantile(3, 0.9973), 14.156, 0.01);
@@ -39,25 +52,25 @@ TEST(PoseFilter, GatesAreChiSquareQuantiles) {
 TEST(PoseFilter, FusionIsEquations12And13) {
   PoseFilter filter;
   const Vector4d first(1, 2, 3, 0.5), second(2.5, 1, 3.5, 0.6);
-  EXPECT_EQ(filter.correct(fixAt(first)).result, Result::kInitialised);
-  EXPECT_LT((filter.state().x.head<4>() - first).norm(), 1e-12);
+  startAt(first, &filter);
+  EXPECT_LT((filter.state().x.head<4>() - first).norm(), 1e-9);
   const Outcome out = filter.correct(fixAt(second));
   EXPECT_EQ(out.result, Result::kFused);
   EXPECT_EQ(out.dof, 4);
   const Vector4d difference = second - first;
-  EXPECT_NEAR(out.nis, difference.dot((2 * kFixCovariance).llt().solve(difference)), 1e-9);
-  // Equal covariances: the mean, with half the covariance.
-  EXPECT_LT((filter.state().x.head<4>() - 0.5 * (first + second)).norm(), 1e-9);
-  EXPECT_LT((filter.state().covariance.topLeftCorner<4, 4>() - 0.5 * kFixCovariance).norm(), 1e-9);
+  EXPECT_NEAR(out.nis, difference.dot((1.5 * kFixCovariance).llt().solve(difference)), 1e-9);
+  // Three of equal covariance: their mean, with a third of it.
+  EXPECT_LT((filter.state().x.head<4>() - (2 * first + second) / 3).norm(), 1e-9);
+  EXPECT_LT((filter.state().covariance.topLeftCorner<4, 4>() - kFixCovariance / 3).norm(), 1e-9);
 }
 
 TEST(PoseFilter, YawIsWrappedInStateAndInnovation) {
   PoseFilter filter;
-  filter.correct(fixAt({0, 0, 0, 3.1}));
+  startAt({0, 0, 0, 3.1}, &filter);
   const Outcome out = filter.correct(fixAt({0, 0, 0, -3.1}));
   EXPECT_EQ(out.result, Result::kFused);
   EXPECT_NEAR(out.innovation[3], 2 * M_PI - 6.2, 1e-12);
-  EXPECT_NEAR(std::abs(filter.state().x[3]), M_PI, 1e-9);
+  EXPECT_NEAR(filter.state().x[3], 3.1 + (2 * M_PI - 6.2) / 3, 1e-9);
   filter.predict(stepOf({1, 0, 0, 0.2}));
   EXPECT_LE(std::abs(filter.state().x[3]), M_PI);
   // Flying "ahead" while looking west.
@@ -106,6 +119,59 @@ TEST(PoseFilter, FirstFixWrongRecoversWithinThreeGoodOnes) {
   }
 }
 
+TEST(PoseFilter, ASingleFixStartsNothing) {
+  for (const bool metric : {true, false}) {
+    PoseFilter filter;
+    filter.restart(metric, 0);
+    Vector4d q(0, 0, 0, 0);
+    const auto fly = [&] {
+      Increment increment = stepOf({20, 0, 0, 0}, 0.1);
+      increment.stamp = 1;
+      increment.metric = metric;
+      filter.predict(increment);
+      q[0] += 20;
+    };
+    // A wrong one of small stated covariance comes first: no pose, so no prior that would keep good ones away.
+    Measurement wrong = fixAt(q + Vector4d(40, 45, 0, 0), 1);
+    wrong.covariance = Vector4d(0.04, 0.04, 0.04, 1e-4).asDiagonal();
+    EXPECT_EQ(filter.correct(wrong).result, Result::kWaiting);
+    fly();
+    EXPECT_EQ(filter.correct(fixAt(q, 2)).result, Result::kWaiting);
+    EXPECT_FALSE(filter.started());
+    EXPECT_EQ(filter.rivals(), 2);
+    fly();
+    Outcome out = filter.correct(fixAt(q, 3));
+    if (!metric) {  // two gave a scale, a third confirms it
+      EXPECT_EQ(out.result, Result::kWaiting);
+      fly();
+      out = filter.correct(fixAt(q, 4));
+    }
+    EXPECT_EQ(out.result, Result::kInitialised);
+    EXPECT_EQ(out.joined, metric ? std::vector<double>({2}) : std::vector<double>({2, 3}));
+    EXPECT_LT((filter.state().x.head<4>() - q).norm(), 0.5);
+    EXPECT_EQ(filter.starts(), 1);
+  }
+}
+
+TEST(PoseFilter, AFixThatNoneJoinsIsForgotten) {
+  PoseFilter filter;
+  Increment step = stepOf({0, 0, 0, 0});
+  step.stamp = 1;
+  filter.correct(fixAt({0, 0, 0, 0}));
+  for (int i = 0; i < 59; ++i) filter.predict(step);
+  EXPECT_EQ(filter.rivals(), 1);
+  filter.predict(step);
+  filter.predict(step);
+  EXPECT_EQ(filter.rivals(), 0);
+  // A gap of ten seconds, 15 m at one sigma: whatever agrees after it says little.
+  filter.correct(fixAt({0, 0, 0, 0}));
+  step.gap = true;
+  step.covariance = Vector4d(15, 15, 15, 1).cwiseAbs2().asDiagonal();
+  filter.predict(step);
+  EXPECT_EQ(filter.rivals(), 0);
+  EXPECT_EQ(filter.correct(fixAt({20, 0, 0, 0})).result, Result::kWaiting);
+}
+
 TEST(PoseFilter, SteadyFilterNeedsThreeAgreeingFixesToGiveUp) {
   PoseFilter filter;
   for (int i = 0; i < 6; ++i) filter.correct(fixAt({0, 0, 0, 0}));
@@ -124,7 +190,7 @@ TEST(PoseFilter, ScaleFromTwoFixesAndItsUncertainty) {
   double normalised = 0;
   int solved = 0;
   for (int run = 0; run < 400; ++run) {
-    PoseFilter filter;
+    PoseFilter filter(twoGiveTheScale());
     filter.restart(false, 0);
     const double scale = 2.5;
     Vector4d q(0, 0, 0, 1);
@@ -151,7 +217,7 @@ TEST(PoseFilter, ScaleFromTwoFixesAndItsUncertainty) {
 }
 
 TEST(PoseFilter, FixesThatContradictTheOdometryGiveNoScale) {
-  PoseFilter filter;
+  PoseFilter filter(twoGiveTheScale());
   filter.restart(false, 0);
   filter.correct(fixAt({0, 0, 0, 0}));
   Increment increment = stepOf({20, 0, 0, 0}, 0.5);
@@ -171,9 +237,9 @@ TEST(PoseFilter, HeadingGpsAndBarometerAreWeakCorrections) {
   heading.value[0] = 0.1;
   heading.covariance(0, 0) = 0.01;
   EXPECT_EQ(filter.correct(heading).result, Result::kNotStarted);
-  filter.correct(fixAt({0, 0, 10, 0}));
+  startAt({0, 0, 10, 0}, &filter);
   EXPECT_EQ(filter.correct(heading).result, Result::kFused);
-  EXPECT_NEAR(filter.state().x[3], 0.1 * 0.017 / 0.027, 1e-9);
+  EXPECT_NEAR(filter.state().x[3], 0.1 * 0.0085 / 0.0185, 1e-9);
   heading.value[0] = 2;
   EXPECT_EQ(filter.correct(heading).result, Result::kRefusedByGate);
 
@@ -182,7 +248,7 @@ TEST(PoseFilter, HeadingGpsAndBarometerAreWeakCorrections) {
   gps.value << 3, 0, 10, 0;
   gps.covariance.topLeftCorner<3, 3>() = Eigen::Vector3d(16, 16, 64).asDiagonal();
   EXPECT_EQ(filter.correct(gps).result, Result::kFused);
-  EXPECT_NEAR(filter.state().x[0], 3 * 4.0 / 20, 1e-9);
+  EXPECT_NEAR(filter.state().x[0], 3 * 2.0 / 18, 1e-9);
 
   Measurement pressure;
   pressure.source = Source::kBarometer;
@@ -190,7 +256,7 @@ TEST(PoseFilter, HeadingGpsAndBarometerAreWeakCorrections) {
   pressure.value[0] = 471;
   EXPECT_EQ(filter.correct(pressure).result, Result::kFused);
   EXPECT_NEAR(filter.state().x[2], 10, 1e-9);  // the first only sets the level
-  EXPECT_EQ(filter.state().support, 1);
+  EXPECT_EQ(filter.state().support, 2);
   // Odometry loses the height, the barometer keeps it.
   Increment climb = stepOf({0, 0, 0, 0}, 3);
   climb.stamp = 1;
@@ -199,6 +265,17 @@ TEST(PoseFilter, HeadingGpsAndBarometerAreWeakCorrections) {
   EXPECT_EQ(filter.correct(pressure).result, Result::kFused);
   EXPECT_NEAR(filter.state().x[2], 15, 0.2);
   EXPECT_TRUE(isCovariance(filter.state().covariance));
+}
+
+TEST(PoseFilter, FactorAndFloorsOfAStep) {
+  FilterSettings settings;
+  settings.covariance_factor = 4;
+  Increment step = stepOf({1, 0, 0, 0}, 0.1);
+  EXPECT_NEAR(noiseOf(step, settings)(0, 0), 4 * 0.01 + 1e-6, 1e-12);
+  step.assumed_covariance = true;
+  EXPECT_NEAR(noiseOf(step, settings)(0, 0), 0.01 + 1e-6, 1e-12);
+  step.gap = true;
+  EXPECT_EQ(noiseOf(step, settings), step.covariance);
 }
 
 TEST(PoseFilter, SettingsOutOfRangeAreNamed) {

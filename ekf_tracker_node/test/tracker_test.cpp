@@ -132,7 +132,9 @@ TEST(Tracker, TenSecondGapIsBridgedAndHealedByTheNextFixes) {
 }
 
 TEST(Tracker, BadInputIsRefusedByName) {
-  Tracker tracker;
+  TrackerSettings settings;
+  settings.filter.covariance_factor = 25;
+  Tracker tracker(settings);
   Increment step;
   step.previous_stamp = 10;
   step.stamp = 10.05;
@@ -172,12 +174,107 @@ TEST(Tracker, BadInputIsRefusedByName) {
   EXPECT_EQ(resultOf(fix), Result::kTooOld);
   fix.stamp = 1000;
   EXPECT_EQ(resultOf(fix), Result::kFromFuture);
-  fix.stamp = 10.1;
-  EXPECT_EQ(resultOf(fix), Result::kInitialised);
+  fix.stamp = 10.05;
+  EXPECT_EQ(resultOf(fix), Result::kWaiting);
   EXPECT_EQ(resultOf(fix), Result::kDuplicate);
+  fix.stamp = 10.1;
+  tracker.addMeasurement(fix);
   EXPECT_TRUE(tracker.latest()->pose.allFinite());
   tracker.reset();
   EXPECT_FALSE(tracker.latest());
+}
+
+TEST(Tracker, DefaultCovarianceIsNotMultiplied) {
+  TrackerSettings settings;
+  settings.filter.covariance_factor = 25;
+  settings.filter.metric_scale_stddev = 1e-6;
+  settings.filter.scale_drift = 0;
+  Tracker tracker(settings);
+  Increment step;
+  step.previous_stamp = 10;
+  step.stamp = 11;
+  step.covariance = Matrix4d::Identity() * 1e-12;
+  tracker.addIncrement(step);
+  Measurement fix;
+  fix.covariance = Matrix4d::Identity() * 1e-10;
+  for (const double stamp : {10.5, 11.0}) {
+    fix.stamp = stamp;
+    tracker.addMeasurement(fix);
+  }
+  step.previous_stamp = 11;
+  step.stamp = 11.05;
+  step.motion[0] = 0.5;
+  step.covariance(0, 0) = std::numeric_limits<double>::quiet_NaN();
+  tracker.addIncrement(step);
+  // A fifth of the length and the floor, and once more the floor of every step.
+  EXPECT_NEAR(tracker.latest()->covariance(0, 0), std::pow(0.2 * 0.5 + 0.001, 2) + 1e-6, 1e-8);
+  EXPECT_NEAR(tracker.latest()->covariance(3, 3), std::pow(0.02, 2) + 1e-8, 1e-8);
+  const auto rate = tracker.rate();
+  ASSERT_TRUE(rate);
+  EXPECT_NEAR(rate->value[0], 10, 1e-3);
+  EXPECT_NEAR(rate->covariance(0, 0), (std::pow(0.101, 2) + 1e-6) / 0.0025, 1e-4);
+}
+
+TEST(Tracker, RateTellsWhatIsUnknown) {
+  for (const bool metric : {true, false}) {
+    Tracker tracker;
+    Increment step;
+    step.motion << 0.1, 0, 0, 0.01;
+    step.covariance = Matrix4d::Identity() * 1e-6;
+    EXPECT_FALSE(tracker.rate());
+    Measurement fix;
+    fix.covariance = Matrix4d::Identity() * 0.01;
+    for (int i = 0; i < 20; ++i) {
+      step.previous_stamp = 10 + 0.05 * i;
+      step.stamp = step.previous_stamp + 0.05;
+      tracker.addIncrement(step);
+      fix.stamp = step.stamp;
+      if (i < 2) tracker.addMeasurement(fix);
+    }
+    step.previous_stamp = step.stamp;
+    step.stamp += 0.05;
+    step.metric = metric;
+    step.map_id = 1;
+    tracker.addIncrement(step);
+    const auto rate = tracker.rate();
+    ASSERT_TRUE(rate);
+    EXPECT_NEAR(rate->value[0], metric ? 0.1 * tracker.latest()->scale / 0.05 : 0, 1e-9);
+    EXPECT_GT(rate->covariance(0, 0), metric ? std::pow(2 * tracker.latest()->scale_stddev, 2) : 1e5);
+    EXPECT_LT(rate->covariance(0, 0), metric ? 1 : 1e7);
+    EXPECT_NEAR(rate->value[3], 0.2, 1e-9);
+    EXPECT_NEAR(rate->covariance(3, 3), (1e-6 + 1e-8) / 0.0025, 1e-9);
+    EXPECT_TRUE(isCovariance(rate->covariance));
+  }
+}
+
+TEST(Tracker, AResultThatALateFixChangesIsToldAgain) {
+  Tracker tracker;
+  Increment step;
+  step.covariance = Matrix4d::Identity() * 1e-8;
+  for (int i = 0; i < 100; ++i) {
+    step.previous_stamp = 10 + 0.05 * i;
+    step.stamp = 10.05 + 0.05 * i;
+    tracker.addIncrement(step);
+  }
+  const auto give = [&](double stamp, double x) {
+    Measurement fix;
+    fix.stamp = stamp;
+    fix.value[0] = x;
+    fix.covariance = Matrix4d::Identity() * 0.01;
+    tracker.addMeasurement(fix);
+    std::map<double, std::pair<Result, bool>> told;
+    for (const Outcome& o : tracker.takeOutcomes()) EXPECT_TRUE(told.emplace(o.measurement.stamp, std::make_pair(o.result, o.revised)).second);
+    return told;
+  };
+  using Told = std::map<double, std::pair<Result, bool>>;
+  EXPECT_EQ(give(11, 0), (Told{{11, {Result::kWaiting, false}}}));
+  // The start takes the one that waited with it.
+  EXPECT_EQ(give(12, 0), (Told{{11, {Result::kAgreed, true}}, {12, {Result::kInitialised, false}}}));
+  EXPECT_EQ(give(13, 50), (Told{{13, {Result::kRefusedByGate, false}}}));
+  // Older ones that agree with the refused one: by them the filter would have started elsewhere.
+  EXPECT_EQ(give(10.2, 50), (Told{{10.2, {Result::kWaiting, false}}}));
+  EXPECT_EQ(give(10.4, 50), (Told{{10.2, {Result::kAgreed, true}}, {10.4, {Result::kInitialised, false}}, {11, {Result::kRefusedByGate, true}},
+                                  {12, {Result::kRefusedByGate, true}}, {13, {Result::kFused, true}}}));
 }
 
 TEST(Tracker, AFixAheadOfTheOdometryWaitsForIt) {
@@ -187,14 +284,16 @@ TEST(Tracker, AFixAheadOfTheOdometryWaitsForIt) {
   Tracker tracker;
   tracker.addIncrement(sim.odometry[0]);
   Measurement fix = sim.fixes[0];
+  tracker.addMeasurement(fix);
+  EXPECT_EQ(tracker.takeOutcomes().size(), 1u);
   fix.stamp = sim.odometry[9].stamp;
   tracker.addMeasurement(fix);
   for (int i = 1; i < 9; ++i) tracker.addIncrement(sim.odometry[static_cast<std::size_t>(i)]);
   EXPECT_TRUE(tracker.takeOutcomes().empty());
   EXPECT_EQ(tracker.waiting(), 1u);
   tracker.addIncrement(sim.odometry[9]);
-  EXPECT_EQ(tracker.takeOutcomes().size(), 1u);
-  EXPECT_NEAR(tracker.latest()->pose[0], fix.value[0], 1e-9);
+  EXPECT_EQ(tracker.takeOutcomes().size(), 2u);  // its own, and of the one that waited for it
+  EXPECT_EQ(tracker.latest()->support, 2);
 }
 
 TEST(Tracker, NewMapInAnUnknownUnitKeepsThePoseAndFindsItsScale) {

@@ -5,6 +5,7 @@
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_listener.h>
 
+#include <algorithm>
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
@@ -23,12 +24,45 @@ geometry_msgs::TransformStamped edge(const ros::Time& stamp, const std::string& 
 
 }  // namespace
 
+BoundedPath::BoundedPath(const std::string& frame_id, double step, std::size_t most, double interval)
+    : first_step_(step), step_(step), interval_(interval), most_(std::max<std::size_t>(most, 2)) {
+  path_.header.frame_id = frame_id;
+}
+
+bool BoundedPath::add(const geometry_msgs::PoseStamped& pose) {
+  const auto distance = [&] {
+    const auto &a = path_.poses.back().pose.position, &b = pose.pose.position;
+    return Eigen::Vector3d(a.x - b.x, a.y - b.y, a.z - b.z).norm();
+  };
+  if (path_.poses.empty() || distance() >= step_) {
+    if (path_.poses.size() >= most_) {
+      std::size_t kept = 0;
+      for (std::size_t i = 0; i < path_.poses.size(); i += 2) path_.poses[kept++] = path_.poses[i];
+      path_.poses.resize(kept);
+      step_ *= 2;
+    }
+    path_.poses.push_back(pose);
+    grown_ = true;
+  }
+  const ros::Time& stamp = pose.header.stamp;
+  if (!grown_ || (stamp >= published_ && stamp.toSec() - published_.toSec() < interval_)) return false;
+  grown_ = false;
+  path_.header.stamp = published_ = stamp;
+  return true;
+}
+
+void BoundedPath::clear() {
+  path_.poses.clear();
+  step_ = first_step_;
+  grown_ = false;
+  published_ = ros::Time();
+}
+
 PosePublisher::PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings)
     : settings_(settings),
       odometry_(handle.advertise<nav_msgs::Odometry>(settings.odometry_topic, 100)),
-      path_(handle.advertise<nav_msgs::Path>(settings.path_topic, 5, true)) {
-  path_msg_.header.frame_id = settings_.map_frame;
-}
+      path_(handle.advertise<nav_msgs::Path>(settings.path_topic, 5, true)),
+      bounded_path_(settings.map_frame, settings.path_step) {}
 
 bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Pose& T_previous_current, const Matrix6d& covariance) {
   if (stamp <= last_stamp_) return false;
@@ -57,15 +91,7 @@ bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, cons
   geometry_msgs::PoseStamped pose;
   pose.header = odometry.header;
   pose.pose = odometry.pose.pose;
-  const auto distance = [&] {
-    const auto& a = path_msg_.poses.back().pose.position;
-    return (Eigen::Vector3d(a.x, a.y, a.z) - T_map_base.translation()).norm();
-  };
-  if (path_msg_.poses.empty() || distance() >= settings_.path_step) {
-    path_msg_.header.stamp = stamp;
-    path_msg_.poses.push_back(pose);
-    path_.publish(path_msg_);
-  }
+  if (bounded_path_.add(pose)) path_.publish(bounded_path_.message());
   T_odom_base_ = T_odom_base;
   last_stamp_ = stamp;
   return true;
@@ -74,7 +100,7 @@ bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, cons
 void PosePublisher::reset() {
   T_odom_base_.reset();
   last_stamp_ = ros::Time();
-  path_msg_.poses.clear();
+  bounded_path_.clear();
 }
 
 std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout, std::string* why) {

@@ -2,7 +2,7 @@
 
 Poses are of base_link in world (east, north, up); states are (x, y, z, yaw) [m, rad], covariances 4x4 in that order.
 """
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,6 +54,19 @@ def estimated_from_poses(stamps, poses, covariances):
 
 
 @dataclass
+class Noise:
+    """What the tracker makes of an increment's covariance: its parameters of the same names."""
+    covariance_factor: float = 1.0
+    min_translation_stddev: float = 0.001  # floor at 20 Hz [m, or the odometry's unit]
+    min_yaw_stddev: float = 1e-4  # [rad]
+
+    def of(self, increment):
+        steps = 20 * max(0.0, increment.stamp - increment.previous_stamp)
+        floor = np.array([self.min_translation_stddev] * 3 + [self.min_yaw_stddev]) ** 2
+        return self.covariance_factor * increment.covariance + steps * np.diag(floor)
+
+
+@dataclass
 class Update:
     """A measurement at the tracker (TrackerInnovation)."""
     stamp: float
@@ -102,13 +115,36 @@ def _tilt_of(rotation):
     return geometry.rotation_z(-np.arctan2(rotation[1, 0], rotation[0, 0])) @ rotation
 
 
-def dead_reckoning(increments, start_stamp, start, start_covariance, scale=1.0, attitudes=None, scale_stddev=0.0):
+class Updates:
+    """What became of each measurement: a revised result replaces the one told before."""
+
+    def __init__(self):
+        self._items = []  # Update, in order of arrival
+
+    def add(self, update, revised=False):
+        if revised:
+            for i, item in enumerate(self._items):  # the first of its stamp: later ones are refused duplicates
+                if abs(item.stamp - update.stamp) < 1e-6:
+                    self._items[i] = update
+                    return
+        self._items.append(update)
+
+    def __iter__(self):
+        return iter(self._items)
+
+    def __len__(self):
+        return len(self._items)
+
+
+def dead_reckoning(increments, start_stamp, start, start_covariance, scale=1.0, attitudes=None, scale_stddev=0.0, noise=None):
     """Pure visual odometry: the increments from `start` (x y z yaw) at `start_stamp` on, with nothing to correct them.
 
     The tracker's own prediction (paper B, equations 2, 5, 7, 8): an increment is levelled by the roll and pitch of
     `attitudes` (stamp -> rotation of the body in a level frame) and turned by the yaw; those that are not metric are
-    multiplied by `scale`. The relative error of the scale, common to all increments, adds its share to the covariance.
+    multiplied by `scale`. `noise` gives their covariances. The relative error of the scale, common to all increments, adds its
+    share; that it drifts is left out.
     """
+    noise_of = (noise or Noise()).of
     state, covariance = np.array(start, float), np.array(start_covariance, float)
     by_scale = np.zeros(4)  # derivative of the state by a relative error of the scale
     stamps, states, covariances = [start_stamp], [state.copy()], [covariance.copy()]
@@ -130,10 +166,13 @@ def dead_reckoning(increments, start_stamp, start, start_covariance, scale=1.0, 
         state[3] = wrapped(state[3] + np.arctan2(levelled[1, 0], levelled[0, 0]))
         by_state = np.eye(4)
         by_state[:2, 3] = [-s * local[0] - c * local[1], c * local[0] - s * local[1]]
-        noise = np.eye(4)
-        noise[:3, :3] = factor * turn[:3, :3] @ level
-        noise[3, 3] = 1.0
-        covariance = by_state @ covariance @ by_state.T + noise @ step.covariance @ noise.T
+        # The floors hold in the levelled frame, as in the tracker.
+        tilted = np.eye(4)
+        tilted[:3, :3] = level
+        levelled_step = replace(step, covariance=tilted @ step.covariance @ tilted.T)
+        by_step = np.eye(4)
+        by_step[:3, :3] = factor * turn[:3, :3]
+        covariance = by_state @ covariance @ by_state.T + by_step @ noise_of(levelled_step) @ by_step.T
         by_scale = by_state @ by_scale
         by_scale[:3] += turn[:3, :3] @ local
         stamps.append(step.stamp)

@@ -9,12 +9,13 @@ import yaml
 from . import city_evaluation as evaluate
 from . import city_figures
 from .city_database import City
-from .city_evaluation import Estimated, Way
+from .city_evaluation import Estimated, Noise, Way
 from .evaluation import Track, write_tum
 from .geometry import pose, rotation_z
 
-FUSED, REFUSED, INITIALISED, RECOVERED = 'fused', 'refused', 'initialised', 'recovered'
-CORRECTING = (FUSED, INITIALISED, RECOVERED)
+FUSED, REFUSED, INITIALISED, RECOVERED, AGREED = 'fused', 'refused', 'initialised', 'recovered', 'agreed'
+UPDATING = (FUSED, INITIALISED, RECOVERED)  # change the pose when they come in
+CORRECTING = UPDATING + (AGREED,)  # are part of it
 PAPER = {'stated_sigma_x_mean_m': '4.2 m', 'stated_sigma_y_mean_m': '4.3 m', 'stated_sigma_z_mean_m': '3.6 m',
          'stated_sigma_yaw_mean_deg': '7.5 deg', 'stated_sigma_yaw_max_deg': '12.2 deg'}
 NAMES = {'vo': 'pure VO', 'gps': 'GPS', 'tracker': 'tracker', 'magnetometer': 'with magnetometer'}
@@ -28,13 +29,14 @@ class Recorded:
     begin: float
     end: float
     tracker: Estimated
-    updates: list  # Update of the fixes at the tracker, in order of arrival
+    updates: list  # Update of the fixes at the tracker, in order of arrival: the last word on each
     magnetometer: Optional[Estimated] = None  # tracker with magnetometer
     magnetometer_updates: list = field(default_factory=list)
     increments: list = field(default_factory=list)
     attitudes: dict = field(default_factory=dict)  # stamp -> T_map_base of mav/odometry
     start_scale: float = 1.0  # of odometry that is not metric, as the tracker found it at its start
     start_scale_stddev: float = 0.0
+    noise: Noise = field(default_factory=Noise)  # by which the tracker predicts
     fixes: list = field(default_factory=list)
     matches: dict = field(default_factory=dict)  # status -> number of images
     match_times: list = field(default_factory=list)  # [s]
@@ -104,7 +106,7 @@ class Report:
         attitudes = {stamp: T[:3, :3] for stamp, T in r.attitudes.items()}
 
         def reckon(state, covariance):
-            return evaluate.dead_reckoning(r.increments, start, state, covariance, r.start_scale, attitudes, r.start_scale_stddev)
+            return evaluate.dead_reckoning(r.increments, start, state, covariance, r.start_scale, attitudes, r.start_scale_stddev, r.noise)
 
         self.sources['vo'] = reckon(first, r.tracker.covariances[0])
         if way is not None:
@@ -144,7 +146,7 @@ class Report:
             nis = [u.nis for u in updates if u.result == FUSED and np.isfinite(u.nis)]
             if nis:
                 v[f'{name}_nis_mean'] = float(np.mean(nis))
-            at = np.sort(self.distance_at(np.array([u.stamp for u in updates if u.result in CORRECTING])))
+            at = np.sort(self.distance_at(np.array([u.stamp for u in updates if u.result in UPDATING])))
             if len(at) > 1:
                 v[f'{name}_distance_between_updates_mean_m'] = float(np.mean(np.diff(at)))
                 v[f'{name}_distance_between_updates_max_m'] = float(np.max(np.diff(at)))
@@ -163,7 +165,7 @@ class Report:
 
     def _draw(self, way):
         r = self.r
-        updates = {name: np.array([u.used for u in list_ if u.result in CORRECTING])
+        updates = {name: np.array([u.used for u in list_ if u.result in UPDATING])
                    for name, list_ in (('tracker', r.updates), ('magnetometer', r.magnetometer_updates))}
         data = {'title': f'{os.path.basename(r.bag)}: {self.values.get("way_length_m", 0):.0f} m', 'sources': self.sources, 'updates': updates, 'way': way,
                 'triangles': r.city.triangles, 'panoramas': r.city.panoramas, 'distance_at': self.distance_at, 'errors': {}}

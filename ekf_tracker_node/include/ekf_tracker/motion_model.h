@@ -43,6 +43,7 @@ struct Increment {
   unsigned map_id = 0;                       ///< changes when the odometry started afresh
   bool new_unit = false;                     ///< set by the tracker: the factor has nothing to do with that of earlier increments
   bool gap = false;                          ///< made by the tracker where the odometry said nothing: scale does not apply
+  bool assumed_covariance = false;           ///< set by the tracker: its default stands in, which no factor corrects
 };
 
 /// From a relative pose of the tilted body, T_previous_current, to the levelled increment: `R_level_previous` is the roll

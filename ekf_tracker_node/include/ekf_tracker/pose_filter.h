@@ -21,14 +21,17 @@ struct FilterSettings {
   double scale_drift = 0.01;              ///< relative, per square root of metre travelled
   double max_initial_scale_stddev = 0.3;  ///< relative: fixes too close together to give the scale better than this must wait
   // Odometry.
-  double covariance_factor = 1;           ///< multiplies the increments' covariance
+  double covariance_factor = 1;           ///< multiplies the covariance that increments state
   double min_translation_stddev = 0.001;  ///< floor of an increment [m, or the odometry's unit]
   double min_yaw_stddev = 1e-4;           ///< floor of an increment [rad]
   double gap_speed_stddev = 1.5;          ///< velocity while the odometry is silent [m/s]
   double gap_yaw_rate_stddev = 0.3;       ///< [rad/s]
   // Barometer.
   double barometer_drift = 0.25;          ///< of its offset, per square root of second [m]
-  // Recovery.
+  // Start and recovery.
+  double pairing_time = 60;               ///< a fix that no other has joined is forgotten after this time [s] ...
+  double pairing_drift = 5;               ///< ... or after metric odometry that may be off by more than this, as a gap makes it [m]
+  int unscaled_start_fixes = 3;           ///< agreeing fixes for a start in an unknown unit: two give the scale, a third confirms it
   int recovery_fixes = 3;                 ///< this many refused fixes that agree with each other replace the filter's state
   int max_hypotheses = 4;                 ///< rivals kept
 };
@@ -52,15 +55,19 @@ enum class Result {
   kRefusedByGate,   ///< outside the gate (a fix then supports or founds a rival hypothesis)
   kWaiting,         ///< a fix kept for the start: nothing is known yet
   kNotStarted,      ///< not a fix, and no state to correct
-  kInitialised,     ///< the filter starts with this fix
+  kInitialised,     ///< it agrees with one kept before: the filter starts with both
   kRecovered,       ///< rival fixes agreed and replaced the state
   // Found by Tracker before the filter sees the measurement:
   kInvalid,         ///< not finite, or no positive definite covariance
   kTooOld,          ///< before the buffered history
   kFromFuture,      ///< too far ahead of the odometry
   kDuplicate,       ///< same source and stamp as one already taken
+  // Found by Tracker, which looks back:
+  kAgreed,          ///< kept or refused at first; a later fix agreed with it, and the state rests on both
 };
 const char* describe(Result result);
+/// True when the measurement is part of a state: fused, or by a start or a recovery.
+bool isUsed(Result result);
 
 /// What a measurement did.
 struct Outcome {
@@ -72,6 +79,8 @@ struct Outcome {
   Vector4d innovation = Vector4d::Zero();        ///< measurement minus prediction, angles wrapped
   Vector4d innovation_stddev = Vector4d::Zero(); ///< predicted
   double delay = 0;                              ///< newest odometry stamp minus its own, when it was taken [s]
+  bool revised = false;                          ///< a late measurement changed what had been told of this one before
+  std::vector<double> joined;                    ///< stamps of earlier fixes that entered the state together with this one [s]
 };
 
 /// Estimate of one hypothesis. x: position [m], yaw [rad] in `world`, scale of the odometry, offset of the barometer [m].
@@ -82,6 +91,9 @@ struct State {
   bool scale_known = true;  ///< false: the odometry began anew in an unknown unit, only its turns are used
   int support = 0;          ///< fixes fused
 };
+
+/// Covariance that a step of odometry is predicted with: the stated one by the factor, and the floors.
+Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings);
 
 class PoseFilter {
  public:
@@ -110,6 +122,8 @@ class PoseFilter {
   struct Rival {
     State state;             ///< its scale_known is false until a second fix gives the scale
     int contradictions = 0;  ///< fixes that did not fit
+    double age = 0;          ///< since the anchor [s]
+    std::vector<double> stamps;  ///< of its fixes [s]
     Vector4d anchor = Vector4d::Zero();
     Matrix4d anchor_covariance = Matrix4d::Identity();
     Vector4d travelled = Vector4d::Zero();                ///< since the anchor, in its body frame, in the odometry's unit

@@ -29,6 +29,13 @@ enum class IncrementResult {
   kInvalid,          ///< not finite
 };
 
+/// Mean motion over the newest step of odometry, in the levelled body frame at its begin.
+struct Rate {
+  Vector4d value = Vector4d::Zero();           ///< velocity [m/s], yaw rate [rad/s]; the velocity is zero while the scale is unknown
+  Matrix4d covariance = Matrix4d::Zero();      ///< from the step's covariance and the scale's; kUnknownVariance where nothing is known
+};
+constexpr double kUnknownVariance = 1e6;
+
 /// Estimate for users.
 struct Estimate {
   double stamp = 0;                                     ///< [s]
@@ -50,13 +57,17 @@ class Tracker {
   /// Any order. What it did is known when the odometry has reached its stamp: see takeOutcomes().
   void addMeasurement(const Measurement& measurement);
 
-  /// What the measurements decided since the last call did, in the order in which they were decided.
+  /// What the measurements decided since the last call did, in the order in which they were decided. One whose result a late
+  /// measurement changed comes again, marked as revised: the last word counts.
   std::vector<Outcome> takeOutcomes();
 
   /// At the newest odometry stamp; empty before the start.
   std::optional<Estimate> latest() const;
   /// At any buffered stamp (interpolated between steps); empty outside the history or before the start.
   std::optional<Estimate> at(double stamp) const;
+
+  /// Empty before the start.
+  std::optional<Rate> rate() const;
 
   /// Newest odometry stamp; empty before the first.
   std::optional<double> newestStamp() const;
@@ -70,7 +81,8 @@ class Tracker {
   struct Kept {
     Measurement measurement;
     double delay = 0;
-    bool reported = false;
+    Outcome outcome;             ///< by the filter as it passed
+    std::optional<Result> told;  ///< last result reported
   };
   struct Step {
     Increment increment;  ///< that led here; of the first step only the stamp counts
@@ -83,6 +95,7 @@ class Tracker {
   void insert(const Kept& kept);
   void replay(std::size_t first);
   void report(const Measurement& m, Result result, double delay);
+  void tellChanges();
 
   TrackerSettings settings_;
   std::deque<Step> steps_;

@@ -1,6 +1,7 @@
 // tf, odometry and path of a robot that estimates its own motion (REP-105): map -> odom -> base_link.
 #pragma once
 
+#include <geometry_msgs/PoseStamped.h>
 #include <nav_msgs/Path.h>
 #include <ros/node_handle.h>
 #include <tf2_ros/transform_broadcaster.h>
@@ -12,11 +13,32 @@
 
 namespace air_ground_common::ros_utils {
 
+/// A path for display that stays small however long the flight: a pose every `step` metres; when it holds `most`, every second
+/// one is dropped and the step doubled.
+class BoundedPath {
+ public:
+  /// `interval`: shortest time between two publications, as each sends the whole path [s].
+  BoundedPath(const std::string& frame_id, double step, std::size_t most = 5000, double interval = 1.0);
+
+  /// Takes the pose if it lies a step away from the last one kept. True when the path should be published: it has grown, and
+  /// the interval has passed by the poses' stamps (or they ran back).
+  bool add(const geometry_msgs::PoseStamped& pose);
+  const nav_msgs::Path& message() const { return path_; }
+  void clear();
+
+ private:
+  nav_msgs::Path path_;
+  double first_step_, step_, interval_;
+  std::size_t most_;
+  bool grown_ = false;
+  ros::Time published_;
+};
+
 struct PosePublisherSettings {
   std::string map_frame, odom_frame, base_frame;
   std::string odometry_topic, path_topic;
   bool publish_tf = true;
-  double path_step = 0.02;  ///< the path gains a pose after this distance [m]
+  double path_step = 0.02;  ///< the path gains a pose after this distance [m], more when it is long: see BoundedPath
 };
 
 /// Publishes nav_msgs/Odometry (pose in the map frame), a nav_msgs/Path and, if switched on, the two tf edges.
@@ -39,7 +61,7 @@ class PosePublisher {
   tf2_ros::TransformBroadcaster broadcaster_;
   std::optional<Pose> T_odom_base_;
   ros::Time last_stamp_;
-  nav_msgs::Path path_msg_;
+  BoundedPath bounded_path_;
 };
 
 /// Looks up a fixed transform T_target_source, e.g. base_link <- camera. Waits up to `timeout` wall seconds in total;
