@@ -23,6 +23,8 @@ struct Options {
   std::function<bool(double)> black = [](double) { return false; };
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
+  unsigned seed = 11;  ///< of the IMU's noise
+  int grain = 5;       ///< of the images' noise
 };
 
 struct Outcome {
@@ -39,8 +41,8 @@ Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* gi
     own = std::make_unique<Odometry>(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), settings);
     given = own.get();
   }
-  std::mt19937 random(11);
-  cv::RNG grain(5);
+  std::mt19937 random(options.seed);
+  cv::RNG grain(options.grain);
   const ImuNoise noise{1.7e-4, 2.9e-3, 2e-5, 6e-4};
   const auto samples = options.flight.imuSamples(options.begin, options.end + 0.1, 200, noise, options.bias, random);
   std::size_t next = 0;
@@ -137,6 +139,54 @@ TEST(Odometry, IncrementsCarryAnHonestCovariance) {
   EXPECT_LT(scatter / count, 4.5);
   EXPECT_LT(poses / count, 12);
   EXPECT_GT(cautious, 0.9 * count);
+}
+
+TEST(Odometry, PosesCarryAnHonestCovariance) {
+  // Normalised errors of the base's position in the map, 3 on average if the covariance is honest. Errors of one flight belong
+  // together, so the bounds are wide; a covariance ten times too large or too small is outside.
+  double sum = 0;
+  int count = 0;
+  for (int seed = 1; seed <= 3; ++seed) {
+    Options options;
+    options.seed = 100 + seed;
+    options.grain = 200 + seed;
+    options.end = 11;
+    Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), OdometrySettings{});
+    const Outcome o = fly(options, {}, &odometry);
+    ASSERT_GT(o.metric_at, 0);
+    const Pose first = options.flight.T_world_imu(odometry.map().keyframes().begin()->second.stamp);
+    const Pose T_map_world = air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse();
+    double flight = 0;
+    int frames = 0;
+    for (const FrameResult& r : o.frames) {
+      if (!r.metric || !r.pose_valid) continue;
+      const Eigen::Vector3d e = r.T_map_base.translation() - (T_map_world * options.flight.T_world_imu(r.stamp)).translation();
+      flight += e.dot(Eigen::Matrix3d(r.covariance.topLeftCorner<3, 3>()).ldlt().solve(e));
+      ++frames;
+    }
+    std::printf("flight %d: mean NEES %.2f of %d poses, 3 expected\n", seed, flight / frames, frames);
+    sum += flight;
+    count += frames;
+  }
+  EXPECT_GT(sum / count, 0.3);
+  EXPECT_LT(sum / count, 12);
+}
+
+TEST(Odometry, NeverClaimsMetresWithAWrongImu) {
+  // Mounted otherwise than told.
+  Pose turned = Pose::Identity();
+  turned.linear() = Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  Odometry mounted(synthetic::camera(), synthetic::T_imu_camera(), turned, OdometrySettings{});
+  EXPECT_LT(fly(Options{}, {}, &mounted).metric_at, 0);
+  // Known to be wrong.
+  Options options;
+  options.end = 9;
+  Odometry known(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), OdometrySettings{});
+  known.setImuProblem("the IMU reports g");
+  const Outcome o = fly(options, {}, &known);
+  EXPECT_LT(o.metric_at, 0);
+  EXPECT_EQ(o.frames.back().state, OdometryState::kScaling);
+  EXPECT_EQ(o.frames.back().reason, "the IMU reports g");
 }
 
 TEST(Odometry, SameInputSameOutput) {
