@@ -78,12 +78,19 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
   view.camera.fx = real("fx"), view.camera.fy = real("fy"), view.camera.cx = real("cx"), view.camera.cy = real("cy");
   view.camera.k1 = real("k1"), view.camera.k2 = real("k2"), view.camera.p1 = real("p1"), view.camera.p2 = real("p2"),
   view.camera.k3 = real("k3");
-  view.T_world_camera.translation() << real("x"), real("y"), real("z");
-  view.T_world_camera.linear() =
-      Eigen::Quaterniond(real("qw"), real("qx"), real("qy"), real("qz")).normalized().toRotationMatrix();
+  try {
+    view.camera.validate();
+  } catch (const std::invalid_argument& e) {
+    throw std::runtime_error(path + " holds a broken view (" + e.what() + "): build it again");
+  }
+  view.T_world_camera = readPose(row, "", path);
   if (options.images) {
     const auto encoded = blob<std::uint8_t>(row, "image");
-    if (!encoded.empty()) view.image = cv::imdecode(encoded, cv::IMREAD_COLOR);
+    if (!encoded.empty()) {
+      view.image = cv::imdecode(encoded, cv::IMREAD_COLOR);
+      if (view.image.cols != view.camera.width || view.image.rows != view.camera.height)
+        throw std::runtime_error(path + " holds a broken view (image): build it again");
+    }
   }
   if (!options.features) return view;
   const std::size_t n = static_cast<std::size_t>(row.GetFieldAsInteger("features"));
@@ -136,7 +143,7 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
   std::map<int, int> expected;
   layer->ResetReading();
   for (auto& row : layer) {
-    Panorama panorama = readPanorama(*row);
+    Panorama panorama = readPanorama(*row, path);
     if (options.centre && (panorama.T_world_panorama.translation() - centre).head<2>().norm() > options.radius)
       continue;
     index_of[row->GetFID()] = static_cast<int>(database.panoramas.size());

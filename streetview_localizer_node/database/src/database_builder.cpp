@@ -32,6 +32,21 @@ std::string BuildSettings::fingerprint() const {
   out << "; consistency " << (check_consistency ? consistency.min_correlation : -1) << "; registered "
       << register_panoramas << keep_unregistered << "; north " << (north == North::kGrid ? "grid" : "true")
       << " height " << geotag_height_offset;
+  if (register_panoramas) {
+    const RegistrationSettings& r = registration;
+    out << "; registration";
+    for (const double value :
+         {r.search_radius, r.search_yaw, r.geotag_stddev, r.heading_stddev, r.tilt_stddev, r.height_stddev,
+          r.camera_height, r.camera_height_stddev, r.model_radius, r.model_lateral_stddev, r.model_height_stddev,
+          r.roof_overhang, r.roof_overhang_stddev, r.max_position_stddev, r.max_orientation_stddev})
+      out << " " << value;
+  }
+  if (camera) {
+    out << "; camera " << camera->width << "x" << camera->height;
+    for (const double value : {camera->fx, camera->fy, camera->cx, camera->cy, camera->k1, camera->k2, camera->p1,
+                               camera->p2, camera->k3})
+      out << " " << value;
+  }
   return out.str();
 }
 
@@ -272,7 +287,14 @@ class Builder {
 #pragma omp critical(streetview_writer)
       {
         skip = !error.empty() || writer->has(items_[i].panorama.id);
-        if (error.empty() && skip) ++report_.resumed, ++done;
+        if (error.empty() && skip) {
+          ++done;
+          const std::string& remark = items_[i].panorama.remark;
+          if (remark.empty())
+            ++report_.resumed;
+          else
+            refuse(items_[i].panorama.id, remark);
+        }
       }
       if (skip) continue;
       try {
@@ -296,8 +318,10 @@ class Builder {
     int inconsistent = 0;
     if (usable(panorama)) {
       const cv::Mat image = cv::imread(item.path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
-      if (image.empty()) {
-        panorama.remark = "cannot be read as an image";
+      if (image.empty()) {  // not stored, so that the next run tries again
+#pragma omp critical(streetview_writer)
+        refuse(panorama.id, "cannot be read as an image");
+        return;
       } else {
         views = viewsOf(item, image);
         for (View& view : views) {

@@ -68,6 +68,9 @@ struct DatabaseWriter::Impl {
     return layer;
   }
 
+  // SQLite's own lock, kept from the first write until the file is closed: a second build of the same name is refused.
+  void keepLocked() { trySql("PRAGMA locking_mode = EXCLUSIVE"); }
+
   void begin() {
     if (dataset->StartTransaction() != OGRERR_NONE) fail("start a transaction");
     in_transaction = true;
@@ -178,7 +181,7 @@ struct DatabaseWriter::Impl {
     OGRLayer* layer = table(kPanoramaTable);
     layer->ResetReading();
     for (auto& row : layer) {
-      panoramas.push_back(readPanorama(*row));
+      panoramas.push_back(readPanorama(*row, working));
       row_of[panoramas.back().id] = row->GetFID();
       stored[panoramas.back().id] = row->GetFieldAsInteger("views") >= 0;
     }
@@ -291,27 +294,25 @@ DatabaseWriter::DatabaseWriter(const std::string& path, const CityModel& model, 
       if (!error) fs::rename(copy, d.working, error);
       if (error) throw std::runtime_error("cannot copy " + path + ": " + error.message());
     }
-    if (fs::exists(d.working)) {
-      // A build killed before its first commit leaves no tables: nothing is lost by starting over.
-      bool begun = true;
-      try {
-        d.dataset = openDataset(d.working, true);
-        begun = !infoValue(d.dataset.get(), "version").empty();
-      } catch (const std::runtime_error&) {
-        begun = false;
-      }
-      if (begun) {
+    if (fs::exists(d.working) && fs::file_size(d.working) > 0) {
+      d.dataset = openUnfinished(d.working);
+      const QuietGdal quiet;
+      d.keepLocked();
+      if (d.dataset->GetLayerByName(kInfoTable)) {
         d.resume(settings);
         return;
       }
       d.dataset.reset();
-      fs::remove(d.working);
     }
+    // A build killed before its first commit leaves no tables: nothing is lost by starting over.
+    fs::remove(d.working);
+    fs::remove(d.working + "-journal");
     const QuietGdal quiet;
     GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GPKG");
     if (!driver) throw std::runtime_error("this GDAL has no GeoPackage driver");
     d.dataset.reset(driver->Create(d.working.c_str(), 0, 0, 0, GDT_Unknown, nullptr));
     if (!d.dataset) throw std::runtime_error("cannot create " + d.working + ": " + CPLGetLastErrorMsg());
+    d.keepLocked();
   }
   const QuietGdal quiet;
   d.model = model;

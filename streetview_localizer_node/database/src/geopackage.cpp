@@ -35,15 +35,24 @@ void checkFile(const std::string& path) {
                              " bytes): copy or build it again");
 }
 
-Pose readPose(OGRFeature& row, const std::string& prefix) {
-  const auto value = [&](const char* name) { return row.GetFieldAsDouble((prefix + name).c_str()); };
-  Pose T = Pose::Identity();
-  T.translation() << value("x"), value("y"), value("z");
-  T.linear() = Eigen::Quaterniond(value("qw"), value("qx"), value("qy"), value("qz")).normalized().toRotationMatrix();
-  return T;
+Dataset openAny(const std::string& path, bool update) {
+  // The list names both drivers, so that GDAL does not guess by the file's extension.
+  const char* drivers[] = {"GPKG", "PostgreSQL", nullptr};
+  return Dataset(GDALDataset::Open(path.c_str(), GDAL_OF_VECTOR | (update ? GDAL_OF_UPDATE : 0), drivers), &GDALClose);
 }
 
 }  // namespace
+
+Pose readPose(OGRFeature& row, const std::string& prefix, const std::string& path) {
+  const auto value = [&](const char* name) { return row.GetFieldAsDouble((prefix + name).c_str()); };
+  const Eigen::Quaterniond q(value("qw"), value("qx"), value("qy"), value("qz"));
+  Pose T = Pose::Identity();
+  T.translation() << value("x"), value("y"), value("z");
+  T.linear() = q.normalized().toRotationMatrix();
+  if (!(std::abs(q.norm() - 1) < 1e-3) || !air_ground_common::isValid(T))
+    throw std::runtime_error(path + " holds a broken pose: build it again");
+  return T;
+}
 
 void writePose(const Pose& T, const std::string& prefix, OGRFeature* row) {
   const Eigen::Quaterniond q(T.linear());
@@ -61,11 +70,24 @@ Dataset openDataset(const std::string& path, bool update) {
   GDALAllRegister();
   if (!isServer(path)) checkFile(path);
   const QuietGdal quiet;
-  // The list names both drivers, so that GDAL does not guess by the file's extension.
-  const char* drivers[] = {"GPKG", "PostgreSQL", nullptr};
-  Dataset dataset(GDALDataset::Open(path.c_str(), GDAL_OF_VECTOR | (update ? GDAL_OF_UPDATE : 0), drivers), &GDALClose);
+  Dataset dataset = openAny(path, update);
   if (!dataset) throw std::runtime_error("cannot open " + path + " as a database: " + CPLGetLastErrorMsg());
   return dataset;
+}
+
+Dataset openUnfinished(const std::string& path) {
+  GDALAllRegister();
+  const QuietGdal quiet;
+  Dataset dataset = openAny(path, true);
+  // GDAL opens some files that SQLite cannot read; a query tells.
+  OGRLayer* tables = dataset ? dataset->ExecuteSQL("SELECT count(*) FROM sqlite_master", nullptr, nullptr) : nullptr;
+  const bool readable = tables && CPLGetLastErrorType() < CE_Failure;
+  const std::string reason = CPLGetLastErrorMsg();
+  if (tables) dataset->ReleaseResultSet(tables);
+  if (readable) return dataset;
+  if (reason.find("locked") != std::string::npos)
+    throw std::runtime_error("cannot resume " + path + ": another program is writing it (" + reason + ")");
+  throw std::runtime_error("cannot resume " + path + ": " + reason + "; delete it to start over");
 }
 
 std::string infoValue(GDALDataset* dataset, const std::string& key) {
@@ -134,7 +156,7 @@ CityModel readStoredModel(GDALDataset* dataset, const std::string& path) {
   return model;
 }
 
-Panorama readPanorama(OGRFeature& row) {
+Panorama readPanorama(OGRFeature& row, const std::string& path) {
   Panorama p;
   p.id = row.GetFieldAsString("panorama_id");
   p.equirectangular = row.GetFieldAsInteger("equirectangular") != 0;
@@ -142,8 +164,8 @@ Panorama readPanorama(OGRFeature& row) {
   p.position_stddev = row.GetFieldAsDouble("position_stddev");
   p.orientation_stddev = row.GetFieldAsDouble("orientation_stddev");
   p.remark = row.GetFieldAsString("remark");
-  p.T_world_panorama = readPose(row, "");
-  p.T_world_geotag = readPose(row, "geotag_");
+  p.T_world_panorama = readPose(row, "", path);
+  p.T_world_geotag = readPose(row, "geotag_", path);
   return p;
 }
 

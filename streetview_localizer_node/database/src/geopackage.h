@@ -32,9 +32,15 @@ struct QuietGdal {
 using Dataset = std::unique_ptr<GDALDataset, decltype(&GDALClose)>;
 /// Throws std::runtime_error with one line.
 Dataset openDataset(const std::string& path, bool update);
+/// For update, a file that a killed build may have left: SQLite takes half a commit back, so its length is not checked.
+/// Throws std::runtime_error that says what to do.
+Dataset openUnfinished(const std::string& path);
 
 /// Value of a key of the information table; empty if absent.
 std::string infoValue(GDALDataset* dataset, const std::string& key);
+
+/// Pose from seven columns, <prefix>x ... <prefix>qw. Throws std::runtime_error with `path` unless it is a rigid transform.
+air_ground_common::Pose readPose(OGRFeature& row, const std::string& prefix, const std::string& path);
 
 /// Throws std::runtime_error unless the dataset is a Street View database of this version.
 void checkVersion(GDALDataset* dataset, const std::string& path);
@@ -42,7 +48,7 @@ void checkVersion(GDALDataset* dataset, const std::string& path);
 /// Reads crs, origin, frame and the mesh.
 CityModel readStoredModel(GDALDataset* dataset, const std::string& path);
 
-Panorama readPanorama(OGRFeature& row);
+Panorama readPanorama(OGRFeature& row, const std::string& path);
 void writePanorama(const Panorama& panorama, const CityModel& model, OGRFeature* row);
 
 /// Seven columns, <prefix>x ... <prefix>qw.
