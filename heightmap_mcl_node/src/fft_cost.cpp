@@ -4,8 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
+#include <deque>
 #include <mutex>
+#include <new>
 #include <stdexcept>
 #include <utility>
 
@@ -21,7 +22,11 @@ struct FftwFree {
   void operator()(float* p) const { fftwf_free(p); }
 };
 using Buffer = std::unique_ptr<float[], FftwFree>;
-Buffer allocate(std::size_t floats) { return Buffer(fftwf_alloc_real(floats)); }
+Buffer allocate(std::size_t floats) {
+  Buffer buffer(fftwf_alloc_real(floats));
+  if (!buffer) throw std::bad_alloc();
+  return buffer;
+}
 
 /// Rounds up so that maps of nearly the same size share plans and spectra.
 int paddedSize(int n) { return fiveSmoothSize((n + 15) / 16 * 16); }
@@ -118,6 +123,7 @@ struct FftCost::Impl {
   /// All that belongs to one padded size.
   struct Size {
     Size(int rows, int columns) : plans(rows, columns), ground(plans) {}
+    bool is(int rows, int columns) const { return plans.rows == rows && plans.columns == columns; }
     Plans plans;
     Spectra ground;
     std::vector<std::unique_ptr<Workspace>> idle;  // guarded by Impl::mutex
@@ -128,15 +134,17 @@ struct FftCost::Impl {
     if (cells == 0) throw std::invalid_argument("FftCost: the ground height map has no defined cell");
   }
 
-  Size& sizeFor(int rows, int columns) {
+  std::shared_ptr<Size> sizeFor(int rows, int columns) {
     const std::lock_guard<std::mutex> lock(mutex);
-    auto& entry = sizes[{rows, columns}];
-    if (!entry) {
-      entry = std::make_unique<Size>(rows, columns);
-      const Buffer real = allocate(entry->plans.realSize());
-      entry->ground.compute(entry->plans, ground, mean, real.get());
+    for (const auto& size : sizes) {
+      if (size->is(rows, columns)) return size;
     }
-    return *entry;
+    auto size = std::make_shared<Size>(rows, columns);
+    const Buffer real = allocate(size->plans.realSize());
+    size->ground.compute(size->plans, ground, mean, real.get());
+    sizes.push_back(size);
+    if (sizes.size() > kSizesKept) sizes.pop_front();
+    return size;
   }
 
   std::unique_ptr<Workspace> take(Size& size) {
@@ -160,7 +168,9 @@ struct FftCost::Impl {
   std::size_t cells = 0;  // defined ones
   float mean = 0;
   std::mutex mutex;
-  std::map<std::pair<int, int>, std::unique_ptr<Size>> sizes;
+  // The merged map grows and moves: of the sizes it has had, the filter's and the verification's last ones matter.
+  static constexpr std::size_t kSizesKept = 2;
+  std::deque<std::shared_ptr<Size>> sizes;
 };
 
 FftCost::FftCost(const HeightMap& ground) : impl_(std::make_unique<Impl>(ground)) {}
@@ -184,12 +194,12 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
 
   std::size_t cells = 0;
   const auto mean = static_cast<float>(meanHeight(turned, cells));
-  Impl::Size& size = impl_->sizeFor(paddedSize(result.height), paddedSize(result.width));
-  const Plans& plans = size.plans;
-  auto workspace = impl_->take(size);
+  const auto size = impl_->sizeFor(paddedSize(result.height), paddedSize(result.width));
+  const Plans& plans = size->plans;
+  auto workspace = impl_->take(*size);
   workspace->air.compute(plans, turned, mean, workspace->real[0].get());
   const auto& a = workspace->air.spectrum;
-  const auto& g = size.ground.spectrum;
+  const auto& g = size->ground.spectrum;
   auto& p = workspace->product.spectrum;
   kernel::correlate(a[0].get(), a[1].get(), a[2].get(), g[0].get(), g[1].get(), g[2].get(),
                     static_cast<int>(plans.spectrumSize()), p[0].get(), p[1].get(), p[2].get());
@@ -212,7 +222,7 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
     segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);
     segment(line, ground.width, out + negative);
   }
-  impl_->give(size, std::move(workspace));
+  impl_->give(*size, std::move(workspace));
   return result;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <exception>
 #include <stdexcept>
 
 #include "air_ground_common/geometry.h"
@@ -75,10 +76,17 @@ CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std
   const int cells = 2 * static_cast<int>(std::ceil(std::sqrt(radius) / air.resolution + 1));
   volume.slices.resize(headings.size());
   const int n = static_cast<int>(headings.size());
+  std::exception_ptr failure;  // one that left a parallel loop would end the process
 #pragma omp parallel for schedule(dynamic)
   for (int i = 0; i < n; ++i) {
-    volume.slices[i] = fft(rotateAbout(air, volume.pivot, headings[i], cells), headings[i], settings);
+    try {
+      volume.slices[i] = fft(rotateAbout(air, volume.pivot, headings[i], cells), headings[i], settings);
+    } catch (...) {
+#pragma omp critical
+      failure = std::current_exception();
+    }
   }
+  if (failure) std::rethrow_exception(failure);
   return volume;
 }
 

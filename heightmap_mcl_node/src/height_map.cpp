@@ -2,16 +2,64 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 namespace heightmap_mcl {
 namespace {
 
-double median(std::vector<float>& values) {
-  const auto middle = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+constexpr float kFarthest = 1e6f;  // [m] beyond it a float cannot tell cells apart
+
+/// Keeps the points of the square of edge `extent` that holds most of them, to a tenth of its edge.
+void keepDensestRegion(std::vector<Eigen::Vector3f>& points, double extent) {
+  constexpr long kReach = 5;  // a window is 11 x 11 bins
+  const double edge = extent / (2 * kReach + 1);
+  using Bin = std::pair<long, long>;
+  const auto binOf = [edge](const Eigen::Vector3f& p) {
+    return Bin(static_cast<long>(std::floor(p.x() / edge)), static_cast<long>(std::floor(p.y() / edge)));
+  };
+  std::map<Bin, std::size_t> bins;
+  for (const auto& p : points) ++bins[binOf(p)];
+  Bin best;
+  std::size_t most = 0;
+  for (const auto& [bin, count] : bins) {
+    std::size_t sum = 0;
+    for (long x = bin.first - kReach; x <= bin.first + kReach; ++x) {
+      for (auto it = bins.lower_bound({x, bin.second - kReach}); it != bins.end() && it->first <= Bin(x, bin.second + kReach); ++it) {
+        sum += it->second;
+      }
+    }
+    if (sum > most) {
+      most = sum;
+      best = bin;
+    }
+  }
+  const auto outside = [&](const Eigen::Vector3f& p) {
+    const Bin bin = binOf(p);
+    return std::labs(bin.first - best.first) > kReach || std::labs(bin.second - best.second) > kReach;
+  };
+  points.erase(std::remove_if(points.begin(), points.end(), outside), points.end());
+}
+
+struct Extent {
+  long c0 = std::numeric_limits<long>::max(), r0 = c0, c1 = std::numeric_limits<long>::min(), r1 = c1;
+};
+long column0(const HeightMap& m) { return std::lround(m.origin_x / m.resolution); }
+long row0(const HeightMap& m) { return std::lround(m.origin_y / m.resolution); }
+
+/// Cells from (r0, c0) to before (r1, c1) that the grids cover.
+Extent extentOf(const std::vector<const HeightMap*>& maps) {
+  Extent e;
+  for (const HeightMap* m : maps) {
+    if (m->empty()) continue;
+    e.c0 = std::min(e.c0, column0(*m));
+    e.r0 = std::min(e.r0, row0(*m));
+    e.c1 = std::max(e.c1, column0(*m) + m->width);
+    e.r1 = std::max(e.r1, row0(*m) + m->height);
+  }
+  return e;
 }
 
 /// Drops cells that stand out above every one of at least three defined neighbours.
@@ -53,12 +101,13 @@ void validate(const HeightMapSettings& settings) {
           "max_extent must be 10 to 20000 cells [m]");
 }
 
-HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings) {
+HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings, std::size_t* cropped) {
   validate(settings);
+  if (cropped) *cropped = 0;
   std::vector<Eigen::Vector3f> valid;
   valid.reserve(points.size());
   for (const auto& p : points) {
-    if (p.allFinite()) valid.push_back(p);
+    if (p.allFinite() && p.head<2>().cwiseAbs().maxCoeff() <= kFarthest) valid.push_back(p);
   }
   HeightMap map;
   map.resolution = settings.resolution;
@@ -72,15 +121,9 @@ HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const Heigh
   for (const auto& p : valid) extend(p);
   if ((high - low).maxCoeff() > settings.max_extent) {
     // Far outliers must not blow up the grid.
-    std::vector<float> xs, ys;
-    for (const auto& p : valid) xs.push_back(p.x()), ys.push_back(p.y());
-    const Eigen::Vector2d center(median(xs), median(ys));
-    const double half = settings.max_extent / 2;
-    valid.erase(std::remove_if(valid.begin(), valid.end(),
-                               [&](const Eigen::Vector3f& p) {
-                                 return (p.head<2>().cast<double>() - center).cwiseAbs().maxCoeff() > half;
-                               }),
-                valid.end());
+    const std::size_t before = valid.size();
+    keepDensestRegion(valid, settings.max_extent);
+    if (cropped) *cropped = before - valid.size();
     low.setConstant(std::numeric_limits<double>::infinity());
     high = -low;
     for (const auto& p : valid) extend(p);
@@ -116,6 +159,11 @@ HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const Heigh
     map.heights[k] = *(first + rank);
   }
   if (settings.max_spike > 0) removeSpikes(map, settings.max_spike);
+  if (map.defined() == 0) {
+    HeightMap none;
+    none.resolution = settings.resolution;
+    return none;
+  }
   return dilate(map, settings.dilation);
 }
 
@@ -138,23 +186,25 @@ HeightMap dilate(const HeightMap& map, Dilation mode) {
   return result;
 }
 
+double unionExtent(const std::vector<const HeightMap*>& maps) {
+  const Extent e = extentOf(maps);
+  for (const HeightMap* m : maps) {
+    if (!m->empty()) return static_cast<double>(std::max(e.c1 - e.c0, e.r1 - e.r0)) * m->resolution;
+  }
+  return 0;
+}
+
 HeightMap merge(const std::vector<const HeightMap*>& maps, Merge mode) {
   HeightMap result;
-  long c0 = std::numeric_limits<long>::max(), r0 = c0, c1 = std::numeric_limits<long>::min(), r1 = c1;
-  const auto column0 = [](const HeightMap& m) { return std::lround(m.origin_x / m.resolution); };
-  const auto row0 = [](const HeightMap& m) { return std::lround(m.origin_y / m.resolution); };
   bool any = false;
   for (const HeightMap* m : maps) {
     if (m->empty()) continue;
     if (any && m->resolution != result.resolution) throw std::invalid_argument("merge: height maps of different resolution");
     result.resolution = m->resolution;
     any = true;
-    c0 = std::min(c0, column0(*m));
-    r0 = std::min(r0, row0(*m));
-    c1 = std::max(c1, column0(*m) + m->width);
-    r1 = std::max(r1, row0(*m) + m->height);
   }
   if (!any) return result;
+  const auto [c0, r0, c1, r1] = extentOf(maps);
   result.width = static_cast<int>(c1 - c0);
   result.height = static_cast<int>(r1 - r0);
   result.origin_x = c0 * result.resolution;

@@ -10,7 +10,7 @@
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/static_transform_broadcaster.h>
+#include <tf2_ros/transform_broadcaster.h>
 
 #include <algorithm>
 #include <condition_variable>
@@ -29,8 +29,7 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 using air_ground_common::Pose;
-
-constexpr double kJump = 1.0;  // [s] stamps that go back by more are a looped bag
+using Verdict = ros_utils::StreamJumpDetector::Verdict;
 
 air_ground::HeightMap toMsg(const HeightMap& map, const std_msgs::Header& header, std::uint32_t map_id) {
   air_ground::HeightMap msg;
@@ -101,7 +100,8 @@ class HeightmapMclNode {
     coarse_ = handle_.advertise<AlignmentEstimate>("alignment/coarse", 20, true);
 
     cloud_sub_ = handle_.subscribe("mav/dense_cloud", 50, &HeightmapMclNode::onAerialCloud, this);
-    ground_sub_ = handle_.subscribe("ground/map_cloud", 5, &HeightmapMclNode::onGroundCloud, this);
+    subscribeGround();
+    ground_status_sub_ = handle_.subscribe("ground/slam_status", 100, &HeightmapMclNode::onGroundStatus, this);
     odometry_sub_ = handle_.subscribe("mav/odometry", 500, &HeightmapMclNode::onOdometry, this);
     status_sub_ = handle_.subscribe("mav/vo_status", 500, &HeightmapMclNode::onVoStatus, this);
     guess_sub_ = handle_.subscribe("initialpose", 1, &HeightmapMclNode::onInitialPose, this);
@@ -109,6 +109,9 @@ class HeightmapMclNode {
     health_.expectInput(ground_sub_.getTopic(), false);
     reset_ = private_handle_.advertiseService("reset", &HeightmapMclNode::onReset, this);
     relocalize_ = private_handle_.advertiseService("relocalize", &HeightmapMclNode::onRelocalize, this);
+    if (settings_.publish_tf) {
+      tf_timer_ = handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
+    }
     worker_ = std::thread([this] { work(); });
   }
 
@@ -130,7 +133,10 @@ class HeightmapMclNode {
     bool relocalize = false;     // search again on the maps at hand
     bool forget_ground = false;
     std::optional<Prior> prior;
+    bool forgets() const { return reset || forget_aerial || forget_ground; }
   };
+  enum MavStream { kAerial, kOdometry, kMavStatus, kMavStreams };
+  enum GroundStream { kGround, kGroundStatus, kGroundStreams };
 
   static NodeSettings read(const ros::NodeHandle& handle) {
     ros_utils::Parameters parameters(handle);
@@ -141,8 +147,8 @@ class HeightmapMclNode {
 
   void onAerialCloud(const Cloud& msg) {
     health_.received(cloud_sub_.getTopic(), msg->header.stamp);
-    if (cloud_time_->jumped(msg->header.stamp)) startAfresh(msg->header.stamp);
     const std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitMav(kAerial, msg->header.stamp)) return;
     if (!frameFits(msg->header.frame_id, settings_.mav_map_frame, &mav_frame_, "aerial clouds")) return;
     if (!odometry_.empty() && msg->header.stamp.toSec() > odometry_.back().stamp + 5) {
       health_.count("aerial clouds later than the odometry by more than 5 s dropped");
@@ -168,15 +174,19 @@ class HeightmapMclNode {
       return;
     }
     const std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitGround(kGround, msg->header.stamp)) return;
     if (!frameFits(msg->header.frame_id, settings_.ground_map_frame, &ground_frame_, "ground clouds")) return;
+    if (msg->header.stamp < ground_map_begin_) {
+      health_.count("ground clouds of an earlier map dropped");
+      return;
+    }
     ground_ = msg;  // the newest replaces one that still waits
-    ground_stamp_ = msg->header.stamp;
     wake_.notify_one();
   }
 
   void onOdometry(const nav_msgs::OdometryConstPtr& msg) {
-    if (odometry_time_->jumped(msg->header.stamp)) startAfresh(msg->header.stamp);
     const std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitMav(kOdometry, msg->header.stamp)) return;
     if (!mav_frame_.empty() && msg->header.frame_id != mav_frame_) {
       health_.count("odometry in frame '" + msg->header.frame_id + "' ignored: aerial clouds are in '" + mav_frame_ + "'");
       return;
@@ -195,17 +205,25 @@ class HeightmapMclNode {
   }
 
   void onVoStatus(const air_ground::VoStatusConstPtr& msg) {
-    if (odometry_time_->jumped(msg->header.stamp)) startAfresh(msg->header.stamp);
     const std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitMav(kMavStatus, msg->header.stamp)) return;
     if (map_id_ && msg->map_id != *map_id_) {
       ROS_INFO("The MAV has begun map %u: searching again", msg->map_id);
+      forgetAerial();
       map_begin_ = msg->header.stamp;
-      command_.forget_aerial = true;
-      clouds_.clear();
-      odometry_.clear();
-      wake_.notify_one();
     }
     map_id_ = msg->map_id;
+  }
+
+  void onGroundStatus(const air_ground::VoStatusConstPtr& msg) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitGround(kGroundStatus, msg->header.stamp)) return;
+    if (ground_map_id_ && msg->map_id != *ground_map_id_) {
+      ROS_INFO("The ground robot has begun map %u: searching again", msg->map_id);
+      forgetGround();
+      ground_map_begin_ = msg->header.stamp;
+    }
+    ground_map_id_ = msg->map_id;
   }
 
   void onInitialPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& msg) {
@@ -241,11 +259,10 @@ class HeightmapMclNode {
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    forgetQueues();
-    ground_.reset();
+    forgetAerial();
+    forgetGround();
     command_ = Command();
     command_.reset = true;
-    wake_.notify_one();
     response.success = true;
     response.message = "both maps forgotten; waiting for new clouds";
     return true;
@@ -269,27 +286,61 @@ class HeightmapMclNode {
     return false;
   }
 
-  /// Time jumped back to `now`: what is stamped later belongs to the run before.
-  void startAfresh(const ros::Time& now) {
-    ROS_WARN("Time jumped back to %.3f: starting afresh", now.toSec());
-    cloud_time_ = std::make_unique<ros_utils::TimeJumpDetector>(kJump);
-    odometry_time_ = std::make_unique<ros_utils::TimeJumpDetector>(kJump);
-    const std::lock_guard<std::mutex> lock(mutex_);
-    forgetQueues();
-    command_.forget_aerial = true;
-    if (ground_stamp_ > now + ros::Duration(kJump)) {
-      ground_.reset();
-      command_.forget_ground = true;
+  // All below: mutex_ held.
+
+  /// False: the message comes of the time before a jump and is dropped. The robots' clocks are watched apart: when the MAV's
+  /// steps back, a ground robot that stands still does not send its map again.
+  bool admitMav(MavStream stream, const ros::Time& stamp) {
+    const auto verdict = mav_jumps_.watch(stream, stamp);
+    if (verdict == Verdict::kJump) {
+      ROS_WARN("The MAV's time jumped back to %.3f: its map starts afresh", stamp.toSec());
+      forgetAerial();
     }
-    wake_.notify_one();
+    return inOrder(verdict);
   }
 
-  void forgetQueues() {
+  bool admitGround(GroundStream stream, const ros::Time& stamp) {
+    const auto verdict = ground_jumps_.watch(stream, stamp);
+    if (verdict == Verdict::kJump) {
+      ROS_WARN("The ground robot's time jumped back to %.3f: its map starts afresh", stamp.toSec());
+      forgetGround();
+    }
+    return inOrder(verdict);
+  }
+
+  bool inOrder(Verdict verdict) {
+    if (verdict == Verdict::kOld) health_.count("messages of the time before a jump dropped");
+    return verdict != Verdict::kOld;
+  }
+
+  void forgetAerial() {
     clouds_.clear();
     odometry_.clear();
     map_begin_ = ros::Time();
     map_id_.reset();
+    command_.forget_aerial = true;
+    endSearch();
   }
+
+  void forgetGround() {
+    ground_.reset();
+    ground_map_begin_ = ros::Time();
+    ground_map_id_.reset();
+    command_.forget_ground = true;
+    // A latched map that has come already comes again.
+    ground_sub_.shutdown();
+    subscribeGround();
+    endSearch();
+  }
+
+  /// Pose and guesses refer to a map that is no more.
+  void endSearch() {
+    command_.prior.reset();
+    T_ground_mav_.reset();
+    wake_.notify_one();
+  }
+
+  void subscribeGround() { ground_sub_ = handle_.subscribe("ground/map_cloud", 5, &HeightmapMclNode::onGroundCloud, this); }
 
   // ---- worker ----
 
@@ -329,8 +380,8 @@ class HeightmapMclNode {
   }
 
   void obey(const Command& command) {
+    if (command.forgets()) localizer_.setPrior(settings_.prior);
     if (command.prior) localizer_.setPrior(*command.prior);
-    if (command.reset) localizer_.setPrior(settings_.prior);
     if (command.reset || command.forget_ground) localizer_.forgetGround();
     if (command.reset || command.forget_aerial || command.relocalize) localizer_.restart(command.reset || command.forget_aerial);
     if (command.reset || command.forget_aerial) aerial_stamp_ = ros::Time();
@@ -351,7 +402,10 @@ class HeightmapMclNode {
       health_.count("ground clouds without a finite point");
       return;
     }
-    localizer_.setGround(points);
+    std::size_t cropped = 0;
+    if (!localizer_.setGround(points, &cropped)) health_.count("ground clouds that define no cell");
+    health_.count("ground points beyond ground/max_extent", cropped);
+    ground_stamp_ = msg->header.stamp;
     health_.timing("ground map", (ros::WallTime::now() - start).toSec());
   }
 
@@ -382,7 +436,15 @@ class HeightmapMclNode {
       heading_ = 0;
     }
     reference_ = cloud.reference;
-    if (!localizer_.addAerial(cloud)) return;
+    std::size_t cropped = 0;
+    const std::size_t far = localizer_.farMapsDropped();
+    const bool added = localizer_.addAerial(cloud, &cropped);
+    health_.count("aerial points beyond air/max_extent", cropped);
+    health_.count("aerial maps dropped: farther than air/max_extent from the newest", localizer_.farMapsDropped() - far);
+    if (!added) {
+      health_.count("aerial clouds that define no cell");
+      return;
+    }
     aerial_stamp_ = msg->header.stamp;
     health_.timing("aerial map", (ros::WallTime::now() - start).toSec());
   }
@@ -392,7 +454,11 @@ class HeightmapMclNode {
     std_msgs::Header header;
     header.frame_id = ground_frame;
     header.stamp = aerial_stamp_;
-    if (new_ground && localizer_.hasGround()) height_map_ground_.publish(toMsg(localizer_.groundMap(), header, 0));
+    if (new_ground && localizer_.hasGround()) {
+      std_msgs::Header ground = header;
+      ground.stamp = ground_stamp_;
+      height_map_ground_.publish(toMsg(localizer_.groundMap(), ground, 0));
+    }
     if (new_air && localizer_.hasAerial()) {
       std_msgs::Header air = header;
       air.frame_id = mav_frame;
@@ -410,9 +476,7 @@ class HeightmapMclNode {
     msg.header = header;
     msg.child_frame_id = mav_frame;
     msg.pose.pose = ros_utils::toMsg(e.T_ground_mav);
-    air_ground_common::Matrix6d covariance = e.covariance;
-    if (!e.has_pose) covariance = 1e6 * air_ground_common::Matrix6d::Identity();
-    ros_utils::setCovariance(covariance, &msg.pose.covariance);
+    ros_utils::setCovariance(e.covariance, &msg.pose.covariance);
     msg.reference_point.x = e.reference_point.x();
     msg.reference_point.y = e.reference_point.y();
     msg.reference_point.z = e.reference_point.z();
@@ -425,6 +489,12 @@ class HeightmapMclNode {
     msg.cost = e.cost;
     msg.iterations = static_cast<std::uint32_t>(e.maps);
     msg.map_id = map_id;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (command_.forgets()) return;  // it is about a map that has ended
+      T_ground_mav_.reset();
+      if (e.status == Status::kConverged) T_ground_mav_ = e.T_ground_mav;
+    }
     coarse_.publish(msg);
     if (!e.has_pose) return;
 
@@ -436,13 +506,20 @@ class HeightmapMclNode {
       const PlanarPose shift = changeReference({0, 0, cost.yaw}, pivot, reference_.head<2>());
       if (!cost.cost.empty()) costmap_.publish(toMsg(cost, {shift.x, shift.y}, header));
     }
-    if (settings_.publish_tf && e.status == Status::kConverged) {
-      geometry_msgs::TransformStamped transform;
-      transform.header = header;
-      transform.child_frame_id = mav_frame;
-      transform.transform = ros_utils::toTransformMsg(e.T_ground_mav);
-      broadcaster_.sendTransform(transform);
-    }
+  }
+
+  void publishTf() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const ros::Time now = ros::Time::now();
+    // The clock stands still while a bag is paused: the same stamp is not sent again.
+    if (!T_ground_mav_ || now.isZero() || now == last_tf_) return;
+    last_tf_ = now;
+    geometry_msgs::TransformStamped transform;
+    transform.header.stamp = now;
+    transform.header.frame_id = ground_frame_;
+    transform.child_frame_id = mav_frame_;
+    transform.transform = ros_utils::toTransformMsg(*T_ground_mav_);
+    broadcaster_.sendTransform(transform);
   }
 
   void publishParticles(const std_msgs::Header& header) {
@@ -461,13 +538,10 @@ class HeightmapMclNode {
   const NodeSettings settings_;
   ros_utils::NodeHealth health_;
   ros::Publisher height_map_air_, height_map_ground_, costmap_, particles_, coarse_;
-  ros::Subscriber cloud_sub_, ground_sub_, odometry_sub_, status_sub_, guess_sub_;
+  ros::Subscriber cloud_sub_, ground_sub_, ground_status_sub_, odometry_sub_, status_sub_, guess_sub_;
   ros::ServiceServer reset_, relocalize_;
-  // The map-to-map transform changes rarely and holds at any stamp: static.
-  tf2_ros::StaticTransformBroadcaster broadcaster_;
-
-  std::unique_ptr<ros_utils::TimeJumpDetector> cloud_time_ = std::make_unique<ros_utils::TimeJumpDetector>(kJump);
-  std::unique_ptr<ros_utils::TimeJumpDetector> odometry_time_ = std::make_unique<ros_utils::TimeJumpDetector>(kJump);
+  ros::Timer tf_timer_;
+  tf2_ros::TransformBroadcaster broadcaster_;
 
   // Shared with the worker, under mutex_.
   std::mutex mutex_;
@@ -476,14 +550,17 @@ class HeightmapMclNode {
   Command command_;
   std::deque<Cloud> clouds_;
   Cloud ground_;
-  ros::Time ground_stamp_, map_begin_;
+  ros_utils::StreamJumpDetector mav_jumps_{kMavStreams}, ground_jumps_{kGroundStreams};
+  ros::Time map_begin_, ground_map_begin_;  // clouds before belong to an earlier map
   air_ground_common::Trajectory odometry_;
-  std::optional<std::uint32_t> map_id_;
+  std::optional<std::uint32_t> map_id_, ground_map_id_;
   std::string ground_frame_, mav_frame_;
+  std::optional<Pose> T_ground_mav_;  // what tf says: while CONVERGED
+  ros::Time last_tf_;
 
   // The worker's own.
   Localizer localizer_;
-  ros::Time aerial_stamp_;
+  ros::Time aerial_stamp_, ground_stamp_;
   Eigen::Vector3d reference_ = Eigen::Vector3d::Zero();
   double heading_ = 0;
   std::optional<Status> last_status_;

@@ -117,15 +117,18 @@ void Localizer::drawFromKeptMaps() {
   filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, aerial_.back().reference.head<2>());
 }
 
-bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points) {
-  HeightMap map = buildHeightMap(points, settings_.ground_map);
+bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
+  HeightMap map = buildHeightMap(points, settings_.ground_map, cropped);
   if (map.empty()) {
     forgetGround();
     return false;
   }
+  // All or nothing: what throws here leaves the map before it whole.
+  auto direct = std::make_unique<DirectCost>(map);
+  auto coarse_fft = std::make_unique<FftCost>(downsample(map, settings_.coarse_factor));
   ground_ = std::move(map);
-  direct_ = std::make_unique<DirectCost>(ground_);
-  coarse_fft_ = std::make_unique<FftCost>(downsample(ground_, settings_.coarse_factor));
+  direct_ = std::move(direct);
+  coarse_fft_ = std::move(coarse_fft);
   full_fft_.reset();
   // What the particles drawn so far could not know lies in the new part of the map.
   if (estimate_.status != Status::kConverged) drawFromKeptMaps();
@@ -133,24 +136,33 @@ bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points) {
   return true;
 }
 
-bool Localizer::addAerial(const AerialCloud& cloud) {
+bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
+  if (cropped) *cropped = 0;
   if (!cloud.reference.allFinite()) return false;
-  HeightMap map = buildHeightMap(cloud.points, settings_.air_map);
+  HeightMap map = buildHeightMap(cloud.points, settings_.air_map, cropped);
   if (map.empty()) return false;
   aerial_.push_back({std::move(map), cloud.reference});
   while (static_cast<int>(aerial_.size()) > settings_.verify) aerial_.pop_front();
+  // A bound on the memory of the merged map and of the search over it. A single map has a border of a cell.
+  const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
+  while (aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
+    aerial_.pop_front();
+    ++far_maps_dropped_;
+  }
   filter_map_ = lastMaps(settings_.accumulate);
   if (hasGround()) updateFilter();
   updateEstimate();
   return true;
 }
 
-HeightMap Localizer::lastMaps(int count) const {
+std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
   std::vector<const HeightMap*> maps;
   const int n = static_cast<int>(aerial_.size());
   for (int i = std::max(0, n - count); i < n; ++i) maps.push_back(&aerial_[i].map);
-  return merge(maps, settings_.merge);
+  return maps;
 }
+
+HeightMap Localizer::lastMaps(int count) const { return merge(keptMaps(count), settings_.merge); }
 
 double Localizer::costRatio(const Zmssd& other, const Zmssd& best) const {
   // What both are charged for unknown cells says nothing about either.
@@ -257,8 +269,8 @@ void Localizer::updateEstimate() {
   estimate_.overlap = best.zmssd.overlap / static_cast<double>(cells.h.size());
   estimate_.rival_ratio = costRatio(rival.zmssd, best.zmssd);
   estimate_.rival_distance = std::isfinite(rival.zmssd.cost) ? separation(rival.pose, best.pose) : kInfinity;
-  setCovariance(best, cells, cost, mode);
-  judge(best, cells, cost, particles_agree);
+  const Eigen::Vector3d flattest = judge(best, cells, cost, particles_agree);
+  setCovariance(best, rival, cells, cost, mode, flattest);
   if (!particles_agree && estimate_.rival_ratio >= settings_.ambiguity_ratio) {
     // The merged maps single out a place that the particles have missed: sensor resetting (Lenser and Veloso 2000).
     filter_.initialize(volume, prior_, filter_.reference());
@@ -269,7 +281,7 @@ void Localizer::updateEstimate() {
   weighed_ = false;
 }
 
-void Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree) {
+Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
   const auto relief = direct_->relief(cells, best.pose);
@@ -321,15 +333,18 @@ void Localizer::judge(const Candidate& best, const AerialCells& cells, const Cos
     e.reason = format("%d maps; the next best place costs %.1f times as much; overlap %.0f %%", e.maps, e.rival_ratio,
                       100 * e.overlap);
   }
+  return weakest;
 }
 
-void Localizer::setCovariance(const Candidate& best, const AerialCells& cells, const CostSettings& cost, const Mode& mode) {
+void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
+                              const Mode& mode, const Eigen::Vector3d& flattest) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
   const Eigen::Vector2d center = direct_->overlapCenter(cells, best.pose);
   const Eigen::Isometry3d& T = e.T_ground_mav;
   // Height of the overlap's middle: the aerial maps' mean, lifted.
   e.reference_point = {center.x(), center.y(), cells.mean_height + best.zmssd.dz};
+  if (e.status == Status::kSearching) return;  // the covariance of not knowing, as it was set up
 
   // Residuals of variance 2C, one independent in cells_per_independent: -log p = n C(u) / (2 C_min), so that the
   // information is n / (2 C_min) times the curvature of the cost.
@@ -346,22 +361,39 @@ void Localizer::setCovariance(const Candidate& best, const AerialCells& cells, c
   }
   const Eigen::Matrix3d H =
       curvature(*direct_, about_center, at_center, cost, {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
-  // A direction without curvature gets the rival distance (or angle) as its deviation, not infinity.
-  const Eigen::Vector3d limit(s.rival_distance, s.rival_distance, s.rival_angle);
+  // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has excluded
+  // more, else all that the ground map leaves open.
+  const bool degenerate = e.status == Status::kDegenerate;
+  const double extent = std::max(ground_.width, ground_.height) * ground_.resolution;
+  const Eigen::Vector3d limit = degenerate ? Eigen::Vector3d(extent, extent, M_PI)
+                                           : Eigen::Vector3d(s.rival_distance, s.rival_distance, s.rival_angle);
   Eigen::Matrix3d information = H * independent / residual_variance;
+  // The curvature of a flat floor is that of its noise.
+  if (e.relief < s.min_relief) information.setZero();
   information = 0.5 * (information + information.transpose()).eval();
   const Eigen::Matrix3d scaled = limit.asDiagonal() * information * limit.asDiagonal();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scaled);
   const Eigen::Vector3d variances = eigen.eigenvalues().cwiseMax(0.0).unaryExpr([](double v) { return 1 / (1 + v); });
-  const Eigen::Matrix3d planar = limit.asDiagonal() * (eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose()) *
+  Eigen::Matrix3d planar = limit.asDiagonal() * (eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose()) *
                                  limit.asDiagonal();
+
+  const auto carriedBy = [](const Eigen::Vector2d& lever) {
+    Eigen::Matrix3d carry = Eigen::Matrix3d::Identity();
+    carry(0, 2) = -lever.y();
+    carry(1, 2) = lever.x();
+    return carry;
+  };
+  if (degenerate) {
+    // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
+    const double reach = std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
+    const Eigen::Vector3d open = reach * (carriedBy(center - Eigen::Vector2d(best.pose.x, best.pose.y)) * flattest);
+    planar += open * open.transpose();
+  }
 
   // The particles' own scatter, carried from the MAV to the centre of the overlap.
   const Eigen::Vector2d lever = center - Eigen::Vector2d(changeReference(best.pose, cells.reference, filter_.reference()).x,
                                                          changeReference(best.pose, cells.reference, filter_.reference()).y);
-  Eigen::Matrix3d carry = Eigen::Matrix3d::Identity();
-  carry(0, 2) = -lever.y();
-  carry(1, 2) = lever.x();
+  const Eigen::Matrix3d carry = carriedBy(lever);
   const Eigen::Matrix3d particles = carry * mode.covariance * carry.transpose();
 
   e.covariance.setZero();
@@ -375,6 +407,16 @@ void Localizer::setCovariance(const Candidate& best, const AerialCells& cells, c
   e.covariance(2, 2) = s.floor_z * s.floor_z + residual_variance / independent;
   e.covariance(3, 3) = e.covariance(4, 4) = 2 * s.gravity_sigma * s.gravity_sigma;
   e.covariance(5, 5) += s.floor_yaw * s.floor_yaw;
+  if (e.status == Status::kAmbiguous) {
+    // The truth may as well be over there.
+    const PlanarPose there = changeReference(rival.pose, cells.reference, center_mav);
+    air_ground_common::Vector6d way = air_ground_common::Vector6d::Zero();
+    way[0] = there.x - at_center.x;
+    way[1] = there.y - at_center.y;
+    way[2] = rival.zmssd.dz - best.zmssd.dz;
+    way[5] = wrapAngle(there.yaw - at_center.yaw);
+    e.covariance += way * way.transpose();
+  }
 }
 
 CostMap Localizer::costMap(Eigen::Vector2d* pivot) {

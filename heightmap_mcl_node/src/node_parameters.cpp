@@ -25,6 +25,7 @@ NodeSettings readParameters(Parameters& p) {
   n.ground_map_frame = p.text("ground_map_frame", "");
   n.mav_map_frame = p.text("mav_map_frame", "");
   n.publish_tf = p.flag("publish_tf", false);
+  n.tf_rate = p.number("tf_rate", n.tf_rate, 0.1, 1000);
   n.cloud_queue = p.integer("cloud_queue", n.cloud_queue, 1, 10000);
   n.odometry_gap = p.number("odometry_gap", n.odometry_gap, 0.01, 10.0);
 

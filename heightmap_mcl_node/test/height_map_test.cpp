@@ -57,6 +57,42 @@ TEST(HeightMap, FarOutlierDoesNotBlowUpTheGrid) {
   EXPECT_LT(map.height, 30);
 }
 
+TEST(HeightMap, OfALargeCloudTheDensestRegionStaysAndTheRestIsCounted) {
+  // A robot that drove round a block: the median of each axis lies where nothing is.
+  auto settings = plain();
+  settings.max_extent = 20;
+  std::vector<Eigen::Vector3f> points;
+  for (int i = 0; i < 3600; ++i) {
+    const float a = static_cast<float>(i * M_PI / 1800);
+    points.emplace_back(50 * std::cos(a), 50 * std::sin(a), 1.f);
+  }
+  for (int i = 0; i < 200; ++i) points.emplace_back(0.01f * i - 1, 50.f, 2.f);
+  std::size_t cropped = 0;
+  const auto map = buildHeightMap(points, settings, &cropped);
+  EXPECT_FLOAT_EQ(heightAt(map, 0, 50.05), 2.f);
+  EXPECT_LE(map.width, 203);
+  EXPECT_LE(map.height, 203);
+  EXPECT_GT(cropped, 2500u);
+  EXPECT_LT(cropped, 3800u);
+  // Within the extent nothing is left out.
+  settings.max_extent = 150;
+  EXPECT_GT(buildHeightMap(points, settings, &cropped).defined(), 1000u);
+  EXPECT_EQ(cropped, 0u);
+}
+
+TEST(HeightMap, WithoutADefinedCellItIsEmpty) {
+  auto settings = plain();
+  settings.min_points = 3;
+  EXPECT_TRUE(buildHeightMap({{0, 0, 1}, {1, 0, 1}, {0, 1, 1}}, settings).empty());
+}
+
+TEST(HeightMap, UnionExtent) {
+  const auto a = buildHeightMap({{0.05f, 0.05f, 1.f}}, plain()), b = buildHeightMap({{5.05f, 1.05f, 1.f}}, plain());
+  EXPECT_NEAR(unionExtent({&a}), 0.3, 1e-9);  // with its border
+  EXPECT_NEAR(unionExtent({&a, &b}), 5.3, 1e-9);
+  EXPECT_EQ(unionExtent({}), 0);
+}
+
 TEST(HeightMap, QuantileSupportAndSpikeFilterDropOutliers) {
   std::vector<Eigen::Vector3f> points;
   for (int x = 0; x < 5; ++x) {

@@ -50,6 +50,9 @@ Outcome play(const synthetic::Run& run, Localizer& localizer) {
     outcome.error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav[k], run.aerial[k].reference);
     outcome.statuses.push_back(e.status);
     EXPECT_FALSE(e.reason.empty());
+    if (e.status == Status::kSearching) {
+      EXPECT_GE(e.covariance.diagonal().minCoeff(), 1e6);
+    }
     if (e.has_pose) {
       EXPECT_GT(Eigen::SelfAdjointEigenSolver<air_ground_common::Matrix6d>(e.covariance).eigenvalues().minCoeff(), 0);
       EXPECT_TRUE(e.covariance.allFinite());
@@ -159,6 +162,12 @@ TEST(Localizer, FlatFloorIsDegenerate) {
     const auto outcome = play(synthetic::makeRun(options), localizer);
     EXPECT_EQ(outcome.converged, 0);
     EXPECT_EQ(outcome.last.status, Status::kDegenerate) << outcome.last.reason;
+    // Nothing but the height is known.
+    const auto sigma = outcome.last.covariance.diagonal().cwiseSqrt();
+    EXPECT_GT(sigma[0], 2);
+    EXPECT_GT(sigma[1], 2);
+    EXPECT_LT(sigma[2], 0.3);
+    EXPECT_GT(sigma[5], 3);
   }
 }
 
@@ -183,6 +192,12 @@ TEST(Localizer, IdenticalBoxesAreAmbiguous) {
     EXPECT_EQ(outcome.converged, 0);
     EXPECT_EQ(outcome.last.status, Status::kAmbiguous) << outcome.last.reason;
     EXPECT_LT(outcome.last.rival_ratio, 1.3);
+    // The rival lies within the covariance.
+    const auto sigma = outcome.last.covariance.diagonal().cwiseSqrt();
+    EXPECT_GT(std::hypot(std::hypot(sigma[0], sigma[1]), sigma[5]), 0.25);
+    if (outcome.last.rival_distance > 1) {
+      EXPECT_GT(std::hypot(sigma[0], sigma[1]), 0.5);
+    }
   }
 }
 
@@ -216,6 +231,33 @@ TEST(Localizer, BadCloudsChangeNothing) {
   EXPECT_FALSE(localizer.addAerial({{{nan, nan, nan}}, Eigen::Vector3d::Zero()}));
   EXPECT_FALSE(localizer.addAerial({{{0, 0, 0}}, Eigen::Vector3d(std::nan(""), 0, 0)}));
   EXPECT_FALSE(localizer.hasAerial());
+}
+
+TEST(Localizer, AGroundMapWithoutACellIsForgottenWhole) {
+  synthetic::Options options;
+  options.seed = 505;
+  options.aerial_clouds = 2;
+  const auto run = synthetic::makeRun(options);
+  LocalizerSettings settings;
+  settings.ground_map.min_points = 1000000000;
+  Localizer localizer(settings);
+  EXPECT_FALSE(localizer.setGround(run.ground));
+  EXPECT_FALSE(localizer.hasGround());
+  ASSERT_TRUE(localizer.addAerial(run.aerial[0]));
+  EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
+}
+
+TEST(Localizer, AerialCloudsFarApartAreNotMerged) {
+  Localizer localizer({});
+  AerialCloud cloud;
+  for (int i = 0; i < 100; ++i) cloud.points.emplace_back(0.02f * i, 0.01f * i, 0.f);
+  ASSERT_TRUE(localizer.addAerial(cloud));
+  EXPECT_EQ(localizer.farMapsDropped(), 0u);
+  for (auto& p : cloud.points) p.x() += 1000;  // the odometry has jumped
+  cloud.reference.x() += 1000;
+  ASSERT_TRUE(localizer.addAerial(cloud));
+  EXPECT_EQ(localizer.farMapsDropped(), 1u);
+  EXPECT_LT(localizer.aerialMap().width, 200);
 }
 
 TEST(Localizer, SameSeedSameResult) {

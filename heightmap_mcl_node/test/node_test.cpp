@@ -2,6 +2,7 @@
 #include <air_ground/AlignmentEstimate.h>
 #include <air_ground/HeightMap.h>
 #include <air_ground/VoStatus.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
 #include <geometry_msgs/PoseArray.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <gtest/gtest.h>
@@ -38,11 +39,14 @@ struct Inbox {
 
 class NodeTest : public ::testing::Test {
  protected:
+  explicit NodeTest(const std::string& name_space = "") : node_(name_space) {}
+
   void SetUp() override {
     cloud_ = node_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20);
     ground_ = node_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 1, true);
     odometry_ = node_.advertise<nav_msgs::Odometry>("mav/odometry", 100);
     status_ = node_.advertise<air_ground::VoStatus>("mav/vo_status", 100);
+    ground_status_ = node_.advertise<air_ground::VoStatus>("ground/slam_status", 100);
     guess_ = node_.advertise<geometry_msgs::PoseWithCovarianceStamped>("initialpose", 1);
     coarse_.connect(node_, "alignment/coarse");
     particles_.connect(node_, "alignment/particles");
@@ -51,12 +55,13 @@ class NodeTest : public ::testing::Test {
     ground_map_.connect(node_, "alignment/height_map_ground");
     tf_.connect(node_, "/tf");
     tf_static_.connect(node_, "/tf_static");
+    diagnostics_.connect(node_, "/diagnostics");
     ASSERT_TRUE(until([&] {
       return cloud_.getNumSubscribers() > 0 && ground_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
-             status_.getNumSubscribers() > 0 && coarse_.subscriber.getNumPublishers() > 0 && costmap_.subscriber.getNumPublishers() > 0 &&
+             status_.getNumSubscribers() > 0 && ground_status_.getNumSubscribers() > 0 && coarse_.subscriber.getNumPublishers() > 0 && costmap_.subscriber.getNumPublishers() > 0 &&
              particles_.subscriber.getNumPublishers() > 0 && air_.subscriber.getNumPublishers() > 0;
     }));
-    ASSERT_TRUE(call("/heightmap_mcl/reset"));
+    ASSERT_TRUE(call("heightmap_mcl/reset"));
     spin(0.5);
     clear();
     stamp_ = ros::Time(10000.0 + 5000.0 * ++test_number_);
@@ -86,7 +91,7 @@ class NodeTest : public ::testing::Test {
 
   bool call(const std::string& service) {
     std_srvs::Trigger request;
-    return ros::service::waitForService(service, 10000) && ros::service::call(service, request) && request.response.success;
+    return ros::service::waitForService(node_.resolveName(service), 10000) && ros::service::call(node_.resolveName(service), request) && request.response.success;
   }
 
   static sensor_msgs::PointCloud2 cloudMsg(const std::vector<Eigen::Vector3f>& points, const std::string& frame, const ros::Time& stamp) {
@@ -109,12 +114,37 @@ class NodeTest : public ::testing::Test {
     odometry_.publish(odometry);
   }
 
-  void sendStatus(std::uint32_t map_id) {
+  void sendStatus(std::uint32_t map_id) { sendStatus(status_, map_id); }
+  void sendGroundStatus(std::uint32_t map_id) { sendStatus(ground_status_, map_id); }
+  void sendStatus(const ros::Publisher& publisher, std::uint32_t map_id) {
     air_ground::VoStatus status;
     status.header.stamp = stamp_;
     status.map_id = map_id;
-    status_.publish(status);
+    publisher.publish(status);
     spin(0.1);
+  }
+
+  geometry_msgs::PoseWithCovarianceStamped guessAt(const Pose& T_ground_base) const {
+    geometry_msgs::PoseWithCovarianceStamped guess;
+    guess.header.frame_id = "ground_map";
+    guess.pose.pose = ros_utils::toMsg(T_ground_base);
+    guess.pose.covariance[0] = guess.pose.covariance[7] = 0.1 * 0.1;
+    guess.pose.covariance[35] = 0.05 * 0.05;
+    return guess;
+  }
+
+  /// What the node's diagnostics count under a name, in the latest message; 0 where it is not mentioned.
+  int counted(const std::string& event) const {
+    int count = 0;
+    for (const auto& array : diagnostics_.messages) {
+      for (const auto& status : array.status) {
+        if (status.hardware_id != "heightmap_mcl") continue;
+        for (const auto& value : status.values) {
+          if (value.key.rfind(event, 0) == 0) count = std::stoi(value.value);
+        }
+      }
+    }
+    return count;
   }
 
   /// Publishes a cloud with odometry around its stamp and waits for the verdict on it.
@@ -138,16 +168,23 @@ class NodeTest : public ::testing::Test {
   const AlignmentEstimate& last() const { return coarse_.messages.back(); }
 
   ros::NodeHandle node_;
-  ros::Publisher cloud_, ground_, odometry_, status_, guess_;
+  ros::Publisher cloud_, ground_, odometry_, status_, ground_status_, guess_;
   Inbox<AlignmentEstimate> coarse_;
   Inbox<geometry_msgs::PoseArray> particles_;
   Inbox<nav_msgs::OccupancyGrid> costmap_;
   Inbox<air_ground::HeightMap> air_, ground_map_;
   Inbox<tf2_msgs::TFMessage> tf_, tf_static_;
+  Inbox<diagnostic_msgs::DiagnosticArray> diagnostics_;
   ros::Time stamp_;
   static int test_number_;
 };
 int NodeTest::test_number_ = 0;
+
+/// A node of its own that publishes tf.
+class TfNodeTest : public NodeTest {
+ protected:
+  TfNodeTest() : NodeTest("with_tf") {}
+};
 
 void expectSane(const AlignmentEstimate& e) {
   EXPECT_EQ(e.header.frame_id, "ground_map");
@@ -212,9 +249,6 @@ TEST_F(NodeTest, GroundMapThatComesLateTriggersTheSearchAndTheChainConverges) {
   const double x = grid.info.origin.position.x + (best % grid.info.width + 0.5) * grid.info.resolution;
   const double y = grid.info.origin.position.y + (best / grid.info.width + 0.5) * grid.info.resolution;
   EXPECT_LT(std::hypot(x - mav.x(), y - mav.y()), 0.4);
-  // icp_refine owns the transform unless publish_tf is set.
-  EXPECT_TRUE(tf_.messages.empty());
-  EXPECT_TRUE(tf_static_.messages.empty());
 }
 
 TEST_F(NodeTest, SurvivesBadInput) {
@@ -245,6 +279,11 @@ TEST_F(NodeTest, SurvivesBadInput) {
   cloud_.publish(cloudMsg(run.aerial[1].points, "mav_map", stamp_));
   EXPECT_TRUE(until([&] { return last().header.stamp == stamp_; }));
   expectSane(last());
+  // Each kind of bad input has its counter.
+  for (const char* event : {"aerial clouds without a finite point", "aerial points that are not finite", "aerial clouds in frame 'elsewhere'",
+                            "aerial clouds not usable", "ground clouds without a point", "aerial clouds without odometry"}) {
+    EXPECT_TRUE(until([&] { return counted(event) > 0; })) << event;
+  }
 }
 
 TEST_F(NodeTest, LoopedTimeStartsAfresh) {
@@ -253,16 +292,78 @@ TEST_F(NodeTest, LoopedTimeStartsAfresh) {
   sendGround(run);
   for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
   EXPECT_GE(last().iterations, 6u);
-  // The bag begins again; the ground map of the run before is from the future and must go.
+  // The bag begins again: the MAV's part shows it first.
+  const ros::Time late = stamp_ + ros::Duration(1);
   stamp_ = begin - ros::Duration(100);
   clear();
-  ASSERT_TRUE(sendAerial(run.aerial[0]));
-  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_SEARCHING) << last().reason;
+  sendOdometry(run.aerial[0].reference, stamp_);
+  ASSERT_TRUE(until([&] { return !coarse_.messages.empty(); }));
   EXPECT_EQ(last().overlap, 0);
+  // A cloud that was still on its way enters nothing, and starts nothing afresh.
+  clear();
+  cloud_.publish(cloudMsg(run.aerial[5].points, "mav_map", late));
+  spin(0.5);
+  EXPECT_TRUE(coarse_.messages.empty());
   sendGround(run);
-  for (int k = 1; k < 6; ++k) ASSERT_TRUE(sendAerial(run.aerial[k]));
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
   EXPECT_EQ(last().iterations, 6u);
   EXPECT_GT(last().overlap, 0.4);
+}
+
+TEST_F(NodeTest, GroundMapOutlivesResetAndTheMavsClock) {
+  const auto run = world(607, 2);
+  sendGround(run);  // once, latched: the ground robot stands still
+  ASSERT_TRUE(sendAerial(run.aerial[0]));
+  ASSERT_GT(last().overlap, 0);
+  stamp_ -= ros::Duration(500);
+  ASSERT_TRUE(sendAerial(run.aerial[0]));
+  EXPECT_GT(last().overlap, 0);
+  EXPECT_EQ(last().iterations, 1u);
+  ASSERT_TRUE(call("heightmap_mcl/reset"));
+  ground_map_.messages.clear();
+  ASSERT_TRUE(until([&] { return !ground_map_.messages.empty(); }));
+  ASSERT_TRUE(sendAerial(run.aerial[1]));
+  EXPECT_GT(last().overlap, 0);
+}
+
+TEST_F(NodeTest, FreshGroundMapStartsTheSearchAgain) {
+  const auto run = world(601, 8), other = world(608, 1);
+  sendGroundStatus(1);
+  sendGround(run);
+  const ros::Time sent = stamp_;
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  ASSERT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+  EXPECT_EQ(ground_map_.messages.back().header.stamp, sent);
+  clear();
+  sendGroundStatus(2);
+  ASSERT_TRUE(until([&] { return !coarse_.messages.empty(); }));
+  // The old map, latched still, does not come back.
+  spin(0.5);
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_SEARCHING) << last().reason;
+  EXPECT_EQ(last().overlap, 0);
+  EXPECT_GE(last().pose.covariance[0], 1e6);
+  clear();
+  sendGround(other);
+  ASSERT_TRUE(until([&] { return !ground_map_.messages.empty(); }));
+}
+
+TEST_F(TfNodeTest, PublishesTfOnlyWhileConverged) {
+  const auto run = world(601, 8);
+  sendStatus(1);
+  sendGround(run);
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  ASSERT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+  ASSERT_TRUE(until([&] { return tf_.messages.size() > 2; }));
+  EXPECT_EQ(tf_.messages.back().transforms[0].child_frame_id, "mav_map");
+  clear();
+  stamp_ += ros::Duration(1);
+  sendStatus(2);
+  ASSERT_TRUE(until([&] { return !coarse_.messages.empty(); }));
+  spin(0.3);
+  tf_.messages.clear();
+  spin(1);
+  EXPECT_TRUE(tf_.messages.empty());
+  EXPECT_TRUE(tf_static_.messages.empty());
 }
 
 TEST_F(NodeTest, FreshMapOfTheMavAndRelocalizeStartTheSearchAgain) {
@@ -272,7 +373,7 @@ TEST_F(NodeTest, FreshMapOfTheMavAndRelocalizeStartTheSearchAgain) {
   for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
   EXPECT_EQ(last().map_id, 3u);
   const std::size_t before = coarse_.messages.size();
-  ASSERT_TRUE(call("/heightmap_mcl/relocalize"));
+  ASSERT_TRUE(call("heightmap_mcl/relocalize"));
   ASSERT_TRUE(until([&] { return coarse_.messages.size() > before; }));
   EXPECT_GT(last().overlap, 0.4);  // on the maps at hand
   clear();
@@ -290,13 +391,9 @@ TEST_F(NodeTest, InitialPoseIsUsed) {
   const auto run = world(605, 2, syn::World::kIdenticalBoxes);
   sendGround(run);
   for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
-  geometry_msgs::PoseWithCovarianceStamped guess;
-  guess.header.frame_id = "ground_map";
   // Odometry here has no heading: base_link is turned like mav_map.
   const Pose truth = run.T_ground_mav[1];
-  guess.pose.pose = ros_utils::toMsg(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()), truth * run.aerial[1].reference));
-  guess.pose.covariance[0] = guess.pose.covariance[7] = 0.1 * 0.1;
-  guess.pose.covariance[35] = 0.05 * 0.05;
+  const auto guess = guessAt(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()), truth * run.aerial[1].reference));
   ASSERT_TRUE(until([&] { return guess_.getNumSubscribers() > 0; }));
   const std::size_t before = coarse_.messages.size();
   guess_.publish(guess);
@@ -304,6 +401,24 @@ TEST_F(NodeTest, InitialPoseIsUsed) {
   const auto error = syn::errorOf(ros_utils::fromMsg(last().pose.pose), truth, run.aerial[1].reference);
   EXPECT_LT(error.position, 0.3);
   EXPECT_LT(error.yaw, 0.15);
+}
+
+TEST_F(NodeTest, InitialPoseEndsWithTheMapThatItWasAbout) {
+  const auto run = world(601, 8);
+  sendGround(run);
+  sendStatus(1);
+  ASSERT_TRUE(sendAerial(run.aerial[0]));
+  // A heading that is wrong for the map that comes next.
+  const Pose truth = run.T_ground_mav[0];
+  ASSERT_TRUE(until([&] { return guess_.getNumSubscribers() > 0; }));
+  const std::size_t before = coarse_.messages.size();
+  guess_.publish(guessAt(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()) + 2, truth * run.aerial[0].reference)));
+  ASSERT_TRUE(until([&] { return coarse_.messages.size() > before; }));
+  stamp_ += ros::Duration(1);
+  sendStatus(2);
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+  EXPECT_LT(syn::errorOf(ros_utils::fromMsg(last().pose.pose), run.T_ground_mav.back(), run.aerial.back().reference).position, 0.2);
 }
 
 TEST_F(NodeTest, FlatFloorIsRefused) {

@@ -39,18 +39,23 @@ struct HeightMapSettings {
   double height_quantile = 1.0;   ///< of the points of a cell, in (0, 1]; 1 = highest point (paper), less suppresses spikes
   int min_points = 1;             ///< a cell with fewer points stays a hole
   double max_spike = 0;           ///< drop cells higher than all their neighbours by more than this [m]; 0 = off
-  double max_extent = 40.0;       ///< edge of the largest map [m]; points farther than half of it from the median are ignored
+  double max_extent = 40.0;       ///< edge of the largest map [m]; of a larger cloud the densest region stays
 };
 
 /// Checks ranges; throws std::invalid_argument naming the field.
 void validate(const HeightMapSettings& settings);
 
 /// Height map of `points` (z up). Points with a coordinate that is not finite are ignored. The grid's lines lie at whole
-/// multiples of the resolution, so that maps of one frame can be merged cell by cell. Empty map when no point is left.
-HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings);
+/// multiples of the resolution, so that maps of one frame can be merged cell by cell. Empty map when no cell gets a height.
+/// `cropped` takes the number of points left out because the cloud is larger than max_extent.
+HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings,
+                         std::size_t* cropped = nullptr);
 
 /// 3x3 maximum over the defined neighbours.
 HeightMap dilate(const HeightMap& map, Dilation mode);
+
+/// Edge of the square that holds all the maps' grids [m]; 0 without a map that is not empty.
+double unionExtent(const std::vector<const HeightMap*>& maps);
 
 enum class Merge { kHighest, kMean };
 

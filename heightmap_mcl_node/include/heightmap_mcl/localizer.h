@@ -68,7 +68,9 @@ struct Estimate {
   bool has_pose = false;
   air_ground_common::Pose T_ground_mav = air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
-  air_ground_common::Matrix6d covariance = air_ground_common::Matrix6d::Identity();
+  /// AMBIGUOUS: widened by the way to the rival. DEGENERATE: as wide as the ground map, and pi, along what is not fixed.
+  /// SEARCHING: 1e6 I.
+  air_ground_common::Matrix6d covariance = 1e6 * air_ground_common::Matrix6d::Identity();
   Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< centre of the overlap, ground frame [m]
   double particle_spread = 0;      ///< [m], see ParticleFilter::Spread
   double particle_spread_yaw = 0;  ///< [rad]
@@ -93,12 +95,12 @@ class Localizer {
   ~Localizer();
 
   /// Replaces the ground map. Transforms are recomputed lazily. A search that has not converged begins anew on the kept
-  /// aerial maps. Returns false (and forgets the ground map) when the cloud holds no finite point.
-  bool setGround(const std::vector<Eigen::Vector3f>& points);
+  /// aerial maps. Returns false (and forgets the ground map) when the cloud defines no cell. `cropped`: see buildHeightMap.
+  bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
 
-  /// Adds an aerial cloud and updates the particles. Returns false, changing nothing, when the cloud has no finite point
-  /// or the reference is not finite.
-  bool addAerial(const AerialCloud& cloud);
+  /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent are
+  /// dropped. Returns false, changing nothing, when the cloud defines no cell or the reference is not finite.
+  bool addAerial(const AerialCloud& cloud, std::size_t* cropped = nullptr);
 
   /// The verdict for the present maps; `has_pose` false while one of them is missing.
   const Estimate& estimate() const { return estimate_; }
@@ -112,6 +114,8 @@ class Localizer {
 
   bool hasGround() const { return direct_ != nullptr; }
   bool hasAerial() const { return !aerial_.empty(); }
+  /// Aerial maps dropped so far because the newest lay too far away.
+  std::size_t farMapsDropped() const { return far_maps_dropped_; }
   const ParticleFilter& filter() const { return filter_; }
   const HeightMap& groundMap() const { return ground_; }
   /// The map that weighs the particles: the last `accumulate` clouds.
@@ -127,8 +131,12 @@ class Localizer {
   void drawFromKeptMaps();
   void updateFilter();
   void updateEstimate();
-  void judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree);
-  void setCovariance(const Candidate& best, const AerialCells& cells, const CostSettings& cost, const Mode& mode);
+  /// Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad]) of the cells' reference.
+  Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree);
+  /// To be called with the verdict known.
+  void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
+                     const Mode& mode, const Eigen::Vector3d& flattest);
+  std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
   CostSettings costFor(const HeightMap& air) const;
@@ -143,6 +151,7 @@ class Localizer {
   std::deque<Kept> aerial_;
   Estimate estimate_;
   int maps_ = 0, restarts_ = 0;
+  std::size_t far_maps_dropped_ = 0;
   bool weighed_ = false;  // the particles carry weights that the next resampling consumes
 };
 
