@@ -38,7 +38,7 @@ void AlignmentRefiner::setGround(Cloud cloud) {
   reference_.reset();
 }
 
-void AlignmentRefiner::addAerial(double stamp, Cloud cloud) {
+void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
   removeInvalid(cloud);
   YAML::Node leaf;
   leaf["leaf"] = settings_.accumulation_leaf;
@@ -50,24 +50,29 @@ void AlignmentRefiner::addAerial(double stamp, Cloud cloud) {
 
 void AlignmentRefiner::setCoarse(const Pose& T) { coarse_ = T; }
 
-void AlignmentRefiner::setManual(const Pose& T) {
-  manual_ = T;
-  tracked_.reset();
-  rejections_ = disagreements_ = 0;
-}
+void AlignmentRefiner::setManual(const Pose& T) { manual_ = T; }
 
 void AlignmentRefiner::startMap() {
   aerial_.clear();
-  coarse_.reset();
-  manual_.reset();
-  tracked_.reset();
-  rejections_ = disagreements_ = 0;
+  forgetPoses();
+}
+
+void AlignmentRefiner::startGround() {
+  ground_ = Cloud();
+  reference_.reset();
+  forgetPoses();
 }
 
 void AlignmentRefiner::reset() {
   startMap();
-  ground_ = Cloud();
-  reference_.reset();
+  startGround();
+}
+
+void AlignmentRefiner::forgetPoses() {
+  coarse_.reset();
+  manual_.reset();
+  tracked_.reset();
+  rejections_ = disagreements_ = 0;
 }
 
 RefineOutcome AlignmentRefiner::refine() {
@@ -102,8 +107,18 @@ RefineOutcome AlignmentRefiner::refine() {
     const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
     disagreements_ = disagrees ? disagreements_ + 1 : 0;
   }
-  const bool from_tracking = tracked_.has_value();
-  out = from_tracking ? attempt(reading, *tracked_) : attemptFromGuess(reading, manual_ ? *manual_ : *coarse_);
+  // A person's guess is tried once, before all else; what is tracked stays until it has proved right.
+  std::string refused;
+  bool decided = false;
+  if (manual_) {
+    out = attemptFromGuess(reading, *manual_);
+    manual_.reset();
+    decided = out.status == RefineStatus::kConverged || (!tracked_ && !coarse_);
+    if (decided) disagreements_ = 0;
+    else refused = "; the manual guess was not taken: " + out.reason;
+  }
+  const bool from_tracking = tracked_ && !decided;
+  if (!decided) out = from_tracking ? attempt(reading, *tracked_) : attemptFromGuess(reading, *coarse_);
   out.tracking = from_tracking;
   if (from_tracking && disagreements_ >= settings_.coarse_disagreements) {
     disagreements_ = 0;
@@ -118,7 +133,6 @@ RefineOutcome AlignmentRefiner::refine() {
 
   if (out.status == RefineStatus::kConverged) {
     tracked_ = out.T_ground_map_mav_map;
-    manual_.reset();
     rejections_ = 0;
   } else if (from_tracking && out.contradicted) {
     // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be.
@@ -130,10 +144,8 @@ RefineOutcome AlignmentRefiner::refine() {
   } else if (from_tracking) {
     // Too little overlap or structure just now says nothing against the pose.
     out.reason += "; the last refined pose is kept";
-  } else if (!from_tracking && manual_) {
-    // A guess that failed once fails again: the next try is the coarse pose.
-    manual_.reset();
   }
+  out.reason += refused;
   return out;
 }
 
@@ -174,6 +186,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Pose& guess) {
   const auto verdict = [&out](RefineStatus status, const std::string& reason) {
     out.status = status;
     out.reason = reason;
+    if (status == RefineStatus::kRejected) out.covariance = 1e6 * Matrix6d::Identity();
     return out;
   };
   if (icp.outcome != IcpResult::Outcome::kConverged) return verdict(RefineStatus::kRejected, icp.reason);

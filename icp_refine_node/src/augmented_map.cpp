@@ -9,10 +9,24 @@ namespace icp_refine {
 void AerialVoxels::add(const Eigen::Vector3f& point, float intensity) {
   if (!point.allFinite() || point.cwiseAbs().maxCoeff() > 1e4f || !std::isfinite(intensity)) return;
   Voxel& v = voxels_[cellKey(point, leaf_)];
-  if (v.count == 0) v.order = voxels_.size();
+  if (v.count == 0) v.order = next_order_++;
   v.sum += point;
   v.intensity += intensity;
   ++v.count;
+  while (voxels_.size() > max_voxels_ && leaf_ < 1e3f) coarsen();
+}
+
+void AerialVoxels::coarsen() {
+  leaf_ *= 2;
+  std::unordered_map<std::uint64_t, Voxel> fine;
+  fine.swap(voxels_);
+  for (const auto& [key, v] : fine) {
+    Voxel& merged = voxels_[cellKey(v.sum / static_cast<float>(v.count), leaf_)];
+    merged.order = merged.count == 0 ? v.order : std::min(merged.order, v.order);
+    merged.sum += v.sum;
+    merged.intensity += v.intensity;
+    merged.count += v.count;
+  }
 }
 
 std::vector<AerialVoxels::Point> AerialVoxels::points(int min_points) const {

@@ -2,10 +2,13 @@
 #include <yaml-cpp/yaml.h>
 
 #include <CLI/CLI.hpp>
+#include <cmath>
 #include <cstdio>
+#include <stdexcept>
+#include <string>
 
 #include "air_ground_common/mesh.h"
-#include "icp_refine/alignment_refiner.h"
+#include "refiner_parameters.h"
 
 namespace {
 
@@ -14,6 +17,26 @@ icp_refine::Cloud readCloud(const std::string& path) {
   for (const auto& p : air_ground_common::readPlyPoints(path)) out.points.push_back(p.position);
   return out;
 }
+
+/// Parameters of a YAML file, nested where their names have slashes. Throws ConfigError for a value out of range.
+struct YamlParameters {
+  YAML::Node root;
+
+  double number(const std::string& name, double fallback, double min, double max) const {
+    const auto slash = name.find('/');
+    const YAML::Node group = slash == std::string::npos ? root : root[name.substr(0, slash)];
+    const YAML::Node node = group ? group[slash == std::string::npos ? name : name.substr(slash + 1)] : group;
+    if (!node) return fallback;
+    const double value = node.as<double>();
+    if (!(value >= min && value <= max)) throw icp_refine::ConfigError("parameter " + name + " is out of range");
+    return value;
+  }
+  int integer(const std::string& name, int fallback, int min, int max) const {
+    const double value = number(name, fallback, min, max);
+    if (value != std::floor(value)) throw icp_refine::ConfigError("parameter " + name + " must be a whole number");
+    return static_cast<int>(value);
+  }
+};
 
 }  // namespace
 
@@ -24,7 +47,7 @@ int main(int argc, char** argv) {
   bool stages = false;
   app.add_option("aerial", aerial_path, "PLY of the aerial cloud");
   app.add_option("ground", ground_path, "PLY of the ground cloud");
-  app.add_option("--config", config_path, "YAML with a `chain`, such as config/icp_refine.yaml");
+  app.add_option("--config", config_path, "YAML of the node's parameters, such as config/icp_refine.yaml, or of a chain alone");
   app.add_option("--initial", initial, "guess of the aerial cloud's pose in the ground cloud: x y z [m] yaw [rad]")->expected(4);
   app.add_option("--out", out_path, "writes both clouds, merged, as PLY with a source label");
   app.add_flag("--stages", stages, "prints all stages of a chain with their parameters, and ends");
@@ -38,7 +61,10 @@ int main(int argc, char** argv) {
       throw std::invalid_argument("needed: AERIAL.ply GROUND.ply --config FILE; see --help");
     }
     const YAML::Node config = YAML::LoadFile(config_path);
-    icp_refine::AlignmentRefiner refiner(icp_refine::IcpChain(config["chain"] ? config["chain"] : config), {});
+    const bool whole = config["chain"].IsDefined();
+    const YamlParameters parameters{whole ? config : YAML::Node(YAML::NodeType::Map)};
+    icp_refine::AlignmentRefiner refiner(icp_refine::IcpChain(whole ? config["chain"] : config),
+                                         icp_refine::readRefinerSettings(parameters));
     const auto aerial = readCloud(aerial_path), ground = readCloud(ground_path);
     refiner.setGround(ground);
     refiner.addAerial(0, aerial);

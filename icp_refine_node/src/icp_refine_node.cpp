@@ -3,13 +3,13 @@
 #include <air_ground/SaveMap.h>
 #include <air_ground/VoStatus.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_ros/transform_broadcaster.h>
 #include <yaml-cpp/yaml.h>
 
-#include <array>
 #include <chrono>
 #include <condition_variable>
 #include <deque>
@@ -23,6 +23,7 @@
 #include "icp_refine/alignment_refiner.h"
 #include "icp_refine/augmented_map.h"
 #include "icp_refine/pcd.h"
+#include "refiner_parameters.h"
 
 namespace icp_refine {
 namespace {
@@ -30,6 +31,7 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 using Clock = std::chrono::steady_clock;
+using Verdict = ros_utils::StreamJumpDetector::Verdict;
 
 YAML::Node toYaml(XmlRpc::XmlRpcValue& value) {
   switch (value.getType()) {
@@ -74,7 +76,7 @@ struct Settings {
   std::string ground_map_frame, mav_map_frame, ground_color, chain_file;
   bool publish_tf = true, inverse_tf = false, fill_only = false;
   double tf_rate = 10, min_period = 0.5, map_period = 2, map_leaf = 0.02;
-  int map_min_points = 1;
+  int map_min_points = 1, map_max_points = 2000000;
   RefinerSettings refiner;
 };
 
@@ -90,31 +92,11 @@ Settings readSettings(const ros::NodeHandle& handle) {
   s.map_leaf = p.number("augmented_map/leaf", s.map_leaf, 0.001, 10);
   s.map_period = p.number("augmented_map/period", s.map_period, 0, 3600);
   s.map_min_points = p.integer("augmented_map/min_points", s.map_min_points, 1, 1000000);
+  s.map_max_points = p.integer("augmented_map/max_points", s.map_max_points, 1000, 100000000);
   s.fill_only = p.flag("augmented_map/fill_only", s.fill_only);
   s.ground_color = p.choice("augmented_map/ground_color", "red", {"red", "original"});
   s.chain_file = p.text("chain_file", "");
-  RefinerSettings& r = s.refiner;
-  r.recent_clouds = p.integer("recent_clouds", r.recent_clouds, 1, 10000);
-  r.accumulation_leaf = p.number("accumulation_leaf", r.accumulation_leaf, 0.001, 10);
-  r.margin = p.number("margin", r.margin, 0.01, 1000);
-  r.retries = p.integer("retries", r.retries, 0, 100);
-  r.retry_distance = p.number("retry_distance", r.retry_distance, 0, 10);
-  r.retry_angle = p.number("retry_angle", r.retry_angle, 0, 3.2);
-  r.min_points = p.integer("accept/min_points", r.min_points, 6, 1000000);
-  r.min_overlap = p.number("accept/min_overlap", r.min_overlap, 0, 1);
-  r.max_rms = p.number("accept/max_rms", r.max_rms, 0, 10);
-  r.max_sigma = p.number("accept/max_sigma", r.max_sigma, 0, 100);
-  r.max_sigma_angle = p.number("accept/max_sigma_angle", r.max_sigma_angle, 0, 4);
-  r.min_agreement = p.number("accept/min_agreement", r.min_agreement, 0, 1);
-  r.height_check.cell = p.number("accept/height_cell", r.height_check.cell, 0.005, 10);
-  r.height_check.tolerance_xy = p.number("accept/height_tolerance_xy", r.height_check.tolerance_xy, 0, 10);
-  r.height_check.tolerance_z = p.number("accept/height_tolerance_z", r.height_check.tolerance_z, 0, 10);
-  r.height_check.relief = p.number("accept/relief", r.height_check.relief, 0, 100);
-  r.height_check.min_relief_cells = p.integer("accept/min_relief_cells", r.height_check.min_relief_cells, 0, 1000000);
-  r.lost_after = p.integer("tracking/lost_after", r.lost_after, 1, 1000);
-  r.coarse_distance = p.number("tracking/coarse_distance", r.coarse_distance, 0, 1000);
-  r.coarse_angle = p.number("tracking/coarse_angle", r.coarse_angle, 0, 4);
-  r.coarse_disagreements = p.integer("tracking/coarse_disagreements", r.coarse_disagreements, 1, 1000);
+  s.refiner = readRefinerSettings(p);
   p.finish({"chain/"});
   return s;
 }
@@ -135,13 +117,15 @@ class IcpRefineNode {
         settings_(readSettings(private_)),
         health_("icp_refine"),
         refiner_(readChain(private_, settings_.chain_file), settings_.refiner),
-        voxels_(settings_.map_leaf) {
-    for (auto& j : jumps_) j.emplace();
+        voxels_(settings_.map_leaf, static_cast<std::size_t>(settings_.map_max_points)) {
     refined_publisher_ = handle_.advertise<AlignmentEstimate>("alignment/refined", 10);
-    map_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("augmented_map", 1, true);
+    map_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>(
+        "augmented_map", 1, [this](const ros::SingleSubscriberPublisher&) { onMapSubscriber(); }, {}, {}, true);
     coarse_subscriber_ = handle_.subscribe("alignment/coarse", 50, &IcpRefineNode::onCoarse, this);
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
-    ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
+    subscribeGround();
+    ground_status_subscriber_ = handle_.subscribe("ground/slam_status", 100, &IcpRefineNode::onGroundStatus, this);
+    odometry_subscriber_ = handle_.subscribe("mav/odometry", 100, &IcpRefineNode::onOdometry, this);
     status_subscriber_ = handle_.subscribe("mav/vo_status", 500, &IcpRefineNode::onVoStatus, this);
     guess_subscriber_ = handle_.subscribe("initialpose", 5, &IcpRefineNode::onGuess, this);
     save_service_ = private_.advertiseService("save_map", &IcpRefineNode::onSave, this);
@@ -169,38 +153,82 @@ class IcpRefineNode {
     std::vector<ros_utils::CloudPoint> points;
   };
   struct Inbox {
-    bool reset = false, new_map = false, refine = false;
+    bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
     std::optional<std::vector<ros_utils::CloudPoint>> ground;
     std::deque<AerialCloud> aerial;
     std::optional<Pose> coarse, manual;
-    bool any() const { return reset || new_map || refine || ground || !aerial.empty() || coarse || manual; }
+    bool any() const { 
+      return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual;
+    }
+    bool forgets() const { return reset || new_map || new_ground; }
   };
-  enum Stream { kClock, kAerial, kGround, kCoarse, kStatus, kStreams };
+  enum MavStream { kAerial, kCoarse, kOdometry, kMavStatus, kMavStreams };
+  enum GroundStream { kGround, kGroundStatus, kGroundStreams };
 
   // ---- Inputs: check, convert, hand to the worker ------------------------------------------------------------------
 
-  // A looped bag: the stamps of a topic, or the clock, go back.
-  void watchTime(Stream stream, const ros::Time& stamp) {
-    if (stamp.isZero()) return;
-    const ros::Time now = ros::Time::now();
-    if (!jumps_[kClock]->jumped(now) && !jumps_[stream]->jumped(stamp)) return;
-    for (auto& j : jumps_) j.emplace();
-    jumps_[kClock]->jumped(now);
-    jumps_[stream]->jumped(stamp);
-    ROS_WARN("time jumped back: a looped bag? Starting afresh");
-    health_.count("time jumps");
-    requestReset();
+  // mutex_ held for the next six.
+
+  // False: the message comes of the time before a jump (a looped bag) and is dropped. The robots' clocks are watched apart: when
+  // the MAV's steps back, a ground robot that stands still does not send its map again.
+  bool admitMav(MavStream stream, const ros::Time& stamp) {
+    const Verdict verdict = stamp.isZero() ? Verdict::kInOrder : mav_jumps_.watch(stream, stamp);
+    if (verdict == Verdict::kJump) {
+      ROS_WARN("the MAV's time jumped back: its map starts afresh");
+      health_.count("time jumps");
+      startMap();
+      map_id_.reset();
+      map_id_from_status_ = false;
+    }
+    return inOrder(verdict);
   }
 
-  void requestReset() {
-    std::lock_guard<std::mutex> lock(mutex_);
-    inbox_ = Inbox();
-    inbox_.reset = true;
-    map_id_.reset();
-    map_id_from_status_ = false;
+  bool admitGround(GroundStream stream, const ros::Time& stamp) {
+    const Verdict verdict = stamp.isZero() ? Verdict::kInOrder : ground_jumps_.watch(stream, stamp);
+    if (verdict == Verdict::kJump) {
+      ROS_WARN("the ground robot's time jumped back: its map starts afresh");
+      health_.count("time jumps");
+      startGround();
+      ground_map_id_.reset();
+    }
+    return inOrder(verdict);
+  }
+
+  bool inOrder(Verdict verdict) {
+    if (verdict == Verdict::kOld) health_.count("messages of the time before a jump dropped");
+    return verdict != Verdict::kOld;
+  }
+
+  void startMap() {
+    inbox_.new_map = true;
+    inbox_.aerial.clear();
+    odometry_.reset();
     map_start_ = ros::Time();
+    forgetPoses();
+  }
+
+  void startGround() {
+    inbox_.new_ground = true;
+    inbox_.ground.reset();
+    ground_map_start_ = ros::Time();
+    // A latched map that has come already comes again.
+    ground_subscriber_.shutdown();
+    subscribeGround();
+    forgetPoses();
+  }
+
+  void forgetPoses() {
+    inbox_.coarse.reset();
+    inbox_.manual.reset();
     T_ground_mav_.reset();
-    last_tf_ = ros::Time();
+    wake_.notify_all();
+  }
+
+  void subscribeGround() { ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this); }
+
+  void onMapSubscriber() {
+    std::lock_guard<std::mutex> lock(mutex_);
+    inbox_.map_subscriber = true;
     wake_.notify_all();
   }
 
@@ -227,10 +255,10 @@ class IcpRefineNode {
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
     if (!rightFrame("dense clouds", msg->header.frame_id, settings_.mav_map_frame)) return;
-    watchTime(kAerial, msg->header.stamp);
     auto points = readCloud(*msg, "dense cloud");
     if (!points) return;
     std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitMav(kAerial, msg->header.stamp)) return;
     if (msg->header.stamp < map_start_) {
       health_.count("dense clouds of an earlier map");
       return;
@@ -242,12 +270,39 @@ class IcpRefineNode {
   void onGround(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(ground_subscriber_.getTopic(), msg->header.stamp);
     if (!rightFrame("ground maps", msg->header.frame_id, settings_.ground_map_frame)) return;
-    watchTime(kGround, msg->header.stamp);
     auto points = readCloud(*msg, "ground map");
     if (!points) return;
     std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitGround(kGround, msg->header.stamp)) return;
+    if (msg->header.stamp < ground_map_start_) {
+      health_.count("ground maps of an earlier map");
+      return;
+    }
     inbox_.ground = std::move(*points);
     wake_.notify_all();
+  }
+
+  void onGroundStatus(const air_ground::VoStatus::ConstPtr& msg) {
+    std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitGround(kGroundStatus, msg->header.stamp)) return;
+    if (ground_map_id_ && *ground_map_id_ != msg->map_id) {
+      ROS_WARN("the ground robot started map %u: starting afresh", msg->map_id);
+      health_.count("new maps of the ground robot");
+      startGround();
+      ground_map_start_ = msg->header.stamp;
+    }
+    ground_map_id_ = msg->map_id;
+  }
+
+  void onOdometry(const nav_msgs::Odometry::ConstPtr& msg) {
+    if (!rightFrame("odometry", msg->header.frame_id, settings_.mav_map_frame)) return;
+    try {
+      const Pose T = ros_utils::fromMsg(msg->pose.pose);
+      std::lock_guard<std::mutex> lock(mutex_);
+      if (admitMav(kOdometry, msg->header.stamp) && msg->header.stamp >= map_start_) odometry_ = T;
+    } catch (const std::exception& e) {
+      health_.count(std::string("odometry unreadable: ") + e.what());
+    }
   }
 
   // mutex_ held. The VO's own status outranks the id that comes along with a coarse pose.
@@ -259,29 +314,24 @@ class IcpRefineNode {
     if (!changed) return;
     ROS_WARN("the MAV started map %u: starting afresh", id);
     health_.count("new maps of the MAV");
-    const auto ground = std::move(inbox_.ground);
-    inbox_ = Inbox();
-    inbox_.ground = ground;
-    inbox_.new_map = true;
+    startMap();
     map_start_ = stamp;
-    T_ground_mav_.reset();
-    wake_.notify_all();
   }
 
   void onVoStatus(const air_ground::VoStatus::ConstPtr& msg) {
-    watchTime(kStatus, msg->header.stamp);
     std::lock_guard<std::mutex> lock(mutex_);
+    if (!admitMav(kMavStatus, msg->header.stamp)) return;
     observeMapId(msg->map_id, msg->header.stamp, true);
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
-    watchTime(kCoarse, msg->header.stamp);
     if (msg->status != AlignmentEstimate::STATUS_CONVERGED) return;
     if (!rightFrame("coarse alignments", msg->header.frame_id, settings_.ground_map_frame)) return;
     if (!rightFrame("coarse alignments' child", msg->child_frame_id, settings_.mav_map_frame)) return;
     try {
       const Pose T = ros_utils::fromMsg(msg->pose.pose);
       std::lock_guard<std::mutex> lock(mutex_);
+      if (!admitMav(kCoarse, msg->header.stamp)) return;
       observeMapId(msg->map_id, msg->header.stamp, false);
       if (map_id_ != msg->map_id) {
         health_.count("coarse alignments of another map");
@@ -297,8 +347,17 @@ class IcpRefineNode {
   void onGuess(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
     if (!rightFrame("initial poses", msg->header.frame_id, settings_.ground_map_frame)) return;
     try {
-      const Pose T = ros_utils::fromMsg(msg->pose.pose);
+      const Pose T_ground_base = ros_utils::fromMsg(msg->pose.pose);
       std::lock_guard<std::mutex> lock(mutex_);
+      if (!odometry_) {
+        ROS_WARN("initialpose ignored: no mav/odometry yet that says where the MAV is in its own map");
+        health_.count("initial poses without odometry");
+        return;
+      }
+      // Both maps hang from gravity: heading and place of the base fix one map in the other.
+      const double yaw = air_ground_common::yawOf(T_ground_base.linear()) - air_ground_common::yawOf(odometry_->linear());
+      Pose T = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
+      T.translation() = T_ground_base.translation() - T.linear() * odometry_->translation();
       inbox_.manual = T;
       wake_.notify_all();
     } catch (const std::exception& e) {
@@ -316,7 +375,8 @@ class IcpRefineNode {
       {
         std::unique_lock<std::mutex> lock(mutex_);
         const auto ready = [this] { return stop_ || inbox_.any(); };
-        if (pending || map_due_) {
+        const bool publish = map_due_ && map_publisher_.getNumSubscribers() > 0;
+        if (pending || publish) {
           wake_.wait_until(lock, pending ? next : map_time_, ready);
         } else {
           wake_.wait(lock, ready);
@@ -341,16 +401,15 @@ class IcpRefineNode {
   // True when there is something new to refine.
   bool take(Inbox& inbox) {
     std::lock_guard<std::mutex> lock(map_mutex_);
-    if (inbox.reset) {
-      refiner_.reset();
+    if (inbox.reset || inbox.new_map) {
+      refiner_.startMap();
+      voxels_.clear();
+    }
+    if (inbox.reset || inbox.new_ground) {
+      refiner_.startGround();
       ground_points_.clear();
     }
-    if (inbox.new_map) refiner_.startMap();
-    if (inbox.reset || inbox.new_map) {
-      voxels_.clear();
-      map_pose_.reset();
-      map_due_ = false;
-    }
+    if (inbox.forgets()) dropMapPose();
     if (inbox.ground) {
       ground_points_ = std::move(*inbox.ground);
       Cloud cloud;
@@ -363,7 +422,7 @@ class IcpRefineNode {
         cloud.points.push_back(p.position);
         voxels_.add(p.position, p.rgb[0]);
       }
-      refiner_.addAerial(aerial.stamp.toSec(), std::move(cloud));
+      refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), std::move(cloud));
     }
     if (inbox.coarse) refiner_.setCoarse(*inbox.coarse);
     if (inbox.manual) refiner_.setManual(*inbox.manual);
@@ -377,29 +436,42 @@ class IcpRefineNode {
     const auto start = Clock::now();
     const RefineOutcome out = refiner_.refine();
     health_.timing("refine", std::chrono::duration<double>(Clock::now() - start).count());
+    std::uint32_t map_id;
     {
       std::lock_guard<std::mutex> lock(mutex_);
-      if (inbox_.reset || inbox_.new_map) return;  // it is about a map that has ended
+      if (inbox_.forgets()) return;  // it is about a map that has ended
+      map_id = map_id_.value_or(0);
       if (out.status == RefineStatus::kConverged) {
         T_ground_mav_ = out.T_ground_map_mav_map;
       } else if (!refiner_.tracking()) {
         T_ground_mav_.reset();
       }
     }
-    publishEstimate(out);
+    publishEstimate(out, map_id);
     if (out.status == RefineStatus::kConverged) {
       publishTf();
       std::lock_guard<std::mutex> lock(map_mutex_);
       map_pose_ = out.T_ground_map_mav_map;
-      map_stamp_ = ros::Time(out.stamp);
+      map_stamp_ = stampOf(out);
       map_due_ = true;
+    } else if (!refiner_.tracking()) {
+      std::lock_guard<std::mutex> lock(map_mutex_);
+      dropMapPose();
     }
     publishMapWhenDue();
   }
 
-  // At most once a period, and once more after the last refinement.
+  // map_mutex_ held. The map that stays is the ground robot's alone.
+  void dropMapPose() {
+    map_due_ |= map_pose_.has_value();
+    map_pose_.reset();
+  }
+
+  static ros::Time stampOf(const RefineOutcome& out) { return ros::Time().fromNSec(static_cast<std::uint64_t>(out.stamp)); }
+
+  // At most once a period, and once more after the last refinement. Without subscribers it stays due.
   void publishMapWhenDue() {
-    if (!map_due_ || Clock::now() < map_time_) return;
+    if (!map_due_ || Clock::now() < map_time_ || map_publisher_.getNumSubscribers() == 0) return;
     std::lock_guard<std::mutex> lock(map_mutex_);
     std_msgs::Header header;
     header.stamp = map_stamp_;
@@ -409,9 +481,9 @@ class IcpRefineNode {
     map_time_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settings_.map_period));
   }
 
-  void publishEstimate(const RefineOutcome& out) {
+  void publishEstimate(const RefineOutcome& out, std::uint32_t map_id) {
     AlignmentEstimate msg;
-    msg.header.stamp = out.stamp > 0 ? ros::Time(out.stamp) : ros::Time::now();
+    msg.header.stamp = out.stamp > 0 ? stampOf(out) : ros::Time::now();
     msg.header.frame_id = settings_.ground_map_frame;
     msg.child_frame_id = settings_.mav_map_frame;
     const bool finite = out.T_ground_map_mav_map.matrix().allFinite() && out.covariance.allFinite();
@@ -426,10 +498,7 @@ class IcpRefineNode {
     msg.overlap = out.overlap;
     msg.cost = out.residual_rms;
     msg.iterations = static_cast<std::uint32_t>(out.iterations);
-    {
-      std::lock_guard<std::mutex> lock(mutex_);
-      msg.map_id = map_id_.value_or(0);
-    }
+    msg.map_id = map_id;
     refined_publisher_.publish(msg);
     static const char* kNames[] = {"SEARCHING", "AMBIGUOUS", "DEGENERATE", "CONVERGED", "REJECTED"};
     const bool good = msg.status == AlignmentEstimate::STATUS_CONVERGED;
@@ -445,7 +514,7 @@ class IcpRefineNode {
     std::lock_guard<std::mutex> lock(mutex_);
     const ros::Time now = ros::Time::now();
     // The clock stands still while a bag is paused: the same stamp is not sent again.
-    if (!T_ground_mav_ || now.isZero() || now <= last_tf_) return;
+    if (!T_ground_mav_ || now.isZero() || now == last_tf_) return;
     last_tf_ = now;
     geometry_msgs::TransformStamped msg;
     msg.header.stamp = now;
@@ -518,7 +587,14 @@ class IcpRefineNode {
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    requestReset();
+    std::lock_guard<std::mutex> lock(mutex_);
+    inbox_ = Inbox();
+    startMap();
+    startGround();
+    inbox_.reset = true;
+    map_id_.reset();
+    map_id_from_status_ = false;
+    ground_map_id_.reset();
     response.success = true;
     response.message = "forgot all maps and poses";
     return true;
@@ -545,10 +621,12 @@ class IcpRefineNode {
   bool stop_ = false;
   std::optional<std::uint32_t> map_id_;
   bool map_id_from_status_ = false;
-  ros::Time map_start_;                // clouds before it belong to an earlier map of the MAV
+  std::optional<std::uint32_t> ground_map_id_;
+  ros::Time map_start_, ground_map_start_;  // clouds before belong to an earlier map
+  std::optional<Pose> odometry_;       // T_mav_map_base, the latest
   std::optional<Pose> T_ground_mav_;   // what tf says
   ros::Time last_tf_;
-  std::array<std::optional<ros_utils::TimeJumpDetector>, kStreams> jumps_;  // callbacks alone
+  ros_utils::StreamJumpDetector mav_jumps_{kMavStreams}, ground_jumps_{kGroundStreams};
 
   std::mutex map_mutex_;
   std::vector<ros_utils::CloudPoint> ground_points_;
@@ -560,7 +638,8 @@ class IcpRefineNode {
   std::uint8_t last_status_ = 255;
 
   ros::Publisher refined_publisher_, map_publisher_;
-  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, status_subscriber_, guess_subscriber_;
+  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_, odometry_subscriber_,
+      status_subscriber_, guess_subscriber_;
   ros::ServiceServer save_service_, reset_service_, refine_service_;
   ros::Timer tf_timer_;
   tf2_ros::TransformBroadcaster broadcaster_;

@@ -3,7 +3,9 @@
 #include <air_ground/SaveMap.h>
 #include <air_ground/VoStatus.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
+#include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
 #include <rosgraph_msgs/Clock.h>
 #include <sensor_msgs/PointCloud2.h>
@@ -12,6 +14,7 @@
 
 #include <Eigen/Eigenvalues>
 #include <cstdio>
+#include <map>
 #include <set>
 
 #include "air_ground_common/mesh.h"
@@ -32,13 +35,17 @@ class NodeTest : public testing::Test {
     aerial_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 10);
     ground_ = handle_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 10);
     status_ = handle_.advertise<air_ground::VoStatus>("mav/vo_status", 10);
+    ground_status_ = handle_.advertise<air_ground::VoStatus>("ground/slam_status", 10);
+    odometry_ = handle_.advertise<nav_msgs::Odometry>("mav/odometry", 10);
     guess_ = handle_.advertise<geometry_msgs::PoseWithCovarianceStamped>("initialpose", 10);
     refined_sub_ = handle_.subscribe("alignment/refined", 100, &NodeTest::onRefined, this);
     map_sub_ = handle_.subscribe("augmented_map", 10, &NodeTest::onMap, this);
     tf_sub_ = handle_.subscribe("/tf", 1000, &NodeTest::onTf, this);
+    diagnostics_sub_ = handle_.subscribe("/diagnostics", 10, &NodeTest::onDiagnostics, this);
     waitFor([this] {
       return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 && aerial_.getNumSubscribers() > 0 &&
-             ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && refined_sub_.getNumPublishers() > 0 &&
+             ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && status_.getNumSubscribers() > 0 &&
+             ground_status_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 && refined_sub_.getNumPublishers() > 0 &&
              tf_sub_.getNumPublishers() > 0;
     });
     // Every test starts with an empty node and later than the one before.
@@ -48,7 +55,9 @@ class NodeTest : public testing::Test {
     std_srvs::Trigger reset;
     EXPECT_TRUE(ros::service::call("/icp_refine/reset", reset));
     EXPECT_TRUE(reset.response.success);
+    // The ground map's subscription is renewed by a reset.
     spin(0.3);
+    EXPECT_TRUE(waitFor([this] { return ground_.getNumSubscribers() > 0; }));
     estimates_.clear();
     maps_.clear();
     transforms_.clear();
@@ -113,6 +122,47 @@ class NodeTest : public testing::Test {
     coarse_.publish(msg);
   }
 
+  void onDiagnostics(const diagnostic_msgs::DiagnosticArray& msg) {
+    for (const auto& status : msg.status) {
+      if (status.hardware_id != "icp_refine") continue;
+      for (const auto& value : status.values) counters_[value.key] = value.value;
+    }
+  }
+
+  // What the diagnostics count under a name that begins like this.
+  int counted(const std::string& event) const {
+    const auto it = counters_.lower_bound(event);
+    return it != counters_.end() && it->first.rfind(event, 0) == 0 ? std::stoi(it->second) : 0;
+  }
+
+  std::size_t aerialPoints(const sensor_msgs::PointCloud2& map) const {
+    std::size_t count = 0;
+    for (const auto& p : ros_utils::cloudFromMsg(map)) count += p.source == 1;
+    return count;
+  }
+  bool anyAerialPoint() const {
+    for (const auto& map : maps_) {
+      if (map.width > 0 && aerialPoints(map) > 0) return true;
+    }
+    return false;
+  }
+
+  void sendOdometry(const Pose& T_mav_map_base) {
+    nav_msgs::Odometry msg;
+    msg.header.stamp = ros::Time(now_);
+    msg.header.frame_id = "mav_map";
+    msg.child_frame_id = "mav_base_link";
+    msg.pose.pose = ros_utils::toMsg(T_mav_map_base);
+    odometry_.publish(msg);
+  }
+
+  void sendGroundStatus(std::uint32_t map_id) {
+    air_ground::VoStatus msg;
+    msg.header.stamp = ros::Time(now_);
+    msg.map_id = map_id;
+    ground_status_.publish(msg);
+  }
+
   void sendStatus(std::uint32_t map_id) {
     air_ground::VoStatus msg;
     msg.header.stamp = ros::Time(now_);
@@ -133,10 +183,11 @@ class NodeTest : public testing::Test {
   }
 
   ros::NodeHandle handle_;
-  ros::Publisher clock_, coarse_, aerial_, ground_, status_, guess_;
-  ros::Subscriber refined_sub_, map_sub_, tf_sub_;
+  ros::Publisher clock_, coarse_, aerial_, ground_, status_, ground_status_, odometry_, guess_;
+  ros::Subscriber refined_sub_, map_sub_, tf_sub_, diagnostics_sub_;
   std::vector<AlignmentEstimate> estimates_;
   std::vector<sensor_msgs::PointCloud2> maps_;
+  std::map<std::string, std::string> counters_;
   std::vector<geometry_msgs::TransformStamped> transforms_;
   double now_ = 0;
 };
@@ -149,7 +200,8 @@ TEST_F(NodeTest, RefinesPublishesTfAndTheMap) {
   sendCoarse(offset(scene), AlignmentEstimate::STATUS_AMBIGUOUS);
   spin(1);
   EXPECT_TRUE(transforms_.empty());
-  EXPECT_TRUE(maps_.empty());
+  EXPECT_FALSE(anyAerialPoint());
+  maps_.clear();
 
   sendCoarse(offset(scene));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
@@ -234,7 +286,7 @@ TEST_F(NodeTest, FlatFloorIsRefused) {
   EXPECT_GT(estimates_.back().pose.covariance[0], 0.25);
   spin(1);
   EXPECT_TRUE(transforms_.empty());
-  EXPECT_TRUE(maps_.empty());
+  EXPECT_FALSE(anyAerialPoint());
 }
 
 TEST_F(NodeTest, AWrongBasinIsRejected) {
@@ -280,6 +332,11 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
     for (double c : e.pose.covariance) EXPECT_TRUE(std::isfinite(c));
     EXPECT_TRUE(std::isfinite(e.pose.pose.position.x) && std::isfinite(e.pose.pose.orientation.w));
   }
+  for (const char* event : {"dense cloud without a finite point", "dense clouds in frame 'ground_map'", "dense clouds in frame ''",
+                            "ground map without a finite point", "coarse alignment unreadable", "initial pose unreadable",
+                            "points that are not finite"}) {
+    EXPECT_TRUE(waitFor([&] { return counted(event) > 0; }, 20)) << event;
+  }
   // Still alive, and some NaN points do no harm.
   for (std::size_t i = 0; i < broken.aerial.size(); ++i) {
     if (i % 5) broken.aerial.points[i] = scene.aerial.points[i];
@@ -295,9 +352,16 @@ TEST_F(NodeTest, ManualGuessNeedsNoCoarsePose) {
   sendScene(scene);
   geometry_msgs::PoseWithCovarianceStamped guess;
   guess.header.frame_id = "ground_map";
-  Pose T = offset(scene);
+  // The guess is a pose of the MAV's base, which is far from the origin of its map and turned.
+  const Pose T_mav_map_base = air_ground_common::yawPose(1.1, {3, -2, 1.5});
+  Pose T = offset(scene) * T_mav_map_base;
   T.translation().z() -= 0.7;  // drawn on the plane: the height is unknown
   guess.pose.pose = ros_utils::toMsg(T);
+  spin(0.5);
+  const int before = counted("initial poses without odometry");
+  guess_.publish(guess);
+  ASSERT_TRUE(waitFor([&] { return counted("initial poses without odometry") > before; }));
+  sendOdometry(T_mav_map_base);
   spin(0.5);
   guess_.publish(guess);
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
@@ -326,15 +390,71 @@ TEST_F(NodeTest, AnotherMapStartsAfresh) {
   EXPECT_EQ(estimates_.back().map_id, 8u);
 }
 
+TEST_F(NodeTest, AnotherGroundMapStartsAfresh) {
+  const auto scene = synthetic::makeScene(1);
+  sendGroundStatus(1);
+  spin(0.3);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  ASSERT_TRUE(waitFor([this] { return !transforms_.empty() && anyAerialPoint(); }));
+  maps_.clear();
+  sendGroundStatus(2);
+  // Nothing of the old map stays: no tf, no augmented map.
+  ASSERT_TRUE(waitFor([this] { return !maps_.empty(); }));
+  EXPECT_EQ(maps_.back().width * maps_.back().height, 0u);
+  transforms_.clear();
+  spin(1);
+  EXPECT_TRUE(transforms_.empty());
+  ASSERT_TRUE(waitFor([this] { return ground_.getNumSubscribers() > 0; }));
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  spin(0.3);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+}
+
+TEST_F(NodeTest, ALostPoseLeavesTheAugmentedMap) {
+  const auto scene = synthetic::makeScene(1), other = synthetic::makeScene(17);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
+  // Another scene at the same place contradicts, until the pose is given up.
+  const auto wrong = transformed(other.aerial, scene.T_ground_map_mav_map.inverse() * scene.T_world_ground_map.inverse() * other.T_world_mav_map);
+  for (int k = 0; k < 30 && (estimates_.empty() || estimates_.back().reason.find("lost after") == std::string::npos); ++k) {
+    const std::size_t before = estimates_.size();
+    aerial_.publish(cloud(wrong, "mav_map"));
+    ASSERT_TRUE(waitFor([&] { return estimates_.size() > before; }));
+  }
+  ASSERT_NE(estimates_.back().reason.find("lost after"), std::string::npos) << estimates_.back().reason;
+  ASSERT_TRUE(waitFor([this] { return !maps_.empty() && aerialPoints(maps_.back()) == 0; }));
+  air_ground::SaveMap save;
+  save.request.path = std::string(P_tmpdir) + "/icp_refine_node_test_lost.ply";
+  ASSERT_TRUE(ros::service::call("/icp_refine/save_map", save));
+  EXPECT_NE(save.response.message.find("no alignment"), std::string::npos) << save.response.message;
+  std::remove(save.request.path.c_str());
+}
+
 TEST_F(NodeTest, ALoopedBagResets) {
   const auto scene = synthetic::makeScene(1);
   sendScene(scene);
   sendCoarse(offset(scene));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << estimates_.back().reason;
+  const auto late = cloud(scene.aerial, "mav_map");
+  sendStatus(0);
+  spin(0.3);
   now_ -= 500;
   spin(0.3);
+  const int jumps = counted("time jumps");
+  sendStatus(0);
+  ASSERT_TRUE(waitFor([&] { return counted("time jumps") > jumps; }));
+  // A cloud that was still on its way enters nothing, and starts nothing afresh.
+  estimates_.clear();
+  aerial_.publish(late);
   aerial_.publish(cloud(scene.aerial, "mav_map"));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_SEARCHING));
+  EXPECT_TRUE(waitFor([&] { return counted("messages of the time before a jump dropped") > 0; }));
+  EXPECT_EQ(counted("time jumps"), jumps + 1);
   spin(0.5);
   transforms_.clear();
   spin(0.5);

@@ -71,12 +71,43 @@ TEST_F(Refiner, AGuessOnAPlaneGetsItsHeightFromTheMaps) {
   EXPECT_LT(error(out.T_ground_map_mav_map), 0.08);
 }
 
+TEST_F(Refiner, AManualGuessReplacesTheTrackedPoseOnlyOnceItConverges) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  refiner.setManual(moved(0.4, 0.3, 0, 2.4));
+  EXPECT_TRUE(refiner.tracking());
+  auto out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_TRUE(out.tracking);
+  EXPECT_NE(out.reason.find("manual"), std::string::npos) << out.reason;
+  EXPECT_LT(error(*refiner.refined()), 0.08);
+  refiner.setManual(moved(0.1, -0.1, 0, 0.05));
+  out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(out.tracking);
+  EXPECT_LT(error(*refiner.refined()), 0.08);
+}
+
+TEST_F(Refiner, AnotherGroundMapEndsThePoseNotTheAerialClouds) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  refiner.startGround();
+  EXPECT_FALSE(refiner.tracking());
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  EXPECT_NE(refiner.refine().reason.find("ground"), std::string::npos);
+  refiner.setGround(scene.ground);
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kConverged);
+}
+
 TEST_F(Refiner, AWrongCoarsePoseIsRejectedAndNotTracked) {
   refiner.setCoarse(moved(0.4, 0.3, 0, 2.4));
   const auto out = refiner.refine();
   EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
   EXPECT_FALSE(refiner.tracking());
   EXPECT_FALSE(out.reason.empty());
+  if (out.status == RefineStatus::kRejected) {
+    EXPECT_GE(out.covariance.diagonal().minCoeff(), 1e6);
+  }
 }
 
 TEST_F(Refiner, WantOfOverlapKeepsThePoseContradictionsEndIt) {
@@ -111,6 +142,49 @@ TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingDoesNotReplaceABetterOne) {
     EXPECT_EQ(refiner.refine().status, RefineStatus::kConverged);
     EXPECT_LT(error(*refiner.refined()), 0.08);
   }
+}
+
+TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingReplacesAWrongOne) {
+  // Without the height check a wrong place is believed, and tracked.
+  RefinerSettings settings;
+  settings.min_agreement = 0;
+  settings.max_rms = 1;
+  settings.max_sigma = settings.max_sigma_angle = 3;
+  settings.coarse_distance = 0.3;
+  AlignmentRefiner credulous(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), settings);
+  credulous.setGround(scene.ground);
+  credulous.addAerial(1, scene.aerial);
+  bool wrong = false;
+  for (const Pose& guess : {moved(0.8, 0, 0, 0.5), moved(0, 0.8, 0, 0.5), moved(-0.8, 0, 0, 0.5), moved(0, -0.8, 0, 0.5), moved(0, 0, 0, M_PI)}) {
+    credulous.setManual(guess);
+    const auto out = credulous.refine();
+    wrong = out.status == RefineStatus::kConverged && error(out.T_ground_map_mav_map) > 0.4;
+    if (wrong) break;
+  }
+  ASSERT_TRUE(wrong);
+  for (int k = 0; k < settings.coarse_disagreements; ++k) {
+    EXPECT_GT(error(*credulous.refined()), 0.3) << "switched after " << k;
+    credulous.setCoarse(scene.T_ground_map_mav_map);
+    credulous.refine();
+  }
+  EXPECT_LT(error(*credulous.refined()), 0.08);
+}
+
+TEST(AerialVoxels, GrowRatherThanExceedTheirNumber) {
+  AerialVoxels voxels(0.1, 100);
+  for (int x = 0; x < 40; ++x) {
+    for (int y = 0; y < 40; ++y) voxels.add({0.1f * x + 0.05f, 0.1f * y + 0.05f, 0.05f}, 80);
+  }
+  EXPECT_LE(voxels.size(), 100u);
+  EXPECT_FLOAT_EQ(voxels.leaf(), 0.4f);
+  int count = 0;
+  for (const auto& p : voxels.points()) {
+    count += p.count;
+    EXPECT_EQ(p.grey, 80);
+  }
+  EXPECT_EQ(count, 1600);
+  voxels.clear();
+  EXPECT_FLOAT_EQ(voxels.leaf(), 0.1f);
 }
 
 TEST(AerialVoxels, AverageIgnoreNanAndCount) {

@@ -38,12 +38,13 @@ struct RefineOutcome {
   RefineStatus status = RefineStatus::kSearching;
   std::string reason;                ///< one line for a person
   Pose T_ground_map_mav_map = Pose::Identity();
-  Matrix6d covariance = Matrix6d::Identity();        ///< about reference_point, in ground_map
+  /// About reference_point, in ground_map; 1e6 I for SEARCHING and REJECTED, wide along missing directions for DEGENERATE.
+  Matrix6d covariance = 1e6 * Matrix6d::Identity();
   Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< in ground_map [m]
   double overlap = 0;                ///< share of the aerial map's columns that the ground map has too
   double residual_rms = 0;           ///< [m]
   int iterations = 0;
-  double stamp = 0;                  ///< of the newest aerial cloud [s]
+  std::int64_t stamp = 0;            ///< of the newest aerial cloud [ns]
   bool contradicted = false;         ///< rejected by data that speak against the pose, not for want of data
   bool tracking = false;             ///< started from the last refined pose
   HeightCheck heights;
@@ -57,14 +58,17 @@ class AlignmentRefiner {
 
   /// Replaces the ground map (ground_map frame); filters and trees are made at the next refine().
   void setGround(Cloud cloud);
-  /// Adds one aerial cloud (mav_map frame), stamp in seconds.
-  void addAerial(double stamp, Cloud cloud);
+  /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
+  void addAerial(std::int64_t stamp, Cloud cloud);
   /// Coarse pose of a global localization that has converged.
   void setCoarse(const Pose& T_ground_map_mav_map);
-  /// A person's guess of x, y and heading: replaces whatever was tracked. The height is taken from the maps.
+  /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken from
+  /// the maps.
   void setManual(const Pose& T_ground_map_mav_map);
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();
+  /// Forgets the ground map and all poses, not the aerial clouds: another ground map has begun.
+  void startGround();
   /// Forgets everything.
   void reset();
 
@@ -76,6 +80,7 @@ class AlignmentRefiner {
   std::optional<Pose> refined() const { return tracked_; }
 
  private:
+  void forgetPoses();
   RefineOutcome attempt(const Cloud& reading, const Pose& guess);
   RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess);
 
@@ -83,7 +88,7 @@ class AlignmentRefiner {
   RefinerSettings settings_;
   Cloud ground_;
   std::optional<IcpReference> reference_;
-  std::deque<std::pair<double, Cloud>> aerial_;
+  std::deque<std::pair<std::int64_t, Cloud>> aerial_;
   std::optional<Pose> coarse_, manual_, tracked_;
   int rejections_ = 0, disagreements_ = 0;
 };

@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <limits>
 #include <unordered_map>
 #include <vector>
 
@@ -10,15 +11,20 @@
 
 namespace icp_refine {
 
-/// Aerial points with their grey value, one a voxel (running mean), in mav_map.
+/// Aerial points with their grey value, one a voxel (mean of its points), in mav_map. Bounded: voxels grow when there are too many.
 class AerialVoxels {
  public:
-  /// leaf [m] > 0.
-  explicit AerialVoxels(double leaf) : leaf_(static_cast<float>(leaf)) {}
+  /// leaf [m] > 0, doubled whenever more than max_voxels (> 0) are taken.
+  explicit AerialVoxels(double leaf, std::size_t max_voxels = std::numeric_limits<std::size_t>::max())
+      : first_leaf_(static_cast<float>(leaf)), leaf_(first_leaf_), max_voxels_(max_voxels) {}
 
   /// intensity: 0..255. Points that are not finite are ignored.
   void add(const Eigen::Vector3f& point, float intensity);
-  void clear() { voxels_.clear(); }
+  void clear() {
+    voxels_.clear();
+    leaf_ = first_leaf_;
+  }
+  float leaf() const { return leaf_; }  ///< present edge of a voxel [m]
   std::size_t size() const { return voxels_.size(); }
 
   struct Point {
@@ -36,7 +42,11 @@ class AerialVoxels {
     int count = 0;
     std::size_t order = 0;
   };
-  float leaf_;
+  void coarsen();
+
+  float first_leaf_, leaf_;
+  std::size_t max_voxels_;
+  std::size_t next_order_ = 0;
   std::unordered_map<std::uint64_t, Voxel> voxels_;
 };
 

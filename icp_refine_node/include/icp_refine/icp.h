@@ -18,7 +18,7 @@ struct IcpResult {
   Pose T_reference_reading = Pose::Identity();
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< of the matches, reference frame: covariance is about this point
   Matrix6d hessian = Matrix6d::Zero();               ///< sum w J^T J about centre (translation, rotation)
-  Matrix6d covariance = Matrix6d::Identity();        ///< translation [m], rotation [rad] about centre, reference frame
+  Matrix6d covariance = 1e6 * Matrix6d::Identity();  ///< translation [m], rotation [rad] about centre, reference frame; 1e6 I: failed
   Localizability localizability;
   std::size_t reading_points = 0, reference_points = 0;  ///< after the filters
   std::size_t inliers = 0;     ///< matches with a weight > 0 in the last iteration
