@@ -90,6 +90,51 @@ TEST(StreamJumpDetector, LaggingStreamIsNoJumpAndLoopedBagIsOne) {
   EXPECT_THROW(detector.watch(2, ros::Time(1.0), wall), std::out_of_range);
 }
 
+TEST(StreamJumpDetector, OneWrongStampIsNoJump) {
+  using Verdict = StreamJumpDetector::Verdict;
+  StreamJumpDetector detector(1);
+  const ros::WallTime wall(50.0);
+  const auto watch = [&](double t) { return detector.watch(0, ros::Time(t), wall); };
+  double t = 100;
+  for (int i = 0; i < 50; ++i, t += 0.01) ASSERT_EQ(watch(t), Verdict::kInOrder);
+  for (const double wrong : {t + 3, t - 40, 4.2e9}) {
+    EXPECT_EQ(watch(wrong), Verdict::kOld) << wrong;
+    EXPECT_EQ(watch(t += 0.01), Verdict::kInOrder) << "after " << wrong;
+  }
+  EXPECT_EQ(detector.watch(0, ros::Time(), wall), Verdict::kOld) << "no stamp";
+  EXPECT_EQ(detector.watch(0, ros::Time(0xFFFFFFFFu, 0), wall), Verdict::kOld) << "an uninitialised stamp";
+  EXPECT_EQ(watch(t += 0.01), Verdict::kInOrder);
+  EXPECT_EQ(watch(t += 5), Verdict::kOld) << "a gap costs one message";
+  EXPECT_EQ(watch(t += 0.01), Verdict::kInOrder);
+  EXPECT_EQ(watch(100), Verdict::kOld);
+  EXPECT_EQ(watch(100.01), Verdict::kJump) << "confirmed";
+  EXPECT_EQ(watch(100.02), Verdict::kInOrder);
+}
+
+TEST(TimeJumpDetector, BearsAnyStamp) {
+  TimeJumpDetector detector;
+  EXPECT_FALSE(detector.jumped(ros::Time(0xFFFFFFFFu, 0)));
+  EXPECT_TRUE(detector.jumped(ros::Time(100.0)));
+}
+
+TEST(NodeHealth, AnInputThatDiesIsAnError) {
+  ros::NodeHandle nh;
+  NodeHealth health("silence_test");
+  health.expectInput("/camera/image_raw");
+  health.received("/camera/image_raw", ros::Time(1.0));
+  health.state(0, "tracking");
+  int level = -1;
+  const ros::Subscriber subscriber = nh.subscribe<diagnostic_msgs::DiagnosticArray>(
+      "/diagnostics", 10, [&](const diagnostic_msgs::DiagnosticArray::ConstPtr& msg) {
+        for (const auto& status : msg->status)
+          if (status.hardware_id == "silence_test") level = status.level;
+      });
+  EXPECT_TRUE(spinUntil([&] { return level == 0; }));
+  EXPECT_TRUE(spinUntil([&] { return level == 2; }));
+  health.received("/camera/image_raw", ros::Time(9.0));
+  EXPECT_TRUE(spinUntil([&] { return level == 0; })) << "and recovers";
+}
+
 TEST(NodeHealth, CountersReachDiagnostics) {
   ros::NodeHandle nh;
   std::string value;
@@ -135,6 +180,36 @@ TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
   EXPECT_LT((T_odom_base.matrix() - (step * step).matrix()).norm(), 1e-9) << "odom jumped";
   EXPECT_LT((fromMsg(odometry[2].pose.pose).matrix() - corrected.matrix()).norm(), 1e-9);
   EXPECT_NEAR(odometry[1].twist.twist.linear.x, 0.5, 1e-9);
+}
+
+TEST(BoundedPath, ThinsOutAndIsPublishedOnceASecond) {
+  BoundedPath path("m", 0.1, 50);
+  int published = 0;
+  std::size_t longest = 0;
+  geometry_msgs::PoseStamped pose;
+  for (int i = 0; i < 10000; ++i) {  // 20 Hz, 1 m/s
+    pose.header.stamp = ros::Time(100 + 0.05 * i);
+    pose.pose.position.x = 0.05 * i;
+    published += path.add(pose);
+    longest = std::max(longest, path.message().poses.size());
+  }
+  EXPECT_LE(published, 501);
+  EXPECT_GT(published, 50);
+  EXPECT_EQ(longest, 50u);
+  const auto& poses = path.message().poses;
+  EXPECT_GT(poses.size(), 20u);
+  EXPECT_EQ(poses.front().pose.position.x, 0);
+  EXPECT_GT(poses.back().pose.position.x, 500 - 2 * 500.0 / 25);
+  for (std::size_t i = 2; i < poses.size(); ++i) EXPECT_GT(poses[i].pose.position.x, poses[i - 1].pose.position.x);
+  // Time that ran back, as in a looped bag, does not silence it.
+  pose.header.stamp = ros::Time(100);
+  pose.pose.position.x = 0;
+  EXPECT_TRUE(path.add(pose));
+  EXPECT_EQ(path.message().header.stamp, pose.header.stamp);
+  EXPECT_FALSE(path.add(pose)) << "nothing new";
+  path.clear();
+  EXPECT_TRUE(path.message().poses.empty());
+  EXPECT_TRUE(path.add(pose));
 }
 
 TEST(LookupStatic, SaysWhatIsMissing) {
