@@ -62,6 +62,8 @@ struct Arguments {
   std::string db, images, camera, cameras, up, out, pictures;
   double up_stddev = 2;
   bool keep_index = true;
+  std::string covariance = "refined";
+  int monte_carlo_samples = 1000;
   LocalizerSettings settings;
 };
 
@@ -80,6 +82,10 @@ int run(Arguments a) {
 
   const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(a.db));
   if (a.keep_index && a.db.rfind("PG:", 0) != 0) a.settings.index_file = a.db + ".index";
+  if (a.covariance == "monte_carlo") {
+    a.settings.covariance = CovarianceKind::kMonteCarlo;
+    a.settings.pose.monte_carlo_samples = a.monte_carlo_samples;
+  }
   const Localizer localizer(database, a.settings);
   std::fprintf(stderr, "%s\n", localizer.indexRemark().c_str());
   std::unique_ptr<ViewSynthesizer> synthesizer;
@@ -95,7 +101,7 @@ int run(Arguments a) {
   std::array<double, kSteps> times{};
   double total = 0;
   for (const std::string& name : names) {
-    const cv::Mat image = cv::imread(a.images + "/" + name);
+    const cv::Mat image = cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
     LocalizerResult result;
     if (image.empty()) {
       result.reason = "the image cannot be read";
@@ -152,6 +158,10 @@ int main(int argc, char** argv) {
   app.add_option("--max-range", a.settings.acceptance.max_range, "from the panorama [m]")->capture_default_str()->check(CLI::Range(1.0, 1000.0));
   app.add_option("--model-lateral-stddev", a.settings.model_lateral_stddev, "of the city model's walls [m]")->capture_default_str()->check(CLI::Range(0.0, 10.0));
   app.add_option("--model-height-stddev", a.settings.model_height_stddev, "of the city model's heights [m]")->capture_default_str()->check(CLI::Range(0.0, 10.0));
+  app.add_option("--covariance", a.covariance, "of the estimate, or the paper's scatter of minimal samples")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"refined", "monte_carlo"}));
+  app.add_option("--monte-carlo-samples", a.monte_carlo_samples, "of five matches")->capture_default_str()->check(CLI::Range(10, 1000000));
   CLI11_PARSE(app, argc, argv);
   try {
     return run(a);

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <limits>
 #include <list>
 #include <map>
@@ -18,7 +19,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 constexpr double kDegree = M_PI / 180;
-constexpr std::size_t kPyramidsKept = 96;
+constexpr std::size_t kPyramidBytes = std::size_t{256} << 20;  // kept of the views' gradients
 constexpr int kMirrorFeatures = 600;
 constexpr double kGravityGate = 4;  // standard deviations
 
@@ -42,11 +43,12 @@ class StepTimer {
   Clock::time_point start_;
 };
 
-// Matches of the query with one view that survived k-VLD.
+// Matches of the query with one view.
 struct ViewMatches {
   int view = 0;
-  std::vector<Match> matches;
-  std::vector<int> supporters;
+  std::vector<Match> matches;   // that survived k-VLD
+  std::vector<int> supporters;  // of each
+  std::vector<Match> dropped;   // by k-VLD: evidence against a pose
 };
 
 // Matches with panoramas whose points may be used as one.
@@ -62,6 +64,7 @@ struct Candidate {
   Acceptance acceptance;
   std::vector<Correspondence> correspondences;
   std::vector<int> views;
+  std::size_t kept = 0;  // the first correspondences; k-VLD dropped the others
   int panorama = -1, view = -1;
 };
 
@@ -128,6 +131,9 @@ void LocalizerSettings::validate() const {
   require(min_visible_share >= 0 && min_visible_share <= 1, "min_visible_share must lie in [0, 1]");
   require(min_rival_share >= 0, "min_rival_share must not be negative");
   require(max_disagreement > 0 && max_turn > 0, "max_disagreement and max_turn must be positive");
+  require(max_fusion_shift > 0, "max_fusion_shift must be positive");
+  require(min_fusion_inliers >= 0 && min_fusion_inliers <= 1, "min_fusion_inliers must lie in [0, 1]");
+  require(covariance == CovarianceKind::kRefined || pose.monte_carlo_samples > 0, "the Monte Carlo covariance needs pose.monte_carlo_samples");
   pose.validate();
   acceptance.validate();
   fusion.validate();
@@ -140,6 +146,7 @@ struct Localizer::Impl {
 
   mutable std::mutex mutex;
   mutable std::list<std::pair<int, std::shared_ptr<const GradientPyramid>>> pyramids;  // the most recent first
+  mutable std::size_t pyramid_bytes = 0;
 
   cv::Mat descriptors;           // of all views
   std::vector<int> view_of_row;  // of `descriptors`
@@ -159,28 +166,27 @@ struct Localizer::Impl {
   }
 
   void prepareIndex() {
-    const std::string count = std::to_string(descriptors.rows) + " descriptors";
-    if (!settings.index_file.empty()) {
+    const std::string name = toString(settings.index.method) + " index over " + std::to_string(descriptors.rows) + " descriptors";
+    std::string why;
+    if (std::filesystem::exists(settings.index_file)) {
       try {
         index = loadIndex(settings.index_file, descriptors, settings.index);
-        index_remark = "index over " + count + " read from " + settings.index_file;
+        index_remark = name + " read from " + settings.index_file;
         return;
       } catch (const std::runtime_error& e) {
-        index_remark = e.what();
+        why = std::string(" (") + e.what() + ")";
       }
     }
     const auto start = Clock::now();
     index = buildIndex(descriptors, settings.index);
-    std::string remark = "index over " + count + " built in " + text("%.1f s", seconds(start));
-    if (!settings.index_file.empty()) {
-      try {
-        index->save(settings.index_file);
-        remark += ", kept in " + settings.index_file;
-      } catch (const std::runtime_error& e) {
-        remark += std::string(", not kept: ") + e.what();
-      }
+    index_remark = name + " built in " + text("%.1f s", seconds(start)) + why;
+    if (settings.index_file.empty()) return;
+    try {
+      index->save(settings.index_file);
+      index_remark += ", kept in " + settings.index_file;
+    } catch (const std::runtime_error& e) {
+      index_remark += std::string(", not kept: ") + e.what();
     }
-    index_remark = remark;
   }
 
   const View& view(int index) const { return database->views[static_cast<std::size_t>(index)]; }
@@ -198,8 +204,24 @@ struct Localizer::Impl {
     auto made = std::make_shared<const GradientPyramid>(view(index).image);
     const std::lock_guard<std::mutex> lock(mutex);
     pyramids.emplace_front(index, made);
-    if (pyramids.size() > kPyramidsKept) pyramids.pop_back();
+    pyramid_bytes += made->bytes();
+    while (pyramid_bytes > kPyramidBytes && pyramids.size() > 1) {
+      pyramid_bytes -= pyramids.back().second->bytes();
+      pyramids.pop_back();
+    }
     return made;
+  }
+
+  // The nearest panoramas that have views; those that could not be placed have none.
+  std::vector<int> panoramasNear(const Eigen::Vector3d& position) const {
+    const auto total = static_cast<int>(database->panoramas.size());
+    std::vector<int> found;
+    for (int count = std::min(settings.near_panoramas, total);; count = std::min(2 * count, total)) {
+      found.clear();
+      for (const int p : database->nearest(position, count))
+        if (!database->viewsOf(p).empty() && static_cast<int>(found.size()) < settings.near_panoramas) found.push_back(p);
+      if (static_cast<int>(found.size()) == settings.near_panoramas || count == total) return found;
+    }
   }
 
   // Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
@@ -212,7 +234,7 @@ struct Localizer::Impl {
     const double half = std::min(std::atan(0.5 * std::hypot(camera.width, camera.height) / camera.fx) + angle, M_PI);
     const double min_cosine = std::cos(half);
     std::vector<std::pair<int, int>> ranked;
-    for (const int p : database->nearest(T.translation(), settings.near_panoramas)) {
+    for (const int p : panoramasNear(T.translation())) {
       for (const int v : database->viewsOf(p)) {
         const View& candidate = view(v);
         int seen = 0;
@@ -280,7 +302,12 @@ struct Localizer::Impl {
     if (static_cast<int>(putative.size()) < settings.min_view_matches) return out;
     const KvldResult kvld =
         filterKvld(query_pyramid, *pyramidOf(index), query.keypoints, candidate.features.keypoints, putative, settings.kvld);
-    for (const int kept : kvld.kept) out.matches.push_back(putative[static_cast<std::size_t>(kept)]);
+    auto kept = kvld.kept.begin();  // ascending
+    for (int i = 0; i < static_cast<int>(putative.size()); ++i) {
+      const bool survived = kept != kvld.kept.end() && *kept == i;
+      if (survived) ++kept;
+      (survived ? out.matches : out.dropped).push_back(putative[static_cast<std::size_t>(i)]);
+    }
     out.supporters = kvld.supporters;
     return out;
   }
@@ -307,27 +334,29 @@ struct Localizer::Impl {
     Candidate c;
     std::vector<ViewRay> rays;
     std::map<int, int> matches_of_panorama;
-    for (const ViewMatches& part : group.parts) {
+    const auto add = [&](const ViewMatches& part, const Match& m, double quality) {
       const View& from = view(part.view);
-      const Panorama& place = panorama(from.panorama);
-      matches_of_panorama[from.panorama] += static_cast<int>(part.matches.size());
-      for (std::size_t i = 0; i < part.matches.size(); ++i) {
-        const Match& m = part.matches[i];
-        const auto q = static_cast<std::size_t>(m.query), v = static_cast<std::size_t>(m.view);
-        Correspondence corr;
-        corr.pixel = {query.keypoints[q].pt.x, query.keypoints[q].pt.y};
-        corr.view_pixel = {from.features.keypoints[v].pt.x, from.features.keypoints[v].pt.y};
-        corr.p_world = from.points[v].cast<double>();
-        corr.normal = from.normals[v].cast<double>();
-        corr.quality = part.supporters[i] * (1 - m.ratio);
-        c.correspondences.push_back(corr);
-        c.views.push_back(part.view);
-        rays.push_back({from.T_world_camera.translation(), 1 / from.camera.fx, place.position_stddev});
-      }
+      const auto q = static_cast<std::size_t>(m.query), v = static_cast<std::size_t>(m.view);
+      Correspondence corr;
+      corr.pixel = {query.keypoints[q].pt.x, query.keypoints[q].pt.y};
+      corr.view_pixel = {from.features.keypoints[v].pt.x, from.features.keypoints[v].pt.y};
+      corr.p_world = from.points[v].cast<double>();
+      corr.normal = from.normals[v].cast<double>();
+      corr.quality = quality;
+      c.correspondences.push_back(corr);
+      c.views.push_back(part.view);
+      rays.push_back({from.T_world_camera.translation(), 1 / from.camera.fx, panorama(from.panorama).position_stddev});
+    };
+    for (const ViewMatches& part : group.parts) {
+      matches_of_panorama[view(part.view).panorama] += static_cast<int>(part.matches.size());
+      for (std::size_t i = 0; i < part.matches.size(); ++i) add(part, part.matches[i], part.supporters[i] * (1 - part.matches[i].ratio));
     }
+    c.kept = c.correspondences.size();
+    for (const ViewMatches& part : group.parts)
+      for (const Match& m : part.dropped) add(part, m, 0);
     c.panorama = mostFrequent(matches_of_panorama);
     PointSource source = sourceOf(c.panorama);
-    c.pose = estimatePose(c.correspondences, camera, source, prior, settings.pose);
+    c.pose = estimatePose(c.correspondences, camera, source, prior, settings.pose, c.kept);
     if (c.pose.success) {
       // The panorama that the pose rests on.
       std::map<int, int> inliers_of_panorama, inliers_of_view;
@@ -345,6 +374,9 @@ struct Localizer::Impl {
     if (c.acceptance.accepted && prior.up_camera) checkGravity(prior, &c);
     if (c.acceptance.accepted) checkAgainstModel(&c);
     if (c.acceptance.accepted) checkMirror(query, &c);
+    if (settings.covariance == CovarianceKind::kMonteCarlo) useMonteCarlo(&c);
+    c.correspondences.resize(c.kept);
+    c.views.resize(c.kept);
     return c;
   }
 
@@ -359,15 +391,31 @@ struct Localizer::Impl {
     return source;
   }
 
-  // Several panoramas see the same points: their rays fix them better than the model.
+  // Several panoramas see the same points: their rays fix them better than the model. Only a pose that the matches support as
+  // well, and near what was found without, takes the place of the first.
   void refine(const CameraModel& camera, const PosePrior& prior, const std::vector<ViewRay>& rays, Candidate* c) const {
     const auto fused = fusePoints(c->correspondences, rays, c->pose.inliers, settings.fusion);
     const FusedRefinement refined = refineOnFusedPoints(fused, camera, prior, c->pose.T_world_camera, settings.fusion);
-    const double moved = (refined.T_world_camera.translation() - c->pose.T_world_camera.translation()).norm();
-    if (!refined.converged || moved > settings.max_disagreement) return;
+    if (!refined.converged) return;
+    const Pose& from = c->pose.T_world_camera;
+    const Eigen::Vector3d moved = refined.T_world_camera.translation() - from.translation();
+    const Eigen::Vector3d turned = air_ground_common::logSO3(refined.T_world_camera.linear() * from.linear().transpose());
+    const auto deviations = [](const Eigen::Vector3d& e, const Eigen::Matrix3d& covariance) { return std::sqrt(e.dot(covariance.llt().solve(e))); };
+    if (!(deviations(moved, c->pose.covariance.topLeftCorner<3, 3>()) <= settings.max_fusion_shift) ||
+        !(deviations(turned, c->pose.covariance.bottomRightCorner<3, 3>()) <= settings.max_fusion_shift))
+      return;
+    const std::vector<Correspondence> kept(c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept));
+    PoseHypothesis scored = scorePose(refined.T_world_camera, kept, camera, settings.pose);
+    if (static_cast<double>(scored.inliers.size()) < settings.min_fusion_inliers * static_cast<double>(c->pose.inliers.size())) return;
+    static_cast<PoseHypothesis&>(c->pose) = std::move(scored);
     c->pose.covariance += refined.covariance - c->pose.image_covariance;
     c->pose.image_covariance = refined.covariance;
-    c->pose.T_world_camera = refined.T_world_camera;
+  }
+
+  // The paper's covariance in place of the estimate's.
+  static void useMonteCarlo(Candidate* c) {
+    if (c->pose.monte_carlo_covariance) c->pose.covariance = *c->pose.monte_carlo_covariance;
+    else if (c->acceptance.accepted) refuse(text("only %.0f samples of five matches give a plausible pose: no Monte Carlo covariance", c->pose.monte_carlo_plausible), c);
   }
 
   static void refuse(const std::string& why, Candidate* c) {
@@ -515,7 +563,9 @@ struct Localizer::Impl {
     std::vector<Candidate> candidates;
     for (const Group& group : grouped(std::move(parts))) candidates.push_back(locate(group, query, camera, prior));
     if (candidates.empty()) {
-      result->reason = views.empty() ? "no panorama resembles the image" : text("fewer than %.0f matches with every view searched", settings.min_view_matches);
+      result->reason = !views.empty() ? text("fewer than %.0f matches with every view searched", settings.min_view_matches)
+                       : result->used_prior ? "no view of the nearest panoramas shows what would be seen from the predicted pose"
+                                            : "no panorama resembles the image";
       return;
     }
     decide(std::move(candidates), result);
@@ -545,6 +595,8 @@ LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& cam
                                 std::to_string(camera.width) + " x " + std::to_string(camera.height));
   if (prior.T_world_camera && (!air_ground_common::isValid(*prior.T_world_camera) || !prior.covariance.allFinite()))
     throw std::invalid_argument("localizer: the predicted pose is not finite");
+  if (prior.T_world_camera && Eigen::LLT<Matrix6d>(prior.covariance).info() != Eigen::Success)
+    throw std::invalid_argument("localizer: the covariance of the predicted pose is not positive definite");
   if (prior.up_camera && (!prior.up_camera->allFinite() || prior.up_camera->norm() < 1e-9))
     throw std::invalid_argument("localizer: the direction of gravity is not finite");
   LocalizerResult result;

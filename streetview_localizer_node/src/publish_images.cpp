@@ -54,7 +54,7 @@ void run(const Arguments& a) {
   do {
     for (const std::string& name : names) {
       if (!common && single.count(name) == 0) continue;
-      const cv::Mat image = cv::imread(a.images + "/" + name);
+      const cv::Mat image = cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
       if (image.empty()) {
         ROS_WARN("%s cannot be read", name.c_str());
         continue;

@@ -10,11 +10,11 @@
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_listener.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <condition_variable>
 #include <cstdio>
-#include <deque>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -24,6 +24,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
 #include "city_display.h"
+#include "odometry_buffer.h"
 #include "streetview_localizer/localizer.h"
 #include "streetview_localizer_parameters.h"
 
@@ -32,8 +33,6 @@ namespace {
 
 namespace ru = air_ground_common::ros_utils;
 using air_ground::StreetviewMatch;
-
-constexpr double kOdometryKept = 10;  // [s]
 
 std::uint8_t messageStatus(LocalizerStatus status) {
   switch (status) {
@@ -45,39 +44,7 @@ std::uint8_t messageStatus(LocalizerStatus status) {
   return StreetviewMatch::STATUS_NO_MATCH;
 }
 
-// Covariance of the body's pose from that of the camera's: with l the lever in world, dp_body = dp_camera + rot x l.
-Matrix6d covarianceOfBody(const Matrix6d& camera, const Eigen::Vector3d& lever) {
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
-  return J * camera * J.transpose();
-}
-
-struct TimedPose {
-  ros::Time stamp;
-  Pose pose = Pose::Identity();
-  Matrix6d covariance = Matrix6d::Identity();
-};
-
-// Recent odometry of one source, oldest first.
-class OdometryBuffer {
- public:
-  void push(const TimedPose& pose) {
-    poses_.push_back(pose);
-    while ((poses_.back().stamp - poses_.front().stamp).toSec() > kOdometryKept) poses_.pop_front();
-  }
-  void clear() { poses_.clear(); }
-  bool reaches(const ros::Time& stamp) const { return !poses_.empty() && poses_.back().stamp >= stamp; }
-  std::optional<TimedPose> nearest(const ros::Time& stamp, double max_age) const {
-    const TimedPose* best = nullptr;
-    for (const TimedPose& p : poses_)
-      if (!best || std::abs((p.stamp - stamp).toSec()) < std::abs((best->stamp - stamp).toSec())) best = &p;
-    if (!best || std::abs((best->stamp - stamp).toSec()) > max_age) return std::nullopt;
-    return *best;
-  }
-
- private:
-  std::deque<TimedPose> poses_;
-};
+enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStreams };
 
 class StreetviewLocalizerNode {
  public:
@@ -138,26 +105,41 @@ class StreetviewLocalizerNode {
 
   void onImage(const sensor_msgs::Image::ConstPtr& msg) {
     health_.received(image_.getTopic(), msg->header.stamp);
-    if (jumps_.jumped(msg->header.stamp)) {
-      ROS_WARN("the images' time jumped back (a looped bag?): starting afresh");
-      health_.count("time jumped back: started afresh");
-      reset();
-    }
+    if (!inOrder(kImages, msg->header.stamp)) return;
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!camera_) return health_.count("images without calibration");
     if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
       return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " + std::to_string(msg->height) + " against " +
                            std::to_string(camera_->width) + " x " + std::to_string(camera_->height) + ")");
-    if (!last_started_.isZero() && (msg->header.stamp - last_started_).toSec() < settings_.min_period) return;
+    if (!last_started_.isZero() && msg->header.stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
     if (job_) ++skipped_;
     job_ = Job{msg, *camera_, pass_};
     wake_.notify_all();
   }
 
+  // A looped bag starts the node afresh, whichever input comes round first.
+  bool inOrder(Stream stream, const ros::Time& stamp) {
+    const auto verdict = jumps_.watch(stream, stamp);
+    if (verdict == ru::StreamJumpDetector::Verdict::kOld) {
+      health_.count("messages from before a jump of time, or with a stamp far off: dropped");
+      return false;
+    }
+    if (verdict == ru::StreamJumpDetector::Verdict::kJump) {
+      ROS_WARN("time jumped back (a looped bag?): starting afresh");
+      health_.count("time jumped back: started afresh");
+      reset();
+    }
+    return true;
+  }
+
   std::optional<TimedPose> read(const nav_msgs::Odometry& msg, const std::string& topic) {
+    if (msg.child_frame_id != settings_.base_frame) {
+      health_.count(topic + " ignored: of frame '" + msg.child_frame_id + "', expected '" + settings_.base_frame + "'");
+      return std::nullopt;
+    }
     try {
       TimedPose out;
-      out.stamp = msg.header.stamp;
+      out.stamp = msg.header.stamp.toSec();
       out.pose = ru::fromMsg(msg.pose.pose);
       out.covariance = ru::covarianceFromMsg(msg.pose.covariance);
       if (!out.covariance.allFinite()) throw std::invalid_argument("covariance is not finite");
@@ -171,14 +153,16 @@ class StreetviewLocalizerNode {
   void onPrior(const nav_msgs::Odometry::ConstPtr& msg) {
     if (msg->header.frame_id != settings_.world_frame)
       return health_.count("tracked poses ignored: in frame '" + msg->header.frame_id + "', expected '" + settings_.world_frame + "'");
-    if (const auto pose = read(*msg, "tracked pose")) {
+    const auto pose = read(*msg, "tracked pose");
+    if (pose && inOrder(kPriors, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
       priors_.push(*pose);
     }
   }
 
   void onAttitude(const nav_msgs::Odometry::ConstPtr& msg) {
-    if (const auto pose = read(*msg, "attitude")) {
+    const auto pose = read(*msg, "attitude");
+    if (pose && inOrder(kAttitudes, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
       attitudes_.push(*pose);
       wake_.notify_all();
@@ -197,9 +181,15 @@ class StreetviewLocalizerNode {
   // ---- Work -----------------------------------------------------------------------------------------------------------
 
   void work() {
-    if (settings_.display) {
-      display_.prepare(*localizer_, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points), settings_.cameras_shown);
-      display_.publishCity(settings_.world_frame);
+    bool display = settings_.display;
+    try {
+      if (display) {
+        display_.prepare(*localizer_, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points), settings_.cameras_shown);
+        display_.publishCity(settings_.world_frame);
+      }
+    } catch (const std::exception& e) {
+      health_.count(std::string("no display of the city: ") + e.what());
+      display = false;
     }
     while (true) {
       std::optional<Job> job;
@@ -213,12 +203,12 @@ class StreetviewLocalizerNode {
         std::swap(skipped, skipped_);
         // The attitude of the image's time may come a little later than the image.
         if (settings_.use_gravity && attitude_.getNumPublishers() > 0)
-          wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait), [&] { return stop_ || attitudes_.reaches(job->image->header.stamp); });
+          wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait), [&] { return stop_ || attitudes_.reaches(job->image->header.stamp.toSec()); });
         if (stop_) return;
       }
       if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
       try {
-        process(*job);
+        process(*job, display);
       } catch (const std::exception& e) {
         health_.count(std::string("images that could not be used: ") + e.what());
       }
@@ -228,20 +218,26 @@ class StreetviewLocalizerNode {
   PosePrior priorOf(const Job& job, const std::optional<Pose>& T_base_camera) {
     PosePrior prior;
     std::optional<TimedPose> predicted, attitude;
-    const ros::Time stamp = job.image->header.stamp;
+    const double stamp = job.image->header.stamp.toSec();
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       predicted = priors_.nearest(stamp, settings_.prior_max_age);
       attitude = attitudes_.nearest(stamp, settings_.gravity_max_age);
     }
     if (!T_base_camera) return prior;
-    if (predicted) {
+    if (predicted && prior_misses_ >= settings_.prior_misses) {
+      // A tracker that is sure of a wrong place would keep the search away from the right one for ever.
+      health_.count("predictions set aside: no image near them was located, the whole database is searched");
+    } else if (predicted) {
       prior.T_world_camera = predicted->pose * *T_base_camera;
       const Eigen::Vector3d lever = predicted->pose.linear() * T_base_camera->translation();
-      prior.covariance = covarianceOfBody(predicted->covariance, -lever);
-      const double moved = settings_.prior_speed * std::abs((predicted->stamp - stamp).toSec());
+      prior.covariance = covarianceAt(predicted->covariance, lever);
+      const double moved = settings_.prior_speed * std::abs(predicted->stamp - stamp);
       prior.covariance.topLeftCorner<3, 3>() += moved * moved * Eigen::Matrix3d::Identity();
-      if (!(prior.covariance.diagonal().minCoeff() > 0)) prior.T_world_camera.reset(), health_.count("tracked poses ignored: covariance not positive");
+      if (Eigen::LLT<Matrix6d>(prior.covariance).info() != Eigen::Success) {
+        prior.T_world_camera.reset();
+        health_.count("tracked poses ignored: covariance not positive definite");
+      }
     }
     if (attitude) {
       prior.up_camera = (attitude->pose.linear() * T_base_camera->linear()).transpose() * Eigen::Vector3d::UnitZ();
@@ -250,12 +246,13 @@ class StreetviewLocalizerNode {
     return prior;
   }
 
-  void process(const Job& job) {
+  void process(const Job& job, bool display) {
     const std::string frame = settings_.camera_frame.empty() ? job.image->header.frame_id : settings_.camera_frame;
     const std::optional<Pose> T_base_camera = baseFromCamera(frame);
     if (!T_base_camera) health_.count("images without a transform from " + frame + " to " + settings_.base_frame + ": no prior, no fix");
     const cv::Mat image = ru::bgrFromMsg(*job.image);
     const LocalizerResult result = localizer_->localize(image, job.camera, priorOf(job, T_base_camera));
+    prior_misses_ = result.used_prior && !result.accepted() ? prior_misses_ + 1 : 0;
     {
       // Time jumped back meanwhile: this image belongs to the past.
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -267,7 +264,7 @@ class StreetviewLocalizerNode {
     publishMatch(job, frame, result);
     if (result.accepted() && T_base_camera) publishFix(job, result, *T_base_camera);
     tell(job, result);
-    if (!settings_.display) return;
+    if (!display) return;
     if (match_image_.getNumSubscribers() > 0)
       match_image_.publish(ru::toMsg(display_.matchImage(image, result, settings_.display_width), "bgr8", job.image->header));
     if (result.accepted() && synthesized_view_.getNumSubscribers() > 0)
@@ -316,7 +313,7 @@ class StreetviewLocalizerNode {
 
   void publishFix(const Job& job, const LocalizerResult& r, const Pose& T_base_camera) {
     const Pose T_world_base = r.pose.T_world_camera * T_base_camera.inverse();
-    const Matrix6d covariance = covarianceOfBody(r.pose.covariance, T_world_base.translation() - r.pose.T_world_camera.translation());
+    const Matrix6d covariance = covarianceAt(r.pose.covariance, T_world_base.translation() - r.pose.T_world_camera.translation());
     if (!air_ground_common::isValid(T_world_base) || !covariance.allFinite()) return health_.count("poses that are not finite");
     geometry_msgs::PoseWithCovarianceStamped msg;
     msg.header.stamp = job.image->header.stamp;
@@ -340,7 +337,7 @@ class StreetviewLocalizerNode {
     }
     std::snprintf(line, sizeof line, "last image %s: %s", nameOf(r.status), r.reason.c_str());
     std::string state = line + tally;
-    if (!last_fix_.isZero()) state += "; last fix " + std::to_string(static_cast<int>((job.image->header.stamp - last_fix_).toSec())) + " s ago";
+    if (!last_fix_.isZero()) state += "; last fix " + std::to_string(std::lround(job.image->header.stamp.toSec() - last_fix_.toSec())) + " s ago";
     health_.state(1, state);
   }
 
@@ -364,7 +361,7 @@ class StreetviewLocalizerNode {
   ros::NodeHandle handle_;
   const NodeSettings settings_;
   ru::NodeHealth health_;
-  ru::TimeJumpDetector jumps_;
+  ru::StreamJumpDetector jumps_{kStreams};  // of the callbacks, which share one thread
   tf2_ros::Buffer tf_;
   tf2_ros::TransformListener listener_;
   std::unique_ptr<Localizer> localizer_;
@@ -374,6 +371,7 @@ class StreetviewLocalizerNode {
   ros::ServiceServer reset_;
   ros::Time last_fix_;  // of the worker, as are the tallies
   std::size_t accepted_ = 0, refused_ = 0;
+  int prior_misses_ = 0;  // images in a row without a pose near the prediction
 
   std::mutex mutex_;  // guards what follows
   std::condition_variable wake_;

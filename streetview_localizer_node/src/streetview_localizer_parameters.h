@@ -12,15 +12,17 @@ namespace streetview_localizer {
 struct NodeSettings {
   std::string database, world_frame, base_frame, camera_frame;
   bool use_prior = true, use_gravity = true, display = true;
+  int prior_misses = 3;
   double min_period = 0, prior_max_age = 1, prior_speed = 3, gravity_max_age = 0.1, gravity_wait = 0.3, gravity_stddev = 0.02;
   double model_spacing = 0.2;  ///< [m]
   int model_max_points = 400000, display_width = 480, cameras_shown = 500;
   LocalizerSettings localizer;
 };
 
-inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
+/// `Source`: air_ground_common::ros_utils::Parameters, or what has the same getters.
+template <typename Source>
+NodeSettings readSettings(Source& p) {
   constexpr double kDegree = M_PI / 180;
-  air_ground_common::ros_utils::Parameters p(private_handle);
   NodeSettings s;
   s.database = p.text("database", "");
   s.world_frame = p.text("world_frame", "world");
@@ -31,6 +33,7 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.use_prior = p.flag("use_prior", s.use_prior);
   s.prior_max_age = p.number("prior_max_age", s.prior_max_age, 0.01, 60);
   s.prior_speed = p.number("prior_speed", s.prior_speed, 0, 100);
+  s.prior_misses = p.integer("prior_misses", s.prior_misses, 1, 1000000);
   s.use_gravity = p.flag("use_gravity", s.use_gravity);
   s.gravity_max_age = p.number("gravity_max_age", s.gravity_max_age, 0.001, 10);
   s.gravity_wait = p.number("gravity_wait", s.gravity_wait, 0, 10);
@@ -62,8 +65,14 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   l.pose.pixel_stddev = p.number("pixel_stddev", l.pose.pixel_stddev, 0.01, 100);
   l.pose.max_iterations = p.integer("max_iterations", l.pose.max_iterations, 10, 1000000);
   l.fusion.surface_stddev = p.number("surface_stddev", l.fusion.surface_stddev, 0.001, 10);
+  l.max_fusion_shift = p.number("max_fusion_shift", l.max_fusion_shift, 0.1, 1000);
+  l.min_fusion_inliers = p.number("min_fusion_inliers", l.min_fusion_inliers, 0, 1);
   l.model_lateral_stddev = p.number("model_lateral_stddev", l.model_lateral_stddev, 0, 10);
   l.model_height_stddev = p.number("model_height_stddev", l.model_height_stddev, 0, 10);
+
+  const bool monte_carlo = p.choice("covariance", "refined", {"refined", "monte_carlo"}) == "monte_carlo";
+  const int samples = p.integer("monte_carlo_samples", 1000, 10, 1000000);
+  if (monte_carlo) l.covariance = CovarianceKind::kMonteCarlo, l.pose.monte_carlo_samples = samples;
 
   AcceptanceSettings& a = l.acceptance;
   a.min_inliers = p.integer("accept/min_inliers", a.min_inliers, 5, 10000);
@@ -83,6 +92,12 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.model_spacing = p.number("model_spacing", s.model_spacing, 0.01, 100);
   s.model_max_points = p.integer("model_max_points", s.model_max_points, 1000, 100000000);
   s.cameras_shown = p.integer("cameras_shown", s.cameras_shown, 1, 100000);
+  return s;
+}
+
+inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
+  air_ground_common::ros_utils::Parameters p(private_handle);
+  const NodeSettings s = readSettings(p);
   p.finish();
   if (s.database.empty())
     throw air_ground_common::ros_utils::ParameterError("parameter database is empty: name the file that build_streetview_db made (database:=city.gpkg)");

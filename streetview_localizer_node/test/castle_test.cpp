@@ -39,7 +39,7 @@ TEST_P(CastleTest, LocatesTheOtherHalf) {
     std::printf("%s %-8s error %7.3f m %6.2f deg; %4d features %4d matches %4zu inliers; %.2f s (", castle.photos[i].image.c_str(), nameOf(result.status), error, turn,
                 result.features, result.matches, result.pose.inliers.size(), result.total_time);
     for (const double t : result.times) std::printf(" %.2f", t);
-    std::printf(") range %.1f rms %.2f margin %.1f rival %.2f sd %.3f m; %s\n", e.range, e.rms, e.alternative_margin, e.competitor_share, e.position_stddev, result.reason.c_str());
+    std::printf(") score %.3f share %.2f rival %.2f range %.1f rms %.2f margin %.1f sd %.3f m; %s\n", result.acceptance.score, e.inlier_share, e.competitor_share, e.range, e.rms, e.alternative_margin, e.position_stddev, result.reason.c_str());
     if (!result.accepted()) continue;
     errors.push_back(error);
     turns.push_back(turn);

@@ -3,6 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <unistd.h>
+
+#include <cstdio>
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
@@ -87,6 +90,81 @@ TEST_F(LocalizerTest, PriorNamesThePanoramasAndNotThePose) {
   EXPECT_FALSE(near_only.localize(image, TinyCity::camera(), prior).used_prior);
 }
 
+TEST_F(LocalizerTest, PanoramasWithoutViewsTakeNoPlaces) {
+  auto db = std::make_shared<StreetviewDatabase>(*database_);
+  const Pose T = TinyCity::look({5, 1, 4}, M_PI / 2, 0);
+  for (int i = 0; i < 5; ++i) {
+    Panorama empty;
+    empty.id = "not_placed_" + std::to_string(i);
+    empty.T_world_panorama.translation() = Eigen::Vector3d(5 + 0.1 * i, 1, 2.5);
+    db->panoramas.push_back(empty);
+  }
+  db->buildIndex();
+  LocalizerSettings settings;
+  settings.near_panoramas = 1;
+  settings.index.method = IndexMethod::kBruteForce;
+  PosePrior prior;
+  prior.T_world_camera = T;
+  const LocalizerResult r = Localizer(db, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior);
+  EXPECT_TRUE(r.accepted()) << r.reason;
+  EXPECT_EQ(r.searched, std::vector<int>{2});
+}
+
+// Where the prediction looks at nothing, the reason says that the prediction chose.
+TEST_F(LocalizerTest, WrongPredictionIsNamed) {
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  PosePrior prior;
+  prior.T_world_camera = TinyCity::look({-64, 1, 4}, -M_PI, 0);
+  prior.covariance = 0.01 * Matrix6d::Identity();
+  const LocalizerResult r = locate(T, prior);
+  EXPECT_FALSE(r.accepted());
+  EXPECT_TRUE(r.used_prior);
+  EXPECT_NE(r.reason.find("predicted pose"), std::string::npos) << r.reason;
+}
+
+// Matches that k-VLD dropped lower the share of inliers that the decision is made from.
+TEST_F(LocalizerTest, DroppedMatchesAreEvidence) {
+  const Pose T = TinyCity::look({4, 0, 3}, 0.2, 0.1, -0.1);
+  const LocalizerResult r = locate(T);
+  ASSERT_TRUE(r.accepted()) << r.reason;
+  ASSERT_EQ(r.views.size(), r.correspondences.size());
+  const PoseEvidence kept = gatherEvidence(r.pose, r.correspondences, TinyCity::camera(), {}, localizer_->settings().pose);
+  EXPECT_EQ(r.acceptance.evidence.inliers, kept.inliers);
+  EXPECT_LT(r.acceptance.evidence.inlier_share, kept.inlier_share);
+  EXPECT_GT(r.acceptance.evidence.inlier_share, 0.3);
+}
+
+TEST_F(LocalizerTest, PapersCovarianceOnRequest) {
+  LocalizerSettings settings;
+  settings.index.method = IndexMethod::kBruteForce;
+  settings.covariance = CovarianceKind::kMonteCarlo;
+  EXPECT_THROW(Localizer(database_, settings), std::invalid_argument);  // of how many samples?
+  settings.pose.monte_carlo_samples = 200;
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  const LocalizerResult r = Localizer(database_, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera());
+  ASSERT_TRUE(r.accepted()) << r.reason;
+  ASSERT_TRUE(r.pose.monte_carlo_covariance);
+  EXPECT_EQ(r.pose.covariance, *r.pose.monte_carlo_covariance);
+}
+
+TEST_F(LocalizerTest, IndexOfAnotherMethodIsBuiltAgain) {
+  const std::string file = ::testing::TempDir() + "localizer_test_" + std::to_string(getpid()) + ".index";
+  LocalizerSettings settings;
+  settings.index_file = file;
+  settings.index.method = IndexMethod::kBruteForce;
+  const auto remark = [&] { return Localizer(database_, settings).indexRemark(); };
+  const auto contains = [](const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; };
+  const std::string built = remark(), read = remark();
+  EXPECT_TRUE(contains(built, "brute_force index") && contains(built, "built in")) << built;
+  EXPECT_TRUE(contains(read, "brute_force index") && contains(read, "read from")) << read;
+  settings.index.method = IndexMethod::kFlann;
+  const std::string again = remark(), flann = remark();
+  EXPECT_TRUE(contains(again, "flann index") && contains(again, "built in") && contains(again, "not flann")) << again;
+  EXPECT_TRUE(contains(flann, "flann index") && contains(flann, "read from")) << flann;
+  std::remove(file.c_str());
+  std::remove((file + ".data").c_str());
+}
+
 TEST_F(LocalizerTest, WrongGravityIsNoticed) {
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
   PosePrior prior;
@@ -139,13 +217,23 @@ TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
 TEST(Repetition, IsRightOrSilent) {
   const TinyCity city(5, 3.0);
   const Localizer localizer(city.database());
+  int accepted = 0;
   for (const double x : {3.0, 6.0}) {
     const Pose T = TinyCity::look({x, 1, 4}, 0.7, 0.05);
-    const LocalizerResult r = localizer.localize(city.photograph(TinyCity::camera(), T), TinyCity::camera());
-    if (r.accepted()) {
+    const cv::Mat image = city.photograph(TinyCity::camera(), T);
+    PosePrior near;
+    near.T_world_camera = T;
+    near.covariance = 0.01 * Matrix6d::Identity();
+    for (const PosePrior& prior : {PosePrior(), near}) {
+      const LocalizerResult r = localizer.localize(image, TinyCity::camera(), prior);
+      std::printf("x = %.0f%s: %s, share %.2f, rival %.2f; %s\n", x, prior.T_world_camera ? " with prior" : "", nameOf(r.status), r.acceptance.evidence.inlier_share,
+                  r.acceptance.evidence.competitor_share, r.reason.c_str());
+      if (!r.accepted()) continue;
+      ++accepted;
       EXPECT_LT((r.pose.T_world_camera.translation() - T.translation()).norm(), 0.3) << "x = " << x;
     }
   }
+  EXPECT_GE(accepted, 3);
 }
 
 TEST_F(LocalizerTest, BadInputIsNamed) {
@@ -159,6 +247,9 @@ TEST_F(LocalizerTest, BadInputIsNamed) {
   PosePrior prior;
   prior.T_world_camera = Pose::Identity();
   prior.T_world_camera->translation().x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(localizer_->localize(cv::Mat(480, 640, CV_8UC1, cv::Scalar(0)), camera, prior), std::invalid_argument);
+  prior.T_world_camera = Pose::Identity();
+  prior.covariance(0, 1) = prior.covariance(1, 0) = 2;  // indefinite
   EXPECT_THROW(localizer_->localize(cv::Mat(480, 640, CV_8UC1, cv::Scalar(0)), camera, prior), std::invalid_argument);
   EXPECT_THROW(Localizer(std::make_shared<StreetviewDatabase>()), std::invalid_argument);
   LocalizerSettings settings;

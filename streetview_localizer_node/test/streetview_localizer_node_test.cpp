@@ -31,7 +31,7 @@ using test::TinyCity;
 namespace ru = air_ground_common::ros_utils;
 
 // The camera is mounted off the body's centre, looks to the left and a little up.
-Pose baseFromCamera() { return TinyCity::look({0.2, 0.1, -0.05}, M_PI / 2, 0.1); }
+Pose baseFromCamera() { return TinyCity::look({0.4, 0.3, -0.2}, M_PI / 2, 0.1); }
 
 class StreetviewLocalizerNodeTest : public ::testing::Test {
  protected:
@@ -176,6 +176,18 @@ TEST_F(StreetviewLocalizerNodeTest, BodyPoseInWorld) {
   const auto covariance = ru::covarianceFromMsg(poses_.back().pose.covariance);
   EXPECT_EQ(Eigen::LLT<air_ground_common::Matrix6d>(covariance).info(), Eigen::Success);
   EXPECT_LT(covariance(0, 0) + covariance(1, 1) + covariance(2, 2), 1.0);
+  // The body swings about the camera: each standard deviation of the camera's pose, applied to it, moves the body so.
+  const Eigen::Vector3d lever = T.translation() - T_world_camera.translation();
+  EXPECT_NEAR(lever.norm(), baseFromCamera().translation().norm(), 1e-6);
+  const air_ground_common::Matrix6d of_camera = ru::covarianceFromMsg(m.camera_pose.covariance);
+  const air_ground_common::Matrix6d L = of_camera.llt().matrixL();
+  air_ground_common::Matrix6d of_body = air_ground_common::Matrix6d::Zero();
+  for (int k = 0; k < 6; ++k) {
+    air_ground_common::Vector6d e = L.col(k);
+    e.head<3>() += Eigen::Vector3d(e.tail<3>()).cross(lever);
+    of_body += e * e.transpose();
+  }
+  EXPECT_LT((covariance - of_body).norm(), 1e-6 * of_body.norm());
 
   EXPECT_TRUE(spinUntil([&] { return picture_ && view_ && panoramas_ && cameras_; }));
   EXPECT_EQ(picture_->encoding, "bgr8");
@@ -195,6 +207,7 @@ TEST_F(StreetviewLocalizerNodeTest, PriorChoosesThePanoramas) {
   sendImage(20, city_->photograph(TinyCity::camera(), cameraAt(T_world_base)));
   ASSERT_TRUE(awaitMatch(20));
   EXPECT_TRUE(matches_.back().used_prior);
+  EXPECT_EQ(matches_.back().searched, std::vector<std::string>{"pano_2.jpg"});  // near_panoramas: 1
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
   ASSERT_TRUE(spinUntil([&] { return !poses_.empty(); }));
   EXPECT_LT((ru::fromMsg(poses_.back().pose.pose).translation() - T_world_base.translation()).norm(), 0.1);
@@ -216,6 +229,10 @@ TEST_F(StreetviewLocalizerNodeTest, RefusesAndGoesOn) {
   bad = odometry(31, "mav_map", Pose::Identity());
   bad.pose.pose.orientation.w = std::numeric_limits<double>::quiet_NaN();
   attitude_pub_.publish(bad);
+  nav_msgs::Odometry foreign = odometry(31, "world", Pose::Identity());
+  foreign.child_frame_id = "rgbd_base_link";
+  prior_pub_.publish(foreign);
+  attitude_pub_.publish(foreign);
   sensor_msgs::CameraInfo uncalibrated = ru::toMsg(TinyCity::camera(), header(31));
   uncalibrated.K[0] = 0;
   info_pub_.publish(uncalibrated);
@@ -224,14 +241,21 @@ TEST_F(StreetviewLocalizerNodeTest, RefusesAndGoesOn) {
     int seen = 0;
     for (const auto& [key, value] : diagnostics_)
       seen += key.rfind("tracked pose", 0) == 0 || key.rfind("attitude ignored", 0) == 0 || key.rfind("calibration ignored", 0) == 0 || key.rfind("images of another size", 0) == 0;
-    return seen >= 5;
+    return seen >= 7;
   }, 15));
 
+  // A prediction whose covariance is none: the image is worked on without it.
   const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  nav_msgs::Odometry indefinite = odometry(32, "world", T_world_base);
+  indefinite.pose.covariance[1] = indefinite.pose.covariance[6] = 2;
+  prior_pub_.publish(indefinite);
+  spinUntil([] { return false; }, 0.3);
   sendImage(32, city_->photograph(TinyCity::camera(), cameraAt(T_world_base)));
   ASSERT_TRUE(awaitMatch(32));
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+  EXPECT_FALSE(matches_.back().used_prior);
   EXPECT_TRUE(poses_.size() == 1 || spinUntil([&] { return poses_.size() == 1; }));
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("tracked poses ignored: covariance not positive definite") > 0; }, 10));
 }
 
 TEST_F(StreetviewLocalizerNodeTest, WorksOnTheNewestImage) {
@@ -244,6 +268,27 @@ TEST_F(StreetviewLocalizerNodeTest, WorksOnTheNewestImage) {
   ASSERT_TRUE(awaitMatch(40.5));
   EXPECT_LT(matches_.size(), 6u);
   EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("images skipped for newer ones while one was worked on") > 0; }, 10));
+}
+
+// A tracker that is sure of a place 60 m off must not keep the localizer from the right one.
+TEST_F(StreetviewLocalizerNodeTest, WrongPredictionIsSetAside) {
+  sendCalibration(42);
+  const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(T_world_base));
+  Pose wrong = T_world_base;
+  wrong.translation() += Eigen::Vector3d(0, 60, 0);
+  const int misses = 3;  // prior_misses
+  for (int i = 0; i <= misses; ++i) {
+    const double stamp = 42 + i;
+    prior_pub_.publish(odometry(stamp, "world", wrong));
+    spinUntil([] { return false; }, 0.3);
+    sendImage(stamp, image);
+    ASSERT_TRUE(awaitMatch(stamp));
+    EXPECT_EQ(matches_.back().used_prior, i < misses);
+    EXPECT_EQ(matches_.back().status == StreetviewMatch::STATUS_ACCEPTED, i == misses) << matches_.back().reason;
+  }
+  ASSERT_TRUE(spinUntil([&] { return !poses_.empty(); }));
+  EXPECT_LT((ru::fromMsg(poses_.back().pose.pose).translation() - T_world_base.translation()).norm(), 0.1);
 }
 
 TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {

@@ -20,6 +20,9 @@
 
 namespace streetview_localizer {
 
+/// Of the pose that is handed out: the estimate's own, or the paper's scatter of minimal samples (docs/streetview_pose.md).
+enum class CovarianceKind { kRefined, kMonteCarlo };
+
 struct LocalizerSettings {
   VirtualViewSettings features;
   IndexSettings index;
@@ -47,6 +50,11 @@ struct LocalizerSettings {
   double merge_orientation_stddev = 0.002;  ///< [rad]
   double model_lateral_stddev = 0.1;        ///< of the city model's walls [m] (paper B, II.B)
   double model_height_stddev = 0.5;         ///< [m]
+  CovarianceKind covariance = CovarianceKind::kRefined;  ///< kMonteCarlo needs pose.monte_carlo_samples
+  /// A pose from fused points takes the place of the first one if it moved by no more than this in position and in attitude, each in
+  /// standard deviations, and keeps this share of the inliers.
+  double max_fusion_shift = 4;
+  double min_fusion_inliers = 0.9;          ///< [0, 1]
   double min_height = 0.2;                  ///< of the camera above the model's ground, where it has one [m]
   double min_visible_share = 0.7;           ///< of the inliers' points not hidden by the model from the estimated pose [0, 1]
   double max_disagreement = 1.0;            ///< between poses from different panoramas that are both accepted [m]
@@ -68,9 +76,9 @@ const char* nameOf(Step step);
 struct LocalizerResult {
   LocalizerStatus status = LocalizerStatus::kNoMatch;
   std::string reason;      ///< one line for a person
-  PoseResult pose;         ///< its indices count `correspondences`
+  PoseResult pose;         ///< its indices count `correspondences`; those of its competitor may reach beyond, to dropped matches
   Acceptance acceptance;
-  std::vector<Correspondence> correspondences;  ///< of the panoramas behind the pose; of the best match without one
+  std::vector<Correspondence> correspondences;  ///< after k-VLD, of the panoramas behind the pose; of the best match without one
   std::vector<int> views;                       ///< of each correspondence: index of the database's view
   int panorama = -1;                            ///< index of the panorama with the most inliers, or matches without a pose
   int view = -1;                                ///< its best view
@@ -92,8 +100,8 @@ class Localizer {
   Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings = {});
   ~Localizer();
 
-  /// `image`: 8-bit, grey or BGR, as recorded with `camera`. Throws std::invalid_argument when they do not fit together or the
-  /// prior is not finite; everything that an image can show is answered in the result.
+  /// `image`: 8-bit, grey or BGR, as recorded with `camera`. Throws std::invalid_argument when they do not fit together, or the
+  /// prior is not finite or its covariance not positive definite; everything that an image can show is answered in the result.
   LocalizerResult localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior = {}) const;
 
   const StreetviewDatabase& database() const;

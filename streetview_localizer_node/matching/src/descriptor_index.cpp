@@ -64,6 +64,21 @@ std::unique_ptr<DescriptorIndex> make(const cv::Mat& descriptors, const IndexSet
   return makeBruteForceIndex(rows, settings);
 }
 
+/// How an index was built, as far as that shapes it; names it in messages, too.
+std::string buildOf(const IndexSettings& s) {
+  const std::string name = toString(s.method);
+  switch (s.method) {
+    case IndexMethod::kFlann:
+      return name + " with " + std::to_string(s.flann_trees) + " trees";
+    case IndexMethod::kHnsw:
+      return name + " with " + std::to_string(s.hnsw_links) + " links and " + std::to_string(s.hnsw_construction) +
+             " candidates";
+    case IndexMethod::kBruteForce:
+      break;
+  }
+  return name;
+}
+
 class BruteForceIndex : public DescriptorIndex {
  public:
   BruteForceIndex(const cv::Mat& descriptors, const IndexSettings& settings) : DescriptorIndex(descriptors, settings) {
@@ -194,6 +209,7 @@ std::unique_ptr<DescriptorIndex> buildIndex(const cv::Mat& descriptors, const In
 std::unique_ptr<DescriptorIndex> loadIndex(const std::string& path, const cv::Mat& descriptors,
                                            const IndexSettings& settings) {
   checkDescriptors(descriptors, "loadIndex: descriptors");
+  checkSettings(settings);
   const auto fail = [&](const std::string& why) { throw std::runtime_error("descriptor index " + path + ": " + why); };
   std::ifstream header(path);
   if (!header) fail("cannot be opened; build it again");
@@ -216,7 +232,8 @@ std::unique_ptr<DescriptorIndex> loadIndex(const std::string& path, const cv::Ma
   } catch (const std::logic_error&) {  // a missing field, or one that is no number
     fail("its header is damaged; build it again");
   }
-  checkSettings(stored);
+  if (buildOf(stored) != buildOf(settings))
+    fail("is " + buildOf(stored) + ", not " + buildOf(settings) + "; build it again");
   if (bytes == 0) return make(descriptors, stored, "");
   std::error_code error;
   if (std::filesystem::file_size(path + ".data", error) != bytes || error)

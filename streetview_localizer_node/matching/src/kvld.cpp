@@ -235,6 +235,12 @@ class Pruning {
 
 }  // namespace
 
+std::size_t GradientPyramid::bytes() const {
+  std::size_t sum = 0;
+  for (const Level& level : levels_) sum += level.gradients.size() * sizeof(Gradient);
+  return sum;
+}
+
 GradientPyramid::GradientPyramid(const cv::Mat& image) {
   if (image.empty() || (image.type() != CV_8UC1 && image.type() != CV_8UC3))
     throw std::invalid_argument("GradientPyramid: the image must have 8 bits and 1 or 3 channels");

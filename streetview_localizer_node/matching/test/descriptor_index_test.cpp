@@ -80,29 +80,48 @@ TEST_P(IndexTest, ComesBackFromItsFile) {
   const auto index = buildIndex(data, settings_);
   index->save(path());
   EXPECT_FALSE(fs::exists(path() + ".tmp"));
-  IndexSettings other = settings_;
-  other.method = IndexMethod::kBruteForce;  // the file's method counts
-  const auto loaded = loadIndex(path(), data, other);
+  const auto loaded = loadIndex(path(), data, settings_);
   EXPECT_EQ(loaded->settings().method, GetParam());
   expectEqual(index->search(queries, 5), loaded->search(queries, 5));
+}
+
+TEST_P(IndexTest, RefusesFilesThatWereBuiltOtherwise) {
+  const cv::Mat data = syntheticDescriptors(500, 7);
+  buildIndex(data, settings_)->save(path());
+  IndexSettings searched_otherwise = settings_, built_otherwise = settings_, of_another_method = settings_;
+  searched_otherwise.flann_checks = 100;
+  searched_otherwise.hnsw_search = 100;
+  EXPECT_NO_THROW(loadIndex(path(), data, searched_otherwise));
+  built_otherwise.flann_trees = 2;
+  built_otherwise.hnsw_links = 8;
+  if (GetParam() != IndexMethod::kBruteForce) {
+    EXPECT_THROW(loadIndex(path(), data, built_otherwise), std::runtime_error);
+  }
+  of_another_method.method = GetParam() == IndexMethod::kFlann ? IndexMethod::kBruteForce : IndexMethod::kFlann;
+  try {
+    loadIndex(path(), data, of_another_method);
+    FAIL() << "an index of another method was taken";
+  } catch (const std::runtime_error& e) {
+    EXPECT_NE(std::string(e.what()).find("not " + toString(of_another_method.method)), std::string::npos) << e.what();
+  }
 }
 
 TEST_P(IndexTest, RefusesFilesThatAreNotItsOwn) {
   cv::Mat data = syntheticDescriptors(500, 7);
   buildIndex(data, settings_)->save(path());
-  EXPECT_THROW(loadIndex(path() + "_absent", data), std::runtime_error);
-  EXPECT_THROW(loadIndex(path(), data.rowRange(0, 499)), std::runtime_error);
+  EXPECT_THROW(loadIndex(path() + "_absent", data, settings_), std::runtime_error);
+  EXPECT_THROW(loadIndex(path(), data.rowRange(0, 499), settings_), std::runtime_error);
   cv::Mat changed = data.clone();
   changed.at<unsigned char>(250, 64) ^= 1;
-  EXPECT_THROW(loadIndex(path(), changed), std::runtime_error);
+  EXPECT_THROW(loadIndex(path(), changed, settings_), std::runtime_error);
   if (fs::exists(path() + ".data")) {
     fs::resize_file(path() + ".data", fs::file_size(path() + ".data") / 2);
-    EXPECT_THROW(loadIndex(path(), data), std::runtime_error);
+    EXPECT_THROW(loadIndex(path(), data, settings_), std::runtime_error);
     fs::remove(path() + ".data");
-    EXPECT_THROW(loadIndex(path(), data), std::runtime_error);
+    EXPECT_THROW(loadIndex(path(), data, settings_), std::runtime_error);
   }
   std::ofstream(path()) << "something else";
-  EXPECT_THROW(loadIndex(path(), data), std::runtime_error);
+  EXPECT_THROW(loadIndex(path(), data, settings_), std::runtime_error);
   EXPECT_THROW(buildIndex(data, settings_)->save((folder_ / "absent" / "index").string()), std::runtime_error);
 }
 

@@ -84,7 +84,11 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
   const int n = static_cast<int>(matches.size()), k = static_cast<int>(inliers.size());
   e.inliers = k;
   if (n == 0 || k == 0) return e;
-  e.inlier_share = static_cast<double>(k) / n;
+  // Of all matches: some that a filter dropped agree with the pose all the same.
+  const int agreeing = static_cast<int>(
+      distinct(scorePose(result.T_world_camera, correspondences, camera, pose_settings).inliers, correspondences)
+          .size());
+  e.inlier_share = std::min(1.0, static_cast<double>(agreeing) / n);
 
   // A contrario (Moisan, Moulon, Monasse 2012): sets of k random matches that some sample of three, with up to four
   // poses, brings within the threshold, when pixels fall anywhere in the matches' hull.

@@ -136,13 +136,18 @@ void PoseSettings::validate() const {
 }
 
 PoseResult estimatePose(const std::vector<Correspondence>& correspondences, const CameraModel& camera,
-                        const PointSource& source, const PosePrior& prior, const PoseSettings& settings) {
+                        const PointSource& source, const PosePrior& prior, const PoseSettings& settings,
+                        std::size_t first_dropped) {
   camera.validate();
   settings.validate();
   validate(source);
   validate(prior);
   PoseResult result;
-  const Matches m = detail::prepare(correspondences, camera);
+  const Matches all = detail::prepare(correspondences, camera);
+  std::vector<int> kept;
+  for (std::size_t i = 0; i < all.size() && static_cast<std::size_t>(all.index[i]) < first_dropped; ++i)
+    kept.push_back(static_cast<int>(i));
+  const Matches m = detail::subset(all, kept);  // the first of `all`: positions are the same
   const auto refuse = [&](const std::string& why) {
     PoseResult failed;
     failed.reason = why;
@@ -210,8 +215,8 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   result.image_covariance = covariance->image;
   result.noise = covariance->noise;
   if (settings.find_competitor) {
-    if (const auto other = findCompetitor(m, pose, inliers, prior, settings))
-      result.competitor = hypothesis(m, *other, correspondences, camera, settings);
+    if (const auto other = findCompetitor(all, pose, inliers, prior, settings))
+      result.competitor = hypothesis(all, *other, correspondences, camera, settings);
   }
   if (settings.monte_carlo_samples > 0) {
     result.monte_carlo_covariance =
@@ -219,6 +224,17 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   }
   result.success = true;
   return result;
+}
+
+PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspondence>& correspondences,
+                         const CameraModel& camera, const PoseSettings& settings) {
+  return hypothesis(detail::prepare(correspondences, camera), T_world_camera, correspondences, camera, settings);
+}
+
+Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever) {
+  Matrix6d J = Matrix6d::Identity();  // d (p + lever) = dp + rot x lever
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
+  return J * covariance * J.transpose();
 }
 
 Eigen::Matrix4d xyzYawCovariance(const Matrix6d& covariance) {

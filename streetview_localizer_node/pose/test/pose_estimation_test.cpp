@@ -208,6 +208,52 @@ TEST(PoseCovariance, MonteCarloOfThePaperScattersByMetres) {
   EXPECT_LT(sum.z(), 6);
 }
 
+TEST(PoseCovariance, FollowsTheLever) {
+  // Turning about z swings a point 2 m along x towards +y.
+  Matrix6d yaw = Matrix6d::Zero();
+  yaw(5, 5) = 0.01;
+  const Matrix6d moved = covarianceAt(yaw, {2, 0, 0});
+  EXPECT_NEAR(moved(1, 1), 0.04, 1e-12);
+  EXPECT_NEAR(moved(1, 5), 0.02, 1e-12);
+  EXPECT_NEAR(moved(5, 5), 0.01, 1e-12);
+  EXPECT_NEAR(moved(0, 0), 0, 1e-12);
+  // A covariance of any kind, against displacements of the body.
+  Random random(14);
+  Matrix6d L = Matrix6d::Zero();
+  for (int i = 0; i < 6; ++i)
+    for (int j = 0; j <= i; ++j) L(i, j) = random.gauss(0.1);
+  const Eigen::Vector3d lever(0.7, -1.5, 2);
+  Matrix6d expected = Matrix6d::Zero();
+  for (int k = 0; k < 6; ++k) {
+    air_ground_common::Vector6d e = L.col(k);
+    e.head<3>() += Eigen::Vector3d(e.tail<3>()).cross(lever);
+    expected += e * e.transpose();
+  }
+  EXPECT_LT((covarianceAt(L * L.transpose(), lever) - expected).norm(), 1e-12);
+  EXPECT_LT((covarianceAt(covarianceAt(yaw, lever), -lever) - yaw).norm(), 1e-12);
+}
+
+TEST(PoseEstimation, DroppedMatchesSpeakAgainstThePoseOnly) {
+  Random random(15);
+  FacadeSettings settings;
+  settings.inliers = 40;
+  settings.outliers = 0;
+  settings.shifted = 30;  // with the next window
+  const Scene s = facadeScene(random, settings);
+  const std::vector<Correspondence> kept(s.matches.begin(), s.matches.begin() + 40);
+  const PoseResult alone = estimatePose(kept, s.camera, s.source, {}, {});
+  const PoseResult with = estimatePose(s.matches, s.camera, s.source, {}, {}, kept.size());
+  ASSERT_TRUE(alone.success && with.success);
+  EXPECT_LT(positionError(alone.T_world_camera, with.T_world_camera), 1e-3);
+  EXPECT_LT(with.inliers.back(), 40);
+  EXPECT_FALSE(alone.competitor);
+  ASSERT_TRUE(with.competitor);
+  EXPECT_GE(with.competitor->inliers.size(), 20u);
+  const PoseHypothesis scored = scorePose(with.T_world_camera, kept, s.camera, {});
+  EXPECT_EQ(scored.inliers, with.inliers);
+  EXPECT_NEAR(scored.rms, with.rms, 1e-9);
+}
+
 TEST(PoseEstimation, RefusesWhatCannotGiveAPose) {
   Random random(6);
   const Scene s = cloud(random, 40, 0, 0.5);

@@ -66,9 +66,9 @@ class DescriptorIndex {
 /// is not available. `descriptors` must not change while the index lives.
 std::unique_ptr<DescriptorIndex> buildIndex(const cv::Mat& descriptors, const IndexSettings& settings = {});
 
-/// An index that was saved for the same descriptors. The method and how it was built are the file's; flann_checks and
-/// hnsw_search are those of `settings`. Throws std::runtime_error, saying why, when a file is missing, damaged, or
-/// belongs to other descriptors.
+/// An index that was saved for the same descriptors, by the same method with the same build parameters (flann_trees;
+/// hnsw_links and hnsw_construction). Throws std::runtime_error, saying why, when a file is missing, damaged, belongs to
+/// other descriptors or was built otherwise; std::invalid_argument as buildIndex.
 std::unique_ptr<DescriptorIndex> loadIndex(const std::string& path, const cv::Mat& descriptors,
                                            const IndexSettings& settings = {});
 

@@ -42,6 +42,7 @@ class GradientPyramid {
     std::vector<Gradient> gradients;
   };
   const std::vector<Level>& levels() const { return levels_; }
+  std::size_t bytes() const;  ///< that it holds
 
  private:
   std::vector<Level> levels_;

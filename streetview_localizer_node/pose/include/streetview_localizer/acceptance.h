@@ -60,8 +60,8 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
                             const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings);
 
 /// `correspondences`, camera, source and pose settings as given to estimatePose. Give all matches that pass the ratio
-/// test, not only those that a filter such as k-VLD kept (its verdict belongs in `quality`): the wrong ones are
-/// evidence, too.
+/// test, not only those that a filter such as k-VLD kept (its verdict belongs in `quality`, or in estimatePose's
+/// `first_dropped`): the wrong ones are evidence, too.
 Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                  const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
                  const AcceptanceSettings& settings);

@@ -77,7 +77,8 @@ struct PoseResult : PoseHypothesis {
   /// prediction. Infinite without alternative.
   double alternative_margin = std::numeric_limits<double>::infinity();
 
-  /// The best pose from matches that contradict this one, as a row of equal windows gives; empty when there is none.
+  /// The best pose from matches that contradict this one, as a row of equal windows gives; empty when there is none. Its
+  /// inliers may be matches that a filter dropped.
   std::optional<PoseHypothesis> competitor;
 
   /// Paper's covariance (III.C): scatter of P3P over samples of five matches; empty unless asked for and enough were
@@ -89,9 +90,18 @@ struct PoseResult : PoseHypothesis {
 /// Never throws for bad matches: those that are not finite are left out, and what cannot give a pose (too few, on a
 /// line, no consensus) is said in `reason`. Throws std::invalid_argument for a camera, setting, source or prior that
 /// cannot be. `correspondences` may hold wrong matches; better `quality` is sampled first (PROSAC, Chum and Matas
-/// 2005).
+/// 2005). Those from `first_dropped` on were dropped by a filter such as k-VLD: only the competitor is sought among them,
+/// too.
 PoseResult estimatePose(const std::vector<Correspondence>& correspondences, const CameraModel& camera,
-                        const PointSource& source, const PosePrior& prior, const PoseSettings& settings);
+                        const PointSource& source, const PosePrior& prior, const PoseSettings& settings,
+                        std::size_t first_dropped = std::numeric_limits<std::size_t>::max());
+
+/// How matches agree with a pose: inliers within settings.inlier_threshold, their rms, and cost.
+PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspondence>& correspondences,
+                         const CameraModel& camera, const PoseSettings& settings);
+
+/// Covariance, in the order above, of the pose of another point of the same rigid body; `lever` leads to it, in world [m].
+Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
 
 /// (x, y, z, yaw) of a covariance in the order above: yaw is the rotation about the world's z.
 Eigen::Matrix4d xyzYawCovariance(const Matrix6d& covariance);
