@@ -164,12 +164,14 @@ TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
 
   const Pose step = yawPose(0.1, {0.5, 0, 0});
   const Matrix6d covariance = 0.01 * Matrix6d::Identity();
-  EXPECT_TRUE(publisher.publish(ros::Time(1.0), Pose::Identity(), Pose::Identity(), covariance));
-  EXPECT_TRUE(publisher.publish(ros::Time(2.0), step, step, covariance));
-  EXPECT_FALSE(publisher.publish(ros::Time(2.0), step, step, covariance)) << "a stamp is never sent twice";
+  Matrix6d noise = Matrix6d::Identity() * 1e-4;
+  noise(0, 0) = 4e-4;
+  EXPECT_TRUE(publisher.publish(ros::Time(1.0), Pose::Identity(), {}, covariance));
+  EXPECT_TRUE(publisher.publish(ros::Time(1.5), step, {step, noise}, covariance));
+  EXPECT_FALSE(publisher.publish(ros::Time(1.5), step, {step, noise}, covariance)) << "a stamp is never sent twice";
   // Loop closure moves the pose in the map by 1 m; the robot itself moved by one step.
   const Pose corrected = yawPose(0, {1, 0, 0}) * step * step;
-  EXPECT_TRUE(publisher.publish(ros::Time(3.0), corrected, step, covariance));
+  EXPECT_TRUE(publisher.publish(ros::Time(3.0), corrected, {step, std::nullopt}, covariance));
   ASSERT_TRUE(spinUntil([&] { return tf.size() >= 3 && odometry.size() >= 3; }));
   ASSERT_EQ(tf.size(), 3u);
 
@@ -179,7 +181,14 @@ TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
   EXPECT_LT(((T_map_odom * T_odom_base).matrix() - corrected.matrix()).norm(), 1e-9);
   EXPECT_LT((T_odom_base.matrix() - (step * step).matrix()).norm(), 1e-9) << "odom jumped";
   EXPECT_LT((fromMsg(odometry[2].pose.pose).matrix() - corrected.matrix()).norm(), 1e-9);
-  EXPECT_NEAR(odometry[1].twist.twist.linear.x, 0.5, 1e-9);
+  // 0.5 m ahead while turning left by 0.1 rad in half a second, seen by the base at the end of it.
+  EXPECT_NEAR(odometry[1].twist.twist.linear.x, std::cos(0.1), 1e-9);
+  EXPECT_NEAR(odometry[1].twist.twist.linear.y, -std::sin(0.1), 1e-9);
+  EXPECT_NEAR(odometry[1].twist.twist.angular.z, 0.2, 1e-9);
+  EXPECT_NEAR(odometry[1].twist.covariance[0], 4 * (4e-4 * std::pow(std::cos(0.1), 2) + 1e-4 * std::pow(std::sin(0.1), 2)), 1e-9);
+  EXPECT_NEAR(odometry[1].twist.covariance[35], 4e-4, 1e-9);
+  EXPECT_EQ(odometry[0].twist.covariance[0], 1e6) << "not known";
+  EXPECT_EQ(odometry[2].twist.covariance[0], 1e6) << "not known";
 }
 
 TEST(BoundedPath, ThinsOutAndIsPublishedOnceASecond) {

@@ -43,6 +43,20 @@ std::uint8_t stateOf(OdometryState state) {
   return air_ground::VoStatus::STATE_LOST;
 }
 
+/// The increment's image noise; roll and pitch, which its covariance leaves out, taken like the heading.
+ros_utils::Motion motionOf(const FrameResult& r) {
+  ros_utils::Motion motion;
+  if (!r.increment) return motion;
+  motion.T_previous_current = r.increment->T_previous_current;
+  const Eigen::Matrix4d& c = r.increment->pose_covariance;
+  Matrix6d& covariance = motion.covariance.emplace(Matrix6d::Zero());
+  covariance.topLeftCorner<3, 3>() = c.topLeftCorner<3, 3>();
+  covariance.block<3, 1>(0, 5) = c.topRightCorner<3, 1>();
+  covariance.block<1, 3>(5, 0) = c.bottomLeftCorner<1, 3>();
+  covariance.diagonal().tail<3>().setConstant(c(3, 3));
+  return motion;
+}
+
 class MavVoNode {
  public:
   explicit MavVoNode(const NodeSettings& settings)
@@ -303,7 +317,7 @@ class MavVoNode {
       map_id_ = r.map_id;
     }
     // Odometry and tf have no flag that says "not metric": they begin with the metric map.
-    if (r.metric) pose_publisher_.publish(header.stamp, r.T_map_base, r.increment ? r.increment->T_previous_current : Pose::Identity(), r.covariance);
+    if (r.metric) pose_publisher_.publish(header.stamp, r.T_map_base, motionOf(r), r.covariance);
     air_ground::PosedImage posed;
     posed.header = header;
     posed.image = *image;

@@ -359,7 +359,7 @@ class RgbdSlamNode {
     if (r.state != State::kTracking || !r.T_map_base.matrix().allFinite() || !r.covariance.allFinite()) return;
 
     if (r.new_map) forgetMap(mapId());
-    pose_publisher_.publish(stamp, r.T_map_base, r.T_previous_current_base, r.covariance);
+    pose_publisher_.publish(stamp, r.T_map_base, {r.T_previous_current_base, r.increment_covariance}, r.covariance);
     if (r.keyframe) {
       cloud_outdated_ = true;
       if (keyframe_publisher_.getNumSubscribers() > 0) {

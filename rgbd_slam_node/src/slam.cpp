@@ -245,6 +245,12 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   J.topRightCorner<3, 3>() = -air_ground_common::skew(result.T_map_base.translation() - T_map_camera.translation());
   result.covariance = J * covariance * J.transpose();
   result.covariance.diagonal().array() += 1e-10;
+  if (!result.relocalized) {
+    Matrix6d base_map = Matrix6d::Zero();
+    base_map.topLeftCorner<3, 3>() = base_map.bottomRightCorner<3, 3>() = result.T_map_base.linear().transpose();
+    const Matrix6d to_base = base_map * J;
+    result.increment_covariance = 2 * to_base * tracked.pose.covariance * to_base.transpose();
+  }
   return result;
 }
 

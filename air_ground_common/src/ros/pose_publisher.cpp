@@ -64,18 +64,25 @@ PosePublisher::PosePublisher(ros::NodeHandle handle, const PosePublisherSettings
       path_(handle.advertise<nav_msgs::Path>(settings.path_topic, 5, true)),
       bounded_path_(settings.map_frame, settings.path_step) {}
 
-bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Pose& T_previous_current, const Matrix6d& covariance) {
+bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion, const Matrix6d& covariance) {
   if (stamp <= last_stamp_) return false;
-  const Pose T_odom_base = normalized(T_odom_base_ ? *T_odom_base_ * T_previous_current : T_map_base);
+  const Pose T_odom_base = normalized(T_odom_base_ ? *T_odom_base_ * motion.T_previous_current : T_map_base);
   nav_msgs::Odometry odometry;
   odometry.header.stamp = stamp;
   odometry.header.frame_id = settings_.map_frame;
   odometry.child_frame_id = settings_.base_frame;
   odometry.pose.pose = toMsg(T_map_base);
   setCovariance(covariance, &odometry.pose.covariance);
+  Matrix6d twist_covariance = 1e6 * Matrix6d::Identity();
   if (T_odom_base_ && !last_stamp_.isZero()) {
-    const double dt = (stamp - last_stamp_).toSec();
-    const Eigen::Vector3d v = T_previous_current.translation() / dt, w = logSO3(T_previous_current.linear()) / dt;
+    const double dt = stamp.toSec() - last_stamp_.toSec();
+    const Eigen::Matrix3d R_current_previous = motion.T_previous_current.linear().transpose();
+    const Eigen::Vector3d v = R_current_previous * motion.T_previous_current.translation() / dt, w = logSO3(motion.T_previous_current.linear()) / dt;
+    if (motion.covariance) {
+      Matrix6d J = Matrix6d::Zero();
+      J.topLeftCorner<3, 3>() = J.bottomRightCorner<3, 3>() = R_current_previous / dt;
+      twist_covariance = J * *motion.covariance * J.transpose();
+    }
     odometry.twist.twist.linear.x = v.x();
     odometry.twist.twist.linear.y = v.y();
     odometry.twist.twist.linear.z = v.z();
@@ -83,6 +90,7 @@ bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, cons
     odometry.twist.twist.angular.y = w.y();
     odometry.twist.twist.angular.z = w.z();
   }
+  setCovariance(twist_covariance, &odometry.twist.covariance);
   odometry_.publish(odometry);
   if (settings_.publish_tf)
     broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{

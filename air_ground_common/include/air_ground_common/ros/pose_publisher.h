@@ -41,16 +41,22 @@ struct PosePublisherSettings {
   double path_step = 0.02;  ///< the path gains a pose after this distance [m], more when it is long: see BoundedPath
 };
 
-/// Publishes nav_msgs/Odometry (pose in the map frame), a nav_msgs/Path and, if switched on, the two tf edges.
+/// Motion of the base from the last published pose to this one as it was tracked, free of corrections.
+struct Motion {
+  Pose T_previous_current = Pose::Identity();
+  std::optional<Matrix6d> covariance;  ///< of its translation and rotation, axes of the earlier base [m^2, m rad, rad^2]
+};
+
+/// Publishes nav_msgs/Odometry (pose in the map frame, twist in the base frame), a nav_msgs/Path and, if switched on, the two tf edges.
 /// The odom frame never jumps: what loop closure or bundle adjustment corrects goes into map -> odom.
 class PosePublisher {
  public:
   PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings);
 
-  /// `T_map_base`: current best pose. `T_previous_current`: motion of the base since the last call as it was tracked,
-  /// free of corrections; pass identity for the first. `covariance`: of the pose in the map frame.
+  /// `T_map_base`: current best pose; `covariance`: of it in the map frame. The twist is the mean of the motion; where that is
+  /// not known (the first pose, no covariance) its variances are 1e6.
   /// A stamp not later than the last one published is ignored (TF_REPEATED_DATA) and false is returned.
-  bool publish(const ros::Time& stamp, const Pose& T_map_base, const Pose& T_previous_current, const Matrix6d& covariance);
+  bool publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion, const Matrix6d& covariance);
 
   /// Starts afresh: path and odometry are cleared.
   void reset();
