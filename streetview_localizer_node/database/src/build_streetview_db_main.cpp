@@ -42,6 +42,8 @@ void print(const BuildReport& report, const std::string& output) {
   for (const std::string& remark : report.remarks) std::printf("model: %s\n", remark.c_str());
   for (const auto& refusal : report.refused)
     std::printf("not used: %s: %s\n", refusal.image.c_str(), refusal.reason.c_str());
+  for (const auto& image : report.uncorrected)
+    std::printf("used with its geotag: %s: %s\n", image.image.c_str(), image.reason.c_str());
   const auto& f = report.features;
   std::printf("%s: %d images stored, %d were there already, %zu not used; %d views with %d features\n", output.c_str(),
               report.stored, report.resumed, report.refused.size(), report.views, f.kept - report.inconsistent);
@@ -87,7 +89,8 @@ int main(int argc, char** argv) {
   app.add_option("--camera", camera,
                  "calibration (ROS camera_info YAML) of geotagged photographs that are no panoramas");
   app.add_flag("--no-registration", no_registration, "take the geotags as they are");
-  app.add_flag("--keep-unregistered", s.keep_unregistered, "use the geotag of a panorama that could not be corrected");
+  app.add_flag("--keep-unregistered", s.keep_unregistered,
+               "use the geotag of an image whose pose could not be corrected");
   app.add_flag("--no-consistency", no_consistency, "keep features that other images do not see on the facade");
   app.add_option("--min-correlation", s.consistency.min_correlation,
                  "of a feature's surroundings with what other images show there")

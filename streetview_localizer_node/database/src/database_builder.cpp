@@ -43,8 +43,8 @@ std::string BuildSettings::fingerprint() const {
   }
   if (camera) {
     out << "; camera " << camera->width << "x" << camera->height;
-    for (const double value : {camera->fx, camera->fy, camera->cx, camera->cy, camera->k1, camera->k2, camera->p1,
-                               camera->p2, camera->k3})
+    for (const double value :
+         {camera->fx, camera->fy, camera->cx, camera->cy, camera->k1, camera->k2, camera->p1, camera->p2, camera->k3})
       out << " " << value;
   }
   return out.str();
@@ -55,7 +55,8 @@ namespace {
 struct Item {
   std::string path;
   Panorama panorama;
-  CameraModel camera;  // of a photograph
+  CameraModel camera;    // of a photograph
+  bool readable = true;  // as far as is known: pose correction reads it first
 };
 
 class Builder {
@@ -104,6 +105,12 @@ class Builder {
   }
 
   void refuse(const std::string& image, const std::string& reason) { report_.refused.push_back({image, reason}); }
+
+  // What is to be said of a stored image.
+  void remark(const Panorama& panorama, bool used) {
+    if (!panorama.remark.empty())
+      (used ? report_.uncorrected : report_.refused).push_back({panorama.id, panorama.remark});
+  }
 
   void tell(const std::string& stage, int done, int all) {
     if (progress_) progress_(stage, done, all);
@@ -214,7 +221,7 @@ class Builder {
     items_.push_back(*item);
   }
 
-  // Corrects the panoramas of the first stage and notes their poses, so that an interrupted build finds them.
+  // Corrects the images of the first stage and notes their poses, so that an interrupted build finds them.
   void place(DatabaseWriter* writer) {
     std::map<std::string, Panorama> known;
     for (const Panorama& p : writer->panoramas()) known[p.id] = p;
@@ -226,13 +233,14 @@ class Builder {
       else
         open.push_back(&item);
     }
-    constexpr std::size_t kBatch = 100;  // of one joint correction, lost by an interruption
+    constexpr std::size_t kBatch = 100;  // corrected poses that an interruption may lose
     for (std::size_t first = 0; first < open.size(); first += kBatch) {
       const std::vector<Item*> batch(open.begin() + first, open.begin() + std::min(open.size(), first + kBatch));
       if (s_.register_panoramas)
         correct(writer->model(), batch, static_cast<int>(first), static_cast<int>(open.size()));
       std::vector<Panorama> panoramas;
-      for (const Item* item : batch) panoramas.push_back(item->panorama);
+      for (const Item* item : batch)
+        if (item->readable) panoramas.push_back(item->panorama);  // else the next run tries again
       writer->plan(panoramas);
     }
   }
@@ -240,16 +248,23 @@ class Builder {
   void correct(const CityModel& model, const std::vector<Item*>& batch, int before, int all) {
     std::vector<Item*> wanted;
     for (Item* item : batch)
-      if (item->panorama.equirectangular) wanted.push_back(item);
+      if (!item->panorama.registered) wanted.push_back(item);  // surveyed ones are
     if (wanted.empty()) return;
     RegistrationSettings settings = s_.registration;
     settings.threads = s_.threads > 0 ? s_.threads : omp_get_num_procs();
     const PanoramaRegistrar registrar(model, settings);
     std::vector<RegistrationInput> inputs;
-    for (const Item* item : wanted)
-      inputs.push_back(
-          {[path = item->path] { return cv::imread(path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION); },
-           item->panorama.T_world_geotag});
+    for (Item* item : wanted) {
+      RegistrationInput input;
+      input.load = [item] {
+        cv::Mat image = cv::imread(item->path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+        item->readable = !image.empty();
+        return image;
+      };
+      if (!item->panorama.equirectangular) input.camera = item->camera;
+      input.T_world_geotag = item->panorama.T_world_geotag;
+      inputs.push_back(std::move(input));
+    }
     const auto results = registrar.registerPanoramas(
         inputs, [&](std::size_t done) { tell("correcting poses", before + static_cast<int>(done), all); });
     for (std::size_t i = 0; i < results.size(); ++i) {
@@ -262,16 +277,16 @@ class Builder {
     }
   }
 
-  bool usable(const Panorama& p) const {
-    return p.registered || !s_.register_panoramas || s_.keep_unregistered || !p.equirectangular;
+  bool usable(const Item& item) const {
+    return item.readable && (item.panorama.registered || !s_.register_panoramas || s_.keep_unregistered);
   }
 
   void storeViews(DatabaseWriter* writer, const BackProjector& projector) {
     std::vector<ConsistencyImage> images;
     for (const Item& item : items_) {
       const bool panorama = item.panorama.equirectangular;
-      images.push_back({usable(item.panorama), panorama, item.camera,
-                        panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
+      images.push_back(
+          {usable(item), panorama, item.camera, panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
     }
     const FacadeConsistency consistency(
         projector, images,
@@ -289,11 +304,10 @@ class Builder {
         skip = !error.empty() || writer->has(items_[i].panorama.id);
         if (error.empty() && skip) {
           ++done;
-          const std::string& remark = items_[i].panorama.remark;
-          if (remark.empty())
-            ++report_.resumed;
-          else
-            refuse(items_[i].panorama.id, remark);
+          const Panorama& panorama = items_[i].panorama;
+          const bool used = writer->viewsOf(panorama.id) > 0;
+          if (used) ++report_.resumed;
+          remark(panorama, used);
         }
       }
       if (skip) continue;
@@ -316,32 +330,32 @@ class Builder {
     std::vector<View> views;
     BackProjectionCounts counts;
     int inconsistent = 0;
-    if (usable(panorama)) {
-      const cv::Mat image = cv::imread(item.path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
-      if (image.empty()) {  // not stored, so that the next run tries again
+    cv::Mat image;
+    if (usable(item)) image = cv::imread(item.path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+    if (!item.readable || (usable(item) && image.empty())) {  // not stored, so that the next run tries again
 #pragma omp critical(streetview_writer)
-        refuse(panorama.id, "cannot be read as an image");
-        return;
-      } else {
-        views = viewsOf(item, image);
-        for (View& view : views) {
-          cv::Mat grey;
-          cv::cvtColor(view.image, grey, cv::COLOR_BGR2GRAY);
-          view.features = extractFeatures(grey, s_.features);
-          const BackProjectionCounts c = projector.apply(&view);
-          counts.kept += c.kept, counts.sky += c.sky, counts.ground += c.ground, counts.range += c.range,
-              counts.grazing += c.grazing, counts.edge += c.edge;
-          if (s_.check_consistency) inconsistent += consistency.apply(index, &view);
-        }
-        views.erase(std::remove_if(views.begin(), views.end(), [](const View& v) { return v.features.size() == 0; }),
-                    views.end());
-        if (views.empty()) panorama.remark = "sees no facade of the model";
+      refuse(panorama.id, "cannot be read as an image");
+      return;
+    }
+    if (usable(item)) {
+      views = viewsOf(item, image);
+      for (View& view : views) {
+        cv::Mat grey;
+        cv::cvtColor(view.image, grey, cv::COLOR_BGR2GRAY);
+        view.features = extractFeatures(grey, s_.features);
+        const BackProjectionCounts c = projector.apply(&view);
+        counts.kept += c.kept, counts.sky += c.sky, counts.ground += c.ground, counts.range += c.range,
+            counts.grazing += c.grazing, counts.edge += c.edge;
+        if (s_.check_consistency) inconsistent += consistency.apply(index, &view);
       }
+      views.erase(std::remove_if(views.begin(), views.end(), [](const View& v) { return v.features.size() == 0; }),
+                  views.end());
+      if (views.empty()) panorama.remark = "sees no facade of the model";
     }
 #pragma omp critical(streetview_writer)
     {
       writer->add(panorama, views);
-      if (!panorama.remark.empty()) refuse(panorama.id, panorama.remark);
+      remark(panorama, !views.empty());
       if (!views.empty()) ++report_.stored;
       report_.views += static_cast<int>(views.size());
       report_.inconsistent += inconsistent;

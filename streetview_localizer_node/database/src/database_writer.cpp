@@ -52,7 +52,7 @@ struct DatabaseWriter::Impl {
   CityModel model;
   std::vector<Panorama> panoramas;
   std::unordered_map<std::string, GIntBig> row_of;
-  std::unordered_map<std::string, bool> stored;
+  std::unordered_map<std::string, int> views_of;  // -1: planned, not stored
   bool in_transaction = false;
 
   [[noreturn]] void fail(const std::string& what) {
@@ -183,7 +183,7 @@ struct DatabaseWriter::Impl {
     for (auto& row : layer) {
       panoramas.push_back(readPanorama(*row, working));
       row_of[panoramas.back().id] = row->GetFID();
-      stored[panoramas.back().id] = row->GetFieldAsInteger("views") >= 0;
+      views_of[panoramas.back().id] = row->GetFieldAsInteger("views");
     }
   }
 
@@ -324,9 +324,11 @@ DatabaseWriter::~DatabaseWriter() = default;
 const CityModel& DatabaseWriter::model() const { return impl_->model; }
 const std::vector<Panorama>& DatabaseWriter::panoramas() const { return impl_->panoramas; }
 
-bool DatabaseWriter::has(const std::string& id) const {
-  const auto it = impl_->stored.find(id);
-  return it != impl_->stored.end() && it->second;
+bool DatabaseWriter::has(const std::string& id) const { return viewsOf(id) >= 0; }
+
+int DatabaseWriter::viewsOf(const std::string& id) const {
+  const auto it = impl_->views_of.find(id);
+  return it == impl_->views_of.end() ? -1 : it->second;
 }
 
 void DatabaseWriter::plan(const std::vector<Panorama>& panoramas) {
@@ -341,7 +343,7 @@ void DatabaseWriter::plan(const std::vector<Panorama>& panoramas) {
     added.push_back(panorama);
   }
   d.commit();
-  for (const auto& [id, fid] : rows) d.row_of[id] = fid, d.stored[id] = false;
+  for (const auto& [id, fid] : rows) d.row_of[id] = fid, d.views_of[id] = -1;
   d.panoramas.insert(d.panoramas.end(), added.begin(), added.end());
 }
 
@@ -368,7 +370,7 @@ void DatabaseWriter::add(const Panorama& panorama, const std::vector<View>& view
     for (Panorama& p : d.panoramas)
       if (p.id == panorama.id) p = panorama;
   }
-  d.stored[panorama.id] = true;
+  d.views_of[panorama.id] = static_cast<int>(views.size());
 }
 
 void DatabaseWriter::finish() {

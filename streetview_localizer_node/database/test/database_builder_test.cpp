@@ -145,6 +145,73 @@ TEST(DatabaseBuilder, SurveyedPhotographsAndGridConvergence) {
   EXPECT_GT(d.views[0].features.size(), 30u);
 }
 
+TEST(DatabaseBuilder, APhotographWhosePoseIsNotCorrectedIsRefusedUnlessWanted) {
+  Street street;
+  BuildSettings s = street.settings;
+  const View view = cutPanorama(wallPanorama(1024, panoramaPose(0), false), panoramaPose(0), s.views)[0];
+  cv::imwrite(street.folder / "photo.png", view.image);
+  const auto g = air_ground_common::LocalFrame("EPSG:2056", kOrigin).toGeodetic(panoramaPose(0).translation());
+  char line[200];
+  std::snprintf(line, sizeof(line), "photo.png,%.10f,%.10f,%.4f,%.6f,15,0\n", g.latitude, g.longitude, g.height,
+                90 - 0.9 * 180 / M_PI);
+  s.geotags =
+      street.folder.write("photo.csv", std::string("image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n") + line);
+  s.camera = view.camera;
+  s.register_panoramas = true;  // a single long wall does not tell the place
+  for (int run = 0; run < 2; ++run) {
+    const BuildReport report = buildDatabase(s);
+    EXPECT_EQ(report.stored + report.resumed, 0);
+    ASSERT_EQ(report.refused.size(), 1u) << run;
+    EXPECT_NE(report.refused[0].reason.find("pose not corrected: "), std::string::npos) << report.refused[0].reason;
+  }
+  EXPECT_TRUE(loadDatabase(s.output).views.empty());
+  s.keep_unregistered = true;
+  s.output = street.folder / "kept.gpkg";
+  for (int run = 0; run < 2; ++run) {
+    const BuildReport report = buildDatabase(s);
+    EXPECT_EQ(report.stored, 1 - run);
+    EXPECT_EQ(report.resumed, run);
+    EXPECT_TRUE(report.refused.empty());
+    ASSERT_EQ(report.uncorrected.size(), 1u);
+    EXPECT_EQ(report.uncorrected[0].image, "photo.png");
+  }
+  const StreetviewDatabase d = loadDatabase(s.output);
+  ASSERT_EQ(d.views.size(), 1u);
+  EXPECT_FALSE(d.panoramas[0].registered);
+  EXPECT_GT(d.panoramas[0].position_stddev, 1);
+}
+
+TEST(DatabaseBuilder, AnImageThatCannotBeReadIsTriedAgain) {
+  for (const bool registration : {false, true}) {
+    Street street;
+    street.settings.register_panoramas = street.settings.keep_unregistered = registration;
+    const std::string image = street.folder / "p1.png", whole = street.folder / "whole.png";
+    std::filesystem::copy_file(image, whole);
+    std::filesystem::resize_file(image, 40);  // its size can be read, its pixels not
+    const BuildReport first = buildDatabase(street.settings);
+    EXPECT_EQ(first.stored, 2);
+    ASSERT_EQ(first.refused.size(), 1u);
+    EXPECT_NE(first.refused[0].reason.find("cannot be read"), std::string::npos) << first.refused[0].reason;
+    std::filesystem::rename(whole, image);
+    const BuildReport second = buildDatabase(street.settings);
+    EXPECT_EQ(second.stored, 1);
+    EXPECT_EQ(second.resumed, 2);
+    EXPECT_TRUE(second.refused.empty());
+  }
+}
+
+TEST(DatabaseBuilder, TheFingerprintNamesWhatShapesThePoses) {
+  BuildSettings a, b;
+  b.registration.camera_height = 1.7;
+  EXPECT_NE(a.fingerprint(), b.fingerprint());
+  a.register_panoramas = b.register_panoramas = false;
+  EXPECT_EQ(a.fingerprint(), b.fingerprint());  // not used
+  b.camera.emplace();
+  EXPECT_NE(a.fingerprint(), b.fingerprint());
+  a.camera.emplace().k1 = 0.1;
+  EXPECT_NE(a.fingerprint(), b.fingerprint());
+}
+
 TEST(DatabaseBuilder, BrokenInputsGiveOneClearLineEach) {
   Street street;
   std::ofstream(street.settings.geotags, std::ios::app)

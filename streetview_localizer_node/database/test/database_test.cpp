@@ -225,6 +225,51 @@ TEST(Database, BrokenViewIsRefusedWhole) {
   EXPECT_EQ(d.views.size(), 2u);
 }
 
+TEST(Database, BrokenStoredViewsAreNamed) {
+  const TemporaryFolder folder;
+  std::vector<View> camera = viewsAt(0), image = viewsAt(0);
+  camera[1].camera.fx = 0;
+  image[1].image = cv::Mat(10, 10, CV_8UC3, cv::Scalar::all(9));
+  for (const auto& [views, word] : {std::make_pair(camera, "focal"), std::make_pair(image, "image")}) {
+    const std::string path = folder / (std::string(word) + ".gpkg");
+    DatabaseWriter writer(path, swissModel(), "settings");
+    writer.add(panoramaAt(0), views);
+    writer.finish();
+    const std::string m = messageOf([&, path = path] { loadDatabase(path); });
+    EXPECT_NE(m.find(path + " holds a broken view"), std::string::npos) << m;
+    EXPECT_NE(m.find(word), std::string::npos) << m;
+  }
+}
+
+TEST(Database, WhileABuildWritesASecondIsRefused) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "a.gpkg";
+  for (const bool resumed : {false, true}) {
+    DatabaseWriter first(path, swissModel(), "settings");
+    const std::string m = messageOf([&] { DatabaseWriter(path, swissModel(), "settings"); });
+    EXPECT_NE(m.find("another program is writing it"), std::string::npos) << m;
+    first.add(panoramaAt(resumed), viewsAt(resumed));
+    if (resumed) first.finish();
+  }
+  EXPECT_EQ(loadDatabase(path).panoramas.size(), 2u);
+}
+
+TEST(Database, UnfinishedFilesThatCannotBeReadAreKept) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "a.gpkg", partial = folder / "a.partial.gpkg";
+  DatabaseWriter(path, swissModel(), "settings").add(panoramaAt(0), viewsAt(0));
+  const auto size = std::filesystem::file_size(partial) / 2;
+  std::filesystem::resize_file(partial, size);
+  const std::string m = messageOf([&] { DatabaseWriter(path, swissModel(), "settings"); });
+  EXPECT_NE(m.find("cannot resume " + partial), std::string::npos) << m;
+  EXPECT_NE(m.find("delete it to start over"), std::string::npos) << m;
+  EXPECT_EQ(std::filesystem::file_size(partial), size);
+  // A build killed before its first commit has left nothing.
+  folder.write("a.partial.gpkg", "");
+  DatabaseWriter writer(path, swissModel(), "settings");
+  EXPECT_TRUE(writer.panoramas().empty());
+}
+
 TEST(Database, BrokenFilesGiveOneClearLine) {
   const TemporaryFolder folder;
   const std::string path = folder / "a.gpkg";

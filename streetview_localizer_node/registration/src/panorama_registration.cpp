@@ -218,7 +218,9 @@ std::vector<RegistrationResult> PanoramaRegistrar::registerPanoramas(
 #pragma omp parallel for schedule(dynamic, 1) num_threads(impl_->settings.threads)
   for (std::size_t i = 0; i < panoramas.size(); ++i) {
     try {
-      results[i] = registerPanorama(panoramas[i].load(), panoramas[i].T_world_geotag);
+      const RegistrationInput& input = panoramas[i];
+      results[i] = input.camera ? registerPhotograph(input.load(), *input.camera, input.T_world_geotag)
+                                : registerPanorama(input.load(), input.T_world_geotag);
     } catch (const std::exception& error) {
       results[i] = rejected(panoramas[i].T_world_geotag, impl_->settings, error.what());
       setStddevs(&results[i]);

@@ -71,6 +71,8 @@ class DatabaseWriter {
   const std::vector<Panorama>& panoramas() const;
   /// True when the panorama is stored with its views.
   bool has(const std::string& panorama_id) const;
+  /// How many views were stored with it; -1 when it is not stored.
+  int viewsOf(const std::string& panorama_id) const;
   /// Stores a panorama and its views (none, if it could not be placed) in one transaction. View::panorama and View::id
   /// are ignored. Throws std::runtime_error when the disk refuses; what was stored before stays.
   void add(const Panorama& panorama, const std::vector<View>& views);

@@ -31,8 +31,8 @@ struct BuildSettings {
   double geotag_height_offset = 0;  ///< added to their heights, into the model's vertical datum [m]
   std::optional<air_ground_common::CameraModel> camera;  ///< of geotagged photographs that are no panoramas
 
-  bool register_panoramas = true;  ///< correct geotagged panoramas against the model
-  bool keep_unregistered = false;  ///< use the geotag where that failed, instead of storing the panorama without views
+  bool register_panoramas = true;  ///< correct geotagged panoramas and photographs against the model
+  bool keep_unregistered = false;  ///< use the geotag where that failed, instead of storing the image without views
   bool check_consistency = true;   ///< leave out what other images do not see on the facade
   int threads = 0;                 ///< 0: all cores
   std::string textured_model;      ///< .obj of the city model with facade textures, written at the end; empty: none
@@ -57,7 +57,8 @@ struct BuildReport {
   int views = 0;
   BackProjectionCounts features;
   int inconsistent = 0;              ///< features left out by the comparison of images
-  std::vector<Refusal> refused;      ///< images that could not be used or corrected
+  std::vector<Refusal> refused;      ///< images that are not used
+  std::vector<Refusal> uncorrected;  ///< images used with their geotag (keep_unregistered), and why
   std::vector<std::string> remarks;  ///< of the city model
 };
 

@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <opencv2/core.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -57,9 +58,10 @@ struct RegistrationResult {
   air_ground_common::Matrix6d covariance = air_ground_common::Matrix6d::Zero();
 };
 
-/// One panorama of a drive.
+/// One image of a drive.
 struct RegistrationInput {
-  std::function<cv::Mat()> load;  ///< the equirectangular image, 8-bit BGR, width = 2 height; called once
+  std::function<cv::Mat()> load;  ///< 8-bit BGR; called once
+  std::optional<air_ground_common::CameraModel> camera;  ///< of a perspective photograph; none: equirectangular
   air_ground_common::Pose T_world_geotag = air_ground_common::Pose::Identity();
 };
 
@@ -80,9 +82,8 @@ class PanoramaRegistrar {
   RegistrationResult registerPhotograph(const cv::Mat& bgr, const air_ground_common::CameraModel& camera,
                                         const air_ground_common::Pose& T_world_geotag) const;
 
-  /// Registers each, then refines all together: matches between neighbours, lying on the model's facades, tie the
-  /// panoramas. `progress`, if given, is called with the number done. A panorama whose load() throws or returns an
-  /// empty image is reported as rejected.
+  /// Registers each image on its own, several at once. `progress`, if given, is called with the number done. An image
+  /// whose load() throws or returns an empty image is reported as rejected.
   std::vector<RegistrationResult> registerPanoramas(const std::vector<RegistrationInput>& panoramas,
                                                     const std::function<void(std::size_t)>& progress = {}) const;
 
