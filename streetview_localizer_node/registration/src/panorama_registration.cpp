@@ -69,6 +69,20 @@ void setStddevs(RegistrationResult* result) {
 }  // namespace
 
 namespace registration {
+namespace {
+
+/// What a fit must show to be believed.
+struct Demands {
+  double sky_angle, sky_ratio;  // of the model's sky line [rad], and the share of it that is found
+  int verticals;                // corners found
+  double vertical_ratio;        // of the visible ones
+  double cost, cost_margin;     // at most; less than that of another place
+};
+constexpr Demands kOfPanorama = {1.0, 0.62, 4, 0.5, 0.38, 0.025};
+// A photograph sees less of the outline: that part must fit better.
+constexpr Demands kOfPhotograph = {0.7, 0.8, 5, 0.7, 0.25, 0.05};
+
+}  // namespace
 
 Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pose& T_world_geotag,
                      const RegistrationSettings& settings) {
@@ -109,16 +123,17 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
   const double horizontal = std::sqrt(0.5 * (a + d) + std::sqrt(0.25 * (a - d) * (a - d) + b * b));
   const double turn = std::sqrt(c.diagonal().tail<3>().maxCoeff());
   const double off = (best.T_world_level.translation() - T_world_geotag.translation()).head<2>().norm();
-  if (best.sky_angle < 1.0) {
+  const Demands& demands = cues.mask.empty() ? kOfPanorama : kOfPhotograph;
+  if (best.sky_angle < demands.sky_angle) {
     selection.reason = format("the model's sky line covers only %.0f degrees", best.sky_angle * 180 / M_PI);
-  } else if (best.sky_ratio < 0.62) {
+  } else if (best.sky_ratio < demands.sky_ratio) {
     selection.reason = format("the image's sky line follows only %.0f %% of the model's", 100 * best.sky_ratio);
-  } else if (best.verticals < 4 || best.verticals < 0.5 * best.verticals_seen) {
+  } else if (best.verticals < demands.verticals || best.verticals < demands.vertical_ratio * best.verticals_seen) {
     selection.reason =
         format("only %.0f of the model's %.0f visible corners were found", best.verticals, best.verticals_seen);
-  } else if (best.cost > 0.38) {
+  } else if (best.cost > demands.cost) {
     selection.reason = format("the model's outline does not fit (cost %.2f)", best.cost);
-  } else if (selection.second_cost < best.cost + 0.025) {
+  } else if (selection.second_cost < best.cost + demands.cost_margin) {
     selection.reason =
         format("another place fits nearly as well (cost %.2f against %.2f)", selection.second_cost, best.cost);
   } else if (off > settings.search_radius + 0.5) {
@@ -181,15 +196,19 @@ RegistrationResult PanoramaRegistrar::registerPanorama(const cv::Mat& equirect_b
   return impl_->registerImage(exact, {}, T_world_geotag);
 }
 
-RegistrationResult PanoramaRegistrar::registerPhotograph(const cv::Mat& bgr, const CameraModel& camera,
+RegistrationResult PanoramaRegistrar::registerPhotograph(const cv::Mat& full, const CameraModel& full_camera,
                                                          const Pose& T_world_geotag) const {
-  camera.validate();
-  if (bgr.type() != CV_8UC3 || bgr.cols != camera.width || bgr.rows != camera.height) {
+  full_camera.validate();
+  if (full.type() != CV_8UC3 || full.cols != full_camera.width || full.rows != full_camera.height) {
     throw std::invalid_argument("the photograph must be 8-bit BGR of the camera's size " +
-                                std::to_string(camera.width) + " x " + std::to_string(camera.height));
+                                std::to_string(full_camera.width) + " x " + std::to_string(full_camera.height));
   }
-  // As part of a panorama, at the resolution of the photograph's middle.
-  const int width = std::clamp(static_cast<int>(std::lround(M_PI * camera.fx)) * 2, 512, 8192), height = width / 2;
+  // As part of a panorama, at the resolution of the photograph's middle or the finest that is of use.
+  const double scale = std::min(1.0, reg::kLargestWidth / (2 * M_PI * full_camera.fx));
+  const CameraModel camera = full_camera.scaled(scale);
+  cv::Mat bgr = full;
+  if (scale < 1) cv::resize(full, bgr, {camera.width, camera.height}, 0, 0, cv::INTER_AREA);
+  const int width = std::max(256, static_cast<int>(std::lround(M_PI * camera.fx)) * 2), height = width / 2;
   cv::Mat map_x(height, width, CV_32F, cv::Scalar(-1)), map_y(height, width, CV_32F, cv::Scalar(-1));
   cv::Mat mask(height, width, CV_8U, cv::Scalar(0));
   const Eigen::Matrix3d R_optical_body = air_ground_common::opticalFromForwardBody();

@@ -17,7 +17,6 @@ using air_ground_common::Vector6d;
 constexpr int kBins = 720;
 constexpr double kInflation = 2.2;   // of the covariance
 constexpr double kFootStddev = 0.5;  // of the ground guessed from the walls' feet [m]
-constexpr int kLargestWidth = 2048;  // finer panoramas are reduced: the model is not as fine
 
 /// One scalar measurement, linear in the pose's step and in the errors of one building.
 struct Measurement {
@@ -34,6 +33,13 @@ bool isSky(const ImageCues& cues, double u, double v) {
   const int width = cues.image.cols;
   const int column = ((static_cast<int>(std::lround(u)) % width) + width) % width;
   return v < cues.sky.row[column];
+}
+
+/// False outside the picture of a photograph.
+bool inImage(const ImageCues& cues, double u, double v) {
+  if (cues.mask.empty()) return true;
+  return v >= 0 && v < cues.mask.rows &&
+         cues.mask.at<std::uint8_t>(static_cast<int>(v), std::clamp(static_cast<int>(u), 0, cues.mask.cols - 1)) == 255;
 }
 
 /// Angle from the predicted place of a sky line's sample to where the image has it, along the sample's `outside`.
@@ -120,6 +126,12 @@ ImageCues findCues(const cv::Mat& full, const cv::Mat& full_mask, const Eigen::M
   if (full.cols > kLargestWidth) {
     cv::resize(full, bgr, {kLargestWidth, kLargestWidth / 2}, 0, 0, cv::INTER_AREA);
     if (!full_mask.empty()) cv::resize(full_mask, mask, bgr.size(), 0, 0, cv::INTER_AREA);
+  }
+  // Filters reach over the border of a photograph.
+  if (!mask.empty()) {
+    cv::Mat inner;
+    cv::erode(mask, inner, cv::Mat::ones(13, 13, CV_8U));
+    mask = inner;
   }
   ImageCues cues;
   // Up as the geotag has it, then as the vertical lines have it. The heading stays the body's.
@@ -236,10 +248,7 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
       if (n.dot(sample.outside) < 0) n = -n;
       const Eigen::Vector3d ray = R.transpose() * p / distance, outside = R.transpose() * n;
       const Eigen::Vector2d at = pixelOf(ray, width, height);
-      if (!cues.mask.empty() && (at.y() < 0 || at.y() >= height ||
-                                 cues.mask.at<std::uint8_t>(static_cast<int>(at.y()),
-                                                            std::clamp(static_cast<int>(at.x()), 0, width - 1)) < 255))
-        continue;
+      if (!inImage(cues, at.x(), at.y())) continue;
       sky_seen += sample.weight;
       const double count = sample.weight / 0.035;
       const auto offset = skyOffset(cues, ray, outside, window);
@@ -271,9 +280,14 @@ Fit refinePose(const ModelOutline& model, const std::vector<ModelEdge>& edges, c
       const Eigen::Vector2d a = pixelOf(top, width, height), b = pixelOf(foot, width, height);
       const int rows = static_cast<int>(b.y() - a.y());
       if (rows * pixel < 0.06) continue;
+      int first = static_cast<int>(a.y() + 0.06 * rows) + 1, end = static_cast<int>(b.y() - 0.15 * rows);
+      if (!cues.mask.empty()) {  // of a photograph, the part that it shows
+        while (first < end && !inImage(cues, a.x(), first)) ++first;
+        while (first < end && !inImage(cues, a.x(), end - 1)) --end;
+        if ((end - first) * pixel < 0.06) continue;
+      }
       ++verticals_seen;
-      const auto offset = verticalOffset(*cues.evidence, a.x(), static_cast<int>(a.y() + 0.06 * rows) + 1,
-                                         static_cast<int>(b.y() - 0.15 * rows), std::max(2.0, window / pixel));
+      const auto offset = verticalOffset(*cues.evidence, a.x(), first, end, std::max(2.0, window / pixel));
       if (!offset) continue;
       Measurement m;
       m.residual = -offset->columns * 2 * M_PI / width;  // azimuth falls along the row

@@ -15,6 +15,8 @@
 
 namespace streetview_localizer::registration {
 
+constexpr int kLargestWidth = 2048;  ///< finer panoramas are reduced: the model is not as fine [px]
+
 /// A panorama turned level, and what was found in it. Frame `level`: z up as the image's vertical lines tell.
 struct ImageCues {
   cv::Mat image, mask;  ///< level, BGR; mask empty or 255 where the image is

@@ -118,7 +118,7 @@ SkyLine findSkyLine(const cv::Mat& bgr, const cv::Mat& mask) {
   std::vector<int> path(width);
   for (int u = 0; u < width; ++u) {
     int v = static_cast<int>(8 * degree);
-    while (v < rows && gradient.at<float>(v, u + 8) < 6 * noise + 3) ++v;
+    while (v < rows && (!isValid(v, u) || gradient.at<float>(v, u + 8) < 6 * noise + 3)) ++v;
     path[u] = std::min(v, static_cast<int>(85 * degree));
   }
   Columns columns;
@@ -193,8 +193,8 @@ SkyLine findSkyLine(const cv::Mat& bgr, const cv::Mat& mask) {
     const int reach = static_cast<int>(std::ceil(3 * factor));
     const int low = std::max(1, static_cast<int>(centre) - reach),
               high = std::min(bgr.rows - 3, static_cast<int>(centre) + reach + 1);
-    if (!mask.empty() && mask.at<std::uint8_t>(std::clamp(static_cast<int>(centre), 0, bgr.rows - 1), u) < 255)
-      continue;
+    // Of a photograph: where no sky is seen above it, the line lies beyond the image.
+    if (!isValid(std::min(path[us], height - 1), us) || !isValid(std::max(0, path[us] - 3), us)) continue;
     std::vector<float> change(std::max(0, high - low + 1));
     int best = -1;
     for (int v = low; v <= high; ++v) {

@@ -110,6 +110,43 @@ TEST(PanoramaRegistration, ATiltIsFoundWithItsSign) {
   }
 }
 
+TEST(PanoramaRegistration, CorrectsPhotographsOrRefusesThem) {
+  air_ground_common::CameraModel camera;
+  camera.width = 1024, camera.height = 768;
+  camera.fx = camera.fy = 512 / std::tan(0.5 * 75 * M_PI / 180);
+  camera.cx = 511.5, camera.cy = 383.5, camera.k1 = -0.02;
+  int accepted = 0;
+  for (int seed = 251; seed <= 252; ++seed) {
+    const SyntheticStreet street(streetOf(seed));
+    const PanoramaRegistrar registrar(street.model());
+    std::mt19937_64 random(seed);
+    for (const double yaw : {0.0, M_PI / 4}) {
+      Pose truth = street.panoramaPose(60, &random);
+      truth.linear() = truth.linear() * air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero()).linear() *
+                       air_ground_common::expSO3({0, -0.2, 0});  // a little upwards
+      const Pose geotag = drawGeotag(truth, &random);
+      const cv::Mat image = street.photograph(camera, truth);
+      const RegistrationResult result = registrar.registerPhotograph(image, camera, geotag);
+      if (accepted == 0) {
+        cv::Mat mirrored;
+        cv::flip(image, mirrored, 1);
+        EXPECT_FALSE(registrar.registerPhotograph(mirrored, camera, geotag).accepted) << seed;
+      }
+      if (!result.accepted) {
+        EXPECT_FALSE(result.reason.empty());
+        EXPECT_TRUE(result.T_world_panorama.isApprox(geotag));
+        continue;
+      }
+      ++accepted;
+      EXPECT_LT((result.T_world_panorama.translation() - truth.translation()).norm(), 1.0) << seed << " " << yaw;
+      EXPECT_LT(air_ground_common::rotationAngle(result.T_world_panorama.linear(), truth.linear()), 0.026)
+          << seed << " " << yaw;
+      EXPECT_LT(result.position_stddev, 0.5);
+    }
+  }
+  EXPECT_GE(accepted, 2);
+}
+
 TEST(PanoramaRegistration, RefusesWhatIsNotThere) {
   const SyntheticStreet street(streetOf(221)), other(streetOf(222));
   const PanoramaRegistrar registrar(street.model());

@@ -229,6 +229,25 @@ Eigen::Vector3f SyntheticStreet::shade(const Patch& patch, const Eigen::Vector3f
   return (albedo * (0.45f + 0.6f * direct)).cwiseProduct(light_);
 }
 
+cv::Vec3b SyntheticStreet::pixel(const Eigen::Vector3f& origin, const std::array<Eigen::Vector3f, 4>& rays,
+                                 int number) const {
+  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+  for (const Eigen::Vector3f& ray : rays) {
+    const auto hit = scene_->cast(origin, ray);
+    sum += hit ? shade(patches_[patch_of_triangle_[hit->triangle]], origin + hit->distance * ray) : sky(ray);
+  }
+  // Gamma 2, and the sensor's noise from the pixel's own place.
+  std::uint32_t h = static_cast<std::uint32_t>(number) * 2654435761u;
+  cv::Vec3b colour;
+  for (int c = 0; c < 3; ++c) {
+    h = (h ^ (h >> 15)) * 2246822519u;
+    const float grain = (static_cast<float>(h >> 16) / 65535.0f - 0.5f) * 8;
+    const float value = 255 * std::sqrt(std::min(1.0f, 0.25f * sum[2 - c])) + grain;
+    colour[c] = cv::saturate_cast<std::uint8_t>(value);
+  }
+  return colour;
+}
+
 cv::Mat SyntheticStreet::render(const Pose& T_world_panorama) const {
   const int width = settings_.image_width, height = width / 2;
   cv::Mat image(height, width, CV_8UC3);
@@ -237,25 +256,30 @@ cv::Mat SyntheticStreet::render(const Pose& T_world_panorama) const {
 #pragma omp parallel for schedule(dynamic, 8)
   for (int v = 0; v < height; ++v) {
     for (int u = 0; u < width; ++u) {
-      Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+      std::array<Eigen::Vector3f, 4> rays;
       for (int sample = 0; sample < 4; ++sample) {
         const double azimuth = (0.5 - (u + 0.25 + 0.5 * (sample & 1)) / width) * 2 * M_PI;
         const double elevation = (0.5 - (v + 0.25 + 0.5 * (sample >> 1)) / height) * M_PI;
-        const Eigen::Vector3f direction =
-            R * Eigen::Vector3f(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
-                                std::sin(elevation));
-        const auto hit = scene_->cast(origin, direction);
-        sum += hit ? shade(patches_[patch_of_triangle_[hit->triangle]], origin + hit->distance * direction)
-                   : sky(direction);
+        rays[sample] = R * Eigen::Vector3f(std::cos(elevation) * std::cos(azimuth),
+                                           std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
       }
-      // Gamma 2, and the sensor's noise from the pixel's own place.
-      std::uint32_t h = static_cast<std::uint32_t>(v * width + u) * 2654435761u;
-      for (int c = 0; c < 3; ++c) {
-        h = (h ^ (h >> 15)) * 2246822519u;
-        const float grain = (static_cast<float>(h >> 16) / 65535.0f - 0.5f) * 8;
-        const float value = 255 * std::sqrt(std::min(1.0f, 0.25f * sum[2 - c])) + grain;
-        image.at<cv::Vec3b>(v, u)[c] = cv::saturate_cast<std::uint8_t>(value);
-      }
+      image.at<cv::Vec3b>(v, u) = pixel(origin, rays, v * width + u);
+    }
+  }
+  return image;
+}
+
+cv::Mat SyntheticStreet::photograph(const air_ground_common::CameraModel& camera, const Pose& T_world_body) const {
+  cv::Mat image(camera.height, camera.width, CV_8UC3);
+  const Eigen::Matrix3d R = T_world_body.linear() * air_ground_common::opticalFromForwardBody().transpose();
+  const Eigen::Vector3f origin = T_world_body.translation().cast<float>();
+#pragma omp parallel for schedule(dynamic, 8)
+  for (int v = 0; v < camera.height; ++v) {
+    for (int u = 0; u < camera.width; ++u) {
+      std::array<Eigen::Vector3f, 4> rays;
+      for (int sample = 0; sample < 4; ++sample)
+        rays[sample] = (R * camera.ray({u - 0.25 + 0.5 * (sample & 1), v - 0.25 + 0.5 * (sample >> 1)})).cast<float>();
+      image.at<cv::Vec3b>(v, u) = pixel(origin, rays, v * camera.width + u);
     }
   }
   return image;

@@ -1,12 +1,14 @@
 // A street of textured houses with exact truth, its erroneous cadastral model, and panoramas taken in it.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <random>
 #include <vector>
 
+#include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/mesh.h"
 #include "streetview_localizer/city_model.h"
@@ -32,6 +34,8 @@ class SyntheticStreet {
   /// Pose of a panorama `along` metres down the street, with the car's small tilt.
   air_ground_common::Pose panoramaPose(double along, std::mt19937_64* random) const;
   cv::Mat render(const air_ground_common::Pose& T_world_panorama) const;
+  /// The same seen by a perspective camera; body frame: x along the optical axis, y left, z up.
+  cv::Mat photograph(const air_ground_common::CameraModel& camera, const air_ground_common::Pose& T_world_body) const;
 
  private:
   enum class Kind : std::uint8_t { kWall, kRoof, kGround, kBox };
@@ -52,6 +56,8 @@ class SyntheticStreet {
   void addHouse(double s0, double s1, double q0, double q1, double height, double ridge, std::mt19937_64* random);
   Eigen::Vector3f shade(const Patch& patch, const Eigen::Vector3f& point) const;
   Eigen::Vector3f sky(const Eigen::Vector3f& direction) const;
+  /// Colour of the pixel with this running number, the mean along four rays (unit, world).
+  cv::Vec3b pixel(const Eigen::Vector3f& origin, const std::array<Eigen::Vector3f, 4>& rays, int number) const;
 
   SyntheticStreetSettings settings_;
   air_ground_common::TriangleMesh mesh_;

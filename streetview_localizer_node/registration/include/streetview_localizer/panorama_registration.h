@@ -78,7 +78,8 @@ class PanoramaRegistrar {
   /// Throws std::invalid_argument for another kind of image; what cannot be corrected is a result with a reason.
   RegistrationResult registerPanorama(const cv::Mat& equirect_bgr, const air_ground_common::Pose& T_world_geotag) const;
 
-  /// The same for a wide perspective photograph; body frame as of a panorama: x along the optical axis, y left, z up.
+  /// The same for a wide perspective photograph, which must fit better to be believed. Body frame: x along the optical
+  /// axis, y left, z up. Throws std::invalid_argument for an image of another size than the camera's.
   RegistrationResult registerPhotograph(const cv::Mat& bgr, const air_ground_common::CameraModel& camera,
                                         const air_ground_common::Pose& T_world_geotag) const;
 
