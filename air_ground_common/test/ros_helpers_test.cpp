@@ -90,6 +90,17 @@ TEST(StreamJumpDetector, LaggingStreamIsNoJumpAndLoopedBagIsOne) {
   EXPECT_THROW(detector.watch(2, ros::Time(1.0), wall), std::out_of_range);
 }
 
+TEST(StreamJumpDetector, AStreamThatBeginsAfterAShortJumpIsNotOld) {
+  using Verdict = StreamJumpDetector::Verdict;
+  StreamJumpDetector detector(2);
+  const ros::WallTime wall(50.0);
+  EXPECT_EQ(detector.watch(0, ros::Time(101.4), wall), Verdict::kInOrder);
+  EXPECT_EQ(detector.watch(1, ros::Time(101.4), wall), Verdict::kInOrder);
+  EXPECT_EQ(detector.watch(0, ros::Time(100.0), wall), Verdict::kJump);
+  EXPECT_EQ(detector.watch(1, ros::Time(101.3), wall), Verdict::kOld);
+  EXPECT_EQ(detector.watch(1, ros::Time(102.0), wall), Verdict::kInOrder) << "the old pass never came so far";
+}
+
 TEST(StreamJumpDetector, OneWrongStampIsNoJump) {
   using Verdict = StreamJumpDetector::Verdict;
   StreamJumpDetector detector(1);

@@ -144,13 +144,15 @@ StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const r
     if (back) {
       // Halfway between the passes lies what tells the old one from the new one on streams that have yet to follow.
       ceiling_ = t + (newest_ - t) * 0.5;
+      old_newest_ = newest_;
       stream.pass = ++pass_;
       newest_ = t;
       jumped_ = now;
       verdict = Verdict::kJump;
     }
   } else {
-    if (!back && t > ceiling_ && (now - jumped_).toSec() < patience_) return Verdict::kOld;
+    constexpr double kAhead = 0.1;  // [s] of one stream before the others
+    if (!back && t > ceiling_ && t < old_newest_ + kAhead && (now - jumped_).toSec() < patience_) return Verdict::kOld;
     stream.pass = pass_;
     stream.newest = t;
   }

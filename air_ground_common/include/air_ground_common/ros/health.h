@@ -112,7 +112,8 @@ class StreamJumpDetector {
   std::vector<Stream> streams_;
   double tolerance_, patience_;
   unsigned pass_ = 0;
-  double newest_ = -1, ceiling_ = 0;  ///< of the present pass; between the passes [s]
+  double newest_ = -1;                    ///< of the present pass [s]
+  double old_newest_ = -1, ceiling_ = 0;  ///< of the pass before; between the passes [s]
   ros::WallTime jumped_;
 };
 
