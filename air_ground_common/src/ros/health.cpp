@@ -100,7 +100,8 @@ void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
   status.summary(static_cast<unsigned char>(level_), line_);
   for (const auto& [topic, input] : inputs_)
     if (input.warned && input.messages > 0)
-      status.mergeSummaryf(diagnostic_msgs::DiagnosticStatus::ERROR, "nothing on %s for %.0f s", topic.c_str(), (ros::WallTime::now() - input.last_arrival).toSec());
+      status.summaryf(diagnostic_msgs::DiagnosticStatus::ERROR, "%s; nothing on %s for %.0f s", std::string(status.message).c_str(), topic.c_str(),
+                      (ros::WallTime::now() - input.last_arrival).toSec());
   const double alive = (ros::WallTime::now() - started_).toSec();
   for (const auto& [topic, input] : inputs_) {
     status.addf(topic + " messages", "%zu", input.messages);
