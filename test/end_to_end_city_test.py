@@ -24,6 +24,10 @@ class EndToEndCity(DemonstrationTest):
         self.assertLess(r['tracker_position_error_max_m'], 4.0)
         self.assertLess(r['tracker_yaw_error_mean_deg'], 3.0)
         self.assertLess(r['tracker_position_error_mean_m'], r['gps_position_error_mean_m'])
+        # What it states must fit its errors: 4 if consistent; a short flight's errors are few and alike.
+        self.assertGreater(r['tracker_nees_mean'], 0.1)
+        self.assertLess(r['tracker_nees_mean'], 15.0)
+        self.assertLess(r['tracker_stated_sigma_x_mean_m'], 1.0)
         self.assertGreater(r['way_length_m'] - r['tracker_start_after_m'], 15.0)
 
     def test_fixes(self):
