@@ -146,6 +146,21 @@ TEST(NodeHealth, AnInputThatDiesIsAnError) {
   EXPECT_TRUE(spinUntil([&] { return level == 0; })) << "and recovers";
 }
 
+TEST(StreamGate, StartsAfreshAtAJumpAndCountsWhatItDrops) {
+  NodeHealth health("gate_test");
+  int afresh = 0;
+  StreamGate gate(2, health, [&] { ++afresh; });
+  EXPECT_TRUE(gate.admit(0, ros::Time(110.0)));
+  EXPECT_TRUE(gate.admit(1, ros::Time(110.0)));
+  EXPECT_EQ(afresh, 0);
+  EXPECT_TRUE(gate.admit(0, ros::Time(100.0))) << "the first message of the new pass";
+  EXPECT_EQ(afresh, 1);
+  EXPECT_FALSE(gate.admit(1, ros::Time(109.0))) << "the end of the old one";
+  EXPECT_EQ(health.counted("messages of the time before a jump dropped"), 1u);
+  EXPECT_TRUE(gate.admit(1, ros::Time(100.1)));
+  EXPECT_EQ(afresh, 1);
+}
+
 TEST(NodeHealth, CountersReachDiagnostics) {
   ros::NodeHandle nh;
   std::string value;

@@ -86,7 +86,7 @@ class DenseFusionNode {
     health_.received(image_topic_, msg->header.stamp);
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      if (!admit(kImages, msg->header.stamp)) return;
+      if (!gate_.admit(kImages, msg->header.stamp)) return;
       if (queue_.size() >= static_cast<std::size_t>(settings_.queue_size)) {
         queue_.pop_front();
         health_.count("images dropped: the queue was full");
@@ -105,7 +105,7 @@ class DenseFusionNode {
       for (const auto& p : ros_utils::cloudFromMsg(*msg, &dropped)) points.push_back(p.position);
       {
         const std::lock_guard<std::mutex> lock(queue_mutex_);
-        if (!admit(kSparseClouds, msg->header.stamp)) return;
+        if (!gate_.admit(kSparseClouds, msg->header.stamp)) return;
         sparse_points_ = std::move(points);
         sparse_frame_ = msg->header.frame_id;
         sparse_stamp_ = msg->header.stamp;
@@ -116,19 +116,10 @@ class DenseFusionNode {
     }
   }
 
-  // Called with the queue locked. False: the message is from before a jump of time and is dropped.
-  bool admit(Stream stream, const ros::Time& stamp) {
-    using Verdict = ros_utils::StreamJumpDetector::Verdict;
-    const Verdict verdict = jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kOld) {
-      health_.count("messages of the time before a jump dropped");
-      return false;
-    }
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("time jumped back: the dense map starts afresh");
-      forgetInputs();
-    }
-    return true;
+  // Called with the queue locked.
+  void onTimeJump() {
+    ROS_WARN("time jumped back: the dense map starts afresh");
+    forgetInputs();
   }
 
   // Called with the queue locked.
@@ -407,7 +398,7 @@ class DenseFusionNode {
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_, idle_;
   std::deque<air_ground::PosedImage::ConstPtr> queue_;
-  ros_utils::StreamJumpDetector jumps_{kStreams};
+  ros_utils::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};
   std::vector<Eigen::Vector3f> sparse_points_;
   std::string sparse_frame_;
   ros::Time sparse_stamp_;

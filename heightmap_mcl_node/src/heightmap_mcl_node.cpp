@@ -29,7 +29,6 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 using air_ground_common::Pose;
-using Verdict = ros_utils::StreamJumpDetector::Verdict;
 
 air_ground::HeightMap toMsg(const HeightMap& map, const std_msgs::Header& header, std::uint32_t map_id) {
   air_ground::HeightMap msg;
@@ -148,7 +147,7 @@ class HeightmapMclNode {
   void onAerialCloud(const Cloud& msg) {
     health_.received(cloud_sub_.getTopic(), msg->header.stamp);
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!admitMav(kAerial, msg->header.stamp)) return;
+    if (!mav_gate_.admit(kAerial, msg->header.stamp)) return;
     if (!frameFits(msg->header.frame_id, settings_.mav_map_frame, &mav_frame_, "aerial clouds")) return;
     if (!odometry_.empty() && msg->header.stamp.toSec() > odometry_.back().stamp + 5) {
       health_.count("aerial clouds later than the odometry by more than 5 s dropped");
@@ -174,7 +173,7 @@ class HeightmapMclNode {
       return;
     }
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!admitGround(kGround, msg->header.stamp)) return;
+    if (!ground_gate_.admit(kGround, msg->header.stamp)) return;
     if (!frameFits(msg->header.frame_id, settings_.ground_map_frame, &ground_frame_, "ground clouds")) return;
     if (msg->header.stamp < ground_map_begin_) {
       health_.count("ground clouds of an earlier map dropped");
@@ -186,7 +185,7 @@ class HeightmapMclNode {
 
   void onOdometry(const nav_msgs::OdometryConstPtr& msg) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!admitMav(kOdometry, msg->header.stamp)) return;
+    if (!mav_gate_.admit(kOdometry, msg->header.stamp)) return;
     if (!mav_frame_.empty() && msg->header.frame_id != mav_frame_) {
       health_.count("odometry in frame '" + msg->header.frame_id + "' ignored: aerial clouds are in '" + mav_frame_ + "'");
       return;
@@ -206,7 +205,7 @@ class HeightmapMclNode {
 
   void onVoStatus(const air_ground::VoStatusConstPtr& msg) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!admitMav(kMavStatus, msg->header.stamp)) return;
+    if (!mav_gate_.admit(kMavStatus, msg->header.stamp)) return;
     if (map_id_ && msg->map_id != *map_id_) {
       ROS_INFO("The MAV has begun map %u: searching again", msg->map_id);
       forgetAerial();
@@ -217,7 +216,7 @@ class HeightmapMclNode {
 
   void onGroundStatus(const air_ground::VoStatusConstPtr& msg) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!admitGround(kGroundStatus, msg->header.stamp)) return;
+    if (!ground_gate_.admit(kGroundStatus, msg->header.stamp)) return;
     if (ground_map_id_ && msg->map_id != *ground_map_id_) {
       ROS_INFO("The ground robot has begun map %u: searching again", msg->map_id);
       forgetGround();
@@ -288,29 +287,14 @@ class HeightmapMclNode {
 
   // All below: mutex_ held.
 
-  /// False: the message comes of the time before a jump and is dropped. The robots' clocks are watched apart: when the MAV's
-  /// steps back, a ground robot that stands still does not send its map again.
-  bool admitMav(MavStream stream, const ros::Time& stamp) {
-    const auto verdict = mav_jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("The MAV's time jumped back to %.3f: its map starts afresh", stamp.toSec());
-      forgetAerial();
-    }
-    return inOrder(verdict);
+  void onMavTimeJump() {
+    ROS_WARN("The MAV's time jumped back: its map starts afresh");
+    forgetAerial();
   }
 
-  bool admitGround(GroundStream stream, const ros::Time& stamp) {
-    const auto verdict = ground_jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("The ground robot's time jumped back to %.3f: its map starts afresh", stamp.toSec());
-      forgetGround();
-    }
-    return inOrder(verdict);
-  }
-
-  bool inOrder(Verdict verdict) {
-    if (verdict == Verdict::kOld) health_.count("messages of the time before a jump dropped");
-    return verdict != Verdict::kOld;
+  void onGroundTimeJump() {
+    ROS_WARN("The ground robot's time jumped back: its map starts afresh");
+    forgetGround();
   }
 
   void forgetAerial() {
@@ -550,7 +534,9 @@ class HeightmapMclNode {
   Command command_;
   std::deque<Cloud> clouds_;
   Cloud ground_;
-  ros_utils::StreamJumpDetector mav_jumps_{kMavStreams}, ground_jumps_{kGroundStreams};
+  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its map again.
+  ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
+  ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
   ros::Time map_begin_, ground_map_begin_;  // clouds before belong to an earlier map
   air_ground_common::Trajectory odometry_;
   std::optional<std::uint32_t> map_id_, ground_map_id_;

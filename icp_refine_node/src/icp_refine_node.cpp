@@ -31,7 +31,6 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 using Clock = std::chrono::steady_clock;
-using Verdict = ros_utils::StreamJumpDetector::Verdict;
 
 YAML::Node toYaml(XmlRpc::XmlRpcValue& value) {
   switch (value.getType()) {
@@ -167,36 +166,25 @@ class IcpRefineNode {
 
   // ---- Inputs: check, convert, hand to the worker ------------------------------------------------------------------
 
-  // mutex_ held for the next six.
+  // mutex_ held for the next seven.
 
-  // False: the message comes of the time before a jump (a looped bag) and is dropped. The robots' clocks are watched apart: when
-  // the MAV's steps back, a ground robot that stands still does not send its map again.
-  bool admitMav(MavStream stream, const ros::Time& stamp) {
-    const Verdict verdict = stamp.isZero() ? Verdict::kInOrder : mav_jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("the MAV's time jumped back: its map starts afresh");
-      health_.count("time jumps");
-      startMap();
-      map_id_.reset();
-      map_id_from_status_ = false;
-    }
-    return inOrder(verdict);
+  // A message without a stamp is taken as it comes.
+  bool admitMav(MavStream stream, const ros::Time& stamp) { return stamp.isZero() || mav_gate_.admit(stream, stamp); }
+  bool admitGround(GroundStream stream, const ros::Time& stamp) { return stamp.isZero() || ground_gate_.admit(stream, stamp); }
+
+  void onMavTimeJump() {
+    ROS_WARN("the MAV's time jumped back: its map starts afresh");
+    health_.count("time jumps");
+    startMap();
+    map_id_.reset();
+    map_id_from_status_ = false;
   }
 
-  bool admitGround(GroundStream stream, const ros::Time& stamp) {
-    const Verdict verdict = stamp.isZero() ? Verdict::kInOrder : ground_jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("the ground robot's time jumped back: its map starts afresh");
-      health_.count("time jumps");
-      startGround();
-      ground_map_id_.reset();
-    }
-    return inOrder(verdict);
-  }
-
-  bool inOrder(Verdict verdict) {
-    if (verdict == Verdict::kOld) health_.count("messages of the time before a jump dropped");
-    return verdict != Verdict::kOld;
+  void onGroundTimeJump() {
+    ROS_WARN("the ground robot's time jumped back: its map starts afresh");
+    health_.count("time jumps");
+    startGround();
+    ground_map_id_.reset();
   }
 
   void startMap() {
@@ -626,7 +614,9 @@ class IcpRefineNode {
   std::optional<Pose> odometry_;       // T_mav_map_base, the latest
   std::optional<Pose> T_ground_mav_;   // what tf says
   ros::Time last_tf_;
-  ros_utils::StreamJumpDetector mav_jumps_{kMavStreams}, ground_jumps_{kGroundStreams};
+  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its map again.
+  ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
+  ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
 
   std::mutex map_mutex_;
   std::vector<ros_utils::CloudPoint> ground_points_;

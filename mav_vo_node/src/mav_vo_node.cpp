@@ -116,7 +116,7 @@ class MavVoNode {
     if (!sample) return;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      if (!admit(msg->header.stamp, kImu)) return;
+      if (!gate_.admit(kImu, msg->header.stamp)) return;
       imu_queue_.push_back({sample->stamp, sample->angular_velocity, sample->specific_force});
       if (imu_queue_.size() > 20000) imu_queue_.pop_front();
       newest_imu_ = std::max(newest_imu_, sample->stamp);
@@ -129,7 +129,7 @@ class MavVoNode {
     health_.received(image_topic_, msg->header.stamp);
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      if (!admit(msg->header.stamp, kImage)) return;
+      if (!gate_.admit(kImage, msg->header.stamp)) return;
       if (image_queue_.size() >= static_cast<std::size_t>(settings_.queue_size)) {
         image_queue_.pop_front();
         health_.count("images dropped: the queue was full");
@@ -139,22 +139,13 @@ class MavVoNode {
     queue_changed_.notify_all();
   }
 
-  /// Called with the queue locked. False: the message comes of the time before a jump and is dropped.
-  bool admit(const ros::Time& stamp, Stream stream) {
-    using Verdict = ros_utils::StreamJumpDetector::Verdict;
-    const Verdict verdict = jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kOld) {
-      health_.count("messages of the time before a jump dropped");
-      return false;
-    }
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("time jumped back: visual odometry starts afresh");
-      newest_imu_ = 0;
-      image_queue_.clear();
-      imu_queue_.clear();
-      reset_requested_ = true;
-    }
-    return true;
+  /// Called with the queue locked.
+  void onTimeJump() {
+    ROS_WARN("time jumped back: visual odometry starts afresh");
+    newest_imu_ = 0;
+    image_queue_.clear();
+    imu_queue_.clear();
+    reset_requested_ = true;
   }
 
   // ---- Worker ---------------------------------------------------------------------------------------------------------
@@ -429,7 +420,6 @@ class MavVoNode {
   ros::NodeHandle handle_, private_handle_{"~"};
   ros_utils::NodeHealth health_;
   ros_utils::ImuInput imu_input_{health_};
-  ros_utils::StreamJumpDetector jumps_{kStreams};
   ros_utils::PosePublisher pose_publisher_;
   ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, status_publisher_, track_publisher_;
   ros::Subscriber info_subscriber_, imu_subscriber_, image_subscriber_;
@@ -439,6 +429,7 @@ class MavVoNode {
   // Shared with the worker.
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_;
+  ros_utils::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};
   std::deque<sensor_msgs::Image::ConstPtr> image_queue_;
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;

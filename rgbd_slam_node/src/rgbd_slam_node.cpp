@@ -112,7 +112,7 @@ class RgbdSlamNode {
     if (!sample) return;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      if (!admit(msg->header.stamp, kImu)) return;
+      if (!gate_.admit(kImu, msg->header.stamp)) return;
       imu_queue_.push_back({sample->stamp, sample->angular_velocity, sample->specific_force});
       if (imu_queue_.size() > 40000) imu_queue_.pop_front();
       newest_imu_ = std::max(newest_imu_, sample->stamp);
@@ -128,7 +128,7 @@ class RgbdSlamNode {
     health_.received(topic, msg->header.stamp);
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      if (!admit(msg->header.stamp, colour ? kColour : kDepth)) return;
+      if (!gate_.admit(colour ? kColour : kDepth, msg->header.stamp)) return;
       const double stamp = msg->header.stamp.toSec();
       const std::size_t lost = pairer_.overflow();
       if (colour) pairer_.addColour(stamp, msg);
@@ -138,20 +138,11 @@ class RgbdSlamNode {
     queue_changed_.notify_all();
   }
 
-  /// Called with the queue locked. False: the message comes of the time before a jump and is dropped.
-  bool admit(const ros::Time& stamp, Stream stream) {
-    using Verdict = ros_utils::StreamJumpDetector::Verdict;
-    const Verdict verdict = jumps_.watch(stream, stamp);
-    if (verdict == Verdict::kOld) {
-      health_.count("messages of the time before a jump dropped");
-      return false;
-    }
-    if (verdict == Verdict::kJump) {
-      ROS_WARN("time jumped back: SLAM starts afresh");
-      clearQueues();
-      reset_requested_ = true;
-    }
-    return true;
+  /// Called with the queue locked.
+  void onTimeJump() {
+    ROS_WARN("time jumped back: SLAM starts afresh");
+    clearQueues();
+    reset_requested_ = true;
   }
 
   void clearQueues() {
@@ -468,7 +459,6 @@ class RgbdSlamNode {
   ros::NodeHandle handle_, private_handle_{"~"};
   ros_utils::NodeHealth health_;
   ros_utils::ImuInput imu_input_{health_};
-  ros_utils::StreamJumpDetector jumps_{kStreams};
   ros_utils::PosePublisher pose_publisher_;
   ros::Publisher cloud_publisher_, status_publisher_, keyframe_publisher_;
   ros::Subscriber info_subscriber_, imu_subscriber_, colour_subscriber_, depth_subscriber_;
@@ -478,6 +468,7 @@ class RgbdSlamNode {
   // Shared with the worker.
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_;
+  ros_utils::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};
   FramePairer<sensor_msgs::Image::ConstPtr> pairer_;
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;

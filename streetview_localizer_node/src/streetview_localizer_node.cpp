@@ -105,7 +105,7 @@ class StreetviewLocalizerNode {
 
   void onImage(const sensor_msgs::Image::ConstPtr& msg) {
     health_.received(image_.getTopic(), msg->header.stamp);
-    if (!inOrder(kImages, msg->header.stamp)) return;
+    if (!gate_.admit(kImages, msg->header.stamp)) return;
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!camera_) return health_.count("images without calibration");
     if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
@@ -118,18 +118,10 @@ class StreetviewLocalizerNode {
   }
 
   // A looped bag starts the node afresh, whichever input comes round first.
-  bool inOrder(Stream stream, const ros::Time& stamp) {
-    const auto verdict = jumps_.watch(stream, stamp);
-    if (verdict == ru::StreamJumpDetector::Verdict::kOld) {
-      health_.count("messages from before a jump of time, or with a stamp far off: dropped");
-      return false;
-    }
-    if (verdict == ru::StreamJumpDetector::Verdict::kJump) {
-      ROS_WARN("time jumped back (a looped bag?): starting afresh");
-      health_.count("time jumped back: started afresh");
-      reset();
-    }
-    return true;
+  void onTimeJump() {
+    ROS_WARN("time jumped back (a looped bag?): starting afresh");
+    health_.count("time jumped back: started afresh");
+    reset();
   }
 
   std::optional<TimedPose> read(const nav_msgs::Odometry& msg, const std::string& topic) {
@@ -154,7 +146,7 @@ class StreetviewLocalizerNode {
     if (msg->header.frame_id != settings_.world_frame)
       return health_.count("tracked poses ignored: in frame '" + msg->header.frame_id + "', expected '" + settings_.world_frame + "'");
     const auto pose = read(*msg, "tracked pose");
-    if (pose && inOrder(kPriors, msg->header.stamp)) {
+    if (pose && gate_.admit(kPriors, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
       priors_.push(*pose);
     }
@@ -162,7 +154,7 @@ class StreetviewLocalizerNode {
 
   void onAttitude(const nav_msgs::Odometry::ConstPtr& msg) {
     const auto pose = read(*msg, "attitude");
-    if (pose && inOrder(kAttitudes, msg->header.stamp)) {
+    if (pose && gate_.admit(kAttitudes, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
       attitudes_.push(*pose);
       wake_.notify_all();
@@ -361,7 +353,7 @@ class StreetviewLocalizerNode {
   ros::NodeHandle handle_;
   const NodeSettings settings_;
   ru::NodeHealth health_;
-  ru::StreamJumpDetector jumps_{kStreams};  // of the callbacks, which share one thread
+  ru::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};  // of the callbacks, which share one thread
   tf2_ros::Buffer tf_;
   tf2_ros::TransformListener listener_;
   std::unique_ptr<Localizer> localizer_;

@@ -166,4 +166,14 @@ StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const r
   return verdict;
 }
 
+bool StreamGate::admit(std::size_t stream, const ros::Time& stamp) {
+  const StreamJumpDetector::Verdict verdict = jumps_.watch(stream, stamp);
+  if (verdict == StreamJumpDetector::Verdict::kOld) {
+    health_.count("messages of the time before a jump dropped");
+    return false;
+  }
+  if (verdict == StreamJumpDetector::Verdict::kJump) start_afresh_();
+  return true;
+}
+
 }  // namespace air_ground_common::ros_utils

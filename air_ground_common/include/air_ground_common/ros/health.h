@@ -10,6 +10,7 @@
 #include <map>
 #include <mutex>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace air_ground_common::ros_utils {
@@ -115,6 +116,22 @@ class StreamJumpDetector {
   double newest_ = -1;                    ///< of the present pass [s]
   double old_newest_ = -1, ceiling_ = 0;  ///< of the pass before; between the passes [s]
   ros::WallTime jumped_;
+};
+
+/// What a node does with the verdict: starts afresh at a jump, and counts what it drops. Not thread-safe.
+class StreamGate {
+ public:
+  /// `start_afresh` is called at a jump, before the message that shows it is used.
+  StreamGate(std::size_t streams, NodeHealth& health, std::function<void()> start_afresh)
+      : jumps_(streams), health_(health), start_afresh_(std::move(start_afresh)) {}
+
+  /// False: drop the message.
+  bool admit(std::size_t stream, const ros::Time& stamp);
+
+ private:
+  StreamJumpDetector jumps_;
+  NodeHealth& health_;
+  std::function<void()> start_afresh_;
 };
 
 }  // namespace air_ground_common::ros_utils
