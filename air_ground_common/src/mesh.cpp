@@ -3,28 +3,16 @@
 #include <embree3/rtcore.h>
 
 #include <cmath>
-#include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <limits>
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/atomic_file.h"
+
 namespace air_ground_common {
 namespace {
-
-// Writes through `path`.partial so that an interrupted write leaves the old file whole.
-template <typename Body>
-void writeAtomically(const std::string& path, const Body& body) {
-  const std::string partial = path + ".partial";
-  {
-    std::ofstream file(partial, std::ios::binary);
-    body(file);
-    file.close();
-    if (!file) throw std::runtime_error("cannot write " + path);
-  }
-  if (std::rename(partial.c_str(), path.c_str()) != 0) throw std::runtime_error("cannot write " + path);
-}
 
 template <typename T>
 void put(std::ostream& out, const T& value) {

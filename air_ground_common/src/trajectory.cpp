@@ -2,11 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <fstream>
 #include <iomanip>
 #include <sstream>
 #include <stdexcept>
+
+#include "air_ground_common/atomic_file.h"
 
 namespace air_ground_common {
 
@@ -36,19 +37,14 @@ Trajectory readTum(const std::string& path) {
 }
 
 void writeTum(const std::string& path, const Trajectory& trajectory) {
-  const std::string partial = path + ".partial";
-  {
-    std::ofstream file(partial);
+  writeAtomically(path, [&](std::ostream& file) {
     file << "# stamp[s] tx ty tz[m] qx qy qz qw\n" << std::fixed << std::setprecision(9);
     for (const auto& p : trajectory) {
       const Eigen::Quaterniond q(p.T_map_body.linear());
       const Eigen::Vector3d t = p.T_map_body.translation();
       file << p.stamp << ' ' << t.x() << ' ' << t.y() << ' ' << t.z() << ' ' << q.x() << ' ' << q.y() << ' ' << q.z() << ' ' << q.w() << '\n';
     }
-    file.close();
-    if (!file) throw std::runtime_error("cannot write trajectory " + path);
-  }
-  if (std::rename(partial.c_str(), path.c_str()) != 0) throw std::runtime_error("cannot write trajectory " + path);
+  });
 }
 
 std::optional<Pose> poseAt(const Trajectory& trajectory, double stamp, double max_gap) {
