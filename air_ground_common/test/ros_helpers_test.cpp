@@ -11,6 +11,7 @@
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
+#include "air_ground_common/ros/sensor_input.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -252,6 +253,38 @@ TEST(LookupStatic, SaysWhatIsMissing) {
   EXPECT_FALSE(lookupStatic("base_link", "camera", 0.2, &why));
   EXPECT_NE(why.find("camera"), std::string::npos);
   EXPECT_TRUE(lookupStatic("same", "same", 0.2, &why));
+}
+
+TEST(LookupMounting, TakesWhatIsGivenAndCountsWhatIsMissing) {
+  NodeHealth health("mounting_test");
+  const Pose given = yawPose(0.3, {1, 2, 3});
+  const auto T_base_imu = lookupMounting(given, "base_link", "imu", "imu", 0.2, health);
+  ASSERT_TRUE(T_base_imu);
+  EXPECT_LT((T_base_imu->matrix() - given.matrix()).norm(), 1e-12);
+  EXPECT_FALSE(lookupMounting(std::nullopt, "base_link", "camera", "camera", 0.2, health));
+  EXPECT_EQ(health.counted("images without the mounting of the camera (tf, or parameter base_camera)"), 1u);
+}
+
+TEST(Calibration, CountsAsNewOnlyWithAnImageOfItsSize) {
+  Calibration in_use;
+  in_use.info.header.frame_id = "camera";
+  in_use.info.width = 640;
+  in_use.info.height = 480;
+  Calibration latest = in_use;
+  sensor_msgs::Image image;
+  image.header.frame_id = "optical";
+  image.width = 640;
+  image.height = 480;
+  EXPECT_FALSE(recalibrated(in_use, latest, image));
+  latest.info.width = 320;
+  EXPECT_FALSE(recalibrated(in_use, latest, image)) << "an image of the old size";
+  image.width = 320;
+  EXPECT_TRUE(recalibrated(in_use, latest, image));
+
+  EXPECT_EQ(cameraFrame("mine", latest, image), "mine");
+  EXPECT_EQ(cameraFrame("", latest, image), "camera");
+  latest.info.header.frame_id.clear();
+  EXPECT_EQ(cameraFrame("", latest, image), "optical");
 }
 
 }  // namespace

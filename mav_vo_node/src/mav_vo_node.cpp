@@ -103,7 +103,7 @@ class MavVoNode {
     try {
       const CameraModel camera = ros_utils::fromMsg(*msg);
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      calibration_ = Calibration{camera, *msg};
+      calibration_ = ros_utils::Calibration{camera, *msg};
     } catch (const std::exception& e) {
       health_.count(std::string("camera calibrations refused: ") + e.what());
     }
@@ -213,7 +213,7 @@ class MavVoNode {
   /// Builds the odometry once calibration and mounting are known, and anew when the calibration changes or an IMU turns up. False,
   /// with the reason in diagnostics, while there is none. Waits for tf with nothing locked.
   bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
-    Calibration calibration;
+    ros_utils::Calibration calibration;
     std::string imu_frame = settings_.imu_frame;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
@@ -224,21 +224,12 @@ class MavVoNode {
     bool recalibrated = false;
     {
       const std::lock_guard<std::mutex> lock(odometry_mutex_);
-      // Images of the old size may still be on their way.
-      recalibrated = odometry_ && !ros_utils::sameCalibration(calibration.info, built_.info) && image.width == calibration.info.width &&
-                     image.height == calibration.info.height;
+      recalibrated = odometry_ && ros_utils::recalibrated(built_, calibration, image);
       if (odometry_ && !recalibrated && (with_imu_ || !imu_wanted)) return true;
     }
-    std::string camera_frame = settings_.camera_frame;
-    if (camera_frame.empty()) camera_frame = calibration.info.header.frame_id.empty() ? image.header.frame_id : calibration.info.header.frame_id;
-    std::string why;
+    const std::string camera_frame = ros_utils::cameraFrame(settings_.camera_frame, calibration, image);
     const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame, const char* sensor) {
-      const auto T = given ? given : ros_utils::lookupStatic(settings_.base_frame, frame, settings_.transform_timeout, &why);
-      if (!T) {
-        health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + frame + "': " + why);
-        health_.count(std::string("images without the mounting of the ") + sensor + " (tf, or parameter base_" + sensor + ")");
-      }
-      return T;
+      return ros_utils::lookupMounting(given, settings_.base_frame, frame, sensor, settings_.transform_timeout, health_);
     };
     const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame, "camera");
     if (!T_base_camera) return false;
@@ -411,11 +402,6 @@ class MavVoNode {
     return true;
   }
 
-  struct Calibration {
-    CameraModel camera;
-    sensor_msgs::CameraInfo info;
-  };
-
   const NodeSettings settings_;
   ros::NodeHandle handle_, private_handle_{"~"};
   ros_utils::NodeHealth health_;
@@ -433,14 +419,14 @@ class MavVoNode {
   std::deque<sensor_msgs::Image::ConstPtr> image_queue_;
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;
-  std::optional<Calibration> calibration_;
+  std::optional<ros_utils::Calibration> calibration_;
   std::string imu_frame_;
   bool stop_ = false, reset_requested_ = false;
 
   // Worker and services, one at a time.
   std::mutex odometry_mutex_;
   std::unique_ptr<Odometry> odometry_;
-  Calibration built_;  ///< what the odometry was built with
+  ros_utils::Calibration built_;  ///< what the odometry was built with
   bool with_imu_ = false;
   std::string camera_frame_;
   ros::Time last_stamp_, last_cloud_;

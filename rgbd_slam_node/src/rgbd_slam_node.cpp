@@ -99,7 +99,7 @@ class RgbdSlamNode {
     try {
       const CameraModel camera = ros_utils::fromMsg(*msg);
       const std::lock_guard<std::mutex> lock(queue_mutex_);
-      calibration_ = Calibration{camera, *msg};
+      calibration_ = ros_utils::Calibration{camera, *msg};
     } catch (const std::exception& e) {
       health_.count(std::string("camera calibrations refused: ") + e.what());
     }
@@ -247,7 +247,7 @@ class RgbdSlamNode {
   /// Builds SLAM once calibration and mounting are known, and anew when the calibration changes or an IMU turns up. False, with the
   /// reason in diagnostics, while there is none. Waits for tf with nothing locked.
   bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
-    Calibration calibration;
+    ros_utils::Calibration calibration;
     std::string imu_frame = settings_.imu_frame;
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
@@ -258,21 +258,12 @@ class RgbdSlamNode {
     bool recalibrated = false;
     {
       const std::lock_guard<std::mutex> lock(slam_mutex_);
-      // Images of the old size may still be on their way.
-      recalibrated = slam_ && !ros_utils::sameCalibration(calibration.info, built_.info) && image.width == calibration.info.width &&
-                     image.height == calibration.info.height;
+      recalibrated = slam_ && ros_utils::recalibrated(built_, calibration, image);
       if (slam_ && !recalibrated && (with_imu_ || !imu_wanted)) return true;
     }
-    std::string camera_frame = settings_.camera_frame;
-    if (camera_frame.empty()) camera_frame = calibration.info.header.frame_id.empty() ? image.header.frame_id : calibration.info.header.frame_id;
-    std::string why;
+    const std::string camera_frame = ros_utils::cameraFrame(settings_.camera_frame, calibration, image);
     const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame, const char* sensor) {
-      const auto T = given ? given : ros_utils::lookupStatic(settings_.base_frame, frame, settings_.transform_timeout, &why);
-      if (!T) {
-        health_.state(kWarn, "waiting for the transform " + settings_.base_frame + " <- '" + frame + "': " + why);
-        health_.count(std::string("images without the mounting of the ") + sensor + " (tf, or parameter base_" + sensor + ")");
-      }
-      return T;
+      return ros_utils::lookupMounting(given, settings_.base_frame, frame, sensor, settings_.transform_timeout, health_);
     };
     Mounting mounting;
     const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame, "camera");
@@ -445,10 +436,6 @@ class RgbdSlamNode {
     return true;
   }
 
-  struct Calibration {
-    CameraModel camera;
-    sensor_msgs::CameraInfo info;
-  };
   struct CloudRequest {
     ros::Time stamp;
     int map_id;
@@ -473,14 +460,14 @@ class RgbdSlamNode {
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;
   std::size_t reported_unmatched_ = 0;
-  std::optional<Calibration> calibration_;
+  std::optional<ros_utils::Calibration> calibration_;
   std::string imu_frame_;
   bool stop_ = false, reset_requested_ = false;
 
   // Worker and services, one at a time.
   std::mutex slam_mutex_;
   std::unique_ptr<Slam> slam_;
-  Calibration built_;  ///< what SLAM was built with
+  ros_utils::Calibration built_;  ///< what SLAM was built with
   bool with_imu_ = false;
   int map_id_offset_ = 0;
   std::string camera_frame_;

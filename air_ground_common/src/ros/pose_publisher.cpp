@@ -127,4 +127,16 @@ std::optional<Pose> lookupStatic(const std::string& target, const std::string& s
   return std::nullopt;
 }
 
+std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame, const std::string& sensor_frame,
+                                   const std::string& sensor, double timeout, NodeHealth& health) {
+  if (given) return given;
+  std::string why;
+  const auto T_base_sensor = lookupStatic(base_frame, sensor_frame, timeout, &why);
+  if (!T_base_sensor) {
+    health.state(1, "waiting for the transform " + base_frame + " <- '" + sensor_frame + "': " + why);
+    health.count("images without the mounting of the " + sensor + " (tf, or parameter base_" + sensor + ")");
+  }
+  return T_base_sensor;
+}
+
 }  // namespace air_ground_common::ros_utils

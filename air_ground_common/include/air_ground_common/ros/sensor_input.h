@@ -2,6 +2,7 @@
 #pragma once
 
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 
 #include <Eigen/Core>
@@ -10,14 +11,35 @@
 #include <optional>
 #include <string>
 
+#include "air_ground_common/camera_model.h"
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
+
+/// A camera as its driver describes it.
+struct Calibration {
+  CameraModel camera;
+  sensor_msgs::CameraInfo info;
+};
 
 /// True when both describe the same camera; frame and stamp do not matter.
 inline bool sameCalibration(const sensor_msgs::CameraInfo& a, const sensor_msgs::CameraInfo& b) {
   return a.width == b.width && a.height == b.height && a.distortion_model == b.distortion_model && a.D == b.D &&
          a.K == b.K && a.R == b.R && a.P == b.P;
+}
+
+/// True when the camera's calibration is another than the one in use, and the image is of it: images of the old size
+/// may still be on their way.
+inline bool recalibrated(const Calibration& in_use, const Calibration& latest, const sensor_msgs::Image& image) {
+  return !sameCalibration(latest.info, in_use.info) && image.width == latest.info.width &&
+         image.height == latest.info.height;
+}
+
+/// `configured` or, when that is empty, as the messages say.
+inline std::string cameraFrame(const std::string& configured, const Calibration& calibration,
+                               const sensor_msgs::Image& image) {
+  if (!configured.empty()) return configured;
+  return calibration.info.header.frame_id.empty() ? image.header.frame_id : calibration.info.header.frame_id;
 }
 
 /// Samples of an IMU: refuses what is not finite, and judges the unit by the mean acceleration. Thread-safe.
