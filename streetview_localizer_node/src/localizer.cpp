@@ -1,47 +1,30 @@
 #include "streetview_localizer/localizer.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
-#include <filesystem>
 #include <limits>
-#include <list>
 #include <map>
-#include <mutex>
 #include <numeric>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 #include <utility>
 
+#include "pyramid_cache.h"
+#include "step_timer.h"
+#include "view_search.h"
+
 namespace streetview_localizer {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 constexpr double kDegree = M_PI / 180;
-constexpr std::size_t kPyramidBytes = std::size_t{256} << 20;  // kept of the views' gradients
-constexpr int kMirrorFeatures = 600;
 constexpr double kGravityGate = 4;  // standard deviations
-
-double seconds(Clock::time_point since) { return std::chrono::duration<double>(Clock::now() - since).count(); }
 
 std::string text(const char* format, double a, double b = 0, double c = 0) {
   char line[240];
   std::snprintf(line, sizeof line, format, a, b, c);
   return line;
 }
-
-// Adds the time until its end to one step.
-class StepTimer {
- public:
-  StepTimer(LocalizerResult* result, Step step) : result_(result), step_(step), start_(Clock::now()) {}
-  ~StepTimer() { result_->times[static_cast<std::size_t>(step_)] += seconds(start_); }
-
- private:
-  LocalizerResult* result_;
-  Step step_;
-  Clock::time_point start_;
-};
 
 // Matches of the query with one view.
 struct ViewMatches {
@@ -74,20 +57,6 @@ int mostFrequent(const std::map<int, int>& counts) {
   for (const auto& [value, count] : counts)
     if (count > most) best = value, most = count;
   return best;
-}
-
-// SIFT descriptors of the image's mirror image. In a keypoint's own frame, x along its direction, mirroring turns y about: rows of
-// the 4 x 4 grid are reversed, directions change sign.
-cv::Mat mirroredDescriptors(const cv::Mat& descriptors) {
-  cv::Mat out(descriptors.size(), descriptors.type());
-  for (int i = 0; i < descriptors.rows; ++i) {
-    const auto* from = descriptors.ptr<uchar>(i);
-    auto* to = out.ptr<uchar>(i);
-    for (int row = 0; row < 4; ++row)
-      for (int col = 0; col < 4; ++col)
-        for (int bin = 0; bin < 8; ++bin) to[(row * 4 + col) * 8 + bin] = from[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
-  }
-  return out;
 }
 
 }  // namespace
@@ -144,150 +113,14 @@ struct Localizer::Impl {
   LocalizerSettings settings;
   BackProjector projector;
 
-  mutable std::mutex mutex;
-  mutable std::list<std::pair<int, std::shared_ptr<const GradientPyramid>>> pyramids;  // the most recent first
-  mutable std::size_t pyramid_bytes = 0;
+  ViewSearch search;
+  mutable PyramidCache pyramids;
 
-  cv::Mat descriptors;           // of all views
-  std::vector<int> view_of_row;  // of `descriptors`
-  std::unique_ptr<DescriptorIndex> index;
-  std::string index_remark;
-
-  Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s) : database(std::move(db)), settings(s), projector(database->model) {
-    std::vector<cv::Mat> parts;
-    for (std::size_t i = 0; i < database->views.size(); ++i) {
-      const Features& features = database->views[i].features;
-      if (features.size() == 0) continue;
-      parts.push_back(features.descriptors);
-      view_of_row.insert(view_of_row.end(), features.size(), static_cast<int>(i));
-    }
-    cv::vconcat(parts, descriptors);
-    prepareIndex();
-  }
-
-  void prepareIndex() {
-    const std::string name = toString(settings.index.method) + " index over " + std::to_string(descriptors.rows) + " descriptors";
-    std::string why;
-    if (std::filesystem::exists(settings.index_file)) {
-      try {
-        index = loadIndex(settings.index_file, descriptors, settings.index);
-        index_remark = name + " read from " + settings.index_file;
-        return;
-      } catch (const std::runtime_error& e) {
-        why = std::string(" (") + e.what() + ")";
-      }
-    }
-    const auto start = Clock::now();
-    index = buildIndex(descriptors, settings.index);
-    index_remark = name + " built in " + text("%.1f s", seconds(start)) + why;
-    if (settings.index_file.empty()) return;
-    try {
-      index->save(settings.index_file);
-      index_remark += ", kept in " + settings.index_file;
-    } catch (const std::runtime_error& e) {
-      index_remark += std::string(", not kept: ") + e.what();
-    }
-  }
+  Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s)
+      : database(std::move(db)), settings(s), projector(database->model), search(*database, settings), pyramids(*database) {}
 
   const View& view(int index) const { return database->views[static_cast<std::size_t>(index)]; }
   const Panorama& panorama(int index) const { return database->panoramas[static_cast<std::size_t>(index)]; }
-
-  std::shared_ptr<const GradientPyramid> pyramidOf(int index) const {
-    {
-      const std::lock_guard<std::mutex> lock(mutex);
-      for (auto it = pyramids.begin(); it != pyramids.end(); ++it) {
-        if (it->first != index) continue;
-        pyramids.splice(pyramids.begin(), pyramids, it);
-        return it->second;
-      }
-    }
-    auto made = std::make_shared<const GradientPyramid>(view(index).image);
-    const std::lock_guard<std::mutex> lock(mutex);
-    pyramids.emplace_front(index, made);
-    pyramid_bytes += made->bytes();
-    while (pyramid_bytes > kPyramidBytes && pyramids.size() > 1) {
-      pyramid_bytes -= pyramids.back().second->bytes();
-      pyramids.pop_back();
-    }
-    return made;
-  }
-
-  // The nearest panoramas that have views; those that could not be placed have none.
-  std::vector<int> panoramasNear(const Eigen::Vector3d& position) const {
-    const auto total = static_cast<int>(database->panoramas.size());
-    std::vector<int> found;
-    for (int count = std::min(settings.near_panoramas, total);; count = std::min(2 * count, total)) {
-      found.clear();
-      for (const int p : database->nearest(position, count))
-        if (!database->viewsOf(p).empty() && static_cast<int>(found.size()) < settings.near_panoramas) found.push_back(p);
-      if (static_cast<int>(found.size()) == settings.near_panoramas || count == total) return found;
-    }
-  }
-
-  // Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
-  std::vector<int> viewsByPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const {
-    const Pose& T = *prior.T_world_camera;
-    const Pose T_camera_world = T.inverse();
-    // Two standard deviations of the attitude, and of the position seen at 10 m.
-    const double angle = 2 * std::sqrt(prior.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff()) +
-                         0.2 * std::sqrt(prior.covariance.topLeftCorner<3, 3>().diagonal().maxCoeff());
-    const double half = std::min(std::atan(0.5 * std::hypot(camera.width, camera.height) / camera.fx) + angle, M_PI);
-    const double min_cosine = std::cos(half);
-    std::vector<std::pair<int, int>> ranked;
-    for (const int p : panoramasNear(T.translation())) {
-      for (const int v : database->viewsOf(p)) {
-        const View& candidate = view(v);
-        int seen = 0;
-        for (std::size_t i = 0; i < candidate.points.size(); ++i) {
-          const Eigen::Vector3d point = candidate.points[i].cast<double>();
-          const Eigen::Vector3d in_camera = T_camera_world * point;
-          seen += in_camera.z() > min_cosine * in_camera.norm() && candidate.normals[i].cast<double>().dot(T.translation() - point) > 0;
-        }
-        if (seen >= settings.min_view_matches) ranked.emplace_back(-seen, v);
-      }
-    }
-    std::sort(ranked.begin(), ranked.end());
-    std::vector<int> views;
-    for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(max_views); ++i) views.push_back(ranked[i].second);
-    return views;
-  }
-
-  // Indices of the `count` features of strongest response (0: all), ascending.
-  static std::vector<int> strongest(const Features& query, int count) {
-    std::vector<int> indices(query.size());
-    std::iota(indices.begin(), indices.end(), 0);
-    if (count == 0 || static_cast<int>(indices.size()) <= count) return indices;
-    std::stable_sort(indices.begin(), indices.end(), [&](int a, int b) {
-      return query.keypoints[static_cast<std::size_t>(a)].response > query.keypoints[static_cast<std::size_t>(b)].response;
-    });
-    indices.resize(static_cast<std::size_t>(count));
-    std::sort(indices.begin(), indices.end());
-    return indices;
-  }
-
-  static cv::Mat rowsOf(const cv::Mat& all, const std::vector<int>& indices) {
-    cv::Mat rows(static_cast<int>(indices.size()), all.cols, all.type());
-    for (std::size_t i = 0; i < indices.size(); ++i) all.row(indices[i]).copyTo(rows.row(static_cast<int>(i)));
-    return rows;
-  }
-
-  // Views that the whole database's nearest descriptors vote for.
-  std::vector<int> viewsBySearch(const Features& query, int max_views, LocalizerResult* result) const {
-    const std::vector<int> queried = strongest(query, settings.search_features);
-    const cv::Mat rows = rowsOf(query.descriptors, queried);
-    std::vector<std::vector<Neighbor>> neighbors;
-    {
-      const StepTimer timer(result, Step::kSearch);
-      neighbors = index->search(rows, std::min(settings.neighbors, descriptors.rows));
-    }
-    const StepTimer timer(result, Step::kVoting);
-    VotingSettings voting = settings.voting;
-    voting.best = max_views;
-    std::vector<int> views;
-    for (const Vote& vote : voteForPlaces(neighbors, queried, query.keypoints, view_of_row, static_cast<int>(database->views.size()), voting))
-      views.push_back(vote.place);
-    return views;
-  }
 
   ViewMatches match(const Features& query, const GradientPyramid& query_pyramid, int index, LocalizerResult* result) const {
     ViewMatches out;
@@ -301,7 +134,7 @@ struct Localizer::Impl {
     const StepTimer timer(result, Step::kVerification);
     if (static_cast<int>(putative.size()) < settings.min_view_matches) return out;
     const KvldResult kvld =
-        filterKvld(query_pyramid, *pyramidOf(index), query.keypoints, candidate.features.keypoints, putative, settings.kvld);
+        filterKvld(query_pyramid, *pyramids.of(index), query.keypoints, candidate.features.keypoints, putative, settings.kvld);
     auto kept = kvld.kept.begin();  // ascending
     for (int i = 0; i < static_cast<int>(putative.size()); ++i) {
       const bool survived = kept != kvld.kept.end() && *kept == i;
@@ -456,17 +289,8 @@ struct Localizer::Impl {
 
   // A facade is often its own mirror image: an image that was flipped finds a place too, but a worse one than as it was.
   void checkMirror(const Features& query, Candidate* c) const {
-    const double straight = bestVote(query, false), flipped = bestVote(query, true);
+    const double straight = search.bestVote(query, false), flipped = search.bestVote(query, true);
     if (flipped > straight) refuse(text("mirrored, the image finds a better view (votes %.1f) than as it is (%.1f)", flipped, straight), c);
-  }
-
-  // Score of the view that the strongest features vote for, of the image or of its mirror image.
-  double bestVote(const Features& query, bool mirrored) const {
-    const std::vector<int> queried = strongest(query, kMirrorFeatures);
-    const cv::Mat rows = rowsOf(query.descriptors, queried);
-    const auto neighbors = index->search(mirrored ? mirroredDescriptors(rows) : rows, std::min(settings.neighbors, descriptors.rows));
-    const auto votes = voteForPlaces(neighbors, queried, query.keypoints, view_of_row, static_cast<int>(database->views.size()), settings.voting);
-    return votes.empty() ? 0 : votes.front().score;
   }
 
   void take(Candidate&& c, LocalizerResult* result) const {
@@ -548,9 +372,9 @@ struct Localizer::Impl {
     std::vector<int> views;
     if (result->used_prior) {
       const StepTimer timer(result, Step::kVoting);
-      views = viewsByPrior(camera, prior, max_views);
+      views = search.byPrior(camera, prior, max_views);
     } else {
-      views = viewsBySearch(query, max_views, result);
+      views = search.byDescriptors(query, max_views, result);
     }
     std::vector<ViewMatches> parts;
     for (const int v : views) {
@@ -587,7 +411,7 @@ Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const L
 Localizer::~Localizer() = default;
 
 LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
-  const auto start = Clock::now();
+  const auto start = StepTimer::Clock::now();
   camera.validate();
   if (image.depth() != CV_8U || (image.channels() != 1 && image.channels() != 3)) throw std::invalid_argument("localizer: the image must be grey or BGR of 8 bits");
   if (image.cols != camera.width || image.rows != camera.height)
@@ -601,13 +425,13 @@ LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& cam
     throw std::invalid_argument("localizer: the direction of gravity is not finite");
   LocalizerResult result;
   impl_->run(image, camera, prior, &result);
-  result.total_time = seconds(start);
+  result.total_time = StepTimer::secondsSince(start);
   return result;
 }
 
 const StreetviewDatabase& Localizer::database() const { return *impl_->database; }
 const BackProjector& Localizer::projector() const { return impl_->projector; }
 const LocalizerSettings& Localizer::settings() const { return impl_->settings; }
-const std::string& Localizer::indexRemark() const { return impl_->index_remark; }
+const std::string& Localizer::indexRemark() const { return impl_->search.indexRemark(); }
 
 }  // namespace streetview_localizer

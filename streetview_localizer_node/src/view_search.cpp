@@ -1,0 +1,155 @@
+#include "view_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <numeric>
+#include <stdexcept>
+#include <utility>
+
+#include "step_timer.h"
+
+namespace streetview_localizer {
+namespace {
+
+constexpr int kMirrorFeatures = 600;
+
+// SIFT descriptors of the image's mirror image. In a keypoint's own frame, x along its direction, mirroring turns y about: rows of
+// the 4 x 4 grid are reversed, directions change sign.
+cv::Mat mirroredDescriptors(const cv::Mat& descriptors) {
+  cv::Mat out(descriptors.size(), descriptors.type());
+  for (int i = 0; i < descriptors.rows; ++i) {
+    const auto* from = descriptors.ptr<uchar>(i);
+    auto* to = out.ptr<uchar>(i);
+    for (int row = 0; row < 4; ++row)
+      for (int col = 0; col < 4; ++col)
+        for (int bin = 0; bin < 8; ++bin) to[(row * 4 + col) * 8 + bin] = from[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
+  }
+  return out;
+}
+
+// Indices of the `count` features of strongest response (0: all), ascending.
+std::vector<int> strongest(const Features& query, int count) {
+  std::vector<int> indices(query.size());
+  std::iota(indices.begin(), indices.end(), 0);
+  if (count == 0 || static_cast<int>(indices.size()) <= count) return indices;
+  std::stable_sort(indices.begin(), indices.end(), [&](int a, int b) {
+    return query.keypoints[static_cast<std::size_t>(a)].response > query.keypoints[static_cast<std::size_t>(b)].response;
+  });
+  indices.resize(static_cast<std::size_t>(count));
+  std::sort(indices.begin(), indices.end());
+  return indices;
+}
+
+cv::Mat rowsOf(const cv::Mat& all, const std::vector<int>& indices) {
+  cv::Mat rows(static_cast<int>(indices.size()), all.cols, all.type());
+  for (std::size_t i = 0; i < indices.size(); ++i) all.row(indices[i]).copyTo(rows.row(static_cast<int>(i)));
+  return rows;
+}
+
+}  // namespace
+
+ViewSearch::ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings) : database_(database), settings_(settings) {
+  std::vector<cv::Mat> parts;
+  for (std::size_t i = 0; i < database_.views.size(); ++i) {
+    const Features& features = database_.views[i].features;
+    if (features.size() == 0) continue;
+    parts.push_back(features.descriptors);
+    view_of_row_.insert(view_of_row_.end(), features.size(), static_cast<int>(i));
+  }
+  cv::vconcat(parts, descriptors_);
+  prepareIndex();
+}
+
+void ViewSearch::prepareIndex() {
+  const std::string name = toString(settings_.index.method) + " index over " + std::to_string(descriptors_.rows) + " descriptors";
+  std::string why;
+  if (std::filesystem::exists(settings_.index_file)) {
+    try {
+      index_ = loadIndex(settings_.index_file, descriptors_, settings_.index);
+      index_remark_ = name + " read from " + settings_.index_file;
+      return;
+    } catch (const std::runtime_error& e) {
+      why = std::string(" (") + e.what() + ")";
+    }
+  }
+  const auto start = StepTimer::Clock::now();
+  index_ = buildIndex(descriptors_, settings_.index);
+  char time[32];
+  std::snprintf(time, sizeof time, "%.1f s", StepTimer::secondsSince(start));
+  index_remark_ = name + " built in " + time + why;
+  if (settings_.index_file.empty()) return;
+  try {
+    index_->save(settings_.index_file);
+    index_remark_ += ", kept in " + settings_.index_file;
+  } catch (const std::runtime_error& e) {
+    index_remark_ += std::string(", not kept: ") + e.what();
+  }
+}
+
+// The nearest panoramas that have views; those that could not be placed have none.
+std::vector<int> ViewSearch::panoramasNear(const Eigen::Vector3d& position) const {
+  const auto total = static_cast<int>(database_.panoramas.size());
+  std::vector<int> found;
+  for (int count = std::min(settings_.near_panoramas, total);; count = std::min(2 * count, total)) {
+    found.clear();
+    for (const int p : database_.nearest(position, count))
+      if (!database_.viewsOf(p).empty() && static_cast<int>(found.size()) < settings_.near_panoramas) found.push_back(p);
+    if (static_cast<int>(found.size()) == settings_.near_panoramas || count == total) return found;
+  }
+}
+
+std::vector<int> ViewSearch::byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const {
+  const Pose& T = *prior.T_world_camera;
+  const Pose T_camera_world = T.inverse();
+  // Two standard deviations of the attitude, and of the position seen at 10 m.
+  const double angle = 2 * std::sqrt(prior.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff()) +
+                       0.2 * std::sqrt(prior.covariance.topLeftCorner<3, 3>().diagonal().maxCoeff());
+  const double half = std::min(std::atan(0.5 * std::hypot(camera.width, camera.height) / camera.fx) + angle, M_PI);
+  const double min_cosine = std::cos(half);
+  std::vector<std::pair<int, int>> ranked;
+  for (const int p : panoramasNear(T.translation())) {
+    for (const int v : database_.viewsOf(p)) {
+      const View& candidate = database_.views[static_cast<std::size_t>(v)];
+      int seen = 0;
+      for (std::size_t i = 0; i < candidate.points.size(); ++i) {
+        const Eigen::Vector3d point = candidate.points[i].cast<double>();
+        const Eigen::Vector3d in_camera = T_camera_world * point;
+        seen += in_camera.z() > min_cosine * in_camera.norm() && candidate.normals[i].cast<double>().dot(T.translation() - point) > 0;
+      }
+      if (seen >= settings_.min_view_matches) ranked.emplace_back(-seen, v);
+    }
+  }
+  std::sort(ranked.begin(), ranked.end());
+  std::vector<int> views;
+  for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(max_views); ++i) views.push_back(ranked[i].second);
+  return views;
+}
+
+std::vector<int> ViewSearch::byDescriptors(const Features& query, int max_views, LocalizerResult* result) const {
+  const std::vector<int> queried = strongest(query, settings_.search_features);
+  const cv::Mat rows = rowsOf(query.descriptors, queried);
+  std::vector<std::vector<Neighbor>> neighbors;
+  {
+    const StepTimer timer(result, Step::kSearch);
+    neighbors = index_->search(rows, std::min(settings_.neighbors, descriptors_.rows));
+  }
+  const StepTimer timer(result, Step::kVoting);
+  VotingSettings voting = settings_.voting;
+  voting.best = max_views;
+  std::vector<int> views;
+  for (const Vote& vote : voteForPlaces(neighbors, queried, query.keypoints, view_of_row_, static_cast<int>(database_.views.size()), voting))
+    views.push_back(vote.place);
+  return views;
+}
+
+double ViewSearch::bestVote(const Features& query, bool mirrored) const {
+  const std::vector<int> queried = strongest(query, kMirrorFeatures);
+  const cv::Mat rows = rowsOf(query.descriptors, queried);
+  const auto neighbors = index_->search(mirrored ? mirroredDescriptors(rows) : rows, std::min(settings_.neighbors, descriptors_.rows));
+  const auto votes = voteForPlaces(neighbors, queried, query.keypoints, view_of_row_, static_cast<int>(database_.views.size()), settings_.voting);
+  return votes.empty() ? 0 : votes.front().score;
+}
+
+}  // namespace streetview_localizer

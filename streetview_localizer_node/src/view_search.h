@@ -1,0 +1,42 @@
+// The views that may show what an image shows: the few of the database that are worth matching one by one.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "streetview_localizer/localizer.h"
+
+namespace streetview_localizer {
+
+/// Thread-safe once made.
+class ViewSearch {
+ public:
+  /// Both must outlive it. Reads the descriptors' index from settings.index_file, or builds it and keeps it there.
+  ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings);
+
+  /// Views that the whole database's nearest descriptors vote for. Adds to the times of search and voting.
+  std::vector<int> byDescriptors(const Features& query, int max_views, LocalizerResult* result) const;
+
+  /// Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
+  std::vector<int> byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const;
+
+  /// Score of the view that the strongest features vote for, of the image or of its mirror image.
+  double bestVote(const Features& query, bool mirrored) const;
+
+  /// Where the index came from, for the log.
+  const std::string& indexRemark() const { return index_remark_; }
+
+ private:
+  void prepareIndex();
+  std::vector<int> panoramasNear(const Eigen::Vector3d& position) const;
+
+  const StreetviewDatabase& database_;
+  const LocalizerSettings& settings_;
+  cv::Mat descriptors_;           // of all views
+  std::vector<int> view_of_row_;  // of descriptors_
+  std::unique_ptr<DescriptorIndex> index_;
+  std::string index_remark_;
+};
+
+}  // namespace streetview_localizer
