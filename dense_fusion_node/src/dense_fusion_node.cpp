@@ -3,8 +3,6 @@
 #include <air_ground/PosedImage.h>
 #include <air_ground/SaveMap.h>
 #include <diagnostic_msgs/DiagnosticArray.h>
-#include <pcl/io/pcd_io.h>
-#include <pcl/point_types.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <ros/spinner.h>
@@ -18,8 +16,8 @@
 #include <mutex>
 #include <thread>
 
-#include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
 #include "dense_fusion/point_map.h"
@@ -41,6 +39,20 @@ diagnostic_msgs::KeyValue entry(const std::string& key, const std::string& value
   pair.key = key;
   pair.value = value;
   return pair;
+}
+
+std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<SurfacePoint>& points) {
+  std::vector<ros_utils::CloudPoint> cloud;
+  cloud.reserve(points.size());
+  for (const SurfacePoint& p : points) {
+    if (!p.position.allFinite()) continue;
+    ros_utils::CloudPoint point;
+    point.position = p.position;
+    point.rgb.setConstant(p.intensity);
+    point.source = 1;
+    cloud.push_back(point);
+  }
+  return cloud;
 }
 
 class DenseFusionNode {
@@ -154,54 +166,23 @@ class DenseFusionNode {
   }
 
   bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    response.success = flushAndWait();
-    const std::lock_guard<std::mutex> lock(map_mutex_);
-    response.message = response.success ? "map holds " + std::to_string(map_.size()) + " points" : kNotFlushed;
-    return true;
+    return ros_utils::answer(response, [&] {
+      if (!flushAndWait()) throw std::runtime_error(kNotFlushed);
+      const std::lock_guard<std::mutex> lock(map_mutex_);
+      return "map holds " + std::to_string(map_.size()) + " points";
+    });
   }
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
-    const bool flushed = flushAndWait();
-    const std::lock_guard<std::mutex> lock(map_mutex_);
-    try {
-      if (!flushed) throw std::runtime_error(kNotFlushed);
-      const auto points = map_.points();
-      if (points.empty()) throw std::runtime_error("nothing has been reconstructed yet");
-      writeMap(request.path, points);
-      response.success = true;
+    return ros_utils::answer(response, [&] {
+      if (!flushAndWait()) throw std::runtime_error(kNotFlushed);
+      const std::lock_guard<std::mutex> lock(map_mutex_);
+      if (map_.size() == 0) throw std::runtime_error("nothing has been reconstructed yet");
+      const auto points = messagePoints(map_.points());
+      ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzIntensity);
       response.points = points.size();
-      response.message = "wrote " + std::to_string(points.size()) + " points to " + request.path;
-    } catch (const std::exception& e) {
-      response.success = false;
-      response.message = e.what();
-    }
-    return true;
-  }
-
-  static void writeMap(const std::string& path, const std::vector<SurfacePoint>& points) {
-    const auto ends = [&path](const std::string& suffix) {
-      return path.size() > suffix.size() && path.compare(path.size() - suffix.size(), suffix.size(), suffix) == 0;
-    };
-    if (ends(".ply")) {
-      std::vector<air_ground_common::LabeledPoint> labeled(points.size());
-      for (std::size_t i = 0; i < points.size(); ++i) {
-        labeled[i].position = points[i].position;
-        labeled[i].rgb.setConstant(points[i].intensity);
-        labeled[i].source = 1;
-      }
-      air_ground_common::writePly(path, labeled);
-    } else if (ends(".pcd")) {
-      pcl::PointCloud<pcl::PointXYZI> cloud;
-      for (const SurfacePoint& p : points) {
-        pcl::PointXYZI point;
-        point.getVector3fMap() = p.position;
-        point.intensity = p.intensity;
-        cloud.push_back(point);
-      }
-      if (pcl::io::savePCDFileBinary(path, cloud) != 0) throw std::runtime_error("cannot write " + path);
-    } else {
-      throw std::runtime_error("the path must end in .ply or .pcd: " + path);
-    }
+      return "wrote " + std::to_string(points.size()) + " points to " + request.path;
+    });
   }
 
   bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -320,16 +301,7 @@ class DenseFusionNode {
     depth.frames = static_cast<std::uint32_t>(fused.depth_map.frames);
     depth.map_id = *map_id_;
 
-    std::vector<ros_utils::CloudPoint> cloud;
-    cloud.reserve(fused.points.size());
-    for (const SurfacePoint& p : fused.points) {
-      if (!p.position.allFinite()) continue;
-      ros_utils::CloudPoint point;
-      point.position = p.position;
-      point.rgb.setConstant(p.intensity);
-      point.source = 1;
-      cloud.push_back(point);
-    }
+    const std::vector<ros_utils::CloudPoint> cloud = messagePoints(fused.points);
     const sensor_msgs::PointCloud2 cloud_msg = ros_utils::toMsg(cloud, ros_utils::CloudFields::kXyzIntensity, header);
     const diagnostic_msgs::DiagnosticArray field = fieldMessage(fused, header);
     {

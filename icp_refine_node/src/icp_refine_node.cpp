@@ -18,11 +18,11 @@
 #include <thread>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
 #include "icp_refine/alignment_refiner.h"
 #include "icp_refine/augmented_map.h"
-#include "icp_refine/pcd.h"
 #include "refiner_parameters.h"
 
 namespace icp_refine {
@@ -541,37 +541,19 @@ class IcpRefineNode {
   // ---- Services ----------------------------------------------------------------------------------------------------
 
   bool onSave(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
-    std::vector<air_ground_common::LabeledPoint> points;
-    bool aligned;
-    {
-      std::lock_guard<std::mutex> lock(map_mutex_);
-      aligned = map_pose_.has_value();
-      for (const auto& p : augmentedMap()) points.push_back({p.position, p.rgb, p.source});
-    }
-    response.success = false;
-    if (points.empty()) {
-      response.message = "no map yet: neither a ground map nor an aligned aerial map has come";
-      return true;
-    }
-    const auto ends = [&](const std::string& e) {
-      return request.path.size() > e.size() && request.path.compare(request.path.size() - e.size(), e.size(), e) == 0;
-    };
-    try {
-      if (ends(".ply")) {
-        air_ground_common::writePly(request.path, points);
-      } else if (ends(".pcd")) {
-        writePcd(request.path, points);
-      } else {
-        response.message = "the path must end in .ply or .pcd";
-        return true;
+    return ros_utils::answer(response, [&]() -> std::string {
+      std::vector<ros_utils::CloudPoint> points;
+      bool aligned;
+      {
+        std::lock_guard<std::mutex> lock(map_mutex_);
+        aligned = map_pose_.has_value();
+        points = augmentedMap();
       }
-      response.success = true;
+      if (points.empty()) throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
+      ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzRgbSource);
       response.points = points.size();
-      response.message = aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
-    } catch (const std::exception& e) {
-      response.message = e.what();
-    }
-    return true;
+      return aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
+    });
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {

@@ -4,11 +4,7 @@
 
 #include "icp_refine/alignment_refiner.h"
 #include "icp_refine/augmented_map.h"
-#include "icp_refine/pcd.h"
 #include "synthetic_scene.h"
-
-#include <cstdio>
-#include <fstream>
 
 namespace icp_refine {
 namespace {
@@ -206,22 +202,6 @@ TEST(AerialVoxels, AverageIgnoreNanAndCount) {
 TEST(AddedByAir, OnlyWhereTheGroundRobotSawNothing) {
   const std::vector<Eigen::Vector3f> ground{{0, 0, 0}}, aerial{{0.05f, 0, 0}, {0, 0.5f, 0}, {0, 0, 0.3f}};
   EXPECT_EQ(addedByAir(aerial, ground, 0.1), (std::vector<char>{0, 1, 1}));
-}
-
-TEST(Pcd, HeaderAndSize) {
-  const std::string path = testing::TempDir() + "icp_refine_test.pcd";
-  air_ground_common::LabeledPoint p;
-  p.position = {1, 2, 3};
-  p.source = 1;
-  writePcd(path, {p, p, p});
-  std::ifstream file(path, std::ios::binary);
-  std::string line, all((std::istreambuf_iterator<char>(file)), {});
-  const auto data = all.find("DATA binary\n");
-  ASSERT_NE(data, std::string::npos);
-  EXPECT_NE(all.find("POINTS 3"), std::string::npos);
-  EXPECT_EQ(all.size() - data - 12, 3u * 17);
-  std::remove(path.c_str());
-  EXPECT_THROW(writePcd("/nonexistent/a.pcd", {p}), std::runtime_error);
 }
 
 }  // namespace

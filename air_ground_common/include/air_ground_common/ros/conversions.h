@@ -15,6 +15,7 @@
 
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/mesh.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -41,11 +42,8 @@ cv::Mat depthFromMsg(const sensor_msgs::Image& msg);
 /// encoding: "mono8", "bgr8", "rgb8", "32FC1", "16UC1".
 sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, const std_msgs::Header& header);
 
-struct CloudPoint {
-  Eigen::Vector3f position = Eigen::Vector3f::Zero();                                    ///< [m]
-  Eigen::Matrix<std::uint8_t, 3, 1> rgb = Eigen::Matrix<std::uint8_t, 3, 1>::Zero();  ///< grey clouds have r = g = b
-  std::uint8_t source = 0;                                                               ///< 0 ground robot, 1 MAV
-};
+/// Grey clouds have r = g = b.
+using CloudPoint = LabeledPoint;
 
 /// Finite points of a cloud with float x y z and, optionally, packed `rgb`, float `intensity` (0..255) and uint8 `source`.
 /// `dropped`, if given, receives the number of non-finite points. Throws when x, y, z are missing or of another type.

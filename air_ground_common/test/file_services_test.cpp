@@ -1,0 +1,83 @@
+#include "air_ground_common/ros/file_services.h"
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+std::vector<CloudPoint> threePoints() {
+  CloudPoint p;
+  p.position = {1, 2, 3};
+  p.rgb = {10, 20, 60};
+  p.source = 1;
+  return {p, p, p};
+}
+
+// Header and data of a file, which is removed.
+std::pair<std::string, std::string> readPcd(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  const std::string all((std::istreambuf_iterator<char>(file)), {}), end = "DATA binary\n";
+  std::remove(path.c_str());
+  const std::size_t data = all.find(end);
+  if (data == std::string::npos) return {};
+  return {all.substr(0, data), all.substr(data + end.size())};
+}
+
+TEST(WriteCloud, PcdHoldsTheFieldsAskedFor) {
+  const std::string path = testing::TempDir() + "file_services_test.pcd";
+  const struct {
+    CloudFields fields;
+    const char *names, *types;
+    std::size_t size;
+  } cases[] = {{CloudFields::kXyz, "FIELDS x y z\n", "TYPE F F F\n", 12},
+               {CloudFields::kXyzIntensity, "FIELDS x y z intensity\n", "TYPE F F F F\n", 16},
+               {CloudFields::kXyzRgb, "FIELDS x y z rgb\n", "TYPE F F F U\n", 16},
+               {CloudFields::kXyzRgbSource, "FIELDS x y z rgb source\n", "TYPE F F F U U\n", 17}};
+  for (const auto& c : cases) {
+    writeCloud(path, threePoints(), c.fields);
+    const auto [header, data] = readPcd(path);
+    EXPECT_NE(header.find(c.names), std::string::npos) << header;
+    EXPECT_NE(header.find(c.types), std::string::npos) << header;
+    EXPECT_NE(header.find("POINTS 3\n"), std::string::npos) << header;
+    ASSERT_EQ(data.size(), 3 * c.size) << c.names;
+    float xyz[3];
+    std::memcpy(xyz, data.data() + c.size, sizeof(xyz));
+    EXPECT_EQ(xyz[2], 3);
+    if (c.fields == CloudFields::kXyzIntensity) {
+      float intensity;
+      std::memcpy(&intensity, data.data() + 12, 4);
+      EXPECT_EQ(intensity, 30);
+    }
+    if (c.fields == CloudFields::kXyzRgb || c.fields == CloudFields::kXyzRgbSource) {
+      EXPECT_EQ(data.substr(12, 4), std::string("\x3C\x14\x0A\xFF")) << "blue, green, red, opaque";
+    }
+    if (c.fields == CloudFields::kXyzRgbSource) {
+      EXPECT_EQ(data[16], 1);
+    }
+  }
+}
+
+TEST(WriteCloud, PlyKeepsColourAndSource) {
+  const std::string path = testing::TempDir() + "file_services_test.ply";
+  writeCloud(path, threePoints());
+  const auto points = readPlyPoints(path);
+  std::remove(path.c_str());
+  ASSERT_EQ(points.size(), 3u);
+  EXPECT_EQ(points[0].rgb[2], 60);
+  EXPECT_EQ(points[0].source, 1);
+}
+
+TEST(WriteCloud, RefusesWhatItCannotWrite) {
+  const std::string folder = testing::TempDir();
+  EXPECT_THROW(writeCloud(folder + "empty.ply", {}), std::runtime_error);
+  EXPECT_THROW(writeCloud(folder + "cloud.xyz", threePoints()), std::runtime_error);
+  EXPECT_THROW(writeCloud("/nonexistent/a.pcd", threePoints()), std::runtime_error);
+}
+
+}  // namespace
+}  // namespace air_ground_common::ros_utils
