@@ -9,6 +9,23 @@ using namespace mav_vo;
 
 namespace {
 
+// The camera in a map of its own origin, attitude and unit; `error` in that unit.
+ScaleMeasurement seenAt(const synthetic::Flight& flight, double t, const Eigen::Matrix3d& R_map_world, const Eigen::Vector3d& origin, double true_scale,
+                        const Eigen::Vector3d& error) {
+  ScaleMeasurement m;
+  m.p_imu_camera = synthetic::T_imu_camera().translation();
+  m.p_map_camera = R_map_world * (flight.T_world_imu(t) * m.p_imu_camera - origin) / true_scale + error;
+  m.R_map_imu = R_map_world * flight.T_world_imu(t).linear();
+  m.scene_distance = 1.0 / true_scale;
+  return m;
+}
+
+Preintegration motionBetween(double from, double to, const ImuBuffer& buffer, const ImuNoise& noise = {}, const ImuBias& bias = {}) {
+  Preintegration motion(noise, bias);
+  motion.integrate(samplesBetween(buffer, from, to));
+  return motion;
+}
+
 struct Outcome {
   double start_time = -1;        ///< when the filter started [s after the first frame]
   double ratio = 0;              ///< estimated over true scale at the end
@@ -42,17 +59,9 @@ Outcome simulate(unsigned seed, double true_scale, double duration, double visua
   Outcome run;
   for (int i = 0; i * frame < duration; ++i) {
     const double t = begin + i * frame;
-    ScaleMeasurement m;
-    m.p_imu_camera = synthetic::T_imu_camera().translation();
-    m.p_map_camera = R_map_world * (flight.T_world_imu(t) * m.p_imu_camera - origin) / true_scale + visual_stddev / true_scale * vector();
-    m.R_map_imu = R_map_world * flight.T_world_imu(t).linear();
-    m.scene_distance = 1.0 / true_scale;
     std::optional<Preintegration> motion;
-    if (i > 0) {
-      motion.emplace(noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
-      motion->integrate(samplesBetween(buffer, t - frame, t));
-    }
-    filter.add(m, motion);
+    if (i > 0) motion = motionBetween(t - frame, t, buffer, noise, {bias.gyro, Eigen::Vector3d::Zero()});
+    filter.add(seenAt(flight, t, R_map_world, origin, true_scale, visual_stddev / true_scale * vector()), motion);
     if (filter.initialized() && run.start_time < 0) run.start_time = i * frame;
     const double log_error = filter.initialized() ? std::log(filter.scale() / true_scale) : 0;
     if (run.start_time >= 0 && std::abs(i * frame - run.start_time - 1.0) < 0.5 * frame)
@@ -129,17 +138,9 @@ Believed believe(unsigned seed, const Spoil& spoil) {
   Believed result;
   for (int i = 0; i * frame < duration; ++i) {
     const double t = begin + i * frame;
-    ScaleMeasurement m;
-    m.p_imu_camera = synthetic::T_imu_camera().translation();
-    m.p_map_camera = R_map_world * (flight.T_world_imu(t) * m.p_imu_camera - origin) / true_scale + 0.002 / true_scale * vector();
-    m.R_map_imu = R_map_world * flight.T_world_imu(t).linear();
-    m.scene_distance = 1.0 / true_scale;
     std::optional<Preintegration> motion;
-    if (i > 0) {
-      motion.emplace(noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
-      motion->integrate(samplesBetween(buffer, t - frame, t));
-    }
-    filter.add(m, motion);
+    if (i > 0) motion = motionBetween(t - frame, t, buffer, noise, {bias.gyro, Eigen::Vector3d::Zero()});
+    filter.add(seenAt(flight, t, R_map_world, origin, true_scale, 0.002 / true_scale * vector()), motion);
     result.contradicted = result.contradicted || filter.contradicted();
     if (filter.certain(0.02) && !result.metric) {
       result.metric = true;
@@ -205,10 +206,7 @@ TEST(ScaleFilter, DoesNotStartWhileHovering) {
     ScaleMeasurement m;
     m.p_map_camera = 0.003 * Eigen::Vector3d(normal(random), normal(random), normal(random));
     std::optional<Preintegration> motion;
-    if (i > 0) {
-      motion.emplace(ImuNoise{}, ImuBias{});
-      motion->integrate(samplesBetween(buffer, 0.05 * (i - 1), 0.05 * i));
-    }
+    if (i > 0) motion = motionBetween(0.05 * (i - 1), 0.05 * i, buffer);
     filter.add(m, motion);
   }
   EXPECT_FALSE(filter.initialized() && filter.relativeStddev() < 0.1) << filter.scale() << " +- " << filter.scaleStddev();
@@ -231,10 +229,7 @@ TEST(ScaleFilter, TransformRescalesAndLevels) {
     m.R_map_imu = S.R * flight.T_world_imu(t).linear();
     m.scene_distance = 0.5;
     std::optional<Preintegration> motion;
-    if (i > 0) {
-      motion.emplace(noise, ImuBias{});
-      motion->integrate(samplesBetween(buffer, t - 0.05, t));
-    }
+    if (i > 0) motion = motionBetween(t - 0.05, t, buffer, noise);
     filter.add(m, motion);
     if (i == 150) {
       ASSERT_TRUE(filter.initialized());
