@@ -29,6 +29,7 @@
 
 #include "air_ground_common/geodesy.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/trajectory.h"
@@ -577,16 +578,11 @@ class EkfTrackerNode {
   }
 
   bool onSave(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response) {
-    try {
+    return ru::answer(response, [&] {
       air_ground_common::writeTum(request.path, trajectory_);
-      response.success = true;
       response.poses = trajectory_.size();
-      response.message = "wrote " + std::to_string(trajectory_.size()) + " poses of " + settings_.base_frame + " in " + settings_.world_frame + " to " + request.path;
-    } catch (const std::exception& e) {
-      response.success = false;
-      response.message = e.what();
-    }
-    return true;
+      return "wrote " + std::to_string(trajectory_.size()) + " poses of " + settings_.base_frame + " in " + settings_.world_frame + " to " + request.path;
+    });
   }
 
   const NodeSettings settings_;
