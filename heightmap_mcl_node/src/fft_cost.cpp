@@ -88,11 +88,12 @@ struct Spectra {
 };
 
 struct Workspace {
-  explicit Workspace(const Plans& plans) : air(plans), product(plans) {
-    for (auto& r : real) r = allocate(plans.realSize());
+  explicit Workspace(const Plans& plans) : air(plans) {
+    for (auto& p : product) p = allocate(2 * plans.spectrumSize());
+    for (auto& s : sum) s = allocate(plans.realSize());
   }
-  Spectra air, product;
-  Buffer real[3];
+  Spectra air;
+  Buffer product[6], sum[6];  // of correlate
 };
 
 double meanHeight(const HeightMap& map, std::size_t& cells) {
@@ -197,27 +198,29 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
   const auto size = impl_->sizeFor(paddedSize(result.height), paddedSize(result.width));
   const Plans& plans = size->plans;
   auto workspace = impl_->take(*size);
-  workspace->air.compute(plans, turned, mean, workspace->real[0].get());
+  workspace->air.compute(plans, turned, mean, workspace->sum[0].get());
   const auto& a = workspace->air.spectrum;
   const auto& g = size->ground.spectrum;
-  auto& p = workspace->product.spectrum;
-  kernel::correlate(a[0].get(), a[1].get(), a[2].get(), g[0].get(), g[1].get(), g[2].get(),
-                    static_cast<int>(plans.spectrumSize()), p[0].get(), p[1].get(), p[2].get());
-  for (int k = 0; k < 3; ++k) plans.toReal(p[k].get(), workspace->real[k].get());
+  const float* const air[3] = {a[0].get(), a[1].get(), a[2].get()};
+  const float* const below[3] = {g[0].get(), g[1].get(), g[2].get()};
+  float* products[6];
+  for (int k = 0; k < 6; ++k) products[k] = workspace->product[k].get();
+  kernel::correlate(air, below, static_cast<int>(plans.spectrumSize()), products);
+  for (int k = 0; k < 6; ++k) plans.toReal(products[k], workspace->sum[k].get());
 
   // Negative offsets wrap to the far end of the padded grid.
   result.cost.resize(static_cast<std::size_t>(result.width) * result.height);
   const auto scale = static_cast<float>(1.0 / static_cast<double>(plans.realSize()));
   const std::size_t smaller = std::max<std::size_t>(std::min(cells, impl_->cells), 1);
-  const auto min_cells = static_cast<float>(settings.min_overlap * static_cast<double>(smaller));
   const int negative = turned.width - 1;
   for (int row = 0; row < result.height; ++row) {
     const int u = row - (turned.height - 1);
     const std::size_t line = static_cast<std::size_t>(u < 0 ? u + plans.rows : u) * plans.columns;
     float* out = result.cost.data() + static_cast<std::size_t>(row) * result.width;
     const auto segment = [&](std::size_t from, int count, float* to) {
-      kernel::costRow(workspace->real[0].get() + from, workspace->real[1].get() + from, workspace->real[2].get() + from,
-                      count, scale, min_cells, static_cast<float>(smaller), static_cast<float>(settings.unknown_cost), to);
+      const float* sums[6];
+      for (int k = 0; k < 6; ++k) sums[k] = workspace->sum[k].get() + from;
+      kernel::scoreRow(sums, count, scale, static_cast<float>(smaller), settings, to);
     };
     segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);
     segment(line, ground.width, out + negative);

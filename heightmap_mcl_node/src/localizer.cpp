@@ -21,7 +21,8 @@ std::string format(const char* text, Args... args) {
 
 double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
-/// Curvature of the cost in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2].
+/// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells are
+/// charged has no part in it: where the maps end fixes nothing.
 Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const PlanarPose& p, const CostSettings& settings,
                           const Eigen::Vector3d& step) {
   std::vector<PlanarPose> poses{p};
@@ -36,7 +37,7 @@ Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, cons
     }
   }
   const auto values = cost(cells, poses, settings);
-  const auto c = [&](std::size_t k) { return std::isfinite(values[k].score) ? values[k].score : values[0].score; };
+  const auto c = [&](std::size_t k) { return std::isfinite(values[k].cost) ? values[k].cost : values[0].cost; };
   Eigen::Matrix3d H;
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3;
@@ -65,7 +66,7 @@ void validate(const LocalizerSettings& s) {
   };
   validate(s.air_map);
   validate(s.ground_map);
-  validate(CostSettings{s.min_overlap, 0});
+  validate(CostSettings{s.min_overlap, 0, s.min_explained, s.min_relief});
   require(s.unknown_weight >= 0 && s.unknown_weight <= 2, "unknown_weight must be in [0, 2]");
   validate(s.filter);
   require(s.air_map.resolution == s.ground_map.resolution, "both height maps must have the same resolution");
@@ -127,6 +128,7 @@ bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_
   auto direct = std::make_unique<DirectCost>(map);
   auto coarse_fft = std::make_unique<FftCost>(downsample(map, settings_.coarse_factor));
   ground_ = std::move(map);
+  ground_variance_ = std::pow(heightDeviation(ground_), 2);
   direct_ = std::move(direct);
   coarse_fft_ = std::move(coarse_fft);
   full_fft_.reset();
@@ -164,15 +166,22 @@ std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
 
 HeightMap Localizer::lastMaps(int count) const { return merge(keptMaps(count), settings_.merge); }
 
-double Localizer::costRatio(const Zmssd& other, const Zmssd& best) const {
+double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   // What both are charged for unknown cells says nothing about either.
   const double cost = best.cost + settings_.noise_cost;
-  return std::max(0.0, cost + other.score - best.score) / cost;
+  const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
+  // Of two bare floors there is nothing to explain.
+  if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief) return by_score;
+  const auto unexplained = [this](const Zmssd& z) {
+    return (z.cost + settings_.noise_cost) / std::pow(std::max({z.relief_air, z.relief_ground, settings_.min_relief}), 2);
+  };
+  return std::min(by_score, unexplained(other) / unexplained(best));
 }
 
 CostSettings Localizer::costFor(const HeightMap& air) const {
-  const double deviation = heightDeviation(air);
-  return {settings_.min_overlap, settings_.unknown_weight * deviation * deviation};
+  // Of unrelated heights, eq. 2 is on average half the sum of both variances.
+  const double unrelated = 0.5 * (std::pow(heightDeviation(air), 2) + ground_variance_);
+  return {settings_.min_overlap, settings_.unknown_weight * unrelated, settings_.min_explained, settings_.min_relief};
 }
 
 CostVolume Localizer::coarseVolume(const HeightMap& map) const {
@@ -252,8 +261,14 @@ void Localizer::updateEstimate() {
   best = *std::min_element(places.begin(), places.end(),
                            [](const Candidate& a, const Candidate& b) { return a.zmssd.score < b.zmssd.score; });
   Candidate rival;
+  estimate_.rival_ratio = kInfinity;
   for (const Candidate& c : places) {
-    if (!same(c, best) && c.zmssd.score < rival.zmssd.score) rival = c;
+    if (same(c, best)) continue;
+    const double ratio = rivalRatio(c.zmssd, best.zmssd);
+    if (ratio < estimate_.rival_ratio) {
+      estimate_.rival_ratio = ratio;
+      rival = c;
+    }
   }
   const bool particles_agree = same({mean, {}}, best);
 
@@ -267,7 +282,6 @@ void Localizer::updateEstimate() {
   estimate_.T_ground_mav = air_ground_common::yawPose(origin.yaw, {origin.x, origin.y, best.zmssd.dz});
   estimate_.cost = best.zmssd.cost;
   estimate_.overlap = best.zmssd.overlap / static_cast<double>(cells.h.size());
-  estimate_.rival_ratio = costRatio(rival.zmssd, best.zmssd);
   estimate_.rival_distance = std::isfinite(rival.zmssd.cost) ? separation(rival.pose, best.pose) : kInfinity;
   const Eigen::Vector3d flattest = judge(best, cells, cost, particles_agree);
   setCovariance(best, rival, cells, cost, mode, flattest);
@@ -284,9 +298,8 @@ void Localizer::updateEstimate() {
 Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
-  const auto relief = direct_->relief(cells, best.pose);
-  e.relief = std::min(relief.air, relief.ground);
-  e.explained = relief.air > 0 ? 1 - 2 * best.zmssd.cost / (relief.air * relief.air) : 0;
+  e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
+  e.explained = best.zmssd.explained;
 
   // The flattest direction of the cost, with the heading scaled so that it moves the rim of the map as far as a shift.
   double radius = 0;
@@ -302,7 +315,7 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
   e.probe_ratio = kInfinity;
   for (int sign : {-1, 1}) {
     const PlanarPose p{best.pose.x + sign * weakest.x(), best.pose.y + sign * weakest.y(), best.pose.yaw + sign * weakest.z()};
-    e.probe_ratio = std::min(e.probe_ratio, costRatio((*direct_)(cells, p, cost), best.zmssd));
+    e.probe_ratio = std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
   }
 
   if (e.relief < s.min_relief) {
@@ -314,10 +327,10 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
                       weakest.z() / kDegree, e.probe_ratio);
   } else if (e.rival_ratio < s.ambiguity_ratio) {
     e.status = Status::kAmbiguous;
-    e.reason = format("another place %.2f m away fits about as well: its cost is %.2f times this one's", e.rival_distance,
+    e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much", e.rival_distance,
                       e.rival_ratio);
   } else if (e.explained < s.min_explained) {
-    e.reason = format("the ground map explains %.0f %% of the aerial heights' variance, %.0f %% are needed", 100 * e.explained,
+    e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
                       100 * s.min_explained);
   } else if (e.maps < s.min_maps) {
     e.reason = format("%d of %d aerial maps seen", e.maps, s.min_maps);
@@ -330,7 +343,7 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
     e.reason = format("the particles spread over %.2f m, %.1f deg", e.mode_spread, e.mode_spread_yaw / kDegree);
   } else {
     e.status = Status::kConverged;
-    e.reason = format("%d maps; the next best place costs %.1f times as much; overlap %.0f %%", e.maps, e.rival_ratio,
+    e.reason = format("%d maps; the next best place is %.1f times as bad; overlap %.0f %%", e.maps, e.rival_ratio,
                       100 * e.overlap);
   }
   return weakest;

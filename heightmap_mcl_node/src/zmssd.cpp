@@ -20,13 +20,16 @@ void validate(const CostSettings& settings) {
   if (!(settings.unknown_cost >= 0 && std::isfinite(settings.unknown_cost))) {
     throw std::invalid_argument("cost settings: unknown_cost must not be negative [m^2]");
   }
+  if (!(settings.min_explained >= 0 && settings.min_explained < 1 && settings.min_relief >= 0)) {
+    throw std::invalid_argument("cost settings: min_explained must be in [0, 1), min_relief must not be negative [m]");
+  }
 }
 
 Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
                      const PlanarPose& pose, const CostSettings& settings) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
   double aerial_cells = 0;
-  std::vector<double> d;
+  std::vector<double> aerial, below;
   for (int row = 0; row < air.height; ++row) {
     for (int column = 0; column < air.width; ++column) {
       const double a = air.at(row, column);
@@ -38,17 +41,28 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
       const double gr = std::floor((y - ground.origin_y) / ground.resolution);
       if (gc < 0 || gr < 0 || gc >= ground.width || gr >= ground.height) continue;
       const double g = ground.at(static_cast<int>(gr), static_cast<int>(gc));
-      if (!std::isnan(g)) d.push_back(a - g);
+      if (std::isnan(g)) continue;
+      aerial.push_back(a);
+      below.push_back(g);
     }
   }
-  // The mean first, then the squares about it: no cancellation.
-  double mean = 0, squares = 0;
-  for (double v : d) mean += v;
-  if (!d.empty()) mean /= static_cast<double>(d.size());
-  for (double v : d) squares += (v - mean) * (v - mean);
-  const double cells = std::min(aerial_cells, static_cast<double>(ground.defined()));
-  Zmssd result = zmssdFromSums(static_cast<double>(d.size()), 0, squares, cells, settings);
-  if (std::isfinite(result.cost)) result.dz = -mean;
+  // The means first, then the squares about them: no cancellation.
+  const auto mean = [](const std::vector<double>& values) {
+    double sum = 0;
+    for (double v : values) sum += v;
+    return values.empty() ? 0.0 : sum / static_cast<double>(values.size());
+  };
+  const double mean_a = mean(aerial), mean_g = mean(below);
+  OverlapSums sums;
+  for (std::size_t i = 0; i < aerial.size(); ++i) {
+    const double a = aerial[i] - mean_a, g = below[i] - mean_g;
+    ++sums.n;
+    sums.d2 += (a - g) * (a - g);
+    sums.a2 += a * a;
+    sums.g2 += g * g;
+  }
+  Zmssd result = zmssdFromSums(sums, std::min(aerial_cells, static_cast<double>(ground.defined())), settings);
+  if (std::isfinite(result.cost)) result.dz = mean_g - mean_a;
   return result;
 }
 
@@ -100,13 +114,13 @@ DirectCost::DirectCost(const HeightMap& ground)
 
 Zmssd DirectCost::operator()(const AerialCells& cells, const PlanarPose& pose, const CostSettings& settings) const {
   const double inverse = 1 / resolution_;
-  const auto sums = kernel::differences(
+  const auto sums = kernel::overlapSums(
       cells.x.data(), cells.y.data(), cells.h.data(), static_cast<int>(cells.h.size()),
       static_cast<float>(std::cos(pose.yaw) * inverse), static_cast<float>(std::sin(pose.yaw) * inverse),
       static_cast<float>((pose.x - origin_x_) * inverse), static_cast<float>((pose.y - origin_y_) * inverse),
       {heights_.data(), width_, height_});
   const double smaller = std::min(static_cast<double>(cells.h.size()), defined_);
-  Zmssd result = zmssdFromSums(sums.n, sums.sum, sums.squares, smaller, settings);
+  Zmssd result = zmssdFromSums(sums, smaller, settings);
   if (std::isfinite(result.cost)) result.dz += mean_ - cells.mean_height;
   return result;
 }
@@ -125,23 +139,6 @@ float DirectCost::groundAt(double x, double y) const {
   const double c = std::floor((x - origin_x_) / resolution_), r = std::floor((y - origin_y_) / resolution_);
   if (c < 0 || r < 0 || c >= width_ || r >= height_) return kHole;
   return heights_[static_cast<std::size_t>(r) * width_ + static_cast<std::size_t>(c)];
-}
-
-DirectCost::Relief DirectCost::relief(const AerialCells& cells, const PlanarPose& pose) const {
-  const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
-  double n = 0, a1 = 0, a2 = 0, g1 = 0, g2 = 0;
-  for (std::size_t i = 0; i < cells.h.size(); ++i) {
-    const double a = cells.h[i];
-    const double g = groundAt(c * cells.x[i] - s * cells.y[i] + pose.x, s * cells.x[i] + c * cells.y[i] + pose.y);
-    if (std::isnan(g)) continue;
-    ++n;
-    a1 += a;
-    a2 += a * a;
-    g1 += g;
-    g2 += g * g;
-  }
-  if (n < 2) return {};
-  return {std::sqrt(std::max(0.0, a2 / n - a1 / n * (a1 / n))), std::sqrt(std::max(0.0, g2 / n - g1 / n * (g1 / n)))};
 }
 
 Eigen::Vector2d DirectCost::overlapCenter(const AerialCells& cells, const PlanarPose& pose) const {

@@ -1,6 +1,8 @@
 // Hot loops on plain arrays, compiled for several instruction sets; see zmssd_kernel.cpp.
 #pragma once
 
+#include "heightmap_mcl/zmssd.h"
+
 namespace heightmap_mcl::kernel {
 
 struct GroundView {
@@ -8,22 +10,16 @@ struct GroundView {
   int width, height;     // with the border
 };
 
-struct Sums {
-  double n, sum, squares;  // of d = aerial - ground over the cells defined in both
-};
-
 /// Cell coordinates of aerial cell i: column = c*x - s*y + tx, row = s*x + c*y + ty, in cells of the bordered grid.
-Sums differences(const float* x, const float* y, const float* h, int n, float c, float s, float tx, float ty,
+OverlapSums overlapSums(const float* x, const float* y, const float* h, int n, float c, float s, float tx, float ty,
                  const GroundView& ground);
 
-/// out_k += conj-products of one heading's spectra; interleaved complex arrays of n elements:
-/// n_out = conj(a0) g0, s1_out = conj(a1) g0 - conj(a0) g1, s2_out = conj(a2) g0 + conj(a0) g2 - 2 conj(a1) g1.
-void correlate(const float* a0, const float* a1, const float* a2, const float* g0, const float* g1, const float* g2, int n,
-               float* n_out, float* s1_out, float* s2_out);
+/// Products of one heading's spectra (mask, heights, squared heights of either map), interleaved complex arrays of n elements:
+/// the spectra of the sums over the overlap of 1, a - g, (a - g)^2, a, a^2, g^2, in the order of OverlapSums.
+void correlate(const float* const air[3], const float* const ground[3], int n, float* const out[6]);
 
-/// Equation 2 for a row of offsets from the inverse transforms (each still to be multiplied by `scale`).
-/// cost[i] = infinity where the overlap is below min_cells. smaller_cells: defined cells of the smaller map.
-void costRow(const float* n_in, const float* s1_in, const float* s2_in, int n, float scale, float min_cells,
-             float smaller_cells, float unknown_cost, float* cost);
+/// Scores for a row of n offsets from the inverse transforms of correlate's products (each still to be multiplied by `scale`).
+/// score[i] = infinity where the overlap is below min_overlap. cells: defined cells of the smaller map.
+void scoreRow(const float* const sums[6], int n, float scale, float cells, const CostSettings& settings, float* score);
 
 }  // namespace heightmap_mcl::kernel

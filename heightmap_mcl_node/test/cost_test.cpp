@@ -81,6 +81,47 @@ TEST(Zmssd, HandComputedValue) {
   EXPECT_TRUE(std::isinf(zmssdReference(air, ground, Eigen::Vector2d::Zero(), {1, 0, 0}, {0.6, 0.3}).cost));
 }
 
+TEST(Zmssd, WhatExplainsNothingHasNoPartners) {
+  // A step of 2 m in the ground map; one cell in four steps out of line in the aerial maps.
+  HeightMap ground;
+  ground.resolution = 1;
+  ground.width = 4;
+  ground.height = 1;
+  ground.heights = {0, 0, 2, 2};
+  const auto with = [&](std::vector<float> heights) {
+    HeightMap air = ground;
+    air.heights = std::move(heights);
+    return zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, {0.5, 0.8, 0.25, 0.1});
+  };
+  // The same, 5 m higher.
+  const auto same = with({5, 5, 7, 7});
+  EXPECT_NEAR(same.relief_air, 1, 1e-9);
+  EXPECT_NEAR(same.relief_ground, 1, 1e-9);
+  EXPECT_NEAR(same.explained, 1, 1e-9);
+  EXPECT_NEAR(same.score, 0, 1e-9);
+  // Bare floor costs half the step's variance and explains none of it: charged for all cells.
+  const auto bare = with({5, 5, 5, 5});
+  EXPECT_NEAR(bare.relief_air, 0, 1e-9);
+  EXPECT_NEAR(bare.cost, 0.5, 1e-9);
+  EXPECT_NEAR(bare.explained, 0, 1e-9);
+  EXPECT_NEAR(bare.score, 0.5 + 0.8, 1e-9);
+  // d = (0, 0, 0, -1.8): cost 0.30375; V = 1, explained 0.3925, above 0.25.
+  const auto most = with({0, 0, 2, 0.2f});
+  EXPECT_NEAR(most.explained, 1 - 2 * 0.30375, 1e-6);
+  EXPECT_NEAR(most.score, most.cost, 1e-6);
+  // d = (0, 0, 0, -2.2): cost 0.45375, explained 0.0925: 0.37 of its partners are believed.
+  const auto little = with({0, 0, 2, -0.2f});
+  EXPECT_NEAR(little.explained, 1 - 2 * 0.45375, 1e-5);
+  EXPECT_NEAR(little.score, little.cost + 0.8 * (1 - little.explained / 0.25), 1e-6);
+  // Opposite structure explains less than nothing.
+  EXPECT_NEAR(with({2, 2, 0, 0}).explained, -3, 1e-9);
+  // Both flat within min_relief: nothing to explain, nothing charged.
+  ground.heights = {0, 0.01f, 0, 0.01f};
+  const auto flat = with({0.01f, 0, 0.01f, 0});
+  EXPECT_GT(flat.explained, 0.95);
+  EXPECT_NEAR(flat.score, flat.cost, 1e-9);
+}
+
 TEST(Zmssd, KernelMatchesReferenceAtRandomPoses) {
   const auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
   const Eigen::Vector2d reference(-0.4, 2.9);
@@ -88,7 +129,7 @@ TEST(Zmssd, KernelMatchesReferenceAtRandomPoses) {
   const DirectCost direct(ground);
   std::mt19937_64 random(3);
   std::uniform_real_distribution<double> x(-1.5, 3.6), y(2, 5.3), yaw(-4, 4);
-  const CostSettings settings{0.3, 0.01};
+  const CostSettings settings{0.3, 0.01, 0.4, 0.05};
   std::vector<PlanarPose> poses;
   for (int i = 0; i < 300; ++i) poses.push_back({x(random), y(random), yaw(random)});
   const auto fast = direct(cells, poses, settings);
@@ -105,6 +146,9 @@ TEST(Zmssd, KernelMatchesReferenceAtRandomPoses) {
     EXPECT_NEAR(fast[i].cost, slow.cost, 2e-3 * slow.cost + 1e-6);
     EXPECT_NEAR(fast[i].score, slow.score, 2e-3 * slow.score + 1e-5);
     EXPECT_NEAR(fast[i].dz, slow.dz, 1e-3);
+    EXPECT_NEAR(fast[i].relief_air, slow.relief_air, 1e-3);
+    EXPECT_NEAR(fast[i].relief_ground, slow.relief_ground, 1e-3);
+    EXPECT_NEAR(fast[i].explained, slow.explained, 1e-2);
   }
   EXPECT_GT(finite, 60);
 }
@@ -129,7 +173,7 @@ TEST_P(FftMatchesReference, AtEveryOffset) {
   auto air = randomMap(26 + seed, 37, 20 + seed, 0.3);
   air.origin_x = -0.8;
   air.origin_y = -0.6;
-  const CostSettings settings{0.5, seed % 2 ? 0.02 : 0.0};
+  const CostSettings settings{0.5, seed % 2 ? 0.02 : 0.0, seed % 3 ? 0.4 : 0.0, 0.05};
   const FftCost fft(ground);
   const auto map = fft(air, 0, settings);
   EXPECT_EQ(map.width, ground.width + air.width - 1);

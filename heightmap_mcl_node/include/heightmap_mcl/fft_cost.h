@@ -1,4 +1,4 @@
-// Equation 2 for every offset of one heading at once, by FFT: six transforms instead of overlap times offsets operations.
+// Equation 2 for every offset of one heading at once, by FFT: nine transforms instead of overlap times offsets operations.
 #pragma once
 
 #include <memory>
@@ -30,6 +30,7 @@ int fiveSmoothSize(int n);
 /// With M the masks of defined cells, a and g the heights (centred, zero in holes), d = a - g:
 ///   N = F^-1[conj(A0) G0],  S1 = sum d = F^-1[conj(A1) G0 - conj(A0) G1],
 ///   S2 = sum d^2 = F^-1[conj(A2) G0 + conj(A0) G2 - 2 conj(A1) G1],  C = (S2 - S1^2/N) / (2 N)    (eq. 2)
+/// and likewise the sums of a, a^2 and g^2 for the variance of either map in the overlap.
 class FftCost {
  public:
   /// Throws std::invalid_argument for a map without a defined cell.

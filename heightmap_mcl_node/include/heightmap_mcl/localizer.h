@@ -20,7 +20,7 @@ struct LocalizerSettings {
   HeightMapSettings air_map;
   HeightMapSettings ground_map;  ///< same resolution as air_map
   double min_overlap = 0.5;     ///< see CostSettings
-  double unknown_weight = 0.5;  ///< CostSettings::unknown_cost as a share of the aerial heights' variance; 0 = paper
+  double unknown_weight = 1;    ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
   FilterSettings filter;
   std::uint64_t seed = 1;
 
@@ -35,14 +35,14 @@ struct LocalizerSettings {
   double min_mode_weight = 0.7;      ///< share of the particles in the dominant mode
   double max_spread = 0.20;          ///< of the position within the dominant mode [m]
   double max_spread_yaw = 0.10;      ///< of the heading within the dominant mode [rad]
-  double ambiguity_ratio = 1.3;      ///< (cost + score of the best rival place - own score) / cost
+  double ambiguity_ratio = 1.3;      ///< the best rival place must be this many times as bad, see rivalRatio
   double noise_cost = 1e-4;          ///< [m^2] added to both sides of a ratio: differences below it mean nothing
   double rival_distance = 0.4;       ///< a rival lies at least this far off [m] ...
   double rival_angle = 0.26;         ///< ... or is turned by this [rad]
   double min_relief = 0.05;          ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
-  double min_explained = 0.25;       ///< share of the aerial map's variance that the ground map must explain
-  double probe_distance = 0.25;      ///< the cost this far along its flattest direction ... [m]
-  double probe_ratio = 1.1;          ///< ... must be this much higher, else the direction is not fixed
+  double min_explained = 0.25;       ///< see Zmssd::explained; a place with less is charged as if without partners
+  double probe_distance = 0.25;      ///< eq. 2 this far along its flattest direction ... [m]
+  double probe_ratio = 1.3;          ///< ... must be this much higher, else the direction is not fixed
 
   // Covariance.
   double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
@@ -81,7 +81,7 @@ struct Estimate {
   double cost = 0;                 ///< eq. 2 at the estimate [m^2]
   double rival_ratio = 0;          ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
   double rival_distance = 0;       ///< [m]
-  double explained = 0;            ///< 1 - 2 C / variance of the aerial heights in the overlap
+  double explained = 0;            ///< see Zmssd::explained
   double relief = 0;               ///< smaller one of the two maps' height deviations in the overlap [m]
   double probe_ratio = 0;          ///< see LocalizerSettings
   int maps = 0;                    ///< aerial maps used since the search began
@@ -140,12 +140,15 @@ class Localizer {
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
   CostSettings costFor(const HeightMap& air) const;
-  double costRatio(const Zmssd& other, const Zmssd& best) const;
+  /// How many times as bad as the best place another one is: by score (the own cost and what the other's is higher), or by the
+  /// share of the heights that it leaves unexplained, whichever is less.
+  double rivalRatio(const Zmssd& other, const Zmssd& best) const;
 
   LocalizerSettings settings_;
   Prior prior_;
   ParticleFilter filter_;
   HeightMap ground_, filter_map_;
+  double ground_variance_ = 0;  // of the ground map's heights [m^2]
   std::unique_ptr<DirectCost> direct_;
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;

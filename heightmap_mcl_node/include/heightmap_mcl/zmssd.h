@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <vector>
 
@@ -27,9 +28,14 @@ struct CostSettings {
   /// Cells that must be defined in both maps, as a share of the defined cells of the aerial map (paper), or of the ground
   /// map where that is the smaller one, in (0, 1].
   double min_overlap = 0.5;
-  /// Charged for cells of the smaller map without a partner [m^2]: score = eq. 2 + unknown_cost * (1 - that share); 0 = paper.
-  /// Without it a placement gains by hiding the structure it cannot explain in the ground map's holes.
+  /// Charged for cells of the smaller map without a partner [m^2]: score = eq. 2 + unknown_cost * (1 - share * trust), where
+  /// share is that of the cells with a partner; 0 = paper. Without it a placement gains by hiding the structure it cannot
+  /// explain in the ground map's holes.
   double unknown_cost = 0;
+  /// trust = explained / min_explained, within [0, 1] (see Zmssd::explained); 0: 1 throughout. Without it bare floor is a good
+  /// place for any structure of little area: eq. 2 is never above half of the structure's own variance there.
+  double min_explained = 0;
+  double min_relief = 0;  ///< see Zmssd::explained [m]
 };
 
 /// Checks ranges; throws std::invalid_argument naming the field.
@@ -39,19 +45,35 @@ struct Zmssd {
   int overlap = 0;           ///< cells defined in both maps
   double cost = kInfinity;   ///< eq. 2 [m^2], eta = 1 / (2 overlap); infinite below the overlap threshold
   double score = kInfinity;  ///< what placements are compared by [m^2], see CostSettings::unknown_cost
+  double relief_air = 0;     ///< standard deviation of the aerial heights in the overlap [m]
+  double relief_ground = 0;  ///< of the ground heights there [m]
+  /// 1 - 2 cost / V, V the variance of the heights that vary more, at least min_relief^2: 1 where the maps say the same, 0
+  /// where one of them has structure that the other lacks; below 0 where their structures contradict.
+  double explained = 0;
   double dz = 0;             ///< mean of ground minus aerial height over the overlap: what lifts the aerial map [m]
 };
 
-/// Cost from the number, sum and sum of squares of d = aerial - ground over the overlap. `cells`: defined cells of the
-/// smaller map.
-inline Zmssd zmssdFromSums(double n, double sum, double squares, double cells, const CostSettings& settings) {
+/// Sums over the cells defined in both maps: a aerial, g ground heights, d = a - g.
+struct OverlapSums {
+  double n = 0, d = 0, d2 = 0, a = 0, a2 = 0, g2 = 0;
+};
+
+/// `cells`: defined cells of the smaller map.
+inline Zmssd zmssdFromSums(const OverlapSums& sums, double cells, const CostSettings& settings) {
   Zmssd result;
+  const double n = sums.n;
   result.overlap = static_cast<int>(n + 0.5);
   if (n < 1 || n < settings.min_overlap * cells) return result;
-  const double spread = squares - sum * sum / n;
-  result.cost = (spread > 0 ? spread : 0) / (2 * n);
-  result.score = result.cost + settings.unknown_cost * std::max(0.0, 1 - n / cells);
-  result.dz = -sum / n;
+  const auto variance = [n](double sum, double squares) { return std::max(0.0, squares / n - sum / n * (sum / n)); };
+  const double air = variance(sums.a, sums.a2), ground = variance(sums.a - sums.d, sums.g2);
+  result.relief_air = std::sqrt(air);
+  result.relief_ground = std::sqrt(ground);
+  result.cost = variance(sums.d, sums.d2) / 2;
+  result.dz = -sums.d / n;
+  const double most = std::max({air, ground, settings.min_relief * settings.min_relief});
+  result.explained = most > 0 ? 1 - 2 * result.cost / most : 1;
+  const double trust = settings.min_explained > 0 ? std::clamp(result.explained / settings.min_explained, 0.0, 1.0) : 1;
+  result.score = result.cost + settings.unknown_cost * (1 - trust * std::min(1.0, n / cells));
   return result;
 }
 
@@ -79,12 +101,6 @@ class DirectCost {
   /// Many poses at once (OpenMP).
   std::vector<Zmssd> operator()(const AerialCells& cells, const std::vector<PlanarPose>& poses,
                                 const CostSettings& settings) const;
-
-  /// Standard deviation of the aerial heights [m] over the overlap, and of the ground heights there.
-  struct Relief {
-    double air = 0, ground = 0;
-  };
-  Relief relief(const AerialCells& cells, const PlanarPose& pose) const;
 
   /// Centre of the overlap [m], ground frame; the pose's own position when nothing overlaps.
   Eigen::Vector2d overlapCenter(const AerialCells& cells, const PlanarPose& pose) const;
