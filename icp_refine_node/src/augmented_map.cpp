@@ -62,4 +62,31 @@ std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const s
   return mask;
 }
 
+void AugmentedMap::addAerial(const std::vector<LabeledPoint>& points) {
+  for (const auto& p : points) aerial_.add(p.position, p.rgb[0]);
+}
+
+std::vector<LabeledPoint> AugmentedMap::points() const {
+  std::vector<LabeledPoint> out = ground_;
+  for (auto& p : out) {
+    p.source = 0;
+    if (settings_.ground_red) p.rgb = {220, 30, 30};
+  }
+  if (!T_ground_map_mav_map_) return out;
+  const Eigen::Matrix3f R = T_ground_map_mav_map_->linear().cast<float>();
+  const Eigen::Vector3f t = T_ground_map_mav_map_->translation().cast<float>();
+  const auto voxels = aerial_.points(settings_.min_points);
+  std::vector<char> mask(voxels.size(), 1);
+  if (settings_.fill_only) {
+    std::vector<Eigen::Vector3f> aerial, ground;
+    for (const auto& v : voxels) aerial.push_back(R * v.position + t);
+    for (const auto& p : ground_) ground.push_back(p.position);
+    mask = addedByAir(aerial, ground, settings_.leaf * 2);
+  }
+  for (std::size_t i = 0; i < voxels.size(); ++i) {
+    if (mask[i]) out.push_back({R * voxels[i].position + t, {voxels[i].grey, voxels[i].grey, voxels[i].grey}, 1});
+  }
+  return out;
+}
+
 }  // namespace icp_refine

@@ -8,7 +8,6 @@
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_ros/transform_broadcaster.h>
-#include <yaml-cpp/yaml.h>
 
 #include <chrono>
 #include <condition_variable>
@@ -20,10 +19,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
-#include "air_ground_common/ros/parameters.h"
-#include "icp_refine/alignment_refiner.h"
-#include "icp_refine/augmented_map.h"
-#include "refiner_parameters.h"
+#include "node_parameters.h"
 
 namespace icp_refine {
 namespace {
@@ -31,31 +27,6 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 using Clock = std::chrono::steady_clock;
-
-YAML::Node toYaml(XmlRpc::XmlRpcValue& value) {
-  switch (value.getType()) {
-    case XmlRpc::XmlRpcValue::TypeBoolean:
-      return YAML::Node(static_cast<bool>(value));
-    case XmlRpc::XmlRpcValue::TypeInt:
-      return YAML::Node(static_cast<int>(value));
-    case XmlRpc::XmlRpcValue::TypeDouble:
-      return YAML::Node(static_cast<double>(value));
-    case XmlRpc::XmlRpcValue::TypeString:
-      return YAML::Node(static_cast<std::string>(value));
-    case XmlRpc::XmlRpcValue::TypeArray: {
-      YAML::Node out(YAML::NodeType::Sequence);
-      for (int i = 0; i < value.size(); ++i) out.push_back(toYaml(value[i]));
-      return out;
-    }
-    case XmlRpc::XmlRpcValue::TypeStruct: {
-      YAML::Node out(YAML::NodeType::Map);
-      for (auto& item : value) out[item.first] = toYaml(item.second);
-      return out;
-    }
-    default:
-      throw ConfigError("the parameter `chain` holds a value of a type that no stage takes");
-  }
-}
 
 std::uint8_t statusOf(RefineStatus status) {
   switch (status) {
@@ -71,52 +42,21 @@ std::uint8_t statusOf(RefineStatus status) {
   return AlignmentEstimate::STATUS_REJECTED;
 }
 
-struct Settings {
-  std::string ground_map_frame, mav_map_frame, ground_color, chain_file;
-  bool publish_tf = true, inverse_tf = false, fill_only = false;
-  double tf_rate = 10, min_period = 0.5, map_period = 2, map_leaf = 0.02;
-  int map_min_points = 1, map_max_points = 2000000;
-  RefinerSettings refiner;
-};
-
-Settings readSettings(const ros::NodeHandle& handle) {
-  ros_utils::Parameters p(handle);
-  Settings s;
-  s.ground_map_frame = p.text("ground_map_frame", "ground_map");
-  s.mav_map_frame = p.text("mav_map_frame", "mav_map");
-  s.publish_tf = p.flag("publish_tf", s.publish_tf);
-  s.inverse_tf = p.flag("inverse_tf", s.inverse_tf);
-  s.tf_rate = p.number("tf_rate", s.tf_rate, 0.1, 1000);
-  s.min_period = p.number("min_period", s.min_period, 0, 3600);
-  s.map_leaf = p.number("augmented_map/leaf", s.map_leaf, 0.001, 10);
-  s.map_period = p.number("augmented_map/period", s.map_period, 0, 3600);
-  s.map_min_points = p.integer("augmented_map/min_points", s.map_min_points, 1, 1000000);
-  s.map_max_points = p.integer("augmented_map/max_points", s.map_max_points, 1000, 100000000);
-  s.fill_only = p.flag("augmented_map/fill_only", s.fill_only);
-  s.ground_color = p.choice("augmented_map/ground_color", "red", {"red", "original"});
-  s.chain_file = p.text("chain_file", "");
-  s.refiner = readRefinerSettings(p);
-  p.finish({"chain/"});
-  return s;
-}
-
-IcpChain readChain(const ros::NodeHandle& handle, const std::string& file) {
-  if (!file.empty()) return IcpChain::fromFile(file);
-  XmlRpc::XmlRpcValue value;
-  if (!handle.getParam("chain", value)) {
-    throw ConfigError("parameter " + handle.resolveName("chain") + " is missing: load config/icp_refine.yaml, or set chain_file");
-  }
-  return IcpChain(toYaml(value));
+Cloud positionsOf(const std::vector<ros_utils::CloudPoint>& points) {
+  Cloud cloud;
+  cloud.points.reserve(points.size());
+  for (const auto& p : points) cloud.points.push_back(p.position);
+  return cloud;
 }
 
 class IcpRefineNode {
  public:
   IcpRefineNode()
       : private_("~"),
-        settings_(readSettings(private_)),
+        settings_(readParameters(private_)),
         health_("icp_refine"),
         refiner_(readChain(private_, settings_.chain_file), settings_.refiner),
-        voxels_(settings_.map_leaf, static_cast<std::size_t>(settings_.map_max_points)) {
+        map_(settings_.map) {
     refined_publisher_ = handle_.advertise<AlignmentEstimate>("alignment/refined", 10);
     map_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>(
         "augmented_map", 1, [this](const ros::SingleSubscriberPublisher&) { onMapSubscriber(); }, {}, {}, true);
@@ -391,30 +331,24 @@ class IcpRefineNode {
     std::lock_guard<std::mutex> lock(map_mutex_);
     if (inbox.reset || inbox.new_map) {
       refiner_.startMap();
-      voxels_.clear();
+      map_.clearAerial();
     }
     if (inbox.reset || inbox.new_ground) {
       refiner_.startGround();
-      ground_points_.clear();
+      map_.clearGround();
     }
     if (inbox.forgets()) dropMapPose();
     if (inbox.ground) {
-      ground_points_ = std::move(*inbox.ground);
-      Cloud cloud;
-      for (const auto& p : ground_points_) cloud.points.push_back(p.position);
-      refiner_.setGround(std::move(cloud));
+      refiner_.setGround(positionsOf(*inbox.ground));
+      map_.setGround(std::move(*inbox.ground));
     }
     for (const auto& aerial : inbox.aerial) {
-      Cloud cloud;
-      for (const auto& p : aerial.points) {
-        cloud.points.push_back(p.position);
-        voxels_.add(p.position, p.rgb[0]);
-      }
-      refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), std::move(cloud));
+      map_.addAerial(aerial.points);
+      refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), positionsOf(aerial.points));
     }
     if (inbox.coarse) refiner_.setCoarse(*inbox.coarse);
     if (inbox.manual) refiner_.setManual(*inbox.manual);
-    map_due_ |= inbox.ground && map_pose_;
+    map_due_ |= inbox.ground && map_.aligned();
     // While tracking, the next aerial cloud is soon enough: a new ground map alone would only cost its normals.
     const bool wanted = (inbox.coarse || inbox.ground) && !refiner_.tracking();
     return inbox.refine || !inbox.aerial.empty() || inbox.manual || wanted;
@@ -439,7 +373,7 @@ class IcpRefineNode {
     if (out.status == RefineStatus::kConverged) {
       publishTf();
       std::lock_guard<std::mutex> lock(map_mutex_);
-      map_pose_ = out.T_ground_map_mav_map;
+      map_.align(out.T_ground_map_mav_map);
       map_stamp_ = stampOf(out);
       map_due_ = true;
     } else if (!refiner_.tracking()) {
@@ -451,8 +385,8 @@ class IcpRefineNode {
 
   // map_mutex_ held. The map that stays is the ground robot's alone.
   void dropMapPose() {
-    map_due_ |= map_pose_.has_value();
-    map_pose_.reset();
+    map_due_ |= map_.aligned();
+    map_.align(std::nullopt);
   }
 
   static ros::Time stampOf(const RefineOutcome& out) { return ros::Time().fromNSec(static_cast<std::uint64_t>(out.stamp)); }
@@ -464,7 +398,7 @@ class IcpRefineNode {
     std_msgs::Header header;
     header.stamp = map_stamp_;
     header.frame_id = settings_.ground_map_frame;
-    map_publisher_.publish(ros_utils::toMsg(augmentedMap(), ros_utils::CloudFields::kXyzRgbSource, header));
+    map_publisher_.publish(ros_utils::toMsg(map_.points(), ros_utils::CloudFields::kXyzRgbSource, header));
     map_due_ = false;
     map_time_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settings_.map_period));
   }
@@ -512,32 +446,6 @@ class IcpRefineNode {
     broadcaster_.sendTransform(msg);
   }
 
-  // ---- Augmented map -----------------------------------------------------------------------------------------------
-
-  // map_mutex_ held. Ground points first, then aerial ones in the ground map's frame.
-  std::vector<ros_utils::CloudPoint> augmentedMap() const {
-    std::vector<ros_utils::CloudPoint> out = ground_points_;
-    for (auto& p : out) {
-      p.source = 0;
-      if (settings_.ground_color == "red") p.rgb = {220, 30, 30};
-    }
-    if (!map_pose_) return out;
-    const Eigen::Matrix3f R = map_pose_->linear().cast<float>();
-    const Eigen::Vector3f t = map_pose_->translation().cast<float>();
-    const auto voxels = voxels_.points(settings_.map_min_points);
-    std::vector<char> mask(voxels.size(), 1);
-    if (settings_.fill_only) {
-      std::vector<Eigen::Vector3f> aerial, ground;
-      for (const auto& v : voxels) aerial.push_back(R * v.position + t);
-      for (const auto& p : ground_points_) ground.push_back(p.position);
-      mask = addedByAir(aerial, ground, settings_.map_leaf * 2);
-    }
-    for (std::size_t i = 0; i < voxels.size(); ++i) {
-      if (mask[i]) out.push_back({R * voxels[i].position + t, {voxels[i].grey, voxels[i].grey, voxels[i].grey}, 1});
-    }
-    return out;
-  }
-
   // ---- Services ----------------------------------------------------------------------------------------------------
 
   bool onSave(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
@@ -546,8 +454,8 @@ class IcpRefineNode {
       bool aligned;
       {
         std::lock_guard<std::mutex> lock(map_mutex_);
-        aligned = map_pose_.has_value();
-        points = augmentedMap();
+        aligned = map_.aligned();
+        points = map_.points();
       }
       if (points.empty()) throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
       ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzRgbSource);
@@ -580,7 +488,7 @@ class IcpRefineNode {
   }
 
   ros::NodeHandle handle_, private_;
-  Settings settings_;
+  const NodeSettings settings_;
   ros_utils::NodeHealth health_;
 
   AlignmentRefiner refiner_;  // worker alone
@@ -601,9 +509,7 @@ class IcpRefineNode {
   ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
 
   std::mutex map_mutex_;
-  std::vector<ros_utils::CloudPoint> ground_points_;
-  AerialVoxels voxels_;
-  std::optional<Pose> map_pose_;
+  AugmentedMap map_;
   bool map_due_ = false;               // worker alone, as the next three
   Clock::time_point map_time_;
   ros::Time map_stamp_;

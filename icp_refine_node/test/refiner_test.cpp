@@ -204,5 +204,41 @@ TEST(AddedByAir, OnlyWhereTheGroundRobotSawNothing) {
   EXPECT_EQ(addedByAir(aerial, ground, 0.1), (std::vector<char>{0, 1, 1}));
 }
 
+TEST(AugmentedMap, HoldsAerialPointsOnlyWhileAligned) {
+  AugmentedMap map({});
+  map.setGround({{{1, 0, 0}, {10, 20, 30}, 1}});
+  map.addAerial({{{0, 2, 0}, {77, 77, 77}, 1}});
+  ASSERT_EQ(map.points().size(), 1u);
+  EXPECT_EQ(map.points()[0].source, 0);
+  EXPECT_EQ(map.points()[0].rgb[0], 220) << "red";
+
+  Pose T = Pose::Identity();
+  T.translation() = Eigen::Vector3d(0, 0, 5);
+  map.align(T);
+  ASSERT_EQ(map.points().size(), 2u);
+  EXPECT_EQ(map.points()[1].source, 1);
+  EXPECT_EQ(map.points()[1].rgb[1], 77);
+  EXPECT_LT((map.points()[1].position - Eigen::Vector3f(0, 2, 5)).norm(), 1e-6);
+  map.clearGround();
+  EXPECT_EQ(map.points().size(), 1u);
+  map.align(std::nullopt);
+  EXPECT_FALSE(map.aligned());
+  EXPECT_TRUE(map.points().empty());
+}
+
+TEST(AugmentedMap, FillsOnlyWhatTheGroundRobotDidNotSee) {
+  AugmentedMapSettings settings;
+  settings.fill_only = true;
+  settings.ground_red = false;
+  AugmentedMap map(settings);
+  map.align(Pose::Identity());
+  map.setGround({{{0.01f, 0.01f, 0.01f}, {10, 20, 30}, 0}});
+  map.addAerial({{{0.03f, 0.01f, 0.01f}, {77, 77, 77}, 1}, {{1, 0, 0}, {77, 77, 77}, 1}});
+  const auto points = map.points();
+  ASSERT_EQ(points.size(), 2u);
+  EXPECT_EQ(points[0].rgb[2], 30);
+  EXPECT_NEAR(points[1].position.x(), 1, 1e-6);
+}
+
 }  // namespace
 }  // namespace icp_refine

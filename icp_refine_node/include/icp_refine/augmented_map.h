@@ -4,12 +4,17 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
+#include "air_ground_common/mesh.h"
 #include "icp_refine/cloud.h"
 
 namespace icp_refine {
+
+using air_ground_common::LabeledPoint;
 
 /// Aerial points with their grey value, one a voxel (mean of its points), in mav_map. Bounded: voxels grow when there are too many.
 class AerialVoxels {
@@ -53,5 +58,39 @@ class AerialVoxels {
 /// Mask of the points of `aerial` (already in the ground map's frame) in whose cell of `leaf` [m], or a neighbouring one,
 /// the ground map has no point: what the aerial view adds.
 std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const std::vector<Eigen::Vector3f>& ground, double leaf);
+
+struct AugmentedMapSettings {
+  double leaf = 0.02;                ///< edge of the aerial voxels [m]
+  std::size_t max_voxels = 2000000;  ///< with more of them they grow
+  int min_points = 1;                ///< voxels with fewer are left out
+  bool fill_only = false;            ///< aerial points only where the ground robot saw nothing
+  bool ground_red = true;            ///< false: its points keep their colours
+};
+
+/// The ground robot's points and, while the alignment is known, the MAV's among them.
+class AugmentedMap {
+ public:
+  explicit AugmentedMap(const AugmentedMapSettings& settings) : settings_(settings), aerial_(settings.leaf, settings.max_voxels) {}
+
+  /// In the ground map's frame.
+  void setGround(std::vector<LabeledPoint> points) { ground_ = std::move(points); }
+  void clearGround() { ground_.clear(); }
+  /// In mav_map; their grey value is rgb[0].
+  void addAerial(const std::vector<LabeledPoint>& points);
+  void clearAerial() { aerial_.clear(); }
+
+  /// Without a transform the map is the ground robot's alone.
+  void align(const std::optional<Pose>& T_ground_map_mav_map) { T_ground_map_mav_map_ = T_ground_map_mav_map; }
+  bool aligned() const { return T_ground_map_mav_map_.has_value(); }
+
+  /// Ground points (source 0) first, then aerial ones (source 1), in the ground map's frame.
+  std::vector<LabeledPoint> points() const;
+
+ private:
+  AugmentedMapSettings settings_;
+  std::vector<LabeledPoint> ground_;
+  AerialVoxels aerial_;
+  std::optional<Pose> T_ground_map_mav_map_;
+};
 
 }  // namespace icp_refine
