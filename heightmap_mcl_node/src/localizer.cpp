@@ -172,9 +172,7 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
   // Of two bare floors there is nothing to explain.
   if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief) return by_score;
-  const auto unexplained = [this](const Zmssd& z) {
-    return (z.cost + settings_.noise_cost) / std::pow(std::max({z.relief_air, z.relief_ground, settings_.min_relief}), 2);
-  };
+  const auto unexplained = [this](const Zmssd& z) { return (z.cost + settings_.noise_cost) / z.variance; };
   return std::min(by_score, unexplained(other) / unexplained(best));
 }
 

@@ -10,7 +10,7 @@ namespace heightmap_mcl::kernel {
 
 HEIGHTMAP_MCL_CLONES
 OverlapSums overlapSums(const float* x, const float* y, const float* h, int n, float c, float s, float tx, float ty,
-                 const GroundView& ground) {
+                        const GroundView& ground) {
   // The border of holes lets us clamp instead of test: whatever lies outside lands on a hole.
   const float max_column = static_cast<float>(ground.width) - 0.5f, max_row = static_cast<float>(ground.height) - 0.5f;
   const float* heights = ground.heights;

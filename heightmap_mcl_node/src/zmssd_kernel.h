@@ -12,7 +12,7 @@ struct GroundView {
 
 /// Cell coordinates of aerial cell i: column = c*x - s*y + tx, row = s*x + c*y + ty, in cells of the bordered grid.
 OverlapSums overlapSums(const float* x, const float* y, const float* h, int n, float c, float s, float tx, float ty,
-                 const GroundView& ground);
+                        const GroundView& ground);
 
 /// Products of one heading's spectra (mask, heights, squared heights of either map), interleaved complex arrays of n elements:
 /// the spectra of the sums over the overlap of 1, a - g, (a - g)^2, a, a^2, g^2, in the order of OverlapSums.

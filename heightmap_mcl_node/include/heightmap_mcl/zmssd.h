@@ -47,8 +47,9 @@ struct Zmssd {
   double score = kInfinity;  ///< what placements are compared by [m^2], see CostSettings::unknown_cost
   double relief_air = 0;     ///< standard deviation of the aerial heights in the overlap [m]
   double relief_ground = 0;  ///< of the ground heights there [m]
-  /// 1 - 2 cost / V, V the variance of the heights that vary more, at least min_relief^2: 1 where the maps say the same, 0
-  /// where one of them has structure that the other lacks; below 0 where their structures contradict.
+  double variance = 0;       ///< of the heights that vary more, at least min_relief^2 [m^2]
+  /// 1 - 2 cost / variance: 1 where the maps say the same, 0 where one of them has structure that the other lacks; below 0 where
+  /// their structures contradict.
   double explained = 0;
   double dz = 0;             ///< mean of ground minus aerial height over the overlap: what lifts the aerial map [m]
 };
@@ -70,8 +71,8 @@ inline Zmssd zmssdFromSums(const OverlapSums& sums, double cells, const CostSett
   result.relief_ground = std::sqrt(ground);
   result.cost = variance(sums.d, sums.d2) / 2;
   result.dz = -sums.d / n;
-  const double most = std::max({air, ground, settings.min_relief * settings.min_relief});
-  result.explained = most > 0 ? 1 - 2 * result.cost / most : 1;
+  result.variance = std::max({air, ground, settings.min_relief * settings.min_relief});
+  result.explained = result.variance > 0 ? 1 - 2 * result.cost / result.variance : 1;
   const double trust = settings.min_explained > 0 ? std::clamp(result.explained / settings.min_explained, 0.0, 1.0) : 1;
   result.score = result.cost + settings.unknown_cost * (1 - trust * std::min(1.0, n / cells));
   return result;
