@@ -5,16 +5,18 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <numeric>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/atomic_file.h"
+
 namespace streetview_localizer {
 namespace {
 
 using air_ground_common::MeshScene;
+using air_ground_common::writeAtomically;
 
 constexpr int kPad = 2;  // texels beside a facet, so that filtering does not pull in its neighbour in the atlas
 const cv::Vec3b kUnseen(170, 170, 170);
@@ -208,42 +210,38 @@ void writeObj(const TexturedModel& model, const std::string& path) {
     if (!written || std::rename(partial_page.c_str(), page.c_str()) != 0)
       throw std::runtime_error("cannot write " + page);
   }
-  std::ofstream mtl(beside(stem + ".mtl"));
-  mtl << "newmtl plain\nKd 0.67 0.67 0.67\n";
-  for (std::size_t i = 0; i < model.pages.size(); ++i)
-    mtl << "newmtl page" << i << "\nKa 1 1 1\nKd 1 1 1\nmap_Kd " << stem << "_" << i << ".jpg\n";
-  mtl.close();
-  if (!mtl) throw std::runtime_error("cannot write " + beside(stem + ".mtl"));
-
-  const std::string partial = path + ".partial";
-  std::ofstream obj(partial);
-  obj.precision(9);
-  obj << "# city model with facade textures, local east-north-up frame [m]\nmtllib " << stem << ".mtl\n";
-  for (const auto& v : model.mesh.vertices) obj << "v " << v.x() << " " << v.y() << " " << v.z() << "\n";
-  std::vector<int> order(model.mesh.triangles.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return model.page[a] < model.page[b]; });
-  int page = -2, texture = 0;
-  for (const int t : order) {
-    if (model.page[t] != page) {
-      page = model.page[t];
-      obj << "usemtl " << (page < 0 ? "plain" : "page" + std::to_string(page)) << "\n";
+  writeAtomically(beside(stem + ".mtl"), [&](std::ostream& mtl) {
+    mtl << "newmtl plain\nKd 0.67 0.67 0.67\n";
+    for (std::size_t i = 0; i < model.pages.size(); ++i)
+      mtl << "newmtl page" << i << "\nKa 1 1 1\nKd 1 1 1\nmap_Kd " << stem << "_" << i << ".jpg\n";
+  });
+  writeAtomically(path, [&](std::ostream& obj) {
+    obj.precision(9);
+    obj << "# city model with facade textures, local east-north-up frame [m]\nmtllib " << stem << ".mtl\n";
+    for (const auto& v : model.mesh.vertices) obj << "v " << v.x() << " " << v.y() << " " << v.z() << "\n";
+    std::vector<int> order(model.mesh.triangles.size());
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return model.page[a] < model.page[b]; });
+    int page = -2, texture = 0;
+    for (const int t : order) {
+      if (model.page[t] != page) {
+        page = model.page[t];
+        obj << "usemtl " << (page < 0 ? "plain" : "page" + std::to_string(page)) << "\n";
+      }
+      const Eigen::Vector3i c = model.mesh.triangles[t] + Eigen::Vector3i::Ones();
+      if (page < 0) {
+        obj << "f " << c[0] << " " << c[1] << " " << c[2] << "\n";
+        continue;
+      }
+      // OBJ counts from the lower left corner of the image, in units of its size; our pixel (0, 0) is a pixel's centre.
+      const cv::Mat& image = model.pages[page];
+      for (const auto& uv : model.uv[t])
+        obj << "vt " << (uv.x() + 0.5) / image.cols << " " << 1 - (uv.y() + 0.5) / image.rows << "\n";
+      obj << "f";
+      for (int k = 0; k < 3; ++k) obj << " " << c[k] << "/" << ++texture;
+      obj << "\n";
     }
-    const Eigen::Vector3i c = model.mesh.triangles[t] + Eigen::Vector3i::Ones();
-    if (page < 0) {
-      obj << "f " << c[0] << " " << c[1] << " " << c[2] << "\n";
-      continue;
-    }
-    // OBJ counts from the lower left corner of the image, in units of its size; our pixel (0, 0) is a pixel's centre.
-    const cv::Mat& image = model.pages[page];
-    for (const auto& uv : model.uv[t])
-      obj << "vt " << (uv.x() + 0.5) / image.cols << " " << 1 - (uv.y() + 0.5) / image.rows << "\n";
-    obj << "f";
-    for (int k = 0; k < 3; ++k) obj << " " << c[k] << "/" << ++texture;
-    obj << "\n";
-  }
-  obj.close();
-  if (!obj || std::rename(partial.c_str(), path.c_str()) != 0) throw std::runtime_error("cannot write " + path);
+  });
 }
 
 struct TexturedRenderer::Impl {
