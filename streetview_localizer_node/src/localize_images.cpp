@@ -61,6 +61,7 @@ std::string lineOf(const std::string& image, const LocalizerResult& r, const Str
 struct Arguments {
   std::string db, images, camera, cameras, up, out, pictures;
   double up_stddev = 2;
+  std::vector<double> region;
   bool keep_index = true;
   std::string covariance = "refined";
   int monte_carlo_samples = 1000;
@@ -80,8 +81,14 @@ int run(Arguments a) {
   if (!common) names.erase(std::remove_if(names.begin(), names.end(), [&](const std::string& n) { return single.count(n) == 0; }), names.end());
   if (names.empty()) throw std::runtime_error("no image of " + a.images + " is listed in " + a.cameras);
 
-  const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(a.db));
-  if (a.keep_index && a.db.rfind("PG:", 0) != 0) a.settings.index_file = a.db + ".index";
+  DatabaseLoadOptions load;
+  if (!a.region.empty()) {
+    if (!(a.region[2] > 0)) throw std::runtime_error("--region needs a positive radius");
+    load.centre = Eigen::Vector2d(a.region[0], a.region[1]);
+    load.radius = a.region[2];
+  }
+  const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(a.db, load));
+  if (a.keep_index) a.settings.index_file = indexFileOf(a.db, load);
   if (a.covariance == "monte_carlo") {
     a.settings.covariance = CovarianceKind::kMonteCarlo;
     a.settings.pose.monte_carlo_samples = a.monte_carlo_samples;
@@ -146,6 +153,7 @@ int main(int argc, char** argv) {
       "  rosrun air_ground localize_images --db city.gpkg --images flight --camera camera.yaml --out poses.csv");
   Arguments a;
   app.add_option("--db", a.db, "database made by build_streetview_db (.gpkg, or \"PG:...\")")->required();
+  app.add_option("--region", a.region, "only its panoramas around a place: easting northing radius, in the database's system [m]")->expected(3);
   app.add_option("--images", a.images, "folder of photographs")->required();
   app.add_option("--camera", a.camera, "calibration of all of them (ROS camera_info YAML)");
   app.add_option("--cameras", a.cameras, "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");

@@ -50,7 +50,7 @@ class StreetviewLocalizerNode {
  public:
   StreetviewLocalizerNode(ros::NodeHandle handle, ros::NodeHandle private_handle)
       : handle_(handle), settings_(readParameters(private_handle)), health_("streetview_localizer"), listener_(tf_) {
-    const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(settings_.database));
+    const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(settings_.database, settings_.load));
     localizer_ = std::make_unique<Localizer>(database, settings_.localizer);
     ROS_INFO("%s: %zu panoramas, %zu views, world %s", settings_.database.c_str(), database->panoramas.size(), database->views.size(),
              database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());

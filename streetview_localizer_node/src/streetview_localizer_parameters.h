@@ -16,6 +16,7 @@ struct NodeSettings {
   double min_period = 0, prior_max_age = 1, prior_speed = 3, gravity_max_age = 0.1, gravity_wait = 0.3, gravity_stddev = 0.02;
   double model_spacing = 0.2;  ///< [m]
   int model_max_points = 400000, display_width = 480, cameras_shown = 500;
+  DatabaseLoadOptions load;
   LocalizerSettings localizer;
 };
 
@@ -25,6 +26,9 @@ NodeSettings readSettings(Source& p) {
   constexpr double kDegree = M_PI / 180;
   NodeSettings s;
   s.database = p.text("database", "");
+  const Eigen::Vector2d centre(p.number("region/easting", 0, -1e8, 1e8), p.number("region/northing", 0, -1e8, 1e8));
+  const double radius = p.number("region/radius", 0, 0, 1e6);
+  if (radius > 0) s.load.centre = centre, s.load.radius = radius;
   s.world_frame = p.text("world_frame", "world");
   s.base_frame = p.text("base_frame", "mav_base_link");
   s.camera_frame = p.text("camera_frame", "");
@@ -44,7 +48,7 @@ NodeSettings readSettings(Source& p) {
   l.index.hnsw_search = p.integer("hnsw_search", l.index.hnsw_search, 1, 100000);
   l.index.flann_checks = p.integer("flann_checks", l.index.flann_checks, 1, 1000000);
   l.index.build_threads = p.integer("index_threads", l.index.build_threads, 0, 256);
-  if (p.flag("keep_index", true) && s.database.rfind("PG:", 0) != 0) l.index_file = s.database + ".index";
+  if (p.flag("keep_index", true)) l.index_file = indexFileOf(s.database, s.load);
   l.search_features = p.integer("search_features", l.search_features, 0, 1000000);
   l.neighbors = p.integer("neighbors", l.neighbors, 2, 1000);
   l.max_views = p.integer("max_views", l.max_views, 1, 1000);

@@ -3,6 +3,7 @@
 #include <boost/geometry.hpp>
 #include <boost/geometry/geometries/point.hpp>
 #include <boost/geometry/index/rtree.hpp>
+#include <cstdio>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
@@ -115,6 +116,15 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
 
 }  // namespace
 
+std::string indexFileOf(const std::string& path, const DatabaseLoadOptions& options) {
+  if (isServer(path)) return "";
+  if (!options.centre) return path + ".index";
+  char part[100];
+  std::snprintf(part, sizeof part, ".%.10g_%.10g_%.10g.index", options.centre->x(), options.centre->y(),
+                options.radius);
+  return path + part;
+}
+
 StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options) {
   const Dataset dataset = openDataset(path, false);
   checkVersion(dataset.get(), path);
@@ -149,6 +159,12 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
     index_of[row->GetFID()] = static_cast<int>(database.panoramas.size());
     expected[static_cast<int>(database.panoramas.size())] = row->GetFieldAsInteger("views");
     database.panoramas.push_back(std::move(panorama));
+  }
+  if (options.centre && database.panoramas.empty()) {
+    char place[160];
+    std::snprintf(place, sizeof place, "%.10g m of %.10g, %.10g%s%s", options.radius, options.centre->x(),
+                  options.centre->y(), database.crs.empty() ? "" : " in ", database.crs.c_str());
+    throw std::runtime_error(path + " has no panorama within " + place);
   }
   const auto readViews = [&] {
     view_layer->ResetReading();

@@ -14,8 +14,6 @@ namespace fs = std::filesystem;
 
 namespace {
 
-bool isServer(const std::string& path) { return path.rfind("PG:", 0) == 0; }
-
 std::string partialName(const std::string& path) {
   fs::path p(path);
   return (p.parent_path() / (p.stem().string() + ".partial.gpkg")).string();
@@ -70,6 +68,17 @@ struct DatabaseWriter::Impl {
 
   // SQLite's own lock, kept from the first write until the file is closed: a second build of the same name is refused.
   void keepLocked() { trySql("PRAGMA locking_mode = EXCLUSIVE"); }
+
+  // The same on a server, which lets go when the connection ends.
+  void lockServer() {
+    bool locked = false;
+    if (OGRLayer* answer = dataset->ExecuteSQL(
+            "SELECT pg_try_advisory_lock(hashtext('street_view_database'))::int AS locked", nullptr, nullptr)) {
+      for (auto& row : *answer) locked = row->GetFieldAsInteger("locked") == 1;
+      dataset->ReleaseResultSet(answer);
+    }
+    if (!locked) throw std::runtime_error("cannot write " + working + ": another program is writing it");
+  }
 
   void begin() {
     if (dataset->StartTransaction() != OGRERR_NONE) fail("start a transaction");
@@ -276,6 +285,7 @@ DatabaseWriter::DatabaseWriter(const std::string& path, const CityModel& model, 
   if (isServer(path)) {
     d.working = path;
     d.dataset = openDataset(path, true);
+    d.lockServer();
     if (!infoValue(d.dataset.get(), "version").empty()) {
       d.resume(settings);
       return;

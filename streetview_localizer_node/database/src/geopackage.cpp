@@ -1,6 +1,7 @@
 #include "geopackage.h"
 
 #include <array>
+#include <cctype>
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
@@ -12,8 +13,6 @@ namespace streetview_localizer {
 using air_ground_common::Pose;
 
 namespace {
-
-bool isServer(const std::string& path) { return path.rfind("PG:", 0) == 0; }
 
 // SQLite's header tells how long the file ought to be (fields at 16 and 28, sqlite.org/fileformat2.html).
 void checkFile(const std::string& path) {
@@ -43,6 +42,16 @@ Dataset openAny(const std::string& path, bool update) {
 
 }  // namespace
 
+bool isServer(const std::string& path) { return path.rfind("PG:", 0) == 0; }
+
+std::string lastGdalError() {
+  std::string text = CPLGetLastErrorMsg();
+  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.back()))) text.pop_back();
+  for (char& c : text)
+    if (c == '\n' || c == '\t') c = ' ';
+  return text;
+}
+
 Pose readPose(OGRFeature& row, const std::string& prefix, const std::string& path) {
   const auto value = [&](const char* name) { return row.GetFieldAsDouble((prefix + name).c_str()); };
   const Eigen::Quaterniond q(value("qw"), value("qx"), value("qy"), value("qz"));
@@ -71,7 +80,7 @@ Dataset openDataset(const std::string& path, bool update) {
   if (!isServer(path)) checkFile(path);
   const QuietGdal quiet;
   Dataset dataset = openAny(path, update);
-  if (!dataset) throw std::runtime_error("cannot open " + path + " as a database: " + CPLGetLastErrorMsg());
+  if (!dataset) throw std::runtime_error("cannot open " + path + " as a database: " + lastGdalError());
   return dataset;
 }
 

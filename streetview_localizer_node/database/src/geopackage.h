@@ -29,6 +29,9 @@ struct QuietGdal {
   QuietGdal(const QuietGdal&) = delete;
 };
 
+/// GDAL's last error as one line: the servers' messages have several.
+std::string lastGdalError();
+
 using Dataset = std::unique_ptr<GDALDataset, decltype(&GDALClose)>;
 /// Throws std::runtime_error with one line.
 Dataset openDataset(const std::string& path, bool update);

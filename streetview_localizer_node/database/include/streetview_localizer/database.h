@@ -50,13 +50,21 @@ struct DatabaseLoadOptions {
   double radius = 200;  ///< [m]
 };
 
-/// Reads a GeoPackage file or, given "PG:..." , a PostGIS database. Throws std::runtime_error with one line for a
-/// missing or truncated file, another version, or a file that is no Street View database.
+/// True for "PG:...", a PostGIS database, false for a file.
+bool isServer(const std::string& path);
+
+/// Where the search index of (this part of) a database is kept: beside the file; empty for a server.
+std::string indexFileOf(const std::string& path, const DatabaseLoadOptions& options = {});
+
+/// Reads a GeoPackage file or, given "PG:..." , a PostGIS database. The city model is read whole. Throws
+/// std::runtime_error with one line for a missing or truncated file, another version, a file that is no Street View
+/// database, or a place without panoramas.
 StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options = {});
 
 /// Writes a database panorama by panorama. A file appears under its own name only with finish(); until then it grows as
 /// `<name>.partial.gpkg`, one transaction a panorama, so that a killed build loses at most one panorama and a new
-/// writer goes on from there. A finished file is added to through a copy.
+/// writer goes on from there. A finished file is added to through a copy. On a server the tables grow in place, under
+/// an advisory lock, and cannot be loaded before finish().
 class DatabaseWriter {
  public:
   /// Starts, resumes or extends `path`. `settings`: one line that names all that shapes the contents; a resumed or
