@@ -19,6 +19,8 @@ namespace {
 
 constexpr double kDegree = M_PI / 180;
 constexpr double kGravityGate = 4;  // standard deviations
+constexpr int kMirrorFeatures = 1000, kMirrorViews = 2;
+constexpr double kClearRatio = 0.75;  // of a match that hardly arises by chance
 
 std::string text(const char* format, double a, double b = 0, double c = 0) {
   char line[240];
@@ -175,6 +177,7 @@ struct Localizer::Impl {
       corr.view_pixel = {from.features.keypoints[v].pt.x, from.features.keypoints[v].pt.y};
       corr.p_world = from.points[v].cast<double>();
       corr.normal = from.normals[v].cast<double>();
+      corr.view_centre = from.T_world_camera.translation();
       corr.quality = quality;
       c.correspondences.push_back(corr);
       c.views.push_back(part.view);
@@ -203,7 +206,7 @@ struct Localizer::Impl {
       source = sourceOf(c.panorama);
       if (inliers_of_panorama.size() > 1) refine(camera, prior, rays, &c);
     }
-    c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance);
+    c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance, c.kept);
     if (c.acceptance.accepted && prior.up_camera) checkGravity(prior, &c);
     if (c.acceptance.accepted) checkAgainstModel(&c);
     if (c.acceptance.accepted) checkMirror(query, &c);
@@ -237,7 +240,8 @@ struct Localizer::Impl {
     if (!(deviations(moved, c->pose.covariance.topLeftCorner<3, 3>()) <= settings.max_fusion_shift) ||
         !(deviations(turned, c->pose.covariance.bottomRightCorner<3, 3>()) <= settings.max_fusion_shift))
       return;
-    const std::vector<Correspondence> kept(c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept));
+    std::vector<Correspondence> kept(c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept));
+    for (std::size_t i = 0; i < c->pose.wall_shifts.size() && i < kept.size(); ++i) kept[i].p_world += c->pose.wall_shifts[i];
     PoseHypothesis scored = scorePose(refined.T_world_camera, kept, camera, settings.pose);
     if (static_cast<double>(scored.inliers.size()) < settings.min_fusion_inliers * static_cast<double>(c->pose.inliers.size())) return;
     static_cast<PoseHypothesis&>(c->pose) = std::move(scored);
@@ -287,10 +291,19 @@ struct Localizer::Impl {
       refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share), c);
   }
 
-  // A facade is often its own mirror image: an image that was flipped finds a place too, but a worse one than as it was.
+  // A facade is often its own mirror image: an image that was flipped finds a place too, but has fewer clear matches there than
+  // its mirror image has with the view that shows it.
   void checkMirror(const Features& query, Candidate* c) const {
-    const double straight = search.bestVote(query, false), flipped = search.bestVote(query, true);
-    if (flipped > straight) refuse(text("mirrored, the image finds a better view (votes %.1f) than as it is (%.1f)", flipped, straight), c);
+    const Features straight = strongestFeatures(query, kMirrorFeatures), flipped = mirroredFeatures(straight);
+    PairwiseSettings clear = settings.pairwise;
+    clear.max_ratio = std::min(clear.max_ratio, kClearRatio);
+    std::vector<int> views = search.byMirrorImage(flipped, kMirrorViews);
+    views.push_back(c->view);
+    std::size_t as_mirrored = 0;
+    for (const int v : views) as_mirrored = std::max(as_mirrored, matchPairwise(flipped, view(v).features, clear).size());
+    const std::size_t as_it_is = matchPairwise(straight, view(c->view).features, clear).size();
+    if (as_mirrored > as_it_is)
+      refuse(text("mirrored, the image has %.0f clear matches with a view, as it is %.0f", static_cast<double>(as_mirrored), static_cast<double>(as_it_is)), c);
   }
 
   void take(Candidate&& c, LocalizerResult* result) const {
@@ -312,23 +325,28 @@ struct Localizer::Impl {
     };
     std::stable_sort(candidates.begin(), candidates.end(), better);
     std::string contradiction;
-    for (std::size_t i = 1; i < candidates.size(); ++i) {
-      if (!candidates[i].acceptance.accepted) break;
-      const Pose& a = candidates[0].pose.T_world_camera;
-      const Pose& b = candidates[i].pose.T_world_camera;
-      const double apart = (a.translation() - b.translation()).norm(), turn = air_ground_common::rotationAngle(a.linear(), b.linear());
+    for (std::size_t i = 1; i < candidates.size() && candidates[i].acceptance.accepted; ++i) {
       const double inliers = candidates[i].acceptance.evidence.inliers;
       if (inliers < settings.min_rival_share * candidates[0].acceptance.evidence.inliers) continue;
-      if (apart > settings.max_disagreement || turn > settings.max_turn)
-        contradiction = text("poses from two panoramas lie %.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn / kDegree, inliers);
+      if (const std::string apart = disagreement(candidates[0].pose, candidates[i].pose); !apart.empty()) contradiction = "poses from two panoramas lie " + apart;
     }
     take(std::move(candidates[0]), result);
-    if (!contradiction.empty()) {
-      result->status = LocalizerStatus::kRefused;
-      result->acceptance.accepted = false;
-      result->acceptance.score = 0;
-      result->acceptance.reason = result->reason = contradiction;
-    }
+    if (!contradiction.empty()) contradict(contradiction, result);
+  }
+
+  // How two poses disagree; empty if they do not.
+  std::string disagreement(const PoseResult& a, const PoseResult& b) const {
+    const double apart = (a.T_world_camera.translation() - b.T_world_camera.translation()).norm();
+    const double turn = air_ground_common::rotationAngle(a.T_world_camera.linear(), b.T_world_camera.linear());
+    if (apart <= settings.max_disagreement && turn <= settings.max_turn) return "";
+    return text("%.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn / kDegree, static_cast<double>(b.inliers.size()));
+  }
+
+  static void contradict(const std::string& why, LocalizerResult* result) {
+    result->status = LocalizerStatus::kRefused;
+    result->acceptance.accepted = false;
+    result->acceptance.score = 0;
+    result->acceptance.reason = result->reason = why;
   }
 
   void run(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior, LocalizerResult* result) const {
@@ -339,33 +357,53 @@ struct Localizer::Impl {
       const StepTimer timer(result, Step::kVerification);
       pyramid = std::make_unique<GradientPyramid>(grey);
     }
-    if (settings.quick_inliers > 0) {
-      VirtualViewSettings plain = settings.features;
-      plain.views.clear();
-      if (plain.original.max_features == 0 || plain.original.max_features > settings.quick_features) plain.original.max_features = settings.quick_features;
-      attempt(grey, *pyramid, camera, prior, plain, std::min(settings.quick_views, settings.max_views), result);
-      result->quick = result->accepted() && result->acceptance.evidence.inliers >= settings.quick_inliers;
-      // A blank image stays blank from every side.
-      if (result->quick || result->features < settings.acceptance.min_inliers) return;
-      LocalizerResult again;
-      again.times = result->times;
-      *result = again;
-    }
-    attempt(grey, *pyramid, camera, prior, settings.features, settings.max_views, result);
-  }
-
-  void attempt(const cv::Mat& grey, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior, const VirtualViewSettings& features, int max_views,
-               LocalizerResult* result) const {
-    Features query;
+    Features features;
     {
       const StepTimer timer(result, Step::kFeatures);
-      query = extractWithVirtualViews(grey, camera, features);
+      features = extractFeatures(grey, settings.features.original);
     }
+    LocalizerResult best;
+    const auto settled = [&](const Features& query, int max_views, int enough) {
+      LocalizerResult next;
+      next.times = best.times;
+      attempt(query, *pyramid, camera, prior, max_views, &next);
+      const bool both = best.accepted() && next.accepted();
+      best = better(std::move(best), std::move(next));
+      return best.accepted() ? best.acceptance.evidence.inliers >= enough : both;
+    };
+    best.times = result->times;
+    const bool in_steps = settings.quick_inliers > 0;
+    bool done = static_cast<int>(features.size()) < settings.acceptance.min_inliers;  // a blank image stays blank from every side
+    if (done) best.reason = text("%.0f features in the image: nothing to match", static_cast<double>(features.size()));
+    if (!done && in_steps) done = settled(strongestFeatures(features, settings.quick_features), std::min(settings.quick_views, settings.max_views), settings.quick_inliers);
+    const bool more = static_cast<int>(features.size()) > settings.quick_features || settings.max_views > settings.quick_views;
+    if (!done && (in_steps ? more : settings.features.views.empty())) done = settled(features, settings.max_views, 0);
+    best.quick = done;
+    if (!done && !settings.features.views.empty()) {
+      {
+        StepTimer timer(&best, Step::kFeatures);
+        features = addVirtualViews(features, grey, camera, settings.features);
+      }
+      settled(features, settings.max_views, 0);
+    }
+    *result = std::move(best);
+  }
+
+  // Of two attempts at one image: the accepted one with more inliers, else the later. Both accepted, they must agree.
+  LocalizerResult better(LocalizerResult before, LocalizerResult after) const {
+    after.features = std::max(after.features, before.features);
+    if (!before.accepted()) return after;
+    const bool second = after.accepted() && after.acceptance.evidence.inliers > before.acceptance.evidence.inliers;
+    const std::string apart = after.accepted() ? disagreement(before.pose, after.pose) : "";
+    LocalizerResult& chosen = second ? after : before;
+    chosen.times = after.times;
+    chosen.features = after.features;
+    if (!apart.empty()) contradict("poses from the image and its virtual views lie " + apart, &chosen);
+    return std::move(chosen);
+  }
+
+  void attempt(const Features& query, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior, int max_views, LocalizerResult* result) const {
     result->features = static_cast<int>(query.size());
-    if (result->features < settings.acceptance.min_inliers) {
-      result->reason = text("%.0f features in the image: nothing to match", result->features);
-      return;
-    }
     const double prior_stddev =
         prior.T_world_camera ? std::sqrt(prior.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff()) : std::numeric_limits<double>::infinity();
     result->used_prior = prior_stddev <= settings.max_prior_stddev;

@@ -13,22 +13,6 @@
 namespace streetview_localizer {
 namespace {
 
-constexpr int kMirrorFeatures = 600;
-
-// SIFT descriptors of the image's mirror image. In a keypoint's own frame, x along its direction, mirroring turns y about: rows of
-// the 4 x 4 grid are reversed, directions change sign.
-cv::Mat mirroredDescriptors(const cv::Mat& descriptors) {
-  cv::Mat out(descriptors.size(), descriptors.type());
-  for (int i = 0; i < descriptors.rows; ++i) {
-    const auto* from = descriptors.ptr<uchar>(i);
-    auto* to = out.ptr<uchar>(i);
-    for (int row = 0; row < 4; ++row)
-      for (int col = 0; col < 4; ++col)
-        for (int bin = 0; bin < 8; ++bin) to[(row * 4 + col) * 8 + bin] = from[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
-  }
-  return out;
-}
-
 // Indices of the `count` features of strongest response (0: all), ascending.
 std::vector<int> strongest(const Features& query, int count) {
   std::vector<int> indices(query.size());
@@ -49,6 +33,29 @@ cv::Mat rowsOf(const cv::Mat& all, const std::vector<int>& indices) {
 }
 
 }  // namespace
+
+Features strongestFeatures(const Features& features, int count) {
+  const std::vector<int> indices = strongest(features, count);
+  Features out;
+  out.descriptors = rowsOf(features.descriptors, indices);
+  for (const int i : indices) out.keypoints.push_back(features.keypoints[static_cast<std::size_t>(i)]);
+  return out;
+}
+
+// In a keypoint's own frame, x along its direction, mirroring turns y about: rows of the descriptor's 4 x 4 grid are reversed,
+// directions change sign.
+Features mirroredFeatures(Features features) {
+  const cv::Mat from = features.descriptors;
+  features.descriptors = cv::Mat(from.size(), from.type());
+  for (int i = 0; i < from.rows; ++i) {
+    const auto* in = from.ptr<uchar>(i);
+    auto* out = features.descriptors.ptr<uchar>(i);
+    for (int row = 0; row < 4; ++row)
+      for (int col = 0; col < 4; ++col)
+        for (int bin = 0; bin < 8; ++bin) out[(row * 4 + col) * 8 + bin] = in[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
+  }
+  return features;
+}
 
 ViewSearch::ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings) : database_(database), settings_(settings) {
   std::vector<cv::Mat> parts;
@@ -136,20 +143,23 @@ std::vector<int> ViewSearch::byDescriptors(const Features& query, int max_views,
     neighbors = index_->search(rows, std::min(settings_.neighbors, descriptors_.rows));
   }
   const StepTimer timer(result, Step::kVoting);
+  return placesOf(neighbors, queried, query.keypoints, max_views);
+}
+
+std::vector<int> ViewSearch::placesOf(const std::vector<std::vector<Neighbor>>& neighbors, const std::vector<int>& queried,
+                                      const std::vector<cv::KeyPoint>& keypoints, int max_views) const {
   VotingSettings voting = settings_.voting;
   voting.best = max_views;
   std::vector<int> views;
-  for (const Vote& vote : voteForPlaces(neighbors, queried, query.keypoints, view_of_row_, static_cast<int>(database_.views.size()), voting))
+  for (const Vote& vote : voteForPlaces(neighbors, queried, keypoints, view_of_row_, static_cast<int>(database_.views.size()), voting))
     views.push_back(vote.place);
   return views;
 }
 
-double ViewSearch::bestVote(const Features& query, bool mirrored) const {
-  const std::vector<int> queried = strongest(query, kMirrorFeatures);
-  const cv::Mat rows = rowsOf(query.descriptors, queried);
-  const auto neighbors = index_->search(mirrored ? mirroredDescriptors(rows) : rows, std::min(settings_.neighbors, descriptors_.rows));
-  const auto votes = voteForPlaces(neighbors, queried, query.keypoints, view_of_row_, static_cast<int>(database_.views.size()), settings_.voting);
-  return votes.empty() ? 0 : votes.front().score;
+std::vector<int> ViewSearch::byMirrorImage(const Features& mirrored, int max_views) const {
+  std::vector<int> all(mirrored.size());
+  std::iota(all.begin(), all.end(), 0);
+  return placesOf(index_->search(mirrored.descriptors, std::min(settings_.neighbors, descriptors_.rows)), all, mirrored.keypoints, max_views);
 }
 
 }  // namespace streetview_localizer

@@ -9,6 +9,12 @@
 
 namespace streetview_localizer {
 
+/// The `count` features of strongest response (0: all), in their order.
+Features strongestFeatures(const Features& features, int count);
+
+/// What the mirror image's features would be, at the places of the image's own: the same numbers in another order.
+Features mirroredFeatures(Features features);
+
 /// Thread-safe once made.
 class ViewSearch {
  public:
@@ -21,14 +27,16 @@ class ViewSearch {
   /// Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
   std::vector<int> byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const;
 
-  /// Score of the view that the strongest features vote for, of the image or of its mirror image.
-  double bestVote(const Features& query, bool mirrored) const;
+  /// The same for the few features of a mirror image; no times.
+  std::vector<int> byMirrorImage(const Features& mirrored, int max_views) const;
 
   /// Where the index came from, for the log.
   const std::string& indexRemark() const { return index_remark_; }
 
  private:
   void prepareIndex();
+  std::vector<int> placesOf(const std::vector<std::vector<Neighbor>>& neighbors, const std::vector<int>& queried,
+                            const std::vector<cv::KeyPoint>& keypoints, int max_views) const;
   std::vector<int> panoramasNear(const Eigen::Vector3d& position) const;
 
   const StreetviewDatabase& database_;

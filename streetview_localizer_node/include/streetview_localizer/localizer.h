@@ -34,8 +34,8 @@ struct LocalizerSettings {
   PointFusionSettings fusion;
 
   std::string index_file;        ///< the index over the database is read from here, or built and kept here; empty: in memory alone
-  /// The image as it is comes first, with its strongest features and the likeliest views alone; all views, and the image's virtual
-  /// views, only where that gives no accepted pose with so many distinct inliers. 0: always everything.
+  /// The image's strongest features and the likeliest views come first; all features and views only where that gives no accepted
+  /// pose with so many distinct inliers; the image's virtual views where those give none either. 0: always everything.
   int quick_inliers = 60;
   int quick_features = 1500;     ///< then
   int quick_views = 5;           ///< then
@@ -84,7 +84,7 @@ struct LocalizerResult {
   int view = -1;                                ///< its best view
   std::vector<int> searched;                    ///< panoramas matched pairwise, best first
   bool used_prior = false;                      ///< the prior chose them
-  bool quick = false;                           ///< the image itself was enough
+  bool quick = false;                           ///< no virtual views were made: the image itself was enough, or hopeless
   int features = 0;                             ///< of the image and, where made, its virtual views
   int matches = 0;                              ///< after k-VLD, all views together
   std::array<double, kSteps> times{};           ///< [s]

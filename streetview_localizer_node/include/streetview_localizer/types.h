@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <limits>
 #include <opencv2/core.hpp>
 #include <string>
 #include <vector>
@@ -57,6 +58,8 @@ struct Correspondence {
   Eigen::Vector2d view_pixel = Eigen::Vector2d::Zero();  ///< in the database view [px]
   Eigen::Vector3d p_world = Eigen::Vector3d::Zero();     ///< [m]
   Eigen::Vector3d normal = Eigen::Vector3d::Zero();      ///< outward unit normal in world; zero if unknown
+  /// Of the database view that the point was cast from, in world [m]; not finite: that of the PointSource.
+  Eigen::Vector3d view_centre = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
   double quality = 1;                                    ///< larger is better, for guided sampling
 };
 

@@ -187,12 +187,16 @@ AIR_GROUND_CLONES void minimumOf(const std::int32_t* values, int count, std::int
 }
 
 AIR_GROUND_CLONES std::int32_t minimumElsewhere(const std::int32_t* values, const float* x, const float* y, int count,
-                                                float x0, float y0, float r2) {
+                                                float x0, float y0, float r2, std::int32_t enough) {
+  constexpr int kBlock = 256;
   std::int32_t least = INT32_MAX;
-  for (int j = 0; j < count; ++j) {
-    const float dx = x[j] - x0, dy = y[j] - y0;
-    const std::int32_t value = dx * dx + dy * dy > r2 ? values[j] : INT32_MAX;
-    least = value < least ? value : least;
+  for (int begin = 0; begin < count && least >= enough; begin += kBlock) {
+    const int end = begin + kBlock < count ? begin + kBlock : count;
+    for (int j = begin; j < end; ++j) {
+      const float dx = x[j] - x0, dy = y[j] - y0;
+      const std::int32_t value = dx * dx + dy * dy > r2 ? values[j] : INT32_MAX;
+      least = value < least ? value : least;
+    }
   }
   return least;
 }

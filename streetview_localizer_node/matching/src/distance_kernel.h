@@ -37,9 +37,10 @@ std::int32_t squaredDistance(const std::uint8_t* a, const std::uint8_t* b);
 /// Smallest of values[0..count), and the first index that has it; count > 0.
 void minimumOf(const std::int32_t* values, int count, std::int32_t* minimum, int* index);
 
-/// Smallest of values[j] with (x[j] - x0)^2 + (y[j] - y0)^2 > r2; INT32_MAX when there is none.
+/// Smallest of values[j] with (x[j] - x0)^2 + (y[j] - y0)^2 > r2; INT32_MAX when there is none. Once one below `enough`
+/// is found, any such value may be returned.
 std::int32_t minimumElsewhere(const std::int32_t* values, const float* x, const float* y, int count, float x0, float y0,
-                              float r2);
+                              float r2, std::int32_t enough = INT32_MIN);
 
 /// best[j] = min(best[j], values[j]), and owner[j] = id where values[j] was smaller.
 void lowerColumns(const std::int32_t* values, int count, std::int32_t id, std::int32_t* best, std::int32_t* owner);

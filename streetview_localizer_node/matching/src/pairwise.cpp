@@ -117,6 +117,7 @@ std::vector<Match> matchPairwise(const Features& query, const Features& view, co
   std::vector<std::int32_t> column_best(padded, INT32_MAX);
   const float r2 = static_cast<float>(settings.place_radius * settings.place_radius);
   const auto limit = static_cast<std::int32_t>(settings.max_distance * settings.max_distance);
+  const double ratio2 = settings.max_ratio * settings.max_ratio * (1 + 1e-4);  // clear of rounding
 
 #pragma omp parallel
   {
@@ -143,7 +144,9 @@ std::vector<Match> matchPairwise(const Features& query, const Features& view, co
         int j;
         minimumOf(d, columns, &least, &j);
         if (least > limit) continue;
-        nearest.rows[i] = {j, least, minimumElsewhere(d, x.data(), y.data(), columns, x[j], y[j], r2)};
+        // Most features fail the ratio test: no need to know by how much.
+        const auto enough = static_cast<std::int32_t>(std::min(2e9, least / ratio2));
+        nearest.rows[i] = {j, least, minimumElsewhere(d, x.data(), y.data(), columns, x[j], y[j], r2, enough)};
       }
     }
     // Ties go to the lower index, whichever thread comes first.

@@ -243,9 +243,12 @@ cv::Mat VirtualViewWarp::render(const cv::Mat& grey, bool half) const {
   return warped;
 }
 
-Features extractWithVirtualViews(const cv::Mat& image, const CameraModel& camera, const VirtualViewSettings& settings) {
+namespace {
+
+Features extract(const Features* original, const cv::Mat& image, const CameraModel& camera,
+                 const VirtualViewSettings& settings) {
   if (image.cols != camera.width || image.rows != camera.height)
-    throw std::invalid_argument("extractWithVirtualViews: the image is " + std::to_string(image.cols) + "x" +
+    throw std::invalid_argument("virtual views: the image is " + std::to_string(image.cols) + "x" +
                                 std::to_string(image.rows) + ", its camera " + std::to_string(camera.width) + "x" +
                                 std::to_string(camera.height));
   cv::Mat grey = image;
@@ -261,7 +264,7 @@ Features extractWithVirtualViews(const cv::Mat& image, const CameraModel& camera
       [&](const cv::Range& range) {
         for (int i = range.start; i < range.end; ++i) {
           if (i == 0) {
-            found[0] = extractFeatures(grey, settings.original);
+            found[0] = original ? *original : extractFeatures(grey, settings.original);
             for (cv::KeyPoint& k : found[0].keypoints) k.class_id = 0;
             continue;
           }
@@ -276,6 +279,17 @@ Features extractWithVirtualViews(const cv::Mat& image, const CameraModel& camera
   Merger merger(settings);
   for (const Features& features : found) merger.add(features);
   return merger.result();
+}
+
+}  // namespace
+
+Features extractWithVirtualViews(const cv::Mat& image, const CameraModel& camera, const VirtualViewSettings& settings) {
+  return extract(nullptr, image, camera, settings);
+}
+
+Features addVirtualViews(const Features& original, const cv::Mat& image, const CameraModel& camera,
+                         const VirtualViewSettings& settings) {
+  return extract(&original, image, camera, settings);
 }
 
 }  // namespace streetview_localizer

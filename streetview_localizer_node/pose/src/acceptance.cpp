@@ -44,13 +44,17 @@ double log10Binomial(int n, int k) {
   return (std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0)) / M_LN10;
 }
 
-/// Logistic regression fitted to right and wrong poses of real photographs of one courtyard with repeated windows,
-/// wrong ones also from matches whose right part was removed; held against the photographs not fitted
-/// (docs/streetview_pose.md).
+double logistic(double x) { return 1 / (1 + std::exp(-x)); }
+
+/// Two logistic regressions, fitted to right and wrong poses (wrong ones from matches whose right part was removed, and
+/// from mirrored images; docs/streetview_pose.md): one looks at all matches, photographs of one courtyard with repeated
+/// windows; one at those that a filter kept, since how many it drops grows with the images' texture: the courtyard and
+/// three simulated streets. Either may vouch for a pose: none of its own wrong poses came to 0.9.
 double scoreOf(const PoseEvidence& e) {
-  const double logit = -4.78 + 7.41 * e.inlier_share - 0.896 * std::log(std::max(0.02, e.position_stddev)) -
-                       3.90 * e.competitor_share + 1.19 * std::log(std::max(1, e.cells));
-  return 1 / (1 + std::exp(-logit));
+  const double spread = std::log(std::max(0.02, e.position_stddev)), cells = std::log(std::max(1, e.cells));
+  const double by_all = -4.78 + 7.41 * e.inlier_share - 0.896 * spread - 3.90 * e.competitor_share + 1.19 * cells;
+  const double by_kept = -15.68 + 14.14 * e.kept_share - 2.15 * spread - 7.34 * e.competitor_share + 0.14 * cells;
+  return logistic(std::max(by_all, by_kept));
 }
 
 std::string line(const char* format, double value, double bound) {
@@ -75,7 +79,8 @@ void AcceptanceSettings::validate() const {
 }
 
 PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspondence>& correspondences,
-                            const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings) {
+                            const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
+                            std::size_t first_dropped) {
   PoseEvidence e;
   if (!result.success) return e;
   std::vector<int> all(correspondences.size());
@@ -85,10 +90,14 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
   e.inliers = k;
   if (n == 0 || k == 0) return e;
   // Of all matches: some that a filter dropped agree with the pose all the same.
+  std::vector<Correspondence> moved = correspondences;
+  for (std::size_t i = 0; i < result.wall_shifts.size() && i < moved.size(); ++i)
+    moved[i].p_world += result.wall_shifts[i];
   const int agreeing = static_cast<int>(
-      distinct(scorePose(result.T_world_camera, correspondences, camera, pose_settings).inliers, correspondences)
-          .size());
+      distinct(scorePose(result.T_world_camera, moved, camera, pose_settings).inliers, correspondences).size());
   e.inlier_share = std::min(1.0, static_cast<double>(agreeing) / n);
+  all.resize(std::min(all.size(), first_dropped));
+  e.kept_share = std::min(1.0, static_cast<double>(k) / static_cast<double>(distinct(all, correspondences).size()));
 
   // A contrario (Moisan, Moulon, Monasse 2012): sets of k random matches that some sample of three, with up to four
   // poses, brings within the threshold, when pixels fall anywhere in the matches' hull.
@@ -140,14 +149,14 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
 
 Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                  const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
-                 const AcceptanceSettings& s) {
+                 const AcceptanceSettings& s, std::size_t first_dropped) {
   s.validate();
   Acceptance a;
   if (!result.success) {
     a.reason = result.reason.empty() ? "no pose" : result.reason;
     return a;
   }
-  a.evidence = gatherEvidence(result, correspondences, camera, source, pose_settings);
+  a.evidence = gatherEvidence(result, correspondences, camera, source, pose_settings, first_dropped);
   const PoseEvidence& e = a.evidence;
   a.score = scoreOf(e);
   const double deg = 180 / M_PI;

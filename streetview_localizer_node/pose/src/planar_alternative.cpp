@@ -11,9 +11,6 @@ namespace streetview_localizer::detail {
 
 namespace {
 
-/// Errors of neighbouring points are alike (relief that the model lacks, one bad wall), so a crowd of matches counts as
-/// no more measurements than this. Calibrated: docs/streetview_pose.md.
-constexpr double kEffectiveMeasurements = 80;
 constexpr double kVeto = 50;        // what cannot be: seen from inside the wall, below the ground
 constexpr double kPriorLimit = 20;  // a prior alone may be wrong
 
@@ -85,7 +82,7 @@ double predictionError(const Pose& T, const PosePrior& prior) {
 
 }  // namespace
 
-std::vector<std::vector<int>> wallsOf(const Matches& m, const std::vector<int>& inliers) {
+std::vector<std::vector<int>> wallsOf(const Matches& m, const std::vector<int>& inliers, double tolerance) {
   struct Wall {
     Eigen::Vector3d normal;
     double offset;
@@ -96,8 +93,9 @@ std::vector<std::vector<int>> wallsOf(const Matches& m, const std::vector<int>& 
     if (m.normals[i].squaredNorm() < 0.25) continue;
     const Eigen::Vector3d n = m.normals[i].normalized();
     std::size_t w = 0;
-    while (w < walls.size() && !(n.dot(walls[w].normal) > 0.966 &&
-                                 std::abs(walls[w].normal.dot(m.points[i].p_map - m.origin) - walls[w].offset) < 0.5))
+    while (w < walls.size() &&
+           !(n.dot(walls[w].normal) > 0.966 &&
+             std::abs(walls[w].normal.dot(m.points[i].p_map - m.origin) - walls[w].offset) < tolerance))
       ++w;
     if (w == walls.size()) {
       walls.push_back({n, n.dot(m.points[i].p_map - m.origin)});

@@ -7,9 +7,13 @@
 
 namespace streetview_localizer::detail {
 
-/// Positions of the inliers on each wall: normals within 15 degrees, offsets within 0.5 m; largest first. Points
-/// without a normal form no wall.
-std::vector<std::vector<int>> wallsOf(const Matches& matches, const std::vector<int>& inliers);
+/// Errors of neighbouring points are alike (relief that the model lacks, one bad wall), so a crowd of matches counts as
+/// no more measurements than this. Calibrated: docs/streetview_pose.md.
+constexpr double kEffectiveMeasurements = 80;
+
+/// Positions of the inliers on each wall: normals within 15 degrees, offsets within `tolerance` [m]; largest first.
+/// Points without a normal form no wall.
+std::vector<std::vector<int>> wallsOf(const Matches& matches, const std::vector<int>& inliers, double tolerance = 0.5);
 
 /// Poses other than `pose` to which the inliers, or those of the largest wall, converge from IPPE's two solutions.
 std::vector<Pose> planarAlternatives(const Matches& matches, const Pose& pose, const std::vector<int>& inliers,

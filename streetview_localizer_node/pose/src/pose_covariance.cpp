@@ -7,7 +7,7 @@
 #include <map>
 #include <random>
 
-#include "planar_alternative.h"
+#include "wall_offsets.h"
 
 namespace streetview_localizer::detail {
 
@@ -40,19 +40,15 @@ Row linearise(const visual_frontend::PoseCorrespondence& c, const Pose& T) {
 /// How a point cast from the panorama onto a wall moves with the panorama's position and orientation (columns 0-2, 3-5)
 /// and with the wall's offset along its normal (column 6).
 Eigen::Matrix<double, 3, 7> castJacobian(const Eigen::Vector3d& p, const Eigen::Vector3d& normal,
-                                         const PointSource& source) {
-  const Eigen::Vector3d ray = p - source.position;
-  const double range = ray.norm();
+                                         const Eigen::Vector3d& centre) {
+  const Eigen::Vector3d ray = p - centre, direction = castDirection(p, normal, centre);
   Eigen::Matrix<double, 3, 7> J = Eigen::Matrix<double, 3, 7>::Zero();
-  if (!(range > 1e-3)) return J;
-  Eigen::Vector3d n = normal.squaredNorm() > 0.25 ? normal.normalized() : Eigen::Vector3d(-ray / range);
-  // Grazing rays: no farther along the wall than ten times the error.
-  double along = n.dot(ray);
-  if (std::abs(along) < 0.1 * range) along = std::copysign(0.1 * range, along);
-  const Eigen::Matrix3d slide = Eigen::Matrix3d::Identity() - ray * n.transpose() / along;
+  if (direction.isZero()) return J;
+  const Eigen::Vector3d n = normal.squaredNorm() > 0.25 ? normal.normalized() : -ray.normalized();
+  const Eigen::Matrix3d slide = Eigen::Matrix3d::Identity() - direction * n.transpose();
   J.leftCols<3>() = slide;
   J.middleCols<3>(3) = -slide * air_ground_common::skew(ray);
-  J.col(6) = ray / along;
+  J.col(6) = direction;
   return J;
 }
 
@@ -118,33 +114,36 @@ std::optional<PoseCovariance> poseCovariance(const Matches& m, const std::vector
   result.image = information.inverse();
   result.image = 0.5 * (result.image + result.image.transpose()).eval();
 
-  // Errors that many points share do not average out: how the estimate moves with each of them, d pose = -P sum J' e_p
-  // dp.
-  Eigen::Matrix<double, 6, 6> by_source = Matrix6d::Zero();
-  const auto walls = wallsOf(m, inliers);
-  std::map<int, std::size_t> wall_of;
-  for (std::size_t w = 0; w < walls.size(); ++w) {
-    for (const int i : walls[w]) wall_of[i] = w;
-  }
-  std::vector<Vector6> by_wall(walls.size() + 1, Vector6::Zero());  // the last: points without a wall
+  // Errors that many points share do not average out. The walls' offsets are estimated with the pose, from their spread
+  // and the matches; the panorama's pose is not: the estimate moves with it, d(pose, offsets) = -P sum J' e_p dp.
+  std::map<int, int> column_of;
+  for (const int i : inliers)
+    if (source.model_lateral_stddev > 0) column_of.try_emplace(m.wall[i], 6 + static_cast<int>(column_of.size()));
+  const int size = 6 + static_cast<int>(column_of.size());
+  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size), by_source = Eigen::MatrixXd::Zero(size, 6);
+  joint.topLeftCorner<6, 6>() = information;
+  for (int w = 6; w < size; ++w) joint(w, w) = 1 / (source.model_lateral_stddev * source.model_lateral_stddev);
   for (std::size_t k = 0; k < rows.size(); ++k) {
     const int i = inliers[k];
-    const Eigen::Matrix<double, 6, 7> moved = rows[k].by_pose.transpose() * rows[k].by_point *
-                                              castJacobian(m.points[i].p_map, m.normals[i], source) /
-                                              (variance * inflation);
-    by_source += moved.leftCols<6>();
-    const auto wall = wall_of.find(i);
-    by_wall[wall == wall_of.end() ? walls.size() : wall->second] += moved.col(6);
+    const Eigen::Matrix<double, 2, 7> moved =
+        rows[k].by_point * castJacobian(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
+    const Eigen::Matrix<double, 6, 2> pose = rows[k].by_pose.transpose() / (variance * inflation);
+    by_source.topRows<6>() += pose * moved.leftCols<6>();
+    const auto wall = column_of.find(m.wall[i]);
+    if (wall == column_of.end()) continue;
+    const Eigen::RowVector2d offset = moved.col(6).transpose() / (variance * inflation);
+    joint.block<6, 1>(0, wall->second) += pose * moved.col(6);
+    joint.block<1, 6>(wall->second, 0) += offset * rows[k].by_pose;
+    joint(wall->second, wall->second) += offset * moved.col(6);
+    by_source.row(wall->second) += offset * moved.leftCols<6>();
   }
-  const Matrix6d gain = result.image * by_source;
+  const Eigen::LDLT<Eigen::MatrixXd> factor(joint);
+  const Matrix6d gain = factor.solve(by_source).topRows<6>();
   Vector6 source_variance;
   source_variance.head<3>().setConstant(source.position_stddev * source.position_stddev);
   source_variance.tail<3>().setConstant(source.orientation_stddev * source.orientation_stddev);
-  result.total = result.image + gain * source_variance.asDiagonal() * gain.transpose();
-  for (const Vector6& wall : by_wall) {
-    const Vector6 column = source.model_lateral_stddev * (result.image * wall);
-    result.total += column * column.transpose();
-  }
+  result.total = factor.solve(Eigen::MatrixXd::Identity(size, 6)).topRows<6>();
+  result.total += gain * source_variance.asDiagonal() * gain.transpose();
   result.total(2, 2) += source.model_height_stddev * source.model_height_stddev;
   result.total = 0.5 * (result.total + result.total.transpose()).eval();
   if (!result.total.allFinite()) return std::nullopt;

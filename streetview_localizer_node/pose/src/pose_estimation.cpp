@@ -11,6 +11,7 @@
 #include "planar_alternative.h"
 #include "pose_covariance.h"
 #include "robust_search.h"
+#include "wall_offsets.h"
 
 namespace streetview_localizer {
 
@@ -79,7 +80,7 @@ PoseHypothesis hypothesis(const Matches& m, const Pose& T, const std::vector<Cor
   double sum = 0;
   for (const int i : detail::inliersOf(m, T, settings.inlier_threshold)) {
     const Correspondence& c = correspondences[m.index[i]];
-    const auto pixel = camera.project(T_camera_world * c.p_world);
+    const auto pixel = camera.project(T_camera_world * m.points[i].p_map);
     if (!pixel) continue;
     sum += (*pixel - c.pixel).squaredNorm();
     h.inliers.push_back(m.index[i]);
@@ -143,11 +144,11 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   validate(source);
   validate(prior);
   PoseResult result;
-  const Matches all = detail::prepare(correspondences, camera);
+  Matches all = detail::prepare(correspondences, camera);
   std::vector<int> kept;
   for (std::size_t i = 0; i < all.size() && static_cast<std::size_t>(all.index[i]) < first_dropped; ++i)
     kept.push_back(static_cast<int>(i));
-  const Matches m = detail::subset(all, kept);  // the first of `all`: positions are the same
+  Matches m = detail::subset(all, kept);  // the first of `all`: positions are the same
   const auto refuse = [&](const std::string& why) {
     PoseResult failed;
     failed.reason = why;
@@ -182,7 +183,20 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
   if (static_cast<int>(inliers.size()) < settings.min_inliers)
     return refuse("only " + ofAll(inliers.size()) + " agree on the refined pose");
-  const double noise = noiseOf(m, inliers, pose, settings);
+  double noise = noiseOf(m, inliers, pose, settings);
+  bool moved_walls = false;
+  if (const auto adjusted = detail::adjustWalls(all, m.size(), pose, noise, source, prior, settings)) {
+    const Matches all_moved = detail::shifted(all, adjusted->shifts), moved = detail::subset(all_moved, kept);
+    const Pose& T = adjusted->T_world_camera;
+    const auto again = detail::converge(
+        moved, detail::inliersOf(moved, T, settings.inlier_threshold), T,
+        noiseOf(moved, detail::inliersOf(moved, T, settings.inlier_threshold), T, settings), prior, settings);
+    if (again) {
+      all = all_moved, m = moved, pose = *again, moved_walls = true;
+      inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
+      noise = noiseOf(m, inliers, pose, settings);
+    }
+  }
 
   // The other poses of a plane; the likeliest wins, the next is what it must be told from.
   std::vector<Pose> poses = detail::planarAlternatives(m, pose, inliers, noise, prior, settings);
@@ -221,6 +235,11 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   if (settings.monte_carlo_samples > 0) {
     result.monte_carlo_covariance =
         detail::monteCarloCovariance(m, inliers, pose, source, settings, &result.monte_carlo_plausible);
+  }
+  if (moved_walls) {
+    result.wall_shifts.assign(correspondences.size(), Eigen::Vector3d::Zero());
+    for (std::size_t i = 0; i < all.size(); ++i)
+      result.wall_shifts[all.index[i]] = all.points[i].p_map - correspondences[all.index[i]].p_world;
   }
   result.success = true;
   return result;

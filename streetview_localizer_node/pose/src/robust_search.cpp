@@ -5,6 +5,8 @@
 #include <numeric>
 #include <random>
 
+#include "planar_alternative.h"
+
 namespace streetview_localizer::detail {
 
 using visual_frontend::P3PSolutions;
@@ -12,7 +14,8 @@ using visual_frontend::PoseCorrespondence;
 
 namespace {
 
-constexpr double kMinDepth = 0.05;  // [m]
+constexpr double kMinDepth = 0.05;        // [m]
+constexpr double kPlaneTolerance = 0.05;  // [m]
 
 /// Draws three matches, the best ones first: after `t` samples from the best n, where n grows as in PROSAC (Chum and
 /// Matas, CVPR 2005, eq. 3-5) so that after kGrowth samples all take part.
@@ -85,6 +88,7 @@ Matches prepare(const std::vector<Correspondence>& correspondences, const Camera
     m.points.push_back(p);
     m.index.push_back(static_cast<int>(i));
     m.normals.push_back(c.normal.allFinite() ? c.normal : Eigen::Vector3d::Zero());
+    m.centres.push_back(c.view_centre);
     m.quality.push_back(c.quality);
   }
   for (const auto& p : m.points) m.origin += p.p_map / static_cast<double>(m.size());
@@ -97,6 +101,12 @@ Matches prepare(const std::vector<Correspondence>& correspondences, const Camera
     m.v.push_back(static_cast<float>(p.normalized.y()));
     m.weight.push_back(static_cast<float>(1 / p.sigma));
   }
+  m.wall.assign(m.size(), -1);
+  std::vector<int> all(m.size());
+  std::iota(all.begin(), all.end(), 0);
+  const auto planes = wallsOf(m, all, kPlaneTolerance);
+  for (std::size_t w = 0; w < planes.size(); ++w)
+    for (const int i : planes[w]) m.wall[i] = static_cast<int>(w);
   return m;
 }
 
@@ -107,6 +117,8 @@ Matches subset(const Matches& m, const std::vector<int>& positions) {
     s.points.push_back(m.points[i]);
     s.index.push_back(m.index[i]);
     s.normals.push_back(m.normals[i]);
+    s.centres.push_back(m.centres[i]);
+    s.wall.push_back(m.wall[i]);
     s.quality.push_back(m.quality[i]);
     s.x.push_back(m.x[i]);
     s.y.push_back(m.y[i]);

@@ -14,10 +14,15 @@ struct Matches {
   std::vector<visual_frontend::PoseCorrespondence> points;  ///< sigma: one pixel
   std::vector<int> index;                                   ///< of the Correspondence
   std::vector<Eigen::Vector3d> normals;                     ///< of the wall in world; zero if unknown
+  std::vector<Eigen::Vector3d> centres;  ///< of the views that cast the points; not finite: the source's
+  std::vector<int> wall;                 ///< matches on one plane of the model share it; -1 without normal
   std::vector<double> quality;
   std::vector<float> x, y, z, u, v, weight;  ///< relative to `origin`; weight = 1 / sigma
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
   std::size_t size() const { return points.size(); }
+  const Eigen::Vector3d& centreOf(std::size_t i, const PointSource& source) const {
+    return centres[i].allFinite() ? centres[i] : source.position;
+  }
 };
 
 Matches prepare(const std::vector<Correspondence>& correspondences, const CameraModel& camera);

@@ -64,4 +64,8 @@ class VirtualViewWarp {
 Features extractWithVirtualViews(const cv::Mat& image, const air_ground_common::CameraModel& camera,
                                  const VirtualViewSettings& settings = {});
 
+/// The same with the image's own features given, class_id 0: what extractFeatures finds with settings.original.
+Features addVirtualViews(const Features& original, const cv::Mat& image, const air_ground_common::CameraModel& camera,
+                         const VirtualViewSettings& settings = {});
+
 }  // namespace streetview_localizer

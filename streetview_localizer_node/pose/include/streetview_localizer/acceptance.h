@@ -1,6 +1,7 @@
 // Is a pose right? The test that stands between an estimate and its publication (paper B: 100 % precision first).
 #pragma once
 
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,7 @@ namespace streetview_localizer {
 struct PoseEvidence {
   int inliers = 0;              ///< distinct ones: several matches of one pixel or of one point count once
   double inlier_share = 0;      ///< of the distinct matches [0, 1]
+  double kept_share = 0;        ///< of those that no filter dropped [0, 1]
   double log_false_alarms = 0;  ///< log10 of the number of such consensus sets expected among random matches
   double hull_share = 0;        ///< convex hull of the inliers over the image's area [0, 1]
   int cells = 0;                ///< occupied cells of an 8 x 6 grid over the image
@@ -57,13 +59,14 @@ struct Acceptance {
 
 /// Evidence of a pose that succeeded; all zero otherwise.
 PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspondence>& correspondences,
-                            const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings);
+                            const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
+                            std::size_t first_dropped = std::numeric_limits<std::size_t>::max());
 
-/// `correspondences`, camera, source and pose settings as given to estimatePose. Give all matches that pass the ratio
-/// test, not only those that a filter such as k-VLD kept (its verdict belongs in `quality`, or in estimatePose's
-/// `first_dropped`): the wrong ones are evidence, too.
+/// `correspondences`, camera, source, pose settings and `first_dropped` as given to estimatePose. Give all matches that
+/// pass the ratio test, not only those that a filter such as k-VLD kept: the wrong ones are evidence, too.
 Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                  const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
-                 const AcceptanceSettings& settings);
+                 const AcceptanceSettings& settings,
+                 std::size_t first_dropped = std::numeric_limits<std::size_t>::max());
 
 }  // namespace streetview_localizer

@@ -70,6 +70,9 @@ struct PoseResult : PoseHypothesis {
   Matrix6d covariance = Matrix6d::Zero();
   Matrix6d image_covariance = Matrix6d::Zero();  ///< the part due to image noise alone
   double noise = 0;                              ///< of a match, one axis, estimated [px]
+  /// By how much each correspondence's point was moved with the estimated offset of its wall, in world [m]; empty: none
+  /// was. Inliers, rms and cost are those of the moved points.
+  std::vector<Eigen::Vector3d> wall_shifts;
 
   /// The other pose that a plane admits, refined on all matches; empty when there is none.
   std::optional<PoseHypothesis> alternative;
@@ -77,8 +80,8 @@ struct PoseResult : PoseHypothesis {
   /// prediction. Infinite without alternative.
   double alternative_margin = std::numeric_limits<double>::infinity();
 
-  /// The best pose from matches that contradict this one, as a row of equal windows gives; empty when there is none. Its
-  /// inliers may be matches that a filter dropped.
+  /// The best pose from matches that contradict this one, as a row of equal windows gives; empty when there is none.
+  /// Its inliers may be matches that a filter dropped.
   std::optional<PoseHypothesis> competitor;
 
   /// Paper's covariance (III.C): scatter of P3P over samples of five matches; empty unless asked for and enough were
@@ -90,8 +93,8 @@ struct PoseResult : PoseHypothesis {
 /// Never throws for bad matches: those that are not finite are left out, and what cannot give a pose (too few, on a
 /// line, no consensus) is said in `reason`. Throws std::invalid_argument for a camera, setting, source or prior that
 /// cannot be. `correspondences` may hold wrong matches; better `quality` is sampled first (PROSAC, Chum and Matas
-/// 2005). Those from `first_dropped` on were dropped by a filter such as k-VLD: only the competitor is sought among them,
-/// too.
+/// 2005). Those from `first_dropped` on were dropped by a filter such as k-VLD: only the competitor is sought among
+/// them, too.
 PoseResult estimatePose(const std::vector<Correspondence>& correspondences, const CameraModel& camera,
                         const PointSource& source, const PosePrior& prior, const PoseSettings& settings,
                         std::size_t first_dropped = std::numeric_limits<std::size_t>::max());
@@ -100,7 +103,8 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
 PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspondence>& correspondences,
                          const CameraModel& camera, const PoseSettings& settings);
 
-/// Covariance, in the order above, of the pose of another point of the same rigid body; `lever` leads to it, in world [m].
+/// Covariance, in the order above, of the pose of another point of the same rigid body; `lever` leads to it, in world
+/// [m].
 Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
 
 /// (x, y, z, yaw) of a covariance in the order above: yaw is the rotation about the world's z.

@@ -1,0 +1,164 @@
+#include "wall_offsets.h"
+
+#include <ceres/ceres.h>
+#include <ceres/rotation.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+
+#include "planar_alternative.h"
+
+namespace streetview_localizer::detail {
+
+namespace {
+
+constexpr double kReach = 3;            // inlier thresholds: a wall's matches err together
+constexpr double kCauchy = 2;           // standard deviations
+constexpr double kMaxOffset = 4;        // standard deviations
+constexpr std::size_t kMinMatches = 8;  // of a wall
+
+using Step = std::array<double, 6>;  // position, rotation vector; both in world
+
+// (R x) with R = exp(rotation) R_0, or its inverse on vectors of world.
+template <typename T>
+Eigen::Matrix<T, 3, 1> turned(const T* rotation, double sign, const Eigen::Matrix<T, 3, 1>& x) {
+  const T angle_axis[3] = {sign * rotation[0], sign * rotation[1], sign * rotation[2]};
+  Eigen::Matrix<T, 3, 1> out;
+  ceres::AngleAxisRotatePoint(angle_axis, x.data(), out.data());
+  return out;
+}
+
+struct Reprojection {
+  Pose T;  // linearisation point
+  Eigen::Vector3d point, direction;
+  Eigen::Vector2d normalized;
+  double weight;  // 1 / (noise in normalised coordinates)
+
+  template <typename S>
+  bool operator()(const S* step, const S* offset, S* residual) const {
+    Eigen::Matrix<S, 3, 1> q = (point - T.translation()).cast<S>() + direction.cast<S>() * offset[0];
+    q -= Eigen::Map<const Eigen::Matrix<S, 3, 1>>(step);
+    const Eigen::Matrix<S, 3, 1> p = T.linear().transpose().cast<S>() * turned(step + 3, -1, q);
+    if (!(p.z() > S(0.05))) return false;
+    residual[0] = (p.x() / p.z() - normalized.x()) * weight;
+    residual[1] = (p.y() / p.z() - normalized.y()) * weight;
+    return true;
+  }
+};
+
+struct Gravity {
+  Eigen::Vector3d up_world;  // by the linearisation point
+  double stddev;
+
+  template <typename S>
+  bool operator()(const S* step, S* residual) const {
+    const Eigen::Matrix<S, 3, 1> up = turned<S>(step + 3, 1, up_world.cast<S>());
+    residual[0] = up.x() / stddev;
+    residual[1] = up.y() / stddev;
+    return true;
+  }
+};
+
+struct Offset {
+  double stddev;
+  template <typename S>
+  bool operator()(const S* offset, S* residual) const {
+    residual[0] = offset[0] / stddev;
+    return true;
+  }
+};
+
+}  // namespace
+
+Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
+                              const Eigen::Vector3d& centre) {
+  const Eigen::Vector3d ray = point - centre;
+  const double range = ray.norm();
+  if (!(range > 1e-3)) return Eigen::Vector3d::Zero();
+  const Eigen::Vector3d n = normal.squaredNorm() > 0.25 ? normal.normalized() : Eigen::Vector3d(-ray / range);
+  double along = n.dot(ray);
+  if (std::abs(along) < 0.1 * range) along = std::copysign(0.1 * range, along);
+  return ray / along;
+}
+
+Matches shifted(const Matches& matches, const std::vector<Eigen::Vector3d>& shifts) {
+  Matches m = matches;
+  for (std::size_t i = 0; i < m.size(); ++i) {
+    m.points[i].p_map += shifts[i];
+    m.x[i] += static_cast<float>(shifts[i].x());
+    m.y[i] += static_cast<float>(shifts[i].y());
+    m.z[i] += static_cast<float>(shifts[i].z());
+  }
+  return m;
+}
+
+std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, const Pose& start, double noise,
+                                          const PointSource& source, const PosePrior& prior,
+                                          const PoseSettings& settings) {
+  if (!(source.model_lateral_stddev > 0)) return std::nullopt;
+  std::map<int, std::vector<int>> walls;
+  for (const int i : inliersOf(m, start, kReach * settings.inlier_threshold))
+    if (static_cast<std::size_t>(i) < usable && m.wall[i] >= 0) walls[m.wall[i]].push_back(i);
+  for (auto it = walls.begin(); it != walls.end();)
+    it = it->second.size() < kMinMatches ? walls.erase(it) : std::next(it);
+  if (walls.size() < 2) return std::nullopt;
+
+  Step step{};
+  std::map<int, double> offsets;
+  ceres::Problem problem;
+  std::size_t count = 0;
+  for (const auto& wall : walls) count += wall.second.size();
+  const double crowd = std::min(1.0, kEffectiveMeasurements / (2.0 * static_cast<double>(count)));
+  for (const auto& [wall, members] : walls) {
+    double* offset = &offsets[wall];
+    for (const int i : members) {
+      const auto& c = m.points[i];
+      auto* cost = new ceres::AutoDiffCostFunction<Reprojection, 2, 6, 1>(
+          new Reprojection{start, c.p_map, castDirection(c.p_map, m.normals[i], m.centreOf(i, source)), c.normalized,
+                           1 / (c.sigma * noise)});
+      problem.AddResidualBlock(cost,
+                               new ceres::ScaledLoss(new ceres::CauchyLoss(kCauchy), crowd, ceres::TAKE_OWNERSHIP),
+                               step.data(), offset);
+    }
+    problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Offset, 1, 1>(new Offset{source.model_lateral_stddev}),
+                             nullptr, offset);
+  }
+  if (prior.up_camera)
+    problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Gravity, 2, 6>(
+                                 new Gravity{start.linear() * prior.up_camera->normalized(), prior.up_stddev}),
+                             nullptr, step.data());
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  options.max_num_iterations = 30;
+  options.num_threads = 1;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  if (!summary.IsSolutionUsable()) return std::nullopt;
+
+  WallAdjustment result;
+  const Eigen::Map<const air_ground_common::Vector6d> s(step.data());
+  result.T_world_camera.translation() = start.translation() + s.head<3>();
+  result.T_world_camera.linear() = air_ground_common::expSO3(s.tail<3>()) * start.linear();
+  result.T_world_camera = air_ground_common::normalized(result.T_world_camera);
+  result.shifts.assign(m.size(), Eigen::Vector3d::Zero());
+  for (const auto& wall : offsets)
+    if (std::abs(wall.second) > kMaxOffset * source.model_lateral_stddev) return std::nullopt;
+  for (std::size_t i = 0; i < m.size(); ++i) {
+    const auto offset = offsets.find(m.wall[i]);
+    if (offset != offsets.end())
+      result.shifts[i] = offset->second * castDirection(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
+  }
+  std::vector<int> positions(usable);
+  for (std::size_t i = 0; i < usable; ++i) positions[i] = static_cast<int>(i);
+  const Matches before = subset(m, positions), after = subset(shifted(m, result.shifts), positions);
+  const auto cost = [&](const Matches& matches, const Pose& T) {
+    return truncatedCost(matches, T, settings.inlier_threshold, std::numeric_limits<double>::infinity());
+  };
+  if (!(cost(after, result.T_world_camera) < cost(before, start))) return std::nullopt;
+  return result;
+}
+
+}  // namespace streetview_localizer::detail

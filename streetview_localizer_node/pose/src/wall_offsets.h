@@ -1,0 +1,34 @@
+// Walls of a cadastral model stand decimetres off, each on its own: their offsets, estimated together with the pose.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "robust_search.h"
+
+namespace streetview_localizer::detail {
+
+/// How a point cast from `centre` onto a wall moves for each metre that the wall stands farther out along its normal:
+/// along its ray. Grazing rays move by at most ten times the offset; without a normal the wall faces the ray.
+Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
+                              const Eigen::Vector3d& centre);
+
+struct WallAdjustment {
+  Pose T_world_camera = Pose::Identity();
+  std::vector<Eigen::Vector3d> shifts;  ///< of each of the matches, in world [m]
+};
+
+/// Minimises, over the pose and an offset o_w of each wall with matches,
+///   sum_i rho(|e_i|^2 / s^2) / k  +  sum_w o_w^2 / source.model_lateral_stddev^2  (+ gravity),
+/// with rho: Cauchy, over the first `usable` matches within three times the inlier threshold of `start`. e:
+/// reprojection error [px], s: `noise` [px], k: matches of one wall err alike, and count as no more than
+/// kEffectiveMeasurements. Empty with fewer than two walls, which alone tell an offset, or when the result explains the
+/// matches no better.
+std::optional<WallAdjustment> adjustWalls(const Matches& matches, std::size_t usable, const Pose& start, double noise,
+                                          const PointSource& source, const PosePrior& prior,
+                                          const PoseSettings& settings);
+
+/// The same matches with their points moved.
+Matches shifted(const Matches& matches, const std::vector<Eigen::Vector3d>& shifts);
+
+}  // namespace streetview_localizer::detail
