@@ -240,8 +240,7 @@ struct Localizer::Impl {
     if (!(deviations(moved, c->pose.covariance.topLeftCorner<3, 3>()) <= settings.max_fusion_shift) ||
         !(deviations(turned, c->pose.covariance.bottomRightCorner<3, 3>()) <= settings.max_fusion_shift))
       return;
-    std::vector<Correspondence> kept(c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept));
-    for (std::size_t i = 0; i < c->pose.wall_shifts.size() && i < kept.size(); ++i) kept[i].p_world += c->pose.wall_shifts[i];
+    const auto kept = onMovedWalls({c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept)}, c->pose);
     PoseHypothesis scored = scorePose(refined.T_world_camera, kept, camera, settings.pose);
     if (static_cast<double>(scored.inliers.size()) < settings.min_fusion_inliers * static_cast<double>(c->pose.inliers.size())) return;
     static_cast<PoseHypothesis&>(c->pose) = std::move(scored);

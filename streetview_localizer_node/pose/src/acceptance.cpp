@@ -90,9 +90,7 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
   e.inliers = k;
   if (n == 0 || k == 0) return e;
   // Of all matches: some that a filter dropped agree with the pose all the same.
-  std::vector<Correspondence> moved = correspondences;
-  for (std::size_t i = 0; i < result.wall_shifts.size() && i < moved.size(); ++i)
-    moved[i].p_world += result.wall_shifts[i];
+  const std::vector<Correspondence> moved = onMovedWalls(correspondences, result);
   const int agreeing = static_cast<int>(
       distinct(scorePose(result.T_world_camera, moved, camera, pose_settings).inliers, correspondences).size());
   e.inlier_share = std::min(1.0, static_cast<double>(agreeing) / n);

@@ -185,14 +185,13 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
     return refuse("only " + ofAll(inliers.size()) + " agree on the refined pose");
   double noise = noiseOf(m, inliers, pose, settings);
   bool moved_walls = false;
-  if (const auto adjusted = detail::adjustWalls(all, m.size(), pose, noise, source, prior, settings)) {
-    const Matches all_moved = detail::shifted(all, adjusted->shifts), moved = detail::subset(all_moved, kept);
+  if (auto adjusted = detail::adjustWalls(all, m.size(), pose, noise, source, prior, settings)) {
+    Matches moved = detail::subset(adjusted->matches, kept);
     const Pose& T = adjusted->T_world_camera;
-    const auto again = detail::converge(
-        moved, detail::inliersOf(moved, T, settings.inlier_threshold), T,
-        noiseOf(moved, detail::inliersOf(moved, T, settings.inlier_threshold), T, settings), prior, settings);
-    if (again) {
-      all = all_moved, m = moved, pose = *again, moved_walls = true;
+    const std::vector<int> agreeing = detail::inliersOf(moved, T, settings.inlier_threshold);
+    if (const auto again =
+            detail::converge(moved, agreeing, T, noiseOf(moved, agreeing, T, settings), prior, settings)) {
+      all = std::move(adjusted->matches), m = std::move(moved), pose = *again, moved_walls = true;
       inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
       noise = noiseOf(m, inliers, pose, settings);
     }
@@ -243,6 +242,12 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   }
   result.success = true;
   return result;
+}
+
+std::vector<Correspondence> onMovedWalls(std::vector<Correspondence> correspondences, const PoseResult& result) {
+  for (std::size_t i = 0; i < result.wall_shifts.size() && i < correspondences.size(); ++i)
+    correspondences[i].p_world += result.wall_shifts[i];
+  return correspondences;
 }
 
 PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspondence>& correspondences,

@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <numeric>
 
 #include "planar_alternative.h"
 
@@ -83,17 +84,6 @@ Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3
   return ray / along;
 }
 
-Matches shifted(const Matches& matches, const std::vector<Eigen::Vector3d>& shifts) {
-  Matches m = matches;
-  for (std::size_t i = 0; i < m.size(); ++i) {
-    m.points[i].p_map += shifts[i];
-    m.x[i] += static_cast<float>(shifts[i].x());
-    m.y[i] += static_cast<float>(shifts[i].y());
-    m.z[i] += static_cast<float>(shifts[i].z());
-  }
-  return m;
-}
-
 std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, const Pose& start, double noise,
                                           const PointSource& source, const PosePrior& prior,
                                           const PoseSettings& settings) {
@@ -143,21 +133,26 @@ std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, 
   result.T_world_camera.translation() = start.translation() + s.head<3>();
   result.T_world_camera.linear() = air_ground_common::expSO3(s.tail<3>()) * start.linear();
   result.T_world_camera = air_ground_common::normalized(result.T_world_camera);
-  result.shifts.assign(m.size(), Eigen::Vector3d::Zero());
   for (const auto& wall : offsets)
     if (std::abs(wall.second) > kMaxOffset * source.model_lateral_stddev) return std::nullopt;
+  result.matches = m;
   for (std::size_t i = 0; i < m.size(); ++i) {
     const auto offset = offsets.find(m.wall[i]);
-    if (offset != offsets.end())
-      result.shifts[i] = offset->second * castDirection(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
+    if (offset == offsets.end()) continue;
+    const Eigen::Vector3d shift =
+        offset->second * castDirection(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
+    result.matches.points[i].p_map += shift;
+    result.matches.x[i] += static_cast<float>(shift.x());
+    result.matches.y[i] += static_cast<float>(shift.y());
+    result.matches.z[i] += static_cast<float>(shift.z());
   }
   std::vector<int> positions(usable);
-  for (std::size_t i = 0; i < usable; ++i) positions[i] = static_cast<int>(i);
-  const Matches before = subset(m, positions), after = subset(shifted(m, result.shifts), positions);
+  std::iota(positions.begin(), positions.end(), 0);
   const auto cost = [&](const Matches& matches, const Pose& T) {
-    return truncatedCost(matches, T, settings.inlier_threshold, std::numeric_limits<double>::infinity());
+    return truncatedCost(subset(matches, positions), T, settings.inlier_threshold,
+                         std::numeric_limits<double>::infinity());
   };
-  if (!(cost(after, result.T_world_camera) < cost(before, start))) return std::nullopt;
+  if (!(cost(result.matches, result.T_world_camera) < cost(m, start))) return std::nullopt;
   return result;
 }
 

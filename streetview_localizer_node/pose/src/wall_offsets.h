@@ -15,7 +15,7 @@ Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3
 
 struct WallAdjustment {
   Pose T_world_camera = Pose::Identity();
-  std::vector<Eigen::Vector3d> shifts;  ///< of each of the matches, in world [m]
+  Matches matches;  ///< all of them, their points moved with their walls
 };
 
 /// Minimises, over the pose and an offset o_w of each wall with matches,
@@ -27,8 +27,5 @@ struct WallAdjustment {
 std::optional<WallAdjustment> adjustWalls(const Matches& matches, std::size_t usable, const Pose& start, double noise,
                                           const PointSource& source, const PosePrior& prior,
                                           const PoseSettings& settings);
-
-/// The same matches with their points moved.
-Matches shifted(const Matches& matches, const std::vector<Eigen::Vector3d>& shifts);
 
 }  // namespace streetview_localizer::detail

@@ -99,6 +99,9 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
                         const PointSource& source, const PosePrior& prior, const PoseSettings& settings,
                         std::size_t first_dropped = std::numeric_limits<std::size_t>::max());
 
+/// The correspondences of `result`, or the first of them, with their points moved by its wall_shifts.
+std::vector<Correspondence> onMovedWalls(std::vector<Correspondence> correspondences, const PoseResult& result);
+
 /// How matches agree with a pose: inliers within settings.inlier_threshold, their rms, and cost.
 PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspondence>& correspondences,
                          const CameraModel& camera, const PoseSettings& settings);
