@@ -33,7 +33,7 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.geoid_undulation = p.number("geoid_undulation", 0, -120, 100);
 
   s.level_increments = p.choice("increment_frame", "body", {"body", "level"}) == "body";
-  s.odometry_wait = p.number("odometry_wait", 0.5, 0, 10);
+  s.odometry_wait = p.number("odometry_wait", 0.5, 0, 60);
   FilterSettings& f = s.tracker.filter;
   f.covariance_factor = p.number("covariance_factor", f.covariance_factor, 0.01, 100);
   f.min_translation_stddev = p.number("min_translation_stddev", f.min_translation_stddev, 1e-6, 1);
