@@ -1,5 +1,4 @@
 // The helpers that need a master: parameters, health, pose publisher. Started by ros_helpers.test.
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
@@ -9,22 +8,13 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/ros/sensor_input.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
-
-bool spinUntil(const std::function<bool()>& done, double seconds = 5) {
-  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
-  while (ros::ok() && ros::WallTime::now() < end) {
-    ros::spinOnce();
-    if (done()) return true;
-    ros::WallDuration(0.01).sleep();
-  }
-  return false;
-}
 
 std::string errorOf(const std::function<void()>& call) {
   try {
@@ -130,21 +120,24 @@ TEST(TimeJumpDetector, BearsAnyStamp) {
 }
 
 TEST(NodeHealth, AnInputThatDiesIsAnError) {
-  ros::NodeHandle nh;
   NodeHealth health("silence_test");
+  NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
+  const std::string silent = "nothing on /camera/image_raw";
+  const auto says = [&](const std::string& line) { return diagnostics.message().find(line) != std::string::npos; };
+  const auto alive = [&](double stamp) {
+    return spinUntil([&] {
+      health.received("/camera/image_raw", ros::Time(stamp));  // again and again: 3 s may pass between two turns
+      return says("tracking") && !says(silent);
+    });
+  };
   health.expectInput("/camera/image_raw");
-  health.received("/camera/image_raw", ros::Time(1.0));
   health.state(0, "tracking");
-  int level = -1;
-  const ros::Subscriber subscriber = nh.subscribe<diagnostic_msgs::DiagnosticArray>(
-      "/diagnostics", 10, [&](const diagnostic_msgs::DiagnosticArray::ConstPtr& msg) {
-        for (const auto& status : msg->status)
-          if (status.hardware_id == "silence_test") level = status.level;
-      });
-  EXPECT_TRUE(spinUntil([&] { return level == 0; }));
-  EXPECT_TRUE(spinUntil([&] { return level == 2; }));
-  health.received("/camera/image_raw", ros::Time(9.0));
-  EXPECT_TRUE(spinUntil([&] { return level == 0; })) << "and recovers";
+  EXPECT_TRUE(alive(1.0));
+  EXPECT_EQ(diagnostics.level(), diagnostic_msgs::DiagnosticStatus::OK);
+  EXPECT_TRUE(spinUntil([&] { return says(silent); }));
+  EXPECT_EQ(diagnostics.level(), diagnostic_msgs::DiagnosticStatus::ERROR);
+  EXPECT_TRUE(alive(9.0)) << "and recovers";
+  EXPECT_EQ(diagnostics.level(), diagnostic_msgs::DiagnosticStatus::OK);
 }
 
 TEST(StreamGate, StartsAfreshAtAJumpAndCountsWhatItDrops) {
@@ -163,19 +156,13 @@ TEST(StreamGate, StartsAfreshAtAJumpAndCountsWhatItDrops) {
 }
 
 TEST(NodeHealth, CountersReachDiagnostics) {
-  ros::NodeHandle nh;
-  std::string value;
-  const ros::Subscriber subscriber = nh.subscribe<diagnostic_msgs::DiagnosticArray>(
-      "/diagnostics", 10, [&](const diagnostic_msgs::DiagnosticArray::ConstPtr& msg) {
-        for (const auto& status : msg->status)
-          for (const auto& kv : status.values)
-            if (kv.key == "broken images") value = kv.value;
-      });
+  NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
   NodeHealth health("test");
   health.count("broken images", 2);
   health.count("broken images");
   EXPECT_EQ(health.counted("broken images"), 3u);
-  EXPECT_TRUE(spinUntil([&] { return value == "3"; }));
+  EXPECT_TRUE(diagnostics.await("broken images", 3));
+  EXPECT_EQ(diagnostics.counted("broken images"), 3);
 }
 
 TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
@@ -187,7 +174,6 @@ TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
   const ros::Subscriber a = nh.subscribe<tf2_msgs::TFMessage>("/tf", 10, [&](const tf2_msgs::TFMessage::ConstPtr& m) { tf.push_back(*m); });
   const ros::Subscriber b = nh.subscribe<nav_msgs::Odometry>("odometry", 10, [&](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
   ASSERT_TRUE(spinUntil([&] { return a.getNumPublishers() > 0 && b.getNumPublishers() > 0; }));
-  ros::WallDuration(0.3).sleep();
 
   const Pose step = yawPose(0.1, {0.5, 0, 0});
   const Matrix6d covariance = 0.01 * Matrix6d::Identity();

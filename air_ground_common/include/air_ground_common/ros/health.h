@@ -15,6 +15,10 @@
 
 namespace air_ground_common::ros_utils {
 
+/// Topics have no order between them: after the process stood still, what has come on one is handled before what has come on
+/// another meanwhile. So long after a message is here, it tells what the other topics lack [s, wall clock].
+constexpr double kTopicsInStep = 0.3;
+
 /// Thread-safe. One per node; all calls may come from any thread.
 class NodeHealth {
  public:
