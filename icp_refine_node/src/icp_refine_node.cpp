@@ -235,10 +235,11 @@ class IcpRefineNode {
 
   // mutex_ held. The VO's own status outranks the id that comes along with a coarse pose.
   void observeMapId(std::uint32_t id, const ros::Time& stamp, bool from_status) {
-    if (map_id_ == id || (map_id_from_status_ && !from_status)) return;
+    if (map_id_from_status_ && !from_status) return;
+    map_id_from_status_ |= from_status;
+    if (map_id_ == id) return;
     const bool changed = map_id_.has_value();
     map_id_ = id;
-    map_id_from_status_ |= from_status;
     if (!changed) return;
     ROS_WARN("the MAV started map %u: starting afresh", id);
     health_.count("new maps of the MAV");
@@ -358,18 +359,17 @@ class IcpRefineNode {
     const auto start = Clock::now();
     const RefineOutcome out = refiner_.refine();
     health_.timing("refine", std::chrono::duration<double>(Clock::now() - start).count());
-    std::uint32_t map_id;
     {
       std::lock_guard<std::mutex> lock(mutex_);
       if (inbox_.forgets()) return;  // it is about a map that has ended
-      map_id = map_id_.value_or(0);
       if (out.status == RefineStatus::kConverged) {
         T_ground_mav_ = out.T_ground_map_mav_map;
       } else if (!refiner_.tracking()) {
         T_ground_mav_.reset();
       }
+      // Locked: nothing of the time before a reset goes out after it.
+      publishEstimate(out, map_id_.value_or(0));
     }
-    publishEstimate(out, map_id);
     if (out.status == RefineStatus::kConverged) {
       publishTf();
       std::lock_guard<std::mutex> lock(map_mutex_);
