@@ -2,7 +2,6 @@
 #include <air_ground/PosedDepthMap.h>
 #include <air_ground/PosedImage.h>
 #include <air_ground/SaveMap.h>
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
@@ -13,17 +12,18 @@
 #include <algorithm>
 #include <cstdio>
 #include <limits>
-#include <map>
 #include <set>
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/node_testing.h"
 #include "synthetic_scene.h"
 
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
 using dense_fusion::testing::lookDown;
+using ros_utils::spinUntil;
 
 constexpr int kFrames = 30;
 constexpr double kStep = 0.02;  // [m] between frames
@@ -49,15 +49,11 @@ class DenseFusionNodeTest : public ::testing::Test {
     cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>("mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
     depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>("mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
     sparse_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 10);
-    diagnostics_subscriber_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
-      for (const auto& status : m->status)
-        if (status.hardware_id == "dense_fusion" && status.name.find("impatient") == std::string::npos)
-          for (const auto& value : status.values) diagnostics_[value.key] = value.value;
-    });
-    ASSERT_TRUE(ros::service::waitForService("dense_fusion/flush", ros::Duration(20)));
-    for (int i = 0; i < 200 && (publisher_.getNumSubscribers() == 0 || sparse_publisher_.getNumSubscribers() == 0 || cloud_subscriber_.getNumPublishers() == 0 || depth_subscriber_.getNumPublishers() == 0); ++i)
-      ros::WallDuration(0.05).sleep();
-    ASSERT_GT(publisher_.getNumSubscribers(), 0u);
+    ASSERT_TRUE(ros::service::waitForService("dense_fusion/reset", ros::Duration(60)));
+    ASSERT_TRUE(spinUntil([&] {
+      return publisher_.getNumSubscribers() > 0 && sparse_publisher_.getNumSubscribers() > 0 && cloud_subscriber_.getNumPublishers() > 0 &&
+             depth_subscriber_.getNumPublishers() > 0;
+    }));
     std_srvs::Trigger trigger;
     ASSERT_TRUE(ros::service::call("dense_fusion/reset", trigger));
   }
@@ -82,40 +78,36 @@ class DenseFusionNodeTest : public ::testing::Test {
     return msg;
   }
 
+  void send(const air_ground::PosedImage& msg) {
+    sent_.insert(msg.header.stamp);
+    publisher_.publish(msg);
+  }
+
   void fly(double start, std::uint32_t map_id, double shift_x = 0) {
     for (int i = 0; i < kFrames; ++i) {
-      const auto msg = message(i, start, map_id, shift_x);
-      sent_.insert(msg.header.stamp);
-      publisher_.publish(msg);
-      ros::spinOnce();
-      ros::WallDuration(0.01).sleep();
+      send(message(i, start, map_id, shift_x));
+      ros_utils::pause(2);
     }
   }
 
-  // The flush service answers when the worker is done; then everything published is on its way.
-  void flush() {
-    ros::WallDuration(0.5).sleep();
+  // True when the node has taken the image in, and all before.
+  bool taken(const air_ground::PosedImage& msg) { return diagnostics_.awaitReceived(publisher_.getTopic(), msg.header.stamp); }
+
+  // Has the node fuse what was flown, the last time from `start`. The service answers when the worker is done; then everything
+  // published is on its way.
+  void flush(double start) {
+    ASSERT_TRUE(taken(message(kFrames - 1, start, 1)));
     std_srvs::Trigger trigger;
     ASSERT_TRUE(ros::service::call("dense_fusion/flush", trigger));
     ASSERT_TRUE(trigger.response.success) << trigger.response.message;
-    for (int i = 0; i < 30; ++i) {
-      ros::spinOnce();
-      ros::WallDuration(0.02).sleep();
-    }
+    ros_utils::pause(20);
   }
 
-  // How often the node has counted an event whose name begins so; waits until it has `atLeast` times.
-  int counted(const std::string& event, int at_least) {
-    int times = 0;
-    for (int i = 0; i < 200; ++i) {
-      times = 0;
-      for (const auto& [key, value] : diagnostics_)
-        if (key.compare(0, event.size(), event) == 0) times += std::stoi(value);
-      if (times >= at_least) break;
-      ros::spinOnce();
-      ros::WallDuration(0.05).sleep();
-    }
-    return times;
+  // The same, and waits for the cloud and the depth map of the flight.
+  void flushToCloud(double start) {
+    const std::size_t before = clouds_.size();
+    flush(start);
+    ASSERT_TRUE(spinUntil([&] { return clouds_.size() > before && depth_maps_.size() == clouds_.size(); }));
   }
 
   // Points all over the flight's view at one height.
@@ -173,8 +165,8 @@ class DenseFusionNodeTest : public ::testing::Test {
   static std::vector<cv::Mat>* images_;
   ros::NodeHandle handle_;
   ros::Publisher publisher_, sparse_publisher_;
-  ros::Subscriber cloud_subscriber_, depth_subscriber_, diagnostics_subscriber_;
-  std::map<std::string, std::string> diagnostics_;
+  ros::Subscriber cloud_subscriber_, depth_subscriber_;
+  ros_utils::NodeDiagnostics diagnostics_{"dense_fusion"};
   std::vector<sensor_msgs::PointCloud2::ConstPtr> clouds_;
   std::vector<air_ground::PosedDepthMap::ConstPtr> depth_maps_;
   std::set<ros::Time> sent_;
@@ -185,7 +177,7 @@ std::vector<cv::Mat>* DenseFusionNodeTest::images_ = nullptr;
 
 TEST_F(DenseFusionNodeTest, ReconstructsAFlightInTheMapFrame) {
   fly(100, 1);
-  flush();
+  flushToCloud(100);
   checkOutput(0);
 }
 
@@ -193,20 +185,17 @@ TEST_F(DenseFusionNodeTest, ImagesWithoutScaleAreIgnored) {
   for (int i = 0; i < kFrames; ++i) {
     auto msg = message(i, 200, 1);
     msg.metric = false;
-    publisher_.publish(msg);
-    ros::WallDuration(0.01).sleep();
+    send(msg);
+    ros_utils::pause(2);
   }
-  flush();
+  flush(200);
   EXPECT_TRUE(clouds_.empty());
 }
 
 TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   const std::string refused = "input refused: ", late = "images refused: repeated or out of order";
-  for (int i = 0; i < 400 && diagnostics_.empty(); ++i) {
-    ros::spinOnce();
-    ros::WallDuration(0.05).sleep();
-  }
-  const int refused_before = counted(refused, 0), late_before = counted(late, 0);
+  ASSERT_TRUE(diagnostics_.refresh());
+  const int refused_before = diagnostics_.counted(refused), late_before = diagnostics_.counted(late);
   const double nan = std::numeric_limits<double>::quiet_NaN();
   auto msg = message(0, 300, 1);
   msg.pose.pose.position.x = nan;
@@ -229,16 +218,17 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   for (int i = 6; i < 9; ++i) publisher_.publish(message(6, 300, 1));  // repeated
   publisher_.publish(message(3, 300, 1));                               // late
   fly(301, 1);
-  flush();
+  flushToCloud(301);
   checkOutput(0);
-  EXPECT_EQ(counted(refused, refused_before + 5) - refused_before, 5);  // two poses, a calibration, a size, an encoding
-  EXPECT_EQ(counted(late, late_before + 3) - late_before, 3);
+  ASSERT_TRUE(diagnostics_.refresh());
+  EXPECT_EQ(diagnostics_.counted(refused) - refused_before, 5);  // two poses, a calibration, a size, an encoding
+  EXPECT_EQ(diagnostics_.counted(late) - late_before, 3);
 }
 
 TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
   fly(400, 1);
   fly(410, 2, 10);
-  flush();
+  flush(410);
   const std::string path = "/tmp/dense_fusion_node_test_" + std::to_string(getpid()) + ".ply";
   air_ground::SaveMap save;
   save.request.path = path;
@@ -259,20 +249,26 @@ TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
 
 TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {
   const std::string old = "messages of the time before a jump dropped";
-  const int old_before = counted(old, 0);
-  fly(600, 1, 10);
-  sparse_publisher_.publish(sparseCloud(600, 0.4f));
-  flush();
-  publisher_.publish(message(0, 550, 1));
-  // Late, and of the pass before the jump: their heights would cut the floor off. Several, as the topics are not in step.
-  for (int i = 0; i < 15; ++i) {
-    sparse_publisher_.publish(sparseCloud(600.5 + 0.01 * i, 1.1f));
-    ros::WallDuration(0.1).sleep();
+  bool dropped_late_cloud = false;
+  for (int attempt = 0; attempt < 5 && !dropped_late_cloud; ++attempt) {
+    fly(600, 1, 10);
+    sparse_publisher_.publish(sparseCloud(600, 0.4f));
+    flushToCloud(600);
+    ASSERT_TRUE(diagnostics_.refresh());
+    const int before = diagnostics_.counted(old);
+    publisher_.publish(message(0, 550, 1));
+    ASSERT_TRUE(taken(message(0, 550, 1)));
+    // Late, and of the pass before the jump: its heights would cut the floor off. The node judges so for 3 s, by the wall clock.
+    sparse_publisher_.publish(sparseCloud(600.5, 1.1f));
+    ros_utils::pause(20);
+    ASSERT_TRUE(diagnostics_.refresh());
+    dropped_late_cloud = diagnostics_.counted(old) == before + 1;
   }
-  EXPECT_GE(counted(old, old_before + 1) - old_before, 1);
+  ASSERT_TRUE(dropped_late_cloud);
   clouds_.clear();
+  depth_maps_.clear();
   fly(550.05, 1);
-  flush();
+  flushToCloud(550.05);
   // What was flown after the jump is there, in the same map id, and is not mixed with what was flown before it.
   ASSERT_FALSE(clouds_.empty());
   std::size_t dropped = 0;
@@ -290,8 +286,10 @@ TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {
 TEST_F(DenseFusionNodeTest, NothingIncompleteIsSavedAndServicesLetImagesIn) {
   ros::Publisher images = handle_.advertise<air_ground::PosedImage>("impatient/mav/posed_image", 100);
   ASSERT_TRUE(ros::service::waitForService("impatient/dense_fusion/save_map", ros::Duration(20)));
-  for (int i = 0; i < 200 && images.getNumSubscribers() == 0; ++i) ros::WallDuration(0.05).sleep();
+  ros_utils::NodeDiagnostics diagnostics("impatient/dense_fusion");
+  ASSERT_TRUE(spinUntil([&] { return images.getNumSubscribers() > 0; }));
   for (int i = 0; i < kFrames; ++i) images.publish(message(i, 800, 1));
+  ASSERT_TRUE(diagnostics.awaitReceived(images.getTopic(), message(kFrames - 1, 800, 1).header.stamp));
   const std::string path = "/tmp/dense_fusion_node_test_" + std::to_string(getpid()) + ".pcd";
   air_ground::SaveMap save;
   save.request.path = path;
@@ -310,12 +308,17 @@ TEST_F(DenseFusionNodeTest, NothingIncompleteIsSavedAndServicesLetImagesIn) {
 }
 
 TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {
-  fly(700, 1);
-  for (int i = 0; i < 400 && clouds_.empty(); ++i) {
-    ros::spinOnce();
-    ros::WallDuration(0.05).sleep();
+  ros::Publisher images = handle_.advertise<air_ground::PosedImage>("alone/mav/posed_image", 100);
+  int clouds = 0;
+  const ros::Subscriber subscriber =
+      handle_.subscribe<sensor_msgs::PointCloud2>("alone/mav/dense_cloud", 10, [&](const sensor_msgs::PointCloud2::ConstPtr&) { ++clouds; });
+  ASSERT_TRUE(spinUntil([&] { return images.getNumSubscribers() > 0 && subscriber.getNumPublishers() > 0; }));
+  // Each flight is too short for a cloud of its own accord; one that stops halfway for longer than the node waits gives none.
+  for (int attempt = 0; attempt < 5 && clouds == 0; ++attempt) {
+    for (int i = 0; i < kFrames; ++i) images.publish(message(i, 700 + 10 * attempt, 1));
+    spinUntil([&] { return clouds > 0; }, 2000);
   }
-  EXPECT_FALSE(clouds_.empty());
+  EXPECT_GT(clouds, 0);
 }
 
 }  // namespace
