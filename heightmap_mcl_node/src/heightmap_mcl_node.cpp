@@ -13,6 +13,7 @@
 #include <tf2_ros/transform_broadcaster.h>
 
 #include <algorithm>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -125,6 +126,7 @@ class HeightmapMclNode {
 
  private:
   using Cloud = sensor_msgs::PointCloud2ConstPtr;
+  using Clock = std::chrono::steady_clock;
 
   struct Command {
     bool reset = false;          // forget all
@@ -133,6 +135,11 @@ class HeightmapMclNode {
     bool forget_ground = false;
     std::optional<Prior> prior;
     bool forgets() const { return reset || forget_aerial || forget_ground; }
+    bool any() const { return forgets() || relocalize; }
+  };
+  struct WaitingCloud {
+    Cloud cloud;
+    Clock::time_point until;  // the cloud waits for odometry up to its stamp
   };
   enum MavStream { kAerial, kOdometry, kMavStatus, kMavStreams };
   enum GroundStream { kGround, kGroundStatus, kGroundStreams };
@@ -149,15 +156,11 @@ class HeightmapMclNode {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!mav_gate_.admit(kAerial, msg->header.stamp)) return;
     if (!frameFits(msg->header.frame_id, settings_.mav_map_frame, &mav_frame_, "aerial clouds")) return;
-    if (!odometry_.empty() && msg->header.stamp.toSec() > odometry_.back().stamp + 5) {
-      health_.count("aerial clouds later than the odometry by more than 5 s dropped");
-      return;
-    }
     if (msg->header.stamp < map_begin_) {
       health_.count("aerial clouds of an earlier map of the MAV dropped");
       return;
     }
-    clouds_.push_back(msg);
+    clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(ros_utils::kTopicsInStep))});
     while (static_cast<int>(clouds_.size()) > settings_.cloud_queue) {
       clouds_.pop_front();
       health_.count("aerial clouds dropped: the queue is full");
@@ -197,6 +200,7 @@ class HeightmapMclNode {
         return;
       }
       odometry_.push_back({stamp, ros_utils::fromMsg(msg->pose.pose)});
+      if (!clouds_.empty()) wake_.notify_one();
       if (odometry_.size() > kOdometryKept) odometry_.erase(odometry_.begin(), odometry_.begin() + kOdometryKept / 4);
     } catch (const std::invalid_argument& e) {
       health_.count(std::string("odometry not usable: ") + e.what());
@@ -331,17 +335,29 @@ class HeightmapMclNode {
   void work() {
     std::unique_lock<std::mutex> lock(mutex_);
     while (true) {
-      wake_.wait(lock, [this] { return stop_ || pending(); });
+      while (!stop_ && !pending()) {
+        if (clouds_.empty()) {
+          wake_.wait(lock);
+        } else {
+          const Clock::time_point until = clouds_.front().until;
+          wake_.wait_until(lock, until);
+        }
+      }
       if (stop_) return;
       const Command command = std::exchange(command_, {});
       const Cloud ground = std::exchange(ground_, nullptr);
       Cloud aerial;
       std::optional<air_ground_common::StampedPose> reference;
-      if (!clouds_.empty()) {
-        aerial = clouds_.front();
+      if (cloudReady()) {
+        aerial = clouds_.front().cloud;
         clouds_.pop_front();
-        if (const auto pose = air_ground_common::poseAt(odometry_, aerial->header.stamp.toSec(), settings_.odometry_gap)) {
-          reference = air_ground_common::StampedPose{aerial->header.stamp.toSec(), *pose};
+        const double stamp = aerial->header.stamp.toSec();
+        if (!odometry_.empty() && stamp > odometry_.back().stamp + 5) {
+          health_.count("aerial clouds later than the odometry by more than 5 s dropped");
+          aerial.reset();
+          if (!ground && !command.any()) continue;
+        } else if (const auto pose = air_ground_common::poseAt(odometry_, stamp, settings_.odometry_gap)) {
+          reference = air_ground_common::StampedPose{stamp, *pose};
         }
       }
       const std::uint32_t map_id = map_id_.value_or(0);
@@ -359,8 +375,13 @@ class HeightmapMclNode {
     }
   }
 
-  bool pending() const {
-    return !clouds_.empty() || ground_ || command_.reset || command_.forget_aerial || command_.relocalize || command_.forget_ground;
+  bool pending() const { return cloudReady() || ground_ || command_.any(); }
+
+  /// The oldest cloud has odometry up to its stamp, or has waited long enough for it.
+  bool cloudReady() const {
+    if (clouds_.empty()) return false;
+    const WaitingCloud& next = clouds_.front();
+    return Clock::now() >= next.until || (!odometry_.empty() && odometry_.back().stamp >= next.cloud->header.stamp.toSec());
   }
 
   void obey(const Command& command) {
@@ -532,7 +553,7 @@ class HeightmapMclNode {
   std::condition_variable wake_;
   bool stop_ = false;
   Command command_;
-  std::deque<Cloud> clouds_;
+  std::deque<WaitingCloud> clouds_;
   Cloud ground_;
   // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its map again.
   ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
