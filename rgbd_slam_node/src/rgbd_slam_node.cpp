@@ -41,6 +41,9 @@ std::uint8_t stateOf(State state) {
   return air_ground::VoStatus::STATE_LOST;
 }
 
+/// Of a clock that never stands still or leaps [s].
+double now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
 std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<CloudPoint>& cloud) {
   std::vector<ros_utils::CloudPoint> points(cloud.size());
   for (std::size_t i = 0; i < cloud.size(); ++i) {
@@ -56,7 +59,7 @@ class RgbdSlamNode {
       : settings_(settings),
         health_("rgbd_slam"),
         pose_publisher_(handle_, {settings.map_frame, settings.odom_frame, settings.base_frame, "ground/odometry", "ground/path", settings.publish_tf}),
-        pairer_(settings.sync_tolerance, 1.0, settings.queue_size) {
+        pairer_(settings.sync_tolerance, 1.0, ros_utils::kTopicsInStep, settings.queue_size) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 2, true);
     status_publisher_ = handle_.advertise<air_ground::VoStatus>("ground/slam_status", 200);
     keyframe_publisher_ = handle_.advertise<sensor_msgs::Image>("ground/keyframe_image", 5);
@@ -131,8 +134,8 @@ class RgbdSlamNode {
       if (!gate_.admit(colour ? kColour : kDepth, msg->header.stamp)) return;
       const double stamp = msg->header.stamp.toSec();
       const std::size_t lost = pairer_.overflow();
-      if (colour) pairer_.addColour(stamp, msg);
-      else pairer_.addDepth(stamp, msg);
+      if (colour) pairer_.addColour(stamp, msg, now());
+      else pairer_.addDepth(stamp, msg, now());
       if (pairer_.overflow() > lost) health_.count("images dropped: the queue was full, or out of order");
     }
     queue_changed_.notify_all();
@@ -192,10 +195,10 @@ class RgbdSlamNode {
 
   /// Called with the queue locked: the oldest pair has its calibration and its IMU samples, or has waited long enough.
   bool pairReady() {
-    const auto* pair = pairer_.front();
+    const auto* pair = pairer_.front(now());
     if (!pair || !calibration_) return false;
     if (!settings_.use_imu || newest_imu_ >= pair->stamp) return true;
-    return pairer_.newerBy(pair->stamp) > settings_.imu_wait;
+    return pairer_.overtaken(pair->stamp, settings_.imu_wait, now());
   }
 
   /// Called with the queue locked.

@@ -2,7 +2,6 @@
 #include <air_ground/SaveMap.h>
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoStatus.h>
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
@@ -16,12 +15,15 @@
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/node_testing.h"
 #include "simulated_robot.h"
 
 namespace rgbd_slam {
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
+using ros_utils::pause;
+using ros_utils::spinUntil;
 constexpr double kStart = 1000.0;
 
 class NodeTest : public testing::Test {
@@ -35,9 +37,6 @@ class NodeTest : public testing::Test {
     status_sub_ = handle_.subscribe<air_ground::VoStatus>("ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
     cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
     tf_sub_ = handle_.subscribe("/tf", 500, &NodeTest::onTf, this);
-    diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 50, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
-      for (const auto& s : m->status) states += s.message + "\n";
-    });
     geometry_msgs::TransformStamped camera, imu;
     camera.header.frame_id = imu.header.frame_id = "ground_base_link";
     camera.child_frame_id = "ground_camera_optical_frame";
@@ -45,10 +44,12 @@ class NodeTest : public testing::Test {
     camera.transform = ros_utils::toTransformMsg(robot_.mounting.T_base_camera);
     imu.transform = ros_utils::toTransformMsg(Pose(*robot_.mounting.R_base_imu));
     broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu});
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(20);
-    while (colour_.getNumSubscribers() == 0 && ros::WallTime::now() < end) spin(0.05);
-    ASSERT_GT(colour_.getNumSubscribers(), 0u) << "the node did not start";
-    spin(0.5);
+    ASSERT_TRUE(spinUntil([&] {
+      return colour_.getNumSubscribers() > 0 && depth_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 && imu_.getNumSubscribers() > 0 &&
+             odometry_sub_.getNumPublishers() > 0 && status_sub_.getNumPublishers() > 0 && cloud_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
+    })) << "the node did not start";
+    pause(20);
+    clouds.clear();  // what an earlier test left latched
   }
 
   void onTf(const ros::MessageEvent<tf2_msgs::TFMessage const>& event) {
@@ -58,19 +59,37 @@ class NodeTest : public testing::Test {
     }
   }
 
-  static void spin(double seconds) {
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
-    do {
-      ros::spinOnce();
-      ros::WallDuration(0.01).sleep();
-    } while (ros::WallTime::now() < end);
-  }
-
   struct Course {
     int first = 0;         ///< frame
     double imu_from = 0;   ///< the IMU's first sample [s]
     bool cropped = false;  ///< images and calibration of the middle only
   };
+
+  static constexpr int kMarginX = 40, kMarginY = 30;  ///< of the image's cropped middle [px]
+
+  static std_msgs::Header cameraHeader(double t) {
+    std_msgs::Header header;
+    header.stamp = ros::Time(kStart + t);
+    header.frame_id = "ground_camera_optical_frame";
+    return header;
+  }
+
+  CameraModel cameraOf(const Course& course) const {
+    CameraModel camera = robot_.camera;
+    if (course.cropped) {
+      camera.width -= 2 * kMarginX;
+      camera.height -= 2 * kMarginY;
+      camera.cx -= kMarginX;
+      camera.cy -= kMarginY;
+    }
+    return camera;
+  }
+
+  /// Publishes the course's calibration; true when the node has it.
+  bool calibrate(double t, const Course& course) {
+    info_.publish(ros_utils::toMsg(cameraOf(course), cameraHeader(t)));
+    return diagnostics_.awaitReceived(info_.getTopic(), cameraHeader(t).stamp);
+  }
 
   /// Publishes frames up to `frames` at 10 Hz of the robot's time; `spoil` mixes in what must not hurt.
   void drive(int frames, bool spoil, const Course& course) {
@@ -94,19 +113,13 @@ class NodeTest : public testing::Test {
         imu_.publish(msg);
       }
       auto frame = robot_.frame(t, random);
-      CameraModel camera = robot_.camera;
+      const CameraModel camera = cameraOf(course);
       if (course.cropped) {
-        const cv::Rect middle(40, 30, 560, 420);
+        const cv::Rect middle(kMarginX, kMarginY, camera.width, camera.height);
         frame.gray = frame.gray(middle).clone();
         frame.depth = frame.depth(middle).clone();
-        camera.width = middle.width;
-        camera.height = middle.height;
-        camera.cx -= middle.x;
-        camera.cy -= middle.y;
       }
-      std_msgs::Header header;
-      header.stamp = ros::Time(kStart + t);
-      header.frame_id = "ground_camera_optical_frame";
+      std_msgs::Header header = cameraHeader(t);
       info_.publish(ros_utils::toMsg(camera, header));
       cv::Mat millimetres(frame.depth.size(), CV_16U, cv::Scalar(0));
       for (int v = 0; v < frame.depth.rows; ++v) {
@@ -124,32 +137,34 @@ class NodeTest : public testing::Test {
       if (spoil && i == 14) colour_.publish(colour);
       header.stamp += ros::Duration(0.003);  // not quite the same stamp
       if (!(spoil && i == 9)) depth_.publish(ros_utils::toMsg(millimetres, "16UC1", header));
-      spin(0.03);
+      pause(6);
     }
   }
 
-  void waitForStatus(std::size_t count) {
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(30);
-    while (status.size() < count && ros::WallTime::now() < end) spin(0.05);
-    spin(0.5);
+  /// True when the node has answered to the last frame of a drive with odometry and tf, too, if it tracks.
+  bool answered(int frames) {
+    const ros::Time last = cameraHeader(0.1 * (frames - 1)).stamp;
+    const auto ended = [&](const auto& messages) { return !messages.empty() && messages.back().header.stamp == last; };
+    return spinUntil([&] { return ended(status) && (status.back().state != air_ground::VoStatus::STATE_TRACKING || (ended(odometry) && ended(tf))); });
   }
 
   simulated::Robot robot_;
   ros::NodeHandle handle_;
   ros::Publisher colour_, depth_, info_, imu_;
-  ros::Subscriber odometry_sub_, status_sub_, cloud_sub_, tf_sub_, diagnostics_sub_;
+  ros::Subscriber odometry_sub_, status_sub_, cloud_sub_, tf_sub_;
+  ros_utils::NodeDiagnostics diagnostics_{"rgbd_slam"};
   tf2_ros::StaticTransformBroadcaster broadcaster_;
   std::vector<nav_msgs::Odometry> odometry;
   std::vector<air_ground::VoStatus> status;
   std::vector<sensor_msgs::PointCloud2> clouds;
   std::vector<geometry_msgs::TransformStamped> tf;
   std::map<std::string, std::set<std::string>> authorities;
-  std::string states;  ///< of all diagnostics so far
 };
 
 TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   drive(40, true, {});
-  waitForStatus(37);
+  ASSERT_TRUE(answered(40));
+  EXPECT_GE(status.size(), 37u);
   ASSERT_GT(odometry.size(), 33u);
   for (const auto& m : odometry) {
     EXPECT_EQ(m.header.frame_id, "ground_map");
@@ -175,7 +190,8 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   EXPECT_EQ(parents["ground_odom"], std::set<std::string>{"ground_map"});
   EXPECT_EQ(parents["ground_base_link"], std::set<std::string>{"ground_odom"});
 
-  ASSERT_FALSE(clouds.empty());
+  // A cloud each second, and one of all keyframes when no more images come.
+  ASSERT_TRUE(spinUntil([&] { return !clouds.empty() && clouds.back().header.stamp.toSec() > kStart + 2.5; }));
   EXPECT_EQ(clouds.back().header.frame_id, "ground_map");
   std::size_t dropped = 0;
   const auto points = ros_utils::cloudFromMsg(clouds.back(), &dropped);
@@ -205,7 +221,8 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   odometry.clear();
   status.clear();
   drive(15, false, {});
-  waitForStatus(14);  // a jump costs the first image
+  ASSERT_TRUE(answered(15));
+  EXPECT_GE(status.size(), 14u);  // a jump costs the first image
   ASSERT_GT(odometry.size(), 10u);
   EXPECT_LT(odometry.front().header.stamp.toSec(), kStart + 0.5);
   EXPECT_LT(ros_utils::fromMsg(odometry.front().pose.pose).translation().norm(), 0.02);
@@ -215,9 +232,10 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   ASSERT_TRUE(ros::service::call("rgbd_slam/reset", reset));
   EXPECT_TRUE(reset.response.success);
   // The latched cloud is of a map that is no more: an empty one takes its place, and none of the old map comes after it.
-  spin(2.0);
-  ASSERT_FALSE(clouds.empty());
-  EXPECT_EQ(clouds.back().width * clouds.back().height, 0u);
+  const auto emptied = [&] { return !clouds.empty() && clouds.back().width * clouds.back().height == 0; };
+  EXPECT_TRUE(spinUntil(emptied));
+  pause(300);
+  EXPECT_TRUE(emptied());
   ASSERT_TRUE(ros::service::call("rgbd_slam/save_trajectory", trajectory));
   EXPECT_FALSE(trajectory.response.success);
 }
@@ -228,10 +246,10 @@ TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
   Course course;
   course.imu_from = 2.0;
   drive(20, false, course);
-  spin(1.5);  // diagnostics come once a second
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("without IMU") != std::string::npos; }));
   course.first = 20;
   drive(40, false, course);
-  waitForStatus(37);
+  ASSERT_TRUE(answered(40));
   ASSERT_FALSE(odometry.empty());
   EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING);
   std::uint32_t first_map = 0;
@@ -241,20 +259,20 @@ TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
   // Only the IMU knows that the base is not level.
   const Eigen::Vector3d up = ros_utils::fromMsg(odometry.back().pose.pose).linear().row(2), truth = robot_.mapped(odometry.back().header.stamp.toSec() - kStart).linear().row(2);
   EXPECT_LT((up - truth).norm(), 0.02);
-  EXPECT_NE(states.find("without IMU"), std::string::npos);
 }
 
 TEST_F(NodeTest, BeginsANewMapWithAnotherCalibration) {
   drive(20, false, {});
-  waitForStatus(19);
+  ASSERT_TRUE(answered(20));
   ASSERT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING);
   const std::uint32_t before = status.back().map_id;
   odometry.clear();
   Course course;
   course.first = 20;
   course.cropped = true;
+  ASSERT_TRUE(calibrate(1.95, course));
   drive(40, false, course);
-  waitForStatus(39);
+  ASSERT_TRUE(answered(40));
   EXPECT_EQ(status.back().map_id, before + 1);
   EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
   EXPECT_GT(odometry.size(), 10u);

@@ -12,12 +12,14 @@ namespace rgbd_slam {
 template <typename T>
 class FramePairer {
  public:
-  /// `tolerance`: largest difference of the stamps of a pair [s]. A colour image waits for depth until colour images are
-  /// `patience` newer [s].
-  FramePairer(double tolerance, double patience, std::size_t limit) : tolerance_(tolerance), patience_(patience), limit_(limit) {}
+  /// `tolerance`: largest difference of the stamps of a pair [s]. A colour image waits for depth until one that is `patience` [s]
+  /// newer has been here for `settle` [s]: whole seconds of one topic may come before the other's.
+  FramePairer(double tolerance, double patience, double settle, std::size_t limit)
+      : tolerance_(tolerance), patience_(patience), settle_(settle), limit_(limit) {}
 
-  void addColour(double stamp, T image) { push(&colour_, stamp, std::move(image)); }
-  void addDepth(double stamp, T image) { push(&depth_, stamp, std::move(image)); }
+  /// `now`, here and below: time of a clock that runs on while the stamps may not [s].
+  void addColour(double stamp, T image, double now) { push(&colour_, stamp, std::move(image), now); }
+  void addDepth(double stamp, T image, double now) { push(&depth_, stamp, std::move(image), now); }
 
   struct Pair {
     double stamp;  ///< of the colour image [s]
@@ -25,26 +27,26 @@ class FramePairer {
   };
 
   /// The oldest pair, if it is known: drops what can no longer find a partner. Does not remove the pair.
-  const Pair* front() {
+  const Pair* front(double now) {
     while (!pair_ && !colour_.empty()) {
-      const double stamp = colour_.front().first;
-      while (!depth_.empty() && depth_.front().first < stamp - tolerance_) {
+      const double stamp = colour_.front().stamp;
+      while (!depth_.empty() && depth_.front().stamp < stamp - tolerance_) {
         depth_.pop_front();
         ++unmatched_depth_;
       }
-      while (depth_.size() > 1 && std::abs(depth_[1].first - stamp) < std::abs(depth_[0].first - stamp)) {
+      while (depth_.size() > 1 && std::abs(depth_[1].stamp - stamp) < std::abs(depth_[0].stamp - stamp)) {
         depth_.pop_front();
         ++unmatched_depth_;
       }
-      if (!depth_.empty() && depth_.front().first <= stamp + tolerance_) {
-        pair_ = Pair{stamp, std::move(colour_.front().second), std::move(depth_.front().second)};
+      if (!depth_.empty() && depth_.front().stamp <= stamp + tolerance_) {
+        pair_ = Pair{stamp, std::move(colour_.front().image), std::move(depth_.front().image)};
         colour_.pop_front();
         depth_.pop_front();
         break;
       }
       const bool missed = !depth_.empty();  // depth is already newer
-      if (!missed && colour_.back().first - stamp <= patience_) break;
-      if (missed) closest_miss_ = depth_.front().first - stamp;
+      if (!missed && !overtaken(stamp, patience_, now)) break;
+      if (missed) closest_miss_ = depth_.front().stamp - stamp;
       colour_.pop_front();
       ++unmatched_colour_;
     }
@@ -64,8 +66,12 @@ class FramePairer {
     unmatched_colour_ = unmatched_depth_ = overflow_ = 0;
   }
 
-  /// Newest colour stamp waiting minus `stamp`; 0 when none waits [s].
-  double newerBy(double stamp) const { return colour_.empty() ? 0.0 : colour_.back().first - stamp; }
+  /// True when a colour image newer than `stamp` by more than this [s] has been waiting for `settle`.
+  bool overtaken(double stamp, double by, double now) const {
+    for (const Waiting& colour : colour_)
+      if (colour.stamp - stamp > by) return now - colour.arrival >= settle_;
+    return false;
+  }
   std::size_t waiting() const { return colour_.size() + (pair_ ? 1 : 0); }
   /// Counted since the last call of clear().
   std::size_t unmatchedColour() const { return unmatched_colour_; }
@@ -75,10 +81,14 @@ class FramePairer {
   double closestMiss() const { return closest_miss_; }
 
  private:
-  using Queue = std::deque<std::pair<double, T>>;
+  struct Waiting {
+    double stamp, arrival;
+    T image;
+  };
+  using Queue = std::deque<Waiting>;
 
-  void push(Queue* queue, double stamp, T image) {
-    if (!queue->empty() && stamp <= queue->back().first) {
+  void push(Queue* queue, double stamp, T image, double now) {
+    if (!queue->empty() && stamp <= queue->back().stamp) {
       ++overflow_;
       return;
     }
@@ -86,10 +96,10 @@ class FramePairer {
       queue->pop_front();
       ++overflow_;
     }
-    queue->emplace_back(stamp, std::move(image));
+    queue->push_back({stamp, now, std::move(image)});
   }
 
-  double tolerance_, patience_;
+  double tolerance_, patience_, settle_;
   std::size_t limit_;
   Queue colour_, depth_;
   std::optional<Pair> pair_;
