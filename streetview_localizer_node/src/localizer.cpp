@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "mirror_check.h"
 #include "pyramid_cache.h"
 #include "step_timer.h"
 #include "view_search.h"
@@ -19,8 +20,6 @@ namespace {
 
 constexpr double kDegree = M_PI / 180;
 constexpr double kGravityGate = 4;  // standard deviations
-constexpr int kMirrorFeatures = 1000, kMirrorViews = 2;
-constexpr double kClearRatio = 0.75;  // of a match that hardly arises by chance
 
 std::string text(const char* format, double a, double b = 0, double c = 0) {
   char line[240];
@@ -209,7 +208,6 @@ struct Localizer::Impl {
     c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance, c.kept);
     if (c.acceptance.accepted && prior.up_camera) checkGravity(prior, &c);
     if (c.acceptance.accepted) checkAgainstModel(&c);
-    if (c.acceptance.accepted) checkMirror(query, &c);
     if (settings.covariance == CovarianceKind::kMonteCarlo) useMonteCarlo(&c);
     c.correspondences.resize(c.kept);
     c.views.resize(c.kept);
@@ -290,21 +288,6 @@ struct Localizer::Impl {
       refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share), c);
   }
 
-  // A facade is often its own mirror image: an image that was flipped finds a place too, but has fewer clear matches there than
-  // its mirror image has with the view that shows it.
-  void checkMirror(const Features& query, Candidate* c) const {
-    const Features straight = strongestFeatures(query, kMirrorFeatures), flipped = mirroredFeatures(straight);
-    PairwiseSettings clear = settings.pairwise;
-    clear.max_ratio = std::min(clear.max_ratio, kClearRatio);
-    std::vector<int> views = search.byMirrorImage(flipped, kMirrorViews);
-    views.push_back(c->view);
-    std::size_t as_mirrored = 0;
-    for (const int v : views) as_mirrored = std::max(as_mirrored, matchPairwise(flipped, view(v).features, clear).size());
-    const std::size_t as_it_is = matchPairwise(straight, view(c->view).features, clear).size();
-    if (as_mirrored > as_it_is)
-      refuse(text("mirrored, the image has %.0f clear matches with a view, as it is %.0f", static_cast<double>(as_mirrored), static_cast<double>(as_it_is)), c);
-  }
-
   void take(Candidate&& c, LocalizerResult* result) const {
     result->pose = std::move(c.pose);
     result->acceptance = std::move(c.acceptance);
@@ -361,11 +344,12 @@ struct Localizer::Impl {
       const StepTimer timer(result, Step::kFeatures);
       features = extractFeatures(grey, settings.features.original);
     }
+    MirrorCheck mirror(features, search, *database, settings);
     LocalizerResult best;
     const auto settled = [&](const Features& query, int max_views, int enough) {
       LocalizerResult next;
       next.times = best.times;
-      attempt(query, *pyramid, camera, prior, max_views, &next);
+      attempt(query, *pyramid, camera, prior, max_views, &mirror, &next);
       const bool both = best.accepted() && next.accepted();
       best = better(std::move(best), std::move(next));
       return best.accepted() ? best.acceptance.evidence.inliers >= enough : both;
@@ -401,7 +385,8 @@ struct Localizer::Impl {
     return std::move(chosen);
   }
 
-  void attempt(const Features& query, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior, int max_views, LocalizerResult* result) const {
+  void attempt(const Features& query, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior, int max_views, MirrorCheck* mirror,
+               LocalizerResult* result) const {
     result->features = static_cast<int>(query.size());
     const double prior_stddev =
         prior.T_world_camera ? std::sqrt(prior.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff()) : std::numeric_limits<double>::infinity();
@@ -430,6 +415,8 @@ struct Localizer::Impl {
       return;
     }
     decide(std::move(candidates), result);
+    if (!result->accepted()) return;
+    if (const std::string why = mirror->objection(result->view, result->used_prior); !why.empty()) contradict(why, result);
   }
 };
 

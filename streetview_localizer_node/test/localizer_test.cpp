@@ -9,6 +9,7 @@
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
+#include "../src/mirror_check.h"
 #include "streetview_localizer/match_picture.h"
 #include "streetview_localizer/view_synthesis.h"
 #include "tiny_city.h"
@@ -196,6 +197,26 @@ TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
     EXPECT_FALSE(r.reason.empty()) << name;
     EXPECT_NO_THROW(drawMatch(query, localizer_->database(), r)) << name;
   }
+}
+
+// The check alone, whatever else refuses: features of the image and of its mirror image, each as the query's own.
+TEST_F(LocalizerTest, MirrorCheckTellsAnImageFromItsMirrorImage) {
+  const LocalizerSettings settings;
+  const ViewSearch search(*database_, settings);
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  const cv::Mat image = city_->photograph(TinyCity::camera(), T);
+  cv::Mat mirrored;
+  cv::flip(image, mirrored, 1);
+  const int view = localizer_->localize(image, TinyCity::camera()).view;
+  ASSERT_GE(view, 0);
+  MirrorCheck recorded(extractFeatures(image), search, *database_, settings), flipped(extractFeatures(mirrored), search, *database_, settings);
+  EXPECT_EQ(recorded.objection(view, true), "");
+  EXPECT_EQ(recorded.objection(view, false), "");
+  EXPECT_NE(flipped.objection(view, true), "");
+  // Another view, which shows neither: the one that shows the mirror image is found in the whole database only.
+  const LocalizerResult elsewhere = locate(TinyCity::look({3, -1, 6}, -M_PI / 2 + 0.2, -0.15, 0.05));
+  ASSERT_TRUE(elsewhere.accepted() && elsewhere.view != view) << elsewhere.reason;
+  EXPECT_NE(flipped.objection(elsewhere.view, false), "");
 }
 
 TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
