@@ -44,8 +44,7 @@ Eigen::Matrix<double, 3, 7> castJacobian(const Eigen::Vector3d& p, const Eigen::
   const Eigen::Vector3d ray = p - centre, direction = castDirection(p, normal, centre);
   Eigen::Matrix<double, 3, 7> J = Eigen::Matrix<double, 3, 7>::Zero();
   if (direction.isZero()) return J;
-  const Eigen::Vector3d n = normal.squaredNorm() > 0.25 ? normal.normalized() : -ray.normalized();
-  const Eigen::Matrix3d slide = Eigen::Matrix3d::Identity() - direction * n.transpose();
+  const Eigen::Matrix3d slide = Eigen::Matrix3d::Identity() - direction * unitNormal(normal, ray).transpose();
   J.leftCols<3>() = slide;
   J.middleCols<3>(3) = -slide * air_ground_common::skew(ray);
   J.col(6) = direction;

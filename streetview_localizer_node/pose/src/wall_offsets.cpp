@@ -73,13 +73,16 @@ struct Offset {
 
 }  // namespace
 
+Eigen::Vector3d unitNormal(const Eigen::Vector3d& normal, const Eigen::Vector3d& ray) {
+  return normal.squaredNorm() > 0.25 ? normal.normalized() : Eigen::Vector3d(-ray.normalized());
+}
+
 Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
                               const Eigen::Vector3d& centre) {
   const Eigen::Vector3d ray = point - centre;
   const double range = ray.norm();
   if (!(range > 1e-3)) return Eigen::Vector3d::Zero();
-  const Eigen::Vector3d n = normal.squaredNorm() > 0.25 ? normal.normalized() : Eigen::Vector3d(-ray / range);
-  double along = n.dot(ray);
+  double along = unitNormal(normal, ray).dot(ray);
   if (std::abs(along) < 0.1 * range) along = std::copysign(0.1 * range, along);
   return ray / along;
 }

@@ -8,8 +8,11 @@
 
 namespace streetview_localizer::detail {
 
+/// Of the wall that `ray` meets; without a normal the wall faces the ray.
+Eigen::Vector3d unitNormal(const Eigen::Vector3d& normal, const Eigen::Vector3d& ray);
+
 /// How a point cast from `centre` onto a wall moves for each metre that the wall stands farther out along its normal:
-/// along its ray. Grazing rays move by at most ten times the offset; without a normal the wall faces the ray.
+/// along its ray. Grazing rays move by at most ten times the offset.
 Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
                               const Eigen::Vector3d& centre);
 

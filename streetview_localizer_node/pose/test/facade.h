@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/testing/random.h"
 #include "streetview_localizer/acceptance.h"
 
@@ -132,7 +133,7 @@ inline double nees(const Pose& truth, const Pose& estimate, const Matrix6d& cova
   air_ground_common::Vector6d e;
   e.head<3>() = truth.translation() - estimate.translation();
   e.tail<3>() = air_ground_common::logSO3(truth.linear() * estimate.linear().transpose());
-  return e.dot(covariance.inverse() * e);
+  return air_ground_common::squaredMahalanobis(e, covariance);
 }
 
 }  // namespace streetview_localizer::simulation
