@@ -2,8 +2,9 @@
 """Replays a small bag through city.launch with the real tracker and a stand-in for odometry and localizer: the report must find
 the errors that were put in."""
 import os
-import sqlite3
+import random
 import socket
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -67,9 +68,15 @@ def write_database(path):
 
 
 def free_port():
-    with socket.socket() as s:
-        s.bind(('127.0.0.1', 0))
-        return s.getsockname()[1]
+    """Below those that the system hands out, lest another process gets it before the master does."""
+    while True:
+        port = random.randrange(20000, 30000)
+        with socket.socket() as s:
+            try:
+                s.bind(('127.0.0.1', port))
+                return port
+            except OSError:
+                continue
 
 
 class CityReport(unittest.TestCase):
@@ -91,12 +98,13 @@ class CityReport(unittest.TestCase):
         with open(path('x.launch'), 'w', encoding='utf-8') as stream:
             stream.write('<launch><arg name="bag"/><arg name="db"/><arg name="out"/><arg name="world_config"/>'
                          f'<node pkg="air_ground" type="stand_in_city.py" name="stand_in_city">{params}</node>'
-                         f'<include file="{package}/launch/city.launch" pass_all_args="true"><arg name="mav_vo" value="false"/>'
-                         '<arg name="streetview_localizer" value="false"/><arg name="compare_magnetometer" value="false"/><arg name="vo_covariance_factor" value="1"/></include></launch>')
+                         f'<include file="{package}/launch/city.launch" pass_all_args="true"><arg name="wait_for" value="stand_in_city"/>'
+                         '<arg name="mav_vo" value="false"/><arg name="streetview_localizer" value="false"/><arg name="compare_magnetometer" value="false"/>'
+                         '<arg name="vo_covariance_factor" value="1"/></include></launch>')
         port = free_port()
         result = subprocess.run(['roslaunch', '-p', str(port), path('x.launch'), f'bag:={path("x.bag")}', f'db:={path("x.gpkg")}',
                                  f'world_config:={path("world.yaml")}', f'out:={path("out")}'],
-                                env=dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}'), capture_output=True, text=True, timeout=150, check=False)
+                                env=dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}'), capture_output=True, text=True, timeout=240, check=False)
         output = result.stdout + result.stderr
         self.assertTrue(os.path.isfile(path('out/report.yaml')), output)
         with open(path('out/report.yaml'), encoding='utf-8') as stream:

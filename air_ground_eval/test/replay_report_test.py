@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Replays a small bag through replay.launch with a stand-in for the nodes whose errors are known: the report must find them."""
 import os
+import random
 import socket
 import subprocess
 import sys
@@ -43,9 +44,15 @@ def write_bag(path, truth=True):
 
 
 def free_port():
-    with socket.socket() as s:
-        s.bind(('127.0.0.1', 0))
-        return s.getsockname()[1]
+    """Below those that the system hands out, lest another process gets it before the master does."""
+    while True:
+        port = random.randrange(20000, 30000)
+        with socket.socket() as s:
+            try:
+                s.bind(('127.0.0.1', port))
+                return port
+            except OSError:
+                continue
 
 
 def replay(folder, stand_in, *arguments):
@@ -57,13 +64,13 @@ def replay(folder, stand_in, *arguments):
         stream.write('<launch><arg name="truth" default="/ground_truth"/><arg name="bag"/><arg name="out"/>'
                      f'<node pkg="air_ground" type="stand_in_pipeline.py" name="stand_in_pipeline">{params}'
                      '<remap from="ground_truth/mav" to="$(arg truth)/mav"/><remap from="ground_truth/ground" to="$(arg truth)/ground"/></node>'
-                     f'<include file="{package}/launch/replay.launch" pass_all_args="true">'
+                     f'<include file="{package}/launch/replay.launch" pass_all_args="true"><arg name="wait_for" value="stand_in_pipeline"/>'
                      + ''.join(f'<arg name="{n}" value="false"/>' for n in ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine'))
                      + '</include></launch>')
     port = free_port()
     environment = dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}')
     result = subprocess.run(['roslaunch', '-p', str(port), launch, f'bag:={folder}/x.bag', f'out:={folder}/out', *arguments],
-                            env=environment, capture_output=True, text=True, timeout=120, check=False)
+                            env=environment, capture_output=True, text=True, timeout=160, check=False)
     return result.stdout + result.stderr
 
 

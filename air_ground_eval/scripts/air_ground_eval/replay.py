@@ -180,25 +180,67 @@ def node_exists(name):
         return False
 
 
-def subscribes(node, topic):
-    """True once the node has subscribed to the topic: its constructor has come so far."""
+def _system_state():
+    """Publishers and subscribers by the master: topic -> names of the nodes."""
+    publishers, subscribers, _ = rosgraph.Master(CALLER).getSystemState()
+    return dict(publishers), dict(subscribers)
+
+
+def not_listening(nodes, topics):
+    """Those of the nodes that have subscribed to none of the topics: their constructors have not come so far."""
     try:
-        subscribers = dict(rosgraph.Master(CALLER).getSystemState()[1])
+        subscribers = _system_state()[1]
     except (rosgraph.MasterException, OSError):
-        return False
-    return rospy.resolve_name(node) in subscribers.get(rospy.resolve_name(topic), [])
+        return list(nodes)
+    return [node for node in nodes if not any(rospy.resolve_name(node) in subscribers.get(rospy.resolve_name(topic), []) for topic in topics)]
 
 
-def start_player(player, ready, timeout=600.0):
-    """Lets a player that began paused go once `ready()`; False when it or the player did not come."""
+def unconnected():
+    """(topic, publisher, subscriber) that the master knows, but between which no message could pass yet. Nodes that do not answer are left out."""
+    master, missing = rosgraph.Master(CALLER), []
+    try:
+        publishers, subscribers = _system_state()
+        for node in sorted({node for nodes in publishers.values() for node in nodes}):
+            wanted = {(topic, listener) for topic, nodes in publishers.items() if node in nodes
+                      for listener in subscribers.get(topic, []) if listener != node and topic not in ('/rosout', '/rosout_agg')}
+            if not wanted:
+                continue
+            try:
+                connections = xmlrpc.client.ServerProxy(master.lookupNode(node)).getBusInfo(CALLER)[2]
+            except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+                continue
+            missing += [(topic, node, listener) for topic, listener in sorted(wanted - {(c[4], c[1]) for c in connections if c[2] == 'o'})]
+    except (rosgraph.MasterException, OSError):
+        pass
+    return missing
+
+
+def wait_to_listen(bag, nodes, more_topics=(), timeout=60.0):
+    """Waits until each of the nodes has subscribed to a topic of the bag (tf aside) or one of `more_topics`. False when one did not come."""
+    topics = [topic for topic in bag.types if topic.strip('/') not in ('tf', 'tf_static', 'clock')] + list(more_topics)
     begin = time.monotonic()
-    while not rospy.is_shutdown() and not ready():
+    while not rospy.is_shutdown():
+        missing = not_listening(nodes, topics)
+        if not missing:
+            return True
         if time.monotonic() - begin > timeout:
+            rospy.logerr('no sign of %s: not subscribed to any topic of the bag', ', '.join(missing))
             return False
         time.sleep(0.2)
+    return False
+
+
+def start_player(player, timeout=30.0):
+    """Lets a player that began paused go once all publishers and subscribers are connected; False when the player did not come."""
     try:
         rospy.wait_for_service(player + '/pause_playback', timeout=60.0)
-        time.sleep(1.0)  # connections of topics that the player advertises at its start
+        begin = time.monotonic()
+        missing = unconnected()
+        while missing and not rospy.is_shutdown() and time.monotonic() - begin < timeout:
+            time.sleep(0.2)
+            missing = unconnected()
+        for topic, publisher, listener in missing:
+            rospy.logwarn('%s: no connection from %s to %s; the bag plays without', topic, publisher, listener)
         rospy.ServiceProxy(player + '/pause_playback', SetBool)(False)
         return True
     except (rospy.ROSException, rospy.ServiceException):
