@@ -10,7 +10,9 @@
 #include <sensor_msgs/Imu.h>
 #include <std_srvs/Trigger.h>
 
+#include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -29,6 +31,7 @@ namespace mav_vo {
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
+using Clock = std::chrono::steady_clock;
 
 constexpr int kOk = 0, kWarn = 1;
 
@@ -95,6 +98,10 @@ class MavVoNode {
 
  private:
   enum Stream { kImage, kImu, kStreams };
+  struct WaitingImage {
+    sensor_msgs::Image::ConstPtr image;
+    Clock::time_point arrival;
+  };
 
   // ---- Inputs: only checks and queueing happen in the callbacks -------------------------------------------------------
 
@@ -134,7 +141,7 @@ class MavVoNode {
         image_queue_.pop_front();
         health_.count("images dropped: the queue was full");
       }
-      image_queue_.push_back(msg);
+      image_queue_.push_back({msg, Clock::now()});
     }
     queue_changed_.notify_all();
   }
@@ -165,7 +172,7 @@ class MavVoNode {
           continue;
         }
         if (!imageReady()) continue;
-        image = image_queue_.front();
+        image = image_queue_.front().image;
         image_queue_.pop_front();
         const double stamp = image->header.stamp.toSec();
         // One sample beyond the image lets the motion be interpolated up to its stamp.
@@ -186,8 +193,12 @@ class MavVoNode {
   bool imageReady() const {
     if (image_queue_.empty() || !calibration_) return false;
     if (!settings_.odometry.use_imu) return true;
-    const double stamp = image_queue_.front()->header.stamp.toSec();
-    return newest_imu_ >= stamp || image_queue_.back()->header.stamp.toSec() - stamp > settings_.imu_wait;
+    const double stamp = image_queue_.front().image->header.stamp.toSec();
+    if (newest_imu_ >= stamp) return true;
+    const auto newer = std::find_if(image_queue_.begin(), image_queue_.end(), [&](const WaitingImage& waiting) {
+      return waiting.image->header.stamp.toSec() - stamp > settings_.imu_wait;
+    });
+    return newer != image_queue_.end() && Clock::now() - newer->arrival > std::chrono::duration<double>(ros_utils::kTopicsInStep);
   }
 
   /// `anew`: calibration and mountings are read again, too.
@@ -416,7 +427,7 @@ class MavVoNode {
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_;
   ros_utils::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};
-  std::deque<sensor_msgs::Image::ConstPtr> image_queue_;
+  std::deque<WaitingImage> image_queue_;
   std::deque<ImuSample> imu_queue_;
   double newest_imu_ = 0;
   std::optional<ros_utils::Calibration> calibration_;

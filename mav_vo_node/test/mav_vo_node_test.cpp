@@ -3,7 +3,6 @@
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoIncrement.h>
 #include <air_ground/VoStatus.h>
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
@@ -17,12 +16,14 @@
 #include <set>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/trajectory.h"
 #include "synthetic_camera.h"
 
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
+using ros_utils::spinUntil;
 using synthetic::Pose;
 
 constexpr double kEpoch = 1000.0;  // stamp of the flight's start [s]
@@ -41,7 +42,6 @@ class MavVoNode : public testing::Test {
         handle_.subscribe<air_ground::VoStatus>("mav/vo_status", 1000, [this](const air_ground::VoStatus::ConstPtr& m) { status_.push_back(*m); }),
         handle_.subscribe<sensor_msgs::PointCloud2>("mav/sparse_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(*m); }),
         handle_.subscribe<sensor_msgs::Image>("mav/track_image", 100, [this](const sensor_msgs::Image::ConstPtr& m) { tracks_.push_back(m); }),
-        handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) { diagnostics_ = *m; }),
         handle_.subscribe("/tf", 1000, &MavVoNode::onTf, this)};
     geometry_msgs::TransformStamped camera, imu;
     camera.header.frame_id = imu.header.frame_id = "mav_base_link";
@@ -60,24 +60,26 @@ class MavVoNode : public testing::Test {
     }
   }
 
-  /// Until every topic is connected in both directions; /diagnostics and /tf have other publishers and are not waited for.
+  /// Until every topic is connected in both directions.
   bool waitForNode() {
-    const auto connected = [this] {
-      for (std::size_t i = 0; i < 6; ++i)
-        if (subscribers_[i].getNumPublishers() == 0) return false;
+    return spinUntil([this] {
+      for (const auto& subscriber : subscribers_)
+        if (subscriber.getNumPublishers() == 0) return false;
       return image_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 && imu_.getNumSubscribers() > 0;
-    };
-    for (int i = 0; i < 300 && !connected(); ++i) spin(0.1);
-    spin(0.5);
-    return connected();
+    });
   }
 
-  static void spin(double seconds) {
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
-    while (ros::ok() && ros::WallTime::now() < end) {
-      ros::spinOnce();
-      ros::WallDuration(0.005).sleep();
-    }
+  static std_msgs::Header cameraHeader(double t) {
+    std_msgs::Header header;
+    header.stamp = ros::Time(kEpoch + t);
+    header.frame_id = "mav_camera_optical_frame";
+    return header;
+  }
+
+  /// Publishes a calibration; true when the node has it.
+  bool recalibrate(double t, double factor) {
+    info_.publish(ros_utils::toMsg(synthetic::camera().scaled(factor), cameraHeader(t)));
+    return diagnostics_.awaitReceived(info_.getTopic(), cameraHeader(t).stamp);
   }
 
   /// Plays the flight from `begin` (rest) to `duration`, with images smaller by `factor`; never more than 30 images ahead of the node.
@@ -88,6 +90,7 @@ class MavVoNode : public testing::Test {
     std::size_t next = 0;
     const std::size_t before = status_.size();
     std::size_t sent = 0;
+    ros::Time last;
     for (int i = static_cast<int>(std::lround(begin / 0.05)) + 1; 0.05 * i <= duration; ++i) {
       const double t = 0.05 * i;
       for (; next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) {
@@ -107,19 +110,23 @@ class MavVoNode : public testing::Test {
       const Pose T = flight_.T_world_imu(t) * synthetic::T_imu_camera();
       truth_camera_.push_back({kEpoch + t, T});
       truth_base_.push_back({kEpoch + t, flight_.T_world_imu(t)});
-      std_msgs::Header header;
-      header.stamp = ros::Time(kEpoch + t);
-      header.frame_id = "mav_camera_optical_frame";
+      const std_msgs::Header header = cameraHeader(t);
+      last = header.stamp;
       const auto camera = synthetic::camera().scaled(factor);
       info_.publish(ros_utils::toMsg(camera, header));
       image_.publish(ros_utils::toMsg(world_.render(camera, T, 1.0, &grain), "mono8", header));
       ++sent;
       ros::spinOnce();
-      for (int wait = 0; wait < 2000 && sent > status_.size() - before + 30; ++wait) spin(0.01);
+      spinUntil([&] { return sent <= status_.size() - before + 30; }, 4000);
     }
-    for (int wait = 0; wait < 300 && status_.size() - before < sent; ++wait) spin(0.05);
+    const auto ended = [&](const auto& messages) { return !messages.empty() && messages.back().header.stamp == last; };
+    EXPECT_TRUE(spinUntil([&] { return ended(status_); }));
     EXPECT_GE(status_.size() - before + 2, sent) << "a status with every image";
-    spin(0.3);
+    // Of what goes out with an image, an increment is the last.
+    if (ended(status_) && status_.back().state == air_ground::VoStatus::STATE_TRACKING) {
+      EXPECT_TRUE(spinUntil([&] { return ended(increments_) && ended(odometry_); }));
+    }
+    ros_utils::pause(20);
   }
 
   ros::NodeHandle handle_;
@@ -135,7 +142,7 @@ class MavVoNode : public testing::Test {
   std::vector<air_ground::VoStatus> status_;
   std::vector<sensor_msgs::PointCloud2> clouds_;
   std::vector<sensor_msgs::Image::ConstPtr> tracks_;
-  diagnostic_msgs::DiagnosticArray diagnostics_;
+  ros_utils::NodeDiagnostics diagnostics_{"mav_vo"};
   std::map<std::string, std::set<std::string>> authorities_;
   std::map<std::string, std::string> parents_;
   std::map<std::string, std::vector<ros::Time>> stamps_;
@@ -212,7 +219,7 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   // Files.
   air_ground::SaveTrajectory trajectory;
   trajectory.request.path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + ".txt";
-  ASSERT_TRUE(ros::service::call("/mav_vo/save_trajectory", trajectory));
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_trajectory", trajectory));
   EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
   const auto saved = air_ground_common::readTum(trajectory.request.path);
   EXPECT_EQ(saved.size(), trajectory.response.poses);
@@ -221,12 +228,12 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   air_ground::SaveMap map;
   for (const std::string extension : {".ply", ".pcd"}) {
     map.request.path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + extension;
-    ASSERT_TRUE(ros::service::call("/mav_vo/save_map", map));
+    ASSERT_TRUE(ros_utils::callService("/mav_vo/save_map", map));
     EXPECT_TRUE(map.response.success) << map.response.message;
     std::remove(map.request.path.c_str());
   }
   map.request.path = "/nowhere/map.ply";
-  ASSERT_TRUE(ros::service::call("/mav_vo/save_map", map));
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_map", map));
   EXPECT_FALSE(map.response.success);
 
   // The bag loops: a new map, and metres again only when they are known again.
@@ -244,19 +251,16 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   // The reset service does the same.
   std_srvs::Trigger reset;
   const std::uint32_t second_map = status_.back().map_id;
-  ASSERT_TRUE(ros::service::call("/mav_vo/reset", reset));
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/reset", reset));
   EXPECT_TRUE(reset.response.success);
-  ASSERT_TRUE(ros::service::call("/mav_vo/save_trajectory", trajectory));
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_trajectory", trajectory));
   EXPECT_FALSE(trajectory.response.success);
   status_.clear();
   play(2.0);
   ASSERT_FALSE(status_.empty());
   EXPECT_GT(status_.back().map_id, second_map);
 
-  bool counted = false;
-  for (const auto& s : diagnostics_.status)
-    for (const auto& v : s.values) counted = counted || v.key.find("not a finite number") != std::string::npos;
-  EXPECT_TRUE(counted) << "NaN samples appear in /diagnostics";
+  EXPECT_TRUE(diagnostics_.await("IMU samples refused: not a finite number", 1));
 }
 
 TEST_F(MavVoNode, BeginsANewMapWithAnotherCalibration) {
@@ -266,6 +270,7 @@ TEST_F(MavVoNode, BeginsANewMapWithAnotherCalibration) {
   EXPECT_EQ(posed_.back()->image.width, 752u);
   const std::uint32_t before = status_.back().map_id;
   posed_.clear();
+  ASSERT_TRUE(recalibrate(5.01, 0.5));
   play(9.0, 5.0, 0.5);
   EXPECT_GT(status_.back().map_id, before);
   ASSERT_FALSE(posed_.empty());

@@ -29,6 +29,17 @@ inline void pause(int turns) {
   spinUntil([] { return false; }, turns);
 }
 
+/// Calls a service that may be called twice; false when it does not come up or answer. A call's connection can break, and the
+/// call fail, when a process stands still meanwhile.
+template <typename Service>
+bool callService(const std::string& name, Service& service) {
+  for (int i = 0; i < 5; ++i) {
+    if (ros::service::waitForService(name, ros::Duration(60)) && ros::service::call(name, service)) return true;
+    ros::WallDuration(0.1).sleep();
+  }
+  return false;
+}
+
 /// What a node last said on /diagnostics; it does so once a second.
 class NodeDiagnostics {
  public:
