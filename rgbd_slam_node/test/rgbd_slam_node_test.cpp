@@ -203,16 +203,16 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
 
   air_ground::SaveMap map;
   map.request.path = "/tmp/rgbd_slam_node_test.ply";
-  ASSERT_TRUE(ros::service::call("rgbd_slam/save_map", map));
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/save_map", map));
   EXPECT_TRUE(map.response.success) << map.response.message;
   EXPECT_EQ(air_ground_common::readPlyPoints(map.request.path).size(), map.response.points);
   std::remove(map.request.path.c_str());
   map.request.path = "/nowhere/at/all.ply";
-  ASSERT_TRUE(ros::service::call("rgbd_slam/save_map", map));
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/save_map", map));
   EXPECT_FALSE(map.response.success);
   air_ground::SaveTrajectory trajectory;
   trajectory.request.path = "/tmp/rgbd_slam_node_test.txt";
-  ASSERT_TRUE(ros::service::call("rgbd_slam/save_trajectory", trajectory));
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/save_trajectory", trajectory));
   EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
   EXPECT_EQ(air_ground_common::readTum(trajectory.request.path).size(), odometry.size());
   std::remove(trajectory.request.path.c_str());
@@ -229,20 +229,20 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   EXPECT_EQ(status.back().map_id, 2u);
 
   std_srvs::Trigger reset;
-  ASSERT_TRUE(ros::service::call("rgbd_slam/reset", reset));
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
   EXPECT_TRUE(reset.response.success);
   // The latched cloud is of a map that is no more: an empty one takes its place, and none of the old map comes after it.
   const auto emptied = [&] { return !clouds.empty() && clouds.back().width * clouds.back().height == 0; };
   EXPECT_TRUE(spinUntil(emptied));
   pause(300);
   EXPECT_TRUE(emptied());
-  ASSERT_TRUE(ros::service::call("rgbd_slam/save_trajectory", trajectory));
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/save_trajectory", trajectory));
   EXPECT_FALSE(trajectory.response.success);
 }
 
 TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
   std_srvs::Trigger reset;
-  ASSERT_TRUE(ros::service::call("rgbd_slam/reset", reset));
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
   Course course;
   course.imu_from = 2.0;
   drive(20, false, course);
