@@ -11,6 +11,7 @@ import rosgraph
 import rospy
 from air_ground.msg import VoStatus
 from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import CameraInfo, Imu
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
@@ -55,12 +56,24 @@ class Recorder:
         self.progress = {}  # node -> newest stamp of its output [s]
         self.diagnostics = {}  # hardware id -> {key: value} of the last message
         self.tf_publishers = {}  # 'parent -> child': names of the nodes that publish it
+        self.played = 0.0  # newest stamp of the bag's cameras or IMUs that was heard [s]
         self.last_output = time.monotonic()
         self.subscribers = [rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100),
                             rospy.Subscriber('/tf', TFMessage, self.on_tf, queue_size=1000)]
 
     def touch(self):
         self.last_output = time.monotonic()
+
+    def follow(self, bag):
+        """Hears how far the player is: it gives no /clock while it is behind its own time, as on a busy machine."""
+        for name, kind in (('sensor_msgs/CameraInfo', CameraInfo), ('sensor_msgs/Imu', Imu)):
+            topics = [topic for topic, of in bag.types.items() if of == name]
+            if topics:
+                self.subscribers += [rospy.Subscriber(topic, kind, self.on_played, queue_size=1000) for topic in topics]
+                return
+
+    def on_played(self, message):
+        self.played = max(self.played, message.header.stamp.to_sec())
 
     def advance(self, node, stamp):
         if stamp >= self.begin and stamp > self.progress.get(node, 0.0):
@@ -252,7 +265,7 @@ def play_to_end(recorder, player, end, limits, summary):
     pacer = Pacer(recorder, player, limits)
     shown, seen_player, started = 0, False, time.monotonic()
     while not rospy.is_shutdown():
-        now = rospy.get_time()
+        now = max(rospy.get_time(), recorder.played)
         if now > 0:
             pacer.step(now)
             tenth = int(10 * (now - recorder.begin) / max(end - recorder.begin, 1e-3))
