@@ -49,13 +49,12 @@ class DenseFusionNodeTest : public ::testing::Test {
     cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>("mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
     depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>("mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
     sparse_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 10);
-    ASSERT_TRUE(ros::service::waitForService("dense_fusion/reset", ros::Duration(60)));
     ASSERT_TRUE(spinUntil([&] {
       return publisher_.getNumSubscribers() > 0 && sparse_publisher_.getNumSubscribers() > 0 && cloud_subscriber_.getNumPublishers() > 0 &&
              depth_subscriber_.getNumPublishers() > 0;
     }));
     std_srvs::Trigger trigger;
-    ASSERT_TRUE(ros::service::call("dense_fusion/reset", trigger));
+    ASSERT_TRUE(ros_utils::callService("dense_fusion/reset", trigger));
   }
 
   // One image of the flight; the map frame may be shifted to tell maps apart.
@@ -98,7 +97,7 @@ class DenseFusionNodeTest : public ::testing::Test {
   void flush(double start) {
     ASSERT_TRUE(taken(message(kFrames - 1, start, 1)));
     std_srvs::Trigger trigger;
-    ASSERT_TRUE(ros::service::call("dense_fusion/flush", trigger));
+    ASSERT_TRUE(ros_utils::callService("dense_fusion/flush", trigger));
     ASSERT_TRUE(trigger.response.success) << trigger.response.message;
     ros_utils::pause(20);
   }
@@ -232,7 +231,7 @@ TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
   const std::string path = "/tmp/dense_fusion_node_test_" + std::to_string(getpid()) + ".ply";
   air_ground::SaveMap save;
   save.request.path = path;
-  ASSERT_TRUE(ros::service::call("dense_fusion/save_map", save));
+  ASSERT_TRUE(ros_utils::callService("dense_fusion/save_map", save));
   ASSERT_TRUE(save.response.success) << save.response.message;
   const auto points = air_ground_common::readPlyPoints(path);
   std::remove(path.c_str());
@@ -243,7 +242,7 @@ TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
     ASSERT_EQ(p.source, 1);
   }
   save.request.path = "/nonexistent/map.ply";
-  ASSERT_TRUE(ros::service::call("dense_fusion/save_map", save));
+  ASSERT_TRUE(ros_utils::callService("dense_fusion/save_map", save));
   EXPECT_FALSE(save.response.success);
 }
 
@@ -285,7 +284,6 @@ TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {
 
 TEST_F(DenseFusionNodeTest, NothingIncompleteIsSavedAndServicesLetImagesIn) {
   ros::Publisher images = handle_.advertise<air_ground::PosedImage>("impatient/mav/posed_image", 100);
-  ASSERT_TRUE(ros::service::waitForService("impatient/dense_fusion/save_map", ros::Duration(20)));
   ros_utils::NodeDiagnostics diagnostics("impatient/dense_fusion");
   ASSERT_TRUE(spinUntil([&] { return images.getNumSubscribers() > 0; }));
   for (int i = 0; i < kFrames; ++i) images.publish(message(i, 800, 1));
@@ -295,7 +293,7 @@ TEST_F(DenseFusionNodeTest, NothingIncompleteIsSavedAndServicesLetImagesIn) {
   save.request.path = path;
   bool refused = false;
   for (int i = 0; i < 600 && !save.response.success; ++i) {
-    ASSERT_TRUE(ros::service::call("impatient/dense_fusion/save_map", save));
+    ASSERT_TRUE(ros_utils::callService("impatient/dense_fusion/save_map", save));
     const bool waiting = save.response.message.find("still waiting") != std::string::npos;
     EXPECT_FALSE(waiting && save.response.success);
     refused = refused || waiting;
