@@ -1,6 +1,5 @@
 // The node over a painted courtyard: what comes out, and what it does with a looped bag, missing calibration and bad input.
 #include <air_ground/StreetviewMatch.h>
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
@@ -14,12 +13,11 @@
 #include <visualization_msgs/MarkerArray.h>
 
 #include <cstdio>
-#include <functional>
 #include <limits>
-#include <map>
 #include <optional>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/node_testing.h"
 #include "tiny_city.h"
 
 namespace streetview_localizer {
@@ -29,6 +27,7 @@ using air_ground::StreetviewMatch;
 using air_ground_common::Pose;
 using test::TinyCity;
 namespace ru = air_ground_common::ros_utils;
+using ru::spinUntil;
 
 // The camera is mounted off the body's centre, looks to the left and a little up.
 Pose baseFromCamera() { return TinyCity::look({0.4, 0.3, -0.2}, M_PI / 2, 0.1); }
@@ -64,29 +63,13 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
     model_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("streetview/textured_model", 1, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { model_ = *m; });
     panoramas_sub_ = handle_.subscribe<visualization_msgs::MarkerArray>("streetview/panoramas", 1, [this](const visualization_msgs::MarkerArray::ConstPtr& m) { panoramas_ = *m; });
     cameras_sub_ = handle_.subscribe<visualization_msgs::Marker>("streetview/cameras", 1, [this](const visualization_msgs::Marker::ConstPtr& m) { cameras_ = *m; });
-    diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 50, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
-      for (const auto& s : m->status) {
-        message_ = s.message;
-        for (const auto& v : s.values) diagnostics_[v.key] = v.value;
-      }
-    });
-    ASSERT_TRUE(ros::service::waitForService("streetview_localizer/reset", 60000)) << "the node did not come up with the database";
     std_srvs::Trigger reset;
-    ASSERT_TRUE(ros::service::call("streetview_localizer/reset", reset) && reset.response.success);
+    ASSERT_TRUE(ru::callService("streetview_localizer/reset", reset)) << "the node did not come up with the database";
+    EXPECT_TRUE(reset.response.success);
     ASSERT_TRUE(spinUntil([&] {
       return image_pub_.getNumSubscribers() && info_pub_.getNumSubscribers() && prior_pub_.getNumSubscribers() && attitude_pub_.getNumSubscribers() &&
              match_sub_.getNumPublishers() && pose_sub_.getNumPublishers() && picture_sub_.getNumPublishers() && view_sub_.getNumPublishers() && model_;
-    }, 60));
-  }
-
-  static bool spinUntil(const std::function<bool()>& done, double seconds = 30) {
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
-    while (ros::ok() && ros::WallTime::now() < end) {
-      ros::spinOnce();
-      if (done()) return true;
-      ros::WallDuration(0.01).sleep();
-    }
-    return false;
+    }));
   }
 
   static std_msgs::Header header(double stamp) {
@@ -96,9 +79,19 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
     return h;
   }
 
-  void sendCalibration(double stamp) {
+  /// True when the node has it.
+  bool sendCalibration(double stamp) {
     info_pub_.publish(ru::toMsg(TinyCity::camera(), header(stamp)));
-    spinUntil([] { return false; }, 0.2);
+    return diagnostics_.awaitReceived(info_pub_.getTopic(), ros::Time(stamp));
+  }
+
+  /// True when the node has the predictions published so far: it counts one of another frame that comes after them.
+  bool predictionsArrived(double stamp) {
+    const std::string stray = "tracked poses ignored: in frame 'stray'";
+    if (!diagnostics_.refresh()) return false;
+    const int before = diagnostics_.counted(stray);
+    prior_pub_.publish(odometry(stamp, "stray", Pose::Identity()));
+    return diagnostics_.await(stray, before + 1);
   }
 
   static Pose cameraAt(const Pose& T_world_base) { return T_world_base * baseFromCamera(); }
@@ -121,15 +114,14 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
 
   ros::NodeHandle handle_;
   ros::Publisher image_pub_, info_pub_, prior_pub_, attitude_pub_;
-  ros::Subscriber match_sub_, pose_sub_, picture_sub_, view_sub_, model_sub_, panoramas_sub_, cameras_sub_, diagnostics_sub_;
+  ros::Subscriber match_sub_, pose_sub_, picture_sub_, view_sub_, model_sub_, panoramas_sub_, cameras_sub_;
   std::vector<StreetviewMatch> matches_;
   std::vector<geometry_msgs::PoseWithCovarianceStamped> poses_;
   std::optional<sensor_msgs::Image> picture_, view_;
   std::optional<sensor_msgs::PointCloud2> model_;
   std::optional<visualization_msgs::MarkerArray> panoramas_;
   std::optional<visualization_msgs::Marker> cameras_;
-  std::map<std::string, std::string> diagnostics_;
-  std::string message_;
+  ru::NodeDiagnostics diagnostics_{"streetview_localizer"};
   static TinyCity* city_;
   static tf2_ros::StaticTransformBroadcaster* mount_;
 };
@@ -140,14 +132,14 @@ tf2_ros::StaticTransformBroadcaster* StreetviewLocalizerNodeTest::mount_ = nullp
 // In order: the node has no calibration before this test sends one.
 TEST_F(StreetviewLocalizerNodeTest, AWaitsForCalibration) {
   sendImage(1, cv::Mat(480, 640, CV_8UC3, cv::Scalar::all(100)));
-  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("images without calibration") > 0; }, 10));
+  EXPECT_TRUE(diagnostics_.await("images without calibration", 1));
   EXPECT_TRUE(matches_.empty());
 }
 
 TEST_F(StreetviewLocalizerNodeTest, BodyPoseInWorld) {
   const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(T_world_base));
-  sendCalibration(10);
+  ASSERT_TRUE(sendCalibration(10));
   // A level frame of its own origin and heading tells roll and pitch.
   attitude_pub_.publish(odometry(10, "mav_map", air_ground_common::yawPose(2.0, {5, 5, 5}) * T_world_base));
   sendImage(10, image);
@@ -198,12 +190,12 @@ TEST_F(StreetviewLocalizerNodeTest, BodyPoseInWorld) {
 
 TEST_F(StreetviewLocalizerNodeTest, PriorChoosesThePanoramas) {
   const Pose T_world_base = air_ground_common::yawPose(0.1, {4, 0, 3.5});
-  sendCalibration(20);
+  ASSERT_TRUE(sendCalibration(20));
   Pose predicted = T_world_base;
   predicted.translation() += Eigen::Vector3d(1, 1, 0.5);
   prior_pub_.publish(odometry(20, "world", predicted));
   attitude_pub_.publish(odometry(20, "mav_map", T_world_base));
-  spinUntil([] { return false; }, 0.3);
+  ASSERT_TRUE(predictionsArrived(20));
   sendImage(20, city_->photograph(TinyCity::camera(), cameraAt(T_world_base)));
   ASSERT_TRUE(awaitMatch(20));
   EXPECT_TRUE(matches_.back().used_prior);
@@ -214,7 +206,7 @@ TEST_F(StreetviewLocalizerNodeTest, PriorChoosesThePanoramas) {
 }
 
 TEST_F(StreetviewLocalizerNodeTest, RefusesAndGoesOn) {
-  sendCalibration(30);
+  ASSERT_TRUE(sendCalibration(30));
   sendImage(30, cv::Mat(480, 640, CV_8UC3, cv::Scalar::all(0)));
   ASSERT_TRUE(awaitMatch(30));
   EXPECT_NE(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED);
@@ -237,51 +229,51 @@ TEST_F(StreetviewLocalizerNodeTest, RefusesAndGoesOn) {
   uncalibrated.K[0] = 0;
   info_pub_.publish(uncalibrated);
   sendImage(31, cv::Mat(100, 100, CV_8UC3, cv::Scalar::all(0)));
-  EXPECT_TRUE(spinUntil([&] {
-    int seen = 0;
-    for (const auto& [key, value] : diagnostics_)
-      seen += key.rfind("tracked pose", 0) == 0 || key.rfind("attitude ignored", 0) == 0 || key.rfind("calibration ignored", 0) == 0 || key.rfind("images of another size", 0) == 0;
-    return seen >= 7;
-  }, 15));
+  for (const char* event : {"tracked pose ignored: of frame 'rgbd_base_link'", "tracked poses ignored: in frame 'elsewhere'",
+                            "attitude ignored: of frame 'rgbd_base_link'", "calibration ignored", "images of another size"}) {
+    EXPECT_TRUE(diagnostics_.await(event, 1)) << event;
+  }
+  EXPECT_TRUE(diagnostics_.await("tracked pose ignored", 2));  // the one that is not finite
+  EXPECT_TRUE(diagnostics_.await("attitude ignored", 2));
 
   // A prediction whose covariance is none: the image is worked on without it.
   const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
   nav_msgs::Odometry indefinite = odometry(32, "world", T_world_base);
   indefinite.pose.covariance[1] = indefinite.pose.covariance[6] = 2;
   prior_pub_.publish(indefinite);
-  spinUntil([] { return false; }, 0.3);
+  ASSERT_TRUE(predictionsArrived(32));
   sendImage(32, city_->photograph(TinyCity::camera(), cameraAt(T_world_base)));
   ASSERT_TRUE(awaitMatch(32));
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
   EXPECT_FALSE(matches_.back().used_prior);
-  EXPECT_TRUE(poses_.size() == 1 || spinUntil([&] { return poses_.size() == 1; }));
-  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("tracked poses ignored: covariance not positive definite") > 0; }, 10));
+  EXPECT_TRUE(spinUntil([&] { return poses_.size() == 1; }));
+  EXPECT_TRUE(diagnostics_.await("tracked poses ignored: covariance not positive definite", 1));
 }
 
 TEST_F(StreetviewLocalizerNodeTest, WorksOnTheNewestImage) {
-  sendCalibration(40);
+  ASSERT_TRUE(sendCalibration(40));
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
   for (int i = 0; i < 6; ++i) {
     sendImage(40 + 0.1 * i, image);
-    spinUntil([] { return false; }, 0.02);
+    ru::pause(4);
   }
   ASSERT_TRUE(awaitMatch(40.5));
   EXPECT_LT(matches_.size(), 6u);
-  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("images skipped for newer ones while one was worked on") > 0; }, 10));
+  EXPECT_TRUE(diagnostics_.await("images skipped for newer ones while one was worked on", 1));
 }
 
 // A tracker that is sure of a place 60 m off must not keep the localizer from the right one.
 TEST_F(StreetviewLocalizerNodeTest, WrongPredictionIsSetAside) {
-  sendCalibration(42);
+  ASSERT_TRUE(sendCalibration(42));
   const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(T_world_base));
   Pose wrong = T_world_base;
   wrong.translation() += Eigen::Vector3d(0, 60, 0);
   const int misses = 3;  // prior_misses
+  for (int i = 0; i <= misses; ++i) prior_pub_.publish(odometry(42 + i, "world", wrong));
+  ASSERT_TRUE(predictionsArrived(42 + misses));
   for (int i = 0; i <= misses; ++i) {
     const double stamp = 42 + i;
-    prior_pub_.publish(odometry(stamp, "world", wrong));
-    spinUntil([] { return false; }, 0.3);
     sendImage(stamp, image);
     ASSERT_TRUE(awaitMatch(stamp));
     EXPECT_EQ(matches_.back().used_prior, i < misses);
@@ -292,14 +284,14 @@ TEST_F(StreetviewLocalizerNodeTest, WrongPredictionIsSetAside) {
 }
 
 TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
-  sendCalibration(50);
+  ASSERT_TRUE(sendCalibration(50));
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
   sendImage(50, image);
   ASSERT_TRUE(awaitMatch(50));
   sendImage(5, image);
   ASSERT_TRUE(awaitMatch(5));
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
-  EXPECT_TRUE(spinUntil([&] { return diagnostics_.count("time jumped back: started afresh") > 0; }, 10));
+  EXPECT_TRUE(diagnostics_.await("time jumped back: started afresh", 1));
 }
 
 }  // namespace
