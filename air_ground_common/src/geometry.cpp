@@ -52,7 +52,10 @@ Pose yawPose(double yaw, const Eigen::Vector3d& translation) {
 Eigen::Matrix3d levelingRotation(const Eigen::Vector3d& up) {
   const double norm = up.norm();
   if (!std::isfinite(norm) || norm < 1e-9) throw std::invalid_argument("levelingRotation: the up vector is zero or not finite");
-  return Eigen::Quaterniond::FromTwoVectors(up / norm, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  const Eigen::Vector3d axis(up.y(), -up.x(), 0);  // up x z
+  const double horizontal = axis.norm();
+  if (horizontal < 1e-12 * norm) return Eigen::Vector3d(1, up.z() > 0 ? 1 : -1, up.z() > 0 ? 1 : -1).asDiagonal();
+  return expSO3(std::atan2(horizontal, up.z()) / horizontal * axis);
 }
 
 Pose interpolate(const Pose& T_a, const Pose& T_b, double s) {

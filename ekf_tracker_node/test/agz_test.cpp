@@ -8,6 +8,8 @@
 #include <iostream>
 #include <map>
 
+#include "air_ground_common/linear_algebra.h"
+
 namespace ekf_tracker {
 namespace {
 
@@ -180,7 +182,7 @@ Flight fly(const AgzLog& log, const AgzMadeSettings& s, bool use_barometer, bool
         };
         const Vector4d e = error(estimate->pose);
         out.tracker.add(e);
-        out.tracker.nees += e.dot(estimate->covariance.llt().solve(e));
+        out.tracker.nees += air_ground_common::squaredMahalanobis(e, estimate->covariance);
         Vector4d gps = log.truth[next_truth];
         gps.head<3>() = log.gps[next_truth];
         out.gps.add(error(gps));

@@ -1,10 +1,10 @@
 // Is the uncertainty honest? Averages over 50 simulated flights against the chi-square distribution.
 #include <gtest/gtest.h>
 
-#include <Eigen/Eigenvalues>
 #include <iostream>
 #include <map>
 
+#include "air_ground_common/linear_algebra.h"
 #include "simulation.h"
 
 namespace ekf_tracker {
@@ -52,7 +52,7 @@ Averages fly(const SimulationSettings& base, unsigned first_seed) {
         ++out.unstarted;
       } else {
         const Vector4d e = poseError(estimate->pose, sim.truth[i + 1]);
-        out.nees[checkpoint] += e.dot(estimate->covariance.llt().solve(e)) / kRuns;
+        out.nees[checkpoint] += air_ground_common::squaredMahalanobis(e, estimate->covariance) / kRuns;
         out.position_error += e.head<3>().norm();
         out.yaw_error += std::abs(e[3]);
         ++out.samples;

@@ -1,12 +1,10 @@
 #include "icp_refine/icp_stages.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
-#include <Eigen/LU>
 #include <cmath>
 #include <deque>
 #include <sstream>
 
+#include "air_ground_common/linear_algebra.h"
 #include "registry.h"
 
 namespace icp_refine {
@@ -74,13 +72,13 @@ class PointToPlane : public ErrorMinimizer {
 
   // Directions that hardly any point constrains get no step, instead of a huge one.
   static bool solveSix(const Matrix6d& H, const Vector6d& g, Vector6d& delta) {
-    const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(H);
-    const double limit = 1e-5 * eigen.eigenvalues()[5];
+    const auto eigen = air_ground_common::symmetricEigen(H);
+    const double limit = 1e-5 * eigen.values[5];
     if (!(limit > 0) || !g.allFinite()) return false;
     delta.setZero();
     for (int k = 0; k < 6; ++k) {
-      const auto v = eigen.eigenvectors().col(k);
-      if (eigen.eigenvalues()[k] > limit) delta -= v * (v.dot(g) / eigen.eigenvalues()[k]);
+      const auto v = eigen.vectors.col(k);
+      if (eigen.values[k] > limit) delta -= v * (v.dot(g) / eigen.values[k]);
     }
     return delta.allFinite();
   }
@@ -93,13 +91,13 @@ class PointToPlane : public ErrorMinimizer {
       g4[a] = g[kIndex[a]];
       for (int b = 0; b < 4; ++b) H4(a, b) = H(kIndex[a], kIndex[b]);
     }
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d> eigen(H4);
-    const double limit = 1e-5 * eigen.eigenvalues()[3];
+    const auto eigen = air_ground_common::symmetricEigen(H4);
+    const double limit = 1e-5 * eigen.values[3];
     if (!(limit > 0) || !g4.allFinite()) return false;
     Eigen::Vector4d d = Eigen::Vector4d::Zero();
     for (int k = 0; k < 4; ++k) {
-      const auto v = eigen.eigenvectors().col(k);
-      if (eigen.eigenvalues()[k] > limit) d -= v * (v.dot(g4) / eigen.eigenvalues()[k]);
+      const auto v = eigen.vectors.col(k);
+      if (eigen.values[k] > limit) d -= v * (v.dot(g4) / eigen.values[k]);
     }
     delta.setZero();
     for (int a = 0; a < 4; ++a) delta[kIndex[a]] = d[a];

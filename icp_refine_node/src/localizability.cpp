@@ -1,11 +1,12 @@
 #include "icp_refine/localizability.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <map>
 #include <unordered_set>
+
+#include "air_ground_common/linear_algebra.h"
 
 namespace icp_refine {
 namespace {
@@ -72,11 +73,11 @@ Localizability analyzeLocalizability(const MatchedClouds& c, const std::vector<f
     const Vector6d J = scale.cwiseProduct(jacobian(c, i, centre));
     H += weights[i] * J * J.transpose();
   }
-  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(H / total);
+  const auto eigen = air_ground_common::symmetricEigen(Matrix6d(H / total));
   std::array<std::unordered_set<std::uint64_t>, 6> patches;
   for (int k = 0; k < 6; ++k) {
-    out.directions[k].v = eigen.eigenvectors().col(k);
-    out.directions[k].eigenvalue = eigen.eigenvalues()[k];
+    out.directions[k].v = eigen.vectors.col(k);
+    out.directions[k].eigenvalue = eigen.values[k];
   }
   for (std::size_t i = 0; i < weights.size(); ++i) {
     // A match that the robust kernel has all but dropped is no evidence.
@@ -137,13 +138,13 @@ Matrix6d estimateCovariance(const MatchedClouds& c, const std::vector<float>& we
   // Missing directions: their own Hessian is noise, so they are taken out and given a wide variance below.
   Matrix6d inverse = Matrix6d::Zero();
   Matrix6d missing = Matrix6d::Zero();
-  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(H);
-  const double smallest = 1e-9 * std::max(eigen.eigenvalues()[5], 1e-9);
+  const auto eigen = air_ground_common::symmetricEigen(H);
+  const double smallest = 1e-9 * std::max(eigen.values[5], 1e-9);
   for (int k = 0; k < 6; ++k) {
-    const Vector6d v = eigen.eigenvectors().col(k);
+    const Vector6d v = eigen.vectors.col(k);
     // Eigenvectors of H and of the localizability analysis are the same up to weights' normalisation, weakest first.
-    if (localizability.directions[k].localizable && eigen.eigenvalues()[k] > smallest) {
-      inverse += v * v.transpose() / eigen.eigenvalues()[k];
+    if (localizability.directions[k].localizable && eigen.values[k] > smallest) {
+      inverse += v * v.transpose() / eigen.values[k];
     } else {
       missing += v * v.transpose();
     }

@@ -3,10 +3,10 @@
 #include <yaml-cpp/yaml.h>
 
 #include <CLI/CLI.hpp>
-#include <Eigen/LU>
 #include <algorithm>
 #include <cstdio>
 
+#include "air_ground_common/linear_algebra.h"
 #include "icp_refine/alignment_refiner.h"
 #include "synthetic_scene.h"
 
@@ -84,7 +84,7 @@ void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, in
   Vector6d e;
   e.head<3>() = T * at - c.truth * at;
   e.tail<3>() = air_ground_common::logSO3(T.linear() * c.truth.linear().transpose());
-  const double t = e.head<3>().norm(), a = e.tail<3>().norm() * 180 / M_PI, nees = e.dot(result.covariance.inverse() * e);
+  const double t = e.head<3>().norm(), a = e.tail<3>().norm() * 180 / M_PI, nees = air_ground_common::squaredMahalanobis(e, result.covariance);
   const bool good = result.status == RefineStatus::kConverged;
   ++out.statuses[static_cast<int>(result.status)];
   if (good) {

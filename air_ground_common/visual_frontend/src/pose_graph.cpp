@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <unordered_map>
 
+#include "air_ground_common/linear_algebra.h"
 #include "ceres_costs.h"
 
 namespace visual_frontend {
@@ -26,7 +27,7 @@ PoseGraphResult optimize(std::vector<PoseGraphNode>& nodes, const std::vector<Po
   ceres::Problem problem(options);
   ceres::CauchyLoss robust(5.0);  // wide: drift may well exceed what its covariance admits
   for (const PoseGraphEdge& e : edges) {
-    const Eigen::LLT<Matrix6d> llt(e.covariance.inverse());
+    const Eigen::LLT<Matrix6d> llt(air_ground_common::inverse(e.covariance));
     if (llt.info() != Eigen::Success || !llt.matrixL().toDenseMatrix().allFinite()) {
       throw std::invalid_argument("optimizePoseGraph: an edge's covariance is not positive definite");
     }

@@ -1,7 +1,6 @@
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <cmath>
 
+#include "air_ground_common/linear_algebra.h"
 #include "visual_frontend/pose_solver.h"
 
 namespace visual_frontend {
@@ -116,7 +115,7 @@ int minimise(const Problem& problem, const RefineSettings& settings, Pose& T) {
     Matrix6d H = n.H;
     H.diagonal() *= 1 + lambda;
     H.diagonal().array() += 1e-12;
-    const Vector6d step = -H.ldlt().solve(n.g);
+    const Vector6d step = -air_ground_common::solveSymmetric(H, n.g);
     if (!step.allFinite()) break;
     Pose trial = Pose::Identity();
     trial.translation() = T.translation() + step.head<3>();
@@ -193,14 +192,14 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
   problem.used() = result.inliers;
   // The loss also tames wrong depths here, so the covariance does not count them in full.
   const Matrix6d H = problem.build(result.T_map_camera, true, false).H;
-  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(H);
-  if (!(eigen.eigenvalues()[0] > 1e-9 * eigen.eigenvalues()[5])) {
+  const auto eigen = air_ground_common::symmetricEigen(H);
+  if (!(eigen.values[0] > 1e-9 * eigen.values[5])) {
     result.reason = "the points do not fix the pose (singular information)";
     return result;
   }
   const double dof = 2.0 * result.inlier_count + with_depth - 6;
   const double scale = dof > 0 ? std::max(1.0, (reprojection2 + depth2) / dof) : 1.0;
-  result.covariance = scale * (eigen.eigenvectors() * eigen.eigenvalues().cwiseInverse().asDiagonal() * eigen.eigenvectors().transpose());
+  result.covariance = scale * (eigen.vectors * eigen.values.cwiseInverse().asDiagonal() * eigen.vectors.transpose());
   result.rms = std::sqrt(reprojection2 / (2.0 * result.inlier_count));
   result.success = true;
   return result;

@@ -4,6 +4,7 @@
 
 #include <Eigen/LU>
 
+#include "air_ground_common/linear_algebra.h"
 #include "synthetic.h"
 
 namespace visual_frontend {
@@ -168,7 +169,7 @@ TEST(Refine, CovarianceIsConsistent) {
       Vector6d e;
       e.head<3>() = r.T_map_camera.translation() - T.translation();
       e.tail<3>() = air_ground_common::logSO3(r.T_map_camera.linear() * T.linear().transpose());
-      (depth ? nees_depth : nees) += e.dot(r.covariance.inverse() * e);
+      (depth ? nees_depth : nees) += air_ground_common::squaredMahalanobis(e, r.covariance);
     }
   }
   // The covariance is scaled up by chi^2 when that exceeds its expectation, so the mean lies a little below 6.

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 
+#include "air_ground_common/linear_algebra.h"
 #include "synthetic_street.h"
 
 namespace streetview_localizer {
@@ -48,7 +49,7 @@ TEST(PanoramaRegistration, CorrectsRawGeotagsAndKnowsHowWell) {
       air_ground_common::Vector6d error;
       error.head<3>() = truth.translation() - result.T_world_panorama.translation();
       error.tail<3>() = air_ground_common::logSO3(truth.linear() * result.T_world_panorama.linear().transpose());
-      nees += error.dot(result.covariance.ldlt().solve(error));
+      nees += air_ground_common::squaredMahalanobis(error, result.covariance);
       EXPECT_NEAR(result.position_stddev, std::sqrt(result.covariance.topLeftCorner<3, 3>().trace() / 3), 1e-12);
       EXPECT_LT(position.back(), 0.6) << "seed " << seed << " at " << along;
       EXPECT_LT(orientation.back(), 0.0175) << "seed " << seed << " at " << along;
