@@ -45,7 +45,7 @@ demo-city: build
 	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
 
 test: build
-	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && cd $(BUILD) && ctest --output-on-failure
+	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && cd $(BUILD) && ctest --output-on-failure -j $(JOBS)
 
 bench: packages
 	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_BENCHMARKS=ON)
