@@ -1,9 +1,8 @@
-// The node with synthetic messages: what comes out, and what it does with a looped bag, gaps and bad input. Topics have no
-// order between them: whatever must come after something else is published when the node has shown that it has that.
+// The node with synthetic messages: what comes out, and what it does with a looped bag, gaps and bad input.
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/TrackerInnovation.h>
 #include <air_ground/VoIncrement.h>
-#include <diagnostic_msgs/DiagnosticArray.h>
+#include <diagnostic_msgs/DiagnosticStatus.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
@@ -17,13 +16,13 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <map>
 #include <random>
 
 #include "air_ground_common/geodesy.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/trajectory.h"
 
 namespace {
@@ -32,6 +31,9 @@ using air_ground_common::Pose;
 using air_ground_common::wrapAngle;
 using air_ground_common::yawOf;
 namespace ru = air_ground_common::ros_utils;
+using ru::callService;
+using ru::pause;
+using ru::spinUntil;
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kStart = 1000, kStep = 0.05;
@@ -68,16 +70,8 @@ class EkfTrackerNodeTest : public ::testing::Test {
       for (const auto& t : m->transforms)
         if (t.child_frame_id == "mav_map") edges_.push_back(t);
     });
-    diagnostics_sub_ = handle_.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
-      for (const auto& s : m->status) {
-        if (s.name != "ekf_tracker: state") continue;
-        state_ = s;
-        for (const auto& v : s.values) diagnostics_[v.key] = v.value;
-      }
-    });
-    ASSERT_TRUE(ros::service::waitForService("ekf_tracker/reset", 20000));
     std_srvs::Trigger reset;
-    ASSERT_TRUE(ros::service::call("ekf_tracker/reset", reset) && reset.response.success);
+    ASSERT_TRUE(callService("ekf_tracker/reset", reset) && reset.response.success);
     ASSERT_TRUE(spinUntil([&] {
       return increments_.getNumSubscribers() && vo_.getNumSubscribers() && fixes_.getNumSubscribers() && magnetometer_.getNumSubscribers() &&
              gps_.getNumSubscribers() && barometer_.getNumSubscribers() && odometry_sub_.getNumPublishers() && innovation_sub_.getNumPublishers() &&
@@ -85,20 +79,6 @@ class EkfTrackerNodeTest : public ::testing::Test {
     }));
     pause(20);
     paths_.clear();  // what an earlier test left latched
-  }
-
-  // Turns of 5 ms and not a deadline: a machine that stands still for a while must not count as waiting.
-  static bool spinUntil(const std::function<bool()>& done, int turns = 6000) {
-    for (int i = 0; ros::ok() && i < turns; ++i) {
-      ros::spinOnce();
-      if (done()) return true;
-      ros::WallDuration(0.005).sleep();
-    }
-    return false;
-  }
-
-  static void pause(int turns) {
-    spinUntil([] { return false; }, turns);
   }
 
   static air_ground::VoIncrement increment(int from, int to) {
@@ -177,11 +157,6 @@ class EkfTrackerNodeTest : public ::testing::Test {
     return n;
   }
 
-  // /diagnostics come once a second.
-  bool counted(const std::string& key, int times) {
-    return spinUntil([&] { return diagnostics_.count(key) && std::stoi(diagnostics_[key]) >= times; }, 2000);
-  }
-
   void expectFinite() const {
     for (const auto& m : tracked_) {
       const Pose T = ru::fromMsg(m.pose.pose);  // throws unless finite and of unit length
@@ -201,14 +176,13 @@ class EkfTrackerNodeTest : public ::testing::Test {
 
   ros::NodeHandle handle_;
   ros::Publisher increments_, vo_, fixes_, magnetometer_, gps_, barometer_;
-  ros::Subscriber odometry_sub_, innovation_sub_, geodetic_sub_, path_sub_, tf_sub_, diagnostics_sub_;
+  ros::Subscriber odometry_sub_, innovation_sub_, geodetic_sub_, path_sub_, tf_sub_;
   std::vector<nav_msgs::Odometry> tracked_;
   std::vector<air_ground::TrackerInnovation> innovations_;
   std::vector<geometry_msgs::TransformStamped> edges_;
   sensor_msgs::NavSatFix geodetic_;
   std::vector<nav_msgs::Path> paths_;
-  std::map<std::string, std::string> diagnostics_;
-  diagnostic_msgs::DiagnosticStatus state_;
+  const ru::NodeDiagnostics diagnostics_{"ekf_tracker"};
 };
 
 TEST_F(EkfTrackerNodeTest, FollowsTheTruthOnOdometryTfAndGeodetic) {
@@ -264,7 +238,7 @@ TEST_F(EkfTrackerNodeTest, FollowsTheTruthOnOdometryTfAndGeodetic) {
 
   air_ground::SaveTrajectory save;
   save.request.path = ros::names::clean("/tmp/ekf_tracker_node_test.tum");
-  ASSERT_TRUE(ros::service::call("ekf_tracker/save_trajectory", save));
+  ASSERT_TRUE(callService("ekf_tracker/save_trajectory", save));
   EXPECT_TRUE(save.response.success) << save.response.message;
   EXPECT_EQ(air_ground_common::readTum(save.request.path).size(), save.response.poses);
   std::remove(save.request.path.c_str());
@@ -308,10 +282,10 @@ TEST_F(EkfTrackerNodeTest, BadFixesAreRefusedCountedAndHarmless) {
   EXPECT_EQ(results(I::RESULT_REFUSED_BY_GATE), 1);
   EXPECT_EQ(results(I::RESULT_FUSED), 1);
   for (const auto& m : innovations_) EXPECT_TRUE(std::isfinite(m.nis));
-  EXPECT_TRUE(counted("fix: too far ahead of the odometry", 1));
-  EXPECT_TRUE(counted("fix: outside the gate", 1));
-  EXPECT_TRUE(counted("fix: not finite, or its covariance is not positive definite", 4));
-  EXPECT_TRUE(counted("fixes ignored: in frame 'map', expected 'world'", 1));
+  EXPECT_TRUE(diagnostics_.await("fix: too far ahead of the odometry", 1));
+  EXPECT_TRUE(diagnostics_.await("fix: outside the gate", 1));
+  EXPECT_TRUE(diagnostics_.await("fix: not finite, or its covariance is not positive definite", 4));
+  EXPECT_TRUE(diagnostics_.await("fixes ignored: in frame 'map', expected 'world'", 1));
   fly(100, 140);
   expectOnTheWay(140, 1.0);
   expectFinite();
@@ -351,11 +325,11 @@ TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
   fly(360, 380);
   ASSERT_TRUE(awaitStamp(380));
   EXPECT_GT(tracked_.back().pose.covariance[0], before + 100);
-  EXPECT_TRUE(counted("gaps in the odometry, bridged", 1));
-  EXPECT_TRUE(counted("increments ignored: out of order or repeated", 1));
-  EXPECT_TRUE(counted("increments ignored: stamped ahead of the clock", 1));
-  EXPECT_TRUE(counted("increments set aside: more than a second older than the newest", 1));
-  EXPECT_TRUE(counted("increments whose covariance is not one: the default stands in", 1));
+  EXPECT_TRUE(diagnostics_.await("gaps in the odometry, bridged", 1));
+  EXPECT_TRUE(diagnostics_.await("increments ignored: out of order or repeated", 1));
+  EXPECT_TRUE(diagnostics_.await("increments ignored: stamped ahead of the clock", 1));
+  EXPECT_TRUE(diagnostics_.await("increments set aside: more than a second older than the newest", 1));
+  EXPECT_TRUE(diagnostics_.await("increments whose covariance is not one: the default stands in", 1));
   ASSERT_TRUE(giveFixes({365, 370, 378}));
   fly(380, 420);
   expectOnTheWay(420, 1.5);
@@ -373,7 +347,7 @@ TEST_F(EkfTrackerNodeTest, LoopedBagStartsAfresh) {
     expectOnTheWay(120, 1.0);
     tracked_.clear();
   }
-  EXPECT_TRUE(counted("time jumped back: started afresh", 1));
+  EXPECT_TRUE(diagnostics_.await("time jumped back: started afresh", 1));
 }
 
 TEST_F(EkfTrackerNodeTest, DiagnosticsTellThatTheOdometryDied) {
@@ -381,18 +355,18 @@ TEST_F(EkfTrackerNodeTest, DiagnosticsTellThatTheOdometryDied) {
   ASSERT_TRUE(giveFixes({10, 30, 50}));
   fly(60, 100);
   ASSERT_TRUE(awaitStamp(100));
-  EXPECT_TRUE(spinUntil([&] { return state_.message.find("no usable visual odometry") == 0; })) << state_.message;
-  EXPECT_EQ(state_.level, diagnostic_msgs::DiagnosticStatus::ERROR);
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("no usable visual odometry") == 0; })) << diagnostics_.message();
+  EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::ERROR);
   std_srvs::Trigger reset;
-  ASSERT_TRUE(ros::service::call("ekf_tracker/reset", reset));
-  EXPECT_TRUE(spinUntil([&] { return state_.message.find("forgot the pose") == 0; })) << state_.message;
-  EXPECT_NE(state_.level, diagnostic_msgs::DiagnosticStatus::OK);
+  ASSERT_TRUE(callService("ekf_tracker/reset", reset));
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("forgot the pose") == 0; })) << diagnostics_.message();
+  EXPECT_NE(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::OK);
 }
 
 TEST_F(EkfTrackerNodeTest, OdometryOfForeignFramesGivesNoTf) {
   const auto flyIn = [&](const std::string& map, const std::string& base) {
     std_srvs::Trigger reset;
-    ASSERT_TRUE(ros::service::call("ekf_tracker/reset", reset));
+    ASSERT_TRUE(callService("ekf_tracker/reset", reset));
     tracked_.clear();
     edges_.clear();
     fly(0, 60, map, base);
@@ -405,10 +379,10 @@ TEST_F(EkfTrackerNodeTest, OdometryOfForeignFramesGivesNoTf) {
   };
   flyIn("mav_odom", "mav_base_link");
   EXPECT_TRUE(edges_.empty());
-  EXPECT_TRUE(counted("mav/odometry ignored: in frame 'mav_odom', expected map_frame 'mav_map'", 80));
+  EXPECT_TRUE(diagnostics_.await("mav/odometry ignored: in frame 'mav_odom', expected map_frame 'mav_map'", 80));
   flyIn("mav_map", "mav_camera");
   EXPECT_TRUE(edges_.empty());
-  EXPECT_TRUE(counted("mav/odometry ignored: of frame 'mav_camera', expected base_frame 'mav_base_link'", 80));
+  EXPECT_TRUE(diagnostics_.await("mav/odometry ignored: of frame 'mav_camera', expected base_frame 'mav_base_link'", 80));
 }
 
 // As mav_vo before it knows the scale: increments in a unit of its own, no odometry. This node would wait for it for a minute.
