@@ -2,8 +2,6 @@
 """Replays a small bag through city.launch with the real tracker and a stand-in for odometry and localizer: the report must find
 the errors that were put in."""
 import os
-import random
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -20,7 +18,7 @@ from sensor_msgs.msg import NavSatFix
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import evaluation, geometry, messages  # noqa: E402
+from air_ground_eval import demo, evaluation, geometry, messages  # noqa: E402
 
 DURATION = 20.0
 UNDULATION = 49.6
@@ -67,18 +65,6 @@ def write_database(path):
         database.execute('INSERT INTO buildings VALUES (?, ?)', (corners.tobytes(), np.array([(0, 1, 2), (0, 2, 3)], '<i4').tobytes()))
 
 
-def free_port():
-    """Below those that the system hands out, lest another process gets it before the master does."""
-    while True:
-        port = random.randrange(20000, 30000)
-        with socket.socket() as s:
-            try:
-                s.bind(('127.0.0.1', port))
-                return port
-            except OSError:
-                continue
-
-
 class CityReport(unittest.TestCase):
     def run_replay(self, **stand_in):
         folder = tempfile.TemporaryDirectory()
@@ -101,7 +87,7 @@ class CityReport(unittest.TestCase):
                          f'<include file="{package}/launch/city.launch" pass_all_args="true"><arg name="wait_for" value="stand_in_city"/>'
                          '<arg name="mav_vo" value="false"/><arg name="streetview_localizer" value="false"/><arg name="compare_magnetometer" value="false"/>'
                          '<arg name="vo_covariance_factor" value="1"/></include></launch>')
-        port = free_port()
+        port = demo.free_port()
         result = subprocess.run(['roslaunch', '-p', str(port), path('x.launch'), f'bag:={path("x.bag")}', f'db:={path("x.gpkg")}',
                                  f'world_config:={path("world.yaml")}', f'out:={path("out")}'],
                                 env=dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}'), capture_output=True, text=True, timeout=240, check=False)

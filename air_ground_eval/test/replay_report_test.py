@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """Replays a small bag through replay.launch with a stand-in for the nodes whose errors are known: the report must find them."""
 import os
-import random
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,7 +14,7 @@ import yaml
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import evaluation, geometry, messages, ply  # noqa: E402
+from air_ground_eval import demo, evaluation, geometry, messages, ply  # noqa: E402
 
 sys.path.insert(0, HERE)
 DURATION = 6.0
@@ -43,18 +41,6 @@ def write_bag(path, truth=True):
             stream.write(b'\x03' + np.array(face, '<i4').tobytes())
 
 
-def free_port():
-    """Below those that the system hands out, lest another process gets it before the master does."""
-    while True:
-        port = random.randrange(20000, 30000)
-        with socket.socket() as s:
-            try:
-                s.bind(('127.0.0.1', port))
-                return port
-            except OSError:
-                continue
-
-
 def replay(folder, stand_in, *arguments):
     """Runs replay.launch with the stand-in; returns its output."""
     launch = os.path.join(folder, 'stand_in_replay.launch')
@@ -67,7 +53,7 @@ def replay(folder, stand_in, *arguments):
                      f'<include file="{package}/launch/replay.launch" pass_all_args="true"><arg name="wait_for" value="stand_in_pipeline"/>'
                      + ''.join(f'<arg name="{n}" value="false"/>' for n in ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine'))
                      + '</include></launch>')
-    port = free_port()
+    port = demo.free_port()
     environment = dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}')
     result = subprocess.run(['roslaunch', '-p', str(port), launch, f'bag:={folder}/x.bag', f'out:={folder}/out', *arguments],
                             env=environment, capture_output=True, text=True, timeout=160, check=False)

@@ -15,7 +15,7 @@ namespace streetview_localizer {
 /// Of one image, for all poses that are found for it: what was searched and matched once is kept.
 class MirrorCheck {
  public:
-  /// `features`: of the image as recorded, without its virtual views. All must outlive it.
+  /// `features`: of the image as recorded, without its virtual views. The others must outlive it.
   MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database, const LocalizerSettings& settings);
 
   /// Why an image whose pose rests on `view` is taken for a mirrored one; empty if it is not. Views where the mirror image may

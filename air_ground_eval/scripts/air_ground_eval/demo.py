@@ -1,5 +1,6 @@
 """What the demonstrations share: worlds rendered into the cache, roslaunch on a master of its own, rviz on a virtual display."""
 import os
+import random
 import shutil
 import socket
 import subprocess
@@ -11,9 +12,15 @@ def cache_folder():
 
 
 def free_port():
-    with socket.socket() as s:
-        s.bind(('127.0.0.1', 0))
-        return s.getsockname()[1]
+    """Below those that the system hands out, lest another process gets it before the master does."""
+    while True:
+        port = random.randrange(20000, 30000)
+        with socket.socket() as s:
+            try:
+                s.bind(('127.0.0.1', port))
+                return port
+            except OSError:
+                continue
 
 
 def rendered_bag(program, world, seed, extra):
