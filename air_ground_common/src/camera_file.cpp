@@ -31,7 +31,9 @@ CameraModel readCameraFile(const std::string& path) {
   } catch (const YAML::BadFile&) {
     throw std::runtime_error("cannot read the camera calibration " + path + ": no such file, or not readable");
   } catch (const std::exception& e) {
-    throw std::runtime_error(path + " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
+    throw std::runtime_error(
+        path +
+        " is no camera calibration (image_width, image_height, camera_matrix, distortion_coefficients): " + e.what());
   }
   return c;
 }

@@ -20,7 +20,8 @@ Eigen::Vector2d distortWithJacobian(const CameraModel& c, const Eigen::Vector2d&
     (*J)(1, 0) = (*J)(0, 1);
     (*J)(1, 1) = radial + y * y * d_radial + 6 * c.p1 * y + 2 * c.p2 * x;
   }
-  return {x * radial + 2 * c.p1 * x * y + c.p2 * (r2 + 2 * x * x), y * radial + c.p1 * (r2 + 2 * y * y) + 2 * c.p2 * x * y};
+  return {x * radial + 2 * c.p1 * x * y + c.p2 * (r2 + 2 * x * x),
+          y * radial + c.p1 * (r2 + 2 * y * y) + 2 * c.p2 * x * y};
 }
 
 }  // namespace
@@ -35,7 +36,8 @@ void CameraModel::validate() const {
   if (height <= 0) fail("height", height, "must be positive");
   if (!(fx > 0) || !std::isfinite(fx)) fail("fx", fx, "must be positive (is the camera calibrated?)");
   if (!(fy > 0) || !std::isfinite(fy)) fail("fy", fy, "must be positive (is the camera calibrated?)");
-  const std::pair<const char*, double> others[] = {{"cx", cx}, {"cy", cy}, {"k1", k1}, {"k2", k2}, {"p1", p1}, {"p2", p2}, {"k3", k3}};
+  const std::pair<const char*, double> others[] = {{"cx", cx}, {"cy", cy}, {"k1", k1}, {"k2", k2},
+                                                   {"p1", p1}, {"p2", p2}, {"k3", k3}};
   for (const auto& [name, value] : others)
     if (!std::isfinite(value)) fail(name, value, "must be finite");
 }
@@ -56,7 +58,8 @@ Eigen::Vector2d CameraModel::distort(const Eigen::Vector2d& normalized) const {
 
 std::optional<Eigen::Vector2d> CameraModel::project(const Eigen::Vector3d& p) const { return project(p, nullptr); }
 
-std::optional<Eigen::Vector2d> CameraModel::project(const Eigen::Vector3d& p, Eigen::Matrix<double, 2, 3>* jacobian) const {
+std::optional<Eigen::Vector2d> CameraModel::project(const Eigen::Vector3d& p,
+                                                    Eigen::Matrix<double, 2, 3>* jacobian) const {
   if (!(p.z() >= 1e-6)) return std::nullopt;
   const double iz = 1 / p.z();
   const Eigen::Vector2d n(p.x() * iz, p.y() * iz);
@@ -85,7 +88,9 @@ Eigen::Vector2d CameraModel::unproject(const Eigen::Vector2d& pixel) const {
   return n;
 }
 
-Eigen::Vector3d CameraModel::ray(const Eigen::Vector2d& pixel) const { return unproject(pixel).homogeneous().normalized(); }
+Eigen::Vector3d CameraModel::ray(const Eigen::Vector2d& pixel) const {
+  return unproject(pixel).homogeneous().normalized();
+}
 
 bool CameraModel::contains(const Eigen::Vector2d& p, double border) const {
   return p.x() >= border && p.y() >= border && p.x() <= width - 1 - border && p.y() <= height - 1 - border;

@@ -18,8 +18,8 @@ constexpr double kA = 6378137.0, kF = 1 / 298.257223563, kE2 = kF * (2 - kF);
 Eigen::Vector3d earthCentred(const Geodetic& g) {
   const double sin_lat = std::sin(g.latitude * kDegree), cos_lat = std::cos(g.latitude * kDegree);
   const double n = kA / std::sqrt(1 - kE2 * sin_lat * sin_lat);
-  return {(n + g.height) * cos_lat * std::cos(g.longitude * kDegree), (n + g.height) * cos_lat * std::sin(g.longitude * kDegree),
-          (n * (1 - kE2) + g.height) * sin_lat};
+  return {(n + g.height) * cos_lat * std::cos(g.longitude * kDegree),
+          (n + g.height) * cos_lat * std::sin(g.longitude * kDegree), (n * (1 - kE2) + g.height) * sin_lat};
 }
 
 // Fixed-point iteration on the latitude: converges by a factor of e^2 = 1/150 a round, below 1e-12 rad after six.
@@ -36,12 +36,15 @@ Geodetic geodetic(const Eigen::Vector3d& p) {
 
 bool finite(const PJ_COORD& c) { return std::isfinite(c.xy.x) && std::isfinite(c.xy.y) && c.xy.x != HUGE_VAL; }
 
-// PROJ's database knows the Swiss grid by its new GeoTIFF name alone; Debian's and Ubuntu's proj-data carry the NTv2 file.
+// PROJ's database knows the Swiss grid by its new GeoTIFF name alone; Debian's and Ubuntu's proj-data carry the NTv2
+// file.
 constexpr char kLv03ThroughLegacyGrid[] =
-    "+proj=pipeline +step +inv +proj=somerc +lat_0=46.9524055555556 +lon_0=7.43958333333333 +k_0=1 +x_0=600000 +y_0=200000 "
+    "+proj=pipeline +step +inv +proj=somerc +lat_0=46.9524055555556 +lon_0=7.43958333333333 +k_0=1 +x_0=600000 "
+    "+y_0=200000 "
     "+ellps=bessel +step +proj=hgridshift +grids=CHENYX06_etrs.gsb +step +proj=unitconvert +xy_in=rad +xy_out=deg";
 
-// x east (or longitude), y north (or latitude), whatever axis order the systems' definitions have. Null when impossible.
+// x east (or longitude), y north (or latitude), whatever axis order the systems' definitions have. Null when
+// impossible.
 PJ* conversion(PJ_CONTEXT* context, const std::string& source, const char* target) {
   PJ* raw = proj_create_crs_to_crs(context, source.c_str(), target, nullptr);
   if (!raw) return nullptr;
@@ -100,7 +103,8 @@ struct LocalFrame::Impl {
   Geodetic forward(const Eigen::Vector3d& p) const {
     const std::lock_guard<std::mutex> lock(mutex);
     const PJ_COORD out = proj_trans(to_wgs84, PJ_FWD, proj_coord(p.x(), p.y(), 0, 0));
-    if (!p.allFinite() || !finite(out)) throw std::invalid_argument("geodesy: " + text(p) + " is not a point of " + crs);
+    if (!p.allFinite() || !finite(out))
+      throw std::invalid_argument("geodesy: " + text(p) + " is not a point of " + crs);
     return {out.lp.phi, out.lp.lam, p.z()};
   }
 
@@ -108,7 +112,8 @@ struct LocalFrame::Impl {
     const std::lock_guard<std::mutex> lock(mutex);
     const PJ_COORD out = proj_trans(to_wgs84, PJ_INV, proj_coord(g.longitude, g.latitude, 0, 0));
     if (!finite(out))
-      throw std::invalid_argument("geodesy: latitude " + std::to_string(g.latitude) + ", longitude " + std::to_string(g.longitude) + " is outside " + crs);
+      throw std::invalid_argument("geodesy: latitude " + std::to_string(g.latitude) + ", longitude " +
+                                  std::to_string(g.longitude) + " is outside " + crs);
     return {out.xy.x, out.xy.y, g.height};
   }
 };
@@ -118,10 +123,13 @@ LocalFrame::LocalFrame(const std::string& crs, const Eigen::Vector3d& origin) : 
   d.crs = crs;
   proj_log_level(d.context, PJ_LOG_NONE);
   d.to_wgs84 = conversion(d.context, crs, "EPSG:4326");
-  if (!d.to_wgs84) throw std::invalid_argument("geodesy: PROJ knows no coordinate system '" + crs + "'; give something like EPSG:2056");
+  if (!d.to_wgs84)
+    throw std::invalid_argument("geodesy: PROJ knows no coordinate system '" + crs +
+                                "'; give something like EPSG:2056");
   d.origin = d.forward(origin);
   d.grid = lastUsedGrid(d.context, d.to_wgs84);
-  // Grids of national networks lead to ETRS89 (EPSG:4258), which PROJ equates with WGS 84 but does not search on its own.
+  // Grids of national networks lead to ETRS89 (EPSG:4258), which PROJ equates with WGS 84 but does not search on its
+  // own.
   if (!d.grid) d.tryInstead(conversion(d.context, crs, "EPSG:4258"), origin, false);
   if (!d.grid && crs == "EPSG:21781") d.tryInstead(proj_create(d.context, kLv03ThroughLegacyGrid), origin, true);
   d.origin_ecef = earthCentred(d.origin);
@@ -136,7 +144,8 @@ LocalFrame::LocalFrame(const std::string& crs, const Eigen::Vector3d& origin) : 
   const bool geographic = std::abs((north - south).y()) < 1;
   if (!geographic) {
     const Eigen::Vector3d grid = north - south;
-    const Eigen::Vector3d metric = earthCentred({d.origin.latitude + 9e-4, d.origin.longitude, 0}) - earthCentred({d.origin.latitude - 9e-4, d.origin.longitude, 0});
+    const Eigen::Vector3d metric = earthCentred({d.origin.latitude + 9e-4, d.origin.longitude, 0}) -
+                                   earthCentred({d.origin.latitude - 9e-4, d.origin.longitude, 0});
     // The meridian, seen in the grid, leans left of grid north where grid north lies clockwise of true north.
     d.convergence = -std::atan2(grid.x(), grid.y());
     d.scale = grid.head<2>().norm() / metric.norm();
@@ -151,7 +160,8 @@ Eigen::Vector3d LocalFrame::fromCrs(const Eigen::Vector3d& point) const { return
 Eigen::Vector3d LocalFrame::toCrs(const Eigen::Vector3d& point) const { return impl_->inverse(toGeodetic(point)); }
 
 Eigen::Vector3d LocalFrame::fromGeodetic(const Geodetic& point) const {
-  if (!std::isfinite(point.latitude) || !std::isfinite(point.longitude) || !std::isfinite(point.height) || std::abs(point.latitude) > 90)
+  if (!std::isfinite(point.latitude) || !std::isfinite(point.longitude) || !std::isfinite(point.height) ||
+      std::abs(point.latitude) > 90)
     throw std::invalid_argument("geodesy: latitude, longitude and height must be finite, latitude within 90 degrees");
   return impl_->R_enu_ecef * (earthCentred(point) - impl_->origin_ecef);
 }

@@ -13,7 +13,8 @@ Eigen::Matrix3d skew(const Eigen::Vector3d& v) {
 
 Eigen::Matrix3d expSO3(const Eigen::Vector3d& v) {
   const double angle = v.norm();
-  if (angle < 1e-8) return Eigen::Quaterniond(1.0, 0.5 * v.x(), 0.5 * v.y(), 0.5 * v.z()).normalized().toRotationMatrix();
+  if (angle < 1e-8)
+    return Eigen::Quaterniond(1.0, 0.5 * v.x(), 0.5 * v.y(), 0.5 * v.z()).normalized().toRotationMatrix();
   return Eigen::AngleAxisd(angle, v / angle).toRotationMatrix();
 }
 
@@ -30,7 +31,8 @@ Eigen::Matrix3d rightJacobianSO3(const Eigen::Vector3d& v) {
   const Eigen::Matrix3d S = skew(v);
   if (angle < 1e-6) return Eigen::Matrix3d::Identity() - 0.5 * S + S * S / 6.0;
   const double a2 = angle * angle;
-  return Eigen::Matrix3d::Identity() - (1 - std::cos(angle)) / a2 * S + (angle - std::sin(angle)) / (a2 * angle) * S * S;
+  return Eigen::Matrix3d::Identity() - (1 - std::cos(angle)) / a2 * S +
+         (angle - std::sin(angle)) / (a2 * angle) * S * S;
 }
 
 double wrapAngle(double angle) {
@@ -51,7 +53,8 @@ Pose yawPose(double yaw, const Eigen::Vector3d& translation) {
 
 Eigen::Matrix3d levelingRotation(const Eigen::Vector3d& up) {
   const double norm = up.norm();
-  if (!std::isfinite(norm) || norm < 1e-9) throw std::invalid_argument("levelingRotation: the up vector is zero or not finite");
+  if (!std::isfinite(norm) || norm < 1e-9)
+    throw std::invalid_argument("levelingRotation: the up vector is zero or not finite");
   const Eigen::Vector3d axis(up.y(), -up.x(), 0);  // up x z
   const double horizontal = axis.norm();
   if (horizontal < 1e-12 * norm) return Eigen::Vector3d(1, up.z() > 0 ? 1 : -1, up.z() > 0 ? 1 : -1).asDiagonal();

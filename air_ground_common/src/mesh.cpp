@@ -42,7 +42,8 @@ class PlyReader {
       words >> word;
       if (word == "format") {
         words >> word;
-        if (word != "ascii" && word != "binary_little_endian") fail("has the format " + word + ": convert it to binary_little_endian or ascii");
+        if (word != "ascii" && word != "binary_little_endian")
+          fail("has the format " + word + ": convert it to binary_little_endian or ascii");
         ascii_ = word == "ascii";
       } else if (word == "element") {
         PlyElement e;
@@ -145,7 +146,8 @@ double TriangleMesh::area() const {
 
 void writePly(const std::string& path, const std::vector<LabeledPoint>& points) {
   writeAtomically(path, [&](std::ostream& out) {
-    out << "ply\nformat binary_little_endian 1.0\ncomment source: 0 ground robot, 1 MAV\nelement vertex " << points.size()
+    out << "ply\nformat binary_little_endian 1.0\ncomment source: 0 ground robot, 1 MAV\nelement vertex "
+        << points.size()
         << "\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\n"
            "property uchar blue\nproperty uchar source\nend_header\n";
     for (const auto& p : points) {
@@ -199,7 +201,8 @@ TriangleMesh readPlyMesh(const std::string& path) {
           const auto corners = reader.list(p);
           if (p.name != "vertex_indices" && p.name != "vertex_index") continue;
           for (std::size_t k = 2; k < corners.size(); ++k)
-            mesh.triangles.emplace_back(static_cast<int>(corners[0]), static_cast<int>(corners[k - 1]), static_cast<int>(corners[k]));
+            mesh.triangles.emplace_back(static_cast<int>(corners[0]), static_cast<int>(corners[k - 1]),
+                                        static_cast<int>(corners[k]));
         }
     } else {
       reader.skip(e);
@@ -224,7 +227,8 @@ MeshScene::MeshScene(const TriangleMesh& mesh) : impl_(std::make_unique<Impl>())
   if (mesh.triangles.empty()) throw std::invalid_argument("MeshScene: the mesh has no triangles");
   const int count = static_cast<int>(mesh.vertices.size());
   for (const auto& t : mesh.triangles)
-    if (t.minCoeff() < 0 || t.maxCoeff() >= count) throw std::invalid_argument("MeshScene: a triangle names a vertex that does not exist");
+    if (t.minCoeff() < 0 || t.maxCoeff() >= count)
+      throw std::invalid_argument("MeshScene: a triangle names a vertex that does not exist");
   impl_->vertices = mesh.vertices;
   impl_->triangles = mesh.triangles;
   impl_->device = rtcNewDevice(nullptr);
@@ -232,11 +236,11 @@ MeshScene::MeshScene(const TriangleMesh& mesh) : impl_(std::make_unique<Impl>())
   impl_->scene = rtcNewScene(impl_->device);
   rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
   RTCGeometry geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);
-  auto* v = static_cast<float*>(
-      rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 3 * sizeof(float), mesh.vertices.size()));
+  auto* v = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                                        3 * sizeof(float), mesh.vertices.size()));
   for (const auto& p : mesh.vertices) v = std::copy(p.data(), p.data() + 3, v);
-  auto* t = static_cast<unsigned*>(
-      rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 3 * sizeof(unsigned), mesh.triangles.size()));
+  auto* t = static_cast<unsigned*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                                           3 * sizeof(unsigned), mesh.triangles.size()));
   for (const auto& i : mesh.triangles)
     for (int k = 0; k < 3; ++k) *t++ = static_cast<unsigned>(i[k]);
   rtcCommitGeometry(geometry);
@@ -262,7 +266,8 @@ std::optional<RayHit> MeshScene::cast(const Eigen::Vector3f& o, const Eigen::Vec
                 Eigen::Vector3f(r.hit.Ng_x, r.hit.Ng_y, r.hit.Ng_z).normalized()};
 }
 
-std::vector<RayHit> MeshScene::castMany(const Eigen::Vector3f& o, const std::vector<Eigen::Vector3f>& directions, float max_distance) const {
+std::vector<RayHit> MeshScene::castMany(const Eigen::Vector3f& o, const std::vector<Eigen::Vector3f>& directions,
+                                        float max_distance) const {
   constexpr std::size_t kPacket = 8;
   std::vector<RayHit> hits(directions.size());
   RTCIntersectContext context;
@@ -304,7 +309,8 @@ bool MeshScene::occluded(const Eigen::Vector3f& o, const Eigen::Vector3f& d, flo
 namespace {
 
 // Nearest point of triangle abc to p (Ericson, Real-Time Collision Detection, 5.1.5: Voronoi regions).
-Eigen::Vector3f closestOnTriangle(const Eigen::Vector3f& p, const Eigen::Vector3f& a, const Eigen::Vector3f& b, const Eigen::Vector3f& c) {
+Eigen::Vector3f closestOnTriangle(const Eigen::Vector3f& p, const Eigen::Vector3f& a, const Eigen::Vector3f& b,
+                                  const Eigen::Vector3f& c) {
   const Eigen::Vector3f ab = b - a, ac = c - a, ap = p - a;
   const float d1 = ab.dot(ap), d2 = ac.dot(ap);
   if (d1 <= 0 && d2 <= 0) return a;

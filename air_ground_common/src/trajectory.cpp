@@ -42,7 +42,8 @@ void writeTum(const std::string& path, const Trajectory& trajectory) {
     for (const auto& p : trajectory) {
       const Eigen::Quaterniond q(p.T_map_body.linear());
       const Eigen::Vector3d t = p.T_map_body.translation();
-      file << p.stamp << ' ' << t.x() << ' ' << t.y() << ' ' << t.z() << ' ' << q.x() << ' ' << q.y() << ' ' << q.z() << ' ' << q.w() << '\n';
+      file << p.stamp << ' ' << t.x() << ' ' << t.y() << ' ' << t.z() << ' ' << q.x() << ' ' << q.y() << ' ' << q.z()
+           << ' ' << q.w() << '\n';
     }
   });
 }
@@ -93,7 +94,8 @@ Similarity alignPoints(const std::vector<Eigen::Vector3d>& reference, const std:
     Eigen::Vector3d sign(1, 1, 1);
     if (svd.matrixU().determinant() * svd.matrixV().determinant() < 0) sign.z() = -1;
     result.R = svd.matrixU() * sign.asDiagonal() * svd.matrixV().transpose();
-    if (alignment == Alignment::kSimilarity && variance_e > 0) result.scale = svd.singularValues().dot(sign) / variance_e;
+    if (alignment == Alignment::kSimilarity && variance_e > 0)
+      result.scale = svd.singularValues().dot(sign) / variance_e;
   }
   result.t = mean_r - result.scale * result.R * mean_e;
   return result;

@@ -36,7 +36,8 @@ TEST(CameraModel, ProjectionMatchesOpenCv) {
   for (int i = 0; i < 100; ++i) {
     const Eigen::Vector3d p(u(rng) * 2, u(rng) * 2, 2.0);
     std::vector<cv::Point2d> pixel;
-    cv::projectPoints(std::vector<cv::Point3d>{{p.x(), p.y(), p.z()}}, cv::Vec3d(), cv::Vec3d(), camera.cvK(), camera.cvDistortion(), pixel);
+    cv::projectPoints(std::vector<cv::Point3d>{{p.x(), p.y(), p.z()}}, cv::Vec3d(), cv::Vec3d(), camera.cvK(),
+                      camera.cvDistortion(), pixel);
     const auto ours = camera.project(p);
     ASSERT_TRUE(ours);
     EXPECT_NEAR(ours->x(), pixel[0].x, 1e-9);
@@ -93,13 +94,15 @@ class CameraFile : public ::testing::Test {
 
   // What a calibration file holds that differs from a good one by `model` and `coefficients`.
   CameraModel read(const std::string& model, const std::string& coefficients) const {
-    std::ofstream(path_) << "image_width: 752\nimage_height: 480\ncamera_name: mav\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
-                         << "  data: [410, 0, 370.5, 0, 412, 236.25, 0, 0, 1]\ndistortion_model: " << model
-                         << "\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: " << coefficients << "\n";
+    std::ofstream(path_)
+        << "image_width: 752\nimage_height: 480\ncamera_name: mav\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+        << "  data: [410, 0, 370.5, 0, 412, 236.25, 0, 0, 1]\ndistortion_model: " << model
+        << "\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: " << coefficients << "\n";
     return readCameraFile(path_);
   }
 
-  const std::string path_ = (std::filesystem::temp_directory_path() / ("camera_file_" + std::to_string(::getpid()) + ".yaml")).string();
+  const std::string path_ =
+      (std::filesystem::temp_directory_path() / ("camera_file_" + std::to_string(::getpid()) + ".yaml")).string();
 };
 
 TEST_F(CameraFile, HoldsWhatCalibrationWrote) {

@@ -33,7 +33,8 @@ Eigen::Vector2d utm(double latitude, double longitude, double central) {
 
 TEST(Geodesy, UtmAgreesWithKruegersSeries) {
   const LocalFrame frame("EPSG:32632", {465700, 5247900, 470});
-  for (const auto& p : std::vector<Eigen::Vector3d>{{465666, 5247973, 469}, {466500, 5247000, 500}, {464000, 5249500, 400}}) {
+  for (const auto& p :
+       std::vector<Eigen::Vector3d>{{465666, 5247973, 469}, {466500, 5247000, 500}, {464000, 5249500, 400}}) {
     const Eigen::Vector3d local = frame.fromCrs(p);
     const Geodetic g = frame.toGeodetic(local);
     EXPECT_LT((utm(g.latitude, g.longitude, 9) - p.head<2>()).norm(), 1e-3);
@@ -57,8 +58,9 @@ TEST(Geodesy, Lv95HasItsOriginInBern) {
 
 TEST(Geodesy, UtmLv95AndLocalFrameAgreeToACentimetre) {
   const LocalFrame lv95("EPSG:2056", kZurichLv95);
-  const Eigen::Vector3d origin_utm = LocalFrame("EPSG:32632", {465700, 5247900, 0}).toCrs(
-      LocalFrame("EPSG:32632", {465700, 5247900, 0}).fromGeodetic(lv95.origin()));
+  const Eigen::Vector3d origin_utm =
+      LocalFrame("EPSG:32632", {465700, 5247900, 0})
+          .toCrs(LocalFrame("EPSG:32632", {465700, 5247900, 0}).fromGeodetic(lv95.origin()));
   const LocalFrame utm32("EPSG:32632", origin_utm);
   for (double x = -1000; x <= 1000; x += 400) {
     for (double y = -1000; y <= 1000; y += 400) {
@@ -66,14 +68,16 @@ TEST(Geodesy, UtmLv95AndLocalFrameAgreeToACentimetre) {
       // One local point, through either grid.
       EXPECT_LT((utm32.fromCrs(utm32.toCrs(p)) - p).norm(), 1e-3);
       const Geodetic g = lv95.toGeodetic(p);
-      const Eigen::Vector3d through_lv95 = lv95.fromCrs(lv95.toCrs(p)), through_utm = utm32.fromCrs(utm32.toCrs(utm32.fromGeodetic(g)));
+      const Eigen::Vector3d through_lv95 = lv95.fromCrs(lv95.toCrs(p)),
+                            through_utm = utm32.fromCrs(utm32.toCrs(utm32.fromGeodetic(g)));
       EXPECT_LT((through_lv95 - through_utm).norm(), 0.01) << p.transpose();
       EXPECT_LT((utm(g.latitude, g.longitude, 9) - utm32.toCrs(p).head<2>()).norm(), 0.01);
       // And against the flat grids: turned by the convergence, stretched by the scale, without the Earth's curvature.
       for (const LocalFrame* frame : {&lv95, &utm32}) {
         const Eigen::Vector3d zero = frame->toCrs(Eigen::Vector3d::Zero()), grid = frame->toCrs(p) - zero;
         const double c = std::cos(frame->meridianConvergence()), s = std::sin(frame->meridianConvergence());
-        // A grid vector lies clockwise of its true direction by minus the convergence; height shrinks it to the ellipsoid.
+        // A grid vector lies clockwise of its true direction by minus the convergence; height shrinks it to the
+        // ellipsoid.
         const double shrink = (1 + (zero.z() + 30) / 6.38e6) / frame->gridScale();
         const Eigen::Vector2d flat(shrink * (c * grid.x() + s * grid.y()), shrink * (-s * grid.x() + c * grid.y()));
         EXPECT_LT((flat - p.head<2>()).norm(), 0.08) << p.transpose();  // the scale changes over a kilometre of grid
@@ -81,7 +85,8 @@ TEST(Geodesy, UtmLv95AndLocalFrameAgreeToACentimetre) {
     }
   }
   // Convergence of UTM: about (longitude - 9 deg) * sin(latitude), negative west of the central meridian.
-  EXPECT_NEAR(utm32.meridianConvergence(), (lv95.origin().longitude - 9) * kDegree * std::sin(lv95.origin().latitude * kDegree), 1e-5);
+  EXPECT_NEAR(utm32.meridianConvergence(),
+              (lv95.origin().longitude - 9) * kDegree * std::sin(lv95.origin().latitude * kDegree), 1e-5);
   EXPECT_LT(utm32.meridianConvergence(), -0.005);
   // LV95: grid north turns clockwise of true north east of Bern.
   EXPECT_GT(lv95.meridianConvergence(), 0.01);

@@ -51,7 +51,8 @@ TEST(Geometry, WrapAngleStaysInHalfOpenInterval) {
 TEST(Geometry, LevelingRotationPutsUpOnZ) {
   const Eigen::Vector3d up(0.3, -0.2, 5);
   EXPECT_LT((levelingRotation(up) * up.normalized() - Eigen::Vector3d::UnitZ()).norm(), 1e-12);
-  EXPECT_LT((levelingRotation(-Eigen::Vector3d::UnitZ()) * -Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitZ()).norm(), 1e-9);
+  EXPECT_LT((levelingRotation(-Eigen::Vector3d::UnitZ()) * -Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitZ()).norm(),
+            1e-9);
   EXPECT_THROW(levelingRotation(Eigen::Vector3d::Zero()), std::invalid_argument);
   EXPECT_THROW(levelingRotation({std::numeric_limits<double>::quiet_NaN(), 0, 1}), std::invalid_argument);
 }

@@ -77,7 +77,8 @@ TEST(StreamJumpDetector, LaggingStreamIsNoJumpAndLoopedBagIsOne) {
   EXPECT_EQ(detector.watch(1, ros::Time(120.0), wall), Verdict::kInOrder);
   EXPECT_EQ(detector.watch(1, ros::Time(100.0), wall), Verdict::kJump) << "the next loop";
   EXPECT_EQ(detector.watch(0, ros::Time(119.5), wall), Verdict::kOld);
-  EXPECT_EQ(detector.watch(0, ros::Time(119.6), wall + ros::WallDuration(5.0)), Verdict::kInOrder) << "patience is over";
+  EXPECT_EQ(detector.watch(0, ros::Time(119.6), wall + ros::WallDuration(5.0)), Verdict::kInOrder)
+      << "patience is over";
   EXPECT_THROW(detector.watch(2, ros::Time(1.0), wall), std::out_of_range);
 }
 
@@ -171,8 +172,10 @@ TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
   PosePublisher publisher(nh, settings);
   std::vector<tf2_msgs::TFMessage> tf;
   std::vector<nav_msgs::Odometry> odometry;
-  const ros::Subscriber a = nh.subscribe<tf2_msgs::TFMessage>("/tf", 10, [&](const tf2_msgs::TFMessage::ConstPtr& m) { tf.push_back(*m); });
-  const ros::Subscriber b = nh.subscribe<nav_msgs::Odometry>("odometry", 10, [&](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
+  const ros::Subscriber a =
+      nh.subscribe<tf2_msgs::TFMessage>("/tf", 10, [&](const tf2_msgs::TFMessage::ConstPtr& m) { tf.push_back(*m); });
+  const ros::Subscriber b = nh.subscribe<nav_msgs::Odometry>(
+      "odometry", 10, [&](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
   ASSERT_TRUE(spinUntil([&] { return a.getNumPublishers() > 0 && b.getNumPublishers() > 0; }));
 
   const Pose step = yawPose(0.1, {0.5, 0, 0});
@@ -198,7 +201,8 @@ TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
   EXPECT_NEAR(odometry[1].twist.twist.linear.x, std::cos(0.1), 1e-9);
   EXPECT_NEAR(odometry[1].twist.twist.linear.y, -std::sin(0.1), 1e-9);
   EXPECT_NEAR(odometry[1].twist.twist.angular.z, 0.2, 1e-9);
-  EXPECT_NEAR(odometry[1].twist.covariance[0], 4 * (4e-4 * std::pow(std::cos(0.1), 2) + 1e-4 * std::pow(std::sin(0.1), 2)), 1e-9);
+  EXPECT_NEAR(odometry[1].twist.covariance[0],
+              4 * (4e-4 * std::pow(std::cos(0.1), 2) + 1e-4 * std::pow(std::sin(0.1), 2)), 1e-9);
   EXPECT_NEAR(odometry[1].twist.covariance[35], 4e-4, 1e-9);
   EXPECT_EQ(odometry[0].twist.covariance[0], 1e6) << "not known";
   EXPECT_EQ(odometry[2].twist.covariance[0], 1e6) << "not known";

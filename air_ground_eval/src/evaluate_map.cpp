@@ -40,7 +40,8 @@ std::set<std::pair<int, int>> cells(const std::vector<LabeledPoint>& points, dou
   std::vector<std::pair<int, int>> all;
   for (const LabeledPoint& p : points) {
     if (keep(p)) {
-      all.emplace_back(static_cast<int>(std::floor(p.position.x() / size)), static_cast<int>(std::floor(p.position.y() / size)));
+      all.emplace_back(static_cast<int>(std::floor(p.position.x() / size)),
+                       static_cast<int>(std::floor(p.position.y() / size)));
     }
   }
   std::sort(all.begin(), all.end());
@@ -57,7 +58,8 @@ std::set<std::pair<int, int>> cells(const std::vector<LabeledPoint>& points, dou
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Size of an augmented map, the area that the aerial view added, and the points' distances to the true surface"};
+  CLI::App app{
+      "Size of an augmented map, the area that the aerial view added, and the points' distances to the true surface"};
   std::string map_path, mesh_path, distances_path;
   std::vector<double> transform{0, 0, 0, 0, 0, 0, 1};
   double max_distance = 1.0, cell = 0.05;
@@ -66,15 +68,18 @@ int main(int argc, char** argv) {
   app.add_option("--mesh", mesh_path, "true surface (PLY mesh in the world frame); without it only sizes are printed");
   app.add_option("--transform", transform, "T_world_map: tx ty tz qx qy qz qw")->expected(7);
   app.add_option("--max-distance", max_distance, "distances are cut here [m]")->check(CLI::PositiveNumber);
-  app.add_option("--cell", cell, "edge of the horizontal cells that areas are counted in [m]")->check(CLI::PositiveNumber);
+  app.add_option("--cell", cell, "edge of the horizontal cells that areas are counted in [m]")
+      ->check(CLI::PositiveNumber);
   app.add_option("--min-points", min_points, "points that make a cell seen")->check(CLI::PositiveNumber);
-  app.add_option("--distances", distances_path, "writes the distances, float32 little-endian in the order of the points");
+  app.add_option("--distances", distances_path,
+                 "writes the distances, float32 little-endian in the order of the points");
   CLI11_PARSE(app, argc, argv);
 
   try {
     const std::vector<LabeledPoint> points = air_ground_common::readPlyPoints(map_path);
     const Eigen::Quaterniond q(transform[6], transform[3], transform[4], transform[5]);
-    if (!(std::abs(q.norm() - 1) < 1e-3)) throw std::invalid_argument("--transform: the quaternion is not of unit length");
+    if (!(std::abs(q.norm() - 1) < 1e-3))
+      throw std::invalid_argument("--transform: the quaternion is not of unit length");
     Eigen::Isometry3d T_world_map = Eigen::Isometry3d::Identity();
     T_world_map.linear() = q.normalized().toRotationMatrix();
     T_world_map.translation() << transform[0], transform[1], transform[2];
@@ -84,8 +89,9 @@ int main(int argc, char** argv) {
     const auto aerial = cells(points, cell, min_points, [](const LabeledPoint& p) { return p.source == 1; });
     std::size_t added = 0;
     for (const auto& c : aerial) added += ground.count(c) == 0;
-    std::printf("ground_area_m2: %.3f\naerial_area_m2: %.3f\nadded_area_m2: %.3f\n", static_cast<double>(ground.size()) * cell * cell,
-                static_cast<double>(aerial.size()) * cell * cell, static_cast<double>(added) * cell * cell);
+    std::printf("ground_area_m2: %.3f\naerial_area_m2: %.3f\nadded_area_m2: %.3f\n",
+                static_cast<double>(ground.size()) * cell * cell, static_cast<double>(aerial.size()) * cell * cell,
+                static_cast<double>(added) * cell * cell);
 
     if (!mesh_path.empty()) {
       const air_ground_common::MeshScene scene(air_ground_common::readPlyMesh(mesh_path));
@@ -102,7 +108,8 @@ int main(int argc, char** argv) {
       printStatistics("aerial", by_source[1]);
       if (!distances_path.empty()) {
         std::ofstream stream(distances_path, std::ios::binary);
-        stream.write(reinterpret_cast<const char*>(distances.data()), static_cast<std::streamsize>(distances.size() * sizeof(float)));
+        stream.write(reinterpret_cast<const char*>(distances.data()),
+                     static_cast<std::streamsize>(distances.size() * sizeof(float)));
         if (!stream) throw std::runtime_error("cannot write " + distances_path);
       }
     } else {

@@ -36,13 +36,15 @@ sensor_msgs::PointCloud2 toCloud(const air_ground::HeightMap& map) {
 
 void relay(ros::NodeHandle* node, const std::string& topic, std::vector<ros::Subscriber>* subscribers) {
   ros::Publisher publisher = node->advertise<sensor_msgs::PointCloud2>(topic + "_cloud", 1, true);
-  subscribers->push_back(node->subscribe<air_ground::HeightMap>(topic, 5, [publisher](const air_ground::HeightMap::ConstPtr& map) {
-    if (map->heights.size() != static_cast<std::size_t>(map->width) * map->height) {
-      ROS_WARN_THROTTLE(10, "height map of %u x %u cells with %zu heights: dropped", map->width, map->height, map->heights.size());
-      return;
-    }
-    publisher.publish(toCloud(*map));
-  }));
+  subscribers->push_back(
+      node->subscribe<air_ground::HeightMap>(topic, 5, [publisher](const air_ground::HeightMap::ConstPtr& map) {
+        if (map->heights.size() != static_cast<std::size_t>(map->width) * map->height) {
+          ROS_WARN_THROTTLE(10, "height map of %u x %u cells with %zu heights: dropped", map->width, map->height,
+                            map->heights.size());
+          return;
+        }
+        publisher.publish(toCloud(*map));
+      }));
 }
 
 }  // namespace

@@ -16,7 +16,8 @@ struct Setup {
   Setup() {
     omp_set_num_threads(1);
     config.world.texel = 0.005;
-    for (const Eigen::Vector2d& center : {Eigen::Vector2d(-0.9, 0.5), Eigen::Vector2d(0.9, 0.8), Eigen::Vector2d(0.3, -1)}) {
+    for (const Eigen::Vector2d& center :
+         {Eigen::Vector2d(-0.9, 0.5), Eigen::Vector2d(0.9, 0.8), Eigen::Vector2d(0.3, -1)}) {
       ClusterConfig cluster;
       cluster.center = center;
       config.world.clusters.push_back(cluster);
@@ -43,7 +44,8 @@ void BM_MavImage(benchmark::State& state) {
   const Renderer renderer(scene(), setup().config.mav_camera.camera, samples, 1);
   std::vector<float> light;
   for (auto _ : state) renderer.light(std::vector<Pose>(samples, setup().mavPose()), 1, &light);
-  state.counters["rays"] = benchmark::Counter(static_cast<double>(light.size()) * samples, benchmark::Counter::kIsIterationInvariantRate);
+  state.counters["rays"] =
+      benchmark::Counter(static_cast<double>(light.size()) * samples, benchmark::Counter::kIsIterationInvariantRate);
 }
 BENCHMARK(BM_MavImage)->Arg(1)->Arg(4)->Unit(benchmark::kMillisecond);
 

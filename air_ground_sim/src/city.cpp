@@ -50,7 +50,8 @@ std::string poseText(const Pose& T) {
 // A camera's rendering of a panorama: exposure for the facades, response, noise. B G R.
 cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
   std::vector<float> sample;
-  for (std::size_t i = width * (width / 8) * 3ul; i < width * (width / 3) * 3ul; i += 3 * 97) sample.push_back(rgb[i + 1]);
+  for (std::size_t i = width * (width / 8) * 3ul; i < width * (width / 3) * 3ul; i += 3 * 97)
+    sample.push_back(rgb[i + 1]);
   std::nth_element(sample.begin(), sample.begin() + sample.size() / 2, sample.end());
   const float gain = 0.26f / std::max(1e-4f, sample[sample.size() / 2]);
   // Response in steps of 1/1024 of the square root of the light, up to 8 times white.
@@ -69,7 +70,8 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
       for (int c = 0; c < 3; ++c) {
         const float l = gain * rgb[(static_cast<std::size_t>(y) * width + x) * 3 + c];
         // Noise uniform over +-3 grey values: the sum of shot noise and compression.
-        const double v = response[std::min(kSteps - 1, static_cast<int>(1024 * std::sqrt(l)))] + 6 * (rng.uniform() - 0.5);
+        const double v =
+            response[std::min(kSteps - 1, static_cast<int>(1024 * std::sqrt(l)))] + 6 * (rng.uniform() - 0.5);
         image.at<cv::Vec3b>(y, x)[2 - c] = static_cast<std::uint8_t>(std::clamp(v + 0.5, 0.0, 255.0));
       }
   }
@@ -78,10 +80,12 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
 
 std::string cameraYaml(const air_ground_common::CameraModel& c) {
   std::ostringstream s;
-  s << "# The MAV's camera (ROS calibration file, plumb_bob).\nimage_width: " << c.width << "\nimage_height: " << c.height
-    << "\ncamera_name: mav_camera\ndistortion_model: plumb_bob\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [" << c.fx << ", 0, " << c.cx
-    << ", 0, " << c.fy << ", " << c.cy << ", 0, 0, 1]\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [" << c.k1 << ", " << c.k2
-    << ", " << c.p1 << ", " << c.p2 << ", " << c.k3 << "]\n";
+  s << "# The MAV's camera (ROS calibration file, plumb_bob).\nimage_width: " << c.width
+    << "\nimage_height: " << c.height
+    << "\ncamera_name: mav_camera\ndistortion_model: plumb_bob\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [" << c.fx
+    << ", 0, " << c.cx << ", 0, " << c.fy << ", " << c.cy
+    << ", 0, 0, 1]\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [" << c.k1 << ", " << c.k2 << ", " << c.p1
+    << ", " << c.p2 << ", " << c.k3 << "]\n";
   return s.str();
 }
 
@@ -93,12 +97,17 @@ std::string cityYaml(const SimConfig& config, const Street& street, const LocalF
   s << "# Where the city lies and what belongs to it. Frame world: local east-north-up at `origin`, y to true north.\n"
     << "crs: " << c.crs << "\norigin: [" << c.origin.x() << ", " << c.origin.y() << ", " << c.origin.z()
     << "]  # easting, northing, height of world's origin\n"
-    << "geoid_undulation: " << c.geoid_undulation << "  # ellipsoidal height minus the height used in origin [m]; gps/fix is ellipsoidal\n"
-    << "magnetic_declination: " << format("%.4f", std::atan2(field.x(), field.y()) / kDegree) << "  # [deg], east positive\n"
-    << "meridian_convergence: " << format("%.5f", frame.meridianConvergence() / kDegree) << "  # from true to grid north, clockwise [deg]\n"
-    << "geotags: geotags.csv  # image, WGS 84, alt in the height system of origin [m]; heading of the image's centre, clockwise from true "
+    << "geoid_undulation: " << c.geoid_undulation
+    << "  # ellipsoidal height minus the height used in origin [m]; gps/fix is ellipsoidal\n"
+    << "magnetic_declination: " << format("%.4f", std::atan2(field.x(), field.y()) / kDegree)
+    << "  # [deg], east positive\n"
+    << "meridian_convergence: " << format("%.5f", frame.meridianConvergence() / kDegree)
+    << "  # from true to grid north, clockwise [deg]\n"
+    << "geotags: geotags.csv  # image, WGS 84, alt in the height system of origin [m]; heading of the image's centre, "
+       "clockwise from true "
        "north, pitch up, roll right side down [deg]\n"
-    << "heading_reference: true_north\npanoramas: panoramas\nmodel: model.gml\nmodel_obj: model.obj\ncamera: camera.yaml\n"
+    << "heading_reference: true_north\npanoramas: panoramas\nmodel: model.gml\nmodel_obj: model.obj\ncamera: "
+       "camera.yaml\n"
     << "panorama_truth: panorama_truth.csv  # T_world_panorama: x to the image's centre, y left, z up\n"
     << "street: " << config.name << "\nseed: " << street.seed << '\n';
   return s.str();
@@ -116,7 +125,8 @@ Geotag geotagOf(const LocalFrame& frame, const Pose& T) {
   return g;
 }
 
-void writeCity(const SimConfig& config, const Street& street, const std::string& folder, const std::function<void(int, int)>& progress) {
+void writeCity(const SimConfig& config, const Street& street, const std::string& folder,
+               const std::function<void(int, int)>& progress) {
   const fs::path root(folder);
   fs::create_directories(root / "panoramas");
   fs::remove(root / "city.yaml");  // written last: where it is, the folder is complete
@@ -174,8 +184,10 @@ void writeQueries(Recording* recording, int count, const std::string& folder) {
   std::vector<Pose> elsewhere;
   for (std::size_t i = 0; i < c.street.lines.size(); ++i)
     if (!c.street.lines[i].panoramas)
-      for (const Pose& T : posesAlongLine(recording->street(), static_cast<int>(i), c.flight, 3.0)) elsewhere.push_back(T);
-  series("queries_elsewhere", static_cast<int>(elsewhere.size()), [&](int i, Eigen::Vector3d*) { return elsewhere[i]; });
+      for (const Pose& T : posesAlongLine(recording->street(), static_cast<int>(i), c.flight, 3.0))
+        elsewhere.push_back(T);
+  series("queries_elsewhere", static_cast<int>(elsewhere.size()),
+         [&](int i, Eigen::Vector3d*) { return elsewhere[i]; });
 }
 
 }  // namespace air_ground_sim

@@ -69,11 +69,12 @@ void writeCityGml(const std::string& path, const Street& street, const air_groun
   std::ostringstream members;
   Vector3d low = Vector3d::Constant(1e30), high = -low;
   for (const auto& b : street.buildings) {
-    members << "  <core:cityObjectMember>\n    <bldg:Building gml:id=\"" << b.id << "\">\n      <bldg:measuredHeight uom=\"m\">"
-            << number(b.eaves + b.roof_rise) << "</bldg:measuredHeight>\n      <bldg:storeysAboveGround>" << b.floors
-            << "</bldg:storeysAboveGround>\n";
+    members << "  <core:cityObjectMember>\n    <bldg:Building gml:id=\"" << b.id
+            << "\">\n      <bldg:measuredHeight uom=\"m\">" << number(b.eaves + b.roof_rise)
+            << "</bldg:measuredHeight>\n      <bldg:storeysAboveGround>" << b.floors << "</bldg:storeysAboveGround>\n";
     const auto surfaces = modelSurfaces(b, true);
-    members << "      <bldg:lod2Solid>\n        <gml:Solid gml:id=\"" << b.id << "_solid\"><gml:exterior><gml:CompositeSurface>\n";
+    members << "      <bldg:lod2Solid>\n        <gml:Solid gml:id=\"" << b.id
+            << "_solid\"><gml:exterior><gml:CompositeSurface>\n";
     for (std::size_t i = 0; i < surfaces.size(); ++i)
       members << "          <gml:surfaceMember xlink:href=\"#" << b.id << "_poly_" << i << "\"/>\n";
     members << "        </gml:CompositeSurface></gml:exterior></gml:Solid>\n      </bldg:lod2Solid>\n";
@@ -96,13 +97,16 @@ void writeCityGml(const std::string& path, const Street& street, const air_groun
     members << "    </bldg:Building>\n  </core:cityObjectMember>\n";
   }
   std::ostringstream out;
-  out << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<core:CityModel xmlns:core=\"http://www.opengis.net/citygml/2.0\" "
+  out << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<core:CityModel "
+         "xmlns:core=\"http://www.opengis.net/citygml/2.0\" "
          "xmlns:bldg=\"http://www.opengis.net/citygml/building/2.0\" "
-         "xmlns:gml=\"http://www.opengis.net/gml\" xmlns:xlink=\"http://www.w3.org/1999/xlink\">\n  <gml:boundedBy>\n    <gml:Envelope "
+         "xmlns:gml=\"http://www.opengis.net/gml\" xmlns:xlink=\"http://www.w3.org/1999/xlink\">\n  <gml:boundedBy>\n  "
+         "  <gml:Envelope "
          "srsName=\""
-      << street.config.crs << "\" srsDimension=\"3\">\n      <gml:lowerCorner>" << number(low.x()) << ' ' << number(low.y()) << ' '
-      << number(low.z()) << "</gml:lowerCorner>\n      <gml:upperCorner>" << number(high.x()) << ' ' << number(high.y()) << ' '
-      << number(high.z()) << "</gml:upperCorner>\n    </gml:Envelope>\n  </gml:boundedBy>\n"
+      << street.config.crs << "\" srsDimension=\"3\">\n      <gml:lowerCorner>" << number(low.x()) << ' '
+      << number(low.y()) << ' ' << number(low.z()) << "</gml:lowerCorner>\n      <gml:upperCorner>" << number(high.x())
+      << ' ' << number(high.y()) << ' ' << number(high.z())
+      << "</gml:upperCorner>\n    </gml:Envelope>\n  </gml:boundedBy>\n"
       << members.str() << "</core:CityModel>\n";
   writeWhole(path, out.str());
 }

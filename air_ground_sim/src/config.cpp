@@ -122,11 +122,17 @@ class Section {
 };
 
 void read(Section s, WorldConfig* w) {
-  s.choice<WorldKind>("kind", &w->kind, {{"indoor", WorldKind::kIndoor}, {"rubble", WorldKind::kRubble},
-                                         {"flat", WorldKind::kFlat}, {"grid", WorldKind::kGrid},
-                                         {"street", WorldKind::kStreet}});
-  s.choice<FloorStyle>("floor", &w->floor, {{"concrete", FloorStyle::kConcrete}, {"planks", FloorStyle::kPlanks},
-                                            {"tiles", FloorStyle::kTiles}, {"gravel", FloorStyle::kGravel}});
+  s.choice<WorldKind>("kind", &w->kind,
+                      {{"indoor", WorldKind::kIndoor},
+                       {"rubble", WorldKind::kRubble},
+                       {"flat", WorldKind::kFlat},
+                       {"grid", WorldKind::kGrid},
+                       {"street", WorldKind::kStreet}});
+  s.choice<FloorStyle>("floor", &w->floor,
+                       {{"concrete", FloorStyle::kConcrete},
+                        {"planks", FloorStyle::kPlanks},
+                        {"tiles", FloorStyle::kTiles},
+                        {"gravel", FloorStyle::kGravel}});
   s.number("floor_size", &w->floor_size, 8, 40);
   s.number("texel", &w->texel, 0.001, 0.05);
   s.number("room_height", &w->room_height, 0, 10);
@@ -354,7 +360,8 @@ SimConfig loadSimConfig(const std::string& yaml_path) {
   if (config.hasGroundRobot()) read(s.child("lane"), &config.lane);
   if (config.hasCity()) {
     read(s.child("street"), &config.street);
-    if (config.street.lines.empty()) throw std::invalid_argument(yaml_path + "/street: 'lines' must name at least one street");
+    if (config.street.lines.empty())
+      throw std::invalid_argument(yaml_path + "/street: 'lines' must name at least one street");
     const auto& c = config.street;
     config.T_mav_base_camera = sideCameraMount(c.camera_looks_left, c.camera_pitch);
   }

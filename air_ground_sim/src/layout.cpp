@@ -22,7 +22,8 @@ struct Footprint {
 
 bool overlap(const Footprint& a, const Footprint& b, double gap) {
   const auto axes = [](const Footprint& f) {
-    return std::array<Eigen::Vector2d, 2>{Eigen::Vector2d(std::cos(f.yaw), std::sin(f.yaw)), Eigen::Vector2d(-std::sin(f.yaw), std::cos(f.yaw))};
+    return std::array<Eigen::Vector2d, 2>{Eigen::Vector2d(std::cos(f.yaw), std::sin(f.yaw)),
+                                          Eigen::Vector2d(-std::sin(f.yaw), std::cos(f.yaw))};
   };
   const auto A = axes(a), B = axes(b);
   const auto reach = [](const Footprint& f, const std::array<Eigen::Vector2d, 2>& own, const Eigen::Vector2d& axis) {
@@ -113,7 +114,8 @@ void addRock(const Eigen::Vector3d& center, double radius, double texel, Rng* rn
         // Facets: broken stone is flat in places. Displacement is a function of direction, so faces meet.
         const auto df = (2.2 * d).cast<float>().eval();
         const double bump = 1 + 0.28 * fractalNoise(df.x() + 7, df.y() - 3, df.z() + 1, noise_seed, 4, 0.55f);
-        p.vertices.push_back((center + R * (radius * bump * Eigen::Vector3d(stretch * d.x(), d.y(), flat * d.z()))).cast<float>());
+        p.vertices.push_back(
+            (center + R * (radius * bump * Eigen::Vector3d(stretch * d.x(), d.y(), flat * d.z()))).cast<float>());
       }
     world->patches.push_back(p);
   }
@@ -128,7 +130,8 @@ bool FreeSpace::isFree(const Eigen::Vector2d& center, double reach) const {
   return true;
 }
 
-void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng, World* world) {
+void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
+                 World* world) {
   std::vector<Footprint> base;  // everything that stands on the floor
   const auto tryPlace = [&](const ClusterConfig& c, double hx, double hy, double gap, Footprint* placed) {
     for (int attempt = 0; attempt < 60; ++attempt) {
@@ -176,8 +179,8 @@ void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& fr
       Cuboid box = randomBox(rng);
       std::vector<std::size_t> options;  // carriers with room for it
       for (std::size_t k = 0; k < carriers.size(); ++k)
-        if (carriers[k].can_carry && carriers[k].top + box.size.z() <= c.max_height && 0.5 * box.size.x() < 1.15 * carriers[k].hx &&
-            0.5 * box.size.y() < 1.15 * carriers[k].hy)
+        if (carriers[k].can_carry && carriers[k].top + box.size.z() <= c.max_height &&
+            0.5 * box.size.x() < 1.15 * carriers[k].hx && 0.5 * box.size.y() < 1.15 * carriers[k].hy)
           options.push_back(k);
       if (!options.empty() && rng->chance(0.45)) {
         Footprint& below = carriers[options[rng->integer(static_cast<int>(options.size()))]];
@@ -230,13 +233,18 @@ void addGrid(const WorldConfig& config, World* world) {
 
 void addRubble(const WorldConfig& config, const FreeSpace& free, Rng* rng, World* world) {
   const auto seed = static_cast<std::uint32_t>(rng->next());
-  struct Mound { Eigen::Vector2d center; double radius, height; };
+  struct Mound {
+    Eigen::Vector2d center;
+    double radius, height;
+  };
   std::vector<Mound> mounds;
   for (int i = 0; i < 5; ++i)
-    mounds.push_back({{rng->uniform(-1.8, 1.8), rng->uniform(-1.8, 1.8)}, rng->uniform(0.5, 0.9), rng->uniform(0.25, 0.7)});
+    mounds.push_back(
+        {{rng->uniform(-1.8, 1.8), rng->uniform(-1.8, 1.8)}, rng->uniform(0.5, 0.9), rng->uniform(0.25, 0.7)});
   const auto openness = [&](const Eigen::Vector2d& p) {  // 0 on the lane and at the start, 1 away from them
     double d = (p - free.start).norm() - free.start_radius;
-    for (std::size_t i = 0; i < free.lane.size(); i += 4) d = std::min(d, (p - free.lane[i]).norm() - free.lane_half_width);
+    for (std::size_t i = 0; i < free.lane.size(); i += 4)
+      d = std::min(d, (p - free.lane[i]).norm() - free.lane_half_width);
     const double x = std::clamp(d / 0.6, 0.0, 1.0);
     return x * x * (3 - 2 * x);
   };
@@ -244,7 +252,8 @@ void addRubble(const WorldConfig& config, const FreeSpace& free, Rng* rng, World
     const auto q = p.cast<float>().eval();
     double z = config.relief * fractalNoise(0.9f * q.x(), 0.9f * q.y(), seed, 5, 0.5f);
     for (const auto& m : mounds)
-      z += m.height * std::exp(-(p - m.center).squaredNorm() / (m.radius * m.radius)) * (1 + 0.35 * fractalNoise(3 * q.x(), 3 * q.y(), seed + 9, 4));
+      z += m.height * std::exp(-(p - m.center).squaredNorm() / (m.radius * m.radius)) *
+           (1 + 0.35 * fractalNoise(3 * q.x(), 3 * q.y(), seed + 9, 4));
     return z * openness(p);
   };
   // The height field: a fine centre and coarse surroundings, as tiles so that texture resolution can differ.
@@ -280,14 +289,16 @@ void addRubble(const WorldConfig& config, const FreeSpace& free, Rng* rng, World
   for (int i = 0; i < 9; ++i) {  // broken slabs and beams
     Cuboid c;
     const bool beam = rng->chance(0.4);
-    c.size = beam ? Eigen::Vector3d(rng->uniform(0.8, 1.5), 0.12, 0.12) : Eigen::Vector3d(rng->uniform(0.4, 0.9), rng->uniform(0.3, 0.7), rng->uniform(0.06, 0.12));
+    c.size = beam ? Eigen::Vector3d(rng->uniform(0.8, 1.5), 0.12, 0.12)
+                  : Eigen::Vector3d(rng->uniform(0.4, 0.9), rng->uniform(0.3, 0.7), rng->uniform(0.06, 0.12));
     c.material = beam ? Material::kWood : Material::kConcrete;
     c.printed = false;
     c.seed = rng->next();
     const Eigen::Vector2d p(rng->uniform(-2.2, 2.2), rng->uniform(-2.2, 2.2));
     const double tilt = rng->uniform(0.1, 0.5), yaw = rng->uniform(-M_PI, M_PI);
     if (!free.isFree(p, 0.5 * std::hypot(c.size.x(), c.size.y()))) continue;
-    c.T_world_base = yawPose(yaw, {p.x(), p.y(), height(p) + 0.4 * c.size.x() * std::sin(tilt)}) * Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitY());
+    c.T_world_base = yawPose(yaw, {p.x(), p.y(), height(p) + 0.4 * c.size.x() * std::sin(tilt)}) *
+                     Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitY());
     addCuboid(c, config.texel, world);
   }
 }

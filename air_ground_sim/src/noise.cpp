@@ -16,8 +16,11 @@ inline std::uint32_t hash(std::uint32_t x, std::uint32_t y, std::uint32_t z, std
 }
 
 inline float lattice(int x, int y, int z, std::uint32_t seed) {
-  return static_cast<float>(hash(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y), static_cast<std::uint32_t>(z), seed) >> 8) *
-             (2.0f / 16777216.0f) - 1.0f;
+  return static_cast<float>(
+             hash(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y), static_cast<std::uint32_t>(z), seed) >>
+             8) *
+             (2.0f / 16777216.0f) -
+         1.0f;
 }
 
 // std::floor is a library call on the baseline instruction set.
@@ -64,7 +67,8 @@ float fractalNoise(float x, float y, std::uint32_t seed, int octaves, float gain
 float fractalNoise(float x, float y, float z, std::uint32_t seed, int octaves, float gain) {
   float sum = 0, amplitude = 1, norm = 0, frequency = 1;
   for (int i = 0; i < octaves; ++i) {
-    sum += amplitude * valueNoise(x * frequency, y * frequency, z * frequency, seed + static_cast<std::uint32_t>(i) * 0x9e37u);
+    sum += amplitude *
+           valueNoise(x * frequency, y * frequency, z * frequency, seed + static_cast<std::uint32_t>(i) * 0x9e37u);
     norm += amplitude * amplitude;
     amplitude *= gain;
     frequency *= 2.03f;

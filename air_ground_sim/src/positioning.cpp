@@ -7,7 +7,8 @@
 namespace air_ground_sim {
 
 GpsReceiver::GpsReceiver(const GpsConfig& config, std::uint64_t seed) : config_(config), rng_(seed) {
-  slow_ = noise().cwiseProduct(Eigen::Vector3d(config.horizontal_stddev, config.horizontal_stddev, config.vertical_stddev));
+  slow_ =
+      noise().cwiseProduct(Eigen::Vector3d(config.horizontal_stddev, config.horizontal_stddev, config.vertical_stddev));
   echo_ = config.jump_stddev * noise().cwiseProduct(Eigen::Vector3d(1, 1, 3));
 }
 
@@ -19,10 +20,11 @@ Eigen::Vector3d GpsReceiver::noise() {
 
 Eigen::Vector3d GpsReceiver::measure(const Eigen::Vector3d& position) {
   const double period = 1 / config_.rate;
-  const Eigen::Vector3d measured = position + slow_ + echo_ + config_.noise * noise().cwiseProduct(Eigen::Vector3d(1, 1, 2));
+  const Eigen::Vector3d measured =
+      position + slow_ + echo_ + config_.noise * noise().cwiseProduct(Eigen::Vector3d(1, 1, 2));
   const double keep = std::exp(-period / config_.correlation_time), fresh = std::sqrt(1 - keep * keep);
-  slow_ = keep * slow_ +
-          fresh * noise().cwiseProduct(Eigen::Vector3d(config_.horizontal_stddev, config_.horizontal_stddev, config_.vertical_stddev));
+  slow_ = keep * slow_ + fresh * noise().cwiseProduct(Eigen::Vector3d(
+                                     config_.horizontal_stddev, config_.horizontal_stddev, config_.vertical_stddev));
   if (rng_.chance(1 - std::exp(-period / config_.jump_interval)))
     echo_ = config_.jump_stddev * noise().cwiseProduct(Eigen::Vector3d(1, 1, 3));
   return measured;
@@ -43,7 +45,8 @@ Eigen::Vector3d magneticDisturbance(const Eigen::Vector3d& position, double ampl
   Eigen::Vector3d field;
   const Eigen::Vector3f p = (position / 4.0).cast<float>();
   // Value noise has a root mean square of 0.37 in three dimensions (measured over 10^6 places).
-  for (int k = 0; k < 3; ++k) field[k] = amplitude / 0.37 * valueNoise(p.x(), p.y(), p.z(), static_cast<std::uint32_t>(mix(seed, k)));
+  for (int k = 0; k < 3; ++k)
+    field[k] = amplitude / 0.37 * valueNoise(p.x(), p.y(), p.z(), static_cast<std::uint32_t>(mix(seed, k)));
   return field;
 }
 

@@ -16,7 +16,8 @@ Recording::Recording(const SimConfig& config, std::uint64_t seed)
       ground_exposure_(config.ground_camera),
       mav_imager_(config.mav_camera, mix(seed, 21)),
       ground_imager_(config.ground_camera, mix(seed, 22)) {
-  mav_renderer_ = std::make_unique<Renderer>(*scene_, config.mav_camera.camera, config.mav_camera.samples, mix(seed, 13));
+  mav_renderer_ =
+      std::make_unique<Renderer>(*scene_, config.mav_camera.camera, config.mav_camera.samples, mix(seed, 13));
   if (street_) {
     mav_ = std::make_unique<BodyTrajectory>(makeStreetFlight(*street_, config.flight, mix(seed, 11)));
     return;
@@ -24,23 +25,27 @@ Recording::Recording(const SimConfig& config, std::uint64_t seed)
   const HeightLookup heights(scene_->mesh());
   mav_ = std::make_unique<BodyTrajectory>(makeFlight(world_.flight, world_.mav_start, heights, mix(seed, 11)));
   ground_ = std::make_unique<BodyTrajectory>(makeDrive(world_.lane, config.flight.duration, mix(seed, 12)));
-  ground_renderer_ = std::make_unique<Renderer>(*scene_, config.ground_camera.camera, config.ground_camera.samples, mix(seed, 14));
+  ground_renderer_ =
+      std::make_unique<Renderer>(*scene_, config.ground_camera.camera, config.ground_camera.samples, mix(seed, 14));
 }
 
 int Recording::frameCount(const ImagerConfig& camera) const {
   return std::max(0, static_cast<int>(std::floor((duration() - 0.1) * camera.rate)) + 1);
 }
 
-std::vector<Pose> Recording::posesOver(const BodyTrajectory& body, const Pose& T_base_camera, double middle, double exposure, int samples) const {
+std::vector<Pose> Recording::posesOver(const BodyTrajectory& body, const Pose& T_base_camera, double middle,
+                                       double exposure, int samples) const {
   std::vector<Pose> poses;
-  for (int s = 0; s < samples; ++s) poses.push_back(body.pose(middle + exposure * ((s + 0.5) / samples - 0.5)) * T_base_camera);
+  for (int s = 0; s < samples; ++s)
+    poses.push_back(body.pose(middle + exposure * ((s + 0.5) / samples - 0.5)) * T_base_camera);
   return poses;
 }
 
 void Recording::mavImage(int i, std::vector<std::uint8_t>* image) {
   const double exposure = mav_exposure_.exposure();
   const ImagerConfig& c = config_.mav_camera;
-  mav_renderer_->light(posesOver(*mav_, config_.T_mav_base_camera, frameTime(c, i), exposure, c.samples), 1, &mav_light_);
+  mav_renderer_->light(posesOver(*mav_, config_.T_mav_base_camera, frameTime(c, i), exposure, c.samples), 1,
+                       &mav_light_);
   mav_exposure_.update(mav_imager_.expose(mav_light_, 1, exposure, i, image));
 }
 
@@ -48,17 +53,20 @@ void Recording::groundImage(int i, RgbdFrame* frame) {
   const double exposure = ground_exposure_.exposure();
   const ImagerConfig& c = config_.ground_camera;
   const double time = frameTime(c, i);
-  ground_renderer_->light(posesOver(*ground_, config_.T_ground_base_camera, time, exposure, c.samples), 3, &ground_light_);
+  ground_renderer_->light(posesOver(*ground_, config_.T_ground_base_camera, time, exposure, c.samples), 3,
+                          &ground_light_);
   ground_exposure_.update(ground_imager_.expose(ground_light_, 3, exposure, i, &frame->rgb));
-  ground_renderer_->depth(ground_->pose(time) * config_.T_ground_base_camera, config_.depth.noise ? static_cast<float>(config_.depth.baseline) : 0.0f,
-                          &depth_);
+  ground_renderer_->depth(ground_->pose(time) * config_.T_ground_base_camera,
+                          config_.depth.noise ? static_cast<float>(config_.depth.baseline) : 0.0f, &depth_);
   measureDepth(depth_, config_.depth, mix(seed_, 23), i, &frame->depth_mm);
 }
 
-void Recording::photograph(const Pose& T_world_camera, const Eigen::Vector3d& velocity, int index, std::vector<std::uint8_t>* image) {
+void Recording::photograph(const Pose& T_world_camera, const Eigen::Vector3d& velocity, int index,
+                           std::vector<std::uint8_t>* image) {
   const ImagerConfig& c = config_.mav_camera;
   ExposureControl control(c);
-  for (int round = 0; round < 2; ++round) {  // the blur hardly changes the mean: converge, then take it again as it came out
+  for (int round = 0; round < 2;
+       ++round) {  // the blur hardly changes the mean: converge, then take it again as it came out
     const double exposure = control.exposure();
     std::vector<Pose> poses;
     for (int s = 0; s < c.samples; ++s) {
@@ -66,7 +74,8 @@ void Recording::photograph(const Pose& T_world_camera, const Eigen::Vector3d& ve
       poses.back().translation() += velocity * exposure * ((s + 0.5) / c.samples - 0.5);
     }
     mav_renderer_->light(poses, 1, &mav_light_);
-    for (int i = 0; i < (round ? 1 : 25); ++i) control.update(mav_imager_.expose(mav_light_, 1, control.exposure(), index, image));
+    for (int i = 0; i < (round ? 1 : 25); ++i)
+      control.update(mav_imager_.expose(mav_light_, 1, control.exposure(), index, image));
   }
 }
 

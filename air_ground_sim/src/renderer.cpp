@@ -28,7 +28,8 @@ CameraPose toFloat(const air_ground_common::Pose& T) {
 }
 
 // A packet's lane i as a fresh ray; the length of `direction` is the unit of its parameter.
-inline __attribute__((always_inline)) void setRay(const float origin[3], const float direction[3], float max_depth, int i, RTCRayHit8* r) {
+inline __attribute__((always_inline)) void setRay(const float origin[3], const float direction[3], float max_depth,
+                                                  int i, RTCRayHit8* r) {
   r->ray.org_x[i] = origin[0];
   r->ray.org_y[i] = origin[1];
   r->ray.org_z[i] = origin[2];
@@ -68,7 +69,8 @@ inline void fetch(const TextureLevel& level, float s, float t, float out[4]) {
   const float w[4] = {(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b};
   for (int c = 0; c < 4; ++c) {
     const int shift = 8 * c;
-    const float v = w[0] * ((q[0] >> shift) & 255) + w[1] * ((q[1] >> shift) & 255) + w[2] * ((q[2] >> shift) & 255) + w[3] * ((q[3] >> shift) & 255);
+    const float v = w[0] * ((q[0] >> shift) & 255) + w[1] * ((q[1] >> shift) & 255) + w[2] * ((q[2] >> shift) & 255) +
+                    w[3] * ((q[3] >> shift) & 255);
     out[c] = v * v * (1.0f / (255 * 255));
   }
 }
@@ -95,7 +97,8 @@ __attribute__((noinline)) void skyLight(const LightJob& job, const RTCRayHit8& p
 }
 
 // Light from the surface that lane i of a packet met.
-inline __attribute__((always_inline)) void surfaceLight(const LightJob& job, const RTCRayHit8& packet, int i, float texel[4]) {
+inline __attribute__((always_inline)) void surfaceLight(const LightJob& job, const RTCRayHit8& packet, int i,
+                                                        float texel[4]) {
   const TriangleShading& t = job.triangles[packet.hit.primID[i]];
   const PatchTexture& texture = job.textures[t.patch];
   const float u = packet.hit.u[i], v = packet.hit.v[i];
@@ -114,11 +117,14 @@ inline __attribute__((always_inline)) void surfaceLight(const LightJob& job, con
 }
 
 // Adds what the packet's rays met to the lanes' sums.
-inline __attribute__((always_inline)) void addLight(const LightJob& job, const RTCRayHit8& packet, float sum[kLanes][4]) {
+inline __attribute__((always_inline)) void addLight(const LightJob& job, const RTCRayHit8& packet,
+                                                    float sum[kLanes][4]) {
   for (int i = 0; i < kLanes; ++i) {
     float texel[4];
-    if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) skyLight(job, packet, i, texel);
-    else surfaceLight(job, packet, i, texel);
+    if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID)
+      skyLight(job, packet, i, texel);
+    else
+      surfaceLight(job, packet, i, texel);
     for (int c = 0; c < 4; ++c) sum[i][c] += texel[c];
   }
 }
@@ -128,7 +134,8 @@ inline __attribute__((always_inline)) void writeLight(const LightJob& job, int x
   const float scale = 1.0f / job.samples;
   for (int i = 0; i < kLanes; ++i) {
     const std::size_t pixel = static_cast<std::size_t>(y0 + i / 4) * job.width + x0 + i % 4;
-    if (job.channels == 1) job.result[pixel] = sum[i][3] * scale;
+    if (job.channels == 1)
+      job.result[pixel] = sum[i][3] * scale;
     else
       for (int c = 0; c < 3; ++c) job.result[3 * pixel + c] = sum[i][c] * scale;
   }
@@ -186,7 +193,8 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void panoramaRows(c
       for (int i = 0; i < kLanes; ++i) {
         const int x = s * w + x0 + i % 4, y = s * h + y0 + i / 4;
         float direction[3];
-        rotate(job.R, job.cos_elevation[y] * job.cos_azimuth[x], -job.cos_elevation[y] * job.sin_azimuth[x], job.sin_elevation[y], direction);
+        rotate(job.R, job.cos_elevation[y] * job.cos_azimuth[x], -job.cos_elevation[y] * job.sin_azimuth[x],
+               job.sin_elevation[y], direction);
         setRay(job.t, direction, 1e6f, i, &packet);
       }
       rtcIntersect8(valid, job.light.scene, &context, &packet);
@@ -202,7 +210,8 @@ Renderer::Renderer(const Scene& scene, const air_ground_common::CameraModel& cam
     : scene_(scene), camera_(camera), samples_(samples) {
   camera.validate();
   if (samples < 1) throw std::invalid_argument("the renderer needs at least one sample a pixel");
-  if (camera.width % 4 || camera.height % 2) throw std::invalid_argument("image width must be a multiple of 4, height of 2");
+  if (camera.width % 4 || camera.height % 2)
+    throw std::invalid_argument("image width must be a multiple of 4, height of 2");
   const std::size_t pixels = static_cast<std::size_t>(camera.width) * camera.height;
   rays_.resize(pixels * samples * 2);
   centers_.resize(pixels * 2);
@@ -218,9 +227,11 @@ Renderer::Renderer(const Scene& scene, const air_ground_common::CameraModel& cam
       centers_[pixel] = static_cast<float>(c.x());
       centers_[pixels + pixel] = static_cast<float>(c.y());
       for (std::size_t i = 0; i < cells.size(); ++i) cells[i] = static_cast<int>(i);
-      for (std::size_t i = cells.size() - 1; i > 0; --i) std::swap(cells[i], cells[rng.integer(static_cast<int>(i) + 1)]);
+      for (std::size_t i = cells.size() - 1; i > 0; --i)
+        std::swap(cells[i], cells[rng.integer(static_cast<int>(i) + 1)]);
       for (int s = 0; s < samples; ++s) {
-        const double dx = (cells[s] % side + rng.uniform()) / side - 0.5, dy = (cells[s] / side + rng.uniform()) / side - 0.5;
+        const double dx = (cells[s] % side + rng.uniform()) / side - 0.5,
+                     dy = (cells[s] / side + rng.uniform()) / side - 0.5;
         const Eigen::Vector2d n = camera.unproject({x + dx, y + dy});
         rays_[2 * s * pixels + pixel] = static_cast<float>(n.x());
         rays_[(2 * s + 1) * pixels + pixel] = static_cast<float>(n.y());
@@ -229,8 +240,10 @@ Renderer::Renderer(const Scene& scene, const air_ground_common::CameraModel& cam
   }
 }
 
-void Renderer::light(const std::vector<air_ground_common::Pose>& T_world_camera, int channels, std::vector<float>* result) const {
-  if (static_cast<int>(T_world_camera.size()) != samples_) throw std::invalid_argument("one camera pose a sample is needed");
+void Renderer::light(const std::vector<air_ground_common::Pose>& T_world_camera, int channels,
+                     std::vector<float>* result) const {
+  if (static_cast<int>(T_world_camera.size()) != samples_)
+    throw std::invalid_argument("one camera pose a sample is needed");
   if (channels != 1 && channels != 3) throw std::invalid_argument("channels must be 1 or 3");
   std::vector<CameraPose> poses;
   for (const auto& T : T_world_camera) poses.push_back(toFloat(T));
@@ -263,7 +276,8 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
   result->depth.assign(pixels, 0.0f);
   result->cosine.assign(pixels, 0.0f);
   result->lit.assign(pixels, 0);
-  const float projector[3] = {pose.t[0] + pose.R[0] * projector_offset, pose.t[1] + pose.R[3] * projector_offset, pose.t[2] + pose.R[6] * projector_offset};
+  const float projector[3] = {pose.t[0] + pose.R[0] * projector_offset, pose.t[1] + pose.R[3] * projector_offset,
+                              pose.t[2] + pose.R[6] * projector_offset};
 #pragma omp parallel for schedule(dynamic, 4)
   for (int y0 = 0; y0 < h; y0 += 2) {
     alignas(32) RTCRayHit8 packet;
@@ -291,7 +305,8 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
         const float d[3] = {packet.ray.dir_x[i], packet.ray.dir_y[i], packet.ray.dir_z[i]};
         const float z = packet.ray.tfar[i];
         result->depth[pixel] = z;
-        result->cosine[pixel] = std::abs(t.nx * d[0] + t.ny * d[1] + t.nz * d[2]) / std::sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+        result->cosine[pixel] =
+            std::abs(t.nx * d[0] + t.ny * d[1] + t.nz * d[2]) / std::sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
         // From the point to the projector, starting off the surface on the camera's side.
         float* const org[3] = {shadow.org_x, shadow.org_y, shadow.org_z};
         float* const dir[3] = {shadow.dir_x, shadow.dir_y, shadow.dir_z};
@@ -315,7 +330,8 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
   }
 }
 
-void renderPanorama(const Scene& scene, const air_ground_common::Pose& T_world_panorama, int width, int samples, std::uint64_t seed, std::vector<float>* rgb) {
+void renderPanorama(const Scene& scene, const air_ground_common::Pose& T_world_panorama, int width, int samples,
+                    std::uint64_t seed, std::vector<float>* rgb) {
   if (width < 8 || width % 8) throw std::invalid_argument("a panorama's width must be a multiple of 8");
   if (samples < 1) throw std::invalid_argument("the renderer needs at least one sample a pixel");
   const int height = width / 2;

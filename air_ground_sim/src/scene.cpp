@@ -44,7 +44,8 @@ Scene::Scene(const World& world) : mesh_(meshOf(world)), sky_(world.sky) {
     for (int r = 0; r < p.rows; ++r)
       for (int c = 0; c < p.columns; ++c)
         for (int half = 0; half < 2 && !p.isHole(c, r); ++half) {
-          const float cu = even ? 1.0f / p.columns : p.columnAt(c + 1) - p.columnAt(c), cv = even ? 1.0f / p.rows : p.rowAt(r + 1) - p.rowAt(r);
+          const float cu = even ? 1.0f / p.columns : p.columnAt(c + 1) - p.columnAt(c),
+                      cv = even ? 1.0f / p.rows : p.rowAt(r + 1) - p.rowAt(r);
           TriangleShading t;
           t.s0 = even ? c * cu : p.columnAt(c);
           t.t0 = even ? r * cv : p.rowAt(r);
@@ -92,14 +93,17 @@ Scene::~Scene() {
 
 void Scene::buildGeometry() {
   device_ = rtcNewDevice("threads=1");
-  if (!device_) throw std::runtime_error("Embree could not start (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
+  if (!device_)
+    throw std::runtime_error("Embree could not start (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
   scene_ = rtcNewScene(device_);
   rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);  // no light leaks along shared edges
   RTCGeometry g = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
-  auto* v = static_cast<float*>(rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 3 * sizeof(float), mesh_.vertices.size()));
+  auto* v = static_cast<float*>(rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                                        3 * sizeof(float), mesh_.vertices.size()));
   for (std::size_t i = 0; i < mesh_.vertices.size(); ++i)
     for (int k = 0; k < 3; ++k) v[3 * i + k] = mesh_.vertices[i][k];
-  auto* t = static_cast<unsigned*>(rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 3 * sizeof(unsigned), mesh_.triangles.size()));
+  auto* t = static_cast<unsigned*>(rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                                           3 * sizeof(unsigned), mesh_.triangles.size()));
   for (std::size_t i = 0; i < mesh_.triangles.size(); ++i)
     for (int k = 0; k < 3; ++k) t[3 * i + k] = static_cast<unsigned>(mesh_.triangles[i][k]);
   rtcCommitGeometry(g);
@@ -118,13 +122,15 @@ void Scene::bakeSky(const World& world) {
       for (int k = 0; k < 3; ++k) l[k] = world.sky * std::pow(c[k] / 255.0f, 2.2f);
       l[3] = 0.30f * l[0] + 0.59f * l[1] + 0.11f * l[2];
       std::uint32_t texel = 0;
-      for (int k = 0; k < 4; ++k) texel |= static_cast<std::uint32_t>(std::clamp(255.0f * std::sqrt(l[k]) + 0.5f, 0.0f, 255.0f)) << (8 * k);
+      for (int k = 0; k < 4; ++k)
+        texel |= static_cast<std::uint32_t>(std::clamp(255.0f * std::sqrt(l[k]) + 0.5f, 0.0f, 255.0f)) << (8 * k);
       sky_texels_[static_cast<std::size_t>(y) * map.cols + x] = texel;
     }
   sky_map_ = {sky_texels_.data(), map.cols, map.rows};
 }
 
-void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* texture, std::vector<std::vector<std::uint32_t>>* storage) const {
+void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* texture,
+                      std::vector<std::vector<std::uint32_t>>* storage) const {
   const cv::Mat albedo = paintPatch(patch);
   const int w = albedo.cols, h = albedo.rows;
   texture->texel = patch.texel;
@@ -148,9 +154,11 @@ void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* text
         int count = 0;
         for (int i = 0; i < 16; ++i) {
           // Stratified over the lamp's disc (half angle 4 degrees) or the hemisphere.
-          const float a = (i % 4 + static_cast<float>(rng.uniform())) / 4, b = (i / 4 + static_cast<float>(rng.uniform())) / 4;
+          const float a = (i % 4 + static_cast<float>(rng.uniform())) / 4,
+                      b = (i / 4 + static_cast<float>(rng.uniform())) / 4;
           const float radius = std::sqrt(a) * (cosine ? 0.98f : 0.07f), phi = 2 * static_cast<float>(M_PI) * b;
-          const Eigen::Vector3f d = basis * Eigen::Vector3f(radius * std::cos(phi), radius * std::sin(phi), std::sqrt(1 - radius * radius));
+          const Eigen::Vector3f d =
+              basis * Eigen::Vector3f(radius * std::cos(phi), radius * std::sin(phi), std::sqrt(1 - radius * radius));
           valid[i] = n.dot(d) > 0 ? -1 : 0;
           rays.org_x[i] = p.x();
           rays.org_y[i] = p.y();
@@ -188,15 +196,18 @@ void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* text
     for (int x = 0; x < w; ++x) {
       const auto& a = albedo.at<cv::Vec3b>(y, x);
       const float l = full.at<float>(y, x);
-      const float red = linear[a[0]] * world.tint[0], green = linear[a[1]] * world.tint[1], blue = linear[a[2]] * world.tint[2];
+      const float red = linear[a[0]] * world.tint[0], green = linear[a[1]] * world.tint[1],
+                  blue = linear[a[2]] * world.tint[2];
       const float c[4] = {red * l, green * l, blue * l, (0.30f * red + 0.59f * green + 0.11f * blue) * l};
       auto& out = level.at<cv::Vec4b>(y, x);
-      for (int k = 0; k < 4; ++k) out[k] = static_cast<std::uint8_t>(std::clamp(255.0f * std::sqrt(c[k]) + 0.5f, 0.0f, 255.0f));
+      for (int k = 0; k < 4; ++k)
+        out[k] = static_cast<std::uint8_t>(std::clamp(255.0f * std::sqrt(c[k]) + 0.5f, 0.0f, 255.0f));
     }
   texture->levels = 0;
   for (int i = 0; i < kMaxLevels; ++i) {
     storage->emplace_back(static_cast<std::size_t>(level.cols) * level.rows);
-    for (int y = 0; y < level.rows; ++y) std::memcpy(storage->back().data() + static_cast<std::size_t>(y) * level.cols, level.ptr(y), 4u * level.cols);
+    for (int y = 0; y < level.rows; ++y)
+      std::memcpy(storage->back().data() + static_cast<std::size_t>(y) * level.cols, level.ptr(y), 4u * level.cols);
     texture->level[i] = {storage->back().data(), level.cols, level.rows};
     texture->levels = i + 1;
     if (level.cols < 8 || level.rows < 8) break;

@@ -37,10 +37,12 @@ ExposureControl::ExposureControl(const ImagerConfig& config)
 void ExposureControl::update(double mean_grey) {
   // The response is a power law: the signal's ratio is the grey values' ratio to 1 / response.
   const double ratio = std::pow(config_.target_mean / std::max(0.02, mean_grey), 1 / config_.response);
-  exposure_ = std::clamp(exposure_ * std::pow(std::clamp(ratio, 0.25, 4.0), 0.15), config_.min_exposure, config_.max_exposure);
+  exposure_ =
+      std::clamp(exposure_ * std::pow(std::clamp(ratio, 0.25, 4.0), 0.15), config_.min_exposure, config_.max_exposure);
 }
 
-Imager::Imager(const ImagerConfig& config, std::uint64_t seed) : config_(config), seed_(seed), gaussian_(normalTable()) {
+Imager::Imager(const ImagerConfig& config, std::uint64_t seed)
+    : config_(config), seed_(seed), gaussian_(normalTable()) {
   const auto& c = config.camera;
   c.validate();
   vignette_.resize(static_cast<std::size_t>(c.width) * c.height);
@@ -52,12 +54,15 @@ Imager::Imager(const ImagerConfig& config, std::uint64_t seed) : config_(config)
     }
   response_.resize(kSignalSteps);
   for (int i = 0; i < kSignalSteps; ++i)
-    response_[i] = static_cast<std::uint8_t>(std::lround(255 * std::pow(static_cast<double>(i) / (kSignalSteps - 1), config.response)));
+    response_[i] = static_cast<std::uint8_t>(
+        std::lround(255 * std::pow(static_cast<double>(i) / (kSignalSteps - 1), config.response)));
 }
 
-double Imager::expose(const std::vector<float>& light, int channels, double exposure, int frame, std::vector<std::uint8_t>* image) const {
+double Imager::expose(const std::vector<float>& light, int channels, double exposure, int frame,
+                      std::vector<std::uint8_t>* image) const {
   const int w = config_.camera.width, h = config_.camera.height;
-  if (light.size() != static_cast<std::size_t>(w) * h * channels) throw std::invalid_argument("light does not fit the camera's size");
+  if (light.size() != static_cast<std::size_t>(w) * h * channels)
+    throw std::invalid_argument("light does not fit the camera's size");
   image->resize(light.size());
   const float gain = static_cast<float>(config_.sensitivity * exposure);
   const float shot = static_cast<float>(1 / config_.full_well);
@@ -92,7 +97,8 @@ double kinectAxialSigma(double z, double angle) {
   return sigma + 0.0001 / std::sqrt(z) * angle * angle / std::max(1e-3, limit * limit);
 }
 
-void measureDepth(const DepthImage& truth, const DepthConfig& c, std::uint64_t seed, int frame, std::vector<std::uint16_t>* depth_mm) {
+void measureDepth(const DepthImage& truth, const DepthConfig& c, std::uint64_t seed, int frame,
+                  std::vector<std::uint16_t>* depth_mm) {
   const int w = truth.width, h = truth.height;
   depth_mm->assign(static_cast<std::size_t>(w) * h, 0);
   const std::vector<float>& normal = normalTable();
@@ -110,7 +116,8 @@ void measureDepth(const DepthImage& truth, const DepthConfig& c, std::uint64_t s
       const std::size_t pixel = static_cast<std::size_t>(y) * w + x;
       if (!c.noise) {
         const float z = truth.depth[pixel];
-        if (z >= c.min_range && z <= c.max_range) (*depth_mm)[pixel] = static_cast<std::uint16_t>(std::lround(1000 * z));
+        if (z >= c.min_range && z <= c.max_range)
+          (*depth_mm)[pixel] = static_cast<std::uint16_t>(std::lround(1000 * z));
         continue;
       }
       const std::uint64_t bits = random();
@@ -159,8 +166,9 @@ Eigen::Vector3d Imu::noise() {
 ImuReading Imu::truth(const BodyState& s) const {
   const Eigen::Matrix3d R_world_base = s.T_world_body.linear();
   const Eigen::Vector3d lever = T_base_imu_.translation(), w = s.angular_velocity;
-  const Eigen::Vector3d acceleration_base = R_world_base.transpose() * (s.acceleration + Eigen::Vector3d(0, 0, kGravity)) +
-                                            s.angular_acceleration.cross(lever) + w.cross(w.cross(lever));
+  const Eigen::Vector3d acceleration_base =
+      R_world_base.transpose() * (s.acceleration + Eigen::Vector3d(0, 0, kGravity)) +
+      s.angular_acceleration.cross(lever) + w.cross(w.cross(lever));
   ImuReading r;
   r.angular_velocity = T_base_imu_.linear().transpose() * w;
   r.specific_force = T_base_imu_.linear().transpose() * acceleration_base;

@@ -21,8 +21,8 @@
 #include <cstdio>
 #include <cstring>
 #include <deque>
-#include <filesystem>
 #include <exception>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <iostream>
@@ -99,8 +99,8 @@ class Progress {
     const double share = static_cast<double>(done_) / static_cast<double>(total_);
     std::string bar(static_cast<std::size_t>(40 * share), '#');
     bar.resize(40, '.');
-    std::fprintf(stderr, "\r[%s] %3.0f %%  %zu of %zu frames  %.0f s, %.0f s to go   %s", bar.c_str(), 100 * share, done_, total_, elapsed,
-                 elapsed * (1 / share - 1), done_ == total_ ? "\n" : "");
+    std::fprintf(stderr, "\r[%s] %3.0f %%  %zu of %zu frames  %.0f s, %.0f s to go   %s", bar.c_str(), 100 * share,
+                 done_, total_, elapsed, elapsed * (1 / share - 1), done_ == total_ ? "\n" : "");
   }
 
  private:
@@ -164,7 +164,8 @@ class FrameStream {
 
 class BagRecorder {
  public:
-  BagRecorder(Recording* recording, const Options& options, const std::string& path) : sim_(*recording), options_(options) {
+  BagRecorder(Recording* recording, const Options& options, const std::string& path)
+      : sim_(*recording), options_(options) {
     bag_.open(path, rosbag::bagmode::Write);
     if (options.compression == "lz4") bag_.setCompression(rosbag::compression::LZ4);
     mav_info_ = infoOf(sim_.config().mav_camera.camera, "mav_camera_optical_frame");
@@ -187,7 +188,8 @@ class BagRecorder {
     schedule(kTruth, 0, 100);
     std::size_t frames = 0;
     const auto cameraEvents = [&](int kind, const ImagerConfig& camera) {
-      for (int i = 0; i < sim_.frameCount(camera); ++i, ++frames) events.push_back({Recording::frameTime(camera, i), kind, i});
+      for (int i = 0; i < sim_.frameCount(camera); ++i, ++frames)
+        events.push_back({Recording::frameTime(camera, i), kind, i});
     };
     if (!options_.no_mav) {
       schedule(kMavImu, 0, c.imu.rate);
@@ -203,9 +205,11 @@ class BagRecorder {
     std::stable_sort(events.begin(), events.end(), [](const Event& a, const Event& b) { return a.time < b.time; });
 
     const int cameras = (options_.no_mav ? 0 : 1) + (options_.no_ground ? 0 : 1);
-    const int threads = std::max(1, (options_.threads > 0 ? options_.threads : omp_get_max_threads()) / std::max(1, cameras));
-    FrameStream<std::vector<std::uint8_t>> mav(options_.no_mav ? 0 : sim_.frameCount(c.mav_camera), threads,
-                                               [this](int i, std::vector<std::uint8_t>* image) { sim_.mavImage(i, image); });
+    const int threads =
+        std::max(1, (options_.threads > 0 ? options_.threads : omp_get_max_threads()) / std::max(1, cameras));
+    FrameStream<std::vector<std::uint8_t>> mav(
+        options_.no_mav ? 0 : sim_.frameCount(c.mav_camera), threads,
+        [this](int i, std::vector<std::uint8_t>* image) { sim_.mavImage(i, image); });
     FrameStream<RgbdFrame> ground(options_.no_ground ? 0 : sim_.frameCount(c.ground_camera), threads,
                                   [this](int i, RgbdFrame* frame) { sim_.groundImage(i, frame); });
 
@@ -216,12 +220,24 @@ class BagRecorder {
     Progress progress(frames, options_.quiet);
     for (const Event& e : events) {
       switch (e.kind) {
-        case kTruth: writeTruth(e.time); break;
-        case kMavImu: writeImu("/mav/imu/data", "mav_imu_link", e.time, mav_imu.measure(sim_.mav().state(e.time))); break;
-        case kGroundImu: writeImu("/ground/imu/data", "ground_imu_link", e.time, ground_imu.measure(sim_.ground().state(e.time))); break;
-        case kMavMag: writeMag(e.time, &mag_noise); break;
-        case kGps: writeGps(e.time, gps.measure(sim_.mav().pose(e.time).translation())); break;
-        case kPressure: writePressure(e.time, barometer.measure(c.street.origin.z() + sim_.mav().pose(e.time).translation().z())); break;
+        case kTruth:
+          writeTruth(e.time);
+          break;
+        case kMavImu:
+          writeImu("/mav/imu/data", "mav_imu_link", e.time, mav_imu.measure(sim_.mav().state(e.time)));
+          break;
+        case kGroundImu:
+          writeImu("/ground/imu/data", "ground_imu_link", e.time, ground_imu.measure(sim_.ground().state(e.time)));
+          break;
+        case kMavMag:
+          writeMag(e.time, &mag_noise);
+          break;
+        case kGps:
+          writeGps(e.time, gps.measure(sim_.mav().pose(e.time).translation()));
+          break;
+        case kPressure:
+          writePressure(e.time, barometer.measure(c.street.origin.z() + sim_.mav().pose(e.time).translation().z()));
+          break;
         case kMavImage:
           writeMavImage(e.time, e.index, mav.next());
           progress.step();
@@ -295,7 +311,8 @@ class BagRecorder {
     const SimConfig& c = sim_.config();
     const Pose T_world_imu = sim_.mav().pose(time) * c.T_mav_base_imu;
     Eigen::Vector3d field = earthMagneticField();
-    if (c.imu.mag_disturbance > 0) field += magneticDisturbance(T_world_imu.translation(), c.imu.mag_disturbance, mix(options_.seed, 36));
+    if (c.imu.mag_disturbance > 0)
+      field += magneticDisturbance(T_world_imu.translation(), c.imu.mag_disturbance, mix(options_.seed, 36));
     field = T_world_imu.linear().transpose() * field;
     sensor_msgs::MagneticField m;
     m.header.stamp = stampOf(time);
@@ -321,7 +338,8 @@ class BagRecorder {
     m.latitude = place.latitude;
     m.longitude = place.longitude;
     m.altitude = place.height + sim_.config().street.geoid_undulation;  // above the ellipsoid
-    m.position_covariance = {c.stated_stddev * c.stated_stddev, 0, 0, 0, c.stated_stddev * c.stated_stddev, 0, 0, 0, 4 * c.stated_stddev * c.stated_stddev};
+    m.position_covariance = {c.stated_stddev * c.stated_stddev,    0, 0, 0, c.stated_stddev * c.stated_stddev, 0, 0, 0,
+                             4 * c.stated_stddev * c.stated_stddev};
     m.position_covariance_type = sensor_msgs::NavSatFix::COVARIANCE_TYPE_APPROXIMATED;
     bag_.write("/gps/fix", m.header.stamp, m);
   }
@@ -335,7 +353,8 @@ class BagRecorder {
     bag_.write("/barometer", m.header.stamp, m);
   }
 
-  sensor_msgs::Image image(const sensor_msgs::CameraInfo& info, const std::string& encoding, int bytes_per_pixel) const {
+  sensor_msgs::Image image(const sensor_msgs::CameraInfo& info, const std::string& encoding,
+                           int bytes_per_pixel) const {
     sensor_msgs::Image m;
     m.header = info.header;
     m.width = info.width;
@@ -380,7 +399,9 @@ std::string worldFile(const std::string& world) {
     return world;
   }
   const std::string package = ros::package::getPath("air_ground");
-  if (package.empty()) throw std::runtime_error("the package air_ground is not found: source the workspace's setup.bash, or give --world a .yaml file");
+  if (package.empty())
+    throw std::runtime_error(
+        "the package air_ground is not found: source the workspace's setup.bash, or give --world a .yaml file");
   const fs::path folder = fs::path(package) / "config" / "worlds";
   const fs::path file = folder / (world + ".yaml");
   if (fs::exists(file)) return file.string();
@@ -391,7 +412,8 @@ std::string worldFile(const std::string& world) {
   throw std::invalid_argument("no world '" + world + "' in " + folder.string() + "; there are:" + names);
 }
 
-// Hash of everything that decides the recording's content: the world's parameters, the options, the simulator's own sources.
+// Hash of everything that decides the recording's content: the world's parameters, the options, the simulator's own
+// sources.
 std::string contentKey(const std::string& world_file, const SimConfig& config, const Options& o) {
   std::ifstream in(world_file);
   std::stringstream text;
@@ -412,7 +434,9 @@ std::string contentKey(const std::string& world_file, const SimConfig& config, c
 
 void renderCity(const SimConfig& config, const Options& o, const std::string& folder) {
   const Street street = planStreet(config.street, o.seed);
-  if (!o.quiet) std::cerr << "city: " << street.buildings.size() << " buildings, " << street.panoramas.size() << " panoramas ..." << std::endl;
+  if (!o.quiet)
+    std::cerr << "city: " << street.buildings.size() << " buildings, " << street.panoramas.size() << " panoramas ..."
+              << std::endl;
   std::unique_ptr<Progress> progress;
   writeCity(config, street, folder, [&](int, int all) {
     if (!progress) progress = std::make_unique<Progress>(all, o.quiet);
@@ -424,19 +448,25 @@ int simulate(Options o) {
   const std::string file = worldFile(o.world);
   SimConfig config = loadSimConfig(file);
   if (o.duration > 0) config.flight.duration = o.duration;
-  if (config.flight.duration < 6) throw std::invalid_argument("--duration must be at least 6 s: standing still and take-off need them");
+  if (config.flight.duration < 6)
+    throw std::invalid_argument("--duration must be at least 6 s: standing still and take-off need them");
   if (o.samples > 0) config.mav_camera.samples = config.ground_camera.samples = o.samples;
   if (!o.cache.empty()) {
     fs::create_directories(o.cache);
-    o.out = (fs::path(o.cache) / (config.name + "_" + std::to_string(o.seed) + "_" + contentKey(file, config, o) + ".bag")).string();
+    o.out =
+        (fs::path(o.cache) / (config.name + "_" + std::to_string(o.seed) + "_" + contentKey(file, config, o) + ".bag"))
+            .string();
   }
   if (o.out.empty()) throw std::invalid_argument("give --out FILE.bag or --cache DIR");
   if (fs::path(o.out).extension() != ".bag") throw std::invalid_argument("--out must end in .bag");
   if (o.threads > 0) omp_set_num_threads(o.threads);
 
   const std::string stem = o.out.substr(0, o.out.size() - 4), city = stem + ".city";
-  const auto isWanted = [&](bool asked, const std::string& file) { return asked && (o.cache.empty() || !fs::exists(file)); };
-  if (!config.hasCity() && (o.city_only || o.queries > 0)) throw std::invalid_argument("--city-only and --queries need a street world");
+  const auto isWanted = [&](bool asked, const std::string& file) {
+    return asked && (o.cache.empty() || !fs::exists(file));
+  };
+  if (!config.hasCity() && (o.city_only || o.queries > 0))
+    throw std::invalid_argument("--city-only and --queries need a street world");
   o.no_ground = o.no_ground || !config.hasGroundRobot();
   if (isWanted(config.hasCity() && !o.no_city, city + "/city.yaml")) renderCity(config, o, city);
   const bool queries = isWanted(o.queries > 0, city + "/queries_truth.csv"), bag = isWanted(!o.city_only, o.out);
@@ -448,9 +478,10 @@ int simulate(Options o) {
   if (!o.quiet) std::cerr << "building world " << config.name << ", seed " << o.seed << " ..." << std::endl;
   Recording recording(config, o.seed);
   if (!o.quiet)
-    std::cerr << recording.scene().mesh().triangles.size() << " triangles, " << recording.scene().texelCount() / 1000000 << " million texels; flight "
-              << recording.mav().pathLength(0, recording.duration()) << " m, drive "
-              << (config.hasGroundRobot() ? recording.ground().pathLength(0, recording.duration()) : 0.0) << " m in " << recording.duration() << " s" << std::endl;
+    std::cerr << recording.scene().mesh().triangles.size() << " triangles, " << recording.scene().texelCount() / 1000000
+              << " million texels; flight " << recording.mav().pathLength(0, recording.duration()) << " m, drive "
+              << (config.hasGroundRobot() ? recording.ground().pathLength(0, recording.duration()) : 0.0) << " m in "
+              << recording.duration() << " s" << std::endl;
   if (queries) writeQueries(&recording, o.queries, city);
   if (!bag) {
     std::cout << (o.city_only ? city : o.out) << std::endl;
@@ -477,21 +508,30 @@ int simulate(Options o) {
 
 int main(int argc, char** argv) {
   Options o;
-  CLI::App app{"Renders a simulated air-ground recording into a rosbag, with the true mesh beside it (x.world.ply).\n"
-               "Same world, seed and options give the same messages."};
-  app.add_option("--world", o.world, "name of a file in config/worlds, or a path to a .yaml file")->capture_default_str();
+  CLI::App app{
+      "Renders a simulated air-ground recording into a rosbag, with the true mesh beside it (x.world.ply).\n"
+      "Same world, seed and options give the same messages."};
+  app.add_option("--world", o.world, "name of a file in config/worlds, or a path to a .yaml file")
+      ->capture_default_str();
   app.add_option("--seed", o.seed, "varies layout, textures, light, ways and noise")->capture_default_str();
   app.add_option("--out", o.out, "bag to write");
-  app.add_option("--cache", o.cache, "instead of --out: folder of bags named by a hash of their parameters; renders only what is missing, prints the path");
+  app.add_option("--cache", o.cache,
+                 "instead of --out: folder of bags named by a hash of their parameters; renders only what is missing, "
+                 "prints the path");
   app.add_option("--duration", o.duration, "length of the recording [s]; default: the world file's");
   app.add_option("--spp", o.samples, "rays a pixel; default: the world file's")->check(CLI::Range(1, 64));
   app.add_option("--threads", o.threads, "default: all cores")->check(CLI::Range(1, 1024));
-  app.add_option("--compression", o.compression, "lz4 or none")->check(CLI::IsMember({"lz4", "none"}))->capture_default_str();
+  app.add_option("--compression", o.compression, "lz4 or none")
+      ->check(CLI::IsMember({"lz4", "none"}))
+      ->capture_default_str();
   app.add_flag("--no-mav", o.no_mav, "leave out the MAV");
   app.add_flag("--no-ground", o.no_ground, "leave out the ground robot");
-  app.add_flag("--city-only", o.city_only, "street worlds: only the folder x.city of panoramas, geotags, model and truth, no bag");
+  app.add_flag("--city-only", o.city_only,
+               "street worlds: only the folder x.city of panoramas, geotags, model and truth, no bag");
   app.add_flag("--no-city", o.no_city, "street worlds: no such folder");
-  app.add_option("--queries", o.queries, "street worlds: so many pictures of the flight in x.city/queries, with their truth")->check(CLI::Range(0, 100000));
+  app.add_option("--queries", o.queries,
+                 "street worlds: so many pictures of the flight in x.city/queries, with their truth")
+      ->check(CLI::Range(0, 100000));
   app.add_flag("--quiet", o.quiet, "no progress bar");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -55,10 +55,12 @@ double distanceToSegment(const Vector2d& p, const Vector2d& a, const Vector2d& b
 // Windows in columns, shop windows and doors on the ground floor, balconies on some columns.
 void addOpenings(Building* b, Rng* rng) {
   const double margin = rng->uniform(0.7, 1.2);
-  const double window_width = rng->uniform(0.95, 1.5), window_height = std::min(rng->uniform(1.35, 2.1), b->floor_height - 1.0);
+  const double window_width = rng->uniform(0.95, 1.5),
+               window_height = std::min(rng->uniform(1.35, 2.1), b->floor_height - 1.0);
   const double sill = std::clamp(b->floor_height - window_height - rng->uniform(0.45, 0.7), 0.2, 1.1);
   const double pitch_wanted = window_width + rng->uniform(0.8, 1.7);
-  const int columns = std::max(2, static_cast<int>((b->width - 2 * margin + pitch_wanted - window_width) / pitch_wanted));
+  const int columns =
+      std::max(2, static_cast<int>((b->width - 2 * margin + pitch_wanted - window_width) / pitch_wanted));
   const double pitch = (b->width - 2 * margin - window_width) / (columns - 1);
   const bool balconies = rng->chance(0.5);
   const int balcony_column = rng->integer(columns), balcony_step = 2 + rng->integer(2);
@@ -127,7 +129,8 @@ void addOpenings(Building* b, Rng* rng) {
   }
 }
 
-Building makeBuilding(const Street& street, const Vector2d& front_left, const Vector2d& along, double width, int line, Rng* rng) {
+Building makeBuilding(const Street& street, const Vector2d& front_left, const Vector2d& along, double width, int line,
+                      Rng* rng) {
   Building b;
   b.line = line;
   b.width = width;
@@ -217,7 +220,8 @@ void addPhotographs(Street* street) {
   if (fs::is_directory(folder))
     for (const auto& entry : fs::directory_iterator(folder)) {
       std::string type = entry.path().extension().string();
-      std::transform(type.begin(), type.end(), type.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+      std::transform(type.begin(), type.end(), type.begin(),
+                     [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
       if (type == ".jpg" || type == ".jpeg" || type == ".png") files.push_back(entry.path().string());
     }
   if (files.empty()) throw std::invalid_argument("facade_images: no .jpg or .png files in '" + folder + "'");
@@ -269,10 +273,11 @@ void addStreetLife(Street* street, Rng* rng) {
               standAt(*street, p, std::atan2(d.y(), d.x()) + (side > 0 ? M_PI : 0) + 0.02 * rng->gaussian(), rng));
         }
       for (int k = 0; k < count(c.people); ++k) {
-        const double lateral =
-            rng->chance(0.8) ? rng->uniform(kerb + 0.3, half - 0.5) : rng->uniform(0, 0.7);  // not in the ways of MAV and vehicles
+        const double lateral = rng->chance(0.8) ? rng->uniform(kerb + 0.3, half - 0.5)
+                                                : rng->uniform(0, 0.7);  // not in the ways of MAV and vehicles
         const Vector2d p = at(rng->uniform(2, length - 2), (rng->chance(0.5) ? 1 : -1) * lateral);
-        if ((p - start).norm() > 12) street->people[season].push_back(standAt(*street, p, rng->uniform(0, 2 * M_PI), rng));
+        if ((p - start).norm() > 12)
+          street->people[season].push_back(standAt(*street, p, rng->uniform(0, 2 * M_PI), rng));
       }
     }
   }
@@ -281,13 +286,15 @@ void addStreetLife(Street* street, Rng* rng) {
 void addPanoramas(Street* street, Rng* rng) {
   const StreetConfig& c = street->config;
   // Mean length of a normal vector with standard deviations (1, 1, 1/2), and of one with (1, 1, 1) in three dimensions.
-  const double position_unit = c.geotag_position_error / 1.3647, angle_unit = c.geotag_orientation_error / std::sqrt(8 / M_PI);
+  const double position_unit = c.geotag_position_error / 1.3647,
+               angle_unit = c.geotag_orientation_error / std::sqrt(8 / M_PI);
   for (const auto& line : c.lines) {
     if (!line.panoramas) continue;
     const Vector2d d = (line.to - line.from).normalized(), n(-d.y(), d.x());
     const double length = (line.to - line.from).norm();
     Vector3d common(rng->gaussian(), rng->gaussian(), rng->gaussian());
-    for (double s = rng->uniform(2, 0.6 * c.panorama_spacing); s < length - 1; s += c.panorama_spacing + rng->uniform(-1, 1)) {
+    for (double s = rng->uniform(2, 0.6 * c.panorama_spacing); s < length - 1;
+         s += c.panorama_spacing + rng->uniform(-1, 1)) {
       const Vector2d p = line.from + s * d - (1.5 + 0.2 * rng->gaussian()) * n;  // in the right lane
       PanoramaStand stand;
       char id[24];
@@ -295,12 +302,13 @@ void addPanoramas(Street* street, Rng* rng) {
       stand.id = id;
       const double rise = std::atan((street->ground(p + d) - street->ground(p - d)) / 2);
       const double yaw = std::atan2(d.y(), d.x()) + 0.03 * rng->gaussian();
-      stand.T_world_panorama.translation() << p.x(), p.y(), street->ground(p) + c.panorama_height + 0.02 * rng->gaussian();
+      stand.T_world_panorama.translation() << p.x(), p.y(),
+          street->ground(p) + c.panorama_height + 0.02 * rng->gaussian();
       // Yaw, then pitch (nose up is negative about y left), then roll.
-      stand.T_world_panorama.linear() =
-          (Eigen::AngleAxisd(yaw, Vector3d::UnitZ()) * Eigen::AngleAxisd(-rise + 0.008 * rng->gaussian(), Vector3d::UnitY()) *
-           Eigen::AngleAxisd(0.012 * rng->gaussian(), Vector3d::UnitX()))
-              .toRotationMatrix();
+      stand.T_world_panorama.linear() = (Eigen::AngleAxisd(yaw, Vector3d::UnitZ()) *
+                                         Eigen::AngleAxisd(-rise + 0.008 * rng->gaussian(), Vector3d::UnitY()) *
+                                         Eigen::AngleAxisd(0.012 * rng->gaussian(), Vector3d::UnitX()))
+                                            .toRotationMatrix();
       // Satellite positions of neighbours err alike; the common part is renewed over some 40 m.
       const double keep = std::exp(-c.panorama_spacing / 40), fresh = std::sqrt(1 - keep * keep);
       Vector3d own, turn;
@@ -309,8 +317,10 @@ void addPanoramas(Street* street, Rng* rng) {
         own[k] = rng->gaussian();
         turn[k] = angle_unit * rng->gaussian();
       }
-      const Vector3d error = position_unit * (std::sqrt(c.geotag_correlation) * common + std::sqrt(1 - c.geotag_correlation) * own);
-      stand.T_world_geotag.translation() = stand.T_world_panorama.translation() + Vector3d(error.x(), error.y(), 0.5 * error.z());
+      const Vector3d error =
+          position_unit * (std::sqrt(c.geotag_correlation) * common + std::sqrt(1 - c.geotag_correlation) * own);
+      stand.T_world_geotag.translation() =
+          stand.T_world_panorama.translation() + Vector3d(error.x(), error.y(), 0.5 * error.z());
       stand.T_world_geotag.linear() = stand.T_world_panorama.linear() * air_ground_common::expSO3(turn);
       street->panoramas.push_back(stand);
     }

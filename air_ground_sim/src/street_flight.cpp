@@ -1,4 +1,5 @@
-// The MAV's way through the streets: legs to the right of the route's centre lines, joined by curves, flown slower in them.
+// The MAV's way through the streets: legs to the right of the route's centre lines, joined by curves, flown slower in
+// them.
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -34,7 +35,8 @@ std::vector<Vector2d> pathOf(const std::vector<Vector2d>& route, double offset) 
   // Room for the curves; a turn back needs it too.
   const double trim = 6;
   for (std::size_t i = 0; i < legs.size(); ++i) {
-    if ((legs[i].to - legs[i].from).norm() < 3 * trim) throw std::invalid_argument("the legs of the route must be at least 18 m long");
+    if ((legs[i].to - legs[i].from).norm() < 3 * trim)
+      throw std::invalid_argument("the legs of the route must be at least 18 m long");
     legs[i].from += trim * legs[i].direction;
     legs[i].to -= trim * legs[i].direction;
   }
@@ -85,12 +87,14 @@ struct Schedule {
       speed[i] = std::min(speed[i], std::sqrt(speed[i - 1] * speed[i - 1] + 2 * kAcceleration * (arc[i] - arc[i - 1])));
     for (std::size_t i = n - 1; i-- > 0;)
       speed[i] = std::min(speed[i], std::sqrt(speed[i + 1] * speed[i + 1] + 2 * kAcceleration * (arc[i + 1] - arc[i])));
-    for (std::size_t i = 1; i < n; ++i) time[i] = time[i - 1] + (arc[i] - arc[i - 1]) / (0.5 * (speed[i] + speed[i - 1]));
+    for (std::size_t i = 1; i < n; ++i)
+      time[i] = time[i - 1] + (arc[i] - arc[i - 1]) / (0.5 * (speed[i] + speed[i - 1]));
   }
 
   // x, y, heading, arc length.
   Eigen::Vector4d at(double t) const {
-    const std::size_t i = std::clamp<std::size_t>(std::lower_bound(time.begin(), time.end(), t) - time.begin(), 1, time.size() - 1);
+    const std::size_t i =
+        std::clamp<std::size_t>(std::lower_bound(time.begin(), time.end(), t) - time.begin(), 1, time.size() - 1);
     const double u = std::clamp((t - time[i - 1]) / (time[i] - time[i - 1]), 0.0, 1.0);
     const Vector2d p = (1 - u) * points[i - 1] + u * points[i];
     return {p.x(), p.y(), (1 - u) * heading[i - 1] + u * heading[i], (1 - u) * arc[i - 1] + u * arc[i]};
@@ -104,7 +108,8 @@ std::vector<Vector2d> routeOf(const StreetConfig& c) {
 
 // Height above ground along the way: low at first and mostly, now and then up to the roofs.
 double heightAt(const FlightConfig& f, double arc, double phase) {
-  const double a = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 120 + phase), b = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 53 + 2 * phase);
+  const double a = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 120 + phase),
+               b = 0.5 + 0.5 * std::sin(2 * M_PI * arc / 53 + 2 * phase);
   return f.min_height + (f.max_height - f.min_height) * smoothStep(arc / 30) * std::pow(0.75 * a + 0.25 * b, 1.7);
 }
 
@@ -128,25 +133,29 @@ BodyTrajectory makeStreetFlight(const Street& street, const FlightConfig& f, std
                     const Eigen::Vector4d s = schedule.at(std::max(0.0, tf - 2.0));
                     Vector3d p(s[0], s[1], 0);
                     const double ground = street.ground(p.head<2>());
-                    p.z() = ground + kStandingHeight + (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / 6.0);
+                    p.z() =
+                        ground + kStandingHeight + (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / 6.0);
                     for (int axis = 0; axis < 3; ++axis)
                       for (int k = 0; k < 2; ++k)
-                        p[axis] += envelope * amplitude[axis][k] * std::sin(2 * M_PI / period[axis][k] * tf + shift[axis][k]);
-                    const double yaw =
-                        s[2] + envelope * (0.12 * std::sin(2 * M_PI * tf / 13 + yaw_phase) + 0.04 * std::sin(2 * M_PI * tf / 4.7));
+                        p[axis] +=
+                            envelope * amplitude[axis][k] * std::sin(2 * M_PI / period[axis][k] * tf + shift[axis][k]);
+                    const double yaw = s[2] + envelope * (0.12 * std::sin(2 * M_PI * tf / 13 + yaw_phase) +
+                                                          0.04 * std::sin(2 * M_PI * tf / 4.7));
                     return {p.x(), p.y(), p.z(), yaw};
                   }),
       true);
 }
 
-std::vector<air_ground_common::Pose> posesAlongLine(const Street& street, int line, const FlightConfig& f, double step) {
+std::vector<air_ground_common::Pose> posesAlongLine(const Street& street, int line, const FlightConfig& f,
+                                                    double step) {
   const StreetLineConfig& l = street.config.lines.at(line);
   const Vector2d d = (l.to - l.from).normalized(), right(d.y(), -d.x());
   std::vector<air_ground_common::Pose> poses;
   const double length = (l.to - l.from).norm();
   for (double s = 4; s < length - 4; s += step) {
     const Vector2d p = l.from + s * d + street.config.route_offset * right;
-    poses.push_back(air_ground_common::yawPose(std::atan2(d.y(), d.x()), Vector3d(p.x(), p.y(), street.ground(p) + heightAt(f, s, line))));
+    poses.push_back(air_ground_common::yawPose(std::atan2(d.y(), d.x()),
+                                               Vector3d(p.x(), p.y(), street.ground(p) + heightAt(f, s, line))));
   }
   return poses;
 }

@@ -34,20 +34,24 @@ Vec3f roadAt(float x, float y, const GroundPlace& g, double kerb, std::uint32_t 
   if (g.across > kerb - 2.0 && std::fmod(g.along + 3, 5.6) < 0.1) c = Vec3f(190, 188, 180) * (0.9f + 0.2f * fine);
   // Manhole covers here and there.
   const int cell = static_cast<int>(std::floor(g.along / 9));
-  const float at = 9 * (cell + 0.2f + 0.6f * latticeHash(cell, g.line, 0, s)), side = 2.2f * latticeHash(cell, g.line, 1, s);
+  const float at = 9 * (cell + 0.2f + 0.6f * latticeHash(cell, g.line, 0, s)),
+              side = 2.2f * latticeHash(cell, g.line, 1, s);
   const double r = std::hypot(g.along - at, g.across - side);
-  if (r < 0.33) c = r > 0.29 ? Vec3f(60, 58, 56) : Vec3f(112, 104, 96) * (std::sin(60 * x) * std::sin(60 * y) > 0 ? 1.1f : 0.75f);
+  if (r < 0.33)
+    c = r > 0.29 ? Vec3f(60, 58, 56) : Vec3f(112, 104, 96) * (std::sin(60 * x) * std::sin(60 * y) > 0 ? 1.1f : 0.75f);
   return c;
 }
 
 Vec3f sidewalkAt(float x, float y, const GroundPlace& g, double kerb, std::uint32_t s) {
   const float fine = fractalNoise(28 * x, 28 * y, s + 4, 3, 0.85f), slow = fractalNoise(0.9f * x, 0.9f * y, s + 5, 3);
-  if (g.across < kerb + 0.14) return Vec3f(172, 168, 160) * ((std::fmod(g.along, 1.0) < 0.015 ? 0.6f : 1.0f) * (1 + 0.1f * fine));
+  if (g.across < kerb + 0.14)
+    return Vec3f(172, 168, 160) * ((std::fmod(g.along, 1.0) < 0.015 ? 0.6f : 1.0f) * (1 + 0.1f * fine));
   const double u = g.along / 0.5, v = g.across / 0.5;
   const int iu = static_cast<int>(std::floor(u)), iv = static_cast<int>(std::floor(v));
   if (u - iu < 0.03 || v - iv < 0.03) return Vec3f(96, 92, 86);
   const float gum = valueNoise(9 * x, 9 * y, s + 6) > 0.86f ? 0.7f : 1.0f;
-  return Vec3f(150, 146, 138) * (gum * (0.86f + 0.22f * latticeHash(iu, iv, g.line, s)) * (1 + 0.12f * fine + 0.1f * slow));
+  return Vec3f(150, 146, 138) *
+         (gum * (0.86f + 0.22f * latticeHash(iu, iv, g.line, s)) * (1 + 0.12f * fine + 0.1f * slow));
 }
 
 Vec3f groundBehind(float x, float y, Season season, std::uint32_t s) {
@@ -85,7 +89,8 @@ cv::Mat paintGround(const Street& street, const Patch& patch, Season season) {
       const Eigen::Vector2d p = (origin + (x + 0.5f) / w * du + (h - y - 0.5f) / h * dv).head<2>().cast<double>();
       GroundPlace g;
       for (const auto& l : lines) {
-        const double along = l.d.dot(p - l.from), clamped = std::clamp(along, 0.0, l.length), across = (p - l.from - clamped * l.d).norm();
+        const double along = l.d.dot(p - l.from), clamped = std::clamp(along, 0.0, l.length),
+                     across = (p - l.from - clamped * l.d).norm();
         if (across < g.across) g = {across, along + 1000, l.index};
       }
       const auto fx = static_cast<float>(p.x()), fy = static_cast<float>(p.y());
@@ -97,7 +102,8 @@ cv::Mat paintGround(const Street& street, const Patch& patch, Season season) {
 }
 
 cv::Mat paintThing(Thing thing, std::uint64_t seed, Season season, double width, double height, double texel) {
-  const int w = std::max(4, static_cast<int>(std::lround(width / texel))), h = std::max(4, static_cast<int>(std::lround(height / texel)));
+  const int w = std::max(4, static_cast<int>(std::lround(width / texel))),
+            h = std::max(4, static_cast<int>(std::lround(height / texel)));
   cv::Mat image(h, w, CV_8UC3);
   Rng rng(mix(seed, 5));
   const auto s = static_cast<std::uint32_t>(rng.next());
@@ -110,25 +116,31 @@ cv::Mat paintThing(Thing thing, std::uint64_t seed, Season season, double width,
   if (thing == Thing::kClothes) color = cloth[rng.integer(8)];
   if (thing == Thing::kBark) color = {84, 72, 60};
   if (thing == Thing::kLeaves) {
-    color = season == Season::kPanoramas ? Vec3f(62, 92, 42) : rng.chance(0.5) ? Vec3f(160, 110, 44) : Vec3f(126, 78, 42);
+    color = season == Season::kPanoramas ? Vec3f(62, 92, 42)
+            : rng.chance(0.5)            ? Vec3f(160, 110, 44)
+                                         : Vec3f(126, 78, 42);
     color *= static_cast<float>(rng.uniform(0.85, 1.15));
   }
   for (int y = 0; y < h; ++y)
     for (int x = 0; x < w; ++x) {
-      const float u = (x + 0.5f) / w, v = 1 - (y + 0.5f) / h, px = static_cast<float>(u * width), pz = static_cast<float>(v * height);
+      const float u = (x + 0.5f) / w, v = 1 - (y + 0.5f) / h, px = static_cast<float>(u * width),
+                  pz = static_cast<float>(v * height);
       Vec3f c = color;
       switch (thing) {
         case Thing::kCarBody:
           c *= 0.8f + 0.35f * v + 0.05f * valueNoise(3 * px, 5 * pz, s);
           if (width > 2.5 && (std::abs(u - 0.35f) < 0.003f || std::abs(u - 0.62f) < 0.003f)) c *= 0.4f;  // door gaps
-          if (width > 2.5 && std::abs(v - 0.68f) < 0.03f && (std::abs(u - 0.42f) < 0.025f || std::abs(u - 0.69f) < 0.025f))
+          if (width > 2.5 && std::abs(v - 0.68f) < 0.03f &&
+              (std::abs(u - 0.42f) < 0.025f || std::abs(u - 0.69f) < 0.025f))
             c *= 0.5f;  // handles
-          if (width > 2.5 && (std::hypot(px - 0.18 * width, pz - 0.05) < 0.33 || std::hypot(px - 0.8 * width, pz - 0.05) < 0.33))
+          if (width > 2.5 &&
+              (std::hypot(px - 0.18 * width, pz - 0.05) < 0.33 || std::hypot(px - 0.8 * width, pz - 0.05) < 0.33))
             c = std::hypot(px - 0.18 * width, pz - 0.05) < 0.2 || std::hypot(px - 0.8 * width, pz - 0.05) < 0.2
                     ? Vec3f(140, 142, 144)
-                    : Vec3f(26, 26, 28);                                                                           // wheels
-          if (width < 2.5 && (u < 0.18f || u > 0.82f) && v > 0.5f && v < 0.8f) c = Vec3f(210, 200, 190);           // lamps
-          if (width < 2.5 && std::abs(u - 0.5f) < 0.15f && std::abs(v - 0.35f) < 0.09f) c = Vec3f(226, 224, 216);  // number plate
+                    : Vec3f(26, 26, 28);                                                                  // wheels
+          if (width < 2.5 && (u < 0.18f || u > 0.82f) && v > 0.5f && v < 0.8f) c = Vec3f(210, 200, 190);  // lamps
+          if (width < 2.5 && std::abs(u - 0.5f) < 0.15f && std::abs(v - 0.35f) < 0.09f)
+            c = Vec3f(226, 224, 216);  // number plate
           break;
         case Thing::kCarGlass:
           if (std::abs(u - 0.5f) > 0.46f || std::abs(v - 0.45f) > 0.4f || std::abs(u - 0.5f) < 0.02f) break;
@@ -158,11 +170,14 @@ cv::Mat paintSky(Season season, std::uint64_t seed) {
 #pragma omp parallel for schedule(dynamic, 16)
   for (int y = 0; y < n; ++y)
     for (int x = 0; x < n; ++x) {
-      const float a = 2 * (x + 0.5f) / n - 1, b = 2 * (y + 0.5f) / n - 1, z = std::max(0.02f, 1 - std::abs(a) - std::abs(b));
+      const float a = 2 * (x + 0.5f) / n - 1, b = 2 * (y + 0.5f) / n - 1,
+                  z = std::max(0.02f, 1 - std::abs(a) - std::abs(b));
       const float px = 0.9f * a / (z + 0.12f), py = 0.9f * b / (z + 0.12f);  // clouds lie in a plane
-      const float cloud = std::clamp((fractalNoise(px, py, s, 6, 0.6f) - (summer ? 0.1f : -0.5f)) * (summer ? 2.2f : 1.2f), 0.0f, 1.0f);
+      const float cloud =
+          std::clamp((fractalNoise(px, py, s, 6, 0.6f) - (summer ? 0.1f : -0.5f)) * (summer ? 2.2f : 1.2f), 0.0f, 1.0f);
       const float up = std::clamp(z * 1.6f, 0.0f, 1.0f);
-      const Vec3f blue = summer ? Vec3f(206 - 110 * up, 222 - 66 * up, 240 - 22 * up) : Vec3f(190 - 60 * up, 200 - 48 * up, 214 - 30 * up);
+      const Vec3f blue = summer ? Vec3f(206 - 110 * up, 222 - 66 * up, 240 - 22 * up)
+                                : Vec3f(190 - 60 * up, 200 - 48 * up, 214 - 30 * up);
       const Vec3f white = summer ? Vec3f(246, 246, 246) : Vec3f(196, 198, 202);
       image.at<cv::Vec3b>(y, x) = bytes(blue * (1 - cloud) + white * cloud);
     }

@@ -72,7 +72,8 @@ struct Style {
 
 // Unit-free wall surface: colour at (x right, z up) [m].
 Vec3f wallAt(const Style& s, Wall wall, const Vec3f& color, float x, float z) {
-  const float fine = fractalNoise(26 * x, 26 * z, s.noise + 7, 3, 0.85f), slow = fractalNoise(1.1f * x, 1.1f * z, s.noise + 3, 4, 0.7f);
+  const float fine = fractalNoise(26 * x, 26 * z, s.noise + 7, 3, 0.85f),
+              slow = fractalNoise(1.1f * x, 1.1f * z, s.noise + 3, 4, 0.7f);
   float f = 1 + 0.09f * slow;
   switch (wall) {
     case Wall::kPlaster:
@@ -92,7 +93,8 @@ Vec3f wallAt(const Style& s, Wall wall, const Vec3f& color, float x, float z) {
     case Wall::kStone: {
       const float h = 0.36f;
       const int row = static_cast<int>(std::floor(z / h));
-      const float l = 0.55f + 0.35f * latticeHash(row, 0, 5, s.noise), shifted = x / l + latticeHash(row, 1, 5, s.noise);
+      const float l = 0.55f + 0.35f * latticeHash(row, 0, 5, s.noise),
+                  shifted = x / l + latticeHash(row, 1, 5, s.noise);
       const int block = static_cast<int>(std::floor(shifted));
       if (z / h - row < 0.045f || shifted - block < 0.03f) return color * (0.62f * f);
       const float vein = std::abs(fractalNoise(5 * x, 5 * z, s.noise + 40 + row, 4)) < 0.02f ? -0.14f : 0;
@@ -104,7 +106,8 @@ Vec3f wallAt(const Style& s, Wall wall, const Vec3f& color, float x, float z) {
       const float u = x - column * w, v = z - row * h;
       if (u < 0.018f || v < 0.018f) return color * (0.45f * f);
       const bool rivet = std::hypot(u - 0.08f, v - 0.08f) < 0.018f || std::hypot(u - w + 0.08f, v - 0.08f) < 0.018f;
-      return color * (f * (rivet ? 0.6f : 1.0f) * (0.90f + 0.18f * latticeHash(column, row, 0, s.noise)) * (1 + 0.08f * fine));
+      return color *
+             (f * (rivet ? 0.6f : 1.0f) * (0.90f + 0.18f * latticeHash(column, row, 0, s.noise)) * (1 + 0.08f * fine));
     }
     case Wall::kShingles: {
       const float h = 0.16f, l = 0.13f;
@@ -124,8 +127,8 @@ class Canvas {
  public:
   Canvas(double width, double height, double texel)
       : texel_(texel),
-        image_(std::max(4, static_cast<int>(std::lround(height / texel))), std::max(4, static_cast<int>(std::lround(width / texel))),
-               CV_8UC3) {}
+        image_(std::max(4, static_cast<int>(std::lround(height / texel))),
+               std::max(4, static_cast<int>(std::lround(width / texel))), CV_8UC3) {}
 
   cv::Mat& image() { return image_; }
   int px(double metres) const { return std::max(1, static_cast<int>(std::lround(metres / texel_))); }
@@ -140,7 +143,8 @@ class Canvas {
 #pragma omp parallel for schedule(dynamic, 16)
     for (int y = 0; y < image_.rows; ++y)
       for (int x = 0; x < image_.cols; ++x)
-        image_.at<cv::Vec3b>(y, x) = bytes(f(static_cast<float>((x + 0.5) * texel_), static_cast<float>((image_.rows - y - 0.5) * texel_)));
+        image_.at<cv::Vec3b>(y, x) =
+            bytes(f(static_cast<float>((x + 0.5) * texel_), static_cast<float>((image_.rows - y - 0.5) * texel_)));
   }
   template <class F>  // F(x, z, old) -> colour, within a rectangle [m]
   void change(double x0, double z0, double x1, double z1, const F& f) {
@@ -148,7 +152,8 @@ class Canvas {
     for (int y = std::max(0, a.y); y <= std::min(image_.rows - 1, b.y); ++y)
       for (int x = std::max(0, a.x); x <= std::min(image_.cols - 1, b.x); ++x) {
         auto& p = image_.at<cv::Vec3b>(y, x);
-        p = bytes(f(static_cast<float>((x + 0.5) * texel_), static_cast<float>((image_.rows - y - 0.5) * texel_), Vec3f(p[0], p[1], p[2])));
+        p = bytes(f(static_cast<float>((x + 0.5) * texel_), static_cast<float>((image_.rows - y - 0.5) * texel_),
+                    Vec3f(p[0], p[1], p[2])));
       }
   }
   void box(double x0, double z0, double x1, double z1, const Vec3f& color) {
@@ -163,9 +168,11 @@ class Canvas {
   void line(double x0, double z0, double x1, double z1, double width, const Vec3f& color) {
     cv::line(image_, at(x0, z0), at(x1, z1), scalar(color), px(width), cv::LINE_AA);
   }
-  void text(const std::string& s, double x, double z, double height, const Vec3f& color, int font, double weight = 0.13) {
+  void text(const std::string& s, double x, double z, double height, const Vec3f& color, int font,
+            double weight = 0.13) {
     const double scale = height / texel_ / 21.0;
-    cv::putText(image_, s, at(x, z), font, scale, scalar(color), std::max(1, static_cast<int>(weight * height / texel_)), cv::LINE_AA);
+    cv::putText(image_, s, at(x, z), font, scale, scalar(color),
+                std::max(1, static_cast<int>(weight * height / texel_)), cv::LINE_AA);
   }
   double textWidth(const std::string& s, double height, int font) const {
     return cv::getTextSize(s, font, height / texel_ / 21.0, 2, nullptr).width * texel_;
@@ -176,12 +183,13 @@ class Canvas {
   cv::Mat image_;
 };
 
-constexpr int kFonts[] = {cv::FONT_HERSHEY_SIMPLEX, cv::FONT_HERSHEY_DUPLEX, cv::FONT_HERSHEY_COMPLEX, cv::FONT_HERSHEY_TRIPLEX,
-                          cv::FONT_HERSHEY_SCRIPT_COMPLEX};
+constexpr int kFonts[] = {cv::FONT_HERSHEY_SIMPLEX, cv::FONT_HERSHEY_DUPLEX, cv::FONT_HERSHEY_COMPLEX,
+                          cv::FONT_HERSHEY_TRIPLEX, cv::FONT_HERSHEY_SCRIPT_COMPLEX};
 
 // A printed sheet: text lines, or fields of colour like a photograph.
 void poster(Canvas* c, Rng* rng, double x, double z, double w, double h) {
-  const Vec3f paper = pick(rng, {{226, 222, 210}, {228, 206, 90}, {206, 70, 58}, {80, 130, 190}, {230, 228, 226}, {96, 160, 104}});
+  const Vec3f paper =
+      pick(rng, {{226, 222, 210}, {228, 206, 90}, {206, 70, 58}, {80, 130, 190}, {230, 228, 226}, {96, 160, 104}});
   const Vec3f ink = pick(rng, {{30, 30, 36}, {150, 30, 30}, {30, 50, 120}, {236, 232, 226}});
   c->box(x, z, x + w, z + h, paper);
   if (rng->chance(0.6)) {
@@ -262,24 +270,26 @@ void clutter(Canvas* c, const Building& b, Season season, Rng* rng, Rng* changin
   const int tags = rng->integer(4);
   for (int i = 0; i < tags; ++i) {
     const Vec3f color = pick(rng, {{30, 30, 34}, {40, 60, 150}, {160, 40, 60}, {60, 120, 70}, {220, 220, 220}});
-    c->text(syllables(rng, 2), rng->uniform(0, b.width - 1.5), b.street_level + rng->uniform(0.5, 1.6), rng->uniform(0.2, 0.5), color,
-            cv::FONT_HERSHEY_SCRIPT_COMPLEX, 0.16);
+    c->text(syllables(rng, 2), rng->uniform(0, b.width - 1.5), b.street_level + rng->uniform(0.5, 1.6),
+            rng->uniform(0.2, 0.5), color, cv::FONT_HERSHEY_SCRIPT_COMPLEX, 0.16);
   }
   for (int i = 0; i < 5; ++i) {  // vents, meter boxes, lamps
-    const double x = rng->uniform(0.2, b.width - 0.6), z = rng->uniform(b.street_level + 0.4, b.eaves - 0.6), w = rng->uniform(0.15, 0.4),
-                 h = rng->uniform(0.15, 0.5);
+    const double x = rng->uniform(0.2, b.width - 0.6), z = rng->uniform(b.street_level + 0.4, b.eaves - 0.6),
+                 w = rng->uniform(0.15, 0.4), h = rng->uniform(0.15, 0.5);
     if (covered(x - 0.1, z - 0.1, w + 0.2, h + 0.2)) continue;
     const Vec3f color = pick(rng, {{90, 90, 92}, {190, 186, 178}, {120, 104, 88}});
     c->box(x, z, x + w, z + h, color);
     c->frame(x + 0.015, z + 0.015, x + w - 0.015, z + h - 0.015, 0.012, color * 0.6f);
-    for (double y = z + 0.05; y < z + h - 0.04 && i < 3; y += 0.045) c->line(x + 0.03, y, x + w - 0.03, y, 0.012, color * 0.55f);
+    for (double y = z + 0.05; y < z + h - 0.04 && i < 3; y += 0.045)
+      c->line(x + 0.03, y, x + w - 0.03, y, 0.012, color * 0.55f);
   }
   if (rng->chance(0.75)) {  // down pipe with clamps
     const double x = rng->chance(0.5) ? 0.18 : b.width - 0.18;
     const Vec3f color = pick(rng, {{112, 88, 70}, {128, 132, 134}, {90, 96, 92}});
     c->box(x - 0.05, b.street_level, x + 0.05, b.eaves, color);
     c->box(x - 0.015, b.street_level, x + 0.01, b.eaves, color * 1.25f);
-    for (double z = b.street_level + 1; z < b.eaves; z += rng->uniform(1.7, 2.2)) c->box(x - 0.075, z, x + 0.075, z + 0.04, color * 0.6f);
+    for (double z = b.street_level + 1; z < b.eaves; z += rng->uniform(1.7, 2.2))
+      c->box(x - 0.075, z, x + 0.075, z + 0.04, color * 0.6f);
   }
   for (int i = 0; i < 2; ++i) {  // cables
     const double z = rng->uniform(b.street_level + 2.5, b.eaves - 0.5), x0 = rng->uniform(0, 0.4 * b.width),
@@ -300,7 +310,8 @@ cv::Mat paintFacade(const Building& b, Season season, double texel) {
   const Style s(b);
   Rng rng(mix(b.seed, 3)), changing(mix(b.seed, 4 + static_cast<int>(season)));
   Canvas c(b.width, b.eaves, texel);
-  const float first = static_cast<float>(b.street_level + b.shop_height - 0.25), foot = static_cast<float>(b.street_level + 0.5);
+  const float first = static_cast<float>(b.street_level + b.shop_height - 0.25),
+              foot = static_cast<float>(b.street_level + 0.5);
   c.fill([&](float x, float z) {
     if (z < foot) return wallAt(s, Wall::kRoughPlaster, s.base, x, z);
     if (z < first && s.base_stone) return wallAt(s, Wall::kStone, s.second, x, z);
@@ -335,14 +346,16 @@ cv::Mat paintFacade(const Building& b, Season season, double texel) {
     if (s.lintel == 1) {  // keystone and gable over the window
       c.box(o.x - 0.2, o.z + o.height + 0.12, o.x + o.width + 0.2, o.z + o.height + 0.24, s.trim);
       c.line(o.x - 0.2, o.z + o.height + 0.12, o.x + o.width + 0.2, o.z + o.height + 0.12, 0.02, s.trim * 0.5f);
-      c.box(o.x + 0.5 * o.width - 0.09, o.z + o.height, o.x + 0.5 * o.width + 0.09, o.z + o.height + 0.28, s.trim * 0.85f);
+      c.box(o.x + 0.5 * o.width - 0.09, o.z + o.height, o.x + 0.5 * o.width + 0.09, o.z + o.height + 0.28,
+            s.trim * 0.85f);
     }
     if (s.shutters && o.kind == OpeningKind::kWindow && o.floor > 0) {
       const double w = std::min(0.45, 0.45 * o.width);
       for (const double x : {o.x - w - 0.09, o.x + o.width + 0.09}) {
         c.box(x, o.z, x + w, o.z + o.height, s.shutter);
         c.frame(x + 0.05, o.z + 0.05, x + w - 0.05, o.z + o.height - 0.05, 0.02, s.shutter * 0.7f);
-        for (double z = o.z + 0.1; z < o.z + o.height - 0.08; z += 0.06) c.line(x + 0.06, z, x + w - 0.06, z, 0.018, s.shutter * 0.55f);
+        for (double z = o.z + 0.1; z < o.z + o.height - 0.08; z += 0.06)
+          c.line(x + 0.06, z, x + w - 0.06, z, 0.018, s.shutter * 0.55f);
       }
     }
     if (o.floor > 0) streaks(&c, &rng, o.x - 0.1, o.x + o.width + 0.1, o.z - 0.02, rng.uniform(0.4, 1.3), 0.55f);
@@ -363,15 +376,17 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
   const auto seed = static_cast<std::uint32_t>(rng.next()), mirror = static_cast<std::uint32_t>(day.next());
   if (o.kind == OpeningKind::kDoor) {
     Rng leaf(mix(mix(b.seed, 60), o.column));
-    const Vec3f color = pick(&leaf, {{96, 62, 42}, {60, 84, 70}, {120, 40, 36}, {64, 70, 84}, {150, 120, 86}, {44, 44, 48}});
+    const Vec3f color =
+        pick(&leaf, {{96, 62, 42}, {60, 84, 70}, {120, 40, 36}, {64, 70, 84}, {150, 120, 86}, {44, 44, 48}});
     c.fill([&](float x, float z) {
       return color * (1 + 0.10f * fractalNoise(60 * x, 4 * z, seed, 3) + 0.05f * fractalNoise(30 * x, 30 * z, seed, 2));
     });
     const bool glazed = b.shop || leaf.chance(0.4);
     if (glazed) {
       c.box(0.12, 0.5, w - 0.12, h - 0.15, {46, 50, 54});
-      c.change(0.12, 0.5, w - 0.12, h - 0.15,
-               [&](float x, float z, const Vec3f& old) { return old * (1 + 0.6f * fractalNoise(2 * x, 1.3f * z, mirror, 3)); });
+      c.change(0.12, 0.5, w - 0.12, h - 0.15, [&](float x, float z, const Vec3f& old) {
+        return old * (1 + 0.6f * fractalNoise(2 * x, 1.3f * z, mirror, 3));
+      });
       poster(&c, &rng, 0.2, 1.2, 0.35 * w, 0.4);
     } else {
       for (double z = 0.15; z < h - 0.5; z += 0.62)
@@ -393,16 +408,23 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
     return Vec3f(58, 66, 76) * (tone * (1 + 0.45f * n + 0.25f * (blocks - 0.5f) + 0.25f * z / static_cast<float>(h)));
   });
   if (o.kind == OpeningKind::kShopWindow) {
-    c.change(0, 0, w, h, [&](float x, float z, const Vec3f& old) { return old * (1.1f + 0.2f * fractalNoise(3 * x, 3 * z, seed, 3)); });
+    c.change(0, 0, w, h, [&](float x, float z, const Vec3f& old) {
+      return old * (1.1f + 0.2f * fractalNoise(3 * x, 3 * z, seed, 3));
+    });
     double x = 0.1;
     while (x < w - 0.3) {  // goods on the floor and on shelves
       const double gw = rng.uniform(0.12, 0.4), gh = rng.uniform(0.2, 0.9);
-      const Vec3f color = pick(
-          &rng,
-          {{190, 60, 50}, {60, 100, 160}, {220, 200, 120}, {230, 228, 222}, {90, 140, 90}, {120, 80, 130}, {60, 56, 54}, {210, 130, 60}});
+      const Vec3f color = pick(&rng, {{190, 60, 50},
+                                      {60, 100, 160},
+                                      {220, 200, 120},
+                                      {230, 228, 222},
+                                      {90, 140, 90},
+                                      {120, 80, 130},
+                                      {60, 56, 54},
+                                      {210, 130, 60}});
       if (rng.chance(0.5))
-        cv::ellipse(c.image(), c.at(x + 0.5 * gw, 0.5 * gh), {c.px(0.5 * gw), c.px(0.5 * gh)}, 0, 0, 360, scalar(color), cv::FILLED,
-                    cv::LINE_AA);
+        cv::ellipse(c.image(), c.at(x + 0.5 * gw, 0.5 * gh), {c.px(0.5 * gw), c.px(0.5 * gh)}, 0, 0, 360, scalar(color),
+                    cv::FILLED, cv::LINE_AA);
       else
         c.box(x, 0, x + gw, gh, color);
       if (rng.chance(0.4)) c.text(std::to_string(rng.integer(99)), x + 0.02, 0.3 * gh, 0.1, {240, 240, 236}, kFonts[1]);
@@ -412,8 +434,10 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
     c.line(0, h - 0.62, w, h - 0.62, 0.03, {120, 110, 100});
     const int sheets = 1 + rng.integer(3);
     for (int i = 0; i < sheets; ++i)
-      poster(&c, &rng, rng.uniform(0.05, w - 0.5), rng.uniform(0.3, h - 0.9), rng.uniform(0.25, 0.5), rng.uniform(0.3, 0.6));
-    if (fixed.chance(0.6)) c.text(syllables(&fixed, 2), 0.15, h - 0.35, 0.22, {236, 232, 220}, kFonts[fixed.integer(5)]);
+      poster(&c, &rng, rng.uniform(0.05, w - 0.5), rng.uniform(0.3, h - 0.9), rng.uniform(0.25, 0.5),
+             rng.uniform(0.3, 0.6));
+    if (fixed.chance(0.6))
+      c.text(syllables(&fixed, 2), 0.15, h - 0.35, 0.22, {236, 232, 220}, kFonts[fixed.integer(5)]);
     c.frame(0.06, 0.06, w - 0.06, h - 0.06, 0.06, s.frame * 0.8f);
     const int bars = std::max(1, static_cast<int>(w / 1.6));
     for (int i = 1; i < bars; ++i) c.box(w * i / bars - 0.03, 0, w * i / bars + 0.03, h, s.frame * 0.8f);
@@ -442,12 +466,14 @@ cv::Mat paintPane(const Building& b, int index, Season season, double texel) {
     for (int i = 0; i < 4; ++i) {
       const double x = rng.uniform(0.15, w - 0.15);
       for (int k = 0; k < 26; ++k)
-        cv::circle(c.image(), c.at(x + 0.08 * rng.gaussian(), 0.12 + 0.25 * rng.uniform()), c.px(rng.uniform(0.012, 0.035)),
+        cv::circle(c.image(), c.at(x + 0.08 * rng.gaussian(), 0.12 + 0.25 * rng.uniform()),
+                   c.px(rng.uniform(0.012, 0.035)),
                    scalar(Vec3f(50, 90, 44) * static_cast<float>(rng.uniform(0.6, 1.4))), cv::FILLED);
       c.box(x - 0.09, 0.05, x + 0.09, 0.18, {150, 86, 60});
     }
   if (kind == 5) {  // a lamp, shelves
-    cv::circle(c.image(), c.at(rng.uniform(0.3, 0.7) * w, 0.72 * h), c.px(0.11), {232, 214, 160}, cv::FILLED, cv::LINE_AA);
+    cv::circle(c.image(), c.at(rng.uniform(0.3, 0.7) * w, 0.72 * h), c.px(0.11), {232, 214, 160}, cv::FILLED,
+               cv::LINE_AA);
     for (int i = 0; i < 7; ++i)
       c.box(0.1 + 0.1 * i, 0.25, 0.17 + 0.1 * i, 0.25 + rng.uniform(0.15, 0.3),
             pick(&rng, {{150, 60, 50}, {70, 90, 130}, {170, 160, 110}}));
@@ -470,7 +496,8 @@ cv::Mat paintPlain(const Vec3f& color, double width, double height, double texel
   Canvas c(width, height, texel);
   const auto s = static_cast<std::uint32_t>(seed);
   c.fill([&](float x, float z) {
-    return color * (1 + 0.10f * fractalNoise(24 * x, 24 * z, s, 3, 0.85f) + 0.12f * fractalNoise(1.2f * x, 1.2f * z, s + 5, 4));
+    return color *
+           (1 + 0.10f * fractalNoise(24 * x, 24 * z, s, 3, 0.85f) + 0.12f * fractalNoise(1.2f * x, 1.2f * z, s + 5, 4));
   });
   return c.image();
 }
@@ -478,15 +505,19 @@ cv::Mat paintPlain(const Vec3f& color, double width, double height, double texel
 cv::Mat paintSign(const Building& b, int shop, bool blade, double width, double height, double texel) {
   Rng rng(mix(mix(b.seed, 70), shop));
   Canvas c(width, height, texel);
-  const Vec3f board = pick(&rng, {{40, 44, 50}, {150, 34, 34}, {30, 70, 120}, {28, 90, 62}, {222, 214, 196}, {220, 170, 40}, {90, 60, 44}});
+  const Vec3f board = pick(
+      &rng, {{40, 44, 50}, {150, 34, 34}, {30, 70, 120}, {28, 90, 62}, {222, 214, 196}, {220, 170, 40}, {90, 60, 44}});
   const bool dark = board[0] + board[1] + board[2] < 380;
   const Vec3f ink = dark ? Vec3f(240, 236, 224) : Vec3f(40, 36, 34);
   const int font = kFonts[rng.integer(4)];
   const std::string name = syllables(&rng, 2 + rng.integer(2));
-  c.fill([&](float x, float z) { return board * (1 + 0.06f * fractalNoise(20 * x, 20 * z, static_cast<std::uint32_t>(b.seed), 3)); });
+  c.fill([&](float x, float z) {
+    return board * (1 + 0.06f * fractalNoise(20 * x, 20 * z, static_cast<std::uint32_t>(b.seed), 3));
+  });
   c.frame(0.03, 0.03, width - 0.03, height - 0.03, 0.02, ink * 0.8f);
   if (blade) {
-    cv::circle(c.image(), c.at(0.5 * width, 0.62 * height), c.px(0.27 * std::min(width, height)), scalar(ink), c.px(0.035), cv::LINE_AA);
+    cv::circle(c.image(), c.at(0.5 * width, 0.62 * height), c.px(0.27 * std::min(width, height)), scalar(ink),
+               c.px(0.035), cv::LINE_AA);
     c.text(name.substr(0, 1 + rng.integer(2)), 0.33 * width, 0.53 * height, 0.2 * height, ink, font);
     c.text(name.substr(0, 5), 0.12 * width, 0.12 * height, 0.13 * height, ink, kFonts[1]);
     return c.image();
@@ -498,10 +529,11 @@ cv::Mat paintSign(const Building& b, int shop, bool blade, double width, double 
   c.text(name, x, 0.27 * height, letters, ink, font);
   if (x > 0.9)
     cv::circle(c.image(), c.at(0.45, 0.5 * height), c.px(0.3 * height),
-               scalar(pick(&rng, {{220, 170, 40}, {200, 60, 50}, {240, 240, 240}, {60, 140, 90}})), cv::FILLED, cv::LINE_AA);
+               scalar(pick(&rng, {{220, 170, 40}, {200, 60, 50}, {240, 240, 240}, {60, 140, 90}})), cv::FILLED,
+               cv::LINE_AA);
   if (x + w + 1.2 < width)
-    c.text("Tel " + std::to_string(10 + rng.integer(89)) + " " + std::to_string(100 + rng.integer(899)), x + w + 0.25, 0.3 * height,
-           0.22 * height, ink, kFonts[0]);
+    c.text("Tel " + std::to_string(10 + rng.integer(89)) + " " + std::to_string(100 + rng.integer(899)), x + w + 0.25,
+           0.3 * height, 0.22 * height, ink, kFonts[0]);
   return c.image();
 }
 
@@ -511,26 +543,29 @@ cv::Mat paintRailing(const Building& b, int index, Season season, double width, 
   const Vec3f color = pick(&rng, {{60, 62, 66}, {214, 210, 200}, {110, 76, 50}, {84, 104, 96}});
   const int kind = rng.integer(3);
   const auto seed = static_cast<std::uint32_t>(own.next());
-  c.fill([&](float x, float z) { return (kind == 0 ? Vec3f(46, 46, 50) : color) * (1 + 0.12f * fractalNoise(15 * x, 15 * z, seed, 3)); });
+  c.fill([&](float x, float z) {
+    return (kind == 0 ? Vec3f(46, 46, 50) : color) * (1 + 0.12f * fractalNoise(15 * x, 15 * z, seed, 3));
+  });
   if (kind == 0)
     for (double x = 0.03; x < width; x += 0.11) c.box(x, 0.05, x + 0.03, height, color * 1.3f);
   if (kind == 1)
     for (double x = 0; x < width; x += 0.18) c.line(x, 0, x, height, 0.012, color * 0.6f);
   if (kind == 2)
     for (double x = 0.1; x < width; x += 0.3)
-      cv::ellipse(c.image(), c.at(x, 0.5 * height), {c.px(0.08), c.px(0.32 * height)}, 0, 0, 360, scalar(color * 0.6f), c.px(0.025),
-                  cv::LINE_AA);
+      cv::ellipse(c.image(), c.at(x, 0.5 * height), {c.px(0.08), c.px(0.32 * height)}, 0, 0, 360, scalar(color * 0.6f),
+                  c.px(0.025), cv::LINE_AA);
   c.box(0, height - 0.07, width, height, color * 0.9f);
   c.box(0, 0, width, 0.07, color * 0.7f);
   if (own.chance(season == Season::kPanoramas ? 0.6 : 0.25)) {  // flower boxes
     Rng flowers(mix(own.next(), static_cast<int>(season)));
     const Vec3f bloom = pick(&flowers, {{200, 50, 60}, {220, 180, 60}, {180, 80, 160}, {230, 225, 220}});
     for (int i = 0; i < static_cast<int>(60 * width); ++i)
-      cv::circle(
-          c.image(), c.at(flowers.uniform(0, width), height - 0.12 + 0.07 * flowers.gaussian()), c.px(flowers.uniform(0.012, 0.035)),
-          scalar(flowers.chance(0.3) && season == Season::kPanoramas ? bloom
-                                                                     : Vec3f(54, 92, 46) * static_cast<float>(flowers.uniform(0.6, 1.4))),
-          cv::FILLED);
+      cv::circle(c.image(), c.at(flowers.uniform(0, width), height - 0.12 + 0.07 * flowers.gaussian()),
+                 c.px(flowers.uniform(0.012, 0.035)),
+                 scalar(flowers.chance(0.3) && season == Season::kPanoramas
+                            ? bloom
+                            : Vec3f(54, 92, 46) * static_cast<float>(flowers.uniform(0.6, 1.4))),
+                 cv::FILLED);
   }
   return c.image();
 }
@@ -541,15 +576,17 @@ cv::Mat paintAwning(const Building& b, int shop, double width, double height, do
   const float stripe = static_cast<float>(rng.uniform(0.12, 0.35));
   Canvas c(width, height, texel);
   c.fill([&](float x, float z) {
-    return (static_cast<int>(x / stripe) & 1 ? a : white) * (1 + 0.08f * fractalNoise(9 * x, 9 * z, static_cast<std::uint32_t>(b.seed), 3));
+    return (static_cast<int>(x / stripe) & 1 ? a : white) *
+           (1 + 0.08f * fractalNoise(9 * x, 9 * z, static_cast<std::uint32_t>(b.seed), 3));
   });
   return c.image();
 }
 
 cv::Mat paintRoof(const Building& b, double width, double height, double texel) {
   Rng rng(mix(b.seed, 95));
-  const Vec3f color =
-      b.roof == RoofKind::kFlat ? Vec3f(110, 106, 100) : pick(&rng, {{150, 82, 62}, {120, 70, 56}, {92, 86, 84}, {136, 96, 74}});
+  const Vec3f color = b.roof == RoofKind::kFlat
+                          ? Vec3f(110, 106, 100)
+                          : pick(&rng, {{150, 82, 62}, {120, 70, 56}, {92, 86, 84}, {136, 96, 74}});
   const auto s = static_cast<std::uint32_t>(b.seed);
   Canvas c(width, height, texel);
   c.fill([&](float x, float z) {

@@ -28,7 +28,8 @@ class Builder {
     return quad(origin, origin + u, origin + v, origin + u + v, texel, std::move(picture));
   }
 
-  Patch* quad(const Vector3d& a, const Vector3d& b, const Vector3d& c, const Vector3d& d, double texel, Picture picture) {
+  Patch* quad(const Vector3d& a, const Vector3d& b, const Vector3d& c, const Vector3d& d, double texel,
+              Picture picture) {
     Patch p;
     for (const Vector3d& x : {a, b, c, d}) p.vertices.push_back((T_ * x).cast<float>());
     p.width = static_cast<float>(std::max((b - a).norm(), (d - c).norm()));
@@ -73,7 +74,9 @@ class Builder {
   double coarse_;
 };
 
-double recessOf(OpeningKind kind) { return kind == OpeningKind::kWindow ? 0.16 : kind == OpeningKind::kDoor ? 0.28 : 0.2; }
+double recessOf(OpeningKind kind) {
+  return kind == OpeningKind::kWindow ? 0.16 : kind == OpeningKind::kDoor ? 0.28 : 0.2;
+}
 
 // The wall with its openings cut out: one picture over a grid whose lines run along the openings' edges.
 Patch wallWithHoles(const Building& b) {
@@ -96,8 +99,9 @@ Patch wallWithHoles(const Building& b) {
   for (int r = 0; r < p.rows; ++r)
     for (int c = 0; c < p.columns; ++c) {
       const double x = 0.5 * (xs[c] + xs[c + 1]) * b.width, z = 0.5 * (zs[r] + zs[r + 1]) * b.eaves;
-      p.holes.push_back(std::any_of(b.openings.begin(), b.openings.end(),
-                                    [&](const Opening& o) { return x > o.x && x < o.x + o.width && z > o.z && z < o.z + o.height; }));
+      p.holes.push_back(std::any_of(b.openings.begin(), b.openings.end(), [&](const Opening& o) {
+        return x > o.x && x < o.x + o.width && z > o.z && z < o.z + o.height;
+      }));
     }
   p.column_at = std::move(xs);
   p.row_at = std::move(zs);
@@ -133,8 +137,9 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
     add.rectangle({0, 0, 0}, {w, 0, 0}, {0, 0, e}, texel, [file](const Patch& p) {
       cv::Mat photo = cv::imread(file, cv::IMREAD_COLOR), rgb;
       if (photo.empty()) throw std::runtime_error("cannot read the facade photograph '" + file + "'");
-      cv::resize(photo, photo, {std::max(4, static_cast<int>(p.width / p.texel)), std::max(4, static_cast<int>(p.height / p.texel))}, 0, 0,
-                 cv::INTER_AREA);
+      cv::resize(photo, photo,
+                 {std::max(4, static_cast<int>(p.width / p.texel)), std::max(4, static_cast<int>(p.height / p.texel))},
+                 0, 0, cv::INTER_AREA);
       cv::cvtColor(photo, rgb, cv::COLOR_BGR2RGB);
       return rgb;
     });
@@ -147,7 +152,8 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
   Rng rng(mix(b.seed, 7));
   for (int i = 0; i < 2; ++i) {
     const double x = rng.uniform(0.15, 0.8) * w, y = rng.uniform(0.35, 0.6) * d;
-    add.box({x, y, e}, {x + 0.7, y + 0.55, e + b.roof_rise + rng.uniform(0.6, 1.4)}, {126, 84, 70}, coarse, nullptr, nullptr, true);
+    add.box({x, y, e}, {x + 0.7, y + 0.55, e + b.roof_rise + rng.uniform(0.6, 1.4)}, {126, 84, 70}, coarse, nullptr,
+            nullptr, true);
   }
   if (!c.facade_images.empty()) return;
 
@@ -166,7 +172,9 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
   for (std::size_t i = 0; i < b.balconies.size(); ++i) {
     const Opening& o = b.balconies[i];
     const int index = static_cast<int>(i);
-    const Picture railing = [&b, index, season](const Patch& p) { return paintRailing(b, index, season, p.width, p.height, p.texel); };
+    const Picture railing = [&b, index, season](const Patch& p) {
+      return paintRailing(b, index, season, p.width, p.height, p.texel);
+    };
     add.box({o.x, -1.05, o.z - 0.14}, {o.x + o.width, 0, o.z}, trim, coarse);
     add.box({o.x, -1.05, o.z}, {o.x + o.width, -1.0, o.z + 1.0}, trim, texel, railing, nullptr, true);
     add.box({o.x, -1.0, o.z}, {o.x + 0.05, 0, o.z + 1.0}, trim, texel, nullptr, railing);
@@ -228,7 +236,8 @@ void addPerson(const Stand& s, Season season, World* world) {
 void addTree(const Stand& s, Season season, World* world) {
   Rng rng(s.seed);
   Builder add(world, standPose(s), s.seed, 0.03);
-  const double height = rng.uniform(3.2, 3.9), radius = rng.uniform(1.0, 1.35) * (season == Season::kPanoramas ? 1.0 : 0.8);
+  const double height = rng.uniform(3.2, 3.9),
+               radius = rng.uniform(1.0, 1.35) * (season == Season::kPanoramas ? 1.0 : 0.8);
   const Picture bark = thing(Thing::kBark, s.seed, season);
   add.box({-0.12, -0.12, 0}, {0.12, 0.12, height}, {84, 72, 60}, 0.02, bark, bark, true);
   Patch p;
@@ -239,12 +248,16 @@ void addTree(const Stand& s, Season season, World* world) {
   const Pose T = standPose(s);
   for (int r = 0; r <= p.rows; ++r)
     for (int c = 0; c <= p.columns; ++c) {
-      const double azimuth = 2 * M_PI * (c % p.columns) / p.columns, elevation = M_PI * (static_cast<double>(r) / p.rows - 0.5);
-      const Vector3d n(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
-      const double bump = 1 + 0.28 * fractalNoise(static_cast<float>(2.5 * n.x()), static_cast<float>(2.5 * n.y()),
-                                                  static_cast<float>(2.5 * n.z()), static_cast<std::uint32_t>(s.seed), 3);
+      const double azimuth = 2 * M_PI * (c % p.columns) / p.columns,
+                   elevation = M_PI * (static_cast<double>(r) / p.rows - 0.5);
+      const Vector3d n(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
+                       std::sin(elevation));
+      const double bump =
+          1 + 0.28 * fractalNoise(static_cast<float>(2.5 * n.x()), static_cast<float>(2.5 * n.y()),
+                                  static_cast<float>(2.5 * n.z()), static_cast<std::uint32_t>(s.seed), 3);
       p.vertices.push_back(
-          (T * Vector3d(radius * bump * n.x(), radius * bump * n.y(), height + radius * (0.7 + 1.2 * bump * n.z()))).cast<float>());
+          (T * Vector3d(radius * bump * n.x(), radius * bump * n.y(), height + radius * (0.7 + 1.2 * bump * n.z())))
+              .cast<float>());
     }
   add.add(std::move(p), 0.02, thing(Thing::kLeaves, s.seed, season));
 }
@@ -271,7 +284,8 @@ void addGround(const std::shared_ptr<const Street>& street, Season season, World
       for (int r = 0; r <= 4; ++r)
         for (int k = 0; k <= 4; ++k) {
           const Eigen::Vector2d at = corner + tile / 4 * Eigen::Vector2d(k, r);
-          p.vertices.emplace_back(static_cast<float>(at.x()), static_cast<float>(at.y()), static_cast<float>(street->ground(at)));
+          p.vertices.emplace_back(static_cast<float>(at.x()), static_cast<float>(at.y()),
+                                  static_cast<float>(street->ground(at)));
         }
       add.add(std::move(p), distance < 0.5 * c.width + 6 ? 2 * c.texel : 0.2,
               [street, season](const Patch& patch) { return paintGround(*street, patch, season); });
@@ -296,8 +310,9 @@ World buildStreetWorld(const Street& plan, Season season) {
   const double summer = rng.uniform(0, 2 * M_PI), autumn = summer + (rng.chance(0.5) ? 1 : -1) * rng.uniform(1.6, 2.8);
   const bool panoramas = season == Season::kPanoramas;
   const double azimuth = panoramas ? summer : autumn, elevation = panoramas ? 0.95 : 0.55;
-  world.sun =
-      Eigen::Vector3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)).cast<float>();
+  world.sun = Eigen::Vector3d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
+                              std::sin(elevation))
+                  .cast<float>();
   world.ambient = panoramas ? 0.5f : 0.68f;
   world.tint = panoramas ? Eigen::Vector3f(1.06f, 1.0f, 0.9f) : Eigen::Vector3f(0.92f, 0.97f, 1.08f);
   world.sun_reach = 300;

@@ -33,7 +33,8 @@ Rgb concrete(const Eigen::Vector3f& p, std::uint32_t seed) {
   const float a = valueNoise(85 * p.x(), 85 * p.y(), 85 * p.z(), seed + 5);
   const float speckle = a > 0.62f ? 0.28f : a < -0.66f ? -0.3f : 0.0f;
   // Joints and cracks follow the zero line of a slow noise.
-  const float crack = std::abs(fractalNoise(0.9f * p.x(), 0.9f * p.y(), 0.9f * p.z(), seed + 31, 5)) < 0.012f ? -0.35f : 0.0f;
+  const float crack =
+      std::abs(fractalNoise(0.9f * p.x(), 0.9f * p.y(), 0.9f * p.z(), seed + 31, 5)) < 0.012f ? -0.35f : 0.0f;
   const float f = 1 + 0.30f * n + speckle + crack;
   return scaled({138, 136, 130}, f);
 }
@@ -49,7 +50,8 @@ Rgb planks(const Eigen::Vector3f& p, std::uint32_t seed) {
   const float off = 40 * latticeHash(row, board, 3, seed);
   const float fibre = fractalNoise(5 * p.x() + off, 70 * p.y(), seed + 3, 4, 0.75f);
   const float ring = std::sin(42 * (p.y() + 0.05f * fractalNoise(1.5f * p.x() + off, 6 * p.y(), seed + 4, 2)));
-  const float f = (0.62f + 0.62f * tint) * (1 + 0.25f * fibre + 0.08f * ring + 0.18f * grain(p, seed)) * (gap ? 0.35f : 1.0f);
+  const float f =
+      (0.62f + 0.62f * tint) * (1 + 0.25f * fibre + 0.08f * ring + 0.18f * grain(p, seed)) * (gap ? 0.35f : 1.0f);
   return scaled({176 + 16 * hue, 132 + 8 * hue, 88 - 14 * hue}, f);
 }
 
@@ -73,7 +75,8 @@ Rgb gravel(const Eigen::Vector3f& p, std::uint32_t seed) {
   float nearest = 9, shade = 0;
   for (int dy = -1; dy <= 1; ++dy)
     for (int dx = -1; dx <= 1; ++dx) {
-      const float px = ix + dx + latticeHash(ix + dx, iy + dy, 0, seed), py = iy + dy + latticeHash(ix + dx, iy + dy, 1, seed);
+      const float px = ix + dx + latticeHash(ix + dx, iy + dy, 0, seed),
+                  py = iy + dy + latticeHash(ix + dx, iy + dy, 1, seed);
       const float radius = 0.25f + 0.5f * latticeHash(ix + dx, iy + dy, 2, seed);
       const float d = std::hypot(x - px, y - py) / radius;
       if (d < nearest) {
@@ -82,7 +85,8 @@ Rgb gravel(const Eigen::Vector3f& p, std::uint32_t seed) {
       }
     }
   const float n = grain(p, seed), slow = fractalNoise(1.1f * p.x(), 1.1f * p.y(), seed + 21, 3);
-  if (nearest < 1) return scaled({140, 134, 124}, (0.55f + 0.85f * shade) * (1.05f - 0.35f * nearest * nearest) * (1 + 0.2f * n));
+  if (nearest < 1)
+    return scaled({140, 134, 124}, (0.55f + 0.85f * shade) * (1.05f - 0.35f * nearest * nearest) * (1 + 0.2f * n));
   return scaled({112 + 10 * slow, 96 + 14 * slow, 74}, 0.8f * (1 + 0.35f * n + 0.25f * slow));
 }
 
@@ -95,10 +99,14 @@ Rgb cardboard(const Eigen::Vector3f& p, float v, std::uint32_t seed) {
 }
 
 Rgb painted(const Eigen::Vector3f& p, std::uint32_t seed) {
-  static const Rgb palette[] = {{168, 60, 48}, {52, 92, 150}, {62, 120, 74}, {196, 170, 70}, {90, 90, 96}, {205, 200, 190}, {170, 104, 44}};
+  static const Rgb palette[] = {{168, 60, 48}, {52, 92, 150},   {62, 120, 74}, {196, 170, 70},
+                                {90, 90, 96},  {205, 200, 190}, {170, 104, 44}};
   const Rgb base = palette[static_cast<int>(latticeHash(3, 1, 4, seed) * 7) % 7];
   const float scuff = fractalNoise(9 * p.x(), 9 * p.y(), 9 * p.z(), seed + 2, 4, 0.75f);
-  return scaled(base, (0.85f + 0.3f * latticeHash(5, 9, 2, seed)) * (1 + 0.22f * grain(p, seed) + (scuff > 0.55f ? 0.4f : scuff < -0.6f ? -0.35f : 0.0f)));
+  return scaled(base, (0.85f + 0.3f * latticeHash(5, 9, 2, seed)) * (1 + 0.22f * grain(p, seed) +
+                                                                     (scuff > 0.55f   ? 0.4f
+                                                                      : scuff < -0.6f ? -0.35f
+                                                                                      : 0.0f)));
 }
 
 Rgb wood(float u, float v, float length_is_u, std::uint32_t seed) {
@@ -116,25 +124,38 @@ Rgb plaster(const Eigen::Vector3f& p, std::uint32_t seed) {
 
 Rgb rock(const Eigen::Vector3f& p, std::uint32_t seed) {
   const float vein = std::abs(fractalNoise(4 * p.x(), 4 * p.y(), 4 * p.z(), seed + 51, 4)) < 0.03f ? 0.35f : 0.0f;
-  const float strata = 0.15f * std::sin(38 * (p.z() + 0.06f * fractalNoise(5 * p.x(), 5 * p.y(), 5 * p.z(), seed + 3, 2)));
+  const float strata =
+      0.15f * std::sin(38 * (p.z() + 0.06f * fractalNoise(5 * p.x(), 5 * p.y(), 5 * p.z(), seed + 3, 2)));
   const float tone = 0.7f + 0.5f * latticeHash(6, 6, 6, seed), warm = latticeHash(4, 4, 4, seed);
-  return scaled({132 + 26 * warm, 126 + 8 * warm, 118 - 10 * warm}, tone * (1 + 0.38f * grain(p, seed) + vein + strata));
+  return scaled({132 + 26 * warm, 126 + 8 * warm, 118 - 10 * warm},
+                tone * (1 + 0.38f * grain(p, seed) + vein + strata));
 }
 
 Rgb albedo(const Patch& patch, const Eigen::Vector3f& p, float u, float v) {
   const auto seed = static_cast<std::uint32_t>(patch.object);
   switch (patch.material) {
-    case Material::kConcrete: return concrete(p, seed);
-    case Material::kPlanks: return planks(p, seed);
-    case Material::kTiles: return tiles(p, seed);
-    case Material::kGravel: return gravel(p, seed);
-    case Material::kCardboard: return cardboard(p, v, seed);
-    case Material::kPaintedBox: return painted(p, seed);
-    case Material::kWood: return wood(u, v, patch.width > patch.height ? 1.0f : 0.0f, seed);
-    case Material::kBrick: return scaled({150, 84, 66}, (0.8f + 0.4f * latticeHash(1, 1, 1, seed)) * (1 + 0.4f * grain(p, seed)));
-    case Material::kPlaster: return plaster(p, seed);
-    case Material::kRock: return rock(p, seed);
-    case Material::kPaper: break;
+    case Material::kConcrete:
+      return concrete(p, seed);
+    case Material::kPlanks:
+      return planks(p, seed);
+    case Material::kTiles:
+      return tiles(p, seed);
+    case Material::kGravel:
+      return gravel(p, seed);
+    case Material::kCardboard:
+      return cardboard(p, v, seed);
+    case Material::kPaintedBox:
+      return painted(p, seed);
+    case Material::kWood:
+      return wood(u, v, patch.width > patch.height ? 1.0f : 0.0f, seed);
+    case Material::kBrick:
+      return scaled({150, 84, 66}, (0.8f + 0.4f * latticeHash(1, 1, 1, seed)) * (1 + 0.4f * grain(p, seed)));
+    case Material::kPlaster:
+      return plaster(p, seed);
+    case Material::kRock:
+      return rock(p, seed);
+    case Material::kPaper:
+      break;
   }
   return scaled({225, 222, 214}, 1 + 0.06f * grain(p, seed));
 }
@@ -170,7 +191,8 @@ class Printer {
     const cv::Scalar ink(rng_.uniform(15, 60), rng_.uniform(15, 60), rng_.uniform(20, 80));
     if (kind == 0) {
       const double line = rng_.uniform(0.012, 0.03);
-      for (int y = px(1.6 * line); y < h - 2; y += px(1.7 * line)) text(sheet, randomText(&rng_, 4 + rng_.integer(22)), {px(0.01), y}, line, ink);
+      for (int y = px(1.6 * line); y < h - 2; y += px(1.7 * line))
+        text(sheet, randomText(&rng_, 4 + rng_.integer(22)), {px(0.01), y}, line, ink);
     } else if (kind == 1) {
       picture(sheet, cv::Rect(px(0.006), px(0.006), std::max(4, w - 2 * px(0.006)), std::max(4, h - 2 * px(0.006))));
     } else {
@@ -190,10 +212,13 @@ class Printer {
     const auto seed = static_cast<std::uint32_t>(rng_.next());
     const float scale = 5.0f / static_cast<float>(std::max(where.width, where.height));
     Rgb colors[4];
-    for (auto& c : colors) c = {static_cast<float>(rng_.uniform(25, 225)), static_cast<float>(rng_.uniform(25, 215)), static_cast<float>(rng_.uniform(25, 205))};
+    for (auto& c : colors)
+      c = {static_cast<float>(rng_.uniform(25, 225)), static_cast<float>(rng_.uniform(25, 215)),
+           static_cast<float>(rng_.uniform(25, 205))};
     for (int y = 0; y < where.height; ++y)
       for (int x = 0; x < where.width; ++x) {
-        const float n = fractalNoise(scale * x, scale * y, seed, 4), m = fractalNoise(2.3f * scale * x, 2.3f * scale * y, seed + 1, 3);
+        const float n = fractalNoise(scale * x, scale * y, seed, 4),
+                    m = fractalNoise(2.3f * scale * x, 2.3f * scale * y, seed + 1, 3);
         const Rgb& c = colors[(n > 0.1f) + 2 * (m > 0)];
         const float f = 0.85f + 0.35f * m;
         on.at<cv::Vec3b>(where.y + y, where.x + x) = {byte(c.r * f), byte(c.g * f), byte(c.b * f)};
@@ -210,8 +235,10 @@ class Printer {
     const auto seed = static_cast<std::uint32_t>(rng_.next());
     const int r = px(1.6 * radius_m);
     const float R = static_cast<float>(px(radius_m));
-    for (int y = std::max(0, static_cast<int>(center.y) - r); y < std::min(image_.rows, static_cast<int>(center.y) + r); ++y)
-      for (int x = std::max(0, static_cast<int>(center.x) - r); x < std::min(image_.cols, static_cast<int>(center.x) + r); ++x) {
+    for (int y = std::max(0, static_cast<int>(center.y) - r); y < std::min(image_.rows, static_cast<int>(center.y) + r);
+         ++y)
+      for (int x = std::max(0, static_cast<int>(center.x) - r);
+           x < std::min(image_.cols, static_cast<int>(center.x) + r); ++x) {
         const float dx = (x - center.x) / R, dy = (y - center.y) / R;
         const float d = std::sqrt(dx * dx + dy * dy) + 0.35f * fractalNoise(2 * dx, 2 * dy, seed, 4);
         if (d >= 1) continue;
@@ -224,7 +251,8 @@ class Printer {
   void blend(const cv::Mat& sheet, cv::Point2f center, double angle_deg) {
     cv::Mat M = cv::getRotationMatrix2D({0.5f * sheet.cols, 0.5f * sheet.rows}, angle_deg, 1.0);
     const double reach = 0.5 * std::hypot(sheet.cols, sheet.rows) + 2;
-    const cv::Rect box = cv::Rect(static_cast<int>(center.x - reach), static_cast<int>(center.y - reach), static_cast<int>(2 * reach), static_cast<int>(2 * reach)) &
+    const cv::Rect box = cv::Rect(static_cast<int>(center.x - reach), static_cast<int>(center.y - reach),
+                                  static_cast<int>(2 * reach), static_cast<int>(2 * reach)) &
                          cv::Rect(0, 0, image_.cols, image_.rows);
     if (box.empty()) return;
     M.at<double>(0, 2) += center.x - 0.5 * sheet.cols - box.x;
@@ -247,29 +275,36 @@ void printBox(const Patch& patch, cv::Mat* image) {
   Rng& rng = p.rng();
   const int w = image->cols, h = image->rows;
   const double dark = rng.uniform(25, 80);
-  const cv::Scalar ink = rng.chance(0.7) ? cv::Scalar(dark, dark * 0.9, dark * 0.8) : scalar(rng.chance(0.5) ? Rgb{150, 40, 34} : Rgb{36, 60, 130});
+  const cv::Scalar ink = rng.chance(0.7) ? cv::Scalar(dark, dark * 0.9, dark * 0.8)
+                                         : scalar(rng.chance(0.5) ? Rgb{150, 40, 34} : Rgb{36, 60, 130});
   const int stains = 1 + rng.integer(3);
   for (int i = 0; i < stains; ++i)
-    p.stain({static_cast<float>(rng.uniform(0, w)), static_cast<float>(rng.uniform(0, h))}, rng.uniform(0.02, 0.09), static_cast<float>(rng.uniform(0.1, 0.3)));
+    p.stain({static_cast<float>(rng.uniform(0, w)), static_cast<float>(rng.uniform(0, h))}, rng.uniform(0.02, 0.09),
+            static_cast<float>(rng.uniform(0.1, 0.3)));
   if (patch.top) {  // flaps meet along the middle, under tape
     p.tape({0, h / 2}, {w, h / 2}, 0.05, rng.chance(0.6) ? cv::Scalar(206, 178, 128) : cv::Scalar(120, 88, 50), 0.8);
     cv::line(*image, {0, h / 2}, {w, h / 2}, cv::Scalar(60, 45, 30), 1);
   }
   const int lines = 1 + rng.integer(3);
   for (int i = 0; i < lines; ++i)
-    p.text(*image, randomText(&rng, 3 + rng.integer(8)), {static_cast<int>(rng.uniform(0.02, 0.4) * w), static_cast<int>(rng.uniform(0.2, 0.95) * h)},
+    p.text(*image, randomText(&rng, 3 + rng.integer(8)),
+           {static_cast<int>(rng.uniform(0.02, 0.4) * w), static_cast<int>(rng.uniform(0.2, 0.95) * h)},
            rng.uniform(0.03, 0.09), ink);
   if (rng.chance(0.5)) {  // "this side up": arrows over a bar
     const cv::Point at(static_cast<int>(rng.uniform(0.15, 0.8) * w), static_cast<int>(rng.uniform(0.4, 0.8) * h));
     for (int k = 0; k < 2; ++k)
-      cv::arrowedLine(*image, at + cv::Point(p.px(0.04) * k, 0), at + cv::Point(p.px(0.04) * k, -p.px(0.09)), ink, p.px(0.008), cv::LINE_AA, 0, 0.35);
-    cv::line(*image, at + cv::Point(-p.px(0.02), p.px(0.012)), at + cv::Point(p.px(0.06), p.px(0.012)), ink, p.px(0.008));
+      cv::arrowedLine(*image, at + cv::Point(p.px(0.04) * k, 0), at + cv::Point(p.px(0.04) * k, -p.px(0.09)), ink,
+                      p.px(0.008), cv::LINE_AA, 0, 0.35);
+    cv::line(*image, at + cv::Point(-p.px(0.02), p.px(0.012)), at + cv::Point(p.px(0.06), p.px(0.012)), ink,
+             p.px(0.008));
   }
-  if (rng.chance(0.35)) cv::circle(*image, {static_cast<int>(rng.uniform(0.2, 0.8) * w), static_cast<int>(rng.uniform(0.2, 0.8) * h)}, p.px(rng.uniform(0.03, 0.07)), ink, p.px(0.008), cv::LINE_AA);
+  if (rng.chance(0.35))
+    cv::circle(*image, {static_cast<int>(rng.uniform(0.2, 0.8) * w), static_cast<int>(rng.uniform(0.2, 0.8) * h)},
+               p.px(rng.uniform(0.03, 0.07)), ink, p.px(0.008), cv::LINE_AA);
   const int labels = rng.integer(3);
   for (int i = 0; i < labels; ++i)
-    p.sheet({static_cast<float>(rng.uniform(0.2, 0.8) * w), static_cast<float>(rng.uniform(0.2, 0.8) * h)}, rng.uniform(0.08, 0.2), rng.uniform(0.06, 0.15),
-            rng.chance(0.7) ? rng.uniform(-4, 4) : 90);
+    p.sheet({static_cast<float>(rng.uniform(0.2, 0.8) * w), static_cast<float>(rng.uniform(0.2, 0.8) * h)},
+            rng.uniform(0.08, 0.2), rng.uniform(0.06, 0.15), rng.chance(0.7) ? rng.uniform(-4, 4) : 90);
   // Worn edges.
   cv::rectangle(*image, {0, 0}, {w - 1, h - 1}, cv::Scalar(98, 76, 52), 1);
 }
@@ -277,23 +312,36 @@ void printBox(const Patch& patch, cv::Mat* image) {
 void printFloor(const Patch& patch, cv::Mat* image) {
   Printer p(image, patch.texel, mix(patch.seed, 6));
   Rng& rng = p.rng();
-  const auto anywhere = [&] { return cv::Point2f(static_cast<float>(rng.uniform(0, image->cols)), static_cast<float>(rng.uniform(0, image->rows))); };
-  for (int i = 0; i < 45; ++i) p.stain(anywhere(), rng.uniform(0.04, 0.35), static_cast<float>(rng.uniform(0.08, 0.35)));
+  const auto anywhere = [&] {
+    return cv::Point2f(static_cast<float>(rng.uniform(0, image->cols)),
+                       static_cast<float>(rng.uniform(0, image->rows)));
+  };
+  for (int i = 0; i < 45; ++i)
+    p.stain(anywhere(), rng.uniform(0.04, 0.35), static_cast<float>(rng.uniform(0.08, 0.35)));
   for (int i = 0; i < 7; ++i) {  // marking tape
     const cv::Point2f a = anywhere();
     const double angle = rng.uniform(0, 2 * M_PI), length = rng.uniform(0.3, 1.6) / patch.texel;
-    const cv::Scalar color = rng.chance(0.5) ? cv::Scalar(205, 170, 50) : rng.chance(0.5) ? cv::Scalar(40, 40, 44) : cv::Scalar(210, 208, 200);
-    cv::line(*image, a, cv::Point(static_cast<int>(a.x + length * std::cos(angle)), static_cast<int>(a.y + length * std::sin(angle))), color, p.px(0.05), cv::LINE_AA);
+    const cv::Scalar color = rng.chance(0.5)   ? cv::Scalar(205, 170, 50)
+                             : rng.chance(0.5) ? cv::Scalar(40, 40, 44)
+                                               : cv::Scalar(210, 208, 200);
+    cv::line(
+        *image, a,
+        cv::Point(static_cast<int>(a.x + length * std::cos(angle)), static_cast<int>(a.y + length * std::sin(angle))),
+        color, p.px(0.05), cv::LINE_AA);
   }
   for (int i = 0; i < 120; ++i) {  // scuffs
     const cv::Point2f a = anywhere();
     const double angle = rng.uniform(0, 2 * M_PI), length = rng.uniform(0.03, 0.3) / patch.texel;
-    cv::line(*image, a, cv::Point(static_cast<int>(a.x + length * std::cos(angle)), static_cast<int>(a.y + length * std::sin(angle))),
-             rng.chance(0.6) ? cv::Scalar(62, 58, 54) : cv::Scalar(190, 186, 178), p.px(rng.uniform(0.003, 0.012)), cv::LINE_AA);
+    cv::line(
+        *image, a,
+        cv::Point(static_cast<int>(a.x + length * std::cos(angle)), static_cast<int>(a.y + length * std::sin(angle))),
+        rng.chance(0.6) ? cv::Scalar(62, 58, 54) : cv::Scalar(190, 186, 178), p.px(rng.uniform(0.003, 0.012)),
+        cv::LINE_AA);
   }
   for (int i = 0; i < 46; ++i) {  // sheets of paper and posters left on the floor
     const bool poster = rng.chance(0.2);
-    p.sheet(anywhere(), poster ? rng.uniform(0.4, 0.6) : 0.21, poster ? rng.uniform(0.3, 0.5) : 0.297, rng.uniform(0, 360));
+    p.sheet(anywhere(), poster ? rng.uniform(0.4, 0.6) : 0.21, poster ? rng.uniform(0.3, 0.5) : 0.297,
+            rng.uniform(0, 360));
   }
 }
 
@@ -302,7 +350,8 @@ void printWall(const Patch& patch, cv::Mat* image) {
   Rng& rng = p.rng();
   const int posters = std::max(1, static_cast<int>(patch.width * patch.height));
   for (int i = 0; i < posters; ++i)
-    p.sheet({static_cast<float>(rng.uniform(0, image->cols)), static_cast<float>(rng.uniform(0, image->rows))}, rng.uniform(0.2, 0.6), rng.uniform(0.2, 0.5), rng.uniform(-5, 5));
+    p.sheet({static_cast<float>(rng.uniform(0, image->cols)), static_cast<float>(rng.uniform(0, image->rows))},
+            rng.uniform(0.2, 0.6), rng.uniform(0.2, 0.5), rng.uniform(-5, 5));
 }
 
 }  // namespace
@@ -312,16 +361,19 @@ cv::Mat paintPatch(const Patch& patch) {
   const int w = std::max(4, static_cast<int>(std::lround(patch.width / patch.texel)));
   const int h = std::max(4, static_cast<int>(std::lround(patch.height / patch.texel)));
   cv::Mat image(h, w, CV_8UC3);
-  // Boxes carry their texture with them: noise in face coordinates. Floors and rocks: noise in space, so that seams vanish.
-  const bool in_space = patch.columns > 1 || patch.material == Material::kConcrete || patch.material == Material::kPlanks ||
-                        patch.material == Material::kTiles || patch.material == Material::kGravel || patch.material == Material::kPlaster;
+  // Boxes carry their texture with them: noise in face coordinates. Floors and rocks: noise in space, so that seams
+  // vanish.
+  const bool in_space = patch.columns > 1 || patch.material == Material::kConcrete ||
+                        patch.material == Material::kPlanks || patch.material == Material::kTiles ||
+                        patch.material == Material::kGravel || patch.material == Material::kPlaster;
   const float offset = static_cast<float>(patch.seed % 9973);
 #pragma omp parallel for schedule(dynamic, 16)
   for (int y = 0; y < h; ++y) {
     auto* row = image.ptr<cv::Vec3b>(y);
     for (int x = 0; x < w; ++x) {
       const float u = (x + 0.5f) / w, v = (y + 0.5f) / h;
-      const Eigen::Vector3f p = in_space ? patch.point(u, v) : Eigen::Vector3f(u * patch.width + 0.37f * offset, v * patch.height, 0.1f);
+      const Eigen::Vector3f p =
+          in_space ? patch.point(u, v) : Eigen::Vector3f(u * patch.width + 0.37f * offset, v * patch.height, 0.1f);
       const Rgb c = albedo(patch, p, u * patch.width, v * patch.height);
       row[x] = {byte(c.r), byte(c.g), byte(c.b)};
     }
@@ -330,9 +382,15 @@ cv::Mat paintPatch(const Patch& patch) {
   cv::flip(image, image, 0);  // print upright: v grows upwards, image rows downwards
   switch (patch.material) {
     case Material::kCardboard:
-    case Material::kPaintedBox: printBox(patch, &image); break;
-    case Material::kPlaster: printWall(patch, &image); break;
-    default: printFloor(patch, &image); break;
+    case Material::kPaintedBox:
+      printBox(patch, &image);
+      break;
+    case Material::kPlaster:
+      printWall(patch, &image);
+      break;
+    default:
+      printFloor(patch, &image);
+      break;
   }
   cv::flip(image, image, 0);
   return image;

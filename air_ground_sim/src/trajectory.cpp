@@ -8,7 +8,7 @@
 namespace air_ground_sim {
 namespace {
 
-constexpr double kKnot = 0.2;            // spline interval [s]
+constexpr double kKnot = 0.2;  // spline interval [s]
 
 double lengthOf(const QuinticSpline& s, double from, double to) {
   double length = 0;
@@ -91,7 +91,8 @@ air_ground_common::Pose BodyTrajectory::pose(double time) const {
 
 double BodyTrajectory::pathLength(double from, double to) const { return lengthOf(spline_, from, to); }
 
-BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, const ClearanceMap& clearance, std::uint64_t seed) {
+BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, const ClearanceMap& clearance,
+                          std::uint64_t seed) {
   Rng rng(seed);
   const double yaw0 = rng.uniform(-M_PI, M_PI);
   const double turn = rng.chance(0.5) ? 1 : -1;
@@ -106,7 +107,8 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
       period[axis][k] = c.sway_period * rng.uniform(0.8, 1.1) * (k ? 1.45 : 1.0);
       phase[axis][k] = rng.uniform(0, 2 * M_PI);
     }
-  const double height_phase = rng.uniform(0, 2 * M_PI), radius_phase = rng.uniform(0, 2 * M_PI), yaw_phase = rng.uniform(0, 2 * M_PI);
+  const double height_phase = rng.uniform(0, 2 * M_PI), radius_phase = rng.uniform(0, 2 * M_PI),
+               yaw_phase = rng.uniform(0, 2 * M_PI);
   const double yaw_swing = rng.uniform(0.4, 0.8), yaw_drift = rng.uniform(-0.02, 0.02);
   const double climb = 6.0;  // [s]
 
@@ -120,20 +122,24 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
       const double s = progress_speed * (run < ramp ? 0.5 * run * run / ramp : run - 0.5 * ramp);
       const double phi = phi0 + turn * s / mean_radius;
       const double inward = smoothStep(s / 4.0);
-      const double scale = start_scale + (1 + 0.18 * std::sin(0.62 * (phi - phi0) + radius_phase) - start_scale) * inward;
+      const double scale =
+          start_scale + (1 + 0.18 * std::sin(0.62 * (phi - phi0) + radius_phase) - start_scale) * inward;
       Eigen::Vector3d p;
       p.x() = c.center.x() + c.loop_x * scale * std::cos(phi);
       p.y() = c.center.y() + c.loop_y * scale * std::sin(phi);
       const double cruise = 0.5 * (c.min_height + c.max_height) +
                             0.5 * (c.max_height - c.min_height) * std::sin(0.55 * (phi - phi0) + height_phase);
-      p.z() = kStandingHeight + (std::max(cruise, clearance(p.head<2>(), 0.6) + c.clearance) - kStandingHeight) * smoothStep(tf / climb);
+      p.z() = kStandingHeight +
+              (std::max(cruise, clearance(p.head<2>(), 0.6) + c.clearance) - kStandingHeight) * smoothStep(tf / climb);
       for (int axis = 0; axis < 3; ++axis)
         for (int k = 0; k < 2; ++k) {
           const double w = 2 * M_PI / period[axis][k];
           p[axis] += envelope * amplitude[axis][k] * std::sin(w * tf + phase[axis][k]);
         }
-      const double yaw = yaw0 + envelope * (yaw_swing * (std::sin(2 * M_PI * tf / 17.0 + yaw_phase) - std::sin(yaw_phase)) +
-                                            0.15 * std::sin(2 * M_PI * tf / 5.3)) + yaw_drift * std::max(0.0, tf);
+      const double yaw = yaw0 +
+                         envelope * (yaw_swing * (std::sin(2 * M_PI * tf / 17.0 + yaw_phase) - std::sin(yaw_phase)) +
+                                     0.15 * std::sin(2 * M_PI * tf / 5.3)) +
+                         yaw_drift * std::max(0.0, tf);
       return {p.x(), p.y(), p.z(), yaw};
     };
     // The obstacle clearance has steps: average the height over 1.2 s before it becomes control points.
@@ -161,12 +167,14 @@ std::vector<Eigen::Vector2d> smoothLane(const std::vector<Eigen::Vector2d>& poin
   std::vector<Eigen::Vector2d> curve;
   const int n = static_cast<int>(points.size());
   for (int i = 0; i + 1 < n; ++i) {
-    const Eigen::Vector2d p0 = i > 0 ? points[i - 1] : Eigen::Vector2d(2 * points[0] - points[1]), p1 = points[i], p2 = points[i + 1];
+    const Eigen::Vector2d p0 = i > 0 ? points[i - 1] : Eigen::Vector2d(2 * points[0] - points[1]), p1 = points[i],
+                          p2 = points[i + 1];
     const Eigen::Vector2d p3 = i + 2 < n ? points[i + 2] : Eigen::Vector2d(2 * p2 - p1);
     const int steps = std::max(2, static_cast<int>((p2 - p1).norm() / 0.01));
     for (int k = 0; k < steps; ++k) {
       const double u = static_cast<double>(k) / steps;
-      curve.push_back(0.5 * (2 * p1 + u * (p2 - p0) + u * u * (2 * p0 - 5 * p1 + 4 * p2 - p3) + u * u * u * (3 * p1 - p0 - 3 * p2 + p3)));
+      curve.push_back(0.5 * (2 * p1 + u * (p2 - p0) + u * u * (2 * p0 - 5 * p1 + 4 * p2 - p3) +
+                             u * u * u * (3 * p1 - p0 - 3 * p2 + p3)));
     }
   }
   curve.push_back(points.back());
@@ -183,23 +191,30 @@ BodyTrajectory makeDrive(const LaneConfig& lane, double duration, std::uint64_t 
   const double phase = rng.uniform(0, 2 * M_PI), period = rng.uniform(8, 11);
   double previous_yaw = 0;
   bool first = true;
-  return BodyTrajectory(splineAlong(duration, [&](double t) -> Eigen::Vector4d {
-    const double m = std::clamp(t - lane.stand_still, 0.0, moving);
-    double s = 0;
-    if (m < ramp) s = 0.5 * speed * m * m / ramp;
-    else if (m < moving - ramp) s = speed * (m - 0.5 * ramp);
-    else s = arc.back() - 0.5 * speed * (moving - m) * (moving - m) / ramp;
-    const auto it = std::lower_bound(arc.begin(), arc.end(), s);
-    const std::size_t i = std::clamp<std::size_t>(it - arc.begin(), 1, arc.size() - 1);
-    const double u = std::clamp((s - arc[i - 1]) / std::max(1e-9, arc[i] - arc[i - 1]), 0.0, 1.0);
-    const Eigen::Vector2d p = curve[i - 1] + u * (curve[i] - curve[i - 1]);
-    const Eigen::Vector2d d = lane.look_at - p;
-    double yaw = std::atan2(d.y(), d.x()) + lane.heading_swing * std::sin(2 * M_PI * m / period + phase);
-    if (!first) yaw = previous_yaw + air_ground_common::wrapAngle(yaw - previous_yaw);
-    first = false;
-    previous_yaw = yaw;
-    return {p.x(), p.y(), 0, yaw};
-  }), false);
+  return BodyTrajectory(
+      splineAlong(duration,
+                  [&](double t) -> Eigen::Vector4d {
+                    const double m = std::clamp(t - lane.stand_still, 0.0, moving);
+                    double s = 0;
+                    if (m < ramp)
+                      s = 0.5 * speed * m * m / ramp;
+                    else if (m < moving - ramp)
+                      s = speed * (m - 0.5 * ramp);
+                    else
+                      s = arc.back() - 0.5 * speed * (moving - m) * (moving - m) / ramp;
+                    const auto it = std::lower_bound(arc.begin(), arc.end(), s);
+                    const std::size_t i = std::clamp<std::size_t>(it - arc.begin(), 1, arc.size() - 1);
+                    const double u = std::clamp((s - arc[i - 1]) / std::max(1e-9, arc[i] - arc[i - 1]), 0.0, 1.0);
+                    const Eigen::Vector2d p = curve[i - 1] + u * (curve[i] - curve[i - 1]);
+                    const Eigen::Vector2d d = lane.look_at - p;
+                    double yaw =
+                        std::atan2(d.y(), d.x()) + lane.heading_swing * std::sin(2 * M_PI * m / period + phase);
+                    if (!first) yaw = previous_yaw + air_ground_common::wrapAngle(yaw - previous_yaw);
+                    first = false;
+                    previous_yaw = yaw;
+                    return {p.x(), p.y(), 0, yaw};
+                  }),
+      false);
 }
 
 }  // namespace air_ground_sim

@@ -14,7 +14,8 @@ namespace {
 
 Patch rectangle(const Eigen::Vector3d& origin, const Eigen::Vector3d& u, const Eigen::Vector3d& v) {
   Patch p;
-  p.vertices = {origin.cast<float>(), (origin + u).cast<float>(), (origin + v).cast<float>(), (origin + u + v).cast<float>()};
+  p.vertices = {origin.cast<float>(), (origin + u).cast<float>(), (origin + v).cast<float>(),
+                (origin + u + v).cast<float>()};
   p.width = static_cast<float>(u.norm());
   p.height = static_cast<float>(v.norm());
   return p;
@@ -22,10 +23,14 @@ Patch rectangle(const Eigen::Vector3d& origin, const Eigen::Vector3d& u, const E
 
 Material floorMaterial(FloorStyle style) {
   switch (style) {
-    case FloorStyle::kPlanks: return Material::kPlanks;
-    case FloorStyle::kTiles: return Material::kTiles;
-    case FloorStyle::kGravel: return Material::kGravel;
-    case FloorStyle::kConcrete: break;
+    case FloorStyle::kPlanks:
+      return Material::kPlanks;
+    case FloorStyle::kTiles:
+      return Material::kTiles;
+    case FloorStyle::kGravel:
+      return Material::kGravel;
+    case FloorStyle::kConcrete:
+      break;
   }
   return Material::kConcrete;
 }
@@ -74,7 +79,8 @@ double distanceToWall(const WallConfig& wall, const Eigen::Vector2d& p) {
 
 Eigen::Vector3f Patch::point(float u, float v) const {
   if (!column_at.empty()) {  // uneven grids are flat rectangles
-    const Eigen::Vector3f &a = vertices.front(), &b = vertices[columns], &c = vertices[static_cast<std::size_t>(rows) * (columns + 1)];
+    const Eigen::Vector3f &a = vertices.front(), &b = vertices[columns],
+                          &c = vertices[static_cast<std::size_t>(rows) * (columns + 1)];
     return a + u * (b - a) + v * (c - a);
   }
   const float x = u * columns, y = v * rows;
@@ -86,12 +92,14 @@ Eigen::Vector3f Patch::point(float u, float v) const {
 
 void addCuboid(const Cuboid& c, double texel, World* world) {
   const Eigen::Vector3d h(0.5 * c.size.x(), 0.5 * c.size.y(), c.size.z());
-  const auto at = [&](double x, double y, double z) -> Eigen::Vector3d { return c.T_world_base * Eigen::Vector3d(x * h.x(), y * h.y(), z * h.z()); };
+  const auto at = [&](double x, double y, double z) -> Eigen::Vector3d {
+    return c.T_world_base * Eigen::Vector3d(x * h.x(), y * h.y(), z * h.z());
+  };
   // Each face: origin, end of columns, end of rows; columns x rows points outwards.
   const Eigen::Vector3d faces[6][3] = {
-      {at(-1, -1, 1), at(1, -1, 1), at(-1, 1, 1)},   {at(-1, 1, 0), at(1, 1, 0), at(-1, -1, 0)},
-      {at(-1, -1, 0), at(1, -1, 0), at(-1, -1, 1)},  {at(1, 1, 0), at(-1, 1, 0), at(1, 1, 1)},
-      {at(1, -1, 0), at(1, 1, 0), at(1, -1, 1)},     {at(-1, 1, 0), at(-1, -1, 0), at(-1, 1, 1)}};
+      {at(-1, -1, 1), at(1, -1, 1), at(-1, 1, 1)},  {at(-1, 1, 0), at(1, 1, 0), at(-1, -1, 0)},
+      {at(-1, -1, 0), at(1, -1, 0), at(-1, -1, 1)}, {at(1, 1, 0), at(-1, 1, 0), at(1, 1, 1)},
+      {at(1, -1, 0), at(1, 1, 0), at(1, -1, 1)},    {at(-1, 1, 0), at(-1, -1, 0), at(-1, 1, 1)}};
   for (int i = 0; i < 6; ++i) {
     Patch p = rectangle(faces[i][0], faces[i][1] - faces[i][0], faces[i][2] - faces[i][0]);
     p.material = c.material;
@@ -141,9 +149,11 @@ World buildWorld(const SimConfig& config, std::uint64_t seed) {
   double spread = 0.6;
   do {
     const double angle = std::atan2(away.y(), away.x()) + rng.uniform(-spread, spread);
-    world.mav_start = world.flight.center + world.flight.start_radius * Eigen::Vector2d(std::cos(angle), std::sin(angle));
+    world.mav_start =
+        world.flight.center + world.flight.start_radius * Eigen::Vector2d(std::cos(angle), std::sin(angle));
     spread += 0.1;
-  } while (spread < 4 && std::any_of(c.walls.begin(), c.walls.end(), [&](const WallConfig& w) { return distanceToWall(w, world.mav_start) < 0.7; }));
+  } while (spread < 4 && std::any_of(c.walls.begin(), c.walls.end(),
+                                     [&](const WallConfig& w) { return distanceToWall(w, world.mav_start) < 0.7; }));
   free.start = world.mav_start;
 
   switch (c.kind) {
@@ -164,7 +174,8 @@ World buildWorld(const SimConfig& config, std::uint64_t seed) {
       addFloor(c, mix(seed, 2), &world);
       addGrid(c, &world);
       break;
-    case WorldKind::kStreet: break;  // built above
+    case WorldKind::kStreet:
+      break;  // built above
   }
   if (c.room_height > 0 && c.kind != WorldKind::kRubble) addRoom(c, mix(seed, 3), &world);
   return world;
@@ -192,7 +203,8 @@ HeightLookup::HeightLookup(const air_ground_common::TriangleMesh& mesh) {
   origin_ = -half;
   cells_.assign(static_cast<std::size_t>(size_) * size_, 0.0f);
   const auto raise = [&](const Eigen::Vector3f& p) {
-    const int x = static_cast<int>(std::floor((p.x() - origin_) / kCell)), y = static_cast<int>(std::floor((p.y() - origin_) / kCell));
+    const int x = static_cast<int>(std::floor((p.x() - origin_) / kCell)),
+              y = static_cast<int>(std::floor((p.y() - origin_) / kCell));
     if (x < 0 || y < 0 || x >= size_ || y >= size_) return;
     float& cell = cells_[static_cast<std::size_t>(y) * size_ + x];
     cell = std::max(cell, p.z());
@@ -205,7 +217,8 @@ HeightLookup::HeightLookup(const air_ground_common::TriangleMesh& mesh) {
     if (std::max({a.z(), b.z(), c.z()}) < 0.02f) continue;
     const int n = 1 + static_cast<int>(std::max((b - a).norm(), (c - a).norm()) / (0.5 * kCell));
     for (int i = 0; i <= n; ++i)
-      for (int j = 0; i + j <= n; ++j) raise(a + (b - a) * (static_cast<float>(i) / n) + (c - a) * (static_cast<float>(j) / n));
+      for (int j = 0; i + j <= n; ++j)
+        raise(a + (b - a) * (static_cast<float>(i) / n) + (c - a) * (static_cast<float>(j) / n));
   }
 }
 

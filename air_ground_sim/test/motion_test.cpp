@@ -14,7 +14,8 @@ using air_ground_common::Pose;
 BodyTrajectory testFlight(std::uint64_t seed) {
   FlightConfig c;
   c.duration = 20;
-  return makeFlight(c, {2.0, -1.5}, [](const Eigen::Vector2d&, double) { return 0.4; }, seed);
+  return makeFlight(
+      c, {2.0, -1.5}, [](const Eigen::Vector2d&, double) { return 0.4; }, seed);
 }
 
 TEST(QuinticSpline, DerivativesMatchFiniteDifferences) {
@@ -28,7 +29,8 @@ TEST(QuinticSpline, DerivativesMatchFiniteDifferences) {
     for (int d = 0; d < 4; ++d) {
       const Eigen::Vector4d difference = (s.evaluate(t + h, d) - s.evaluate(t - h, d)) / (2 * h);
       const Eigen::Vector4d derivative = s.evaluate(t, d + 1);
-      EXPECT_LT((difference - derivative).norm(), 1e-3 * (1 + derivative.norm())) << "derivative " << d + 1 << " at " << t;
+      EXPECT_LT((difference - derivative).norm(), 1e-3 * (1 + derivative.norm()))
+          << "derivative " << d + 1 << " at " << t;
     }
   }
 }
@@ -39,7 +41,8 @@ TEST(QuinticSpline, FourthDerivativeIsContinuousAtKnots) {
   for (int i = 0; i < 12; ++i) control.emplace_back(rng.gaussian(), rng.gaussian(), rng.gaussian(), rng.gaussian());
   const QuinticSpline s(control, 0.0, 0.5);
   for (int knot = 1; knot < 7; ++knot)
-    EXPECT_LT((s.evaluate(0.5 * knot - 1e-9, 4) - s.evaluate(0.5 * knot + 1e-9, 4)).norm(), 1e-3 * s.evaluate(0.5 * knot, 4).norm() + 1e-3);
+    EXPECT_LT((s.evaluate(0.5 * knot - 1e-9, 4) - s.evaluate(0.5 * knot + 1e-9, 4)).norm(),
+              1e-3 * s.evaluate(0.5 * knot, 4).norm() + 1e-3);
 }
 
 TEST(QuinticSpline, RefusesTooFewPoints) {
@@ -158,7 +161,8 @@ TEST(Drive, FollowsTheLaneLevelAndFacesTheScene) {
     const Pose T = drive.pose(t);
     EXPECT_EQ(T.translation().z(), 0.0);
     const Eigen::Vector2d to_scene = -T.translation().head<2>();
-    const double off = air_ground_common::wrapAngle(air_ground_common::yawOf(T.linear()) - std::atan2(to_scene.y(), to_scene.x()));
+    const double off =
+        air_ground_common::wrapAngle(air_ground_common::yawOf(T.linear()) - std::atan2(to_scene.y(), to_scene.x()));
     EXPECT_LT(std::abs(off), lane.heading_swing + 0.05);
   }
 }

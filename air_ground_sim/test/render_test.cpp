@@ -37,7 +37,8 @@ struct View {
 View mavView() {
   const SimConfig c = SimConfig::defaults();
   Pose T_world_base = air_ground_common::yawPose(1.1, {-0.3, 0.2, 2.2});
-  T_world_base.linear() = T_world_base.linear() * Eigen::AngleAxisd(0.08, Eigen::Vector3d(1, -1, 0).normalized()).toRotationMatrix();
+  T_world_base.linear() =
+      T_world_base.linear() * Eigen::AngleAxisd(0.08, Eigen::Vector3d(1, -1, 0).normalized()).toRotationMatrix();
   return {c.mav_camera.camera, T_world_base * c.T_mav_base_camera};
 }
 
@@ -75,10 +76,12 @@ TEST(Renderer, DepthAgreesWithSingleRaysThroughTheDistortedCamera) {
     for (int k = 0; k < 4000; ++k) {
       const int x = rng.integer(view.camera.width), y = rng.integer(view.camera.height);
       const Eigen::Vector3d ray = view.camera.ray({x, y});
-      const auto hit = reference.cast(view.T_world_camera.translation().cast<float>(), (view.T_world_camera.linear() * ray).cast<float>());
+      const auto hit = reference.cast(view.T_world_camera.translation().cast<float>(),
+                                      (view.T_world_camera.linear() * ray).cast<float>());
       const float expected = hit ? static_cast<float>(hit->distance * ray.z()) : 0;
       hits += hit.has_value();
-      different += std::abs(image.depth[static_cast<std::size_t>(y) * view.camera.width + x] - expected) > 1e-3f * (1 + expected);
+      different += std::abs(image.depth[static_cast<std::size_t>(y) * view.camera.width + x] - expected) >
+                   1e-3f * (1 + expected);
     }
     EXPECT_GT(hits, 2000);
     EXPECT_LE(different, 4) << "rays along an edge may go either way";
@@ -111,7 +114,9 @@ TEST(Renderer, KnownCornersLandOnTheirPixels) {
   renderer.depth(view.T_world_camera, 0, &image);
   const Pose T_world_box = air_ground_common::yawPose(0.4, {0.3, -0.2, 0});
   const Pose T_camera_box = view.T_world_camera.inverse() * T_world_box;
-  const auto pixel = [&](double x, double y) { return *view.camera.project(T_camera_box * Eigen::Vector3d(0.4 * x, 0.3 * y, 0.7)); };
+  const auto pixel = [&](double x, double y) {
+    return *view.camera.project(T_camera_box * Eigen::Vector3d(0.4 * x, 0.3 * y, 0.7));
+  };
   const Eigen::Vector2d center = pixel(0, 0);
   int checked = 0;
   for (double s = -0.9; s <= 0.9; s += 0.1)
@@ -154,7 +159,8 @@ TEST(Renderer, MotionSpreadsAnEdgeOverTheExposure) {
   renderer.light(std::vector<Pose>(8, view.T_world_camera), 1, &sharp);
   std::vector<Pose> moving;
   for (int s = 0; s < 8; ++s)
-    moving.push_back(air_ground_common::yawPose(0.06 * ((s + 0.5) / 8 - 0.5), Eigen::Vector3d::Zero()) * view.T_world_camera);
+    moving.push_back(air_ground_common::yawPose(0.06 * ((s + 0.5) / 8 - 0.5), Eigen::Vector3d::Zero()) *
+                     view.T_world_camera);
   renderer.light(moving, 1, &blurred);
   const auto gradient = [&](const std::vector<float>& image) {
     double sum = 0;

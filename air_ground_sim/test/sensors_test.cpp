@@ -131,7 +131,8 @@ TEST(Imager, NoiseIsShotPlusRead) {
     }
     const double n = image.size(), mean = sum / n, variance = sum2 / n - mean * mean;
     const double electrons = light * c.full_well;
-    const double expected = 255 * 255 * (electrons + c.read_noise * c.read_noise) / (c.full_well * c.full_well) + 1 / 12.0;
+    const double expected =
+        255 * 255 * (electrons + c.read_noise * c.read_noise) / (c.full_well * c.full_well) + 1 / 12.0;
     EXPECT_NEAR(mean, 255 * light, 0.2);
     EXPECT_NEAR(std::sqrt(variance), std::sqrt(expected), 0.03 * std::sqrt(expected));
   }

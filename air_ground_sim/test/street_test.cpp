@@ -74,9 +74,11 @@ TEST(StreetPlan, RowsOfHousesOnRisingGroundWithPanoramasBetween) {
       for (const double x : {0.0, 0.5, 1.0})
         for (const double y : {0.0, 0.5, 1.0})
           EXPECT_GT(s.distanceToLine(b.point(x * b.width, y * b.depth, 0).head<2>()), 0.5 * config.street.width - 0.1);
-      EXPECT_LT(s.distanceToLine(b.point(0.5 * b.width, 0, 0).head<2>()), s.distanceToLine(b.point(0.5 * b.width, 5, 0).head<2>()));
+      EXPECT_LT(s.distanceToLine(b.point(0.5 * b.width, 0, 0).head<2>()),
+                s.distanceToLine(b.point(0.5 * b.width, 5, 0).head<2>()));
       for (const double x : {0.0, 1.0})
-        EXPECT_LT(b.point(x * b.width, 0, 0).z(), s.ground(b.point(x * b.width, 0, 0).head<2>())) << "the wall must reach the ground";
+        EXPECT_LT(b.point(x * b.width, 0, 0).z(), s.ground(b.point(x * b.width, 0, 0).head<2>()))
+            << "the wall must reach the ground";
       if (b.line == 0) ++sides[n.dot(b.point(0.5 * b.width, 1, 0).head<2>() - line.from) > 0];
     }
     EXPECT_EQ(ids.size(), s.buildings.size());
@@ -94,7 +96,8 @@ TEST(StreetPlan, RowsOfHousesOnRisingGroundWithPanoramasBetween) {
       EXPECT_LT(gap, 15);
     }
     EXPECT_GT(s.cars[0].size(), 5u);
-    EXPECT_NE(s.cars[0].size() ? s.cars[0][0].position : Vector3d(), s.cars[1].size() ? s.cars[1][0].position : Vector3d())
+    EXPECT_NE(s.cars[0].size() ? s.cars[0][0].position : Vector3d(),
+              s.cars[1].size() ? s.cars[1][0].position : Vector3d())
         << "other cars on the day of the flight";
   }
   EXPECT_NE(planStreet(config.street, 1).buildings[0].width, planStreet(config.street, 2).buildings[0].width);
@@ -144,9 +147,10 @@ TEST(Geotags, HeadingIsClockwiseFromTrueNorthPitchUpRollRightSideDown) {
   const LocalFrame frame(c.crs, c.origin);
   Pose T = Pose::Identity();
   // Looks to the north-east by east (60 degrees from north), 10 degrees up, right side 5 degrees down.
-  const Vector3d forward =
-      Vector3d(std::sin(60 * kDegree) * std::cos(10 * kDegree), std::cos(60 * kDegree) * std::cos(10 * kDegree), std::sin(10 * kDegree));
-  const Vector3d level_left = Vector3d(-std::cos(60 * kDegree), std::sin(60 * kDegree), 0), up = forward.cross(level_left);
+  const Vector3d forward = Vector3d(std::sin(60 * kDegree) * std::cos(10 * kDegree),
+                                    std::cos(60 * kDegree) * std::cos(10 * kDegree), std::sin(10 * kDegree));
+  const Vector3d level_left = Vector3d(-std::cos(60 * kDegree), std::sin(60 * kDegree), 0),
+                 up = forward.cross(level_left);
   T.linear().col(0) = forward;
   T.linear().col(1) = std::cos(5 * kDegree) * level_left + std::sin(5 * kDegree) * up;  // left side up, right side down
   T.linear().col(2) = T.linear().col(0).cross(T.linear().col(1));
@@ -155,15 +159,16 @@ TEST(Geotags, HeadingIsClockwiseFromTrueNorthPitchUpRollRightSideDown) {
   EXPECT_NEAR(g.pitch, 10, 1e-9);
   EXPECT_NEAR(g.roll, 5, 1e-9);
   EXPECT_NEAR(g.place.height, c.origin.z(), 1e-6);
-  const Eigen::Matrix3d back =
-      (Eigen::AngleAxisd((90 - g.heading) * kDegree, Vector3d::UnitZ()) * Eigen::AngleAxisd(-g.pitch * kDegree, Vector3d::UnitY()) *
-       Eigen::AngleAxisd(g.roll * kDegree, Vector3d::UnitX()))
-          .toRotationMatrix();
+  const Eigen::Matrix3d back = (Eigen::AngleAxisd((90 - g.heading) * kDegree, Vector3d::UnitZ()) *
+                                Eigen::AngleAxisd(-g.pitch * kDegree, Vector3d::UnitY()) *
+                                Eigen::AngleAxisd(g.roll * kDegree, Vector3d::UnitX()))
+                                   .toRotationMatrix();
   EXPECT_LT((back - T.linear()).norm(), 1e-9);
 
   // Facing along the grid's north is not facing true north: the convergence near Zurich is 0.8 degrees.
   const Vector3d north = frame.fromCrs(c.origin + Vector3d(0, 100, 0));
-  const double grid_heading = geotagOf(frame, air_ground_common::yawPose(std::atan2(north.y(), north.x()), Vector3d::Zero())).heading;
+  const double grid_heading =
+      geotagOf(frame, air_ground_common::yawPose(std::atan2(north.y(), north.x()), Vector3d::Zero())).heading;
   EXPECT_NEAR(grid_heading, frame.meridianConvergence() / kDegree, 1e-4);
   EXPECT_NEAR(grid_heading, (8.55 - 7.439) * std::sin(47.37 * kDegree), 0.05);
   // A place 100 m to the true north has the larger latitude and the same longitude.
@@ -188,9 +193,9 @@ TEST(Panorama, AKnownPointLandsOnItsPixel) {
   const Scene scene(w);
   Pose T = Pose::Identity();
   T.translation() = Vector3d(1, -2, 1.5);
-  T.linear() =
-      (Eigen::AngleAxisd(2.0, Vector3d::UnitZ()) * Eigen::AngleAxisd(-0.2, Vector3d::UnitY()) * Eigen::AngleAxisd(0.15, Vector3d::UnitX()))
-          .toRotationMatrix();
+  T.linear() = (Eigen::AngleAxisd(2.0, Vector3d::UnitZ()) * Eigen::AngleAxisd(-0.2, Vector3d::UnitY()) *
+                Eigen::AngleAxisd(0.15, Vector3d::UnitX()))
+                   .toRotationMatrix();
   const int width = 1024;
   std::vector<float> rgb;
   renderPanorama(scene, T, width, 4, 1, &rgb);
@@ -220,7 +225,8 @@ TEST(StreetMesh, FacadesStandWhereTheModelWithoutErrorHasThem) {
       return hit ? hit->distance - 3.0 : 1e9;
     };
     for (double x = 0.25; x < b.width; x += 0.5)
-      for (double z = b.street_level + 0.3; z < b.eaves - 0.3; z += 0.5, ++walls) on_wall += std::abs(depthAt(x, z)) < 0.01;
+      for (double z = b.street_level + 0.3; z < b.eaves - 0.3; z += 0.5, ++walls)
+        on_wall += std::abs(depthAt(x, z)) < 0.01;
     for (const auto& o : b.openings) {
       if (o.floor == 0 || !b.balconies.empty()) continue;  // free of cars, people, railings
       const double depth = depthAt(o.x + 0.5 * o.width, o.z + 0.5 * o.height);
@@ -233,12 +239,15 @@ TEST(StreetMesh, FacadesStandWhereTheModelWithoutErrorHasThem) {
     double volume = 0;
     for (const auto& f : surfaces)
       for (std::size_t k = 1; k + 1 < f.polygon.size(); ++k)
-        volume += (f.polygon[0] - b.point(1, 1, 1)).dot((f.polygon[k] - b.point(1, 1, 1)).cross(f.polygon[k + 1] - b.point(1, 1, 1))) / 6;
+        volume += (f.polygon[0] - b.point(1, 1, 1))
+                      .dot((f.polygon[k] - b.point(1, 1, 1)).cross(f.polygon[k + 1] - b.point(1, 1, 1))) /
+                  6;
     const double ridge = b.roof == RoofKind::kGable ? b.width : b.width - 2 * b.hipInset() / 3 * 2;
     EXPECT_GT(volume, b.width * b.depth * b.eaves - 1e-6);
     EXPECT_LT(volume, b.width * b.depth * b.eaves + 0.5 * std::max(ridge, b.width) * b.depth * b.roof_rise + 1e-6);
     const auto moved = modelSurfaces(b, true);
-    for (std::size_t i = 0; i < moved.size(); ++i) EXPECT_LT((moved[i].polygon[0] - surfaces[i].polygon[0] - b.model_error).norm(), 1e-9);
+    for (std::size_t i = 0; i < moved.size(); ++i)
+      EXPECT_LT((moved[i].polygon[0] - surfaces[i].polygon[0] - b.model_error).norm(), 1e-9);
   }
   EXPECT_GT(on_wall, 0.45 * walls) << "the rest are openings, balconies, signs, trees";
   EXPECT_GT(panes, 30);
@@ -262,7 +271,8 @@ TEST(City, FilesAgreeWithThePlan) {
     const cv::Mat image = cv::imread((folder / "panoramas" / tags[i + 1][0]).string());
     EXPECT_EQ(image.cols, 512);
     EXPECT_EQ(image.rows, 256);
-    const Vector3d p = frame.fromGeodetic({std::stod(tags[i + 1][1]), std::stod(tags[i + 1][2]), std::stod(tags[i + 1][3])});
+    const Vector3d p =
+        frame.fromGeodetic({std::stod(tags[i + 1][1]), std::stod(tags[i + 1][2]), std::stod(tags[i + 1][3])});
     EXPECT_LT((p - s.panoramas[i].T_world_geotag.translation()).norm(), 2e-3);
     EXPECT_NEAR(std::stod(truth[i + 1][2]), s.panoramas[i].T_world_panorama.translation().y(), 1e-5);
     const Eigen::Quaterniond q(std::stod(truth[i + 1][7]), std::stod(truth[i + 1][4]), std::stod(truth[i + 1][5]),
@@ -279,7 +289,9 @@ TEST(City, FilesAgreeWithThePlan) {
     surfaces += modelSurfaces(b, true).size();
   }
   const std::regex list("<gml:posList[^>]*>([^<]*)<");
-  EXPECT_EQ(static_cast<std::size_t>(std::distance(std::sregex_iterator(gml.begin(), gml.end(), list), std::sregex_iterator())), surfaces);
+  EXPECT_EQ(static_cast<std::size_t>(
+                std::distance(std::sregex_iterator(gml.begin(), gml.end(), list), std::sregex_iterator())),
+            surfaces);
   std::smatch first;
   ASSERT_TRUE(std::regex_search(gml, first, list));
   std::stringstream numbers(first[1].str());
@@ -435,8 +447,10 @@ TEST(StreetFile, ErrorsNameTheKey) {
   EXPECT_EQ(errorOf("street: {lines: [{from: [0, 0], to: [60, 0]}]}"), "");
   EXPECT_NE(errorOf("").find("'lines' must name at least one street"), std::string::npos);
   EXPECT_NE(errorOf("street: {lines: [{from: [0, 0], to: [6, 0]}]}").find("at least 20 m"), std::string::npos);
-  EXPECT_NE(errorOf("street: {origin: [1, 2], lines: [{from: [0, 0], to: [60, 0]}]}").find("three numbers"), std::string::npos);
-  EXPECT_NE(errorOf("street: {camera_side: up, lines: [{from: [0, 0], to: [60, 0]}]}").find("must be one of"), std::string::npos);
+  EXPECT_NE(errorOf("street: {origin: [1, 2], lines: [{from: [0, 0], to: [60, 0]}]}").find("three numbers"),
+            std::string::npos);
+  EXPECT_NE(errorOf("street: {camera_side: up, lines: [{from: [0, 0], to: [60, 0]}]}").find("must be one of"),
+            std::string::npos);
 }
 
 }  // namespace

@@ -19,7 +19,8 @@ namespace fs = std::filesystem;
 std::vector<std::string> shippedWorlds() {
   std::vector<std::string> files;
   for (const auto& entry : fs::directory_iterator(AIR_GROUND_WORLDS))
-    if (entry.path().stem().string().rfind("street", 0) != 0) files.push_back(entry.path().string());  // those have a test of their own
+    if (entry.path().stem().string().rfind("street", 0) != 0)
+      files.push_back(entry.path().string());  // those have a test of their own
   std::sort(files.begin(), files.end());
   return files;
 }
@@ -41,7 +42,8 @@ TEST_P(ShippedWorld, LeavesBothWaysFree) {
     for (double t = 0; t < config.flight.duration; t += 0.25) {
       const Eigen::Vector3d ground = drive.pose(t).translation(), mav = flight.pose(t).translation();
       EXPECT_LT(heights(ground.head<2>(), 0.2), 0.06) << "in the ground robot's way at " << t << " s, seed " << seed;
-      EXPECT_GT(mav.z() - heights(mav.head<2>(), 0.3), t < 8 ? 0.05 : 0.45) << "the MAV nearly touches at " << t << " s, seed " << seed;
+      EXPECT_GT(mav.z() - heights(mav.head<2>(), 0.3), t < 8 ? 0.05 : 0.45)
+          << "the MAV nearly touches at " << t << " s, seed " << seed;
       EXPECT_LT(mav.z(), 3.1);
     }
     // Height matters where the world has structure, and only there.
@@ -64,7 +66,8 @@ TEST_P(ShippedWorld, VariesWithTheSeedAndOnlyWithIt) {
   EXPECT_EQ(layout_is_fixed, a.vertices == c.vertices);
 }
 
-INSTANTIATE_TEST_SUITE_P(All, ShippedWorld, testing::ValuesIn(shippedWorlds()), [](const auto& info) { return fs::path(info.param).stem().string(); });
+INSTANTIATE_TEST_SUITE_P(All, ShippedWorld, testing::ValuesIn(shippedWorlds()),
+                         [](const auto& info) { return fs::path(info.param).stem().string(); });
 
 TEST(Patches, FaceOutwards) {
   World world;
@@ -83,8 +86,9 @@ TEST(Patches, FaceOutwards) {
 }
 
 TEST(Textures, HaveContrastEverywhere) {
-  for (const Material m : {Material::kConcrete, Material::kPlanks, Material::kTiles, Material::kGravel, Material::kCardboard, Material::kPaintedBox,
-                           Material::kWood, Material::kBrick, Material::kPlaster, Material::kRock}) {
+  for (const Material m :
+       {Material::kConcrete, Material::kPlanks, Material::kTiles, Material::kGravel, Material::kCardboard,
+        Material::kPaintedBox, Material::kWood, Material::kBrick, Material::kPlaster, Material::kRock}) {
     Patch p;
     p.vertices = {{0, 0, 0}, {0.6f, 0, 0}, {0, 0.5f, 0}, {0.6f, 0.5f, 0}};
     p.width = 0.6f;
@@ -105,7 +109,8 @@ TEST(Textures, HaveContrastEverywhere) {
             sum += g / 225;
             sum2 += g * g / 225;
           }
-        EXPECT_GT(std::sqrt(std::max(0.0, sum2 - sum * sum)), 2) << "material " << static_cast<int>(m) << " at " << x << ' ' << y;
+        EXPECT_GT(std::sqrt(std::max(0.0, sum2 - sum * sum)), 2)
+            << "material " << static_cast<int>(m) << " at " << x << ' ' << y;
       }
   }
 }

@@ -8,8 +8,8 @@
 
 namespace dense_fusion::kernels {
 namespace {
-constexpr int kChunk = 256;         // pixels worked on at once, so that their operands stay in the first-level cache
-constexpr int kFractionBits = 6;    // sample positions are rounded to 1/64 px
+constexpr int kChunk = 256;       // pixels worked on at once, so that their operands stay in the first-level cache
+constexpr int kFractionBits = 6;  // sample positions are rounded to 1/64 px
 }  // namespace
 
 AIR_GROUND_CLONES
@@ -74,7 +74,8 @@ void packNeighborhoods(const std::uint8_t* image, int width, int height, std::ui
     const std::uint8_t* bottom = y + 1 < height ? top + width : top;
     std::uint32_t* out = packed + static_cast<std::ptrdiff_t>(y) * width;
     const auto pack = [&](int x, int right) {
-      out[x] = top[x] | std::uint32_t(top[right]) << 8 | std::uint32_t(bottom[x]) << 16 | std::uint32_t(bottom[right]) << 24;
+      out[x] =
+          top[x] | std::uint32_t(top[right]) << 8 | std::uint32_t(bottom[x]) << 16 | std::uint32_t(bottom[right]) << 24;
     };
     for (int x = 0; x + 1 < width; ++x) pack(x, x + 1);
     pack(width - 1, width - 1);

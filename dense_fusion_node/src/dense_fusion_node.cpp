@@ -58,7 +58,10 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<SurfacePoint>
 class DenseFusionNode {
  public:
   explicit DenseFusionNode(const NodeSettings& settings)
-      : settings_(settings), health_("dense_fusion"), mapper_(settings.mapper), map_(settings.map_cell, settings.map_max_points) {
+      : settings_(settings),
+        health_("dense_fusion"),
+        mapper_(settings.mapper),
+        map_(settings.map_cell, settings.map_max_points) {
     depth_map_publisher_ = handle_.advertise<air_ground::PosedDepthMap>("mav/depth_map", 20);
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20);
     field_publisher_ = handle_.advertise<diagnostic_msgs::DiagnosticArray>("mav/distance_field", 20);
@@ -92,7 +95,8 @@ class DenseFusionNode {
  private:
   enum Stream { kImages, kSparseClouds, kStreams };
 
-  // ---- Inputs: only queueing happens in the callbacks -----------------------------------------------------------------
+  // ---- Inputs: only queueing happens in the callbacks
+  // -----------------------------------------------------------------
 
   void onImage(const air_ground::PosedImage::ConstPtr& msg) {
     health_.received(image_topic_, msg->header.stamp);
@@ -153,7 +157,8 @@ class DenseFusionNode {
     queue_changed_.notify_all();
   }
 
-  // ---- Services -------------------------------------------------------------------------------------------------------
+  // ---- Services
+  // -------------------------------------------------------------------------------------------------------
 
   // Waits until the worker has emptied the queue and fused what is left. False: it did not come to that in time.
   bool flushAndWait() {
@@ -196,7 +201,8 @@ class DenseFusionNode {
     return true;
   }
 
-  // ---- Worker ---------------------------------------------------------------------------------------------------------
+  // ---- Worker
+  // ---------------------------------------------------------------------------------------------------------
 
   void work() {
     std::unique_lock<std::mutex> lock(queue_mutex_);
@@ -254,7 +260,9 @@ class DenseFusionNode {
       return;
     }
     if (!map_id_ || *map_id_ != msg.map_id || frame_id_ != msg.header.frame_id) {
-      if (map_id_) ROS_WARN_STREAM("the MAV's map changed from " << *map_id_ << " to " << msg.map_id << ": the dense map starts afresh");
+      if (map_id_)
+        ROS_WARN_STREAM("the MAV's map changed from " << *map_id_ << " to " << msg.map_id
+                                                      << ": the dense map starts afresh");
       startAfresh();
       map_id_ = msg.map_id;
       frame_id_ = msg.header.frame_id;
@@ -268,8 +276,9 @@ class DenseFusionNode {
     camera_frame_ = msg.camera_info.header.frame_id;
     const auto fused = guarded([&] {
       const auto camera = ros_utils::fromMsg(msg.camera_info);
-      return mapper_.add(ros_utils::greyFromMsg(msg.image), camera, static_cast<std::int64_t>(msg.header.stamp.toNSec()),
-                         ros_utils::fromMsg(msg.pose.pose), msg.depth_min, msg.depth_max);
+      return mapper_.add(ros_utils::greyFromMsg(msg.image), camera,
+                         static_cast<std::int64_t>(msg.header.stamp.toNSec()), ros_utils::fromMsg(msg.pose.pose),
+                         msg.depth_min, msg.depth_max);
     });
     health_.timing(fused ? "image that completes a fused map [s]" : "image [s]", secondsSince(start));
     const MapperCounters& c = mapper_.counters();
@@ -279,8 +288,9 @@ class DenseFusionNode {
       waiting = queue_.size();
     }
     health_.state(kOk, std::to_string(c.images) + " images, " + std::to_string(c.depth_maps) + " depth maps (" +
-                           std::to_string(c.poor_depth_maps) + " too poor), " + std::to_string(c.fused) + " fused maps, " +
-                           std::to_string(waiting) + " images waiting, " + std::to_string(without_scale_) + " without scale ignored");
+                           std::to_string(c.poor_depth_maps) + " too poor), " + std::to_string(c.fused) +
+                           " fused maps, " + std::to_string(waiting) + " images waiting, " +
+                           std::to_string(without_scale_) + " without scale ignored");
     if (fused) publish(*fused);
   }
 
@@ -324,7 +334,8 @@ class DenseFusionNode {
     health_.timing("fusion: votes [s]", fused.timings.votes);
     health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
     health_.timing("fusion: surface [s]", fused.timings.surface);
-    ROS_INFO_STREAM("fused map " << mapper_.counters().fused << ": " << fused.depth_maps << " depth maps, " << cloud.size() << " points, "
+    ROS_INFO_STREAM("fused map " << mapper_.counters().fused << ": " << fused.depth_maps << " depth maps, "
+                                 << cloud.size() << " points, "
                                  << fused.timings.votes + fused.timings.minimisation + fused.timings.surface << " s");
   }
 
@@ -375,7 +386,8 @@ class DenseFusionNode {
   std::string sparse_frame_;
   ros::Time sparse_stamp_;
   ros::WallTime last_arrival_;
-  bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flushing_ = false, flush_due_ = false, busy_ = false;
+  bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flushing_ = false, flush_due_ = false,
+       busy_ = false;
 
   // Touched by the worker only.
   DenseMapper mapper_;

@@ -12,7 +12,9 @@ namespace {
 
 constexpr std::size_t kRecentFrames = 64;
 
-double distance(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) { return (a.translation() - b.translation()).norm(); }
+double distance(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
+  return (a.translation() - b.translation()).norm();
+}
 
 double angle(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
   return air_ground_common::rotationAngle(a.linear(), b.linear());
@@ -53,9 +55,11 @@ void DenseMapper::reset() {
   carried_over_ = 0;
 }
 
-std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_common::CameraModel& camera, std::int64_t stamp,
-                                         const Eigen::Isometry3d& T_map_camera, double depth_min, double depth_max) {
-  if (!air_ground_common::isValid(T_map_camera)) throw std::invalid_argument("dense mapper: the camera pose is not a rigid transform");
+std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_common::CameraModel& camera,
+                                         std::int64_t stamp, const Eigen::Isometry3d& T_map_camera, double depth_min,
+                                         double depth_max) {
+  if (!air_ground_common::isValid(T_map_camera))
+    throw std::invalid_argument("dense mapper: the camera pose is not a rigid transform");
   if (!rectifier_ || !sameCalibration(rectifier_->recordedCamera(), camera)) {
     auto rectifier = std::make_unique<Rectifier>(camera, settings_.rectifier);
     reset();
@@ -108,8 +112,8 @@ std::optional<FusedMap> DenseMapper::finishSweep() {
   if (on_depth_map_) on_depth_map_(map);
   std::optional<FusedMap> fused;
   constexpr std::size_t kMaxGroup = 255;
-  if (!group_.empty() && (distance(group_.front().T_map_camera, map.T_map_camera) > settings_.fusion_radius ||
-                          group_.size() >= kMaxGroup))
+  if (!group_.empty() &&
+      (distance(group_.front().T_map_camera, map.T_map_camera) > settings_.fusion_radius || group_.size() >= kMaxGroup))
     fused = fuseGroup();
   group_.push_back(std::move(map));
   return fused;

@@ -1,5 +1,5 @@
-// Dense reconstruction of a recording with given poses: rosbag (ground truth or posed images) or folder in 7-Scenes layout.
-// Writes a PLY and pictures for each fused map; with the true mesh, prints errors.
+// Dense reconstruction of a recording with given poses: rosbag (ground truth or posed images) or folder in 7-Scenes
+// layout. Writes a PLY and pictures for each fused map; with the true mesh, prints errors.
 #include <air_ground/PosedImage.h>
 #include <geometry_msgs/PoseStamped.h>
 #include <rosbag/bag.h>
@@ -35,8 +35,9 @@ namespace ros_utils = air_ground_common::ros_utils;
 namespace fs = std::filesystem;
 
 struct Options {
-  std::string input, mesh, out = "dense_out", posed_topic, sparse_topic, trajectory, image_topic = "/mav/camera/image_raw",
-                                info_topic = "/mav/camera/camera_info", pose_topic = "/ground_truth/mav";
+  std::string input, mesh, out = "dense_out", posed_topic, sparse_topic, trajectory,
+                           image_topic = "/mav/camera/image_raw", info_topic = "/mav/camera/camera_info",
+                           pose_topic = "/ground_truth/mav";
   std::string camera_frame = "mav_camera_optical_frame";
   double depth_min = 0, depth_max = 0, focal = 525, up_x = 0, up_y = 0, up_z = 1, offset_x = 0;
   double noise_position = 0, noise_rotation = 0;
@@ -44,7 +45,8 @@ struct Options {
   bool depth_maps = false, corners = false;
 };
 
-using ImageSink = std::function<void(const cv::Mat&, const CameraModel&, std::int64_t stamp, const Pose& T_map_camera, double, double)>;
+using ImageSink = std::function<void(const cv::Mat&, const CameraModel&, std::int64_t stamp, const Pose& T_map_camera,
+                                     double, double)>;
 
 using SparseSink = std::function<void(std::vector<Eigen::Vector3f>)>;
 
@@ -63,8 +65,9 @@ void readPosedImages(const Options& options, const ImageSink& sink, const Sparse
     }
     const auto msg = m.instantiate<air_ground::PosedImage>();
     if (!msg || !msg->metric) continue;
-    sink(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info), static_cast<std::int64_t>(msg->header.stamp.toNSec()),
-         ros_utils::fromMsg(msg->pose.pose), msg->depth_min, msg->depth_max);
+    sink(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info),
+         static_cast<std::int64_t>(msg->header.stamp.toNSec()), ros_utils::fromMsg(msg->pose.pose), msg->depth_min,
+         msg->depth_max);
   }
 }
 
@@ -76,11 +79,13 @@ void readTruth(const Options& options, const ImageSink& sink) {
   bool found = false;
   CameraModel camera;
   {
-    rosbag::View view(bag, rosbag::TopicQuery(std::vector<std::string>{options.pose_topic, "/tf_static", options.info_topic}));
+    rosbag::View view(
+        bag, rosbag::TopicQuery(std::vector<std::string>{options.pose_topic, "/tf_static", options.info_topic}));
     for (const rosbag::MessageInstance& m : view) {
       if (const auto pose = m.instantiate<geometry_msgs::PoseStamped>())
         trajectory.push_back({pose->header.stamp.toSec(), ros_utils::fromMsg(pose->pose)});
-      if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && camera.width == 0) camera = ros_utils::fromMsg(*info);
+      if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && camera.width == 0)
+        camera = ros_utils::fromMsg(*info);
       if (const auto tf = m.instantiate<tf2_msgs::TFMessage>())
         for (const auto& t : tf->transforms)
           if (t.child_frame_id == options.camera_frame) {
@@ -94,7 +99,8 @@ void readTruth(const Options& options, const ImageSink& sink) {
     air_ground_common::Trajectory truth = trajectory;
     for (auto& pose : truth) pose.T_map_body = pose.T_map_body * T_base_camera;
     trajectory = air_ground_common::readTum(options.trajectory);
-    const auto error = air_ground_common::absoluteTrajectoryError(truth, trajectory, air_ground_common::Alignment::kRigid);
+    const auto error =
+        air_ground_common::absoluteTrajectoryError(truth, trajectory, air_ground_common::Alignment::kRigid);
     std::printf("trajectory: RMS error %.4f m over %.1f m after rigid alignment\n", error.rmse, error.path_length);
     Pose T_truth_estimate = Pose::Identity();
     T_truth_estimate.linear() = error.reference_from_estimate.R;
@@ -109,7 +115,9 @@ void readTruth(const Options& options, const ImageSink& sink) {
     const auto msg = m.instantiate<sensor_msgs::Image>();
     if (!msg) continue;
     const auto pose = air_ground_common::poseAt(trajectory, msg->header.stamp.toSec());
-    if (pose) sink(ros_utils::greyFromMsg(*msg), camera, static_cast<std::int64_t>(msg->header.stamp.toNSec()), *pose * T_base_camera, 0, 0);
+    if (pose)
+      sink(ros_utils::greyFromMsg(*msg), camera, static_cast<std::int64_t>(msg->header.stamp.toNSec()),
+           *pose * T_base_camera, 0, 0);
   }
 }
 
@@ -134,7 +142,8 @@ void readFolder(const Options& options, const ImageSink& sink) {
     camera.fx = camera.fy = options.focal;
     camera.cx = 0.5 * image.cols;
     camera.cy = 0.5 * image.rows;
-    sink(image, camera, static_cast<std::int64_t>(i / 30.0 * 1e9), T_level * air_ground_common::normalized(pose) * Pose(Eigen::Translation3d(options.offset_x, 0, 0)), 0, 0);
+    sink(image, camera, static_cast<std::int64_t>(i / 30.0 * 1e9),
+         T_level * air_ground_common::normalized(pose) * Pose(Eigen::Translation3d(options.offset_x, 0, 0)), 0, 0);
   }
 }
 
@@ -146,7 +155,8 @@ double quantile(std::vector<double> values, double q) {
 }
 
 // True depths of some rays, to stand in for the sparse points of visual odometry.
-void depthRange(const air_ground_common::MeshScene& mesh, const CameraModel& camera, const Pose& T, double* near, double* far) {
+void depthRange(const air_ground_common::MeshScene& mesh, const CameraModel& camera, const Pose& T, double* near,
+                double* far) {
   std::vector<double> depths;
   for (int v = 20; v < camera.height; v += 40)
     for (int u = 20; u < camera.width; u += 40) {
@@ -158,9 +168,10 @@ void depthRange(const air_ground_common::MeshScene& mesh, const CameraModel& cam
   *far = depths.empty() ? 0 : quantile(depths, 0.95);
 }
 
-// Where rays through an image's corners meet the mesh, their depth wrong by 2 %: stand-ins for the sparse points of visual odometry.
-void appendCorners(const air_ground_common::MeshScene& mesh, const cv::Mat& image, const CameraModel& camera, const Pose& T, std::mt19937* random,
-                   std::vector<Eigen::Vector3f>* points) {
+// Where rays through an image's corners meet the mesh, their depth wrong by 2 %: stand-ins for the sparse points of
+// visual odometry.
+void appendCorners(const air_ground_common::MeshScene& mesh, const cv::Mat& image, const CameraModel& camera,
+                   const Pose& T, std::mt19937* random, std::vector<Eigen::Vector3f>* points) {
   std::vector<cv::Point2f> corners;
   constexpr int kCorners = 150, kSpacing = 15;
   cv::goodFeaturesToTrack(image, corners, kCorners, 0.01, kSpacing);
@@ -213,10 +224,13 @@ void drawFromAbove(const std::string& path, const std::vector<dense_fusion::Surf
     upper = upper.cwiseMax(p.position);
   }
   constexpr float kCells = 50;
-  const int width = static_cast<int>((upper.x() - lower.x()) * kCells) + 1, height = static_cast<int>((upper.y() - lower.y()) * kCells) + 1;
-  cv::Mat z(height, width, CV_32F, cv::Scalar(-1e9)), grey = cv::Mat::zeros(height, width, CV_8U), scaled, coloured, grey3, both;
+  const int width = static_cast<int>((upper.x() - lower.x()) * kCells) + 1,
+            height = static_cast<int>((upper.y() - lower.y()) * kCells) + 1;
+  cv::Mat z(height, width, CV_32F, cv::Scalar(-1e9)), grey = cv::Mat::zeros(height, width, CV_8U), scaled, coloured,
+                                                      grey3, both;
   for (const auto& p : points) {
-    const int x = static_cast<int>((p.position.x() - lower.x()) * kCells), y = height - 1 - static_cast<int>((p.position.y() - lower.y()) * kCells);
+    const int x = static_cast<int>((p.position.x() - lower.x()) * kCells),
+              y = height - 1 - static_cast<int>((p.position.y() - lower.y()) * kCells);
     if (p.position.z() <= z.at<float>(y, x)) continue;
     z.at<float>(y, x) = p.position.z();
     grey.at<std::uint8_t>(y, x) = p.intensity;
@@ -235,7 +249,8 @@ struct Report {
   int maps = 0;
 };
 
-void reportFused(const Options& options, const dense_fusion::FusedMap& fused, const air_ground_common::MeshScene* mesh, Report* report) {
+void reportFused(const Options& options, const dense_fusion::FusedMap& fused, const air_ground_common::MeshScene* mesh,
+                 Report* report) {
   char name[64];
   std::snprintf(name, sizeof(name), "fused_%03d", report->maps++);
   const std::string base = (fs::path(options.out) / name).string();
@@ -250,15 +265,16 @@ void reportFused(const Options& options, const dense_fusion::FusedMap& fused, co
   air_ground_common::writePly(base + ".ply", cloud);
   drawDepth(base + "_view.png", fused.depth_map);
   drawFromAbove(base + "_above.png", fused.points);
-  std::printf("%s: %d depth maps, grid %dx%dx%d of %.4f m, %zu points, support %.1f, votes %.0f + TV-L1 %.0f + surface %.0f ms", name,
-              fused.depth_maps, fused.grid.nx, fused.grid.ny, fused.grid.nz, fused.grid.voxel_size, fused.points.size(),
-              fused.mean_support, 1e3 * fused.timings.votes, 1e3 * fused.timings.minimisation, 1e3 * fused.timings.surface);
+  std::printf(
+      "%s: %d depth maps, grid %dx%dx%d of %.4f m, %zu points, support %.1f, votes %.0f + TV-L1 %.0f + surface %.0f ms",
+      name, fused.depth_maps, fused.grid.nx, fused.grid.ny, fused.grid.nz, fused.grid.voxel_size, fused.points.size(),
+      fused.mean_support, 1e3 * fused.timings.votes, 1e3 * fused.timings.minimisation, 1e3 * fused.timings.surface);
   if (mesh) {
     const auto view = depthErrors(*mesh, fused.depth_map);
     std::vector<double> surface;
     for (const auto& p : fused.points) surface.push_back(mesh->distance(p.position, 1.f));
-    std::printf("; depth median %.4f 95%% %.4f m, cloud to mesh median %.4f 95%% %.4f m", quantile(view, 0.5), quantile(view, 0.95),
-                quantile(surface, 0.5), quantile(surface, 0.95));
+    std::printf("; depth median %.4f 95%% %.4f m, cloud to mesh median %.4f 95%% %.4f m", quantile(view, 0.5),
+                quantile(view, 0.95), quantile(surface, 0.5), quantile(surface, 0.95));
     report->fused.insert(report->fused.end(), view.begin(), view.end());
     report->cloud.insert(report->cloud.end(), surface.begin(), surface.end());
   }
@@ -269,7 +285,8 @@ void reportFused(const Options& options, const dense_fusion::FusedMap& fused, co
 int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   fs::create_directories(options.out);
   std::unique_ptr<air_ground_common::MeshScene> mesh;
-  if (!options.mesh.empty()) mesh = std::make_unique<air_ground_common::MeshScene>(air_ground_common::readPlyMesh(options.mesh));
+  if (!options.mesh.empty())
+    mesh = std::make_unique<air_ground_common::MeshScene>(air_ground_common::readPlyMesh(options.mesh));
   dense_fusion::DenseMapper mapper(settings);
   Report report;
   int depth_maps = 0;
@@ -278,7 +295,8 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
       const auto errors = depthErrors(*mesh, map);
       report.depth_map.insert(report.depth_map.end(), errors.begin(), errors.end());
     }
-    if (options.depth_maps) drawDepth((fs::path(options.out) / ("depth_" + std::to_string(depth_maps) + ".png")).string(), map);
+    if (options.depth_maps)
+      drawDepth((fs::path(options.out) / ("depth_" + std::to_string(depth_maps) + ".png")).string(), map);
     ++depth_maps;
   });
   std::mt19937 random(1);
@@ -286,7 +304,8 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   std::vector<Eigen::Vector3f> corners;
   int images = 0;
   double seconds = 0;
-  const ImageSink sink = [&](const cv::Mat& image, const CameraModel& camera, std::int64_t stamp, const Pose& T, double near, double far) {
+  const ImageSink sink = [&](const cv::Mat& image, const CameraModel& camera, std::int64_t stamp, const Pose& T,
+                             double near, double far) {
     const int index = images++;
     const bool folder = fs::is_directory(options.input);
     if (!folder && (index < options.first || index > options.last)) return;
@@ -302,7 +321,9 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
       mapper.setSparsePoints(corners);
     }
     Pose noisy = T;
-    const auto draw = [&](double sigma) { return Eigen::Vector3d(sigma * normal(random), sigma * normal(random), sigma * normal(random)); };
+    const auto draw = [&](double sigma) {
+      return Eigen::Vector3d(sigma * normal(random), sigma * normal(random), sigma * normal(random));
+    };
     noisy.translation() += draw(options.noise_position);
     noisy.linear() = T.linear() * air_ground_common::expSO3(draw(options.noise_rotation));
     const auto start = std::chrono::steady_clock::now();
@@ -313,18 +334,23 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   if (fs::is_directory(options.input))
     readFolder(options, sink);
   else if (!options.posed_topic.empty())
-    readPosedImages(options, sink, [&](std::vector<Eigen::Vector3f> points) { mapper.setSparsePoints(std::move(points)); });
+    readPosedImages(options, sink,
+                    [&](std::vector<Eigen::Vector3f> points) { mapper.setSparsePoints(std::move(points)); });
   else
     readTruth(options, sink);
   if (const auto fused = mapper.flush()) reportFused(options, *fused, mesh.get(), &report);
   const auto& c = mapper.counters();
-  std::printf("%zu images (%zu redundant), %zu sweeps, %zu depth maps (%zu poor), %zu fused (%zu groups too small), %.1f ms an image\n",
-              c.images, c.redundant, c.swept, c.depth_maps, c.poor_depth_maps, c.fused, c.small_groups,
-              1e3 * seconds / std::max<std::size_t>(1, c.images));
+  std::printf(
+      "%zu images (%zu redundant), %zu sweeps, %zu depth maps (%zu poor), %zu fused (%zu groups too small), %.1f ms an "
+      "image\n",
+      c.images, c.redundant, c.swept, c.depth_maps, c.poor_depth_maps, c.fused, c.small_groups,
+      1e3 * seconds / std::max<std::size_t>(1, c.images));
   if (mesh)
-    std::printf("single depth maps: median %.4f 95%% %.4f m\nfused depth maps: median %.4f 95%% %.4f m\ncloud to mesh: median %.4f 95%% %.4f m\n",
-                quantile(report.depth_map, 0.5), quantile(report.depth_map, 0.95), quantile(report.fused, 0.5),
-                quantile(report.fused, 0.95), quantile(report.cloud, 0.5), quantile(report.cloud, 0.95));
+    std::printf(
+        "single depth maps: median %.4f 95%% %.4f m\nfused depth maps: median %.4f 95%% %.4f m\ncloud to mesh: median "
+        "%.4f 95%% %.4f m\n",
+        quantile(report.depth_map, 0.5), quantile(report.depth_map, 0.95), quantile(report.fused, 0.5),
+        quantile(report.fused, 0.95), quantile(report.cloud, 0.5), quantile(report.cloud, 0.95));
   return c.fused > 0 ? 0 : 1;
 }
 
@@ -334,16 +360,23 @@ int main(int argc, char** argv) {
   Options options;
   dense_fusion::MapperSettings settings;
   CLI::App app("Dense reconstruction of a recording whose camera poses are known");
-  app.add_option("input", options.input, "rosbag, or folder with frame-*.color.jpg and frame-*.pose.txt")->required()->check(CLI::ExistingPath);
+  app.add_option("input", options.input, "rosbag, or folder with frame-*.color.jpg and frame-*.pose.txt")
+      ->required()
+      ->check(CLI::ExistingPath);
   app.add_option("--out", options.out, "folder for PLY and PNG files");
-  app.add_option("--mesh", options.mesh, "true mesh in the poses' frame (PLY): prints errors")->check(CLI::ExistingFile);
-  app.add_option("--posed-image-topic", options.posed_topic, "take images and poses from this topic instead of raw images and truth");
-  app.add_option("--sparse-cloud-topic", options.sparse_topic, "with posed images: sparse points that bound the voxel grid");
-  app.add_flag("--sparse-corners", options.corners, "without posed images: points of --mesh at corners of the images bound the voxel grid");
+  app.add_option("--mesh", options.mesh, "true mesh in the poses' frame (PLY): prints errors")
+      ->check(CLI::ExistingFile);
+  app.add_option("--posed-image-topic", options.posed_topic,
+                 "take images and poses from this topic instead of raw images and truth");
+  app.add_option("--sparse-cloud-topic", options.sparse_topic,
+                 "with posed images: sparse points that bound the voxel grid");
+  app.add_flag("--sparse-corners", options.corners,
+               "without posed images: points of --mesh at corners of the images bound the voxel grid");
   app.add_option("--image-topic", options.image_topic, "raw images");
   app.add_option("--camera-info-topic", options.info_topic, "calibration");
   app.add_option("--pose-topic", options.pose_topic, "true poses of the body");
-  app.add_option("--trajectory", options.trajectory, "estimated camera poses (TUM) to use instead of the truth, moved rigidly to it")
+  app.add_option("--trajectory", options.trajectory,
+                 "estimated camera poses (TUM) to use instead of the truth, moved rigidly to it")
       ->check(CLI::ExistingFile);
   app.add_option("--camera-frame", options.camera_frame, "optical frame in /tf_static");
   app.add_option("--depth-min", options.depth_min, "expected depths in view [m]; else from the mesh");
@@ -360,7 +393,8 @@ int main(int argc, char** argv) {
   app.add_option("--threads", options.threads, "threads");
   app.add_option("--voxel-size", settings.fusion.voxel_size, "[m]");
   app.add_option("--truncation-voxels", settings.fusion.truncation_voxels, "half width of the band [voxels]");
-  app.add_option("--behind-voxels", settings.fusion.behind_voxels, "reach of votes for matter beyond the band [voxels]");
+  app.add_option("--behind-voxels", settings.fusion.behind_voxels,
+                 "reach of votes for matter beyond the band [voxels]");
   app.add_option("--lambda", settings.fusion.tv_l1.lambda, "weight of the votes");
   app.add_option("--iterations", settings.fusion.tv_l1.iterations, "of TV-L1 at full resolution");
   app.add_option("--min-support", settings.fusion.min_support, "depth maps that must agree");

@@ -26,7 +26,8 @@ class Stopwatch {
 };
 
 // Moves surface points along the reference camera's rays by what the depth maps say on average.
-void refineSurface(const std::vector<DepthMap>& maps, const FusionSettings& settings, const RefineSettings& refine, FusedMap* fused) {
+void refineSurface(const std::vector<DepthMap>& maps, const FusionSettings& settings, const RefineSettings& refine,
+                   FusedMap* fused) {
   const Eigen::Isometry3d& T = fused->depth_map.T_map_camera;
   const auto& camera = fused->depth_map.camera;
 #pragma omp parallel for schedule(dynamic, 8) num_threads(settings.threads)
@@ -48,8 +49,8 @@ void refineSurface(const std::vector<DepthMap>& maps, const FusionSettings& sett
   }
 }
 
-// Drops crossings that face away from every camera: the far side of the band, where free-space votes of wrong depths are
-// the only voice.
+// Drops crossings that face away from every camera: the far side of the band, where free-space votes of wrong depths
+// are the only voice.
 void dropBackFaces(const std::vector<DepthMap>& maps, std::vector<SurfacePoint>* points) {
   std::vector<Eigen::Vector3f> centres;
   for (const DepthMap& map : maps) centres.push_back(map.T_map_camera.translation().cast<float>());
@@ -108,7 +109,8 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
   Axes sparse;
   for (const Eigen::Vector3f& point : sparse_points) {
     const Eigen::Vector3d p = point.cast<double>();
-    if (p.allFinite() && std::any_of(maps.begin(), maps.end(), [&](const DepthMap& map) { return inView(map, p); })) append(p, &sparse);
+    if (p.allFinite() && std::any_of(maps.begin(), maps.end(), [&](const DepthMap& map) { return inView(map, p); }))
+      append(p, &sparse);
   }
   if (!sparse[0].empty() && static_cast<int>(sparse[0].size()) >= settings.min_sparse_points) {
     constexpr double kOutliers = 0.01;
@@ -132,7 +134,8 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
   return grid;
 }
 
-std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference, const FusionSettings& settings,
+std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::size_t reference,
+                                      const FusionSettings& settings,
                                       const std::vector<Eigen::Vector3f>& sparse_points) {
   if (reference >= maps.size()) throw std::invalid_argument("depth fusion: the reference view is not among the maps");
   if (maps.size() > 255) throw std::invalid_argument("depth fusion: at most 255 depth maps fit in the 8-bit votes");

@@ -30,7 +30,8 @@ float distanceAt(const DepthMap& map, const Eigen::Vector3d& point, const VoteBa
   return f >= -1 - band.behind / band.truncation ? static_cast<float>(std::clamp(f, -1.0, 1.0)) : kNothing;
 }
 
-void addVotes(const DepthMap& map, const VoxelGrid& grid, const VoteBand& band, int threads, Histograms<std::uint8_t>* votes) {
+void addVotes(const DepthMap& map, const VoxelGrid& grid, const VoteBand& band, int threads,
+              Histograms<std::uint8_t>* votes) {
   checkSizes(grid, band, *votes);
   const Eigen::Isometry3d T_camera_map = map.T_map_camera.inverse();
   const Eigen::Vector3d dx = grid.voxel_size * T_camera_map.linear().col(0);
@@ -51,7 +52,8 @@ void addVotes(const DepthMap& map, const VoxelGrid& grid, const VoteBand& band, 
   }
 }
 
-void addVotesReference(const DepthMap& map, const VoxelGrid& grid, const VoteBand& band, Histograms<std::uint8_t>* votes) {
+void addVotesReference(const DepthMap& map, const VoxelGrid& grid, const VoteBand& band,
+                       Histograms<std::uint8_t>* votes) {
   checkSizes(grid, band, *votes);
   for (int z = 0; z < grid.nz; ++z)
     for (int y = 0; y < grid.ny; ++y)

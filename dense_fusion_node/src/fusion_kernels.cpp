@@ -11,8 +11,8 @@
 namespace dense_fusion::kernels {
 
 AIR_GROUND_CLONES
-void voteRow(const float* start, const float* step, int nx, const float* camera, const float* __restrict depth, int width,
-             int height, float inverse_truncation, float lowest, std::uint8_t* __restrict bin) {
+void voteRow(const float* start, const float* step, int nx, const float* camera, const float* __restrict depth,
+             int width, int height, float inverse_truncation, float lowest, std::uint8_t* __restrict bin) {
   const float fx = camera[0], fy = camera[1], cx = camera[2] + 0.5f, cy = camera[3] + 0.5f;
   const float X0 = start[0], Y0 = start[1], Z0 = start[2], dX = step[0], dY = step[1], dZ = step[2];
   const float right = static_cast<float>(width), bottom = static_cast<float>(height);
@@ -21,7 +21,8 @@ void voteRow(const float* start, const float* step, int nx, const float* camera,
     const float i = static_cast<float>(x);
     const float X = X0 + i * dX, Y = Y0 + i * dY, Z = Z0 + i * dZ;
     const float inverse_z = 1.f / std::max(Z, 1e-3f);
-    const float u = fx * X * inverse_z + cx, v = fy * Y * inverse_z + cy;  // +0.5: truncation rounds to the nearest pixel
+    const float u = fx * X * inverse_z + cx,
+                v = fy * Y * inverse_z + cy;  // +0.5: truncation rounds to the nearest pixel
     const int inside = (u >= 0.f) & (v >= 0.f) & (u < right) & (v < bottom) & (Z > 1e-3f);
     const int iu = static_cast<int>(std::min(std::max(u, 0.f), right - 1.f));
     const int iv = static_cast<int>(std::min(std::max(v, 0.f), bottom - 1.f));
@@ -90,9 +91,11 @@ __attribute__((always_inline)) inline void primalRowImpl(float* __restrict u, fl
                                                          const float* __restrict px, const float* __restrict py,
                                                          const float* __restrict py_before, const float* __restrict pz,
                                                          const float* __restrict pz_before,
-                                                         const Count* __restrict counts, int nx, float tau, float lambda) {
+                                                         const Count* __restrict counts, int nx, float tau,
+                                                         float lambda) {
   const float weight = tau * lambda;
-  const float first = proximalStep(u[0] + tau * (px[0] + py[0] - py_before[0] + pz[0] - pz_before[0]), counts, nx, weight);
+  const float first =
+      proximalStep(u[0] + tau * (px[0] + py[0] - py_before[0] + pz[0] - pz_before[0]), counts, nx, weight);
   ubar[0] = 2.f * first - u[0];
   u[0] = first;
   for (int x = 1; x < nx; ++x) {

@@ -44,7 +44,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   m.sweep.min_confidence = p.number("sweep/min_confidence", m.sweep.min_confidence, 0, 1);
 
   m.fusion.voxel_size = p.number("fusion/voxel_size", m.fusion.voxel_size, 0.001, 10);
-  m.fusion.max_voxels = static_cast<std::size_t>(p.integer("fusion/max_voxels", static_cast<int>(m.fusion.max_voxels), 1000, 200000000));
+  m.fusion.max_voxels =
+      static_cast<std::size_t>(p.integer("fusion/max_voxels", static_cast<int>(m.fusion.max_voxels), 1000, 200000000));
   m.fusion.truncation_voxels = p.number("fusion/truncation_voxels", m.fusion.truncation_voxels, 1, 50);
   m.fusion.behind_voxels = p.number("fusion/behind_voxels", m.fusion.behind_voxels, 0, 1000);
   m.fusion.min_support = p.integer("fusion/min_support", m.fusion.min_support, 1, 255);

@@ -28,7 +28,8 @@ void clipHalfLine(double a, double b, double* begin, double* end) {
 
 // Pixels [x0, x1) of a row whose samples stay in the image for one hypothesis: they form an interval, because the set
 // of pixels that a homography with positive w maps into a rectangle is convex.
-void clipRow(const Eigen::Vector3d& at_zero, const Eigen::Vector3d& per_x, int width, int height, double* begin, double* end) {
+void clipRow(const Eigen::Vector3d& at_zero, const Eigen::Vector3d& per_x, int width, int height, double* begin,
+             double* end) {
   clipHalfLine(at_zero.z() - 1e-3, per_x.z(), begin, end);
   clipHalfLine(at_zero.x() - kBorder * at_zero.z(), per_x.x() - kBorder * per_x.z(), begin, end);
   clipHalfLine(at_zero.y() - kBorder * at_zero.z(), per_x.y() - kBorder * per_x.z(), begin, end);
@@ -44,9 +45,11 @@ PlaneSweep::PlaneSweep(const air_ground_common::CameraModel& camera, const Plane
   camera.validate();
   if (camera.hasDistortion()) throw std::invalid_argument("plane sweep: needs an undistorted camera");
   if (settings.hypotheses < 16 || settings.hypotheses > 1000)
-    throw std::invalid_argument("plane sweep: hypotheses must lie in 16..1000, not " + std::to_string(settings.hypotheses));
+    throw std::invalid_argument("plane sweep: hypotheses must lie in 16..1000, not " +
+                                std::to_string(settings.hypotheses));
   if (settings.max_frames < 1 || settings.max_frames > 64)
-    throw std::invalid_argument("plane sweep: max_frames must lie in 1..64, not " + std::to_string(settings.max_frames));
+    throw std::invalid_argument("plane sweep: max_frames must lie in 1..64, not " +
+                                std::to_string(settings.max_frames));
   if (settings.aggregation_radius < 0 || settings.aggregation_radius > 8)
     throw std::invalid_argument("plane sweep: aggregation_radius must lie in 0..8");
   if (settings.threads < 1) throw std::invalid_argument("plane sweep: threads must be at least 1");
@@ -54,8 +57,8 @@ PlaneSweep::PlaneSweep(const air_ground_common::CameraModel& camera, const Plane
 
 void PlaneSweep::start(const Frame& reference, double depth_min, double depth_max) {
   if (!(depth_min > 0) || !(depth_max > depth_min) || !std::isfinite(depth_max))
-    throw std::invalid_argument("plane sweep: depth range [" + std::to_string(depth_min) + ", " + std::to_string(depth_max) +
-                                "] m must be positive and rising");
+    throw std::invalid_argument("plane sweep: depth range [" + std::to_string(depth_min) + ", " +
+                                std::to_string(depth_max) + "] m must be positive and rising");
   if (reference.normalized.cols != camera_.width || reference.normalized.rows != camera_.height)
     throw std::invalid_argument("plane sweep: the reference image's size differs from the camera's");
   reference_ = reference;
@@ -120,8 +123,8 @@ bool PlaneSweep::add(const Frame& frame) {
   return true;
 }
 
-void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples, int half_width,
-                             DepthMap* map, std::vector<std::uint32_t>* scratch) const {
+void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples,
+                             int half_width, DepthMap* map, std::vector<std::uint32_t>* scratch) const {
   const int width = camera_.width, D = settings_.hypotheses;
   std::uint32_t* best = scratch->data();
   std::uint32_t* second = best + width;

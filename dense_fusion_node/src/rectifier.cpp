@@ -39,7 +39,8 @@ Rectifier::Rectifier(const air_ground_common::CameraModel& camera, const Rectifi
     throw std::invalid_argument("rectifier: normalization_radius, contrast_floor and contrast_gain must be positive");
   air_ground_common::CameraModel full = camera.undistorted();
   if (camera.hasDistortion()) {
-    const cv::Mat K = cv::getOptimalNewCameraMatrix(camera.cvK(), camera.cvDistortion(), {camera.width, camera.height}, 0);
+    const cv::Mat K =
+        cv::getOptimalNewCameraMatrix(camera.cvK(), camera.cvDistortion(), {camera.width, camera.height}, 0);
     full.fx = K.at<double>(0, 0);
     full.fy = K.at<double>(1, 1);
     full.cx = K.at<double>(0, 2);

@@ -52,7 +52,8 @@ Eigen::Vector3f gradient(const VoxelGrid& grid, const std::vector<float>& phi, c
 }
 
 // Interval of ray parameters inside the grid; empty when the ray misses it.
-std::optional<Eigen::Vector2d> clipToGrid(const VoxelGrid& grid, const Eigen::Vector3d& start, const Eigen::Vector3d& direction) {
+std::optional<Eigen::Vector2d> clipToGrid(const VoxelGrid& grid, const Eigen::Vector3d& start,
+                                          const Eigen::Vector3d& direction) {
   const Eigen::Vector3d upper(grid.nx - 1, grid.ny - 1, grid.nz - 1);
   double begin = 1e-3, end = 1e9;
   for (int axis = 0; axis < 3; ++axis) {
@@ -90,7 +91,8 @@ std::vector<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, 
     for (int y = 0; y < ny; ++y)
       for (int x = 0; x < nx; ++x) {
         const std::uint8_t* row = slice + static_cast<std::size_t>(y) * nx;
-        rows[static_cast<std::size_t>(y) * nx + x] = *std::max_element(row + std::max(0, x - r), row + std::min(nx, x + r + 1));
+        rows[static_cast<std::size_t>(y) * nx + x] =
+            *std::max_element(row + std::max(0, x - r), row + std::min(nx, x + r + 1));
       }
     for (int y = 0; y < ny; ++y)
       for (int x = 0; x < nx; ++x) {
@@ -103,10 +105,11 @@ std::vector<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, 
   return support;
 }
 
-cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel& camera, const Eigen::Isometry3d& T_map_camera,
-                 int threads, cv::Mat* normals) {
+cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel& camera,
+                 const Eigen::Isometry3d& T_map_camera, int threads, cv::Mat* normals) {
   const VoxelGrid& grid = field.grid;
-  if (grid.nx < 2 || grid.ny < 2 || grid.nz < 2) throw std::invalid_argument("ray casting: the grid needs 2 voxels a side");
+  if (grid.nx < 2 || grid.ny < 2 || grid.nz < 2)
+    throw std::invalid_argument("ray casting: the grid needs 2 voxels a side");
   cv::Mat depth(camera.height, camera.width, CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
   if (normals) *normals = cv::Mat::zeros(camera.height, camera.width, CV_32FC3);
   const Eigen::Vector3d origin = (T_map_camera.translation() - grid.origin) / grid.voxel_size;
@@ -114,8 +117,9 @@ cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel
   for (int v = 0; v < camera.height; ++v)
     for (int u = 0; u < camera.width; ++u) {
       // In voxel units, per metre of depth along the optical axis.
-      const Eigen::Vector3d ray =
-          T_map_camera.linear() * Eigen::Vector3d((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1) / grid.voxel_size;
+      const Eigen::Vector3d ray = T_map_camera.linear() *
+                                  Eigen::Vector3d((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1) /
+                                  grid.voxel_size;
       const auto range = clipToGrid(grid, origin, ray);
       if (!range) continue;
       const Eigen::Vector3f o = origin.cast<float>(), r = ray.cast<float>();
@@ -180,7 +184,8 @@ std::vector<SurfacePoint> extractSurface(const SurfaceField& field, int threads)
   return points;
 }
 
-double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d& point, const RefineSettings& settings) {
+double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d& point,
+                       const RefineSettings& settings) {
   double sum = 0, weights = 0;
   int voices = 0;
   for (const DepthMap& map : maps) {
@@ -199,8 +204,8 @@ double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d&
   return std::clamp(sum / weights, -settings.max_shift, settings.max_shift);
 }
 
-std::uint8_t intensityAt(const std::vector<DepthMap>& maps, std::size_t first, const Eigen::Vector3d& point, double tolerance,
-                         std::uint8_t fallback) {
+std::uint8_t intensityAt(const std::vector<DepthMap>& maps, std::size_t first, const Eigen::Vector3d& point,
+                         double tolerance, std::uint8_t fallback) {
   for (std::size_t k = 0; k < maps.size(); ++k) {
     const DepthMap& map = maps[(first + k) % maps.size()];
     const Eigen::Vector3d p = map.T_map_camera.inverse() * point;

@@ -44,26 +44,27 @@ void iterate(const Histograms<Count>& votes, double lambda, int iterations, int 
 #pragma omp parallel for schedule(static, 1) num_threads(slabs)
     for (int t = 0; t < slabs; ++t) {
       const int begin = first(t), end = first(t + 1);
-      // The dual of a row needs old values of this row and the ones after it, the primal step needs new duals of this row
-      // and the ones before: one sweep does both in place.
+      // The dual of a row needs old values of this row and the ones after it, the primal step needs new duals of this
+      // row and the ones before: one sweep does both in place.
       for (int z = begin; z < end; ++z)
         for (int y = 0; y < ny; ++y) {
           const std::size_t in_slice = static_cast<std::size_t>(y) * nx, row = z * slice + in_slice;
           const float* ubar_z = z + 1 == nz ? &ubar[row] : z + 1 == end ? &ubar_next[t][in_slice] : &ubar[row + slice];
-          kernels::dualRow(&ubar[row], &ubar[y + 1 < ny ? row + nx : row], ubar_z, &s->px[row], &s->py[row], &s->pz[row], nx,
-                           kStep);
+          kernels::dualRow(&ubar[row], &ubar[y + 1 < ny ? row + nx : row], ubar_z, &s->px[row], &s->py[row],
+                           &s->pz[row], nx, kStep);
           const float* pz_z = z == 0 ? zeros.data() : z == begin ? &pz_before[t][in_slice] : &s->pz[row - slice];
-          kernels::primalRow(&s->phi[row], &ubar[row], &s->px[row], &s->py[row], y > 0 ? &s->py[row - nx] : zeros.data(),
-                             &s->pz[row], pz_z, votes.row(y, z), nx, kStep, weight);
+          kernels::primalRow(&s->phi[row], &ubar[row], &s->px[row], &s->py[row],
+                             y > 0 ? &s->py[row - nx] : zeros.data(), &s->pz[row], pz_z, votes.row(y, z), nx, kStep,
+                             weight);
         }
     }
   }
   s->iterations += iterations;
 }
 
-// Coarse neighbours of a fine position and the weight of the second one. Values at cell centres: fine 2X, 2X + 1 lie a quarter
-// of a coarse cell before and behind coarse X. Duals along their own axis live on faces: fine face 2X + 1 is coarse face X,
-// fine face 2X lies half way between coarse faces X - 1 and X.
+// Coarse neighbours of a fine position and the weight of the second one. Values at cell centres: fine 2X, 2X + 1 lie a
+// quarter of a coarse cell before and behind coarse X. Duals along their own axis live on faces: fine face 2X + 1 is
+// coarse face X, fine face 2X lies half way between coarse faces X - 1 and X.
 struct Tap {
   int a, b;
   float weight;
@@ -86,8 +87,8 @@ std::vector<Tap> taps(int fine, int coarse, bool faces) {
   return result;
 }
 
-void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis, int threads,
-              std::vector<float>* to) {
+void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis,
+              int threads, std::vector<float>* to) {
   const auto tx = taps(fine.nx, coarse.nx, face_axis == 0), ty = taps(fine.ny, coarse.ny, face_axis == 1),
              tz = taps(fine.nz, coarse.nz, face_axis == 2);
   const auto row = [&](int y, int z) { return &from[(static_cast<std::size_t>(z) * coarse.ny + y) * coarse.nx]; };
@@ -102,7 +103,8 @@ void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const 
         blended[x] = low + w.weight * (high - low);
       }
       float* out = &(*to)[(static_cast<std::size_t>(z) * fine.ny + y) * fine.nx];
-      for (int x = 0; x < fine.nx; ++x) out[x] = blended[tx[x].a] + tx[x].weight * (blended[tx[x].b] - blended[tx[x].a]);
+      for (int x = 0; x < fine.nx; ++x)
+        out[x] = blended[tx[x].a] + tx[x].weight * (blended[tx[x].b] - blended[tx[x].a]);
     }
   }
 }
@@ -129,7 +131,8 @@ TvL1Solution refineSolution(const TvL1Solution& coarse, int nx, int ny, int nz, 
 void checkSettings(const TvL1Settings& s) {
   if (!(s.lambda > 0)) throw std::invalid_argument("TV-L1: lambda must be positive");
   if (s.iterations < 1 || s.coarse_iterations < 1 || s.coarse_levels < 0 || s.coarse_levels > 3 || s.threads < 1)
-    throw std::invalid_argument("TV-L1: iterations, coarse_iterations and threads must be positive, coarse_levels 0..3");
+    throw std::invalid_argument(
+        "TV-L1: iterations, coarse_iterations and threads must be positive, coarse_levels 0..3");
 }
 
 }  // namespace
@@ -143,7 +146,8 @@ void TvL1Solution::reset(int x, int y, int z) {
   iterations = 0;
 }
 
-void iterateTvL1(const Histograms<std::uint8_t>& votes, double lambda, int iterations, int threads, TvL1Solution* solution) {
+void iterateTvL1(const Histograms<std::uint8_t>& votes, double lambda, int iterations, int threads,
+                 TvL1Solution* solution) {
   iterate(votes, lambda, iterations, threads, solution);
 }
 
@@ -160,12 +164,14 @@ TvL1Solution solveTvL1(const Histograms<std::uint8_t>& votes, const TvL1Settings
     solution.reset(coarse.back().nx, coarse.back().ny, coarse.back().nz);
     int iterations = settings.coarse_iterations;
     for (int level = settings.coarse_levels - 1; level >= 0; --level) {
-      // A coarse voxel sums the counts of 2^3 fine ones, one of its faces stands for 2^2: the weight falls by 4 a level.
+      // A coarse voxel sums the counts of 2^3 fine ones, one of its faces stands for 2^2: the weight falls by 4 a
+      // level.
       const double lambda = settings.lambda / std::pow(4.0, level + 1);
       iterate(coarse[level], lambda, iterations, settings.threads, &solution);
       iterations = std::max(1, iterations / 2);
       if (level > 0)
-        solution = refineSolution(solution, coarse[level - 1].nx, coarse[level - 1].ny, coarse[level - 1].nz, settings.threads);
+        solution = refineSolution(solution, coarse[level - 1].nx, coarse[level - 1].ny, coarse[level - 1].nz,
+                                  settings.threads);
       else
         solution = refineSolution(solution, votes.nx, votes.ny, votes.nz, settings.threads);
     }
@@ -176,8 +182,8 @@ TvL1Solution solveTvL1(const Histograms<std::uint8_t>& votes, const TvL1Settings
   }
   constexpr int kBetweenChecks = 8;
   while (solution.iterations < settings.iterations) {
-    iterate(votes, settings.lambda, std::min(kBetweenChecks, settings.iterations - solution.iterations), settings.threads,
-            &solution);
+    iterate(votes, settings.lambda, std::min(kBetweenChecks, settings.iterations - solution.iterations),
+            settings.threads, &solution);
     if (gapTvL1(votes, settings.lambda, solution, settings.threads).relative() < settings.relative_gap) break;
   }
   return solution;
@@ -206,7 +212,8 @@ void iterateTvL1Reference(const Histograms<std::uint8_t>& votes, double lambda, 
         for (int x = 0; x < nx; ++x) {
           const std::size_t i = at(x, y, z);
           const double divergence = s->px[i] - (x > 0 ? s->px[at(x - 1, y, z)] : 0) + s->py[i] -
-                                    (y > 0 ? s->py[at(x, y - 1, z)] : 0) + s->pz[i] - (z > 0 ? s->pz[at(x, y, z - 1)] : 0);
+                                    (y > 0 ? s->py[at(x, y - 1, z)] : 0) + s->pz[i] -
+                                    (z > 0 ? s->pz[at(x, y, z - 1)] : 0);
           double total = 0, below = 0;
           for (int k = 0; k < kBins; ++k) total += votes.at(x, y, z, k);
           std::array<double, 2 * kBins + 1> candidates;

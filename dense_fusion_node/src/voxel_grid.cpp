@@ -7,7 +7,8 @@
 
 namespace dense_fusion {
 
-VoxelGrid fitGrid(const Eigen::Vector3d& lower, const Eigen::Vector3d& upper, double voxel_size, std::size_t max_voxels) {
+VoxelGrid fitGrid(const Eigen::Vector3d& lower, const Eigen::Vector3d& upper, double voxel_size,
+                  std::size_t max_voxels) {
   if (!lower.allFinite() || !upper.allFinite() || !(upper.array() > lower.array()).all())
     throw std::invalid_argument("voxel grid: the box to cover is empty or not finite");
   if (!(voxel_size > 0) || max_voxels < 1000)

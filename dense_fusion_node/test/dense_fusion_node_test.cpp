@@ -46,12 +46,14 @@ class DenseFusionNodeTest : public ::testing::Test {
 
   void SetUp() override {
     publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
-    cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>("mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
-    depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>("mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
+    cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>(
+        "mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
+    depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>(
+        "mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
     sparse_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 10);
     ASSERT_TRUE(spinUntil([&] {
-      return publisher_.getNumSubscribers() > 0 && sparse_publisher_.getNumSubscribers() > 0 && cloud_subscriber_.getNumPublishers() > 0 &&
-             depth_subscriber_.getNumPublishers() > 0;
+      return publisher_.getNumSubscribers() > 0 && sparse_publisher_.getNumSubscribers() > 0 &&
+             cloud_subscriber_.getNumPublishers() > 0 && depth_subscriber_.getNumPublishers() > 0;
     }));
     std_srvs::Trigger trigger;
     ASSERT_TRUE(ros_utils::callService("dense_fusion/reset", trigger));
@@ -90,10 +92,12 @@ class DenseFusionNodeTest : public ::testing::Test {
   }
 
   // True when the node has taken the image in, and all before.
-  bool taken(const air_ground::PosedImage& msg) { return diagnostics_.awaitReceived(publisher_.getTopic(), msg.header.stamp); }
+  bool taken(const air_ground::PosedImage& msg) {
+    return diagnostics_.awaitReceived(publisher_.getTopic(), msg.header.stamp);
+  }
 
-  // Has the node fuse what was flown, the last time from `start`. The service answers when the worker is done; then everything
-  // published is on its way.
+  // Has the node fuse what was flown, the last time from `start`. The service answers when the worker is done; then
+  // everything published is on its way.
   void flush(double start) {
     ASSERT_TRUE(taken(message(kFrames - 1, start, 1)));
     std_srvs::Trigger trigger;
@@ -139,7 +143,8 @@ class DenseFusionNodeTest : public ::testing::Test {
         const double x = p.position.x() - shift_x, y = p.position.y(), z = p.position.z();
         bool fits = std::abs(z - scene.heightAt(x, y)) < 0.06;
         for (const auto& b : scene.boxes)
-          fits = fits || (x > b.lower.x() - 0.06 && x < b.upper.x() + 0.06 && y > b.lower.y() - 0.06 && y < b.upper.y() + 0.06 && z > -0.06 && z < b.upper.z() + 0.06);
+          fits = fits || (x > b.lower.x() - 0.06 && x < b.upper.x() + 0.06 && y > b.lower.y() - 0.06 &&
+                          y < b.upper.y() + 0.06 && z > -0.06 && z < b.upper.z() + 0.06);
         wrong += !fits;
         boxes += z > 0.2;
         greys.insert(p.rgb[0]);
@@ -200,7 +205,8 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   msg.pose.pose.position.x = nan;
   publisher_.publish(msg);
   msg = message(1, 300, 1);
-  msg.pose.pose.orientation.w = msg.pose.pose.orientation.x = msg.pose.pose.orientation.y = msg.pose.pose.orientation.z = 0;
+  msg.pose.pose.orientation.w = msg.pose.pose.orientation.x = msg.pose.pose.orientation.y =
+      msg.pose.pose.orientation.z = 0;
   publisher_.publish(msg);
   msg = message(2, 300, 1);
   msg.camera_info.K[0] = 0;
@@ -215,7 +221,7 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   msg.depth_min = std::numeric_limits<float>::quiet_NaN();
   publisher_.publish(msg);
   for (int i = 6; i < 9; ++i) publisher_.publish(message(6, 300, 1));  // repeated
-  publisher_.publish(message(3, 300, 1));                               // late
+  publisher_.publish(message(3, 300, 1));                              // late
   fly(301, 1);
   flushToCloud(301);
   checkOutput(0);
@@ -257,7 +263,8 @@ TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {
     const int before = diagnostics_.counted(old);
     publisher_.publish(message(0, 550, 1));
     ASSERT_TRUE(taken(message(0, 550, 1)));
-    // Late, and of the pass before the jump: its heights would cut the floor off. The node judges so for 3 s, by the wall clock.
+    // Late, and of the pass before the jump: its heights would cut the floor off. The node judges so for 3 s, by the
+    // wall clock.
     sparse_publisher_.publish(sparseCloud(600.5, 1.1f));
     ros_utils::pause(20);
     ASSERT_TRUE(diagnostics_.refresh());
@@ -308,10 +315,11 @@ TEST_F(DenseFusionNodeTest, NothingIncompleteIsSavedAndServicesLetImagesIn) {
 TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {
   ros::Publisher images = handle_.advertise<air_ground::PosedImage>("alone/mav/posed_image", 100);
   int clouds = 0;
-  const ros::Subscriber subscriber =
-      handle_.subscribe<sensor_msgs::PointCloud2>("alone/mav/dense_cloud", 10, [&](const sensor_msgs::PointCloud2::ConstPtr&) { ++clouds; });
+  const ros::Subscriber subscriber = handle_.subscribe<sensor_msgs::PointCloud2>(
+      "alone/mav/dense_cloud", 10, [&](const sensor_msgs::PointCloud2::ConstPtr&) { ++clouds; });
   ASSERT_TRUE(spinUntil([&] { return images.getNumSubscribers() > 0 && subscriber.getNumPublishers() > 0; }));
-  // Each flight is too short for a cloud of its own accord; one that stops halfway for longer than the node waits gives none.
+  // Each flight is too short for a cloud of its own accord; one that stops halfway for longer than the node waits gives
+  // none.
   for (int attempt = 0; attempt < 5 && clouds == 0; ++attempt) {
     for (int i = 0; i < kFrames; ++i) images.publish(message(i, 700 + 10 * attempt, 1));
     spinUntil([&] { return clouds > 0; }, 2000);

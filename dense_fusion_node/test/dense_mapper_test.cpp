@@ -38,7 +38,8 @@ const std::vector<cv::Mat>& flight() {
   static const std::vector<cv::Mat> images = [] {
     std::vector<cv::Mat> result;
     for (int i = 0; i < 57; ++i)
-      result.push_back(boxScene().render(smallCamera(), lookDown({-0.8 + 0.03 * i, 0, 2}, 0.02, 0.01, 0.1), 1 + 0.004 * i, -i * 0.2));
+      result.push_back(boxScene().render(smallCamera(), lookDown({-0.8 + 0.03 * i, 0, 2}, 0.02, 0.01, 0.1),
+                                         1 + 0.004 * i, -i * 0.2));
     return result;
   }();
   return images;
@@ -49,7 +50,8 @@ Eigen::Isometry3d flightPose(int i) { return lookDown({-0.8 + 0.03 * i, 0, 2}, 0
 std::vector<FusedMap> fly(DenseMapper* mapper) {
   std::vector<FusedMap> maps;
   for (std::size_t i = 0; i < flight().size(); ++i)
-    if (auto fused = mapper->add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000, flightPose(static_cast<int>(i)), 1.3, 2.05))
+    if (auto fused = mapper->add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000,
+                                 flightPose(static_cast<int>(i)), 1.3, 2.05))
       maps.push_back(std::move(*fused));
   if (auto fused = mapper->flush()) maps.push_back(std::move(*fused));
   return maps;
@@ -75,7 +77,8 @@ TEST(DenseMapper, EmitsAMapEachTimeItHasMovedOn) {
     for (const SurfacePoint& p : map.points) {
       ASSERT_TRUE(p.position.allFinite());
       highest = std::max(highest, double(p.position.z()));
-      if (p.normal.z() > 0.9) errors.push_back(std::abs(p.position.z() - boxScene().heightAt(p.position.x(), p.position.y())));
+      if (p.normal.z() > 0.9)
+        errors.push_back(std::abs(p.position.z() - boxScene().heightAt(p.position.x(), p.position.y())));
     }
   }
   ASSERT_GT(errors.size(), 3000u);
@@ -92,7 +95,8 @@ TEST(DenseMapper, RepeatsItselfExactly) {
   ASSERT_EQ(first.size(), second.size());
   for (std::size_t k = 0; k < first.size(); ++k) {
     ASSERT_EQ(first[k].points.size(), second[k].points.size());
-    for (std::size_t i = 0; i < first[k].points.size(); ++i) ASSERT_EQ(first[k].points[i].position, second[k].points[i].position);
+    for (std::size_t i = 0; i < first[k].points.size(); ++i)
+      ASSERT_EQ(first[k].points[i].position, second[k].points[i].position);
   }
 }
 
@@ -126,7 +130,8 @@ TEST(DenseMapper, RefusesWhatItCannotUse) {
   EXPECT_THROW(mapper.add(flight()[0], camera, 0, flightPose(0), 1, 2), std::invalid_argument);
   EXPECT_THROW(mapper.add(cv::Mat(), smallCamera(), 0, flightPose(0), 1, 2), std::invalid_argument);
   // An unknown depth range falls back to the default one.
-  EXPECT_NO_THROW(mapper.add(flight()[0], smallCamera(), 0, flightPose(0), 0, std::numeric_limits<double>::quiet_NaN()));
+  EXPECT_NO_THROW(
+      mapper.add(flight()[0], smallCamera(), 0, flightPose(0), 0, std::numeric_limits<double>::quiet_NaN()));
   EXPECT_FALSE(fly(&mapper).empty());
 }
 

@@ -90,7 +90,8 @@ TEST(TvL1, CoarseStartBeatsColdStartAfterEightIterations) {
   const double warm = gapTvL1(votes, settings.lambda, solveTvL1(votes, settings)).primal / optimum - 1;
   settings.coarse_levels = 0;
   const double cold = gapTvL1(votes, settings.lambda, solveTvL1(votes, settings)).primal / optimum - 1;
-  std::printf("energy above the optimum after 8 iterations: cold %.1f %%, coarse to fine %.1f %%\n", 100 * cold, 100 * warm);
+  std::printf("energy above the optimum after 8 iterations: cold %.1f %%, coarse to fine %.1f %%\n", 100 * cold,
+              100 * warm);
   EXPECT_LT(warm, 0.08);
   EXPECT_LT(warm, 0.7 * cold);
 }
@@ -176,7 +177,8 @@ std::vector<float> analyticField(const VoxelGrid& grid, double truncation, Dista
   for (int z = 0; z < grid.nz; ++z)
     for (int y = 0; y < grid.ny; ++y)
       for (int x = 0; x < grid.nx; ++x)
-        phi[grid.index(x, y, z)] = static_cast<float>(std::clamp(distance(grid.center(x, y, z)) / truncation, -1.0, 1.0));
+        phi[grid.index(x, y, z)] =
+            static_cast<float>(std::clamp(distance(grid.center(x, y, z)) / truncation, -1.0, 1.0));
   return phi;
 }
 
@@ -184,7 +186,8 @@ TEST(RayCasting, SphereAndPlaneAreHitWhereTheyAre) {
   const VoxelGrid grid = fitGrid({-1, -1, -0.2}, {1, 1, 1}, 0.02, 10000000);
   const Eigen::Vector3d centre(0.1, -0.05, 0.2);
   const double radius = 0.5;
-  const auto phi = analyticField(grid, 0.08, [&](const Eigen::Vector3d& p) { return std::min((p - centre).norm() - radius, p.z()); });
+  const auto phi = analyticField(
+      grid, 0.08, [&](const Eigen::Vector3d& p) { return std::min((p - centre).norm() - radius, p.z()); });
   const std::vector<std::uint8_t> support(grid.voxels(), 2);
   const SurfaceField field{grid, phi, support, 2};
   const DepthMap view = exactDepth(Scene{}, lookDown({0.2, 0.1, 2}, 0.15, -0.1, 0.5));
@@ -196,8 +199,8 @@ TEST(RayCasting, SphereAndPlaneAreHitWhereTheyAre) {
     for (int u = 0; u < depth.cols; ++u) {
       const float z = depth.at<float>(v, u);
       if (std::isnan(z)) continue;
-      const Eigen::Vector3d p =
-          view.T_map_camera * (z * Eigen::Vector3d((u - view.camera.cx) / view.camera.fx, (v - view.camera.cy) / view.camera.fy, 1));
+      const Eigen::Vector3d p = view.T_map_camera * (z * Eigen::Vector3d((u - view.camera.cx) / view.camera.fx,
+                                                                         (v - view.camera.cy) / view.camera.fy, 1));
       const double to_sphere = (p - centre).norm() - radius;
       const cv::Vec3f n = normals.at<cv::Vec3f>(v, u);
       worst_depth = std::max(worst_depth, std::min(std::abs(to_sphere), std::abs(p.z())));
@@ -236,7 +239,8 @@ std::vector<DepthMap> noisyMaps(const Scene& scene, int count, double sigma, dou
   std::uniform_real_distribution<float> uniform(0, 1);
   std::vector<DepthMap> maps;
   for (int i = 0; i < count; ++i) {
-    DepthMap map = exactDepth(scene, lookDown({0.12 * (i - count / 2), 0.03 * i, 2}, 0.02 * i, -0.01 * i, 0.3 + 0.01 * i), 376, 240);
+    DepthMap map = exactDepth(
+        scene, lookDown({0.12 * (i - count / 2), 0.03 * i, 2}, 0.02 * i, -0.01 * i, 0.3 + 0.01 * i), 376, 240);
     for (int v = 0; v < map.depth.rows; ++v)
       for (int u = 0; u < map.depth.cols; ++u) {
         float& z = map.depth.at<float>(v, u);
@@ -270,10 +274,11 @@ TEST(DepthFusion, RejectsTwelvePercentOutliers) {
       gross += errors.back() > 0.10;
     }
   std::sort(errors.begin(), errors.end());
-  std::printf("fused: valid %.2f median %.4f p95 %.4f m, gross %.2f %%, grid %dx%dx%d, %zu points, %.0f + %.0f + %.0f ms\n",
-              double(valid) / truth.total(), errors[errors.size() / 2], errors[errors.size() * 95 / 100], 100.0 * gross / valid,
-              fused->grid.nx, fused->grid.ny, fused->grid.nz, fused->points.size(), 1e3 * fused->timings.votes,
-              1e3 * fused->timings.minimisation, 1e3 * fused->timings.surface);
+  std::printf(
+      "fused: valid %.2f median %.4f p95 %.4f m, gross %.2f %%, grid %dx%dx%d, %zu points, %.0f + %.0f + %.0f ms\n",
+      double(valid) / truth.total(), errors[errors.size() / 2], errors[errors.size() * 95 / 100], 100.0 * gross / valid,
+      fused->grid.nx, fused->grid.ny, fused->grid.nz, fused->points.size(), 1e3 * fused->timings.votes,
+      1e3 * fused->timings.minimisation, 1e3 * fused->timings.surface);
   EXPECT_GT(double(valid) / truth.total(), 0.9);
   EXPECT_LT(errors[errors.size() / 2], 0.006);
   EXPECT_LT(errors[errors.size() * 95 / 100], 0.03);
@@ -307,7 +312,8 @@ TEST(DepthFusion, ThreadsDoNotChangeTheResult) {
 std::vector<Eigen::Vector3f> pointsIn(const Eigen::Vector3f& lower, const Eigen::Vector3f& upper) {
   std::vector<Eigen::Vector3f> points;
   for (float x = lower.x(); x <= upper.x(); x += 0.05f)
-    for (float y = lower.y(); y <= upper.y(); y += 0.05f) points.push_back({x, y, points.size() % 2 ? upper.z() : lower.z()});
+    for (float y = lower.y(); y <= upper.y(); y += 0.05f)
+      points.push_back({x, y, points.size() % 2 ? upper.z() : lower.z()});
   return points;
 }
 

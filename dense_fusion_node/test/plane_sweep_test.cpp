@@ -22,7 +22,8 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
   std::vector<std::uint8_t> image(width * height), reference(width);
   // Smooth enough that 1/64 px of rounding changes a sample by little.
   for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x) image[y * width + x] = static_cast<std::uint8_t>(128 + 60 * std::sin(0.31 * x + 0.1 * y) + random() % 9);
+    for (int x = 0; x < width; ++x)
+      image[y * width + x] = static_cast<std::uint8_t>(128 + 60 * std::sin(0.31 * x + 0.1 * y) + random() % 9);
   for (auto& v : reference) v = static_cast<std::uint8_t>(100 + random() % 56);
   std::vector<std::uint32_t> packed(image.size());
   kernels::packNeighborhoods(image.data(), width, height, packed.data());
@@ -30,8 +31,10 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
   for (int d = 0; d < D; ++d) rho[d] = 0.2f + 0.02f * d;
   std::vector<std::uint16_t> fast(width * D, 5), plain(width * D, 5);
   const float base[3] = {3.2f, 20.4f, 1.f}, step[3] = {0.97f, 0.01f, 1e-5f}, shift[3] = {9.f, 12.f, 0.02f};
-  kernels::addRow(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, packed.data(), width, fast.data());
-  kernels::addRowReference(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, image.data(), width, plain.data());
+  kernels::addRow(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, packed.data(), width,
+                  fast.data());
+  kernels::addRowReference(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, image.data(), width,
+                           plain.data());
   double error = 0, largest = 0, sum = 0;
   for (std::size_t i = 0; i < fast.size(); ++i) {
     const double e = std::abs(double(fast[i]) - plain[i]);
@@ -115,7 +118,8 @@ TEST(PlaneSweep, FloorDepthIsUnbiased) {
   EXPECT_GT(e.valid, 0.8);
   EXPECT_LT(e.median, 0.012);
   EXPECT_LT(e.p95, 0.045);
-  // Half a pixel of shift between the reduced and the recorded image would show as slanted depth; a scale error as bias.
+  // Half a pixel of shift between the reduced and the recorded image would show as slanted depth; a scale error as
+  // bias.
   EXPECT_LT(std::abs(e.bias), 0.003);
 }
 
@@ -161,7 +165,8 @@ TEST(PlaneSweep, RefusesBadInput) {
   const Frame frame = rectifier.rectify(cv::Mat::zeros(480, 752, CV_8U), 0, Eigen::Isometry3d::Identity());
   EXPECT_THROW(plane_sweep.start(frame, 2, 1), std::invalid_argument);
   EXPECT_THROW(plane_sweep.add(frame), std::logic_error);
-  EXPECT_THROW(rectifier.rectify(cv::Mat::zeros(10, 10, CV_8U), 0, Eigen::Isometry3d::Identity()), std::invalid_argument);
+  EXPECT_THROW(rectifier.rectify(cv::Mat::zeros(10, 10, CV_8U), 0, Eigen::Isometry3d::Identity()),
+               std::invalid_argument);
 }
 
 }  // namespace

@@ -18,7 +18,8 @@ struct Box {
 /// Value noise in [-1, 1], continuous, without repetition.
 inline double noise3(const Eigen::Vector3d& p, std::uint32_t seed) {
   const auto hash = [seed](int x, int y, int z) {
-    std::uint32_t h = seed * 0x9e3779b9u + std::uint32_t(x) * 0x85ebca6bu + std::uint32_t(y) * 0xc2b2ae35u + std::uint32_t(z) * 0x27d4eb2fu;
+    std::uint32_t h = seed * 0x9e3779b9u + std::uint32_t(x) * 0x85ebca6bu + std::uint32_t(y) * 0xc2b2ae35u +
+                      std::uint32_t(z) * 0x27d4eb2fu;
     h ^= h >> 15;
     h *= 0x2c1b3c6du;
     h ^= h >> 12;
@@ -46,7 +47,8 @@ struct Scene {
   double hit(const Eigen::Vector3d& origin, const Eigen::Vector3d& direction) const {
     double best = direction.z() < 0 ? -origin.z() / direction.z() : -1;
     for (const Box& box : boxes) {
-      const Eigen::Array3d a = (box.lower - origin).array() / direction.array(), b = (box.upper - origin).array() / direction.array();
+      const Eigen::Array3d a = (box.lower - origin).array() / direction.array(),
+                           b = (box.upper - origin).array() / direction.array();
       const double in = a.min(b).maxCoeff(), out = a.max(b).minCoeff();
       if (in > 1e-6 && in <= out && (best < 0 || in < best)) best = in;
     }
@@ -120,7 +122,8 @@ inline air_ground_common::CameraModel wideCamera() {
 /// Three boxes of different heights around the origin.
 inline Scene boxScene() {
   Scene scene;
-  scene.boxes = {{{-0.6, -0.5, 0}, {-0.1, 0.2, 0.5}}, {{0.3, 0.1, 0}, {0.9, 0.6, 0.3}}, {{0.4, -0.8, 0}, {0.8, -0.4, 0.8}}};
+  scene.boxes = {
+      {{-0.6, -0.5, 0}, {-0.1, 0.2, 0.5}}, {{0.3, 0.1, 0}, {0.9, 0.6, 0.3}}, {{0.4, -0.8, 0}, {0.8, -0.4, 0.8}}};
   return scene;
 }
 

@@ -1,5 +1,5 @@
-// Wires the tracker to ROS: visual odometry in, street-level fixes in, pose in the city out. All work is microseconds, so
-// everything runs in the callbacks of one thread, in the order of arrival.
+// Wires the tracker to ROS: visual odometry in, street-level fixes in, pose in the city out. All work is microseconds,
+// so everything runs in the callbacks of one thread, in the order of arrival.
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/TrackerInnovation.h>
 #include <air_ground/VoIncrement.h>
@@ -43,26 +43,31 @@ namespace {
 using air_ground_common::Pose;
 namespace ru = air_ground_common::ros_utils;
 
-constexpr double kOdometryKept = 30;  // [s]
-constexpr double kSameStamp = 1e-3;   // [s]
+constexpr double kOdometryKept = 30;                          // [s]
+constexpr double kSameStamp = 1e-3;                           // [s]
 constexpr double kTiltInterval = 0.02, kTiltTolerance = 0.2;  // of the accelerometer's tilts kept [s]
-constexpr double kSilence = 1.0;      // without odometry that could be used: it is lost [s]
-constexpr std::size_t kJump = 3;      // increments in a row from the past: time ran back
+constexpr double kSilence = 1.0;                              // without odometry that could be used: it is lost [s]
+constexpr std::size_t kJump = 3;                              // increments in a row from the past: time ran back
 
 // [s]; the difference of two ros::Time throws where they lie more than 2^31 s apart.
 double since(const ros::Time& earlier, const ros::Time& later) { return later.toSec() - earlier.toSec(); }
 
 // Roll and pitch alone.
 Eigen::Matrix3d tiltOf(const Eigen::Matrix3d& R_level_body) {
-  return Eigen::AngleAxisd(-air_ground_common::yawOf(R_level_body), Eigen::Vector3d::UnitZ()).toRotationMatrix() * R_level_body;
+  return Eigen::AngleAxisd(-air_ground_common::yawOf(R_level_body), Eigen::Vector3d::UnitZ()).toRotationMatrix() *
+         R_level_body;
 }
 
 const char* nameOf(Source source) {
   switch (source) {
-    case Source::kFix: return "fix";
-    case Source::kHeading: return "magnetometer reading";
-    case Source::kGps: return "GPS position";
-    case Source::kBarometer: return "barometer reading";
+    case Source::kFix:
+      return "fix";
+    case Source::kHeading:
+      return "magnetometer reading";
+    case Source::kGps:
+      return "GPS position";
+    case Source::kBarometer:
+      return "barometer reading";
   }
   return "";
 }
@@ -76,10 +81,13 @@ class EkfTrackerNode {
         listener_(tf_),
         bounded_path_(settings_.world_frame, settings_.path_step) {
     if (!settings_.origin_crs.empty()) {
-      frame_.emplace(settings_.origin_crs, Eigen::Vector3d(settings_.origin[0], settings_.origin[1], settings_.origin[2]));
+      frame_.emplace(settings_.origin_crs,
+                     Eigen::Vector3d(settings_.origin[0], settings_.origin[1], settings_.origin[2]));
       const auto& o = frame_->origin();
-      ROS_INFO("the world's origin is at latitude %.7f, longitude %.7f; grid north lies %.4f deg clockwise of its y axis%s", o.latitude, o.longitude,
-               frame_->meridianConvergence() * 180 / M_PI, frame_->usesGrid() ? "; by a grid file" : "");
+      ROS_INFO(
+          "the world's origin is at latitude %.7f, longitude %.7f; grid north lies %.4f deg clockwise of its y axis%s",
+          o.latitude, o.longitude, frame_->meridianConvergence() * 180 / M_PI,
+          frame_->usesGrid() ? "; by a grid file" : "");
       geodetic_ = handle.advertise<sensor_msgs::NavSatFix>("tracked/geodetic", 100);
     }
     odometry_ = handle.advertise<nav_msgs::Odometry>("tracked/odometry", 100);
@@ -94,7 +102,8 @@ class EkfTrackerNode {
       vo_poses_ = handle.subscribe("mav/odometry", 400, &EkfTrackerNode::onVoPose, this);
       health_.expectInput(vo_poses_.getTopic());
     }
-    if (settings_.magnetometer || settings_.odometry_wait > 0) imu_ = handle.subscribe("mav/imu/data", 1000, &EkfTrackerNode::onImu, this);
+    if (settings_.magnetometer || settings_.odometry_wait > 0)
+      imu_ = handle.subscribe("mav/imu/data", 1000, &EkfTrackerNode::onImu, this);
     if (settings_.magnetometer) {
       magnetometer_ = handle.subscribe("mav/imu/mag", 400, &EkfTrackerNode::onMagneticField, this);
       health_.expectInput(magnetometer_.getTopic());
@@ -109,7 +118,8 @@ class EkfTrackerNode {
     }
     reset_ = private_handle.advertiseService("reset", &EkfTrackerNode::onReset, this);
     save_ = private_handle.advertiseService("save_trajectory", &EkfTrackerNode::onSave, this);
-    timer_ = handle.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) { drain(), drainFields(), watch(); });
+    timer_ = handle.createWallTimer(ros::WallDuration(0.1),
+                                    [this](const ros::WallTimerEvent&) { drain(), drainFields(), watch(); });
     health_.state(1, "waiting for visual odometry");
   }
 
@@ -123,7 +133,8 @@ class EkfTrackerNode {
     Eigen::Vector3d up_base;  // specific force, smoothed
   };
 
-  // ---- Visual odometry ------------------------------------------------------------------------------------------------
+  // ---- Visual odometry
+  // ------------------------------------------------------------------------------------------------
 
   void onIncrement(const air_ground::VoIncrement::ConstPtr& msg) {
     health_.received(increments_.getTopic(), msg->header.stamp);
@@ -137,7 +148,8 @@ class EkfTrackerNode {
       // A single one is a stray, a run of them in order is a looped bag.
       if (!from_the_past_.empty() && msg->header.stamp <= from_the_past_.back()->header.stamp) from_the_past_.clear();
       from_the_past_.push_back(msg);
-      if (from_the_past_.size() < kJump) return health_.count("increments set aside: more than a second older than the newest");
+      if (from_the_past_.size() < kJump)
+        return health_.count("increments set aside: more than a second older than the newest");
       taken.swap(from_the_past_);
       startAfresh();
     } else {
@@ -158,9 +170,11 @@ class EkfTrackerNode {
     health_.received(vo_poses_.getTopic(), msg->header.stamp);
     // Of a frame that is not the one named here nothing is known, not even that it is level: no tilt and no tf from it.
     if (msg->header.frame_id != settings_.map_frame)
-      return health_.count("mav/odometry ignored: in frame '" + msg->header.frame_id + "', expected map_frame '" + settings_.map_frame + "'");
+      return health_.count("mav/odometry ignored: in frame '" + msg->header.frame_id + "', expected map_frame '" +
+                           settings_.map_frame + "'");
     if (!msg->child_frame_id.empty() && msg->child_frame_id != settings_.base_frame)
-      return health_.count("mav/odometry ignored: of frame '" + msg->child_frame_id + "', expected base_frame '" + settings_.base_frame + "'");
+      return health_.count("mav/odometry ignored: of frame '" + msg->child_frame_id + "', expected base_frame '" +
+                           settings_.base_frame + "'");
     try {
       const Pose T = ru::fromMsg(msg->pose.pose);
       if (!vo_buffer_.empty() && since(msg->header.stamp, vo_buffer_.back().stamp) > 1.0) vo_buffer_.clear();
@@ -184,9 +198,10 @@ class EkfTrackerNode {
     return best->T_map_base;
   }
 
-  // Two topics carry one instant: an increment waits for the pose of its stamp, which tells tilt and tf, until a later pose
-  // shows that it was left out or the wait is over. Wall time: a bag may be replayed at any rate. While the odometry is not
-  // metric it has no such pose to give (mav_vo): it is waited for only if it gave one at the increment's begin.
+  // Two topics carry one instant: an increment waits for the pose of its stamp, which tells tilt and tf, until a later
+  // pose shows that it was left out or the wait is over. Wall time: a bag may be replayed at any rate. While the
+  // odometry is not metric it has no such pose to give (mav_vo): it is waited for only if it gave one at the
+  // increment's begin.
   void drain() {
     while (!pending_.empty()) {
       const auto [msg, received] = pending_.front();
@@ -195,7 +210,8 @@ class EkfTrackerNode {
         T_map_base = voPoseAt(msg->header.stamp);
         const bool passed = !vo_buffer_.empty() && vo_buffer_.back().stamp > msg->header.stamp;
         const bool expected = msg->metric || voPoseAt(msg->previous_stamp);
-        if (!T_map_base && !passed && expected && (ros::WallTime::now() - received).toSec() <= settings_.odometry_wait) return;
+        if (!T_map_base && !passed && expected && (ros::WallTime::now() - received).toSec() <= settings_.odometry_wait)
+          return;
       }
       pending_.pop_front();
       use(*msg, T_map_base);
@@ -209,10 +225,15 @@ class EkfTrackerNode {
       const Pose T_previous_current = ru::fromMsg(msg.relative_pose);
       const auto now = tiltAt(msg.header.stamp, T_map_base);
       if (settings_.odometry_wait > 0 && !T_map_base)
-        health_.count(now ? "increments without mav/odometry of their stamp: tilt from mav/imu/data, no tf"
-                          : "increments without mav/odometry of their stamp, nor mav/imu/data: roll and pitch neglected, no tf");
-      const Eigen::Matrix3d tilt = settings_.level_increments && now ? tiltOf(*now * T_previous_current.linear().transpose()) : Eigen::Matrix3d::Identity();
-      increment = levelIncrement(T_previous_current, Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(msg.covariance.data()), tilt);
+        health_.count(
+            now ? "increments without mav/odometry of their stamp: tilt from mav/imu/data, no tf"
+                : "increments without mav/odometry of their stamp, nor mav/imu/data: roll and pitch neglected, no tf");
+      const Eigen::Matrix3d tilt = settings_.level_increments && now
+                                       ? tiltOf(*now * T_previous_current.linear().transpose())
+                                       : Eigen::Matrix3d::Identity();
+      increment =
+          levelIncrement(T_previous_current,
+                         Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(msg.covariance.data()), tilt);
     } catch (const std::invalid_argument& e) {
       health_.count(std::string("increments ignored: ") + e.what());
       return;
@@ -221,16 +242,27 @@ class EkfTrackerNode {
     increment.stamp = msg.header.stamp.toSec();
     increment.metric = msg.metric;
     increment.map_id = msg.map_id;
-    if (msg.metric && std::isfinite(msg.scale_variance) && msg.scale_variance > 0) increment.scale_stddev = std::sqrt(msg.scale_variance);
+    if (msg.metric && std::isfinite(msg.scale_variance) && msg.scale_variance > 0)
+      increment.scale_stddev = std::sqrt(msg.scale_variance);
     bool replaced = false;
     const IncrementResult result = tracker_.addIncrement(increment, &replaced);
     if (replaced) health_.count("increments whose covariance is not one: the default stands in");
     switch (result) {
-      case IncrementResult::kUsed: break;
-      case IncrementResult::kUsedAfterGap: health_.count("gaps in the odometry, bridged"); break;
-      case IncrementResult::kNewUnit: health_.count("odometry began a new map in an unknown unit: only its turns are used until two fixes give the scale"); break;
-      case IncrementResult::kOutOfOrder: health_.count("increments ignored: out of order or repeated"); return;
-      case IncrementResult::kInvalid: health_.count("increments ignored: not finite"); return;
+      case IncrementResult::kUsed:
+        break;
+      case IncrementResult::kUsedAfterGap:
+        health_.count("gaps in the odometry, bridged");
+        break;
+      case IncrementResult::kNewUnit:
+        health_.count(
+            "odometry began a new map in an unknown unit: only its turns are used until two fixes give the scale");
+        break;
+      case IncrementResult::kOutOfOrder:
+        health_.count("increments ignored: out of order or repeated");
+        return;
+      case IncrementResult::kInvalid:
+        health_.count("increments ignored: not finite");
+        return;
     }
     used_ = seconds();
     lost_ = false;
@@ -239,7 +271,8 @@ class EkfTrackerNode {
     publish(msg, increment, T_map_base);
   }
 
-  // ---- Measurements ---------------------------------------------------------------------------------------------------
+  // ---- Measurements
+  // ---------------------------------------------------------------------------------------------------
 
   void add(const Measurement& m) {
     const ros::WallTime started = ros::WallTime::now();
@@ -305,9 +338,11 @@ class EkfTrackerNode {
     up_stamp_ = msg->header.stamp;
     // Low-pass of one second: flight accelerations average out.
     const double share = dt > 0 && dt < 1 ? dt : 1;
-    up_base_ = share >= 1 ? Eigen::Vector3d(*R_base_sensor * force) : Eigen::Vector3d(up_base_ + share * (*R_base_sensor * force - up_base_));
+    up_base_ = share >= 1 ? Eigen::Vector3d(*R_base_sensor * force)
+                          : Eigen::Vector3d(up_base_ + share * (*R_base_sensor * force - up_base_));
     if (!ups_.empty() && msg->header.stamp < ups_.back().stamp) ups_.clear();
-    if (ups_.empty() || since(ups_.back().stamp, msg->header.stamp) >= kTiltInterval) ups_.push_back({msg->header.stamp, up_base_});
+    if (ups_.empty() || since(ups_.back().stamp, msg->header.stamp) >= kTiltInterval)
+      ups_.push_back({msg->header.stamp, up_base_});
     while (since(ups_.front().stamp, ups_.back().stamp) > kOdometryKept) ups_.pop_front();
   }
 
@@ -334,8 +369,10 @@ class EkfTrackerNode {
     const auto R_base_sensor = rotationFrom(msg.header.frame_id);
     if (!R_base_sensor) return;
     const auto T_map_base = voPoseAt(msg.header.stamp, 0.2);
-    const auto tilt = T_map_base ? std::optional<Eigen::Matrix3d>(tiltOf(T_map_base->linear())) : accelerometerTiltAt(msg.header.stamp);
-    if (!tilt) return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data at their time");
+    const auto tilt = T_map_base ? std::optional<Eigen::Matrix3d>(tiltOf(T_map_base->linear()))
+                                 : accelerometerTiltAt(msg.header.stamp);
+    if (!tilt)
+      return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data at their time");
     const Eigen::Vector3d field(msg.magnetic_field.x, msg.magnetic_field.y, msg.magnetic_field.z);
     const auto yaw = yawFromMagneticField(*R_base_sensor * field, *tilt, settings_.declination);
     if (!yaw) return health_.count("magnetometer readings ignored: no usable horizontal field");
@@ -349,19 +386,24 @@ class EkfTrackerNode {
 
   void onGps(const sensor_msgs::NavSatFix::ConstPtr& msg) {
     health_.received(gps_.getTopic(), msg->header.stamp);
-    if (msg->status.status < sensor_msgs::NavSatStatus::STATUS_FIX) return health_.count("GPS positions ignored: the receiver has no fix");
+    if (msg->status.status < sensor_msgs::NavSatStatus::STATUS_FIX)
+      return health_.count("GPS positions ignored: the receiver has no fix");
     if (tooSoon(msg->header.stamp, settings_.gps_interval, &last_gps_)) return;
     Measurement m;
     m.source = Source::kGps;
     m.stamp = msg->header.stamp.toSec();
     try {
-      m.value.head<3>() = frame_->fromGeodetic({msg->latitude, msg->longitude, msg->altitude - settings_.geoid_undulation});
+      m.value.head<3>() =
+          frame_->fromGeodetic({msg->latitude, msg->longitude, msg->altitude - settings_.geoid_undulation});
     } catch (const std::invalid_argument& e) {
       return health_.count(std::string("GPS positions ignored: ") + e.what());
     }
     const bool stated = msg->position_covariance_type != sensor_msgs::NavSatFix::COVARIANCE_TYPE_UNKNOWN;
     for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) m.covariance(i, j) = stated ? std::pow(settings_.gps_inflation, 2) * msg->position_covariance[static_cast<std::size_t>(3 * i + j)] : 0;
+      for (int j = 0; j < 3; ++j)
+        m.covariance(i, j) = stated ? std::pow(settings_.gps_inflation, 2) *
+                                          msg->position_covariance[static_cast<std::size_t>(3 * i + j)]
+                                    : 0;
       m.covariance(i, i) = std::max(m.covariance(i, i), std::pow(settings_.gps_stddev[static_cast<std::size_t>(i)], 2));
     }
     last_gps_ = msg->header.stamp;
@@ -382,7 +424,8 @@ class EkfTrackerNode {
     add(m);
   }
 
-  // Slowly changing errors are not new information: readings closer than the interval are dropped. Time that ran back passes.
+  // Slowly changing errors are not new information: readings closer than the interval are dropped. Time that ran back
+  // passes.
   static bool tooSoon(const ros::Time& stamp, double interval, const ros::Time* last) {
     const double passed = since(*last, stamp);
     return !last->isZero() && passed >= 0 && passed < interval - kSameStamp;
@@ -398,7 +441,8 @@ class EkfTrackerNode {
     }
   }
 
-  // ---- Output ---------------------------------------------------------------------------------------------------------
+  // ---- Output
+  // ---------------------------------------------------------------------------------------------------------
 
   void tellOutcomes() {
     for (const Outcome& o : tracker_.takeOutcomes()) tell(o);
@@ -413,8 +457,10 @@ class EkfTrackerNode {
     const Source source = o.measurement.source;
     if (source == Source::kFix && isUsed(o.result)) last_fix_ = std::max(last_fix_, o.measurement.stamp);
     // Refusals are counted by name; waiting for a partner is none.
-    if (o.revised) health_.count("results of earlier measurements revised by later ones");
-    else if (o.result == Result::kRecovered || (!isUsed(o.result) && o.result != Result::kWaiting && o.result != Result::kNotStarted))
+    if (o.revised)
+      health_.count("results of earlier measurements revised by later ones");
+    else if (o.result == Result::kRecovered ||
+             (!isUsed(o.result) && o.result != Result::kWaiting && o.result != Result::kNotStarted))
       health_.count(std::string(nameOf(source)) + ": " + describe(o.result));
     if (o.result == Result::kInitialised) ROS_INFO("fixes that agree start the tracker");
     if (!std::isfinite(o.measurement.stamp) || o.measurement.stamp < 0) return;
@@ -447,15 +493,20 @@ class EkfTrackerNode {
     innovation_.publish(msg);
   }
 
-  void publish(const air_ground::VoIncrement& cause, const Increment& increment, const std::optional<Pose>& T_map_base) {
+  void publish(const air_ground::VoIncrement& cause, const Increment& increment,
+               const std::optional<Pose>& T_map_base) {
     const auto estimate = tracker_.latest();
     if (!estimate) {
-      std::string line = cause.metric ? "waiting for two fixes that agree" : "waiting for fixes that agree, two of them far enough apart to give the odometry's scale";
-      line += "; " + std::to_string(fixes_heard_) + " came on " + fixes_.getTopic() + ", which has " + std::to_string(fixes_.getNumPublishers()) + " publishers";
+      std::string line =
+          cause.metric ? "waiting for two fixes that agree"
+                       : "waiting for fixes that agree, two of them far enough apart to give the odometry's scale";
+      line += "; " + std::to_string(fixes_heard_) + " came on " + fixes_.getTopic() + ", which has " +
+              std::to_string(fixes_.getNumPublishers()) + " publishers";
       health_.state(1, line);
       if (fixes_heard_ == 0) {
         if (unlocated_since_ == 0 || increment.stamp < unlocated_since_) unlocated_since_ = increment.stamp;
-        if (increment.stamp > unlocated_since_ + 10) ROS_WARN_STREAM_ONCE("odometry has come for 10 s, but no fix: " << line);
+        if (increment.stamp > unlocated_since_ + 10)
+          ROS_WARN_STREAM_ONCE("odometry has come for 10 s, but no fix: " << line);
       }
       return;
     }
@@ -499,7 +550,8 @@ class EkfTrackerNode {
       fix.longitude = g.longitude;
       fix.altitude = g.height + settings_.geoid_undulation;
       for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) fix.position_covariance[static_cast<std::size_t>(3 * i + j)] = estimate->covariance(i, j);
+        for (int j = 0; j < 3; ++j)
+          fix.position_covariance[static_cast<std::size_t>(3 * i + j)] = estimate->covariance(i, j);
       fix.position_covariance_type = sensor_msgs::NavSatFix::COVARIANCE_TYPE_KNOWN;
       geodetic_.publish(fix);
     }
@@ -510,11 +562,17 @@ class EkfTrackerNode {
     if (bounded_path_.add(pose)) path_.publish(bounded_path_.message());
     const Vector4d stddev = estimate->covariance.diagonal().cwiseSqrt();
     char line[200];
-    std::snprintf(line, sizeof line, "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago", stddev[0],
-                  stddev[1], stddev[2], stddev[3] * 180 / M_PI, estimate->scale, estimate->scale_stddev, estimate->support, increment.stamp - last_fix_);
-    if (!estimate->scale_known) health_.state(1, std::string("the odometry's scale is not known: position is held by fixes alone; ") + line);
-    else if (tracker_.filter().strongestRival() > 1) health_.state(1, std::string("doubtful, refused fixes agree; ") + line);
-    else health_.state(0, line);
+    std::snprintf(
+        line, sizeof line,
+        "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago",
+        stddev[0], stddev[1], stddev[2], stddev[3] * 180 / M_PI, estimate->scale, estimate->scale_stddev,
+        estimate->support, increment.stamp - last_fix_);
+    if (!estimate->scale_known)
+      health_.state(1, std::string("the odometry's scale is not known: position is held by fixes alone; ") + line);
+    else if (tracker_.filter().strongestRival() > 1)
+      health_.state(1, std::string("doubtful, refused fixes agree; ") + line);
+    else
+      health_.state(0, line);
   }
 
   // Velocity of the body over the last step, in the body frame; the variance is huge where nothing is known.
@@ -547,7 +605,8 @@ class EkfTrackerNode {
     if (silent < kSilence) return;
     lost_ = true;
     health_.count("visual odometry was lost");
-    health_.state(2, "no usable visual odometry on " + increments_.getTopic() + " for more than a second: no pose is published");
+    health_.state(
+        2, "no usable visual odometry on " + increments_.getTopic() + " for more than a second: no pose is published");
   }
 
   void reset() {
@@ -581,7 +640,8 @@ class EkfTrackerNode {
     return ru::answer(response, [&] {
       air_ground_common::writeTum(request.path, trajectory_);
       response.poses = trajectory_.size();
-      return "wrote " + std::to_string(trajectory_.size()) + " poses of " + settings_.base_frame + " in " + settings_.world_frame + " to " + request.path;
+      return "wrote " + std::to_string(trajectory_.size()) + " poses of " + settings_.base_frame + " in " +
+             settings_.world_frame + " to " + request.path;
     });
   }
 

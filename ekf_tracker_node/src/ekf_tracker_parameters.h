@@ -13,7 +13,7 @@ struct NodeSettings {
   std::string world_frame, map_frame, base_frame, origin_crs;
   bool publish_tf, level_increments, magnetometer, gps, barometer;
   double path_step, tilt_stddev, geoid_undulation, odometry_wait, clock_tolerance;
-  double declination, magnetometer_stddev, magnetometer_interval;           ///< [rad], [rad], [s]
+  double declination, magnetometer_stddev, magnetometer_interval;  ///< [rad], [rad], [s]
   double gps_inflation, gps_interval, barometer_stddev, barometer_interval;
   std::vector<double> origin, gps_stddev;
   TrackerSettings tracker;
@@ -63,14 +63,17 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.gps_inflation = p.number("gps_inflation", 2, 1, 20);
   s.gps_stddev = p.numbers("gps_stddev", {8, 8, 12}, 3);
   for (const double stddev : s.gps_stddev)
-    if (!(stddev > 0)) throw air_ground_common::ros_utils::ParameterError("parameter gps_stddev must hold 3 positive numbers");
+    if (!(stddev > 0))
+      throw air_ground_common::ros_utils::ParameterError("parameter gps_stddev must hold 3 positive numbers");
   s.gps_interval = p.number("gps_interval", 10, 0, 600);
   s.barometer = p.flag("barometer", false);
   s.barometer_stddev = p.number("barometer_stddev", 0.5, 0.01, 50);
   f.barometer_drift = p.number("barometer_drift", f.barometer_drift, 0, 10);
   s.barometer_interval = p.number("barometer_interval", 1, 0, 600);
   p.finish();
-  if (s.gps && s.origin_crs.empty()) throw air_ground_common::ros_utils::ParameterError("parameter gps = true needs origin_crs and origin, which say where the world frame lies");
+  if (s.gps && s.origin_crs.empty())
+    throw air_ground_common::ros_utils::ParameterError(
+        "parameter gps = true needs origin_crs and origin, which say where the world frame lies");
   return s;
 }
 

@@ -32,15 +32,19 @@ MotionJacobians motionJacobians(const Vector4d& q, const Vector4d& increment, do
   for (int i = 0; i < 4; ++i) {
     Vector4d step = Vector4d::Zero();
     step[i] = h;
-    j.by_state.col(i) = (move<double>(at + step, increment, scale) - move<double>(at - step, increment, scale)) / (2 * h);
-    j.by_increment.col(i) = (move<double>(at, increment + step, scale) - move<double>(at, increment - step, scale)) / (2 * h);
+    j.by_state.col(i) =
+        (move<double>(at + step, increment, scale) - move<double>(at - step, increment, scale)) / (2 * h);
+    j.by_increment.col(i) =
+        (move<double>(at, increment + step, scale) - move<double>(at, increment - step, scale)) / (2 * h);
   }
   j.by_scale = (move<double>(at, increment, scale + h) - move<double>(at, increment, scale - h)) / (2 * h);
   return j;
 }
 
-Increment levelIncrement(const Eigen::Isometry3d& T_previous_current, const Matrix4d& covariance, const Eigen::Matrix3d& R_level_previous) {
-  if (!T_previous_current.matrix().allFinite() || !R_level_previous.allFinite()) throw std::invalid_argument("the relative pose of an increment must be finite");
+Increment levelIncrement(const Eigen::Isometry3d& T_previous_current, const Matrix4d& covariance,
+                         const Eigen::Matrix3d& R_level_previous) {
+  if (!T_previous_current.matrix().allFinite() || !R_level_previous.allFinite())
+    throw std::invalid_argument("the relative pose of an increment must be finite");
   Increment out;
   out.motion.head<3>() = R_level_previous * T_previous_current.translation();
   out.motion[3] = air_ground_common::yawOf(R_level_previous * T_previous_current.linear());
@@ -51,7 +55,8 @@ Increment levelIncrement(const Eigen::Isometry3d& T_previous_current, const Matr
 }
 
 void split(const Increment& whole, double stamp, Increment* first, Increment* second) {
-  if (!(stamp > whole.previous_stamp && stamp < whole.stamp)) throw std::invalid_argument("split: the stamp must lie inside the increment");
+  if (!(stamp > whole.previous_stamp && stamp < whole.stamp))
+    throw std::invalid_argument("split: the stamp must lie inside the increment");
   const double share = (stamp - whole.previous_stamp) / (whole.stamp - whole.previous_stamp);
   const double angle = whole.motion[3];
   const Eigen::Vector2d velocity = chord(angle).inverse() * whole.motion.head<2>();

@@ -63,30 +63,43 @@ double chiSquareQuantile(int dof, double p) { return boost::math::quantile(boost
 
 const char* describe(Result result) {
   switch (result) {
-    case Result::kFused: return "fused";
-    case Result::kRefusedByGate: return "outside the gate";
-    case Result::kWaiting: return "kept until the start";
-    case Result::kNotStarted: return "no state to correct yet";
-    case Result::kInitialised: return "agreed with one kept before, which starts the filter";
-    case Result::kRecovered: return "replaced a state that was wrong";
-    case Result::kAgreed: return "used after all: a later one agreed with it";
-    case Result::kInvalid: return "not finite, or its covariance is not positive definite";
-    case Result::kTooOld: return "older than the buffered history";
-    case Result::kFromFuture: return "too far ahead of the odometry";
-    case Result::kDuplicate: return "taken already";
+    case Result::kFused:
+      return "fused";
+    case Result::kRefusedByGate:
+      return "outside the gate";
+    case Result::kWaiting:
+      return "kept until the start";
+    case Result::kNotStarted:
+      return "no state to correct yet";
+    case Result::kInitialised:
+      return "agreed with one kept before, which starts the filter";
+    case Result::kRecovered:
+      return "replaced a state that was wrong";
+    case Result::kAgreed:
+      return "used after all: a later one agreed with it";
+    case Result::kInvalid:
+      return "not finite, or its covariance is not positive definite";
+    case Result::kTooOld:
+      return "older than the buffered history";
+    case Result::kFromFuture:
+      return "too far ahead of the odometry";
+    case Result::kDuplicate:
+      return "taken already";
   }
   return "";
 }
 
 bool isUsed(Result result) {
-  return result == Result::kFused || result == Result::kInitialised || result == Result::kRecovered || result == Result::kAgreed;
+  return result == Result::kFused || result == Result::kInitialised || result == Result::kRecovered ||
+         result == Result::kAgreed;
 }
 
 void check(const FilterSettings& s) {
   require(s.gate_probability > 0.5 && s.gate_probability < 1, "gate_probability must lie between 0.5 and 1");
   require(s.metric_scale_stddev > 0 && s.metric_scale_stddev < 1, "metric_scale_stddev must lie between 0 and 1");
   require(s.scale_drift >= 0 && s.scale_drift < 1, "scale_drift must lie between 0 and 1");
-  require(s.max_initial_scale_stddev > 0 && s.max_initial_scale_stddev <= 1, "max_initial_scale_stddev must lie between 0 and 1");
+  require(s.max_initial_scale_stddev > 0 && s.max_initial_scale_stddev <= 1,
+          "max_initial_scale_stddev must lie between 0 and 1");
   require(s.covariance_factor > 0, "covariance_factor must be positive");
   require(s.min_translation_stddev > 0 && s.min_yaw_stddev > 0, "the floors of an increment must be positive");
   require(s.gap_speed_stddev > 0 && s.gap_yaw_rate_stddev > 0, "the motion in gaps must be positive");
@@ -138,7 +151,8 @@ void PoseFilter::propagate(State* state, const Increment& given) const {
     increment.motion.head<3>().setZero();
     increment.covariance.topLeftCorner<3, 4>().setZero();
     increment.covariance.leftCols<3>().setZero();
-    increment.covariance.diagonal().head<3>().setConstant(std::pow(settings_.gap_speed_stddev, 2) * 10 * (increment.stamp - increment.previous_stamp));
+    increment.covariance.diagonal().head<3>().setConstant(std::pow(settings_.gap_speed_stddev, 2) * 10 *
+                                                          (increment.stamp - increment.previous_stamp));
   }
   Vector6d& x = state->x;
   const double scale = increment.gap ? 1.0 : x[kScale];
@@ -182,7 +196,8 @@ void PoseFilter::predict(const Increment& given) {
   Increment increment = given;
   if (increment.gap) {
     // A rival that still needs the scale cannot bridge a silence of unknown length in the odometry's unit.
-    rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), [](const Rival& r) { return !r.state.scale_known; }), rivals_.end());
+    rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), [](const Rival& r) { return !r.state.scale_known; }),
+                  rivals_.end());
   } else {
     scale_stddev_ = increment.metric ? increment.scale_stddev : 0;
     if (increment.new_unit) loseScale();
@@ -196,12 +211,14 @@ void PoseFilter::predict(const Increment& given) {
     if (rival.state.scale_known) propagate(&rival.state, increment);
     const MotionJacobians j = motionJacobians(rival.travelled, increment.motion, 1);
     rival.travelled = move<double>(rival.travelled, increment.motion, 1);
-    rival.travelled_covariance = j.by_state * rival.travelled_covariance * j.by_state.transpose() + j.by_increment * increment.covariance * j.by_increment.transpose();
+    rival.travelled_covariance = j.by_state * rival.travelled_covariance * j.by_state.transpose() +
+                                 j.by_increment * increment.covariance * j.by_increment.transpose();
   }
   // When long has passed, or the odometry was silent, almost anything agrees with a single fix.
   const double drift = std::pow(settings_.pairing_drift, 2);
   const auto alone = [&](const Rival& r) {
-    return r.state.support < 2 && (r.age > settings_.pairing_time || (metric_ && r.travelled_covariance.diagonal().head<3>().maxCoeff() > drift));
+    return r.state.support < 2 && (r.age > settings_.pairing_time ||
+                                   (metric_ && r.travelled_covariance.diagonal().head<3>().maxCoeff() > drift));
   };
   rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), alone), rivals_.end());
 }
@@ -258,14 +275,15 @@ PoseFilter::Rival PoseFilter::found(const Measurement& fix) const {
     // Likely the scale is right although the pose is not; solveScale() answers where it is not.
     r.state.scale_known = true;
     r.state.x[kScale] = state_->x[kScale];
-    r.state.covariance(kScale, kScale) = std::max(state_->covariance(kScale, kScale), std::pow(settings_.max_initial_scale_stddev * state_->x[kScale], 2));
+    r.state.covariance(kScale, kScale) = std::max(state_->covariance(kScale, kScale),
+                                                  std::pow(settings_.max_initial_scale_stddev * state_->x[kScale], 2));
   }
   return r;
 }
 
-// B-III.E: the scale from two global fixes and the odometry between them. The paper divides the two lengths; this is the
-// weighted least-squares factor, which noise does not bias upwards, and whose residual (three degrees of freedom: the
-// direction of travel twice, and the yaw) tells whether the two fixes belong together at all.
+// B-III.E: the scale from two global fixes and the odometry between them. The paper divides the two lengths; this is
+// the weighted least-squares factor, which noise does not bias upwards, and whose residual (three degrees of freedom:
+// the direction of travel twice, and the yaw) tells whether the two fixes belong together at all.
 PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix) const {
   const double length = rival->travelled.head<3>().norm();
   const double ratio = (fix.value.head<3>() - rival->anchor.head<3>()).norm() / length;
@@ -282,9 +300,12 @@ PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix
   // Too close together, to go by the lengths, for a useful scale: neither for nor against this rival.
   if (1 / std::sqrt(information) > settings_.max_initial_scale_stddev * ratio) return Solution::kNone;
   const Vector4d residual = difference - scale * direction;
-  if (residual.dot(llt.solve(residual)) > gates_[3] || 1 / std::sqrt(information) > settings_.max_initial_scale_stddev * scale) return Solution::kContradiction;
+  if (residual.dot(llt.solve(residual)) > gates_[3] ||
+      1 / std::sqrt(information) > settings_.max_initial_scale_stddev * scale)
+    return Solution::kContradiction;
 
-  // The joint posterior of pose and scale: from the anchor with a scale that is as good as unknown, moved and corrected.
+  // The joint posterior of pose and scale: from the anchor with a scale that is as good as unknown, moved and
+  // corrected.
   State& state = rival->state;
   state.x << rival->anchor, scale, 0;
   state.covariance.setZero();
@@ -314,8 +335,10 @@ PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
   for (Rival& r : rivals_) {
     if (!r.state.scale_known) continue;
     const Outcome o = test(r.state, fix);
-    if (o.result != Result::kFused) ++r.contradictions;
-    else if (o.nis < best) best = o.nis, supported = &r;
+    if (o.result != Result::kFused)
+      ++r.contradictions;
+    else if (o.nis < best)
+      best = o.nis, supported = &r;
   }
   if (supported) {
     fuse(&supported->state, fix);
@@ -384,7 +407,8 @@ Outcome PoseFilter::correct(const Measurement& m) {
   Rival* supported = supporterOf(m);
   if (!supported) {
     if (static_cast<int>(rivals_.size()) >= settings_.max_hypotheses) {
-      // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the scale.
+      // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the
+      // scale.
       const auto plausible = [](const Rival& r) { return 2 * r.state.support - r.contradictions; };
       auto worst = rivals_.begin();
       for (auto r = rivals_.begin(); r != rivals_.end(); ++r)
@@ -394,9 +418,9 @@ Outcome PoseFilter::correct(const Measurement& m) {
     rivals_.push_back(found(m));
     supported = &rivals_.back();
   }
-  // Two fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior it
-  // would keep the localizer from finding out. In an unknown unit some scale fits many a wrong pair: a third one confirms it. A
-  // state that few fixes support yields to fewer rivals.
+  // Two fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a
+  // prior it would keep the localizer from finding out. In an unknown unit some scale fits many a wrong pair: a third
+  // one confirms it. A state that few fixes support yields to fewer rivals.
   const bool only_scale = state_ && !state_->scale_known && out.result == Result::kFused;
   const int to_start = metric_ ? 2 : settings_.unscaled_start_fixes;
   const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, state_->support + 1) : to_start;

@@ -24,7 +24,9 @@ bool usable(const Measurement& m) {
 }
 
 // The order in which simultaneous measurements apply must not depend on their arrival.
-auto orderOf(const Measurement& m) { return std::make_tuple(m.stamp, static_cast<int>(m.source), m.value[0], m.value[1]); }
+auto orderOf(const Measurement& m) {
+  return std::make_tuple(m.stamp, static_cast<int>(m.source), m.value[0], m.value[1]);
+}
 
 }  // namespace
 
@@ -32,7 +34,8 @@ Tracker::Tracker(const TrackerSettings& settings) : settings_(settings), now_(se
   require(settings.history > 0, "history must be positive");
   require(settings.max_ahead > 0, "max_ahead must be positive");
   require(settings.same_time >= 0 && settings.same_time < 0.02, "same_time must lie between 0 and 0.02 s");
-  require(settings.default_translation_stddev > 0 && settings.default_yaw_stddev > 0, "the default covariance must be positive");
+  require(settings.default_translation_stddev > 0 && settings.default_yaw_stddev > 0,
+          "the default covariance must be positive");
 }
 
 void Tracker::reset() { *this = Tracker(settings_); }
@@ -62,11 +65,13 @@ IncrementResult Tracker::addIncrement(const Increment& given, bool* covariance_r
   if (covariance_replaced) *covariance_replaced = false;
   Increment increment = given;
   increment.gap = increment.new_unit = increment.assumed_covariance = false;
-  if (!std::isfinite(increment.stamp) || !std::isfinite(increment.previous_stamp) || !increment.motion.allFinite() || !std::isfinite(increment.scale_stddev))
+  if (!std::isfinite(increment.stamp) || !std::isfinite(increment.previous_stamp) || !increment.motion.allFinite() ||
+      !std::isfinite(increment.scale_stddev))
     return IncrementResult::kInvalid;
   if (increment.stamp <= increment.previous_stamp) return IncrementResult::kOutOfOrder;
   if (!isCovariance(increment.covariance)) {
-    const double stddev = settings_.default_translation_stddev * increment.motion.head<3>().norm() + settings_.filter.min_translation_stddev;
+    const double stddev = settings_.default_translation_stddev * increment.motion.head<3>().norm() +
+                          settings_.filter.min_translation_stddev;
     increment.covariance = Vector4d(stddev, stddev, stddev, settings_.default_yaw_stddev).cwiseAbs2().asDiagonal();
     increment.assumed_covariance = true;
     if (covariance_replaced) *covariance_replaced = true;
@@ -103,7 +108,8 @@ IncrementResult Tracker::addIncrement(const Increment& given, bool* covariance_r
   append(increment);
 
   // Measurements that the odometry has reached now, in time order.
-  std::sort(waiting_.begin(), waiting_.end(), [](const Kept& a, const Kept& b) { return orderOf(a.measurement) < orderOf(b.measurement); });
+  std::sort(waiting_.begin(), waiting_.end(),
+            [](const Kept& a, const Kept& b) { return orderOf(a.measurement) < orderOf(b.measurement); });
   std::size_t ready = 0;
   while (ready < waiting_.size() && waiting_[ready].measurement.stamp <= increment.stamp + settings_.same_time) ++ready;
   for (std::size_t i = 0; i < ready; ++i) insert(waiting_[i]);
@@ -148,7 +154,8 @@ void Tracker::insert(const Kept& kept) {
   const Measurement& m = kept.measurement;
   if (m.stamp < steps_.front().increment.stamp - settings_.same_time) return report(m, Result::kTooOld, kept.delay);
   // The first step not before the measurement.
-  auto step = std::lower_bound(steps_.begin(), steps_.end(), m.stamp, [&](const Step& s, double t) { return s.increment.stamp + settings_.same_time < t; });
+  auto step = std::lower_bound(steps_.begin(), steps_.end(), m.stamp,
+                               [&](const Step& s, double t) { return s.increment.stamp + settings_.same_time < t; });
   if (step == steps_.end()) step = std::prev(steps_.end());
   std::size_t index = static_cast<std::size_t>(step - steps_.begin());
   if (index > 0 && step->increment.stamp - m.stamp > settings_.same_time) {
@@ -161,7 +168,10 @@ void Tracker::insert(const Kept& kept) {
   std::vector<Kept>& here = steps_[index].measurements;
   const auto same = [&](const Kept& k) { return k.measurement.source == m.source && k.measurement.stamp == m.stamp; };
   if (std::any_of(here.begin(), here.end(), same)) return report(m, Result::kDuplicate, kept.delay);
-  here.insert(std::upper_bound(here.begin(), here.end(), kept, [](const Kept& a, const Kept& b) { return orderOf(a.measurement) < orderOf(b.measurement); }), kept);
+  here.insert(
+      std::upper_bound(here.begin(), here.end(), kept,
+                       [](const Kept& a, const Kept& b) { return orderOf(a.measurement) < orderOf(b.measurement); }),
+      kept);
   replay(index);
 }
 
@@ -191,12 +201,15 @@ void Tracker::replay(std::size_t first) {
 void Tracker::tellChanges() {
   std::vector<double> joined;  // fixes that entered the state by a later one
   for (const Step& step : steps_)
-    for (const Kept& k : step.measurements) joined.insert(joined.end(), k.outcome.joined.begin(), k.outcome.joined.end());
+    for (const Kept& k : step.measurements)
+      joined.insert(joined.end(), k.outcome.joined.begin(), k.outcome.joined.end());
   for (Step& step : steps_) {
     for (Kept& k : step.measurements) {
       Outcome out = k.outcome;
       const bool unused = out.result == Result::kWaiting || out.result == Result::kRefusedByGate;
-      if (unused && std::find(joined.begin(), joined.end(), k.measurement.stamp) != joined.end() && k.measurement.source == Source::kFix) out.result = Result::kAgreed;
+      if (unused && std::find(joined.begin(), joined.end(), k.measurement.stamp) != joined.end() &&
+          k.measurement.source == Source::kFix)
+        out.result = Result::kAgreed;
       if (k.told == out.result) continue;
       out.revised = k.told.has_value();
       k.told = out.result;
@@ -239,13 +252,16 @@ std::optional<Rate> Tracker::rate() const {
   rate.value = unit.cwiseProduct(step.motion);
   rate.covariance = unit.asDiagonal() * noiseOf(step, settings_.filter) * unit.asDiagonal();
   const Eigen::Vector3d by_scale = step.motion.head<3>() / dt;
-  if (s.scale_known) rate.covariance.topLeftCorner<3, 3>() += s.covariance(4, 4) * by_scale * by_scale.transpose();
-  else rate.covariance.diagonal().head<3>().setConstant(kUnknownVariance);
+  if (s.scale_known)
+    rate.covariance.topLeftCorner<3, 3>() += s.covariance(4, 4) * by_scale * by_scale.transpose();
+  else
+    rate.covariance.diagonal().head<3>().setConstant(kUnknownVariance);
   return rate;
 }
 
 std::optional<Estimate> Tracker::at(double stamp) const {
-  if (steps_.empty() || !(stamp >= steps_.front().increment.stamp) || stamp > steps_.back().increment.stamp) return std::nullopt;
+  if (steps_.empty() || !(stamp >= steps_.front().increment.stamp) || stamp > steps_.back().increment.stamp)
+    return std::nullopt;
   std::size_t i = steps_.size() - 1;
   while (i > 0 && steps_[i].increment.stamp > stamp) --i;
   PoseFilter filter = steps_[i].before;

@@ -24,7 +24,8 @@ const AgzLog* agz() {
 }
 
 #define REQUIRE_AGZ() \
-  if (!agz()) GTEST_SKIP() << "the Zurich Urban MAV logs are not in " AGZ_DIRECTORY " (set the CMake variable AIR_GROUND_AGZ)"
+  if (!agz())         \
+  GTEST_SKIP() << "the Zurich Urban MAV logs are not in " AGZ_DIRECTORY " (set the CMake variable AIR_GROUND_AGZ)"
 
 TEST(Agz, AnglesAreOmegaPhiKappaOfASidewaysCamera) {
   REQUIRE_AGZ();
@@ -54,9 +55,11 @@ TEST(Agz, HeadingTurnsAgainstTheDownwardGyro) {
   const AgzLog& log = *agz();
   std::vector<double> angle(1, 0.0);
   for (std::size_t i = 1; i < log.gyro_z.size(); ++i)
-    angle.push_back(angle.back() + 0.5 * (log.gyro_z[i][1] + log.gyro_z[i - 1][1]) * (log.gyro_z[i][0] - log.gyro_z[i - 1][0]));
+    angle.push_back(angle.back() +
+                    0.5 * (log.gyro_z[i][1] + log.gyro_z[i - 1][1]) * (log.gyro_z[i][0] - log.gyro_z[i - 1][0]));
   const auto turned = [&](double stamp) {
-    const auto it = std::lower_bound(log.gyro_z.begin(), log.gyro_z.end(), stamp, [](const auto& g, double t) { return g[0] < t; });
+    const auto it =
+        std::lower_bound(log.gyro_z.begin(), log.gyro_z.end(), stamp, [](const auto& g, double t) { return g[0] < t; });
     return angle[static_cast<std::size_t>(std::min(it, log.gyro_z.end() - 1) - log.gyro_z.begin())];
   };
   // The log's clocks differ by seconds: the best lag within six decides.
@@ -64,7 +67,8 @@ TEST(Agz, HeadingTurnsAgainstTheDownwardGyro) {
   for (int lag = -6; lag <= 6; ++lag) {
     double xy = 0, xx = 0, yy = 0, sx = 0, sy = 0, n = 0;
     for (std::size_t i = 10; i + 15 < log.truth.size(); ++i) {
-      const double x = log.truth[i + 5][3] - log.truth[i][3], y = turned(log.truth_stamps[i + 5] + lag) - turned(log.truth_stamps[i] + lag);
+      const double x = log.truth[i + 5][3] - log.truth[i][3],
+                   y = turned(log.truth_stamps[i + 5] + lag) - turned(log.truth_stamps[i] + lag);
       xy += x * y, xx += x * x, yy += y * y, sx += x, sy += y, ++n;
     }
     const double correlation = (xy - sx * sy / n) / std::sqrt((xx - sx * sx / n) * (yy - sy * sy / n));
@@ -77,14 +81,17 @@ TEST(Agz, HeadingTurnsAgainstTheDownwardGyro) {
 TEST(Agz, Utm32NLv95AndTheLocalFrameAgreeToACentimetre) {
   REQUIRE_AGZ();
   const AgzLog& log = *agz();
-  const air_ground_common::LocalFrame lv95("EPSG:2056", air_ground_common::LocalFrame("EPSG:2056", {2683300, 1247900, 0}).toCrs(
-      air_ground_common::LocalFrame("EPSG:2056", {2683300, 1247900, 0}).fromGeodetic(log.frame.origin())));
+  const air_ground_common::LocalFrame lv95(
+      "EPSG:2056",
+      air_ground_common::LocalFrame("EPSG:2056", {2683300, 1247900, 0})
+          .toCrs(air_ground_common::LocalFrame("EPSG:2056", {2683300, 1247900, 0}).fromGeodetic(log.frame.origin())));
   double worst = 0;
   for (const Vector4d& p : log.truth) {
     const Eigen::Vector3d local = p.head<3>();
     const Eigen::Vector3d through_utm = log.frame.fromCrs(log.frame.toCrs(local));
     const Eigen::Vector3d through_lv95 = lv95.fromCrs(lv95.toCrs(local));
-    worst = std::max({worst, (through_utm - local).norm(), (through_lv95 - local).norm(), (through_utm - through_lv95).norm()});
+    worst = std::max(
+        {worst, (through_utm - local).norm(), (through_lv95 - local).norm(), (through_utm - through_lv95).norm()});
     // The one geodetic point has one place in either.
     worst = std::max(worst, (lv95.fromGeodetic(log.frame.toGeodetic(local)) - local).norm());
   }
@@ -144,7 +151,8 @@ Flight fly(const AgzLog& log, const AgzMadeSettings& s, bool use_barometer, bool
       }
       ++next_fix;
     }
-    for (; use_barometer && next_pressure < log.barometer.size() && log.barometer[next_pressure][0] <= now; ++next_pressure) {
+    for (; use_barometer && next_pressure < log.barometer.size() && log.barometer[next_pressure][0] <= now;
+         ++next_pressure) {
       Measurement m;
       m.source = Source::kBarometer;
       m.stamp = log.barometer[next_pressure][0];
@@ -212,17 +220,20 @@ TEST(Agz, TrackerIsBetterThanTheRecordedGps) {
     const char* name;
     bool metric, barometer, gps, heading;
   };
-  for (const Variant& v : {Variant{"unknown unit", false, false, false, false}, {"metric", true, false, false, false},
-                           {"metric + recorded barometer", true, true, false, false}, {"metric + recorded barometer and GPS", true, true, true, false},
+  for (const Variant& v : {Variant{"unknown unit", false, false, false, false},
+                           {"metric", true, false, false, false},
+                           {"metric + recorded barometer", true, true, false, false},
+                           {"metric + recorded barometer and GPS", true, true, true, false},
                            {"metric + made magnetometer", true, false, false, true}}) {
     for (unsigned seed = 11; seed <= 13; ++seed) {
       AgzMadeSettings s;
       s.seed = seed;
       s.metric = v.metric;
       const Flight f = fly(*agz(), s, v.barometer, v.gps, v.heading);
-      std::cout << v.name << ", seed " << seed << ": tracker " << f.tracker << ", NEES " << f.tracker.nees << "; GPS " << f.gps << "; odometry alone mean "
-                << f.odometry.mean << " m; fixes " << f.fixes << ", outliers " << f.outliers << " (used " << f.outliers_used << "), good refused "
-                << f.good_refused << ", recoveries " << f.recoveries << ", started after " << f.started << " s\n";
+      std::cout << v.name << ", seed " << seed << ": tracker " << f.tracker << ", NEES " << f.tracker.nees << "; GPS "
+                << f.gps << "; odometry alone mean " << f.odometry.mean << " m; fixes " << f.fixes << ", outliers "
+                << f.outliers << " (used " << f.outliers_used << "), good refused " << f.good_refused << ", recoveries "
+                << f.recoveries << ", started after " << f.started << " s\n";
       EXPECT_LT(f.tracker.mean, f.gps.mean);
       // Below what the recorded GPS shows (2.1, 4.1, 6.0 m in these rows; 2.2, 3.8, 5.5 m is the bar).
       EXPECT_LT(f.tracker.rms.x(), 2.2);

@@ -84,10 +84,12 @@ void expectConsistent(const Averages& a, const char* what) {
     mean += nees / static_cast<double>(a.nees.size());
     inside += nees > low && nees < high;
   }
-  const double nis_low = chiSquareQuantile(4 * a.fixes, 0.025) / a.fixes, nis_high = chiSquareQuantile(4 * a.fixes, 0.975) / a.fixes;
-  std::cout << what << ": average NEES " << mean << " (95 %: " << low << " to " << high << "), " << inside << " of " << a.nees.size()
-            << " checkpoints inside; NIS " << a.nis << " of " << a.fixes << " fixes (95 %: " << nis_low << " to " << nis_high << "); mean error "
-            << a.position_error << " m, " << a.yaw_error * 180 / M_PI << " deg; good fixes refused " << a.refused_good << '\n';
+  const double nis_low = chiSquareQuantile(4 * a.fixes, 0.025) / a.fixes,
+               nis_high = chiSquareQuantile(4 * a.fixes, 0.975) / a.fixes;
+  std::cout << what << ": average NEES " << mean << " (95 %: " << low << " to " << high << "), " << inside << " of "
+            << a.nees.size() << " checkpoints inside; NIS " << a.nis << " of " << a.fixes << " fixes (95 %: " << nis_low
+            << " to " << nis_high << "); mean error " << a.position_error << " m, " << a.yaw_error * 180 / M_PI
+            << " deg; good fixes refused " << a.refused_good << '\n';
   EXPECT_EQ(a.unstarted, 0);
   EXPECT_GT(mean, low);
   EXPECT_LT(mean, high);
@@ -113,8 +115,8 @@ TEST(Consistency, NoGrossOutlierEntersTheState) {
     s.metric = metric;
     s.scale = metric ? 1 : 0.4;
     const Averages a = fly(s, 3000);
-    std::cout << (metric ? "metric" : "unknown unit") << ", outliers " << a.bad << ", used " << a.used_bad << ", good refused " << a.refused_good
-              << ", mean error " << a.position_error << " m\n";
+    std::cout << (metric ? "metric" : "unknown unit") << ", outliers " << a.bad << ", used " << a.used_bad
+              << ", good refused " << a.refused_good << ", mean error " << a.position_error << " m\n";
     EXPECT_GT(a.bad, 150);
     EXPECT_EQ(a.used_bad, 0);
     EXPECT_LT(a.position_error, 2.5);

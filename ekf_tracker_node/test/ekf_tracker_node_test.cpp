@@ -42,7 +42,8 @@ const Pose kWorldMap = air_ground_common::yawPose(2.0, {120, -40, 6});
 // A tilted vehicle on a weaving way.
 Pose mapPose(int i) {
   const double t = i * kStep;
-  Pose T = air_ground_common::yawPose(0.4 * std::sin(0.3 * t), {1.5 * t, 2 * std::sin(0.4 * t), 0.5 * std::sin(0.2 * t)});
+  Pose T =
+      air_ground_common::yawPose(0.4 * std::sin(0.3 * t), {1.5 * t, 2 * std::sin(0.4 * t), 0.5 * std::sin(0.2 * t)});
   T.linear() = T.linear() * Eigen::AngleAxisd(0.15, Eigen::Vector3d::UnitY()).toRotationMatrix();
   return T;
 }
@@ -58,14 +59,15 @@ class EkfTrackerNodeTest : public ::testing::Test {
     magnetometer_ = handle_.advertise<sensor_msgs::MagneticField>("mav/imu/mag", 100);
     gps_ = handle_.advertise<sensor_msgs::NavSatFix>("gps/fix", 100);
     barometer_ = handle_.advertise<sensor_msgs::FluidPressure>("barometer", 100);
-    odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>("tracked/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) {
-      tracked_.push_back(*m);
-    });
-    innovation_sub_ = handle_.subscribe<air_ground::TrackerInnovation>("tracked/innovation", 1000, [this](const air_ground::TrackerInnovation::ConstPtr& m) {
-      innovations_.push_back(*m);
-    });
-    geodetic_sub_ = handle_.subscribe<sensor_msgs::NavSatFix>("tracked/geodetic", 1000, [this](const sensor_msgs::NavSatFix::ConstPtr& m) { geodetic_ = *m; });
-    path_sub_ = handle_.subscribe<nav_msgs::Path>("tracked/path", 1000, [this](const nav_msgs::Path::ConstPtr& m) { paths_.push_back(*m); });
+    odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>(
+        "tracked/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) { tracked_.push_back(*m); });
+    innovation_sub_ = handle_.subscribe<air_ground::TrackerInnovation>(
+        "tracked/innovation", 1000,
+        [this](const air_ground::TrackerInnovation::ConstPtr& m) { innovations_.push_back(*m); });
+    geodetic_sub_ = handle_.subscribe<sensor_msgs::NavSatFix>(
+        "tracked/geodetic", 1000, [this](const sensor_msgs::NavSatFix::ConstPtr& m) { geodetic_ = *m; });
+    path_sub_ = handle_.subscribe<nav_msgs::Path>("tracked/path", 1000,
+                                                  [this](const nav_msgs::Path::ConstPtr& m) { paths_.push_back(*m); });
     tf_sub_ = handle_.subscribe<tf2_msgs::TFMessage>("/tf", 1000, [this](const tf2_msgs::TFMessage::ConstPtr& m) {
       for (const auto& t : m->transforms)
         if (t.child_frame_id == "mav_map") edges_.push_back(t);
@@ -73,9 +75,10 @@ class EkfTrackerNodeTest : public ::testing::Test {
     std_srvs::Trigger reset;
     ASSERT_TRUE(callService("ekf_tracker/reset", reset) && reset.response.success);
     ASSERT_TRUE(spinUntil([&] {
-      return increments_.getNumSubscribers() && vo_.getNumSubscribers() && fixes_.getNumSubscribers() && magnetometer_.getNumSubscribers() &&
-             gps_.getNumSubscribers() && barometer_.getNumSubscribers() && odometry_sub_.getNumPublishers() && innovation_sub_.getNumPublishers() &&
-             tf_sub_.getNumPublishers() && geodetic_sub_.getNumPublishers() && path_sub_.getNumPublishers();
+      return increments_.getNumSubscribers() && vo_.getNumSubscribers() && fixes_.getNumSubscribers() &&
+             magnetometer_.getNumSubscribers() && gps_.getNumSubscribers() && barometer_.getNumSubscribers() &&
+             odometry_sub_.getNumPublishers() && innovation_sub_.getNumPublishers() && tf_sub_.getNumPublishers() &&
+             geodetic_sub_.getNumPublishers() && path_sub_.getNumPublishers();
     }));
     pause(20);
     paths_.clear();  // what an earlier test left latched
@@ -91,7 +94,8 @@ class EkfTrackerNodeTest : public ::testing::Test {
     return m;
   }
 
-  void fly(int from, int to, const std::string& map_frame = "mav_map", const std::string& base_frame = "mav_base_link") {
+  void fly(int from, int to, const std::string& map_frame = "mav_map",
+           const std::string& base_frame = "mav_base_link") {
     for (int i = from; i < to; ++i) {
       nav_msgs::Odometry vo;
       vo.header.stamp = timeOf(i + 1);
@@ -133,11 +137,13 @@ class EkfTrackerNodeTest : public ::testing::Test {
   static sensor_msgs::FluidPressure pressure(int i) {
     sensor_msgs::FluidPressure m;
     m.header.stamp = timeOf(i);
-    m.fluid_pressure = 101325 * std::pow(1 - 0.0065 * (420 + (kWorldMap * mapPose(i)).translation().z()) / 288.15, 5.255876);
+    m.fluid_pressure =
+        101325 * std::pow(1 - 0.0065 * (420 + (kWorldMap * mapPose(i)).translation().z()) / 288.15, 5.255876);
     return m;
   }
 
-  // True when the node's odometry has come so far, be it located or not: a barometer reading (at most one a second) waits for it.
+  // True when the node's odometry has come so far, be it located or not: a barometer reading (at most one a second)
+  // waits for it.
   bool reach(int i) {
     barometer_.publish(pressure(i));
     return spinUntil([&] {
@@ -148,7 +154,8 @@ class EkfTrackerNodeTest : public ::testing::Test {
   }
 
   bool awaitStamp(int i) {
-    return spinUntil([&] { return !tracked_.empty() && tracked_.back().header.stamp >= timeOf(i) - ros::Duration(1e-4); });
+    return spinUntil(
+        [&] { return !tracked_.empty() && tracked_.back().header.stamp >= timeOf(i) - ros::Duration(1e-4); });
   }
 
   int results(int result) const {
@@ -225,14 +232,18 @@ TEST_F(EkfTrackerNodeTest, FollowsTheTruthOnOdometryTfAndGeodetic) {
 
   ASSERT_TRUE(spinUntil([&] { return !edges_.empty() && edges_.back().header.stamp == tracked_.back().header.stamp; }));
   EXPECT_EQ(edges_.back().header.frame_id, "world");
-  const Pose T_world_base = ru::fromMsg(edges_.back().transform) * mapPose(240), published = ru::fromMsg(tracked_.back().pose.pose);
+  const Pose T_world_base = ru::fromMsg(edges_.back().transform) * mapPose(240),
+             published = ru::fromMsg(tracked_.back().pose.pose);
   EXPECT_LT((T_world_base.matrix() - published.matrix()).norm(), 1e-6);
   EXPECT_NEAR(ru::fromMsg(edges_.back().transform).linear()(2, 2), 1, 1e-12);  // level
   for (std::size_t i = 1; i < edges_.size(); ++i) EXPECT_GT(edges_[i].header.stamp, edges_[i - 1].header.stamp);
 
   ASSERT_TRUE(spinUntil([&] { return geodetic_.header.stamp == tracked_.back().header.stamp; }));
   const air_ground_common::LocalFrame frame("EPSG:2056", {2683300, 1247900, 420});
-  EXPECT_LT((frame.fromGeodetic({geodetic_.latitude, geodetic_.longitude, geodetic_.altitude - 47.3}) - published.translation()).norm(), 1e-3);
+  EXPECT_LT((frame.fromGeodetic({geodetic_.latitude, geodetic_.longitude, geodetic_.altitude - 47.3}) -
+             published.translation())
+                .norm(),
+            1e-3);
   EXPECT_NEAR(geodetic_.altitude, 420 + 47.3 + published.translation().z(), 0.1);
   expectFinite();
 
@@ -257,7 +268,8 @@ TEST_F(EkfTrackerNodeTest, BadFixesAreRefusedCountedAndHarmless) {
   bad.pose.pose.position.y = kNan;
   fixes_.publish(bad);
   bad = fix(92);
-  bad.pose.pose.orientation.w = bad.pose.pose.orientation.z = bad.pose.pose.orientation.x = bad.pose.pose.orientation.y = 0;
+  bad.pose.pose.orientation.w = bad.pose.pose.orientation.z = bad.pose.pose.orientation.x =
+      bad.pose.pose.orientation.y = 0;
   fixes_.publish(bad);
   bad = fix(93);
   bad.pose.covariance[0] = -1;
@@ -271,9 +283,9 @@ TEST_F(EkfTrackerNodeTest, BadFixesAreRefusedCountedAndHarmless) {
   bad = fix(0);
   bad.header.stamp -= ros::Duration(500);  // long past
   fixes_.publish(bad);
-  fixes_.publish(fix(96, {60, 0, 0}));     // a gross outlier
-  fixes_.publish(fix(80));                 // older than those before
-  fixes_.publish(fix(80));                 // and again
+  fixes_.publish(fix(96, {60, 0, 0}));  // a gross outlier
+  fixes_.publish(fix(80));              // older than those before
+  fixes_.publish(fix(80));              // and again
   using I = air_ground::TrackerInnovation;
   EXPECT_TRUE(spinUntil([&] { return results(I::RESULT_DUPLICATE) == 1; }));
   EXPECT_EQ(results(I::RESULT_INVALID), 4);
@@ -299,7 +311,7 @@ TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
   auto bad = increment(99, 100);
   increments_.publish(bad);  // repeated
   bad = increment(85, 86);
-  increments_.publish(bad);  // out of order, by less than what a looped bag jumps
+  increments_.publish(bad);              // out of order, by less than what a looped bag jumps
   increments_.publish(increment(5, 6));  // a stray from long ago is no looped bag
   bad = increment(100, 101);
   bad.header.stamp = ros::Time::now() + ros::Duration(100);
@@ -341,7 +353,8 @@ TEST_F(EkfTrackerNodeTest, LoopedBagStartsAfresh) {
     fly(0, 60);
     fixes_.publish(fix(20));
     fixes_.publish(fix(40));
-    ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == round + 1; })) << round;
+    ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == round + 1; }))
+        << round;
     fly(60, 120);
     ASSERT_TRUE(spinUntil([&] { return !tracked_.empty() && tracked_.back().header.stamp == timeOf(120); }));
     expectOnTheWay(120, 1.0);
@@ -355,7 +368,8 @@ TEST_F(EkfTrackerNodeTest, DiagnosticsTellThatTheOdometryDied) {
   ASSERT_TRUE(giveFixes({10, 30, 50}));
   fly(60, 100);
   ASSERT_TRUE(awaitStamp(100));
-  EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("no usable visual odometry") == 0; })) << diagnostics_.message();
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("no usable visual odometry") == 0; }))
+      << diagnostics_.message();
   EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::ERROR);
   std_srvs::Trigger reset;
   ASSERT_TRUE(callService("ekf_tracker/reset", reset));
@@ -382,20 +396,26 @@ TEST_F(EkfTrackerNodeTest, OdometryOfForeignFramesGivesNoTf) {
   EXPECT_TRUE(diagnostics_.await("mav/odometry ignored: in frame 'mav_odom', expected map_frame 'mav_map'", 80));
   flyIn("mav_map", "mav_camera");
   EXPECT_TRUE(edges_.empty());
-  EXPECT_TRUE(diagnostics_.await("mav/odometry ignored: of frame 'mav_camera', expected base_frame 'mav_base_link'", 80));
+  EXPECT_TRUE(
+      diagnostics_.await("mav/odometry ignored: of frame 'mav_camera', expected base_frame 'mav_base_link'", 80));
 }
 
-// As mav_vo before it knows the scale: increments in a unit of its own, no odometry. This node would wait for it for a minute.
+// As mav_vo before it knows the scale: increments in a unit of its own, no odometry. This node would wait for it for a
+// minute.
 TEST_F(EkfTrackerNodeTest, OdometryThatIsNotMetricYetIsNotWaitedFor) {
   ros::NodeHandle other("unscaled");
-  const ros::Publisher increments = other.advertise<air_ground::VoIncrement>("mav/vo_increment", 400), imu = other.advertise<sensor_msgs::Imu>("mav/imu/data", 1000),
+  const ros::Publisher increments = other.advertise<air_ground::VoIncrement>("mav/vo_increment", 400),
+                       imu = other.advertise<sensor_msgs::Imu>("mav/imu/data", 1000),
                        fixes = other.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 100);
   std::vector<nav_msgs::Odometry> tracked;
-  const ros::Subscriber sub = other.subscribe<nav_msgs::Odometry>("tracked/odometry", 1000, [&](const nav_msgs::Odometry::ConstPtr& m) { tracked.push_back(*m); });
-  const ros::Subscriber outcomes =
-      other.subscribe<air_ground::TrackerInnovation>("tracked/innovation", 100, [this](const air_ground::TrackerInnovation::ConstPtr& m) { innovations_.push_back(*m); });
+  const ros::Subscriber sub = other.subscribe<nav_msgs::Odometry>(
+      "tracked/odometry", 1000, [&](const nav_msgs::Odometry::ConstPtr& m) { tracked.push_back(*m); });
+  const ros::Subscriber outcomes = other.subscribe<air_ground::TrackerInnovation>(
+      "tracked/innovation", 100,
+      [this](const air_ground::TrackerInnovation::ConstPtr& m) { innovations_.push_back(*m); });
   ASSERT_TRUE(spinUntil([&] {
-    return increments.getNumSubscribers() && imu.getNumSubscribers() && fixes.getNumSubscribers() && sub.getNumPublishers() && outcomes.getNumPublishers();
+    return increments.getNumSubscribers() && imu.getNumSubscribers() && fixes.getNumSubscribers() &&
+           sub.getNumPublishers() && outcomes.getNumPublishers();
   }));
   edges_.clear();
   constexpr int kEnd = 300;
@@ -404,7 +424,8 @@ TEST_F(EkfTrackerNodeTest, OdometryThatIsNotMetricYetIsNotWaitedFor) {
   const auto feel = [&](int i) {
     const Eigen::Vector3d force = mapPose(i).linear().transpose() * Eigen::Vector3d(0, 0, 9.81);
     gravity.header.stamp = timeOf(i);
-    gravity.linear_acceleration.x = force.x(), gravity.linear_acceleration.y = force.y(), gravity.linear_acceleration.z = force.z();
+    gravity.linear_acceleration.x = force.x(), gravity.linear_acceleration.y = force.y(),
+    gravity.linear_acceleration.z = force.z();
     imu.publish(gravity);
   };
   for (int i = 0; i <= kEnd; ++i) feel(i);
@@ -443,7 +464,8 @@ TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
     field.header.stamp = timeOf(i + 10);
     field.header.frame_id = "mav_base_link";
     const double d = 3.0 * M_PI / 180;
-    const Eigen::Vector3d seen = T_world_base.linear().transpose() * Eigen::Vector3d(21e-6 * std::sin(d), 21e-6 * std::cos(d), -43e-6);
+    const Eigen::Vector3d seen =
+        T_world_base.linear().transpose() * Eigen::Vector3d(21e-6 * std::sin(d), 21e-6 * std::cos(d), -43e-6);
     field.magnetic_field.x = seen.x(), field.magnetic_field.y = seen.y(), field.magnetic_field.z = seen.z();
     magnetometer_.publish(field);
     sensor_msgs::NavSatFix gps;
@@ -463,8 +485,10 @@ TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
   ASSERT_TRUE(spinUntil([&] {
     fused.clear();
     for (const auto& m : innovations_) fused[m.source] += m.result == air_ground::TrackerInnovation::RESULT_FUSED;
-    return fused[air_ground::TrackerInnovation::SOURCE_HEADING] > 10 && fused[air_ground::TrackerInnovation::SOURCE_BAROMETER] > 10;
-  })) << fused[1] << ' ' << fused[2] << ' ' << fused[3];
+    return fused[air_ground::TrackerInnovation::SOURCE_HEADING] > 10 &&
+           fused[air_ground::TrackerInnovation::SOURCE_BAROMETER] > 10;
+  })) << fused[1]
+      << ' ' << fused[2] << ' ' << fused[3];
   EXPECT_GE(fused[air_ground::TrackerInnovation::SOURCE_GPS], 1);
   EXPECT_LE(fused[air_ground::TrackerInnovation::SOURCE_GPS], 3);  // thinned to one in ten seconds
   for (const auto& m : innovations_) {

@@ -64,7 +64,8 @@ TEST(MotionModel, LevellingTakesTheTiltOut) {
   const Eigen::Matrix3d tilt = Eigen::AngleAxisd(20 * M_PI / 180, Eigen::Vector3d::UnitY()).toRotationMatrix();
   Eigen::Isometry3d T_previous_current = Eigen::Isometry3d::Identity();
   T_previous_current.translation() = tilt.transpose() * Eigen::Vector3d(1, 0, 0);
-  T_previous_current.linear() = tilt.transpose() * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitZ()).toRotationMatrix() * tilt;
+  T_previous_current.linear() =
+      tilt.transpose() * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitZ()).toRotationMatrix() * tilt;
   const Matrix4d covariance = Vector4d(1e-4, 4e-4, 9e-4, 1e-5).asDiagonal();
   const Increment levelled = levelIncrement(T_previous_current, covariance, tilt);
   EXPECT_LT((levelled.motion - Vector4d(1, 0, 0, 0.3)).norm(), 1e-12);

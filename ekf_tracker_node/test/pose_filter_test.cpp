@@ -105,8 +105,10 @@ TEST(PoseFilter, FirstFixWrongRecoversWithinThreeGoodOnes) {
       sim.fixes[0].value += Vector4d(40, -30, 3, 1.0);
       sim.fixes[0].value[3] = air_ground_common::wrapAngle(sim.fixes[0].value[3]);
       Tracker tracker;
-      for (const Measurement& fix : {sim.fixes[0], sim.fixes[1], sim.fixes[2], sim.fixes[3]}) tracker.addMeasurement(fix);
-      for (std::size_t i = 0; sim.odometry[i].previous_stamp < sim.fixes[3].stamp; ++i) tracker.addIncrement(sim.odometry[i]);
+      for (const Measurement& fix : {sim.fixes[0], sim.fixes[1], sim.fixes[2], sim.fixes[3]})
+        tracker.addMeasurement(fix);
+      for (std::size_t i = 0; sim.odometry[i].previous_stamp < sim.fixes[3].stamp; ++i)
+        tracker.addIncrement(sim.odometry[i]);
       const auto estimate = tracker.latest();
       if (!estimate) continue;
       const auto index = static_cast<std::size_t>(std::lround((estimate->stamp - sim.stamps[0]) * s.rate));

@@ -17,12 +17,15 @@ TEST(Sensors, MagneticYawUnderTiltAndDeclination) {
   const Eigen::Vector3d field_world(21 * std::sin(declination), 21 * std::cos(declination), -43);
   double worst_untilted = 0;
   for (double yaw = -3; yaw <= 3; yaw += 0.5) {
-    const Eigen::Matrix3d tilt = (Eigen::AngleAxisd(0.2, Eigen::Vector3d::UnitY()) * Eigen::AngleAxisd(-0.15, Eigen::Vector3d::UnitX())).toRotationMatrix();
+    const Eigen::Matrix3d tilt =
+        (Eigen::AngleAxisd(0.2, Eigen::Vector3d::UnitY()) * Eigen::AngleAxisd(-0.15, Eigen::Vector3d::UnitX()))
+            .toRotationMatrix();
     const Eigen::Matrix3d R_world_body = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix() * tilt;
     const auto measured = yawFromMagneticField(R_world_body.transpose() * field_world, tilt, declination);
     ASSERT_TRUE(measured);
     EXPECT_NEAR(air_ground_common::wrapAngle(*measured - yaw), 0, 1e-12);
-    const double untilted = *yawFromMagneticField(R_world_body.transpose() * field_world, Eigen::Matrix3d::Identity(), declination);
+    const double untilted =
+        *yawFromMagneticField(R_world_body.transpose() * field_world, Eigen::Matrix3d::Identity(), declination);
     worst_untilted = std::max(worst_untilted, std::abs(air_ground_common::wrapAngle(untilted - yaw)));
   }
   // Without the tilt the vertical field, twice the horizontal one, spoils it.

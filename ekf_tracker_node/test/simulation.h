@@ -13,20 +13,20 @@ namespace ekf_tracker {
 
 struct SimulationSettings {
   unsigned seed = 0;
-  double duration = 75;         ///< [s]; 150 m at 2 m/s, as in the paper
-  double rate = 20;             ///< [Hz]
-  double scale = 1;             ///< metres in one unit of the odometry
+  double duration = 75;  ///< [s]; 150 m at 2 m/s, as in the paper
+  double rate = 20;      ///< [Hz]
+  double scale = 1;      ///< metres in one unit of the odometry
   bool metric = true;
-  double fix_interval = 3.25;   ///< [s]: every 6.5 m
-  double outlier_share = 0;     ///< of the fixes, thrown 25 to 100 m away with any yaw
+  double fix_interval = 3.25;  ///< [s]: every 6.5 m
+  double outlier_share = 0;    ///< of the fixes, thrown 25 to 100 m away with any yaw
   Vector4d fix_stddev{2.0, 2.2, 1.5, 7.5 * M_PI / 180};
   Vector4d odometry_stddev{0.010, 0.010, 0.008, 0.003};  ///< of a step, translation [m]
 };
 
 struct Simulation {
-  std::vector<double> stamps;      ///< of the truth
-  std::vector<Vector4d> truth;     ///< poses in world, yaw wrapped
-  std::vector<Increment> odometry; ///< from stamps[i] to stamps[i + 1]
+  std::vector<double> stamps;       ///< of the truth
+  std::vector<Vector4d> truth;      ///< poses in world, yaw wrapped
+  std::vector<Increment> odometry;  ///< from stamps[i] to stamps[i + 1]
   std::vector<Measurement> fixes;
   std::vector<bool> outlier;
   std::vector<Vector4d> truth_at_fix;
@@ -69,7 +69,8 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
       const bool wrong = uniform(random) < s.outlier_share;
       if (wrong) {
         const double away = 25 + 75 * uniform(random), direction = 2 * M_PI * uniform(random);
-        fix.value += Vector4d(away * std::cos(direction), away * std::sin(direction), 4 * normal(random), 2 * M_PI * uniform(random));
+        fix.value += Vector4d(away * std::cos(direction), away * std::sin(direction), 4 * normal(random),
+                              2 * M_PI * uniform(random));
       }
       fix.value[3] = air_ground_common::wrapAngle(fix.value[3]);
       out.fixes.push_back(fix);
@@ -77,7 +78,8 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
       out.truth_at_fix.push_back(q);
     }
     // Side-looking: it flies to its right, weaving, climbing and sinking.
-    const Vector4d motion(0.3 * std::sin(0.2 * t) * dt, -2.0 * dt, 0.3 * std::cos(0.3 * t) * dt, 0.15 * std::sin(0.25 * t) * dt);
+    const Vector4d motion(0.3 * std::sin(0.2 * t) * dt, -2.0 * dt, 0.3 * std::cos(0.3 * t) * dt,
+                          0.15 * std::sin(0.25 * t) * dt);
     Increment increment;
     increment.previous_stamp = t;
     increment.stamp = 100 + (i + 1) * dt;

@@ -45,7 +45,8 @@ Estimate run(const Simulation& sim, const std::vector<Delivery>& all, std::map<R
   Tracker tracker;
   std::size_t next = 0;
   for (const Increment& increment : sim.odometry) {
-    for (; next < all.size() && all[next].arrival <= increment.stamp; ++next) tracker.addMeasurement(all[next].measurement);
+    for (; next < all.size() && all[next].arrival <= increment.stamp; ++next)
+      tracker.addMeasurement(all[next].measurement);
     tracker.addIncrement(increment);
   }
   for (; next < all.size(); ++next) tracker.addMeasurement(all[next].measurement);
@@ -264,7 +265,8 @@ TEST(Tracker, AResultThatALateFixChangesIsToldAgain) {
     fix.covariance = Matrix4d::Identity() * 0.01;
     tracker.addMeasurement(fix);
     std::map<double, std::pair<Result, bool>> told;
-    for (const Outcome& o : tracker.takeOutcomes()) EXPECT_TRUE(told.emplace(o.measurement.stamp, std::make_pair(o.result, o.revised)).second);
+    for (const Outcome& o : tracker.takeOutcomes())
+      EXPECT_TRUE(told.emplace(o.measurement.stamp, std::make_pair(o.result, o.revised)).second);
     return told;
   };
   using Told = std::map<double, std::pair<Result, bool>>;
@@ -274,8 +276,11 @@ TEST(Tracker, AResultThatALateFixChangesIsToldAgain) {
   EXPECT_EQ(give(13, 50), (Told{{13, {Result::kRefusedByGate, false}}}));
   // Older ones that agree with the refused one: by them the filter would have started elsewhere.
   EXPECT_EQ(give(10.2, 50), (Told{{10.2, {Result::kWaiting, false}}}));
-  EXPECT_EQ(give(10.4, 50), (Told{{10.2, {Result::kAgreed, true}}, {10.4, {Result::kInitialised, false}}, {11, {Result::kRefusedByGate, true}},
-                                  {12, {Result::kRefusedByGate, true}}, {13, {Result::kFused, true}}}));
+  EXPECT_EQ(give(10.4, 50), (Told{{10.2, {Result::kAgreed, true}},
+                                  {10.4, {Result::kInitialised, false}},
+                                  {11, {Result::kRefusedByGate, true}},
+                                  {12, {Result::kRefusedByGate, true}},
+                                  {13, {Result::kFused, true}}}));
 }
 
 TEST(Tracker, AFixAheadOfTheOdometryWaitsForIt) {
@@ -319,13 +324,15 @@ TEST(Tracker, NewMapInAnUnknownUnitKeepsThePoseAndFindsItsScale) {
       }
       changes += ordered.addIncrement(increment) == IncrementResult::kNewUnit;
       late.addIncrement(increment);
-      for (; next < sim.fixes.size() && sim.fixes[next].stamp + 2 <= increment.stamp; ++next) late.addMeasurement(sim.fixes[next]);
+      for (; next < sim.fixes.size() && sim.fixes[next].stamp + 2 <= increment.stamp; ++next)
+        late.addMeasurement(sim.fixes[next]);
       const auto estimate = ordered.latest();
       ASSERT_TRUE(estimate || increment.stamp < 130);
       if (!estimate) continue;
       blind += !estimate->scale_known;
       const Vector4d e = poseError(estimate->pose, sim.truth[i + 1]);
-      worst_nees = std::max(worst_nees, static_cast<int>(air_ground_common::squaredMahalanobis(e, estimate->covariance)));
+      worst_nees =
+          std::max(worst_nees, static_cast<int>(air_ground_common::squaredMahalanobis(e, estimate->covariance)));
     }
     EXPECT_EQ(changes, metric ? 0 : 1);
     EXPECT_EQ(blind > 20, !metric) << blind;

@@ -1,5 +1,6 @@
-// Success statistics of the coarse alignment over synthetic worlds, as in Forster 2013, Fig. 11 and 12: error and spread of
-// the particles after each aerial map. Prints a table; writes one CSV line a map on demand, and pictures of one run.
+// Success statistics of the coarse alignment over synthetic worlds, as in Forster 2013, Fig. 11 and 12: error and
+// spread of the particles after each aerial map. Prints a table; writes one CSV line a map on demand, and pictures of
+// one run.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
@@ -89,10 +90,12 @@ int main(int argc, char** argv) {
   app.add_option("--first-seed", first_seed, "seed of the first world");
   app.add_option("--runs", runs, "number of worlds");
   app.add_option("--maps", maps, "aerial clouds a world");
-  app.add_option("--world", world, "boxes, identical, flat or ridge")->check(CLI::IsMember({"boxes", "identical", "flat", "ridge"}));
+  app.add_option("--world", world, "boxes, identical, flat or ridge")
+      ->check(CLI::IsMember({"boxes", "identical", "flat", "ridge"}));
   app.add_option("--csv", csv, "file for one line a map");
   app.add_option("--pictures", pictures, "prefix of PNG files for the first world");
-  app.add_option("--known-heading", known_heading_deg, "standard deviation of a known heading [deg]; negative: searched");
+  app.add_option("--known-heading", known_heading_deg,
+                 "standard deviation of a known heading [deg]; negative: searched");
   app.add_option("--particles", s.filter.particles, "");
   app.add_option("--sampling-sigma", s.filter.sampling_sigma, "[m^2]");
   app.add_option("--weight-sigma", s.filter.weight_sigma, "[m^2]");
@@ -111,10 +114,13 @@ int main(int argc, char** argv) {
   app.add_option("--noise", options.cloud_noise, "[m]");
   app.add_option("--ground-path", options.ground_path, "[m]");
   CLI11_PARSE(app, argc, argv);
-  const std::map<std::string, syn::World> worlds{{"boxes", syn::World::kBoxes}, {"identical", syn::World::kIdenticalBoxes},
-                                                 {"flat", syn::World::kFlatFloor}, {"ridge", syn::World::kRidge}};
-  s.air_map.dilation = s.ground_map.dilation =
-      dilation == "none" ? hm::Dilation::kNone : dilation == "holes" ? hm::Dilation::kHoles : hm::Dilation::kAll;
+  const std::map<std::string, syn::World> worlds{{"boxes", syn::World::kBoxes},
+                                                 {"identical", syn::World::kIdenticalBoxes},
+                                                 {"flat", syn::World::kFlatFloor},
+                                                 {"ridge", syn::World::kRidge}};
+  s.air_map.dilation = s.ground_map.dilation = dilation == "none"    ? hm::Dilation::kNone
+                                               : dilation == "holes" ? hm::Dilation::kHoles
+                                                                     : hm::Dilation::kAll;
   s.merge = merge == "mean" ? hm::Merge::kMean : hm::Merge::kHighest;
   s.verify = std::max(s.verify, s.accumulate);
   options.world = worlds.at(world);
@@ -123,7 +129,8 @@ int main(int argc, char** argv) {
   std::ofstream out;
   if (!csv.empty()) {
     out.open(csv);
-    out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,probe,cost,overlap,nees,"
+    out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,"
+           "probe,cost,overlap,nees,"
            "mode_weight,ms\n";
   }
   std::vector<std::vector<double>> errors(maps), mean_errors(maps), yaws(maps), spreads(maps);
@@ -166,7 +173,8 @@ int main(int argc, char** argv) {
       wrong[k] += is_converged && !ok;
       ++statuses[hm::toString(e.status)];
       // Consistency at the overlap's centre in x, y, z and yaw.
-      const Eigen::Vector3d d = e.reference_point - run.T_ground_mav[k] * (e.T_ground_mav.inverse() * e.reference_point);
+      const Eigen::Vector3d d =
+          e.reference_point - run.T_ground_mav[k] * (e.T_ground_mav.inverse() * e.reference_point);
       Eigen::Vector4d delta(d.x(), d.y(), d.z(),
                             air_ground_common::wrapAngle(air_ground_common::yawOf(e.T_ground_mav.rotation()) -
                                                          air_ground_common::yawOf(run.T_ground_mav[k].rotation())));
@@ -181,10 +189,11 @@ int main(int argc, char** argv) {
         ++nees_count;
       }
       if (out) {
-        out << options.seed << ',' << k << ',' << hm::toString(e.status) << ',' << error.position << ',' << error.yaw * 180 / M_PI << ','
-            << error.z << ',' << mean_error << ',' << e.particle_spread << ',' << e.particle_spread_yaw * 180 / M_PI << ','
-            << e.rival_ratio << ',' << e.explained << ',' << e.relief << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ','
-            << nees << ',' << e.mode_weight << ',' << ms << '\n';
+        out << options.seed << ',' << k << ',' << hm::toString(e.status) << ',' << error.position << ','
+            << error.yaw * 180 / M_PI << ',' << error.z << ',' << mean_error << ',' << e.particle_spread << ','
+            << e.particle_spread_yaw * 180 / M_PI << ',' << e.rival_ratio << ',' << e.explained << ',' << e.relief
+            << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ',' << nees << ',' << e.mode_weight << ','
+            << ms << '\n';
       }
       if (!pictures.empty() && run_index == 0) {
         const Eigen::Vector3d p = run.T_ground_mav[k] * reference;
@@ -197,15 +206,18 @@ int main(int argc, char** argv) {
     std::sort(v.begin(), v.end());
     return v[static_cast<std::size_t>(std::min<double>(v.size() - 1, q * v.size()))];
   };
-  std::printf("%d worlds '%s' from seed %d; pose within 0.25 m and 5 deg counts as right\n", runs, world.c_str(), first_seed);
-  std::printf("map  right  particle mean<0.25m  CONVERGED  wrongly  error[m] median  90%%   heading[deg] median  spread[m] median\n");
+  std::printf("%d worlds '%s' from seed %d; pose within 0.25 m and 5 deg counts as right\n", runs, world.c_str(),
+              first_seed);
+  std::printf(
+      "map  right  particle mean<0.25m  CONVERGED  wrongly  error[m] median  90%%   heading[deg] median  spread[m] "
+      "median\n");
   for (int k = 0; k < maps; ++k) {
     std::printf("%3d  %4.0f%%  %19.0f%%  %8.0f%%  %7d  %15.3f  %.3f  %19.2f  %16.3f\n", k + 1, 100.0 * good[k] / runs,
-                100.0 * mean_good[k] / runs, 100.0 * converged[k] / runs, wrong[k], quantile(errors[k], 0.5), quantile(errors[k], 0.9),
-                quantile(yaws[k], 0.5), quantile(spreads[k], 0.5));
+                100.0 * mean_good[k] / runs, 100.0 * converged[k] / runs, wrong[k], quantile(errors[k], 0.5),
+                quantile(errors[k], 0.9), quantile(yaws[k], 0.5), quantile(spreads[k], 0.5));
   }
   for (const auto& status : statuses) std::printf("%s %d  ", status.first.c_str(), status.second);
-  std::printf("\nmean NEES of converged estimates (4 degrees of freedom): %.2f; %.0f ms a map\n", nees_count ? total_nees / nees_count : 0.0,
-              total_ms / (runs * maps));
+  std::printf("\nmean NEES of converged estimates (4 degrees of freedom): %.2f; %.0f ms a map\n",
+              nees_count ? total_nees / nees_count : 0.0, total_ms / (runs * maps));
   return 0;
 }

@@ -229,7 +229,8 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
   return result;
 }
 
-CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground, const CostSettings& settings) {
+CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground,
+                        const CostSettings& settings) {
   CostMinimum best;
   float lowest = std::numeric_limits<float>::infinity(), highest = 0;
   for (float c : map.cost) {

@@ -19,7 +19,8 @@ double Prior::logDensity(const PlanarPose& pose, const Eigen::Vector2d& referenc
   }
   if (position) {
     const PlanarPose there = changeReference(pose, reference, position_reference);
-    log_density -= 0.5 * (Eigen::Vector2d(there.x, there.y) - *position).squaredNorm() / (position_sigma * position_sigma);
+    log_density -=
+        0.5 * (Eigen::Vector2d(there.x, there.y) - *position).squaredNorm() / (position_sigma * position_sigma);
   }
   return log_density;
 }
@@ -61,8 +62,8 @@ Eigen::Vector2d centerOf(const HeightMap& map) {
   return {map.origin_x + 0.5 * (c0 + c1 + 1) * map.resolution, map.origin_y + 0.5 * (r0 + r1 + 1) * map.resolution};
 }
 
-CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings, bool circular,
-                             const CostSettings& settings) {
+CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings,
+                             bool circular, const CostSettings& settings) {
   CostVolume volume;
   volume.circular = circular;
   volume.pivot = centerOf(air);
@@ -128,7 +129,8 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
     if (minima.size() >= count) break;
     const PlanarPose pose = volume.slices[e.slice].pose(e.row, e.column);
     const bool apart = std::all_of(minima.begin(), minima.end(), [&](const PlanarPose& other) {
-      return std::hypot(pose.x - other.x, pose.y - other.y) >= distance || std::abs(wrapAngle(pose.yaw - other.yaw)) >= angle;
+      return std::hypot(pose.x - other.x, pose.y - other.y) >= distance ||
+             std::abs(wrapAngle(pose.yaw - other.yaw)) >= angle;
     });
     if (apart) minima.push_back(pose);
   }

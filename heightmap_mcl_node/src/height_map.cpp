@@ -27,7 +27,8 @@ void keepDensestRegion(std::vector<Eigen::Vector3f>& points, double extent) {
   for (const auto& [bin, count] : bins) {
     std::size_t sum = 0;
     for (long x = bin.first - kReach; x <= bin.first + kReach; ++x) {
-      for (auto it = bins.lower_bound({x, bin.second - kReach}); it != bins.end() && it->first <= Bin(x, bin.second + kReach); ++it) {
+      for (auto it = bins.lower_bound({x, bin.second - kReach});
+           it != bins.end() && it->first <= Bin(x, bin.second + kReach); ++it) {
         sum += it->second;
       }
     }
@@ -101,7 +102,8 @@ void validate(const HeightMapSettings& settings) {
           "max_extent must be 10 to 20000 cells [m]");
 }
 
-HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings, std::size_t* cropped) {
+HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings,
+                         std::size_t* cropped) {
   validate(settings);
   if (cropped) *cropped = 0;
   std::vector<Eigen::Vector3f> valid;
@@ -130,8 +132,10 @@ HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const Heigh
   }
   // One empty cell around, so that the dilation grows outwards too.
   const double res = settings.resolution;
-  const long c0 = static_cast<long>(std::floor(low.x() / res)) - 1, c1 = static_cast<long>(std::floor(high.x() / res)) + 1;
-  const long r0 = static_cast<long>(std::floor(low.y() / res)) - 1, r1 = static_cast<long>(std::floor(high.y() / res)) + 1;
+  const long c0 = static_cast<long>(std::floor(low.x() / res)) - 1,
+             c1 = static_cast<long>(std::floor(high.x() / res)) + 1;
+  const long r0 = static_cast<long>(std::floor(low.y() / res)) - 1,
+             r1 = static_cast<long>(std::floor(high.y() / res)) + 1;
   map.width = static_cast<int>(c1 - c0 + 1);
   map.height = static_cast<int>(r1 - r0 + 1);
   map.origin_x = c0 * res;
@@ -199,7 +203,8 @@ HeightMap merge(const std::vector<const HeightMap*>& maps, Merge mode) {
   bool any = false;
   for (const HeightMap* m : maps) {
     if (m->empty()) continue;
-    if (any && m->resolution != result.resolution) throw std::invalid_argument("merge: height maps of different resolution");
+    if (any && m->resolution != result.resolution)
+      throw std::invalid_argument("merge: height maps of different resolution");
     result.resolution = m->resolution;
     any = true;
   }
@@ -264,7 +269,8 @@ HeightMap rotateAbout(const HeightMap& map, const Eigen::Vector2d& pivot, double
   result.heights.assign(static_cast<std::size_t>(cells) * cells, kHole);
   const double c = std::cos(yaw), s = std::sin(yaw);
   // Source cell of a target cell: p = pivot + R(-yaw) q.
-  const double base_x = (pivot.x() - map.origin_x) / map.resolution, base_y = (pivot.y() - map.origin_y) / map.resolution;
+  const double base_x = (pivot.x() - map.origin_x) / map.resolution,
+               base_y = (pivot.y() - map.origin_y) / map.resolution;
   for (int row = 0; row < cells; ++row) {
     const double qy = row + 0.5 - 0.5 * cells;
     for (int column = 0; column < cells; ++column) {

@@ -1,5 +1,5 @@
-// Global localization of the MAV in the ground robot's map (Forster 2013, VI): dense clouds and the ground map in, coarse
-// alignment with its verdict out.
+// Global localization of the MAV in the ground robot's map (Forster 2013, VI): dense clouds and the ground map in,
+// coarse alignment with its verdict out.
 #include <air_ground/AlignmentEstimate.h>
 #include <air_ground/HeightMap.h>
 #include <air_ground/VoStatus.h>
@@ -46,10 +46,14 @@ air_ground::HeightMap toMsg(const HeightMap& map, const std_msgs::Header& header
 
 std::uint8_t toMsg(Status status) {
   switch (status) {
-    case Status::kSearching: return AlignmentEstimate::STATUS_SEARCHING;
-    case Status::kAmbiguous: return AlignmentEstimate::STATUS_AMBIGUOUS;
-    case Status::kDegenerate: return AlignmentEstimate::STATUS_DEGENERATE;
-    case Status::kConverged: return AlignmentEstimate::STATUS_CONVERGED;
+    case Status::kSearching:
+      return AlignmentEstimate::STATUS_SEARCHING;
+    case Status::kAmbiguous:
+      return AlignmentEstimate::STATUS_AMBIGUOUS;
+    case Status::kDegenerate:
+      return AlignmentEstimate::STATUS_DEGENERATE;
+    case Status::kConverged:
+      return AlignmentEstimate::STATUS_CONVERGED;
   }
   return AlignmentEstimate::STATUS_SEARCHING;
 }
@@ -91,7 +95,10 @@ std::vector<Eigen::Vector3f> positions(const std::vector<ros_utils::CloudPoint>&
 class HeightmapMclNode {
  public:
   HeightmapMclNode()
-      : private_handle_("~"), settings_(read(private_handle_)), health_("heightmap_mcl"), localizer_(settings_.localizer) {
+      : private_handle_("~"),
+        settings_(read(private_handle_)),
+        health_("heightmap_mcl"),
+        localizer_(settings_.localizer) {
     localizer_.setPrior(settings_.prior);
     height_map_air_ = handle_.advertise<air_ground::HeightMap>("alignment/height_map_air", 5);
     height_map_ground_ = handle_.advertise<air_ground::HeightMap>("alignment/height_map_ground", 1, true);
@@ -110,7 +117,8 @@ class HeightmapMclNode {
     reset_ = private_handle_.advertiseService("reset", &HeightmapMclNode::onReset, this);
     relocalize_ = private_handle_.advertiseService("relocalize", &HeightmapMclNode::onRelocalize, this);
     if (settings_.publish_tf) {
-      tf_timer_ = handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
+      tf_timer_ =
+          handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
     }
     worker_ = std::thread([this] { work(); });
   }
@@ -160,7 +168,8 @@ class HeightmapMclNode {
       health_.count("aerial clouds of an earlier map of the MAV dropped");
       return;
     }
-    clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(ros_utils::kTopicsInStep))});
+    clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                               std::chrono::duration<double>(ros_utils::kTopicsInStep))});
     while (static_cast<int>(clouds_.size()) > settings_.cloud_queue) {
       clouds_.pop_front();
       health_.count("aerial clouds dropped: the queue is full");
@@ -190,7 +199,8 @@ class HeightmapMclNode {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!mav_gate_.admit(kOdometry, msg->header.stamp)) return;
     if (!mav_frame_.empty() && msg->header.frame_id != mav_frame_) {
-      health_.count("odometry in frame '" + msg->header.frame_id + "' ignored: aerial clouds are in '" + mav_frame_ + "'");
+      health_.count("odometry in frame '" + msg->header.frame_id + "' ignored: aerial clouds are in '" + mav_frame_ +
+                    "'");
       return;
     }
     try {
@@ -232,7 +242,8 @@ class HeightmapMclNode {
   void onInitialPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& msg) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!ground_frame_.empty() && msg->header.frame_id != ground_frame_) {
-      ROS_WARN("initialpose in frame '%s' ignored: the ground map is in '%s'", msg->header.frame_id.c_str(), ground_frame_.c_str());
+      ROS_WARN("initialpose in frame '%s' ignored: the ground map is in '%s'", msg->header.frame_id.c_str(),
+               ground_frame_.c_str());
       return;
     }
     if (odometry_.empty()) {
@@ -328,7 +339,9 @@ class HeightmapMclNode {
     wake_.notify_one();
   }
 
-  void subscribeGround() { ground_sub_ = handle_.subscribe("ground/map_cloud", 5, &HeightmapMclNode::onGroundCloud, this); }
+  void subscribeGround() {
+    ground_sub_ = handle_.subscribe("ground/map_cloud", 5, &HeightmapMclNode::onGroundCloud, this);
+  }
 
   // ---- worker ----
 
@@ -381,14 +394,16 @@ class HeightmapMclNode {
   bool cloudReady() const {
     if (clouds_.empty()) return false;
     const WaitingCloud& next = clouds_.front();
-    return Clock::now() >= next.until || (!odometry_.empty() && odometry_.back().stamp >= next.cloud->header.stamp.toSec());
+    return Clock::now() >= next.until ||
+           (!odometry_.empty() && odometry_.back().stamp >= next.cloud->header.stamp.toSec());
   }
 
   void obey(const Command& command) {
     if (command.forgets()) localizer_.setPrior(settings_.prior);
     if (command.prior) localizer_.setPrior(*command.prior);
     if (command.reset || command.forget_ground) localizer_.forgetGround();
-    if (command.reset || command.forget_aerial || command.relocalize) localizer_.restart(command.reset || command.forget_aerial);
+    if (command.reset || command.forget_aerial || command.relocalize)
+      localizer_.restart(command.reset || command.forget_aerial);
     if (command.reset || command.forget_aerial) aerial_stamp_ = ros::Time();
   }
 
@@ -445,7 +460,8 @@ class HeightmapMclNode {
     const std::size_t far = localizer_.farMapsDropped();
     const bool added = localizer_.addAerial(cloud, &cropped);
     health_.count("aerial points beyond air/max_extent", cropped);
-    health_.count("aerial maps dropped: farther than air/max_extent from the newest", localizer_.farMapsDropped() - far);
+    health_.count("aerial maps dropped: farther than air/max_extent from the newest",
+                  localizer_.farMapsDropped() - far);
     if (!added) {
       health_.count("aerial clouds that define no cell");
       return;
@@ -454,7 +470,8 @@ class HeightmapMclNode {
     health_.timing("aerial map", (ros::WallTime::now() - start).toSec());
   }
 
-  void publish(const std::string& ground_frame, const std::string& mav_frame, std::uint32_t map_id, bool new_air, bool new_ground) {
+  void publish(const std::string& ground_frame, const std::string& mav_frame, std::uint32_t map_id, bool new_air,
+               bool new_ground) {
     const Estimate& e = localizer_.estimate();
     std_msgs::Header header;
     header.frame_id = ground_frame;
@@ -555,7 +572,8 @@ class HeightmapMclNode {
   Command command_;
   std::deque<WaitingCloud> clouds_;
   Cloud ground_;
-  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its map again.
+  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its
+  // map again.
   ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
   ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
   ros::Time map_begin_, ground_map_begin_;  // clouds before belong to an earlier map

@@ -21,10 +21,10 @@ std::string format(const char* text, Args... args) {
 
 double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
-/// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells are
-/// charged has no part in it: where the maps end fixes nothing.
-Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const PlanarPose& p, const CostSettings& settings,
-                          const Eigen::Vector3d& step) {
+/// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells
+/// are charged has no part in it: where the maps end fixes nothing.
+Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const PlanarPose& p,
+                          const CostSettings& settings, const Eigen::Vector3d& step) {
   std::vector<PlanarPose> poses{p};
   const auto push = [&](const Eigen::Vector3d& d) { poses.push_back({p.x + d.x(), p.y + d.y(), p.yaw + d.z()}); };
   for (int i = 0; i < 3; ++i) {
@@ -52,10 +52,14 @@ Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, cons
 
 const char* toString(Status status) {
   switch (status) {
-    case Status::kSearching: return "SEARCHING";
-    case Status::kAmbiguous: return "AMBIGUOUS";
-    case Status::kDegenerate: return "DEGENERATE";
-    case Status::kConverged: return "CONVERGED";
+    case Status::kSearching:
+      return "SEARCHING";
+    case Status::kAmbiguous:
+      return "AMBIGUOUS";
+    case Status::kDegenerate:
+      return "DEGENERATE";
+    case Status::kConverged:
+      return "CONVERGED";
   }
   return "";
 }
@@ -171,7 +175,8 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   const double cost = best.cost + settings_.noise_cost;
   const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
   // Of two bare floors there is nothing to explain.
-  if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief) return by_score;
+  if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief)
+    return by_score;
   const auto unexplained = [this](const Zmssd& z) { return (z.cost + settings_.noise_cost) / z.variance; };
   return std::min(by_score, unexplained(other) / unexplained(best));
 }
@@ -185,8 +190,7 @@ CostSettings Localizer::costFor(const HeightMap& air) const {
 CostVolume Localizer::coarseVolume(const HeightMap& map) const {
   const auto headings = searchHeadings(settings_.headings, prior_);
   const bool circular = static_cast<int>(headings.size()) == settings_.headings;
-  return computeCostVolume(*coarse_fft_, downsample(map, settings_.coarse_factor), headings, circular,
-                           costFor(map));
+  return computeCostVolume(*coarse_fft_, downsample(map, settings_.coarse_factor), headings, circular, costFor(map));
 }
 
 void Localizer::updateFilter() {
@@ -210,8 +214,8 @@ void Localizer::updateEstimate() {
     return;
   }
   if (!filter_.initialized()) {
-    estimate_.reason = format("no placement where the maps share %.0f %% of the smaller one's cells",
-                              100 * settings_.min_overlap);
+    estimate_.reason =
+        format("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
     return;
   }
   const auto spread = filter_.spread();
@@ -232,8 +236,8 @@ void Localizer::updateEstimate() {
     best = {mean, (*direct_)(cells, mean, cost)};
   }
 
-  // Rivals: the lowest places of the full search that are not this one. Where one fits better than the particles' mode, it
-  // is the estimate, and the particles have yet to follow.
+  // Rivals: the lowest places of the full search that are not this one. Where one fits better than the particles' mode,
+  // it is the estimate, and the particles have yet to follow.
   const CostVolume volume = coarseVolume(verify_map);
   const auto starts = findLocalMinima(volume, 8, settings_.rival_distance, settings_.rival_angle);
   std::vector<Candidate> places(starts.size());
@@ -293,7 +297,8 @@ void Localizer::updateEstimate() {
   weighed_ = false;
 }
 
-Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree) {
+Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
+                                 bool particles_agree) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
   e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
@@ -307,13 +312,16 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
   radius = std::max(std::sqrt(radius / static_cast<double>(cells.h.size())), 0.1);
   const Eigen::Vector3d scale(1, 1, 1 / radius);
   const Eigen::Matrix3d H = scale.asDiagonal() *
-                            curvature(*direct_, cells, best.pose, cost, 0.5 * s.probe_distance * scale) * scale.asDiagonal();
+                            curvature(*direct_, cells, best.pose, cost, 0.5 * s.probe_distance * scale) *
+                            scale.asDiagonal();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(H);
   const Eigen::Vector3d weakest = scale.cwiseProduct(eigen.eigenvectors().col(0)) * s.probe_distance;
   e.probe_ratio = kInfinity;
   for (int sign : {-1, 1}) {
-    const PlanarPose p{best.pose.x + sign * weakest.x(), best.pose.y + sign * weakest.y(), best.pose.yaw + sign * weakest.z()};
-    e.probe_ratio = std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
+    const PlanarPose p{best.pose.x + sign * weakest.x(), best.pose.y + sign * weakest.y(),
+                       best.pose.yaw + sign * weakest.z()};
+    e.probe_ratio =
+        std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
   }
 
   if (e.relief < s.min_relief) {
@@ -321,12 +329,12 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
     e.reason = format("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
   } else if (e.probe_ratio < s.probe_ratio) {
     e.status = Status::kDegenerate;
-    e.reason = format("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(), weakest.y(),
-                      weakest.z() / kDegree, e.probe_ratio);
+    e.reason = format("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
+                      weakest.y(), weakest.z() / kDegree, e.probe_ratio);
   } else if (e.rival_ratio < s.ambiguity_ratio) {
     e.status = Status::kAmbiguous;
-    e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much", e.rival_distance,
-                      e.rival_ratio);
+    e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
+                      e.rival_distance, e.rival_ratio);
   } else if (e.explained < s.min_explained) {
     e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
                       100 * s.min_explained);
@@ -347,8 +355,8 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
   return weakest;
 }
 
-void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
-                              const Mode& mode, const Eigen::Vector3d& flattest) {
+void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
+                              const CostSettings& cost, const Mode& mode, const Eigen::Vector3d& flattest) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
   const Eigen::Vector2d center = direct_->overlapCenter(cells, best.pose);
@@ -372,8 +380,8 @@ void Localizer::setCovariance(const Candidate& best, const Candidate& rival, con
   }
   const Eigen::Matrix3d H =
       curvature(*direct_, about_center, at_center, cost, {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
-  // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has excluded
-  // more, else all that the ground map leaves open.
+  // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has
+  // excluded more, else all that the ground map leaves open.
   const bool degenerate = e.status == Status::kDegenerate;
   const double extent = std::max(ground_.width, ground_.height) * ground_.resolution;
   const Eigen::Vector3d limit = degenerate ? Eigen::Vector3d(extent, extent, M_PI)
@@ -385,8 +393,9 @@ void Localizer::setCovariance(const Candidate& best, const Candidate& rival, con
   const Eigen::Matrix3d scaled = limit.asDiagonal() * information * limit.asDiagonal();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scaled);
   const Eigen::Vector3d variances = eigen.eigenvalues().cwiseMax(0.0).unaryExpr([](double v) { return 1 / (1 + v); });
-  Eigen::Matrix3d planar = limit.asDiagonal() * (eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose()) *
-                                 limit.asDiagonal();
+  Eigen::Matrix3d planar = limit.asDiagonal() *
+                           (eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose()) *
+                           limit.asDiagonal();
 
   const auto carriedBy = [](const Eigen::Vector2d& lever) {
     Eigen::Matrix3d carry = Eigen::Matrix3d::Identity();
@@ -396,14 +405,16 @@ void Localizer::setCovariance(const Candidate& best, const Candidate& rival, con
   };
   if (degenerate) {
     // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
-    const double reach = std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
+    const double reach =
+        std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
     const Eigen::Vector3d open = reach * (carriedBy(center - Eigen::Vector2d(best.pose.x, best.pose.y)) * flattest);
     planar += open * open.transpose();
   }
 
   // The particles' own scatter, carried from the MAV to the centre of the overlap.
-  const Eigen::Vector2d lever = center - Eigen::Vector2d(changeReference(best.pose, cells.reference, filter_.reference()).x,
-                                                         changeReference(best.pose, cells.reference, filter_.reference()).y);
+  const Eigen::Vector2d lever =
+      center - Eigen::Vector2d(changeReference(best.pose, cells.reference, filter_.reference()).x,
+                               changeReference(best.pose, cells.reference, filter_.reference()).y);
   const Eigen::Matrix3d carry = carriedBy(lever);
   const Eigen::Matrix3d particles = carry * mode.covariance * carry.transpose();
 

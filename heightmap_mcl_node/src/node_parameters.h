@@ -10,10 +10,10 @@ namespace heightmap_mcl {
 
 struct NodeSettings {
   LocalizerSettings localizer;
-  Prior prior;  ///< empty when the heading is searched
+  Prior prior;                                  ///< empty when the heading is searched
   std::string ground_map_frame, mav_map_frame;  ///< empty: as in the messages
   bool publish_tf = false;
-  double tf_rate = 10;        ///< [Hz]
+  double tf_rate = 10;  ///< [Hz]
   int cloud_queue = 30;
   double odometry_gap = 0.3;  ///< [s]
 };

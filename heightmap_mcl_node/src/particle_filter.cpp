@@ -23,7 +23,8 @@ void validate(const FilterSettings& s) {
   require(s.mixture_ratio >= 0 && s.mixture_ratio < 1, "mixture_ratio must be in [0, 1)");
 }
 
-ParticleFilter::ParticleFilter(const FilterSettings& settings, std::uint64_t seed) : settings_(settings), random_(seed) {
+ParticleFilter::ParticleFilter(const FilterSettings& settings, std::uint64_t seed)
+    : settings_(settings), random_(seed) {
   validate(settings_);
 }
 

@@ -91,7 +91,8 @@ void scoreRow(const float* const sums[6], int n, float scale, float cells, const
     const float count = (counts[i] * scale + 12582912.f) - 12582912.f;
     const float per_cell = scale / (count > 1.f ? count : 1.f);
     const float d = d1[i] * per_cell, a = a1[i] * per_cell, g = a - d;
-    const float difference = d2[i] * per_cell - d * d, air = a2[i] * per_cell - a * a, ground = g2[i] * per_cell - g * g;
+    const float difference = d2[i] * per_cell - d * d, air = a2[i] * per_cell - a * a,
+                ground = g2[i] * per_cell - g * g;
     const float twice_cost = difference > 0.f ? difference : 0.f;
     float most = air > ground ? air : ground;
     most = most > least ? most : least;

@@ -52,7 +52,8 @@ HeightMap cutOut(const HeightMap& ground, const PlanarPose& pose, double dz, int
       const double y = std::sin(pose.yaw) * p.x() + std::cos(pose.yaw) * p.y() + pose.y;
       const int gc = static_cast<int>(std::floor((x - ground.origin_x) / ground.resolution));
       const int gr = static_cast<int>(std::floor((y - ground.origin_y) / ground.resolution));
-      if (gc >= 0 && gr >= 0 && gc < ground.width && gr < ground.height) air.at(r, c) = ground.at(gr, gc) - static_cast<float>(dz);
+      if (gc >= 0 && gr >= 0 && gc < ground.width && gr < ground.height)
+        air.at(r, c) = ground.at(gr, gc) - static_cast<float>(dz);
     }
   }
   return air;
@@ -262,8 +263,9 @@ TEST_P(SearchRecovers, OffsetHeadingAndHeight) {
   EXPECT_NEAR(found.zmssd.dz, p.dz, 0.02);
 }
 INSTANTIATE_TEST_SUITE_P(Placements, SearchRecovers,
-                         ::testing::Values(Placement{1.2, 4.1, 0, 0.3}, Placement{1.7, 3.6, 33, -1.2}, Placement{2.1, 4.4, 90, 2},
-                                           Placement{1.9, 4.5, -128, 0}, Placement{2.6, 4.9, 178, 0.5}));
+                         ::testing::Values(Placement{1.2, 4.1, 0, 0.3}, Placement{1.7, 3.6, 33, -1.2},
+                                           Placement{2.1, 4.4, 90, 2}, Placement{1.9, 4.5, -128, 0},
+                                           Placement{2.6, 4.9, 178, 0.5}));
 
 TEST(Search, KnownHeadingLimitsTheHeadings) {
   Prior prior;

@@ -29,7 +29,8 @@ float heightAt(const HeightMap& map, double x, double y) {
 
 TEST(HeightMap, KeepsTheHighestPointAtTheRightPlace) {
   // Asymmetric on purpose: swapped axes or a flipped sign would show.
-  const auto map = buildHeightMap({{1.25f, -0.35f, 0.2f}, {1.27f, -0.33f, 0.7f}, {1.22f, -0.31f, 0.4f}, {-0.55f, 0.05f, 0.1f}}, plain());
+  const auto map = buildHeightMap(
+      {{1.25f, -0.35f, 0.2f}, {1.27f, -0.33f, 0.7f}, {1.22f, -0.31f, 0.4f}, {-0.55f, 0.05f, 0.1f}}, plain());
   EXPECT_FLOAT_EQ(heightAt(map, 1.25, -0.35), 0.7f);
   EXPECT_FLOAT_EQ(heightAt(map, -0.55, 0.05), 0.1f);
   EXPECT_TRUE(std::isnan(heightAt(map, -0.35, 1.25)));

@@ -175,7 +175,8 @@ TEST(Localizer, EndlessRidgeIsNeverConverged) {
   synthetic::Options options;
   options.world = synthetic::World::kRidge;
   options.aerial_clouds = 5;
-  // Seed 37: the aerial maps end where the ground map does, and only the charge for unknown cells tells one place from another.
+  // Seed 37: the aerial maps end where the ground map does, and only the charge for unknown cells tells one place from
+  // another.
   for (int seed : {3, 37}) {
     options.seed = seed;
     LocalizerSettings settings;
@@ -187,14 +188,17 @@ TEST(Localizer, EndlessRidgeIsNeverConverged) {
 }
 
 TEST(Localizer, BareFloorIsNoRivalOfStructure) {
-  // A ground robot that has seen little: the front faces of some boxes and the floor before them. Anywhere on the wide bare
-  // floor about the boxes eq. 2 is low, since most of what the ground map shows is floor.
+  // A ground robot that has seen little: the front faces of some boxes and the floor before them. Anywhere on the wide
+  // bare floor about the boxes eq. 2 is low, since most of what the ground map shows is floor.
   struct Box {
     double x, y, width, depth, height;
     bool holds(double px, double py) const { return px >= x && px <= x + width && py >= y && py <= y + depth; }
   };
-  const std::vector<Box> boxes{{-1.1, -0.4, 0.5, 0.4, 1.0}, {0.1, -0.7, 0.6, 0.35, 0.6}, {0.9, -0.2, 0.3, 0.6, 1.8},
-                               {-0.4, 0.2, 0.4, 0.5, 1.4},  {-1.4, 0.5, 0.6, 0.4, 0.8}};
+  const std::vector<Box> boxes{{-1.1, -0.4, 0.5, 0.4, 1.0},
+                               {0.1, -0.7, 0.6, 0.35, 0.6},
+                               {0.9, -0.2, 0.3, 0.6, 1.8},
+                               {-0.4, 0.2, 0.4, 0.5, 1.4},
+                               {-1.4, 0.5, 0.6, 0.4, 0.8}};
   AerialCloud air;
   std::vector<Eigen::Vector3f> ground;
   for (double x = -3; x < 3; x += 0.01) {
@@ -251,7 +255,8 @@ TEST(Localizer, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
   EXPECT_EQ(localizer.estimate().status, Status::kSearching);
   localizer.setGround(run.ground);
   EXPECT_TRUE(localizer.estimate().has_pose);
-  const auto error = synthetic::errorOf(localizer.estimate().T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
+  const auto error =
+      synthetic::errorOf(localizer.estimate().T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
   EXPECT_LT(error.position, 0.2);
   // Losing the ground map, or getting an empty one, takes the pose back.
   EXPECT_FALSE(localizer.setGround({}));

@@ -1,5 +1,5 @@
-// The node as other nodes see it: frames, order of inputs, bad input, services, looped time, refusal. Outputs of an earlier test
-// are told by their stamps.
+// The node as other nodes see it: frames, order of inputs, bad input, services, looped time, refusal. Outputs of an
+// earlier test are told by their stamps.
 #include <air_ground/AlignmentEstimate.h>
 #include <air_ground/HeightMap.h>
 #include <air_ground/VoStatus.h>
@@ -74,9 +74,10 @@ class NodeTest : public ::testing::Test {
     tf_static_.connect(node_, "/tf_static");
     ASSERT_TRUE(spinUntil([&] {
       return cloud_.getNumSubscribers() > 0 && ground_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
-             status_.getNumSubscribers() > 0 && ground_status_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 &&
-             coarse_.subscriber.getNumPublishers() > 0 && costmap_.subscriber.getNumPublishers() > 0 &&
-             particles_.subscriber.getNumPublishers() > 0 && air_.subscriber.getNumPublishers() > 0 && ground_map_.subscriber.getNumPublishers() > 0;
+             status_.getNumSubscribers() > 0 && ground_status_.getNumSubscribers() > 0 &&
+             guess_.getNumSubscribers() > 0 && coarse_.subscriber.getNumPublishers() > 0 &&
+             costmap_.subscriber.getNumPublishers() > 0 && particles_.subscriber.getNumPublishers() > 0 &&
+             air_.subscriber.getNumPublishers() > 0 && ground_map_.subscriber.getNumPublishers() > 0;
     }));
     ASSERT_TRUE(call("heightmap_mcl/reset"));
     pause(20);
@@ -96,7 +97,8 @@ class NodeTest : public ::testing::Test {
     return ros_utils::callService(node_.resolveName(service), request) && request.response.success;
   }
 
-  static sensor_msgs::PointCloud2 cloudMsg(const std::vector<Eigen::Vector3f>& points, const std::string& frame, const ros::Time& stamp) {
+  static sensor_msgs::PointCloud2 cloudMsg(const std::vector<Eigen::Vector3f>& points, const std::string& frame,
+                                           const ros::Time& stamp) {
     std::vector<ros_utils::CloudPoint> cloud(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) cloud[i].position = points[i];
     std_msgs::Header header;
@@ -108,7 +110,8 @@ class NodeTest : public ::testing::Test {
   /// True when the node has made its height map of it.
   bool sendGround(const syn::Run& run) {
     ground_.publish(cloudMsg(run.ground, "ground_map", stamp_));
-    return spinUntil([&] { return !ground_map_.messages.empty() && ground_map_.messages.back().header.stamp == stamp_; });
+    return spinUntil(
+        [&] { return !ground_map_.messages.empty() && ground_map_.messages.back().header.stamp == stamp_; });
   }
 
   void sendOdometry(const Eigen::Vector3d& position, const ros::Time& stamp) {
@@ -185,8 +188,8 @@ void expectSane(const AlignmentEstimate& e) {
   EXPECT_TRUE(T.matrix().allFinite());
   const auto covariance = ros_utils::covarianceFromMsg(e.pose.covariance);
   EXPECT_GT(air_ground_common::symmetricEigen(covariance).values[0], 0);
-  for (double v : {e.particle_spread, e.particle_spread_yaw, e.overlap, e.cost, e.reference_point.x, e.reference_point.y,
-                   e.reference_point.z}) {
+  for (double v : {e.particle_spread, e.particle_spread_yaw, e.overlap, e.cost, e.reference_point.x,
+                   e.reference_point.y, e.reference_point.z}) {
     EXPECT_TRUE(std::isfinite(v));
   }
 }
@@ -209,13 +212,15 @@ TEST_F(NodeTest, GroundMapThatComesLateTriggersTheSearchAndTheChainConverges) {
   for (int k = 3; k < 8; ++k) ASSERT_TRUE(sendAerial(run.aerial[k]));
   EXPECT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
   for (const auto& e : coarse_.messages) expectSane(e);
-  const auto error = syn::errorOf(ros_utils::fromMsg(last().pose.pose), run.T_ground_mav.back(), run.aerial.back().reference);
+  const auto error =
+      syn::errorOf(ros_utils::fromMsg(last().pose.pose), run.T_ground_mav.back(), run.aerial.back().reference);
   EXPECT_LT(error.position, 0.2);
   EXPECT_LT(error.yaw, 0.05);
 
   ASSERT_TRUE(spinUntil([&] {
-    return !particles_.messages.empty() && particles_.messages.back().header.stamp == stamp_ && !costmap_.messages.empty() &&
-           costmap_.messages.back().header.stamp == stamp_ && !ground_map_.messages.empty();
+    return !particles_.messages.empty() && particles_.messages.back().header.stamp == stamp_ &&
+           !costmap_.messages.empty() && costmap_.messages.back().header.stamp == stamp_ &&
+           !ground_map_.messages.empty();
   }));
   const auto& particles = particles_.messages.back();
   EXPECT_EQ(particles.header.frame_id, "ground_map");
@@ -254,8 +259,9 @@ TEST_F(NodeTest, SurvivesBadInput) {
   cloud_.publish(broken);
   ground_.publish(cloudMsg({}, "ground_map", stamp_));
   // Each kind of bad input has its counter.
-  for (const char* event : {"aerial clouds without a finite point", "aerial points that are not finite", "aerial clouds in frame 'elsewhere'",
-                            "aerial clouds not usable", "ground clouds without a point"}) {
+  for (const char* event :
+       {"aerial clouds without a finite point", "aerial points that are not finite",
+        "aerial clouds in frame 'elsewhere'", "aerial clouds not usable", "ground clouds without a point"}) {
     EXPECT_TRUE(diagnostics_.await(event, 1)) << event;
   }
   for (const auto& e : coarse_.messages) {
@@ -406,7 +412,8 @@ TEST_F(NodeTest, InitialPoseIsUsed) {
   for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
   // Odometry here has no heading: base_link is turned like mav_map.
   const Pose truth = run.T_ground_mav[1];
-  const auto guess = guessAt(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()), truth * run.aerial[1].reference));
+  const auto guess =
+      guessAt(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()), truth * run.aerial[1].reference));
   const std::size_t before = coarse_.messages.size();
   guess_.publish(guess);
   ASSERT_TRUE(spinUntil([&] { return coarse_.messages.size() > before; }));
@@ -423,14 +430,17 @@ TEST_F(NodeTest, InitialPoseEndsWithTheMapThatItWasAbout) {
   // A heading that is wrong for the map that comes next.
   const Pose truth = run.T_ground_mav[0];
   const std::size_t before = coarse_.messages.size();
-  guess_.publish(guessAt(air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()) + 2, truth * run.aerial[0].reference)));
+  guess_.publish(guessAt(
+      air_ground_common::yawPose(air_ground_common::yawOf(truth.rotation()) + 2, truth * run.aerial[0].reference)));
   ASSERT_TRUE(spinUntil([&] { return coarse_.messages.size() > before; }));
   stamp_ += ros::Duration(1);
   sendStatus(2);
   ASSERT_TRUE(spinUntil([&] { return last().map_id == 2; }));
   for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
   EXPECT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
-  EXPECT_LT(syn::errorOf(ros_utils::fromMsg(last().pose.pose), run.T_ground_mav.back(), run.aerial.back().reference).position, 0.2);
+  EXPECT_LT(
+      syn::errorOf(ros_utils::fromMsg(last().pose.pose), run.T_ground_mav.back(), run.aerial.back().reference).position,
+      0.2);
 }
 
 TEST_F(NodeTest, FlatFloorIsRefused) {

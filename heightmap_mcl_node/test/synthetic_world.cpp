@@ -14,7 +14,9 @@ using air_ground_common::wrapAngle;
 using air_ground_common::yawPose;
 using Random = std::mt19937_64;
 
-double uniform(Random& random, double low, double high) { return std::uniform_real_distribution<double>(low, high)(random); }
+double uniform(Random& random, double low, double high) {
+  return std::uniform_real_distribution<double>(low, high)(random);
+}
 double normal(Random& random, double sigma) { return sigma * std::normal_distribution<double>(0, 1)(random); }
 
 TriangleMesh makeMesh(World world, Random& random) {
@@ -61,12 +63,14 @@ TriangleMesh makeMesh(World world, Random& random) {
 void seeFromGround(const MeshScene& scene, const Pose& T_world_base, double tilt, Random& random,
                    std::vector<Eigen::Vector3f>& points) {
   const Eigen::Vector3d origin = T_world_base * Eigen::Vector3d(0, 0, 0.5);
-  const Eigen::Matrix3d R = T_world_base.rotation() * Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  const Eigen::Matrix3d R =
+      T_world_base.rotation() * Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitY()).toRotationMatrix();
   const double half_width = std::tan(0.5), half_height = std::tan(0.38);  // 57 x 44 degrees
   constexpr int kColumns = 160, kRows = 120;
   for (int v = 0; v < kRows; ++v) {
     for (int u = 0; u < kColumns; ++u) {
-      const Eigen::Vector3d d(1, half_width * (1 - 2 * (u + 0.5) / kColumns), half_height * (1 - 2 * (v + 0.5) / kRows));
+      const Eigen::Vector3d d(1, half_width * (1 - 2 * (u + 0.5) / kColumns),
+                              half_height * (1 - 2 * (v + 0.5) / kRows));
       const double length = d.norm();
       const auto hit = scene.cast(origin.cast<float>(), (R * d / length).cast<float>(), 6.f);
       if (!hit) continue;
@@ -80,19 +84,22 @@ void seeFromGround(const MeshScene& scene, const Pose& T_world_base, double tilt
 }
 
 /// Camera looking down; points in the body frame (x forward, z up), noisy and with holes.
-std::vector<Eigen::Vector3d> seeFromAir(const MeshScene& scene, const Pose& T_world_base, const Options& options, Random& random) {
+std::vector<Eigen::Vector3d> seeFromAir(const MeshScene& scene, const Pose& T_world_base, const Options& options,
+                                        Random& random) {
   constexpr int kColumns = 260, kRows = 170;
   const double half_width = 0.78, half_height = 0.50;
   std::vector<float> depth(kColumns * kRows, -1.f);
   const auto directionOf = [&](int u, int v) {
     // Image x points to -y of the body, image y to -x.
-    return Eigen::Vector3d(-half_height * (2 * (v + 0.5) / kRows - 1), -half_width * (2 * (u + 0.5) / kColumns - 1), -1);
+    return Eigen::Vector3d(-half_height * (2 * (v + 0.5) / kRows - 1), -half_width * (2 * (u + 0.5) / kColumns - 1),
+                           -1);
   };
   for (int v = 0; v < kRows; ++v) {
     for (int u = 0; u < kColumns; ++u) {
       const Eigen::Vector3d d = directionOf(u, v);
       const double length = d.norm();
-      const auto hit = scene.cast(T_world_base.translation().cast<float>(), (T_world_base.rotation() * d / length).cast<float>(), 8.f);
+      const auto hit = scene.cast(T_world_base.translation().cast<float>(),
+                                  (T_world_base.rotation() * d / length).cast<float>(), 8.f);
       if (hit) depth[v * kColumns + u] = static_cast<float>(hit->distance / length);
     }
   }
@@ -118,9 +125,12 @@ std::vector<Eigen::Vector3d> seeFromAir(const MeshScene& scene, const Pose& T_wo
     for (int u = 1; u + 1 < kColumns; ++u) {
       double z = depth[v * kColumns + u];
       if (z < 0) continue;
-      if (std::any_of(blobs.begin(), blobs.end(), [&](const Blob& b) { return std::hypot(u - b.u, v - b.v) < b.radius; })) continue;
+      if (std::any_of(blobs.begin(), blobs.end(),
+                      [&](const Blob& b) { return std::hypot(u - b.u, v - b.v) < b.radius; }))
+        continue;
       // Regularised depth maps smear their edges.
-      const double neighbour = depth[(v + static_cast<int>(uniform(random, -1, 2))) * kColumns + u + static_cast<int>(uniform(random, -1, 2))];
+      const double neighbour = depth[(v + static_cast<int>(uniform(random, -1, 2))) * kColumns + u +
+                                     static_cast<int>(uniform(random, -1, 2))];
       if (neighbour > 0 && std::abs(neighbour - z) > 0.1) z += uniform(random, 0, 1) * (neighbour - z);
       for (const Wave& w : waves) z += w.amplitude * std::sin(w.a * u + w.b * v + w.phase);
       z += normal(random, options.cloud_noise);
@@ -136,11 +146,22 @@ void addBox(TriangleMesh& mesh, double x, double y, double bottom, double yaw, c
   const int base = static_cast<int>(mesh.vertices.size());
   const Pose T = yawPose(yaw, {x, y, bottom});
   for (int k = 0; k < 8; ++k) {
-    const Eigen::Vector3d corner((k & 1 ? 0.5 : -0.5) * size.x(), (k & 2 ? 0.5 : -0.5) * size.y(), k & 4 ? size.z() : 0.0);
+    const Eigen::Vector3d corner((k & 1 ? 0.5 : -0.5) * size.x(), (k & 2 ? 0.5 : -0.5) * size.y(),
+                                 k & 4 ? size.z() : 0.0);
     mesh.vertices.push_back((T * corner).cast<float>());
   }
-  for (const auto& t : {Eigen::Vector3i(0, 2, 1), {1, 2, 3}, {4, 5, 6}, {5, 7, 6}, {0, 1, 4}, {1, 5, 4}, {2, 6, 3}, {3, 6, 7},
-                        {0, 4, 2}, {2, 4, 6}, {1, 3, 5}, {3, 7, 5}}) {
+  for (const auto& t : {Eigen::Vector3i(0, 2, 1),
+                        {1, 2, 3},
+                        {4, 5, 6},
+                        {5, 7, 6},
+                        {0, 1, 4},
+                        {1, 5, 4},
+                        {2, 6, 3},
+                        {3, 6, 7},
+                        {0, 4, 2},
+                        {2, 4, 6},
+                        {1, 3, 5},
+                        {3, 7, 5}}) {
     mesh.triangles.push_back(t + Eigen::Vector3i::Constant(base));
   }
 }
@@ -188,13 +209,16 @@ Run makeRun(const Options& options) {
     last = position;
     // What the MAV believes: scaled, drifted.
     const Pose T_true = T_world_mavmap.inverse() * T_world_base;
-    const Eigen::Vector3d drift = options.drift_per_metre * path * Eigen::Vector3d(std::cos(drift_heading), std::sin(drift_heading), 0.3);
+    const Eigen::Vector3d drift =
+        options.drift_per_metre * path * Eigen::Vector3d(std::cos(drift_heading), std::sin(drift_heading), 0.3);
     const double yaw_drift = yaw_drift_sign * options.yaw_drift_per_metre * path;
-    Pose T_believed = yawPose(air_ground_common::yawOf(T_true.rotation()) + yaw_drift, scale * T_true.translation() + drift);
+    Pose T_believed =
+        yawPose(air_ground_common::yawOf(T_true.rotation()) + yaw_drift, scale * T_true.translation() + drift);
 
     AerialCloud cloud;
     cloud.reference = T_believed.translation();
-    for (const auto& p : seeFromAir(scene, T_world_base, options, random)) cloud.points.push_back((T_believed * (scale * p)).cast<float>());
+    for (const auto& p : seeFromAir(scene, T_world_base, options, random))
+      cloud.points.push_back((T_believed * (scale * p)).cast<float>());
     run.aerial.push_back(std::move(cloud));
     run.T_ground_mav.push_back(T_groundmap_world * T_world_base * T_believed.inverse());
   }
@@ -203,9 +227,10 @@ Run makeRun(const Options& options) {
 
 Error errorOf(const Pose& estimate, const Pose& truth, const Eigen::Vector3d& reference) {
   const Eigen::Vector3d d = estimate * reference - truth * reference;
-  return {d.head<2>().norm(),
-          std::abs(wrapAngle(air_ground_common::yawOf(estimate.rotation()) - air_ground_common::yawOf(truth.rotation()))),
-          std::abs(d.z())};
+  return {
+      d.head<2>().norm(),
+      std::abs(wrapAngle(air_ground_common::yawOf(estimate.rotation()) - air_ground_common::yawOf(truth.rotation()))),
+      std::abs(d.z())};
 }
 
 }  // namespace heightmap_mcl::synthetic

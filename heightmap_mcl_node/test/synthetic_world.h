@@ -1,5 +1,5 @@
-// Small worlds with exact truth for tests and statistics: boxes on a floor, what a ground robot with a depth camera 0.5 m
-// above the floor has seen of them, and noisy aerial clouds in the drifting, slightly mis-scaled frame of a MAV.
+// Small worlds with exact truth for tests and statistics: boxes on a floor, what a ground robot with a depth camera 0.5
+// m above the floor has seen of them, and noisy aerial clouds in the drifting, slightly mis-scaled frame of a MAV.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -18,31 +18,33 @@ struct Options {
   World world = World::kBoxes;
   std::uint64_t seed = 1;
   int aerial_clouds = 12;
-  double ground_path = 8.0;      ///< length of the ground robot's arc around the scene [m]
-  double scale_error = 0.015;    ///< deviation of the aerial scale from 1
-  double cloud_noise = 0.02;     ///< white, along the viewing ray [m]
-  double smooth_noise = 0.02;    ///< varying over some 0.5 m [m]
-  double hole_share = 0.12;      ///< of the aerial view, in blobs
-  double drift_per_metre = 0.01; ///< of the MAV's position [m/m]
+  double ground_path = 8.0;            ///< length of the ground robot's arc around the scene [m]
+  double scale_error = 0.015;          ///< deviation of the aerial scale from 1
+  double cloud_noise = 0.02;           ///< white, along the viewing ray [m]
+  double smooth_noise = 0.02;          ///< varying over some 0.5 m [m]
+  double hole_share = 0.12;            ///< of the aerial view, in blobs
+  double drift_per_metre = 0.01;       ///< of the MAV's position [m/m]
   double yaw_drift_per_metre = 0.002;  ///< [rad/m]
 };
 
 struct Run {
-  air_ground_common::TriangleMesh mesh;  ///< in the world frame
-  std::vector<Eigen::Vector3f> ground;   ///< in ground_map
-  std::vector<AerialCloud> aerial;       ///< in mav_map
+  air_ground_common::TriangleMesh mesh;               ///< in the world frame
+  std::vector<Eigen::Vector3f> ground;                ///< in ground_map
+  std::vector<AerialCloud> aerial;                    ///< in mav_map
   std::vector<air_ground_common::Pose> T_ground_mav;  ///< what places each aerial cloud rightly, about its reference
 };
 
 Run makeRun(const Options& options);
 
 /// A box of the given edge lengths, turned by yaw, standing at (x, y) with its lower face at z = bottom.
-void addBox(air_ground_common::TriangleMesh& mesh, double x, double y, double bottom, double yaw, const Eigen::Vector3d& size);
+void addBox(air_ground_common::TriangleMesh& mesh, double x, double y, double bottom, double yaw,
+            const Eigen::Vector3d& size);
 
 /// Error of an estimate at the aerial cloud's reference point: horizontal distance [m] and heading [rad].
 struct Error {
   double position = 0, yaw = 0, z = 0;
 };
-Error errorOf(const air_ground_common::Pose& estimate, const air_ground_common::Pose& truth, const Eigen::Vector3d& reference);
+Error errorOf(const air_ground_common::Pose& estimate, const air_ground_common::Pose& truth,
+              const Eigen::Vector3d& reference);
 
 }  // namespace heightmap_mcl::synthetic

@@ -22,7 +22,9 @@ struct Problem {
     std::mt19937 rng(2);
     start = synthetic::perturbed(scene.T_ground_map_mav_map, centre, 0.1, 0.05, true, rng);
   }
-  double errorMillimetres(const Pose& T) const { return 1e3 * (T * centre - scene.T_ground_map_mav_map * centre).norm(); }
+  double errorMillimetres(const Pose& T) const {
+    return 1e3 * (T * centre - scene.T_ground_map_mav_map * centre).norm();
+  }
 
   synthetic::Scene scene;
   IcpChain chain;

@@ -92,10 +92,12 @@ RefineOutcome AlignmentRefiner::refine() {
   }
   reading = chain_.prepareReading(std::move(reading));
   if (reading.size() < static_cast<std::size_t>(settings_.min_points)) {
-    return wait(line("only %zu aerial points with a valid normal, %d are needed", reading.size(), settings_.min_points));
+    return wait(
+        line("only %zu aerial points with a valid normal, %d are needed", reading.size(), settings_.min_points));
   }
   if (reference_->cloud().size() < static_cast<std::size_t>(settings_.min_points)) {
-    return wait(line("only %zu ground points with a valid normal, %d are needed", reference_->cloud().size(), settings_.min_points));
+    return wait(line("only %zu ground points with a valid normal, %d are needed", reference_->cloud().size(),
+                     settings_.min_points));
   }
 
   // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
@@ -114,8 +116,10 @@ RefineOutcome AlignmentRefiner::refine() {
     out = attemptFromGuess(reading, *manual_);
     manual_.reset();
     decided = out.status == RefineStatus::kConverged || (!tracked_ && !coarse_);
-    if (decided) disagreements_ = 0;
-    else refused = "; the manual guess was not taken: " + out.reason;
+    if (decided)
+      disagreements_ = 0;
+    else
+      refused = "; the manual guess was not taken: " + out.reason;
   }
   const bool from_tracking = tracked_ && !decided;
   if (!decided) out = from_tracking ? attempt(reading, *tracked_) : attemptFromGuess(reading, *coarse_);
@@ -160,7 +164,8 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
     const Eigen::Matrix3d R = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
     Pose shift = Pose::Identity();
     shift.linear() = R;
-    shift.translation() = centre + settings_.retry_distance * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0) - R * centre;
+    shift.translation() =
+        centre + settings_.retry_distance * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0) - R * centre;
     RefineOutcome other = attempt(reading, shift * guess);
     if (other.status == RefineStatus::kConverged) {
       other.reason += line("; from a start %.2f m beside the guess", settings_.retry_distance);
@@ -195,8 +200,8 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Pose& guess) {
   out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
                      (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
   if (out.overlap < settings_.min_overlap) {
-    return verdict(RefineStatus::kRejected,
-                   line("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap, 100 * settings_.min_overlap));
+    return verdict(RefineStatus::kRejected, line("the maps overlap in %.0f %% of the aerial one, %.0f %% needed",
+                                                 100 * out.overlap, 100 * settings_.min_overlap));
   }
   if (!icp.localizability.complete()) {
     return verdict(RefineStatus::kDegenerate, "the geometry does not fix: " + icp.localizability.describeMissing());
@@ -204,15 +209,17 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Pose& guess) {
   const double sigma = largestSigma(icp.covariance.topLeftCorner<3, 3>());
   const double sigma_angle = largestSigma(icp.covariance.bottomRightCorner<3, 3>());
   if (sigma > settings_.max_sigma || sigma_angle > settings_.max_sigma_angle) {
-    return verdict(RefineStatus::kDegenerate,
-                   line("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)", sigma, sigma_angle * kDegrees));
+    return verdict(RefineStatus::kDegenerate, line("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)",
+                                                   sigma, sigma_angle * kDegrees));
   }
   if (icp.residual_rms > settings_.max_rms) {
-    return verdict(RefineStatus::kRejected, line("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
+    return verdict(RefineStatus::kRejected,
+                   line("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
   }
   if (!out.heights.conclusive) {
-    return verdict(RefineStatus::kDegenerate, line("only %d cells off the floor were seen by both: too few to verify the pose",
-                                                   out.heights.relief_cells));
+    return verdict(
+        RefineStatus::kDegenerate,
+        line("only %d cells off the floor were seen by both: too few to verify the pose", out.heights.relief_cells));
   }
   if (out.heights.agreement() < settings_.min_agreement) {
     return verdict(RefineStatus::kRejected,
@@ -221,8 +228,8 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Pose& guess) {
   }
   return verdict(RefineStatus::kConverged,
                  line("residual %.3f m, overlap %.0f %%, heights agree in %.0f %% of %d cells, 1 sigma %.3f m %.2f deg",
-                      icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells, sigma,
-                      sigma_angle * kDegrees));
+                      icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells,
+                      sigma, sigma_angle * kDegrees));
 }
 
 }  // namespace icp_refine

@@ -45,14 +45,17 @@ std::vector<AerialVoxels::Point> AerialVoxels::points(int min_points) const {
   return out;
 }
 
-std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const std::vector<Eigen::Vector3f>& ground, double leaf) {
+std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const std::vector<Eigen::Vector3f>& ground,
+                             double leaf) {
   const float size = static_cast<float>(leaf);
   std::unordered_set<std::uint64_t> occupied;
   for (const auto& p : ground) {
     for (int dx = -1; dx <= 1; ++dx) {
       for (int dy = -1; dy <= 1; ++dy) {
         for (int dz = -1; dz <= 1; ++dz) {
-          occupied.insert(cellKey(p + size * Eigen::Vector3f(static_cast<float>(dx), static_cast<float>(dy), static_cast<float>(dz)), size));
+          occupied.insert(cellKey(
+              p + size * Eigen::Vector3f(static_cast<float>(dx), static_cast<float>(dy), static_cast<float>(dz)),
+              size));
         }
       }
     }

@@ -18,7 +18,9 @@ constexpr double kInf = 1e6;  // largest length that makes sense here [m]
 class BoundingBox : public DataFilter {
  public:
   explicit BoundingBox(const Parameters& p)
-      : min_(p("min_x"), p("min_y"), p("min_z")), max_(p("max_x"), p("max_y"), p("max_z")), inside_(p("remove_inside")) {}
+      : min_(p("min_x"), p("min_y"), p("min_z")),
+        max_(p("max_x"), p("max_y"), p("max_z")),
+        inside_(p("remove_inside")) {}
   void apply(Cloud& cloud) const override {
     std::vector<char> mask(cloud.size());
     for (std::size_t i = 0; i < cloud.size(); ++i) {
@@ -50,7 +52,8 @@ class Range : public DataFilter {
   float min_, max_;
 };
 
-// One point a cell, at the mean of the cell's points; cells in the order of their first point, so that it is deterministic.
+// One point a cell, at the mean of the cell's points; cells in the order of their first point, so that it is
+// deterministic.
 class VoxelGrid : public DataFilter {
  public:
   explicit VoxelGrid(const Parameters& p) : leaf_(p("leaf")), min_points_(static_cast<int>(p("min_points"))) {}
@@ -85,8 +88,8 @@ class VoxelGrid : public DataFilter {
   int min_points_;
 };
 
-// Principal component analysis of the neighbourhood. A normal is valid when enough neighbours are near, they do not lie on
-// a line, and they lie on a plane: points without a valid normal are removed, because they pull the pose away.
+// Principal component analysis of the neighbourhood. A normal is valid when enough neighbours are near, they do not lie
+// on a line, and they lie on a plane: points without a valid normal are removed, because they pull the pose away.
 class SurfaceNormals : public DataFilter {
  public:
   explicit SurfaceNormals(const Parameters& p)
@@ -150,8 +153,8 @@ class SurfaceNormals : public DataFilter {
   double max_curvature_, min_width_;
 };
 
-// Turns normals to the free side without knowing the viewpoint: surfaces seen from above point up; a steep face points to
-// where the cloud is lower. Where nothing was seen (behind a face) it counts as solid.
+// Turns normals to the free side without knowing the viewpoint: surfaces seen from above point up; a steep face points
+// to where the cloud is lower. Where nothing was seen (behind a face) it counts as solid.
 class OrientNormals : public DataFilter {
  public:
   explicit OrientNormals(const Parameters& p) : cell_(p("cell")), reach_(p("reach")), steep_(std::cos(p("steep"))) {}
@@ -191,7 +194,8 @@ class OrientNormals : public DataFilter {
 class MaxDensity : public DataFilter {
  public:
   explicit MaxDensity(const Parameters& p)
-      : cell_(p("cell")), limit_(std::max(1, static_cast<int>(std::lround(p("max_density") * std::pow(p("cell"), 3))))) {}
+      : cell_(p("cell")),
+        limit_(std::max(1, static_cast<int>(std::lround(p("max_density") * std::pow(p("cell"), 3))))) {}
   void apply(Cloud& cloud) const override {
     std::unordered_map<std::uint64_t, std::pair<int, int>> cells;  // points in the cell; points passed so far
     for (const auto& p : cloud.points) ++cells[cellKey(p, cell_)].first;
@@ -199,7 +203,8 @@ class MaxDensity : public DataFilter {
     for (std::size_t i = 0; i < cloud.size(); ++i) {
       auto& [count, seen] = cells[cellKey(cloud.points[i], cell_)];
       // Point k of n is kept where k*limit/n steps to the next integer: `limit_` of the n, evenly.
-      mask[i] = count <= limit_ || static_cast<long>(seen + 1) * limit_ / count > static_cast<long>(seen) * limit_ / count;
+      mask[i] =
+          count <= limit_ || static_cast<long>(seen + 1) * limit_ / count > static_cast<long>(seen) * limit_ / count;
       ++seen;
     }
     cloud.keep(mask);
@@ -259,7 +264,8 @@ std::vector<int> randomSubset(std::size_t size, std::size_t count, std::uint32_t
 
 class RandomSampling : public DataFilter {
  public:
-  explicit RandomSampling(const Parameters& p) : fraction_(p("fraction")), seed_(static_cast<std::uint32_t>(p("seed"))) {}
+  explicit RandomSampling(const Parameters& p)
+      : fraction_(p("fraction")), seed_(static_cast<std::uint32_t>(p("seed"))) {}
   void apply(Cloud& cloud) const override {
     if (cloud.empty()) return;
     const auto count = static_cast<std::size_t>(std::ceil(fraction_ * static_cast<double>(cloud.size())));
@@ -297,8 +303,8 @@ class MaxPoints : public DataFilter {
   std::uint32_t seed_;
 };
 
-// Rusinkiewicz 2001: as many points from each direction of the normals, so that the few steep faces, which alone fix x, y and
-// yaw, are not outvoted by the floor.
+// Rusinkiewicz 2001: as many points from each direction of the normals, so that the few steep faces, which alone fix x,
+// y and yaw, are not outvoted by the floor.
 class NormalSpaceSampling : public DataFilter {
  public:
   explicit NormalSpaceSampling(const Parameters& p)
@@ -315,9 +321,8 @@ class NormalSpaceSampling : public DataFilter {
       bins[z > 0.9f ? 16 : azimuth + (z > 0.5f ? 8 : 0)].push_back(static_cast<int>(i));
     }
     // Smallest bins first: what they cannot fill is shared by the larger ones.
-    std::sort(bins.begin(), bins.end(), [](const auto& a, const auto& b) {
-      return a.size() != b.size() ? a.size() < b.size() : a < b;
-    });
+    std::sort(bins.begin(), bins.end(),
+              [](const auto& a, const auto& b) { return a.size() != b.size() ? a.size() < b.size() : a < b; });
     std::vector<int> chosen;
     for (std::size_t b = 0; b < bins.size(); ++b) {
       const std::size_t share = (count_ - chosen.size()) / (bins.size() - b);
@@ -377,14 +382,16 @@ const std::vector<StageEntry<std::unique_ptr<DataFilter>>>& table() {
        make<OrientNormals>},
       {{"MaxDensity",
         "Thins places with more points than a limit",
-        {{"max_density", "[points/m^3]", 50000, 1, 1e12}, {"cell", "edge of the cell of the count [m]", 0.1, 1e-3, 100}}},
+        {{"max_density", "[points/m^3]", 50000, 1, 1e12},
+         {"cell", "edge of the cell of the count [m]", 0.1, 1e-3, 100}}},
        make<MaxDensity>},
       {{"StatisticalOutlier",
         "Removes points whose mean distance to their neighbours is unusually large",
         {{"neighbors", "neighbours averaged", 8, 1, 200},
          {"stddev_factor", "limit: mean + this times the standard deviation, over the cloud", 2, 0, 100}}},
        make<StatisticalOutlier>},
-      {{"RandomSampling", "Keeps a random share", {{"fraction", "share kept", 0.5, 0, 1}, kSeed}}, make<RandomSampling>},
+      {{"RandomSampling", "Keeps a random share", {{"fraction", "share kept", 0.5, 0, 1}, kSeed}},
+       make<RandomSampling>},
       {{"UniformSampling", "Keeps every n-th point", {{"step", "n", 2, 1, 1e6}}}, make<UniformSampling>},
       {{"MaxPoints", "Random subset when there are more points", {{"count", "points kept", 10000, 1, 1e9}, kSeed}},
        make<MaxPoints>},

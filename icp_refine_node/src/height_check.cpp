@@ -74,7 +74,8 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
       if (highest(air, x, y, kLow) < from_ground - s.tolerance_z) ++out.contradictions;
     } else if (air_relief && !ground_relief && from_air > from_ground + s.tolerance_z) {
       // Unseen ground beside it may hold the object: no contradiction then.
-      if (highest(floor_robot, x, y, std::numeric_limits<float>::infinity()) < out.floor_height + s.relief) ++out.contradictions;
+      if (highest(floor_robot, x, y, std::numeric_limits<float>::infinity()) < out.floor_height + s.relief)
+        ++out.contradictions;
     }
   }
   out.conclusive = out.relief_cells >= s.min_relief_cells;

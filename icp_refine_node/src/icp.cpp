@@ -62,14 +62,14 @@ DataFilters dataFilters(const YAML::Node& node, const std::string& where) {
 const StageDoc& localizabilityDoc() {
   static const StageDoc doc = [] {
     const LocalizabilitySettings d;
-    return StageDoc{
-        "localizability",
-        "Which directions of the pose the geometry can fix",
-        {{"strong", "a match counts for a direction with at least this component of its scaled Jacobian", d.strong, 0, 1},
-         {"min_points", "strong matches that a direction needs", double(d.min_points), 1, 1e6},
-         {"min_share", "and as a share of all matches", d.min_share, 0, 1},
-         {"min_patches", "in at least so many cells", double(d.min_patches), 1, 1e6},
-         {"patch_size", "edge of a cell [m]", d.patch_size, 1e-3, 10}}};
+    return StageDoc{"localizability",
+                    "Which directions of the pose the geometry can fix",
+                    {{"strong", "a match counts for a direction with at least this component of its scaled Jacobian",
+                      d.strong, 0, 1},
+                     {"min_points", "strong matches that a direction needs", double(d.min_points), 1, 1e6},
+                     {"min_share", "and as a share of all matches", d.min_share, 0, 1},
+                     {"min_patches", "in at least so many cells", double(d.min_patches), 1, 1e6},
+                     {"patch_size", "edge of a cell [m]", d.patch_size, 1e-3, 10}}};
   }();
   return doc;
 }
@@ -77,14 +77,16 @@ const StageDoc& localizabilityDoc() {
 const StageDoc& covarianceDoc() {
   static const StageDoc doc = [] {
     const CovarianceSettings d;
-    return StageDoc{"covariance",
-                    "Covariance of the pose",
-                    {{"block_size", "residuals in a block of this edge count as one observation [m]", d.block_size, 1e-3, 100},
-                     {"scale_sigma", "standard deviation of the relative scale of the two maps", d.scale_sigma, 0, 1},
-                     {"noise_floor", "smallest standard deviation of a block's mean residual [m]", d.noise_floor, 0, 1},
-                     {"map_translation_sigma", "drift of the maps that no residual shows, an axis [m]", d.map_translation_sigma, 0, 10},
-                     {"map_rotation_sigma", "likewise [rad]", d.map_rotation_sigma, 0, 1},
-                     {"inflation", "factor on the standard deviation of the residuals' part", d.inflation, 0.01, 100}}};
+    return StageDoc{
+        "covariance",
+        "Covariance of the pose",
+        {{"block_size", "residuals in a block of this edge count as one observation [m]", d.block_size, 1e-3, 100},
+         {"scale_sigma", "standard deviation of the relative scale of the two maps", d.scale_sigma, 0, 1},
+         {"noise_floor", "smallest standard deviation of a block's mean residual [m]", d.noise_floor, 0, 1},
+         {"map_translation_sigma", "drift of the maps that no residual shows, an axis [m]", d.map_translation_sigma, 0,
+          10},
+         {"map_rotation_sigma", "likewise [rad]", d.map_rotation_sigma, 0, 1},
+         {"inflation", "factor on the standard deviation of the residuals' part", d.inflation, 0.01, 100}}};
   }();
   return doc;
 }
@@ -126,7 +128,8 @@ IcpChain::IcpChain(const YAML::Node& config) : impl_(std::make_unique<Impl>()) {
   impl_->reading_filters = dataFilters(config["reading_filters"], "reading_filters");
   impl_->reference_filters = dataFilters(config["reference_filters"], "reference_filters");
   const YAML::Node levels = config["levels"];
-  if (!levels || !levels.IsSequence() || levels.size() == 0) throw ConfigError("chain: 'levels' must list at least one level");
+  if (!levels || !levels.IsSequence() || levels.size() == 0)
+    throw ConfigError("chain: 'levels' must list at least one level");
   for (std::size_t i = 0; i < levels.size(); ++i) {
     const std::string where = "levels[" + std::to_string(i) + "]";
     const YAML::Node node = levels[i];
@@ -152,10 +155,10 @@ IcpChain::IcpChain(const YAML::Node& config) : impl_(std::make_unique<Impl>()) {
     impl_->levels.push_back(std::move(level));
   }
   const Parameters l(localizabilityDoc(), config["localizability"]);
-  impl_->localizability = {l("strong"), static_cast<int>(l("min_points")), l("min_share"), static_cast<int>(l("min_patches")),
-                           l("patch_size")};
+  impl_->localizability = {l("strong"), static_cast<int>(l("min_points")), l("min_share"),
+                           static_cast<int>(l("min_patches")), l("patch_size")};
   const Parameters c(covarianceDoc(), config["covariance"]);
-  impl_->covariance = {c("block_size"), c("scale_sigma"), c("noise_floor"), c("map_translation_sigma"),
+  impl_->covariance = {c("block_size"),         c("scale_sigma"), c("noise_floor"), c("map_translation_sigma"),
                        c("map_rotation_sigma"), c("inflation")};
 }
 
@@ -238,7 +241,8 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
       ++out.iterations;
       if (!step.solved) return fail("fewer than 6 matches are left: the clouds do not overlap at the initial guess");
       const auto localizability = analyzeLocalizability(clouds, weights, step.centre, impl_->localizability);
-      T = air_ground_common::normalized(motion(constrained(step, localizability, level.minimizer->fourDof()), step.centre) * T);
+      T = air_ground_common::normalized(
+          motion(constrained(step, localizability, level.minimizer->fourDof()), step.centre) * T);
 
       for (const auto& c : level.checkers) {
         std::string why;
@@ -286,8 +290,8 @@ std::string describeStages() {
     for (const auto& stage : docs) {
       out << "  " << stage.name << ": " << stage.doc << "\n";
       for (const auto& p : stage.parameters) {
-        out << "    " << p.name << ": " << p.doc << "; default " << p.default_value << ", range [" << p.min << ", " << p.max
-            << "]\n";
+        out << "    " << p.name << ": " << p.doc << "; default " << p.default_value << ", range [" << p.min << ", "
+            << p.max << "]\n";
       }
     }
   };

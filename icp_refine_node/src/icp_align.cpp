@@ -41,14 +41,17 @@ struct YamlParameters {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app("Aligns an aerial cloud with a ground cloud (PLY, gravity-aligned, metres) by the chain of icp_refine_node");
+  CLI::App app(
+      "Aligns an aerial cloud with a ground cloud (PLY, gravity-aligned, metres) by the chain of icp_refine_node");
   std::string aerial_path, ground_path, config_path, out_path;
   std::vector<double> initial{0, 0, 0, 0};
   bool stages = false;
   app.add_option("aerial", aerial_path, "PLY of the aerial cloud");
   app.add_option("ground", ground_path, "PLY of the ground cloud");
-  app.add_option("--config", config_path, "YAML of the node's parameters, such as config/icp_refine.yaml, or of a chain alone");
-  app.add_option("--initial", initial, "guess of the aerial cloud's pose in the ground cloud: x y z [m] yaw [rad]")->expected(4);
+  app.add_option("--config", config_path,
+                 "YAML of the node's parameters, such as config/icp_refine.yaml, or of a chain alone");
+  app.add_option("--initial", initial, "guess of the aerial cloud's pose in the ground cloud: x y z [m] yaw [rad]")
+      ->expected(4);
   app.add_option("--out", out_path, "writes both clouds, merged, as PLY with a source label");
   app.add_flag("--stages", stages, "prints all stages of a chain with their parameters, and ends");
   CLI11_PARSE(app, argc, argv);
@@ -74,15 +77,16 @@ int main(int argc, char** argv) {
     std::printf("%s: %s\n", kNames[static_cast<int>(out.status)], out.reason.c_str());
     const Eigen::Quaterniond q(out.T_ground_map_mav_map.linear());
     const Eigen::Vector3d t = out.T_ground_map_mav_map.translation();
-    std::printf("T_ground_aerial: %.6f %.6f %.6f  %.7f %.7f %.7f %.7f (x y z, quaternion x y z w)\n", t.x(), t.y(), t.z(), q.x(),
-                q.y(), q.z(), q.w());
+    std::printf("T_ground_aerial: %.6f %.6f %.6f  %.7f %.7f %.7f %.7f (x y z, quaternion x y z w)\n", t.x(), t.y(),
+                t.z(), q.x(), q.y(), q.z(), q.w());
     const icp_refine::Vector6d sigma = out.covariance.diagonal().cwiseSqrt();
-    std::printf("standard deviations: %.4f %.4f %.4f m  %.5f %.5f %.5f rad; %d iterations, %.0f ms\n", sigma[0], sigma[1], sigma[2],
-                sigma[3], sigma[4], sigma[5], out.iterations, 1e3 * out.icp.seconds);
+    std::printf("standard deviations: %.4f %.4f %.4f m  %.5f %.5f %.5f rad; %d iterations, %.0f ms\n", sigma[0],
+                sigma[1], sigma[2], sigma[3], sigma[4], sigma[5], out.iterations, 1e3 * out.icp.seconds);
     if (!out_path.empty()) {
       std::vector<air_ground_common::LabeledPoint> points;
       for (const auto& p : ground.points) points.push_back({p, {220, 30, 30}, 0});
-      for (const auto& p : icp_refine::transformed(aerial, out.T_ground_map_mav_map).points) points.push_back({p, {150, 150, 150}, 1});
+      for (const auto& p : icp_refine::transformed(aerial, out.T_ground_map_mav_map).points)
+        points.push_back({p, {150, 150, 150}, 1});
       air_ground_common::writePly(out_path, points);
     }
     return out.status == icp_refine::RefineStatus::kConverged ? 0 : 2;

@@ -72,7 +72,8 @@ class IcpRefineNode {
     refine_service_ = private_.advertiseService("refine", &IcpRefineNode::onRefine, this);
     for (const auto* s : {&aerial_subscriber_, &ground_subscriber_}) health_.expectInput(s->getTopic(), false);
     if (settings_.publish_tf) {
-      tf_timer_ = handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
+      tf_timer_ =
+          handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
     }
     worker_ = std::thread([this] { work(); });
   }
@@ -96,9 +97,7 @@ class IcpRefineNode {
     std::optional<std::vector<ros_utils::CloudPoint>> ground;
     std::deque<AerialCloud> aerial;
     std::optional<Pose> coarse, manual;
-    bool any() const { 
-      return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual;
-    }
+    bool any() const { return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual; }
     bool forgets() const { return reset || new_map || new_ground; }
   };
   enum MavStream { kAerial, kCoarse, kOdometry, kMavStatus, kMavStreams };
@@ -110,7 +109,9 @@ class IcpRefineNode {
 
   // A message without a stamp is taken as it comes.
   bool admitMav(MavStream stream, const ros::Time& stamp) { return stamp.isZero() || mav_gate_.admit(stream, stamp); }
-  bool admitGround(GroundStream stream, const ros::Time& stamp) { return stamp.isZero() || ground_gate_.admit(stream, stamp); }
+  bool admitGround(GroundStream stream, const ros::Time& stamp) {
+    return stamp.isZero() || ground_gate_.admit(stream, stamp);
+  }
 
   void onMavTimeJump() {
     ROS_WARN("the MAV's time jumped back: its map starts afresh");
@@ -152,7 +153,9 @@ class IcpRefineNode {
     wake_.notify_all();
   }
 
-  void subscribeGround() { ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this); }
+  void subscribeGround() {
+    ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
+  }
 
   void onMapSubscriber() {
     std::lock_guard<std::mutex> lock(mutex_);
@@ -167,7 +170,8 @@ class IcpRefineNode {
     return false;
   }
 
-  std::optional<std::vector<ros_utils::CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg, const std::string& topic) {
+  std::optional<std::vector<ros_utils::CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg,
+                                                              const std::string& topic) {
     try {
       std::size_t dropped = 0;
       auto points = ros_utils::cloudFromMsg(msg, &dropped);
@@ -284,7 +288,8 @@ class IcpRefineNode {
         return;
       }
       // Both maps hang from gravity: heading and place of the base fix one map in the other.
-      const double yaw = air_ground_common::yawOf(T_ground_base.linear()) - air_ground_common::yawOf(odometry_->linear());
+      const double yaw =
+          air_ground_common::yawOf(T_ground_base.linear()) - air_ground_common::yawOf(odometry_->linear());
       Pose T = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
       T.translation() = T_ground_base.translation() - T.linear() * odometry_->translation();
       inbox_.manual = T;
@@ -319,7 +324,8 @@ class IcpRefineNode {
         if (!pending || Clock::now() < next) continue;
         pending = false;
         refine();
-        next = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settings_.min_period));
+        next = Clock::now() +
+               std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settings_.min_period));
       } catch (const std::exception& e) {
         health_.count(std::string("failed refinements: ") + e.what());
         pending = false;
@@ -389,7 +395,9 @@ class IcpRefineNode {
     map_.align(std::nullopt);
   }
 
-  static ros::Time stampOf(const RefineOutcome& out) { return ros::Time().fromNSec(static_cast<std::uint64_t>(out.stamp)); }
+  static ros::Time stampOf(const RefineOutcome& out) {
+    return ros::Time().fromNSec(static_cast<std::uint64_t>(out.stamp));
+  }
 
   // At most once a period, and once more after the last refinement. Without subscribers it stays due.
   void publishMapWhenDue() {
@@ -400,7 +408,8 @@ class IcpRefineNode {
     header.frame_id = settings_.ground_map_frame;
     map_publisher_.publish(ros_utils::toMsg(map_.points(), ros_utils::CloudFields::kXyzRgbSource, header));
     map_due_ = false;
-    map_time_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settings_.map_period));
+    map_time_ =
+        Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(settings_.map_period));
   }
 
   void publishEstimate(const RefineOutcome& out, std::uint32_t map_id) {
@@ -457,7 +466,8 @@ class IcpRefineNode {
         aligned = map_.aligned();
         points = map_.points();
       }
-      if (points.empty()) throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
+      if (points.empty())
+        throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
       ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzRgbSource);
       response.points = points.size();
       return aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
@@ -501,23 +511,24 @@ class IcpRefineNode {
   bool map_id_from_status_ = false;
   std::optional<std::uint32_t> ground_map_id_;
   ros::Time map_start_, ground_map_start_;  // clouds before belong to an earlier map
-  std::optional<Pose> odometry_;       // T_mav_map_base, the latest
-  std::optional<Pose> T_ground_mav_;   // what tf says
+  std::optional<Pose> odometry_;            // T_mav_map_base, the latest
+  std::optional<Pose> T_ground_mav_;        // what tf says
   ros::Time last_tf_;
-  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its map again.
+  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its
+  // map again.
   ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
   ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
 
   std::mutex map_mutex_;
   AugmentedMap map_;
-  bool map_due_ = false;               // worker alone, as the next three
+  bool map_due_ = false;  // worker alone, as the next three
   Clock::time_point map_time_;
   ros::Time map_stamp_;
   std::uint8_t last_status_ = 255;
 
   ros::Publisher refined_publisher_, map_publisher_;
-  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_, odometry_subscriber_,
-      status_subscriber_, guess_subscriber_;
+  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
+      odometry_subscriber_, status_subscriber_, guess_subscriber_;
   ros::ServiceServer save_service_, reset_service_, refine_service_;
   ros::Timer tf_timer_;
   tf2_ros::TransformBroadcaster broadcaster_;

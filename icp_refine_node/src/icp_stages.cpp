@@ -13,7 +13,10 @@ namespace {
 class PointToPlane : public ErrorMinimizer {
  public:
   explicit PointToPlane(const Parameters& p)
-      : four_dof_(p("dof") == 4), symmetric_(p("symmetric") != 0), tilt_sigma_(p("tilt_sigma")), residual_sigma_(p("residual_sigma")) {
+      : four_dof_(p("dof") == 4),
+        symmetric_(p("symmetric") != 0),
+        tilt_sigma_(p("tilt_sigma")),
+        residual_sigma_(p("residual_sigma")) {
     if (p("dof") != 4 && p("dof") != 6) throw ConfigError("PointToPlane: parameter 'dof' must be 4 or 6");
   }
 
@@ -54,7 +57,8 @@ class PointToPlane : public ErrorMinimizer {
       gradient += weights[i] * r * J;
     }
     if (tilt_sigma_ > 0 && !four_dof_) {
-      // Prior: both maps hang from gravity, so T tilts by N(0, tilt_sigma). Weighed against residuals of residual_sigma.
+      // Prior: both maps hang from gravity, so T tilts by N(0, tilt_sigma). Weighed against residuals of
+      // residual_sigma.
       const double w = residual_sigma_ * residual_sigma_ / (tilt_sigma_ * tilt_sigma_ * kIndependentShare);
       const Eigen::Vector3d tilt = Eigen::Vector3d::UnitZ().cross(T.linear().col(2));
       for (int k : {0, 1}) {
@@ -160,8 +164,8 @@ class Bound : public TransformationChecker {
     if (t <= translation_ && r <= rotation_) return Check::kContinue;
     std::ostringstream message;
     message.precision(3);
-    message << "moved " << t << " m and " << r * 180 / M_PI << " deg from the initial guess, beyond Bound's " << translation_
-            << " m and " << rotation_ * 180 / M_PI << " deg";
+    message << "moved " << t << " m and " << r * 180 / M_PI << " deg from the initial guess, beyond Bound's "
+            << translation_ << " m and " << rotation_ * 180 / M_PI << " deg";
     why = message.str();
     return Check::kFailed;
   }
@@ -195,8 +199,10 @@ const std::vector<StageEntry<std::unique_ptr<ErrorMinimizer>>>& minimizerTable()
         "Gauss-Newton step of the weighted squares of n . (p - q)",
         {{"dof", "6, or 4: x y z and yaw, when both maps hang from gravity", 6, 4, 6},
          {"symmetric", "1: mean of both normals instead of the reference's", 0, 0, 1},
-         {"tilt_sigma", "6 degrees of freedom: standard deviation of the maps' relative tilt [rad], 0 = no prior", 0, 0, 1},
-         {"residual_sigma", "standard deviation of a residual that the tilt prior is weighed against [m]", 0.03, 1e-4, 10}}},
+         {"tilt_sigma", "6 degrees of freedom: standard deviation of the maps' relative tilt [rad], 0 = no prior", 0, 0,
+          1},
+         {"residual_sigma", "standard deviation of a residual that the tilt prior is weighed against [m]", 0.03, 1e-4,
+          10}}},
        make<ErrorMinimizer, PointToPlane>}};
   return entries;
 }
@@ -207,7 +213,9 @@ const std::vector<StageEntry<std::unique_ptr<TransformationChecker>>>& checkerTa
        make<TransformationChecker, Iterations>},
       {{"Differential",
         "Ends when the mean of the last steps is small",
-        {{"translation", "[m]", 5e-4, 0, 10}, {"rotation", "[rad]", 3e-4, 0, 3.2}, {"smooth", "steps averaged", 3, 1, 100}}},
+        {{"translation", "[m]", 5e-4, 0, 10},
+         {"rotation", "[rad]", 3e-4, 0, 3.2},
+         {"smooth", "steps averaged", 3, 1, 100}}},
        make<TransformationChecker, Differential>},
       {{"Bound",
         "Fails when the pose leaves the neighbourhood of the initial guess",

@@ -51,8 +51,8 @@ std::string Localizability::describeMissing() const {
   return out;
 }
 
-Localizability analyzeLocalizability(const MatchedClouds& c, const std::vector<float>& weights, const Eigen::Vector3d& centre,
-                                     const LocalizabilitySettings& settings) {
+Localizability analyzeLocalizability(const MatchedClouds& c, const std::vector<float>& weights,
+                                     const Eigen::Vector3d& centre, const LocalizabilitySettings& settings) {
   Localizability out;
   double total = 0, range = 0;
   int matches = 0;

@@ -70,9 +70,10 @@ float NeighborSearch::normalWeight() const { return impl_->normal_weight; }
 int NeighborSearch::nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance) const {
   thread_local std::vector<int> index(1);
   thread_local std::vector<float> squared(1);
-  const int found = impl_->normal_weight > 0
-                        ? impl_->points_and_normals.nearestKSearch(pointNormal(point, normal), 1, index, squared)
-                        : impl_->points.nearestKSearch(pcl::PointXYZ(point.x(), point.y(), point.z()), 1, index, squared);
+  const int found =
+      impl_->normal_weight > 0
+          ? impl_->points_and_normals.nearestKSearch(pointNormal(point, normal), 1, index, squared)
+          : impl_->points.nearestKSearch(pcl::PointXYZ(point.x(), point.y(), point.z()), 1, index, squared);
   return found == 1 && squared[0] <= max_distance * max_distance ? index[0] : -1;
 }
 

@@ -47,7 +47,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.map.leaf = p.number("augmented_map/leaf", s.map.leaf, 0.001, 10);
   s.map_period = p.number("augmented_map/period", s.map_period, 0, 3600);
   s.map.min_points = p.integer("augmented_map/min_points", s.map.min_points, 1, 1000000);
-  s.map.max_voxels = static_cast<std::size_t>(p.integer("augmented_map/max_points", static_cast<int>(s.map.max_voxels), 1000, 100000000));
+  s.map.max_voxels = static_cast<std::size_t>(
+      p.integer("augmented_map/max_points", static_cast<int>(s.map.max_voxels), 1000, 100000000));
   s.map.fill_only = p.flag("augmented_map/fill_only", s.map.fill_only);
   s.map.ground_red = p.choice("augmented_map/ground_color", "red", {"red", "original"}) == "red";
   s.chain_file = p.text("chain_file", "");
@@ -60,7 +61,8 @@ IcpChain readChain(const ros::NodeHandle& private_handle, const std::string& fil
   if (!file.empty()) return IcpChain::fromFile(file);
   XmlRpc::XmlRpcValue value;
   if (!private_handle.getParam("chain", value)) {
-    throw ConfigError("parameter " + private_handle.resolveName("chain") + " is missing: load config/icp_refine.yaml, or set chain_file");
+    throw ConfigError("parameter " + private_handle.resolveName("chain") +
+                      " is missing: load config/icp_refine.yaml, or set chain_file");
   }
   return IcpChain(toYaml(value));
 }

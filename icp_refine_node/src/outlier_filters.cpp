@@ -48,7 +48,9 @@ class Trimmed : public OutlierFilter {
 class MaxDistance : public OutlierFilter {
  public:
   explicit MaxDistance(const Parameters& p) : limit_(p("max")) {}
-  void apply(const MatchedClouds& c, std::vector<float>& weights) const override { keepNearer(c, limit_ * limit_, weights); }
+  void apply(const MatchedClouds& c, std::vector<float>& weights) const override {
+    keepNearer(c, limit_ * limit_, weights);
+  }
 
  private:
   float limit_;
@@ -124,7 +126,8 @@ class RobustKernel : public OutlierFilter {
 
 using Filter = std::unique_ptr<OutlierFilter>;
 
-StageEntry<Filter> kernelEntry(const std::string& name, const std::string& formula, double scale, RobustKernel::Kind kind) {
+StageEntry<Filter> kernelEntry(const std::string& name, const std::string& formula, double scale,
+                               RobustKernel::Kind kind) {
   return {{name,
            "Weights by the point-to-plane residual r: " + formula,
            {{"scale", "s [m]; with adaptive, its smallest value", scale, 1e-4, 100},
@@ -141,11 +144,14 @@ const std::vector<StageEntry<Filter>>& table() {
   static const std::vector<StageEntry<Filter>> entries = {
       {{"Trimmed", "Keeps the nearest share of the matches", {{"ratio", "share kept", 0.85, 0.01, 1}}}, make<Trimmed>},
       {{"MaxDistance", "Drops matches farther apart", {{"max", "[m]", 0.3, 1e-4, 1e6}}}, make<MaxDistance>},
-      {{"MedianDistance", "Drops matches farther apart than a multiple of the median", {{"factor", "multiple", 3, 0.1, 1e3}}},
+      {{"MedianDistance",
+        "Drops matches farther apart than a multiple of the median",
+        {{"factor", "multiple", 3, 0.1, 1e3}}},
        make<MedianDistance>},
       {{"NormalAngle",
         "Drops matches whose normals differ",
-        {{"max", "largest angle [rad]", 0.8, 0, 3.15}, {"oriented", "0: a normal and its opposite count as the same", 1, 0, 1}}},
+        {{"max", "largest angle [rad]", 0.8, 0, 3.15},
+         {"oriented", "0: a normal and its opposite count as the same", 1, 0, 1}}},
        make<NormalAngle>},
       kernelEntry("Huber", "1 below s, s/|r| above", 0.03, RobustKernel::Kind::kHuber),
       kernelEntry("Cauchy", "1 / (1 + (r/s)^2)", 0.05, RobustKernel::Kind::kCauchy),

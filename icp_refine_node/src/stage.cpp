@@ -32,8 +32,8 @@ Parameters::Parameters(const StageDoc& stage, const YAML::Node& node) : stage_(s
     }
     if (!(value >= doc->min && value <= doc->max)) {
       std::ostringstream message;
-      message << stage.name << ": parameter '" << name << "' is " << value << ", outside [" << doc->min << ", " << doc->max
-              << "]";
+      message << stage.name << ": parameter '" << name << "' is " << value << ", outside [" << doc->min << ", "
+              << doc->max << "]";
       throw ConfigError(message.str());
     }
     values_[name] = value;

@@ -1,5 +1,6 @@
-// The running node on synthetic clouds: topics, tf, statuses, and what it does with bad input. Run from icp_refine_node.test.
-// The test owns /clock: outputs of an earlier test, or of before an event, are told by their stamps.
+// The running node on synthetic clouds: topics, tf, statuses, and what it does with bad input. Run from
+// icp_refine_node.test. The test owns /clock: outputs of an earlier test, or of before an event, are told by their
+// stamps.
 #include <air_ground/AlignmentEstimate.h>
 #include <air_ground/SaveMap.h>
 #include <air_ground/VoStatus.h>
@@ -47,8 +48,8 @@ class NodeTest : public testing::Test {
     ASSERT_TRUE(waitFor([this] {
       return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 && aerial_.getNumSubscribers() > 0 &&
              ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && status_.getNumSubscribers() > 0 &&
-             ground_status_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 && refined_sub_.getNumPublishers() > 0 &&
-             map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
+             ground_status_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
+             refined_sub_.getNumPublishers() > 0 && map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
     }));
     // Every test starts with an empty node and later than the one before.
     static double start = 100;
@@ -104,14 +105,15 @@ class NodeTest : public testing::Test {
 
   std::string lastReason() const { return estimates_.empty() ? "no estimate came" : estimates_.back().reason; }
 
-  // True when the node has handled what was published before this. After the first answer all that has been read; in that time
-  // what its other connections held has been read, too.
+  // True when the node has handled what was published before this. After the first answer all that has been read; in
+  // that time what its other connections held has been read, too.
   bool settle() {
     for (int i = 0; i < 2; ++i) {
       pause(2);
       const std::size_t before = estimates_.size();
       std_srvs::Trigger refine;
-      if (!ros_utils::callService("/icp_refine/refine", refine) || !waitFor([&] { return estimates_.size() > before; })) return false;
+      if (!ros_utils::callService("/icp_refine/refine", refine) || !waitFor([&] { return estimates_.size() > before; }))
+        return false;
     }
     return true;
   }
@@ -140,7 +142,8 @@ class NodeTest : public testing::Test {
     std_msgs::Header header;
     header.stamp = ros::Time(now_);
     header.frame_id = frame;
-    return ros_utils::toMsg(points, frame == "mav_map" ? ros_utils::CloudFields::kXyzIntensity : ros_utils::CloudFields::kXyzRgb, header);
+    return ros_utils::toMsg(
+        points, frame == "mav_map" ? ros_utils::CloudFields::kXyzIntensity : ros_utils::CloudFields::kXyzRgb, header);
   }
 
   void sendScene(const synthetic::Scene& scene) {
@@ -323,9 +326,8 @@ TEST_F(NodeTest, AWrongBasinIsRejected) {
   turn.linear() = Eigen::AngleAxisd(2.0, Eigen::Vector3d::UnitZ()).toRotationMatrix();
   turn.translation() = m + Eigen::Vector3d(0.5, 0.3, 0) - turn.linear() * m;
   sendCoarse(turn * scene.T_ground_map_mav_map);
-  ASSERT_TRUE(waitFor([this] {
-    return !estimates_.empty() && estimates_.back().status != AlignmentEstimate::STATUS_SEARCHING;
-  }));
+  ASSERT_TRUE(waitFor(
+      [this] { return !estimates_.empty() && estimates_.back().status != AlignmentEstimate::STATUS_SEARCHING; }));
   EXPECT_NE(estimates_.back().status, AlignmentEstimate::STATUS_CONVERGED) << lastReason();
   EXPECT_FALSE(estimates_.back().reason.empty());
   pause(25);
@@ -336,14 +338,14 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
   const auto scene = synthetic::makeScene(1);
   auto broken = scene;
   for (auto& p : broken.aerial.points) p.x() = std::nanf("");
-  aerial_.publish(cloud(broken.aerial, "mav_map"));                // all NaN
-  aerial_.publish(cloud(Cloud{}, "mav_map"));                      // empty
-  aerial_.publish(sensor_msgs::PointCloud2());                     // no frame, no fields
-  aerial_.publish(cloud(scene.aerial, "ground_map"));              // wrong frame
+  aerial_.publish(cloud(broken.aerial, "mav_map"));    // all NaN
+  aerial_.publish(cloud(Cloud{}, "mav_map"));          // empty
+  aerial_.publish(sensor_msgs::PointCloud2());         // no frame, no fields
+  aerial_.publish(cloud(scene.aerial, "ground_map"));  // wrong frame
   ground_.publish(cloud(Cloud{}, "ground_map"));
   Cloud few;
   few.points.assign(5, Eigen::Vector3f(1, 2, 3));
-  ground_.publish(cloud(few, "ground_map"));                       // too few, all in one place
+  ground_.publish(cloud(few, "ground_map"));  // too few, all in one place
   aerial_.publish(cloud(few, "mav_map"));
   Pose nan = Pose::Identity();
   nan.translation().x() = std::nan("");
@@ -352,9 +354,9 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
   zero.header.frame_id = "ground_map";
   guess_.publish(zero);  // quaternion 0 0 0 0
   sendCoarse(Pose::Identity());
-  for (const char* event : {"dense cloud without a finite point", "dense clouds in frame 'ground_map'", "dense clouds in frame ''",
-                            "ground map without a finite point", "coarse alignment unreadable", "initial pose unreadable",
-                            "points that are not finite"}) {
+  for (const char* event : {"dense cloud without a finite point", "dense clouds in frame 'ground_map'",
+                            "dense clouds in frame ''", "ground map without a finite point",
+                            "coarse alignment unreadable", "initial pose unreadable", "points that are not finite"}) {
     EXPECT_TRUE(awaitCount(event, 1)) << event;
   }
   ASSERT_TRUE(settle());
@@ -402,7 +404,8 @@ TEST_F(NodeTest, AnotherMapStartsAfresh) {
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
   EXPECT_EQ(estimates_.back().map_id, 7u);
   ASSERT_TRUE(refresh());
-  const int maps = diagnostics_.counted("new maps of the MAV"), others = diagnostics_.counted("coarse alignments of another map");
+  const int maps = diagnostics_.counted("new maps of the MAV"),
+            others = diagnostics_.counted("coarse alignments of another map");
   sendStatus(8);
   ASSERT_TRUE(awaitCount("new maps of the MAV", maps + 1));
   EXPECT_TRUE(noTransformAfter(now_));
@@ -444,8 +447,10 @@ TEST_F(NodeTest, ALostPoseLeavesTheAugmentedMap) {
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
   ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
   // Another scene at the same place contradicts, until the pose is given up.
-  const auto wrong = transformed(other.aerial, scene.T_ground_map_mav_map.inverse() * scene.T_world_ground_map.inverse() * other.T_world_mav_map);
-  for (int k = 0; k < 30 && (estimates_.empty() || estimates_.back().reason.find("lost after") == std::string::npos); ++k) {
+  const auto wrong = transformed(
+      other.aerial, scene.T_ground_map_mav_map.inverse() * scene.T_world_ground_map.inverse() * other.T_world_mav_map);
+  for (int k = 0; k < 30 && (estimates_.empty() || estimates_.back().reason.find("lost after") == std::string::npos);
+       ++k) {
     const std::size_t before = estimates_.size();
     aerial_.publish(cloud(wrong, "mav_map"));
     ASSERT_TRUE(waitFor([&] { return estimates_.size() > before; }));
@@ -469,7 +474,8 @@ TEST_F(NodeTest, ALoopedBagResets) {
   sendStatus(0);
   ASSERT_TRUE(settle());
   ASSERT_TRUE(refresh());
-  const int jumps = diagnostics_.counted("time jumps"), dropped = diagnostics_.counted("messages of the time before a jump dropped");
+  const int jumps = diagnostics_.counted("time jumps"),
+            dropped = diagnostics_.counted("messages of the time before a jump dropped");
   now_ -= 500;
   pause(10);
   const ros::WallTime begin = ros::WallTime::now();
@@ -482,7 +488,8 @@ TEST_F(NodeTest, ALoopedBagResets) {
   aerial_.publish(late);
   aerial_.publish(cloud(scene.aerial, "mav_map"));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_SEARCHING)) << lastReason();
-  const bool in_time = (ros::WallTime::now() - begin).toSec() < 3;  // after 3 s by the wall clock, nothing is late any more
+  const bool in_time =
+      (ros::WallTime::now() - begin).toSec() < 3;  // after 3 s by the wall clock, nothing is late any more
   ASSERT_TRUE(refresh());
   if (in_time) {
     EXPECT_EQ(diagnostics_.counted("messages of the time before a jump dropped"), dropped + 1);

@@ -46,7 +46,8 @@ struct Error {
 };
 
 Error errorAt(const Pose& T, const Pose& truth, const Eigen::Vector3d& centre_reading) {
-  return {(T * centre_reading - truth * centre_reading).norm(), air_ground_common::rotationAngle(T.linear(), truth.linear())};
+  return {(T * centre_reading - truth * centre_reading).norm(),
+          air_ground_common::rotationAngle(T.linear(), truth.linear())};
 }
 
 TEST(Icp, ConvergesFromTheWholeBasin) {
@@ -74,12 +75,13 @@ TEST(Icp, MillimetresWithoutNoiseAndTheInverseIsTheInverse) {
   const auto scene = synthetic::makeScene(5, exact());
   const Eigen::Vector3d centre = synthetic::centroid(scene.aerial);
   const Pose start = offset(scene.T_ground_map_mav_map, centre, 0.2, 1.0, 0.06);
-  const auto forward = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+  const auto forward =
+      shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
   const auto e = errorAt(forward.T_reference_reading, scene.T_ground_map_mav_map, centre);
   EXPECT_LT(e.translation, 0.006);
   EXPECT_LT(e.rotation, 0.004);
-  const auto backward =
-      shipped().align(shipped().prepareReading(scene.ground), shipped().prepareReference(scene.aerial), start.inverse());
+  const auto backward = shipped().align(shipped().prepareReading(scene.ground),
+                                        shipped().prepareReference(scene.aerial), start.inverse());
   const auto b = errorAt(backward.T_reference_reading.inverse(), scene.T_ground_map_mav_map, centre);
   EXPECT_LT(b.translation, 0.012);
   EXPECT_LT(b.rotation, 0.008);
@@ -97,8 +99,9 @@ TEST(Icp, StepUndoesASmallMotion) {
   Matches matches;
   for (int i = 0; i < 300; ++i) matches.reference_index.push_back(i);
   matches.weights.assign(300, 1);
-  for (const auto& [dof, motion] : {std::pair<int, Vector6d>{6, (Vector6d() << 0.01, -0.02, 0.03, 0.002, -0.003, 0.004).finished()},
-                                    std::pair<int, Vector6d>{4, (Vector6d() << 0.01, -0.02, 0.03, 0, 0, 0.004).finished()}}) {
+  for (const auto& [dof, motion] :
+       {std::pair<int, Vector6d>{6, (Vector6d() << 0.01, -0.02, 0.03, 0.002, -0.003, 0.004).finished()},
+        std::pair<int, Vector6d>{4, (Vector6d() << 0.01, -0.02, 0.03, 0, 0, 0.004).finished()}}) {
     Eigen::Vector3d centre = synthetic::centroid(reference);
     Pose D = Pose::Identity();
     D.linear() = air_ground_common::expSO3(motion.tail<3>());
@@ -125,7 +128,8 @@ TEST(Icp, FourDegreesOfFreedomKeepTheTiltSixCorrectIt) {
   for (auto level : four["levels"]) level["error_minimizer"]["PointToPlane"]["dof"] = 4;
   const IcpChain chain4(four);
   const auto r4 = chain4.align(chain4.prepareReading(scene.aerial), chain4.prepareReference(scene.ground), start);
-  const auto r6 = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+  const auto r6 =
+      shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
   const auto up = [](const Pose& T) { return Eigen::Vector3d(T.linear().row(2)); };
   EXPECT_LT((up(r4.T_reference_reading) - up(start)).norm(), 1e-6);
   EXPECT_LT((up(r6.T_reference_reading) - up(scene.T_ground_map_mav_map)).norm(), 0.004);
@@ -137,7 +141,8 @@ TEST(Icp, FlatFloorFixesOnlyHeightAndTilt) {
   for (unsigned seed = 1; seed <= 6; ++seed) {
     const auto scene = synthetic::makeScene(seed, s);
     const Pose start = offset(scene.T_ground_map_mav_map, synthetic::centroid(scene.aerial), 0.2, seed, 0.05);
-    const auto result = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
+    const auto result =
+        shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
     ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
     int missing = 0;
     for (const auto& d : result.localizability.directions) {
@@ -159,8 +164,8 @@ TEST(Icp, CorridorIsFreeAlongItsAxis) {
   s.world = World::kCorridor;
   for (unsigned seed = 1; seed <= 3; ++seed) {
     const auto scene = synthetic::makeScene(seed, s);
-    const auto result = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground),
-                                        scene.T_ground_map_mav_map);
+    const auto result = shipped().align(shipped().prepareReading(scene.aerial),
+                                        shipped().prepareReference(scene.ground), scene.T_ground_map_mav_map);
     ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
     ASSERT_FALSE(result.localizability.complete());
     const Eigen::Vector3d axis = scene.T_world_ground_map.linear().transpose() * Eigen::Vector3d::UnitX();
@@ -174,20 +179,22 @@ TEST(Icp, CorridorIsFreeAlongItsAxis) {
   }
 }
 
-// NEES of 6 dimensions has mean 6 when the covariance is right; it includes drift and scale of the maps, which differ by scene.
+// NEES of 6 dimensions has mean 6 when the covariance is right; it includes drift and scale of the maps, which differ
+// by scene.
 TEST(Icp, CovarianceIsConsistent) {
   double sum = 0;
   int runs = 0, beyond = 0;
   for (unsigned seed = 100; seed < 116; ++seed) {
     const auto scene = synthetic::makeScene(seed);
-    const auto result = shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground),
-                                        scene.T_ground_map_mav_map);
+    const auto result = shipped().align(shipped().prepareReading(scene.aerial),
+                                        shipped().prepareReference(scene.ground), scene.T_ground_map_mav_map);
     ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged);
     EXPECT_GT(air_ground_common::symmetricEigen(result.covariance).values[0], 0);
     Vector6d e;
     const Eigen::Vector3d c = scene.T_ground_map_mav_map.inverse() * result.centre;
     e.head<3>() = result.T_reference_reading * c - scene.T_ground_map_mav_map * c;
-    e.tail<3>() = air_ground_common::logSO3(result.T_reference_reading.linear() * scene.T_ground_map_mav_map.linear().transpose());
+    e.tail<3>() = air_ground_common::logSO3(result.T_reference_reading.linear() *
+                                            scene.T_ground_map_mav_map.linear().transpose());
     const double nees = air_ground_common::squaredMahalanobis(e, result.covariance);
     sum += nees;
     beyond += nees > 16.8;  // 99 % of chi^2 with 6 degrees of freedom
@@ -223,7 +230,8 @@ TEST(Icp, PoorDataFailsWithAReason) {
     return result.reason;
   };
   EXPECT_NE(reasonOf(Cloud{}, reference, Pose::Identity()).find("reading"), std::string::npos);
-  EXPECT_NE(reasonOf(reading, shipped().prepareReference(Cloud{}), Pose::Identity()).find("reference"), std::string::npos);
+  EXPECT_NE(reasonOf(reading, shipped().prepareReference(Cloud{}), Pose::Identity()).find("reference"),
+            std::string::npos);
   const Pose far(Eigen::Translation3d(100, 0, 0));
   EXPECT_NE(reasonOf(reading, reference, far).find("overlap"), std::string::npos);
   Pose broken = Pose::Identity();
@@ -248,7 +256,9 @@ TEST(HeightCheck, TellsTheTruthFromAWrongBasin) {
     for (int k = 0; k < 4; ++k) {
       const Pose start = offset(scene.T_ground_map_mav_map, synthetic::centroid(reading), 0.8, k * M_PI / 2, 0.5);
       const auto result = shipped().align(reading, reference, start);
-      if (errorAt(result.T_reference_reading, scene.T_ground_map_mav_map, synthetic::centroid(reading)).translation < 0.15) continue;
+      if (errorAt(result.T_reference_reading, scene.T_ground_map_mav_map, synthetic::centroid(reading)).translation <
+          0.15)
+        continue;
       ++wrong_basins;
       const auto wrong = checkHeights(transformed(reading, result.T_reference_reading), reference.cloud());
       EXPECT_LT(wrong.agreement(), 0.65) << "seed " << seed << " case " << k;

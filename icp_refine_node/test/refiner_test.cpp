@@ -11,7 +11,9 @@ namespace {
 
 class Refiner : public testing::Test {
  protected:
-  Refiner() : scene(synthetic::makeScene(1)), refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
+  Refiner()
+      : scene(synthetic::makeScene(1)),
+        refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
     refiner.setGround(scene.ground);
     refiner.addAerial(1, scene.aerial);
     centre = synthetic::centroid(scene.aerial);
@@ -120,7 +122,8 @@ TEST_F(Refiner, WantOfOverlapKeepsThePoseContradictionsEndIt) {
   }
   // The world contradicts: another scene at the same place.
   const auto other = synthetic::makeScene(17);
-  Cloud wrong = transformed(other.aerial, scene.T_ground_map_mav_map.inverse() * scene.T_world_ground_map.inverse() * other.T_world_mav_map);
+  Cloud wrong = transformed(
+      other.aerial, scene.T_ground_map_mav_map.inverse() * scene.T_world_ground_map.inverse() * other.T_world_mav_map);
   for (int k = 0; k < 6; ++k) refiner.addAerial(20 + k, wrong);
   for (int k = 0; k < 3; ++k) {
     ASSERT_TRUE(refiner.tracking());
@@ -147,11 +150,13 @@ TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingReplacesAWrongOne) {
   settings.max_rms = 1;
   settings.max_sigma = settings.max_sigma_angle = 3;
   settings.coarse_distance = 0.3;
-  AlignmentRefiner credulous(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), settings);
+  AlignmentRefiner credulous(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]),
+                             settings);
   credulous.setGround(scene.ground);
   credulous.addAerial(1, scene.aerial);
   bool wrong = false;
-  for (const Pose& guess : {moved(0.8, 0, 0, 0.5), moved(0, 0.8, 0, 0.5), moved(-0.8, 0, 0, 0.5), moved(0, -0.8, 0, 0.5), moved(0, 0, 0, M_PI)}) {
+  for (const Pose& guess : {moved(0.8, 0, 0, 0.5), moved(0, 0.8, 0, 0.5), moved(-0.8, 0, 0, 0.5),
+                            moved(0, -0.8, 0, 0.5), moved(0, 0, 0, M_PI)}) {
     credulous.setManual(guess);
     const auto out = credulous.refine();
     wrong = out.status == RefineStatus::kConverged && error(out.T_ground_map_mav_map) > 0.4;

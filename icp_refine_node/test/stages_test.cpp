@@ -81,7 +81,8 @@ TEST(DataFilters, NormalsAreRightOnAPlaneAndInvalidElsewhere) {
   Cloud ball = randomCloud(300, 3, 0.3f);                                       // nor has a cloud
   for (const auto& p : ball.points) cloud.points.push_back(p + Eigen::Vector3f(0, 5, 0));
   cloud.points.emplace_back(20, 20, 20);  // nor a lonely point
-  apply("SurfaceNormals", "{neighbors: 12, radius: 0.12, min_neighbors: 6, max_curvature: 0.05, min_width: 0.1}", cloud);
+  apply("SurfaceNormals", "{neighbors: 12, radius: 0.12, min_neighbors: 6, max_curvature: 0.05, min_width: 0.1}",
+        cloud);
   std::size_t on_plane = 0, elsewhere = 0;
   for (std::size_t i = 0; i < cloud.size(); ++i) {
     if (cloud.points[i].x() < 1 && cloud.points[i].y() < 1) {
@@ -196,7 +197,9 @@ struct Heights {
 
 TEST(OutlierFilters, KnownWeights) {
   Heights h({0.01f, 0.02f, 0.03f, 0.04f, 0.05f, 0.06f, 0.07f, 0.08f, 0.09f, 1.f});
-  const auto kept = [](const std::vector<float>& w) { return std::count_if(w.begin(), w.end(), [](float x) { return x > 0; }); };
+  const auto kept = [](const std::vector<float>& w) {
+    return std::count_if(w.begin(), w.end(), [](float x) { return x > 0; });
+  };
   EXPECT_EQ(kept(h.weights("Trimmed", "{ratio: 0.5}")), 6);
   EXPECT_EQ(kept(h.weights("MaxDistance", "{max: 0.055}")), 5);
   EXPECT_EQ(kept(h.weights("MedianDistance", "{factor: 3}")), 9);
@@ -297,7 +300,8 @@ TEST(Chain, EveryStageIsDocumented) {
   ASSERT_FALSE(page.str().empty());
   for (const auto& docs : {dataFilterDocs(), matcherDocs(), outlierFilterDocs(), errorMinimizerDocs(), checkerDocs()}) {
     for (const auto& stage : docs) {
-      EXPECT_NE(page.str().find("`" + stage.name + "`"), std::string::npos) << stage.name << " is not in docs/icp_refine.md";
+      EXPECT_NE(page.str().find("`" + stage.name + "`"), std::string::npos)
+          << stage.name << " is not in docs/icp_refine.md";
     }
   }
 }

@@ -41,12 +41,16 @@ std::vector<Case> cases(const Options& options) {
   std::vector<Case> out;
   for (int s = 0; options.ground.empty() && s < options.scenes; ++s) {
     auto scene = synthetic::makeScene(options.first_seed + s, options.scene);
-    out.push_back({"seed " + std::to_string(options.first_seed + s), std::move(scene.ground), {std::move(scene.aerial)}, scene.T_ground_map_mav_map});
+    out.push_back({"seed " + std::to_string(options.first_seed + s),
+                   std::move(scene.ground),
+                   {std::move(scene.aerial)},
+                   scene.T_ground_map_mav_map});
   }
   // The node's reading: a sliding window over the fused clouds.
   for (std::size_t last = 0; last < options.aerial.size(); ++last) {
     Case c{options.aerial[last], readCloud(options.ground), {}, Pose::Identity()};
-    for (std::size_t k = last + 1 >= static_cast<std::size_t>(options.recent) ? last + 1 - options.recent : 0; k <= last; ++k) {
+    for (std::size_t k = last + 1 >= static_cast<std::size_t>(options.recent) ? last + 1 - options.recent : 0;
+         k <= last; ++k) {
       c.aerial.push_back(readCloud(options.aerial[k]));
     }
     out.push_back(std::move(c));
@@ -65,15 +69,18 @@ struct Statistics {
 };
 
 Pose start(const Case& c, const Eigen::Vector3d& centre, const Options& options, int run, std::mt19937& rng) {
-  if (!options.exact) return synthetic::perturbed(c.truth, centre, options.translation, options.angle * M_PI / 180, options.yaw_only, rng);
+  if (!options.exact)
+    return synthetic::perturbed(c.truth, centre, options.translation, options.angle * M_PI / 180, options.yaw_only,
+                                rng);
   const double heading = 2 * M_PI * (run + rng() / 4294967296.0) / options.runs;
   const Eigen::Vector3d m = c.truth * centre;
   return Eigen::Translation3d(m + options.translation * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0)) *
-         Pose(Eigen::AngleAxisd((run % 2 ? 1 : -1) * options.angle * M_PI / 180, Eigen::Vector3d::UnitZ())) * Eigen::Translation3d(-m) *
-         c.truth;
+         Pose(Eigen::AngleAxisd((run % 2 ? 1 : -1) * options.angle * M_PI / 180, Eigen::Vector3d::UnitZ())) *
+         Eigen::Translation3d(-m) * c.truth;
 }
 
-void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, int run, std::mt19937& rng, Statistics& out) {
+void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, int run, std::mt19937& rng,
+            Statistics& out) {
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
   for (const auto& cloud : c.aerial) centre += synthetic::centroid(cloud) / static_cast<double>(c.aerial.size());
   const Pose guess = start(c, centre, options, run, rng);
@@ -84,7 +91,8 @@ void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, in
   Vector6d e;
   e.head<3>() = T * at - c.truth * at;
   e.tail<3>() = air_ground_common::logSO3(T.linear() * c.truth.linear().transpose());
-  const double t = e.head<3>().norm(), a = e.tail<3>().norm() * 180 / M_PI, nees = air_ground_common::squaredMahalanobis(e, result.covariance);
+  const double t = e.head<3>().norm(), a = e.tail<3>().norm() * 180 / M_PI,
+               nees = air_ground_common::squaredMahalanobis(e, result.covariance);
   const bool good = result.status == RefineStatus::kConverged;
   ++out.statuses[static_cast<int>(result.status)];
   if (good) {
@@ -99,7 +107,8 @@ void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, in
   if (!options.verbose) return;
   static const char* kNames[] = {"SEARCHING", "DEGENERATE", "CONVERGED", "REJECTED"};
   std::printf("%s %d: %s %.3f m %.2f deg (%.3f %.3f %.3f; %.2f %.2f %.2f) nees %.1f, %s\n", c.name.c_str(), run,
-              kNames[static_cast<int>(result.status)], t, a, e[0], e[1], e[2], e[3] * 57.3, e[4] * 57.3, e[5] * 57.3, nees, result.reason.c_str());
+              kNames[static_cast<int>(result.status)], t, a, e[0], e[1], e[2], e[3] * 57.3, e[4] * 57.3, e[5] * 57.3,
+              nees, result.reason.c_str());
 }
 
 }  // namespace
@@ -135,11 +144,14 @@ int main(int argc, char** argv) {
   }
   double mean = 0;
   for (double n : s.nees) mean += n / static_cast<double>(s.nees.size());
-  std::printf("converged %d, degenerate %d, rejected %d, searching %d; converged but beyond 0.08 m or 3 deg: %d\n", s.statuses[2], s.statuses[1],
-              s.statuses[3], s.statuses[0], s.wrong);
-  std::printf("before: median %.3f m; after: median %.4f, 95 %% %.4f, max %.4f m; rotation median %.3f, 95 %% %.3f, max %.3f deg\n",
-              quantile(s.before, .5), quantile(s.translation, .5), quantile(s.translation, .95), quantile(s.translation, 1),
-              quantile(s.rotation, .5), quantile(s.rotation, .95), quantile(s.rotation, 1));
-  std::printf("NEES mean %.2f, 95 %% %.1f; heights agree: least %.2f; ICP median %.0f ms, 95 %% %.0f ms\n", mean, quantile(s.nees, .95),
-              quantile(s.agreement, 0), quantile(s.milliseconds, .5), quantile(s.milliseconds, .95));
+  std::printf("converged %d, degenerate %d, rejected %d, searching %d; converged but beyond 0.08 m or 3 deg: %d\n",
+              s.statuses[2], s.statuses[1], s.statuses[3], s.statuses[0], s.wrong);
+  std::printf(
+      "before: median %.3f m; after: median %.4f, 95 %% %.4f, max %.4f m; rotation median %.3f, 95 %% %.3f, max %.3f "
+      "deg\n",
+      quantile(s.before, .5), quantile(s.translation, .5), quantile(s.translation, .95), quantile(s.translation, 1),
+      quantile(s.rotation, .5), quantile(s.rotation, .95), quantile(s.rotation, 1));
+  std::printf("NEES mean %.2f, 95 %% %.1f; heights agree: least %.2f; ICP median %.0f ms, 95 %% %.0f ms\n", mean,
+              quantile(s.nees, .95), quantile(s.agreement, 0), quantile(s.milliseconds, .5),
+              quantile(s.milliseconds, .95));
 }

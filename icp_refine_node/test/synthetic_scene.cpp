@@ -70,8 +70,8 @@ struct DepthImage {
   Eigen::Vector3d ray(int u, int v) const { return {(u - (width - 1) / 2.0) / f, (v - (height - 1) / 2.0) / f, 1}; }
 };
 
-DepthImage render(const air_ground_common::MeshScene& scene, const Eigen::Matrix3d& R, const Eigen::Vector3d& t, int width,
-                  int height, double f) {
+DepthImage render(const air_ground_common::MeshScene& scene, const Eigen::Matrix3d& R, const Eigen::Vector3d& t,
+                  int width, int height, double f) {
   DepthImage out{width, height, f, std::vector<double>(width * height, 0), std::vector<double>(width * height, 0)};
   for (int v = 0; v < height; ++v) {
     for (int u = 0; u < width; ++u) {
@@ -99,7 +99,8 @@ struct Bumps {
   std::array<Eigen::Vector4d, 16> waves;
 };
 
-Cloud groundCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_world, const SceneSettings& s, Rng& rng) {
+Cloud groundCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_world, const SceneSettings& s,
+                  Rng& rng) {
   // Half an ellipse around the boxes, 8 m or so.
   Cloud out;
   const double start = uniform(rng, 0, 2 * M_PI);
@@ -127,7 +128,8 @@ Cloud groundCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_w
   return out;
 }
 
-Cloud aerialCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_world, const SceneSettings& s, Rng& rng) {
+Cloud aerialCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_world, const SceneSettings& s,
+                  Rng& rng) {
   Cloud out;
   const Bumps bumps(rng);
   const double scale = 1 + s.scale_error * gauss(rng);
@@ -151,7 +153,8 @@ Cloud aerialCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_w
           if (!n) continue;
           z /= n;
           const Eigen::Vector3d at = R * (depth.ray(u, v) * z) + position;
-          // Missing patches: where another smooth field of the surface is low (its quantile by the normal distribution).
+          // Missing patches: where another smooth field of the surface is low (its quantile by the normal
+          // distribution).
           if (bumps(at + Eigen::Vector3d(31, 17, 5)) < -1.2 + 2.1 * s.missing) continue;
           z += s.aerial_noise * gauss(rng) + s.aerial_bumps * bumps(at);
           const Eigen::Vector3d world = R * (depth.ray(u, v) * z) + position;
@@ -172,11 +175,10 @@ Scene makeScene(unsigned seed, const SceneSettings& settings) {
   const air_ground_common::MeshScene scene(out.mesh);
   out.T_world_ground_map =
       air_ground_common::yawPose(uniform(rng, -M_PI, M_PI), {uniform(rng, -3, 3), uniform(rng, -3, 3), 0.1});
-  out.T_world_mav_map = air_ground_common::yawPose(uniform(rng, -M_PI, M_PI), {uniform(rng, -1.5, 1.5), uniform(rng, -1, 1), 0.1});
+  out.T_world_mav_map =
+      air_ground_common::yawPose(uniform(rng, -M_PI, M_PI), {uniform(rng, -1.5, 1.5), uniform(rng, -1, 1), 0.1});
   // Both maps hang from gravity, to a fraction of a degree.
-  const auto tilt = [&rng] {
-    return air_ground_common::expSO3({0.006 * gauss(rng), 0.006 * gauss(rng), 0});
-  };
+  const auto tilt = [&rng] { return air_ground_common::expSO3({0.006 * gauss(rng), 0.006 * gauss(rng), 0}); };
   out.T_world_ground_map.linear() = out.T_world_ground_map.linear() * tilt();
   out.T_world_mav_map.linear() = out.T_world_mav_map.linear() * tilt();
   out.ground = groundCloud(scene, out.T_world_ground_map.inverse(), settings, rng);
@@ -185,8 +187,8 @@ Scene makeScene(unsigned seed, const SceneSettings& settings) {
   return out;
 }
 
-Pose perturbed(const Pose& T, const Eigen::Vector3d& centre, double sigma_translation, double sigma_angle, bool yaw_only,
-               std::mt19937& rng) {
+Pose perturbed(const Pose& T, const Eigen::Vector3d& centre, double sigma_translation, double sigma_angle,
+               bool yaw_only, std::mt19937& rng) {
   Eigen::Vector3d axis(gauss(rng), gauss(rng), gauss(rng));
   if (yaw_only) axis = Eigen::Vector3d::UnitZ();
   const Eigen::Matrix3d R = air_ground_common::expSO3(sigma_angle * gauss(rng) * axis.normalized());

@@ -40,7 +40,8 @@ void scaleFilterImage(benchmark::State& state) {
 }
 BENCHMARK(scaleFilterImage)->Unit(benchmark::kMicrosecond);
 
-/// The paper's covariance: 1000 samples of five correspondences, against a loop over OpenGV's Nister solver on the same samples.
+/// The paper's covariance: 1000 samples of five correspondences, against a loop over OpenGV's Nister solver on the same
+/// samples.
 void incrementCovariance(benchmark::State& state) {
   std::mt19937 random(1);
   std::uniform_real_distribution<double> unit(-1, 1);
@@ -53,7 +54,8 @@ void incrementCovariance(benchmark::State& state) {
   while (pairs.size() < 150) {
     const double z = 2.5 + unit(random);
     const Eigen::Vector3d p(0.6 * z * unit(random), 0.45 * z * unit(random), z), q = T.inverse() * p;
-    RayPair pair{p.head<2>() / p.z() + Eigen::Vector2d(noise(random), noise(random)), q.head<2>() / q.z() + Eigen::Vector2d(noise(random), noise(random))};
+    RayPair pair{p.head<2>() / p.z() + Eigen::Vector2d(noise(random), noise(random)),
+                 q.head<2>() / q.z() + Eigen::Vector2d(noise(random), noise(random))};
     pairs.push_back(pair);
     previous.push_back(pair.previous.homogeneous().normalized());
     current.push_back(pair.current.homogeneous().normalized());
@@ -70,7 +72,8 @@ void incrementCovariance(benchmark::State& state) {
   const auto now = [] { return std::chrono::steady_clock::now(); };
   for (auto _ : state) {
     const auto start = now();
-    benchmark::DoNotOptimize(monteCarloIncrement(pairs, T, air_ground_common::Pose::Identity(), Eigen::Matrix3d::Identity(), 1e-6, 0.001, {}));
+    benchmark::DoNotOptimize(monteCarloIncrement(pairs, T, air_ground_common::Pose::Identity(),
+                                                 Eigen::Matrix3d::Identity(), 1e-6, 0.001, {}));
     const auto middle = now();
     for (const auto& sample : samples) benchmark::DoNotOptimize(opengv::relative_pose::fivept_nister(adapter, sample));
     ours += std::chrono::duration<double>(middle - start).count();
@@ -90,11 +93,13 @@ void wholeFlight(benchmark::State& state) {
   std::mt19937 random(11);
   const auto samples = flight.imuSamples(0, 12.1, 200, ImuNoise{}, ImuBias{}, random);
   std::vector<cv::Mat> images;
-  for (int i = 1; i <= 240; ++i) images.push_back(world.render(synthetic::camera(), flight.T_world_imu(0.05 * i) * synthetic::T_imu_camera()));
+  for (int i = 1; i <= 240; ++i)
+    images.push_back(world.render(synthetic::camera(), flight.T_world_imu(0.05 * i) * synthetic::T_imu_camera()));
   double tracking = 0, all = 0;
   std::size_t tracked = 0, processed = 0;
   for (auto _ : state) {
-    Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), air_ground_common::Pose::Identity(), OdometrySettings{});
+    Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), air_ground_common::Pose::Identity(),
+                      OdometrySettings{});
     std::size_t next = 0;
     for (std::size_t i = 0; i < images.size(); ++i) {
       const double t = 0.05 * static_cast<double>(i + 1);

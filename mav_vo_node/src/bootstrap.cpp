@@ -52,8 +52,8 @@ Common commonTracks(const std::vector<Feature>& a, const std::vector<Feature>& b
 
 }  // namespace
 
-std::optional<Pose> fivePointPose(const std::vector<Eigen::Vector2d>& a, const std::vector<Eigen::Vector2d>& b, double sigma,
-                                  std::vector<unsigned char>* inliers) {
+std::optional<Pose> fivePointPose(const std::vector<Eigen::Vector2d>& a, const std::vector<Eigen::Vector2d>& b,
+                                  double sigma, std::vector<unsigned char>* inliers) {
   inliers->assign(a.size(), 0);
   if (a.size() < 8 || a.size() != b.size()) return std::nullopt;
   opengv::bearingVectors_t rays_a, rays_b;
@@ -79,7 +79,8 @@ std::optional<Pose> fivePointPose(const std::vector<Eigen::Vector2d>& a, const s
   return air_ground_common::normalized(T_a_b);
 }
 
-Bootstrap::Bootstrap(const visual_frontend::CameraModel& camera, const BootstrapSettings& settings) : camera_(camera), settings_(settings) {
+Bootstrap::Bootstrap(const visual_frontend::CameraModel& camera, const BootstrapSettings& settings)
+    : camera_(camera), settings_(settings) {
   camera_.validate();
 }
 
@@ -90,10 +91,13 @@ void Bootstrap::reset() {
   reason_ = "no image yet";
 }
 
-std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Feature>& features, const visual_frontend::ImagePyramid& pyramid,
+std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Feature>& features,
+                                              const visual_frontend::ImagePyramid& pyramid,
                                               const std::optional<Eigen::Matrix3d>& R_previous_current) {
-  if (R_previous_current) R_start_camera_ = R_start_camera_ * *R_previous_current;
-  else gyro_since_ = stamp;
+  if (R_previous_current)
+    R_start_camera_ = R_start_camera_ * *R_previous_current;
+  else
+    gyro_since_ = stamp;
   while (!views_.empty() && views_.front().stamp < stamp - settings_.max_age) views_.pop_front();
   BootstrapView current;
   current.stamp = stamp;
@@ -107,7 +111,8 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
     const Common common = commonTracks(first.features, features);
     if (static_cast<int>(common.track.size()) < settings_.min_common) continue;
     const bool gyro = first.stamp >= gyro_since_;
-    const Eigen::Matrix3d R = gyro ? Eigen::Matrix3d(first.R_start_camera.transpose() * R_start_camera_) : Eigen::Matrix3d::Identity();
+    const Eigen::Matrix3d R =
+        gyro ? Eigen::Matrix3d(first.R_start_camera.transpose() * R_start_camera_) : Eigen::Matrix3d::Identity();
     std::vector<double> angles;
     for (std::size_t i = 0; i < common.a.size(); ++i) angles.push_back(parallaxAngle(common.a[i], common.b[i], R));
     if (median(angles) < settings_.min_parallax) {
@@ -137,7 +142,8 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     // The gyro's error moves the rays by more than the pixel noise.
     ransac.threshold = 2.5 * std::hypot(sigma, settings_.gyro_sigma) / sigma;
     ransac.seed = settings_.seed;
-    const auto direction = visual_frontend::translationFromKnownRotation(common.a, common.b, T_first_last.linear(), sigma, ransac);
+    const auto direction =
+        visual_frontend::translationFromKnownRotation(common.a, common.b, T_first_last.linear(), sigma, ransac);
     if (!direction.success) {
       reason_ = "two-point start: " + direction.reason;
       return std::nullopt;
@@ -156,7 +162,9 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   const BootstrapView* middle = nullptr;
   for (const BootstrapView& view : views_) {
     if (view.stamp <= first.stamp) continue;
-    if (!middle || std::abs(view.stamp - 0.5 * (first.stamp + last.stamp)) < std::abs(middle->stamp - 0.5 * (first.stamp + last.stamp))) middle = &view;
+    if (!middle || std::abs(view.stamp - 0.5 * (first.stamp + last.stamp)) <
+                       std::abs(middle->stamp - 0.5 * (first.stamp + last.stamp)))
+      middle = &view;
   }
 
   visual_frontend::TriangulationSettings triangulation;
@@ -172,7 +180,8 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   std::unordered_map<TrackId, int> index;
   for (std::size_t i = 0; i < common.track.size(); ++i) {
     if (!inliers[i]) continue;
-    const auto point = visual_frontend::triangulate({{Pose::Identity(), common.a[i], sigma, 0, 0}, {T_first_last, common.b[i], sigma, 0, 0}}, triangulation);
+    const auto point = visual_frontend::triangulate(
+        {{Pose::Identity(), common.a[i], sigma, 0, 0}, {T_first_last, common.b[i], sigma, 0, 0}}, triangulation);
     if (!point.ok()) continue;
     const int k = static_cast<int>(problem.points.size());
     index[common.track[i]] = k;
@@ -182,10 +191,12 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     problem.measurements.push_back({1, k, common.b[i], sigma, 0, 0});
   }
   const auto enough = [&](std::size_t count) {
-    return static_cast<int>(count) >= settings_.min_inliers && static_cast<double>(count) >= settings_.min_inlier_share * static_cast<double>(common.track.size());
+    return static_cast<int>(count) >= settings_.min_inliers &&
+           static_cast<double>(count) >= settings_.min_inlier_share * static_cast<double>(common.track.size());
   };
   if (!enough(result.points.size())) {
-    reason_ = std::to_string(result.points.size()) + " of " + std::to_string(common.track.size()) + " tracks fit a motion of the camera";
+    reason_ = std::to_string(result.points.size()) + " of " + std::to_string(common.track.size()) +
+              " tracks fit a motion of the camera";
     return std::nullopt;
   }
   if (middle) {
@@ -197,7 +208,8 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
       seen.push_back({problem.points[it->second], f.normalized, sigma, 0, 0});
       point_of.push_back(it->second);
     }
-    Pose start = air_ground_common::interpolate(Pose::Identity(), T_first_last, (middle->stamp - first.stamp) / (last.stamp - first.stamp));
+    Pose start = air_ground_common::interpolate(Pose::Identity(), T_first_last,
+                                                (middle->stamp - first.stamp) / (last.stamp - first.stamp));
     if (gyro) start.linear() = first.R_start_camera.transpose() * middle->R_start_camera;
     visual_frontend::RefineSettings refine;
     refine.loss = visual_frontend::RobustLoss::kCauchy;
@@ -205,14 +217,17 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     if (pose.success && pose.inlier_count >= settings_.min_inliers / 2) {
       problem.cameras.emplace_back();
       problem.cameras.back().T_map_camera = pose.T_map_camera;
-      for (std::size_t i = 0; i < seen.size(); ++i) problem.measurements.push_back({2, point_of[i], seen[i].normalized, sigma, 0, 0});
+      for (std::size_t i = 0; i < seen.size(); ++i)
+        problem.measurements.push_back({2, point_of[i], seen[i].normalized, sigma, 0, 0});
     } else {
       middle = nullptr;
     }
   }
   if (gyro) {
     problem.priors.push_back({0, 1, Pose(T_first_last.linear()), settings_.gyro_sigma, -1});
-    if (middle) problem.priors.push_back({0, 2, Pose(first.R_start_camera.transpose() * middle->R_start_camera), settings_.gyro_sigma, -1});
+    if (middle)
+      problem.priors.push_back(
+          {0, 2, Pose(first.R_start_camera.transpose() * middle->R_start_camera), settings_.gyro_sigma, -1});
   }
   visual_frontend::BundleSettings bundle;
   bundle.max_iterations = 25;
@@ -231,7 +246,8 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     angles.push_back(std::atan2(p.cross(p - T_last.translation()).norm(), p.dot(p - T_last.translation())));
   }
   if (!solved.usable || solved.rms > settings_.max_rms || !enough(depths.size())) {
-    reason_ = "bundle adjustment of the first views keeps " + std::to_string(depths.size()) + " points, rms " + std::to_string(solved.rms) + " sigma";
+    reason_ = "bundle adjustment of the first views keeps " + std::to_string(depths.size()) + " points, rms " +
+              std::to_string(solved.rms) + " sigma";
     return std::nullopt;
   }
   result.median_parallax = median(angles);

@@ -8,8 +8,9 @@ using air_ground_common::Pose;
 using visual_frontend::KeyframeId;
 using visual_frontend::LandmarkId;
 
-BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& inertial_map, const std::vector<KeyframeId>& free,
-                        const std::vector<KeyframeId>& fixed, double sigma, bool metric, const Pose& T_camera_imu) {
+BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& inertial_map,
+                        const std::vector<KeyframeId>& free, const std::vector<KeyframeId>& fixed, double sigma,
+                        bool metric, const Pose& T_camera_imu) {
   BundleJob job;
   job.newest_keyframe = map.lastKeyframe();
   auto& problem = job.problem;
@@ -58,7 +59,8 @@ BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& iner
     for (const auto& o : landmark.observations) {
       const auto it = index.find(o.keyframe);
       if (it == index.end()) continue;
-      problem.visual.measurements.push_back({it->second, point, map.keyframe(o.keyframe).observations[o.index].normalized, sigma, 0, 0});
+      problem.visual.measurements.push_back(
+          {it->second, point, map.keyframe(o.keyframe).observations[o.index].normalized, sigma, 0, 0});
       job.sources.push_back(o);
     }
   }

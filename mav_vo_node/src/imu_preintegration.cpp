@@ -98,7 +98,8 @@ std::vector<ImuSample> samplesBetween(const ImuBuffer& buffer, double begin, dou
   if (!(begin < end) || !buffer.covers(begin, end, max_gap)) return {};
   const auto& samples = buffer.samples();
   const auto at = [&](double stamp) {
-    const auto later = std::lower_bound(samples.begin(), samples.end(), stamp, [](const ImuSample& s, double t) { return s.stamp < t; });
+    const auto later = std::lower_bound(samples.begin(), samples.end(), stamp,
+                                        [](const ImuSample& s, double t) { return s.stamp < t; });
     // The buffer may end short of the interval by less than the gap: its outermost samples then hold.
     if (later == samples.begin() || later == samples.end()) {
       ImuSample held = later == samples.end() ? samples.back() : *later;
@@ -107,10 +108,12 @@ std::vector<ImuSample> samplesBetween(const ImuBuffer& buffer, double begin, dou
     }
     const ImuSample& a = *(later - 1);
     const double s = (stamp - a.stamp) / (later->stamp - a.stamp);
-    return ImuSample{stamp, (1 - s) * a.angular_velocity + s * later->angular_velocity, (1 - s) * a.specific_force + s * later->specific_force};
+    return ImuSample{stamp, (1 - s) * a.angular_velocity + s * later->angular_velocity,
+                     (1 - s) * a.specific_force + s * later->specific_force};
   };
   std::vector<ImuSample> cut{at(begin)};
-  auto it = std::upper_bound(samples.begin(), samples.end(), begin, [](double t, const ImuSample& s) { return t < s.stamp; });
+  auto it =
+      std::upper_bound(samples.begin(), samples.end(), begin, [](double t, const ImuSample& s) { return t < s.stamp; });
   for (; it != samples.end() && it->stamp < end; ++it) cut.push_back(*it);
   cut.push_back(at(end));
   return cut;

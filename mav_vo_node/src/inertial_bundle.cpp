@@ -25,12 +25,14 @@ void check(const InertialBundleProblem& problem) {
   const auto fail = [](const char* what) { throw std::invalid_argument(std::string("solveInertialBundle: ") + what); };
   if (problem.states.size() != cameras || problem.state_fixed.size() != cameras) fail("one state a camera is needed");
   for (const auto& m : problem.visual.measurements) {
-    if (m.camera < 0 || m.camera >= static_cast<int>(cameras) || m.point < 0 || m.point >= static_cast<int>(problem.visual.points.size()))
+    if (m.camera < 0 || m.camera >= static_cast<int>(cameras) || m.point < 0 ||
+        m.point >= static_cast<int>(problem.visual.points.size()))
       fail("a measurement's index is out of range");
     if (!m.normalized.allFinite() || !(m.sigma > 0)) fail("a measurement is not finite or its sigma not positive");
   }
   for (const auto& link : problem.links) {
-    if (link.a < 0 || link.b < 0 || link.a >= static_cast<int>(cameras) || link.b >= static_cast<int>(cameras) || link.a == link.b)
+    if (link.a < 0 || link.b < 0 || link.a >= static_cast<int>(cameras) || link.b >= static_cast<int>(cameras) ||
+        link.a == link.b)
       fail("a link's index is out of range");
     if (!(link.motion.duration() > 0)) fail("a link without inertial samples");
   }
@@ -69,28 +71,33 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
   options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   ceres::Problem solver_problem(options);
   std::unique_ptr<ceres::LossFunction> loss;
-  if (settings.loss == visual_frontend::RobustLoss::kHuber) loss = std::make_unique<ceres::HuberLoss>(settings.loss_width);
-  if (settings.loss == visual_frontend::RobustLoss::kCauchy) loss = std::make_unique<ceres::CauchyLoss>(settings.loss_width);
+  if (settings.loss == visual_frontend::RobustLoss::kHuber)
+    loss = std::make_unique<ceres::HuberLoss>(settings.loss_width);
+  if (settings.loss == visual_frontend::RobustLoss::kCauchy)
+    loss = std::make_unique<ceres::CauchyLoss>(settings.loss_width);
 
   std::vector<unsigned char> camera_used(cameras, 0), state_used(cameras, 0), point_used(visual.points.size(), 0);
   for (const auto& m : visual.measurements) {
     if (squaredError(visual, m) >= 1e12) continue;
-    solver_problem.AddResidualBlock(new visual_frontend::ReprojectionCost(R_0[m.camera], m.normalized, m.sigma), loss.get(),
-                                    keyframe[m.camera].camera.data(), visual.points[m.point].data());
+    solver_problem.AddResidualBlock(new visual_frontend::ReprojectionCost(R_0[m.camera], m.normalized, m.sigma),
+                                    loss.get(), keyframe[m.camera].camera.data(), visual.points[m.point].data());
     camera_used[m.camera] = point_used[m.point] = 1;
   }
   for (const auto& link : problem.links) {
     Keyframe &a = keyframe[link.a], &b = keyframe[link.b];
     if (problem.metric) {
-      solver_problem.AddResidualBlock(new InertialCost(R_0[link.a], R_0[link.b], problem.T_camera_imu, link.motion), nullptr, a.camera.data(),
-                                      a.velocity.data(), a.bias.data(), b.camera.data(), b.velocity.data());
+      solver_problem.AddResidualBlock(new InertialCost(R_0[link.a], R_0[link.b], problem.T_camera_imu, link.motion),
+                                      nullptr, a.camera.data(), a.velocity.data(), a.bias.data(), b.camera.data(),
+                                      b.velocity.data());
     } else {
-      solver_problem.AddResidualBlock(new GyroCost(R_0[link.a], R_0[link.b], problem.T_camera_imu.linear(), link.motion), nullptr, a.camera.data(),
-                                      a.bias.data(), b.camera.data());
+      solver_problem.AddResidualBlock(
+          new GyroCost(R_0[link.a], R_0[link.b], problem.T_camera_imu.linear(), link.motion), nullptr, a.camera.data(),
+          a.bias.data(), b.camera.data());
     }
     const double root_dt = std::sqrt(link.motion.duration());
-    solver_problem.AddResidualBlock(new BiasWalkCost(link.motion.noise().gyro_bias_walk * root_dt, link.motion.noise().accel_bias_walk * root_dt),
-                                    nullptr, a.bias.data(), b.bias.data());
+    solver_problem.AddResidualBlock(
+        new BiasWalkCost(link.motion.noise().gyro_bias_walk * root_dt, link.motion.noise().accel_bias_walk * root_dt),
+        nullptr, a.bias.data(), b.bias.data());
     camera_used[link.a] = camera_used[link.b] = state_used[link.a] = state_used[link.b] = 1;
   }
   // Where a chain of links begins, nothing else says what the bias was before.
@@ -102,11 +109,14 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
   for (std::size_t i = 0; i < cameras; ++i) {
     if (!camera_used[i]) continue;
     ordering->AddElementToGroup(keyframe[i].camera.data(), 1);
-    if (visual.cameras[i].fixed) solver_problem.SetParameterBlockConstant(keyframe[i].camera.data());
-    else ++free_blocks;
+    if (visual.cameras[i].fixed)
+      solver_problem.SetParameterBlockConstant(keyframe[i].camera.data());
+    else
+      ++free_blocks;
     if (visual.cameras[i].up_camera && !visual.cameras[i].fixed)
-      solver_problem.AddResidualBlock(new visual_frontend::GravityCost(R_0[i], *visual.cameras[i].up_camera, visual.cameras[i].up_sigma), nullptr,
-                                      keyframe[i].camera.data());
+      solver_problem.AddResidualBlock(
+          new visual_frontend::GravityCost(R_0[i], *visual.cameras[i].up_camera, visual.cameras[i].up_sigma), nullptr,
+          keyframe[i].camera.data());
     if (!state_used[i]) continue;
     if (problem.metric) ordering->AddElementToGroup(keyframe[i].velocity.data(), 1);
     ordering->AddElementToGroup(keyframe[i].bias.data(), 1);
@@ -115,14 +125,16 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
       solver_problem.SetParameterBlockConstant(keyframe[i].bias.data());
     } else if (!has_predecessor[i]) {
       Vector6d sigma;
-      sigma << Eigen::Vector3d::Constant(settings.gyro_bias_prior), Eigen::Vector3d::Constant(settings.accel_bias_prior);
+      sigma << Eigen::Vector3d::Constant(settings.gyro_bias_prior),
+          Eigen::Vector3d::Constant(settings.accel_bias_prior);
       solver_problem.AddResidualBlock(new PriorCost(keyframe[i].bias, sigma), nullptr, keyframe[i].bias.data());
     }
   }
   if (problem.anchor >= 0 && camera_used[problem.anchor]) {
     Vector6d sigma;
     sigma << Eigen::Vector3d::Constant(kAnchorPosition), 0, 0, kAnchorYaw;
-    solver_problem.AddResidualBlock(new PriorCost(keyframe[problem.anchor].camera, sigma), nullptr, keyframe[problem.anchor].camera.data());
+    solver_problem.AddResidualBlock(new PriorCost(keyframe[problem.anchor].camera, sigma), nullptr,
+                                    keyframe[problem.anchor].camera.data());
   }
   for (std::size_t i = 0; i < visual.points.size(); ++i)
     if (point_used[i]) ordering->AddElementToGroup(visual.points[i].data(), 0);
@@ -147,7 +159,8 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
   result.seconds = summary.total_time_in_seconds;
   if (result.usable) {
     for (std::size_t i = 0; i < cameras; ++i) {
-      if (state_used[i] && !problem.state_fixed[i]) problem.states[i] = {keyframe[i].velocity, {keyframe[i].bias.head<3>(), keyframe[i].bias.tail<3>()}};
+      if (state_used[i] && !problem.state_fixed[i])
+        problem.states[i] = {keyframe[i].velocity, {keyframe[i].bias.head<3>(), keyframe[i].bias.tail<3>()}};
       auto& c = visual.cameras[i];
       if (c.fixed || !camera_used[i]) continue;
       c.T_map_camera.translation() = keyframe[i].camera.head<3>();

@@ -16,11 +16,12 @@ Eigen::Map<visual_frontend::RowMajor<Rows, Cols>> rowMajor(double* data) {
   return Eigen::Map<visual_frontend::RowMajor<Rows, Cols>>(data);
 }
 
-/// Parameters: camera i, velocity i, bias i, camera j, velocity j. Residual: (rotation, velocity, position) of the preintegration
-/// in the first IMU frame, whitened.
+/// Parameters: camera i, velocity i, bias i, camera j, velocity j. Residual: (rotation, velocity, position) of the
+/// preintegration in the first IMU frame, whitened.
 class InertialCost final : public ceres::SizedCostFunction<9, 6, 3, 6, 6, 3> {
  public:
-  InertialCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& R_j_0, const air_ground_common::Pose& T_camera_imu, const Preintegration& motion);
+  InertialCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& R_j_0, const air_ground_common::Pose& T_camera_imu,
+               const Preintegration& motion);
 
   bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override;
 
@@ -31,11 +32,12 @@ class InertialCost final : public ceres::SizedCostFunction<9, 6, 3, 6, 6, 3> {
   Eigen::Matrix<double, 9, 9> W_;
 };
 
-/// Parameters: camera i, bias i, camera j. Residual: the rotation of the preintegration alone, whitened; for maps whose unit is not
-/// known yet.
+/// Parameters: camera i, bias i, camera j. Residual: the rotation of the preintegration alone, whitened; for maps whose
+/// unit is not known yet.
 class GyroCost final : public ceres::SizedCostFunction<3, 6, 6, 6> {
  public:
-  GyroCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& R_j_0, const Eigen::Matrix3d& R_camera_imu, const Preintegration& motion);
+  GyroCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& R_j_0, const Eigen::Matrix3d& R_camera_imu,
+           const Preintegration& motion);
 
   bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override;
 
@@ -69,7 +71,8 @@ class BiasWalkCost final : public ceres::SizedCostFunction<6, 6, 6> {
 class PriorCost final : public ceres::SizedCostFunction<6, 6> {
  public:
   using Vector = Eigen::Matrix<double, 6, 1>;
-  PriorCost(const Vector& mean, const Vector& sigma) : mean_(mean), weight_((sigma.array() > 0).select(sigma.cwiseInverse(), 0.0)) {}
+  PriorCost(const Vector& mean, const Vector& sigma)
+      : mean_(mean), weight_((sigma.array() > 0).select(sigma.cwiseInverse(), 0.0)) {}
   bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override {
     Eigen::Map<Vector> r(residuals);
     r = weight_.cwiseProduct(Eigen::Map<const Vector>(x[0]) - mean_);

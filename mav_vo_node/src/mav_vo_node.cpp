@@ -37,11 +37,16 @@ constexpr int kOk = 0, kWarn = 1;
 
 std::uint8_t stateOf(OdometryState state) {
   switch (state) {
-    case OdometryState::kWaiting: return air_ground::VoStatus::STATE_WAITING;
-    case OdometryState::kInitializing: return air_ground::VoStatus::STATE_INITIALIZING;
-    case OdometryState::kScaling: return air_ground::VoStatus::STATE_SCALING;
-    case OdometryState::kTracking: return air_ground::VoStatus::STATE_TRACKING;
-    case OdometryState::kLost: return air_ground::VoStatus::STATE_LOST;
+    case OdometryState::kWaiting:
+      return air_ground::VoStatus::STATE_WAITING;
+    case OdometryState::kInitializing:
+      return air_ground::VoStatus::STATE_INITIALIZING;
+    case OdometryState::kScaling:
+      return air_ground::VoStatus::STATE_SCALING;
+    case OdometryState::kTracking:
+      return air_ground::VoStatus::STATE_TRACKING;
+    case OdometryState::kLost:
+      return air_ground::VoStatus::STATE_LOST;
   }
   return air_ground::VoStatus::STATE_LOST;
 }
@@ -65,7 +70,8 @@ class MavVoNode {
   explicit MavVoNode(const NodeSettings& settings)
       : settings_(settings),
         health_("mav_vo"),
-        pose_publisher_(handle_, {settings.map_frame, settings.odom_frame, settings.base_frame, "mav/odometry", "mav/path", settings.publish_tf}) {
+        pose_publisher_(handle_, {settings.map_frame, settings.odom_frame, settings.base_frame, "mav/odometry",
+                                  "mav/path", settings.publish_tf}) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
     increment_publisher_ = handle_.advertise<air_ground::VoIncrement>("mav/vo_increment", 100);
@@ -79,7 +85,9 @@ class MavVoNode {
     if (settings_.odometry.use_imu) health_.expectInput(imu_topic_);
     health_.state(kWarn, "waiting for images");
     info_subscriber_ = handle_.subscribe("mav/camera/camera_info", 20, &MavVoNode::onInfo, this);
-    if (settings_.odometry.use_imu) imu_subscriber_ = handle_.subscribe("mav/imu/data", 5000, &MavVoNode::onImu, this, ros::TransportHints().tcpNoDelay());
+    if (settings_.odometry.use_imu)
+      imu_subscriber_ =
+          handle_.subscribe("mav/imu/data", 5000, &MavVoNode::onImu, this, ros::TransportHints().tcpNoDelay());
     image_subscriber_ = handle_.subscribe("mav/camera/image_raw", settings_.queue_size, &MavVoNode::onImage, this);
     map_service_ = private_handle_.advertiseService("save_map", &MavVoNode::saveMap, this);
     trajectory_service_ = private_handle_.advertiseService("save_trajectory", &MavVoNode::saveTrajectory, this);
@@ -103,7 +111,8 @@ class MavVoNode {
     Clock::time_point arrival;
   };
 
-  // ---- Inputs: only checks and queueing happen in the callbacks -------------------------------------------------------
+  // ---- Inputs: only checks and queueing happen in the callbacks
+  // -------------------------------------------------------
 
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
     health_.received(info_topic_, msg->header.stamp);
@@ -155,7 +164,8 @@ class MavVoNode {
     reset_requested_ = true;
   }
 
-  // ---- Worker ---------------------------------------------------------------------------------------------------------
+  // ---- Worker
+  // ---------------------------------------------------------------------------------------------------------
 
   void work() {
     while (true) {
@@ -163,7 +173,8 @@ class MavVoNode {
       std::deque<ImuSample> imu;
       {
         std::unique_lock<std::mutex> lock(queue_mutex_);
-        queue_changed_.wait_for(lock, std::chrono::milliseconds(200), [&] { return stop_ || reset_requested_ || imageReady(); });
+        queue_changed_.wait_for(lock, std::chrono::milliseconds(200),
+                                [&] { return stop_ || reset_requested_ || imageReady(); });
         if (stop_) return;
         if (reset_requested_) {
           reset_requested_ = false;
@@ -189,7 +200,8 @@ class MavVoNode {
     }
   }
 
-  /// Called with the queue locked: the oldest image has its calibration and its IMU samples, or has waited long enough for them.
+  /// Called with the queue locked: the oldest image has its calibration and its IMU samples, or has waited long enough
+  /// for them.
   bool imageReady() const {
     if (image_queue_.empty() || !calibration_) return false;
     if (!settings_.odometry.use_imu) return true;
@@ -198,14 +210,17 @@ class MavVoNode {
     const auto newer = std::find_if(image_queue_.begin(), image_queue_.end(), [&](const WaitingImage& waiting) {
       return waiting.image->header.stamp.toSec() - stamp > settings_.imu_wait;
     });
-    return newer != image_queue_.end() && Clock::now() - newer->arrival > std::chrono::duration<double>(ros_utils::kTopicsInStep);
+    return newer != image_queue_.end() &&
+           Clock::now() - newer->arrival > std::chrono::duration<double>(ros_utils::kTopicsInStep);
   }
 
   /// `anew`: calibration and mountings are read again, too.
   void startAfresh(bool anew) {
     const std::lock_guard<std::mutex> lock(odometry_mutex_);
-    if (odometry_ && anew) dropOdometry();
-    else if (odometry_) odometry_->reset();
+    if (odometry_ && anew)
+      dropOdometry();
+    else if (odometry_)
+      odometry_->reset();
     imu_input_.reset();
     imu_unplaced_ = false;
     if (anew) imu_ever_ = false;
@@ -221,8 +236,8 @@ class MavVoNode {
     odometry_.reset();
   }
 
-  /// Builds the odometry once calibration and mounting are known, and anew when the calibration changes or an IMU turns up. False,
-  /// with the reason in diagnostics, while there is none. Waits for tf with nothing locked.
+  /// Builds the odometry once calibration and mounting are known, and anew when the calibration changes or an IMU turns
+  /// up. False, with the reason in diagnostics, while there is none. Waits for tf with nothing locked.
   bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
     ros_utils::Calibration calibration;
     std::string imu_frame = settings_.imu_frame;
@@ -240,7 +255,8 @@ class MavVoNode {
     }
     const std::string camera_frame = ros_utils::cameraFrame(settings_.camera_frame, calibration, image);
     const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame, const char* sensor) {
-      return ros_utils::lookupMounting(given, settings_.base_frame, frame, sensor, settings_.transform_timeout, health_);
+      return ros_utils::lookupMounting(given, settings_.base_frame, frame, sensor, settings_.transform_timeout,
+                                       health_);
     };
     const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame, "camera");
     if (!T_base_camera) return false;
@@ -253,15 +269,18 @@ class MavVoNode {
       if (!recalibrated) return true;
     }
     if (odometry_) {
-      ROS_WARN_STREAM((recalibrated ? "the camera's calibration has changed" : "an IMU has turned up") << ": a new map begins");
+      ROS_WARN_STREAM((recalibrated ? "the camera's calibration has changed" : "an IMU has turned up")
+                      << ": a new map begins");
       dropOdometry();
     }
     OdometrySettings settings = settings_.odometry;
     settings.use_imu = T_base_imu.has_value();
     if (settings_.odometry.use_imu && !settings.use_imu) {
-      ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": visual odometry runs without gyro prior and stays without metric scale");
+      ROS_WARN_STREAM("no IMU on " << imu_topic_
+                                   << ": visual odometry runs without gyro prior and stays without metric scale");
     }
-    odometry_ = std::make_unique<Odometry>(calibration.camera, *T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
+    odometry_ =
+        std::make_unique<Odometry>(calibration.camera, *T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
     with_imu_ = settings.use_imu;
     built_ = calibration;
     camera_frame_ = camera_frame;
@@ -279,7 +298,8 @@ class MavVoNode {
       return;
     }
     for (const ImuSample& sample : imu)
-      if (with_imu_ && !odometry_->addImu(sample)) health_.count("IMU samples refused: stamp not later than the last one's");
+      if (with_imu_ && !odometry_->addImu(sample))
+        health_.count("IMU samples refused: stamp not later than the last one's");
     odometry_->setImuProblem(imu_input_.problem());
     last_stamp_ = stamp;
     const cv::Mat grey = ros_utils::greyFromMsg(*image);
@@ -287,12 +307,14 @@ class MavVoNode {
     r.map_id += map_id_offset_;
     health_.timing("image [s]", r.seconds);
     health_.state(r.state == OdometryState::kTracking ? kOk : kWarn,
-                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view" +
+                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " +
+                      std::to_string(r.inliers) + " landmarks in view" +
                       (settings_.odometry.use_imu && !with_imu_ ? ", without IMU" : ""));
     publish(image, grey, r);
   }
 
-  // ---- Outputs --------------------------------------------------------------------------------------------------------
+  // ---- Outputs
+  // --------------------------------------------------------------------------------------------------------
 
   void publish(const sensor_msgs::Image::ConstPtr& image, const cv::Mat& grey, const FrameResult& r) {
     std_msgs::Header header;
@@ -302,7 +324,9 @@ class MavVoNode {
     if (track_publisher_.getNumSubscribers() > 0 && frame_count_++ % settings_.track_image_every == 0) {
       std_msgs::Header camera_header = header;
       camera_header.frame_id = camera_frame_;
-      track_publisher_.publish(ros_utils::toMsg(visual_frontend::drawTracks(grey, odometry_->features(), odometry_->mappedFeatures()), "bgr8", camera_header));
+      track_publisher_.publish(
+          ros_utils::toMsg(visual_frontend::drawTracks(grey, odometry_->features(), odometry_->mappedFeatures()),
+                           "bgr8", camera_header));
     }
     if (!r.pose_valid || !r.T_map_base.matrix().allFinite() || !r.covariance.allFinite()) return;
     if (r.map_id != map_id_) {
@@ -354,7 +378,8 @@ class MavVoNode {
     increment.previous_stamp = ros::Time(r.increment->previous_stamp);
     increment.relative_pose = ros_utils::toMsg(r.increment->T_previous_current);
     for (int row = 0; row < 4; ++row)
-      for (int column = 0; column < 4; ++column) increment.covariance[4 * row + column] = r.increment->covariance(row, column);
+      for (int column = 0; column < 4; ++column)
+        increment.covariance[4 * row + column] = r.increment->covariance(row, column);
     increment.metric = r.metric;
     increment.scale_variance = r.metric ? r.scale_stddev * r.scale_stddev : 0.0;
     increment.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -373,7 +398,8 @@ class MavVoNode {
     return points;
   }
 
-  // ---- Services -------------------------------------------------------------------------------------------------------
+  // ---- Services
+  // -------------------------------------------------------------------------------------------------------
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&] {
@@ -402,7 +428,8 @@ class MavVoNode {
       }
       air_ground_common::writeTum(request.path, trajectory);
       response.poses = trajectory.size();
-      return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
+      return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " +
+             request.path;
     });
   }
 

@@ -13,12 +13,12 @@ namespace mav_vo {
 struct NodeSettings {
   OdometrySettings odometry;
   std::string map_frame, odom_frame, base_frame;
-  std::string camera_frame, imu_frame;               ///< empty: as the messages say
-  std::optional<Pose> T_base_camera, T_base_imu;     ///< instead of tf
+  std::string camera_frame, imu_frame;            ///< empty: as the messages say
+  std::optional<Pose> T_base_camera, T_base_imu;  ///< instead of tf
   bool publish_tf = true;
-  double transform_timeout = 5.0;                    ///< wall clock [s]
-  double imu_wait = 0.5;                             ///< an image waits so long for the IMU's samples up to its stamp [s of data]
-  double sparse_cloud_interval = 1.0;                ///< [s]
+  double transform_timeout = 5.0;      ///< wall clock [s]
+  double imu_wait = 0.5;               ///< an image waits so long for the IMU's samples up to its stamp [s of data]
+  double sparse_cloud_interval = 1.0;  ///< [s]
   int track_image_every = 2;
   int queue_size = 400;
 };

@@ -13,19 +13,19 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kRestSeconds = 0.6;         // the image and the IMU must be still for so long
-constexpr double kRestPixels = 0.4;          // median motion of the features per image [px]
-constexpr double kRestGyro = 0.015;          // scatter [rad/s]
-constexpr double kRestAccel = 0.2;           // scatter [m/s^2]
-constexpr double kRestGyroMean = 0.1;        // a larger mean rate is no bias [rad/s]
-constexpr double kKnownBiasDrift = 1e-3;     // of a direction turned by the gyro, with a bias measured at rest [rad/s]
-constexpr double kUnknownBiasDrift = 1e-2;   // without
-constexpr double kMapTilt = 0.002;           // of the adjusted map as a whole [rad]
-constexpr double kMetricTilt = 0.01;         // of the metric map's z axis against gravity [rad]
-constexpr std::size_t kRecentImages = 800;   // whose inertial motion is kept for the scale filter
-constexpr double kPlaceEvery = 5;            // images between searches for a known place while lost
-constexpr int kScaleTrial = 40;              // images after which a scale that most of them reject is given up
-constexpr double kMinInlierShare = 0.35;     // of the tracked landmarks; below, the pose is not believed
+constexpr double kRestSeconds = 0.6;        // the image and the IMU must be still for so long
+constexpr double kRestPixels = 0.4;         // median motion of the features per image [px]
+constexpr double kRestGyro = 0.015;         // scatter [rad/s]
+constexpr double kRestAccel = 0.2;          // scatter [m/s^2]
+constexpr double kRestGyroMean = 0.1;       // a larger mean rate is no bias [rad/s]
+constexpr double kKnownBiasDrift = 1e-3;    // of a direction turned by the gyro, with a bias measured at rest [rad/s]
+constexpr double kUnknownBiasDrift = 1e-2;  // without
+constexpr double kMapTilt = 0.002;          // of the adjusted map as a whole [rad]
+constexpr double kMetricTilt = 0.01;        // of the metric map's z axis against gravity [rad]
+constexpr std::size_t kRecentImages = 800;  // whose inertial motion is kept for the scale filter
+constexpr double kPlaceEvery = 5;           // images between searches for a known place while lost
+constexpr int kScaleTrial = 40;             // images after which a scale that most of them reject is given up
+constexpr double kMinInlierShare = 0.35;    // of the tracked landmarks; below, the pose is not believed
 
 template <typename T>
 T quantile(std::vector<T>& values, double q) {
@@ -45,11 +45,13 @@ void OdometrySettings::validate() const {
   require(pixel_sigma > 0, "pixel_sigma must be positive");
   require(gyro_prior_sigma > 0, "gyro_prior_sigma must be positive");
   require(min_inliers >= 6, "min_inliers must be at least 6");
-  require(keyframe_distance > 0 && keyframe_angle > 0 && keyframe_max_interval > 0, "keyframe thresholds must be positive");
+  require(keyframe_distance > 0 && keyframe_angle > 0 && keyframe_max_interval > 0,
+          "keyframe thresholds must be positive");
   require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must lie in (0, 1)");
   require(triangulation_parallax > 0, "triangulation_parallax must be positive");
   require(window >= 3 && window_fixed >= 0, "window must be at least 3, window_fixed at least 0");
-  require(full_interval > 0 && full_max_keyframes >= window, "full_interval must be positive, full_max_keyframes at least window");
+  require(full_interval > 0 && full_max_keyframes >= window,
+          "full_interval must be positive, full_max_keyframes at least window");
   require(metric_stddev > 0 && metric_stddev < 0.5, "metric_stddev must lie in (0, 0.5)");
   require(max_speed > 0 && relocalization_slack >= 0, "max_speed must be positive, relocalization_slack not negative");
   require(max_image_keyframes >= 10, "max_image_keyframes must be at least 10");
@@ -60,16 +62,22 @@ void OdometrySettings::validate() const {
 
 const char* toString(OdometryState state) {
   switch (state) {
-    case OdometryState::kWaiting: return "waiting";
-    case OdometryState::kInitializing: return "initializing";
-    case OdometryState::kScaling: return "scaling";
-    case OdometryState::kTracking: return "tracking";
-    case OdometryState::kLost: return "lost";
+    case OdometryState::kWaiting:
+      return "waiting";
+    case OdometryState::kInitializing:
+      return "initializing";
+    case OdometryState::kScaling:
+      return "scaling";
+    case OdometryState::kTracking:
+      return "tracking";
+    case OdometryState::kLost:
+      return "lost";
   }
   return "unknown";
 }
 
-Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, const Pose& T_base_imu, const OdometrySettings& settings_)
+Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, const Pose& T_base_imu,
+                     const OdometrySettings& settings_)
     : camera(camera_),
       T_base_camera(T_base_camera_),
       T_camera_imu(T_base_camera_.inverse() * T_base_imu),
@@ -121,7 +129,8 @@ void Odometry::Impl::reset() {
   reason = "no image yet";
 }
 
-// Gravity and gyro bias while the vehicle stands: the IMU alone cannot tell standing from flying straight, the image can.
+// Gravity and gyro bias while the vehicle stands: the IMU alone cannot tell standing from flying straight, the image
+// can.
 void Odometry::Impl::watchRest(double stamp) {
   if (up_imu && R_previous_current) {
     const Eigen::Matrix3d R_camera_imu = T_camera_imu.linear();
@@ -135,9 +144,12 @@ void Odometry::Impl::watchRest(double stamp) {
   std::vector<double> motion;
   for (const Feature& f : tracker.features())
     if (f.age > 0) motion.push_back((f.pixel - f.previous_pixel).norm());
-  const bool still = motion.size() >= 10 && quantile(motion, 0.5) < kRestPixels;  // a camera that sees nothing knows nothing
-  if (!still) still_since = -1;
-  else if (still_since < 0) still_since = stamp;
+  const bool still =
+      motion.size() >= 10 && quantile(motion, 0.5) < kRestPixels;  // a camera that sees nothing knows nothing
+  if (!still)
+    still_since = -1;
+  else if (still_since < 0)
+    still_since = stamp;
   if (still_since < 0 || stamp - still_since < kRestSeconds) return;
   const auto mean = imu.mean(stamp - kRestSeconds, stamp);
   if (mean.count < 20 || mean.angular_velocity_std > kRestGyro || mean.specific_force_std > kRestAccel ||
@@ -197,7 +209,8 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
     for (const Feature& f : tracker.features()) {
       const auto id = landmarkOf(f.id);
       if (!id) continue;
-      if (const auto pixel = camera.project(T_camera_map * map.landmark(*id).position)) prediction.pixels[f.id] = *pixel;
+      if (const auto pixel = camera.project(T_camera_map * map.landmark(*id).position))
+        prediction.pixels[f.id] = *pixel;
     }
   }
   tracker.track(gray, prediction);
@@ -238,7 +251,8 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
 }
 
 void Odometry::Impl::initialize(const std::optional<Eigen::Matrix3d>& R) {
-  if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features) tracker.replenish();
+  if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features)
+    tracker.replenish();
   auto start = bootstrap.add(last_stamp, tracker.features(), tracker.pyramid(), R);
   if (!start) {
     reason = "initialising: " + bootstrap.reason();
@@ -297,7 +311,8 @@ void Odometry::Impl::initialize(const std::optional<Eigen::Matrix3d>& R) {
   bootstrap.reset();
   scale.reset(tilt);
   scene_distance = 1;
-  velocity = (map.keyframe(map.lastKeyframe()).T_map_camera.translation() - T_map_first.translation()) / (last.stamp - first.stamp);
+  velocity = (map.keyframe(map.lastKeyframe()).T_map_camera.translation() - T_map_first.translation()) /
+             (last.stamp - first.stamp);
   T_map_camera = map.keyframe(map.lastKeyframe()).T_map_camera;
   located_stamp = -1;
   state = OdometryState::kScaling;
@@ -325,7 +340,8 @@ bool Odometry::Impl::locate(bool gyro) {
   ransac.threshold = 4.0;
   PoseResult start;
   if (gyro) start = visual_frontend::ransacKnownRotation(points, T_map_camera.linear(), ransac);
-  if (!start.success || start.inlier_count < kMinInlierShare * static_cast<double>(points.size())) start = visual_frontend::ransacPose(points, ransac);
+  if (!start.success || start.inlier_count < kMinInlierShare * static_cast<double>(points.size()))
+    start = visual_frontend::ransacPose(points, ransac);
   if (!start.success) {
     last_pose = start;
     return false;
@@ -337,9 +353,11 @@ bool Odometry::Impl::locate(bool gyro) {
   }
   last_pose = visual_frontend::refinePose(points, start.T_map_camera, refine);
   if (!last_pose.success) return false;
-  if (last_pose.inlier_count < settings.min_inliers || last_pose.inlier_count < kMinInlierShare * static_cast<double>(points.size())) {
+  if (last_pose.inlier_count < settings.min_inliers ||
+      last_pose.inlier_count < kMinInlierShare * static_cast<double>(points.size())) {
     last_pose.success = false;
-    last_pose.reason = std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) + " landmarks agree on a pose";
+    last_pose.reason =
+        std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) + " landmarks agree on a pose";
     return false;
   }
   T_map_camera = last_pose.T_map_camera;
@@ -347,8 +365,10 @@ bool Odometry::Impl::locate(bool gyro) {
   std::vector<double> depths;
   const Pose T_camera_map = T_map_camera.inverse();
   for (std::size_t i = 0; i < tracks.size(); ++i) {
-    if (!last_pose.inliers[i]) wrong.push_back(tracks[i]);
-    else depths.push_back((T_camera_map * points[i].p_map).z());
+    if (!last_pose.inliers[i])
+      wrong.push_back(tracks[i]);
+    else
+      depths.push_back((T_camera_map * points[i].p_map).z());
   }
   tracker.remove(wrong);
   for (const TrackId id : wrong) track_landmark.erase(id);
@@ -397,8 +417,8 @@ void Odometry::Impl::localized(bool continuous) {
   located_stamp = last_stamp;
   if (settings.use_imu) scale.add(scaleMeasurement(T_map_camera, scene_distance), motion);
   const KeyframeId reference = map.lastKeyframe();
-  records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance,
-                     motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
+  records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
+                     scene_distance, motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
   if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
 
   const bool keyframe = needsKeyframe();
@@ -410,7 +430,8 @@ void Odometry::Impl::localized(bool continuous) {
   if (keyframe) addKeyframe();
   // A scale that most images since its start speak against was wrong from the start.
   if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(up_sigma);
-  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(settings.metric_stddev) && map.keyframeCount() >= settings.min_metric_keyframes)
+  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(settings.metric_stddev) &&
+      map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if (metric && last_stamp >= next_full && made_keyframe) adjustFully();
   T_map_camera = poseOfRecord(records.size() - 1);
@@ -439,7 +460,8 @@ void Odometry::Impl::scatterCovariance(const Eigen::Matrix3d& R_map_base, Increm
   const double length = t.norm();
   const Eigen::Vector3d along = length > 0 ? Eigen::Vector3d(t / length) : Eigen::Vector3d::UnitX();
   const double length_variance = along.dot(step->pose_covariance.topLeftCorner<3, 3>() * along);
-  const auto scatter = monteCarloIncrement(pairs, step->T_previous_current, T_base_camera, R_map_base, length_variance, sigma(), how);
+  const auto scatter =
+      monteCarloIncrement(pairs, step->T_previous_current, T_base_camera, R_map_base, length_variance, sigma(), how);
   if (scatter.success) step->covariance = scatter.covariance;
 }
 
@@ -456,7 +478,8 @@ void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSet
   for (const LandmarkId id : map.landmarksOf(map.nearestKeyframes(T_map_camera, 8, scene_distance)))
     if (!std::binary_search(tracked.begin(), tracked.end(), id)) candidates.push_back(id);
   reobserved = 0;
-  for (const auto& match : visual_frontend::reobserve(map, camera, tracker.pyramid(), T_map_camera, candidates, occupied, how)) {
+  for (const auto& match :
+       visual_frontend::reobserve(map, camera, tracker.pyramid(), T_map_camera, candidates, occupied, how)) {
     const TrackId track = tracker.addFeature(match.pixel);
     if (track == visual_frontend::kNoTrack) continue;
     track_landmark[track] = match.landmark;
@@ -482,7 +505,8 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   visual_frontend::describeKeyframe(gray, camera, settings.place, query);
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = poseOfRecord(records.size() - 1);
-  if (metric) gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - records.back().stamp);
+  if (metric)
+    gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - records.back().stamp);
   if (metric && settings.use_imu && attitude.initialized()) {
     gate.up_camera = T_camera_imu.linear() * attitude.up();
     gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());
@@ -504,15 +528,16 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   return found;
 }
 
-// Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map leave open,
-// which grows from its origin.
+// Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
+// leave open, which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance(const Matrix6d& camera_covariance) const {
   Matrix6d C = camera_covariance;
   const double relative = metric && scale.initialized() ? scale.relativeStddev() : 0.0;
   const Eigen::Vector3d p = T_map_camera.translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
   const auto known = records.empty() ? keyframe_covariance.end() : keyframe_covariance.find(records.back().reference);
-  if (known != keyframe_covariance.end()) C += visual_frontend::covarianceAt(known->second, p - map.keyframe(known->first).T_map_camera.translation());
+  if (known != keyframe_covariance.end())
+    C += visual_frontend::covarianceAt(known->second, p - map.keyframe(known->first).T_map_camera.translation());
   if (metric) {
     Matrix6d tilt = Matrix6d::Zero();
     tilt(3, 3) = tilt(4, 4) = kMapTilt * kMapTilt;
@@ -550,7 +575,8 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   if (metric && scale.initialized()) result->velocity = scale.state().v;
 }
 
-Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings)
+Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu,
+                   const OdometrySettings& settings)
     : impl_(std::make_unique<Impl>(camera, T_base_camera, T_base_imu, settings)) {}
 
 Odometry::~Odometry() = default;
@@ -578,7 +604,8 @@ std::vector<bool> Odometry::mappedFeatures() const {
 
 air_ground_common::Trajectory Odometry::trajectory() const {
   air_ground_common::Trajectory trajectory;
-  for (std::size_t i = 0; i < impl_->records.size(); ++i) trajectory.push_back({impl_->records[i].stamp, impl_->poseOfRecord(i)});
+  for (std::size_t i = 0; i < impl_->records.size(); ++i)
+    trajectory.push_back({impl_->records[i].stamp, impl_->poseOfRecord(i)});
   return trajectory;
 }
 

@@ -27,14 +27,14 @@ struct Odometry::Impl {
 
   // odometry.cpp: one image
   FrameResult process(double stamp, const cv::Mat& gray);
-  std::string scaleReason() const;    ///< why the map is not metric
-  void startMap();                    ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
+  std::string scaleReason() const;  ///< why the map is not metric
+  void startMap();                  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   void reset();
   void watchRest(double stamp);
   void initialize(const std::optional<Eigen::Matrix3d>& R_previous_current);
-  bool locate(bool gyro);             ///< pose of the current image from tracked landmarks
+  bool locate(bool gyro);  ///< pose of the current image from tracked landmarks
   bool relocalize(const cv::Mat& gray, bool gyro);
-  void localized(bool continuous);    ///< bookkeeping after a pose was found
+  void localized(bool continuous);  ///< bookkeeping after a pose was found
   void scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const;
   void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
   std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* tracks) const;
@@ -54,7 +54,7 @@ struct Odometry::Impl {
   void adopt(const BundleJob& job);
   void adoptFinished(bool wait);
   ScaleMeasurement scaleMeasurement(const Pose& T_map_camera, double distance) const;
-  void rerunScale();                  ///< over the recent images, as the adjusted map places them
+  void rerunScale();  ///< over the recent images, as the adjusted map places them
   void makeMetric();
   void transformMap(const air_ground_common::Similarity& S_new_old);
   Pose poseOfRecord(std::size_t i) const;
@@ -81,7 +81,7 @@ struct Odometry::Impl {
   std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark
 
   std::map<KeyframeId, Matrix6d> keyframe_covariance;  ///< of their poses in the map
-  bool hovering = false;                ///< the last keyframe saw what the one before it saw
+  bool hovering = false;                               ///< the last keyframe saw what the one before it saw
 
   OdometryState state = OdometryState::kWaiting;
   std::string reason = "no image yet";
@@ -91,16 +91,17 @@ struct Odometry::Impl {
   double metric_since = 0;
   double next_full = 0, full_interval = 0;
 
-  double last_stamp = -1;               ///< of the last image [s]
-  double located_stamp = -1;            ///< of the last localised one [s]
-  Pose T_map_camera = Pose::Identity(); ///< at located_stamp
-  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< of the camera in the map [unit/s], constant-velocity prediction
+  double last_stamp = -1;                ///< of the last image [s]
+  double located_stamp = -1;             ///< of the last localised one [s]
+  Pose T_map_camera = Pose::Identity();  ///< at located_stamp
+  Eigen::Vector3d velocity =
+      Eigen::Vector3d::Zero();  ///< of the camera in the map [unit/s], constant-velocity prediction
   PoseResult last_pose;
   Matrix6d previous_covariance = Matrix6d::Zero();
   double lost_since = 0;
   int frames_lost = 0;
   double scene_distance = 1;
-  int keyframe_landmarks = 0;           ///< tracked landmarks when the last keyframe was made
+  int keyframe_landmarks = 0;  ///< tracked landmarks when the last keyframe was made
   int inliers = 0;
   int reobserved = 0;
   double depth_min = 0, depth_max = 0;
@@ -118,7 +119,7 @@ struct Odometry::Impl {
   std::vector<FrameRecord> records;
 
   std::future<BundleJob> running;
-  const cv::Mat* image = nullptr;       ///< the one being processed
+  const cv::Mat* image = nullptr;  ///< the one being processed
 };
 
 }  // namespace mav_vo

@@ -9,14 +9,14 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kMovingShare = 0.01;      // of the scene's distance; below, the vehicle hovers
-constexpr double kHoverInterval = 3.0;     // a keyframe once the vehicle hovers, so that inertial links stay short [s]
-constexpr double kLongHoverInterval = 9.0; // and while it goes on hovering; the IMU's samples reach back 12 s [s]
-constexpr double kRestBiasSigma = 1e-3;    // of a gyro bias measured at rest [rad/s]
-constexpr double kAdjustedTilt = 0.005;    // of the map's z axis after an inertial adjustment [rad]
+constexpr double kMovingShare = 0.01;       // of the scene's distance; below, the vehicle hovers
+constexpr double kHoverInterval = 3.0;      // a keyframe once the vehicle hovers, so that inertial links stay short [s]
+constexpr double kLongHoverInterval = 9.0;  // and while it goes on hovering; the IMU's samples reach back 12 s [s]
+constexpr double kRestBiasSigma = 1e-3;     // of a gyro bias measured at rest [rad/s]
+constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
-constexpr double kScaleHistory = 3.0;      // images from so long before the map became metric are judged too [s]
-constexpr int kMinShared = 8;              // landmarks that make an older keyframe hold the window
+constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
+constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
 
 }  // namespace
 
@@ -29,7 +29,8 @@ bool Odometry::Impl::needsKeyframe() const {
   const double elapsed = last_stamp - last.stamp;
   const double distance = (T_map_camera.translation() - last.T_map_camera.translation()).norm() / scene_distance;
   if (distance > settings.keyframe_distance) return true;
-  if (air_ground_common::rotationAngle(last.T_map_camera.linear(), T_map_camera.linear()) > settings.keyframe_angle) return true;
+  if (air_ground_common::rotationAngle(last.T_map_camera.linear(), T_map_camera.linear()) > settings.keyframe_angle)
+    return true;
   if (keyframe_landmarks > 0 && inliers < settings.keyframe_overlap * keyframe_landmarks) return true;
   if (elapsed > settings.keyframe_max_interval && distance > kMovingShare) return true;
   return elapsed > (hovering && !moved(last) ? kLongHoverInterval : kHoverInterval);
@@ -37,7 +38,8 @@ bool Odometry::Impl::needsKeyframe() const {
 
 bool Odometry::Impl::moved(const Keyframe& since) const {
   return (T_map_camera.translation() - since.T_map_camera.translation()).norm() > kMovingShare * scene_distance ||
-         air_ground_common::rotationAngle(since.T_map_camera.linear(), T_map_camera.linear()) > 0.25 * settings.keyframe_angle;
+         air_ground_common::rotationAngle(since.T_map_camera.linear(), T_map_camera.linear()) >
+             0.25 * settings.keyframe_angle;
 }
 
 void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
@@ -63,7 +65,8 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
     if (metric) {
       const InertialState& before = inertial.states.at(previous);
       const Eigen::Matrix3d R = map.keyframe(previous).T_map_camera.linear() * T_camera_imu.linear();
-      state_here.velocity = before.velocity + Eigen::Vector3d(0, 0, -kGravity) * motion->duration() + R * motion->velocity(before.bias);
+      state_here.velocity =
+          before.velocity + Eigen::Vector3d(0, 0, -kGravity) * motion->duration() + R * motion->velocity(before.bias);
       state_here.bias = before.bias;
     }
   } else if (metric && scale.initialized()) {
@@ -128,7 +131,8 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
     }
     const auto point = visual_frontend::triangulate(rays, how);
     if (!point.ok()) {
-      if (point.status == visual_frontend::TriangulationStatus::kLargeResidual || point.status == visual_frontend::TriangulationStatus::kBehindCamera) {
+      if (point.status == visual_frontend::TriangulationStatus::kLargeResidual ||
+          point.status == visual_frontend::TriangulationStatus::kBehindCamera) {
         tracker.remove({observation.track});
         track_views.erase(seen);
       }
@@ -165,7 +169,8 @@ void Odometry::Impl::adjustLocally() {
   std::sort(free.begin(), free.end());
   for (const auto& other : map.observers(map.landmarksOf(free), kMinShared)) {
     if (static_cast<int>(fixed.size()) > settings.window_fixed) break;
-    if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front())) fixed.push_back(other.keyframe);
+    if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front()))
+      fixed.push_back(other.keyframe);
   }
   BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), metric, T_camera_imu);
   if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
@@ -237,20 +242,23 @@ ScaleMeasurement Odometry::Impl::scaleMeasurement(const Pose& T, double distance
   return measurement;
 }
 
-// The filter saw the images before the map was adjusted: what it says about the scale holds for the map as it is now only when it
-// sees them again.
+// The filter saw the images before the map was adjusted: what it says about the scale holds for the map as it is now
+// only when it sees them again.
 void Odometry::Impl::rerunScale() {
   std::size_t i = 0;
-  while (i < records.size() && (i + 1 >= records.size() || !records[i + 1].motion || !records[i].T_reference_camera.matrix().isIdentity(1e-12) ||
-                                records[i].stamp < metric_since - kScaleHistory))
+  while (i < records.size() &&
+         (i + 1 >= records.size() || !records[i + 1].motion ||
+          !records[i].T_reference_camera.matrix().isIdentity(1e-12) || records[i].stamp < metric_since - kScaleHistory))
     ++i;
   if (i >= records.size()) return;
   scale.reset(kAdjustedTilt);
   const InertialState& start = inertial.states.at(records[i].reference);
-  scale.startAt(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), start.velocity, start.bias.accel, kRestartScaleStddev);
+  scale.startAt(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), start.velocity, start.bias.accel,
+                kRestartScaleStddev);
   for (++i; i < records.size(); ++i) {
     const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance),
+              motion ? std::optional<Preintegration>(*motion) : std::nullopt);
   }
 }
 
@@ -317,7 +325,8 @@ void Odometry::Impl::makeMetric() {
       const Preintegration& motion = link->second;
       const double dt = motion.duration();
       const Pose T_a = it->second.T_map_camera * T_camera_imu, T_b = next->second.T_map_camera * T_camera_imu;
-      here.velocity = (T_b.translation() - T_a.translation() - 0.5 * dt * dt * g - T_a.linear() * motion.position(here.bias)) / dt;
+      here.velocity =
+          (T_b.translation() - T_a.translation() - 0.5 * dt * dt * g - T_a.linear() * motion.position(here.bias)) / dt;
     } else if (it != map.keyframes().begin() && inertial.links.count(it->first)) {
       const auto previous = std::prev(it);
       const Preintegration& motion = inertial.links.at(it->first);

@@ -11,16 +11,17 @@ namespace {
 constexpr int kP = 0, kV = 3, kB = 6, kG = 9, kS = 11;
 constexpr int kMaxRejectedInARow = 10;
 constexpr double kMapVelocityStddev = 0.05;  // of a velocity taken from bundle adjustment [m/s]
-constexpr double kDiffuseRatio = 30.0;  // standard deviation of the scale before the start, against the scale itself
-constexpr double kMaxRejectedShare = 0.1;   // of the measurements since the start, when the scale counts as certain
+constexpr double kDiffuseRatio = 30.0;     // standard deviation of the scale before the start, against the scale itself
+constexpr double kMaxRejectedShare = 0.1;  // of the measurements since the start, when the scale counts as certain
 constexpr double kForcedScaleStddev = 0.1;  // added when a row of rejections forces the motion to start afresh [1]
 
 using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
 using MeasurementMatrix = Eigen::Matrix<double, 3, ScaleFilter::kStates>;
 
-/// Correction K * innovation for isotropic measurement noise; P becomes the posterior (Joseph form), `nis` grows by the squared
-/// Mahalanobis distance of the innovation.
-ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, double sigma, ScaleFilter::Covariance* P, double* nis = nullptr) {
+/// Correction K * innovation for isotropic measurement noise; P becomes the posterior (Joseph form), `nis` grows by the
+/// squared Mahalanobis distance of the innovation.
+ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, double sigma,
+                         ScaleFilter::Covariance* P, double* nis = nullptr) {
   const Eigen::Matrix3d S = H * *P * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
   if (nis) *nis += innovation.dot(S.ldlt().solve(innovation));
   const Eigen::Matrix<double, ScaleFilter::kStates, 3> K = S.ldlt().solve(H * *P).transpose();
@@ -40,7 +41,9 @@ void addError(const ErrorVector& error, ScaleFilter::State* state) {
 Eigen::Vector3d lever(const ScaleMeasurement& m) { return m.R_map_imu * m.p_imu_camera; }
 
 /// Visual position of the camera: exp(-L) (p + R l).
-Eigen::Vector3d predictedVisual(const ScaleFilter::State& state, const ScaleMeasurement& m) { return (state.p + lever(m)) / state.scale; }
+Eigen::Vector3d predictedVisual(const ScaleFilter::State& state, const ScaleMeasurement& m) {
+  return (state.p + lever(m)) / state.scale;
+}
 
 /// Its derivative by the error.
 MeasurementMatrix measurementMatrix(const ScaleFilter::State& state, const ScaleMeasurement& m) {
@@ -69,7 +72,8 @@ void ScaleFilter::reset(double tilt_stddev) {
   contradicted_ = false;
 }
 
-void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias, double scale_stddev) {
+void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias,
+                          double scale_stddev) {
   state_ = State{};
   state_.p = m.p_map_camera - lever(m);
   state_.v = velocity;
@@ -86,7 +90,9 @@ void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velo
   initialized_ = true;
 }
 
-double ScaleFilter::rejectedShare() const { return updates_ > 0 ? static_cast<double>(rejected_updates_) / updates_ : 0.0; }
+double ScaleFilter::rejectedShare() const {
+  return updates_ > 0 ? static_cast<double>(rejected_updates_) / updates_ : 0.0;
+}
 
 bool ScaleFilter::certain(double relative_stddev) const {
   return initialized_ && relativeStddev() < relative_stddev && rejectedShare() <= kMaxRejectedShare;
@@ -98,7 +104,8 @@ double ScaleFilter::relativeStddev() const {
 
 double ScaleFilter::scaleStddev() const { return initialized_ ? state_.scale * relativeStddev() : relativeStddev(); }
 
-ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const {
+ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev,
+                                                     double position_stddev) const {
   Covariance P = Covariance::Zero();
   P.diagonal().segment<3>(kV).setConstant(settings_.velocity_stddev * settings_.velocity_stddev);
   P.diagonal().segment<3>(kB).setConstant(settings_.accel_bias_stddev * settings_.accel_bias_stddev);
@@ -107,11 +114,13 @@ ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_d
   P(kS, kS) = scale_stddev * scale_stddev;
   P.block<3, 1>(kP, kS) = dp_dscale * P(kS, kS);
   P.block<1, 3>(kS, kP) = P.block<3, 1>(kP, kS).transpose();
-  P.block<3, 3>(kP, kP) = dp_dscale * dp_dscale.transpose() * P(kS, kS) + Eigen::Matrix3d::Identity() * position_stddev * position_stddev;
+  P.block<3, 3>(kP, kP) =
+      dp_dscale * dp_dscale.transpose() * P(kS, kS) + Eigen::Matrix3d::Identity() * position_stddev * position_stddev;
   return P;
 }
 
-void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out, Covariance* Q_out) const {
+void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out,
+                            Covariance* Q_out) const {
   const double dt = motion.duration();
   const Eigen::Vector3d gravity(state->gravity_xy.x(), state->gravity_xy.y(), -kGravity);
   // Rotation comes from vision, so the deltas use the gyro bias they were integrated at.
@@ -141,7 +150,8 @@ void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d&
 }
 
 void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<Preintegration>& motion) {
-  if (!measurement.p_map_camera.allFinite() || !measurement.R_map_imu.allFinite() || !(measurement.scene_distance > 0)) return;
+  if (!measurement.p_map_camera.allFinite() || !measurement.R_map_imu.allFinite() || !(measurement.scene_distance > 0))
+    return;
   if (initialized_) {
     if (motion) {
       Covariance F, Q;
@@ -178,7 +188,8 @@ std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
     state = State{};
     state.scale = guess;
     state.p = guess * first.p_map_camera - lever(first);
-    Covariance P = priorCovariance(first.p_map_camera, kDiffuseRatio * guess, settings_.position_stddev * first.scene_distance * guess);
+    Covariance P = priorCovariance(first.p_map_camera, kDiffuseRatio * guess,
+                                   settings_.position_stddev * first.scene_distance * guess);
     for (std::size_t i = 1; i < window_.size(); ++i) {
       const ScaleMeasurement& m = window_[i].measurement;
       Covariance F, Q;
@@ -187,7 +198,8 @@ std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
       MeasurementMatrix H = MeasurementMatrix::Zero();
       H.block<3, 3>(0, kP) = -Eigen::Matrix3d::Identity();
       H.col(kS) = m.p_map_camera;
-      const ErrorVector dx = kalmanUpdate(H, state.p + lever(m) - state.scale * m.p_map_camera, settings_.position_stddev * m.scene_distance * guess, &P);
+      const ErrorVector dx = kalmanUpdate(H, state.p + lever(m) - state.scale * m.p_map_camera,
+                                          settings_.position_stddev * m.scene_distance * guess, &P);
       addError(dx, &state);
       state.scale += dx(kS);
     }
@@ -215,7 +227,8 @@ bool ScaleFilter::start() {
       const ImuBias bias{motion.bias().gyro, nominal.accel_bias};
       nominal.v -= gravity * motion.duration() + window_[i - 1].measurement.R_map_imu * motion.velocity(bias);
     }
-    P = priorCovariance(solution.scale * first.p_map_camera, kDiffuseRatio, settings_.position_stddev * first.scene_distance * nominal.scale);
+    P = priorCovariance(solution.scale * first.p_map_camera, kDiffuseRatio,
+                        settings_.position_stddev * first.scene_distance * nominal.scale);
     ErrorVector error = ErrorVector::Zero();  // mean of the error about the nominal state; the prior means are zero
     error.segment<3>(kV) = -nominal.v;
     error.segment<3>(kB) = -nominal.accel_bias;
@@ -254,7 +267,8 @@ void ScaleFilter::update(const ScaleMeasurement& m) {
   if (!(last_nis_ < settings_.gate)) {
     ++rejected_;
     ++rejected_updates_;
-    // A jump of the visual map (relocalisation) shows as a row of rejections: accept the new place. The scale may be what is wrong.
+    // A jump of the visual map (relocalisation) shows as a row of rejections: accept the new place. The scale may be
+    // what is wrong.
     if (++rejected_in_a_row_ >= kMaxRejectedInARow) {
       rejected_in_a_row_ = 0;
       P_(kS, kS) += kForcedScaleStddev * kForcedScaleStddev;

@@ -40,7 +40,8 @@ struct Scene {
 };
 
 /// Feeds the flight from 2.5 s on; the first result and the true pose of its last view in its first.
-std::optional<BootstrapResult> start(Scene& scene, bool gyro, double outlier_share, Pose* T_truth, double gyro_noise = 0) {
+std::optional<BootstrapResult> start(Scene& scene, bool gyro, double outlier_share, Pose* T_truth,
+                                     double gyro_noise = 0) {
   const synthetic::Flight flight;
   Bootstrap bootstrap(scene.camera, BootstrapSettings{});
   std::normal_distribution<double> normal(0, gyro_noise);
@@ -49,7 +50,8 @@ std::optional<BootstrapResult> start(Scene& scene, bool gyro, double outlier_sha
     const double t = 2.5 + 0.05 * i;
     std::optional<Eigen::Matrix3d> R;
     if (gyro)
-      R = at(t - 0.05).linear().transpose() * at(t).linear() * air_ground_common::expSO3({normal(scene.random), normal(scene.random), normal(scene.random)});
+      R = at(t - 0.05).linear().transpose() * at(t).linear() *
+          air_ground_common::expSO3({normal(scene.random), normal(scene.random), normal(scene.random)});
     auto result = bootstrap.add(t, scene.view(at(t), 0.4, outlier_share), {}, R);
     if (!result) continue;
     *T_truth = at(result->views.front().stamp).inverse() * at(result->views.back().stamp);
@@ -125,8 +127,11 @@ TEST(Bootstrap, WaitsDuringPureRotation) {
       Pose turned = T;
       turned.linear() = T.linear() * air_ground_common::expSO3({0.01 * i, 0.004 * i, 0});
       std::optional<Eigen::Matrix3d> R;
-      if (gyro) R = air_ground_common::expSO3({0.01 * (i - 1), 0.004 * (i - 1), 0}).transpose() * air_ground_common::expSO3({0.01 * i, 0.004 * i, 0});
-      EXPECT_FALSE(bootstrap.add(0.05 * i, scene.view(turned, 0.4), {}, R)) << (gyro ? "with" : "without") << " gyro, image " << i;
+      if (gyro)
+        R = air_ground_common::expSO3({0.01 * (i - 1), 0.004 * (i - 1), 0}).transpose() *
+            air_ground_common::expSO3({0.01 * i, 0.004 * i, 0});
+      EXPECT_FALSE(bootstrap.add(0.05 * i, scene.view(turned, 0.4), {}, R))
+          << (gyro ? "with" : "without") << " gyro, image " << i;
     }
     EXPECT_FALSE(bootstrap.reason().empty());
   }
@@ -145,7 +150,8 @@ TEST(TwoPoint, AgreesWithTruthAndFivePoints) {
   const synthetic::Flight flight;
   const double sigma = 0.4 / scene.camera.fx;
   for (const double t : {3.0, 5.0, 8.0}) {
-    const Pose a = flight.T_world_imu(t) * synthetic::T_imu_camera(), b = flight.T_world_imu(t + 0.6) * synthetic::T_imu_camera();
+    const Pose a = flight.T_world_imu(t) * synthetic::T_imu_camera(),
+               b = flight.T_world_imu(t + 0.6) * synthetic::T_imu_camera();
     std::vector<Eigen::Vector2d> xa, xb;
     const auto view_a = scene.view(a, 0.4), view_b = scene.view(b, 0.4);
     for (const auto& f : view_a)
@@ -155,7 +161,8 @@ TEST(TwoPoint, AgreesWithTruthAndFivePoints) {
           xb.push_back(g.normalized);
         }
     const Pose T = a.inverse() * b;
-    const auto two = visual_frontend::translationFromKnownRotation(xa, xb, T.linear(), sigma, visual_frontend::RansacSettings{});
+    const auto two =
+        visual_frontend::translationFromKnownRotation(xa, xb, T.linear(), sigma, visual_frontend::RansacSettings{});
     std::vector<unsigned char> inliers;
     const auto five = fivePointPose(xa, xb, sigma, &inliers);
     ASSERT_TRUE(two.success) << two.reason;
@@ -164,7 +171,8 @@ TEST(TwoPoint, AgreesWithTruthAndFivePoints) {
     EXPECT_GT(two.t_a_b.dot(truth), std::cos(0.02));
     EXPECT_GT(five->translation().dot(truth), std::cos(0.12));
     // Knowing the rotation can only help.
-    EXPECT_LT(std::acos(std::min(1.0, two.t_a_b.dot(truth))), std::acos(std::min(1.0, five->translation().dot(truth))) + 0.01);
+    EXPECT_LT(std::acos(std::min(1.0, two.t_a_b.dot(truth))),
+              std::acos(std::min(1.0, five->translation().dot(truth))) + 0.01);
   }
 }
 

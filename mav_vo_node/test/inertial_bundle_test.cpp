@@ -11,7 +11,8 @@ namespace {
 
 /// Numeric derivative of a cost function against its analytic Jacobians.
 template <int Residuals, std::size_t Blocks>
-void checkJacobians(const ceres::CostFunction& cost, const std::array<std::vector<double>, Blocks>& x0, double tolerance) {
+void checkJacobians(const ceres::CostFunction& cost, const std::array<std::vector<double>, Blocks>& x0,
+                    double tolerance) {
   std::array<std::vector<double>, Blocks> x = x0, jacobian;
   std::array<const double*, Blocks> pointers;
   std::array<double*, Blocks> jacobian_pointers;
@@ -41,7 +42,8 @@ void checkJacobians(const ceres::CostFunction& cost, const std::array<std::vecto
   }
 }
 
-Preintegration motionBetween(double t0, double t1, const ImuNoise& noise, const ImuBias& bias, const ImuBias& at, std::mt19937& random) {
+Preintegration motionBetween(double t0, double t1, const ImuNoise& noise, const ImuBias& bias, const ImuBias& at,
+                             std::mt19937& random) {
   Preintegration motion(noise, at);
   motion.integrate(synthetic::Flight{}.imuSamples(t0, t1, 200, noise, bias, random));
   return motion;
@@ -57,7 +59,8 @@ TEST(InertialCost, VanishesAtTheTruth) {
   // Weighed with realistic noise: residuals in sigmas.
   Preintegration realistic(ImuNoise{}, bias);
   realistic.integrate(motion.samples());
-  const Pose a = flight.T_world_imu(t0) * synthetic::T_imu_camera(), b = flight.T_world_imu(t1) * synthetic::T_imu_camera();
+  const Pose a = flight.T_world_imu(t0) * synthetic::T_imu_camera(),
+             b = flight.T_world_imu(t1) * synthetic::T_imu_camera();
   const InertialCost cost(a.linear(), b.linear(), synthetic::T_imu_camera().inverse(), realistic);
   std::vector<double> ca(6, 0.0), cb(6, 0.0), bias_vector(6);
   Eigen::Map<Eigen::Vector3d>(ca.data()) = a.translation();
@@ -75,7 +78,8 @@ TEST(InertialCost, JacobiansMatchNumericDerivatives) {
   const synthetic::Flight flight;
   std::mt19937 random(2);
   const Preintegration motion = motionBetween(4.0, 4.4, ImuNoise{}, ImuBias{}, ImuBias{}, random);
-  const Pose a = flight.T_world_imu(4.0) * synthetic::T_imu_camera(), b = flight.T_world_imu(4.4) * synthetic::T_imu_camera();
+  const Pose a = flight.T_world_imu(4.0) * synthetic::T_imu_camera(),
+             b = flight.T_world_imu(4.4) * synthetic::T_imu_camera();
   const InertialCost cost(a.linear(), b.linear(), synthetic::T_imu_camera().inverse(), motion);
   const auto vector = [&](int n, double scale) {
     std::normal_distribution<double> normal(0, scale);
@@ -90,10 +94,14 @@ TEST(GyroCost, JacobiansMatchNumericDerivatives) {
   const synthetic::Flight flight;
   std::mt19937 random(3);
   const Preintegration motion = motionBetween(4.0, 4.4, ImuNoise{}, ImuBias{}, ImuBias{}, random);
-  const Pose a = flight.T_world_imu(4.0) * synthetic::T_imu_camera(), b = flight.T_world_imu(4.4) * synthetic::T_imu_camera();
+  const Pose a = flight.T_world_imu(4.0) * synthetic::T_imu_camera(),
+             b = flight.T_world_imu(4.4) * synthetic::T_imu_camera();
   const GyroCost cost(a.linear(), b.linear(), synthetic::T_imu_camera().inverse().linear(), motion);
-  checkJacobians<3, 3>(cost, {std::vector<double>{1, 2, 3, 0.01, -0.02, 0.03}, std::vector<double>{1e-4, -2e-4, 1e-4, 0.1, 0.2, 0.3},
-                              std::vector<double>{1, 2, 3, -0.02, 0.01, 0.01}}, 2e-3);
+  checkJacobians<3, 3>(
+      cost,
+      {std::vector<double>{1, 2, 3, 0.01, -0.02, 0.03}, std::vector<double>{1e-4, -2e-4, 1e-4, 0.1, 0.2, 0.3},
+       std::vector<double>{1, 2, 3, -0.02, 0.01, 0.01}},
+      2e-3);
 }
 
 TEST(BiasAndPriorCost, JacobiansMatchNumericDerivatives) {
@@ -133,13 +141,15 @@ World makeWorld(double scale, double tilt, unsigned seed) {
       const Eigen::Vector3d q = T.inverse() * points[i];
       const auto pixel = camera.project(q);
       if (!pixel || !camera.contains(*pixel)) continue;
-      p.visual.measurements.push_back({k, i, q.head<2>() / q.z() + sigma * Eigen::Vector2d(normal(random), normal(random)), sigma, 0, 0});
+      p.visual.measurements.push_back(
+          {k, i, q.head<2>() / q.z() + sigma * Eigen::Vector2d(normal(random), normal(random)), sigma, 0, 0});
     }
     visual_frontend::BundleProblem::Camera c;
     c.T_map_camera.linear() = R * T.linear();
     c.T_map_camera.translation() = first.translation() + scale * (R * (T.translation() - first.translation()));
     p.visual.cameras.push_back(c);
-    p.states.push_back({flight.velocity(t) + 0.1 * Eigen::Vector3d(normal(random), normal(random), normal(random)), ImuBias{}});
+    p.states.push_back(
+        {flight.velocity(t) + 0.1 * Eigen::Vector3d(normal(random), normal(random), normal(random)), ImuBias{}});
     p.state_fixed.push_back(0);
     if (k > 0) p.links.push_back({k - 1, k, motionBetween(t - step, t, noise, bias, ImuBias{}, random)});
   }
@@ -156,9 +166,12 @@ TEST(InertialBundle, FindsScaleAndGravity) {
     ASSERT_TRUE(result.usable) << result.message;
     double length = 0, truth = 0, tilt = 0;
     for (std::size_t k = 1; k < world.truth.size(); ++k) {
-      length += (world.problem.visual.cameras[k].T_map_camera.translation() - world.problem.visual.cameras[k - 1].T_map_camera.translation()).norm();
+      length += (world.problem.visual.cameras[k].T_map_camera.translation() -
+                 world.problem.visual.cameras[k - 1].T_map_camera.translation())
+                    .norm();
       truth += (world.truth[k].translation() - world.truth[k - 1].translation()).norm();
-      const Eigen::Vector3d up = world.problem.visual.cameras[k].T_map_camera.linear().row(2), up_truth = world.truth[k].linear().row(2);
+      const Eigen::Vector3d up = world.problem.visual.cameras[k].T_map_camera.linear().row(2),
+                            up_truth = world.truth[k].linear().row(2);
       tilt = std::max(tilt, std::acos(std::min(1.0, up.dot(up_truth))));
     }
     EXPECT_NEAR(length / truth, 1.0, 0.01) << "started at scale " << scale;
@@ -179,21 +192,25 @@ TEST(InertialBundle, WithoutMetresTheGyroStillBindsRotations) {
     EXPECT_TRUE(solveInertialBundle(world.problem, settings).usable);
     double worst = 0;
     for (std::size_t k = 0; k < world.truth.size(); ++k)
-      worst = std::max(worst, air_ground_common::rotationAngle(world.problem.visual.cameras[k].T_map_camera.linear(), world.truth[k].linear()));
+      worst = std::max(worst, air_ground_common::rotationAngle(world.problem.visual.cameras[k].T_map_camera.linear(),
+                                                               world.truth[k].linear()));
     return worst;
   };
   const Eigen::Vector3d gyro_bias(2e-3, -1e-3, 1e-3);
   World seen = makeWorld(1.0, 0.0, 8);
   InertialBundleSettings patient;
   patient.max_iterations = 40;
-  // Some 15 points an image show the bias to a fraction of its prior (0.01 rad/s); 5.5 s of its error is what the rotation may be off.
+  // Some 15 points an image show the bias to a fraction of its prior (0.01 rad/s); 5.5 s of its error is what the
+  // rotation may be off.
   EXPECT_LT(solve(seen, patient), 0.012);
   EXPECT_LT((seen.problem.states.back().bias.gyro - gyro_bias).norm(), 2e-3);
 
   // So few points that images alone leave the rotation loose, but the bias known from a rest.
   World sparse = makeWorld(1.0, 0.0, 8);
   auto& measurements = sparse.problem.visual.measurements;
-  measurements.erase(std::remove_if(measurements.begin(), measurements.end(), [](const auto& m) { return m.point > 60; }), measurements.end());
+  measurements.erase(
+      std::remove_if(measurements.begin(), measurements.end(), [](const auto& m) { return m.point > 60; }),
+      measurements.end());
   for (auto& state : sparse.problem.states) state.bias.gyro = gyro_bias;
   InertialBundleSettings settings;
   settings.gyro_bias_prior = 1e-4;

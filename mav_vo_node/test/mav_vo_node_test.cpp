@@ -36,12 +36,19 @@ class MavVoNode : public testing::Test {
     info_ = handle_.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 400);
     imu_ = handle_.advertise<sensor_msgs::Imu>("mav/imu/data", 5000);
     subscribers_ = {
-        handle_.subscribe<nav_msgs::Odometry>("mav/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry_.push_back(*m); }),
-        handle_.subscribe<air_ground::PosedImage>("mav/posed_image", 1000, [this](const air_ground::PosedImage::ConstPtr& m) { posed_.push_back(m); }),
-        handle_.subscribe<air_ground::VoIncrement>("mav/vo_increment", 1000, [this](const air_ground::VoIncrement::ConstPtr& m) { increments_.push_back(*m); }),
-        handle_.subscribe<air_ground::VoStatus>("mav/vo_status", 1000, [this](const air_ground::VoStatus::ConstPtr& m) { status_.push_back(*m); }),
-        handle_.subscribe<sensor_msgs::PointCloud2>("mav/sparse_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(*m); }),
-        handle_.subscribe<sensor_msgs::Image>("mav/track_image", 100, [this](const sensor_msgs::Image::ConstPtr& m) { tracks_.push_back(m); }),
+        handle_.subscribe<nav_msgs::Odometry>(
+            "mav/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry_.push_back(*m); }),
+        handle_.subscribe<air_ground::PosedImage>(
+            "mav/posed_image", 1000, [this](const air_ground::PosedImage::ConstPtr& m) { posed_.push_back(m); }),
+        handle_.subscribe<air_ground::VoIncrement>(
+            "mav/vo_increment", 1000,
+            [this](const air_ground::VoIncrement::ConstPtr& m) { increments_.push_back(*m); }),
+        handle_.subscribe<air_ground::VoStatus>(
+            "mav/vo_status", 1000, [this](const air_ground::VoStatus::ConstPtr& m) { status_.push_back(*m); }),
+        handle_.subscribe<sensor_msgs::PointCloud2>(
+            "mav/sparse_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(*m); }),
+        handle_.subscribe<sensor_msgs::Image>("mav/track_image", 100,
+                                              [this](const sensor_msgs::Image::ConstPtr& m) { tracks_.push_back(m); }),
         handle_.subscribe("/tf", 1000, &MavVoNode::onTf, this)};
     geometry_msgs::TransformStamped camera, imu;
     camera.header.frame_id = imu.header.frame_id = "mav_base_link";
@@ -82,11 +89,13 @@ class MavVoNode : public testing::Test {
     return diagnostics_.awaitReceived(info_.getTopic(), cameraHeader(t).stamp);
   }
 
-  /// Plays the flight from `begin` (rest) to `duration`, with images smaller by `factor`; never more than 30 images ahead of the node.
+  /// Plays the flight from `begin` (rest) to `duration`, with images smaller by `factor`; never more than 30 images
+  /// ahead of the node.
   void play(double duration, double begin = 0, double factor = 1) {
     std::mt19937 random(11);
     cv::RNG grain(5);
-    const auto samples = flight_.imuSamples(begin, duration, 200, mav_vo::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4}, {{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}}, random);
+    const auto samples = flight_.imuSamples(begin, duration, 200, mav_vo::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4},
+                                            {{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}}, random);
     std::size_t next = 0;
     const std::size_t before = status_.size();
     std::size_t sent = 0;
@@ -157,7 +166,8 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   ASSERT_FALSE(status_.empty());
   EXPECT_EQ(status_.front().state, air_ground::VoStatus::STATE_INITIALIZING);
   EXPECT_EQ(status_.back().state, air_ground::VoStatus::STATE_TRACKING);
-  for (const auto& s : status_) EXPECT_TRUE(s.state == air_ground::VoStatus::STATE_TRACKING || !s.reason.empty()) << int(s.state);
+  for (const auto& s : status_)
+    EXPECT_TRUE(s.state == air_ground::VoStatus::STATE_TRACKING || !s.reason.empty()) << int(s.state);
   ASSERT_GT(odometry_.size(), 60u);
   ASSERT_GT(posed_.size(), odometry_.size());
 
@@ -171,7 +181,8 @@ TEST_F(MavVoNode, FliesALoopedBag) {
     for (int i = 0; i < 6; ++i) EXPECT_GT(m.pose.covariance[7 * i], 0);
     estimate.push_back({m.header.stamp.toSec(), T});
   }
-  const auto error = air_ground_common::absoluteTrajectoryError(truth_base_, estimate, air_ground_common::Alignment::kYawTranslation);
+  const auto error =
+      air_ground_common::absoluteTrajectoryError(truth_base_, estimate, air_ground_common::Alignment::kYawTranslation);
   std::printf("published: ATE %.4f m over %.2f m\n", error.rmse, error.path_length);
   EXPECT_LT(error.rmse, 0.02 * error.path_length);
   std::size_t metric = 0;
@@ -186,10 +197,12 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   }
   // The posed image is of the camera, the odometry of the base.
   EXPECT_EQ(metric, odometry_.size());
-  const Pose T_camera = ros_utils::fromMsg(posed_.back()->pose.pose), T_base = ros_utils::fromMsg(odometry_.back().pose.pose);
+  const Pose T_camera = ros_utils::fromMsg(posed_.back()->pose.pose),
+             T_base = ros_utils::fromMsg(odometry_.back().pose.pose);
   EXPECT_LT(((T_base * synthetic::T_imu_camera()).translation() - T_camera.translation()).norm(), 1e-6);
   // Image rate: a pose with every image once metric.
-  EXPECT_NEAR(static_cast<double>(odometry_.size()), (odometry_.back().header.stamp - odometry_.front().header.stamp).toSec() / 0.05 + 1, 3);
+  EXPECT_NEAR(static_cast<double>(odometry_.size()),
+              (odometry_.back().header.stamp - odometry_.front().header.stamp).toSec() / 0.05 + 1, 3);
 
   for (const auto& v : increments_) {
     for (int i = 0; i < 4; ++i) EXPECT_GT(v.covariance[5 * i], 0);
@@ -198,7 +211,8 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   }
   // An increment says where the later base is in the earlier one.
   const auto& last = increments_.back();
-  const auto a = air_ground_common::poseAt(truth_base_, last.previous_stamp.toSec()), b = air_ground_common::poseAt(truth_base_, last.header.stamp.toSec());
+  const auto a = air_ground_common::poseAt(truth_base_, last.previous_stamp.toSec()),
+             b = air_ground_common::poseAt(truth_base_, last.header.stamp.toSec());
   ASSERT_TRUE(a && b);
   EXPECT_LT((ros_utils::fromMsg(last.relative_pose).translation() - (a->inverse() * *b).translation()).norm(), 0.01);
 
@@ -223,7 +237,10 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
   const auto saved = air_ground_common::readTum(trajectory.request.path);
   EXPECT_EQ(saved.size(), trajectory.response.poses);
-  EXPECT_LT(air_ground_common::absoluteTrajectoryError(truth_camera_, saved, air_ground_common::Alignment::kYawTranslation).rmse, 0.01 * error.path_length);
+  EXPECT_LT(
+      air_ground_common::absoluteTrajectoryError(truth_camera_, saved, air_ground_common::Alignment::kYawTranslation)
+          .rmse,
+      0.01 * error.path_length);
   std::remove(trajectory.request.path.c_str());
   air_ground::SaveMap map;
   for (const std::string extension : {".ply", ".pcd"}) {

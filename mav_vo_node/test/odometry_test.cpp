@@ -71,7 +71,9 @@ Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* gi
 
 double ate(const Outcome& o, const air_ground_common::Trajectory& estimate, double* scale_error = nullptr) {
   if (scale_error)
-    *scale_error = air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kSimilarity).reference_from_estimate.scale - 1;
+    *scale_error = air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kSimilarity)
+                       .reference_from_estimate.scale -
+                   1;
   return air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kYawTranslation).rmse;
 }
 
@@ -82,8 +84,8 @@ TEST(Odometry, IsMetricAndAccurate) {
   double scale_error = 1;
   const double error = ate(o, o.final_poses, &scale_error);
   const double length = air_ground_common::pathLength(o.truth);
-  std::printf("metric after %.2f s; final ATE %.4f m of %.2f m (%.3f %%), scale error %+.3f %%, as published %.4f m\n", o.metric_at, error, length,
-              100 * error / length, 100 * scale_error, ate(o, o.online));
+  std::printf("metric after %.2f s; final ATE %.4f m of %.2f m (%.3f %%), scale error %+.3f %%, as published %.4f m\n",
+              o.metric_at, error, length, 100 * error / length, 100 * scale_error, ate(o, o.online));
   EXPECT_LT(error, 0.01 * length);
   EXPECT_LT(std::abs(scale_error), 0.015);
   EXPECT_LT(ate(o, o.online), 0.02 * length);
@@ -105,8 +107,8 @@ TEST(Odometry, IsMetricAndAccurate) {
 }
 
 TEST(Odometry, IncrementsCarryAnHonestCovariance) {
-  // Normalised errors of (x, y, z, yaw) between consecutive images; 4 on average if the covariance is honest. The paper's scatter
-  // of minimal samples is cautious by construction.
+  // Normalised errors of (x, y, z, yaw) between consecutive images; 4 on average if the covariance is honest. The
+  // paper's scatter of minimal samples is cautious by construction.
   const Outcome o = fly({});
   double scatter = 0, poses = 0, variance_ratio = 0;
   int count = 0, cautious = 0;
@@ -123,26 +125,30 @@ TEST(Odometry, IncrementsCarryAnHonestCovariance) {
     const Pose T_previous = truthAt(step.previous_stamp), truth = T_previous.inverse() * truthAt(r.stamp);
     Eigen::Vector4d e;
     e.head<3>() = step.T_previous_current.translation() - truth.translation();
-    e[3] = (T_previous.linear() * air_ground_common::logSO3(step.T_previous_current.linear() * truth.linear().transpose())).z();
+    e[3] =
+        (T_previous.linear() * air_ground_common::logSO3(step.T_previous_current.linear() * truth.linear().transpose()))
+            .z();
     EXPECT_GT(air_ground_common::symmetricEigen(step.covariance).values[0], 0);
     EXPECT_NEAR((step.covariance - step.covariance.transpose()).norm(), 0, 1e-15);
     scatter += air_ground_common::squaredMahalanobis(e, step.covariance);
     poses += air_ground_common::squaredMahalanobis(e, step.pose_covariance);
-    variance_ratio += std::sqrt(step.covariance.topLeftCorner<3, 3>().trace() / step.pose_covariance.topLeftCorner<3, 3>().trace());
+    variance_ratio +=
+        std::sqrt(step.covariance.topLeftCorner<3, 3>().trace() / step.pose_covariance.topLeftCorner<3, 3>().trace());
     cautious += step.covariance.trace() >= step.pose_covariance.trace();
     ++count;
   }
   ASSERT_GT(count, 80);
-  std::printf("increments: %d, mean NEES %.2f (monte_carlo), %.2f (poses), 4 expected; standard deviations %.1f times larger\n", count, scatter / count,
-              poses / count, variance_ratio / count);
+  std::printf(
+      "increments: %d, mean NEES %.2f (monte_carlo), %.2f (poses), 4 expected; standard deviations %.1f times larger\n",
+      count, scatter / count, poses / count, variance_ratio / count);
   EXPECT_LT(scatter / count, 4.5);
   EXPECT_LT(poses / count, 12);
   EXPECT_GT(cautious, 0.9 * count);
 }
 
 TEST(Odometry, PosesCarryAnHonestCovariance) {
-  // Normalised errors of the base's position in the map, 3 on average if the covariance is honest. Errors of one flight belong
-  // together, so the bounds are wide; a covariance ten times too large or too small is outside.
+  // Normalised errors of the base's position in the map, 3 on average if the covariance is honest. Errors of one flight
+  // belong together, so the bounds are wide; a covariance ten times too large or too small is outside.
   double sum = 0;
   int count = 0;
   for (int seed = 1; seed <= 3; ++seed) {
@@ -154,12 +160,14 @@ TEST(Odometry, PosesCarryAnHonestCovariance) {
     const Outcome o = fly(options, {}, &odometry);
     ASSERT_GT(o.metric_at, 0);
     const Pose first = options.flight.T_world_imu(odometry.map().keyframes().begin()->second.stamp);
-    const Pose T_map_world = air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse();
+    const Pose T_map_world =
+        air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse();
     double flight = 0;
     int frames = 0;
     for (const FrameResult& r : o.frames) {
       if (!r.metric || !r.pose_valid) continue;
-      const Eigen::Vector3d e = r.T_map_base.translation() - (T_map_world * options.flight.T_world_imu(r.stamp)).translation();
+      const Eigen::Vector3d e =
+          r.T_map_base.translation() - (T_map_world * options.flight.T_world_imu(r.stamp)).translation();
       flight += air_ground_common::squaredMahalanobis(e, r.covariance.topLeftCorner<3, 3>());
       ++frames;
     }
@@ -193,7 +201,8 @@ TEST(Odometry, SameInputSameOutput) {
   options.end = 5;
   const Outcome a = fly(options), b = fly(options);
   ASSERT_EQ(a.final_poses.size(), b.final_poses.size());
-  for (std::size_t i = 0; i < a.final_poses.size(); ++i) ASSERT_EQ(a.final_poses[i].T_map_body.matrix(), b.final_poses[i].T_map_body.matrix()) << i;
+  for (std::size_t i = 0; i < a.final_poses.size(); ++i)
+    ASSERT_EQ(a.final_poses[i].T_map_body.matrix(), b.final_poses[i].T_map_body.matrix()) << i;
 }
 
 TEST(Odometry, StartsInFlight) {
@@ -204,7 +213,8 @@ TEST(Odometry, StartsInFlight) {
   ASSERT_GT(o.metric_at, 0);
   double scale_error = 1;
   const double error = ate(o, o.final_poses, &scale_error);
-  std::printf("start in flight: metric after %.2f s, ATE %.4f m, scale error %+.3f %%\n", o.metric_at - options.begin, error, 100 * scale_error);
+  std::printf("start in flight: metric after %.2f s, ATE %.4f m, scale error %+.3f %%\n", o.metric_at - options.begin,
+              error, 100 * scale_error);
   EXPECT_LT(error, 0.02 * air_ground_common::pathLength(o.truth));
   EXPECT_LT(std::abs(scale_error), 0.02);
 }
@@ -275,7 +285,9 @@ TEST(Odometry, ResetGivesANewMap) {
   const Outcome second = fly(options, {}, &odometry);  // time runs again from the start, as in a looped bag
   EXPECT_GT(second.frames.front().map_id, first.frames.back().map_id);
   ASSERT_EQ(first.final_poses.size(), second.final_poses.size());
-  EXPECT_LT((first.final_poses.back().T_map_body.translation() - second.final_poses.back().T_map_body.translation()).norm(), 1e-6);
+  EXPECT_LT(
+      (first.final_poses.back().T_map_body.translation() - second.final_poses.back().T_map_body.translation()).norm(),
+      1e-6);
 }
 
 TEST(Odometry, RefusesWhatItCannotUse) {

@@ -34,7 +34,10 @@ TEST(Preintegration, PredictsTheTrueMotion) {
   const Eigen::Vector3d g(0, 0, -kGravity);
   const double dt = t1 - t0;
   EXPECT_NEAR(motion.duration(), dt, 1e-9);
-  EXPECT_LT((T0.translation() + flight.velocity(t0) * dt + 0.5 * dt * dt * g + T0.linear() * motion.position() - T1.translation()).norm(), 2e-5);
+  EXPECT_LT((T0.translation() + flight.velocity(t0) * dt + 0.5 * dt * dt * g + T0.linear() * motion.position() -
+             T1.translation())
+                .norm(),
+            2e-5);
   EXPECT_LT((flight.velocity(t0) + g * dt + T0.linear() * motion.velocity() - flight.velocity(t1)).norm(), 1e-4);
   EXPECT_LT(air_ground_common::rotationAngle(T0.linear() * motion.rotation(), T1.linear()), 1e-5);
 }
@@ -91,10 +94,13 @@ TEST(Preintegration, CovarianceMatchesMonteCarlo) {
     sum += d * d.transpose() / runs;
   }
   // Standard deviations agree to 12 % (their own relative error is 1 / sqrt(2 * 600) = 3 %).
-  for (int i = 0; i < 9; ++i) EXPECT_NEAR(std::sqrt(sum(i, i) / nominal.covariance()(i, i)), 1.0, 0.12) << "state " << i;
+  for (int i = 0; i < 9; ++i)
+    EXPECT_NEAR(std::sqrt(sum(i, i) / nominal.covariance()(i, i)), 1.0, 0.12) << "state " << i;
   // And correlations of velocity and position.
   for (int i = 3; i < 6; ++i) {
-    const auto correlation = [i](const Eigen::Matrix<double, 9, 9>& C) { return C(i, i + 3) / std::sqrt(C(i, i) * C(i + 3, i + 3)); };
+    const auto correlation = [i](const Eigen::Matrix<double, 9, 9>& C) {
+      return C(i, i + 3) / std::sqrt(C(i, i) * C(i + 3, i + 3));
+    };
     EXPECT_NEAR(correlation(sum), correlation(nominal.covariance()), 0.06);
   }
 }
@@ -170,15 +176,18 @@ TEST(Preintegration, PredictsEurocOverHalfASecond) {
     const Eigen::Matrix3d Rb = Eigen::Quaterniond(b[4], b[5], b[6], b[7]).toRotationMatrix();
     const Eigen::Vector3d pa(a[1], a[2], a[3]), pb(b[1], b[2], b[3]), va(a[8], a[9], a[10]);
     const double dt = motion.duration();
-    position_errors.push_back((pa + va * dt + 0.5 * dt * dt * Eigen::Vector3d(0, 0, -kGravity) + Ra * motion.position() - pb).norm());
+    position_errors.push_back(
+        (pa + va * dt + 0.5 * dt * dt * Eigen::Vector3d(0, 0, -kGravity) + Ra * motion.position() - pb).norm());
     rotation_errors.push_back(air_ground_common::rotationAngle(Ra * motion.rotation(), Rb));
   }
   ASSERT_GT(position_errors.size(), 150u);
   std::sort(position_errors.begin(), position_errors.end());
   std::sort(rotation_errors.begin(), rotation_errors.end());
-  const double position = position_errors[position_errors.size() / 2], rotation = rotation_errors[rotation_errors.size() / 2];
+  const double position = position_errors[position_errors.size() / 2],
+               rotation = rotation_errors[rotation_errors.size() / 2];
   RecordProperty("median_position_error_mm", static_cast<int>(1000 * position));
-  std::printf("EuRoC V1_01, 0.5 s ahead: median error %.1f mm, %.2f mrad over %zu intervals\n", 1e3 * position, 1e3 * rotation, position_errors.size());
+  std::printf("EuRoC V1_01, 0.5 s ahead: median error %.1f mm, %.2f mrad over %zu intervals\n", 1e3 * position,
+              1e3 * rotation, position_errors.size());
   EXPECT_LT(position, 0.02);
   EXPECT_LT(rotation, 0.004);
 }

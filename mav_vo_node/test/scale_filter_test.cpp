@@ -11,8 +11,8 @@ using namespace mav_vo;
 namespace {
 
 // The camera in a map of its own origin, attitude and unit; `error` in that unit.
-ScaleMeasurement seenAt(const synthetic::Flight& flight, double t, const Eigen::Matrix3d& R_map_world, const Eigen::Vector3d& origin, double true_scale,
-                        const Eigen::Vector3d& error) {
+ScaleMeasurement seenAt(const synthetic::Flight& flight, double t, const Eigen::Matrix3d& R_map_world,
+                        const Eigen::Vector3d& origin, double true_scale, const Eigen::Vector3d& error) {
   ScaleMeasurement m;
   m.p_imu_camera = synthetic::T_imu_camera().translation();
   m.p_map_camera = R_map_world * (flight.T_world_imu(t) * m.p_imu_camera - origin) / true_scale + error;
@@ -21,19 +21,20 @@ ScaleMeasurement seenAt(const synthetic::Flight& flight, double t, const Eigen::
   return m;
 }
 
-Preintegration motionBetween(double from, double to, const ImuBuffer& buffer, const ImuNoise& noise = {}, const ImuBias& bias = {}) {
+Preintegration motionBetween(double from, double to, const ImuBuffer& buffer, const ImuNoise& noise = {},
+                             const ImuBias& bias = {}) {
   Preintegration motion(noise, bias);
   motion.integrate(samplesBetween(buffer, from, to));
   return motion;
 }
 
 struct Outcome {
-  double start_time = -1;        ///< when the filter started [s after the first frame]
-  double ratio = 0;              ///< estimated over true scale at the end
+  double start_time = -1;  ///< when the filter started [s after the first frame]
+  double ratio = 0;        ///< estimated over true scale at the end
   double relative_stddev = 0;
-  double nees = 0;               ///< squared error of the log scale over its variance
-  double nees_full = 0;          ///< of position, velocity, accel bias and scale (10 degrees of freedom)
-  double early_nees = 0;         ///< of the log scale one second after the start
+  double nees = 0;        ///< squared error of the log scale over its variance
+  double nees_full = 0;   ///< of position, velocity, accel bias and scale (10 degrees of freedom)
+  double early_nees = 0;  ///< of the log scale one second after the start
 };
 
 Outcome simulate(unsigned seed, double true_scale, double duration, double visual_stddev = 0.002) {
@@ -52,7 +53,8 @@ Outcome simulate(unsigned seed, double true_scale, double duration, double visua
   settings.accel_bias_stddev = 0.05;
   const double tilt = 0.01;
   // A map tilted against gravity, as the attitude filter would leave it.
-  const Eigen::Matrix3d R_map_world = air_ground_common::expSO3(tilt * Eigen::Vector3d(normal(random), normal(random), 0));
+  const Eigen::Matrix3d R_map_world =
+      air_ground_common::expSO3(tilt * Eigen::Vector3d(normal(random), normal(random), 0));
   ScaleFilter filter(settings, noise, tilt);
   ImuBuffer buffer(1000);
   for (const auto& s : flight.imuSamples(begin - 0.1, begin + duration + 0.1, 200, noise, bias, random)) buffer.add(s);
@@ -72,8 +74,8 @@ Outcome simulate(unsigned seed, double true_scale, double duration, double visua
   run.ratio = filter.scale() / true_scale;
   run.relative_stddev = filter.relativeStddev();
   Eigen::Matrix<double, 10, 1> error;
-  error << filter.state().p - R_map_world * (flight.T_world_imu(t).translation() - origin), filter.state().v - R_map_world * flight.velocity(t),
-      filter.state().accel_bias - bias.accel, std::log(run.ratio);
+  error << filter.state().p - R_map_world * (flight.T_world_imu(t).translation() - origin),
+      filter.state().v - R_map_world * flight.velocity(t), filter.state().accel_bias - bias.accel, std::log(run.ratio);
   Eigen::Matrix<double, 10, 10> C;
   const auto& P = filter.covariance();
   C << P.topLeftCorner<9, 9>(), P.block<9, 1>(0, 11), P.block<1, 9>(11, 0), P(11, 11);
@@ -101,7 +103,8 @@ TEST(ScaleFilter, IsConsistentOverManyRuns) {
     nees_full += run.nees_full / runs;
     early += run.early_nees / runs;
   }
-  std::printf("mean NEES over %d runs: log scale %.2f (1), 1 s after start %.2f (1), state %.2f (10)\n", runs, nees, early, nees_full);
+  std::printf("mean NEES over %d runs: log scale %.2f (1), 1 s after start %.2f (1), state %.2f (10)\n", runs, nees,
+              early, nees_full);
   // Chi-squared means over 60 runs, 99.9 % two-sided: 1 dof in [0.5, 1.7], 10 dof in [8.2, 12.0].
   EXPECT_GT(nees, 0.45);
   EXPECT_LT(nees, 1.7);
@@ -114,13 +117,14 @@ TEST(ScaleFilter, IsConsistentOverManyRuns) {
 using Spoil = std::function<ImuSample(ImuSample)>;
 
 struct Believed {
-  bool metric = false;   ///< at any time what the odometry takes for certain
-  double metric_at = -1; ///< [s]
-  double ratio = 0;      ///< then: estimated over true scale
+  bool metric = false;    ///< at any time what the odometry takes for certain
+  double metric_at = -1;  ///< [s]
+  double ratio = 0;       ///< then: estimated over true scale
   bool contradicted = false;
 };
 
-/// Flies with the default settings, as the odometry uses the filter: the map is levelled by what the IMU calls up at the start.
+/// Flies with the default settings, as the odometry uses the filter: the map is levelled by what the IMU calls up at
+/// the start.
 Believed believe(unsigned seed, const Spoil& spoil) {
   const synthetic::Flight flight;
   std::mt19937 random(seed);
@@ -130,10 +134,13 @@ Believed believe(unsigned seed, const Spoil& spoil) {
   const ImuBias bias{1e-3 * vector(), 0.05 * vector()};
   const double begin = 1.5, frame = 0.05, duration = 12.0, true_scale = 1.7;
   ImuBuffer buffer(1000);
-  for (const auto& s : flight.imuSamples(begin - 0.1, begin + duration + 0.1, 200, noise, bias, random)) buffer.add(spoil(s));
+  for (const auto& s : flight.imuSamples(begin - 0.1, begin + duration + 0.1, 200, noise, bias, random))
+    buffer.add(spoil(s));
   const Eigen::Vector3d up = spoil(flight.imu(0.5)).specific_force;
-  const Eigen::Matrix3d R_map_world = air_ground_common::expSO3(0.01 * Eigen::Vector3d(normal(random), normal(random), 0)) *
-                                      (up.norm() > 0.5 ? air_ground_common::levelingRotation(flight.T_world_imu(0.5).linear() * up) : Eigen::Matrix3d::Identity());
+  const Eigen::Matrix3d R_map_world =
+      air_ground_common::expSO3(0.01 * Eigen::Vector3d(normal(random), normal(random), 0)) *
+      (up.norm() > 0.5 ? air_ground_common::levelingRotation(flight.T_world_imu(0.5).linear() * up)
+                       : Eigen::Matrix3d::Identity());
   const Eigen::Vector3d origin = flight.T_world_imu(begin).translation();
   ScaleFilter filter(ScaleFilterSettings{}, noise, 0.012);
   Believed result;
@@ -178,7 +185,8 @@ TEST(ScaleFilter, IsNotCertainWithAWrongImu) {
   for (const auto& [name, spoil] : cases) {
     for (unsigned seed = 1; seed <= 3; ++seed) {
       const Believed b = believe(seed, spoil);
-      EXPECT_FALSE(b.metric) << name << ", seed " << seed << ": after " << b.metric_at << " s, " << b.ratio << " of the true scale";
+      EXPECT_FALSE(b.metric) << name << ", seed " << seed << ": after " << b.metric_at << " s, " << b.ratio
+                             << " of the true scale";
     }
   }
 }
@@ -210,7 +218,8 @@ TEST(ScaleFilter, DoesNotStartWhileHovering) {
     if (i > 0) motion = motionBetween(0.05 * (i - 1), 0.05 * i, buffer);
     filter.add(m, motion);
   }
-  EXPECT_FALSE(filter.initialized() && filter.relativeStddev() < 0.1) << filter.scale() << " +- " << filter.scaleStddev();
+  EXPECT_FALSE(filter.initialized() && filter.relativeStddev() < 0.1)
+      << filter.scale() << " +- " << filter.scaleStddev();
 }
 
 TEST(ScaleFilter, TransformRescalesAndLevels) {

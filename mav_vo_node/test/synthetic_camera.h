@@ -1,4 +1,5 @@
-// Renders what a downward camera sees of a textured floor with plates floating above it: exact geometry, plain noise texture.
+// Renders what a downward camera sees of a textured floor with plates floating above it: exact geometry, plain noise
+// texture.
 #pragma once
 
 #include <opencv2/core.hpp>
@@ -15,12 +16,14 @@ class PlateWorld {
     cv::RNG random(seed);
     planes_.push_back(makePlane(random, -5.0, -5.0, 10.0, 10.0, 0.0));
     for (int i = 0; plates && i < 25; ++i)
-      planes_.push_back(makePlane(random, random.uniform(-3.0, 3.0), random.uniform(-3.0, 4.0), random.uniform(0.3, 0.8), random.uniform(0.3, 0.8), random.uniform(0.1, 0.6)));
+      planes_.push_back(makePlane(random, random.uniform(-3.0, 3.0), random.uniform(-3.0, 4.0),
+                                  random.uniform(0.3, 0.8), random.uniform(0.3, 0.8), random.uniform(0.1, 0.6)));
     std::sort(planes_.begin(), planes_.end(), [](const Plane& a, const Plane& b) { return a.z < b.z; });
   }
 
   /// 8-bit image of a pinhole without distortion above all plates that looks down within 60 degrees.
-  cv::Mat render(const air_ground_common::CameraModel& camera, const Pose& T_world_camera, double gain = 1.0, cv::RNG* noise = nullptr) const {
+  cv::Mat render(const air_ground_common::CameraModel& camera, const Pose& T_world_camera, double gain = 1.0,
+                 cv::RNG* noise = nullptr) const {
     cv::Mat image(camera.height, camera.width, CV_8UC1, cv::Scalar(0));
     const Pose T = T_world_camera.inverse();
     for (const Plane& plane : planes_) {
@@ -32,15 +35,17 @@ class PlateWorld {
       Eigen::Matrix3d H = camera.K() * M;
       // Only the part of the image that the plate covers is warped.
       cv::Rect2d box;
-      for (const auto& corner : {Eigen::Vector3d(0, 0, 1), Eigen::Vector3d(plane.texture.cols, 0, 1), Eigen::Vector3d(0, plane.texture.rows, 1),
-                                 Eigen::Vector3d(plane.texture.cols, plane.texture.rows, 1)}) {
+      for (const auto& corner :
+           {Eigen::Vector3d(0, 0, 1), Eigen::Vector3d(plane.texture.cols, 0, 1),
+            Eigen::Vector3d(0, plane.texture.rows, 1), Eigen::Vector3d(plane.texture.cols, plane.texture.rows, 1)}) {
         const Eigen::Vector2d p = (H * corner).hnormalized();
         const cv::Rect2d around(p.x() - 1, p.y() - 1, 2, 2);
         box = box.area() > 0 ? box | around : around;
       }
       const cv::Rect2d whole(0, 0, camera.width, camera.height), seen = box & whole;
       if (seen.area() < 1) continue;
-      const cv::Rect area = cv::Rect(cv::Point(cvFloor(seen.x), cvFloor(seen.y)), cv::Point(cvCeil(seen.br().x), cvCeil(seen.br().y)));
+      const cv::Rect area =
+          cv::Rect(cv::Point(cvFloor(seen.x), cvFloor(seen.y)), cv::Point(cvCeil(seen.br().x), cvCeil(seen.br().y)));
       Eigen::Matrix3d shift = Eigen::Matrix3d::Identity();
       shift(0, 2) = -area.x;
       shift(1, 2) = -area.y;
@@ -77,8 +82,10 @@ class PlateWorld {
       const cv::Point p(random.uniform(0, size.width), random.uniform(0, size.height));
       const int extent = static_cast<int>(3 + 30 * std::pow(random.uniform(0.0, 1.0), 4));
       const cv::Scalar grey(random.uniform(30, 220));
-      if (i % 2) cv::rectangle(texture, cv::Rect(p.x, p.y, extent, random.uniform(3, 3 + extent)), grey, -1);
-      else cv::circle(texture, p, extent / 2 + 1, grey, -1, cv::LINE_AA);
+      if (i % 2)
+        cv::rectangle(texture, cv::Rect(p.x, p.y, extent, random.uniform(3, 3 + extent)), grey, -1);
+      else
+        cv::circle(texture, p, extent / 2 + 1, grey, -1, cv::LINE_AA);
     }
     cv::GaussianBlur(texture, texture, cv::Size(3, 3), 0.7);
     return {x, y, z, texture};

@@ -1,4 +1,5 @@
-// Analytic flight with exact IMU signals, and a cloud of points below it: ground truth for the tests of visual-inertial parts.
+// Analytic flight with exact IMU signals, and a cloud of points below it: ground truth for the tests of visual-inertial
+// parts.
 #pragma once
 
 #include <cmath>
@@ -34,8 +35,9 @@ struct Flight {
   Pose T_world_imu(double t) const {
     const double f = flightTime(t), w = 2 * M_PI / period;
     Pose T = Pose::Identity();
-    T.translation() = Eigen::Vector3d(radius * std::sin(w * f), radius * (1 - std::cos(w * f)) * 0.8 + 0.2 * std::sin(0.5 * w * f),
-                                      0.4 + (height - 0.4) * (1 - std::exp(-f * f / 3.0)) + 0.15 * std::sin(1.3 * w * f) * (1 - std::exp(-f * f)));
+    T.translation() = Eigen::Vector3d(
+        radius * std::sin(w * f), radius * (1 - std::cos(w * f)) * 0.8 + 0.2 * std::sin(0.5 * w * f),
+        0.4 + (height - 0.4) * (1 - std::exp(-f * f / 3.0)) + 0.15 * std::sin(1.3 * w * f) * (1 - std::exp(-f * f)));
     const double fade = 1 - std::exp(-f * f);
     T.linear() = (Eigen::AngleAxisd(yaw_rate * f, Eigen::Vector3d::UnitZ()) *
                   Eigen::AngleAxisd(wobble * fade * std::sin(2.1 * f), Eigen::Vector3d::UnitY()) *
@@ -55,7 +57,8 @@ struct Flight {
     const Pose T = T_world_imu(t);
     mav_vo::ImuSample sample;
     sample.stamp = t;
-    sample.angular_velocity = air_ground_common::logSO3(T_world_imu(t - h).linear().transpose() * T_world_imu(t + h).linear()) / (2 * h);
+    sample.angular_velocity =
+        air_ground_common::logSO3(T_world_imu(t - h).linear().transpose() * T_world_imu(t + h).linear()) / (2 * h);
     const Eigen::Vector3d acceleration =
         (T_world_imu(t + h).translation() - 2 * T.translation() + T_world_imu(t - h).translation()) / (h * h);
     sample.specific_force = T.linear().transpose() * (acceleration + Eigen::Vector3d(0, 0, mav_vo::kGravity));

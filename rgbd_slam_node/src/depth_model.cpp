@@ -8,7 +8,8 @@ namespace rgbd_slam {
 void DepthModel::validate() const {
   if (!(sigma_base > 0)) throw std::invalid_argument("DepthModel::sigma_base must be positive");
   if (!(sigma_quadratic >= 0)) throw std::invalid_argument("DepthModel::sigma_quadratic must not be negative");
-  if (!(min_range > 0 && max_range > min_range)) throw std::invalid_argument("DepthModel needs 0 < min_range < max_range");
+  if (!(min_range > 0 && max_range > min_range))
+    throw std::invalid_argument("DepthModel needs 0 < min_range < max_range");
 }
 
 std::optional<double> sampleDepth(const cv::Mat& depth, const Eigen::Vector2d& pixel, const DepthModel& model) {

@@ -32,15 +32,18 @@ bool known(float z) { return std::isfinite(z) && z > 0; }
 /// Marks pixels whose neighbourhood holds a depth edge: a jump that no surface within the incidence limit explains.
 cv::Mat edges(const cv::Mat& depth, const DepthModel& model, double fx, double max_incidence) {
   cv::Mat mask(depth.size(), CV_8UC1, cv::Scalar(0));
-  const double slope = std::tan(max_incidence) / fx;  // relative change of depth a pixel at the steepest accepted surface
+  const double slope =
+      std::tan(max_incidence) / fx;  // relative change of depth a pixel at the steepest accepted surface
   for (int v = 0; v + 1 < depth.rows; ++v) {
     const float* row = depth.ptr<float>(v);
     const float* below = depth.ptr<float>(v + 1);
     for (int u = 0; u + 1 < depth.cols; ++u) {
       if (!known(row[u])) continue;
       const double limit = 3 * model.sigma(row[u]) + slope * row[u];
-      if (known(row[u + 1]) && std::abs(row[u + 1] - row[u]) > limit) mask.at<std::uint8_t>(v, u) = mask.at<std::uint8_t>(v, u + 1) = 255;
-      if (known(below[u]) && std::abs(below[u] - row[u]) > limit) mask.at<std::uint8_t>(v, u) = mask.at<std::uint8_t>(v + 1, u) = 255;
+      if (known(row[u + 1]) && std::abs(row[u + 1] - row[u]) > limit)
+        mask.at<std::uint8_t>(v, u) = mask.at<std::uint8_t>(v, u + 1) = 255;
+      if (known(below[u]) && std::abs(below[u] - row[u]) > limit)
+        mask.at<std::uint8_t>(v, u) = mask.at<std::uint8_t>(v + 1, u) = 255;
     }
   }
   return mask;
@@ -48,7 +51,8 @@ cv::Mat edges(const cv::Mat& depth, const DepthModel& model, double fx, double m
 
 }  // namespace
 
-KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr, const DepthModel& model, const CloudSettings& settings) {
+KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr,
+                             const DepthModel& model, const CloudSettings& settings) {
   if (depth.type() != CV_32F || depth.size() != bgr.size() || (bgr.type() != CV_8UC3 && bgr.type() != CV_8UC1)) {
     throw std::invalid_argument("KeyframeDepth: needs CV_32F depth and a CV_8UC3 or CV_8UC1 image of the same size");
   }
@@ -77,7 +81,8 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
     for (int u = kReach; u < depth.cols - kReach; u += settings.stride) {
       const float z = depth.at<float>(v, u);
       if (!known(z) || z < model.min_range || z > max_range || edge.at<std::uint8_t>(v, u)) continue;
-      const float zl = meanDepth(u - kReach, v, true), zr = meanDepth(u + kReach, v, true), zu = meanDepth(u, v - kReach, false), zd = meanDepth(u, v + kReach, false);
+      const float zl = meanDepth(u - kReach, v, true), zr = meanDepth(u + kReach, v, true),
+                  zu = meanDepth(u, v - kReach, false), zd = meanDepth(u, v + kReach, false);
       if (!known(zl) || !known(zr) || !known(zu) || !known(zd)) continue;
       const Eigen::Vector2d ray = camera.unproject(Eigen::Vector2d(u, v));
       const double dx = kReach / camera.fx, dy = kReach / camera.fy;
@@ -103,7 +108,8 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
   }
 }
 
-void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const Pose& T_frame_keyframe, const DepthModel& model, const CloudSettings& settings) {
+void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const Pose& T_frame_keyframe,
+                         const DepthModel& model, const CloudSettings& settings) {
   const Eigen::Matrix3f R = T_frame_keyframe.linear().cast<float>();
   const Eigen::Vector3f t = T_frame_keyframe.translation().cast<float>();
   ++frames_;
@@ -153,7 +159,8 @@ std::vector<KeyframeDepth::Point> KeyframeDepth::points(const DepthModel& model,
 namespace {
 
 std::int64_t keyOf(int x, int y, int z) {
-  return (static_cast<std::int64_t>(z & 0x1fffff) << 42) | (static_cast<std::int64_t>(y & 0x1fffff) << 21) | (x & 0x1fffff);
+  return (static_cast<std::int64_t>(z & 0x1fffff) << 42) | (static_cast<std::int64_t>(y & 0x1fffff) << 21) |
+         (x & 0x1fffff);
 }
 
 struct Voxel {
@@ -177,7 +184,8 @@ std::vector<CloudPoint> fusePoints(const std::vector<PosedPoints>& keyframes, co
     const Eigen::Vector3f t = k.T_map_camera.translation().cast<float>();
     for (const KeyframeDepth::Point& point : *k.points) {
       const Eigen::Vector3f p = R * point.position + t;
-      const int x = static_cast<int>(std::floor(p.x() * inverse)), y = static_cast<int>(std::floor(p.y() * inverse)), z = static_cast<int>(std::floor(p.z() * inverse));
+      const int x = static_cast<int>(std::floor(p.x() * inverse)), y = static_cast<int>(std::floor(p.y() * inverse)),
+                z = static_cast<int>(std::floor(p.z() * inverse));
       Voxel& voxel = voxels[keyOf(x, y, z)];
       voxel.x = x;
       voxel.y = y;

@@ -9,7 +9,8 @@ namespace rgbd_slam {
 
 void Slam::Impl::fillOrb(const cv::Mat& gray, const cv::Mat& depth, Keyframe& keyframe) const {
   visual_frontend::describeKeyframe(gray, camera, settings.place, keyframe);
-  for (const Eigen::Vector2d& pixel : keyframe.orb_pixels) keyframe.orb_depth.push_back(sampleDepth(depth, pixel, settings.depth).value_or(0));
+  for (const Eigen::Vector2d& pixel : keyframe.orb_pixels)
+    keyframe.orb_depth.push_back(sampleDepth(depth, pixel, settings.depth).value_or(0));
 }
 
 void Slam::Impl::mergeLandmarks(KeyframeId id, const std::vector<std::pair<int, LandmarkId>>& seen) {
@@ -39,7 +40,8 @@ void Slam::Impl::mergeLandmarks(KeyframeId id, const std::vector<std::pair<int, 
     const LandmarkId present = map.keyframe(id).observations[nearest].landmark;
     // Two corners 3 px apart may be two points: only what coincides in space is one.
     const double range = (map.landmark(landmark).position - map.keyframe(id).T_map_camera.translation()).norm();
-    if (present == landmark || (map.landmark(present).position - map.landmark(landmark).position).norm() > 0.02 * range) continue;
+    if (present == landmark || (map.landmark(present).position - map.landmark(landmark).position).norm() > 0.02 * range)
+      continue;
     map.fuse(landmark, present);
     for (auto& [track, held] : track_landmark) {
       if (held == present) held = landmark;
@@ -55,12 +57,15 @@ bool Slam::Impl::closeLoop(KeyframeId id) {
   std::vector<KeyframeId> places;
   for (const auto& [other, keyframe] : map.keyframes()) {
     if (other + settings.loop_min_gap > id || near.count(other)) continue;
-    const double reach = settings.loop_slack + settings.loop_drift * (keyframe_path.at(id) - keyframe_path.at(other)) + 0.7 * settings.depth.max_range;
+    const double reach = settings.loop_slack + settings.loop_drift * (keyframe_path.at(id) - keyframe_path.at(other)) +
+                         0.7 * settings.depth.max_range;
     if ((keyframe.T_map_camera.translation() - now.translation()).norm() > reach) continue;
-    if (keyframe.T_map_camera.linear().col(2).dot(now.linear().col(2)) > std::cos(0.8 + settings.loop_max_rotation)) places.push_back(other);
+    if (keyframe.T_map_camera.linear().col(2).dot(now.linear().col(2)) > std::cos(0.8 + settings.loop_max_rotation))
+      places.push_back(other);
   }
   if (places.empty()) return false;
-  const visual_frontend::PlaceMatch match = visual_frontend::recognizePlace(map, camera, map.keyframe(id), places, settings.place);
+  const visual_frontend::PlaceMatch match =
+      visual_frontend::recognizePlace(map, camera, map.keyframe(id), places, settings.place);
   if (!match.success || match.inliers < settings.loop_min_inliers) return false;
 
   const Pose T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;

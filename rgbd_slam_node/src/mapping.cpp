@@ -1,5 +1,5 @@
-// Keyframes and landmarks. Landmarks start from measured depth, also while the camera only turns (paper, section IV), and
-// from parallax where the sensor sees no depth.
+// Keyframes and landmarks. Landmarks start from measured depth, also while the camera only turns (paper, section IV),
+// and from parallax where the sensor sees no depth.
 #include <algorithm>
 #include <cmath>
 
@@ -14,7 +14,8 @@ bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
   // Seen from afar, parallax grows slowly: distances count against the depth of the scene.
   std::vector<double> depths;
   for (const Observation& o : last.observations) {
-    if (o.landmark != kNoLandmark) depths.push_back((last.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
+    if (o.landmark != kNoLandmark)
+      depths.push_back((last.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
   }
   double median = 2.0;
   if (!depths.empty()) {
@@ -22,21 +23,26 @@ bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
     median = depths[depths.size() / 2];
   }
   // Both against their thresholds.
-  const double moved = (T_map_camera.translation() - last.T_map_camera.translation()).norm() / (settings.keyframe_translation * median);
-  const double turned = air_ground_common::rotationAngle(T_map_camera.linear(), last.T_map_camera.linear()) / settings.keyframe_rotation;
+  const double moved =
+      (T_map_camera.translation() - last.T_map_camera.translation()).norm() / (settings.keyframe_translation * median);
+  const double turned =
+      air_ground_common::rotationAngle(T_map_camera.linear(), last.T_map_camera.linear()) / settings.keyframe_rotation;
   if (moved > 1 || turned > 1) return true;
   // From where the last keyframe stood, another sees nothing new, unless landmarks were lost since.
   const bool something_new = moved > 0.25 || turned > 0.25 || keyframe_landmarks > 1.25 * landmarks;
-  return something_new && (landmarks < settings.keyframe_overlap * keyframe_landmarks || landmarks < 3 * settings.min_inliers);
+  return something_new &&
+         (landmarks < settings.keyframe_overlap * keyframe_landmarks || landmarks < 3 * settings.min_inliers);
 }
 
 void Slam::Impl::finishDepth() {
   if (!active_depth) return;
-  keyframe_points[map.lastKeyframe()] = std::make_shared<const std::vector<KeyframeDepth::Point>>(active_depth->points(settings.depth, settings.cloud));
+  keyframe_points[map.lastKeyframe()] =
+      std::make_shared<const std::vector<KeyframeDepth::Point>>(active_depth->points(settings.depth, settings.cloud));
   active_depth.reset();
 }
 
-KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance,
+                                   const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
   finishDepth();
   tracker.replenish();
   Keyframe keyframe;
@@ -46,7 +52,8 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
   if (settings.use_gravity && gravity_known && attitude.initialized()) {
     keyframe.up_camera = R_camera_imu * attitude.up();
     // In a curve the accelerometer leans for as long as the curve lasts.
-    keyframe.up_sigma = attitude.atRest() ? 1.5 * attitude.upSigma() : std::max(settings.gravity_sigma, attitude.upSigma());
+    keyframe.up_sigma =
+        attitude.atRest() ? 1.5 * attitude.upSigma() : std::max(settings.gravity_sigma, attitude.upSigma());
   }
   for (const Feature& f : tracker.features()) {
     Observation o;
@@ -92,7 +99,8 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
     for (const LandmarkObservation& view : views) {
       const Keyframe& keyframe = map.keyframe(view.keyframe);
       const Observation& seen = keyframe.observations[view.index];
-      rays.push_back({keyframe.T_map_camera, seen.normalized, settings.pixel_sigma / focal, seen.depth, seen.depth_sigma});
+      rays.push_back(
+          {keyframe.T_map_camera, seen.normalized, settings.pixel_sigma / focal, seen.depth, seen.depth_sigma});
     }
     const auto result = visual_frontend::triangulate(rays, triangulation);
     if (!result.ok()) {

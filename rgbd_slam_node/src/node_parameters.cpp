@@ -75,7 +75,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.cloud.min_weight_share = p.number("cloud_min_weight_share", s.cloud.min_weight_share, 0.0, 0.9);
   s.max_fused_frames = p.integer("cloud_fused_frames", s.max_fused_frames, 0, 200);
   p.finish();
-  if (s.depth.max_range <= s.depth.min_range) throw ParameterError("parameter depth_max_range must be greater than depth_min_range");
+  if (s.depth.max_range <= s.depth.min_range)
+    throw ParameterError("parameter depth_max_range must be greater than depth_min_range");
   s.validate();
   return n;
 }

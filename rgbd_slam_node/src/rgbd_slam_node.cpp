@@ -33,10 +33,14 @@ constexpr int kOk = 0, kWarn = 1;
 
 std::uint8_t stateOf(State state) {
   switch (state) {
-    case State::kWaiting: return air_ground::VoStatus::STATE_WAITING;
-    case State::kInitializing: return air_ground::VoStatus::STATE_INITIALIZING;
-    case State::kTracking: return air_ground::VoStatus::STATE_TRACKING;
-    case State::kLost: return air_ground::VoStatus::STATE_LOST;
+    case State::kWaiting:
+      return air_ground::VoStatus::STATE_WAITING;
+    case State::kInitializing:
+      return air_ground::VoStatus::STATE_INITIALIZING;
+    case State::kTracking:
+      return air_ground::VoStatus::STATE_TRACKING;
+    case State::kLost:
+      return air_ground::VoStatus::STATE_LOST;
   }
   return air_ground::VoStatus::STATE_LOST;
 }
@@ -58,7 +62,8 @@ class RgbdSlamNode {
   explicit RgbdSlamNode(const NodeSettings& settings)
       : settings_(settings),
         health_("rgbd_slam"),
-        pose_publisher_(handle_, {settings.map_frame, settings.odom_frame, settings.base_frame, "ground/odometry", "ground/path", settings.publish_tf}),
+        pose_publisher_(handle_, {settings.map_frame, settings.odom_frame, settings.base_frame, "ground/odometry",
+                                  "ground/path", settings.publish_tf}),
         pairer_(settings.sync_tolerance, 1.0, ros_utils::kTopicsInStep, settings.queue_size) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 2, true);
     status_publisher_ = handle_.advertise<air_ground::VoStatus>("ground/slam_status", 200);
@@ -71,7 +76,9 @@ class RgbdSlamNode {
     if (settings_.use_imu) health_.expectInput(imu_topic_);
     health_.state(kWarn, "waiting for images");
     info_subscriber_ = handle_.subscribe("ground/rgb/camera_info", 20, &RgbdSlamNode::onInfo, this);
-    if (settings_.use_imu) imu_subscriber_ = handle_.subscribe("ground/imu/data", 5000, &RgbdSlamNode::onImu, this, ros::TransportHints().tcpNoDelay());
+    if (settings_.use_imu)
+      imu_subscriber_ =
+          handle_.subscribe("ground/imu/data", 5000, &RgbdSlamNode::onImu, this, ros::TransportHints().tcpNoDelay());
     colour_subscriber_ = handle_.subscribe("ground/rgb/image_raw", settings_.queue_size, &RgbdSlamNode::onColour, this);
     depth_subscriber_ = handle_.subscribe("ground/depth/image_raw", settings_.queue_size, &RgbdSlamNode::onDepth, this);
     map_service_ = private_handle_.advertiseService("save_map", &RgbdSlamNode::saveMap, this);
@@ -95,7 +102,8 @@ class RgbdSlamNode {
  private:
   enum Stream { kColour, kDepth, kImu, kStreams };
 
-  // ---- Inputs: only checks and queueing happen in the callbacks -------------------------------------------------------
+  // ---- Inputs: only checks and queueing happen in the callbacks
+  // -------------------------------------------------------
 
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
     health_.received(info_topic_, msg->header.stamp);
@@ -134,8 +142,10 @@ class RgbdSlamNode {
       if (!gate_.admit(colour ? kColour : kDepth, msg->header.stamp)) return;
       const double stamp = msg->header.stamp.toSec();
       const std::size_t lost = pairer_.overflow();
-      if (colour) pairer_.addColour(stamp, msg, now());
-      else pairer_.addDepth(stamp, msg, now());
+      if (colour)
+        pairer_.addColour(stamp, msg, now());
+      else
+        pairer_.addDepth(stamp, msg, now());
       if (pairer_.overflow() > lost) health_.count("images dropped: the queue was full, or out of order");
     }
     queue_changed_.notify_all();
@@ -155,7 +165,8 @@ class RgbdSlamNode {
     reported_unmatched_ = 0;
   }
 
-  // ---- Worker ---------------------------------------------------------------------------------------------------------
+  // ---- Worker
+  // ---------------------------------------------------------------------------------------------------------
 
   void work() {
     while (true) {
@@ -164,7 +175,8 @@ class RgbdSlamNode {
       bool restart = false;
       {
         std::unique_lock<std::mutex> lock(queue_mutex_);
-        queue_changed_.wait_for(lock, std::chrono::milliseconds(300), [&] { return stop_ || reset_requested_ || pairReady(); });
+        queue_changed_.wait_for(lock, std::chrono::milliseconds(300),
+                                [&] { return stop_ || reset_requested_ || pairReady(); });
         if (stop_) return;
         restart = reset_requested_;
         reset_requested_ = false;
@@ -207,17 +219,21 @@ class RgbdSlamNode {
     health_.count("colour images without a depth image in time", pairer_.unmatchedColour() - reported_unmatched_);
     reported_unmatched_ = pairer_.unmatchedColour();
     if (pairs_ == 0 && reported_unmatched_ >= 30) {
-      ROS_WARN_STREAM_THROTTLE(10, "no colour image of " << colour_topic_ << " has a depth image of " << depth_topic_ << " within "
-                                                         << settings_.sync_tolerance << " s; the last one missed by " << pairer_.closestMiss()
-                                                         << " s: are the drivers synchronised? Parameter sync_tolerance");
+      ROS_WARN_STREAM_THROTTLE(10, "no colour image of "
+                                       << colour_topic_ << " has a depth image of " << depth_topic_ << " within "
+                                       << settings_.sync_tolerance << " s; the last one missed by "
+                                       << pairer_.closestMiss()
+                                       << " s: are the drivers synchronised? Parameter sync_tolerance");
     }
   }
 
   /// `anew`: calibration and mountings are read again, too.
   void startAfresh(bool anew) {
     const std::lock_guard<std::mutex> lock(slam_mutex_);
-    if (slam_ && anew) dropSlam();
-    else if (slam_) slam_->reset();
+    if (slam_ && anew)
+      dropSlam();
+    else if (slam_)
+      slam_->reset();
     imu_input_.reset();
     imu_unplaced_ = false;
     if (anew) imu_ever_ = false;
@@ -244,11 +260,12 @@ class RgbdSlamNode {
     std_msgs::Header header;
     header.stamp = last_stamp_;
     header.frame_id = settings_.map_frame;
-    cloud_publisher_.publish(ros_utils::toMsg(std::vector<ros_utils::CloudPoint>(), ros_utils::CloudFields::kXyzRgb, header));
+    cloud_publisher_.publish(
+        ros_utils::toMsg(std::vector<ros_utils::CloudPoint>(), ros_utils::CloudFields::kXyzRgb, header));
   }
 
-  /// Builds SLAM once calibration and mounting are known, and anew when the calibration changes or an IMU turns up. False, with the
-  /// reason in diagnostics, while there is none. Waits for tf with nothing locked.
+  /// Builds SLAM once calibration and mounting are known, and anew when the calibration changes or an IMU turns up.
+  /// False, with the reason in diagnostics, while there is none. Waits for tf with nothing locked.
   bool prepare(const sensor_msgs::Image& image, bool imu_seen) {
     ros_utils::Calibration calibration;
     std::string imu_frame = settings_.imu_frame;
@@ -266,7 +283,8 @@ class RgbdSlamNode {
     }
     const std::string camera_frame = ros_utils::cameraFrame(settings_.camera_frame, calibration, image);
     const auto mounted = [&](const std::optional<Pose>& given, const std::string& frame, const char* sensor) {
-      return ros_utils::lookupMounting(given, settings_.base_frame, frame, sensor, settings_.transform_timeout, health_);
+      return ros_utils::lookupMounting(given, settings_.base_frame, frame, sensor, settings_.transform_timeout,
+                                       health_);
     };
     Mounting mounting;
     const auto T_base_camera = mounted(settings_.T_base_camera, camera_frame, "camera");
@@ -283,12 +301,15 @@ class RgbdSlamNode {
       if (!recalibrated) return true;
     }
     if (slam_) {
-      ROS_WARN_STREAM((recalibrated ? "the camera's calibration has changed" : "an IMU has turned up") << ": a new map begins");
+      ROS_WARN_STREAM((recalibrated ? "the camera's calibration has changed" : "an IMU has turned up")
+                      << ": a new map begins");
       dropSlam();
       forgetMap(0);
     }
     if (settings_.use_imu && !mounting.R_base_imu) {
-      ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": SLAM runs without rotation prior and takes the robot's base for level at the start");
+      ROS_WARN_STREAM(
+          "no IMU on " << imu_topic_
+                       << ": SLAM runs without rotation prior and takes the robot's base for level at the start");
     }
     slam_ = std::make_unique<Slam>(calibration.camera, mounting, settings_.slam);
     with_imu_ = mounting.R_base_imu.has_value();
@@ -309,23 +330,27 @@ class RgbdSlamNode {
       return;
     }
     for (const ImuSample& sample : imu)
-      if (with_imu_ && !slam_->addImu(sample)) health_.count("IMU samples refused: stamp not later than the last one's");
+      if (with_imu_ && !slam_->addImu(sample))
+        health_.count("IMU samples refused: stamp not later than the last one's");
     last_stamp_ = stamp;
     const auto begin = std::chrono::steady_clock::now();
     const cv::Mat grey = ros_utils::greyFromMsg(*pair.colour);
-    const FrameResult r = slam_->process(stamp.toSec(), grey, ros_utils::bgrFromMsg(*pair.colour), ros_utils::depthFromMsg(*pair.depth));
+    const FrameResult r =
+        slam_->process(stamp.toSec(), grey, ros_utils::bgrFromMsg(*pair.colour), ros_utils::depthFromMsg(*pair.depth));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     health_.timing("frame", seconds);
     if (r.keyframe) health_.timing("keyframe", seconds);
     health_.state(r.state == State::kTracking ? kOk : kWarn,
-                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " + std::to_string(r.inliers) + " landmarks in view" +
+                  std::string(toString(r.state)) + (r.reason.empty() ? "" : ": " + r.reason) + ", " +
+                      std::to_string(r.inliers) + " landmarks in view" +
                       (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
     if (r.relocalized) ROS_INFO("found the way back into the map");
     if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, or levelled)");
     publish(stamp, grey, r, seconds);
   }
 
-  // ---- Outputs --------------------------------------------------------------------------------------------------------
+  // ---- Outputs
+  // --------------------------------------------------------------------------------------------------------
 
   void publish(const ros::Time& stamp, const cv::Mat& grey, const FrameResult& r, double seconds) {
     air_ground::VoStatus status;
@@ -351,10 +376,12 @@ class RgbdSlamNode {
         std_msgs::Header header;
         header.stamp = stamp;
         header.frame_id = camera_frame_;
-        keyframe_publisher_.publish(ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
+        keyframe_publisher_.publish(
+            ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
       }
     }
-    if ((cloud_outdated_ && (stamp - last_cloud_).toSec() >= settings_.cloud_interval) || r.map_corrected) requestCloud();
+    if ((cloud_outdated_ && (stamp - last_cloud_).toSec() >= settings_.cloud_interval) || r.map_corrected)
+      requestCloud();
   }
 
   /// With slam locked.
@@ -397,7 +424,8 @@ class RgbdSlamNode {
     }
   }
 
-  // ---- Services -------------------------------------------------------------------------------------------------------
+  // ---- Services
+  // -------------------------------------------------------------------------------------------------------
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&] {
@@ -424,7 +452,8 @@ class RgbdSlamNode {
       }
       air_ground_common::writeTum(request.path, trajectory);
       response.poses = trajectory.size();
-      return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " + request.path;
+      return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " +
+             request.path;
     });
   }
 
@@ -478,14 +507,14 @@ class RgbdSlamNode {
   bool cloud_outdated_ = false;
   std::atomic<bool> imu_unplaced_{false};  ///< its mounting is not known: the present map does without it
   std::atomic<bool> imu_ever_{false};
-  std::size_t pairs_ = 0;                  ///< the worker's own
+  std::size_t pairs_ = 0;  ///< the worker's own
 
   // Shared with the cloud's thread.
   std::mutex cloud_mutex_;
   std::condition_variable cloud_changed_;
   std::optional<CloudRequest> cloud_request_;
-  int cloud_map_id_ = 0;       ///< clouds of another map are dropped; 0: of any
-  bool cloud_latched_ = false; ///< the last one published has points
+  int cloud_map_id_ = 0;        ///< clouds of another map are dropped; 0: of any
+  bool cloud_latched_ = false;  ///< the last one published has points
 
   std::thread worker_, cloud_worker_;
 };

@@ -9,10 +9,14 @@ namespace rgbd_slam {
 
 const char* toString(State state) {
   switch (state) {
-    case State::kWaiting: return "waiting";
-    case State::kInitializing: return "initializing";
-    case State::kTracking: return "tracking";
-    case State::kLost: return "lost";
+    case State::kWaiting:
+      return "waiting";
+    case State::kInitializing:
+      return "initializing";
+    case State::kTracking:
+      return "tracking";
+    case State::kLost:
+      return "lost";
   }
   return "unknown";
 }
@@ -41,7 +45,8 @@ void SlamSettings::validate() const {
   require(max_speed > 0, "max_speed must be positive");
   require(relocalization_slack >= 0, "relocalization_slack must not be negative");
   require(max_image_keyframes >= local_keyframes, "max_image_keyframes must be at least local_keyframes");
-  require(keyframe_translation > 0 && keyframe_rotation > 0, "keyframe_translation and keyframe_rotation must be positive");
+  require(keyframe_translation > 0 && keyframe_rotation > 0,
+          "keyframe_translation and keyframe_rotation must be positive");
   require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must be in (0, 1)");
   require(window >= 2 && window_fixed >= 1, "window must be at least 2 and window_fixed at least 1");
   require(gravity_sigma > 0, "gravity_sigma must be positive");
@@ -52,7 +57,8 @@ void SlamSettings::validate() const {
 Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
     : camera(camera_model), mounting(mounted), settings(slam_settings), tracker(camera_model, slam_settings.tracker) {
   settings.validate();
-  if (!air_ground_common::isValid(mounting.T_base_camera)) throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
+  if (!air_ground_common::isValid(mounting.T_base_camera))
+    throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
   focal = 0.5 * (camera.fx + camera.fy);
   T_camera_base = mounting.T_base_camera.inverse();
   if (mounting.R_base_imu) R_camera_imu = T_camera_base.linear() * *mounting.R_base_imu;
@@ -88,8 +94,8 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   for (const Feature& f : tracker.features()) with_depth += sampleDepth(depth, f.pixel, settings.depth).has_value();
   result.tracked = static_cast<int>(tracker.features().size());
   if (with_depth < settings.min_start_features) {
-    result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) + " features have depth, " +
-                    std::to_string(settings.min_start_features) + " are needed to start";
+    result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) +
+                    " features have depth, " + std::to_string(settings.min_start_features) + " are needed to start";
     return result;
   }
   const bool imu_ready = mounting.R_base_imu && attitude.initialized();
@@ -131,7 +137,8 @@ bool Slam::Impl::levelMap() {
   } else if (last_stamp - begun > 4.0) {
     for (const auto& [id, keyframe] : map.keyframes()) {
       // The first second's directions have not settled.
-      if (keyframe.up_camera && keyframe.stamp > begun + 1.0) up += keyframe.T_map_camera.linear() * *keyframe.up_camera;
+      if (keyframe.up_camera && keyframe.stamp > begun + 1.0)
+        up += keyframe.T_map_camera.linear() * *keyframe.up_camera;
     }
   } else {
     return false;
@@ -165,15 +172,17 @@ void Slam::Impl::setGravityUncertainty() {
 FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
   const auto check = [&](const cv::Mat& image, bool type_ok, const char* what) {
     if (!type_ok || image.cols != camera.width || image.rows != camera.height) {
-      throw std::invalid_argument(std::string("Slam::process: ") + what + " has " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
-                                  " pixels of OpenCV type " + std::to_string(image.type()) + ", the camera " + std::to_string(camera.width) +
-                                  "x" + std::to_string(camera.height));
+      throw std::invalid_argument(std::string("Slam::process: ") + what + " has " + std::to_string(image.cols) + "x" +
+                                  std::to_string(image.rows) + " pixels of OpenCV type " +
+                                  std::to_string(image.type()) + ", the camera " + std::to_string(camera.width) + "x" +
+                                  std::to_string(camera.height));
     }
   };
   check(gray, gray.type() == CV_8UC1, "the grey image (CV_8UC1)");
   check(depth, depth.type() == CV_32F, "the depth image (CV_32F, registered)");
   if (!bgr.empty()) check(bgr, bgr.type() == CV_8UC3, "the colour image (CV_8UC3)");
-  if (!std::isfinite(stamp) || stamp <= last_stamp) throw std::invalid_argument("Slam::process: the stamp is not newer than the last");
+  if (!std::isfinite(stamp) || stamp <= last_stamp)
+    throw std::invalid_argument("Slam::process: the stamp is not newer than the last");
   ++counters.frames;
   last_stamp = stamp;
   const cv::Mat& colour = bgr.empty() ? gray : bgr;
@@ -256,7 +265,8 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
 
 // ---- Public interface
 
-Slam::Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings) : impl_(new Impl(camera, mounting, settings)) {}
+Slam::Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings)
+    : impl_(new Impl(camera, mounting, settings)) {}
 Slam::~Slam() = default;
 
 bool Slam::addImu(const visual_frontend::ImuSample& sample) {
@@ -269,7 +279,9 @@ bool Slam::addImu(const visual_frontend::ImuSample& sample) {
   return true;
 }
 
-FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) { return impl_->process(stamp, gray, bgr, depth); }
+FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+  return impl_->process(stamp, gray, bgr, depth);
+}
 
 air_ground_common::Trajectory Slam::trajectory() const {
   air_ground_common::Trajectory result;
@@ -280,9 +292,11 @@ air_ground_common::Trajectory Slam::trajectory() const {
 
 std::vector<PosedPoints> Slam::posedPoints() const {
   std::vector<PosedPoints> result;
-  for (const auto& [id, points] : impl_->keyframe_points) result.push_back({impl_->map.keyframe(id).T_map_camera, points});
+  for (const auto& [id, points] : impl_->keyframe_points)
+    result.push_back({impl_->map.keyframe(id).T_map_camera, points});
   if (impl_->active_depth && impl_->map.keyframeCount() > 0) {
-    auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
+    auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(
+        impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
     result.push_back({impl_->map.keyframe(impl_->map.lastKeyframe()).T_map_camera, points});
   }
   return result;

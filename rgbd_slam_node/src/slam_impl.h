@@ -1,5 +1,5 @@
-// State of Slam, shared by the files that implement it: slam.cpp (frames in, results out), tracking.cpp (pose of a frame),
-// mapping.cpp (keyframes, landmarks, local optimisation) and loops.cpp (places seen before).
+// State of Slam, shared by the files that implement it: slam.cpp (frames in, results out), tracking.cpp (pose of a
+// frame), mapping.cpp (keyframes, landmarks, local optimisation) and loops.cpp (places seen before).
 #pragma once
 
 #include <set>
@@ -63,8 +63,8 @@ struct Slam::Impl {
   double last_stamp = -1;
   double lost_since = -1;
   double path = 0;
-  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< of the camera in the map [m/s]
-  Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero(); ///< of the camera, camera frame [rad/s]
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
+  Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
   int since_keyframe = 0;
   int since_reobservation = 0;
   int keyframe_landmarks = 0;  ///< landmarks that the last keyframe saw
@@ -73,7 +73,9 @@ struct Slam::Impl {
   FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   FrameResult initialize(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   void clear();
-  Pose poseOf(const FrameRecord& frame) const { return map.keyframe(frame.reference).T_map_camera * frame.T_reference_camera; }
+  Pose poseOf(const FrameRecord& frame) const {
+    return map.keyframe(frame.reference).T_map_camera * frame.T_reference_camera;
+  }
   bool levelMap();  ///< once more is known about gravity than at the start; true when it turned the map
   void setGravityUncertainty();
 
@@ -87,7 +89,8 @@ struct Slam::Impl {
   Tracked track(double stamp, const cv::Mat& gray, const cv::Mat& depth);
   Tracked relocalize(double stamp, const cv::Mat& gray, const cv::Mat& depth);
   Pose predict(double stamp, bool* from_gyro) const;
-  PoseCorrespondence correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth) const;
+  PoseCorrespondence correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
+                                    const Eigen::Vector2d& normalized, const cv::Mat& depth) const;
   PoseResult solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted, bool rotation_known) const;
   /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
   int reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose);
@@ -95,7 +98,8 @@ struct Slam::Impl {
 
   // ---- mapping.cpp
   bool keyframeDue(const Pose& T_map_camera, int landmarks) const;
-  KeyframeId addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  KeyframeId addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance, const cv::Mat& gray,
+                         const cv::Mat& bgr, const cv::Mat& depth);
   void createLandmarks(KeyframeId id);
   void adjustWindow(KeyframeId id);
   void finishDepth();

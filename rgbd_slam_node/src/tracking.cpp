@@ -33,7 +33,8 @@ void Slam::Impl::updateMotion(double stamp, const Pose& T_before, const Pose& T_
   const Eigen::Matrix3d R_visual = T_before.linear().transpose() * T_now.linear();
   turn_rate = logSO3(R_visual) / dt;
   if (!mounting.R_base_imu) return;
-  // What the camera saw turns slowly into the gyro's bias: a frame's rotation is good to a milliradian, so a small gain.
+  // What the camera saw turns slowly into the gyro's bias: a frame's rotation is good to a milliradian, so a small
+  // gain.
   if (const auto R = imu.integrateRotation(frames.back().stamp, stamp, Eigen::Vector3d::Zero())) {
     const Eigen::Matrix3d R_visual_imu = R_camera_imu.transpose() * R_visual * R_camera_imu;
     const Eigen::Vector3d bias = logSO3(R_visual_imu.transpose() * *R) / dt;
@@ -41,7 +42,8 @@ void Slam::Impl::updateMotion(double stamp, const Pose& T_before, const Pose& T_
   }
 }
 
-PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth) const {
+PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
+                                              const Eigen::Vector2d& normalized, const cv::Mat& depth) const {
   PoseCorrespondence c;
   c.p_map = p_map;
   c.normalized = normalized;
@@ -53,7 +55,8 @@ PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, cons
   return c;
 }
 
-PoseResult Slam::Impl::solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted, bool rotation_known) const {
+PoseResult Slam::Impl::solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted,
+                             bool rotation_known) const {
   visual_frontend::RefineSettings refine;
   visual_frontend::RansacSettings ransac;
   ransac.min_inliers = std::min<int>(settings.min_inliers, 10);
@@ -109,11 +112,14 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
   track_views = std::move(living_views);
   tracked.pose = solve(correspondences, predicted, from_gyro);
   const PoseResult& pose = tracked.pose;
-  if (!pose.success || pose.inlier_count < settings.min_inliers || pose.inlier_count < settings.min_inlier_ratio * correspondences.size()) {
-    tracked.reason = std::to_string(correspondences.size()) + " landmarks tracked, " + std::to_string(pose.inlier_count) + " agree on a pose";
+  if (!pose.success || pose.inlier_count < settings.min_inliers ||
+      pose.inlier_count < settings.min_inlier_ratio * correspondences.size()) {
+    tracked.reason = std::to_string(correspondences.size()) + " landmarks tracked, " +
+                     std::to_string(pose.inlier_count) + " agree on a pose";
     return tracked;
   }
-  const double speed = (pose.T_map_camera.translation() - T_before.translation()).norm() / (stamp - frames.back().stamp);
+  const double speed =
+      (pose.T_map_camera.translation() - T_before.translation()).norm() / (stamp - frames.back().stamp);
   if (speed > settings.max_speed) {
     tracked.reason = "the camera would have moved at " + std::to_string(speed) + " m/s";
     return tracked;
@@ -128,7 +134,8 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
   tracked.success = true;
   tracked.landmarks = static_cast<int>(track_landmark.size());
   ++since_reobservation;
-  if (settings.reobserve_every > 0 && (since_reobservation >= settings.reobserve_every || keyframeDue(pose.T_map_camera, tracked.landmarks))) {
+  if (settings.reobserve_every > 0 &&
+      (since_reobservation >= settings.reobserve_every || keyframeDue(pose.T_map_camera, tracked.landmarks))) {
     since_reobservation = 0;
     reobserveLocalMap(pose.T_map_camera, 6.0, depth, &tracked.pose);
     tracked.landmarks = static_cast<int>(track_landmark.size());
@@ -158,10 +165,13 @@ int Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::M
   }
   visual_frontend::ReobservationSettings search;
   search.search_radius = radius;
-  const std::vector<LandmarkMatch> matches = visual_frontend::reobserve(map, camera, tracker.pyramid(), around, candidates, occupied, search);
+  const std::vector<LandmarkMatch> matches =
+      visual_frontend::reobserve(map, camera, tracker.pyramid(), around, candidates, occupied, search);
   if (matches.empty()) return 0;
-  for (const LandmarkMatch& m : matches) correspondences.push_back(correspondence(map.landmark(m.landmark).position, m.pixel, m.normalized, depth));
-  const PoseResult refined = tracked > 0 ? visual_frontend::refinePose(correspondences, around, {}) : solve(correspondences, around, false);
+  for (const LandmarkMatch& m : matches)
+    correspondences.push_back(correspondence(map.landmark(m.landmark).position, m.pixel, m.normalized, depth));
+  const PoseResult refined =
+      tracked > 0 ? visual_frontend::refinePose(correspondences, around, {}) : solve(correspondences, around, false);
   if (!refined.success || refined.inlier_count < pose->inlier_count) return 0;
   // Copies: starting tracks moves the features that `loose` points to.
   std::vector<std::pair<TrackId, Eigen::Vector2d>> free_tracks;
@@ -216,7 +226,8 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   const visual_frontend::PlaceMatch match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
   if (match.success && accept(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, 10.0)) return tracked;
   tracked.success = false;
-  tracked.reason = match.success ? "a place was recognised but too few of its landmarks were found" : "lost: " + match.reason;
+  tracked.reason =
+      match.success ? "a place was recognised but too few of its landmarks were found" : "lost: " + match.reason;
   return tracked;
 }
 

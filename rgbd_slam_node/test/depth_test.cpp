@@ -135,7 +135,8 @@ TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
   EXPECT_FALSE(pairer.front(0));
   EXPECT_EQ(pairer.unmatchedColour(), 1u);
   EXPECT_NEAR(pairer.closestMiss(), 0.1, 1e-9);
-  // Without any depth, colour images give up after a while: not at once, as all depth images may come after all colour images.
+  // Without any depth, colour images give up after a while: not at once, as all depth images may come after all colour
+  // images.
   FramePairer<int> alone(0.02, 1.0, 0.3, 100);
   for (int i = 0; i < 30; ++i) alone.addColour(0.1 * i, i, 50);
   EXPECT_FALSE(alone.front(50.2));

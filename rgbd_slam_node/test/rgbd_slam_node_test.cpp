@@ -1,4 +1,5 @@
-// Drives rgbd_slam_node with a simulated robot: frames, one tf authority, finite numbers, bad input, a looped recording.
+// Drives rgbd_slam_node with a simulated robot: frames, one tf authority, finite numbers, bad input, a looped
+// recording.
 #include <air_ground/SaveMap.h>
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoStatus.h>
@@ -33,9 +34,12 @@ class NodeTest : public testing::Test {
     depth_ = handle_.advertise<sensor_msgs::Image>("ground/depth/image_raw", 100);
     info_ = handle_.advertise<sensor_msgs::CameraInfo>("ground/rgb/camera_info", 100);
     imu_ = handle_.advertise<sensor_msgs::Imu>("ground/imu/data", 1000);
-    odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>("ground/odometry", 200, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
-    status_sub_ = handle_.subscribe<air_ground::VoStatus>("ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
-    cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
+    odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>(
+        "ground/odometry", 200, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
+    status_sub_ = handle_.subscribe<air_ground::VoStatus>(
+        "ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
+    cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>(
+        "ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
     tf_sub_ = handle_.subscribe("/tf", 500, &NodeTest::onTf, this);
     geometry_msgs::TransformStamped camera, imu;
     camera.header.frame_id = imu.header.frame_id = "ground_base_link";
@@ -45,8 +49,9 @@ class NodeTest : public testing::Test {
     imu.transform = ros_utils::toTransformMsg(Pose(*robot_.mounting.R_base_imu));
     broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu});
     ASSERT_TRUE(spinUntil([&] {
-      return colour_.getNumSubscribers() > 0 && depth_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 && imu_.getNumSubscribers() > 0 &&
-             odometry_sub_.getNumPublishers() > 0 && status_sub_.getNumPublishers() > 0 && cloud_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
+      return colour_.getNumSubscribers() > 0 && depth_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 &&
+             imu_.getNumSubscribers() > 0 && odometry_sub_.getNumPublishers() > 0 &&
+             status_sub_.getNumPublishers() > 0 && cloud_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
     })) << "the node did not start";
     pause(20);
     clouds.clear();  // what an earlier test left latched
@@ -145,7 +150,10 @@ class NodeTest : public testing::Test {
   bool answered(int frames) {
     const ros::Time last = cameraHeader(0.1 * (frames - 1)).stamp;
     const auto ended = [&](const auto& messages) { return !messages.empty() && messages.back().header.stamp == last; };
-    return spinUntil([&] { return ended(status) && (status.back().state != air_ground::VoStatus::STATE_TRACKING || (ended(odometry) && ended(tf))); });
+    return spinUntil([&] {
+      return ended(status) &&
+             (status.back().state != air_ground::VoStatus::STATE_TRACKING || (ended(odometry) && ended(tf)));
+    });
   }
 
   simulated::Robot robot_;
@@ -231,7 +239,8 @@ TEST_F(NodeTest, TracksMapsSavesAndSurvivesALoop) {
   std_srvs::Trigger reset;
   ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
   EXPECT_TRUE(reset.response.success);
-  // The latched cloud is of a map that is no more: an empty one takes its place, and none of the old map comes after it.
+  // The latched cloud is of a map that is no more: an empty one takes its place, and none of the old map comes after
+  // it.
   const auto emptied = [&] { return !clouds.empty() && clouds.back().width * clouds.back().height == 0; };
   EXPECT_TRUE(spinUntil(emptied));
   pause(300);
@@ -257,7 +266,8 @@ TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
     if (first_map == 0 && s.state == air_ground::VoStatus::STATE_TRACKING) first_map = s.map_id;
   EXPECT_EQ(status.back().map_id, first_map + 1) << "a new map, once";
   // Only the IMU knows that the base is not level.
-  const Eigen::Vector3d up = ros_utils::fromMsg(odometry.back().pose.pose).linear().row(2), truth = robot_.mapped(odometry.back().header.stamp.toSec() - kStart).linear().row(2);
+  const Eigen::Vector3d up = ros_utils::fromMsg(odometry.back().pose.pose).linear().row(2),
+                        truth = robot_.mapped(odometry.back().header.stamp.toSec() - kStart).linear().row(2);
   EXPECT_LT((up - truth).norm(), 0.02);
 }
 

@@ -15,7 +15,8 @@ struct Robot {
   Robot() : camera(synthetic::camera(false)), texture(synthetic::texture(1800, 3)) {
     texture.convertTo(texture, -1, 1.8, -102);
     // 1.2 m up, looking forward and 60 degrees down: the floor fills the image.
-    mounting.T_base_camera.linear() = Eigen::AngleAxisd(1.05, Eigen::Vector3d::UnitY()).toRotationMatrix() * air_ground_common::opticalFromForwardBody();
+    mounting.T_base_camera.linear() = Eigen::AngleAxisd(1.05, Eigen::Vector3d::UnitY()).toRotationMatrix() *
+                                      air_ground_common::opticalFromForwardBody();
     mounting.T_base_camera.translation() = Eigen::Vector3d(0.1, 0.03, 1.2);
     mounting.R_base_imu = Eigen::AngleAxisd(1.3, Eigen::Vector3d::UnitZ()).toRotationMatrix();
   }
@@ -25,8 +26,8 @@ struct Robot {
   double floor = 9.0;  ///< width of the texture [m]
   Mounting mounting;
   double radius = 1.0, speed = 0.3, rest = 0.8;  ///< circle [m], [m/s], standstill at the start [s]
-  bool spin = false;  ///< turn on the spot instead
-  Eigen::Vector3d tilt{0.03, -0.02, 0};  ///< the base is not level [rad]
+  bool spin = false;                             ///< turn on the spot instead
+  Eigen::Vector3d tilt{0.03, -0.02, 0};          ///< the base is not level [rad]
   Eigen::Vector3d gyro_bias{0.01, -0.02, 0.015};
 
   /// T_world_base; the world's z is up, the floor at z = 0.
@@ -35,7 +36,8 @@ struct Robot {
     // Sets off smoothly over a second.
     const double way = speed * (s < 1 ? 0.5 * s * s : s - 0.5), angle = way / radius;
     Pose T = Pose::Identity();
-    T.linear() = Eigen::AngleAxisd(angle + 0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix() * air_ground_common::expSO3(tilt);
+    T.linear() =
+        Eigen::AngleAxisd(angle + 0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix() * air_ground_common::expSO3(tilt);
     if (!spin) T.translation() = Eigen::Vector3d(radius * std::sin(angle), radius * (1 - std::cos(angle)), 0);
     return T;
   }
@@ -43,7 +45,8 @@ struct Robot {
   /// Pose of the base in the map that SLAM should build: origin at the first base, level, yaw 0 there.
   Pose mapped(double t) const {
     const Pose first = base(0);
-    return air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse() * base(t);
+    return air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse() *
+           base(t);
   }
 
   struct Frame {

@@ -20,7 +20,8 @@ struct Drive {
 };
 
 /// Drives SLAM from t0 to t1 at 10 Hz. `blind(t)`: the lens is covered.
-Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool imu = true, const std::function<bool(double)>& blind = {}) {
+Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool imu = true,
+            const std::function<bool(double)>& blind = {}) {
   Drive run;
   Random random(11);
   double next_imu = t0;
@@ -59,11 +60,14 @@ TEST(Slam, CircleInAGravityAlignedMap) {
       EXPECT_LT(run.stamps[i], 0.3);
       continue;
     }
-    // Position within a few centimetres though the map is levelled by a noisy accelerometer; heading right from the start.
+    // Position within a few centimetres though the map is levelled by a noisy accelerometer; heading right from the
+    // start.
     const Pose truth = robot.mapped(run.stamps[i]);
     const Eigen::Vector3d e = r.T_map_base.translation() - truth.translation();
     EXPECT_LT(e.norm(), 0.035) << run.stamps[i];
-    EXPECT_LT(air_ground_common::rotationAngle(r.T_map_base.linear(), truth.linear()), run.stamps[i] > 1.0 ? 0.012 : 0.04) << run.stamps[i];
+    EXPECT_LT(air_ground_common::rotationAngle(r.T_map_base.linear(), truth.linear()),
+              run.stamps[i] > 1.0 ? 0.012 : 0.04)
+        << run.stamps[i];
     nees += air_ground_common::squaredMahalanobis(e, r.covariance.topLeftCorner<3, 3>());
     ++count;
     EXPECT_TRUE(air_ground_common::isPositiveDefinite(r.covariance));
@@ -90,7 +94,8 @@ TEST(Slam, SameInputSameOutput) {
   Robot robot;
   Slam a(robot.camera, robot.mounting, {}), b(robot.camera, robot.mounting, {});
   const Drive ra = drive(robot, a, 0, 2.5), rb = drive(robot, b, 0, 2.5);
-  for (std::size_t i = 0; i < ra.results.size(); ++i) EXPECT_EQ(ra.results[i].T_map_base.matrix(), rb.results[i].T_map_base.matrix());
+  for (std::size_t i = 0; i < ra.results.size(); ++i)
+    EXPECT_EQ(ra.results[i].T_map_base.matrix(), rb.results[i].T_map_base.matrix());
 }
 
 TEST(Slam, WithoutImuTheBaseCountsAsLevel) {
@@ -195,7 +200,8 @@ TEST(Slam, LoopClosureRemovesDrift) {
     const Drive run = drive(robot, slam, 0, 10.4, false);
     const auto trajectory = slam.trajectory();
     ASSERT_EQ(trajectory.size(), run.stamps.size());
-    end_error[closing] = (trajectory.back().T_map_body.translation() - run.truth.back().T_map_body.translation()).norm();
+    end_error[closing] =
+        (trajectory.back().T_map_body.translation() - run.truth.back().T_map_body.translation()).norm();
     if (closing) loops = slam.counters().loops;
   }
   EXPECT_GE(loops, 1);

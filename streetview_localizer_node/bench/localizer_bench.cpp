@@ -1,5 +1,6 @@
-// Time of a whole query, step by step as in the paper's figure 4 (3.2 s for steps 1, 4 and 5 on 8 cores there). Columns are seconds
-// an image; the label names the slowest step. `all` tries the image alone first, `with_views` always makes the virtual views.
+// Time of a whole query, step by step as in the paper's figure 4 (3.2 s for steps 1, 4 and 5 on 8 cores there). Columns
+// are seconds an image; the label names the slowest step. `all` tries the image alone first, `with_views` always makes
+// the virtual views.
 #include <benchmark/benchmark.h>
 
 #include <array>
@@ -22,7 +23,8 @@ struct Query {
 
 const char* const kCounters[kSteps] = {"1_features", "2_search", "3_voting", "4_pairwise", "5_kvld", "6_pose"};
 
-void run(benchmark::State& state, const std::shared_ptr<const StreetviewDatabase>& database, const std::vector<Query>& queries, bool quick) {
+void run(benchmark::State& state, const std::shared_ptr<const StreetviewDatabase>& database,
+         const std::vector<Query>& queries, bool quick) {
   LocalizerSettings settings;
   if (!quick) settings.quick_inliers = 0;
   const Localizer localizer(database, settings);
@@ -71,11 +73,20 @@ void castle(benchmark::State& state, bool quick) {
   run(state, castle.database, queries, quick);
 }
 
-BENCHMARK_CAPTURE(paintedCourtyard, 640x480/all, true, false)->Unit(benchmark::kMillisecond)->Iterations(8)->UseRealTime();
-BENCHMARK_CAPTURE(paintedCourtyard, 640x480/prior, true, true)->Unit(benchmark::kMillisecond)->Iterations(8)->UseRealTime();
-BENCHMARK_CAPTURE(paintedCourtyard, 640x480/with_views, false, false)->Unit(benchmark::kMillisecond)->Iterations(4)->UseRealTime();
-BENCHMARK_CAPTURE(castle, 960x640/all, true)->Unit(benchmark::kMillisecond)->Iterations(8)->UseRealTime();
-BENCHMARK_CAPTURE(castle, 960x640/with_views, false)->Unit(benchmark::kMillisecond)->Iterations(4)->UseRealTime();
+BENCHMARK_CAPTURE(paintedCourtyard, 640x480 / all, true, false)
+    ->Unit(benchmark::kMillisecond)
+    ->Iterations(8)
+    ->UseRealTime();
+BENCHMARK_CAPTURE(paintedCourtyard, 640x480 / prior, true, true)
+    ->Unit(benchmark::kMillisecond)
+    ->Iterations(8)
+    ->UseRealTime();
+BENCHMARK_CAPTURE(paintedCourtyard, 640x480 / with_views, false, false)
+    ->Unit(benchmark::kMillisecond)
+    ->Iterations(4)
+    ->UseRealTime();
+BENCHMARK_CAPTURE(castle, 960x640 / all, true)->Unit(benchmark::kMillisecond)->Iterations(8)->UseRealTime();
+BENCHMARK_CAPTURE(castle, 960x640 / with_views, false)->Unit(benchmark::kMillisecond)->Iterations(4)->UseRealTime();
 
 }  // namespace
 }  // namespace streetview_localizer

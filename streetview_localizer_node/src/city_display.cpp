@@ -14,7 +14,7 @@ namespace {
 
 namespace ru = air_ground_common::ros_utils;
 
-constexpr double kFrustum = 1.2;  // depth of a drawn camera [m]
+constexpr double kFrustum = 1.2;   // depth of a drawn camera [m]
 constexpr std::size_t kLines = 8;  // of a drawn camera
 
 geometry_msgs::Point toPoint(const Eigen::Vector3d& p) {
@@ -25,7 +25,8 @@ geometry_msgs::Point toPoint(const Eigen::Vector3d& p) {
   return out;
 }
 
-visualization_msgs::Marker marker(const std::string& frame, const std::string& space, int type, double r, double g, double b) {
+visualization_msgs::Marker marker(const std::string& frame, const std::string& space, int type, double r, double g,
+                                  double b) {
   visualization_msgs::Marker m;
   m.header.frame_id = frame;
   m.ns = space;
@@ -68,13 +69,15 @@ void CityDisplay::publishCity(const std::string& world_frame) {
 
   visualization_msgs::MarkerArray array;
   for (const Panorama& p : localizer_->database().panoramas) {
-    visualization_msgs::Marker sphere = p.registered ? marker(world_frame, "panoramas", visualization_msgs::Marker::SPHERE, 0.1, 0.1, 0.1)
-                                                     : marker(world_frame, "panoramas", visualization_msgs::Marker::SPHERE, 0.8, 0.1, 0.1);
+    visualization_msgs::Marker sphere =
+        p.registered ? marker(world_frame, "panoramas", visualization_msgs::Marker::SPHERE, 0.1, 0.1, 0.1)
+                     : marker(world_frame, "panoramas", visualization_msgs::Marker::SPHERE, 0.8, 0.1, 0.1);
     sphere.id = static_cast<int>(array.markers.size());
     sphere.pose = ru::toMsg(p.T_world_panorama);
     sphere.scale.x = sphere.scale.y = sphere.scale.z = 0.6;
     array.markers.push_back(sphere);
-    visualization_msgs::Marker label = marker(world_frame, "names", visualization_msgs::Marker::TEXT_VIEW_FACING, 0.1, 0.1, 0.1);
+    visualization_msgs::Marker label =
+        marker(world_frame, "names", visualization_msgs::Marker::TEXT_VIEW_FACING, 0.1, 0.1, 0.1);
     label.id = sphere.id;
     label.pose = sphere.pose;
     label.pose.position.z += 0.7;
@@ -85,7 +88,8 @@ void CityDisplay::publishCity(const std::string& world_frame) {
   panoramas_.publish(array);
 }
 
-void CityDisplay::addCamera(const CameraModel& camera, const Pose& T_world_camera, const ros::Time& stamp, const std::string& world_frame) {
+void CityDisplay::addCamera(const CameraModel& camera, const Pose& T_world_camera, const ros::Time& stamp,
+                            const std::string& world_frame) {
   if (frusta_.points.empty()) {
     frusta_ = marker(world_frame, "cameras", visualization_msgs::Marker::LINE_LIST, 0.05, 0.2, 0.95);
     frusta_.scale.x = 0.06;
@@ -93,15 +97,18 @@ void CityDisplay::addCamera(const CameraModel& camera, const Pose& T_world_camer
   frusta_.header.stamp = stamp;
   const Eigen::Vector3d centre = T_world_camera.translation();
   Eigen::Vector3d corners[4];
-  const double x[4] = {0, camera.width - 1.0, camera.width - 1.0, 0}, y[4] = {0, 0, camera.height - 1.0, camera.height - 1.0};
+  const double x[4] = {0, camera.width - 1.0, camera.width - 1.0, 0},
+               y[4] = {0, 0, camera.height - 1.0, camera.height - 1.0};
   for (int i = 0; i < 4; ++i) {
     const Eigen::Vector2d n = camera.unproject({x[i], y[i]});
     corners[i] = T_world_camera * Eigen::Vector3d(kFrustum * n.x(), kFrustum * n.y(), kFrustum);
   }
   for (int i = 0; i < 4; ++i) {
-    for (const Eigen::Vector3d& p : {centre, corners[i], corners[i], corners[(i + 1) % 4]}) frusta_.points.push_back(toPoint(p));
+    for (const Eigen::Vector3d& p : {centre, corners[i], corners[i], corners[(i + 1) % 4]})
+      frusta_.points.push_back(toPoint(p));
   }
-  if (frusta_.points.size() > 2 * kLines * cameras_shown_) frusta_.points.erase(frusta_.points.begin(), frusta_.points.begin() + 2 * kLines);
+  if (frusta_.points.size() > 2 * kLines * cameras_shown_)
+    frusta_.points.erase(frusta_.points.begin(), frusta_.points.begin() + 2 * kLines);
   cameras_.publish(frusta_);
 }
 
@@ -109,7 +116,8 @@ cv::Mat CityDisplay::matchImage(const cv::Mat& image, const LocalizerResult& res
   return drawMatch(image, localizer_->database(), result, std::min(image.rows, image.rows * width / image.cols));
 }
 
-cv::Mat CityDisplay::besideModel(const cv::Mat& image, const CameraModel& camera, const LocalizerResult& result, int width) const {
+cv::Mat CityDisplay::besideModel(const cv::Mat& image, const CameraModel& camera, const LocalizerResult& result,
+                                 int width) const {
   const CameraModel small = camera.scaled(std::min(1.0, static_cast<double>(width) / camera.width));
   return drawBeside(image, synthesizer_->render(small, result.pose.T_world_camera));
 }

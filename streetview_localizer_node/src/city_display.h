@@ -23,7 +23,8 @@ class CityDisplay {
   /// Textured model and panoramas, latched.
   void publishCity(const std::string& world_frame);
   /// Adds a camera to those shown; the oldest go.
-  void addCamera(const CameraModel& camera, const Pose& T_world_camera, const ros::Time& stamp, const std::string& world_frame);
+  void addCamera(const CameraModel& camera, const Pose& T_world_camera, const ros::Time& stamp,
+                 const std::string& world_frame);
 
   /// BGR, each half `width` pixels wide at most.
   cv::Mat matchImage(const cv::Mat& image, const LocalizerResult& result, int width) const;

@@ -22,7 +22,8 @@ namespace {
 using namespace streetview_localizer;
 
 constexpr char kHeader[] =
-    "image,status,frame,x,y,z,qx,qy,qz,qw,crs_x,crs_y,crs_z,stddev_x,stddev_y,stddev_z,stddev_rot_x,stddev_rot_y,stddev_rot_z,"
+    "image,status,frame,x,y,z,qx,qy,qz,qw,crs_x,crs_y,crs_z,stddev_x,stddev_y,stddev_z,stddev_rot_x,stddev_rot_y,"
+    "stddev_rot_z,"
     "score,panorama,searched,features,matches,inliers,rms_px,range_m,time_s,reason\n";
 
 std::string formatted(const char* format, double a) {
@@ -38,12 +39,14 @@ std::string quoted(const std::string& text) {
 }
 
 std::string lineOf(const std::string& image, const LocalizerResult& r, const StreetviewDatabase& database) {
-  std::string line = quoted(image) + "," + nameOf(r.status) + "," + (database.crs.empty() ? "local" : quoted("world of " + database.crs));
+  std::string line = quoted(image) + "," + nameOf(r.status) + "," +
+                     (database.crs.empty() ? "local" : quoted("world of " + database.crs));
   if (r.pose.success) {
     const auto& T = r.pose.T_world_camera;
     Eigen::Quaterniond q(T.linear());
     if (q.w() < 0) q.coeffs() *= -1;
-    for (const double v : {T.translation().x(), T.translation().y(), T.translation().z()}) line += formatted(",%.4f", v);
+    for (const double v : {T.translation().x(), T.translation().y(), T.translation().z()})
+      line += formatted(",%.4f", v);
     for (const double v : {q.x(), q.y(), q.z(), q.w()}) line += formatted(",%.7f", v);
     const Eigen::Vector3d crs = database.model.crsFromWorld(T.translation());
     for (int i = 0; i < 3; ++i) line += formatted(",%.3f", crs[i]);
@@ -51,10 +54,12 @@ std::string lineOf(const std::string& image, const LocalizerResult& r, const Str
   } else {
     line += std::string(16, ',');
   }
-  line += formatted(",%.3f,", r.acceptance.score) + (r.panorama >= 0 ? quoted(database.panoramas[static_cast<std::size_t>(r.panorama)].id) : "");
-  line += "," + std::to_string(r.searched.size()) + "," + std::to_string(r.features) + "," + std::to_string(r.matches) + "," +
-          std::to_string(r.pose.success ? r.pose.inliers.size() : 0);
-  line += formatted(",%.3f", r.pose.rms) + formatted(",%.2f", r.acceptance.evidence.range) + formatted(",%.3f,", r.total_time) + quoted(r.reason);
+  line += formatted(",%.3f,", r.acceptance.score) +
+          (r.panorama >= 0 ? quoted(database.panoramas[static_cast<std::size_t>(r.panorama)].id) : "");
+  line += "," + std::to_string(r.searched.size()) + "," + std::to_string(r.features) + "," + std::to_string(r.matches) +
+          "," + std::to_string(r.pose.success ? r.pose.inliers.size() : 0);
+  line += formatted(",%.3f", r.pose.rms) + formatted(",%.2f", r.acceptance.evidence.range) +
+          formatted(",%.3f,", r.total_time) + quoted(r.reason);
   return line + "\n";
 }
 
@@ -72,13 +77,17 @@ int run(Arguments a) {
   if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
   std::optional<air_ground_common::CameraModel> common;
   std::map<std::string, air_ground_common::CameraModel> single;
-  if (!a.camera.empty()) common = air_ground_common::readCameraFile(a.camera);
-  else single = readCameraList(a.cameras);
+  if (!a.camera.empty())
+    common = air_ground_common::readCameraFile(a.camera);
+  else
+    single = readCameraList(a.cameras);
   std::map<std::string, Eigen::Vector3d> ups;
   if (!a.up.empty()) ups = readUpList(a.up);
   std::vector<std::string> names = listImages(a.images);
   // A list of calibrations is a choice of images too.
-  if (!common) names.erase(std::remove_if(names.begin(), names.end(), [&](const std::string& n) { return single.count(n) == 0; }), names.end());
+  if (!common)
+    names.erase(std::remove_if(names.begin(), names.end(), [&](const std::string& n) { return single.count(n) == 0; }),
+                names.end());
   if (names.empty()) throw std::runtime_error("no image of " + a.images + " is listed in " + a.cameras);
 
   DatabaseLoadOptions load;
@@ -108,7 +117,8 @@ int run(Arguments a) {
   std::array<double, kSteps> times{};
   double total = 0;
   for (const std::string& name : names) {
-    const cv::Mat image = cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
+    const cv::Mat image =
+        cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
     LocalizerResult result;
     if (image.empty()) {
       result.reason = "the image cannot be read";
@@ -116,7 +126,8 @@ int run(Arguments a) {
       air_ground_common::CameraModel camera = common ? *common : single.at(name);
       if (!common) camera.width = image.cols, camera.height = image.rows;
       PosePrior prior;
-      if (const auto it = ups.find(name); it != ups.end()) prior.up_camera = it->second, prior.up_stddev = a.up_stddev * M_PI / 180;
+      if (const auto it = ups.find(name); it != ups.end())
+        prior.up_camera = it->second, prior.up_stddev = a.up_stddev * M_PI / 180;
       try {
         result = localizer.localize(image, camera, prior);
       } catch (const std::invalid_argument& e) {
@@ -125,21 +136,24 @@ int run(Arguments a) {
       if (synthesizer) {
         const std::string stem = a.pictures + "/" + std::filesystem::path(name).stem().string();
         cv::imwrite(stem + "_match.jpg", drawMatch(image, *database, result));
-        if (result.pose.success) cv::imwrite(stem + "_view.jpg", drawBeside(image, synthesizer->render(camera, result.pose.T_world_camera)));
+        if (result.pose.success)
+          cv::imwrite(stem + "_view.jpg", drawBeside(image, synthesizer->render(camera, result.pose.T_world_camera)));
       }
     }
     accepted += result.accepted();
     for (std::size_t i = 0; i < times.size(); ++i) times[i] += result.times[i];
     total += result.total_time;
     out << lineOf(name, result, *database);
-    std::fprintf(stderr, "%s: %s%s%s\n", name.c_str(), nameOf(result.status), result.accepted() ? "" : ", ", result.accepted() ? "" : result.reason.c_str());
+    std::fprintf(stderr, "%s: %s%s%s\n", name.c_str(), nameOf(result.status), result.accepted() ? "" : ", ",
+                 result.accepted() ? "" : result.reason.c_str());
   }
   out.close();
   if (!out) throw std::runtime_error("cannot write " + partial);
   std::filesystem::rename(partial, a.out);
   const double n = static_cast<double>(names.size());
   std::printf("%s: %d of %zu images located\n", a.out.c_str(), accepted, names.size());
-  for (int i = 0; i < kSteps; ++i) std::printf("  %-28s %6.3f s an image\n", nameOf(static_cast<Step>(i)), times[static_cast<std::size_t>(i)] / n);
+  for (int i = 0; i < kSteps; ++i)
+    std::printf("  %-28s %6.3f s an image\n", nameOf(static_cast<Step>(i)), times[static_cast<std::size_t>(i)] / n);
   std::printf("  %-28s %6.3f s an image\n", "all", total / n);
   return 0;
 }
@@ -148,28 +162,46 @@ int run(Arguments a) {
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Locates photographs in a Street View database and writes a line each: status, position, quaternion (camera to world, x y z w), standard "
+      "Locates photographs in a Street View database and writes a line each: status, position, quaternion (camera to "
+      "world, x y z w), standard "
       "deviations [m, rad], panorama, inliers, time.\n"
       "  rosrun air_ground localize_images --db city.gpkg --images flight --camera camera.yaml --out poses.csv");
   Arguments a;
   app.add_option("--db", a.db, "database made by build_streetview_db (.gpkg, or \"PG:...\")")->required();
-  app.add_option("--region", a.region, "only its panoramas around a place: easting northing radius, in the database's system [m]")->expected(3);
+  app.add_option("--region", a.region,
+                 "only its panoramas around a place: easting northing radius, in the database's system [m]")
+      ->expected(3);
   app.add_option("--images", a.images, "folder of photographs")->required();
   app.add_option("--camera", a.camera, "calibration of all of them (ROS camera_info YAML)");
-  app.add_option("--cameras", a.cameras, "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");
-  app.add_option("--up", a.up, "optional, from an IMU: lines of `image x y z`, the direction against gravity in the optical frame");
-  app.add_option("--up-stddev", a.up_stddev, "of those directions [deg]")->capture_default_str()->check(CLI::Range(0.01, 45.0));
+  app.add_option("--cameras", a.cameras,
+                 "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");
+  app.add_option("--up", a.up,
+                 "optional, from an IMU: lines of `image x y z`, the direction against gravity in the optical frame");
+  app.add_option("--up-stddev", a.up_stddev, "of those directions [deg]")
+      ->capture_default_str()
+      ->check(CLI::Range(0.01, 45.0));
   app.add_option("--out", a.out, "CSV to write")->required();
-  app.add_option("--pictures", a.pictures, "folder for a picture of each match, and of the textured model from each pose");
+  app.add_option("--pictures", a.pictures,
+                 "folder for a picture of each match, and of the textured model from each pose");
   app.add_flag("!--no-index-file", a.keep_index, "do not keep the search index beside the database (DB.index)");
-  app.add_option("--max-views", a.settings.max_views, "views matched pairwise with an image")->capture_default_str()->check(CLI::Range(1, 1000));
-  app.add_option("--max-range", a.settings.acceptance.max_range, "from the panorama [m]")->capture_default_str()->check(CLI::Range(1.0, 1000.0));
-  app.add_option("--model-lateral-stddev", a.settings.model_lateral_stddev, "of the city model's walls [m]")->capture_default_str()->check(CLI::Range(0.0, 10.0));
-  app.add_option("--model-height-stddev", a.settings.model_height_stddev, "of the city model's heights [m]")->capture_default_str()->check(CLI::Range(0.0, 10.0));
+  app.add_option("--max-views", a.settings.max_views, "views matched pairwise with an image")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 1000));
+  app.add_option("--max-range", a.settings.acceptance.max_range, "from the panorama [m]")
+      ->capture_default_str()
+      ->check(CLI::Range(1.0, 1000.0));
+  app.add_option("--model-lateral-stddev", a.settings.model_lateral_stddev, "of the city model's walls [m]")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 10.0));
+  app.add_option("--model-height-stddev", a.settings.model_height_stddev, "of the city model's heights [m]")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 10.0));
   app.add_option("--covariance", a.covariance, "of the estimate, or the paper's scatter of minimal samples")
       ->capture_default_str()
       ->check(CLI::IsMember({"refined", "monte_carlo"}));
-  app.add_option("--monte-carlo-samples", a.monte_carlo_samples, "of five matches")->capture_default_str()->check(CLI::Range(10, 1000000));
+  app.add_option("--monte-carlo-samples", a.monte_carlo_samples, "of five matches")
+      ->capture_default_str()
+      ->check(CLI::Range(10, 1000000));
   CLI11_PARSE(app, argc, argv);
   try {
     return run(a);

@@ -39,7 +39,8 @@ struct ViewMatches {
 struct Group {
   std::vector<ViewMatches> parts;
   int size() const {
-    return std::accumulate(parts.begin(), parts.end(), 0, [](int n, const ViewMatches& p) { return n + static_cast<int>(p.matches.size()); });
+    return std::accumulate(parts.begin(), parts.end(), 0,
+                           [](int n, const ViewMatches& p) { return n + static_cast<int>(p.matches.size()); });
   }
 };
 
@@ -64,22 +65,32 @@ int mostFrequent(const std::map<int, int>& counts) {
 
 const char* nameOf(LocalizerStatus status) {
   switch (status) {
-    case LocalizerStatus::kAccepted: return "accepted";
-    case LocalizerStatus::kRefused: return "refused";
-    case LocalizerStatus::kNoPose: return "no_pose";
-    case LocalizerStatus::kNoMatch: return "no_match";
+    case LocalizerStatus::kAccepted:
+      return "accepted";
+    case LocalizerStatus::kRefused:
+      return "refused";
+    case LocalizerStatus::kNoPose:
+      return "no_pose";
+    case LocalizerStatus::kNoMatch:
+      return "no_match";
   }
   return "";
 }
 
 const char* nameOf(Step step) {
   switch (step) {
-    case Step::kFeatures: return "1 virtual views, features";
-    case Step::kSearch: return "2 search in the database";
-    case Step::kVoting: return "3 voting";
-    case Step::kMatching: return "4 pairwise matching";
-    case Step::kVerification: return "5 k-VLD";
-    case Step::kPose: return "6 pose, acceptance";
+    case Step::kFeatures:
+      return "1 virtual views, features";
+    case Step::kSearch:
+      return "2 search in the database";
+    case Step::kVoting:
+      return "3 voting";
+    case Step::kMatching:
+      return "4 pairwise matching";
+    case Step::kVerification:
+      return "5 k-VLD";
+    case Step::kPose:
+      return "6 pose, acceptance";
   }
   return "";
 }
@@ -96,14 +107,17 @@ void LocalizerSettings::validate() const {
   require(near_panoramas >= 1, "near_panoramas must be at least 1");
   require(max_prior_stddev > 0, "max_prior_stddev must be positive");
   require(min_view_matches >= 1, "min_view_matches must be at least 1");
-  require(merge_position_stddev >= 0 && merge_orientation_stddev >= 0, "merge_position_stddev and merge_orientation_stddev must not be negative");
-  require(model_lateral_stddev >= 0 && model_height_stddev >= 0, "model_lateral_stddev and model_height_stddev must not be negative");
+  require(merge_position_stddev >= 0 && merge_orientation_stddev >= 0,
+          "merge_position_stddev and merge_orientation_stddev must not be negative");
+  require(model_lateral_stddev >= 0 && model_height_stddev >= 0,
+          "model_lateral_stddev and model_height_stddev must not be negative");
   require(min_visible_share >= 0 && min_visible_share <= 1, "min_visible_share must lie in [0, 1]");
   require(min_rival_share >= 0, "min_rival_share must not be negative");
   require(max_disagreement > 0 && max_turn > 0, "max_disagreement and max_turn must be positive");
   require(max_fusion_shift > 0, "max_fusion_shift must be positive");
   require(min_fusion_inliers >= 0 && min_fusion_inliers <= 1, "min_fusion_inliers must lie in [0, 1]");
-  require(covariance == CovarianceKind::kRefined || pose.monte_carlo_samples > 0, "the Monte Carlo covariance needs pose.monte_carlo_samples");
+  require(covariance == CovarianceKind::kRefined || pose.monte_carlo_samples > 0,
+          "the Monte Carlo covariance needs pose.monte_carlo_samples");
   pose.validate();
   acceptance.validate();
   fusion.validate();
@@ -118,12 +132,17 @@ struct Localizer::Impl {
   mutable PyramidCache pyramids;
 
   Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s)
-      : database(std::move(db)), settings(s), projector(database->model), search(*database, settings), pyramids(*database) {}
+      : database(std::move(db)),
+        settings(s),
+        projector(database->model),
+        search(*database, settings),
+        pyramids(*database) {}
 
   const View& view(int index) const { return database->views[static_cast<std::size_t>(index)]; }
   const Panorama& panorama(int index) const { return database->panoramas[static_cast<std::size_t>(index)]; }
 
-  ViewMatches match(const Features& query, const GradientPyramid& query_pyramid, int index, LocalizerResult* result) const {
+  ViewMatches match(const Features& query, const GradientPyramid& query_pyramid, int index,
+                    LocalizerResult* result) const {
     ViewMatches out;
     out.view = index;
     const View& candidate = view(index);
@@ -134,8 +153,8 @@ struct Localizer::Impl {
     }
     const StepTimer timer(result, Step::kVerification);
     if (static_cast<int>(putative.size()) < settings.min_view_matches) return out;
-    const KvldResult kvld =
-        filterKvld(query_pyramid, *pyramids.of(index), query.keypoints, candidate.features.keypoints, putative, settings.kvld);
+    const KvldResult kvld = filterKvld(query_pyramid, *pyramids.of(index), query.keypoints,
+                                       candidate.features.keypoints, putative, settings.kvld);
     auto kept = kvld.kept.begin();  // ascending
     for (int i = 0; i < static_cast<int>(putative.size()); ++i) {
       const bool survived = kept != kvld.kept.end() && *kept == i;
@@ -146,8 +165,8 @@ struct Localizer::Impl {
     return out;
   }
 
-  // One group for all panoramas of well-known pose, one for each of the others: their errors, a decimetre, are common to the
-  // points of one and would set those of two against each other.
+  // One group for all panoramas of well-known pose, one for each of the others: their errors, a decimetre, are common
+  // to the points of one and would set those of two against each other.
   std::vector<Group> grouped(std::vector<ViewMatches> parts) const {
     std::vector<Group> groups;
     std::map<int, std::size_t> group_of;
@@ -184,7 +203,8 @@ struct Localizer::Impl {
     };
     for (const ViewMatches& part : group.parts) {
       matches_of_panorama[view(part.view).panorama] += static_cast<int>(part.matches.size());
-      for (std::size_t i = 0; i < part.matches.size(); ++i) add(part, part.matches[i], part.supporters[i] * (1 - part.matches[i].ratio));
+      for (std::size_t i = 0; i < part.matches.size(); ++i)
+        add(part, part.matches[i], part.supporters[i] * (1 - part.matches[i].ratio));
     }
     c.kept = c.correspondences.size();
     for (const ViewMatches& part : group.parts)
@@ -225,22 +245,28 @@ struct Localizer::Impl {
     return source;
   }
 
-  // Several panoramas see the same points: their rays fix them better than the model. Only a pose that the matches support as
-  // well, and near what was found without, takes the place of the first.
+  // Several panoramas see the same points: their rays fix them better than the model. Only a pose that the matches
+  // support as well, and near what was found without, takes the place of the first.
   void refine(const CameraModel& camera, const PosePrior& prior, const std::vector<ViewRay>& rays, Candidate* c) const {
     const auto fused = fusePoints(c->correspondences, rays, c->pose.inliers, settings.fusion);
     const FusedRefinement refined = refineOnFusedPoints(fused, camera, prior, c->pose.T_world_camera, settings.fusion);
     if (!refined.converged) return;
     const Pose& from = c->pose.T_world_camera;
     const Eigen::Vector3d moved = refined.T_world_camera.translation() - from.translation();
-    const Eigen::Vector3d turned = air_ground_common::logSO3(refined.T_world_camera.linear() * from.linear().transpose());
-    const auto deviations = [](const Eigen::Vector3d& e, const Eigen::Matrix3d& covariance) { return std::sqrt(e.dot(covariance.llt().solve(e))); };
+    const Eigen::Vector3d turned =
+        air_ground_common::logSO3(refined.T_world_camera.linear() * from.linear().transpose());
+    const auto deviations = [](const Eigen::Vector3d& e, const Eigen::Matrix3d& covariance) {
+      return std::sqrt(e.dot(covariance.llt().solve(e)));
+    };
     if (!(deviations(moved, c->pose.covariance.topLeftCorner<3, 3>()) <= settings.max_fusion_shift) ||
         !(deviations(turned, c->pose.covariance.bottomRightCorner<3, 3>()) <= settings.max_fusion_shift))
       return;
-    const auto kept = onMovedWalls({c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept)}, c->pose);
+    const auto kept =
+        onMovedWalls({c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept)}, c->pose);
     PoseHypothesis scored = scorePose(refined.T_world_camera, kept, camera, settings.pose);
-    if (static_cast<double>(scored.inliers.size()) < settings.min_fusion_inliers * static_cast<double>(c->pose.inliers.size())) return;
+    if (static_cast<double>(scored.inliers.size()) <
+        settings.min_fusion_inliers * static_cast<double>(c->pose.inliers.size()))
+      return;
     static_cast<PoseHypothesis&>(c->pose) = std::move(scored);
     c->pose.covariance += refined.covariance - c->pose.image_covariance;
     c->pose.image_covariance = refined.covariance;
@@ -248,8 +274,12 @@ struct Localizer::Impl {
 
   // The paper's covariance in place of the estimate's.
   static void useMonteCarlo(Candidate* c) {
-    if (c->pose.monte_carlo_covariance) c->pose.covariance = *c->pose.monte_carlo_covariance;
-    else if (c->acceptance.accepted) refuse(text("only %.0f samples of five matches give a plausible pose: no Monte Carlo covariance", c->pose.monte_carlo_plausible), c);
+    if (c->pose.monte_carlo_covariance)
+      c->pose.covariance = *c->pose.monte_carlo_covariance;
+    else if (c->acceptance.accepted)
+      refuse(text("only %.0f samples of five matches give a plausible pose: no Monte Carlo covariance",
+                  c->pose.monte_carlo_plausible),
+             c);
   }
 
   static void refuse(const std::string& why, Candidate* c) {
@@ -262,7 +292,10 @@ struct Localizer::Impl {
   static void checkGravity(const PosePrior& prior, Candidate* c) {
     const Eigen::Vector3d up = c->pose.T_world_camera.linear() * prior.up_camera->normalized();
     const double angle = std::acos(std::clamp(up.z(), -1.0, 1.0)), bound = kGravityGate * prior.up_stddev;
-    if (angle > bound) refuse(text("the attitude is %.1f degrees off the direction of gravity, at most %.1f", angle / kDegree, bound / kDegree), c);
+    if (angle > bound)
+      refuse(text("the attitude is %.1f degrees off the direction of gravity, at most %.1f", angle / kDegree,
+                  bound / kDegree),
+             c);
   }
 
   // A camera stands above the ground, outside of buildings, and sees what it matched.
@@ -273,8 +306,10 @@ struct Localizer::Impl {
     const CityModel& model = projector.model();
     const bool over_ground = below && !model.isBuilding(below->triangle);
     if (over_ground && below->distance < settings.min_height)
-      return refuse(text("%.2f m above the ground of the model, at least %.2f", below->distance, settings.min_height), c);
-    if (above && !model.isBuilding(above->triangle)) return refuse("the camera would be below the ground of the model", c);
+      return refuse(text("%.2f m above the ground of the model, at least %.2f", below->distance, settings.min_height),
+                    c);
+    if (above && !model.isBuilding(above->triangle))
+      return refuse("the camera would be below the ground of the model", c);
     int visible = 0;
     for (const int i : c->pose.inliers) {
       const Correspondence& corr = c->correspondences[static_cast<std::size_t>(i)];
@@ -283,9 +318,12 @@ struct Localizer::Impl {
       // Half a metre of tolerance: the model's own error, seen obliquely.
       visible += !hit || hit->distance > ray.norm() - 0.5 - 0.03 * ray.norm();
     }
-    const double share = static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c->pose.inliers.size(), 1));
+    const double share =
+        static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c->pose.inliers.size(), 1));
     if (share < settings.min_visible_share)
-      refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share, 100 * settings.min_visible_share), c);
+      refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share,
+                  100 * settings.min_visible_share),
+             c);
   }
 
   void take(Candidate&& c, LocalizerResult* result) const {
@@ -296,7 +334,9 @@ struct Localizer::Impl {
     result->panorama = c.panorama;
     result->view = c.view;
     result->reason = result->acceptance.reason;
-    result->status = !result->pose.success ? LocalizerStatus::kNoPose : result->acceptance.accepted ? LocalizerStatus::kAccepted : LocalizerStatus::kRefused;
+    result->status = !result->pose.success         ? LocalizerStatus::kNoPose
+                     : result->acceptance.accepted ? LocalizerStatus::kAccepted
+                                                   : LocalizerStatus::kRefused;
   }
 
   void decide(std::vector<Candidate> candidates, LocalizerResult* result) const {
@@ -310,7 +350,8 @@ struct Localizer::Impl {
     for (std::size_t i = 1; i < candidates.size() && candidates[i].acceptance.accepted; ++i) {
       const double inliers = candidates[i].acceptance.evidence.inliers;
       if (inliers < settings.min_rival_share * candidates[0].acceptance.evidence.inliers) continue;
-      if (const std::string apart = disagreement(candidates[0].pose, candidates[i].pose); !apart.empty()) contradiction = "poses from two panoramas lie " + apart;
+      if (const std::string apart = disagreement(candidates[0].pose, candidates[i].pose); !apart.empty())
+        contradiction = "poses from two panoramas lie " + apart;
     }
     take(std::move(candidates[0]), result);
     if (!contradiction.empty()) contradict(contradiction, result);
@@ -321,7 +362,8 @@ struct Localizer::Impl {
     const double apart = (a.T_world_camera.translation() - b.T_world_camera.translation()).norm();
     const double turn = air_ground_common::rotationAngle(a.T_world_camera.linear(), b.T_world_camera.linear());
     if (apart <= settings.max_disagreement && turn <= settings.max_turn) return "";
-    return text("%.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn / kDegree, static_cast<double>(b.inliers.size()));
+    return text("%.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn / kDegree,
+                static_cast<double>(b.inliers.size()));
   }
 
   static void contradict(const std::string& why, LocalizerResult* result) {
@@ -356,10 +398,14 @@ struct Localizer::Impl {
     };
     best.times = result->times;
     const bool in_steps = settings.quick_inliers > 0;
-    bool done = static_cast<int>(features.size()) < settings.acceptance.min_inliers;  // a blank image stays blank from every side
+    bool done = static_cast<int>(features.size()) <
+                settings.acceptance.min_inliers;  // a blank image stays blank from every side
     if (done) best.reason = text("%.0f features in the image: nothing to match", static_cast<double>(features.size()));
-    if (!done && in_steps) done = settled(strongestFeatures(features, settings.quick_features), std::min(settings.quick_views, settings.max_views), settings.quick_inliers);
-    const bool more = static_cast<int>(features.size()) > settings.quick_features || settings.max_views > settings.quick_views;
+    if (!done && in_steps)
+      done = settled(strongestFeatures(features, settings.quick_features),
+                     std::min(settings.quick_views, settings.max_views), settings.quick_inliers);
+    const bool more =
+        static_cast<int>(features.size()) > settings.quick_features || settings.max_views > settings.quick_views;
     if (!done && (in_steps ? more : settings.features.views.empty())) done = settled(features, settings.max_views, 0);
     best.quick = done;
     if (!done && !settings.features.views.empty()) {
@@ -385,11 +431,12 @@ struct Localizer::Impl {
     return std::move(chosen);
   }
 
-  void attempt(const Features& query, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior, int max_views, MirrorCheck* mirror,
-               LocalizerResult* result) const {
+  void attempt(const Features& query, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior,
+               int max_views, MirrorCheck* mirror, LocalizerResult* result) const {
     result->features = static_cast<int>(query.size());
-    const double prior_stddev =
-        prior.T_world_camera ? std::sqrt(prior.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff()) : std::numeric_limits<double>::infinity();
+    const double prior_stddev = prior.T_world_camera
+                                    ? std::sqrt(prior.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff())
+                                    : std::numeric_limits<double>::infinity();
     result->used_prior = prior_stddev <= settings.max_prior_stddev;
     std::vector<int> views;
     if (result->used_prior) {
@@ -403,20 +450,23 @@ struct Localizer::Impl {
       parts.push_back(match(query, pyramid, v, result));
       result->matches += static_cast<int>(parts.back().matches.size());
       const int p = view(v).panorama;
-      if (std::find(result->searched.begin(), result->searched.end(), p) == result->searched.end()) result->searched.push_back(p);
+      if (std::find(result->searched.begin(), result->searched.end(), p) == result->searched.end())
+        result->searched.push_back(p);
     }
     const StepTimer timer(result, Step::kPose);
     std::vector<Candidate> candidates;
     for (const Group& group : grouped(std::move(parts))) candidates.push_back(locate(group, query, camera, prior));
     if (candidates.empty()) {
-      result->reason = !views.empty() ? text("fewer than %.0f matches with every view searched", settings.min_view_matches)
-                       : result->used_prior ? "no view of the nearest panoramas shows what would be seen from the predicted pose"
-                                            : "no panorama resembles the image";
+      result->reason =
+          !views.empty()       ? text("fewer than %.0f matches with every view searched", settings.min_view_matches)
+          : result->used_prior ? "no view of the nearest panoramas shows what would be seen from the predicted pose"
+                               : "no panorama resembles the image";
       return;
     }
     decide(std::move(candidates), result);
     if (!result->accepted()) return;
-    if (const std::string why = mirror->objection(result->view, result->used_prior); !why.empty()) contradict(why, result);
+    if (const std::string why = mirror->objection(result->view, result->used_prior); !why.empty())
+      contradict(why, result);
   }
 };
 
@@ -426,7 +476,8 @@ Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const L
   std::size_t features = 0;
   for (const View& view : database->views) {
     features += view.features.size();
-    if (view.image.empty()) throw std::invalid_argument("localizer: the database was loaded without its images, which k-VLD needs");
+    if (view.image.empty())
+      throw std::invalid_argument("localizer: the database was loaded without its images, which k-VLD needs");
   }
   if (features == 0) throw std::invalid_argument("localizer: the database holds no features on buildings");
   impl_ = std::make_unique<Impl>(std::move(database), settings);
@@ -437,9 +488,11 @@ Localizer::~Localizer() = default;
 LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
   const auto start = StepTimer::Clock::now();
   camera.validate();
-  if (image.depth() != CV_8U || (image.channels() != 1 && image.channels() != 3)) throw std::invalid_argument("localizer: the image must be grey or BGR of 8 bits");
+  if (image.depth() != CV_8U || (image.channels() != 1 && image.channels() != 3))
+    throw std::invalid_argument("localizer: the image must be grey or BGR of 8 bits");
   if (image.cols != camera.width || image.rows != camera.height)
-    throw std::invalid_argument("localizer: the image has " + std::to_string(image.cols) + " x " + std::to_string(image.rows) + " pixels, its calibration " +
+    throw std::invalid_argument("localizer: the image has " + std::to_string(image.cols) + " x " +
+                                std::to_string(image.rows) + " pixels, its calibration " +
                                 std::to_string(camera.width) + " x " + std::to_string(camera.height));
   if (prior.T_world_camera && (!air_ground_common::isValid(*prior.T_world_camera) || !prior.covariance.allFinite()))
     throw std::invalid_argument("localizer: the predicted pose is not finite");

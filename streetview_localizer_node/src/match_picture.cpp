@@ -26,17 +26,20 @@ cv::Mat ofHeight(const cv::Mat& image, int height) {
 
 }  // namespace
 
-cv::Mat drawMatch(const cv::Mat& image, const StreetviewDatabase& database, const LocalizerResult& result, int height, int max_lines) {
+cv::Mat drawMatch(const cv::Mat& image, const StreetviewDatabase& database, const LocalizerResult& result, int height,
+                  int max_lines) {
   const cv::Mat left = ofHeight(image, height);
   int shown = result.view;
   if (shown < 0 && !result.views.empty()) shown = result.views.front();
   const cv::Mat view = shown >= 0 ? database.views[static_cast<std::size_t>(shown)].image : cv::Mat();
-  const cv::Mat right = view.empty() ? cv::Mat(height, left.cols, CV_8UC3, cv::Scalar::all(60)) : ofHeight(view, height);
+  const cv::Mat right =
+      view.empty() ? cv::Mat(height, left.cols, CV_8UC3, cv::Scalar::all(60)) : ofHeight(view, height);
   cv::Mat canvas(height + kCaption, left.cols + right.cols, CV_8UC3, cv::Scalar::all(0));
   left.copyTo(canvas(cv::Rect(0, 0, left.cols, height)));
   right.copyTo(canvas(cv::Rect(left.cols, 0, right.cols, height)));
   if (!view.empty()) {
-    const double scale_left = static_cast<double>(height) / image.rows, scale_right = static_cast<double>(height) / view.rows;
+    const double scale_left = static_cast<double>(height) / image.rows,
+                 scale_right = static_cast<double>(height) / view.rows;
     std::vector<int> good, bad;
     std::size_t next = 0;
     const auto& inliers = result.pose.inliers;  // ascending
@@ -63,7 +66,8 @@ cv::Mat drawMatch(const cv::Mat& image, const StreetviewDatabase& database, cons
   if (result.panorama >= 0) caption += ", " + database.panoramas[static_cast<std::size_t>(result.panorama)].id;
   if (result.pose.success) caption += ", " + std::to_string(result.pose.inliers.size()) + " inliers";
   if (!result.accepted()) caption += ": " + result.reason;
-  cv::putText(canvas, caption, {6, height + 17}, cv::FONT_HERSHEY_SIMPLEX, 0.5, result.accepted() ? cv::Scalar(60, 220, 60) : cv::Scalar(80, 160, 255), 1, cv::LINE_AA);
+  cv::putText(canvas, caption, {6, height + 17}, cv::FONT_HERSHEY_SIMPLEX, 0.5,
+              result.accepted() ? cv::Scalar(60, 220, 60) : cv::Scalar(80, 160, 255), 1, cv::LINE_AA);
   return canvas;
 }
 

@@ -7,13 +7,19 @@ namespace {
 
 constexpr int kFeatures = 1000, kSearched = 500, kViews = 2;
 constexpr double kClearRatio = 0.75;  // of a match that hardly arises by chance
-// Clear matches mirrored over those as it is: measured up to 1.1 for images as recorded, mostly from 1.4 for mirrored ones.
+// Clear matches mirrored over those as it is: measured up to 1.1 for images as recorded, mostly from 1.4 for mirrored
+// ones.
 constexpr double kMirrored = 1.2;
 
 }  // namespace
 
-MirrorCheck::MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database, const LocalizerSettings& settings)
-    : straight_(strongestFeatures(features, kFeatures)), mirrored_(mirroredFeatures(straight_)), search_(search), database_(database), pairwise_(settings.pairwise) {
+MirrorCheck::MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database,
+                         const LocalizerSettings& settings)
+    : straight_(strongestFeatures(features, kFeatures)),
+      mirrored_(mirroredFeatures(straight_)),
+      search_(search),
+      database_(database),
+      pairwise_(settings.pairwise) {
   pairwise_.max_ratio = std::min(pairwise_.max_ratio, kClearRatio);
 }
 
@@ -24,14 +30,16 @@ std::size_t MirrorCheck::clearMatches(const Features& features, int view) const 
 std::string MirrorCheck::objection(int view, bool near_prediction) {
   if (!near_prediction && !elsewhere_) {
     elsewhere_ = 0;
-    for (const int v : search_.byMirrorImage(strongestFeatures(mirrored_, kSearched), kViews)) elsewhere_ = std::max(*elsewhere_, clearMatches(mirrored_, v));
+    for (const int v : search_.byMirrorImage(strongestFeatures(mirrored_, kSearched), kViews))
+      elsewhere_ = std::max(*elsewhere_, clearMatches(mirrored_, v));
   }
   const auto [it, is_new] = here_.try_emplace(view);
   if (is_new) it->second = {clearMatches(straight_, view), clearMatches(mirrored_, view)};
   const auto [as_it_is, flipped] = it->second;
   const std::size_t as_mirrored = std::max(flipped, elsewhere_.value_or(0));
   if (static_cast<double>(as_mirrored) <= kMirrored * static_cast<double>(as_it_is)) return "";
-  return "mirrored, the image has " + std::to_string(as_mirrored) + " clear matches with a view, as it is " + std::to_string(as_it_is);
+  return "mirrored, the image has " + std::to_string(as_mirrored) + " clear matches with a view, as it is " +
+         std::to_string(as_it_is);
 }
 
 }  // namespace streetview_localizer

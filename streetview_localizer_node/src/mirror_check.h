@@ -1,5 +1,5 @@
-// A facade is often its own mirror image: an image that was flipped finds a place too, but has fewer clear matches there than
-// its mirror image has with the view that shows it.
+// A facade is often its own mirror image: an image that was flipped finds a place too, but has fewer clear matches
+// there than its mirror image has with the view that shows it.
 #pragma once
 
 #include <cstddef>
@@ -16,10 +16,12 @@ namespace streetview_localizer {
 class MirrorCheck {
  public:
   /// `features`: of the image as recorded, without its virtual views. The others must outlive it.
-  MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database, const LocalizerSettings& settings);
+  MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database,
+              const LocalizerSettings& settings);
 
-  /// Why an image whose pose rests on `view` is taken for a mirrored one; empty if it is not. Views where the mirror image may
-  /// belong are looked for in the whole database, unless `near_prediction`: what led to the prediction has been tested so.
+  /// Why an image whose pose rests on `view` is taken for a mirrored one; empty if it is not. Views where the mirror
+  /// image may belong are looked for in the whole database, unless `near_prediction`: what led to the prediction has
+  /// been tested so.
   std::string objection(int view, bool near_prediction);
 
  private:

@@ -24,7 +24,8 @@ class OdometryBuffer {
 
   void push(const TimedPose& pose) {
     // The last to arrive counts: a stamp that leaps leaves nothing of what was before.
-    while (!poses_.empty() && (poses_.size() >= kMost || std::abs(pose.stamp - poses_.front().stamp) > kKept)) poses_.pop_front();
+    while (!poses_.empty() && (poses_.size() >= kMost || std::abs(pose.stamp - poses_.front().stamp) > kKept))
+      poses_.pop_front();
     poses_.push_back(pose);
   }
   void clear() { poses_.clear(); }

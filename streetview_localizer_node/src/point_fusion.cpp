@@ -14,7 +14,7 @@ using air_ground_common::expSO3;
 using air_ground_common::skew;
 using air_ground_common::Vector6d;
 
-constexpr double kCauchy = 2;        // scale of the robust loss, in standard deviations
+constexpr double kCauchy = 2;          // scale of the robust loss, in standard deviations
 constexpr double kMinIncidence = 0.1;  // cosine; keeps the plane's information about a grazing ray finite
 
 struct System {
@@ -25,8 +25,8 @@ struct System {
 };
 
 // Parameters: translation and rotation vector about the optical centre, both in world, as in PoseResult::covariance.
-System linearise(const std::vector<FusedPoint>& points, const CameraModel& camera, const PosePrior& prior, const Pose& T,
-                 const PointFusionSettings& settings) {
+System linearise(const std::vector<FusedPoint>& points, const CameraModel& camera, const PosePrior& prior,
+                 const Pose& T, const PointFusionSettings& settings) {
   System s;
   const Eigen::Matrix3d R = T.linear().transpose();  // camera from world
   for (const FusedPoint& p : points) {
@@ -35,7 +35,8 @@ System linearise(const std::vector<FusedPoint>& points, const CameraModel& camer
     const auto pixel = camera.project(R * d, &J_camera);
     if (!pixel) continue;
     const Eigen::Matrix<double, 2, 3> J_world = J_camera * R;
-    const Eigen::Matrix2d S = std::pow(settings.pixel_stddev, 2) * Eigen::Matrix2d::Identity() + J_world * p.covariance * J_world.transpose();
+    const Eigen::Matrix2d S =
+        std::pow(settings.pixel_stddev, 2) * Eigen::Matrix2d::Identity() + J_world * p.covariance * J_world.transpose();
     const Eigen::Matrix2d W = S.inverse();
     const Eigen::Vector2d r = p.pixel - *pixel;
     const double m2 = r.dot(W * r), c2 = kCauchy * kCauchy;
@@ -64,15 +65,18 @@ System linearise(const std::vector<FusedPoint>& points, const CameraModel& camer
 }  // namespace
 
 void PointFusionSettings::validate() const {
-  if (!(surface_stddev > 0) || !std::isfinite(surface_stddev)) throw std::invalid_argument("point fusion: surface_stddev must be positive");
-  if (!(pixel_stddev > 0) || !std::isfinite(pixel_stddev)) throw std::invalid_argument("point fusion: pixel_stddev must be positive");
+  if (!(surface_stddev > 0) || !std::isfinite(surface_stddev))
+    throw std::invalid_argument("point fusion: surface_stddev must be positive");
+  if (!(pixel_stddev > 0) || !std::isfinite(pixel_stddev))
+    throw std::invalid_argument("point fusion: pixel_stddev must be positive");
   if (max_iterations < 1) throw std::invalid_argument("point fusion: max_iterations must be at least 1");
 }
 
 std::vector<FusedPoint> fusePoints(const std::vector<Correspondence>& correspondences, const std::vector<ViewRay>& rays,
                                    const std::vector<int>& use, const PointFusionSettings& settings) {
   settings.validate();
-  if (rays.size() != correspondences.size()) throw std::invalid_argument("point fusion: one ray a correspondence is needed");
+  if (rays.size() != correspondences.size())
+    throw std::invalid_argument("point fusion: one ray a correspondence is needed");
   struct Sum {
     Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
     Eigen::Vector3d b = Eigen::Vector3d::Zero();
@@ -81,7 +85,8 @@ std::vector<FusedPoint> fusePoints(const std::vector<Correspondence>& correspond
   std::vector<Sum> sums;
   std::map<std::pair<double, double>, std::size_t> at_pixel;
   for (const int index : use) {
-    if (index < 0 || index >= static_cast<int>(correspondences.size())) throw std::invalid_argument("point fusion: index out of range");
+    if (index < 0 || index >= static_cast<int>(correspondences.size()))
+      throw std::invalid_argument("point fusion: index out of range");
     const Correspondence& c = correspondences[static_cast<std::size_t>(index)];
     const ViewRay& ray = rays[static_cast<std::size_t>(index)];
     const double range = std::max((c.p_world - ray.centre).norm(), 1e-3);
@@ -92,7 +97,8 @@ std::vector<FusedPoint> fusePoints(const std::vector<Correspondence>& correspond
       point.pixel = c.pixel;
       points.push_back(point);
       Sum sum;
-      const Eigen::Vector3d n = c.normal.squaredNorm() > 0.25 && std::abs(c.normal.dot(d)) > kMinIncidence ? c.normal : Eigen::Vector3d(-d);
+      const Eigen::Vector3d n =
+          c.normal.squaredNorm() > 0.25 && std::abs(c.normal.dot(d)) > kMinIncidence ? c.normal : Eigen::Vector3d(-d);
       sum.A = n * n.transpose() / std::pow(settings.surface_stddev, 2);
       sum.b = sum.A * c.p_world;
       sums.push_back(sum);
@@ -110,8 +116,8 @@ std::vector<FusedPoint> fusePoints(const std::vector<Correspondence>& correspond
   return points;
 }
 
-FusedRefinement refineOnFusedPoints(const std::vector<FusedPoint>& points, const CameraModel& camera, const PosePrior& prior, const Pose& start,
-                                    const PointFusionSettings& settings) {
+FusedRefinement refineOnFusedPoints(const std::vector<FusedPoint>& points, const CameraModel& camera,
+                                    const PosePrior& prior, const Pose& start, const PointFusionSettings& settings) {
   settings.validate();
   FusedRefinement result;
   result.T_world_camera = start;

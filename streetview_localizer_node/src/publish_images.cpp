@@ -32,8 +32,10 @@ void run(const Arguments& a) {
   if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
   std::optional<air_ground_common::CameraModel> common;
   std::map<std::string, air_ground_common::CameraModel> single;
-  if (!a.camera.empty()) common = air_ground_common::readCameraFile(a.camera);
-  else single = streetview_localizer::readCameraList(a.cameras);
+  if (!a.camera.empty())
+    common = air_ground_common::readCameraFile(a.camera);
+  else
+    single = streetview_localizer::readCameraList(a.cameras);
   const std::vector<std::string> names = streetview_localizer::listImages(a.images);
 
   ros::NodeHandle handle;
@@ -54,7 +56,8 @@ void run(const Arguments& a) {
   do {
     for (const std::string& name : names) {
       if (!common && single.count(name) == 0) continue;
-      const cv::Mat image = cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
+      const cv::Mat image =
+          cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
       if (image.empty()) {
         ROS_WARN("%s cannot be read", name.c_str());
         continue;
@@ -79,10 +82,12 @@ int main(int argc, char** argv) {
   ros::init(argc, argv, "publish_images");
   CLI::App app("Plays a folder of photographs as a camera, on mav/camera/image_raw and mav/camera/camera_info.");
   Arguments a;
-  app.add_option("--folder", a.folder, "where relative names begin; roslaunch starts nodes elsewhere than it was started itself");
+  app.add_option("--folder", a.folder,
+                 "where relative names begin; roslaunch starts nodes elsewhere than it was started itself");
   app.add_option("--images", a.images, "folder of photographs")->required();
   app.add_option("--camera", a.camera, "calibration of all of them (ROS camera_info YAML)");
-  app.add_option("--cameras", a.cameras, "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");
+  app.add_option("--cameras", a.cameras,
+                 "instead: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`; images not listed are left out");
   app.add_option("--frame", a.frame, "of the camera")->capture_default_str();
   app.add_option("--base-frame", a.base_frame, "if given, a fixed transform from it to the camera is published");
   app.add_option("--period", a.period, "between two images [s]")->capture_default_str()->check(CLI::Range(0.0, 3600.0));

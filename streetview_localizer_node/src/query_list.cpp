@@ -14,7 +14,8 @@ namespace {
 using air_ground_common::CameraModel;
 
 // name -> numbers of each line.
-std::map<std::string, std::vector<double>> readTable(const std::string& path, const std::vector<std::size_t>& columns, const std::string& expected) {
+std::map<std::string, std::vector<double>> readTable(const std::string& path, const std::vector<std::size_t>& columns,
+                                                     const std::string& expected) {
   std::ifstream file(path);
   if (!file) throw std::runtime_error("cannot read " + path);
   std::map<std::string, std::vector<double>> table;
@@ -81,8 +82,10 @@ std::vector<std::string> listImages(const std::string& folder) {
   std::vector<std::string> names;
   for (const auto& entry : std::filesystem::directory_iterator(folder)) {
     std::string extension = entry.path().extension().string();
-    std::transform(extension.begin(), extension.end(), extension.begin(), [](unsigned char ch) { return std::tolower(ch); });
-    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png") names.push_back(entry.path().filename().string());
+    std::transform(extension.begin(), extension.end(), extension.begin(),
+                   [](unsigned char ch) { return std::tolower(ch); });
+    if (extension == ".jpg" || extension == ".jpeg" || extension == ".png")
+      names.push_back(entry.path().filename().string());
   }
   if (names.empty()) throw std::runtime_error(folder + " holds no images (jpg, jpeg, png)");
   std::sort(names.begin(), names.end());

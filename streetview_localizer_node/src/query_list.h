@@ -10,16 +10,16 @@
 
 namespace streetview_localizer {
 
-/// Calibrations of single images: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`, separated by blanks or commas; '#' and a header
-/// line that begins with `image` are skipped. Width and height stay 0. A line with other columns, such as poses, is an error:
-/// what is to be found out must not be in the input. Throws std::runtime_error with file and line.
+/// Calibrations of single images: lines of `image fx fy cx cy [k1 k2 p1 p2 k3]`, separated by blanks or commas; '#' and
+/// a header line that begins with `image` are skipped. Width and height stay 0. A line with other columns, such as
+/// poses, is an error: what is to be found out must not be in the input. Throws std::runtime_error with file and line.
 std::map<std::string, air_ground_common::CameraModel> readCameraList(const std::string& path);
 
 /// Directions against gravity in the optical frame: lines of `image x y z`, as above.
 std::map<std::string, Eigen::Vector3d> readUpList(const std::string& path);
 
-/// Names of the images (jpg, jpeg, png, any case) in a folder, sorted. Throws std::runtime_error for a missing folder, or one
-/// without images.
+/// Names of the images (jpg, jpeg, png, any case) in a folder, sorted. Throws std::runtime_error for a missing folder,
+/// or one without images.
 std::vector<std::string> listImages(const std::string& folder);
 
 }  // namespace streetview_localizer

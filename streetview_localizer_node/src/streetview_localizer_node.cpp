@@ -1,5 +1,5 @@
-// Wires the localizer to ROS: the newest image in, pose in the city or a refusal with its reason out. Callbacks only store; one
-// thread works.
+// Wires the localizer to ROS: the newest image in, pose in the city or a refusal with its reason out. Callbacks only
+// store; one thread works.
 #include <air_ground/StreetviewMatch.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <nav_msgs/Odometry.h>
@@ -36,10 +36,14 @@ using air_ground::StreetviewMatch;
 
 std::uint8_t messageStatus(LocalizerStatus status) {
   switch (status) {
-    case LocalizerStatus::kAccepted: return StreetviewMatch::STATUS_ACCEPTED;
-    case LocalizerStatus::kRefused: return StreetviewMatch::STATUS_REFUSED;
-    case LocalizerStatus::kNoPose: return StreetviewMatch::STATUS_NO_POSE;
-    case LocalizerStatus::kNoMatch: return StreetviewMatch::STATUS_NO_MATCH;
+    case LocalizerStatus::kAccepted:
+      return StreetviewMatch::STATUS_ACCEPTED;
+    case LocalizerStatus::kRefused:
+      return StreetviewMatch::STATUS_REFUSED;
+    case LocalizerStatus::kNoPose:
+      return StreetviewMatch::STATUS_NO_POSE;
+    case LocalizerStatus::kNoMatch:
+      return StreetviewMatch::STATUS_NO_MATCH;
   }
   return StreetviewMatch::STATUS_NO_MATCH;
 }
@@ -52,8 +56,10 @@ class StreetviewLocalizerNode {
       : handle_(handle), settings_(readParameters(private_handle)), health_("streetview_localizer"), listener_(tf_) {
     const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(settings_.database, settings_.load));
     localizer_ = std::make_unique<Localizer>(database, settings_.localizer);
-    ROS_INFO("%s: %zu panoramas, %zu views, world %s", settings_.database.c_str(), database->panoramas.size(), database->views.size(),
-             database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());
+    ROS_INFO(
+        "%s: %zu panoramas, %zu views, world %s", settings_.database.c_str(), database->panoramas.size(),
+        database->views.size(),
+        database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());
 
     ROS_INFO("%s", localizer_->indexRemark().c_str());
 
@@ -67,8 +73,10 @@ class StreetviewLocalizerNode {
     camera_info_ = handle.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
     health_.expectInput(image_.getTopic());
     health_.expectInput(camera_info_.getTopic());
-    if (settings_.use_prior) prior_ = handle.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
-    if (settings_.use_gravity) attitude_ = handle.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
+    if (settings_.use_prior)
+      prior_ = handle.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
+    if (settings_.use_gravity)
+      attitude_ = handle.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
     reset_ = private_handle.advertiseService("reset", &StreetviewLocalizerNode::onReset, this);
     health_.state(1, "waiting for images");
     worker_ = std::thread([this] { work(); });
@@ -90,7 +98,8 @@ class StreetviewLocalizerNode {
     unsigned pass = 0;
   };
 
-  // ---- Inputs ---------------------------------------------------------------------------------------------------------
+  // ---- Inputs
+  // ---------------------------------------------------------------------------------------------------------
 
   void onCameraInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
     health_.received(camera_info_.getTopic(), msg->header.stamp);
@@ -109,8 +118,9 @@ class StreetviewLocalizerNode {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!camera_) return health_.count("images without calibration");
     if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
-      return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " + std::to_string(msg->height) + " against " +
-                           std::to_string(camera_->width) + " x " + std::to_string(camera_->height) + ")");
+      return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
+                           std::to_string(msg->height) + " against " + std::to_string(camera_->width) + " x " +
+                           std::to_string(camera_->height) + ")");
     if (!last_started_.isZero() && msg->header.stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
     if (job_) ++skipped_;
     job_ = Job{msg, *camera_, pass_};
@@ -144,7 +154,8 @@ class StreetviewLocalizerNode {
 
   void onPrior(const nav_msgs::Odometry::ConstPtr& msg) {
     if (msg->header.frame_id != settings_.world_frame)
-      return health_.count("tracked poses ignored: in frame '" + msg->header.frame_id + "', expected '" + settings_.world_frame + "'");
+      return health_.count("tracked poses ignored: in frame '" + msg->header.frame_id + "', expected '" +
+                           settings_.world_frame + "'");
     const auto pose = read(*msg, "tracked pose");
     if (pose && gate_.admit(kPriors, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -170,13 +181,15 @@ class StreetviewLocalizerNode {
     }
   }
 
-  // ---- Work -----------------------------------------------------------------------------------------------------------
+  // ---- Work
+  // -----------------------------------------------------------------------------------------------------------
 
   void work() {
     bool display = settings_.display;
     try {
       if (display) {
-        display_.prepare(*localizer_, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points), settings_.cameras_shown);
+        display_.prepare(*localizer_, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points),
+                         settings_.cameras_shown);
         display_.publishCity(settings_.world_frame);
       }
     } catch (const std::exception& e) {
@@ -195,7 +208,8 @@ class StreetviewLocalizerNode {
         std::swap(skipped, skipped_);
         // The attitude of the image's time may come a little later than the image.
         if (settings_.use_gravity && attitude_.getNumPublishers() > 0)
-          wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait), [&] { return stop_ || attitudes_.reaches(job->image->header.stamp.toSec()); });
+          wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
+                         [&] { return stop_ || attitudes_.reaches(job->image->header.stamp.toSec()); });
         if (stop_) return;
       }
       if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
@@ -241,7 +255,8 @@ class StreetviewLocalizerNode {
   void process(const Job& job, bool display) {
     const std::string frame = settings_.camera_frame.empty() ? job.image->header.frame_id : settings_.camera_frame;
     const std::optional<Pose> T_base_camera = baseFromCamera(frame);
-    if (!T_base_camera) health_.count("images without a transform from " + frame + " to " + settings_.base_frame + ": no prior, no fix");
+    if (!T_base_camera)
+      health_.count("images without a transform from " + frame + " to " + settings_.base_frame + ": no prior, no fix");
     const cv::Mat image = ru::bgrFromMsg(*job.image);
     const LocalizerResult result = localizer_->localize(image, job.camera, priorOf(job, T_base_camera));
     prior_misses_ = result.used_prior && !result.accepted() ? prior_misses_ + 1 : 0;
@@ -251,17 +266,21 @@ class StreetviewLocalizerNode {
       if (job.pass != pass_) return;
     }
     health_.timing("image", result.total_time);
-    for (int i = 0; i < kSteps; ++i) health_.timing(nameOf(static_cast<Step>(i)), result.times[static_cast<std::size_t>(i)]);
+    for (int i = 0; i < kSteps; ++i)
+      health_.timing(nameOf(static_cast<Step>(i)), result.times[static_cast<std::size_t>(i)]);
     ++(result.accepted() ? accepted_ : refused_);
     publishMatch(job, frame, result);
     if (result.accepted() && T_base_camera) publishFix(job, result, *T_base_camera);
     tell(job, result);
     if (!display) return;
     if (match_image_.getNumSubscribers() > 0)
-      match_image_.publish(ru::toMsg(display_.matchImage(image, result, settings_.display_width), "bgr8", job.image->header));
+      match_image_.publish(
+          ru::toMsg(display_.matchImage(image, result, settings_.display_width), "bgr8", job.image->header));
     if (result.accepted() && synthesized_view_.getNumSubscribers() > 0)
-      synthesized_view_.publish(ru::toMsg(display_.besideModel(image, job.camera, result, settings_.display_width), "bgr8", job.image->header));
-    if (result.accepted()) display_.addCamera(job.camera, result.pose.T_world_camera, job.image->header.stamp, settings_.world_frame);
+      synthesized_view_.publish(ru::toMsg(display_.besideModel(image, job.camera, result, settings_.display_width),
+                                          "bgr8", job.image->header));
+    if (result.accepted())
+      display_.addCamera(job.camera, result.pose.T_world_camera, job.image->header.stamp, settings_.world_frame);
   }
 
   void publishMatch(const Job& job, const std::string& frame, const LocalizerResult& r) {
@@ -305,8 +324,10 @@ class StreetviewLocalizerNode {
 
   void publishFix(const Job& job, const LocalizerResult& r, const Pose& T_base_camera) {
     const Pose T_world_base = r.pose.T_world_camera * T_base_camera.inverse();
-    const Matrix6d covariance = covarianceAt(r.pose.covariance, T_world_base.translation() - r.pose.T_world_camera.translation());
-    if (!air_ground_common::isValid(T_world_base) || !covariance.allFinite()) return health_.count("poses that are not finite");
+    const Matrix6d covariance =
+        covarianceAt(r.pose.covariance, T_world_base.translation() - r.pose.T_world_camera.translation());
+    if (!air_ground_common::isValid(T_world_base) || !covariance.allFinite())
+      return health_.count("poses that are not finite");
     geometry_msgs::PoseWithCovarianceStamped msg;
     msg.header.stamp = job.image->header.stamp;
     msg.header.frame_id = settings_.world_frame;
@@ -318,18 +339,22 @@ class StreetviewLocalizerNode {
 
   void tell(const Job& job, const LocalizerResult& r) {
     char line[300];
-    const std::string tally = "; " + std::to_string(accepted_) + " images located, " + std::to_string(refused_) + " not";
+    const std::string tally =
+        "; " + std::to_string(accepted_) + " images located, " + std::to_string(refused_) + " not";
     if (r.accepted()) {
       const Eigen::Vector3d stddev = r.pose.covariance.diagonal().head<3>().cwiseSqrt();
-      std::snprintf(line, sizeof line, "located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
-                    localizer_->database().panoramas[static_cast<std::size_t>(r.panorama)].id.c_str(), r.pose.inliers.size(), r.acceptance.score, stddev.x(), stddev.y(),
-                    stddev.z(), r.total_time);
+      std::snprintf(line, sizeof line,
+                    "located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
+                    localizer_->database().panoramas[static_cast<std::size_t>(r.panorama)].id.c_str(),
+                    r.pose.inliers.size(), r.acceptance.score, stddev.x(), stddev.y(), stddev.z(), r.total_time);
       health_.state(0, line + tally);
       return;
     }
     std::snprintf(line, sizeof line, "last image %s: %s", nameOf(r.status), r.reason.c_str());
     std::string state = line + tally;
-    if (!last_fix_.isZero()) state += "; last fix " + std::to_string(std::lround(job.image->header.stamp.toSec() - last_fix_.toSec())) + " s ago";
+    if (!last_fix_.isZero())
+      state +=
+          "; last fix " + std::to_string(std::lround(job.image->header.stamp.toSec() - last_fix_.toSec())) + " s ago";
     health_.state(1, state);
   }
 

@@ -13,7 +13,8 @@ struct NodeSettings {
   std::string database, world_frame, base_frame, camera_frame;
   bool use_prior = true, use_gravity = true, display = true;
   int prior_misses = 3;
-  double min_period = 0, prior_max_age = 1, prior_speed = 3, gravity_max_age = 0.1, gravity_wait = 0.3, gravity_stddev = 0.02;
+  double min_period = 0, prior_max_age = 1, prior_speed = 3, gravity_max_age = 0.1, gravity_wait = 0.3,
+         gravity_stddev = 0.02;
   double model_spacing = 0.2;  ///< [m]
   int model_max_points = 400000, display_width = 480, cameras_shown = 500;
   DatabaseLoadOptions load;
@@ -63,7 +64,8 @@ NodeSettings readSettings(Source& p) {
   l.pairwise.max_ratio = p.number("max_ratio", l.pairwise.max_ratio, 0.1, 1);
   l.kvld.min_supporters = p.integer("kvld_supporters", l.kvld.min_supporters, 0, 100);
   l.merge_position_stddev = p.number("merge_position_stddev", l.merge_position_stddev, 0, 100);
-  l.merge_orientation_stddev = kDegree * p.number("merge_orientation_stddev", l.merge_orientation_stddev / kDegree, 0, 45);
+  l.merge_orientation_stddev =
+      kDegree * p.number("merge_orientation_stddev", l.merge_orientation_stddev / kDegree, 0, 45);
 
   l.pose.inlier_threshold = p.number("inlier_threshold", l.pose.inlier_threshold, 0.1, 100);
   l.pose.pixel_stddev = p.number("pixel_stddev", l.pose.pixel_stddev, 0.01, 100);
@@ -104,7 +106,8 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   const NodeSettings s = readSettings(p);
   p.finish();
   if (s.database.empty())
-    throw air_ground_common::ros_utils::ParameterError("parameter database is empty: name the file that build_streetview_db made (database:=city.gpkg)");
+    throw air_ground_common::ros_utils::ParameterError(
+        "parameter database is empty: name the file that build_streetview_db made (database:=city.gpkg)");
   return s;
 }
 

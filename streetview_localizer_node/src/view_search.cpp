@@ -19,7 +19,8 @@ std::vector<int> strongest(const Features& query, int count) {
   std::iota(indices.begin(), indices.end(), 0);
   if (count == 0 || static_cast<int>(indices.size()) <= count) return indices;
   std::stable_sort(indices.begin(), indices.end(), [&](int a, int b) {
-    return query.keypoints[static_cast<std::size_t>(a)].response > query.keypoints[static_cast<std::size_t>(b)].response;
+    return query.keypoints[static_cast<std::size_t>(a)].response >
+           query.keypoints[static_cast<std::size_t>(b)].response;
   });
   indices.resize(static_cast<std::size_t>(count));
   std::sort(indices.begin(), indices.end());
@@ -42,8 +43,8 @@ Features strongestFeatures(const Features& features, int count) {
   return out;
 }
 
-// In a keypoint's own frame, x along its direction, mirroring turns y about: rows of the descriptor's 4 x 4 grid are reversed,
-// directions change sign.
+// In a keypoint's own frame, x along its direction, mirroring turns y about: rows of the descriptor's 4 x 4 grid are
+// reversed, directions change sign.
 Features mirroredFeatures(Features features) {
   const cv::Mat from = features.descriptors;
   features.descriptors = cv::Mat(from.size(), from.type());
@@ -52,12 +53,14 @@ Features mirroredFeatures(Features features) {
     auto* out = features.descriptors.ptr<uchar>(i);
     for (int row = 0; row < 4; ++row)
       for (int col = 0; col < 4; ++col)
-        for (int bin = 0; bin < 8; ++bin) out[(row * 4 + col) * 8 + bin] = in[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
+        for (int bin = 0; bin < 8; ++bin)
+          out[(row * 4 + col) * 8 + bin] = in[((3 - row) * 4 + col) * 8 + (8 - bin) % 8];
   }
   return features;
 }
 
-ViewSearch::ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings) : database_(database), settings_(settings) {
+ViewSearch::ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings)
+    : database_(database), settings_(settings) {
   std::vector<cv::Mat> parts;
   for (std::size_t i = 0; i < database_.views.size(); ++i) {
     const Features& features = database_.views[i].features;
@@ -70,7 +73,8 @@ ViewSearch::ViewSearch(const StreetviewDatabase& database, const LocalizerSettin
 }
 
 void ViewSearch::prepareIndex() {
-  const std::string name = toString(settings_.index.method) + " index over " + std::to_string(descriptors_.rows) + " descriptors";
+  const std::string name =
+      toString(settings_.index.method) + " index over " + std::to_string(descriptors_.rows) + " descriptors";
   std::string why;
   if (std::filesystem::exists(settings_.index_file)) {
     try {
@@ -102,7 +106,8 @@ std::vector<int> ViewSearch::panoramasNear(const Eigen::Vector3d& position) cons
   for (int count = std::min(settings_.near_panoramas, total);; count = std::min(2 * count, total)) {
     found.clear();
     for (const int p : database_.nearest(position, count))
-      if (!database_.viewsOf(p).empty() && static_cast<int>(found.size()) < settings_.near_panoramas) found.push_back(p);
+      if (!database_.viewsOf(p).empty() && static_cast<int>(found.size()) < settings_.near_panoramas)
+        found.push_back(p);
     if (static_cast<int>(found.size()) == settings_.near_panoramas || count == total) return found;
   }
 }
@@ -123,14 +128,16 @@ std::vector<int> ViewSearch::byPrior(const CameraModel& camera, const PosePrior&
       for (std::size_t i = 0; i < candidate.points.size(); ++i) {
         const Eigen::Vector3d point = candidate.points[i].cast<double>();
         const Eigen::Vector3d in_camera = T_camera_world * point;
-        seen += in_camera.z() > min_cosine * in_camera.norm() && candidate.normals[i].cast<double>().dot(T.translation() - point) > 0;
+        seen += in_camera.z() > min_cosine * in_camera.norm() &&
+                candidate.normals[i].cast<double>().dot(T.translation() - point) > 0;
       }
       if (seen >= settings_.min_view_matches) ranked.emplace_back(-seen, v);
     }
   }
   std::sort(ranked.begin(), ranked.end());
   std::vector<int> views;
-  for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(max_views); ++i) views.push_back(ranked[i].second);
+  for (std::size_t i = 0; i < ranked.size() && i < static_cast<std::size_t>(max_views); ++i)
+    views.push_back(ranked[i].second);
   return views;
 }
 
@@ -146,12 +153,14 @@ std::vector<int> ViewSearch::byDescriptors(const Features& query, int max_views,
   return placesOf(neighbors, queried, query.keypoints, max_views);
 }
 
-std::vector<int> ViewSearch::placesOf(const std::vector<std::vector<Neighbor>>& neighbors, const std::vector<int>& queried,
-                                      const std::vector<cv::KeyPoint>& keypoints, int max_views) const {
+std::vector<int> ViewSearch::placesOf(const std::vector<std::vector<Neighbor>>& neighbors,
+                                      const std::vector<int>& queried, const std::vector<cv::KeyPoint>& keypoints,
+                                      int max_views) const {
   VotingSettings voting = settings_.voting;
   voting.best = max_views;
   std::vector<int> views;
-  for (const Vote& vote : voteForPlaces(neighbors, queried, keypoints, view_of_row_, static_cast<int>(database_.views.size()), voting))
+  for (const Vote& vote :
+       voteForPlaces(neighbors, queried, keypoints, view_of_row_, static_cast<int>(database_.views.size()), voting))
     views.push_back(vote.place);
   return views;
 }
@@ -159,7 +168,8 @@ std::vector<int> ViewSearch::placesOf(const std::vector<std::vector<Neighbor>>& 
 std::vector<int> ViewSearch::byMirrorImage(const Features& mirrored, int max_views) const {
   std::vector<int> all(mirrored.size());
   std::iota(all.begin(), all.end(), 0);
-  return placesOf(index_->search(mirrored.descriptors, std::min(settings_.neighbors, descriptors_.rows)), all, mirrored.keypoints, max_views);
+  return placesOf(index_->search(mirrored.descriptors, std::min(settings_.neighbors, descriptors_.rows)), all,
+                  mirrored.keypoints, max_views);
 }
 
 }  // namespace streetview_localizer

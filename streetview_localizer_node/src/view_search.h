@@ -24,7 +24,8 @@ class ViewSearch {
   /// Views that the whole database's nearest descriptors vote for. Adds to the times of search and voting.
   std::vector<int> byDescriptors(const Features& query, int max_views, LocalizerResult* result) const;
 
-  /// Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image most.
+  /// Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image
+  /// most.
   std::vector<int> byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const;
 
   /// The same for the few features of a mirror image; no times.

@@ -10,8 +10,8 @@ namespace {
 using air_ground_common::CameraModel;
 using air_ground_common::Pose;
 
-constexpr int kReduction = 4;        // of the depth images that tell what is occluded
-constexpr double kOccluded = 0.5;    // the model in front of a point by more than this hides it [m]
+constexpr int kReduction = 4;          // of the depth images that tell what is occluded
+constexpr double kOccluded = 0.5;      // the model in front of a point by more than this hides it [m]
 constexpr double kMinIncidence = 0.1;  // cosine: beyond 84 degrees a pixel smears over the wall
 constexpr int kViewsUsed = 32;         // for a place of the model
 const cv::Vec3b kSky(235, 225, 215);
@@ -23,7 +23,8 @@ cv::Vec3b shade(const Eigen::Vector3d& normal) {
 
 Eigen::Vector3d normalOf(const air_ground_common::TriangleMesh& mesh, int triangle) {
   const Eigen::Vector3i& t = mesh.triangles[static_cast<std::size_t>(triangle)];
-  const Eigen::Vector3f a = mesh.vertices[static_cast<std::size_t>(t[0])], b = mesh.vertices[static_cast<std::size_t>(t[1])],
+  const Eigen::Vector3f a = mesh.vertices[static_cast<std::size_t>(t[0])],
+                        b = mesh.vertices[static_cast<std::size_t>(t[1])],
                         c = mesh.vertices[static_cast<std::size_t>(t[2])];
   return (b - a).cross(c - a).cast<double>().normalized();
 }
@@ -34,8 +35,10 @@ cv::Vec3b sampleBilinear(const cv::Mat& image, const Eigen::Vector2d& pixel) {
   const double u = x - x0, v = y - y0;
   cv::Vec3d sum;
   const auto add = [&](int row, int col, double weight) {
-    if (image.channels() == 1) sum += weight * cv::Vec3d::all(image.at<uchar>(row, col));
-    else sum += weight * cv::Vec3d(image.at<cv::Vec3b>(row, col));
+    if (image.channels() == 1)
+      sum += weight * cv::Vec3d::all(image.at<uchar>(row, col));
+    else
+      sum += weight * cv::Vec3d(image.at<cv::Vec3b>(row, col));
   };
   add(y0, x0, (1 - u) * (1 - v));
   add(y0, x0 + 1, u * (1 - v));
@@ -65,7 +68,8 @@ std::vector<int> ViewSynthesizer::viewsNear(const Eigen::Vector3d& position, int
   return views;
 }
 
-bool ViewSynthesizer::colour(const Eigen::Vector3d& point, const Eigen::Vector3d& normal, const std::vector<int>& views, cv::Vec3b* bgr) const {
+bool ViewSynthesizer::colour(const Eigen::Vector3d& point, const Eigen::Vector3d& normal, const std::vector<int>& views,
+                             cv::Vec3b* bgr) const {
   double best = 0;
   int best_view = -1;
   Eigen::Vector2d best_pixel;
@@ -82,7 +86,8 @@ bool ViewSynthesizer::colour(const Eigen::Vector3d& point, const Eigen::Vector3d
     if (!pixel || !view.camera.contains(*pixel, 2)) continue;
     const auto reduced = depth_camera_[index].project(in_view);
     if (!reduced || !depth_camera_[index].contains(*reduced)) continue;
-    const float depth = depth_[index].at<float>(static_cast<int>(reduced->y() + 0.5), static_cast<int>(reduced->x() + 0.5));
+    const float depth =
+        depth_[index].at<float>(static_cast<int>(reduced->y() + 0.5), static_cast<int>(reduced->x() + 0.5));
     if (depth > 0 && in_view.z() - depth > kOccluded + 0.02 * distance) continue;
     best = score;
     best_view = v;
@@ -104,7 +109,8 @@ cv::Mat ViewSynthesizer::render(const CameraModel& camera, const Pose& T_world_c
       const int triangle = model.triangle.at<int>(row, col);
       if (triangle < 0) continue;
       const Eigen::Vector2d n = camera.unproject({col, row});
-      const Eigen::Vector3d point = T_world_camera * (model.depth.at<float>(row, col) * Eigen::Vector3d(n.x(), n.y(), 1));
+      const Eigen::Vector3d point =
+          T_world_camera * (model.depth.at<float>(row, col) * Eigen::Vector3d(n.x(), n.y(), 1));
       const Eigen::Vector3d normal = normalOf(mesh, triangle);
       if (!colour(point, normal, views, &image.at<cv::Vec3b>(row, col))) image.at<cv::Vec3b>(row, col) = shade(normal);
     }
@@ -117,7 +123,8 @@ std::vector<ColouredPoint> ViewSynthesizer::sampleModel(double spacing, std::siz
   std::vector<int> triangles;
   double area = 0;
   const auto corner = [&](int triangle, int k) -> Eigen::Vector3d {
-    return model.mesh.vertices[static_cast<std::size_t>(model.mesh.triangles[static_cast<std::size_t>(triangle)][k])].cast<double>();
+    return model.mesh.vertices[static_cast<std::size_t>(model.mesh.triangles[static_cast<std::size_t>(triangle)][k])]
+        .cast<double>();
   };
   for (int t = 0; t < static_cast<int>(model.mesh.triangles.size()); ++t) {
     if (!model.isBuilding(t)) continue;
@@ -128,7 +135,8 @@ std::vector<ColouredPoint> ViewSynthesizer::sampleModel(double spacing, std::siz
   std::vector<std::vector<ColouredPoint>> parts(triangles.size());
 #pragma omp parallel for schedule(dynamic, 16)
   for (std::size_t i = 0; i < triangles.size(); ++i) {
-    const Eigen::Vector3d a = corner(triangles[i], 0), e1 = corner(triangles[i], 1) - a, e2 = corner(triangles[i], 2) - a;
+    const Eigen::Vector3d a = corner(triangles[i], 0), e1 = corner(triangles[i], 1) - a,
+                          e2 = corner(triangles[i], 2) - a;
     const Eigen::Vector3d normal = e1.cross(e2).normalized();
     const double length = e1.norm();
     if (!normal.allFinite() || length < 1e-6) continue;

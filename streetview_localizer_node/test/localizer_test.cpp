@@ -32,9 +32,15 @@ class LocalizerTest : public ::testing::Test {
     delete city_;
   }
 
-  static LocalizerResult locate(const Pose& T, const PosePrior& prior = {}) { return localizer_->localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior); }
-  static double error(const LocalizerResult& r, const Pose& T) { return (r.pose.T_world_camera.translation() - T.translation()).norm(); }
-  static double turn(const LocalizerResult& r, const Pose& T) { return air_ground_common::rotationAngle(r.pose.T_world_camera.linear(), T.linear()); }
+  static LocalizerResult locate(const Pose& T, const PosePrior& prior = {}) {
+    return localizer_->localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior);
+  }
+  static double error(const LocalizerResult& r, const Pose& T) {
+    return (r.pose.T_world_camera.translation() - T.translation()).norm();
+  }
+  static double turn(const LocalizerResult& r, const Pose& T) {
+    return air_ground_common::rotationAngle(r.pose.T_world_camera.linear(), T.linear());
+  }
 
   static TinyCity* city_;
   static std::shared_ptr<StreetviewDatabase> database_;
@@ -46,7 +52,8 @@ std::shared_ptr<StreetviewDatabase> LocalizerTest::database_;
 Localizer* LocalizerTest::localizer_ = nullptr;
 
 TEST_F(LocalizerTest, FindsCamerasInTheAir) {
-  const Pose poses[] = {TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05), TinyCity::look({3, -1, 6}, -M_PI / 2 + 0.2, -0.15, 0.05),
+  const Pose poses[] = {TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05),
+                        TinyCity::look({3, -1, 6}, -M_PI / 2 + 0.2, -0.15, 0.05),
                         TinyCity::look({4, 0, 3}, 0.2, 0.1, -0.1), TinyCity::look({0, 2, 7}, -M_PI / 2 - 0.3, -0.2)};
   for (const Pose& T : poses) {
     const LocalizerResult r = locate(T);
@@ -106,7 +113,8 @@ TEST_F(LocalizerTest, PanoramasWithoutViewsTakeNoPlaces) {
   settings.index.method = IndexMethod::kBruteForce;
   PosePrior prior;
   prior.T_world_camera = T;
-  const LocalizerResult r = Localizer(db, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior);
+  const LocalizerResult r =
+      Localizer(db, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior);
   EXPECT_TRUE(r.accepted()) << r.reason;
   EXPECT_EQ(r.searched, std::vector<int>{2});
 }
@@ -129,7 +137,8 @@ TEST_F(LocalizerTest, DroppedMatchesAreEvidence) {
   const LocalizerResult r = locate(T);
   ASSERT_TRUE(r.accepted()) << r.reason;
   ASSERT_EQ(r.views.size(), r.correspondences.size());
-  const PoseEvidence kept = gatherEvidence(r.pose, r.correspondences, TinyCity::camera(), {}, localizer_->settings().pose);
+  const PoseEvidence kept =
+      gatherEvidence(r.pose, r.correspondences, TinyCity::camera(), {}, localizer_->settings().pose);
   EXPECT_EQ(r.acceptance.evidence.inliers, kept.inliers);
   EXPECT_LT(r.acceptance.evidence.inlier_share, kept.inlier_share);
   EXPECT_GT(r.acceptance.evidence.inlier_share, 0.3);
@@ -142,7 +151,8 @@ TEST_F(LocalizerTest, PapersCovarianceOnRequest) {
   EXPECT_THROW(Localizer(database_, settings), std::invalid_argument);  // of how many samples?
   settings.pose.monte_carlo_samples = 200;
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
-  const LocalizerResult r = Localizer(database_, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera());
+  const LocalizerResult r =
+      Localizer(database_, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera());
   ASSERT_TRUE(r.accepted()) << r.reason;
   ASSERT_TRUE(r.pose.monte_carlo_covariance);
   EXPECT_EQ(r.pose.covariance, *r.pose.monte_carlo_covariance);
@@ -154,7 +164,9 @@ TEST_F(LocalizerTest, IndexOfAnotherMethodIsBuiltAgain) {
   settings.index_file = file;
   settings.index.method = IndexMethod::kBruteForce;
   const auto remark = [&] { return Localizer(database_, settings).indexRemark(); };
-  const auto contains = [](const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; };
+  const auto contains = [](const std::string& text, const std::string& part) {
+    return text.find(part) != std::string::npos;
+  };
   const std::string built = remark(), read = remark();
   EXPECT_TRUE(contains(built, "brute_force index") && contains(built, "built in")) << built;
   EXPECT_TRUE(contains(read, "brute_force index") && contains(read, "read from")) << read;
@@ -186,11 +198,12 @@ TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
   cv::flip(image, mirrored, 1);
   cv::randu(noise, 0, 255);
   const TinyCity other(77);
-  const std::pair<const char*, cv::Mat> impossible[] = {{"black", cv::Mat::zeros(camera.height, camera.width, CV_8UC1)},
-                                                        {"blank wall", cv::Mat(camera.height, camera.width, CV_8UC3, cv::Scalar(180, 190, 200))},
-                                                        {"noise", noise},
-                                                        {"mirrored", mirrored},
-                                                        {"another street", other.photograph(camera, T)}};
+  const std::pair<const char*, cv::Mat> impossible[] = {
+      {"black", cv::Mat::zeros(camera.height, camera.width, CV_8UC1)},
+      {"blank wall", cv::Mat(camera.height, camera.width, CV_8UC3, cv::Scalar(180, 190, 200))},
+      {"noise", noise},
+      {"mirrored", mirrored},
+      {"another street", other.photograph(camera, T)}};
   for (const auto& [name, query] : impossible) {
     const LocalizerResult r = localizer_->localize(query, camera);
     EXPECT_FALSE(r.accepted()) << name;
@@ -209,7 +222,8 @@ TEST_F(LocalizerTest, MirrorCheckTellsAnImageFromItsMirrorImage) {
   cv::flip(image, mirrored, 1);
   const int view = localizer_->localize(image, TinyCity::camera()).view;
   ASSERT_GE(view, 0);
-  MirrorCheck recorded(extractFeatures(image), search, *database_, settings), flipped(extractFeatures(mirrored), search, *database_, settings);
+  MirrorCheck recorded(extractFeatures(image), search, *database_, settings),
+      flipped(extractFeatures(mirrored), search, *database_, settings);
   EXPECT_EQ(recorded.objection(view, true), "");
   EXPECT_EQ(recorded.objection(view, false), "");
   EXPECT_NE(flipped.objection(view, true), "");
@@ -247,8 +261,9 @@ TEST(Repetition, IsRightOrSilent) {
     near.covariance = 0.01 * Matrix6d::Identity();
     for (const PosePrior& prior : {PosePrior(), near}) {
       const LocalizerResult r = localizer.localize(image, TinyCity::camera(), prior);
-      std::printf("x = %.0f%s: %s, share %.2f, rival %.2f; %s\n", x, prior.T_world_camera ? " with prior" : "", nameOf(r.status), r.acceptance.evidence.inlier_share,
-                  r.acceptance.evidence.competitor_share, r.reason.c_str());
+      std::printf("x = %.0f%s: %s, share %.2f, rival %.2f; %s\n", x, prior.T_world_camera ? " with prior" : "",
+                  nameOf(r.status), r.acceptance.evidence.inlier_share, r.acceptance.evidence.competitor_share,
+                  r.reason.c_str());
       if (!r.accepted()) continue;
       ++accepted;
       EXPECT_LT((r.pose.T_world_camera.translation() - T.translation()).norm(), 0.3) << "x = " << x;

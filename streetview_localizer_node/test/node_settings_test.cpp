@@ -32,12 +32,15 @@ struct Defaults {
   }
   bool flag(const std::string& name, bool fallback) { return keep(name, fallback); }
   std::string text(const std::string& name, const std::string& fallback) { return keep(name, fallback); }
-  std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>&) { return keep(name, fallback); }
+  std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>&) {
+    return keep(name, fallback);
+  }
 };
 
 void compare(const std::string& name, const YAML::Node& value, Defaults* defaults) {
   if (value.IsMap()) {
-    for (const auto& entry : value) compare((name.empty() ? "" : name + "/") + entry.first.as<std::string>(), entry.second, defaults);
+    for (const auto& entry : value)
+      compare((name.empty() ? "" : name + "/") + entry.first.as<std::string>(), entry.second, defaults);
     return;
   }
   const auto it = defaults->values.find(name);
@@ -60,7 +63,8 @@ TEST(Configuration, FileHoldsTheDefaults) {
   readSettings(defaults);
   compare("", YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/streetview_localizer.yaml"), &defaults);
   defaults.values.erase("database");  // an argument of the launch file
-  for (const auto& [name, value] : defaults.values) ADD_FAILURE() << name << " is missing in config/streetview_localizer.yaml";
+  for (const auto& [name, value] : defaults.values)
+    ADD_FAILURE() << name << " is missing in config/streetview_localizer.yaml";
 }
 
 TimedPose at(double stamp) {

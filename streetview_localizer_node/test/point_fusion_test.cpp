@@ -40,7 +40,8 @@ struct Scene {
   Pose T_query = lookNorth({0.5, -1, 2});
 };
 
-// A facade about the plane y = 10 with `relief`, which the model has as the plane y = 10 + `offset`, seen by three views.
+// A facade about the plane y = 10 with `relief`, which the model has as the plane y = 10 + `offset`, seen by three
+// views.
 Scene makeScene(unsigned seed, double relief, double offset, double noise, int count = 150) {
   Scene s;
   std::mt19937 rng(seed);
@@ -92,7 +93,8 @@ TEST(PointFusion, OneViewKeepsTheModelsPoint) {
     EXPECT_LT((fused[i].p_world - s.correspondences[3 * i].p_world).norm(), 1e-6);
     // Along the ray it may lie about surface_stddev away, across it is known to a pixel.
     const Eigen::Vector3d ray = (s.correspondences[3 * i].p_world - s.rays[3 * i].centre).normalized();
-    EXPECT_NEAR(std::sqrt(ray.dot(fused[i].covariance * ray)) * std::abs(ray.y()), PointFusionSettings().surface_stddev, 0.05);
+    EXPECT_NEAR(std::sqrt(ray.dot(fused[i].covariance * ray)) * std::abs(ray.y()), PointFusionSettings().surface_stddev,
+                0.05);
   }
 }
 
@@ -118,7 +120,8 @@ TEST(PointFusion, CovarianceFitsTheErrors) {
   const int draws = 120;
   for (int i = 0; i < draws; ++i) {
     const Scene s = makeScene(100 + static_cast<unsigned>(i), 0.3, 0, 1.0, 80);
-    const FusedRefinement r = refineOnFusedPoints(fusePoints(s.correspondences, s.rays, s.all, settings), camera(), {}, s.T_query, settings);
+    const FusedRefinement r =
+        refineOnFusedPoints(fusePoints(s.correspondences, s.rays, s.all, settings), camera(), {}, s.T_query, settings);
     ASSERT_TRUE(r.converged);
     Eigen::Matrix<double, 6, 1> error;
     error.head<3>() = s.T_query.translation() - r.T_world_camera.translation();
@@ -139,7 +142,8 @@ TEST(PointFusion, GravityHoldsTheTilt) {
   prior.up_stddev = 1e-4;
   Pose start = s.T_query;
   start.linear() = air_ground_common::expSO3({0.03, -0.02, 0.01}) * start.linear();
-  const FusedRefinement r = refineOnFusedPoints(fusePoints(s.correspondences, s.rays, s.all, {}), camera(), prior, start, {});
+  const FusedRefinement r =
+      refineOnFusedPoints(fusePoints(s.correspondences, s.rays, s.all, {}), camera(), prior, start, {});
   EXPECT_LT((r.T_world_camera.linear() * *prior.up_camera - Eigen::Vector3d::UnitZ()).norm(), 1e-3);
 }
 

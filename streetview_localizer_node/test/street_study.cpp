@@ -1,7 +1,8 @@
 // Error and recall over a folder of the simulator's street world, for docs/streetview_localizer.md:
-//   street_study CITY [DB [PICTURES]]     database DB, or, given as "", one made here from true poses disturbed as after registration
-// Environment: STUDY_PRIOR = standard deviation [m] of a predicted position to search by, STUDY_MAX_VIEWS, STUDY_NO_DOUBLING.
-// The truth of the queries is read to print errors, never by the localizer.
+//   street_study CITY [DB [PICTURES]]     database DB, or, given as "", one made here from true poses disturbed as
+//   after registration
+// Environment: STUDY_PRIOR = standard deviation [m] of a predicted position to search by, STUDY_MAX_VIEWS,
+// STUDY_NO_DOUBLING. The truth of the queries is read to print errors, never by the localizer.
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
@@ -81,7 +82,8 @@ std::shared_ptr<StreetviewDatabase> makeDatabase(const std::string& city, double
 }
 
 int run(const std::string& city, const std::string& db_path, const std::string& pictures) {
-  const auto db = db_path.empty() ? makeDatabase(city, 0.12, 0.0083) : std::make_shared<StreetviewDatabase>(loadDatabase(db_path));
+  const auto db =
+      db_path.empty() ? makeDatabase(city, 0.12, 0.0083) : std::make_shared<StreetviewDatabase>(loadDatabase(db_path));
   std::size_t features = 0;
   for (const View& v : db->views) features += v.features.size();
   std::printf("%zu panoramas, %zu views, %zu features\n", db->panoramas.size(), db->views.size(), features);
@@ -115,13 +117,17 @@ int run(const std::string& city, const std::string& db_path, const std::string& 
       const LocalizerResult r = localizer.localize(image, camera, prior);
       if (!pictures.empty()) cv::imwrite(pictures + "/" + folder + "_" + name + ".jpg", drawMatch(image, *db, r));
       double nearest = 1e9;
-      for (const Panorama& p : db->panoramas) nearest = std::min(nearest, (p.T_world_panorama.translation() - T.translation()).norm());
+      for (const Panorama& p : db->panoramas)
+        nearest = std::min(nearest, (p.T_world_panorama.translation() - T.translation()).norm());
       const double error = (r.pose.T_world_camera.translation() - T.translation()).norm();
       const double turn = air_ground_common::rotationAngle(r.pose.T_world_camera.linear(), T.linear()) * 180 / M_PI;
       const auto& e = r.acceptance.evidence;
-      std::printf("%s %-8s z %4.1f nearest %4.1f error %6.2f m %5.1f deg sd %.2f; %4d features %4d matches %3zu inliers score %.3f share %.2f cells %d rival %.2f margin %.1f range %.1f; %.2f s (", name.c_str(),
-                  nameOf(r.status), T.translation().z(), nearest, error, turn, std::sqrt(r.pose.covariance.topLeftCorner<3, 3>().trace()), r.features, r.matches, r.pose.inliers.size(), r.acceptance.score,
-                  e.inlier_share, e.cells, e.competitor_share, e.alternative_margin, e.range, r.total_time);
+      std::printf(
+          "%s %-8s z %4.1f nearest %4.1f error %6.2f m %5.1f deg sd %.2f; %4d features %4d matches %3zu inliers score "
+          "%.3f share %.2f cells %d rival %.2f margin %.1f range %.1f; %.2f s (",
+          name.c_str(), nameOf(r.status), T.translation().z(), nearest, error, turn,
+          std::sqrt(r.pose.covariance.topLeftCorner<3, 3>().trace()), r.features, r.matches, r.pose.inliers.size(),
+          r.acceptance.score, e.inlier_share, e.cells, e.competitor_share, e.alternative_margin, e.range, r.total_time);
       for (const double t : r.times) std::printf(" %.2f", t);
       std::printf(") %s\n", r.reason.c_str());
       ++all;
@@ -135,7 +141,9 @@ int run(const std::string& city, const std::string& db_path, const std::string& 
     std::sort(errors.begin(), errors.end());
     std::sort(turns.begin(), turns.end());
     std::printf("%s: %zu of %d accepted (%d within 15 m), %d wrong", folder.c_str(), errors.size(), all, within, wrong);
-    if (!errors.empty()) std::printf("; median %.3f m %.2f deg, 90 %% %.2f m, largest %.2f m", errors[errors.size() / 2], turns[turns.size() / 2], errors[errors.size() * 9 / 10], errors.back());
+    if (!errors.empty())
+      std::printf("; median %.3f m %.2f deg, 90 %% %.2f m, largest %.2f m", errors[errors.size() / 2],
+                  turns[turns.size() / 2], errors[errors.size() * 9 / 10], errors.back());
     std::printf("\n");
   }
   return 0;

@@ -1,4 +1,5 @@
-// The node over a painted courtyard: what comes out, and what it does with a looped bag, missing calibration and bad input.
+// The node over a painted courtyard: what comes out, and what it does with a looped bag, missing calibration and bad
+// input.
 #include <air_ground/StreetviewMatch.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <gtest/gtest.h>
@@ -54,21 +55,28 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
     info_pub_ = handle_.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 5);
     prior_pub_ = handle_.advertise<nav_msgs::Odometry>("tracked/odometry", 5);
     attitude_pub_ = handle_.advertise<nav_msgs::Odometry>("mav/odometry", 5);
-    match_sub_ = handle_.subscribe<StreetviewMatch>("streetview/match", 50, [this](const StreetviewMatch::ConstPtr& m) { matches_.push_back(*m); });
-    pose_sub_ = handle_.subscribe<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 50, [this](const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& m) {
-      poses_.push_back(*m);
-    });
-    picture_sub_ = handle_.subscribe<sensor_msgs::Image>("streetview/match_image", 5, [this](const sensor_msgs::Image::ConstPtr& m) { picture_ = *m; });
-    view_sub_ = handle_.subscribe<sensor_msgs::Image>("streetview/synthesized_view", 5, [this](const sensor_msgs::Image::ConstPtr& m) { view_ = *m; });
-    model_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>("streetview/textured_model", 1, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { model_ = *m; });
-    panoramas_sub_ = handle_.subscribe<visualization_msgs::MarkerArray>("streetview/panoramas", 1, [this](const visualization_msgs::MarkerArray::ConstPtr& m) { panoramas_ = *m; });
-    cameras_sub_ = handle_.subscribe<visualization_msgs::Marker>("streetview/cameras", 1, [this](const visualization_msgs::Marker::ConstPtr& m) { cameras_ = *m; });
+    match_sub_ = handle_.subscribe<StreetviewMatch>(
+        "streetview/match", 50, [this](const StreetviewMatch::ConstPtr& m) { matches_.push_back(*m); });
+    pose_sub_ = handle_.subscribe<geometry_msgs::PoseWithCovarianceStamped>(
+        "streetview/pose", 50,
+        [this](const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& m) { poses_.push_back(*m); });
+    picture_sub_ = handle_.subscribe<sensor_msgs::Image>(
+        "streetview/match_image", 5, [this](const sensor_msgs::Image::ConstPtr& m) { picture_ = *m; });
+    view_sub_ = handle_.subscribe<sensor_msgs::Image>("streetview/synthesized_view", 5,
+                                                      [this](const sensor_msgs::Image::ConstPtr& m) { view_ = *m; });
+    model_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>(
+        "streetview/textured_model", 1, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { model_ = *m; });
+    panoramas_sub_ = handle_.subscribe<visualization_msgs::MarkerArray>(
+        "streetview/panoramas", 1, [this](const visualization_msgs::MarkerArray::ConstPtr& m) { panoramas_ = *m; });
+    cameras_sub_ = handle_.subscribe<visualization_msgs::Marker>(
+        "streetview/cameras", 1, [this](const visualization_msgs::Marker::ConstPtr& m) { cameras_ = *m; });
     std_srvs::Trigger reset;
     ASSERT_TRUE(ru::callService("streetview_localizer/reset", reset)) << "the node did not come up with the database";
     EXPECT_TRUE(reset.response.success);
     ASSERT_TRUE(spinUntil([&] {
-      return image_pub_.getNumSubscribers() && info_pub_.getNumSubscribers() && prior_pub_.getNumSubscribers() && attitude_pub_.getNumSubscribers() &&
-             match_sub_.getNumPublishers() && pose_sub_.getNumPublishers() && picture_sub_.getNumPublishers() && view_sub_.getNumPublishers() && model_;
+      return image_pub_.getNumSubscribers() && info_pub_.getNumSubscribers() && prior_pub_.getNumSubscribers() &&
+             attitude_pub_.getNumSubscribers() && match_sub_.getNumPublishers() && pose_sub_.getNumPublishers() &&
+             picture_sub_.getNumPublishers() && view_sub_.getNumPublishers() && model_;
     }));
   }
 
@@ -155,7 +163,8 @@ TEST_F(StreetviewLocalizerNodeTest, BodyPoseInWorld) {
   const Pose T_world_camera = ru::fromMsg(m.camera_pose.pose);
   EXPECT_LT((T_world_camera.translation() - cameraAt(T_world_base).translation()).norm(), 0.1);
   for (const auto& p : m.points) {
-    const auto pixel = TinyCity::camera().project(T_world_camera.inverse() * Eigen::Vector3d(p.point.x, p.point.y, p.point.z));
+    const auto pixel =
+        TinyCity::camera().project(T_world_camera.inverse() * Eigen::Vector3d(p.point.x, p.point.y, p.point.z));
     ASSERT_TRUE(pixel);
     EXPECT_LT((*pixel - Eigen::Vector2d(p.u, p.v)).norm(), 8);
   }
@@ -229,8 +238,9 @@ TEST_F(StreetviewLocalizerNodeTest, RefusesAndGoesOn) {
   uncalibrated.K[0] = 0;
   info_pub_.publish(uncalibrated);
   sendImage(31, cv::Mat(100, 100, CV_8UC3, cv::Scalar::all(0)));
-  for (const char* event : {"tracked pose ignored: of frame 'rgbd_base_link'", "tracked poses ignored: in frame 'elsewhere'",
-                            "attitude ignored: of frame 'rgbd_base_link'", "calibration ignored", "images of another size"}) {
+  for (const char* event :
+       {"tracked pose ignored: of frame 'rgbd_base_link'", "tracked poses ignored: in frame 'elsewhere'",
+        "attitude ignored: of frame 'rgbd_base_link'", "calibration ignored", "images of another size"}) {
     EXPECT_TRUE(diagnostics_.await(event, 1)) << event;
   }
   EXPECT_TRUE(diagnostics_.await("tracked pose ignored", 2));  // the one that is not finite

@@ -1,4 +1,5 @@
-// A courtyard of three painted walls with exact geometry: what the camera sees, what the model says and where both stand is known.
+// A courtyard of three painted walls with exact geometry: what the camera sees, what the model says and where both
+// stand is known.
 #pragma once
 
 #include <algorithm>
@@ -29,7 +30,8 @@ class TinyCity {
     addWall({12, 8, 0}, {0, -1, 0}, 16, seed + 100, tile);
     addWall({12, -8, 0}, {-1, 0, 0}, 24, seed + 200, tile);
     const int base = static_cast<int>(model_.mesh.vertices.size());
-    for (const auto& v : {Eigen::Vector3f(-30, -30, 0), Eigen::Vector3f(30, -30, 0), Eigen::Vector3f(30, 30, 0), Eigen::Vector3f(-30, 30, 0)})
+    for (const auto& v : {Eigen::Vector3f(-30, -30, 0), Eigen::Vector3f(30, -30, 0), Eigen::Vector3f(30, 30, 0),
+                          Eigen::Vector3f(-30, 30, 0)})
       model_.mesh.vertices.push_back(v);
     for (const auto& t : {Eigen::Vector3i(base, base + 1, base + 2), Eigen::Vector3i(base, base + 2, base + 3)}) {
       model_.mesh.triangles.push_back(t);
@@ -50,12 +52,14 @@ class TinyCity {
     return c;
   }
 
-  /// Pose of a camera at a place that looks along a heading (counter-clockwise from x), up by a pitch, turned by a roll.
+  /// Pose of a camera at a place that looks along a heading (counter-clockwise from x), up by a pitch, turned by a
+  /// roll.
   static Pose look(const Eigen::Vector3d& position, double heading, double pitch, double roll = 0) {
     Pose T = Pose::Identity();
-    const Eigen::Matrix3d body = (Eigen::AngleAxisd(heading, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY()) *
-                                  Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()))
-                                     .toRotationMatrix();
+    const Eigen::Matrix3d body =
+        (Eigen::AngleAxisd(heading, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(-pitch, Eigen::Vector3d::UnitY()) *
+         Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()))
+            .toRotationMatrix();
     T.linear() = body * air_ground_common::opticalFromForwardBody().transpose();
     T.translation() = position;
     return T;
@@ -65,7 +69,8 @@ class TinyCity {
     cv::Mat image(c.height, c.width, CV_8UC3);
     for (int row = 0; row < c.height; ++row)
       for (int col = 0; col < c.width; ++col)
-        image.at<cv::Vec3b>(row, col) = colour(T_world_camera.translation(), T_world_camera.linear() * c.ray({col, row}));
+        image.at<cv::Vec3b>(row, col) =
+            colour(T_world_camera.translation(), T_world_camera.linear() * c.ray({col, row}));
     return image;
   }
 
@@ -73,7 +78,8 @@ class TinyCity {
     cv::Mat image(width / 2, width, CV_8UC3);
     for (int row = 0; row < image.rows; ++row)
       for (int col = 0; col < image.cols; ++col)
-        image.at<cv::Vec3b>(row, col) = colour(T_world_panorama.translation(), T_world_panorama.linear() * panoramaRay(image.size(), {col, row}));
+        image.at<cv::Vec3b>(row, col) =
+            colour(T_world_panorama.translation(), T_world_panorama.linear() * panoramaRay(image.size(), {col, row}));
     return image;
   }
 
@@ -132,15 +138,18 @@ class TinyCity {
   static cv::Mat paint(double length, unsigned seed) {
     std::mt19937 rng(seed);
     std::uniform_real_distribution<double> unit(0, 1);
-    cv::Mat image(static_cast<int>(kHeight * kPixels), std::max(8, static_cast<int>(length * kPixels)), CV_8UC3, cv::Scalar::all(150));
+    cv::Mat image(static_cast<int>(kHeight * kPixels), std::max(8, static_cast<int>(length * kPixels)), CV_8UC3,
+                  cv::Scalar::all(150));
     const int shapes = static_cast<int>(length * kHeight * 6);
     for (int i = 0; i < shapes; ++i) {
       const double size = kPixels * 1.5 * std::pow(unit(rng), 2) + 3;
       const cv::Point centre(static_cast<int>(unit(rng) * image.cols), static_cast<int>(unit(rng) * image.rows));
       const cv::Size half(static_cast<int>(size * (0.4 + unit(rng))), static_cast<int>(size * (0.4 + unit(rng))));
       const cv::Scalar shade(255 * unit(rng), 255 * unit(rng), 255 * unit(rng));
-      if (i % 2) cv::rectangle(image, cv::Rect(centre, half), shade, cv::FILLED);
-      else cv::ellipse(image, centre, half, 180 * unit(rng), 0, 360, shade, cv::FILLED);
+      if (i % 2)
+        cv::rectangle(image, cv::Rect(centre, half), shade, cv::FILLED);
+      else
+        cv::ellipse(image, centre, half, 180 * unit(rng), 0, 360, shade, cv::FILLED);
     }
     cv::GaussianBlur(image, image, {}, 0.8);
     return image;
@@ -157,7 +166,8 @@ class TinyCity {
     walls_.push_back(w);
     const int base = static_cast<int>(model_.mesh.vertices.size());
     const Eigen::Vector3d up(0, 0, kHeight), side = length * along;
-    for (const Eigen::Vector3d& v : {origin, Eigen::Vector3d(origin + side), Eigen::Vector3d(origin + side + up), Eigen::Vector3d(origin + up)})
+    for (const Eigen::Vector3d& v :
+         {origin, Eigen::Vector3d(origin + side), Eigen::Vector3d(origin + side + up), Eigen::Vector3d(origin + up)})
       model_.mesh.vertices.push_back(v.cast<float>());
     for (const auto& t : {Eigen::Vector3i(base, base + 1, base + 2), Eigen::Vector3i(base, base + 2, base + 3)}) {
       model_.mesh.triangles.push_back(t);
@@ -179,13 +189,16 @@ class TinyCity {
       const double u = p.dot(w.along), v = p.z();
       if (u < 0 || u > w.length || v < 0 || v > kHeight) continue;
       nearest = t;
-      const double x = std::clamp(u * kPixels - 0.5, 0.0, w.paint.cols - 1.001), y = std::clamp((kHeight - v) * kPixels - 0.5, 0.0, w.paint.rows - 1.001);
+      const double x = std::clamp(u * kPixels - 0.5, 0.0, w.paint.cols - 1.001),
+                   y = std::clamp((kHeight - v) * kPixels - 0.5, 0.0, w.paint.rows - 1.001);
       const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
       cv::Vec3d sum;
       for (int dy = 0; dy < 2; ++dy)
         for (int dx = 0; dx < 2; ++dx)
-          sum += std::abs(1 - dx - (x - x0)) * std::abs(1 - dy - (y - y0)) * cv::Vec3d(w.paint.at<cv::Vec3b>(y0 + dy, x0 + dx));
-      out = cv::Vec3b(cv::saturate_cast<uchar>(sum[0]), cv::saturate_cast<uchar>(sum[1]), cv::saturate_cast<uchar>(sum[2]));
+          sum += std::abs(1 - dx - (x - x0)) * std::abs(1 - dy - (y - y0)) *
+                 cv::Vec3d(w.paint.at<cv::Vec3b>(y0 + dy, x0 + dx));
+      out = cv::Vec3b(cv::saturate_cast<uchar>(sum[0]), cv::saturate_cast<uchar>(sum[1]),
+                      cv::saturate_cast<uchar>(sum[2]));
     }
     return out;
   }

@@ -9,13 +9,14 @@
 namespace air_ground_common {
 
 struct CameraModel {
-  int width = 0;    ///< [px]
-  int height = 0;   ///< [px]
+  int width = 0;          ///< [px]
+  int height = 0;         ///< [px]
   double fx = 0, fy = 0;  ///< focal lengths [px]
   double cx = 0, cy = 0;  ///< principal point [px]
   double k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0;
 
-  /// Throws std::invalid_argument, naming the field, when a size or focal length is not positive or a number not finite.
+  /// Throws std::invalid_argument, naming the field, when a size or focal length is not positive or a number not
+  /// finite.
   void validate() const;
 
   bool hasDistortion() const { return k1 != 0 || k2 != 0 || p1 != 0 || p2 != 0 || k3 != 0; }

@@ -39,8 +39,8 @@ class LocalFrame {
 
   const Geodetic& origin() const;
 
-  /// Angle [rad] from true north to grid north at the origin, clockwise positive: a grid azimuth plus the convergence is
-  /// a true azimuth. 0 for a geographic system.
+  /// Angle [rad] from true north to grid north at the origin, clockwise positive: a grid azimuth plus the convergence
+  /// is a true azimuth. 0 for a geographic system.
   double meridianConvergence() const;
   /// Grid length over length on the ellipsoid at the origin (0.9996 on the central meridian of UTM). 1 if geographic.
   double gridScale() const;

@@ -1,4 +1,5 @@
-// Decompositions of small matrices, compiled once: each takes a compiler 5 to 15 s wherever it is instantiated from Eigen's headers.
+// Decompositions of small matrices, compiled once: each takes a compiler 5 to 15 s wherever it is instantiated from
+// Eigen's headers.
 #pragma once
 
 #include "air_ground_common/geometry.h"

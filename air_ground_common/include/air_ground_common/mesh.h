@@ -23,10 +23,12 @@ struct LabeledPoint {
   std::uint8_t source = 0;  ///< who saw it: 0 ground robot, 1 MAV
 };
 
-/// Binary little-endian PLY with x y z red green blue source. Written through a temporary file; throws std::runtime_error.
+/// Binary little-endian PLY with x y z red green blue source. Written through a temporary file; throws
+/// std::runtime_error.
 void writePly(const std::string& path, const std::vector<LabeledPoint>& points);
 
-/// Reads x y z and, where present, colours and `source` of a binary little-endian or ascii PLY. Throws std::runtime_error.
+/// Reads x y z and, where present, colours and `source` of a binary little-endian or ascii PLY. Throws
+/// std::runtime_error.
 std::vector<LabeledPoint> readPlyPoints(const std::string& path);
 
 /// Binary little-endian PLY mesh. Throws std::runtime_error.
@@ -49,10 +51,12 @@ class MeshScene {
   MeshScene(MeshScene&&) noexcept;
   MeshScene& operator=(MeshScene&&) noexcept;
 
-  std::optional<RayHit> cast(const Eigen::Vector3f& origin, const Eigen::Vector3f& direction, float max_distance = 1e6f) const;
-  /// As cast() for many rays from one point, in packets of eight: several times faster where neighbouring rays are alike.
-  /// One entry a ray; triangle is -1, and the rest undefined, where nothing is hit.
-  std::vector<RayHit> castMany(const Eigen::Vector3f& origin, const std::vector<Eigen::Vector3f>& directions, float max_distance = 1e6f) const;
+  std::optional<RayHit> cast(const Eigen::Vector3f& origin, const Eigen::Vector3f& direction,
+                             float max_distance = 1e6f) const;
+  /// As cast() for many rays from one point, in packets of eight: several times faster where neighbouring rays are
+  /// alike. One entry a ray; triangle is -1, and the rest undefined, where nothing is hit.
+  std::vector<RayHit> castMany(const Eigen::Vector3f& origin, const std::vector<Eigen::Vector3f>& directions,
+                               float max_distance = 1e6f) const;
   bool occluded(const Eigen::Vector3f& origin, const Eigen::Vector3f& direction, float max_distance) const;
   /// Distance from a point to the nearest point of the surface [m]; max_distance when nothing is nearer.
   float distance(const Eigen::Vector3f& point, float max_distance) const;

@@ -32,22 +32,23 @@ double pathLength(const Trajectory& trajectory);
 
 enum class Alignment { kNone, kYawTranslation, kRigid, kSimilarity };
 
-/// Least-squares transform from `estimate` to `reference` points (Umeyama 1991). kYawTranslation: rotation about z only.
-/// Throws std::invalid_argument when sizes differ or fewer than 3 points are given (2 for kYawTranslation).
-Similarity alignPoints(const std::vector<Eigen::Vector3d>& reference, const std::vector<Eigen::Vector3d>& estimate, Alignment alignment);
+/// Least-squares transform from `estimate` to `reference` points (Umeyama 1991). kYawTranslation: rotation about z
+/// only. Throws std::invalid_argument when sizes differ or fewer than 3 points are given (2 for kYawTranslation).
+Similarity alignPoints(const std::vector<Eigen::Vector3d>& reference, const std::vector<Eigen::Vector3d>& estimate,
+                       Alignment alignment);
 
 struct TrajectoryError {
-  std::size_t pairs = 0;      ///< poses compared
-  double rmse = 0;            ///< absolute trajectory error, RMS [m]
-  double mean = 0;            ///< [m]
-  double median = 0;          ///< [m]
-  double max = 0;             ///< [m]
-  double path_length = 0;     ///< of the reference over the compared poses [m]
+  std::size_t pairs = 0;   ///< poses compared
+  double rmse = 0;         ///< absolute trajectory error, RMS [m]
+  double mean = 0;         ///< [m]
+  double median = 0;       ///< [m]
+  double max = 0;          ///< [m]
+  double path_length = 0;  ///< of the reference over the compared poses [m]
   Similarity reference_from_estimate;
 };
 
-/// Absolute trajectory error: positions of `estimate` against `reference` interpolated at their stamps, after alignment.
-/// Throws std::invalid_argument when fewer than 3 poses overlap in time.
+/// Absolute trajectory error: positions of `estimate` against `reference` interpolated at their stamps, after
+/// alignment. Throws std::invalid_argument when fewer than 3 poses overlap in time.
 TrajectoryError absoluteTrajectoryError(const Trajectory& reference, const Trajectory& estimate, Alignment alignment);
 
 }  // namespace air_ground_common

@@ -26,7 +26,8 @@ cv::Mat convert(const sensor_msgs::Image& msg, const std::string& encoding) {
     if (image->image.empty()) throw std::invalid_argument("image: it has no pixels");
     return image->image;
   } catch (const cv_bridge::Exception& e) {
-    throw std::invalid_argument("image: encoding " + msg.encoding + " cannot be read as " + encoding + " (" + e.what() + ")");
+    throw std::invalid_argument("image: encoding " + msg.encoding + " cannot be read as " + encoding + " (" + e.what() +
+                                ")");
   }
 }
 
@@ -45,11 +46,13 @@ FieldOffsets findFields(const sensor_msgs::PointCloud2& msg) {
     if (f.name == "x" && is_float) o.x = offset;
     if (f.name == "y" && is_float) o.y = offset;
     if (f.name == "z" && is_float) o.z = offset;
-    if ((f.name == "rgb" || f.name == "rgba") && (is_float || f.datatype == sensor_msgs::PointField::UINT32)) o.rgb = offset;
+    if ((f.name == "rgb" || f.name == "rgba") && (is_float || f.datatype == sensor_msgs::PointField::UINT32))
+      o.rgb = offset;
     if (f.name == "intensity" && is_float) o.intensity = offset;
     if (f.name == "source" && f.datatype == sensor_msgs::PointField::UINT8) o.source = offset;
   }
-  if (o.x < 0 || o.y < 0 || o.z < 0) throw std::invalid_argument("point cloud: it needs float32 fields x, y, z within point_step");
+  if (o.x < 0 || o.y < 0 || o.z < 0)
+    throw std::invalid_argument("point cloud: it needs float32 fields x, y, z within point_step");
   if (msg.is_bigendian) throw std::invalid_argument("point cloud: big-endian data is not supported");
   return o;
 }
@@ -90,11 +93,13 @@ geometry_msgs::Transform toTransformMsg(const Pose& T) {
 }
 
 Pose fromMsg(const geometry_msgs::Pose& m) {
-  return makePose({m.position.x, m.position.y, m.position.z}, {m.orientation.w, m.orientation.x, m.orientation.y, m.orientation.z});
+  return makePose({m.position.x, m.position.y, m.position.z},
+                  {m.orientation.w, m.orientation.x, m.orientation.y, m.orientation.z});
 }
 
 Pose fromMsg(const geometry_msgs::Transform& m) {
-  return makePose({m.translation.x, m.translation.y, m.translation.z}, {m.rotation.w, m.rotation.x, m.rotation.y, m.rotation.z});
+  return makePose({m.translation.x, m.translation.y, m.translation.z},
+                  {m.rotation.w, m.rotation.x, m.rotation.y, m.rotation.z});
 }
 
 void setCovariance(const Matrix6d& covariance, boost::array<double, 36>* msg) {
@@ -120,7 +125,8 @@ CameraModel fromMsg(const sensor_msgs::CameraInfo& msg) {
   c.cy = msg.K[5];
   const bool plumb_bob = msg.distortion_model == "plumb_bob" || msg.distortion_model == "radtan";
   if (!plumb_bob && !(msg.distortion_model.empty() && msg.D.empty()))
-    throw std::invalid_argument("camera_info: distortion model '" + msg.distortion_model + "' is not supported; calibrate with plumb_bob or rectify the image");
+    throw std::invalid_argument("camera_info: distortion model '" + msg.distortion_model +
+                                "' is not supported; calibrate with plumb_bob or rectify the image");
   double* const coefficients[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
   for (std::size_t i = 0; i < msg.D.size() && i < 5; ++i) *coefficients[i] = msg.D[i];
   c.validate();
@@ -174,13 +180,15 @@ sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, cons
 std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::size_t* dropped) {
   const FieldOffsets o = findFields(msg);
   const std::size_t count = static_cast<std::size_t>(msg.width) * msg.height;
-  if (msg.data.size() < static_cast<std::size_t>(msg.row_step) * msg.height || msg.row_step < static_cast<std::size_t>(msg.point_step) * msg.width)
+  if (msg.data.size() < static_cast<std::size_t>(msg.row_step) * msg.height ||
+      msg.row_step < static_cast<std::size_t>(msg.point_step) * msg.width)
     throw std::invalid_argument("point cloud: its data is shorter than its size says");
   std::vector<CloudPoint> points;
   points.reserve(count);
   for (std::uint32_t r = 0; r < msg.height; ++r)
     for (std::uint32_t c = 0; c < msg.width; ++c) {
-      const std::uint8_t* p = &msg.data[static_cast<std::size_t>(r) * msg.row_step + static_cast<std::size_t>(c) * msg.point_step];
+      const std::uint8_t* p =
+          &msg.data[static_cast<std::size_t>(r) * msg.row_step + static_cast<std::size_t>(c) * msg.point_step];
       CloudPoint point;
       std::memcpy(&point.position[0], p + o.x, 4);
       std::memcpy(&point.position[1], p + o.y, 4);
@@ -191,7 +199,8 @@ std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::s
       } else if (o.intensity >= 0) {
         float intensity;
         std::memcpy(&intensity, p + o.intensity, 4);
-        point.rgb.setConstant(static_cast<std::uint8_t>(std::isfinite(intensity) ? std::min(255.f, std::max(0.f, intensity)) : 0.f));
+        point.rgb.setConstant(
+            static_cast<std::uint8_t>(std::isfinite(intensity) ? std::min(255.f, std::max(0.f, intensity)) : 0.f));
       }
       if (o.source >= 0) point.source = p[o.source];
       points.push_back(point);
@@ -200,7 +209,8 @@ std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::s
   return points;
 }
 
-sensor_msgs::PointCloud2 toMsg(const std::vector<CloudPoint>& points, CloudFields fields, const std_msgs::Header& header) {
+sensor_msgs::PointCloud2 toMsg(const std::vector<CloudPoint>& points, CloudFields fields,
+                               const std_msgs::Header& header) {
   using Field = sensor_msgs::PointField;
   sensor_msgs::PointCloud2 msg;
   msg.header = header;

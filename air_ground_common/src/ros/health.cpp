@@ -89,8 +89,11 @@ void NodeHealth::watch() {
     const bool advertised = std::any_of(published.begin(), published.end(),
                                         [&t = topic](const ros::master::TopicInfo& info) { return info.name == t; });
     std::ostringstream line;
-    line << "nothing on " << topic << " for 3 s: " << (advertised ? "it is advertised, but no message comes" : "nobody publishes it (is a remapping or a namespace wrong?)");
-    if (input.messages > 0) line << "; the last of " << input.messages << " messages has the stamp " << input.last_stamp;
+    line << "nothing on " << topic << " for 3 s: "
+         << (advertised ? "it is advertised, but no message comes"
+                        : "nobody publishes it (is a remapping or a namespace wrong?)");
+    if (input.messages > 0)
+      line << "; the last of " << input.messages << " messages has the stamp " << input.last_stamp;
     ROS_WARN_STREAM(line.str());
   }
 }
@@ -100,7 +103,8 @@ void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
   status.summary(static_cast<unsigned char>(level_), line_);
   for (const auto& [topic, input] : inputs_)
     if (input.warned && input.messages > 0)
-      status.summaryf(diagnostic_msgs::DiagnosticStatus::ERROR, "%s; nothing on %s for %.0f s", std::string(status.message).c_str(), topic.c_str(),
+      status.summaryf(diagnostic_msgs::DiagnosticStatus::ERROR, "%s; nothing on %s for %.0f s",
+                      std::string(status.message).c_str(), topic.c_str(),
                       (ros::WallTime::now() - input.last_arrival).toSec());
   const double alive = (ros::WallTime::now() - started_).toSec();
   for (const auto& [topic, input] : inputs_) {
@@ -134,7 +138,8 @@ bool StreamJumpDetector::hold(Stream* stream, double t) const {
   return true;
 }
 
-StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const ros::Time& stamp, const ros::WallTime& now) {
+StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const ros::Time& stamp,
+                                                      const ros::WallTime& now) {
   Stream& stream = streams_.at(index);
   if (stamp.isZero()) return Verdict::kOld;
   const double t = stamp.toSec();

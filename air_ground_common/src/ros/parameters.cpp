@@ -28,7 +28,8 @@ std::string printed(const std::vector<double>& values) {
 template <typename T>
 void checkRange(const std::string& name, T value, T min, T max) {
   if (value >= min && value <= max) return;
-  throw ParameterError("parameter " + name + " = " + printed(value) + " is outside its range [" + printed(min) + ", " + printed(max) + "]");
+  throw ParameterError("parameter " + name + " = " + printed(value) + " is outside its range [" + printed(min) + ", " +
+                       printed(max) + "]");
 }
 
 }  // namespace
@@ -43,7 +44,8 @@ T Parameters::get(const std::string& name, const T& fallback) {
   if (handle_.hasParam(name) && !handle_.getParam(name, value)) {
     XmlRpc::XmlRpcValue raw;
     handle_.getParam(name, raw);
-    throw ParameterError("parameter " + full + " = " + raw.toXml() + " has the wrong type; expected something like " + printed(fallback));
+    throw ParameterError("parameter " + full + " = " + raw.toXml() + " has the wrong type; expected something like " +
+                         printed(fallback));
   }
   ROS_INFO_STREAM("parameter " << full << ": " << printed(value));
   return value;
@@ -63,9 +65,12 @@ int Parameters::integer(const std::string& name, int fallback, int min, int max)
 
 bool Parameters::flag(const std::string& name, bool fallback) { return get<bool>(name, fallback); }
 
-std::string Parameters::text(const std::string& name, const std::string& fallback) { return get<std::string>(name, fallback); }
+std::string Parameters::text(const std::string& name, const std::string& fallback) {
+  return get<std::string>(name, fallback);
+}
 
-std::string Parameters::choice(const std::string& name, const std::string& fallback, const std::vector<std::string>& allowed) {
+std::string Parameters::choice(const std::string& name, const std::string& fallback,
+                               const std::vector<std::string>& allowed) {
   const std::string value = get<std::string>(name, fallback);
   std::string list;
   for (const auto& a : allowed) {
@@ -75,11 +80,14 @@ std::string Parameters::choice(const std::string& name, const std::string& fallb
   throw ParameterError("parameter " + handle_.resolveName(name) + " = '" + value + "' must be one of: " + list);
 }
 
-std::vector<double> Parameters::numbers(const std::string& name, const std::vector<double>& fallback, std::size_t size) {
+std::vector<double> Parameters::numbers(const std::string& name, const std::vector<double>& fallback,
+                                        std::size_t size) {
   const auto value = get<std::vector<double>>(name, fallback);
   bool finite = value.size() == size;
   for (const double v : value) finite = finite && std::isfinite(v);
-  if (!finite) throw ParameterError("parameter " + handle_.resolveName(name) + " = " + printed(value) + " must hold " + std::to_string(size) + " finite numbers");
+  if (!finite)
+    throw ParameterError("parameter " + handle_.resolveName(name) + " = " + printed(value) + " must hold " +
+                         std::to_string(size) + " finite numbers");
   return value;
 }
 
@@ -88,7 +96,8 @@ std::optional<Pose> Parameters::pose(const std::string& name) {
   if (std::all_of(v.begin(), v.end(), [](double x) { return x == 0; })) return std::nullopt;
   const Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
   if (std::abs(q.norm() - 1) > 1e-2)
-    throw ParameterError("parameter " + handle_.resolveName(name) + " = " + printed(v) + ": the quaternion (last four numbers) must have length 1");
+    throw ParameterError("parameter " + handle_.resolveName(name) + " = " + printed(v) +
+                         ": the quaternion (last four numbers) must have length 1");
   Pose T = Pose::Identity();
   T.linear() = q.normalized().toRotationMatrix();
   T.translation() = Eigen::Vector3d(v[0], v[1], v[2]);
@@ -107,7 +116,8 @@ void Parameters::finish(const std::set<std::string>& ignored) const {
     for (auto slash = name.find('/'); !known && slash != std::string::npos; slash = name.find('/', slash + 1))
       known = read_.count(name.substr(0, slash)) > 0 || ignored.count(name.substr(0, slash + 1)) > 0;
     if (!known && !ignored.count(name))
-      throw ParameterError("parameter " + full + " is not one of this node's; see its file in config/ for the names it reads");
+      throw ParameterError("parameter " + full +
+                           " is not one of this node's; see its file in config/ for the names it reads");
   }
 }
 

@@ -13,7 +13,8 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
-geometry_msgs::TransformStamped edge(const ros::Time& stamp, const std::string& parent, const std::string& child, const Pose& T) {
+geometry_msgs::TransformStamped edge(const ros::Time& stamp, const std::string& parent, const std::string& child,
+                                     const Pose& T) {
   geometry_msgs::TransformStamped msg;
   msg.header.stamp = stamp;
   msg.header.frame_id = parent;
@@ -64,7 +65,8 @@ PosePublisher::PosePublisher(ros::NodeHandle handle, const PosePublisherSettings
       path_(handle.advertise<nav_msgs::Path>(settings.path_topic, 5, true)),
       bounded_path_(settings.map_frame, settings.path_step) {}
 
-bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion, const Matrix6d& covariance) {
+bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion,
+                            const Matrix6d& covariance) {
   if (stamp <= last_stamp_) return false;
   const Pose T_odom_base = normalized(T_odom_base_ ? *T_odom_base_ * motion.T_previous_current : T_map_base);
   nav_msgs::Odometry odometry;
@@ -77,7 +79,8 @@ bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, cons
   if (T_odom_base_ && !last_stamp_.isZero()) {
     const double dt = stamp.toSec() - last_stamp_.toSec();
     const Eigen::Matrix3d R_current_previous = motion.T_previous_current.linear().transpose();
-    const Eigen::Vector3d v = R_current_previous * motion.T_previous_current.translation() / dt, w = logSO3(motion.T_previous_current.linear()) / dt;
+    const Eigen::Vector3d v = R_current_previous * motion.T_previous_current.translation() / dt,
+                          w = logSO3(motion.T_previous_current.linear()) / dt;
     if (motion.covariance) {
       Matrix6d J = Matrix6d::Zero();
       J.topLeftCorner<3, 3>() = J.bottomRightCorner<3, 3>() = R_current_previous / dt;
@@ -111,7 +114,8 @@ void PosePublisher::reset() {
   bounded_path_.clear();
 }
 
-std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout, std::string* why) {
+std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout,
+                                 std::string* why) {
   if (target == source) return Pose::Identity();
   tf2_ros::Buffer buffer;
   const tf2_ros::TransformListener listener(buffer);
@@ -119,7 +123,8 @@ std::optional<Pose> lookupStatic(const std::string& target, const std::string& s
   // Polled in wall time: canTransform's own timeout stands still when /clock does.
   while (ros::ok()) {
     std::string error;
-    if (buffer.canTransform(target, source, ros::Time(0), &error)) return fromMsg(buffer.lookupTransform(target, source, ros::Time(0)).transform);
+    if (buffer.canTransform(target, source, ros::Time(0), &error))
+      return fromMsg(buffer.lookupTransform(target, source, ros::Time(0)).transform);
     if (why) *why = "no transform from " + source + " to " + target + " on /tf_static (" + error + ")";
     if (ros::WallTime::now() >= end) break;
     ros::WallDuration(0.05).sleep();
@@ -127,8 +132,9 @@ std::optional<Pose> lookupStatic(const std::string& target, const std::string& s
   return std::nullopt;
 }
 
-std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame, const std::string& sensor_frame,
-                                   const std::string& sensor, double timeout, NodeHealth& health) {
+std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame,
+                                   const std::string& sensor_frame, const std::string& sensor, double timeout,
+                                   NodeHealth& health) {
   if (given) return given;
   std::string why;
   const auto T_base_sensor = lookupStatic(base_frame, sensor_frame, timeout, &why);

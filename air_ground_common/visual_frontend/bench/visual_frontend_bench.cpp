@@ -141,7 +141,9 @@ void WindowedBundle(benchmark::State& state) {
     for (int i = 0; i < 12; ++i) {
       const Eigen::Vector3d q = problem.cameras[i].T_map_camera.inverse() * p;
       if (std::abs(q.x() / q.z()) > 0.6 || std::abs(q.y() / q.z()) > 0.45) continue;
-      problem.measurements.push_back({i, k, q.head<2>() / q.z() + Eigen::Vector2d(random.gauss(1e-3), random.gauss(1e-3)), 1e-3, q.z() + random.gauss(0.01), 0.01});
+      problem.measurements.push_back({i, k,
+                                      q.head<2>() / q.z() + Eigen::Vector2d(random.gauss(1e-3), random.gauss(1e-3)),
+                                      1e-3, q.z() + random.gauss(0.01), 0.01});
     }
   }
   for (auto& c : problem.cameras) {

@@ -18,21 +18,25 @@ namespace {
 void check(const BundleProblem& problem) {
   const auto fail = [](const std::string& what) { throw std::invalid_argument("solveBundle: " + what); };
   const int cameras = static_cast<int>(problem.cameras.size()), points = static_cast<int>(problem.points.size());
-  if (!problem.point_fixed.empty() && static_cast<int>(problem.point_fixed.size()) != points) fail("point_fixed must be empty or as long as points");
+  if (!problem.point_fixed.empty() && static_cast<int>(problem.point_fixed.size()) != points)
+    fail("point_fixed must be empty or as long as points");
   for (const auto& c : problem.cameras) {
     if (!air_ground_common::isValid(c.T_map_camera)) fail("a camera pose is not finite or not a rotation");
-    if (c.up_camera && !(c.up_camera->norm() > 0.5 && c.up_sigma > 0)) fail("a gravity prior needs a unit vector and a positive sigma");
+    if (c.up_camera && !(c.up_camera->norm() > 0.5 && c.up_sigma > 0))
+      fail("a gravity prior needs a unit vector and a positive sigma");
   }
   for (const auto& p : problem.points) {
     if (!p.allFinite()) fail("a point is not finite");
   }
   for (const auto& m : problem.measurements) {
-    if (m.camera < 0 || m.camera >= cameras || m.point < 0 || m.point >= points) fail("a measurement's index is out of range");
+    if (m.camera < 0 || m.camera >= cameras || m.point < 0 || m.point >= points)
+      fail("a measurement's index is out of range");
     if (!m.normalized.allFinite() || !(m.sigma > 0)) fail("a measurement is not finite or its sigma not positive");
     if (m.depth > 0 && !(m.depth_sigma > 0)) fail("a depth needs a positive depth_sigma");
   }
   for (const auto& p : problem.priors) {
-    if (p.camera_a < 0 || p.camera_a >= cameras || p.camera_b < 0 || p.camera_b >= cameras || p.camera_a == p.camera_b) fail("a prior's index is out of range");
+    if (p.camera_a < 0 || p.camera_a >= cameras || p.camera_b < 0 || p.camera_b >= cameras || p.camera_a == p.camera_b)
+      fail("a prior's index is out of range");
   }
 }
 
@@ -46,9 +50,12 @@ double squaredError(const BundleProblem& problem, const BundleProblem::Measureme
 
 ceres::LossFunction* makeLoss(RobustLoss loss, double width) {
   switch (loss) {
-    case RobustLoss::kHuber: return new ceres::HuberLoss(width);
-    case RobustLoss::kCauchy: return new ceres::CauchyLoss(width);
-    case RobustLoss::kNone: break;
+    case RobustLoss::kHuber:
+      return new ceres::HuberLoss(width);
+    case RobustLoss::kCauchy:
+      return new ceres::CauchyLoss(width);
+    case RobustLoss::kNone:
+      break;
   }
   return nullptr;
 }
@@ -76,9 +83,11 @@ BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings)
     if (squaredError(problem, m) >= 1e12) continue;
     double* x_camera = camera[m.camera].data();
     double* x_point = problem.points[m.point].data();
-    solver_problem.AddResidualBlock(new ReprojectionCost(R_0[m.camera], m.normalized, m.sigma), loss.get(), x_camera, x_point);
+    solver_problem.AddResidualBlock(new ReprojectionCost(R_0[m.camera], m.normalized, m.sigma), loss.get(), x_camera,
+                                    x_point);
     if (settings.use_depth && m.depth > 0) {
-      solver_problem.AddResidualBlock(new DepthCost(R_0[m.camera], m.depth, m.depth_sigma), &depth_loss, x_camera, x_point);
+      solver_problem.AddResidualBlock(new DepthCost(R_0[m.camera], m.depth, m.depth_sigma), &depth_loss, x_camera,
+                                      x_point);
     }
     camera_used[m.camera] = point_used[m.point] = 1;
   }
@@ -86,8 +95,9 @@ BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings)
     Vector6d weights = Vector6d::Zero();
     if (p.translation_sigma > 0) weights.head<3>().setConstant(1 / p.translation_sigma);
     if (p.rotation_sigma > 0) weights.tail<3>().setConstant(1 / p.rotation_sigma);
-    solver_problem.AddResidualBlock(new RelativePoseCost<6>(R_0[p.camera_a], R_0[p.camera_b], p.T_a_b, weights.asDiagonal()),
-                                    nullptr, camera[p.camera_a].data(), camera[p.camera_b].data());
+    solver_problem.AddResidualBlock(
+        new RelativePoseCost<6>(R_0[p.camera_a], R_0[p.camera_b], p.T_a_b, weights.asDiagonal()), nullptr,
+        camera[p.camera_a].data(), camera[p.camera_b].data());
     camera_used[p.camera_a] = camera_used[p.camera_b] = 1;
   }
   int free_cameras = 0;
@@ -100,8 +110,10 @@ BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings)
     }
     if (!camera_used[i]) continue;
     ordering->AddElementToGroup(camera[i].data(), 1);
-    if (c.fixed) solver_problem.SetParameterBlockConstant(camera[i].data());
-    else ++free_cameras;
+    if (c.fixed)
+      solver_problem.SetParameterBlockConstant(camera[i].data());
+    else
+      ++free_cameras;
   }
   for (std::size_t i = 0; i < problem.points.size(); ++i) {
     if (!point_used[i]) continue;
@@ -207,7 +219,8 @@ BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<Ke
     // Points were skipped above: rebuild their ids from the first measurement of each.
     point_ids.resize(problem.points.size(), kNoLandmark);
     for (std::size_t i = 0; i < source.size(); ++i) {
-      point_ids[problem.measurements[i].point] = map.keyframe(source[i].keyframe).observations[source[i].index].landmark;
+      point_ids[problem.measurements[i].point] =
+          map.keyframe(source[i].keyframe).observations[source[i].index].landmark;
     }
   }
 
@@ -230,7 +243,8 @@ BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<Ke
   return result;
 }
 
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& fixed, const BundleSettings& settings) {
+BundleResult adjustFullMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& fixed,
+                           const BundleSettings& settings) {
   std::vector<KeyframeId> free, held = fixed;
   if (held.empty() && map.keyframeCount() > 0) held.push_back(map.keyframes().begin()->first);
   for (const auto& [id, keyframe] : map.keyframes()) {

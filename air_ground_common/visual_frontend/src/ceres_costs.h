@@ -1,5 +1,5 @@
-// Cost functions shared by bundle adjustment and the pose graph. A camera's parameters are (c, theta): its centre in the
-// map, and R_map_camera = exp(theta) * R_0 with the start R_0 kept beside. No manifold needed, and exact Jacobians.
+// Cost functions shared by bundle adjustment and the pose graph. A camera's parameters are (c, theta): its centre in
+// the map, and R_map_camera = exp(theta) * R_0 with the start R_0 kept beside. No manifold needed, and exact Jacobians.
 #pragma once
 
 #include <ceres/cost_function.h>
@@ -14,10 +14,13 @@ using air_ground_common::logSO3;
 using air_ground_common::skew;
 
 template <int Rows, int Cols>
-using RowMajor = Eigen::Matrix<double, Rows, Cols, Rows == 1 ? Eigen::RowMajor : (Cols == 1 ? Eigen::ColMajor : Eigen::RowMajor)>;
+using RowMajor =
+    Eigen::Matrix<double, Rows, Cols, Rows == 1 ? Eigen::RowMajor : (Cols == 1 ? Eigen::ColMajor : Eigen::RowMajor)>;
 
 /// exp(theta + d) = exp(J d) exp(theta) to first order.
-inline Eigen::Matrix3d leftJacobianSO3(const Eigen::Vector3d& theta) { return air_ground_common::rightJacobianSO3(-theta); }
+inline Eigen::Matrix3d leftJacobianSO3(const Eigen::Vector3d& theta) {
+  return air_ground_common::rightJacobianSO3(-theta);
+}
 
 /// log(exp(r) exp(d)) = r + J d to first order.
 inline Eigen::Matrix3d inverseRightJacobianSO3(const Eigen::Vector3d& r) {
@@ -25,7 +28,8 @@ inline Eigen::Matrix3d inverseRightJacobianSO3(const Eigen::Vector3d& r) {
   const Eigen::Matrix3d S = skew(r);
   if (angle2 < 1e-8) return Eigen::Matrix3d::Identity() + 0.5 * S + S * S / 12.0;
   const double angle = std::sqrt(angle2);
-  return Eigen::Matrix3d::Identity() + 0.5 * S + (1 / angle2 - (1 + std::cos(angle)) / (2 * angle * std::sin(angle))) * S * S;
+  return Eigen::Matrix3d::Identity() + 0.5 * S +
+         (1 / angle2 - (1 + std::cos(angle)) / (2 * angle * std::sin(angle))) * S * S;
 }
 
 /// Camera state from its parameters: 6 (c, theta) or 4 (c, yaw about the map's z).
@@ -34,14 +38,18 @@ struct CameraState {
   static_assert(N == 6 || N == 4, "6 or 4 degrees of freedom");
   CameraState(const double* x, const Eigen::Matrix3d& R_0) : c(x) {
     theta.setZero();
-    if (N == 6) theta = Eigen::Map<const Eigen::Vector3d>(x + 3);
-    else theta.z() = x[3];
+    if (N == 6)
+      theta = Eigen::Map<const Eigen::Vector3d>(x + 3);
+    else
+      theta.z() = x[3];
     R = expSO3(theta) * R_0;
   }
   /// d epsilon / d rotation parameters, for the perturbation exp(epsilon) R.
   Eigen::Matrix<double, 3, N - 3> rotationJacobian() const {
-    if constexpr (N == 6) return leftJacobianSO3(theta);
-    else return Eigen::Vector3d::UnitZ();
+    if constexpr (N == 6)
+      return leftJacobianSO3(theta);
+    else
+      return Eigen::Vector3d::UnitZ();
   }
   Eigen::Map<const Eigen::Vector3d> c;
   Eigen::Vector3d theta;
@@ -85,7 +93,8 @@ class ReprojectionCost final : public ceres::SizedCostFunction<2, 6, 3> {
 /// z in the camera against a measurement, over sigma.
 class DepthCost final : public ceres::SizedCostFunction<1, 6, 3> {
  public:
-  DepthCost(const Eigen::Matrix3d& R_0, double depth, double sigma) : R_0_(R_0), depth_(depth), inverse_sigma_(1 / sigma) {}
+  DepthCost(const Eigen::Matrix3d& R_0, double depth, double sigma)
+      : R_0_(R_0), depth_(depth), inverse_sigma_(1 / sigma) {}
 
   bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override {
     const CameraState<6> camera(x[0], R_0_);
@@ -137,8 +146,13 @@ class GravityCost final : public ceres::SizedCostFunction<3, 6> {
 template <int N>
 class RelativePoseCost final : public ceres::SizedCostFunction<6, N, N> {
  public:
-  RelativePoseCost(const Eigen::Matrix3d& R_a_0, const Eigen::Matrix3d& R_b_0, const Pose& T_a_b, const Matrix6d& sqrt_information)
-      : R_a_0_(R_a_0), R_b_0_(R_b_0), R_measured_(T_a_b.linear()), t_measured_(T_a_b.translation()), W_(sqrt_information) {}
+  RelativePoseCost(const Eigen::Matrix3d& R_a_0, const Eigen::Matrix3d& R_b_0, const Pose& T_a_b,
+                   const Matrix6d& sqrt_information)
+      : R_a_0_(R_a_0),
+        R_b_0_(R_b_0),
+        R_measured_(T_a_b.linear()),
+        t_measured_(T_a_b.translation()),
+        W_(sqrt_information) {}
 
   bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override {
     const CameraState<N> a(x[0], R_a_0_), b(x[1], R_b_0_);

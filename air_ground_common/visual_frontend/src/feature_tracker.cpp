@@ -152,7 +152,8 @@ struct FeatureTracker::Impl {
   std::vector<cv::KeyPoint> corners(const cv::Mat& image, const cv::Rect& cell, int threshold) const {
     std::vector<cv::KeyPoint> found;
     // FAST looks 3 px around a corner and leaves that border out.
-    const cv::Rect roi = cv::Rect(cell.x - 3, cell.y - 3, cell.width + 6, cell.height + 6) & cv::Rect(0, 0, image.cols, image.rows);
+    const cv::Rect roi =
+        cv::Rect(cell.x - 3, cell.y - 3, cell.width + 6, cell.height + 6) & cv::Rect(0, 0, image.cols, image.rows);
     if (settings.detector == CornerDetector::kFast) {
       cv::FAST(image(roi), found, threshold, true);
       if (found.size() > 12) {
@@ -194,8 +195,8 @@ FeatureTracker& FeatureTracker::operator=(FeatureTracker&&) noexcept = default;
 const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const TrackPrediction& prediction) {
   Impl& s = *impl_;
   if (gray.type() != CV_8UC1 || gray.cols != s.camera.width || gray.rows != s.camera.height) {
-    throw std::invalid_argument("FeatureTracker::track: needs a CV_8UC1 image of " + std::to_string(s.camera.width) + "x" +
-                                std::to_string(s.camera.height) + ", got " + std::to_string(gray.cols) + "x" +
+    throw std::invalid_argument("FeatureTracker::track: needs a CV_8UC1 image of " + std::to_string(s.camera.width) +
+                                "x" + std::to_string(s.camera.height) + ", got " + std::to_string(gray.cols) + "x" +
                                 std::to_string(gray.rows) + " of OpenCV type " + std::to_string(gray.type()));
   }
   cv::Mat image = gray;
@@ -218,19 +219,23 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
   std::vector<cv::Point2f> before, after = s.predict(prediction);
   for (const Feature& f : s.features) before.push_back(toCv(f.pixel));
   const cv::Size window(s.settings.window, s.settings.window);
-  const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, s.settings.max_iterations, s.settings.convergence);
+  const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, s.settings.max_iterations,
+                                  s.settings.convergence);
   const int levels = s.settings.pyramid_levels - 1;
   std::vector<unsigned char> status;
   std::vector<float> error;
-  cv::calcOpticalFlowPyrLK(s.lk_pyramid, current, before, after, status, error, window, levels, criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
+  cv::calcOpticalFlowPyrLK(s.lk_pyramid, current, before, after, status, error, window, levels, criteria,
+                           cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
   if (s.settings.forward_backward) {
     std::vector<cv::Point2f> back = before;
     std::vector<unsigned char> back_status;
     // From a near start the coarse levels only cost time.
-    cv::calcOpticalFlowPyrLK(current, s.lk_pyramid, after, back, back_status, error, window, std::min(levels, 1), criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
+    cv::calcOpticalFlowPyrLK(current, s.lk_pyramid, after, back, back_status, error, window, std::min(levels, 1),
+                             criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
     for (std::size_t i = 0; i < before.size(); ++i) {
       const cv::Point2f d = back[i] - before[i];
-      if (!back_status[i] || d.dot(d) > s.settings.max_forward_backward * s.settings.max_forward_backward) status[i] = 0;
+      if (!back_status[i] || d.dot(d) > s.settings.max_forward_backward * s.settings.max_forward_backward)
+        status[i] = 0;
     }
   }
 
@@ -271,7 +276,8 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
     throw std::invalid_argument("FeatureTracker::replenish: the mask must be CV_8UC1 of the image's size");
   }
   cv::Mat free(image.size(), CV_8UC1, cv::Scalar(255));
-  for (const Feature& f : s.features) cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), s.settings.min_distance, cv::Scalar(0), -1);
+  for (const Feature& f : s.features)
+    cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), s.settings.min_distance, cv::Scalar(0), -1);
   if (!mask.empty()) cv::bitwise_and(free, mask, free);
 
   const int border = s.settings.border;
@@ -307,11 +313,14 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
   for (std::size_t i = 0; i < cells.size() && static_cast<int>(s.features.size()) < s.settings.max_features; ++i) {
     if (occupied[i] || cv::countNonZero(free(cells[i])) == 0) continue;
     auto found = s.corners(image, cells[i], s.settings.fast_threshold);
-    if (found.empty() && s.settings.detector == CornerDetector::kFast) found = s.corners(image, cells[i], std::max(2, s.settings.fast_threshold / 2));
+    if (found.empty() && s.settings.detector == CornerDetector::kFast)
+      found = s.corners(image, cells[i], std::max(2, s.settings.fast_threshold / 2));
     bool done = false;
     for (const cv::KeyPoint& k : found) {
-      if (!done) done = tryAdd(k);
-      else spare.push_back(k);
+      if (!done)
+        done = tryAdd(k);
+      else
+        spare.push_back(k);
     }
   }
   std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });
@@ -326,7 +335,8 @@ TrackId FeatureTracker::addFeature(const Eigen::Vector2d& pixel) {
   for (const Feature& f : s.features) {
     if ((f.pixel - pixel).squaredNorm() < limit * limit) return kNoTrack;
   }
-  s.features.push_back(s.makeFeature(pixel, static_cast<float>(shiTomasiScore(s.pyramid[0], cvRound(pixel.x()), cvRound(pixel.y())))));
+  s.features.push_back(
+      s.makeFeature(pixel, static_cast<float>(shiTomasiScore(s.pyramid[0], cvRound(pixel.x()), cvRound(pixel.y())))));
   return s.features.back().id;
 }
 

@@ -8,7 +8,8 @@ namespace visual_frontend {
 using air_ground_common::expSO3;
 
 bool ImuBuffer::add(const ImuSample& sample) {
-  if (!std::isfinite(sample.stamp) || !sample.angular_velocity.allFinite() || !sample.specific_force.allFinite()) return false;
+  if (!std::isfinite(sample.stamp) || !sample.angular_velocity.allFinite() || !sample.specific_force.allFinite())
+    return false;
   if (!samples_.empty() && sample.stamp <= samples_.back().stamp) return false;
   samples_.push_back(sample);
   while (samples_.size() > 2 && samples_.back().stamp - samples_.front().stamp > max_seconds_) samples_.pop_front();
@@ -18,7 +19,8 @@ bool ImuBuffer::add(const ImuSample& sample) {
 namespace {
 
 auto firstNotBefore(const std::deque<ImuSample>& samples, double t) {
-  return std::lower_bound(samples.begin(), samples.end(), t, [](const ImuSample& s, double stamp) { return s.stamp < stamp; });
+  return std::lower_bound(samples.begin(), samples.end(), t,
+                          [](const ImuSample& s, double stamp) { return s.stamp < stamp; });
 }
 
 }  // namespace
@@ -37,7 +39,8 @@ bool ImuBuffer::covers(double t0, double t1, double max_gap) const {
   return true;
 }
 
-std::optional<Eigen::Matrix3d> ImuBuffer::integrateRotation(double t0, double t1, const Eigen::Vector3d& gyro_bias) const {
+std::optional<Eigen::Matrix3d> ImuBuffer::integrateRotation(double t0, double t1,
+                                                            const Eigen::Vector3d& gyro_bias) const {
   if (!covers(t0, t1)) return std::nullopt;
   const auto rateAt = [&](double t) -> Eigen::Vector3d {
     const auto next = firstNotBefore(samples_, t);
@@ -55,7 +58,8 @@ std::optional<Eigen::Matrix3d> ImuBuffer::integrateRotation(double t0, double t1
     t = stamp;
     rate = next_rate;
   };
-  for (auto it = firstNotBefore(samples_, t0); it != samples_.end() && it->stamp < t1; ++it) advance(it->stamp, it->angular_velocity);
+  for (auto it = firstNotBefore(samples_, t0); it != samples_.end() && it->stamp < t1; ++it)
+    advance(it->stamp, it->angular_velocity);
   advance(t1, rateAt(t1));
   return R;
 }
@@ -82,14 +86,18 @@ ImuBuffer::Mean ImuBuffer::mean(double t0, double t1) const {
 }
 
 bool AttitudeFilter::detectRest(const ImuBuffer::Mean& m) const {
-  if (m.count < 10 || m.angular_velocity_std > settings_.rest_gyro_std || m.specific_force_std > settings_.rest_accel_std ||
+  if (m.count < 10 || m.angular_velocity_std > settings_.rest_gyro_std ||
+      m.specific_force_std > settings_.rest_accel_std ||
       std::abs(m.specific_force.norm() - settings_.gravity) > settings_.max_norm_deviation) {
     return false;
   }
-  if (bias_known_ ? (m.angular_velocity - gyro_bias_).norm() > settings_.rest_gyro_change : m.angular_velocity.norm() > settings_.rest_gyro_mean) return false;
+  if (bias_known_ ? (m.angular_velocity - gyro_bias_).norm() > settings_.rest_gyro_change
+                  : m.angular_velocity.norm() > settings_.rest_gyro_mean)
+    return false;
   // A robot that sets off smoothly scatters little but changes from one half of the window to the other.
   const double middle = last_stamp_ - 0.5 * settings_.rest_seconds;
-  const ImuBuffer::Mean first = window_.mean(last_stamp_ - settings_.rest_seconds, middle), second = window_.mean(middle, last_stamp_);
+  const ImuBuffer::Mean first = window_.mean(last_stamp_ - settings_.rest_seconds, middle),
+                        second = window_.mean(middle, last_stamp_);
   return (first.angular_velocity - second.angular_velocity).norm() < settings_.rest_gyro_change &&
          (first.specific_force - second.specific_force).norm() < settings_.rest_accel_change;
 }
@@ -104,9 +112,11 @@ void AttitudeFilter::add(const ImuSample& sample) {
     rest_samples_ = std::min(rest_samples_ + 1, 2000.0);
     // Means over the rest so far; a new rest starts from its own window.
     const double gain = std::max(1.0 / rest_samples_, 0.002);
-    gyro_bias_ = bias_known_ ? Eigen::Vector3d(gyro_bias_ + std::min(gain, 0.02) * (m.angular_velocity - gyro_bias_)) : m.angular_velocity;
+    gyro_bias_ = bias_known_ ? Eigen::Vector3d(gyro_bias_ + std::min(gain, 0.02) * (m.angular_velocity - gyro_bias_))
+                             : m.angular_velocity;
     bias_known_ = true;
-    up_ = (initialized_ ? Eigen::Vector3d(up_ + gain * (m.specific_force.normalized() - up_)) : m.specific_force).normalized();
+    up_ = (initialized_ ? Eigen::Vector3d(up_ + gain * (m.specific_force.normalized() - up_)) : m.specific_force)
+              .normalized();
     up_sigma_ = 0.01;  // the accelerometer's own bias: 0.1 m/s^2 of consumer sensors
     age_ = std::max(age_, settings_.time_constant);
     initialized_ = true;
@@ -115,7 +125,8 @@ void AttitudeFilter::add(const ImuSample& sample) {
   rest_samples_ = 0;
   const double norm = sample.specific_force.norm();
   if (!initialized_) {
-    if (m.count < 10 || std::abs(m.specific_force.norm() - settings_.gravity) > 2 * settings_.max_norm_deviation) return;
+    if (m.count < 10 || std::abs(m.specific_force.norm() - settings_.gravity) > 2 * settings_.max_norm_deviation)
+      return;
     up_ = m.specific_force.normalized();
     up_sigma_ = 0.1;
     age_ = 0;

@@ -94,7 +94,8 @@ std::vector<Map::Covisible> Map::observers(const std::vector<LandmarkId>& landma
   for (const auto& [keyframe, count] : shared) {
     if (count >= min_shared) result.push_back({keyframe, count});
   }
-  std::stable_sort(result.begin(), result.end(), [](const Covisible& a, const Covisible& b) { return a.shared > b.shared; });
+  std::stable_sort(result.begin(), result.end(),
+                   [](const Covisible& a, const Covisible& b) { return a.shared > b.shared; });
   return result;
 }
 
@@ -104,7 +105,8 @@ std::vector<Map::Covisible> Map::covisible(KeyframeId id, int min_shared) const 
     if (o.landmark != kNoLandmark) seen.push_back(o.landmark);
   }
   std::vector<Covisible> result = observers(seen, min_shared);
-  result.erase(std::remove_if(result.begin(), result.end(), [id](const Covisible& c) { return c.keyframe == id; }), result.end());
+  result.erase(std::remove_if(result.begin(), result.end(), [id](const Covisible& c) { return c.keyframe == id; }),
+               result.end());
   return result;
 }
 
@@ -138,7 +140,8 @@ void Map::dropFarImages(const Pose& T_map_camera, int keep, double metres_per_ra
   int with_image = 0;
   for (const auto& entry : keyframes_) with_image += !entry.second.pyramid.empty();
   if (with_image <= keep) return;
-  const std::vector<KeyframeId> ranked = nearestKeyframes(T_map_camera, static_cast<int>(keyframes_.size()), metres_per_radian);
+  const std::vector<KeyframeId> ranked =
+      nearestKeyframes(T_map_camera, static_cast<int>(keyframes_.size()), metres_per_radian);
   for (auto id = ranked.rbegin(); id != ranked.rend() && with_image > keep; ++id) {
     Keyframe& k = keyframes_.at(*id);
     if (k.pyramid.empty()) continue;
@@ -176,7 +179,8 @@ Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever) 
   return J * covariance * J.transpose();
 }
 
-Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id, const Matrix6d& pose_covariance) {
+Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id,
+                           const Matrix6d& pose_covariance) {
   const Eigen::Vector3d p = map.keyframe(id).T_map_camera.translation();
   Matrix6d best = Matrix6d::Zero();
   bool any = false;
@@ -188,8 +192,8 @@ Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>&
     any = true;
   }
   if (!any && !known.empty()) best = known.rbegin()->second;
-  // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the standard
-  // deviation makes up for it (normalised errors of simulated runs).
+  // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the
+  // standard deviation makes up for it (normalised errors of simulated runs).
   return best + 9 * pose_covariance;
 }
 

@@ -6,8 +6,9 @@
 
 namespace visual_frontend {
 
-std::optional<Eigen::Vector3d> solveP2P(const Eigen::Matrix3d& R, const Eigen::Vector3d& p0, const Eigen::Vector3d& ray0,
-                                        const Eigen::Vector3d& p1, const Eigen::Vector3d& ray1) {
+std::optional<Eigen::Vector3d> solveP2P(const Eigen::Matrix3d& R, const Eigen::Vector3d& p0,
+                                        const Eigen::Vector3d& ray0, const Eigen::Vector3d& p1,
+                                        const Eigen::Vector3d& ray1) {
   // With R known, each ray leaves the camera centre one line through its point; c is nearest to both lines.
   const Eigen::Vector3d d0 = R * ray0.normalized(), d1 = R * ray1.normalized();
   const Eigen::Vector3d n = d0.cross(d1);
@@ -42,7 +43,8 @@ double largestCubicRoot(double a, double b, double c) {
   return x;
 }
 
-/// Real roots of k4 x^4 + ... + k0 (Ferrari), complex pairs that are nearly a double root included; returns their number.
+/// Real roots of k4 x^4 + ... + k0 (Ferrari), complex pairs that are nearly a double root included; returns their
+/// number.
 int realQuarticRoots(const double k[5], double roots[4]) {
   const double A = k[3] / k[4], B = k[2] / k[4], C = k[1] / k[4], D = k[0] / k[4];
   const double A2 = A * A;
@@ -112,9 +114,11 @@ P3PSolutions solveP3PFixed(const Eigen::Matrix3d& p_map, const Eigen::Matrix3d& 
   for (int i = 0; i < 3; ++i) y.col(i).normalize();
   const Eigen::Vector3d side12 = P.col(1) - P.col(0), side13 = P.col(2) - P.col(0);
   const double scale2 = side12.squaredNorm() + side13.squaredNorm();
-  if (!(side12.cross(side13).squaredNorm() > 1e-12 * scale2 * scale2) || !(std::abs(y.determinant()) > 1e-9)) return solutions;
+  if (!(side12.cross(side13).squaredNorm() > 1e-12 * scale2 * scale2) || !(std::abs(y.determinant()) > 1e-9))
+    return solutions;
 
-  // Intermediate camera frame with ray 1 along x and ray 2 in the xy plane; the third ray must have z < 0 (their eq. 1).
+  // Intermediate camera frame with ray 1 along x and ray 2 in the xy plane; the third ray must have z < 0 (their eq.
+  // 1).
   Eigen::Matrix3d T;
   const auto cameraFrame = [&] {
     T.row(0) = y.col(0);
@@ -137,30 +141,35 @@ P3PSolutions solveP3PFixed(const Eigen::Matrix3d& p_map, const Eigen::Matrix3d& 
   const double p1 = N.row(0).dot(P.col(2) - P.col(0)), p2 = N.row(1).dot(P.col(2) - P.col(0));
   const double f1 = f3.x() / f3.z(), f2 = f3.y() / f3.z();
   const double cosine = y.col(0).dot(y.col(1));
-  const double b = cosine / std::sqrt(std::max(1e-300, 1 - cosine * cosine));  // cotangent of the angle between rays 1, 2
+  const double b =
+      cosine / std::sqrt(std::max(1e-300, 1 - cosine * cosine));  // cotangent of the angle between rays 1, 2
 
   // Quartic in the cosine of the angle between the planes of the two frames (eq. 11).
-  const double f11 = f1 * f1, f22 = f2 * f2, p11 = p1 * p1, p22 = p2 * p2, p222 = p22 * p2, p2222 = p22 * p22, d2 = d * d, b2 = b * b;
+  const double f11 = f1 * f1, f22 = f2 * f2, p11 = p1 * p1, p22 = p2 * p2, p222 = p22 * p2, p2222 = p22 * p22,
+               d2 = d * d, b2 = b * b;
   const double k[5] = {
-      -2 * f1 * f2 * p1 * p22 * d * b + f22 * p22 * d2 + 2 * p11 * p1 * d - p11 * d2 + f22 * p22 * p11 - p11 * p11 - 2 * f22 * p22 * p1 * d + p22 * f11 * p11 + f22 * p22 * d2 * b2,
+      -2 * f1 * f2 * p1 * p22 * d * b + f22 * p22 * d2 + 2 * p11 * p1 * d - p11 * d2 + f22 * p22 * p11 - p11 * p11 -
+          2 * f22 * p22 * p1 * d + p22 * f11 * p11 + f22 * p22 * d2 * b2,
       2 * p11 * p2 * d * b + 2 * f1 * f2 * p222 * d - 2 * f22 * p222 * d * b - 2 * p1 * p2 * d2 * b,
-      -f22 * p22 * p11 - f22 * p22 * d2 * b2 - f22 * p22 * d2 + f22 * p2222 + p2222 * f11 + 2 * p1 * p22 * d + 2 * f1 * f2 * p1 * p22 * d * b - p22 * p11 * f11 + 2 * p1 * p22 * f22 * d - p22 * d2 * b2 - 2 * p11 * p22,
-      2 * p222 * d * b + 2 * f22 * p222 * d * b - 2 * f1 * f2 * p222 * d,
-      -f22 * p2222 - p2222 * f11 - p2222};
+      -f22 * p22 * p11 - f22 * p22 * d2 * b2 - f22 * p22 * d2 + f22 * p2222 + p2222 * f11 + 2 * p1 * p22 * d +
+          2 * f1 * f2 * p1 * p22 * d * b - p22 * p11 * f11 + 2 * p1 * p22 * f22 * d - p22 * d2 * b2 - 2 * p11 * p22,
+      2 * p222 * d * b + 2 * f22 * p222 * d * b - 2 * f1 * f2 * p222 * d, -f22 * p2222 - p2222 * f11 - p2222};
   double roots[4];
   const int count = realQuarticRoots(k, roots);
   const double side2[3] = {d2, (P.col(2) - P.col(0)).squaredNorm(), (P.col(2) - P.col(1)).squaredNorm()};
   for (int i = 0; i < count; ++i) {
     const double cos_theta = std::clamp(roots[i], -1.0, 1.0), sin_theta = std::sqrt(1 - cos_theta * cos_theta);
     // Angle alpha at P1 between the baseline and the camera centre (eq. 9), multiplied by f2 so that f2 may vanish.
-    const double numerator = -f1 * p1 + f2 * (d * b - cos_theta * p2), denominator = -f1 * cos_theta * p2 + f2 * (p1 - d);
+    const double numerator = -f1 * p1 + f2 * (d * b - cos_theta * p2),
+                 denominator = -f1 * cos_theta * p2 + f2 * (p1 - d);
     const double length = std::copysign(std::hypot(numerator, denominator), denominator);
     if (!(std::abs(length) > 0)) continue;
     const double sin_alpha = denominator / length, cos_alpha = numerator / length;
     const double along = d * (sin_alpha * b + cos_alpha);
     const Eigen::Vector3d centre(along * cos_alpha, along * sin_alpha * cos_theta, along * sin_alpha * sin_theta);
     // Depths of the three points, then their Newton polish: the quartic loses digits near double roots.
-    Eigen::Vector3d l(centre.norm(), (centre - Eigen::Vector3d(d, 0, 0)).norm(), (centre - Eigen::Vector3d(p1, p2, 0)).norm());
+    Eigen::Vector3d l(centre.norm(), (centre - Eigen::Vector3d(d, 0, 0)).norm(),
+                      (centre - Eigen::Vector3d(p1, p2, 0)).norm());
     if (!l.allFinite() || !(l.minCoeff() > 0) || !polishDepths(y, side2, &l)) continue;
     bool known = false;
     // The frame N of the triangle, seen by the camera.
@@ -170,7 +179,8 @@ P3PSolutions solveP3PFixed(const Eigen::Matrix3d& p_map, const Eigen::Matrix3d& 
     C.col(1) = C.col(2).cross(C.col(0));
     const Eigen::Matrix3d R = (C * N).transpose();
     const Eigen::Vector3d t = P.col(0) - R * (l[0] * y.col(0));
-    for (int j = 0; j < solutions.size && !known; ++j) known = (t - solutions.t_map_camera[j]).squaredNorm() < 1e-18 * scale2;
+    for (int j = 0; j < solutions.size && !known; ++j)
+      known = (t - solutions.t_map_camera[j]).squaredNorm() < 1e-18 * scale2;
     if (known) continue;
     solutions.R_map_camera[solutions.size] = R;
     solutions.t_map_camera[solutions.size++] = t;

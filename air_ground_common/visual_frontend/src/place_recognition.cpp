@@ -9,9 +9,11 @@
 
 namespace visual_frontend {
 
-void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const PlaceSettings& settings, Keyframe& keyframe) {
+void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const PlaceSettings& settings,
+                      Keyframe& keyframe) {
   if (gray.empty() || gray.type() != CV_8UC1) throw std::invalid_argument("describeKeyframe: needs a CV_8UC1 image");
-  const cv::Ptr<cv::ORB> orb = cv::ORB::create(settings.orb_features, 1.2f, settings.orb_levels, 19, 0, 2, cv::ORB::HARRIS_SCORE, 31, 12);
+  const cv::Ptr<cv::ORB> orb =
+      cv::ORB::create(settings.orb_features, 1.2f, settings.orb_levels, 19, 0, 2, cv::ORB::HARRIS_SCORE, 31, 12);
   std::vector<cv::KeyPoint> keypoints;
   keyframe.orb_descriptors = cv::Mat();
   orb->detectAndCompute(gray, cv::noArray(), keypoints, keyframe.orb_descriptors);
@@ -31,7 +33,8 @@ void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const Plac
 std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Mat& b, const PlaceSettings& settings) {
   std::vector<std::pair<int, int>> matches;
   if (a.rows < 2 || b.rows < 2) return matches;
-  std::vector<int> nearest_a(a.rows), distance_a(a.rows), second_a(a.rows), nearest_b(b.rows), distance_b(b.rows), second_b(b.rows);
+  std::vector<int> nearest_a(a.rows), distance_a(a.rows), second_a(a.rows), nearest_b(b.rows), distance_b(b.rows),
+      second_b(b.rows);
   nearestHamming(a.data, a.step, a.rows, b.data, b.step, b.rows, nearest_a.data(), distance_a.data(), second_a.data());
   nearestHamming(b.data, b.step, b.rows, a.data, a.step, a.rows, nearest_b.data(), distance_b.data(), second_b.data());
   for (int i = 0; i < a.rows; ++i) {
@@ -132,9 +135,11 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
   return result;
 }
 
-/// The best candidates with what their geometric check gave, most descriptor matches first. `matches`: the most that any had.
-std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera, const Keyframe& query, const std::vector<KeyframeId>& places,
-                                      const PlaceSettings& settings, int* matches) {
+/// The best candidates with what their geometric check gave, most descriptor matches first. `matches`: the most that
+/// any had.
+std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera, const Keyframe& query,
+                                      const std::vector<KeyframeId>& places, const PlaceSettings& settings,
+                                      int* matches) {
   struct Scored {
     KeyframeId keyframe;
     std::vector<std::pair<int, int>> matches;
@@ -148,9 +153,11 @@ std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera,
   for (const KeyframeId id : places) {
     const cv::Mat& p = map.keyframe(id).orb_descriptors;
     if (rows < 1 || p.rows < 2) continue;
-    nearestHamming(q.data, kStep * q.step, rows, p.data, p.step, p.rows, nearest.data(), distance.data(), second.data());
+    nearestHamming(q.data, kStep * q.step, rows, p.data, p.step, p.rows, nearest.data(), distance.data(),
+                   second.data());
     int close = 0;
-    for (int i = 0; i < rows; ++i) close += distance[i] <= settings.max_hamming && distance[i] <= settings.max_ratio * second[i];
+    for (int i = 0; i < rows; ++i)
+      close += distance[i] <= settings.max_hamming && distance[i] <= settings.max_ratio * second[i];
     coarse.emplace_back(-close, id);
   }
   std::sort(coarse.begin(), coarse.end());
@@ -162,10 +169,12 @@ std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera,
     *matches = std::max(*matches, static_cast<int>(s.matches.size()));
     if (static_cast<int>(s.matches.size()) >= settings.min_matches) scored.push_back(std::move(s));
   }
-  std::stable_sort(scored.begin(), scored.end(), [](const Scored& a, const Scored& b) { return a.matches.size() > b.matches.size(); });
+  std::stable_sort(scored.begin(), scored.end(),
+                   [](const Scored& a, const Scored& b) { return a.matches.size() > b.matches.size(); });
   if (static_cast<int>(scored.size()) > settings.max_candidates) scored.resize(settings.max_candidates);
   std::vector<PlaceMatch> checked;
-  for (const Scored& s : scored) checked.push_back(verify(map, camera, query, map.keyframe(s.keyframe), s.matches, settings));
+  for (const Scored& s : scored)
+    checked.push_back(verify(map, camera, query, map.keyframe(s.keyframe), s.matches, settings));
   return checked;
 }
 
@@ -174,34 +183,41 @@ PlaceMatch bestOf(std::vector<PlaceMatch>& checked, int matches) {
   best.reason = "no place has enough matching descriptors";
   best.matches = matches;
   for (PlaceMatch& match : checked) {
-    if ((match.success && !best.success) || (match.success == best.success && match.inliers >= best.inliers)) best = std::move(match);
+    if ((match.success && !best.success) || (match.success == best.success && match.inliers >= best.inliers))
+      best = std::move(match);
   }
   return best;
 }
 
 }  // namespace
 
-PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query, const std::vector<KeyframeId>& places, const PlaceSettings& settings) {
+PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query,
+                          const std::vector<KeyframeId>& places, const PlaceSettings& settings) {
   int matches = 0;
   std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
   return bestOf(checked, matches);
 }
 
-PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate, const PlaceSettings& settings) {
+PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate,
+                      const PlaceSettings& settings) {
   std::vector<KeyframeId> places;
   for (const auto& entry : map.keyframes()) places.push_back(entry.first);
   int matches = 0;
   std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
-  const auto poseIn = [&](const PlaceMatch& m) { return Pose(map.keyframe(m.keyframe).T_map_camera * m.T_place_query); };
+  const auto poseIn = [&](const PlaceMatch& m) {
+    return Pose(map.keyframe(m.keyframe).T_map_camera * m.T_place_query);
+  };
   for (PlaceMatch& m : checked) {
     if (!m.success) continue;
     const Pose T = poseIn(m);
     const double jump = (T.translation() - gate.T_map_last.translation()).norm();
     if (jump > gate.max_distance) {
       m.success = false;
-      m.reason = "a place was recognised, but it is " + std::to_string(jump) + " away and only " + std::to_string(gate.max_distance) + " can lie behind";
+      m.reason = "a place was recognised, but it is " + std::to_string(jump) + " away and only " +
+                 std::to_string(gate.max_distance) + " can lie behind";
     } else if (gate.up_camera) {
-      const double tilt = std::acos(std::clamp(gate.up_camera->dot(T.linear().transpose() * Eigen::Vector3d::UnitZ()), -1.0, 1.0));
+      const double tilt =
+          std::acos(std::clamp(gate.up_camera->dot(T.linear().transpose() * Eigen::Vector3d::UnitZ()), -1.0, 1.0));
       if (tilt > gate.max_tilt) {
         m.success = false;
         m.reason = "a place was recognised, but gravity contradicts it by " + std::to_string(tilt) + " rad";
@@ -224,10 +240,12 @@ PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe&
   }
   const double elsewhere = seen > 0 ? 0.2 * depth / seen : 0.2;
   for (const auto& [T, inliers] : poses) {
-    const bool other = (T.translation() - T_best.translation()).norm() > elsewhere || air_ground_common::rotationAngle(T.linear(), T_best.linear()) > 0.2;
+    const bool other = (T.translation() - T_best.translation()).norm() > elsewhere ||
+                       air_ground_common::rotationAngle(T.linear(), T_best.linear()) > 0.2;
     if (!other || best.inliers > gate.min_lead * inliers) continue;
     best.success = false;
-    best.reason = "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(inliers) + " points agree)";
+    best.reason =
+        "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(inliers) + " points agree)";
     break;
   }
   return best;

@@ -18,7 +18,8 @@ namespace visual_frontend {
 namespace {
 
 template <int N>
-PoseGraphResult optimize(std::vector<PoseGraphNode>& nodes, const std::vector<PoseGraphEdge>& edges, int max_iterations) {
+PoseGraphResult optimize(std::vector<PoseGraphNode>& nodes, const std::vector<PoseGraphEdge>& edges,
+                         int max_iterations) {
   using State = Eigen::Matrix<double, N, 1>;
   std::vector<State, Eigen::aligned_allocator<State>> state(nodes.size(), State::Zero());
   for (std::size_t i = 0; i < nodes.size(); ++i) state[i].template head<3>() = nodes[i].T_map_camera.translation();
@@ -32,11 +33,13 @@ PoseGraphResult optimize(std::vector<PoseGraphNode>& nodes, const std::vector<Po
       throw std::invalid_argument("optimizePoseGraph: an edge's covariance is not positive definite");
     }
     const Matrix6d sqrt_information = llt.matrixU();
-    problem.AddResidualBlock(new RelativePoseCost<N>(nodes[e.a].T_map_camera.linear(), nodes[e.b].T_map_camera.linear(), e.T_a_b, sqrt_information),
+    problem.AddResidualBlock(new RelativePoseCost<N>(nodes[e.a].T_map_camera.linear(), nodes[e.b].T_map_camera.linear(),
+                                                     e.T_a_b, sqrt_information),
                              e.robust ? &robust : nullptr, state[e.a].data(), state[e.b].data());
   }
   for (std::size_t i = 0; i < nodes.size(); ++i) {
-    if (nodes[i].fixed && problem.HasParameterBlock(state[i].data())) problem.SetParameterBlockConstant(state[i].data());
+    if (nodes[i].fixed && problem.HasParameterBlock(state[i].data()))
+      problem.SetParameterBlockConstant(state[i].data());
   }
   ceres::Solver::Options solver;
   solver.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
@@ -64,19 +67,24 @@ PoseGraphResult optimize(std::vector<PoseGraphNode>& nodes, const std::vector<Po
 
 }  // namespace
 
-PoseGraphResult optimizePoseGraph(std::vector<PoseGraphNode>& nodes, const std::vector<PoseGraphEdge>& edges, const PoseGraphSettings& settings) {
+PoseGraphResult optimizePoseGraph(std::vector<PoseGraphNode>& nodes, const std::vector<PoseGraphEdge>& edges,
+                                  const PoseGraphSettings& settings) {
   const int n = static_cast<int>(nodes.size());
   for (const PoseGraphEdge& e : edges) {
-    if (e.a < 0 || e.a >= n || e.b < 0 || e.b >= n || e.a == e.b) throw std::invalid_argument("optimizePoseGraph: an edge's node is out of range");
-    if (!e.covariance.allFinite() || !air_ground_common::isValid(e.T_a_b)) throw std::invalid_argument("optimizePoseGraph: an edge is not finite");
+    if (e.a < 0 || e.a >= n || e.b < 0 || e.b >= n || e.a == e.b)
+      throw std::invalid_argument("optimizePoseGraph: an edge's node is out of range");
+    if (!e.covariance.allFinite() || !air_ground_common::isValid(e.T_a_b))
+      throw std::invalid_argument("optimizePoseGraph: an edge is not finite");
   }
   if (std::none_of(nodes.begin(), nodes.end(), [](const PoseGraphNode& x) { return x.fixed; })) {
     throw std::invalid_argument("optimizePoseGraph: fix at least one node, the graph floats otherwise");
   }
-  return settings.four_dof ? optimize<4>(nodes, edges, settings.max_iterations) : optimize<6>(nodes, edges, settings.max_iterations);
+  return settings.four_dof ? optimize<4>(nodes, edges, settings.max_iterations)
+                           : optimize<6>(nodes, edges, settings.max_iterations);
 }
 
-PoseGraphResult closeLoops(Map& map, const std::vector<LoopEdge>& loops, int min_shared, KeyframeId fixed, const PoseGraphSettings& settings) {
+PoseGraphResult closeLoops(Map& map, const std::vector<LoopEdge>& loops, int min_shared, KeyframeId fixed,
+                           const PoseGraphSettings& settings) {
   std::vector<PoseGraphNode> nodes;
   std::vector<KeyframeId> ids;
   std::unordered_map<KeyframeId, int> index;
@@ -105,7 +113,8 @@ PoseGraphResult closeLoops(Map& map, const std::vector<LoopEdge>& loops, int min
   };
   for (const KeyframeId id : ids) {
     const int i = index[id];
-    for (const Map::Covisible& c : map.covisible(id, min_shared)) addEdge(std::min(i, index[c.keyframe]), std::max(i, index[c.keyframe]), c.shared);
+    for (const Map::Covisible& c : map.covisible(id, min_shared))
+      addEdge(std::min(i, index[c.keyframe]), std::max(i, index[c.keyframe]), c.shared);
   }
   for (int i = 1; i < static_cast<int>(nodes.size()); ++i) addEdge(i - 1, i, 10);
   for (const LoopEdge& loop : loops) {
@@ -126,7 +135,8 @@ PoseGraphResult closeLoops(Map& map, const std::vector<LoopEdge>& loops, int min
   }
   for (const LandmarkId id : map.landmarkIds()) {
     Landmark& landmark = map.landmark(id);
-    if (!landmark.observations.empty()) landmark.position = T_new_old.at(landmark.observations.front().keyframe) * landmark.position;
+    if (!landmark.observations.empty())
+      landmark.position = T_new_old.at(landmark.observations.front().keyframe) * landmark.position;
   }
   return result;
 }

@@ -65,7 +65,8 @@ PoseResult failed(std::string reason, std::size_t size) {
   return result;
 }
 
-void finish(const std::vector<PoseCorrespondence>& correspondences, const RansacSettings& settings, PoseResult& result) {
+void finish(const std::vector<PoseCorrespondence>& correspondences, const RansacSettings& settings,
+            PoseResult& result) {
   const double threshold2 = settings.threshold * settings.threshold;
   result.inlier_count = countInliers(correspondences, result.T_map_camera, threshold2, &result.inliers);
   const Pose T_camera_map = result.T_map_camera.inverse();
@@ -76,13 +77,15 @@ void finish(const std::vector<PoseCorrespondence>& correspondences, const Ransac
   result.rms = result.inlier_count > 0 ? std::sqrt(sum / (2.0 * result.inlier_count)) : 0;
   result.success = result.inlier_count >= settings.min_inliers;
   if (!result.success) {
-    result.reason = "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
+    result.reason =
+        "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
   }
 }
 
 }  // namespace
 
-PoseResult ransacKnownRotation(const std::vector<PoseCorrespondence>& c, const Eigen::Matrix3d& R_map_camera, const RansacSettings& settings) {
+PoseResult ransacKnownRotation(const std::vector<PoseCorrespondence>& c, const Eigen::Matrix3d& R_map_camera,
+                               const RansacSettings& settings) {
   if (c.size() < 2) return failed("fewer than 2 correspondences", c.size());
   const double threshold2 = settings.threshold * settings.threshold;
   Sampler sampler(settings.seed, c.size());
@@ -95,8 +98,8 @@ PoseResult ransacKnownRotation(const std::vector<PoseCorrespondence>& c, const E
   for (; iteration < needed; ++iteration) {
     std::size_t index[2];
     sampler.draw(index);
-    const auto centre = solveP2P(R_map_camera, c[index[0]].p_map, c[index[0]].normalized.homogeneous(), c[index[1]].p_map,
-                                 c[index[1]].normalized.homogeneous());
+    const auto centre = solveP2P(R_map_camera, c[index[0]].p_map, c[index[0]].normalized.homogeneous(),
+                                 c[index[1]].p_map, c[index[1]].normalized.homogeneous());
     if (!centre) continue;
     T.translation() = *centre;
     const int inliers = countInliers(c, T, threshold2, nullptr);
@@ -171,8 +174,9 @@ PoseResult ransacPose(const std::vector<PoseCorrespondence>& c, const RansacSett
   return best;
 }
 
-TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vector2d>& a, const std::vector<Eigen::Vector2d>& b,
-                                                  const Eigen::Matrix3d& R_a_b, double sigma, const RansacSettings& settings) {
+TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vector2d>& a,
+                                                  const std::vector<Eigen::Vector2d>& b, const Eigen::Matrix3d& R_a_b,
+                                                  double sigma, const RansacSettings& settings) {
   TranslationDirection result;
   const std::size_t n = a.size();
   result.inliers.assign(n, 0);

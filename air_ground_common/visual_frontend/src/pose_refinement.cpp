@@ -137,7 +137,8 @@ int minimise(const Problem& problem, const RefineSettings& settings, Pose& T) {
 
 }  // namespace
 
-PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, const Pose& initial, const RefineSettings& settings) {
+PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, const Pose& initial,
+                      const RefineSettings& settings) {
   PoseResult result;
   result.T_map_camera = initial;
   result.inliers.assign(correspondences.size(), 0);
@@ -173,19 +174,22 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
   };
   // First all points that lie in front, with the robust loss; then the inliers alone.
   const Pose T_camera_map = initial.inverse();
-  for (std::size_t i = 0; i < correspondences.size(); ++i) problem.used()[i] = (T_camera_map * correspondences[i].p_map).z() > 1e-3;
+  for (std::size_t i = 0; i < correspondences.size(); ++i)
+    problem.used()[i] = (T_camera_map * correspondences[i].p_map).z() > 1e-3;
   result.iterations = minimise(problem, settings, result.T_map_camera);
   classify();
   const bool constrained = result.inlier_count >= (with_depth >= 3 ? 3 : 4);
   if (!constrained) {
-    result.reason = "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
+    result.reason =
+        "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
     return result;
   }
   problem.used() = result.inliers;
   result.iterations += minimise(problem, settings, result.T_map_camera);
   classify();
   if (result.inlier_count < (with_depth >= 3 ? 3 : 4)) {
-    result.reason = "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
+    result.reason =
+        "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
     return result;
   }
 

@@ -58,7 +58,8 @@ float zncc(const Patch& a, const Patch& b) {
 
 /// Inverse compositional alignment of the template (with a rim of one pixel, side 2h + 2) in `image` from `centre`;
 /// the window is brought to the template's mean and contrast first. Returns the score, or -1.
-float align(const cv::Mat& image, const float* rimmed, const Patch& reference, int max_iterations, Eigen::Vector2f* centre) {
+float align(const cv::Mat& image, const float* rimmed, const Patch& reference, int max_iterations,
+            Eigen::Vector2f* centre) {
   const int side = 2 * reference.half, rim = side + 2;
   float gx[4 * kMaxHalf * kMaxHalf], gy[4 * kMaxHalf * kMaxHalf];
   float mean_x = 0, mean_y = 0;
@@ -110,8 +111,8 @@ float align(const cv::Mat& image, const float* rimmed, const Patch& reference, i
 }
 
 /// Columns: movement in the current image for one pixel right and down in the reference image, plane facing it.
-std::optional<Eigen::Matrix2d> warp(const CameraModel& camera, const Eigen::Vector2d& pixel, double depth, const Pose& T_current_reference,
-                                    const Eigen::Vector2d& projected) {
+std::optional<Eigen::Matrix2d> warp(const CameraModel& camera, const Eigen::Vector2d& pixel, double depth,
+                                    const Pose& T_current_reference, const Eigen::Vector2d& projected) {
   Eigen::Matrix2d A;
   constexpr double kStep = 4;
   for (int i = 0; i < 2; ++i) {
@@ -132,8 +133,9 @@ struct Candidate {
 
 }  // namespace
 
-std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, const ImagePyramid& current, const Pose& T_map_camera,
-                                     const std::vector<LandmarkId>& candidates, const std::vector<Eigen::Vector2d>& occupied,
+std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, const ImagePyramid& current,
+                                     const Pose& T_map_camera, const std::vector<LandmarkId>& candidates,
+                                     const std::vector<Eigen::Vector2d>& occupied,
                                      const ReobservationSettings& settings) {
   std::vector<LandmarkMatch> matches;
   if (current.empty()) return matches;
@@ -169,7 +171,9 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
   const int cell = std::max(4, settings.cell_size);
   const int columns = camera.width / cell + 1;
   std::vector<unsigned char> taken(static_cast<std::size_t>(columns) * (camera.height / cell + 1), 0);
-  const auto cellOf = [&](const Eigen::Vector2d& p) { return static_cast<std::size_t>(p.y() / cell) * columns + static_cast<std::size_t>(p.x() / cell); };
+  const auto cellOf = [&](const Eigen::Vector2d& p) {
+    return static_cast<std::size_t>(p.y() / cell) * columns + static_cast<std::size_t>(p.x() / cell);
+  };
   for (const Eigen::Vector2d& p : occupied) {
     if (camera.contains(p)) taken[cellOf(p)] = 1;
   }
@@ -193,10 +197,12 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
     for (double s = scale; s > 1.5 && level + 1 < static_cast<int>(current.size()); s *= 0.5) ++level;
     // Seen smaller now: take the template from a coarser level of the reference.
     int reference_level = 0;
-    for (double s = scale; s < 0.7 && reference_level + 1 < static_cast<int>(c.reference->pyramid.size()); s *= 2) ++reference_level;
+    for (double s = scale; s < 0.7 && reference_level + 1 < static_cast<int>(c.reference->pyramid.size()); s *= 2)
+      ++reference_level;
 
     const auto makeTemplate = [&](int at_level, int from_level, int h, Patch* patch, float* rimmed) {
-      const Eigen::Matrix2f B = (A->inverse() * static_cast<double>(1 << at_level) / static_cast<double>(1 << from_level)).cast<float>();
+      const Eigen::Matrix2f B =
+          (A->inverse() * static_cast<double>(1 << at_level) / static_cast<double>(1 << from_level)).cast<float>();
       const Eigen::Vector2f centre = (c.observation->pixel / static_cast<double>(1 << from_level)).cast<float>();
       if (!extract(c.reference->pyramid[from_level], centre, B, h + 1, rimmed)) return false;
       patch->half = h;
@@ -211,7 +217,8 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
 
     // Search one level up by correlation, then align there and at the fine level.
     const int search_level = std::min(level + 1, static_cast<int>(current.size()) - 1);
-    const int coarse_reference = std::min(reference_level + (search_level - level), static_cast<int>(c.reference->pyramid.size()) - 1);
+    const int coarse_reference =
+        std::min(reference_level + (search_level - level), static_cast<int>(c.reference->pyramid.size()) - 1);
     if (!makeTemplate(search_level, coarse_reference, half, &coarse, coarse_rimmed)) continue;
     const double search_scale = 1 << search_level;
     const int radius = static_cast<int>(std::ceil(settings.search_radius / search_scale));
@@ -232,7 +239,9 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
       }
     }
     if (best_score < settings.min_zncc - 0.15) continue;
-    if (align(current[search_level], coarse_rimmed, coarse, settings.max_iterations, &best_position) < settings.min_zncc - 0.1) continue;
+    if (align(current[search_level], coarse_rimmed, coarse, settings.max_iterations, &best_position) <
+        settings.min_zncc - 0.1)
+      continue;
     Eigen::Vector2f position = best_position * static_cast<float>(1 << (search_level - level));
     const float score = align(current[level], fine_rimmed, fine, settings.max_iterations, &position);
     if (score < settings.min_zncc) continue;

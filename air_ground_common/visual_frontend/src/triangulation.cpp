@@ -9,13 +9,20 @@ namespace visual_frontend {
 
 const char* toString(TriangulationStatus status) {
   switch (status) {
-    case TriangulationStatus::kOk: return "ok";
-    case TriangulationStatus::kTooFewViews: return "too few views";
-    case TriangulationStatus::kLowParallax: return "low parallax";
-    case TriangulationStatus::kBehindCamera: return "behind a camera";
-    case TriangulationStatus::kDepthRange: return "depth out of range";
-    case TriangulationStatus::kLargeResidual: return "large residual";
-    case TriangulationStatus::kSingular: return "singular";
+    case TriangulationStatus::kOk:
+      return "ok";
+    case TriangulationStatus::kTooFewViews:
+      return "too few views";
+    case TriangulationStatus::kLowParallax:
+      return "low parallax";
+    case TriangulationStatus::kBehindCamera:
+      return "behind a camera";
+    case TriangulationStatus::kDepthRange:
+      return "depth out of range";
+    case TriangulationStatus::kLargeResidual:
+      return "large residual";
+    case TriangulationStatus::kSingular:
+      return "singular";
   }
   return "unknown";
 }
@@ -65,7 +72,8 @@ TriangulationResult triangulate(const std::vector<ViewRay>& views, const Triangu
   if (views.empty() || (views.size() < 2 && !any_depth)) return result;
 
   std::vector<Eigen::Vector3d> directions;
-  for (const ViewRay& v : views) directions.push_back((v.T_map_camera.linear() * v.normalized.homogeneous()).normalized());
+  for (const ViewRay& v : views)
+    directions.push_back((v.T_map_camera.linear() * v.normalized.homogeneous()).normalized());
   for (std::size_t i = 0; i < views.size(); ++i) {
     for (std::size_t j = i + 1; j < views.size(); ++j) {
       // atan2 keeps its precision for small angles, where acos does not.
@@ -129,7 +137,8 @@ TriangulationResult triangulate(const std::vector<ViewRay>& views, const Triangu
     result.status = TriangulationStatus::kSingular;
     return result;
   }
-  result.covariance = eigen.eigenvectors() * eigen.eigenvalues().cwiseInverse().asDiagonal() * eigen.eigenvectors().transpose();
+  result.covariance =
+      eigen.eigenvectors() * eigen.eigenvalues().cwiseInverse().asDiagonal() * eigen.eigenvectors().transpose();
   bool in_range = true;
   for (const ViewRay& v : views) {
     const Eigen::Vector3d q = v.T_map_camera.inverse() * p;
@@ -137,9 +146,9 @@ TriangulationResult triangulate(const std::vector<ViewRay>& views, const Triangu
     result.max_residual = std::max(result.max_residual, (q.head<2>() / q.z() - v.normalized).norm() / v.sigma);
     if (v.depth > 0) result.max_residual = std::max(result.max_residual, std::abs(q.z() - v.depth) / v.depth_sigma);
   }
-  result.status = !in_range ? TriangulationStatus::kDepthRange
+  result.status = !in_range                                     ? TriangulationStatus::kDepthRange
                   : result.max_residual > settings.max_residual ? TriangulationStatus::kLargeResidual
-                                                                 : TriangulationStatus::kOk;
+                                                                : TriangulationStatus::kOk;
   return result;
 }
 

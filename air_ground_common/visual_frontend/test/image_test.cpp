@@ -148,14 +148,16 @@ TEST_P(ReobserveTest, FindsLandmarksFromAnotherPose) {
   predicted.translation().x() += 0.012;  // some 3 px
   const auto matches = reobserve(map, camera, buildPyramid(image, 4), predicted, map.landmarkIds(), {}, {});
   std::vector<double> errors;
-  for (const LandmarkMatch& m : matches) errors.push_back((*camera.project(T.inverse() * map.landmark(m.landmark).position) - m.pixel).norm());
+  for (const LandmarkMatch& m : matches)
+    errors.push_back((*camera.project(T.inverse() * map.landmark(m.landmark).position) - m.pixel).norm());
   std::sort(errors.begin(), errors.end());
   ASSERT_GT(errors.size(), 40u);
   EXPECT_LT(errors[errors.size() / 2], 0.3);
   EXPECT_LT(errors[errors.size() * 95 / 100], 1.5);
 }
 INSTANTIATE_TEST_SUITE_P(Poses, ReobserveTest,
-                         testing::Values(above(0.1, 0.05, 2), above(0.2, 0, 1.9, 0.8), above(0, 0.1, 1.4, -0.4), above(-0.1, 0, 2.9, 0.3), above(0, 0.3, 2, 0, 0.25)));
+                         testing::Values(above(0.1, 0.05, 2), above(0.2, 0, 1.9, 0.8), above(0, 0.1, 1.4, -0.4),
+                                         above(-0.1, 0, 2.9, 0.3), above(0, 0.3, 2, 0, 0.25)));
 
 TEST(Reobserve, ClaimsLittleInAnotherScene) {
   const CameraModel camera = synthetic::camera();
@@ -181,7 +183,8 @@ TEST(Place, RecognisesAndGivesTheRelativePose) {
     if (query_depth) {  // depth only on the query's side: the inverse direction
       used.keyframe(0).orb_depth.clear();
       used.keyframe(0).observations.clear();
-      for (const Eigen::Vector2d& p : query.orb_pixels) query.orb_depth.push_back(depth.at<float>(cvRound(p.y()), cvRound(p.x())));
+      for (const Eigen::Vector2d& p : query.orb_pixels)
+        query.orb_depth.push_back(depth.at<float>(cvRound(p.y()), cvRound(p.x())));
     }
     const PlaceMatch match = recognizePlace(used, camera, query, {0}, {});
     ASSERT_TRUE(match.success) << match.reason << ", matches " << match.matches;

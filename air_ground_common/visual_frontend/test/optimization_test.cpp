@@ -61,7 +61,8 @@ TEST(Jacobians, MatchDifferences) {
     camera_b << B.translation(), random.vector(0.5);
     const Pose T_a_b = T.inverse() * B;
     Matrix6d W = Matrix6d::Random();
-    EXPECT_LT(jacobianError(RelativePoseCost<6>(R_0, B.linear(), T_a_b, W), {vectorOf(camera), vectorOf(camera_b)}), 1e-5);
+    EXPECT_LT(jacobianError(RelativePoseCost<6>(R_0, B.linear(), T_a_b, W), {vectorOf(camera), vectorOf(camera_b)}),
+              1e-5);
     Eigen::Vector4d a4, b4;
     a4 << T.translation(), 0.4;
     b4 << B.translation(), -0.3;
@@ -81,7 +82,8 @@ Scene arc(unsigned seed, int cameras, int points, double pixel_noise, bool depth
     const double angle = 0.12 * i;
     BundleProblem::Camera c;
     const Eigen::Vector3d position(3 * std::sin(angle), -3 * std::cos(angle), 0.5 + 0.05 * i);
-    const Eigen::Vector3d z = (Eigen::Vector3d(0, 0, 0.3) - position).normalized(), x = z.cross(Eigen::Vector3d::UnitZ()).normalized();
+    const Eigen::Vector3d z = (Eigen::Vector3d(0, 0, 0.3) - position).normalized(),
+                          x = z.cross(Eigen::Vector3d::UnitZ()).normalized();
     c.T_map_camera.linear() << x, z.cross(x), z;
     c.T_map_camera.translation() = position;
     c.fixed = i == 0;
@@ -95,7 +97,8 @@ Scene arc(unsigned seed, int cameras, int points, double pixel_noise, bool depth
       m.camera = i;
       m.point = k;
       m.sigma = 1.0 / 525;
-      m.normalized = p.head<2>() / p.z() + Eigen::Vector2d(random.gauss(pixel_noise / 525), random.gauss(pixel_noise / 525));
+      m.normalized =
+          p.head<2>() / p.z() + Eigen::Vector2d(random.gauss(pixel_noise / 525), random.gauss(pixel_noise / 525));
       if (depth) {
         m.depth_sigma = 0.003 * p.z() * p.z();
         m.depth = p.z() + random.gauss(m.depth_sigma * (pixel_noise > 0));
@@ -116,7 +119,9 @@ Scene arc(unsigned seed, int cameras, int points, double pixel_noise, bool depth
 double worstCamera(const Scene& s) {
   double worst = 0;
   for (std::size_t i = 0; i < s.truth.cameras.size(); ++i) {
-    worst = std::max(worst, (s.problem.cameras[i].T_map_camera.translation() - s.truth.cameras[i].T_map_camera.translation()).norm());
+    worst = std::max(
+        worst,
+        (s.problem.cameras[i].T_map_camera.translation() - s.truth.cameras[i].T_map_camera.translation()).norm());
   }
   return worst;
 }
@@ -145,12 +150,14 @@ TEST(Bundle, MonocularKeepsScaleOfTwoFixedCameras) {
 
 TEST(Bundle, ReportsOutliers) {
   Scene s = arc(3, 6, 80, 0.3, true, 0.01);
-  for (std::size_t i = 5; i < s.problem.measurements.size(); i += 37) s.problem.measurements[i].normalized += Eigen::Vector2d(0.05, -0.04);
+  for (std::size_t i = 5; i < s.problem.measurements.size(); i += 37)
+    s.problem.measurements[i].normalized += Eigen::Vector2d(0.05, -0.04);
   BundleSettings settings;
   settings.max_iterations = 30;
   const BundleResult r = solveBundle(s.problem, settings);
   std::size_t expected = 0;
-  for (std::size_t i = 5; i < s.problem.measurements.size(); i += 37) expected += std::count(r.outliers.begin(), r.outliers.end(), static_cast<int>(i));
+  for (std::size_t i = 5; i < s.problem.measurements.size(); i += 37)
+    expected += std::count(r.outliers.begin(), r.outliers.end(), static_cast<int>(i));
   EXPECT_EQ(expected, (s.problem.measurements.size() - 5 + 36) / 37);
   EXPECT_LE(r.outliers.size(), expected + 3);
   EXPECT_LT(worstCamera(s), 0.015);
@@ -171,7 +178,8 @@ TEST(Bundle, GravityLevelsAMapThatFloats) {
   BundleSettings settings;
   settings.max_iterations = 60;
   solveBundle(s.problem, settings);
-  for (const auto& c : s.problem.cameras) EXPECT_LT((c.T_map_camera.linear().transpose().col(2) - *c.up_camera).norm(), 2e-3);
+  for (const auto& c : s.problem.cameras)
+    EXPECT_LT((c.T_map_camera.linear().transpose().col(2) - *c.up_camera).norm(), 2e-3);
 }
 
 TEST(Bundle, RefusesBadInput) {
@@ -220,7 +228,8 @@ TEST(AdjustMap, WindowMovesOnlyFreeKeyframesAndDropsOutliers) {
   ASSERT_TRUE(r.usable);
   EXPECT_EQ(before.matrix(), map.keyframe(2).T_map_camera.matrix());
   for (int i = 3; i < 7; ++i) {
-    EXPECT_LT((map.keyframe(i).T_map_camera.translation() - s.truth.cameras[i].T_map_camera.translation()).norm(), 0.01);
+    EXPECT_LT((map.keyframe(i).T_map_camera.translation() - s.truth.cameras[i].T_map_camera.translation()).norm(),
+              0.01);
   }
   EXPECT_EQ(map.keyframe(5).observations[7].landmark, kNoLandmark);
   EXPECT_EQ(map.landmark(7).observations.size(), 6u);
@@ -231,7 +240,9 @@ TEST(PoseGraph, LoopRemovesDrift) {
     Random random(7);
     constexpr int kNodes = 40;
     std::vector<Pose> truth;
-    for (int i = 0; i < kNodes; ++i) truth.push_back(air_ground_common::yawPose(2 * M_PI * i / kNodes, {2 * std::cos(2 * M_PI * i / kNodes), 2 * std::sin(2 * M_PI * i / kNodes), 0.5}));
+    for (int i = 0; i < kNodes; ++i)
+      truth.push_back(air_ground_common::yawPose(
+          2 * M_PI * i / kNodes, {2 * std::cos(2 * M_PI * i / kNodes), 2 * std::sin(2 * M_PI * i / kNodes), 0.5}));
     std::vector<PoseGraphNode> nodes(kNodes);
     std::vector<PoseGraphEdge> edges;
     nodes[0].T_map_camera = truth[0];
@@ -240,7 +251,8 @@ TEST(PoseGraph, LoopRemovesDrift) {
       PoseGraphEdge e;
       e.a = i - 1;
       e.b = i;
-      e.T_a_b = truth[i - 1].inverse() * truth[i] * air_ground_common::yawPose(0.003 + random.gauss(0.002), random.gaussVector(0.005));
+      e.T_a_b = truth[i - 1].inverse() * truth[i] *
+                air_ground_common::yawPose(0.003 + random.gauss(0.002), random.gaussVector(0.005));
       e.covariance.topLeftCorner<3, 3>() *= 1e-4;
       e.covariance.bottomRightCorner<3, 3>() *= 5e-5;
       nodes[i].T_map_camera = nodes[i - 1].T_map_camera * e.T_a_b;
@@ -260,7 +272,8 @@ TEST(PoseGraph, LoopRemovesDrift) {
     ASSERT_TRUE(r.usable);
     EXPECT_GT(before, 0.15);
     double worst = 0;
-    for (int i = 0; i < kNodes; ++i) worst = std::max(worst, (nodes[i].T_map_camera.translation() - truth[i].translation()).norm());
+    for (int i = 0; i < kNodes; ++i)
+      worst = std::max(worst, (nodes[i].T_map_camera.translation() - truth[i].translation()).norm());
     EXPECT_LT(worst, 0.4 * before) << "four_dof " << four_dof;
     EXPECT_LT((nodes.back().T_map_camera.translation() - truth.back().translation()).norm(), 0.03);
   }
@@ -280,7 +293,8 @@ TEST(PoseGraph, CloseLoopsCarriesLandmarks) {
   loop.covariance = Matrix6d::Identity() * 1e-8;
   const Pose before = map.keyframe(5).T_map_camera;
   ASSERT_TRUE(closeLoops(map, {loop}, 20, kNoKeyframe, {}).usable);
-  const Eigen::Vector3d moved = before.linear().transpose() * (map.keyframe(5).T_map_camera.translation() - before.translation());
+  const Eigen::Vector3d moved =
+      before.linear().transpose() * (map.keyframe(5).T_map_camera.translation() - before.translation());
   EXPECT_GT(moved.x(), 0.004);
   // Landmarks whose first observer did not move stay.
   EXPECT_LT((map.landmark(0).position - s.problem.points[0]).norm(), 1e-9);

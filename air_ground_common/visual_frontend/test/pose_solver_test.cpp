@@ -130,7 +130,8 @@ TEST_P(RansacTest, FindsPoseDespiteOutliersAndNoise) {
     EXPECT_LE(wrong, 2);
   }
 }
-INSTANTIATE_TEST_SUITE_P(Sweep, RansacTest, testing::Combine(testing::Values(0.0, 0.3, 0.5), testing::Values(0.0, 0.5, 1.5)));
+INSTANTIATE_TEST_SUITE_P(Sweep, RansacTest,
+                         testing::Combine(testing::Values(0.0, 0.3, 0.5), testing::Values(0.0, 0.5, 1.5)));
 
 TEST(Ransac, SaysWhyItFails) {
   Random random(4);

@@ -78,7 +78,9 @@ ImuSample imu(double stamp, const Eigen::Vector3d& rate, const Eigen::Vector3d& 
 TEST(Imu, IntegratesTheRotationOfATrajectory) {
   // R_world_imu(t) with a varying rate in the body frame; bias added.
   const Eigen::Vector3d bias(0.02, -0.01, 0.03);
-  const auto rate = [](double t) { return Eigen::Vector3d(0.8 * std::sin(3 * t), 0.5 * std::cos(2 * t), 0.6 + 0.3 * t); };
+  const auto rate = [](double t) {
+    return Eigen::Vector3d(0.8 * std::sin(3 * t), 0.5 * std::cos(2 * t), 0.6 + 0.3 * t);
+  };
   ImuBuffer buffer;
   for (int i = 0; i <= 400; ++i) buffer.add(imu(i * 0.005, rate(i * 0.005) + bias, {0, 0, 9.81}));
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
@@ -110,7 +112,9 @@ TEST(Attitude, RestGivesUpAndBiasThenFollowsRotation) {
   AttitudeFilter filter;
   Eigen::Matrix3d R = R_0;
   double t = 0;
-  for (; t < 2; t += 0.005) filter.add(imu(t, bias + random.gaussVector(0.003), R.transpose() * Eigen::Vector3d(0, 0, 9.81) + random.gaussVector(0.03)));
+  for (; t < 2; t += 0.005)
+    filter.add(imu(t, bias + random.gaussVector(0.003),
+                   R.transpose() * Eigen::Vector3d(0, 0, 9.81) + random.gaussVector(0.03)));
   ASSERT_TRUE(filter.initialized() && filter.atRest() && filter.biasKnown());
   EXPECT_LT((filter.gyroBias() - bias).norm(), 0.002);
   EXPECT_LT((filter.up() - R.transpose().col(2)).norm(), 0.01);
@@ -119,7 +123,8 @@ TEST(Attitude, RestGivesUpAndBiasThenFollowsRotation) {
     const Eigen::Vector3d rate(0.4 * std::sin(t), 0.3 * std::cos(1.7 * t), 0.5);
     R = R * expSO3(rate * 0.005);
     const Eigen::Vector3d acceleration(0.5 * std::sin(4 * t), 0.4 * std::cos(5 * t), 0);
-    filter.add(imu(t, rate + bias + random.gaussVector(0.003), R.transpose() * (Eigen::Vector3d(0, 0, 9.81) + acceleration) + random.gaussVector(0.05)));
+    filter.add(imu(t, rate + bias + random.gaussVector(0.003),
+                   R.transpose() * (Eigen::Vector3d(0, 0, 9.81) + acceleration) + random.gaussVector(0.05)));
   }
   EXPECT_FALSE(filter.atRest());
   EXPECT_LT((filter.up() - R.transpose().col(2)).norm(), 0.03);

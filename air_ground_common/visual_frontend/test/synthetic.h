@@ -60,8 +60,10 @@ inline cv::Mat texture(int size, unsigned seed) {
 
 /// View of the textured plane z = 0 of the map (texture centre at the origin, `metres` wide). `depth` (CV_32F, z in the
 /// camera) if given. Pixels that miss the plane are grey and of depth 0.
-inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, const cv::Mat& texture, double metres, cv::Mat* depth = nullptr) {
-  cv::Mat map_x(camera.height, camera.width, CV_32F, cv::Scalar(-1)), map_y(camera.height, camera.width, CV_32F, cv::Scalar(-1)), image;
+inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, const cv::Mat& texture, double metres,
+                           cv::Mat* depth = nullptr) {
+  cv::Mat map_x(camera.height, camera.width, CV_32F, cv::Scalar(-1)),
+      map_y(camera.height, camera.width, CV_32F, cv::Scalar(-1)), image;
   if (depth) *depth = cv::Mat::zeros(camera.height, camera.width, CV_32F);
   const double scale = texture.cols / metres;
   for (int v = 0; v < camera.height; ++v) {

@@ -11,13 +11,15 @@ namespace {
 
 using synthetic::Random;
 
-std::vector<ViewRay> views(Random& random, const Eigen::Vector3d& p_map, const Pose& first, int count, double baseline, double sigma) {
+std::vector<ViewRay> views(Random& random, const Eigen::Vector3d& p_map, const Pose& first, int count, double baseline,
+                           double sigma) {
   std::vector<ViewRay> result;
   for (int i = 0; i < count; ++i) {
     ViewRay v;
     v.T_map_camera = first;
     if (i > 0) {
-      v.T_map_camera.translation() += first.linear() * Eigen::Vector3d(baseline * i, 0.3 * baseline * random.uniform(-1, 1), 0);
+      v.T_map_camera.translation() +=
+          first.linear() * Eigen::Vector3d(baseline * i, 0.3 * baseline * random.uniform(-1, 1), 0);
       v.T_map_camera.linear() = v.T_map_camera.linear() * air_ground_common::expSO3(random.vector(0.05));
     }
     const Eigen::Vector3d p = v.T_map_camera.inverse() * p_map;

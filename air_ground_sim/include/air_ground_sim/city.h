@@ -1,4 +1,5 @@
-// What a city gives to a localizer, as files: panoramas with geotags, the cadastral model, and the truth to compare with.
+// What a city gives to a localizer, as files: panoramas with geotags, the cadastral model, and the truth to compare
+// with.
 #pragma once
 
 #include <functional>
@@ -37,9 +38,10 @@ struct Geotag {
 /// `T_world_panorama`: x to the image's centre, y left, z up; R = Rz(90 deg - heading) Ry(-pitch) Rx(roll).
 Geotag geotagOf(const air_ground_common::LocalFrame& frame, const air_ground_common::Pose& T_world_panorama);
 
-/// Panoramas, geotags.csv, panorama_truth.csv, model.gml, model.obj, camera.yaml, city.yaml. `progress` (may be empty) is
-/// called with panoramas done and in all.
-void writeCity(const SimConfig& config, const Street& street, const std::string& folder, const std::function<void(int, int)>& progress);
+/// Panoramas, geotags.csv, panorama_truth.csv, model.gml, model.obj, camera.yaml, city.yaml. `progress` (may be empty)
+/// is called with panoramas done and in all.
+void writeCity(const SimConfig& config, const Street& street, const std::string& folder,
+               const std::function<void(int, int)>& progress);
 
 /// `count` pictures of the flight, evenly spread over it, in folder/queries, and of streets without panoramas in
 /// folder/queries_elsewhere; the truth beside them as <folder>_truth.csv.

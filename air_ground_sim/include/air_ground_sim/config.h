@@ -25,7 +25,7 @@ struct ClusterConfig {
 
 struct WallConfig {
   Eigen::Vector2d from = Eigen::Vector2d::Zero(), to = Eigen::Vector2d::Zero();  ///< [m]
-  double height = 1.0;                                                         ///< [m]
+  double height = 1.0;                                                           ///< [m]
 };
 
 struct WorldConfig {
@@ -37,30 +37,31 @@ struct WorldConfig {
   bool vary_layout = true;   ///< mirror and jitter the layout with the seed
   std::vector<ClusterConfig> clusters;
   std::vector<WallConfig> walls;
-  int rocks = 60;                ///< rubble only
-  double relief = 0.12;          ///< amplitude of the height field, rubble only [m]
-  int grid_rows = 4, grid_columns = 5;  ///< identical boxes only
+  int rocks = 60;                              ///< rubble only
+  double relief = 0.12;                        ///< amplitude of the height field, rubble only [m]
+  int grid_rows = 4, grid_columns = 5;         ///< identical boxes only
   double grid_spacing = 1.1, grid_box = 0.45;  ///< [m]
 };
 
 /// A straight street with a row of buildings on either side.
 struct StreetLineConfig {
-  Eigen::Vector2d from = Eigen::Vector2d::Zero(), to = Eigen::Vector2d::Zero();  ///< ends of the centre line in world [m]
-  bool panoramas = true;  ///< false: a street that the city's panoramas do not cover
+  Eigen::Vector2d from = Eigen::Vector2d::Zero(),
+                  to = Eigen::Vector2d::Zero();  ///< ends of the centre line in world [m]
+  bool panoramas = true;                         ///< false: a street that the city's panoramas do not cover
 };
 
 /// The street world, its cadastral model and its panoramas. `world` is the local east-north-up frame at `origin`.
 struct StreetConfig {
-  std::string crs = "EPSG:2056";                      ///< a projected system, (easting, northing)
+  std::string crs = "EPSG:2056";                        ///< a projected system, (easting, northing)
   Eigen::Vector3d origin{2683500.0, 1247800.0, 410.0};  ///< in `crs` [m]
-  double geoid_undulation = 47.3;  ///< ellipsoidal height minus the height used in `origin` [m]
+  double geoid_undulation = 47.3;                       ///< ellipsoidal height minus the height used in `origin` [m]
   std::vector<StreetLineConfig> lines;
-  double width = 14;               ///< from facade to facade [m]
-  double sidewalk = 2.5;           ///< [m]
-  double grade = 0.04;             ///< rise of the terrain along the first line
-  double relief = 0.6;             ///< amplitude of its undulation [m]
-  double texel = 0.01;             ///< of the facades [m]
-  std::string facade_images;       ///< folder of photographs to be used as facades; empty: painted ones
+  double width = 14;                         ///< from facade to facade [m]
+  double sidewalk = 2.5;                     ///< [m]
+  double grade = 0.04;                       ///< rise of the terrain along the first line
+  double relief = 0.6;                       ///< amplitude of its undulation [m]
+  double texel = 0.01;                       ///< of the facades [m]
+  std::string facade_images;                 ///< folder of photographs to be used as facades; empty: painted ones
   double cars = 14, people = 12, trees = 5;  ///< on 100 m of street
 
   std::vector<Eigen::Vector2d> route;  ///< of the MAV, along centre lines [m]; empty: the first line there and back
@@ -72,11 +73,12 @@ struct StreetConfig {
   double panorama_height = 2.5;  ///< above the road [m]
   int panorama_width = 4096;     ///< [px]; the height is half of it
   int panorama_samples = 4;      ///< rays a pixel
-  double geotag_position_error = 3.7;    ///< mean length of the error [m]; heights err half as much as each horizontal axis
+  double geotag_position_error =
+      3.7;  ///< mean length of the error [m]; heights err half as much as each horizontal axis
   double geotag_orientation_error = 0.0332;  ///< mean angle of the error [rad]
-  double geotag_correlation = 0.5;  ///< share of the position error's variance that neighbours have in common
-  double model_lateral_stddev = 0.1;     ///< of each building, east and north [m]
-  double model_height_stddev = 0.5;      ///< of each building [m]
+  double geotag_correlation = 0.5;           ///< share of the position error's variance that neighbours have in common
+  double model_lateral_stddev = 0.1;         ///< of each building, east and north [m]
+  double model_height_stddev = 0.5;          ///< of each building [m]
 };
 
 /// Satellite positioning between facades: echoes shift the position for tens of seconds and let it jump.
@@ -92,31 +94,31 @@ struct GpsConfig {
 };
 
 struct BarometerConfig {
-  double rate = 0;             ///< [Hz]; 0: none
-  double noise = 1.2;          ///< [Pa], 8.4 Pa a metre
-  double drift = 0.3;          ///< [Pa/sqrt(s)]
+  double rate = 0;              ///< [Hz]; 0: none
+  double noise = 1.2;           ///< [Pa], 8.4 Pa a metre
+  double drift = 0.3;           ///< [Pa/sqrt(s)]
   double weather_stddev = 400;  ///< deviation from the standard atmosphere [Pa]
 };
 
 struct FlightConfig {
-  double stand_still = 1.5;  ///< on the floor before take-off [s]
-  double duration = 58.0;    ///< of the whole recording [s]
-  double speed = 0.42;       ///< mean along the path after take-off [m/s]
-  double min_height = 1.7, max_height = 2.7;  ///< of the loops above the floor [m]
-  double clearance = 0.8;    ///< above the highest thing within 0.6 m [m]
-  double loop_x = 1.7, loop_y = 1.4;          ///< half axes of the loops [m]
+  double stand_still = 1.5;                          ///< on the floor before take-off [s]
+  double duration = 58.0;                            ///< of the whole recording [s]
+  double speed = 0.42;                               ///< mean along the path after take-off [m/s]
+  double min_height = 1.7, max_height = 2.7;         ///< of the loops above the floor [m]
+  double clearance = 0.8;                            ///< above the highest thing within 0.6 m [m]
+  double loop_x = 1.7, loop_y = 1.4;                 ///< half axes of the loops [m]
   Eigen::Vector2d center = Eigen::Vector2d::Zero();  ///< of the loops [m]
-  double start_radius = 2.6;  ///< distance of the take-off place from the centre [m]
-  double sway = 0.10;         ///< amplitude of the pilot's corrections [m]
-  double sway_period = 2.6;   ///< [s]
+  double start_radius = 2.6;                         ///< distance of the take-off place from the centre [m]
+  double sway = 0.10;                                ///< amplitude of the pilot's corrections [m]
+  double sway_period = 2.6;                          ///< [s]
 };
 
 struct LaneConfig {
-  std::vector<Eigen::Vector2d> points;               ///< the ground robot's way, smoothed [m]
+  std::vector<Eigen::Vector2d> points;                ///< the ground robot's way, smoothed [m]
   Eigen::Vector2d look_at = Eigen::Vector2d::Zero();  ///< what it faces on average [m]
-  double stand_still = 1.0;                          ///< [s]
-  double heading_swing = 0.3;                        ///< amplitude around that direction [rad]
-  double half_width = 0.4;                           ///< kept free of obstacles [m]
+  double stand_still = 1.0;                           ///< [s]
+  double heading_swing = 0.3;                         ///< amplitude around that direction [rad]
+  double half_width = 0.4;                            ///< kept free of obstacles [m]
 };
 
 /// Noise of an inertial unit; the defaults are those of a consumer MEMS unit (InvenSense MPU-9250 data sheet rev 1.1:
@@ -136,26 +138,26 @@ struct ImuConfig {
 
 struct ImagerConfig {
   air_ground_common::CameraModel camera;
-  double rate = 20;              ///< [Hz]
-  int samples = 4;               ///< rays a pixel, spread over the exposure
-  double target_mean = 0.42;     ///< mean grey value the exposure control aims at, of 1
-  double min_exposure = 0.001;   ///< [s]
-  double max_exposure = 0.008;   ///< [s]
-  double sensitivity = 300;      ///< signal of a white surface in full light per second of exposure, of full well [1/s]
-  double response = 0.7;         ///< exponent of the response curve (1: linear)
-  double vignetting = 0.35;      ///< light lost in the corner, of 1
-  double full_well = 9000;       ///< electrons at white
-  double read_noise = 12;        ///< electrons
+  double rate = 20;             ///< [Hz]
+  int samples = 4;              ///< rays a pixel, spread over the exposure
+  double target_mean = 0.42;    ///< mean grey value the exposure control aims at, of 1
+  double min_exposure = 0.001;  ///< [s]
+  double max_exposure = 0.008;  ///< [s]
+  double sensitivity = 300;     ///< signal of a white surface in full light per second of exposure, of full well [1/s]
+  double response = 0.7;        ///< exponent of the response curve (1: linear)
+  double vignetting = 0.35;     ///< light lost in the corner, of 1
+  double full_well = 9000;      ///< electrons at white
+  double read_noise = 12;       ///< electrons
 };
 
 /// Kinect noise: Nguyen, Izadi, Lovell 2012 (axial), Khoshelham, Elberink 2012 (quantised disparity).
 struct DepthConfig {
   double min_range = 0.5, max_range = 4.5;  ///< [m]
-  double focal = 580;       ///< of the infrared camera [px]
-  double baseline = 0.075;  ///< projector to infrared camera [m]
-  double subpixel = 8;      ///< disparity steps per pixel
-  double lateral = 0.5;     ///< standard deviation of the lookup [px]
-  double dropout = 0.003;   ///< share of pixels lost at random
+  double focal = 580;                       ///< of the infrared camera [px]
+  double baseline = 0.075;                  ///< projector to infrared camera [m]
+  double subpixel = 8;                      ///< disparity steps per pixel
+  double lateral = 0.5;                     ///< standard deviation of the lookup [px]
+  double dropout = 0.003;                   ///< share of pixels lost at random
   bool noise = true;
 };
 

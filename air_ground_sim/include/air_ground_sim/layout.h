@@ -15,7 +15,8 @@ struct FreeSpace {
   bool isFree(const Eigen::Vector2d& center, double reach) const;
 };
 
-void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng, World* world);
+void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
+                 World* world);
 void addWall(const WallConfig& wall, double texel, std::uint64_t seed, World* world);
 void addGrid(const WorldConfig& config, World* world);
 /// Height field, rocks and broken slabs.

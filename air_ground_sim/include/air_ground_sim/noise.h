@@ -9,7 +9,8 @@ namespace air_ground_sim {
 float valueNoise(float x, float y, std::uint32_t seed);
 float valueNoise(float x, float y, float z, std::uint32_t seed);
 
-/// Sum of `octaves` of value noise, each of half the size and `gain` times the amplitude of the one before; about [-1, 1].
+/// Sum of `octaves` of value noise, each of half the size and `gain` times the amplitude of the one before; about [-1,
+/// 1].
 float fractalNoise(float x, float y, std::uint32_t seed, int octaves, float gain = 0.6f);
 float fractalNoise(float x, float y, float z, std::uint32_t seed, int octaves, float gain = 0.6f);
 

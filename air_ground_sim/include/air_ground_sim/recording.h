@@ -29,21 +29,23 @@ class Recording {
   const World& world() const { return world_; }
   const Scene& scene() const { return *scene_; }
   const BodyTrajectory& mav() const { return *mav_; }
-  const BodyTrajectory& ground() const { return *ground_; }  ///< only where config().hasGroundRobot()
-  const Street& street() const { return *street_; }          ///< only where config().hasCity()
+  const BodyTrajectory& ground() const { return *ground_; }    ///< only where config().hasGroundRobot()
+  const Street& street() const { return *street_; }            ///< only where config().hasCity()
   double duration() const { return config_.flight.duration; }  ///< [s]
 
   /// Time of frame i of a camera: the middle of its exposure [s].
   static double frameTime(const ImagerConfig& camera, int i) { return 0.05 + i / camera.rate; }
   int frameCount(const ImagerConfig& camera) const;
 
-  /// The MAV's next image, mono8; call for i = 0, 1, ... (the exposure control has memory). One thread may call mavImage()
-  /// while another calls groundImage().
+  /// The MAV's next image, mono8; call for i = 0, 1, ... (the exposure control has memory). One thread may call
+  /// mavImage() while another calls groundImage().
   void mavImage(int i, std::vector<std::uint8_t>* image);
   void groundImage(int i, RgbdFrame* frame);
 
-  /// A picture the MAV's camera takes from anywhere, well exposed; `index` selects the noise. `velocity` of the camera in world [m/s].
-  void photograph(const air_ground_common::Pose& T_world_camera, const Eigen::Vector3d& velocity, int index, std::vector<std::uint8_t>* image);
+  /// A picture the MAV's camera takes from anywhere, well exposed; `index` selects the noise. `velocity` of the camera
+  /// in world [m/s].
+  void photograph(const air_ground_common::Pose& T_world_camera, const Eigen::Vector3d& velocity, int index,
+                  std::vector<std::uint8_t>* image);
 
   double mavExposure() const { return mav_exposure_.exposure(); }  ///< of the next frame [s]
 
@@ -51,7 +53,8 @@ class Recording {
   Imu makeGroundImu() const;
 
  private:
-  std::vector<air_ground_common::Pose> posesOver(const BodyTrajectory& body, const air_ground_common::Pose& T_base_camera, double middle,
+  std::vector<air_ground_common::Pose> posesOver(const BodyTrajectory& body,
+                                                 const air_ground_common::Pose& T_base_camera, double middle,
                                                  double exposure, int samples) const;
   SimConfig config_;
   std::uint64_t seed_;

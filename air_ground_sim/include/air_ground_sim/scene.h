@@ -52,7 +52,8 @@ class Scene {
  private:
   void buildGeometry();
   void bakeSky(const World& world);
-  void bakePatch(const World& world, const Patch& patch, PatchTexture* texture, std::vector<std::vector<std::uint32_t>>* storage) const;
+  void bakePatch(const World& world, const Patch& patch, PatchTexture* texture,
+                 std::vector<std::vector<std::uint32_t>>* storage) const;
 
   RTCDeviceTy* device_ = nullptr;
   RTCSceneTy* scene_ = nullptr;

@@ -31,7 +31,8 @@ class Imager {
   Imager(const ImagerConfig& config, std::uint64_t seed);
 
   /// `light` has `channels` values a pixel; `frame` selects the noise. Returns the mean grey value of 1.
-  double expose(const std::vector<float>& light, int channels, double exposure, int frame, std::vector<std::uint8_t>* image) const;
+  double expose(const std::vector<float>& light, int channels, double exposure, int frame,
+                std::vector<std::uint8_t>* image) const;
 
   /// Share of light that reaches a pixel, 1 in the centre.
   float vignette(int x, int y) const { return vignette_[static_cast<std::size_t>(y) * config_.camera.width + x]; }
@@ -40,19 +41,21 @@ class Imager {
   ImagerConfig config_;
   std::uint64_t seed_;
   std::vector<float> vignette_;
-  std::vector<float> gaussian_;        // quantiles of the normal distribution
+  std::vector<float> gaussian_;         // quantiles of the normal distribution
   std::vector<std::uint8_t> response_;  // of 4096 steps of signal
 };
 
-/// Standard deviation of a Kinect's depth [m] at distance z [m] and incidence angle [rad] (Nguyen et al. 2012, eq. 3-5).
+/// Standard deviation of a Kinect's depth [m] at distance z [m] and incidence angle [rad] (Nguyen et al. 2012, eq.
+/// 3-5).
 double kinectAxialSigma(double z, double angle);
 
 /// Applies the depth camera's noise; result in millimetres, 0 = no measurement.
-void measureDepth(const DepthImage& truth, const DepthConfig& config, std::uint64_t seed, int frame, std::vector<std::uint16_t>* depth_mm);
+void measureDepth(const DepthImage& truth, const DepthConfig& config, std::uint64_t seed, int frame,
+                  std::vector<std::uint16_t>* depth_mm);
 
 struct ImuReading {
-  Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();     ///< [rad/s]
-  Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();  ///< [m/s^2]; +9.81 on z at rest
+  Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  ///< [rad/s]
+  Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();    ///< [m/s^2]; +9.81 on z at rest
 };
 
 /// Inertial unit fixed to a body; call measure() with rising times, one period apart.

@@ -20,7 +20,8 @@ enum class Season { kPanoramas, kFlight };
 
 enum class OpeningKind { kWindow, kShopWindow, kDoor };
 
-/// A hole in a facade with a pane set back in it; facade coordinates (x right, z up from the facade's lower left corner).
+/// A hole in a facade with a pane set back in it; facade coordinates (x right, z up from the facade's lower left
+/// corner).
 struct Opening {
   OpeningKind kind = OpeningKind::kWindow;
   double x = 0, z = 0, width = 1, height = 1;  ///< [m]
@@ -50,7 +51,9 @@ struct Building {
   /// Error of the cadastral model: the model's building is the true one moved by this [m].
   Eigen::Vector3d model_error = Eigen::Vector3d::Zero();
 
-  double hipInset() const { return roof == RoofKind::kHip ? std::min(0.5 * depth, 0.35 * width) : 0; }  ///< of the ridge's ends [m]
+  double hipInset() const {
+    return roof == RoofKind::kHip ? std::min(0.5 * depth, 0.35 * width) : 0;
+  }  ///< of the ridge's ends [m]
   Eigen::Vector3d point(double x, double y, double z) const { return T_world_front * Eigen::Vector3d(x, y, z); }
 };
 
@@ -63,8 +66,9 @@ struct Stand {
 
 struct PanoramaStand {
   std::string id;
-  air_ground_common::Pose T_world_panorama = air_ground_common::Pose::Identity();  ///< x to the image's centre, y left, z up
-  air_ground_common::Pose T_world_geotag = air_ground_common::Pose::Identity();    ///< as the vehicle believes
+  air_ground_common::Pose T_world_panorama =
+      air_ground_common::Pose::Identity();  ///< x to the image's centre, y left, z up
+  air_ground_common::Pose T_world_geotag = air_ground_common::Pose::Identity();  ///< as the vehicle believes
 };
 
 struct Street {
@@ -89,6 +93,7 @@ World buildStreetWorld(const Street& street, Season season);
 BodyTrajectory makeStreetFlight(const Street& street, const FlightConfig& flight, std::uint64_t seed);
 
 /// A way along a line of the street, for pictures of places other than the route's: a pose every `step` [m], level.
-std::vector<air_ground_common::Pose> posesAlongLine(const Street& street, int line, const FlightConfig& flight, double step);
+std::vector<air_ground_common::Pose> posesAlongLine(const Street& street, int line, const FlightConfig& flight,
+                                                    double step);
 
 }  // namespace air_ground_sim

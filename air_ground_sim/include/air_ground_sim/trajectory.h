@@ -41,8 +41,10 @@ class BodyTrajectory {
 /// Height [m] of the highest thing within a radius [m] of a place.
 using ClearanceMap = std::function<double(const Eigen::Vector2d&, double)>;
 
-/// Stand still, climb with lateral excitation, loops around the centre. `start` is the take-off place; same seed, same way.
-BodyTrajectory makeFlight(const FlightConfig& config, const Eigen::Vector2d& start, const ClearanceMap& clearance, std::uint64_t seed);
+/// Stand still, climb with lateral excitation, loops around the centre. `start` is the take-off place; same seed, same
+/// way.
+BodyTrajectory makeFlight(const FlightConfig& config, const Eigen::Vector2d& start, const ClearanceMap& clearance,
+                          std::uint64_t seed);
 
 /// The ground robot (omnidirectional) follows the lane's smoothed points within [0, duration], facing look_at.
 BodyTrajectory makeDrive(const LaneConfig& lane, double duration, std::uint64_t seed);

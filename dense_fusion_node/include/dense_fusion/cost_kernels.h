@@ -18,11 +18,12 @@ void addRow(const std::uint8_t* reference, int x0, int x1, int width, const floa
             std::uint16_t* cost);
 
 /// The same in plain floating point; differs from addRow by the rounding of its sample positions and weights.
-void addRowReference(const std::uint8_t* reference, int x0, int x1, int width, const float base[3],
-                     const float step[3], const float shift[3], const float* inverse_depth, int hypotheses,
-                     const std::uint8_t* image, int stride, std::uint16_t* cost);
+void addRowReference(const std::uint8_t* reference, int x0, int x1, int width, const float base[3], const float step[3],
+                     const float shift[3], const float* inverse_depth, int hypotheses, const std::uint8_t* image,
+                     int stride, std::uint16_t* cost);
 
-/// packed[y * width + x] = image(x, y) | image(x+1, y) << 8 | image(x, y+1) << 16 | image(x+1, y+1) << 24, borders replicated.
+/// packed[y * width + x] = image(x, y) | image(x+1, y) << 8 | image(x, y+1) << 16 | image(x+1, y+1) << 24, borders
+/// replicated.
 void packNeighborhoods(const std::uint8_t* image, int width, int height, std::uint32_t* packed);
 
 /// sum[i] += enter[i] - leave[i]; a null pointer stands for zeros.

@@ -17,27 +17,27 @@ struct MapperSettings {
   RectifierSettings rectifier;
   PlaneSweepSettings sweep;
   FusionSettings fusion;
-  double sweep_radius = 0.12;        ///< frames this near to the reference join its depth map (paper: 0.12) [m]
-  double frame_spacing = 0.02;       ///< frames nearer than this to the one before are left out [m]
-  double max_rotation = 0.5;         ///< frames turned further than this from the reference end its depth map [rad]
-  double fusion_radius = 0.70;       ///< depth maps this near to the first are fused (paper: 0.70) [m]
-  double overlap = 0;                ///< depth maps this near to the last one also start the next fusion [m]
-  int min_depth_maps = 3;            ///< fewer are not fused
-  double min_valid = 0.10;           ///< share of pixels with depth below which a depth map is dropped
-  double near_margin = 2.0;          ///< the sweep starts at depth_min / near_margin: tops of things have few sparse points
-  double far_margin = 1.3;           ///< and ends at depth_max * far_margin
-  double default_depth_min = 0.4;    ///< [m], while the image's depth range is unknown
-  double default_depth_max = 6.0;    ///< [m]
+  double sweep_radius = 0.12;   ///< frames this near to the reference join its depth map (paper: 0.12) [m]
+  double frame_spacing = 0.02;  ///< frames nearer than this to the one before are left out [m]
+  double max_rotation = 0.5;    ///< frames turned further than this from the reference end its depth map [rad]
+  double fusion_radius = 0.70;  ///< depth maps this near to the first are fused (paper: 0.70) [m]
+  double overlap = 0;           ///< depth maps this near to the last one also start the next fusion [m]
+  int min_depth_maps = 3;       ///< fewer are not fused
+  double min_valid = 0.10;      ///< share of pixels with depth below which a depth map is dropped
+  double near_margin = 2.0;     ///< the sweep starts at depth_min / near_margin: tops of things have few sparse points
+  double far_margin = 1.3;      ///< and ends at depth_max * far_margin
+  double default_depth_min = 0.4;  ///< [m], while the image's depth range is unknown
+  double default_depth_max = 6.0;  ///< [m]
 };
 
 struct MapperCounters {
-  std::size_t images = 0;            ///< given to add()
-  std::size_t redundant = 0;         ///< left out: hardly moved since the one before
-  std::size_t swept = 0;             ///< additions to a cost volume; an image may join two
-  std::size_t depth_maps = 0;        ///< computed and kept
-  std::size_t poor_depth_maps = 0;   ///< dropped: too little parallax or texture
-  std::size_t fused = 0;             ///< fused maps
-  std::size_t small_groups = 0;      ///< dropped: fewer than min_depth_maps
+  std::size_t images = 0;           ///< given to add()
+  std::size_t redundant = 0;        ///< left out: hardly moved since the one before
+  std::size_t swept = 0;            ///< additions to a cost volume; an image may join two
+  std::size_t depth_maps = 0;       ///< computed and kept
+  std::size_t poor_depth_maps = 0;  ///< dropped: too little parallax or texture
+  std::size_t fused = 0;            ///< fused maps
+  std::size_t small_groups = 0;     ///< dropped: fewer than min_depth_maps
 };
 
 class DenseMapper {
@@ -45,9 +45,9 @@ class DenseMapper {
   /// Throws std::invalid_argument for bad settings.
   explicit DenseMapper(const MapperSettings& settings = {});
 
-  /// Adds an image (CV_8UC1 or CV_8UC3 BGR) of time `stamp` [ns] with the pose of its camera. depth_min, depth_max: expected depths in view [m], 0
-  /// if unknown. Returns a fused map whenever one is complete. A changed calibration starts afresh.
-  /// Throws std::invalid_argument for an image, calibration or pose that cannot be used.
+  /// Adds an image (CV_8UC1 or CV_8UC3 BGR) of time `stamp` [ns] with the pose of its camera. depth_min, depth_max:
+  /// expected depths in view [m], 0 if unknown. Returns a fused map whenever one is complete. A changed calibration
+  /// starts afresh. Throws std::invalid_argument for an image, calibration or pose that cannot be used.
   std::optional<FusedMap> add(const cv::Mat& image, const air_ground_common::CameraModel& camera, std::int64_t stamp,
                               const Eigen::Isometry3d& T_map_camera, double depth_min, double depth_max);
 

@@ -13,8 +13,8 @@ void voteRow(const float start[3], const float step[3], int nx, const float came
 /// counts[k * nx + x] += (bin[x] == k), saturating.
 void countRow(const std::uint8_t* bin, int nx, std::uint8_t* counts);
 
-/// Dual step of one row: p <- q / max(1, |q|), q = p + sigma grad(ubar), forward differences. ubar_y, ubar_z are the next
-/// rows in y and z; at the border pass the row itself (Neumann: the difference is zero).
+/// Dual step of one row: p <- q / max(1, |q|), q = p + sigma grad(ubar), forward differences. ubar_y, ubar_z are the
+/// next rows in y and z; at the border pass the row itself (Neumann: the difference is zero).
 void dualRow(const float* ubar, const float* ubar_y, const float* ubar_z, float* px, float* py, float* pz, int nx,
              float sigma);
 

@@ -1,4 +1,5 @@
-// Depth of a reference view by sweeping a fronto-parallel plane through inverse depth (paper A, section V; Collins 1996).
+// Depth of a reference view by sweeping a fronto-parallel plane through inverse depth (paper A, section V; Collins
+// 1996).
 #pragma once
 
 #include <cstdint>

@@ -10,15 +10,15 @@
 namespace dense_fusion {
 
 struct RectifierSettings {
-  double scale = 0.5;               ///< size of the undistorted image relative to the recorded one, 1 or 1/n
-  int normalization_radius = 8;     ///< half width of the window of local mean and contrast [px of the reduced image]
-  double contrast_floor = 4.0;      ///< added to the local standard deviation, so that noise is not amplified [grey levels]
-  double contrast_gain = 40.0;      ///< grey levels per local standard deviation after normalisation
+  double scale = 0.5;            ///< size of the undistorted image relative to the recorded one, 1 or 1/n
+  int normalization_radius = 8;  ///< half width of the window of local mean and contrast [px of the reduced image]
+  double contrast_floor = 4.0;  ///< added to the local standard deviation, so that noise is not amplified [grey levels]
+  double contrast_gain = 40.0;  ///< grey levels per local standard deviation after normalisation
 };
 
 /// One image ready for the plane sweep.
 struct Frame {
-  std::int64_t stamp = 0;                                           ///< [ns]
+  std::int64_t stamp = 0;  ///< [ns]
   Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();
   cv::Mat intensity;   ///< CV_8U, undistorted
   cv::Mat normalized;  ///< CV_8U, 128 + gain * (intensity - local mean) / (local deviation + floor)
@@ -42,7 +42,8 @@ class Rectifier {
   cv::Mat map1_, map2_;
 };
 
-/// Local mean and contrast removed: unaffected by gain, offset and slow shading (vignetting, exposure). CV_8U in and out.
+/// Local mean and contrast removed: unaffected by gain, offset and slow shading (vignetting, exposure). CV_8U in and
+/// out.
 cv::Mat normalizeContrast(const cv::Mat& intensity, const RectifierSettings& settings);
 
 }  // namespace dense_fusion

@@ -1,4 +1,5 @@
-// The zero level set of the fused field: by ray casting from a view and as a cloud of the whole grid (paper A, section V).
+// The zero level set of the fused field: by ray casting from a view and as a cloud of the whole grid (paper A, section
+// V).
 #pragma once
 
 #include <cstdint>
@@ -45,7 +46,8 @@ struct RefineSettings {
 /// the rounding of distances to bins and voxels. 0 where fewer than two maps have a say.
 double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d& point, const RefineSettings& settings);
 
-/// Grey level of a surface point: from map `first` if it shows the point, else from the next that does; `fallback` if none.
+/// Grey level of a surface point: from map `first` if it shows the point, else from the next that does; `fallback` if
+/// none.
 std::uint8_t intensityAt(const std::vector<DepthMap>& maps, std::size_t first, const Eigen::Vector3d& point,
                          double tolerance, std::uint8_t fallback);
 

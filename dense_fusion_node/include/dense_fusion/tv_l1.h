@@ -8,10 +8,10 @@
 namespace dense_fusion {
 
 struct TvL1Settings {
-  double lambda = 0.26;        ///< weight of the data term against the surface's area (paper: 0.26)
-  int iterations = 8;          ///< at full resolution (paper: 8); the limit when relative_gap is positive
-  double relative_gap = 0;     ///< stop when (primal - dual) / primal falls below it; 0: run `iterations`. Checked every 8
-  int coarse_levels = 2;       ///< halvings of the grid whose solution starts the next finer one; 0: cold start
+  double lambda = 0.26;     ///< weight of the data term against the surface's area (paper: 0.26)
+  int iterations = 8;       ///< at full resolution (paper: 8); the limit when relative_gap is positive
+  double relative_gap = 0;  ///< stop when (primal - dual) / primal falls below it; 0: run `iterations`. Checked every 8
+  int coarse_levels = 2;    ///< halvings of the grid whose solution starts the next finer one; 0: cold start
   int coarse_iterations = 60;  ///< at the coarsest level; half as many at each finer one
   int threads = 2;
 };
@@ -41,9 +41,11 @@ TvL1Solution solveTvL1(const Histograms<std::uint8_t>& votes, const TvL1Settings
 void iterateTvL1Reference(const Histograms<std::uint8_t>& votes, double lambda, int iterations, TvL1Solution* solution);
 
 /// `iterations` of the fast schedule from the given start (ubar = phi at the start).
-void iterateTvL1(const Histograms<std::uint8_t>& votes, double lambda, int iterations, int threads, TvL1Solution* solution);
+void iterateTvL1(const Histograms<std::uint8_t>& votes, double lambda, int iterations, int threads,
+                 TvL1Solution* solution);
 
 /// Primal energy and dual bound, computed in double independently of the solver.
-PrimalDualGap gapTvL1(const Histograms<std::uint8_t>& votes, double lambda, const TvL1Solution& solution, int threads = 2);
+PrimalDualGap gapTvL1(const Histograms<std::uint8_t>& votes, double lambda, const TvL1Solution& solution,
+                      int threads = 2);
 
 }  // namespace dense_fusion

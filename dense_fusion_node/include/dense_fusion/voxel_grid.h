@@ -19,6 +19,7 @@ struct VoxelGrid {
 
 /// Grid over the box [lower, upper] [m] with voxels of at least `voxel_size` [m]; they grow (in all directions alike)
 /// until no more than `max_voxels` are needed. Throws std::invalid_argument for an empty or non-finite box.
-VoxelGrid fitGrid(const Eigen::Vector3d& lower, const Eigen::Vector3d& upper, double voxel_size, std::size_t max_voxels);
+VoxelGrid fitGrid(const Eigen::Vector3d& lower, const Eigen::Vector3d& upper, double voxel_size,
+                  std::size_t max_voxels);
 
 }  // namespace dense_fusion

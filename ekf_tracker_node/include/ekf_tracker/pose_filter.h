@@ -1,5 +1,5 @@
-// The Kalman filter of paper B, section III, with the odometry's scale and the barometer's offset as further states, and
-// with rival hypotheses from which it starts and recovers. A plain value: copies are snapshots.
+// The Kalman filter of paper B, section III, with the odometry's scale and the barometer's offset as further states,
+// and with rival hypotheses from which it starts and recovers. A plain value: copies are snapshots.
 #pragma once
 
 #include <optional>
@@ -13,13 +13,15 @@ using Vector6d = Eigen::Matrix<double, 6, 1>;
 using Matrix6d = Eigen::Matrix<double, 6, 6>;
 
 struct FilterSettings {
-  // Gates: a measurement inside holds this probability if the filter is right (chi-square, as many degrees of freedom as the
-  // measurement has components: 4 for a fix, 3 for GPS, 1 for heading and barometer). 0.9973 is 3 sigma in one dimension.
+  // Gates: a measurement inside holds this probability if the filter is right (chi-square, as many degrees of freedom
+  // as the measurement has components: 4 for a fix, 3 for GPS, 1 for heading and barometer). 0.9973 is 3 sigma in one
+  // dimension.
   double gate_probability = 0.9973;
   // Scale of the odometry.
-  double metric_scale_stddev = 0.05;      ///< relative, of odometry that calls itself metric and gives no variance
-  double scale_drift = 0.01;              ///< relative, per square root of metre travelled
-  double max_initial_scale_stddev = 0.3;  ///< relative: fixes too close together to give the scale better than this must wait
+  double metric_scale_stddev = 0.05;  ///< relative, of odometry that calls itself metric and gives no variance
+  double scale_drift = 0.01;          ///< relative, per square root of metre travelled
+  double max_initial_scale_stddev =
+      0.3;  ///< relative: fixes too close together to give the scale better than this must wait
   // Odometry.
   double covariance_factor = 1;           ///< multiplies the covariance that increments state
   double min_translation_stddev = 0.001;  ///< floor of an increment [m, or the odometry's unit]
@@ -27,13 +29,14 @@ struct FilterSettings {
   double gap_speed_stddev = 1.5;          ///< velocity while the odometry is silent [m/s]
   double gap_yaw_rate_stddev = 0.3;       ///< [rad/s]
   // Barometer.
-  double barometer_drift = 0.25;          ///< of its offset, per square root of second [m]
+  double barometer_drift = 0.25;  ///< of its offset, per square root of second [m]
   // Start and recovery.
-  double pairing_time = 60;               ///< a fix that no other has joined is forgotten after this time [s] ...
-  double pairing_drift = 5;               ///< ... or after metric odometry that may be off by more than this, as a gap makes it [m]
-  int unscaled_start_fixes = 3;           ///< agreeing fixes for a start in an unknown unit: two give the scale, a third confirms it
-  int recovery_fixes = 3;                 ///< this many refused fixes that agree with each other replace the filter's state
-  int max_hypotheses = 4;                 ///< rivals kept
+  double pairing_time = 60;  ///< a fix that no other has joined is forgotten after this time [s] ...
+  double pairing_drift = 5;  ///< ... or after metric odometry that may be off by more than this, as a gap makes it [m]
+  int unscaled_start_fixes =
+      3;                   ///< agreeing fixes for a start in an unknown unit: two give the scale, a third confirms it
+  int recovery_fixes = 3;  ///< this many refused fixes that agree with each other replace the filter's state
+  int max_hypotheses = 4;  ///< rivals kept
 };
 
 /// Throws std::invalid_argument that names the field out of range.
@@ -52,18 +55,18 @@ struct Measurement {
 
 enum class Result {
   kFused,
-  kRefusedByGate,   ///< outside the gate (a fix then supports or founds a rival hypothesis)
-  kWaiting,         ///< a fix kept for the start: nothing is known yet
-  kNotStarted,      ///< not a fix, and no state to correct
-  kInitialised,     ///< it agrees with one kept before: the filter starts with both
-  kRecovered,       ///< rival fixes agreed and replaced the state
+  kRefusedByGate,  ///< outside the gate (a fix then supports or founds a rival hypothesis)
+  kWaiting,        ///< a fix kept for the start: nothing is known yet
+  kNotStarted,     ///< not a fix, and no state to correct
+  kInitialised,    ///< it agrees with one kept before: the filter starts with both
+  kRecovered,      ///< rival fixes agreed and replaced the state
   // Found by Tracker before the filter sees the measurement:
-  kInvalid,         ///< not finite, or no positive definite covariance
-  kTooOld,          ///< before the buffered history
-  kFromFuture,      ///< too far ahead of the odometry
-  kDuplicate,       ///< same source and stamp as one already taken
+  kInvalid,     ///< not finite, or no positive definite covariance
+  kTooOld,      ///< before the buffered history
+  kFromFuture,  ///< too far ahead of the odometry
+  kDuplicate,   ///< same source and stamp as one already taken
   // Found by Tracker, which looks back:
-  kAgreed,          ///< kept or refused at first; a later fix agreed with it, and the state rests on both
+  kAgreed,  ///< kept or refused at first; a later fix agreed with it, and the state rests on both
 };
 const char* describe(Result result);
 /// True when the measurement is part of a state: fused, or by a start or a recovery.
@@ -74,16 +77,17 @@ struct Outcome {
   Measurement measurement;
   Result result = Result::kInvalid;
   int dof = 0;
-  double gate = 0;                               ///< chi-square bound of nis
-  double nis = 0;                                ///< normalised innovation squared; NaN where there was no prediction
-  Vector4d innovation = Vector4d::Zero();        ///< measurement minus prediction, angles wrapped
-  Vector4d innovation_stddev = Vector4d::Zero(); ///< predicted
-  double delay = 0;                              ///< newest odometry stamp minus its own, when it was taken [s]
-  bool revised = false;                          ///< a late measurement changed what had been told of this one before
-  std::vector<double> joined;                    ///< stamps of earlier fixes that entered the state together with this one [s]
+  double gate = 0;                                ///< chi-square bound of nis
+  double nis = 0;                                 ///< normalised innovation squared; NaN where there was no prediction
+  Vector4d innovation = Vector4d::Zero();         ///< measurement minus prediction, angles wrapped
+  Vector4d innovation_stddev = Vector4d::Zero();  ///< predicted
+  double delay = 0;                               ///< newest odometry stamp minus its own, when it was taken [s]
+  bool revised = false;                           ///< a late measurement changed what had been told of this one before
+  std::vector<double> joined;  ///< stamps of earlier fixes that entered the state together with this one [s]
 };
 
-/// Estimate of one hypothesis. x: position [m], yaw [rad] in `world`, scale of the odometry, offset of the barometer [m].
+/// Estimate of one hypothesis. x: position [m], yaw [rad] in `world`, scale of the odometry, offset of the barometer
+/// [m].
 struct State {
   Vector6d x = Vector6d::Zero();
   Matrix6d covariance = Matrix6d::Identity();
@@ -120,13 +124,13 @@ class PoseFilter {
  private:
   // A rival lives on the fix that founded it and the odometry since. Its scale is free until two of its fixes give it.
   struct Rival {
-    State state;             ///< its scale_known is false until a second fix gives the scale
-    int contradictions = 0;  ///< fixes that did not fit
-    double age = 0;          ///< since the anchor [s]
+    State state;                 ///< its scale_known is false until a second fix gives the scale
+    int contradictions = 0;      ///< fixes that did not fit
+    double age = 0;              ///< since the anchor [s]
     std::vector<double> stamps;  ///< of its fixes [s]
     Vector4d anchor = Vector4d::Zero();
     Matrix4d anchor_covariance = Matrix4d::Identity();
-    Vector4d travelled = Vector4d::Zero();                ///< since the anchor, in its body frame, in the odometry's unit
+    Vector4d travelled = Vector4d::Zero();  ///< since the anchor, in its body frame, in the odometry's unit
     Matrix4d travelled_covariance = Matrix4d::Zero();
   };
 

@@ -1,6 +1,6 @@
-// Measurements come late and out of order; the filter wants them in time. Tracker keeps the last seconds of odometry with a
-// snapshot of the filter at each step, puts every measurement in at its own stamp, and replays from there: the result is
-// that of processing all in order.
+// Measurements come late and out of order; the filter wants them in time. Tracker keeps the last seconds of odometry
+// with a snapshot of the filter at each step, puts every measurement in at its own stamp, and replays from there: the
+// result is that of processing all in order.
 #pragma once
 
 #include <deque>
@@ -13,9 +13,9 @@ namespace ekf_tracker {
 
 struct TrackerSettings {
   FilterSettings filter;
-  double history = 30;            ///< odometry kept for late measurements [s]
-  double max_ahead = 15;          ///< a measurement further ahead of the newest odometry is refused as from the future [s]
-  double same_time = 1e-3;        ///< a measurement this close to an odometry stamp counts as simultaneous [s]
+  double history = 30;      ///< odometry kept for late measurements [s]
+  double max_ahead = 15;    ///< a measurement further ahead of the newest odometry is refused as from the future [s]
+  double same_time = 1e-3;  ///< a measurement this close to an odometry stamp counts as simultaneous [s]
   // Stands in for an increment's covariance that is not one (NaN, not positive definite).
   double default_translation_stddev = 0.2;  ///< share of the increment's length, plus the filter's floor
   double default_yaw_stddev = 0.02;         ///< [rad]
@@ -23,27 +23,29 @@ struct TrackerSettings {
 
 enum class IncrementResult {
   kUsed,
-  kUsedAfterGap,     ///< the odometry was silent before: bridged with a broad motion of zero mean
-  kNewUnit,          ///< the odometry's unit became unknown (a new map): until two fixes give it, only the turns are used
-  kOutOfOrder,       ///< its time is covered already, or runs backwards
-  kInvalid,          ///< not finite
+  kUsedAfterGap,  ///< the odometry was silent before: bridged with a broad motion of zero mean
+  kNewUnit,       ///< the odometry's unit became unknown (a new map): until two fixes give it, only the turns are used
+  kOutOfOrder,    ///< its time is covered already, or runs backwards
+  kInvalid,       ///< not finite
 };
 
 /// Mean motion over the newest step of odometry, in the levelled body frame at its begin.
 struct Rate {
-  Vector4d value = Vector4d::Zero();           ///< velocity [m/s], yaw rate [rad/s]; the velocity is zero while the scale is unknown
-  Matrix4d covariance = Matrix4d::Zero();      ///< from the step's covariance and the scale's; kUnknownVariance where nothing is known
+  Vector4d value =
+      Vector4d::Zero();  ///< velocity [m/s], yaw rate [rad/s]; the velocity is zero while the scale is unknown
+  Matrix4d covariance =
+      Matrix4d::Zero();  ///< from the step's covariance and the scale's; kUnknownVariance where nothing is known
 };
 constexpr double kUnknownVariance = 1e6;
 
 /// Estimate for users.
 struct Estimate {
-  double stamp = 0;                                     ///< [s]
-  Vector4d pose = Vector4d::Zero();                     ///< x y z [m], yaw [rad] in `world`
+  double stamp = 0;                  ///< [s]
+  Vector4d pose = Vector4d::Zero();  ///< x y z [m], yaw [rad] in `world`
   Matrix4d covariance = Matrix4d::Identity();
-  bool scale_known = true;                              ///< false: the odometry began anew in an unknown unit
-  double scale = 1, scale_stddev = 0;                   ///< of the odometry, absolute
-  int support = 0;                                      ///< fixes fused since the start or the last recovery
+  bool scale_known = true;             ///< false: the odometry began anew in an unknown unit
+  double scale = 1, scale_stddev = 0;  ///< of the odometry, absolute
+  int support = 0;                     ///< fixes fused since the start or the last recovery
 };
 
 class Tracker {
@@ -57,8 +59,8 @@ class Tracker {
   /// Any order. What it did is known when the odometry has reached its stamp: see takeOutcomes().
   void addMeasurement(const Measurement& measurement);
 
-  /// What the measurements decided since the last call did, in the order in which they were decided. One whose result a late
-  /// measurement changed comes again, marked as revised: the last word counts.
+  /// What the measurements decided since the last call did, in the order in which they were decided. One whose result a
+  /// late measurement changed comes again, marked as revised: the last word counts.
   std::vector<Outcome> takeOutcomes();
 
   /// At the newest odometry stamp; empty before the start.
@@ -87,7 +89,7 @@ class Tracker {
   struct Step {
     Increment increment;  ///< that led here; of the first step only the stamp counts
     std::vector<Kept> measurements;
-    PoseFilter before;    ///< before the step's measurements are applied
+    PoseFilter before;  ///< before the step's measurements are applied
   };
 
   void begin(const Increment& first);

@@ -1,4 +1,5 @@
-// Equation 2 for every offset of one heading at once, by FFT: nine transforms instead of overlap times offsets operations.
+// Equation 2 for every offset of one heading at once, by FFT: nine transforms instead of overlap times offsets
+// operations.
 #pragma once
 
 #include <memory>
@@ -51,13 +52,14 @@ class FftCost {
 
 struct CostMinimum {
   int row = 0, column = 0;
-  PlanarPose pose;   ///< of the cell's offset
+  PlanarPose pose;     ///< of the cell's offset
   PlanarPose subcell;  ///< vertex of the parabolas through the neighbouring cells' costs
-  Zmssd zmssd;       ///< in double precision at `pose`
+  Zmssd zmssd;         ///< in double precision at `pose`
 };
 
 /// Minimum over the offsets of one heading (eq. 3): every cell that single precision cannot tell from the minimum is
 /// evaluated again in double precision. Returns an infinite cost when no offset has enough overlap.
-CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground, const CostSettings& settings);
+CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground,
+                        const CostSettings& settings);
 
 }  // namespace heightmap_mcl

@@ -10,11 +10,11 @@ namespace heightmap_mcl {
 
 /// What is known about the placement before any height map is compared; a flat density where a part is missing.
 struct Prior {
-  std::optional<double> yaw;    ///< heading of the aerial frame in the ground frame [rad]
-  double yaw_sigma = 0.1;       ///< [rad]
+  std::optional<double> yaw;                ///< heading of the aerial frame in the ground frame [rad]
+  double yaw_sigma = 0.1;                   ///< [rad]
   std::optional<Eigen::Vector2d> position;  ///< of position_reference in the ground frame [m]
   Eigen::Vector2d position_reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
-  double position_sigma = 0.5;  ///< along each axis [m]
+  double position_sigma = 0.5;                                   ///< along each axis [m]
 
   bool any() const { return yaw || position; }
   /// Logarithm of the density up to a constant, for a pose of `reference`.
@@ -39,8 +39,8 @@ struct CostVolume {
 Eigen::Vector2d centerOf(const HeightMap& map);
 
 /// `air`: resolution of the ground map behind `fft`.
-CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings, bool circular,
-                             const CostSettings& settings);
+CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings,
+                             bool circular, const CostSettings& settings);
 
 /// A placement with its cost at full resolution.
 struct Candidate {
@@ -51,8 +51,8 @@ struct Candidate {
 /// Local minima of the volume, lowest first, at least `distance` [m] or `angle` [rad] apart.
 std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle);
 
-/// Descends from `start` on the cost at full resolution: the 26 neighbours at steps that are halved down to about half a
-/// cell, then a parabola along each axis. `step_xy` [m] and `step_yaw` [rad] are the first steps.
+/// Descends from `start` on the cost at full resolution: the 26 neighbours at steps that are halved down to about half
+/// a cell, then a parabola along each axis. `step_xy` [m] and `step_yaw` [rad] are the first steps.
 Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
 

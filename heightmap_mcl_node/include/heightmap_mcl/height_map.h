@@ -12,11 +12,11 @@ constexpr float kHole = std::numeric_limits<float>::quiet_NaN();
 
 /// Cell (row r, column c) covers x in [origin_x + c*resolution, + resolution), y likewise with r. Row-major.
 struct HeightMap {
-  double resolution = 0.02;  ///< edge of a cell [m]
-  double origin_x = 0;       ///< lower corner of cell (0, 0) [m], in a frame with z up
-  double origin_y = 0;       ///< [m]
-  int width = 0;             ///< columns, along x
-  int height = 0;            ///< rows, along y
+  double resolution = 0.02;    ///< edge of a cell [m]
+  double origin_x = 0;         ///< lower corner of cell (0, 0) [m], in a frame with z up
+  double origin_y = 0;         ///< [m]
+  int width = 0;               ///< columns, along x
+  int height = 0;              ///< rows, along y
   std::vector<float> heights;  ///< z [m]; NaN marks a hole
 
   bool empty() const { return heights.empty(); }
@@ -34,20 +34,21 @@ struct HeightMap {
 enum class Dilation { kNone, kHoles, kAll };
 
 struct HeightMapSettings {
-  double resolution = 0.02;       ///< [m]; the paper's 50 cells per metre
+  double resolution = 0.02;  ///< [m]; the paper's 50 cells per metre
   Dilation dilation = Dilation::kAll;
-  double height_quantile = 1.0;   ///< of the points of a cell, in (0, 1]; 1 = highest point (paper), less suppresses spikes
-  int min_points = 1;             ///< a cell with fewer points stays a hole
-  double max_spike = 0;           ///< drop cells higher than all their neighbours by more than this [m]; 0 = off
-  double max_extent = 40.0;       ///< edge of the largest map [m]; of a larger cloud the densest region stays
+  double height_quantile =
+      1.0;                   ///< of the points of a cell, in (0, 1]; 1 = highest point (paper), less suppresses spikes
+  int min_points = 1;        ///< a cell with fewer points stays a hole
+  double max_spike = 0;      ///< drop cells higher than all their neighbours by more than this [m]; 0 = off
+  double max_extent = 40.0;  ///< edge of the largest map [m]; of a larger cloud the densest region stays
 };
 
 /// Checks ranges; throws std::invalid_argument naming the field.
 void validate(const HeightMapSettings& settings);
 
-/// Height map of `points` (z up). Points with a coordinate that is not finite are ignored. The grid's lines lie at whole
-/// multiples of the resolution, so that maps of one frame can be merged cell by cell. Empty map when no cell gets a height.
-/// `cropped` takes the number of points left out because the cloud is larger than max_extent.
+/// Height map of `points` (z up). Points with a coordinate that is not finite are ignored. The grid's lines lie at
+/// whole multiples of the resolution, so that maps of one frame can be merged cell by cell. Empty map when no cell gets
+/// a height. `cropped` takes the number of points left out because the cloud is larger than max_extent.
 HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings,
                          std::size_t* cropped = nullptr);
 

@@ -19,30 +19,30 @@ const char* toString(Status status);
 struct LocalizerSettings {
   HeightMapSettings air_map;
   HeightMapSettings ground_map;  ///< same resolution as air_map
-  double min_overlap = 0.5;     ///< see CostSettings
-  double unknown_weight = 1;    ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
+  double min_overlap = 0.5;      ///< see CostSettings
+  double unknown_weight = 1;  ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
   FilterSettings filter;
   std::uint64_t seed = 1;
 
-  int headings = 72;       ///< over the full circle, in the coarse search
-  int coarse_factor = 4;   ///< cells of the coarse search are this much larger
-  int accumulate = 4;      ///< aerial clouds merged into the map that weighs the particles; 1 = paper
-  int verify = 8;          ///< aerial clouds merged into the map that checks the result for rivals and refines it
+  int headings = 72;      ///< over the full circle, in the coarse search
+  int coarse_factor = 4;  ///< cells of the coarse search are this much larger
+  int accumulate = 4;     ///< aerial clouds merged into the map that weighs the particles; 1 = paper
+  int verify = 8;         ///< aerial clouds merged into the map that checks the result for rivals and refines it
   Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
-  int min_maps = 2;                  ///< aerial maps seen before CONVERGED
-  double min_mode_weight = 0.7;      ///< share of the particles in the dominant mode
-  double max_spread = 0.20;          ///< of the position within the dominant mode [m]
-  double max_spread_yaw = 0.10;      ///< of the heading within the dominant mode [rad]
-  double ambiguity_ratio = 1.3;      ///< the best rival place must be this many times as bad, see rivalRatio
-  double noise_cost = 1e-4;          ///< [m^2] added to both sides of a ratio: differences below it mean nothing
-  double rival_distance = 0.4;       ///< a rival lies at least this far off [m] ...
-  double rival_angle = 0.26;         ///< ... or is turned by this [rad]
-  double min_relief = 0.05;          ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
-  double min_explained = 0.25;       ///< see Zmssd::explained; a place with less is charged as if without partners
-  double probe_distance = 0.25;      ///< eq. 2 this far along its flattest direction ... [m]
-  double probe_ratio = 1.3;          ///< ... must be this much higher, else the direction is not fixed
+  int min_maps = 2;              ///< aerial maps seen before CONVERGED
+  double min_mode_weight = 0.7;  ///< share of the particles in the dominant mode
+  double max_spread = 0.20;      ///< of the position within the dominant mode [m]
+  double max_spread_yaw = 0.10;  ///< of the heading within the dominant mode [rad]
+  double ambiguity_ratio = 1.3;  ///< the best rival place must be this many times as bad, see rivalRatio
+  double noise_cost = 1e-4;      ///< [m^2] added to both sides of a ratio: differences below it mean nothing
+  double rival_distance = 0.4;   ///< a rival lies at least this far off [m] ...
+  double rival_angle = 0.26;     ///< ... or is turned by this [rad]
+  double min_relief = 0.05;      ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
+  double min_explained = 0.25;   ///< see Zmssd::explained; a place with less is charged as if without partners
+  double probe_distance = 0.25;  ///< eq. 2 this far along its flattest direction ... [m]
+  double probe_ratio = 1.3;      ///< ... must be this much higher, else the direction is not fixed
 
   // Covariance.
   double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
@@ -57,7 +57,7 @@ void validate(const LocalizerSettings& settings);
 
 /// One aerial point cloud.
 struct AerialCloud {
-  std::vector<Eigen::Vector3f> points;  ///< in mav_map [m]; points that are not finite are ignored
+  std::vector<Eigen::Vector3f> points;                  ///< in mav_map [m]; points that are not finite are ignored
   Eigen::Vector3d reference = Eigen::Vector3d::Zero();  ///< position of the MAV in mav_map [m]
 };
 
@@ -66,26 +66,27 @@ struct Estimate {
   std::string reason;  ///< one line: why this status
   /// False until there is a pose at all (best guess; to be trusted only when status is kConverged).
   bool has_pose = false;
-  air_ground_common::Pose T_ground_mav = air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
+  air_ground_common::Pose T_ground_mav =
+      air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
-  /// AMBIGUOUS: widened by the way to the rival. DEGENERATE: as wide as the ground map, and pi, along what is not fixed.
-  /// SEARCHING: 1e6 I.
+  /// AMBIGUOUS: widened by the way to the rival. DEGENERATE: as wide as the ground map, and pi, along what is not
+  /// fixed. SEARCHING: 1e6 I.
   air_ground_common::Matrix6d covariance = 1e6 * air_ground_common::Matrix6d::Identity();
   Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< centre of the overlap, ground frame [m]
-  double particle_spread = 0;      ///< [m], see ParticleFilter::Spread
-  double particle_spread_yaw = 0;  ///< [rad]
-  double mode_weight = 0;          ///< share of the particles in the dominant mode
-  double mode_spread = 0;          ///< of the position within it [m]
-  double mode_spread_yaw = 0;      ///< of the heading within it [rad]
-  double overlap = 0;              ///< share of the verification map's cells
-  double cost = 0;                 ///< eq. 2 at the estimate [m^2]
-  double rival_ratio = 0;          ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
-  double rival_distance = 0;       ///< [m]
-  double explained = 0;            ///< see Zmssd::explained
-  double relief = 0;               ///< smaller one of the two maps' height deviations in the overlap [m]
-  double probe_ratio = 0;          ///< see LocalizerSettings
-  int maps = 0;                    ///< aerial maps used since the search began
-  int restarts = 0;                ///< times all particles were drawn anew: they had lost the overlap or missed the best place
+  double particle_spread = 0;                                 ///< [m], see ParticleFilter::Spread
+  double particle_spread_yaw = 0;                             ///< [rad]
+  double mode_weight = 0;                                     ///< share of the particles in the dominant mode
+  double mode_spread = 0;                                     ///< of the position within it [m]
+  double mode_spread_yaw = 0;                                 ///< of the heading within it [rad]
+  double overlap = 0;                                         ///< share of the verification map's cells
+  double cost = 0;                                            ///< eq. 2 at the estimate [m^2]
+  double rival_ratio = 0;     ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
+  double rival_distance = 0;  ///< [m]
+  double explained = 0;       ///< see Zmssd::explained
+  double relief = 0;          ///< smaller one of the two maps' height deviations in the overlap [m]
+  double probe_ratio = 0;     ///< see LocalizerSettings
+  int maps = 0;               ///< aerial maps used since the search began
+  int restarts = 0;  ///< times all particles were drawn anew: they had lost the overlap or missed the best place
 };
 
 /// Not thread-safe: one worker owns it.
@@ -95,11 +96,12 @@ class Localizer {
   ~Localizer();
 
   /// Replaces the ground map. Transforms are recomputed lazily. A search that has not converged begins anew on the kept
-  /// aerial maps. Returns false (and forgets the ground map) when the cloud defines no cell. `cropped`: see buildHeightMap.
+  /// aerial maps. Returns false (and forgets the ground map) when the cloud defines no cell. `cropped`: see
+  /// buildHeightMap.
   bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
 
-  /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent are
-  /// dropped. Returns false, changing nothing, when the cloud defines no cell or the reference is not finite.
+  /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent
+  /// are dropped. Returns false, changing nothing, when the cloud defines no cell or the reference is not finite.
   bool addAerial(const AerialCloud& cloud, std::size_t* cropped = nullptr);
 
   /// The verdict for the present maps; `has_pose` false while one of them is missing.
@@ -131,8 +133,10 @@ class Localizer {
   void drawFromKeptMaps();
   void updateFilter();
   void updateEstimate();
-  /// Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad]) of the cells' reference.
-  Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost, bool particles_agree);
+  /// Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad]) of the cells'
+  /// reference.
+  Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
+                        bool particles_agree);
   /// To be called with the verdict known.
   void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
                      const Mode& mode, const Eigen::Vector3d& flattest);
@@ -140,8 +144,8 @@ class Localizer {
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
   CostSettings costFor(const HeightMap& air) const;
-  /// How many times as bad as the best place another one is: by score (the own cost and what the other's is higher), or by the
-  /// share of the heights that it leaves unexplained, whichever is less.
+  /// How many times as bad as the best place another one is: by score (the own cost and what the other's is higher), or
+  /// by the share of the heights that it leaves unexplained, whichever is less.
   double rivalRatio(const Zmssd& other, const Zmssd& best) const;
 
   LocalizerSettings settings_;

@@ -10,14 +10,14 @@
 namespace heightmap_mcl {
 
 struct FilterSettings {
-  int particles = 200;              ///< M of eq. 4
-  double sampling_sigma = 0.002;    ///< sigma of eq. 5 for the first distribution [m^2]
-  double weight_sigma = 0.002;      ///< the same for the weights of later maps [m^2]
-  double position_noise = 0.02;     ///< of eq. 6, along each axis for every map [m]
+  int particles = 200;                     ///< M of eq. 4
+  double sampling_sigma = 0.002;           ///< sigma of eq. 5 for the first distribution [m^2]
+  double weight_sigma = 0.002;             ///< the same for the weights of later maps [m^2]
+  double position_noise = 0.02;            ///< of eq. 6, along each axis for every map [m]
   double position_noise_per_metre = 0.03;  ///< added for each metre flown [m/m]
-  double yaw_noise = 0.01;          ///< for every map [rad]
-  double yaw_noise_per_metre = 0.01;  ///< [rad/m]
-  double mixture_ratio = 0.0;       ///< share of particles drawn anew from the cost volume at each resampling, in [0, 1)
+  double yaw_noise = 0.01;                 ///< for every map [rad]
+  double yaw_noise_per_metre = 0.01;       ///< [rad/m]
+  double mixture_ratio = 0.0;  ///< share of particles drawn anew from the cost volume at each resampling, in [0, 1)
 };
 
 /// Checks ranges; throws std::invalid_argument naming the field.
@@ -31,7 +31,7 @@ struct Particle {
 
 /// A cluster of particles.
 struct Mode {
-  PlanarPose mean;   ///< of the reference point
+  PlanarPose mean;  ///< of the reference point
   double weight = 0;
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  ///< of (x, y, yaw) [m^2, m rad, rad^2]
 };
@@ -64,7 +64,8 @@ class ParticleFilter {
   /// Clusters by density: particles within `distance` [m] and `angle` [rad] of a peak. Heaviest first.
   std::vector<Mode> modes(double distance, double angle) const;
 
-  /// Square root of the mean of the position variances along x and y [m], and circular standard deviation of the heading.
+  /// Square root of the mean of the position variances along x and y [m], and circular standard deviation of the
+  /// heading.
   struct Spread {
     double position = 0, yaw = 0;
   };

@@ -25,15 +25,15 @@ struct PlanarPose {
 PlanarPose changeReference(const PlanarPose& pose, const Eigen::Vector2d& from, const Eigen::Vector2d& to);
 
 struct CostSettings {
-  /// Cells that must be defined in both maps, as a share of the defined cells of the aerial map (paper), or of the ground
-  /// map where that is the smaller one, in (0, 1].
+  /// Cells that must be defined in both maps, as a share of the defined cells of the aerial map (paper), or of the
+  /// ground map where that is the smaller one, in (0, 1].
   double min_overlap = 0.5;
-  /// Charged for cells of the smaller map without a partner [m^2]: score = eq. 2 + unknown_cost * (1 - share * trust), where
-  /// share is that of the cells with a partner; 0 = paper. Without it a placement gains by hiding the structure it cannot
-  /// explain in the ground map's holes.
+  /// Charged for cells of the smaller map without a partner [m^2]: score = eq. 2 + unknown_cost * (1 - share * trust),
+  /// where share is that of the cells with a partner; 0 = paper. Without it a placement gains by hiding the structure
+  /// it cannot explain in the ground map's holes.
   double unknown_cost = 0;
-  /// trust = explained / min_explained, within [0, 1] (see Zmssd::explained); 0: 1 throughout. Without it bare floor is a good
-  /// place for any structure of little area: eq. 2 is never above half of the structure's own variance there.
+  /// trust = explained / min_explained, within [0, 1] (see Zmssd::explained); 0: 1 throughout. Without it bare floor is
+  /// a good place for any structure of little area: eq. 2 is never above half of the structure's own variance there.
   double min_explained = 0;
   double min_relief = 0;  ///< see Zmssd::explained [m]
 };
@@ -48,10 +48,10 @@ struct Zmssd {
   double relief_air = 0;     ///< standard deviation of the aerial heights in the overlap [m]
   double relief_ground = 0;  ///< of the ground heights there [m]
   double variance = 0;       ///< of the heights that vary more, at least min_relief^2 [m^2]
-  /// 1 - 2 cost / variance: 1 where the maps say the same, 0 where one of them has structure that the other lacks; below 0 where
-  /// their structures contradict.
+  /// 1 - 2 cost / variance: 1 where the maps say the same, 0 where one of them has structure that the other lacks;
+  /// below 0 where their structures contradict.
   double explained = 0;
-  double dz = 0;             ///< mean of ground minus aerial height over the overlap: what lifts the aerial map [m]
+  double dz = 0;  ///< mean of ground minus aerial height over the overlap: what lifts the aerial map [m]
 };
 
 /// Sums over the cells defined in both maps: a aerial, g ground heights, d = a - g.
@@ -78,15 +78,16 @@ inline Zmssd zmssdFromSums(const OverlapSums& sums, double cells, const CostSett
   return result;
 }
 
-/// Reference: double precision, one cell after the other, nearest ground cell. `pose` places `reference` (aerial frame).
+/// Reference: double precision, one cell after the other, nearest ground cell. `pose` places `reference` (aerial
+/// frame).
 Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
                      const PlanarPose& pose, const CostSettings& settings);
 
 /// Defined cells of an aerial map as plain arrays, relative to a reference point.
 struct AerialCells {
-  std::vector<float> x, y;  ///< centre of the cell minus the reference point [m]
-  std::vector<float> h;     ///< height minus mean_height [m]
-  double mean_height = 0;   ///< [m]
+  std::vector<float> x, y;                              ///< centre of the cell minus the reference point [m]
+  std::vector<float> h;                                 ///< height minus mean_height [m]
+  double mean_height = 0;                               ///< [m]
   Eigen::Vector2d reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
 };
 AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference);
@@ -111,9 +112,9 @@ class DirectCost {
   float groundAt(double x, double y) const;
 
   double resolution_, origin_x_, origin_y_, mean_;
-  double defined_ = 0;           // cells with a height
-  int width_, height_;           // with a border of one hole
-  std::vector<float> heights_;   // minus mean_
+  double defined_ = 0;          // cells with a height
+  int width_, height_;          // with a border of one hole
+  std::vector<float> heights_;  // minus mean_
 };
 
 }  // namespace heightmap_mcl

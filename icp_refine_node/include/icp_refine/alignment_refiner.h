@@ -36,17 +36,18 @@ enum class RefineStatus { kSearching, kDegenerate, kConverged, kRejected };
 
 struct RefineOutcome {
   RefineStatus status = RefineStatus::kSearching;
-  std::string reason;                ///< one line for a person
+  std::string reason;  ///< one line for a person
   Pose T_ground_map_mav_map = Pose::Identity();
-  /// About reference_point, in ground_map; 1e6 I for SEARCHING and REJECTED, wide along missing directions for DEGENERATE.
+  /// About reference_point, in ground_map; 1e6 I for SEARCHING and REJECTED, wide along missing directions for
+  /// DEGENERATE.
   Matrix6d covariance = 1e6 * Matrix6d::Identity();
   Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< in ground_map [m]
-  double overlap = 0;                ///< share of the aerial map's columns that the ground map has too
-  double residual_rms = 0;           ///< [m]
+  double overlap = 0;       ///< share of the aerial map's columns that the ground map has too
+  double residual_rms = 0;  ///< [m]
   int iterations = 0;
-  std::int64_t stamp = 0;            ///< of the newest aerial cloud [ns]
-  bool contradicted = false;         ///< rejected by data that speak against the pose, not for want of data
-  bool tracking = false;             ///< started from the last refined pose
+  std::int64_t stamp = 0;     ///< of the newest aerial cloud [ns]
+  bool contradicted = false;  ///< rejected by data that speak against the pose, not for want of data
+  bool tracking = false;      ///< started from the last refined pose
   HeightCheck heights;
   IcpResult icp;
 };
@@ -62,8 +63,8 @@ class AlignmentRefiner {
   void addAerial(std::int64_t stamp, Cloud cloud);
   /// Coarse pose of a global localization that has converged.
   void setCoarse(const Pose& T_ground_map_mav_map);
-  /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken from
-  /// the maps.
+  /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
+  /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();

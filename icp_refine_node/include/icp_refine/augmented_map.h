@@ -16,7 +16,8 @@ namespace icp_refine {
 
 using air_ground_common::LabeledPoint;
 
-/// Aerial points with their grey value, one a voxel (mean of its points), in mav_map. Bounded: voxels grow when there are too many.
+/// Aerial points with their grey value, one a voxel (mean of its points), in mav_map. Bounded: voxels grow when there
+/// are too many.
 class AerialVoxels {
  public:
   /// leaf [m] > 0, doubled whenever more than max_voxels (> 0) are taken.
@@ -55,9 +56,10 @@ class AerialVoxels {
   std::unordered_map<std::uint64_t, Voxel> voxels_;
 };
 
-/// Mask of the points of `aerial` (already in the ground map's frame) in whose cell of `leaf` [m], or a neighbouring one,
-/// the ground map has no point: what the aerial view adds.
-std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const std::vector<Eigen::Vector3f>& ground, double leaf);
+/// Mask of the points of `aerial` (already in the ground map's frame) in whose cell of `leaf` [m], or a neighbouring
+/// one, the ground map has no point: what the aerial view adds.
+std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const std::vector<Eigen::Vector3f>& ground,
+                             double leaf);
 
 struct AugmentedMapSettings {
   double leaf = 0.02;                ///< edge of the aerial voxels [m]
@@ -70,7 +72,8 @@ struct AugmentedMapSettings {
 /// The ground robot's points and, while the alignment is known, the MAV's among them.
 class AugmentedMap {
  public:
-  explicit AugmentedMap(const AugmentedMapSettings& settings) : settings_(settings), aerial_(settings.leaf, settings.max_voxels) {}
+  explicit AugmentedMap(const AugmentedMapSettings& settings)
+      : settings_(settings), aerial_(settings.leaf, settings.max_voxels) {}
 
   /// In the ground map's frame.
   void setGround(std::vector<LabeledPoint> points) { ground_ = std::move(points); }

@@ -1,4 +1,5 @@
-// Point-to-plane ICP as a chain of named stages read from YAML, in the style of libpointmatcher (Pomerleau 2011; A-VII).
+// Point-to-plane ICP as a chain of named stages read from YAML, in the style of libpointmatcher (Pomerleau 2011;
+// A-VII).
 #pragma once
 
 #include <map>
@@ -16,16 +17,18 @@ struct IcpResult {
   Outcome outcome = Outcome::kFailed;
   std::string reason;  ///< why it failed; empty when converged
   Pose T_reference_reading = Pose::Identity();
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< of the matches, reference frame: covariance is about this point
-  Matrix6d hessian = Matrix6d::Zero();               ///< sum w J^T J about centre (translation, rotation)
-  Matrix6d covariance = 1e6 * Matrix6d::Identity();  ///< translation [m], rotation [rad] about centre, reference frame; 1e6 I: failed
+  Eigen::Vector3d centre =
+      Eigen::Vector3d::Zero();          ///< of the matches, reference frame: covariance is about this point
+  Matrix6d hessian = Matrix6d::Zero();  ///< sum w J^T J about centre (translation, rotation)
+  Matrix6d covariance =
+      1e6 * Matrix6d::Identity();  ///< translation [m], rotation [rad] about centre, reference frame; 1e6 I: failed
   Localizability localizability;
   std::size_t reading_points = 0, reference_points = 0;  ///< after the filters
-  std::size_t inliers = 0;     ///< matches with a weight > 0 in the last iteration
-  double overlap = 0;          ///< share of the reading's points that have an inlier match
-  double residual_rms = 0;     ///< weighted RMS point-to-plane residual of the inliers [m]
-  int iterations = 0;          ///< over all levels
-  double seconds = 0;          ///< of align() alone
+  std::size_t inliers = 0;                               ///< matches with a weight > 0 in the last iteration
+  double overlap = 0;                                    ///< share of the reading's points that have an inlier match
+  double residual_rms = 0;                               ///< weighted RMS point-to-plane residual of the inliers [m]
+  int iterations = 0;                                    ///< over all levels
+  double seconds = 0;                                    ///< of align() alone
 };
 
 /// A reference cloud after the filters, with the search trees that the levels need. Make it once a change of the map.
@@ -58,8 +61,8 @@ class IcpChain {
   IcpReference prepareReference(Cloud reference) const;
   Cloud prepareReading(Cloud reading) const;
 
-  /// `reading` as prepareReading left it. T_initial: reference <- reading. Never throws for poor data: see outcome, reason.
-  /// Same input, same result, whatever the number of threads.
+  /// `reading` as prepareReading left it. T_initial: reference <- reading. Never throws for poor data: see outcome,
+  /// reason. Same input, same result, whatever the number of threads.
   IcpResult align(const Cloud& reading, const IcpReference& reference, const Pose& T_initial) const;
 
  private:

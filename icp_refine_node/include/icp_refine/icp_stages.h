@@ -44,8 +44,8 @@ class OutlierFilter {
 /// Gauss-Newton step of a point-to-plane cost: p' = centre + exp(rotation) (p - centre) + translation.
 struct Step {
   bool solved = false;
-  Vector6d delta = Vector6d::Zero();       ///< translation [m], rotation vector [rad], in the reference frame
-  Matrix6d hessian = Matrix6d::Zero();     ///< sum w J^T J about `centre`, J = [n^T, ((p - centre) x n)^T]
+  Vector6d delta = Vector6d::Zero();                 ///< translation [m], rotation vector [rad], in the reference frame
+  Matrix6d hessian = Matrix6d::Zero();               ///< sum w J^T J about `centre`, J = [n^T, ((p - centre) x n)^T]
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< weighted centre of the matched reading points
 };
 

@@ -1,4 +1,5 @@
-// What every stage of the chain shares: parameters declared with doc, default, minimum and maximum; and the registry by name.
+// What every stage of the chain shares: parameters declared with doc, default, minimum and maximum; and the registry by
+// name.
 #pragma once
 
 #include <map>

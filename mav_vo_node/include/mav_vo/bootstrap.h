@@ -1,5 +1,6 @@
-// Start of a monocular map: three views with enough parallax, the rotation from the gyro and the direction of translation from two
-// points (Kneip 2011), or all of it from five points (Nister 2004, OpenGV) without gyro; refined by a small bundle adjustment.
+// Start of a monocular map: three views with enough parallax, the rotation from the gyro and the direction of
+// translation from two points (Kneip 2011), or all of it from five points (Nister 2004, OpenGV) without gyro; refined
+// by a small bundle adjustment.
 #pragma once
 
 #include <deque>
@@ -14,24 +15,25 @@
 namespace mav_vo {
 
 struct BootstrapSettings {
-  double min_parallax = 0.06;      ///< median angle between the rays of the first and last view [rad]
-  int min_common = 60;             ///< tracks that both views share
-  int min_inliers = 45;            ///< of them, consistent with the motion and triangulated
-  double min_inlier_share = 0.6;   ///< of the common tracks
-  double max_age = 5.0;            ///< between first and last view [s]
-  double frame_interval = 0.1;     ///< between views that are kept as candidates for the first [s]
-  double pixel_sigma = 0.6;        ///< of a tracked feature [px]
-  double gyro_sigma = 0.004;       ///< of the integrated rotation between the views [rad]
-  double max_rms = 2.0;            ///< reprojection error after bundle adjustment, in sigmas
+  double min_parallax = 0.06;     ///< median angle between the rays of the first and last view [rad]
+  int min_common = 60;            ///< tracks that both views share
+  int min_inliers = 45;           ///< of them, consistent with the motion and triangulated
+  double min_inlier_share = 0.6;  ///< of the common tracks
+  double max_age = 5.0;           ///< between first and last view [s]
+  double frame_interval = 0.1;    ///< between views that are kept as candidates for the first [s]
+  double pixel_sigma = 0.6;       ///< of a tracked feature [px]
+  double gyro_sigma = 0.004;      ///< of the integrated rotation between the views [rad]
+  double max_rms = 2.0;           ///< reprojection error after bundle adjustment, in sigmas
   unsigned seed = 1;
 };
 
 struct BootstrapView {
-  double stamp = 0;                              ///< [s]
+  double stamp = 0;  ///< [s]
   std::vector<visual_frontend::Feature> features;
   std::vector<cv::Mat> pyramid;
   Eigen::Matrix3d R_start_camera = Eigen::Matrix3d::Identity();  ///< integrated gyro rotation, to the oldest view
-  visual_frontend::Pose T_first_camera = visual_frontend::Pose::Identity();  ///< of a result: pose in the first view's camera
+  visual_frontend::Pose T_first_camera =
+      visual_frontend::Pose::Identity();  ///< of a result: pose in the first view's camera
 };
 
 struct BootstrapResult {
@@ -46,17 +48,20 @@ struct BootstrapResult {
   bool rotation_from_gyro = false;
 };
 
-/// Five-point RANSAC (OpenGV) between normalised coordinates of the same points: T_a_b with unit translation. Empty below 8 inliers.
-std::optional<visual_frontend::Pose> fivePointPose(const std::vector<Eigen::Vector2d>& a, const std::vector<Eigen::Vector2d>& b, double sigma,
+/// Five-point RANSAC (OpenGV) between normalised coordinates of the same points: T_a_b with unit translation. Empty
+/// below 8 inliers.
+std::optional<visual_frontend::Pose> fivePointPose(const std::vector<Eigen::Vector2d>& a,
+                                                   const std::vector<Eigen::Vector2d>& b, double sigma,
                                                    std::vector<unsigned char>* inliers);
 
 class Bootstrap {
  public:
   Bootstrap(const visual_frontend::CameraModel& camera, const BootstrapSettings& settings);
 
-  /// Next image's features and pyramid; `R_previous_current` is the gyro's rotation since the last call (empty: not known, then and
-  /// until the views from before it are gone five points are used). A result when a map can start.
-  std::optional<BootstrapResult> add(double stamp, const std::vector<visual_frontend::Feature>& features, const visual_frontend::ImagePyramid& pyramid,
+  /// Next image's features and pyramid; `R_previous_current` is the gyro's rotation since the last call (empty: not
+  /// known, then and until the views from before it are gone five points are used). A result when a map can start.
+  std::optional<BootstrapResult> add(double stamp, const std::vector<visual_frontend::Feature>& features,
+                                     const visual_frontend::ImagePyramid& pyramid,
                                      const std::optional<Eigen::Matrix3d>& R_previous_current);
   void reset();
 

@@ -15,10 +15,10 @@ using visual_frontend::ImuBuffer;
 using visual_frontend::ImuSample;
 
 struct ImuNoise {
-  double gyro_density = 3e-4;    ///< [rad/s/sqrt(Hz)]
-  double accel_density = 4e-3;   ///< [m/s^2/sqrt(Hz)]
-  double gyro_bias_walk = 3e-5;  ///< [rad/s^2/sqrt(Hz)]
-  double accel_bias_walk = 6e-4; ///< [m/s^3/sqrt(Hz)]
+  double gyro_density = 3e-4;     ///< [rad/s/sqrt(Hz)]
+  double accel_density = 4e-3;    ///< [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 3e-5;   ///< [rad/s^2/sqrt(Hz)]
+  double accel_bias_walk = 6e-4;  ///< [m/s^3/sqrt(Hz)]
   /// Throws std::invalid_argument, naming the field, when a value is not positive and finite.
   void validate() const;
 };
@@ -34,7 +34,8 @@ class Preintegration {
  public:
   Preintegration(const ImuNoise& noise, const ImuBias& bias);
 
-  /// Advances from sample `a` to the later sample `b` by the midpoint rule. Throws std::invalid_argument unless a.stamp < b.stamp.
+  /// Advances from sample `a` to the later sample `b` by the midpoint rule. Throws std::invalid_argument unless a.stamp
+  /// < b.stamp.
   void integrate(const ImuSample& a, const ImuSample& b);
 
   /// Integrates consecutive samples; fewer than two leave the deltas as they are.
@@ -52,7 +53,8 @@ class Preintegration {
   const Eigen::Vector3d& velocity() const { return velocity_; }
   const Eigen::Vector3d& position() const { return position_; }
 
-  /// Covariance of (rotation, velocity, position): a right-multiplied rotation error [rad], then [m/s] and [m] in the first IMU frame.
+  /// Covariance of (rotation, velocity, position): a right-multiplied rotation error [rad], then [m/s] and [m] in the
+  /// first IMU frame.
   const Eigen::Matrix<double, 9, 9>& covariance() const { return covariance_; }
   /// d (rotation, velocity, position) / d (gyro bias, accel bias), rotation rows right-multiplied.
   const Eigen::Matrix<double, 9, 6>& biasJacobian() const { return bias_jacobian_; }
@@ -73,8 +75,8 @@ class Preintegration {
   std::vector<ImuSample> samples_;
 };
 
-/// Samples of [begin, end] with linear interpolation at both ends, ready to integrate. Empty when begin >= end or the samples
-/// leave a gap longer than max_gap [s] in the interval or at its ends (below that, the outermost sample holds).
+/// Samples of [begin, end] with linear interpolation at both ends, ready to integrate. Empty when begin >= end or the
+/// samples leave a gap longer than max_gap [s] in the interval or at its ends (below that, the outermost sample holds).
 std::vector<ImuSample> samplesBetween(const ImuBuffer& buffer, double begin, double end, double max_gap = 0.05);
 
 }  // namespace mav_vo

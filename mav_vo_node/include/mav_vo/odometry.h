@@ -1,5 +1,6 @@
-// Monocular visual odometry with an inertial unit: from images and IMU samples to metric camera poses in a gravity-aligned map
-// (paper A section IV: keyframe VO after Kneip 2011, scale after Nuetzi 2011). Runs synchronously unless told otherwise.
+// Monocular visual odometry with an inertial unit: from images and IMU samples to metric camera poses in a
+// gravity-aligned map (paper A section IV: keyframe VO after Kneip 2011, scale after Nuetzi 2011). Runs synchronously
+// unless told otherwise.
 #pragma once
 
 #include <cstdint>
@@ -26,8 +27,8 @@ using air_ground_common::CameraModel;
 using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
 
-/// Covariance of an increment: scatter of five-point solutions between the two images (paper B, III.B), or that of the image
-/// noise in both refined poses.
+/// Covariance of an increment: scatter of five-point solutions between the two images (paper B, III.B), or that of the
+/// image noise in both refined poses.
 enum class IncrementCovariance { kMonteCarlo, kPoses };
 
 struct OdometrySettings {
@@ -37,37 +38,37 @@ struct OdometrySettings {
   BootstrapSettings bootstrap;
   ScaleFilterSettings scale;
   ImuNoise imu_noise;
-  bool use_imu = true;              ///< false: five-point start, no gyro prior, never metric
+  bool use_imu = true;  ///< false: five-point start, no gyro prior, never metric
 
-  double pixel_sigma = 0.6;         ///< of a tracked feature [px]
-  double gyro_prior_sigma = 0.01;   ///< of the predicted attitude in the pose refinement [rad]
-  int min_inliers = 20;             ///< below: the frame is not localised
+  double pixel_sigma = 0.6;        ///< of a tracked feature [px]
+  double gyro_prior_sigma = 0.01;  ///< of the predicted attitude in the pose refinement [rad]
+  int min_inliers = 20;            ///< below: the frame is not localised
 
-  double keyframe_distance = 0.10;  ///< since the last keyframe, over the scene's distance [1]
-  double keyframe_angle = 0.25;     ///< turn since the last keyframe [rad]
-  double keyframe_overlap = 0.65;   ///< share of its landmarks still tracked, below: keyframe [1]
-  double keyframe_max_interval = 1.0;  ///< while moving; keeps the inertial links short [s]
+  double keyframe_distance = 0.10;        ///< since the last keyframe, over the scene's distance [1]
+  double keyframe_angle = 0.25;           ///< turn since the last keyframe [rad]
+  double keyframe_overlap = 0.65;         ///< share of its landmarks still tracked, below: keyframe [1]
+  double keyframe_max_interval = 1.0;     ///< while moving; keeps the inertial links short [s]
   double triangulation_parallax = 0.025;  ///< smallest angle for a new landmark [rad]
 
-  int reobserve_matches = 40;       ///< old landmarks looked for in a frame, at most; 0 = off
-  int window = 10;                  ///< keyframes the local bundle adjustment moves
-  int window_fixed = 15;            ///< older keyframes that hold it, at most
-  int max_image_keyframes = 300;    ///< keyframes that keep their image for patch search; the farthest lose it first
+  int reobserve_matches = 40;     ///< old landmarks looked for in a frame, at most; 0 = off
+  int window = 10;                ///< keyframes the local bundle adjustment moves
+  int window_fixed = 15;          ///< older keyframes that hold it, at most
+  int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
   int local_iterations = 8;
-  double full_interval = 8.0;       ///< between adjustments of the whole map, doubled after each up to 4 times that [s]
-  int full_max_keyframes = 120;     ///< the newest of them move in it
+  double full_interval = 8.0;    ///< between adjustments of the whole map, doubled after each up to 4 times that [s]
+  int full_max_keyframes = 120;  ///< the newest of them move in it
   int full_iterations = 12;
   int bundle_threads = 1;
 
   IncrementCovariance increment_covariance = IncrementCovariance::kMonteCarlo;
-  int increment_samples = 1000;     ///< of five correspondences, for kMonteCarlo
+  int increment_samples = 1000;  ///< of five correspondences, for kMonteCarlo
 
   double metric_stddev = 0.02;      ///< relative standard deviation of the scale below which the map is made metric [1]
   double min_metric_keyframes = 6;  ///< and at least as many keyframes
   double max_speed = 5.0;           ///< of the vehicle; bounds how far a place recognised while lost can lie [m/s]
   double relocalization_slack = 0.5;  ///< added to max_speed times the time lost [m]
-  double lost_timeout = 4.0;        ///< lost for so long: start a new map [s]
-  bool synchronous = true;          ///< bundle adjustment inside process(): deterministic; false: on a thread of its own
+  double lost_timeout = 4.0;          ///< lost for so long: start a new map [s]
+  bool synchronous = true;  ///< bundle adjustment inside process(): deterministic; false: on a thread of its own
   unsigned seed = 1;
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
@@ -77,49 +78,53 @@ struct OdometrySettings {
 enum class OdometryState { kWaiting, kInitializing, kScaling, kTracking, kLost };
 
 struct Increment {
-  double previous_stamp = 0;                        ///< [s]
-  Pose T_previous_current = Pose::Identity();       ///< of base_link
-  Eigen::Matrix4d covariance = Eigen::Matrix4d::Zero();  ///< of (x, y, z, yaw) in the earlier base_link [m^2, m rad, rad^2]
-  Eigen::Matrix4d pose_covariance = Eigen::Matrix4d::Zero();  ///< that of the image noise in both poses, as IncrementCovariance::kPoses
+  double previous_stamp = 0;                   ///< [s]
+  Pose T_previous_current = Pose::Identity();  ///< of base_link
+  Eigen::Matrix4d covariance =
+      Eigen::Matrix4d::Zero();  ///< of (x, y, z, yaw) in the earlier base_link [m^2, m rad, rad^2]
+  Eigen::Matrix4d pose_covariance =
+      Eigen::Matrix4d::Zero();  ///< that of the image noise in both poses, as IncrementCovariance::kPoses
 };
 
 /// What one image gave.
 struct FrameResult {
-  double stamp = 0;                                 ///< [s]
+  double stamp = 0;  ///< [s]
   OdometryState state = OdometryState::kWaiting;
-  std::string reason;                               ///< why not tracking; empty while it is
-  bool pose_valid = false;                          ///< the poses below are of this image
-  Pose T_map_base = Pose::Identity();               ///< [m], or the visual unit while not metric
+  std::string reason;                  ///< why not tracking; empty while it is
+  bool pose_valid = false;             ///< the poses below are of this image
+  Pose T_map_base = Pose::Identity();  ///< [m], or the visual unit while not metric
   Pose T_map_camera = Pose::Identity();
-  Matrix6d covariance = Matrix6d::Zero();           ///< of T_map_base (x y z rotX rotY rotZ) in the map
-  Matrix6d camera_covariance = Matrix6d::Zero();    ///< of T_map_camera
+  Matrix6d covariance = Matrix6d::Zero();              ///< of T_map_base (x y z rotX rotY rotZ) in the map
+  Matrix6d camera_covariance = Matrix6d::Zero();       ///< of T_map_camera
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< of the IMU in the map [m/s]; zero while not metric
-  std::optional<Increment> increment;               ///< since the last localised image; none right after a (re)start or jump
+  std::optional<Increment> increment;  ///< since the last localised image; none right after a (re)start or jump
   bool metric = false;
   bool keyframe = false;
-  int tracked = 0;                                  ///< features tracked into this image
-  int inliers = 0;                                  ///< landmarks that agree with the pose
-  double depth_min = 0, depth_max = 0;              ///< 5 % and 95 % quantile of the landmarks' depth [m]; 0 unknown
-  double scale = 1, scale_stddev = 0;               ///< metric over map unit; the deviation is infinite while unknown
+  int tracked = 0;                      ///< features tracked into this image
+  int inliers = 0;                      ///< landmarks that agree with the pose
+  double depth_min = 0, depth_max = 0;  ///< 5 % and 95 % quantile of the landmarks' depth [m]; 0 unknown
+  double scale = 1, scale_stddev = 0;   ///< metric over map unit; the deviation is infinite while unknown
   std::uint32_t map_id = 0;
   std::size_t keyframes = 0, landmarks = 0;
-  double seconds = 0;                               ///< processing time
+  double seconds = 0;  ///< processing time
 };
 
 class Odometry {
  public:
   /// Fixed transforms: poses of the camera and the IMU in base_link [m]. Throws std::invalid_argument for bad input.
-  Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings);
+  Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu,
+           const OdometrySettings& settings);
   ~Odometry();
 
-  /// False when the sample is dropped: not finite or not newer than the last. Feed samples up to an image's stamp before it.
+  /// False when the sample is dropped: not finite or not newer than the last. Feed samples up to an image's stamp
+  /// before it.
   bool addImu(const ImuSample& sample);
 
   /// Not empty: the accelerometer cannot be right (its unit, say). The map does not become metric, and results say so.
   void setImuProblem(const std::string& problem);
 
-  /// Next image, CV_8UC1 of the camera's size (std::invalid_argument otherwise). Stamps must increase; an image that does not is
-  /// answered with the last state and no pose.
+  /// Next image, CV_8UC1 of the camera's size (std::invalid_argument otherwise). Stamps must increase; an image that
+  /// does not is answered with the last state and no pose.
   FrameResult process(double stamp, const cv::Mat& gray);
 
   /// Forgets everything and takes a new map id.

@@ -1,5 +1,6 @@
-// Metric scale of monocular odometry from the accelerometer: Kalman filter over position, velocity, accelerometer bias, tilt of
-// the map and the logarithm of the scale (after Nuetzi, Weiss, Scaramuzza, Siegwart 2011), started by a linear solution.
+// Metric scale of monocular odometry from the accelerometer: Kalman filter over position, velocity, accelerometer bias,
+// tilt of the map and the logarithm of the scale (after Nuetzi, Weiss, Scaramuzza, Siegwart 2011), started by a linear
+// solution.
 #pragma once
 
 #include <Eigen/Core>
@@ -21,24 +22,27 @@ struct ScaleFilterSettings {
   double min_start_duration = 1.0;      ///< shortest window of the start [s]
   double max_start_duration = 6.0;      ///< older frames leave the window of the start [s]
   double start_relative_stddev = 0.03;  ///< the start succeeds below this relative standard deviation of the scale [1]
-  double start_max_nis = 4.0;           ///< mean squared Mahalanobis distance of the start's innovations by degrees of freedom; 1 expected
-  double gate = 16.27;                  ///< squared Mahalanobis distance, chi-squared with 3 degrees of freedom at 99.9 %
+  double start_max_nis =
+      4.0;  ///< mean squared Mahalanobis distance of the start's innovations by degrees of freedom; 1 expected
+  double gate = 16.27;  ///< squared Mahalanobis distance, chi-squared with 3 degrees of freedom at 99.9 %
 };
 
 /// One frame of visual odometry with the inertial motion since the frame before it.
 struct ScaleMeasurement {
-  Eigen::Vector3d p_map_camera = Eigen::Vector3d::Zero();   ///< camera's position in the gravity-aligned map [visual unit]
+  Eigen::Vector3d p_map_camera =
+      Eigen::Vector3d::Zero();  ///< camera's position in the gravity-aligned map [visual unit]
   Eigen::Matrix3d R_map_imu = Eigen::Matrix3d::Identity();  ///< its attitude, from vision
   Eigen::Vector3d p_imu_camera = Eigen::Vector3d::Zero();   ///< camera's position in the IMU frame: the lever arm [m]
   double scene_distance = 1.0;                              ///< median distance of the points seen [visual unit]
 };
 
-/// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1), all in the
-/// metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -9.81):
-///   p' = p + v dt + g dt^2 / 2 + R a_p(b),  v' = v + g dt + R a_v(b);   measurement: p_visual = exp(-L) (p + R l), l the lever arm.
-/// The start solves a window: first linearly (scale itself as state, measurement 0 = s p_visual - p - R l, linear in (s, p)), then by
-/// Gauss-Newton steps about that trajectory, which remove the linear form's bias. A window whose innovations are too large for their
-/// covariance gives no start.
+/// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1),
+/// all in the metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -9.81):
+///   p' = p + v dt + g dt^2 / 2 + R a_p(b),  v' = v + g dt + R a_v(b);   measurement: p_visual = exp(-L) (p + R l), l
+///   the lever arm.
+/// The start solves a window: first linearly (scale itself as state, measurement 0 = s p_visual - p - R l, linear in
+/// (s, p)), then by Gauss-Newton steps about that trajectory, which remove the linear form's bias. A window whose
+/// innovations are too large for their covariance gives no start.
 class ScaleFilter {
  public:
   static constexpr int kStates = 12;
@@ -57,12 +61,13 @@ class ScaleFilter {
   /// Forgets everything; the next measurement starts afresh.
   void reset(double tilt_stddev);
 
-  /// Starts in a metric map, without a window: at this frame the velocity [m/s] and the accelerometer bias [m/s^2] are known from
-  /// bundle adjustment and the scale is 1 within `scale_stddev`.
-  void startAt(const ScaleMeasurement& measurement, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias, double scale_stddev);
+  /// Starts in a metric map, without a window: at this frame the velocity [m/s] and the accelerometer bias [m/s^2] are
+  /// known from bundle adjustment and the scale is 1 within `scale_stddev`.
+  void startAt(const ScaleMeasurement& measurement, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias,
+               double scale_stddev);
 
-  /// Next frame. `motion`: from the frame before to this one; empty for the first frame or after a gap in the IMU's data, which
-  /// lets the velocity go. Values that are not finite are ignored.
+  /// Next frame. `motion`: from the frame before to this one; empty for the first frame or after a gap in the IMU's
+  /// data, which lets the velocity go. Values that are not finite are ignored.
   void add(const ScaleMeasurement& measurement, const std::optional<Preintegration>& motion);
 
   /// Tells that the map moved: p' = S p for the visual positions.
@@ -74,12 +79,14 @@ class ScaleFilter {
   double relativeStddev() const;                 ///< of the scale; infinite before initialisation
   const State& state() const { return state_; }
   const Covariance& covariance() const { return P_; }  ///< of the error in the order above, scale as logarithm
-  double lastNis() const { return last_nis_; }         ///< squared Mahalanobis distance of the last innovation, 3 degrees of freedom
-  int rejected() const { return rejected_; }           ///< measurements outside the gate so far
+  double lastNis() const {
+    return last_nis_;
+  }  ///< squared Mahalanobis distance of the last innovation, 3 degrees of freedom
+  int rejected() const { return rejected_; }  ///< measurements outside the gate so far
   /// The scale is known within `relative_stddev`, and few measurements since the start spoke against it.
   bool certain(double relative_stddev) const;
-  int updates() const { return updates_; }             ///< measurements since the start
-  double rejectedShare() const;                        ///< of them, outside the gate
+  int updates() const { return updates_; }  ///< measurements since the start
+  double rejectedShare() const;             ///< of them, outside the gate
   /// The last window that gave a sure scale was refused: IMU and images do not tell of the same motion.
   bool contradicted() const { return contradicted_; }
 
@@ -89,7 +96,8 @@ class ScaleFilter {
     std::optional<Preintegration> motion;
   };
   Covariance priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const;
-  void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F, Covariance* Q) const;
+  void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F,
+                 Covariance* Q) const;
   std::optional<State> linearSolution() const;
   bool start();
   void update(const ScaleMeasurement& measurement);

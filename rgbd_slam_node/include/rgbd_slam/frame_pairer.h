@@ -12,8 +12,8 @@ namespace rgbd_slam {
 template <typename T>
 class FramePairer {
  public:
-  /// `tolerance`: largest difference of the stamps of a pair [s]. A colour image waits for depth until one that is `patience` [s]
-  /// newer has been here for `settle` [s]: whole seconds of one topic may come before the other's.
+  /// `tolerance`: largest difference of the stamps of a pair [s]. A colour image waits for depth until one that is
+  /// `patience` [s] newer has been here for `settle` [s]: whole seconds of one topic may come before the other's.
   FramePairer(double tolerance, double patience, double settle, std::size_t limit)
       : tolerance_(tolerance), patience_(patience), settle_(settle), limit_(limit) {}
 

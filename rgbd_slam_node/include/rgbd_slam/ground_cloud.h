@@ -1,4 +1,5 @@
-// Dense coloured cloud of the ground robot: filtered depth of keyframes, refined by the frames between, fused in voxels.
+// Dense coloured cloud of the ground robot: filtered depth of keyframes, refined by the frames between, fused in
+// voxels.
 #pragma once
 
 #include <Eigen/Core>
@@ -14,14 +15,14 @@
 namespace rgbd_slam {
 
 struct CloudSettings {
-  double voxel = 0.015;             ///< edge of the output voxels [m]
-  int stride = 3;                   ///< every n-th pixel and row of the depth image
-  double max_range = 4.0;           ///< [m]
-  double max_incidence = 1.35;      ///< angle between ray and surface normal; more grazing points are dropped [rad]
-  int edge_margin = 2;              ///< pixels around depth edges that are dropped
-  double gate = 3.0;                ///< frames agree with a keyframe's depth within this many sigmas
-  int min_confirmations = 2;        ///< frames that must agree with a point (the keyframe's own counts)
-  double min_weight_share = 0.1;    ///< of a point's voxel neighbourhood; fainter points (seen from far only) are dropped
+  double voxel = 0.015;           ///< edge of the output voxels [m]
+  int stride = 3;                 ///< every n-th pixel and row of the depth image
+  double max_range = 4.0;         ///< [m]
+  double max_incidence = 1.35;    ///< angle between ray and surface normal; more grazing points are dropped [rad]
+  int edge_margin = 2;            ///< pixels around depth edges that are dropped
+  double gate = 3.0;              ///< frames agree with a keyframe's depth within this many sigmas
+  int min_confirmations = 2;      ///< frames that must agree with a point (the keyframe's own counts)
+  double min_weight_share = 0.1;  ///< of a point's voxel neighbourhood; fainter points (seen from far only) are dropped
 
   /// Throws std::invalid_argument, naming the field.
   void validate() const;
@@ -31,17 +32,17 @@ struct CloudSettings {
 class KeyframeDepth {
  public:
   /// `depth`: CV_32F [m]; `bgr`: CV_8UC3 or CV_8UC1 of the same size.
-  KeyframeDepth(const air_ground_common::CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr, const DepthModel& model,
-                const CloudSettings& settings);
+  KeyframeDepth(const air_ground_common::CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr,
+                const DepthModel& model, const CloudSettings& settings);
 
   /// Averages in another frame's depth; T_frame_keyframe maps points of the keyframe's camera to the frame's.
-  void fuse(const air_ground_common::CameraModel& camera, const cv::Mat& depth, const air_ground_common::Pose& T_frame_keyframe,
-            const DepthModel& model, const CloudSettings& settings);
+  void fuse(const air_ground_common::CameraModel& camera, const cv::Mat& depth,
+            const air_ground_common::Pose& T_frame_keyframe, const DepthModel& model, const CloudSettings& settings);
 
   struct Point {
     Eigen::Vector3f position;  ///< keyframe camera frame [m]
     std::uint8_t bgr[3];
-    float weight;              ///< 1 / variance of the depth [1/m^2]
+    float weight;  ///< 1 / variance of the depth [1/m^2]
   };
   /// Points confirmed often enough. `frames` that were fused limits what can be asked for.
   std::vector<Point> points(const DepthModel& model, const CloudSettings& settings) const;
@@ -50,8 +51,8 @@ class KeyframeDepth {
 
  private:
   struct Cell {
-    float x, y;             ///< normalised ray
-    float z, weight;        ///< running mean and its inverse variance, without the common part
+    float x, y;       ///< normalised ray
+    float z, weight;  ///< running mean and its inverse variance, without the common part
     std::uint8_t bgr[3];
     std::uint8_t agree = 1, disagree = 0;
   };
@@ -69,7 +70,7 @@ struct PosedPoints {
 struct CloudPoint {
   Eigen::Vector3f position;  ///< map [m]
   std::uint8_t bgr[3];
-  float weight;              ///< 1 / variance [1/m^2]
+  float weight;  ///< 1 / variance [1/m^2]
 };
 
 /// One point a voxel: mean of positions and colours weighted by inverse variance. A function of its arguments alone, in

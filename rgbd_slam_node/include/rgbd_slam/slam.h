@@ -34,19 +34,20 @@ struct SlamSettings {
 
   visual_frontend::TrackerSettings tracker;
   DepthModel depth;
-  double pixel_sigma = 0.7;            ///< of a tracked feature [px]
+  double pixel_sigma = 0.7;  ///< of a tracked feature [px]
 
   // Start
-  int min_start_features = 40;         ///< features with depth that the first frame must have
-  double gravity_timeout = 1.0;        ///< with an IMU: wait this long for the direction of gravity [s]
+  int min_start_features = 40;   ///< features with depth that the first frame must have
+  double gravity_timeout = 1.0;  ///< with an IMU: wait this long for the direction of gravity [s]
 
   // Tracking
-  int min_inliers = 15;                ///< fewer make the frame lost
-  double min_inlier_ratio = 0.25;      ///< of the tracked landmarks
-  int reobserve_every = 3;             ///< frames between searches for landmarks of the local map, keyframes always do; 0 = never
-  int local_keyframes = 8;             ///< nearest keyframes whose landmarks are searched
-  double max_speed = 3.0;              ///< a faster motion between frames is taken for a failure [m/s]
-  double relocalization_slack = 0.5;   ///< a place recognised while lost may lie this and max_speed times the time lost away [m]
+  int min_inliers = 15;            ///< fewer make the frame lost
+  double min_inlier_ratio = 0.25;  ///< of the tracked landmarks
+  int reobserve_every = 3;  ///< frames between searches for landmarks of the local map, keyframes always do; 0 = never
+  int local_keyframes = 8;  ///< nearest keyframes whose landmarks are searched
+  double max_speed = 3.0;   ///< a faster motion between frames is taken for a failure [m/s]
+  double relocalization_slack =
+      0.5;  ///< a place recognised while lost may lie this and max_speed times the time lost away [m]
 
   // Keyframes
   double keyframe_translation = 0.15;  ///< distance to the last keyframe, over the median depth
@@ -56,26 +57,26 @@ struct SlamSettings {
 
   // Mapping
   visual_frontend::BundleSettings bundle;
-  int window = 7;                      ///< keyframes free in the windowed bundle adjustment
-  int window_fixed = 10;               ///< further keyframes that hold it
-  bool use_gravity = true;             ///< roll and pitch priors from the accelerometer
-  double gravity_sigma = 0.08;         ///< of those while moving, at least: accelerations look like tilt [rad]
+  int window = 7;               ///< keyframes free in the windowed bundle adjustment
+  int window_fixed = 10;        ///< further keyframes that hold it
+  bool use_gravity = true;      ///< roll and pitch priors from the accelerometer
+  double gravity_sigma = 0.08;  ///< of those while moving, at least: accelerations look like tilt [rad]
 
   // Loops
   bool loop_closure = true;
   visual_frontend::PlaceSettings place;
-  int loop_min_gap = 12;               ///< keyframes between the two ends of a loop
+  int loop_min_gap = 12;  ///< keyframes between the two ends of a loop
   int loop_min_inliers = 30;
-  double loop_slack = 0.15;            ///< a loop may move the camera by this [m]
-  double loop_drift = 0.05;            ///< plus this share of the way between its ends; others are refused as false
-  double loop_max_rotation = 0.35;     ///< and may turn it by this [rad]
+  double loop_slack = 0.15;         ///< a loop may move the camera by this [m]
+  double loop_drift = 0.05;         ///< plus this share of the way between its ends; others are refused as false
+  double loop_max_rotation = 0.35;  ///< and may turn it by this [rad]
 
   // Dense cloud
   CloudSettings cloud;
-  int max_image_keyframes = 300;       ///< keyframes that keep their image for patch search; the farthest lose it first
-  int max_fused_frames = 12;           ///< frames after a keyframe that refine its depth
+  int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
+  int max_fused_frames = 12;      ///< frames after a keyframe that refine its depth
 
-  double restart_after = 0;            ///< lost for this long: begin a new map [s]; 0 = never
+  double restart_after = 0;  ///< lost for this long: begin a new map [s]; 0 = never
 
   /// Throws std::invalid_argument, naming the field.
   void validate() const;
@@ -91,19 +92,20 @@ enum class State { kWaiting, kInitializing, kTracking, kLost };
 
 struct FrameResult {
   State state = State::kWaiting;
-  std::string reason;                          ///< why not tracking
+  std::string reason;  ///< why not tracking
   bool keyframe = false;
-  bool map_corrected = false;                  ///< a loop was closed: earlier poses moved
-  bool relocalized = false;                    ///< found again after being lost
-  bool new_map = false;                        ///< the map frame starts here
-  Pose T_map_camera = Pose::Identity();        ///< valid while tracking
+  bool map_corrected = false;            ///< a loop was closed: earlier poses moved
+  bool relocalized = false;              ///< found again after being lost
+  bool new_map = false;                  ///< the map frame starts here
+  Pose T_map_camera = Pose::Identity();  ///< valid while tracking
   Pose T_map_base = Pose::Identity();
   Pose T_previous_current_base = Pose::Identity();  ///< motion since the last tracked frame, free of map corrections
-  Matrix6d covariance = Matrix6d::Zero();      ///< of T_map_base's translation and rotation about the map's axes
-  std::optional<Matrix6d> increment_covariance;  ///< of T_previous_current_base by the noise of both frames, about the base's axes; none after a loss
-  int tracked = 0;                             ///< features that reached this frame
-  int inliers = 0;                             ///< landmarks that agree with the pose
-  double rms = 0;                              ///< their reprojection error [sigma]
+  Matrix6d covariance = Matrix6d::Zero();           ///< of T_map_base's translation and rotation about the map's axes
+  std::optional<Matrix6d> increment_covariance;  ///< of T_previous_current_base by the noise of both frames, about the
+                                                 ///< base's axes; none after a loss
+  int tracked = 0;                               ///< features that reached this frame
+  int inliers = 0;                               ///< landmarks that agree with the pose
+  double rms = 0;                                ///< their reprojection error [sigma]
 };
 
 struct SlamCounters {
@@ -119,8 +121,8 @@ class Slam {
   /// In order of time; samples between two frames must come before the second for the rotation prior. False: dropped.
   bool addImu(const visual_frontend::ImuSample& sample);
 
-  /// Next frame: grey CV_8UC1, `bgr` CV_8UC3 (empty: grey is used) and depth CV_32F in metres (NaN or 0 unknown), all of
-  /// the camera's size and registered. Throws std::invalid_argument for other types or a stamp that is not newer.
+  /// Next frame: grey CV_8UC1, `bgr` CV_8UC3 (empty: grey is used) and depth CV_32F in metres (NaN or 0 unknown), all
+  /// of the camera's size and registered. Throws std::invalid_argument for other types or a stamp that is not newer.
   FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
 
   /// Camera poses of all tracked frames in the map, placed by their keyframes as those stand now.
@@ -134,9 +136,9 @@ class Slam {
   /// One flag for each of features(): it has a landmark.
   std::vector<bool> mapped() const;
   const SlamCounters& counters() const;
-  Eigen::Vector3d gyroBias() const;   ///< estimate [rad/s]
-  bool gravityKnown() const;          ///< the map was levelled by the accelerometer
-  int mapId() const;                  ///< counts the maps that were begun
+  Eigen::Vector3d gyroBias() const;  ///< estimate [rad/s]
+  bool gravityKnown() const;         ///< the map was levelled by the accelerometer
+  int mapId() const;                 ///< counts the maps that were begun
 
   /// Forgets everything except counters and the map's number.
   void reset();

@@ -48,7 +48,8 @@ struct Camera {
   std::vector<Eigen::Vector3f> directions() const {
     std::vector<Eigen::Vector3f> result;
     for (int y = 0; y < model.height; ++y)
-      for (int x = 0; x < model.width; ++x) result.push_back((T.linear() * model.ray({double(x), double(y)})).cast<float>());
+      for (int x = 0; x < model.width; ++x)
+        result.push_back((T.linear() * model.ray({double(x), double(y)})).cast<float>());
     return result;
   }
 };

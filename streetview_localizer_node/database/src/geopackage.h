@@ -42,7 +42,8 @@ Dataset openUnfinished(const std::string& path);
 /// Value of a key of the information table; empty if absent.
 std::string infoValue(GDALDataset* dataset, const std::string& key);
 
-/// Pose from seven columns, <prefix>x ... <prefix>qw. Throws std::runtime_error with `path` unless it is a rigid transform.
+/// Pose from seven columns, <prefix>x ... <prefix>qw. Throws std::runtime_error with `path` unless it is a rigid
+/// transform.
 air_ground_common::Pose readPose(OGRFeature& row, const std::string& prefix, const std::string& path);
 
 /// Throws std::runtime_error unless the dataset is a Street View database of this version.

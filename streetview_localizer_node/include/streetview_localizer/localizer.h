@@ -1,4 +1,5 @@
-// The whole of paper B, II: an image in, a camera pose in the city out, or an honest refusal. ROS-free and deterministic.
+// The whole of paper B, II: an image in, a camera pose in the city out, or an honest refusal. ROS-free and
+// deterministic.
 #pragma once
 
 #include <array>
@@ -20,7 +21,8 @@
 
 namespace streetview_localizer {
 
-/// Of the pose that is handed out: the estimate's own, or the paper's scatter of minimal samples (docs/streetview_pose.md).
+/// Of the pose that is handed out: the estimate's own, or the paper's scatter of minimal samples
+/// (docs/streetview_pose.md).
 enum class CovarianceKind { kRefined, kMonteCarlo };
 
 struct LocalizerSettings {
@@ -33,9 +35,11 @@ struct LocalizerSettings {
   AcceptanceSettings acceptance;
   PointFusionSettings fusion;
 
-  std::string index_file;        ///< the index over the database is read from here, or built and kept here; empty: in memory alone
-  /// The image's strongest features and the likeliest views come first; all features and views only where that gives no accepted
-  /// pose with so many distinct inliers; the image's virtual views where those give none either. 0: always everything.
+  std::string
+      index_file;  ///< the index over the database is read from here, or built and kept here; empty: in memory alone
+  /// The image's strongest features and the likeliest views come first; all features and views only where that gives no
+  /// accepted pose with so many distinct inliers; the image's virtual views where those give none either. 0: always
+  /// everything.
   int quick_inliers = 60;
   int quick_features = 1500;     ///< then
   int quick_views = 5;           ///< then
@@ -45,21 +49,22 @@ struct LocalizerSettings {
   int near_panoramas = 6;        ///< searched where the prior tells the position; the paper: 4 to 8
   double max_prior_stddev = 15;  ///< a prior position worse than this is not used for the search [m]
   int min_view_matches = 6;      ///< a view with fewer matches after k-VLD is dropped
-  /// Panoramas with poses better than these are matched as one: a point of the facade gets its place from several of them.
-  double merge_position_stddev = 0.03;      ///< [m]
-  double merge_orientation_stddev = 0.002;  ///< [rad]
-  double model_lateral_stddev = 0.1;        ///< of the city model's walls [m] (paper B, II.B)
-  double model_height_stddev = 0.5;         ///< [m]
+  /// Panoramas with poses better than these are matched as one: a point of the facade gets its place from several of
+  /// them.
+  double merge_position_stddev = 0.03;                   ///< [m]
+  double merge_orientation_stddev = 0.002;               ///< [rad]
+  double model_lateral_stddev = 0.1;                     ///< of the city model's walls [m] (paper B, II.B)
+  double model_height_stddev = 0.5;                      ///< [m]
   CovarianceKind covariance = CovarianceKind::kRefined;  ///< kMonteCarlo needs pose.monte_carlo_samples
-  /// A pose from fused points takes the place of the first one if it moved by no more than this in position and in attitude, each in
-  /// standard deviations, and keeps this share of the inliers.
+  /// A pose from fused points takes the place of the first one if it moved by no more than this in position and in
+  /// attitude, each in standard deviations, and keeps this share of the inliers.
   double max_fusion_shift = 4;
-  double min_fusion_inliers = 0.9;          ///< [0, 1]
-  double min_height = 0.2;                  ///< of the camera above the model's ground, where it has one [m]
-  double min_visible_share = 0.7;           ///< of the inliers' points not hidden by the model from the estimated pose [0, 1]
-  double max_disagreement = 1.0;            ///< between poses from different panoramas that are both accepted [m]
-  double min_rival_share = 0.25;            ///< a panorama with fewer of the best one's inliers has no say in this [0, 1]
-  double max_turn = 0.1;                    ///< the same for the attitude [rad]
+  double min_fusion_inliers = 0.9;  ///< [0, 1]
+  double min_height = 0.2;          ///< of the camera above the model's ground, where it has one [m]
+  double min_visible_share = 0.7;   ///< of the inliers' points not hidden by the model from the estimated pose [0, 1]
+  double max_disagreement = 1.0;    ///< between poses from different panoramas that are both accepted [m]
+  double min_rival_share = 0.25;    ///< a panorama with fewer of the best one's inliers has no say in this [0, 1]
+  double max_turn = 0.1;            ///< the same for the attitude [rad]
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
   void validate() const;
@@ -75,20 +80,22 @@ const char* nameOf(Step step);
 
 struct LocalizerResult {
   LocalizerStatus status = LocalizerStatus::kNoMatch;
-  std::string reason;      ///< one line for a person
-  PoseResult pose;         ///< its indices count `correspondences`; those of its competitor may reach beyond, to dropped matches
+  std::string reason;  ///< one line for a person
+  PoseResult
+      pose;  ///< its indices count `correspondences`; those of its competitor may reach beyond, to dropped matches
   Acceptance acceptance;
-  std::vector<Correspondence> correspondences;  ///< after k-VLD, of the panoramas behind the pose; of the best match without one
-  std::vector<int> views;                       ///< of each correspondence: index of the database's view
-  int panorama = -1;                            ///< index of the panorama with the most inliers, or matches without a pose
-  int view = -1;                                ///< its best view
-  std::vector<int> searched;                    ///< panoramas matched pairwise, best first
-  bool used_prior = false;                      ///< the prior chose them
-  bool quick = false;                           ///< no virtual views were made: the image itself was enough, or hopeless
-  int features = 0;                             ///< of the image and, where made, its virtual views
-  int matches = 0;                              ///< after k-VLD, all views together
-  std::array<double, kSteps> times{};           ///< [s]
-  double total_time = 0;                        ///< [s]
+  std::vector<Correspondence>
+      correspondences;                 ///< after k-VLD, of the panoramas behind the pose; of the best match without one
+  std::vector<int> views;              ///< of each correspondence: index of the database's view
+  int panorama = -1;                   ///< index of the panorama with the most inliers, or matches without a pose
+  int view = -1;                       ///< its best view
+  std::vector<int> searched;           ///< panoramas matched pairwise, best first
+  bool used_prior = false;             ///< the prior chose them
+  bool quick = false;                  ///< no virtual views were made: the image itself was enough, or hopeless
+  int features = 0;                    ///< of the image and, where made, its virtual views
+  int matches = 0;                     ///< after k-VLD, all views together
+  std::array<double, kSteps> times{};  ///< [s]
+  double total_time = 0;               ///< [s]
 
   bool accepted() const { return status == LocalizerStatus::kAccepted; }
 };
@@ -100,8 +107,9 @@ class Localizer {
   Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings = {});
   ~Localizer();
 
-  /// `image`: 8-bit, grey or BGR, as recorded with `camera`. Throws std::invalid_argument when they do not fit together, or the
-  /// prior is not finite or its covariance not positive definite; everything that an image can show is answered in the result.
+  /// `image`: 8-bit, grey or BGR, as recorded with `camera`. Throws std::invalid_argument when they do not fit
+  /// together, or the prior is not finite or its covariance not positive definite; everything that an image can show is
+  /// answered in the result.
   LocalizerResult localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior = {}) const;
 
   const StreetviewDatabase& database() const;

@@ -1,5 +1,6 @@
 // Several database views that see one point fix it better than the city model does: a wall of the model is a plane, the
-// facade has window reveals, cornices and balconies. Fuses the views' rays with the model and refines the pose on the result.
+// facade has window reveals, cornices and balconies. Fuses the views' rays with the model and refines the pose on the
+// result.
 #pragma once
 
 #include <vector>
@@ -27,15 +28,16 @@ struct ViewRay {
 
 /// A point of the facade seen at one pixel of the query.
 struct FusedPoint {
-  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();          ///< in the query [px]
-  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();        ///< [m]
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();     ///< [m^2]
-  int sightings = 0;                                        ///< correspondences behind it
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();       ///< in the query [px]
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();     ///< [m]
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  ///< [m^2]
+  int sightings = 0;                                     ///< correspondences behind it
 };
 
-/// One point a query pixel, from the correspondences listed in `use`. With n the wall's normal, p_0 the point on the model, and
-/// for each sighting i the ray d_i through p_i with lateral deviation s_i:
-///   A = n n^T / surface_stddev^2 + sum_i (I - d_i d_i^T) / s_i^2,   A p = n n^T p_0 / surface_stddev^2 + sum_i (I - d_i d_i^T) p_i / s_i^2,
+/// One point a query pixel, from the correspondences listed in `use`. With n the wall's normal, p_0 the point on the
+/// model, and for each sighting i the ray d_i through p_i with lateral deviation s_i:
+///   A = n n^T / surface_stddev^2 + sum_i (I - d_i d_i^T) / s_i^2,   A p = n n^T p_0 / surface_stddev^2 + sum_i (I -
+///   d_i d_i^T) p_i / s_i^2,
 /// covariance A^-1. Correspondences without normal are taken to face their view. In order of the first sighting.
 /// Throws std::invalid_argument when sizes differ or an index is out of range.
 std::vector<FusedPoint> fusePoints(const std::vector<Correspondence>& correspondences, const std::vector<ViewRay>& rays,
@@ -44,13 +46,14 @@ std::vector<FusedPoint> fusePoints(const std::vector<Correspondence>& correspond
 struct FusedRefinement {
   bool converged = false;
   Pose T_world_camera = Pose::Identity();
-  Matrix6d covariance = Matrix6d::Zero();  ///< in the order and frame of PoseResult::covariance; image and surface noise
+  Matrix6d covariance =
+      Matrix6d::Zero();  ///< in the order and frame of PoseResult::covariance; image and surface noise
   int points = 0;
 };
 
-/// Minimises sum_i rho(r_i^T S_i^-1 r_i), S_i = pixel_stddev^2 I + J_i C_i J_i^T with C_i the point's covariance, J_i the Jacobian
-/// of its pixel, rho Cauchy's (scale 2), by Levenberg-Marquardt from `start`; gravity as in estimatePose.
-FusedRefinement refineOnFusedPoints(const std::vector<FusedPoint>& points, const CameraModel& camera, const PosePrior& prior,
-                                    const Pose& start, const PointFusionSettings& settings);
+/// Minimises sum_i rho(r_i^T S_i^-1 r_i), S_i = pixel_stddev^2 I + J_i C_i J_i^T with C_i the point's covariance, J_i
+/// the Jacobian of its pixel, rho Cauchy's (scale 2), by Levenberg-Marquardt from `start`; gravity as in estimatePose.
+FusedRefinement refineOnFusedPoints(const std::vector<FusedPoint>& points, const CameraModel& camera,
+                                    const PosePrior& prior, const Pose& start, const PointFusionSettings& settings);
 
 }  // namespace streetview_localizer

@@ -15,8 +15,8 @@
 
 namespace air_ground_common::ros_utils {
 
-/// Topics have no order between them: after the process stood still, what has come on one is handled before what has come on
-/// another meanwhile. So long after a message is here, it tells what the other topics lack [s, wall clock].
+/// Topics have no order between them: after the process stood still, what has come on one is handled before what has
+/// come on another meanwhile. So long after a message is here, it tells what the other topics lack [s, wall clock].
 constexpr double kTopicsInStep = 0.3;
 
 /// Thread-safe. One per node; all calls may come from any thread.
@@ -26,8 +26,9 @@ class NodeHealth {
   explicit NodeHealth(const std::string& hardware_id);
 
   /// Declares an input that the node waits for. After 3 s (wall time) without it a warning names the resolved topic,
-  /// whether anybody publishes it, and the last stamp seen. `continuous` false: a topic that may rightly pause (a latched
-  /// map); the warning comes only while nothing at all has arrived. A replay that is paused (/clock stands still) is no silence.
+  /// whether anybody publishes it, and the last stamp seen. `continuous` false: a topic that may rightly pause (a
+  /// latched map); the warning comes only while nothing at all has arrived. A replay that is paused (/clock stands
+  /// still) is no silence.
   void expectInput(const std::string& resolved_topic, bool continuous = true);
   /// Call in the callback of an expected input.
   void received(const std::string& resolved_topic, const ros::Time& stamp);
@@ -85,9 +86,9 @@ class TimeJumpDetector {
   double newest_ = -1;  ///< [s]; differences of ros::Time throw for stamps of more than 2^31 s
 };
 
-/// The same for a node with several inputs, of which one may lag behind the others. The first stream to jump starts a new
-/// pass; what still comes of the old pass on the others is told apart. A single wrong stamp in a fast stream (IMU, images,
-/// odometry) is no jump: there, a leap forth or back counts when the next message confirms it. Not thread-safe.
+/// The same for a node with several inputs, of which one may lag behind the others. The first stream to jump starts a
+/// new pass; what still comes of the old pass on the others is told apart. A single wrong stamp in a fast stream (IMU,
+/// images, odometry) is no jump: there, a leap forth or back counts when the next message confirms it. Not thread-safe.
 class StreamJumpDetector {
  public:
   enum class Verdict {
@@ -105,9 +106,9 @@ class StreamJumpDetector {
 
  private:
   struct Stream {
-    double newest = -1;  ///< [s]; -1: nothing yet
+    double newest = -1;   ///< [s]; -1: nothing yet
     double interval = 0;  ///< running mean [s]
-    double held = -1;  ///< stamp of a leap that the next message may confirm [s]
+    double held = -1;     ///< stamp of a leap that the next message may confirm [s]
     std::size_t messages = 0;
     unsigned pass = 0;
   };

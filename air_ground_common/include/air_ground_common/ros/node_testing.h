@@ -1,6 +1,6 @@
-// What the tests of the nodes share. Topics have no order between them, and on a busy machine any process may stand still for
-// seconds. So tests wait in turns, and publish what must come after something else when the node has shown that it has that: by
-// an output, a service's answer or its diagnostics.
+// What the tests of the nodes share. Topics have no order between them, and on a busy machine any process may stand
+// still for seconds. So tests wait in turns, and publish what must come after something else when the node has shown
+// that it has that: by an output, a service's answer or its diagnostics.
 #pragma once
 
 #include <diagnostic_msgs/DiagnosticArray.h>
@@ -14,7 +14,8 @@
 
 namespace air_ground_common::ros_utils {
 
-/// Handles callbacks until `done`. False after so many turns of 5 ms: a machine that stands still must not count as waiting.
+/// Handles callbacks until `done`. False after so many turns of 5 ms: a machine that stands still must not count as
+/// waiting.
 inline bool spinUntil(const std::function<bool()>& done, int turns = 6000) {
   for (int i = 0; ros::ok() && i < turns; ++i) {
     ros::spinOnce();
@@ -29,8 +30,8 @@ inline void pause(int turns) {
   spinUntil([] { return false; }, turns);
 }
 
-/// Calls a service that may be called twice; false when it does not come up or answer. A call's connection can break, and the
-/// call fail, when a process stands still meanwhile.
+/// Calls a service that may be called twice; false when it does not come up or answer. A call's connection can break,
+/// and the call fail, when a process stands still meanwhile.
 template <typename Service>
 bool callService(const std::string& name, Service& service) {
   for (int i = 0; i < 5; ++i) {
@@ -45,16 +46,17 @@ class NodeDiagnostics {
  public:
   /// `node`: its name without the leading slash, e.g. "mav_vo".
   explicit NodeDiagnostics(const std::string& node) : name_(node + ": state") {
-    subscriber_ = ros::NodeHandle().subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
-      for (const auto& status : m->status) {
-        if (status.name != name_) continue;
-        stamp_ = m->header.stamp;
-        level_ = status.level;
-        message_ = status.message;
-        values_.clear();
-        for (const auto& value : status.values) values_[value.key] = value.value;
-      }
-    });
+    subscriber_ = ros::NodeHandle().subscribe<diagnostic_msgs::DiagnosticArray>(
+        "/diagnostics", 100, [this](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
+          for (const auto& status : m->status) {
+            if (status.name != name_) continue;
+            stamp_ = m->header.stamp;
+            level_ = status.level;
+            message_ = status.message;
+            values_.clear();
+            for (const auto& value : status.values) values_[value.key] = value.value;
+          }
+        });
   }
   NodeDiagnostics(const NodeDiagnostics&) = delete;
   NodeDiagnostics& operator=(const NodeDiagnostics&) = delete;
@@ -62,7 +64,8 @@ class NodeDiagnostics {
   /// Sum of the counters whose names begin so.
   int counted(const std::string& event) const {
     int times = 0;
-    for (auto it = values_.lower_bound(event); it != values_.end() && it->first.rfind(event, 0) == 0; ++it) times += std::atoi(it->second.c_str());
+    for (auto it = values_.lower_bound(event); it != values_.end() && it->first.rfind(event, 0) == 0; ++it)
+      times += std::atoi(it->second.c_str());
     return times;
   }
   /// The last message of an expected input that the node has handled has this stamp; `topic`: resolved.

@@ -14,15 +14,15 @@
 
 namespace air_ground_common::ros_utils {
 
-/// A path for display that stays small however long the flight: a pose every `step` metres; when it holds `most`, every second
-/// one is dropped and the step doubled.
+/// A path for display that stays small however long the flight: a pose every `step` metres; when it holds `most`, every
+/// second one is dropped and the step doubled.
 class BoundedPath {
  public:
   /// `interval`: shortest time between two publications, as each sends the whole path [s].
   BoundedPath(const std::string& frame_id, double step, std::size_t most = 5000, double interval = 1.0);
 
-  /// Takes the pose if it lies a step away from the last one kept. True when the path should be published: it has grown, and
-  /// the interval has passed by the poses' stamps (or they ran back).
+  /// Takes the pose if it lies a step away from the last one kept. True when the path should be published: it has
+  /// grown, and the interval has passed by the poses' stamps (or they ran back).
   bool add(const geometry_msgs::PoseStamped& pose);
   const nav_msgs::Path& message() const { return path_; }
   void clear();
@@ -45,18 +45,19 @@ struct PosePublisherSettings {
 /// Motion of the base from the last published pose to this one as it was tracked, free of corrections.
 struct Motion {
   Pose T_previous_current = Pose::Identity();
-  std::optional<Matrix6d> covariance;  ///< of its translation and rotation, axes of the earlier base [m^2, m rad, rad^2]
+  std::optional<Matrix6d>
+      covariance;  ///< of its translation and rotation, axes of the earlier base [m^2, m rad, rad^2]
 };
 
-/// Publishes nav_msgs/Odometry (pose in the map frame, twist in the base frame), a nav_msgs/Path and, if switched on, the two tf edges.
-/// The odom frame never jumps: what loop closure or bundle adjustment corrects goes into map -> odom.
+/// Publishes nav_msgs/Odometry (pose in the map frame, twist in the base frame), a nav_msgs/Path and, if switched on,
+/// the two tf edges. The odom frame never jumps: what loop closure or bundle adjustment corrects goes into map -> odom.
 class PosePublisher {
  public:
   PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings);
 
-  /// `T_map_base`: current best pose; `covariance`: of it in the map frame. The twist is the mean of the motion; where that is
-  /// not known (the first pose, no covariance) its variances are 1e6.
-  /// A stamp not later than the last one published is ignored (TF_REPEATED_DATA) and false is returned.
+  /// `T_map_base`: current best pose; `covariance`: of it in the map frame. The twist is the mean of the motion; where
+  /// that is not known (the first pose, no covariance) its variances are 1e6. A stamp not later than the last one
+  /// published is ignored (TF_REPEATED_DATA) and false is returned.
   bool publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion, const Matrix6d& covariance);
 
   /// Starts afresh: path and odometry are cleared.
@@ -73,11 +74,13 @@ class PosePublisher {
 
 /// Looks up a fixed transform T_target_source, e.g. base_link <- camera. Waits up to `timeout` wall seconds in total;
 /// empty, with the reason in `why`, when it does not come.
-std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout, std::string* why);
+std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout,
+                                 std::string* why);
 
-/// T_base_sensor: `given` or, without, looked up as above. Empty, and said in `health`, when it does not come. `sensor` names it
-/// as the parameter base_<sensor> does: "camera", "imu".
-std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame, const std::string& sensor_frame,
-                                   const std::string& sensor, double timeout, NodeHealth& health);
+/// T_base_sensor: `given` or, without, looked up as above. Empty, and said in `health`, when it does not come. `sensor`
+/// names it as the parameter base_<sensor> does: "camera", "imu".
+std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame,
+                                   const std::string& sensor_frame, const std::string& sensor, double timeout,
+                                   NodeHealth& health);
 
 }  // namespace air_ground_common::ros_utils

@@ -12,17 +12,17 @@
 namespace visual_frontend {
 
 struct BundleSettings {
-  double pixel_sigma = 1.0;          ///< of a feature's position [px]; divided by the focal length
+  double pixel_sigma = 1.0;  ///< of a feature's position [px]; divided by the focal length
   RobustLoss loss = RobustLoss::kHuber;
-  double loss_width = 2.0;           ///< in sigmas
-  bool use_depth = true;             ///< depth residuals where observations carry depth
-  double depth_loss_width = 2.0;     ///< Cauchy, in sigmas
-  bool use_gravity = true;           ///< roll and pitch priors of keyframes that carry up_camera
+  double loss_width = 2.0;        ///< in sigmas
+  bool use_depth = true;          ///< depth residuals where observations carry depth
+  double depth_loss_width = 2.0;  ///< Cauchy, in sigmas
+  bool use_gravity = true;        ///< roll and pitch priors of keyframes that carry up_camera
   int max_iterations = 10;
-  double max_seconds = 1.0;          ///< wall clock [s]; a result stopped by it is usable but not reproducible
+  double max_seconds = 1.0;  ///< wall clock [s]; a result stopped by it is usable but not reproducible
   int threads = 1;
-  double outlier_threshold = 3.0;    ///< sigmas; larger residuals are reported (and disconnected by adjustMap)
-  bool remove_outliers = true;       ///< adjustMap: disconnect them
+  double outlier_threshold = 3.0;  ///< sigmas; larger residuals are reported (and disconnected by adjustMap)
+  bool remove_outliers = true;     ///< adjustMap: disconnect them
 };
 
 /// Plain data: what the solver sees. Poses and points are changed in place.
@@ -45,8 +45,8 @@ struct BundleProblem {
   struct RelativePrior {
     int camera_a = 0, camera_b = 0;
     Pose T_a_b = Pose::Identity();
-    double rotation_sigma = 0.01;     ///< [rad]; <= 0 leaves the rotation out
-    double translation_sigma = -1;    ///< [m]; <= 0 leaves the translation out
+    double rotation_sigma = 0.01;   ///< [rad]; <= 0 leaves the rotation out
+    double translation_sigma = -1;  ///< [m]; <= 0 leaves the translation out
   };
   std::vector<Camera> cameras;
   std::vector<Eigen::Vector3d> points;
@@ -57,12 +57,12 @@ struct BundleProblem {
 
 struct BundleResult {
   bool usable = false;
-  std::string message;            ///< the solver's own words
+  std::string message;  ///< the solver's own words
   double initial_cost = 0, final_cost = 0;
   int iterations = 0;
   double seconds = 0;
-  double rms = 0;                 ///< reprojection error of the inliers per coordinate, in sigmas
-  std::vector<int> outliers;      ///< indices of measurements beyond outlier_threshold, ascending
+  double rms = 0;             ///< reprojection error of the inliers per coordinate, in sigmas
+  std::vector<int> outliers;  ///< indices of measurements beyond outlier_threshold, ascending
 };
 
 /// Throws std::invalid_argument for indices out of range or values that are not finite.

@@ -9,9 +9,9 @@
 namespace visual_frontend {
 
 struct ImuSample {
-  double stamp = 0;                                              ///< [s]
-  Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();    ///< IMU frame [rad/s]
-  Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();      ///< IMU frame [m/s^2]; +9.81 along up at rest
+  double stamp = 0;                                            ///< [s]
+  Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  ///< IMU frame [rad/s]
+  Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();    ///< IMU frame [m/s^2]; +9.81 along up at rest
 };
 
 /// Samples in order of time, of limited length.
@@ -48,21 +48,23 @@ class ImuBuffer {
 };
 
 struct AttitudeSettings {
-  double time_constant = 8.0;      ///< of the accelerometer's correction; shorter while the filter is young [s]
-  double gravity = 9.81;           ///< [m/s^2]
-  double max_norm_deviation = 0.6; ///< samples whose specific force differs more from gravity do not correct [m/s^2]
-  double rest_seconds = 0.5;       ///< at rest: for this long [s]
-  double rest_gyro_std = 0.02;     ///< the scatter of the rates stays below [rad/s]
-  double rest_accel_std = 0.25;    ///< and that of the specific force [m/s^2]
-  double rest_gyro_mean = 0.06;    ///< the mean rate, taken for the bias, is below this the first time [rad/s]
-  double rest_gyro_change = 0.008; ///< and near the known bias, and the same in both halves of the time, afterwards [rad/s]
-  double rest_accel_change = 0.06; ///< specific force of the two halves of the time differs by less [m/s^2]
+  double time_constant = 8.0;       ///< of the accelerometer's correction; shorter while the filter is young [s]
+  double gravity = 9.81;            ///< [m/s^2]
+  double max_norm_deviation = 0.6;  ///< samples whose specific force differs more from gravity do not correct [m/s^2]
+  double rest_seconds = 0.5;        ///< at rest: for this long [s]
+  double rest_gyro_std = 0.02;      ///< the scatter of the rates stays below [rad/s]
+  double rest_accel_std = 0.25;     ///< and that of the specific force [m/s^2]
+  double rest_gyro_mean = 0.06;     ///< the mean rate, taken for the bias, is below this the first time [rad/s]
+  double rest_gyro_change =
+      0.008;  ///< and near the known bias, and the same in both halves of the time, afterwards [rad/s]
+  double rest_accel_change = 0.06;  ///< specific force of the two halves of the time differs by less [m/s^2]
 };
 
 /// Complementary filter for the direction that is up in the IMU frame; estimates the gyro bias while at rest.
 class AttitudeFilter {
  public:
-  explicit AttitudeFilter(const AttitudeSettings& settings = {}) : settings_(settings), window_(2 * settings.rest_seconds) {}
+  explicit AttitudeFilter(const AttitudeSettings& settings = {})
+      : settings_(settings), window_(2 * settings.rest_seconds) {}
 
   /// Samples that are not finite or not newer are ignored.
   void add(const ImuSample& sample);
@@ -90,8 +92,8 @@ class AttitudeFilter {
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
   double up_sigma_ = 0.1;
   double last_stamp_ = -1;
-  double age_ = 0;            ///< since initialisation [s]
-  double rest_samples_ = 0;   ///< of the present rest
+  double age_ = 0;           ///< since initialisation [s]
+  double rest_samples_ = 0;  ///< of the present rest
 };
 
 }  // namespace visual_frontend

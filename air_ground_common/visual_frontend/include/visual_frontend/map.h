@@ -28,8 +28,8 @@ struct Keyframe {
   std::vector<Observation> observations;
   /// Greyscale pyramid of the image (level 0 first) for patch matching; may be empty.
   std::vector<cv::Mat> pyramid;
-  /// Direction that is up (against gravity) in the camera frame, unit, and its standard deviation [rad]: a prior on roll
-  /// and pitch in bundle adjustment.
+  /// Direction that is up (against gravity) in the camera frame, unit, and its standard deviation [rad]: a prior on
+  /// roll and pitch in bundle adjustment.
   std::optional<Eigen::Vector3d> up_camera;
   double up_sigma = 0.02;
 
@@ -38,8 +38,8 @@ struct Keyframe {
   std::vector<Eigen::Vector2d> orb_normalized;  ///< undistorted
   std::vector<float> orb_angle;                 ///< [rad]
   std::vector<int> orb_octave;
-  std::vector<double> orb_depth;                ///< measured z [m], 0 = none; empty without a depth camera
-  cv::Mat orb_descriptors;                      ///< n x 32 CV_8U
+  std::vector<double> orb_depth;  ///< measured z [m], 0 = none; empty without a depth camera
+  cv::Mat orb_descriptors;        ///< n x 32 CV_8U
 };
 
 struct LandmarkObservation {
@@ -51,13 +51,14 @@ struct Landmark {
   LandmarkId id = kNoLandmark;
   Eigen::Vector3d position = Eigen::Vector3d::Zero();  ///< in the map [m]
   std::vector<LandmarkObservation> observations;       ///< the first is the reference: its patch is the landmark's look
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();///< of position [m^2]; zero = not known
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  ///< of position [m^2]; zero = not known
 };
 
 /// Owns keyframes and landmarks; keeps both sides of each observation consistent. Not thread-safe.
 class Map {
  public:
-  /// Takes the keyframe with its observations (their landmark fields must name existing landmarks or none); sets its id.
+  /// Takes the keyframe with its observations (their landmark fields must name existing landmarks or none); sets its
+  /// id.
   KeyframeId addKeyframe(Keyframe keyframe);
 
   /// New landmark without observations.
@@ -104,11 +105,12 @@ class Map {
   /// Keyframes nearest to a pose by distance plus `metres_per_radian` times the angle between the optical axes.
   std::vector<KeyframeId> nearestKeyframes(const Pose& T_map_camera, int count, double metres_per_radian = 1.0) const;
 
-  /// Bounds the memory: of the keyframes with an image pyramid only the `keep` nearest to a pose keep it. The others stay in the map
-  /// and can be recognised by their ORB features, but no patch is taken from them.
+  /// Bounds the memory: of the keyframes with an image pyramid only the `keep` nearest to a pose keep it. The others
+  /// stay in the map and can be recognised by their ORB features, but no patch is taken from them.
   void dropFarImages(const Pose& T_map_camera, int keep, double metres_per_radian = 1.0);
 
-  /// Applies p' = S * p to all landmarks and moves the cameras with it (camera poses stay rigid). For scale and leveling.
+  /// Applies p' = S * p to all landmarks and moves the cameras with it (camera poses stay rigid). For scale and
+  /// leveling.
   void transform(const air_ground_common::Similarity& S_new_old);
 
   void clear();
@@ -123,8 +125,9 @@ class Map {
 /// Covariance of a pose (x y z rotX rotY rotZ, map axes) carried over to a point that `lever` leads to, fixed to it.
 Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
 
-/// Covariance of a keyframe in the map along the shortest chain of views: that of the best known keyframe (`known`) which shares
-/// 20 landmarks with it, plus what its own pose adds.
-Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id, const Matrix6d& pose_covariance);
+/// Covariance of a keyframe in the map along the shortest chain of views: that of the best known keyframe (`known`)
+/// which shares 20 landmarks with it, plus what its own pose adds.
+Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id,
+                           const Matrix6d& pose_covariance);
 
 }  // namespace visual_frontend

@@ -14,16 +14,17 @@ namespace visual_frontend {
 struct PlaceSettings {
   int orb_features = 500;
   int orb_levels = 5;
-  int max_hamming = 60;            ///< of 256 bits
-  double max_ratio = 0.85;         ///< best over second-best distance
-  int min_matches = 25;            ///< mutual matches for a candidate
-  int max_candidates = 4;          ///< that are verified geometrically
-  int min_inliers = 20;            ///< of the pose
-  double pixel_sigma = 1.5;        ///< of ORB positions at level 0 [px]
+  int max_hamming = 60;      ///< of 256 bits
+  double max_ratio = 0.85;   ///< best over second-best distance
+  int min_matches = 25;      ///< mutual matches for a candidate
+  int max_candidates = 4;    ///< that are verified geometrically
+  int min_inliers = 20;      ///< of the pose
+  double pixel_sigma = 1.5;  ///< of ORB positions at level 0 [px]
 };
 
 /// ORB features of an image (CV_8UC1) into keyframe.orb_*; depth is left empty. Throws std::invalid_argument otherwise.
-void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const PlaceSettings& settings, Keyframe& keyframe);
+void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const PlaceSettings& settings,
+                      Keyframe& keyframe);
 
 /// Mutual nearest descriptors with ratio test: pairs (index in a, index in b).
 std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Mat& b, const PlaceSettings& settings);
@@ -31,9 +32,9 @@ std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Ma
 struct PlaceMatch {
   bool success = false;
   std::string reason;
-  KeyframeId keyframe = kNoKeyframe;      ///< the place
-  Pose T_place_query = Pose::Identity();  ///< camera of the query in the camera frame of the place
-  Matrix6d covariance = Matrix6d::Zero(); ///< of T_place_query, in the place's camera frame
+  KeyframeId keyframe = kNoKeyframe;       ///< the place
+  Pose T_place_query = Pose::Identity();   ///< camera of the query in the camera frame of the place
+  Matrix6d covariance = Matrix6d::Zero();  ///< of T_place_query, in the place's camera frame
   int matches = 0;
   int inliers = 0;
   /// Landmarks recognised: index of the query's ORB feature, landmark of the map.
@@ -48,15 +49,17 @@ PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyfr
 
 /// What a jump back into the map must look like after tracking was lost.
 struct RelocalizationGate {
-  Pose T_map_last = Pose::Identity();        ///< camera when it was last known
+  Pose T_map_last = Pose::Identity();                             ///< camera when it was last known
   double max_distance = std::numeric_limits<double>::infinity();  ///< that it can have moved since [map unit]
-  std::optional<Eigen::Vector3d> up_camera;  ///< against gravity, camera frame now, unit; the map's z axis is up. None: not known
-  double max_tilt = 0.15;                    ///< between that and the map's up as the place has it [rad]
-  double min_lead = 1.4;                     ///< inliers of the place over those of the best place that puts the camera elsewhere
+  std::optional<Eigen::Vector3d>
+      up_camera;           ///< against gravity, camera frame now, unit; the map's z axis is up. None: not known
+  double max_tilt = 0.15;  ///< between that and the map's up as the place has it [rad]
+  double min_lead = 1.4;   ///< inliers of the place over those of the best place that puts the camera elsewhere
 };
 
-/// recognizePlace over the whole map for a camera that was lost: places that the gate excludes do not count, and of two that
-/// look alike none is taken. `reason` says what stood against it.
-PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate, const PlaceSettings& settings);
+/// recognizePlace over the whole map for a camera that was lost: places that the gate excludes do not count, and of two
+/// that look alike none is taken. `reason` says what stood against it.
+PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate,
+                      const PlaceSettings& settings);
 
 }  // namespace visual_frontend

@@ -15,15 +15,15 @@ struct PoseGraphNode {
 };
 
 struct PoseGraphEdge {
-  int a = 0, b = 0;                  ///< nodes
-  Pose T_a_b = Pose::Identity();     ///< measured
+  int a = 0, b = 0;               ///< nodes
+  Pose T_a_b = Pose::Identity();  ///< measured
   /// Covariance of (translation, rotation vector) of T_a_b, perturbed as T_a_b * exp; positive definite.
   Matrix6d covariance = Matrix6d::Identity();
-  bool robust = false;               ///< Cauchy loss: loop edges
+  bool robust = false;  ///< Cauchy loss: loop edges
 };
 
 struct PoseGraphSettings {
-  bool four_dof = false;             ///< only position and rotation about the map's z (roll and pitch known from gravity)
+  bool four_dof = false;  ///< only position and rotation about the map's z (roll and pitch known from gravity)
   int max_iterations = 50;
 };
 

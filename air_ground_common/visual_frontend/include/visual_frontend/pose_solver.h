@@ -18,8 +18,8 @@ struct PoseCorrespondence {
 };
 
 struct RansacSettings {
-  double threshold = 2.5;        ///< inlier: reprojection error below this many sigmas
-  double confidence = 0.995;     ///< probability of having drawn one clean sample
+  double threshold = 2.5;     ///< inlier: reprojection error below this many sigmas
+  double confidence = 0.995;  ///< probability of having drawn one clean sample
   int max_iterations = 300;
   int min_inliers = 12;
   unsigned seed = 1;
@@ -29,28 +29,28 @@ enum class RobustLoss { kNone, kHuber, kCauchy };
 
 struct RefineSettings {
   RobustLoss loss = RobustLoss::kHuber;
-  double loss_width = 1.5;       ///< in sigmas
+  double loss_width = 1.5;  ///< in sigmas
   int max_iterations = 15;
-  double inlier_threshold = 2.8; ///< sigmas (2 DoF, about 98 %); of the final inlier flags and of the covariance
-  double min_step = 1e-6;        ///< norm of the step (m, rad) at which iterations end
+  double inlier_threshold = 2.8;  ///< sigmas (2 DoF, about 98 %); of the final inlier flags and of the covariance
+  double min_step = 1e-6;         ///< norm of the step (m, rad) at which iterations end
   bool use_depth = true;
   /// Prior on the rotation: R_map_camera with a standard deviation [rad] about each map axis.
   std::optional<Eigen::Matrix3d> R_map_camera_prior;
   double rotation_prior_sigma = 0.01;
   /// Prior on roll and pitch: the direction up (+z of the map) in the camera frame.
   std::optional<Eigen::Vector3d> up_camera;
-  double up_sigma = 0.02;        ///< [rad]
+  double up_sigma = 0.02;  ///< [rad]
 };
 
 struct PoseResult {
   bool success = false;
-  std::string reason;            ///< why not, empty on success
+  std::string reason;  ///< why not, empty on success
   Pose T_map_camera = Pose::Identity();
   /// Of (x, y, z, rotX, rotY, rotZ): camera position in the map and rotation about the map's axes [m, rad].
   Matrix6d covariance = Matrix6d::Zero();
   std::vector<unsigned char> inliers;  ///< one flag a correspondence
   int inlier_count = 0;
-  double rms = 0;                ///< reprojection error of the inliers, root mean square per coordinate, in sigmas
+  double rms = 0;  ///< reprojection error of the inliers, root mean square per coordinate, in sigmas
   int iterations = 0;
 };
 

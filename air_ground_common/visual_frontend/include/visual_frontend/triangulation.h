@@ -16,14 +16,22 @@ struct ViewRay {
 };
 
 struct TriangulationSettings {
-  double min_parallax = 0.02;      ///< largest angle between two rays [rad]; not needed when a depth is measured
-  double max_residual = 3.0;       ///< reprojection (and depth) error of any view, in sigmas
-  double min_depth = 0.1;          ///< z in every view [m]
-  double max_depth = 100.0;        ///< [m]
+  double min_parallax = 0.02;  ///< largest angle between two rays [rad]; not needed when a depth is measured
+  double max_residual = 3.0;   ///< reprojection (and depth) error of any view, in sigmas
+  double min_depth = 0.1;      ///< z in every view [m]
+  double max_depth = 100.0;    ///< [m]
   int max_iterations = 10;
 };
 
-enum class TriangulationStatus { kOk, kTooFewViews, kLowParallax, kBehindCamera, kDepthRange, kLargeResidual, kSingular };
+enum class TriangulationStatus {
+  kOk,
+  kTooFewViews,
+  kLowParallax,
+  kBehindCamera,
+  kDepthRange,
+  kLargeResidual,
+  kSingular
+};
 
 const char* toString(TriangulationStatus status);
 
@@ -37,8 +45,8 @@ struct TriangulationResult {
 };
 
 /// Linear start (midpoint of rays, or measured depth) and Gauss-Newton on reprojection and depth residuals. One view
-/// with depth is enough (map points under pure rotation, paper section IV); depth pins the point where parallax is small
-/// and fades where parallax is better, each by its sigma.
+/// with depth is enough (map points under pure rotation, paper section IV); depth pins the point where parallax is
+/// small and fades where parallax is better, each by its sigma.
 TriangulationResult triangulate(const std::vector<ViewRay>& views, const TriangulationSettings& settings);
 
 }  // namespace visual_frontend

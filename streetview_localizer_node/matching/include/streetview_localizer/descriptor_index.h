@@ -67,8 +67,8 @@ class DescriptorIndex {
 std::unique_ptr<DescriptorIndex> buildIndex(const cv::Mat& descriptors, const IndexSettings& settings = {});
 
 /// An index that was saved for the same descriptors, by the same method with the same build parameters (flann_trees;
-/// hnsw_links and hnsw_construction). Throws std::runtime_error, saying why, when a file is missing, damaged, belongs to
-/// other descriptors or was built otherwise; std::invalid_argument as buildIndex.
+/// hnsw_links and hnsw_construction). Throws std::runtime_error, saying why, when a file is missing, damaged, belongs
+/// to other descriptors or was built otherwise; std::invalid_argument as buildIndex.
 std::unique_ptr<DescriptorIndex> loadIndex(const std::string& path, const cv::Mat& descriptors,
                                            const IndexSettings& settings = {});
 

@@ -60,7 +60,7 @@ struct RegistrationResult {
 
 /// One image of a drive.
 struct RegistrationInput {
-  std::function<cv::Mat()> load;  ///< 8-bit BGR; called once
+  std::function<cv::Mat()> load;                         ///< 8-bit BGR; called once
   std::optional<air_ground_common::CameraModel> camera;  ///< of a perspective photograph; none: equirectangular
   air_ground_common::Pose T_world_geotag = air_ground_common::Pose::Identity();
 };
