@@ -38,8 +38,69 @@ TEST(Conversions, CameraInfoWithoutCalibrationIsRefused) {
   info = toMsg(camera, std_msgs::Header());
   EXPECT_EQ(fromMsg(info).p2, 0.01);
   EXPECT_EQ(fromMsg(info).fy, 501);
-  info.distortion_model = "equidistant";
+  info.width = 0;
   EXPECT_THROW(fromMsg(info), std::invalid_argument);
+}
+
+sensor_msgs::CameraInfo cameraInfo(const std::string& model, const std::vector<double>& D) {
+  sensor_msgs::CameraInfo info;
+  info.width = 1280;
+  info.height = 960;
+  info.K = {600, 0, 639.5, 0, 610, 479.5, 0, 0, 1};
+  info.distortion_model = model;
+  info.D = D;
+  return info;
+}
+
+TEST(Conversions, CameraInfoOfEveryModelSurvivesTheRoundTrip) {
+  const std::vector<std::pair<std::string, std::vector<double>>> models = {
+      {"plumb_bob", {-0.2, 0.05, 0.001, 0.002, 0.003}},
+      {"rational_polynomial", {0.4, -0.1, 1e-4, 2e-4, 0.01, 0.7, 0.02, 0.003}},
+      {"equidistant", {0.01, -0.02, 0.003, -0.001}}};
+  for (const auto& [name, D] : models) {
+    const auto info = toMsg(fromMsg(cameraInfo(name, D)), std_msgs::Header());
+    EXPECT_EQ(info.distortion_model, name);
+    EXPECT_EQ(info.D, D);
+  }
+}
+
+TEST(Conversions, BinningAndRegionOfInterestAreAppliedToTheSensorsCalibration) {
+  auto info = cameraInfo("equidistant", {0.01, -0.02, 0.003, -0.001});
+  const CameraModel sensor = fromMsg(info);
+  info.binning_x = 2;
+  info.binning_y = 3;
+  info.roi.x_offset = 101;
+  info.roi.y_offset = 60;
+  info.roi.width = 800;
+  info.roi.height = 600;
+  const CameraModel c = fromMsg(info);
+  EXPECT_EQ(c.width, 400);
+  EXPECT_EQ(c.height, 200);
+  EXPECT_DOUBLE_EQ(c.fx, 300);
+  EXPECT_DOUBLE_EQ(c.fy, 610 / 3.);
+  // The image's first pixel is the mean of the sensor's columns 101 and 102, rows 60 to 62: its centre is (101.5, 61).
+  // The principal point lies 639.5 - 101.5 = 538 and 479.5 - 61 = 418.5 sensor pixels from there.
+  EXPECT_DOUBLE_EQ(c.cx, 269);
+  EXPECT_DOUBLE_EQ(c.cy, 139.5);
+  EXPECT_LT((c.ray({0, 0}) - sensor.ray({101.5, 61})).norm(), 1e-12);
+  // Binning 0 and 1 are the same, and a region of size 0 is the whole sensor.
+  info.roi = sensor_msgs::RegionOfInterest();
+  info.binning_x = info.binning_y = 1;
+  EXPECT_EQ(fromMsg(info).K(), sensor.K());
+  EXPECT_EQ(fromMsg(info).width, 1280);
+  info.roi.x_offset = 1000;
+  info.roi.width = info.roi.height = 300;
+  EXPECT_THROW(fromMsg(info), std::invalid_argument);
+}
+
+TEST(Conversions, UnknownModelsAreRefusedByNameWithTheKnownOnes) {
+  try {
+    fromMsg(cameraInfo("mei_unified", {0.1}));
+    FAIL() << "an unknown model was accepted";
+  } catch (const std::invalid_argument& e) {
+    for (const char* word : {"mei_unified", "plumb_bob", "rational_polynomial", "equidistant"})
+      EXPECT_NE(std::string(e.what()).find(word), std::string::npos) << e.what();
+  }
 }
 
 TEST(Conversions, DepthInMillimetresBecomesMetresAndZeroBecomesNaN) {
