@@ -49,11 +49,9 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
   keyframe.stamp = stamp;
   keyframe.T_map_camera = T_map_camera;
   keyframe.pyramid = tracker.pyramid();
-  if (settings.use_gravity && gravity_known && attitude.initialized()) {
-    keyframe.up_camera = R_camera_imu * attitude.up();
-    // In a curve the accelerometer leans for as long as the curve lasts.
-    keyframe.up_sigma =
-        attitude.atRest() ? 1.5 * attitude.upSigma() : std::max(settings.gravity_sigma, attitude.upSigma());
+  if (const auto up = upOfCamera(T_map_camera.linear())) {
+    keyframe.up_camera = up->first;
+    keyframe.up_sigma = up->second;
   }
   for (const Feature& f : tracker.features()) {
     Observation o;

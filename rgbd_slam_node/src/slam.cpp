@@ -50,18 +50,36 @@ void SlamSettings::validate() const {
   require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must be in (0, 1)");
   require(window >= 2 && window_fixed >= 1, "window must be at least 2 and window_fixed at least 1");
   require(gravity_sigma > 0, "gravity_sigma must be positive");
+  require(level_tolerance > 0, "level_tolerance must be positive");
+  inertial.validate();
   require(loop_min_gap >= 2, "loop_min_gap must be at least 2");
   require(max_fused_frames >= 0, "max_fused_frames must not be negative");
 }
 
+namespace {
+
+Pose imuOnCamera(const Mounting& mounting) {
+  Pose T_base_imu = Pose::Identity();
+  if (mounting.R_base_imu) T_base_imu.linear() = *mounting.R_base_imu;
+  T_base_imu.translation() = mounting.p_base_imu;
+  return mounting.T_base_camera.inverse() * T_base_imu;
+}
+
+}  // namespace
+
 Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
-    : camera(camera_model), mounting(mounted), settings(slam_settings), tracker(camera_model, slam_settings.tracker) {
+    : camera(camera_model),
+      mounting(mounted),
+      settings(slam_settings),
+      tracker(camera_model, slam_settings.tracker),
+      inertial(imuOnCamera(mounted), slam_settings.inertial) {
   settings.validate();
   if (!air_ground_common::isValid(mounting.T_base_camera))
     throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
   focal = 0.5 * (camera.fx + camera.fy);
   T_camera_base = mounting.T_base_camera.inverse();
   if (mounting.R_base_imu) R_camera_imu = T_camera_base.linear() * *mounting.R_base_imu;
+  gyro_bias_sigma = settings.inertial.initial_gyro_bias;
 }
 
 void Slam::Impl::clear() {
@@ -73,6 +91,7 @@ void Slam::Impl::clear() {
   keyframe_path.clear();
   keyframe_points.clear();
   active_depth.reset();
+  inertial.newMap();
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
@@ -116,57 +135,26 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   ++map_id;
   ++counters.maps;
   addKeyframe(stamp, T_map_camera, Matrix6d::Identity() * 1e-10, gray, bgr, depth);
-  setGravityUncertainty();
+  if (imu_ready) startInertial();
+  tilt_sigma = imu_ready ? attitude.upSigma() : 0.05;
   frames.push_back({stamp, map.lastKeyframe(), Pose::Identity()});
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
   result.T_map_camera = T_map_camera;
   result.T_map_base = T_map_camera * T_camera_base;
-  result.covariance = keyframe_covariance.begin()->second;
+  updateInertial(stamp, T_map_camera, Matrix6d::Zero());
+  result.covariance = withTilt(keyframe_covariance.begin()->second, result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   result.inliers = keyframe_landmarks;
   return result;
 }
 
-bool Slam::Impl::levelMap() {
-  if (leveled) return false;
-  const double begun = map.keyframes().begin()->second.stamp;
-  Eigen::Vector3d up = Eigen::Vector3d::Zero();
-  if (attitude.atRest()) {
-    up = poseOf(frames.back()).linear() * R_camera_imu * attitude.up();
-  } else if (last_stamp - begun > 4.0) {
-    for (const auto& [id, keyframe] : map.keyframes()) {
-      // The first second's directions have not settled.
-      if (keyframe.up_camera && keyframe.stamp > begun + 1.0)
-        up += keyframe.T_map_camera.linear() * *keyframe.up_camera;
-    }
-  } else {
-    return false;
-  }
-  leveled = true;
-  if (up.norm() < 1e-3) return false;
-  // About the map's origin, keeping its yaw.
-  air_ground_common::Similarity S;
-  S.R = air_ground_common::levelingRotation(up);
-  const Pose T_first = map.keyframes().begin()->second.T_map_camera * T_camera_base;
-  S.R = Eigen::AngleAxisd(-air_ground_common::yawOf(S.R * T_first.linear()), Eigen::Vector3d::UnitZ()) * S.R;
-  map.transform(S);
-  velocity = S.R * velocity;
-  setGravityUncertainty();
-  return true;
-}
-
-void Slam::Impl::setGravityUncertainty() {
-  // Tilt of the map against gravity, about its origin; every keyframe shares it.
-  const double sigma = gravity_known ? attitude.upSigma() : 0.05;
-  for (auto& [id, covariance] : keyframe_covariance) {
-    Matrix6d tilt = Matrix6d::Zero();
-    tilt(3, 3) = tilt(4, 4) = sigma * sigma;
-    Matrix6d J = Matrix6d::Identity();
-    J.topRightCorner<3, 3>() = -air_ground_common::skew(map.keyframe(id).T_map_camera.translation());
-    if (id == map.keyframes().begin()->first) covariance = Matrix6d::Identity() * 1e-10;
-    covariance += J * tilt * J.transpose();
-  }
+Matrix6d Slam::Impl::withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const {
+  Matrix6d tilt = Matrix6d::Zero();
+  tilt(3, 3) = tilt(4, 4) = tilt_sigma * tilt_sigma;
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(position);
+  return covariance + J * tilt * J.transpose();
 }
 
 FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
@@ -221,8 +209,9 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   if (result.relocalized || dt > 1.0) {
     velocity.setZero();
     turn_rate.setZero();
+    inertial.interrupt();
   } else {
-    updateMotion(stamp, T_before, T_map_camera);
+    updateMotion(dt, T_before, T_map_camera);
   }
   result.inliers = tracked.pose.inlier_count;
   result.rms = tracked.pose.rms;
@@ -246,13 +235,15 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
       active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud);
     }
   }
+  if (result.map_corrected) inertial.transform(poseOf(frames.back()) * T_map_camera.inverse());
+  updateInertial(stamp, poseOf(frames.back()), tracked.pose.covariance);
   if (levelMap()) result.map_corrected = true;
   T_map_camera = poseOf(frames.back());
   result.state = State::kTracking;
   result.T_map_camera = T_map_camera;
   result.T_map_base = T_map_camera * T_camera_base;
   J.topRightCorner<3, 3>() = -air_ground_common::skew(result.T_map_base.translation() - T_map_camera.translation());
-  result.covariance = J * covariance * J.transpose();
+  result.covariance = withTilt(J * covariance * J.transpose(), result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   if (!result.relocalized) {
     Matrix6d base_map = Matrix6d::Zero();
@@ -272,10 +263,6 @@ Slam::~Slam() = default;
 bool Slam::addImu(const visual_frontend::ImuSample& sample) {
   if (!impl_->mounting.R_base_imu || !impl_->imu.add(sample)) return false;
   impl_->attitude.add(sample);
-  if (impl_->attitude.biasKnown() && !impl_->gyro_bias_started) {
-    impl_->gyro_bias = impl_->attitude.gyroBias();
-    impl_->gyro_bias_started = true;
-  }
   return true;
 }
 
@@ -307,6 +294,10 @@ const std::vector<Feature>& Slam::features() const { return impl_->tracker.featu
 const SlamCounters& Slam::counters() const { return impl_->counters; }
 Eigen::Vector3d Slam::gyroBias() const { return impl_->gyro_bias; }
 bool Slam::gravityKnown() const { return impl_->gravity_known; }
+double Slam::tiltSigma() const { return impl_->tilt_sigma; }
+std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const {
+  return impl_->mounting.R_base_imu ? impl_->inertial.estimate() : std::nullopt;
+}
 int Slam::mapId() const { return impl_->map_id; }
 
 std::vector<bool> Slam::mapped() const {
@@ -319,8 +310,9 @@ void Slam::reset() {
   impl_->clear();
   impl_->imu.clear();
   impl_->attitude.reset();
+  impl_->inertial.reset();
   impl_->gyro_bias.setZero();
-  impl_->gyro_bias_started = false;
+  impl_->gyro_bias_sigma = impl_->settings.inertial.initial_gyro_bias;
   impl_->last_stamp = -1;
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <set>
+#include <utility>
 
 #include "rgbd_slam/slam.h"
 
@@ -35,8 +36,9 @@ struct Slam::Impl {
   visual_frontend::FeatureTracker tracker;
   visual_frontend::ImuBuffer imu;
   visual_frontend::AttitudeFilter attitude;
+  visual_frontend::InertialAlignment inertial;
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();
-  bool gyro_bias_started = false;
+  double gyro_bias_sigma = 0;
 
   // ---- Map
   visual_frontend::Map map;
@@ -47,7 +49,8 @@ struct Slam::Impl {
   std::map<KeyframeId, KeyframePoints> keyframe_points;
   std::unique_ptr<KeyframeDepth> active_depth;  ///< of the last keyframe
   bool gravity_known = false;
-  bool leveled = false;  ///< or nothing to level with
+  bool leveled = false;      ///< or nothing to level with
+  double tilt_sigma = 0.05;  ///< of the map against gravity, about its origin [rad]
   int map_id = 0;
   SlamCounters counters;
 
@@ -76,8 +79,16 @@ struct Slam::Impl {
   Pose poseOf(const FrameRecord& frame) const {
     return map.keyframe(frame.reference).T_map_camera * frame.T_reference_camera;
   }
-  bool levelMap();  ///< once more is known about gravity than at the start; true when it turned the map
-  void setGravityUncertainty();
+  /// Covariance of a pose in the map, with the tilt of the map that all poses share.
+  Matrix6d withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const;
+
+  // ---- leveling.cpp
+  void startInertial();
+  /// Gravity and biases from the motion up to this frame.
+  void updateInertial(double stamp, const Pose& T_map_camera, const Matrix6d& covariance);
+  /// Up in a camera and its standard deviation [rad], to hold a keyframe by.
+  std::optional<std::pair<Eigen::Vector3d, double>> upOfCamera(const Eigen::Matrix3d& R_map_camera) const;
+  bool levelMap();  ///< when the map leans for certain; true when it turned the map
 
   // ---- tracking.cpp
   struct Tracked {
@@ -94,7 +105,7 @@ struct Slam::Impl {
   PoseResult solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted, bool rotation_known) const;
   /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
   int reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose);
-  void updateMotion(double stamp, const Pose& T_before, const Pose& T_now);
+  void updateMotion(double dt, const Pose& T_before, const Pose& T_now);
 
   // ---- mapping.cpp
   bool keyframeDue(const Pose& T_map_camera, int landmarks) const;

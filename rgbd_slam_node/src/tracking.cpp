@@ -27,19 +27,9 @@ Pose Slam::Impl::predict(double stamp, bool* from_gyro) const {
   return T;
 }
 
-void Slam::Impl::updateMotion(double stamp, const Pose& T_before, const Pose& T_now) {
-  const double dt = stamp - frames.back().stamp;
+void Slam::Impl::updateMotion(double dt, const Pose& T_before, const Pose& T_now) {
   velocity = (T_now.translation() - T_before.translation()) / dt;
-  const Eigen::Matrix3d R_visual = T_before.linear().transpose() * T_now.linear();
-  turn_rate = logSO3(R_visual) / dt;
-  if (!mounting.R_base_imu) return;
-  // What the camera saw turns slowly into the gyro's bias: a frame's rotation is good to a milliradian, so a small
-  // gain.
-  if (const auto R = imu.integrateRotation(frames.back().stamp, stamp, Eigen::Vector3d::Zero())) {
-    const Eigen::Matrix3d R_visual_imu = R_camera_imu.transpose() * R_visual * R_camera_imu;
-    const Eigen::Vector3d bias = logSO3(R_visual_imu.transpose() * *R) / dt;
-    if ((bias - gyro_bias).norm() < 0.3) gyro_bias += (gyro_bias_started ? 0.02 : 0.1) * (bias - gyro_bias);
-  }
+  turn_rate = logSO3(T_before.linear().transpose() * T_now.linear()) / dt;
 }
 
 PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
@@ -110,7 +100,9 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
   }
   track_landmark = std::move(living);
   track_views = std::move(living_views);
-  tracked.pose = solve(correspondences, predicted, from_gyro);
+  // A rotation that may be off by more than a pixel is no known rotation.
+  const double rotation_sigma = gyro_bias_sigma * (stamp - frames.back().stamp);
+  tracked.pose = solve(correspondences, predicted, from_gyro && focal * rotation_sigma < 1.5);
   const PoseResult& pose = tracked.pose;
   if (!pose.success || pose.inlier_count < settings.min_inliers ||
       pose.inlier_count < settings.min_inlier_ratio * correspondences.size()) {

@@ -90,6 +90,37 @@ TEST(Slam, CircleInAGravityAlignedMap) {
   EXPECT_LT(std::sqrt(squares / cloud.size()), 0.02);
 }
 
+/// Angle between the map's z axis and the true vertical, by the pose of a frame.
+double tiltOf(const Robot& robot, const FrameResult& r, double t) {
+  const Eigen::Vector3d up_base = robot.base(t).linear().transpose() * Eigen::Vector3d::UnitZ();
+  return std::acos(std::clamp((r.T_map_base.linear() * up_base).z(), -1.0, 1.0));
+}
+
+TEST(Slam, LevelsAMapThatWasBegunInMotion) {
+  Robot robot;
+  robot.start = 2.0;
+  robot.speed = 0.6;
+  robot.gyro_bias = {0.12, -0.1, 0.12};  // 0.2 rad/s
+  robot.accel_bias = {0.3, -0.3, 0.25};  // 0.5 m/s^2
+  robot.tilt = {0.1, -0.06, 0};
+  robot.sway = 0.02;
+  Slam slam(robot.camera, robot.mounting, {});
+  const Drive run = drive(robot, slam, 2, 12);
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_EQ(slam.counters().maps, 1);
+  int corrected = 0;
+  for (std::size_t i = 0; i < run.results.size(); ++i) {
+    corrected += run.results[i].map_corrected;
+    if (run.stamps[i] < 10) continue;
+    EXPECT_LT(tiltOf(robot, run.results[i], run.stamps[i]), 0.5 * M_PI / 180) << run.stamps[i];
+  }
+  EXPECT_LE(corrected, 4);
+  EXPECT_LT(slam.tiltSigma(), 0.5 * M_PI / 180);
+  EXPECT_LT((slam.gyroBias() - robot.gyro_bias).norm(), 0.004);
+  EXPECT_LT((slam.inertialEstimate()->accel_bias - robot.accel_bias).norm(), 0.12);
+  EXPECT_LT(worst(run, slam.trajectory()), 0.04);
+}
+
 TEST(Slam, SameInputSameOutput) {
   Robot robot;
   Slam a(robot.camera, robot.mounting, {}), b(robot.camera, robot.mounting, {});

@@ -15,6 +15,7 @@
 #include "visual_frontend/bundle_adjustment.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/inertial_alignment.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/pose_graph.h"
@@ -61,6 +62,8 @@ struct SlamSettings {
   int window_fixed = 10;        ///< further keyframes that hold it
   bool use_gravity = true;      ///< roll and pitch priors from the accelerometer
   double gravity_sigma = 0.08;  ///< of those while moving, at least: accelerations look like tilt [rad]
+  visual_frontend::InertialAlignmentSettings inertial;
+  double level_tolerance = 0.005;  ///< the map is levelled anew when it leans by more [rad]
 
   // Loops
   bool loop_closure = true;
@@ -85,7 +88,8 @@ struct SlamSettings {
 /// Where sensors sit on the robot. Base: x forward, y left, z up.
 struct Mounting {
   Pose T_base_camera = Pose::Identity();
-  std::optional<Eigen::Matrix3d> R_base_imu;  ///< none: no IMU is used
+  std::optional<Eigen::Matrix3d> R_base_imu;             ///< none: no IMU is used
+  Eigen::Vector3d p_base_imu = Eigen::Vector3d::Zero();  ///< its place: turning, it feels accelerations there [m]
 };
 
 enum class State { kWaiting, kInitializing, kTracking, kLost };
@@ -138,7 +142,10 @@ class Slam {
   const SlamCounters& counters() const;
   Eigen::Vector3d gyroBias() const;  ///< estimate [rad/s]
   bool gravityKnown() const;         ///< the map was levelled by the accelerometer
-  int mapId() const;                 ///< counts the maps that were begun
+  double tiltSigma() const;          ///< what the map may lean against gravity, standard deviation [rad]
+  /// Gravity and biases from the motion so far; empty without IMU or before there was any.
+  std::optional<visual_frontend::InertialEstimate> inertialEstimate() const;
+  int mapId() const;  ///< counts the maps that were begun
 
   /// Forgets everything except counters and the map's number.
   void reset();

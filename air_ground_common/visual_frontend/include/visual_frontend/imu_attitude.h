@@ -79,6 +79,8 @@ class AttitudeFilter {
   Eigen::Vector3d gyroBias() const { return gyro_bias_; }
   /// True once a rest gave a bias.
   bool biasKnown() const { return bias_known_; }
+  /// From elsewhere, for example InertialAlignment. `certain`: within rest_gyro_change, so that rest is told by it.
+  void setGyroBias(const Eigen::Vector3d& bias, bool certain);
 
  private:
   bool detectRest(const ImuBuffer::Mean& whole) const;
