@@ -37,6 +37,11 @@ class Section {
   void place(const char* key, Eigen::Vector2d* value) {
     if (find(key)) *value = toPoint(node_[key], key, 5000);
   }
+  void numbers(const char* key, std::vector<double>* value) {
+    if (!find(key)) return;
+    *value = node_[key].IsScalar() ? std::vector<double>{as<double>(key, "a number or a list of numbers")}
+                                   : as<std::vector<double>>(key, "a number or a list of numbers");
+  }
   void vector(const char* key, Eigen::Vector3d* value) {
     if (!find(key)) return;
     const auto v = as<std::vector<double>>(key, "a list of three numbers");
@@ -230,6 +235,7 @@ void read(Section s, ImuConfig* i) {
   s.number("mag_rate", &i->mag_rate, 1, 200);
   s.number("mag_noise", &i->mag_noise, 0, 1e-4);
   s.number("mag_disturbance", &i->mag_disturbance, 0, 1e-4);
+  s.flag("ground_magnetometer", &i->ground_magnetometer);
   s.finish();
 }
 
@@ -291,6 +297,28 @@ void read(Section s, BarometerConfig* b) {
   s.number("drift", &b->drift, 0, 100);
   s.number("weather_stddev", &b->weather_stddev, 0, 3000);
   s.finish();
+}
+
+void read(Section s, FaultsConfig* f) {
+  constexpr double kAny = 1e9;  // the ranges are validate()'s: the command line sets the same fields
+  s.number("time_offset", &f->time_offset, -kAny, kAny);
+  s.number("readout_time", &f->readout_time, -kAny, kAny);
+  s.number("vibration", &f->vibration, -kAny, kAny);
+  s.numbers("gyro_bias", &f->gyro_bias);
+  s.numbers("accel_bias", &f->accel_bias);
+  s.flag("start_in_motion", &f->start_in_motion);
+  s.integer("jpeg_quality", &f->jpeg_quality, 0, 100);
+  s.number("clock_offset", &f->clock_offset, -kAny, kAny);
+  s.choice<StaticTransforms>("tf_static", &f->tf_static,
+                             {{"latched", StaticTransforms::kLatched},
+                              {"split", StaticTransforms::kSplit},
+                              {"publishers", StaticTransforms::kPublishers}});
+  s.finish();
+  try {
+    f->validate();
+  } catch (const std::invalid_argument& e) {
+    s.fail("", std::string(": ") + e.what());
+  }
 }
 
 // Optical axis along +y (left) or -y of the base, raised by `pitch`; optical y points down.
@@ -371,6 +399,7 @@ SimConfig loadSimConfig(const std::string& yaml_path) {
   read(s.child("imu"), &config.imu);
   read(s.child("gps"), &config.gps);
   read(s.child("barometer"), &config.barometer);
+  read(s.child("faults"), &config.faults);
   s.finish();
   const auto slash = yaml_path.find_last_of('/');
   config.name = yaml_path.substr(slash == std::string::npos ? 0 : slash + 1);

@@ -49,9 +49,12 @@ inline __attribute__((always_inline)) void rotate(const float R[9], float x, flo
   for (int k = 0; k < 3; ++k) out[k] = R[3 * k] * x + R[3 * k + 1] * y + R[3 * k + 2] * z;
 }
 
-// Sets up rays from `pose` through normalised coordinates; length along the optical axis is then the ray parameter.
-inline void makeRays(const CameraPose& pose, const float* x, const float* y, float max_depth, RTCRayHit8* r) {
+// Sets up a packet's rays through normalised coordinates, its upper row seen from one pose, its lower from another;
+// length along the optical axis is then the ray parameter.
+inline void makeRays(const CameraPose& upper, const CameraPose& lower, const float* x, const float* y, float max_depth,
+                     RTCRayHit8* r) {
   for (int i = 0; i < kLanes; ++i) {
+    const CameraPose& pose = i < 4 ? upper : lower;
     float direction[3];
     rotate(pose.R, x[i], y[i], 1, direction);
     setRay(pose.t, direction, max_depth, i, r);
@@ -79,7 +82,8 @@ struct LightJob {
   RTCScene scene;
   const TriangleShading* triangles;
   const PatchTexture* textures;
-  const CameraPose* poses;  // one a sample
+  const CameraPose* poses;  // one a sample, row after row
+  int row_stride;           // poses from one row to the next; 0: all rows share theirs
   const float* rays;
   int width, height, samples, channels;
   float sky, footprint;
@@ -151,6 +155,7 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(cons
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
   context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  const CameraPose *upper = job.poses + static_cast<std::size_t>(y0) * job.row_stride, *lower = upper + job.row_stride;
   for (int x0 = 0; x0 < w; x0 += 4) {
     float sum[kLanes][4] = {};
     const std::size_t top = static_cast<std::size_t>(y0) * w + x0;
@@ -163,7 +168,7 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(cons
         nx[4 + i] = px[w + i];
         ny[4 + i] = py[w + i];
       }
-      makeRays(job.poses[s], nx, ny, 1e6f, &packet);
+      makeRays(upper[s], lower[s], nx, ny, 1e6f, &packet);
       rtcIntersect8(valid, job.scene, &context, &packet);
       addLight(job, packet, sum);
     }
@@ -242,8 +247,9 @@ Renderer::Renderer(const Scene& scene, const air_ground_common::CameraModel& cam
 
 void Renderer::light(const std::vector<air_ground_common::Pose>& T_world_camera, int channels,
                      std::vector<float>* result) const {
-  if (static_cast<int>(T_world_camera.size()) != samples_)
-    throw std::invalid_argument("one camera pose a sample is needed");
+  const bool rolling = T_world_camera.size() != static_cast<std::size_t>(samples_);
+  if (rolling && T_world_camera.size() != static_cast<std::size_t>(samples_) * camera_.height)
+    throw std::invalid_argument("one camera pose a sample is needed, or as many for every row");
   if (channels != 1 && channels != 3) throw std::invalid_argument("channels must be 1 or 3");
   std::vector<CameraPose> poses;
   for (const auto& T : T_world_camera) poses.push_back(toFloat(T));
@@ -253,6 +259,7 @@ void Renderer::light(const std::vector<air_ground_common::Pose>& T_world_camera,
   job.triangles = scene_.triangles().data();
   job.textures = scene_.textures().data();
   job.poses = poses.data();
+  job.row_stride = rolling ? samples_ : 0;
   job.rays = rays_.data();
   job.width = camera_.width;
   job.height = camera_.height;
@@ -267,17 +274,20 @@ void Renderer::light(const std::vector<air_ground_common::Pose>& T_world_camera,
   for (int y0 = 0; y0 < camera_.height; y0 += 2) lightRows(job, y0);
 }
 
-void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projector_offset, DepthImage* result) const {
-  const CameraPose pose = toFloat(T_world_camera);
+void Renderer::depth(const std::vector<air_ground_common::Pose>& T_world_camera, float projector_offset,
+                     DepthImage* result) const {
   const int w = camera_.width, h = camera_.height;
+  const bool rolling = T_world_camera.size() != 1;
+  if (rolling && T_world_camera.size() != static_cast<std::size_t>(h))
+    throw std::invalid_argument("one camera pose is needed, or one a row");
+  std::vector<CameraPose> poses;
+  for (const auto& T : T_world_camera) poses.push_back(toFloat(T));
   const std::size_t pixels = static_cast<std::size_t>(w) * h;
   result->width = w;
   result->height = h;
   result->depth.assign(pixels, 0.0f);
   result->cosine.assign(pixels, 0.0f);
   result->lit.assign(pixels, 0);
-  const float projector[3] = {pose.t[0] + pose.R[0] * projector_offset, pose.t[1] + pose.R[3] * projector_offset,
-                              pose.t[2] + pose.R[6] * projector_offset};
 #pragma omp parallel for schedule(dynamic, 4)
   for (int y0 = 0; y0 < h; y0 += 2) {
     alignas(32) RTCRayHit8 packet;
@@ -286,6 +296,8 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    const CameraPose& upper = poses[rolling ? y0 : 0];
+    const CameraPose& lower = poses[rolling ? y0 + 1 : 0];
     for (int x0 = 0; x0 < w; x0 += 4) {
       const std::size_t top = static_cast<std::size_t>(y0) * w + x0;
       float nx[kLanes], ny[kLanes];
@@ -295,7 +307,7 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
         ny[i] = centers_[pixels + pixel];
         valid[i] = -1;
       }
-      makeRays(pose, nx, ny, 1e6f, &packet);
+      makeRays(upper, lower, nx, ny, 1e6f, &packet);
       rtcIntersect8(valid, scene_.embree(), &context, &packet);
       for (int i = 0; i < kLanes; ++i) {
         valid[i] = packet.hit.geomID[i] != RTC_INVALID_GEOMETRY_ID ? -1 : 0;
@@ -311,9 +323,10 @@ void Renderer::depth(const air_ground_common::Pose& T_world_camera, float projec
         float* const org[3] = {shadow.org_x, shadow.org_y, shadow.org_z};
         float* const dir[3] = {shadow.dir_x, shadow.dir_y, shadow.dir_z};
         const float back = z - std::min(0.003f, 0.01f * z);
+        const CameraPose& pose = i < 4 ? upper : lower;
         for (int k = 0; k < 3; ++k) {
           org[k][i] = pose.t[k] + back * d[k];
-          dir[k][i] = projector[k] - org[k][i];
+          dir[k][i] = pose.t[k] + pose.R[3 * k] * projector_offset - org[k][i];
         }
         shadow.tnear[i] = 0;
         shadow.tfar[i] = 1;

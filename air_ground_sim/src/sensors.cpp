@@ -151,10 +151,11 @@ void measureDepth(const DepthImage& truth, const DepthConfig& c, std::uint64_t s
   }
 }
 
-Imu::Imu(const ImuConfig& config, const air_ground_common::Pose& T_base_imu, std::uint64_t seed)
-    : config_(config), T_base_imu_(T_base_imu), rng_(seed) {
-  gyro_bias_ = config.gyro_bias * noise();
-  accel_bias_ = config.accel_bias * noise();
+Imu::Imu(const ImuConfig& config, const air_ground_common::Pose& T_base_imu, std::uint64_t seed,
+         const FaultsConfig& faults)
+    : config_(config), T_base_imu_(T_base_imu), rng_(seed), vibration_(faults.vibration, mix(seed, 51)) {
+  gyro_bias_ = initialBias(config.gyro_bias, noise(), faults.gyro_bias);
+  accel_bias_ = initialBias(config.accel_bias, noise(), faults.accel_bias);
 }
 
 Eigen::Vector3d Imu::noise() {
@@ -178,6 +179,9 @@ ImuReading Imu::truth(const BodyState& s) const {
 ImuReading Imu::measure(const BodyState& s) {
   ImuReading r = truth(s);
   const double root_rate = std::sqrt(config_.rate), root_period = 1 / root_rate;
+  const double time = count_++ / config_.rate;
+  r.angular_velocity += vibration_.angularVelocity(time);
+  r.specific_force += vibration_.acceleration(time);
   r.angular_velocity += gyro_bias_ + config_.gyro_noise * root_rate * noise();
   r.specific_force += accel_bias_ + config_.accel_noise * root_rate * noise();
   gyro_bias_ += config_.gyro_bias_walk * root_period * noise();

@@ -5,6 +5,7 @@
 #include <ros/package.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/FluidPressure.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
@@ -27,6 +28,9 @@
 #include <functional>
 #include <iostream>
 #include <mutex>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <optional>
 #include <set>
 #include <sstream>
 #include <thread>
@@ -43,13 +47,37 @@ using namespace air_ground_sim;
 
 constexpr double kStart = 1384300000.0;  // stamp of the recording's time 0 [s]
 
+// Faults of the command line; what is not given there is the world file's.
+struct FaultOptions {
+  bool all = false, start_in_motion = false;
+  std::optional<double> time_offset, readout_time, vibration, clock_offset;
+  std::vector<double> gyro_bias, accel_bias;
+  std::optional<int> jpeg_quality;
+  std::optional<StaticTransforms> tf_static;
+
+  void apply(FaultsConfig* f) const {
+    if (all) *f = FaultsConfig::all();
+    f->time_offset = time_offset.value_or(f->time_offset);
+    f->readout_time = readout_time.value_or(f->readout_time);
+    f->vibration = vibration.value_or(f->vibration);
+    f->clock_offset = clock_offset.value_or(f->clock_offset);
+    if (!gyro_bias.empty()) f->gyro_bias = gyro_bias;
+    if (!accel_bias.empty()) f->accel_bias = accel_bias;
+    f->start_in_motion = f->start_in_motion || start_in_motion;
+    f->jpeg_quality = jpeg_quality.value_or(f->jpeg_quality);
+    f->tf_static = tf_static.value_or(f->tf_static);
+    f->validate();
+  }
+};
+
 struct Options {
   std::string world = "indoor_boxes_a", out, cache, compression = "lz4";
   std::uint64_t seed = 1;
   double duration = 0;
   int samples = 0, threads = 0;
   int queries = 0;
-  bool no_mav = false, no_ground = false, quiet = false, city_only = false, no_city = false;
+  bool no_mav = false, no_ground = false, quiet = false, city_only = false, no_city = false, ground_mag = false;
+  FaultOptions faults;
 };
 
 ros::Time stampOf(double time) { return ros::Time(kStart + time); }
@@ -177,32 +205,39 @@ class BagRecorder {
   void run() {
     writeStaticTransforms();
     struct Event {
-      double time;
+      double time;      // true
       int kind, index;  // kinds in the order in which events of one time are written
+      double recorded;  // time in the bag
     };
     std::vector<Event> events;
-    const auto schedule = [&](int kind, double first, double rate) {
-      for (int i = 0; first + i / rate <= sim_.duration(); ++i) events.push_back({first + i / rate, kind, i});
+    const auto schedule = [&](int kind, double first, double rate, double lateness = 0) {
+      for (int i = 0; first + i / rate <= sim_.duration(); ++i) {
+        const double time = first + i / rate;
+        events.push_back({time, kind, i, time + lateness});
+      }
     };
     const SimConfig& c = sim_.config();
+    const double late = c.faults.time_offset;
     schedule(kTruth, 0, 100);
     std::size_t frames = 0;
     const auto cameraEvents = [&](int kind, const ImagerConfig& camera) {
       for (int i = 0; i < sim_.frameCount(camera); ++i, ++frames)
-        events.push_back({Recording::frameTime(camera, i), kind, i});
+        events.push_back({Recording::frameTime(camera, i), kind, i, Recording::frameTime(camera, i)});
     };
     if (!options_.no_mav) {
-      schedule(kMavImu, 0, c.imu.rate);
-      schedule(kMavMag, 0, c.imu.mag_rate);
+      schedule(kMavImu, 0, c.imu.rate, late);
+      schedule(kMavMag, 0, c.imu.mag_rate, late);
       cameraEvents(kMavImage, c.mav_camera);
       if (frame_ && c.gps.rate > 0) schedule(kGps, 0.1, c.gps.rate);
       if (frame_ && c.barometer.rate > 0) schedule(kPressure, 0, c.barometer.rate);
     }
     if (!options_.no_ground) {
-      schedule(kGroundImu, 0, c.imu.rate);
+      schedule(kGroundImu, 0, c.imu.rate, late);
+      if (c.imu.ground_magnetometer) schedule(kGroundMag, 0, c.imu.mag_rate, late);
       cameraEvents(kGroundImage, c.ground_camera);
     }
-    std::stable_sort(events.begin(), events.end(), [](const Event& a, const Event& b) { return a.time < b.time; });
+    std::stable_sort(events.begin(), events.end(),
+                     [](const Event& a, const Event& b) { return a.recorded < b.recorded; });
 
     const int cameras = (options_.no_mav ? 0 : 1) + (options_.no_ground ? 0 : 1);
     const int threads =
@@ -214,7 +249,7 @@ class BagRecorder {
                                   [this](int i, RgbdFrame* frame) { sim_.groundImage(i, frame); });
 
     Imu mav_imu = sim_.makeMavImu(), ground_imu = sim_.makeGroundImu();
-    Rng mag_noise(mix(options_.seed, 33));
+    Rng mav_mag_noise(mix(options_.seed, 33)), ground_mag_noise(mix(options_.seed, 37));
     GpsReceiver gps(c.gps, mix(options_.seed, 34));
     Barometer barometer(c.barometer, mix(options_.seed, 35));
     Progress progress(frames, options_.quiet);
@@ -224,13 +259,16 @@ class BagRecorder {
           writeTruth(e.time);
           break;
         case kMavImu:
-          writeImu("/mav/imu/data", "mav_imu_link", e.time, mav_imu.measure(sim_.mav().state(e.time)));
+          writeImu(kMav, e.time, mav_imu.measure(sim_.mav().state(e.time)));
           break;
         case kGroundImu:
-          writeImu("/ground/imu/data", "ground_imu_link", e.time, ground_imu.measure(sim_.ground().state(e.time)));
+          writeImu(kGround, e.time, ground_imu.measure(sim_.ground().state(e.time)));
           break;
         case kMavMag:
-          writeMag(e.time, &mag_noise);
+          writeMag(kMav, e.time, sim_.mav().pose(e.time) * c.T_mav_base_imu, &mav_mag_noise);
+          break;
+        case kGroundMag:
+          writeMag(kGround, e.time, sim_.ground().pose(e.time) * c.T_ground_base_imu, &ground_mag_noise);
           break;
         case kGps:
           writeGps(e.time, gps.measure(sim_.mav().pose(e.time).translation()));
@@ -252,47 +290,69 @@ class BagRecorder {
   }
 
  private:
-  enum Kind { kTruth, kMavImu, kGroundImu, kMavMag, kMavImage, kGroundImage, kGps, kPressure };
+  enum Kind { kTruth, kMavImu, kGroundImu, kMavMag, kMavImage, kGroundImage, kGps, kPressure, kGroundMag };
+  enum Robot { kMav, kGround };
+
+  // A stamp of the robot's own clock; the bag's is the MAV's.
+  ros::Time stampOf(Robot robot, double time) const {
+    return ::stampOf(robot == kGround ? time + sim_.config().faults.clock_offset : time);
+  }
+  static std::string nameOf(Robot robot) { return robot == kMav ? "mav" : "ground"; }
 
   void writeStaticTransforms() {
     const SimConfig& c = sim_.config();
     tf2_msgs::TFMessage m;
+    const StaticTransforms mode = c.faults.tf_static;
     m.transforms = {transform("mav_base_link", "mav_camera_optical_frame", c.T_mav_base_camera),
                     transform("mav_base_link", "mav_imu_link", c.T_mav_base_imu)};
     if (c.hasGroundRobot()) {
       m.transforms.push_back(transform("ground_base_link", "ground_camera_optical_frame", c.T_ground_base_camera));
       m.transforms.push_back(transform("ground_base_link", "ground_imu_link", c.T_ground_base_imu));
     }
+    if (mode == StaticTransforms::kLatched) return writeStaticTransforms(m, true, "/simulate");
+    int count = 0;
+    for (const auto& transform : m.transforms) {
+      tf2_msgs::TFMessage one;
+      one.transforms = {transform};
+      if (mode == StaticTransforms::kSplit)
+        writeStaticTransforms(one, false, "/simulate");
+      else
+        writeStaticTransforms(one, true, "/static_publisher_" + std::to_string(++count));
+    }
+  }
+
+  void writeStaticTransforms(const tf2_msgs::TFMessage& m, bool latching, const std::string& publisher) {
     auto header = boost::make_shared<ros::M_string>();
-    (*header)["latching"] = "1";
-    (*header)["callerid"] = "/simulate";
+    if (latching) (*header)["latching"] = "1";
+    (*header)["callerid"] = publisher;
     (*header)["type"] = ros::message_traits::datatype(m);
     (*header)["md5sum"] = ros::message_traits::md5sum(m);
     (*header)["message_definition"] = ros::message_traits::definition(m);
-    bag_.write("/tf_static", stampOf(0), m, header);
+    bag_.write("/tf_static", ::stampOf(0), m, header);
   }
 
   void writeTruth(double time) {
-    const auto write = [&](const std::string& topic, const BodyTrajectory& body) {
+    const auto write = [&](Robot robot, const BodyTrajectory& body) {
       geometry_msgs::PoseStamped m;
-      m.header.stamp = stampOf(time);
+      m.header.stamp = stampOf(robot, time);
       m.header.frame_id = "world";
       const Pose T = body.pose(time);
       m.pose.position.x = T.translation().x();
       m.pose.position.y = T.translation().y();
       m.pose.position.z = T.translation().z();
       m.pose.orientation = toMsg(T.linear());
-      bag_.write(topic, m.header.stamp, m);
+      bag_.write("/ground_truth/" + nameOf(robot), ::stampOf(time), m);
     };
-    if (!options_.no_mav) write("/ground_truth/mav", sim_.mav());
-    if (!options_.no_ground) write("/ground_truth/ground", sim_.ground());
+    if (!options_.no_mav) write(kMav, sim_.mav());
+    if (!options_.no_ground) write(kGround, sim_.ground());
   }
 
-  void writeImu(const std::string& topic, const std::string& frame, double time, const ImuReading& reading) {
+  void writeImu(Robot robot, double time, const ImuReading& reading) {
     const ImuConfig& c = sim_.config().imu;
+    const double late = time + sim_.config().faults.time_offset;
     sensor_msgs::Imu m;
-    m.header.stamp = stampOf(time);
-    m.header.frame_id = frame;
+    m.header.stamp = stampOf(robot, late);
+    m.header.frame_id = nameOf(robot) + "_imu_link";
     m.orientation_covariance[0] = -1;  // no orientation estimate
     m.angular_velocity.x = reading.angular_velocity.x();
     m.angular_velocity.y = reading.angular_velocity.y();
@@ -304,19 +364,19 @@ class BagRecorder {
       m.angular_velocity_covariance[4 * i] = c.gyro_noise * c.gyro_noise * c.rate;
       m.linear_acceleration_covariance[4 * i] = c.accel_noise * c.accel_noise * c.rate;
     }
-    bag_.write(topic, m.header.stamp, m);
+    bag_.write("/" + nameOf(robot) + "/imu/data", ::stampOf(late), m);
   }
 
-  void writeMag(double time, Rng* noise) {
+  void writeMag(Robot robot, double time, const Pose& T_world_imu, Rng* noise) {
     const SimConfig& c = sim_.config();
-    const Pose T_world_imu = sim_.mav().pose(time) * c.T_mav_base_imu;
+    const double late = time + c.faults.time_offset;
     Eigen::Vector3d field = earthMagneticField();
     if (c.imu.mag_disturbance > 0)
       field += magneticDisturbance(T_world_imu.translation(), c.imu.mag_disturbance, mix(options_.seed, 36));
     field = T_world_imu.linear().transpose() * field;
     sensor_msgs::MagneticField m;
-    m.header.stamp = stampOf(time);
-    m.header.frame_id = "mav_imu_link";
+    m.header.stamp = stampOf(robot, late);
+    m.header.frame_id = nameOf(robot) + "_imu_link";
     for (int i = 0; i < 3; ++i) {
       field[i] += c.imu.mag_noise * noise->gaussian();
       m.magnetic_field_covariance[4 * i] = c.imu.mag_noise * c.imu.mag_noise;
@@ -324,14 +384,14 @@ class BagRecorder {
     m.magnetic_field.x = field.x();
     m.magnetic_field.y = field.y();
     m.magnetic_field.z = field.z();
-    bag_.write("/mav/imu/mag", m.header.stamp, m);
+    bag_.write("/" + nameOf(robot) + "/imu/mag", ::stampOf(late), m);
   }
 
   void writeGps(double time, const Eigen::Vector3d& position) {
     const air_ground_common::Geodetic place = frame_->toGeodetic(position);
     const GpsConfig& c = sim_.config().gps;
     sensor_msgs::NavSatFix m;
-    m.header.stamp = stampOf(time);
+    m.header.stamp = ::stampOf(time);
     m.header.frame_id = "mav_base_link";
     m.status.status = sensor_msgs::NavSatStatus::STATUS_FIX;
     m.status.service = sensor_msgs::NavSatStatus::SERVICE_GPS;
@@ -346,7 +406,7 @@ class BagRecorder {
 
   void writePressure(double time, double pressure) {
     sensor_msgs::FluidPressure m;
-    m.header.stamp = stampOf(time);
+    m.header.stamp = ::stampOf(time);
     m.header.frame_id = "mav_base_link";
     m.fluid_pressure = pressure;
     m.variance = std::pow(sim_.config().barometer.noise, 2);
@@ -364,26 +424,42 @@ class BagRecorder {
     return m;
   }
 
+  // As it is, or as a driver with image_transport's compressed plugin publishes it.
+  void writeImage(const std::string& topic, double time, const sensor_msgs::Image& m) {
+    const int quality = sim_.config().faults.jpeg_quality;
+    if (quality == 0) return bag_.write(topic, ::stampOf(time), m);
+    const bool grey = m.encoding == sensor_msgs::image_encodings::MONO8;
+    cv::Mat pixels(static_cast<int>(m.height), static_cast<int>(m.width), grey ? CV_8UC1 : CV_8UC3,
+                   const_cast<std::uint8_t*>(m.data.data()), m.step);
+    cv::Mat bgr;
+    if (!grey) cv::cvtColor(pixels, bgr, cv::COLOR_RGB2BGR);
+    sensor_msgs::CompressedImage jpeg;
+    jpeg.header = m.header;
+    jpeg.format = m.encoding + "; jpeg compressed " + (grey ? "" : "bgr8");
+    cv::imencode(".jpg", grey ? pixels : bgr, jpeg.data, {cv::IMWRITE_JPEG_QUALITY, quality});
+    bag_.write(topic + "/compressed", ::stampOf(time), jpeg);
+  }
+
   void writeMavImage(double time, int index, std::vector<std::uint8_t> pixels) {
-    mav_info_.header.stamp = stampOf(time);
+    mav_info_.header.stamp = stampOf(kMav, time);
     mav_info_.header.seq = index;
     sensor_msgs::Image m = image(mav_info_, sensor_msgs::image_encodings::MONO8, 1);
     m.data.swap(pixels);
-    bag_.write("/mav/camera/image_raw", mav_info_.header.stamp, m);
-    bag_.write("/mav/camera/camera_info", mav_info_.header.stamp, mav_info_);
+    writeImage("/mav/camera/image_raw", time, m);
+    bag_.write("/mav/camera/camera_info", ::stampOf(time), mav_info_);
   }
 
   void writeGroundImage(double time, int index, RgbdFrame frame) {
-    ground_info_.header.stamp = stampOf(time);
+    ground_info_.header.stamp = stampOf(kGround, time);
     ground_info_.header.seq = index;
     sensor_msgs::Image rgb = image(ground_info_, sensor_msgs::image_encodings::RGB8, 3);
     rgb.data.swap(frame.rgb);
     sensor_msgs::Image depth = image(ground_info_, sensor_msgs::image_encodings::TYPE_16UC1, 2);
     depth.data.resize(2 * frame.depth_mm.size());
     std::memcpy(depth.data.data(), frame.depth_mm.data(), depth.data.size());
-    bag_.write("/ground/rgb/image_raw", ground_info_.header.stamp, rgb);
-    bag_.write("/ground/rgb/camera_info", ground_info_.header.stamp, ground_info_);
-    bag_.write("/ground/depth/image_raw", ground_info_.header.stamp, depth);
+    writeImage("/ground/rgb/image_raw", time, rgb);
+    bag_.write("/ground/rgb/camera_info", ::stampOf(time), ground_info_);
+    bag_.write("/ground/depth/image_raw", ::stampOf(time), depth);
   }
 
   Recording& sim_;
@@ -424,12 +500,29 @@ std::string contentKey(const std::string& world_file, const SimConfig& config, c
     for (const fs::path& image : images)
       if (fs::is_regular_file(image)) text << '|' << image.filename() << std::ifstream(image, std::ios::binary).rdbuf();
   }
-  text << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground;
+  text << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground << '|'
+       << config.imu.ground_magnetometer << '|' << config.faults.describe();
   std::uint64_t h = 0;
   for (const char c : text.str()) h = mix(h ^ static_cast<unsigned char>(c));
   char hex[17];
   std::snprintf(hex, sizeof hex, "%016llx", static_cast<unsigned long long>(h));
   return hex;
+}
+
+// What is wrong with the recording, for whoever compares estimates with it.
+void writeFaults(const Recording& recording, const std::string& path) {
+  std::ofstream out(path);
+  const Eigen::IOFormat list(Eigen::StreamPrecision, Eigen::DontAlignCols, ", ", ", ", "", "", "[", "]");
+  out << "# What is wrong with the recording, in metres, seconds, radians. docs/air_ground_sim.md says what each "
+         "means.\n"
+      << recording.config().faults.describe() << "# At time 0, in the inertial units' frames.\n";
+  const auto write = [&](const char* robot, const Imu& imu) {
+    out << robot << "_gyro_bias: " << imu.gyroBias().format(list) << '\n'
+        << robot << "_accel_bias: " << imu.accelBias().format(list) << '\n';
+  };
+  write("mav", recording.makeMavImu());
+  if (recording.config().hasGroundRobot()) write("ground", recording.makeGroundImu());
+  if (!out.flush()) throw std::runtime_error("cannot write " + path);
 }
 
 void renderCity(const SimConfig& config, const Options& o, const std::string& folder) {
@@ -450,6 +543,8 @@ int simulate(Options o) {
   if (o.duration > 0) config.flight.duration = o.duration;
   if (config.flight.duration < 6)
     throw std::invalid_argument("--duration must be at least 6 s: standing still and take-off need them");
+  o.faults.apply(&config.faults);
+  config.imu.ground_magnetometer = config.imu.ground_magnetometer || o.ground_mag;
   if (o.samples > 0) config.mav_camera.samples = config.ground_camera.samples = o.samples;
   if (!o.cache.empty()) {
     fs::create_directories(o.cache);
@@ -493,6 +588,7 @@ int simulate(Options o) {
   const std::string mesh = stem + ".world.ply";
   try {
     air_ground_common::writePly(mesh, recording.scene().mesh());
+    if (config.faults.any()) writeFaults(recording, stem + ".faults.yaml");
     BagRecorder(&recording, o, part).run();
     fs::rename(part, o.out);
   } catch (...) {
@@ -505,6 +601,47 @@ int simulate(Options o) {
 }
 
 }  // namespace
+
+void addFaultOptions(CLI::App* app, FaultOptions* f) {
+  const std::map<std::string, StaticTransforms> modes = {{"latched", StaticTransforms::kLatched},
+                                                         {"split", StaticTransforms::kSplit},
+                                                         {"publishers", StaticTransforms::kPublishers}};
+  const std::string group = "Faults (section `faults` of a world file; what is used is written to x.faults.yaml)";
+  app->add_option_function<std::string>(
+         "--faults", [f](const std::string&) { f->all = true; },
+         "all: time offset 0.02 s, readout 0.02 s, vibration 1 m/s^2, biases of 0.08 rad/s and 0.3 m/s^2, start in\n"
+         "motion, JPEG 80 at once; an option beside it replaces its value")
+      ->check(CLI::IsMember({"all"}))
+      ->group(group);
+  app->add_option(
+         "--time-offset", f->time_offset,
+         "stamps of the IMUs (and magnetometers) are late by this against the images': stamp = true time + S [s]")
+      ->group(group);
+  app->add_option("--readout-time", f->readout_time,
+                  "rolling shutters of all cameras: row r is seen at stamp + (r / height - 1/2) S [s]")
+      ->group(group);
+  app->add_option("--vibration", f->vibration,
+                  "of the IMUs, 30 to 120 Hz: root mean square of each accelerometer's axis [m/s^2]")
+      ->group(group);
+  app->add_option("--gyro-bias", f->gyro_bias,
+                  "at time 0: its norm, in a direction drawn by the seed, or three numbers [rad/s]")
+      ->expected(1, 3)
+      ->group(group);
+  app->add_option("--accel-bias", f->accel_bias, "likewise [m/s^2]")->expected(1, 3)->group(group);
+  app->add_flag("--start-in-motion", f->start_in_motion, "begins after take-off and the ground robot's setting off")
+      ->group(group);
+  app->add_option(
+         "--jpeg", f->jpeg_quality,
+         "quality 1 to 100: sensor_msgs/CompressedImage on <topic>/compressed in place of raw images (depth stays)")
+      ->group(group);
+  app->add_option("--tf-static", f->tf_static,
+                  "latched: one message; split: a message a transform, not latched; publishers: each by a latching\n"
+                  "publisher of its own")
+      ->transform(CLI::CheckedTransformer(modes))
+      ->group(group);
+  app->add_option("--clock-offset", f->clock_offset, "the ground robot's clock is ahead of the MAV's by this [s]")
+      ->group(group);
+}
 
 int main(int argc, char** argv) {
   Options o;
@@ -532,6 +669,8 @@ int main(int argc, char** argv) {
   app.add_option("--queries", o.queries,
                  "street worlds: so many pictures of the flight in x.city/queries, with their truth")
       ->check(CLI::Range(0, 100000));
+  app.add_flag("--ground-mag", o.ground_mag, "a magnetometer on the ground robot, too: /ground/imu/mag");
+  addFaultOptions(&app, &o.faults);
   app.add_flag("--quiet", o.quiet, "no progress bar");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -133,8 +133,8 @@ BodyTrajectory makeStreetFlight(const Street& street, const FlightConfig& f, std
                     const Eigen::Vector4d s = schedule.at(std::max(0.0, tf - 2.0));
                     Vector3d p(s[0], s[1], 0);
                     const double ground = street.ground(p.head<2>());
-                    p.z() =
-                        ground + kStandingHeight + (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / 6.0);
+                    p.z() = ground + kStandingHeight +
+                            (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / kClimbTime);
                     for (int axis = 0; axis < 3; ++axis)
                       for (int k = 0; k < 2; ++k)
                         p[axis] +=

@@ -110,7 +110,6 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
   const double height_phase = rng.uniform(0, 2 * M_PI), radius_phase = rng.uniform(0, 2 * M_PI),
                yaw_phase = rng.uniform(0, 2 * M_PI);
   const double yaw_swing = rng.uniform(0.4, 0.8), yaw_drift = rng.uniform(-0.02, 0.02);
-  const double climb = 6.0;  // [s]
 
   const auto build = [&](double progress_speed) {
     const double mean_radius = 0.5 * (c.loop_x + c.loop_y);
@@ -129,8 +128,8 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
       p.y() = c.center.y() + c.loop_y * scale * std::sin(phi);
       const double cruise = 0.5 * (c.min_height + c.max_height) +
                             0.5 * (c.max_height - c.min_height) * std::sin(0.55 * (phi - phi0) + height_phase);
-      p.z() = kStandingHeight +
-              (std::max(cruise, clearance(p.head<2>(), 0.6) + c.clearance) - kStandingHeight) * smoothStep(tf / climb);
+      p.z() = kStandingHeight + (std::max(cruise, clearance(p.head<2>(), 0.6) + c.clearance) - kStandingHeight) *
+                                    smoothStep(tf / kClimbTime);
       for (int axis = 0; axis < 3; ++axis)
         for (int k = 0; k < 2; ++k) {
           const double w = 2 * M_PI / period[axis][k];
@@ -186,7 +185,7 @@ BodyTrajectory makeDrive(const LaneConfig& lane, double duration, std::uint64_t 
   const std::vector<Eigen::Vector2d> curve = smoothLane(lane.points);
   std::vector<double> arc(curve.size(), 0.0);
   for (std::size_t i = 1; i < curve.size(); ++i) arc[i] = arc[i - 1] + (curve[i] - curve[i - 1]).norm();
-  const double ramp = 1.5, moving = std::max(2 * ramp + 0.1, duration - lane.stand_still - 0.5);
+  const double ramp = kDriveRamp, moving = std::max(2 * ramp + 0.1, duration - lane.stand_still - 0.5);
   const double speed = arc.back() / (moving - ramp);
   const double phase = rng.uniform(0, 2 * M_PI), period = rng.uniform(8, 11);
   double previous_yaw = 0;

@@ -7,6 +7,7 @@
 
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
+#include "air_ground_sim/faults.h"
 
 namespace air_ground_sim {
 
@@ -124,16 +125,17 @@ struct LaneConfig {
 /// Noise of an inertial unit; the defaults are those of a consumer MEMS unit (InvenSense MPU-9250 data sheet rev 1.1:
 /// 0.01 deg/s/sqrt(Hz), 300 ug/sqrt(Hz)), bias walks as found by Allan variance for this class.
 struct ImuConfig {
-  double rate = 200;               ///< [Hz]
-  double gyro_noise = 1.7e-4;      ///< [rad/s/sqrt(Hz)]
-  double accel_noise = 2.9e-3;     ///< [m/s^2/sqrt(Hz)]
-  double gyro_bias_walk = 2.0e-5;  ///< [rad/s^2/sqrt(Hz)]
-  double accel_bias_walk = 6e-4;   ///< [m/s^3/sqrt(Hz)]
-  double gyro_bias = 0.01;         ///< standard deviation of the initial bias [rad/s]
-  double accel_bias = 0.06;        ///< standard deviation of the initial bias [m/s^2]
-  double mag_rate = 50;            ///< [Hz]
-  double mag_noise = 3e-7;         ///< [T]
-  double mag_disturbance = 0;      ///< by iron nearby, root mean square of each axis [T]; changes over a few metres
+  double rate = 200;                 ///< [Hz]
+  double gyro_noise = 1.7e-4;        ///< [rad/s/sqrt(Hz)]
+  double accel_noise = 2.9e-3;       ///< [m/s^2/sqrt(Hz)]
+  double gyro_bias_walk = 2.0e-5;    ///< [rad/s^2/sqrt(Hz)]
+  double accel_bias_walk = 6e-4;     ///< [m/s^3/sqrt(Hz)]
+  double gyro_bias = 0.01;           ///< standard deviation of the initial bias [rad/s]
+  double accel_bias = 0.06;          ///< standard deviation of the initial bias [m/s^2]
+  double mag_rate = 50;              ///< [Hz]
+  double mag_noise = 3e-7;           ///< [T]
+  double mag_disturbance = 0;        ///< by iron nearby, root mean square of each axis [T]; changes over a few metres
+  bool ground_magnetometer = false;  ///< the ground robot carries one, too
 };
 
 struct ImagerConfig {
@@ -173,6 +175,7 @@ struct SimConfig {
   ImuConfig imu;
   GpsConfig gps;
   BarometerConfig barometer;
+  FaultsConfig faults;
   air_ground_common::Pose T_mav_base_camera = air_ground_common::Pose::Identity();
   air_ground_common::Pose T_mav_base_imu = air_ground_common::Pose::Identity();
   air_ground_common::Pose T_ground_base_camera = air_ground_common::Pose::Identity();

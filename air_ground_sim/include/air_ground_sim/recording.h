@@ -33,7 +33,7 @@ class Recording {
   const Street& street() const { return *street_; }            ///< only where config().hasCity()
   double duration() const { return config_.flight.duration; }  ///< [s]
 
-  /// Time of frame i of a camera: the middle of its exposure [s].
+  /// Time of frame i of a camera: the middle of its middle row's exposure [s].
   static double frameTime(const ImagerConfig& camera, int i) { return 0.05 + i / camera.rate; }
   int frameCount(const ImagerConfig& camera) const;
 
@@ -53,9 +53,12 @@ class Recording {
   Imu makeGroundImu() const;
 
  private:
+  /// Poses of a camera while it takes a frame: each sample's of the exposure, for all rows or row by row as its shutter
+  /// rolls. `samples` 1 and exposure 0: at the rows' middle.
   std::vector<air_ground_common::Pose> posesOver(const BodyTrajectory& body,
                                                  const air_ground_common::Pose& T_base_camera, double middle,
-                                                 double exposure, int samples) const;
+                                                 double exposure, int samples, int height) const;
+  void planWays();
   SimConfig config_;
   std::uint64_t seed_;
   std::unique_ptr<Street> street_;

@@ -26,14 +26,19 @@ class Renderer {
   int samples() const { return samples_; }
 
   /// Light of each pixel, linear, 1 = a white surface in full light. Sample s of every pixel is seen from
-  /// T_world_camera[s] (size: samples()). `channels` 1 (luminance) or 3 (R G B interleaved); the result has width *
-  /// height * channels.
+  /// T_world_camera[s] (size: samples()), or, with a rolling shutter, in row r from T_world_camera[r * samples() + s]
+  /// (size: height * samples()). `channels` 1 (luminance) or 3 (R G B interleaved); the result has width * height *
+  /// channels.
   void light(const std::vector<air_ground_common::Pose>& T_world_camera, int channels,
              std::vector<float>* result) const;
 
   /// Depth through pixel centres. `projector_offset` is the projector's place along the camera's x axis [m]; 0: no
-  /// shadow.
-  void depth(const air_ground_common::Pose& T_world_camera, float projector_offset, DepthImage* result) const;
+  /// shadow. One pose for all rows, or one a row.
+  void depth(const std::vector<air_ground_common::Pose>& T_world_camera, float projector_offset,
+             DepthImage* result) const;
+  void depth(const air_ground_common::Pose& T_world_camera, float projector_offset, DepthImage* result) const {
+    depth(std::vector<air_ground_common::Pose>{T_world_camera}, projector_offset, result);
+  }
 
  private:
   const Scene& scene_;

@@ -6,6 +6,7 @@
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_sim/config.h"
+#include "air_ground_sim/faults.h"
 #include "air_ground_sim/random.h"
 #include "air_ground_sim/renderer.h"
 #include "air_ground_sim/trajectory.h"
@@ -61,11 +62,12 @@ struct ImuReading {
 /// Inertial unit fixed to a body; call measure() with rising times, one period apart.
 class Imu {
  public:
-  Imu(const ImuConfig& config, const air_ground_common::Pose& T_base_imu, std::uint64_t seed);
+  Imu(const ImuConfig& config, const air_ground_common::Pose& T_base_imu, std::uint64_t seed,
+      const FaultsConfig& faults = FaultsConfig());
 
   /// What a perfect unit reads.
   ImuReading truth(const BodyState& state) const;
-  /// truth() with bias and white noise; advances the bias walk by one period.
+  /// truth() with bias, vibration and white noise; advances the bias walk by one period.
   ImuReading measure(const BodyState& state);
   const Eigen::Vector3d& gyroBias() const { return gyro_bias_; }
   const Eigen::Vector3d& accelBias() const { return accel_bias_; }
@@ -75,6 +77,8 @@ class Imu {
   ImuConfig config_;
   air_ground_common::Pose T_base_imu_;
   Rng rng_;
+  Vibration vibration_;
+  int count_ = 0;  // of readings
   Eigen::Vector3d gyro_bias_, accel_bias_;
 };
 

@@ -16,6 +16,13 @@ class QuinticSpline {
   double begin() const { return start_; }  ///< first time with full support [s]
   double end() const { return start_ + interval_ * static_cast<double>(control_points_.size() - 5); }
 
+  /// The same values a while [s] earlier: its time 0 is this one's time `begin`.
+  QuinticSpline beginningAt(double begin) const {
+    QuinticSpline later = *this;
+    later.start_ -= begin;
+    return later;
+  }
+
   /// The derivative of order 0 to 5 with respect to time; `time` is clamped to [begin, end].
   Value evaluate(double time, int derivative = 0) const;
 

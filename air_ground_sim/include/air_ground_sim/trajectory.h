@@ -31,6 +31,8 @@ class BodyTrajectory {
   air_ground_common::Pose pose(double time) const;
   const QuinticSpline& spline() const { return spline_; }
   double pathLength(double from, double to) const;  ///< [m]
+  /// What is left from the time `begin` on [s], which becomes time 0.
+  BodyTrajectory beginningAt(double begin) const { return BodyTrajectory(spline_.beginningAt(begin), flies_); }
 
  private:
   void attitude(double time, Eigen::Matrix3d* R, Eigen::Vector3d* omega) const;
@@ -55,6 +57,8 @@ QuinticSpline splineAlong(double duration, const std::function<Eigen::Vector4d(d
 /// 0 to 1 over [0, 1], clamped outside, with vanishing first and second derivatives at both ends.
 double smoothStep(double x);
 
+constexpr double kClimbTime = 6.0;        ///< of a flight, after standing still [s]
+constexpr double kDriveRamp = 1.5;        ///< of a drive, from rest to its speed [s]
 constexpr double kStandingHeight = 0.10;  ///< base_link of the MAV above the floor before take-off [m]
 
 /// Points of a Catmull-Rom curve through `points`, every ~1 cm.
