@@ -2,9 +2,8 @@
 from collections import namedtuple
 
 import numpy as np
-import rosbag
 
-from .bag_reader import POSE_TYPES, BagFacts
+from .bag_reader import POSE_TYPES, BagFacts, open_bag
 
 ERROR, WARNING, OK = 'ERROR', 'WARNING', 'ok'
 Finding = namedtuple('Finding', 'level text')
@@ -40,7 +39,7 @@ class Stream:
 def read(path, topics):
     """One pass over the bag; images are kept only as a few samples."""
     streams = {topic: Stream() for topic in topics}
-    with rosbag.Bag(path) as bag:
+    with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
             stream = streams[topic]
             stream.times.append(time.to_sec())

@@ -27,6 +27,7 @@ class Recorded:
     evaluate_map: str = 'evaluate_map'   # the program
     has_map: bool = False                # augmented_map.ply was written
     wall_time: float = 0.0
+    switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
     tf_publishers: Dict[str, set] = field(default_factory=dict)  # 'parent -> child': nodes that publish the transform
     notes: List[str] = field(default_factory=list)
@@ -81,6 +82,9 @@ class Report:
 
     def _odometry(self, prefix, robot, track, truth):
         v = self.values
+        if robot in self.r.switched_off:
+            v[f'{prefix}_switched_off'] = True
+            return
         v[f'{prefix}_poses'] = len(track)
         v[f'{prefix}_estimated_path_length_m'] = evaluation.path_length(track.poses[:, :3, 3]) if len(track) else 0.0
         v[f'{prefix}_coverage_percent'] = 100 * evaluation.coverage(track.stamps, self.r.begin, self.r.end, max_gap=1.0)
@@ -158,6 +162,8 @@ class Report:
 
     def refusal(self):
         """Why nothing was accepted, in one line."""
+        if self.r.switched_off and not self.r.estimates:
+            return f'{" and ".join(self.r.switched_off)} switched off'
         refined = [e for e in self.r.estimates if e.stage == STAGE_REFINED]
         coarse = [e for e in self.r.estimates if e.stage == STAGE_COARSE]
         waiting = refined and refined[-1].status == STATUS_SEARCHING  # for the coarse stage, whose reason then is the one that counts
@@ -226,6 +232,8 @@ class Report:
             rows.append((label, ours, paper))
 
         def odometry(prefix, label, paper):
+            if v.get(f'{prefix}_switched_off'):
+                return add(label, 'switched off')
             if f'{prefix}_ate_rmse_m' in v:
                 add(f'{label} ATE RMSE', f'{v[f"{prefix}_ate_rmse_m"]:.3f} m = {v[f"{prefix}_ate_rmse_percent_of_path"]:.2f} % of '
                     f'{v[f"{prefix}_path_length_m"]:.1f} m', paper)
