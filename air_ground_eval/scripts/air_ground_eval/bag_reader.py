@@ -67,8 +67,7 @@ class BagFacts:
             except ValueError:
                 self.broken_edges.add(f'{parent} -> {child}')
                 continue
-            self.edges = {names: T for names, T in self.edges.items() if names[1] != child}
-            self.edges[(parent, child)] = transform
+            self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
             self.static[child] = edge
 
     def of_type(self, *kinds):
