@@ -302,6 +302,7 @@ class DatasetToBag(unittest.TestCase):
         data = os.environ.get('AIR_GROUND_TEST_DATA') or os.path.join(HERE, '..', '..', '..', 'shared', 'data')
         found = [(name, count) for name, count in (('euroc_v101_start', 90), ('handheld_l515', 1059), ('agz_zurich', 0)) if os.path.isdir(os.path.join(data, name))]
         if not found:
+            print(f'[  SKIPPED ] DatasetToBag.test_real_recordings: no recordings in {data}')  # for tools/run_tests: rosunit's results do not tell
             self.skipTest(f'no recordings in {data}')
         for name, count in found:
             recording = datasets.read_recording(os.path.join(data, name), 'auto', {})
