@@ -98,7 +98,7 @@ function(air_ground_bench)
   target_link_libraries(${target} PRIVATE ${ARG_LINK} benchmark::benchmark benchmark::benchmark_main)
   if(CATKIN_ENABLE_TESTING)
     add_test(NAME ${ARG_NAME}_once COMMAND ${CMAKE_SOURCE_DIR}/tools/run_benchmark_once $<TARGET_FILE:${target}>)
-    set_tests_properties(${ARG_NAME}_once PROPERTIES TIMEOUT 300 LABELS benchmark ENVIRONMENT OMP_WAIT_POLICY=passive)
+    set_tests_properties(${ARG_NAME}_once PROPERTIES TIMEOUT 600 LABELS benchmark COST 20 ENVIRONMENT OMP_WAIT_POLICY=passive)
   endif()
 endfunction()
 
