@@ -90,7 +90,9 @@ class Documentation(unittest.TestCase):
     def test_services_are_documented(self):
         page = read('docs', 'frames_and_topics.md')
         for node in NODES:
-            for service in re.findall(r'advertiseService\("(\w+)"', sources(node)):
+            services = re.findall(r'advertiseService\("(\w+)"', sources(node))
+            self.assertTrue(services, f'{node} seems to have no service: does this test still find them?')
+            for service in services:
                 self.assertTrue(f'`{node}/{service}`' in page or service == 'reset', f'{node}/{service} is not documented')
 
     def test_parameters(self):

@@ -52,11 +52,12 @@ class BagFacts:
             try:
                 for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
                     self.static_latched &= header.get('latching', b'0') in (b'1', '1')
-                    self._add_static(message)
+                    self.add_static(message)
             except (rosbag.ROSBagException, OSError, ValueError) as error:
                 raise BagError(f'{path} is damaged ({error}): run  rosbag reindex "{path}"  and try again') from error
 
-    def _add_static(self, message):
+    def add_static(self, message):
+        """Transforms of a TFMessage: of this bag, or of another publisher."""
         self.static_messages += 1
         for edge in message.transforms:
             parent, child = edge.header.frame_id.lstrip('/'), edge.child_frame_id.lstrip('/')
@@ -66,8 +67,7 @@ class BagFacts:
             except ValueError:
                 self.broken_edges.add(f'{parent} -> {child}')
                 continue
-            self.edges = {names: T for names, T in self.edges.items() if names[1] != child}
-            self.edges[(parent, child)] = transform
+            self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
             self.static[child] = edge
 
     def of_type(self, *kinds):

@@ -267,18 +267,18 @@ def wait_to_listen(bag, nodes, more_topics=(), timeout=60.0):
 def missing_inputs(bag, inputs):
     """Topic -> why nothing can come on it, for those of `inputs` (argument, topic, message type) that neither bag nor node publishes."""
     try:
-        published = _system_state()[0]
+        published, listeners = _system_state()
     except (rosgraph.MasterException, OSError):
-        published = {}
+        published, listeners = {}, {}
     result = {}
     for argument, topic, kind in inputs:
         topic = rospy.resolve_name(topic)
-        if topic in bag.types or published.get(topic):
+        compressed = [f'{topic}/{name}' for name in ('compressed', 'compressedDepth') if f'{topic}/{name}' in bag.types]
+        if topic in bag.types or published.get(topic) or any(listeners.get(t) for t in compressed):
             continue
         others = bag.of_type(kind)
-        compressed = [t for t in bag.types if t.rsplit('/', 1)[-1] in ('compressed', 'compressedDepth') and t.rsplit('/', 1)[0] == topic]
         if compressed:
-            hint = f'it has {compressed[0]}'
+            hint = f'it has {compressed[0]}: set {argument.split("_")[0]}_image_transport:=compressed'
         elif others:
             hint = f'of type {kind} it has {", ".join(others)}: set {argument}:='
         else:
