@@ -11,7 +11,7 @@ namespace {
 constexpr double kRestBiasSigma = 0.03;   // [rad/s]
 constexpr double kBiasForRest = 0.003;    // [rad/s]; known so well, the bias tells rest from slow turns
 constexpr double kUpForKeyframes = 0.01;  // [rad]; known so well, gravity holds the keyframes
-constexpr double kSureOfTilt = 5;         // standard deviations, while the direction is still getting better
+constexpr double kSureOfTilt = 3;         // standard deviations, while the direction is still getting better
 
 }  // namespace
 

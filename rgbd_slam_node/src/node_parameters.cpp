@@ -29,6 +29,11 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   SlamSettings& s = n.slam;
   s.gravity_timeout = p.number("gravity_timeout", s.gravity_timeout, 0.0, 60.0);
   s.use_gravity = p.flag("use_gravity", s.use_gravity);
+  s.time_offset = p.number("time_offset", s.time_offset, -1.0, 1.0);
+  s.readout_time = p.number("readout_time", s.readout_time, -0.2, 0.2);
+  s.inertial.initial_gyro_bias = p.number("max_gyro_bias", 2 * s.inertial.initial_gyro_bias, 0.001, 2.0) / 2;
+  s.inertial.initial_accel_bias = p.number("max_accel_bias", 2 * s.inertial.initial_accel_bias, 0.001, 5.0) / 2;
+  s.level_tolerance = p.number("level_tolerance", s.level_tolerance, 0.001, 0.5);
   s.gravity_sigma = p.number("gravity_sigma", s.gravity_sigma, 0.001, 0.5);
 
   s.depth.sigma_base = p.number("depth_sigma_base", s.depth.sigma_base, 1e-5, 0.5);
@@ -46,6 +51,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.min_inlier_ratio = p.number("min_inlier_ratio", s.min_inlier_ratio, 0.0, 0.95);
   s.max_speed = p.number("max_speed", s.max_speed, 0.01, 100.0);
   s.relocalization_slack = p.number("relocalization_slack", s.relocalization_slack, 0.0, 100.0);
+  s.relocalization_interval = p.number("relocalization_interval", s.relocalization_interval, 0.0, 60.0);
   s.reobserve_every = p.integer("reobserve_every", s.reobserve_every, 0, 1000);
   s.local_keyframes = p.integer("local_keyframes", s.local_keyframes, 1, 100);
   s.restart_after = p.number("restart_after", s.restart_after, 0.0, 3600.0);

@@ -37,6 +37,8 @@ void SlamSettings::validate() const {
   depth.validate();
   cloud.validate();
   require(pixel_sigma > 0, "pixel_sigma must be positive");
+  require(std::abs(time_offset) <= 1, "time_offset must be within 1 s");
+  require(std::abs(readout_time) <= 0.2, "readout_time must be within 0.2 s");
   require(min_start_features >= 10, "min_start_features must be at least 10");
   require(min_inliers >= 6, "min_inliers must be at least 6");
   require(min_inlier_ratio >= 0 && min_inlier_ratio < 1, "min_inlier_ratio must be in [0, 1)");
@@ -44,6 +46,7 @@ void SlamSettings::validate() const {
   require(local_keyframes >= 1, "local_keyframes must be at least 1");
   require(max_speed > 0, "max_speed must be positive");
   require(relocalization_slack >= 0, "relocalization_slack must not be negative");
+  require(relocalization_interval >= 0, "relocalization_interval must not be negative");
   require(max_image_keyframes >= local_keyframes, "max_image_keyframes must be at least local_keyframes");
   require(keyframe_translation > 0 && keyframe_rotation > 0,
           "keyframe_translation and keyframe_rotation must be positive");
@@ -72,7 +75,8 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
       mounting(mounted),
       settings(slam_settings),
       tracker(camera_model, slam_settings.tracker),
-      inertial(imuOnCamera(mounted), slam_settings.inertial) {
+      inertial(imuOnCamera(mounted), slam_settings.inertial),
+      rows(camera_model, slam_settings.readout_time) {
   settings.validate();
   if (!air_ground_common::isValid(mounting.T_base_camera))
     throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
@@ -95,7 +99,7 @@ void Slam::Impl::clear() {
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
-  first_stamp = lost_since = -1;
+  first_stamp = lost_since = last_attempt = -1;
   path = 0;
   velocity.setZero();
   turn_rate.setZero();
@@ -106,6 +110,7 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   FrameResult result;
   result.state = state = State::kInitializing;
   if (first_stamp < 0) first_stamp = stamp;
+  setRowMotion(stamp, Pose::Identity());
   tracker.reset();
   tracker.track(gray);
   tracker.replenish();
@@ -232,7 +237,8 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   } else {
     frames.push_back({stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera});
     if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
-      active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud);
+      active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud,
+                         &rows);
     }
   }
   if (result.map_corrected) inertial.transform(poseOf(frames.back()) * T_map_camera.inverse());
@@ -260,7 +266,9 @@ Slam::Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettin
     : impl_(new Impl(camera, mounting, settings)) {}
 Slam::~Slam() = default;
 
-bool Slam::addImu(const visual_frontend::ImuSample& sample) {
+bool Slam::addImu(const visual_frontend::ImuSample& stamped) {
+  visual_frontend::ImuSample sample = stamped;
+  sample.stamp -= impl_->settings.time_offset;
   if (!impl_->mounting.R_base_imu || !impl_->imu.add(sample)) return false;
   impl_->attitude.add(sample);
   return true;
@@ -280,11 +288,12 @@ air_ground_common::Trajectory Slam::trajectory() const {
 std::vector<PosedPoints> Slam::posedPoints() const {
   std::vector<PosedPoints> result;
   for (const auto& [id, points] : impl_->keyframe_points)
-    result.push_back({impl_->map.keyframe(id).T_map_camera, points});
+    result.push_back({impl_->map.keyframe(id).T_map_camera, points, id});
   if (impl_->active_depth && impl_->map.keyframeCount() > 0) {
     auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(
         impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
-    result.push_back({impl_->map.keyframe(impl_->map.lastKeyframe()).T_map_camera, points});
+    const KeyframeId last = impl_->map.lastKeyframe();
+    result.push_back({impl_->map.keyframe(last).T_map_camera, points, last});
   }
   return result;
 }

@@ -37,6 +37,7 @@ struct Slam::Impl {
   visual_frontend::ImuBuffer imu;
   visual_frontend::AttitudeFilter attitude;
   visual_frontend::InertialAlignment inertial;
+  visual_frontend::RollingShutter rows;  ///< with the motion during the present frame
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();
   double gyro_bias_sigma = 0;
 
@@ -65,6 +66,8 @@ struct Slam::Impl {
   double first_stamp = -1;
   double last_stamp = -1;
   double lost_since = -1;
+  double last_attempt = -1;  ///< at finding the way back [s]
+  std::string lost_reason;   ///< what came of it
   double path = 0;
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
   Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
@@ -100,8 +103,15 @@ struct Slam::Impl {
   Tracked track(double stamp, const cv::Mat& gray, const cv::Mat& depth);
   Tracked relocalize(double stamp, const cv::Mat& gray, const cv::Mat& depth);
   Pose predict(double stamp, bool* from_gyro) const;
+  /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
+  void setRowMotion(double stamp, const Pose& T_map_camera);
+  /// What the camera sees at a pixel, as of the middle row: normalised coordinates, and depth where it is measured.
+  /// `inverse_depth`: as far as known otherwise [1/m].
+  Observation observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                      double inverse_depth = 0) const;
   PoseCorrespondence correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
-                                    const Eigen::Vector2d& normalized, const cv::Mat& depth) const;
+                                    const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                                    const Pose& T_camera_map) const;
   PoseResult solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted, bool rotation_known) const;
   /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
   int reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose);

@@ -20,6 +20,7 @@
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/pose_graph.h"
 #include "visual_frontend/reobservation.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
 
@@ -37,6 +38,11 @@ struct SlamSettings {
   DepthModel depth;
   double pixel_sigma = 0.7;  ///< of a tracked feature [px]
 
+  // Time
+  double time_offset = 0;   ///< the IMU's stamps less the images': a sample was taken at its stamp less this [s]
+  double readout_time = 0;  ///< of a rolling shutter, colour and depth alike: row r is exposed at
+                            ///< stamp + (r / height - 0.5) * readout_time [s]; negative: from the last row up
+
   // Start
   int min_start_features = 40;   ///< features with depth that the first frame must have
   double gravity_timeout = 1.0;  ///< with an IMU: wait this long for the direction of gravity [s]
@@ -49,6 +55,8 @@ struct SlamSettings {
   double max_speed = 3.0;   ///< a faster motion between frames is taken for a failure [m/s]
   double relocalization_slack =
       0.5;  ///< a place recognised while lost may lie this and max_speed times the time lost away [m]
+
+  double relocalization_interval = 0.1;  ///< while lost, places are looked up so often, by the images' stamps [s]
 
   // Keyframes
   double keyframe_translation = 0.15;  ///< distance to the last keyframe, over the median depth
@@ -114,6 +122,7 @@ struct FrameResult {
 
 struct SlamCounters {
   int frames = 0, lost_frames = 0, keyframes = 0, loops = 0, loops_refused = 0, relocalizations = 0, maps = 0;
+  int relocalization_attempts = 0;  ///< frames in which places were looked up
 };
 
 class Slam {

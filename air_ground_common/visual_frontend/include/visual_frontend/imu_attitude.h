@@ -80,7 +80,7 @@ class AttitudeFilter {
   /// True once a rest gave a bias.
   bool biasKnown() const { return bias_known_; }
   /// From elsewhere, for example InertialAlignment. `certain`: within rest_gyro_change, so that rest is told by it.
-  void setGyroBias(const Eigen::Vector3d& bias, bool certain);
+  void setGyroBias(const Eigen::Vector3d& bias, bool certain = true);
 
  private:
   bool detectRest(const ImuBuffer::Mean& whole) const;

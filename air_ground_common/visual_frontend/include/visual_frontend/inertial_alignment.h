@@ -10,8 +10,9 @@
 namespace visual_frontend {
 
 struct InertialAlignmentSettings {
-  /// Coarser than the sensor's data sheet: vibration, time jitter and scale factors count as noise.
-  ImuNoise noise{1e-3, 2e-2, 1e-4, 1e-3};
+  /// Coarser than the sensor's data sheet: vibration, time jitter and scale factors count as noise, and for the gyro the
+  /// drift of the camera's rotation, some milliradians in a second.
+  ImuNoise noise{3e-3, 2e-2, 1e-4, 1e-3};
   double gravity = kGravity;         ///< [m/s^2]
   double gravity_norm_sigma = 0.03;  ///< of that: latitude, height, scale factor of the accelerometer [m/s^2]
   double initial_gyro_bias = 0.1;    ///< standard deviation of each component before anything is known [rad/s]
@@ -19,7 +20,7 @@ struct InertialAlignmentSettings {
   double initial_velocity = 1.5;     ///< the same [m/s]
   double initial_acceleration =
       3.0;                      ///< of the robot at the start, when the specific force is taken for gravity [m/s^2]
-  double map_tilt_walk = 3e-4;  ///< by which the map bends against gravity [rad/sqrt(s)]
+  double map_tilt_walk = 1e-3;  ///< by which the map bends against gravity [rad/sqrt(s)]
   double pose_spacing = 0.1;    ///< poses nearer than this in time share their errors; one of them is used [s]
   double max_interval = 1.0;    ///< without a pose for longer, position and velocity start again [s]
   double gate = 22.5;           ///< of the squared innovation (6 DoF, 99.9 %); beyond it the map has jumped
