@@ -23,6 +23,7 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/image_input.h"
 #include "city_display.h"
 #include "odometry_buffer.h"
 #include "streetview_localizer/localizer.h"
@@ -69,9 +70,10 @@ class StreetviewLocalizerNode {
     synthesized_view_ = handle.advertise<sensor_msgs::Image>("streetview/synthesized_view", 2);
     display_.advertise(&handle_);
 
-    image_ = handle.subscribe("mav/camera/image_raw", 3, &StreetviewLocalizerNode::onImage, this);
+    image_.emplace(handle, "mav/camera/image_raw", settings_.image_transport, false, 3, health_,
+                   "the parameter image_transport, or the launch argument mav_image_transport,",
+                   [this](const ru::ImageMessage& message) { onImage(message); });
     camera_info_ = handle.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
-    health_.expectInput(image_.getTopic());
     health_.expectInput(camera_info_.getTopic());
     if (settings_.use_prior)
       prior_ = handle.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
@@ -112,16 +114,22 @@ class StreetviewLocalizerNode {
     }
   }
 
-  void onImage(const sensor_msgs::Image::ConstPtr& msg) {
-    health_.received(image_.getTopic(), msg->header.stamp);
-    if (!gate_.admit(kImages, msg->header.stamp)) return;
+  void onImage(const ru::ImageMessage& message) {
+    const ros::Time stamp = message.header().stamp;
+    if (!gate_.admit(kImages, stamp)) return;
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!camera_) return health_.count("images without calibration");
+    if (!last_started_.isZero() && stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
+    sensor_msgs::Image::ConstPtr msg;
+    try {
+      msg = message.pixels();
+    } catch (const std::exception& e) {
+      return health_.count(std::string("images that could not be used: ") + e.what());
+    }
     if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
       return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
                            std::to_string(msg->height) + " against " + std::to_string(camera_->width) + " x " +
                            std::to_string(camera_->height) + ")");
-    if (!last_started_.isZero() && msg->header.stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
     if (job_) ++skipped_;
     job_ = Job{msg, *camera_, pass_};
     wake_.notify_all();
@@ -384,7 +392,8 @@ class StreetviewLocalizerNode {
   std::unique_ptr<Localizer> localizer_;
   CityDisplay display_;
   ros::Publisher match_, pose_, match_image_, synthesized_view_;
-  ros::Subscriber image_, camera_info_, prior_, attitude_;
+  std::optional<ru::ImageInput> image_;
+  ros::Subscriber camera_info_, prior_, attitude_;
   ros::ServiceServer reset_;
   ros::Time last_fix_;  // of the worker, as are the tallies
   std::size_t accepted_ = 0, refused_ = 0;
@@ -407,6 +416,7 @@ class StreetviewLocalizerNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "streetview_localizer");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
     ros::spin();
