@@ -27,7 +27,10 @@ def read(*path):
 
 
 def sources(node):
-    return '\n'.join(read(path) for kind in ('cpp', 'h') for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', f'*.{kind}')))
+    paths = [path for kind in ('cpp', 'h') for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', f'*.{kind}'))]
+    if node in ('mav_vo', 'rgbd_slam'):
+        paths.append(os.path.join(ROOT, 'air_ground_common', 'src', 'ros', 'estimator_shell.cpp'))
+    return '\n'.join(read(path) for path in paths)
 
 
 def arguments(launch):

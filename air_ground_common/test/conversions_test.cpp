@@ -3,8 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstring>
 #include <limits>
+#include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
+
+#include "air_ground_common/ros/image_input.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -152,6 +156,55 @@ TEST(Conversions, CloudRoundTripKeepsColourAndDropsNaN) {
   EXPECT_EQ(cloudFromMsg(broken).size(), 1u) << "a colour outside is left out";
   broken.is_bigendian = true;
   EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
+}
+
+sensor_msgs::CompressedImage compressed(const std::string& format, const std::string& extension, const cv::Mat& image,
+                                        std::size_t offset = 0) {
+  sensor_msgs::CompressedImage msg;
+  msg.header.frame_id = "camera";
+  msg.header.stamp = ros::Time(3.5);
+  msg.format = format;
+  std::vector<unsigned char> bytes;
+  cv::imencode(extension, image, bytes);
+  msg.data.assign(offset, 0);
+  msg.data.insert(msg.data.end(), bytes.begin(), bytes.end());
+  return msg;
+}
+
+TEST(Decompressed, ImagesOfAnyKind) {
+  cv::Mat colour(40, 60, CV_8UC3, cv::Scalar(10, 90, 200));
+  auto image = decompressed(compressed("rgb8; jpeg compressed bgr8", ".jpg", colour));
+  EXPECT_EQ(image->encoding, "bgr8");
+  EXPECT_EQ(image->header.frame_id, "camera");
+  EXPECT_EQ(image->header.stamp, ros::Time(3.5));
+  const cv::Vec3b pixel = bgrFromMsg(*image).at<cv::Vec3b>(20, 30);
+  for (int c = 0; c < 3; ++c) EXPECT_NEAR(pixel[c], colour.at<cv::Vec3b>(20, 30)[c], 4);
+  const cv::Mat grey(40, 60, CV_8UC1, cv::Scalar(77));
+  image = decompressed(compressed("mono8; png compressed mono8", ".png", grey));
+  EXPECT_EQ(greyFromMsg(*image).at<std::uint8_t>(5, 5), 77);
+  sensor_msgs::CompressedImage broken = compressed("jpeg", ".jpg", colour);
+  broken.data.resize(30);
+  EXPECT_THROW(decompressed(broken), std::invalid_argument);
+  broken.data.clear();
+  EXPECT_THROW(decompressed(broken), std::invalid_argument);
+}
+
+TEST(Decompressed, Depth) {
+  const cv::Mat millimetres(40, 60, CV_16UC1, cv::Scalar(1234));
+  for (const std::size_t header : {0, 12}) {
+    const auto msg =
+        compressed(header ? "16UC1; compressedDepth png" : "16UC1; png compressed ", ".png", millimetres, header);
+    EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 1.234, 1e-6);
+  }
+  // Inverse depth, as compressed_depth_image_transport quantises it: value = a / z + b.
+  const float a = 10000, b = -99;
+  auto msg = compressed("32FC1; compressedDepth png", ".png",
+                        cv::Mat(40, 60, CV_16UC1, cv::Scalar(std::lround(a / 2.5 + b))), 12);
+  std::memcpy(msg.data.data() + 4, &a, 4);
+  std::memcpy(msg.data.data() + 8, &b, 4);
+  EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 2.5, 1e-3);
+  msg.data.resize(10);
+  EXPECT_THROW(decompressed(msg), std::invalid_argument);
 }
 
 }  // namespace

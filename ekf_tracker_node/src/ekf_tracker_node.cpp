@@ -432,6 +432,7 @@ class EkfTrackerNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "ekf_tracker");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     ekf_tracker::EkfTrackerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
     ros::spin();

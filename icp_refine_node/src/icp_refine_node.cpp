@@ -19,6 +19,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/renewable_subscriber.h"
 #include "node_parameters.h"
 
 namespace icp_refine {
@@ -62,7 +63,8 @@ class IcpRefineNode {
         "augmented_map", 1, [this](const ros::SingleSubscriberPublisher&) { onMapSubscriber(); }, {}, {}, true);
     coarse_subscriber_ = handle_.subscribe("alignment/coarse", 50, &IcpRefineNode::onCoarse, this);
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
-    subscribeGround();
+    ground_subscriber_.emplace(
+        [this] { return handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this); });
     ground_status_subscriber_ = handle_.subscribe("ground/slam_status", 100, &IcpRefineNode::onGroundStatus, this);
     odometry_subscriber_ = handle_.subscribe("mav/odometry", 100, &IcpRefineNode::onOdometry, this);
     status_subscriber_ = handle_.subscribe("mav/vo_status", 500, &IcpRefineNode::onVoStatus, this);
@@ -70,7 +72,8 @@ class IcpRefineNode {
     save_service_ = private_.advertiseService("save_map", &IcpRefineNode::onSave, this);
     reset_service_ = private_.advertiseService("reset", &IcpRefineNode::onReset, this);
     refine_service_ = private_.advertiseService("refine", &IcpRefineNode::onRefine, this);
-    for (const auto* s : {&aerial_subscriber_, &ground_subscriber_}) health_.expectInput(s->getTopic(), false);
+    for (const std::string& topic : {aerial_subscriber_.getTopic(), ground_subscriber_->topic()})
+      health_.expectInput(topic, false);
     if (settings_.publish_tf) {
       tf_timer_ =
           handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
@@ -141,8 +144,7 @@ class IcpRefineNode {
     inbox_.ground.reset();
     ground_map_start_ = ros::Time();
     // A latched map that has come already comes again.
-    ground_subscriber_.shutdown();
-    subscribeGround();
+    ground_subscriber_->renew();
     forgetPoses();
   }
 
@@ -151,10 +153,6 @@ class IcpRefineNode {
     inbox_.manual.reset();
     T_ground_mav_.reset();
     wake_.notify_all();
-  }
-
-  void subscribeGround() {
-    ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
   }
 
   void onMapSubscriber() {
@@ -200,7 +198,7 @@ class IcpRefineNode {
   }
 
   void onGround(const sensor_msgs::PointCloud2::ConstPtr& msg) {
-    health_.received(ground_subscriber_.getTopic(), msg->header.stamp);
+    health_.received(ground_subscriber_->topic(), msg->header.stamp);
     if (!rightFrame("ground maps", msg->header.frame_id, settings_.ground_map_frame)) return;
     auto points = readCloud(*msg, "ground map");
     if (!points) return;
@@ -527,8 +525,9 @@ class IcpRefineNode {
   std::uint8_t last_status_ = 255;
 
   ros::Publisher refined_publisher_, map_publisher_;
-  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
-      odometry_subscriber_, status_subscriber_, guess_subscriber_;
+  std::optional<ros_utils::RenewableSubscriber> ground_subscriber_;
+  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_status_subscriber_, odometry_subscriber_,
+      status_subscriber_, guess_subscriber_;
   ros::ServiceServer save_service_, reset_service_, refine_service_;
   ros::Timer tf_timer_;
   tf2_ros::TransformBroadcaster broadcaster_;
@@ -540,6 +539,7 @@ class IcpRefineNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "icp_refine");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     icp_refine::IcpRefineNode node;
     ros::spin();

@@ -91,8 +91,10 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
 }
 
 void Odometry::Impl::startMap() {
-  if (running.valid()) running.wait();
-  running = {};
+  for (RunningJob* job : {&running_local, &running_full}) {
+    if (job->result.valid()) job->result.wait();
+    *job = {};
+  }
   tracker.reset();
   bootstrap.reset();
   map.clear();
@@ -191,7 +193,7 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
     result.reason = "the image's stamp is not later than the last one's";
     return result;
   }
-  adoptFinished(false);
+  adoptDue();
   image = &gray;
   R_previous_current.reset();
   if (settings.use_imu && last_stamp >= 0) {
@@ -594,7 +596,7 @@ const visual_frontend::Map& Odometry::map() const { return impl_->map; }
 const std::vector<Feature>& Odometry::features() const { return impl_->tracker.features(); }
 bool Odometry::metric() const { return impl_->metric; }
 std::uint32_t Odometry::mapId() const { return impl_->map_id; }
-void Odometry::finish() { impl_->adoptFinished(true); }
+void Odometry::finish() { impl_->adoptAll(); }
 
 std::vector<bool> Odometry::mappedFeatures() const {
   std::vector<bool> mapped;

@@ -52,7 +52,9 @@ struct Odometry::Impl {
   void adjustFully();
   void run(BundleJob job);
   void adopt(const BundleJob& job);
-  void adoptFinished(bool wait);
+  void adoptDue();    ///< of adjustments beside the tracking, what this image must have
+  void adoptLocal();  ///< waits
+  void adoptAll();    ///< waits
   ScaleMeasurement scaleMeasurement(const Pose& T_map_camera, double distance) const;
   void rerunScale();  ///< over the recent images, as the adjusted map places them
   void makeMetric();
@@ -118,7 +120,13 @@ struct Odometry::Impl {
   };
   std::vector<FrameRecord> records;
 
-  std::future<BundleJob> running;
+  /// An adjustment on a thread of its own.
+  struct RunningJob {
+    std::future<BundleJob> result;
+    double stamp = 0;  ///< begun, or last asked for, at this image [s]
+    int images = 0;    ///< since
+  };
+  RunningJob running_local, running_full;
   const cv::Mat* image = nullptr;  ///< the one being processed
 };
 

@@ -1,6 +1,11 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#ifdef __linux__
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#endif
 
 #include "odometry_impl.h"
 #include "visual_frontend/triangulation.h"
@@ -17,6 +22,15 @@ constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an iner
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
 constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
+constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
+constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
+
+/// A thread of the lowest priority delays neither tracking nor local adjustments.
+void yieldToOtherThreads() {
+#ifdef __linux__
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
+#endif
+}
 
 }  // namespace
 
@@ -205,21 +219,45 @@ void Odometry::Impl::run(BundleJob job) {
     adopt(job);
     return;
   }
-  // A thread that is still at work keeps its task; what this one would have done comes with the next keyframe.
-  if (running.valid()) {
-    if (job.full) next_full = last_stamp;
+  RunningJob& slot = job.full ? running_full : running_local;
+  // At most one of each kind. Keyframes closer together than the lag wait for the one before.
+  if (job.full && slot.result.valid()) {
+    next_full = last_stamp;
     return;
   }
-  running = std::async(std::launch::async, [job = std::move(job)]() mutable {
+  if (slot.result.valid()) adoptLocal();
+  slot.stamp = last_stamp;
+  slot.images = 0;
+  slot.result = std::async(std::launch::async, [job = std::move(job)]() mutable {
+    if (job.full) yieldToOtherThreads();
     job.solve();
     return std::move(job);
   });
 }
 
-void Odometry::Impl::adoptFinished(bool wait) {
-  if (!running.valid()) return;
-  if (!wait && running.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
-  adopt(running.get());
+// The image that takes a result over is known when the adjustment begins, not by when its thread has finished: what a
+// recording gives does not depend on how busy the machine is. A late result is waited for, so that no image is tracked
+// on an older map than it would be on an idle machine. The adjustment of the whole map may take seconds; local ones go
+// on beside, and it is asked for once a second of the recording.
+void Odometry::Impl::adoptDue() {
+  if (running_local.result.valid() && ++running_local.images >= kAdoptAfterImages) adoptLocal();
+  if (!running_full.result.valid() || last_stamp - running_full.stamp < kAdoptFullAfter) return;
+  running_full.stamp = last_stamp;
+  if (running_full.result.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+  adoptAll();
+}
+
+// A local result begun before the whole map moved must be in before that.
+void Odometry::Impl::adoptAll() {
+  adoptLocal();
+  if (!running_full.result.valid()) return;
+  adopt(running_full.result.get());
+  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
+}
+
+void Odometry::Impl::adoptLocal() {
+  if (!running_local.result.valid()) return;
+  adopt(running_local.result.get());
   if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
 }
 
@@ -296,7 +334,7 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
 }
 
 void Odometry::Impl::makeMetric() {
-  adoptFinished(true);
+  adoptAll();
   const auto& estimate = scale.state();
   const Eigen::Vector3d up(-estimate.gravity_xy.x(), -estimate.gravity_xy.y(), kGravity);
   air_ground_common::Similarity S;
@@ -337,7 +375,7 @@ void Odometry::Impl::makeMetric() {
   for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
   full_interval = settings.full_interval / 2;
   adjustFully();
-  adoptFinished(true);
+  adoptAll();
   full_interval = settings.full_interval / 2;
   next_full = last_stamp + full_interval;
 }

@@ -1,5 +1,5 @@
-// Runs the odometry over a bag, synchronously and as fast as it goes: writes the trajectory (TUM) and, where the bag
-// holds ground truth, prints the absolute trajectory error and the scale error.
+// Runs the odometry over a bag, synchronously and as fast as it goes, or as the node does at the bag's own rate: writes
+// the trajectory (TUM) and, where the bag holds ground truth, prints the absolute trajectory error and the scale error.
 #include <geometry_msgs/PoseStamped.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
@@ -9,9 +9,11 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <deque>
 #include <iostream>
 #include <map>
+#include <thread>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/trajectory.h"
@@ -43,7 +45,7 @@ int main(int argc, char** argv) {
   std::string bag_path, out, image_topic = "/mav/camera/image_raw", info_topic = "/mav/camera/camera_info",
                              imu_topic = "/mav/imu/data", truth_topic = "/ground_truth/mav", base = "mav_base_link";
   double duration = 0, start = 0;
-  bool verbose = false;
+  bool verbose = false, live = false;
   std::vector<double> calibration;
   mav_vo::OdometrySettings settings;
   app.add_option("bag", bag_path, "bag file")->required();
@@ -57,6 +59,8 @@ int main(int argc, char** argv) {
   app.add_option("--duration", duration, "stop after so much of the bag [s]; 0 = all");
   app.add_option("--calibration", calibration, "fx fy cx cy k1 k2 p1 p2 k3 instead of the bag's")->expected(9);
   app.add_flag("--verbose", verbose, "a line a second");
+  app.add_flag("--live", live,
+               "at the bag's rate, with the bundle adjustment on a thread of its own, as the node runs");
   app.add_option("--seed", settings.seed, "seed");
   app.add_option("--metric-stddev", settings.metric_stddev, "relative scale deviation at which the map becomes metric");
   app.add_option("--reobserve", settings.reobserve_matches, "old landmarks looked for in an image");
@@ -72,6 +76,7 @@ int main(int argc, char** argv) {
                  "relative scale deviation at which the scale filter starts");
   app.add_flag("--imu-off{false}", settings.use_imu, "without IMU");
   CLI11_PARSE(app, argc, argv);
+  settings.synchronous = !live;
 
   rosbag::Bag bag(bag_path, rosbag::bagmode::Read);
   std::optional<air_ground_common::CameraModel> camera;
@@ -106,7 +111,7 @@ int main(int argc, char** argv) {
   mav_vo::Odometry odometry(*camera, T_base_camera, T_base_imu, settings);
   std::deque<sensor_msgs::ImageConstPtr> images;
   air_ground_common::Trajectory truth, online;
-  double newest_imu = -1, first_stamp = -1, metric_at = -1, worst = 0, total = 0, next_line = 0;
+  double newest_imu = -1, first_stamp = -1, metric_at = -1, worst = 0, total = 0, next_line = 0, late = 0;
   std::size_t frames = 0, located = 0;
   std::vector<double> times;
   const auto drain = [&](bool all) {
@@ -134,9 +139,16 @@ int main(int argc, char** argv) {
     }
   };
   const ros::Time begin = rosbag::View(bag).getBeginTime() + ros::Duration(start);
+  const auto played = std::chrono::steady_clock::now();
   const ros::Time end = duration > 0 ? begin + ros::Duration(duration) : ros::TIME_MAX;
   for (const rosbag::MessageInstance& m :
        rosbag::View(bag, rosbag::TopicQuery({image_topic, imu_topic, truth_topic}), begin, end)) {
+    if (live) {
+      const auto due = played + std::chrono::duration<double>((m.getTime() - begin).toSec());
+      const std::chrono::duration<double> behind = std::chrono::steady_clock::now() - due;
+      late = std::max(late, behind.count());
+      std::this_thread::sleep_for(-behind);
+    }
     if (const auto image = m.instantiate<sensor_msgs::Image>()) images.push_back(image);
     if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
       mav_vo::ImuSample sample;
@@ -160,6 +172,7 @@ int main(int argc, char** argv) {
       frames, located, odometry.mapId(), odometry.map().keyframeCount(), metric_at,
       1e3 * total / std::max<std::size_t>(1, frames), times.empty() ? 0 : 1e3 * times[times.size() / 2],
       times.empty() ? 0 : 1e3 * times[times.size() * 95 / 100], 1e3 * worst);
+  if (live) std::printf("live: at most %.2f s behind the bag\n", late);
   if (!truth.empty()) {
     printError("as published", truth, online);
     printError("final       ", truth, final_poses);

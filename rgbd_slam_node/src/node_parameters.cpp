@@ -10,20 +10,13 @@ using air_ground_common::ros_utils::Parameters;
 NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   Parameters p(private_handle);
   NodeSettings n;
-  n.map_frame = p.text("map_frame", "ground_map");
-  n.odom_frame = p.text("odom_frame", "ground_odom");
-  n.base_frame = p.text("base_frame", "ground_base_link");
-  n.publish_tf = p.flag("publish_tf", n.publish_tf);
-  n.camera_frame = p.text("camera_frame", "");
-  n.imu_frame = p.text("imu_frame", "");
-  n.T_base_camera = p.pose("base_camera");
-  n.T_base_imu = p.pose("base_imu");
-  n.transform_timeout = p.number("transform_timeout", n.transform_timeout, 0.0, 600.0);
-
-  n.use_imu = p.flag("use_imu", n.use_imu);
-  n.imu_wait = p.number("imu_wait", n.imu_wait, 0.0, 10.0);
-  n.sync_tolerance = p.number("sync_tolerance", n.sync_tolerance, 0.0, 1.0);
-  n.queue_size = p.integer("queue_size", n.queue_size, 2, 10000);
+  auto& e = n.estimator;
+  e.map_frame = "ground_map";
+  e.odom_frame = "ground_odom";
+  e.base_frame = "ground_base_link";
+  e.queue_size = 300;
+  air_ground_common::ros_utils::readParameters(p, &e);
+  e.sync_tolerance = p.number("sync_tolerance", e.sync_tolerance, 0.0, 1.0);
   n.cloud_interval = p.number("cloud_interval", n.cloud_interval, 0.1, 600.0);
 
   SlamSettings& s = n.slam;

@@ -6,7 +6,6 @@
 #include <map>
 
 #include "rgbd_slam/depth_model.h"
-#include "rgbd_slam/frame_pairer.h"
 #include "rgbd_slam/ground_cloud.h"
 #include "synthetic.h"
 
@@ -236,39 +235,6 @@ TEST(GroundCloud, SmallMovesWait) {
   EXPECT_EQ(cloud.update(keyframes), 1);
   keyframes[2].T_map_camera.linear() *= Eigen::AngleAxisd(0.002, Eigen::Vector3d::UnitZ()).toRotationMatrix();
   EXPECT_EQ(cloud.update(keyframes), 1);  // 8 mm at 4 m
-}
-
-TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
-  FramePairer<int> pairer(0.02, 1.0, 0.3, 100);
-  pairer.addDepth(0.005, 0, 0);
-  pairer.addColour(0.0, 0, 0);
-  pairer.addColour(0.1, 1, 0);
-  ASSERT_TRUE(pairer.front(0));
-  EXPECT_EQ(pairer.take().depth, 0);
-  EXPECT_FALSE(pairer.front(0));  // waits for depth
-  pairer.addDepth(0.085, 1, 0);
-  pairer.addDepth(0.101, 2, 0);
-  ASSERT_TRUE(pairer.front(0));
-  EXPECT_EQ(pairer.take().depth, 2);
-  EXPECT_EQ(pairer.unmatchedDepth(), 1u);
-  pairer.addColour(0.2, 2, 0);
-  pairer.addDepth(0.3, 3, 0);
-  EXPECT_FALSE(pairer.front(0));
-  EXPECT_EQ(pairer.unmatchedColour(), 1u);
-  EXPECT_NEAR(pairer.closestMiss(), 0.1, 1e-9);
-  // Without any depth, colour images give up after a while: not at once, as all depth images may come after all colour
-  // images.
-  FramePairer<int> alone(0.02, 1.0, 0.3, 100);
-  for (int i = 0; i < 30; ++i) alone.addColour(0.1 * i, i, 50);
-  EXPECT_FALSE(alone.front(50.2));
-  EXPECT_EQ(alone.unmatchedColour(), 0u);
-  EXPECT_FALSE(alone.overtaken(0.0, 0.5, 50.2));
-  EXPECT_TRUE(alone.overtaken(0.0, 0.5, 50.4));
-  EXPECT_FALSE(alone.overtaken(2.5, 0.5, 50.4));
-  EXPECT_FALSE(alone.front(50.4));
-  EXPECT_GT(alone.unmatchedColour(), 15u);
-  alone.addColour(0.5, 99, 50.4);  // out of order
-  EXPECT_EQ(alone.overflow(), 1u);
 }
 
 }  // namespace

@@ -25,6 +25,7 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/image_input.h"
 #include "city_display.h"
 #include "match_message.h"
 #include "odometry_buffer.h"
@@ -45,7 +46,6 @@ class StreetviewLocalizerNode {
       : handle_(handle),
         private_handle_(private_handle),
         settings_(readParameters(private_handle)),
-        image_topic_(handle.resolveName("mav/camera/image_raw")),
         info_topic_(handle.resolveName("mav/camera/camera_info")),
         health_("streetview_localizer"),
         listener_(tf_) {
@@ -110,7 +110,6 @@ class StreetviewLocalizerNode {
     synthesized_view_ = handle_.advertise<sensor_msgs::Image>("streetview/synthesized_view", 2);
     display_.advertise(&handle_);
     reset_ = private_handle_.advertiseService("reset", &StreetviewLocalizerNode::onReset, this);
-    health_.expectInput(image_topic_);
     health_.expectInput(info_topic_);
     health_.state(1, "waiting for images");
     if (settings_.use_prior)
@@ -118,7 +117,9 @@ class StreetviewLocalizerNode {
     if (settings_.use_gravity)
       attitude_ = handle_.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
     camera_info_ = handle_.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
-    image_ = handle_.subscribe("mav/camera/image_raw", 3, &StreetviewLocalizerNode::onImage, this);
+    image_.emplace(handle_, "mav/camera/image_raw", settings_.image_transport, false, 3, health_,
+                   "the parameter image_transport, or the launch argument mav_image_transport,",
+                   [this](const ru::ImageMessage& message) { onImage(message); });
   }
 
   // ---- Inputs -------------------------------------------------------------------------------------------------------
@@ -134,16 +135,22 @@ class StreetviewLocalizerNode {
     }
   }
 
-  void onImage(const sensor_msgs::Image::ConstPtr& msg) {
-    health_.received(image_topic_, msg->header.stamp);
-    if (!gate_.admit(kImages, msg->header.stamp)) return;
+  void onImage(const ru::ImageMessage& message) {
+    const ros::Time stamp = message.header().stamp;
+    if (!gate_.admit(kImages, stamp)) return;
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!camera_) return health_.count("images without calibration");
+    if (!last_started_.isZero() && stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
+    sensor_msgs::Image::ConstPtr msg;
+    try {
+      msg = message.pixels();
+    } catch (const std::exception& e) {
+      return health_.count(std::string("images that could not be used: ") + e.what());
+    }
     if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
       return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
                            std::to_string(msg->height) + " against " + std::to_string(camera_->width) + " x " +
                            std::to_string(camera_->height) + ")");
-    if (!last_started_.isZero() && msg->header.stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
     if (job_) ++skipped_;
     job_ = Job{msg, *camera_, pass_};
     wake_.notify_all();
@@ -367,7 +374,7 @@ class StreetviewLocalizerNode {
 
   ros::NodeHandle handle_, private_handle_;
   const NodeSettings settings_;
-  const std::string image_topic_, info_topic_;
+  const std::string info_topic_;
   ru::NodeHealth health_;
   ru::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};  // of the callbacks, which share one thread
   tf2_ros::Buffer tf_;
@@ -375,7 +382,8 @@ class StreetviewLocalizerNode {
   std::unique_ptr<Localizer> localizer_;
   CityDisplay display_;
   ros::Publisher match_, pose_, match_image_, synthesized_view_;
-  ros::Subscriber image_, camera_info_, prior_, attitude_;
+  std::optional<ru::ImageInput> image_;
+  ros::Subscriber camera_info_, prior_, attitude_;
   ros::ServiceServer reset_;
   ros::Time last_fix_;  // of the worker, as are the tallies
   std::size_t accepted_ = 0, refused_ = 0;
@@ -399,6 +407,7 @@ class StreetviewLocalizerNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "streetview_localizer");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
     ros::spin();
