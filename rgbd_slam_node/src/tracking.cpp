@@ -37,7 +37,9 @@ PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, cons
   PoseCorrespondence c;
   c.p_map = p_map;
   c.normalized = normalized;
-  c.sigma = settings.pixel_sigma / focal;
+  const auto noise = camera.normalizedNoise(normalized, settings.pixel_sigma);
+  c.sigma = noise.sigma;
+  c.elongation = noise.elongation;
   if (const auto z = sampleDepth(depth, pixel, settings.depth)) {
     c.depth = *z;
     c.depth_sigma = settings.depth.sigma(*z);
