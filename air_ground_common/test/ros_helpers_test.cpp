@@ -260,13 +260,16 @@ TEST(Calibration, CountsAsNewOnlyWithAnImageOfItsSize) {
   in_use.info.header.frame_id = "camera";
   in_use.info.width = 640;
   in_use.info.height = 480;
+  in_use.camera.width = 640;
+  in_use.camera.height = 480;
   Calibration latest = in_use;
   sensor_msgs::Image image;
   image.header.frame_id = "optical";
   image.width = 640;
   image.height = 480;
   EXPECT_FALSE(recalibrated(in_use, latest, image));
-  latest.info.width = 320;
+  latest.info.binning_x = 2;  // of the same sensor
+  latest.camera.width = 320;
   EXPECT_FALSE(recalibrated(in_use, latest, image)) << "an image of the old size";
   image.width = 320;
   EXPECT_TRUE(recalibrated(in_use, latest, image));
