@@ -298,7 +298,11 @@ NormalizedNoise CameraModel::normalizedNoise(const Eigen::Vector2d& normalized, 
 }
 
 bool CameraModel::contains(const Eigen::Vector2d& p, double border) const {
-  return p.x() >= border && p.y() >= border && p.x() <= width - 1 - border && p.y() <= height - 1 - border;
+  const bool inside = p.x() >= border && p.y() >= border && p.x() <= width - 1 - border && p.y() <= height - 1 - border;
+  if (!inside || model == DistortionModel::kPlumbBob) return inside;
+  double derivative = 0;
+  const double limit = distortedRadius(*this, std::min(max_radius, std::tan(kMaxHalfAngle)), &derivative);
+  return std::hypot((p.x() - cx) / fx, (p.y() - cy) / fy) + border / std::min(fx, fy) <= limit;
 }
 
 CameraModel CameraModel::scaled(double factor) const {

@@ -377,6 +377,8 @@ TEST(Calibration, CountsAsNewOnlyWithAnImageOfItsSize) {
   in_use.info.header.frame_id = "camera";
   in_use.info.width = 640;
   in_use.info.height = 480;
+  in_use.camera.width = 640;
+  in_use.camera.height = 480;
   Calibration latest = in_use;
   sensor_msgs::Image image;
   image.header.frame_id = "optical";

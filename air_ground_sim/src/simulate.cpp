@@ -35,6 +35,7 @@
 #include <sstream>
 #include <thread>
 
+#include "air_ground_common/camera_file.h"
 #include "air_ground_sim/city.h"
 #include "air_ground_sim/positioning.h"
 #include "air_ground_sim/recording.h"
@@ -71,7 +72,7 @@ struct FaultOptions {
 };
 
 struct Options {
-  std::string world = "indoor_boxes_a", out, cache, compression = "lz4";
+  std::string world = "indoor_boxes_a", out, cache, compression = "lz4", mav_camera;
   std::uint64_t seed = 1;
   double duration = 0;
   int samples = 0, threads = 0;
@@ -97,8 +98,8 @@ sensor_msgs::CameraInfo infoOf(const air_ground_common::CameraModel& c, const st
   m.header.frame_id = frame;
   m.width = c.width;
   m.height = c.height;
-  m.distortion_model = "plumb_bob";
-  m.D = {c.k1, c.k2, c.p1, c.p2, c.k3};
+  m.distortion_model = c.distortionName();
+  m.D = c.distortionCoefficients();
   m.K = {c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1};
   m.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
   m.P = {c.fx, 0, c.cx, 0, 0, c.fy, c.cy, 0, 0, 0, 1, 0};
@@ -501,7 +502,8 @@ std::string contentKey(const std::string& world_file, const SimConfig& config, c
       if (fs::is_regular_file(image)) text << '|' << image.filename() << std::ifstream(image, std::ios::binary).rdbuf();
   }
   text << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground << '|'
-       << config.imu.ground_magnetometer << '|' << config.faults.describe();
+       << config.imu.ground_magnetometer << '|' << config.faults.describe() << '|'
+       << air_ground_common::cameraFileText(config.mav_camera.camera, "");
   std::uint64_t h = 0;
   for (const char c : text.str()) h = mix(h ^ static_cast<unsigned char>(c));
   char hex[17];
@@ -546,6 +548,7 @@ int simulate(Options o) {
   o.faults.apply(&config.faults);
   config.imu.ground_magnetometer = config.imu.ground_magnetometer || o.ground_mag;
   if (o.samples > 0) config.mav_camera.samples = config.ground_camera.samples = o.samples;
+  if (!o.mav_camera.empty()) config.mav_camera.camera = air_ground_common::readCameraFile(o.mav_camera);
   if (!o.cache.empty()) {
     fs::create_directories(o.cache);
     o.out =
@@ -657,6 +660,8 @@ int main(int argc, char** argv) {
                  "prints the path");
   app.add_option("--duration", o.duration, "length of the recording [s]; default: the world file's");
   app.add_option("--spp", o.samples, "rays a pixel; default: the world file's")->check(CLI::Range(1, 64));
+  app.add_option("--mav-camera", o.mav_camera,
+                 "calibration of the MAV's camera (camera_info YAML), for example config/cameras/fisheye_150.yaml");
   app.add_option("--threads", o.threads, "default: all cores")->check(CLI::Range(1, 1024));
   app.add_option("--compression", o.compression, "lz4 or none")
       ->check(CLI::IsMember({"lz4", "none"}))

@@ -136,14 +136,22 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   const Common common = commonTracks(first.features, last.features);
   Pose T_first_last = Pose::Identity();
   std::vector<unsigned char> inliers;
+  const auto noiseOf = [this](const std::vector<Eigen::Vector2d>& normalized) {
+    std::vector<visual_frontend::NormalizedNoise> noise;
+    for (const auto& n : normalized) noise.push_back(camera_.normalizedNoise(n, settings_.pixel_sigma));
+    return noise;
+  };
+  const auto noise_a = noiseOf(common.a), noise_b = noiseOf(common.b);
   if (gyro) {
     T_first_last.linear() = first.R_start_camera.transpose() * last.R_start_camera;
     visual_frontend::RansacSettings ransac;
     // The gyro's error moves the rays by more than the pixel noise.
     ransac.threshold = 2.5 * std::hypot(sigma, settings_.gyro_sigma) / sigma;
     ransac.seed = settings_.seed;
-    const auto direction =
-        visual_frontend::translationFromKnownRotation(common.a, common.b, T_first_last.linear(), sigma, ransac);
+    const bool wide = camera_.model != air_ground_common::DistortionModel::kPlumbBob;
+    using Noise = std::vector<visual_frontend::NormalizedNoise>;
+    const auto direction = visual_frontend::translationFromKnownRotation(
+        common.a, common.b, T_first_last.linear(), sigma, ransac, wide ? noise_a : Noise(), wide ? noise_b : Noise());
     if (!direction.success) {
       reason_ = "two-point start: " + direction.reason;
       return std::nullopt;
@@ -180,15 +188,17 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   std::unordered_map<TrackId, int> index;
   for (std::size_t i = 0; i < common.track.size(); ++i) {
     if (!inliers[i]) continue;
-    const auto point = visual_frontend::triangulate(
-        {{Pose::Identity(), common.a[i], sigma, 0, 0}, {T_first_last, common.b[i], sigma, 0, 0}}, triangulation);
+    const auto &na = noise_a[i], &nb = noise_b[i];
+    const auto point = visual_frontend::triangulate({{Pose::Identity(), common.a[i], na.sigma, 0, 0, na.elongation},
+                                                     {T_first_last, common.b[i], nb.sigma, 0, 0, nb.elongation}},
+                                                    triangulation);
     if (!point.ok()) continue;
     const int k = static_cast<int>(problem.points.size());
     index[common.track[i]] = k;
     result.points.push_back({common.track[i], point.p_map});
     problem.points.push_back(point.p_map);
-    problem.measurements.push_back({0, k, common.a[i], sigma, 0, 0});
-    problem.measurements.push_back({1, k, common.b[i], sigma, 0, 0});
+    problem.measurements.push_back({0, k, common.a[i], na.sigma, 0, 0, na.elongation});
+    problem.measurements.push_back({1, k, common.b[i], nb.sigma, 0, 0, nb.elongation});
   }
   const auto enough = [&](std::size_t count) {
     return static_cast<int>(count) >= settings_.min_inliers &&
@@ -205,7 +215,8 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     for (const Feature& f : middle->features) {
       const auto it = index.find(f.id);
       if (it == index.end()) continue;
-      seen.push_back({problem.points[it->second], f.normalized, sigma, 0, 0});
+      const auto noise = camera_.normalizedNoise(f.normalized, settings_.pixel_sigma);
+      seen.push_back({problem.points[it->second], f.normalized, noise.sigma, 0, 0, noise.elongation});
       point_of.push_back(it->second);
     }
     Pose start = air_ground_common::interpolate(Pose::Identity(), T_first_last,
@@ -218,7 +229,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
       problem.cameras.emplace_back();
       problem.cameras.back().T_map_camera = pose.T_map_camera;
       for (std::size_t i = 0; i < seen.size(); ++i)
-        problem.measurements.push_back({2, point_of[i], seen[i].normalized, sigma, 0, 0});
+        problem.measurements.push_back({2, point_of[i], seen[i].normalized, seen[i].sigma, 0, 0, seen[i].elongation});
     } else {
       middle = nullptr;
     }

@@ -176,7 +176,8 @@ std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<Trac
   for (const Feature& f : tracker.features()) {
     const auto id = landmarkOf(f.id);
     if (!id) continue;
-    list.push_back({map.landmark(*id).position, f.normalized, sigma(), 0, 0});
+    const auto noise = camera.normalizedNoise(f.normalized, settings.pixel_sigma);
+    list.push_back({map.landmark(*id).position, f.normalized, noise.sigma, 0, 0, noise.elongation});
     tracks->push_back(f.id);
   }
   return list;

@@ -141,7 +141,9 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
     std::vector<visual_frontend::ViewRay> rays;
     for (const LandmarkObservation& o : seen->second) {
       const Keyframe& keyframe = map.keyframe(o.keyframe);
-      rays.push_back({keyframe.T_map_camera, keyframe.observations[o.index].normalized, sigma(), 0, 0});
+      const Eigen::Vector2d& normalized = keyframe.observations[o.index].normalized;
+      const auto noise = camera.normalizedNoise(normalized, settings.pixel_sigma);
+      rays.push_back({keyframe.T_map_camera, normalized, noise.sigma, 0, 0, noise.elongation});
     }
     const auto point = visual_frontend::triangulate(rays, how);
     if (!point.ok()) {
@@ -186,7 +188,7 @@ void Odometry::Impl::adjustLocally() {
     if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front()))
       fixed.push_back(other.keyframe);
   }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), metric, T_camera_imu);
+  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, metric, T_camera_imu);
   if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
   job.settings.max_iterations = settings.local_iterations;
   job.settings.threads = settings.bundle_threads;
@@ -202,7 +204,7 @@ void Odometry::Impl::adjustFully() {
     fixed.assign(free.begin(), first);
     free.erase(free.begin(), first);
   }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), true, T_camera_imu);
+  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, true, T_camera_imu);
   job.full = true;
   if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
   job.settings.max_iterations = settings.full_iterations;

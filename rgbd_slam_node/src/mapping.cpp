@@ -93,8 +93,9 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
     for (const LandmarkObservation& view : views) {
       const Keyframe& keyframe = map.keyframe(view.keyframe);
       const Observation& seen = keyframe.observations[view.index];
+      const auto noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
       rays.push_back(
-          {keyframe.T_map_camera, seen.normalized, settings.pixel_sigma / focal, seen.depth, seen.depth_sigma});
+          {keyframe.T_map_camera, seen.normalized, noise.sigma, seen.depth, seen.depth_sigma, noise.elongation});
     }
     const auto result = visual_frontend::triangulate(rays, triangulation);
     if (!result.ok()) {

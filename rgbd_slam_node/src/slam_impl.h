@@ -28,7 +28,7 @@ struct Slam::Impl {
   CameraModel camera;
   Mounting mounting;
   SlamSettings settings;
-  double focal;
+  double focal;  ///< [px]
   Pose T_camera_base;
   Eigen::Matrix3d R_camera_imu = Eigen::Matrix3d::Identity();
 

@@ -68,7 +68,9 @@ PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, cons
   PoseCorrespondence c;
   c.p_map = p_map;
   c.normalized = seen.normalized;
-  c.sigma = settings.pixel_sigma / focal;
+  const auto noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
+  c.sigma = noise.sigma;
+  c.elongation = noise.elongation;
   c.depth = seen.depth;
   c.depth_sigma = seen.depth_sigma;
   return c;

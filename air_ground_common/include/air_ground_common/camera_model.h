@@ -75,7 +75,7 @@ struct CameraModel {
   /// rim (by 1/cos^2 of the angle off the axis, radially).
   NormalizedNoise normalizedNoise(const Eigen::Vector2d& normalized, double pixel_sigma) const;
 
-  /// True when the pixel lies at least `border` pixels inside the image.
+  /// True when the pixel lies at least `border` pixels inside the image and inside a wide-angle model's image circle.
   bool contains(const Eigen::Vector2d& pixel, double border = 0) const;
 
   /// The same camera for an image resized by `factor` (keeps pixel-centre conventions).

@@ -108,10 +108,7 @@ struct FeatureTracker::Impl {
   TrackId next_id = 0;
   double survival = 1;
 
-  bool inside(const cv::Point2f& p) const {
-    const float b = static_cast<float>(settings.border);
-    return p.x >= b && p.y >= b && p.x <= camera.width - 1 - b && p.y <= camera.height - 1 - b;
-  }
+  bool inside(const cv::Point2f& p) const { return camera.contains({p.x, p.y}, settings.border); }
 
   std::vector<cv::Mat> lkPyramid(const cv::Mat& image) const {
     std::vector<cv::Mat> result;
@@ -248,6 +245,7 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
     f.previous_pixel = f.pixel;
     f.pixel = {after[i].x, after[i].y};
     f.normalized = s.camera.unproject(f.pixel);
+    if (!f.normalized.allFinite()) continue;
     ++f.age;
     kept.push_back(f);
   }
