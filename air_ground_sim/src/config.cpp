@@ -136,18 +136,29 @@ class Section {
   std::set<std::string> known_;
 };
 
+void read(Section s, RoomsConfig* r) {
+  s.number("size_x", &r->size_x, 8, 14);
+  s.number("size_y", &r->size_y, 6.5, 14);
+  s.number("wall_thickness", &r->wall_thickness, 0.05, 0.4);
+  s.number("door_width", &r->door_width, 0.8, 1.4);
+  s.number("door_height", &r->door_height, 1.9, 2.4);
+  s.finish();
+}
+
 void read(Section s, WorldConfig* w) {
   s.choice<WorldKind>("kind", &w->kind,
                       {{"indoor", WorldKind::kIndoor},
                        {"rubble", WorldKind::kRubble},
                        {"flat", WorldKind::kFlat},
                        {"grid", WorldKind::kGrid},
-                       {"street", WorldKind::kStreet}});
+                       {"street", WorldKind::kStreet},
+                       {"rooms", WorldKind::kRooms}});
   s.choice<FloorStyle>("floor", &w->floor,
                        {{"concrete", FloorStyle::kConcrete},
                         {"planks", FloorStyle::kPlanks},
                         {"tiles", FloorStyle::kTiles},
-                        {"gravel", FloorStyle::kGravel}});
+                        {"gravel", FloorStyle::kGravel},
+                        {"plain", FloorStyle::kPlain}});
   s.number("floor_size", &w->floor_size, 8, 40);
   s.number("texel", &w->texel, 0.001, 0.05);
   s.number("room_height", &w->room_height, 0, 10);
@@ -158,6 +169,7 @@ void read(Section s, WorldConfig* w) {
   s.integer("grid_columns", &w->grid_columns, 1, 20);
   s.number("grid_spacing", &w->grid_spacing, 0.3, 5);
   s.number("grid_box", &w->grid_box, 0.1, 2);
+  read(s.child("rooms"), &w->rooms);
   for (Section& c : s.list("clusters")) {
     ClusterConfig cluster;
     c.point("center", &cluster.center);
@@ -194,12 +206,15 @@ void read(Section s, FlightConfig* f) {
   s.number("start_radius", &f->start_radius, 0.5, 10);
   s.number("sway", &f->sway, 0, 0.5);
   s.number("sway_period", &f->sway_period, 1, 10);
+  s.number("camera_tilt", &f->camera_tilt, 0, 1.4);
   s.finish();
 }
 
-void read(Section s, LaneConfig* l) {
+void read(Section s, LaneConfig* l, bool planned) {
   s.points("points", &l->points);
-  if (l->points.size() < 3) s.fail("points", "must list at least three [x, y] points for the ground robot's way");
+  if (planned && !l->points.empty()) s.fail("points", "are not a parameter of rooms: the way follows from their plan");
+  if (!planned && l->points.size() < 3)
+    s.fail("points", "must list at least three [x, y] points for the ground robot's way");
   s.point("look_at", &l->look_at);
   s.number("stand_still", &l->stand_still, 0.2, 10);
   s.number("heading_swing", &l->heading_swing, 0, 1.5);
@@ -396,7 +411,10 @@ SimConfig loadSimConfig(const std::string& yaml_path) {
   Section s(root, yaml_path);
   read(s.child("world"), &config.world);
   read(s.child("flight"), &config.flight);
-  if (config.hasGroundRobot()) read(s.child("lane"), &config.lane);
+  if (config.hasGroundRobot()) read(s.child("lane"), &config.lane, config.world.kind == WorldKind::kRooms);
+  if (config.flight.camera_tilt != 0)
+    config.T_mav_base_camera.linear() =
+        Eigen::AngleAxisd(-config.flight.camera_tilt, Eigen::Vector3d::UnitY()) * config.T_mav_base_camera.linear();
   if (config.hasCity()) {
     read(s.child("street"), &config.street);
     if (config.street.lines.empty())

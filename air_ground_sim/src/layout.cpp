@@ -12,30 +12,6 @@ namespace {
 using air_ground_common::Pose;
 using air_ground_common::yawPose;
 
-// A rectangle on the floor or on top of something, and what may still stand on it.
-struct Footprint {
-  Eigen::Vector2d center = Eigen::Vector2d::Zero();
-  double yaw = 0, hx = 0, hy = 0;  // half sizes [m]
-  double top = 0;                  // [m]
-  bool can_carry = true;
-};
-
-bool overlap(const Footprint& a, const Footprint& b, double gap) {
-  const auto axes = [](const Footprint& f) {
-    return std::array<Eigen::Vector2d, 2>{Eigen::Vector2d(std::cos(f.yaw), std::sin(f.yaw)),
-                                          Eigen::Vector2d(-std::sin(f.yaw), std::cos(f.yaw))};
-  };
-  const auto A = axes(a), B = axes(b);
-  const auto reach = [](const Footprint& f, const std::array<Eigen::Vector2d, 2>& own, const Eigen::Vector2d& axis) {
-    return f.hx * std::abs(own[0].dot(axis)) + f.hy * std::abs(own[1].dot(axis));
-  };
-  for (const Eigen::Vector2d& axis : {A[0], A[1], B[0], B[1]})
-    if (std::abs(axis.dot(b.center - a.center)) > reach(a, A, axis) + reach(b, B, axis) + gap) return false;
-  return true;
-}
-
-Pose standing(const Footprint& f, double z) { return yawPose(f.yaw, {f.center.x(), f.center.y(), z}); }
-
 // A pallet of three stringers and seven deck boards, 1.2 x 0.8 x 0.144 m.
 void addPallet(const Footprint& f, double texel, std::uint64_t seed, World* world) {
   const Pose T = standing(f, 0);
@@ -50,17 +26,6 @@ void addPallet(const Footprint& f, double texel, std::uint64_t seed, World* worl
   };
   for (int i = -1; i <= 1; ++i) board(0, 0.35 * i, 0, 1.2, 0.1, 0.122, 10 + i);
   for (int i = -3; i <= 3; ++i) board(0.182 * i, 0, 0.122, 0.1, 0.8, 0.022, 30 + i);
-}
-
-Cuboid randomBox(Rng* rng) {
-  static const double sizes[][3] = {{0.60, 0.40, 0.40}, {0.40, 0.30, 0.30}, {0.50, 0.35, 0.25}, {0.70, 0.50, 0.45},
-                                    {0.35, 0.25, 0.20}, {0.45, 0.45, 0.50}, {0.55, 0.40, 0.20}, {0.30, 0.30, 0.60}};
-  const auto& s = sizes[rng->integer(8)];
-  Cuboid c;
-  for (int i = 0; i < 3; ++i) c.size[i] = s[i] * rng->uniform(0.88, 1.12);
-  c.material = rng->chance(0.8) ? Material::kCardboard : Material::kPaintedBox;
-  c.seed = rng->next();
-  return c;
 }
 
 void addDebris(const Eigen::Vector2d& center, double yaw, double texel, Rng* rng, World* world) {
@@ -122,6 +87,33 @@ void addRock(const Eigen::Vector3d& center, double radius, double texel, Rng* rn
 }
 
 }  // namespace
+
+bool overlap(const Footprint& a, const Footprint& b, double gap) {
+  const auto axes = [](const Footprint& f) {
+    return std::array<Eigen::Vector2d, 2>{Eigen::Vector2d(std::cos(f.yaw), std::sin(f.yaw)),
+                                          Eigen::Vector2d(-std::sin(f.yaw), std::cos(f.yaw))};
+  };
+  const auto A = axes(a), B = axes(b);
+  const auto reach = [](const Footprint& f, const std::array<Eigen::Vector2d, 2>& own, const Eigen::Vector2d& axis) {
+    return f.hx * std::abs(own[0].dot(axis)) + f.hy * std::abs(own[1].dot(axis));
+  };
+  for (const Eigen::Vector2d& axis : {A[0], A[1], B[0], B[1]})
+    if (std::abs(axis.dot(b.center - a.center)) > reach(a, A, axis) + reach(b, B, axis) + gap) return false;
+  return true;
+}
+
+Pose standing(const Footprint& f, double z) { return yawPose(f.yaw, {f.center.x(), f.center.y(), z}); }
+
+Cuboid randomBox(Rng* rng) {
+  static const double sizes[][3] = {{0.60, 0.40, 0.40}, {0.40, 0.30, 0.30}, {0.50, 0.35, 0.25}, {0.70, 0.50, 0.45},
+                                    {0.35, 0.25, 0.20}, {0.45, 0.45, 0.50}, {0.55, 0.40, 0.20}, {0.30, 0.30, 0.60}};
+  const auto& s = sizes[rng->integer(8)];
+  Cuboid c;
+  for (int i = 0; i < 3; ++i) c.size[i] = s[i] * rng->uniform(0.88, 1.12);
+  c.material = rng->chance(0.8) ? Material::kCardboard : Material::kPaintedBox;
+  c.seed = rng->next();
+  return c;
+}
 
 bool FreeSpace::isFree(const Eigen::Vector2d& center, double reach) const {
   if ((center - start).norm() < start_radius + reach) return false;

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "air_ground_sim/rooms/rooms.h"
+
 namespace air_ground_sim {
 
 using air_ground_common::Pose;
@@ -35,8 +37,9 @@ void Recording::planWays() {
   const std::unique_ptr<HeightLookup> heights = street_ ? nullptr : std::make_unique<HeightLookup>(scene_->mesh());
   mav_ = plan(flight.stand_still + kClimbTime, [&](double duration) {
     flight.duration = duration;
-    return street_ ? makeStreetFlight(*street_, flight, mix(seed_, 11))
-                   : makeFlight(flight, world_.mav_start, *heights, mix(seed_, 11));
+    if (street_) return makeStreetFlight(*street_, flight, mix(seed_, 11));
+    if (!world_.flight_way.empty()) return makeRoomsFlight(flight, world_.flight_way, world_.doors, mix(seed_, 11));
+    return makeFlight(flight, world_.mav_start, *heights, mix(seed_, 11));
   });
   if (!config_.hasGroundRobot()) return;
   ground_ = plan(world_.lane.stand_still + kDriveRamp,

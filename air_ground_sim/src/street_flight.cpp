@@ -119,13 +119,7 @@ BodyTrajectory makeStreetFlight(const Street& street, const FlightConfig& f, std
   Rng rng(seed);
   const Schedule schedule(pathOf(routeOf(street.config), street.config.route_offset), f.speed);
   const double phase = rng.uniform(0, 2 * M_PI), yaw_phase = rng.uniform(0, 2 * M_PI);
-  double amplitude[3][2], period[3][2], shift[3][2];
-  for (int axis = 0; axis < 3; ++axis)
-    for (int k = 0; k < 2; ++k) {
-      amplitude[axis][k] = f.sway * rng.uniform(0.6, 1.0) * (axis == 2 ? 0.6 : 1.0) * (k ? 0.7 : 1.0);
-      period[axis][k] = f.sway_period * rng.uniform(0.8, 1.1) * (k ? 1.45 : 1.0);
-      shift[axis][k] = rng.uniform(0, 2 * M_PI);
-    }
+  const Sway sway(f.sway, f.sway_period, &rng);
   return BodyTrajectory(
       splineAlong(f.duration,
                   [&](double t) -> Eigen::Vector4d {
@@ -135,10 +129,7 @@ BodyTrajectory makeStreetFlight(const Street& street, const FlightConfig& f, std
                     const double ground = street.ground(p.head<2>());
                     p.z() = ground + kStandingHeight +
                             (heightAt(f, s[3], phase) - kStandingHeight) * smoothStep(tf / kClimbTime);
-                    for (int axis = 0; axis < 3; ++axis)
-                      for (int k = 0; k < 2; ++k)
-                        p[axis] +=
-                            envelope * amplitude[axis][k] * std::sin(2 * M_PI / period[axis][k] * tf + shift[axis][k]);
+                    sway.add(envelope, tf, &p);
                     const double yaw = s[2] + envelope * (0.12 * std::sin(2 * M_PI * tf / 13 + yaw_phase) +
                                                           0.04 * std::sin(2 * M_PI * tf / 4.7));
                     return {p.x(), p.y(), p.z(), yaw};

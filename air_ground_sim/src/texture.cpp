@@ -154,6 +154,8 @@ Rgb albedo(const Patch& patch, const Eigen::Vector3f& p, float u, float v) {
       return plaster(p, seed);
     case Material::kRock:
       return rock(p, seed);
+    case Material::kPlain:
+      return {150, 148, 142};
     case Material::kPaper:
       break;
   }

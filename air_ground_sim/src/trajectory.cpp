@@ -91,6 +91,23 @@ air_ground_common::Pose BodyTrajectory::pose(double time) const {
 
 double BodyTrajectory::pathLength(double from, double to) const { return lengthOf(spline_, from, to); }
 
+Sway::Sway(double amplitude, double period, Rng* rng) {
+  for (int axis = 0; axis < 3; ++axis)
+    for (int k = 0; k < 2; ++k) {
+      amplitude_[axis][k] = amplitude * rng->uniform(0.6, 1.0) * (axis == 2 ? 0.6 : 1.0) * (k ? 0.7 : 1.0);
+      period_[axis][k] = period * rng->uniform(0.8, 1.1) * (k ? 1.45 : 1.0);
+      phase_[axis][k] = rng->uniform(0, 2 * M_PI);
+    }
+}
+
+void Sway::add(double envelope, double time, Eigen::Vector3d* position) const {
+  for (int axis = 0; axis < 3; ++axis)
+    for (int k = 0; k < 2; ++k) {
+      const double w = 2 * M_PI / period_[axis][k];
+      (*position)[axis] += envelope * amplitude_[axis][k] * std::sin(w * time + phase_[axis][k]);
+    }
+}
+
 BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, const ClearanceMap& clearance,
                           std::uint64_t seed) {
   Rng rng(seed);
@@ -99,14 +116,7 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
   const Eigen::Vector2d from_center = start - c.center;
   const double phi0 = std::atan2(from_center.y() / c.loop_y, from_center.x() / c.loop_x);
   const double start_scale = Eigen::Vector2d(from_center.x() / c.loop_x, from_center.y() / c.loop_y).norm();
-  // The pilot's corrections: two incommensurate sines an axis.
-  double amplitude[3][2], period[3][2], phase[3][2];
-  for (int axis = 0; axis < 3; ++axis)
-    for (int k = 0; k < 2; ++k) {
-      amplitude[axis][k] = c.sway * rng.uniform(0.6, 1.0) * (axis == 2 ? 0.6 : 1.0) * (k ? 0.7 : 1.0);
-      period[axis][k] = c.sway_period * rng.uniform(0.8, 1.1) * (k ? 1.45 : 1.0);
-      phase[axis][k] = rng.uniform(0, 2 * M_PI);
-    }
+  const Sway sway(c.sway, c.sway_period, &rng);
   const double height_phase = rng.uniform(0, 2 * M_PI), radius_phase = rng.uniform(0, 2 * M_PI),
                yaw_phase = rng.uniform(0, 2 * M_PI);
   const double yaw_swing = rng.uniform(0.4, 0.8), yaw_drift = rng.uniform(-0.02, 0.02);
@@ -130,11 +140,7 @@ BodyTrajectory makeFlight(const FlightConfig& c, const Eigen::Vector2d& start, c
                             0.5 * (c.max_height - c.min_height) * std::sin(0.55 * (phi - phi0) + height_phase);
       p.z() = kStandingHeight + (std::max(cruise, clearance(p.head<2>(), 0.6) + c.clearance) - kStandingHeight) *
                                     smoothStep(tf / kClimbTime);
-      for (int axis = 0; axis < 3; ++axis)
-        for (int k = 0; k < 2; ++k) {
-          const double w = 2 * M_PI / period[axis][k];
-          p[axis] += envelope * amplitude[axis][k] * std::sin(w * tf + phase[axis][k]);
-        }
+      sway.add(envelope, tf, &p);
       const double yaw = yaw0 +
                          envelope * (yaw_swing * (std::sin(2 * M_PI * tf / 17.0 + yaw_phase) - std::sin(yaw_phase)) +
                                      0.15 * std::sin(2 * M_PI * tf / 5.3)) +
@@ -205,7 +211,10 @@ BodyTrajectory makeDrive(const LaneConfig& lane, double duration, std::uint64_t 
                     const std::size_t i = std::clamp<std::size_t>(it - arc.begin(), 1, arc.size() - 1);
                     const double u = std::clamp((s - arc[i - 1]) / std::max(1e-9, arc[i] - arc[i - 1]), 0.0, 1.0);
                     const Eigen::Vector2d p = curve[i - 1] + u * (curve[i] - curve[i - 1]);
-                    const Eigen::Vector2d d = lane.look_at - p;
+                    const Eigen::Vector2d d =
+                        lane.look_ahead
+                            ? Eigen::Vector2d(curve[std::min(curve.size() - 1, i + 60)] - curve[i > 20 ? i - 20 : 0])
+                            : Eigen::Vector2d(lane.look_at - p);
                     double yaw =
                         std::atan2(d.y(), d.x()) + lane.heading_swing * std::sin(2 * M_PI * m / period + phase);
                     if (!first) yaw = previous_yaw + air_ground_common::wrapAngle(yaw - previous_yaw);

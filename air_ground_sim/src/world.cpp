@@ -6,41 +6,19 @@
 
 #include "air_ground_sim/layout.h"
 #include "air_ground_sim/random.h"
+#include "air_ground_sim/rooms/rooms.h"
 #include "air_ground_sim/street.h"
 #include "air_ground_sim/trajectory.h"
 
 namespace air_ground_sim {
 namespace {
 
-Patch rectangle(const Eigen::Vector3d& origin, const Eigen::Vector3d& u, const Eigen::Vector3d& v) {
-  Patch p;
-  p.vertices = {origin.cast<float>(), (origin + u).cast<float>(), (origin + v).cast<float>(),
-                (origin + u + v).cast<float>()};
-  p.width = static_cast<float>(u.norm());
-  p.height = static_cast<float>(v.norm());
-  return p;
-}
-
-Material floorMaterial(FloorStyle style) {
-  switch (style) {
-    case FloorStyle::kPlanks:
-      return Material::kPlanks;
-    case FloorStyle::kTiles:
-      return Material::kTiles;
-    case FloorStyle::kGravel:
-      return Material::kGravel;
-    case FloorStyle::kConcrete:
-      break;
-  }
-  return Material::kConcrete;
-}
-
 // A finely textured centre and four coarser strips around it.
 void addFloor(const WorldConfig& c, std::uint64_t seed, World* world) {
   const double half = 0.5 * c.floor_size, inner = std::min(half, 4.2);
   const auto add = [&](double x0, double y0, double x1, double y1, double texel, bool printed) {
     if (x1 - x0 < 0.01 || y1 - y0 < 0.01) return;
-    Patch p = rectangle({x0, y0, 0}, {x1 - x0, 0, 0}, {0, y1 - y0, 0});
+    Patch p = rectanglePatch({x0, y0, 0}, {x1 - x0, 0, 0}, {0, y1 - y0, 0});
     p.material = floorMaterial(c.floor);
     p.texel = static_cast<float>(texel);
     p.printed = printed;
@@ -59,7 +37,8 @@ void addRoom(const WorldConfig& c, std::uint64_t seed, World* world) {
   const Eigen::Vector3d corners[4] = {{-h, -h, 0}, {h, -h, 0}, {h, h, 0}, {-h, h, 0}};
   for (int i = 0; i < 4; ++i) {
     // Seen from inside: the direction of columns runs clockwise.
-    Patch p = rectangle(corners[(i + 1) % 4], corners[i] - corners[(i + 1) % 4], Eigen::Vector3d(0, 0, c.room_height));
+    Patch p =
+        rectanglePatch(corners[(i + 1) % 4], corners[i] - corners[(i + 1) % 4], Eigen::Vector3d(0, 0, c.room_height));
     p.material = Material::kPlaster;
     p.texel = static_cast<float>(4 * c.texel);
     p.printed = true;
@@ -76,6 +55,31 @@ double distanceToWall(const WallConfig& wall, const Eigen::Vector2d& p) {
 }
 
 }  // namespace
+
+Patch rectanglePatch(const Eigen::Vector3d& origin, const Eigen::Vector3d& u, const Eigen::Vector3d& v) {
+  Patch p;
+  p.vertices = {origin.cast<float>(), (origin + u).cast<float>(), (origin + v).cast<float>(),
+                (origin + u + v).cast<float>()};
+  p.width = static_cast<float>(u.norm());
+  p.height = static_cast<float>(v.norm());
+  return p;
+}
+
+Material floorMaterial(FloorStyle style) {
+  switch (style) {
+    case FloorStyle::kPlanks:
+      return Material::kPlanks;
+    case FloorStyle::kTiles:
+      return Material::kTiles;
+    case FloorStyle::kGravel:
+      return Material::kGravel;
+    case FloorStyle::kPlain:
+      return Material::kPlain;
+    case FloorStyle::kConcrete:
+      break;
+  }
+  return Material::kConcrete;
+}
 
 Eigen::Vector3f Patch::point(float u, float v) const {
   if (!column_at.empty()) {  // uneven grids are flat rectangles
@@ -101,7 +105,7 @@ void addCuboid(const Cuboid& c, double texel, World* world) {
       {at(-1, -1, 0), at(1, -1, 0), at(-1, -1, 1)}, {at(1, 1, 0), at(-1, 1, 0), at(1, 1, 1)},
       {at(1, -1, 0), at(1, 1, 0), at(1, -1, 1)},    {at(-1, 1, 0), at(-1, -1, 0), at(-1, 1, 1)}};
   for (int i = 0; i < 6; ++i) {
-    Patch p = rectangle(faces[i][0], faces[i][1] - faces[i][0], faces[i][2] - faces[i][0]);
+    Patch p = rectanglePatch(faces[i][0], faces[i][1] - faces[i][0], faces[i][2] - faces[i][0]);
     p.material = c.material;
     p.printed = c.printed && i != 1;
     p.top = i == 0;
@@ -114,6 +118,7 @@ void addCuboid(const Cuboid& c, double texel, World* world) {
 
 World buildWorld(const SimConfig& config, std::uint64_t seed) {
   if (config.hasCity()) return buildStreetWorld(planStreet(config.street, seed), Season::kFlight);
+  if (config.world.kind == WorldKind::kRooms) return buildRooms(config, seed);
   Rng rng(mix(seed, 1));
   World world;
   WorldConfig c = config.world;
@@ -175,6 +180,7 @@ World buildWorld(const SimConfig& config, std::uint64_t seed) {
       addGrid(c, &world);
       break;
     case WorldKind::kStreet:
+    case WorldKind::kRooms:
       break;  // built above
   }
   if (c.room_height > 0 && c.kind != WorldKind::kRubble) addRoom(c, mix(seed, 3), &world);

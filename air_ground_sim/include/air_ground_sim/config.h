@@ -11,8 +11,8 @@
 
 namespace air_ground_sim {
 
-enum class WorldKind { kIndoor, kRubble, kFlat, kGrid, kStreet };
-enum class FloorStyle { kConcrete, kPlanks, kTiles, kGravel };
+enum class WorldKind { kIndoor, kRubble, kFlat, kGrid, kStreet, kRooms };
+enum class FloorStyle { kConcrete, kPlanks, kTiles, kGravel, kPlain };
 
 /// A heap of cardboard boxes, pallets and debris around a centre.
 struct ClusterConfig {
@@ -29,12 +29,20 @@ struct WallConfig {
   double height = 1.0;                                                           ///< [m]
 };
 
+/// Four rooms around a crossing of walls; both ways follow from the plan.
+struct RoomsConfig {
+  double size_x = 9.4, size_y = 7.2;  ///< inner extent of all four together [m]
+  double wall_thickness = 0.12;       ///< [m]
+  double door_width = 1.0;            ///< [m]
+  double door_height = 2.0;           ///< [m]
+};
+
 struct WorldConfig {
   WorldKind kind = WorldKind::kIndoor;
   FloorStyle floor = FloorStyle::kConcrete;
   double floor_size = 16.0;  ///< edge of the square floor [m]
   double texel = 0.0025;     ///< texture resolution near the centre [m]
-  double room_height = 3.0;  ///< outer walls at the floor's edge; 0: none [m]
+  double room_height = 3.0;  ///< outer walls at the floor's edge; 0: none; rooms: of all walls [m]
   bool vary_layout = true;   ///< mirror and jitter the layout with the seed
   std::vector<ClusterConfig> clusters;
   std::vector<WallConfig> walls;
@@ -42,6 +50,7 @@ struct WorldConfig {
   double relief = 0.12;                        ///< amplitude of the height field, rubble only [m]
   int grid_rows = 4, grid_columns = 5;         ///< identical boxes only
   double grid_spacing = 1.1, grid_box = 0.45;  ///< [m]
+  RoomsConfig rooms;                           ///< rooms only
 };
 
 /// A straight street with a row of buildings on either side.
@@ -112,6 +121,7 @@ struct FlightConfig {
   double start_radius = 2.6;                         ///< distance of the take-off place from the centre [m]
   double sway = 0.10;                                ///< amplitude of the pilot's corrections [m]
   double sway_period = 2.6;                          ///< [s]
+  double camera_tilt = 0;                            ///< of the optical axis from straight down to the front [rad]
 };
 
 struct LaneConfig {
@@ -120,6 +130,7 @@ struct LaneConfig {
   double stand_still = 1.0;                           ///< [s]
   double heading_swing = 0.3;                         ///< amplitude around that direction [rad]
   double half_width = 0.4;                            ///< kept free of obstacles [m]
+  bool look_ahead = false;                            ///< face along the way instead of look_at
 };
 
 /// Noise of an inertial unit; the defaults are those of a consumer MEMS unit (InvenSense MPU-9250 data sheet rev 1.1:

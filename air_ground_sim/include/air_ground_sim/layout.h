@@ -15,6 +15,23 @@ struct FreeSpace {
   bool isFree(const Eigen::Vector2d& center, double reach) const;
 };
 
+/// A rectangle on the floor or on top of something, and what may still stand on it.
+struct Footprint {
+  Eigen::Vector2d center = Eigen::Vector2d::Zero();
+  double yaw = 0, hx = 0, hy = 0;  ///< half sizes [m]
+  double top = 0;                  ///< [m]
+  bool can_carry = true;
+};
+
+/// Whether two footprints come nearer than `gap` [m].
+bool overlap(const Footprint& a, const Footprint& b, double gap);
+
+/// Base of what stands on the footprint at height z [m].
+air_ground_common::Pose standing(const Footprint& f, double z);
+
+/// A box of one of eight sizes, varied.
+Cuboid randomBox(Rng* rng);
+
 void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
                  World* world);
 void addWall(const WallConfig& wall, double texel, std::uint64_t seed, World* world);

@@ -6,6 +6,7 @@
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_sim/config.h"
+#include "air_ground_sim/random.h"
 #include "air_ground_sim/spline.h"
 
 namespace air_ground_sim {
@@ -42,6 +43,16 @@ class BodyTrajectory {
 
 /// Height [m] of the highest thing within a radius [m] of a place.
 using ClearanceMap = std::function<double(const Eigen::Vector2d&, double)>;
+
+/// The pilot's corrections: two incommensurate sines an axis.
+class Sway {
+ public:
+  Sway(double amplitude, double period, Rng* rng);  ///< [m], [s]
+  void add(double envelope, double time, Eigen::Vector3d* position) const;
+
+ private:
+  double amplitude_[3][2], period_[3][2], phase_[3][2];
+};
 
 /// Stand still, climb with lateral excitation, loops around the centre. `start` is the take-off place; same seed, same
 /// way.

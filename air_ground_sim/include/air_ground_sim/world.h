@@ -25,7 +25,8 @@ enum class Material {
   kBrick,
   kPlaster,
   kRock,
-  kPaper
+  kPaper,
+  kPlain  ///< one grey, without any texture
 };
 
 /// A grid of (columns + 1) x (rows + 1) vertices with one texture over it: a rectangle has one cell.
@@ -56,11 +57,18 @@ struct Patch {
   Eigen::Vector3f point(float u, float v) const;  ///< position at texture coordinates in [0, 1]
 };
 
+/// A rectangle with corners origin, origin + u, origin + v.
+Patch rectanglePatch(const Eigen::Vector3d& origin, const Eigen::Vector3d& u, const Eigen::Vector3d& v);
+
+Material floorMaterial(FloorStyle style);
+
 struct World {
   std::vector<Patch> patches;
   Eigen::Vector2d mav_start = Eigen::Vector2d::Zero();        ///< take-off place, free of obstacles [m]
   LaneConfig lane;                                            ///< the ground robot's way after the seed's variation
   FlightConfig flight;                                        ///< centre after the seed's variation
+  std::vector<Eigen::Vector2d> flight_way;                    ///< of the MAV where it flies no loops: in rooms [m]
+  std::vector<Eigen::Vector2d> doors;                         ///< centres, in rooms [m]
   Eigen::Vector3f sun = Eigen::Vector3f(0.35f, 0.25f, 0.9f);  ///< direction towards the key light, unit
   float ambient = 0.45f;                                      ///< share of the light that comes from everywhere
   float sky = 0.5f;                                           ///< radiance where a ray meets nothing
