@@ -81,17 +81,20 @@ class StandIn:
                 self.estimate(message.header.stamp, pose)
 
     def estimate(self, stamp, T_mav_map_base):
-        """Publishes the true alignment, displaced at the MAV's camera by the known errors."""
+        """Publishes the true alignment, displaced at the MAV's camera by the known errors; the refined one has a scale."""
         truth = geometry.inverse(GROUND_MAP_IN_WORLD) @ MAV_MAP_IN_WORLD
-        camera = (truth @ T_mav_map_base @ self.T_base_camera['mav'])[:3, 3]
-        for stage, error, yaw in ((0, 0.8 / self.count, 0.1), (1, rospy.get_param('~refined_error', 0.05),
-                                                                rospy.get_param('~refined_error_yaw', 0.02))):
+        camera_in_map = (T_mav_map_base @ self.T_base_camera['mav'])[:3, 3]
+        camera = truth[:3, :3] @ camera_in_map + truth[:3, 3]
+        for stage, error, yaw, scale in ((0, 0.8 / self.count, 0.1, 1.0), (1, rospy.get_param('~refined_error', 0.05),
+                                                                           rospy.get_param('~refined_error_yaw', 0.02), 1.05)):
             turn = geometry.pose(geometry.rotation_z(yaw), camera - geometry.rotation_z(yaw) @ camera)
             shift = geometry.pose(None, (error, 0, 0))
-            message = AlignmentEstimate(stage=stage, iterations=self.count, reason='stand-in', overlap=0.8)
+            message = AlignmentEstimate(stage=stage, iterations=self.count, reason='stand-in', overlap=0.8, scale=scale)
             message.status = AlignmentEstimate.STATUS_CONVERGED if stage == 0 else rospy.get_param('~status', 3)
             message.header.stamp, message.header.frame_id, message.child_frame_id = stamp, 'ground_map', 'mav_map'
-            messages.fill_pose(message.pose.pose, shift @ turn @ truth)
+            alignment = shift @ turn @ truth
+            alignment[:3, 3] -= (scale - 1) * alignment[:3, :3] @ camera_in_map
+            messages.fill_pose(message.pose.pose, alignment)
             message.pose.covariance = list((1e-4 * np.eye(6)).ravel())
             self.estimates[stage].publish(message)
 

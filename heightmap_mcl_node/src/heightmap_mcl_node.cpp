@@ -501,6 +501,7 @@ class HeightmapMclNode {
     msg.reference_point.y = e.reference_point.y();
     msg.reference_point.z = e.reference_point.z();
     msg.status = toMsg(e.status);
+    msg.scale = 1;
     msg.stage = AlignmentEstimate::STAGE_COARSE;
     msg.reason = e.reason;
     msg.particle_spread = e.particle_spread;
