@@ -264,8 +264,20 @@ def wait_to_listen(bag, nodes, more_topics=(), timeout=60.0):
     return False
 
 
-def missing_inputs(bag, inputs):
-    """Topic -> why nothing can come on it, for those of `inputs` (argument, topic, message type) that neither bag nor node publishes."""
+def missing_inputs(bag, inputs, patience=5.0):
+    """Topic -> why nothing can come on it, for those of `inputs` (argument, topic, message type) that neither bag nor node publishes.
+
+    Nodes that make an input out of the bag's (publish_calibration, image_proc) have `patience` [s] to come up.
+    """
+    end = time.monotonic() + patience
+    while True:
+        result = _missing_now(bag, inputs)
+        if not result or time.monotonic() > end or rospy.is_shutdown():
+            return result
+        time.sleep(0.2)
+
+
+def _missing_now(bag, inputs):
     try:
         published, listeners = _system_state()
     except (rosgraph.MasterException, OSError):
