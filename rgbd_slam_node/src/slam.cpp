@@ -100,6 +100,7 @@ void Slam::Impl::clear() {
   frames.clear();
   state = State::kWaiting;
   first_stamp = lost_since = last_attempt = -1;
+  nearly_found = false;
   path = 0;
   velocity.setZero();
   turn_rate.setZero();

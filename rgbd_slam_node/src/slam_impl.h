@@ -66,8 +66,9 @@ struct Slam::Impl {
   double first_stamp = -1;
   double last_stamp = -1;
   double lost_since = -1;
-  double last_attempt = -1;  ///< at finding the way back [s]
-  std::string lost_reason;   ///< what came of it
+  double last_attempt = -1;   ///< at finding the way back [s]
+  std::string lost_reason;    ///< what came of it
+  bool nearly_found = false;  ///< some of a place's points agreed, too few to be sure: the next image is worth a look
   double path = 0;
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
   Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]

@@ -34,13 +34,14 @@ void Slam::Impl::updateMotion(double dt, const Pose& T_before, const Pose& T_now
 
 void Slam::Impl::setRowMotion(double stamp, const Pose& T_map_camera) {
   if (!rows.active()) return;
-  Eigen::Vector3d rate = turn_rate;
+  Eigen::Vector3d rate = turn_rate, v_map = velocity;
   const double half = std::max(0.5 * std::abs(settings.readout_time), 0.01);
   if (mounting.R_base_imu) {
     const auto mean = imu.mean(stamp - half, stamp + half);
     if (mean.count > 0) rate = R_camera_imu * (mean.angular_velocity - gyro_bias);
+    if (const auto v = inertial.cameraVelocity(stamp, imu)) v_map = *v;
   }
-  rows.setMotion(rate, T_map_camera.linear().transpose() * velocity);
+  rows.setMotion(rate, T_map_camera.linear().transpose() * v_map);
 }
 
 Observation Slam::Impl::observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth,
@@ -228,7 +229,7 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   track_landmark.clear();
   track_views.clear();
   // Descriptors of the whole image against the whole map take longer than an image may.
-  if (state == State::kLost && stamp - last_attempt < settings.relocalization_interval - 1e-3) {
+  if (state == State::kLost && !nearly_found && stamp - last_attempt < settings.relocalization_interval - 1e-3) {
     tracked.reason = lost_reason;
     return tracked;
   }
@@ -266,6 +267,7 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   tracked.reason =
       match.success ? "a place was recognised but too few of its landmarks were found" : "lost: " + match.reason;
   lost_reason = tracked.reason;
+  nearly_found = match.success || match.inliers > 0.6 * settings.place.min_inliers;
   return tracked;
 }
 

@@ -77,6 +77,43 @@ TEST(KeyframeDepth, FusedFramesLowerTheNoise) {
   EXPECT_LT(rms(8), 0.5 * rms(0));
 }
 
+TEST(KeyframeDepth, RowsLieWhereTheyWereSeenFrom) {
+  const auto camera = synthetic::camera(false);
+  const DepthModel model;
+  const CloudSettings settings;
+  const cv::Mat texture = synthetic::texture(400, 2);
+  constexpr double kReadout = 0.03;
+  const Eigen::Vector3d rate(1.0, -0.7, 0.5), velocity(0.3, -0.2, 0.6);
+  const auto moving = [&](const Pose& T, int row) {
+    const double t = ((row + 0.5) / camera.height - 0.5) * kReadout;
+    Pose T_middle_row = Pose::Identity();
+    T_middle_row.linear() = air_ground_common::expSO3(rate * t);
+    T_middle_row.translation() = velocity * t;
+    return Pose(T * T_middle_row);
+  };
+  visual_frontend::RollingShutter rows(camera, kReadout);
+  rows.setMotion(rate, velocity);
+  const Pose T_key = synthetic::above(0, 0, 2, 0, 0.5), T_next = synthetic::above(0.05, 0.02, 2.02, 0.02, 0.52);
+  cv::Mat depth, next;
+  const auto view = [&](const Pose& T, cv::Mat* z) {
+    return synthetic::renderPlaneByRows(
+        camera, [&](int row) { return moving(T, row); }, texture, 8, z);
+  };
+  const cv::Mat gray = view(T_key, &depth);
+  view(T_next, &next);
+  const auto rms = [&](const visual_frontend::RollingShutter* shutter) {
+    KeyframeDepth key(camera, depth, gray, model, settings, shutter);
+    for (int i = 0; i < 3; ++i) key.fuse(camera, next, T_next.inverse() * T_key, model, settings, shutter);
+    double sum = 0;
+    const auto points = key.points(model, settings);
+    EXPECT_GT(points.size(), 5000u);
+    for (const auto& p : points) sum += std::pow((T_key * p.position.cast<double>()).z(), 2);
+    return std::sqrt(sum / points.size());
+  };
+  EXPECT_GT(rms(nullptr), 0.01);
+  EXPECT_LT(rms(&rows), 0.002);
+}
+
 TEST(KeyframeDepth, DropsEdgesAndWhatOthersSeeThrough) {
   const auto camera = synthetic::camera(false);
   const DepthModel model;

@@ -224,6 +224,25 @@ void InertialAlignment::transform(const Pose& S_new_old) {
   gravity_ = S_new_old.linear() * gravity_;
 }
 
+std::optional<Eigen::Vector3d> InertialAlignment::cameraVelocity(double stamp, const ImuBuffer& imu) const {
+  constexpr double kSettled = 0.15;  // standard deviation [m/s]
+  if (!kinematics_known_ || stamp < stamp_ || stamp - stamp_ > 0.5 ||
+      worstSigma(P_.block<3, 3>(kVelocity, kVelocity)) > kSettled)
+    return std::nullopt;
+  Preintegration motion(settings_.noise, bias_);
+  if (stamp > stamp_) {
+    const std::vector<ImuSample> samples = samplesBetween(imu, stamp_, stamp);
+    if (samples.size() < 2) return std::nullopt;
+    motion.integrate(samples);
+  }
+  const ImuBuffer::Mean now = imu.mean(stamp - 0.01, stamp + 0.01);
+  if (now.count == 0) return std::nullopt;
+  const Eigen::Matrix3d R = T_map_imu_.linear() * motion.rotation();
+  const Eigen::Vector3d p_imu_camera = T_camera_imu_.inverse().translation();
+  return Eigen::Vector3d(velocity_ + gravity_ * motion.duration() + T_map_imu_.linear() * motion.velocity() +
+                         R * (now.angular_velocity - bias_.gyro).cross(p_imu_camera));
+}
+
 std::optional<InertialEstimate> InertialAlignment::estimate() const {
   if (!gravity_started_ || poses_ < 2) return std::nullopt;
   // The norm of gravity as one more measurement, iterated: it is not linear.

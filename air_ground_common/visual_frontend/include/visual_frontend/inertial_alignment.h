@@ -10,8 +10,8 @@
 namespace visual_frontend {
 
 struct InertialAlignmentSettings {
-  /// Coarser than the sensor's data sheet: vibration, time jitter and scale factors count as noise, and for the gyro the
-  /// drift of the camera's rotation, some milliradians in a second.
+  /// Coarser than the sensor's data sheet: vibration, time jitter and scale factors count as noise, and for the gyro
+  /// the drift of the camera's rotation, some milliradians in a second.
   ImuNoise noise{3e-3, 2e-2, 1e-4, 1e-3};
   double gravity = kGravity;         ///< [m/s^2]
   double gravity_norm_sigma = 0.03;  ///< of that: latitude, height, scale factor of the accelerometer [m/s^2]
@@ -70,6 +70,10 @@ class InertialAlignment {
   void newMap();
   /// Forgets everything.
   void reset();
+
+  /// Velocity of the camera in the map at a time shortly after the last pose, by the IMU since then [m/s]. Empty before
+  /// the biases have settled, or where there are no samples.
+  std::optional<Eigen::Vector3d> cameraVelocity(double stamp, const ImuBuffer& imu) const;
 
   /// Empty before the second pose.
   std::optional<InertialEstimate> estimate() const;
