@@ -28,6 +28,11 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   o.imu_noise.gyro_bias_walk = p.number("gyro_bias_walk", o.imu_noise.gyro_bias_walk, 1e-9, 1.0);
   o.imu_noise.accel_bias_walk = p.number("accel_bias_walk", o.imu_noise.accel_bias_walk, 1e-8, 10.0);
 
+  o.gyro_alignment.bias_stddev = p.number("gyro_bias_stddev", o.gyro_alignment.bias_stddev, 1e-4, 1.0);
+  o.gyro_alignment.time_offset = p.number("time_offset", o.gyro_alignment.time_offset, -1.0, 1.0);
+  o.gyro_alignment.time_offset_stddev = p.number("time_offset_stddev", o.gyro_alignment.time_offset_stddev, 0.0, 0.1);
+  o.readout_time = p.number("readout_time", o.readout_time, -0.1, 0.1);
+
   o.tracker.max_features = p.integer("max_features", o.tracker.max_features, 40, 2000);
   o.tracker.min_distance = p.integer("feature_distance", o.tracker.min_distance, 4, 100);
   o.tracker.fast_threshold = p.integer("fast_threshold", o.tracker.fast_threshold, 2, 100);

@@ -17,7 +17,9 @@ namespace {
 constexpr double kMovingShare = 0.01;       // of the scene's distance; below, the vehicle hovers
 constexpr double kHoverInterval = 3.0;      // a keyframe once the vehicle hovers, so that inertial links stay short [s]
 constexpr double kLongHoverInterval = 9.0;  // and while it goes on hovering; the IMU's samples reach back 12 s [s]
-constexpr double kRestBiasSigma = 1e-3;     // of a gyro bias measured at rest [rad/s]
+constexpr double kMinGyroBiasPrior = 1e-3;  // [rad/s]
+constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
+constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
 constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
@@ -60,13 +62,8 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const double stamp = keyframe.stamp;
   const KeyframeId previous = map.lastKeyframe();
   std::optional<Preintegration> motion;
-  if (settings.use_imu && previous != visual_frontend::kNoKeyframe) {
-    const auto samples = samplesBetween(imu, map.keyframe(previous).stamp, stamp);
-    if (samples.size() >= 2) {
-      motion.emplace(settings.imu_noise, bias);
-      motion->integrate(samples);
-    }
-  }
+  if (settings.use_imu && previous != visual_frontend::kNoKeyframe)
+    motion = imu.motion(map.keyframe(previous).stamp, stamp, settings.imu_noise, bias);
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
     const auto& o = map.keyframe(id).observations[i];
@@ -94,7 +91,7 @@ void Odometry::Impl::addKeyframe() {
   keyframe.stamp = last_stamp;
   keyframe.T_map_camera = T_map_camera;
   int landmarks = 0;
-  for (const Feature& f : tracker.features()) {
+  for (const Feature& f : currentFeatures()) {
     visual_frontend::Observation o;
     if (const auto id = landmarkOf(f.id)) {
       o.landmark = *id;
@@ -110,7 +107,7 @@ void Odometry::Impl::addKeyframe() {
   if (!hovering)
     for (const cv::Mat& level : tracker.pyramid()) keyframe.pyramid.push_back(level.clone());
   visual_frontend::describeKeyframe(*image, camera, settings.place, keyframe);
-  if (!metric && up_imu) {
+  if (!metric && up_imu && up_sigma < kTrustedTilt) {
     keyframe.up_camera = T_camera_imu.linear() * *up_imu;
     keyframe.up_sigma = std::max(0.02, up_sigma);
   }
@@ -189,7 +186,7 @@ void Odometry::Impl::adjustLocally() {
       fixed.push_back(other.keyframe);
   }
   BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, metric, T_camera_imu);
-  if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
+  job.settings.gyro_bias_prior = gyroBiasPrior();
   job.settings.max_iterations = settings.local_iterations;
   job.settings.threads = settings.bundle_threads;
   job.settings.max_seconds = 10;
@@ -206,7 +203,7 @@ void Odometry::Impl::adjustFully() {
   }
   BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, true, T_camera_imu);
   job.full = true;
-  if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
+  job.settings.gyro_bias_prior = gyroBiasPrior();
   job.settings.max_iterations = settings.full_iterations;
   job.settings.threads = settings.bundle_threads;
   job.settings.max_seconds = 20;
@@ -302,6 +299,34 @@ void Odometry::Impl::rerunScale() {
   }
 }
 
+double Odometry::Impl::gyroBiasPrior() const {
+  return std::clamp(gyro_alignment.biasStddev(), kMinGyroBiasPrior, kMaxGyroBiasPrior);
+}
+
+// Links whose samples are gone keep the offset of their time.
+void Odometry::Impl::retime() {
+  for (auto& link : inertial.links) {
+    const auto here = map.keyframes().find(link.first);
+    if (here == map.keyframes().end() || here == map.keyframes().begin()) continue;
+    const auto motion =
+        imu.motion(std::prev(here)->second.stamp, here->second.stamp, settings.imu_noise, link.second.bias());
+    if (motion) link.second = *motion;
+  }
+  for (std::size_t i = 1; i < records.size(); ++i) {
+    if (!records[i].motion) continue;
+    const auto motion =
+        imu.motion(records[i - 1].stamp, records[i].stamp, settings.imu_noise, records[i].motion->bias());
+    if (motion) records[i].motion = std::make_unique<const Preintegration>(*motion);
+  }
+  if (metric) return;
+  scale.reset(map_tilt);
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    const auto& motion = records[i].motion;
+    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance),
+              motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+  }
+}
+
 void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   map.transform(S);
   for (auto& record : records) {
@@ -338,7 +363,7 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
 void Odometry::Impl::makeMetric() {
   adoptAll();
   const auto& estimate = scale.state();
-  const Eigen::Vector3d up(-estimate.gravity_xy.x(), -estimate.gravity_xy.y(), kGravity);
+  const Eigen::Vector3d up = -estimate.gravity();
   air_ground_common::Similarity S;
   S.scale = estimate.scale;
   S.R = air_ground_common::levelingRotation(up);
