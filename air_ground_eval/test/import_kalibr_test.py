@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Kalibr's files, written here with known content, must come out of import_kalibr as camera_info, transforms and parameters of that content."""
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -91,6 +92,10 @@ class ImportKalibr(unittest.TestCase):
             bag.write('/imu0', messages.imu([0, 0, 0], [0, 0, 9.81], 1, 1, 5, 'imu_of_mine'), messages.stamp(5))
         result = self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag'))
         self.assertEqual(result.returncode, 0, result.stderr)
+        words = shlex.split(result.stdout.splitlines()[-1])
+        for word in (f'bag:={self.path("x.bag")}', 'mav_image:=/cam0/image_raw', 'mav_camera_info:=/cam0/camera_info', 'mav_imu:=/imu0',
+                     'mav_camera_frame:=left_eye', 'rgbd_slam:=false', f'mav_vo_config:={self.path("out", "mav_vo.yaml")}'):
+            self.assertIn(word, words)
         rospy.init_node('import_kalibr_test', anonymous=True)
         infos, edges = [], {}
         rospy.Subscriber('/cam0/camera_info', CameraInfo, infos.append)
