@@ -132,11 +132,12 @@ TEST_F(Inputs, ANodeThatIsBehindDropsTheOldestImages) {
   stamp_ = ros::Time(2000.0);
   ASSERT_TRUE(rest([&] { return !status_.empty() && status_.back().header.stamp > ros::Time(2000.0); }, true));
   const ros::Time begin = stamp_;
-  for (int i = 0; i < 200; ++i) publishImage(stamp_ += ros::Duration(0.05));  // ten seconds at once
+  ASSERT_TRUE(diagnostics_.refresh());
   const std::string late = "images dropped: further behind than max_latency";
-  EXPECT_TRUE(rest([&] { return diagnostics_.counted(late) > 0; }, true));
+  const int before = diagnostics_.counted(late);
+  for (int i = 0; i < 200; ++i) publishImage(stamp_ += ros::Duration(0.05));  // ten seconds at once
+  EXPECT_TRUE(rest([&] { return diagnostics_.counted(late) > before + 100; }, true));
   EXPECT_TRUE(rest([&] { return status_.back().header.stamp > begin + ros::Duration(9); }, true));
-  EXPECT_TRUE(spinUntil([&] { return said("/mav_vo", "parameter max_latency") > 0; }));
 }
 
 TEST_F(Inputs, ASilentNodeNamesTheTopicThatHasTheImages) {

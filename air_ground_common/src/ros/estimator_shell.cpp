@@ -204,13 +204,13 @@ void EstimatorShell::reportUnmatched() {
 
 bool EstimatorShell::frameReady() {
   movePairs();
+  const std::size_t late = assembler_.dropLate();
+  health_.count("images dropped: further behind than max_latency", late);
   if (!calibration_) return false;
-  if (const std::size_t late = assembler_.dropLate()) {
-    health_.count("images dropped: further behind than max_latency", late);
+  if (late > 0)
     ROS_WARN_STREAM_THROTTLE(10, names_.subject << " is slower than the images come: those more than "
                                                 << settings_.max_latency
                                                 << " s behind are dropped (parameter max_latency)");
-  }
   return assembler_.ready(now());
 }
 
@@ -365,7 +365,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
   if (result.pose_published)
     health_.published();
   else
-    health_.withheld(nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason), result.advice);
+    health_.withheld(status.reason.empty() ? nameOf(status.state) : status.reason, result.advice);
   status_publisher_.publish(status);
   result.publish();
 }
