@@ -85,7 +85,8 @@ function(air_ground_ros_gtest)
 endfunction()
 
 # air_ground_bench(NAME <name> SOURCES <files> [LINK <targets>])
-# A Google Benchmark program, built with -DAIR_GROUND_BENCHMARKS=ON into <build>/bench/, run by `make bench`.
+# A Google Benchmark program, built with -DAIR_GROUND_BENCHMARKS=ON into <build>/bench/, run by `make bench`; each of its benchmarks
+# once, at the smallest size, by `make test`, so that none can rot.
 function(air_ground_bench)
   if(NOT AIR_GROUND_BENCHMARKS)
     return()
@@ -95,6 +96,10 @@ function(air_ground_bench)
   add_executable(${target} ${ARG_SOURCES})
   set_target_properties(${target} PROPERTIES OUTPUT_NAME ${ARG_NAME} RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/bench)
   target_link_libraries(${target} PRIVATE ${ARG_LINK} benchmark::benchmark benchmark::benchmark_main)
+  if(CATKIN_ENABLE_TESTING)
+    add_test(NAME ${ARG_NAME}_once COMMAND ${CMAKE_SOURCE_DIR}/tools/run_benchmark_once $<TARGET_FILE:${target}>)
+    set_tests_properties(${ARG_NAME}_once PROPERTIES TIMEOUT 600 LABELS benchmark COST 20 ENVIRONMENT OMP_WAIT_POLICY=passive)
+  endif()
 endfunction()
 
 # air_ground_script(<file>): a Python program for `rosrun air_ground`, run by the distribution's Python.

@@ -2,6 +2,7 @@
 
 #include <embree3/rtcore.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <fstream>
@@ -56,6 +57,7 @@ class PlyReader {
         words >> p.name;
         elements.back().properties.push_back(p);
       } else if (word == "end_header") {
+        checkCounts();
         return;
       }
     }
@@ -101,6 +103,31 @@ class PlyReader {
   std::vector<PlyElement> elements;
 
  private:
+  static std::size_t bytesOf(const std::string& type) {
+    if (type == "double" || type == "float64") return 8;
+    if (type == "char" || type == "uchar" || type == "int8" || type == "uint8") return 1;
+    if (type == "short" || type == "ushort" || type == "int16" || type == "uint16") return 2;
+    return 4;
+  }
+
+  // A header promises what it likes: what the rest of the file cannot hold is refused before anything is made of it.
+  void checkCounts() {
+    const std::streamoff begin = file_.tellg();
+    file_.seekg(0, std::ios::end);
+    auto left = static_cast<std::size_t>(std::max<std::streamoff>(0, file_.tellg() - begin));
+    file_.seekg(begin);
+    for (const PlyElement& e : elements) {
+      std::size_t bytes = 0;  // the least that one takes
+      for (const PlyProperty& p : e.properties) {
+        const std::size_t binary = bytesOf(p.list_count_type.empty() ? p.type : p.list_count_type);
+        bytes += ascii_ ? 1 : binary;
+      }
+      if (e.count > 0 && (bytes == 0 || e.count > left / bytes))
+        fail("promises " + std::to_string(e.count) + " of its element '" + e.name + "' and has not the bytes for them");
+      left -= e.count * bytes;
+    }
+  }
+
   template <typename T>
   double get() {
     T v;
@@ -145,7 +172,7 @@ double TriangleMesh::area() const {
 }
 
 void writePly(const std::string& path, const std::vector<LabeledPoint>& points) {
-  writeAtomically(path, [&](std::ostream& out) {
+  const auto body = [&](std::ostream& out) {
     out << "ply\nformat binary_little_endian 1.0\ncomment source: 0 ground robot, 1 MAV\nelement vertex "
         << points.size()
         << "\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\n"
@@ -155,7 +182,8 @@ void writePly(const std::string& path, const std::vector<LabeledPoint>& points) 
       for (int i = 0; i < 3; ++i) put(out, p.rgb[i]);
       put(out, p.source);
     }
-  });
+  };
+  writeAtomically(path, body, "ply");
 }
 
 std::vector<LabeledPoint> readPlyPoints(const std::string& path) {
@@ -172,7 +200,7 @@ std::vector<LabeledPoint> readPlyPoints(const std::string& path) {
 }
 
 void writePly(const std::string& path, const TriangleMesh& mesh) {
-  writeAtomically(path, [&](std::ostream& out) {
+  const auto body = [&](std::ostream& out) {
     out << "ply\nformat binary_little_endian 1.0\nelement vertex " << mesh.vertices.size()
         << "\nproperty float x\nproperty float y\nproperty float z\nelement face " << mesh.triangles.size()
         << "\nproperty list uchar int vertex_indices\nend_header\n";
@@ -182,7 +210,8 @@ void writePly(const std::string& path, const TriangleMesh& mesh) {
       put(out, std::uint8_t{3});
       for (int i = 0; i < 3; ++i) put(out, static_cast<std::int32_t>(t[i]));
     }
-  });
+  };
+  writeAtomically(path, body, "ply");
 }
 
 TriangleMesh readPlyMesh(const std::string& path) {

@@ -37,15 +37,17 @@ Trajectory readTum(const std::string& path) {
 }
 
 void writeTum(const std::string& path, const Trajectory& trajectory) {
-  writeAtomically(path, [&](std::ostream& file) {
-    file << "# stamp[s] tx ty tz[m] qx qy qz qw\n" << std::fixed << std::setprecision(9);
+  const std::string header = "# stamp[s] tx ty tz[m] qx qy qz qw\n";
+  const auto body = [&](std::ostream& file) {
+    file << header << std::fixed << std::setprecision(9);
     for (const auto& p : trajectory) {
       const Eigen::Quaterniond q(p.T_map_body.linear());
       const Eigen::Vector3d t = p.T_map_body.translation();
       file << p.stamp << ' ' << t.x() << ' ' << t.y() << ' ' << t.z() << ' ' << q.x() << ' ' << q.y() << ' ' << q.z()
            << ' ' << q.w() << '\n';
     }
-  });
+  };
+  writeAtomically(path, body, header.substr(0, header.find(' ', 2)));
 }
 
 std::optional<Pose> poseAt(const Trajectory& trajectory, double stamp, double max_gap) {

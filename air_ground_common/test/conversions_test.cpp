@@ -3,8 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstring>
 #include <limits>
+#include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
+
+#include "air_ground_common/ros/image_input.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -38,8 +42,69 @@ TEST(Conversions, CameraInfoWithoutCalibrationIsRefused) {
   info = toMsg(camera, std_msgs::Header());
   EXPECT_EQ(fromMsg(info).p2, 0.01);
   EXPECT_EQ(fromMsg(info).fy, 501);
-  info.distortion_model = "equidistant";
+  info.width = 0;
   EXPECT_THROW(fromMsg(info), std::invalid_argument);
+}
+
+sensor_msgs::CameraInfo cameraInfo(const std::string& model, const std::vector<double>& D) {
+  sensor_msgs::CameraInfo info;
+  info.width = 1280;
+  info.height = 960;
+  info.K = {600, 0, 639.5, 0, 610, 479.5, 0, 0, 1};
+  info.distortion_model = model;
+  info.D = D;
+  return info;
+}
+
+TEST(Conversions, CameraInfoOfEveryModelSurvivesTheRoundTrip) {
+  const std::vector<std::pair<std::string, std::vector<double>>> models = {
+      {"plumb_bob", {-0.2, 0.05, 0.001, 0.002, 0.003}},
+      {"rational_polynomial", {0.4, -0.1, 1e-4, 2e-4, 0.01, 0.7, 0.02, 0.003}},
+      {"equidistant", {0.01, -0.02, 0.003, -0.001}}};
+  for (const auto& [name, D] : models) {
+    const auto info = toMsg(fromMsg(cameraInfo(name, D)), std_msgs::Header());
+    EXPECT_EQ(info.distortion_model, name);
+    EXPECT_EQ(info.D, D);
+  }
+}
+
+TEST(Conversions, BinningAndRegionOfInterestAreAppliedToTheSensorsCalibration) {
+  auto info = cameraInfo("equidistant", {0.01, -0.02, 0.003, -0.001});
+  const CameraModel sensor = fromMsg(info);
+  info.binning_x = 2;
+  info.binning_y = 3;
+  info.roi.x_offset = 101;
+  info.roi.y_offset = 60;
+  info.roi.width = 800;
+  info.roi.height = 600;
+  const CameraModel c = fromMsg(info);
+  EXPECT_EQ(c.width, 400);
+  EXPECT_EQ(c.height, 200);
+  EXPECT_DOUBLE_EQ(c.fx, 300);
+  EXPECT_DOUBLE_EQ(c.fy, 610 / 3.);
+  // The image's first pixel is the mean of the sensor's columns 101 and 102, rows 60 to 62: its centre is (101.5, 61).
+  // The principal point lies 639.5 - 101.5 = 538 and 479.5 - 61 = 418.5 sensor pixels from there.
+  EXPECT_DOUBLE_EQ(c.cx, 269);
+  EXPECT_DOUBLE_EQ(c.cy, 139.5);
+  EXPECT_LT((c.ray({0, 0}) - sensor.ray({101.5, 61})).norm(), 1e-12);
+  // Binning 0 and 1 are the same, and a region of size 0 is the whole sensor.
+  info.roi = sensor_msgs::RegionOfInterest();
+  info.binning_x = info.binning_y = 1;
+  EXPECT_EQ(fromMsg(info).K(), sensor.K());
+  EXPECT_EQ(fromMsg(info).width, 1280);
+  info.roi.x_offset = 1000;
+  info.roi.width = info.roi.height = 300;
+  EXPECT_THROW(fromMsg(info), std::invalid_argument);
+}
+
+TEST(Conversions, UnknownModelsAreRefusedByNameWithTheKnownOnes) {
+  try {
+    fromMsg(cameraInfo("mei_unified", {0.1}));
+    FAIL() << "an unknown model was accepted";
+  } catch (const std::invalid_argument& e) {
+    for (const char* word : {"mei_unified", "plumb_bob", "rational_polynomial", "equidistant"})
+      EXPECT_NE(std::string(e.what()).find(word), std::string::npos) << e.what();
+  }
 }
 
 TEST(Conversions, DepthInMillimetresBecomesMetresAndZeroBecomesNaN) {
@@ -91,6 +156,55 @@ TEST(Conversions, CloudRoundTripKeepsColourAndDropsNaN) {
   EXPECT_EQ(cloudFromMsg(broken).size(), 1u) << "a colour outside is left out";
   broken.is_bigendian = true;
   EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
+}
+
+sensor_msgs::CompressedImage compressed(const std::string& format, const std::string& extension, const cv::Mat& image,
+                                        std::size_t offset = 0) {
+  sensor_msgs::CompressedImage msg;
+  msg.header.frame_id = "camera";
+  msg.header.stamp = ros::Time(3.5);
+  msg.format = format;
+  std::vector<unsigned char> bytes;
+  cv::imencode(extension, image, bytes);
+  msg.data.assign(offset, 0);
+  msg.data.insert(msg.data.end(), bytes.begin(), bytes.end());
+  return msg;
+}
+
+TEST(Decompressed, ImagesOfAnyKind) {
+  cv::Mat colour(40, 60, CV_8UC3, cv::Scalar(10, 90, 200));
+  auto image = decompressed(compressed("rgb8; jpeg compressed bgr8", ".jpg", colour));
+  EXPECT_EQ(image->encoding, "bgr8");
+  EXPECT_EQ(image->header.frame_id, "camera");
+  EXPECT_EQ(image->header.stamp, ros::Time(3.5));
+  const cv::Vec3b pixel = bgrFromMsg(*image).at<cv::Vec3b>(20, 30);
+  for (int c = 0; c < 3; ++c) EXPECT_NEAR(pixel[c], colour.at<cv::Vec3b>(20, 30)[c], 4);
+  const cv::Mat grey(40, 60, CV_8UC1, cv::Scalar(77));
+  image = decompressed(compressed("mono8; png compressed mono8", ".png", grey));
+  EXPECT_EQ(greyFromMsg(*image).at<std::uint8_t>(5, 5), 77);
+  sensor_msgs::CompressedImage broken = compressed("jpeg", ".jpg", colour);
+  broken.data.resize(30);
+  EXPECT_THROW(decompressed(broken), std::invalid_argument);
+  broken.data.clear();
+  EXPECT_THROW(decompressed(broken), std::invalid_argument);
+}
+
+TEST(Decompressed, Depth) {
+  const cv::Mat millimetres(40, 60, CV_16UC1, cv::Scalar(1234));
+  for (const std::size_t header : {0, 12}) {
+    const auto msg =
+        compressed(header ? "16UC1; compressedDepth png" : "16UC1; png compressed ", ".png", millimetres, header);
+    EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 1.234, 1e-6);
+  }
+  // Inverse depth, as compressed_depth_image_transport quantises it: value = a / z + b.
+  const float a = 10000, b = -99;
+  auto msg = compressed("32FC1; compressedDepth png", ".png",
+                        cv::Mat(40, 60, CV_16UC1, cv::Scalar(std::lround(a / 2.5 + b))), 12);
+  std::memcpy(msg.data.data() + 4, &a, 4);
+  std::memcpy(msg.data.data() + 8, &b, 4);
+  EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 2.5, 1e-3);
+  msg.data.resize(10);
+  EXPECT_THROW(decompressed(msg), std::invalid_argument);
 }
 
 }  // namespace

@@ -101,6 +101,20 @@ TEST(Mesh, RefusesBrokenInput) {
   EXPECT_THROW(readPlyPoints(path), std::runtime_error);
   std::remove(path.c_str());
   EXPECT_THROW(readPlyPoints(path), std::runtime_error);
+  // Promises beyond the file's size, with and without anything to read; refused before memory is asked for.
+  for (const char* element :
+       {"element vertex 1000000000000000\n", "element vertex 1000000000000000\nproperty float x\n",
+        "element other 3\nproperty double x\nelement vertex 2\nproperty uchar x\n"})
+    for (const char* format : {"binary_little_endian", "ascii"}) {
+      std::ofstream(path) << "ply\nformat " << format << " 1.0\n" << element << "end_header\n1 2";
+      try {
+        readPlyPoints(path);
+        ADD_FAILURE() << "taken: " << format << ", " << element;
+      } catch (const std::runtime_error& e) {
+        EXPECT_NE(std::string(e.what()).find("promises"), std::string::npos) << e.what();
+      }
+    }
+  std::remove(path.c_str());
   EXPECT_THROW(writePly("/nonexistent/x.ply", box()), std::runtime_error);
 }
 

@@ -2,12 +2,17 @@
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
+#include <rosgraph_msgs/Log.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <algorithm>
 #include <functional>
+#include <string>
+#include <vector>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/mountings.h"
 #include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
@@ -238,21 +243,133 @@ TEST(BoundedPath, ThinsOutAndIsPublishedOnceASecond) {
   EXPECT_TRUE(path.add(pose));
 }
 
-TEST(LookupStatic, SaysWhatIsMissing) {
-  std::string why;
-  EXPECT_FALSE(lookupStatic("base_link", "camera", 0.2, &why));
-  EXPECT_NE(why.find("camera"), std::string::npos);
-  EXPECT_TRUE(lookupStatic("same", "same", 0.2, &why));
+geometry_msgs::TransformStamped edge(const std::string& parent, const std::string& child, const Pose& T) {
+  geometry_msgs::TransformStamped msg;
+  msg.header.stamp = ros::Time(100);
+  msg.header.frame_id = parent;
+  msg.child_frame_id = child;
+  msg.transform = toTransformMsg(T);
+  return msg;
 }
 
-TEST(LookupMounting, TakesWhatIsGivenAndCountsWhatIsMissing) {
-  NodeHealth health("mounting_test");
+/// Publishes the edges in messages of their own that are not latched, as `rosbag play` does with all but the last.
+void publishOnce(const std::string& topic, const std::vector<geometry_msgs::TransformStamped>& edges) {
+  ros::Publisher publisher = ros::NodeHandle().advertise<tf2_msgs::TFMessage>(topic, 10);
+  ASSERT_TRUE(spinUntil([&] { return publisher.getNumSubscribers() > 0; }));
+  for (const auto& transform : edges) {
+    tf2_msgs::TFMessage message;
+    message.transforms.push_back(transform);
+    publisher.publish(message);
+  }
+  pause(20);
+}
+
+TEST(Mountings, TwoMessagesThatAreNotLatchedAreKept) {
+  const Mountings mountings("robot");
+  const Pose T_robot_mast = yawPose(0.3, {1, 2, 3}), T_mast_camera = yawPose(0.2, {0, 0, 1}),
+             T_robot_imu = yawPose(-0.1, {0.1, 0, 0});
+  publishOnce("/tf_static", {edge("robot", "mast", T_robot_mast), edge("mast", "eye", T_mast_camera)});
+  publishOnce("/tf_static", {edge("robot", "imu", T_robot_imu)});
+  std::string why;
+  std::optional<Pose> camera, imu;
+  ASSERT_TRUE(spinUntil([&] {
+    camera = mountings.lookup(std::nullopt, "eye", "camera", &why);
+    imu = mountings.lookup(std::nullopt, "imu", "imu", &why);
+    return camera && imu;
+  }));
+  EXPECT_LT((camera->matrix() - (T_robot_mast * T_mast_camera).matrix()).norm(), 1e-9);
+  EXPECT_LT((imu->matrix() - T_robot_imu.matrix()).norm(), 1e-9);
+}
+
+TEST(Mountings, TransformsOnTfCountToo) {
+  const Mountings mountings("rover");
+  publishOnce("/tf", {edge("rover", "rover_camera", yawPose(0.5, {0, 1, 0}))});
+  std::string why;
+  EXPECT_TRUE(spinUntil([&] { return mountings.lookup(std::nullopt, "rover_camera", "camera", &why).has_value(); }));
+}
+
+TEST(Mountings, SayWhatIsMissingAndWhatToDoAndNeverWait) {
+  const Mountings mountings("base_link");
+  std::string why;
+  const ros::WallTime begin = ros::WallTime::now();
+  EXPECT_FALSE(mountings.lookup(std::nullopt, "lens", "camera", &why));
+  EXPECT_LT((ros::WallTime::now() - begin).toSec(), 1.0);
+  for (const char* part : {"'base_link' <- 'lens'", "nothing has come on /tf_static or /tf", "base_camera"})
+    EXPECT_NE(why.find(part), std::string::npos) << why;
+  publishOnce("/tf_static", {edge("base", "lens", Pose::Identity())});
+  EXPECT_TRUE(spinUntil([&] {
+    return !mountings.lookup(std::nullopt, "lens", "camera", &why) &&
+           why.find("knows the frames 'base', 'lens'") != std::string::npos;
+  })) << why;
+  EXPECT_FALSE(mountings.lookup(std::nullopt, "", "imu", &why));
+  EXPECT_NE(why.find("imu_frame"), std::string::npos) << why;
+  EXPECT_TRUE(mountings.lookup(std::nullopt, "base_link", "imu", &why));
   const Pose given = yawPose(0.3, {1, 2, 3});
-  const auto T_base_imu = lookupMounting(given, "base_link", "imu", "imu", 0.2, health);
-  ASSERT_TRUE(T_base_imu);
-  EXPECT_LT((T_base_imu->matrix() - given.matrix()).norm(), 1e-12);
-  EXPECT_FALSE(lookupMounting(std::nullopt, "base_link", "camera", "camera", 0.2, health));
-  EXPECT_EQ(health.counted("images without the mounting of the camera (tf, or parameter base_camera)"), 1u);
+  EXPECT_LT((mountings.lookup(given, "anywhere", "imu", &why)->matrix() - given.matrix()).norm(), 1e-12);
+}
+
+/// What this process says on the console, as it goes to /rosout.
+class Console {
+ public:
+  Console() {
+    subscriber_ = ros::NodeHandle().subscribe<rosgraph_msgs::Log>(
+        "/rosout", 1000, [this](const rosgraph_msgs::Log::ConstPtr& m) { lines_.push_back(m->msg); });
+    spinUntil([this] { return subscriber_.getNumPublishers() > 0; });
+  }
+  std::ptrdiff_t count(const std::string& part) const {
+    return std::count_if(lines_.begin(), lines_.end(),
+                         [&](const std::string& line) { return line.find(part) != std::string::npos; });
+  }
+
+ private:
+  std::vector<std::string> lines_;
+  ros::Subscriber subscriber_;
+};
+
+TEST(NodeHealth, SaysOnceWhyNothingIsPublished) {
+  const Console console;
+  NodeHealth health("withheld_test");
+  int images = 0;
+  const auto refuse = [&](const std::string& said, double seconds) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    return spinUntil([&] {
+             ++images;
+             health.withheld(std::to_string(images) + " of 90 landmarks agree, scale 0." + std::to_string(images),
+                             "wait");
+             return console.count(said) > 0 || ros::WallTime::now() > end;
+           }) &&
+           console.count(said) > 0;
+  };
+  const std::string reason = "of 90 landmarks agree";
+  EXPECT_FALSE(refuse(reason, 2.0)) << "that may be normal";
+  EXPECT_TRUE(refuse(reason, 30.0));
+  EXPECT_EQ(console.count("What to do: wait"), 1);
+  EXPECT_FALSE(refuse("no such line", 3.0));
+  EXPECT_EQ(console.count(reason), 1) << "other numbers are no other reason";
+  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(30);
+  EXPECT_TRUE(spinUntil([&] {
+    health.withheld("no calibration");
+    return console.count("no calibration") > 0 || ros::WallTime::now() > end;
+  }));
+  EXPECT_EQ(console.count("no calibration"), 1);
+  health.published();
+  pause(300);
+  EXPECT_EQ(console.count("images come, but no pose"), 2) << "poses come, or no images";
+}
+
+TEST(NodeHealth, KindsOfReasonsAndCounters) {
+  EXPECT_EQ(kindOf("14 of 105 tracks fit"), kindOf("9 of 88 tracks fit"));
+  EXPECT_EQ(kindOf("missed by -0.25 s, 1e-05 allowed"), kindOf("missed by 3.5 s, 2.5 allowed"));
+  EXPECT_NE(kindOf("nothing on /camera1/image"), kindOf("nothing on /camera2/image"));
+  EXPECT_NE(kindOf("lost"), kindOf("waiting"));
+  EXPECT_EQ(kindOf("ends in 3."), "ends in #.");
+  NodeHealth health("kinds_test");
+  for (int i = 0; i < 1000; ++i) health.count("image of " + std::to_string(i) + " rows");
+  EXPECT_EQ(health.counted("image of 7 rows"), 1000u);
+  for (int i = 0; i < 1000; ++i) health.count("frame a" + std::to_string(i));
+  EXPECT_EQ(health.counted("frame a3"), 1u);
+  EXPECT_EQ(health.counted("frame a999"), 0u) << "bounded";
+  EXPECT_GT(health.counted("events of further kinds"), 800u);
 }
 
 TEST(Calibration, CountsAsNewOnlyWithAnImageOfItsSize) {
@@ -260,13 +377,16 @@ TEST(Calibration, CountsAsNewOnlyWithAnImageOfItsSize) {
   in_use.info.header.frame_id = "camera";
   in_use.info.width = 640;
   in_use.info.height = 480;
+  in_use.camera.width = 640;
+  in_use.camera.height = 480;
   Calibration latest = in_use;
   sensor_msgs::Image image;
   image.header.frame_id = "optical";
   image.width = 640;
   image.height = 480;
   EXPECT_FALSE(recalibrated(in_use, latest, image));
-  latest.info.width = 320;
+  latest.info.roi.width = latest.camera.width = 320;  // the left half of the sensor
+  latest.camera.height = 480;
   EXPECT_FALSE(recalibrated(in_use, latest, image)) << "an image of the old size";
   image.width = 320;
   EXPECT_TRUE(recalibrated(in_use, latest, image));

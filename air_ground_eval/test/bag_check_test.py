@@ -1,19 +1,29 @@
 #!/usr/bin/env python3
 """check_bag must name each of the usual faults of a recording, and accept a sound one."""
 import os
+import subprocess
 import sys
 import tempfile
 import unittest
 
+import cv2
 import numpy as np
 import rosbag
 import rosunit
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CompressedImage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, datasets, geometry, messages  # noqa: E402
+from air_ground_eval import bag_check, bag_guess, bag_reader, datasets, geometry, messages  # noqa: E402
 
 CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+
+
+def compressed(array, seconds, frame, prefix=b'', kind='.jpg', form='mono8; jpeg compressed'):
+    message = CompressedImage(format=form, data=prefix + cv2.imencode(kind, array)[1].tobytes())
+    message.header.stamp, message.header.frame_id = messages.stamp(seconds), frame
+    return message
 
 
 def write(path, **faults):
@@ -21,12 +31,19 @@ def write(path, **faults):
     with rosbag.Bag(path, 'w') as bag:
         edges = [(f'{r}_base_link', f'{r}_{f}', np.eye(4)) for r in ('mav', 'ground') for f in ('camera_optical_frame', 'imu_link')]
         if not faults.get('no_tf'):
-            messages.write_latched(bag, '/tf_static', messages.static_transforms(edges, 99), 99)
+            for part in ([edges[:2], edges[2:]] if faults.get('split_tf') else [edges]):
+                if faults.get('split_tf'):
+                    bag.write('/tf_static', messages.static_transforms(part, 99), messages.stamp(99))
+                else:
+                    messages.write_latched(bag, '/tf_static', messages.static_transforms(part, 99), 99)
+        if faults.get('clock'):
+            bag.write('/clock', Clock(messages.stamp(100)), messages.stamp(100))
+        later = faults.get('clocks', 0.0)
         for i in range(600):
             t = 100 + i / 200
             for robot in ('mav', 'ground'):
-                accel = np.array([0, 0, 9.81]) * faults.get('imu_factor', 1.0)
-                gyro = np.array([0.01, 0, 0]) * faults.get('gyro_factor', 1.0)
+                accel = np.array([9.81, 0, 0] if faults.get('imu_axes') else [0, 0, 9.81]) * faults.get('imu_factor', 1.0)
+                gyro = np.array([0.01 + (0.3 * np.sin(5 * t) if faults.get('moving') else 0), 0, 0]) * faults.get('gyro_factor', 1.0)
                 topic = f'/{robot}/imu/data' if robot == 'ground' or not faults.get('imu_elsewhere') else '/imu0'
                 bag.write(topic, messages.imu(gyro, accel, 1e-6, 1e-4, t, f'{robot}_imu_link'), messages.stamp(t))
             if i % 10 == 0 and not (faults.get('gap') and 200 < i < 400):
@@ -35,15 +52,22 @@ def write(path, **faults):
                 if faults.get('uncalibrated'):
                     info.K = [0.0] * 9
                 if faults.get('fisheye'):
-                    info.distortion_model = 'equidistant'
+                    info.distortion_model = faults['fisheye']
                 bag.write('/mav/camera/camera_info', info, messages.stamp(t))
-                bag.write('/mav/camera/image_raw', messages.image(np.zeros((48, 64)), 'mono8', stamp, 'mav_camera_optical_frame'), messages.stamp(t))
+                if faults.get('compressed'):
+                    bag.write('/mav/camera/image_raw/compressed', compressed(np.zeros((48, 64), np.uint8), stamp, 'mav_camera_optical_frame'), messages.stamp(t))
+                else:
+                    bag.write('/mav/camera/image_raw', messages.image(np.zeros((48, 64)), 'mono8', stamp, 'mav_camera_optical_frame'), messages.stamp(t))
                 frame = '' if faults.get('no_frame') else 'ground_camera_optical_frame'
-                bag.write('/ground/rgb/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t, frame), messages.stamp(t))
-                bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t, frame), messages.stamp(t))
+                bag.write('/ground/rgb/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t + later, frame), messages.stamp(t))
+                bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t + later, frame), messages.stamp(t))
                 shape = (24, 32) if faults.get('small_depth') else (48, 64)
-                if not faults.get('no_depth'):
-                    bag.write('/ground/depth/image_raw', messages.image(np.full(shape, faults.get('depth', 1500)), '16UC1', t, frame), messages.stamp(t))
+                if faults.get('compressed'):
+                    picture = compressed(np.full(shape, 1500, np.uint16), t, frame, bytes(12), '.png', '16UC1; compressedDepth')
+                    bag.write('/ground/depth/image_raw/compressedDepth', picture, messages.stamp(t))
+                elif not faults.get('no_depth') and not (faults.get('slow_depth') and i % 20):
+                    depth_frame = 'ground_depth_optical_frame' if faults.get('depth_frame') else frame
+                    bag.write('/ground/depth/image_raw', messages.image(np.full(shape, faults.get('depth', 1500)), '16UC1', t + later, depth_frame), messages.stamp(t))
                 for robot in ('mav', 'ground'):
                     bag.write(f'/ground_truth/{robot}', messages.pose_stamped(geometry.pose(), t, 'world'), messages.stamp(t))
 
@@ -64,14 +88,67 @@ class BagCheck(unittest.TestCase):
 
     def test_errors(self):
         for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('degrees', dict(gyro_factor=6000.0)),
-                             ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye=True)), ('/tf_static', dict(no_tf=True)),
+                             ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('clocks of the robots do not overlap', dict(clocks=5000.0)), ('/tf_static', dict(no_tf=True)),
                              ('frame id is empty', dict(no_frame=True)), ('/ground/depth/image_raw is missing', dict(no_depth=True)),
                              ('differ in size', dict(small_depth=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
             self.assert_found(bag_check.ERROR, text, **faults)
 
     def test_warnings(self):
-        for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000))):
+        for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
+                             ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_image_transport:=compressed', dict(compressed=True)),
+                             ('not to be registered', dict(depth_frame=True)), ('comes at 10.0 Hz', dict(slow_depth=True)), ('/clock is in the bag', dict(clock=True)),
+                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('begins in motion', dict(moving=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
+
+    def test_no_errors_where_the_nodes_can_help_themselves(self):
+        for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant')):
+            self.assertEqual([f.text for f in self.findings(**faults) if f.level == bag_check.ERROR], [], faults)
+        self.assert_found(bag_check.OK, '/tf_static comes in 2 messages and not latched', split_tf=True)
+
+    def test_topics_are_guessed_and_the_command_printed(self):
+        """Names as the drivers of others give them."""
+        def first(path, cameras, edges):
+            with rosbag.Bag(path, 'w') as bag:
+                messages.write_latched(bag, '/tf_static', messages.static_transforms([(p, c, np.eye(4)) for p, c in edges], 99), 99)
+                for t in np.arange(100, 102, 0.05):
+                    for topic, kind, frame in cameras:
+                        size = (48, 64, 3) if kind == 'rgb8' else (48, 64)
+                        picture = compressed(np.zeros(size, np.uint8), t, frame) if topic.endswith('compressed') else messages.image(np.zeros(size), kind, t, frame)
+                        bag.write(topic, picture, messages.stamp(t))
+                        info = topic.replace('/compressed', '').rsplit('/', 1)[0] + '/camera_info'
+                        bag.write(info, messages.camera_info(CAMERA, t, frame), messages.stamp(t))
+
+        def imu(path, topic, frame):
+            with rosbag.Bag(path, 'a') as bag:
+                for t in np.arange(100, 102, 0.005):
+                    bag.write(topic, messages.imu([0, 0, 0], [0, 0, 9.81], 1e-6, 1e-4, t, frame), messages.stamp(t))
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            first(path, [('/cam0/image_raw', 'mono8', 'cam0'), ('/cam1/image_raw', 'mono8', 'cam1')], [('imu4', 'cam0'), ('imu4', 'cam1')])
+            imu(path, '/imu0', 'imu4')
+            check = os.path.join(HERE, '..', 'scripts', 'check_bag')
+            result = subprocess.run(['/usr/bin/python3', check, path], capture_output=True, text=True, check=False)
+            self.assertEqual(result.returncode, 0, result.stdout + result.stderr)
+            self.assertEqual(result.stdout.splitlines()[-1], f'roslaunch air_ground replay.launch bag:={path} mav_image:=/cam0/image_raw '
+                             'mav_camera_info:=/cam0/camera_info mav_imu:=/imu0 mav_base_frame:=imu4 mav_camera_frame:=cam0 rgbd_slam:=false '
+                             'heightmap_mcl:=false icp_refine:=false')
+
+            first(path, [('/drone/mono/image_raw/compressed', 'mono8', 'drone_cam'), ('/camera/color/image_raw', 'rgb8', 'camera_color'),
+                         ('/camera/aligned_depth_to_color/image_raw', '16UC1', 'camera_color'), ('/camera/depth/image_rect_raw', '16UC1', 'camera_depth')],
+                  [('drone/base_link', 'drone_cam'), ('drone/base_link', 'drone_imu'), ('base_footprint', 'base'), ('base', 'camera_color')])
+            imu(path, '/drone/imu/data_raw', 'drone_imu')
+            facts = bag_reader.BagFacts(path)
+            names = bag_guess.guess(facts)
+            self.assertEqual(names, {
+                '/mav/camera/image_raw': '/drone/mono/image_raw', '/mav/camera/camera_info': '/drone/mono/camera_info', '/mav/imu/data': '/drone/imu/data_raw',
+                '/ground/rgb/image_raw': '/camera/color/image_raw', '/ground/rgb/camera_info': '/camera/color/camera_info',
+                '/ground/depth/image_raw': '/camera/aligned_depth_to_color/image_raw'})
+            line = bag_guess.command(facts, names, {'mav': bag_guess.guess_base(facts, 'mav', 'drone_cam'),
+                                                    'ground': bag_guess.guess_base(facts, 'ground', 'camera_color')}, {'mav': 'drone_cam', 'ground': 'camera_color'})
+            for word in ('mav_image_transport:=compressed', 'mav_base_frame:=drone/base_link', 'ground_base_frame:=base', 'ground_camera_frame:=camera_color'):
+                self.assertIn(word, line.split())
+            self.assertNotIn(':=false', line)
 
     def test_mapped_names(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -67,7 +67,7 @@ def write_database(path):
 
 class CityReport(unittest.TestCase):
     def run_replay(self, **stand_in):
-        folder = tempfile.TemporaryDirectory()
+        folder = tempfile.TemporaryDirectory(prefix='a folder with spaces ')
         self.addCleanup(folder.cleanup)
         package = rospkg.RosPack().get_path('air_ground')
 
@@ -120,6 +120,8 @@ class CityReport(unittest.TestCase):
         self.assertLess(values['fix_position_error_median_m'], 0.4)
         self.assertEqual(values['tf_publishers']['world -> mav_map'], ['ekf_tracker'])
         self.assertIn('Majdik', output)
+        self.assertIn(f'replay complete: results in {out}', output)
+        self.assertNotIn('has died', output)
         for name in ('trajectories.png', 'uncertainty.png'):
             self.assertGreater(os.path.getsize(os.path.join(out, name)), 20000)
         for name in ('tracker', 'vo', 'gps', 'truth'):
@@ -130,6 +132,7 @@ class CityReport(unittest.TestCase):
         self.assertFalse(values['tracker_started'])
         self.assertNotIn('tracker_position_error_mean_m', values)
         self.assertIn('never started', output)
+        self.assertNotIn('has died', output)
 
 
 if __name__ == '__main__':

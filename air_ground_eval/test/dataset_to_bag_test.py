@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Folders in the three layouts, written here with known content, must come out of dataset_to_bag as bags that check_bag accepts."""
+"""Folders in the four layouts, written here with known content, must come out of dataset_to_bag as bags that check_bag accepts."""
 import os
 import subprocess
 import sys
@@ -94,6 +94,32 @@ def write_euroc(folder, count=40):
         for i in range(count * 4):
             stream.write(f'{begin + i * 12500000},{0.01 * i},0,1,1,0,0,0,0,0,0,0,0,0,0,0,0\n')
     return T_body_camera
+
+
+def write_zurich(folder):
+    """Three images one second apart at one place, looking to grid north; a fourth whose stamp does not increase, a fifth that is missing."""
+    images, logs, panoramas = (os.path.join(folder, name) for name in ('MAV Images', 'Log Files', 'Street View Images'))
+    for path in (images, logs, panoramas):
+        os.makedirs(path)
+    for i in range(1, 5):
+        write_image(os.path.join(images, f'{i:05d}.jpg'), i)
+    Image.new('RGB', (64, 32)).save(os.path.join(panoramas, 'pano_001.jpg'))
+    np.savez(os.path.join(folder, 'calibration_data.npz'), intrinsic_matrix=np.array([[150, 0, 80], [0, 151, 60], [0, 0, 1.0]]),
+             distCoeff=np.array([[-0.28, 0.1, 0.001, 0.002, -0.02]]))
+
+    def log(name, header, rows):
+        with open(os.path.join(logs, name), 'w', encoding='utf-8') as stream:
+            stream.write(header + '\n' + ''.join(','.join(str(x) for x in row) + ',\n' for row in rows))
+
+    stamps = [7000000, 8000000, 9000000, 9000000, 10000000]
+    log('GroundTruthAGM.csv', 'Timpstemp, imgid, svid_1', [(t, i, 1, 2, 3) for i, t in enumerate(stamps, 1)])
+    # omega 90 degrees: the camera's y is up, it looks along grid north.
+    log('GroundTruthAGL.csv', 'imgid, x_gt', [(i, 465666.0, 5247973.0, 470.0 + i, 90, 0, 0, 465669.0, 5247973.0, 470.0) for i in (1, 2, 3)])
+    log('OnbordGPS.csv', 'Timpstemp, imgid', [(t, 1, 473843450, 85450370, 480000, 1, 1, 3, 2.5, 4.0, 0, 0, 0, 8) for t in range(7000000, 9100000, 200000)])
+    log('RawAccel.csv', 'Timpstemp, Error_count', [(t, 0, 0.5, 0.0, -9.81, 9, 156, 0, 0, 0, 0, 0) for t in range(6990000, 9100000, 100000)])
+    log('RawGyro.csv', 'Timpstemp, Error_count', [(t, 0, 0.0, 0.0, 0.1, 9, 34, 0, 0, 0, 0, 0) for t in range(6991000, 9100000, 100000)])
+    log('BarometricPressure.csv', 'Timpstemp, Pressure', [(t, 957.89, 471.4, 10.3, 0) for t in range(7000000, 9100000, 100000)])
+    log('StreetViewGPS.csv', 'lat, lon, yaw_degree', [(47.384345, 8.545037, 161.01, -94.94, 1.97, 1)])
 
 
 def convert(*arguments):
@@ -193,6 +219,102 @@ class DatasetToBag(unittest.TestCase):
         truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
         expected = geometry.pose(None, (0.01 * 40, 0, 1)) @ T_body_camera
         self.assertTrue(np.allclose(truth.poses[40], expected, atol=1e-5))
+
+    def test_euroc_images_are_those_of_data_csv(self):
+        """Any format, names that are no stamps, folders; what is missing is counted."""
+        data = os.path.join(self.folder, 'phone')
+        os.mkdir(data)
+        write_euroc(data)
+        cam0 = os.path.join(data, 'mav0', 'cam0')
+        os.makedirs(os.path.join(cam0, 'frames'))
+        for i in range(3):
+            write_image(os.path.join(cam0, 'frames', f'img{i}.jpg'), i)
+        begin = 1403636579000000000
+        with open(os.path.join(cam0, 'data.csv'), 'w', encoding='utf-8') as stream:
+            stream.write('#timestamp [ns],filename\n')
+            for i in range(3):
+                stream.write(f'{begin + 50000000 * i}, frames/img{i}.jpg\r\n')
+            stream.write(f'{begin + 150000000},{begin + 150000000}.png\n{begin + 200000000},gone.jpg\n')
+        result = convert('--mav', data, '--out', self.bag, '--keep-stamps')
+        self.assertEqual(result.returncode, 0, result.stderr)
+        images = messages_of(self.bag, '/mav/camera/image_raw')
+        self.assertTrue(np.allclose([m.header.stamp.to_nsec() - begin for m in images], [0, 50000000, 100000000, 150000000], atol=1000))
+        self.assertIn('1 of 5 images named in', result.stdout)
+        self.assertIn('gone.jpg', result.stdout)
+        os.rename(os.path.join(cam0, 'frames'), os.path.join(cam0, 'elsewhere'))
+        os.rename(os.path.join(cam0, 'data'), os.path.join(cam0, 'nowhere'))
+        self.assertIn('5 of 5 images named in', convert('--mav', data, '--out', self.bag).stderr)
+
+    def test_euroc_fisheye(self):
+        data = os.path.join(self.folder, 'tumvi')
+        os.mkdir(data)
+        write_euroc(data)
+        path = os.path.join(data, 'mav0', 'cam0', 'sensor.yaml')
+        with open(path, encoding='utf-8') as stream:
+            text = stream.read().replace('radial-tangential', 'equidistant')
+        with open(path, 'w', encoding='utf-8') as stream:
+            stream.write(text)
+        self.assertEqual(convert('--mav', data, '--out', self.bag).returncode, 0)
+        info = messages_of(self.bag, '/mav/camera/camera_info')[0]
+        self.assertEqual((info.distortion_model, len(info.D)), ('equidistant', 4))
+
+    def test_zurich_urban(self):
+        data = os.path.join(self.folder, 'AGZ')
+        write_zurich(data)
+        result = convert('--mav', data, '--out', self.bag, '--keep-stamps')
+        self.assertEqual(result.returncode, 0, result.stderr)
+        self.assertIn('1 images whose stamp is not later', result.stdout)
+        self.assertIn('1 of 4 images named in GroundTruthAGM.csv are missing', result.stdout)
+        self.assertEqual([m.header.stamp.to_sec() for m in messages_of(self.bag, '/mav/camera/image_raw')], [7, 8, 9])
+        info = messages_of(self.bag, '/mav/camera/camera_info')[0]
+        self.assertTrue(np.allclose(info.K, [150, 0, 80, 0, 151, 60, 0, 0, 1]) and np.allclose(info.D, [-0.28, 0.1, 0.001, 0.002, -0.02]))
+        self.assertAlmostEqual(messages_of(self.bag, '/barometer')[0].fluid_pressure, 95789.0, places=6)
+        fix = messages_of(self.bag, '/gps/fix')[0]
+        self.assertAlmostEqual(fix.latitude, 47.384345, places=6)
+        self.assertAlmostEqual(fix.altitude, 480 + 47.3, places=6)
+        self.assertAlmostEqual(fix.position_covariance[0], 2.5 ** 2)
+        imu = messages_of(self.bag, '/mav/imu/data')[0]
+        self.assertAlmostEqual(imu.linear_acceleration.z, -9.81)
+        from air_ground_eval.bag_reader import BagFacts
+        facts = BagFacts(self.bag)
+        # The autopilot's z is down, the camera looks to its left: base_link's x, along the camera, is its -y.
+        T_base_imu = facts.static_transform('mav_base_link', 'mav_imu_link')
+        self.assertTrue(np.allclose(T_base_imu[:3, :3] @ [0, 0, 1], [0, 0, -1], atol=1e-9))
+        self.assertTrue(np.allclose(T_base_imu[:3, :3] @ [0, -1, 0], [1, 0, 0], atol=1e-9))
+        truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+        # 0.455 degrees west of the zone's meridian, at 47.38 degrees north: grid north is 0.335 degrees west of true north.
+        axis = truth.poses[0][:3, 2]
+        self.assertAlmostEqual(np.degrees(np.arctan2(axis[0], axis[1])), -0.455 * np.sin(np.radians(47.38)), delta=0.002)
+        self.assertAlmostEqual(axis[2], 0, places=6)
+        self.assertTrue(np.allclose(truth.poses[0][:3, 1], [0, 0, -1], atol=1e-6))
+        self.assertTrue(np.allclose(truth.poses[:, :3, 3], [[0, 0, 0], [0, 0, 1], [0, 0, 2]], atol=1e-3))
+        city = os.path.join(self.folder, 'out.city')
+        with open(os.path.join(city, 'geotags.csv'), encoding='utf-8') as stream:
+            lines = stream.read().splitlines()
+        self.assertEqual(lines[0], 'image,lat,lon,alt,heading_deg')
+        self.assertEqual(lines[1], 'pano_001.jpg,47.3843450,8.5450370,463.50,161.01')  # 7.5 m below the flight
+        from air_ground_eval import city_database
+        facts = city_database.tracker_parameters(None, city_database.read_city_file(os.path.join(city, 'city.yaml')))
+        self.assertEqual(facts['origin'], [465666.0, 5247973.0, 471.0])
+
+    def test_real_recordings(self):
+        """What other people recorded, where it is there (AIR_GROUND_TEST_DATA, or shared/data beside the checkout)."""
+        data = os.environ.get('AIR_GROUND_TEST_DATA') or os.path.join(HERE, '..', '..', '..', 'shared', 'data')
+        found = [(name, count) for name, count in (('euroc_v101_start', 90), ('handheld_l515', 1059), ('agz_zurich', 0)) if os.path.isdir(os.path.join(data, name))]
+        if not found:
+            print(f'[  SKIPPED ] DatasetToBag.test_real_recordings: no recordings in {data}')  # for tools/run_tests: rosunit's results do not tell
+            self.skipTest(f'no recordings in {data}')
+        for name, count in found:
+            recording = datasets.read_recording(os.path.join(data, name), 'auto', {})
+            self.assertEqual(len(recording.colour), count, name)
+            self.assertGreater(len(recording.imu.stamps), 100)
+        if found[-1][0] == 'agz_zurich':
+            # Photogrammetry's positions and the receiver's, through degrees: metres apart (6 on average).
+            from air_ground_eval.city_database import WorldFrame
+            frame = WorldFrame(recording.city['crs'], recording.city['origin'], recording.city['geoid_undulation'])
+            offset = frame.from_geodetic(*recording.gps.places.T) - recording.poses[:, :3, 3]
+            self.assertLess(np.median(np.linalg.norm(offset, axis=1)), 10)
+            self.assertGreater(len(recording.geotags), 100)
 
     def test_bad_input_is_named(self):
         data = os.path.join(self.folder, 'scene')

@@ -25,7 +25,8 @@ def write_bag(path, truth=True):
     with rosbag.Bag(path, 'w') as bag:
         edges = [('mav_base_link', 'mav_camera_optical_frame', geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))),
                  ('ground_base_link', 'ground_camera_optical_frame', geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.1, 0, 0.4)))]
-        messages.write_latched(bag, '/tf_static', messages.static_transforms(edges, 99.999), 99.999)
+        for edge in edges:  # as the Python API, a filter or a merge leaves them: apart, and not latched
+            bag.write('/tf_static', messages.static_transforms([edge], 99.999), messages.stamp(99.999))
         for t in np.arange(0, DURATION, 0.02):
             mav = geometry.pose(geometry.rotation_z(0.6 * t), (np.cos(t), np.sin(t), 1.5 + 0.1 * t))
             ground = geometry.pose(geometry.rotation_z(0.3 * t), (2 * np.cos(0.3 * t), 2 * np.sin(0.3 * t), 0.05 * np.sin(t)))
@@ -41,6 +42,14 @@ def write_bag(path, truth=True):
             stream.write(b'\x03' + np.array(face, '<i4').tobytes())
 
 
+def roslaunch(file, *arguments):
+    """Runs a launch file on a master of its own; returns its output."""
+    port = demo.free_port()
+    result = subprocess.run(['roslaunch', '-p', str(port), file, *arguments], env=dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}'),
+                            capture_output=True, text=True, timeout=160, check=False)
+    return result.stdout + result.stderr
+
+
 def replay(folder, stand_in, *arguments):
     """Runs replay.launch with the stand-in; returns its output."""
     launch = os.path.join(folder, 'stand_in_replay.launch')
@@ -53,21 +62,21 @@ def replay(folder, stand_in, *arguments):
                      f'<include file="{package}/launch/replay.launch" pass_all_args="true"><arg name="wait_for" value="stand_in_pipeline"/>'
                      + ''.join(f'<arg name="{n}" value="false"/>' for n in ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine'))
                      + '</include></launch>')
-    port = demo.free_port()
-    environment = dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}')
-    result = subprocess.run(['roslaunch', '-p', str(port), launch, f'bag:={folder}/x.bag', f'out:={folder}/out', *arguments],
-                            env=environment, capture_output=True, text=True, timeout=160, check=False)
-    return result.stdout + result.stderr
+    return roslaunch(launch, f'bag:={folder}/x.bag', f'out:={folder}/out', *arguments)
 
 
 class ReplayReport(unittest.TestCase):
     def run_replay(self, stand_in, truth=True):
-        folder = tempfile.TemporaryDirectory()
+        folder = tempfile.TemporaryDirectory(prefix='a folder with spaces ')
         self.addCleanup(folder.cleanup)
         write_bag(os.path.join(folder.name, 'x.bag'), truth)
-        output = replay(folder.name, stand_in, *([] if truth else ['truth:=/hidden']))
+        static_file = os.path.join(folder.name, 'static.txt')
+        output = replay(folder.name, dict(stand_in, static_file=static_file), *([] if truth else ['truth:=/hidden']))
         out = os.path.join(folder.name, 'out')
         self.assertTrue(os.path.isfile(os.path.join(out, 'report.yaml')), output)
+        # One who listens late hears all static transforms of the bag.
+        with open(static_file, encoding='utf-8') as stream:
+            self.assertEqual(stream.read(), 'ground_camera_optical_frame mav_camera_optical_frame')
         with open(os.path.join(out, 'report.yaml'), encoding='utf-8') as stream:
             return out, yaml.safe_load(stream), output
 
@@ -92,6 +101,9 @@ class ReplayReport(unittest.TestCase):
         track = evaluation.read_tum(os.path.join(out, 'mav_trajectory.txt'))
         self.assertGreater(len(track), 0.9 * DURATION / 0.02)
         self.assertIn('refined error', output)
+        # The end of a good replay looks like one.
+        self.assertIn(f'replay complete: results in {out}', output)
+        self.assertNotIn('has died', output)
 
     def test_scale_error_and_refusal(self):
         out, values, output = self.run_replay({'vo_scale': 1.05, 'status': 2})
@@ -113,6 +125,48 @@ class ReplayReport(unittest.TestCase):
         self.assertGreater(values['augmented_map_points'], 1000)
         self.assertNotIn('map_surface_error_median_m', values)
         self.assertTrue(os.path.isfile(os.path.join(out, 'report.png')))
+
+    def test_a_robot_without_pose_and_one_switched_off(self):
+        out, values, output = self.run_replay({'silent': 'too dark, says the stand-in', 'ground': 'false'})
+        progress = [line for line in output.splitlines() if 'replay 50 %' in line]
+        self.assertEqual(len(progress), 1, output)
+        self.assertIn('mav initializing (too dark, says the stand-in), ground switched off', progress[0])
+        self.assertIn('mav_vo gave no pose at all: too dark, says the stand-in', output)
+        self.assertNotIn('rgbd_slam gave no pose', output)
+        self.assertTrue(values['slam_switched_off'])
+        self.assertNotIn('slam_poses', values)
+        self.assertNotIn('has died', output)
+
+    def assert_refused(self, *lines, bag, **parameters):
+        """The replay ends before anything plays, with these lines and nothing that looks like a crash."""
+        with tempfile.TemporaryDirectory() as folder:
+            launch = os.path.join(folder, 'x.launch')
+            with open(launch, 'w', encoding='utf-8') as stream:
+                stream.write('<launch><param name="use_sim_time" value="true"/><node pkg="air_ground" type="replay_report" name="replay_report" output="screen" '
+                             f'required="true"><param name="bag" value="{bag}"/><param name="out" value="{folder}/out"/>'
+                             + ''.join(f'<param name="{k}" value="{v}"/>' for k, v in parameters.items()) + '</node></launch>')
+            output = roslaunch(launch)
+            for line in lines:
+                self.assertIn(line, output)
+            for bad in ('Traceback', 'terminate called', 'has died'):
+                self.assertNotIn(bad, output)
+            self.assertFalse(os.path.exists(os.path.join(folder, 'out', 'report.yaml')))
+
+    def test_what_cannot_be_replayed_is_named(self):
+        with tempfile.TemporaryDirectory(prefix='a folder with spaces ') as folder:
+            self.assert_refused('missing.bag cannot be read as a bag (No such file or directory)', bag=f'{folder}/missing.bag')
+            whole, half, text = (os.path.join(folder, name) for name in ('x.bag', 'half.bag', 'text.bag'))
+            write_bag(whole)
+            with open(whole, 'rb') as source, open(half, 'wb') as target:
+                target.write(source.read(os.path.getsize(whole) // 2))
+            self.assert_refused(f'rosbag reindex "{half}"', bag=half)
+            with open(text, 'w', encoding='utf-8') as stream:
+                stream.write('no bag\n')
+            self.assert_refused('cannot be read as a bag', bag=text)
+            with rosbag.Bag(whole, 'a') as bag:
+                bag.write('/cam0/image_raw', messages.image(np.zeros((8, 8)), 'mono8', 101, 'camera'), messages.stamp(101))
+            self.assert_refused('no message on /mav/camera/image_raw: the bag has no such topic; of type sensor_msgs/Image it has /cam0/image_raw: set mav_image:=',
+                                'no message on /ground/depth/image_raw', bag=whole)
 
 
 if __name__ == '__main__':

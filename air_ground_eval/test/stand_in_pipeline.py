@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Stands in for the five nodes: turns the ground truth topics of a bag into estimates with known errors.
 
-Parameters: ~refined_error [m, along x of ground_map], ~refined_error_yaw [rad], ~vo_scale, ~status (of the refinement).
+Parameters: ~refined_error [m, along x of ground_map], ~refined_error_yaw [rad], ~vo_scale, ~status (of the refinement), ~silent (a reason: the MAV
+gives no pose and says so), ~ground (false: no ground robot), ~static_file (gets the frames that a late listener finds on /tf_static).
 The MAV's map starts at MAV_MAP_IN_WORLD, the ground robot's at GROUND_MAP_IN_WORLD, both as a VO or SLAM would choose them.
 """
 import os
@@ -14,6 +15,7 @@ from air_ground.msg import AlignmentEstimate, VoStatus
 from air_ground.srv import SaveMap, SaveMapResponse, SaveTrajectory, SaveTrajectoryResponse
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from tf2_msgs.msg import TFMessage
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
 from air_ground_eval import evaluation, geometry, messages  # noqa: E402
@@ -35,15 +37,29 @@ class StandIn:
                        'ground': rospy.Publisher('ground/slam_status', VoStatus, queue_size=100)}
         self.estimates = {0: rospy.Publisher('alignment/coarse', AlignmentEstimate, queue_size=10),
                           1: rospy.Publisher('alignment/refined', AlignmentEstimate, queue_size=10)}
+        self.silent = rospy.get_param('~silent', '')
+        self.static, self.static_children = None, set()
         self.count = 0
         self.last_estimate = 0.0
         rospy.Service('mav_vo/save_trajectory', SaveTrajectory, lambda request: self.save(request, 'mav'))
         rospy.Service('rgbd_slam/save_trajectory', SaveTrajectory, lambda request: self.save(request, 'ground'))
         rospy.Service('icp_refine/save_map', SaveMap, self.save_map)
-        for name in self.maps:
+        for name in self.maps if rospy.get_param('~ground', True) else ('mav',):
             rospy.Subscriber(f'ground_truth/{name}', PoseStamped, self.on_truth, name, queue_size=1000)
 
+    def on_static(self, message):
+        self.static_children |= {edge.child_frame_id for edge in message.transforms}
+        with open(rospy.get_param('~static_file'), 'w', encoding='utf-8') as stream:
+            stream.write(' '.join(sorted(self.static_children)))
+
     def on_truth(self, message, name):
+        if self.static is None:
+            self.static = rospy.Subscriber('/tf_static', TFMessage, self.on_static, queue_size=10)
+        if self.silent and name == 'mav':
+            status = VoStatus(state=VoStatus.STATE_INITIALIZING, reason=self.silent)
+            status.header.stamp = message.header.stamp
+            self.status[name].publish(status)
+            return
         p, q = message.pose.position, message.pose.orientation
         pose = geometry.inverse(self.maps[name]) @ geometry.pose_from_tq([p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
         if name == 'mav':
@@ -65,23 +81,28 @@ class StandIn:
                 self.estimate(message.header.stamp, pose)
 
     def estimate(self, stamp, T_mav_map_base):
-        """Publishes the true alignment, displaced at the MAV's camera by the known errors."""
+        """Publishes the true alignment, displaced at the MAV's camera by the known errors; the refined one has a scale."""
         truth = geometry.inverse(GROUND_MAP_IN_WORLD) @ MAV_MAP_IN_WORLD
-        camera = (truth @ T_mav_map_base @ self.T_base_camera['mav'])[:3, 3]
-        for stage, error, yaw in ((0, 0.8 / self.count, 0.1), (1, rospy.get_param('~refined_error', 0.05),
-                                                                rospy.get_param('~refined_error_yaw', 0.02))):
+        camera_in_map = (T_mav_map_base @ self.T_base_camera['mav'])[:3, 3]
+        camera = truth[:3, :3] @ camera_in_map + truth[:3, 3]
+        for stage, error, yaw, scale in ((0, 0.8 / self.count, 0.1, 1.0), (1, rospy.get_param('~refined_error', 0.05),
+                                                                           rospy.get_param('~refined_error_yaw', 0.02), 1.05)):
             turn = geometry.pose(geometry.rotation_z(yaw), camera - geometry.rotation_z(yaw) @ camera)
             shift = geometry.pose(None, (error, 0, 0))
-            message = AlignmentEstimate(stage=stage, iterations=self.count, reason='stand-in', overlap=0.8)
+            message = AlignmentEstimate(stage=stage, iterations=self.count, reason='stand-in', overlap=0.8, scale=scale)
             message.status = AlignmentEstimate.STATUS_CONVERGED if stage == 0 else rospy.get_param('~status', 3)
             message.header.stamp, message.header.frame_id, message.child_frame_id = stamp, 'ground_map', 'mav_map'
-            messages.fill_pose(message.pose.pose, shift @ turn @ truth)
+            alignment = shift @ turn @ truth
+            alignment[:3, 3] -= (scale - 1) * alignment[:3, :3] @ camera_in_map
+            messages.fill_pose(message.pose.pose, alignment)
             message.pose.covariance = list((1e-4 * np.eye(6)).ravel())
             self.estimates[stage].publish(message)
 
     def save(self, request, name):
         with self.lock:
             items = sorted(self.poses[name].items())
+        if not items:
+            return SaveTrajectoryResponse(False, 'no poses', 0)
         track = evaluation.Track(np.array([s for s, _ in items]), np.array([p for _, p in items]) @ self.T_base_camera[name])
         evaluation.write_tum(request.path, track)
         return SaveTrajectoryResponse(True, 'saved', len(track))

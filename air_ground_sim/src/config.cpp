@@ -3,10 +3,13 @@
 #include <yaml-cpp/yaml.h>
 
 #include <cmath>
+#include <filesystem>
 #include <map>
 #include <set>
 #include <sstream>
 #include <stdexcept>
+
+#include "air_ground_common/camera_file.h"
 
 namespace air_ground_sim {
 namespace {
@@ -41,6 +44,13 @@ class Section {
     if (!find(key)) return;
     *value = node_[key].IsScalar() ? std::vector<double>{as<double>(key, "a number or a list of numbers")}
                                    : as<std::vector<double>>(key, "a number or a list of numbers");
+  }
+  /// A camera_info YAML file, relative to the world's.
+  void calibration(const char* key, air_ground_common::CameraModel* value) {
+    if (!find(key)) return;
+    const std::filesystem::path file = as<std::string>(key, "the name of a file");
+    const std::filesystem::path world = where_.substr(0, where_.find(".yaml") + 5);
+    *value = air_ground_common::readCameraFile((world.parent_path() / file).string());
   }
   void vector(const char* key, Eigen::Vector3d* value) {
     if (!find(key)) return;
@@ -213,6 +223,7 @@ void read(Section s, LaneConfig* l, bool planned) {
 }
 
 void read(Section s, ImagerConfig* c) {
+  s.calibration("calibration", &c->camera);
   s.number("rate", &c->rate, 1, 60);
   s.integer("samples", &c->samples, 1, 64);
   s.number("target_mean", &c->target_mean, 0.05, 0.9);

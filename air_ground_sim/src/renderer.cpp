@@ -237,7 +237,9 @@ Renderer::Renderer(const Scene& scene, const air_ground_common::CameraModel& cam
       for (int s = 0; s < samples; ++s) {
         const double dx = (cells[s] % side + rng.uniform()) / side - 0.5,
                      dy = (cells[s] / side + rng.uniform()) / side - 0.5;
-        const Eigen::Vector2d n = camera.unproject({x + dx, y + dy});
+        // Outside a fisheye's image circle any ray will do: the imager leaves those pixels dark.
+        const Eigen::Vector2d seen = camera.unproject({x + dx, y + dy});
+        const Eigen::Vector2d n = seen.allFinite() ? seen : Eigen::Vector2d::Zero();
         rays_[2 * s * pixels + pixel] = static_cast<float>(n.x());
         rays_[(2 * s + 1) * pixels + pixel] = static_cast<float>(n.y());
       }
@@ -305,7 +307,7 @@ void Renderer::depth(const std::vector<air_ground_common::Pose>& T_world_camera,
         const std::size_t pixel = top + (i < 4 ? i : w + i - 4);
         nx[i] = centers_[pixel];
         ny[i] = centers_[pixels + pixel];
-        valid[i] = -1;
+        valid[i] = std::isfinite(nx[i]) ? -1 : 0;
       }
       makeRays(upper, lower, nx, ny, 1e6f, &packet);
       rtcIntersect8(valid, scene_.embree(), &context, &packet);

@@ -50,7 +50,9 @@ Imager::Imager(const ImagerConfig& config, std::uint64_t seed)
   for (int y = 0; y < c.height; ++y)
     for (int x = 0; x < c.width; ++x) {
       const double r = std::hypot(x - c.cx, y - c.cy) / corner;
-      vignette_[static_cast<std::size_t>(y) * c.width + x] = static_cast<float>(1 - config.vignetting * r * r);
+      const bool seen = c.unproject({x, y}).allFinite();
+      vignette_[static_cast<std::size_t>(y) * c.width + x] =
+          seen ? static_cast<float>(1 - config.vignetting * r * r) : 0.0f;
     }
   response_.resize(kSignalSteps);
   for (int i = 0; i < kSignalSteps; ++i)

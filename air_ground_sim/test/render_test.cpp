@@ -3,6 +3,7 @@
 #include <omp.h>
 
 #include <cmath>
+#include <fstream>
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_sim/recording.h"
@@ -63,11 +64,30 @@ TEST(Mounts, MavLooksDownGroundLooksAheadAndDown) {
   EXPECT_LT((left + right) * 180 / M_PI, 100);
 }
 
+TEST(Cameras, TheWorldFileMayNameACalibration) {
+  const std::string folder = testing::TempDir(), world = folder + "/air_ground_fisheye_world.yaml";
+  std::ofstream(folder + "/air_ground_fisheye.yaml")
+      << std::ifstream(std::string(AIR_GROUND_WORLDS) + "/../cameras/fisheye_150.yaml").rdbuf();
+  const std::string start =
+      "world: {kind: indoor}\nlane: {points: [[2, -1], [2, 0], [2, 1]]}\nmav_camera: {calibration: air_ground_";
+  std::ofstream(world) << start << "fisheye.yaml}\n";
+  const CameraModel camera = loadSimConfig(world).mav_camera.camera;
+  EXPECT_EQ(camera.model, air_ground_common::DistortionModel::kEquidistant);
+  const double left = std::atan(-camera.unproject({-0.5, camera.cy}).x()),
+               right = std::atan(camera.unproject({camera.width - 0.5, camera.cy}).x());
+  EXPECT_NEAR((left + right) * 180 / M_PI, 150, 1);
+  std::ofstream(world) << start << "no_such.yaml}\n";
+  EXPECT_THROW(loadSimConfig(world), std::runtime_error);
+}
+
 TEST(Renderer, DepthAgreesWithSingleRaysThroughTheDistortedCamera) {
   const World world = boxWorld();
   const Scene scene(world);
   const air_ground_common::MeshScene reference(meshOf(world));
-  for (const View& view : {mavView(), groundView()}) {
+  View wide = mavView();
+  wide.camera.fx = wide.camera.fy = 289;
+  wide.camera.setDistortion("equidistant", {-0.0121, 0.0234, -0.0194, 0.0051});
+  for (const View& view : {mavView(), groundView(), wide}) {
     const Renderer renderer(scene, view.camera, 1, 1);
     DepthImage image;
     renderer.depth(view.T_world_camera, 0, &image);
@@ -76,6 +96,10 @@ TEST(Renderer, DepthAgreesWithSingleRaysThroughTheDistortedCamera) {
     for (int k = 0; k < 4000; ++k) {
       const int x = rng.integer(view.camera.width), y = rng.integer(view.camera.height);
       const Eigen::Vector3d ray = view.camera.ray({x, y});
+      if (!ray.allFinite()) {  // outside the image circle
+        EXPECT_EQ(image.depth[static_cast<std::size_t>(y) * view.camera.width + x], 0);
+        continue;
+      }
       const auto hit = reference.cast(view.T_world_camera.translation().cast<float>(),
                                       (view.T_world_camera.linear() * ray).cast<float>());
       const float expected = hit ? static_cast<float>(hit->distance * ray.z()) : 0;

@@ -406,6 +406,7 @@ class DenseFusionNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "dense_fusion");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     const dense_fusion::NodeSettings settings = dense_fusion::readParameters(ros::NodeHandle("~"));
     dense_fusion::DenseFusionNode node(settings);

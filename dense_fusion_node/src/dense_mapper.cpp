@@ -29,7 +29,7 @@ double validShare(const cv::Mat& depth) {
 
 bool sameCalibration(const air_ground_common::CameraModel& a, const air_ground_common::CameraModel& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
-         a.k1 == b.k1 && a.k2 == b.k2 && a.p1 == b.p1 && a.p2 == b.p2 && a.k3 == b.k3;
+         a.model == b.model && a.distortionCoefficients() == b.distortionCoefficients();
 }
 
 }  // namespace

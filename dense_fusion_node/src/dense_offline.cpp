@@ -412,6 +412,7 @@ int main(int argc, char** argv) {
   app.add_option("--contrast-floor", settings.rectifier.contrast_floor, "[grey levels]");
   app.add_option("--normalization-radius", settings.rectifier.normalization_radius, "[px]");
   app.add_option("--scale", settings.rectifier.scale, "size of the swept images");
+  app.add_option("--max-field", settings.rectifier.max_field, "field of view used of wide-angle images [rad]");
   app.add_flag("--write-depth-maps", options.depth_maps, "also draw every single depth map");
   CLI11_PARSE(app, argc, argv);
   settings.fusion.threads = settings.sweep.threads = options.threads;

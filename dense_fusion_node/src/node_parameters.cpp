@@ -30,6 +30,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   m.default_depth_max = p.number("depth_range/default_max", m.default_depth_max, 0.02, 10000);
 
   m.rectifier.scale = p.number("image/scale", m.rectifier.scale, 0.1, 1);
+  m.rectifier.max_field = p.number("image/max_field", m.rectifier.max_field, 0.2, 2.6);
   m.rectifier.normalization_radius = p.integer("image/normalization_radius", m.rectifier.normalization_radius, 1, 100);
   m.rectifier.contrast_floor = p.number("image/contrast_floor", m.rectifier.contrast_floor, 0.1, 100);
   m.rectifier.contrast_gain = p.number("image/contrast_gain", m.rectifier.contrast_gain, 1, 127);

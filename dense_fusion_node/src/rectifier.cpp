@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "air_ground_common/rectification.h"
+
 namespace dense_fusion {
 
 cv::Mat normalizeContrast(const cv::Mat& intensity, const RectifierSettings& settings) {
@@ -37,8 +39,13 @@ Rectifier::Rectifier(const air_ground_common::CameraModel& camera, const Rectifi
     throw std::invalid_argument("rectifier: scale must lie in (0, 1], not " + std::to_string(settings.scale));
   if (settings.normalization_radius < 1 || !(settings.contrast_floor > 0) || !(settings.contrast_gain > 0))
     throw std::invalid_argument("rectifier: normalization_radius, contrast_floor and contrast_gain must be positive");
+  if (!(settings.max_field >= 0.2 && settings.max_field <= 2.6))
+    throw std::invalid_argument("rectifier: max_field must lie in [0.2, 2.6] rad");
   air_ground_common::CameraModel full = camera.undistorted();
-  if (camera.hasDistortion()) {
+  if (camera.model != air_ground_common::DistortionModel::kPlumbBob) {
+    full = air_ground_common::centralPinhole(camera, settings.max_field);
+    cv::convertMaps(air_ground_common::rectificationMap(camera, full), cv::noArray(), map1_, map2_, CV_16SC2);
+  } else if (camera.hasDistortion()) {
     const cv::Mat K =
         cv::getOptimalNewCameraMatrix(camera.cvK(), camera.cvDistortion(), {camera.width, camera.height}, 0);
     full.fx = K.at<double>(0, 0);

@@ -62,29 +62,94 @@ struct Plans {
   fftwf_plan forward, backward;
 };
 
-/// Transforms of mask, heights and squared heights of a map.
-struct Spectra {
-  explicit Spectra(const Plans& plans) {
-    for (auto& s : spectrum) s = allocate(2 * plans.spectrumSize());
+/// A map as the cost sees it: heights above base, holes, levels of bounds.
+struct Cells {
+  explicit Cells(const HeightMap& map) : width(map.width), height(map.height), cap(map.cap), h(map.heights) {
+    const auto base = static_cast<float>(baseHeight(map));
+    for (float& value : h) {
+      value -= base;
+      defined += !std::isnan(value);
+    }
+    if (map.bounds.empty()) return;
+    level.resize(h.size());
+    for (std::size_t k = 0; k < h.size(); ++k) {
+      level[k] = static_cast<std::uint8_t>(boundLevel(map, k));
+      has[level[k]] = true;
+    }
   }
+  bool bounds() const { return std::find(has + 1, has + kBoundLevels + 1, true) != has + kBoundLevels + 1; }
+  float levelHeight(int k) const { return static_cast<float>(cap * k / kBoundLevels); }
 
-  void compute(const Plans& plans, const HeightMap& map, float mean, float* real) {
-    for (int power = 0; power < 3; ++power) {
-      std::fill(real, real + plans.realSize(), 0.f);
-      for (int r = 0; r < map.height; ++r) {
-        float* out = real + static_cast<std::size_t>(r) * plans.columns;
-        const float* in = map.heights.data() + static_cast<std::size_t>(r) * map.width;
-        for (int c = 0; c < map.width; ++c) {
-          if (std::isnan(in[c])) continue;
-          const float h = in[c] - mean;
-          out[c] = power == 0 ? 1.f : power == 1 ? h : h * h;
-        }
+  /// Zero-padded `f(height, level)` of each cell, in rows of `columns`.
+  template <typename F>
+  void fill(const Plans& plans, float* real, const F& f) const {
+    std::fill(real, real + plans.realSize(), 0.f);
+    for (int r = 0; r < height; ++r) {
+      float* out = real + static_cast<std::size_t>(r) * plans.columns;
+      for (int c = 0; c < width; ++c) {
+        const std::size_t k = static_cast<std::size_t>(r) * width + c;
+        if (!std::isnan(h[k])) out[c] = f(h[k], level.empty() ? 0 : level[k]);
       }
-      plans.toSpectrum(real, spectrum[power].get());
     }
   }
 
-  Buffer spectrum[3];
+  int width, height;
+  double cap;
+  std::vector<float> h;
+  std::vector<std::uint8_t> level;  // empty: 0 throughout
+  bool has[kBoundLevels + 1] = {};
+  std::size_t defined = 0;
+};
+
+/// Transforms of a map: mask, heights and squared heights of the cells with a height, and of all with bounds at their
+/// levels; for one level at a time mask of the bounds and what the heights lack of it, squared.
+class Spectra {
+ public:
+  explicit Spectra(const Plans& plans) : floats_(2 * plans.spectrumSize()) {
+    for (auto& s : known_) s = allocate(floats_);
+    level_ = allocate(floats_);
+  }
+
+  void compute(const Plans& plans, const Cells& cells, float* real) {
+    const auto transform = [&](Buffer& to, const auto& f) {
+      if (!to) to = allocate(floats_);
+      cells.fill(plans, real, f);
+      plans.toSpectrum(real, to.get());
+    };
+    bounds_ = cells.bounds();
+    transform(known_[0], [](float, int level) { return level ? 0.f : 1.f; });
+    transform(known_[1], [](float h, int level) { return level ? 0.f : h; });
+    transform(known_[2], [](float h, int level) { return level ? 0.f : h * h; });
+    if (!bounds_) return;
+    const auto value = [&](float h, int level) { return level ? cells.levelHeight(level) : h; };
+    transform(all_[0], [](float, int) { return 1.f; });
+    transform(all_[1], [&](float h, int level) { return value(h, level); });
+    transform(all_[2], [&](float h, int level) { return value(h, level) * value(h, level); });
+  }
+  const float* boundsAt(const Plans& plans, const Cells& cells, int k, float* real) {
+    cells.fill(plans, real, [k](float, int level) { return level == k ? 1.f : 0.f; });
+    plans.toSpectrum(real, level_.get());
+    return level_.get();
+  }
+  /// `level`: height of the level above the floor [m].
+  const float* lackingAt(const Plans& plans, const Cells& cells, float level, float* real) {
+    cells.fill(plans, real, [level](float h, int k) {
+      const float lack = k ? 0.f : std::max(0.f, level - h);
+      return lack * lack;
+    });
+    plans.toSpectrum(real, level_.get());
+    return level_.get();
+  }
+  bool bounds() const { return bounds_; }
+  kernel::MapSpectra known() const { return {known_[0].get(), known_[1].get(), known_[2].get()}; }
+  kernel::MapSpectra all() const {
+    return bounds_ ? kernel::MapSpectra{all_[0].get(), all_[1].get(), all_[2].get()} : known();
+  }
+
+ private:
+  std::size_t floats_;
+  Buffer known_[3], all_[3], level_;
+  bool bounds_ = false;
 };
 
 struct Workspace {
@@ -93,19 +158,8 @@ struct Workspace {
     for (auto& s : sum) s = allocate(plans.realSize());
   }
   Spectra air;
-  Buffer product[6], sum[6];  // of correlate
+  Buffer product[kernel::kSums], sum[kernel::kSums];  // of correlate
 };
-
-double meanHeight(const HeightMap& map, std::size_t& cells) {
-  double sum = 0;
-  cells = 0;
-  for (float h : map.heights) {
-    if (std::isnan(h)) continue;
-    sum += h;
-    ++cells;
-  }
-  return cells > 0 ? sum / static_cast<double>(cells) : 0;
-}
 
 }  // namespace
 
@@ -127,12 +181,13 @@ struct FftCost::Impl {
     bool is(int rows, int columns) const { return plans.rows == rows && plans.columns == columns; }
     Plans plans;
     Spectra ground;
+    Buffer bounds[kBoundLevels + 1],
+        lacking[kBoundLevels + 1];                 // of the ground map, by level; bounds where it has some
     std::vector<std::unique_ptr<Workspace>> idle;  // guarded by Impl::mutex
   };
 
-  explicit Impl(const HeightMap& map) : ground(map) {
-    mean = static_cast<float>(meanHeight(ground, cells));
-    if (cells == 0) throw std::invalid_argument("FftCost: the ground height map has no defined cell");
+  explicit Impl(const HeightMap& map) : ground(map), cells(map) {
+    if (cells.defined == 0) throw std::invalid_argument("FftCost: the ground height map has no defined cell");
   }
 
   std::shared_ptr<Size> sizeFor(int rows, int columns) {
@@ -141,8 +196,18 @@ struct FftCost::Impl {
       if (size->is(rows, columns)) return size;
     }
     auto size = std::make_shared<Size>(rows, columns);
-    const Buffer real = allocate(size->plans.realSize());
-    size->ground.compute(size->plans, ground, mean, real.get());
+    const Plans& plans = size->plans;
+    const Buffer real = allocate(plans.realSize());
+    size->ground.compute(plans, cells, real.get());
+    const auto keep = [&plans](const float* spectrum) {
+      Buffer copy = allocate(2 * plans.spectrumSize());
+      std::copy(spectrum, spectrum + 2 * plans.spectrumSize(), copy.get());
+      return copy;
+    };
+    for (int k = 1; k <= kBoundLevels && !ground.bounds.empty(); ++k) {
+      if (cells.has[k]) size->bounds[k] = keep(size->ground.boundsAt(plans, cells, k, real.get()));
+      size->lacking[k] = keep(size->ground.lackingAt(plans, cells, cells.levelHeight(k), real.get()));
+    }
     sizes.push_back(size);
     if (sizes.size() > kSizesKept) sizes.pop_front();
     return size;
@@ -165,9 +230,37 @@ struct FftCost::Impl {
     size.idle.push_back(std::move(workspace));
   }
 
+  /// Leaves the sums over the overlap at every offset in work.sum, in the order of OverlapSums, still to be scaled.
+  void sums(const Cells& air, Size& size, Workspace& work) const {
+    const Plans& plans = size.plans;
+    const int n = static_cast<int>(plans.spectrumSize());
+    float* const real = work.sum[0].get();
+    float* products[kernel::kSums];
+    for (int k = 0; k < kernel::kSums; ++k) products[k] = work.product[k].get();
+    work.air.compute(plans, air, real);
+    const bool bounds = work.air.bounds() || size.ground.bounds();
+    kernel::correlate(work.air.known(), work.air.all(), size.ground.known(), size.ground.all(), n, bounds, products);
+    for (int k = 1; k <= kBoundLevels; ++k) {
+      if (size.bounds[k]) {
+        const float* lacking = work.air.lackingAt(plans, air, cells.levelHeight(k), real);
+        kernel::addCorrelation(lacking, size.bounds[k].get(), n, products[3]);
+      }
+      if (air.has[k]) {
+        kernel::addCorrelation(work.air.boundsAt(plans, air, k, real), size.lacking[k].get(), n, products[3]);
+      }
+    }
+    for (int k = 0; k < kernel::kSums; ++k) {
+      if (bounds || (k != 1 && k != 6)) plans.toReal(products[k], work.sum[k].get());
+    }
+    if (bounds) return;
+    for (std::size_t i = 0; i < plans.realSize(); ++i) {
+      work.sum[1][i] = work.sum[0][i];
+      work.sum[6][i] = work.sum[4][i] - work.sum[2][i];
+    }
+  }
+
   HeightMap ground;
-  std::size_t cells = 0;  // defined ones
-  float mean = 0;
+  Cells cells;
   std::mutex mutex;
   // The merged map grows and moves: of the sizes it has had, the filter's and the verification's last ones matter.
   static constexpr std::size_t kSizesKept = 2;
@@ -193,33 +286,27 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
   result.x0 = ground.origin_x - turned.origin_x - (turned.width - 1) * ground.resolution;
   result.y0 = ground.origin_y - turned.origin_y - (turned.height - 1) * ground.resolution;
 
-  std::size_t cells = 0;
-  const auto mean = static_cast<float>(meanHeight(turned, cells));
+  const Cells air(turned);
+  if (air.bounds() && (ground.bounds.empty() || ground.cap != turned.cap)) {
+    throw std::invalid_argument("FftCost: maps with bounds must have the same cap");
+  }
   const auto size = impl_->sizeFor(paddedSize(result.height), paddedSize(result.width));
   const Plans& plans = size->plans;
   auto workspace = impl_->take(*size);
-  workspace->air.compute(plans, turned, mean, workspace->sum[0].get());
-  const auto& a = workspace->air.spectrum;
-  const auto& g = size->ground.spectrum;
-  const float* const air[3] = {a[0].get(), a[1].get(), a[2].get()};
-  const float* const below[3] = {g[0].get(), g[1].get(), g[2].get()};
-  float* products[6];
-  for (int k = 0; k < 6; ++k) products[k] = workspace->product[k].get();
-  kernel::correlate(air, below, static_cast<int>(plans.spectrumSize()), products);
-  for (int k = 0; k < 6; ++k) plans.toReal(products[k], workspace->sum[k].get());
+  impl_->sums(air, *size, *workspace);
 
   // Negative offsets wrap to the far end of the padded grid.
   result.cost.resize(static_cast<std::size_t>(result.width) * result.height);
   const auto scale = static_cast<float>(1.0 / static_cast<double>(plans.realSize()));
-  const std::size_t smaller = std::max<std::size_t>(std::min(cells, impl_->cells), 1);
+  const std::size_t smaller = std::max<std::size_t>(std::min(air.defined, impl_->cells.defined), 1);
   const int negative = turned.width - 1;
   for (int row = 0; row < result.height; ++row) {
     const int u = row - (turned.height - 1);
     const std::size_t line = static_cast<std::size_t>(u < 0 ? u + plans.rows : u) * plans.columns;
     float* out = result.cost.data() + static_cast<std::size_t>(row) * result.width;
     const auto segment = [&](std::size_t from, int count, float* to) {
-      const float* sums[6];
-      for (int k = 0; k < 6; ++k) sums[k] = workspace->sum[k].get() + from;
+      const float* sums[kernel::kSums];
+      for (int k = 0; k < kernel::kSums; ++k) sums[k] = workspace->sum[k].get() + from;
       kernel::scoreRow(sums, count, scale, static_cast<float>(smaller), settings, to);
     };
     segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);

@@ -7,6 +7,8 @@
 #include <string>
 #include <utility>
 
+#include "columns.h"
+
 namespace heightmap_mcl {
 namespace {
 
@@ -44,45 +46,6 @@ void keepDensestRegion(std::vector<Eigen::Vector3f>& points, double extent) {
   points.erase(std::remove_if(points.begin(), points.end(), outside), points.end());
 }
 
-struct Extent {
-  long c0 = std::numeric_limits<long>::max(), r0 = c0, c1 = std::numeric_limits<long>::min(), r1 = c1;
-};
-long column0(const HeightMap& m) { return std::lround(m.origin_x / m.resolution); }
-long row0(const HeightMap& m) { return std::lround(m.origin_y / m.resolution); }
-
-/// Cells from (r0, c0) to before (r1, c1) that the grids cover.
-Extent extentOf(const std::vector<const HeightMap*>& maps) {
-  Extent e;
-  for (const HeightMap* m : maps) {
-    if (m->empty()) continue;
-    e.c0 = std::min(e.c0, column0(*m));
-    e.r0 = std::min(e.r0, row0(*m));
-    e.c1 = std::max(e.c1, column0(*m) + m->width);
-    e.r1 = std::max(e.r1, row0(*m) + m->height);
-  }
-  return e;
-}
-
-/// Drops cells that stand out above every one of at least three defined neighbours.
-void removeSpikes(HeightMap& map, double max_spike) {
-  const HeightMap source = map;
-  for (int r = 0; r < map.height; ++r) {
-    for (int c = 0; c < map.width; ++c) {
-      if (std::isnan(source.at(r, c))) continue;
-      float highest = -std::numeric_limits<float>::infinity();
-      int neighbours = 0;
-      for (int y = std::max(r - 1, 0); y <= std::min(r + 1, map.height - 1); ++y) {
-        for (int x = std::max(c - 1, 0); x <= std::min(c + 1, map.width - 1); ++x) {
-          if ((y == r && x == c) || std::isnan(source.at(y, x))) continue;
-          highest = std::max(highest, source.at(y, x));
-          ++neighbours;
-        }
-      }
-      if (neighbours >= 3 && source.at(r, c) > highest + max_spike) map.at(r, c) = kHole;
-    }
-  }
-}
-
 }  // namespace
 
 std::size_t HeightMap::defined() const {
@@ -97,13 +60,14 @@ void validate(const HeightMapSettings& settings) {
   require(settings.resolution > 0 && std::isfinite(settings.resolution), "resolution must be positive [m]");
   require(settings.height_quantile > 0 && settings.height_quantile <= 1, "height_quantile must be in (0, 1]");
   require(settings.min_points >= 1, "min_points must be at least 1");
+  require(settings.cap > 0 && std::isfinite(settings.cap), "cap must be positive [m]");
   require(settings.max_spike >= 0, "max_spike must not be negative [m]");
   require(settings.max_extent >= 10 * settings.resolution && settings.max_extent / settings.resolution <= 20000,
           "max_extent must be 10 to 20000 cells [m]");
 }
 
 HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const HeightMapSettings& settings,
-                         std::size_t* cropped) {
+                         std::size_t* cropped, const LevelHistogram* earlier) {
   validate(settings);
   if (cropped) *cropped = 0;
   std::vector<Eigen::Vector3f> valid;
@@ -154,21 +118,13 @@ HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const Heigh
   std::vector<float> sorted(valid.size());
   std::vector<int> next(begin.begin(), begin.end() - 1);
   for (std::size_t i = 0; i < valid.size(); ++i) sorted[next[cell_of[i]]++] = valid[i].z();
-  for (std::size_t k = 0; k < map.heights.size(); ++k) {
-    const int count = begin[k + 1] - begin[k];
-    if (count < settings.min_points) continue;
-    const auto first = sorted.begin() + begin[k], last = sorted.begin() + begin[k + 1];
-    const int rank = static_cast<int>(std::ceil(settings.height_quantile * count)) - 1;
-    std::nth_element(first, first + rank, last);
-    map.heights[k] = *(first + rank);
-  }
-  if (settings.max_spike > 0) removeSpikes(map, settings.max_spike);
+  fillCells(sorted, begin, settings, earlier, map);
   if (map.defined() == 0) {
     HeightMap none;
     none.resolution = settings.resolution;
     return none;
   }
-  return dilate(map, settings.dilation);
+  return map;
 }
 
 HeightMap dilate(const HeightMap& map, Dilation mode) {
@@ -178,60 +134,17 @@ HeightMap dilate(const HeightMap& map, Dilation mode) {
     for (int c = 0; c < map.width; ++c) {
       if (mode == Dilation::kHoles && !std::isnan(map.at(r, c))) continue;
       float highest = kHole;
+      std::size_t from = 0;
       for (int y = std::max(r - 1, 0); y <= std::min(r + 1, map.height - 1); ++y) {
         for (int x = std::max(c - 1, 0); x <= std::min(c + 1, map.width - 1); ++x) {
           const float h = map.at(y, x);
-          if (!std::isnan(h) && !(h <= highest)) highest = h;
+          if (std::isnan(h) || h <= highest) continue;
+          highest = h;
+          from = static_cast<std::size_t>(y) * map.width + x;
         }
       }
       result.at(r, c) = highest;
-    }
-  }
-  return result;
-}
-
-double unionExtent(const std::vector<const HeightMap*>& maps) {
-  const Extent e = extentOf(maps);
-  for (const HeightMap* m : maps) {
-    if (!m->empty()) return static_cast<double>(std::max(e.c1 - e.c0, e.r1 - e.r0)) * m->resolution;
-  }
-  return 0;
-}
-
-HeightMap merge(const std::vector<const HeightMap*>& maps, Merge mode) {
-  HeightMap result;
-  bool any = false;
-  for (const HeightMap* m : maps) {
-    if (m->empty()) continue;
-    if (any && m->resolution != result.resolution)
-      throw std::invalid_argument("merge: height maps of different resolution");
-    result.resolution = m->resolution;
-    any = true;
-  }
-  if (!any) return result;
-  const auto [c0, r0, c1, r1] = extentOf(maps);
-  result.width = static_cast<int>(c1 - c0);
-  result.height = static_cast<int>(r1 - r0);
-  result.origin_x = c0 * result.resolution;
-  result.origin_y = r0 * result.resolution;
-  result.heights.assign(static_cast<std::size_t>(result.width) * result.height, kHole);
-  std::vector<int> count(mode == Merge::kMean ? result.heights.size() : 0, 0);
-  for (const HeightMap* m : maps) {
-    if (m->empty()) continue;
-    const long dc = column0(*m) - c0, dr = row0(*m) - r0;
-    for (int r = 0; r < m->height; ++r) {
-      for (int c = 0; c < m->width; ++c) {
-        const float h = m->at(r, c);
-        if (std::isnan(h)) continue;
-        const std::size_t k = static_cast<std::size_t>(r + dr) * result.width + (c + dc);
-        float& cell = result.heights[k];
-        if (mode == Merge::kHighest) {
-          if (!(h <= cell)) cell = h;
-        } else {
-          const int n = count[k]++;
-          cell = n == 0 ? h : cell + (h - cell) / static_cast<float>(n + 1);
-        }
-      }
+      if (!map.bounds.empty()) result.bounds[static_cast<std::size_t>(r) * map.width + c] = map.bounds[from];
     }
   }
   return result;
@@ -249,12 +162,18 @@ HeightMap downsample(const HeightMap& map, int factor) {
   result.height = static_cast<int>(floorDiv(r0 + map.height - 1) - R0 + 1);
   result.origin_x = C0 * result.resolution;
   result.origin_y = R0 * result.resolution;
+  result.floor = map.floor;
+  result.cap = map.cap;
   result.heights.assign(static_cast<std::size_t>(result.width) * result.height, kHole);
+  if (!map.bounds.empty()) result.bounds.assign(result.heights.size(), 0);
   for (int r = 0; r < map.height; ++r) {
     for (int c = 0; c < map.width; ++c) {
       const float h = map.at(r, c);
-      float& cell = result.at(static_cast<int>(floorDiv(r0 + r) - R0), static_cast<int>(floorDiv(c0 + c) - C0));
-      if (!std::isnan(h) && !(h <= cell)) cell = h;
+      const std::size_t k = static_cast<std::size_t>(floorDiv(r0 + r) - R0) * result.width + (floorDiv(c0 + c) - C0);
+      float& cell = result.heights[k];
+      if (std::isnan(h) || h <= cell) continue;
+      cell = h;
+      if (!map.bounds.empty()) result.bounds[k] = map.bounds[static_cast<std::size_t>(r) * map.width + c];
     }
   }
   return result;
@@ -264,9 +183,12 @@ HeightMap rotateAbout(const HeightMap& map, const Eigen::Vector2d& pivot, double
   if (cells < 2 || cells % 2 != 0) throw std::invalid_argument("rotateAbout: cells must be positive and even");
   HeightMap result;
   result.resolution = map.resolution;
+  result.floor = map.floor;
+  result.cap = map.cap;
   result.width = result.height = cells;
   result.origin_x = result.origin_y = -0.5 * cells * map.resolution;
   result.heights.assign(static_cast<std::size_t>(cells) * cells, kHole);
+  if (!map.bounds.empty()) result.bounds.assign(result.heights.size(), 0);
   const double c = std::cos(yaw), s = std::sin(yaw);
   // Source cell of a target cell: p = pivot + R(-yaw) q.
   const double base_x = (pivot.x() - map.origin_x) / map.resolution,
@@ -277,10 +199,32 @@ HeightMap rotateAbout(const HeightMap& map, const Eigen::Vector2d& pivot, double
       const double qx = column + 0.5 - 0.5 * cells;
       const double x = base_x + c * qx + s * qy, y = base_y - s * qx + c * qy;
       if (x < 0 || y < 0 || x >= map.width || y >= map.height) continue;
-      result.at(row, column) = map.at(static_cast<int>(y), static_cast<int>(x));
+      const std::size_t from = static_cast<std::size_t>(static_cast<int>(y)) * map.width + static_cast<int>(x);
+      const std::size_t to = static_cast<std::size_t>(row) * cells + column;
+      result.heights[to] = map.heights[from];
+      if (!map.bounds.empty()) result.bounds[to] = map.bounds[from];
     }
   }
   return result;
+}
+
+int boundLevel(const HeightMap& map, std::size_t cell) {
+  if (!map.isBound(cell) || std::isnan(map.heights[cell])) return 0;
+  // A hundredth of a level: the cap itself is the highest level in spite of rounding.
+  const double level = (map.heights[cell] - map.floor) / map.cap * kBoundLevels + 0.01;
+  return static_cast<int>(std::clamp(level, 0.0, kBoundLevels + 0.5));
+}
+
+double baseHeight(const HeightMap& map) {
+  if (!std::isnan(map.floor)) return map.floor;
+  double sum = 0;
+  std::size_t n = 0;
+  for (float h : map.heights) {
+    if (std::isnan(h)) continue;
+    sum += h;
+    ++n;
+  }
+  return n > 0 ? sum / static_cast<double>(n) : 0;
 }
 
 double heightDeviation(const HeightMap& map) {

@@ -17,10 +17,12 @@
 #include <condition_variable>
 #include <deque>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/renewable_subscriber.h"
 #include "air_ground_common/trajectory.h"
 #include "node_parameters.h"
 
@@ -107,13 +109,14 @@ class HeightmapMclNode {
     coarse_ = handle_.advertise<AlignmentEstimate>("alignment/coarse", 20, true);
 
     cloud_sub_ = handle_.subscribe("mav/dense_cloud", 50, &HeightmapMclNode::onAerialCloud, this);
-    subscribeGround();
+    ground_sub_.emplace(
+        [this] { return handle_.subscribe("ground/map_cloud", 5, &HeightmapMclNode::onGroundCloud, this); });
     ground_status_sub_ = handle_.subscribe("ground/slam_status", 100, &HeightmapMclNode::onGroundStatus, this);
     odometry_sub_ = handle_.subscribe("mav/odometry", 500, &HeightmapMclNode::onOdometry, this);
     status_sub_ = handle_.subscribe("mav/vo_status", 500, &HeightmapMclNode::onVoStatus, this);
     guess_sub_ = handle_.subscribe("initialpose", 1, &HeightmapMclNode::onInitialPose, this);
     health_.expectInput(cloud_sub_.getTopic(), false);
-    health_.expectInput(ground_sub_.getTopic(), false);
+    health_.expectInput(ground_sub_->topic(), false);
     reset_ = private_handle_.advertiseService("reset", &HeightmapMclNode::onReset, this);
     relocalize_ = private_handle_.advertiseService("relocalize", &HeightmapMclNode::onRelocalize, this);
     if (settings_.publish_tf) {
@@ -178,7 +181,7 @@ class HeightmapMclNode {
   }
 
   void onGroundCloud(const Cloud& msg) {
-    health_.received(ground_sub_.getTopic(), msg->header.stamp);
+    health_.received(ground_sub_->topic(), msg->header.stamp);
     if (msg->width == 0 || msg->height == 0) {
       // Must not push out a good one that still waits.
       health_.count("ground clouds without a point");
@@ -327,8 +330,7 @@ class HeightmapMclNode {
     ground_map_id_.reset();
     command_.forget_ground = true;
     // A latched map that has come already comes again.
-    ground_sub_.shutdown();
-    subscribeGround();
+    ground_sub_->renew();
     endSearch();
   }
 
@@ -337,10 +339,6 @@ class HeightmapMclNode {
     command_.prior.reset();
     T_ground_mav_.reset();
     wake_.notify_one();
-  }
-
-  void subscribeGround() {
-    ground_sub_ = handle_.subscribe("ground/map_cloud", 5, &HeightmapMclNode::onGroundCloud, this);
   }
 
   // ---- worker ----
@@ -503,6 +501,7 @@ class HeightmapMclNode {
     msg.reference_point.y = e.reference_point.y();
     msg.reference_point.z = e.reference_point.z();
     msg.status = toMsg(e.status);
+    msg.scale = 1;
     msg.stage = AlignmentEstimate::STAGE_COARSE;
     msg.reason = e.reason;
     msg.particle_spread = e.particle_spread;
@@ -560,7 +559,8 @@ class HeightmapMclNode {
   const NodeSettings settings_;
   ros_utils::NodeHealth health_;
   ros::Publisher height_map_air_, height_map_ground_, costmap_, particles_, coarse_;
-  ros::Subscriber cloud_sub_, ground_sub_, ground_status_sub_, odometry_sub_, status_sub_, guess_sub_;
+  ros::Subscriber cloud_sub_, ground_status_sub_, odometry_sub_, status_sub_, guess_sub_;
+  std::optional<ros_utils::RenewableSubscriber> ground_sub_;
   ros::ServiceServer reset_, relocalize_;
   ros::Timer tf_timer_;
   tf2_ros::TransformBroadcaster broadcaster_;
@@ -597,6 +597,7 @@ class HeightmapMclNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "heightmap_mcl");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     heightmap_mcl::HeightmapMclNode node;
     ros::spin();

@@ -74,6 +74,8 @@ void validate(const LocalizerSettings& s) {
   require(s.unknown_weight >= 0 && s.unknown_weight <= 2, "unknown_weight must be in [0, 2]");
   validate(s.filter);
   require(s.air_map.resolution == s.ground_map.resolution, "both height maps must have the same resolution");
+  require(s.air_map.tops == s.ground_map.tops && s.air_map.cap == s.ground_map.cap,
+          "both height maps must have the same tops and cap");
   require(s.headings >= 8 && s.headings <= 720, "headings must be 8 to 720");
   require(s.coarse_factor >= 1 && s.coarse_factor <= 16, "coarse_factor must be 1 to 16");
   require(s.accumulate >= 1, "accumulate must be at least 1");
@@ -88,6 +90,13 @@ void validate(const LocalizerSettings& s) {
   require(s.min_explained >= 0 && s.min_explained < 1, "min_explained must be in [0, 1)");
   require(s.cells_per_independent >= 1, "cells_per_independent must be at least 1");
   require(s.floor_position > 0 && s.floor_yaw > 0 && s.floor_z > 0 && s.gravity_sigma > 0, "floors must be positive");
+}
+
+HeightMapSettings boundedMap(bool drop_hanging) {
+  HeightMapSettings settings;
+  settings.tops = Tops::kBounded;
+  settings.drop_hanging = drop_hanging;
+  return settings;
 }
 
 Localizer::Localizer(const LocalizerSettings& settings) : settings_(settings), filter_(settings.filter, settings.seed) {
@@ -145,7 +154,10 @@ bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_
 bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
   if (cropped) *cropped = 0;
   if (!cloud.reference.allFinite()) return false;
-  HeightMap map = buildHeightMap(cloud.points, settings_.air_map, cropped);
+  // A cloud that shows a table alone has the floor of those before it.
+  LevelHistogram levels;
+  for (const Kept& kept : aerial_) levels.add(kept.map.levels);
+  HeightMap map = buildHeightMap(cloud.points, settings_.air_map, cropped, &levels);
   if (map.empty()) return false;
   aerial_.push_back({std::move(map), cloud.reference});
   while (static_cast<int>(aerial_.size()) > settings_.verify) aerial_.pop_front();

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "zmssd_kernel.h"
 
@@ -25,68 +26,91 @@ void validate(const CostSettings& settings) {
   }
 }
 
+namespace {
+
+/// Height above base; of a bound that of its level.
+struct Height {
+  double value = 0;
+  bool bound = false;
+};
+
+Height heightOf(const HeightMap& map, std::size_t cell, double base) {
+  const int level = boundLevel(map, cell);
+  if (level > 0) return {map.cap * level / kBoundLevels, true};
+  return {map.heights[cell] - base, false};
+}
+
+}  // namespace
+
 Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
                      const PlanarPose& pose, const CostSettings& settings) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
+  const double air_base = baseHeight(air), ground_base = baseHeight(ground);
   double aerial_cells = 0;
-  std::vector<double> aerial, below;
+  std::vector<std::pair<Height, Height>> pairs;
   for (int row = 0; row < air.height; ++row) {
     for (int column = 0; column < air.width; ++column) {
-      const double a = air.at(row, column);
-      if (std::isnan(a)) continue;
+      if (std::isnan(air.at(row, column))) continue;
       ++aerial_cells;
       const Eigen::Vector2d q = air.center(row, column) - reference;
       const double x = c * q.x() - s * q.y() + pose.x, y = s * q.x() + c * q.y() + pose.y;
       const double gc = std::floor((x - ground.origin_x) / ground.resolution);
       const double gr = std::floor((y - ground.origin_y) / ground.resolution);
       if (gc < 0 || gr < 0 || gc >= ground.width || gr >= ground.height) continue;
-      const double g = ground.at(static_cast<int>(gr), static_cast<int>(gc));
-      if (std::isnan(g)) continue;
-      aerial.push_back(a);
-      below.push_back(g);
+      const std::size_t cell = static_cast<std::size_t>(gr) * ground.width + static_cast<std::size_t>(gc);
+      if (std::isnan(ground.heights[cell])) continue;
+      pairs.emplace_back(heightOf(air, static_cast<std::size_t>(row) * air.width + column, air_base),
+                         heightOf(ground, cell, ground_base));
     }
   }
   // The means first, then the squares about them: no cancellation.
-  const auto mean = [](const std::vector<double>& values) {
-    double sum = 0;
-    for (double v : values) sum += v;
-    return values.empty() ? 0.0 : sum / static_cast<double>(values.size());
-  };
-  const double mean_a = mean(aerial), mean_g = mean(below);
+  double mean_a = 0, mean_g = 0, mean_d = 0, known = 0;
+  for (const auto& [a, g] : pairs) {
+    mean_a += a.value / static_cast<double>(pairs.size());
+    mean_g += g.value / static_cast<double>(pairs.size());
+    if (a.bound || g.bound) continue;
+    mean_d += a.value - g.value;
+    ++known;
+  }
+  if (known > 0) mean_d /= known;
   OverlapSums sums;
-  for (std::size_t i = 0; i < aerial.size(); ++i) {
-    const double a = aerial[i] - mean_a, g = below[i] - mean_g;
+  sums.known = known;
+  for (const auto& [a, g] : pairs) {
     ++sums.n;
-    sums.d2 += (a - g) * (a - g);
-    sums.a2 += a * a;
-    sums.g2 += g * g;
+    const double d = a.value - g.value;
+    if (!a.bound && !g.bound) {
+      sums.d2 += (d - mean_d) * (d - mean_d);
+    } else if (a.bound != g.bound) {
+      sums.d2 += std::pow(std::max(0.0, a.bound ? d : -d), 2);
+    }
+    sums.a2 += (a.value - mean_a) * (a.value - mean_a);
+    sums.g2 += (g.value - mean_g) * (g.value - mean_g);
   }
   Zmssd result = zmssdFromSums(sums, std::min(aerial_cells, static_cast<double>(ground.defined())), settings);
-  if (std::isfinite(result.cost)) result.dz = mean_g - mean_a;
+  if (std::isfinite(result.cost)) result.dz = ground_base - air_base - mean_d;
   return result;
 }
 
 AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference) {
   AerialCells cells;
   cells.reference = reference;
+  cells.base = baseHeight(air);
   const std::size_t n = air.defined();
-  cells.x.reserve(n);
-  cells.y.reserve(n);
-  cells.h.reserve(n);
+  for (auto* v : {&cells.x, &cells.y, &cells.h, &cells.bound}) v->reserve(n);
   double sum = 0;
   for (int row = 0; row < air.height; ++row) {
     for (int column = 0; column < air.width; ++column) {
-      const float h = air.at(row, column);
-      if (std::isnan(h)) continue;
+      if (std::isnan(air.at(row, column))) continue;
       const Eigen::Vector2d q = air.center(row, column) - reference;
+      const Height height = heightOf(air, static_cast<std::size_t>(row) * air.width + column, cells.base);
       cells.x.push_back(static_cast<float>(q.x()));
       cells.y.push_back(static_cast<float>(q.y()));
-      cells.h.push_back(h);
-      sum += h;
+      cells.h.push_back(static_cast<float>(height.value));
+      cells.bound.push_back(height.bound ? 1.f : 0.f);
+      sum += height.value;
     }
   }
-  if (n > 0) cells.mean_height = sum / static_cast<double>(n);
-  for (float& h : cells.h) h -= static_cast<float>(cells.mean_height);
+  cells.mean_height = cells.base + (n > 0 ? sum / static_cast<double>(n) : 0);
   return cells;
 }
 
@@ -94,34 +118,32 @@ DirectCost::DirectCost(const HeightMap& ground)
     : resolution_(ground.resolution),
       origin_x_(ground.origin_x - ground.resolution),
       origin_y_(ground.origin_y - ground.resolution),
-      mean_(0),
+      base_(baseHeight(ground)),
       width_(ground.width + 2),
       height_(ground.height + 2),
       heights_(static_cast<std::size_t>(width_) * height_, kHole) {
-  for (float h : ground.heights) {
-    if (std::isnan(h)) continue;
-    mean_ += h;
-    ++defined_;
-  }
-  if (defined_ == 0) throw std::invalid_argument("DirectCost: the ground height map has no defined cell");
-  mean_ /= defined_;
   for (int r = 0; r < ground.height; ++r) {
     for (int c = 0; c < ground.width; ++c) {
-      heights_[static_cast<std::size_t>(r + 1) * width_ + c + 1] = ground.at(r, c) - static_cast<float>(mean_);
+      if (std::isnan(ground.at(r, c))) continue;
+      ++defined_;
+      const Height height = heightOf(ground, static_cast<std::size_t>(r) * ground.width + c, base_);
+      heights_[static_cast<std::size_t>(r + 1) * width_ + c + 1] =
+          static_cast<float>(height.value) + (height.bound ? kernel::kBoundOffset : 0.f);
     }
   }
+  if (defined_ == 0) throw std::invalid_argument("DirectCost: the ground height map has no defined cell");
 }
 
 Zmssd DirectCost::operator()(const AerialCells& cells, const PlanarPose& pose, const CostSettings& settings) const {
   const double inverse = 1 / resolution_;
   const auto sums = kernel::overlapSums(
-      cells.x.data(), cells.y.data(), cells.h.data(), static_cast<int>(cells.h.size()),
+      {cells.x.data(), cells.y.data(), cells.h.data(), cells.bound.data(), static_cast<int>(cells.h.size())},
       static_cast<float>(std::cos(pose.yaw) * inverse), static_cast<float>(std::sin(pose.yaw) * inverse),
       static_cast<float>((pose.x - origin_x_) * inverse), static_cast<float>((pose.y - origin_y_) * inverse),
       {heights_.data(), width_, height_});
   const double smaller = std::min(static_cast<double>(cells.h.size()), defined_);
   Zmssd result = zmssdFromSums(sums, smaller, settings);
-  if (std::isfinite(result.cost)) result.dz += mean_ - cells.mean_height;
+  if (std::isfinite(result.cost)) result.dz += base_ - cells.base;
   return result;
 }
 

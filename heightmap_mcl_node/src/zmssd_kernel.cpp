@@ -9,18 +9,17 @@
 namespace heightmap_mcl::kernel {
 
 HEIGHTMAP_MCL_CLONES
-OverlapSums overlapSums(const float* x, const float* y, const float* h, int n, float c, float s, float tx, float ty,
-                        const GroundView& ground) {
+OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground) {
   // The border of holes lets us clamp instead of test: whatever lies outside lands on a hole.
   const float max_column = static_cast<float>(ground.width) - 0.5f, max_row = static_cast<float>(ground.height) - 0.5f;
-  const float* heights = ground.heights;
+  const float *heights = ground.heights, *x = air.x, *y = air.y, *h = air.h, *bound = air.bound;
   const int width = ground.width;
   OverlapSums total;
   constexpr int kBlock = 4096;  // floats accumulate over a block only
-  for (int begin = 0; begin < n; begin += kBlock) {
-    const int end = std::min(begin + kBlock, n);
-    float count = 0, d1 = 0, d2 = 0, a1 = 0, a2 = 0, g2 = 0;
-#pragma omp simd reduction(+ : count, d1, d2, a1, a2, g2)
+  for (int begin = 0; begin < air.n; begin += kBlock) {
+    const int end = std::min(begin + kBlock, air.n);
+    float count = 0, both = 0, d1 = 0, d2 = 0, a1 = 0, a2 = 0, g1 = 0, g2 = 0;
+#pragma omp simd reduction(+ : count, both, d1, d2, a1, a2, g1, g2)
     for (int i = begin; i < end; ++i) {
       float column = c * x[i] - s * y[i] + tx;
       float row = s * x[i] + c * y[i] + ty;
@@ -28,57 +27,95 @@ OverlapSums overlapSums(const float* x, const float* y, const float* h, int n, f
       column = column < max_column ? column : max_column;
       row = row > 0.f ? row : 0.f;
       row = row < max_row ? row : max_row;
-      const float g = heights[static_cast<int>(row) * width + static_cast<int>(column)];
-      const bool known = g == g;
-      const float a = known ? h[i] : 0.f, below = known ? g : 0.f, d = a - below;
-      count += known ? 1.f : 0.f;
-      d1 += d;
-      d2 += d * d;
+      const float value = heights[static_cast<int>(row) * width + static_cast<int>(column)];
+      const float partner = value == value ? 1.f : 0.f;
+      const float ground_bound = value > 0.5f * kBoundOffset ? 1.f : 0.f;
+      const float g = (value == value ? value : 0.f) - ground_bound * kBoundOffset, a = partner * h[i];
+      const float known = partner * (1.f - bound[i]) * (1.f - ground_bound);
+      const float d = a - g, known_d = known * d;
+      // What the ground lacks of an aerial bound, or the aerial height of the ground's bound.
+      float lack = bound[i] * (1.f - ground_bound) * d - ground_bound * (1.f - bound[i]) * d;
+      lack = lack > 0.f ? partner * lack : 0.f;
+      count += partner;
+      both += known;
+      d1 += known_d;
+      d2 += known_d * d + lack * lack;
       a1 += a;
       a2 += a * a;
-      g2 += below * below;
+      g1 += g;
+      g2 += g * g;
     }
     total.n += count;
+    total.known += both;
     total.d += d1;
     total.d2 += d2;
     total.a += a1;
     total.a2 += a2;
+    total.g += g1;
     total.g2 += g2;
   }
   return total;
 }
 
 HEIGHTMAP_MCL_CLONES
-void correlate(const float* const air[3], const float* const ground[3], int n, float* const out[6]) {
-  const float *a0 = air[0], *a1 = air[1], *a2 = air[2], *g0 = ground[0], *g1 = ground[1], *g2 = ground[2];
-  float *count = out[0], *d = out[1], *dd = out[2], *a = out[3], *aa = out[4], *gg = out[5];
+void correlate(const MapSpectra& air_known, const MapSpectra& air_all, const MapSpectra& ground_known,
+               const MapSpectra& ground_all, int n, bool bounds, float* const out[kSums]) {
+  const float *a0 = air_known.mask, *a1 = air_known.h, *a2 = air_known.h2;
+  const float *g0 = ground_known.mask, *g1 = ground_known.h, *g2 = ground_known.h2;
+  float *count = out[0], *known = out[1], *d = out[2], *dd = out[3];
 #pragma omp simd
   for (int i = 0; i < 2 * n; i += 2) {
     const float a0r = a0[i], a0i = a0[i + 1], a1r = a1[i], a1i = a1[i + 1], a2r = a2[i], a2i = a2[i + 1];
     const float g0r = g0[i], g0i = g0[i + 1], g1r = g1[i], g1i = g1[i + 1], g2r = g2[i], g2i = g2[i + 1];
     // conj(a) g = (ar gr + ai gi) + i (ar gi - ai gr)
-    const float ar = a1r * g0r + a1i * g0i, ai = a1r * g0i - a1i * g0r;
-    const float aar = a2r * g0r + a2i * g0i, aai = a2r * g0i - a2i * g0r;
-    const float ggr = a0r * g2r + a0i * g2i, ggi = a0r * g2i - a0i * g2r;
     count[i] = a0r * g0r + a0i * g0i;
     count[i + 1] = a0r * g0i - a0i * g0r;
-    d[i] = ar - (a0r * g1r + a0i * g1i);
-    d[i + 1] = ai - (a0r * g1i - a0i * g1r);
-    dd[i] = aar + ggr - 2.f * (a1r * g1r + a1i * g1i);
-    dd[i + 1] = aai + ggi - 2.f * (a1r * g1i - a1i * g1r);
-    a[i] = ar;
-    a[i + 1] = ai;
-    aa[i] = aar;
-    aa[i + 1] = aai;
-    gg[i] = ggr;
-    gg[i + 1] = ggi;
+    d[i] = a1r * g0r + a1i * g0i - (a0r * g1r + a0i * g1i);
+    d[i + 1] = a1r * g0i - a1i * g0r - (a0r * g1i - a0i * g1r);
+    dd[i] = a2r * g0r + a2i * g0i + a0r * g2r + a0i * g2i - 2.f * (a1r * g1r + a1i * g1i);
+    dd[i + 1] = a2r * g0i - a2i * g0r + a0r * g2i - a0i * g2r - 2.f * (a1r * g1i - a1i * g1r);
+  }
+  a0 = air_all.mask, a1 = air_all.h, a2 = air_all.h2;
+  g0 = ground_all.mask, g1 = ground_all.h, g2 = ground_all.h2;
+  float *a = out[4], *aa = out[5], *g = out[6], *gg = out[7];
+#pragma omp simd
+  for (int i = 0; i < 2 * n; i += 2) {
+    const float a0r = a0[i], a0i = a0[i + 1], g0r = g0[i], g0i = g0[i + 1];
+    a[i] = a1[i] * g0r + a1[i + 1] * g0i;
+    a[i + 1] = a1[i] * g0i - a1[i + 1] * g0r;
+    aa[i] = a2[i] * g0r + a2[i + 1] * g0i;
+    aa[i + 1] = a2[i] * g0i - a2[i + 1] * g0r;
+    gg[i] = a0r * g2[i] + a0i * g2[i + 1];
+    gg[i + 1] = a0r * g2[i + 1] - a0i * g2[i];
+  }
+  if (!bounds) return;
+#pragma omp simd
+  for (int i = 0; i < 2 * n; i += 2) {
+    const float a0r = a0[i], a0i = a0[i + 1], g0r = g0[i], g0i = g0[i + 1];
+    known[i] = count[i];
+    known[i + 1] = count[i + 1];
+    count[i] = a0r * g0r + a0i * g0i;
+    count[i + 1] = a0r * g0i - a0i * g0r;
+    g[i] = a0r * g1[i] + a0i * g1[i + 1];
+    g[i + 1] = a0r * g1[i + 1] - a0i * g1[i];
   }
 }
 
 HEIGHTMAP_MCL_CLONES
-void scoreRow(const float* const sums[6], int n, float scale, float cells, const CostSettings& settings, float* score) {
+void addCorrelation(const float* a, const float* b, int n, float* out) {
+#pragma omp simd
+  for (int i = 0; i < 2 * n; i += 2) {
+    out[i] += a[i] * b[i] + a[i + 1] * b[i + 1];
+    out[i + 1] += a[i] * b[i + 1] - a[i + 1] * b[i];
+  }
+}
+
+HEIGHTMAP_MCL_CLONES
+void scoreRow(const float* const sums[kSums], int n, float scale, float cells, const CostSettings& settings,
+              float* score) {
   constexpr float infinity = std::numeric_limits<float>::infinity();
-  const float *counts = sums[0], *d1 = sums[1], *d2 = sums[2], *a1 = sums[3], *a2 = sums[4], *g2 = sums[5];
+  const float *counts = sums[0], *known = sums[1], *d1 = sums[2], *d2 = sums[3];
+  const float *a1 = sums[4], *a2 = sums[5], *g1 = sums[6], *g2 = sums[7];
   const auto min_cells = static_cast<float>(settings.min_overlap) * cells;
   const auto unknown_cost = static_cast<float>(settings.unknown_cost);
   // Without min_explained the trust is 1 everywhere.
@@ -89,9 +126,11 @@ void scoreRow(const float* const sums[6], int n, float scale, float cells, const
   for (int i = 0; i < n; ++i) {
     // The count is a whole number; adding and removing 1.5 * 2^23 rounds to it.
     const float count = (counts[i] * scale + 12582912.f) - 12582912.f;
-    const float per_cell = scale / (count > 1.f ? count : 1.f);
-    const float d = d1[i] * per_cell, a = a1[i] * per_cell, g = a - d;
-    const float difference = d2[i] * per_cell - d * d, air = a2[i] * per_cell - a * a,
+    const float both = (known[i] * scale + 12582912.f) - 12582912.f;
+    const float per_cell = scale / (count > 1.f ? count : 1.f), per_known = scale / (both > 1.f ? both : 1.f);
+    const float a = a1[i] * per_cell, g = g1[i] * per_cell;
+    const float d = both > 0.f ? d1[i] : 0.f;
+    const float difference = (d2[i] - d * (d * per_known)) * per_cell, air = a2[i] * per_cell - a * a,
                 ground = g2[i] * per_cell - g * g;
     const float twice_cost = difference > 0.f ? difference : 0.f;
     float most = air > ground ? air : ground;

@@ -5,21 +5,39 @@
 
 namespace heightmap_mcl::kernel {
 
+constexpr float kBoundOffset = 1000;  // [m] added to what is a bound: one load then tells both
+
 struct GroundView {
-  const float* heights;  // row-major, NaN for holes, bordered by one cell of holes
+  const float* heights;  // row-major, NaN for holes, kBoundOffset higher for bounds, bordered by one cell of holes
   int width, height;     // with the border
 };
 
-/// Cell coordinates of aerial cell i: column = c*x - s*y + tx, row = s*x + c*y + ty, in cells of the bordered grid.
-OverlapSums overlapSums(const float* x, const float* y, const float* h, int n, float c, float s, float tx, float ty,
-                        const GroundView& ground);
+struct AirView {
+  const float *x, *y, *h, *bound;  // as in AerialCells
+  int n;
+};
 
-/// Products of one heading's spectra (mask, heights, squared heights of either map), interleaved complex arrays of n
-/// elements: the spectra of the sums over the overlap of 1, a - g, (a - g)^2, a, a^2, g^2, in the order of OverlapSums.
-void correlate(const float* const air[3], const float* const ground[3], int n, float* const out[6]);
+/// Cell coordinates of aerial cell i: column = c*x - s*y + tx, row = s*x + c*y + ty, in cells of the bordered grid.
+OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground);
+
+/// In the order of OverlapSums.
+constexpr int kSums = 8;
+
+/// Spectra of mask, heights and squared heights.
+struct MapSpectra {
+  const float *mask, *h, *h2;
+};
+/// Products of one heading's spectra, interleaved complex arrays of n elements: the spectra of the sums. `known`: cells
+/// with a height; `all`: with bounds at their levels. Where neither map has bounds, out[1] and out[6] are not written.
+void correlate(const MapSpectra& air_known, const MapSpectra& air_all, const MapSpectra& ground_known,
+               const MapSpectra& ground_all, int n, bool bounds, float* const out[kSums]);
+
+/// out += conj(a) b, interleaved complex arrays of n elements.
+void addCorrelation(const float* a, const float* b, int n, float* out);
 
 /// Scores for a row of n offsets from the inverse transforms of correlate's products (each still to be multiplied by
 /// `scale`). score[i] = infinity where the overlap is below min_overlap. cells: defined cells of the smaller map.
-void scoreRow(const float* const sums[6], int n, float scale, float cells, const CostSettings& settings, float* score);
+void scoreRow(const float* const sums[kSums], int n, float scale, float cells, const CostSettings& settings,
+              float* score);
 
 }  // namespace heightmap_mcl::kernel

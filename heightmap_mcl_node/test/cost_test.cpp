@@ -36,6 +36,21 @@ HeightMap randomMap(int width, int height, std::uint64_t seed, double hole_share
   return map;
 }
 
+/// Turns a share of the cells into bounds above a floor of 4.95 m, from below the lowest level up to the cap.
+HeightMap withBounds(HeightMap map, std::uint64_t seed, double share) {
+  std::mt19937_64 random(seed);
+  std::uniform_real_distribution<float> uniform(0, 1);
+  map.floor = 4.95;
+  map.cap = 1.2;
+  map.bounds.assign(map.heights.size(), 0);
+  for (std::size_t k = 0; k < map.heights.size(); ++k) {
+    if (uniform(random) >= share || std::isnan(map.heights[k])) continue;
+    map.bounds[k] = 1;
+    map.heights[k] = std::min(4.95f + 1.4f * uniform(random), 4.95f + 1.2f);
+  }
+  return map;
+}
+
 /// The part of `ground` below a window, as a MAV would map it: shifted, turned and lowered.
 HeightMap cutOut(const HeightMap& ground, const PlanarPose& pose, double dz, int width, int height) {
   HeightMap air;
@@ -82,6 +97,35 @@ TEST(Zmssd, HandComputedValue) {
   EXPECT_TRUE(std::isinf(zmssdReference(air, ground, Eigen::Vector2d::Zero(), {1, 0, 0}, {0.6, 0.3}).cost));
 }
 
+TEST(Zmssd, BoundsByHand) {
+  HeightMap ground, air;
+  ground.resolution = air.resolution = 1;
+  ground.width = air.width = 6;
+  ground.height = air.height = 1;
+  ground.cap = air.cap = 1;
+  ground.floor = 10;
+  air.floor = -2;
+  // Levels at 0.25, 0.5, 0.75 and 1 m above the floor.
+  ground.heights = {10, 10.4f, 11, 10.6f, 10.9f, 10.1f};
+  ground.bounds = {0, 0, 1, 1, 1, 0};
+  air.heights = {-2, -1.5f, -1.8f, -1.2f, -1, -1};
+  air.bounds = {0, 0, 0, 0, 1, 1};
+  // Heights in both: d = 0, 0.1. The ground's bound of 1 against 0.2: 0.8 lacking; its bound of 0.6, at 0.5, against
+  // 0.8: nothing. Two bounds: nothing. The aerial bound of 1 against 0.1: 0.9.
+  const auto value = zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, {0.5, 0});
+  EXPECT_EQ(value.overlap, 6);
+  EXPECT_NEAR(value.cost, (2 * 0.05 * 0.05 + 0.8 * 0.8 + 0.9 * 0.9) / 12, 1e-6);
+  EXPECT_NEAR(value.dz, 12 - 0.05, 1e-6);
+  // A wall that one robot saw up to 0.6 m and the other up to 1 m is the same wall; as heights, they differ.
+  ground.heights = {10, 10, 10, 10.6f, 10.6f, 10.6f};
+  air.heights = {-2, -2, -2, -1, -1, -1};
+  ground.bounds = air.bounds = {0, 0, 0, 1, 1, 1};
+  EXPECT_NEAR(zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, {0.5, 0}).cost, 0, 1e-9);
+  ground.bounds.clear();
+  air.bounds.clear();
+  EXPECT_GT(zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, {0.5, 0}).cost, 0.01);
+}
+
 TEST(Zmssd, WhatExplainsNothingHasNoPartners) {
   // A step of 2 m in the ground map; one cell in four steps out of line in the aerial maps.
   HeightMap ground;
@@ -123,8 +167,14 @@ TEST(Zmssd, WhatExplainsNothingHasNoPartners) {
   EXPECT_NEAR(flat.score, flat.cost, 1e-9);
 }
 
-TEST(Zmssd, KernelMatchesReferenceAtRandomPoses) {
-  const auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
+class KernelMatchesReference : public ::testing::TestWithParam<double> {};
+
+TEST_P(KernelMatchesReference, AtRandomPoses) {
+  auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
+  if (GetParam() > 0) {
+    ground = withBounds(ground, 4, GetParam());
+    air = withBounds(air, 5, GetParam());
+  }
   const Eigen::Vector2d reference(-0.4, 2.9);
   const auto cells = aerialCells(air, reference);
   const DirectCost direct(ground);
@@ -153,6 +203,7 @@ TEST(Zmssd, KernelMatchesReferenceAtRandomPoses) {
   }
   EXPECT_GT(finite, 60);
 }
+INSTANTIATE_TEST_SUITE_P(ShareOfBounds, KernelMatchesReference, ::testing::Values(0.0, 0.3));
 
 TEST(Zmssd, ChangeOfReferenceKeepsThePlacement) {
   const auto ground = randomMap(97, 61, 1, 0.1), air = randomMap(43, 37, 2, 0.1);
@@ -169,11 +220,14 @@ class FftMatchesReference : public ::testing::TestWithParam<int> {};
 
 TEST_P(FftMatchesReference, AtEveryOffset) {
   const int seed = GetParam();
-  const auto ground = randomMap(71 + 3 * seed, 53 - 2 * seed, 10 + seed, 0.25);
+  auto ground = randomMap(71 + 3 * seed, 53 - 2 * seed, 10 + seed, 0.25);
   // Not square: as if turned already, with its own origin.
   auto air = randomMap(26 + seed, 37, 20 + seed, 0.3);
   air.origin_x = -0.8;
   air.origin_y = -0.6;
+  // Bounds in both, in one and in none.
+  if (seed >= 6) ground = withBounds(ground, 30 + seed, seed == 7 ? 0 : 0.4);
+  if (seed >= 6) air = withBounds(air, 40 + seed, seed == 8 ? 0 : 0.3);
   const CostSettings settings{0.5, seed % 2 ? 0.02 : 0.0, seed % 3 ? 0.4 : 0.0, 0.05};
   const FftCost fft(ground);
   const auto map = fft(air, 0, settings);
@@ -196,7 +250,7 @@ TEST_P(FftMatchesReference, AtEveryOffset) {
   }
   EXPECT_GT(finite, 500);
 }
-INSTANTIATE_TEST_SUITE_P(Seeds, FftMatchesReference, ::testing::Range(0, 6));
+INSTANTIATE_TEST_SUITE_P(Seeds, FftMatchesReference, ::testing::Range(0, 10));
 
 TEST(Fft, MinimumIsTheReferenceArgmin) {
   const auto ground = randomMap(83, 59, 4, 0.2), air = randomMap(29, 33, 5, 0.2);
@@ -224,6 +278,14 @@ TEST(Fft, FiveSmoothSizes) {
   EXPECT_EQ(fiveSmoothSize(226), 240);
   EXPECT_EQ(fiveSmoothSize(480), 480);
   EXPECT_THROW(fiveSmoothSize(0), std::invalid_argument);
+}
+
+TEST(Fft, RefusesBoundsOfAnotherCap) {
+  const auto ground = withBounds(randomMap(40, 30, 1, 0.1), 2, 0.2);
+  auto air = withBounds(randomMap(20, 20, 2, 0.1), 3, 0.2);
+  air.cap = 1.5;
+  const FftCost fft(ground);
+  EXPECT_THROW(fft(air, 0, CostSettings()), std::invalid_argument);
 }
 
 TEST(Fft, RefusesOtherResolutionsAndEmptyGround) {

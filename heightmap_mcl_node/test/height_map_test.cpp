@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <stdexcept>
@@ -157,6 +158,129 @@ TEST(HeightMap, RotationTurnsCounterClockwiseAboutThePivot) {
   const auto turned = rotateAbout(map, {1.0, 2.0}, M_PI / 2, 20);
   EXPECT_FLOAT_EQ(heightAt(turned, -0.05, 0.55), 7.f);
   EXPECT_TRUE(std::isnan(heightAt(turned, 0.05, -0.55)));
+}
+
+namespace {
+
+/// Points of a room of 3x2 m with cells of 0.1 m: a floor at z = -1.3 m, and what each test adds.
+std::vector<Eigen::Vector3f> floorPoints() {
+  std::vector<Eigen::Vector3f> points;
+  for (float x = 0.05f; x < 3; x += 0.1f) {
+    for (float y = 0.05f; y < 2; y += 0.1f) points.emplace_back(x, y, -1.3f + 0.004f * std::sin(7 * x + 5 * y));
+  }
+  return points;
+}
+void addColumn(std::vector<Eigen::Vector3f>& points, float x, float y, float from, float to) {
+  for (float z = from; z <= to; z += 0.05f) points.emplace_back(x, y, -1.3f + z);
+}
+void addSurface(std::vector<Eigen::Vector3f>& points, float x0, float x1, float y0, float y1, float z) {
+  for (float x = x0; x < x1; x += 0.1f) {
+    for (float y = y0; y < y1; y += 0.1f) points.emplace_back(x, y, -1.3f + z);
+  }
+}
+HeightMapSettings bounded() {
+  HeightMapSettings s = plain();
+  s.tops = Tops::kBounded;
+  return s;
+}
+bool boundAt(const HeightMap& map, double x, double y) {
+  const int c = static_cast<int>(std::floor((x - map.origin_x) / map.resolution));
+  const int r = static_cast<int>(std::floor((y - map.origin_y) / map.resolution));
+  return map.isBound(static_cast<std::size_t>(r) * map.width + c);
+}
+
+}  // namespace
+
+TEST(Floor, IsTheLowestLargeSurface) {
+  auto points = floorPoints();
+  addSurface(points, 0.05f, 3, 0.05f, 2, 0.72f);  // tables everywhere
+  addSurface(points, 0.05f, 3, 0.05f, 2, 2.5f);   // ceiling
+  addColumn(points, 1.05f, 1.05f, -0.9f, -0.2f);  // mirrored below the floor
+  points.emplace_back(0.05f, 0.05f, -1e7f);
+  const auto map = buildHeightMap(points, bounded());
+  EXPECT_NEAR(map.floor, -1.3, 0.02);
+  // What is seen of a table alone takes its floor from the earlier maps.
+  std::vector<Eigen::Vector3f> table;
+  addSurface(table, 0.05f, 1, 0.05f, 1, 0.72f);
+  EXPECT_NEAR(buildHeightMap(table, bounded()).floor, -0.58, 0.02);
+  EXPECT_NEAR(buildHeightMap(table, bounded(), nullptr, &map.levels).floor, -1.3, 0.02);
+  EXPECT_TRUE(std::isnan(findFloor({})));
+}
+
+TEST(Columns, AWallIsABoundWhereverTheViewEnded) {
+  auto points = floorPoints();
+  for (float y = 0.05f; y < 1; y += 0.1f) addColumn(points, 2.95f, y, 0.1f, 0.6f);
+  for (float y = 1.05f; y < 2; y += 0.1f) addColumn(points, 2.95f, y, 0.1f, 2.2f);
+  const auto map = buildHeightMap(points, bounded());
+  EXPECT_TRUE(boundAt(map, 2.95, 0.55));
+  EXPECT_NEAR(heightAt(map, 2.95, 0.55), -0.7, 0.06);
+  EXPECT_TRUE(boundAt(map, 2.95, 1.55));
+  EXPECT_NEAR(heightAt(map, 2.95, 1.55), map.floor + 1, 1e-5);  // the cap
+  EXPECT_FALSE(boundAt(map, 1.05, 1.05));
+}
+
+TEST(Columns, ABoxSeenFromAboveHasAHeight) {
+  auto points = floorPoints();
+  points.erase(std::remove_if(points.begin(), points.end(),
+                              [](const auto& p) { return p.x() > 1 && p.x() < 1.9f && p.y() > 0.5f && p.y() < 1.4f; }),
+               points.end());
+  addSurface(points, 1.05f, 1.9f, 0.55f, 1.4f, 0.8f);
+  for (float y = 0.55f; y < 1.4f; y += 0.1f) addColumn(points, 1.05f, y, 0.1f, 0.8f);
+  const auto map = buildHeightMap(points, bounded());
+  EXPECT_FALSE(boundAt(map, 1.55, 0.95));
+  EXPECT_FALSE(boundAt(map, 1.05, 0.95));
+  EXPECT_NEAR(heightAt(map, 1.05, 0.95), -0.5, 0.01);
+}
+
+TEST(Columns, CeilingLampLintelAndTableFromBelowAreNoHeights) {
+  auto points = floorPoints();
+  addSurface(points, 0.05f, 3, 0.05f, 2, 2.5f);
+  for (float x = 0.25f; x < 0.5f; x += 0.1f) addColumn(points, x, 0.35f, 1.8f, 2.0f);   // lamp over the floor
+  for (float y = 0.85f; y < 1.7f; y += 0.1f) addColumn(points, 2.95f, y, 2.0f, 2.45f);  // lintel over an open door
+  addSurface(points, 1.05f, 1.8f, 0.55f, 1.2f, 0.7f);                                   // a table, its floor seen too
+  addSurface(points, 4.05f, 4.6f, 0.05f, 1.0f, 2.5f);                                   // ceiling over nothing seen
+  auto settings = bounded();
+  settings.drop_hanging = true;
+  const auto map = buildHeightMap(points, settings);
+  for (const auto& p : {Eigen::Vector2d(0.35, 0.35), Eigen::Vector2d(2.95, 1.25), Eigen::Vector2d(2.05, 1.85)}) {
+    EXPECT_NEAR(heightAt(map, p.x(), p.y()), -1.3, 0.02) << p.transpose();
+    EXPECT_FALSE(boundAt(map, p.x(), p.y())) << p.transpose();
+  }
+  EXPECT_TRUE(boundAt(map, 1.45, 0.85));
+  EXPECT_NEAR(heightAt(map, 1.45, 0.85), -0.6, 0.01);
+  EXPECT_TRUE(std::isnan(heightAt(map, 4.35, 0.55)));
+  // From above, what stands over nothing seen is the top of something that high.
+  settings.drop_hanging = false;
+  EXPECT_TRUE(boundAt(buildHeightMap(points, settings), 4.35, 0.55));
+  // The plain clip takes them all for 1 m, the paper for what they are.
+  settings.tops = Tops::kClipped;
+  EXPECT_NEAR(heightAt(buildHeightMap(points, settings), 2.05, 1.85), -0.3, 0.02);
+  settings.tops = Tops::kHighest;
+  EXPECT_NEAR(heightAt(buildHeightMap(points, settings), 2.05, 1.85), 1.2, 0.02);
+}
+
+TEST(Columns, MergingPrefersHeightsAndTheHighestBound) {
+  HeightMap a;
+  a.resolution = 0.1;
+  a.width = 4;
+  a.height = 1;
+  a.floor = 0;
+  a.cap = 1;
+  a.levels.cells = {100};
+  auto b = a;
+  a.heights = {0.5f, 0.4f, 0.0f, 0.7f};
+  a.bounds = {1, 1, 0, 0};
+  b.heights = {0.8f, 0.6f, 0.6f, 0.8f};
+  b.bounds = {1, 0, 1, 0};
+  const auto merged = merge({&a, &b}, Merge::kMean);
+  EXPECT_FLOAT_EQ(merged.heights[0], 0.8f);  // both bounds: the higher one
+  EXPECT_FLOAT_EQ(merged.heights[1], 0.6f);  // a height above the bound
+  EXPECT_FLOAT_EQ(merged.heights[2], 0.6f);  // a bound that a height contradicts
+  EXPECT_FLOAT_EQ(merged.heights[3], 0.75f);
+  EXPECT_EQ(merged.bounds, (std::vector<std::uint8_t>{1, 0, 1, 0}));
+  // Coarser cells keep the flag of what is highest.
+  EXPECT_EQ(boundLevel(merged, 0), 3);
+  EXPECT_EQ(boundLevel(merged, 1), 0);
 }
 
 TEST(HeightMap, BadSettingsAreNamed) {

@@ -285,20 +285,26 @@ TEST_F(NodeTest, ACloudThatOvertakesItsOdometryWaitsForIt) {
   const auto run = world(602, 1);
   const std::string without = "aerial clouds without odometry";
   ASSERT_TRUE(sendGround(run));
-  bool waited = false;
-  for (int attempt = 0; attempt < 10 && !waited; ++attempt) {  // it waits for 0.3 s, by the wall clock
+  int in_time = 0, waited = 0;
+  for (int attempt = 0; attempt < 5; ++attempt) {
     ASSERT_TRUE(diagnostics_.refresh());
     const int before = diagnostics_.counted(without);
     stamp_ += ros::Duration(2);
+    const ros::WallTime begin = ros::WallTime::now();
     cloud_.publish(cloudMsg(run.aerial[0].points, "mav_map", stamp_));
     pause(10);
     sendOdometry(run.aerial[0].reference, stamp_ - ros::Duration(0.05));
     sendOdometry(run.aerial[0].reference, stamp_ + ros::Duration(0.05));
+    // The node waits for 0.3 s, by the wall clock: an attempt in which this process slept tells nothing.
+    const bool prompt = (ros::WallTime::now() - begin).toSec() < 0.15;
     ASSERT_TRUE(spinUntil([&] { return !coarse_.messages.empty() && last().header.stamp == stamp_; }));
     ASSERT_TRUE(diagnostics_.refresh());
-    waited = diagnostics_.counted(without) == before;
+    if (!prompt) continue;
+    ++in_time;
+    waited += diagnostics_.counted(without) == before;
   }
-  EXPECT_TRUE(waited);
+  ASSERT_GE(in_time, 2);
+  EXPECT_GE(waited, in_time - 1);  // the node may sleep once as well
 }
 
 TEST_F(NodeTest, LoopedTimeStartsAfresh) {

@@ -19,7 +19,66 @@ double uniform(Random& random, double low, double high) {
 }
 double normal(Random& random, double sigma) { return sigma * std::normal_distribution<double>(0, 1)(random); }
 
+/// Walls of 2.5 m about the origin, one with a door of 2 m, furniture along them and in the middle, lamp, ceiling.
+TriangleMesh makeRoom(Random& random) {
+  TriangleMesh mesh;
+  addBox(mesh, 0, 0, -0.1, 0, {14, 14, 0.1});
+  addBox(mesh, 0, 0, 2.5, 0, {14, 14, 0.1});
+  const double w = uniform(random, 4.4, 6.2), d = uniform(random, 3.8, 5.2), t = 0.12;
+  const int door_wall = static_cast<int>(uniform(random, 0, 4));
+  const double door = uniform(random, -0.3, 0.3);
+  for (int k = 0; k < 4; ++k) {
+    const bool along_x = k < 2;
+    const double length = (along_x ? w : d) + t, side = k % 2 ? 1 : -1;
+    const auto piece = [&](double from, double to, double bottom, double height) {
+      const double middle = 0.5 * (from + to), offset = side * 0.5 * ((along_x ? d : w) + t);
+      addBox(mesh, along_x ? middle : offset, along_x ? offset : middle, bottom, along_x ? 0 : M_PI / 2,
+             {to - from, t, height});
+    };
+    if (k != door_wall) {
+      piece(-length / 2, length / 2, 0, 2.5);
+      continue;
+    }
+    const double at = door * length;
+    piece(-length / 2, at - 0.45, 0, 2.5);
+    piece(at + 0.45, length / 2, 0, 2.5);
+    piece(at - 0.45, at + 0.45, 2.0, 0.5);
+  }
+  // Cupboards, shelves and sideboards with their backs to the walls.
+  const int along = 4 + static_cast<int>(uniform(random, 0, 3));
+  for (int i = 0; i < along; ++i) {
+    const int k = i % 4;
+    const double depth = uniform(random, 0.3, 0.6), width = uniform(random, 0.5, 1.5);
+    const double height = uniform(random, 0, 1) < 0.4 ? uniform(random, 1.5, 2.1) : uniform(random, 0.4, 1.0);
+    const double free = 0.5 * ((k < 2 ? w : d) - width) - 0.1, at = uniform(random, -free, free);
+    const double off = (k % 2 ? 1 : -1) * (0.5 * (k < 2 ? d : w) - 0.5 * depth);
+    addBox(mesh, k < 2 ? at : off, k < 2 ? off : at, 0, k < 2 ? 0 : M_PI / 2, {width, depth, height});
+  }
+  // Tables on legs, with chairs.
+  const int tables = 1 + static_cast<int>(uniform(random, 0, 2.5));
+  for (int i = 0; i < tables; ++i) {
+    const double x = uniform(random, -0.3, 0.3) * w, y = uniform(random, -0.3, 0.3) * d, yaw = uniform(random, 0, M_PI);
+    const Eigen::Vector2d size(uniform(random, 1.0, 1.6), uniform(random, 0.6, 0.9));
+    const Pose T = yawPose(yaw, {x, y, 0});
+    addBox(mesh, x, y, 0.70, yaw, {size.x(), size.y(), 0.04});
+    for (int leg = 0; leg < 4; ++leg) {
+      const Eigen::Vector3d p =
+          T * Eigen::Vector3d((leg & 1 ? 0.45 : -0.45) * size.x(), (leg & 2 ? 0.45 : -0.45) * size.y(), 0);
+      addBox(mesh, p.x(), p.y(), 0, yaw, {0.06, 0.06, 0.7});
+    }
+    const Eigen::Vector3d chair = T * Eigen::Vector3d(uniform(random, -0.4, 0.4), 0.5 * size.y() + 0.35, 0);
+    addBox(mesh, chair.x(), chair.y(), 0, yaw, {0.42, 0.42, 0.45});
+    if (i == 0) addBox(mesh, x, y, 2.1, yaw, {0.5, 0.5, 0.2});  // the lamp over the first
+  }
+  for (int i = 0; i < 5; ++i) {
+    addBox(mesh, uniform(random, -0.4, 0.4) * w, uniform(random, -0.4, 0.4) * d, 0, uniform(random, 0, M_PI),
+           {uniform(random, 0.2, 0.5), uniform(random, 0.2, 0.5), uniform(random, 0.1, 0.5)});
+  }
+  return mesh;
+}
+
 TriangleMesh makeMesh(World world, Random& random) {
+  if (world == World::kRoom) return makeRoom(random);
   TriangleMesh mesh;
   addBox(mesh, 0, 0, -0.1, 0, {12, 12, 0.1});
   if (world == World::kBoxes) {
@@ -168,12 +227,17 @@ void addBox(TriangleMesh& mesh, double x, double y, double bottom, double yaw, c
 
 Run makeRun(const Options& options) {
   Random random(options.seed * 7919 + 17);
+  const bool room = options.world == World::kRoom;
   Run run;
   run.mesh = makeMesh(options.world, random);
   const MeshScene scene(run.mesh);
+  Random elsewhere(options.seed * 104729 + 5);
+  const MeshScene aerial_scene(options.other_world ? makeMesh(options.world, elsewhere) : run.mesh);
 
   // The ground robot drives an arc around the scene and looks at points near its middle.
-  const double radius = uniform(random, 2.9, 3.3), begin = uniform(random, 0, 2 * M_PI);
+  // In a room it drives an arc within, looks along the walls and, now and then, up.
+  const double radius = room ? uniform(random, 1.0, 1.4) : uniform(random, 2.9, 3.3),
+               begin = uniform(random, 0, 2 * M_PI);
   const double turn = options.ground_path / radius * (uniform(random, 0, 1) < 0.5 ? 1 : -1);
   Pose T_world_groundmap;
   std::vector<Eigen::Vector3f> seen;
@@ -181,19 +245,23 @@ Run makeRun(const Options& options) {
   for (int i = 0; i < kGroundFrames; ++i) {
     const double a = begin + turn * i / (kGroundFrames - 1);
     const Eigen::Vector3d position(0.9 * radius * std::cos(a), 1.1 * radius * std::sin(a), 0);
-    const double yaw = std::atan2(-position.y(), -position.x()) + 0.45 * std::sin(1.3 * i);
+    const double inwards = std::atan2(-position.y(), -position.x());
+    const double yaw = inwards + (room ? 1.2 * std::sin(0.9 * i) : 0.45 * std::sin(1.3 * i));
     const Pose T_world_base = yawPose(yaw, position);
     if (i == 0) T_world_groundmap = T_world_base;
-    seeFromGround(scene, T_world_base, 0.25, random, seen);
+    seeFromGround(scene, T_world_base, room ? (i % 4 == 3 ? -0.35 : 0.1) : 0.25, random, seen);
   }
   const Pose T_groundmap_world = T_world_groundmap.inverse();
   for (const auto& p : seen) run.ground.push_back((T_groundmap_world * p.cast<double>()).cast<float>());
 
   // The MAV flies a loop; its map starts at its first pose.
   const double phase = uniform(random, 0, 2 * M_PI), heading0 = uniform(random, -M_PI, M_PI);
-  const double rx = uniform(random, 0.6, 1.1), ry = uniform(random, 0.8, 1.4), altitude = uniform(random, 2.2, 2.9);
+  const double rx = uniform(random, 0.6, 1.1), ry = uniform(random, 0.8, 1.4),
+               altitude = room ? uniform(random, 1.5, 1.75) : uniform(random, 2.2, 2.9);
   const double scale = 1 + options.scale_error * (uniform(random, 0, 1) < 0.5 ? 1 : -1);
   const double drift_heading = uniform(random, 0, 2 * M_PI), yaw_drift_sign = uniform(random, 0, 1) < 0.5 ? 1 : -1;
+  const double tilt_axis = options.tilt > 0 ? uniform(random, 0, 2 * M_PI) : 0;
+  const Pose tilt(Eigen::AngleAxisd(options.tilt, Eigen::Vector3d(std::cos(tilt_axis), std::sin(tilt_axis), 0)));
   Pose T_world_mavmap;
   Eigen::Vector3d last = Eigen::Vector3d::Zero();
   double path = 0;
@@ -216,11 +284,11 @@ Run makeRun(const Options& options) {
         yawPose(air_ground_common::yawOf(T_true.rotation()) + yaw_drift, scale * T_true.translation() + drift);
 
     AerialCloud cloud;
-    cloud.reference = T_believed.translation();
-    for (const auto& p : seeFromAir(scene, T_world_base, options, random))
-      cloud.points.push_back((T_believed * (scale * p)).cast<float>());
+    cloud.reference = tilt * T_believed.translation();
+    for (const auto& p : seeFromAir(aerial_scene, T_world_base, options, random))
+      cloud.points.push_back((tilt * (T_believed * (scale * p))).cast<float>());
     run.aerial.push_back(std::move(cloud));
-    run.T_ground_mav.push_back(T_groundmap_world * T_world_base * T_believed.inverse());
+    run.T_ground_mav.push_back(T_groundmap_world * T_world_base * T_believed.inverse() * tilt.inverse());
   }
   return run;
 }

@@ -12,7 +12,8 @@
 
 namespace heightmap_mcl::synthetic {
 
-enum class World { kBoxes, kIdenticalBoxes, kFlatFloor, kRidge };
+/// kRoom: a furnished room with walls of 2.5 m, a door, a lamp and a ceiling, seen from within by both robots.
+enum class World { kBoxes, kIdenticalBoxes, kFlatFloor, kRidge, kRoom };
 
 struct Options {
   World world = World::kBoxes;
@@ -25,6 +26,8 @@ struct Options {
   double hole_share = 0.12;            ///< of the aerial view, in blobs
   double drift_per_metre = 0.01;       ///< of the MAV's position [m/m]
   double yaw_drift_per_metre = 0.002;  ///< [rad/m]
+  double tilt = 0;                     ///< of the MAV's map, about a random horizontal axis [rad]
+  bool other_world = false;            ///< the MAV is in another world (another room) than the ground robot
 };
 
 struct Run {

@@ -31,7 +31,7 @@ Eigen::Vector3d middle(const Cloud& cloud) {
 }  // namespace
 
 AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settings)
-    : chain_(std::move(chain)), settings_(settings) {}
+    : chain_(std::move(chain)), settings_(settings), scale_(settings.scale) {}
 
 void AlignmentRefiner::setGround(Cloud cloud) {
   ground_ = std::move(cloud);
@@ -52,8 +52,13 @@ void AlignmentRefiner::setCoarse(const Pose& T) { coarse_ = T; }
 
 void AlignmentRefiner::setManual(const Pose& T) { manual_ = T; }
 
+void AlignmentRefiner::setScaleDeviation(double stddev) {
+  if (std::isfinite(stddev)) scale_.stddev = std::max(settings_.scale.stddev, stddev);
+}
+
 void AlignmentRefiner::startMap() {
   aerial_.clear();
+  scale_ = settings_.scale;
   forgetPoses();
 }
 
@@ -104,7 +109,7 @@ RefineOutcome AlignmentRefiner::refine() {
   const Eigen::Vector3d centre = middle(reading);
   if (tracked_ && coarse_) {
     const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
-    const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->linear()) -
+    const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) -
                                                                air_ground_common::yawOf(coarse_->linear())));
     const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
     disagreements_ = disagrees ? disagreements_ + 1 : 0;
@@ -157,7 +162,7 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
   // The height is the one thing that the maps tell at once, and a guess drawn on a plane knows nothing of it.
   const auto dz = heightOffset(transformed(reading, guess), reference_->cloud(), settings_.height_check.cell);
   if (dz) guess.translation().z() += *dz;
-  RefineOutcome best = attempt(reading, guess);
+  RefineOutcome best = attempt(reading, similarity(guess, scale_.mean));
   const Eigen::Vector3d centre = guess * middle(reading);
   for (int k = 0; k < settings_.retries && (best.status == RefineStatus::kRejected || best.contradicted); ++k) {
     const double heading = 2 * M_PI * k / settings_.retries, yaw = (k % 2 ? 1 : -1) * settings_.retry_angle;
@@ -166,7 +171,7 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
     shift.linear() = R;
     shift.translation() =
         centre + settings_.retry_distance * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0) - R * centre;
-    RefineOutcome other = attempt(reading, shift * guess);
+    RefineOutcome other = attempt(reading, similarity(shift * guess, scale_.mean));
     if (other.status == RefineStatus::kConverged) {
       other.reason += line("; from a start %.2f m beside the guess", settings_.retry_distance);
       best = other;
@@ -175,61 +180,79 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
   return best;
 }
 
-RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Pose& guess) {
+RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& guess) {
   RefineOutcome out;
   out.stamp = aerial_.back().first;
   // What lies beyond the ground map cannot match, and would take the samples of what can.
   Cloud reading = whole;
   reading.keep(nearGroundMap(transformed(whole, guess), reference_->cloud(), settings_.margin));
-  out.icp = chain_.align(reading, *reference_, guess);
+  out.icp = chain_.align(reading, *reference_, guess, scale_);
   const IcpResult& icp = out.icp;
   out.T_ground_map_mav_map = icp.T_reference_reading;
-  out.covariance = icp.covariance;
+  out.covariance = icp.covariance.topLeftCorner<6, 6>();
+  out.scale_stddev = icp.T_reference_reading.scale * std::sqrt(icp.covariance(6, 6));
   out.reference_point = icp.centre;
   out.residual_rms = icp.residual_rms;
   out.iterations = icp.iterations;
+  if (icp.outcome == IcpResult::Outcome::kConverged) {
+    out.heights =
+        checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check);
+    out.overlap = out.heights.overlap();
+    out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
+                       (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
+  }
+  judge(out);
+  if (out.status == RefineStatus::kRejected) {
+    out.covariance = 1e6 * Matrix6d::Identity();
+    out.scale_stddev = 0;
+  }
+  return out;
+}
+
+void AlignmentRefiner::judge(RefineOutcome& out) const {
+  const IcpResult& icp = out.icp;
   const auto verdict = [&out](RefineStatus status, const std::string& reason) {
     out.status = status;
     out.reason = reason;
-    if (status == RefineStatus::kRejected) out.covariance = 1e6 * Matrix6d::Identity();
-    return out;
   };
-  if (icp.outcome != IcpResult::Outcome::kConverged) return verdict(RefineStatus::kRejected, icp.reason);
-  out.heights = checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check);
-  out.overlap = out.heights.overlap();
-  out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
-                     (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
+  const auto rejected = [&](const std::string& reason) { verdict(RefineStatus::kRejected, reason); };
+  const auto degenerate = [&](const std::string& reason) { verdict(RefineStatus::kDegenerate, reason); };
+  if (icp.outcome != IcpResult::Outcome::kConverged) return rejected(icp.reason);
   if (out.overlap < settings_.min_overlap) {
-    return verdict(RefineStatus::kRejected, line("the maps overlap in %.0f %% of the aerial one, %.0f %% needed",
-                                                 100 * out.overlap, 100 * settings_.min_overlap));
+    return rejected(line("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap,
+                         100 * settings_.min_overlap));
   }
-  if (!icp.localizability.complete()) {
-    return verdict(RefineStatus::kDegenerate, "the geometry does not fix: " + icp.localizability.describeMissing());
-  }
-  const double sigma = largestSigma(icp.covariance.topLeftCorner<3, 3>());
-  const double sigma_angle = largestSigma(icp.covariance.bottomRightCorner<3, 3>());
+  if (!icp.localizability.complete())
+    return degenerate("the geometry does not fix: " + icp.localizability.describeMissing());
+  const double sigma = largestSigma(out.covariance.topLeftCorner<3, 3>());
+  const double sigma_angle = largestSigma(out.covariance.bottomRightCorner<3, 3>());
   if (sigma > settings_.max_sigma || sigma_angle > settings_.max_sigma_angle) {
-    return verdict(RefineStatus::kDegenerate, line("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)",
-                                                   sigma, sigma_angle * kDegrees));
+    return degenerate(
+        line("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)", sigma, sigma_angle * kDegrees));
   }
-  if (icp.residual_rms > settings_.max_rms) {
-    return verdict(RefineStatus::kRejected,
-                   line("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
+  if (icp.residual_rms > settings_.max_rms)
+    return rejected(line("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
+  // Beyond what odometry and clouds leave open with 99.99 % (normal, one degree of freedom): bent to fit a wrong place.
+  const double scale = out.T_ground_map_mav_map.scale;
+  const double excess = std::abs(scale - scale_.mean) / std::hypot(scale_.stddev, out.scale_stddev);
+  if (scale_.mode == ScalePrior::Mode::kPrior && excess > 3.9) {
+    return rejected(line("scale %.3f, %.1f standard deviations from what the odometry can err by (%.1f %%)", scale,
+                         excess, 100 * scale_.stddev));
   }
   if (!out.heights.conclusive) {
-    return verdict(
-        RefineStatus::kDegenerate,
+    return degenerate(
         line("only %d cells off the floor were seen by both: too few to verify the pose", out.heights.relief_cells));
   }
   if (out.heights.agreement() < settings_.min_agreement) {
-    return verdict(RefineStatus::kRejected,
-                   line("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
-                        100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
+    return rejected(line("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
+                         100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
   }
-  return verdict(RefineStatus::kConverged,
-                 line("residual %.3f m, overlap %.0f %%, heights agree in %.0f %% of %d cells, 1 sigma %.3f m %.2f deg",
-                      icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells,
-                      sigma, sigma_angle * kDegrees));
+  verdict(RefineStatus::kConverged,
+          line("residual %.3f m, overlap %.0f %%, heights agree in %.0f %% of %d cells, 1 sigma %.3f m %.2f deg, ",
+               icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells, sigma,
+               sigma_angle * kDegrees) +
+              (icp.scale_estimated ? line("scale %.4f +- %.4f", scale, out.scale_stddev)
+                                   : line("scale held at %.4f: the geometry does not fix it", scale)));
 }
 
 }  // namespace icp_refine

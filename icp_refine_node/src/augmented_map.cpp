@@ -76,18 +76,18 @@ std::vector<LabeledPoint> AugmentedMap::points() const {
     if (settings_.ground_red) p.rgb = {220, 30, 30};
   }
   if (!T_ground_map_mav_map_) return out;
-  const Eigen::Matrix3f R = T_ground_map_mav_map_->linear().cast<float>();
-  const Eigen::Vector3f t = T_ground_map_mav_map_->translation().cast<float>();
+  const Eigen::Matrix3f sR = (T_ground_map_mav_map_->scale * T_ground_map_mav_map_->R).cast<float>();
+  const Eigen::Vector3f t = T_ground_map_mav_map_->t.cast<float>();
   const auto voxels = aerial_.points(settings_.min_points);
   std::vector<char> mask(voxels.size(), 1);
   if (settings_.fill_only) {
     std::vector<Eigen::Vector3f> aerial, ground;
-    for (const auto& v : voxels) aerial.push_back(R * v.position + t);
+    for (const auto& v : voxels) aerial.push_back(sR * v.position + t);
     for (const auto& p : ground_) ground.push_back(p.position);
     mask = addedByAir(aerial, ground, settings_.leaf * 2);
   }
   for (std::size_t i = 0; i < voxels.size(); ++i) {
-    if (mask[i]) out.push_back({R * voxels[i].position + t, {voxels[i].grey, voxels[i].grey, voxels[i].grey}, 1});
+    if (mask[i]) out.push_back({sR * voxels[i].position + t, {voxels[i].grey, voxels[i].grey, voxels[i].grey}, 1});
   }
   return out;
 }

@@ -29,18 +29,20 @@ void Cloud::select(const std::vector<int>& indices) {
   *this = std::move(out);
 }
 
-Cloud transformed(const Cloud& cloud, const Pose& T) {
-  const Eigen::Matrix3f R = T.linear().cast<float>();
-  const Eigen::Vector3f t = T.translation().cast<float>();
+Cloud transformed(const Cloud& cloud, const Similarity& T) {
+  const Eigen::Matrix3f R = T.R.cast<float>(), sR = (T.scale * T.R).cast<float>();
+  const Eigen::Vector3f t = T.t.cast<float>();
   Cloud out;
   out.points.reserve(cloud.size());
-  for (const auto& p : cloud.points) out.points.push_back(R * p + t);
+  for (const auto& p : cloud.points) out.points.push_back(sR * p + t);
   if (cloud.hasNormals()) {
     out.normals.reserve(cloud.size());
     for (const auto& n : cloud.normals) out.normals.push_back(R * n);
   }
   return out;
 }
+
+Cloud transformed(const Cloud& cloud, const Pose& T) { return transformed(cloud, similarity(T)); }
 
 std::size_t removeInvalid(Cloud& cloud) {
   std::vector<char> mask(cloud.size());

@@ -6,51 +6,13 @@
 #include <limits>
 #include <numeric>
 #include <random>
-#include <unordered_map>
 
+#include "icp_refine/neighbor_search.h"
+#include "key_table.h"
 #include "registry.h"
 
 namespace icp_refine {
 namespace {
-
-constexpr double kInf = 1e6;  // largest length that makes sense here [m]
-
-class BoundingBox : public DataFilter {
- public:
-  explicit BoundingBox(const Parameters& p)
-      : min_(p("min_x"), p("min_y"), p("min_z")),
-        max_(p("max_x"), p("max_y"), p("max_z")),
-        inside_(p("remove_inside")) {}
-  void apply(Cloud& cloud) const override {
-    std::vector<char> mask(cloud.size());
-    for (std::size_t i = 0; i < cloud.size(); ++i) {
-      const auto& q = cloud.points[i].array();
-      const bool inside = (q >= min_.array()).all() && (q <= max_.array()).all();
-      mask[i] = inside != inside_;
-    }
-    cloud.keep(mask);
-  }
-
- private:
-  Eigen::Vector3f min_, max_;
-  bool inside_;
-};
-
-class Range : public DataFilter {
- public:
-  explicit Range(const Parameters& p) : min_(p("min")), max_(p("max")) {}
-  void apply(Cloud& cloud) const override {
-    std::vector<char> mask(cloud.size());
-    for (std::size_t i = 0; i < cloud.size(); ++i) {
-      const float r = cloud.points[i].norm();
-      mask[i] = r >= min_ && r <= max_;
-    }
-    cloud.keep(mask);
-  }
-
- private:
-  float min_, max_;
-};
 
 // One point a cell, at the mean of the cell's points; cells in the order of their first point, so that it is
 // deterministic.
@@ -63,13 +25,12 @@ class VoxelGrid : public DataFilter {
       int count = 0;
     };
     const bool normals = cloud.hasNormals();
-    std::unordered_map<std::uint64_t, int> index;
-    index.reserve(cloud.size() / 4 + 1);
+    KeyTable index;
     std::vector<Cell> cells;
     for (std::size_t i = 0; i < cloud.size(); ++i) {
-      const auto [it, added] = index.try_emplace(cellKey(cloud.points[i], leaf_), static_cast<int>(cells.size()));
-      if (added) cells.emplace_back();
-      Cell& cell = cells[it->second];
+      const auto number = static_cast<std::size_t>(index.insert(cellKey(cloud.points[i], leaf_)));
+      if (number == cells.size()) cells.emplace_back();
+      Cell& cell = cells[number];
       cell.sum += cloud.points[i];
       if (normals) cell.normal += cloud.normals[i];
       ++cell.count;
@@ -88,6 +49,40 @@ class VoxelGrid : public DataFilter {
   int min_points_;
 };
 
+// Neighbours of one point of a cloud after the other: those of the last one bound the search for the next.
+class NeighborWalk {
+ public:
+  NeighborWalk(const Cloud& cloud, const NeighborSearch& tree, int count,
+               float max_distance = std::numeric_limits<float>::infinity())
+      : cloud_(cloud), tree_(tree), count_(count), max_distance_(max_distance) {}
+
+  void at(int i) {
+    float reach = max_distance_;
+    // All `count` neighbours of the last point lie within this of the present one.
+    if (static_cast<int>(squared.size()) == count_) {
+      const float around_last = std::sqrt(squared.back()) + (cloud_.points[i] - cloud_.points[last_]).norm();
+      reach = std::min(reach, around_last * 1.0001f + 1e-6f);
+    }
+    last_ = i;
+    tree_.nearestK(cloud_.points[i], count_, index, squared, reach * reach);
+  }
+  std::vector<int> index;
+  std::vector<float> squared;
+
+ private:
+  const Cloud& cloud_;
+  const NeighborSearch& tree_;
+  int count_;
+  float max_distance_;
+  int last_ = 0;
+};
+
+NeighborSearch placesOf(const Cloud& cloud) {
+  Cloud bare;
+  bare.points = cloud.points;
+  return NeighborSearch(bare);
+}
+
 // Principal component analysis of the neighbourhood. A normal is valid when enough neighbours are near, they do not lie
 // on a line, and they lie on a plane: points without a valid normal are removed, because they pull the pose away.
 class SurfaceNormals : public DataFilter {
@@ -101,20 +96,17 @@ class SurfaceNormals : public DataFilter {
 
   void apply(Cloud& cloud) const override {
     if (cloud.empty()) return;
-    Cloud bare;
-    bare.points = cloud.points;
-    const NeighborSearch tree(bare);
+    const NeighborSearch tree = placesOf(cloud);
     const int n = static_cast<int>(cloud.size());
     std::vector<Eigen::Vector3f> normals(n, Eigen::Vector3f::UnitZ());
     std::vector<char> valid(n);
 #pragma omp parallel
     {
-      std::vector<int> index;
-      std::vector<float> squared;
+      NeighborWalk near(cloud, tree, neighbors_, radius_);
 #pragma omp for schedule(static)
       for (int i = 0; i < n; ++i) {
-        tree.nearestK(cloud.points[i], neighbors_, index, squared);
-        valid[i] = normal(cloud, index, squared, normals[i]);
+        near.at(i);
+        valid[i] = normal(cloud, near.index, normals[i]);
       }
     }
     cloud.normals = std::move(normals);
@@ -122,18 +114,14 @@ class SurfaceNormals : public DataFilter {
   }
 
  private:
-  bool normal(const Cloud& cloud, const std::vector<int>& index, const std::vector<float>& squared,
-              Eigen::Vector3f& out) const {
+  bool normal(const Cloud& cloud, const std::vector<int>& index, Eigen::Vector3f& out) const {
+    if (static_cast<int>(index.size()) < min_neighbors_) return false;
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    int count = 0;
-    for (std::size_t k = 0; k < index.size() && squared[k] <= radius_ * radius_; ++k, ++count) {
-      mean += cloud.points[index[k]].cast<double>();
-    }
-    if (count < min_neighbors_) return false;
-    mean /= count;
+    for (int k : index) mean += cloud.points[k].cast<double>();
+    mean /= static_cast<double>(index.size());
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-    for (int k = 0; k < count; ++k) {
-      const Eigen::Vector3d d = cloud.points[index[k]].cast<double>() - mean;
+    for (int k : index) {
+      const Eigen::Vector3d d = cloud.points[k].cast<double>() - mean;
       covariance += d * d.transpose();
     }
     Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
@@ -161,11 +149,19 @@ class OrientNormals : public DataFilter {
   void apply(Cloud& cloud) const override {
     if (cloud.empty()) return;
     if (!cloud.hasNormals()) throw ConfigError("OrientNormals needs normals: put SurfaceNormals before it");
-    std::unordered_map<std::uint64_t, float> top;
+    KeyTable columns;
+    std::vector<float> tops;
     for (const auto& p : cloud.points) {
-      const auto [it, added] = top.try_emplace(column(p), p.z());
-      if (!added) it->second = std::max(it->second, p.z());
+      const auto k = static_cast<std::size_t>(columns.insert(column(p)));
+      if (k == tops.size())
+        tops.push_back(p.z());
+      else
+        tops[k] = std::max(tops[k], p.z());
     }
+    const auto height = [&](const Eigen::Vector3f& p, float unseen) {
+      const int k = columns.find(column(p));
+      return k < 0 ? unseen : tops[static_cast<std::size_t>(k)];
+    };
     for (std::size_t i = 0; i < cloud.size(); ++i) {
       auto& n = cloud.normals[i];
       if (n.z() < 0) n = -n;
@@ -173,8 +169,8 @@ class OrientNormals : public DataFilter {
       const Eigen::Vector3f side = Eigen::Vector3f(n.x(), n.y(), 0).normalized();
       float front = 0, back = 0;
       for (int k = 1; k <= 2; ++k) {
-        front += height(top, cloud.points[i] + 0.5f * k * reach_ * side, cloud.points[i].z());
-        back += height(top, cloud.points[i] - 0.5f * k * reach_ * side, cloud.points[i].z());
+        front += height(cloud.points[i] + 0.5f * k * reach_ * side, cloud.points[i].z());
+        back += height(cloud.points[i] - 0.5f * k * reach_ * side, cloud.points[i].z());
       }
       if (front > back) n = -n;
     }
@@ -182,37 +178,8 @@ class OrientNormals : public DataFilter {
 
  private:
   std::uint64_t column(const Eigen::Vector3f& p) const { return cellKey({p.x(), p.y(), 0}, cell_); }
-  float height(const std::unordered_map<std::uint64_t, float>& top, const Eigen::Vector3f& p, float unseen) const {
-    const auto it = top.find(column(p));
-    return it == top.end() ? unseen : it->second;
-  }
 
   float cell_, reach_, steep_;
-};
-
-// Thins crowded places: a cell with more than the allowed number of points keeps evenly spaced ones of them.
-class MaxDensity : public DataFilter {
- public:
-  explicit MaxDensity(const Parameters& p)
-      : cell_(p("cell")),
-        limit_(std::max(1, static_cast<int>(std::lround(p("max_density") * std::pow(p("cell"), 3))))) {}
-  void apply(Cloud& cloud) const override {
-    std::unordered_map<std::uint64_t, std::pair<int, int>> cells;  // points in the cell; points passed so far
-    for (const auto& p : cloud.points) ++cells[cellKey(p, cell_)].first;
-    std::vector<char> mask(cloud.size());
-    for (std::size_t i = 0; i < cloud.size(); ++i) {
-      auto& [count, seen] = cells[cellKey(cloud.points[i], cell_)];
-      // Point k of n is kept where k*limit/n steps to the next integer: `limit_` of the n, evenly.
-      mask[i] =
-          count <= limit_ || static_cast<long>(seen + 1) * limit_ / count > static_cast<long>(seen) * limit_ / count;
-      ++seen;
-    }
-    cloud.keep(mask);
-  }
-
- private:
-  float cell_;
-  int limit_;
 };
 
 class StatisticalOutlier : public DataFilter {
@@ -221,20 +188,17 @@ class StatisticalOutlier : public DataFilter {
       : neighbors_(static_cast<int>(p("neighbors"))), factor_(p("stddev_factor")) {}
   void apply(Cloud& cloud) const override {
     if (static_cast<int>(cloud.size()) <= neighbors_) return;
-    Cloud bare;
-    bare.points = cloud.points;
-    const NeighborSearch tree(bare);
+    const NeighborSearch tree = placesOf(cloud);
     const int n = static_cast<int>(cloud.size());
     std::vector<double> mean_distance(n);
 #pragma omp parallel
     {
-      std::vector<int> index;
-      std::vector<float> squared;
+      NeighborWalk near(cloud, tree, neighbors_ + 1);
 #pragma omp for schedule(static)
       for (int i = 0; i < n; ++i) {
-        tree.nearestK(cloud.points[i], neighbors_ + 1, index, squared);
+        near.at(i);
         double sum = 0;
-        for (float d : squared) sum += std::sqrt(d);
+        for (float d : near.squared) sum += std::sqrt(d);
         mean_distance[i] = sum / neighbors_;
       }
     }
@@ -261,47 +225,6 @@ std::vector<int> randomSubset(std::size_t size, std::size_t count, std::uint32_t
   std::sort(indices.begin(), indices.end());
   return indices;
 }
-
-class RandomSampling : public DataFilter {
- public:
-  explicit RandomSampling(const Parameters& p)
-      : fraction_(p("fraction")), seed_(static_cast<std::uint32_t>(p("seed"))) {}
-  void apply(Cloud& cloud) const override {
-    if (cloud.empty()) return;
-    const auto count = static_cast<std::size_t>(std::ceil(fraction_ * static_cast<double>(cloud.size())));
-    cloud.select(randomSubset(cloud.size(), std::min(count, cloud.size()), seed_));
-  }
-
- private:
-  double fraction_;
-  std::uint32_t seed_;
-};
-
-class UniformSampling : public DataFilter {
- public:
-  explicit UniformSampling(const Parameters& p) : step_(static_cast<std::size_t>(p("step"))) {}
-  void apply(Cloud& cloud) const override {
-    std::vector<char> mask(cloud.size());
-    for (std::size_t i = 0; i < cloud.size(); i += step_) mask[i] = 1;
-    cloud.keep(mask);
-  }
-
- private:
-  std::size_t step_;
-};
-
-class MaxPoints : public DataFilter {
- public:
-  explicit MaxPoints(const Parameters& p)
-      : count_(static_cast<std::size_t>(p("count"))), seed_(static_cast<std::uint32_t>(p("seed"))) {}
-  void apply(Cloud& cloud) const override {
-    if (cloud.size() > count_) cloud.select(randomSubset(cloud.size(), count_, seed_));
-  }
-
- private:
-  std::size_t count_;
-  std::uint32_t seed_;
-};
 
 // Rusinkiewicz 2001: as many points from each direction of the normals, so that the few steep faces, which alone fix x,
 // y and yaw, are not outvoted by the floor.
@@ -343,24 +266,8 @@ std::unique_ptr<DataFilter> make(const Parameters& p) {
   return std::make_unique<T>(p);
 }
 
-const ParameterDoc kSeed{"seed", "seed of the random numbers", 1, 0, 4e9};
-
 const std::vector<StageEntry<std::unique_ptr<DataFilter>>>& table() {
   static const std::vector<StageEntry<std::unique_ptr<DataFilter>>> entries = {
-      {{"BoundingBox",
-        "Keeps the points inside a box (or outside it)",
-        {{"min_x", "lower corner [m]", -kInf, -kInf, kInf},
-         {"min_y", "lower corner [m]", -kInf, -kInf, kInf},
-         {"min_z", "lower corner [m]", -kInf, -kInf, kInf},
-         {"max_x", "upper corner [m]", kInf, -kInf, kInf},
-         {"max_y", "upper corner [m]", kInf, -kInf, kInf},
-         {"max_z", "upper corner [m]", kInf, -kInf, kInf},
-         {"remove_inside", "1: removes what is inside instead", 0, 0, 1}}},
-       make<BoundingBox>},
-      {{"Range",
-        "Keeps the points whose distance from the cloud's origin is in a range",
-        {{"min", "[m]", 0, 0, kInf}, {"max", "[m]", 100, 0, kInf}}},
-       make<Range>},
       {{"VoxelGrid",
         "One point a cell, the mean of the points in it",
         {{"leaf", "edge of a cell [m]", 0.03, 1e-3, 100},
@@ -380,24 +287,14 @@ const std::vector<StageEntry<std::unique_ptr<DataFilter>>>& table() {
          {"reach", "how far before and behind the face heights are compared [m]", 0.2, 1e-3, 10},
          {"steep", "a face is steep when its normal is farther than this from vertical [rad]", 0.8, 0, 1.6}}},
        make<OrientNormals>},
-      {{"MaxDensity",
-        "Thins places with more points than a limit",
-        {{"max_density", "[points/m^3]", 50000, 1, 1e12},
-         {"cell", "edge of the cell of the count [m]", 0.1, 1e-3, 100}}},
-       make<MaxDensity>},
       {{"StatisticalOutlier",
         "Removes points whose mean distance to their neighbours is unusually large",
         {{"neighbors", "neighbours averaged", 8, 1, 200},
          {"stddev_factor", "limit: mean + this times the standard deviation, over the cloud", 2, 0, 100}}},
        make<StatisticalOutlier>},
-      {{"RandomSampling", "Keeps a random share", {{"fraction", "share kept", 0.5, 0, 1}, kSeed}},
-       make<RandomSampling>},
-      {{"UniformSampling", "Keeps every n-th point", {{"step", "n", 2, 1, 1e6}}}, make<UniformSampling>},
-      {{"MaxPoints", "Random subset when there are more points", {{"count", "points kept", 10000, 1, 1e9}, kSeed}},
-       make<MaxPoints>},
       {{"NormalSpaceSampling",
         "Random subset with all directions of normals equally present",
-        {{"count", "points kept", 5000, 1, 1e9}, kSeed}},
+        {{"count", "points kept", 5000, 1, 1e9}, {"seed", "seed of the random numbers", 1, 0, 4e9}}},
        make<NormalSpaceSampling>},
   };
   return entries;

@@ -4,30 +4,42 @@
 #include <cmath>
 #include <limits>
 #include <map>
-#include <unordered_map>
+
+#include "key_table.h"
 
 namespace icp_refine {
 namespace {
-
-using Columns = std::unordered_map<std::uint64_t, float>;
 
 std::uint64_t column(int x, int y) { return cellKey({x + 0.5f, y + 0.5f, 0.f}, 1.f); }
 
 int cellOf(float v, double cell) { return static_cast<int>(std::floor(v / cell)); }
 
-Columns tops(const Cloud& cloud, double cell) {
-  Columns out;
-  for (const auto& p : cloud.points) {
-    const auto [it, added] = out.try_emplace(column(cellOf(p.x(), cell), cellOf(p.y(), cell)), p.z());
-    if (!added) it->second = std::max(it->second, p.z());
+// Highest point of each column.
+struct Columns {
+  Columns(const Cloud& cloud, double cell) {
+    for (const auto& p : cloud.points) {
+      const auto k = static_cast<std::size_t>(keys.insert(column(cellOf(p.x(), cell), cellOf(p.y(), cell))));
+      if (k == tops.size())
+        tops.push_back(p.z());
+      else
+        tops[k] = std::max(tops[k], p.z());
+    }
   }
-  return out;
-}
+  /// `unseen` where there is no point.
+  float top(std::uint64_t key, float unseen) const {
+    const int k = keys.find(key);
+    return k < 0 ? unseen : tops[static_cast<std::size_t>(k)];
+  }
+  bool seen(std::uint64_t key) const { return keys.find(key) >= 0; }
+
+  KeyTable keys;
+  std::vector<float> tops;
+};
 
 // Most frequent height, by 5 cm bins.
 double mode(const Columns& columns) {
   std::map<int, int> histogram;
-  for (const auto& [key, z] : columns) ++histogram[static_cast<int>(std::lround(z / 0.05))];
+  for (float z : columns.tops) ++histogram[static_cast<int>(std::lround(z / 0.05))];
   int best = 0, count = -1;
   for (const auto& [bin, n] : histogram) {
     if (n > count) best = bin, count = n;
@@ -39,9 +51,9 @@ double mode(const Columns& columns) {
 
 HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& s) {
   HeightCheck out;
-  const Columns air = tops(aerial, s.cell), floor_robot = tops(ground, s.cell);
+  const Columns air(aerial, s.cell), floor_robot(ground, s.cell);
   out.floor_height = mode(floor_robot);
-  out.aerial_cells = static_cast<int>(air.size());
+  out.aerial_cells = air.keys.size();
   const int reach = std::max(1, static_cast<int>(std::lround(s.tolerance_xy / s.cell)));
 
   // Highest value of a column's neighbourhood; an unseen column counts as `unseen`.
@@ -50,21 +62,19 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
     for (int dy = -reach; dy <= reach; ++dy) {
       for (int dx = -reach; dx <= reach; ++dx) {
         if (dx * dx + dy * dy > reach * reach) continue;
-        const auto it = columns.find(column(x + dx, y + dy));
-        best = std::max(best, it == columns.end() ? unseen : it->second);
+        best = std::max(best, columns.top(column(x + dx, y + dy), unseen));
       }
     }
     return best;
   };
 
-  std::unordered_map<std::uint64_t, char> done;
+  KeyTable done;
   for (const auto& p : aerial.points) {
     const int x = cellOf(p.x(), s.cell), y = cellOf(p.y(), s.cell);
     const auto key = column(x, y);
-    const auto g = floor_robot.find(key);
-    if (g == floor_robot.end() || !done.try_emplace(key, 1).second) continue;
+    if (!floor_robot.seen(key) || done.insert(key) != out.cells) continue;
     ++out.cells;
-    const float from_air = air.at(key), from_ground = g->second;
+    const float from_air = air.top(key, 0), from_ground = floor_robot.top(key, 0);
     const bool air_relief = std::abs(from_air - out.floor_height) > s.relief;
     const bool ground_relief = std::abs(from_ground - out.floor_height) > s.relief;
     if (!air_relief && !ground_relief) continue;
@@ -83,11 +93,13 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
 }
 
 std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, double cell) {
-  const Columns air = tops(aerial, cell), below = tops(ground, cell);
+  const Columns air(aerial, cell), below(ground, cell);
   std::vector<double> differences;
-  for (const auto& [key, z] : air) {
-    const auto it = below.find(key);
-    if (it != below.end()) differences.push_back(it->second - z);
+  KeyTable done;
+  for (const auto& p : aerial.points) {
+    const auto key = column(cellOf(p.x(), cell), cellOf(p.y(), cell));
+    const int before = done.size();
+    if (below.seen(key) && done.insert(key) == before) differences.push_back(below.top(key, 0) - air.top(key, 0));
   }
   if (differences.size() < 50) return std::nullopt;
   std::nth_element(differences.begin(), differences.begin() + differences.size() / 2, differences.end());
@@ -97,17 +109,18 @@ std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, dou
 std::vector<char> nearGroundMap(const Cloud& aerial, const Cloud& ground, double margin) {
   // Cells of half the margin, grown by two.
   const double cell = std::max(margin / 2, 1e-3);
-  std::unordered_map<std::uint64_t, char> seen, grown;
+  KeyTable seen, grown;
   for (const auto& p : ground.points) {
     const int x = cellOf(p.x(), cell), y = cellOf(p.y(), cell);
-    if (!seen.try_emplace(column(x, y), 1).second) continue;
+    const int before = seen.size();
+    if (seen.insert(column(x, y)) < before) continue;
     for (int dy = -2; dy <= 2; ++dy) {
-      for (int dx = -2; dx <= 2; ++dx) grown.try_emplace(column(x + dx, y + dy), 1);
+      for (int dx = -2; dx <= 2; ++dx) grown.insert(column(x + dx, y + dy));
     }
   }
   std::vector<char> mask(aerial.size());
   for (std::size_t i = 0; i < aerial.size(); ++i) {
-    mask[i] = grown.count(column(cellOf(aerial.points[i].x(), cell), cellOf(aerial.points[i].y(), cell))) > 0;
+    mask[i] = grown.find(column(cellOf(aerial.points[i].x(), cell), cellOf(aerial.points[i].y(), cell))) >= 0;
   }
   return mask;
 }

@@ -16,7 +16,7 @@ struct Level {
   DataFilters reading_filters;
   Matcher matcher;
   Filters outlier_filters;
-  std::unique_ptr<ErrorMinimizer> minimizer;
+  ErrorMinimizer minimizer;
   Checkers checkers;
 };
 
@@ -81,37 +81,49 @@ const StageDoc& covarianceDoc() {
         "covariance",
         "Covariance of the pose",
         {{"block_size", "residuals in a block of this edge count as one observation [m]", d.block_size, 1e-3, 100},
-         {"scale_sigma", "standard deviation of the relative scale of the two maps", d.scale_sigma, 0, 1},
          {"noise_floor", "smallest standard deviation of a block's mean residual [m]", d.noise_floor, 0, 1},
          {"map_translation_sigma", "drift of the maps that no residual shows, an axis [m]", d.map_translation_sigma, 0,
           10},
          {"map_rotation_sigma", "likewise [rad]", d.map_rotation_sigma, 0, 1},
+         {"map_scale_sigma", "likewise, relative", d.map_scale_sigma, 0, 1},
          {"inflation", "factor on the standard deviation of the residuals' part", d.inflation, 0.01, 100}}};
   }();
   return doc;
 }
 
-// The step without its part along directions that the geometry does not fix: there it would only follow the noise.
-// Eigenvectors of the Hessian are conjugate, so that this is the minimum under the hard constraint (Tuna 2024).
-Vector6d constrained(const Step& step, const Localizability& localizability, bool four_dof) {
-  if (localizability.complete()) return step.delta;
-  Vector6d scale = Vector6d::Ones();
-  scale.tail<3>().setConstant(localizability.mean_range);
-  Vector6d d = scale.cwiseProduct(step.delta);
-  for (const auto& direction : localizability.directions) {
-    if (!direction.localizable) d -= direction.v * direction.v.dot(d);
-  }
-  d = d.cwiseQuotient(scale.cwiseMax(1e-9)).eval();
-  if (four_dof) d.segment<2>(3).setZero();
-  return d;
-}
+// One level at work: the reading as it is placed now, its matches and their weights.
+class Iteration {
+ public:
+  Iteration(const Level& level, const Cloud& reading, const IcpReference& reference, const NeighborSearch& tree)
+      : level_(level), reading_(reading), reference_(reference), tree_(tree) {}
 
-// p' = centre + exp(rotation) (p - centre) + translation.
-Pose motion(const Vector6d& delta, const Eigen::Vector3d& centre) {
-  Pose out = Pose::Identity();
-  out.linear() = air_ground_common::expSO3(delta.tail<3>());
-  out.translation() = centre + delta.head<3>() - out.linear() * centre;
-  return out;
+  /// Matches and weighs at T. False when fewer than 6 matches count.
+  bool update(const Similarity& T) {
+    moved_ = transformed(reading_, T);
+    match(level_.matcher, tree_, moved_, matches_);
+    weights_ = matches_.weights;
+    for (const auto& f : level_.outlier_filters) f->apply(clouds(), weights_);
+    equations_ = normalEquations(clouds(), weights_);
+    return equations_.used > 0;
+  }
+  MatchedClouds clouds() const { return {moved_, reference_.cloud(), matches_}; }
+  const std::vector<float>& weights() const { return weights_; }
+  const NormalEquations& equations() const { return equations_; }
+
+ private:
+  const Level& level_;
+  const Cloud& reading_;
+  const IcpReference& reference_;
+  const NeighborSearch& tree_;
+  Cloud moved_;
+  Matches matches_;
+  std::vector<float> weights_;
+  NormalEquations equations_;
+};
+
+Similarity normalized(Similarity T) {
+  T.R = air_ground_common::normalized(poseOf(T)).linear();
+  return T;
 }
 
 }  // namespace
@@ -158,8 +170,8 @@ IcpChain::IcpChain(const YAML::Node& config) : impl_(std::make_unique<Impl>()) {
   impl_->localizability = {l("strong"), static_cast<int>(l("min_points")), l("min_share"),
                            static_cast<int>(l("min_patches")), l("patch_size")};
   const Parameters c(covarianceDoc(), config["covariance"]);
-  impl_->covariance = {c("block_size"),         c("scale_sigma"), c("noise_floor"), c("map_translation_sigma"),
-                       c("map_rotation_sigma"), c("inflation")};
+  impl_->covariance = {c("block_size"),         c("noise_floor"),     c("map_translation_sigma"),
+                       c("map_rotation_sigma"), c("map_scale_sigma"), c("inflation")};
 }
 
 IcpChain IcpChain::fromString(const std::string& yaml) {
@@ -204,7 +216,8 @@ Cloud IcpChain::prepareReading(Cloud cloud) const {
   return cloud;
 }
 
-IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, const Pose& T_initial) const {
+IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, const Similarity& T_initial,
+                          const ScalePrior& prior) const {
   const auto start = std::chrono::steady_clock::now();
   IcpResult out;
   out.T_reference_reading = T_initial;
@@ -217,32 +230,31 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
   };
   if (reading.empty()) return fail("the reading has no point left after its filters");
   if (reference.empty()) return fail("the reference has no point left after its filters");
-  if (!air_ground_common::isValid(T_initial)) return fail("the initial guess is not a rigid transform");
+  if (!isValid(T_initial)) return fail("the initial guess is not a rigid transform with a positive scale");
 
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
   for (const auto& p : reading.points) centre += p.cast<double>();
   centre /= static_cast<double>(reading.size());
 
-  Pose T = T_initial;
-  for (std::size_t l = 0; l < impl_->levels.size(); ++l) {
-    const Level& level = impl_->levels[l];
+  Similarity T = T_initial;
+  for (const Level& level : impl_->levels) {
+    const bool last = &level == &impl_->levels.back();
     Cloud sampled = reading;
     for (const auto& f : level.reading_filters) f->apply(sampled);
-    const NeighborSearch& tree = reference.trees_.at(level.matcher.normal_weight);
     for (const auto& c : level.checkers) c->reset(T_initial, centre);
+    Iteration iteration(level, sampled, reference, reference.trees_.at(level.matcher.normal_weight));
 
     for (bool running = true; running;) {
-      const Cloud moved = transformed(sampled, T);
-      const Matches matches = match(level.matcher, tree, moved);
-      const MatchedClouds clouds{moved, reference.cloud(), matches};
-      std::vector<float> weights = matches.weights;
-      for (const auto& f : level.outlier_filters) f->apply(clouds, weights);
-      const Step step = level.minimizer->solve(clouds, weights, T);
       ++out.iterations;
-      if (!step.solved) return fail("fewer than 6 matches are left: the clouds do not overlap at the initial guess");
-      const auto localizability = analyzeLocalizability(clouds, weights, step.centre, impl_->localizability);
-      T = air_ground_common::normalized(
-          motion(constrained(step, localizability, level.minimizer->fourDof()), step.centre) * T);
+      if (!iteration.update(T))
+        return fail("fewer than 6 matches are left: the clouds do not overlap at the initial guess");
+      const NormalEquations& equations = iteration.equations();
+      const auto localizability =
+          analyzeLocalizability(iteration.clouds(), iteration.weights(), equations, impl_->localizability, prior.mode);
+      const Matrix7d scatter =
+          gradientScatter(iteration.clouds(), iteration.weights(), equations.centre, impl_->covariance);
+      const Vector7d step = constrainedStep(equations, localizability, scatter, level.minimizer.dof, prior, T.scale);
+      T = normalized(compose(motion(step, equations.centre), T));
 
       for (const auto& c : level.checkers) {
         std::string why;
@@ -251,33 +263,24 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
         if (check == Check::kConverged) running = false;
       }
     }
+    if (!last) continue;
+    // Statistics at the solution, with the last level's matches.
+    if (!iteration.update(T)) return fail("fewer than 6 matches are left at the solution");
+    const NormalEquations& equations = iteration.equations();
+    out.T_reference_reading = T;
+    out.centre = equations.centre;
+    out.hessian = equations.hessian;
+    out.inliers = equations.used;
+    out.overlap = static_cast<double>(out.inliers) / static_cast<double>(sampled.size());
+    out.residual_rms = std::sqrt(equations.square / equations.weight);
+    out.localizability =
+        analyzeLocalizability(iteration.clouds(), iteration.weights(), equations, impl_->localizability, prior.mode);
+    const Matrix7d scatter =
+        gradientScatter(iteration.clouds(), iteration.weights(), equations.centre, impl_->covariance);
+    out.covariance =
+        estimateCovariance(equations, out.localizability, scatter, level.minimizer.dof, prior, impl_->covariance);
+    out.scale_estimated = estimatesScale(out.localizability, level.minimizer.dof, prior);
   }
-
-  // Statistics at the solution, with the last level's matches.
-  const Level& level = impl_->levels.back();
-  Cloud sampled = reading;
-  for (const auto& f : level.reading_filters) f->apply(sampled);
-  const Cloud moved = transformed(sampled, T);
-  const Matches matches = match(level.matcher, reference.trees_.at(level.matcher.normal_weight), moved);
-  const MatchedClouds clouds{moved, reference.cloud(), matches};
-  std::vector<float> weights = matches.weights;
-  for (const auto& f : level.outlier_filters) f->apply(clouds, weights);
-  const Step step = level.minimizer->solve(clouds, weights, T);
-  if (!step.solved) return fail("fewer than 6 matches are left at the solution");
-  double sum = 0, total = 0;
-  for (std::size_t i = 0; i < weights.size(); ++i) {
-    if (weights[i] <= 0) continue;
-    ++out.inliers;
-    total += weights[i];
-    sum += weights[i] * clouds.residual(i) * clouds.residual(i);
-  }
-  out.T_reference_reading = T;
-  out.centre = step.centre;
-  out.hessian = step.hessian;
-  out.overlap = static_cast<double>(out.inliers) / static_cast<double>(sampled.size());
-  out.residual_rms = std::sqrt(sum / total);
-  out.localizability = analyzeLocalizability(clouds, weights, step.centre, impl_->localizability);
-  out.covariance = estimateCovariance(clouds, weights, step, out.localizability, impl_->covariance);
   out.outcome = IcpResult::Outcome::kConverged;
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return out;

@@ -2,6 +2,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <stdexcept>
@@ -22,10 +23,22 @@ icp_refine::Cloud readCloud(const std::string& path) {
 struct YamlParameters {
   YAML::Node root;
 
-  double number(const std::string& name, double fallback, double min, double max) const {
+  YAML::Node find(const std::string& name) const {
     const auto slash = name.find('/');
     const YAML::Node group = slash == std::string::npos ? root : root[name.substr(0, slash)];
-    const YAML::Node node = group ? group[slash == std::string::npos ? name : name.substr(slash + 1)] : group;
+    return group ? group[slash == std::string::npos ? name : name.substr(slash + 1)] : group;
+  }
+  std::string choice(const std::string& name, const std::string& fallback,
+                     const std::vector<std::string>& choices) const {
+    const YAML::Node node = find(name);
+    if (!node) return fallback;
+    const auto value = node.as<std::string>();
+    if (std::find(choices.begin(), choices.end(), value) == choices.end())
+      throw icp_refine::ConfigError("parameter " + name + " is '" + value + "', which is no choice");
+    return value;
+  }
+  double number(const std::string& name, double fallback, double min, double max) const {
+    const YAML::Node node = find(name);
     if (!node) return fallback;
     const double value = node.as<double>();
     if (!(value >= min && value <= max)) throw icp_refine::ConfigError("parameter " + name + " is out of range");
@@ -75,10 +88,11 @@ int main(int argc, char** argv) {
     const auto out = refiner.refine();
     static const char* kNames[] = {"SEARCHING", "DEGENERATE", "CONVERGED", "REJECTED"};
     std::printf("%s: %s\n", kNames[static_cast<int>(out.status)], out.reason.c_str());
-    const Eigen::Quaterniond q(out.T_ground_map_mav_map.linear());
-    const Eigen::Vector3d t = out.T_ground_map_mav_map.translation();
-    std::printf("T_ground_aerial: %.6f %.6f %.6f  %.7f %.7f %.7f %.7f (x y z, quaternion x y z w)\n", t.x(), t.y(),
-                t.z(), q.x(), q.y(), q.z(), q.w());
+    const Eigen::Quaterniond q(out.T_ground_map_mav_map.R);
+    const Eigen::Vector3d t = out.T_ground_map_mav_map.t;
+    std::printf(
+        "T_ground_aerial: %.6f %.6f %.6f  %.7f %.7f %.7f %.7f (x y z, quaternion x y z w), scale %.5f +- %.5f\n", t.x(),
+        t.y(), t.z(), q.x(), q.y(), q.z(), q.w(), out.T_ground_map_mav_map.scale, out.scale_stddev);
     const icp_refine::Vector6d sigma = out.covariance.diagonal().cwiseSqrt();
     std::printf("standard deviations: %.4f %.4f %.4f m  %.5f %.5f %.5f rad; %d iterations, %.0f ms\n", sigma[0],
                 sigma[1], sigma[2], sigma[3], sigma[4], sigma[5], out.iterations, 1e3 * out.icp.seconds);

@@ -1,22 +1,15 @@
 #include "icp_refine/localizability.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <map>
-#include <unordered_set>
 
 #include "air_ground_common/linear_algebra.h"
+#include "key_table.h"
 
 namespace icp_refine {
 namespace {
-
-Vector6d jacobian(const MatchedClouds& c, std::size_t i, const Eigen::Vector3d& centre) {
-  const Eigen::Vector3d n = c.reference.normals[c.matches.reference_index[i]].cast<double>();
-  Vector6d J;
-  J << n, (c.reading.points[i].cast<double>() - centre).cross(n);
-  return J;
-}
 
 std::string axisName(const Eigen::Vector3d& v) {
   static const char* kNames[3] = {"x", "y", "z"};
@@ -29,13 +22,65 @@ std::string axisName(const Eigen::Vector3d& v) {
   return text;
 }
 
+using Matrix = Eigen::MatrixXd;
+
+// Inverse of a symmetric matrix on the directions that have information.
+Matrix pseudoInverse(const Matrix& A) {
+  if (A.rows() == 0 || !A.allFinite()) return Matrix::Zero(A.rows(), A.cols());
+  const Eigen::SelfAdjointEigenSolver<Matrix> eigen(A);
+  const double limit = 1e-5 * eigen.eigenvalues()[A.rows() - 1];
+  Eigen::VectorXd inverse = Eigen::VectorXd::Zero(A.rows());
+  for (int k = 0; k < A.rows(); ++k) {
+    if (limit > 0 && eigen.eigenvalues()[k] > limit) inverse[k] = 1 / eigen.eigenvalues()[k];
+  }
+  return eigen.eigenvectors() * inverse.asDiagonal() * eigen.eigenvectors().transpose();
+}
+
+// Inverse of A on the subspace that the columns of B span.
+Matrix7d inverseOn(const Matrix& B, const Matrix7d& A) {
+  return B * pseudoInverse(B.transpose() * A * B) * B.transpose();
+}
+
+// Metres for all seven: rotations and scale by the mean range.
+Vector7d metres(double mean_range) {
+  Vector7d unit = Vector7d::Ones();
+  unit.tail<4>() /= std::max(mean_range, 1e-3);
+  return unit;
+}
+
+// Directions of the pose that the geometry fixes, in metres; with_scale: and the scale.
+Matrix fixedDirections(const Localizability& localizability, bool with_scale) {
+  Matrix B = Matrix::Zero(7, 7);
+  int columns = 0;
+  for (const auto& d : localizability.directions) {
+    if (d.localizable) B.col(columns++).head<6>() = d.v;
+  }
+  if (with_scale) B(6, columns++) = 1;
+  return B.leftCols(columns);
+}
+
+// Weight of the prior against residuals, all in metres: k^2 / stddev^2, k^2 = u^T S u / u^T A u along the direction u
+// of the scale that the pose cannot follow.
+double priorWeight(const Matrix7d& A, const Matrix7d& scatter, const Localizability& localizability,
+                   const ScalePrior& prior) {
+  if (prior.mode != ScalePrior::Mode::kPrior) return 0;
+  const Vector7d e = Vector7d::Unit(6);
+  const Vector7d u = e - inverseOn(fixedDirections(localizability, false), A) * A * e;
+  const double information = u.dot(A * u), deviation = prior.stddev * localizability.mean_range;
+  return information > 0 && deviation > 0 ? u.dot(scatter * u) / information / (deviation * deviation) : 0.0;
+}
+
 }  // namespace
+
+bool estimatesScale(const Localizability& localizability, int dof, const ScalePrior& prior) {
+  return dof == 7 && prior.mode != ScalePrior::Mode::kFixed && localizability.scale.localizable;
+}
 
 bool Localizability::complete() const {
   for (const auto& d : directions) {
     if (!d.localizable) return false;
   }
-  return true;
+  return scale.localizable || !needs_scale;
 }
 
 std::string Localizability::describeMissing() const {
@@ -48,114 +93,152 @@ std::string Localizability::describeMissing() const {
     if (r.norm() > 0.4) name += (name.empty() ? "rotation about " : " with rotation about ") + axisName(r);
     out += (out.empty() ? "" : ", ") + name;
   }
+  if (needs_scale && !scale.localizable) out += out.empty() ? "scale" : ", scale";
   return out;
 }
 
 Localizability analyzeLocalizability(const MatchedClouds& c, const std::vector<float>& weights,
-                                     const Eigen::Vector3d& centre, const LocalizabilitySettings& settings) {
+                                     const NormalEquations& equations, const LocalizabilitySettings& settings,
+                                     ScalePrior::Mode mode) {
   Localizability out;
-  double total = 0, range = 0;
-  int matches = 0;
-  for (std::size_t i = 0; i < weights.size(); ++i) {
-    if (weights[i] <= 0) continue;
-    range += weights[i] * (c.reading.points[i].cast<double>() - centre).norm();
-    total += weights[i];
-    ++matches;
-  }
-  if (!(total > 0) || !(range > 0)) return out;
-  out.mean_range = range / total;
-  Vector6d scale = Vector6d::Ones();
-  scale.tail<3>() /= out.mean_range;
-
-  Matrix6d H = Matrix6d::Zero();
-  for (std::size_t i = 0; i < weights.size(); ++i) {
-    if (weights[i] <= 0) continue;
-    const Vector6d J = scale.cwiseProduct(jacobian(c, i, centre));
-    H += weights[i] * J * J.transpose();
-  }
-  const auto eigen = air_ground_common::symmetricEigen(Matrix6d(H / total));
-  std::array<std::unordered_set<std::uint64_t>, 6> patches;
+  out.needs_scale = mode == ScalePrior::Mode::kFree;
+  if (!(equations.mean_range > 0)) return out;
+  out.mean_range = equations.mean_range;
+  const Vector7d unit = metres(out.mean_range);
+  const Matrix7d H = unit.asDiagonal() * (equations.hessian / equations.weight) * unit.asDiagonal();
+  const auto eigen = air_ground_common::symmetricEigen(Matrix6d(H.topLeftCorner<6, 6>()));
+  // Rows: the six directions, and the scale without its regression on the pose.
+  Matrix7d probes = Matrix7d::Identity();
+  probes.topLeftCorner<6, 6>() = eigen.vectors.transpose();
+  probes.bottomLeftCorner<1, 6>() = -(pseudoInverse(H.topLeftCorner<6, 6>()) * H.topRightCorner<6, 1>()).transpose();
   for (int k = 0; k < 6; ++k) {
     out.directions[k].v = eigen.vectors.col(k);
     out.directions[k].eigenvalue = eigen.values[k];
   }
+
+  std::array<Evidence*, 7> evidence;
+  for (int k = 0; k < 6; ++k) evidence[k] = &out.directions[k];
+  evidence[6] = &out.scale;
+  KeyTable cells;
+  std::vector<char> seen;  // of each cell and direction
   for (std::size_t i = 0; i < weights.size(); ++i) {
     // A match that the robust kernel has all but dropped is no evidence.
     if (weights[i] < 0.3f) continue;
-    Vector6d J = scale.cwiseProduct(jacobian(c, i, centre));
+    Vector7d J = unit.cwiseProduct(jacobian(c, i, equations.centre));
     // A long lever would turn a slightly tilted floor normal into strong evidence for yaw.
-    J.tail<3>() /= std::max(1.0, (c.reading.points[i].cast<double>() - centre).norm() / out.mean_range);
-    for (int k = 0; k < 6; ++k) {
-      if (std::abs(J.dot(out.directions[k].v)) < settings.strong) continue;
-      ++out.directions[k].strong_points;
-      patches[k].insert(cellKey(c.reading.points[i], static_cast<float>(settings.patch_size)));
+    J.tail<4>() /= std::max(1.0, (c.reading.points[i].cast<double>() - equations.centre).norm() / out.mean_range);
+    const Vector7d contribution = probes * J;
+    const auto cell =
+        static_cast<std::size_t>(cells.insert(cellKey(c.reading.points[i], static_cast<float>(settings.patch_size))));
+    if (seen.size() <= 7 * cell) seen.resize(7 * cell + 7, 0);
+    for (int k = 0; k < 7; ++k) {
+      if (std::abs(contribution[k]) < settings.strong) continue;
+      ++evidence[k]->strong_points;
+      evidence[k]->strong_patches += !seen[7 * cell + k];
+      seen[7 * cell + k] = 1;
     }
   }
-  for (int k = 0; k < 6; ++k) {
-    auto& d = out.directions[k];
-    d.strong_patches = static_cast<int>(patches[k].size());
-    d.localizable = d.strong_points >= settings.min_points && d.strong_points >= settings.min_share * matches &&
-                    d.strong_patches >= settings.min_patches;
+  for (Evidence* e : evidence) {
+    e->localizable = e->strong_points >= settings.min_points &&
+                     e->strong_points >= settings.min_share * static_cast<double>(equations.used) &&
+                     e->strong_patches >= settings.min_patches;
   }
   return out;
 }
 
-Matrix6d estimateCovariance(const MatchedClouds& c, const std::vector<float>& weights, const Step& step,
-                            const Localizability& localizability, const CovarianceSettings& settings) {
+Matrix7d gradientScatter(const MatchedClouds& c, const std::vector<float>& weights, const Eigen::Vector3d& centre,
+                         const CovarianceSettings& settings) {
   struct Block {
-    Vector6d gradient = Vector6d::Zero();
-    Vector6d information = Vector6d::Zero();  // sum of w J: gradient of a residual common to the block
+    Vector7d gradient = Vector7d::Zero();
+    Vector7d information = Vector7d::Zero();  // sum of w J: gradient of a residual common to the block
   };
-  const double range = std::max(localizability.mean_range, 1e-3);
-  Vector6d unit = Vector6d::Ones();  // metres for all six
-  unit.tail<3>() /= range;
-
-  std::map<std::pair<std::uint64_t, int>, Block> blocks;  // ordered: sums do not depend on the hash
-  Vector6d scale_gradient = Vector6d::Zero();
+  KeyTable keys;
+  std::vector<Block> blocks;
   for (std::size_t i = 0; i < weights.size(); ++i) {
     if (weights[i] <= 0) continue;
-    const Vector6d J = unit.cwiseProduct(jacobian(c, i, step.centre));
+    const Vector7d J = jacobian(c, i, centre);
     const Eigen::Vector3f n = c.reference.normals[c.matches.reference_index[i]];
     int axis;
     n.cwiseAbs().maxCoeff(&axis);
-    const int facing = 2 * axis + (n[axis] < 0);
-    // Blocks in a cell with the same facing share the error of one surface.
-    Block& block = blocks[{cellKey(c.reading.points[i], static_cast<float>(settings.block_size)), facing}];
-    block.gradient += weights[i] * c.residual(i) * J;
-    block.information += weights[i] * J;
-    scale_gradient += weights[i] * n.cast<double>().dot(c.reading.points[i].cast<double>() - step.centre) * J;
+    const auto facing = static_cast<std::uint64_t>(2 * axis + (n[axis] < 0));
+    // Points of a cell with the same facing share the error of one surface. Keys made alike by the facing belong to
+    // cells half a grid apart.
+    const std::uint64_t cell = cellKey(c.reading.points[i], static_cast<float>(settings.block_size));
+    const auto block = static_cast<std::size_t>(keys.insert(cell ^ facing << 61));
+    if (block >= blocks.size()) blocks.emplace_back();
+    blocks[block].gradient += weights[i] * c.residual(i) * J;
+    blocks[block].information += weights[i] * J;
   }
-
-  Matrix6d H = unit.asDiagonal() * step.hessian * unit.asDiagonal();
-  Matrix6d meat = Matrix6d::Zero();
+  Matrix7d scatter = Matrix7d::Zero();
   const double floor2 = settings.noise_floor * settings.noise_floor;
-  for (const auto& [key, block] : blocks) {
-    meat += block.gradient * block.gradient.transpose() + floor2 * block.information * block.information.transpose();
+  for (const auto& block : blocks) {
+    scatter += block.gradient * block.gradient.transpose() + floor2 * block.information * block.information.transpose();
   }
   const double count = static_cast<double>(blocks.size());
-  meat *= count > 12 ? count / (count - 6) : 2.0;
+  return scatter * (count > 14 ? count / (count - 7) : 2.0);
+}
 
-  // Missing directions: their own Hessian is noise, so they are taken out and given a wide variance below.
-  Matrix6d inverse = Matrix6d::Zero();
-  Matrix6d missing = Matrix6d::Zero();
-  const auto eigen = air_ground_common::symmetricEigen(H);
-  const double smallest = 1e-9 * std::max(eigen.values[5], 1e-9);
-  for (int k = 0; k < 6; ++k) {
-    const Vector6d v = eigen.vectors.col(k);
-    // Eigenvectors of H and of the localizability analysis are the same up to weights' normalisation, weakest first.
-    if (localizability.directions[k].localizable && eigen.values[k] > smallest) {
-      inverse += v * v.transpose() / eigen.values[k];
-    } else {
-      missing += v * v.transpose();
+Vector7d constrainedStep(const NormalEquations& equations, const Localizability& localizability,
+                         const Matrix7d& scatter, int dof, const ScalePrior& prior, double scale) {
+  const Vector7d unit = metres(localizability.mean_range);
+  Matrix7d H = unit.asDiagonal() * equations.hessian * unit.asDiagonal();
+  Vector7d g = unit.cwiseProduct(equations.gradient);
+  const double to_mean = std::log(prior.mean / scale) / unit[6];  // in metres
+  Vector7d held = Vector7d::Zero();
+  Matrix B;
+  if (dof == 4) {
+    B = Matrix::Zero(7, 4);
+    B(0, 0) = B(1, 1) = B(2, 2) = B(5, 3) = 1;
+  } else {
+    const bool free = estimatesScale(localizability, dof, prior);
+    B = fixedDirections(localizability, free);
+    if (free) {
+      const double weight =
+          priorWeight(equations.slope * H, unit.asDiagonal() * scatter * unit.asDiagonal(), localizability, prior);
+      H(6, 6) += weight;
+      g[6] -= weight * to_mean;
+    } else if (dof == 7) {
+      held[6] = to_mean;
     }
   }
-  const Vector6d from_scale = settings.scale_sigma * (inverse * scale_gradient);
-  Matrix6d covariance = settings.inflation * settings.inflation * inverse * meat * inverse +
-                        from_scale * from_scale.transpose() + missing;
-  covariance += 1e-8 * Matrix6d::Identity();  // 0.1 mm: positive definite whatever the geometry
+  Vector7d step = held - inverseOn(B, H) * (g + H * held);
+  if (dof == 4) {
+    for (const auto& d : localizability.directions) {
+      if (!d.localizable) step.head<6>() -= d.v * d.v.dot(step.head<6>());
+    }
+    step.segment<2>(3).setZero();
+  }
+  return unit.cwiseProduct(step);
+}
+
+Matrix7d estimateCovariance(const NormalEquations& equations, const Localizability& localizability,
+                            const Matrix7d& scatter, int dof, const ScalePrior& prior,
+                            const CovarianceSettings& settings) {
+  const Vector7d unit = metres(localizability.mean_range), e = Vector7d::Unit(6);
+  Matrix7d A = equations.slope * (unit.asDiagonal() * equations.hessian * unit.asDiagonal());
+  const Matrix7d S = settings.inflation * settings.inflation * (unit.asDiagonal() * scatter * unit.asDiagonal());
+  // Missing directions: their own Hessian is noise, so they are left out and given a wide variance.
+  Matrix7d covariance = 1e-8 * Matrix7d::Identity();  // 0.1 mm: positive definite whatever the geometry
+  for (const auto& d : localizability.directions) {
+    if (!d.localizable) covariance.topLeftCorner<6, 6>() += d.v * d.v.transpose();
+  }
+  const double deviation = prior.stddev / unit[6];
+  if (estimatesScale(localizability, dof, prior)) {
+    const double weight = priorWeight(A, S, localizability, prior);
+    A(6, 6) += weight;
+    const Matrix7d inverse = inverseOn(fixedDirections(localizability, true), A);
+    const Vector7d by_prior = weight * deviation * (inverse * e);
+    covariance += inverse * S * inverse + by_prior * by_prior.transpose();
+  } else {
+    const Matrix7d inverse = inverseOn(fixedDirections(localizability, false), A);
+    const Vector7d by_scale = e - inverse * (A * e);
+    const double unknown = prior.mode == ScalePrior::Mode::kFree ? 1.0 : deviation;
+    covariance += inverse * S * inverse + unknown * unknown * by_scale * by_scale.transpose();
+  }
   covariance = (unit.asDiagonal() * covariance * unit.asDiagonal()).eval();
   covariance.diagonal().head<3>().array() += settings.map_translation_sigma * settings.map_translation_sigma;
-  covariance.diagonal().tail<3>().array() += settings.map_rotation_sigma * settings.map_rotation_sigma;
+  covariance.diagonal().segment<3>(3).array() += settings.map_rotation_sigma * settings.map_rotation_sigma;
+  covariance(6, 6) += settings.map_scale_sigma * settings.map_scale_sigma;
   return 0.5 * (covariance + covariance.transpose());
 }
 

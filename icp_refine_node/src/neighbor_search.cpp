@@ -1,86 +1,103 @@
-// The only translation unit with PCL in it: its headers dominate build time.
-#include <pcl/kdtree/kdtree_flann.h>
-#include <pcl/point_types.h>
+#include "icp_refine/neighbor_search.h"
 
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
 #include <stdexcept>
 
-#include "icp_refine/cloud.h"
+#include "kd_tree_kernel.h"
 
 namespace icp_refine {
-namespace {
 
-// Presents a point with normal as (x, y, z, w nx, w ny, w nz) to the tree.
-class PointAndNormal : public pcl::PointRepresentation<pcl::PointNormal> {
- public:
-  explicit PointAndNormal(float weight) : weight_(weight) {
-    nr_dimensions_ = 6;
-    trivial_ = false;
-  }
-  void copyToFloatArray(const pcl::PointNormal& p, float* out) const override {
-    out[0] = p.x, out[1] = p.y, out[2] = p.z;
-    out[3] = weight_ * p.normal_x, out[4] = weight_ * p.normal_y, out[5] = weight_ * p.normal_z;
-  }
+using kernel::kLeaf;
 
- private:
-  float weight_;
-};
-
-pcl::PointNormal pointNormal(const Eigen::Vector3f& p, const Eigen::Vector3f& n) {
-  pcl::PointNormal out;
-  out.x = p.x(), out.y = p.y(), out.z = p.z();
-  out.normal_x = n.x(), out.normal_y = n.y(), out.normal_z = n.z();
-  return out;
-}
-
-}  // namespace
-
-struct NeighborSearch::Impl {
-  float normal_weight = 0;
-  pcl::KdTreeFLANN<pcl::PointXYZ> points;
-  pcl::KdTreeFLANN<pcl::PointNormal> points_and_normals;
-};
-
-NeighborSearch::NeighborSearch(const Cloud& cloud, float normal_weight) : impl_(std::make_unique<Impl>()) {
+NeighborSearch::NeighborSearch(const Cloud& cloud, float normal_weight)
+    : normal_weight_(normal_weight), dimensions_(normal_weight > 0 ? 6 : 3) {
   if (cloud.empty()) throw std::invalid_argument("NeighborSearch: the cloud is empty");
-  impl_->normal_weight = normal_weight;
-  if (normal_weight > 0) {
-    if (!cloud.hasNormals()) {
-      throw std::invalid_argument("NeighborSearch: normal_weight > 0 needs normals; add SurfaceNormals to the filters");
-    }
-    auto copy = std::make_shared<pcl::PointCloud<pcl::PointNormal>>();
-    copy->reserve(cloud.size());
-    for (std::size_t i = 0; i < cloud.size(); ++i) copy->push_back(pointNormal(cloud.points[i], cloud.normals[i]));
-    impl_->points_and_normals.setPointRepresentation(
-        pcl::KdTreeFLANN<pcl::PointNormal>::PointRepresentationConstPtr(new PointAndNormal(normal_weight)));
-    impl_->points_and_normals.setInputCloud(copy);
-  } else {
-    auto copy = std::make_shared<pcl::PointCloud<pcl::PointXYZ>>();
-    copy->reserve(cloud.size());
-    for (const auto& p : cloud.points) copy->push_back(pcl::PointXYZ(p.x(), p.y(), p.z()));
-    impl_->points.setInputCloud(copy);
+  if (normal_weight > 0 && !cloud.hasNormals())
+    throw std::invalid_argument("NeighborSearch: normal_weight > 0 needs normals; add SurfaceNormals to the filters");
+  const int n = static_cast<int>(cloud.size()), leaves = (n + kLeaf - 1) / kLeaf;
+  points_.reserve(static_cast<std::size_t>(n) * dimensions_);
+  for (int i = 0; i < n; ++i) {
+    for (int d = 0; d < 3; ++d) points_.push_back(cloud.points[i][d]);
+    for (int d = 3; d < dimensions_; ++d) points_.push_back(normal_weight * cloud.normals[i][d - 3]);
   }
+  leaves_.assign(static_cast<std::size_t>(leaves) * dimensions_ * kLeaf, std::numeric_limits<float>::infinity());
+  index_.assign(static_cast<std::size_t>(leaves) * kLeaf, -1);
+  axis_.assign(leaves, 0);
+  split_.assign(leaves, 0);
+  std::vector<int> order(n);
+  std::iota(order.begin(), order.end(), 0);
+  build(order, 0, leaves);
 }
 
-NeighborSearch::~NeighborSearch() = default;
-NeighborSearch::NeighborSearch(NeighborSearch&&) noexcept = default;
-NeighborSearch& NeighborSearch::operator=(NeighborSearch&&) noexcept = default;
+// Splits the widest axis such that all leaves but the last are full: a part of the tree is then known by its leaves.
+void NeighborSearch::build(std::vector<int>& order, int begin, int end) {
+  const int first = begin * kLeaf, last = std::min(end * kLeaf, static_cast<int>(order.size()));
+  if (end - begin == 1) {
+    for (int i = first; i < last; ++i) {
+      index_[i] = order[i];
+      for (int d = 0; d < dimensions_; ++d)
+        leaves_[(begin * dimensions_ + d) * kLeaf + (i - first)] = points_[order[i] * dimensions_ + d];
+    }
+    return;
+  }
+  std::array<float, 6> low, high;
+  low.fill(std::numeric_limits<float>::max());
+  high.fill(std::numeric_limits<float>::lowest());
+  for (int i = first; i < last; ++i) {
+    const float* p = &points_[order[i] * dimensions_];
+    for (int d = 0; d < dimensions_; ++d) low[d] = std::min(low[d], p[d]), high[d] = std::max(high[d], p[d]);
+  }
+  int axis = 0;
+  for (int d = 1; d < dimensions_; ++d) {
+    if (high[d] - low[d] > high[axis] - low[axis]) axis = d;
+  }
+  const int middle = (begin + end) / 2;
+  const auto coordinate = [&](int i) { return points_[i * dimensions_ + axis]; };
+  // Ties by index: the tree, and with it the choice among equals, does not depend on the standard library.
+  std::nth_element(order.begin() + first, order.begin() + middle * kLeaf, order.begin() + last, [&](int a, int b) {
+    return coordinate(a) != coordinate(b) ? coordinate(a) < coordinate(b) : a < b;
+  });
+  axis_[middle] = axis;
+  split_[middle] = coordinate(order[middle * kLeaf]);
+  build(order, begin, middle);
+  build(order, middle, end);
+}
 
-float NeighborSearch::normalWeight() const { return impl_->normal_weight; }
-
-int NeighborSearch::nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance) const {
-  thread_local std::vector<int> index(1);
-  thread_local std::vector<float> squared(1);
-  const int found =
-      impl_->normal_weight > 0
-          ? impl_->points_and_normals.nearestKSearch(pointNormal(point, normal), 1, index, squared)
-          : impl_->points.nearestKSearch(pcl::PointXYZ(point.x(), point.y(), point.z()), 1, index, squared);
-  return found == 1 && squared[0] <= max_distance * max_distance ? index[0] : -1;
+int NeighborSearch::nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance,
+                            int hint) const {
+  float query[6] = {point.x(), point.y(), point.z()};
+  for (int d = 3; d < dimensions_; ++d) query[d] = normal_weight_ * normal[d - 3];
+  float squared = std::nextafter(max_distance * max_distance, std::numeric_limits<float>::infinity());
+  int found = -1;
+  if (hint >= 0) {
+    float to_hint = 0;
+    for (int d = 0; d < dimensions_; ++d) {
+      const float difference = points_[hint * dimensions_ + d] - query[d];
+      to_hint += difference * difference;
+    }
+    if (to_hint < squared) squared = to_hint, found = hint;
+  }
+  const kernel::TreeView tree{leaves_.data(), index_.data(), axis_.data(), split_.data(),
+                              static_cast<int>(axis_.size())};
+  const int nearer =
+      dimensions_ == 6 ? kernel::nearest6(tree, query, &squared) : kernel::nearest3(tree, query, &squared);
+  return nearer >= 0 ? nearer : found;
 }
 
 void NeighborSearch::nearestK(const Eigen::Vector3f& point, int k, std::vector<int>& indices,
-                              std::vector<float>& squared_distances) const {
-  if (impl_->normal_weight > 0) throw std::logic_error("NeighborSearch::nearestK: built with normals");
-  impl_->points.nearestKSearch(pcl::PointXYZ(point.x(), point.y(), point.z()), k, indices, squared_distances);
+                              std::vector<float>& squared_distances, float squared_limit) const {
+  if (dimensions_ != 3) throw std::logic_error("NeighborSearch::nearestK: built with normals");
+  indices.resize(k);
+  squared_distances.resize(k);
+  const float query[3] = {point.x(), point.y(), point.z()};
+  const kernel::TreeView tree{leaves_.data(), index_.data(), axis_.data(), split_.data(),
+                              static_cast<int>(axis_.size())};
+  const int count = kernel::nearestK3(tree, query, k, squared_limit, indices.data(), squared_distances.data());
+  indices.resize(count);
+  squared_distances.resize(count);
 }
 
 }  // namespace icp_refine

@@ -14,6 +14,7 @@ struct NodeSettings {
   std::string ground_map_frame, mav_map_frame, chain_file;
   bool publish_tf = true, inverse_tf = false;
   double tf_rate = 10;      ///< [Hz]
+  int queue_size = 50;      ///< aerial clouds that may wait for the worker
   double min_period = 0.5;  ///< between refinements [s]
   double map_period = 2;    ///< between augmented maps [s]
   AugmentedMapSettings map;

@@ -1,11 +1,15 @@
 // The refiner's parameters, as config/icp_refine.yaml names them: read alike by the node and by icp_align.
 #pragma once
 
+#include <map>
+#include <string>
+
 #include "icp_refine/alignment_refiner.h"
 
 namespace icp_refine {
 
-/// `p` has number(name, default, min, max) and integer(likewise), which throw for a value out of range.
+/// `p` has number(name, default, min, max), integer(likewise) and choice(name, default, choices), which throw for a
+/// value out of range.
 template <class Parameters>
 RefinerSettings readRefinerSettings(Parameters& p) {
   RefinerSettings r;
@@ -15,6 +19,10 @@ RefinerSettings readRefinerSettings(Parameters& p) {
   r.retries = p.integer("retries", r.retries, 0, 100);
   r.retry_distance = p.number("retry_distance", r.retry_distance, 0, 10);
   r.retry_angle = p.number("retry_angle", r.retry_angle, 0, 3.2);
+  static const std::map<std::string, ScalePrior::Mode> kModes = {
+      {"fixed", ScalePrior::Mode::kFixed}, {"prior", ScalePrior::Mode::kPrior}, {"free", ScalePrior::Mode::kFree}};
+  r.scale.mode = kModes.at(p.choice("scale", "prior", {"fixed", "prior", "free"}));
+  r.scale.stddev = p.number("scale_prior_stddev", r.scale.stddev, 1e-4, 1);
   r.min_points = p.integer("accept/min_points", r.min_points, 6, 1000000);
   r.min_overlap = p.number("accept/min_overlap", r.min_overlap, 0, 1);
   r.max_rms = p.number("accept/max_rms", r.max_rms, 0, 10);

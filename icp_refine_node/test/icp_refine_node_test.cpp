@@ -33,8 +33,9 @@ class NodeTest : public testing::Test {
   NodeTest() {
     clock_ = handle_.advertise<rosgraph_msgs::Clock>("/clock", 10);
     coarse_ = handle_.advertise<AlignmentEstimate>("alignment/coarse", 10);
-    aerial_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 10);
-    ground_ = handle_.advertise<sensor_msgs::PointCloud2>("ground/map_cloud", 10, true);
+    aerial_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 50);
+    ground_ = handle_.advertise<sensor_msgs::PointCloud2>(
+        "ground/map_cloud", 10, [this](const ros::SingleSubscriberPublisher&) { ++ground_connections_; }, {}, {}, true);
     status_ = handle_.advertise<air_ground::VoStatus>("mav/vo_status", 10);
     ground_status_ = handle_.advertise<air_ground::VoStatus>("ground/slam_status", 10);
     odometry_ = handle_.advertise<nav_msgs::Odometry>("mav/odometry", 10);
@@ -204,9 +205,19 @@ class NodeTest : public testing::Test {
   }
 
   // Position error at the middle of the aerial map [m].
-  double error(const geometry_msgs::Pose& pose, const synthetic::Scene& scene) {
+  double error(const AlignmentEstimate& estimate, const synthetic::Scene& scene) {
     const Eigen::Vector3d c = synthetic::centroid(scene.aerial);
-    return (ros_utils::fromMsg(pose) * c - scene.T_ground_map_mav_map * c).norm();
+    return (similarity(ros_utils::fromMsg(estimate.pose.pose), estimate.scale) * c - scene.truth * c).norm();
+  }
+
+  // What tf said last.
+  Pose lastTransform() const {
+    geometry_msgs::Pose pose;
+    pose.position.x = transforms_.back().transform.translation.x;
+    pose.position.y = transforms_.back().transform.translation.y;
+    pose.position.z = transforms_.back().transform.translation.z;
+    pose.orientation = transforms_.back().transform.rotation;
+    return ros_utils::fromMsg(pose);
   }
 
   ros::NodeHandle handle_;
@@ -217,6 +228,7 @@ class NodeTest : public testing::Test {
   std::vector<sensor_msgs::PointCloud2> maps_;
   std::vector<geometry_msgs::TransformStamped> transforms_;
   double now_ = 0, start_ = 0;
+  int ground_connections_ = 0;
 };
 
 TEST_F(NodeTest, RefinesPublishesTfAndTheMap) {
@@ -235,7 +247,7 @@ TEST_F(NodeTest, RefinesPublishesTfAndTheMap) {
   sendCoarse(offset(scene));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
   const auto estimate = estimates_.back();
-  EXPECT_LT(error(estimate.pose.pose, scene), 0.08);
+  EXPECT_LT(error(estimate, scene), 0.08);
   EXPECT_EQ(estimate.header.frame_id, "ground_map");
   EXPECT_EQ(estimate.child_frame_id, "mav_map");
   EXPECT_EQ(estimate.stage, AlignmentEstimate::STAGE_REFINED);
@@ -254,12 +266,8 @@ TEST_F(NodeTest, RefinesPublishesTfAndTheMap) {
     EXPECT_GT(t.header.stamp, last);
     last = t.header.stamp;
   }
-  geometry_msgs::Pose pose;
-  pose.position.x = transforms_.back().transform.translation.x;
-  pose.position.y = transforms_.back().transform.translation.y;
-  pose.position.z = transforms_.back().transform.translation.z;
-  pose.orientation = transforms_.back().transform.rotation;
-  EXPECT_LT(error(pose, scene), 0.08);
+  const Eigen::Vector3d centre = synthetic::centroid(scene.aerial);
+  EXPECT_LT((lastTransform() * centre - scene.truth * centre).norm(), 0.08);
 
   // The map: both sources, aerial points on the scene's surface.
   ASSERT_TRUE(waitFor([this] { return !maps_.empty(); }));
@@ -302,6 +310,59 @@ TEST_F(NodeTest, RefinesPublishesTfAndTheMap) {
   estimates_.clear();
   aerial_.publish(cloud(scene.aerial, "mav_map"));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED));
+}
+
+TEST_F(NodeTest, EstimatesTheScaleAndTfIsRightWhereTheMavIs) {
+  synthetic::SceneSettings settings;
+  settings.scale_error = settings.ground_drift = 0;
+  settings.scale_offset = 0.03;
+  settings.smooth_edges = false;
+  const auto scene = synthetic::makeScene(31, settings);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  const auto estimate = estimates_.back();
+  EXPECT_NEAR(estimate.scale, 1 / 1.03, 0.005);
+  EXPECT_GT(estimate.scale_stddev, 0);
+  EXPECT_LT(estimate.scale_stddev, 0.008);
+  // Where the MAV is, tf agrees with the alignment; the rest of mav_map it cannot hold: 3 % of the way.
+  for (const Eigen::Vector3d& p : {Eigen::Vector3d(4, -3, 2), Eigen::Vector3d(-5, 1, 1.5)}) {
+    sendOdometry(Pose(Eigen::Translation3d(p)));
+    ASSERT_TRUE(settle());
+    transforms_.clear();
+    ASSERT_TRUE(waitFor([this] { return transforms_.size() >= 3; }));
+    const Similarity T = similarity(ros_utils::fromMsg(estimates_.back().pose.pose), estimates_.back().scale);
+    EXPECT_LT((lastTransform() * p - T * p).norm(), 1e-6);
+    EXPECT_LT((lastTransform() * p - scene.truth * p).norm(), 0.06);
+  }
+}
+
+TEST_F(NodeTest, AResetKeepsTheLatchedGroundMapWithoutTheMaster) {
+  const auto scene = synthetic::makeScene(1);
+  sendScene(scene);
+  ASSERT_TRUE(settle());
+  const int connections = ground_connections_;
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("/icp_refine/reset", reset));
+  ASSERT_TRUE(settle());
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  EXPECT_EQ(ground_connections_, connections) << "it subscribed again, which asks the master";
+}
+
+TEST_F(NodeTest, ABusyWorkerDropsTheOldestClouds) {
+  const auto scene = synthetic::makeScene(1);
+  sendScene(scene);
+  ASSERT_TRUE(refresh());
+  const int dropped = diagnostics_.counted("dense clouds dropped: refinement does not keep up");
+  sendCoarse(offset(scene));
+  for (int k = 0; k < 40; ++k) {  // queue_size is 4 in this test
+    aerial_.publish(cloud(scene.aerial, "mav_map"));
+    ros::WallDuration(0.005).sleep();
+  }
+  ASSERT_TRUE(awaitCount("dense clouds dropped: refinement does not keep up", dropped + 1));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
 }
 
 TEST_F(NodeTest, FlatFloorIsRefused) {
@@ -372,7 +433,7 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
   sendScene(broken);
   sendCoarse(offset(scene));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
-  EXPECT_LT(error(estimates_.back().pose.pose, scene), 0.08);
+  EXPECT_LT(error(estimates_.back(), scene), 0.08);
 }
 
 TEST_F(NodeTest, ManualGuessNeedsNoCoarsePose) {
@@ -393,7 +454,7 @@ TEST_F(NodeTest, ManualGuessNeedsNoCoarsePose) {
   ASSERT_TRUE(settle());
   guess_.publish(guess);
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
-  EXPECT_LT(error(estimates_.back().pose.pose, scene), 0.08);
+  EXPECT_LT(error(estimates_.back(), scene), 0.08);
 }
 
 TEST_F(NodeTest, AnotherMapStartsAfresh) {

@@ -4,7 +4,9 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 
 #include "air_ground_common/linear_algebra.h"
 #include "icp_refine/height_check.h"
@@ -45,9 +47,18 @@ struct Error {
   double translation, rotation;
 };
 
-Error errorAt(const Pose& T, const Pose& truth, const Eigen::Vector3d& centre_reading) {
-  return {(T * centre_reading - truth * centre_reading).norm(),
-          air_ground_common::rotationAngle(T.linear(), truth.linear())};
+Error errorAt(const Similarity& T, const Pose& truth, const Eigen::Vector3d& centre_reading) {
+  return {(T * centre_reading - truth * centre_reading).norm(), air_ground_common::rotationAngle(T.R, truth.linear())};
+}
+
+// Error of the alignment about the covariance's centre: translation, rotation, relative scale.
+Vector7d errorOf(const IcpResult& result, const synthetic::Scene& scene) {
+  Vector7d e;
+  const Eigen::Vector3d c = inverse(result.T_reference_reading) * result.centre;
+  e.head<3>() = result.T_reference_reading * c - scene.truth * c;
+  e.segment<3>(3) = air_ground_common::logSO3(result.T_reference_reading.R * scene.truth.R.transpose());
+  e[6] = std::log(result.T_reference_reading.scale / scene.truth.scale);
+  return e;
 }
 
 TEST(Icp, ConvergesFromTheWholeBasin) {
@@ -82,36 +93,65 @@ TEST(Icp, MillimetresWithoutNoiseAndTheInverseIsTheInverse) {
   EXPECT_LT(e.rotation, 0.004);
   const auto backward = shipped().align(shipped().prepareReading(scene.ground),
                                         shipped().prepareReference(scene.aerial), start.inverse());
-  const auto b = errorAt(backward.T_reference_reading.inverse(), scene.T_ground_map_mav_map, centre);
+  const auto b = errorAt(inverse(backward.T_reference_reading), scene.T_ground_map_mav_map, centre);
   EXPECT_LT(b.translation, 0.012);
   EXPECT_LT(b.rotation, 0.008);
 }
 
-// One step on exact correspondences: catches a wrong sign or a lever arm about the wrong point.
-TEST(Icp, StepUndoesASmallMotion) {
-  std::mt19937 rng(3);
-  std::uniform_real_distribution<float> u(-2, 2);
-  Cloud reference;
-  for (int i = 0; i < 300; ++i) {
-    reference.points.emplace_back(u(rng) + 5, u(rng) - 3, u(rng));
-    reference.normals.push_back(Eigen::Vector3f(u(rng), u(rng), u(rng)).normalized());
+// Exact correspondences of random points with random normals.
+struct Correspondences {
+  Correspondences() {
+    std::mt19937 rng(3);
+    std::uniform_real_distribution<float> u(-2, 2);
+    for (int i = 0; i < 300; ++i) {
+      reference.points.emplace_back(u(rng) + 5, u(rng) - 3, u(rng));
+      reference.normals.push_back(Eigen::Vector3f(u(rng), u(rng), u(rng)).normalized());
+      matches.reference_index.push_back(i);
+    }
+    matches.weights.assign(300, 1);
   }
+  Cloud reference;
   Matches matches;
-  for (int i = 0; i < 300; ++i) matches.reference_index.push_back(i);
-  matches.weights.assign(300, 1);
-  for (const auto& [dof, motion] :
-       {std::pair<int, Vector6d>{6, (Vector6d() << 0.01, -0.02, 0.03, 0.002, -0.003, 0.004).finished()},
-        std::pair<int, Vector6d>{4, (Vector6d() << 0.01, -0.02, 0.03, 0, 0, 0.004).finished()}}) {
-    Eigen::Vector3d centre = synthetic::centroid(reference);
-    Pose D = Pose::Identity();
-    D.linear() = air_ground_common::expSO3(motion.tail<3>());
-    D.translation() = centre + motion.head<3>() - D.linear() * centre;
-    const Cloud reading = transformed(reference, D);
-    const auto step = makeErrorMinimizer("PointToPlane", YAML::Load("{dof: " + std::to_string(dof) + "}"))
-                          ->solve({reading, reference, matches}, matches.weights, Pose::Identity());
-    ASSERT_TRUE(step.solved);
-    EXPECT_LT((step.delta + motion).cwiseAbs().maxCoeff(), 2e-4) << step.delta.transpose();
-    EXPECT_LT((step.centre - (centre + motion.head<3>())).norm(), 1e-4);
+};
+
+TEST(Icp, JacobianEqualsFiniteDifferences) {
+  const Correspondences c;
+  const Cloud reading = transformed(
+      c.reference, motion((Vector7d() << .1, -.2, .3, .1, -.1, .2, .1).finished(), synthetic::centroid(c.reference)));
+  const MatchedClouds clouds{reading, c.reference, c.matches};
+  const NormalEquations equations = normalEquations(clouds, c.matches.weights);
+  Matrix7d hessian = Matrix7d::Zero();
+  for (int i = 0; i < 300; ++i) {
+    const Vector7d J = jacobian(clouds, i, equations.centre);
+    hessian += J * J.transpose();
+    const Eigen::Vector3d n = c.reference.normals[i].cast<double>(), p = reading.points[i].cast<double>();
+    for (int k = 0; k < 7; ++k) {
+      constexpr double kStep = 1e-5;
+      const Vector7d step = kStep * Vector7d::Unit(k);
+      const double difference = n.dot(motion(step, equations.centre) * p - motion(-step, equations.centre) * p);
+      EXPECT_NEAR(J[k], difference / (2 * kStep), 1e-8) << "component " << k;
+    }
+  }
+  EXPECT_LT((hessian - equations.hessian).cwiseAbs().maxCoeff(), 1e-9 * hessian.norm());
+}
+
+// One step: catches a wrong sign or a lever arm about the wrong point.
+TEST(Icp, StepUndoesASmallMotion) {
+  const Correspondences c;
+  for (const auto& [dof, change] :
+       {std::pair<int, Vector7d>{7, (Vector7d() << 0.01, -0.02, 0.03, 0.002, -0.003, 0.004, 0.005).finished()},
+        std::pair<int, Vector7d>{6, (Vector7d() << 0.01, -0.02, 0.03, 0.002, -0.003, 0.004, 0).finished()},
+        std::pair<int, Vector7d>{4, (Vector7d() << 0.01, -0.02, 0.03, 0, 0, 0.004, 0).finished()}}) {
+    const Eigen::Vector3d centre = synthetic::centroid(c.reference);
+    const Cloud reading = transformed(c.reference, motion(change, centre));
+    const MatchedClouds clouds{reading, c.reference, c.matches};
+    const auto equations = normalEquations(clouds, c.matches.weights);
+    const ScalePrior free{ScalePrior::Mode::kFree, 1, 1};
+    const auto localizability = analyzeLocalizability(clouds, c.matches.weights, equations, {}, free.mode);
+    ASSERT_TRUE(localizability.complete()) << localizability.describeMissing();
+    const Vector7d step = constrainedStep(equations, localizability, Matrix7d::Zero(), dof, free, 1);
+    EXPECT_LT((step + change).cwiseAbs().maxCoeff(), 2e-4) << dof << ": " << step.transpose();
+    EXPECT_LT((equations.centre - (centre + change.head<3>())).norm(), 1e-4);
   }
 }
 
@@ -130,9 +170,9 @@ TEST(Icp, FourDegreesOfFreedomKeepTheTiltSixCorrectIt) {
   const auto r4 = chain4.align(chain4.prepareReading(scene.aerial), chain4.prepareReference(scene.ground), start);
   const auto r6 =
       shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
-  const auto up = [](const Pose& T) { return Eigen::Vector3d(T.linear().row(2)); };
-  EXPECT_LT((up(r4.T_reference_reading) - up(start)).norm(), 1e-6);
-  EXPECT_LT((up(r6.T_reference_reading) - up(scene.T_ground_map_mav_map)).norm(), 0.004);
+  const auto up = [](const Eigen::Matrix3d& R) { return Eigen::Vector3d(R.row(2)); };
+  EXPECT_LT((up(r4.T_reference_reading.R) - up(start.linear())).norm(), 1e-6);
+  EXPECT_LT((up(r6.T_reference_reading.R) - up(scene.truth.R)).norm(), 0.004);
 }
 
 TEST(Icp, FlatFloorFixesOnlyHeightAndTilt) {
@@ -189,13 +229,9 @@ TEST(Icp, CovarianceIsConsistent) {
     const auto result = shipped().align(shipped().prepareReading(scene.aerial),
                                         shipped().prepareReference(scene.ground), scene.T_ground_map_mav_map);
     ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged);
-    EXPECT_GT(air_ground_common::symmetricEigen(result.covariance).values[0], 0);
-    Vector6d e;
-    const Eigen::Vector3d c = scene.T_ground_map_mav_map.inverse() * result.centre;
-    e.head<3>() = result.T_reference_reading * c - scene.T_ground_map_mav_map * c;
-    e.tail<3>() = air_ground_common::logSO3(result.T_reference_reading.linear() *
-                                            scene.T_ground_map_mav_map.linear().transpose());
-    const double nees = air_ground_common::squaredMahalanobis(e, result.covariance);
+    EXPECT_TRUE(air_ground_common::isPositiveDefinite(result.covariance));
+    const double nees = air_ground_common::squaredMahalanobis(errorOf(result, scene).head<6>(),
+                                                              result.covariance.topLeftCorner<6, 6>());
     sum += nees;
     beyond += nees > 16.8;  // 99 % of chi^2 with 6 degrees of freedom
     ++runs;
@@ -203,6 +239,109 @@ TEST(Icp, CovarianceIsConsistent) {
   EXPECT_GT(sum / runs, 2.0);
   EXPECT_LT(sum / runs, 8.0);
   EXPECT_LE(beyond, 2);
+}
+
+// Scale errors of the aerial map, as large as a weak odometry makes them, in exact clouds.
+TEST(Icp, ScaleIsFoundWhereTheGeometryFixesIt) {
+  int seed = 20;
+  for (const double error : {0.005, -0.005, 0.02, -0.02, 0.05, -0.05}) {
+    SceneSettings s = exact();
+    s.scale_offset = error;
+    const auto scene = synthetic::makeScene(++seed, s);
+    const auto reference = shipped().prepareReference(scene.ground);
+    const Cloud reading = shipped().prepareReading(scene.aerial);
+    const Pose start =
+        offset(scene.T_ground_map_mav_map, synthetic::centroid(scene.aerial), 0.15, seed, seed % 2 ? 0.05 : -0.05);
+    for (const auto mode : {ScalePrior::Mode::kPrior, ScalePrior::Mode::kFree}) {
+      const auto result = shipped().align(reading, reference, start, {mode, 1, 0.02});
+      ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+      EXPECT_TRUE(result.scale_estimated);
+      const Vector7d e = errorOf(result, scene);
+      EXPECT_LT(std::abs(e[6]), 0.002) << "scale error " << error << " seed " << seed;
+      EXPECT_LT(e.head<3>().norm(), 0.006);
+      EXPECT_LT(e.segment<3>(3).norm(), 0.004);
+    }
+    // The ground cloud read against the aerial one: the inverse scale.
+    const auto backward = shipped().align(shipped().prepareReading(scene.ground),
+                                          shipped().prepareReference(scene.aerial), start.inverse());
+    EXPECT_NEAR(backward.T_reference_reading.scale * scene.truth.scale, 1, 0.004);
+    const auto fixed = shipped().align(reading, reference, start, {ScalePrior::Mode::kFixed, 1, 0.02});
+    EXPECT_EQ(fixed.T_reference_reading.scale, 1);
+    EXPECT_FALSE(fixed.scale_estimated);
+  }
+}
+
+TEST(Icp, ScaleUnderNoise) {
+  for (const double noise : {0.004, 0.012, 0.03}) {
+    SceneSettings s;
+    s.scale_error = s.ground_drift = 0;
+    s.scale_offset = -0.02;
+    s.smooth_edges = false;
+    s.aerial_noise = s.aerial_bumps = noise;
+    std::vector<double> errors;
+    for (unsigned seed = 60; seed < 66; ++seed) {
+      const auto scene = synthetic::makeScene(seed, s);
+      const auto result = shipped().align(shipped().prepareReading(scene.aerial),
+                                          shipped().prepareReference(scene.ground), scene.T_ground_map_mav_map);
+      ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+      errors.push_back(std::abs(errorOf(result, scene)[6]));
+    }
+    std::sort(errors.begin(), errors.end());
+    EXPECT_LT(errors[3], noise < 0.02 ? 0.002 : 0.004) << "noise " << noise;
+    EXPECT_LT(errors[5], noise < 0.02 ? 0.004 : 0.01) << "noise " << noise;
+  }
+}
+
+// A plane, or walls along one direction and a floor, leave the scale of a direction open: the prior holds it.
+TEST(Icp, ThePriorHoldsAScaleThatTheGeometryDoesNotFix) {
+  SceneSettings s;
+  s.world = World::kFlat;
+  s.scale_error = 0;
+  s.scale_offset = 0.03;
+  const auto scene = synthetic::makeScene(3, s);
+  const auto reading = shipped().prepareReading(scene.aerial);
+  const auto reference = shipped().prepareReference(scene.ground);
+  for (const auto mode : {ScalePrior::Mode::kPrior, ScalePrior::Mode::kFree}) {
+    const auto result = shipped().align(reading, reference, scene.T_ground_map_mav_map, {mode, 1, 0.02});
+    ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+    EXPECT_FALSE(result.scale_estimated);
+    EXPECT_NEAR(result.T_reference_reading.scale, 1, 1e-9);
+    const bool prior = mode == ScalePrior::Mode::kPrior;
+    EXPECT_NEAR(std::sqrt(result.covariance(6, 6)), prior ? 0.02 : 0.7, prior ? 0.003 : 0.6);
+    EXPECT_EQ(result.localizability.describeMissing().find("scale") == std::string::npos, prior);
+  }
+}
+
+// With exact maps and noisy clouds the seven errors agree with their covariance: the mean NEES is 7, and its own
+// standard deviation over 50 runs sqrt(2 * 7 / 50) = 0.53.
+TEST(Icp, CovarianceWithScaleIsConsistent) {
+  YAML::Node config = shippedConfig();
+  for (const char* name : {"map_translation_sigma", "map_rotation_sigma", "map_scale_sigma"})
+    config["covariance"][name] = 0;
+  const IcpChain chain(config);
+  SceneSettings s;
+  s.ground_drift = 0;
+  s.scale_error = 0.01;
+  s.smooth_edges = false;
+  double sum = 0, sum_scale = 0;
+  constexpr int kRuns = 50;
+  for (unsigned seed = 200; seed < 200 + kRuns; ++seed) {
+    const auto scene = synthetic::makeScene(seed, s);
+    const auto result = chain.align(chain.prepareReading(scene.aerial), chain.prepareReference(scene.ground),
+                                    scene.T_ground_map_mav_map, {ScalePrior::Mode::kPrior, 1, 0.01});
+    ASSERT_EQ(result.outcome, IcpResult::Outcome::kConverged) << result.reason;
+    const Vector7d e = errorOf(result, scene);
+    sum += air_ground_common::squaredMahalanobis(e, result.covariance);
+    sum_scale += e[6] * e[6] / result.covariance(6, 6);
+    std::printf("%u: t %.4f %.4f %.4f (%.4f) r %.4f %.4f %.4f s %.5f (%.5f) slope rms %.4f\n", seed, e[0], e[1], e[2],
+                std::sqrt(result.covariance(0, 0)), e[3], e[4], e[5], e[6], std::sqrt(result.covariance(6, 6)),
+                result.residual_rms);
+  }
+  std::printf("NEES %.2f, scale alone %.2f\n", sum / kRuns, sum_scale / kRuns);
+  EXPECT_GT(sum / kRuns, 4.0);
+  EXPECT_LT(sum / kRuns, 10.0);
+  EXPECT_GT(sum_scale / kRuns, 0.4);
+  EXPECT_LT(sum_scale / kRuns, 1.8);
 }
 
 TEST(Icp, SameInputSameOutputForAnyNumberOfThreads) {
@@ -213,8 +352,11 @@ TEST(Icp, SameInputSameOutputForAnyNumberOfThreads) {
     return shipped().align(shipped().prepareReading(scene.aerial), shipped().prepareReference(scene.ground), start);
   };
   const auto a = run(1), b = run(2), c = run(2);
-  EXPECT_EQ(a.T_reference_reading.matrix(), b.T_reference_reading.matrix());
-  EXPECT_EQ(b.T_reference_reading.matrix(), c.T_reference_reading.matrix());
+  for (const auto* other : {&b, &c}) {
+    EXPECT_EQ(a.T_reference_reading.R, other->T_reference_reading.R);
+    EXPECT_EQ(a.T_reference_reading.t, other->T_reference_reading.t);
+    EXPECT_EQ(a.T_reference_reading.scale, other->T_reference_reading.scale);
+  }
   EXPECT_EQ(a.covariance, b.covariance);
 }
 
@@ -226,7 +368,7 @@ TEST(Icp, PoorDataFailsWithAReason) {
     const auto result = shipped().align(r, f, T);
     EXPECT_EQ(result.outcome, IcpResult::Outcome::kFailed);
     EXPECT_FALSE(result.reason.empty());
-    EXPECT_TRUE(result.T_reference_reading.matrix().allFinite() || !T.matrix().allFinite());
+    EXPECT_TRUE(result.T_reference_reading.t.allFinite() || !T.matrix().allFinite());
     return result.reason;
   };
   EXPECT_NE(reasonOf(Cloud{}, reference, Pose::Identity()).find("reading"), std::string::npos);

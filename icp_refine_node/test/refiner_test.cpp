@@ -28,7 +28,7 @@ class Refiner : public testing::Test {
     return D * scene.T_ground_map_mav_map;
   }
 
-  double error(const Pose& T) const { return (T * centre - scene.T_ground_map_mav_map * centre).norm(); }
+  double error(const Similarity& T) const { return (T * centre - scene.T_ground_map_mav_map * centre).norm(); }
 
   synthetic::Scene scene;
   AlignmentRefiner refiner;
@@ -171,6 +171,66 @@ TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingReplacesAWrongOne) {
   EXPECT_LT(error(*credulous.refined()), 0.08);
 }
 
+TEST_F(Refiner, EstimatesTheScaleAndTracksIt) {
+  synthetic::SceneSettings settings;
+  settings.scale_error = settings.ground_drift = 0;
+  settings.scale_offset = 0.02;
+  settings.smooth_edges = false;
+  scene = synthetic::makeScene(31, settings);
+  centre = synthetic::centroid(scene.aerial);
+  refiner.reset();
+  refiner.setGround(scene.ground);
+  refiner.addAerial(1, scene.aerial);
+  refiner.setCoarse(moved(0.1, 0.1, 0, 0.04));
+  auto out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_NEAR(out.T_ground_map_mav_map.scale, 1 / 1.02, 0.003);
+  EXPECT_LT(out.scale_stddev, 0.006);
+  EXPECT_NE(out.reason.find("scale 0.9"), std::string::npos) << out.reason;
+  refiner.addAerial(2, scene.aerial);
+  const int first = out.iterations;
+  out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_TRUE(out.tracking);
+  EXPECT_LT(out.iterations, first);
+  // An odometry that is sure of its scale holds it, unless it says that it is not.
+  RefinerSettings sure;
+  sure.scale.stddev = 0.0005;
+  AlignmentRefiner strict(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), sure);
+  for (const bool told : {false, true}) {
+    strict.setGround(scene.ground);
+    strict.addAerial(1, scene.aerial);
+    if (told) strict.setScaleDeviation(0.02);
+    strict.setCoarse(moved(0.1, 0.1, 0, 0.04));
+    EXPECT_NEAR(strict.refine().T_ground_map_mav_map.scale, told ? 1 / 1.02 : 1, 0.004);
+    strict.reset();
+  }
+}
+
+TEST_F(Refiner, AFlatFloorStaysDegenerateWhateverItsScale) {
+  synthetic::SceneSettings settings;
+  settings.world = synthetic::World::kFlat;
+  settings.scale_offset = 0.02;
+  scene = synthetic::makeScene(5, settings);
+  refiner.reset();
+  refiner.setGround(scene.ground);
+  refiner.addAerial(1, scene.aerial);
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  const auto out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kDegenerate) << out.reason;
+  EXPECT_EQ(out.T_ground_map_mav_map.scale, 1);
+}
+
+TEST(Similarity, InverseProductAndTheRigidTransformAtAPoint) {
+  const Similarity T{1.7, air_ground_common::expSO3({0.3, -0.5, 1.1}), {1, 2, 3}};
+  const Eigen::Vector3d p(0.4, -0.7, 2.5), q(5, 1, -2);
+  EXPECT_LT((inverse(T) * (T * p) - p).norm(), 1e-12);
+  EXPECT_LT((compose(T, inverse(T)) * p - p).norm(), 1e-12);
+  EXPECT_LT((compose(T, T) * p - T * (T * p)).norm(), 1e-12);
+  EXPECT_LT((rigidAt(T, p) * p - T * p).norm(), 1e-12);
+  EXPECT_LT((T * q - T * p - 1.7 * (rigidAt(T, p) * q - rigidAt(T, p) * p)).norm(), 1e-12);
+}
+
 TEST(AerialVoxels, GrowRatherThanExceedTheirNumber) {
   AerialVoxels voxels(0.1, 100);
   for (int x = 0; x < 40; ++x) {
@@ -219,7 +279,7 @@ TEST(AugmentedMap, HoldsAerialPointsOnlyWhileAligned) {
 
   Pose T = Pose::Identity();
   T.translation() = Eigen::Vector3d(0, 0, 5);
-  map.align(T);
+  map.align(similarity(T));
   ASSERT_EQ(map.points().size(), 2u);
   EXPECT_EQ(map.points()[1].source, 1);
   EXPECT_EQ(map.points()[1].rgb[1], 77);
@@ -231,12 +291,20 @@ TEST(AugmentedMap, HoldsAerialPointsOnlyWhileAligned) {
   EXPECT_TRUE(map.points().empty());
 }
 
+TEST(AugmentedMap, AppliesTheScale) {
+  AugmentedMap map({});
+  map.addAerial({{{0, 2, 0}, {77, 77, 77}, 1}});
+  map.align(Similarity{0.5, Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitZ()).toRotationMatrix(), {0, 0, 5}});
+  ASSERT_EQ(map.points().size(), 1u);
+  EXPECT_LT((map.points()[0].position - Eigen::Vector3f(-1, 0, 5)).norm(), 1e-6);
+}
+
 TEST(AugmentedMap, FillsOnlyWhatTheGroundRobotDidNotSee) {
   AugmentedMapSettings settings;
   settings.fill_only = true;
   settings.ground_red = false;
   AugmentedMap map(settings);
-  map.align(Pose::Identity());
+  map.align(Similarity());
   map.setGround({{{0.01f, 0.01f, 0.01f}, {10, 20, 30}, 0}});
   map.addAerial({{{0.03f, 0.01f, 0.01f}, {77, 77, 77}, 1}, {{1, 0, 0}, {77, 77, 77}, 1}});
   const auto points = map.points();

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <fstream>
+#include <limits>
 #include <random>
 #include <set>
 #include <sstream>
@@ -39,19 +40,45 @@ void apply(const std::string& name, const std::string& parameters, Cloud& cloud)
   makeDataFilter(name, YAML::Load(parameters))->apply(cloud);
 }
 
-TEST(NeighborSearch, EqualsBruteForceWithAndWithoutNormals) {
-  const Cloud cloud = randomCloud(500, 1), queries = randomCloud(200, 2);
-  for (float weight : {0.f, 0.5f}) {
-    const NeighborSearch tree(cloud, weight);
-    for (std::size_t q = 0; q < queries.size(); ++q) {
-      int best = -1;
-      float best_d = 0.3f * 0.3f;
-      for (std::size_t i = 0; i < cloud.size(); ++i) {
-        const float d = (cloud.points[i] - queries.points[q]).squaredNorm() +
-                        weight * weight * (cloud.normals[i] - queries.normals[q]).squaredNorm();
-        if (d < best_d) best_d = d, best = static_cast<int>(i);
+// Every point of the cloud by its squared distance in place and weighted normal, nearest first.
+std::vector<std::pair<float, int>> bruteForce(const Cloud& cloud, const Eigen::Vector3f& point,
+                                              const Eigen::Vector3f& normal, float weight) {
+  std::vector<std::pair<float, int>> out;
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    out.emplace_back(
+        (cloud.points[i] - point).squaredNorm() + weight * weight * (cloud.normals[i] - normal).squaredNorm(), i);
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+TEST(NeighborSearch, EqualsBruteForceWithAndWithoutNormalsAndHints) {
+  const Cloud queries = randomCloud(200, 2);
+  for (const int points : {1, 15, 16, 17, 100, 1000}) {
+    Cloud cloud = randomCloud(points, points);
+    if (points == 1000) {  // a plane: splits of no width
+      for (int i = 0; i < 500; ++i) cloud.points[i].z() = 0.25f;
+    }
+    for (const float weight : {0.f, 0.5f}) {
+      const NeighborSearch tree(cloud, weight);
+      int hint = -1;
+      for (std::size_t q = 0; q < queries.size(); ++q) {
+        const auto all = bruteForce(cloud, queries.points[q], queries.normals[q], weight);
+        const int expected = all[0].first < 0.3f * 0.3f ? all[0].second : -1;
+        EXPECT_EQ(tree.nearest(queries.points[q], queries.normals[q], 0.3f), expected);
+        EXPECT_EQ(tree.nearest(queries.points[q], queries.normals[q], 0.3f, hint), expected);
+        hint = static_cast<int>(q) % points;
+        if (weight > 0) continue;
+        std::vector<int> indices;
+        std::vector<float> squared;
+        for (const float limit : {0.2f, std::numeric_limits<float>::infinity()}) {
+          tree.nearestK(queries.points[q], 12, indices, squared, limit);
+          std::size_t count = 0;
+          while (count < all.size() && count < 12 && all[count].first < limit) ++count;
+          ASSERT_EQ(indices.size(), count);
+          for (std::size_t k = 0; k < count; ++k) EXPECT_NEAR(squared[k], all[k].first, 1e-6);
+        }
       }
-      EXPECT_EQ(tree.nearest(queries.points[q], queries.normals[q], 0.3f), best);
     }
   }
 }
@@ -107,7 +134,11 @@ TEST(DataFilters, SteepNormalsPointToTheFreeSide) {
   }
   for (const bool top_seen : {true, false}) {  // a low camera sees the face, not the top
     Cloud seen = cloud;
-    if (!top_seen) apply("BoundingBox", "{min_x: 0.02, remove_inside: true}", seen);
+    if (!top_seen) {
+      std::vector<char> face_and_floor;
+      for (const auto& p : seen.points) face_and_floor.push_back(p.x() < 0.02f);
+      seen.keep(face_and_floor);
+    }
     apply("SurfaceNormals", "{neighbors: 9, radius: 0.1, max_curvature: 0.02}", seen);
     apply("OrientNormals", "{}", seen);
     int faces = 0, right = 0;
@@ -119,27 +150,6 @@ TEST(DataFilters, SteepNormalsPointToTheFreeSide) {
     EXPECT_GT(faces, 200);
     EXPECT_EQ(right, faces);
   }
-}
-
-TEST(DataFilters, BoxRangeDensityAndSampling) {
-  Cloud cloud = randomCloud(4000, 4);
-  Cloud box = cloud, shell = cloud, thin = cloud, random = cloud, again = cloud, every = cloud, few = cloud;
-  apply("BoundingBox", "{min_x: 0, max_z: 0.5}", box);
-  for (const auto& p : box.points) EXPECT_TRUE(p.x() >= 0 && p.z() <= 0.5f);
-  apply("Range", "{min: 0.5, max: 0.8}", shell);
-  for (const auto& p : shell.points) EXPECT_TRUE(p.norm() >= 0.5f && p.norm() <= 0.8f);
-  apply("MaxDensity", "{max_density: 100, cell: 0.5}", thin);  // 500 points/m^3 down to 100
-  EXPECT_NEAR(static_cast<double>(thin.size()), 8 * 100, 110);
-  apply("RandomSampling", "{fraction: 0.25, seed: 5}", random);
-  apply("RandomSampling", "{fraction: 0.25, seed: 5}", again);
-  EXPECT_EQ(random.size(), 1000u);
-  EXPECT_EQ(random.points, again.points);
-  EXPECT_TRUE(random.hasNormals());
-  apply("UniformSampling", "{step: 10}", every);
-  EXPECT_EQ(every.size(), 400u);
-  EXPECT_EQ(every.points[1], cloud.points[10]);
-  apply("MaxPoints", "{count: 77}", few);
-  EXPECT_EQ(few.size(), 77u);
 }
 
 TEST(DataFilters, StatisticalOutlierRemovesStragglers) {
@@ -201,15 +211,7 @@ TEST(OutlierFilters, KnownWeights) {
     return std::count_if(w.begin(), w.end(), [](float x) { return x > 0; });
   };
   EXPECT_EQ(kept(h.weights("Trimmed", "{ratio: 0.5}")), 6);
-  EXPECT_EQ(kept(h.weights("MaxDistance", "{max: 0.055}")), 5);
-  EXPECT_EQ(kept(h.weights("MedianDistance", "{factor: 3}")), 9);
-  EXPECT_NEAR(h.weights("Huber", "{scale: 0.05}")[9], 0.05, 1e-6);
-  EXPECT_NEAR(h.weights("Huber", "{scale: 0.05}")[3], 1, 1e-6);
   EXPECT_NEAR(h.weights("Cauchy", "{scale: 0.05}")[4], 0.5, 1e-6);
-  EXPECT_EQ(h.weights("Tukey", "{scale: 0.1}")[9], 0);
-  EXPECT_NEAR(h.weights("Tukey", "{scale: 0.1}")[4], 0.75 * 0.75, 1e-5);
-  // adaptive: s = 1.4826 * 0.06 = 0.0890; r = 0.09 -> 1 / (1 + 1.0236)
-  EXPECT_NEAR(h.weights("Cauchy", "{scale: 0.01, adaptive: true}")[8], 0.4942, 1e-3);
 }
 
 TEST(OutlierFilters, NormalAngleSeesTheSign) {

@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 
 #include "air_ground_common/linear_algebra.h"
@@ -18,7 +19,8 @@ struct Case {
   std::string name;
   Cloud ground;
   std::vector<Cloud> aerial;
-  Pose truth;
+  Similarity truth;
+  Pose placed;  ///< rigid, at the middle of the reading
 };
 
 struct Options {
@@ -26,14 +28,15 @@ struct Options {
   std::vector<std::string> aerial;
   unsigned first_seed = 1000;
   int scenes = 20, runs = 5, recent = 6;
-  double translation = 0.2, angle = 3;
+  double translation = 0.2, angle = 3, aerial_scale = 1;
   bool exact = false, yaw_only = false, verbose = false;
   synthetic::SceneSettings scene;
 };
 
-Cloud readCloud(const std::string& path) {
+Cloud readCloud(const std::string& path, double scale = 1) {
   Cloud out;
-  for (const auto& p : air_ground_common::readPlyPoints(path)) out.points.push_back(p.position);
+  for (const auto& p : air_ground_common::readPlyPoints(path))
+    out.points.push_back(static_cast<float>(scale) * p.position);
   return out;
 }
 
@@ -44,14 +47,15 @@ std::vector<Case> cases(const Options& options) {
     out.push_back({"seed " + std::to_string(options.first_seed + s),
                    std::move(scene.ground),
                    {std::move(scene.aerial)},
+                   scene.truth,
                    scene.T_ground_map_mav_map});
   }
   // The node's reading: a sliding window over the fused clouds.
   for (std::size_t last = 0; last < options.aerial.size(); ++last) {
-    Case c{options.aerial[last], readCloud(options.ground), {}, Pose::Identity()};
+    Case c{options.aerial[last], readCloud(options.ground), {}, {1 / options.aerial_scale}, Pose::Identity()};
     for (std::size_t k = last + 1 >= static_cast<std::size_t>(options.recent) ? last + 1 - options.recent : 0;
          k <= last; ++k) {
-      c.aerial.push_back(readCloud(options.aerial[k]));
+      c.aerial.push_back(readCloud(options.aerial[k], options.aerial_scale));
     }
     out.push_back(std::move(c));
   }
@@ -64,19 +68,20 @@ double quantile(std::vector<double> v, double p) {
 }
 
 struct Statistics {
-  std::vector<double> before, translation, rotation, nees, milliseconds, agreement;
+  std::vector<double> before, translation, rotation, scale, nees, milliseconds, agreement;
+  double scale_sum = 0;
   int converged = 0, wrong = 0, statuses[4] = {0, 0, 0, 0};
 };
 
 Pose start(const Case& c, const Eigen::Vector3d& centre, const Options& options, int run, std::mt19937& rng) {
   if (!options.exact)
-    return synthetic::perturbed(c.truth, centre, options.translation, options.angle * M_PI / 180, options.yaw_only,
+    return synthetic::perturbed(c.placed, centre, options.translation, options.angle * M_PI / 180, options.yaw_only,
                                 rng);
   const double heading = 2 * M_PI * (run + rng() / 4294967296.0) / options.runs;
-  const Eigen::Vector3d m = c.truth * centre;
+  const Eigen::Vector3d m = c.placed * centre;
   return Eigen::Translation3d(m + options.translation * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0)) *
          Pose(Eigen::AngleAxisd((run % 2 ? 1 : -1) * options.angle * M_PI / 180, Eigen::Vector3d::UnitZ())) *
-         Eigen::Translation3d(-m) * c.truth;
+         Eigen::Translation3d(-m) * c.placed;
 }
 
 void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, int run, std::mt19937& rng,
@@ -86,16 +91,18 @@ void runOne(const Case& c, const Options& options, AlignmentRefiner& refiner, in
   const Pose guess = start(c, centre, options, run, rng);
   refiner.setManual(guess);
   const RefineOutcome result = refiner.refine();
-  const Pose& T = result.T_ground_map_mav_map;
-  const Eigen::Vector3d at = c.truth.inverse() * result.reference_point;
+  const Similarity& T = result.T_ground_map_mav_map;
+  const Eigen::Vector3d at = inverse(T) * result.reference_point;
   Vector6d e;
   e.head<3>() = T * at - c.truth * at;
-  e.tail<3>() = air_ground_common::logSO3(T.linear() * c.truth.linear().transpose());
+  e.tail<3>() = air_ground_common::logSO3(T.R * c.truth.R.transpose());
   const double t = e.head<3>().norm(), a = e.tail<3>().norm() * 180 / M_PI,
                nees = air_ground_common::squaredMahalanobis(e, result.covariance);
   const bool good = result.status == RefineStatus::kConverged;
   ++out.statuses[static_cast<int>(result.status)];
   if (good) {
+    out.scale.push_back(100 * std::abs(std::log(T.scale / c.truth.scale)));
+    out.scale_sum += 100 * std::log(T.scale / c.truth.scale);
     out.before.push_back((guess * centre - c.truth * centre).norm());
     out.translation.push_back(t);
     out.rotation.push_back(a);
@@ -119,6 +126,7 @@ int main(int argc, char** argv) {
   app.add_option("--config", options.config, "YAML with a `chain`")->required();
   app.add_option("--ground", options.ground, "PLY of the ground cloud; with --aerial, instead of synthetic scenes");
   app.add_option("--aerial", options.aerial, "PLYs of the aerial clouds, in order, in the frame of the ground cloud");
+  app.add_option("--aerial-scale", options.aerial_scale, "multiplies their coordinates");
   app.add_option("--recent", options.recent, "aerial clouds in one reading");
   app.add_option("--first-seed", options.first_seed);
   app.add_option("--scenes", options.scenes);
@@ -128,6 +136,7 @@ int main(int argc, char** argv) {
   app.add_flag("--exact", options.exact, "horizontal offset and yaw of exactly the sigmas, in all directions");
   app.add_flag("--yaw-only", options.yaw_only);
   app.add_option("--scale-error", options.scene.scale_error);
+  app.add_flag("!--sharp-edges", options.scene.smooth_edges, "aerial depth without smearing at edges");
   app.add_option("--drift", options.scene.ground_drift);
   app.add_flag("--verbose", options.verbose);
   CLI11_PARSE(app, argc, argv);
@@ -151,6 +160,9 @@ int main(int argc, char** argv) {
       "deg\n",
       quantile(s.before, .5), quantile(s.translation, .5), quantile(s.translation, .95), quantile(s.translation, 1),
       quantile(s.rotation, .5), quantile(s.rotation, .95), quantile(s.rotation, 1));
+  std::printf("scale: mean %+.2f, absolute median %.2f, 95 %% %.2f, max %.2f %%\n",
+              s.scale_sum / static_cast<double>(std::max<std::size_t>(1, s.scale.size())), quantile(s.scale, .5),
+              quantile(s.scale, .95), quantile(s.scale, 1));
   std::printf("NEES mean %.2f, 95 %% %.1f; heights agree: least %.2f; ICP median %.0f ms, 95 %% %.0f ms\n", mean,
               quantile(s.nees, .95), quantile(s.agreement, 0), quantile(s.milliseconds, .5),
               quantile(s.milliseconds, .95));

@@ -128,11 +128,11 @@ Cloud groundCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_w
   return out;
 }
 
-Cloud aerialCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_world, const SceneSettings& s,
-                  Rng& rng) {
+Cloud aerialCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_world, const SceneSettings& s, Rng& rng,
+                  double* scale) {
   Cloud out;
   const Bumps bumps(rng);
-  const double scale = 1 + s.scale_error * gauss(rng);
+  *scale = 1 + s.scale_offset + s.scale_error * gauss(rng);
   constexpr int kWidth = 94, kHeight = 60;
   for (double x : {-1.2, 0.0, 1.2}) {
     for (double y : {-1.0, 0.0, 1.0}) {
@@ -158,7 +158,7 @@ Cloud aerialCloud(const air_ground_common::MeshScene& scene, const Pose& T_map_w
           if (bumps(at + Eigen::Vector3d(31, 17, 5)) < -1.2 + 2.1 * s.missing) continue;
           z += s.aerial_noise * gauss(rng) + s.aerial_bumps * bumps(at);
           const Eigen::Vector3d world = R * (depth.ray(u, v) * z) + position;
-          out.points.push_back((T_map_world * world * scale).cast<float>());
+          out.points.push_back((T_map_world * world * *scale).cast<float>());
         }
       }
     }
@@ -182,8 +182,10 @@ Scene makeScene(unsigned seed, const SceneSettings& settings) {
   out.T_world_ground_map.linear() = out.T_world_ground_map.linear() * tilt();
   out.T_world_mav_map.linear() = out.T_world_mav_map.linear() * tilt();
   out.ground = groundCloud(scene, out.T_world_ground_map.inverse(), settings, rng);
-  out.aerial = aerialCloud(scene, out.T_world_mav_map.inverse(), settings, rng);
-  out.T_ground_map_mav_map = out.T_world_ground_map.inverse() * out.T_world_mav_map;
+  double scale = 1;
+  out.aerial = aerialCloud(scene, out.T_world_mav_map.inverse(), settings, rng, &scale);
+  out.truth = similarity(out.T_world_ground_map.inverse() * out.T_world_mav_map, 1 / scale);
+  out.T_ground_map_mav_map = rigidAt(out.truth, centroid(out.aerial));
   return out;
 }
 

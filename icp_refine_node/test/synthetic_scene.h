@@ -16,6 +16,7 @@ struct SceneSettings {
   World world = World::kBoxes;
   int boxes = 11;
   double scale_error = 0.01;    ///< relative error of the aerial map's scale (standard deviation)
+  double scale_offset = 0;      ///< the same, given
   double aerial_noise = 0.012;  ///< independent, along the ray [m]
   double aerial_bumps = 0.012;  ///< correlated over about 0.3 m [m]
   double missing = 0.25;        ///< share of aerial patches without depth
@@ -27,7 +28,8 @@ struct Scene {
   air_ground_common::TriangleMesh mesh;  ///< world frame, floor at z = 0
   Cloud ground;                          ///< ground_map frame [m]
   Cloud aerial;                          ///< mav_map frame [m]
-  Pose T_ground_map_mav_map;             ///< truth, best fit over the scene's middle: scale errors leave no exact one
+  Similarity truth;                      ///< T_ground_map_mav_map
+  Pose T_ground_map_mav_map;             ///< the same, its scale taken as 1 at the middle of the aerial cloud
   Pose T_world_ground_map, T_world_mav_map;
 };
 

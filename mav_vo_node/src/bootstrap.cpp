@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <opengv/relative_pose/CentralRelativeAdapter.hpp>
 #include <opengv/sac/Ransac.hpp>
 #include <opengv/sac_problems/relative_pose/CentralRelativePoseSacProblem.hpp>
@@ -86,41 +87,42 @@ Bootstrap::Bootstrap(const visual_frontend::CameraModel& camera, const Bootstrap
 
 void Bootstrap::reset() {
   views_.clear();
-  R_start_camera_.setIdentity();
-  gyro_since_ = 0;
   reason_ = "no image yet";
 }
 
 std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Feature>& features,
-                                              const visual_frontend::ImagePyramid& pyramid,
-                                              const std::optional<Eigen::Matrix3d>& R_previous_current) {
-  if (R_previous_current)
-    R_start_camera_ = R_start_camera_ * *R_previous_current;
-  else
-    gyro_since_ = stamp;
+                                              const visual_frontend::ImagePyramid& pyramid, const GyroRotations& gyro) {
   while (!views_.empty() && views_.front().stamp < stamp - settings_.max_age) views_.pop_front();
   BootstrapView current;
   current.stamp = stamp;
   current.features = features;
-  current.R_start_camera = R_start_camera_;
 
   // The oldest view that still shares enough tracks has the widest baseline.
   std::optional<BootstrapResult> result;
-  reason_ = "too few features stay in view to compare images";
+  const int needed = std::clamp(static_cast<int>(settings_.min_common_share * static_cast<double>(features.size())),
+                                settings_.min_inliers, settings_.min_common);
+  reason_ = "too few corners stay in view to compare images (" + std::to_string(features.size()) + " now, " +
+            std::to_string(needed) + " must stay): more light or texture, or slower turns";
   for (const BootstrapView& first : views_) {
     const Common common = commonTracks(first.features, features);
-    if (static_cast<int>(common.track.size()) < settings_.min_common) continue;
-    const bool gyro = first.stamp >= gyro_since_;
-    const Eigen::Matrix3d R =
-        gyro ? Eigen::Matrix3d(first.R_start_camera.transpose() * R_start_camera_) : Eigen::Matrix3d::Identity();
+    if (static_cast<int>(common.track.size()) < needed) continue;
+    const auto turn = gyro ? gyro(first.stamp, stamp) : std::nullopt;
+    if (turn && turn->sigma > settings_.max_gyro_sigma) {
+      reason_ = "estimating the gyro's bias: keep the camera moving over texture";
+      break;
+    }
+    const Eigen::Matrix3d R = turn ? turn->R_a_b : Eigen::Matrix3d::Identity();
     std::vector<double> angles;
     for (std::size_t i = 0; i < common.a.size(); ++i) angles.push_back(parallaxAngle(common.a[i], common.b[i], R));
     if (median(angles) < settings_.min_parallax) {
-      reason_ = "waiting for the camera to move sideways: parallax is " + std::to_string(median(angles)) + " rad";
+      char text[120];
+      std::snprintf(text, sizeof text, "move the camera sideways: parallax is %.1f of %.1f degrees",
+                    median(angles) * 180 / M_PI, settings_.min_parallax * 180 / M_PI);
+      reason_ = text;
       break;
     }
     for (const cv::Mat& level : pyramid) current.pyramid.push_back(level.clone());
-    result = attempt(first, current, gyro);
+    result = attempt(first, current, gyro, turn);
     break;
   }
   if (!result && (views_.empty() || stamp - views_.back().stamp >= settings_.frame_interval)) {
@@ -131,19 +133,29 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
   return result;
 }
 
-std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, const BootstrapView& last, bool gyro) {
+std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, const BootstrapView& last,
+                                                  const GyroRotations& gyro, const std::optional<GyroRotation>& turn) {
+  const double gyro_sigma = turn ? std::hypot(settings_.gyro_sigma, turn->sigma) : 0;
   const double sigma = settings_.pixel_sigma / (0.5 * (camera_.fx + camera_.fy));
   const Common common = commonTracks(first.features, last.features);
   Pose T_first_last = Pose::Identity();
   std::vector<unsigned char> inliers;
-  if (gyro) {
-    T_first_last.linear() = first.R_start_camera.transpose() * last.R_start_camera;
+  const auto noiseOf = [this](const std::vector<Eigen::Vector2d>& normalized) {
+    std::vector<visual_frontend::NormalizedNoise> noise;
+    for (const auto& n : normalized) noise.push_back(camera_.normalizedNoise(n, settings_.pixel_sigma));
+    return noise;
+  };
+  const auto noise_a = noiseOf(common.a), noise_b = noiseOf(common.b);
+  if (turn) {
+    T_first_last.linear() = turn->R_a_b;
     visual_frontend::RansacSettings ransac;
     // The gyro's error moves the rays by more than the pixel noise.
-    ransac.threshold = 2.5 * std::hypot(sigma, settings_.gyro_sigma) / sigma;
+    ransac.threshold = 2.5 * std::hypot(sigma, gyro_sigma) / sigma;
     ransac.seed = settings_.seed;
-    const auto direction =
-        visual_frontend::translationFromKnownRotation(common.a, common.b, T_first_last.linear(), sigma, ransac);
+    const bool wide = camera_.model != air_ground_common::DistortionModel::kPlumbBob;
+    using Noise = std::vector<visual_frontend::NormalizedNoise>;
+    const auto direction = visual_frontend::translationFromKnownRotation(
+        common.a, common.b, T_first_last.linear(), sigma, ransac, wide ? noise_a : Noise(), wide ? noise_b : Noise());
     if (!direction.success) {
       reason_ = "two-point start: " + direction.reason;
       return std::nullopt;
@@ -169,7 +181,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
 
   visual_frontend::TriangulationSettings triangulation;
   triangulation.min_parallax = 0.2 * settings_.min_parallax;
-  triangulation.max_residual = 4.0 * std::hypot(sigma, gyro ? settings_.gyro_sigma : sigma) / sigma;
+  triangulation.max_residual = 4.0 * std::hypot(sigma, turn ? gyro_sigma : sigma) / sigma;
   triangulation.min_depth = 0.2;
   triangulation.max_depth = 300;  // baselines
   BootstrapResult result;
@@ -180,15 +192,17 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   std::unordered_map<TrackId, int> index;
   for (std::size_t i = 0; i < common.track.size(); ++i) {
     if (!inliers[i]) continue;
-    const auto point = visual_frontend::triangulate(
-        {{Pose::Identity(), common.a[i], sigma, 0, 0}, {T_first_last, common.b[i], sigma, 0, 0}}, triangulation);
+    const auto &na = noise_a[i], &nb = noise_b[i];
+    const auto point = visual_frontend::triangulate({{Pose::Identity(), common.a[i], na.sigma, 0, 0, na.elongation},
+                                                     {T_first_last, common.b[i], nb.sigma, 0, 0, nb.elongation}},
+                                                    triangulation);
     if (!point.ok()) continue;
     const int k = static_cast<int>(problem.points.size());
     index[common.track[i]] = k;
     result.points.push_back({common.track[i], point.p_map});
     problem.points.push_back(point.p_map);
-    problem.measurements.push_back({0, k, common.a[i], sigma, 0, 0});
-    problem.measurements.push_back({1, k, common.b[i], sigma, 0, 0});
+    problem.measurements.push_back({0, k, common.a[i], na.sigma, 0, 0, na.elongation});
+    problem.measurements.push_back({1, k, common.b[i], nb.sigma, 0, 0, nb.elongation});
   }
   const auto enough = [&](std::size_t count) {
     return static_cast<int>(count) >= settings_.min_inliers &&
@@ -196,7 +210,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   };
   if (!enough(result.points.size())) {
     reason_ = std::to_string(result.points.size()) + " of " + std::to_string(common.track.size()) +
-              " tracks fit a motion of the camera";
+              " tracks fit one motion of the camera; much of the view moves by itself, or the calibration is off";
     return std::nullopt;
   }
   if (middle) {
@@ -205,30 +219,28 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     for (const Feature& f : middle->features) {
       const auto it = index.find(f.id);
       if (it == index.end()) continue;
-      seen.push_back({problem.points[it->second], f.normalized, sigma, 0, 0});
+      const auto noise = camera_.normalizedNoise(f.normalized, settings_.pixel_sigma);
+      seen.push_back({problem.points[it->second], f.normalized, noise.sigma, 0, 0, noise.elongation});
       point_of.push_back(it->second);
     }
     Pose start = air_ground_common::interpolate(Pose::Identity(), T_first_last,
                                                 (middle->stamp - first.stamp) / (last.stamp - first.stamp));
-    if (gyro) start.linear() = first.R_start_camera.transpose() * middle->R_start_camera;
+    const auto middle_turn = turn ? gyro(first.stamp, middle->stamp) : std::nullopt;
+    if (middle_turn) start.linear() = middle_turn->R_a_b;
     visual_frontend::RefineSettings refine;
     refine.loss = visual_frontend::RobustLoss::kCauchy;
     const auto pose = visual_frontend::refinePose(seen, start, refine);
     if (pose.success && pose.inlier_count >= settings_.min_inliers / 2) {
       problem.cameras.emplace_back();
       problem.cameras.back().T_map_camera = pose.T_map_camera;
+      if (middle_turn) problem.priors.push_back({0, 2, Pose(middle_turn->R_a_b), gyro_sigma, -1});
       for (std::size_t i = 0; i < seen.size(); ++i)
-        problem.measurements.push_back({2, point_of[i], seen[i].normalized, sigma, 0, 0});
+        problem.measurements.push_back({2, point_of[i], seen[i].normalized, seen[i].sigma, 0, 0, seen[i].elongation});
     } else {
       middle = nullptr;
     }
   }
-  if (gyro) {
-    problem.priors.push_back({0, 1, Pose(T_first_last.linear()), settings_.gyro_sigma, -1});
-    if (middle)
-      problem.priors.push_back(
-          {0, 2, Pose(first.R_start_camera.transpose() * middle->R_start_camera), settings_.gyro_sigma, -1});
-  }
+  if (turn) problem.priors.push_back({0, 1, Pose(T_first_last.linear()), gyro_sigma, -1});
   visual_frontend::BundleSettings bundle;
   bundle.max_iterations = 25;
   bundle.loss = visual_frontend::RobustLoss::kCauchy;
@@ -270,7 +282,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
   result.views.front().T_first_camera = Pose::Identity();
   for (auto& view : result.views) view.T_first_camera.translation() *= unit;
   result.rms = solved.rms;
-  result.rotation_from_gyro = gyro;
+  result.rotation_from_gyro = turn.has_value();
   reason_.clear();
   return result;
 }

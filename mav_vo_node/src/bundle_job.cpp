@@ -9,8 +9,9 @@ using visual_frontend::KeyframeId;
 using visual_frontend::LandmarkId;
 
 BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& inertial_map,
-                        const std::vector<KeyframeId>& free, const std::vector<KeyframeId>& fixed, double sigma,
-                        bool metric, const Pose& T_camera_imu) {
+                        const std::vector<KeyframeId>& free, const std::vector<KeyframeId>& fixed,
+                        const visual_frontend::CameraModel& camera, double pixel_sigma, bool metric,
+                        const Pose& T_camera_imu) {
   BundleJob job;
   job.newest_keyframe = map.lastKeyframe();
   auto& problem = job.problem;
@@ -20,12 +21,12 @@ BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& iner
   const auto addCamera = [&](KeyframeId id, bool held) {
     if (!index.emplace(id, static_cast<int>(job.keyframes.size())).second) return;
     const auto& keyframe = map.keyframe(id);
-    visual_frontend::BundleProblem::Camera camera;
-    camera.T_map_camera = keyframe.T_map_camera;
-    camera.fixed = held;
-    camera.up_camera = keyframe.up_camera;
-    camera.up_sigma = keyframe.up_sigma;
-    problem.visual.cameras.push_back(camera);
+    visual_frontend::BundleProblem::Camera view;
+    view.T_map_camera = keyframe.T_map_camera;
+    view.fixed = held;
+    view.up_camera = keyframe.up_camera;
+    view.up_sigma = keyframe.up_sigma;
+    problem.visual.cameras.push_back(view);
     const auto state = inertial_map.states.find(id);
     problem.states.push_back(state != inertial_map.states.end() ? state->second : InertialState{});
     problem.state_fixed.push_back(held);
@@ -59,8 +60,9 @@ BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& iner
     for (const auto& o : landmark.observations) {
       const auto it = index.find(o.keyframe);
       if (it == index.end()) continue;
-      problem.visual.measurements.push_back(
-          {it->second, point, map.keyframe(o.keyframe).observations[o.index].normalized, sigma, 0, 0});
+      const Eigen::Vector2d& normalized = map.keyframe(o.keyframe).observations[o.index].normalized;
+      const auto noise = camera.normalizedNoise(normalized, pixel_sigma);
+      problem.visual.measurements.push_back({it->second, point, normalized, noise.sigma, 0, 0, noise.elongation});
       job.sources.push_back(o);
     }
   }

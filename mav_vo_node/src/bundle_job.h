@@ -40,7 +40,8 @@ struct BundleJob {
 /// velocities and positions count.
 BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& inertial_map,
                         const std::vector<visual_frontend::KeyframeId>& free,
-                        const std::vector<visual_frontend::KeyframeId>& fixed, double sigma, bool metric,
+                        const std::vector<visual_frontend::KeyframeId>& fixed,
+                        const visual_frontend::CameraModel& camera, double pixel_sigma, bool metric,
                         const air_ground_common::Pose& T_camera_imu);
 
 /// Puts the result into the map. Keyframes and landmarks that came since are carried along with the newest keyframe of

@@ -43,7 +43,7 @@ double squaredError(const BundleProblem& problem, const BundleProblem::Measureme
   const air_ground_common::Pose& T = problem.cameras[m.camera].T_map_camera;
   const Eigen::Vector3d p = T.linear().transpose() * (problem.points[m.point] - T.translation());
   if (!(p.z() > 1e-4)) return 1e12;
-  return (p.head<2>() / p.z() - m.normalized).squaredNorm() / (m.sigma * m.sigma);
+  return visual_frontend::squaredSigmas(p.head<2>() / p.z() - m.normalized, m.normalized, {m.sigma, m.elongation});
 }
 
 struct Keyframe {
@@ -79,8 +79,9 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
   std::vector<unsigned char> camera_used(cameras, 0), state_used(cameras, 0), point_used(visual.points.size(), 0);
   for (const auto& m : visual.measurements) {
     if (squaredError(visual, m) >= 1e12) continue;
-    solver_problem.AddResidualBlock(new visual_frontend::ReprojectionCost(R_0[m.camera], m.normalized, m.sigma),
-                                    loss.get(), keyframe[m.camera].camera.data(), visual.points[m.point].data());
+    solver_problem.AddResidualBlock(
+        new visual_frontend::ReprojectionCost(R_0[m.camera], m.normalized, {m.sigma, m.elongation}), loss.get(),
+        keyframe[m.camera].camera.data(), visual.points[m.point].data());
     camera_used[m.camera] = point_used[m.point] = 1;
   }
   for (const auto& link : problem.links) {

@@ -10,23 +10,16 @@ using air_ground_common::ros_utils::Parameters;
 NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   Parameters p(private_handle);
   NodeSettings n;
-  n.map_frame = p.text("map_frame", "mav_map");
-  n.odom_frame = p.text("odom_frame", "mav_odom");
-  n.base_frame = p.text("base_frame", "mav_base_link");
-  n.camera_frame = p.text("camera_frame", "");
-  n.imu_frame = p.text("imu_frame", "");
-  n.T_base_camera = p.pose("base_camera");
-  n.T_base_imu = p.pose("base_imu");
-  n.publish_tf = p.flag("publish_tf", n.publish_tf);
-  n.transform_timeout = p.number("transform_timeout", n.transform_timeout, 0.0, 600.0);
-  n.imu_wait = p.number("imu_wait", n.imu_wait, 0.0, 10.0);
+  n.estimator.map_frame = "mav_map";
+  n.estimator.odom_frame = "mav_odom";
+  n.estimator.base_frame = "mav_base_link";
+  air_ground_common::ros_utils::readParameters(p, &n.estimator);
   n.sparse_cloud_interval = p.number("sparse_cloud_interval", n.sparse_cloud_interval, 0.0, 60.0);
   n.track_image_every = p.integer("track_image_every", n.track_image_every, 1, 1000);
-  n.queue_size = p.integer("queue_size", n.queue_size, 2, 10000);
 
   OdometrySettings& o = n.odometry;
   o.synchronous = false;
-  o.use_imu = p.flag("use_imu", o.use_imu);
+  o.use_imu = n.estimator.use_imu;
   o.synchronous = p.flag("synchronous", o.synchronous);
   o.seed = static_cast<unsigned>(p.integer("seed", static_cast<int>(o.seed), 0, 1 << 30));
   o.bootstrap.seed = o.seed;
@@ -34,6 +27,11 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   o.imu_noise.accel_density = p.number("accel_noise_density", o.imu_noise.accel_density, 1e-6, 10.0);
   o.imu_noise.gyro_bias_walk = p.number("gyro_bias_walk", o.imu_noise.gyro_bias_walk, 1e-9, 1.0);
   o.imu_noise.accel_bias_walk = p.number("accel_bias_walk", o.imu_noise.accel_bias_walk, 1e-8, 10.0);
+
+  o.gyro_alignment.bias_stddev = p.number("gyro_bias_stddev", o.gyro_alignment.bias_stddev, 1e-4, 1.0);
+  o.gyro_alignment.time_offset = p.number("time_offset", o.gyro_alignment.time_offset, -1.0, 1.0);
+  o.gyro_alignment.time_offset_stddev = p.number("time_offset_stddev", o.gyro_alignment.time_offset_stddev, 0.0, 0.1);
+  o.readout_time = p.number("readout_time", o.readout_time, -0.1, 0.1);
 
   o.tracker.max_features = p.integer("max_features", o.tracker.max_features, 40, 2000);
   o.tracker.min_distance = p.integer("feature_distance", o.tracker.min_distance, 4, 100);

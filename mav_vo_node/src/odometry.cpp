@@ -13,18 +13,11 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kRestSeconds = 0.6;        // the image and the IMU must be still for so long
-constexpr double kRestPixels = 0.4;         // median motion of the features per image [px]
-constexpr double kRestGyro = 0.015;         // scatter [rad/s]
-constexpr double kRestAccel = 0.2;          // scatter [m/s^2]
-constexpr double kRestGyroMean = 0.1;       // a larger mean rate is no bias [rad/s]
-constexpr double kKnownBiasDrift = 1e-3;    // of a direction turned by the gyro, with a bias measured at rest [rad/s]
-constexpr double kUnknownBiasDrift = 1e-2;  // without
+constexpr double kImuRestBiasSigma = 0.01;  // of one that the IMU alone calls a rest [rad/s]
 constexpr double kMapTilt = 0.002;          // of the adjusted map as a whole [rad]
 constexpr double kMetricTilt = 0.01;        // of the metric map's z axis against gravity [rad]
 constexpr std::size_t kRecentImages = 800;  // whose inertial motion is kept for the scale filter
 constexpr double kPlaceEvery = 5;           // images between searches for a known place while lost
-constexpr int kScaleTrial = 40;             // images after which a scale that most of them reject is given up
 constexpr double kMinInlierShare = 0.35;    // of the tracked landmarks; below, the pose is not believed
 
 template <typename T>
@@ -56,6 +49,8 @@ void OdometrySettings::validate() const {
   require(max_speed > 0 && relocalization_slack >= 0, "max_speed must be positive, relocalization_slack not negative");
   require(max_image_keyframes >= 10, "max_image_keyframes must be at least 10");
   require(scale.start_max_nis >= 1, "scale.start_max_nis must be at least 1");
+  require(std::abs(readout_time) <= 0.1, "readout_time must lie within 0.1 s");
+  require(std::abs(gyro_alignment.time_offset) <= 1.0, "time_offset must lie within 1 s");
   require(lost_timeout > 0, "lost_timeout must be positive");
   require(increment_samples >= 50, "increment_samples must be at least 50");
 }
@@ -83,16 +78,22 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       T_camera_imu(T_base_camera_.inverse() * T_base_imu),
       settings(settings_),
       tracker(camera_, settings_.tracker),
+      shutter(camera_, settings_.readout_time),
       bootstrap(camera_, settings_.bootstrap),
-      scale(settings_.scale, settings_.imu_noise, 0.1) {
+      scale(settings_.scale, settings_.imu_noise, 0.1),
+      gyro_alignment(settings_.gyro_alignment, settings_.imu_noise, T_camera_imu.linear(), sigma()),
+      standstill(settings_.standstill) {
   settings.validate();
+  imu.setOffset(settings.gyro_alignment.time_offset);
   if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
     throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
 }
 
 void Odometry::Impl::startMap() {
-  if (running.valid()) running.wait();
-  running = {};
+  for (RunningJob* job : {&running_local, &running_full}) {
+    if (job->result.valid()) job->result.wait();
+    *job = {};
+  }
   tracker.reset();
   bootstrap.reset();
   map.clear();
@@ -102,7 +103,7 @@ void Odometry::Impl::startMap() {
   keyframe_covariance.clear();
   hovering = false;
   records.clear();
-  scale.reset(up_sigma);
+  scale.reset(map_tilt);
   ++map_id;
   metric = false;
   state = OdometryState::kInitializing;
@@ -120,47 +121,14 @@ void Odometry::Impl::reset() {
   imu.clear();
   attitude.reset();
   bias = {};
-  gyro_bias_known = false;
+  gyro_alignment.reset();
+  standstill.reset();
+  imu.setOffset(settings.gyro_alignment.time_offset);
   up_imu.reset();
   up_sigma = 0.1;
-  still_since = -1;
   last_stamp = -1;
   state = OdometryState::kWaiting;
   reason = "no image yet";
-}
-
-// Gravity and gyro bias while the vehicle stands: the IMU alone cannot tell standing from flying straight, the image
-// can.
-void Odometry::Impl::watchRest(double stamp) {
-  if (up_imu && R_previous_current) {
-    const Eigen::Matrix3d R_camera_imu = T_camera_imu.linear();
-    *up_imu = (R_camera_imu.transpose() * R_previous_current->transpose() * R_camera_imu * *up_imu).normalized();
-    up_sigma = std::min(0.5, up_sigma + (gyro_bias_known ? kKnownBiasDrift : kUnknownBiasDrift) * (stamp - last_stamp));
-  } else if (up_imu) {
-    // The IMU had a gap: what the vehicle did meanwhile is not known. The attitude filter takes over.
-    up_imu.reset();
-    up_sigma = 0.1;
-  }
-  std::vector<double> motion;
-  for (const Feature& f : tracker.features())
-    if (f.age > 0) motion.push_back((f.pixel - f.previous_pixel).norm());
-  const bool still =
-      motion.size() >= 10 && quantile(motion, 0.5) < kRestPixels;  // a camera that sees nothing knows nothing
-  if (!still)
-    still_since = -1;
-  else if (still_since < 0)
-    still_since = stamp;
-  if (still_since < 0 || stamp - still_since < kRestSeconds) return;
-  const auto mean = imu.mean(stamp - kRestSeconds, stamp);
-  if (mean.count < 20 || mean.angular_velocity_std > kRestGyro || mean.specific_force_std > kRestAccel ||
-      mean.angular_velocity.norm() > kRestGyroMean || std::abs(mean.specific_force.norm() - kGravity) > 0.6)
-    return;
-  // Once the map is metric its own estimate is better than a short rest in the air.
-  if (metric) return;
-  bias.gyro = mean.angular_velocity;
-  gyro_bias_known = true;
-  up_imu = mean.specific_force.normalized();
-  up_sigma = 0.012;
 }
 
 std::optional<LandmarkId> Odometry::Impl::landmarkOf(TrackId track) const {
@@ -174,10 +142,39 @@ std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<Trac
   for (const Feature& f : tracker.features()) {
     const auto id = landmarkOf(f.id);
     if (!id) continue;
-    list.push_back({map.landmark(*id).position, f.normalized, sigma(), 0, 0});
+    const Eigen::Vector2d ray = rayOf(f);
+    const auto noise = camera.normalizedNoise(ray, settings.pixel_sigma);
+    list.push_back({map.landmark(*id).position, ray, noise.sigma, 0, 0, noise.elongation});
     tracks->push_back(f.id);
   }
   return list;
+}
+
+void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
+  if (!shutter.active()) return;
+  const double half = 0.5 * std::abs(settings.readout_time);
+  const auto turn = cameraTurn(stamp - half, stamp + half);
+  shutter.setMotion(
+      turn ? Eigen::Vector3d(air_ground_common::logSO3(turn->R_a_b) / (2 * half)) : Eigen::Vector3d::Zero(),
+      predicted.linear().transpose() * velocity);
+}
+
+Eigen::Vector2d Odometry::Impl::rayOf(const Feature& feature) const {
+  if (!shutter.active()) return feature.normalized;
+  double inverse_depth = 0;
+  if (map.keyframeCount() > 0) {
+    const auto id = landmarkOf(feature.id);
+    const double depth = id ? (T_map_camera.inverse() * map.landmark(*id).position).z() : scene_distance;
+    if (depth > 0.1 * scene_distance) inverse_depth = 1 / depth;
+  }
+  return shutter.toMiddleRow(feature.pixel, feature.normalized, inverse_depth);
+}
+
+std::vector<Feature> Odometry::Impl::currentFeatures() const {
+  std::vector<Feature> features = tracker.features();
+  if (shutter.active())
+    for (Feature& f : features) f.normalized = rayOf(f);
+  return features;
 }
 
 FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
@@ -191,40 +188,49 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
     result.reason = "the image's stamp is not later than the last one's";
     return result;
   }
-  adoptFinished(false);
+  adoptDue();
   image = &gray;
   R_previous_current.reset();
-  if (settings.use_imu && last_stamp >= 0) {
-    if (const auto R = imu.integrateRotation(last_stamp, stamp, bias.gyro))
-      R_previous_current = T_camera_imu.linear() * *R * T_camera_imu.linear().transpose();
-  }
+  if (last_stamp >= 0)
+    if (const auto turn = cameraTurn(last_stamp, stamp)) R_previous_current = turn->R_a_b;
   const bool tracking = state == OdometryState::kScaling || state == OdometryState::kTracking;
   visual_frontend::TrackPrediction prediction;
   Pose predicted = T_map_camera;
   if (R_previous_current) prediction.R_current_previous = R_previous_current->transpose();
-  if (tracking && located_stamp == last_stamp) {
+  const bool predictable = tracking && located_stamp == last_stamp;
+  if (predictable) {
     predicted.translation() += velocity * (stamp - located_stamp);
     if (R_previous_current) predicted.linear() = T_map_camera.linear() * *R_previous_current;
+  }
+  followShutter(stamp, predicted);
+  if (predictable) {
     const Pose T_camera_map = predicted.inverse();
     for (const Feature& f : tracker.features()) {
       const auto id = landmarkOf(f.id);
       if (!id) continue;
-      if (const auto pixel = camera.project(T_camera_map * map.landmark(*id).position))
-        prediction.pixels[f.id] = *pixel;
+      const Eigen::Vector3d p_camera = T_camera_map * map.landmark(*id).position;
+      if (const auto pixel = camera.project(p_camera)) prediction.pixels[f.id] = shutter.toItsRow(*pixel, p_camera);
     }
   }
   tracker.track(gray, prediction);
   result.tracked = static_cast<int>(tracker.features().size());
-  watchRest(stamp);
+  if (settings.use_imu) {
+    carryUp(stamp);
+    if (const auto rest = standstill.add(stamp, tracker.features(), imu.buffer(), imu.stamp(stamp)))
+      useStandstill(*rest);
+    alignGyro(stamp);
+  }
   if (tracking) T_map_camera = predicted;
   last_stamp = stamp;
 
   if (state == OdometryState::kWaiting) {
+    // The IMU seemed to rest before the images began: a hint, no more.
+    if (settings.use_imu && attitude.biasKnown()) gyro_alignment.setBias(attitude.gyroBias(), kImuRestBiasSigma);
     state = OdometryState::kInitializing;
     reason = "first image";
   }
   if (state == OdometryState::kInitializing) {
-    initialize(R_previous_current);
+    initialize();
   } else if (tracking) {
     if (locate(R_previous_current.has_value())) {
       localized(true);
@@ -250,88 +256,13 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   return result;
 }
 
-void Odometry::Impl::initialize(const std::optional<Eigen::Matrix3d>& R) {
-  if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features)
-    tracker.replenish();
-  auto start = bootstrap.add(last_stamp, tracker.features(), tracker.pyramid(), R);
-  if (!start) {
-    reason = "initialising: " + bootstrap.reason();
-    return;
-  }
-  // Level the map with what is known of gravity, heading 0 at the first view's base_link.
-  const BootstrapView &first = start->views.front(), &last = start->views.back();
-  Eigen::Matrix3d R_map_first;
-  double tilt = 0.5;
-  std::optional<Eigen::Vector3d> up;
-  const bool filtered = settings.use_imu && attitude.initialized();
-  if (up_imu && !(filtered && up_sigma > std::max(0.03, attitude.upSigma()))) {
-    up = *up_imu;
-    tilt = up_sigma;
-  } else if (filtered) {
-    up = attitude.up();
-    tilt = std::max(0.03, attitude.upSigma());
-    up_imu = up;
-    up_sigma = tilt;
-  }
-  if (up) {
-    const Eigen::Vector3d up_last = T_camera_imu.linear() * *up;
-    R_map_first = air_ground_common::levelingRotation(last.T_first_camera.linear() * up_last);
-  } else {
-    // No gravity: the vehicle is taken to be level.
-    R_map_first = T_base_camera.linear();
-  }
-  const double yaw = air_ground_common::yawOf(R_map_first * T_base_camera.linear().transpose());
-  R_map_first = Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix() * R_map_first;
-  Pose T_map_first = Pose::Identity();
-  T_map_first.linear() = R_map_first;
-
-  std::unordered_map<TrackId, LandmarkId> landmark_of;
-  for (const auto& point : start->points) landmark_of[point.track] = map.addLandmark(T_map_first * point.position);
-  for (BootstrapView& view : start->views) {
-    Keyframe keyframe;
-    keyframe.stamp = view.stamp;
-    keyframe.T_map_camera = T_map_first * view.T_first_camera;
-    for (const Feature& f : view.features) {
-      visual_frontend::Observation o;
-      const auto it = landmark_of.find(f.id);
-      if (it != landmark_of.end()) o.landmark = it->second;
-      o.track = f.id;
-      o.pixel = f.pixel;
-      o.normalized = f.normalized;
-      keyframe.observations.push_back(o);
-    }
-    keyframe.pyramid = std::move(view.pyramid);
-    if (up) {
-      keyframe.up_camera = keyframe.T_map_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
-      keyframe.up_sigma = std::max(0.01, tilt);
-    }
-    insertKeyframe(std::move(keyframe));
-  }
-  track_landmark = landmark_of;
-  bootstrap.reset();
-  scale.reset(tilt);
-  scene_distance = 1;
-  velocity = (map.keyframe(map.lastKeyframe()).T_map_camera.translation() - T_map_first.translation()) /
-             (last.stamp - first.stamp);
-  T_map_camera = map.keyframe(map.lastKeyframe()).T_map_camera;
-  located_stamp = -1;
-  state = OdometryState::kScaling;
-  reason = "metric scale is not known yet";
-  if (locate(false)) {
-    localized(false);
-    triangulateTracks(map.lastKeyframe());
-  } else {
-    startMap();
-    reason = "initialising: the first map did not hold";
-  }
-}
-
 bool Odometry::Impl::locate(bool gyro) {
   std::vector<TrackId> tracks;
   const auto points = correspondences(&tracks);
   last_pose = PoseResult{};
   if (static_cast<int>(points.size()) < settings.min_inliers) {
-    last_pose.reason = "only " + std::to_string(points.size()) + " landmarks in view";
+    last_pose.reason = "only " + std::to_string(points.size()) + " known landmarks in view, " +
+                       std::to_string(settings.min_inliers) + " needed: move more slowly, or turn back to known ground";
     return false;
   }
   visual_frontend::RansacSettings ransac;
@@ -349,15 +280,16 @@ bool Odometry::Impl::locate(bool gyro) {
   visual_frontend::RefineSettings refine;
   if (gyro) {
     refine.R_map_camera_prior = T_map_camera.linear();
-    refine.rotation_prior_sigma = settings.gyro_prior_sigma;
+    refine.rotation_prior_sigma =
+        std::hypot(settings.gyro_prior_sigma, gyro_alignment.biasStddev() * (last_stamp - located_stamp));
   }
   last_pose = visual_frontend::refinePose(points, start.T_map_camera, refine);
   if (!last_pose.success) return false;
   if (last_pose.inlier_count < settings.min_inliers ||
       last_pose.inlier_count < kMinInlierShare * static_cast<double>(points.size())) {
     last_pose.success = false;
-    last_pose.reason =
-        std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) + " landmarks agree on a pose";
+    last_pose.reason = std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) +
+                       " landmarks agree on a pose: something large moves in view, or the image is blurred";
     return false;
   }
   T_map_camera = last_pose.T_map_camera;
@@ -402,13 +334,8 @@ void Odometry::Impl::localized(bool continuous) {
     velocity.setZero();
   }
   std::optional<Preintegration> motion;
-  if (known_before && settings.use_imu) {
-    const auto samples = samplesBetween(imu, located_stamp, last_stamp);
-    if (samples.size() >= 2) {
-      motion.emplace(settings.imu_noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
-      motion->integrate(samples);
-    }
-  }
+  if (known_before && settings.use_imu)
+    motion = imu.motion(located_stamp, last_stamp, settings.imu_noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
   if (metric && settings.use_imu) {
     up_imu = (T_map_camera.linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ();
     up_sigma = kMetricTilt;
@@ -429,7 +356,7 @@ void Odometry::Impl::localized(bool continuous) {
   }
   if (keyframe) addKeyframe();
   // A scale that most images since its start speak against was wrong from the start.
-  if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(up_sigma);
+  if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(map_tilt);
   if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(settings.metric_stddev) &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
@@ -437,14 +364,6 @@ void Odometry::Impl::localized(bool continuous) {
   T_map_camera = poseOfRecord(records.size() - 1);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric ? "" : scaleReason();
-}
-
-std::string Odometry::Impl::scaleReason() const {
-  if (!settings.use_imu) return "no IMU: the scale stays unknown";
-  if (!imu_problem.empty()) return imu_problem;
-  if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))
-    return "metric scale is not known: IMU and images tell of different motions (mounting, unit, time stamps?)";
-  return "metric scale is not known yet";
 }
 
 // Where five points cannot tell (hovering, turning on the spot, too few tracks) the poses' covariance stays.
@@ -513,7 +432,7 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   }
   const auto match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
   if (!match.success) {
-    reason = "lost: " + match.reason;
+    reason = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";
     return false;
   }
   T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
@@ -558,6 +477,10 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->increment = increment;
   result->scale = scale.initialized() ? scale.scale() : 1.0;
   result->scale_stddev = scale.scaleStddev();
+  result->imu_bias = bias;
+  result->gyro_bias_stddev = gyro_alignment.biasStddev();
+  result->time_offset = imu.offset();
+  result->time_offset_stddev = settings.gyro_alignment.time_offset_stddev > 0 ? gyro_alignment.timeOffsetStddev() : 0;
   result->pose_valid = located_stamp >= 0 && located_stamp == result->stamp && last_pose.success;
   if (!result->pose_valid) return;
   result->inliers = inliers;
@@ -587,6 +510,10 @@ bool Odometry::addImu(const ImuSample& sample) {
   return true;
 }
 
+double Odometry::imuNeededAt(double image_stamp) const {
+  return impl_->imu.stamp(image_stamp) + 0.5 * std::abs(impl_->settings.readout_time);
+}
+
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }
 FrameResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
 void Odometry::reset() { impl_->reset(); }
@@ -594,7 +521,7 @@ const visual_frontend::Map& Odometry::map() const { return impl_->map; }
 const std::vector<Feature>& Odometry::features() const { return impl_->tracker.features(); }
 bool Odometry::metric() const { return impl_->metric; }
 std::uint32_t Odometry::mapId() const { return impl_->map_id; }
-void Odometry::finish() { impl_->adoptFinished(true); }
+void Odometry::finish() { impl_->adoptAll(); }
 
 std::vector<bool> Odometry::mappedFeatures() const {
   std::vector<bool> mapped;

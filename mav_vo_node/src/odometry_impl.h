@@ -1,4 +1,5 @@
-// State of the odometry, shared by odometry.cpp (images to poses) and odometry_mapping.cpp (keyframes, map, scale).
+// State of the odometry, shared by odometry.cpp (images to poses), odometry_start.cpp (bias, gravity, first views) and
+// odometry_mapping.cpp (keyframes, map, scale).
 #pragma once
 
 #include <future>
@@ -7,6 +8,7 @@
 #include <unordered_map>
 
 #include "bundle_job.h"
+#include "image_clock_imu.h"
 #include "mav_vo/odometry.h"
 #include "visual_frontend/imu_attitude.h"
 #include "visual_frontend/pose_solver.h"
@@ -22,16 +24,23 @@ using visual_frontend::PoseCorrespondence;
 using visual_frontend::PoseResult;
 using visual_frontend::TrackId;
 
+constexpr int kScaleTrial = 40;  // images after which a scale that most of them reject is given up
+
 struct Odometry::Impl {
   Impl(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings);
 
   // odometry.cpp: one image
   FrameResult process(double stamp, const cv::Mat& gray);
   std::string scaleReason() const;  ///< why the map is not metric
+  std::string gyroProblem() const;  ///< empty: gyro and images agree
   void startMap();                  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   void reset();
-  void watchRest(double stamp);
-  void initialize(const std::optional<Eigen::Matrix3d>& R_previous_current);
+  void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
+  void useStandstill(const Standstill& rest);
+  void alignGyro(double stamp);  ///< gyro bias and time offset from the tracks
+  std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
+  void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
+  void initialize();
   bool locate(bool gyro);  ///< pose of the current image from tracked landmarks
   bool relocalize(const cv::Mat& gray, bool gyro);
   void localized(bool continuous);  ///< bookkeeping after a pose was found
@@ -39,6 +48,9 @@ struct Odometry::Impl {
   void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
   std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* tracks) const;
   std::optional<LandmarkId> landmarkOf(TrackId track) const;
+  void followShutter(double stamp, const Pose& predicted);  ///< motion of the camera during the image
+  Eigen::Vector2d rayOf(const Feature& feature) const;      ///< normalised, as the middle row would see it
+  std::vector<Feature> currentFeatures() const;             ///< with such rays
   void fillResult(FrameResult* result) const;
   Matrix6d mapCovariance(const Matrix6d& camera_covariance) const;
 
@@ -52,9 +64,13 @@ struct Odometry::Impl {
   void adjustFully();
   void run(BundleJob job);
   void adopt(const BundleJob& job);
-  void adoptFinished(bool wait);
+  void adoptDue();    ///< of adjustments beside the tracking, what this image must have
+  void adoptLocal();  ///< waits
+  void adoptAll();    ///< waits
   ScaleMeasurement scaleMeasurement(const Pose& T_map_camera, double distance) const;
   void rerunScale();  ///< over the recent images, as the adjusted map places them
+  void retime();      ///< the inertial motion between images, after a change of the time offset
+  double gyroBiasPrior() const;
   void makeMetric();
   void transformMap(const air_ground_common::Similarity& S_new_old);
   Pose poseOfRecord(std::size_t i) const;
@@ -65,15 +81,18 @@ struct Odometry::Impl {
   OdometrySettings settings;
 
   visual_frontend::FeatureTracker tracker;
+  RollingShutter shutter;
   Bootstrap bootstrap;
   ScaleFilter scale;
-  visual_frontend::ImuBuffer imu{12.0};
+  GyroAlignment gyro_alignment;
+  StandstillDetector standstill;
+  ImageClockImu imu{12.0};
   visual_frontend::AttitudeFilter attitude;
   ImuBias bias;
-  bool gyro_bias_known = false;
-  std::optional<Eigen::Vector3d> up_imu;  ///< against gravity, IMU frame, at last_stamp
-  double up_sigma = 0.1;                  ///< [rad]
-  double still_since = -1;                ///< the image has not moved since [s]; negative: it moves
+  std::optional<Eigen::Vector3d>
+      up_imu;             ///< against gravity, IMU frame, at last_stamp; since a rest, or in a metric map
+  double up_sigma = 0.1;  ///< [rad]
+  double map_tilt = 0.1;  ///< of the map's z axis when the map began [rad]
 
   visual_frontend::Map map;
   InertialMap inertial;
@@ -118,7 +137,13 @@ struct Odometry::Impl {
   };
   std::vector<FrameRecord> records;
 
-  std::future<BundleJob> running;
+  /// An adjustment on a thread of its own.
+  struct RunningJob {
+    std::future<BundleJob> result;
+    double stamp = 0;  ///< begun, or last asked for, at this image [s]
+    int images = 0;    ///< since
+  };
+  RunningJob running_local, running_full;
   const cv::Mat* image = nullptr;  ///< the one being processed
 };
 

@@ -1,6 +1,11 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#ifdef __linux__
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#endif
 
 #include "odometry_impl.h"
 #include "visual_frontend/triangulation.h"
@@ -12,11 +17,22 @@ namespace {
 constexpr double kMovingShare = 0.01;       // of the scene's distance; below, the vehicle hovers
 constexpr double kHoverInterval = 3.0;      // a keyframe once the vehicle hovers, so that inertial links stay short [s]
 constexpr double kLongHoverInterval = 9.0;  // and while it goes on hovering; the IMU's samples reach back 12 s [s]
-constexpr double kRestBiasSigma = 1e-3;     // of a gyro bias measured at rest [rad/s]
+constexpr double kMinGyroBiasPrior = 1e-3;  // [rad/s]
+constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
+constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
 constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
 constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
+constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
+constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
+
+/// A thread of the lowest priority delays neither tracking nor local adjustments.
+void yieldToOtherThreads() {
+#ifdef __linux__
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
+#endif
+}
 
 }  // namespace
 
@@ -46,13 +62,8 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const double stamp = keyframe.stamp;
   const KeyframeId previous = map.lastKeyframe();
   std::optional<Preintegration> motion;
-  if (settings.use_imu && previous != visual_frontend::kNoKeyframe) {
-    const auto samples = samplesBetween(imu, map.keyframe(previous).stamp, stamp);
-    if (samples.size() >= 2) {
-      motion.emplace(settings.imu_noise, bias);
-      motion->integrate(samples);
-    }
-  }
+  if (settings.use_imu && previous != visual_frontend::kNoKeyframe)
+    motion = imu.motion(map.keyframe(previous).stamp, stamp, settings.imu_noise, bias);
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
     const auto& o = map.keyframe(id).observations[i];
@@ -80,7 +91,7 @@ void Odometry::Impl::addKeyframe() {
   keyframe.stamp = last_stamp;
   keyframe.T_map_camera = T_map_camera;
   int landmarks = 0;
-  for (const Feature& f : tracker.features()) {
+  for (const Feature& f : currentFeatures()) {
     visual_frontend::Observation o;
     if (const auto id = landmarkOf(f.id)) {
       o.landmark = *id;
@@ -96,7 +107,7 @@ void Odometry::Impl::addKeyframe() {
   if (!hovering)
     for (const cv::Mat& level : tracker.pyramid()) keyframe.pyramid.push_back(level.clone());
   visual_frontend::describeKeyframe(*image, camera, settings.place, keyframe);
-  if (!metric && up_imu) {
+  if (!metric && up_imu && up_sigma < kTrustedTilt) {
     keyframe.up_camera = T_camera_imu.linear() * *up_imu;
     keyframe.up_sigma = std::max(0.02, up_sigma);
   }
@@ -127,7 +138,9 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
     std::vector<visual_frontend::ViewRay> rays;
     for (const LandmarkObservation& o : seen->second) {
       const Keyframe& keyframe = map.keyframe(o.keyframe);
-      rays.push_back({keyframe.T_map_camera, keyframe.observations[o.index].normalized, sigma(), 0, 0});
+      const Eigen::Vector2d& normalized = keyframe.observations[o.index].normalized;
+      const auto noise = camera.normalizedNoise(normalized, settings.pixel_sigma);
+      rays.push_back({keyframe.T_map_camera, normalized, noise.sigma, 0, 0, noise.elongation});
     }
     const auto point = visual_frontend::triangulate(rays, how);
     if (!point.ok()) {
@@ -172,8 +185,8 @@ void Odometry::Impl::adjustLocally() {
     if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front()))
       fixed.push_back(other.keyframe);
   }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), metric, T_camera_imu);
-  if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
+  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, metric, T_camera_imu);
+  job.settings.gyro_bias_prior = gyroBiasPrior();
   job.settings.max_iterations = settings.local_iterations;
   job.settings.threads = settings.bundle_threads;
   job.settings.max_seconds = 10;
@@ -188,9 +201,9 @@ void Odometry::Impl::adjustFully() {
     fixed.assign(free.begin(), first);
     free.erase(free.begin(), first);
   }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, sigma(), true, T_camera_imu);
+  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, true, T_camera_imu);
   job.full = true;
-  if (gyro_bias_known) job.settings.gyro_bias_prior = kRestBiasSigma;
+  job.settings.gyro_bias_prior = gyroBiasPrior();
   job.settings.max_iterations = settings.full_iterations;
   job.settings.threads = settings.bundle_threads;
   job.settings.max_seconds = 20;
@@ -205,21 +218,45 @@ void Odometry::Impl::run(BundleJob job) {
     adopt(job);
     return;
   }
-  // A thread that is still at work keeps its task; what this one would have done comes with the next keyframe.
-  if (running.valid()) {
-    if (job.full) next_full = last_stamp;
+  RunningJob& slot = job.full ? running_full : running_local;
+  // At most one of each kind. Keyframes closer together than the lag wait for the one before.
+  if (job.full && slot.result.valid()) {
+    next_full = last_stamp;
     return;
   }
-  running = std::async(std::launch::async, [job = std::move(job)]() mutable {
+  if (slot.result.valid()) adoptLocal();
+  slot.stamp = last_stamp;
+  slot.images = 0;
+  slot.result = std::async(std::launch::async, [job = std::move(job)]() mutable {
+    if (job.full) yieldToOtherThreads();
     job.solve();
     return std::move(job);
   });
 }
 
-void Odometry::Impl::adoptFinished(bool wait) {
-  if (!running.valid()) return;
-  if (!wait && running.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
-  adopt(running.get());
+// The image that takes a result over is known when the adjustment begins, not by when its thread has finished: what a
+// recording gives does not depend on how busy the machine is. A late result is waited for, so that no image is tracked
+// on an older map than it would be on an idle machine. The adjustment of the whole map may take seconds; local ones go
+// on beside, and it is asked for once a second of the recording.
+void Odometry::Impl::adoptDue() {
+  if (running_local.result.valid() && ++running_local.images >= kAdoptAfterImages) adoptLocal();
+  if (!running_full.result.valid() || last_stamp - running_full.stamp < kAdoptFullAfter) return;
+  running_full.stamp = last_stamp;
+  if (running_full.result.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+  adoptAll();
+}
+
+// A local result begun before the whole map moved must be in before that.
+void Odometry::Impl::adoptAll() {
+  adoptLocal();
+  if (!running_full.result.valid()) return;
+  adopt(running_full.result.get());
+  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
+}
+
+void Odometry::Impl::adoptLocal() {
+  if (!running_local.result.valid()) return;
+  adopt(running_local.result.get());
   if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
 }
 
@@ -262,6 +299,34 @@ void Odometry::Impl::rerunScale() {
   }
 }
 
+double Odometry::Impl::gyroBiasPrior() const {
+  return std::clamp(gyro_alignment.biasStddev(), kMinGyroBiasPrior, kMaxGyroBiasPrior);
+}
+
+// Links whose samples are gone keep the offset of their time.
+void Odometry::Impl::retime() {
+  for (auto& link : inertial.links) {
+    const auto here = map.keyframes().find(link.first);
+    if (here == map.keyframes().end() || here == map.keyframes().begin()) continue;
+    const auto motion =
+        imu.motion(std::prev(here)->second.stamp, here->second.stamp, settings.imu_noise, link.second.bias());
+    if (motion) link.second = *motion;
+  }
+  for (std::size_t i = 1; i < records.size(); ++i) {
+    if (!records[i].motion) continue;
+    const auto motion =
+        imu.motion(records[i - 1].stamp, records[i].stamp, settings.imu_noise, records[i].motion->bias());
+    if (motion) records[i].motion = std::make_unique<const Preintegration>(*motion);
+  }
+  if (metric) return;
+  scale.reset(map_tilt);
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    const auto& motion = records[i].motion;
+    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance),
+              motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+  }
+}
+
 void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   map.transform(S);
   for (auto& record : records) {
@@ -296,9 +361,9 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
 }
 
 void Odometry::Impl::makeMetric() {
-  adoptFinished(true);
+  adoptAll();
   const auto& estimate = scale.state();
-  const Eigen::Vector3d up(-estimate.gravity_xy.x(), -estimate.gravity_xy.y(), kGravity);
+  const Eigen::Vector3d up = -estimate.gravity();
   air_ground_common::Similarity S;
   S.scale = estimate.scale;
   S.R = air_ground_common::levelingRotation(up);
@@ -337,7 +402,7 @@ void Odometry::Impl::makeMetric() {
   for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
   full_interval = settings.full_interval / 2;
   adjustFully();
-  adoptFinished(true);
+  adoptAll();
   full_interval = settings.full_interval / 2;
   next_full = last_stamp + full_interval;
 }

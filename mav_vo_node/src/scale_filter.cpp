@@ -1,6 +1,7 @@
 #include "mav_vo/scale_filter.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -13,6 +14,10 @@ constexpr int kMaxRejectedInARow = 10;
 constexpr double kMapVelocityStddev = 0.05;  // of a velocity taken from bundle adjustment [m/s]
 constexpr double kDiffuseRatio = 30.0;     // standard deviation of the scale before the start, against the scale itself
 constexpr double kMaxRejectedShare = 0.1;  // of the measurements since the start, when the scale counts as certain
+constexpr double kSmallTilt = 0.05;        // below, gravity is as good as linear in the tilt [rad]
+constexpr double kMaxTiltSine = 0.95;      // of gravity against the map's z axis
+constexpr int kMinUpdates = 10;            // since the start, that must confirm it
+constexpr double kMaxMeanNis = 2.0;        // since the start, when the scale counts as certain; 1 expected
 constexpr double kForcedScaleStddev = 0.1;  // added when a row of rejections forces the motion to start afresh [1]
 
 using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
@@ -38,6 +43,13 @@ void addError(const ErrorVector& error, ScaleFilter::State* state) {
   state->gravity_xy += error.segment<2>(kG);
 }
 
+/// Derivative of gravity by its horizontal components: its length stays.
+Eigen::Matrix<double, 3, 2> gravityJacobian(const Eigen::Vector3d& gravity) {
+  Eigen::Matrix<double, 3, 2> D;
+  D << 1, 0, 0, 1, -gravity.x() / gravity.z(), -gravity.y() / gravity.z();
+  return D;
+}
+
 Eigen::Vector3d lever(const ScaleMeasurement& m) { return m.R_map_imu * m.p_imu_camera; }
 
 /// Visual position of the camera: exp(-L) (p + R l).
@@ -55,6 +67,11 @@ MeasurementMatrix measurementMatrix(const ScaleFilter::State& state, const Scale
 
 }  // namespace
 
+Eigen::Vector3d ScaleFilter::State::gravity() const {
+  const double horizontal = std::min(gravity_xy.squaredNorm(), kMaxTiltSine * kMaxTiltSine * kGravity * kGravity);
+  return {gravity_xy.x(), gravity_xy.y(), -std::sqrt(kGravity * kGravity - horizontal)};
+}
+
 ScaleFilter::ScaleFilter(const ScaleFilterSettings& settings, const ImuNoise& noise, double tilt_stddev)
     : settings_(settings), noise_(noise), tilt_stddev_(tilt_stddev) {
   noise_.validate();
@@ -69,7 +86,9 @@ void ScaleFilter::reset(double tilt_stddev) {
   rejected_in_a_row_ = 0;
   frames_waited_ = 0;
   updates_ = rejected_updates_ = 0;
+  nis_sum_ = 0;
   contradicted_ = false;
+  start_stddev_ = std::numeric_limits<double>::infinity();
 }
 
 void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velocity, const Eigen::Vector3d& accel_bias,
@@ -87,6 +106,7 @@ void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velo
   R_before_ = m.R_map_imu;
   rejected_in_a_row_ = 0;
   updates_ = rejected_updates_ = 0;
+  nis_sum_ = 0;
   initialized_ = true;
 }
 
@@ -95,7 +115,8 @@ double ScaleFilter::rejectedShare() const {
 }
 
 bool ScaleFilter::certain(double relative_stddev) const {
-  return initialized_ && relativeStddev() < relative_stddev && rejectedShare() <= kMaxRejectedShare;
+  return initialized_ && updates_ >= kMinUpdates && relativeStddev() < relative_stddev &&
+         rejectedShare() <= kMaxRejectedShare && meanNis() <= kMaxMeanNis;
 }
 
 double ScaleFilter::relativeStddev() const {
@@ -122,7 +143,7 @@ ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_d
 void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out,
                             Covariance* Q_out) const {
   const double dt = motion.duration();
-  const Eigen::Vector3d gravity(state->gravity_xy.x(), state->gravity_xy.y(), -kGravity);
+  const Eigen::Vector3d gravity = state->gravity();
   // Rotation comes from vision, so the deltas use the gyro bias they were integrated at.
   const ImuBias bias{motion.bias().gyro, state->accel_bias};
   state->p += state->v * dt + 0.5 * dt * dt * gravity + R * motion.position(bias);
@@ -133,8 +154,9 @@ void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d&
   F.block<3, 3>(kP, kV) = Eigen::Matrix3d::Identity() * dt;
   F.block<3, 3>(kP, kB) = R * motion.biasJacobian().block<3, 3>(6, 3);
   F.block<3, 3>(kV, kB) = R * motion.biasJacobian().block<3, 3>(3, 3);
-  F.block<2, 2>(kP, kG) = Eigen::Matrix2d::Identity() * 0.5 * dt * dt;
-  F.block<2, 2>(kV, kG) = Eigen::Matrix2d::Identity() * dt;
+  const Eigen::Matrix<double, 3, 2> D = gravityJacobian(gravity);
+  F.block<3, 2>(kP, kG) = 0.5 * dt * dt * D;
+  F.block<3, 2>(kV, kG) = dt * D;
   Covariance& Q = *Q_out;
   Q.setZero();
   const auto& C = motion.covariance();
@@ -212,16 +234,17 @@ std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
 bool ScaleFilter::start() {
   const std::optional<State> linear = linearSolution();
   if (!linear) return false;
-  // The linear solution is biased (its regressor p_visual is noisy): Gauss-Newton about the trajectory it predicts.
+  // The linear solution is biased (its regressor p_visual is noisy) and takes the length of gravity's vertical part for
+  // known: Gauss-Newton about the trajectory it predicts.
   State solution = *linear;
   Covariance P;
   double nis = 0;
-  for (int pass = 0; pass < 3; ++pass) {
+  for (int pass = 0; pass < (tilt_stddev_ > kSmallTilt ? 6 : 3); ++pass) {
     nis = 0;
     const ScaleMeasurement& first = window_.front().measurement;
     State nominal = solution;
     nominal.p = solution.scale * first.p_map_camera - lever(first);
-    const Eigen::Vector3d gravity(nominal.gravity_xy.x(), nominal.gravity_xy.y(), -kGravity);
+    const Eigen::Vector3d gravity = nominal.gravity();
     for (std::size_t i = 1; i < window_.size(); ++i) {
       const Preintegration& motion = *window_[i].motion;
       const ImuBias bias{motion.bias().gyro, nominal.accel_bias};
@@ -248,7 +271,8 @@ bool ScaleFilter::start() {
     nominal.scale *= std::exp(error(kS));
     solution = nominal;
   }
-  if (std::sqrt(P(kS, kS)) > settings_.start_relative_stddev) return false;
+  start_stddev_ = std::sqrt(P(kS, kS));
+  if (start_stddev_ > settings_.start_relative_stddev) return false;
   // A sure scale that does not fit: wrong unit, gravity removed, wrong mounting.
   contradicted_ = nis > settings_.start_max_nis * 3.0 * static_cast<double>(window_.size() - 1);
   if (contradicted_) return false;
@@ -264,6 +288,7 @@ void ScaleFilter::update(const ScaleMeasurement& m) {
   const Eigen::Matrix3d S = H * P_ * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
   last_nis_ = innovation.dot(S.ldlt().solve(innovation));
   ++updates_;
+  nis_sum_ += last_nis_ < settings_.gate ? last_nis_ : settings_.gate;
   if (!(last_nis_ < settings_.gate)) {
     ++rejected_;
     ++rejected_updates_;
@@ -300,7 +325,8 @@ void ScaleFilter::transform(const air_ground_common::Similarity& S) {
   state_.scale /= S.scale;
   state_.p = S.R * state_.p + state_.scale * S.t;
   state_.v = S.R * state_.v;
-  state_.gravity_xy = (S.R * Eigen::Vector3d(state_.gravity_xy.x(), state_.gravity_xy.y(), -kGravity)).head<2>();
+  const Eigen::Matrix<double, 3, 2> D = gravityJacobian(state_.gravity());
+  state_.gravity_xy = (S.R * state_.gravity()).head<2>();
   R_before_ = S.R * R_before_;
   for (Frame& frame : window_) {
     frame.measurement.p_map_camera = S * frame.measurement.p_map_camera;
@@ -311,7 +337,7 @@ void ScaleFilter::transform(const air_ground_common::Similarity& S) {
   T.block<3, 3>(kP, kP) = S.R;
   T.block<3, 1>(kP, kS) = state_.scale * S.t;
   T.block<3, 3>(kV, kV) = S.R;
-  T.block<2, 2>(kG, kG) = S.R.topLeftCorner<2, 2>();
+  T.block<2, 2>(kG, kG) = S.R.topRows<2>() * D;
   P_ = T * P_ * T.transpose();
 }
 

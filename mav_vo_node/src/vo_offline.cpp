@@ -1,5 +1,5 @@
-// Runs the odometry over a bag, synchronously and as fast as it goes: writes the trajectory (TUM) and, where the bag
-// holds ground truth, prints the absolute trajectory error and the scale error.
+// Runs the odometry over a bag, synchronously and as fast as it goes, or as the node does at the bag's own rate: writes
+// the trajectory (TUM) and, where the bag holds ground truth, prints the absolute trajectory error and the scale error.
 #include <geometry_msgs/PoseStamped.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
@@ -9,12 +9,20 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <deque>
+#include <filesystem>
+#include <functional>
 #include <iostream>
+#include <limits>
 #include <map>
+#include <numeric>
+#include <opencv2/imgcodecs.hpp>
+#include <thread>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/trajectory.h"
+#include "euroc_folder.h"
 #include "mav_vo/odometry.h"
 
 namespace {
@@ -36,27 +44,210 @@ void printError(const char* name, const air_ground_common::Trajectory& truth,
       100 * rigid.rmse / rigid.path_length, rigid.max, similar.rmse, 100 * (similar.reference_from_estimate.scale - 1));
 }
 
+/// What a recording holds beside its data.
+struct Setup {
+  std::optional<air_ground_common::CameraModel> camera;
+  Pose T_base_camera = Pose::Identity(), T_base_imu = Pose::Identity();
+};
+
+/// Feeds the odometry, each image once the IMU reaches to it, and keeps what came out.
+class OfflineRun {
+ public:
+  OfflineRun(const Setup& setup, const mav_vo::OdometrySettings& settings, double imu_shift, bool verbose)
+      : odometry_(*setup.camera, setup.T_base_camera, setup.T_base_imu, settings),
+        T_base_camera_(setup.T_base_camera),
+        use_imu_(settings.use_imu),
+        imu_shift_(imu_shift),
+        verbose_(verbose) {}
+
+  void addImu(mav_vo::ImuSample sample) {
+    sample.stamp += imu_shift_;
+    newest_imu_ = sample.stamp;
+    odometry_.addImu(sample);
+    drain(false);
+  }
+  void addImage(double stamp, std::function<cv::Mat()> load) {
+    images_.push_back({stamp, std::move(load)});
+    drain(false);
+  }
+  void addTruth(double stamp, const Pose& T_world_base) { truth_.push_back({stamp, T_world_base}); }
+
+  void finish() {
+    drain(true);
+    odometry_.finish();
+    std::sort(times_.begin(), times_.end());
+    const std::size_t frames = times_.size();
+    std::printf(
+        "%zu images, %zu localised (the first after %.2f s), map %u, %zu keyframes, metric after %.2f s; %.2f ms a "
+        "frame "
+        "(median %.2f, 95 %% %.2f, worst %.1f)\n",
+        frames, located_, located_at_, odometry_.mapId(), odometry_.map().keyframeCount(), metric_at_,
+        1e3 * std::accumulate(times_.begin(), times_.end(), 0.0) /
+            static_cast<double>(std::max<std::size_t>(1, frames)),
+        frames ? 1e3 * times_[frames / 2] : 0, frames ? 1e3 * times_[frames * 95 / 100] : 0,
+        frames ? 1e3 * times_.back() : 0);
+    if (use_imu_) printInertial();
+    if (truth_.empty()) return;
+    auto final_poses = odometry_.trajectory();
+    for (auto& p : final_poses) p.T_map_body = p.T_map_body * T_base_camera_.inverse();
+    printError("as published", truth_, online_);
+    printError("final       ", truth_, final_poses);
+  }
+  air_ground_common::Trajectory trajectory() const { return odometry_.trajectory(); }
+
+ private:
+  struct Image {
+    double stamp;
+    std::function<cv::Mat()> load;
+  };
+
+  void drain(bool all) {
+    while (!images_.empty() && (all || !use_imu_ || newest_imu_ >= odometry_.imuNeededAt(images_.front().stamp))) {
+      const Image image = std::move(images_.front());
+      images_.pop_front();
+      process(image.stamp, image.load());
+    }
+  }
+
+  void process(double stamp, const cv::Mat& gray) {
+    if (first_stamp_ < 0) first_stamp_ = stamp;
+    const auto r = odometry_.process(stamp, gray);
+    last_ = r;
+    located_ += r.pose_valid;
+    times_.push_back(r.seconds);
+    if (r.pose_valid && located_at_ < 0) located_at_ = stamp - first_stamp_;
+    if (r.metric && metric_at_ < 0) metric_at_ = stamp - first_stamp_;
+    if (r.metric && r.pose_valid) online_.push_back({stamp, r.T_map_base});
+    if (!verbose_ || stamp < next_line_) return;
+    next_line_ = stamp + 1.0;
+    std::printf(
+        "%6.2f %-12s map %u tracked %3d inliers %3d keyframes %3zu landmarks %4zu scale %.4f +- %.4f  %.1f ms  %s\n",
+        stamp - first_stamp_, mav_vo::toString(r.state), r.map_id, r.tracked, r.inliers, r.keyframes, r.landmarks,
+        r.scale, r.scale_stddev, 1e3 * r.seconds, r.reason.c_str());
+    printInertial();
+  }
+
+  void printInertial() const {
+    const auto& b = last_.imu_bias;
+    std::printf(
+        "       gyro bias %.4f %.4f %.4f +- %.4f rad/s, accelerometer bias %.3f %.3f %.3f m/s^2, time offset %.2f +- "
+        "%.2f "
+        "ms\n",
+        b.gyro.x(), b.gyro.y(), b.gyro.z(), last_.gyro_bias_stddev, b.accel.x(), b.accel.y(), b.accel.z(),
+        1e3 * last_.time_offset, 1e3 * last_.time_offset_stddev);
+  }
+
+  mav_vo::Odometry odometry_;
+  Pose T_base_camera_;
+  bool use_imu_;
+  double imu_shift_;
+  bool verbose_;
+  std::deque<Image> images_;
+  air_ground_common::Trajectory truth_, online_;
+  mav_vo::FrameResult last_;
+  std::vector<double> times_;
+  double newest_imu_ = -1, first_stamp_ = -1, located_at_ = -1, metric_at_ = -1, next_line_ = 0;
+  std::size_t located_ = 0;
+};
+
+struct Topics {
+  std::string image = "/mav/camera/image_raw", info = "/mav/camera/camera_info", imu = "/mav/imu/data",
+              truth = "/ground_truth/mav", base = "mav_base_link";
+};
+
+/// Calibration and mountings of a bag; no camera when something is missing.
+Setup readSetup(const rosbag::Bag& bag, const Topics& topics) {
+  Setup setup;
+  std::map<std::string, Pose> fixed;
+  std::string camera_frame, imu_frame;
+  for (const rosbag::MessageInstance& m :
+       rosbag::View(bag, rosbag::TopicQuery({"/tf_static", topics.info, topics.imu}))) {
+    if (const auto tf = m.instantiate<tf2_msgs::TFMessage>())
+      for (const auto& t : tf->transforms)
+        if (t.header.frame_id == topics.base) fixed[t.child_frame_id] = ros_utils::fromMsg(t.transform);
+    if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && !setup.camera) {
+      setup.camera = ros_utils::fromMsg(*info);
+      camera_frame = info->header.frame_id;
+    }
+    if (const auto imu = m.instantiate<sensor_msgs::Imu>(); imu && imu_frame.empty()) imu_frame = imu->header.frame_id;
+    if (setup.camera && !imu_frame.empty() && fixed.count(camera_frame) && fixed.count(imu_frame)) break;
+  }
+  if (!fixed.count(camera_frame)) {
+    std::cerr << "no calibration on " << topics.info << " or no static transform " << topics.base << " <- '"
+              << camera_frame << "'\n";
+    setup.camera.reset();
+    return setup;
+  }
+  setup.T_base_camera = fixed[camera_frame];
+  if (fixed.count(imu_frame)) setup.T_base_imu = fixed[imu_frame];
+  return setup;
+}
+
+/// `live`: at the rate of the bag, as far as the machine keeps up.
+void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double duration, bool live, OfflineRun& run) {
+  const ros::Time begin = rosbag::View(bag).getBeginTime() + ros::Duration(start);
+  const ros::Time end = duration > 0 ? begin + ros::Duration(duration) : ros::TIME_MAX;
+  const auto played = std::chrono::steady_clock::now();
+  double late = 0;
+  for (const rosbag::MessageInstance& m :
+       rosbag::View(bag, rosbag::TopicQuery({topics.image, topics.imu, topics.truth}), begin, end)) {
+    if (live) {
+      const auto due = played + std::chrono::duration<double>((m.getTime() - begin).toSec());
+      const std::chrono::duration<double> behind = std::chrono::steady_clock::now() - due;
+      late = std::max(late, behind.count());
+      std::this_thread::sleep_for(-behind);
+    }
+    if (const auto image = m.instantiate<sensor_msgs::Image>())
+      run.addImage(image->header.stamp.toSec(), [image] { return ros_utils::greyFromMsg(*image); });
+    if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
+      mav_vo::ImuSample sample;
+      sample.stamp = imu->header.stamp.toSec();
+      sample.angular_velocity = {imu->angular_velocity.x, imu->angular_velocity.y, imu->angular_velocity.z};
+      sample.specific_force = {imu->linear_acceleration.x, imu->linear_acceleration.y, imu->linear_acceleration.z};
+      run.addImu(sample);
+    }
+    if (const auto pose = m.instantiate<geometry_msgs::PoseStamped>())
+      run.addTruth(pose->header.stamp.toSec(), ros_utils::fromMsg(pose->pose));
+  }
+  if (live) std::printf("live: at most %.2f s behind the bag\n", late);
+}
+
+void runFolder(const mav_vo::EurocFolder& folder, double start, double duration, OfflineRun& run) {
+  const double begin = folder.images.front().stamp + start;
+  const double end = duration > 0 ? begin + duration : std::numeric_limits<double>::infinity();
+  for (const auto& pose : folder.truth) run.addTruth(pose.stamp, pose.T_map_body);
+  auto imu = folder.imu.begin();
+  for (const auto& image : folder.images) {
+    if (image.stamp < begin || image.stamp > end) continue;
+    for (; imu != folder.imu.end() && imu->stamp <= image.stamp; ++imu) run.addImu(*imu);
+    run.addImage(image.stamp, [path = image.path] { return cv::imread(path, cv::IMREAD_GRAYSCALE); });
+  }
+  for (; imu != folder.imu.end() && imu->stamp <= end + 0.2; ++imu) run.addImu(*imu);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"Visual odometry over a bag"};
-  std::string bag_path, out, image_topic = "/mav/camera/image_raw", info_topic = "/mav/camera/camera_info",
-                             imu_topic = "/mav/imu/data", truth_topic = "/ground_truth/mav", base = "mav_base_link";
-  double duration = 0, start = 0;
-  bool verbose = false;
+  CLI::App app{"Visual odometry over a bag, or over a folder in the EuRoC layout"};
+  std::string path, out;
+  Topics topics;
+  double duration = 0, start = 0, imu_shift = 0;
+  bool verbose = false, live = false;
   std::vector<double> calibration;
   mav_vo::OdometrySettings settings;
-  app.add_option("bag", bag_path, "bag file")->required();
+  app.add_option("recording", path, "bag file, or folder that holds mav0")->required();
   app.add_option("--out", out, "TUM file for the camera's trajectory");
-  app.add_option("--image", image_topic, "image topic");
-  app.add_option("--info", info_topic, "calibration topic");
-  app.add_option("--imu", imu_topic, "IMU topic");
-  app.add_option("--truth", truth_topic, "ground truth topic (pose of base_link)");
-  app.add_option("--base", base, "base frame");
+  app.add_option("--image", topics.image, "image topic");
+  app.add_option("--info", topics.info, "calibration topic");
+  app.add_option("--imu", topics.imu, "IMU topic");
+  app.add_option("--truth", topics.truth, "ground truth topic (pose of base_link)");
+  app.add_option("--base", topics.base, "base frame");
   app.add_option("--start", start, "skip so much of the bag [s]");
   app.add_option("--duration", duration, "stop after so much of the bag [s]; 0 = all");
   app.add_option("--calibration", calibration, "fx fy cx cy k1 k2 p1 p2 k3 instead of the bag's")->expected(9);
   app.add_flag("--verbose", verbose, "a line a second");
+  app.add_flag("--live", live,
+               "at the bag's rate, with the bundle adjustment on a thread of its own, as the node runs");
   app.add_option("--seed", settings.seed, "seed");
   app.add_option("--metric-stddev", settings.metric_stddev, "relative scale deviation at which the map becomes metric");
   app.add_option("--reobserve", settings.reobserve_matches, "old landmarks looked for in an image");
@@ -71,99 +262,41 @@ int main(int argc, char** argv) {
   app.add_option("--start-stddev", settings.scale.start_relative_stddev,
                  "relative scale deviation at which the scale filter starts");
   app.add_flag("--imu-off{false}", settings.use_imu, "without IMU");
+  app.add_option("--accel-bias-stddev", settings.scale.accel_bias_stddev, "before the flight [m/s^2]");
+  app.add_option("--time-offset", settings.gyro_alignment.time_offset, "t_imu - t_image of the same instant [s]");
+  app.add_option("--time-offset-stddev", settings.gyro_alignment.time_offset_stddev, "of that; 0 = exact [s]");
+  app.add_option("--readout-time", settings.readout_time, "of a rolling shutter [s]");
+  app.add_option("--imu-shift", imu_shift, "added to the IMU's stamps, to try out a time offset [s]");
   CLI11_PARSE(app, argc, argv);
+  settings.synchronous = !live;
 
-  rosbag::Bag bag(bag_path, rosbag::bagmode::Read);
-  std::optional<air_ground_common::CameraModel> camera;
-  Pose T_base_camera = Pose::Identity(), T_base_imu = Pose::Identity();
-  std::map<std::string, Pose> fixed;
-  std::string camera_frame, imu_frame;
-  for (const rosbag::MessageInstance& m :
-       rosbag::View(bag, rosbag::TopicQuery({"/tf_static", info_topic, imu_topic}))) {
-    if (const auto tf = m.instantiate<tf2_msgs::TFMessage>())
-      for (const auto& t : tf->transforms)
-        if (t.header.frame_id == base) fixed[t.child_frame_id] = ros_utils::fromMsg(t.transform);
-    if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && !camera) {
-      camera = ros_utils::fromMsg(*info);
-      camera_frame = info->header.frame_id;
+  std::unique_ptr<rosbag::Bag> bag;
+  mav_vo::EurocFolder folder;
+  Setup setup;
+  try {
+    if (std::filesystem::is_directory(path)) {
+      folder = mav_vo::readEurocFolder(path);
+      setup = {folder.camera, folder.T_base_camera, folder.T_base_imu};
+    } else {
+      bag = std::make_unique<rosbag::Bag>(path, rosbag::bagmode::Read);
+      setup = readSetup(*bag, topics);
     }
-    if (const auto imu = m.instantiate<sensor_msgs::Imu>(); imu && imu_frame.empty()) imu_frame = imu->header.frame_id;
-    if (camera && !imu_frame.empty() && fixed.count(camera_frame) && fixed.count(imu_frame)) break;
-  }
-  if (!camera || !fixed.count(camera_frame)) {
-    std::cerr << "no calibration on " << info_topic << " or no static transform " << base << " <- '" << camera_frame
-              << "'\n";
+  } catch (const std::exception& e) {
+    std::cerr << path << ": " << e.what() << "\n";
     return 1;
   }
+  if (!setup.camera) return 1;
   if (!calibration.empty()) {
     const auto& c = calibration;
-    camera = air_ground_common::CameraModel{camera->width, camera->height, c[0], c[1], c[2], c[3],
-                                            c[4],          c[5],           c[6], c[7], c[8]};
+    setup.camera = air_ground_common::CameraModel{
+        setup.camera->width, setup.camera->height, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]};
   }
-  T_base_camera = fixed[camera_frame];
-  if (fixed.count(imu_frame)) T_base_imu = fixed[imu_frame];
-
-  mav_vo::Odometry odometry(*camera, T_base_camera, T_base_imu, settings);
-  std::deque<sensor_msgs::ImageConstPtr> images;
-  air_ground_common::Trajectory truth, online;
-  double newest_imu = -1, first_stamp = -1, metric_at = -1, worst = 0, total = 0, next_line = 0;
-  std::size_t frames = 0, located = 0;
-  std::vector<double> times;
-  const auto drain = [&](bool all) {
-    while (!images.empty() && (all || !settings.use_imu || newest_imu >= images.front()->header.stamp.toSec())) {
-      const auto image = images.front();
-      images.pop_front();
-      const double stamp = image->header.stamp.toSec();
-      if (first_stamp < 0) first_stamp = stamp;
-      const auto r = odometry.process(stamp, ros_utils::greyFromMsg(*image));
-      ++frames;
-      located += r.pose_valid;
-      total += r.seconds;
-      times.push_back(r.seconds);
-      worst = std::max(worst, r.seconds);
-      if (r.metric && metric_at < 0) metric_at = stamp - first_stamp;
-      if (r.metric && r.pose_valid) online.push_back({stamp, r.T_map_base});
-      if (verbose && stamp >= next_line) {
-        next_line = stamp + 1.0;
-        std::printf(
-            "%6.2f %-12s map %u tracked %3d inliers %3d keyframes %3zu landmarks %4zu scale %.4f +- %.4f  %.1f ms  "
-            "%s\n",
-            stamp - first_stamp, mav_vo::toString(r.state), r.map_id, r.tracked, r.inliers, r.keyframes, r.landmarks,
-            r.scale, r.scale_stddev, 1e3 * r.seconds, r.reason.c_str());
-      }
-    }
-  };
-  const ros::Time begin = rosbag::View(bag).getBeginTime() + ros::Duration(start);
-  const ros::Time end = duration > 0 ? begin + ros::Duration(duration) : ros::TIME_MAX;
-  for (const rosbag::MessageInstance& m :
-       rosbag::View(bag, rosbag::TopicQuery({image_topic, imu_topic, truth_topic}), begin, end)) {
-    if (const auto image = m.instantiate<sensor_msgs::Image>()) images.push_back(image);
-    if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
-      mav_vo::ImuSample sample;
-      sample.stamp = newest_imu = imu->header.stamp.toSec();
-      sample.angular_velocity = {imu->angular_velocity.x, imu->angular_velocity.y, imu->angular_velocity.z};
-      sample.specific_force = {imu->linear_acceleration.x, imu->linear_acceleration.y, imu->linear_acceleration.z};
-      odometry.addImu(sample);
-    }
-    if (const auto pose = m.instantiate<geometry_msgs::PoseStamped>())
-      truth.push_back({pose->header.stamp.toSec(), ros_utils::fromMsg(pose->pose)});
-    drain(false);
-  }
-  drain(true);
-  odometry.finish();
-  auto camera_poses = odometry.trajectory(), final_poses = camera_poses;
-  for (auto& p : final_poses) p.T_map_body = p.T_map_body * T_base_camera.inverse();
-  std::sort(times.begin(), times.end());
-  std::printf(
-      "%zu images, %zu localised, map %u, %zu keyframes, metric after %.2f s; %.2f ms a frame (median %.2f, 95 %% "
-      "%.2f, worst %.1f)\n",
-      frames, located, odometry.mapId(), odometry.map().keyframeCount(), metric_at,
-      1e3 * total / std::max<std::size_t>(1, frames), times.empty() ? 0 : 1e3 * times[times.size() / 2],
-      times.empty() ? 0 : 1e3 * times[times.size() * 95 / 100], 1e3 * worst);
-  if (!truth.empty()) {
-    printError("as published", truth, online);
-    printError("final       ", truth, final_poses);
-  }
-  if (!out.empty()) air_ground_common::writeTum(out, camera_poses);
+  OfflineRun run(setup, settings, imu_shift, verbose);
+  if (bag)
+    runBag(*bag, topics, start, duration, live, run);
+  else
+    runFolder(folder, start, duration, run);
+  run.finish();
+  if (!out.empty()) air_ground_common::writeTum(out, run.trajectory());
   return 0;
 }

@@ -1,7 +1,9 @@
 // The whole odometry on rendered flights: accuracy, scale, determinism, and what a bad day brings.
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <functional>
+#include <thread>
 
 #include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/trajectory.h"
@@ -22,8 +24,9 @@ struct Options {
   std::function<bool(double)> black = [](double) { return false; };
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
-  unsigned seed = 11;  ///< of the IMU's noise
-  int grain = 5;       ///< of the images' noise
+  double imu_shift = 0;  ///< added to the IMU's stamps [s]
+  unsigned seed = 11;    ///< of the IMU's noise
+  int grain = 5;         ///< of the images' noise
 };
 
 struct Outcome {
@@ -43,12 +46,13 @@ Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* gi
   std::mt19937 random(options.seed);
   cv::RNG grain(options.grain);
   const ImuNoise noise{1.7e-4, 2.9e-3, 2e-5, 6e-4};
-  const auto samples = options.flight.imuSamples(options.begin, options.end + 0.1, 200, noise, options.bias, random);
+  auto samples = options.flight.imuSamples(options.begin - 0.2, options.end + 0.1, 200, noise, options.bias, random);
+  for (ImuSample& sample : samples) sample.stamp += options.imu_shift;
   std::size_t next = 0;
   Outcome outcome;
   for (int i = 1; options.begin + 0.05 * i <= options.end; ++i) {
     const double t = options.begin + 0.05 * i;
-    for (; options.imu && next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) {
+    for (; options.imu && next < samples.size() && samples[next].stamp <= given->imuNeededAt(t) + 1e-9; ++next) {
       ImuSample sample = samples[next];
       if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
       given->addImu(sample);
@@ -104,6 +108,57 @@ TEST(Odometry, IsMetricAndAccurate) {
     const Eigen::Vector3d up = c.online[i].T_map_body.linear().row(2), up_truth = truth->linear().row(2);
     EXPECT_LT(std::acos(std::min(1.0, up.dot(up_truth))), 0.02);
   }
+}
+
+/// Largest angle between what the published poses call up and the truth [rad].
+double worstTilt(const Outcome& o) {
+  double worst = 0;
+  for (std::size_t i = 0; i < o.online.size(); i += 10) {
+    const auto truth = air_ground_common::poseAt(o.truth, o.online[i].stamp);
+    const Eigen::Vector3d up = o.online[i].T_map_body.linear().row(2), up_truth = truth->linear().row(2);
+    worst = std::max(worst, std::acos(std::min(1.0, up.dot(up_truth))));
+  }
+  return worst;
+}
+
+// From the first image on in flight, with an IMU nobody has calibrated.
+TEST(Odometry, StartsInMotionWithLargeBiases) {
+  Options options;
+  options.flight.wobble = 0.15;
+  options.begin = 3;
+  options.end = 15;
+  options.bias = {{0.11, -0.13, 0.1}, {0.3, -0.3, 0.25}};
+  const Outcome o = fly(options);
+  ASSERT_GT(o.metric_at, 0) << o.frames.back().reason;
+  double scale_error = 1;
+  const double error = ate(o, o.final_poses, &scale_error), length = air_ground_common::pathLength(o.truth);
+  const FrameResult& last = o.frames.back();
+  std::printf(
+      "metric after %.2f s; final ATE %.4f m of %.2f m, scale %+.3f %%, tilt %.2f deg, gyro bias off %.4f rad/s, "
+      "accelerometer's %.3f m/s^2\n",
+      o.metric_at - options.begin, error, length, 100 * scale_error, worstTilt(o) * 180 / M_PI,
+      (last.imu_bias.gyro - options.bias.gyro).norm(), (last.imu_bias.accel - options.bias.accel).norm());
+  EXPECT_LT(o.metric_at - options.begin, 8.0);
+  EXPECT_LT(error, 0.01 * length);
+  EXPECT_LT(std::abs(scale_error), 0.015);
+  EXPECT_LT(worstTilt(o), 0.5 * M_PI / 180);
+  EXPECT_LT((last.imu_bias.gyro - options.bias.gyro).norm(), 0.005);
+  for (const FrameResult& r : o.frames)
+    EXPECT_TRUE(r.pose_valid || r.stamp < options.begin + 1.5) << r.stamp << " " << r.reason;
+}
+
+TEST(Odometry, FindsTheTimeOffset) {
+  Options options;
+  options.flight.wobble = 0.15;
+  options.imu_shift = 0.03;
+  const Outcome o = fly(options);
+  const FrameResult& last = o.frames.back();
+  std::printf("time offset %.2f +- %.2f ms, ATE %.4f m\n", 1e3 * last.time_offset, 1e3 * last.time_offset_stddev,
+              ate(o, o.final_poses));
+  EXPECT_NEAR(last.time_offset, options.imu_shift, 0.004);
+  EXPECT_LT(last.time_offset_stddev, 0.004);
+  ASSERT_GT(o.metric_at, 0) << last.reason;
+  EXPECT_LT(ate(o, o.final_poses), 0.015 * air_ground_common::pathLength(o.truth));
 }
 
 TEST(Odometry, IncrementsCarryAnHonestCovariance) {
@@ -300,6 +355,51 @@ TEST(Odometry, RefusesWhatItCannotUse) {
   OdometrySettings bad;
   bad.window = 1;
   EXPECT_THROW(Odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), bad), std::invalid_argument);
+}
+
+/// Threads that want the whole machine while this lives.
+class BusyMachine {
+ public:
+  explicit BusyMachine(unsigned threads) {
+    for (unsigned i = 0; i < threads; ++i)
+      threads_.emplace_back([this] {
+        while (!stop_) ++work_;
+      });
+  }
+  ~BusyMachine() {
+    stop_ = true;
+    for (auto& thread : threads_) thread.join();
+  }
+
+ private:
+  std::atomic<bool> stop_{false};
+  std::atomic<unsigned> work_{0};
+  std::vector<std::thread> threads_;
+};
+
+TEST(Odometry, OnABusyMachineItIsLateButNoWorse) {
+  Options options;
+  options.end = 8;
+  OdometrySettings settings;
+  settings.full_interval = 1000;
+  const Outcome synchronous = fly(options, settings);
+  settings.synchronous = false;
+  const Outcome idle = fly(options, settings);
+  Outcome busy;
+  {
+    const BusyMachine hog(3 * std::max(1u, std::thread::hardware_concurrency()));
+    busy = fly(options, settings);
+  }
+  // The same images tracked on the same maps: not a digit differs.
+  ASSERT_EQ(idle.frames.size(), busy.frames.size());
+  for (std::size_t i = 0; i < idle.frames.size(); ++i) {
+    ASSERT_EQ(idle.frames[i].pose_valid, busy.frames[i].pose_valid) << i;
+    ASSERT_EQ((idle.frames[i].T_map_camera.matrix() - busy.frames[i].T_map_camera.matrix()).norm(), 0) << i;
+  }
+  ASSERT_GT(busy.metric_at, 0);
+  std::printf("ATE of the published poses: synchronous %.5f m, on a busy machine %.5f m\n",
+              ate(synchronous, synchronous.online), ate(busy, busy.online));
+  EXPECT_LT(ate(busy, busy.online), 1.2 * ate(synchronous, synchronous.online) + 0.001);
 }
 
 }  // namespace

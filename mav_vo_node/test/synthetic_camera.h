@@ -21,6 +21,43 @@ class PlateWorld {
     std::sort(planes_.begin(), planes_.end(), [](const Plane& a, const Plane& b) { return a.z < b.z; });
   }
 
+  /// 8-bit image of a camera of any model above all plates: a ray a pixel, the floor repeated without end, textures
+  /// from the level that fits the pixel. `rays` of the camera, once for a flight: see raysOf.
+  cv::Mat renderByRays(const air_ground_common::CameraModel& camera, const std::vector<Eigen::Vector3d>& rays,
+                       const Pose& T_world_camera, cv::RNG* noise = nullptr) const {
+    cv::Mat image(camera.height, camera.width, CV_8UC1, cv::Scalar(0));
+    const Eigen::Vector3d c = T_world_camera.translation();
+    for (int y = 0; y < camera.height; ++y) {
+      for (int x = 0; x < camera.width; ++x) {
+        const Eigen::Vector3d& ray = rays[static_cast<std::size_t>(y) * camera.width + x];
+        if (!ray.allFinite()) continue;
+        const Eigen::Vector3d d = T_world_camera.linear() * ray;
+        if (!(d.z() < -0.05)) continue;
+        for (auto plane = planes_.rbegin(); plane != planes_.rend(); ++plane) {
+          const double range = (plane->z - c.z()) / d.z();
+          Eigen::Vector2d p = kPixelsPerMetre * ((c + range * d).head<2>() - Eigen::Vector2d(plane->x, plane->y));
+          const bool floor = std::next(plane) == planes_.rend();
+          const Eigen::Vector2d size(plane->texture.cols, plane->texture.rows);
+          if (floor) p -= size.cwiseProduct(p.cwiseQuotient(size).array().floor().matrix());
+          if (p.x() < 0 || p.y() < 0 || p.x() >= size.x() || p.y() >= size.y()) continue;
+          const double texels = kPixelsPerMetre * range / (camera.fx * std::sqrt(-d.z()));
+          const int level = std::clamp(cvRound(std::log2(texels)), 0, static_cast<int>(plane->levels.size()) - 1);
+          image.at<std::uint8_t>(y, x) = bilinear(plane->levels[level], p / (1 << level));
+          break;
+        }
+      }
+    }
+    if (noise) addGrain(noise, &image);
+    return image;
+  }
+
+  static std::vector<Eigen::Vector3d> raysOf(const air_ground_common::CameraModel& camera) {
+    std::vector<Eigen::Vector3d> rays;
+    for (int y = 0; y < camera.height; ++y)
+      for (int x = 0; x < camera.width; ++x) rays.push_back(camera.ray({x, y}));
+    return rays;
+  }
+
   /// 8-bit image of a pinhole without distortion above all plates that looks down within 60 degrees.
   cv::Mat render(const air_ground_common::CameraModel& camera, const Pose& T_world_camera, double gain = 1.0,
                  cv::RNG* noise = nullptr) const {
@@ -57,12 +94,7 @@ class PlateWorld {
       cv::warpPerspective(plane.texture, part, warp, part.size(), cv::INTER_AREA, cv::BORDER_TRANSPARENT);
     }
     image.convertTo(image, CV_8U, gain);
-    if (noise) {
-      cv::Mat grain(image.size(), CV_16S), sum;
-      noise->fill(grain, cv::RNG::NORMAL, 0, 2);
-      cv::add(image, grain, sum, cv::noArray(), CV_16S);
-      sum.convertTo(image, CV_8U);
-    }
+    if (noise) addGrain(noise, &image);
     return image;
   }
 
@@ -71,7 +103,26 @@ class PlateWorld {
   struct Plane {
     double x, y, z;
     cv::Mat texture;
+    std::vector<cv::Mat> levels;
   };
+
+  static void addGrain(cv::RNG* noise, cv::Mat* image) {
+    cv::Mat grain(image->size(), CV_16S), sum;
+    noise->fill(grain, cv::RNG::NORMAL, 0, 2);
+    cv::add(*image, grain, sum, cv::noArray(), CV_16S);
+    sum.convertTo(*image, CV_8U);
+  }
+
+  // At a texel's corner coordinates, as cv::resize keeps them from level to level.
+  static std::uint8_t bilinear(const cv::Mat& m, const Eigen::Vector2d& p) {
+    const double x = std::clamp(p.x() - 0.5, 0.0, m.cols - 1.001), y = std::clamp(p.y() - 0.5, 0.0, m.rows - 1.001);
+    const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
+    const double a = x - x0, b = y - y0;
+    const std::uint8_t* row = m.ptr(y0) + x0;
+    const std::uint8_t* below = m.ptr(std::min(y0 + 1, m.rows - 1)) + x0;
+    return static_cast<std::uint8_t>((1 - b) * ((1 - a) * row[0] + a * row[1]) +
+                                     b * ((1 - a) * below[0] + a * below[1]) + 0.5);
+  }
 
   static Plane makePlane(cv::RNG& random, double x, double y, double width, double height, double z) {
     const cv::Size size(cvRound(width * kPixelsPerMetre), cvRound(height * kPixelsPerMetre));
@@ -88,7 +139,13 @@ class PlateWorld {
         cv::circle(texture, p, extent / 2 + 1, grey, -1, cv::LINE_AA);
     }
     cv::GaussianBlur(texture, texture, cv::Size(3, 3), 0.7);
-    return {x, y, z, texture};
+    Plane plane{x, y, z, texture, {texture}};
+    while (plane.levels.size() < 7 && plane.levels.back().cols > 8 && plane.levels.back().rows > 8) {
+      cv::Mat next;
+      cv::resize(plane.levels.back(), next, cv::Size(), 0.5, 0.5, cv::INTER_AREA);
+      plane.levels.push_back(next);
+    }
+    return plane;
   }
 
   std::vector<Plane> planes_;

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
-#include <unordered_map>
 
 namespace rgbd_slam {
 
@@ -52,7 +51,8 @@ cv::Mat edges(const cv::Mat& depth, const DepthModel& model, double fx, double m
 }  // namespace
 
 KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr,
-                             const DepthModel& model, const CloudSettings& settings) {
+                             const DepthModel& model, const CloudSettings& settings,
+                             const visual_frontend::RollingShutter* rows) {
   if (depth.type() != CV_32F || depth.size() != bgr.size() || (bgr.type() != CV_8UC3 && bgr.type() != CV_8UC1)) {
     throw std::invalid_argument("KeyframeDepth: needs CV_32F depth and a CV_8UC3 or CV_8UC1 image of the same size");
   }
@@ -92,9 +92,10 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
       const double cosine = -normal.dot(ray.homogeneous().normalized());
       if (!(cosine > min_cosine)) continue;
       Cell cell;
-      cell.x = static_cast<float>(ray.x());
-      cell.y = static_cast<float>(ray.y());
-      cell.z = z;
+      const Eigen::Vector3d seen = z * ray.homogeneous(), p = rows ? rows->pointToMiddleRow(v, seen) : seen;
+      cell.x = static_cast<float>(p.x() / p.z());
+      cell.y = static_cast<float>(p.y() / p.z());
+      cell.z = static_cast<float>(p.z());
       const double sigma = model.sigma(z);
       cell.weight = static_cast<float>(1 / (sigma * sigma));
       if (bgr.type() == CV_8UC3) {
@@ -109,18 +110,25 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
 }
 
 void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const Pose& T_frame_keyframe,
-                         const DepthModel& model, const CloudSettings& settings) {
+                         const DepthModel& model, const CloudSettings& settings,
+                         const visual_frontend::RollingShutter* rows) {
+  const bool rolling = rows && rows->active();
   const Eigen::Matrix3f R = T_frame_keyframe.linear().cast<float>();
   const Eigen::Vector3f t = T_frame_keyframe.translation().cast<float>();
   ++frames_;
   for (Cell& cell : cells_) {
     const Eigen::Vector3f p = R * (cell.z * Eigen::Vector3f(cell.x, cell.y, 1)) + t;
-    const auto pixel = camera.project(p.cast<double>());
+    auto pixel = camera.project(p.cast<double>());
     if (!pixel) continue;
+    if (rolling) pixel = rows->toItsRow(*pixel, p.cast<double>());
     const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
     if (u < 0 || v < 0 || u >= depth.cols || v >= depth.rows) continue;
-    const float z = depth.at<float>(v, u);
+    float z = depth.at<float>(v, u);
     if (!known(z) || z < model.min_range || z > model.max_range) continue;
+    if (rolling) {
+      const Eigen::Vector2d ray = camera.unproject(Eigen::Vector2d(u, v));
+      z = static_cast<float>(rows->pointToMiddleRow(v, z * ray.homogeneous()).z());
+    }
     const float sigma = static_cast<float>(model.sigma(z)), difference = z - p.z();
     // The surface may rise within the pixel: that much is no disagreement.
     const float slack = static_cast<float>(settings.gate) * sigma + 0.5f * z / static_cast<float>(camera.fx) * 3.f;
@@ -154,74 +162,6 @@ std::vector<KeyframeDepth::Point> KeyframeDepth::points(const DepthModel& model,
     result.push_back(point);
   }
   return result;
-}
-
-namespace {
-
-std::int64_t keyOf(int x, int y, int z) {
-  return (static_cast<std::int64_t>(z & 0x1fffff) << 42) | (static_cast<std::int64_t>(y & 0x1fffff) << 21) |
-         (x & 0x1fffff);
-}
-
-struct Voxel {
-  Eigen::Vector3f position = Eigen::Vector3f::Zero();  // weighted sums
-  float bgr[3] = {0, 0, 0};
-  float weight = 0;
-  int x = 0, y = 0, z = 0;
-};
-
-}  // namespace
-
-std::vector<CloudPoint> fusePoints(const std::vector<PosedPoints>& keyframes, const CloudSettings& settings) {
-  std::size_t total = 0;
-  for (const PosedPoints& k : keyframes) total += k.points ? k.points->size() : 0;
-  std::unordered_map<std::int64_t, Voxel> voxels;
-  voxels.reserve(total / 4 + 16);
-  const float inverse = static_cast<float>(1 / settings.voxel);
-  for (const PosedPoints& k : keyframes) {
-    if (!k.points) continue;
-    const Eigen::Matrix3f R = k.T_map_camera.linear().cast<float>();
-    const Eigen::Vector3f t = k.T_map_camera.translation().cast<float>();
-    for (const KeyframeDepth::Point& point : *k.points) {
-      const Eigen::Vector3f p = R * point.position + t;
-      const int x = static_cast<int>(std::floor(p.x() * inverse)), y = static_cast<int>(std::floor(p.y() * inverse)),
-                z = static_cast<int>(std::floor(p.z() * inverse));
-      Voxel& voxel = voxels[keyOf(x, y, z)];
-      voxel.x = x;
-      voxel.y = y;
-      voxel.z = z;
-      voxel.position += point.weight * p;
-      for (int i = 0; i < 3; ++i) voxel.bgr[i] += point.weight * point.bgr[i];
-      voxel.weight += point.weight;
-    }
-  }
-  std::vector<std::pair<std::int64_t, const Voxel*>> order;
-  order.reserve(voxels.size());
-  for (const auto& [key, voxel] : voxels) order.emplace_back(key, &voxel);
-  std::sort(order.begin(), order.end());
-  std::vector<CloudPoint> cloud;
-  cloud.reserve(order.size());
-  for (const auto& [key, voxel] : order) {
-    if (settings.min_weight_share > 0) {
-      // A surface seen well from near lies in few voxels; what was seen from far scatters around it with little weight.
-      float best = voxel->weight;
-      for (int dz = -2; dz <= 2; ++dz) {
-        for (int dy = -2; dy <= 2; ++dy) {
-          for (int dx = -2; dx <= 2; ++dx) {
-            const auto it = voxels.find(keyOf(voxel->x + dx, voxel->y + dy, voxel->z + dz));
-            if (it != voxels.end()) best = std::max(best, it->second.weight);
-          }
-        }
-      }
-      if (voxel->weight < settings.min_weight_share * best) continue;
-    }
-    CloudPoint point;
-    point.position = voxel->position / voxel->weight;
-    for (int i = 0; i < 3; ++i) point.bgr[i] = static_cast<std::uint8_t>(std::lround(voxel->bgr[i] / voxel->weight));
-    point.weight = voxel->weight;
-    cloud.push_back(point);
-  }
-  return cloud;
 }
 
 }  // namespace rgbd_slam

@@ -9,8 +9,11 @@ namespace rgbd_slam {
 
 void Slam::Impl::fillOrb(const cv::Mat& gray, const cv::Mat& depth, Keyframe& keyframe) const {
   visual_frontend::describeKeyframe(gray, camera, settings.place, keyframe);
-  for (const Eigen::Vector2d& pixel : keyframe.orb_pixels)
-    keyframe.orb_depth.push_back(sampleDepth(depth, pixel, settings.depth).value_or(0));
+  for (std::size_t i = 0; i < keyframe.orb_pixels.size(); ++i) {
+    const Observation seen = observe(keyframe.orb_pixels[i], keyframe.orb_normalized[i], depth);
+    keyframe.orb_normalized[i] = seen.normalized;
+    keyframe.orb_depth.push_back(seen.depth);
+  }
 }
 
 void Slam::Impl::mergeLandmarks(KeyframeId id, const std::vector<std::pair<int, LandmarkId>>& seen) {

@@ -49,23 +49,17 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
   keyframe.stamp = stamp;
   keyframe.T_map_camera = T_map_camera;
   keyframe.pyramid = tracker.pyramid();
-  if (settings.use_gravity && gravity_known && attitude.initialized()) {
-    keyframe.up_camera = R_camera_imu * attitude.up();
-    // In a curve the accelerometer leans for as long as the curve lasts.
-    keyframe.up_sigma =
-        attitude.atRest() ? 1.5 * attitude.upSigma() : std::max(settings.gravity_sigma, attitude.upSigma());
+  if (const auto up = upOfCamera(T_map_camera.linear())) {
+    keyframe.up_camera = up->first;
+    keyframe.up_sigma = up->second;
   }
   for (const Feature& f : tracker.features()) {
-    Observation o;
-    o.track = f.id;
-    o.pixel = f.pixel;
-    o.normalized = f.normalized;
-    if (const auto z = sampleDepth(depth, f.pixel, settings.depth)) {
-      o.depth = *z;
-      o.depth_sigma = settings.depth.sigma(*z);
-    }
     const auto it = track_landmark.find(f.id);
-    if (it != track_landmark.end() && map.hasLandmark(it->second)) o.landmark = it->second;
+    const bool known = it != track_landmark.end() && map.hasLandmark(it->second);
+    const double z = known ? (T_map_camera.inverse() * map.landmark(it->second).position).z() : 0;
+    Observation o = observe(f.pixel, f.normalized, depth, z > 0.1 ? 1 / z : 0);
+    o.track = f.id;
+    if (known) o.landmark = it->second;
     keyframe.observations.push_back(o);
   }
   fillOrb(gray, depth, keyframe);
@@ -81,7 +75,7 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
   for (const Observation& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != kNoLandmark;
   since_keyframe = since_reobservation = 0;
   map.dropFarImages(T_map_camera, settings.max_image_keyframes);
-  active_depth = std::make_unique<KeyframeDepth>(camera, depth, bgr, settings.depth, settings.cloud);
+  active_depth = std::make_unique<KeyframeDepth>(camera, depth, bgr, settings.depth, settings.cloud, &rows);
   return id;
 }
 
@@ -99,8 +93,9 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
     for (const LandmarkObservation& view : views) {
       const Keyframe& keyframe = map.keyframe(view.keyframe);
       const Observation& seen = keyframe.observations[view.index];
+      const auto noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
       rays.push_back(
-          {keyframe.T_map_camera, seen.normalized, settings.pixel_sigma / focal, seen.depth, seen.depth_sigma});
+          {keyframe.T_map_camera, seen.normalized, noise.sigma, seen.depth, seen.depth_sigma, noise.elongation});
     }
     const auto result = visual_frontend::triangulate(rays, triangulation);
     if (!result.ok()) {

@@ -10,25 +10,23 @@ using air_ground_common::ros_utils::Parameters;
 NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   Parameters p(private_handle);
   NodeSettings n;
-  n.map_frame = p.text("map_frame", "ground_map");
-  n.odom_frame = p.text("odom_frame", "ground_odom");
-  n.base_frame = p.text("base_frame", "ground_base_link");
-  n.publish_tf = p.flag("publish_tf", n.publish_tf);
-  n.camera_frame = p.text("camera_frame", "");
-  n.imu_frame = p.text("imu_frame", "");
-  n.T_base_camera = p.pose("base_camera");
-  n.T_base_imu = p.pose("base_imu");
-  n.transform_timeout = p.number("transform_timeout", n.transform_timeout, 0.0, 600.0);
-
-  n.use_imu = p.flag("use_imu", n.use_imu);
-  n.imu_wait = p.number("imu_wait", n.imu_wait, 0.0, 10.0);
-  n.sync_tolerance = p.number("sync_tolerance", n.sync_tolerance, 0.0, 1.0);
-  n.queue_size = p.integer("queue_size", n.queue_size, 2, 10000);
+  auto& e = n.estimator;
+  e.map_frame = "ground_map";
+  e.odom_frame = "ground_odom";
+  e.base_frame = "ground_base_link";
+  e.queue_size = 300;
+  air_ground_common::ros_utils::readParameters(p, &e);
+  e.sync_tolerance = p.number("sync_tolerance", e.sync_tolerance, 0.0, 1.0);
   n.cloud_interval = p.number("cloud_interval", n.cloud_interval, 0.1, 600.0);
 
   SlamSettings& s = n.slam;
   s.gravity_timeout = p.number("gravity_timeout", s.gravity_timeout, 0.0, 60.0);
   s.use_gravity = p.flag("use_gravity", s.use_gravity);
+  s.time_offset = p.number("time_offset", s.time_offset, -1.0, 1.0);
+  s.readout_time = p.number("readout_time", s.readout_time, -0.2, 0.2);
+  s.inertial.initial_gyro_bias = p.number("max_gyro_bias", 2 * s.inertial.initial_gyro_bias, 0.001, 2.0) / 2;
+  s.inertial.initial_accel_bias = p.number("max_accel_bias", 2 * s.inertial.initial_accel_bias, 0.001, 5.0) / 2;
+  s.level_tolerance = p.number("level_tolerance", s.level_tolerance, 0.001, 0.5);
   s.gravity_sigma = p.number("gravity_sigma", s.gravity_sigma, 0.001, 0.5);
 
   s.depth.sigma_base = p.number("depth_sigma_base", s.depth.sigma_base, 1e-5, 0.5);
@@ -46,6 +44,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.min_inlier_ratio = p.number("min_inlier_ratio", s.min_inlier_ratio, 0.0, 0.95);
   s.max_speed = p.number("max_speed", s.max_speed, 0.01, 100.0);
   s.relocalization_slack = p.number("relocalization_slack", s.relocalization_slack, 0.0, 100.0);
+  s.relocalization_interval = p.number("relocalization_interval", s.relocalization_interval, 0.0, 60.0);
   s.reobserve_every = p.integer("reobserve_every", s.reobserve_every, 0, 1000);
   s.local_keyframes = p.integer("local_keyframes", s.local_keyframes, 1, 100);
   s.restart_after = p.number("restart_after", s.restart_after, 0.0, 3600.0);

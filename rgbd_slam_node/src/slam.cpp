@@ -37,6 +37,8 @@ void SlamSettings::validate() const {
   depth.validate();
   cloud.validate();
   require(pixel_sigma > 0, "pixel_sigma must be positive");
+  require(std::abs(time_offset) <= 1, "time_offset must be within 1 s");
+  require(std::abs(readout_time) <= 0.2, "readout_time must be within 0.2 s");
   require(min_start_features >= 10, "min_start_features must be at least 10");
   require(min_inliers >= 6, "min_inliers must be at least 6");
   require(min_inlier_ratio >= 0 && min_inlier_ratio < 1, "min_inlier_ratio must be in [0, 1)");
@@ -44,24 +46,44 @@ void SlamSettings::validate() const {
   require(local_keyframes >= 1, "local_keyframes must be at least 1");
   require(max_speed > 0, "max_speed must be positive");
   require(relocalization_slack >= 0, "relocalization_slack must not be negative");
+  require(relocalization_interval >= 0, "relocalization_interval must not be negative");
   require(max_image_keyframes >= local_keyframes, "max_image_keyframes must be at least local_keyframes");
   require(keyframe_translation > 0 && keyframe_rotation > 0,
           "keyframe_translation and keyframe_rotation must be positive");
   require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must be in (0, 1)");
   require(window >= 2 && window_fixed >= 1, "window must be at least 2 and window_fixed at least 1");
   require(gravity_sigma > 0, "gravity_sigma must be positive");
+  require(level_tolerance > 0, "level_tolerance must be positive");
+  inertial.validate();
   require(loop_min_gap >= 2, "loop_min_gap must be at least 2");
   require(max_fused_frames >= 0, "max_fused_frames must not be negative");
 }
 
+namespace {
+
+Pose imuOnCamera(const Mounting& mounting) {
+  Pose T_base_imu = Pose::Identity();
+  if (mounting.R_base_imu) T_base_imu.linear() = *mounting.R_base_imu;
+  T_base_imu.translation() = mounting.p_base_imu;
+  return mounting.T_base_camera.inverse() * T_base_imu;
+}
+
+}  // namespace
+
 Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
-    : camera(camera_model), mounting(mounted), settings(slam_settings), tracker(camera_model, slam_settings.tracker) {
+    : camera(camera_model),
+      mounting(mounted),
+      settings(slam_settings),
+      tracker(camera_model, slam_settings.tracker),
+      inertial(imuOnCamera(mounted), slam_settings.inertial),
+      rows(camera_model, slam_settings.readout_time) {
   settings.validate();
   if (!air_ground_common::isValid(mounting.T_base_camera))
     throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
   focal = 0.5 * (camera.fx + camera.fy);
   T_camera_base = mounting.T_base_camera.inverse();
   if (mounting.R_base_imu) R_camera_imu = T_camera_base.linear() * *mounting.R_base_imu;
+  gyro_bias_sigma = settings.inertial.initial_gyro_bias;
 }
 
 void Slam::Impl::clear() {
@@ -73,10 +95,12 @@ void Slam::Impl::clear() {
   keyframe_path.clear();
   keyframe_points.clear();
   active_depth.reset();
+  inertial.newMap();
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
-  first_stamp = lost_since = -1;
+  first_stamp = lost_since = last_attempt = -1;
+  nearly_found = false;
   path = 0;
   velocity.setZero();
   turn_rate.setZero();
@@ -87,6 +111,7 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   FrameResult result;
   result.state = state = State::kInitializing;
   if (first_stamp < 0) first_stamp = stamp;
+  setRowMotion(stamp, Pose::Identity());
   tracker.reset();
   tracker.track(gray);
   tracker.replenish();
@@ -116,57 +141,26 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   ++map_id;
   ++counters.maps;
   addKeyframe(stamp, T_map_camera, Matrix6d::Identity() * 1e-10, gray, bgr, depth);
-  setGravityUncertainty();
+  if (imu_ready) startInertial();
+  tilt_sigma = imu_ready ? attitude.upSigma() : 0.05;
   frames.push_back({stamp, map.lastKeyframe(), Pose::Identity()});
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
   result.T_map_camera = T_map_camera;
   result.T_map_base = T_map_camera * T_camera_base;
-  result.covariance = keyframe_covariance.begin()->second;
+  updateInertial(stamp, T_map_camera, Matrix6d::Zero());
+  result.covariance = withTilt(keyframe_covariance.begin()->second, result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   result.inliers = keyframe_landmarks;
   return result;
 }
 
-bool Slam::Impl::levelMap() {
-  if (leveled) return false;
-  const double begun = map.keyframes().begin()->second.stamp;
-  Eigen::Vector3d up = Eigen::Vector3d::Zero();
-  if (attitude.atRest()) {
-    up = poseOf(frames.back()).linear() * R_camera_imu * attitude.up();
-  } else if (last_stamp - begun > 4.0) {
-    for (const auto& [id, keyframe] : map.keyframes()) {
-      // The first second's directions have not settled.
-      if (keyframe.up_camera && keyframe.stamp > begun + 1.0)
-        up += keyframe.T_map_camera.linear() * *keyframe.up_camera;
-    }
-  } else {
-    return false;
-  }
-  leveled = true;
-  if (up.norm() < 1e-3) return false;
-  // About the map's origin, keeping its yaw.
-  air_ground_common::Similarity S;
-  S.R = air_ground_common::levelingRotation(up);
-  const Pose T_first = map.keyframes().begin()->second.T_map_camera * T_camera_base;
-  S.R = Eigen::AngleAxisd(-air_ground_common::yawOf(S.R * T_first.linear()), Eigen::Vector3d::UnitZ()) * S.R;
-  map.transform(S);
-  velocity = S.R * velocity;
-  setGravityUncertainty();
-  return true;
-}
-
-void Slam::Impl::setGravityUncertainty() {
-  // Tilt of the map against gravity, about its origin; every keyframe shares it.
-  const double sigma = gravity_known ? attitude.upSigma() : 0.05;
-  for (auto& [id, covariance] : keyframe_covariance) {
-    Matrix6d tilt = Matrix6d::Zero();
-    tilt(3, 3) = tilt(4, 4) = sigma * sigma;
-    Matrix6d J = Matrix6d::Identity();
-    J.topRightCorner<3, 3>() = -air_ground_common::skew(map.keyframe(id).T_map_camera.translation());
-    if (id == map.keyframes().begin()->first) covariance = Matrix6d::Identity() * 1e-10;
-    covariance += J * tilt * J.transpose();
-  }
+Matrix6d Slam::Impl::withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const {
+  Matrix6d tilt = Matrix6d::Zero();
+  tilt(3, 3) = tilt(4, 4) = tilt_sigma * tilt_sigma;
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(position);
+  return covariance + J * tilt * J.transpose();
 }
 
 FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
@@ -221,8 +215,9 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   if (result.relocalized || dt > 1.0) {
     velocity.setZero();
     turn_rate.setZero();
+    inertial.interrupt();
   } else {
-    updateMotion(stamp, T_before, T_map_camera);
+    updateMotion(dt, T_before, T_map_camera);
   }
   result.inliers = tracked.pose.inlier_count;
   result.rms = tracked.pose.rms;
@@ -243,16 +238,19 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   } else {
     frames.push_back({stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera});
     if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
-      active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud);
+      active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud,
+                         &rows);
     }
   }
+  if (result.map_corrected) inertial.transform(poseOf(frames.back()) * T_map_camera.inverse());
+  updateInertial(stamp, poseOf(frames.back()), tracked.pose.covariance);
   if (levelMap()) result.map_corrected = true;
   T_map_camera = poseOf(frames.back());
   result.state = State::kTracking;
   result.T_map_camera = T_map_camera;
   result.T_map_base = T_map_camera * T_camera_base;
   J.topRightCorner<3, 3>() = -air_ground_common::skew(result.T_map_base.translation() - T_map_camera.translation());
-  result.covariance = J * covariance * J.transpose();
+  result.covariance = withTilt(J * covariance * J.transpose(), result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   if (!result.relocalized) {
     Matrix6d base_map = Matrix6d::Zero();
@@ -269,13 +267,11 @@ Slam::Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettin
     : impl_(new Impl(camera, mounting, settings)) {}
 Slam::~Slam() = default;
 
-bool Slam::addImu(const visual_frontend::ImuSample& sample) {
+bool Slam::addImu(const visual_frontend::ImuSample& stamped) {
+  visual_frontend::ImuSample sample = stamped;
+  sample.stamp -= impl_->settings.time_offset;
   if (!impl_->mounting.R_base_imu || !impl_->imu.add(sample)) return false;
   impl_->attitude.add(sample);
-  if (impl_->attitude.biasKnown() && !impl_->gyro_bias_started) {
-    impl_->gyro_bias = impl_->attitude.gyroBias();
-    impl_->gyro_bias_started = true;
-  }
   return true;
 }
 
@@ -293,11 +289,12 @@ air_ground_common::Trajectory Slam::trajectory() const {
 std::vector<PosedPoints> Slam::posedPoints() const {
   std::vector<PosedPoints> result;
   for (const auto& [id, points] : impl_->keyframe_points)
-    result.push_back({impl_->map.keyframe(id).T_map_camera, points});
+    result.push_back({impl_->map.keyframe(id).T_map_camera, points, id});
   if (impl_->active_depth && impl_->map.keyframeCount() > 0) {
     auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(
         impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
-    result.push_back({impl_->map.keyframe(impl_->map.lastKeyframe()).T_map_camera, points});
+    const KeyframeId last = impl_->map.lastKeyframe();
+    result.push_back({impl_->map.keyframe(last).T_map_camera, points, last});
   }
   return result;
 }
@@ -307,6 +304,10 @@ const std::vector<Feature>& Slam::features() const { return impl_->tracker.featu
 const SlamCounters& Slam::counters() const { return impl_->counters; }
 Eigen::Vector3d Slam::gyroBias() const { return impl_->gyro_bias; }
 bool Slam::gravityKnown() const { return impl_->gravity_known; }
+double Slam::tiltSigma() const { return impl_->tilt_sigma; }
+std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const {
+  return impl_->mounting.R_base_imu ? impl_->inertial.estimate() : std::nullopt;
+}
 int Slam::mapId() const { return impl_->map_id; }
 
 std::vector<bool> Slam::mapped() const {
@@ -319,8 +320,9 @@ void Slam::reset() {
   impl_->clear();
   impl_->imu.clear();
   impl_->attitude.reset();
+  impl_->inertial.reset();
   impl_->gyro_bias.setZero();
-  impl_->gyro_bias_started = false;
+  impl_->gyro_bias_sigma = impl_->settings.inertial.initial_gyro_bias;
   impl_->last_stamp = -1;
 }
 

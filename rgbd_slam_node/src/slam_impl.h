@@ -3,6 +3,7 @@
 #pragma once
 
 #include <set>
+#include <utility>
 
 #include "rgbd_slam/slam.h"
 
@@ -27,7 +28,7 @@ struct Slam::Impl {
   CameraModel camera;
   Mounting mounting;
   SlamSettings settings;
-  double focal;
+  double focal;  ///< [px]
   Pose T_camera_base;
   Eigen::Matrix3d R_camera_imu = Eigen::Matrix3d::Identity();
 
@@ -35,8 +36,10 @@ struct Slam::Impl {
   visual_frontend::FeatureTracker tracker;
   visual_frontend::ImuBuffer imu;
   visual_frontend::AttitudeFilter attitude;
+  visual_frontend::InertialAlignment inertial;
+  visual_frontend::RollingShutter rows;  ///< with the motion during the present frame
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();
-  bool gyro_bias_started = false;
+  double gyro_bias_sigma = 0;
 
   // ---- Map
   visual_frontend::Map map;
@@ -47,7 +50,8 @@ struct Slam::Impl {
   std::map<KeyframeId, KeyframePoints> keyframe_points;
   std::unique_ptr<KeyframeDepth> active_depth;  ///< of the last keyframe
   bool gravity_known = false;
-  bool leveled = false;  ///< or nothing to level with
+  bool leveled = false;      ///< or nothing to level with
+  double tilt_sigma = 0.05;  ///< of the map against gravity, about its origin [rad]
   int map_id = 0;
   SlamCounters counters;
 
@@ -62,6 +66,9 @@ struct Slam::Impl {
   double first_stamp = -1;
   double last_stamp = -1;
   double lost_since = -1;
+  double last_attempt = -1;   ///< at finding the way back [s]
+  std::string lost_reason;    ///< what came of it
+  bool nearly_found = false;  ///< some of a place's points agreed, too few to be sure: the next image is worth a look
   double path = 0;
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
   Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
@@ -76,8 +83,16 @@ struct Slam::Impl {
   Pose poseOf(const FrameRecord& frame) const {
     return map.keyframe(frame.reference).T_map_camera * frame.T_reference_camera;
   }
-  bool levelMap();  ///< once more is known about gravity than at the start; true when it turned the map
-  void setGravityUncertainty();
+  /// Covariance of a pose in the map, with the tilt of the map that all poses share.
+  Matrix6d withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const;
+
+  // ---- leveling.cpp
+  void startInertial();
+  /// Gravity and biases from the motion up to this frame.
+  void updateInertial(double stamp, const Pose& T_map_camera, const Matrix6d& covariance);
+  /// Up in a camera and its standard deviation [rad], to hold a keyframe by.
+  std::optional<std::pair<Eigen::Vector3d, double>> upOfCamera(const Eigen::Matrix3d& R_map_camera) const;
+  bool levelMap();  ///< when the map leans for certain; true when it turned the map
 
   // ---- tracking.cpp
   struct Tracked {
@@ -89,12 +104,19 @@ struct Slam::Impl {
   Tracked track(double stamp, const cv::Mat& gray, const cv::Mat& depth);
   Tracked relocalize(double stamp, const cv::Mat& gray, const cv::Mat& depth);
   Pose predict(double stamp, bool* from_gyro) const;
+  /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
+  void setRowMotion(double stamp, const Pose& T_map_camera);
+  /// What the camera sees at a pixel, as of the middle row: normalised coordinates, and depth where it is measured.
+  /// `inverse_depth`: as far as known otherwise [1/m].
+  Observation observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                      double inverse_depth = 0) const;
   PoseCorrespondence correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
-                                    const Eigen::Vector2d& normalized, const cv::Mat& depth) const;
+                                    const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                                    const Pose& T_camera_map) const;
   PoseResult solve(const std::vector<PoseCorrespondence>& c, const Pose& predicted, bool rotation_known) const;
   /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
   int reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose);
-  void updateMotion(double stamp, const Pose& T_before, const Pose& T_now);
+  void updateMotion(double dt, const Pose& T_before, const Pose& T_now);
 
   // ---- mapping.cpp
   bool keyframeDue(const Pose& T_map_camera, int landmarks) const;

@@ -27,31 +27,53 @@ Pose Slam::Impl::predict(double stamp, bool* from_gyro) const {
   return T;
 }
 
-void Slam::Impl::updateMotion(double stamp, const Pose& T_before, const Pose& T_now) {
-  const double dt = stamp - frames.back().stamp;
+void Slam::Impl::updateMotion(double dt, const Pose& T_before, const Pose& T_now) {
   velocity = (T_now.translation() - T_before.translation()) / dt;
-  const Eigen::Matrix3d R_visual = T_before.linear().transpose() * T_now.linear();
-  turn_rate = logSO3(R_visual) / dt;
-  if (!mounting.R_base_imu) return;
-  // What the camera saw turns slowly into the gyro's bias: a frame's rotation is good to a milliradian, so a small
-  // gain.
-  if (const auto R = imu.integrateRotation(frames.back().stamp, stamp, Eigen::Vector3d::Zero())) {
-    const Eigen::Matrix3d R_visual_imu = R_camera_imu.transpose() * R_visual * R_camera_imu;
-    const Eigen::Vector3d bias = logSO3(R_visual_imu.transpose() * *R) / dt;
-    if ((bias - gyro_bias).norm() < 0.3) gyro_bias += (gyro_bias_started ? 0.02 : 0.1) * (bias - gyro_bias);
+  turn_rate = logSO3(T_before.linear().transpose() * T_now.linear()) / dt;
+}
+
+void Slam::Impl::setRowMotion(double stamp, const Pose& T_map_camera) {
+  if (!rows.active()) return;
+  Eigen::Vector3d rate = turn_rate, v_map = velocity;
+  const double half = std::max(0.5 * std::abs(settings.readout_time), 0.01);
+  if (mounting.R_base_imu) {
+    const auto mean = imu.mean(stamp - half, stamp + half);
+    if (mean.count > 0) rate = R_camera_imu * (mean.angular_velocity - gyro_bias);
+    if (const auto v = inertial.cameraVelocity(stamp, imu)) v_map = *v;
   }
+  rows.setMotion(rate, T_map_camera.linear().transpose() * v_map);
+}
+
+Observation Slam::Impl::observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                                double inverse_depth) const {
+  Observation o;
+  o.pixel = pixel;
+  if (const auto z = sampleDepth(depth, pixel, settings.depth)) {
+    const Eigen::Vector3d p = rows.pointToMiddleRow(pixel.y(), *z * normalized.homogeneous());
+    if (p.z() > 0.5 * *z) {
+      o.normalized = p.hnormalized();
+      o.depth = p.z();
+      o.depth_sigma = settings.depth.sigma(*z);
+      return o;
+    }
+  }
+  o.normalized = rows.toMiddleRow(pixel, normalized, inverse_depth);
+  return o;
 }
 
 PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
-                                              const Eigen::Vector2d& normalized, const cv::Mat& depth) const {
+                                              const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                                              const Pose& T_camera_map) const {
+  const double z = (T_camera_map * p_map).z();
+  const Observation seen = observe(pixel, normalized, depth, z > 0.1 ? 1 / z : 0);
   PoseCorrespondence c;
   c.p_map = p_map;
-  c.normalized = normalized;
-  c.sigma = settings.pixel_sigma / focal;
-  if (const auto z = sampleDepth(depth, pixel, settings.depth)) {
-    c.depth = *z;
-    c.depth_sigma = settings.depth.sigma(*z);
-  }
+  c.normalized = seen.normalized;
+  const auto noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
+  c.sigma = noise.sigma;
+  c.elongation = noise.elongation;
+  c.depth = seen.depth;
+  c.depth_sigma = seen.depth_sigma;
   return c;
 }
 
@@ -84,13 +106,15 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
   visual_frontend::TrackPrediction prediction;
   prediction.R_current_previous = predicted.linear().transpose() * T_before.linear();
   const Pose T_camera_map = predicted.inverse();
+  setRowMotion(stamp, predicted);
   for (auto it = track_landmark.begin(); it != track_landmark.end();) {
     if (!map.hasLandmark(it->second)) {
       it = track_landmark.erase(it);
       continue;
     }
-    const auto pixel = camera.project(T_camera_map * map.landmark(it->second).position);
-    if (pixel && camera.contains(*pixel)) prediction.pixels[it->first] = *pixel;
+    const Eigen::Vector3d p_camera = T_camera_map * map.landmark(it->second).position;
+    const auto pixel = camera.project(p_camera);
+    if (pixel && camera.contains(*pixel)) prediction.pixels[it->first] = rows.toItsRow(*pixel, p_camera);
     ++it;
   }
   tracker.track(gray, prediction);
@@ -105,12 +129,15 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
     const auto it = track_landmark.find(f.id);
     if (it == track_landmark.end()) continue;
     living.insert(*it);
-    correspondences.push_back(correspondence(map.landmark(it->second).position, f.pixel, f.normalized, depth));
+    correspondences.push_back(
+        correspondence(map.landmark(it->second).position, f.pixel, f.normalized, depth, T_camera_map));
     tracks.push_back(f.id);
   }
   track_landmark = std::move(living);
   track_views = std::move(living_views);
-  tracked.pose = solve(correspondences, predicted, from_gyro);
+  // A rotation that may be off by more than a pixel is no known rotation.
+  const double rotation_sigma = gyro_bias_sigma * (stamp - frames.back().stamp);
+  tracked.pose = solve(correspondences, predicted, from_gyro && focal * rotation_sigma < 1.5);
   const PoseResult& pose = tracked.pose;
   if (!pose.success || pose.inlier_count < settings.min_inliers ||
       pose.inlier_count < settings.min_inlier_ratio * correspondences.size()) {
@@ -144,6 +171,7 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
 }
 
 int Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose) {
+  const Pose T_camera_map = around.inverse();
   std::set<LandmarkId> held;
   std::vector<Eigen::Vector2d> occupied;
   std::vector<PoseCorrespondence> correspondences;
@@ -156,7 +184,8 @@ int Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::M
     }
     held.insert(it->second);
     occupied.push_back(f.pixel);
-    correspondences.push_back(correspondence(map.landmark(it->second).position, f.pixel, f.normalized, depth));
+    correspondences.push_back(
+        correspondence(map.landmark(it->second).position, f.pixel, f.normalized, depth, T_camera_map));
   }
   const std::size_t tracked = correspondences.size();
   std::vector<LandmarkId> candidates;
@@ -169,7 +198,8 @@ int Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::M
       visual_frontend::reobserve(map, camera, tracker.pyramid(), around, candidates, occupied, search);
   if (matches.empty()) return 0;
   for (const LandmarkMatch& m : matches)
-    correspondences.push_back(correspondence(map.landmark(m.landmark).position, m.pixel, m.normalized, depth));
+    correspondences.push_back(
+        correspondence(map.landmark(m.landmark).position, m.pixel, m.normalized, depth, T_camera_map));
   const PoseResult refined =
       tracked > 0 ? visual_frontend::refinePose(correspondences, around, {}) : solve(correspondences, around, false);
   if (!refined.success || refined.inlier_count < pose->inlier_count) return 0;
@@ -198,6 +228,14 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   tracker.reset();
   track_landmark.clear();
   track_views.clear();
+  // Descriptors of the whole image against the whole map take longer than an image may.
+  if (state == State::kLost && !nearly_found && stamp - last_attempt < settings.relocalization_interval - 1e-3) {
+    tracked.reason = lost_reason;
+    return tracked;
+  }
+  last_attempt = stamp;
+  ++counters.relocalization_attempts;
+  setRowMotion(stamp, poseOf(frames.back()));
   tracker.track(gray);
   const auto accept = [&](const Pose& around, double radius) {
     tracked.pose = PoseResult();
@@ -228,6 +266,8 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   tracked.success = false;
   tracked.reason =
       match.success ? "a place was recognised but too few of its landmarks were found" : "lost: " + match.reason;
+  lost_reason = tracked.reason;
+  nearly_found = match.success || match.inliers > 0.6 * settings.place.min_inliers;
   return tracked;
 }
 

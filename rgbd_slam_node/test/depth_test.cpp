@@ -1,8 +1,11 @@
 // Depth sampling, the ground cloud, and pairing of images.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
+#include <map>
+
 #include "rgbd_slam/depth_model.h"
-#include "rgbd_slam/frame_pairer.h"
 #include "rgbd_slam/ground_cloud.h"
 #include "synthetic.h"
 
@@ -74,6 +77,43 @@ TEST(KeyframeDepth, FusedFramesLowerTheNoise) {
   EXPECT_LT(rms(8), 0.5 * rms(0));
 }
 
+TEST(KeyframeDepth, RowsLieWhereTheyWereSeenFrom) {
+  const auto camera = synthetic::camera(false);
+  const DepthModel model;
+  const CloudSettings settings;
+  const cv::Mat texture = synthetic::texture(400, 2);
+  constexpr double kReadout = 0.03;
+  const Eigen::Vector3d rate(1.0, -0.7, 0.5), velocity(0.3, -0.2, 0.6);
+  const auto moving = [&](const Pose& T, int row) {
+    const double t = ((row + 0.5) / camera.height - 0.5) * kReadout;
+    Pose T_middle_row = Pose::Identity();
+    T_middle_row.linear() = air_ground_common::expSO3(rate * t);
+    T_middle_row.translation() = velocity * t;
+    return Pose(T * T_middle_row);
+  };
+  visual_frontend::RollingShutter rows(camera, kReadout);
+  rows.setMotion(rate, velocity);
+  const Pose T_key = synthetic::above(0, 0, 2, 0, 0.5), T_next = synthetic::above(0.05, 0.02, 2.02, 0.02, 0.52);
+  cv::Mat depth, next;
+  const auto view = [&](const Pose& T, cv::Mat* z) {
+    return synthetic::renderPlaneByRows(
+        camera, [&](int row) { return moving(T, row); }, texture, 8, z);
+  };
+  const cv::Mat gray = view(T_key, &depth);
+  view(T_next, &next);
+  const auto rms = [&](const visual_frontend::RollingShutter* shutter) {
+    KeyframeDepth key(camera, depth, gray, model, settings, shutter);
+    for (int i = 0; i < 3; ++i) key.fuse(camera, next, T_next.inverse() * T_key, model, settings, shutter);
+    double sum = 0;
+    const auto points = key.points(model, settings);
+    EXPECT_GT(points.size(), 5000u);
+    for (const auto& p : points) sum += std::pow((T_key * p.position.cast<double>()).z(), 2);
+    return std::sqrt(sum / points.size());
+  };
+  EXPECT_GT(rms(nullptr), 0.01);
+  EXPECT_LT(rms(&rows), 0.002);
+}
+
 TEST(KeyframeDepth, DropsEdgesAndWhatOthersSeeThrough) {
   const auto camera = synthetic::camera(false);
   const DepthModel model;
@@ -117,37 +157,121 @@ TEST(FusePoints, OnePointAVoxelWeightedByPrecision) {
   EXPECT_TRUE(fusePoints({}, settings).empty());
 }
 
-TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
-  FramePairer<int> pairer(0.02, 1.0, 0.3, 100);
-  pairer.addDepth(0.005, 0, 0);
-  pairer.addColour(0.0, 0, 0);
-  pairer.addColour(0.1, 1, 0);
-  ASSERT_TRUE(pairer.front(0));
-  EXPECT_EQ(pairer.take().depth, 0);
-  EXPECT_FALSE(pairer.front(0));  // waits for depth
-  pairer.addDepth(0.085, 1, 0);
-  pairer.addDepth(0.101, 2, 0);
-  ASSERT_TRUE(pairer.front(0));
-  EXPECT_EQ(pairer.take().depth, 2);
-  EXPECT_EQ(pairer.unmatchedDepth(), 1u);
-  pairer.addColour(0.2, 2, 0);
-  pairer.addDepth(0.3, 3, 0);
-  EXPECT_FALSE(pairer.front(0));
-  EXPECT_EQ(pairer.unmatchedColour(), 1u);
-  EXPECT_NEAR(pairer.closestMiss(), 0.1, 1e-9);
-  // Without any depth, colour images give up after a while: not at once, as all depth images may come after all colour
-  // images.
-  FramePairer<int> alone(0.02, 1.0, 0.3, 100);
-  for (int i = 0; i < 30; ++i) alone.addColour(0.1 * i, i, 50);
-  EXPECT_FALSE(alone.front(50.2));
-  EXPECT_EQ(alone.unmatchedColour(), 0u);
-  EXPECT_FALSE(alone.overtaken(0.0, 0.5, 50.2));
-  EXPECT_TRUE(alone.overtaken(0.0, 0.5, 50.4));
-  EXPECT_FALSE(alone.overtaken(2.5, 0.5, 50.4));
-  EXPECT_FALSE(alone.front(50.4));
-  EXPECT_GT(alone.unmatchedColour(), 15u);
-  alone.addColour(0.5, 99, 50.4);  // out of order
-  EXPECT_EQ(alone.overflow(), 1u);
+/// What fusePoints is to compute, written plainly: the weighted mean of each voxel, less the faint.
+std::vector<CloudPoint> plainFusion(const std::vector<PosedPoints>& keyframes, const CloudSettings& settings) {
+  struct Sum {
+    Eigen::Vector3d position = Eigen::Vector3d::Zero();
+    double weight = 0;
+  };
+  std::map<std::array<int, 3>, Sum> voxels;
+  for (const PosedPoints& k : keyframes) {
+    for (const auto& point : *k.points) {
+      const Eigen::Vector3f p =
+          k.T_map_camera.linear().cast<float>() * point.position + k.T_map_camera.translation().cast<float>();
+      std::array<int, 3> v;
+      for (int i = 0; i < 3; ++i) v[i] = static_cast<int>(std::floor(p[i] * static_cast<float>(1 / settings.voxel)));
+      voxels[v].position += point.weight * p.cast<double>();
+      voxels[v].weight += point.weight;
+    }
+  }
+  std::vector<CloudPoint> cloud;
+  for (const auto& [v, sum] : voxels) {
+    double best = 0;
+    for (int i = 0; i < 125; ++i) {
+      const auto it = voxels.find({v[0] + i % 5 - 2, v[1] + i / 5 % 5 - 2, v[2] + i / 25 - 2});
+      if (it != voxels.end()) best = std::max(best, it->second.weight);
+    }
+    if (sum.weight >= settings.min_weight_share * best)
+      cloud.push_back({(sum.position / sum.weight).cast<float>(), {0, 0, 0}, static_cast<float>(sum.weight)});
+  }
+  return cloud;
+}
+
+std::vector<CloudPoint> sorted(std::vector<CloudPoint> cloud) {
+  std::sort(cloud.begin(), cloud.end(), [](const CloudPoint& a, const CloudPoint& b) {
+    return std::lexicographical_compare(a.position.data(), a.position.data() + 3, b.position.data(),
+                                        b.position.data() + 3);
+  });
+  return cloud;
+}
+
+void expectSame(const std::vector<CloudPoint>& a, const std::vector<CloudPoint>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    ASSERT_LT((a[i].position - b[i].position).norm(), 2e-6f) << i;
+    ASSERT_NEAR(a[i].weight, b[i].weight, 1e-4 * b[i].weight) << i;
+  }
+}
+
+/// Keyframes along a floor with a step, near and far, so that faint voxels are dropped.
+std::vector<PosedPoints> floorKeyframes(int count, unsigned seed) {
+  synthetic::Random random(seed);
+  std::vector<PosedPoints> keyframes;
+  for (int k = 0; k < count; ++k) {
+    auto points = std::make_shared<std::vector<KeyframeDepth::Point>>();
+    for (int i = 0; i < 3000; ++i) {
+      const double range = random.uniform(0.5, 4), sigma = DepthModel().sigma(i % 10 == 0 ? 4 : 0.5);
+      KeyframeDepth::Point p;
+      p.position = Eigen::Vector3d(random.uniform(-0.3, 0.3), range, random.gauss(sigma)).cast<float>();
+      p.bgr[0] = p.bgr[1] = p.bgr[2] = 50;
+      p.weight = static_cast<float>(1 / (sigma * sigma));
+      points->push_back(p);
+    }
+    keyframes.push_back({air_ground_common::yawPose(0.3 * k, {-0.2 * k, 0.1 * k, 0}), points, k});
+  }
+  return keyframes;
+}
+
+TEST(GroundCloud, EqualsThePlainFusion) {
+  const CloudSettings settings;
+  const auto keyframes = floorKeyframes(6, 1);
+  const auto cloud = fusePoints(keyframes, settings), plain = plainFusion(keyframes, settings);
+  std::size_t voxels = 0;
+  CloudSettings all;
+  all.min_weight_share = 0;
+  voxels = fusePoints(keyframes, all).size();
+  EXPECT_LT(plain.size(), voxels);  // some were too faint
+  expectSame(sorted(cloud), sorted(plain));
+}
+
+TEST(GroundCloud, FusesOnlyWhatChangedAndEqualsTheBatch) {
+  const CloudSettings settings;
+  auto keyframes = floorKeyframes(12, 2);
+  GroundCloud cloud(settings, 0);
+  std::vector<PosedPoints> present(keyframes.begin(), keyframes.begin() + 8);
+  EXPECT_EQ(cloud.update(present), 8);
+  EXPECT_EQ(cloud.update(present), 0);
+  present.assign(keyframes.begin(), keyframes.end());
+  EXPECT_EQ(cloud.update(present), 4);
+  expectSame(cloud.points(), fusePoints(present, settings));
+  // A loop moves three keyframes, one has other points, one is gone; many times, so that remainders would show.
+  for (int i = 0; i < 20; ++i) {
+    for (int k = 2; k < 5; ++k)
+      present[k].T_map_camera = present[k].T_map_camera * air_ground_common::yawPose(0.01, {0.02, 0.01, 0.005});
+    EXPECT_EQ(cloud.update(present), 3);
+  }
+  present[6].points = floorKeyframes(1, 9)[0].points;
+  present.erase(present.begin() + 9);
+  EXPECT_EQ(cloud.update(present), 1);
+  expectSame(cloud.points(), fusePoints(present, settings));
+  cloud.clear();
+  EXPECT_TRUE(cloud.points().empty());
+  present.push_back(present.front());
+  EXPECT_THROW(cloud.update(present), std::invalid_argument);
+}
+
+TEST(GroundCloud, SmallMovesWait) {
+  const CloudSettings settings;
+  auto keyframes = floorKeyframes(3, 3);
+  GroundCloud cloud(settings);
+  cloud.update(keyframes);
+  keyframes[1].T_map_camera.translation().x() += 0.1 * settings.voxel;
+  EXPECT_EQ(cloud.update(keyframes), 0);
+  // Small moves add up: what counts is the distance from where the points were fused.
+  keyframes[1].T_map_camera.translation().x() += 0.15 * settings.voxel;
+  EXPECT_EQ(cloud.update(keyframes), 1);
+  keyframes[2].T_map_camera.linear() *= Eigen::AngleAxisd(0.002, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  EXPECT_EQ(cloud.update(keyframes), 1);  // 8 mm at 4 m
 }
 
 }  // namespace

@@ -29,6 +29,11 @@ struct Robot {
   bool spin = false;                             ///< turn on the spot instead
   Eigen::Vector3d tilt{0.03, -0.02, 0};          ///< the base is not level [rad]
   Eigen::Vector3d gyro_bias{0.01, -0.02, 0.015};
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();
+  double start = 0;         ///< when the map begins [s]
+  double readout_time = 0;  ///< of a rolling shutter [s]
+  double sway = 0;          ///< roll and pitch swing by this while it drives, as on uneven ground [rad]
+  double sway_rate = 1;     ///< how fast, over 2.1 and 1.7 rad/s
 
   /// T_world_base; the world's z is up, the floor at z = 0.
   Pose base(double t) const {
@@ -36,15 +41,17 @@ struct Robot {
     // Sets off smoothly over a second.
     const double way = speed * (s < 1 ? 0.5 * s * s : s - 0.5), angle = way / radius;
     Pose T = Pose::Identity();
-    T.linear() =
-        Eigen::AngleAxisd(angle + 0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix() * air_ground_common::expSO3(tilt);
+    const Eigen::Vector3d swing =
+        sway * Eigen::Vector3d(std::sin(2.1 * sway_rate * s), std::sin(1.7 * sway_rate * s), 0);
+    T.linear() = Eigen::AngleAxisd(angle + 0.7, Eigen::Vector3d::UnitZ()).toRotationMatrix() *
+                 air_ground_common::expSO3(tilt + swing);
     if (!spin) T.translation() = Eigen::Vector3d(radius * std::sin(angle), radius * (1 - std::cos(angle)), 0);
     return T;
   }
 
   /// Pose of the base in the map that SLAM should build: origin at the first base, level, yaw 0 there.
   Pose mapped(double t) const {
-    const Pose first = base(0);
+    const Pose first = base(start);
     return air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse() *
            base(t);
   }
@@ -54,7 +61,12 @@ struct Robot {
   };
   Frame frame(double t, synthetic::Random& random) const {
     Frame f;
-    f.gray = synthetic::renderPlane(camera, base(t) * mounting.T_base_camera, texture, floor, &f.depth);
+    const auto cameraOf = [&](int row) {
+      return Pose(base(t + (static_cast<double>(row) / camera.height - 0.5) * readout_time) * mounting.T_base_camera);
+    };
+    f.gray = readout_time == 0
+                 ? synthetic::renderPlane(camera, base(t) * mounting.T_base_camera, texture, floor, &f.depth)
+                 : synthetic::renderPlaneByRows(camera, cameraOf, texture, floor, &f.depth);
     cv::Mat noise(f.gray.size(), CV_16S), noisy;
     cv::RNG rng(static_cast<std::uint64_t>(t * 1000) + 5);
     rng.fill(noise, cv::RNG::NORMAL, 0, 2);
@@ -79,7 +91,8 @@ struct Robot {
     ImuSample s;
     s.stamp = t;
     s.angular_velocity = mounting.R_base_imu->transpose() * rate + gyro_bias + random.gaussVector(0.003);
-    s.specific_force = R_imu_world * (acceleration + Eigen::Vector3d(0, 0, 9.81)) + random.gaussVector(0.04);
+    s.specific_force =
+        R_imu_world * (acceleration + Eigen::Vector3d(0, 0, 9.81)) + accel_bias + random.gaussVector(0.04);
     return s;
   }
 };

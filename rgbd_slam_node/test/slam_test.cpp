@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <deque>
 #include <functional>
 
 #include "air_ground_common/linear_algebra.h"
@@ -88,6 +89,125 @@ TEST(Slam, CircleInAGravityAlignedMap) {
   }
   EXPECT_NEAR(sum / cloud.size(), 0, 0.015);
   EXPECT_LT(std::sqrt(squares / cloud.size()), 0.02);
+}
+
+/// Angle between the map's z axis and the true vertical, by the pose of a frame.
+double tiltOf(const Robot& robot, const FrameResult& r, double t) {
+  const Eigen::Vector3d up_base = robot.base(t).linear().transpose() * Eigen::Vector3d::UnitZ();
+  return std::acos(std::clamp((r.T_map_base.linear() * up_base).z(), -1.0, 1.0));
+}
+
+TEST(Slam, LevelsAMapThatWasBegunInMotion) {
+  Robot robot;
+  robot.start = 2.1;  // the first image waits for the first specific forces
+  robot.speed = 0.6;
+  robot.gyro_bias = {0.12, -0.1, 0.12};  // 0.2 rad/s
+  robot.accel_bias = {0.3, -0.3, 0.25};  // 0.5 m/s^2
+  robot.tilt = {0.1, -0.06, 0};
+  robot.sway = 0.02;
+  Slam slam(robot.camera, robot.mounting, {});
+  const Drive run = drive(robot, slam, 2, 12);
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_EQ(slam.counters().maps, 1);
+  int corrected = 0;
+  for (std::size_t i = 0; i < run.results.size(); ++i) {
+    corrected += run.results[i].map_corrected;
+    if (run.stamps[i] < 10) continue;
+    EXPECT_LT(tiltOf(robot, run.results[i], run.stamps[i]), 0.5 * M_PI / 180) << run.stamps[i];
+  }
+  EXPECT_LE(corrected, 4);
+  EXPECT_LT(slam.tiltSigma(), 0.5 * M_PI / 180);
+  EXPECT_LT((slam.gyroBias() - robot.gyro_bias).norm(), 0.004);
+  EXPECT_LT((slam.inertialEstimate()->accel_bias - robot.accel_bias).norm(), 0.12);
+  EXPECT_LT(worst(run, slam.trajectory()), 0.08);
+}
+
+/// Largest angle by which the orientation differs from the truth.
+double worstTurn(const Robot& robot, const Drive& run, double from) {
+  double largest = 0;
+  for (std::size_t i = 0; i < run.results.size(); ++i) {
+    if (run.results[i].state != State::kTracking || run.stamps[i] < from) continue;
+    largest = std::max(largest, air_ground_common::rotationAngle(run.results[i].T_map_base.linear(),
+                                                                 robot.mapped(run.stamps[i]).linear()));
+  }
+  return largest;
+}
+
+TEST(Slam, ImuClockAheadOfTheCamera) {
+  Robot robot;
+  robot.sway = 0.06;
+  robot.sway_rate = 2;
+  // The same samples with stamps 50 ms ahead, and the setting that says so: the same results.
+  constexpr double kOffset = 0.05;
+  SlamSettings told;
+  told.time_offset = kOffset;
+  Slam plain(robot.camera, robot.mounting, {}), corrected(robot.camera, robot.mounting, told),
+      untold(robot.camera, robot.mounting, {});
+  Random random(11);
+  double next_imu = 0;
+  std::deque<visual_frontend::ImuSample> shifted;
+  FrameResult a, b;
+  for (int i = 0; i <= 50; ++i) {
+    const double t = 0.1 * i;
+    for (; next_imu <= t + 0.005; next_imu += 0.005) {
+      auto sample = robot.imu(next_imu, random);
+      plain.addImu(sample);
+      sample.stamp += kOffset;
+      corrected.addImu(sample);
+      untold.addImu(sample);
+    }
+    const auto frame = robot.frame(t, random);
+    a = plain.process(t, frame.gray, cv::Mat(), frame.depth);
+    b = corrected.process(t, frame.gray, cv::Mat(), frame.depth);
+    untold.process(t, frame.gray, cv::Mat(), frame.depth);
+  }
+  EXPECT_LT((a.T_map_base.translation() - b.T_map_base.translation()).norm(), 2e-3);
+  EXPECT_LT(air_ground_common::rotationAngle(a.T_map_base.linear(), b.T_map_base.linear()), 1e-3);
+  const double bias_error = (corrected.gyroBias() - robot.gyro_bias).norm();
+  EXPECT_LT(bias_error, 0.006);
+  EXPECT_GT((untold.gyroBias() - robot.gyro_bias).norm(), 2 * bias_error);
+}
+
+TEST(Slam, RollingShutter) {
+  Robot robot;
+  robot.readout_time = 0.03;
+  robot.sway = 0.05;
+  robot.sway_rate = 2.5;
+  robot.tilt.setZero();
+  robot.speed = 0.6;
+  SlamSettings told;
+  told.readout_time = robot.readout_time;
+  Slam corrected(robot.camera, robot.mounting, told), untold(robot.camera, robot.mounting, {});
+  const Drive with = drive(robot, corrected, 0, 4), without = drive(robot, untold, 0, 4);
+  EXPECT_EQ(corrected.counters().lost_frames, 0);
+  EXPECT_LT(worst(with, corrected.trajectory()), 0.5 * worst(without, untold.trajectory()));
+  EXPECT_LT(worstTurn(robot, with, 1.5), 0.012);
+}
+
+TEST(Slam, LostItLooksForItsPlaceTenTimesASecond) {
+  Robot robot;
+  robot.rest = 0.8;
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 3);
+  const int before = slam.counters().relocalization_attempts;
+  EXPECT_EQ(before, 0);
+  Random random(5);
+  auto dark = robot.frame(3, random);
+  dark.gray.setTo(15);
+  FrameResult r;
+  int i = 0;
+  for (; i < 60; ++i) r = slam.process(3.1 + i / 30.0, dark.gray, cv::Mat(), dark.depth);
+  EXPECT_EQ(r.state, State::kLost);
+  EXPECT_FALSE(r.reason.empty());
+  EXPECT_GE(slam.counters().relocalization_attempts, 14);
+  EXPECT_LE(slam.counters().relocalization_attempts, 21);
+  // Seen again, it is found within a tenth of a second.
+  const auto frame = robot.frame(2.0, random);
+  int frames = 0;
+  for (; frames < 6 && r.state != State::kTracking; ++i, ++frames)
+    r = slam.process(3.1 + i / 30.0, frame.gray, cv::Mat(), frame.depth);
+  EXPECT_EQ(r.state, State::kTracking);
+  EXPECT_LE(frames, 4);
 }
 
 TEST(Slam, SameInputSameOutput) {

@@ -12,9 +12,11 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <condition_variable>
 #include <cstdio>
+#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -23,7 +25,9 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/image_input.h"
 #include "city_display.h"
+#include "match_message.h"
 #include "odometry_buffer.h"
 #include "streetview_localizer/localizer.h"
 #include "streetview_localizer_parameters.h"
@@ -34,52 +38,19 @@ namespace {
 namespace ru = air_ground_common::ros_utils;
 using air_ground::StreetviewMatch;
 
-std::uint8_t messageStatus(LocalizerStatus status) {
-  switch (status) {
-    case LocalizerStatus::kAccepted:
-      return StreetviewMatch::STATUS_ACCEPTED;
-    case LocalizerStatus::kRefused:
-      return StreetviewMatch::STATUS_REFUSED;
-    case LocalizerStatus::kNoPose:
-      return StreetviewMatch::STATUS_NO_POSE;
-    case LocalizerStatus::kNoMatch:
-      return StreetviewMatch::STATUS_NO_MATCH;
-  }
-  return StreetviewMatch::STATUS_NO_MATCH;
-}
-
 enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStreams };
 
 class StreetviewLocalizerNode {
  public:
   StreetviewLocalizerNode(ros::NodeHandle handle, ros::NodeHandle private_handle)
-      : handle_(handle), settings_(readParameters(private_handle)), health_("streetview_localizer"), listener_(tf_) {
-    const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(settings_.database, settings_.load));
-    localizer_ = std::make_unique<Localizer>(database, settings_.localizer);
-    ROS_INFO(
-        "%s: %zu panoramas, %zu views, world %s", settings_.database.c_str(), database->panoramas.size(),
-        database->views.size(),
-        database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());
-
-    ROS_INFO("%s", localizer_->indexRemark().c_str());
-
-    match_ = handle.advertise<StreetviewMatch>("streetview/match", 20);
-    pose_ = handle.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 20);
-    match_image_ = handle.advertise<sensor_msgs::Image>("streetview/match_image", 2);
-    synthesized_view_ = handle.advertise<sensor_msgs::Image>("streetview/synthesized_view", 2);
-    display_.advertise(&handle_);
-
-    image_ = handle.subscribe("mav/camera/image_raw", 3, &StreetviewLocalizerNode::onImage, this);
-    camera_info_ = handle.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
-    health_.expectInput(image_.getTopic());
-    health_.expectInput(camera_info_.getTopic());
-    if (settings_.use_prior)
-      prior_ = handle.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
-    if (settings_.use_gravity)
-      attitude_ = handle.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
-    reset_ = private_handle.advertiseService("reset", &StreetviewLocalizerNode::onReset, this);
-    health_.state(1, "waiting for images");
-    worker_ = std::thread([this] { work(); });
+      : handle_(handle),
+        private_handle_(private_handle),
+        settings_(readParameters(private_handle)),
+        info_topic_(handle.resolveName("mav/camera/camera_info")),
+        health_("streetview_localizer"),
+        listener_(tf_) {
+    health_.state(1, "reading the database " + settings_.database);
+    worker_ = std::thread([this] { run(); });
   }
 
   ~StreetviewLocalizerNode() {
@@ -91,6 +62,9 @@ class StreetviewLocalizerNode {
     worker_.join();
   }
 
+  /// The database could not be used; said on the console.
+  bool failed() const { return failed_; }
+
  private:
   struct Job {
     sensor_msgs::Image::ConstPtr image;
@@ -98,11 +72,60 @@ class StreetviewLocalizerNode {
     unsigned pass = 0;
   };
 
-  // ---- Inputs
-  // ---------------------------------------------------------------------------------------------------------
+  // ---- Start --------------------------------------------------------------------------------------------------------
+
+  // A large city takes minutes to read and to index: meanwhile diagnostics come, and say so.
+  void run() {
+    try {
+      load();
+    } catch (const std::exception& e) {
+      ROS_FATAL("%s", e.what());
+      failed_ = true;
+      ros::requestShutdown();
+      return;
+    }
+    listen();
+    work();
+  }
+
+  void load() {
+    const auto database = std::make_shared<const StreetviewDatabase>(loadDatabase(settings_.database, settings_.load));
+    ROS_INFO(
+        "%s: %zu panoramas, %zu views, world %s", settings_.database.c_str(), database->panoramas.size(),
+        database->views.size(),
+        database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());
+    const std::string& index = settings_.localizer.index_file;
+    health_.state(1, "preparing the search index over " + std::to_string(database->views.size()) + " views" +
+                         (std::filesystem::exists(index) ? ", from " + index
+                                                         : ": building it, which takes minutes for a large city"));
+    localizer_ = std::make_unique<Localizer>(database, settings_.localizer);
+    ROS_INFO("%s", localizer_->indexRemark().c_str());
+  }
+
+  // Subscribes last: who waits for the node waits for its subscriptions.
+  void listen() {
+    match_ = handle_.advertise<StreetviewMatch>("streetview/match", 20);
+    pose_ = handle_.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 20);
+    match_image_ = handle_.advertise<sensor_msgs::Image>("streetview/match_image", 2);
+    synthesized_view_ = handle_.advertise<sensor_msgs::Image>("streetview/synthesized_view", 2);
+    display_.advertise(&handle_);
+    reset_ = private_handle_.advertiseService("reset", &StreetviewLocalizerNode::onReset, this);
+    health_.expectInput(info_topic_);
+    health_.state(1, "waiting for images");
+    if (settings_.use_prior)
+      prior_ = handle_.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
+    if (settings_.use_gravity)
+      attitude_ = handle_.subscribe("mav/odometry", 400, &StreetviewLocalizerNode::onAttitude, this);
+    camera_info_ = handle_.subscribe("mav/camera/camera_info", 20, &StreetviewLocalizerNode::onCameraInfo, this);
+    image_.emplace(handle_, "mav/camera/image_raw", settings_.image_transport, false, 3, health_,
+                   "the parameter image_transport, or the launch argument mav_image_transport,",
+                   [this](const ru::ImageMessage& message) { onImage(message); });
+  }
+
+  // ---- Inputs -------------------------------------------------------------------------------------------------------
 
   void onCameraInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
-    health_.received(camera_info_.getTopic(), msg->header.stamp);
+    health_.received(info_topic_, msg->header.stamp);
     try {
       const CameraModel camera = ru::fromMsg(*msg);
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -112,16 +135,22 @@ class StreetviewLocalizerNode {
     }
   }
 
-  void onImage(const sensor_msgs::Image::ConstPtr& msg) {
-    health_.received(image_.getTopic(), msg->header.stamp);
-    if (!gate_.admit(kImages, msg->header.stamp)) return;
+  void onImage(const ru::ImageMessage& message) {
+    const ros::Time stamp = message.header().stamp;
+    if (!gate_.admit(kImages, stamp)) return;
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!camera_) return health_.count("images without calibration");
+    if (!last_started_.isZero() && stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
+    sensor_msgs::Image::ConstPtr msg;
+    try {
+      msg = message.pixels();
+    } catch (const std::exception& e) {
+      return health_.count(std::string("images that could not be used: ") + e.what());
+    }
     if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
       return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
                            std::to_string(msg->height) + " against " + std::to_string(camera_->width) + " x " +
                            std::to_string(camera_->height) + ")");
-    if (!last_started_.isZero() && msg->header.stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
     if (job_) ++skipped_;
     job_ = Job{msg, *camera_, pass_};
     wake_.notify_all();
@@ -181,8 +210,7 @@ class StreetviewLocalizerNode {
     }
   }
 
-  // ---- Work
-  // -----------------------------------------------------------------------------------------------------------
+  // ---- Work ---------------------------------------------------------------------------------------------------------
 
   void work() {
     bool display = settings_.display;
@@ -284,41 +312,10 @@ class StreetviewLocalizerNode {
   }
 
   void publishMatch(const Job& job, const std::string& frame, const LocalizerResult& r) {
-    const StreetviewDatabase& db = localizer_->database();
-    StreetviewMatch msg;
+    StreetviewMatch msg = matchMessage(r, localizer_->database());
     msg.header.stamp = job.image->header.stamp;
     msg.header.frame_id = settings_.world_frame;
-    msg.status = messageStatus(r.status);
-    msg.reason = r.reason;
-    if (r.panorama >= 0) msg.panorama_id = db.panoramas[static_cast<std::size_t>(r.panorama)].id;
-    if (r.view >= 0) msg.view_id = static_cast<std::uint32_t>(r.view);
     msg.camera_frame = frame;
-    msg.score = r.acceptance.score;
-    msg.features = static_cast<std::uint32_t>(r.features);
-    msg.matches = static_cast<std::uint32_t>(r.matches);
-    msg.used_prior = r.used_prior;
-    for (const int p : r.searched) msg.searched.push_back(db.panoramas[static_cast<std::size_t>(p)].id);
-    msg.time = r.total_time;
-    if (r.pose.success && r.pose.covariance.allFinite()) {
-      msg.camera_pose.pose = ru::toMsg(r.pose.T_world_camera);
-      ru::setCovariance(r.pose.covariance, &msg.camera_pose.covariance);
-      msg.inliers = static_cast<std::uint32_t>(r.pose.inliers.size());
-      msg.rms = r.pose.rms;
-      msg.range = r.acceptance.evidence.range;
-      for (const int i : r.pose.inliers) {
-        const Correspondence& c = r.correspondences[static_cast<std::size_t>(i)];
-        air_ground::StreetviewPoint point;
-        point.u = static_cast<float>(c.pixel.x());
-        point.v = static_cast<float>(c.pixel.y());
-        point.view_id = static_cast<std::uint32_t>(r.views[static_cast<std::size_t>(i)]);
-        point.view_u = static_cast<float>(c.view_pixel.x());
-        point.view_v = static_cast<float>(c.view_pixel.y());
-        point.point.x = c.p_world.x();
-        point.point.y = c.p_world.y();
-        point.point.z = c.p_world.z();
-        msg.points.push_back(point);
-      }
-    }
     match_.publish(msg);
   }
 
@@ -375,8 +372,9 @@ class StreetviewLocalizerNode {
     return true;
   }
 
-  ros::NodeHandle handle_;
+  ros::NodeHandle handle_, private_handle_;
   const NodeSettings settings_;
+  const std::string info_topic_;
   ru::NodeHealth health_;
   ru::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};  // of the callbacks, which share one thread
   tf2_ros::Buffer tf_;
@@ -384,7 +382,8 @@ class StreetviewLocalizerNode {
   std::unique_ptr<Localizer> localizer_;
   CityDisplay display_;
   ros::Publisher match_, pose_, match_image_, synthesized_view_;
-  ros::Subscriber image_, camera_info_, prior_, attitude_;
+  std::optional<ru::ImageInput> image_;
+  ros::Subscriber camera_info_, prior_, attitude_;
   ros::ServiceServer reset_;
   ros::Time last_fix_;  // of the worker, as are the tallies
   std::size_t accepted_ = 0, refused_ = 0;
@@ -393,6 +392,7 @@ class StreetviewLocalizerNode {
   std::mutex mutex_;  // guards what follows
   std::condition_variable wake_;
   bool stop_ = false;
+  std::atomic<bool> failed_{false};
   unsigned pass_ = 0;
   std::size_t skipped_ = 0;
   std::optional<CameraModel> camera_;
@@ -407,9 +407,11 @@ class StreetviewLocalizerNode {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "streetview_localizer");
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
     streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
     ros::spin();
+    if (node.failed()) return 1;
   } catch (const std::exception& e) {
     ROS_FATAL("%s", e.what());
     return 1;

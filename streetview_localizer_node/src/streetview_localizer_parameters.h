@@ -11,6 +11,7 @@ namespace streetview_localizer {
 
 struct NodeSettings {
   std::string database, world_frame, base_frame, camera_frame;
+  std::string image_transport = "raw";  ///< or "compressed"
   bool use_prior = true, use_gravity = true, display = true;
   int prior_misses = 3;
   double min_period = 0, prior_max_age = 1, prior_speed = 3, gravity_max_age = 0.1, gravity_wait = 0.3,
@@ -33,6 +34,7 @@ NodeSettings readSettings(Source& p) {
   s.world_frame = p.text("world_frame", "world");
   s.base_frame = p.text("base_frame", "mav_base_link");
   s.camera_frame = p.text("camera_frame", "");
+  s.image_transport = p.choice("image_transport", s.image_transport, {"raw", "compressed"});
   s.min_period = p.number("min_period", s.min_period, 0, 3600);
 
   s.use_prior = p.flag("use_prior", s.use_prior);

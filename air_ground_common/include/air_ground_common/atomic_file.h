@@ -1,28 +1,17 @@
 // Files that are either whole or not there.
 #pragma once
 
-#include <cstdio>
-#include <fstream>
-#include <stdexcept>
+#include <functional>
+#include <ostream>
 #include <string>
 
 namespace air_ground_common {
 
-/// `body` writes to the stream it gets. Goes through `path`.partial, so that an interrupted write leaves the old file
-/// whole. Throws std::runtime_error.
-template <typename Body>
-void writeAtomically(const std::string& path, const Body& body) {
-  const std::string partial = path + ".partial";
-  {
-    std::ofstream file(partial, std::ios::binary);
-    body(file);
-    file.close();
-    if (!file) {
-      std::remove(partial.c_str());
-      throw std::runtime_error("cannot write " + path);
-    }
-  }
-  if (std::rename(partial.c_str(), path.c_str()) != 0) throw std::runtime_error("cannot write " + path);
-}
+/// `body` writes to the stream it gets. Goes through a file of a name of its own beside `path`, which is flushed to the
+/// disk before it takes the place of the old one: an interrupted write, or a power cut, leaves the old file whole, and
+/// two writers do not mix. `begins_with`, unless empty: an existing file that begins otherwise is not of this kind and
+/// is not overwritten. Throws std::runtime_error, with the system's reason.
+void writeAtomically(const std::string& path, const std::function<void(std::ostream&)>& body,
+                     const std::string& begins_with = "");
 
 }  // namespace air_ground_common

@@ -3,6 +3,7 @@
 #include <cv_bridge/cv_bridge.h>
 #include <sensor_msgs/image_encodings.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -123,14 +124,15 @@ CameraModel fromMsg(const sensor_msgs::CameraInfo& msg) {
   c.fy = msg.K[4];
   c.cx = msg.K[2];
   c.cy = msg.K[5];
-  const bool plumb_bob = msg.distortion_model == "plumb_bob" || msg.distortion_model == "radtan";
-  if (!plumb_bob && !(msg.distortion_model.empty() && msg.D.empty()))
-    throw std::invalid_argument("camera_info: distortion model '" + msg.distortion_model +
-                                "' is not supported; calibrate with plumb_bob or rectify the image");
-  double* const coefficients[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
-  for (std::size_t i = 0; i < msg.D.size() && i < 5; ++i) *coefficients[i] = msg.D[i];
+  c.setDistortion(msg.distortion_model, msg.D);
   c.validate();
-  return c;
+  // K, width and height are those of the whole sensor; roi and binning tell which part of it the image is. Zeros stand
+  // for the whole sensor and for no binning.
+  const bool whole = msg.roi.width == 0 || msg.roi.height == 0;
+  return c.window(static_cast<int>(msg.roi.x_offset), static_cast<int>(msg.roi.y_offset),
+                  static_cast<int>(whole ? msg.width : msg.roi.width),
+                  static_cast<int>(whole ? msg.height : msg.roi.height), static_cast<int>(std::max(1u, msg.binning_x)),
+                  static_cast<int>(std::max(1u, msg.binning_y)));
 }
 
 sensor_msgs::CameraInfo toMsg(const CameraModel& c, const std_msgs::Header& header) {
@@ -138,8 +140,8 @@ sensor_msgs::CameraInfo toMsg(const CameraModel& c, const std_msgs::Header& head
   msg.header = header;
   msg.width = static_cast<std::uint32_t>(c.width);
   msg.height = static_cast<std::uint32_t>(c.height);
-  msg.distortion_model = "plumb_bob";
-  msg.D = {c.k1, c.k2, c.p1, c.p2, c.k3};
+  msg.distortion_model = c.distortionName();
+  msg.D = c.distortionCoefficients();
   msg.K = {c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1};
   msg.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
   msg.P = {c.fx, 0, c.cx, 0, 0, c.fy, c.cy, 0, 0, 0, 1, 0};

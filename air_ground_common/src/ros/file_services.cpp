@@ -26,7 +26,7 @@ void writePcd(const std::string& path, const std::vector<CloudPoint>& points, Cl
   if (intensity) add("intensity", "4", "F");
   if (rgb) add("rgb", "4", "U");
   if (source) add("source", "1", "U");
-  writeAtomically(path, [&](std::ostream& out) {
+  const auto body = [&](std::ostream& out) {
     out << "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS " << names << "\nSIZE " << sizes
         << "\nTYPE " << types << "\nCOUNT " << counts << "\nWIDTH " << points.size()
         << "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS " << points.size() << "\nDATA binary\n";
@@ -37,7 +37,8 @@ void writePcd(const std::string& path, const std::vector<CloudPoint>& points, Cl
       if (rgb) put(out, 0xFF000000u | std::uint32_t{p.rgb[0]} << 16 | std::uint32_t{p.rgb[1]} << 8 | p.rgb[2]);
       if (source) put(out, p.source);
     }
-  });
+  };
+  writeAtomically(path, body, "# .PCD");
 }
 
 }  // namespace

@@ -1,11 +1,83 @@
 #include "air_ground_common/ros/health.h"
 
 #include <ros/master.h>
+#include <ros/this_node.h>
 
 #include <algorithm>
+#include <cctype>
+#include <chrono>
+#include <cmath>
+#include <condition_variable>
+#include <set>
 #include <sstream>
+#include <thread>
 
 namespace air_ground_common::ros_utils {
+namespace {
+
+constexpr double kSilence = 3.0;        // of an input or an output before it is warned of [s, wall clock]
+constexpr double kSayAgain = 60.0;      // a reason for silence [s]
+constexpr double kMasterAnswers = 2.0;  // in this time, or is not waited for [s]
+constexpr std::size_t kMostKinds = 100;
+
+}  // namespace
+
+std::string kindOf(const std::string& text) {
+  std::string kind;
+  const auto digit = [&](std::size_t i) {
+    return i < text.size() && std::isdigit(static_cast<unsigned char>(text[i]));
+  };
+  for (std::size_t i = 0; i < text.size();) {
+    const bool in_name = i > 0 && (std::isalnum(static_cast<unsigned char>(text[i - 1])) || text[i - 1] == '_');
+    const std::size_t first = i + (text[i] == '-' && digit(i + 1));
+    if (in_name || !digit(first)) {
+      kind += text[i++];
+      continue;
+    }
+    for (i = first; digit(i) || (text[i] == '.' && digit(i + 1)); ++i) {
+    }
+    if (i < text.size() && text[i] == 'e') {
+      const std::size_t exponent = i + 1 + (i + 1 < text.size() && (text[i + 1] == '-' || text[i + 1] == '+'));
+      if (digit(exponent))
+        for (i = exponent; digit(i); ++i) {
+        }
+    }
+    kind += '#';
+  }
+  return kind;
+}
+
+/// Asks the master once what is advertised, on a thread of its own: with the master gone a call may take minutes.
+struct NodeHealth::Inquiry {
+  std::mutex mutex;
+  std::condition_variable changed;
+  bool over = false, answered = false;
+  std::set<std::string> advertised;
+  ros::WallTime begun = ros::WallTime::now();
+
+  static std::shared_ptr<Inquiry> begin() {
+    auto inquiry = std::make_shared<Inquiry>();
+    std::thread([inquiry] {
+      XmlRpc::XmlRpcValue request, response, topics;
+      request[0] = ros::this_node::getName();
+      request[1] = "";
+      std::set<std::string> names;
+      const bool answered = ros::master::execute("getPublishedTopics", request, response, topics, false);
+      if (answered)
+        for (int i = 0; i < topics.size(); ++i) names.insert(std::string(topics[i][0]));
+      const std::lock_guard<std::mutex> lock(inquiry->mutex);
+      inquiry->advertised = std::move(names);
+      inquiry->answered = answered;
+      inquiry->over = true;
+      inquiry->changed.notify_all();
+    }).detach();
+    return inquiry;
+  }
+  bool await(double seconds) {
+    std::unique_lock<std::mutex> lock(mutex);
+    return changed.wait_for(lock, std::chrono::duration<double>(seconds), [&] { return over; });
+  }
+};
 
 NodeHealth::NodeHealth(const std::string& hardware_id) : started_(ros::WallTime::now()), watched_(started_) {
   updater_.setHardwareID(hardware_id);
@@ -17,11 +89,19 @@ NodeHealth::NodeHealth(const std::string& hardware_id) : started_(ros::WallTime:
   });
 }
 
-void NodeHealth::expectInput(const std::string& topic, bool continuous) {
+NodeHealth::~NodeHealth() {
+  timer_.stop();
+  if (inquiry_) inquiry_->await(kMasterAnswers);  // it should not outlive roscpp
+}
+
+void NodeHealth::expectInput(const std::string& topic, bool continuous, const std::string& alternative,
+                             const std::string& hint) {
   const std::lock_guard<std::mutex> lock(mutex_);
   Input& input = inputs_[topic];
   input.last_arrival = ros::WallTime::now();
   input.continuous = continuous;
+  input.alternative = alternative;
+  input.hint = hint;
 }
 
 void NodeHealth::received(const std::string& topic, const ros::Time& stamp) {
@@ -33,22 +113,46 @@ void NodeHealth::received(const std::string& topic, const ros::Time& stamp) {
   input.warned = false;
 }
 
+void NodeHealth::published() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  silence_.lasts = false;
+}
+
+void NodeHealth::withheld(const std::string& reason, const std::string& advice) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const ros::WallTime now = ros::WallTime::now();
+  if (!silence_.lasts) silence_.since = now;
+  silence_.lasts = true;
+  silence_.last = now;
+  silence_.reason = reason;
+  silence_.advice = advice;
+}
+
 void NodeHealth::count(const std::string& event, std::size_t times) {
   if (times == 0) return;
+  std::string name = event;
   bool first;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    std::size_t& counter = counters_[event];
-    first = counter == 0;
-    counter += times;
+    std::string kind = kindOf(event);
+    if (counters_.size() >= kMostKinds && !counters_.count(kind)) kind = name = "events of further kinds";
+    Counter& counter = counters_[kind];
+    first = counter.times == 0;
+    if (first) counter.name = name;
+    counter.times += times;
   }
-  if (first) ROS_WARN_STREAM(event << " (said once; counted in /diagnostics)");
+  if (first) ROS_WARN_STREAM(name << " (said once; counted in /diagnostics)");
 }
 
 std::size_t NodeHealth::counted(const std::string& event) const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  const auto it = counters_.find(event);
-  return it == counters_.end() ? 0 : it->second;
+  const auto it = counters_.find(kindOf(event));
+  return it == counters_.end() ? 0 : it->second.times;
+}
+
+void NodeHealth::value(const std::string& name, double value) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  values_[name] = value;
 }
 
 void NodeHealth::timing(const std::string& step, double seconds) {
@@ -66,36 +170,77 @@ void NodeHealth::state(int level, const std::string& line) {
 }
 
 void NodeHealth::watch() {
-  std::vector<std::pair<std::string, Input>> silent;
+  const ros::WallTime now = ros::WallTime::now();
+  const ros::Time clock = ros::Time::now();
+  bool paused;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    const ros::WallTime now = ros::WallTime::now();
-    const ros::Time clock = ros::Time::now();
-    const bool paused = ros::Time::isSimTime() && clock == clock_;
+    paused = ros::Time::isSimTime() && clock == clock_;
+  }
+  watchInputs(now, paused);
+  watchSilence(now, paused);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  watched_ = now;
+  clock_ = clock;
+}
+
+void NodeHealth::watchInputs(const ros::WallTime& now, bool paused) {
+  const std::size_t before = silent_.size();
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
     for (auto& [topic, input] : inputs_) {
       if (paused && input.messages > 0) input.last_arrival += now - watched_;
       if (!input.continuous && input.messages > 0) continue;
-      if (input.warned || (now - input.last_arrival).toSec() < 3.0) continue;
+      if (input.warned || (now - input.last_arrival).toSec() < kSilence) continue;
       input.warned = true;
-      silent.emplace_back(topic, input);
+      silent_[topic] = input;
     }
-    watched_ = now;
-    clock_ = clock;
   }
-  if (silent.empty()) return;
-  ros::master::V_TopicInfo published;
-  ros::master::getTopics(published);
-  for (const auto& [topic, input] : silent) {
-    const bool advertised = std::any_of(published.begin(), published.end(),
-                                        [&t = topic](const ros::master::TopicInfo& info) { return info.name == t; });
+  if (silent_.empty()) return;
+  if (silent_.size() > before && (!inquiry_ || inquiry_->await(0))) inquiry_ = Inquiry::begin();
+  const bool over = inquiry_->await(0);
+  if (!over && (now - inquiry_->begun).toSec() < kMasterAnswers) return;
+  for (const auto& [topic, input] : silent_) {
     std::ostringstream line;
-    line << "nothing on " << topic << " for 3 s: "
-         << (advertised ? "it is advertised, but no message comes"
-                        : "nobody publishes it (is a remapping or a namespace wrong?)");
+    line << "nothing on " << topic << " for " << kSilence << " s: ";
+    if (!over || !inquiry_->answered)
+      line << "the ROS master does not answer";
+    else if (inquiry_->advertised.count(topic) > 0)
+      line << "it is advertised, but no message comes";
+    else
+      line << "nobody publishes it (is a remapping or a namespace wrong?)";
+    if (over && inquiry_->advertised.count(input.alternative) > 0)
+      line << ", but " << input.alternative << " is advertised: " << input.hint;
     if (input.messages > 0)
       line << "; the last of " << input.messages << " messages has the stamp " << input.last_stamp;
     ROS_WARN_STREAM(line.str());
   }
+  silent_.clear();
+}
+
+void NodeHealth::watchSilence(const ros::WallTime& now, bool paused) {
+  std::string line;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    Silence& s = silence_;
+    if (!s.lasts) return;
+    if (paused) {
+      s.since += now - watched_;
+      s.last += now - watched_;
+    }
+    // Inputs that stay away have a warning of their own.
+    if ((now - s.since).toSec() < kSilence || (now - s.last).toSec() > kSilence) return;
+    const std::string kind = kindOf(s.reason);
+    const auto said = s.said.find(kind);
+    if (said != s.said.end() && (now - said->second).toSec() < kSayAgain) return;
+    if (s.said.size() >= kMostKinds) s.said.clear();
+    s.said[kind] = now;
+    std::ostringstream text;
+    text << "images come, but no pose for " << std::lround((now - s.since).toSec()) << " s: " << s.reason;
+    if (!s.advice.empty()) text << ". What to do: " << s.advice;
+    line = text.str();
+  }
+  ROS_WARN_STREAM(line);
 }
 
 void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
@@ -116,7 +261,8 @@ void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
     status.addf(step + " mean [ms]", "%.2f", 1e3 * t.sum / t.runs);
     status.addf(step + " max [ms]", "%.2f", 1e3 * t.max);
   }
-  for (const auto& [event, times] : counters_) status.addf(event, "%zu", times);
+  for (const auto& [name, figure] : values_) status.addf(name, "%.3f", figure);
+  for (const auto& [kind, counter] : counters_) status.addf(counter.name, "%zu", counter.times);
 }
 
 bool TimeJumpDetector::jumped(const ros::Time& stamp) {

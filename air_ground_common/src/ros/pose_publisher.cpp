@@ -2,8 +2,6 @@
 
 #include <geometry_msgs/TransformStamped.h>
 #include <nav_msgs/Odometry.h>
-#include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <algorithm>
 #include <vector>
@@ -112,37 +110,6 @@ void PosePublisher::reset() {
   T_odom_base_.reset();
   last_stamp_ = ros::Time();
   bounded_path_.clear();
-}
-
-std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout,
-                                 std::string* why) {
-  if (target == source) return Pose::Identity();
-  tf2_ros::Buffer buffer;
-  const tf2_ros::TransformListener listener(buffer);
-  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(timeout);
-  // Polled in wall time: canTransform's own timeout stands still when /clock does.
-  while (ros::ok()) {
-    std::string error;
-    if (buffer.canTransform(target, source, ros::Time(0), &error))
-      return fromMsg(buffer.lookupTransform(target, source, ros::Time(0)).transform);
-    if (why) *why = "no transform from " + source + " to " + target + " on /tf_static (" + error + ")";
-    if (ros::WallTime::now() >= end) break;
-    ros::WallDuration(0.05).sleep();
-  }
-  return std::nullopt;
-}
-
-std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame,
-                                   const std::string& sensor_frame, const std::string& sensor, double timeout,
-                                   NodeHealth& health) {
-  if (given) return given;
-  std::string why;
-  const auto T_base_sensor = lookupStatic(base_frame, sensor_frame, timeout, &why);
-  if (!T_base_sensor) {
-    health.state(1, "waiting for the transform " + base_frame + " <- '" + sensor_frame + "': " + why);
-    health.count("images without the mounting of the " + sensor + " (tf, or parameter base_" + sensor + ")");
-  }
-  return T_base_sensor;
 }
 
 }  // namespace air_ground_common::ros_utils

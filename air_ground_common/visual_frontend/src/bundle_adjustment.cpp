@@ -31,7 +31,8 @@ void check(const BundleProblem& problem) {
   for (const auto& m : problem.measurements) {
     if (m.camera < 0 || m.camera >= cameras || m.point < 0 || m.point >= points)
       fail("a measurement's index is out of range");
-    if (!m.normalized.allFinite() || !(m.sigma > 0)) fail("a measurement is not finite or its sigma not positive");
+    if (!m.normalized.allFinite() || !(m.sigma > 0) || !(m.elongation > 0))
+      fail("a measurement is not finite or its sigma not positive");
     if (m.depth > 0 && !(m.depth_sigma > 0)) fail("a depth needs a positive depth_sigma");
   }
   for (const auto& p : problem.priors) {
@@ -45,7 +46,7 @@ double squaredError(const BundleProblem& problem, const BundleProblem::Measureme
   const Pose& T = problem.cameras[m.camera].T_map_camera;
   const Eigen::Vector3d p = T.linear().transpose() * (problem.points[m.point] - T.translation());
   if (!(p.z() > 1e-4)) return 1e12;
-  return (p.head<2>() / p.z() - m.normalized).squaredNorm() / (m.sigma * m.sigma);
+  return squaredSigmas(p.head<2>() / p.z() - m.normalized, m.normalized, {m.sigma, m.elongation});
 }
 
 ceres::LossFunction* makeLoss(RobustLoss loss, double width) {
@@ -83,8 +84,8 @@ BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings)
     if (squaredError(problem, m) >= 1e12) continue;
     double* x_camera = camera[m.camera].data();
     double* x_point = problem.points[m.point].data();
-    solver_problem.AddResidualBlock(new ReprojectionCost(R_0[m.camera], m.normalized, m.sigma), loss.get(), x_camera,
-                                    x_point);
+    solver_problem.AddResidualBlock(new ReprojectionCost(R_0[m.camera], m.normalized, {m.sigma, m.elongation}),
+                                    loss.get(), x_camera, x_point);
     if (settings.use_depth && m.depth > 0) {
       solver_problem.AddResidualBlock(new DepthCost(R_0[m.camera], m.depth, m.depth_sigma), &depth_loss, x_camera,
                                       x_point);
@@ -185,7 +186,6 @@ BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<Ke
 
   const std::vector<LandmarkId> landmarks = map.landmarksOf(free);
   std::vector<LandmarkObservation> source;
-  const double focal = 0.5 * (camera.fx + camera.fy);
   problem.points.reserve(landmarks.size());
   for (const LandmarkId id : landmarks) {
     const Landmark& landmark = map.landmark(id);
@@ -207,7 +207,9 @@ BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<Ke
       m.camera = it->second;
       m.point = point;
       m.normalized = observation.normalized;
-      m.sigma = settings.pixel_sigma / focal;
+      const NormalizedNoise noise = camera.normalizedNoise(observation.normalized, settings.pixel_sigma);
+      m.sigma = noise.sigma;
+      m.elongation = noise.elongation;
       m.depth = observation.depth;
       m.depth_sigma = observation.depth_sigma;
       problem.measurements.push_back(m);

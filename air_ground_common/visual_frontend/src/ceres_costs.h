@@ -56,11 +56,11 @@ struct CameraState {
   Eigen::Matrix3d R;
 };
 
-/// (x/z, y/z) against a measurement, over sigma; camera and point.
+/// (x/z, y/z) against a measurement, in sigmas; camera and point.
 class ReprojectionCost final : public ceres::SizedCostFunction<2, 6, 3> {
  public:
-  ReprojectionCost(const Eigen::Matrix3d& R_0, const Eigen::Vector2d& normalized, double sigma)
-      : R_0_(R_0), normalized_(normalized), inverse_sigma_(1 / sigma) {}
+  ReprojectionCost(const Eigen::Matrix3d& R_0, const Eigen::Vector2d& normalized, const NormalizedNoise& noise)
+      : R_0_(R_0), normalized_(normalized), W_(whitening(normalized, noise)) {}
 
   bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override {
     const CameraState<6> camera(x[0], R_0_);
@@ -70,11 +70,11 @@ class ReprojectionCost final : public ceres::SizedCostFunction<2, 6, 3> {
     if (!(p.z() > 1e-4)) return false;  // Ceres then shortens the step
     const double iz = 1 / p.z();
     Eigen::Map<Eigen::Vector2d> r(residuals);
-    r = inverse_sigma_ * (p.head<2>() * iz - normalized_);
+    r = W_ * (p.head<2>() * iz - normalized_);
     if (!jacobians) return true;
     Eigen::Matrix<double, 2, 3> P;
     P << iz, 0, -p.x() * iz * iz, 0, iz, -p.y() * iz * iz;
-    const Eigen::Matrix<double, 2, 3> J = inverse_sigma_ * P * Rt;  // d r / d p_map
+    const Eigen::Matrix<double, 2, 3> J = W_ * P * Rt;  // d r / d p_map
     if (jacobians[0]) {
       Eigen::Map<RowMajor<2, 6>> Jc(jacobians[0]);
       Jc.leftCols<3>() = -J;
@@ -87,7 +87,7 @@ class ReprojectionCost final : public ceres::SizedCostFunction<2, 6, 3> {
  private:
   Eigen::Matrix3d R_0_;
   Eigen::Vector2d normalized_;
-  double inverse_sigma_;
+  Eigen::Matrix2d W_;
 };
 
 /// z in the camera against a measurement, over sigma.

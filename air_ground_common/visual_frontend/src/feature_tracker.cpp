@@ -108,10 +108,7 @@ struct FeatureTracker::Impl {
   TrackId next_id = 0;
   double survival = 1;
 
-  bool inside(const cv::Point2f& p) const {
-    const float b = static_cast<float>(settings.border);
-    return p.x >= b && p.y >= b && p.x <= camera.width - 1 - b && p.y <= camera.height - 1 - b;
-  }
+  bool inside(const cv::Point2f& p) const { return camera.contains({p.x, p.y}, settings.border); }
 
   std::vector<cv::Mat> lkPyramid(const cv::Mat& image) const {
     std::vector<cv::Mat> result;
@@ -248,6 +245,7 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
     f.previous_pixel = f.pixel;
     f.pixel = {after[i].x, after[i].y};
     f.normalized = s.camera.unproject(f.pixel);
+    if (!f.normalized.allFinite()) continue;
     ++f.age;
     kept.push_back(f);
   }
@@ -298,6 +296,7 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
   }
 
   int added = 0;
+  int spacing = s.settings.min_distance;
   std::vector<cv::KeyPoint> spare;  // second choices of the cells, for what the empty cells leave over
   const auto tryAdd = [&](const cv::KeyPoint& k) {
     const cv::Point p(cvRound(k.pt.x), cvRound(k.pt.y));
@@ -306,7 +305,7 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
       return false;
     }
     s.features.push_back(s.makeFeature({k.pt.x, k.pt.y}, k.response));
-    cv::circle(free, p, s.settings.min_distance, cv::Scalar(0), -1);
+    cv::circle(free, p, spacing, cv::Scalar(0), -1);
     ++added;
     return true;
   };
@@ -322,6 +321,22 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
       else
         spare.push_back(k);
     }
+  }
+  std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });
+  for (const cv::KeyPoint& k : spare) tryAdd(k);
+  if (s.settings.sparse_distance <= 0 || 2 * static_cast<int>(s.features.size()) >= s.settings.max_features)
+    return added;
+
+  // Weak texture: what there is stands in few places, so features may stand closer there.
+  spacing = s.settings.sparse_distance;
+  free.setTo(cv::Scalar(255));
+  for (const Feature& f : s.features)
+    cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), spacing, cv::Scalar(0), -1);
+  if (!mask.empty()) cv::bitwise_and(free, mask, free);
+  spare.clear();
+  for (const cv::Rect& area : cells) {
+    const auto found = s.corners(image, area, std::max(2, s.settings.fast_threshold / 2));
+    spare.insert(spare.end(), found.begin(), found.end());
   }
   std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });
   for (const cv::KeyPoint& k : spare) tryAdd(k);

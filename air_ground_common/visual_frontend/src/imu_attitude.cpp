@@ -148,6 +148,11 @@ void AttitudeFilter::add(const ImuSample& sample) {
   up_.normalize();
 }
 
+void AttitudeFilter::setGyroBias(const Eigen::Vector3d& bias, bool certain) {
+  gyro_bias_ = bias;
+  bias_known_ = bias_known_ || certain;
+}
+
 void AttitudeFilter::reset() {
   const AttitudeSettings settings = settings_;
   *this = AttitudeFilter(settings);

@@ -15,16 +15,22 @@ void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const Plac
   const cv::Ptr<cv::ORB> orb =
       cv::ORB::create(settings.orb_features, 1.2f, settings.orb_levels, 19, 0, 2, cv::ORB::HARRIS_SCORE, 31, 12);
   std::vector<cv::KeyPoint> keypoints;
+  cv::Mat descriptors;
+  orb->detectAndCompute(gray, cv::noArray(), keypoints, descriptors);
   keyframe.orb_descriptors = cv::Mat();
-  orb->detectAndCompute(gray, cv::noArray(), keypoints, keyframe.orb_descriptors);
   keyframe.orb_pixels.clear();
   keyframe.orb_normalized.clear();
   keyframe.orb_angle.clear();
   keyframe.orb_octave.clear();
   keyframe.orb_depth.clear();
-  for (const cv::KeyPoint& k : keypoints) {
+  for (std::size_t i = 0; i < keypoints.size(); ++i) {
+    const cv::KeyPoint& k = keypoints[i];
+    // The rim of a fisheye's image circle is no place; from the image's edge ORB keeps 19 px away by itself.
+    constexpr double kBorder = 15;
+    if (!camera.contains({k.pt.x, k.pt.y}, kBorder)) continue;
     keyframe.orb_pixels.emplace_back(k.pt.x, k.pt.y);
     keyframe.orb_normalized.push_back(camera.unproject(keyframe.orb_pixels.back()));
+    keyframe.orb_descriptors.push_back(descriptors.row(static_cast<int>(i)));
     keyframe.orb_angle.push_back(static_cast<float>(k.angle * M_PI / 180));
     keyframe.orb_octave.push_back(k.octave);
   }
@@ -61,6 +67,12 @@ int observationNear(const Keyframe& keyframe, const Eigen::Vector2d& pixel) {
   return best;
 }
 
+void setNoise(const CameraModel& camera, double pixel_sigma, PoseCorrespondence* c) {
+  const NormalizedNoise noise = camera.normalizedNoise(c->normalized, pixel_sigma);
+  c->sigma = noise.sigma;
+  c->elongation = noise.elongation;
+}
+
 PoseResult solve(const std::vector<PoseCorrespondence>& correspondences, const PlaceSettings& settings) {
   RansacSettings ransac;
   ransac.min_inliers = std::min(settings.min_inliers, 12);
@@ -77,7 +89,6 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
   PlaceMatch result;
   result.keyframe = place.id;
   result.matches = static_cast<int>(matches.size());
-  const double focal = 0.5 * (camera.fx + camera.fy);
   const Pose T_place_map = place.T_map_camera.inverse();
   std::vector<PoseCorrespondence> forward, backward;
   std::vector<std::pair<int, LandmarkId>> forward_landmark;
@@ -86,7 +97,7 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
     const LandmarkId landmark = near >= 0 ? place.observations[near].landmark : kNoLandmark;
     PoseCorrespondence c;
     c.normalized = query.orb_normalized[q];
-    c.sigma = settings.pixel_sigma * std::pow(1.2, query.orb_octave[q]) / focal;
+    setNoise(camera, settings.pixel_sigma * std::pow(1.2, query.orb_octave[q]), &c);
     if (!place.orb_depth.empty() && place.orb_depth[p] > 0) {
       c.p_map = place.orb_depth[p] * place.orb_normalized[p].homogeneous();
       forward.push_back(c);
@@ -99,7 +110,7 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
     if (!query.orb_depth.empty() && query.orb_depth[q] > 0) {
       c.p_map = query.orb_depth[q] * query.orb_normalized[q].homogeneous();
       c.normalized = place.orb_normalized[p];
-      c.sigma = settings.pixel_sigma * std::pow(1.2, place.orb_octave[p]) / focal;
+      setNoise(camera, settings.pixel_sigma * std::pow(1.2, place.orb_octave[p]), &c);
       backward.push_back(c);
     }
   }

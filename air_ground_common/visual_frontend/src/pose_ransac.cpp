@@ -14,7 +14,13 @@ namespace {
 double squaredError(const PoseCorrespondence& c, const Pose& T_camera_map) {
   const Eigen::Vector3d p = T_camera_map * c.p_map;
   if (!(p.z() > 1e-3)) return 1e12;
-  return (p.head<2>() / p.z() - c.normalized).squaredNorm() / (c.sigma * c.sigma);
+  return squaredSigmas(p.head<2>() / p.z() - c.normalized, c.normalized, {c.sigma, c.elongation});
+}
+
+/// Standard deviation of the product of a line's normal with normalised coordinates.
+double alongSigma(const Eigen::Vector2d& line, const Eigen::Vector2d& normalized, const NormalizedNoise& noise) {
+  // The covariance is the whitening's of the inverse elongation, as its inverse is that of the elongation.
+  return (whitening(normalized, {1 / noise.sigma, 1 / noise.elongation}) * line).norm();
 }
 
 int countInliers(const std::vector<PoseCorrespondence>& correspondences, const Pose& T_map_camera, double threshold2,
@@ -176,7 +182,9 @@ PoseResult ransacPose(const std::vector<PoseCorrespondence>& c, const RansacSett
 
 TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vector2d>& a,
                                                   const std::vector<Eigen::Vector2d>& b, const Eigen::Matrix3d& R_a_b,
-                                                  double sigma, const RansacSettings& settings) {
+                                                  double sigma, const RansacSettings& settings,
+                                                  const std::vector<NormalizedNoise>& noise_a,
+                                                  const std::vector<NormalizedNoise>& noise_b) {
   TranslationDirection result;
   const std::size_t n = a.size();
   result.inliers.assign(n, 0);
@@ -191,12 +199,20 @@ TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vecto
     ray_b[i] = R_a_b * b[i].homogeneous();
     normal[i] = ray_b[i].cross(ray_a[i]);
   }
-  // Sampson error in sigmas.
-  const auto error = [&](std::size_t i, const Eigen::Vector3d& t) {
+  const bool uniform = noise_a.size() != n || noise_b.size() != n;
+  // Standard deviation of the epipolar constraint (first order, Sampson).
+  const auto deviation = [&](std::size_t i, const Eigen::Vector3d& t) {
     const Eigen::Vector3d line_a = t.cross(ray_b[i]);
     const Eigen::Vector3d line_b = R_a_b.transpose() * t.cross(ray_a[i]);
+    if (!uniform)
+      return std::max(
+          std::hypot(alongSigma(line_a.head<2>(), a[i], noise_a[i]), alongSigma(line_b.head<2>(), b[i], noise_b[i])),
+          1e-9 * sigma);
     const double denominator = std::sqrt(line_a.head<2>().squaredNorm() + line_b.head<2>().squaredNorm());
-    return std::abs(normal[i].dot(t)) / (std::max(denominator, 1e-9) * sigma);
+    return std::max(denominator, 1e-9) * sigma;
+  };
+  const auto error = [&](std::size_t i, const Eigen::Vector3d& t) {
+    return std::abs(normal[i].dot(t)) / deviation(i, t);
   };
   const auto inliersOf = [&](const Eigen::Vector3d& t) {
     int count = 0;
@@ -227,7 +243,7 @@ TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vecto
     Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
     for (std::size_t i = 0; i < n; ++i) {
       if (error(i, best) >= settings.threshold) continue;
-      const double size = best.cross(ray_b[i]).squaredNorm();
+      const double size = uniform ? best.cross(ray_b[i]).squaredNorm() : std::pow(deviation(i, best) / sigma, 2);
       A += normal[i] * normal[i].transpose() / std::max(size, 1e-9);
     }
     const Eigen::Vector3d t = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(A).eigenvectors().col(0);

@@ -56,8 +56,9 @@ class Problem {
         n.cost += 1e6;  // a step that puts a used point behind the camera is no improvement
         continue;
       }
-      const double iz = 1 / p.z(), is = 1 / c_[i].sigma;
-      const Eigen::Vector2d r = is * (p.head<2>() * iz - c_[i].normalized);
+      const double iz = 1 / p.z();
+      const Eigen::Matrix2d W = whitening(c_[i].normalized, {c_[i].sigma, c_[i].elongation});
+      const Eigen::Vector2d r = W * (p.head<2>() * iz - c_[i].normalized);
       const Weighted w = robust(loss, s_.loss_width, r.squaredNorm());
       n.cost += w.cost;
       const bool depth = s_.use_depth && c_[i].depth > 0;
@@ -67,7 +68,7 @@ class Problem {
         D.rightCols<3>() = Rt * skew(q);
         Eigen::Matrix<double, 2, 3> P;
         P << iz, 0, -p.x() * iz * iz, 0, iz, -p.y() * iz * iz;
-        const Eigen::Matrix<double, 2, 6> J = is * P * D;
+        const Eigen::Matrix<double, 2, 6> J = W * P * D;
         n.H.noalias() += w.weight * J.transpose() * J;
         n.g.noalias() += w.weight * J.transpose() * r;
         if (depth) {
@@ -157,7 +158,9 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
     for (std::size_t i = 0; i < correspondences.size(); ++i) {
       const PoseCorrespondence& c = correspondences[i];
       const Eigen::Vector3d p = T_camera_map * c.p_map;
-      const double e2 = p.z() > 1e-3 ? (p.head<2>() / p.z() - c.normalized).squaredNorm() / (c.sigma * c.sigma) : 1e12;
+      const double e2 = p.z() > 1e-3
+                            ? squaredSigmas(p.head<2>() / p.z() - c.normalized, c.normalized, {c.sigma, c.elongation})
+                            : 1e12;
       // A wrong depth measurement does not make a wrong match: only the image decides.
       result.inliers[i] = e2 < settings.inlier_threshold * settings.inlier_threshold;
       if (!result.inliers[i]) continue;

@@ -45,11 +45,12 @@ System build(const std::vector<ViewRay>& views, const Eigen::Vector3d& p_map) {
       s.in_front = false;
       return s;
     }
-    const double iz = 1 / p.z(), is = 1 / v.sigma;
-    const Eigen::Vector2d r = is * (p.head<2>() * iz - v.normalized);
+    const double iz = 1 / p.z();
+    const Eigen::Matrix2d W = whitening(v.normalized, {v.sigma, v.elongation});
+    const Eigen::Vector2d r = W * (p.head<2>() * iz - v.normalized);
     Eigen::Matrix<double, 2, 3> J;
     J << iz, 0, -p.x() * iz * iz, 0, iz, -p.y() * iz * iz;
-    J = is * J * Rt;
+    J = (W * J * Rt).eval();
     s.H += J.transpose() * J;
     s.g += J.transpose() * r;
     s.cost += r.squaredNorm();
@@ -143,7 +144,9 @@ TriangulationResult triangulate(const std::vector<ViewRay>& views, const Triangu
   for (const ViewRay& v : views) {
     const Eigen::Vector3d q = v.T_map_camera.inverse() * p;
     in_range = in_range && q.z() >= settings.min_depth && q.z() <= settings.max_depth;
-    result.max_residual = std::max(result.max_residual, (q.head<2>() / q.z() - v.normalized).norm() / v.sigma);
+    const Eigen::Vector2d difference = q.head<2>() / q.z() - v.normalized;
+    result.max_residual =
+        std::max(result.max_residual, std::sqrt(squaredSigmas(difference, v.normalized, {v.sigma, v.elongation})));
     if (v.depth > 0) result.max_residual = std::max(result.max_residual, std::abs(q.z() - v.depth) / v.depth_sigma);
   }
   result.status = !in_range                                     ? TriangulationStatus::kDepthRange

@@ -4,6 +4,7 @@
 #include "synthetic.h"
 #include "visual_frontend/imu_attitude.h"
 #include "visual_frontend/map.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace visual_frontend {
 namespace {
@@ -131,6 +132,33 @@ TEST(Attitude, RestGivesUpAndBiasThenFollowsRotation) {
   EXPECT_LT(filter.upSigma(), 0.05);
   filter.reset();
   EXPECT_FALSE(filter.initialized());
+}
+
+TEST(RollingShutter, CarriesWhatARowSeesToTheMiddleRowAndBack) {
+  const CameraModel camera = synthetic::camera();
+  constexpr double kReadout = 0.03;
+  const Eigen::Vector3d rate(0.8, -1.2, 0.6), velocity(0.5, -0.3, 0.4);
+  RollingShutter rows(camera, kReadout);
+  rows.setMotion(rate, velocity);
+  Random random(4);
+  for (int i = 0; i < 200; ++i) {
+    const Eigen::Vector2d seen(random.uniform(20, 620), random.uniform(20, 460));
+    const double z = random.uniform(0.8, 5);
+    // The camera's pose, in that of the middle row, when this row was exposed.
+    const double t = ((seen.y() + 0.5) / camera.height - 0.5) * kReadout;
+    Pose T_middle_row = Pose::Identity();
+    T_middle_row.linear() = expSO3(rate * t);
+    T_middle_row.translation() = velocity * t;
+    const Eigen::Vector3d p_row = z * camera.unproject(seen).homogeneous(), p_middle = T_middle_row * p_row;
+    EXPECT_LT((rows.pointToMiddleRow(seen.y(), p_row) - p_middle).norm(), 1e-4);
+    EXPECT_LT((rows.toMiddleRow(seen, camera.unproject(seen), 1 / z) - p_middle.hnormalized()).norm() * camera.fx,
+              0.01);
+    const auto straight = camera.project(p_middle);
+    ASSERT_TRUE(straight);
+    EXPECT_LT((rows.toItsRow(*straight, p_middle) - seen).norm(), 0.05);
+  }
+  EXPECT_FALSE(RollingShutter(camera, 0).active());
+  EXPECT_EQ(RollingShutter(camera, 0).toMiddleRow({3, 4}, {0.1, 0.2}, 1), Eigen::Vector2d(0.1, 0.2));
 }
 
 }  // namespace

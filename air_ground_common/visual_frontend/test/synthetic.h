@@ -1,6 +1,7 @@
 // Synthetic cameras, points and images with exact truth, for the tests and benchmarks of the visual front end.
 #pragma once
 
+#include <functional>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
@@ -58,15 +59,17 @@ inline cv::Mat texture(int size, unsigned seed) {
   return image;
 }
 
-/// View of the textured plane z = 0 of the map (texture centre at the origin, `metres` wide). `depth` (CV_32F, z in the
-/// camera) if given. Pixels that miss the plane are grey and of depth 0.
-inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, const cv::Mat& texture, double metres,
-                           cv::Mat* depth = nullptr) {
+/// View of the textured plane z = 0 of the map (texture centre at the origin, `metres` wide) from the pose that the
+/// camera has at each row. `depth` (CV_32F, z in the camera) if given. Pixels that miss the plane are grey and of depth
+/// 0.
+inline cv::Mat renderPlaneByRows(const CameraModel& camera, const std::function<Pose(int)>& T_map_camera_of_row,
+                                 const cv::Mat& texture, double metres, cv::Mat* depth = nullptr) {
   cv::Mat map_x(camera.height, camera.width, CV_32F, cv::Scalar(-1)),
       map_y(camera.height, camera.width, CV_32F, cv::Scalar(-1)), image;
   if (depth) *depth = cv::Mat::zeros(camera.height, camera.width, CV_32F);
   const double scale = texture.cols / metres;
   for (int v = 0; v < camera.height; ++v) {
+    const Pose T_map_camera = T_map_camera_of_row(v);
     for (int u = 0; u < camera.width; ++u) {
       const Eigen::Vector3d ray = camera.unproject(Eigen::Vector2d(u, v)).homogeneous();
       const Eigen::Vector3d direction = T_map_camera.linear() * ray;
@@ -80,6 +83,13 @@ inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, 
   }
   cv::remap(texture, image, map_x, map_y, cv::INTER_LINEAR, cv::BORDER_CONSTANT, cv::Scalar(100));
   return image;
+}
+
+/// The same with all rows at once.
+inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, const cv::Mat& texture, double metres,
+                           cv::Mat* depth = nullptr) {
+  return renderPlaneByRows(
+      camera, [&](int) { return T_map_camera; }, texture, metres, depth);
 }
 
 /// Camera above the plane looking down at (x, y) from height h, turned by yaw and tilted by pitch [rad].

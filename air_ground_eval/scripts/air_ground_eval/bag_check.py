@@ -1,10 +1,11 @@
 """Checks of a bag against what the nodes need: topics, types, rates, stamps, calibration, IMU units, frames, transforms."""
 from collections import namedtuple
 
+import cv2
 import numpy as np
-import rosbag
 
-from .bag_reader import POSE_TYPES, BagFacts
+from . import bag_guess
+from .bag_reader import POSE_TYPES, BagFacts, open_bag
 
 ERROR, WARNING, OK = 'ERROR', 'WARNING', 'ok'
 Finding = namedtuple('Finding', 'level text')
@@ -28,6 +29,9 @@ CITY = {
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'bayer_rggb8', 'bayer_bggr8', 'bayer_gbrg8', 'bayer_grbg8', '8UC1', '8UC3')
 DEPTH = ('16UC1', 'mono16', '32FC1')
+MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
+IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
+REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
 
 
 class Stream:
@@ -40,7 +44,7 @@ class Stream:
 def read(path, topics):
     """One pass over the bag; images are kept only as a few samples."""
     streams = {topic: Stream() for topic in topics}
-    with rosbag.Bag(path) as bag:
+    with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
             stream = streams[topic]
             stream.times.append(time.to_sec())
@@ -56,32 +60,42 @@ def read(path, topics):
     return streams
 
 
-def check(path, names=None, bases=None, city=False):
+def first_frames(facts, names):
+    """robot -> frame id of its first image."""
+    result = {}
+    with open_bag(facts.path) as bag:
+        for robot, standard in IMAGES.items():
+            topic = names.get(standard, standard)
+            for _, message, _ in bag.read_messages([t for t in facts.types if bag_guess.raw_name(t) == topic and 'Image' in facts.types[t]] or ['/']):
+                result[robot] = message.header.frame_id.lstrip('/')
+                break
+    return result
+
+
+def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     """Findings, most fundamental first.
 
     `names`: standard topic -> name in this bag; `bases`: robot -> its body frame, where that is not mav_base_link or ground_base_link;
-    `city`: a flight for city.launch, without a ground robot.
+    `city`: a flight for city.launch, without a ground robot; `robots`: those that are expected.
     """
     names = names or {}
     bases = {'mav': 'mav_base_link', 'ground': 'ground_base_link', **(bases or {})}
-    wanted = {**MAV, **(CITY if city else GROUND)}
-    launch_file = 'city.launch' if city else 'replay.launch'
-    facts = BagFacts(path)
+    wanted = {**(MAV if 'mav' in robots else {}), **(CITY if city else GROUND if 'ground' in robots else {})}
+    facts = path if isinstance(path, BagFacts) else BagFacts(path)
     actual = {standard: names.get(standard, standard) for standard in wanted}
     findings = []
     present = {}
     for standard, (types, _, purpose) in wanted.items():
         topic = actual[standard]
-        if topic not in facts.types:
-            similar = sorted(t for t, kind in facts.types.items() if kind in types and t not in actual.values())
-            hint = f'; the bag has {", ".join(similar[:4])} of this type: use --map, and the arguments of {launch_file}' if similar else ''
-            level = WARNING if standard in OPTIONAL else ERROR
-            findings.append(Finding(level, f'{topic} is missing ({purpose}){hint}'))
-        elif facts.types[topic] not in types:
-            findings.append(Finding(ERROR, f'{topic} has type {facts.types[topic]}, expected {" or ".join(types)}'))
-        else:
+        if topic in facts.types and facts.types[topic] in types:
             present[standard] = topic
-    streams = read(path, present.values())
+        elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
+            present[standard] = next(f'{topic}/{kind}' for kind in bag_guess.TRANSPORTS if f'{topic}/{kind}' in facts.types)
+            argument = f'{"ground" if standard.startswith("/ground") else "mav"}_image_transport:=compressed'
+            findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
+        else:
+            findings.append(_missing(facts, standard, topic, types, purpose, actual))
+    streams = read(facts.path, present.values())
     for standard, topic in present.items():
         findings += _stamps(topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
@@ -91,13 +105,30 @@ def check(path, names=None, bases=None, city=False):
             findings += _image(topic, streams[topic], DEPTH if 'depth' in standard else GREY)
         elif standard.endswith('imu/data'):
             findings += _imu(topic, streams[topic])
+            findings += _gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
         elif standard in CITY or city or not facts.counts[topic]:
             continue
         elif streams[topic].frames != {'world'}:
             findings.append(Finding(WARNING, f'{topic} is in frame {_list(streams[topic].frames)}; the report takes both robots\' as one frame'))
     findings += _pairs(present, streams)
+    findings += _clocks(present, streams)
+    findings += _static(facts)
     findings += _transforms(facts, present, streams, bases)
     return findings
+
+
+def _missing(facts, standard, topic, types, purpose, actual):
+    level = WARNING if standard in OPTIONAL else ERROR
+    if topic in facts.types:
+        return Finding(level, f'{topic} has type {facts.types[topic]}, expected {" or ".join(types)}')
+    if f'{topic}/theora' in facts.types:
+        return Finding(level, f'{topic} is there as {topic}/theora alone, which no node decodes: republish it as compressed (rosrun image_transport republish)')
+    argument = bag_guess.ARGUMENTS[standard]
+    similar = [t for t in facts.of_type(*types) if t not in actual.values()]
+    hint = f'; the bag has {", ".join(similar[:4])} of this type: set {argument}:= (here: --map)' if similar else ''
+    if standard.endswith('camera_info') and not similar:
+        hint = '; rosrun air_ground publish_calibration publishes it from a file'
+    return Finding(level, f'{topic} is missing ({purpose}){hint}')
 
 
 def _list(frames):
@@ -138,8 +169,8 @@ def _camera_info(topic, stream):
         result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
     elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
         result.append(Finding(WARNING, f'{topic}: principal point ({info.K[2]:.1f}, {info.K[5]:.1f}) is far from the centre of {info.width}x{info.height}'))
-    if info.distortion_model not in ('plumb_bob', ''):
-        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know plumb_bob: undistort first'))
+    if info.distortion_model not in (*MODELS, ''):
+        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know {", ".join(MODELS)}: undistort first'))
     elif info.distortion_model == '' and any(info.D):
         result.append(Finding(ERROR, f'{topic}: D is set but distortion_model is empty; plumb_bob is needed'))
     return result
@@ -148,6 +179,8 @@ def _camera_info(topic, stream):
 def _image(topic, stream, encodings):
     image = stream.samples[0]
     result = []
+    if image._type == 'sensor_msgs/CompressedImage':
+        return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
     if image.encoding not in encodings:
         result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings[:6])}'))
     if len(image.data) != image.step * image.height:
@@ -161,6 +194,18 @@ def _image(topic, stream, encodings):
         elif np.median(valid) > 12000:
             result.append(Finding(WARNING, f'{topic}: median depth {np.median(valid)} counts; 16UC1 is read as millimetres (TUM: 5000 a metre)'))
     return result
+
+
+def image_size(message):
+    """(width, height) of a raw or compressed image; None where that cannot be told. A compressedDepth image begins with 12 bytes of its own."""
+    if message._type == 'sensor_msgs/Image':
+        return message.width, message.height
+    data = np.frombuffer(message.data, np.uint8)
+    try:
+        picture = cv2.imdecode(data[12:] if 'compressedDepth' in message.format else data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    return None if picture is None else picture.shape[1::-1]
 
 
 def _imu(topic, stream):
@@ -206,11 +251,79 @@ def _pairs(present, streams):
             result.append(Finding(WARNING, f'{present[image]}: {alone} of {len(a)} images have no {present[other]} within {1000 * tolerance:g} ms'))
         if other.endswith('camera_info'):
             info, picture = streams[present[other]].samples[0], streams[present[image]].samples[0]
-            if (info.width, info.height) != (picture.width, picture.height):
-                result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {picture.width}x{picture.height}'))
-        elif (streams[present[other]].samples[0].width, streams[present[other]].samples[0].height) != (
-                streams[present[image]].samples[0].width, streams[present[image]].samples[0].height):
-            result.append(Finding(ERROR, f'{present[other]} and {present[image]} differ in size: depth must be registered to colour'))
+            size = image_size(picture)
+            if size and (info.width, info.height) != size:
+                result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {size[0]}x{size[1]}'))
+        else:
+            result += _registration(present[image], streams[present[image]], present[other], streams[present[other]])
+    return result
+
+
+def _registration(colour_topic, colour, depth_topic, depth):
+    """Depth must be seen from the colour camera, image by image."""
+    result, advice = [], 'record the registered one (aligned_depth_to_color, depth_registered)'
+    sizes = image_size(colour.samples[0]), image_size(depth.samples[0])
+    if None not in sizes and sizes[0] != sizes[1]:
+        result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} differ in size: depth must be registered to colour: {advice}'))
+    elif depth.frames != colour.frames:
+        result.append(Finding(WARNING, f'{depth_topic} is in frame {_list(depth.frames)}, {colour_topic} in {_list(colour.frames)}: depth seems not to be '
+                              f'registered to colour: {advice}'))
+    steps = [np.median(np.diff(s.stamps)) if len(s.stamps) > 1 else 0 for s in (colour, depth)]
+    if min(steps) > 0 and max(steps) > 1.2 * min(steps):
+        result.append(Finding(WARNING, f'{depth_topic} comes at {1 / steps[1]:.1f} Hz, {colour_topic} at {1 / steps[0]:.1f} Hz: what has no partner is left out'))
+    return result
+
+
+def _gravity_and_start(topic, stream, facts, base):
+    """Whether the mean specific force points up in the body frame, and whether the recording begins at rest."""
+    accel, gyro, stamps = np.array(stream.accel), np.array(stream.gyro), np.array(stream.stamps)
+    finite = np.isfinite(accel).all(1) & np.isfinite(gyro).all(1)
+    accel, gyro, stamps = accel[finite], gyro[finite], stamps[finite]
+    result = []
+    if len(accel) < 20:
+        return result
+    T_base_imu = facts.static_transform(base, sorted(stream.frames)[0].lstrip('/'))
+    mean = accel.mean(0)
+    if T_base_imu is not None and np.linalg.norm(mean) > 0:
+        up = T_base_imu[:3, :3] @ mean / np.linalg.norm(mean)
+        if up[2] < np.cos(np.radians(45)):
+            result.append(Finding(WARNING, f'{topic}: its mean acceleration points along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}) of {base}, which is not up: '
+                                  f'the mounting {base} -> {_list(stream.frames)} or the order of the axes is wrong (or {base} is not z up)'))
+    first = stamps <= stamps[0] + 1.0
+    bins = ((stamps[first] - stamps[0]) / 0.1).astype(int)
+    means = np.array([gyro[first][bins == b].mean(0) for b in np.unique(bins)])
+    if len(means) > 4 and np.linalg.norm(means.std(0)) > REST:
+        result.append(Finding(WARNING, f'{topic}: the recording begins in motion; gyro bias and gravity are known later than after a second at rest'))
+    return result
+
+
+def _clocks(present, streams):
+    """Both robots' stamps against each other and against the time of recording."""
+    spans = {}
+    for robot, standard in IMAGES.items():
+        if standard in present and len(streams[present[standard]].stamps) > 1:
+            stream = streams[present[standard]]
+            spans[robot] = (min(stream.stamps), max(stream.stamps), min(stream.times), max(stream.times))
+    if len(spans) < 2:
+        return []
+    mav, ground = spans['mav'], spans['ground']
+    if mav[0] <= ground[1] and ground[0] <= mav[1]:
+        return []
+    if mav[2] <= ground[3] and ground[2] <= mav[3]:
+        return [Finding(ERROR, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
+                        f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart: synchronise them (chrony, ntp)')]
+    return [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
+
+
+def _static(facts):
+    """How the static transforms were recorded."""
+    result = [Finding(ERROR, f'/tf_static: the rotation of {edge} is zero or not finite') for edge in sorted(facts.broken_edges)]
+    how = [f'in {facts.static_messages} messages'] if facts.static_messages > 1 else []
+    how += ['not latched'] if facts.static_messages and not facts.static_latched else []
+    if how:
+        result.append(Finding(OK, f'/tf_static comes {" and ".join(how)}: replay.launch hands it on whole; rosbag play by itself does not'))
+    if '/clock' in facts.types:
+        result.append(Finding(WARNING, '/clock is in the bag and will disturb that of the replay: rosbag filter x.bag y.bag "topic != \'/clock\'"'))
     return result
 
 
@@ -228,6 +341,6 @@ def _transforms(facts, present, streams, bases):
             result.append(Finding(WARNING, f'{present[standard]}: several frame ids: {_list(frames)}'))
         frame = sorted(frames)[0].lstrip('/')
         if facts.static_transform(bases[robot], frame) is None:
-            result.append(Finding(ERROR, f'/tf_static does not connect {bases[robot]} with {frame} (of {present[standard]}): add a '
-                                  'static_transform_publisher'))
+            result.append(Finding(ERROR, f'/tf_static does not connect {bases[robot]} with {frame} (of {present[standard]}): '
+                                  f'rosrun air_ground publish_calibration --transform "{bases[robot]} {frame} X Y Z QX QY QZ QW" beside the replay'))
     return result

@@ -1,4 +1,4 @@
-"""Readers of recordings in the folder layouts of 7-Scenes, TUM RGB-D and EuRoC MAV.
+"""Readers of recordings in the folder layouts of 7-Scenes, TUM RGB-D and EuRoC MAV (Zurich Urban MAV: zurich_urban.py).
 
 Each reader returns a Recording with every number in metres, seconds and radians. A folder that does not hold what its
 layout asks for raises DatasetError, whose message names the file and what was expected.
@@ -23,7 +23,7 @@ class DatasetError(Exception):
 
 @dataclass
 class Camera:
-    """Pinhole with radial-tangential distortion (k1 k2 p1 p2 k3)."""
+    """Pinhole with distortion as camera_info names it: plumb_bob (k1 k2 p1 p2 k3) or equidistant (k1 k2 k3 k4)."""
     width: int
     height: int
     fx: float
@@ -31,6 +31,7 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: str = 'plumb_bob'
 
     def __post_init__(self):
         for name in ('width', 'height', 'fx', 'fy'):
@@ -53,10 +54,23 @@ class Imu:
 
 
 @dataclass
+class Gps:
+    stamps: np.ndarray      # (n,) [s]
+    places: np.ndarray      # (n, 3) latitude, longitude [deg], height above the ellipsoid [m]
+    deviations: np.ndarray  # (n, 2) horizontal, vertical [m]
+
+
+@dataclass
+class Pressure:
+    stamps: np.ndarray  # (n,) [s]
+    pascal: np.ndarray  # (n,)
+
+
+@dataclass
 class Recording:
     name: str
     colour: List[Frame]
-    camera: Camera                                   # of the colour (or grey) images
+    camera: Optional[Camera]                                   # of the colour (or grey) images
     depth: List[Frame] = field(default_factory=list)
     depth_camera: Optional[Camera] = None            # None: depth is registered to colour
     depth_unit: float = 0.001                        # metres per count
@@ -66,6 +80,10 @@ class Recording:
     poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # T_world_camera, world z up
     imu: Optional[Imu] = None
     T_imu_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    gps: Optional[Gps] = None
+    pressure: Optional[Pressure] = None
+    city: Optional[dict] = None                      # content of city.yaml: where world lies, and the panoramas
+    geotags: List[str] = field(default_factory=list)  # lines of geotags.csv
     notes: List[str] = field(default_factory=list)
 
 
@@ -108,8 +126,16 @@ def camera_from_config(section, name, size):
         raise DatasetError(f'{name} in the calibration file lacks {error}') from error
 
 
+def orthonormal_pose(section, name):
+    """4x4 transform of a section with translation_m and quaternion_xyzw."""
+    try:
+        return geometry.pose_from_tq(section['translation_m'], section['quaternion_xyzw'])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f'{name}: translation_m and quaternion_xyzw are needed ({error})') from error
+
+
 def detect_layout(folder):
-    """'7scenes', 'tum' or 'euroc', from the files in the folder."""
+    """'7scenes', 'tum', 'euroc' or 'agz', from the files in the folder."""
     if not os.path.isdir(folder):
         raise DatasetError(f'{folder}: no such folder')
     if glob.glob(os.path.join(folder, 'frame-*.color.*')):
@@ -118,18 +144,22 @@ def detect_layout(folder):
         return 'tum'
     if os.path.isdir(os.path.join(euroc_root(folder), 'cam0')):
         return 'euroc'
+    from .zurich_urban import log_folder
+    if log_folder(folder):
+        return 'agz'
     raise DatasetError(f'{folder}: none of the known layouts: 7-Scenes (frame-000000.color.*), TUM RGB-D (rgb.txt), '
-                       'EuRoC MAV (cam0/ or mav0/cam0/)')
+                       'EuRoC MAV (cam0/ or mav0/cam0/), Zurich Urban MAV (Log Files/RawAccel.csv)')
 
 
 def read_recording(folder, layout, config):
-    readers = {'7scenes': read_7scenes, 'tum': read_tum, 'euroc': read_euroc}
+    from .zurich_urban import read_zurich_urban
+    readers = {'7scenes': read_7scenes, 'tum': read_tum, 'euroc': read_euroc, 'agz': read_zurich_urban}
     if layout == 'auto':
         layout = detect_layout(folder)
     elif not os.path.isdir(folder):
         raise DatasetError(f'{folder}: no such folder')
     recording = readers[layout](folder, config)
-    if not recording.colour:
+    if not recording.colour and layout != 'agz':
         raise DatasetError(f'{folder}: no images found')
     stamps = np.array([f.stamp for f in recording.colour])
     if np.any(np.diff(stamps) <= 0):
@@ -176,11 +206,7 @@ def read_7scenes(folder, config):
     camera = camera_from_config(config.get('colour_camera', default), 'colour_camera', size)
     T_depth_colour = np.eye(4)
     if 'depth_from_colour' in config:
-        section = config['depth_from_colour']
-        try:
-            T_depth_colour = geometry.pose_from_tq(section['translation_m'], section['quaternion_xyzw'])
-        except (KeyError, ValueError) as error:
-            raise DatasetError(f'depth_from_colour: translation_m and quaternion_xyzw are needed ({error})') from error
+        T_depth_colour = orthonormal_pose(config['depth_from_colour'], 'depth_from_colour')
     recording = Recording(os.path.basename(os.path.normpath(folder)), colour, camera, depth, depth_camera,
                           T_depth_colour=T_depth_colour, notes=notes)
     if poses:
@@ -306,27 +332,61 @@ def read_csv(path, columns):
     return np.array(rows)
 
 
+def read_euroc_frames(root, notes):
+    """Images that cam0/data.csv names (stamp [ns], file in cam0/data or relative to cam0); without it those in cam0/data named by their stamp."""
+    camera = os.path.join(root, 'cam0')
+    path, frames, missing = os.path.join(camera, 'data.csv'), [], []
+    if not os.path.isfile(path):
+        for image in sorted(glob.glob(os.path.join(camera, 'data', '*'))):
+            stem, extension = os.path.splitext(os.path.basename(image))
+            if extension.lower() not in ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.pgm'):
+                continue
+            if not stem.isdigit():
+                raise DatasetError(f'{image}: without cam0/data.csv images are named by their stamp in nanoseconds')
+            frames.append(Frame(int(stem) * 1e-9, image))
+        return frames
+    with open(path, newline='', encoding='utf-8') as stream:
+        for number, row in enumerate(csv.reader(stream), 1):
+            if not row or row[0].strip().startswith('#'):
+                continue
+            try:
+                stamp, name = int(row[0]) * 1e-9, row[1].strip()
+            except (ValueError, IndexError) as error:
+                raise DatasetError(f'{path}:{number}: expected "stamp [ns],file"') from error
+            found = [p for p in (os.path.join(camera, 'data', name), os.path.join(camera, name)) if os.path.isfile(p)]
+            if found:
+                frames.append(Frame(stamp, found[0]))
+            else:
+                missing.append(name)
+    if missing:
+        text = f'{len(missing)} of {len(missing) + len(frames)} images named in {path} are missing (the first: {missing[0]})'
+        if not frames:
+            raise DatasetError(text)
+        notes.append(text)
+    return sorted(frames, key=lambda frame: frame.stamp)
+
+
+EUROC_MODELS = {'radial-tangential': 'plumb_bob', 'radtan': 'plumb_bob', 'plumb_bob': 'plumb_bob', 'equidistant': 'equidistant'}
+
+
 def read_euroc(folder, config):
-    """cam0 (grey images named by nanoseconds), imu0, and a ground truth csv (state_groundtruth_estimate0 or groundtruth*)."""
+    """cam0 (the images of its data.csv), imu0, and a ground truth csv (state_groundtruth_estimate0 or groundtruth*)."""
     root = euroc_root(folder)
     sensor, T_body_camera = read_euroc_sensor(os.path.join(root, 'cam0', 'sensor.yaml'))
-    frames = []
-    for path in sorted(glob.glob(os.path.join(root, 'cam0', 'data', '*.png'))):
-        stem = os.path.splitext(os.path.basename(path))[0]
-        if not stem.isdigit():
-            raise DatasetError(f'{path}: images are named by their stamp in nanoseconds')
-        frames.append(Frame(int(stem) * 1e-9, path))
+    notes = []
+    frames = read_euroc_frames(root, notes)
     try:
         fx, fy, cx, cy = (float(v) for v in sensor['intrinsics'])
         distortion = [float(v) for v in sensor['distortion_coefficients']]
         width, height = (int(v) for v in sensor['resolution'])
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f'{root}/cam0/sensor.yaml: intrinsics, distortion_coefficients, resolution needed ({error})') from error
-    if sensor.get('distortion_model') not in ('radial-tangential', 'radtan', 'plumb_bob'):
+    model = EUROC_MODELS.get(sensor.get('distortion_model'))
+    if model is None:
         raise DatasetError(f'{root}/cam0/sensor.yaml: distortion model {sensor.get("distortion_model")} is not supported; '
                            'undistort the images first')
-    camera = Camera(width, height, fx, fy, cx, cy, tuple((distortion + [0.0] * 5)[:5]))
-    recording = Recording(os.path.basename(os.path.normpath(folder)), frames, camera)
+    camera = Camera(width, height, fx, fy, cx, cy, tuple((distortion + [0.0] * 5)[:5 if model == 'plumb_bob' else 4]), model)
+    recording = Recording(os.path.basename(os.path.normpath(folder)), frames, camera, notes=notes)
 
     imu_file = os.path.join(root, 'imu0', 'data.csv')
     if os.path.isfile(imu_file):

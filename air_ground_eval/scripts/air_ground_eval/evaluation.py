@@ -33,7 +33,7 @@ class Track:
 
 @dataclass
 class Estimate:
-    """One AlignmentEstimate: T_ground_map_mav_map with its status, and the standard deviations (x y z rotX rotY rotZ)."""
+    """One AlignmentEstimate: p_ground = scale R p_mav + t with R, t of pose = T_ground_map_mav_map, its status, and the standard deviations (x y z rotX rotY rotZ)."""
     stamp: float
     pose: np.ndarray
     status: int
@@ -45,6 +45,7 @@ class Estimate:
     cost: float = 0.0
     spread: float = 0.0
     map_id: int = 0
+    scale: float = 1.0
     T_mav_map_camera: Optional[np.ndarray] = None  # of the MAV's camera at the stamp, as it was known then
 
 
@@ -149,7 +150,9 @@ def alignment_error(estimate, T_ground_map_world, mav_truth):
     if not valid[0]:
         return None
     truth = T_ground_map_world @ reference[0]
-    placed = estimate.pose @ estimate.T_mav_map_camera
+    camera = estimate.T_mav_map_camera.copy()
+    camera[:3, 3] *= estimate.scale
+    placed = estimate.pose @ camera
     offset = placed[:3, 3] - truth[:3, 3]
     rotation = placed[:3, :3] @ truth[:3, :3].T
     yaw = np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])

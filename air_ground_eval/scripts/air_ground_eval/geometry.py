@@ -1,37 +1,22 @@
 """Rigid transforms as 4x4 arrays, quaternions as (x, y, z, w). T_a_b maps coordinates in frame b to frame a."""
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 
 def quaternion_from_matrix(rotation):
-    """Unit quaternion x y z w (w >= 0) of a 3x3 rotation matrix."""
-    m = rotation
-    candidates = np.array([
-        1 + m[0, 0] - m[1, 1] - m[2, 2],
-        1 - m[0, 0] + m[1, 1] - m[2, 2],
-        1 - m[0, 0] - m[1, 1] + m[2, 2],
-        1 + m[0, 0] + m[1, 1] + m[2, 2]])
-    i = int(np.argmax(candidates))
-    rows = {
-        0: (candidates[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]),
-        1: (m[0, 1] + m[1, 0], candidates[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]),
-        2: (m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], candidates[2], m[1, 0] - m[0, 1]),
-        3: (m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], candidates[3])}
-    q = np.array(rows[i])
-    q /= np.linalg.norm(q)
-    return q if q[3] >= 0 else -q
+    """Unit quaternions x y z w (w >= 0) of rotation matrices (..., 3, 3)."""
+    rotation = np.asarray(rotation, float)
+    q = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat().reshape(rotation.shape[:-2] + (4,))
+    return np.where(q[..., 3:] < 0, -q, q)
 
 
 def matrix_from_quaternion(q):
     """Rotation matrices (..., 3, 3) of quaternions (..., 4); they need not be normalised. Zero or NaN raises ValueError."""
     q = np.asarray(q, float)
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    norm = np.linalg.norm(q, axis=-1)
     if not np.all(np.isfinite(norm)) or np.any(norm < 1e-9):
         raise ValueError('a quaternion is zero or not finite')
-    x, y, z, w = np.moveaxis(q / norm, -1, 0)
-    return np.stack([
-        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
-        np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
-        np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1)], -2)
+    return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(q.shape[:-1] + (3, 3))
 
 
 def pose(rotation=None, translation=(0, 0, 0)):
@@ -65,15 +50,19 @@ def orthonormalized(transform):
 
 
 def rotation_angle(rotation):
-    """Angle [rad] of a 3x3 rotation, exact near 0 and pi."""
-    v = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    return float(np.arctan2(np.linalg.norm(v), np.trace(rotation) - 1))
+    """Angles [rad] of rotation matrices (..., 3, 3)."""
+    return Rotation.from_matrix(rotation).magnitude()
 
 
 def rotation_z(angle):
     """Rotation by `angle` [rad] about z."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def rotation_from_axes(axes, angles):
+    """Rotations (n, 3, 3) about the moving axes named in turn ('XYZ': Rx Ry Rz) by angles (n, len(axes)) [rad]."""
+    return Rotation.from_euler(axes, angles).as_matrix()
 
 
 def leveling_rotation(up):
@@ -92,24 +81,18 @@ def leveling_rotation(up):
 
 
 def interpolate_poses(stamps, transforms, query, max_gap=0.5):
-    """Poses at `query` stamps: linear positions, normalised linear quaternions between neighbours.
+    """Poses at `query` stamps: positions linear, attitudes at constant turn rate between neighbours.
 
     Returns (poses (n, 4, 4), valid (n,)); invalid outside the range and across gaps longer than max_gap [s].
     """
-    stamps = np.asarray(stamps, float)
-    query = np.asarray(query, float)
+    stamps, query, transforms = np.asarray(stamps, float), np.asarray(query, float), np.asarray(transforms, float)
     i = np.clip(np.searchsorted(stamps, query, side='right') - 1, 0, len(stamps) - 2)
-    span = stamps[i + 1] - stamps[i]
-    s = (query - stamps[i]) / span
-    valid = (s >= -1e-9) & (s <= 1 + 1e-9) & (span <= max_gap)
-    quaternions = np.array([quaternion_from_matrix(t[:3, :3]) for t in transforms])
-    a, b = quaternions[i], quaternions[i + 1]
-    b = np.where(np.sum(a * b, axis=1, keepdims=True) < 0, -b, b)
+    valid = (query >= stamps[0] - 1e-9) & (query <= stamps[-1] + 1e-9) & (stamps[i + 1] - stamps[i] <= max_gap)
+    inside = np.clip(query, stamps[0], stamps[-1])
     result = np.tile(np.eye(4), (len(query), 1, 1))
-    s = np.clip(s, 0, 1)[:, None]
-    result[:, :3, :3] = matrix_from_quaternion((1 - s) * a + s * b)
-    positions = np.asarray(transforms)[:, :3, 3]
-    result[:, :3, 3] = (1 - s) * positions[i] + s * positions[i + 1]
+    if len(query):
+        result[:, :3, :3] = Slerp(stamps, Rotation.from_matrix(transforms[:, :3, :3]))(inside).as_matrix()
+        result[:, :3, 3] = np.stack([np.interp(inside, stamps, transforms[:, axis, 3]) for axis in range(3)], 1)
     return result, valid
 
 

@@ -5,6 +5,7 @@ second squared. The poses are therefore fitted by cubic B-splines (attitude: the
 spacing is chosen by leaving every other pose out and predicting it.
 """
 import numpy as np
+from scipy.interpolate import BSpline
 
 from . import geometry
 
@@ -17,35 +18,15 @@ class CubicSpline:
     """Least-squares uniform cubic B-spline through (n, d) values at n increasing stamps [s]."""
 
     def __init__(self, stamps, values, spacing):
-        self.start, self.spacing = stamps[0], spacing
-        self.count = int(np.ceil((stamps[-1] - stamps[0]) / spacing)) + 3
-        index, basis = self._basis(stamps, 0)
-        # Normal equations of a banded system; the ridge on third differences covers knots without data.
-        normal = np.zeros((self.count, self.count))
-        right = np.zeros((self.count, values.shape[1]))
-        for a in range(4):
-            np.add.at(right, index + a, basis[:, a:a + 1] * values)
-            for b in range(4):
-                np.add.at(normal, (index + a, index + b), basis[:, a] * basis[:, b])
-        difference = np.diff(np.eye(self.count), 3, axis=0)
-        normal += RIDGE * difference.T @ difference
-        self.coefficients = np.linalg.solve(normal, right)
-
-    def _basis(self, stamps, derivative):
-        x = (np.asarray(stamps, float) - self.start) / self.spacing
-        index = np.clip(np.floor(x).astype(int), 0, self.count - 4)
-        u = x - index
-        if derivative == 0:
-            weights = [(1 - u) ** 3, 3 * u ** 3 - 6 * u ** 2 + 4, -3 * u ** 3 + 3 * u ** 2 + 3 * u + 1, u ** 3]
-        elif derivative == 1:
-            weights = [-3 * (1 - u) ** 2, 9 * u ** 2 - 12 * u, -9 * u ** 2 + 6 * u + 3, 3 * u ** 2]
-        else:
-            weights = [6 * (1 - u), 18 * u - 12, -18 * u + 6, 6 * u]
-        return index, np.stack(weights, 1) / 6 / self.spacing ** derivative
+        count = int(np.ceil((stamps[-1] - stamps[0]) / spacing)) + 3
+        self.knots = stamps[0] + spacing * np.arange(-3, count + 1)
+        basis = BSpline.design_matrix(np.clip(stamps, self.knots[3], self.knots[count]), self.knots, 3).toarray()
+        difference = np.diff(np.eye(count), 3, axis=0)
+        normal = basis.T @ basis + RIDGE * difference.T @ difference
+        self.spline = BSpline(self.knots, np.linalg.solve(normal, basis.T @ values), 3)
 
     def __call__(self, stamps, derivative=0):
-        index, basis = self._basis(stamps, derivative)
-        return sum(basis[:, a:a + 1] * self.coefficients[index + a] for a in range(4))
+        return self.spline(stamps, derivative)
 
 
 def choose_spacing(stamps, values):
@@ -79,7 +60,7 @@ def synthesize(stamps, T_world_imu, rate=200.0, noise=1.0, seed=1):
     if len(stamps) < 8 or np.any(np.diff(stamps) <= 0):
         raise ValueError('synthesising an IMU needs at least 8 reference poses with increasing stamps')
     positions = T_world_imu[:, :3, 3]
-    quaternions = np.array([geometry.quaternion_from_matrix(t[:3, :3]) for t in T_world_imu])
+    quaternions = geometry.quaternion_from_matrix(T_world_imu[:, :3, :3])
     for i in range(1, len(quaternions)):
         if quaternions[i] @ quaternions[i - 1] < 0:
             quaternions[i] *= -1
@@ -102,7 +83,7 @@ def synthesize(stamps, T_world_imu, rate=200.0, noise=1.0, seed=1):
     accel = accel + noise * 2e-3 * np.sqrt(rate) * random.standard_normal(accel.shape)
 
     fitted = geometry.matrix_from_quaternion(attitude(stamps))
-    angles = [geometry.rotation_angle(a.T @ b[:3, :3]) for a, b in zip(fitted, T_world_imu)]
+    angles = geometry.rotation_angle(np.swapaxes(fitted, 1, 2) @ T_world_imu[:, :3, :3])
     return {
         'stamps': times, 'gyro': gyro, 'accel': accel,
         'position_spacing': position_spacing, 'attitude_spacing': attitude_spacing,

@@ -2,7 +2,7 @@
 import genpy
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from sensor_msgs.msg import CameraInfo, Image, Imu
+from sensor_msgs.msg import CameraInfo, FluidPressure, Image, Imu, NavSatFix
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
@@ -34,7 +34,7 @@ def camera_info(camera, seconds, frame):
     message.header.stamp = stamp(seconds)
     message.header.frame_id = frame
     message.width, message.height = camera.width, camera.height
-    message.distortion_model = 'plumb_bob'
+    message.distortion_model = camera.model
     message.D = list(camera.distortion)
     message.K = [camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1]
     message.R = [1, 0, 0, 0, 1, 0, 0, 0, 1]
@@ -52,6 +52,25 @@ def imu(gyro, accel, gyro_variance, accel_variance, seconds, frame):
     for i in (0, 4, 8):
         message.angular_velocity_covariance[i] = gyro_variance
         message.linear_acceleration_covariance[i] = accel_variance
+    return message
+
+
+def gps_fix(place, deviations, seconds, frame):
+    """place: latitude, longitude [deg], height above the ellipsoid [m]; deviations: horizontal, vertical [m]."""
+    message = NavSatFix()
+    message.header.stamp = stamp(seconds)
+    message.header.frame_id = frame
+    message.latitude, message.longitude, message.altitude = map(float, place)
+    message.position_covariance[0] = message.position_covariance[4] = float(deviations[0]) ** 2
+    message.position_covariance[8] = float(deviations[1]) ** 2
+    message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_APPROXIMATED
+    return message
+
+
+def pressure(pascal, seconds, frame):
+    message = FluidPressure(fluid_pressure=float(pascal))
+    message.header.stamp = stamp(seconds)
+    message.header.frame_id = frame
     return message
 
 

@@ -2,6 +2,7 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import threading
 import time
@@ -12,7 +13,6 @@ import rospy
 from air_ground.msg import VoStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Imu
-from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from . import geometry
@@ -29,9 +29,10 @@ def pose_from_message(pose):
 
 
 class Robot:
-    """What was heard from a robot's odometry node."""
+    """What was heard from a robot's odometry. on: `node` runs; else another is in its place, or none. image: its input topic."""
 
-    def __init__(self):
+    def __init__(self, node, image, on=True):
+        self.node, self.image, self.on = node, rospy.resolve_name(image), on
         self.odometry = {}  # stamp -> T_map_base
         self.last_status = None
         self.processing, self.lost, self.frames = 0.0, 0, 0
@@ -46,6 +47,10 @@ class Robot:
         return {'state': STATES.get(self.last_status.state, str(self.last_status.state)), 'reason': self.last_status.reason,
                 'processing_ms': 1000 * self.processing / self.frames, 'lost': self.lost}
 
+    def switched_off(self):
+        """By its argument, and no other node speaks in its place."""
+        return not self.on and not self.odometry and self.last_status is None
+
 
 class Recorder:
     """Listens to diagnostics and tf; a report's own recorder adds its topics. `nodes`: names of the nodes that are watched."""
@@ -55,6 +60,8 @@ class Recorder:
         self.begin, self.nodes = begin, nodes
         self.progress = {}  # node -> newest stamp of its output [s]
         self.diagnostics = {}  # hardware id -> {key: value} of the last message
+        self.said = {}  # hardware id -> its line in the diagnostics
+        self.missing = {}  # topic -> why no message of it can come
         self.tf_publishers = {}  # 'parent -> child': names of the nodes that publish it
         self.played = 0.0  # newest stamp of the bag's cameras or IMUs that was heard [s]
         self.last_output = time.monotonic()
@@ -86,7 +93,24 @@ class Recorder:
                 for name in (status.name.split(':')[0].strip().lstrip('/'), status.hardware_id):
                     if name in self.nodes:
                         self.diagnostics[name] = {v.key: v.value for v in status.values}
+                        self.said[name] = status.message
                         break
+
+    def reason(self, robot):
+        """Why a robot gives no pose, as far as anything was heard."""
+        status = robot.last_status
+        if status is not None and status.reason:
+            return status.reason
+        if status is None and robot.image in self.missing:
+            return self.missing[robot.image]
+        return self.said.get(robot.node) or f'{robot.node} has said nothing: see its lines above'
+
+    def progress_of(self, name, robot):
+        """A robot's part of the progress lines."""
+        if robot.switched_off():
+            return f'{name} switched off'
+        state = STATES.get(robot.last_status.state, '?').lower() if robot.last_status is not None else 'without a word'
+        return f'{name} {state}' + ('' if state == 'tracking' else f' ({self.reason(robot)})')
 
     def on_tf(self, message):
         node = message._connection_header.get('callerid', '?').lstrip('/')
@@ -149,8 +173,7 @@ class Pacer:
     """
 
     def __init__(self, recorder, player, limits):
-        self.recorder, self.limits = recorder, limits
-        self.service = rospy.ServiceProxy(player + '/pause_playback', SetBool)
+        self.recorder, self.limits, self.player = recorder, limits, player
         self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
         self.paused, self.held, self.since = False, 0.0, None
 
@@ -174,10 +197,8 @@ class Pacer:
             self._set(False)
 
     def _set(self, pause):
-        try:
-            self.service(pause)
-        except (rospy.ServiceException, rospy.ROSException):
-            return  # the player has ended
+        if not self.player.pause(pause):
+            return
         if pause:
             self.since = time.monotonic()
         elif self.since is not None:
@@ -243,28 +264,60 @@ def wait_to_listen(bag, nodes, more_topics=(), timeout=60.0):
     return False
 
 
-def start_player(player, timeout=30.0):
-    """Lets a player that began paused go once all publishers and subscribers are connected; False when the player did not come."""
+def missing_inputs(bag, inputs, patience=5.0):
+    """Topic -> why nothing can come on it, for those of `inputs` (argument, topic, message type) that neither bag nor node publishes.
+
+    Nodes that make an input out of the bag's (publish_calibration, image_proc) have `patience` [s] to come up.
+    """
+    end = time.monotonic() + patience
+    while True:
+        result = _missing_now(bag, inputs)
+        if not result or time.monotonic() > end or rospy.is_shutdown():
+            return result
+        time.sleep(0.2)
+
+
+def _missing_now(bag, inputs):
     try:
-        rospy.wait_for_service(player + '/pause_playback', timeout=60.0)
-        begin = time.monotonic()
-        missing = unconnected()
-        while missing and not rospy.is_shutdown() and time.monotonic() - begin < timeout:
-            time.sleep(0.2)
-            missing = unconnected()
-        for topic, publisher, listener in missing:
-            rospy.logwarn('%s: no connection from %s to %s; the bag plays without', topic, publisher, listener)
-        rospy.ServiceProxy(player + '/pause_playback', SetBool)(False)
-        return True
-    except (rospy.ROSException, rospy.ServiceException):
+        published, listeners = _system_state()
+    except (rosgraph.MasterException, OSError):
+        published, listeners = {}, {}
+    result = {}
+    for argument, topic, kind in inputs:
+        topic = rospy.resolve_name(topic)
+        compressed = [f'{topic}/{name}' for name in ('compressed', 'compressedDepth') if f'{topic}/{name}' in bag.types]
+        if topic in bag.types or published.get(topic) or any(listeners.get(t) for t in compressed):
+            continue
+        others = bag.of_type(kind)
+        if compressed:
+            hint = f'it has {compressed[0]}: set {argument.split("_")[0]}_image_transport:=compressed'
+        elif others:
+            hint = f'of type {kind} it has {", ".join(others)}: set {argument}:='
+        else:
+            hint = f'it has none of type {kind}'
+        result[topic] = f'no message on {topic}: the bag has no such topic; {hint}'
+    return result
+
+
+def let_go(player, timeout=30.0):
+    """Lets a player that began paused go once all publishers and subscribers are connected; False when it has ended before."""
+    if not player.wait_until_ready():
         return False
+    begin = time.monotonic()
+    missing = unconnected()
+    while missing and not rospy.is_shutdown() and time.monotonic() - begin < timeout:
+        time.sleep(0.2)
+        missing = unconnected()
+    for topic, publisher, listener in missing:
+        rospy.logwarn('%s: no connection from %s to %s; the bag plays without', topic, publisher, listener)
+    return player.pause(False)
 
 
 def play_to_end(recorder, player, end, limits, summary):
     """Returns, when the bag has ended, for how long the player was held [s]. Shows summary() at every 10 % of the bag."""
     pacer = Pacer(recorder, player, limits)
-    shown, seen_player, started = 0, False, time.monotonic()
-    while not rospy.is_shutdown():
+    shown = 0
+    while not rospy.is_shutdown() and player.running():
         now = max(rospy.get_time(), recorder.played)
         if now > 0:
             pacer.step(now)
@@ -274,15 +327,28 @@ def play_to_end(recorder, player, end, limits, summary):
                 rospy.loginfo('replay %d %%: %s', 10 * tenth, summary())
             if now >= end - 0.05:
                 break
-        exists = node_exists(player)
-        seen_player = seen_player or exists
-        if (seen_player and not exists) or (not seen_player and time.monotonic() - started > 30):
-            break
         time.sleep(0.1)
     pacer.release()
-    if not seen_player:
-        rospy.logerr('the player %s did not start: is the bag readable?', player)
     return pacer.held
+
+
+def end_launch(line, failed=False):
+    """Says how the replay ended, and ends the launch that this node belongs to, as Ctrl-C would: when a required node ends by itself,
+    roslaunch calls it a death, in red. Under another parent than roslaunch the node just ends. Returns its exit status.
+    """
+    (rospy.logfatal if failed else rospy.loginfo)(line)
+    time.sleep(0.2)  # the line before those of roslaunch
+    try:
+        with open(f'/proc/{os.getppid()}/cmdline', 'rb') as stream:
+            words = [os.path.basename(word) for word in stream.read().split(b'\0')[:3]]
+    except OSError:
+        words = []
+    if b'roslaunch' in words and not rospy.is_shutdown():
+        os.kill(os.getppid(), signal.SIGINT)
+        stop = time.monotonic() + 20
+        while not rospy.is_shutdown() and time.monotonic() < stop:
+            time.sleep(0.05)
+    return int(failed)
 
 
 def wait_for_rest(recorder, idle_time, limit):
@@ -298,6 +364,14 @@ def wait_for_rest(recorder, idle_time, limit):
         if now - quiet_since >= idle_time:
             return
     rospy.logwarn('the nodes were still busy %.0f s after the end of the bag; the report is written now', limit)
+
+
+def clear(folder, names):
+    """Makes the folder, without these files of an earlier replay."""
+    os.makedirs(folder, exist_ok=True)
+    for name in names:
+        if os.path.exists(os.path.join(folder, name)):
+            os.remove(os.path.join(folder, name))
 
 
 def save(service, kind, path, notes):

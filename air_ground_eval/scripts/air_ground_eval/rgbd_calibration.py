@@ -5,7 +5,9 @@ moved until the near sides of all jumps lie on the strongest edges. Over a hundr
 against baseline, as the latter's shift falls with distance. The photometric error between frames with reference poses does not:
 with the small rotations between views of one place, it cannot tell a baseline from an error of the poses. It serves as the check.
 """
+import cv2
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from . import datasets, geometry, registration
 
@@ -15,26 +17,17 @@ FIRST_STEPS = np.array([4.0, 2.0, 2.0, 0.004, 0.004, 0.004])
 
 def blur(image, sigma):
     """Gaussian blur of a float image."""
-    radius = int(3 * sigma + 1)
-    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    kernel /= kernel.sum()
-    padded = np.pad(image, ((radius, radius), (0, 0)), 'edge')
-    image = sum(k * padded[i:i + image.shape[0]] for i, k in enumerate(kernel))
-    padded = np.pad(image, ((0, 0), (radius, radius)), 'edge')
-    return sum(k * padded[:, i:i + image.shape[1]] for i, k in enumerate(kernel)).astype(np.float32)
+    return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
 
 
 def sample(image, u, v):
     """Bilinear samples; coordinates are clamped to the image."""
-    u, v = np.clip(u, 0, image.shape[1] - 1.001), np.clip(v, 0, image.shape[0] - 1.001)
-    x, y = u.astype(int), v.astype(int)
-    a, b = u - x, v - y
-    return ((1 - a) * (1 - b) * image[y, x] + a * (1 - b) * image[y, x + 1] + (1 - a) * b * image[y + 1, x] + a * b * image[y + 1, x + 1])
+    return map_coordinates(image, [v, u], order=1, mode='nearest')
 
 
 def grey_image(path):
-    image = datasets.read_image(path).astype(np.float32)
-    return image @ np.array([0.299, 0.587, 0.114], np.float32) if image.ndim == 3 else image
+    image = datasets.read_image(path)
+    return (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image).astype(np.float32)
 
 
 def depth_jumps(depth):

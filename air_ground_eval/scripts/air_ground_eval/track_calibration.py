@@ -7,7 +7,10 @@ reference rather than of the image, hence common to many tracks: they are given 
 """
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+from scipy.spatial.transform import Rotation
 
 from . import datasets, geometry, registration
 from .rgbd_calibration import grey_image
@@ -18,6 +21,7 @@ PRIOR_POSITION, PRIOR_ATTITUDE = 0.003, np.radians(0.1)  # of each pose of a pai
 PRIOR_INVERSE_DEPTH = 0.006  # [1/m]
 PIXEL_SIGMA, HUBER = 4.0, 2.0  # [px], [standard deviations]
 RADIUS = 7  # of the patches [px]
+MIN_STRENGTH = 80  # of a corner, as OpenCV scales it: 20 grey levels squared a pixel
 
 
 @dataclass
@@ -32,69 +36,26 @@ class Tracks:
     inverse_depth: np.ndarray  # (tracks,) [1/m]
 
 
-def halve(image):
-    h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    return 0.25 * (image[:h:2, :w:2] + image[1:h:2, :w:2] + image[:h:2, 1:w:2] + image[1:h:2, 1:w:2])
-
-
-def pyramid(path):
-    levels = [grey_image(path).astype(np.float32)]
-    for _ in range(2):
-        levels.append(halve(levels[-1]))
-    return levels
-
-
-def patches(image, centres, radius=RADIUS):
-    """Bilinear patches (n, 2r+1, 2r+1) about centres (n, 2); clamped at the borders."""
-    span = np.arange(-radius, radius + 1)
-    x = np.clip(centres[:, 0, None] + span, 0, image.shape[1] - 1.001)[:, None, :]
-    y = np.clip(centres[:, 1, None] + span, 0, image.shape[0] - 1.001)[:, :, None]
-    x0, y0 = x.astype(int), y.astype(int)
-    a, b = (x - x0).astype(np.float32), (y - y0).astype(np.float32)
-    return ((image[y0, x0] * (1 - a) + image[y0, x0 + 1] * a) * (1 - b)
-            + (image[y0 + 1, x0] * (1 - a) + image[y0 + 1, x0 + 1] * a) * b)
-
-
-def follow(templates, image, guess, iterations=8):
-    """Positions (n, 2) in `image` of the template corners (Lucas-Kanade, inverse compositional), and the correlation (n,)."""
-    position = guess.copy()
-    for level in (2, 1, 0):
-        scale = 0.5 ** level
-        template = templates[level]
-        inner = template[:, 1:-1, 1:-1] - template[:, 1:-1, 1:-1].mean((1, 2), keepdims=True)
-        gx = 0.5 * (template[:, 1:-1, 2:] - template[:, 1:-1, :-2])
-        gy = 0.5 * (template[:, 2:, 1:-1] - template[:, :-2, 1:-1])
-        h = np.stack([(gx * gx).sum((1, 2)), (gx * gy).sum((1, 2)), (gy * gy).sum((1, 2))], 1)
-        determinant = h[:, 0] * h[:, 2] - h[:, 1] ** 2 + 1e-3
-        for _ in range(iterations):
-            seen = patches(image[level], (position + 0.5) * scale - 0.5, RADIUS - 1)
-            error = seen - seen.mean((1, 2), keepdims=True) - inner
-            bx, by = (gx * error).sum((1, 2)), (gy * error).sum((1, 2))
-            step = np.stack([h[:, 2] * bx - h[:, 1] * by, h[:, 0] * by - h[:, 1] * bx], 1) / determinant[:, None]
-            position -= np.clip(step, -2, 2) / scale
-            if np.abs(step).max() < 0.01:
-                break
-    seen = seen - seen.mean((1, 2), keepdims=True)
-    correlation = (seen * inner).sum((1, 2)) / np.sqrt((seen ** 2).sum((1, 2)) * (inner ** 2).sum((1, 2)) + 1e-6)
-    return position, correlation
+def follow(anchor, image, start, guess):
+    """Positions (n, 2) in `image` of corners at `start` in `anchor` (uint8), and which were found (Lucas-Kanade, there and back within 0.5 px)."""
+    window = dict(winSize=(2 * RADIUS + 1, 2 * RADIUS + 1), maxLevel=2, flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
+    start, guess = (np.ascontiguousarray(p, np.float32).reshape(-1, 1, 2) for p in (start, guess))
+    found, there, _ = cv2.calcOpticalFlowPyrLK(anchor, image, start, guess.copy(), **window)
+    again, back, _ = cv2.calcOpticalFlowPyrLK(image, anchor, found, start.copy(), **window)
+    near = np.abs(again - start).max((1, 2)) < 0.5
+    inside = (found > 10).all((1, 2)) & (found < np.array(image.shape[::-1]) - 10).all((1, 2))
+    return found.reshape(-1, 2).astype(float), (there.ravel() == 1) & (back.ravel() == 1) & near & inside
 
 
 def corners(image, usable, cell=24):
     """The strongest corner (smaller eigenvalue of the structure tensor) of each cell, (n, 2)."""
-    gy, gx = np.gradient(image)
-    box = np.ones(7) / 7
-
-    def smooth(m):
-        m = np.apply_along_axis(np.convolve, 0, m, box, 'same')
-        return np.apply_along_axis(np.convolve, 1, m, box, 'same')
-    a, b, c = smooth(gx * gx), smooth(gx * gy), smooth(gy * gy)
-    strength = np.where(usable, 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b), 0)
+    strength = np.where(usable, cv2.cornerMinEigenVal(image.astype(np.float32), 7), 0)
     found = []
     for top in range(12, image.shape[0] - 12 - cell, cell):
         for left in range(12, image.shape[1] - 12 - cell, cell):
             block = strength[top:top + cell, left:left + cell]
             row, column = np.unravel_index(np.argmax(block), block.shape)
-            if block[row, column] > 20:
+            if block[row, column] > MIN_STRENGTH:
                 found.append((left + column, top + row))
     return np.array(found, float).reshape(-1, 2)
 
@@ -107,11 +68,10 @@ def collect(recording, indices, spacing=10, views=1):
     columns = {name: [] for name in ('track', 'anchor', 'other', 'anchor_uv', 'uv')}
     inverse_depths, live, count = [], [], 0
     for index in range(keep[0], keep[-1] + 1, 2):
-        levels = pyramid(recording.colour[index].path)
+        image = grey_image(recording.colour[index].path).astype(np.uint8)
         for group in live:
-            group['uv'], correlation = follow(group['templates'], levels, group['uv'])
-            group['alive'] &= ((correlation > 0.9) & (group['uv'] > 10).all(1) & (group['uv'][:, 0] < levels[0].shape[1] - 10)
-                               & (group['uv'][:, 1] < levels[0].shape[0] - 10))
+            group['uv'], found = follow(group['image'], image, group['start'], group['uv'])
+            group['alive'] &= found
         if index not in keep:
             continue
         here = keep.index(index)
@@ -127,14 +87,12 @@ def collect(recording, indices, spacing=10, views=1):
         if depth_frame is None:
             continue
         z = registration.depth_in_millimetres(recording, depth_frame.path) / 1000.0
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(z, 2), (5, 5))
-        near = np.where(windows > 0, windows, np.inf).min((2, 3))
-        far, share = windows.max((2, 3)), (windows > 0).mean((2, 3))
-        start = corners(levels[0], (share > 0.6) & (far < 1.03 * near) & (far < 3.5))
+        near, far = minimum_filter(np.where(z > 0, z, np.inf), 5, mode='constant', cval=np.inf), maximum_filter(z, 5, mode='constant')
+        share = uniform_filter((z > 0).astype(float), 5, mode='constant')
+        start = corners(image, (share > 0.6) & (far < 1.03 * near) & (far < 3.5))
         column, row = start.astype(int).T
         inverse_depths.append(1.0 / (0.5 * (near + far)[row, column]))
-        templates = [patches(levels[level], (start + 0.5) * 0.5 ** level - 0.5) for level in range(3)]
-        live.append({'anchor': here, 'start': start, 'uv': start.copy(), 'templates': templates,
+        live.append({'anchor': here, 'start': start, 'uv': start.copy(), 'image': image,
                      'ids': count + np.arange(len(start)), 'alive': np.ones(len(start), bool)})
         count += len(start)
     joined = {name: np.concatenate(value) for name, value in columns.items()}
@@ -192,15 +150,11 @@ def undistort(uv, p):
 
 def expmap(w):
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
-    angle = np.linalg.norm(w, axis=1)
-    q = np.concatenate([w * (0.5 * np.sinc(angle / (2 * np.pi)))[:, None], np.cos(0.5 * angle)[:, None]], 1)
-    return geometry.matrix_from_quaternion(q)
+    return Rotation.from_rotvec(w).as_matrix()
 
 
 def logmap(R):
-    q = np.array([geometry.quaternion_from_matrix(r) for r in R])
-    n = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
-    return q[:, :3] * np.where(n > 1e-9, 2 * np.arctan2(n, q[:, 3:]) / np.maximum(n, 1e-12), 2.0)
+    return Rotation.from_matrix(R).as_rotvec()
 
 
 class Adjustment:

@@ -3,6 +3,8 @@
 #include <map>
 #include <stdexcept>
 
+#include "air_ground_common/camera_file.h"
+
 namespace air_ground_sim {
 
 void FaultOptions::apply(FaultsConfig* f) const {
@@ -26,6 +28,7 @@ void Options::apply(SimConfig* config) const {
   faults.apply(&config->faults);
   config->imu.ground_magnetometer = config->imu.ground_magnetometer || ground_mag;
   if (samples > 0) config->mav_camera.samples = config->ground_camera.samples = samples;
+  if (!mav_camera.empty()) config->mav_camera.camera = air_ground_common::readCameraFile(mav_camera);
 }
 
 namespace {
@@ -83,6 +86,8 @@ void addOptions(CLI::App* app, Options* o) {
                   "prints the path");
   app->add_option("--duration", o->duration, "length of the recording [s]; default: the world file's");
   app->add_option("--spp", o->samples, "rays a pixel; default: the world file's")->check(CLI::Range(1, 64));
+  app->add_option("--mav-camera", o->mav_camera,
+                  "calibration of the MAV's camera (camera_info YAML), for example config/cameras/fisheye_150.yaml");
   app->add_option("--threads", o->threads, "default: all cores")->check(CLI::Range(1, 1024));
   app->add_option("--compression", o->compression, "lz4 or none")
       ->check(CLI::IsMember({"lz4", "none"}))

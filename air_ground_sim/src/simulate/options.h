@@ -23,7 +23,7 @@ struct FaultOptions {
 };
 
 struct Options {
-  std::string world = "indoor_boxes_a", out, cache, compression = "lz4";
+  std::string world = "indoor_boxes_a", out, cache, compression = "lz4", mav_camera;
   std::uint64_t seed = 1;
   double duration = 0;
   int samples = 0, threads = 0;

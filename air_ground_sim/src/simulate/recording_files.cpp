@@ -9,6 +9,8 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/camera_file.h"
+
 namespace air_ground_sim {
 
 namespace fs = std::filesystem;
@@ -43,7 +45,8 @@ std::string contentKey(const std::string& world_file, const SimConfig& config, c
       if (fs::is_regular_file(image)) text << '|' << image.filename() << std::ifstream(image, std::ios::binary).rdbuf();
   }
   text << '|' << o.seed << '|' << o.duration << '|' << o.samples << '|' << o.no_mav << '|' << o.no_ground << '|'
-       << config.imu.ground_magnetometer << '|' << config.faults.describe();
+       << config.imu.ground_magnetometer << '|' << config.faults.describe() << '|'
+       << air_ground_common::cameraFileText(config.mav_camera.camera, "");
   std::uint64_t h = 0;
   for (const char c : text.str()) h = mix(h ^ static_cast<unsigned char>(c));
   char hex[17];

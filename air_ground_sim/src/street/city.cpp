@@ -9,6 +9,8 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/camera_file.h"
+
 namespace air_ground_sim {
 namespace {
 
@@ -79,14 +81,7 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
 }
 
 std::string cameraYaml(const air_ground_common::CameraModel& c) {
-  std::ostringstream s;
-  s << "# The MAV's camera (ROS calibration file, plumb_bob).\nimage_width: " << c.width
-    << "\nimage_height: " << c.height
-    << "\ncamera_name: mav_camera\ndistortion_model: plumb_bob\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [" << c.fx
-    << ", 0, " << c.cx << ", 0, " << c.fy << ", " << c.cy
-    << ", 0, 0, 1]\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [" << c.k1 << ", " << c.k2 << ", " << c.p1
-    << ", " << c.p2 << ", " << c.k3 << "]\n";
-  return s.str();
+  return "# The MAV's camera (ROS calibration file).\n" + air_ground_common::cameraFileText(c, "mav_camera");
 }
 
 std::string cityYaml(const SimConfig& config, const Street& street, const LocalFrame& frame) {

@@ -14,6 +14,7 @@ struct RectifierSettings {
   int normalization_radius = 8;  ///< half width of the window of local mean and contrast [px of the reduced image]
   double contrast_floor = 4.0;  ///< added to the local standard deviation, so that noise is not amplified [grey levels]
   double contrast_gain = 40.0;  ///< grey levels per local standard deviation after normalisation
+  double max_field = 1.745;     ///< across and down, of the view made of a wide-angle image [rad]
 };
 
 /// One image ready for the plane sweep.
@@ -29,7 +30,8 @@ class Rectifier {
   /// `camera`: calibration of the recorded images. Throws std::invalid_argument for a bad calibration or setting.
   explicit Rectifier(const air_ground_common::CameraModel& camera, const RectifierSettings& settings = {});
 
-  /// Pinhole of the images made here: all of its pixels are seen by the recorded image.
+  /// Pinhole of the images made here: all of its pixels are seen by the recorded image. Of rational_polynomial and
+  /// equidistant images it takes the central max_field, with the resolution of their middle.
   const air_ground_common::CameraModel& camera() const { return output_; }
   const air_ground_common::CameraModel& recordedCamera() const { return input_; }
 

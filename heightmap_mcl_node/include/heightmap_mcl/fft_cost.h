@@ -1,5 +1,5 @@
-// Equation 2 for every offset of one heading at once, by FFT: nine transforms instead of overlap times offsets
-// operations.
+// Equation 2 for every offset of one heading at once, by FFT: nine transforms (eleven and two for every level of
+// bounds that occurs) instead of overlap times offsets operations.
 #pragma once
 
 #include <memory>
@@ -31,7 +31,10 @@ int fiveSmoothSize(int n);
 /// With M the masks of defined cells, a and g the heights (centred, zero in holes), d = a - g:
 ///   N = F^-1[conj(A0) G0],  S1 = sum d = F^-1[conj(A1) G0 - conj(A0) G1],
 ///   S2 = sum d^2 = F^-1[conj(A2) G0 + conj(A0) G2 - 2 conj(A1) G1],  C = (S2 - S1^2/N) / (2 N)    (eq. 2)
-/// and likewise the sums of a, a^2 and g^2 for the variance of either map in the overlap.
+/// and likewise the sums of a, a^2, g and g^2 for the variance of either map in the overlap.
+/// With bounds (zmssd.h): B_k the masks of the bounds at level b_k, R_k = max(0, b_k - h)^2 of the cells with a height,
+///   S2 += sum over k of F^-1[conj(F R_k(a)) F B_k(g) + conj(F B_k(a)) F R_k(g)],
+/// the other sums with C over both kinds of cells, N with a count of those that have a height in both.
 class FftCost {
  public:
   /// Throws std::invalid_argument for a map without a defined cell.

@@ -16,10 +16,13 @@ namespace heightmap_mcl {
 enum class Status { kSearching, kAmbiguous, kDegenerate, kConverged };
 const char* toString(Status status);
 
+/// Settings with tops as far as they were seen.
+HeightMapSettings boundedMap(bool drop_hanging);
+
 struct LocalizerSettings {
-  HeightMapSettings air_map;
-  HeightMapSettings ground_map;  ///< same resolution as air_map
-  double min_overlap = 0.5;      ///< see CostSettings
+  HeightMapSettings air_map = boundedMap(false);
+  HeightMapSettings ground_map = boundedMap(true);  ///< same resolution, tops and cap as air_map
+  double min_overlap = 0.5;                         ///< see CostSettings
   double unknown_weight = 1;  ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
   FilterSettings filter;
   std::uint64_t seed = 1;

@@ -1,4 +1,9 @@
 // Zero-mean sum of squared differences of two height maps (Forster 2013, eq. 2), evaluated at single poses.
+//
+// Where one of two cells is a bound b ("at least so high"), its residual is what is lacking, max(0, b - h) for the
+// other one's height h, both above their own floors; two bounds contradict nothing. Such cells are partners like any
+// other, but have no part in the mean that eq. 2 takes off. Bounds are rounded down to kBoundLevels levels, which makes
+// their sums a few more correlations (fft_cost.h).
 #pragma once
 
 #include <Eigen/Core>
@@ -42,7 +47,7 @@ struct CostSettings {
 void validate(const CostSettings& settings);
 
 struct Zmssd {
-  int overlap = 0;           ///< cells defined in both maps
+  int overlap = 0;           ///< cells defined in both maps, bounds included
   double cost = kInfinity;   ///< eq. 2 [m^2], eta = 1 / (2 overlap); infinite below the overlap threshold
   double score = kInfinity;  ///< what placements are compared by [m^2], see CostSettings::unknown_cost
   double relief_air = 0;     ///< standard deviation of the aerial heights in the overlap [m]
@@ -54,9 +59,13 @@ struct Zmssd {
   double dz = 0;  ///< mean of ground minus aerial height over the overlap: what lifts the aerial map [m]
 };
 
-/// Sums over the cells defined in both maps: a aerial, g ground heights, d = a - g.
+/// Sums over the cells defined in both maps: a aerial, g ground heights or bounds, d = a - g where both are heights.
 struct OverlapSums {
-  double n = 0, d = 0, d2 = 0, a = 0, a2 = 0, g2 = 0;
+  double n = 0;
+  double known = 0;  ///< cells with a height in both
+  double d = 0;      ///< over the known ones
+  double d2 = 0;     ///< over the known ones, and the squared residuals of bounds
+  double a = 0, a2 = 0, g = 0, g2 = 0;
 };
 
 /// `cells`: defined cells of the smaller map.
@@ -66,11 +75,12 @@ inline Zmssd zmssdFromSums(const OverlapSums& sums, double cells, const CostSett
   result.overlap = static_cast<int>(n + 0.5);
   if (n < 1 || n < settings.min_overlap * cells) return result;
   const auto variance = [n](double sum, double squares) { return std::max(0.0, squares / n - sum / n * (sum / n)); };
-  const double air = variance(sums.a, sums.a2), ground = variance(sums.a - sums.d, sums.g2);
+  const double air = variance(sums.a, sums.a2), ground = variance(sums.g, sums.g2);
   result.relief_air = std::sqrt(air);
   result.relief_ground = std::sqrt(ground);
-  result.cost = variance(sums.d, sums.d2) / 2;
-  result.dz = -sums.d / n;
+  const double mean = sums.known > 0.5 ? sums.d / sums.known : 0;
+  result.cost = std::max(0.0, sums.d2 - sums.d * mean) / (2 * n);
+  result.dz = -mean;
   result.variance = std::max({air, ground, settings.min_relief * settings.min_relief});
   result.explained = result.variance > 0 ? 1 - 2 * result.cost / result.variance : 1;
   const double trust = settings.min_explained > 0 ? std::clamp(result.explained / settings.min_explained, 0.0, 1.0) : 1;
@@ -86,10 +96,13 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
 /// Defined cells of an aerial map as plain arrays, relative to a reference point.
 struct AerialCells {
   std::vector<float> x, y;                              ///< centre of the cell minus the reference point [m]
-  std::vector<float> h;                                 ///< height minus mean_height [m]
+  std::vector<float> h;                                 ///< height or bound minus base [m]
+  std::vector<float> bound;                             ///< 1 for a bound, else 0
+  double base = 0;                                      ///< see baseHeight [m]
   double mean_height = 0;                               ///< [m]
   Eigen::Vector2d reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
 };
+/// A bound's height above base is that of its level.
 AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference);
 
 /// Ground map prepared for fast evaluation at arbitrary poses. Thread-safe once built.
@@ -108,13 +121,13 @@ class DirectCost {
   Eigen::Vector2d overlapCenter(const AerialCells& cells, const PlanarPose& pose) const;
 
  private:
-  /// Ground height (minus mean) of the cell under a point, NaN for holes and outside.
+  /// Ground height (minus base) of the cell under a point, NaN for holes and outside.
   float groundAt(double x, double y) const;
 
-  double resolution_, origin_x_, origin_y_, mean_;
+  double resolution_, origin_x_, origin_y_, base_;
   double defined_ = 0;          // cells with a height
   int width_, height_;          // with a border of one hole
-  std::vector<float> heights_;  // minus mean_
+  std::vector<float> heights_;  // minus base_; bounds are kernel::kBoundOffset higher
 };
 
 }  // namespace heightmap_mcl

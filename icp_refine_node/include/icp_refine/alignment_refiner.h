@@ -29,6 +29,7 @@ struct RefinerSettings {
   double coarse_distance = 0.5;     ///< a coarse pose this far from the refined one disagrees [m]
   double coarse_angle = 0.26;       ///< or this far in heading [rad]
   int coarse_disagreements = 3;     ///< in a row: then the coarse pose is tried against the refined one
+  ScalePrior scale;                 ///< of the aerial map, about 1; the odometry may state a larger deviation
   HeightCheckSettings height_check;
 };
 
@@ -37,10 +38,11 @@ enum class RefineStatus { kSearching, kDegenerate, kConverged, kRejected };
 struct RefineOutcome {
   RefineStatus status = RefineStatus::kSearching;
   std::string reason;  ///< one line for a person
-  Pose T_ground_map_mav_map = Pose::Identity();
-  /// About reference_point, in ground_map; 1e6 I for SEARCHING and REJECTED, wide along missing directions for
-  /// DEGENERATE.
+  Similarity T_ground_map_mav_map;
+  /// About reference_point, in ground_map, the scale marginalised; 1e6 I for SEARCHING and REJECTED, wide along missing
+  /// directions for DEGENERATE.
   Matrix6d covariance = 1e6 * Matrix6d::Identity();
+  double scale_stddev = 0;                                    ///< of T_ground_map_mav_map.scale; 0: nothing is known
   Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< in ground_map [m]
   double overlap = 0;       ///< share of the aerial map's columns that the ground map has too
   double residual_rms = 0;  ///< [m]
@@ -66,6 +68,9 @@ class AlignmentRefiner {
   /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
   /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);
+  /// What the MAV's odometry says of its scale: relative standard deviation. Counts when it is larger than the
+  /// settings'.
+  void setScaleDeviation(double stddev);
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();
   /// Forgets the ground map and all poses, not the aerial clouds: another ground map has begun.
@@ -78,19 +83,23 @@ class AlignmentRefiner {
 
   bool tracking() const { return tracked_.has_value(); }
   /// Last believed pose.
-  std::optional<Pose> refined() const { return tracked_; }
+  std::optional<Similarity> refined() const { return tracked_; }
 
  private:
   void forgetPoses();
-  RefineOutcome attempt(const Cloud& reading, const Pose& guess);
+  RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
   RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess);
+  /// Why the result is not to be believed, if so: sets status and reason.
+  void judge(RefineOutcome& out) const;
 
   IcpChain chain_;
   RefinerSettings settings_;
   Cloud ground_;
   std::optional<IcpReference> reference_;
   std::deque<std::pair<std::int64_t, Cloud>> aerial_;
-  std::optional<Pose> coarse_, manual_, tracked_;
+  std::optional<Pose> coarse_, manual_;
+  std::optional<Similarity> tracked_;
+  ScalePrior scale_;
   int rejections_ = 0, disagreements_ = 0;
 };
 

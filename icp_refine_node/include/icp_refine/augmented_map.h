@@ -83,7 +83,7 @@ class AugmentedMap {
   void clearAerial() { aerial_.clear(); }
 
   /// Without a transform the map is the ground robot's alone.
-  void align(const std::optional<Pose>& T_ground_map_mav_map) { T_ground_map_mav_map_ = T_ground_map_mav_map; }
+  void align(const std::optional<Similarity>& T_ground_map_mav_map) { T_ground_map_mav_map_ = T_ground_map_mav_map; }
   bool aligned() const { return T_ground_map_mav_map_.has_value(); }
 
   /// Ground points (source 0) first, then aerial ones (source 1), in the ground map's frame.
@@ -93,7 +93,7 @@ class AugmentedMap {
   AugmentedMapSettings settings_;
   std::vector<LabeledPoint> ground_;
   AerialVoxels aerial_;
-  std::optional<Pose> T_ground_map_mav_map_;
+  std::optional<Similarity> T_ground_map_mav_map_;
 };
 
 }  // namespace icp_refine

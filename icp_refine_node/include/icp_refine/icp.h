@@ -1,5 +1,5 @@
-// Point-to-plane ICP as a chain of named stages read from YAML, in the style of libpointmatcher (Pomerleau 2011;
-// A-VII).
+// Point-to-plane ICP over rotation, translation and scale as a chain of named stages read from YAML, in the style of
+// libpointmatcher (Pomerleau 2011; A-VII).
 #pragma once
 
 #include <map>
@@ -16,12 +16,13 @@ struct IcpResult {
   enum class Outcome { kConverged, kFailed };
   Outcome outcome = Outcome::kFailed;
   std::string reason;  ///< why it failed; empty when converged
-  Pose T_reference_reading = Pose::Identity();
+  Similarity T_reference_reading;
   Eigen::Vector3d centre =
       Eigen::Vector3d::Zero();          ///< of the matches, reference frame: covariance is about this point
-  Matrix6d hessian = Matrix6d::Zero();  ///< sum w J^T J about centre (translation, rotation)
-  Matrix6d covariance =
-      1e6 * Matrix6d::Identity();  ///< translation [m], rotation [rad] about centre, reference frame; 1e6 I: failed
+  Matrix7d hessian = Matrix7d::Zero();  ///< sum w J^T J about centre (translation, rotation, scale)
+  /// Translation [m], rotation [rad], relative scale about centre, reference frame; 1e6 I: failed.
+  Matrix7d covariance = 1e6 * Matrix7d::Identity();
+  bool scale_estimated = false;  ///< false: held at the prior's mean
   Localizability localizability;
   std::size_t reading_points = 0, reference_points = 0;  ///< after the filters
   std::size_t inliers = 0;                               ///< matches with a weight > 0 in the last iteration
@@ -63,7 +64,13 @@ class IcpChain {
 
   /// `reading` as prepareReading left it. T_initial: reference <- reading. Never throws for poor data: see outcome,
   /// reason. Same input, same result, whatever the number of threads.
-  IcpResult align(const Cloud& reading, const IcpReference& reference, const Pose& T_initial) const;
+  IcpResult align(const Cloud& reading, const IcpReference& reference, const Similarity& T_initial,
+                  const ScalePrior& prior = {}) const;
+  /// From the prior's mean scale.
+  IcpResult align(const Cloud& reading, const IcpReference& reference, const Pose& T_initial,
+                  const ScalePrior& prior = {}) const {
+    return align(reading, reference, similarity(T_initial, prior.mean), prior);
+  }
 
  private:
   struct Impl;

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "icp_refine/cloud.h"
+#include "icp_refine/neighbor_search.h"
 #include "icp_refine/stage.h"
 
 namespace icp_refine {
@@ -41,21 +41,33 @@ class OutlierFilter {
   virtual void apply(const MatchedClouds& clouds, std::vector<float>& weights) const = 0;
 };
 
-/// Gauss-Newton step of a point-to-plane cost: p' = centre + exp(rotation) (p - centre) + translation.
-struct Step {
-  bool solved = false;
-  Vector6d delta = Vector6d::Zero();                 ///< translation [m], rotation vector [rad], in the reference frame
-  Matrix6d hessian = Matrix6d::Zero();               ///< sum w J^T J about `centre`, J = [n^T, ((p - centre) x n)^T]
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< weighted centre of the matched reading points
+/// Which components of the alignment a level estimates.
+struct ErrorMinimizer {
+  int dof;  ///< 4: x y z yaw; 6: translation and rotation; 7: and scale
 };
 
-class ErrorMinimizer {
- public:
-  virtual ~ErrorMinimizer() = default;
-  virtual Step solve(const MatchedClouds& clouds, const std::vector<float>& weights, const Pose& T) const = 0;
-  /// True when roll and pitch are left as they are.
-  virtual bool fourDof() const = 0;
+/// Normal equations of the weighted squares of n . (p - q), p' = centre + exp(scale) exp(rotation) (p - centre) +
+/// translation: J = [n^T, ((p - centre) x n)^T, n . (p - centre)].
+struct NormalEquations {
+  std::size_t used = 0;   ///< matches with a weight > 0; with fewer than 6 all else is zero
+  double weight = 0;      ///< sum w
+  double square = 0;      ///< sum w r^2 [m^2]
+  double mean_range = 0;  ///< weighted mean distance from the centre [m]
+  /// Derivative of the gradient over the Hessian, as a mean: a robust kernel that falls off with r makes the sum of
+  /// w r J change less than w would (Huber 1981, covariance of M-estimates). Cauchy's: d(w r)/dr = w (2 w - 1).
+  double slope = 1;
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< weighted centre of the matched reading points
+  Matrix7d hessian = Matrix7d::Zero();               ///< sum w J^T J
+  Vector7d gradient = Vector7d::Zero();              ///< sum w r J
 };
+
+/// Derivative of the residual of reading point i.
+Vector7d jacobian(const MatchedClouds& clouds, std::size_t i, const Eigen::Vector3d& centre);
+
+NormalEquations normalEquations(const MatchedClouds& clouds, const std::vector<float>& weights);
+
+/// The change that a step makes: p' = centre + exp(scale) exp(rotation) (p - centre) + translation.
+Similarity motion(const Vector7d& step, const Eigen::Vector3d& centre);
 
 enum class Check { kContinue, kConverged, kFailed };
 
@@ -63,9 +75,9 @@ class TransformationChecker {
  public:
   virtual ~TransformationChecker() = default;
   /// Translations are those of `centre`, the middle of the reading in its own frame: the map's origin may be far away.
-  virtual void reset(const Pose& T_initial, const Eigen::Vector3d& centre) = 0;
+  virtual void reset(const Similarity& T_initial, const Eigen::Vector3d& centre) = 0;
   /// Called after every iteration; `why` is set for kFailed.
-  virtual Check check(const Pose& T, std::string& why) = 0;
+  virtual Check check(const Similarity& T, std::string& why) = 0;
 };
 
 std::vector<StageDoc> matcherDocs();
@@ -76,10 +88,11 @@ std::vector<StageDoc> checkerDocs();
 /// Factories: throw ConfigError for an unknown name or bad parameters.
 Matcher makeMatcher(const std::string& name, const YAML::Node& parameters);
 std::unique_ptr<OutlierFilter> makeOutlierFilter(const std::string& name, const YAML::Node& parameters);
-std::unique_ptr<ErrorMinimizer> makeErrorMinimizer(const std::string& name, const YAML::Node& parameters);
+ErrorMinimizer makeErrorMinimizer(const std::string& name, const YAML::Node& parameters);
 std::unique_ptr<TransformationChecker> makeChecker(const std::string& name, const YAML::Node& parameters);
 
-/// Nearest neighbours of all reading points (parallel; the result does not depend on the number of threads).
-Matches match(const Matcher& matcher, const NeighborSearch& tree, const Cloud& reading);
+/// Nearest neighbours of all reading points (parallel; the result does not depend on the number of threads). `matches`
+/// holds those of the iteration before, where the search starts, or nothing.
+void match(const Matcher& matcher, const NeighborSearch& tree, const Cloud& reading, Matches& matches);
 
 }  // namespace icp_refine

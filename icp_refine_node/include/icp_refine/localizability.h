@@ -1,4 +1,5 @@
-// Which directions of the pose the matched geometry can fix, and how uncertain the pose is.
+// Which directions of the alignment the matched geometry can fix, the step along those, and how uncertain the result
+// is.
 #pragma once
 
 #include <array>
@@ -18,16 +19,33 @@ struct LocalizabilitySettings {
   double patch_size = 0.15;  ///< [m]
 };
 
-struct Direction {
-  Vector6d v = Vector6d::Zero();  ///< unit; translation, then rotation times mean_range
-  double eigenvalue = 0;          ///< of the scaled Hessian, as a share of the matches
+/// What is known of the aerial map's scale before the clouds are compared.
+struct ScalePrior {
+  enum class Mode {
+    kFixed,  ///< held at `mean`; the covariance allows for its uncertainty
+    kPrior,  ///< estimated, `mean` and `stddev` being one more measurement
+    kFree    ///< estimated from the clouds alone: what they do not fix is degenerate
+  };
+  Mode mode = Mode::kPrior;
+  double mean = 1;       ///< ground-map length per aerial-map length
+  double stddev = 0.02;  ///< relative
+};
+
+struct Evidence {
   int strong_points = 0;
   int strong_patches = 0;
   bool localizable = false;
 };
 
+struct Direction : Evidence {
+  Vector6d v = Vector6d::Zero();  ///< unit; translation, then rotation times mean_range
+  double eigenvalue = 0;          ///< of the scaled Hessian, as a share of the matches
+};
+
 struct Localizability {
-  std::array<Direction, 6> directions;  ///< eigenvectors of the scaled Hessian, weakest first
+  std::array<Direction, 6> directions;  ///< of the pose: eigenvectors of the scaled Hessian, weakest first
+  Evidence scale;                       ///< what is left for it when the pose has taken what it can explain
+  bool needs_scale = false;             ///< no prior holds it
   double mean_range = 0;                ///< scale of rotations: mean distance of the matches from their centre [m]
   bool complete() const;
   /// Directions that are not fixed, for a person: "translation along (1.00 0.02 0.00), rotation about z"; empty when
@@ -35,28 +53,49 @@ struct Localizability {
   std::string describeMissing() const;
 };
 
-/// Contributions of the weighted matches to each eigenvector of the Hessian, rotations scaled by the mean range (after
-/// Tuna 2024, X-ICP). Only strong contributions count: noise in the normals of a floor adds up to a Hessian that looks
-/// sound.
+/// With this many degrees of freedom, the scale follows the clouds; else it is held at the prior's mean (with less than
+/// 7, where it is).
+bool estimatesScale(const Localizability& localizability, int dof, const ScalePrior& prior);
+
+/// Contributions of the weighted matches to each eigenvector of the pose's Hessian, rotations scaled by the mean range
+/// (after Tuna 2024, X-ICP). Only strong contributions count: noise in the normals of a floor adds up to a Hessian that
+/// looks sound. A match contributes to the scale by what is left of its derivative after regression on the pose's: on a
+/// plane, nothing.
 Localizability analyzeLocalizability(const MatchedClouds& clouds, const std::vector<float>& weights,
-                                     const Eigen::Vector3d& centre, const LocalizabilitySettings& settings);
+                                     const NormalEquations& equations, const LocalizabilitySettings& settings,
+                                     ScalePrior::Mode mode);
 
 struct CovarianceSettings {
   double block_size = 0.5;     ///< residuals inside a block of this edge, facing alike, count as one observation [m]
-  double scale_sigma = 0.01;   ///< standard deviation of the relative scale of the two maps
   double noise_floor = 0.004;  ///< independent standard deviation of a block's mean residual, at least [m]
   double map_translation_sigma = 0.02;  ///< distortion of the maps that no residual shows (drift), an axis [m]
   double map_rotation_sigma = 0.006;    ///< likewise [rad]
+  double map_scale_sigma = 0.003;       ///< likewise, relative
   double inflation = 1.0;               ///< factor on the standard deviation of the part that comes from the residuals
 };
 
-/// Covariance of the step (translation [m], rotation [rad]) about `centre`, reference frame; positive definite.
-///   k^2 H^-1 (sum_b g_b g_b^T) H^-1 B/(B-6)  +  scale_sigma^2 b b^T  +  map distortion
-///   g_b = sum_{i in b} w_i r_i J_i,   b = H^-1 sum w_i J_i n.(p - c),   k = inflation
-/// The first term is the cluster-robust sandwich: correspondence errors are alike within a block, so that blocks, not
-/// points, are the sample (sigma^2 (J^T J)^-1 takes all points as independent and is a lower bound; Censi 2007).
-/// Directions that `localizability` calls missing get a standard deviation of 1 m (or 1 m / mean range).
-Matrix6d estimateCovariance(const MatchedClouds& clouds, const std::vector<float>& weights, const Step& step,
-                            const Localizability& localizability, const CovarianceSettings& settings);
+/// Scatter of the gradient, the sample being blocks, not points: sum_b g_b g_b^T + noise_floor^2 i_b i_b^T with
+/// g_b = sum_{i in b} w_i r_i J_i, i_b = sum w_i J_i, times B/(B-7) for B blocks.
+Matrix7d gradientScatter(const MatchedClouds& clouds, const std::vector<float>& weights, const Eigen::Vector3d& centre,
+                         const CovarianceSettings& settings);
+
+/// Gauss-Newton step from the alignment `scale` with `dof` degrees of freedom (ErrorMinimizer) under the hard
+/// constraint that it has no part along directions of the pose that the geometry does not fix (Tuna 2024). With 7, a
+/// scale that the geometry does not fix goes to the prior's mean; else the prior counts as lambda (log(scale / mean))^2
+/// with lambda = k^2 / stddev^2, k^2 the variance of a unit of weight along the scale that `scatter` shows.
+Vector7d constrainedStep(const NormalEquations& equations, const Localizability& localizability,
+                         const Matrix7d& scatter, int dof, const ScalePrior& prior, double scale);
+
+/// Covariance of (translation [m], rotation [rad], relative scale) about the equations' centre, reference frame;
+/// positive definite. Its first six rows and columns are the pose's, the scale marginalised.
+///   k^2 A^-1 S A^-1  +  lambda^2 stddev^2 A^-1 e e^T A^-1  +  map distortion,   A = slope H + lambda e e^T, k =
+///   inflation
+/// with S the scatter above: the cluster-robust sandwich. Correspondence errors are alike within a block, so that
+/// sigma^2 (J^T J)^-1, which takes all points as independent, is a lower bound (Censi 2007). A scale that is held adds
+/// stddev^2 b b^T instead, b the alignment's derivative by it. Directions that `localizability` calls missing get a
+/// standard deviation of 1 m (or 1 m / mean range).
+Matrix7d estimateCovariance(const NormalEquations& equations, const Localizability& localizability,
+                            const Matrix7d& scatter, int dof, const ScalePrior& prior,
+                            const CovarianceSettings& settings);
 
 }  // namespace icp_refine

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <deque>
+#include <functional>
 #include <opencv2/core/mat.hpp>
 #include <optional>
 #include <string>
@@ -16,22 +17,31 @@ namespace mav_vo {
 
 struct BootstrapSettings {
   double min_parallax = 0.06;     ///< median angle between the rays of the first and last view [rad]
-  int min_common = 60;            ///< tracks that both views share
-  int min_inliers = 45;           ///< of them, consistent with the motion and triangulated
+  int min_common = 60;            ///< tracks that both views share; where the image has fewer: min_common_share of them
+  double min_common_share = 0.5;  ///< of the present tracks
+  int min_inliers = 25;           ///< of them, consistent with the motion and triangulated
   double min_inlier_share = 0.6;  ///< of the common tracks
   double max_age = 5.0;           ///< between first and last view [s]
   double frame_interval = 0.1;    ///< between views that are kept as candidates for the first [s]
   double pixel_sigma = 0.6;       ///< of a tracked feature [px]
-  double gyro_sigma = 0.004;      ///< of the integrated rotation between the views [rad]
+  double gyro_sigma = 0.004;      ///< of the integrated rotation between the views, with the bias known [rad]
+  double max_gyro_sigma = 0.02;   ///< a rotation that is less certain is not used, and waited for [rad]
   double max_rms = 2.0;           ///< reprojection error after bundle adjustment, in sigmas
   unsigned seed = 1;
 };
+
+/// Rotation of the camera between two images from the gyro.
+struct GyroRotation {
+  Eigen::Matrix3d R_a_b = Eigen::Matrix3d::Identity();
+  double sigma = 0;  ///< what the bias leaves open [rad]
+};
+/// Of two stamps, the earlier one first; empty where the IMU has no samples.
+using GyroRotations = std::function<std::optional<GyroRotation>(double stamp_a, double stamp_b)>;
 
 struct BootstrapView {
   double stamp = 0;  ///< [s]
   std::vector<visual_frontend::Feature> features;
   std::vector<cv::Mat> pyramid;
-  Eigen::Matrix3d R_start_camera = Eigen::Matrix3d::Identity();  ///< integrated gyro rotation, to the oldest view
   visual_frontend::Pose T_first_camera =
       visual_frontend::Pose::Identity();  ///< of a result: pose in the first view's camera
 };
@@ -58,23 +68,21 @@ class Bootstrap {
  public:
   Bootstrap(const visual_frontend::CameraModel& camera, const BootstrapSettings& settings);
 
-  /// Next image's features and pyramid; `R_previous_current` is the gyro's rotation since the last call (empty: not
-  /// known, then and until the views from before it are gone five points are used). A result when a map can start.
+  /// Next image's features and pyramid. `gyro` is asked anew at each attempt, because what is known of the bias
+  /// changes; where it has no answer, five points are used. A result when a map can start.
   std::optional<BootstrapResult> add(double stamp, const std::vector<visual_frontend::Feature>& features,
-                                     const visual_frontend::ImagePyramid& pyramid,
-                                     const std::optional<Eigen::Matrix3d>& R_previous_current);
+                                     const visual_frontend::ImagePyramid& pyramid, const GyroRotations& gyro);
   void reset();
 
   const std::string& reason() const { return reason_; }  ///< why there is no result yet
 
  private:
-  std::optional<BootstrapResult> attempt(const BootstrapView& first, const BootstrapView& last, bool gyro);
+  std::optional<BootstrapResult> attempt(const BootstrapView& first, const BootstrapView& last,
+                                         const GyroRotations& gyro, const std::optional<GyroRotation>& turn);
 
   visual_frontend::CameraModel camera_;
   BootstrapSettings settings_;
   std::deque<BootstrapView> views_;
-  Eigen::Matrix3d R_start_camera_ = Eigen::Matrix3d::Identity();
-  double gyro_since_ = 0;  ///< views from this stamp on have rotations that can be compared [s]
   std::string reason_ = "no image yet";
 };
 

@@ -12,10 +12,13 @@
 
 #include "air_ground_common/trajectory.h"
 #include "mav_vo/bootstrap.h"
+#include "mav_vo/gyro_alignment.h"
 #include "mav_vo/imu_preintegration.h"
 #include "mav_vo/increment_covariance.h"
 #include "mav_vo/inertial_bundle.h"
+#include "mav_vo/rolling_shutter.h"
 #include "mav_vo/scale_filter.h"
+#include "mav_vo/standstill_detector.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
@@ -32,14 +35,19 @@ using air_ground_common::Pose;
 enum class IncrementCovariance { kMonteCarlo, kPoses };
 
 struct OdometrySettings {
+  OdometrySettings() { tracker.sparse_distance = 9; }
+
   visual_frontend::TrackerSettings tracker;
   visual_frontend::ReobservationSettings reobservation;
   visual_frontend::PlaceSettings place;
   BootstrapSettings bootstrap;
   ScaleFilterSettings scale;
+  GyroAlignmentSettings gyro_alignment;
+  StandstillSettings standstill;
   ImuNoise imu_noise;
   bool use_imu = true;  ///< false: five-point start, no gyro prior, never metric
 
+  double readout_time = 0;         ///< of a rolling shutter, first row to last; stamps are of the middle row [s]
   double pixel_sigma = 0.6;        ///< of a tracked feature [px]
   double gyro_prior_sigma = 0.01;  ///< of the predicted attitude in the pose refinement [rad]
   int min_inliers = 20;            ///< below: the frame is not localised
@@ -104,6 +112,10 @@ struct FrameResult {
   int inliers = 0;                      ///< landmarks that agree with the pose
   double depth_min = 0, depth_max = 0;  ///< 5 % and 95 % quantile of the landmarks' depth [m]; 0 unknown
   double scale = 1, scale_stddev = 0;   ///< metric over map unit; the deviation is infinite while unknown
+  ImuBias imu_bias;                     ///< as used for this image
+  double gyro_bias_stddev = 0;          ///< of the least certain axis [rad/s]
+  double time_offset = 0;               ///< t_imu = t_image + time_offset, of the same instant on both clocks [s]
+  double time_offset_stddev = 0;        ///< [s]; 0 = given, not estimated
   std::uint32_t map_id = 0;
   std::size_t keyframes = 0, landmarks = 0;
   double seconds = 0;  ///< processing time
@@ -116,12 +128,15 @@ class Odometry {
            const OdometrySettings& settings);
   ~Odometry();
 
-  /// False when the sample is dropped: not finite or not newer than the last. Feed samples up to an image's stamp
-  /// before it.
+  /// False when the sample is dropped: not finite or not newer than the last. Feed samples up to imuNeededAt(an image's
+  /// stamp) before it.
   bool addImu(const ImuSample& sample);
 
   /// Not empty: the accelerometer cannot be right (its unit, say). The map does not become metric, and results say so.
   void setImuProblem(const std::string& problem);
+
+  /// Stamp up to which the IMU's samples are needed before the image of this stamp is processed [s].
+  double imuNeededAt(double image_stamp) const;
 
   /// Next image, CV_8UC1 of the camera's size (std::invalid_argument otherwise). Stamps must increase; an image that
   /// does not is answered with the last state and no pose.

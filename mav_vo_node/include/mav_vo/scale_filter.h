@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 #include <deque>
+#include <limits>
 #include <optional>
 
 #include "air_ground_common/geometry.h"
@@ -37,7 +38,8 @@ struct ScaleMeasurement {
 };
 
 /// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1),
-/// all in the metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -9.81):
+/// all in the metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -sqrt(9.81^2 - g_x^2 -
+/// g_y^2)):
 ///   p' = p + v dt + g dt^2 / 2 + R a_p(b),  v' = v + g dt + R a_v(b);   measurement: p_visual = exp(-L) (p + R l), l
 ///   the lever arm.
 /// The start solves a window: first linearly (scale itself as state, measurement 0 = s p_visual - p - R l, linear in
@@ -53,6 +55,7 @@ class ScaleFilter {
     Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2]
     Eigen::Vector2d gravity_xy = Eigen::Vector2d::Zero();  ///< error of the map's tilt [m/s^2]
     double scale = 1.0;                                    ///< metric over visual unit
+    Eigen::Vector3d gravity() const;                       ///< in the map; its length is kGravity [m/s^2]
   };
 
   /// `tilt_stddev`: of the map's z axis against gravity [rad].
@@ -85,8 +88,13 @@ class ScaleFilter {
   int rejected() const { return rejected_; }  ///< measurements outside the gate so far
   /// The scale is known within `relative_stddev`, and few measurements since the start spoke against it.
   bool certain(double relative_stddev) const;
+  /// Relative standard deviation that the last attempt to start left; infinite before any.
+  double startStddev() const { return start_stddev_; }
   int updates() const { return updates_; }  ///< measurements since the start
   double rejectedShare() const;             ///< of them, outside the gate
+  /// Mean squared normalised innovation by degrees of freedom since the start, the far ones counted as the gate; about
+  /// 1 where IMU and images agree.
+  double meanNis() const { return updates_ > 0 ? nis_sum_ / (3.0 * updates_) : 0.0; }
   /// The last window that gave a sure scale was refused: IMU and images do not tell of the same motion.
   bool contradicted() const { return contradicted_; }
 
@@ -115,7 +123,9 @@ class ScaleFilter {
   int rejected_ = 0;
   int rejected_in_a_row_ = 0;
   int updates_ = 0, rejected_updates_ = 0;  ///< since the start
+  double nis_sum_ = 0;                      ///< since the start
   bool contradicted_ = false;
+  double start_stddev_ = std::numeric_limits<double>::infinity();
   int frames_waited_ = 0;
 };
 

@@ -11,6 +11,7 @@
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/mesh.h"
 #include "rgbd_slam/depth_model.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
 
@@ -31,13 +32,15 @@ struct CloudSettings {
 /// Depth of one keyframe on a coarser grid, averaged over the frames that follow it.
 class KeyframeDepth {
  public:
-  /// `depth`: CV_32F [m]; `bgr`: CV_8UC3 or CV_8UC1 of the same size.
+  /// `depth`: CV_32F [m]; `bgr`: CV_8UC3 or CV_8UC1 of the same size. `rows`: of a rolling shutter.
   KeyframeDepth(const air_ground_common::CameraModel& camera, const cv::Mat& depth, const cv::Mat& bgr,
-                const DepthModel& model, const CloudSettings& settings);
+                const DepthModel& model, const CloudSettings& settings,
+                const visual_frontend::RollingShutter* rows = nullptr);
 
   /// Averages in another frame's depth; T_frame_keyframe maps points of the keyframe's camera to the frame's.
   void fuse(const air_ground_common::CameraModel& camera, const cv::Mat& depth,
-            const air_ground_common::Pose& T_frame_keyframe, const DepthModel& model, const CloudSettings& settings);
+            const air_ground_common::Pose& T_frame_keyframe, const DepthModel& model, const CloudSettings& settings,
+            const visual_frontend::RollingShutter* rows = nullptr);
 
   struct Point {
     Eigen::Vector3f position;  ///< keyframe camera frame [m]
@@ -65,6 +68,7 @@ using KeyframePoints = std::shared_ptr<const std::vector<KeyframeDepth::Point>>;
 struct PosedPoints {
   air_ground_common::Pose T_map_camera;
   KeyframePoints points;
+  int keyframe = -1;  ///< tells the points from those of others as the map goes on
 };
 
 struct CloudPoint {
@@ -76,5 +80,29 @@ struct CloudPoint {
 /// One point a voxel: mean of positions and colours weighted by inverse variance. A function of its arguments alone, in
 /// ascending order of the voxels, so that it can run on any thread.
 std::vector<CloudPoint> fusePoints(const std::vector<PosedPoints>& keyframes, const CloudSettings& settings);
+
+/// fusePoints for a map that grows: each update fuses only the keyframes that are new, have other points, or have moved
+/// by more than a share of a voxel, and looks again only at the voxels around theirs.
+class GroundCloud {
+ public:
+  /// `tolerance`: a keyframe keeps its place in the cloud until a point of it would move by more than this share of a
+  /// voxel; 0: every change counts. Throws std::invalid_argument.
+  explicit GroundCloud(const CloudSettings& settings, double tolerance = 0.2);
+  ~GroundCloud();
+  GroundCloud(GroundCloud&&) noexcept;
+  GroundCloud& operator=(GroundCloud&&) noexcept;
+
+  /// All keyframes as they stand now, each with its number; those missing are taken out. Returns how many were fused.
+  int update(const std::vector<PosedPoints>& keyframes);
+
+  /// One point a voxel, in the order of fusePoints.
+  std::vector<CloudPoint> points() const;
+
+  void clear();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
 
 }  // namespace rgbd_slam

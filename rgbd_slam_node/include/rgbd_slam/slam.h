@@ -15,10 +15,12 @@
 #include "visual_frontend/bundle_adjustment.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/inertial_alignment.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/pose_graph.h"
 #include "visual_frontend/reobservation.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
 
@@ -36,6 +38,11 @@ struct SlamSettings {
   DepthModel depth;
   double pixel_sigma = 0.7;  ///< of a tracked feature [px]
 
+  // Time
+  double time_offset = 0;   ///< the IMU's stamps less the images': a sample was taken at its stamp less this [s]
+  double readout_time = 0;  ///< of a rolling shutter, colour and depth alike: row r is exposed at
+                            ///< stamp + (r / height - 0.5) * readout_time [s]; negative: from the last row up
+
   // Start
   int min_start_features = 40;   ///< features with depth that the first frame must have
   double gravity_timeout = 1.0;  ///< with an IMU: wait this long for the direction of gravity [s]
@@ -49,6 +56,8 @@ struct SlamSettings {
   double relocalization_slack =
       0.5;  ///< a place recognised while lost may lie this and max_speed times the time lost away [m]
 
+  double relocalization_interval = 0.1;  ///< while lost, places are looked up so often, by the images' stamps [s]
+
   // Keyframes
   double keyframe_translation = 0.15;  ///< distance to the last keyframe, over the median depth
   double keyframe_rotation = 0.20;     ///< angle to the last keyframe [rad]
@@ -61,6 +70,8 @@ struct SlamSettings {
   int window_fixed = 10;        ///< further keyframes that hold it
   bool use_gravity = true;      ///< roll and pitch priors from the accelerometer
   double gravity_sigma = 0.08;  ///< of those while moving, at least: accelerations look like tilt [rad]
+  visual_frontend::InertialAlignmentSettings inertial;
+  double level_tolerance = 0.005;  ///< the map is levelled anew when it leans by more [rad]
 
   // Loops
   bool loop_closure = true;
@@ -85,7 +96,8 @@ struct SlamSettings {
 /// Where sensors sit on the robot. Base: x forward, y left, z up.
 struct Mounting {
   Pose T_base_camera = Pose::Identity();
-  std::optional<Eigen::Matrix3d> R_base_imu;  ///< none: no IMU is used
+  std::optional<Eigen::Matrix3d> R_base_imu;             ///< none: no IMU is used
+  Eigen::Vector3d p_base_imu = Eigen::Vector3d::Zero();  ///< its place: turning, it feels accelerations there [m]
 };
 
 enum class State { kWaiting, kInitializing, kTracking, kLost };
@@ -110,6 +122,7 @@ struct FrameResult {
 
 struct SlamCounters {
   int frames = 0, lost_frames = 0, keyframes = 0, loops = 0, loops_refused = 0, relocalizations = 0, maps = 0;
+  int relocalization_attempts = 0;  ///< frames in which places were looked up
 };
 
 class Slam {
@@ -138,7 +151,10 @@ class Slam {
   const SlamCounters& counters() const;
   Eigen::Vector3d gyroBias() const;  ///< estimate [rad/s]
   bool gravityKnown() const;         ///< the map was levelled by the accelerometer
-  int mapId() const;                 ///< counts the maps that were begun
+  double tiltSigma() const;          ///< what the map may lean against gravity, standard deviation [rad]
+  /// Gravity and biases from the motion so far; empty without IMU or before there was any.
+  std::optional<visual_frontend::InertialEstimate> inertialEstimate() const;
+  int mapId() const;  ///< counts the maps that were begun
 
   /// Forgets everything except counters and the map's number.
   void reset();

@@ -83,7 +83,7 @@ const std::string& databaseFile() {
     DatabaseWriter writer(file, city(), "bench");
     View view;
     view.camera = Camera().model;
-    view.image = cv::Mat(640, 640, CV_8UC3, cv::Scalar(90, 120, 150));
+    view.image.create(view.camera.height, view.camera.width, CV_8UC3);
     cv::randu(view.image, 0, 255);
     view.features.descriptors = cv::Mat(2000, 128, CV_8U, cv::Scalar(7));
     view.features.keypoints.assign(2000, cv::KeyPoint(10.f, 20.f, 3.f));

@@ -2,6 +2,7 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <csignal>
 #include <cstdio>
 #include <string>
 
@@ -111,6 +112,7 @@ int main(int argc, char** argv) {
   app.add_option("--texel", s.texture.resolution, "its resolution on the facades [m]")->capture_default_str();
   app.add_option("--threads", s.threads, "0: all cores")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
+  std::signal(SIGXFSZ, SIG_IGN);  // a quota that is used up is an error of the write, not the end of the process
   try {
     s.north = north == "grid" ? North::kGrid : North::kTrue;
     s.register_panoramas = !no_registration;

@@ -9,7 +9,6 @@
 #include <fstream>
 #include <limits>
 #include <map>
-#include <regex>
 #include <stdexcept>
 #include <unordered_map>
 
@@ -20,26 +19,36 @@ namespace streetview_localizer {
 namespace fs = std::filesystem;
 using air_ground_common::LocalFrame;
 
+namespace {
+
+/// Up to six digits that follow `key` in the text; empty where there are none.
+std::string digitsAfter(const std::string& text, const std::string& key) {
+  const std::size_t at = text.find(key);
+  if (at == std::string::npos) return "";
+  const std::size_t begin = at + key.size();
+  const std::size_t end = std::min(text.find_first_not_of("0123456789", begin), text.size());
+  return text.substr(begin, std::min<std::size_t>(6, end - begin));
+}
+
+}  // namespace
+
 CrsName parseCrs(const std::string& text) {
   CrsName name;
   std::string definition = text;
   // The German surveys' own names: ETRS89_UTM32*DE_DHHN2016_NH, DE_DHDN_3GK4*...; coordinates come east first.
-  std::smatch m;
-  bool east_first = false;
-  if (std::regex_search(text, m, std::regex("ETRS89_UTM(3[123])"))) {
-    definition = "EPSG:258" + m[1].str();
-    east_first = true;
-  } else if (std::regex_search(text, m, std::regex("DHDN_3GK([2345])"))) {
-    definition = "EPSG:3146" + std::to_string(std::stoi(m[1].str()) + 4);
-    east_first = true;
-  } else if (std::regex_search(text, m, std::regex("epsg\\.xml#([0-9]+)"))) {
-    definition = "EPSG:" + m[1].str();
-    east_first = true;
-  } else if (std::regex_match(text, m, std::regex("[0-9]{4,6}"))) {
+  bool east_first = true;
+  const std::string utm = digitsAfter(text, "ETRS89_UTM"), gauss_krueger = digitsAfter(text, "DHDN_3GK");
+  const std::string gml = digitsAfter(text, "epsg.xml#");
+  if (utm == "31" || utm == "32" || utm == "33") {
+    definition = "EPSG:258" + utm;
+  } else if (gauss_krueger.size() == 1 && gauss_krueger >= "2" && gauss_krueger <= "5") {
+    definition = "EPSG:3146" + std::to_string(gauss_krueger[0] - '0' + 4);
+  } else if (!gml.empty()) {
+    definition = "EPSG:" + gml;
+  } else if (text.size() >= 4 && digitsAfter(text, "") == text) {
     definition = "EPSG:" + text;
-    east_first = true;
-  } else if (std::regex_match(text, std::regex("(EPSG|epsg):.*"))) {
-    east_first = true;  // by long custom, the short form does not follow the authority's axis order
+  } else if (text.rfind("EPSG:", 0) != 0 && text.rfind("epsg:", 0) != 0) {
+    east_first = false;  // what is not in a short form, which by long custom goes east first, follows the authority
   }
   OGRSpatialReference srs;
   CPLPushErrorHandler(CPLQuietErrorHandler);

@@ -59,8 +59,8 @@ class Reader {
       }
       if (head.contains("transform"))
         for (int i = 0; i < 3; ++i) {
-          scale_[i] = head["transform"]["scale"].at(i).get<double>();
-          translate_[i] = head["transform"]["translate"].at(i).get<double>();
+          scale_[i] = head["transform"].at("scale").at(i).get<double>();
+          translate_[i] = head["transform"].at("translate").at(i).get<double>();
         }
       objects(head);
       // CityJSONSeq: one feature a line after the first.

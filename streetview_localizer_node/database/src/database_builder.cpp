@@ -7,6 +7,7 @@
 #include <cmath>
 #include <filesystem>
 #include <map>
+#include <mutex>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <set>
@@ -161,9 +162,19 @@ class Builder {
     }
   }
 
+  /// From its header; empty, and refused, when the image cannot be read or would fill the memory.
+  cv::Size usableSize(const Item& item, const std::string& name) {
+    constexpr double kMostPixels = 4e8;
+    const cv::Size size = imageSize(item.path);
+    if (size.empty()) refuse(name, "cannot be read as an image");
+    if (1.0 * size.width * size.height <= kMostPixels) return size;
+    refuse(name, "has " + std::to_string(size.width) + "x" + std::to_string(size.height) + " pixels: make it smaller");
+    return {};
+  }
+
   void addSurveyed(const SurveyedImage& surveyed, const CityModel& model, Item* item) {
-    const cv::Size size = imageSize(item->path);
-    if (size.empty()) return refuse(surveyed.image, "cannot be read as an image");
+    const cv::Size size = usableSize(*item, surveyed.image);
+    if (size.empty()) return;
     CameraModel& c = item->camera;
     c.width = size.width, c.height = size.height;
     c.fx = surveyed.fx, c.fy = surveyed.fy, c.cx = surveyed.cx, c.cy = surveyed.cy;
@@ -192,8 +203,8 @@ class Builder {
   }
 
   void addGeotagged(Geotag geotag, const CityModel& model, Item* item) {
-    const cv::Size size = imageSize(item->path);
-    if (size.empty()) return refuse(geotag.image, "cannot be read as an image");
+    const cv::Size size = usableSize(*item, geotag.image);
+    if (size.empty()) return;
     Panorama& p = item->panorama;
     p.equirectangular = std::abs(size.width - 2.0 * size.height) <= 0.02 * size.width;
     if (!p.equirectangular) {
@@ -299,8 +310,8 @@ class Builder {
 #pragma omp parallel for schedule(dynamic) num_threads(threads)
     for (int i = 0; i < count; ++i) {
       bool skip = false;
-#pragma omp critical(streetview_writer)
       {
+        const std::lock_guard<std::mutex> lock(writer_mutex_);
         skip = !error.empty() || writer->has(items_[i].panorama.id);
         if (error.empty() && skip) {
           ++done;
@@ -314,10 +325,10 @@ class Builder {
       try {
         storeOne(i, writer, projector, consistency);
       } catch (const std::exception& e) {
-#pragma omp critical(streetview_writer)
+        const std::lock_guard<std::mutex> lock(writer_mutex_);
         if (error.empty()) error = e.what();
       }
-#pragma omp critical(streetview_writer)
+      const std::lock_guard<std::mutex> lock(writer_mutex_);
       tell("cutting and extracting", ++done, count);
     }
     if (!error.empty()) throw std::runtime_error(error);
@@ -333,7 +344,7 @@ class Builder {
     cv::Mat image;
     if (usable(item)) image = cv::imread(item.path, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
     if (!item.readable || (usable(item) && image.empty())) {  // not stored, so that the next run tries again
-#pragma omp critical(streetview_writer)
+      const std::lock_guard<std::mutex> lock(writer_mutex_);
       refuse(panorama.id, "cannot be read as an image");
       return;
     }
@@ -352,17 +363,15 @@ class Builder {
                   views.end());
       if (views.empty()) panorama.remark = "sees no facade of the model";
     }
-#pragma omp critical(streetview_writer)
-    {
-      writer->add(panorama, views);
-      remark(panorama, !views.empty());
-      if (!views.empty()) ++report_.stored;
-      report_.views += static_cast<int>(views.size());
-      report_.inconsistent += inconsistent;
-      BackProjectionCounts& r = report_.features;
-      r.kept += counts.kept, r.sky += counts.sky, r.ground += counts.ground, r.range += counts.range,
-          r.grazing += counts.grazing, r.edge += counts.edge;
-    }
+    const std::lock_guard<std::mutex> lock(writer_mutex_);
+    writer->add(panorama, views);
+    remark(panorama, !views.empty());
+    if (!views.empty()) ++report_.stored;
+    report_.views += static_cast<int>(views.size());
+    report_.inconsistent += inconsistent;
+    BackProjectionCounts& r = report_.features;
+    r.kept += counts.kept, r.sky += counts.sky, r.ground += counts.ground, r.range += counts.range,
+        r.grazing += counts.grazing, r.edge += counts.edge;
   }
 
   static Pose cameraPose(const Panorama& photograph) {
@@ -384,6 +393,8 @@ class Builder {
   std::function<void(const std::string&, int, int)> progress_;
   std::vector<Item> items_;
   BuildReport report_;
+  std::mutex writer_mutex_;  ///< of the writer, the report and the progress; a failed write throws out of it, which a
+                             ///< critical section of OpenMP may not
 };
 
 }  // namespace

@@ -10,7 +10,6 @@
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
-#include <regex>
 #include <sstream>
 #include <stdexcept>
 
@@ -152,17 +151,31 @@ double angle(const char* text) {
   return v[0] + (v.size() > 1 ? v[1] / 60 : 0) + (v.size() > 2 ? v[2] / 3600 : 0);
 }
 
+// As attribute, key="1.5", or as element, <key>1.5</key>.
 double xmpNumber(const std::string& xmp, const std::string& key) {
-  std::smatch m;
-  // As attribute, key="1.5", or as element, <key>1.5</key>.
-  if (std::regex_search(xmp, m, std::regex(key + "\\s*(?:=\\s*[\"']|>)\\s*([-+0-9.eE]+)")))
-    return std::strtod(m[1].str().c_str(), nullptr);
+  constexpr const char* kSpace = " \t\r\n";
+  for (std::size_t at = xmp.find(key); at != std::string::npos; at = xmp.find(key, at + 1)) {
+    std::size_t value = xmp.find_first_not_of(kSpace, at + key.size());
+    if (value == std::string::npos) break;
+    if (xmp[value] == '=') {
+      value = xmp.find_first_not_of(kSpace, value + 1);
+      if (value == std::string::npos || (xmp[value] != '"' && xmp[value] != '\'')) continue;
+    } else if (xmp[value] != '>') {
+      continue;
+    }
+    const char* begin = xmp.c_str() + value + 1;
+    char* end = nullptr;
+    const double number = std::strtod(begin, &end);
+    if (end != begin) return number;
+  }
   return std::nan("");
 }
 
 Dataset openImage(const std::string& path) {
   GDALAllRegister();
-  return Dataset(GDALDataset::Open(path.c_str(), GDAL_OF_RASTER), &GDALClose);
+  // Photographs alone: a virtual raster or a web description named .jpg would reach other files.
+  const char* drivers[] = {"JPEG", "PNG", "GTiff", "WEBP", "BMP", nullptr};
+  return Dataset(GDALDataset::Open(path.c_str(), GDAL_OF_RASTER, drivers), &GDALClose);
 }
 
 Geotag exifOf(const std::string& path) {

@@ -334,6 +334,11 @@ TEST(CityModel, BrokenFilesGiveOneClearLine) {
                 .find("has no buildings"),
             std::string::npos);
   EXPECT_NE(error("a.json", "{\"type\":\"CityJSON\", ").find("no valid CityJSON"), std::string::npos);
+  EXPECT_NE(error("a.json",
+                  "{\"type\":\"CityJSON\",\"version\":\"1.1\",\"transform\":{\"translate\":[0,0,0]},"
+                  "\"CityObjects\":{},\"vertices\":[]}")
+                .find("scale"),
+            std::string::npos);
   EXPECT_NE(error("a.obj", "v 0 0 0\nf 1 2 3\n").find("line 2"), std::string::npos);
   EXPECT_NE(error("a.obj", "v 2683000 1247000 0\nv 2683001 1247000 0\nv 2683000 1247000 9\nf 1 2 3\n").find("--crs"),
             std::string::npos);

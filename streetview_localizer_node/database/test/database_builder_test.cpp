@@ -1,8 +1,11 @@
 #include "streetview_localizer/database_builder.h"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <Eigen/Geometry>
+#include <csignal>
+#include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -198,6 +201,48 @@ TEST(DatabaseBuilder, AnImageThatCannotBeReadIsTriedAgain) {
     EXPECT_EQ(second.resumed, 2);
     EXPECT_TRUE(second.refused.empty());
   }
+}
+
+/// No file may grow beyond so many bytes, as on a disk that is full.
+class FullDisk {
+ public:
+  explicit FullDisk(std::uintmax_t bytes) {
+    getrlimit(RLIMIT_FSIZE, &before_);
+    rlimit limit = before_;
+    limit.rlim_cur = bytes;
+    setrlimit(RLIMIT_FSIZE, &limit);
+    handler_ = std::signal(SIGXFSZ, SIG_IGN);
+  }
+  ~FullDisk() {
+    setrlimit(RLIMIT_FSIZE, &before_);
+    std::signal(SIGXFSZ, handler_);
+  }
+
+ private:
+  rlimit before_{};
+  void (*handler_)(int) = SIG_DFL;
+};
+
+TEST(DatabaseBuilder, AFullDiskGivesOneLineAndTheNextRunGoesOn) {
+  Street street;
+  buildDatabase(street.settings);
+  const std::uintmax_t whole = std::filesystem::file_size(street.settings.output);
+  std::filesystem::remove(street.settings.output);
+  {
+    const FullDisk disk(whole * 7 / 10);
+    try {
+      buildDatabase(street.settings);
+      ADD_FAILURE() << "a database of " << whole << " bytes fitted in seven tenths of them";
+    } catch (const std::runtime_error& e) {
+      EXPECT_EQ(std::string(e.what()).find('\n'), std::string::npos) << e.what();
+      EXPECT_NE(std::string(e.what()).find("street.partial.gpkg"), std::string::npos) << e.what();
+    }
+  }
+  EXPECT_FALSE(std::filesystem::exists(street.settings.output));
+  const BuildReport report = buildDatabase(street.settings);
+  EXPECT_GE(report.resumed, 1);
+  EXPECT_EQ(report.resumed + report.stored, 3);
+  EXPECT_EQ(loadDatabase(street.settings.output).panoramas.size(), 3u);
 }
 
 TEST(DatabaseBuilder, TheFingerprintNamesWhatShapesThePoses) {

@@ -4,6 +4,7 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
+#include <opencv2/imgcodecs.hpp>
 
 #include "test_files.h"
 
@@ -70,6 +71,18 @@ TEST(Geotags, BrokenListsGiveOneClearLine) {
             std::string::npos);
   EXPECT_NE(error("a.geojson", "{").find("no GeoJSON"), std::string::npos);
   EXPECT_NE(messageOf([&] { readGeotags(folder / "none.csv"); }).find("cannot open"), std::string::npos);
+}
+
+// A virtual raster can name any file of the machine, or of the network: it is no photograph, whatever it is called.
+TEST(Geotags, OnlyPhotographsAreOpened) {
+  const TemporaryFolder folder;
+  cv::imwrite(folder / "real.png", cv::Mat(4, 6, CV_8UC1, cv::Scalar(90)));
+  EXPECT_EQ(imageSize(folder / "real.png"), cv::Size(6, 4));
+  folder.write("virtual.jpg",
+               "<VRTDataset rasterXSize=\"6\" rasterYSize=\"4\"><VRTRasterBand dataType=\"Byte\" band=\"1\">"
+               "<SimpleSource><SourceFilename relativeToVRT=\"1\">real.png</SourceFilename></SimpleSource>"
+               "</VRTRasterBand></VRTDataset>");
+  EXPECT_TRUE(imageSize(folder / "virtual.jpg").empty());
 }
 
 // x towards the image's centre, y left, z up; heading clockwise from north, pitch up, roll clockwise.

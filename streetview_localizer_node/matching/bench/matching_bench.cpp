@@ -315,9 +315,12 @@ BENCHMARK(BM_GradientPyramid)->Unit(benchmark::kMillisecond)->MeasureProcessCPUT
 }  // namespace streetview_localizer
 
 int main(int argc, char** argv) {
+  const bool listing =
+      std::any_of(argv, argv + argc, [](const char* a) { return std::string(a) == "--benchmark_list_tests=true"; });
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 1;
   benchmark::RunSpecifiedBenchmarks();
+  if (listing) return 0;
   streetview_localizer::printTable();
   streetview_localizer::printRecall();
 }

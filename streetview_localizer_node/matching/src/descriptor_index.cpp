@@ -15,7 +15,7 @@
 namespace streetview_localizer {
 namespace {
 
-constexpr const char* kMagic = "air_ground_descriptor_index 1";
+constexpr const char* kMagic = "air_ground_descriptor_index 2";
 
 void checkDescriptors(const cv::Mat& descriptors, const char* what) {
   if (descriptors.rows > 0 && (descriptors.type() != CV_8U || descriptors.cols != kDescriptorSize))
@@ -35,19 +35,41 @@ void checkSettings(const IndexSettings& s) {
   require(isAvailable(s.method), "built without hnswlib; use flann");
 }
 
-/// FNV-1a over words: says whether an index belongs to the descriptors.
-std::uint64_t checksum(const cv::Mat& descriptors) {
-  std::uint64_t hash = 1469598103934665603u;
-  for (int i = 0; i < descriptors.rows; ++i) {
-    const std::uint8_t* row = descriptors.ptr<std::uint8_t>(i);
-    for (int e = 0; e < kDescriptorSize; e += 8) {
+/// FNV-1a over words of eight bytes, the last one filled up with zeros.
+class Checksum {
+ public:
+  void add(const std::uint8_t* bytes, std::size_t count) {
+    for (std::size_t e = 0; e < count; e += 8) {
       std::uint64_t word = 0;
-      for (int b = 7; b >= 0; --b) word = word << 8 | row[e + b];
-      hash = (hash ^ word) * 1099511628211u;
-      hash ^= hash >> 29;
+      for (std::size_t b = std::min<std::size_t>(8, count - e); b-- > 0;) word = word << 8 | bytes[e + b];
+      hash_ = (hash_ ^ word) * 1099511628211u;
+      hash_ ^= hash_ >> 29;
     }
   }
-  return hash;
+  std::uint64_t value() const { return hash_; }
+
+ private:
+  std::uint64_t hash_ = 1469598103934665603u;
+};
+
+/// Says whether an index belongs to the descriptors.
+std::uint64_t checksum(const cv::Mat& descriptors) {
+  Checksum sum;
+  for (int i = 0; i < descriptors.rows; ++i) sum.add(descriptors.ptr<std::uint8_t>(i), kDescriptorSize);
+  return sum.value();
+}
+
+/// Of a data file. The search libraries trust every field of theirs: a flipped bit would be a wrong answer or a crash.
+std::uint64_t checksum(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::vector<std::uint8_t> block(1 << 20);
+  Checksum sum;
+  while (file) {
+    file.read(reinterpret_cast<char*>(block.data()), static_cast<std::streamsize>(block.size()));
+    sum.add(block.data(), static_cast<std::size_t>(file.gcount()));
+  }
+  if (!file.eof()) throw std::runtime_error("cannot read " + path);
+  return sum.value();
 }
 
 std::unique_ptr<DescriptorIndex> make(const cv::Mat& descriptors, const IndexSettings& settings,
@@ -182,15 +204,18 @@ void DescriptorIndex::save(const std::string& path) const {
   const auto discard = [&] { std::remove(temporary.c_str()); };
   try {
     std::uintmax_t bytes = 0;
+    std::uint64_t data_checksum = 0;
     if (size() > 0 && saveData(temporary)) {
       bytes = std::filesystem::file_size(temporary);
+      data_checksum = checksum(temporary);
       std::filesystem::rename(temporary, data);
     }
     // The header comes last: without it the data is no index.
     std::ofstream header(temporary);
     header << kMagic << "\nmethod " << toString(settings_.method) << "\ncount " << size() << "\nchecksum "
-           << checksum(descriptors_) << "\nbytes " << bytes << "\nflann_trees " << settings_.flann_trees
-           << "\nhnsw_links " << settings_.hnsw_links << "\nhnsw_construction " << settings_.hnsw_construction << "\n";
+           << checksum(descriptors_) << "\nbytes " << bytes << "\ndata_checksum " << data_checksum << "\nflann_trees "
+           << settings_.flann_trees << "\nhnsw_links " << settings_.hnsw_links << "\nhnsw_construction "
+           << settings_.hnsw_construction << "\n";
     header.close();
     if (!header) throw std::runtime_error("the disk may be full, or the folder missing");
     std::filesystem::rename(temporary, path);
@@ -220,12 +245,14 @@ std::unique_ptr<DescriptorIndex> loadIndex(const std::string& path, const cv::Ma
   for (std::string name, value; header >> name >> value;) fields[name] = value;
   IndexSettings stored = settings;
   std::uintmax_t bytes = 0;
+  std::uint64_t data_checksum = 0;
   try {
     stored.method = indexMethodFromString(fields.at("method"));
     stored.flann_trees = std::stoi(fields.at("flann_trees"));
     stored.hnsw_links = std::stoi(fields.at("hnsw_links"));
     stored.hnsw_construction = std::stoi(fields.at("hnsw_construction"));
     bytes = std::stoull(fields.at("bytes"));
+    data_checksum = std::stoull(fields.at("data_checksum"));
     if (std::stoull(fields.at("count")) != static_cast<unsigned long long>(descriptors.rows) ||
         std::stoull(fields.at("checksum")) != checksum(descriptors))
       fail("belongs to other descriptors; build it again");
@@ -239,6 +266,7 @@ std::unique_ptr<DescriptorIndex> loadIndex(const std::string& path, const cv::Ma
   if (std::filesystem::file_size(path + ".data", error) != bytes || error)
     fail("its data file " + path + ".data is missing or truncated; build it again");
   try {
+    if (checksum(path + ".data") != data_checksum) throw std::runtime_error("its bytes have changed");
     return make(descriptors, stored, path + ".data");
   } catch (const std::exception& e) {
     fail(std::string("its data cannot be read (") + e.what() + "); build it again");

@@ -125,6 +125,33 @@ TEST_P(IndexTest, RefusesFilesThatAreNotItsOwn) {
   EXPECT_THROW(buildIndex(data, settings_)->save((folder_ / "absent" / "index").string()), std::runtime_error);
 }
 
+// Every byte counts: the libraries would follow a wrong link without asking.
+TEST_P(IndexTest, RefusesAFlippedBit) {
+  const cv::Mat data = syntheticDescriptors(500, 7);
+  buildIndex(data, settings_)->save(path());
+  if (!fs::exists(path() + ".data")) return;  // brute force keeps no data
+  const auto bytes = static_cast<std::streamoff>(fs::file_size(path() + ".data"));
+  for (const std::streamoff at : {std::streamoff{3}, bytes / 3, bytes / 2, bytes - 1}) {
+    std::fstream file(path() + ".data", std::ios::in | std::ios::out | std::ios::binary);
+    const auto flip = [&] {
+      file.seekg(at);
+      const char byte = static_cast<char>(file.peek() ^ 4);
+      file.seekp(at);
+      file.put(byte);
+      file.flush();
+    };
+    flip();
+    try {
+      loadIndex(path(), data, settings_);
+      ADD_FAILURE() << "taken with a flipped bit in byte " << at;
+    } catch (const std::runtime_error& e) {
+      EXPECT_NE(std::string(e.what()).find("have changed"), std::string::npos) << e.what();
+    }
+    flip();
+    EXPECT_NO_THROW(loadIndex(path(), data, settings_));
+  }
+}
+
 TEST_P(IndexTest, SmallAndEmpty) {
   const cv::Mat data = syntheticDescriptors(3, 8);
   const auto index = buildIndex(data, settings_);

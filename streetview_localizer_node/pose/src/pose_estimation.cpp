@@ -123,6 +123,162 @@ std::optional<Pose> findCompetitor(const Matches& m, const Pose& pose, const std
   return T;
 }
 
+/// The steps from matches to a pose; each returns false, with `reason`, where there is none.
+class Estimation {
+ public:
+  Estimation(const std::vector<Correspondence>& correspondences, const CameraModel& camera, const PointSource& source,
+             const PosePrior& prior, const PoseSettings& settings, std::size_t first_dropped)
+      : correspondences_(correspondences),
+        camera_(camera),
+        source_(source),
+        prior_(prior),
+        settings_(settings),
+        all_(detail::prepare(correspondences, camera)) {
+    for (std::size_t i = 0; i < all_.size() && static_cast<std::size_t>(all_.index[i]) < first_dropped; ++i)
+      kept_.push_back(static_cast<int>(i));
+    m_ = detail::subset(all_, kept_);
+  }
+
+  PoseResult run() {
+    if (!start() || !refine()) return failed();
+    moveWalls();
+    if (!chooseOnPlane()) return failed();
+    return conclude();
+  }
+
+ private:
+  bool refuse(const std::string& why) {
+    reason_ = why;
+    return false;
+  }
+  PoseResult failed() const {
+    PoseResult result;
+    result.reason = reason_;
+    return result;
+  }
+  std::string ofAll(std::size_t count) const {
+    return std::to_string(count) + " of " + std::to_string(m_.size()) + " matches";
+  }
+  std::vector<int> inliersOf(const Matches& m, const Pose& T) const {
+    return detail::inliersOf(m, T, settings_.inlier_threshold);
+  }
+  bool tooFew() const { return static_cast<int>(inliers_.size()) < settings_.min_inliers; }
+  PoseHypothesis hypothesisOf(const Matches& m, const Pose& T) const {
+    return hypothesis(m, T, correspondences_, camera_, settings_);
+  }
+
+  /// RANSAC; EPnP is a second start beside its locally optimised pose.
+  bool start() {
+    if (static_cast<int>(m_.size()) < settings_.min_inliers)
+      return refuse("only " + std::to_string(m_.size()) + " usable matches, " + std::to_string(settings_.min_inliers) +
+                    " needed");
+    const auto start = detail::search(m_, prior_, settings_, settings_.max_iterations);
+    if (!start)
+      return refuse("no sample of three matches gives a possible pose: points on a line, or walls seen from behind");
+    inliers_ = inliersOf(m_, *start);
+    if (tooFew()) return refuse("only " + ofAll(inliers_.size()) + " agree on a pose");
+    pose_ = *start;
+    if (const auto linear = epnp(m_, inliers_)) {
+      const auto cost = [&](const Pose& T) {
+        return detail::truncatedCost(m_, T, settings_.inlier_threshold, std::numeric_limits<double>::infinity());
+      };
+      if (cost(*linear) < cost(pose_)) pose_ = *linear;
+    }
+    return true;
+  }
+
+  /// Levenberg-Marquardt from the better of the two.
+  bool refine() {
+    inliers_ = inliersOf(m_, pose_);
+    const auto refined =
+        detail::converge(m_, inliers_, pose_, noiseOf(m_, inliers_, pose_, settings_), prior_, settings_);
+    if (!refined) return refuse("the refinement fails: the inliers do not fix the pose");
+    pose_ = *refined;
+    inliers_ = inliersOf(m_, pose_);
+    if (tooFew()) return refuse("only " + ofAll(inliers_.size()) + " agree on the refined pose");
+    noise_ = noiseOf(m_, inliers_, pose_, settings_);
+    return true;
+  }
+
+  /// The walls of the model are off by decimetres: they move with the pose, where that helps.
+  void moveWalls() {
+    auto adjusted = detail::adjustWalls(all_, m_.size(), pose_, noise_, source_, prior_, settings_);
+    if (!adjusted) return;
+    Matches moved = detail::subset(adjusted->matches, kept_);
+    const Pose& T = adjusted->T_world_camera;
+    const std::vector<int> agreeing = inliersOf(moved, T);
+    const auto again = detail::converge(moved, agreeing, T, noiseOf(moved, agreeing, T, settings_), prior_, settings_);
+    if (!again) return;
+    all_ = std::move(adjusted->matches);
+    m_ = std::move(moved);
+    pose_ = *again;
+    moved_walls_ = true;
+    inliers_ = inliersOf(m_, pose_);
+    noise_ = noiseOf(m_, inliers_, pose_, settings_);
+  }
+
+  /// The other poses of a plane; the likeliest wins, the next is what it must be told from.
+  bool chooseOnPlane() {
+    std::vector<Pose> poses = detail::planarAlternatives(m_, pose_, inliers_, noise_, prior_, settings_);
+    poses.insert(poses.begin(), pose_);
+    std::size_t best = 0;
+    for (std::size_t k = 1; k < poses.size(); ++k)
+      if (detail::logLikelihoodRatio(m_, poses[k], poses[best], prior_, settings_) > 0) best = k;
+    pose_ = poses[best];
+    for (std::size_t k = 0; k < poses.size(); ++k) {
+      if (k == best) continue;
+      const double margin = detail::logLikelihoodRatio(m_, pose_, poses[k], prior_, settings_);
+      if (margin >= result_.alternative_margin) continue;
+      result_.alternative_margin = margin;
+      result_.alternative = hypothesisOf(m_, poses[k]);
+    }
+    if (best == 0) return true;
+    inliers_ = inliersOf(m_, pose_);
+    if (const auto refined = detail::converge(m_, inliers_, pose_, noise_, prior_, settings_)) pose_ = *refined;
+    inliers_ = inliersOf(m_, pose_);
+    return !tooFew() || refuse("only " + ofAll(inliers_.size()) + " agree on the likelier of two poses");
+  }
+
+  PoseResult conclude() {
+    const auto covariance = detail::poseCovariance(m_, inliers_, pose_, source_, prior_, settings_);
+    if (!covariance) {
+      refuse("the inliers do not fix the pose: points on a line or at one place");
+      return failed();
+    }
+    static_cast<PoseHypothesis&>(result_) = hypothesisOf(m_, pose_);
+    result_.covariance = covariance->total;
+    result_.image_covariance = covariance->image;
+    result_.noise = covariance->noise;
+    if (settings_.find_competitor)
+      if (const auto other = findCompetitor(all_, pose_, inliers_, prior_, settings_))
+        result_.competitor = hypothesisOf(all_, *other);
+    if (settings_.monte_carlo_samples > 0)
+      result_.monte_carlo_covariance =
+          detail::monteCarloCovariance(m_, inliers_, pose_, source_, settings_, &result_.monte_carlo_plausible);
+    if (moved_walls_) {
+      result_.wall_shifts.assign(correspondences_.size(), Eigen::Vector3d::Zero());
+      for (std::size_t i = 0; i < all_.size(); ++i)
+        result_.wall_shifts[all_.index[i]] = all_.points[i].p_map - correspondences_[all_.index[i]].p_world;
+    }
+    result_.success = true;
+    return result_;
+  }
+
+  const std::vector<Correspondence>& correspondences_;
+  const CameraModel& camera_;
+  const PointSource& source_;
+  const PosePrior& prior_;
+  const PoseSettings& settings_;
+  Matches all_, m_;        ///< m_: those before first_dropped, the first of all_: positions are the same
+  std::vector<int> kept_;  ///< of all_, the positions of m_
+  Pose pose_ = Pose::Identity();
+  std::vector<int> inliers_;  ///< of m_
+  double noise_ = 0;
+  bool moved_walls_ = false;
+  PoseResult result_;
+  std::string reason_;
+};
+
 }  // namespace
 
 void PoseSettings::validate() const {
@@ -143,105 +299,7 @@ PoseResult estimatePose(const std::vector<Correspondence>& correspondences, cons
   settings.validate();
   validate(source);
   validate(prior);
-  PoseResult result;
-  Matches all = detail::prepare(correspondences, camera);
-  std::vector<int> kept;
-  for (std::size_t i = 0; i < all.size() && static_cast<std::size_t>(all.index[i]) < first_dropped; ++i)
-    kept.push_back(static_cast<int>(i));
-  Matches m = detail::subset(all, kept);  // the first of `all`: positions are the same
-  const auto refuse = [&](const std::string& why) {
-    PoseResult failed;
-    failed.reason = why;
-    return failed;
-  };
-  const auto ofAll = [&](std::size_t count) {
-    return std::to_string(count) + " of " + std::to_string(m.size()) + " matches";
-  };
-  if (static_cast<int>(m.size()) < settings.min_inliers) {
-    return refuse("only " + std::to_string(m.size()) + " usable matches, " + std::to_string(settings.min_inliers) +
-                  " needed");
-  }
-
-  const auto start = detail::search(m, prior, settings, settings.max_iterations);
-  if (!start)
-    return refuse("no sample of three matches gives a possible pose: points on a line, or walls seen from behind");
-  std::vector<int> inliers = detail::inliersOf(m, *start, settings.inlier_threshold);
-  if (static_cast<int>(inliers.size()) < settings.min_inliers)
-    return refuse("only " + ofAll(inliers.size()) + " agree on a pose");
-
-  // EPnP is a second start beside RANSAC's locally optimised pose; Levenberg-Marquardt from the better of the two.
-  const double infinite = std::numeric_limits<double>::infinity();
-  Pose pose = *start;
-  if (const auto linear = epnp(m, inliers)) {
-    const auto cost = [&](const Pose& T) { return detail::truncatedCost(m, T, settings.inlier_threshold, infinite); };
-    if (cost(*linear) < cost(pose)) pose = *linear;
-  }
-  inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
-  auto refined = detail::converge(m, inliers, pose, noiseOf(m, inliers, pose, settings), prior, settings);
-  if (!refined) return refuse("the refinement fails: the inliers do not fix the pose");
-  pose = *refined;
-  inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
-  if (static_cast<int>(inliers.size()) < settings.min_inliers)
-    return refuse("only " + ofAll(inliers.size()) + " agree on the refined pose");
-  double noise = noiseOf(m, inliers, pose, settings);
-  bool moved_walls = false;
-  if (auto adjusted = detail::adjustWalls(all, m.size(), pose, noise, source, prior, settings)) {
-    Matches moved = detail::subset(adjusted->matches, kept);
-    const Pose& T = adjusted->T_world_camera;
-    const std::vector<int> agreeing = detail::inliersOf(moved, T, settings.inlier_threshold);
-    if (const auto again =
-            detail::converge(moved, agreeing, T, noiseOf(moved, agreeing, T, settings), prior, settings)) {
-      all = std::move(adjusted->matches), m = std::move(moved), pose = *again, moved_walls = true;
-      inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
-      noise = noiseOf(m, inliers, pose, settings);
-    }
-  }
-
-  // The other poses of a plane; the likeliest wins, the next is what it must be told from.
-  std::vector<Pose> poses = detail::planarAlternatives(m, pose, inliers, noise, prior, settings);
-  poses.insert(poses.begin(), pose);
-  std::size_t best = 0;
-  for (std::size_t k = 1; k < poses.size(); ++k) {
-    if (detail::logLikelihoodRatio(m, poses[k], poses[best], prior, settings) > 0) best = k;
-  }
-  pose = poses[best];
-  for (std::size_t k = 0; k < poses.size(); ++k) {
-    if (k == best) continue;
-    const double margin = detail::logLikelihoodRatio(m, pose, poses[k], prior, settings);
-    if (margin >= result.alternative_margin) continue;
-    result.alternative_margin = margin;
-    result.alternative = hypothesis(m, poses[k], correspondences, camera, settings);
-  }
-  if (best != 0) {
-    inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
-    refined = detail::converge(m, inliers, pose, noise, prior, settings);
-    if (refined) pose = *refined;
-    inliers = detail::inliersOf(m, pose, settings.inlier_threshold);
-    if (static_cast<int>(inliers.size()) < settings.min_inliers)
-      return refuse("only " + ofAll(inliers.size()) + " agree on the likelier of two poses");
-  }
-
-  const auto covariance = detail::poseCovariance(m, inliers, pose, source, prior, settings);
-  if (!covariance) return refuse("the inliers do not fix the pose: points on a line or at one place");
-  static_cast<PoseHypothesis&>(result) = hypothesis(m, pose, correspondences, camera, settings);
-  result.covariance = covariance->total;
-  result.image_covariance = covariance->image;
-  result.noise = covariance->noise;
-  if (settings.find_competitor) {
-    if (const auto other = findCompetitor(all, pose, inliers, prior, settings))
-      result.competitor = hypothesis(all, *other, correspondences, camera, settings);
-  }
-  if (settings.monte_carlo_samples > 0) {
-    result.monte_carlo_covariance =
-        detail::monteCarloCovariance(m, inliers, pose, source, settings, &result.monte_carlo_plausible);
-  }
-  if (moved_walls) {
-    result.wall_shifts.assign(correspondences.size(), Eigen::Vector3d::Zero());
-    for (std::size_t i = 0; i < all.size(); ++i)
-      result.wall_shifts[all.index[i]] = all.points[i].p_map - correspondences[all.index[i]].p_world;
-  }
-  result.success = true;
-  return result;
+  return Estimation(correspondences, camera, source, prior, settings, first_dropped).run();
 }
 
 std::vector<Correspondence> onMovedWalls(std::vector<Correspondence> correspondences, const PoseResult& result) {

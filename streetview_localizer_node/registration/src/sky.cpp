@@ -67,151 +67,207 @@ std::vector<int> bestPath(const Columns& columns, float step, float limit) {
   return path;
 }
 
+/// Colour and gradient of an image at working size, and what counts as an edge in it.
+class SkyImage {
+ public:
+  static constexpr int kBorder = 8;  // the ring is closed for the filters [px]
+
+  SkyImage(const cv::Mat& bgr, const cv::Mat& mask)
+      : width(std::min(1024, bgr.cols)),
+        height(width / 2),
+        degree(height / 180.0),
+        rows(static_cast<int>(92 * degree)) {
+    cv::Mat small;
+    cv::resize(bgr, small, {width, height}, 0, 0, cv::INTER_AREA);
+    if (!mask.empty()) cv::resize(mask, valid_, {width, height}, 0, 0, cv::INTER_AREA);
+    cv::copyMakeBorder(small, small, 0, 0, kBorder, kBorder, cv::BORDER_WRAP);
+    cv::GaussianBlur(small, small, {0, 0}, 0.7);
+    cv::cvtColor(small, lab_, cv::COLOR_BGR2Lab);
+    // Change of colour a pixel, in the channel where it is largest.
+    gradient_ = cv::Mat::zeros(small.size(), CV_32F);
+    std::vector<cv::Mat> channels;
+    cv::split(lab_, channels);
+    for (const auto& channel : channels) {
+      cv::Mat gx, gy, magnitude;
+      cv::Scharr(channel, gx, CV_32F, 1, 0, 1.0 / 32);
+      cv::Scharr(channel, gy, CV_32F, 0, 1, 1.0 / 32);
+      cv::magnitude(gx, gy, magnitude);
+      cv::max(gradient_, magnitude, gradient_);
+    }
+  }
+
+  /// The noise of the smooth half of the upper image sets what counts as an edge. False: too little to tell.
+  bool measureNoise() {
+    std::vector<float> sample;
+    for (int v = static_cast<int>(5 * degree); v < rows; v += 2)
+      for (int u = 0; u < width; u += 2)
+        if (isValid(v, u)) sample.push_back(gradient(v, u));
+    if (sample.size() < 500) return false;
+    std::nth_element(sample.begin(), sample.begin() + sample.size() / 4, sample.end());
+    noise = std::max(0.7f, sample[sample.size() / 4]);
+    return true;
+  }
+
+  bool isValid(int v, int u) const { return valid_.empty() || valid_.at<std::uint8_t>(v, u) == 255; }
+  float gradient(int v, int u) const { return gradient_.at<float>(v, u + kBorder); }
+
+  /// Of colour and texture, for each pixel of the upper rows.
+  std::vector<int> bins() const {
+    std::vector<int> bins(static_cast<std::size_t>(rows) * width);
+    for (int v = 0; v < rows; ++v)
+      for (int u = 0; u < width; ++u) {
+        const float g = gradient(v, u) / noise;
+        const int texture = g < 2 ? 0 : g < 4 ? 1 : g < 8 ? 2 : 3;
+        bins[static_cast<std::size_t>(v) * width + u] = binOf(lab_.at<cv::Vec3b>(v, u + kBorder), texture);
+      }
+    return bins;
+  }
+
+  const int width, height;
+  const double degree;  ///< [px]
+  const int rows;       ///< down to 2 degrees below the horizon
+  float noise = 0;      ///< of the gradient
+
+ private:
+  cv::Mat lab_, gradient_, valid_;
+};
+
+/// First guess: the sky reaches down to the first strong edge of a column.
+std::vector<int> firstEdges(const SkyImage& image) {
+  std::vector<int> path(image.width);
+  for (int u = 0; u < image.width; ++u) {
+    int v = static_cast<int>(8 * image.degree);
+    while (v < image.rows && (!image.isValid(v, u) || image.gradient(v, u) < 6 * image.noise + 3)) ++v;
+    path[u] = std::min(v, static_cast<int>(85 * image.degree));
+  }
+  return path;
+}
+
+/// Logarithm of how much likelier each bin is above the path than below it; empty where there is next to nothing above
+/// it.
+std::vector<float> likelihoodRatio(const SkyImage& image, const std::vector<int>& bins, const std::vector<int>& path) {
+  std::vector<float> sky(kBins, 0.0f), other(kBins, 0.0f);
+  for (int v = 0; v < image.rows; ++v) {
+    // Rows near the poles hold many pixels of little area.
+    const float area = static_cast<float>(std::max(0.05, std::sin((v + 0.5) / image.height * M_PI)));
+    for (int u = 0; u < image.width; ++u)
+      if (image.isValid(v, u)) (v < path[u] ? sky : other)[bins[static_cast<std::size_t>(v) * image.width + u]] += area;
+  }
+  double sky_sum = 0, other_sum = 0;
+  for (auto* histogram : {&sky, &other}) {
+    smoothAxis(histogram, kB, kTexture);
+    smoothAxis(histogram, kA, kTexture * kB);
+    smoothAxis(histogram, kL, kTexture * kB * kA);
+    double& sum = histogram == &sky ? sky_sum : other_sum;
+    for (const float count : *histogram) sum += count;
+  }
+  if (sky_sum < 500 * image.degree) return {};
+  std::vector<float> ratio(kBins);
+  for (int i = 0; i < kBins; ++i) {
+    const double s = (sky[i] + 0.3) / (sky_sum + 0.3 * kBins), o = (other[i] + 0.3) / (other_sum + 0.3 * kBins);
+    ratio[i] = static_cast<float>(std::clamp(std::log(s / o), -2.5, 2.5));
+  }
+  return ratio;
+}
+
+/// Benefit of ending the sky at each row: colours above it, and the edge that lies there.
+Columns gains(const SkyImage& image, const std::vector<int>& bins, const std::vector<float>& ratio) {
+  Columns columns;
+  columns.width = image.width;
+  columns.rows = image.rows;
+  columns.gain.assign(static_cast<std::size_t>(image.rows + 1) * image.width, 0.0f);
+  for (int u = 0; u < image.width; ++u) {
+    float sum = 0;
+    for (int v = 0; v <= image.rows; ++v) {
+      // An edge is worth as much as a few pixels of colour.
+      const int at = std::min(v, image.rows - 1);
+      const float g = image.gradient(at, u);
+      const float edge = std::min(1.0f, std::max(0.0f, g / (8 * image.noise) - 0.3f));
+      // The ridge of the gradient, not its flanks: the line must not keep away from the roof.
+      const bool ridge = at > 0 && g >= image.gradient(at - 1, u) && g >= image.gradient(at + 1, u);
+      columns.gain[static_cast<std::size_t>(v) * image.width + u] =
+          image.isValid(at, u) ? sum + (ridge ? 7 : 4) * edge : 0;
+      if (v < image.rows && image.isValid(v, u)) sum += ratio[bins[static_cast<std::size_t>(v) * image.width + u]];
+    }
+  }
+  return columns;
+}
+
+/// The sky of the columns that the image shows reaches down by 8 degrees on the average.
+bool reachesDown(const SkyImage& image, const std::vector<int>& path) {
+  double area = 0;
+  int columns_valid = 0;
+  for (int u = 0; u < image.width; ++u) {
+    if (!image.isValid(std::min(path[u], image.height - 1), u)) continue;
+    ++columns_valid;
+    area += path[u] / image.degree;
+  }
+  return columns_valid > 0 && area / columns_valid >= 8;
+}
+
+/// Row, with a fraction, of the strongest change of colour along a column of the full image, within `reach` of
+/// `centre`.
+double refinedRow(const cv::Mat& lab, int u, double centre, int reach, float noise) {
+  const int low = std::max(1, static_cast<int>(centre) - reach);
+  const int high = std::min(lab.rows - 3, static_cast<int>(centre) + reach + 1);
+  std::vector<float> change(std::max(0, high - low + 1));
+  int best = -1;
+  for (int v = low; v <= high; ++v) {
+    const auto& a = lab.at<cv::Vec3b>(v, u);
+    const auto& b = lab.at<cv::Vec3b>(v + 1, u);
+    float sum = 0;
+    for (int c = 0; c < 3; ++c) sum += std::abs(static_cast<float>(a[c]) - b[c]);
+    change[v - low] = sum;
+    if (best < 0 || sum > change[best]) best = v - low;
+  }
+  if (best <= 0 || best + 1 >= static_cast<int>(change.size()) || change[best] <= 3 * noise) return centre;
+  const float a = change[best - 1], b = change[best], c = change[best + 1], curvature = a + c - 2 * b;
+  return low + best + 0.5 + (curvature < 0 ? 0.5f * (a - c) / curvature : 0.0f);
+}
+
+/// To the full resolution, within a pixel and a half of the small image.
+std::vector<float> atFullSize(const cv::Mat& bgr, const SkyImage& image, const std::vector<int>& path) {
+  const double factor = static_cast<double>(bgr.cols) / image.width;
+  cv::Mat lab;
+  cv::cvtColor(bgr, lab, cv::COLOR_BGR2Lab);
+  cv::GaussianBlur(lab, lab, {0, 0}, 0.6);
+  std::vector<float> row(bgr.cols, std::numeric_limits<float>::quiet_NaN());
+  for (int u = 0; u < bgr.cols; ++u) {
+    const int us = std::min(image.width - 1, static_cast<int>((u + 0.5) / factor));
+    // Of a photograph: where no sky is seen above it, the line lies beyond the image.
+    if (!image.isValid(std::min(path[us], image.height - 1), us) || !image.isValid(std::max(0, path[us] - 3), us))
+      continue;
+    const double centre = path[us] * factor - 0.5;  // the line runs between two pixels
+    const int reach = static_cast<int>(std::ceil(3 * factor));
+    row[u] = static_cast<float>(refinedRow(lab, u, centre, reach, image.noise));
+  }
+  return row;
+}
+
 }  // namespace
 
 SkyLine findSkyLine(const cv::Mat& bgr, const cv::Mat& mask) {
   SkyLine result;
-  const int width = std::min(1024, bgr.cols), height = width / 2;
-  cv::Mat small, lab, gray, gx, gy, gradient, valid;
-  cv::resize(bgr, small, {width, height}, 0, 0, cv::INTER_AREA);
-  if (!mask.empty()) cv::resize(mask, valid, {width, height}, 0, 0, cv::INTER_AREA);
-  const double degree = height / 180.0;
-  const int rows = static_cast<int>(92 * degree);  // down to 2 degrees below the horizon
-  cv::copyMakeBorder(small, small, 0, 0, 8, 8, cv::BORDER_WRAP);
-  cv::GaussianBlur(small, small, {0, 0}, 0.7);
-  cv::cvtColor(small, lab, cv::COLOR_BGR2Lab);
-  // Change of colour a pixel, in the channel where it is largest.
-  gradient = cv::Mat::zeros(small.size(), CV_32F);
-  std::vector<cv::Mat> channels, vertical;
-  cv::split(lab, channels);
-  cv::Mat down = cv::Mat::zeros(small.size(), CV_32F);
-  for (const auto& channel : channels) {
-    cv::Scharr(channel, gx, CV_32F, 1, 0, 1.0 / 32);
-    cv::Scharr(channel, gy, CV_32F, 0, 1, 1.0 / 32);
-    cv::Mat magnitude;
-    cv::magnitude(gx, gy, magnitude);
-    cv::max(gradient, magnitude, gradient);
-  }
-  auto isValid = [&](int v, int u) { return valid.empty() || valid.at<std::uint8_t>(v, u) == 255; };
-
-  // The noise of the smooth half of the upper image sets what counts as an edge.
-  std::vector<float> sample;
-  for (int v = static_cast<int>(5 * degree); v < rows; v += 2)
-    for (int u = 0; u < width; u += 2)
-      if (isValid(v, u)) sample.push_back(gradient.at<float>(v, u + 8));
-  if (sample.size() < 500) {
+  SkyImage image(bgr, mask);
+  if (!image.measureNoise()) {
     result.failure = "too little of the image lies above the horizon";
     return result;
   }
-  std::nth_element(sample.begin(), sample.begin() + sample.size() / 4, sample.end());
-  const float noise = std::max(0.7f, sample[sample.size() / 4]);
-  auto textureOf = [&](int v, int u) {
-    const float g = gradient.at<float>(v, u + 8) / noise;
-    return g < 2 ? 0 : g < 4 ? 1 : g < 8 ? 2 : 3;
-  };
-  std::vector<int> bins(static_cast<std::size_t>(rows) * width);
-  for (int v = 0; v < rows; ++v)
-    for (int u = 0; u < width; ++u)
-      bins[static_cast<std::size_t>(v) * width + u] = binOf(lab.at<cv::Vec3b>(v, u + 8), textureOf(v, u));
-
-  // First guess: the sky reaches down to the first strong edge of a column.
-  std::vector<int> path(width);
-  for (int u = 0; u < width; ++u) {
-    int v = static_cast<int>(8 * degree);
-    while (v < rows && (!isValid(v, u) || gradient.at<float>(v, u + 8) < 6 * noise + 3)) ++v;
-    path[u] = std::min(v, static_cast<int>(85 * degree));
-  }
-  Columns columns;
-  columns.width = width;
-  columns.rows = rows;
-  columns.gain.assign(static_cast<std::size_t>(rows + 1) * width, 0.0f);
+  const std::vector<int> bins = image.bins();
+  std::vector<int> path = firstEdges(image);
   for (int round = 0; round < 4; ++round) {
-    std::vector<float> sky(kBins, 0.0f), other(kBins, 0.0f);
-    for (int v = 0; v < rows; ++v) {
-      // Rows near the poles hold many pixels of little area.
-      const float area = static_cast<float>(std::max(0.05, std::sin((v + 0.5) / height * M_PI)));
-      for (int u = 0; u < width; ++u) {
-        if (!isValid(v, u)) continue;
-        (v < path[u] ? sky : other)[bins[static_cast<std::size_t>(v) * width + u]] += area;
-      }
-    }
-    double sky_sum = 0, other_sum = 0;
-    for (auto* histogram : {&sky, &other}) {
-      smoothAxis(histogram, kB, kTexture);
-      smoothAxis(histogram, kA, kTexture * kB);
-      smoothAxis(histogram, kL, kTexture * kB * kA);
-      double& sum = histogram == &sky ? sky_sum : other_sum;
-      for (const float count : *histogram) sum += count;
-    }
-    if (sky_sum < 500 * degree) {
+    const std::vector<float> ratio = likelihoodRatio(image, bins, path);
+    if (ratio.empty()) {
       result.failure = "no sky found";
       return result;
     }
-    std::vector<float> ratio(kBins);
-    for (int i = 0; i < kBins; ++i) {
-      const double s = (sky[i] + 0.3) / (sky_sum + 0.3 * kBins), o = (other[i] + 0.3) / (other_sum + 0.3 * kBins);
-      ratio[i] = static_cast<float>(std::clamp(std::log(s / o), -2.5, 2.5));
-    }
-    for (int u = 0; u < width; ++u) {
-      float sum = 0;
-      for (int v = 0; v <= rows; ++v) {
-        // An edge is worth as much as a few pixels of colour.
-        const int at = std::min(v, rows - 1);
-        const float edge = std::min(1.0f, std::max(0.0f, gradient.at<float>(at, u + 8) / (8 * noise) - 0.3f));
-        // The ridge of the gradient, not its flanks: the line must not keep away from the roof.
-        const bool ridge = at > 0 && gradient.at<float>(at, u + 8) >= gradient.at<float>(at - 1, u + 8) &&
-                           gradient.at<float>(at, u + 8) >= gradient.at<float>(at + 1, u + 8);
-        columns.gain[static_cast<std::size_t>(v) * width + u] = isValid(at, u) ? sum + (ridge ? 7 : 4) * edge : 0;
-        if (v < rows && isValid(v, u)) sum += ratio[bins[static_cast<std::size_t>(v) * width + u]];
-      }
-    }
-    path = bestPath(columns, 0.4f, 25.0f);
+    path = bestPath(gains(image, bins, ratio), 0.4f, 25.0f);
   }
-
-  double area = 0;
-  int columns_valid = 0;
-  for (int u = 0; u < width; ++u) {
-    if (!isValid(std::min(path[u], height - 1), u)) continue;
-    ++columns_valid;
-    area += path[u] / degree;
-  }
-  if (columns_valid == 0 || area / columns_valid < 8) {
+  if (!reachesDown(image, path)) {
     result.failure = "no sky found";
     return result;
   }
-
-  // To the full resolution: the strongest change of colour along the column within a pixel and a half of the small
-  // image.
-  const double factor = static_cast<double>(bgr.cols) / width;
-  cv::Mat full;
-  cv::cvtColor(bgr, full, cv::COLOR_BGR2Lab);
-  cv::GaussianBlur(full, full, {0, 0}, 0.6);
-  result.row.assign(bgr.cols, std::numeric_limits<float>::quiet_NaN());
-  for (int u = 0; u < bgr.cols; ++u) {
-    const int us = std::min(width - 1, static_cast<int>((u + 0.5) / factor));
-    const double centre = path[us] * factor - 0.5;  // the line runs between two pixels
-    const int reach = static_cast<int>(std::ceil(3 * factor));
-    const int low = std::max(1, static_cast<int>(centre) - reach),
-              high = std::min(bgr.rows - 3, static_cast<int>(centre) + reach + 1);
-    // Of a photograph: where no sky is seen above it, the line lies beyond the image.
-    if (!isValid(std::min(path[us], height - 1), us) || !isValid(std::max(0, path[us] - 3), us)) continue;
-    std::vector<float> change(std::max(0, high - low + 1));
-    int best = -1;
-    for (int v = low; v <= high; ++v) {
-      const auto& a = full.at<cv::Vec3b>(v, u);
-      const auto& b = full.at<cv::Vec3b>(v + 1, u);
-      float sum = 0;
-      for (int c = 0; c < 3; ++c) sum += std::abs(static_cast<float>(a[c]) - b[c]);
-      change[v - low] = sum;
-      if (best < 0 || sum > change[best]) best = v - low;
-    }
-    double row = centre;
-    if (best > 0 && best + 1 < static_cast<int>(change.size()) && change[best] > 3 * noise) {
-      const float a = change[best - 1], b = change[best], c = change[best + 1], curvature = a + c - 2 * b;
-      row = low + best + 0.5 + (curvature < 0 ? 0.5f * (a - c) / curvature : 0.0f);
-    }
-    result.row[u] = static_cast<float>(row);
-  }
+  result.row = atFullSize(bgr, image, path);
   return result;
 }
 

@@ -29,7 +29,8 @@ Pose fromMsg(const geometry_msgs::Transform& msg);
 void setCovariance(const Matrix6d& covariance, boost::array<double, 36>* msg);
 Matrix6d covarianceFromMsg(const boost::array<double, 36>& msg);
 
-/// Accepts "plumb_bob" (and an empty model without D). Throws for fx <= 0 (uncalibrated) and for other models.
+/// Camera of the image that comes with the message: its roi and binning are applied to the sensor's K. Throws for
+/// fx <= 0 (uncalibrated) and for models other than those of CameraModel::setDistortion (or empty without D).
 CameraModel fromMsg(const sensor_msgs::CameraInfo& msg);
 sensor_msgs::CameraInfo toMsg(const CameraModel& camera, const std_msgs::Header& header);
 

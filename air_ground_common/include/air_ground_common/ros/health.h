@@ -1,5 +1,5 @@
-// What every node says about itself: diagnostics with rates, latency and counters, a warning when inputs stay away, and
-// detection of time jumping back (a looped bag).
+// What every node says about itself: diagnostics with rates, latency and counters, a warning when inputs stay away or
+// nothing comes of them, and detection of time jumping back (a looped bag).
 #pragma once
 
 #include <diagnostic_updater/diagnostic_updater.h>
@@ -8,6 +8,7 @@
 
 #include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <utility>
@@ -19,27 +20,44 @@ namespace air_ground_common::ros_utils {
 /// come on another meanwhile. So long after a message is here, it tells what the other topics lack [s, wall clock].
 constexpr double kTopicsInStep = 0.3;
 
-/// Thread-safe. One per node; all calls may come from any thread.
+/// Kind of an event or a reason: its text with every number that stands by itself replaced by '#'. "9 of 80 tracks" and
+/// "14 of 105 tracks" are of one kind, "camera1" and "camera2" are not.
+std::string kindOf(const std::string& text);
+
+/// Thread-safe. One per node; all calls may come from any thread. None of them waits for the master.
 class NodeHealth {
  public:
   /// `hardware_id` names the node in /diagnostics, e.g. "mav_vo".
   explicit NodeHealth(const std::string& hardware_id);
+  ~NodeHealth();
 
   /// Declares an input that the node waits for. After 3 s (wall time) without it a warning names the resolved topic,
   /// whether anybody publishes it, and the last stamp seen. `continuous` false: a topic that may rightly pause (a
   /// latched map); the warning comes only while nothing at all has arrived. A replay that is paused (/clock stands
   /// still) is no silence.
-  void expectInput(const std::string& resolved_topic, bool continuous = true);
+  /// `hint`, when not empty, ends the warning if somebody advertises `alternative`: the same data in another form.
+  void expectInput(const std::string& resolved_topic, bool continuous = true, const std::string& alternative = "",
+                   const std::string& hint = "");
   /// Call in the callback of an expected input.
   void received(const std::string& resolved_topic, const ros::Time& stamp);
 
+  /// What became of an input that outputs are made from, an image say. While they come and nothing is published for
+  /// 3 s (wall time; a paused replay does not count) a warning says why and what to do: once for each kind of reason,
+  /// again after a minute at the earliest.
+  void published();
+  void withheld(const std::string& reason, const std::string& advice = "");
+
   /// Adds to a named counter shown in /diagnostics, e.g. count("images without calibration"). Warns once per name.
+  /// Events of one kind share a counter under the name of the first; beyond 100 kinds all go into one.
   void count(const std::string& event, std::size_t times = 1);
   /// Times the event was counted.
   std::size_t counted(const std::string& event) const;
 
   /// Records the time [s] that a step took: mean and maximum appear in /diagnostics.
   void timing(const std::string& step, double seconds);
+
+  /// A figure as it is now, in /diagnostics, e.g. value("lag [s]", 0.2).
+  void value(const std::string& name, double value);
 
   /// Sets the state line; level as in diagnostic_msgs::DiagnosticStatus (0 OK, 1 WARN, 2 ERROR).
   void state(int level, const std::string& line);
@@ -51,7 +69,20 @@ class NodeHealth {
     ros::WallTime last_arrival;
     bool warned = false;
     bool continuous = true;
+    std::string alternative, hint;
   };
+  struct Counter {
+    std::string name;
+    std::size_t times = 0;
+  };
+  /// Inputs of which nothing is published.
+  struct Silence {
+    bool lasts = false;
+    ros::WallTime since, last;  ///< of the inputs
+    std::string reason, advice;
+    std::map<std::string, ros::WallTime> said;  ///< by kind of reason
+  };
+  struct Inquiry;
   struct Timing {
     std::size_t runs = 0;
     double sum = 0, max = 0;
@@ -59,10 +90,17 @@ class NodeHealth {
 
   void report(diagnostic_updater::DiagnosticStatusWrapper& status);
   void watch();
+  void watchInputs(const ros::WallTime& now, bool paused);
+  void watchSilence(const ros::WallTime& now, bool paused);
 
   mutable std::mutex mutex_;
   std::map<std::string, Input> inputs_;
-  std::map<std::string, std::size_t> counters_;
+  std::map<std::string, Counter> counters_;  ///< by kind
+  std::map<std::string, double> values_;
+  Silence silence_;
+  // Of the timer's thread.
+  std::map<std::string, Input> silent_;  ///< to be said when the inquiry is over
+  std::shared_ptr<Inquiry> inquiry_;
   std::map<std::string, Timing> timings_;
   int level_ = 1;
   std::string line_ = "starting";

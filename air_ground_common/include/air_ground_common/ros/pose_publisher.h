@@ -10,7 +10,6 @@
 #include <string>
 
 #include "air_ground_common/geometry.h"
-#include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -71,16 +70,5 @@ class PosePublisher {
   ros::Time last_stamp_;
   BoundedPath bounded_path_;
 };
-
-/// Looks up a fixed transform T_target_source, e.g. base_link <- camera. Waits up to `timeout` wall seconds in total;
-/// empty, with the reason in `why`, when it does not come.
-std::optional<Pose> lookupStatic(const std::string& target, const std::string& source, double timeout,
-                                 std::string* why);
-
-/// T_base_sensor: `given` or, without, looked up as above. Empty, and said in `health`, when it does not come. `sensor`
-/// names it as the parameter base_<sensor> does: "camera", "imu".
-std::optional<Pose> lookupMounting(const std::optional<Pose>& given, const std::string& base_frame,
-                                   const std::string& sensor_frame, const std::string& sensor, double timeout,
-                                   NodeHealth& health);
 
 }  // namespace air_ground_common::ros_utils

@@ -25,14 +25,16 @@ struct Calibration {
 /// True when both describe the same camera; frame and stamp do not matter.
 inline bool sameCalibration(const sensor_msgs::CameraInfo& a, const sensor_msgs::CameraInfo& b) {
   return a.width == b.width && a.height == b.height && a.distortion_model == b.distortion_model && a.D == b.D &&
-         a.K == b.K && a.R == b.R && a.P == b.P;
+         a.K == b.K && a.R == b.R && a.P == b.P && a.binning_x == b.binning_x && a.binning_y == b.binning_y &&
+         a.roi.x_offset == b.roi.x_offset && a.roi.y_offset == b.roi.y_offset && a.roi.width == b.roi.width &&
+         a.roi.height == b.roi.height;
 }
 
 /// True when the camera's calibration is another than the one in use, and the image is of it: images of the old size
 /// may still be on their way.
 inline bool recalibrated(const Calibration& in_use, const Calibration& latest, const sensor_msgs::Image& image) {
-  return !sameCalibration(latest.info, in_use.info) && image.width == latest.info.width &&
-         image.height == latest.info.height;
+  return !sameCalibration(latest.info, in_use.info) && static_cast<int>(image.width) == latest.camera.width &&
+         static_cast<int>(image.height) == latest.camera.height;
 }
 
 /// `configured` or, when that is empty, as the messages say.

@@ -12,7 +12,7 @@
 namespace visual_frontend {
 
 struct BundleSettings {
-  double pixel_sigma = 1.0;  ///< of a feature's position [px]; divided by the focal length
+  double pixel_sigma = 1.0;  ///< of a feature's position [px]
   RobustLoss loss = RobustLoss::kHuber;
   double loss_width = 2.0;        ///< in sigmas
   bool use_depth = true;          ///< depth residuals where observations carry depth
@@ -40,6 +40,7 @@ struct BundleProblem {
     double sigma = 1.0 / 500;
     double depth = 0;  ///< measured z [m]; 0 = none
     double depth_sigma = 0;
+    double elongation = 1;  ///< of the noise (NormalizedNoise)
   };
   /// Relative pose prior, for example from an IMU or odometry.
   struct RelativePrior {

@@ -69,6 +69,11 @@ class AttitudeFilter {
   /// Samples that are not finite or not newer are ignored.
   void add(const ImuSample& sample);
   void reset();
+  /// A bias from elsewhere [rad/s]; counts as known.
+  void setGyroBias(const Eigen::Vector3d& bias) {
+    gyro_bias_ = bias;
+    bias_known_ = true;
+  }
 
   bool initialized() const { return initialized_; }
   /// Unit, IMU frame, at the last sample: +z of a level frame. Zero before initialisation.
@@ -79,6 +84,8 @@ class AttitudeFilter {
   Eigen::Vector3d gyroBias() const { return gyro_bias_; }
   /// True once a rest gave a bias.
   bool biasKnown() const { return bias_known_; }
+  /// From elsewhere, for example InertialAlignment. `certain`: within rest_gyro_change, so that rest is told by it.
+  void setGyroBias(const Eigen::Vector3d& bias, bool certain = true);
 
  private:
   bool detectRest(const ImuBuffer::Mean& whole) const;

@@ -15,6 +15,7 @@ struct PoseCorrespondence {
   double sigma = 1.0 / 500;                              ///< of each normalised coordinate (pixel sigma / focal length)
   double depth = 0;                                      ///< measured z in the camera [m]; 0 = none
   double depth_sigma = 0;                                ///< [m]
+  double elongation = 1;                                 ///< of the noise (NormalizedNoise)
 };
 
 struct RansacSettings {
@@ -96,9 +97,12 @@ struct TranslationDirection {
   int inlier_count = 0;
   double median_parallax = 0;  ///< angle between the rays after derotation, over the inliers [rad]
 };
-/// `a`, `b`: normalised coordinates of the same points; r_a = R_a_b * r_b. `sigma` of a normalised coordinate.
+/// `a`, `b`: normalised coordinates of the same points; r_a = R_a_b * r_b. `sigma` of a normalised coordinate near the
+/// optical axis; `noise_a`, `noise_b` of each point, for wide-angle lenses (empty: sigma everywhere).
 TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vector2d>& a,
                                                   const std::vector<Eigen::Vector2d>& b, const Eigen::Matrix3d& R_a_b,
-                                                  double sigma, const RansacSettings& settings);
+                                                  double sigma, const RansacSettings& settings,
+                                                  const std::vector<NormalizedNoise>& noise_a = {},
+                                                  const std::vector<NormalizedNoise>& noise_b = {});
 
 }  // namespace visual_frontend

@@ -13,6 +13,7 @@ struct ViewRay {
   double sigma = 1.0 / 500;                              ///< of each normalised coordinate
   double depth = 0;                                      ///< measured z in this camera [m]; 0 = none
   double depth_sigma = 0;                                ///< [m]
+  double elongation = 1;                                 ///< of the noise (NormalizedNoise)
 };
 
 struct TriangulationSettings {

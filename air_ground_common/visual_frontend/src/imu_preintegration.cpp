@@ -1,4 +1,4 @@
-#include "mav_vo/imu_preintegration.h"
+#include "visual_frontend/imu_preintegration.h"
 
 #include <algorithm>
 #include <cmath>
@@ -7,7 +7,7 @@
 
 #include "air_ground_common/geometry.h"
 
-namespace mav_vo {
+namespace visual_frontend {
 
 using air_ground_common::expSO3;
 using air_ground_common::rightJacobianSO3;
@@ -119,4 +119,4 @@ std::vector<ImuSample> samplesBetween(const ImuBuffer& buffer, double begin, dou
   return cut;
 }
 
-}  // namespace mav_vo
+}  // namespace visual_frontend

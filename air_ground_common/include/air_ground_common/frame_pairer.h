@@ -6,7 +6,7 @@
 #include <optional>
 #include <utility>
 
-namespace rgbd_slam {
+namespace air_ground_common {
 
 /// T: anything copyable, e.g. a message pointer. Each stream in order of time. Not thread-safe.
 template <typename T>
@@ -107,4 +107,4 @@ class FramePairer {
   double closest_miss_ = 0;
 };
 
-}  // namespace rgbd_slam
+}  // namespace air_ground_common

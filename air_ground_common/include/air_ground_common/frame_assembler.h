@@ -1,0 +1,103 @@
+// Puts together what an estimator of a robot's motion works on: images, each with the IMU samples up to its stamp.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <deque>
+#include <utility>
+
+namespace air_ground_common {
+
+struct FrameAssemblerSettings {
+  bool use_imu = true;
+  double imu_wait = 0.5;         ///< an image waits for the IMU until images this much newer ... [s of data]
+  double settle = 0.3;           ///< ... have been here for so long [s]
+  std::size_t max_images = 400;  ///< that wait; beyond, the oldest go
+  double max_latency = 0;        ///< images so far behind the newest are given up; 0 = none [s of data]
+};
+
+/// Image: anything movable, e.g. a message pointer or a pair of them; Imu: with a `stamp` [s]. Stamps in order of time.
+/// `now`: time of a clock that runs on while the stamps may not [s]. Not thread-safe.
+template <typename Image, typename Imu>
+class FrameAssembler {
+ public:
+  explicit FrameAssembler(const FrameAssemblerSettings& settings) : settings_(settings) {}
+
+  struct Frame {
+    double stamp = 0, arrival = 0;  ///< by the data's clock and by that of `now` [s]
+    Image image;
+    std::deque<Imu> imu;  ///< since the last frame; one sample beyond the stamp, to interpolate the motion up to it
+  };
+
+  void addImage(double stamp, Image image, double now) {
+    if (images_.size() >= settings_.max_images) {
+      images_.pop_front();
+      ++overflown_;
+    }
+    images_.push_back({stamp, now, std::move(image)});
+    newest_image_ = std::max(newest_image_, stamp);
+  }
+
+  void addImu(const Imu& sample) {
+    constexpr std::size_t kMost = 40000;
+    if (imu_.size() >= kMost) imu_.pop_front();
+    imu_.push_back(sample);
+    newest_imu_ = std::max(newest_imu_, sample.stamp);
+  }
+
+  /// Gives up the images that are too far behind, oldest first; returns how many.
+  std::size_t dropLate() {
+    std::size_t dropped = 0;
+    for (; settings_.max_latency > 0 && images_.size() > 1 && lag() > settings_.max_latency; ++dropped)
+      images_.pop_front();
+    return dropped;
+  }
+
+  /// The oldest image has its IMU samples, or has waited long enough for them.
+  bool ready(double now) const {
+    if (images_.empty()) return false;
+    const double stamp = images_.front().stamp;
+    if (!settings_.use_imu || newest_imu_ >= stamp) return true;
+    for (const Waiting& image : images_)
+      if (image.stamp - stamp > settings_.imu_wait) return now - image.arrival >= settings_.settle;
+    return false;
+  }
+
+  /// The oldest image; call when there is one.
+  Frame take() {
+    Waiting& oldest = images_.front();
+    Frame frame{oldest.stamp, oldest.arrival, std::move(oldest.image), {}};
+    images_.pop_front();
+    while (!imu_.empty() && (frame.imu.empty() || frame.imu.back().stamp < frame.stamp)) {
+      frame.imu.push_back(imu_.front());
+      imu_.pop_front();
+    }
+    return frame;
+  }
+
+  void clear() {
+    images_.clear();
+    imu_.clear();
+    newest_image_ = newest_imu_ = 0;
+  }
+
+  std::size_t waiting() const { return images_.size(); }
+  /// How far the oldest image is behind the newest [s of data].
+  double lag() const { return images_.empty() ? 0 : newest_image_ - images_.front().stamp; }
+  /// Images given up because too many waited, since the last call.
+  std::size_t takeOverflown() { return std::exchange(overflown_, 0); }
+
+ private:
+  struct Waiting {
+    double stamp, arrival;
+    Image image;
+  };
+
+  FrameAssemblerSettings settings_;
+  std::deque<Waiting> images_;
+  std::deque<Imu> imu_;
+  double newest_image_ = 0, newest_imu_ = 0;
+  std::size_t overflown_ = 0;
+};
+
+}  // namespace air_ground_common

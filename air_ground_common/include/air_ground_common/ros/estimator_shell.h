@@ -1,0 +1,204 @@
+// What the nodes that estimate a robot's motion from a camera and an IMU have in common: inputs and their queue,
+// calibration and mountings, the worker, one map after the other, status, silence, services. A node adds its library.
+#pragma once
+
+#include <air_ground/SaveMap.h>
+#include <air_ground/SaveTrajectory.h>
+#include <air_ground/VoStatus.h>
+#include <ros/node_handle.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Imu.h>
+#include <std_srvs/Trigger.h>
+
+#include <condition_variable>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "air_ground_common/frame_assembler.h"
+#include "air_ground_common/frame_pairer.h"
+#include "air_ground_common/geometry.h"
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/image_input.h"
+#include "air_ground_common/ros/mountings.h"
+#include "air_ground_common/ros/sensor_input.h"
+#include "air_ground_common/trajectory.h"
+
+namespace air_ground_common::ros_utils {
+
+class Parameters;
+
+/// Parameters that such nodes share; config/mav_vo.yaml and config/rgbd_slam.yaml explain each.
+struct EstimatorSettings {
+  std::string map_frame, odom_frame, base_frame;
+  std::string camera_frame, imu_frame;            ///< empty: as the messages say
+  std::optional<Pose> T_base_camera, T_base_imu;  ///< instead of tf
+  bool publish_tf = true;
+  bool use_imu = true;
+  double transform_timeout = 5.0;  ///< an image waits so long for its mounting, wall clock [s]
+  double imu_wait = 0.5;           ///< and for the IMU's samples up to its stamp [s of data]
+  double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none; live only [s of data]
+  double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
+  int queue_size = 400;
+  std::string image_transport = "raw";  ///< or "compressed"
+};
+
+/// All but sync_tolerance; what `settings` holds is the default. Throws ParameterError.
+void readParameters(Parameters& parameters, EstimatorSettings* settings);
+
+/// Names by which a node knows its topics (remapping applies), and what it calls things when it speaks to people.
+struct EstimatorNames {
+  std::string image, camera_info, imu, status;
+  std::string depth;               ///< empty: none
+  std::string node;                ///< "mav_vo", in /diagnostics
+  std::string subject;             ///< "visual odometry"
+  std::string transport_argument;  ///< of the launch files: the one that sets image_transport
+  std::string without_imu;         ///< "runs without gyro prior"
+};
+
+struct EstimatorFrame {
+  sensor_msgs::Image::ConstPtr image, depth;
+  ros::Time stamp;  ///< of the image
+};
+
+/// What an estimator made of a frame.
+struct EstimatorResult {
+  air_ground::VoStatus status;  ///< but header and map_id
+  bool pose_published = false;  ///< by `publish`: what users wait for, in metres
+  std::string advice;           ///< what to do about status.reason
+  std::function<void()> publish = [] {};
+};
+
+/// The library's side. The shell calls one function at a time; `drop` and later ones only while there is an estimator.
+class Estimator {
+ public:
+  virtual ~Estimator() = default;
+
+  virtual bool exists() const = 0;
+  /// Makes a new one. `T_base_imu` empty: without IMU.
+  virtual void make(const CameraModel& camera, const Pose& T_base_camera, const std::optional<Pose>& T_base_imu) = 0;
+  /// Of the present map; without estimator, as that of a new one begins. Goes up with each map.
+  virtual std::uint32_t mapId() const = 0;
+  /// Nothing of the map so far is published any more: it is given up.
+  virtual void forgetMap() = 0;
+
+  virtual void drop() = 0;
+  virtual void reset() = 0;
+  /// False: stamp not later than the last one's.
+  virtual bool addImu(const ImuInput::Sample& sample) = 0;
+  virtual EstimatorResult process(const EstimatorFrame& frame) = 0;
+  /// No frame has come for a while.
+  virtual void idle() {}
+  /// Throw std::runtime_error when there is none yet. The points are made without the estimator, which goes on
+  /// meanwhile.
+  virtual std::function<std::vector<CloudPoint>()> mapForFile() = 0;
+  virtual Trajectory trajectory() = 0;
+};
+
+class EstimatorShell {
+ public:
+  EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& settings, const EstimatorNames& names,
+                 Estimator& estimator);
+  ~EstimatorShell() { stop(); }
+
+  /// Begins to work; call when the estimator can be called, at the end of its constructor ...
+  void start();
+  /// ... and this at the begin of its destructor.
+  void stop();
+
+  NodeHealth& health() { return health_; }
+  const std::string& imuTopic() const { return imu_topic_; }
+  /// What is wrong with the accelerometer; empty while nothing is known to be.
+  std::string imuProblem() const { return imu_input_.problem(); }
+
+  // For the estimator, when it is called:
+  std::uint32_t mapId() const { return map_id_offset_ + estimator_.mapId(); }
+  const sensor_msgs::CameraInfo& cameraInfo() const { return built_.info; }
+  const std::string& cameraFrame() const { return camera_frame_; }
+
+ private:
+  enum Stream { kImage, kDepth, kImu, kStreams };
+  struct ImagePair {
+    ImageMessage image, depth;
+  };
+  using Assembler = FrameAssembler<ImagePair, ImuInput::Sample>;
+  /// What keeps images from being processed, and what to do; none when empty.
+  struct Obstacle {
+    std::string reason, advice;
+    std::string lacking = {};  ///< images without it are counted
+  };
+
+  // Inputs: only checks and queueing happen in the callbacks.
+  void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg);
+  void onImu(const sensor_msgs::Imu::ConstPtr& msg);
+  void onImage(const ImageMessage& message);
+  void onDepth(const ImageMessage& message);
+  // With the queue locked:
+  void onTimeJump();
+  void clearQueues();
+  bool frameReady();
+  void movePairs();
+  void addToPairs(const ImageMessage& message, bool colour);
+  void reportUnmatched();
+  Obstacle whyNotReady() const;
+
+  // Worker
+  void work();
+  void attempt(Assembler::Frame& frame);
+  Obstacle prepare(const sensor_msgs::Image& image, bool with_imu_samples);
+  void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
+  void startAfresh(bool anew);
+  void makeEstimator(const Calibration& calibration, const std::string& camera_frame, const Pose& T_base_camera,
+                     const std::optional<Pose>& T_base_imu);
+  void tellObstacle(const Obstacle& obstacle, const ros::Time& stamp);
+
+  bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response);
+  bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response);
+  bool reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+
+  const EstimatorSettings settings_;
+  const EstimatorNames names_;
+  Estimator& estimator_;
+  NodeHealth health_;
+  Mountings mountings_;
+  ImuInput imu_input_{health_};
+  ros::NodeHandle handle_, private_handle_{"~"};
+  std::string image_topic_, depth_topic_, info_topic_, imu_topic_;
+  ros::Publisher status_publisher_;
+
+  // Shared with the worker.
+  std::mutex queue_mutex_;
+  std::condition_variable queue_changed_;
+  StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};
+  Assembler assembler_;
+  std::optional<FramePairer<ImageMessage>> pairer_;
+  std::size_t reported_unmatched_ = 0;
+  std::optional<Calibration> calibration_;
+  std::string calibration_problem_;  ///< of the last one that was refused
+  std::string imu_frame_;
+  ros::Time newest_image_;
+  bool stop_ = false, reset_requested_ = false;
+
+  // Worker and services, one at a time.
+  std::mutex estimator_mutex_;
+  Calibration built_;  ///< what the estimator was made with
+  bool with_imu_ = false, imu_seen_ = false;
+  std::uint32_t map_id_offset_ = 0;
+  std::string camera_frame_;
+  ros::Time last_stamp_;
+
+  // The worker's own.
+  std::optional<Assembler::Frame> frame_;              ///< waits for its mounting
+  double obstructed_since_ = -1, obstacle_told_ = -1;  ///< by the clock of the assembler [s]; negative: not
+  std::thread worker_;
+
+  std::vector<ImageInput> images_;
+  ros::Subscriber info_subscriber_, imu_subscriber_;
+  std::vector<ros::ServiceServer> services_;
+};
+
+}  // namespace air_ground_common::ros_utils

@@ -1,0 +1,34 @@
+// Where sensors sit on a robot: from parameters, or from tf.
+#pragma once
+
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <optional>
+#include <string>
+
+#include "air_ground_common/geometry.h"
+
+namespace air_ground_common::ros_utils {
+
+/// Listens to tf for as long as it lives, on a thread of its own: static transforms are kept whoever publishes them,
+/// latched or not, and those on /tf too. Make it before the first image can come: an unlatched message is sent once.
+/// Thread-safe.
+class Mountings {
+ public:
+  /// `base_frame`: of the robot.
+  explicit Mountings(const std::string& base_frame);
+
+  /// T_base_sensor: `given` or, without, as tf says at this moment; never waits. Empty, with the edge that is missing,
+  /// the frames that are known and what to do in `why`, while it is not known. `sensor` names it as the parameter
+  /// base_<sensor> does: "camera", "imu".
+  std::optional<Pose> lookup(const std::optional<Pose>& given, const std::string& sensor_frame,
+                             const std::string& sensor, std::string* why) const;
+
+ private:
+  std::string base_frame_;
+  tf2_ros::Buffer buffer_;
+  tf2_ros::TransformListener listener_;
+};
+
+}  // namespace air_ground_common::ros_utils

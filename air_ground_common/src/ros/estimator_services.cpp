@@ -1,0 +1,51 @@
+// What a user asks of an estimator's node.
+#include <stdexcept>
+
+#include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/file_services.h"
+
+namespace air_ground_common::ros_utils {
+
+bool EstimatorShell::saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
+  return answer(response, [&] {
+    std::function<std::vector<CloudPoint>()> map;
+    {
+      const std::lock_guard<std::mutex> lock(estimator_mutex_);
+      if (!estimator_.exists()) throw std::runtime_error("there is no map yet");
+      map = estimator_.mapForFile();
+    }
+    const std::vector<CloudPoint> points = map();
+    writeCloud(request.path, points);
+    response.points = points.size();
+    return std::to_string(points.size()) + " points in " + settings_.map_frame + " written to " + request.path;
+  });
+}
+
+bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request,
+                                    air_ground::SaveTrajectory::Response& response) {
+  return answer(response, [&] {
+    Trajectory trajectory;
+    {
+      const std::lock_guard<std::mutex> lock(estimator_mutex_);
+      if (!estimator_.exists()) throw std::runtime_error("there is no trajectory yet");
+      trajectory = estimator_.trajectory();
+    }
+    writeTum(request.path, trajectory);
+    response.poses = trajectory.size();
+    return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " +
+           request.path;
+  });
+}
+
+bool EstimatorShell::reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    clearQueues();
+  }
+  startAfresh(true);
+  response.success = true;
+  response.message = names_.subject + " starts afresh";
+  return true;
+}
+
+}  // namespace air_ground_common::ros_utils

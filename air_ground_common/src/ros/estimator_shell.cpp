@@ -1,0 +1,408 @@
+#include "air_ground_common/ros/estimator_shell.h"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "air_ground_common/ros/parameters.h"
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+constexpr int kOk = 0, kWarn = 1;
+constexpr double kPatience =
+    1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
+
+/// Of a clock that never stands still or leaps [s].
+double now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+std::string nameOf(std::uint8_t state) {
+  using Status = air_ground::VoStatus;
+  switch (state) {
+    case Status::STATE_WAITING:
+      return "waiting";
+    case Status::STATE_INITIALIZING:
+      return "initializing";
+    case Status::STATE_SCALING:
+      return "scaling";
+    case Status::STATE_TRACKING:
+      return "tracking";
+    default:
+      return "lost";
+  }
+}
+
+FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
+  FrameAssemblerSettings a;
+  a.use_imu = settings.use_imu;
+  a.imu_wait = settings.imu_wait;
+  a.settle = kTopicsInStep;
+  a.max_images = static_cast<std::size_t>(settings.queue_size);
+  a.max_latency = ros::Time::isSimTime() ? 0 : settings.max_latency;  // the player of a replay waits for its nodes
+  return a;
+}
+
+}  // namespace
+
+void readParameters(Parameters& p, EstimatorSettings* s) {
+  s->map_frame = p.text("map_frame", s->map_frame);
+  s->odom_frame = p.text("odom_frame", s->odom_frame);
+  s->base_frame = p.text("base_frame", s->base_frame);
+  s->publish_tf = p.flag("publish_tf", s->publish_tf);
+  s->camera_frame = p.text("camera_frame", s->camera_frame);
+  s->imu_frame = p.text("imu_frame", s->imu_frame);
+  s->T_base_camera = p.pose("base_camera");
+  s->T_base_imu = p.pose("base_imu");
+  s->transform_timeout = p.number("transform_timeout", s->transform_timeout, 0.0, 600.0);
+  s->use_imu = p.flag("use_imu", s->use_imu);
+  s->imu_wait = p.number("imu_wait", s->imu_wait, 0.0, 10.0);
+  s->max_latency = p.number("max_latency", s->max_latency, 0.0, 600.0);
+  s->queue_size = p.integer("queue_size", s->queue_size, 2, 10000);
+  s->image_transport = p.choice("image_transport", s->image_transport, {"raw", "compressed"});
+}
+
+EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& settings, const EstimatorNames& names,
+                               Estimator& estimator)
+    : settings_(settings),
+      names_(names),
+      estimator_(estimator),
+      health_(names.node),
+      mountings_(settings.base_frame),
+      handle_(handle),
+      info_topic_(handle.resolveName(names.camera_info)),
+      imu_topic_(handle.resolveName(names.imu)),
+      assembler_(assemblerSettings(settings)) {
+  status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
+  health_.state(kWarn, "waiting for images");
+  health_.expectInput(info_topic_);
+  if (settings.use_imu) health_.expectInput(imu_topic_);
+  info_subscriber_ = handle_.subscribe(names.camera_info, 20, &EstimatorShell::onInfo, this);
+  if (settings.use_imu)
+    imu_subscriber_ =
+        handle_.subscribe(names.imu, 5000, &EstimatorShell::onImu, this, ros::TransportHints().tcpNoDelay());
+  const std::string argument =
+      "the parameter image_transport, or the launch argument " + names.transport_argument + ",";
+  const auto listen = [&](const std::string& topic, bool depth, void (EstimatorShell::*callback)(const ImageMessage&)) {
+    images_.emplace_back(handle_, topic, settings.image_transport, depth, settings.queue_size, health_, argument,
+                         [this, callback](const ImageMessage& message) { (this->*callback)(message); });
+    return images_.back().topic();
+  };
+  if (!names.depth.empty()) {
+    pairer_.emplace(settings.sync_tolerance, kPatience, kTopicsInStep, static_cast<std::size_t>(settings.queue_size));
+    depth_topic_ = listen(names.depth, true, &EstimatorShell::onDepth);
+  }
+  image_topic_ = listen(names.image, false, &EstimatorShell::onImage);
+  services_ = {private_handle_.advertiseService("save_map", &EstimatorShell::saveMap, this),
+               private_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
+               private_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
+}
+
+void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
+
+void EstimatorShell::stop() {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    stop_ = true;
+  }
+  queue_changed_.notify_all();
+  if (worker_.joinable()) worker_.join();
+}
+
+// ---- Inputs
+
+void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
+  health_.received(info_topic_, msg->header.stamp);
+  std::string problem;
+  try {
+    const CameraModel camera = fromMsg(*msg);
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    calibration_ = Calibration{camera, *msg};
+  } catch (const std::exception& e) {
+    problem = e.what();
+    health_.count("camera calibrations refused: " + problem);
+  }
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    calibration_problem_ = problem;
+  }
+  queue_changed_.notify_all();
+}
+
+void EstimatorShell::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
+  health_.received(imu_topic_, msg->header.stamp);
+  const auto sample = imu_input_.read(*msg);
+  if (!sample) return;
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    if (!gate_.admit(kImu, msg->header.stamp)) return;
+    assembler_.addImu(*sample);
+    imu_frame_ = msg->header.frame_id;
+  }
+  queue_changed_.notify_all();
+}
+
+void EstimatorShell::onImage(const ImageMessage& message) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    if (!gate_.admit(kImage, message.header().stamp)) return;
+    newest_image_ = message.header().stamp;
+    if (pairer_)
+      addToPairs(message, true);
+    else
+      assembler_.addImage(message.header().stamp.toSec(), {message, {}}, now());
+    health_.count("images dropped: the queue was full", assembler_.takeOverflown());
+  }
+  queue_changed_.notify_all();
+}
+
+void EstimatorShell::onDepth(const ImageMessage& message) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    if (!gate_.admit(kDepth, message.header().stamp)) return;
+    addToPairs(message, false);
+  }
+  queue_changed_.notify_all();
+}
+
+void EstimatorShell::addToPairs(const ImageMessage& message, bool colour) {
+  const double stamp = message.header().stamp.toSec();
+  const std::size_t lost = pairer_->overflow();
+  if (colour)
+    pairer_->addColour(stamp, message, now());
+  else
+    pairer_->addDepth(stamp, message, now());
+  health_.count("images dropped: the queue was full, or out of order", pairer_->overflow() - lost);
+  movePairs();
+}
+
+void EstimatorShell::onTimeJump() {
+  ROS_WARN_STREAM("time jumped back: " << names_.subject << " starts afresh");
+  clearQueues();
+  reset_requested_ = true;
+}
+
+void EstimatorShell::clearQueues() {
+  assembler_.clear();
+  if (pairer_) pairer_->clear();
+  reported_unmatched_ = 0;
+}
+
+void EstimatorShell::movePairs() {
+  if (!pairer_) return;
+  while (pairer_->front(now())) {
+    auto pair = pairer_->take();
+    assembler_.addImage(pair.stamp, {std::move(pair.colour), std::move(pair.depth)}, now());
+  }
+  health_.count("images dropped: the queue was full", assembler_.takeOverflown());
+}
+
+void EstimatorShell::reportUnmatched() {
+  if (!pairer_ || pairer_->unmatchedColour() == reported_unmatched_) return;
+  health_.count("colour images without a depth image in time", pairer_->unmatchedColour() - reported_unmatched_);
+  reported_unmatched_ = pairer_->unmatchedColour();
+}
+
+bool EstimatorShell::frameReady() {
+  movePairs();
+  if (!calibration_) return false;
+  if (const std::size_t late = assembler_.dropLate()) {
+    health_.count("images dropped: further behind than max_latency", late);
+    ROS_WARN_STREAM_THROTTLE(10, names_.subject << " is slower than the images come: those more than "
+                                                << settings_.max_latency
+                                                << " s behind are dropped (parameter max_latency)");
+  }
+  return assembler_.ready(now());
+}
+
+EstimatorShell::Obstacle EstimatorShell::whyNotReady() const {
+  const bool waits = assembler_.waiting() > 0;
+  if (!waits && pairer_ && (pairer_->waiting() > 0 || pairer_->unmatchedColour() > reported_unmatched_)) {
+    return {"no image on " + image_topic_ + " has a depth image on " + depth_topic_ + " within " +
+                std::to_string(settings_.sync_tolerance) + " s; the last one missed by " +
+                std::to_string(pairer_->closestMiss()) + " s",
+            "synchronise the drivers, or raise the parameter sync_tolerance"};
+  }
+  if (waits && !calibration_ && !calibration_problem_.empty())
+    return {"the calibration on " + info_topic_ + " cannot be used: " + calibration_problem_,
+            "calibrate the camera and have its driver publish the result"};
+  if (waits && !calibration_)
+    return {"no calibration has come on " + info_topic_,
+            "publish sensor_msgs/CameraInfo there, or remap the topic to where it is"};
+  if (waits)
+    return {"images wait for the IMU's samples on " + imu_topic_,
+            "see whether its stamps and the images' are of one clock, or set use_imu to false"};
+  return {};
+}
+
+// ---- Worker
+
+void EstimatorShell::work() {
+  using namespace std::chrono_literals;
+  while (true) {
+    bool restart = false;
+    Obstacle obstacle;
+    ros::Time newest;
+    {
+      std::unique_lock<std::mutex> lock(queue_mutex_);
+      queue_changed_.wait_for(lock, frame_ ? 20ms : 300ms,
+                              [&] { return stop_ || reset_requested_ || (!frame_ && frameReady()); });
+      if (stop_) return;
+      restart = std::exchange(reset_requested_, false);
+      newest = newest_image_;
+      if (!restart && !frame_ && frameReady()) {
+        health_.value("lag [s]", assembler_.lag());
+        frame_ = assembler_.take();
+      } else if (!frame_) {
+        obstacle = whyNotReady();
+      }
+      reportUnmatched();
+    }
+    if (restart) {
+      frame_.reset();
+      startAfresh(false);
+    } else if (frame_) {
+      try {
+        attempt(*frame_);
+      } catch (const std::exception& e) {
+        health_.count(std::string("images refused: ") + e.what());
+        health_.withheld(std::string("images are refused: ") + e.what());
+        frame_.reset();
+      }
+    } else if (!obstacle.reason.empty()) {
+      tellObstacle(obstacle, newest);
+    } else {
+      const std::lock_guard<std::mutex> lock(estimator_mutex_);
+      if (estimator_.exists()) estimator_.idle();
+    }
+  }
+}
+
+/// Frees `frame_` unless its image is to wait for its mounting.
+void EstimatorShell::attempt(Assembler::Frame& waiting) {
+  EstimatorFrame frame;
+  ImagePair& pair = waiting.image;
+  frame.image = pair.image.pixels();
+  pair.image = {frame.image, nullptr};  // once
+  frame.stamp = frame.image->header.stamp;
+  const Obstacle obstacle = prepare(*frame.image, !waiting.imu.empty());
+  if (!obstacle.reason.empty()) {
+    tellObstacle(obstacle, frame.stamp);
+    if (now() - waiting.arrival < settings_.transform_timeout) return;
+    health_.count("images without " + obstacle.lacking);
+    frame_.reset();
+    return;
+  }
+  if (pairer_) frame.depth = pair.depth.pixels();
+  const std::deque<ImuInput::Sample> imu = std::move(waiting.imu);
+  frame_.reset();
+  obstructed_since_ = -1;
+  step(frame, imu);
+}
+
+/// Makes the estimator once calibration and mountings are known, and anew when the calibration changes or an IMU turns
+/// up. Returns what is lacking while there is none.
+EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image, bool with_imu_samples) {
+  Calibration calibration;
+  std::string imu_frame = settings_.imu_frame;
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    calibration = *calibration_;
+    if (imu_frame.empty()) imu_frame = imu_frame_;
+  }
+  const std::lock_guard<std::mutex> lock(estimator_mutex_);
+  imu_seen_ = imu_seen_ || with_imu_samples;
+  const bool imu_wanted = settings_.use_imu && imu_seen_;
+  const bool changed = estimator_.exists() && recalibrated(built_, calibration, image);
+  if (estimator_.exists() && !changed && (with_imu_ || !imu_wanted)) return {};
+  std::string why;
+  const std::string camera_frame = ros_utils::cameraFrame(settings_.camera_frame, calibration, image);
+  const auto T_base_camera = mountings_.lookup(settings_.T_base_camera, camera_frame, "camera", &why);
+  if (!T_base_camera) return {why, "", "the mounting of the camera (tf, or parameter base_camera)"};
+  std::optional<Pose> T_base_imu;
+  if (imu_wanted) T_base_imu = mountings_.lookup(settings_.T_base_imu, imu_frame, "imu", &why);
+  if (imu_wanted && !T_base_imu) {
+    const std::string lacking = "the mounting of the imu (tf, or parameter base_imu)";
+    if (!estimator_.exists()) return {why + ", or use_imu to false", "", lacking};
+    health_.count("images without " + lacking);  // the map goes on without it until it is known
+    if (!changed) return {};
+  }
+  if (estimator_.exists()) {
+    ROS_WARN_STREAM((changed ? "the camera's calibration has changed" : "an IMU has turned up")
+                    << ": a new map begins");
+    map_id_offset_ += estimator_.mapId();
+    estimator_.drop();
+    estimator_.forgetMap();
+  }
+  if (settings_.use_imu && !T_base_imu)
+    ROS_WARN_STREAM("no IMU on " << imu_topic_ << ": " << names_.subject << " " << names_.without_imu);
+  built_ = calibration;
+  camera_frame_ = camera_frame;
+  with_imu_ = T_base_imu.has_value();
+  estimator_.make(calibration.camera, *T_base_camera, T_base_imu);
+  return {};
+}
+
+void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu) {
+  const std::lock_guard<std::mutex> lock(estimator_mutex_);
+  if (!estimator_.exists()) return;  // reset meanwhile
+  if (frame.stamp <= last_stamp_) {
+    health_.count("images refused: stamp not later than the last one's");
+    return;
+  }
+  for (const ImuInput::Sample& sample : imu)
+    if (with_imu_ && !estimator_.addImu(sample))
+      health_.count("IMU samples refused: stamp not later than the last one's");
+  last_stamp_ = frame.stamp;
+  EstimatorResult result = estimator_.process(frame);
+  air_ground::VoStatus& status = result.status;
+  status.header.stamp = frame.stamp;
+  status.header.frame_id = settings_.map_frame;
+  status.map_id = mapId();
+  health_.state(status.state == air_ground::VoStatus::STATE_TRACKING ? kOk : kWarn,
+                nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason) + ", " +
+                    std::to_string(status.inliers) + " landmarks in view" +
+                    (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
+  if (result.pose_published)
+    health_.published();
+  else
+    health_.withheld(nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason), result.advice);
+  status_publisher_.publish(status);
+  result.publish();
+}
+
+/// A status says so, too, unless there are others or it is only a matter of time: topics have no order between them.
+void EstimatorShell::tellObstacle(const Obstacle& obstacle, const ros::Time& stamp) {
+  health_.withheld(obstacle.reason, obstacle.advice);
+  const std::lock_guard<std::mutex> lock(estimator_mutex_);
+  if (estimator_.exists()) return;
+  health_.state(kWarn, "waiting: " + obstacle.reason);
+  const double t = now();
+  if (obstructed_since_ < 0) obstructed_since_ = t;
+  if (t - obstructed_since_ < kPatience || t - obstacle_told_ < kPatience) return;
+  obstacle_told_ = t;
+  air_ground::VoStatus status;
+  status.header.stamp = stamp;
+  status.header.frame_id = settings_.map_frame;
+  status.state = air_ground::VoStatus::STATE_WAITING;
+  status.reason = obstacle.reason;
+  status.map_id = mapId();
+  status_publisher_.publish(status);
+}
+
+/// `anew`: calibration and mountings are read again, too.
+void EstimatorShell::startAfresh(bool anew) {
+  const std::lock_guard<std::mutex> lock(estimator_mutex_);
+  if (estimator_.exists() && anew) {
+    map_id_offset_ += estimator_.mapId();
+    estimator_.drop();
+  } else if (estimator_.exists()) {
+    estimator_.reset();
+  }
+  imu_input_.reset();
+  if (anew) imu_seen_ = false;
+  estimator_.forgetMap();
+  last_stamp_ = ros::Time();
+  health_.state(kWarn, "started afresh: waiting for images");
+}
+
+}  // namespace air_ground_common::ros_utils

@@ -1,0 +1,120 @@
+"""Which topic of a bag is which input, by types and names; and the launch command that says so."""
+import os
+import shlex
+
+from .bag_reader import POSE_TYPES
+
+# standard topic -> argument of the launch files
+ARGUMENTS = {
+    '/mav/camera/image_raw': 'mav_image', '/mav/camera/camera_info': 'mav_camera_info', '/mav/imu/data': 'mav_imu', '/ground_truth/mav': 'mav_truth',
+    '/ground/rgb/image_raw': 'ground_image', '/ground/rgb/camera_info': 'ground_camera_info', '/ground/depth/image_raw': 'ground_depth',
+    '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
+    '/barometer': 'barometer_pressure'}
+MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly')
+GROUND_WORDS = ('ground', 'ugv', 'rover', 'robot', 'kinect', 'realsense')
+TRANSPORTS = ('compressed', 'compressedDepth')
+
+
+def raw_name(topic):
+    """The image topic that a compressed one belongs to."""
+    parent, _, last = topic.rpartition('/')
+    return parent if last in TRANSPORTS else topic
+
+
+def image_topics(facts):
+    """Image topics, raw or compressed, under the raw name."""
+    return sorted({raw_name(t) for t in facts.of_type('sensor_msgs/Image', 'sensor_msgs/CompressedImage')})
+
+
+def transport(facts, topic):
+    """'raw', 'compressed' or None, as an image topic is in the bag."""
+    if facts.types.get(topic) == 'sensor_msgs/Image':
+        return 'raw'
+    return 'compressed' if any(f'{topic}/{kind}' in facts.types for kind in TRANSPORTS) else None
+
+
+def _common(a, b):
+    """How many words of two topics agree from the front."""
+    count = 0
+    for x, y in zip(a.strip('/').split('/'), b.strip('/').split('/')):
+        if x != y:
+            break
+        count += 1
+    return count
+
+
+def _has(topic, words):
+    return any(word in topic.lower() for word in words)
+
+
+def _best(topics, score):
+    """The topic of the highest score, the first by name of several; None without."""
+    return max(sorted(topics, reverse=True), key=score, default=None)
+
+
+def guess(facts, city=False):
+    """standard topic -> topic of the bag, for those that can be told; a standard topic that is there stays."""
+    names = {standard: standard for standard in ARGUMENTS if standard in facts.types or transport(facts, standard)}
+    images = [t for t in image_topics(facts) if t not in names.values()]
+    depths = [t for t in images if 'depth' in t.lower()]
+    taken = set(names.values())
+
+    def choose(standard, topics, score):
+        if standard not in names:
+            topic = _best([t for t in topics if t not in taken], score)
+            if topic is not None:
+                names[standard] = topic
+                taken.add(topic)
+        return names.get(standard)
+
+    if not city:
+        depth = choose('/ground/depth/image_raw', depths, lambda t: (_has(t, GROUND_WORDS), _has(t, ('aligned', 'registered')), 'raw' in t))
+        if depth is not None:
+            choose('/ground/rgb/image_raw', [t for t in images if t not in depths and not _has(t, MAV_WORDS) and 'infra' not in t],
+                   lambda t: (_has(t, GROUND_WORDS), _has(t, ('rgb', 'color', 'colour')), _common(t, depth), 'raw' in t))
+    choose('/mav/camera/image_raw', [t for t in images if t not in depths and not _has(t, GROUND_WORDS)],
+           lambda t: (_has(t, MAV_WORDS), _has(t, ('cam0', 'left', 'mono', 'gray', 'grey')), not _has(t, ('cam1', 'right', 'rect')), 'raw' in t))
+    for robot, camera, own, other in (('mav', '/mav/camera/image_raw', MAV_WORDS, GROUND_WORDS), ('ground', '/ground/rgb/image_raw', GROUND_WORDS, MAV_WORDS)):
+        image = names.get(camera)
+        if image is None:
+            continue
+        parent = image.rsplit('/', 1)[0]
+        choose(camera.replace('image_raw', 'camera_info'), [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rsplit('/', 1)[0] == parent], lambda t: 0)
+        choose(f'/{robot}/imu/data', [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)],
+               lambda t, image=image, own=own: (_has(t, own), _common(t, image), 'raw' not in t))
+        choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if _has(t, ('truth', 'gt', 'vicon', 'mocap', 'leica', 'optitrack')) and not _has(t, other)],
+               lambda t, own=own: _has(t, own))
+    if city:
+        for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
+            choose(standard, facts.of_type(kind), lambda t: _has(t, MAV_WORDS))
+    return names
+
+
+def guess_base(facts, robot, frame):
+    """The body frame that /tf_static connects with a sensor's frame: <robot>_base_link, another base_link, else the root. None without."""
+    parents = {child: parent for parent, child in facts.edges}
+    chain = [frame]
+    while chain[-1] in parents and len(chain) < 100:
+        chain.append(parents[chain[-1]])
+    if len(chain) == 1 and chain[0] not in parents.values():
+        return None
+    return next((f for f in chain if f == f'{robot}_base_link'), None) or next((f for f in chain if 'base' in f or 'body' in f), chain[-1])
+
+
+def command(facts, names, bases, frames, city=False):
+    """The roslaunch command for this bag. bases: robot -> body frame; frames: robot -> its images' frame."""
+    robots = [robot for robot, image in (('mav', '/mav/camera/image_raw'), ('ground', '/ground/rgb/image_raw')) if image in names]
+    words = ['roslaunch', 'air_ground', 'city.launch' if city else 'replay.launch', f'bag:={os.path.abspath(facts.path)}']
+    words += ['db:=CITY.gpkg', 'world_config:=WORLD.yaml'] if city else []
+    words += [f'{ARGUMENTS[standard]}:={topic}' for standard, topic in names.items() if topic != standard]
+    for robot in robots:
+        image = names[f'/{robot}/camera/image_raw' if robot == 'mav' else '/ground/rgb/image_raw']
+        words += [f'{robot}_image_transport:=compressed'] if transport(facts, image) == 'compressed' else []
+        words += [f'{robot}_base_frame:={bases[robot]}'] if bases.get(robot, f'{robot}_base_link') != f'{robot}_base_link' else []
+        default = f'{robot}_camera_optical_frame'
+        words += [f'{robot}_camera_frame:={frames[robot]}'] if not city and frames.get(robot, default) != default else []
+    if not city:
+        words += [] if 'mav' in robots else ['mav_vo:=false', 'dense_fusion:=false']
+        words += [] if 'ground' in robots else ['rgbd_slam:=false']
+        words += [] if len(robots) == 2 else ['heightmap_mcl:=false', 'icp_refine:=false']
+    return ' '.join(shlex.quote(word) for word in words)

@@ -1,0 +1,46 @@
+// Which way is up at a time: from the poses of the odometry or, where they are absent, from the accelerometer.
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+
+#include "air_ground_common/geometry.h"
+#include "air_ground_common/stamped_buffer.h"
+
+namespace ekf_tracker {
+
+/// Roll and pitch alone of R_level_body, whose heading is taken out.
+Eigen::Matrix3d tiltOf(const Eigen::Matrix3d& R_level_body);
+
+/// Not thread-safe. Stamps in seconds.
+class TiltSource {
+ public:
+  /// Pose of the body in a level frame. A stamp more than a second before the newest begins afresh, another that is not
+  /// later is left out.
+  void addPose(double stamp, const air_ground_common::Pose& T_map_base);
+  /// Specific force in the body's axes [m/s^2]; a low-pass of one second lets flight accelerations average out.
+  void addSpecificForce(double stamp, const Eigen::Vector3d& force_base);
+
+  /// The odometry's pose of this stamp, or the nearest within the tolerance [s].
+  std::optional<air_ground_common::Pose> poseAt(double stamp, double tolerance = kSameStamp) const;
+  /// Of the odometry [s]; minus infinity without any.
+  double newestPose() const { return poses_.newest(); }
+  /// R_level_body by the accelerometer.
+  std::optional<Eigen::Matrix3d> accelerometerTiltAt(double stamp) const;
+
+  void clear();
+
+  static constexpr double kSameStamp = 1e-3;  ///< [s]
+
+ private:
+  static constexpr double kKept = 30;            // [s]
+  static constexpr double kTiltInterval = 0.02;  // of the accelerometer's tilts kept [s]
+  static constexpr double kTiltTolerance = 0.2;  // [s]
+
+  air_ground_common::StampedBuffer<air_ground_common::Pose> poses_{kKept};
+  air_ground_common::StampedBuffer<Eigen::Vector3d> ups_{kKept};  ///< specific force in the body, smoothed
+  Eigen::Vector3d up_base_ = Eigen::Vector3d::Zero();
+  std::optional<double> up_stamp_;
+};
+
+}  // namespace ekf_tracker

@@ -1,0 +1,123 @@
+#include "sensor_bridge.h"
+
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "air_ground_common/ros/conversions.h"
+#include "ekf_tracker/sensors.h"
+#include "ekf_tracker/tilt_source.h"
+
+namespace ekf_tracker {
+namespace {
+
+using air_ground_common::Pose;
+namespace ru = air_ground_common::ros_utils;
+
+// Time that ran back passes.
+bool tooSoon(double stamp, double interval, const std::optional<double>& last) {
+  return last && stamp >= *last && stamp - *last < interval - TiltSource::kSameStamp;
+}
+
+}  // namespace
+
+const char* nameOf(Source source) {
+  switch (source) {
+    case Source::kFix:
+      return "fix";
+    case Source::kHeading:
+      return "magnetometer reading";
+    case Source::kGps:
+      return "GPS position";
+    case Source::kBarometer:
+      return "barometer reading";
+  }
+  return "";
+}
+
+Measurement SensorBridge::fix(const geometry_msgs::PoseWithCovarianceStamped& msg) const {
+  Measurement m;
+  m.stamp = msg.header.stamp.toSec();
+  try {
+    const Pose T = ru::fromMsg(msg.pose.pose);
+    m.value << T.translation(), air_ground_common::yawOf(T.linear());
+  } catch (const std::invalid_argument&) {
+    m.value.setConstant(std::numeric_limits<double>::quiet_NaN());
+  }
+  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> c(msg.pose.covariance.data());
+  const int rows[4] = {0, 1, 2, 5};
+  for (int i = 0; i < 4; ++i)
+    for (int j = 0; j < 4; ++j) m.covariance(i, j) = c(rows[i], rows[j]);
+  return m;
+}
+
+std::optional<Measurement> SensorBridge::gps(const sensor_msgs::NavSatFix& msg) {
+  if (msg.status.status < sensor_msgs::NavSatStatus::STATUS_FIX) throw std::invalid_argument("the receiver has no fix");
+  Measurement m;
+  m.source = Source::kGps;
+  m.stamp = msg.header.stamp.toSec();
+  if (tooSoon(m.stamp, settings_.gps_interval, last_gps_)) return std::nullopt;
+  m.value.head<3>() = frame_->fromGeodetic({msg.latitude, msg.longitude, msg.altitude - settings_.geoid_undulation});
+  const bool stated = msg.position_covariance_type != sensor_msgs::NavSatFix::COVARIANCE_TYPE_UNKNOWN;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      const double variance = msg.position_covariance[static_cast<std::size_t>(3 * i + j)];
+      m.covariance(i, j) = stated ? std::pow(settings_.gps_inflation, 2) * variance : 0;
+    }
+    m.covariance(i, i) = std::max(m.covariance(i, i), std::pow(settings_.gps_stddev[static_cast<std::size_t>(i)], 2));
+  }
+  last_gps_ = m.stamp;
+  return m;
+}
+
+std::optional<Measurement> SensorBridge::pressure(const sensor_msgs::FluidPressure& msg) {
+  Measurement m;
+  m.source = Source::kBarometer;
+  m.stamp = msg.header.stamp.toSec();
+  if (tooSoon(m.stamp, settings_.barometer_interval, last_barometer_)) return std::nullopt;
+  const auto height = heightFromPressure(msg.fluid_pressure);
+  if (!height) throw std::invalid_argument("not between 20 and 120 kPa (the unit is Pa)");
+  m.value[0] = *height;
+  m.covariance(0, 0) = std::pow(settings_.barometer_stddev, 2);
+  last_barometer_ = m.stamp;
+  return m;
+}
+
+bool SensorBridge::takesField(const sensor_msgs::MagneticField& msg) {
+  const double stamp = msg.header.stamp.toSec();
+  if (tooSoon(stamp, settings_.magnetometer_interval, last_magnetometer_)) return false;
+  last_magnetometer_ = stamp;
+  return true;
+}
+
+Measurement SensorBridge::heading(const sensor_msgs::MagneticField& msg, const Eigen::Matrix3d& R_base_sensor,
+                                  const Eigen::Matrix3d& R_level_base) const {
+  const Eigen::Vector3d field(msg.magnetic_field.x, msg.magnetic_field.y, msg.magnetic_field.z);
+  const auto yaw = yawFromMagneticField(R_base_sensor * field, R_level_base, settings_.declination);
+  if (!yaw) throw std::invalid_argument("no usable horizontal field");
+  Measurement m;
+  m.source = Source::kHeading;
+  m.stamp = msg.header.stamp.toSec();
+  m.value[0] = *yaw;
+  m.covariance(0, 0) = std::pow(settings_.magnetometer_stddev, 2);
+  return m;
+}
+
+Increment SensorBridge::increment(const air_ground::VoIncrement& msg,
+                                  const std::optional<Eigen::Matrix3d>& R_level_base) const {
+  const Pose T_previous_current = ru::fromMsg(msg.relative_pose);
+  const Eigen::Matrix3d R_level_previous = settings_.level_increments && R_level_base
+                                               ? tiltOf(*R_level_base * T_previous_current.linear().transpose())
+                                               : Eigen::Matrix3d::Identity();
+  const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> covariance(msg.covariance.data());
+  Increment increment = levelIncrement(T_previous_current, covariance, R_level_previous);
+  increment.previous_stamp = msg.previous_stamp.toSec();
+  increment.stamp = msg.header.stamp.toSec();
+  increment.metric = msg.metric;
+  increment.map_id = msg.map_id;
+  if (msg.metric && std::isfinite(msg.scale_variance) && msg.scale_variance > 0)
+    increment.scale_stddev = std::sqrt(msg.scale_variance);
+  return increment;
+}
+
+}  // namespace ekf_tracker

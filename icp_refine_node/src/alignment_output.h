@@ -1,0 +1,45 @@
+// What the node says about the alignment: alignment/refined, and the edge between both maps on tf.
+#pragma once
+
+#include <air_ground/AlignmentEstimate.h>
+#include <ros/ros.h>
+#include <tf2_ros/transform_broadcaster.h>
+
+#include <mutex>
+#include <optional>
+
+#include "air_ground_common/ros/health.h"
+#include "node_parameters.h"
+
+namespace icp_refine {
+
+/// Thread-safe.
+class AlignmentOutput {
+ public:
+  AlignmentOutput(const NodeSettings& settings, air_ground_common::ros_utils::NodeHealth& health);
+
+  /// Publishes the outcome. `tracking`: an outcome that is not CONVERGED leaves the transform on tf as it is.
+  void publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking);
+  /// Where the MAV is in mav_map, to which tf is true; without it, the centre of the overlap.
+  void setPosition(const std::optional<Eigen::Vector3d>& p_mav_map);
+  /// Nothing on tf until the next CONVERGED.
+  void drop();
+  /// tf cannot carry a scale: the edge has the alignment's rotation, and the translation that puts the MAV where it is.
+  void publishTf();
+  /// Resolved name of alignment/refined.
+  std::string topic() const { return refined_publisher_.getTopic(); }
+
+ private:
+  const NodeSettings& settings_;
+  air_ground_common::ros_utils::NodeHealth& health_;
+  ros::Publisher refined_publisher_;
+  tf2_ros::TransformBroadcaster broadcaster_;
+  std::mutex mutex_;
+  std::optional<Similarity> T_ground_mav_;
+  Eigen::Vector3d overlap_ = Eigen::Vector3d::Zero();  // its centre in mav_map
+  std::optional<Eigen::Vector3d> position_;
+  ros::Time last_tf_;
+  std::uint8_t last_status_ = 255;
+};
+
+}  // namespace icp_refine

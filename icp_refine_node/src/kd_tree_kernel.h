@@ -1,0 +1,29 @@
+// Searches in a kd-tree on plain arrays; vectorised per CPU generation at run time (target_clones).
+#pragma once
+
+#include <cstdint>
+
+namespace icp_refine::kernel {
+
+constexpr int kLeaf = 16;  // points a leaf: one or two vectors of distances
+
+/// A tree over leaves [0, leaves). The part [begin, end) of them is split at the leaf middle = (begin + end) / 2:
+/// points of the leaves before it lie at or below split[middle] along axis[middle], the others at or above it.
+struct TreeView {
+  const float* coordinates;   ///< [leaf][dimension][kLeaf]; places beyond the last point are infinitely far away
+  const std::int32_t* index;  ///< [leaf][kLeaf]: of the point in the cloud
+  const std::int32_t* axis;   ///< [leaf]
+  const float* split;         ///< [leaf]
+  int leaves;
+};
+
+/// Index of the nearest of the points whose squared distance is below `squared`, which becomes its squared distance; -1
+/// when there is none. `query` has 3 or 6 numbers.
+int nearest3(const TreeView& tree, const float* query, float* squared);
+int nearest6(const TreeView& tree, const float* query, float* squared);
+
+/// Up to k nearest points whose squared distance is below `squared_limit`, nearest first; returns how many.
+int nearestK3(const TreeView& tree, const float* query, int k, float squared_limit, std::int32_t* indices,
+              float* squared);
+
+}  // namespace icp_refine::kernel

@@ -1,0 +1,167 @@
+#include "refine_worker.h"
+
+#include <sensor_msgs/PointCloud2.h>
+
+namespace icp_refine {
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+
+Cloud positionsOf(const std::vector<CloudPoint>& points) {
+  Cloud cloud;
+  cloud.points.reserve(points.size());
+  for (const auto& p : points) cloud.points.push_back(p.position);
+  return cloud;
+}
+
+std::chrono::steady_clock::duration secondsOf(double seconds) {
+  return std::chrono::duration_cast<std::chrono::steady_clock::duration>(std::chrono::duration<double>(seconds));
+}
+
+}  // namespace
+
+RefineWorker::RefineWorker(const NodeSettings& settings, IcpChain chain, AlignmentOutput& output,
+                           ros_utils::NodeHealth& health)
+    : settings_(settings),
+      output_(output),
+      health_(health),
+      refiner_(std::move(chain), settings.refiner),
+      map_(settings.map) {
+  map_publisher_ = ros::NodeHandle().advertise<sensor_msgs::PointCloud2>(
+      "augmented_map", 1,
+      [this](const ros::SingleSubscriberPublisher&) { post([](Inbox& inbox) { inbox.map_subscriber = true; }); }, {},
+      {}, true);
+  thread_ = std::thread([this] { work(); });
+}
+
+RefineWorker::~RefineWorker() {
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    stop_ = true;
+  }
+  wake_.notify_all();
+  thread_.join();
+}
+
+void RefineWorker::post(const std::function<void(Inbox&)>& change) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  change(inbox_);
+  // Each cloud is some hundred kilobytes: a worker that cannot keep up loses the oldest.
+  while (inbox_.aerial.size() > static_cast<std::size_t>(settings_.queue_size)) {
+    inbox_.aerial.pop_front();
+    health_.count("dense clouds dropped: refinement does not keep up");
+  }
+  wake_.notify_all();
+}
+
+void RefineWorker::setMapId(std::uint32_t map_id) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  map_id_ = map_id;
+}
+
+std::pair<std::vector<CloudPoint>, bool> RefineWorker::map() {
+  std::lock_guard<std::mutex> lock(map_mutex_);
+  return {map_.points(), map_.aligned()};
+}
+
+void RefineWorker::work() {
+  auto next = Clock::now();
+  bool pending = false;  // data came in since the last refinement
+  while (true) {
+    Inbox inbox;
+    {
+      std::unique_lock<std::mutex> lock(mutex_);
+      const auto ready = [this] { return stop_ || inbox_.any(); };
+      const bool publish = map_due_ && map_publisher_.getNumSubscribers() > 0;
+      if (pending || publish) {
+        wake_.wait_until(lock, pending ? next : map_time_, ready);
+      } else {
+        wake_.wait(lock, ready);
+      }
+      if (stop_) return;
+      std::swap(inbox, inbox_);
+    }
+    try {
+      pending |= use(inbox);
+      publishMapWhenDue();
+      if (!pending || Clock::now() < next) continue;
+      pending = false;
+      refine();
+      next = Clock::now() + secondsOf(settings_.min_period);
+    } catch (const std::exception& e) {
+      health_.count(std::string("failed refinements: ") + e.what());
+      pending = false;
+    }
+  }
+}
+
+// True when there is something new to refine.
+bool RefineWorker::use(Inbox& inbox) {
+  std::lock_guard<std::mutex> lock(map_mutex_);
+  if (inbox.reset || inbox.new_map) {
+    refiner_.startMap();
+    map_.clearAerial();
+  }
+  if (inbox.reset || inbox.new_ground) {
+    refiner_.startGround();
+    map_.clearGround();
+  }
+  if (inbox.forgets()) dropMapPose();
+  if (inbox.ground) {
+    refiner_.setGround(positionsOf(*inbox.ground));
+    map_.setGround(std::move(*inbox.ground));
+  }
+  for (const auto& aerial : inbox.aerial) {
+    map_.addAerial(aerial.points);
+    refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), positionsOf(aerial.points));
+  }
+  if (inbox.scale_deviation) refiner_.setScaleDeviation(*inbox.scale_deviation);
+  if (inbox.coarse) refiner_.setCoarse(*inbox.coarse);
+  if (inbox.manual) refiner_.setManual(*inbox.manual);
+  map_due_ |= inbox.ground && map_.aligned();
+  // While tracking, the next aerial cloud is soon enough: a new ground map alone would only cost its normals.
+  const bool wanted = (inbox.coarse || inbox.ground) && !refiner_.tracking();
+  return inbox.refine || !inbox.aerial.empty() || inbox.manual || wanted;
+}
+
+void RefineWorker::refine() {
+  const auto start = Clock::now();
+  const RefineOutcome out = refiner_.refine();
+  health_.timing("refine", std::chrono::duration<double>(Clock::now() - start).count());
+  {
+    // Locked: nothing of the time before a reset goes out after it.
+    std::lock_guard<std::mutex> lock(mutex_);
+    if (inbox_.forgets()) return;  // it is about a map that has ended
+    output_.publish(out, map_id_, refiner_.tracking());
+  }
+  {
+    std::lock_guard<std::mutex> lock(map_mutex_);
+    if (out.status == RefineStatus::kConverged) {
+      map_.align(out.T_ground_map_mav_map);
+      map_stamp_ = ros::Time().fromNSec(static_cast<std::uint64_t>(out.stamp));
+      map_due_ = true;
+    } else if (!refiner_.tracking()) {
+      dropMapPose();
+    }
+  }
+  publishMapWhenDue();
+}
+
+// map_mutex_ held. The map that stays is the ground robot's alone.
+void RefineWorker::dropMapPose() {
+  map_due_ |= map_.aligned();
+  map_.align(std::nullopt);
+}
+
+// At most once a period, and once more after the last refinement. Without subscribers it stays due.
+void RefineWorker::publishMapWhenDue() {
+  if (!map_due_ || Clock::now() < map_time_ || map_publisher_.getNumSubscribers() == 0) return;
+  std_msgs::Header header;
+  header.stamp = map_stamp_;
+  header.frame_id = settings_.ground_map_frame;
+  map_publisher_.publish(ros_utils::toMsg(map().first, ros_utils::CloudFields::kXyzRgbSource, header));
+  map_due_ = false;
+  map_time_ = Clock::now() + secondsOf(settings_.map_period);
+}
+
+}  // namespace icp_refine

@@ -1,0 +1,80 @@
+// The thread that refines, and makes the augmented map: callbacks hand it what has come and go on.
+#pragma once
+
+#include <ros/ros.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <vector>
+
+#include "air_ground_common/ros/conversions.h"
+#include "alignment_output.h"
+
+namespace icp_refine {
+
+using air_ground_common::ros_utils::CloudPoint;
+
+struct AerialCloud {
+  ros::Time stamp;
+  std::vector<CloudPoint> points;
+};
+
+/// What has come since the worker looked last.
+struct Inbox {
+  bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
+  std::optional<std::vector<CloudPoint>> ground;
+  std::deque<AerialCloud> aerial;
+  std::optional<Pose> coarse, manual;
+  std::optional<double> scale_deviation;  ///< relative, as the odometry states it
+  bool any() const { return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual; }
+  bool forgets() const { return reset || new_map || new_ground; }
+};
+
+class RefineWorker {
+ public:
+  RefineWorker(const NodeSettings& settings, IcpChain chain, AlignmentOutput& output,
+               air_ground_common::ros_utils::NodeHealth& health);
+  ~RefineWorker();
+
+  /// Runs `change` on the inbox, and wakes the worker. No outcome of what `change` makes it forget is published after.
+  void post(const std::function<void(Inbox&)>& change);
+  /// The MAV's map that outcomes are of from now on.
+  void setMapId(std::uint32_t map_id);
+  /// A copy of the augmented map; second: whether the aerial points are in it.
+  std::pair<std::vector<CloudPoint>, bool> map();
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  void work();
+  bool use(Inbox& inbox);
+  void refine();
+  void dropMapPose();
+  void publishMapWhenDue();
+
+  const NodeSettings& settings_;
+  AlignmentOutput& output_;
+  air_ground_common::ros_utils::NodeHealth& health_;
+  AlignmentRefiner refiner_;  // worker alone
+
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  Inbox inbox_;
+  bool stop_ = false;
+  std::uint32_t map_id_ = 0;
+
+  std::mutex map_mutex_;
+  AugmentedMap map_;
+  bool map_due_ = false;  // worker alone, as the next two
+  Clock::time_point map_time_;
+  ros::Time map_stamp_;
+  ros::Publisher map_publisher_;
+  std::thread thread_;
+};
+
+}  // namespace icp_refine

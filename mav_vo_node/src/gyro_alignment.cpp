@@ -1,0 +1,299 @@
+#include "mav_vo/gyro_alignment.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "air_ground_common/geometry.h"
+#include "visual_frontend/feature_tracker.h"
+
+namespace mav_vo {
+
+using air_ground_common::expSO3;
+using air_ground_common::rightJacobianSO3;
+
+namespace {
+
+constexpr double kLossWidth = 2.5;        // Cauchy, in sigmas
+constexpr double kExactOffset = 1e-6;     // standard deviation of a time offset that is not estimated [s]
+constexpr double kNormalMedian = 0.6745;  // of |x|, x standard normal
+constexpr double kMinNoise = 0.3;         // of a track, in sigmas: what is believed at best
+constexpr double kTrackCorrelation = 10;  // tracks of a pair over those that err on their own
+constexpr double kShare = 1.0 / 3;        // of a pair's information: the pairs of the three spans overlap
+constexpr double kOpenOffset = 0.01;      // of a less certain offset other minima are looked for [s]
+constexpr double kSearchInterval = 0.5;   // between such searches [s]
+constexpr double kRoughBias = 0.02;       // a less certain bias is solved for with a loss that narrows [rad/s]
+constexpr int kIterations = 4;            // from the last estimate
+constexpr int kStartIterations = 14;      // while the bias may be anything, with a loss that narrows
+
+/// Rotation between two times of the gyro's clock and its derivatives.
+struct Turn {
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();      ///< R_begin_end of the IMU
+  Eigen::Matrix3d by_bias = Eigen::Matrix3d::Zero();    ///< right-multiplied rotation by bias
+  Eigen::Vector3d by_offset = Eigen::Vector3d::Zero();  ///< by a shift of both ends [rad/s]
+};
+
+std::optional<Turn> integrateTurn(const ImuBuffer& imu, double begin, double end, const Eigen::Vector3d& bias) {
+  const auto samples = samplesBetween(imu, begin, end);
+  if (samples.size() < 2) return std::nullopt;
+  Turn turn;
+  for (std::size_t i = 1; i < samples.size(); ++i) {
+    const double dt = samples[i].stamp - samples[i - 1].stamp;
+    if (!(dt > 0)) continue;
+    const Eigen::Vector3d w = (0.5 * (samples[i - 1].angular_velocity + samples[i].angular_velocity) - bias) * dt;
+    const Eigen::Matrix3d step = expSO3(w);
+    turn.by_bias = step.transpose() * turn.by_bias - rightJacobianSO3(w) * dt;
+    turn.R = turn.R * step;
+  }
+  turn.by_offset =
+      (samples.back().angular_velocity - bias) - turn.R.transpose() * (samples.front().angular_velocity - bias);
+  return turn;
+}
+
+Eigen::Matrix<double, 3, 2> tangent(const Eigen::Vector3d& t) {
+  Eigen::Matrix<double, 3, 2> B;
+  B.col(0) = t.unitOrthogonal();
+  B.col(1) = t.cross(B.col(0));
+  return B;
+}
+
+/// Signed epipolar error of a pair of rays in sigmas (Sampson).
+double sampson(const Eigen::Vector3d& t, const Eigen::Vector3d& a, const Eigen::Vector3d& Rb,
+               const Eigen::Matrix3d& R_b_a, double sigma, double* weight) {
+  const Eigen::Vector3d line_a = t.cross(Rb), line_b = R_b_a * t.cross(a);
+  *weight = 1 / (sigma * std::max(1e-9, std::sqrt(line_a.head<2>().squaredNorm() + line_b.head<2>().squaredNorm())));
+  return *weight * t.dot(a.cross(Rb));
+}
+
+}  // namespace
+
+GyroAlignment::GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoise& noise,
+                             const Eigen::Matrix3d& R_camera_imu, double sigma)
+    : settings_(settings), noise_(noise), R_camera_imu_(R_camera_imu), sigma_(sigma) {
+  reset();
+}
+
+void GyroAlignment::reset() {
+  dropImages();
+  const double offset_stddev = settings_.time_offset_stddev > 0 ? settings_.time_offset_stddev : kExactOffset;
+  x_ << 0, 0, 0, settings_.time_offset;
+  prior_mean_ = x_;
+  Vector4 variance;
+  variance << Eigen::Vector3d::Constant(settings_.bias_stddev * settings_.bias_stddev), offset_stddev * offset_stddev;
+  covariance_ = variance.asDiagonal();
+  prior_ = variance.cwiseInverse().asDiagonal();
+  misfit_ = 0;
+}
+
+void GyroAlignment::dropImages() {
+  pairs_.clear();
+  chain_end_ = {};
+  last_view_ = last_search_ = -1;
+  prior_mean_ = x_;
+  if (covariance_.diagonal().minCoeff() > 0) prior_ = covariance_.inverse();
+}
+
+void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
+  x_.head<3>() = bias;
+  prior_mean_ = x_;
+  covariance_.topLeftCorner<3, 3>() = Eigen::Matrix3d::Identity() * stddev * stddev;
+  covariance_.topRightCorner<3, 1>().setZero();
+  covariance_.bottomLeftCorner<1, 3>().setZero();
+  prior_ = covariance_.inverse();
+  pairs_.clear();  // what they say of the offset is in the covariance
+}
+
+double GyroAlignment::biasStddev() const { return std::sqrt(covariance_.diagonal().head<3>().maxCoeff()); }
+double GyroAlignment::timeOffsetStddev() const { return std::sqrt(covariance_(3, 3)); }
+
+bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature>& features, const ImuBuffer& imu) {
+  if (last_view_ >= 0 && stamp - last_view_ < settings_.view_interval) return false;
+  const double elapsed = last_view_ >= 0 ? stamp - last_view_ : 0;
+  last_view_ = stamp;
+  auto view = std::make_shared<View>();
+  view->stamp = stamp;
+  for (const auto& f : features) view->rays[f.id] = f.normalized;
+  // What was known grows old.
+  Matrix4 walk = Matrix4::Zero();
+  walk.diagonal() << Eigen::Vector3d::Constant(noise_.gyro_bias_walk * noise_.gyro_bias_walk),
+      settings_.time_offset_stddev > 0 ? settings_.time_offset_walk * settings_.time_offset_walk : 0;
+  prior_ = (Matrix4(prior_.inverse()) + elapsed * walk).inverse();
+
+  const std::size_t before = pairs_.size();
+  addPairs(view);
+  if (pairs_.size() == before) return false;
+  retire(stamp - settings_.window, imu);
+  const bool offset_open = settings_.time_offset_stddev > 0 && timeOffsetStddev() > kOpenOffset;
+  const bool search = offset_open && stamp - last_search_ >= kSearchInterval;
+  const bool rough = search || biasStddev() > kRoughBias;
+  // The loss narrows from what the present uncertainty allows; offsets have several minima when the motion is periodic.
+  const double width = rough ? std::max(kLossWidth, 2 * biasStddev() * settings_.spans.front() / sigma_) : kLossWidth;
+  Vector4 best = x_;
+  double cost = std::numeric_limits<double>::infinity();
+  for (const double shift : {0.0, -0.025, 0.025, -0.05, 0.05, -0.075, 0.075}) {
+    if (shift != 0 && (!search || std::abs(shift) > 2.6 * timeOffsetStddev())) continue;
+    Vector4 start = x_, solution;
+    start(3) = std::clamp(start(3) + shift, settings_.time_offset - settings_.max_time_offset,
+                          settings_.time_offset + settings_.max_time_offset);
+    const double c = solveFrom(start, rough ? kStartIterations : kIterations, width, imu, &solution);
+    if (c >= cost) continue;
+    cost = c;
+    best = solution;
+  }
+  if (search) last_search_ = stamp;
+  if (!best.allFinite() || best.head<3>().norm() > 1.0 ||
+      std::abs(best(3) - settings_.time_offset) > settings_.max_time_offset)
+    return false;
+  x_ = best;
+  summarize(imu);
+  return true;
+}
+
+void GyroAlignment::addPairs(const std::shared_ptr<const View>& view) {
+  for (std::size_t s = 0; s < settings_.spans.size(); ++s) {
+    auto& first = chain_end_[s];
+    if (!first) {
+      first = view;
+      continue;
+    }
+    const double span = view->stamp - first->stamp;
+    if (span < 0.9 * settings_.spans[s]) continue;
+    Pair pair;
+    pair.begin = first->stamp;
+    pair.end = view->stamp;
+    std::vector<visual_frontend::TrackId> common;
+    for (const auto& ray : view->rays)
+      if (first->rays.count(ray.first)) common.push_back(ray.first);
+    const auto previous = first;
+    first = view;
+    if (span > 2 * settings_.spans[s] + 0.2 || static_cast<int>(common.size()) < settings_.min_tracks) continue;
+    std::sort(common.begin(), common.end());
+    const std::size_t stride = 1 + (common.size() - 1) / static_cast<std::size_t>(settings_.max_tracks);
+    for (std::size_t i = 0; i < common.size(); i += stride) {
+      pair.a.push_back(previous->rays.at(common[i]).homogeneous());
+      pair.b.push_back(view->rays.at(common[i]).homogeneous());
+    }
+    pairs_.push_back(std::move(pair));
+  }
+}
+
+std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, const Vector4& x, const ImuBuffer& imu,
+                                                              double width, std::vector<double>* errors) const {
+  const auto turn = integrateTurn(imu, pair.begin + x(3), pair.end + x(3), x.head<3>());
+  if (!turn) return std::nullopt;
+  const Eigen::Matrix3d R = R_camera_imu_ * turn->R * R_camera_imu_.transpose(), R_b_a = R.transpose();
+  Eigen::Matrix<double, 3, 4> rotation_by_x;
+  rotation_by_x << R_camera_imu_ * turn->by_bias, R_camera_imu_ * turn->by_offset;
+  const std::size_t n = pair.a.size();
+  std::vector<Eigen::Vector3d> Rb(n);
+  for (std::size_t i = 0; i < n; ++i) Rb[i] = R * pair.b[i];
+  // Direction of the translation for this rotation: the normals a x R b are perpendicular to it.
+  Eigen::Vector3d t = Eigen::Vector3d::Zero();
+  for (int round = 0; round < 3; ++round) {
+    Eigen::Matrix3d M = Eigen::Matrix3d::Zero();
+    for (std::size_t i = 0; i < n; ++i) {
+      const Eigen::Vector3d normal = pair.a[i].cross(Rb[i]);
+      double weight = 1;
+      if (round > 0) {
+        const double e = sampson(t, pair.a[i], Rb[i], R_b_a, sigma_, &weight);
+        weight = weight * weight / (1 + e * e / (width * width));
+      }
+      M += weight * normal * normal.transpose();
+    }
+    Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
+    solver.computeDirect(M);
+    t = solver.eigenvectors().col(0);
+  }
+  Eigen::Matrix<double, 6, 6> H = Eigen::Matrix<double, 6, 6>::Zero();  // bias, offset, direction of t
+  Eigen::Matrix<double, 6, 1> g = Eigen::Matrix<double, 6, 1>::Zero();
+  const Eigen::Matrix<double, 3, 2> B = tangent(t);
+  Normal normal;
+  for (std::size_t i = 0; i < n; ++i) {
+    double weight = 0;
+    const double e = sampson(t, pair.a[i], Rb[i], R_b_a, sigma_, &weight);
+    if (errors) errors->push_back(std::abs(e));
+    const Eigen::Vector3d by_rotation = pair.b[i].cross(R_b_a * t.cross(pair.a[i]));
+    Eigen::Matrix<double, 6, 1> J;
+    J << rotation_by_x.transpose() * by_rotation, B.transpose() * pair.a[i].cross(Rb[i]);
+    J *= weight;
+    const double loss = 1 / (1 + e * e / (width * width));
+    H += loss * J * J.transpose();
+    g += loss * e * J;
+    normal.cost += width * width * std::log1p(e * e / (width * width));
+  }
+  Eigen::Matrix2d Htt = H.bottomRightCorner<2, 2>();
+  Htt.diagonal().array() += 1.0;  // where nothing moves the direction means nothing
+  const Eigen::Matrix<double, 4, 2> K = H.topRightCorner<4, 2>() * Htt.inverse();
+  normal.H = kShare * (H.topLeftCorner<4, 4>() - K * H.bottomLeftCorner<2, 4>());
+  normal.g = kShare * (g.head<4>() - K * g.tail<2>());
+  normal.cost *= kShare;
+  return normal;
+}
+
+double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, const ImuBuffer& imu,
+                                Vector4* solution) const {
+  double width = first_width;
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    Matrix4 H = prior_;
+    Vector4 g = prior_ * (x - prior_mean_);
+    for (const Pair& pair : pairs_) {
+      // A wrong bias turns long spans too far: the short ones lead.
+      if (width > 2 * kLossWidth && pair.end - pair.begin > 1.5 * settings_.spans.front()) continue;
+      const auto normal = linearize(pair, x, imu, width, nullptr);
+      if (!normal) continue;
+      H += normal->H;
+      g += normal->g;
+    }
+    const Vector4 step = Eigen::Matrix4d(H).ldlt().solve(-Eigen::Vector4d(g));
+    if (!step.allFinite()) break;
+    // A step of the offset may not leap over the period of the motion.
+    x += step * std::min(1.0, 0.03 / std::max(0.03, std::abs(step(3))));
+    if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && std::abs(step(3)) < 1e-5) break;
+    width = std::max(kLossWidth, 0.6 * width);
+  }
+  double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_));
+  for (const Pair& pair : pairs_)
+    if (const auto normal = linearize(pair, x, imu, kLossWidth, nullptr)) cost += normal->cost;
+  *solution = x;
+  return cost;
+}
+
+void GyroAlignment::retire(double before, const ImuBuffer& imu) {
+  while (!pairs_.empty() && pairs_.front().begin < before) {
+    if (const auto normal = linearize(pairs_.front(), x_, imu, kLossWidth, nullptr)) {
+      const Matrix4 sum = prior_ + normal->H / inflation_;
+      prior_mean_ = sum.inverse() * (prior_ * prior_mean_ + (normal->H * x_ - normal->g) / inflation_);
+      prior_ = sum;
+    }
+    pairs_.pop_front();
+  }
+}
+
+void GyroAlignment::summarize(const ImuBuffer& imu) {
+  Matrix4 H = Matrix4::Zero();
+  std::vector<double> errors;
+  double scatter = 0;
+  int count = 0;
+  for (const Pair& pair : pairs_) {
+    const auto normal = linearize(pair, x_, imu, kLossWidth, &errors);
+    if (!normal) continue;
+    H += normal->H;
+    // Squared Mahalanobis distance of this pair's own bias from that of all.
+    const Eigen::Matrix3d own = normal->H.topLeftCorner<3, 3>();
+    scatter += normal->g.head<3>().dot(own.ldlt().solve(Eigen::Vector3d(normal->g.head<3>()))) / kShare;
+    count += 3;
+  }
+  if (errors.empty()) return;
+  const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2);
+  std::nth_element(errors.begin(), middle, errors.end());
+  misfit_ = *middle / kNormalMedian;
+  // Errors of tracks beside each other are alike (blur, edges, calibration): many are worth as much as a few.
+  const double noise = std::max(kMinNoise, misfit_);
+  inflation_ = std::max(kTrackCorrelation * noise * noise, scatter / count);
+  covariance_ = (prior_ + H / inflation_).inverse();
+}
+
+}  // namespace mav_vo

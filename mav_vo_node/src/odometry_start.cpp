@@ -1,0 +1,168 @@
+// The odometry before it is sure of itself: gyro bias and gravity, the first views, and why it is not metric yet.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "odometry_impl.h"
+
+namespace mav_vo {
+
+namespace {
+
+constexpr double kRestBiasSigma = 1e-3;    // of a gyro bias measured at rest [rad/s]
+constexpr double kUsefulBiasSigma = 0.02;  // of a bias that the attitude filter takes over [rad/s]
+constexpr double kRestTilt = 0.012;        // of gravity measured at rest [rad]
+constexpr double kMovingTilt = 0.3;        // of gravity as a moving accelerometer shows it [rad]
+constexpr double kTrustedTilt = 0.05;      // better known gravity levels the bundle adjustment [rad]
+constexpr double kOffsetSigma = 0.004;     // a better known time offset is used [s]
+constexpr double kOffsetStep = 5e-4;       // smaller changes of it are not worth the work [s]
+constexpr double kGyroMisfit = 4;          // of noise; above, gyro and images contradict each other
+
+}  // namespace
+
+void Odometry::Impl::carryUp(double stamp) {
+  if (up_imu && R_previous_current) {
+    const Eigen::Matrix3d R_camera_imu = T_camera_imu.linear();
+    *up_imu = (R_camera_imu.transpose() * R_previous_current->transpose() * R_camera_imu * *up_imu).normalized();
+    up_sigma = std::min(0.5, up_sigma + std::max(kRestBiasSigma, gyro_alignment.biasStddev()) * (stamp - last_stamp));
+  } else if (up_imu) {
+    // The IMU had a gap: what the vehicle did meanwhile is not known.
+    up_imu.reset();
+    up_sigma = 0.1;
+  }
+}
+
+void Odometry::Impl::useStandstill(const Standstill& rest) {
+  // Once the map is metric its own estimate is better than a short rest in the air.
+  if (metric) return;
+  bias.gyro = rest.gyro_bias;
+  gyro_alignment.setBias(rest.gyro_bias, kRestBiasSigma);
+  up_imu = rest.up_imu;
+  up_sigma = kRestTilt;
+}
+
+void Odometry::Impl::alignGyro(double stamp) {
+  if (!gyro_alignment.add(stamp, currentFeatures(), imu.buffer())) return;
+  // A map knows the bias better: its adjustment sees all of its keyframes.
+  if (map.keyframeCount() == 0) bias.gyro = gyro_alignment.bias();
+  if (gyro_alignment.biasStddev() < kUsefulBiasSigma) attitude.setGyroBias(bias.gyro);
+  const double offset = gyro_alignment.timeOffset(), sigma = gyro_alignment.timeOffsetStddev();
+  if (sigma > kOffsetSigma || std::abs(offset - imu.offset()) < std::max(kOffsetStep, 2 * sigma)) return;
+  imu.setOffset(offset);
+  retime();
+}
+
+std::optional<GyroRotation> Odometry::Impl::cameraTurn(double stamp_a, double stamp_b) const {
+  if (!settings.use_imu) return std::nullopt;
+  const auto R = imu.rotation(stamp_a, stamp_b, bias.gyro);
+  if (!R) return std::nullopt;
+  const double duration = stamp_b - stamp_a;
+  const double rate = air_ground_common::rotationAngle(Eigen::Matrix3d::Identity(), *R) / duration;
+  return GyroRotation{T_camera_imu.linear() * *R * T_camera_imu.linear().transpose(),
+                      std::hypot(gyro_alignment.biasStddev() * duration, gyro_alignment.timeOffsetStddev() * rate)};
+}
+
+// Levels the map with what is known of gravity, heading 0 at the first view's base_link.
+void Odometry::Impl::levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const {
+  std::optional<Eigen::Vector3d> up;
+  *tilt = kMovingTilt;
+  if (up_imu && up_sigma < kMovingTilt) {
+    up = *up_imu;
+    *tilt = up_sigma;
+  } else if (settings.use_imu && attitude.initialized()) {
+    up = attitude.up();
+  }
+  // Without gravity the vehicle is taken to be level.
+  Eigen::Matrix3d R_map_first = T_base_camera.linear();
+  if (up)
+    R_map_first =
+        air_ground_common::levelingRotation(start.views.back().T_first_camera.linear() * (T_camera_imu.linear() * *up));
+  const double yaw = air_ground_common::yawOf(R_map_first * T_base_camera.linear().transpose());
+  T_map_first->setIdentity();
+  T_map_first->linear() = Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix() * R_map_first;
+}
+
+void Odometry::Impl::initialize() {
+  if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features)
+    tracker.replenish();
+  auto start = bootstrap.add(last_stamp, currentFeatures(), tracker.pyramid(),
+                             [this](double a, double b) { return cameraTurn(a, b); });
+  if (!start) {
+    const std::string problem = gyroProblem();
+    reason = "initialising: " + (problem.empty() ? bootstrap.reason() : problem);
+    return;
+  }
+  const BootstrapView &first = start->views.front(), &last = start->views.back();
+  Pose T_map_first;
+  levelFirstViews(*start, &T_map_first, &map_tilt);
+
+  std::unordered_map<TrackId, LandmarkId> landmark_of;
+  for (const auto& point : start->points) landmark_of[point.track] = map.addLandmark(T_map_first * point.position);
+  for (BootstrapView& view : start->views) {
+    Keyframe keyframe;
+    keyframe.stamp = view.stamp;
+    keyframe.T_map_camera = T_map_first * view.T_first_camera;
+    for (const Feature& f : view.features) {
+      visual_frontend::Observation o;
+      const auto it = landmark_of.find(f.id);
+      if (it != landmark_of.end()) o.landmark = it->second;
+      o.track = f.id;
+      o.pixel = f.pixel;
+      o.normalized = f.normalized;
+      keyframe.observations.push_back(o);
+    }
+    keyframe.pyramid = std::move(view.pyramid);
+    if (map_tilt < kTrustedTilt) {
+      keyframe.up_camera = keyframe.T_map_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+      keyframe.up_sigma = std::max(0.01, map_tilt);
+    }
+    insertKeyframe(std::move(keyframe));
+  }
+  track_landmark = landmark_of;
+  bootstrap.reset();
+  scale.reset(map_tilt);
+  scene_distance = 1;
+  velocity = (map.keyframe(map.lastKeyframe()).T_map_camera.translation() - T_map_first.translation()) /
+             (last.stamp - first.stamp);
+  T_map_camera = map.keyframe(map.lastKeyframe()).T_map_camera;
+  located_stamp = -1;
+  state = OdometryState::kScaling;
+  reason = scaleReason();
+  if (locate(false)) {
+    localized(false);
+    triangulateTracks(map.lastKeyframe());
+  } else {
+    startMap();
+    reason = "initialising: the first map did not hold in the next image; another is tried";
+  }
+}
+
+std::string Odometry::Impl::scaleReason() const {
+  if (!settings.use_imu) return "no IMU: the scale stays unknown";
+  if (!imu_problem.empty()) return imu_problem;
+  if (const std::string problem = gyroProblem(); !problem.empty()) return problem;
+  if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))
+    return "metric scale is not known: IMU and images tell of different motions; check the static transforms of IMU "
+           "and "
+           "camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
+  const double stddev = scale.initialized() ? scale.relativeStddev() : scale.startStddev();
+  if (!std::isfinite(stddev)) return "metric scale is not known yet: it needs a second of motion";
+  char text[160];
+  std::snprintf(text, sizeof text,
+                "metric scale is not known yet (+- %.0f %%, %.0f %% needed): change speed and direction", 100 * stddev,
+                100 * settings.metric_stddev);
+  return text;
+}
+
+std::string Odometry::Impl::gyroProblem() const {
+  if (!settings.use_imu || gyro_alignment.misfit() < kGyroMisfit) return "";
+  char text[200];
+  std::snprintf(
+      text, sizeof text,
+      "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
+      "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
+      gyro_alignment.misfit());
+  return text;
+}
+
+}  // namespace mav_vo

@@ -1,0 +1,122 @@
+// Gyro bias and time offset from feature tracks, against the bias and the offset that made the samples.
+#include <gtest/gtest.h>
+
+#include "mav_vo/gyro_alignment.h"
+#include "synthetic_flight.h"
+#include "visual_frontend/feature_tracker.h"
+
+using namespace mav_vo;
+using synthetic::Pose;
+
+namespace {
+
+constexpr double kPixelNoise = 0.2;     // [px]
+constexpr double kBelievedNoise = 0.6;  // as the odometry has it [px]
+
+struct Case {
+  Eigen::Vector3d bias = Eigen::Vector3d::Zero();
+  double offset = 0;       ///< t_imu - t_image [s]
+  double outliers = 0.05;  ///< share of the tracks
+  double duration = 2.5;   ///< [s]
+  bool turn_only = false;  ///< the camera stays at its place
+  bool estimate_offset = true;
+  unsigned seed = 1;
+};
+
+synthetic::Flight swinging() {
+  synthetic::Flight flight;
+  flight.wobble = 0.2;
+  return flight;
+}
+
+GyroAlignment align(const Case& run) {
+  const synthetic::Flight flight = swinging();
+  const auto camera = synthetic::camera();
+  std::mt19937 random(run.seed);
+  std::normal_distribution<double> normal(0, kPixelNoise);
+  std::uniform_real_distribution<double> unit(0, 1);
+  const double begin = 3.0;
+  const auto points = synthetic::pointCloud(1200, random);
+  ImuBuffer buffer(100);
+  for (ImuSample s : flight.imuSamples(begin - 0.3, begin + run.duration + 0.3, 200, ImuNoise{},
+                                       {run.bias, Eigen::Vector3d::Zero()}, random)) {
+    s.stamp += run.offset;
+    buffer.add(s);
+  }
+  GyroAlignmentSettings settings;
+  if (!run.estimate_offset) settings.time_offset_stddev = 0;
+  GyroAlignment alignment(settings, ImuNoise{}, synthetic::T_imu_camera().linear().transpose(),
+                          kBelievedNoise / camera.fx);
+  for (int i = 0; 0.05 * i < run.duration; ++i) {
+    const double t = begin + 0.05 * i;
+    Pose T = flight.T_world_imu(t) * synthetic::T_imu_camera();
+    if (run.turn_only) T.translation() = flight.T_world_imu(begin).translation();
+    std::vector<visual_frontend::Feature> features;
+    for (std::size_t k = 0; k < points.size(); ++k) {
+      const auto pixel = camera.project(T.inverse() * points[k]);
+      if (!pixel || !camera.contains(*pixel, 5)) continue;
+      visual_frontend::Feature f;
+      f.id = static_cast<visual_frontend::TrackId>(k);
+      f.pixel = *pixel + Eigen::Vector2d(normal(random), normal(random));
+      if (unit(random) < run.outliers) f.pixel += Eigen::Vector2d(20 * unit(random), -20 * unit(random));
+      f.normalized = camera.unproject(f.pixel);
+      features.push_back(f);
+    }
+    alignment.add(t, features, buffer);
+  }
+  return alignment;
+}
+
+TEST(GyroAlignment, FindsLargeBiasesWhileMoving) {
+  for (unsigned seed = 1; seed <= 6; ++seed) {
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    Case run;
+    run.seed = seed;
+    run.bias = 0.2 * Eigen::Vector3d(normal(random), normal(random), normal(random)).normalized();
+    const GyroAlignment a = align(run);
+    EXPECT_LT((a.bias() - run.bias).norm(), 0.005) << "seed " << seed << ", +- " << a.biasStddev();
+    EXPECT_LT((a.bias() - run.bias).norm(), 5 * a.biasStddev()) << "seed " << seed;
+    EXPECT_LT(a.misfit(), 2.0);
+  }
+}
+
+TEST(GyroAlignment, FindsTheBiasWithoutParallax) {
+  Case run;
+  run.turn_only = true;
+  run.bias = {0.1, -0.15, 0.05};
+  const GyroAlignment a = align(run);
+  EXPECT_LT((a.bias() - run.bias).norm(), 0.005) << a.biasStddev();
+}
+
+TEST(GyroAlignment, FindsTheTimeOffset) {
+  for (const double offset : {-0.05, -0.02, 0.0, 0.01, 0.05}) {
+    Case run;
+    run.offset = offset;
+    run.bias = {0.03, 0.08, -0.05};
+    run.duration = 4;
+    const GyroAlignment a = align(run);
+    EXPECT_NEAR(a.timeOffset(), offset, 0.003) << "+- " << a.timeOffsetStddev();
+    EXPECT_LT(a.timeOffsetStddev(), 0.004);
+    EXPECT_LT(std::abs(a.timeOffset() - offset), 5 * a.timeOffsetStddev() + 2e-4);
+    EXPECT_LT((a.bias() - run.bias).norm(), 0.005) << "offset " << offset;
+  }
+}
+
+TEST(GyroAlignment, LeavesAGivenOffsetAlone) {
+  Case run;
+  run.offset = 0.02;
+  run.estimate_offset = false;
+  const GyroAlignment a = align(run);
+  EXPECT_NEAR(a.timeOffset(), 0.0, 1e-6);
+}
+
+TEST(GyroAlignment, KnowsNothingWithoutTracks) {
+  GyroAlignment a(GyroAlignmentSettings{}, ImuNoise{}, Eigen::Matrix3d::Identity(), 1e-3);
+  ImuBuffer buffer(10);
+  for (int i = 0; i < 400; ++i) buffer.add({0.005 * i, Eigen::Vector3d::Zero(), Eigen::Vector3d(0, 0, kGravity)});
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(a.add(0.1 * i, {}, buffer));
+  EXPECT_GT(a.biasStddev(), 0.1);
+}
+
+}  // namespace
