@@ -3,6 +3,7 @@
 #include <omp.h>
 
 #include "air_ground_common/mesh.h"
+#include "air_ground_sim/build_world.h"
 #include "air_ground_sim/recording.h"
 
 namespace {

@@ -122,6 +122,40 @@ bool FreeSpace::isFree(const Eigen::Vector2d& center, double reach) const {
   return true;
 }
 
+void addFloor(const WorldConfig& c, std::uint64_t seed, World* world) {
+  const double half = 0.5 * c.floor_size, inner = std::min(half, 4.2);
+  const auto add = [&](double x0, double y0, double x1, double y1, double texel, bool printed) {
+    if (x1 - x0 < 0.01 || y1 - y0 < 0.01) return;
+    Patch p = rectanglePatch({x0, y0, 0}, {x1 - x0, 0, 0}, {0, y1 - y0, 0});
+    p.material = floorMaterial(c.floor);
+    p.texel = static_cast<float>(texel);
+    p.printed = printed;
+    p.seed = p.object = seed;
+    world->patches.push_back(p);
+  };
+  add(-inner, -inner, inner, inner, c.texel, true);
+  add(-half, -half, half, -inner, 3 * c.texel, false);
+  add(-half, inner, half, half, 3 * c.texel, false);
+  add(-half, -inner, -inner, inner, 3 * c.texel, false);
+  add(inner, -inner, half, inner, 3 * c.texel, false);
+}
+
+void addRoom(const WorldConfig& c, std::uint64_t seed, World* world) {
+  const double h = 0.5 * c.floor_size;
+  const Eigen::Vector3d corners[4] = {{-h, -h, 0}, {h, -h, 0}, {h, h, 0}, {-h, h, 0}};
+  for (int i = 0; i < 4; ++i) {
+    // Seen from inside: the direction of columns runs clockwise.
+    Patch p =
+        rectanglePatch(corners[(i + 1) % 4], corners[i] - corners[(i + 1) % 4], Eigen::Vector3d(0, 0, c.room_height));
+    p.material = Material::kPlaster;
+    p.texel = static_cast<float>(4 * c.texel);
+    p.printed = true;
+    p.seed = mix(seed, 17 + i);
+    p.object = seed;
+    world->patches.push_back(p);
+  }
+}
+
 void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
                  World* world) {
   std::vector<Footprint> base;  // everything that stands on the floor

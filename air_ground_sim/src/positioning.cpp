@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "air_ground_sim/noise.h"
+#include "air_ground_sim/sensors.h"
 
 namespace air_ground_sim {
 
@@ -39,6 +40,15 @@ double Barometer::measure(double height) {
   const double pressure = standardPressure(height) + offset_ + config_.noise * rng_.gaussian();
   offset_ += config_.drift / std::sqrt(config_.rate) * rng_.gaussian();
   return pressure;
+}
+
+Eigen::Vector3d Magnetometer::measure(const air_ground_common::Pose& T_world_imu) {
+  Eigen::Vector3d field = earthMagneticField();
+  if (config_.mag_disturbance > 0)
+    field += magneticDisturbance(T_world_imu.translation(), config_.mag_disturbance, iron_seed_);
+  field = T_world_imu.linear().transpose() * field;
+  for (int i = 0; i < 3; ++i) field[i] += config_.mag_noise * noise_.gaussian();
+  return field;
 }
 
 Eigen::Vector3d magneticDisturbance(const Eigen::Vector3d& position, double amplitude, std::uint64_t seed) {

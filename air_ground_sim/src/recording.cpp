@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "air_ground_sim/build_world.h"
+#include "air_ground_sim/height_lookup.h"
 #include "air_ground_sim/rooms/rooms.h"
 
 namespace air_ground_sim {

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "air_ground_common/mesh.h"
+#include "air_ground_sim/build_world.h"
 #include "air_ground_sim/random.h"
 #include "air_ground_sim/rooms/rooms.h"
 #include "air_ground_sim/texture.h"

@@ -11,8 +11,8 @@
 #include <sstream>
 
 #include "air_ground_common/mesh.h"
-#include "air_ground_sim/city.h"
 #include "air_ground_sim/positioning.h"
+#include "air_ground_sim/street/city.h"
 
 namespace air_ground_sim {
 namespace {

@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <fstream>
 
+#include "air_ground_sim/build_world.h"
+#include "air_ground_sim/height_lookup.h"
 #include "air_ground_sim/random.h"
 #include "air_ground_sim/texture.h"
 #include "air_ground_sim/trajectory.h"

@@ -32,6 +32,10 @@ air_ground_common::Pose standing(const Footprint& f, double z);
 /// A box of one of eight sizes, varied.
 Cuboid randomBox(Rng* rng);
 
+/// A finely textured centre and four coarser strips around it.
+void addFloor(const WorldConfig& config, std::uint64_t seed, World* world);
+/// Outer walls at the floor's edge.
+void addRoom(const WorldConfig& config, std::uint64_t seed, World* world);
 void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
                  World* world);
 void addWall(const WallConfig& wall, double texel, std::uint64_t seed, World* world);

@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 
+#include "air_ground_common/geometry.h"
 #include "air_ground_sim/config.h"
 #include "air_ground_sim/random.h"
 
@@ -37,6 +38,20 @@ class Barometer {
   BarometerConfig config_;
   Rng rng_;
   double offset_;  // [Pa]
+};
+
+class Magnetometer {
+ public:
+  /// Magnetometers in one world share the iron nearby: `iron_seed`.
+  Magnetometer(const ImuConfig& config, std::uint64_t noise_seed, std::uint64_t iron_seed)
+      : config_(config), noise_(noise_seed), iron_seed_(iron_seed) {}
+  /// The field in the sensor's frame [T].
+  Eigen::Vector3d measure(const air_ground_common::Pose& T_world_imu);
+
+ private:
+  ImuConfig config_;
+  Rng noise_;
+  std::uint64_t iron_seed_;
 };
 
 /// Field of iron nearby at a place in world [T]: each axis of root mean square `amplitude`, changing over about 4 m.

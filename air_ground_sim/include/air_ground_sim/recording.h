@@ -9,7 +9,7 @@
 #include "air_ground_sim/renderer.h"
 #include "air_ground_sim/scene.h"
 #include "air_ground_sim/sensors.h"
-#include "air_ground_sim/street.h"
+#include "air_ground_sim/street/street.h"
 #include "air_ground_sim/trajectory.h"
 #include "air_ground_sim/world.h"
 
@@ -26,6 +26,7 @@ class Recording {
   Recording(const SimConfig& config, std::uint64_t seed);
 
   const SimConfig& config() const { return config_; }
+  std::uint64_t seed() const { return seed_; }
   const World& world() const { return world_; }
   const Scene& scene() const { return *scene_; }
   const BodyTrajectory& mav() const { return *mav_; }

@@ -79,24 +79,8 @@ struct World {
   std::shared_ptr<const void> keep_alive;          ///< what the painters refer to
 };
 
-/// Builds the world for a seed; the same seed gives the same world.
-World buildWorld(const SimConfig& config, std::uint64_t seed);
-
 /// All patches as one mesh; patch i's triangles follow those of patch i - 1, two a cell.
 air_ground_common::TriangleMesh meshOf(const World& world);
-
-/// Height [m] of the highest point of the mesh within `radius` of a place (vertices and triangle samples every 5 cm).
-class HeightLookup {
- public:
-  explicit HeightLookup(const air_ground_common::TriangleMesh& mesh);
-  double operator()(const Eigen::Vector2d& place, double radius) const;
-
- private:
-  static constexpr double kCell = 0.05;
-  int size_ = 0;
-  double origin_ = 0;
-  std::vector<float> cells_;
-};
 
 /// Oriented cuboid with its base centre at T_world_base: adds its six faces.
 struct Cuboid {

@@ -53,14 +53,19 @@ class Furnisher {
         if (!room.contains(f.center + Eigen::Rotation2Dd(f.yaw) * Vector2d(x * f.hx, y * f.hy))) return false;
     for (const Vector2d& p : lane_)
       if (distanceTo(f, p) < lane_half_width_) return false;
-    // Low things may stand below the MAV's way, but not where it takes off.
+    if (!isClearOfFlight(f)) return false;
+    return std::none_of(placed_.begin(), placed_.end(), [&](const Footprint& o) { return overlap(f, o, 0.03); });
+  }
+
+  // Low things may stand below the MAV's way, but not where it takes off.
+  bool isClearOfFlight(const Footprint& f) const {
     const double reach = 0.5, climb = 2.0;
     double arc = 0;
     for (std::size_t i = 0; i < plan_.flight.size(); i += 4) {
       if (i) arc += (plan_.flight[i] - plan_.flight[i - 4]).norm();
       if ((f.top > kFlyHeight || arc < climb) && distanceTo(f, plan_.flight[i]) < reach) return false;
     }
-    return std::none_of(placed_.begin(), placed_.end(), [&](const Footprint& o) { return overlap(f, o, 0.03); });
+    return true;
   }
 
   // Tries places that `propose` makes.
@@ -88,7 +93,7 @@ class Furnisher {
               t.hy = rng_.uniform(0.3, 0.4);
               t.center = room.center() + Vector2d(rng_.uniform(-0.5, 0.5), rng_.uniform(-0.35, 0.35));
               t.yaw = (rng_.chance(0.5) ? 0 : M_PI / 2) + rng_.uniform(-0.12, 0.12);
-              t.top = lamp ? 1.8 : top;  // the lamp must keep clear of the MAV
+              t.top = top;
               return t;
             },
             &f))
@@ -105,13 +110,17 @@ class Furnisher {
       box(T * yawPose(rng_.uniform(-0.5, 0.5), {x, y, top}), Vector3d::Zero(), size,
           rng_.chance(0.5) ? Material::kCardboard : Material::kPaintedBox, rng_.next(), true);
     }
-    if (lamp) hang(f);
+    if (lamp) hangLamp(f);
     for (int i = 0, n = 1 + rng_.integer(3); i < n; ++i) chair(room, f);
   }
 
   // A pendant lamp: its lower edge about 0.65 m above the table.
-  void hang(const Footprint& f) {
+  void hangLamp(const Footprint& table) {
     const double bottom = rng_.uniform(1.35, 1.5), size = rng_.uniform(0.28, 0.4), height = rng_.uniform(0.16, 0.24);
+    Footprint f = table;
+    f.hx = f.hy = 0.5 * size;
+    f.top = bottom + height;
+    if (!isClearOfFlight(f)) return;
     const std::uint64_t seed = rng_.next();
     const Pose T = standing(f, 0);
     box(T, {0, 0, bottom}, {size, size, height}, Material::kPaintedBox, seed, true);

@@ -3,7 +3,7 @@
 
 #include <opencv2/core/mat.hpp>
 
-#include "air_ground_sim/street.h"
+#include "air_ground_sim/street/street.h"
 
 namespace air_ground_sim {
 

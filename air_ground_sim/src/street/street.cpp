@@ -1,4 +1,4 @@
-#include "air_ground_sim/street.h"
+#include "air_ground_sim/street/street.h"
 
 #include <algorithm>
 #include <cctype>

@@ -8,7 +8,7 @@
 
 #include "air_ground_common/geodesy.h"
 #include "air_ground_sim/recording.h"
-#include "air_ground_sim/street.h"
+#include "air_ground_sim/street/street.h"
 
 namespace air_ground_sim {
 

@@ -6,8 +6,8 @@
 #include <opencv2/imgproc.hpp>
 
 #include "air_ground_sim/noise.h"
-#include "air_ground_sim/street.h"
-#include "air_ground_sim/street_paint.h"
+#include "air_ground_sim/street/street.h"
+#include "air_ground_sim/street/street_paint.h"
 
 namespace air_ground_sim {
 namespace {

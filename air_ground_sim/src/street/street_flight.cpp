@@ -4,7 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "air_ground_sim/street.h"
+#include "air_ground_sim/street/street.h"
 
 namespace air_ground_sim {
 namespace {

@@ -4,7 +4,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "air_ground_sim/city.h"
+#include "air_ground_sim/street/city.h"
 
 namespace air_ground_sim {
 namespace {

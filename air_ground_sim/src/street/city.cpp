@@ -1,4 +1,4 @@
-#include "air_ground_sim/city.h"
+#include "air_ground_sim/street/city.h"
 
 #include <algorithm>
 #include <cmath>

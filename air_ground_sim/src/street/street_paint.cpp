@@ -1,4 +1,4 @@
-#include "air_ground_sim/street_paint.h"
+#include "air_ground_sim/street/street_paint.h"
 
 #include <algorithm>
 #include <cmath>
