@@ -99,9 +99,9 @@ double largestRadius(const CameraModel& c) {
 }
 
 // Argument in [0, upper] at which the growing function f(argument, &derivative) takes the value `target`: Newton steps,
-// bisection where they leave the bracket. Not a number when f(upper) < target.
+// bisection where they leave the bracket, until a step is below `tolerance`. Not a number when f(upper) < target.
 template <class Function>
-double invertGrowing(const Function& f, double target, double upper) {
+double invertGrowing(const Function& f, double target, double upper, double tolerance) {
   double derivative = 0;
   if (!(f(upper, &derivative) >= target)) return std::numeric_limits<double>::quiet_NaN();
   double low = 0, high = upper, x = std::min(target, upper);
@@ -110,7 +110,7 @@ double invertGrowing(const Function& f, double target, double upper) {
     (error > 0 ? high : low) = x;
     double next = x - error / derivative;
     if (!(next >= low && next <= high)) next = 0.5 * (low + high);
-    if (std::abs(next - x) < 1e-14 * (1 + x)) return next;
+    if (std::abs(next - x) < tolerance * (1 + x)) return next;
     x = next;
   }
   return x;
@@ -120,8 +120,8 @@ Eigen::Vector2d undistortEquidistant(const CameraModel& c, const Eigen::Vector2d
   const double radius = distorted.norm();
   if (radius < 1e-8) return distorted;
   const double limit = std::min(CameraModel::kMaxHalfAngle, std::atan(c.max_radius));
-  const double theta =
-      invertGrowing([&](double t, double* derivative) { return equidistantRadius(c, t, derivative); }, radius, limit);
+  const double theta = invertGrowing([&](double t, double* derivative) { return equidistantRadius(c, t, derivative); },
+                                     radius, limit, 1e-14);
   return std::tan(theta) / radius * distorted;
 }
 
@@ -146,8 +146,8 @@ Eigen::Vector2d undistortRational(const CameraModel& c, const Eigen::Vector2d& t
   const double radius = target.norm();
   if (radius < 1e-8) return target;
   const double limit = std::min(std::tan(CameraModel::kMaxHalfAngle), c.max_radius);
-  const double start =
-      invertGrowing([&](double r, double* derivative) { return distortedRadius(c, r, derivative); }, radius, limit);
+  const double start = invertGrowing([&](double r, double* derivative) { return distortedRadius(c, r, derivative); },
+                                     radius, limit, 1e-3);
   bool converged = false;
   const Eigen::Vector2d n = undistortNewton(c, target, start / radius * target, &converged);
   if (converged && n.norm() <= limit) return n;
