@@ -35,7 +35,7 @@ GyroAlignment align(const Case& run) {
   std::mt19937 random(run.seed);
   std::normal_distribution<double> normal(0, kPixelNoise);
   std::uniform_real_distribution<double> unit(0, 1);
-  const double begin = 3.0;
+  const double begin = 5.0;
   const auto points = synthetic::pointCloud(1200, random);
   ImuBuffer buffer(100);
   for (ImuSample s : flight.imuSamples(begin - 0.3, begin + run.duration + 0.3, 200, ImuNoise{},
@@ -50,7 +50,7 @@ GyroAlignment align(const Case& run) {
   for (int i = 0; 0.05 * i < run.duration; ++i) {
     const double t = begin + 0.05 * i;
     Pose T = flight.T_world_imu(t) * synthetic::T_imu_camera();
-    if (run.turn_only) T.translation() = flight.T_world_imu(begin).translation();
+    if (run.turn_only) T.translation() = Eigen::Vector3d(0, 0, 2.5);
     std::vector<visual_frontend::Feature> features;
     for (std::size_t k = 0; k < points.size(); ++k) {
       const auto pixel = camera.project(T.inverse() * points[k]);

@@ -125,8 +125,8 @@ double worstTilt(const Outcome& o) {
 TEST(Odometry, StartsInMotionWithLargeBiases) {
   Options options;
   options.flight.wobble = 0.15;
-  options.begin = 3;
-  options.end = 15;
+  options.begin = 5;
+  options.end = 17;
   options.bias = {{0.11, -0.13, 0.1}, {0.3, -0.3, 0.25}};
   const Outcome o = fly(options);
   ASSERT_GT(o.metric_at, 0) << o.frames.back().reason;
