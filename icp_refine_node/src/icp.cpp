@@ -121,6 +121,12 @@ class Iteration {
   NormalEquations equations_;
 };
 
+Eigen::Vector3d middle(const Cloud& cloud) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const auto& p : cloud.points) sum += p.cast<double>();
+  return sum / static_cast<double>(cloud.size());
+}
+
 Similarity normalized(Similarity T) {
   T.R = air_ground_common::normalized(poseOf(T)).linear();
   return T;
@@ -133,6 +139,19 @@ struct IcpChain::Impl {
   std::vector<Level> levels;
   LocalizabilitySettings localizability;
   CovarianceSettings covariance;
+
+  // Statistics at the solution, with the last level's matches.
+  void describe(const Iteration& at, int dof, const ScalePrior& prior, IcpResult& out) const {
+    const NormalEquations& equations = at.equations();
+    out.centre = equations.centre;
+    out.hessian = equations.hessian;
+    out.inliers = equations.used;
+    out.residual_rms = std::sqrt(equations.square / equations.weight);
+    out.localizability = analyzeLocalizability(at.clouds(), at.weights(), equations, localizability, prior.mode);
+    const Matrix7d scatter = gradientScatter(at.clouds(), at.weights(), equations.centre, covariance);
+    out.covariance = estimateCovariance(equations, out.localizability, scatter, dof, prior, covariance);
+    out.scale_estimated = estimatesScale(out.localizability, dof, prior);
+  }
 };
 
 IcpChain::IcpChain(const YAML::Node& config) : impl_(std::make_unique<Impl>()) {
@@ -232,10 +251,7 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
   if (reference.empty()) return fail("the reference has no point left after its filters");
   if (!isValid(T_initial)) return fail("the initial guess is not a rigid transform with a positive scale");
 
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-  for (const auto& p : reading.points) centre += p.cast<double>();
-  centre /= static_cast<double>(reading.size());
-
+  const Eigen::Vector3d centre = middle(reading);
   Similarity T = T_initial;
   for (const Level& level : impl_->levels) {
     const bool last = &level == &impl_->levels.back();
@@ -251,8 +267,11 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
       const NormalEquations& equations = iteration.equations();
       const auto localizability =
           analyzeLocalizability(iteration.clouds(), iteration.weights(), equations, impl_->localizability, prior.mode);
+      // It weighs the prior, which is one of the scale.
+      const bool weigh = level.minimizer.dof == 7 && prior.mode == ScalePrior::Mode::kPrior;
       const Matrix7d scatter =
-          gradientScatter(iteration.clouds(), iteration.weights(), equations.centre, impl_->covariance);
+          weigh ? gradientScatter(iteration.clouds(), iteration.weights(), equations.centre, impl_->covariance)
+                : Matrix7d(Matrix7d::Zero());
       const Vector7d step = constrainedStep(equations, localizability, scatter, level.minimizer.dof, prior, T.scale);
       T = normalized(compose(motion(step, equations.centre), T));
 
@@ -264,22 +283,10 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
       }
     }
     if (!last) continue;
-    // Statistics at the solution, with the last level's matches.
     if (!iteration.update(T)) return fail("fewer than 6 matches are left at the solution");
-    const NormalEquations& equations = iteration.equations();
     out.T_reference_reading = T;
-    out.centre = equations.centre;
-    out.hessian = equations.hessian;
-    out.inliers = equations.used;
+    impl_->describe(iteration, level.minimizer.dof, prior, out);
     out.overlap = static_cast<double>(out.inliers) / static_cast<double>(sampled.size());
-    out.residual_rms = std::sqrt(equations.square / equations.weight);
-    out.localizability =
-        analyzeLocalizability(iteration.clouds(), iteration.weights(), equations, impl_->localizability, prior.mode);
-    const Matrix7d scatter =
-        gradientScatter(iteration.clouds(), iteration.weights(), equations.centre, impl_->covariance);
-    out.covariance =
-        estimateCovariance(equations, out.localizability, scatter, level.minimizer.dof, prior, impl_->covariance);
-    out.scale_estimated = estimatesScale(out.localizability, level.minimizer.dof, prior);
   }
   out.outcome = IcpResult::Outcome::kConverged;
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
