@@ -114,13 +114,18 @@ int main(int argc, char** argv) {
   app.add_option("--merge", merge, "highest, mean");
   app.add_option("--ambiguity-ratio", s.ambiguity_ratio, "");
   app.add_option("--scale-error", options.scale_error, "");
+  app.add_option("--scale-sigma", s.scale_sigma, "of the search for the scale; 0: none");
   app.add_option("--noise", options.cloud_noise, "[m]");
   app.add_option("--ground-path", options.ground_path, "[m]");
-  std::string tops = "bounded";
+  std::string tops = "bounded", mode = "search";
+  app.add_option("--mode", mode, "search or paper")->check(CLI::IsMember({"search", "paper"}));
+  double region = 0;
+  app.add_option("--region", region, "radius about the ground robot in which the MAV is looked for [m]; 0: everywhere");
   double tilt_deg = 0;
   app.add_option("--tops", tops, "highest, clipped, bounded");
   app.add_option("--cap", s.air_map.cap, "[m]");
   app.add_option("--tilt", tilt_deg, "of the MAV's map [deg]");
+  app.add_flag("!--no-ceiling", options.ceiling, "rooms without ceiling and lamp");
   app.add_flag("--other-world", options.other_world, "the MAV is in another world: every pose is wrong");
   CLI11_PARSE(app, argc, argv);
   const std::map<std::string, syn::World> worlds{{"boxes", syn::World::kBoxes},
@@ -135,6 +140,7 @@ int main(int argc, char** argv) {
                                        : tops == "clipped" ? hm::Tops::kClipped
                                                            : hm::Tops::kBounded;
   s.ground_map.cap = s.air_map.cap;
+  if (mode == "paper") s = hm::paperSettings(s);
   options.tilt = tilt_deg * M_PI / 180;
   s.merge = merge == "mean" ? hm::Merge::kMean : hm::Merge::kHighest;
   s.verify = std::max(s.verify, s.accumulate);
@@ -158,8 +164,14 @@ int main(int argc, char** argv) {
     const auto run = syn::makeRun(options);
     s.seed = options.seed;
     hm::Localizer localizer(s);
+    hm::Prior prior;
+    if (region > 0) {
+      prior.position = run.T_ground_robot.translation().head<2>();
+      prior.position_radius = region;
+      prior.position_reference = run.aerial[0].reference.head<2>();
+      localizer.setPrior(prior);
+    }
     if (known_heading_deg >= 0) {
-      hm::Prior prior;
       prior.yaw = air_ground_common::yawOf(run.T_ground_mav[0].rotation());
       prior.yaw_sigma = std::max(known_heading_deg, 0.5) * M_PI / 180;
       localizer.setPrior(prior);
@@ -173,8 +185,7 @@ int main(int argc, char** argv) {
       const auto& e = localizer.estimate();
       const Eigen::Vector3d& reference = run.aerial[k].reference;
       const auto error = syn::errorOf(e.T_ground_mav, run.T_ground_mav[k], reference);
-      Eigen::Vector2d mean = Eigen::Vector2d::Zero();
-      for (const auto& p : localizer.filter().particles()) mean += p.weight * Eigen::Vector2d(p.pose.x, p.pose.y);
+      const Eigen::Vector2d mean(e.particle_mean.x, e.particle_mean.y);
       const double mean_error = (mean - (run.T_ground_mav[k] * reference).head<2>()).norm();
       errors[k].push_back(error.position);
       mean_errors[k].push_back(mean_error);

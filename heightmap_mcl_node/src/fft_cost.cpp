@@ -298,7 +298,8 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
   // Negative offsets wrap to the far end of the padded grid.
   result.cost.resize(static_cast<std::size_t>(result.width) * result.height);
   const auto scale = static_cast<float>(1.0 / static_cast<double>(plans.realSize()));
-  const std::size_t smaller = std::max<std::size_t>(std::min(air.defined, impl_->cells.defined), 1);
+  const double smaller =
+      std::max(settings.cells(static_cast<double>(air.defined), static_cast<double>(impl_->cells.defined)), 1.0);
   const int negative = turned.width - 1;
   for (int row = 0; row < result.height; ++row) {
     const int u = row - (turned.height - 1);

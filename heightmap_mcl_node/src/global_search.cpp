@@ -19,8 +19,12 @@ double Prior::logDensity(const PlanarPose& pose, const Eigen::Vector2d& referenc
   }
   if (position) {
     const PlanarPose there = changeReference(pose, reference, position_reference);
-    log_density -=
-        0.5 * (Eigen::Vector2d(there.x, there.y) - *position).squaredNorm() / (position_sigma * position_sigma);
+    const double squared = (Eigen::Vector2d(there.x, there.y) - *position).squaredNorm();
+    if (position_radius > 0) {
+      if (squared > position_radius * position_radius) log_density = -kInfinity;
+    } else {
+      log_density -= 0.5 * squared / (position_sigma * position_sigma);
+    }
   }
   return log_density;
 }

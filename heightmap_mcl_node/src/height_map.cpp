@@ -179,6 +179,35 @@ HeightMap downsample(const HeightMap& map, int factor) {
   return result;
 }
 
+HeightMap scaled(const HeightMap& map, double scale) {
+  if (!(scale > 0)) throw std::invalid_argument("scaled: the scale must be positive");
+  if (map.empty() || scale == 1) return map;
+  HeightMap result;
+  result.resolution = map.resolution;
+  result.floor = map.floor * scale;
+  result.cap = map.cap;
+  const long c0 = std::lround(std::floor(map.origin_x * scale / map.resolution)),
+             r0 = std::lround(std::floor(map.origin_y * scale / map.resolution));
+  result.origin_x = static_cast<double>(c0) * map.resolution;
+  result.origin_y = static_cast<double>(r0) * map.resolution;
+  result.width = static_cast<int>(std::ceil(map.width * scale)) + 1;
+  result.height = static_cast<int>(std::ceil(map.height * scale)) + 1;
+  result.heights.assign(static_cast<std::size_t>(result.width) * result.height, kHole);
+  if (!map.bounds.empty()) result.bounds.assign(result.heights.size(), 0);
+  for (int r = 0; r < result.height; ++r) {
+    for (int c = 0; c < result.width; ++c) {
+      const Eigen::Vector2d p = result.center(r, c) / scale;
+      const int from_c = static_cast<int>(std::floor((p.x() - map.origin_x) / map.resolution));
+      const int from_r = static_cast<int>(std::floor((p.y() - map.origin_y) / map.resolution));
+      if (from_c < 0 || from_r < 0 || from_c >= map.width || from_r >= map.height) continue;
+      const std::size_t from = static_cast<std::size_t>(from_r) * map.width + from_c;
+      result.at(r, c) = static_cast<float>(map.heights[from] * scale);
+      if (!map.bounds.empty()) result.bounds[static_cast<std::size_t>(r) * result.width + c] = map.bounds[from];
+    }
+  }
+  return result;
+}
+
 HeightMap rotateAbout(const HeightMap& map, const Eigen::Vector2d& pivot, double yaw, int cells) {
   if (cells < 2 || cells % 2 != 0) throw std::invalid_argument("rotateAbout: cells must be positive and even");
   HeightMap result;

@@ -50,55 +50,6 @@ Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, cons
 
 }  // namespace
 
-const char* toString(Status status) {
-  switch (status) {
-    case Status::kSearching:
-      return "SEARCHING";
-    case Status::kAmbiguous:
-      return "AMBIGUOUS";
-    case Status::kDegenerate:
-      return "DEGENERATE";
-    case Status::kConverged:
-      return "CONVERGED";
-  }
-  return "";
-}
-
-void validate(const LocalizerSettings& s) {
-  const auto require = [](bool ok, const std::string& text) {
-    if (!ok) throw std::invalid_argument("localizer settings: " + text);
-  };
-  validate(s.air_map);
-  validate(s.ground_map);
-  validate(CostSettings{s.min_overlap, 0, s.min_explained, s.min_relief});
-  require(s.unknown_weight >= 0 && s.unknown_weight <= 2, "unknown_weight must be in [0, 2]");
-  validate(s.filter);
-  require(s.air_map.resolution == s.ground_map.resolution, "both height maps must have the same resolution");
-  require(s.air_map.tops == s.ground_map.tops && s.air_map.cap == s.ground_map.cap,
-          "both height maps must have the same tops and cap");
-  require(s.headings >= 8 && s.headings <= 720, "headings must be 8 to 720");
-  require(s.coarse_factor >= 1 && s.coarse_factor <= 16, "coarse_factor must be 1 to 16");
-  require(s.accumulate >= 1, "accumulate must be at least 1");
-  require(s.verify >= s.accumulate, "verify must not be less than accumulate");
-  require(s.min_maps >= 1, "min_maps must be at least 1");
-  require(s.min_mode_weight > 0 && s.min_mode_weight <= 1, "min_mode_weight must be in (0, 1]");
-  require(s.max_spread > 0 && s.max_spread_yaw > 0, "max_spread and max_spread_yaw must be positive");
-  require(s.ambiguity_ratio > 1 && s.probe_ratio > 1, "ambiguity_ratio and probe_ratio must be greater than 1");
-  require(s.noise_cost > 0, "noise_cost must be positive [m^2]");
-  require(s.rival_distance > 0 && s.rival_angle > 0, "rival_distance and rival_angle must be positive");
-  require(s.min_relief >= 0 && s.probe_distance > 0, "min_relief must not be negative, probe_distance positive [m]");
-  require(s.min_explained >= 0 && s.min_explained < 1, "min_explained must be in [0, 1)");
-  require(s.cells_per_independent >= 1, "cells_per_independent must be at least 1");
-  require(s.floor_position > 0 && s.floor_yaw > 0 && s.floor_z > 0 && s.gravity_sigma > 0, "floors must be positive");
-}
-
-HeightMapSettings boundedMap(bool drop_hanging) {
-  HeightMapSettings settings;
-  settings.tops = Tops::kBounded;
-  settings.drop_hanging = drop_hanging;
-  return settings;
-}
-
 Localizer::Localizer(const LocalizerSettings& settings) : settings_(settings), filter_(settings.filter, settings.seed) {
   validate(settings_);
   restart(true);
@@ -118,6 +69,8 @@ void Localizer::restart(bool forget_aerial) {
   maps_ = 0;
   restarts_ = 0;
   if (forget_aerial) {
+    scale_ = 1;
+    scale_stddev_ = settings_.scale_sigma;
     aerial_.clear();
     filter_map_ = HeightMap();
   }
@@ -128,7 +81,9 @@ void Localizer::restart(bool forget_aerial) {
 void Localizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(aerial_.size());
-  filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, aerial_.back().reference.head<2>());
+  updateScale();
+  filter_map_ = lastMaps(settings_.accumulate);
+  filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, lastReference());
 }
 
 bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
@@ -167,6 +122,7 @@ bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
     aerial_.pop_front();
     ++far_maps_dropped_;
   }
+  if (hasGround()) updateScale();
   filter_map_ = lastMaps(settings_.accumulate);
   if (hasGround()) updateFilter();
   updateEstimate();
@@ -180,7 +136,7 @@ std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
   return maps;
 }
 
-HeightMap Localizer::lastMaps(int count) const { return merge(keptMaps(count), settings_.merge); }
+HeightMap Localizer::lastMaps(int count) const { return scaled(merge(keptMaps(count), settings_.merge), scale_); }
 
 double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   // What both are charged for unknown cells says nothing about either.
@@ -196,7 +152,8 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
 CostSettings Localizer::costFor(const HeightMap& air) const {
   // Of unrelated heights, eq. 2 is on average half the sum of both variances.
   const double unrelated = 0.5 * (std::pow(heightDeviation(air), 2) + ground_variance_);
-  return {settings_.min_overlap, settings_.unknown_weight * unrelated, settings_.min_explained, settings_.min_relief};
+  return {settings_.min_overlap, settings_.unknown_weight * unrelated, settings_.min_explained, settings_.min_relief,
+          settings_.overlap_of_air};
 }
 
 CostVolume Localizer::coarseVolume(const HeightMap& map) const {
@@ -206,12 +163,12 @@ CostVolume Localizer::coarseVolume(const HeightMap& map) const {
 }
 
 void Localizer::updateFilter() {
-  const Eigen::Vector2d reference = aerial_.back().reference.head<2>();
+  const Eigen::Vector2d reference = lastReference();
   ++maps_;
   if (filter_.initialized()) {
     filter_.move(reference);
     weighed_ = filter_.weigh(*direct_, aerialCells(filter_map_, reference), costFor(filter_map_));
-    if (weighed_) return;
+    if (weighed_ || settings_.mode == Mode::kPaper) return;
     ++restarts_;
   }
   if (!filter_.initialize(coarseVolume(filter_map_), prior_, reference)) maps_ = 0;
@@ -219,6 +176,8 @@ void Localizer::updateFilter() {
 
 void Localizer::updateEstimate() {
   estimate_ = Estimate();
+  estimate_.scale = scale_;
+  estimate_.scale_stddev = scale_stddev_;
   estimate_.maps = maps_;
   estimate_.restarts = restarts_;
   if (!hasGround() || !hasAerial()) {
@@ -233,7 +192,12 @@ void Localizer::updateEstimate() {
   const auto spread = filter_.spread();
   estimate_.particle_spread = spread.position;
   estimate_.particle_spread_yaw = spread.yaw;
-  const Mode mode = filter_.modes(settings_.rival_distance, settings_.rival_angle).front();
+  estimate_.particle_mean = filter_.mean();
+  if (settings_.mode == Mode::kPaper) {
+    estimateFromParticles();
+    return;
+  }
+  const ParticleMode mode = filter_.modes(settings_.rival_distance, settings_.rival_angle).front();
   estimate_.mode_weight = mode.weight;
   estimate_.mode_spread = std::sqrt(mode.covariance.topLeftCorner<2, 2>().trace() / 2);
   estimate_.mode_spread_yaw = std::sqrt(mode.covariance(2, 2));
@@ -368,7 +332,7 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
 }
 
 void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
-                              const CostSettings& cost, const Mode& mode, const Eigen::Vector3d& flattest) {
+                              const CostSettings& cost, const ParticleMode& mode, const Eigen::Vector3d& flattest) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
   const Eigen::Vector2d center = direct_->overlapCenter(cells, best.pose);

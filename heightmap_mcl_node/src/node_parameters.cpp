@@ -8,6 +8,10 @@ namespace {
 using air_ground_common::ros_utils::Parameters;
 
 void readHeightMap(Parameters& p, const std::string& prefix, HeightMapSettings& s) {
+  const std::string tops = p.choice("tops", "bounded", {"highest", "clipped", "bounded"});
+  s.tops = tops == "highest" ? Tops::kHighest : tops == "clipped" ? Tops::kClipped : Tops::kBounded;
+  s.cap = p.number("cap", s.cap, 0.1, 1000.0);
+  s.drop_hanging = p.flag(prefix + "drop_hanging", s.drop_hanging);
   s.resolution = 1.0 / p.number("cells_per_metre", 1.0 / s.resolution, 5, 200);
   const std::string dilation = p.choice(prefix + "dilation", "all", {"none", "holes", "all"});
   s.dilation = dilation == "none" ? Dilation::kNone : dilation == "holes" ? Dilation::kHoles : Dilation::kAll;
@@ -39,7 +43,9 @@ NodeSettings readParameters(Parameters& p) {
   s.unknown_weight = p.number("unknown_weight", s.unknown_weight, 0.0, 2.0);
   s.headings = p.integer("headings", s.headings, 8, 720);
   s.coarse_factor = p.integer("coarse_factor", s.coarse_factor, 1, 16);
-  if (p.choice("heading_mode", "search", {"search", "prior"}) == "prior") n.prior.yaw = 0.0;
+  const std::string heading_mode = p.choice("heading_mode", "search", {"search", "prior", "compass"});
+  n.compass = heading_mode == "compass";
+  if (heading_mode == "prior") n.prior.yaw = 0.0;
   const double yaw = p.number("heading_prior", 0.0, -M_PI, M_PI);
   n.prior.yaw_sigma = p.number("heading_sigma", 0.17, 0.002, M_PI);
   if (n.prior.yaw) n.prior.yaw = yaw;
@@ -73,6 +79,8 @@ NodeSettings readParameters(Parameters& p) {
   s.floor_z = p.number("floor_z", s.floor_z, 1e-4, 1.0);
   s.floor_yaw = p.number("floor_yaw", s.floor_yaw, 1e-5, 0.8);
   s.gravity_sigma = p.number("gravity_sigma", s.gravity_sigma, 1e-5, 0.8);
+  n.search_radius = p.number("search_radius", n.search_radius, 0.5, 100.0);
+  if (p.choice("mode", "search", {"search", "paper"}) == "paper") s = paperSettings(s);
   p.finish();
   try {
     validate(s);

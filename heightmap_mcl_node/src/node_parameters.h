@@ -10,8 +10,10 @@ namespace heightmap_mcl {
 
 struct NodeSettings {
   LocalizerSettings localizer;
-  Prior prior;                                  ///< empty when the heading is searched
+  Prior prior;           ///< empty when the heading is searched
+  bool compass = false;  ///< the heading is that of two magnetometers, prior.yaw_sigma their common error
   std::string ground_map_frame, mav_map_frame;  ///< empty: as in the messages
+  double search_radius = 3;                     ///< about initialpose, in Mode::kPaper [m]
   bool publish_tf = false;
   double tf_rate = 10;  ///< [Hz]
   int cloud_queue = 30;

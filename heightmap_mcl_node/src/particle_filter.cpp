@@ -29,10 +29,24 @@ ParticleFilter::ParticleFilter(const FilterSettings& settings, std::uint64_t see
 }
 
 std::vector<PlanarPose> ParticleFilter::draw(const CostVolume& volume, const Prior& prior, int count) {
-  const double lowest = volume.lowest();
-  if (!std::isfinite(lowest) || count <= 0) return {};
+  if (!std::isfinite(volume.lowest()) || count <= 0) return {};
   const int n = static_cast<int>(volume.slices.size());
   const bool use_prior = prior.any();
+  // Where a prior forbids the lowest cost, the exponents are relative to the likeliest place.
+  double lowest = volume.lowest();
+  if (use_prior) {
+    lowest = kInfinity;
+    for (const CostMap& map : volume.slices) {
+      for (int r = 0; r < map.height; ++r) {
+        for (int c = 0; c < map.width; ++c) {
+          if (!std::isfinite(map.at(r, c))) continue;
+          const double log_density = prior.logDensity(map.pose(r, c), volume.pivot);
+          lowest = std::min(lowest, map.at(r, c) - settings_.sampling_sigma * log_density);
+        }
+      }
+    }
+    if (!std::isfinite(lowest)) return {};
+  }
   const auto weightOf = [&](const CostMap& map, int row, int column) -> double {
     const float cost = map.at(row, column);
     if (!std::isfinite(cost)) return 0;
@@ -158,13 +172,13 @@ void ParticleFilter::resample(const CostVolume* volume, const Prior& prior) {
   particles_ = std::move(result);
 }
 
-std::vector<Mode> ParticleFilter::modes(double distance, double angle) const {
+std::vector<ParticleMode> ParticleFilter::modes(double distance, double angle) const {
   const std::size_t n = particles_.size();
   const auto near = [&](const PlanarPose& a, const PlanarPose& b) {
     return std::hypot(a.x - b.x, a.y - b.y) <= distance && std::abs(wrapAngle(a.yaw - b.yaw)) <= angle;
   };
   std::vector<char> taken(n, 0);
-  std::vector<Mode> modes;
+  std::vector<ParticleMode> modes;
   for (double left = 1; left > 0.02 && modes.size() < 20;) {
     double best_density = 0;
     PlanarPose center;
@@ -180,7 +194,7 @@ std::vector<Mode> ParticleFilter::modes(double distance, double angle) const {
       }
     }
     if (best_density <= 0) break;
-    Mode mode;
+    ParticleMode mode;
     // Mean shift: the densest particle need not be the middle of its cluster.
     for (int iteration = 0; iteration < 3; ++iteration) {
       double weight = 0, x = 0, y = 0, yaw = 0;
@@ -208,8 +222,20 @@ std::vector<Mode> ParticleFilter::modes(double distance, double angle) const {
     left -= mode.weight;
     modes.push_back(mode);
   }
-  std::stable_sort(modes.begin(), modes.end(), [](const Mode& a, const Mode& b) { return a.weight > b.weight; });
+  std::stable_sort(modes.begin(), modes.end(),
+                   [](const ParticleMode& a, const ParticleMode& b) { return a.weight > b.weight; });
   return modes;
+}
+
+PlanarPose ParticleFilter::mean() const {
+  double x = 0, y = 0, c = 0, s = 0;
+  for (const Particle& p : particles_) {
+    x += p.weight * p.pose.x;
+    y += p.weight * p.pose.y;
+    c += p.weight * std::cos(p.pose.yaw);
+    s += p.weight * std::sin(p.pose.yaw);
+  }
+  return {x, y, std::atan2(s, c)};
 }
 
 ParticleFilter::Spread ParticleFilter::spread() const {

@@ -86,7 +86,7 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
     sums.a2 += (a.value - mean_a) * (a.value - mean_a);
     sums.g2 += (g.value - mean_g) * (g.value - mean_g);
   }
-  Zmssd result = zmssdFromSums(sums, std::min(aerial_cells, static_cast<double>(ground.defined())), settings);
+  Zmssd result = zmssdFromSums(sums, settings.cells(aerial_cells, static_cast<double>(ground.defined())), settings);
   if (std::isfinite(result.cost)) result.dz = ground_base - air_base - mean_d;
   return result;
 }
@@ -141,7 +141,7 @@ Zmssd DirectCost::operator()(const AerialCells& cells, const PlanarPose& pose, c
       static_cast<float>(std::cos(pose.yaw) * inverse), static_cast<float>(std::sin(pose.yaw) * inverse),
       static_cast<float>((pose.x - origin_x_) * inverse), static_cast<float>((pose.y - origin_y_) * inverse),
       {heights_.data(), width_, height_});
-  const double smaller = std::min(static_cast<double>(cells.h.size()), defined_);
+  const double smaller = settings.cells(static_cast<double>(cells.h.size()), defined_);
   Zmssd result = zmssdFromSums(sums, smaller, settings);
   if (std::isfinite(result.cost)) result.dz += base_ - cells.base;
   return result;

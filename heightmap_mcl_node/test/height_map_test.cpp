@@ -152,6 +152,15 @@ TEST(HeightMap, DownsampleKeepsTheHighestOfEachBlockAtNegativeCoordinatesToo) {
   EXPECT_EQ(half.defined(), 2u);
 }
 
+TEST(HeightMap, ScalingMovesCellsAndHeights) {
+  const auto map = buildHeightMap({{1.05f, -2.05f, 1.f}, {-0.55f, 0.35f, 0.4f}}, plain());
+  const auto larger = scaled(map, 2);
+  EXPECT_FLOAT_EQ(heightAt(larger, 2.1, -4.1), 2.f);
+  EXPECT_FLOAT_EQ(heightAt(larger, -1.1, 0.7), 0.8f);
+  EXPECT_TRUE(std::isnan(heightAt(larger, 1.05, -2.05)));
+  EXPECT_FLOAT_EQ(heightAt(scaled(larger, 0.5), 1.05, -2.05), 1.f);
+}
+
 TEST(HeightMap, RotationTurnsCounterClockwiseAboutThePivot) {
   const auto map = buildHeightMap({{1.05f, 2.05f, 1.f}, {1.55f, 2.05f, 7.f}}, plain());
   // The higher cell lies half a metre along +x of the pivot; turned by 90 degrees it lies along +y.

@@ -20,10 +20,10 @@ double uniform(Random& random, double low, double high) {
 double normal(Random& random, double sigma) { return sigma * std::normal_distribution<double>(0, 1)(random); }
 
 /// Walls of 2.5 m about the origin, one with a door of 2 m, furniture along them and in the middle, lamp, ceiling.
-TriangleMesh makeRoom(Random& random) {
+TriangleMesh makeRoom(const Options& options, Random& random) {
   TriangleMesh mesh;
   addBox(mesh, 0, 0, -0.1, 0, {14, 14, 0.1});
-  addBox(mesh, 0, 0, 2.5, 0, {14, 14, 0.1});
+  if (options.ceiling) addBox(mesh, 0, 0, 2.5, 0, {14, 14, 0.1});
   const double w = uniform(random, 4.4, 6.2), d = uniform(random, 3.8, 5.2), t = 0.12;
   const int door_wall = static_cast<int>(uniform(random, 0, 4));
   const double door = uniform(random, -0.3, 0.3);
@@ -68,7 +68,7 @@ TriangleMesh makeRoom(Random& random) {
     }
     const Eigen::Vector3d chair = T * Eigen::Vector3d(uniform(random, -0.4, 0.4), 0.5 * size.y() + 0.35, 0);
     addBox(mesh, chair.x(), chair.y(), 0, yaw, {0.42, 0.42, 0.45});
-    if (i == 0) addBox(mesh, x, y, 2.1, yaw, {0.5, 0.5, 0.2});  // the lamp over the first
+    if (i == 0 && options.ceiling) addBox(mesh, x, y, 2.1, yaw, {0.5, 0.5, 0.2});  // the lamp over the first
   }
   for (int i = 0; i < 5; ++i) {
     addBox(mesh, uniform(random, -0.4, 0.4) * w, uniform(random, -0.4, 0.4) * d, 0, uniform(random, 0, M_PI),
@@ -77,8 +77,9 @@ TriangleMesh makeRoom(Random& random) {
   return mesh;
 }
 
-TriangleMesh makeMesh(World world, Random& random) {
-  if (world == World::kRoom) return makeRoom(random);
+TriangleMesh makeMesh(const Options& options, Random& random) {
+  const World world = options.world;
+  if (world == World::kRoom) return makeRoom(options, random);
   TriangleMesh mesh;
   addBox(mesh, 0, 0, -0.1, 0, {12, 12, 0.1});
   if (world == World::kBoxes) {
@@ -229,10 +230,10 @@ Run makeRun(const Options& options) {
   Random random(options.seed * 7919 + 17);
   const bool room = options.world == World::kRoom;
   Run run;
-  run.mesh = makeMesh(options.world, random);
+  run.mesh = makeMesh(options, random);
   const MeshScene scene(run.mesh);
   Random elsewhere(options.seed * 104729 + 5);
-  const MeshScene aerial_scene(options.other_world ? makeMesh(options.world, elsewhere) : run.mesh);
+  const MeshScene aerial_scene(options.other_world ? makeMesh(options, elsewhere) : run.mesh);
 
   // The ground robot drives an arc around the scene and looks at points near its middle.
   // In a room it drives an arc within, looks along the walls and, now and then, up.
@@ -249,6 +250,7 @@ Run makeRun(const Options& options) {
     const double yaw = inwards + (room ? 1.2 * std::sin(0.9 * i) : 0.45 * std::sin(1.3 * i));
     const Pose T_world_base = yawPose(yaw, position);
     if (i == 0) T_world_groundmap = T_world_base;
+    run.T_ground_robot = T_world_groundmap.inverse() * T_world_base;
     seeFromGround(scene, T_world_base, room ? (i % 4 == 3 ? -0.35 : 0.1) : 0.25, random, seen);
   }
   const Pose T_groundmap_world = T_world_groundmap.inverse();

@@ -27,12 +27,14 @@ struct Options {
   double drift_per_metre = 0.01;       ///< of the MAV's position [m/m]
   double yaw_drift_per_metre = 0.002;  ///< [rad/m]
   double tilt = 0;                     ///< of the MAV's map, about a random horizontal axis [rad]
+  bool ceiling = true;                 ///< of a room, and its lamp
   bool other_world = false;            ///< the MAV is in another world (another room) than the ground robot
 };
 
 struct Run {
   air_ground_common::TriangleMesh mesh;               ///< in the world frame
   std::vector<Eigen::Vector3f> ground;                ///< in ground_map
+  air_ground_common::Pose T_ground_robot;             ///< where the ground robot stands at last, in ground_map
   std::vector<AerialCloud> aerial;                    ///< in mav_map
   std::vector<air_ground_common::Pose> T_ground_mav;  ///< what places each aerial cloud rightly, about its reference
 };

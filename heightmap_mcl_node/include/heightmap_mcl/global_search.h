@@ -15,6 +15,7 @@ struct Prior {
   std::optional<Eigen::Vector2d> position;  ///< of position_reference in the ground frame [m]
   Eigen::Vector2d position_reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
   double position_sigma = 0.5;                                   ///< along each axis [m]
+  double position_radius = 0;  ///< a disc of even density instead, of this radius [m]; 0: none
 
   bool any() const { return yaw || position; }
   /// Logarithm of the density up to a constant, for a pose of `reference`.

@@ -100,6 +100,9 @@ HeightMap merge(const std::vector<const HeightMap*>& maps, Merge mode);
 /// Map of `factor` times larger cells with the highest height (or bound) of each; the grid again at whole multiples.
 HeightMap downsample(const HeightMap& map, int factor);
 
+/// The map of the same scene `scale` times as large, about the frame's origin; heights scale too. Nearest cell.
+HeightMap scaled(const HeightMap& map, double scale);
+
 /// The map turned by `yaw` [rad] about `pivot` (in the map's frame) and shifted so that the pivot is the origin of the
 /// result: a square grid of side `cells` (even) centred on the pivot. Nearest cell; NaN outside.
 HeightMap rotateAbout(const HeightMap& map, const Eigen::Vector2d& pivot, double yaw, int cells);

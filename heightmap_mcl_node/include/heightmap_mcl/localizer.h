@@ -16,21 +16,28 @@ namespace heightmap_mcl {
 enum class Status { kSearching, kAmbiguous, kDegenerate, kConverged };
 const char* toString(Status status);
 
+/// kSearch: every cloud is searched for over the whole map, and the particles say when to believe it. kPaper: the first
+/// cloud's cost map seeds the particles, which are then alone, and their mean is the estimate.
+enum class Mode { kSearch, kPaper };
+
 /// Settings with tops as far as they were seen.
 HeightMapSettings boundedMap(bool drop_hanging);
 
 struct LocalizerSettings {
+  Mode mode = Mode::kSearch;
   HeightMapSettings air_map = boundedMap(false);
   HeightMapSettings ground_map = boundedMap(true);  ///< same resolution, tops and cap as air_map
   double min_overlap = 0.5;                         ///< see CostSettings
+  bool overlap_of_air = false;                      ///< see CostSettings
   double unknown_weight = 1;  ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
   FilterSettings filter;
   std::uint64_t seed = 1;
 
-  int headings = 72;      ///< over the full circle, in the coarse search
-  int coarse_factor = 4;  ///< cells of the coarse search are this much larger
-  int accumulate = 4;     ///< aerial clouds merged into the map that weighs the particles; 1 = paper
-  int verify = 8;         ///< aerial clouds merged into the map that checks the result for rivals and refines it
+  double scale_sigma = 0;  ///< standard deviation of the logarithm of the aerial clouds' scale; 0: they are metric
+  int headings = 72;       ///< over the full circle, in the coarse search
+  int coarse_factor = 4;   ///< cells of the coarse search are this much larger
+  int accumulate = 4;      ///< aerial clouds merged into the map that weighs the particles; 1 = paper
+  int verify = 8;          ///< aerial clouds merged into the map that checks the result for rivals and refines it
   Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
@@ -55,6 +62,10 @@ struct LocalizerSettings {
   double gravity_sigma = 0.01;         ///< of each map's vertical, about x and y [rad]
 };
 
+/// The filter of the paper: kPaper with single clouds, highest points, sigma 0.08 and an overlap of the aerial map's
+/// cells, whatever `s` says of these.
+LocalizerSettings paperSettings(LocalizerSettings s);
+
 /// Checks ranges and consistency; throws std::invalid_argument naming the field.
 void validate(const LocalizerSettings& settings);
 
@@ -71,6 +82,8 @@ struct Estimate {
   bool has_pose = false;
   air_ground_common::Pose T_ground_mav =
       air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
+  double scale = 1;         ///< of the aerial clouds: a point p of theirs lies at T_ground_mav * (scale * p)
+  double scale_stddev = 0;  ///< of it; 0 where the clouds are metric
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
   /// AMBIGUOUS: widened by the way to the rival. DEGENERATE: as wide as the ground map, and pi, along what is not
   /// fixed. SEARCHING: 1e6 I.
@@ -78,17 +91,18 @@ struct Estimate {
   Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< centre of the overlap, ground frame [m]
   double particle_spread = 0;                                 ///< [m], see ParticleFilter::Spread
   double particle_spread_yaw = 0;                             ///< [rad]
-  double mode_weight = 0;                                     ///< share of the particles in the dominant mode
-  double mode_spread = 0;                                     ///< of the position within it [m]
-  double mode_spread_yaw = 0;                                 ///< of the heading within it [rad]
-  double overlap = 0;                                         ///< share of the verification map's cells
-  double cost = 0;                                            ///< eq. 2 at the estimate [m^2]
-  double rival_ratio = 0;     ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
-  double rival_distance = 0;  ///< [m]
-  double explained = 0;       ///< see Zmssd::explained
-  double relief = 0;          ///< smaller one of the two maps' height deviations in the overlap [m]
-  double probe_ratio = 0;     ///< see LocalizerSettings
-  int maps = 0;               ///< aerial maps used since the search began
+  PlanarPose particle_mean;    ///< of the MAV; as the other statistics of particles, before any are drawn anew
+  double mode_weight = 0;      ///< share of the particles in the dominant mode
+  double mode_spread = 0;      ///< of the position within it [m]
+  double mode_spread_yaw = 0;  ///< of the heading within it [rad]
+  double overlap = 0;          ///< share of the verification map's cells
+  double cost = 0;             ///< eq. 2 at the estimate [m^2]
+  double rival_ratio = 0;      ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
+  double rival_distance = 0;   ///< [m]
+  double explained = 0;        ///< see Zmssd::explained
+  double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
+  double probe_ratio = 0;      ///< see LocalizerSettings
+  int maps = 0;                ///< aerial maps used since the search began
   int restarts = 0;  ///< times all particles were drawn anew: they had lost the overlap or missed the best place
 };
 
@@ -123,7 +137,7 @@ class Localizer {
   std::size_t farMapsDropped() const { return far_maps_dropped_; }
   const ParticleFilter& filter() const { return filter_; }
   const HeightMap& groundMap() const { return ground_; }
-  /// The map that weighs the particles: the last `accumulate` clouds.
+  /// The map that weighs the particles: the last `accumulate` clouds, at the estimate's scale.
   const HeightMap& aerialMap() const { return filter_map_; }
   /// Full-resolution cost map of the aerial map at the estimate's heading; poses refer to *pivot. Empty without maps.
   CostMap costMap(Eigen::Vector2d* pivot);
@@ -136,13 +150,25 @@ class Localizer {
   void drawFromKeptMaps();
   void updateFilter();
   void updateEstimate();
+  /// Looks for the scale at which the kept maps fit best, over all of what scale_sigma leaves open, or around the
+  /// present one once an estimate has converged.
+  void updateScale();
+  struct ScaleTrial {
+    double scale = 1;
+    Candidate best;
+    int cells = 0;
+  };
+  ScaleTrial tryScale(double scale, const HeightMap& raw, const PlanarPose* start) const;
+  Eigen::Vector2d lastReference() const { return scale_ * aerial_.back().reference.head<2>(); }
+  /// The estimate of Mode::kPaper.
+  void estimateFromParticles();
   /// Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad]) of the cells'
   /// reference.
   Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
   /// To be called with the verdict known.
   void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
-                     const Mode& mode, const Eigen::Vector3d& flattest);
+                     const ParticleMode& mode, const Eigen::Vector3d& flattest);
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
@@ -160,6 +186,7 @@ class Localizer {
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;
   Estimate estimate_;
+  double scale_ = 1, scale_stddev_ = 0;
   int maps_ = 0, restarts_ = 0;
   std::size_t far_maps_dropped_ = 0;
   bool weighed_ = false;  // the particles carry weights that the next resampling consumes

@@ -30,7 +30,7 @@ struct Particle {
 };
 
 /// A cluster of particles.
-struct Mode {
+struct ParticleMode {
   PlanarPose mean;  ///< of the reference point
   double weight = 0;
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  ///< of (x, y, yaw) [m^2, m rad, rad^2]
@@ -62,7 +62,10 @@ class ParticleFilter {
   void resample(const CostVolume* volume, const Prior& prior);
 
   /// Clusters by density: particles within `distance` [m] and `angle` [rad] of a peak. Heaviest first.
-  std::vector<Mode> modes(double distance, double angle) const;
+  std::vector<ParticleMode> modes(double distance, double angle) const;
+
+  /// Weighted mean of all; of the headings on the circle.
+  PlanarPose mean() const;
 
   /// Square root of the mean of the position variances along x and y [m], and circular standard deviation of the
   /// heading.

@@ -40,7 +40,11 @@ struct CostSettings {
   /// trust = explained / min_explained, within [0, 1] (see Zmssd::explained); 0: 1 throughout. Without it bare floor is
   /// a good place for any structure of little area: eq. 2 is never above half of the structure's own variance there.
   double min_explained = 0;
-  double min_relief = 0;  ///< see Zmssd::explained [m]
+  double min_relief = 0;        ///< see Zmssd::explained [m]
+  bool overlap_of_air = false;  ///< the aerial map counts as the smaller one, whichever is (paper)
+
+  /// Cells that a full overlap has.
+  double cells(double aerial, double ground) const { return overlap_of_air ? aerial : std::min(aerial, ground); }
 };
 
 /// Checks ranges; throws std::invalid_argument naming the field.

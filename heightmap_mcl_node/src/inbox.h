@@ -1,0 +1,117 @@
+// What has come in and waits for the worker: the newest ground cloud, aerial clouds with the odometry at their stamps,
+// commands. Decides which messages are of the maps that the robots have now.
+#pragma once
+
+#include <air_ground/VoStatus.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <nav_msgs/Odometry.h>
+#include <sensor_msgs/PointCloud2.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/trajectory.h"
+#include "node_parameters.h"
+
+namespace heightmap_mcl {
+
+struct Command {
+  bool reset = false;          // forget all
+  bool forget_aerial = false;  // fresh map of the MAV
+  bool relocalize = false;     // search again on the maps at hand
+  bool forget_ground = false;
+  std::optional<Prior> prior;
+  bool forgets() const { return reset || forget_aerial || forget_ground; }
+  bool any() const { return forgets() || relocalize; }
+};
+
+/// What is to be done next.
+struct Work {
+  Command command;
+  sensor_msgs::PointCloud2ConstPtr ground, aerial;          // null: none
+  std::optional<air_ground_common::StampedPose> reference;  // of the MAV at the aerial cloud's stamp
+  std::uint32_t map_id = 0;
+  std::string ground_frame, mav_frame;
+};
+
+/// Thread-safe.
+class Inbox {
+ public:
+  using Cloud = sensor_msgs::PointCloud2ConstPtr;
+
+  /// `resubscribe_ground` must return at once; it is called when a latched ground map is wanted once more.
+  Inbox(const NodeSettings& settings, air_ground_common::ros_utils::NodeHealth& health,
+        std::function<void()> resubscribe_ground)
+      : settings_(settings), health_(health), resubscribe_ground_(std::move(resubscribe_ground)) {}
+
+  void addAerial(const Cloud& msg);
+  void addGround(const Cloud& msg);
+  void addOdometry(const nav_msgs::OdometryConstPtr& msg);
+  void addMavStatus(const air_ground::VoStatusConstPtr& msg);
+  void addGroundStatus(const air_ground::VoStatusConstPtr& msg);
+  void setInitialPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& msg);
+  void reset();
+  void relocalize();
+
+  /// Waits for something to do; empty after stop().
+  std::optional<Work> next();
+  void stop();
+
+  /// Keeps the alignment for tf, or none. False, and none, when it is about a map that has ended meanwhile.
+  bool conclude(const std::optional<air_ground_common::Pose>& T_ground_mav);
+
+  struct Alignment {
+    air_ground_common::Pose T_ground_mav;
+    std::string ground_frame, mav_frame;
+  };
+  std::optional<Alignment> alignment() const;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  struct WaitingCloud {
+    Cloud cloud;
+    Clock::time_point until;  // the cloud waits for odometry up to its stamp
+  };
+  enum MavStream { kAerial, kOdometry, kMavStatus, kMavStreams };
+  enum GroundStream { kGround, kGroundStatus, kGroundStreams };
+  static constexpr std::size_t kOdometryKept = 4000;
+
+  // mutex_ held.
+  bool frameFits(const std::string& frame, const std::string& expected, std::string* known, const std::string& what);
+  void onMavTimeJump();
+  void onGroundTimeJump();
+  void forgetAerial();
+  void forgetGround();
+  void endSearch();
+  bool pending() const;
+  bool cloudReady() const;
+  void takeCloud(Work& work);
+
+  const NodeSettings settings_;
+  air_ground_common::ros_utils::NodeHealth& health_;
+  const std::function<void()> resubscribe_ground_;
+
+  mutable std::mutex mutex_;
+  std::condition_variable wake_;
+  bool stop_ = false;
+  Command command_;
+  std::deque<WaitingCloud> clouds_;
+  Cloud ground_;
+  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its
+  // map again.
+  air_ground_common::ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
+  air_ground_common::ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
+  ros::Time map_begin_, ground_map_begin_;  // clouds before belong to an earlier map
+  air_ground_common::Trajectory odometry_;
+  std::optional<std::uint32_t> map_id_, ground_map_id_;
+  std::string ground_frame_, mav_frame_;
+  std::optional<air_ground_common::Pose> T_ground_mav_;  // what tf says: while CONVERGED
+};
+
+}  // namespace heightmap_mcl

@@ -1,0 +1,94 @@
+// Real depth: a Kinect carried through a kitchen (7-Scenes). The first half of the recording is the ground robot's map,
+// the second the MAV's clouds, in a map of its own.
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <opencv2/imgcodecs.hpp>
+#include <string>
+
+#include "synthetic_world.h"
+
+using namespace heightmap_mcl;
+using air_ground_common::Pose;
+
+namespace {
+
+std::string folder() {
+  const char* shared = std::getenv("AIR_GROUND_SHARED");
+  return (shared && *shared ? std::string(shared) : std::string(AIR_GROUND_SOURCE_DIR) + "/../shared") +
+         "/data/redkitchen/";
+}
+
+std::string frameFile(int frame, const char* kind) {
+  char name[64];
+  std::snprintf(name, sizeof(name), "frame-%06d.%s", frame, kind);
+  return folder() + name;
+}
+
+/// The recording's frame turned so that z points up.
+Eigen::Matrix3d levelling() {
+  std::ifstream file(folder() + "gravity-direction.txt");
+  Eigen::Vector3d down;
+  file >> down.x() >> down.y() >> down.z();
+  return Eigen::Quaterniond::FromTwoVectors(-down, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+}
+
+Pose cameraPose(int frame, const Eigen::Matrix3d& R_level) {
+  std::ifstream file(frameFile(frame, "pose.txt"));
+  Eigen::Matrix4d T;
+  for (int i = 0; i < 16; ++i) file >> T(i / 4, i % 4);
+  return Pose(Eigen::Affine3d(R_level).matrix() * T);
+}
+
+void addPoints(int frame, const Pose& T_map_camera, std::vector<Eigen::Vector3f>& points) {
+  const cv::Mat depth = cv::imread(frameFile(frame, "depth.png"), cv::IMREAD_UNCHANGED);
+  for (int v = 1; v < depth.rows; v += 2) {
+    for (int u = 1; u < depth.cols; u += 2) {
+      const double z = 1e-3 * depth.at<std::uint16_t>(v, u);
+      if (z < 0.4 || z > 4.0) continue;  // farther, the Kinect's noise exceeds some centimetres; 65535 is invalid
+      points.push_back((T_map_camera * Eigen::Vector3d((u - 320) / 585.0 * z, (v - 240) / 585.0 * z, z)).cast<float>());
+    }
+  }
+}
+
+}  // namespace
+
+TEST(RedKitchen, BothHalvesFindEachOther) {
+  if (!std::filesystem::exists(frameFile(0, "depth.png"))) GTEST_SKIP() << "no recording in " << folder();
+  const Eigen::Matrix3d R_level = levelling();
+  std::vector<Eigen::Vector3f> ground;
+  for (int frame = 0; frame < 300; frame += 6) addPoints(frame, cameraPose(frame, R_level), ground);
+  // The MAV's map: another origin and heading.
+  const Pose T_ground_mav = air_ground_common::yawPose(2.1, {1.3, -0.7, 0.4});
+  Localizer localizer({});
+  ASSERT_TRUE(localizer.setGround(ground));
+  constexpr int kCloudEvery = 20;
+  int right = 0, converged = 0, wrong = 0, clouds = 0;
+  synthetic::Error error;
+  for (int first = 300; first + 16 < 600; first += kCloudEvery, ++clouds) {
+    AerialCloud cloud;
+    for (int frame = first; frame < first + kCloudEvery; frame += 4) {
+      const Pose T_mav_camera = T_ground_mav.inverse() * cameraPose(frame, R_level);
+      addPoints(frame, T_mav_camera, cloud.points);
+      cloud.reference = T_mav_camera.translation();
+    }
+    ASSERT_TRUE(localizer.addAerial(cloud));
+    const Estimate& e = localizer.estimate();
+    error = synthetic::errorOf(e.T_ground_mav, T_ground_mav, cloud.reference);
+    const bool ok = error.position < 0.10 && error.yaw < 4 * M_PI / 180;
+    right += ok;
+    converged += e.status == Status::kConverged;
+    wrong += e.status == Status::kConverged && !ok;
+    std::printf("cloud %d: %s, %.3f m, %.2f deg, overlap %.2f, explained %.2f, rival %.2f, probe %.2f: %s\n",
+                clouds + 1, toString(e.status), error.position, error.yaw * 180 / M_PI, e.overlap, e.explained,
+                e.rival_ratio, e.probe_ratio, e.reason.c_str());
+  }
+  EXPECT_EQ(wrong, 0);
+  EXPECT_GT(converged, 0);
+  EXPECT_GE(right, clouds / 2);
+  EXPECT_LT(error.position, 0.10);
+  EXPECT_LT(error.yaw, 4 * M_PI / 180);
+}
