@@ -9,7 +9,6 @@
 #include <random>
 #include <thread>
 
-#include "../src/background_task.h"
 #include "air_ground_common/geometry.h"
 
 using namespace heightmap_mcl;
@@ -57,24 +56,4 @@ TEST(Compass, UnusableReadingsAreRefused) {
   EXPECT_FALSE(north.add({0, 0, 0}));
   EXPECT_FALSE(north.add({0.01, 0, -1}));
   EXPECT_FALSE(north.direction());
-}
-
-TEST(BackgroundTask, RequestReturnsWhileTheTaskBlocks) {
-  std::promise<void> gate;
-  std::atomic<int> runs{0};
-  {
-    BackgroundTask task([&, open = gate.get_future().share()] {
-      ++runs;
-      open.wait();
-    });
-    const auto start = std::chrono::steady_clock::now();
-    for (int i = 0; i < 5; ++i) task.request();
-    EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(1));
-    while (runs == 0) std::this_thread::yield();
-    task.request();  // it runs: this asks for one more
-    task.request();
-    gate.set_value();
-    while (runs < 2) std::this_thread::yield();
-  }
-  EXPECT_LE(runs, 3);
 }
