@@ -2,12 +2,8 @@
 
 #include <gtest/gtest.h>
 
-#include <atomic>
-#include <chrono>
 #include <cmath>
-#include <future>
 #include <random>
-#include <thread>
 
 #include "air_ground_common/geometry.h"
 
