@@ -32,6 +32,20 @@ TEST(FrameAssembler, AnImageWaitsForTheImuUpToItsStamp) {
   EXPECT_DOUBLE_EQ(assembler.take().imu.front().stamp, 1.01) << "goes on where the last frame ended";
 }
 
+// The IMU's clock runs 20 ms ahead: what belongs to an image has later stamps.
+TEST(FrameAssembler, AnImageWaitsForTheImuUpToTheLead) {
+  Assembler assembler({});
+  assembler.setImuLead(0.02);
+  assembler.addImage(1.00, 1, 0);
+  for (const double t : {1.00, 1.01}) assembler.addImu({t});
+  EXPECT_FALSE(assembler.ready(0));
+  for (const double t : {1.025, 1.03}) assembler.addImu({t});
+  ASSERT_TRUE(assembler.ready(0));
+  const auto frame = assembler.take();
+  ASSERT_EQ(frame.imu.size(), 3u);
+  EXPECT_DOUBLE_EQ(frame.imu.back().stamp, 1.025);
+}
+
 TEST(FrameAssembler, WithoutImuItGoesOnWhenNewerImagesHaveSettled) {
   FrameAssemblerSettings settings;
   settings.imu_wait = 0.5;

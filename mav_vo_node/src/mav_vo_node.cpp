@@ -117,6 +117,8 @@ class MavVoNode : private ros_utils::Estimator {
     return odometry_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force});
   }
 
+  double imuLead() const override { return odometry_->imuNeededAt(0); }
+
   ros_utils::EstimatorResult process(const ros_utils::EstimatorFrame& frame) override {
     odometry_->setImuProblem(shell_.imuProblem());
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);

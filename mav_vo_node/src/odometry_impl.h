@@ -81,7 +81,7 @@ struct Odometry::Impl {
   OdometrySettings settings;
 
   visual_frontend::FeatureTracker tracker;
-  RollingShutter shutter;
+  visual_frontend::RollingShutter shutter;
   Bootstrap bootstrap;
   ScaleFilter scale;
   GyroAlignment gyro_alignment;

@@ -68,7 +68,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
   void make(const CameraModel& camera, const Pose& T_base_camera, const std::optional<Pose>& T_base_imu) override {
     Mounting mounting;
     mounting.T_base_camera = T_base_camera;
-    if (T_base_imu) mounting.R_base_imu = T_base_imu->linear();
+    if (T_base_imu) {
+      mounting.R_base_imu = T_base_imu->linear();
+      mounting.p_base_imu = T_base_imu->translation();
+    }
     slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
   }
 
@@ -84,6 +87,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
     return slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force});
   }
+
+  double imuLead() const override { return settings_.slam.time_offset + 0.5 * std::abs(settings_.slam.readout_time); }
 
   /// Nothing of another map than `map_id` is published any more, and no cloud of one stays latched.
   void beginMap(std::uint32_t map_id) {

@@ -26,7 +26,7 @@ class FrameAssembler {
   struct Frame {
     double stamp = 0, arrival = 0;  ///< by the data's clock and by that of `now` [s]
     Image image;
-    std::deque<Imu> imu;  ///< since the last frame; one sample beyond the stamp, to interpolate the motion up to it
+    std::deque<Imu> imu;  ///< since the last frame; one sample beyond the lead, to interpolate the motion up to it
   };
 
   void addImage(double stamp, Image image, double now) {
@@ -45,6 +45,9 @@ class FrameAssembler {
     newest_imu_ = std::max(newest_imu_, sample.stamp);
   }
 
+  /// An image needs the IMU up to its stamp plus this [s]: the IMU's clock may run ahead of the images'.
+  void setImuLead(double lead) { imu_lead_ = lead; }
+
   /// Gives up the images that are too far behind, oldest first; returns how many.
   std::size_t dropLate() {
     std::size_t dropped = 0;
@@ -57,7 +60,7 @@ class FrameAssembler {
   bool ready(double now) const {
     if (images_.empty()) return false;
     const double stamp = images_.front().stamp;
-    if (!settings_.use_imu || newest_imu_ >= stamp) return true;
+    if (!settings_.use_imu || newest_imu_ >= stamp + imu_lead_) return true;
     for (const Waiting& image : images_)
       if (image.stamp - stamp > settings_.imu_wait) return now - image.arrival >= settings_.settle;
     return false;
@@ -68,7 +71,7 @@ class FrameAssembler {
     Waiting& oldest = images_.front();
     Frame frame{oldest.stamp, oldest.arrival, std::move(oldest.image), {}};
     images_.pop_front();
-    while (!imu_.empty() && (frame.imu.empty() || frame.imu.back().stamp < frame.stamp)) {
+    while (!imu_.empty() && (frame.imu.empty() || frame.imu.back().stamp < frame.stamp + imu_lead_)) {
       frame.imu.push_back(imu_.front());
       imu_.pop_front();
     }
@@ -96,7 +99,7 @@ class FrameAssembler {
   FrameAssemblerSettings settings_;
   std::deque<Waiting> images_;
   std::deque<Imu> imu_;
-  double newest_image_ = 0, newest_imu_ = 0;
+  double newest_image_ = 0, newest_imu_ = 0, imu_lead_ = 0;
   std::size_t overflown_ = 0;
 };
 

@@ -204,6 +204,7 @@ void EstimatorShell::reportUnmatched() {
 
 bool EstimatorShell::frameReady() {
   movePairs();
+  assembler_.setImuLead(imu_lead_);
   const std::size_t late = assembler_.dropLate();
   health_.count("images dropped: further behind than max_latency", late);
   if (!calibration_) return false;
@@ -354,6 +355,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
       health_.count("IMU samples refused: stamp not later than the last one's");
   last_stamp_ = frame.stamp;
   EstimatorResult result = estimator_.process(frame);
+  imu_lead_ = estimator_.imuLead();
   air_ground::VoStatus& status = result.status;
   status.header.stamp = frame.stamp;
   status.header.frame_id = settings_.map_frame;

@@ -16,13 +16,13 @@
 #include "mav_vo/imu_preintegration.h"
 #include "mav_vo/increment_covariance.h"
 #include "mav_vo/inertial_bundle.h"
-#include "mav_vo/rolling_shutter.h"
 #include "mav_vo/scale_filter.h"
 #include "mav_vo/standstill_detector.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/reobservation.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace mav_vo {
 

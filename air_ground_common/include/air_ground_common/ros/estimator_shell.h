@@ -10,6 +10,7 @@
 #include <sensor_msgs/Imu.h>
 #include <std_srvs/Trigger.h>
 
+#include <atomic>
 #include <condition_variable>
 #include <functional>
 #include <mutex>
@@ -91,6 +92,8 @@ class Estimator {
   /// False: stamp not later than the last one's.
   virtual bool addImu(const ImuInput::Sample& sample) = 0;
   virtual EstimatorResult process(const EstimatorFrame& frame) = 0;
+  /// A frame needs the IMU's samples up to its stamp plus this [s].
+  virtual double imuLead() const { return 0; }
   /// No frame has come for a while.
   virtual void idle() {}
   /// Throw std::runtime_error when there is none yet. The points are made without the estimator, which goes on
@@ -182,6 +185,7 @@ class EstimatorShell {
   std::string imu_frame_;
   ros::Time newest_image_;
   bool stop_ = false, reset_requested_ = false;
+  std::atomic<double> imu_lead_{0};  ///< of the estimator [s]
 
   // Worker and services, one at a time.
   std::mutex estimator_mutex_;

@@ -69,11 +69,6 @@ class AttitudeFilter {
   /// Samples that are not finite or not newer are ignored.
   void add(const ImuSample& sample);
   void reset();
-  /// A bias from elsewhere [rad/s]; counts as known.
-  void setGyroBias(const Eigen::Vector3d& bias) {
-    gyro_bias_ = bias;
-    bias_known_ = true;
-  }
 
   bool initialized() const { return initialized_; }
   /// Unit, IMU frame, at the last sample: +z of a level frame. Zero before initialisation.
