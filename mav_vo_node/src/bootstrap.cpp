@@ -99,13 +99,15 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
 
   // The oldest view that still shares enough tracks has the widest baseline.
   std::optional<BootstrapResult> result;
-  const int needed = std::clamp(static_cast<int>(settings_.min_common_share * static_cast<double>(features.size())),
-                                settings_.min_inliers, settings_.min_common);
+  std::size_t texture = features.size();
+  for (const BootstrapView& view : views_) texture = std::max(texture, view.features.size());
+  needed_ = std::clamp(static_cast<int>(settings_.min_common_share * static_cast<double>(texture)),
+                       settings_.min_common / 2, settings_.min_common);
   reason_ = "too few corners stay in view to compare images (" + std::to_string(features.size()) + " now, " +
-            std::to_string(needed) + " must stay): more light or texture, or slower turns";
+            std::to_string(needed_) + " must stay): more light or texture, or slower turns";
   for (const BootstrapView& first : views_) {
     const Common common = commonTracks(first.features, features);
-    if (static_cast<int>(common.track.size()) < needed) continue;
+    if (static_cast<int>(common.track.size()) < needed_) continue;
     const auto turn = gyro ? gyro(first.stamp, stamp) : std::nullopt;
     if (turn && turn->sigma > settings_.max_gyro_sigma) {
       reason_ = "estimating the gyro's bias: keep the camera moving over texture";
@@ -205,7 +207,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     problem.measurements.push_back({1, k, common.b[i], nb.sigma, 0, 0, nb.elongation});
   }
   const auto enough = [&](std::size_t count) {
-    return static_cast<int>(count) >= settings_.min_inliers &&
+    return static_cast<int>(count) * settings_.min_common >= settings_.min_inliers * needed_ &&
            static_cast<double>(count) >= settings_.min_inlier_share * static_cast<double>(common.track.size());
   };
   if (!enough(result.points.size())) {
@@ -230,7 +232,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     visual_frontend::RefineSettings refine;
     refine.loss = visual_frontend::RobustLoss::kCauchy;
     const auto pose = visual_frontend::refinePose(seen, start, refine);
-    if (pose.success && pose.inlier_count >= settings_.min_inliers / 2) {
+    if (pose.success && 2 * pose.inlier_count * settings_.min_common >= settings_.min_inliers * needed_) {
       problem.cameras.emplace_back();
       problem.cameras.back().T_map_camera = pose.T_map_camera;
       if (middle_turn) problem.priors.push_back({0, 2, Pose(middle_turn->R_a_b), gyro_sigma, -1});

@@ -17,9 +17,9 @@ namespace mav_vo {
 
 struct BootstrapSettings {
   double min_parallax = 0.06;     ///< median angle between the rays of the first and last view [rad]
-  int min_common = 60;            ///< tracks that both views share; where the image has fewer: min_common_share of them
-  double min_common_share = 0.5;  ///< of the present tracks
-  int min_inliers = 25;           ///< of them, consistent with the motion and triangulated
+  int min_common = 60;            ///< tracks that both views share
+  double min_common_share = 0.5;  ///< in weak texture: at least this share of the most that any recent image had
+  int min_inliers = 45;           ///< of them, consistent with the motion and triangulated; fewer in weak texture
   double min_inlier_share = 0.6;  ///< of the common tracks
   double max_age = 5.0;           ///< between first and last view [s]
   double frame_interval = 0.1;    ///< between views that are kept as candidates for the first [s]
@@ -83,6 +83,7 @@ class Bootstrap {
   visual_frontend::CameraModel camera_;
   BootstrapSettings settings_;
   std::deque<BootstrapView> views_;
+  int needed_ = 0;  ///< tracks that both views must share, by the texture of the recent images
   std::string reason_ = "no image yet";
 };
 

@@ -17,7 +17,7 @@ struct ScaleFilterSettings {
   double position_stddev = 0.003;       ///< white noise of the visual position, as a share of the scene's distance [1]
   double position_drift = 0.004;        ///< random walk of the visual position against the truth [m/sqrt(s)]
   double scale_drift = 0.001;           ///< random walk of the logarithm of the scale [1/sqrt(s)]
-  double accel_bias_stddev = 0.15;      ///< before the first measurement, per axis [m/s^2]
+  double accel_bias_stddev = 0.3;       ///< before the first measurement, per axis [m/s^2]
   double velocity_stddev = 2.0;         ///< before the first measurement, per axis [m/s]
   double rotation_walk = 2e-4;          ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
   double min_start_duration = 1.0;      ///< shortest window of the start [s]
