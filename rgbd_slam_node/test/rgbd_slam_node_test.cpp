@@ -256,9 +256,6 @@ TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
   course.imu_from = 2.0;
   drive(20, false, course);
   EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("without IMU") != std::string::npos; }));
-  // All frames but those that still wait for the IMU: were there more than a second of them, gravity_timeout would have
-  // passed when the first sample comes.
-  ASSERT_TRUE(spinUntil([&] { return !status.empty() && status.back().header.stamp >= cameraHeader(1.25).stamp; }));
   course.first = 20;
   drive(40, false, course);
   ASSERT_TRUE(answered(40));

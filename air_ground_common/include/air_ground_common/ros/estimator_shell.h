@@ -11,6 +11,7 @@
 #include <std_srvs/Trigger.h>
 
 #include <condition_variable>
+#include <deque>
 #include <functional>
 #include <mutex>
 #include <optional>
@@ -149,7 +150,7 @@ class EstimatorShell {
   // Worker
   void work();
   void attempt(Assembler::Frame& frame);
-  Obstacle prepare(const sensor_msgs::Image& image, bool with_imu_samples);
+  Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
   void startAfresh(bool anew);
   void makeEstimator(const Calibration& calibration, const std::string& camera_frame, const Pose& T_base_camera,
