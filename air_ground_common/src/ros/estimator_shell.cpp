@@ -285,7 +285,7 @@ void EstimatorShell::attempt(Assembler::Frame& waiting) {
   frame.image = pair.image.pixels();
   pair.image = {frame.image, nullptr};  // once
   frame.stamp = frame.image->header.stamp;
-  const Obstacle obstacle = prepare(*frame.image, !waiting.imu.empty());
+  const Obstacle obstacle = prepare(*frame.image, waiting.imu);
   if (!obstacle.reason.empty()) {
     tellObstacle(obstacle, frame.stamp);
     if (now() - waiting.arrival < settings_.transform_timeout) return;
@@ -302,7 +302,8 @@ void EstimatorShell::attempt(Assembler::Frame& waiting) {
 
 /// Makes the estimator once calibration and mountings are known, and anew when the calibration changes or an IMU turns
 /// up. Returns what is lacking while there is none.
-EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image, bool with_imu_samples) {
+EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image,
+                                                 const std::deque<ImuInput::Sample>& imu) {
   Calibration calibration;
   std::string imu_frame = settings_.imu_frame;
   {
@@ -311,7 +312,8 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
     if (imu_frame.empty()) imu_frame = imu_frame_;
   }
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
-  imu_seen_ = imu_seen_ || with_imu_samples;
+  // One that begins late has nothing to say about the images before it, which may still be waiting.
+  imu_seen_ = imu_seen_ || (!imu.empty() && (!estimator_.exists() || imu.front().stamp <= image.header.stamp.toSec()));
   const bool imu_wanted = settings_.use_imu && imu_seen_;
   const bool changed = estimator_.exists() && recalibrated(built_, calibration, image);
   if (estimator_.exists() && !changed && (with_imu_ || !imu_wanted)) return {};

@@ -12,6 +12,7 @@
 
 #include <atomic>
 #include <condition_variable>
+#include <deque>
 #include <functional>
 #include <mutex>
 #include <optional>
@@ -152,7 +153,7 @@ class EstimatorShell {
   // Worker
   void work();
   void attempt(Assembler::Frame& frame);
-  Obstacle prepare(const sensor_msgs::Image& image, bool with_imu_samples);
+  Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
   void startAfresh(bool anew);
   void makeEstimator(const Calibration& calibration, const std::string& camera_frame, const Pose& T_base_camera,
