@@ -15,6 +15,7 @@ namespace {
 namespace ru = air_ground_common::ros_utils;
 
 constexpr double kFrustum = 1.2;   // depth of a drawn camera [m]
+constexpr double kWidest = 4;      // distance of its corners from its axis, over that depth
 constexpr std::size_t kLines = 8;  // of a drawn camera
 
 geometry_msgs::Point toPoint(const Eigen::Vector3d& p) {
@@ -100,7 +101,12 @@ void CityDisplay::addCamera(const CameraModel& camera, const Pose& T_world_camer
   const double x[4] = {0, camera.width - 1.0, camera.width - 1.0, 0},
                y[4] = {0, 0, camera.height - 1.0, camera.height - 1.0};
   for (int i = 0; i < 4; ++i) {
-    const Eigen::Vector2d n = camera.unproject({x[i], y[i]});
+    // A fisheye's corners may lie outside its image circle: go inwards to what it sees.
+    Eigen::Vector2d pixel(x[i], y[i]), n = camera.unproject(pixel);
+    while (!n.allFinite() || n.norm() > kWidest) {
+      pixel = 0.95 * pixel + 0.05 * Eigen::Vector2d(camera.cx, camera.cy);
+      n = camera.unproject(pixel);
+    }
     corners[i] = T_world_camera * Eigen::Vector3d(kFrustum * n.x(), kFrustum * n.y(), kFrustum);
   }
   for (int i = 0; i < 4; ++i) {

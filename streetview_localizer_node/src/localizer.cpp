@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "air_ground_common/rectification.h"
 #include "mirror_check.h"
 #include "pyramid_cache.h"
 #include "step_timer.h"
@@ -418,6 +419,21 @@ struct Localizer::Impl {
     *result = std::move(best);
   }
 
+  // The panoramas' views are pinholes: features of a fisheye's image look like theirs only after rectification.
+  void runOnPinhole(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior,
+                    LocalizerResult* result) const {
+    constexpr double kMaxField = 100 * M_PI / 180;  // beyond, a pinhole's pixels are mostly of the rim
+    const CameraModel view = air_ground_common::centralPinhole(camera, kMaxField);
+    cv::Mat rectified;
+    cv::remap(image, rectified, air_ground_common::rectificationMap(camera, view), cv::noArray(), cv::INTER_LINEAR,
+              cv::BORDER_REPLICATE);
+    run(rectified, view, prior, result);
+    for (Correspondence& c : result->correspondences) {
+      const auto pixel = camera.project(view.unproject(c.pixel).homogeneous());
+      c.pixel = pixel ? *pixel : Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+    }
+  }
+
   // Of two attempts at one image: the accepted one with more inliers, else the later. Both accepted, they must agree.
   LocalizerResult better(LocalizerResult before, LocalizerResult after) const {
     after.features = std::max(after.features, before.features);
@@ -501,7 +517,10 @@ LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& cam
   if (prior.up_camera && (!prior.up_camera->allFinite() || prior.up_camera->norm() < 1e-9))
     throw std::invalid_argument("localizer: the direction of gravity is not finite");
   LocalizerResult result;
-  impl_->run(image, camera, prior, &result);
+  if (camera.model == air_ground_common::DistortionModel::kPlumbBob)
+    impl_->run(image, camera, prior, &result);
+  else
+    impl_->runOnPinhole(image, camera, prior, &result);
   result.total_time = StepTimer::secondsSince(start);
   return result;
 }

@@ -69,6 +69,30 @@ TEST_F(LocalizerTest, FindsCamerasInTheAir) {
   }
 }
 
+// 126 degrees across; most of the panoramas' views show less than it does.
+TEST_F(LocalizerTest, FindsAFisheye) {
+  CameraModel fisheye = TinyCity::camera();
+  fisheye.width = 960;
+  fisheye.height = 720;
+  fisheye.cx = 479.5;
+  fisheye.cy = 359.5;
+  fisheye.fx = fisheye.fy = 450;
+  fisheye.setDistortion("equidistant", {-0.02, 0.03, -0.02, 0.004});
+  for (const Pose& T : {TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05), TinyCity::look({4, 0, 3}, 0.2, 0.1, -0.1)}) {
+    const LocalizerResult r = localizer_->localize(city_->photograph(fisheye, T), fisheye);
+    EXPECT_TRUE(r.accepted()) << T.translation().transpose() << ": " << r.reason;
+    EXPECT_LT(error(r, T), 0.1) << T.translation().transpose();
+    EXPECT_LT(turn(r, T), 0.01);
+    // Matches are told as pixels of the fisheye's image.
+    for (const int i : r.pose.inliers) {
+      const Correspondence& c = r.correspondences[static_cast<std::size_t>(i)];
+      const auto pixel = fisheye.project(T.inverse() * c.p_world);
+      ASSERT_TRUE(pixel);
+      EXPECT_LT((*pixel - c.pixel).norm(), 12) << c.pixel.transpose();
+    }
+  }
+}
+
 TEST_F(LocalizerTest, SameInSameOut) {
   const Pose T = TinyCity::look({-2, 0, 5}, M_PI / 2 + 0.1, -0.1);
   const LocalizerResult a = locate(T), b = locate(T);

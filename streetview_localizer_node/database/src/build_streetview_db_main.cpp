@@ -124,6 +124,9 @@ int main(int argc, char** argv) {
     for (const double p : pitches) s.views.pitches.push_back(p * kDegree);
     if (!origin.empty()) s.model_options.origin = Eigen::Vector3d(origin[0], origin[1], origin[2]);
     if (!camera.empty()) s.camera = air_ground_common::readCameraFile(camera);
+    if (s.camera && s.camera->model != air_ground_common::DistortionModel::kPlumbBob)
+      throw std::invalid_argument("--camera: photographs of the database must be plumb_bob, not " +
+                                  s.camera->distortionName() + "; undistort them");
     Progress progress;
     print(buildDatabase(s, std::ref(progress)), s.output);
   } catch (const std::exception& e) {

@@ -107,9 +107,10 @@ class Localizer {
   Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings = {});
   ~Localizer();
 
-  /// `image`: 8-bit, grey or BGR, as recorded with `camera`. Throws std::invalid_argument when they do not fit
-  /// together, or the prior is not finite or its covariance not positive definite; everything that an image can show is
-  /// answered in the result.
+  /// `image`: 8-bit, grey or BGR, as recorded with `camera`; of wide-angle cameras (rational_polynomial, equidistant)
+  /// the central 100 degrees are used, as a pinhole's view. Throws std::invalid_argument when they do not fit together,
+  /// or the prior is not finite or its covariance not positive definite; everything that an image can show is answered
+  /// in the result.
   LocalizerResult localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior = {}) const;
 
   const StreetviewDatabase& database() const;
