@@ -4,6 +4,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace visual_frontend {
 
@@ -124,6 +125,34 @@ std::optional<Eigen::Matrix2d> warp(const CameraModel& camera, const Eigen::Vect
   return A;
 }
 
+/// Values around a position at steps of one pixel: the windows of a search share their samples.
+class SearchRegion {
+ public:
+  void load(const cv::Mat& image, const Eigen::Vector2f& centre, int radius, int half) {
+    radius_ = radius;
+    half_ = half;
+    side_ = 2 * (radius + half);
+    values_.resize(static_cast<std::size_t>(side_) * side_);
+    const float first = 0.5f - static_cast<float>(radius + half);
+    for (int v = 0, i = 0; v < side_; ++v) {
+      for (int u = 0; u < side_; ++u, ++i) {
+        if (!sample(image, centre.x() + first + u, centre.y() + first + v, &values_[i]))
+          values_[i] = std::numeric_limits<float>::quiet_NaN();
+      }
+    }
+  }
+  /// Patch moved by (dx, dy) from the centre; NaN outside the image.
+  void window(int dx, int dy, float* out) const {
+    const int size = 2 * half_;
+    for (int v = 0; v < size; ++v)
+      std::copy_n(&values_[static_cast<std::size_t>(v + dy + radius_) * side_ + dx + radius_], size, out + v * size);
+  }
+
+ private:
+  int radius_ = 0, half_ = 0, side_ = 0;
+  std::vector<float> values_;
+};
+
 struct Candidate {
   const Landmark* landmark;
   Eigen::Vector2d pixel;
@@ -178,6 +207,7 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
     if (camera.contains(p)) taken[cellOf(p)] = 1;
   }
 
+  SearchRegion searched;
   for (const Candidate& c : visible) {
     if (static_cast<int>(matches.size()) >= settings.max_matches) break;
     if (taken[cellOf(c.pixel)]) continue;
@@ -226,15 +256,15 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
     Eigen::Vector2f best_position = predicted;
     float best_score = -1;
     window.half = half;
+    searched.load(current[search_level], predicted, radius, half);
     for (int dy = -radius; dy <= radius; ++dy) {
       for (int dx = -radius; dx <= radius; ++dx) {
-        const Eigen::Vector2f p = predicted + Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
-        if (!extract(current[search_level], p, Eigen::Matrix2f::Identity(), half, window.values)) continue;
+        searched.window(dx, dy, window.values);
         window.statistics();
         const float score = zncc(coarse, window);
-        if (score > best_score) {
+        if (score > best_score) {  // never where the window leaves the image
           best_score = score;
-          best_position = p;
+          best_position = predicted + Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
         }
       }
     }
