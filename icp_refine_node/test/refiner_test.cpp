@@ -144,14 +144,15 @@ TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingDoesNotReplaceABetterOne) {
 }
 
 TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingReplacesAWrongOne) {
-  // Without the height check a wrong place is believed, and tracked.
+  // Without the height check, and with normals that need not agree, a wrong place is believed, and tracked.
   RefinerSettings settings;
   settings.min_agreement = 0;
   settings.max_rms = 1;
   settings.max_sigma = settings.max_sigma_angle = 3;
   settings.coarse_distance = 0.3;
-  AlignmentRefiner credulous(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]),
-                             settings);
+  YAML::Node chain = YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"];
+  chain["levels"][2]["outlier_filters"][0]["NormalAngle"]["max"] = 0.6;
+  AlignmentRefiner credulous(IcpChain(chain), settings);
   credulous.setGround(scene.ground);
   credulous.addAerial(1, scene.aerial);
   bool wrong = false;
