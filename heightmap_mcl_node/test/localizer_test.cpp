@@ -278,7 +278,10 @@ TEST(Localizer, BareFloorIsNoRivalOfStructure) {
       if (seen) ground.push_back(Eigen::Vector3d(x, y, 0.9 * height).cast<float>());
     }
   }
-  Localizer localizer({});
+  // By the heights of fronts alone: as bounds, they leave this little map DEGENERATE.
+  LocalizerSettings settings;
+  settings.air_map.tops = settings.ground_map.tops = Tops::kHighest;
+  Localizer localizer(settings);
   localizer.setGround(ground);
   for (int k = 0; k < 6; ++k) {
     air.reference = {0.3 * k, 0.1 * k, 2};
