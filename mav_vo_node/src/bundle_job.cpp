@@ -91,9 +91,9 @@ void applyBundleJob(const BundleJob& job, visual_frontend::Map& map, InertialMap
       newest = id;
       correction = job.problem.visual.cameras[i].T_map_camera * keyframe.T_map_camera.inverse();
     }
-    if (job.problem.visual.cameras[i].fixed) continue;
-    keyframe.T_map_camera = job.problem.visual.cameras[i].T_map_camera;
+    // A camera that holds the map has a bias all the same: the next window's chain may begin there.
     if (!job.problem.state_fixed[i]) inertial_map.states[id] = job.problem.states[i];
+    if (!job.problem.visual.cameras[i].fixed) keyframe.T_map_camera = job.problem.visual.cameras[i].T_map_camera;
   }
   for (std::size_t i = 0; i < job.landmarks.size(); ++i)
     if (map.hasLandmark(job.landmarks[i])) map.landmark(job.landmarks[i]).position = job.problem.visual.points[i];

@@ -86,6 +86,7 @@ void GyroAlignment::reset() {
   covariance_ = variance.asDiagonal();
   prior_ = variance.cwiseInverse().asDiagonal();
   misfit_ = 0;
+  inflation_ = kTrackCorrelation;
 }
 
 void GyroAlignment::dropImages() {
@@ -244,8 +245,8 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
       if (width > 2 * kLossWidth && pair.end - pair.begin > 1.5 * settings_.spans.front()) continue;
       const auto normal = linearize(pair, x, imu, width, nullptr);
       if (!normal) continue;
-      H += normal->H;
-      g += normal->g;
+      H += normal->H / inflation_;
+      g += normal->g / inflation_;
     }
     const Vector4 step = Eigen::Matrix4d(H).ldlt().solve(-Eigen::Vector4d(g));
     if (!step.allFinite()) break;
@@ -256,7 +257,7 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
   }
   double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_));
   for (const Pair& pair : pairs_)
-    if (const auto normal = linearize(pair, x, imu, kLossWidth, nullptr)) cost += normal->cost;
+    if (const auto normal = linearize(pair, x, imu, kLossWidth, nullptr)) cost += normal->cost / inflation_;
   *solution = x;
   return cost;
 }

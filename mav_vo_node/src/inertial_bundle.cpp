@@ -128,7 +128,9 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
       Vector6d sigma;
       sigma << Eigen::Vector3d::Constant(settings.gyro_bias_prior),
           Eigen::Vector3d::Constant(settings.accel_bias_prior);
-      solver_problem.AddResidualBlock(new PriorCost(keyframe[i].bias, sigma), nullptr, keyframe[i].bias.data());
+      Vector6d mean = keyframe[i].bias;
+      if (settings.gyro_bias_mean) mean.head<3>() = *settings.gyro_bias_mean;
+      solver_problem.AddResidualBlock(new PriorCost(mean, sigma), nullptr, keyframe[i].bias.data());
     }
   }
   if (problem.anchor >= 0 && camera_used[problem.anchor]) {

@@ -101,6 +101,7 @@ void Odometry::Impl::startMap() {
   track_landmark.clear();
   track_views.clear();
   keyframe_covariance.clear();
+  bias.gyro = gyro_alignment.bias();  // the old map's may have been why it was lost
   hovering = false;
   records.clear();
   scale.reset(map_tilt);
@@ -177,6 +178,12 @@ std::vector<Feature> Odometry::Impl::currentFeatures() const {
   return features;
 }
 
+// A map that is not metric yet has little to lose: it is waited for no longer than it lived.
+double Odometry::Impl::patience() const {
+  if (metric || map.keyframeCount() == 0) return settings.lost_timeout;
+  return std::min(settings.lost_timeout, lost_since - map.keyframes().begin()->second.stamp);
+}
+
 FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   const auto begin = std::chrono::steady_clock::now();
   FrameResult result;
@@ -245,7 +252,7 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
     if (relocalize(gray, R_previous_current.has_value())) {
       state = metric ? OdometryState::kTracking : OdometryState::kScaling;
       localized(false);
-    } else if (stamp - lost_since > settings.lost_timeout) {
+    } else if (stamp - lost_since > patience()) {
       startMap();
       reason = "lost for too long: a new map starts";
     }

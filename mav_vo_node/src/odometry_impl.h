@@ -33,6 +33,7 @@ struct Odometry::Impl {
   FrameResult process(double stamp, const cv::Mat& gray);
   std::string scaleReason() const;  ///< why the map is not metric
   std::string gyroProblem() const;  ///< empty: gyro and images agree
+  double patience() const;          ///< of a lost odometry, before a new map starts [s]
   void startMap();                  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   void reset();
   void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
@@ -70,7 +71,7 @@ struct Odometry::Impl {
   ScaleMeasurement scaleMeasurement(const Pose& T_map_camera, double distance) const;
   void rerunScale();  ///< over the recent images, as the adjusted map places them
   void retime();      ///< the inertial motion between images, after a change of the time offset
-  double gyroBiasPrior() const;
+  void setGyroBiasPrior(InertialBundleSettings* how) const;
   void makeMetric();
   void transformMap(const air_ground_common::Similarity& S_new_old);
   Pose poseOfRecord(std::size_t i) const;

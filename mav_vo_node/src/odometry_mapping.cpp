@@ -186,7 +186,7 @@ void Odometry::Impl::adjustLocally() {
       fixed.push_back(other.keyframe);
   }
   BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, metric, T_camera_imu);
-  job.settings.gyro_bias_prior = gyroBiasPrior();
+  setGyroBiasPrior(&job.settings);
   job.settings.max_iterations = settings.local_iterations;
   job.settings.threads = settings.bundle_threads;
   job.settings.max_seconds = 10;
@@ -203,7 +203,7 @@ void Odometry::Impl::adjustFully() {
   }
   BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, true, T_camera_imu);
   job.full = true;
-  job.settings.gyro_bias_prior = gyroBiasPrior();
+  setGyroBiasPrior(&job.settings);
   job.settings.max_iterations = settings.full_iterations;
   job.settings.threads = settings.bundle_threads;
   job.settings.max_seconds = 20;
@@ -299,8 +299,10 @@ void Odometry::Impl::rerunScale() {
   }
 }
 
-double Odometry::Impl::gyroBiasPrior() const {
-  return std::clamp(gyro_alignment.biasStddev(), kMinGyroBiasPrior, kMaxGyroBiasPrior);
+// A map that is not metric yet may have begun with a bias that the tracks have long known better.
+void Odometry::Impl::setGyroBiasPrior(InertialBundleSettings* how) const {
+  how->gyro_bias_prior = std::clamp(gyro_alignment.biasStddev(), kMinGyroBiasPrior, kMaxGyroBiasPrior);
+  if (!metric) how->gyro_bias_mean = gyro_alignment.bias();
 }
 
 // Links whose samples are gone keep the offset of their time.

@@ -52,7 +52,9 @@ TEST(Jacobians, MatchDifferences) {
     Vector6d camera;
     camera << T.translation(), theta;
     const Eigen::Vector3d p = synthetic::visiblePoint(random, T);
-    EXPECT_LT(jacobianError(ReprojectionCost(R_0, {0.1, -0.2}, {0.002, i % 2 ? 3.0 : 1.0}), {vectorOf(camera), vectorOf(p)}), 1e-6);
+    EXPECT_LT(
+        jacobianError(ReprojectionCost(R_0, {0.1, -0.2}, {0.002, i % 2 ? 3.0 : 1.0}), {vectorOf(camera), vectorOf(p)}),
+        1e-6);
     EXPECT_LT(jacobianError(DepthCost(R_0, 2.0, 0.01), {vectorOf(camera), vectorOf(p)}), 1e-6);
     EXPECT_LT(jacobianError(GravityCost(R_0, random.vector(1).normalized(), 0.01), {vectorOf(camera)}), 1e-6);
 

@@ -3,6 +3,7 @@
 // on Ceres).
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,7 +17,8 @@ struct InertialBundleSettings {
   double loss_width = 2.0;         ///< in sigmas of a feature
   double outlier_threshold = 3.0;  ///< sigmas; larger residuals are reported
   double gyro_bias_prior = 0.01;   ///< of the first state of a chain of links against its start [rad/s]
-  double accel_bias_prior = 0.1;   ///< of the first state of a chain of links against its start [m/s^2]
+  std::optional<Eigen::Vector3d> gyro_bias_mean = {};  ///< instead of that start [rad/s]
+  double accel_bias_prior = 0.1;  ///< of the first state of a chain of links against its start [m/s^2]
   int max_iterations = 10;
   double max_seconds = 10.0;  ///< wall clock [s]; a result stopped by it is usable but not reproducible
   int threads = 1;
