@@ -41,7 +41,7 @@ struct LocalizerSettings {
   Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
-  int min_maps = 2;              ///< aerial maps seen before CONVERGED
+  int min_maps = 4;              ///< aerial maps seen before CONVERGED
   double min_mode_weight = 0.7;  ///< share of the particles in the dominant mode
   double max_spread = 0.20;      ///< of the position within the dominant mode [m]
   double max_spread_yaw = 0.10;  ///< of the heading within the dominant mode [rad]
