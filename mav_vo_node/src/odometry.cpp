@@ -122,6 +122,7 @@ void Odometry::Impl::reset() {
   imu.clear();
   attitude.reset();
   bias = {};
+  rested = false;
   gyro_alignment.reset();
   standstill.reset();
   imu.setOffset(settings.gyro_alignment.time_offset);

@@ -90,6 +90,7 @@ struct Odometry::Impl {
   ImageClockImu imu{12.0};
   visual_frontend::AttitudeFilter attitude;
   ImuBias bias;
+  bool rested = false;  ///< the gyro bias was measured at rest
   std::optional<Eigen::Vector3d>
       up_imu;             ///< against gravity, IMU frame, at last_stamp; since a rest, or in a metric map
   double up_sigma = 0.1;  ///< [rad]

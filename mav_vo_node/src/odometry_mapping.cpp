@@ -17,7 +17,8 @@ namespace {
 constexpr double kMovingShare = 0.01;       // of the scene's distance; below, the vehicle hovers
 constexpr double kHoverInterval = 3.0;      // a keyframe once the vehicle hovers, so that inertial links stay short [s]
 constexpr double kLongHoverInterval = 9.0;  // and while it goes on hovering; the IMU's samples reach back 12 s [s]
-constexpr double kMinGyroBiasPrior = 1e-3;  // [rad/s]
+constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias measured at rest, at the best [rad/s]
+constexpr double kTrackBiasPrior = 5e-3;    // of one from tracks, whose errors of calibration are common to all [rad/s]
 constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
 constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
 constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an inertial adjustment [rad]
@@ -301,7 +302,8 @@ void Odometry::Impl::rerunScale() {
 
 // A map that is not metric yet may have begun with a bias that the tracks have long known better.
 void Odometry::Impl::setGyroBiasPrior(InertialBundleSettings* how) const {
-  how->gyro_bias_prior = std::clamp(gyro_alignment.biasStddev(), kMinGyroBiasPrior, kMaxGyroBiasPrior);
+  how->gyro_bias_prior =
+      std::clamp(gyro_alignment.biasStddev(), rested ? kRestBiasPrior : kTrackBiasPrior, kMaxGyroBiasPrior);
   if (!metric) how->gyro_bias_mean = gyro_alignment.bias();
 }
 

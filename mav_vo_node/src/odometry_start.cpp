@@ -35,6 +35,7 @@ void Odometry::Impl::carryUp(double stamp) {
 void Odometry::Impl::useStandstill(const Standstill& rest) {
   // Once the map is metric its own estimate is better than a short rest in the air.
   if (metric) return;
+  rested = true;
   bias.gyro = rest.gyro_bias;
   gyro_alignment.setBias(rest.gyro_bias, kRestBiasSigma);
   up_imu = rest.up_imu;
