@@ -72,6 +72,8 @@ AlignmentEstimate toMsg(const Estimate& e, const std_msgs::Header& header, const
   msg.child_frame_id = mav_frame;
   msg.pose.pose = ros_utils::toMsg(e.T_ground_mav);
   ros_utils::setCovariance(e.covariance, &msg.pose.covariance);
+  msg.scale = e.scale;
+  msg.scale_stddev = e.scale_stddev;
   msg.reference_point.x = e.reference_point.x();
   msg.reference_point.y = e.reference_point.y();
   msg.reference_point.z = e.reference_point.z();

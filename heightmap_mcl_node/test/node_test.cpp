@@ -180,6 +180,7 @@ class TfNodeTest : public NodeTest {
 };
 
 void expectSane(const AlignmentEstimate& e) {
+  EXPECT_EQ(e.scale, 1) << "users multiply by it";
   EXPECT_EQ(e.header.frame_id, "ground_map");
   EXPECT_EQ(e.child_frame_id, "mav_map");
   EXPECT_EQ(e.stage, AlignmentEstimate::STAGE_COARSE);

@@ -85,7 +85,7 @@ class MavVoNode : private ros_utils::Estimator {
                                   frames_.publish_tf}),
         shell_(handle_, settings.estimator,
                {"mav/camera/image_raw", "mav/camera/camera_info", "mav/imu/data", "mav/vo_status", "", "mav_vo",
-                "visual odometry", "mav_image_transport", "runs without gyro prior and stays without metric scale"},
+                "visual odometry", "mav_image_transport", "", "runs without gyro prior and stays without metric scale"},
                *this) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);

@@ -53,7 +53,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
                                   "ground/path", frames_.publish_tf}),
         shell_(handle_, settings.estimator,
                {"ground/rgb/image_raw", "ground/rgb/camera_info", "ground/imu/data", "ground/slam_status",
-                "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport",
+                "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
                 "runs without rotation prior and takes the robot's base for level at the start"},
                *this),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()) {

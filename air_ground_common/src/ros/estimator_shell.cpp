@@ -80,10 +80,12 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
   if (settings.use_imu)
     imu_subscriber_ =
         handle_.subscribe(names.imu, 5000, &EstimatorShell::onImu, this, ros::TransportHints().tcpNoDelay());
-  const std::string argument =
-      "the parameter image_transport, or the launch argument " + names.transport_argument + ",";
   const auto listen = [&](const std::string& topic, bool depth, void (EstimatorShell::*callback)(const ImageMessage&)) {
-    images_.emplace_back(handle_, topic, settings.image_transport, depth, settings.queue_size, health_, argument,
+    const std::string argument = std::string("the parameter ") + (depth ? "depth_transport" : "image_transport") +
+                                 ", or the launch argument " +
+                                 (depth ? names.depth_transport_argument : names.transport_argument) + ",";
+    images_.emplace_back(handle_, topic, depth ? settings.depth_transport : settings.image_transport, depth,
+                         settings.queue_size, health_, argument,
                          [this, callback](const ImageMessage& message) { (this->*callback)(message); });
     return images_.back().topic();
   };

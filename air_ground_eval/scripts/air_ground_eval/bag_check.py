@@ -91,7 +91,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             present[standard] = topic
         elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
             present[standard] = next(f'{topic}/{kind}' for kind in bag_guess.TRANSPORTS if f'{topic}/{kind}' in facts.types)
-            argument = f'{"ground" if standard.startswith("/ground") else "mav"}_image_transport:=compressed'
+            argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
         else:
             findings.append(_missing(facts, standard, topic, types, purpose, actual))

@@ -13,6 +13,8 @@ ARGUMENTS = {
 MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly')
 GROUND_WORDS = ('ground', 'ugv', 'rover', 'robot', 'kinect', 'realsense')
 TRANSPORTS = ('compressed', 'compressedDepth')
+TRANSPORT_ARGUMENTS = {'/mav/camera/image_raw': 'mav_image_transport', '/ground/rgb/image_raw': 'ground_image_transport',
+                       '/ground/depth/image_raw': 'ground_depth_transport'}
 
 
 def raw_name(topic):
@@ -107,9 +109,9 @@ def command(facts, names, bases, frames, city=False):
     words = ['roslaunch', 'air_ground', 'city.launch' if city else 'replay.launch', f'bag:={os.path.abspath(facts.path)}']
     words += ['db:=CITY.gpkg', 'world_config:=WORLD.yaml'] if city else []
     words += [f'{ARGUMENTS[standard]}:={topic}' for standard, topic in names.items() if topic != standard]
+    words += [f'{argument}:=compressed' for standard, argument in TRANSPORT_ARGUMENTS.items()
+              if standard in names and transport(facts, names[standard]) == 'compressed']
     for robot in robots:
-        image = names[f'/{robot}/camera/image_raw' if robot == 'mav' else '/ground/rgb/image_raw']
-        words += [f'{robot}_image_transport:=compressed'] if transport(facts, image) == 'compressed' else []
         words += [f'{robot}_base_frame:={bases[robot]}'] if bases.get(robot, f'{robot}_base_link') != f'{robot}_base_link' else []
         default = f'{robot}_camera_optical_frame'
         words += [f'{robot}_camera_frame:={frames[robot]}'] if not city and frames.get(robot, default) != default else []

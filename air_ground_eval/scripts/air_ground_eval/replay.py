@@ -290,7 +290,7 @@ def _missing_now(bag, inputs):
             continue
         others = bag.of_type(kind)
         if compressed:
-            hint = f'it has {compressed[0]}: set {argument.split("_")[0]}_image_transport:=compressed'
+            hint = f'it has {compressed[0]}: set {"ground_depth" if argument == "ground_depth" else argument.split("_")[0] + "_image"}_transport:=compressed'
         elif others:
             hint = f'of type {kind} it has {", ".join(others)}: set {argument}:='
         else:

@@ -46,20 +46,20 @@ struct EstimatorSettings {
   double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none; live only [s of data]
   double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
   int queue_size = 400;
-  std::string image_transport = "raw";  ///< or "compressed"
+  std::string image_transport = "raw", depth_transport = "raw";  ///< or "compressed"
 };
 
-/// All but sync_tolerance; what `settings` holds is the default. Throws ParameterError.
+/// All but sync_tolerance and depth_transport; what `settings` holds is the default. Throws ParameterError.
 void readParameters(Parameters& parameters, EstimatorSettings* settings);
 
 /// Names by which a node knows its topics (remapping applies), and what it calls things when it speaks to people.
 struct EstimatorNames {
   std::string image, camera_info, imu, status;
-  std::string depth;               ///< empty: none
-  std::string node;                ///< "mav_vo", in /diagnostics
-  std::string subject;             ///< "visual odometry"
-  std::string transport_argument;  ///< of the launch files: the one that sets image_transport
-  std::string without_imu;         ///< "runs without gyro prior"
+  std::string depth;                                              ///< empty: none
+  std::string node;                                               ///< "mav_vo", in /diagnostics
+  std::string subject;                                            ///< "visual odometry"
+  std::string transport_argument, depth_transport_argument = {};  ///< of the launch files: what sets the transports
+  std::string without_imu;                                        ///< "runs without gyro prior"
 };
 
 struct EstimatorFrame {
