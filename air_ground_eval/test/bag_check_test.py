@@ -95,7 +95,7 @@ class BagCheck(unittest.TestCase):
 
     def test_warnings(self):
         for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
-                             ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_image_transport:=compressed', dict(compressed=True)),
+                             ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('not to be registered', dict(depth_frame=True)), ('comes at 10.0 Hz', dict(slow_depth=True)), ('/clock is in the bag', dict(clock=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('begins in motion', dict(moving=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
