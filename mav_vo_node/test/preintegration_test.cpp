@@ -139,7 +139,8 @@ TEST(SamplesBetween, InterpolatesTheEndsAndRefusesGaps) {
 // Real data: EuRoC V1_01 (Burri 2016), where present beside the project or in AIR_GROUND_TEST_DATA.
 TEST(Preintegration, PredictsEurocOverHalfASecond) {
   const char* root = std::getenv("AIR_GROUND_TEST_DATA");
-  const std::filesystem::path folder = std::filesystem::path(root ? root : AIR_GROUND_SOURCE_DIR "/../shared/data") / "euroc_v101";
+  const std::filesystem::path folder =
+      std::filesystem::path(root ? root : AIR_GROUND_SOURCE_DIR "/../shared/data") / "euroc_v101";
   std::ifstream imu_file(folder / "imu0/data.csv"), truth_file(folder / "groundtruth_openvins.csv");
   if (!imu_file || !truth_file) GTEST_SKIP() << "EuRoC V1_01 not found in " << folder << "; set AIR_GROUND_TEST_DATA";
   const auto numbers = [](const std::string& line) {
