@@ -7,6 +7,7 @@
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_sim/recording.h"
+#include "small_config.h"
 
 namespace air_ground_sim {
 namespace {
@@ -217,16 +218,6 @@ TEST(Scene, BoxCastsShadowAwayFromTheLight) {
     return sum;
   };
   EXPECT_LT(mean(0.3 - 0.8), 0.7 * mean(0.3 + 0.8));
-}
-
-SimConfig smallConfig() {
-  SimConfig c = SimConfig::defaults();
-  c.world.texel = 0.03;
-  c.world.clusters = {ClusterConfig()};
-  c.lane.points = {{2.5, -1.2}, {2.7, 0.2}, {2.3, 1.6}, {1.2, 2.5}, {-0.3, 2.7}};
-  c.flight.duration = 8;
-  c.mav_camera.samples = c.ground_camera.samples = 2;
-  return c;
 }
 
 struct Sample {

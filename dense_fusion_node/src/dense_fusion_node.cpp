@@ -95,8 +95,7 @@ class DenseFusionNode {
  private:
   enum Stream { kImages, kSparseClouds, kStreams };
 
-  // ---- Inputs: only queueing happens in the callbacks
-  // -----------------------------------------------------------------
+  // ---- Inputs: only queueing happens in the callbacks ---------------------------------------------------------------
 
   void onImage(const air_ground::PosedImage::ConstPtr& msg) {
     health_.received(image_topic_, msg->header.stamp);
@@ -157,8 +156,7 @@ class DenseFusionNode {
     queue_changed_.notify_all();
   }
 
-  // ---- Services
-  // -------------------------------------------------------------------------------------------------------
+  // ---- Services -----------------------------------------------------------------------------------------------------
 
   // Waits until the worker has emptied the queue and fused what is left. False: it did not come to that in time.
   bool flushAndWait() {
@@ -201,8 +199,7 @@ class DenseFusionNode {
     return true;
   }
 
-  // ---- Worker
-  // ---------------------------------------------------------------------------------------------------------
+  // ---- Worker -------------------------------------------------------------------------------------------------------
 
   void work() {
     std::unique_lock<std::mutex> lock(queue_mutex_);
