@@ -86,6 +86,14 @@ class Recorder:
         if stamp >= self.begin and stamp > self.progress.get(node, 0.0):
             self.progress[node] = stamp
 
+    def hear_status(self, robot, message):
+        """Takes a VoStatus of a robot's odometry."""
+        with self.lock:
+            robot.heard(message)
+            self.advance(robot.node, message.header.stamp.to_sec())
+            if message.state != VoStatus.STATE_WAITING:  # said again and again while images wait for what never comes
+                self.touch()
+
     def on_diagnostics(self, message):
         with self.lock:
             for status in message.status:
