@@ -45,11 +45,18 @@ std::string joined(const std::vector<std::string>& words) {
   return list;
 }
 
+/// Of a bound, which may be pi.
+std::string rounded(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.10g", value);
+  return text;
+}
+
 /// "text [unit] (min..max)".
 std::string commentOf(const Parameter& p) {
   std::string comment = p.text;
   if (!p.unit.empty()) comment += " [" + p.unit + "]";
-  if (isBounded(p.range)) comment += " (" + shortest(p.range.min) + ".." + shortest(p.range.max) + ")";
+  if (isBounded(p.range)) comment += " (" + rounded(p.range.min) + ".." + rounded(p.range.max) + ")";
   if (!p.choices.empty()) comment += " (" + joined(p.choices) + ")";
   return comment.front() == ' ' ? comment.substr(1) : comment;
 }
@@ -81,7 +88,7 @@ void ParameterVisitor::visitAndCheck(const Parameter& p, ParameterField field) {
     return value >= p.range.min && value <= p.range.max && std::isfinite(value);
   };
   const std::string range = !isBounded(p.range) ? std::string()
-                                                : " in [" + shortest(p.range.min) + ", " + shortest(p.range.max) + "]" +
+                                                : " in [" + rounded(p.range.min) + ", " + rounded(p.range.max) + "]" +
                                                       (p.unit.empty() ? "" : " " + p.unit);
   if (const auto* number = std::get_if<double*>(&field)) {
     if (!inRange(**number)) rule = "must lie" + range;
