@@ -138,7 +138,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
             ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
       }
     }
-    if ((cloud_outdated_ && (stamp - last_cloud_).toSec() >= settings_.cloud_interval) || r.map_corrected)
+    if ((cloud_outdated_ && stamp.toSec() - last_cloud_.toSec() >= settings_.cloud_interval) || r.map_corrected)
       requestCloud();
   }
 

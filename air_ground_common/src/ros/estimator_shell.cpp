@@ -10,6 +10,7 @@ namespace air_ground_common::ros_utils {
 namespace {
 
 constexpr int kOk = 0, kWarn = 1;
+constexpr std::uint32_t kMapsOfOneStart = 10000;
 constexpr double kPatience =
     1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
 
@@ -30,6 +31,13 @@ std::string nameOf(std::uint8_t state) {
     default:
       return "lost";
   }
+}
+
+/// 0, then 1 and so on when the node is started again under the same master.
+std::uint32_t countStart(const ros::NodeHandle& private_handle) {
+  const int starts = private_handle.param(kStartsParameter, 0);
+  private_handle.setParam(kStartsParameter, starts + 1);
+  return static_cast<std::uint32_t>(starts);
 }
 
 FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
@@ -72,6 +80,8 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
       assembler_(assemblerSettings(settings)) {
+  // A node that is respawned must not give its maps numbers that others know already.
+  map_id_offset_ = kMapsOfOneStart * countStart(private_handle_);
   status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
   health_.state(kWarn, "waiting for images");
   health_.expectInput(info_topic_);

@@ -111,7 +111,7 @@ void Parameters::finish(const std::set<std::string>& ignored) const {
   for (const auto& full : names) {
     if (full.compare(0, prefix.size(), prefix) != 0) continue;
     const std::string name = full.substr(prefix.size());
-    bool known = read_.count(name) > 0;
+    bool known = read_.count(name) > 0 || name == kStartsParameter;
     // A map or list read whole covers what lies below it.
     for (auto slash = name.find('/'); !known && slash != std::string::npos; slash = name.find('/', slash + 1))
       known = read_.count(name.substr(0, slash)) > 0 || ignored.count(name.substr(0, slash + 1)) > 0;

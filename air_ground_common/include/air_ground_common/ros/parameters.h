@@ -18,6 +18,9 @@ class ParameterError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// Private parameter that counts how often a node has been started under this master; kept by the nodes themselves.
+constexpr const char* kStartsParameter = "starts";
+
 /// Reads private parameters of a node. Every getter throws ParameterError.
 class Parameters {
  public:
