@@ -67,6 +67,8 @@ def write(path, **faults):
                     bag.write('/ground/depth/image_raw/compressedDepth', picture, messages.stamp(t))
                 elif not faults.get('no_depth') and not (faults.get('slow_depth') and i % 20):
                     depth_frame = 'ground_depth_optical_frame' if faults.get('depth_frame') else frame
+                    if faults.get('depth_calibrated'):
+                        bag.write('/ground/depth/camera_info', messages.camera_info(CAMERA, t + later, depth_frame), messages.stamp(t))
                     bag.write('/ground/depth/image_raw', messages.image(np.full(shape, faults.get('depth', 1500)), '16UC1', t + later, depth_frame), messages.stamp(t))
                 for robot in ('mav', 'ground'):
                     bag.write(f'/ground_truth/{robot}', messages.pose_stamped(geometry.pose(), t, 'world'), messages.stamp(t))
@@ -90,13 +92,13 @@ class BagCheck(unittest.TestCase):
         for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('degrees', dict(gyro_factor=6000.0)),
                              ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('clocks of the robots do not overlap', dict(clocks=5000.0)), ('/tf_static', dict(no_tf=True)),
                              ('frame id is empty', dict(no_frame=True)), ('/ground/depth/image_raw is missing', dict(no_depth=True)),
-                             ('differ in size', dict(small_depth=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
+                             ('differ in size', dict(small_depth=True)), ('calibration is missing', dict(depth_frame=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
             self.assert_found(bag_check.ERROR, text, **faults)
 
     def test_warnings(self):
         for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
-                             ('not to be registered', dict(depth_frame=True)), ('comes at 10.0 Hz', dict(slow_depth=True)), ('/clock is in the bag', dict(clock=True)),
+                             ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)), ('/clock is in the bag', dict(clock=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('begins in motion', dict(moving=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
 
@@ -143,12 +145,18 @@ class BagCheck(unittest.TestCase):
             self.assertEqual(names, {
                 '/mav/camera/image_raw': '/drone/mono/image_raw', '/mav/camera/camera_info': '/drone/mono/camera_info', '/mav/imu/data': '/drone/imu/data_raw',
                 '/ground/rgb/image_raw': '/camera/color/image_raw', '/ground/rgb/camera_info': '/camera/color/camera_info',
-                '/ground/depth/image_raw': '/camera/aligned_depth_to_color/image_raw'})
+                '/ground/depth/image_raw': '/camera/aligned_depth_to_color/image_raw', '/ground/depth/camera_info': '/camera/aligned_depth_to_color/camera_info'})
+            self.assertTrue(bag_check.registered(facts, names))
+            self.assertFalse(bag_check.registered(facts, {**names, '/ground/depth/image_raw': '/camera/depth/image_rect_raw'}))
             line = bag_guess.command(facts, names, {'mav': bag_guess.guess_base(facts, 'mav', 'drone_cam'),
                                                     'ground': bag_guess.guess_base(facts, 'ground', 'camera_color')}, {'mav': 'drone_cam', 'ground': 'camera_color'})
             for word in ('mav_image_transport:=compressed', 'mav_base_frame:=drone/base_link', 'ground_base_frame:=base', 'ground_camera_frame:=camera_color'):
                 self.assertIn(word, line.split())
             self.assertNotIn(':=false', line)
+            self.assertNotIn('ground_depth_camera_info', line)
+            unregistered = bag_guess.command(facts, names, {}, {}, registered=False).split()
+            self.assertIn('ground_depth_camera_info:=/camera/aligned_depth_to_color/camera_info', unregistered)
+            self.assertIn('ground_depth_registered:=false', unregistered)
 
     def test_mapped_names(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -18,6 +18,9 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   air_ground_common::ros_utils::readParameters(p, &e);
   e.sync_tolerance = p.number("sync_tolerance", e.sync_tolerance, 0.0, 1.0);
   e.depth_transport = p.choice("depth_transport", e.depth_transport, {"raw", "compressed"});
+  n.depth.registered = p.flag("depth_registered", n.depth.registered);
+  n.depth.frame = p.text("depth_frame", n.depth.frame);
+  n.depth.T_base_depth = p.pose("base_depth");
   n.cloud_interval = p.number("cloud_interval", n.cloud_interval, 0.1, 600.0);
 
   SlamSettings& s = n.slam;

@@ -4,6 +4,7 @@
 #include <ros/node_handle.h>
 
 #include "air_ground_common/ros/estimator_shell.h"
+#include "depth_input.h"
 #include "rgbd_slam/slam.h"
 
 namespace rgbd_slam {
@@ -11,6 +12,7 @@ namespace rgbd_slam {
 struct NodeSettings {
   SlamSettings slam;
   air_ground_common::ros_utils::EstimatorSettings estimator;
+  DepthInputSettings depth;
   double cloud_interval = 2.0;  ///< [s]
 };
 

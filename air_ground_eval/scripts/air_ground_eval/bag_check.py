@@ -20,6 +20,7 @@ GROUND = {
     '/ground/rgb/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
     '/ground/rgb/camera_info': (('sensor_msgs/CameraInfo',), 0, 'RGB-D SLAM'),
     '/ground/depth/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
+    '/ground/depth/camera_info': (('sensor_msgs/CameraInfo',), 0, 'registration of depth to colour'),
     '/ground/imu/data': (('sensor_msgs/Imu',), 80, 'the gravity direction of RGB-D SLAM'),
     '/ground_truth/ground': (tuple(POSE_TYPES), 0, 'errors in the report')}
 CITY = {
@@ -41,8 +42,8 @@ class Stream:
         self.stamps, self.times, self.frames, self.samples, self.accel, self.gyro = [], [], set(), [], [], []
 
 
-def read(path, topics):
-    """One pass over the bag; images are kept only as a few samples."""
+def read(path, topics, limit=None):
+    """One pass over the bag; images are kept only as a few samples. `limit`: ends when every topic has so many messages."""
     streams = {topic: Stream() for topic in topics}
     with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
@@ -57,6 +58,8 @@ def read(path, topics):
                 a, w = message.linear_acceleration, message.angular_velocity
                 stream.accel.append((a.x, a.y, a.z))
                 stream.gyro.append((w.x, w.y, w.z))
+            if limit and all(len(s.times) >= limit for s in streams.values()):
+                break
     return streams
 
 
@@ -93,7 +96,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             present[standard] = next(f'{topic}/{kind}' for kind in bag_guess.TRANSPORTS if f'{topic}/{kind}' in facts.types)
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
-        else:
+        elif standard != '/ground/depth/camera_info':  # only where depth is not registered, see there
             findings.append(_missing(facts, standard, topic, types, purpose, actual))
     streams = read(facts.path, present.values())
     for standard, topic in present.items():
@@ -255,19 +258,40 @@ def _pairs(present, streams):
             if size and (info.width, info.height) != size:
                 result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {size[0]}x{size[1]}'))
         else:
-            result += _registration(present[image], streams[present[image]], present[other], streams[present[other]])
+            result += _registration(present[image], streams[present[image]], present[other], streams[present[other]],
+                                    '/ground/depth/camera_info' in present)
     return result
 
 
-def _registration(colour_topic, colour, depth_topic, depth):
-    """Depth must be seen from the colour camera, image by image."""
-    result, advice = [], 'record the registered one (aligned_depth_to_color, depth_registered)'
+def registered(facts, names):
+    """Whether depth is as the colour camera sees it, by the size and frame of the first images; True without any."""
+    wanted = [names.get(standard, standard) for standard in ('/ground/rgb/image_raw', '/ground/depth/image_raw')]
+    topics = [next((t for t in facts.of_type('sensor_msgs/Image', 'sensor_msgs/CompressedImage') if bag_guess.raw_name(t) == topic), None) for topic in wanted]
+    if None in topics:
+        return True
+    streams = read(facts.path, topics, limit=1)
+    return not _mismatch(*(streams[t] for t in topics))
+
+
+def _mismatch(colour, depth):
+    """By what depth images show that another camera than the colour camera took them; empty where nothing does."""
+    if not colour.samples or not depth.samples:
+        return ''
     sizes = image_size(colour.samples[0]), image_size(depth.samples[0])
     if None not in sizes and sizes[0] != sizes[1]:
-        result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} differ in size: depth must be registered to colour: {advice}'))
-    elif depth.frames != colour.frames:
-        result.append(Finding(WARNING, f'{depth_topic} is in frame {_list(depth.frames)}, {colour_topic} in {_list(colour.frames)}: depth seems not to be '
-                              f'registered to colour: {advice}'))
+        return 'differ in size'
+    return '' if depth.frames == colour.frames else f'are in frames {_list(depth.frames)} and {_list(colour.frames)}'
+
+
+def _registration(colour_topic, colour, depth_topic, depth, calibrated):
+    """Depth is to be seen from the colour camera, image by image, or to be registered to it."""
+    result, mismatch = [], _mismatch(colour, depth)
+    if mismatch and calibrated:
+        result.append(Finding(WARNING, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour: replay with '
+                              'ground_depth_registered:=false, or record the registered one (aligned_depth_to_color, depth_registered)'))
+    elif mismatch:
+        result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour, and the depth camera\'s '
+                              'calibration is missing: record it (camera_info beside the images), or the registered depth (aligned_depth_to_color, depth_registered)'))
     steps = [np.median(np.diff(s.stamps)) if len(s.stamps) > 1 else 0 for s in (colour, depth)]
     if min(steps) > 0 and max(steps) > 1.2 * min(steps):
         result.append(Finding(WARNING, f'{depth_topic} comes at {1 / steps[1]:.1f} Hz, {colour_topic} at {1 / steps[0]:.1f} Hz: what has no partner is left out'))

@@ -115,6 +115,7 @@ class EstimatorShell {
   void stop();
 
   NodeHealth& health() { return health_; }
+  const Mountings& mountings() const { return mountings_; }
   const std::string& imuTopic() const { return imu_topic_; }
   /// What is wrong with the accelerometer; empty while nothing is known to be.
   std::string imuProblem() const { return imu_input_.problem(); }
