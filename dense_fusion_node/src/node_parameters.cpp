@@ -11,6 +11,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.queue_size = p.integer("queue_size", s.queue_size, 10, 10000);
   s.flush_timeout = p.number("flush_timeout", s.flush_timeout, 0, 3600);
   s.service_timeout = p.number("service_timeout", s.service_timeout, 0.01, 3600);
+  s.autosave = p.text("autosave", s.autosave);
   s.map_cell = p.number("map_cell", s.map_cell, 0.001, 1);
   s.map_max_points = p.integer("map_max_points", s.map_max_points, 1000, 100000000);
   const int threads = p.integer("threads", m.sweep.threads, 1, 64);

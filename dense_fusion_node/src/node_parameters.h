@@ -3,6 +3,8 @@
 
 #include <ros/node_handle.h>
 
+#include <string>
+
 #include "dense_fusion/dense_mapper.h"
 
 namespace dense_fusion {
@@ -12,6 +14,7 @@ struct NodeSettings {
   int queue_size = 400;          ///< images waiting for the worker; older ones are dropped beyond it
   double flush_timeout = 4.0;    ///< wall time without input after which what there is gets fused [s]; 0: never
   double service_timeout = 120;  ///< wall time that ~flush and ~save_map wait for the worker [s]
+  std::string autosave;          ///< folder for the map at the end; empty: none
   double map_cell = 0.02;        ///< thinning of the map that ~save_map writes [m]
   int map_max_points = 5000000;  ///< of that map; beyond it the cells double
 };

@@ -11,6 +11,7 @@ namespace ekf_tracker {
 
 struct NodeSettings {
   std::string world_frame, map_frame, base_frame, origin_crs;
+  std::string autosave;  ///< folder for the trajectory at the end; empty: none
   bool publish_tf, level_increments, magnetometer, gps, barometer;
   double path_step, tilt_stddev, geoid_undulation, odometry_wait, clock_tolerance;
   double declination, magnetometer_stddev, magnetometer_interval;  ///< [rad], [rad], [s]
@@ -26,6 +27,7 @@ inline NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.map_frame = p.text("map_frame", "mav_map");
   s.base_frame = p.text("base_frame", "mav_base_link");
   s.publish_tf = p.flag("publish_tf", true);
+  s.autosave = p.text("autosave", "");
   s.path_step = p.number("path_step", 0.2, 0.01, 100);
   s.tilt_stddev = p.number("tilt_stddev", 0.05, 0.001, 1);
   s.origin_crs = p.text("origin_crs", "");

@@ -43,6 +43,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   s.publish_tf = p.flag("publish_tf", s.publish_tf);
   s.inverse_tf = p.flag("inverse_tf", s.inverse_tf);
   s.tf_rate = p.number("tf_rate", s.tf_rate, 0.1, 1000);
+  s.autosave = p.text("autosave", s.autosave);
   s.queue_size = p.integer("queue_size", s.queue_size, 1, 10000);
   s.min_period = p.number("min_period", s.min_period, 0, 3600);
   s.map.leaf = p.number("augmented_map/leaf", s.map.leaf, 0.001, 10);

@@ -15,6 +15,7 @@ struct NodeSettings {
   bool publish_tf = true, inverse_tf = false;
   double tf_rate = 10;      ///< [Hz]
   int queue_size = 50;      ///< aerial clouds that may wait for the worker
+  std::string autosave;     ///< folder for the augmented map at the end; empty: none
   double min_period = 0.5;  ///< between refinements [s]
   double map_period = 2;    ///< between augmented maps [s]
   AugmentedMapSettings map;

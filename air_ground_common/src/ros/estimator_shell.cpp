@@ -65,6 +65,7 @@ void readParameters(Parameters& p, EstimatorSettings* s) {
   s->use_imu = p.flag("use_imu", s->use_imu);
   s->imu_wait = p.number("imu_wait", s->imu_wait, 0.0, 10.0);
   s->max_latency = p.number("max_latency", s->max_latency, 0.0, 600.0);
+  s->autosave = p.text("autosave", s->autosave);
   s->queue_size = p.integer("queue_size", s->queue_size, 2, 10000);
   s->image_transport = p.choice("image_transport", s->image_transport, {"raw", "compressed"});
 }
@@ -73,6 +74,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
                                Estimator& estimator)
     : settings_(settings),
       names_(names),
+      autosave_(settings.autosave),
       estimator_(estimator),
       health_(names.node),
       mountings_(settings.base_frame),
@@ -117,7 +119,10 @@ void EstimatorShell::stop() {
     stop_ = true;
   }
   queue_changed_.notify_all();
-  if (worker_.joinable()) worker_.join();
+  if (!worker_.joinable()) return;
+  worker_.join();
+  autosave_.save("trajectory.txt", [this](const std::string& path) { saveTrajectoryTo(path); });
+  autosave_.save("map.ply", [this](const std::string& path) { saveMapTo(path); });
 }
 
 // ---- Inputs
@@ -323,6 +328,10 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
     calibration = *calibration_;
     if (imu_frame.empty()) imu_frame = imu_frame_;
   }
+  const std::string &image_frame = image.header.frame_id, &info_frame = calibration.info.header.frame_id;
+  if (!image_frame.empty() && !info_frame.empty() && image_frame != info_frame)
+    health_.count("images of the frame '" + image_frame + "' with a calibration of '" + info_frame +
+                  "': are two cameras swapped?");
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   // One that begins late has nothing to say about the images before it, which may still be waiting.
   imu_seen_ = imu_seen_ || (!imu.empty() && (!estimator_.exists() || imu.front().stamp <= image.header.stamp.toSec()));
