@@ -67,6 +67,7 @@ void readParameters(Parameters& p, EstimatorSettings* s) {
   s->max_latency = p.number("max_latency", s->max_latency, 0.0, 600.0);
   s->autosave = p.text("autosave", s->autosave);
   s->queue_size = p.integer("queue_size", s->queue_size, 2, 10000);
+  s->accel_topic = p.text("accel_topic", s->accel_topic);
   s->image_transport = p.choice("image_transport", s->image_transport, {"raw", "compressed"});
 }
 
@@ -78,6 +79,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       estimator_(estimator),
       health_(names.node),
       mountings_(settings.base_frame),
+      imu_input_(health_, !settings.accel_topic.empty()),
       handle_(handle),
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
@@ -92,6 +94,12 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
   if (settings.use_imu)
     imu_subscriber_ =
         handle_.subscribe(names.imu, 5000, &EstimatorShell::onImu, this, ros::TransportHints().tcpNoDelay());
+  if (settings.use_imu && !settings.accel_topic.empty()) {
+    accel_topic_ = handle_.resolveName(settings.accel_topic);
+    health_.expectInput(accel_topic_);
+    accel_subscriber_ = handle_.subscribe(accel_topic_, 5000, &EstimatorShell::onAccelerometer, this,
+                                          ros::TransportHints().tcpNoDelay());
+  }
   const auto listen = [&](const std::string& topic, bool depth, void (EstimatorShell::*callback)(const ImageMessage&)) {
     const std::string argument = std::string("the parameter ") + (depth ? "depth_transport" : "image_transport") +
                                  ", or the launch argument " +
@@ -147,15 +155,25 @@ void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
 
 void EstimatorShell::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
   health_.received(imu_topic_, msg->header.stamp);
-  const auto sample = imu_input_.read(*msg);
-  if (!sample) return;
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
-    if (!gate_.admit(kImu, msg->header.stamp)) return;
-    assembler_.addImu(*sample);
     imu_frame_ = msg->header.frame_id;
   }
-  queue_changed_.notify_all();
+  addImu(imu_input_.read(*msg));
+}
+
+void EstimatorShell::onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg) {
+  health_.received(accel_topic_, msg->header.stamp);
+  addImu(imu_input_.readAccelerometer(*msg));
+}
+
+void EstimatorShell::addImu(const std::vector<ImuInput::Sample>& samples) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    for (const ImuInput::Sample& sample : samples)
+      if (gate_.admit(kImu, ros::Time(sample.stamp))) assembler_.addImu(sample);
+  }
+  if (!samples.empty()) queue_changed_.notify_all();
 }
 
 void EstimatorShell::onImage(const ImageMessage& message) {

@@ -15,6 +15,7 @@ MAV = {
     '/mav/camera/image_raw': (('sensor_msgs/Image',), 8, 'visual odometry'),
     '/mav/camera/camera_info': (('sensor_msgs/CameraInfo',), 0, 'visual odometry'),
     '/mav/imu/data': (('sensor_msgs/Imu',), 80, 'rotation prior and scale of visual odometry'),
+    '/mav/imu/accel': (('sensor_msgs/Imu',), 0, 'specific force'),
     '/ground_truth/mav': (tuple(POSE_TYPES), 0, 'errors in the report')}
 GROUND = {
     '/ground/rgb/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
@@ -22,12 +23,14 @@ GROUND = {
     '/ground/depth/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
     '/ground/depth/camera_info': (('sensor_msgs/CameraInfo',), 0, 'registration of depth to colour'),
     '/ground/imu/data': (('sensor_msgs/Imu',), 80, 'the gravity direction of RGB-D SLAM'),
+    '/ground/imu/accel': (('sensor_msgs/Imu',), 0, 'specific force'),
     '/ground_truth/ground': (tuple(POSE_TYPES), 0, 'errors in the report')}
 CITY = {
     '/gps/fix': (('sensor_msgs/NavSatFix',), 0, 'GPS of the tracker, and for comparison'),
     '/mav/imu/mag': (('sensor_msgs/MagneticField',), 0, 'heading of the tracker with magnetometer'),
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
+ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'bayer_rggb8', 'bayer_bggr8', 'bayer_gbrg8', 'bayer_grbg8', '8UC1', '8UC3')
 DEPTH = ('16UC1', 'mono16', '32FC1')
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
@@ -96,9 +99,11 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             present[standard] = next(f'{topic}/{kind}' for kind in bag_guess.TRANSPORTS if f'{topic}/{kind}' in facts.types)
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
-        elif standard != '/ground/depth/camera_info':  # only where depth is not registered, see there
+        elif standard not in ELSEWHERE:
             findings.append(_missing(facts, standard, topic, types, purpose, actual))
     streams = read(facts.path, present.values())
+    for robot in robots:
+        _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
     for standard, topic in present.items():
         findings += _stamps(topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
@@ -109,7 +114,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         elif standard.endswith('imu/data'):
             findings += _imu(topic, streams[topic])
             findings += _gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
-        elif standard in CITY or city or not facts.counts[topic]:
+        elif standard in CITY or city or standard.endswith('imu/accel') or not facts.counts[topic]:
             continue
         elif streams[topic].frames != {'world'}:
             findings.append(Finding(WARNING, f'{topic} is in frame {_list(streams[topic].frames)}; the report takes both robots\' as one frame'))
@@ -211,6 +216,12 @@ def image_size(message):
     return None if picture is None else picture.shape[1::-1]
 
 
+def _unite(gyro, accelerometer):
+    """Gives a gyro's stream the accelerations of an accelerometer's own, where there is one, at its stamps."""
+    if gyro and accelerometer and accelerometer.accel:
+        gyro.accel = np.column_stack([np.interp(gyro.stamps, accelerometer.stamps, column) for column in np.array(accelerometer.accel).T])
+
+
 def _imu(topic, stream):
     accel, gyro = np.array(stream.accel), np.array(stream.gyro)
     result = []
@@ -222,7 +233,10 @@ def _imu(topic, stream):
     if len(accel) == 0:
         return result + [Finding(ERROR, f'{topic}: no finite reading')]
     norm = np.median(np.linalg.norm(accel, axis=1))
-    if 0.9 < norm < 1.1:
+    if norm == 0:
+        result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
+                              'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
+    elif 0.9 < norm < 1.1:
         result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed'))
     elif norm < 2:
         result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2: gravity was removed; specific force is needed'))
@@ -346,8 +360,10 @@ def _static(facts):
     how += ['not latched'] if facts.static_messages and not facts.static_latched else []
     if how:
         result.append(Finding(OK, f'/tf_static comes {" and ".join(how)}: replay.launch hands it on whole; rosbag play by itself does not'))
+    if facts.constant_on_tf:
+        result.append(Finding(OK, f'/tf holds transforms that never change, of {_list(facts.constant_on_tf)}: replay.launch takes them as static'))
     if '/clock' in facts.types:
-        result.append(Finding(WARNING, '/clock is in the bag and will disturb that of the replay: rosbag filter x.bag y.bag "topic != \'/clock\'"'))
+        result.append(Finding(OK, '/clock is in the bag: replay.launch leaves it out; rosbag play --clock by itself does not'))
     return result
 
 

@@ -8,7 +8,7 @@ from .bag_reader import POSE_TYPES
 ARGUMENTS = {
     '/mav/camera/image_raw': 'mav_image', '/mav/camera/camera_info': 'mav_camera_info', '/mav/imu/data': 'mav_imu', '/ground_truth/mav': 'mav_truth',
     '/ground/rgb/image_raw': 'ground_image', '/ground/rgb/camera_info': 'ground_camera_info', '/ground/depth/image_raw': 'ground_depth',
-    '/ground/depth/camera_info': 'ground_depth_camera_info',
+    '/ground/depth/camera_info': 'ground_depth_camera_info', '/mav/imu/accel': 'mav_imu_accel', '/ground/imu/accel': 'ground_imu_accel',
     '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
     '/barometer': 'barometer_pressure'}
 MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly')
@@ -88,8 +88,11 @@ def guess(facts, city=False):
             continue
         parent = image.rsplit('/', 1)[0]
         choose(camera.replace('image_raw', 'camera_info'), _infos(facts, parent), lambda t: 0)
-        choose(f'/{robot}/imu/data', [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)],
-               lambda t, image=image, own=own: (_has(t, own), _common(t, image), 'raw' not in t))
+        imus = [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)]
+        imu = choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t],
+                     lambda t, image=image, own=own: (_has(t, own), _common(t, image), 'raw' not in t, 'gyro' not in t))
+        if imu is not None and 'gyro' in imu:
+            choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t], lambda t, imu=imu: _common(t, imu))
         choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if _has(t, ('truth', 'gt', 'vicon', 'mocap', 'leica', 'optitrack')) and not _has(t, other)],
                lambda t, own=own: _has(t, own))
     if city:
