@@ -89,7 +89,7 @@ TEST(NodeHealth, GoesOnWithoutMasterAndRegistersWithANewOne) {
       "from_another_process", 1, [&](const std_msgs::Empty::ConstPtr&) { ++heard; });
   const ros::ServiceServer service = ros::NodeHandle("~").advertiseService("trigger", answer);
   ASSERT_TRUE(diagnostics.refresh());
-  pause(500);  // it has seen its services by now
+  pause(1400);  // it looks every five seconds
   const std::set<std::string> before = registered();
   EXPECT_EQ(before.count("publisher /diagnostics"), 1u);
   EXPECT_EQ(before.count("subscriber /latched"), 1u);

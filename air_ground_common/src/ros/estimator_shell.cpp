@@ -346,7 +346,8 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
     calibration = *calibration_;
     if (imu_frame.empty()) imu_frame = imu_frame_;
   }
-  const std::string &image_frame = image.header.frame_id, &info_frame = calibration.info.header.frame_id;
+  const std::string image_frame = withoutSlash(image.header.frame_id),
+                    info_frame = withoutSlash(calibration.info.header.frame_id);
   if (!image_frame.empty() && !info_frame.empty() && image_frame != info_frame)
     health_.count("images of the frame '" + image_frame + "' with a calibration of '" + info_frame +
                   "': are two cameras swapped?");

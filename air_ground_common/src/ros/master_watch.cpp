@@ -28,7 +28,7 @@ using std::chrono::seconds;
 using XmlRpc::XmlRpcValue;
 
 constexpr seconds kPeriod(1);
-constexpr int kLook = 15;        // periods between two looks at what the master has of the node
+constexpr int kLook = 5;         // periods between two looks at what the master has of the node
 constexpr seconds kLastCall(2);  // that runs may take so long when the watch ends
 
 template <typename... Words>
