@@ -1,10 +1,22 @@
-// What a user asks of an estimator's node.
+// What a user asks of an estimator's node, and what it leaves behind.
 #include <stdexcept>
 
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/file_services.h"
 
 namespace air_ground_common::ros_utils {
+
+void EstimatorShell::stop() {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    stop_ = true;
+  }
+  queue_changed_.notify_all();
+  if (!worker_.joinable()) return;
+  worker_.join();
+  autosave_.save("trajectory.txt", [this](const std::string& path) { saveTrajectoryTo(path); });
+  autosave_.save("map.ply", [this](const std::string& path) { saveMapTo(path); });
+}
 
 std::size_t EstimatorShell::saveMapTo(const std::string& path) {
   std::function<std::vector<CloudPoint>()> map;

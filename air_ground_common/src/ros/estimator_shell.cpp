@@ -121,18 +121,6 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
 
 void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
 
-void EstimatorShell::stop() {
-  {
-    const std::lock_guard<std::mutex> lock(queue_mutex_);
-    stop_ = true;
-  }
-  queue_changed_.notify_all();
-  if (!worker_.joinable()) return;
-  worker_.join();
-  autosave_.save("trajectory.txt", [this](const std::string& path) { saveTrajectoryTo(path); });
-  autosave_.save("map.ply", [this](const std::string& path) { saveMapTo(path); });
-}
-
 // ---- Inputs
 
 void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
