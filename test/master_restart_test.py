@@ -77,6 +77,7 @@ class MasterRestart(unittest.TestCase):
         cls.core = cls.begin('rosmaster', '--core', '-p', str(cls.port))
         wait_for(rosgraph.is_master_online)
         cls.begin('roslaunch', 'air_ground', 'air_ground.launch')
+        wait_for(lambda: '/run_id' in rosgraph.Master('/test').getParamNames())  # two at once do not agree on it
         cls.begin('roslaunch', 'air_ground', 'tracker.launch')
         rospy.init_node('flight', disable_signals=True)
         cls.flight = Flight()

@@ -14,9 +14,14 @@ constexpr double kLongest = 0.5;         // between two frames [s]
 constexpr double kMinCorrelation = 0.5;  // cosine of an error of 60 degrees: between right and any swapped axis
 constexpr double kUnit = 4;              // ratio that no bias explains; degrees for radians make 57
 
-std::string axisOf(const Eigen::Vector3d& v) {
+Eigen::Index indexOf(const Eigen::Vector3d& v) {
   Eigen::Index axis = 0;
   v.cwiseAbs().maxCoeff(&axis);
+  return axis;
+}
+
+std::string axisOf(const Eigen::Vector3d& v) {
+  const Eigen::Index axis = indexOf(v);
   return std::string(v[axis] < 0 ? "-" : "+") + "xyz"[axis];
 }
 
@@ -40,7 +45,8 @@ void RotationCheck::judge() {
     std::snprintf(text, sizeof text,
                   "gyro and images turn differently: the gyro by %.2g times as much; check its unit (rad/s)", ratio);
   } else if (correlation < kMinCorrelation) {
-    const Eigen::Vector3d axis = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(seen_seen_).eigenvectors().col(2);
+    Eigen::Vector3d axis = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(seen_seen_).eigenvectors().col(2);
+    if (axis[indexOf(axis)] < 0) axis = -axis;
     std::snprintf(
         text, sizeof text,
         "gyro and images turn differently (correlation %.2f): turns about %s of the base come from the IMU as "
