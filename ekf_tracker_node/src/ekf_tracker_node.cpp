@@ -94,6 +94,13 @@ class EkfTrackerNode {
     health_.state(1, "waiting for visual odometry");
   }
 
+  ~EkfTrackerNode() {
+    autosave_.save("trajectory.txt", [this](const std::string& path) {
+      if (publisher_.trajectory().empty()) throw std::runtime_error("no pose was tracked");
+      air_ground_common::writeTum(path, publisher_.trajectory());
+    });
+  }
+
  private:
   // ---- Visual odometry ----------------------------------------------------------------------------------------------
 
@@ -405,6 +412,7 @@ class EkfTrackerNode {
   }
 
   const NodeSettings settings_;
+  const ru::Autosave autosave_{settings_.autosave};
   Tracker tracker_;
   const std::optional<air_ground_common::LocalFrame> frame_;
   SensorBridge bridge_;

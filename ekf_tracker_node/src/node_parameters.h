@@ -12,6 +12,7 @@ namespace ekf_tracker {
 struct NodeSettings {
   NodeSettings() { tracker.filter.covariance_factor = 0.1; }
 
+  std::string autosave;  ///< folder for the trajectory at the end; empty: none
   std::string world_frame = "world", map_frame = "mav_map", base_frame = "mav_base_link", origin_crs;
   bool publish_tf = true, level_increments = true, magnetometer = false, gps = false, barometer = false;
   double path_step = 0.2, tilt_stddev = 0.05, geoid_undulation = 0, odometry_wait = 0.5, clock_tolerance = 0.5;

@@ -47,6 +47,11 @@ class IcpRefineNode {
     }
   }
 
+  ~IcpRefineNode() {
+    file_spinner_.stop();
+    autosave_.save("augmented_map.ply", [this](const std::string& path) { write(path); });
+  }
+
  private:
   enum MavStream { kAerial, kCoarse, kOdometry, kMavStatus, kMavStreams };
   enum GroundStream { kGround, kGroundStatus, kGroundStreams };
@@ -247,13 +252,18 @@ class IcpRefineNode {
 
   bool onSave(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&]() -> std::string {
-      const auto [points, aligned] = worker_.map();
-      if (points.empty())
-        throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
-      ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzRgbSource);
-      response.points = points.size();
+      const auto [points, aligned] = write(request.path);
+      response.points = points;
       return aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
     });
+  }
+
+  /// Number of points; whether the aerial ones are among them.
+  std::pair<std::size_t, bool> write(const std::string& path) {
+    const auto [points, aligned] = worker_.map();
+    if (points.empty()) throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
+    ros_utils::writeCloud(path, points, ros_utils::CloudFields::kXyzRgbSource);
+    return {points.size(), aligned};
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -282,6 +292,7 @@ class IcpRefineNode {
   ros::CallbackQueue file_queue_;
   ros::NodeHandle handle_, private_, file_handle_{"~"};
   const NodeSettings settings_;
+  const ros_utils::Autosave autosave_{settings_.autosave};
   ros_utils::NodeHealth health_;
   AlignmentOutput output_;
   RefineWorker worker_;

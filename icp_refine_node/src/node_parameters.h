@@ -14,6 +14,7 @@ struct NodeSettings {
   double tf_rate = 10;
   int queue_size = 50;
   double min_period = 0.5, map_period = 2;
+  std::string autosave;  ///< folder for the augmented map at the end; empty: none
   AugmentedMapSettings map;
   RefinerSettings refiner;
 

@@ -168,7 +168,7 @@ class MavVoNode : private ros_utils::Estimator {
     posed.map_id = r.map_id;
     posed_publisher_.publish(posed);
     if (r.increment) publishIncrement(header, r);
-    if (r.metric && r.keyframe && (header.stamp - last_cloud_).toSec() >= settings_.sparse_cloud_interval) {
+    if (r.metric && r.keyframe && header.stamp.toSec() - last_cloud_.toSec() >= settings_.sparse_cloud_interval) {
       last_cloud_ = header.stamp;
       cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, header));
     }

@@ -3,6 +3,8 @@
 #include <exception>
 #include <utility>
 
+#include "rgbd_slam/depth_model.h"
+
 namespace rgbd_slam {
 
 namespace ros_utils = air_ground_common::ros_utils;
@@ -40,6 +42,11 @@ void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
 
 std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, std::string* why) {
   const cv::Mat depth = ros_utils::depthFromMsg(message);
+  if (const std::string problem = unitProblem(depth); !problem.empty()) {
+    health_.count(problem);
+    *why = problem;
+    return std::nullopt;
+  }
   if (settings_.registered) return depth;
   std::optional<ros_utils::Calibration> calibration;
   {

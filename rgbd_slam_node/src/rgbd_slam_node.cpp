@@ -2,6 +2,7 @@
 #include <air_ground/VoStatus.h>
 #include <ros/ros.h>
 
+#include <algorithm>
 #include <chrono>
 #include <memory>
 #include <stdexcept>
@@ -13,6 +14,7 @@
 #include "cloud_publisher.h"
 #include "depth_input.h"
 #include "node_parameters.h"
+#include "rgbd_slam/rotation_check.h"
 
 namespace rgbd_slam {
 namespace {
@@ -76,6 +78,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
       mounting.p_base_imu = T_base_imu->translation();
     }
     slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
+    R_base_imu_ = T_base_imu.value_or(Pose::Identity()).linear();
+    turns_.reset();
     depth_.setColourCamera(camera, T_base_camera);
   }
 
@@ -89,7 +93,11 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
 
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
-    return slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force});
+    if (!slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force})) return false;
+    felt_ +=
+        std::max(0.0, std::min(sample.stamp - last_sample_, kLongestSample)) * (R_base_imu_ * sample.angular_velocity);
+    last_sample_ = sample.stamp;
+    return true;
   }
 
   double imuLead() const override { return settings_.slam.time_offset + 0.5 * std::abs(settings_.slam.readout_time); }
@@ -126,11 +134,25 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.scale = 1.0;
     status.processing_time = seconds;
     status.reason = r.reason;
+    if (const std::string problem = compareTurns(frame.stamp, r); !problem.empty()) {
+      shell_.health().count(problem);
+      if (status.reason.empty()) status.reason = problem;
+    }
     result.advice = adviceFor(r.state);
     result.pose_published =
         r.state == State::kTracking && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     if (result.pose_published) result.publish = [this, stamp = frame.stamp, grey, r] { publish(stamp, grey, r); };
     return result;
+  }
+
+  /// What gyro and images disagree in; empty while nothing is known to be wrong.
+  std::string compareTurns(const ros::Time& stamp, const FrameResult& r) {
+    if (r.increment_covariance)
+      turns_.add(air_ground_common::logSO3(r.T_previous_current_base.linear()), felt_,
+                 stamp.toSec() - last_turn_.toSec());
+    felt_.setZero();
+    last_turn_ = stamp;
+    return turns_.problem();
   }
 
   void publish(const ros::Time& stamp, const cv::Mat& grey, const FrameResult& r) {
@@ -146,7 +168,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
             ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
       }
     }
-    if ((cloud_outdated_ && (stamp - last_cloud_).toSec() >= settings_.cloud_interval) || r.map_corrected)
+    if ((cloud_outdated_ && stamp.toSec() - last_cloud_.toSec() >= settings_.cloud_interval) || r.map_corrected)
       requestCloud();
   }
 
@@ -179,6 +201,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::unique_ptr<Slam> slam_;
   ros::Time last_stamp_, last_cloud_;
   bool cloud_outdated_ = false;
+
+  static constexpr double kLongestSample = 0.1;  ///< of the IMU [s]
+  RotationCheck turns_;
+  Eigen::Matrix3d R_base_imu_ = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  ///< by the gyro since the last frame, in the base [rad]
+  double last_sample_ = 0;                          ///< [s]
+  ros::Time last_turn_;
 
   ros_utils::EstimatorShell shell_;
   DepthInput depth_;

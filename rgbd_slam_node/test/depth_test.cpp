@@ -8,6 +8,7 @@
 #include "rgbd_slam/depth_model.h"
 #include "rgbd_slam/depth_registration.h"
 #include "rgbd_slam/ground_cloud.h"
+#include "rgbd_slam/rotation_check.h"
 #include "synthetic.h"
 
 namespace rgbd_slam {
@@ -34,6 +35,43 @@ TEST(SampleDepth, MedianOfTheKnownAndNothingAtEdges) {
   DepthModel bad;
   bad.max_range = 0.1;
   EXPECT_THROW(bad.validate(), std::invalid_argument);
+}
+
+TEST(UnitProblem, NamesMillimetresAndMetresTakenForEachOther) {
+  cv::Mat depth(60, 80, CV_32F, cv::Scalar(1.5f));
+  depth.rowRange(0, 20) = NAN;
+  EXPECT_EQ(unitProblem(depth), "");
+  EXPECT_NE(unitProblem(1000 * depth).find("1500 m"), std::string::npos) << unitProblem(1000 * depth);
+  EXPECT_NE(unitProblem(0.001 * depth).find("0.0015 m"), std::string::npos) << unitProblem(0.001 * depth);
+  depth.setTo(NAN);
+  EXPECT_EQ(unitProblem(depth), "");
+}
+
+// Turns about all axes, seen with noise, felt with bias.
+TEST(RotationCheck, NamesSwappedAxesAndUnits) {
+  synthetic::Random random(5);
+  const auto verdict = [&](const Eigen::Matrix3d& axes, bool level) {
+    RotationCheck check;
+    for (int i = 0; i < 120; ++i) {
+      Eigen::Vector3d turn = 0.1 * Eigen::Vector3d(0.2 * std::sin(1.3 * i), 0.3 * std::cos(0.7 * i), 0.5);
+      if (level) turn.head<2>().setZero();
+      check.add(turn + random.gaussVector(0.004), axes * turn + 0.1 * Eigen::Vector3d(0.1, -0.1, 0.1), 0.1);
+    }
+    return check.problem();
+  };
+  Eigen::Matrix3d z_to_x, y_flipped = Eigen::Vector3d(1, -1, -1).asDiagonal();
+  z_to_x << 0, 0, 1, 0, 1, 0, -1, 0, 0;
+  for (const bool level : {false, true}) {
+    EXPECT_EQ(verdict(Eigen::Matrix3d::Identity(), level), "");
+    EXPECT_EQ(verdict(0.6 * Eigen::Matrix3d::Identity(), level), "") << "a scale error is no wrong unit";
+    EXPECT_NE(verdict(z_to_x, level).find("about +z of the base come from the IMU as turns about +x"),
+              std::string::npos)
+        << verdict(z_to_x, level);
+    EXPECT_NE(verdict(y_flipped, level).find("about +z of the base come from the IMU as turns about -z"),
+              std::string::npos)
+        << verdict(y_flipped, level);
+    EXPECT_NE(verdict(180 / M_PI * Eigen::Matrix3d::Identity(), level).find("unit"), std::string::npos);
+  }
 }
 
 // A wall 2 m before the depth camera with a plate 1 m before it, seen by a colour camera of twice the focal length,

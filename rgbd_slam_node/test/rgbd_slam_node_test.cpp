@@ -78,6 +78,8 @@ class NodeTest : public testing::Test {
     int first = 0;              ///< frame
     double imu_from = 0;        ///< the IMU's first sample [s]
     bool cropped = false;       ///< images and calibration of the middle only
+    bool wrong_unit = false;    ///< depth in millimetres where metres are due
+    bool swapped_imu = false;   ///< x, y, z come as z, y, -x
     bool unregistered = false;  ///< depth as a camera of its own sees it, 0.1 m beside the colour camera
   };
 
@@ -126,6 +128,12 @@ class NodeTest : public testing::Test {
         set(msg.angular_velocity, s.angular_velocity);
         set(msg.linear_acceleration, s.specific_force);
         if (spoil && next_imu > 1 && next_imu < 1.02) msg.angular_velocity.x = NAN;
+        if (course.swapped_imu) {
+          for (auto* v : {&msg.angular_velocity, &msg.linear_acceleration}) {
+            std::swap(v->x, v->z);
+            v->z = -v->z;
+          }
+        }
         imu_.publish(msg);
       }
       auto frame = robot_.frame(t, random);
@@ -157,7 +165,10 @@ class NodeTest : public testing::Test {
         header.frame_id = kDepthFrame;
         depth_info_.publish(ros_utils::toMsg(depth_robot_.camera, header));
       }
-      if (!(spoil && i == 9)) depth_.publish(ros_utils::toMsg(millimetres, "16UC1", header));
+      if (course.wrong_unit)
+        depth_.publish(ros_utils::toMsg(1000 * frame.depth, "32FC1", header));
+      else if (!(spoil && i == 9))
+        depth_.publish(ros_utils::toMsg(millimetres, "16UC1", header));
       pause(6);
     }
   }
@@ -286,6 +297,33 @@ TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
   const Eigen::Vector3d up = ros_utils::fromMsg(odometry.back().pose.pose).linear().row(2),
                         truth = robot_.mapped(odometry.back().header.stamp.toSec() - kStart).linear().row(2);
   EXPECT_LT((up - truth).norm(), 0.02);
+}
+
+TEST_F(NodeTest, NamesAWrongUnitOfDepthAndGoesOnWithTheRightOne) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  Course course;
+  course.wrong_unit = true;
+  drive(10, false, course);
+  ASSERT_TRUE(spinUntil([&] {
+    return !status.empty() && status.back().reason.find("wrong unit") != std::string::npos;
+  })) << status.back().reason;
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_WAITING);
+  EXPECT_TRUE(odometry.empty());
+  course.first = 10;
+  course.wrong_unit = false;
+  drive(40, false, course);
+  ASSERT_TRUE(answered(40));
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+}
+
+TEST_F(NodeTest, NamesSwappedAxesOfTheImu) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  Course course;
+  course.swapped_imu = true;
+  drive(100, false, course);
+  ASSERT_TRUE(spinUntil([&] { return diagnostics_.counted("gyro and images turn differently (correlation") > 0; }));
 }
 
 TEST_F(NodeTest, BeginsANewMapWithAnotherCalibration) {

@@ -10,6 +10,7 @@ namespace air_ground_common::ros_utils {
 namespace {
 
 constexpr int kOk = 0, kWarn = 1;
+constexpr std::uint32_t kMapsOfOneStart = 10000;
 constexpr double kPatience =
     1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
 
@@ -30,6 +31,13 @@ std::string nameOf(std::uint8_t state) {
     default:
       return "lost";
   }
+}
+
+/// 0, then 1 and so on when the node is started again under the same master.
+std::uint32_t countStart(const ros::NodeHandle& private_handle) {
+  const int starts = private_handle.param(kStartsParameter, 0);
+  private_handle.setParam(kStartsParameter, starts + 1);
+  return static_cast<std::uint32_t>(starts);
 }
 
 FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
@@ -65,6 +73,10 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
   v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
   v("max_latency", s.max_latency, {0.0, 600.0}, "s",
     "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
+  v("autosave", s.autosave,
+    "folder, made when missing: map and trajectory go there when the node is stopped, under names of this start; \"\" "
+    "= "
+    "nowhere");
   v("accel_topic", s.accel_topic,
     "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
     "messages");
@@ -76,6 +88,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
                                Estimator& estimator)
     : settings_(settings),
       names_(names),
+      autosave_(settings.autosave),
       estimator_(estimator),
       health_(names.node),
       mountings_(settings.base_frame),
@@ -84,6 +97,8 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
       assembler_(assemblerSettings(settings)) {
+  // A node that is respawned must not give its maps numbers that others know already.
+  map_id_offset_ = kMapsOfOneStart * countStart(private_handle_);
   status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
   health_.state(kWarn, "waiting for images");
   health_.expectInput(info_topic_);
@@ -118,15 +133,6 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
 }
 
 void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
-
-void EstimatorShell::stop() {
-  {
-    const std::lock_guard<std::mutex> lock(queue_mutex_);
-    stop_ = true;
-  }
-  queue_changed_.notify_all();
-  if (worker_.joinable()) worker_.join();
-}
 
 // ---- Inputs
 
@@ -341,6 +347,11 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
     calibration = *calibration_;
     if (imu_frame.empty()) imu_frame = imu_frame_;
   }
+  const std::string image_frame = withoutSlash(image.header.frame_id),
+                    info_frame = withoutSlash(calibration.info.header.frame_id);
+  if (!image_frame.empty() && !info_frame.empty() && image_frame != info_frame)
+    health_.count("images of the frame '" + image_frame + "' with a calibration of '" + info_frame +
+                  "': are two cameras swapped?");
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   // One that begins late has nothing to say about the images before it, which may still be waiting.
   imu_seen_ = imu_seen_ || (!imu.empty() && (!estimator_.exists() || imu.front().stamp <= image.header.stamp.toSec()));

@@ -95,7 +95,8 @@ class AlignmentRefiner {
  private:
   void forgetPoses();
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
-  RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess);
+  /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
+  RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged = false);
   /// Why the result is not to be believed, if so: sets status and reason.
   void judge(RefineOutcome& out) const;
 
@@ -108,6 +109,7 @@ class AlignmentRefiner {
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
   int rejections_ = 0, disagreements_ = 0;
+  bool ground_replaced_ = false;  ///< since the last refinement from the tracked pose
 };
 
 }  // namespace icp_refine

@@ -24,6 +24,7 @@
 #include "air_ground_common/frame_pairer.h"
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/mountings.h"
@@ -48,6 +49,7 @@ struct EstimatorSettings {
   double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none; live only [s of data]
   double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
   int queue_size = 400;
+  std::string autosave;  ///< folder for map and trajectory at the end; empty: none
   std::string image_transport = "raw", depth_transport = "raw";  ///< or "compressed"
   std::string accel_topic;  ///< of an accelerometer whose samples are not in the IMU's messages; empty: they are
 };
@@ -166,12 +168,15 @@ class EstimatorShell {
                      const std::optional<Pose>& T_base_imu);
   void tellObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
+  std::size_t saveMapTo(const std::string& path);
+  std::size_t saveTrajectoryTo(const std::string& path);
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response);
   bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response);
   bool reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
 
   const EstimatorSettings settings_;
   const EstimatorNames names_;
+  const Autosave autosave_;
   Estimator& estimator_;
   NodeHealth health_;
   Mountings mountings_;

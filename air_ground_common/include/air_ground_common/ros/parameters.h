@@ -13,10 +13,13 @@
 
 namespace air_ground_common::ros_utils {
 
+/// Private parameter that counts how often a node has been started under this master; kept by the nodes themselves.
+constexpr const char* kStartsParameter = "starts";
+
 /// Reads the private parameters of a node. Throws ParameterError.
 class ServerReader : public ParameterReader {
  public:
-  explicit ServerReader(const ros::NodeHandle& private_handle) : handle_(private_handle) {}
+  explicit ServerReader(const ros::NodeHandle& private_handle) : handle_(private_handle) { others(kStartsParameter); }
 
   /// Call after describe: throws for a private parameter that nobody read (a misspelt name).
   void finish() const;
