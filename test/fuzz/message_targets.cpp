@@ -192,12 +192,7 @@ void tracking(const Bytes& bytes) {
   namespace ek = ekf_tracker;
   Source source(bytes);
   static const air_ground_common::LocalFrame frame("EPSG:2056", {2683500, 1247800, 410});
-  ek::NodeSettings settings{};
-  settings.origin = {0, 0, 0};
-  settings.gps_stddev = {8, 8, 12};
-  settings.gps_inflation = 2;
-  settings.barometer_stddev = 0.5;
-  settings.magnetometer_stddev = 0.2;
+  ek::NodeSettings settings;
   settings.level_increments = source.take<std::uint8_t>() % 2;
   ek::SensorBridge bridge(settings, &frame);
   ek::TiltSource tilts;
