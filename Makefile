@@ -2,15 +2,20 @@
 #   make demo       replays an indoor world through roslaunch to one aligned, augmented map; results in out/
 #   make demo-city  replays a flight along a street: odometry, localization in a city model, tracking; results in out-city/
 #   make test       builds and runs every test, and every benchmark once at its smallest size
+#   make test SANITIZE=address    the same, watched for bad accesses and leaks (or undefined: undefined behaviour; thread: data races)
+#   make fuzz       feeds hostile files and messages to every reader; FUZZ_SECONDS=60 each, FUZZ_TARGETS="obj ply" for some
 #   make bench      prints the benchmarks, as ratios against plain references
 #   make build      builds all of it into build/ and devel/
 # Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
 
 SHELL := /bin/bash
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
-BUILD := $(ROOT)build
+SANITIZE ?=
+BUILD := $(ROOT)build$(addprefix -,$(SANITIZE))
 # Beside build/, as in a workspace: rosrun overlooks what lies below a package's folder build/.
-DEVEL := $(ROOT)devel
+DEVEL := $(ROOT)devel$(addprefix -,$(SANITIZE))
+FUZZ_SECONDS ?= 20
+FUZZ_TARGETS ?=
 JOBS ?= $(shell nproc)
 OUT ?= $(ROOT)out
 OUT_CITY ?= $(ROOT)out-city
@@ -21,17 +26,22 @@ export CCACHE_DIR ?= $(ROOT).cache/ccache
 export CCACHE_BASEDIR := $(ROOT)
 export AIR_GROUND_CACHE ?= $(ROOT).cache
 
+# What is excused and why: in the files.
+export LSAN_OPTIONS := suppressions=$(ROOT)test/sanitizers/leak.supp:print_suppressions=0
+export TSAN_OPTIONS := suppressions=$(ROOT)test/sanitizers/thread.supp:history_size=4
+export UBSAN_OPTIONS := print_stacktrace=1
+
 NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
 ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
 
-.PHONY: build configured benchmarks demo demo-city test bench packages clean
+.PHONY: build configured benchmarks demo demo-city test bench fuzz packages clean
 
 packages:
 	@$(ROOT)tools/install_packages
 
 # configure,extra options
 configure = $(ENVIRONMENT) cmake -S $(ROOT) -B $(BUILD) -G Ninja -DPYTHON_EXECUTABLE=/usr/bin/python3 \
-	-DCATKIN_DEVEL_PREFIX=$(DEVEL) -DCATKIN_ENABLE_TESTING=ON -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
+	-DCATKIN_DEVEL_PREFIX=$(DEVEL) -DCATKIN_ENABLE_TESTING=ON -DAIR_GROUND_SANITIZE=$(SANITIZE) -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
 	|| { tail -30 $(BUILD)/configure.log; echo "configuring failed: the lines above say why (all of it: $(BUILD)/configure.log)"; exit 1; }
 
 configured: packages
@@ -58,5 +68,14 @@ test: benchmarks
 bench: benchmarks
 	@for b in $(BUILD)/bench/*; do echo "== $$(basename $$b)"; "$$b" || exit 1; done
 
+# By clang, whose libFuzzer it is. Static: one program whose coverage libFuzzer sees whole.
+fuzz: BUILD := $(ROOT)build-fuzz
+fuzz: DEVEL := $(ROOT)devel-fuzz
+fuzz:
+	@$(ROOT)tools/install_packages clang-14 libclang-rt-14-dev libomp-14-dev
+	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF)
+	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) air_ground_fuzz_exe
+	@FUZZ_SECONDS=$(FUZZ_SECONDS) $(ROOT)tools/run_fuzzers $(DEVEL)/lib/air_ground/fuzz $(BUILD)/corpus $(FUZZ_TARGETS)
+
 clean:
-	rm -rf $(BUILD) $(DEVEL)
+	rm -rf $(ROOT)build $(ROOT)devel $(ROOT)build-* $(ROOT)devel-*

@@ -318,7 +318,8 @@ CameraModel CameraModel::scaled(double factor) const {
 
 CameraModel CameraModel::window(int x, int y, int window_width, int window_height, int binning_x, int binning_y) const {
   if (x < 0 || y < 0 || window_width <= 0 || window_height <= 0 || window_width > width - x ||
-      window_height > height - y || binning_x < 1 || binning_y < 1)
+      window_height > height - y || binning_x < 1 || binning_y < 1 || binning_x > window_width ||
+      binning_y > window_height)
     throw std::invalid_argument("camera calibration: the region of interest (" + std::to_string(window_width) + "x" +
                                 std::to_string(window_height) + " at " + std::to_string(x) + ", " + std::to_string(y) +
                                 ", binned " + std::to_string(binning_x) + "x" + std::to_string(binning_y) +

@@ -152,10 +152,11 @@ LabeledPoint readPoint(PlyReader& reader, const PlyElement& e) {
     if (p.name == "x") point.position.x() = static_cast<float>(v);
     if (p.name == "y") point.position.y() = static_cast<float>(v);
     if (p.name == "z") point.position.z() = static_cast<float>(v);
-    if (p.name == "red") point.rgb[0] = static_cast<std::uint8_t>(v);
-    if (p.name == "green") point.rgb[1] = static_cast<std::uint8_t>(v);
-    if (p.name == "blue") point.rgb[2] = static_cast<std::uint8_t>(v);
-    if (p.name == "source") point.source = static_cast<std::uint8_t>(v);
+    const auto byte = static_cast<std::uint8_t>(std::max(0.0, std::min(255.0, v)));
+    if (p.name == "red") point.rgb[0] = byte;
+    if (p.name == "green") point.rgb[1] = byte;
+    if (p.name == "blue") point.rgb[2] = byte;
+    if (p.name == "source") point.source = byte;
   }
   return point;
 }
@@ -217,6 +218,10 @@ void writePly(const std::string& path, const TriangleMesh& mesh) {
 TriangleMesh readPlyMesh(const std::string& path) {
   PlyReader reader(path);
   TriangleMesh mesh;
+  const auto index = [&](double corner) {
+    if (!(corner >= 0 && corner <= std::numeric_limits<int>::max())) reader.fail("names a vertex that cannot exist");
+    return static_cast<int>(corner);
+  };
   for (const auto& e : reader.elements) {
     if (e.name == "vertex") {
       for (std::size_t i = 0; i < e.count; ++i) mesh.vertices.push_back(readPoint(reader, e).position);
@@ -230,8 +235,7 @@ TriangleMesh readPlyMesh(const std::string& path) {
           const auto corners = reader.list(p);
           if (p.name != "vertex_indices" && p.name != "vertex_index") continue;
           for (std::size_t k = 2; k < corners.size(); ++k)
-            mesh.triangles.emplace_back(static_cast<int>(corners[0]), static_cast<int>(corners[k - 1]),
-                                        static_cast<int>(corners[k]));
+            mesh.triangles.emplace_back(index(corners[0]), index(corners[k - 1]), index(corners[k]));
         }
     } else {
       reader.skip(e);

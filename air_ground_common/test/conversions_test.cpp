@@ -8,7 +8,8 @@
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
-#include "air_ground_common/ros/image_input.h"
+#include "air_ground_common/encoded_image.h"
+#include "air_ground_common/ros/compressed_image.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -95,6 +96,9 @@ TEST(Conversions, BinningAndRegionOfInterestAreAppliedToTheSensorsCalibration) {
   info.roi.x_offset = 1000;
   info.roi.width = info.roi.height = 300;
   EXPECT_THROW(fromMsg(info), std::invalid_argument);
+  info.roi.x_offset = 0;
+  info.binning_x = 301;  // no pixel would be left
+  EXPECT_THROW(fromMsg(info), std::invalid_argument);
 }
 
 TEST(Conversions, UnknownModelsAreRefusedByNameWithTheKnownOnes) {
@@ -105,6 +109,29 @@ TEST(Conversions, UnknownModelsAreRefusedByNameWithTheKnownOnes) {
     for (const char* word : {"mei_unified", "plumb_bob", "rational_polynomial", "equidistant"})
       EXPECT_NE(std::string(e.what()).find(word), std::string::npos) << e.what();
   }
+}
+
+TEST(Conversions, BigEndianPixelsOf16BitsAreRead) {
+  const cv::Mat pixels = (cv::Mat_<std::uint16_t>(2, 3) << 1, 2, 3, 4, 5, 1500);
+  sensor_msgs::Image msg = toMsg(pixels, "16UC1", std_msgs::Header());
+  for (std::size_t i = 1; i < msg.data.size(); i += 2) std::swap(msg.data[i - 1], msg.data[i]);
+  msg.is_bigendian = 1;
+  EXPECT_FLOAT_EQ(depthFromMsg(msg).at<float>(1, 2), 1.5f);
+  msg.encoding = "32FC1";
+  msg.width = 1;
+  EXPECT_THROW(depthFromMsg(msg), std::invalid_argument);
+}
+
+TEST(Conversions, ImagesWhoseSizeIsALieAreRefused) {
+  sensor_msgs::Image msg;
+  msg.encoding = "mono8";
+  msg.width = msg.height = msg.step = 65536;  // 2^32 bytes: none, in 32 bits
+  EXPECT_THROW(greyFromMsg(msg), std::invalid_argument);
+  msg.width = msg.height = msg.step = 4;
+  msg.data.resize(16);
+  EXPECT_EQ(greyFromMsg(msg).size(), cv::Size(4, 4));
+  msg.encoding = "8UC" + std::string(1000000, '1');
+  EXPECT_THROW(greyFromMsg(msg), std::invalid_argument);
 }
 
 TEST(Conversions, DepthInMillimetresBecomesMetresAndZeroBecomesNaN) {
@@ -205,6 +232,27 @@ TEST(Decompressed, Depth) {
   EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 2.5, 1e-3);
   msg.data.resize(10);
   EXPECT_THROW(decompressed(msg), std::invalid_argument);
+}
+
+// The header of a PNG of 65000 x 65000 pixels takes 33 bytes; what it promises 12 GB.
+TEST(Conversions, CompressedImagesAreMeasuredBeforeTheyAreDecoded) {
+  const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(10, 100, 200));
+  for (const char* extension : {".jpg", ".png"}) {
+    sensor_msgs::CompressedImage msg;
+    msg.format = extension + 1;
+    cv::imencode(extension, picture, msg.data);
+    EXPECT_EQ(air_ground_common::encodedSize(msg.data.data(), msg.data.size()), picture.size());
+    EXPECT_EQ(decompressed(msg)->width, 64u);
+    if (msg.format == "jpg") continue;
+    for (const std::size_t at : {16u, 20u}) msg.data[at + 2] = 0xfd, msg.data[at + 3] = 0xe8;
+    EXPECT_EQ(air_ground_common::encodedSize(msg.data.data(), msg.data.size()), cv::Size(65000, 65000));
+    try {
+      decompressed(msg);
+      ADD_FAILURE() << "an image of 65000 x 65000 pixels was decoded";
+    } catch (const std::invalid_argument& e) {
+      EXPECT_NE(std::string(e.what()).find("65000 x 65000"), std::string::npos) << e.what();
+    }
+  }
 }
 
 }  // namespace

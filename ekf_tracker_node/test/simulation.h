@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Cholesky>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -17,8 +18,9 @@ struct SimulationSettings {
   double rate = 20;      ///< [Hz]
   double scale = 1;      ///< metres in one unit of the odometry
   bool metric = true;
-  double fix_interval = 3.25;  ///< [s]: every 6.5 m
-  double outlier_share = 0;    ///< of the fixes, thrown 25 to 100 m away with any yaw
+  double fix_interval = 3.25;   ///< [s]: every 6.5 m
+  double outlier_share = 0;     ///< of the fixes, thrown 25 to 100 m away with any yaw
+  bool outliers_alike = false;  ///< all of them by the same
   Vector4d fix_stddev{2.0, 2.2, 1.5, 7.5 * M_PI / 180};
   Vector4d odometry_stddev{0.010, 0.010, 0.008, 0.003};  ///< of a step, translation [m]
 };
@@ -57,6 +59,7 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
   Matrix4d fix_covariance = s.fix_stddev.cwiseAbs2().asDiagonal();
   fix_covariance(0, 1) = fix_covariance(1, 0) = 0.4 * s.fix_stddev[0] * s.fix_stddev[1];
 
+  std::optional<Vector4d> thrown;
   for (int i = 0; i <= steps; ++i) {
     const double t = 100 + i * dt;
     out.stamps.push_back(t);
@@ -69,8 +72,10 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
       const bool wrong = uniform(random) < s.outlier_share;
       if (wrong) {
         const double away = 25 + 75 * uniform(random), direction = 2 * M_PI * uniform(random);
-        fix.value += Vector4d(away * std::cos(direction), away * std::sin(direction), 4 * normal(random),
-                              2 * M_PI * uniform(random));
+        const Vector4d by(away * std::cos(direction), away * std::sin(direction), 4 * normal(random),
+                          2 * M_PI * uniform(random));
+        if (!thrown || !s.outliers_alike) thrown = by;
+        fix.value += *thrown;
       }
       fix.value[3] = air_ground_common::wrapAngle(fix.value[3]);
       out.fixes.push_back(fix);

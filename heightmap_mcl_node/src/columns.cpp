@@ -158,6 +158,8 @@ void LevelHistogram::add(const LevelHistogram& other) {
   const long last =
       std::max(first + static_cast<long>(cells.size()), other.first + static_cast<long>(other.cells.size()));
   const long begin = std::min(first, other.first);
+  // Maps that lie kilometres apart in height have no floor in common, and a level each between them would fill memory.
+  if (static_cast<double>(last - begin) * kLevelBin > 2000) return;
   std::vector<float> sum(static_cast<std::size_t>(last - begin), 0.f);
   for (std::size_t i = 0; i < cells.size(); ++i) sum[first - begin + i] += cells[i];
   for (std::size_t i = 0; i < other.cells.size(); ++i) sum[other.first - begin + i] += other.cells[i];

@@ -73,7 +73,7 @@ HeightMap buildHeightMap(const std::vector<Eigen::Vector3f>& points, const Heigh
   std::vector<Eigen::Vector3f> valid;
   valid.reserve(points.size());
   for (const auto& p : points) {
-    if (p.allFinite() && p.head<2>().cwiseAbs().maxCoeff() <= kFarthest) valid.push_back(p);
+    if (p.allFinite() && p.cwiseAbs().maxCoeff() <= kFarthest) valid.push_back(p);
   }
   HeightMap map;
   map.resolution = settings.resolution;

@@ -21,13 +21,34 @@ Pose makePose(const Eigen::Vector3d& t, const Eigen::Quaterniond& q) {
   return T;
 }
 
+// cv_bridge multiplies the sizes in 32 bits and matches the encoding by std::regex, which recurses for each letter.
+void checkSize(const sensor_msgs::Image& msg) {
+  constexpr std::size_t kLongestEncoding = 32;
+  if (msg.encoding.size() > kLongestEncoding) throw std::invalid_argument("image: its encoding is no name of one");
+  if (msg.width == 0 || msg.height == 0) throw std::invalid_argument("image: it has no pixels");
+  if (std::uint64_t{msg.step} * msg.height != msg.data.size() || msg.step < msg.width)
+    throw std::invalid_argument("image: its data do not fit its size");
+}
+
 cv::Mat convert(const sensor_msgs::Image& msg, const std::string& encoding) {
+  checkSize(msg);
   try {
+    const int bits = sensor_msgs::image_encodings::bitDepth(msg.encoding);
+    if (msg.is_bigendian && bits > 8) {  // cv_bridge makes two channels of a pixel's two bytes
+      if (bits != 16) throw std::invalid_argument("image: big-endian pixels of " + std::to_string(bits) + " bits");
+      sensor_msgs::Image swapped = msg;
+      swapped.is_bigendian = 0;
+      for (std::size_t i = 1; i < swapped.data.size(); i += 2) std::swap(swapped.data[i - 1], swapped.data[i]);
+      return convert(swapped, encoding);
+    }
     cv_bridge::CvImagePtr image = cv_bridge::toCvCopy(msg, encoding);
     if (image->image.empty()) throw std::invalid_argument("image: it has no pixels");
     return image->image;
-  } catch (const cv_bridge::Exception& e) {
+  } catch (const std::runtime_error& e) {
     throw std::invalid_argument("image: encoding " + msg.encoding + " cannot be read as " + encoding + " (" + e.what() +
+                                ")");
+  } catch (const cv::Exception& e) {
+    throw std::invalid_argument("image: encoding " + msg.encoding + " cannot be read as " + encoding + " (" + e.err +
                                 ")");
   }
 }

@@ -52,7 +52,12 @@ CrsName parseCrs(const std::string& text) {
   }
   OGRSpatialReference srs;
   CPLPushErrorHandler(CPLQuietErrorHandler);
+  // A name out of a city model must reach neither files nor the network.
+#if GDAL_VERSION_NUM >= GDAL_COMPUTE_VERSION(3, 3, 0)
+  OGRErr error = srs.SetFromUserInput(definition.c_str(), OGRSpatialReference::SET_FROM_USER_INPUT_LIMITATIONS);
+#else
   OGRErr error = srs.SetFromUserInput(definition.c_str());
+#endif
   if (error == OGRERR_NONE) srs.GetAreaOfUse(&name.west, &name.south, &name.east, &name.north, nullptr);
   if (error == OGRERR_NONE && (srs.IsCompound() || srs.IsVertical())) error = srs.StripVertical();
   CPLPopErrorHandler();
@@ -122,6 +127,16 @@ void normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* mo
       for (Eigen::Vector3d& p : ring) std::swap(p.x(), p.y());
 }
 
+// Beyond it a coordinate is no place on earth, in no system; and the tessellation's products would overflow.
+void checkCoordinates(const std::string& path, const PolygonModel& model) {
+  constexpr double kFarthest = 1e9;
+  for (const Polygon& polygon : model.polygons)
+    for (const Ring& ring : polygon.rings)
+      for (const Eigen::Vector3d& p : ring)
+        if (!(p.cwiseAbs().maxCoeff() < kFarthest) || !p.allFinite())
+          throw std::runtime_error(path + " has coordinates that are no place on earth: is its transform right?");
+}
+
 PolygonModel readFile(const std::string& path, const CityModelOptions& options) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw std::runtime_error("cannot open " + path);
@@ -156,6 +171,7 @@ PolygonModel readAll(const std::string& path, const CityModelOptions& options, s
   PolygonModel all;
   for (const std::string& file : filesOf(path)) {
     PolygonModel model = readFile(file, options);
+    checkCoordinates(file, model);
     const std::string& srs = options.crs.empty() ? model.srs : options.crs;
     CrsName name;
     if (!srs.empty()) {

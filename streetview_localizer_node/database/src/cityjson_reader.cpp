@@ -66,7 +66,7 @@ class Reader {
       // CityJSONSeq: one feature a line after the first.
       std::string line;
       while (sequence_ && std::getline(file, line))
-        if (line.find_first_not_of(" \t\r\n") != std::string::npos) objects(json::parse(line));
+        if (line.find_first_not_of(" \t\r\n") != std::string::npos) objects(parse(line));
     } catch (const json::exception& e) {
       throw std::runtime_error(path_ + " is no valid CityJSON: " + e.what());
     }
@@ -79,18 +79,29 @@ class Reader {
   }
 
  private:
+  // Nothing in CityJSON is nested deeper than a MultiSolid's vertices, and deeper trees overflow the stack of who walks
+  // them.
+  template <typename Input>
+  json parse(Input&& input) const {
+    constexpr int kDeepest = 64;
+    const auto check = [this](int depth, json::parse_event_t, json&) {
+      if (depth > kDeepest) throw std::runtime_error(path_ + " is nested too deeply for CityJSON");
+      return true;
+    };
+    return json::parse(input, check);
+  }
+
   // The whole file, or of a sequence its first line.
   json parseHead(std::ifstream* file) {
     std::string line;
     std::getline(*file, line);
-    json head = json::parse(line, nullptr, /*allow_exceptions=*/false);
-    if (!head.is_discarded()) {
+    if (json::accept(line)) {
       sequence_ = true;
-      return head;
+      return parse(line);
     }
     file->clear();
     file->seekg(0);
-    return json::parse(*file);
+    return parse(*file);
   }
 
   void objects(const json& j) {
@@ -135,7 +146,8 @@ class Reader {
   static int lodOf(const json& geometry) {
     if (!geometry.contains("lod")) return -1;
     const json& lod = geometry["lod"];
-    return static_cast<int>(lod.is_string() ? std::atof(lod.get<std::string>().c_str()) : lod.get<double>());
+    const double level = lod.is_string() ? std::atof(lod.get<std::string>().c_str()) : lod.get<double>();
+    return level >= 0 && level < 10 ? static_cast<int>(level) : -1;
   }
 
   void geometries(const json& list, bool building) {
@@ -168,22 +180,27 @@ class Reader {
 
   static std::string lodText(const json& geometry) { return geometry.contains("lod") ? geometry["lod"].dump() : ""; }
 
+  /// Null where there is none.
+  static const json& memberOf(const json& object, const char* name) {
+    static const json kNone;
+    const auto found = object.find(name);
+    return found == object.end() ? kNone : *found;
+  }
+
   std::vector<Polygon> polygons(const json& geometry) const {
     std::vector<Polygon> out;
     const std::string type = geometry.at("type");
     const json& boundaries = geometry.at("boundaries");
-    const json values = geometry.contains("semantics") ? geometry["semantics"].value("values", json()) : json();
-    const json surfaces =
-        geometry.contains("semantics") ? geometry["semantics"].value("surfaces", json::array()) : json::array();
+    const json& semantics = memberOf(geometry, "semantics");
+    const json &values = memberOf(semantics, "values"), &surfaces = memberOf(semantics, "surfaces");
     const auto shell = [&](const json& polygons_of_shell, const json& values_of_shell) {
       for (std::size_t i = 0; i < polygons_of_shell.size(); ++i) {
-        const json value =
-            values_of_shell.is_array() && i < values_of_shell.size() ? values_of_shell[i] : values_of_shell;
-        addPolygon(polygons_of_shell[i], value, surfaces, &out);
+        const bool listed = values_of_shell.is_array() && i < values_of_shell.size();
+        addPolygon(polygons_of_shell[i], listed ? values_of_shell[i] : values_of_shell, surfaces, &out);
       }
     };
-    const auto child = [](const json& v, std::size_t i) {
-      return v.is_array() && i < v.size() ? v[i] : (v.is_array() ? json() : v);
+    const auto child = [](const json& v, std::size_t i) -> const json& {
+      return v.is_array() ? (i < v.size() ? v[i] : memberOf(v, "")) : v;
     };
     if (type == "MultiSurface" || type == "CompositeSurface") {
       shell(boundaries, values);

@@ -8,6 +8,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/encoded_image.h"
 #include "geopackage.h"
 
 namespace streetview_localizer {
@@ -88,9 +89,11 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
   if (options.images) {
     const auto encoded = blob<std::uint8_t>(row, "image");
     if (!encoded.empty()) {
-      view.image = cv::imdecode(encoded, cv::IMREAD_COLOR);
-      if (view.image.cols != view.camera.width || view.image.rows != view.camera.height)
-        throw std::runtime_error(path + " holds a broken view (image): build it again");
+      const cv::Size size(view.camera.width, view.camera.height);
+      // Before it is decoded: a broken one may state any size.
+      if (air_ground_common::encodedSize(encoded.data(), encoded.size()) == size)
+        view.image = cv::imdecode(encoded, cv::IMREAD_COLOR);
+      if (view.image.size() != size) throw std::runtime_error(path + " holds a broken view (image): build it again");
     }
   }
   if (!options.features) return view;

@@ -2,19 +2,13 @@
 #pragma once
 
 #include <ros/node_handle.h>
-#include <sensor_msgs/CompressedImage.h>
-#include <sensor_msgs/Image.h>
-
 #include <functional>
 #include <string>
 
+#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
-
-/// Pixels of a compressed image: JPEG, PNG and whatever else OpenCV reads, as mono8, mono16, bgr8, bgra8; or
-/// compressedDepth of image_transport (PNG behind a header), as 16UC1 [mm] or 32FC1 [m]. Throws std::invalid_argument.
-sensor_msgs::Image::Ptr decompressed(const sensor_msgs::CompressedImage& msg);
 
 /// One image message in either form.
 struct ImageMessage {

@@ -1,0 +1,149 @@
+// How often is the tracker sure and wrong? Flights drawn at random, with wrong fixes among the right ones; counts those
+// in which a wrong fix entered the state, and those in which the stated covariance excludes the truth.
+#include <omp.h>
+
+#include <CLI/CLI.hpp>
+#include <cmath>
+#include <cstdio>
+#include <map>
+
+#include "../test/simulation.h"
+#include "air_ground_common/linear_algebra.h"
+
+namespace ek = ekf_tracker;
+
+namespace {
+
+struct Options {
+  int runs = 10000, first_seed = 1;
+  double outliers = -1;  // share of the fixes; negative: drawn from 0 to 0.4
+  bool repeated = false;
+};
+
+/// What one flight showed.
+struct Trial {
+  int fixes = 0, wrong = 0, wrong_used = 0, right_refused = 0;
+  int looks = 0, started = 0;
+  double largest = 0;    ///< squared Mahalanobis distance of the truth
+  double error = 0;      ///< position, at the end [m]; NaN: never started
+  double first_lie = 0;  ///< when the covariance first excluded the truth [s]
+  bool metric = false;
+};
+
+/// Of the squared distance; a right filter passes it once in a million looks.
+double bound() {
+  static const double bound = ek::chiSquareQuantile(4, 1 - 1e-6);
+  return bound;
+}
+
+ek::SimulationSettings draw(const Options& o, unsigned seed, double* delay) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> uniform(0, 1);
+  ek::SimulationSettings s;
+  s.seed = seed + 7000000;
+  s.metric = uniform(random) < 0.5;
+  s.scale = s.metric ? 1 : std::exp(2 * uniform(random) - 1);
+  s.fix_interval = 1.5 + 4 * uniform(random);
+  s.outlier_share = o.outliers >= 0 ? o.outliers : 0.4 * uniform(random);
+  s.fix_stddev *= std::exp(1.4 * uniform(random) - 0.9);  // 0.8 to 3.3 m
+  s.outliers_alike = o.repeated;
+  *delay = 3 * uniform(random);
+  return s;
+}
+
+Trial fly(const Options& o, unsigned seed) {
+  double delay = 0;
+  const ek::SimulationSettings s = draw(o, seed, &delay);
+  const ek::TrackerSettings settings;
+  const ek::Simulation sim = ek::simulate(s, settings.filter);
+  ek::Tracker tracker(settings);
+  Trial out;
+  out.metric = s.metric;
+  std::map<double, ek::Result> last_words;
+  std::size_t next = 0;
+  const std::size_t every = static_cast<std::size_t>(s.rate);
+  out.error = std::nan("");
+  for (std::size_t i = 0; i < sim.odometry.size(); ++i) {
+    tracker.addIncrement(sim.odometry[i]);
+    for (; next < sim.fixes.size() && sim.fixes[next].stamp + delay <= sim.odometry[i].stamp; ++next)
+      tracker.addMeasurement(sim.fixes[next]);
+    for (const ek::Outcome& outcome : tracker.takeOutcomes()) last_words[outcome.measurement.stamp] = outcome.result;
+    if (i % every != 0) continue;
+    ++out.looks;
+    const auto estimate = tracker.latest();
+    if (!estimate) continue;
+    ++out.started;
+    const ek::Vector4d e = ek::poseError(estimate->pose, sim.truth[i + 1]);
+    out.largest = std::max(out.largest, air_ground_common::squaredMahalanobis(e, estimate->covariance));
+    if (out.first_lie == 0 && out.largest > bound()) out.first_lie = sim.odometry[i].stamp - sim.stamps[0];
+    out.error = e.head<3>().norm();
+  }
+  for (std::size_t k = 0; k < next; ++k) {
+    const auto found = last_words.find(sim.fixes[k].stamp);
+    const bool used = found != last_words.end() && ek::isUsed(found->second);
+    ++out.fixes;
+    out.wrong += sim.outlier[k];
+    out.wrong_used += sim.outlier[k] && used;
+    out.right_refused += !sim.outlier[k] && found != last_words.end() && found->second == ek::Result::kRefusedByGate;
+  }
+  return out;
+}
+
+/// Largest probability that such a count leaves possible at 95 %; 3 / n where nothing was seen.
+double upperBound(long seen, long all) {
+  if (seen == 0) return 3.0 / static_cast<double>(all);
+  return 0.5 * ek::chiSquareQuantile(static_cast<int>(2 * (seen + 1)), 0.95) / static_cast<double>(all);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("How often is the tracker sure and wrong? Random flights with wrong fixes among the right ones");
+  Options o;
+  app.add_option("--runs", o.runs, "flights");
+  app.add_option("--first-seed", o.first_seed, "of the first");
+  app.add_option("--outliers", o.outliers, "share of the fixes that are wrong; negative: drawn from 0 to 0.4");
+  app.add_flag("--repeated", o.repeated,
+               "the wrong fixes of a flight are off by the same, as before a facade that repeats itself");
+  CLI11_PARSE(app, argc, argv);
+
+  std::vector<Trial> trials(static_cast<std::size_t>(o.runs));
+#pragma omp parallel for schedule(dynamic, 8)
+  for (int i = 0; i < o.runs; ++i)
+    trials[static_cast<std::size_t>(i)] = fly(o, static_cast<unsigned>(o.first_seed + i));
+
+  long fixes = 0, wrong = 0, used = 0, refused = 0, looks = 0, started = 0, unstarted = 0, infected = 0, lies = 0,
+       far = 0;
+  std::vector<double> errors;
+  for (const Trial& t : trials) {
+    fixes += t.fixes, wrong += t.wrong, used += t.wrong_used, refused += t.right_refused;
+    looks += t.looks, started += t.started;
+    infected += t.wrong_used > 0;
+    if (t.largest > bound()) {
+      ++lies;
+      far += t.error > 10;
+      std::printf("seed %ld: excluded from %.0f s on, distance %.1f; %s, %d wrong fixes used, %.1f m off at the end\n",
+                  o.first_seed + (&t - trials.data()), t.first_lie, std::sqrt(t.largest),
+                  t.metric ? "metric" : "unknown unit", t.wrong_used, t.error);
+    }
+    if (std::isfinite(t.error))
+      errors.push_back(t.error);
+    else
+      ++unstarted;
+  }
+  std::sort(errors.begin(), errors.end());
+  std::printf("%d flights, %ld fixes, %ld of them wrong; tracked in %.1f %% of the looks, %ld flights never\n", o.runs,
+              fixes, wrong, 100.0 * static_cast<double>(started) / static_cast<double>(looks), unstarted);
+  std::printf("wrong fixes in the state: %ld of %ld (95 %%: below %.2e), in %ld flights; right ones refused: %.2f %%\n",
+              used, wrong, upperBound(used, wrong), infected,
+              100.0 * static_cast<double>(refused) / static_cast<double>(fixes - wrong));
+  std::printf(
+      "flights with the truth outside what is stated (once in a million if right): %ld of %d (95 %%: below %.2e), %ld "
+      "of them more "
+      "than 10 m off at the end\n",
+      lies, o.runs, upperBound(lies, o.runs), far);
+  if (!errors.empty())
+    std::printf("error at the end: median %.2f m, 99 %% %.2f m, largest %.2f m\n", errors[errors.size() / 2],
+                errors[errors.size() * 99 / 100], errors.back());
+  return 0;
+}

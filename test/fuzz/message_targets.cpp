@@ -1,0 +1,272 @@
+// What the nodes' callbacks make of hostile messages before their libraries see them, and the libraries behind.
+#include <sensor_msgs/Imu.h>
+
+#include <cmath>
+
+#include "../../ekf_tracker_node/src/sensor_bridge.h"
+#include "air_ground_common/rectification.h"
+#include "air_ground_common/ros/compressed_image.h"
+#include "air_ground_common/ros/conversions.h"
+#include "ekf_tracker/tilt_source.h"
+#include "fuzzing.h"
+#include "heightmap_mcl/height_map.h"
+#include "icp_refine/icp.h"
+
+namespace air_ground_fuzz {
+namespace {
+
+namespace ru = air_ground_common::ros_utils;
+
+std_msgs::Header headerFrom(Source& source) {
+  std_msgs::Header header;
+  // Near each other, or anything that a stamp can hold.
+  const auto kind = source.take<std::uint8_t>();
+  header.stamp = kind < 250 ? ros::Time(1000, kind * 4000000u) : ros::Time(source.take<std::uint32_t>(), 5u);
+  return header;
+}
+
+template <typename Array>
+void fill(Source& source, Array* values) {
+  for (auto& v : *values) v = source.number();
+}
+
+geometry_msgs::Pose poseFrom(Source& source) {
+  geometry_msgs::Pose pose;
+  pose.orientation.w = 1;
+  const auto kind = source.take<std::uint8_t>();
+  if (kind & 1)
+    for (double* v : {&pose.position.x, &pose.position.y, &pose.position.z}) *v = source.number();
+  if (kind & 2)
+    for (double* v : {&pose.orientation.x, &pose.orientation.y, &pose.orientation.z, &pose.orientation.w})
+      *v = source.number();
+  return pose;
+}
+
+const char* const kEncodings[] = {"mono8", "mono16", "bgr8", "rgb8", "bgra8", "rgba8",  "bayer_rggb8", "bayer_gbrg16",
+                                  "16UC1", "32FC1",  "8UC1", "8UC3", "64FC4", "yuv422", "16SC2",       "rgb16"};
+
+void readImage(const sensor_msgs::Image& image) {
+  answers([&] { require(ru::greyFromMsg(image).type() == CV_8UC1, "grey image"); });
+  answers([&] { require(ru::bgrFromMsg(image).type() == CV_8UC3, "colour image"); });
+  answers([&] { require(ru::depthFromMsg(image).type() == CV_32FC1, "depth image"); });
+}
+
+void image(const Bytes& bytes) {
+  Source source(bytes);
+  sensor_msgs::Image msg;
+  const auto kind = source.take<std::uint8_t>();
+  msg.encoding = kind < std::size(kEncodings) ? kEncodings[kind] : source.text(255);
+  const bool large = source.take<std::uint8_t>() == 0;
+  msg.height = large ? source.take<std::uint32_t>() : source.take<std::uint8_t>();
+  msg.width = large ? source.take<std::uint32_t>() : source.take<std::uint8_t>();
+  msg.step = large ? source.take<std::uint32_t>() : source.take<std::uint16_t>();
+  msg.is_bigendian = source.take<std::uint8_t>();
+  msg.data = source.rest();
+  // Half of the inputs have the length that they state.
+  if (!large && source.empty() && kind % 2) msg.data.resize(static_cast<std::size_t>(msg.step) * msg.height);
+  readImage(msg);
+}
+
+void compressedImage(const Bytes& bytes) {
+  Source source(bytes);
+  const char* const formats[] = {"jpeg", "png", "32FC1; compressedDepth png", "16UC1; compressedDepth png",
+                                 "mono16; png compressed"};
+  sensor_msgs::CompressedImage msg;
+  msg.format = formats[source.take<std::uint8_t>() % std::size(formats)];
+  msg.data = source.rest();
+  answers([&] { readImage(*ru::decompressed(msg)); });
+}
+
+void cameraInfo(const Bytes& bytes) {
+  Source source(bytes);
+  const char* const models[] = {"plumb_bob", "rational_polynomial", "equidistant", "", "fisheye"};
+  sensor_msgs::CameraInfo msg;
+  const auto kind = source.take<std::uint8_t>();
+  msg.distortion_model = kind < std::size(models) ? models[kind] : source.text(40);
+  msg.width = source.take<std::uint32_t>() >> source.take<std::uint8_t>() % 32;
+  msg.height = source.take<std::uint32_t>() >> source.take<std::uint8_t>() % 32;
+  for (const int i : {0, 2, 4, 5}) msg.K[static_cast<std::size_t>(i)] = 100 * source.number();
+  msg.D.resize(source.take<std::uint8_t>() % 16);
+  fill(source, &msg.D);
+  if (source.take<std::uint8_t>() % 2) {
+    for (std::uint32_t* v :
+         {&msg.roi.x_offset, &msg.roi.y_offset, &msg.roi.width, &msg.roi.height, &msg.binning_x, &msg.binning_y})
+      *v = source.take<std::uint32_t>() >> source.take<std::uint8_t>() % 32;
+  }
+  answers([&] {
+    const auto camera = ru::fromMsg(msg);
+    require(camera.width > 0 && camera.height > 0, "size of the image");
+    camera.unproject({0, 0});
+    camera.unproject({0.7 * camera.width, 0.4 * camera.height});
+    camera.project({0.3, -0.2, 1});
+    if (camera.width > 2000 || camera.height > 2000) return;
+    const auto view = air_ground_common::centralPinhole(camera, 1.7);
+    require(view.width <= 4 * camera.width && view.height <= 4 * camera.height, "pinhole");
+    air_ground_common::rectificationMap(camera, view);
+  });
+}
+
+sensor_msgs::PointCloud2 cloudFrom(Source& source) {
+  sensor_msgs::PointCloud2 msg;
+  const char* const names[] = {"x", "y", "z", "rgb", "intensity", "source"};
+  const bool large = source.take<std::uint8_t>() == 0;
+  const int fields = source.take<std::uint8_t>() % 8;
+  for (int i = 0; i < fields; ++i) {
+    sensor_msgs::PointField field;
+    field.name = names[source.take<std::uint8_t>() % std::size(names)];
+    field.datatype = source.take<std::uint8_t>() % 9;
+    field.offset = large ? source.take<std::uint32_t>() : source.take<std::uint8_t>();
+    field.count = source.take<std::uint8_t>();
+    msg.fields.push_back(field);
+  }
+  if (fields == 0)  // as ours are
+    return ru::toMsg(std::vector<ru::CloudPoint>(), ru::CloudFields::kXyzRgb, std_msgs::Header());
+  msg.height = large ? source.take<std::uint32_t>() : source.take<std::uint8_t>();
+  msg.width = large ? source.take<std::uint32_t>() : source.take<std::uint8_t>();
+  msg.point_step = large ? source.take<std::uint32_t>() : source.take<std::uint8_t>();
+  msg.row_step = large ? source.take<std::uint32_t>() : msg.point_step * msg.width;
+  msg.data = source.rest();
+  if (!large) msg.data.resize(static_cast<std::size_t>(msg.row_step) * msg.height);
+  return msg;
+}
+
+void pointCloud(const Bytes& bytes) {
+  Source source(bytes);
+  const sensor_msgs::PointCloud2 msg = cloudFrom(source);
+  answers([&] {
+    std::size_t dropped = 0;
+    const auto points = ru::cloudFromMsg(msg, &dropped);
+    require(points.size() + dropped == static_cast<std::size_t>(msg.width) * msg.height, "count of the points");
+    for (const auto& p : points) require(p.position.allFinite(), "point");
+  });
+}
+
+// Finite points are anywhere that a float can be.
+std::vector<Eigen::Vector3f> pointsFrom(Source& source, int count) {
+  std::vector<Eigen::Vector3f> points;
+  for (int i = 0; i < count; ++i) {
+    Eigen::Vector3f p;
+    for (int k = 0; k < 3; ++k) p[k] = static_cast<float>(std::max(-3e38, std::min(3e38, source.number())));
+    if (p.allFinite()) points.push_back(p);
+  }
+  return points;
+}
+
+void heightMaps(const Bytes& bytes) {
+  Source source(bytes);
+  heightmap_mcl::HeightMapSettings settings;
+  settings.resolution = 0.1;
+  const auto kind = source.take<std::uint8_t>();
+  settings.tops = static_cast<heightmap_mcl::Tops>(kind % 3);
+  settings.drop_hanging = kind & 4;
+  settings.max_spike = kind & 8 ? 0.5 : 0;
+  settings.height_quantile = kind & 16 ? 0.9 : 1;
+  const auto first = heightmap_mcl::buildHeightMap(pointsFrom(source, 40), settings);
+  const auto second = heightmap_mcl::buildHeightMap(pointsFrom(source, 40), settings, nullptr, &first.levels);
+  for (const auto* map : {&first, &second})
+    require(map->heights.size() == static_cast<std::size_t>(map->width) * static_cast<std::size_t>(map->height),
+            "height map");
+  if (heightmap_mcl::unionExtent({&first, &second}) < 100)
+    heightmap_mcl::merge({&first, &second}, heightmap_mcl::Merge::kMean);
+}
+
+void alignment(const Bytes& bytes) {
+  static const auto chain = icp_refine::IcpChain::fromString(
+      "{reading_filters: [{VoxelGrid: {leaf: 0.1}}, {StatisticalOutlier: {neighbors: 4}}, SurfaceNormals, "
+      "OrientNormals], "
+      "reference_filters: [{VoxelGrid: {leaf: 0.1}}, SurfaceNormals, OrientNormals], levels: [{matcher: KdTree, "
+      "outlier_filters: "
+      "[NormalAngle, Cauchy], error_minimizer: {PointToPlane: {dof: 7}}, checkers: [{Iterations: {max: 5}}]}]}");
+  Source source(bytes);
+  icp_refine::Cloud reading, reference;
+  reading.points = pointsFrom(source, 60);
+  reference.points = pointsFrom(source, 60);
+  const auto prepared = chain.prepareReference(reference);
+  const auto result = chain.align(chain.prepareReading(reading), prepared, icp_refine::Similarity());
+  if (result.outcome == icp_refine::IcpResult::Outcome::kConverged)
+    require(result.T_reference_reading.t.allFinite() && result.T_reference_reading.scale > 0, "alignment");
+}
+
+// All sensors of the tracker in any order, at any time, with anything in them.
+void tracking(const Bytes& bytes) {
+  namespace ek = ekf_tracker;
+  Source source(bytes);
+  static const air_ground_common::LocalFrame frame("EPSG:2056", {2683500, 1247800, 410});
+  ek::NodeSettings settings;
+  settings.level_increments = source.take<std::uint8_t>() % 2;
+  ek::SensorBridge bridge(settings, &frame);
+  ek::TiltSource tilts;
+  ek::Tracker tracker;
+  ros::Time last(1000, 0);
+  for (int messages = 0; messages < 200 && !source.empty(); ++messages) {
+    const auto kind = source.take<std::uint8_t>() % 8;
+    const std_msgs::Header header = headerFrom(source);
+    answers([&] {
+      if (kind <= 2) {
+        air_ground::VoIncrement msg;
+        msg.header = header;
+        msg.previous_stamp = kind == 0 ? last : headerFrom(source).stamp;
+        if (kind == 0) last = msg.header.stamp = last + ros::Duration(0.05);
+        msg.relative_pose = poseFrom(source);
+        if (source.take<std::uint8_t>() % 2)
+          for (std::size_t i = 0; i < 16; i += 5) msg.covariance[i] = 1e-4;
+        else
+          fill(source, &msg.covariance);
+        msg.metric = source.take<std::uint8_t>() % 4 != 0;
+        msg.scale_variance = source.number();
+        msg.map_id = source.take<std::uint8_t>() % 3;
+        tracker.addIncrement(bridge.increment(msg, tilts.accelerometerTiltAt(msg.header.stamp.toSec())));
+      } else if (kind == 3) {
+        geometry_msgs::PoseWithCovarianceStamped msg;
+        msg.header = header;
+        msg.pose.pose = poseFrom(source);
+        if (source.take<std::uint8_t>() % 2)
+          for (std::size_t i = 0; i < 36; i += 7) msg.pose.covariance[i] = 0.1;
+        else
+          fill(source, &msg.pose.covariance);
+        tracker.addMeasurement(bridge.fix(msg));
+      } else if (kind == 4) {
+        sensor_msgs::NavSatFix msg;
+        msg.header = header;
+        msg.latitude = 47.37 + source.number(), msg.longitude = 8.54 + source.number(), msg.altitude = source.number();
+        msg.position_covariance_type = source.take<std::uint8_t>();
+        fill(source, &msg.position_covariance);
+        if (const auto m = bridge.gps(msg)) tracker.addMeasurement(*m);
+      } else if (kind == 5) {
+        sensor_msgs::FluidPressure msg;
+        msg.header = header;
+        msg.fluid_pressure = 95000 + source.number();
+        if (const auto m = bridge.pressure(msg)) tracker.addMeasurement(*m);
+      } else if (kind == 6) {
+        sensor_msgs::MagneticField msg;
+        msg.header = header;
+        for (double* v : {&msg.magnetic_field.x, &msg.magnetic_field.y, &msg.magnetic_field.z}) *v = source.number();
+        if (bridge.takesField(msg))
+          tracker.addMeasurement(bridge.heading(msg, Eigen::Matrix3d::Identity(), Eigen::Matrix3d::Identity()));
+      } else {
+        tilts.addPose(header.stamp.toSec(), ru::fromMsg(poseFrom(source)));
+        const Eigen::Vector3d force(source.number(), source.number(), source.number());
+        if (force.allFinite()) tilts.addSpecificForce(header.stamp.toSec(), force);
+      }
+    });
+    tracker.takeOutcomes();
+    if (const auto estimate = tracker.latest()) {
+      require(estimate->pose.allFinite() && estimate->covariance.allFinite(), "tracked pose");
+      require((estimate->covariance.diagonal().array() > 0).all(), "tracked covariance");
+    }
+  }
+}
+
+}  // namespace
+
+void addMessageTargets(Targets* targets) {
+  targets->insert({{"image", image},
+                   {"compressed_image", compressedImage},
+                   {"camera_info", cameraInfo},
+                   {"point_cloud", pointCloud},
+                   {"height_maps", heightMaps},
+                   {"alignment", alignment},
+                   {"tracking", tracking}});
+}
+
+}  // namespace air_ground_fuzz
