@@ -14,6 +14,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   n.estimator.odom_frame = "mav_odom";
   n.estimator.base_frame = "mav_base_link";
   air_ground_common::ros_utils::readParameters(p, &n.estimator);
+  n.visual_frame = p.text("visual_map_frame", "mav_visual_map");
   n.sparse_cloud_interval = p.number("sparse_cloud_interval", n.sparse_cloud_interval, 0.0, 60.0);
   n.track_image_every = p.integer("track_image_every", n.track_image_every, 1, 1000);
 
