@@ -8,6 +8,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   air_ground_common::ros_utils::Parameters p(private_handle);
   NodeSettings s;
   MapperSettings& m = s.mapper;
+  s.visual_frame = p.text("visual_map_frame", "mav_visual_map");
+  m.nominal_distance = p.number("nominal_distance", m.nominal_distance, 0.01, 1000);
   s.queue_size = p.integer("queue_size", s.queue_size, 10, 10000);
   s.flush_timeout = p.number("flush_timeout", s.flush_timeout, 0, 3600);
   s.service_timeout = p.number("service_timeout", s.service_timeout, 0.01, 3600);

@@ -3,12 +3,15 @@
 
 #include <ros/node_handle.h>
 
+#include <string>
+
 #include "dense_fusion/dense_mapper.h"
 
 namespace dense_fusion {
 
 struct NodeSettings {
   MapperSettings mapper;
+  std::string visual_frame;      ///< posed images in it are in a unit of their own, which their map keeps
   int queue_size = 400;          ///< images waiting for the worker; older ones are dropped beyond it
   double flush_timeout = 4.0;    ///< wall time without input after which what there is gets fused [s]; 0: never
   double service_timeout = 120;  ///< wall time that ~flush and ~save_map wait for the worker [s]
