@@ -1,3 +1,4 @@
+#include <cmath>
 #include <stdexcept>
 
 #include "heightmap_mcl/localizer.h"
@@ -30,7 +31,10 @@ void validate(const LocalizerSettings& s) {
   require(s.air_map.resolution == s.ground_map.resolution, "both height maps must have the same resolution");
   require(s.air_map.tops == s.ground_map.tops && s.air_map.cap == s.ground_map.cap,
           "both height maps must have the same tops and cap");
-  require(s.scale_sigma >= 0 && s.scale_sigma <= 0.5, "scale_sigma must be in [0, 0.5]");
+  require(s.scale_min > 0 && s.scale_max >= s.scale_min && std::isfinite(s.scale_max),
+          "scale_min must be positive, scale_max not less than it");
+  require(s.max_tilt >= 0 && s.max_tilt < 1.2, "max_tilt must be in [0, 1.2) rad");
+  require(s.scale_evidence >= 0, "scale_evidence must not be negative");
   require(s.headings >= 8 && s.headings <= 720, "headings must be 8 to 720");
   require(s.coarse_factor >= 1 && s.coarse_factor <= 16, "coarse_factor must be 1 to 16");
   require(s.accumulate >= 1, "accumulate must be at least 1");

@@ -28,6 +28,7 @@ NodeSettings readParameters(Parameters& p) {
   LocalizerSettings& s = n.localizer;
   n.ground_map_frame = p.text("ground_map_frame", "");
   n.mav_map_frame = p.text("mav_map_frame", "");
+  n.visual_map_frame = p.text("visual_map_frame", "mav_visual_map");
   n.publish_tf = p.flag("publish_tf", false);
   n.tf_rate = p.number("tf_rate", n.tf_rate, 0.1, 1000);
   n.cloud_queue = p.integer("cloud_queue", n.cloud_queue, 1, 10000);
@@ -41,6 +42,10 @@ NodeSettings readParameters(Parameters& p) {
 
   s.min_overlap = p.number("min_overlap", s.min_overlap, 0.05, 1.0);
   s.unknown_weight = p.number("unknown_weight", s.unknown_weight, 0.0, 2.0);
+  s.scale_min = p.number("scale_min", s.scale_min, 1e-3, 1e3);
+  s.scale_max = p.number("scale_max", s.scale_max, 1e-3, 1e3);
+  s.scale_evidence = p.number("scale_evidence", s.scale_evidence, 0.0, 1000.0);
+  s.max_tilt = p.number("max_tilt", s.max_tilt, 0.0, 1.1);
   s.headings = p.integer("headings", s.headings, 8, 720);
   s.coarse_factor = p.integer("coarse_factor", s.coarse_factor, 1, 16);
   const std::string heading_mode = p.choice("heading_mode", "search", {"search", "prior", "compass"});

@@ -13,6 +13,7 @@ struct NodeSettings {
   Prior prior;           ///< empty when the heading is searched
   bool compass = false;  ///< the heading is that of two magnetometers, prior.yaw_sigma their common error
   std::string ground_map_frame, mav_map_frame;  ///< empty: as in the messages
+  std::string visual_map_frame;                 ///< of clouds of a map without scale
   double search_radius = 3;                     ///< about initialpose, in Mode::kPaper [m]
   bool publish_tf = false;
   double tf_rate = 10;  ///< [Hz]

@@ -40,6 +40,7 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   NodeSettings s;
   s.ground_map_frame = p.text("ground_map_frame", "ground_map");
   s.mav_map_frame = p.text("mav_map_frame", "mav_map");
+  s.visual_map_frame = p.text("visual_map_frame", "mav_visual_map");
   s.publish_tf = p.flag("publish_tf", s.publish_tf);
   s.inverse_tf = p.flag("inverse_tf", s.inverse_tf);
   s.tf_rate = p.number("tf_rate", s.tf_rate, 0.1, 1000);

@@ -12,6 +12,7 @@ namespace icp_refine {
 
 struct NodeSettings {
   std::string ground_map_frame, mav_map_frame, chain_file;
+  std::string visual_map_frame;  ///< of clouds of a map without scale
   bool publish_tf = true, inverse_tf = false;
   double tf_rate = 10;      ///< [Hz]
   int queue_size = 50;      ///< aerial clouds that may wait for the worker
