@@ -79,6 +79,8 @@ void Localizer::restart(bool forget_aerial) {
     scale_ = 1;
     scale_stddev_ = scale_evidence_ = 0;
     R_level_.setIdentity();
+    scale_peaks_.clear();
+    grids_ = clouds_since_grid_ = 0;
     aerial_.clear();
     filter_map_ = HeightMap();
   }
@@ -124,11 +126,11 @@ bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
   HeightMap map = mapOf(cloud.points, levels, cropped);
   if (map.empty()) return false;
   aerial_.push_back({std::move(map), cloud.reference, {}});
-  if (own_unit_) aerial_.back().points = cloud.points;
+  if (own_unit_) aerial_.back().points = kept(cloud.points);
   while (static_cast<int>(aerial_.size()) > settings_.verify) aerial_.pop_front();
   // A bound on the memory of the merged map and of the search over it. A single map has a border of a cell.
   const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
-  while (aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
+  while (!own_unit_ && aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
     aerial_.pop_front();
     ++far_maps_dropped_;
   }

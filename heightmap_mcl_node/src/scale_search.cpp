@@ -22,12 +22,14 @@ struct Localizer::ScaleTrial {
   /// Logarithm of the likelihood that the heights in the overlap belong together, over that of their being unrelated:
   /// each independent piece of ground counts by how much less the maps differ than at other places.
   double evidence = -kInfinity;
+  double independent = 1;  // pieces of ground
 };
 
 namespace {
 
 constexpr double kStep = 0.08;        // of the logarithm: half of it moves the rim of 4 m by 8 cm, a cell
 constexpr double kFinest = 0.003;     // what a cell of 2 cm at the rim of such a map can show
+constexpr double kFloor = 0.03;       // relative; edges that one of the maps rounds or did not see shift the best scale
 constexpr double kTrackStep = 0.012;  // around a scale that has converged
 constexpr double kRestart = 0.015;    // a change by more moves the particles' map too far
 constexpr double kLevelStep = 0.004;  // a smaller change of the level is not worth new maps [rad]
@@ -35,7 +37,8 @@ constexpr double kFloorShare = 0.10;  // of the points, that a floor must hold
 constexpr int kCoarseCells = 36;      // across the aerial map, over all headings and offsets ...
 constexpr int kFineCells = 100;       // ... and around a place
 constexpr int kCoarseHeadings = 36;
-constexpr int kUnrelated = 200;  // placements that show what a wrong one costs
+constexpr int kUnrelated = 200;   // placements that show what a wrong one costs
+constexpr double kLargest = 2.5;  // edges of the ground map that the aerial one may be long
 constexpr std::size_t kMostPoints = 20000;
 constexpr std::size_t kPeaks = 3;  // scales that are refined
 
@@ -100,6 +103,14 @@ double unrelatedCost(const CostVolume& volume, const DirectCost& direct, const A
 }
 
 }  // namespace
+
+std::vector<Eigen::Vector3f> Localizer::kept(const std::vector<Eigen::Vector3f>& points) const {
+  constexpr std::size_t kMostKept = 40000;
+  const std::size_t step = (points.size() + kMostKept - 1) / kMostKept;
+  std::vector<Eigen::Vector3f> some;
+  for (std::size_t i = 0; i < points.size(); i += step) some.push_back(points[i]);
+  return some;
+}
 
 void Localizer::setOwnUnit(bool own_unit) {
   if (own_unit == own_unit_) return;
@@ -196,10 +207,16 @@ Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int
     trial.background.piece = std::max(ground.piece, pieceArea(map));
   }
   if (trial.background.unrelated < 0 || !std::isfinite(trial.best.zmssd.cost)) return trial;
-  const double independent = trial.best.zmssd.overlap * how.resolution * how.resolution / trial.background.piece;
-  trial.evidence =
-      0.5 * independent *
-      std::log((trial.background.unrelated + settings_.noise_cost) / (trial.best.zmssd.cost + settings_.noise_cost));
+  // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
+  // it.
+  const double variances = std::pow(trial.best.zmssd.relief_air, 2) + std::pow(trial.best.zmssd.relief_ground, 2);
+  if (!start) trial.background.variances = variances;
+  const double unrelated =
+      trial.background.unrelated * (trial.background.variances > 0 ? variances / trial.background.variances : 1);
+  trial.independent =
+      std::max(1.0, trial.best.zmssd.overlap * how.resolution * how.resolution / trial.background.piece);
+  trial.evidence = 0.5 * trial.independent *
+                   std::log((unrelated + settings_.noise_cost) / (trial.best.zmssd.cost + settings_.noise_cost));
   return trial;
 }
 
@@ -246,6 +263,28 @@ void Localizer::updateScale() {
   if (levelled || std::abs(std::log(scale_ / scale_before)) > kRestart) filter_.clear();
 }
 
+/// The whole grid, less and less often, or what is around the last grid's best ones. Scales at which the aerial map
+/// would dwarf the ground map are left out: nothing could prove them right.
+std::vector<double> Localizer::scalesToTry(double extent) {
+  const double largest =
+      kLargest * std::max(ground_.width, ground_.height) * ground_.resolution / std::max(extent, 1e-9);
+  std::vector<double> scales;
+  if (++clouds_since_grid_ < grids_ && !scale_peaks_.empty()) {
+    std::sort(scale_peaks_.begin(), scale_peaks_.end());
+    for (const double peak : scale_peaks_)
+      for (const double step : {-kStep, 0.0, kStep})
+        if (scales.empty() || peak * std::exp(step) > scales.back() * (1 + 1e-6))
+          scales.push_back(peak * std::exp(step));
+    return scales;
+  }
+  ++grids_;
+  clouds_since_grid_ = 0;
+  const double to = std::min(settings_.scale_max, std::max(settings_.scale_min, largest));
+  for (double scale = settings_.scale_min; scale < to * std::exp(0.5 * kStep); scale *= std::exp(kStep))
+    scales.push_back(scale);
+  return scales;
+}
+
 void Localizer::searchScales() {
   const RawCloud raw = rawCloud();
   if (raw.points.empty() || !(raw.extent > 0)) return;
@@ -259,11 +298,9 @@ void Localizer::searchScales() {
     best.best.pose = {p.x(), p.y(), air_ground_common::yawOf(estimate_.T_ground_mav.rotation())};
     refineScale(&best, raw, kTrackStep, &curvature);
   } else {
-    const double from = std::log(settings_.scale_min), to = std::log(settings_.scale_max);
-    const int count = static_cast<int>(std::ceil((to - from) / kStep)) + 1;
     std::vector<ScaleTrial> trials;
-    for (int i = 0; i < count; ++i)
-      trials.push_back(tryScale(std::exp(std::min(from + i * kStep, to)), raw, kCoarseCells, nullptr, {}));
+    for (const double scale : scalesToTry(raw.extent))
+      trials.push_back(tryScale(scale, raw, kCoarseCells, nullptr, {}));
     std::vector<std::size_t> peaks;
     for (std::size_t i = 0; i < trials.size(); ++i) {
       const bool peak = std::isfinite(trials[i].evidence) && (i == 0 || trials[i].evidence >= trials[i - 1].evidence) &&
@@ -274,10 +311,12 @@ void Localizer::searchScales() {
               [&](std::size_t a, std::size_t b) { return trials[a].evidence > trials[b].evidence; });
     if (peaks.size() > kPeaks) peaks.resize(kPeaks);
     std::vector<ScaleTrial> refined;
+    scale_peaks_.clear();
     for (const std::size_t i : peaks) {
       refined.push_back(trials[i]);
       double bend = 0;
       refineScale(&refined.back(), raw, kStep / 2, &bend);
+      scale_peaks_.push_back(refined.back().scale);
       if (refined.back().evidence > best.evidence) {
         best = refined.back();
         curvature = bend;
@@ -291,11 +330,9 @@ void Localizer::searchScales() {
   }
   if (!std::isfinite(best.evidence)) return;
   // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
-  const double ratio = std::max(1.0, std::ceil(best.scale * raw.extent / (settings_.air_map.resolution * kFineCells)));
-  const double independent = std::max(best.best.zmssd.overlap * ratio * ratio / settings_.cells_per_independent, 1.0);
-  const double information = independent * curvature / (2 * (best.best.zmssd.cost + settings_.noise_cost));
+  const double information = best.independent * curvature / (2 * (best.best.zmssd.cost + settings_.noise_cost));
   constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
-  scale_stddev_ = best.scale * std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kFinest);
+  scale_stddev_ = best.scale * std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kFloor);
   scale_ = best.scale;
   background_ = best.background;
 }

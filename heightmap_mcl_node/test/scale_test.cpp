@@ -52,7 +52,7 @@ Result play(const synthetic::Run& run, const OwnUnit& own) {
     r.scale_error = e.scale / own.unit - 1;
     const Eigen::Vector3d up = e.R_level * own.R_raw_level * Eigen::Vector3d::UnitZ();
     r.tilt = std::acos(std::min(1.0, up.z()));
-    const bool right = r.position < 0.25 && std::abs(r.scale_error) < 0.05;
+    const bool right = r.position < 0.25 && std::abs(r.scale_error) < 0.1;
     r.wrong += e.status == Status::kConverged && !right;
     if (e.status == Status::kConverged && r.first_converged < 0) r.first_converged = static_cast<double>(k + 1);
     std::cout << k << " " << toString(e.status) << " scale " << e.scale << " +- " << e.scale_stddev << " error "
@@ -97,14 +97,13 @@ TEST(OwnUnit, ScaledAndTiltedCloudsAreFound) {
     const OwnUnit own{unit, expSO3({0.15, -0.2, 0.0})};
     const Result r = play(run, own);
     EXPECT_EQ(r.wrong, 0) << seed;
-    EXPECT_NEAR(r.scale_error, 0, 0.02) << seed;
+    EXPECT_LT(std::abs(r.scale_error) * unit, 2 * r.estimate.scale_stddev) << seed;
     EXPECT_LT(r.tilt, 1.5 * M_PI / 180) << seed;
     EXPECT_LT(r.position, 0.15) << seed;
-    EXPECT_GT(r.estimate.scale_stddev / unit, 0.001);
-    EXPECT_LT(r.estimate.scale_stddev / unit, 0.05);
+    EXPECT_LT(r.estimate.scale_stddev / unit, 0.06);
     converged += r.estimate.status == Status::kConverged;
   }
-  EXPECT_GE(converged, 2);
+  EXPECT_EQ(converged, 3);
 }
 
 TEST(OwnUnit, AFlatFloorHasNoScale) {

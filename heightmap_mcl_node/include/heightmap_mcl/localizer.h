@@ -176,6 +176,8 @@ class Localizer {
   void updateScale();
   bool updateLevel();
   void searchScales();
+  std::vector<double> scalesToTry(double extent);
+  std::vector<Eigen::Vector3f> kept(const std::vector<Eigen::Vector3f>& points) const;
   struct RawCloud;
   struct ScaleTrial;
   struct ScaleBackground {
@@ -224,6 +226,8 @@ class Localizer {
   bool own_unit_ = false;
   double scale_ = 1, scale_stddev_ = 0, scale_evidence_ = 0;
   ScaleBackground background_;
+  std::vector<double> scale_peaks_;  // the last grid's best scales
+  int grids_ = 0, clouds_since_grid_ = 0;
   Eigen::Matrix3d R_level_ = Eigen::Matrix3d::Identity();
   std::map<int, std::unique_ptr<GroundLevel>> ground_levels_;  // by the factor of their cells
   int maps_ = 0, restarts_ = 0;
