@@ -182,6 +182,7 @@ class Localizer {
   struct ScaleTrial;
   struct ScaleBackground {
     double unrelated = -1;  // what a wrong place costs [m^2]; negative: not known
+    double variances = 0;   // of both maps' heights where that was measured, their sum [m^2]
     double piece = 0;       // area over which the heights of either map are alike [m^2]
   };
   struct GroundLevel {
