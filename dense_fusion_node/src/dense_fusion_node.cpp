@@ -253,7 +253,7 @@ class DenseFusionNode {
   void process(const air_ground::PosedImage& msg) {
     const auto start = std::chrono::steady_clock::now();
     // A map in the visual frame has no scale and keeps its unit; any other that is not metric will change it.
-    const bool own_unit = !msg.metric && msg.header.frame_id == settings_.visual_frame;
+    const bool own_unit = !msg.metric && msg.header.frame_id == settings_.visual_map_frame;
     if (!msg.metric && !own_unit) {
       health_.state(kWarn, "waiting: the images' poses have no metric scale yet");
       ++without_scale_;
@@ -424,15 +424,9 @@ class DenseFusionNode {
 }  // namespace dense_fusion
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "dense_fusion");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const dense_fusion::NodeSettings settings = dense_fusion::readParameters(ros::NodeHandle("~"));
-    dense_fusion::DenseFusionNode node(settings);
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<dense_fusion::NodeSettings>(
+      argc, argv, "dense_fusion", [](const auto& settings) {
+        dense_fusion::DenseFusionNode node(settings);
+        ros::spin();
+      });
 }
