@@ -36,6 +36,7 @@ constexpr double kLevelStep = 0.004;  // a smaller change of the level is not wo
 constexpr double kFloorShare = 0.10;  // of the points, that a floor must hold
 constexpr int kCoarseCells = 36;      // across the aerial map, over all headings and offsets ...
 constexpr int kFineCells = 100;       // ... and around a place
+constexpr int kGroundCells = 64;      // across the ground map in that search
 constexpr int kCoarseHeadings = 36;
 constexpr int kUnrelated = 200;   // placements that show what a wrong one costs
 constexpr double kLargest = 2.5;  // edges of the ground map that the aerial one may be long
@@ -176,8 +177,10 @@ Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int
   ScaleTrial trial;
   trial.scale = scale;
   const double fine = settings_.air_map.resolution;
-  const int factor = std::max(start ? 1 : settings_.coarse_factor,
-                              static_cast<int>(std::ceil(scale * raw.extent / (fine * cells_across))));
+  int factor = std::max(1, static_cast<int>(std::ceil(scale * raw.extent / (fine * cells_across))));
+  if (!start)
+    factor = std::max(
+        {factor, settings_.coarse_factor, (std::max(ground_.width, ground_.height) + kGroundCells - 1) / kGroundCells});
   HeightMapSettings how = settings_.air_map;
   how.resolution = fine * factor;
   if (factor > 1 && how.dilation == Dilation::kAll) how.dilation = Dilation::kHoles;  // large cells are dilated already

