@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -241,7 +242,7 @@ class DenseFusionNode {
     last_stamp_ = ros::Time();
     map_id_.reset();
     const std::lock_guard<std::mutex> lock(map_mutex_);
-    map_.clear();
+    map_ = PointMap(settings_.map_cell, settings_.map_max_points);
   }
 
   template <typename Function>
@@ -256,7 +257,9 @@ class DenseFusionNode {
 
   void process(const air_ground::PosedImage& msg) {
     const auto start = std::chrono::steady_clock::now();
-    if (!msg.metric) {
+    // A map in the visual frame has no scale and keeps its unit; any other that is not metric will change it.
+    const bool own_unit = !msg.metric && msg.header.frame_id == settings_.visual_map_frame;
+    if (!msg.metric && !own_unit) {
       health_.state(kWarn, "waiting: the images' poses have no metric scale yet");
       ++without_scale_;
       return;
@@ -270,6 +273,7 @@ class DenseFusionNode {
       frame_id_ = msg.header.frame_id;
       map_since_ = msg.header.stamp;
     }
+    if (own_unit && !followDistance(msg)) return;
     if (!last_stamp_.isZero() && msg.header.stamp <= last_stamp_) {
       health_.count("images refused: repeated or out of order");
       return;
@@ -294,6 +298,24 @@ class DenseFusionNode {
                            " fused maps, " + std::to_string(waiting) + " images waiting, " +
                            std::to_string(without_scale_) + " without scale ignored");
     if (fused) publish(*fused);
+  }
+
+  /// False while the scene's distance is not known.
+  bool followDistance(const air_ground::PosedImage& msg) {
+    const double distance = std::sqrt(static_cast<double>(msg.depth_min) * msg.depth_max);
+    if (!(distance > 0) || !std::isfinite(distance)) {
+      if (mapper_.unit() != 1) return true;  // the last one known
+      health_.state(kWarn, "waiting: the images have no scale, and do not tell the scene's distance either");
+      ++without_scale_;
+      return false;
+    }
+    const double before = mapper_.unit();
+    if (const auto fused = guarded([&] { return mapper_.followDistance(distance); })) publish(*fused);
+    if (before == 1 && mapper_.unit() != 1) {
+      const std::lock_guard<std::mutex> lock(map_mutex_);
+      map_ = PointMap(settings_.map_cell / mapper_.unit(), settings_.map_max_points);
+    }
+    return true;
   }
 
   void publish(const FusedMap& fused) {

@@ -37,6 +37,12 @@ bool sameCalibration(const air_ground_common::CameraModel& a, const air_ground_c
 DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings) { settings_.validate(); }
 
 void DenseMapper::reset() {
+  unit_ = 1;
+  followed_ = false;
+  forgetViews();
+}
+
+void DenseMapper::forgetViews() {
   sweeping_ = false;
   recent_.clear();
   group_.clear();
@@ -44,13 +50,17 @@ void DenseMapper::reset() {
 }
 
 std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_common::CameraModel& camera,
-                                         std::int64_t stamp, const Eigen::Isometry3d& T_map_camera, double depth_min,
-                                         double depth_max) {
+                                         std::int64_t stamp, const Eigen::Isometry3d& T_map_camera_given,
+                                         double depth_min, double depth_max) {
+  Eigen::Isometry3d T_map_camera = T_map_camera_given;
   if (!air_ground_common::isValid(T_map_camera))
     throw std::invalid_argument("dense mapper: the camera pose is not a rigid transform");
+  T_map_camera.translation() *= unit_;
+  depth_min *= unit_;
+  depth_max *= unit_;
   if (!rectifier_ || !sameCalibration(rectifier_->recordedCamera(), camera)) {
     auto rectifier = std::make_unique<Rectifier>(camera, settings_.rectifier);
-    reset();
+    forgetViews();
     rectifier_ = std::move(rectifier);
     sweep_ = std::make_unique<PlaneSweep>(rectifier_->camera(), settings_.sweep);
   }
@@ -73,6 +83,30 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   }
   recent_.push_back(frame);
   if (recent_.size() > kRecentFrames) recent_.pop_front();
+  return inPosesUnit(std::move(fused));
+}
+
+std::optional<FusedMap> DenseMapper::followDistance(double scene_distance) {
+  if (!(scene_distance > 0) || !std::isfinite(scene_distance))
+    throw std::invalid_argument("dense mapper: the scene's distance must be positive");
+  constexpr double kHysteresis = 2;
+  const double wanted = settings_.nominal_distance / scene_distance;
+  if (unit_ < kHysteresis * wanted && wanted < kHysteresis * unit_ && followed_) return std::nullopt;
+  auto fused = followed_ ? flush() : std::nullopt;
+  forgetViews();
+  unit_ = wanted;
+  followed_ = true;
+  return fused;
+}
+
+std::optional<FusedMap> DenseMapper::inPosesUnit(std::optional<FusedMap> fused) const {
+  if (!fused || unit_ == 1) return fused;
+  const double scale = 1 / unit_;
+  fused->depth_map.depth.convertTo(fused->depth_map.depth, CV_32F, scale);
+  fused->depth_map.T_map_camera.translation() *= scale;
+  for (SurfacePoint& p : fused->points) p.position *= static_cast<float>(scale);
+  fused->grid.origin *= scale;
+  fused->grid.voxel_size *= scale;
   return fused;
 }
 
@@ -127,7 +161,9 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
         reference = i;
       }
     }
-    fused = fuseDepthMaps(group_, reference, settings_.fusion, sparse_points_);
+    std::vector<Eigen::Vector3f> sparse = sparse_points_;
+    for (Eigen::Vector3f& p : sparse) p *= static_cast<float>(unit_);
+    fused = fuseDepthMaps(group_, reference, settings_.fusion, sparse);
     counters_.fused += fused.has_value();
   } else {
     ++counters_.small_groups;
@@ -146,7 +182,7 @@ std::optional<FusedMap> DenseMapper::flush() {
   if (sweeping_) fused = finishSweep();
   // What is left after a fusion that has just happened, or only carried over from the one before, brings nothing new.
   if (!fused && group_.size() > carried_over_) fused = fuseGroup();
-  return fused;
+  return inPosesUnit(std::move(fused));
 }
 
 }  // namespace dense_fusion

@@ -9,6 +9,8 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
       "dense_fusion_node: dense clouds from posed images. Figures of the paper: Forster, Pizzoli, Scaramuzza, IROS "
       "2013, sections V, VIII-B.");
   v.section("Node");
+  v("visual_map_frame", s.visual_map_frame,
+    "posed images in it are of a map without scale, which keeps a unit of its own");
   v("autosave", s.autosave,
     "folder, made when missing: the map goes there when the node is stopped, under names of this start; \"\" = "
     "nowhere");

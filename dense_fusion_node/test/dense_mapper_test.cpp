@@ -57,6 +57,42 @@ std::vector<FusedMap> fly(DenseMapper* mapper) {
   return maps;
 }
 
+TEST(DenseMapper, WorksInAnyUnit) {
+  DenseMapper metric(smallSettings());
+  const auto truth = fly(&metric);
+  ASSERT_GE(truth.size(), 1u);
+  for (const double unit : {0.37, 5.0}) {  // [m] of a length 1 in the poses
+    DenseMapper mapper(smallSettings());
+    std::vector<FusedMap> maps;
+    for (std::size_t i = 0; i < flight().size(); ++i) {
+      Eigen::Isometry3d T = flightPose(static_cast<int>(i));
+      T.translation() /= unit;
+      EXPECT_FALSE(mapper.followDistance((1.9 + 0.002 * static_cast<double>(i)) / unit)) << "the unit stays";
+      if (auto fused = mapper.add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000, T, 1.3 / unit,
+                                  2.05 / unit))
+        maps.push_back(std::move(*fused));
+    }
+    EXPECT_NEAR(mapper.unit(), 2.0 / 1.9 * unit, 1e-9);
+    if (auto fused = mapper.flush()) maps.push_back(std::move(*fused));
+    ASSERT_GE(maps.size(), 1u) << unit;
+    std::vector<double> errors;
+    for (const FusedMap& map : maps)
+      for (const SurfacePoint& p : map.points)
+        if (p.normal.z() > 0.9)
+          errors.push_back(
+              std::abs(unit * p.position.z() - boxScene().heightAt(unit * p.position.x(), unit * p.position.y())));
+    ASSERT_GT(errors.size(), 1000u) << unit;
+    std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2), errors.end());
+    EXPECT_LT(errors[errors.size() / 2], 0.02) << unit;
+    EXPECT_NEAR(maps.front().grid.voxel_size * unit, 0.03 * 1.9 / 2.0, 1e-6) << unit;
+    // Four times as high: what there is is fused, and all lengths grow with the distance.
+    mapper.followDistance(8.0 / unit);
+    EXPECT_NEAR(mapper.unit(), 0.25 * unit, 1e-9);
+    mapper.reset();
+    EXPECT_EQ(mapper.unit(), 1);
+  }
+}
+
 TEST(DenseMapper, EmitsAMapEachTimeItHasMovedOn) {
   DenseMapper mapper(smallSettings());
   int depth_maps = 0;

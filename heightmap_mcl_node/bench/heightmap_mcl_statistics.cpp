@@ -114,7 +114,7 @@ int main(int argc, char** argv) {
   app.add_option("--merge", merge, "highest, mean");
   app.add_option("--ambiguity-ratio", s.ambiguity_ratio, "");
   app.add_option("--scale-error", options.scale_error, "");
-  app.add_option("--scale-sigma", s.scale_sigma, "of the search for the scale; 0: none");
+
   app.add_option("--noise", options.cloud_noise, "[m]");
   app.add_option("--ground-path", options.ground_path, "[m]");
   std::string tops = "bounded", mode = "search";

@@ -95,8 +95,9 @@ class HeightmapMclNode {
       try {
         applyCommand(work->command);
         useCompass();
+        localizer_.setOwnUnit(work->own_unit);
         if (work->ground) useGround(work->ground);
-        if (work->aerial) useAerial(work->aerial, work->reference);
+        if (work->aerial) useAerial(work->aerial, work->reference, work->own_unit);
         publish(*work);
       } catch (const std::exception& e) {
         health_.count(std::string("maps not usable: ") + e.what());
@@ -148,7 +149,7 @@ class HeightmapMclNode {
     health_.timing("ground map", (ros::WallTime::now() - start).toSec());
   }
 
-  void useAerial(const Cloud& msg, const std::optional<air_ground_common::StampedPose>& reference) {
+  void useAerial(const Cloud& msg, const std::optional<air_ground_common::StampedPose>& reference, bool own_unit) {
     const ros::WallTime start = ros::WallTime::now();
     AerialCloud cloud;
     std::size_t dropped = 0;
@@ -168,7 +169,8 @@ class HeightmapMclNode {
       heading_ = air_ground_common::yawOf(reference->T_map_body.rotation());
     } else {
       // Any point known in mav_map can carry the particles; only what "the MAV's position" means is lost.
-      health_.count("aerial clouds without odometry at their stamp: the cloud's middle stands for the MAV");
+      if (!own_unit)
+        health_.count("aerial clouds without odometry at their stamp: the cloud's middle stands for the MAV");
       Eigen::Vector3d sum = Eigen::Vector3d::Zero();
       for (const auto& p : cloud.points) sum += p.cast<double>();
       cloud.reference = sum / static_cast<double>(cloud.points.size());
@@ -212,17 +214,20 @@ class HeightmapMclNode {
     // Without both frames there is nothing that a pose could refer to.
     if (work.ground_frame.empty() || work.mav_frame.empty()) return;
     const bool converged = e.status == Status::kConverged;
-    if (!inbox_.conclude(converged ? std::make_optional(e.T_ground_mav) : std::nullopt)) return;
+    // tf has no scale.
+    const bool for_tf = converged && !work.own_unit;
+    if (!inbox_.conclude(for_tf ? std::make_optional(e.T_ground_mav) : std::nullopt)) return;
     coarse_.publish(toMsg(e, header, work.mav_frame, work.map_id));
     if (!e.has_pose) return;
 
-    const double z = reference_.z() + e.T_ground_mav.translation().z();
+    const Eigen::Vector3d reference = e.scale * (e.R_level * reference_);
+    const double z = reference.z() + e.T_ground_mav.translation().z();
     particles_.publish(toMsg(localizer_.filter().particles(), z, heading_, header));
     if (costmap_.getNumSubscribers() > 0) {
       Eigen::Vector2d pivot;
       const CostMap cost = localizer_.costMap(&pivot);
       // Cells stand for the MAV's position, as the particles do.
-      const PlanarPose shift = changeReference({0, 0, cost.yaw}, pivot, reference_.head<2>());
+      const PlanarPose shift = changeReference({0, 0, cost.yaw}, pivot, reference.head<2>());
       if (!cost.cost.empty()) costmap_.publish(toMsg(cost, {shift.x, shift.y}, header));
     }
   }

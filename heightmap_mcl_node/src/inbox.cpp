@@ -14,7 +14,15 @@ using air_ground_common::Pose;
 void Inbox::addAerial(const Cloud& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!mav_gate_.admit(kAerial, msg->header.stamp)) return;
-  if (!frameFits(msg->header.frame_id, settings_.mav_map_frame, &mav_frame_, "aerial clouds")) return;
+  // A map without scale, or one that has got an IMU, is another map.
+  const bool own_unit = msg->header.frame_id == settings_.visual_map_frame;
+  if (!mav_frame_.empty() && own_unit != ownUnit()) {
+    forgetAerial();
+    mav_frame_.clear();
+  }
+  if (!frameFits(msg->header.frame_id, own_unit ? settings_.visual_map_frame : settings_.mav_map_frame, &mav_frame_,
+                 "aerial clouds"))
+    return;
   if (msg->header.stamp < map_begin_) {
     health_.count("aerial clouds of an earlier map of the MAV dropped");
     return;
@@ -48,6 +56,7 @@ void Inbox::addGround(const Cloud& msg) {
 void Inbox::addOdometry(const nav_msgs::OdometryConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!mav_gate_.admit(kOdometry, msg->header.stamp)) return;
+  if (ownUnit()) return;  // it is metric, if it comes at all: nothing that the clouds have to do with
   if (!mav_frame_.empty() && msg->header.frame_id != mav_frame_) {
     health_.count("odometry in frame '" + msg->header.frame_id + "' ignored: aerial clouds are in '" + mav_frame_ +
                   "'");
@@ -94,6 +103,10 @@ void Inbox::setInitialPose(const geometry_msgs::PoseWithCovarianceStampedConstPt
   if (!ground_frame_.empty() && msg->header.frame_id != ground_frame_) {
     ROS_WARN("initialpose in frame '%s' ignored: the ground map is in '%s'", msg->header.frame_id.c_str(),
              ground_frame_.c_str());
+    return;
+  }
+  if (ownUnit()) {
+    ROS_WARN("initialpose ignored: the MAV's map has no scale, so that its place in it says nothing");
     return;
   }
   if (odometry_.empty()) {
@@ -200,6 +213,7 @@ std::optional<Work> Inbox::next() {
     if (cloudReady()) takeCloud(work);
     if (!work.aerial && !work.ground && !work.command.any()) continue;
     work.map_id = map_id_.value_or(0);
+    work.own_unit = ownUnit();
     work.ground_frame = ground_frame_;
     work.mav_frame = mav_frame_;
     return work;
@@ -232,7 +246,7 @@ bool Inbox::pending() const { return cloudReady() || ground_ || command_.any(); 
 bool Inbox::cloudReady() const {
   if (clouds_.empty()) return false;
   const WaitingCloud& next = clouds_.front();
-  return Clock::now() >= next.until ||
+  return ownUnit() || Clock::now() >= next.until ||
          (!odometry_.empty() && odometry_.back().stamp >= next.cloud->header.stamp.toSec());
 }
 

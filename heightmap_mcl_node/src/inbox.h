@@ -36,6 +36,7 @@ struct Work {
   Command command;
   sensor_msgs::PointCloud2ConstPtr ground, aerial;          // null: none
   std::optional<air_ground_common::StampedPose> reference;  // of the MAV at the aerial cloud's stamp
+  bool own_unit = false;                                    // the aerial clouds are of a map without scale
   std::uint32_t map_id = 0;
   std::string ground_frame, mav_frame;
 };
@@ -83,6 +84,7 @@ class Inbox {
   static constexpr std::size_t kOdometryKept = 4000;
 
   // mutex_ held.
+  bool ownUnit() const { return mav_frame_ == settings_.visual_map_frame; }
   bool frameFits(const std::string& frame, const std::string& expected, std::string* known, const std::string& what);
   void onMavTimeJump();
   void onGroundTimeJump();

@@ -56,8 +56,15 @@ Localizer::Localizer(const LocalizerSettings& settings) : settings_(settings), f
 }
 Localizer::~Localizer() = default;
 
+air_ground_common::Pose Estimate::similarityPose() const {
+  air_ground_common::Pose T = T_ground_mav;
+  T.linear() = T_ground_mav.linear() * R_level;
+  return T;
+}
+
 void Localizer::forgetGround() {
   ground_ = HeightMap();
+  ground_levels_.clear();
   direct_.reset();
   coarse_fft_.reset();
   full_fft_.reset();
@@ -70,7 +77,10 @@ void Localizer::restart(bool forget_aerial) {
   restarts_ = 0;
   if (forget_aerial) {
     scale_ = 1;
-    scale_stddev_ = settings_.scale_sigma;
+    scale_stddev_ = scale_evidence_ = 0;
+    R_level_.setIdentity();
+    scale_peaks_.clear();
+    grids_ = clouds_since_grid_ = 0;
     aerial_.clear();
     filter_map_ = HeightMap();
   }
@@ -81,7 +91,7 @@ void Localizer::restart(bool forget_aerial) {
 void Localizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(aerial_.size());
-  updateScale();
+  if (scale_stddev_ == 0) updateScale();
   filter_map_ = lastMaps(settings_.accumulate);
   filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, lastReference());
 }
@@ -96,6 +106,7 @@ bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_
   auto direct = std::make_unique<DirectCost>(map);
   auto coarse_fft = std::make_unique<FftCost>(downsample(map, settings_.coarse_factor));
   ground_ = std::move(map);
+  ground_levels_.clear();
   ground_variance_ = std::pow(heightDeviation(ground_), 2);
   direct_ = std::move(direct);
   coarse_fft_ = std::move(coarse_fft);
@@ -112,13 +123,14 @@ bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
   // A cloud that shows a table alone has the floor of those before it.
   LevelHistogram levels;
   for (const Kept& kept : aerial_) levels.add(kept.map.levels);
-  HeightMap map = buildHeightMap(cloud.points, settings_.air_map, cropped, &levels);
+  HeightMap map = mapOf(cloud.points, levels, cropped);
   if (map.empty()) return false;
-  aerial_.push_back({std::move(map), cloud.reference});
+  aerial_.push_back({std::move(map), cloud.reference, {}});
+  if (own_unit_) aerial_.back().points = kept(cloud.points);
   while (static_cast<int>(aerial_.size()) > settings_.verify) aerial_.pop_front();
   // A bound on the memory of the merged map and of the search over it. A single map has a border of a cell.
   const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
-  while (aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
+  while (!own_unit_ && aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
     aerial_.pop_front();
     ++far_maps_dropped_;
   }
@@ -136,7 +148,7 @@ std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
   return maps;
 }
 
-HeightMap Localizer::lastMaps(int count) const { return scaled(merge(keptMaps(count), settings_.merge), scale_); }
+HeightMap Localizer::lastMaps(int count) const { return merge(keptMaps(count), settings_.merge); }
 
 double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   // What both are charged for unknown cells says nothing about either.
@@ -178,6 +190,8 @@ void Localizer::updateEstimate() {
   estimate_ = Estimate();
   estimate_.scale = scale_;
   estimate_.scale_stddev = scale_stddev_;
+  estimate_.R_level = R_level_;
+  if (own_unit_) estimate_.scale_evidence = scale_evidence_;
   estimate_.maps = maps_;
   estimate_.restarts = restarts_;
   if (!hasGround() || !hasAerial()) {
@@ -311,6 +325,10 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
     e.status = Status::kAmbiguous;
     e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
                       e.rival_distance, e.rival_ratio);
+  } else if (e.scale_evidence < s.scale_evidence) {
+    e.status = Status::kAmbiguous;
+    e.reason = format("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", e.scale,
+                      e.scale_evidence, s.scale_evidence);
   } else if (e.explained < s.min_explained) {
     e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
                       100 * s.min_explained);

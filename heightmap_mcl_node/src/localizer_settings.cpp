@@ -63,6 +63,15 @@ void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
     "charge for cells of the smaller map without a partner, as a share of what unrelated heights would cost by eq. 2; "
     "0 = paper. A place that explains less than min_explained (below) is charged for its other cells too, up to all of "
     "them");
+  v("scale_min", s.scale_min, {1e-3, 1e3}, "m per unit",
+    "of the clouds of a MAV without IMU, whose unit is the distance of what it saw when its map began; the search "
+    "takes all from here ...");
+  v("scale_max", s.scale_max, {1e-3, 1e3}, "m per unit", "... to there for equally likely by order of magnitude");
+  v("scale_evidence", s.scale_evidence, {0, 1000}, "",
+    "logarithm of how much likelier than any other scale the best one must be, else AMBIGUOUS");
+  v("max_tilt", s.max_tilt, {0, 1.1}, "rad",
+    "without IMU the dominant plane within this of the map's z axis is made level; 0: the mounting on tf and a level "
+    "start are trusted");
   v("headings", s.headings, {8, 720}, "", "headings of the coarse search over the full circle");
   v("coarse_factor", s.coarse_factor, {1, 16}, "", "cells of the coarse search are this much larger");
 
@@ -136,7 +145,7 @@ void validate(const LocalizerSettings& s) {
   validate(s.ground_map);
   validate(CostSettings{s.min_overlap, 0, s.min_explained, s.min_relief});
   validate(s.filter);
-  require(s.scale_sigma >= 0 && s.scale_sigma <= 0.5, "scale_sigma must be in [0, 0.5]");
+  require(s.scale_max >= s.scale_min, "scale_max must not be less than scale_min");
   require(s.verify >= s.accumulate, "verify must not be less than accumulate");
 }
 

@@ -70,7 +70,7 @@ AlignmentEstimate toMsg(const Estimate& e, const std_msgs::Header& header, const
   AlignmentEstimate msg;
   msg.header = header;
   msg.child_frame_id = mav_frame;
-  msg.pose.pose = ros_utils::toMsg(e.T_ground_mav);
+  msg.pose.pose = ros_utils::toMsg(e.similarityPose());
   ros_utils::setCovariance(e.covariance, &msg.pose.covariance);
   msg.scale = e.scale;
   msg.scale_stddev = e.scale_stddev;

@@ -12,6 +12,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("ground_map_frame", n.ground_map_frame,
     "frame of ground/map_cloud; empty: the frame of the first cloud. Clouds in another frame are dropped");  // , ""
   v("mav_map_frame", n.mav_map_frame, "frame of mav/dense_cloud; empty: as above");                          // , ""
+  v("visual_map_frame", n.visual_map_frame, "frame of mav/dense_cloud of a MAV without IMU, in a unit of its own");
   v("publish_tf", n.publish_tf,
     "ground map -> MAV map on /tf while CONVERGED; leave off when icp_refine_node publishes it");
   v("tf_rate", n.tf_rate, {0.1, 1000}, "Hz", "of that transform, stamped with the clock");

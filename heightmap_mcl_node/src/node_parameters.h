@@ -13,7 +13,7 @@ struct NodeSettings {
   LocalizerSettings localizer;
   Prior prior;           ///< empty when the heading is searched
   bool compass = false;  ///< the heading is that of two magnetometers, prior.yaw_sigma their common error
-  std::string ground_map_frame, mav_map_frame;
+  std::string ground_map_frame, mav_map_frame, visual_map_frame = "mav_visual_map";
   double search_radius = 3;
   bool publish_tf = false;
   double tf_rate = 10;

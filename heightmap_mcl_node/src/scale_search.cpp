@@ -1,82 +1,343 @@
-// Scale of the aerial clouds, for a MAV whose odometry is not metric: a logarithmic grid, coarse to fine.
+// Level and scale of the aerial clouds, for a MAV whose odometry has neither: the dominant floor, and a logarithmic
+// grid of scales, coarse to fine.
 #include <algorithm>
 #include <cmath>
 
+#include "heightmap_mcl/dominant_floor.h"
 #include "heightmap_mcl/localizer.h"
 
 namespace heightmap_mcl {
+
+/// The kept clouds together, level, thinned.
+struct Localizer::RawCloud {
+  std::vector<Eigen::Vector3f> points;
+  Eigen::Vector2d centre = Eigen::Vector2d::Zero();
+  double extent = 0;  // longer edge in plan
+};
+
+struct Localizer::ScaleTrial {
+  double scale = 1;
+  Candidate best;  // of scale * centre
+  ScaleBackground background;
+  /// Logarithm of the likelihood that the heights in the overlap belong together, over that of their being unrelated:
+  /// each independent piece of ground counts by how much less the maps differ than at other places.
+  double evidence = -kInfinity;
+  double independent = 1;  // pieces of ground
+};
+
 namespace {
 
-constexpr double kStep = 0.025;     // of the logarithm: over half of a map of 4 m, 5 cm
-constexpr double kReach = 2.5;      // standard deviations that are searched
-constexpr double kFinest = 0.003;   // what a cell of 2 cm at the rim of such a map can show
-constexpr double kRestart = 0.015;  // a change by more moves the particles' map too far
+constexpr double kStep = 0.08;        // of the logarithm: half of it moves the rim of 4 m by 8 cm, a cell
+constexpr double kFinest = 0.003;     // what a cell of 2 cm at the rim of such a map can show
+constexpr double kFloor = 0.03;       // relative; edges that one of the maps rounds or did not see shift the best scale
+constexpr double kTrackStep = 0.012;  // around a scale that has converged
+constexpr double kRestart = 0.015;    // a change by more moves the particles' map too far
+constexpr double kLevelStep = 0.004;  // a smaller change of the level is not worth new maps [rad]
+constexpr double kFloorShare = 0.10;  // of the points, that a floor must hold
+constexpr int kCoarseCells = 36;      // across the aerial map, over all headings and offsets ...
+constexpr int kFineCells = 100;       // ... and around a place
+constexpr int kGroundCells = 64;      // across the ground map in that search
+constexpr int kCoarseHeadings = 36;
+constexpr int kUnrelated = 200;   // placements that show what a wrong one costs
+constexpr double kLargest = 2.5;  // edges of the ground map that the aerial one may be long
+constexpr std::size_t kMostPoints = 20000;
+constexpr std::size_t kPeaks = 3;  // scales that are refined
 
-double badness(const Zmssd& z, double noise_cost) {
-  // A smaller map has less height to be wrong about: what it leaves unexplained is compared, not what it costs.
-  return z.variance > 0 && std::isfinite(z.score) ? (z.score + noise_cost) / z.variance : kInfinity;
+double quantile(std::vector<float>& values, double q) {
+  const auto k = values.begin() + static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), k, values.end());
+  return *k;
+}
+
+/// Area over which heights are alike: twice the distance at which their correlation has fallen to a half, squared
+/// [m^2].
+double pieceArea(const HeightMap& map) {
+  double sum = 0, squares = 0, count = 0;
+  for (const float h : map.heights) {
+    if (std::isnan(h)) continue;
+    sum += h;
+    squares += static_cast<double>(h) * h;
+    ++count;
+  }
+  const double variance = count > 0 ? squares / count - sum / count * (sum / count) : 0;
+  const int most = std::max(map.width, map.height) / 2;
+  int lag = 1;
+  for (; lag < most; ++lag) {
+    double difference = 0, pairs = 0;
+    const auto add = [&](float a, float b) {
+      if (std::isnan(a) || std::isnan(b)) return;
+      difference += (static_cast<double>(a) - b) * (static_cast<double>(a) - b);
+      ++pairs;
+    };
+    for (int r = 0; r < map.height; ++r)
+      for (int c = 0; c < map.width; ++c) {
+        if (c + lag < map.width) add(map.at(r, c), map.at(r, c + lag));
+        if (r + lag < map.height) add(map.at(r, c), map.at(r + lag, c));
+      }
+    if (pairs > 0 && difference / pairs > variance) break;
+  }
+  return std::pow(2 * lag * map.resolution, 2);
+}
+
+/// Median cost of the same maps at placements spread over the volume: what two maps cost that have nothing to do with
+/// each other there. Negative where there is none.
+double unrelatedCost(const CostVolume& volume, const DirectCost& direct, const AerialCells& cells,
+                     const CostSettings& settings) {
+  std::size_t total = 0;
+  for (const CostMap& slice : volume.slices)
+    total += static_cast<std::size_t>(
+        std::count_if(slice.cost.begin(), slice.cost.end(), [](float c) { return std::isfinite(c); }));
+  const std::size_t step = std::max<std::size_t>(1, total / kUnrelated);
+  std::vector<PlanarPose> poses;
+  std::size_t i = 0;
+  for (const CostMap& slice : volume.slices) {
+    for (std::size_t k = 0; k < slice.cost.size(); ++k) {
+      if (!std::isfinite(slice.cost[k]) || i++ % step != 0) continue;
+      const int row = static_cast<int>(k / slice.width), column = static_cast<int>(k % slice.width);
+      poses.push_back(changeReference(slice.pose(row, column), volume.pivot, cells.reference));
+    }
+  }
+  std::vector<float> costs;
+  for (const Zmssd& z : direct(cells, poses, settings))
+    if (std::isfinite(z.cost)) costs.push_back(static_cast<float>(z.cost));
+  return costs.empty() ? -1 : quantile(costs, 0.5);
 }
 
 }  // namespace
 
-Localizer::ScaleTrial Localizer::tryScale(double scale, const HeightMap& raw, const PlanarPose* start) const {
+std::vector<Eigen::Vector3f> Localizer::kept(const std::vector<Eigen::Vector3f>& points) const {
+  constexpr std::size_t kMostKept = 40000;
+  const std::size_t step = (points.size() + kMostKept - 1) / kMostKept;
+  std::vector<Eigen::Vector3f> some;
+  for (std::size_t i = 0; i < points.size(); i += step) some.push_back(points[i]);
+  return some;
+}
+
+void Localizer::setOwnUnit(bool own_unit) {
+  if (own_unit == own_unit_) return;
+  own_unit_ = own_unit;
+  restart(true);
+}
+
+HeightMap Localizer::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
+                           std::size_t* cropped) const {
+  if (!own_unit_) return buildHeightMap(points, settings_.air_map, cropped, &earlier);
+  const Eigen::Matrix3f S = (scale_ * R_level_).cast<float>();
+  std::vector<Eigen::Vector3f> metric;
+  metric.reserve(points.size());
+  for (const auto& p : points) metric.push_back(S * p);
+  return buildHeightMap(metric, settings_.air_map, cropped, &earlier);
+}
+
+void Localizer::remakeKeptMaps() {
+  LevelHistogram levels;
+  for (Kept& kept : aerial_) {
+    kept.map = mapOf(kept.points, levels);
+    levels.add(kept.map.levels);
+  }
+}
+
+Localizer::RawCloud Localizer::rawCloud() const {
+  std::size_t count = 0;
+  for (const Kept& kept : aerial_) count += kept.points.size();
+  const std::size_t step = std::max<std::size_t>(1, (count + kMostPoints - 1) / kMostPoints);
+  RawCloud raw;
+  const Eigen::Matrix3f R = R_level_.cast<float>();
+  std::size_t i = 0;
+  std::vector<float> x, y;
+  for (const Kept& kept : aerial_) {
+    for (const auto& p : kept.points) {
+      if (i++ % step != 0 || !p.allFinite()) continue;
+      raw.points.push_back(R * p);
+      x.push_back(raw.points.back().x());
+      y.push_back(raw.points.back().y());
+    }
+  }
+  if (raw.points.empty()) return raw;
+  constexpr double kTail = 0.005;
+  const Eigen::Vector2d low(quantile(x, kTail), quantile(y, kTail)),
+      high(quantile(x, 1 - kTail), quantile(y, 1 - kTail));
+  raw.centre = 0.5 * (low + high);
+  raw.extent = (high - low).maxCoeff();
+  return raw;
+}
+
+Localizer::GroundLevel& Localizer::groundLevel(int factor) {
+  auto& level = ground_levels_[factor];
+  if (!level) {
+    level = std::make_unique<GroundLevel>();
+    level->map = downsample(ground_, factor);
+    level->direct = std::make_unique<DirectCost>(level->map);
+  }
+  return *level;
+}
+
+Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
+                                          const ScaleBackground& background) {
   ScaleTrial trial;
   trial.scale = scale;
-  const HeightMap map = scaled(raw, scale);
-  const AerialCells cells = aerialCells(map, scale * centerOf(raw));
-  trial.cells = static_cast<int>(cells.h.size());
+  const double fine = settings_.air_map.resolution;
+  int factor = std::max(1, static_cast<int>(std::ceil(scale * raw.extent / (fine * cells_across))));
+  if (!start)
+    factor = std::max(
+        {factor, settings_.coarse_factor, (std::max(ground_.width, ground_.height) + kGroundCells - 1) / kGroundCells});
+  HeightMapSettings how = settings_.air_map;
+  how.resolution = fine * factor;
+  if (factor > 1 && how.dilation == Dilation::kAll) how.dilation = Dilation::kHoles;  // large cells are dilated already
+  how.max_extent = std::max(how.max_extent, 10 * how.resolution);
+  std::vector<Eigen::Vector3f> points = raw.points;
+  for (auto& p : points) p *= static_cast<float>(scale);
+  const HeightMap map = buildHeightMap(points, how);
+  if (map.empty()) return trial;
+  GroundLevel& ground = groundLevel(factor);
+  const AerialCells cells = aerialCells(map, scale * raw.centre);
   const CostSettings cost = costFor(map);
-  const double cell = ground_.resolution;
   if (start) {
-    trial.best = descend(*direct_, cells, *start, 2 * cell, 0.03, cost);
-    return trial;
+    trial.background = background;
+    trial.best = descend(*ground.direct, cells, *start, 2 * how.resolution, 0.03, cost);
+  } else {
+    if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
+    const auto headings = searchHeadings(kCoarseHeadings, prior_);
+    const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
+    const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
+    for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
+      const PlanarPose pose = changeReference(minimum, volume.pivot, cells.reference);
+      const Candidate found = descend(*ground.direct, cells, pose, how.resolution, M_PI / kCoarseHeadings, cost);
+      if (found.zmssd.score < trial.best.zmssd.score) trial.best = found;
+    }
+    trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
+    if (ground.piece <= 0) ground.piece = pieceArea(ground.map);
+    trial.background.piece = std::max(ground.piece, pieceArea(map));
   }
-  const CostVolume volume = coarseVolume(map);
-  for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
-    const PlanarPose pose = changeReference(minimum, volume.pivot, cells.reference);
-    const Candidate found =
-        descend(*direct_, cells, pose, settings_.coarse_factor * cell, M_PI / settings_.headings, cost);
-    if (found.zmssd.score < trial.best.zmssd.score) trial.best = found;
-  }
+  if (trial.background.unrelated < 0 || !std::isfinite(trial.best.zmssd.cost)) return trial;
+  // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
+  // it.
+  const double variances = std::pow(trial.best.zmssd.relief_air, 2) + std::pow(trial.best.zmssd.relief_ground, 2);
+  if (!start) trial.background.variances = variances;
+  const double unrelated =
+      trial.background.unrelated * (trial.background.variances > 0 ? variances / trial.background.variances : 1);
+  trial.independent =
+      std::max(1.0, trial.best.zmssd.overlap * how.resolution * how.resolution / trial.background.piece);
+  trial.evidence = 0.5 * trial.independent *
+                   std::log((unrelated + settings_.noise_cost) / (trial.best.zmssd.cost + settings_.noise_cost));
   return trial;
 }
 
-void Localizer::updateScale() {
-  if (settings_.scale_sigma <= 0 || settings_.mode == Mode::kPaper || aerial_.empty()) return;
-  const HeightMap raw = merge(keptMaps(settings_.verify), settings_.merge);
-  const auto bad = [this](const ScaleTrial& t) { return badness(t.best.zmssd, settings_.noise_cost); };
-  ScaleTrial best;
-  if (estimate_.status == Status::kConverged) {
-    const PlanarPose pose = [&] {
-      const Eigen::Vector2d reference = scale_ * centerOf(raw);
-      const Eigen::Vector3d p = estimate_.T_ground_mav * Eigen::Vector3d(reference.x(), reference.y(), 0);
-      return PlanarPose{p.x(), p.y(), air_ground_common::yawOf(estimate_.T_ground_mav.rotation())};
-    }();
-    best = tryScale(scale_, raw, &pose);
-  } else {
-    const int half = static_cast<int>(std::ceil(kReach * settings_.scale_sigma / kStep));
-    for (int i = -half; i <= half; ++i) {
-      const ScaleTrial trial = tryScale(std::exp(i * kStep), raw, nullptr);
-      if (bad(trial) < bad(best)) best = trial;
+/// `curvature`: of the cost by the logarithm of the scale.
+void Localizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature) {
+  const ScaleBackground background = trial->background;
+  *trial = tryScale(trial->scale, raw, kFineCells, &trial->best.pose, background);
+  *curvature = 0;
+  constexpr int kMoves = 4;
+  for (; step >= kFinest; step /= 2) {
+    for (int move = 0; move < kMoves; ++move) {
+      const PlanarPose start = trial->best.pose;
+      const double middle = trial->best.zmssd.cost, here = trial->evidence;
+      const ScaleTrial before = tryScale(trial->scale * std::exp(-step), raw, kFineCells, &start, background),
+                       after = tryScale(trial->scale * std::exp(step), raw, kFineCells, &start, background);
+      const double bend = (before.best.zmssd.cost - 2 * middle + after.best.zmssd.cost) / (step * step);
+      if (std::isfinite(bend) && bend > 0) *curvature = bend;
+      if (before.evidence > trial->evidence) *trial = before;
+      if (after.evidence > trial->evidence) *trial = after;
+      if (trial->evidence <= here) break;
     }
   }
-  if (!std::isfinite(bad(best))) return;
-  double step = kStep / 2, curvature = 0;
-  for (; step >= kFinest; step /= 2) {
-    const ScaleTrial before = tryScale(best.scale * std::exp(-step), raw, &best.best.pose),
-                     after = tryScale(best.scale * std::exp(step), raw, &best.best.pose);
-    const double bend = (before.best.zmssd.cost - 2 * best.best.zmssd.cost + after.best.zmssd.cost) / (step * step);
-    if (std::isfinite(bend) && bend > 0) curvature = bend;
-    if (bad(before) < bad(best)) best = before;
-    if (bad(after) < bad(best)) best = after;
+}
+
+bool Localizer::updateLevel() {
+  if (settings_.max_tilt <= 0) return false;
+  std::vector<Eigen::Vector3f> all;
+  for (const Kept& kept : aerial_) all.insert(all.end(), kept.points.begin(), kept.points.end());
+  const auto floor = findDominantFloor(all, settings_.max_tilt, kFloorShare);
+  if (!floor) return false;
+  const Eigen::Matrix3d R = air_ground_common::levelingRotation(floor->up);
+  if (air_ground_common::rotationAngle(R, R_level_) < kLevelStep) return false;
+  R_level_ = R;
+  return true;
+}
+
+void Localizer::updateScale() {
+  if (!own_unit_ || !hasGround() || aerial_.empty()) return;
+  const double scale_before = scale_;
+  const bool levelled = updateLevel();
+  searchScales();
+  if (!levelled && scale_ == scale_before) return;
+  remakeKeptMaps();
+  if (levelled || std::abs(std::log(scale_ / scale_before)) > kRestart) filter_.clear();
+}
+
+/// The whole grid, less and less often, or what is around the last grid's best ones. Scales at which the aerial map
+/// would dwarf the ground map are left out: nothing could prove them right.
+std::vector<double> Localizer::scalesToTry(double extent) {
+  const double largest =
+      kLargest * std::max(ground_.width, ground_.height) * ground_.resolution / std::max(extent, 1e-9);
+  std::vector<double> scales;
+  if (++clouds_since_grid_ < grids_ && !scale_peaks_.empty()) {
+    std::sort(scale_peaks_.begin(), scale_peaks_.end());
+    for (const double peak : scale_peaks_)
+      for (const double step : {-kStep, 0.0, kStep})
+        if (scales.empty() || peak * std::exp(step) > scales.back() * (1 + 1e-6))
+          scales.push_back(peak * std::exp(step));
+    return scales;
   }
+  ++grids_;
+  clouds_since_grid_ = 0;
+  const double to = std::min(settings_.scale_max, std::max(settings_.scale_min, largest));
+  for (double scale = settings_.scale_min; scale < to * std::exp(0.5 * kStep); scale *= std::exp(kStep))
+    scales.push_back(scale);
+  return scales;
+}
+
+void Localizer::searchScales() {
+  const RawCloud raw = rawCloud();
+  if (raw.points.empty() || !(raw.extent > 0)) return;
+  ScaleTrial best;
+  double curvature = 0;
+  if (estimate_.status == Status::kConverged) {
+    const Eigen::Vector2d reference = scale_ * raw.centre;
+    const Eigen::Vector3d p = estimate_.T_ground_mav * Eigen::Vector3d(reference.x(), reference.y(), 0);
+    best.scale = scale_;
+    best.background = background_;
+    best.best.pose = {p.x(), p.y(), air_ground_common::yawOf(estimate_.T_ground_mav.rotation())};
+    refineScale(&best, raw, kTrackStep, &curvature);
+  } else {
+    std::vector<ScaleTrial> trials;
+    for (const double scale : scalesToTry(raw.extent))
+      trials.push_back(tryScale(scale, raw, kCoarseCells, nullptr, {}));
+    std::vector<std::size_t> peaks;
+    for (std::size_t i = 0; i < trials.size(); ++i) {
+      const bool peak = std::isfinite(trials[i].evidence) && (i == 0 || trials[i].evidence >= trials[i - 1].evidence) &&
+                        (i + 1 == trials.size() || trials[i].evidence > trials[i + 1].evidence);
+      if (peak) peaks.push_back(i);
+    }
+    std::sort(peaks.begin(), peaks.end(),
+              [&](std::size_t a, std::size_t b) { return trials[a].evidence > trials[b].evidence; });
+    if (peaks.size() > kPeaks) peaks.resize(kPeaks);
+    std::vector<ScaleTrial> refined;
+    scale_peaks_.clear();
+    for (const std::size_t i : peaks) {
+      refined.push_back(trials[i]);
+      double bend = 0;
+      refineScale(&refined.back(), raw, kStep / 2, &bend);
+      scale_peaks_.push_back(refined.back().scale);
+      if (refined.back().evidence > best.evidence) {
+        best = refined.back();
+        curvature = bend;
+      }
+    }
+    scale_evidence_ = kInfinity;
+    for (const ScaleTrial& other : refined)
+      if (std::abs(std::log(other.scale / best.scale)) > kStep)
+        scale_evidence_ = std::min(scale_evidence_, best.evidence - other.evidence);
+    // What the rest of the grid leaves open besides, none of it refined.
+  }
+  if (!std::isfinite(best.evidence)) return;
   // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
-  const double independent = std::max(best.best.zmssd.overlap / settings_.cells_per_independent, 1.0);
-  const double information = independent * curvature / (2 * (best.best.zmssd.cost + settings_.noise_cost));
-  const double prior = 1 / (settings_.scale_sigma * settings_.scale_sigma);
-  scale_stddev_ = best.scale * std::hypot(1 / std::sqrt(information + prior), kFinest);
-  if (std::abs(std::log(best.scale / scale_)) > kRestart) filter_.clear();
+  const double information = best.independent * curvature / (2 * (best.best.zmssd.cost + settings_.noise_cost));
+  constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
+  scale_stddev_ = best.scale * std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kFloor);
   scale_ = best.scale;
+  background_ = best.background;
 }
 
 }  // namespace heightmap_mcl

@@ -169,31 +169,6 @@ TEST(Localizer, RoomWithWallsIsAligned) {
   EXPECT_GE(right, 2);
 }
 
-TEST(Localizer, UnknownScaleIsFound) {
-  synthetic::Options options;
-  options.seed = 501;
-  options.aerial_clouds = 3;
-  const auto run = synthetic::makeRun(options);
-  LocalizerSettings settings;
-  settings.scale_sigma = 0.06;
-  Localizer localizer(settings);
-  ASSERT_TRUE(localizer.setGround(run.ground));
-  constexpr double kUnit = 1.1;  // the MAV's unit: what it calls 1 m is 1.1 m, on top of the run's own 1.5 per cent
-  for (AerialCloud cloud : run.aerial) {
-    for (auto& p : cloud.points) p /= static_cast<float>(kUnit);
-    cloud.reference /= kUnit;
-    ASSERT_TRUE(localizer.addAerial(cloud));
-  }
-  const Estimate& e = localizer.estimate();
-  ASSERT_TRUE(e.has_pose) << e.reason;
-  EXPECT_NEAR(e.scale, kUnit, 0.03);
-  EXPECT_LT(e.scale_stddev, 0.04);
-  EXPECT_GT(e.scale_stddev, 0.001);
-  const auto error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
-  EXPECT_LT(error.position, 0.2);
-  EXPECT_LT(error.yaw, 0.05);
-}
-
 TEST(Localizer, ThePapersFilterGathersAtTheTruth) {
   synthetic::Options options;
   options.seed = 503;

@@ -50,14 +50,15 @@ AlignmentOutput::AlignmentOutput(const NodeSettings& settings, ros_utils::NodeHe
   refined_publisher_ = ros::NodeHandle().advertise<AlignmentEstimate>("alignment/refined", 10);
 }
 
-void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking) {
+void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking, bool own_unit) {
   AlignmentEstimate msg = messageOf(out);
   msg.header.frame_id = settings_.ground_map_frame;
-  msg.child_frame_id = settings_.mav_map_frame;
+  msg.child_frame_id = own_unit ? settings_.visual_map_frame : settings_.mav_map_frame;
   msg.map_id = map_id;
   const bool good = msg.status == AlignmentEstimate::STATUS_CONVERGED;
   {
     std::lock_guard<std::mutex> lock(mutex_);
+    own_unit_ = own_unit;
     if (good) {
       T_ground_mav_ = out.T_ground_map_mav_map;
       overlap_ = inverse(*T_ground_mav_) * out.reference_point;
@@ -81,6 +82,11 @@ void AlignmentOutput::setPosition(const std::optional<Eigen::Vector3d>& p_mav_ma
   position_ = p_mav_map;
 }
 
+void AlignmentOutput::setMapScale(const std::optional<Similarity>& T_mav_map_visual) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  T_mav_map_visual_ = T_mav_map_visual;
+}
+
 void AlignmentOutput::drop() {
   std::lock_guard<std::mutex> lock(mutex_);
   T_ground_mav_.reset();
@@ -92,8 +98,16 @@ void AlignmentOutput::publishTf() {
   const ros::Time now = ros::Time::now();
   // The clock stands still while a bag is paused: the same stamp is not sent again.
   if (!T_ground_mav_ || now.isZero() || now == last_tf_) return;
+  Pose T;
+  if (!own_unit_) {
+    T = rigidAt(*T_ground_mav_, position_.value_or(overlap_));
+  } else if (T_mav_map_visual_) {
+    const Similarity T_ground_mav_map = compose(*T_ground_mav_, inverse(*T_mav_map_visual_));
+    T = rigidAt(T_ground_mav_map, position_.value_or(*T_mav_map_visual_ * overlap_));
+  } else {
+    return;
+  }
   last_tf_ = now;
-  const Pose T = rigidAt(*T_ground_mav_, position_.value_or(overlap_));
   geometry_msgs::TransformStamped msg;
   msg.header.stamp = now;
   msg.header.frame_id = settings_.inverse_tf ? settings_.mav_map_frame : settings_.ground_map_frame;

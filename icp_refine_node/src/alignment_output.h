@@ -19,7 +19,10 @@ class AlignmentOutput {
   AlignmentOutput(const NodeSettings& settings, air_ground_common::ros_utils::NodeHealth& health);
 
   /// Publishes the outcome. `tracking`: an outcome that is not CONVERGED leaves the transform on tf as it is.
-  void publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking);
+  /// `own_unit`: of the visual map, whose scale the alignment tells.
+  void publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking, bool own_unit);
+  /// The visual map in mav_map, as the odometry has taken it over: until then tf says nothing of a map without scale.
+  void setMapScale(const std::optional<Similarity>& T_mav_map_visual);
   /// Where the MAV is in mav_map, to which tf is true; without it, the centre of the overlap.
   void setPosition(const std::optional<Eigen::Vector3d>& p_mav_map);
   /// Nothing on tf until the next CONVERGED.
@@ -35,8 +38,10 @@ class AlignmentOutput {
   ros::Publisher refined_publisher_;
   tf2_ros::TransformBroadcaster broadcaster_;
   std::mutex mutex_;
-  std::optional<Similarity> T_ground_mav_;
-  Eigen::Vector3d overlap_ = Eigen::Vector3d::Zero();  // its centre in mav_map
+  std::optional<Similarity> T_ground_mav_;  // of the visual map where own_unit_
+  bool own_unit_ = false;
+  std::optional<Similarity> T_mav_map_visual_;
+  Eigen::Vector3d overlap_ = Eigen::Vector3d::Zero();  // its centre in that map
   std::optional<Eigen::Vector3d> position_;
   ros::Time last_tf_;
   std::uint8_t last_status_ = 255;

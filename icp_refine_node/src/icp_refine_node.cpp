@@ -8,6 +8,8 @@
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
 
+#include <cmath>
+
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "chain_parameter.h"
@@ -33,6 +35,7 @@ class IcpRefineNode {
     ground_status_subscriber_ = handle_.subscribe("ground/slam_status", 100, &IcpRefineNode::onGroundStatus, this);
     odometry_subscriber_ = handle_.subscribe("mav/odometry", 100, &IcpRefineNode::onOdometry, this);
     status_subscriber_ = handle_.subscribe("mav/vo_status", 500, &IcpRefineNode::onVoStatus, this);
+    scale_subscriber_ = handle_.subscribe("mav/map_scale", 5, &IcpRefineNode::onMapScale, this);
     guess_subscriber_ = handle_.subscribe("initialpose", 5, &IcpRefineNode::onGuess, this);
     reset_service_ = private_.advertiseService("reset", &IcpRefineNode::onReset, this);
     refine_service_ = private_.advertiseService("refine", &IcpRefineNode::onRefine, this);
@@ -82,9 +85,11 @@ class IcpRefineNode {
   void startMap() {
     odometry_.reset();
     output_.setPosition(std::nullopt);
+    output_.setMapScale(std::nullopt);
     map_start_ = ros::Time();
     worker_.post([this](Inbox& inbox) {
       inbox.new_map = true;
+      inbox.own_unit = own_unit_;
       inbox.aerial.clear();
       inbox.scale_deviation.reset();
       forgetPoses(inbox);
@@ -129,12 +134,17 @@ class IcpRefineNode {
 
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
-    if (!rightFrame("dense clouds", msg->header.frame_id, settings_.mav_map_frame)) return;
+    const bool own_unit = msg->header.frame_id == settings_.visual_map_frame;
+    if (!own_unit && !rightFrame("dense clouds", msg->header.frame_id, settings_.mav_map_frame)) return;
     auto points = readCloud(*msg, "dense cloud");
     if (!points || !admitMav(kAerial, msg->header.stamp)) return;
     if (msg->header.stamp < map_start_) {
       health_.count("dense clouds of an earlier map");
       return;
+    }
+    if (own_unit != own_unit_) {
+      own_unit_ = own_unit;
+      startMap();
     }
     worker_.post([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
   }
@@ -206,7 +216,9 @@ class IcpRefineNode {
   void onVoStatus(const air_ground::VoStatus::ConstPtr& msg) {
     if (!admitMav(kMavStatus, msg->header.stamp)) return;
     observeMapId(msg->map_id, msg->header.stamp, true);
-    if (msg->state != air_ground::VoStatus::STATE_TRACKING || !(msg->scale > 0) || !(msg->scale_stddev >= 0)) return;
+    if (own_unit_ || msg->state != air_ground::VoStatus::STATE_TRACKING || !(msg->scale > 0) ||
+        !(msg->scale_stddev >= 0))
+      return;
     // The map is metric; what the odometry believes by now that it is off counts as uncertainty.
     const double deviation = std::hypot(msg->scale_stddev / msg->scale, msg->scale - 1);
     worker_.post([&](Inbox& inbox) { inbox.scale_deviation = deviation; });
@@ -215,7 +227,8 @@ class IcpRefineNode {
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
     if (msg->status != AlignmentEstimate::STATUS_CONVERGED) return;
     if (!rightFrame("coarse alignments", msg->header.frame_id, settings_.ground_map_frame)) return;
-    if (!rightFrame("coarse alignments' child", msg->child_frame_id, settings_.mav_map_frame)) return;
+    const std::string& child = own_unit_ ? settings_.visual_map_frame : settings_.mav_map_frame;
+    if (!rightFrame("coarse alignments' child", msg->child_frame_id, child)) return;
     try {
       const Pose T = ros_utils::fromMsg(msg->pose.pose);
       if (!admitMav(kCoarse, msg->header.stamp)) return;
@@ -224,14 +237,32 @@ class IcpRefineNode {
         health_.count("coarse alignments of another map");
         return;
       }
-      worker_.post([&](Inbox& inbox) { inbox.coarse = T; });
+      if (!(msg->scale > 0) || !std::isfinite(msg->scale)) throw std::invalid_argument("the scale is not positive");
+      const CoarseAlignment coarse{similarity(T, own_unit_ ? msg->scale : 1), msg->scale_stddev / msg->scale};
+      worker_.post([&](Inbox& inbox) { inbox.coarse = coarse; });
     } catch (const std::exception& e) {
       health_.count(std::string("coarse alignment unreadable: ") + e.what());
     }
   }
 
+  void onMapScale(const AlignmentEstimate::ConstPtr& msg) {
+    if (msg->child_frame_id != settings_.visual_map_frame || (map_id_ && msg->map_id != *map_id_)) return;
+    try {
+      const Similarity T = similarity(ros_utils::fromMsg(msg->pose.pose), msg->scale);
+      if (!isValid(T)) throw std::invalid_argument("it is not a similarity");
+      output_.setMapScale(T);
+    } catch (const std::exception& e) {
+      health_.count(std::string("scale of the visual map unreadable: ") + e.what());
+    }
+  }
+
   void onGuess(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
     if (!rightFrame("initial poses", msg->header.frame_id, settings_.ground_map_frame)) return;
+    if (own_unit_) {
+      ROS_WARN("initialpose ignored: a map without scale needs the coarse alignment");
+      health_.count("initial poses for a map without scale");
+      return;
+    }
     try {
       const Pose T_ground_base = ros_utils::fromMsg(msg->pose.pose);
       if (!odometry_) {
@@ -297,6 +328,7 @@ class IcpRefineNode {
   AlignmentOutput output_;
   RefineWorker worker_;
 
+  bool own_unit_ = false;  // the MAV's clouds are in the visual map
   std::optional<std::uint32_t> map_id_;
   bool map_id_from_status_ = false;
   std::optional<std::uint32_t> ground_map_id_;
@@ -309,7 +341,7 @@ class IcpRefineNode {
   ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
 
   ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
-      odometry_subscriber_, status_subscriber_, guess_subscriber_;
+      odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;
   ros::ServiceServer save_service_, reset_service_, refine_service_;
   ros::Timer tf_timer_;
   ros::AsyncSpinner file_spinner_{1, &file_queue_};

@@ -10,6 +10,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v.section("Node");
   v("ground_map_frame", s.ground_map_frame, "frame of ground/map_cloud; parent in tf");
   v("mav_map_frame", s.mav_map_frame, "frame of mav/dense_cloud; child in tf");
+  v("visual_map_frame", s.visual_map_frame, "frame of mav/dense_cloud of a MAV without IMU, in a unit of its own");
   v("publish_tf", s.publish_tf, "false: another node owns ground_map -> mav_map");
   v("inverse_tf", s.inverse_tf,
     "true: publishes mav_map -> ground_map instead (when something else is mav_map's parent)");

@@ -10,6 +10,7 @@ namespace icp_refine {
 
 struct NodeSettings {
   std::string ground_map_frame = "ground_map", mav_map_frame = "mav_map", chain_file;
+  std::string visual_map_frame = "mav_visual_map";
   bool publish_tf = true, inverse_tf = false;
   double tf_rate = 10;
   int queue_size = 50;

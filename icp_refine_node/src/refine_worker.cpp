@@ -2,6 +2,9 @@
 
 #include <sensor_msgs/PointCloud2.h>
 
+#include <algorithm>
+#include <cmath>
+
 namespace icp_refine {
 namespace {
 
@@ -12,6 +15,23 @@ Cloud positionsOf(const std::vector<CloudPoint>& points) {
   cloud.points.reserve(points.size());
   for (const auto& p : points) cloud.points.push_back(p.position);
   return cloud;
+}
+
+constexpr std::size_t kOwnClouds = 300;  // kept of a map without scale
+constexpr double kWeakScale = 0.05;      // relative; the coarse stage's figure knows nothing of drift in the map
+constexpr double kOtherScale = 0.05;     // a coarse alignment that differs by more ...
+constexpr double kOtherLevel = 0.035;    // ... or is tilted by more, begins afresh while nothing is tracked [rad]
+
+/// The map of T's scale and vertical: T without heading and place.
+Similarity levelMetric(const Similarity& T_ground_visual) {
+  return {T_ground_visual.scale,
+          air_ground_common::levelingRotation(T_ground_visual.R.transpose() * Eigen::Vector3d::UnitZ()),
+          Eigen::Vector3d::Zero()};
+}
+
+std::vector<CloudPoint> movedBy(const Similarity& S, std::vector<CloudPoint> points) {
+  for (auto& p : points) p.position = (S * p.position.cast<double>()).cast<float>();
+  return points;
 }
 
 std::chrono::steady_clock::duration secondsOf(double seconds) {
@@ -80,6 +100,7 @@ void RefineWorker::work() {
       }
       if (stop_) return;
       std::swap(inbox, inbox_);
+      inbox_.own_unit = inbox.own_unit;
     }
     try {
       pending |= use(inbox);
@@ -101,6 +122,8 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.reset || inbox.new_map) {
     refiner_.startMap();
     map_.clearAerial();
+    own_clouds_.clear();
+    T_metric_visual_.reset();
   }
   if (inbox.reset || inbox.new_ground) {
     refiner_.startGround();
@@ -111,17 +134,52 @@ bool RefineWorker::use(Inbox& inbox) {
     refiner_.setGround(positionsOf(*inbox.ground));
     map_.setGround(std::move(*inbox.ground));
   }
+  own_unit_ = inbox.own_unit;
   for (const auto& aerial : inbox.aerial) {
-    map_.addAerial(aerial.points);
-    refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), positionsOf(aerial.points));
+    if (own_unit_) own_clouds_.push_back(aerial);
+    if (own_clouds_.size() > kOwnClouds) own_clouds_.pop_front();
+    addAerial(aerial);
   }
   if (inbox.scale_deviation) refiner_.setScaleDeviation(*inbox.scale_deviation);
-  if (inbox.coarse) refiner_.setCoarse(*inbox.coarse);
+  if (inbox.coarse) useCoarse(*inbox.coarse);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
   map_due_ |= inbox.ground && map_.aligned();
   // While tracking, the next aerial cloud is soon enough: a new ground map alone would only cost its normals.
   const bool wanted = (inbox.coarse || inbox.ground) && !refiner_.tracking();
   return inbox.refine || !inbox.aerial.empty() || inbox.manual || wanted;
+}
+
+// map_mutex_ held, as for the next.
+void RefineWorker::addAerial(const AerialCloud& aerial) {
+  if (own_unit_ && !T_metric_visual_) return;  // once there is a coarse alignment
+  const auto points = own_unit_ ? movedBy(*T_metric_visual_, aerial.points) : aerial.points;
+  map_.addAerial(points);
+  refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), positionsOf(points));
+}
+
+void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
+  const Similarity& T = coarse.T_ground_map_mav_map;
+  if (!own_unit_) {
+    refiner_.setCoarse(poseOf(T));
+    return;
+  }
+  const Similarity now = levelMetric(T);
+  const bool other = !T_metric_visual_ || std::abs(std::log(now.scale / T_metric_visual_->scale)) > kOtherScale ||
+                     air_ground_common::rotationAngle(now.R, T_metric_visual_->R) > kOtherLevel;
+  if (other && !refiner_.tracking()) {
+    T_metric_visual_ = now;
+    refiner_.startMap();
+    map_.clearAerial();
+    for (const auto& aerial : own_clouds_) addAerial(aerial);
+  }
+  refiner_.setScaleDeviation(std::max(kWeakScale, coarse.scale_stddev));
+  // Rigid, and right where the newest cloud is.
+  Eigen::Vector3d middle = Eigen::Vector3d::Zero();
+  if (!own_clouds_.empty()) {
+    const auto& points = own_clouds_.back().points;
+    for (const auto& p : points) middle += p.position.cast<double>() / static_cast<double>(points.size());
+  }
+  refiner_.setCoarse(rigidAt(compose(T, inverse(*T_metric_visual_)), *T_metric_visual_ * middle));
 }
 
 void RefineWorker::refine() {
@@ -132,7 +190,12 @@ void RefineWorker::refine() {
     // Locked: nothing of the time before a reset goes out after it.
     std::lock_guard<std::mutex> lock(mutex_);
     if (inbox_.forgets()) return;  // it is about a map that has ended
-    output_.publish(out, map_id_, refiner_.tracking());
+    RefineOutcome said = out;
+    if (own_unit_ && T_metric_visual_) {
+      said.T_ground_map_mav_map = compose(out.T_ground_map_mav_map, *T_metric_visual_);
+      said.scale_stddev *= T_metric_visual_->scale;
+    }
+    output_.publish(said, map_id_, refiner_.tracking(), own_unit_);
   }
   {
     std::lock_guard<std::mutex> lock(map_mutex_);

@@ -14,10 +14,17 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "alignment_output.h"
+#include "icp_refine/similarity.h"
 
 namespace icp_refine {
 
 using air_ground_common::ros_utils::CloudPoint;
+
+/// Where the coarse stage has placed the MAV's map.
+struct CoarseAlignment {
+  Similarity T_ground_map_mav_map;
+  double scale_stddev = 0;  ///< relative
+};
 
 struct AerialCloud {
   ros::Time stamp;
@@ -29,7 +36,9 @@ struct Inbox {
   bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
   std::optional<std::vector<CloudPoint>> ground;
   std::deque<AerialCloud> aerial;
-  std::optional<Pose> coarse, manual;
+  std::optional<CoarseAlignment> coarse;
+  std::optional<Pose> manual;
+  bool own_unit = false;                  ///< the clouds are in the visual map's unit
   std::optional<double> scale_deviation;  ///< relative, as the odometry states it
   bool any() const { return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual; }
   bool forgets() const { return reset || new_map || new_ground; }
@@ -53,6 +62,8 @@ class RefineWorker {
 
   void work();
   bool use(Inbox& inbox);
+  void addAerial(const AerialCloud& aerial);
+  void useCoarse(const CoarseAlignment& coarse);
   void refine();
   void dropMapPose();
   void publishMapWhenDue();
@@ -60,7 +71,11 @@ class RefineWorker {
   const NodeSettings& settings_;
   AlignmentOutput& output_;
   air_ground_common::ros_utils::NodeHealth& health_;
-  AlignmentRefiner refiner_;  // worker alone
+  AlignmentRefiner refiner_;  // worker alone, as the next three
+  // Without IMU the refiner works in a map that is made about metric and level by the coarse alignment.
+  bool own_unit_ = false;
+  std::deque<AerialCloud> own_clouds_;  // in the visual map, for when that alignment changes
+  std::optional<Similarity> T_metric_visual_;
 
   std::mutex mutex_;
   std::condition_variable wake_;

@@ -1,16 +1,19 @@
 // Visual odometry of the MAV: images and IMU in, metric poses, posed images, increments and the sparse map out.
+#include <air_ground/AlignmentEstimate.h>
 #include <air_ground/PosedImage.h>
 #include <air_ground/VoIncrement.h>
 #include <air_ground/VoStatus.h>
 #include <ros/ros.h>
 
 #include <memory>
+#include <mutex>
 #include <stdexcept>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
+#include "mav_vo/external_scale.h"
 #include "node_parameters.h"
 #include "visual_frontend/feature_tracker.h"
 
@@ -41,7 +44,7 @@ std::string adviceFor(OdometryState state) {
     case OdometryState::kInitializing:
       return "move the camera sideways over a scene with texture, sharp and well lit";
     case OdometryState::kScaling:
-      return "accelerate the vehicle for some seconds; without IMU only mav/posed_image is published";
+      return "accelerate the vehicle for some seconds; without IMU fly over what the ground robot has seen";
     case OdometryState::kLost:
       return "bring the camera back to where it has been, or wait: a new map begins after lost_timeout";
     default:
@@ -92,6 +95,8 @@ class MavVoNode : private ros_utils::Estimator {
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
     increment_publisher_ = handle_.advertise<air_ground::VoIncrement>("mav/vo_increment", 100);
     track_publisher_ = handle_.advertise<sensor_msgs::Image>("mav/track_image", 5);
+    scale_publisher_ = handle_.advertise<air_ground::AlignmentEstimate>("mav/map_scale", 5, true);
+    alignment_subscriber_ = handle_.subscribe("alignment/refined", 20, &MavVoNode::onAlignment, this);
     shell_.start();
   }
   ~MavVoNode() override { shell_.stop(); }
@@ -102,6 +107,8 @@ class MavVoNode : private ros_utils::Estimator {
   void make(const CameraModel& camera, const Pose& T_base_camera, const std::optional<Pose>& T_base_imu) override {
     OdometrySettings settings = settings_.odometry;
     settings.use_imu = T_base_imu.has_value();
+    visual_ = !settings.use_imu;
+    external_scale_.emplace(T_base_camera);
     odometry_ = std::make_unique<Odometry>(camera, T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
   }
 
@@ -123,19 +130,74 @@ class MavVoNode : private ros_utils::Estimator {
   ros_utils::EstimatorResult process(const ros_utils::EstimatorFrame& frame) override {
     odometry_->setImuProblem(shell_.imuProblem());
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
-    FrameResult r = odometry_->process(frame.stamp.toSec(), grey);
-    r.map_id = shell_.mapId();
+    FrameResult visual = odometry_->process(frame.stamp.toSec(), grey);
+    visual.map_id = shell_.mapId();
+    if (visual_) useAlignment(frame.stamp, visual.map_id);
+    const FrameResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     ros_utils::EstimatorResult result;
     result.status = statusOf(r);
     result.advice = adviceFor(r.state);
     result.pose_published = usable && r.metric;
-    result.publish = [this, image = frame.image, grey, r, usable] { publish(image, grey, r, usable); };
+    result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;
   }
 
-  void publish(const sensor_msgs::Image::ConstPtr& image, const cv::Mat& grey, const FrameResult& r, bool usable) {
+  /// Only kept: process() uses it, on the worker's thread.
+  void onAlignment(const air_ground::AlignmentEstimate::ConstPtr& msg) {
+    if (msg->status != air_ground::AlignmentEstimate::STATUS_CONVERGED || msg->child_frame_id != settings_.visual_frame)
+      return;
+    const std::lock_guard<std::mutex> lock(alignment_mutex_);
+    alignment_ = msg;
+  }
+
+  /// The map's scale and vertical are those of its last alignment with the ground map, if it is of this map.
+  void useAlignment(const ros::Time& stamp, std::uint32_t map_id) {
+    air_ground::AlignmentEstimate::ConstPtr msg;
+    {
+      const std::lock_guard<std::mutex> lock(alignment_mutex_);
+      std::swap(msg, alignment_);
+    }
+    if (!msg || msg->map_id != map_id || odometry_->map().keyframeCount() == 0) return;
+    try {
+      ScaleOffer offer;
+      offer.map_id = map_id;
+      const Pose T = ros_utils::fromMsg(msg->pose.pose);
+      offer.T_ground_visual = {msg->scale, T.linear(), T.translation()};
+      offer.scale_stddev = msg->scale_stddev / msg->scale;
+      const Matrix6d C = ros_utils::covarianceFromMsg(msg->pose.covariance);
+      offer.tilt_stddev = std::sqrt(std::max(C(3, 3), C(4, 4)));
+      offer.T_visual_camera_first = odometry_->map().keyframes().begin()->second.T_map_camera;
+      if (!external_scale_->offer(offer)) return;
+    } catch (const std::exception& e) {
+      shell_.health().count(std::string("alignments unreadable: ") + e.what());
+      return;
+    }
+    const auto S = *external_scale_->T_map_visual(map_id);
+    ROS_INFO("Scale from the ground map: %.4f m a unit of the visual map (+- %.1f %%)", S.scale,
+             100 * external_scale_->scaleStddev());
+    air_ground::AlignmentEstimate scale;
+    scale.header.stamp = stamp;
+    scale.header.frame_id = frames_.map_frame;
+    scale.child_frame_id = settings_.visual_frame;
+    Pose T_map_visual = Pose::Identity();
+    T_map_visual.linear() = S.R;
+    T_map_visual.translation() = S.t;
+    scale.pose.pose = ros_utils::toMsg(T_map_visual);
+    scale.scale = S.scale;
+    scale.scale_stddev = S.scale * external_scale_->scaleStddev();
+    scale.status = air_ground::AlignmentEstimate::STATUS_CONVERGED;
+    scale.stage = air_ground::AlignmentEstimate::STAGE_REFINED;
+    scale.reason = "scale and vertical of the visual map as its alignment tells them";
+    scale.map_id = map_id;
+    scale_publisher_.publish(scale);
+  }
+
+  /// `visual`: in the odometry's own map, whose unit never changes where there is no IMU; `r`: the same in the metric
+  /// map, as far as that is known.
+  void publish(const sensor_msgs::Image::ConstPtr& image, const cv::Mat& grey, const FrameResult& visual,
+               const FrameResult& r, bool usable) {
     std_msgs::Header header;
     header.stamp = image->header.stamp;
     header.frame_id = frames_.map_frame;
@@ -153,24 +215,27 @@ class MavVoNode : private ros_utils::Estimator {
     }
     // Odometry and tf have no flag that says "not metric": they begin with the metric map.
     if (r.metric) pose_publisher_.publish(header.stamp, r.T_map_base, motionOf(r), r.covariance);
+    // What is reconstructed from them, and aligned, stays in one unit as long as the map lives.
     air_ground::PosedImage posed;
     posed.header = header;
+    if (visual_) posed.header.frame_id = settings_.visual_frame;
     posed.image = *image;
     posed.camera_info = shell_.cameraInfo();
     posed.camera_info.header.stamp = header.stamp;
     posed.camera_info.header.frame_id = shell_.cameraFrame();
-    posed.pose.pose = ros_utils::toMsg(r.T_map_camera);
-    ros_utils::setCovariance(r.camera_covariance, &posed.pose.covariance);
-    posed.depth_min = static_cast<float>(r.depth_min);
-    posed.depth_max = static_cast<float>(r.depth_max);
+    posed.pose.pose = ros_utils::toMsg(visual.T_map_camera);
+    ros_utils::setCovariance(visual.camera_covariance, &posed.pose.covariance);
+    posed.depth_min = static_cast<float>(visual.depth_min);
+    posed.depth_max = static_cast<float>(visual.depth_max);
     posed.keyframe = r.keyframe;
-    posed.metric = r.metric;
+    posed.metric = visual.metric;
     posed.map_id = r.map_id;
     posed_publisher_.publish(posed);
     if (r.increment) publishIncrement(header, r);
-    if (r.metric && r.keyframe && header.stamp.toSec() - last_cloud_.toSec() >= settings_.sparse_cloud_interval) {
+    if ((visual_ || r.metric) && r.keyframe &&
+        header.stamp.toSec() - last_cloud_.toSec() >= settings_.sparse_cloud_interval) {
       last_cloud_ = header.stamp;
-      cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, header));
+      cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, posed.header));
     }
   }
 
@@ -200,26 +265,37 @@ class MavVoNode : private ros_utils::Estimator {
     return points;
   }
 
+  bool metric() const { return odometry_->metric() || external_scale_->T_map_visual(shell_.mapId()); }
+
   std::function<std::vector<ros_utils::CloudPoint>()> mapForFile() override {
-    if (!odometry_->metric()) throw std::runtime_error("there is no metric map yet");
+    if (!metric()) throw std::runtime_error("there is no metric map yet");
     odometry_->finish();
     auto points = sparsePoints();
-    for (auto& p : points) p.rgb.setConstant(200);
+    const auto S = external_scale_->T_map_visual(shell_.mapId());
+    for (auto& p : points) {
+      if (S) p.position = (*S * p.position.cast<double>()).cast<float>();
+      p.rgb.setConstant(200);
+    }
     return [points = std::move(points)] { return points; };
   }
 
   air_ground_common::Trajectory trajectory() override {
-    if (!odometry_->metric()) throw std::runtime_error("there is no metric trajectory yet");
+    if (!metric()) throw std::runtime_error("there is no metric trajectory yet");
     odometry_->finish();
-    return odometry_->trajectory();
+    return external_scale_->metric(odometry_->trajectory(), shell_.mapId());
   }
 
   const NodeSettings settings_;
   const ros_utils::EstimatorSettings& frames_;
   ros::NodeHandle handle_;
   ros_utils::PosePublisher pose_publisher_;
-  ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, track_publisher_;
+  ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, track_publisher_, scale_publisher_;
+  ros::Subscriber alignment_subscriber_;
   std::unique_ptr<Odometry> odometry_;
+  bool visual_ = false;  // no IMU: the map keeps its own unit
+  std::optional<ExternalScale> external_scale_;
+  std::mutex alignment_mutex_;
+  air_ground::AlignmentEstimate::ConstPtr alignment_;  // the newest that has not been used yet
   ros::Time last_cloud_;
   std::uint32_t map_id_ = 0;
   std::size_t frame_count_ = 0;

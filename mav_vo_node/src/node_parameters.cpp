@@ -15,6 +15,8 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   n.odometry.use_imu = n.estimator.use_imu;
 
   v.section("Output");
+  v("visual_map_frame", n.visual_frame,
+    "without IMU: frame of posed images and sparse clouds, in a unit that the map keeps");
   v("sparse_cloud_interval", n.sparse_cloud_interval, {0, 60}, "s", "between sparse clouds, at keyframes");
   v("track_image_every", n.track_image_every, {1, 1000}, "", "publish every n-th image with its tracks");
 

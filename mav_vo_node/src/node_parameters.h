@@ -1,6 +1,8 @@
 // Parameters of mav_vo_node.
 #pragma once
 
+#include <string>
+
 #include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/estimator_shell.h"
 #include "mav_vo/odometry.h"
@@ -12,6 +14,7 @@ struct NodeSettings {
 
   OdometrySettings odometry;
   air_ground_common::ros_utils::EstimatorSettings estimator;
+  std::string visual_frame = "mav_visual_map";
   double sparse_cloud_interval = 1.0;
   int track_image_every = 2;
 

@@ -139,7 +139,7 @@ void Odometry::Impl::initialize() {
 }
 
 std::string Odometry::Impl::scaleReason() const {
-  if (!settings.use_imu) return "no IMU: the scale stays unknown";
+  if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
   if (const std::string problem = gyroProblem(); !problem.empty()) return problem;
   if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))

@@ -2,6 +2,7 @@
 
 Trajectories are (stamps (n,), T_map_camera (n, 4, 4)). See docs/experiments.md for the definitions.
 """
+import dataclasses
 from dataclasses import dataclass
 from typing import Optional
 
@@ -47,6 +48,15 @@ class Estimate:
     map_id: int = 0
     scale: float = 1.0
     T_mav_map_camera: Optional[np.ndarray] = None  # of the MAV's camera at the stamp, as it was known then
+
+
+def of_metric_map(estimate, T_map_visual, scale):
+    """The estimate of a map without scale as one of the metric map: p_map = scale R p_visual + t with R, t of T_map_visual."""
+    s = estimate.scale / scale
+    pose = estimate.pose.copy()
+    pose[:3, :3] = estimate.pose[:3, :3] @ T_map_visual[:3, :3].T
+    pose[:3, 3] = estimate.pose[:3, 3] - s * pose[:3, :3] @ T_map_visual[:3, 3]
+    return dataclasses.replace(estimate, pose=pose, scale=s)
 
 
 def read_tum(path):

@@ -32,6 +32,7 @@ struct MapperSettings {
   double far_margin = 1.3;      ///< and ends at depth_max * far_margin
   double default_depth_min = 0.4;  ///< [m], while the image's depth range is unknown
   double default_depth_max = 6.0;  ///< [m]
+  double nominal_distance = 2.0;   ///< of the scene, for which the lengths above are meant: see followDistance [m]
 
   /// Throws std::invalid_argument, naming the field.
   void validate() const;
@@ -61,25 +62,39 @@ class DenseMapper {
   std::optional<FusedMap> add(const cv::Mat& image, const air_ground_common::CameraModel& camera, std::int64_t stamp,
                               const Eigen::Isometry3d& T_map_camera, double depth_min, double depth_max);
 
+  /// For poses in a unit that nobody knows: all lengths in the settings become relative to the scene's distance, in
+  /// that the present `scene_distance` (in the poses' unit) counts as `nominal_distance` metres. To be called before
+  /// each image; nothing happens until it is half or twice what it was when it was last taken over. Then what there is
+  /// is fused, and returned, and the next image starts a new depth map. Results are in the poses' unit. Throws
+  /// std::invalid_argument for a distance that is not positive.
+  std::optional<FusedMap> followDistance(double scene_distance);
+  /// Metres that a length of 1 in the poses counts as; 1 where followDistance was not called.
+  double unit() const { return unit_; }
+
   /// Fuses what there is; empty when that is less than min_depth_maps. The next image starts a new depth map.
   std::optional<FusedMap> flush();
 
-  /// Forgets images and depth maps, not the counters.
+  /// Forgets images, depth maps and the unit, not the counters.
   void reset();
 
-  /// Sparse points in the map frame [m] bound the grid of the next fusions where they are in view; none lift the bound.
+  /// Sparse points in the map frame [unit of the poses] bound the grid of the next fusions where they are in view; none
+  /// lift the bound.
   void setSparsePoints(std::vector<Eigen::Vector3f> points) { sparse_points_ = std::move(points); }
 
   const MapperCounters& counters() const { return counters_; }
-  /// Called with each kept depth map before it is fused, e.g. to look at it.
+  /// Called with each kept depth map, in metres, before it is fused, e.g. to look at it.
   void onDepthMap(std::function<void(const DepthMap&)> callback) { on_depth_map_ = std::move(callback); }
 
  private:
+  void forgetViews();
   void startSweep(const Frame& reference, double depth_min, double depth_max);
   std::optional<FusedMap> finishSweep();
   std::optional<FusedMap> fuseGroup();
+  std::optional<FusedMap> inPosesUnit(std::optional<FusedMap> fused) const;
 
   MapperSettings settings_;
+  double unit_ = 1;  // see unit()
+  bool followed_ = false;
   std::unique_ptr<Rectifier> rectifier_;
   std::unique_ptr<PlaneSweep> sweep_;  // keeps its memory from one reference to the next
   bool sweeping_ = false;

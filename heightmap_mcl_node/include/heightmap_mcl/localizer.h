@@ -3,12 +3,14 @@
 
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "air_ground_common/geometry.h"
+#include "heightmap_mcl/fft_cost.h"
 #include "heightmap_mcl/particle_filter.h"
 
 namespace air_ground_common {
@@ -37,11 +39,16 @@ struct LocalizerSettings {
   FilterSettings filter;
   std::uint64_t seed = 1;
 
-  double scale_sigma = 0;  ///< standard deviation of the logarithm of the aerial clouds' scale; 0: they are metric
-  int headings = 72;       ///< over the full circle, in the coarse search
-  int coarse_factor = 4;   ///< cells of the coarse search are this much larger
-  int accumulate = 4;      ///< aerial clouds merged into the map that weighs the particles; 1 = paper
-  int verify = 8;          ///< aerial clouds merged into the map that checks the result for rivals and refines it
+  // Aerial clouds of a map without scale, see Localizer::setOwnUnit. Its unit is the distance of what the MAV saw at
+  // the map's start, and all distances in these bounds are equally likely by order of magnitude.
+  double scale_min = 0.3;     ///< [m per unit]
+  double scale_max = 30;      ///< [m per unit]
+  double max_tilt = 0.6;      ///< of that map's z axis from the vertical [rad]; 0: it is vertical
+  double scale_evidence = 5;  ///< logarithm of how much likelier than any other scale the best one must be
+  int headings = 72;          ///< over the full circle, in the coarse search
+  int coarse_factor = 4;      ///< cells of the coarse search are this much larger
+  int accumulate = 4;         ///< aerial clouds merged into the map that weighs the particles; 1 = paper
+  int verify = 8;             ///< aerial clouds merged into the map that checks the result for rivals and refines it
   Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
@@ -89,8 +96,13 @@ struct Estimate {
   bool has_pose = false;
   air_ground_common::Pose T_ground_mav =
       air_ground_common::Pose::Identity();  ///< mav_map to ground_map; turns about z only
-  double scale = 1;         ///< of the aerial clouds: a point p of theirs lies at T_ground_mav * (scale * p)
-  double scale_stddev = 0;  ///< of it; 0 where the clouds are metric
+  /// Of the aerial clouds: a point p of theirs lies at T_ground_mav * (scale * R_level * p).
+  double scale = 1;
+  double scale_stddev = 0;                                ///< of it; 0 where the clouds are metric
+  Eigen::Matrix3d R_level = Eigen::Matrix3d::Identity();  ///< turns their dominant floor level
+  /// Logarithm of how much likelier the scale is than the best one elsewhere; infinite where the clouds are metric.
+  double scale_evidence = std::numeric_limits<double>::infinity();
+  air_ground_common::Pose similarityPose() const;  ///< T_ground_mav * R_level: p_ground = scale * R p + t
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
   /// AMBIGUOUS: widened by the way to the rival. DEGENERATE: as wide as the ground map, and pi, along what is not
   /// fixed. SEARCHING: 1e6 I.
@@ -135,6 +147,10 @@ class Localizer {
   void restart(bool forget_aerial);
   void forgetGround();
 
+  /// The aerial clouds are of a map in a unit of its own that is level only within max_tilt: their scale is searched
+  /// for too, and they are turned so that their dominant floor is level. Forgets the aerial clouds if that is new.
+  void setOwnUnit(bool own_unit);
+
   /// Used from the next (re)start on; pass {} to search everywhere.
   void setPrior(const Prior& prior) { prior_ = prior; }
 
@@ -151,22 +167,44 @@ class Localizer {
 
  private:
   struct Kept {
-    HeightMap map;
-    Eigen::Vector3d reference;
+    HeightMap map;                        // level, at scale_
+    Eigen::Vector3d reference;            // as given
+    std::vector<Eigen::Vector3f> points;  // as given; for clouds in a unit of their own
   };
+  HeightMap mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
+                  std::size_t* cropped = nullptr) const;
+  /// A point of the aerial map, level and in metres.
+  Eigen::Vector3d inMetres(const Eigen::Vector3d& p) const { return scale_ * (R_level_ * p); }
   void drawFromKeptMaps();
   void updateFilter();
   void updateEstimate();
-  /// Looks for the scale at which the kept maps fit best, over all of what scale_sigma leaves open, or around the
-  /// present one once an estimate has converged.
+  /// scale_search.cpp: level and scale at which the kept clouds fit best, over all scales, or around the present one
+  /// once an estimate has converged; the kept maps are made anew where these have changed.
   void updateScale();
-  struct ScaleTrial {
-    double scale = 1;
-    Candidate best;
-    int cells = 0;
+  bool updateLevel();
+  void searchScales();
+  std::vector<double> scalesToTry(double extent);
+  std::vector<Eigen::Vector3f> kept(const std::vector<Eigen::Vector3f>& points) const;
+  struct RawCloud;
+  struct ScaleTrial;
+  struct ScaleBackground {
+    double unrelated = -1;  // what a wrong place costs [m^2]; negative: not known
+    double variances = 0;   // of both maps' heights where that was measured, their sum [m^2]
+    double piece = 0;       // area over which the heights of either map are alike [m^2]
   };
-  ScaleTrial tryScale(double scale, const HeightMap& raw, const PlanarPose* start) const;
-  Eigen::Vector2d lastReference() const { return scale_ * aerial_.back().reference.head<2>(); }
+  struct GroundLevel {
+    HeightMap map;  // of larger cells
+    std::unique_ptr<DirectCost> direct;
+    std::unique_ptr<FftCost> fft;  // where it was needed
+    double piece = 0;              // see ScaleBackground, of this map alone
+  };
+  RawCloud rawCloud() const;
+  ScaleTrial tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
+                      const ScaleBackground& background);
+  void refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature);
+  GroundLevel& groundLevel(int factor);
+  void remakeKeptMaps();
+  Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }
   /// The estimate of Mode::kPaper.
   void estimateFromParticles();
   /// Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad]) of the cells'
@@ -193,7 +231,13 @@ class Localizer {
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;
   Estimate estimate_;
-  double scale_ = 1, scale_stddev_ = 0;
+  bool own_unit_ = false;
+  double scale_ = 1, scale_stddev_ = 0, scale_evidence_ = 0;
+  ScaleBackground background_;
+  std::vector<double> scale_peaks_;  // the last grid's best scales
+  int grids_ = 0, clouds_since_grid_ = 0;
+  Eigen::Matrix3d R_level_ = Eigen::Matrix3d::Identity();
+  std::map<int, std::unique_ptr<GroundLevel>> ground_levels_;  // by the factor of their cells
   int maps_ = 0, restarts_ = 0;
   std::size_t far_maps_dropped_ = 0;
   bool weighed_ = false;  // the particles carry weights that the next resampling consumes

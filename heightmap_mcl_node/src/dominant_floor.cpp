@@ -1,0 +1,74 @@
+#include "heightmap_mcl/dominant_floor.h"
+
+#include <pcl/point_cloud.h>
+#include <pcl/point_types.h>
+#include <pcl/sample_consensus/ransac.h>
+#include <pcl/sample_consensus/sac_model_perpendicular_plane.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace heightmap_mcl {
+namespace {
+
+constexpr std::size_t kMost = 8000;     // points, evenly taken
+constexpr std::size_t kProbes = 150;    // whose nearest neighbours tell the spacing
+constexpr double kSpacings = 2;         // within so many of the plane a point lies on it
+constexpr double kProbability = 0.999;  // of having drawn from the plane alone
+
+/// Median distance of a point to its nearest neighbour.
+double spacingOf(const pcl::PointCloud<pcl::PointXYZ>& cloud) {
+  std::vector<float> nearest;
+  const std::size_t step = std::max<std::size_t>(1, cloud.size() / kProbes);
+  for (std::size_t i = 0; i < cloud.size(); i += step) {
+    float best = std::numeric_limits<float>::infinity();
+    for (std::size_t j = 0; j < cloud.size(); ++j) {
+      if (j == i) continue;
+      best = std::min(best, (cloud[i].getVector3fMap() - cloud[j].getVector3fMap()).squaredNorm());
+    }
+    nearest.push_back(best);
+  }
+  const auto middle = nearest.begin() + static_cast<std::ptrdiff_t>(nearest.size() / 2);
+  std::nth_element(nearest.begin(), middle, nearest.end());
+  return std::sqrt(*middle);
+}
+
+}  // namespace
+
+std::optional<DominantFloor> findDominantFloor(const std::vector<Eigen::Vector3f>& points, double max_tilt,
+                                               double min_share) {
+  auto cloud = pcl::make_shared<pcl::PointCloud<pcl::PointXYZ>>();
+  const double step = std::max(1.0, static_cast<double>(points.size()) / kMost);
+  for (double i = 0; i < static_cast<double>(points.size()); i += step) {
+    const Eigen::Vector3f& p = points[static_cast<std::size_t>(i)];
+    if (p.allFinite()) cloud->emplace_back(p.x(), p.y(), p.z());
+  }
+  if (cloud->size() < 100) return std::nullopt;
+  const double spacing = spacingOf(*cloud);
+  if (!(spacing > 0)) return std::nullopt;
+
+  using Model = pcl::SampleConsensusModelPerpendicularPlane<pcl::PointXYZ>;
+  auto model = pcl::make_shared<Model>(cloud);
+  model->setAxis(Eigen::Vector3f::UnitZ());
+  model->setEpsAngle(max_tilt);
+  pcl::RandomSampleConsensus<pcl::PointXYZ> ransac(model, kSpacings * spacing);
+  ransac.setProbability(kProbability);
+  ransac.setMaxIterations(1000);
+  if (!ransac.computeModel()) return std::nullopt;
+  pcl::Indices inliers;
+  ransac.getInliers(inliers);
+  Eigen::VectorXf plane, refined;
+  ransac.getModelCoefficients(plane);
+  model->optimizeModelCoefficients(inliers, plane, refined);
+  model->selectWithinDistance(refined, kSpacings * spacing, inliers);
+  DominantFloor floor;
+  floor.share = static_cast<double>(inliers.size()) / static_cast<double>(cloud->size());
+  if (floor.share < min_share || refined.size() != 4) return std::nullopt;
+  floor.up = refined.head<3>().cast<double>().normalized();
+  if (floor.up.z() < 0) floor.up = -floor.up;
+  if (std::acos(std::min(1.0, floor.up.z())) > max_tilt) return std::nullopt;
+  return floor;
+}
+
+}  // namespace heightmap_mcl

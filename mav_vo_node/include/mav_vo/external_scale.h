@@ -1,0 +1,57 @@
+// Scale and level of a map without IMU, from its alignment with a metric, level map (the ground robot's).
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "mav_vo/odometry.h"
+
+namespace mav_vo {
+
+struct ExternalScaleSettings {
+  double min_change = 0.005;     ///< of the scale; smaller ones are not worth a step in the published poses [1]
+  double min_tilt = 0.005;       ///< the same of the vertical [rad]
+  double significance = 2.0;     ///< standard deviations that a change must exceed
+  double largest_stddev = 0.10;  ///< relative; an alignment that knows its scale less well gives none [1]
+};
+
+/// An alignment with a metric, level map.
+struct ScaleOffer {
+  std::uint32_t map_id = 0;                       ///< of the visual map that was aligned
+  air_ground_common::Similarity T_ground_visual;  ///< p_ground [m] = scale R p_visual [visual unit] + t
+  double scale_stddev = 0;                        ///< relative
+  double tilt_stddev = 0;                         ///< of the vertical [rad]
+  Pose T_visual_camera_first = Pose::Identity();  ///< first keyframe of the visual map [visual unit]
+};
+
+/// Holds p_map = scale R p_visual + t, whose map is metric and level with its origin at base_link of the first
+/// keyframe. The visual map itself stays as it is: what was reconstructed in it, and the alignment, know nothing of the
+/// scale that is taken from them. The first offer is taken; a later one when it differs significantly and the next one
+/// says the same. Not thread-safe.
+class ExternalScale {
+ public:
+  explicit ExternalScale(const Pose& T_base_camera, const ExternalScaleSettings& settings = {})
+      : T_base_camera_(T_base_camera), settings_(settings) {}
+
+  /// True when the similarity is another one after it. An offer of another map than the one in use forgets the latter.
+  bool offer(const ScaleOffer& offer);
+  void forget();
+
+  /// Of that map, once known.
+  std::optional<air_ground_common::Similarity> T_map_visual(std::uint32_t map_id) const;
+  double scaleStddev() const { return taken_ ? taken_->scale_stddev : 0; }  ///< relative
+  /// The result in the metric map, as an odometry with IMU gives it; unchanged while the scale of its map is not known.
+  FrameResult metric(const FrameResult& visual) const;
+  air_ground_common::Trajectory metric(const air_ground_common::Trajectory& visual, std::uint32_t map_id) const;
+
+ private:
+  bool differs(const ScaleOffer& a, const ScaleOffer& b) const;
+  void take(const ScaleOffer& offer);
+
+  Pose T_base_camera_;
+  ExternalScaleSettings settings_;
+  std::optional<ScaleOffer> taken_, rival_;
+  air_ground_common::Similarity T_map_visual_;
+};
+
+}  // namespace mav_vo

@@ -1,0 +1,125 @@
+#include "mav_vo/external_scale.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "air_ground_common/geometry.h"
+
+namespace mav_vo {
+
+using air_ground_common::Similarity;
+
+namespace {
+
+Pose moved(const Similarity& S, const Pose& T) {
+  Pose out = Pose::Identity();
+  out.linear() = S.R * T.linear();
+  out.translation() = S * T.translation();
+  return out;
+}
+
+/// The ground map's vertical in the visual map.
+Eigen::Vector3d upIn(const ScaleOffer& offer) { return offer.T_ground_visual.R.transpose() * Eigen::Vector3d::UnitZ(); }
+
+void scaleIncrement(double scale, const Pose& T_base_camera, Increment* increment) {
+  // The camera moves by the scaled step; the base's lever arm is metric already.
+  Pose step = T_base_camera.inverse() * increment->T_previous_current * T_base_camera;
+  step.translation() *= scale;
+  increment->T_previous_current = T_base_camera * step * T_base_camera.inverse();
+  for (Eigen::Matrix4d* covariance : {&increment->covariance, &increment->pose_covariance}) {
+    covariance->topLeftCorner<3, 3>() *= scale * scale;
+    covariance->topRightCorner<3, 1>() *= scale;
+    covariance->bottomLeftCorner<1, 3>() *= scale;
+  }
+}
+
+}  // namespace
+
+bool ExternalScale::offer(const ScaleOffer& offer) {
+  if (!(offer.T_ground_visual.scale > 0) || !(offer.scale_stddev > 0) || offer.scale_stddev > settings_.largest_stddev)
+    return false;
+  if (taken_ && taken_->map_id != offer.map_id) forget();
+  if (taken_ && !differs(offer, *taken_)) {
+    rival_.reset();
+    return false;
+  }
+  const bool confirmed = !taken_ || (rival_ && !differs(offer, *rival_));
+  rival_ = offer;
+  if (!confirmed) return false;
+  take(offer);
+  return true;
+}
+
+void ExternalScale::forget() {
+  taken_.reset();
+  rival_.reset();
+}
+
+bool ExternalScale::differs(const ScaleOffer& a, const ScaleOffer& b) const {
+  const double change = std::abs(std::log(a.T_ground_visual.scale / b.T_ground_visual.scale));
+  const double tilt = std::acos(std::clamp(upIn(a).dot(upIn(b)), -1.0, 1.0));
+  const double k = settings_.significance;
+  return change > std::max(settings_.min_change, k * std::hypot(a.scale_stddev, b.scale_stddev)) ||
+         tilt > std::max(settings_.min_tilt, k * std::hypot(a.tilt_stddev, b.tilt_stddev));
+}
+
+void ExternalScale::take(const ScaleOffer& offer) {
+  taken_ = offer;
+  rival_.reset();
+  Similarity& S = T_map_visual_;
+  S.scale = offer.T_ground_visual.scale;
+  S.R = air_ground_common::levelingRotation(upIn(offer));
+  // Origin and heading 0 at the base_link of the first keyframe.
+  const Pose& first = offer.T_visual_camera_first;
+  const double yaw = air_ground_common::yawOf(S.R * first.linear() * T_base_camera_.linear().transpose());
+  S.R = (Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()) * S.R).eval();
+  const Eigen::Vector3d p_camera_base = T_base_camera_.inverse().translation();
+  S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_camera_base);
+}
+
+std::optional<Similarity> ExternalScale::T_map_visual(std::uint32_t map_id) const {
+  if (!taken_ || taken_->map_id != map_id) return std::nullopt;
+  return T_map_visual_;
+}
+
+FrameResult ExternalScale::metric(const FrameResult& visual) const {
+  const auto S = T_map_visual(visual.map_id);
+  if (!S) return visual;
+  FrameResult r = visual;
+  r.metric = true;
+  if (r.state == OdometryState::kScaling) {
+    r.state = OdometryState::kTracking;
+    r.reason = "scale from the ground map";
+  }
+  r.scale = S->scale;
+  r.scale_stddev = S->scale * taken_->scale_stddev;
+  if (!r.pose_valid) return r;
+  r.depth_min *= S->scale;
+  r.depth_max *= S->scale;
+  r.T_map_camera = moved(*S, visual.T_map_camera);
+  Matrix6d J = Matrix6d::Zero();
+  J.topLeftCorner<3, 3>() = S->scale * S->R;
+  J.bottomRightCorner<3, 3>() = S->R;
+  r.camera_covariance = J * visual.camera_covariance * J.transpose();
+  // What the scale leaves open grows from the map's origin.
+  const Eigen::Vector3d p = r.T_map_camera.translation();
+  r.camera_covariance.topLeftCorner<3, 3>() += taken_->scale_stddev * taken_->scale_stddev * p * p.transpose();
+  const Pose T_camera_base = T_base_camera_.inverse();
+  r.T_map_base = r.T_map_camera * T_camera_base;
+  J.setIdentity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(r.T_map_camera.linear() * T_camera_base.translation());
+  r.covariance = J * r.camera_covariance * J.transpose();
+  if (r.increment) scaleIncrement(S->scale, T_base_camera_, &*r.increment);
+  return r;
+}
+
+air_ground_common::Trajectory ExternalScale::metric(const air_ground_common::Trajectory& visual,
+                                                    std::uint32_t map_id) const {
+  const auto S = T_map_visual(map_id);
+  air_ground_common::Trajectory out = visual;
+  if (S)
+    for (auto& pose : out) pose.T_map_body = moved(*S, pose.T_map_body);
+  return out;
+}
+
+}  // namespace mav_vo
