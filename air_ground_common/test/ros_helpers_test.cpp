@@ -298,6 +298,44 @@ TEST(Mountings, TransformsOnTfCountToo) {
   EXPECT_TRUE(spinUntil([&] { return mountings.lookup(std::nullopt, "rover_camera", "camera", &why).has_value(); }));
 }
 
+TEST(Mountings, LeadingSlashesDoNotMatter) {
+  const Mountings mountings("/kinect");
+  publishOnce("/tf", {edge("/kinect", "/kinect_eye", yawPose(0.5, {0, 1, 0}))});
+  std::string why;
+  EXPECT_TRUE(spinUntil([&] { return mountings.lookup(std::nullopt, "/kinect_eye", "camera", &why).has_value(); }));
+  EXPECT_TRUE(mountings.lookup(std::nullopt, "kinect", "imu", &why));
+}
+
+TEST(ImuInput, TakesWhatWasMeasuredAlone) {
+  NodeHealth health("imu_input_test");
+  sensor_msgs::Imu message;
+  message.header.stamp = ros::Time(10);
+  message.angular_velocity.z = 0.3;
+  message.linear_acceleration.z = 9.81;
+  ImuInput united(health, false), apart(health, true);
+  ASSERT_EQ(united.read(message).size(), 1u);
+  EXPECT_EQ(united.read(message)[0].angular_velocity.z(), 0.3);
+  sensor_msgs::Imu no_rate = message, no_force = message;
+  no_rate.angular_velocity_covariance[0] = -1;
+  no_force.linear_acceleration_covariance[0] = -1;
+  EXPECT_TRUE(united.read(no_rate).empty());
+  EXPECT_TRUE(united.read(no_force).empty());
+  EXPECT_TRUE(apart.read(no_rate).empty());
+
+  for (int i = 0; i < 2; ++i) {
+    sensor_msgs::Imu force = no_rate;
+    force.header.stamp = ros::Time(9.99 + 0.02 * i);
+    force.linear_acceleration.z = 9 + i;
+    const auto samples =
+        i == 0 ? apart.readAccelerometer(force) : (apart.read(no_force), apart.readAccelerometer(force));
+    ASSERT_EQ(samples.size(), i == 0 ? 0u : 1u);
+    if (i == 0) continue;
+    EXPECT_NEAR(samples[0].stamp, 10, 1e-9);
+    EXPECT_NEAR(samples[0].specific_force.z(), 9.5, 1e-6);
+    EXPECT_EQ(samples[0].angular_velocity.z(), 0.3);
+  }
+}
+
 TEST(Mountings, SayWhatIsMissingAndWhatToDoAndNeverWait) {
   const Mountings mountings("base_link");
   std::string why;

@@ -15,6 +15,12 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("sync_tolerance", n.estimator.sync_tolerance, {0, 1}, "s", "largest difference of the stamps of colour and depth");
   v("depth_transport", n.estimator.depth_transport,
     "compressed: PNG on <topic>/compressedDepth (launch argument ground_depth_transport)", {"raw", "compressed"});
+  v("depth_registered", n.depth.registered,
+    "false (launch argument ground_depth_registered): the node registers depth to colour, by ground/depth/camera_info "
+    "and the mountings");
+  v("base_depth", n.depth.T_base_depth,
+    "mounting of the depth camera, as base_camera; used where depth_registered is false");
+  v("depth_frame", n.depth.frame, "its optical frame; \"\" = as its camera_info says");
 
   v.section("Output");
   v("cloud_interval", n.cloud_interval, {0.1, 600}, "s", "between clouds; a corrected map is sent at once");

@@ -3,6 +3,7 @@
 
 #include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "depth_input.h"
 #include "rgbd_slam/slam.h"
 
 namespace rgbd_slam {
@@ -12,6 +13,7 @@ struct NodeSettings {
 
   SlamSettings slam;
   air_ground_common::ros_utils::EstimatorSettings estimator;
+  DepthInputSettings depth;
   double cloud_interval = 2.0;
 
   void validate() const { slam.validate(); }

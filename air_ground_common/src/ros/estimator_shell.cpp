@@ -65,6 +65,10 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
   v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
   v("max_latency", s.max_latency, {0.0, 600.0}, "s",
     "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
+  v("accel_topic", s.accel_topic,
+    "(launch argument) sensor_msgs/Imu of an accelerometer that has a topic of its own (RealSense); \"\" = in the "
+    "IMU's "
+    "messages");
   v("image_transport", s.image_transport,
     "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
 }
@@ -76,6 +80,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       estimator_(estimator),
       health_(names.node),
       mountings_(settings.base_frame),
+      imu_input_(health_, !settings.accel_topic.empty()),
       handle_(handle),
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
@@ -88,6 +93,12 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
   if (settings.use_imu)
     imu_subscriber_ =
         handle_.subscribe(names.imu, 5000, &EstimatorShell::onImu, this, ros::TransportHints().tcpNoDelay());
+  if (settings.use_imu && !settings.accel_topic.empty()) {
+    accel_topic_ = handle_.resolveName(settings.accel_topic);
+    health_.expectInput(accel_topic_);
+    accel_subscriber_ = handle_.subscribe(accel_topic_, 5000, &EstimatorShell::onAccelerometer, this,
+                                          ros::TransportHints().tcpNoDelay());
+  }
   const auto listen = [&](const std::string& topic, bool depth, void (EstimatorShell::*callback)(const ImageMessage&)) {
     const std::string argument = std::string("the parameter ") + (depth ? "depth_transport" : "image_transport") +
                                  ", or the launch argument " +
@@ -140,15 +151,25 @@ void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
 
 void EstimatorShell::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
   health_.received(imu_topic_, msg->header.stamp);
-  const auto sample = imu_input_.read(*msg);
-  if (!sample) return;
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
-    if (!gate_.admit(kImu, msg->header.stamp)) return;
-    assembler_.addImu(*sample);
     imu_frame_ = msg->header.frame_id;
   }
-  queue_changed_.notify_all();
+  addImu(imu_input_.read(*msg));
+}
+
+void EstimatorShell::onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg) {
+  health_.received(accel_topic_, msg->header.stamp);
+  addImu(imu_input_.readAccelerometer(*msg));
+}
+
+void EstimatorShell::addImu(const std::vector<ImuInput::Sample>& samples) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    for (const ImuInput::Sample& sample : samples)
+      if (gate_.admit(kImu, ros::Time(sample.stamp))) assembler_.addImu(sample);
+  }
+  if (!samples.empty()) queue_changed_.notify_all();
 }
 
 void EstimatorShell::onImage(const ImageMessage& message) {

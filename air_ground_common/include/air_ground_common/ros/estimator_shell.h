@@ -49,6 +49,7 @@ struct EstimatorSettings {
   double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
   int queue_size = 400;
   std::string image_transport = "raw", depth_transport = "raw";  ///< or "compressed"
+  std::string accel_topic;  ///< of an accelerometer whose samples are not in the IMU's messages; empty: they are
 };
 
 /// All but sync_tolerance and depth_transport.
@@ -117,6 +118,7 @@ class EstimatorShell {
   void stop();
 
   NodeHealth& health() { return health_; }
+  const Mountings& mountings() const { return mountings_; }
   const std::string& imuTopic() const { return imu_topic_; }
   /// What is wrong with the accelerometer; empty while nothing is known to be.
   std::string imuProblem() const { return imu_input_.problem(); }
@@ -141,6 +143,8 @@ class EstimatorShell {
   // Inputs: only checks and queueing happen in the callbacks.
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg);
   void onImu(const sensor_msgs::Imu::ConstPtr& msg);
+  void onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg);
+  void addImu(const std::vector<ImuInput::Sample>& samples);
   void onImage(const ImageMessage& message);
   void onDepth(const ImageMessage& message);
   // With the queue locked:
@@ -171,9 +175,9 @@ class EstimatorShell {
   Estimator& estimator_;
   NodeHealth health_;
   Mountings mountings_;
-  ImuInput imu_input_{health_};
+  ImuInput imu_input_;
   ros::NodeHandle handle_, private_handle_{"~"};
-  std::string image_topic_, depth_topic_, info_topic_, imu_topic_;
+  std::string image_topic_, depth_topic_, info_topic_, imu_topic_, accel_topic_;
   ros::Publisher status_publisher_;
 
   // Shared with the worker.
@@ -204,7 +208,7 @@ class EstimatorShell {
   std::thread worker_;
 
   std::vector<ImageInput> images_;
-  ros::Subscriber info_subscriber_, imu_subscriber_;
+  ros::Subscriber info_subscriber_, imu_subscriber_, accel_subscriber_;
   std::vector<ros::ServiceServer> services_;
 };
 
