@@ -16,11 +16,10 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("depth_transport", n.estimator.depth_transport,
     "compressed: PNG on <topic>/compressedDepth (launch argument ground_depth_transport)", {"raw", "compressed"});
   v("depth_registered", n.depth.registered,
-    "false (launch argument ground_depth_registered): the node registers depth to colour, by ground/depth/camera_info "
-    "and the mountings");
-  v("base_depth", n.depth.T_base_depth,
-    "mounting of the depth camera, as base_camera; used where depth_registered is false");
-  v("depth_frame", n.depth.frame, "its optical frame; \"\" = as its camera_info says");
+    "false: depth is registered to colour here, by ground/depth/camera_info and the mounting (launch argument)");
+  v("depth_frame", n.depth.frame,
+    "optical frame of the depth camera where that is not registered; \"\" = as its camera_info says");
+  v("base_depth", n.depth.T_base_depth, "x y z qx qy qz qw of the depth camera in base_link [m]; all 0 = from tf");
 
   v.section("Output");
   v("cloud_interval", n.cloud_interval, {0.1, 600}, "s", "between clouds; a corrected map is sent at once");

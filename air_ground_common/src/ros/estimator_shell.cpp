@@ -66,8 +66,7 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
   v("max_latency", s.max_latency, {0.0, 600.0}, "s",
     "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
   v("accel_topic", s.accel_topic,
-    "(launch argument) sensor_msgs/Imu of an accelerometer that has a topic of its own (RealSense); \"\" = in the "
-    "IMU's "
+    "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
     "messages");
   v("image_transport", s.image_transport,
     "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
