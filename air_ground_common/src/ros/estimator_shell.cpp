@@ -200,6 +200,7 @@ void EstimatorShell::addToPairs(const ImageMessage& message, bool colour) {
 
 void EstimatorShell::onTimeJump() {
   ROS_WARN_STREAM("time jumped back: " << names_.subject << " starts afresh");
+  mountings_.forgetMoving();
   clearQueues();
   reset_requested_ = true;
 }
