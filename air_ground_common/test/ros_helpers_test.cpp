@@ -33,9 +33,11 @@ std::string errorOf(const std::function<void()>& call) {
 TEST(Parameters, OutOfRangeNamesParameterValueAndRange) {
   ros::NodeHandle pnh("~range");
   pnh.setParam("voxel", 7.0);
-  Parameters parameters(pnh);
-  const std::string error = errorOf([&] { parameters.number("voxel", 0.02, 0.001, 1.0); });
-  for (const char* part : {"range/voxel", "7", "0.001", "1"}) EXPECT_NE(error.find(part), std::string::npos) << error;
+  ServerReader parameters(pnh);
+  double voxel = 0.02;
+  const std::string error = errorOf([&] { parameters("voxel", voxel, {0.001, 1}, "m", ""); });
+  for (const char* part : {"range/voxel", "7", "0.001", "1", "m"})
+    EXPECT_NE(error.find(part), std::string::npos) << error;
 }
 
 TEST(Parameters, WrongTypeChoiceAndSizeAreRefused) {
@@ -43,20 +45,28 @@ TEST(Parameters, WrongTypeChoiceAndSizeAreRefused) {
   pnh.setParam("count", "many");
   pnh.setParam("mode", "fast");
   pnh.setParam("origin", std::vector<double>{1, 2});
-  Parameters parameters(pnh);
-  EXPECT_NE(errorOf([&] { parameters.integer("count", 1, 0, 9); }).find("count"), std::string::npos);
-  EXPECT_NE(errorOf([&] { parameters.choice("mode", "slow", {"slow", "slower"}); }).find("slower"), std::string::npos);
-  EXPECT_NE(errorOf([&] { parameters.numbers("origin", {0, 0, 0}, 3); }).find("3"), std::string::npos);
+  ServerReader parameters(pnh);
+  int count = 1, mode = 0;
+  std::vector<double> origin{0, 0, 0};
+  EXPECT_NE(errorOf([&] { parameters("count", count, {0, 9}, "", ""); }).find("count"), std::string::npos);
+  EXPECT_NE(errorOf([&] {
+              parameters.choice("mode", mode, {{"slow", 0}, {"slower", 1}}, "");
+            }).find("slower"),
+            std::string::npos);
+  EXPECT_NE(errorOf([&] { parameters("origin", origin, {-9, 9}, "m", ""); }).find("3"), std::string::npos);
 }
 
 TEST(Parameters, MisspeltNameIsFoundAndIntegerReadsAsNumber) {
   ros::NodeHandle pnh("~names");
   pnh.setParam("sigma", 2);
   pnh.setParam("sgima", 3);
-  Parameters parameters(pnh);
-  EXPECT_DOUBLE_EQ(parameters.number("sigma", 1, 0, 5), 2.0);
+  ServerReader parameters(pnh);
+  double sigma = 1;
+  parameters("sigma", sigma, {0, 5}, "", "");
+  EXPECT_DOUBLE_EQ(sigma, 2.0);
   EXPECT_NE(errorOf([&] { parameters.finish(); }).find("sgima"), std::string::npos);
-  EXPECT_EQ(errorOf([&] { parameters.finish({"sgima"}); }), "");
+  parameters.others("sgima");
+  EXPECT_EQ(errorOf([&] { parameters.finish(); }), "");
 }
 
 TEST(TimeJumpDetector, SeesALoopedBagOnceAndForgivesDisorder) {

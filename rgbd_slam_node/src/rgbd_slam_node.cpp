@@ -9,6 +9,7 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "cloud_publisher.h"
 #include "depth_input.h"
@@ -217,15 +218,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
 }  // namespace rgbd_slam
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "rgbd_slam");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const rgbd_slam::NodeSettings settings = rgbd_slam::readParameters(ros::NodeHandle("~"));
-    rgbd_slam::RgbdSlamNode node(settings);
-    ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<rgbd_slam::NodeSettings>(
+      argc, argv, "rgbd_slam", [](const auto& settings) {
+        rgbd_slam::RgbdSlamNode node(settings);
+        ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
+      });
 }

@@ -52,23 +52,33 @@ FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
 
 }  // namespace
 
-void readParameters(Parameters& p, EstimatorSettings* s) {
-  s->map_frame = p.text("map_frame", s->map_frame);
-  s->odom_frame = p.text("odom_frame", s->odom_frame);
-  s->base_frame = p.text("base_frame", s->base_frame);
-  s->publish_tf = p.flag("publish_tf", s->publish_tf);
-  s->camera_frame = p.text("camera_frame", s->camera_frame);
-  s->imu_frame = p.text("imu_frame", s->imu_frame);
-  s->T_base_camera = p.pose("base_camera");
-  s->T_base_imu = p.pose("base_imu");
-  s->transform_timeout = p.number("transform_timeout", s->transform_timeout, 0.0, 600.0);
-  s->use_imu = p.flag("use_imu", s->use_imu);
-  s->imu_wait = p.number("imu_wait", s->imu_wait, 0.0, 10.0);
-  s->max_latency = p.number("max_latency", s->max_latency, 0.0, 600.0);
-  s->autosave = p.text("autosave", s->autosave);
-  s->queue_size = p.integer("queue_size", s->queue_size, 2, 10000);
-  s->accel_topic = p.text("accel_topic", s->accel_topic);
-  s->image_transport = p.choice("image_transport", s->image_transport, {"raw", "compressed"});
+void describe(ParameterVisitor& v, EstimatorSettings& s) {
+  v.section("Frames", "map_frame, odom_frame, base_frame and publish_tf are set by the launch file's arguments.");
+  v("map_frame", s.map_frame, "gravity-aligned, z up, origin at base_link of the first keyframe, heading 0 there");
+  v("odom_frame", s.odom_frame, "");
+  v("base_frame", s.base_frame, "");
+  v("publish_tf", s.publish_tf, "map -> odom -> base_link");
+  v("camera_frame", s.camera_frame, "optical frame; \"\" = as camera_info says");
+  v("imu_frame", s.imu_frame, "\"\" = as the IMU's messages say");
+  v("base_camera", s.T_base_camera, "x y z qx qy qz qw of the (colour) camera in base_link [m]; all 0 = from tf");
+  v("base_imu", s.T_base_imu, "the same of the IMU");
+  v("transform_timeout", s.transform_timeout, {0.0, 600.0}, "s",
+    "an image waits so long for its mounting on tf, wall clock");
+
+  v.section("Input");
+  v("use_imu", s.use_imu,
+    "false: no prior of rotation; the MAV's scale stays unknown, the ground robot's base counts as level at the start");
+  v("imu_wait", s.imu_wait, {0.0, 10.0}, "s",
+    "an image waits for IMU samples until images this much newer have been here for 0.3 s");
+  v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
+  v("max_latency", s.max_latency, {0.0, 600.0}, "s",
+    "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
+  v("autosave", s.autosave, kAutosave);
+  v("accel_topic", s.accel_topic,
+    "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
+    "messages");
+  v("image_transport", s.image_transport,
+    "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
 }
 
 EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& settings, const EstimatorNames& names,
@@ -118,8 +128,6 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
                private_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
                private_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
 }
-
-void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
 
 // ---- Inputs
 

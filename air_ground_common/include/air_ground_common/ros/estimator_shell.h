@@ -31,11 +31,13 @@
 #include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/trajectory.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace air_ground_common::ros_utils {
 
-class Parameters;
-
-/// Parameters that such nodes share; config/mav_vo.yaml and config/rgbd_slam.yaml explain each.
+/// Parameters that such nodes share.
 struct EstimatorSettings {
   std::string map_frame, odom_frame, base_frame;
   std::string camera_frame, imu_frame;            ///< empty: as the messages say
@@ -52,8 +54,8 @@ struct EstimatorSettings {
   std::string accel_topic;  ///< of an accelerometer whose samples are not in the IMU's messages; empty: they are
 };
 
-/// All but sync_tolerance and depth_transport; what `settings` holds is the default. Throws ParameterError.
-void readParameters(Parameters& parameters, EstimatorSettings* settings);
+/// All but sync_tolerance and depth_transport.
+void describe(ParameterVisitor& visitor, EstimatorSettings& settings);
 
 /// Names by which a node knows its topics (remapping applies), and what it calls things when it speaks to people.
 struct EstimatorNames {
