@@ -30,7 +30,7 @@ class LiveBag:
         self.robots = {name: topics for name, (topics, _) in robots.items()}
         self.swapped = {}  # topic -> topic on which its messages come instead
         self.static = rospy.Publisher('/tf_static', TFMessage, queue_size=1, latch=True)
-        self.static.publish(TFMessage(list(self.facts.static.values())))
+        self.static.publish(self.facts.static_transforms(('mav_base_link', 'ground_base_link')))
         self.said = {name: Said(None, 0, 'nothing') for name in robots}
         self.history = {name: [] for name in robots}
         self.counters = {}

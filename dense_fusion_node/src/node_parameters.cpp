@@ -1,6 +1,7 @@
 #include "node_parameters.h"
 
 #include "air_ground_common/parameters.h"
+#include "air_ground_common/ros/file_services.h"
 
 namespace dense_fusion {
 
@@ -9,11 +10,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
       "dense_fusion_node: dense clouds from posed images. Figures of the paper: Forster, Pizzoli, Scaramuzza, IROS "
       "2013, sections V, VIII-B.");
   v.section("Node");
-  v("visual_map_frame", s.visual_map_frame,
-    "posed images in it are of a map without scale, which keeps a unit of its own");
-  v("autosave", s.autosave,
-    "folder, made when missing: the map goes there when the node is stopped, under names of this start; \"\" = "
-    "nowhere");
+  v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
   v("queue_size", s.queue_size, {10, 10000}, "",
     "posed images that may wait for the worker; the oldest are dropped, and counted, beyond it");
   v("flush_timeout", s.flush_timeout, {0, 3600}, "s",

@@ -10,7 +10,6 @@ namespace dense_fusion {
 struct NodeSettings {
   MapperSettings mapper;
   std::string autosave;  ///< folder for the map at the end; empty: none
-  std::string visual_map_frame = "mav_visual_map";
   int queue_size = 400;
   double flush_timeout = 4.0, service_timeout = 120, map_cell = 0.02;
   int map_max_points = 5000000;

@@ -1,6 +1,7 @@
 #include "node_parameters.h"
 
 #include "air_ground_common/parameters.h"
+#include "air_ground_common/ros/file_services.h"
 
 namespace ekf_tracker {
 
@@ -11,9 +12,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("map_frame", s.map_frame, "the visual odometry's gravity-aligned map");
   v("base_frame", s.base_frame, "");
   v("publish_tf", s.publish_tf, "world -> mav_map, so that world -> mav_base_link is the tracked pose");
-  v("autosave", s.autosave,
-    "folder, made when missing: the trajectory goes there when the node is stopped, under names of this start; \"\" = "
-    "nowhere");
+  v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
   v("path_step", s.path_step, {0.01, 100}, "m",
     "tracked/path gains a pose after this distance; doubled whenever it holds 5000");
   v("tilt_stddev", s.tilt_stddev, {0.001, 1}, "rad",

@@ -1,6 +1,7 @@
 #include "node_parameters.h"
 
 #include "air_ground_common/parameters.h"
+#include "air_ground_common/ros/file_services.h"
 
 namespace icp_refine {
 void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
@@ -15,6 +16,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("inverse_tf", s.inverse_tf,
     "true: publishes mav_map -> ground_map instead (when something else is mav_map's parent)");
   v("tf_rate", s.tf_rate, {0.1, 1000}, "Hz", "stamped with the clock; nothing before the first CONVERGED");
+  v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
   v("queue_size", s.queue_size, {1, 10000}, "",
     "aerial clouds that may wait for a refinement to end; the oldest are dropped, and counted");
   v("autosave", s.autosave,

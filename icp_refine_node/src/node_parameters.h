@@ -13,9 +13,9 @@ struct NodeSettings {
   std::string visual_map_frame = "mav_visual_map";
   bool publish_tf = true, inverse_tf = false;
   double tf_rate = 10;
+  std::string autosave;  ///< folder for the augmented map at the end; empty: none
   int queue_size = 50;
   double min_period = 0.5, map_period = 2;
-  std::string autosave;  ///< folder for the augmented map at the end; empty: none
   AugmentedMapSettings map;
   RefinerSettings refiner;
 

@@ -6,6 +6,8 @@
 
 namespace air_ground_common::ros_utils {
 
+void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
+
 void EstimatorShell::stop() {
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);

@@ -73,10 +73,7 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
   v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
   v("max_latency", s.max_latency, {0.0, 600.0}, "s",
     "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
-  v("autosave", s.autosave,
-    "folder, made when missing: map and trajectory go there when the node is stopped, under names of this start; \"\" "
-    "= "
-    "nowhere");
+  v("autosave", s.autosave, kAutosave);
   v("accel_topic", s.accel_topic,
     "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
     "messages");
@@ -131,8 +128,6 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
                private_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
                private_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
 }
-
-void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
 
 // ---- Inputs
 
@@ -213,6 +208,7 @@ void EstimatorShell::addToPairs(const ImageMessage& message, bool colour) {
 
 void EstimatorShell::onTimeJump() {
   ROS_WARN_STREAM("time jumped back: " << names_.subject << " starts afresh");
+  mountings_.forgetMoving();
   clearQueues();
   reset_requested_ = true;
 }

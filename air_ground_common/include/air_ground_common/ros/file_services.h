@@ -28,6 +28,11 @@ bool answer(Response& response, const Save& save) {
   return true;
 }
 
+/// Meaning of the parameter autosave.
+constexpr const char* kAutosave =
+    "folder, made when missing: what the node's save services write goes there when it is stopped, under names of this "
+    "start; \"\" = nowhere";
+
 /// What a node leaves behind when it is stopped: files in a folder of the user's (parameter autosave; empty: none),
 /// under names of this start, `<node>_<date and time, UTC>_<what>`, so that no file that is there already is written
 /// over.

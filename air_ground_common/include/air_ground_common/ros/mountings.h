@@ -25,6 +25,9 @@ class Mountings {
   std::optional<Pose> lookup(const std::optional<Pose>& given, const std::string& frame, const std::string& sensor,
                              std::string* why) const;
 
+  /// Time has run back: tf would refuse, and complain of, all that comes until then. What is on /tf_static stays.
+  void forgetMoving() { buffer_.clear(); }
+
  private:
   std::string base_frame_;
   tf2_ros::Buffer buffer_;
