@@ -30,6 +30,9 @@ export AIR_GROUND_CACHE ?= $(ROOT).cache
 export LSAN_OPTIONS := suppressions=$(ROOT)test/sanitizers/leak.supp:print_suppressions=0
 export TSAN_OPTIONS := suppressions=$(ROOT)test/sanitizers/thread.supp:history_size=4
 export UBSAN_OPTIONS := print_stacktrace=1
+ifeq ($(SANITIZE),thread)
+export OMP_THREAD_LIMIT := 1
+endif
 
 NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
 ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)

@@ -177,6 +177,7 @@ TEST(DataFilters, NormalSpaceSamplingKeepsTheRareDirections) {
 }
 
 TEST(DataFilters, AllSurviveAnEmptyCloud) {
+  ASSERT_FALSE(dataFilterDocs().empty());
   for (const auto& doc : dataFilterDocs()) {
     Cloud empty;
     EXPECT_NO_THROW(apply(doc.name, "{}", empty)) << doc.name;
@@ -228,6 +229,7 @@ TEST(OutlierFilters, NothingMatchedStaysNothing) {
   Heights h({0.1f, 0.2f});
   h.matches.reference_index = {-1, -1};
   h.matches.weights = {0, 0};
+  ASSERT_FALSE(outlierFilterDocs().empty());
   for (const auto& doc : outlierFilterDocs()) {
     EXPECT_EQ(h.weights(doc.name, "{}"), (std::vector<float>{0, 0})) << doc.name;
   }

@@ -1,7 +1,9 @@
 // Clouds and meshes, trajectories, calibrations, ICP chains.
 #include "air_ground_common/camera_file.h"
 #include "air_ground_common/mesh.h"
+#include "air_ground_common/parameters.h"
 #include "air_ground_common/trajectory.h"
+#include "ekf_tracker/tracker.h"
 #include "fuzzing.h"
 #include "icp_refine/icp.h"
 #include "query_list.h"
@@ -45,6 +47,16 @@ void cameraLists(const Bytes& bytes) {
   answers([&] { streetview_localizer::readUpList(path); });
 }
 
+// Whatever the file holds, what is read is within the ranges.
+void parameters(const Bytes& bytes) {
+  const std::string path = fileOf("parameters.yaml", bytes);
+  answers([&] {
+    ekf_tracker::TrackerSettings settings;
+    common::readYaml(path, {}, &settings);
+    common::checkRanges(settings);
+  });
+}
+
 // A chain that is accepted must bear a small cloud.
 void chain(const Bytes& bytes) {
   answers([&] {
@@ -65,6 +77,7 @@ void addFileTargets(Targets* targets) {
   targets->insert({{"ply", ply},
                    {"trajectory", trajectory},
                    {"camera_info_file", cameraInfo},
+                   {"parameters", parameters},
                    {"camera_lists", cameraLists},
                    {"icp_chain", chain}});
 }

@@ -187,6 +187,23 @@ void alignment(const Bytes& bytes) {
     require(result.T_reference_reading.t.allFinite() && result.T_reference_reading.scale > 0, "alignment");
 }
 
+// From `last` on, which it moves, or at any time.
+air_ground::VoIncrement incrementFrom(Source& source, const std_msgs::Header& header, ros::Time* last) {
+  air_ground::VoIncrement msg;
+  msg.header = header;
+  msg.previous_stamp = last ? *last : headerFrom(source).stamp;
+  if (last) *last = msg.header.stamp = *last + ros::Duration(0.05);
+  msg.relative_pose = poseFrom(source);
+  if (source.take<std::uint8_t>() % 2)
+    for (std::size_t i = 0; i < 16; i += 5) msg.covariance[i] = 1e-4;
+  else
+    fill(source, &msg.covariance);
+  msg.metric = source.take<std::uint8_t>() % 4 != 0;
+  msg.scale_variance = source.number();
+  msg.map_id = source.take<std::uint8_t>() % 3;
+  return msg;
+}
+
 // All sensors of the tracker in any order, at any time, with anything in them.
 void tracking(const Bytes& bytes) {
   namespace ek = ekf_tracker;
@@ -203,18 +220,7 @@ void tracking(const Bytes& bytes) {
     const std_msgs::Header header = headerFrom(source);
     answers([&] {
       if (kind <= 2) {
-        air_ground::VoIncrement msg;
-        msg.header = header;
-        msg.previous_stamp = kind == 0 ? last : headerFrom(source).stamp;
-        if (kind == 0) last = msg.header.stamp = last + ros::Duration(0.05);
-        msg.relative_pose = poseFrom(source);
-        if (source.take<std::uint8_t>() % 2)
-          for (std::size_t i = 0; i < 16; i += 5) msg.covariance[i] = 1e-4;
-        else
-          fill(source, &msg.covariance);
-        msg.metric = source.take<std::uint8_t>() % 4 != 0;
-        msg.scale_variance = source.number();
-        msg.map_id = source.take<std::uint8_t>() % 3;
+        const air_ground::VoIncrement msg = incrementFrom(source, header, kind == 0 ? &last : nullptr);
         tracker.addIncrement(bridge.increment(msg, tilts.accelerometerTiltAt(msg.header.stamp.toSec())));
       } else if (kind == 3) {
         geometry_msgs::PoseWithCovarianceStamped msg;
