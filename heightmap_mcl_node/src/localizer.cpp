@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <stdexcept>
 
 namespace heightmap_mcl {
@@ -68,7 +69,11 @@ void Localizer::restart(bool forget_aerial) {
   filter_.clear();
   maps_ = 0;
   restarts_ = 0;
+  evidence_ = 0;
+  new_map_ = false;
   if (forget_aerial) {
+    floor_ = std::numeric_limits<double>::quiet_NaN();
+    floor_rivals_.clear();
     scale_ = 1;
     scale_stddev_ = settings_.scale_sigma;
     aerial_.clear();
@@ -82,6 +87,7 @@ void Localizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(aerial_.size());
   updateScale();
+  updateFloor();
   filter_map_ = lastMaps(settings_.accumulate);
   filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, lastReference());
 }
@@ -122,10 +128,15 @@ bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
     aerial_.pop_front();
     ++far_maps_dropped_;
   }
-  if (hasGround()) updateScale();
+  if (hasGround()) {
+    updateScale();
+    updateFloor();
+  }
   filter_map_ = lastMaps(settings_.accumulate);
   if (hasGround()) updateFilter();
+  new_map_ = true;
   updateEstimate();
+  new_map_ = false;
   return true;
 }
 
@@ -136,7 +147,32 @@ std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
   return maps;
 }
 
-HeightMap Localizer::lastMaps(int count) const { return scaled(merge(keptMaps(count), settings_.merge), scale_); }
+HeightMap Localizer::lastMaps(int count) const {
+  HeightMap map = merge(keptMaps(count), settings_.merge);
+  if (!std::isnan(floor_)) map = withFloor(std::move(map), floor_);
+  return scaled(map, scale_);
+}
+
+void Localizer::updateFloor() {
+  constexpr std::size_t kMost = 4;
+  floor_ = std::numeric_limits<double>::quiet_NaN();
+  floor_rivals_.clear();
+  // A scale that is searched for leaves no level to compare with.
+  if (settings_.mode == Mode::kPaper || settings_.scale_sigma > 0 || aerial_.empty()) return;
+  const HeightMap raw = merge(keptMaps(settings_.verify), settings_.merge);
+  const std::vector<double> floors = floorCandidates(raw.levels, ground_.levels, ground_.cap, kMost);
+  if (floors.size() < 2) return;
+  std::vector<ScaleTrial> trials;
+  for (double floor : floors) trials.push_back(tryScale(1, withFloor(raw, floor), nullptr));
+  std::size_t best = 0;
+  for (std::size_t i = 1; i < trials.size(); ++i) {
+    if (trials[i].best.zmssd.score < trials[best].best.zmssd.score) best = i;
+  }
+  for (std::size_t i = 0; i < trials.size(); ++i) {
+    if (i != best) floor_rivals_.push_back(trials[i].best);
+  }
+  floor_ = floors[best];
+}
 
 double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   // What both are charged for unknown cells says nothing about either.
@@ -147,6 +183,12 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
     return by_score;
   const auto unexplained = [this](const Zmssd& z) { return (z.cost + settings_.noise_cost) / z.variance; };
   return std::min(by_score, unexplained(other) / unexplained(best));
+}
+
+double Localizer::evidence(const Zmssd& z) const {
+  if (!std::isfinite(z.cost)) return 0;
+  const double unexplained = 2 * (z.cost + settings_.noise_cost) / z.variance;
+  return std::max(0.0, -0.5 * z.overlap / settings_.cells_per_independent * std::log(unexplained));
 }
 
 CostSettings Localizer::costFor(const HeightMap& air) const {
@@ -224,6 +266,7 @@ void Localizer::updateEstimate() {
     places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
   }
   places.push_back(best);
+  places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
   // Where a position is known, places beyond three standard deviations are no rivals.
   places.erase(std::remove_if(places.begin(), places.end(),
                               [&](const Candidate& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
@@ -240,8 +283,10 @@ void Localizer::updateEstimate() {
                            [](const Candidate& a, const Candidate& b) { return a.zmssd.score < b.zmssd.score; });
   Candidate rival;
   estimate_.rival_ratio = kInfinity;
+  estimate_.evidence_lead = evidence(best.zmssd);
   for (const Candidate& c : places) {
     if (same(c, best)) continue;
+    estimate_.evidence_lead = std::min(estimate_.evidence_lead, evidence(best.zmssd) - evidence(c.zmssd));
     const double ratio = rivalRatio(c.zmssd, best.zmssd);
     if (ratio < estimate_.rival_ratio) {
       estimate_.rival_ratio = ratio;
@@ -273,6 +318,25 @@ void Localizer::updateEstimate() {
   weighed_ = false;
 }
 
+void Localizer::gatherEvidence(bool told_apart) {
+  const auto place = [this](const air_ground_common::Pose& T) {
+    return PlanarPose{(T * (scale_ * aerial_.back().reference)).x(), (T * (scale_ * aerial_.back().reference)).y(),
+                      air_ground_common::yawOf(T.rotation())};
+  };
+  const PlanarPose now = place(estimate_.T_ground_mav), before = place(evidence_pose_);
+  if (separation(now, before) > settings_.rival_distance ||
+      std::abs(wrapAngle(now.yaw - before.yaw)) > settings_.rival_angle) {
+    evidence_ = 0;
+  }
+  evidence_pose_ = estimate_.T_ground_mav;
+  if (new_map_) {
+    const double most = settings_.min_evidence / 2;
+    const double lead = std::clamp(estimate_.evidence_lead, -most, told_apart ? most : 0.0);
+    evidence_ = std::clamp(evidence_ + lead, 0.0, 2 * settings_.min_evidence);
+  }
+  estimate_.evidence = evidence_;
+}
+
 Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
                                  bool particles_agree) {
   const LocalizerSettings& s = settings_;
@@ -300,6 +364,8 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
         std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
   }
 
+  gatherEvidence(e.relief >= s.min_relief && e.probe_ratio >= s.probe_ratio && e.rival_ratio >= s.ambiguity_ratio &&
+                 e.explained >= s.min_explained);
   if (e.relief < s.min_relief) {
     e.status = Status::kDegenerate;
     e.reason = format("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
@@ -316,6 +382,8 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
                       100 * s.min_explained);
   } else if (e.maps < s.min_maps) {
     e.reason = format("%d of %d aerial maps seen", e.maps, s.min_maps);
+  } else if (e.evidence < s.min_evidence) {
+    e.reason = format("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
   } else if (!particles_agree) {
     e.reason = "the particles have not gathered at the best place yet";
   } else if (e.mode_weight < s.min_mode_weight) {

@@ -36,6 +36,7 @@ void validate(const LocalizerSettings& s) {
   require(s.accumulate >= 1, "accumulate must be at least 1");
   require(s.verify >= s.accumulate, "verify must not be less than accumulate");
   require(s.min_maps >= 1, "min_maps must be at least 1");
+  require(s.min_evidence > 0, "min_evidence must be positive");
   require(s.min_mode_weight > 0 && s.min_mode_weight <= 1, "min_mode_weight must be in (0, 1]");
   require(s.max_spread > 0 && s.max_spread_yaw > 0, "max_spread and max_spread_yaw must be positive");
   require(s.ambiguity_ratio > 1 && s.probe_ratio > 1, "ambiguity_ratio and probe_ratio must be greater than 1");
@@ -54,6 +55,7 @@ LocalizerSettings paperSettings(LocalizerSettings s) {
   s.air_map.tops = s.ground_map.tops = Tops::kHighest;
   s.unknown_weight = s.min_explained = 0;
   s.overlap_of_air = true;
+  s.min_maps = 4;  // particles alone have no other evidence
   s.filter.sampling_sigma = s.filter.weight_sigma = 0.08;
   s.filter.mixture_ratio = 0;
   return s;

@@ -62,6 +62,7 @@ NodeSettings readParameters(Parameters& p) {
   f.yaw_noise_per_metre = p.number("yaw_noise_per_metre", f.yaw_noise_per_metre, 0.0, 0.8);
 
   s.min_maps = p.integer("min_maps", s.min_maps, 1, 100);
+  s.min_evidence = p.number("min_evidence", s.min_evidence, 0.1, 1e4);
   s.min_mode_weight = p.number("min_mode_weight", s.min_mode_weight, 0.05, 1.0);
   s.max_spread = p.number("max_spread", s.max_spread, 0.01, 10.0);
   s.max_spread_yaw = p.number("max_spread_yaw", s.max_spread_yaw, 0.002, M_PI);
