@@ -402,15 +402,9 @@ class DenseFusionNode {
 }  // namespace dense_fusion
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "dense_fusion");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const dense_fusion::NodeSettings settings = dense_fusion::readParameters(ros::NodeHandle("~"));
-    dense_fusion::DenseFusionNode node(settings);
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<dense_fusion::NodeSettings>(
+      argc, argv, "dense_fusion", [](const auto& settings) {
+        dense_fusion::DenseFusionNode node(settings);
+        ros::spin();
+      });
 }

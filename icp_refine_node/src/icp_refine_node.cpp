@@ -9,6 +9,8 @@
 #include <std_srvs/Trigger.h>
 
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/parameters.h"
+#include "chain_parameter.h"
 #include "refine_worker.h"
 
 namespace icp_refine {
@@ -19,9 +21,9 @@ using air_ground::AlignmentEstimate;
 
 class IcpRefineNode {
  public:
-  IcpRefineNode()
+  explicit IcpRefineNode(const NodeSettings& settings)
       : private_("~"),
-        settings_(readParameters(private_)),
+        settings_(settings),
         health_("icp_refine"),
         output_(settings_, health_),
         worker_(settings_, readChain(private_, settings_.chain_file), output_, health_) {
@@ -306,13 +308,9 @@ class IcpRefineNode {
 }  // namespace icp_refine
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "icp_refine");
-  try {
-    icp_refine::IcpRefineNode node;
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<icp_refine::NodeSettings>(argc, argv, "icp_refine",
+                                                                         [](const auto& settings) {
+                                                                           icp_refine::IcpRefineNode node(settings);
+                                                                           ros::spin();
+                                                                         });
 }

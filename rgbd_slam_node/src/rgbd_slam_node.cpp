@@ -8,8 +8,10 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "cloud_publisher.h"
+#include "depth_input.h"
 #include "node_parameters.h"
 
 namespace rgbd_slam {
@@ -56,6 +58,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
                 "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
                 "runs without rotation prior and takes the robot's base for level at the start"},
                *this),
+        depth_(handle_, "ground/depth/camera_info", settings_.depth, shell_.mountings(), shell_.health()),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()) {
     keyframe_publisher_ = handle_.advertise<sensor_msgs::Image>("ground/keyframe_image", 5);
     shell_.start();
@@ -73,6 +76,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
       mounting.p_base_imu = T_base_imu->translation();
     }
     slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
+    depth_.setColourCamera(camera, T_base_camera);
   }
 
   void forgetMap() override {
@@ -100,16 +104,20 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros_utils::EstimatorResult process(const ros_utils::EstimatorFrame& frame) override {
     last_stamp_ = frame.stamp;
     const auto begin = std::chrono::steady_clock::now();
+    ros_utils::EstimatorResult result;
+    air_ground::VoStatus& status = result.status;
+    const auto depth = depth_.read(*frame.depth, &status.reason);
+    if (!depth) {
+      status.state = air_ground::VoStatus::STATE_WAITING;
+      return result;
+    }
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
-    const FrameResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image),
-                                         ros_utils::depthFromMsg(*frame.depth));
+    const FrameResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image), *depth);
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
     if (r.relocalized) ROS_INFO("found the way back into the map");
     if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, or levelled)");
-    ros_utils::EstimatorResult result;
-    air_ground::VoStatus& status = result.status;
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
     status.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -173,6 +181,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   bool cloud_outdated_ = false;
 
   ros_utils::EstimatorShell shell_;
+  DepthInput depth_;
   CloudPublisher clouds_;
 };
 
@@ -180,15 +189,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
 }  // namespace rgbd_slam
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "rgbd_slam");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const rgbd_slam::NodeSettings settings = rgbd_slam::readParameters(ros::NodeHandle("~"));
-    rgbd_slam::RgbdSlamNode node(settings);
-    ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<rgbd_slam::NodeSettings>(
+      argc, argv, "rgbd_slam", [](const auto& settings) {
+        rgbd_slam::RgbdSlamNode node(settings);
+        ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
+      });
 }

@@ -44,21 +44,32 @@ FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
 
 }  // namespace
 
-void readParameters(Parameters& p, EstimatorSettings* s) {
-  s->map_frame = p.text("map_frame", s->map_frame);
-  s->odom_frame = p.text("odom_frame", s->odom_frame);
-  s->base_frame = p.text("base_frame", s->base_frame);
-  s->publish_tf = p.flag("publish_tf", s->publish_tf);
-  s->camera_frame = p.text("camera_frame", s->camera_frame);
-  s->imu_frame = p.text("imu_frame", s->imu_frame);
-  s->T_base_camera = p.pose("base_camera");
-  s->T_base_imu = p.pose("base_imu");
-  s->transform_timeout = p.number("transform_timeout", s->transform_timeout, 0.0, 600.0);
-  s->use_imu = p.flag("use_imu", s->use_imu);
-  s->imu_wait = p.number("imu_wait", s->imu_wait, 0.0, 10.0);
-  s->max_latency = p.number("max_latency", s->max_latency, 0.0, 600.0);
-  s->queue_size = p.integer("queue_size", s->queue_size, 2, 10000);
-  s->image_transport = p.choice("image_transport", s->image_transport, {"raw", "compressed"});
+void describe(ParameterVisitor& v, EstimatorSettings& s) {
+  v.section("Frames", "map_frame, odom_frame, base_frame and publish_tf are set by the launch file's arguments.");
+  v("map_frame", s.map_frame, "gravity-aligned, z up, origin at base_link of the first keyframe, heading 0 there");
+  v("odom_frame", s.odom_frame, "");
+  v("base_frame", s.base_frame, "");
+  v("publish_tf", s.publish_tf, "map -> odom -> base_link");
+  v("camera_frame", s.camera_frame, "optical frame; \"\" = as camera_info says");
+  v("imu_frame", s.imu_frame, "\"\" = as the IMU's messages say");
+  v("base_camera", s.T_base_camera, "x y z qx qy qz qw of the (colour) camera in base_link [m]; all 0 = from tf");
+  v("base_imu", s.T_base_imu, "the same of the IMU");
+  v("transform_timeout", s.transform_timeout, {0.0, 600.0}, "s",
+    "an image waits so long for its mounting on tf, wall clock");
+
+  v.section("Input");
+  v("use_imu", s.use_imu,
+    "false: no prior of rotation; the MAV's scale stays unknown, the ground robot's base counts as level at the start");
+  v("imu_wait", s.imu_wait, {0.0, 10.0}, "s",
+    "an image waits for IMU samples until images this much newer have been here for 0.3 s");
+  v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
+  v("max_latency", s.max_latency, {0.0, 600.0}, "s",
+    "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
+  v("accel_topic", s.accel_topic,
+    "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
+    "messages");
+  v("image_transport", s.image_transport,
+    "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
 }
 
 EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& settings, const EstimatorNames& names,
@@ -68,6 +79,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       estimator_(estimator),
       health_(names.node),
       mountings_(settings.base_frame),
+      imu_input_(health_, !settings.accel_topic.empty()),
       handle_(handle),
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
@@ -80,6 +92,12 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
   if (settings.use_imu)
     imu_subscriber_ =
         handle_.subscribe(names.imu, 5000, &EstimatorShell::onImu, this, ros::TransportHints().tcpNoDelay());
+  if (settings.use_imu && !settings.accel_topic.empty()) {
+    accel_topic_ = handle_.resolveName(settings.accel_topic);
+    health_.expectInput(accel_topic_);
+    accel_subscriber_ = handle_.subscribe(accel_topic_, 5000, &EstimatorShell::onAccelerometer, this,
+                                          ros::TransportHints().tcpNoDelay());
+  }
   const auto listen = [&](const std::string& topic, bool depth, void (EstimatorShell::*callback)(const ImageMessage&)) {
     const std::string argument = std::string("the parameter ") + (depth ? "depth_transport" : "image_transport") +
                                  ", or the launch argument " +
@@ -132,15 +150,25 @@ void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
 
 void EstimatorShell::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
   health_.received(imu_topic_, msg->header.stamp);
-  const auto sample = imu_input_.read(*msg);
-  if (!sample) return;
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
-    if (!gate_.admit(kImu, msg->header.stamp)) return;
-    assembler_.addImu(*sample);
     imu_frame_ = msg->header.frame_id;
   }
-  queue_changed_.notify_all();
+  addImu(imu_input_.read(*msg));
+}
+
+void EstimatorShell::onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg) {
+  health_.received(accel_topic_, msg->header.stamp);
+  addImu(imu_input_.readAccelerometer(*msg));
+}
+
+void EstimatorShell::addImu(const std::vector<ImuInput::Sample>& samples) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    for (const ImuInput::Sample& sample : samples)
+      if (gate_.admit(kImu, ros::Time(sample.stamp))) assembler_.addImu(sample);
+  }
+  if (!samples.empty()) queue_changed_.notify_all();
 }
 
 void EstimatorShell::onImage(const ImageMessage& message) {

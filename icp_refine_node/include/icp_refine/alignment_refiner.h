@@ -10,6 +10,10 @@
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace icp_refine {
 
 struct RefinerSettings {
@@ -32,6 +36,9 @@ struct RefinerSettings {
   ScalePrior scale;                 ///< of the aerial map, about 1; the odometry may state a larger deviation
   HeightCheckSettings height_check;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, RefinerSettings& settings);
 
 enum class RefineStatus { kSearching, kDegenerate, kConverged, kRejected };
 
