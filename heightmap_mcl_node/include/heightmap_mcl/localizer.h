@@ -183,8 +183,8 @@ class Localizer {
   /// reference.
   Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
-  /// Adds a new map's lead. `told_apart`: the place is fixed, and no other fits as well.
-  void gatherEvidence(bool told_apart);
+  /// Adds a new map's lead.
+  void gatherEvidence();
   /// To be called with the verdict known.
   void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
                      const ParticleMode& mode, const Eigen::Vector3d& flattest);
