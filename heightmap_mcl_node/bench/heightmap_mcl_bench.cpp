@@ -81,6 +81,21 @@ void headingSearch(benchmark::State& state) {
 }
 BENCHMARK(headingSearch)->Arg(1)->Arg(2)->Arg(4)->Unit(benchmark::kMillisecond)->UseRealTime();
 
+/// All headings and the eight lowest places at full resolution.
+void searchAndRefine(benchmark::State& state) {
+  const HeightMap coarse = downsample(air(), 4);
+  const FftCost fft(downsample(ground(), 4));
+  const DirectCost cost(ground());
+  const auto cells = aerialCells(air(), centerOf(coarse));
+  const auto headings = searchHeadings(72, {});
+  for (auto _ : state) {
+    const CostVolume volume = computeCostVolume(fft, coarse, headings, true, {});
+    for (const PlanarPose& start : findLocalMinima(volume, 8, 0.4, 0.26))
+      benchmark::DoNotOptimize(descend(cost, cells, start, 0.08, M_PI / 72, {}));
+  }
+}
+BENCHMARK(searchAndRefine)->Unit(benchmark::kMillisecond)->UseRealTime();
+
 void particlesReference(benchmark::State& state) {
   const auto poses = particles();
   for (auto _ : state) {

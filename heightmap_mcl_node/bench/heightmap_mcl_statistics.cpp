@@ -123,6 +123,10 @@ int main(int argc, char** argv) {
   app.add_option("--region", region, "radius about the ground robot in which the MAV is looked for [m]; 0: everywhere");
   double tilt_deg = 0;
   app.add_option("--tops", tops, "highest, clipped, bounded");
+  app.add_option("--min-maps", s.min_maps, "");
+  app.add_option("--min-evidence", s.min_evidence, "");
+  double cells_per_metre = 50;
+  app.add_option("--cells-per-metre", cells_per_metre, "fewer are faster");
   app.add_option("--cap", s.air_map.cap, "[m]");
   app.add_option("--tilt", tilt_deg, "of the MAV's map [deg]");
   app.add_flag("!--no-ceiling", options.ceiling, "rooms without ceiling and lamp");
@@ -140,6 +144,8 @@ int main(int argc, char** argv) {
                                        : tops == "clipped" ? hm::Tops::kClipped
                                                            : hm::Tops::kBounded;
   s.ground_map.cap = s.air_map.cap;
+  s.cells_per_independent *= std::pow(cells_per_metre / 50, 2);
+  s.air_map.resolution = s.ground_map.resolution = 1 / cells_per_metre;
   if (mode == "paper") s = hm::paperSettings(s);
   options.tilt = tilt_deg * M_PI / 180;
   s.merge = merge == "mean" ? hm::Merge::kMean : hm::Merge::kHighest;
@@ -152,7 +158,7 @@ int main(int argc, char** argv) {
     out.open(csv);
     out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,"
            "probe,cost,overlap,nees,"
-           "mode_weight,ms\n";
+           "mode_weight,ms,evidence,lead\n";
   }
   std::vector<std::vector<double>> errors(maps), mean_errors(maps), yaws(maps), spreads(maps);
   std::vector<int> good(maps, 0), mean_good(maps, 0), converged(maps, 0), wrong(maps, 0);
@@ -219,7 +225,7 @@ int main(int argc, char** argv) {
             << error.yaw * 180 / M_PI << ',' << error.z << ',' << mean_error << ',' << e.particle_spread << ','
             << e.particle_spread_yaw * 180 / M_PI << ',' << e.rival_ratio << ',' << e.explained << ',' << e.relief
             << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ',' << nees << ',' << e.mode_weight << ','
-            << ms << '\n';
+            << ms << ',' << e.evidence << ',' << e.evidence_lead << '\n';
       }
       if (!pictures.empty() && run_index == 0) {
         const Eigen::Vector3d p = run.T_ground_mav[k] * reference;

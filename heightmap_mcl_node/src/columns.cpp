@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
+#include <utility>
 
 namespace heightmap_mcl {
 namespace {
@@ -11,6 +13,7 @@ constexpr float kFace = 0.25f;         // [m] that much within a cell and its ne
 constexpr float kWallAboveCap = 0.5f;  // [m] what is that high is a wall, though it was seen above the cap only
 constexpr float kSameSurface = 0.1f;   // [m] a horizontal surface so near to a face's end is its top
 constexpr double kTopReach = 0.06;     // [m] and lies so near to it
+constexpr float kFlat = 0.12f;         // [m] what extends over more within a cell is no horizontal surface
 
 struct Column {
   float base = kHole, top = kHole;  // of the piece that ends highest
@@ -123,11 +126,15 @@ LevelHistogram histogramOf(const std::vector<float>& z, const std::vector<int>& 
   levels.cells.assign(static_cast<std::size_t>(last - levels.first + 1), 0.f);
   for (std::size_t k = 0; k + 1 < begin.size(); ++k) {
     long before = levels.first - 1;
-    for (int i = begin[k]; i < begin[k + 1]; ++i) {
-      const long b = bin(z[i]);
-      if (b > last) break;
-      if (b >= levels.first && b != before) ++levels.cells[b - levels.first];
-      before = b;
+    for (int i = begin[k], end; i < begin[k + 1]; i = end) {
+      for (end = i + 1; end < begin[k + 1] && z[end] - z[end - 1] <= kFlat; ++end) continue;
+      if (z[end - 1] - z[i] > kFlat) continue;  // a face
+      for (int j = i; j < end; ++j) {
+        const long b = bin(z[j]);
+        if (b < levels.first || b > last || b == before) continue;
+        ++levels.cells[b - levels.first];
+        before = b;
+      }
     }
   }
   return levels;
@@ -167,25 +174,104 @@ void LevelHistogram::add(const LevelHistogram& other) {
   cells = std::move(sum);
 }
 
-double findFloor(const LevelHistogram& levels) {
-  constexpr int kReach = 2;  // bins to either side: noise and tilt spread a floor over some 10 cm
-  constexpr float kShareOfLargest = 0.25f;
+namespace {
+
+constexpr int kSurfaceReach = 2;          // bins to either side: noise and tilt spread a floor over some 10 cm
+constexpr float kShareOfLargest = 0.25f;  // of the largest surface; less is none
+
+/// Cells within kSurfaceReach bins.
+std::vector<float> areaByLevel(const LevelHistogram& levels) {
   const int n = static_cast<int>(levels.cells.size());
-  if (n == 0) return std::numeric_limits<double>::quiet_NaN();
   std::vector<float> area(n, 0.f);
   for (int i = 0; i < n; ++i) {
-    for (int j = std::max(i - kReach, 0); j <= std::min(i + kReach, n - 1); ++j) area[i] += levels.cells[j];
+    for (int j = std::max(i - kSurfaceReach, 0); j <= std::min(i + kSurfaceReach, n - 1); ++j)
+      area[i] += levels.cells[j];
   }
-  const float largest = *std::max_element(area.begin(), area.end());
-  int peak = 0;
-  while (area[peak] < kShareOfLargest * largest) ++peak;
-  while (peak + 1 < n && area[peak + 1] > area[peak]) ++peak;
+  return area;
+}
+
+/// Mean height about a bin [m].
+double levelAt(const LevelHistogram& levels, int peak) {
+  const int n = static_cast<int>(levels.cells.size());
   double sum = 0, weight = 0;
-  for (int j = std::max(peak - kReach, 0); j <= std::min(peak + kReach, n - 1); ++j) {
+  for (int j = std::max(peak - kSurfaceReach, 0); j <= std::min(peak + kSurfaceReach, n - 1); ++j) {
     sum += levels.cells[j] * (levels.first + j + 0.5) * kLevelBin;
     weight += levels.cells[j];
   }
   return sum / weight;
+}
+
+/// Heights of the large horizontal surfaces: peaks within 0.2 m.
+std::vector<double> surfaces(const LevelHistogram& levels) {
+  const std::vector<float> area = areaByLevel(levels);
+  const int n = static_cast<int>(area.size()), reach = static_cast<int>(std::lround(0.1 / kLevelBin));
+  std::vector<double> heights;
+  if (n == 0) return heights;
+  const float largest = *std::max_element(area.begin(), area.end());
+  for (int i = 0; i < n; ++i) {
+    const auto low = area.begin() + std::max(i - reach, 0), high = area.begin() + std::min(i + reach + 1, n);
+    if (area[i] >= kShareOfLargest * largest && std::max_element(low, high) == area.begin() + i)
+      heights.push_back(levelAt(levels, i));
+  }
+  return heights;
+}
+
+}  // namespace
+
+double findFloor(const LevelHistogram& levels) {
+  const std::vector<float> area = areaByLevel(levels);
+  const int n = static_cast<int>(area.size());
+  if (n == 0) return std::numeric_limits<double>::quiet_NaN();
+  const float largest = *std::max_element(area.begin(), area.end());
+  int peak = 0;
+  while (area[peak] < kShareOfLargest * largest) ++peak;
+  while (peak + 1 < n && area[peak + 1] > area[peak]) ++peak;
+  return levelAt(levels, peak);
+}
+
+std::vector<double> floorCandidates(const LevelHistogram& air, const LevelHistogram& ground, double cap,
+                                    std::size_t most) {
+  constexpr double kApart = 0.1;       // [m]
+  constexpr double kBelow = 0.02;      // share of the area that may lie below the floor
+  constexpr float kLeastShare = 0.6f;  // of what the best supported place of the floor shares with the ground map
+  std::vector<double> floors{findFloor(air)};
+  const double ground_floor = findFloor(ground);
+  if (std::isnan(floors[0]) || std::isnan(ground_floor)) return floors;
+  // What the ground map has surfaces for, of the aerial map's area, and what lies below the floor.
+  const std::vector<float> area = areaByLevel(air), ground_area = areaByLevel(ground);
+  const float all = std::accumulate(area.begin(), area.end(), 0.f);
+  struct Support {
+    float shared = 0, below = 0;
+  };
+  const auto supportOf = [&](double floor) {
+    Support support;
+    const long shift = std::lround((ground_floor - floor) / kLevelBin) + air.first - ground.first;
+    for (long i = 0; i < static_cast<long>(area.size()); ++i) {
+      const long k = i + shift;
+      if (k >= 0 && k < static_cast<long>(ground_area.size())) support.shared += std::min(area[i], ground_area[k]);
+      if (static_cast<double>(air.first + i) * kLevelBin < floor - kApart) support.below += area[i];
+    }
+    return support;
+  };
+  std::vector<std::pair<float, double>> others;
+  float most_shared = supportOf(floors[0]).shared;
+  for (double a : surfaces(air)) {
+    for (double g : surfaces(ground)) {
+      const double floor = a - (g - ground_floor);
+      if (g < ground_floor || g > ground_floor + cap || std::abs(floors[0] - floor) < kApart) continue;
+      const Support support = supportOf(floor);
+      if (support.below > kBelow * all) continue;
+      others.emplace_back(support.shared, floor);
+      most_shared = std::max(most_shared, support.shared);
+    }
+  }
+  std::sort(others.rbegin(), others.rend());
+  for (const auto& [shared, floor] : others) {
+    const bool known =
+        std::any_of(floors.begin(), floors.end(), [f = floor](double other) { return std::abs(other - f) < kApart; });
+    if (!known && floors.size() < most && shared >= kLeastShare * most_shared) floors.push_back(floor);
+  }
+  return floors;
 }
 
 void fillCells(std::vector<float>& z, const std::vector<int>& begin, const HeightMapSettings& settings,

@@ -143,18 +143,25 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 
 Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings) {
-  Candidate best{start, cost(cells, start, settings)};
-  constexpr int kLevels = 4, kMovesPerLevel = 6;
+  constexpr int kLevels = 4, kCoarseLevels = 2, kMovesPerLevel = 6;
+  // Far from the minimum a quarter of the cells says where it lies, and every neighbour is looked at; near it heading
+  // and position hardly interact, and one axis at a time will do.
+  constexpr int kStride = 4;
+  constexpr int kAxes[] = {4, 10, 12, 14, 16, 22};
+  const AerialCells thin = thinned(cells, kStride);
+  Candidate best{start, cost(thin, start, settings)};
   std::vector<PlanarPose> poses;
   for (int level = 0; level < kLevels; ++level, step_xy *= 0.5, step_yaw *= 0.5) {
+    const bool coarse = level < kCoarseLevels;
+    if (level == kCoarseLevels) best.zmssd = cost(cells, best.pose, settings);
     for (int move = 0; move < kMovesPerLevel; ++move) {
       poses.clear();
       for (int i = 0; i < 27; ++i) {
-        if (i == 13) continue;
+        if (i == 13 || (!coarse && std::find(std::begin(kAxes), std::end(kAxes), i) == std::end(kAxes))) continue;
         poses.push_back({best.pose.x + (i % 3 - 1) * step_xy, best.pose.y + (i / 3 % 3 - 1) * step_xy,
                          best.pose.yaw + (i / 9 - 1) * step_yaw});
       }
-      const auto values = cost(cells, poses, settings);
+      const auto values = cost(coarse ? thin : cells, poses, settings);
       bool moved = false;
       for (std::size_t i = 0; i < poses.size(); ++i) {
         if (values[i].score < best.zmssd.score) {

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <stdexcept>
 
 namespace heightmap_mcl {
@@ -75,7 +76,11 @@ void Localizer::restart(bool forget_aerial) {
   filter_.clear();
   maps_ = 0;
   restarts_ = 0;
+  evidence_ = 0;
+  new_map_ = false;
   if (forget_aerial) {
+    floor_ = std::numeric_limits<double>::quiet_NaN();
+    floor_rivals_.clear();
     scale_ = 1;
     scale_stddev_ = scale_evidence_ = 0;
     R_level_.setIdentity();
@@ -92,6 +97,7 @@ void Localizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(aerial_.size());
   if (scale_stddev_ == 0) updateScale();
+  updateFloor();
   filter_map_ = lastMaps(settings_.accumulate);
   filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, lastReference());
 }
@@ -134,10 +140,15 @@ bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
     aerial_.pop_front();
     ++far_maps_dropped_;
   }
-  if (hasGround()) updateScale();
+  if (hasGround()) {
+    updateScale();
+    updateFloor();
+  }
   filter_map_ = lastMaps(settings_.accumulate);
   if (hasGround()) updateFilter();
+  new_map_ = true;
   updateEstimate();
+  new_map_ = false;
   return true;
 }
 
@@ -146,19 +157,6 @@ std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
   const int n = static_cast<int>(aerial_.size());
   for (int i = std::max(0, n - count); i < n; ++i) maps.push_back(&aerial_[i].map);
   return maps;
-}
-
-HeightMap Localizer::lastMaps(int count) const { return merge(keptMaps(count), settings_.merge); }
-
-double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
-  // What both are charged for unknown cells says nothing about either.
-  const double cost = best.cost + settings_.noise_cost;
-  const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
-  // Of two bare floors there is nothing to explain.
-  if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief)
-    return by_score;
-  const auto unexplained = [this](const Zmssd& z) { return (z.cost + settings_.noise_cost) / z.variance; };
-  return std::min(by_score, unexplained(other) / unexplained(best));
 }
 
 CostSettings Localizer::costFor(const HeightMap& air) const {
@@ -238,6 +236,7 @@ void Localizer::updateEstimate() {
     places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
   }
   places.push_back(best);
+  places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
   // Where a position is known, places beyond three standard deviations are no rivals.
   places.erase(std::remove_if(places.begin(), places.end(),
                               [&](const Candidate& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
@@ -254,8 +253,10 @@ void Localizer::updateEstimate() {
                            [](const Candidate& a, const Candidate& b) { return a.zmssd.score < b.zmssd.score; });
   Candidate rival;
   estimate_.rival_ratio = kInfinity;
+  estimate_.evidence_lead = evidence(best.zmssd);
   for (const Candidate& c : places) {
     if (same(c, best)) continue;
+    estimate_.evidence_lead = std::min(estimate_.evidence_lead, evidence(best.zmssd) - evidence(c.zmssd));
     const double ratio = rivalRatio(c.zmssd, best.zmssd);
     if (ratio < estimate_.rival_ratio) {
       estimate_.rival_ratio = ratio;
@@ -314,6 +315,7 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
         std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
   }
 
+  gatherEvidence();
   if (e.relief < s.min_relief) {
     e.status = Status::kDegenerate;
     e.reason = format("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
@@ -334,6 +336,8 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
                       100 * s.min_explained);
   } else if (e.maps < s.min_maps) {
     e.reason = format("%d of %d aerial maps seen", e.maps, s.min_maps);
+  } else if (e.evidence < s.min_evidence) {
+    e.reason = format("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
   } else if (!particles_agree) {
     e.reason = "the particles have not gathered at the best place yet";
   } else if (e.mode_weight < s.min_mode_weight) {

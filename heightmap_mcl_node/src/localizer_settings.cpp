@@ -27,11 +27,12 @@ void describeMap(air_ground_common::ParameterVisitor& v, const std::string& grou
 }  // namespace
 
 void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
-  v.choice("mode", s.mode, {{"search", Mode::kSearch}, {"paper", Mode::kPaper}},
-           "search: every cloud is searched for in the whole map, and the particles say when to believe it. paper: the "
-           "particles alone after the first cloud, their mean is the estimate; sets tops highest, accumulate and "
-           "verify 1, merge highest, unknown_weight and min_explained 0, both sigmas 0.08 and the overlap to that of "
-           "the aerial map's cells");
+  v.choice(
+      "mode", s.mode, {{"search", Mode::kSearch}, {"paper", Mode::kPaper}},
+      "search: every cloud is searched for in the whole map, and the particles say when to believe it. paper: the "
+      "particles alone after the first cloud, their mean is the estimate; sets tops highest, accumulate and "
+      "verify 1, merge highest, unknown_weight and min_explained 0, min_maps 4, both sigmas 0.08 and the overlap to "
+      "that of the aerial map's cells");
 
   v.section("Height maps (VI-A)");
   HeightMapSettings& air = s.air_map;
@@ -90,7 +91,11 @@ void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
   v("yaw_noise_per_metre", f.yaw_noise_per_metre, {0.0, 0.8}, "rad/m", "");
 
   v.section("Verdict: when the pose is believed");
-  v("min_maps", s.min_maps, {1, 100}, "", "aerial maps before CONVERGED; fewer can fit a room that only looks alike");
+  v("min_maps", s.min_maps, {1, 100}, "", "aerial maps before CONVERGED");
+  v("min_evidence", s.min_evidence, {0.1, 1e4}, "",
+    "by which the place must lead all others, summed over the maps that had it as their best, each for at most half: "
+    "logarithm of how much likelier the heights are there; clear scenes pass with two maps, rooms that look alike "
+    "need more");
   v("min_mode_weight", s.min_mode_weight, {0.05, 1.0}, "", "share of the particles in the dominant mode");
   v("max_spread", s.max_spread, {0.01, 10.0}, "m", "standard deviation of the position within it");
   v("max_spread_yaw", s.max_spread_yaw, {0.002, M_PI}, "rad", "of the heading within it");
@@ -156,6 +161,7 @@ LocalizerSettings paperSettings(LocalizerSettings s) {
   s.air_map.tops = s.ground_map.tops = Tops::kHighest;
   s.unknown_weight = s.min_explained = 0;
   s.overlap_of_air = true;
+  s.min_maps = 4;  // particles alone have no other evidence
   s.filter.sampling_sigma = s.filter.weight_sigma = 0.08;
   s.filter.mixture_ratio = 0;
   return s;

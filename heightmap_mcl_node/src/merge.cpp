@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "heightmap_mcl/height_map.h"
 
@@ -91,17 +92,27 @@ HeightMap merge(const std::vector<const HeightMap*>& maps, Merge mode) {
       }
     }
   }
-  // The floor of all may lie lower than that of the map that a height was capped in.
-  const float limit = std::isnan(result.floor) || result.cap <= 0 ? std::numeric_limits<float>::infinity()
-                                                                  : static_cast<float>(result.floor + result.cap);
   result.heights.resize(cells.size());
   if (bounded) result.bounds.resize(cells.size());
   for (std::size_t k = 0; k < cells.size(); ++k) {
-    const float h = cells[k].isBound() ? cells[k].bound : cells[k].height;
-    result.heights[k] = h > limit ? limit : h;
-    if (bounded) result.bounds[k] = cells[k].isBound() || h > limit;
+    result.heights[k] = cells[k].isBound() ? cells[k].bound : cells[k].height;
+    if (bounded) result.bounds[k] = cells[k].isBound();
   }
-  return result;
+  // The floor of all may lie lower than that of the map that a height was capped in.
+  const double floor = result.floor;
+  return withFloor(std::move(result), floor);
+}
+
+HeightMap withFloor(HeightMap map, double floor) {
+  map.floor = floor;
+  if (std::isnan(floor) || map.cap <= 0) return map;
+  const auto limit = static_cast<float>(floor + map.cap);
+  for (std::size_t k = 0; k < map.heights.size(); ++k) {
+    if (!(map.heights[k] > limit)) continue;
+    map.heights[k] = limit;
+    if (!map.bounds.empty()) map.bounds[k] = 1;
+  }
+  return map;
 }
 
 }  // namespace heightmap_mcl

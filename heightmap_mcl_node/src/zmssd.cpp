@@ -114,6 +114,21 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference) 
   return cells;
 }
 
+AerialCells thinned(const AerialCells& cells, int stride) {
+  AerialCells result;
+  result.weight = cells.weight * stride;
+  result.base = cells.base;
+  result.mean_height = cells.mean_height;
+  result.reference = cells.reference;
+  for (std::size_t i = 0; i < cells.h.size(); i += stride) {
+    result.x.push_back(cells.x[i]);
+    result.y.push_back(cells.y[i]);
+    result.h.push_back(cells.h[i]);
+    result.bound.push_back(cells.bound[i]);
+  }
+  return result;
+}
+
 DirectCost::DirectCost(const HeightMap& ground)
     : resolution_(ground.resolution),
       origin_x_(ground.origin_x - ground.resolution),
@@ -136,12 +151,14 @@ DirectCost::DirectCost(const HeightMap& ground)
 
 Zmssd DirectCost::operator()(const AerialCells& cells, const PlanarPose& pose, const CostSettings& settings) const {
   const double inverse = 1 / resolution_;
-  const auto sums = kernel::overlapSums(
+  auto sums = kernel::overlapSums(
       {cells.x.data(), cells.y.data(), cells.h.data(), cells.bound.data(), static_cast<int>(cells.h.size())},
       static_cast<float>(std::cos(pose.yaw) * inverse), static_cast<float>(std::sin(pose.yaw) * inverse),
       static_cast<float>((pose.x - origin_x_) * inverse), static_cast<float>((pose.y - origin_y_) * inverse),
       {heights_.data(), width_, height_});
-  const double smaller = settings.cells(static_cast<double>(cells.h.size()), defined_);
+  for (double* sum : {&sums.n, &sums.known, &sums.d, &sums.d2, &sums.a, &sums.a2, &sums.g, &sums.g2})
+    *sum *= cells.weight;
+  const double smaller = settings.cells(static_cast<double>(cells.weight * cells.h.size()), defined_);
   Zmssd result = zmssdFromSums(sums, smaller, settings);
   if (std::isfinite(result.cost)) result.dz += base_ - cells.base;
   return result;

@@ -214,6 +214,12 @@ TEST(Floor, IsTheLowestLargeSurface) {
   EXPECT_NEAR(buildHeightMap(table, bounded()).floor, -0.58, 0.02);
   EXPECT_NEAR(buildHeightMap(table, bounded(), nullptr, &map.levels).floor, -1.3, 0.02);
   EXPECT_TRUE(std::isnan(findFloor({})));
+  // The table may be any of the surfaces that the other map has: its floor, or its table of 0.72 m.
+  const auto floors = floorCandidates(buildHeightMap(table, bounded()).levels, map.levels, map.cap, 4);
+  ASSERT_EQ(floors.size(), 2u);
+  EXPECT_NEAR(floors[0], -0.58, 0.02);
+  EXPECT_NEAR(floors[1], -1.3, 0.02);
+  EXPECT_EQ(floorCandidates(map.levels, map.levels, map.cap, 4).size(), 1u);  // nothing may lie below a floor
 }
 
 TEST(Columns, AWallIsABoundWhereverTheViewEnded) {

@@ -52,8 +52,9 @@ struct Candidate {
 /// Local minima of the volume, lowest first, at least `distance` [m] or `angle` [rad] apart.
 std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle);
 
-/// Descends from `start` on the cost at full resolution: the 26 neighbours at steps that are halved down to about half
-/// a cell, then a parabola along each axis. `step_xy` [m] and `step_yaw` [rad] are the first steps.
+/// Descends from `start` on the cost at full resolution: the neighbours at steps that are halved down to about half a
+/// cell, the first ones on a quarter of the cells, then a parabola along each axis. `step_xy` [m] and `step_yaw` [rad]
+/// are the first steps.
 Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
 

@@ -24,6 +24,11 @@ constexpr double kLevelBin = 0.02;  // [m]
 /// empty histogram.
 double findFloor(const LevelHistogram& levels);
 
+/// Where the ground map's floor may lie in the aerial map [m], at most `most`: the aerial map's own floor first; but it
+/// may have seen tables alone, so that any of its horizontal surfaces may be any of the ground map's up to `cap`.
+std::vector<double> floorCandidates(const LevelHistogram& air, const LevelHistogram& ground, double cap,
+                                    std::size_t most);
+
 /// Cell (row r, column c) covers x in [origin_x + c*resolution, + resolution), y likewise with r. Row-major.
 struct HeightMap {
   double resolution = 0.02;    ///< edge of a cell [m]
@@ -96,6 +101,9 @@ enum class Merge { kHighest, kMean };
 /// found anew from what all have seen.
 /// Throws std::invalid_argument when resolutions differ.
 HeightMap merge(const std::vector<const HeightMap*>& maps, Merge mode);
+
+/// The map with its floor there [m]; heights above the cap become bounds. `map`: with bounds.
+HeightMap withFloor(HeightMap map, double floor);
 
 /// Map of `factor` times larger cells with the highest height (or bound) of each; the grid again at whole multiples.
 HeightMap downsample(const HeightMap& map, int factor);

@@ -52,7 +52,13 @@ struct LocalizerSettings {
   Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
-  int min_maps = 4;              ///< aerial maps seen before CONVERGED
+  int min_maps = 2;  ///< aerial maps seen before CONVERGED
+  /// By which the place leads all others, summed over the maps that had it as their best (a cumulative sum, Page 1954;
+  /// each counts for at most half of it, and nothing in favour while places cannot be told apart). Evidence is the
+  /// logarithm of how much likelier the heights are there than unrelated ones of the same variance, 0.5 n ln(1 /
+  /// unexplained share) over n independent cells. 15: the logarithm of some 7e4 places that differ (72 headings, 1000
+  /// offsets), and of 50.
+  double min_evidence = 15;
   double min_mode_weight = 0.7;  ///< share of the particles in the dominant mode
   double max_spread = 0.20;      ///< of the position within the dominant mode [m]
   double max_spread_yaw = 0.10;  ///< of the heading within the dominant mode [rad]
@@ -119,6 +125,8 @@ struct Estimate {
   double rival_ratio = 0;      ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
   double rival_distance = 0;   ///< [m]
   double explained = 0;        ///< see Zmssd::explained
+  double evidence_lead = 0;    ///< of the place over its best rival, see LocalizerSettings::min_evidence
+  double evidence = 0;         ///< that sum
   double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
   double probe_ratio = 0;      ///< see LocalizerSettings
   int maps = 0;                ///< aerial maps used since the search began
@@ -181,6 +189,9 @@ class Localizer {
   /// scale_search.cpp: level and scale at which the kept clouds fit best, over all scales, or around the present one
   /// once an estimate has converged; the kept maps are made anew where these have changed.
   void updateScale();
+  /// Chooses among the places of the floor that the maps allow, by the best placement of each.
+  void updateFloor();
+  Candidate bestPlacement(const HeightMap& map) const;
   bool updateLevel();
   void searchScales();
   std::vector<double> scalesToTry(double extent);
@@ -211,9 +222,13 @@ class Localizer {
   /// reference.
   Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
+  /// Adds a new map's lead.
+  void gatherEvidence();
   /// To be called with the verdict known.
   void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
                      const ParticleMode& mode, const Eigen::Vector3d& flattest);
+  /// Logarithm of how much likelier the heights are at a place than unrelated ones of the same variance.
+  double evidence(const Zmssd& z) const;
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
@@ -231,6 +246,8 @@ class Localizer {
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;
   Estimate estimate_;
+  double floor_ = 0;                     // of the aerial maps [m]; NaN: as merged
+  std::vector<Candidate> floor_rivals_;  // the best placements with other floors
   bool own_unit_ = false;
   double scale_ = 1, scale_stddev_ = 0, scale_evidence_ = 0;
   ScaleBackground background_;
@@ -240,6 +257,9 @@ class Localizer {
   std::map<int, std::unique_ptr<GroundLevel>> ground_levels_;  // by the factor of their cells
   int maps_ = 0, restarts_ = 0;
   std::size_t far_maps_dropped_ = 0;
+  double evidence_ = 0;  // gathered for the place of evidence_pose_
+  air_ground_common::Pose evidence_pose_ = air_ground_common::Pose::Identity();
+  bool new_map_ = false;  // whose evidence has not been gathered yet
   bool weighed_ = false;  // the particles carry weights that the next resampling consumes
 };
 

@@ -102,12 +102,15 @@ struct AerialCells {
   std::vector<float> x, y;                              ///< centre of the cell minus the reference point [m]
   std::vector<float> h;                                 ///< height or bound minus base [m]
   std::vector<float> bound;                             ///< 1 for a bound, else 0
+  int weight = 1;                                       ///< cells that each of them stands for
   double base = 0;                                      ///< see baseHeight [m]
   double mean_height = 0;                               ///< [m]
   Eigen::Vector2d reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
 };
 /// A bound's height above base is that of its level.
 AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference);
+/// Every `stride`th of them.
+AerialCells thinned(const AerialCells& cells, int stride);
 
 /// Ground map prepared for fast evaluation at arbitrary poses. Thread-safe once built.
 class DirectCost {

@@ -1,0 +1,90 @@
+// Which floor the aerial maps stand on, and how much speaks for a place.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "heightmap_mcl/localizer.h"
+
+namespace heightmap_mcl {
+
+void Localizer::updateFloor() {
+  constexpr std::size_t kMost = 4;
+  floor_ = std::numeric_limits<double>::quiet_NaN();
+  floor_rivals_.clear();
+  // A scale that is searched for leaves no level to compare with.
+  if (settings_.mode == Mode::kPaper || own_unit_ || aerial_.empty()) return;
+  const HeightMap raw = merge(keptMaps(settings_.verify), settings_.merge);
+  const std::vector<double> floors = floorCandidates(raw.levels, ground_.levels, ground_.cap, kMost);
+  if (floors.size() < 2) return;
+  std::vector<Candidate> placements;
+  for (const double floor : floors) placements.push_back(bestPlacement(withFloor(raw, floor)));
+  std::size_t best = 0;
+  for (std::size_t i = 1; i < placements.size(); ++i) {
+    if (placements[i].zmssd.score < placements[best].zmssd.score) best = i;
+  }
+  for (std::size_t i = 0; i < placements.size(); ++i) {
+    if (i != best) floor_rivals_.push_back(placements[i]);
+  }
+  floor_ = floors[best];
+}
+
+HeightMap Localizer::lastMaps(int count) const {
+  HeightMap map = merge(keptMaps(count), settings_.merge);
+  return std::isnan(floor_) ? map : withFloor(std::move(map), floor_);
+}
+
+double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
+  // What both are charged for unknown cells says nothing about either.
+  const double cost = best.cost + settings_.noise_cost;
+  const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
+  // Of two bare floors there is nothing to explain.
+  if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief)
+    return by_score;
+  const auto unexplained = [this](const Zmssd& z) { return (z.cost + settings_.noise_cost) / z.variance; };
+  return std::min(by_score, unexplained(other) / unexplained(best));
+}
+
+Candidate Localizer::bestPlacement(const HeightMap& map) const {
+  const AerialCells cells = aerialCells(map, centerOf(map));
+  const CostSettings cost = costFor(map);
+  const double coarse_cell = settings_.coarse_factor * ground_.resolution;
+  const CostVolume volume = coarseVolume(map);
+  Candidate best;
+  for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
+    const PlanarPose start = changeReference(minimum, volume.pivot, cells.reference);
+    const Candidate found = descend(*direct_, cells, start, coarse_cell, M_PI / settings_.headings, cost);
+    if (found.zmssd.score < best.zmssd.score) best = found;
+  }
+  return best;
+}
+
+double Localizer::evidence(const Zmssd& z) const {
+  if (!std::isfinite(z.cost)) return 0;
+  const double unexplained = 2 * (z.cost + settings_.noise_cost) / z.variance;
+  return std::max(0.0, -0.5 * z.overlap / settings_.cells_per_independent * std::log(unexplained));
+}
+
+void Localizer::gatherEvidence() {
+  const LocalizerSettings& s = settings_;
+  const bool told_apart = estimate_.relief >= s.min_relief && estimate_.probe_ratio >= s.probe_ratio &&
+                          estimate_.rival_ratio >= s.ambiguity_ratio && estimate_.explained >= s.min_explained;
+  const auto place = [this](const air_ground_common::Pose& T) {
+    return PlanarPose{(T * inMetres(aerial_.back().reference)).x(), (T * inMetres(aerial_.back().reference)).y(),
+                      air_ground_common::yawOf(T.rotation())};
+  };
+  const PlanarPose now = place(estimate_.T_ground_mav), before = place(evidence_pose_);
+  if (std::hypot(now.x - before.x, now.y - before.y) > settings_.rival_distance ||
+      std::abs(air_ground_common::wrapAngle(now.yaw - before.yaw)) > settings_.rival_angle) {
+    evidence_ = 0;
+  }
+  evidence_pose_ = estimate_.T_ground_mav;
+  if (new_map_) {
+    const double most = settings_.min_evidence / 2;
+    const double lead = std::clamp(estimate_.evidence_lead, -most, told_apart ? most : 0.0);
+    evidence_ = std::clamp(evidence_ + lead, 0.0, 2 * settings_.min_evidence);
+  }
+  estimate_.evidence = evidence_;
+}
+
+}  // namespace heightmap_mcl
