@@ -16,6 +16,8 @@ constexpr double kMovingTilt = 0.3;        // of gravity as a moving acceleromet
 constexpr double kTrustedTilt = 0.05;      // better known gravity levels the bundle adjustment [rad]
 constexpr double kOffsetSigma = 0.004;     // a better known time offset is used [s]
 constexpr double kOffsetStep = 5e-4;       // smaller changes of it are not worth the work [s]
+constexpr double kMapTurnError = 8e-3;     // of the turn from a map's first keyframe to its newest [rad]
+constexpr double kMapBiasSigma = 2e-3;     // of a gyro bias from a map, at the best [rad/s]
 constexpr double kGyroMisfit = 4;          // of noise; above, gyro and images contradict each other
 
 }  // namespace
@@ -51,6 +53,15 @@ void Odometry::Impl::alignGyro(double stamp) {
   if (sigma > kOffsetSigma || std::abs(offset - imu.offset()) < std::max(kOffsetStep, 2 * sigma)) return;
   imu.setOffset(offset);
   retime();
+}
+
+// A map measures turns against landmarks it has triangulated: turn and translation, which image pairs confuse, are
+// apart.
+void Odometry::Impl::keepMapsBias() {
+  if (!settings.use_imu || inertial.links.empty() || map.keyframeCount() < 2) return;
+  const double lived = map.keyframe(map.lastKeyframe()).stamp - map.keyframes().begin()->second.stamp;
+  const double sigma = std::max(kMapBiasSigma, kMapTurnError / std::max(lived, 0.1));
+  if (sigma < gyro_alignment.biasStddev()) gyro_alignment.setBias(inertial.states.rbegin()->second.bias.gyro, sigma);
 }
 
 std::optional<GyroRotation> Odometry::Impl::cameraTurn(double stamp_a, double stamp_b) const {

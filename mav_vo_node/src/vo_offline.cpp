@@ -266,6 +266,9 @@ int main(int argc, char** argv) {
   app.add_option("--metric-stddev", settings.metric_stddev, "relative scale deviation at which the map becomes metric");
   app.add_option("--reobserve", settings.reobserve_matches, "old landmarks looked for in an image");
   app.add_option("--features", settings.tracker.max_features, "features");
+  app.add_option("--fast-threshold", settings.tracker.fast_threshold, "corner threshold [grey levels]");
+  app.add_flag("--clahe", settings.tracker.clahe, "local contrast equalisation");
+  app.add_option("--min-inliers", settings.min_inliers, "landmarks that must agree on a pose");
   app.add_option("--pixel-sigma", settings.pixel_sigma, "of a feature [px]");
   app.add_option("--keyframe-distance", settings.keyframe_distance, "over the scene's distance");
   app.add_option("--full-interval", settings.full_interval, "between adjustments of the whole map [s]");

@@ -34,6 +34,7 @@ struct ScaleMeasurement {
       Eigen::Vector3d::Zero();  ///< camera's position in the gravity-aligned map [visual unit]
   Eigen::Matrix3d R_map_imu = Eigen::Matrix3d::Identity();  ///< its attitude, from vision
   Eigen::Vector3d p_imu_camera = Eigen::Vector3d::Zero();   ///< camera's position in the IMU frame: the lever arm [m]
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();     ///< of p_map_camera, from the landmarks' image noise
   double scene_distance = 1.0;                              ///< median distance of the points seen [visual unit]
 };
 
@@ -104,6 +105,7 @@ class ScaleFilter {
     std::optional<Preintegration> motion;
   };
   Covariance priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const;
+  Eigen::Matrix3d visualNoise(const ScaleMeasurement& measurement) const;  ///< of p_map_camera
   void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F,
                  Covariance* Q) const;
   std::optional<State> linearSolution() const;
