@@ -369,7 +369,7 @@ void Odometry::Impl::localized(bool continuous) {
   if (keyframe) addKeyframe();
   // A scale that most images since its start speak against was wrong from the start.
   if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(map_tilt);
-  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(settings.metric_stddev) &&
+  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(neededScaleStddev()) &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if (metric && last_stamp >= next_full && made_keyframe) adjustFully();

@@ -31,10 +31,11 @@ struct Odometry::Impl {
 
   // odometry.cpp: one image
   FrameResult process(double stamp, const cv::Mat& gray);
-  std::string scaleReason() const;  ///< why the map is not metric
-  std::string gyroProblem() const;  ///< empty: gyro and images agree
-  double patience() const;          ///< of a lost odometry, before a new map starts [s]
-  void startMap();                  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
+  double neededScaleStddev() const;  ///< relative, for the map to become metric; grows while it waits
+  std::string scaleReason() const;   ///< why the map is not metric
+  std::string gyroProblem() const;   ///< empty: gyro and images agree
+  double patience() const;           ///< of a lost odometry, before a new map starts [s]
+  void startMap();                   ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   void reset();
   void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
   void useStandstill(const Standstill& rest);

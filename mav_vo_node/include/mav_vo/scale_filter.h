@@ -14,15 +14,15 @@
 namespace mav_vo {
 
 struct ScaleFilterSettings {
-  double position_stddev = 0.003;       ///< white noise of the visual position, as a share of the scene's distance [1]
-  double position_drift = 0.004;        ///< random walk of the visual position against the truth [m/sqrt(s)]
-  double scale_drift = 0.001;           ///< random walk of the logarithm of the scale [1/sqrt(s)]
-  double accel_bias_stddev = 0.3;       ///< before the first measurement, per axis [m/s^2]
-  double velocity_stddev = 2.0;         ///< before the first measurement, per axis [m/s]
-  double rotation_walk = 2e-4;          ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
-  double min_start_duration = 1.0;      ///< shortest window of the start [s]
-  double max_start_duration = 6.0;      ///< older frames leave the window of the start [s]
-  double start_relative_stddev = 0.03;  ///< the start succeeds below this relative standard deviation of the scale [1]
+  double position_stddev = 0.003;      ///< white noise of the visual position, as a share of the scene's distance [1]
+  double position_drift = 0.004;       ///< random walk of the visual position against the truth [m/sqrt(s)]
+  double scale_drift = 0.001;          ///< random walk of the logarithm of the scale [1/sqrt(s)]
+  double accel_bias_stddev = 0.3;      ///< before the first measurement, per axis [m/s^2]
+  double velocity_stddev = 2.0;        ///< before the first measurement, per axis [m/s]
+  double rotation_walk = 2e-4;         ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
+  double min_start_duration = 1.0;     ///< shortest window of the start [s]
+  double max_start_duration = 6.0;     ///< older frames leave the window of the start [s]
+  double start_relative_stddev = 0.1;  ///< the start succeeds below this relative standard deviation of the scale [1]
   double start_max_nis =
       4.0;  ///< mean squared Mahalanobis distance of the start's innovations by degrees of freedom; 1 expected
   double gate = 16.27;  ///< squared Mahalanobis distance, chi-squared with 3 degrees of freedom at 99.9 %
