@@ -20,6 +20,8 @@ using visual_frontend::TrackId;
 
 namespace {
 
+constexpr double kPatience = 0.6;  // of the parallax of the first views, given up at their greatest age [1]
+
 double median(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
@@ -116,10 +118,12 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
     const Eigen::Matrix3d R = turn ? turn->R_a_b : Eigen::Matrix3d::Identity();
     std::vector<double> angles;
     for (std::size_t i = 0; i < common.a.size(); ++i) angles.push_back(parallaxAngle(common.a[i], common.b[i], R));
-    if (median(angles) < settings_.min_parallax) {
+    // Who moves slowly gets there slowly: less is asked of views far apart.
+    const double parallax = settings_.min_parallax * (1 - kPatience * (stamp - first.stamp) / settings_.max_age);
+    if (median(angles) < parallax) {
       char text[120];
       std::snprintf(text, sizeof text, "move the camera sideways: parallax is %.1f of %.1f degrees",
-                    median(angles) * 180 / M_PI, settings_.min_parallax * 180 / M_PI);
+                    median(angles) * 180 / M_PI, parallax * 180 / M_PI);
       reason_ = text;
       break;
     }
@@ -265,7 +269,7 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     return std::nullopt;
   }
   result.median_parallax = median(angles);
-  if (result.median_parallax < 0.5 * settings_.min_parallax) {
+  if (result.median_parallax < 0.5 * (1 - kPatience) * settings_.min_parallax) {
     reason_ = "first views turn rather than move";
     return std::nullopt;
   }

@@ -21,13 +21,17 @@ constexpr double kLossWidth = 2.5;        // Cauchy, in sigmas
 constexpr double kExactOffset = 1e-6;     // standard deviation of a time offset that is not estimated [s]
 constexpr double kNormalMedian = 0.6745;  // of |x|, x standard normal
 constexpr double kMinNoise = 0.3;         // of a track, in sigmas: what is believed at best
-constexpr double kTrackCorrelation = 10;  // tracks of a pair over those that err on their own
-constexpr double kShare = 1.0 / 3;        // of a pair's information: the pairs of the three spans overlap
-constexpr double kOpenOffset = 0.01;      // of a less certain offset other minima are looked for [s]
-constexpr double kSearchInterval = 0.5;   // between such searches [s]
-constexpr double kRoughBias = 0.02;       // a less certain bias is solved for with a loss that narrows [rad/s]
-constexpr int kIterations = 4;            // from the last estimate
-constexpr int kStartIterations = 14;      // while the bias may be anything, with a loss that narrows
+constexpr double kSystematicBias =
+    4e-3;  // common to all pairs: calibration, rolling shutter, tracks on reflections [rad/s]
+constexpr double kSystematicOffset = 5e-4;  // likewise [s]
+constexpr double kMemory = 10;              // pairs older than the window count ever less [s]
+constexpr double kTrackCorrelation = 10;    // tracks of a pair over those that err on their own
+constexpr double kShare = 1.0 / 3;          // of a pair's information: the pairs of the three spans overlap
+constexpr double kOpenOffset = 0.01;        // of a less certain offset other minima are looked for [s]
+constexpr double kSearchInterval = 0.5;     // between such searches [s]
+constexpr double kRoughBias = 0.02;         // a less certain bias is solved for with a loss that narrows [rad/s]
+constexpr int kIterations = 4;              // from the last estimate
+constexpr int kStartIterations = 14;        // while the bias may be anything, with a loss that narrows
 
 /// Rotation between two times of the gyro's clock and its derivatives.
 struct Turn {
@@ -77,7 +81,11 @@ GyroAlignment::GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoi
 }
 
 void GyroAlignment::reset() {
-  dropImages();
+  pairs_.clear();
+  chain_end_ = {};
+  last_view_ = last_search_ = -1;
+  old_H_.setZero();
+  old_h_.setZero();
   const double offset_stddev = settings_.time_offset_stddev > 0 ? settings_.time_offset_stddev : kExactOffset;
   x_ << 0, 0, 0, settings_.time_offset;
   prior_mean_ = x_;
@@ -89,14 +97,6 @@ void GyroAlignment::reset() {
   inflation_ = kTrackCorrelation;
 }
 
-void GyroAlignment::dropImages() {
-  pairs_.clear();
-  chain_end_ = {};
-  last_view_ = last_search_ = -1;
-  prior_mean_ = x_;
-  if (covariance_.diagonal().minCoeff() > 0) prior_ = covariance_.inverse();
-}
-
 void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
   x_.head<3>() = bias;
   prior_mean_ = x_;
@@ -105,6 +105,8 @@ void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
   covariance_.bottomLeftCorner<1, 3>().setZero();
   prior_ = covariance_.inverse();
   pairs_.clear();  // what they say of the offset is in the covariance
+  old_H_.setZero();
+  old_h_.setZero();
 }
 
 double GyroAlignment::biasStddev() const { return std::sqrt(covariance_.diagonal().head<3>().maxCoeff()); }
@@ -122,6 +124,8 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   walk.diagonal() << Eigen::Vector3d::Constant(noise_.gyro_bias_walk * noise_.gyro_bias_walk),
       settings_.time_offset_stddev > 0 ? settings_.time_offset_walk * settings_.time_offset_walk : 0;
   prior_ = (Matrix4(prior_.inverse()) + elapsed * walk).inverse();
+  old_H_ *= std::exp(-elapsed / kMemory);
+  old_h_ *= std::exp(-elapsed / kMemory);
 
   const std::size_t before = pairs_.size();
   addPairs(view);
@@ -238,8 +242,8 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
                                 Vector4* solution) const {
   double width = first_width;
   for (int iteration = 0; iteration < iterations; ++iteration) {
-    Matrix4 H = prior_;
-    Vector4 g = prior_ * (x - prior_mean_);
+    Matrix4 H = old_H_;
+    Vector4 g = old_H_ * x - old_h_;
     for (const Pair& pair : pairs_) {
       // A wrong bias turns long spans too far: the short ones lead.
       if (width > 2 * kLossWidth && pair.end - pair.begin > 1.5 * settings_.spans.front()) continue;
@@ -248,6 +252,9 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
       H += normal->H / inflation_;
       g += normal->g / inflation_;
     }
+    const Matrix4 share = shareOfTracks(H);
+    H = prior_ + share * H;
+    g = prior_ * (x - prior_mean_) + share * g;
     const Vector4 step = Eigen::Matrix4d(H).ldlt().solve(-Eigen::Vector4d(g));
     if (!step.allFinite()) break;
     // A step of the offset may not leap over the period of the motion.
@@ -255,7 +262,7 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
     if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && std::abs(step(3)) < 1e-5) break;
     width = std::max(kLossWidth, 0.6 * width);
   }
-  double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_));
+  double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_)) + x.dot(old_H_ * x) - 2 * x.dot(old_h_);
   for (const Pair& pair : pairs_)
     if (const auto normal = linearize(pair, x, imu, kLossWidth, nullptr)) cost += normal->cost / inflation_;
   *solution = x;
@@ -265,9 +272,8 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
 void GyroAlignment::retire(double before, const ImuBuffer& imu) {
   while (!pairs_.empty() && pairs_.front().begin < before) {
     if (const auto normal = linearize(pairs_.front(), x_, imu, kLossWidth, nullptr)) {
-      const Matrix4 sum = prior_ + normal->H / inflation_;
-      prior_mean_ = sum.inverse() * (prior_ * prior_mean_ + (normal->H * x_ - normal->g) / inflation_);
-      prior_ = sum;
+      old_H_ += normal->H / inflation_;
+      old_h_ += (normal->H * x_ - normal->g) / inflation_;
     }
     pairs_.pop_front();
   }
@@ -294,7 +300,17 @@ void GyroAlignment::summarize(const ImuBuffer& imu) {
   // Errors of tracks beside each other are alike (blur, edges, calibration): many are worth as much as a few.
   const double noise = std::max(kMinNoise, misfit_);
   inflation_ = std::max(kTrackCorrelation * noise * noise, scatter / count);
-  covariance_ = (prior_ + H / inflation_).inverse();
+  H = old_H_ + H / inflation_;
+  covariance_ = (prior_ + shareOfTracks(H) * H).inverse();
+  covariance_ = 0.5 * (covariance_ + Matrix4(covariance_.transpose()));
+}
+
+// The tracks measure x with the covariance H^-1 + S, S of what is common to all of them: (H^-1 + S)^-1 = share * H.
+GyroAlignment::Matrix4 GyroAlignment::shareOfTracks(const Matrix4& H) const {
+  Matrix4 D = Matrix4::Zero();
+  D.diagonal() << Eigen::Vector3d::Constant(1 / (kSystematicBias * kSystematicBias)),
+      1 / (kSystematicOffset * kSystematicOffset);
+  return D * Matrix4(H + D).inverse();
 }
 
 }  // namespace mav_vo

@@ -70,6 +70,7 @@ void Odometry::Impl::startMap() {
   }
   tracker.reset();
   bootstrap.reset();
+  keepMapsBias();
   map.clear();
   inertial = {};
   track_landmark.clear();
@@ -242,9 +243,11 @@ bool Odometry::Impl::locate(bool gyro) {
   std::vector<TrackId> tracks;
   const auto points = correspondences(&tracks);
   last_pose = PoseResult{};
-  if (static_cast<int>(points.size()) < settings.min_inliers) {
-    last_pose.reason = "only " + std::to_string(points.size()) + " known landmarks in view, " +
-                       std::to_string(settings.min_inliers) + " needed: move more slowly, or turn back to known ground";
+  // A known turn leaves three unknowns of six: half as many landmarks agree by chance as rarely.
+  const int needed = gyro ? (settings.min_inliers + 1) / 2 : settings.min_inliers;
+  if (static_cast<int>(points.size()) < needed) {
+    last_pose.reason = "only " + std::to_string(points.size()) + " known landmarks in view, " + std::to_string(needed) +
+                       " needed: move more slowly, or turn back to known ground";
     return false;
   }
   visual_frontend::RansacSettings ransac;
@@ -267,7 +270,7 @@ bool Odometry::Impl::locate(bool gyro) {
   }
   last_pose = visual_frontend::refinePose(points, start.T_map_camera, refine);
   if (!last_pose.success) return false;
-  if (last_pose.inlier_count < settings.min_inliers ||
+  if (last_pose.inlier_count < needed ||
       last_pose.inlier_count < kMinInlierShare * static_cast<double>(points.size())) {
     last_pose.success = false;
     last_pose.reason = std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) +
@@ -324,10 +327,11 @@ void Odometry::Impl::localized(bool continuous) {
   }
   previous_covariance = last_pose.covariance;
   located_stamp = last_stamp;
-  if (settings.use_imu) scale.add(scaleMeasurement(T_map_camera, scene_distance), motion);
   const KeyframeId reference = map.lastKeyframe();
   records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
-                     scene_distance, motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
+                     scene_distance, last_pose.covariance.topLeftCorner<3, 3>(),
+                     motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
+  if (settings.use_imu) scale.add(scaleMeasurement(records.size() - 1), motion);
   if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
 
   const bool keyframe = needsKeyframe();
@@ -339,7 +343,7 @@ void Odometry::Impl::localized(bool continuous) {
   if (keyframe) addKeyframe();
   // A scale that most images since its start speak against was wrong from the start.
   if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(map_tilt);
-  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(settings.metric_stddev) &&
+  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(neededScaleStddev()) &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if (metric && last_stamp >= next_full && made_keyframe) adjustFully();

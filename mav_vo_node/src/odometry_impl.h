@@ -31,14 +31,16 @@ struct Odometry::Impl {
 
   // odometry.cpp: one image
   FrameResult process(double stamp, const cv::Mat& gray);
-  std::string scaleReason() const;  ///< why the map is not metric
-  std::string gyroProblem() const;  ///< empty: gyro and images agree
-  double patience() const;          ///< of a lost odometry, before a new map starts [s]
-  void startMap();                  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
+  double neededScaleStddev() const;  ///< relative, for the map to become metric; grows while it waits
+  std::string scaleReason() const;   ///< why the map is not metric
+  std::string gyroProblem() const;   ///< empty: gyro and images agree
+  double patience() const;           ///< of a lost odometry, before a new map starts [s]
+  void startMap();                   ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   void reset();
   void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
   void useStandstill(const Standstill& rest);
   void alignGyro(double stamp);  ///< gyro bias and time offset from the tracks
+  void keepMapsBias();           ///< before a map is given up: what its adjustment knows of the gyro
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
   void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
   void initialize();
@@ -68,7 +70,7 @@ struct Odometry::Impl {
   void adoptDue();    ///< of adjustments beside the tracking, what this image must have
   void adoptLocal();  ///< waits
   void adoptAll();    ///< waits
-  ScaleMeasurement scaleMeasurement(const Pose& T_map_camera, double distance) const;
+  ScaleMeasurement scaleMeasurement(std::size_t record) const;
   void rerunScale();  ///< over the recent images, as the adjusted map places them
   void retime();      ///< the inertial motion between images, after a change of the time offset
   void setGyroBiasPrior(InertialBundleSettings* how) const;
@@ -135,6 +137,7 @@ struct Odometry::Impl {
     KeyframeId reference = visual_frontend::kNoKeyframe;
     Pose T_reference_camera = Pose::Identity();
     double scene_distance = 1;
+    Eigen::Matrix3d position_covariance = Eigen::Matrix3d::Zero();  ///< of the image noise
     std::unique_ptr<const Preintegration> motion;  ///< since the record before; kept for the recent ones
   };
   std::vector<FrameRecord> records;

@@ -17,13 +17,13 @@ namespace {
 constexpr double kMovingShare = 0.01;       // of the scene's distance; below, the vehicle hovers
 constexpr double kHoverInterval = 3.0;      // a keyframe once the vehicle hovers, so that inertial links stay short [s]
 constexpr double kLongHoverInterval = 9.0;  // and while it goes on hovering; the IMU's samples reach back 12 s [s]
-constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias measured at rest, at the best [rad/s]
-constexpr double kTrackBiasPrior = 5e-3;    // of one from tracks, whose errors of calibration are common to all [rad/s]
+constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias, at the best [rad/s]
 constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
 constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
 constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
+constexpr double kLeastParallax = 10;        // of a new landmark, in standard deviations of a ray
 constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
 constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
 constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
@@ -128,7 +128,14 @@ void Odometry::Impl::addKeyframe() {
 
 void Odometry::Impl::triangulateTracks(KeyframeId id) {
   visual_frontend::TriangulationSettings how;
-  how.min_parallax = settings.triangulation_parallax;
+  // Where few tracks have a landmark the next one is needed at once, with 10 % of its depth open.
+  const auto& seen_here = map.keyframe(id).observations;
+  const auto mapped_here = std::count_if(seen_here.begin(), seen_here.end(), [](const visual_frontend::Observation& o) {
+    return o.landmark != visual_frontend::kNoLandmark;
+  });
+  const bool few = 2 * static_cast<std::size_t>(mapped_here) < seen_here.size();
+  how.min_parallax =
+      few ? std::min(settings.triangulation_parallax, kLeastParallax * sigma()) : settings.triangulation_parallax;
   how.min_depth = 0.1 * scene_distance;
   how.max_depth = 20 * scene_distance;
   for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
@@ -271,12 +278,14 @@ void Odometry::Impl::adopt(const BundleJob& job) {
   if (job.full) rerunScale();
 }
 
-ScaleMeasurement Odometry::Impl::scaleMeasurement(const Pose& T, double distance) const {
+ScaleMeasurement Odometry::Impl::scaleMeasurement(std::size_t record) const {
+  const Pose T = poseOfRecord(record);
   ScaleMeasurement measurement;
   measurement.p_map_camera = T.translation();
   measurement.R_map_imu = T.linear() * T_camera_imu.linear();
   measurement.p_imu_camera = T_camera_imu.inverse().translation();
-  measurement.scene_distance = distance;
+  measurement.covariance = records[record].position_covariance;
+  measurement.scene_distance = records[record].scene_distance;
   return measurement;
 }
 
@@ -291,19 +300,16 @@ void Odometry::Impl::rerunScale() {
   if (i >= records.size()) return;
   scale.reset(kAdjustedTilt);
   const InertialState& start = inertial.states.at(records[i].reference);
-  scale.startAt(scaleMeasurement(poseOfRecord(i), records[i].scene_distance), start.velocity, start.bias.accel,
-                kRestartScaleStddev);
+  scale.startAt(scaleMeasurement(i), start.velocity, start.bias.accel, kRestartScaleStddev);
   for (++i; i < records.size(); ++i) {
     const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance),
-              motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+    scale.add(scaleMeasurement(i), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
   }
 }
 
 // A map that is not metric yet may have begun with a bias that the tracks have long known better.
 void Odometry::Impl::setGyroBiasPrior(InertialBundleSettings* how) const {
-  how->gyro_bias_prior =
-      std::clamp(gyro_alignment.biasStddev(), rested ? kRestBiasPrior : kTrackBiasPrior, kMaxGyroBiasPrior);
+  how->gyro_bias_prior = std::clamp(gyro_alignment.biasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
   if (!metric) how->gyro_bias_mean = gyro_alignment.bias();
 }
 
@@ -326,8 +332,7 @@ void Odometry::Impl::retime() {
   scale.reset(map_tilt);
   for (std::size_t i = 0; i < records.size(); ++i) {
     const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(poseOfRecord(i), records[i].scene_distance),
-              motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+    scale.add(scaleMeasurement(i), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
   }
 }
 
@@ -336,6 +341,7 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   for (auto& record : records) {
     record.T_reference_camera.translation() *= S.scale;
     record.scene_distance *= S.scale;
+    record.position_covariance = (S.scale * S.scale * S.R * record.position_covariance * S.R.transpose()).eval();
   }
   scale.transform(S);
   velocity = S.scale * (S.R * velocity);

@@ -16,6 +16,10 @@ constexpr double kMovingTilt = 0.3;        // of gravity as a moving acceleromet
 constexpr double kTrustedTilt = 0.05;      // better known gravity levels the bundle adjustment [rad]
 constexpr double kOffsetSigma = 0.004;     // a better known time offset is used [s]
 constexpr double kOffsetStep = 5e-4;       // smaller changes of it are not worth the work [s]
+constexpr double kMapTurnError = 8e-3;     // of the turn from a map's first keyframe to its newest [rad]
+constexpr double kMapBiasSigma = 2e-3;     // of a gyro bias from a map, at the best [rad/s]
+constexpr double kScalePatience = 5;       // of a map for a scale as certain as asked for [s]
+constexpr double kMostScaleStddev = 2.5;   // of what was asked for, that serves in the end [1]
 constexpr double kGyroMisfit = 4;          // of noise; above, gyro and images contradict each other
 
 }  // namespace
@@ -51,6 +55,15 @@ void Odometry::Impl::alignGyro(double stamp) {
   if (sigma > kOffsetSigma || std::abs(offset - imu.offset()) < std::max(kOffsetStep, 2 * sigma)) return;
   imu.setOffset(offset);
   retime();
+}
+
+// A map measures turns against landmarks it has triangulated: turn and translation, which image pairs confuse, are
+// apart.
+void Odometry::Impl::keepMapsBias() {
+  if (!settings.use_imu || inertial.links.empty() || map.keyframeCount() < 2) return;
+  const double lived = map.keyframe(map.lastKeyframe()).stamp - map.keyframes().begin()->second.stamp;
+  const double sigma = std::max(kMapBiasSigma, kMapTurnError / std::max(lived, 0.1));
+  if (sigma < gyro_alignment.biasStddev()) gyro_alignment.setBias(inertial.states.rbegin()->second.bias.gyro, sigma);
 }
 
 std::optional<GyroRotation> Odometry::Impl::cameraTurn(double stamp_a, double stamp_b) const {
@@ -138,6 +151,14 @@ void Odometry::Impl::initialize() {
   }
 }
 
+// Motion that tells little of the scale: a rough one that the map's adjustment goes on refining serves better than
+// none.
+double Odometry::Impl::neededScaleStddev() const {
+  if (map.keyframeCount() == 0) return settings.metric_stddev;
+  const double waited = last_stamp - map.keyframes().begin()->second.stamp;
+  return settings.metric_stddev * std::clamp(waited / kScalePatience, 1.0, kMostScaleStddev);
+}
+
 std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
@@ -151,7 +172,7 @@ std::string Odometry::Impl::scaleReason() const {
   char text[160];
   std::snprintf(text, sizeof text,
                 "metric scale is not known yet (+- %.0f %%, %.0f %% needed): change speed and direction", 100 * stddev,
-                100 * settings.metric_stddev);
+                100 * neededScaleStddev());
   return text;
 }
 

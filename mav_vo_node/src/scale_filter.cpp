@@ -11,6 +11,7 @@ namespace {
 
 constexpr int kP = 0, kV = 3, kB = 6, kG = 9, kS = 11;
 constexpr int kMaxRejectedInARow = 10;
+constexpr double kAlikeImages = 4;           // in a row that see the same landmarks, and err by them alike
 constexpr double kMapVelocityStddev = 0.05;  // of a velocity taken from bundle adjustment [m/s]
 constexpr double kDiffuseRatio = 30.0;     // standard deviation of the scale before the start, against the scale itself
 constexpr double kMaxRejectedShare = 0.1;  // of the measurements since the start, when the scale counts as certain
@@ -23,15 +24,15 @@ constexpr double kForcedScaleStddev = 0.1;  // added when a row of rejections fo
 using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
 using MeasurementMatrix = Eigen::Matrix<double, 3, ScaleFilter::kStates>;
 
-/// Correction K * innovation for isotropic measurement noise; P becomes the posterior (Joseph form), `nis` grows by the
+/// Correction K * innovation for measurement noise N; P becomes the posterior (Joseph form), `nis` grows by the
 /// squared Mahalanobis distance of the innovation.
-ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, double sigma,
+ErrorVector kalmanUpdate(const MeasurementMatrix& H, const Eigen::Vector3d& innovation, const Eigen::Matrix3d& N,
                          ScaleFilter::Covariance* P, double* nis = nullptr) {
-  const Eigen::Matrix3d S = H * *P * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
+  const Eigen::Matrix3d S = H * *P * H.transpose() + N;
   if (nis) *nis += innovation.dot(S.ldlt().solve(innovation));
   const Eigen::Matrix<double, ScaleFilter::kStates, 3> K = S.ldlt().solve(H * *P).transpose();
   const ScaleFilter::Covariance A = ScaleFilter::Covariance::Identity() - K * H;
-  *P = (A * *P * A.transpose() + K * K.transpose() * sigma * sigma).eval();
+  *P = (A * *P * A.transpose() + K * N * K.transpose()).eval();
   return K * innovation;
 }
 
@@ -140,6 +141,11 @@ ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_d
   return P;
 }
 
+Eigen::Matrix3d ScaleFilter::visualNoise(const ScaleMeasurement& m) const {
+  const double sigma = settings_.position_stddev * m.scene_distance;
+  return kAlikeImages * m.covariance + sigma * sigma * Eigen::Matrix3d::Identity();
+}
+
 void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out,
                             Covariance* Q_out) const {
   const double dt = motion.duration();
@@ -220,8 +226,8 @@ std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
       MeasurementMatrix H = MeasurementMatrix::Zero();
       H.block<3, 3>(0, kP) = -Eigen::Matrix3d::Identity();
       H.col(kS) = m.p_map_camera;
-      const ErrorVector dx = kalmanUpdate(H, state.p + lever(m) - state.scale * m.p_map_camera,
-                                          settings_.position_stddev * m.scene_distance * guess, &P);
+      const ErrorVector dx =
+          kalmanUpdate(H, state.p + lever(m) - state.scale * m.p_map_camera, guess * guess * visualNoise(m), &P);
       addError(dx, &state);
       state.scale += dx(kS);
     }
@@ -264,7 +270,7 @@ bool ScaleFilter::start() {
       P = F * P * F.transpose() + Q;
       const MeasurementMatrix H = measurementMatrix(nominal, m);
       const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(nominal, m) - H * error;
-      error += kalmanUpdate(H, innovation, settings_.position_stddev * m.scene_distance, &P, &nis);
+      error += kalmanUpdate(H, innovation, visualNoise(m), &P, &nis);
     }
     if (!error.allFinite() || std::abs(error(kS)) > 1.0) return false;
     addError(error, &nominal);
@@ -283,9 +289,9 @@ bool ScaleFilter::start() {
 
 void ScaleFilter::update(const ScaleMeasurement& m) {
   const MeasurementMatrix H = measurementMatrix(state_, m);
-  const double sigma = settings_.position_stddev * m.scene_distance;
+  const Eigen::Matrix3d N = visualNoise(m);
   const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(state_, m);
-  const Eigen::Matrix3d S = H * P_ * H.transpose() + Eigen::Matrix3d::Identity() * sigma * sigma;
+  const Eigen::Matrix3d S = H * P_ * H.transpose() + N;
   last_nis_ = innovation.dot(S.ldlt().solve(innovation));
   ++updates_;
   nis_sum_ += last_nis_ < settings_.gate ? last_nis_ : settings_.gate;
@@ -302,14 +308,13 @@ void ScaleFilter::update(const ScaleMeasurement& m) {
     return;
   }
   rejected_in_a_row_ = 0;
-  const ErrorVector dx = kalmanUpdate(H, innovation, sigma, &P_);
+  const ErrorVector dx = kalmanUpdate(H, innovation, N, &P_);
   addError(dx, &state_);
   state_.scale *= std::exp(dx(kS));
 }
 
 void ScaleFilter::restartMotion(const ScaleMeasurement& m) {
   // The new position is the scale times the visual one, so it inherits the scale's correlations.
-  const double sigma = settings_.position_stddev * m.scene_distance * state_.scale;
   const Eigen::Vector3d camera = state_.scale * m.p_map_camera;
   state_.p = camera - lever(m);
   state_.v.setZero();
@@ -317,7 +322,7 @@ void ScaleFilter::restartMotion(const ScaleMeasurement& m) {
   J.topLeftCorner<6, 6>().setZero();
   J.block<3, 1>(kP, kS) = camera;
   P_ = (J * P_ * J.transpose()).eval();
-  P_.diagonal().segment<3>(kP).array() += sigma * sigma;
+  P_.block<3, 3>(kP, kP) += state_.scale * state_.scale * visualNoise(m);
   P_.diagonal().segment<3>(kV).array() += settings_.velocity_stddev * settings_.velocity_stddev;
 }
 

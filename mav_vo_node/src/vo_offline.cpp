@@ -4,6 +4,7 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
 #include <tf2_msgs/TFMessage.h>
@@ -21,6 +22,7 @@
 #include <thread>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/trajectory.h"
 #include "euroc_folder.h"
 #include "mav_vo/odometry.h"
@@ -183,6 +185,15 @@ Setup readSetup(const rosbag::Bag& bag, const Topics& topics) {
   return setup;
 }
 
+/// The images' topic; where the bag holds only compressed ones, theirs.
+std::string imageTopic(const rosbag::Bag& bag, const std::string& image) {
+  const std::string compressed = image + "/compressed";
+  return rosbag::View(bag, rosbag::TopicQuery(image)).size() == 0 &&
+                 rosbag::View(bag, rosbag::TopicQuery(compressed)).size() > 0
+             ? compressed
+             : image;
+}
+
 /// `live`: at the rate of the bag, as far as the machine keeps up.
 void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double duration, bool live, OfflineRun& run) {
   const ros::Time begin = rosbag::View(bag).getBeginTime() + ros::Duration(start);
@@ -190,7 +201,7 @@ void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double d
   const auto played = std::chrono::steady_clock::now();
   double late = 0;
   for (const rosbag::MessageInstance& m :
-       rosbag::View(bag, rosbag::TopicQuery({topics.image, topics.imu, topics.truth}), begin, end)) {
+       rosbag::View(bag, rosbag::TopicQuery({imageTopic(bag, topics.image), topics.imu, topics.truth}), begin, end)) {
     if (live) {
       const auto due = played + std::chrono::duration<double>((m.getTime() - begin).toSec());
       const std::chrono::duration<double> behind = std::chrono::steady_clock::now() - due;
@@ -199,6 +210,9 @@ void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double d
     }
     if (const auto image = m.instantiate<sensor_msgs::Image>())
       run.addImage(image->header.stamp.toSec(), [image] { return ros_utils::greyFromMsg(*image); });
+    if (const auto image = m.instantiate<sensor_msgs::CompressedImage>())
+      run.addImage(image->header.stamp.toSec(),
+                   [image] { return ros_utils::greyFromMsg(*ros_utils::decompressed(*image)); });
     if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
       mav_vo::ImuSample sample;
       sample.stamp = imu->header.stamp.toSec();
@@ -252,6 +266,9 @@ int main(int argc, char** argv) {
   app.add_option("--metric-stddev", settings.metric_stddev, "relative scale deviation at which the map becomes metric");
   app.add_option("--reobserve", settings.reobserve_matches, "old landmarks looked for in an image");
   app.add_option("--features", settings.tracker.max_features, "features");
+  app.add_option("--fast-threshold", settings.tracker.fast_threshold, "corner threshold [grey levels]");
+  app.add_flag("--clahe", settings.tracker.clahe, "local contrast equalisation");
+  app.add_option("--min-inliers", settings.min_inliers, "landmarks that must agree on a pose");
   app.add_option("--pixel-sigma", settings.pixel_sigma, "of a feature [px]");
   app.add_option("--keyframe-distance", settings.keyframe_distance, "over the scene's distance");
   app.add_option("--full-interval", settings.full_interval, "between adjustments of the whole map [s]");

@@ -306,11 +306,12 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
 
   int added = 0;
   int spacing = s.settings.min_distance;
+  double weakest = s.settings.min_shi_tomasi;
   std::vector<cv::KeyPoint> spare;  // second choices of the cells, for what the empty cells leave over
   const auto tryAdd = [&](const cv::KeyPoint& k) {
     const cv::Point p(cvRound(k.pt.x), cvRound(k.pt.y));
-    if (static_cast<int>(s.features.size()) >= s.settings.max_features || k.response < s.settings.min_shi_tomasi ||
-        !s.inside(k.pt) || !free.at<std::uint8_t>(p)) {
+    if (static_cast<int>(s.features.size()) >= s.settings.max_features || k.response < weakest || !s.inside(k.pt) ||
+        !free.at<std::uint8_t>(p)) {
       return false;
     }
     s.features.push_back(s.makeFeature({k.pt.x, k.pt.y}, k.response));
@@ -336,15 +337,16 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
   if (s.settings.sparse_distance <= 0 || 2 * static_cast<int>(s.features.size()) >= s.settings.max_features)
     return added;
 
-  // Weak texture: what there is stands in few places, so features may stand closer there.
+  // Weak texture: what there is stands in few places, so features may stand closer there, and weaker ones do.
   spacing = s.settings.sparse_distance;
+  weakest = std::min(weakest, s.settings.weak_shi_tomasi);
   free.setTo(cv::Scalar(255));
   for (const Feature& f : s.features)
     cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), spacing, cv::Scalar(0), -1);
   if (!mask.empty()) cv::bitwise_and(free, mask, free);
   spare.clear();
   for (const cv::Rect& area : cells) {
-    const auto found = s.corners(image, area, std::max(2, s.settings.fast_threshold / 2));
+    const auto found = s.corners(image, area, std::max(2, s.settings.fast_threshold / 4));
     spare.insert(spare.end(), found.begin(), found.end());
   }
   std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });

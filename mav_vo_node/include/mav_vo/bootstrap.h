@@ -20,7 +20,7 @@ struct BootstrapSettings {
   int min_common = 60;            ///< tracks that both views share
   double min_common_share = 0.5;  ///< in weak texture: at least this share of the most that any recent image had
   int min_inliers = 45;           ///< of them, consistent with the motion and triangulated; fewer in weak texture
-  double min_inlier_share = 0.6;  ///< of the common tracks
+  double min_inlier_share = 0.5;  ///< of the common tracks: the most, where a mirror shows a second motion
   double max_age = 5.0;           ///< between first and last view [s]
   double frame_interval = 0.1;    ///< between views that are kept as candidates for the first [s]
   double pixel_sigma = 0.6;       ///< of a tracked feature [px]

@@ -26,7 +26,7 @@ struct GyroAlignmentSettings {
   double time_offset_stddev = 0.03;  ///< of that figure before the first image [s]; 0 = exact, it is not estimated
   double max_time_offset = 0.12;     ///< estimates farther from the given one are refused [s]
   double time_offset_walk = 1e-4;    ///< random walk of the offset [s/sqrt(s)]
-  double window = 3.0;               ///< image pairs older than this are frozen into the prior [s]
+  double window = 3.0;               ///< image pairs older than this are frozen [s]
   double view_interval = 0.09;       ///< between images that are used [s]
   int min_tracks = 25;               ///< that both images of a pair share
   int max_tracks = 80;               ///< of a pair that are used
@@ -46,8 +46,6 @@ class GyroAlignment {
   /// A bias from elsewhere, a rest for example [rad/s].
   void setBias(const Eigen::Vector3d& bias, double stddev);
 
-  /// Forgets the images; bias and offset stay as known as they are.
-  void dropImages();
   void reset();
 
   Eigen::Vector3d bias() const { return x_.head<3>(); }  ///< [rad/s]
@@ -79,6 +77,7 @@ class GyroAlignment {
   double solveFrom(Vector4 x, int iterations, double first_width, const ImuBuffer& imu, Vector4* solution) const;
   void retire(double before, const ImuBuffer& imu);
   void summarize(const ImuBuffer& imu);
+  Matrix4 shareOfTracks(const Matrix4& information) const;
 
   GyroAlignmentSettings settings_;
   ImuNoise noise_;
@@ -90,7 +89,9 @@ class GyroAlignment {
   double last_view_ = -1, last_search_ = -1;  ///< [s]
   Vector4 x_ = Vector4::Zero();               ///< gyro bias, time offset
   Vector4 prior_mean_ = Vector4::Zero();
-  Matrix4 prior_ = Matrix4::Zero();  ///< information
+  Matrix4 prior_ = Matrix4::Zero();  ///< information, without the tracks'
+  Matrix4 old_H_ = Matrix4::Zero();  ///< information of pairs that have left the window, fading
+  Vector4 old_h_ = Vector4::Zero();  ///< times their estimate
   Matrix4 covariance_ = Matrix4::Zero();
   double misfit_ = 0;
   double inflation_ = 1;  ///< of the variances, by what the pairs disagree

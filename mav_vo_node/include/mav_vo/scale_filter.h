@@ -14,15 +14,15 @@
 namespace mav_vo {
 
 struct ScaleFilterSettings {
-  double position_stddev = 0.003;       ///< white noise of the visual position, as a share of the scene's distance [1]
-  double position_drift = 0.004;        ///< random walk of the visual position against the truth [m/sqrt(s)]
-  double scale_drift = 0.001;           ///< random walk of the logarithm of the scale [1/sqrt(s)]
-  double accel_bias_stddev = 0.3;       ///< before the first measurement, per axis [m/s^2]
-  double velocity_stddev = 2.0;         ///< before the first measurement, per axis [m/s]
-  double rotation_walk = 2e-4;          ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
-  double min_start_duration = 1.0;      ///< shortest window of the start [s]
-  double max_start_duration = 6.0;      ///< older frames leave the window of the start [s]
-  double start_relative_stddev = 0.03;  ///< the start succeeds below this relative standard deviation of the scale [1]
+  double position_stddev = 0.003;      ///< white noise of the visual position, as a share of the scene's distance [1]
+  double position_drift = 0.004;       ///< random walk of the visual position against the truth [m/sqrt(s)]
+  double scale_drift = 0.001;          ///< random walk of the logarithm of the scale [1/sqrt(s)]
+  double accel_bias_stddev = 0.3;      ///< before the first measurement, per axis [m/s^2]
+  double velocity_stddev = 2.0;        ///< before the first measurement, per axis [m/s]
+  double rotation_walk = 2e-4;         ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
+  double min_start_duration = 1.0;     ///< shortest window of the start [s]
+  double max_start_duration = 6.0;     ///< older frames leave the window of the start [s]
+  double start_relative_stddev = 0.1;  ///< the start succeeds below this relative standard deviation of the scale [1]
   double start_max_nis =
       4.0;  ///< mean squared Mahalanobis distance of the start's innovations by degrees of freedom; 1 expected
   double gate = 16.27;  ///< squared Mahalanobis distance, chi-squared with 3 degrees of freedom at 99.9 %
@@ -34,6 +34,7 @@ struct ScaleMeasurement {
       Eigen::Vector3d::Zero();  ///< camera's position in the gravity-aligned map [visual unit]
   Eigen::Matrix3d R_map_imu = Eigen::Matrix3d::Identity();  ///< its attitude, from vision
   Eigen::Vector3d p_imu_camera = Eigen::Vector3d::Zero();   ///< camera's position in the IMU frame: the lever arm [m]
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();     ///< of p_map_camera, from the landmarks' image noise
   double scene_distance = 1.0;                              ///< median distance of the points seen [visual unit]
 };
 
@@ -104,6 +105,7 @@ class ScaleFilter {
     std::optional<Preintegration> motion;
   };
   Covariance priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const;
+  Eigen::Matrix3d visualNoise(const ScaleMeasurement& measurement) const;  ///< of p_map_camera
   void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F,
                  Covariance* Q) const;
   std::optional<State> linearSolution() const;

@@ -24,10 +24,12 @@ struct TrackerSettings {
   int sparse_distance = 0;       ///< where texture is so weak that half of max_features are not found; 0 = off [px]
   int fast_threshold = 12;       ///< grey levels; halved once in cells where nothing is found
   double min_shi_tomasi = 1e-4;  ///< smallest eigenvalue of the structure tensor, image in [0, 1]
-  int window = 17;               ///< Lucas-Kanade window, odd [px]
-  int pyramid_levels = 4;        ///< including the full resolution
-  int max_iterations = 20;       ///< per level
-  double convergence = 0.02;     ///< step at which an iteration ends [px]
+  /// The same where texture is weak and sparse_distance is on: a shift that 1.5 grey levels of noise make is 0.1 px.
+  double weak_shi_tomasi = 2e-5;
+  int window = 17;                    ///< Lucas-Kanade window, odd [px]
+  int pyramid_levels = 4;             ///< including the full resolution
+  int max_iterations = 20;            ///< per level
+  double convergence = 0.02;          ///< step at which an iteration ends [px]
   double max_forward_backward = 1.0;  ///< distance after tracking there and back [px]
   bool forward_backward = true;       ///< switch of that check (it costs one more tracking)
   double max_patch_difference =
