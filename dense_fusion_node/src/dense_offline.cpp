@@ -47,7 +47,6 @@ struct Options {
 
 using ImageSink = std::function<void(const cv::Mat&, const CameraModel&, std::int64_t stamp, const Pose& T_map_camera,
                                      double, double)>;
-
 using SparseSink = std::function<void(std::vector<Eigen::Vector3f>)>;
 
 // Posed images as recorded from mav/posed_image, and sparse clouds of the same map if asked for.
@@ -197,8 +196,7 @@ cv::Mat depthErrors(const air_ground_common::MeshScene& mesh, const dense_fusion
   return errors;
 }
 
-// What errors tell of a view: appends the absolute ones, and returns the share of the true surface in view that is
-// known to 3 cm.
+// Appends absolute errors; returns the share of the true surface in view that is known to 3 cm.
 double collectErrors(const cv::Mat& errors, std::vector<double>* absolute) {
   std::size_t good = 0, seen = 0;
   for (int i = 0; i < errors.rows * errors.cols; ++i) {
@@ -422,6 +420,8 @@ int main(int argc, char** argv) {
   app.add_option("--lambda", settings.fusion.tv_l1.lambda, "weight of the votes");
   app.add_option("--iterations", settings.fusion.tv_l1.iterations, "of TV-L1 at full resolution");
   app.add_option("--min-support", settings.fusion.min_support, "depth maps that must agree");
+  app.add_option("--min-agreeing", settings.fusion.min_agreeing, "depth maps that must agree with a point");
+  app.add_option("--agreement", settings.fusion.agreement, "how near [voxels]");
   app.add_option("--fill-radius", settings.fusion.fill_radius, "[voxels]");
   app.add_option("--sparse-margin", settings.fusion.sparse_margin, "room around the sparse points [m]");
   app.add_option("--refine", settings.fusion.refine, "sub-voxel correction");

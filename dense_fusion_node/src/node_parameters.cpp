@@ -50,6 +50,8 @@ NodeSettings readParameters(const ros::NodeHandle& private_handle) {
   m.fusion.truncation_voxels = p.number("fusion/truncation_voxels", m.fusion.truncation_voxels, 1, 50);
   m.fusion.behind_voxels = p.number("fusion/behind_voxels", m.fusion.behind_voxels, 0, 1000);
   m.fusion.min_support = p.integer("fusion/min_support", m.fusion.min_support, 1, 255);
+  m.fusion.min_agreeing = p.integer("fusion/min_agreeing", m.fusion.min_agreeing, 0, 255);
+  m.fusion.agreement = p.number("fusion/agreement", m.fusion.agreement, 0.01, 50);
   m.fusion.fill_radius = p.integer("fusion/fill_radius", m.fusion.fill_radius, 0, 50);
   m.fusion.refine = p.flag("fusion/refine", m.fusion.refine);
   m.fusion.extent_quantile = p.number("fusion/extent_quantile", m.fusion.extent_quantile, 0, 0.2);
