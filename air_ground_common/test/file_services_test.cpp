@@ -4,8 +4,10 @@
 
 #include <cstdio>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <stdexcept>
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -77,6 +79,28 @@ TEST(WriteCloud, RefusesWhatItCannotWrite) {
   EXPECT_THROW(writeCloud(folder + "empty.ply", {}), std::runtime_error);
   EXPECT_THROW(writeCloud(folder + "cloud.xyz", threePoints()), std::runtime_error);
   EXPECT_THROW(writeCloud("/nonexistent/a.pcd", threePoints()), std::runtime_error);
+}
+
+TEST(Autosave, WritesUnderNewNamesAndRefusesAFolderThatIsNone) {
+  namespace fs = std::filesystem;
+  const std::string folder = testing::TempDir() + "autosave_test/of this user";
+  fs::remove_all(folder);
+  const auto put = [](const std::string& text) {
+    return [text](const std::string& path) { std::ofstream(path) << text; };
+  };
+  const Autosave autosave(folder);
+  autosave.save("map.ply", put("first"));
+  autosave.save("map.ply", put("second"));  // its name is taken
+  autosave.save("nothing.txt", [](const std::string&) { throw std::runtime_error("nothing to save"); });
+  ASSERT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
+  const std::string path = fs::directory_iterator(folder)->path().string();
+  EXPECT_NE(path.find("_map.ply"), std::string::npos) << path;
+  std::string text;
+  std::ifstream(path) >> text;
+  EXPECT_EQ(text, "first");
+  EXPECT_THROW(Autosave(path + "/below a file"), std::runtime_error);
+  Autosave("").save("map.ply", [](const std::string&) { FAIL() << "no folder is given"; });
+  fs::remove_all(testing::TempDir() + "autosave_test");
 }
 
 }  // namespace

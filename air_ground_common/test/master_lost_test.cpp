@@ -1,13 +1,17 @@
-// The callbacks of a node go on when the master is gone. Runs a master of its own and kills it.
+// A node goes on when the master is gone, and is known to the next one. Runs masters of its own, and kills the first.
 #include <gtest/gtest.h>
 #include <ros/ros.h>
 #include <std_msgs/Empty.h>
+#include <std_srvs/Trigger.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <csignal>
 #include <cstdlib>
+#include <optional>
+#include <set>
 #include <string>
+#include <vector>
 
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/node_testing.h"
@@ -16,42 +20,82 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
-class Master {
+/// A program that runs as long as this lives.
+class Child {
  public:
-  explicit Master(const std::string& port) : pid_(fork()) {
+  explicit Child(const std::vector<std::string>& words) : pid_(fork()) {
     if (pid_ != 0) return;
-    execlp("rosmaster", "rosmaster", "--core", "-p", port.c_str(), static_cast<char*>(nullptr));
+    std::vector<char*> arguments;
+    for (const std::string& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
+    arguments.push_back(nullptr);
+    execvp(arguments[0], arguments.data());
     _exit(1);
   }
-  ~Master() { stop(); }
-  void stop() {
-    if (pid_ <= 0) return;
+  ~Child() {
     kill(pid_, SIGKILL);
     waitpid(pid_, nullptr, 0);
-    pid_ = -1;
   }
+  Child(const Child&) = delete;
+  Child& operator=(const Child&) = delete;
 
  private:
   pid_t pid_;
 };
 
+struct Master : Child {
+  explicit Master(const std::string& port) : Child({"rosmaster", "--core", "-p", port}) {}
+};
+
 void ignore(const std_msgs::Empty::ConstPtr&) {}
 
-TEST(NodeHealth, CallbacksGoOnWithoutMaster) {
+/// What the master has of this node: "publisher /topic", "service /name" and so on.
+std::set<std::string> registered() {
+  XmlRpc::XmlRpcValue request, response, state;
+  request[0] = "/test";
+  std::set<std::string> result;
+  if (!ros::master::execute("getSystemState", request, response, state, false)) return result;
+  const char* kinds[] = {"publisher ", "subscriber ", "service "};
+  for (int kind = 0; kind < 3; ++kind)
+    for (int i = 0; i < state[kind].size(); ++i)
+      for (int k = 0; k < state[kind][i][1].size(); ++k)
+        if (std::string(state[kind][i][1][k]) == ros::this_node::getName())
+          result.insert(kinds[kind] + std::string(state[kind][i][0]));
+  return result;
+}
+
+bool answer(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  response.success = true;
+  return true;
+}
+
+TEST(NodeHealth, GoesOnWithoutMasterAndRegistersWithANewOne) {
   const std::string port = std::to_string(20000 + getpid() % 10000);
   setenv("ROS_MASTER_URI", ("http://localhost:" + port).c_str(), 1);
-  Master master(port);
+  std::optional<Master> master(std::in_place, port);
   int argc = 0;
   ros::init(argc, nullptr, "master_lost_test", ros::init_options::NoSigintHandler);
-  for (int i = 0; i < 600 && !ros::master::check(); ++i) ros::WallDuration(0.1).sleep();
-  ASSERT_TRUE(ros::master::check()) << "no master on port " << port;
+  const auto masterIsThere = [] {
+    for (int i = 0; i < 600 && !ros::master::check(); ++i) ros::WallDuration(0.1).sleep();
+    return ros::master::check();
+  };
+  ASSERT_TRUE(masterIsThere()) << "no master on port " << port;
+  ros::param::set("~nested/number", 7);
   const ros::NodeHandle keep_alive;
   NodeHealth health("master_lost_test");
   NodeDiagnostics diagnostics("master_lost_test");
   RenewableSubscriber latched([] { return ros::NodeHandle().subscribe("latched", 1, ignore); });
+  int heard = 0;
+  const ros::Subscriber topic = ros::NodeHandle().subscribe<std_msgs::Empty>(
+      "from_another_process", 1, [&](const std_msgs::Empty::ConstPtr&) { ++heard; });
+  const ros::ServiceServer service = ros::NodeHandle("~").advertiseService("trigger", answer);
   ASSERT_TRUE(diagnostics.refresh());
+  pause(1400);  // it looks every five seconds
+  const std::set<std::string> before = registered();
+  EXPECT_EQ(before.count("publisher /diagnostics"), 1u);
+  EXPECT_EQ(before.count("subscriber /latched"), 1u);
+  EXPECT_EQ(before.count("service /master_lost_test/trigger"), 1u);
   health.expectInput("/silent", true, "/silent/compressed", "nothing");
-  master.stop();
+  master.reset();
   latched.renew();
   // 3 s of silence, and what is asked of the master then.
   ros::WallTime last = ros::WallTime::now(), end = last + ros::WallDuration(8);
@@ -66,6 +110,16 @@ TEST(NodeHealth, CallbacksGoOnWithoutMaster) {
   EXPECT_LT(longest, 2.0) << "a callback waited for the master";
   EXPECT_TRUE(diagnostics.refresh()) << "diagnostics go on";
   EXPECT_NE(diagnostics.level(), -1);
+
+  master.emplace(port);
+  ASSERT_TRUE(masterIsThere());
+  const Child other({"rostopic", "pub", "-r", "10", "/from_another_process", "std_msgs/Empty"});
+  EXPECT_TRUE(spinUntil([&] { return registered() == before; }));
+  EXPECT_EQ(registered(), before);
+  int number = 0;
+  EXPECT_TRUE(ros::param::get("~nested/number", number));
+  EXPECT_EQ(number, 7);
+  EXPECT_TRUE(spinUntil([&] { return heard > 3; })) << "a publisher that began with the new master is not heard";
 }
 
 }  // namespace

@@ -33,9 +33,11 @@ std::string errorOf(const std::function<void()>& call) {
 TEST(Parameters, OutOfRangeNamesParameterValueAndRange) {
   ros::NodeHandle pnh("~range");
   pnh.setParam("voxel", 7.0);
-  Parameters parameters(pnh);
-  const std::string error = errorOf([&] { parameters.number("voxel", 0.02, 0.001, 1.0); });
-  for (const char* part : {"range/voxel", "7", "0.001", "1"}) EXPECT_NE(error.find(part), std::string::npos) << error;
+  ServerReader parameters(pnh);
+  double voxel = 0.02;
+  const std::string error = errorOf([&] { parameters("voxel", voxel, {0.001, 1}, "m", ""); });
+  for (const char* part : {"range/voxel", "7", "0.001", "1", "m"})
+    EXPECT_NE(error.find(part), std::string::npos) << error;
 }
 
 TEST(Parameters, WrongTypeChoiceAndSizeAreRefused) {
@@ -43,20 +45,28 @@ TEST(Parameters, WrongTypeChoiceAndSizeAreRefused) {
   pnh.setParam("count", "many");
   pnh.setParam("mode", "fast");
   pnh.setParam("origin", std::vector<double>{1, 2});
-  Parameters parameters(pnh);
-  EXPECT_NE(errorOf([&] { parameters.integer("count", 1, 0, 9); }).find("count"), std::string::npos);
-  EXPECT_NE(errorOf([&] { parameters.choice("mode", "slow", {"slow", "slower"}); }).find("slower"), std::string::npos);
-  EXPECT_NE(errorOf([&] { parameters.numbers("origin", {0, 0, 0}, 3); }).find("3"), std::string::npos);
+  ServerReader parameters(pnh);
+  int count = 1, mode = 0;
+  std::vector<double> origin{0, 0, 0};
+  EXPECT_NE(errorOf([&] { parameters("count", count, {0, 9}, "", ""); }).find("count"), std::string::npos);
+  EXPECT_NE(errorOf([&] {
+              parameters.choice("mode", mode, {{"slow", 0}, {"slower", 1}}, "");
+            }).find("slower"),
+            std::string::npos);
+  EXPECT_NE(errorOf([&] { parameters("origin", origin, {-9, 9}, "m", ""); }).find("3"), std::string::npos);
 }
 
 TEST(Parameters, MisspeltNameIsFoundAndIntegerReadsAsNumber) {
   ros::NodeHandle pnh("~names");
   pnh.setParam("sigma", 2);
   pnh.setParam("sgima", 3);
-  Parameters parameters(pnh);
-  EXPECT_DOUBLE_EQ(parameters.number("sigma", 1, 0, 5), 2.0);
+  ServerReader parameters(pnh);
+  double sigma = 1;
+  parameters("sigma", sigma, {0, 5}, "", "");
+  EXPECT_DOUBLE_EQ(sigma, 2.0);
   EXPECT_NE(errorOf([&] { parameters.finish(); }).find("sgima"), std::string::npos);
-  EXPECT_EQ(errorOf([&] { parameters.finish({"sgima"}); }), "");
+  parameters.others("sgima");
+  EXPECT_EQ(errorOf([&] { parameters.finish(); }), "");
 }
 
 TEST(TimeJumpDetector, SeesALoopedBagOnceAndForgivesDisorder) {
@@ -286,6 +296,44 @@ TEST(Mountings, TransformsOnTfCountToo) {
   publishOnce("/tf", {edge("rover", "rover_camera", yawPose(0.5, {0, 1, 0}))});
   std::string why;
   EXPECT_TRUE(spinUntil([&] { return mountings.lookup(std::nullopt, "rover_camera", "camera", &why).has_value(); }));
+}
+
+TEST(Mountings, LeadingSlashesDoNotMatter) {
+  const Mountings mountings("/kinect");
+  publishOnce("/tf", {edge("/kinect", "/kinect_eye", yawPose(0.5, {0, 1, 0}))});
+  std::string why;
+  EXPECT_TRUE(spinUntil([&] { return mountings.lookup(std::nullopt, "/kinect_eye", "camera", &why).has_value(); }));
+  EXPECT_TRUE(mountings.lookup(std::nullopt, "kinect", "imu", &why));
+}
+
+TEST(ImuInput, TakesWhatWasMeasuredAlone) {
+  NodeHealth health("imu_input_test");
+  sensor_msgs::Imu message;
+  message.header.stamp = ros::Time(10);
+  message.angular_velocity.z = 0.3;
+  message.linear_acceleration.z = 9.81;
+  ImuInput united(health, false), apart(health, true);
+  ASSERT_EQ(united.read(message).size(), 1u);
+  EXPECT_EQ(united.read(message)[0].angular_velocity.z(), 0.3);
+  sensor_msgs::Imu no_rate = message, no_force = message;
+  no_rate.angular_velocity_covariance[0] = -1;
+  no_force.linear_acceleration_covariance[0] = -1;
+  EXPECT_TRUE(united.read(no_rate).empty());
+  EXPECT_TRUE(united.read(no_force).empty());
+  EXPECT_TRUE(apart.read(no_rate).empty());
+
+  for (int i = 0; i < 2; ++i) {
+    sensor_msgs::Imu force = no_rate;
+    force.header.stamp = ros::Time(9.99 + 0.02 * i);
+    force.linear_acceleration.z = 9 + i;
+    const auto samples =
+        i == 0 ? apart.readAccelerometer(force) : (apart.read(no_force), apart.readAccelerometer(force));
+    ASSERT_EQ(samples.size(), i == 0 ? 0u : 1u);
+    if (i == 0) continue;
+    EXPECT_NEAR(samples[0].stamp, 10, 1e-9);
+    EXPECT_NEAR(samples[0].specific_force.z(), 9.5, 1e-6);
+    EXPECT_EQ(samples[0].angular_velocity.z(), 0.3);
+  }
 }
 
 TEST(Mountings, SayWhatIsMissingAndWhatToDoAndNeverWait) {

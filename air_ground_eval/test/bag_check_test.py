@@ -15,7 +15,7 @@ from sensor_msgs.msg import CompressedImage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, bag_guess, bag_reader, datasets, geometry, messages  # noqa: E402
+from air_ground_eval import bag_check, bag_guess, bag_player, bag_reader, datasets, geometry, messages  # noqa: E402
 
 CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
 
@@ -67,6 +67,8 @@ def write(path, **faults):
                     bag.write('/ground/depth/image_raw/compressedDepth', picture, messages.stamp(t))
                 elif not faults.get('no_depth') and not (faults.get('slow_depth') and i % 20):
                     depth_frame = 'ground_depth_optical_frame' if faults.get('depth_frame') else frame
+                    if faults.get('depth_calibrated'):
+                        bag.write('/ground/depth/camera_info', messages.camera_info(CAMERA, t + later, depth_frame), messages.stamp(t))
                     bag.write('/ground/depth/image_raw', messages.image(np.full(shape, faults.get('depth', 1500)), '16UC1', t + later, depth_frame), messages.stamp(t))
                 for robot in ('mav', 'ground'):
                     bag.write(f'/ground_truth/{robot}', messages.pose_stamped(geometry.pose(), t, 'world'), messages.stamp(t))
@@ -90,19 +92,20 @@ class BagCheck(unittest.TestCase):
         for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('degrees', dict(gyro_factor=6000.0)),
                              ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('clocks of the robots do not overlap', dict(clocks=5000.0)), ('/tf_static', dict(no_tf=True)),
                              ('frame id is empty', dict(no_frame=True)), ('/ground/depth/image_raw is missing', dict(no_depth=True)),
-                             ('differ in size', dict(small_depth=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
+                             ('differ in size', dict(small_depth=True)), ('calibration is missing', dict(depth_frame=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
             self.assert_found(bag_check.ERROR, text, **faults)
 
     def test_warnings(self):
         for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
-                             ('not to be registered', dict(depth_frame=True)), ('comes at 10.0 Hz', dict(slow_depth=True)), ('/clock is in the bag', dict(clock=True)),
+                             ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('begins in motion', dict(moving=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
 
     def test_no_errors_where_the_nodes_can_help_themselves(self):
         for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant')):
             self.assertEqual([f.text for f in self.findings(**faults) if f.level == bag_check.ERROR], [], faults)
+        self.assert_found(bag_check.OK, '/clock is in the bag', clock=True)
         self.assert_found(bag_check.OK, '/tf_static comes in 2 messages and not latched', split_tf=True)
 
     def test_topics_are_guessed_and_the_command_printed(self):
@@ -143,12 +146,65 @@ class BagCheck(unittest.TestCase):
             self.assertEqual(names, {
                 '/mav/camera/image_raw': '/drone/mono/image_raw', '/mav/camera/camera_info': '/drone/mono/camera_info', '/mav/imu/data': '/drone/imu/data_raw',
                 '/ground/rgb/image_raw': '/camera/color/image_raw', '/ground/rgb/camera_info': '/camera/color/camera_info',
-                '/ground/depth/image_raw': '/camera/aligned_depth_to_color/image_raw'})
+                '/ground/depth/image_raw': '/camera/aligned_depth_to_color/image_raw', '/ground/depth/camera_info': '/camera/aligned_depth_to_color/camera_info'})
+            self.assertTrue(bag_check.registered(facts, names))
+            self.assertFalse(bag_check.registered(facts, {**names, '/ground/depth/image_raw': '/camera/depth/image_rect_raw'}))
             line = bag_guess.command(facts, names, {'mav': bag_guess.guess_base(facts, 'mav', 'drone_cam'),
                                                     'ground': bag_guess.guess_base(facts, 'ground', 'camera_color')}, {'mav': 'drone_cam', 'ground': 'camera_color'})
             for word in ('mav_image_transport:=compressed', 'mav_base_frame:=drone/base_link', 'ground_base_frame:=base', 'ground_camera_frame:=camera_color'):
                 self.assertIn(word, line.split())
             self.assertNotIn(':=false', line)
+            self.assertNotIn('ground_depth_camera_info', line)
+            unregistered = bag_guess.command(facts, names, {}, {}, registered=False).split()
+            self.assertIn('ground_depth_camera_info:=/camera/aligned_depth_to_color/camera_info', unregistered)
+            self.assertIn('ground_depth_registered:=false', unregistered)
+
+    def test_gyro_and_accelerometer_apart(self):
+        """As RealSense's driver publishes them unless told otherwise."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            write(path, imu_elsewhere=True)
+            with rosbag.Bag(path, 'a') as bag:
+                for t in np.arange(100, 103, 0.005):
+                    bag.write('/drone/gyro/sample', messages.imu([0, 0, 0.001], [0, 0, 0], 1e-6, 1e-4, t, 'mav_imu_link'), messages.stamp(t))
+                for t in np.arange(100, 103, 0.016):
+                    bag.write('/drone/accel/sample', messages.imu([0, 0, 0], [0, 0, 9.81], 1e-6, 1e-4, t, 'mav_imu_link'), messages.stamp(t))
+            names = {'/mav/imu/data': '/drone/gyro/sample'}
+            apart = [f.text for f in bag_check.check(path, names) if f.level == bag_check.ERROR]
+            self.assertTrue(any('mav_imu_accel' in text for text in apart), apart)
+            facts = bag_reader.BagFacts(path)
+            facts.types = {topic: kind for topic, kind in facts.types.items() if topic != '/imu0'}
+            names = bag_guess.guess(facts)
+            self.assertEqual((names['/mav/imu/data'], names['/mav/imu/accel']), ('/drone/gyro/sample', '/drone/accel/sample'))
+            self.assertEqual([f.text for f in bag_check.check(path, names) if f.level == bag_check.ERROR], [])
+            self.assertIn('mav_imu_accel:=/drone/accel/sample', bag_guess.command(facts, names, {}, {}).split())
+
+    def test_mountings_on_tf_are_static_and_no_frame_has_two_parents(self):
+        """As TUM's RGB-D bags have it: all on /tf, names with slashes, and a motion capture's pose of the body."""
+        T_kinect_camera, T_camera_eye = geometry.pose_from_tq((0.1, 0.2, 0.3), (0.5, -0.5, 0.5, -0.5)), geometry.pose_from_tq((0, -0.045, 0), (0, 0.6, 0, 0.8))
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                for t in np.arange(100, 130, 0.1):
+                    edges = [('/kinect', '/camera', T_kinect_camera), ('/camera', '/eye', T_camera_eye)]
+                    if int(10 * t) % 2:  # the robot stands for the first half, and its pose comes in messages of its own
+                        edges = [('/world', '/kinect', geometry.pose(translation=(max(0.0, t - 115), 2, 3)))]
+                    bag.write('/tf', messages.static_transforms(edges, t), messages.stamp(t))
+            facts = bag_reader.BagFacts(path)
+        self.assertEqual(facts.constant_on_tf, {'camera', 'eye'})
+        np.testing.assert_allclose(facts.static_transform('kinect', 'eye'), T_kinect_camera @ T_camera_eye, atol=1e-9)
+        turned = {(e.header.frame_id, e.child_frame_id): e.transform.translation for e in facts.static_transforms(['camera']).transforms}
+        self.assertEqual(set(turned), {('camera', 'kinect'), ('camera', 'eye')})
+        inverse = turned['camera', 'kinect']
+        np.testing.assert_allclose([inverse.x, inverse.y, inverse.z], np.linalg.inv(T_kinect_camera)[:3, 3], atol=1e-9)
+
+        published = []
+        player = bag_player.BagPlayer.__new__(bag_player.BagPlayer)
+        player.others, player.left_out = {'kinect', 'camera', 'eye'}, set()
+        player.moving = type('Publisher', (), {'publish': lambda _, message: published.append(message)})()
+        player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4)), ('/world', '/door', np.eye(4))], 100))
+        player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4))], 101))
+        self.assertEqual([[e.child_frame_id for e in m.transforms] for m in published], [['/door']])
 
     def test_mapped_names(self):
         with tempfile.TemporaryDirectory() as folder:

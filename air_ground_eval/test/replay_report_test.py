@@ -43,11 +43,13 @@ def write_bag(path, truth=True):
 
 
 def roslaunch(file, *arguments):
-    """Runs a launch file on a master of its own; returns its output."""
+    """Runs a launch file on a master of its own; returns its output, and a line with the status of the replay."""
     port = demo.free_port()
-    result = subprocess.run(['roslaunch', '-p', str(port), file, *arguments], env=dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}'),
-                            capture_output=True, text=True, timeout=160, check=False)
-    return result.stdout + result.stderr
+    with tempfile.TemporaryFile('w+') as output:
+        status = demo.run_replay(['roslaunch', '-p', str(port), file, *arguments], dict(os.environ, ROS_MASTER_URI=f'http://localhost:{port}'),
+                                 stdout=output, stderr=subprocess.STDOUT, timeout=160)
+        output.seek(0)
+        return output.read() + f'\nstatus {status}\n'
 
 
 def replay(folder, stand_in, *arguments):
@@ -103,6 +105,7 @@ class ReplayReport(unittest.TestCase):
         self.assertIn('refined error', output)
         # The end of a good replay looks like one.
         self.assertIn(f'replay complete: results in {out}', output)
+        self.assertIn('status 0', output)
         self.assertNotIn('has died', output)
 
     def test_scale_error_and_refusal(self):
@@ -132,6 +135,7 @@ class ReplayReport(unittest.TestCase):
         self.assertEqual(len(progress), 1, output)
         self.assertIn('mav initializing (too dark, says the stand-in), ground switched off', progress[0])
         self.assertIn('mav_vo gave no pose at all: too dark, says the stand-in', output)
+        self.assertIn('status 1', output)
         self.assertNotIn('rgbd_slam gave no pose', output)
         self.assertTrue(values['slam_switched_off'])
         self.assertNotIn('slam_poses', values)
@@ -146,6 +150,7 @@ class ReplayReport(unittest.TestCase):
                              f'required="true"><param name="bag" value="{bag}"/><param name="out" value="{folder}/out"/>'
                              + ''.join(f'<param name="{k}" value="{v}"/>' for k, v in parameters.items()) + '</node></launch>')
             output = roslaunch(launch)
+            self.assertIn('status 1', output)
             for line in lines:
                 self.assertIn(line, output)
             for bad in ('Traceback', 'terminate called', 'has died'):

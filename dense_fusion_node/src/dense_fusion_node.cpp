@@ -92,6 +92,7 @@ class DenseFusionNode {
     idle_.notify_all();
     service_spinner_.stop();
     worker_.join();
+    autosave_.save("map.ply", [this](const std::string& path) { write(path); });
   }
 
  private:
@@ -185,13 +186,17 @@ class DenseFusionNode {
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&] {
       if (!flushAndWait()) throw std::runtime_error(kNotFlushed);
-      const std::lock_guard<std::mutex> lock(map_mutex_);
-      if (map_.size() == 0) throw std::runtime_error("nothing has been reconstructed yet");
-      const auto points = messagePoints(map_.points());
-      ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzIntensity);
-      response.points = points.size();
-      return "wrote " + std::to_string(points.size()) + " points to " + request.path;
+      response.points = write(request.path);
+      return "wrote " + std::to_string(response.points) + " points to " + request.path;
     });
+  }
+
+  std::size_t write(const std::string& path) {
+    const std::lock_guard<std::mutex> lock(map_mutex_);
+    if (map_.size() == 0) throw std::runtime_error("nothing has been reconstructed yet");
+    const auto points = messagePoints(map_.points());
+    ros_utils::writeCloud(path, points, ros_utils::CloudFields::kXyzIntensity);
+    return points.size();
   }
 
   bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -374,6 +379,7 @@ class DenseFusionNode {
   static constexpr const char* kNotFlushed = "images are still waiting or being fused; try again when fewer come in";
 
   const NodeSettings settings_;
+  const ros_utils::Autosave autosave_{settings_.autosave};
   ros::CallbackQueue service_queue_;
   ros::NodeHandle handle_, service_handle_{"~"};
   ros_utils::NodeHealth health_;
@@ -413,15 +419,9 @@ class DenseFusionNode {
 }  // namespace dense_fusion
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "dense_fusion");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const dense_fusion::NodeSettings settings = dense_fusion::readParameters(ros::NodeHandle("~"));
-    dense_fusion::DenseFusionNode node(settings);
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<dense_fusion::NodeSettings>(
+      argc, argv, "dense_fusion", [](const auto& settings) {
+        dense_fusion::DenseFusionNode node(settings);
+        ros::spin();
+      });
 }

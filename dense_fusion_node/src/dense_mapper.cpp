@@ -34,19 +34,7 @@ bool sameCalibration(const air_ground_common::CameraModel& a, const air_ground_c
 
 }  // namespace
 
-DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings) {
-  const auto require = [](bool ok, const char* rule) {
-    if (!ok) throw std::invalid_argument(std::string("dense mapper: ") + rule);
-  };
-  require(settings.sweep_radius > 0 && settings.fusion_radius > 0, "sweep_radius and fusion_radius must be positive");
-  require(settings.frame_spacing >= 0 && settings.frame_spacing < settings.sweep_radius,
-          "frame_spacing must lie in [0, sweep_radius)");
-  require(settings.overlap >= 0 && settings.overlap < settings.fusion_radius, "overlap must lie in [0, fusion_radius)");
-  require(settings.min_depth_maps >= 1, "min_depth_maps must be at least 1");
-  require(settings.near_margin >= 1 && settings.far_margin >= 1, "near_margin and far_margin must be at least 1");
-  require(settings.default_depth_min > 0 && settings.default_depth_max > settings.default_depth_min,
-          "the default depth range must be positive and rising");
-}
+DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings) { settings_.validate(); }
 
 void DenseMapper::reset() {
   sweeping_ = false;

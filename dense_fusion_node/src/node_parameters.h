@@ -1,7 +1,5 @@
-// The node's parameters, read from its private namespace; config/dense_fusion.yaml documents them.
+// Parameters of dense_fusion_node.
 #pragma once
-
-#include <ros/node_handle.h>
 
 #include "dense_fusion/dense_mapper.h"
 
@@ -9,14 +7,14 @@ namespace dense_fusion {
 
 struct NodeSettings {
   MapperSettings mapper;
-  int queue_size = 400;          ///< images waiting for the worker; older ones are dropped beyond it
-  double flush_timeout = 4.0;    ///< wall time without input after which what there is gets fused [s]; 0: never
-  double service_timeout = 120;  ///< wall time that ~flush and ~save_map wait for the worker [s]
-  double map_cell = 0.02;        ///< thinning of the map that ~save_map writes [m]
-  int map_max_points = 5000000;  ///< of that map; beyond it the cells double
+  std::string autosave;  ///< folder for the map at the end; empty: none
+  int queue_size = 400;
+  double flush_timeout = 4.0, service_timeout = 120, map_cell = 0.02;
+  int map_max_points = 5000000;
+
+  void validate() const { mapper.validate(); }
 };
 
-/// Throws air_ground_common::ros_utils::ParameterError with a line that names the parameter.
-NodeSettings readParameters(const ros::NodeHandle& private_handle);
+void describe(air_ground_common::ParameterVisitor& visitor, NodeSettings& settings);
 
 }  // namespace dense_fusion

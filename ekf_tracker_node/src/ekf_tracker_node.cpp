@@ -20,6 +20,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/parameters.h"
 #include "ekf_tracker/increment_synchronizer.h"
 #include "sensor_bridge.h"
 #include "tracked_pose_publisher.h"
@@ -53,8 +54,8 @@ double seconds() { return ros::Time::isSimTime() ? ros::Time::now().toSec() : st
 
 class EkfTrackerNode {
  public:
-  EkfTrackerNode(ros::NodeHandle handle, ros::NodeHandle private_handle)
-      : settings_(readParameters(private_handle)),
+  EkfTrackerNode(ros::NodeHandle handle, ros::NodeHandle private_handle, const NodeSettings& settings)
+      : settings_(settings),
         tracker_(settings_.tracker),
         frame_(frameOf(settings_)),
         bridge_(settings_, frame_ ? &*frame_ : nullptr),
@@ -91,6 +92,13 @@ class EkfTrackerNode {
       watch();
     });
     health_.state(1, "waiting for visual odometry");
+  }
+
+  ~EkfTrackerNode() {
+    autosave_.save("trajectory.txt", [this](const std::string& path) {
+      if (publisher_.trajectory().empty()) throw std::runtime_error("no pose was tracked");
+      air_ground_common::writeTum(path, publisher_.trajectory());
+    });
   }
 
  private:
@@ -404,6 +412,7 @@ class EkfTrackerNode {
   }
 
   const NodeSettings settings_;
+  const ru::Autosave autosave_{settings_.autosave};
   Tracker tracker_;
   const std::optional<air_ground_common::LocalFrame> frame_;
   SensorBridge bridge_;
@@ -431,14 +440,9 @@ class EkfTrackerNode {
 }  // namespace ekf_tracker
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "ekf_tracker");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    ekf_tracker::EkfTrackerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<ekf_tracker::NodeSettings>(
+      argc, argv, "ekf_tracker", [](const auto& settings) {
+        ekf_tracker::EkfTrackerNode node{ros::NodeHandle(), ros::NodeHandle("~"), settings};
+        ros::spin();
+      });
 }

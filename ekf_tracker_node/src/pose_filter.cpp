@@ -53,10 +53,6 @@ Small innovationOf(const State& s, const Measurement& m) {
 
 void symmetrise(Matrix6d* p) { *p = 0.5 * (*p + p->transpose()).eval(); }
 
-void require(bool good, const char* what) {
-  if (!good) throw std::invalid_argument(std::string("ekf_tracker settings: ") + what);
-}
-
 }  // namespace
 
 double chiSquareQuantile(int dof, double p) { return boost::math::quantile(boost::math::chi_squared(dof), p); }
@@ -92,21 +88,6 @@ const char* describe(Result result) {
 bool isUsed(Result result) {
   return result == Result::kFused || result == Result::kInitialised || result == Result::kRecovered ||
          result == Result::kAgreed;
-}
-
-void check(const FilterSettings& s) {
-  require(s.gate_probability > 0.5 && s.gate_probability < 1, "gate_probability must lie between 0.5 and 1");
-  require(s.metric_scale_stddev > 0 && s.metric_scale_stddev < 1, "metric_scale_stddev must lie between 0 and 1");
-  require(s.scale_drift >= 0 && s.scale_drift < 1, "scale_drift must lie between 0 and 1");
-  require(s.max_initial_scale_stddev > 0 && s.max_initial_scale_stddev <= 1,
-          "max_initial_scale_stddev must lie between 0 and 1");
-  require(s.covariance_factor > 0, "covariance_factor must be positive");
-  require(s.min_translation_stddev > 0 && s.min_yaw_stddev > 0, "the floors of an increment must be positive");
-  require(s.gap_speed_stddev > 0 && s.gap_yaw_rate_stddev > 0, "the motion in gaps must be positive");
-  require(s.barometer_drift >= 0, "barometer_drift must not be negative");
-  require(s.pairing_time > 0 && s.pairing_drift > 0, "pairing_time and pairing_drift must be positive");
-  require(s.unscaled_start_fixes >= 2, "a start needs at least 2 fixes");
-  require(s.recovery_fixes >= 2 && s.max_hypotheses >= 1, "recovery needs at least 2 fixes and 1 hypothesis");
 }
 
 Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {

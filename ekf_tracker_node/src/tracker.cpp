@@ -14,10 +14,6 @@ namespace {
 
 constexpr std::size_t kMaxWaiting = 2000;  // while no odometry comes at all
 
-void require(bool good, const char* what) {
-  if (!good) throw std::invalid_argument(std::string("ekf_tracker settings: ") + what);
-}
-
 bool usable(const Measurement& m) {
   const int n = m.size();
   return std::isfinite(m.stamp) && m.value.head(n).allFinite() && isCovariance(m.covariance.topLeftCorner(n, n));
@@ -30,13 +26,7 @@ auto orderOf(const Measurement& m) {
 
 }  // namespace
 
-Tracker::Tracker(const TrackerSettings& settings) : settings_(settings), now_(settings.filter) {
-  require(settings.history > 0, "history must be positive");
-  require(settings.max_ahead > 0, "max_ahead must be positive");
-  require(settings.same_time >= 0 && settings.same_time < 0.02, "same_time must lie between 0 and 0.02 s");
-  require(settings.default_translation_stddev > 0 && settings.default_yaw_stddev > 0,
-          "the default covariance must be positive");
-}
+Tracker::Tracker(const TrackerSettings& settings) : settings_(settings), now_(settings.filter) { check(settings); }
 
 void Tracker::reset() { *this = Tracker(settings_); }
 

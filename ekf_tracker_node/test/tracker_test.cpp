@@ -189,7 +189,7 @@ TEST(Tracker, BadInputIsRefusedByName) {
 TEST(Tracker, DefaultCovarianceIsNotMultiplied) {
   TrackerSettings settings;
   settings.filter.covariance_factor = 25;
-  settings.filter.metric_scale_stddev = 1e-6;
+  settings.filter.metric_scale_stddev = 0.001;
   settings.filter.scale_drift = 0;
   Tracker tracker(settings);
   Increment step;
@@ -208,8 +208,9 @@ TEST(Tracker, DefaultCovarianceIsNotMultiplied) {
   step.motion[0] = 0.5;
   step.covariance(0, 0) = std::numeric_limits<double>::quiet_NaN();
   tracker.addIncrement(step);
-  // A fifth of the length and the floor, and once more the floor of every step.
-  EXPECT_NEAR(tracker.latest()->covariance(0, 0), std::pow(0.2 * 0.5 + 0.001, 2) + 1e-6, 1e-8);
+  // A fifth of the length and the floor, once more the floor of every step, and the scale.
+  EXPECT_NEAR(tracker.latest()->covariance(0, 0), std::pow(0.2 * 0.5 + 0.001, 2) + 1e-6 + std::pow(0.001 * 0.5, 2),
+              1e-8);
   EXPECT_NEAR(tracker.latest()->covariance(3, 3), std::pow(0.02, 2) + 1e-8, 1e-8);
   const auto rate = tracker.rate();
   ASSERT_TRUE(rate);

@@ -49,7 +49,7 @@ void CompassInput::onField(Robot& robot, const sensor_msgs::MagneticField& msg) 
     }
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!robot.R_map_base || std::abs((msg.header.stamp - robot.stamp).toSec()) > kAttitudeAge) {
+  if (!robot.R_map_base || std::abs(msg.header.stamp.toSec() - robot.stamp.toSec()) > kAttitudeAge) {
     health_.count("magnetic field of the " + robot.name + " without odometry at its stamp");
     return;
   }

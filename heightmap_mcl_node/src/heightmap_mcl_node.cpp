@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/renewable_subscriber.h"
 #include "compass_input.h"
 #include "inbox.h"
@@ -28,9 +29,9 @@ std::vector<Eigen::Vector3f> positions(const std::vector<ros_utils::CloudPoint>&
 
 class HeightmapMclNode {
  public:
-  HeightmapMclNode()
+  explicit HeightmapMclNode(const NodeSettings& settings)
       : private_handle_("~"),
-        settings_(read(private_handle_)),
+        settings_(settings),
         health_("heightmap_mcl"),
         inbox_(settings_, health_, [this] { ground_sub_->renew(); }),
         localizer_(settings_.localizer) {
@@ -74,11 +75,6 @@ class HeightmapMclNode {
 
  private:
   using Cloud = sensor_msgs::PointCloud2ConstPtr;
-
-  static NodeSettings read(const ros::NodeHandle& handle) {
-    ros_utils::Parameters parameters(handle);
-    return readParameters(parameters);
-  }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     inbox_.reset();
@@ -275,13 +271,9 @@ class HeightmapMclNode {
 }  // namespace heightmap_mcl
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "heightmap_mcl");
-  try {
-    heightmap_mcl::HeightmapMclNode node;
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL("heightmap_mcl: %s", e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<heightmap_mcl::NodeSettings>(
+      argc, argv, "heightmap_mcl", [](const auto& settings) {
+        heightmap_mcl::HeightmapMclNode node(settings);
+        ros::spin();
+      });
 }

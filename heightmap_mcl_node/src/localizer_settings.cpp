@@ -1,8 +1,114 @@
 #include <stdexcept>
 
+#include "air_ground_common/parameters.h"
 #include "heightmap_mcl/localizer.h"
 
 namespace heightmap_mcl {
+namespace {
+
+void describeMap(air_ground_common::ParameterVisitor& v, const std::string& group, HeightMapSettings& s) {
+  v(group + "/drop_hanging", s.drop_hanging,
+    "what begins above the cap with nothing seen below is a ceiling (true) or the top of something high (false); a "
+    "ground robot sees ceilings");
+  v.choice(group + "/dilation", s.dilation,
+           {{"none", Dilation::kNone}, {"holes", Dilation::kHoles}, {"all", Dilation::kAll}},
+           "holes: fill missing cells only; all: the paper's 3x3 maximum everywhere");
+  v(group + "/height_quantile", s.height_quantile, {0.01, 1.0}, "",
+    "of a cell's points; 1 = highest (paper); less suppresses spikes in dense clouds");
+  v(group + "/min_points", s.min_points, {1, 1000}, "", "points that a cell needs");
+  v(group + "/max_spike", s.max_spike, {0.0, 100.0}, "m",
+    "drop cells that stand above all their neighbours by more; 0 = off");
+  v(group + "/max_extent", s.max_extent, {1.0, 200.0}, "m",
+    "of a larger cloud only the densest region of this edge is used (the rest is counted in /diagnostics); kept clouds "
+    "that reach farther than this with the newest are dropped. Raise it for a larger ground map: memory and time of "
+    "the search grow with its square");
+}
+
+}  // namespace
+
+void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
+  v.choice("mode", s.mode, {{"search", Mode::kSearch}, {"paper", Mode::kPaper}},
+           "search: every cloud is searched for in the whole map, and the particles say when to believe it. paper: the "
+           "particles alone after the first cloud, their mean is the estimate; sets tops highest, accumulate and "
+           "verify 1, merge highest, unknown_weight and min_explained 0, both sigmas 0.08 and the overlap to that of "
+           "the aerial map's cells");
+
+  v.section("Height maps (VI-A)");
+  HeightMapSettings& air = s.air_map;
+  double cells_per_metre = 1 / air.resolution;
+  v("cells_per_metre", cells_per_metre, {5, 200}, "", "resolution of both maps; paper: 50");
+  s.ground_map.resolution = air.resolution = 1 / cells_per_metre;
+  v.choice("tops", air.tops, {{"highest", Tops::kHighest}, {"clipped", Tops::kClipped}, {"bounded", Tops::kBounded}},
+           "height of a cell. highest: its highest point (paper). clipped: not above cap. bounded: as far as it was "
+           "seen; the end of a wall or an overhang says \"at least so high\", ceilings and lamps say nothing");
+  v("cap", air.cap, {0.1, 1000.0}, "m",
+    "above the floor, which is found in each map; what reaches it is \"at least so high\". Raise it where the ground "
+    "itself rises by more");
+  s.ground_map.tops = air.tops;
+  s.ground_map.cap = air.cap;
+  describeMap(v, "air", s.air_map);
+  describeMap(v, "ground", s.ground_map);
+  v("accumulate", s.accumulate, {1, 200}, "", "aerial clouds merged into the map that weighs the particles; 1 = paper");
+  v("verify", s.verify, {1, 200}, "",
+    "aerial clouds merged into the map that refines the estimate and looks for rivals. The MAV's drift over them "
+    "should stay below a few cells. At least accumulate");
+  v.choice("merge", s.merge, {{"highest", Merge::kHighest}, {"mean", Merge::kMean}},
+           "of the clouds' heights in a cell; the highest of many collects their noise");
+
+  v.section("Cost and search (eq. 2, 3)");
+  v("min_overlap", s.min_overlap, {0.05, 1}, "",
+    "share of the aerial map's cells (of the ground map's, if those are fewer) that must be defined in both; paper: "
+    "0.5");
+  v("unknown_weight", s.unknown_weight, {0.0, 2.0}, "",
+    "charge for cells of the smaller map without a partner, as a share of what unrelated heights would cost by eq. 2; "
+    "0 = paper. A place that explains less than min_explained (below) is charged for its other cells too, up to all of "
+    "them");
+  v("headings", s.headings, {8, 720}, "", "headings of the coarse search over the full circle");
+  v("coarse_factor", s.coarse_factor, {1, 16}, "", "cells of the coarse search are this much larger");
+
+  v.section("Particles (eq. 4 to 6)");
+  v("seed", s.seed, {0, 1 << 30}, "", "same seed, same input: same output");
+  FilterSettings& f = s.filter;
+  v("particles", f.particles, {10, 100000}, "", "paper: 200");
+  v("sampling_sigma", f.sampling_sigma, {1e-6, 10.0}, "m^2",
+    "sigma of eq. 5 for the first distribution. See docs/heightmap_mcl.md for why not 0.08");
+  v("weight_sigma", f.weight_sigma, {1e-6, 10.0}, "m^2", "the same for the weights of later maps");
+  v("mixture_ratio", f.mixture_ratio, {0.0, 0.9}, "",
+    "share of particles drawn anew from the full search at every map; paper: none");
+  v("position_noise", f.position_noise, {0.0, 1.0}, "m", "motion noise along each axis for every map");
+  v("position_noise_per_metre", f.position_noise_per_metre, {0.0, 1.0}, "m/m", "and for each metre flown");
+  v("yaw_noise", f.yaw_noise, {0.0, 0.8}, "rad", "for every map");
+  v("yaw_noise_per_metre", f.yaw_noise_per_metre, {0.0, 0.8}, "rad/m", "");
+
+  v.section("Verdict: when the pose is believed");
+  v("min_maps", s.min_maps, {1, 100}, "", "aerial maps before CONVERGED; fewer can fit a room that only looks alike");
+  v("min_mode_weight", s.min_mode_weight, {0.05, 1.0}, "", "share of the particles in the dominant mode");
+  v("max_spread", s.max_spread, {0.01, 10.0}, "m", "standard deviation of the position within it");
+  v("max_spread_yaw", s.max_spread_yaw, {0.002, M_PI}, "rad", "of the heading within it");
+  v("ambiguity_ratio", s.ambiguity_ratio, {1.001, 100.0}, "",
+    "any other place must cost, and leave unexplained, this many times as much, else AMBIGUOUS");
+  v("noise_cost", s.noise_cost, {1e-9, 1.0}, "m^2",
+    "added to both sides of a ratio: differences below it mean nothing");
+  v("rival_distance", s.rival_distance, {0.05, 10.0}, "m", "a rival lies at least this far away ...");
+  v("rival_angle", s.rival_angle, {0.02, M_PI / 2}, "rad", "... or is turned by this");
+  v("min_relief", s.min_relief, {0.0, 10.0}, "m",
+    "standard deviation of the heights in the overlap; below: DEGENERATE (flat)");
+  v("min_explained", s.min_explained, {0.0, 0.99}, "",
+    "share of the heights' variance (of the map that varies more) that the other map explains");
+  v("probe_distance", s.probe_distance, {0.05, 5.0}, "m", "eq. 2 this far along its flattest direction ...");
+  v("probe_ratio", s.probe_ratio, {1.001, 100.0}, "",
+    "... must be this much worse, else DEGENERATE (e.g. along an endless ridge)");
+
+  v.section("Covariance");
+  v("cells_per_independent", s.cells_per_independent, {1.0, 1e6}, "",
+    "cells whose residuals count as one independent measurement");
+  v("floor_position", s.floor_position, {1e-4, 1.0}, "m",
+    "standard deviation that no amount of data removes: scale, drift of the merged clouds");
+  v("floor_z", s.floor_z, {1e-4, 1.0}, "m", "");
+  v("floor_yaw", s.floor_yaw, {1e-5, 0.8}, "rad", "");
+  v("gravity_sigma", s.gravity_sigma, {1e-5, 0.8}, "rad", "of each map's vertical");
+  if (s.mode == Mode::kPaper) s = paperSettings(s);
+}
 
 const char* toString(Status status) {
   switch (status) {
@@ -22,29 +128,16 @@ void validate(const LocalizerSettings& s) {
   const auto require = [](bool ok, const std::string& text) {
     if (!ok) throw std::invalid_argument("localizer settings: " + text);
   };
-  validate(s.air_map);
-  validate(s.ground_map);
-  validate(CostSettings{s.min_overlap, 0, s.min_explained, s.min_relief});
-  require(s.unknown_weight >= 0 && s.unknown_weight <= 2, "unknown_weight must be in [0, 2]");
-  validate(s.filter);
   require(s.air_map.resolution == s.ground_map.resolution, "both height maps must have the same resolution");
   require(s.air_map.tops == s.ground_map.tops && s.air_map.cap == s.ground_map.cap,
           "both height maps must have the same tops and cap");
+  air_ground_common::checkRanges(s);
+  validate(s.air_map);
+  validate(s.ground_map);
+  validate(CostSettings{s.min_overlap, 0, s.min_explained, s.min_relief});
+  validate(s.filter);
   require(s.scale_sigma >= 0 && s.scale_sigma <= 0.5, "scale_sigma must be in [0, 0.5]");
-  require(s.headings >= 8 && s.headings <= 720, "headings must be 8 to 720");
-  require(s.coarse_factor >= 1 && s.coarse_factor <= 16, "coarse_factor must be 1 to 16");
-  require(s.accumulate >= 1, "accumulate must be at least 1");
   require(s.verify >= s.accumulate, "verify must not be less than accumulate");
-  require(s.min_maps >= 1, "min_maps must be at least 1");
-  require(s.min_mode_weight > 0 && s.min_mode_weight <= 1, "min_mode_weight must be in (0, 1]");
-  require(s.max_spread > 0 && s.max_spread_yaw > 0, "max_spread and max_spread_yaw must be positive");
-  require(s.ambiguity_ratio > 1 && s.probe_ratio > 1, "ambiguity_ratio and probe_ratio must be greater than 1");
-  require(s.noise_cost > 0, "noise_cost must be positive [m^2]");
-  require(s.rival_distance > 0 && s.rival_angle > 0, "rival_distance and rival_angle must be positive");
-  require(s.min_relief >= 0 && s.probe_distance > 0, "min_relief must not be negative, probe_distance positive [m]");
-  require(s.min_explained >= 0 && s.min_explained < 1, "min_explained must be in [0, 1)");
-  require(s.cells_per_independent >= 1, "cells_per_independent must be at least 1");
-  require(s.floor_position > 0 && s.floor_yaw > 0 && s.floor_z > 0 && s.gravity_sigma > 0, "floors must be positive");
 }
 
 LocalizerSettings paperSettings(LocalizerSettings s) {

@@ -1,26 +1,28 @@
-// The node's parameters, see config/heightmap_mcl.yaml.
+// Parameters of heightmap_mcl_node.
 #pragma once
 
 #include <string>
 
-#include "air_ground_common/ros/parameters.h"
 #include "heightmap_mcl/localizer.h"
 
 namespace heightmap_mcl {
 
 struct NodeSettings {
+  NodeSettings() { prior.yaw_sigma = 0.17; }
+
   LocalizerSettings localizer;
   Prior prior;           ///< empty when the heading is searched
   bool compass = false;  ///< the heading is that of two magnetometers, prior.yaw_sigma their common error
-  std::string ground_map_frame, mav_map_frame;  ///< empty: as in the messages
-  double search_radius = 3;                     ///< about initialpose, in Mode::kPaper [m]
+  std::string ground_map_frame, mav_map_frame;
+  double search_radius = 3;
   bool publish_tf = false;
-  double tf_rate = 10;  ///< [Hz]
+  double tf_rate = 10;
   int cloud_queue = 30;
-  double odometry_gap = 0.3;  ///< [s]
+  double odometry_gap = 0.3;
+
+  void validate() const { heightmap_mcl::validate(localizer); }
 };
 
-/// Throws ParameterError for a parameter that is out of range, of the wrong type or unknown.
-NodeSettings readParameters(air_ground_common::ros_utils::Parameters& parameters);
+void describe(air_ground_common::ParameterVisitor& visitor, NodeSettings& settings);
 
 }  // namespace heightmap_mcl

@@ -352,7 +352,7 @@ TEST(Localizer, AGroundMapWithoutACellIsForgottenWhole) {
   options.aerial_clouds = 2;
   const auto run = synthetic::makeRun(options);
   LocalizerSettings settings;
-  settings.ground_map.min_points = 1000000000;
+  settings.ground_map.min_points = 1000;
   Localizer localizer(settings);
   EXPECT_FALSE(localizer.setGround(run.ground));
   EXPECT_FALSE(localizer.hasGround());

@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <cmath>
 #include <cstdio>
+#include <utility>
 
 #include <yaml-cpp/yaml.h>
 
@@ -35,6 +36,7 @@ AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settin
 
 void AlignmentRefiner::setGround(Cloud cloud) {
   ground_ = std::move(cloud);
+  ground_replaced_ = true;
   reference_.reset();
 }
 
@@ -128,6 +130,13 @@ RefineOutcome AlignmentRefiner::refine() {
   }
   const bool from_tracking = tracked_ && !decided;
   if (!decided) out = from_tracking ? attempt(reading, *tracked_) : attemptFromGuess(reading, *coarse_);
+  // A loop closure moves the ground map by more than ICP reaches from the last pose.
+  const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
+  if (from_tracking && std::exchange(ground_replaced_, false) && out.status != RefineStatus::kConverged &&
+      !too_little) {
+    RefineOutcome other = attemptFromGuess(reading, rigidAt(*tracked_, centre), true);
+    if (other.status == RefineStatus::kConverged) out = other;
+  }
   out.tracking = from_tracking;
   if (from_tracking && disagreements_ >= settings_.coarse_disagreements) {
     disagreements_ = 0;
@@ -158,13 +167,17 @@ RefineOutcome AlignmentRefiner::refine() {
   return out;
 }
 
-RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose guess) {
+RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged) {
   // The height is the one thing that the maps tell at once, and a guess drawn on a plane knows nothing of it.
   const auto dz = heightOffset(transformed(reading, guess), reference_->cloud(), settings_.height_check.cell);
   if (dz) guess.translation().z() += *dz;
   RefineOutcome best = attempt(reading, similarity(guess, scale_.mean));
   const Eigen::Vector3d centre = guess * middle(reading);
-  for (int k = 0; k < settings_.retries && (best.status == RefineStatus::kRejected || best.contradicted); ++k) {
+  const auto open = [&] {
+    return best.status == RefineStatus::kRejected || best.contradicted ||
+           (until_converged && best.status != RefineStatus::kConverged);
+  };
+  for (int k = 0; k < settings_.retries && open(); ++k) {
     const double heading = 2 * M_PI * k / settings_.retries, yaw = (k % 2 ? 1 : -1) * settings_.retry_angle;
     const Eigen::Matrix3d R = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
     Pose shift = Pose::Identity();

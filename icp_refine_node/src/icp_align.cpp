@@ -2,14 +2,13 @@
 #include <yaml-cpp/yaml.h>
 
 #include <CLI/CLI.hpp>
-#include <algorithm>
-#include <cmath>
 #include <cstdio>
 #include <stdexcept>
 #include <string>
 
 #include "air_ground_common/mesh.h"
-#include "refiner_parameters.h"
+#include "air_ground_common/parameters.h"
+#include "node_parameters.h"
 
 namespace {
 
@@ -18,38 +17,6 @@ icp_refine::Cloud readCloud(const std::string& path) {
   for (const auto& p : air_ground_common::readPlyPoints(path)) out.points.push_back(p.position);
   return out;
 }
-
-/// Parameters of a YAML file, nested where their names have slashes. Throws ConfigError for a value out of range.
-struct YamlParameters {
-  YAML::Node root;
-
-  YAML::Node find(const std::string& name) const {
-    const auto slash = name.find('/');
-    const YAML::Node group = slash == std::string::npos ? root : root[name.substr(0, slash)];
-    return group ? group[slash == std::string::npos ? name : name.substr(slash + 1)] : group;
-  }
-  std::string choice(const std::string& name, const std::string& fallback,
-                     const std::vector<std::string>& choices) const {
-    const YAML::Node node = find(name);
-    if (!node) return fallback;
-    const auto value = node.as<std::string>();
-    if (std::find(choices.begin(), choices.end(), value) == choices.end())
-      throw icp_refine::ConfigError("parameter " + name + " is '" + value + "', which is no choice");
-    return value;
-  }
-  double number(const std::string& name, double fallback, double min, double max) const {
-    const YAML::Node node = find(name);
-    if (!node) return fallback;
-    const double value = node.as<double>();
-    if (!(value >= min && value <= max)) throw icp_refine::ConfigError("parameter " + name + " is out of range");
-    return value;
-  }
-  int integer(const std::string& name, int fallback, int min, int max) const {
-    const double value = number(name, fallback, min, max);
-    if (value != std::floor(value)) throw icp_refine::ConfigError("parameter " + name + " must be a whole number");
-    return static_cast<int>(value);
-  }
-};
 
 }  // namespace
 
@@ -78,9 +45,9 @@ int main(int argc, char** argv) {
     }
     const YAML::Node config = YAML::LoadFile(config_path);
     const bool whole = config["chain"].IsDefined();
-    const YamlParameters parameters{whole ? config : YAML::Node(YAML::NodeType::Map)};
-    icp_refine::AlignmentRefiner refiner(icp_refine::IcpChain(whole ? config["chain"] : config),
-                                         icp_refine::readRefinerSettings(parameters));
+    icp_refine::NodeSettings settings;
+    if (whole) air_ground_common::readYaml(config_path, {}, &settings);
+    icp_refine::AlignmentRefiner refiner(icp_refine::IcpChain(whole ? config["chain"] : config), settings.refiner);
     const auto aerial = readCloud(aerial_path), ground = readCloud(ground_path);
     refiner.setGround(ground);
     refiner.addAerial(0, aerial);

@@ -9,6 +9,8 @@
 #include <std_srvs/Trigger.h>
 
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/parameters.h"
+#include "chain_parameter.h"
 #include "refine_worker.h"
 
 namespace icp_refine {
@@ -19,9 +21,9 @@ using air_ground::AlignmentEstimate;
 
 class IcpRefineNode {
  public:
-  IcpRefineNode()
+  explicit IcpRefineNode(const NodeSettings& settings)
       : private_("~"),
-        settings_(readParameters(private_)),
+        settings_(settings),
         health_("icp_refine"),
         output_(settings_, health_),
         worker_(settings_, readChain(private_, settings_.chain_file), output_, health_) {
@@ -43,6 +45,11 @@ class IcpRefineNode {
       tf_timer_ = handle_.createTimer(ros::Duration(1 / settings_.tf_rate),
                                       [this](const ros::TimerEvent&) { output_.publishTf(); });
     }
+  }
+
+  ~IcpRefineNode() {
+    file_spinner_.stop();
+    autosave_.save("augmented_map.ply", [this](const std::string& path) { write(path); });
   }
 
  private:
@@ -245,13 +252,18 @@ class IcpRefineNode {
 
   bool onSave(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&]() -> std::string {
-      const auto [points, aligned] = worker_.map();
-      if (points.empty())
-        throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
-      ros_utils::writeCloud(request.path, points, ros_utils::CloudFields::kXyzRgbSource);
-      response.points = points.size();
+      const auto [points, aligned] = write(request.path);
+      response.points = points;
       return aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
     });
+  }
+
+  /// Number of points; whether the aerial ones are among them.
+  std::pair<std::size_t, bool> write(const std::string& path) {
+    const auto [points, aligned] = worker_.map();
+    if (points.empty()) throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
+    ros_utils::writeCloud(path, points, ros_utils::CloudFields::kXyzRgbSource);
+    return {points.size(), aligned};
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -280,6 +292,7 @@ class IcpRefineNode {
   ros::CallbackQueue file_queue_;
   ros::NodeHandle handle_, private_, file_handle_{"~"};
   const NodeSettings settings_;
+  const ros_utils::Autosave autosave_{settings_.autosave};
   ros_utils::NodeHealth health_;
   AlignmentOutput output_;
   RefineWorker worker_;
@@ -306,13 +319,9 @@ class IcpRefineNode {
 }  // namespace icp_refine
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "icp_refine");
-  try {
-    icp_refine::IcpRefineNode node;
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<icp_refine::NodeSettings>(argc, argv, "icp_refine",
+                                                                         [](const auto& settings) {
+                                                                           icp_refine::IcpRefineNode node(settings);
+                                                                           ros::spin();
+                                                                         });
 }

@@ -1,7 +1,5 @@
-// Parameters of icp_refine_node, read once and checked; config/icp_refine.yaml explains each.
+// Parameters of icp_refine_node.
 #pragma once
-
-#include <ros/node_handle.h>
 
 #include <string>
 
@@ -11,20 +9,18 @@
 namespace icp_refine {
 
 struct NodeSettings {
-  std::string ground_map_frame, mav_map_frame, chain_file;
+  std::string ground_map_frame = "ground_map", mav_map_frame = "mav_map", chain_file;
   bool publish_tf = true, inverse_tf = false;
-  double tf_rate = 10;      ///< [Hz]
-  int queue_size = 50;      ///< aerial clouds that may wait for the worker
-  double min_period = 0.5;  ///< between refinements [s]
-  double map_period = 2;    ///< between augmented maps [s]
+  double tf_rate = 10;
+  int queue_size = 50;
+  double min_period = 0.5, map_period = 2;
+  std::string autosave;  ///< folder for the augmented map at the end; empty: none
   AugmentedMapSettings map;
   RefinerSettings refiner;
+
+  void validate() const {}
 };
 
-/// Throws ParameterError.
-NodeSettings readParameters(const ros::NodeHandle& private_handle);
-
-/// From `file` or, when that is empty, from the parameter `chain`. Throws ConfigError.
-IcpChain readChain(const ros::NodeHandle& private_handle, const std::string& file);
+void describe(air_ground_common::ParameterVisitor& visitor, NodeSettings& settings);
 
 }  // namespace icp_refine

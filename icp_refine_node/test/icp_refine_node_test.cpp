@@ -501,6 +501,45 @@ TEST_F(NodeTest, AnotherGroundMapStartsAfresh) {
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
 }
 
+TEST_F(NodeTest, ACorrectedGroundMapIsFollowedWithinOneCloud) {
+  const auto scene = synthetic::makeScene(1);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  // The ground robot closes a loop: its map, still the same one, moves by half a metre where the MAV is.
+  const Eigen::Vector3d centre = scene.truth * synthetic::centroid(scene.aerial);
+  for (const double direction : {0.6, 3.7}) {
+    const Eigen::Vector3d step(0.5 * std::cos(direction), 0.5 * std::sin(direction), 0);
+    const Pose correction = Eigen::Translation3d(centre + step) * Eigen::AngleAxisd(0.04, Eigen::Vector3d::UnitZ()) *
+                            Eigen::Translation3d(-centre);
+    tick(1);
+    auto corrected = cloud(transformed(scene.ground, correction), "ground_map");
+    ground_.publish(corrected);
+    ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", corrected.header.stamp); }));
+    estimates_.clear();
+    maps_.clear();
+    tick(1);
+    const ros::Time newest(now_);
+    aerial_.publish(cloud(scene.aerial, "mav_map"));
+    ASSERT_TRUE(waitFor([&] { return !estimates_.empty(); }));
+    EXPECT_EQ(estimates_.front().status, AlignmentEstimate::STATUS_CONVERGED) << estimates_.front().reason;
+    auto moved = scene;
+    moved.truth = Similarity{scene.truth.scale, correction.linear() * scene.truth.R, correction * scene.truth.t};
+    EXPECT_LT(error(estimates_.front(), moved), 0.08) << estimates_.front().reason;
+    ASSERT_TRUE(waitFor([&] { return !maps_.empty() && maps_.back().header.stamp >= newest; }));
+    const air_ground_common::MeshScene mesh(scene.mesh);
+    std::size_t aerial = 0, near = 0;
+    for (const auto& p : ros_utils::cloudFromMsg(maps_.back())) {
+      if (p.source == 0) continue;
+      ++aerial;
+      const Eigen::Vector3d p_world = scene.T_world_ground_map * correction.inverse() * p.position.cast<double>();
+      near += mesh.distance(p_world.cast<float>(), 1) < 0.08f;
+    }
+    EXPECT_GT(aerial, 2000u);
+    EXPECT_GT(near, 0.9 * aerial);
+  }
+}
+
 TEST_F(NodeTest, ALostPoseLeavesTheAugmentedMap) {
   const auto scene = synthetic::makeScene(1), other = synthetic::makeScene(17);
   sendScene(scene);

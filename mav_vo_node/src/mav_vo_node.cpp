@@ -9,6 +9,7 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "node_parameters.h"
 #include "visual_frontend/feature_tracker.h"
@@ -167,7 +168,7 @@ class MavVoNode : private ros_utils::Estimator {
     posed.map_id = r.map_id;
     posed_publisher_.publish(posed);
     if (r.increment) publishIncrement(header, r);
-    if (r.metric && r.keyframe && (header.stamp - last_cloud_).toSec() >= settings_.sparse_cloud_interval) {
+    if (r.metric && r.keyframe && header.stamp.toSec() - last_cloud_.toSec() >= settings_.sparse_cloud_interval) {
       last_cloud_ = header.stamp;
       cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, header));
     }
@@ -229,15 +230,8 @@ class MavVoNode : private ros_utils::Estimator {
 }  // namespace mav_vo
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "mav_vo");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const mav_vo::NodeSettings settings = mav_vo::readParameters(ros::NodeHandle("~"));
+  return air_ground_common::ros_utils::runNode<mav_vo::NodeSettings>(argc, argv, "mav_vo", [](const auto& settings) {
     mav_vo::MavVoNode node(settings);
     ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  });
 }

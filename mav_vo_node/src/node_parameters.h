@@ -1,21 +1,23 @@
-// Parameters of mav_vo_node, read once and checked; config/mav_vo.yaml explains each.
+// Parameters of mav_vo_node.
 #pragma once
 
-#include <ros/node_handle.h>
-
+#include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/estimator_shell.h"
 #include "mav_vo/odometry.h"
 
 namespace mav_vo {
 
 struct NodeSettings {
+  NodeSettings();
+
   OdometrySettings odometry;
   air_ground_common::ros_utils::EstimatorSettings estimator;
-  double sparse_cloud_interval = 1.0;  ///< [s]
+  double sparse_cloud_interval = 1.0;
   int track_image_every = 2;
+
+  void validate() const { odometry.validate(); }
 };
 
-/// Throws ParameterError.
-NodeSettings readParameters(const ros::NodeHandle& private_handle);
+void describe(air_ground_common::ParameterVisitor& visitor, NodeSettings& settings);
 
 }  // namespace mav_vo

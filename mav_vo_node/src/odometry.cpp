@@ -29,32 +29,6 @@ T quantile(std::vector<T>& values, double q) {
 
 }  // namespace
 
-void OdometrySettings::validate() const {
-  const auto require = [](bool good, const char* what) {
-    if (!good) throw std::invalid_argument(std::string("OdometrySettings: ") + what);
-  };
-  tracker.validate();
-  imu_noise.validate();
-  require(pixel_sigma > 0, "pixel_sigma must be positive");
-  require(gyro_prior_sigma > 0, "gyro_prior_sigma must be positive");
-  require(min_inliers >= 6, "min_inliers must be at least 6");
-  require(keyframe_distance > 0 && keyframe_angle > 0 && keyframe_max_interval > 0,
-          "keyframe thresholds must be positive");
-  require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must lie in (0, 1)");
-  require(triangulation_parallax > 0, "triangulation_parallax must be positive");
-  require(window >= 3 && window_fixed >= 0, "window must be at least 3, window_fixed at least 0");
-  require(full_interval > 0 && full_max_keyframes >= window,
-          "full_interval must be positive, full_max_keyframes at least window");
-  require(metric_stddev > 0 && metric_stddev < 0.5, "metric_stddev must lie in (0, 0.5)");
-  require(max_speed > 0 && relocalization_slack >= 0, "max_speed must be positive, relocalization_slack not negative");
-  require(max_image_keyframes >= 10, "max_image_keyframes must be at least 10");
-  require(scale.start_max_nis >= 1, "scale.start_max_nis must be at least 1");
-  require(std::abs(readout_time) <= 0.1, "readout_time must lie within 0.1 s");
-  require(std::abs(gyro_alignment.time_offset) <= 1.0, "time_offset must lie within 1 s");
-  require(lost_timeout > 0, "lost_timeout must be positive");
-  require(increment_samples >= 50, "increment_samples must be at least 50");
-}
-
 const char* toString(OdometryState state) {
   switch (state) {
     case OdometryState::kWaiting:

@@ -1,7 +1,10 @@
 #include "rgbd_slam/depth_model.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <stdexcept>
+#include <vector>
 
 namespace rgbd_slam {
 
@@ -31,6 +34,26 @@ std::optional<double> sampleDepth(const cv::Mat& depth, const Eigen::Vector2d& p
   if (z < model.min_range || z > model.max_range) return std::nullopt;
   if (values[count - 1] - values[0] > 4 * model.sigma(z) + 0.02 * z) return std::nullopt;
   return z;
+}
+
+std::string unitProblem(const cv::Mat& depth) {
+  constexpr float kNear = 0.03f, kFar = 100.f;  // [m]; a wrong unit is wrong by a thousand
+  constexpr int kStride = 7;
+  constexpr std::size_t kEnough = 50;
+  std::vector<float> known;
+  for (int v = 0; v < depth.rows; v += kStride)
+    for (int u = 0; u < depth.cols; u += kStride)
+      if (const float z = depth.at<float>(v, u); std::isfinite(z) && z > 0) known.push_back(z);
+  if (known.size() < kEnough) return "";
+  const auto middle = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 2);
+  std::nth_element(known.begin(), middle, known.end());
+  if (*middle > kNear && *middle < kFar) return "";
+  char text[200];
+  std::snprintf(
+      text, sizeof text,
+      "the depth images are in a wrong unit: their median is %.4g m; 32FC1 must hold metres, 16UC1 millimetres",
+      static_cast<double>(*middle));
+  return text;
 }
 
 }  // namespace rgbd_slam

@@ -1,20 +1,24 @@
-// Parameters of rgbd_slam_node, read once and checked; config/rgbd_slam.yaml explains each.
+// Parameters of rgbd_slam_node.
 #pragma once
 
-#include <ros/node_handle.h>
-
+#include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "depth_input.h"
 #include "rgbd_slam/slam.h"
 
 namespace rgbd_slam {
 
 struct NodeSettings {
+  NodeSettings();
+
   SlamSettings slam;
   air_ground_common::ros_utils::EstimatorSettings estimator;
-  double cloud_interval = 2.0;  ///< [s]
+  DepthInputSettings depth;
+  double cloud_interval = 2.0;
+
+  void validate() const { slam.validate(); }
 };
 
-/// Throws ParameterError.
-NodeSettings readParameters(const ros::NodeHandle& private_handle);
+void describe(air_ground_common::ParameterVisitor& visitor, NodeSettings& settings);
 
 }  // namespace rgbd_slam

@@ -2,15 +2,19 @@
 #include <air_ground/VoStatus.h>
 #include <ros/ros.h>
 
+#include <algorithm>
 #include <chrono>
 #include <memory>
 #include <stdexcept>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "cloud_publisher.h"
+#include "depth_input.h"
 #include "node_parameters.h"
+#include "rgbd_slam/rotation_check.h"
 
 namespace rgbd_slam {
 namespace {
@@ -56,6 +60,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
                 "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
                 "runs without rotation prior and takes the robot's base for level at the start"},
                *this),
+        depth_(handle_, "ground/depth/camera_info", settings_.depth, shell_.mountings(), shell_.health()),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()) {
     keyframe_publisher_ = handle_.advertise<sensor_msgs::Image>("ground/keyframe_image", 5);
     shell_.start();
@@ -73,6 +78,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
       mounting.p_base_imu = T_base_imu->translation();
     }
     slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
+    R_base_imu_ = T_base_imu.value_or(Pose::Identity()).linear();
+    turns_.reset();
+    depth_.setColourCamera(camera, T_base_camera);
   }
 
   void forgetMap() override {
@@ -85,7 +93,11 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
 
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
-    return slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force});
+    if (!slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force})) return false;
+    felt_ +=
+        std::max(0.0, std::min(sample.stamp - last_sample_, kLongestSample)) * (R_base_imu_ * sample.angular_velocity);
+    last_sample_ = sample.stamp;
+    return true;
   }
 
   double imuLead() const override { return settings_.slam.time_offset + 0.5 * std::abs(settings_.slam.readout_time); }
@@ -100,16 +112,20 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros_utils::EstimatorResult process(const ros_utils::EstimatorFrame& frame) override {
     last_stamp_ = frame.stamp;
     const auto begin = std::chrono::steady_clock::now();
+    ros_utils::EstimatorResult result;
+    air_ground::VoStatus& status = result.status;
+    const auto depth = depth_.read(*frame.depth, &status.reason);
+    if (!depth) {
+      status.state = air_ground::VoStatus::STATE_WAITING;
+      return result;
+    }
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
-    const FrameResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image),
-                                         ros_utils::depthFromMsg(*frame.depth));
+    const FrameResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image), *depth);
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
     if (r.relocalized) ROS_INFO("found the way back into the map");
     if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, or levelled)");
-    ros_utils::EstimatorResult result;
-    air_ground::VoStatus& status = result.status;
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
     status.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -118,11 +134,25 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.scale = 1.0;
     status.processing_time = seconds;
     status.reason = r.reason;
+    if (const std::string problem = compareTurns(frame.stamp, r); !problem.empty()) {
+      shell_.health().count(problem);
+      if (status.reason.empty()) status.reason = problem;
+    }
     result.advice = adviceFor(r.state);
     result.pose_published =
         r.state == State::kTracking && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     if (result.pose_published) result.publish = [this, stamp = frame.stamp, grey, r] { publish(stamp, grey, r); };
     return result;
+  }
+
+  /// What gyro and images disagree in; empty while nothing is known to be wrong.
+  std::string compareTurns(const ros::Time& stamp, const FrameResult& r) {
+    if (r.increment_covariance)
+      turns_.add(air_ground_common::logSO3(r.T_previous_current_base.linear()), felt_,
+                 stamp.toSec() - last_turn_.toSec());
+    felt_.setZero();
+    last_turn_ = stamp;
+    return turns_.problem();
   }
 
   void publish(const ros::Time& stamp, const cv::Mat& grey, const FrameResult& r) {
@@ -138,7 +168,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
             ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
       }
     }
-    if ((cloud_outdated_ && (stamp - last_cloud_).toSec() >= settings_.cloud_interval) || r.map_corrected)
+    if ((cloud_outdated_ && stamp.toSec() - last_cloud_.toSec() >= settings_.cloud_interval) || r.map_corrected)
       requestCloud();
   }
 
@@ -172,7 +202,15 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros::Time last_stamp_, last_cloud_;
   bool cloud_outdated_ = false;
 
+  static constexpr double kLongestSample = 0.1;  ///< of the IMU [s]
+  RotationCheck turns_;
+  Eigen::Matrix3d R_base_imu_ = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  ///< by the gyro since the last frame, in the base [rad]
+  double last_sample_ = 0;                          ///< [s]
+  ros::Time last_turn_;
+
   ros_utils::EstimatorShell shell_;
+  DepthInput depth_;
   CloudPublisher clouds_;
 };
 
@@ -180,15 +218,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
 }  // namespace rgbd_slam
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "rgbd_slam");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    const rgbd_slam::NodeSettings settings = rgbd_slam::readParameters(ros::NodeHandle("~"));
-    rgbd_slam::RgbdSlamNode node(settings);
-    ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
-  } catch (const std::exception& e) {
-    ROS_FATAL_STREAM(e.what());
-    return 1;
-  }
-  return 0;
+  return air_ground_common::ros_utils::runNode<rgbd_slam::NodeSettings>(
+      argc, argv, "rgbd_slam", [](const auto& settings) {
+        rgbd_slam::RgbdSlamNode node(settings);
+        ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
+      });
 }

@@ -29,36 +29,6 @@ SlamSettings::SlamSettings() {
   bundle.pixel_sigma = 1.0;
 }
 
-void SlamSettings::validate() const {
-  const auto require = [](bool ok, const char* what) {
-    if (!ok) throw std::invalid_argument(std::string("SlamSettings::") + what);
-  };
-  tracker.validate();
-  depth.validate();
-  cloud.validate();
-  require(pixel_sigma > 0, "pixel_sigma must be positive");
-  require(std::abs(time_offset) <= 1, "time_offset must be within 1 s");
-  require(std::abs(readout_time) <= 0.2, "readout_time must be within 0.2 s");
-  require(min_start_features >= 10, "min_start_features must be at least 10");
-  require(min_inliers >= 6, "min_inliers must be at least 6");
-  require(min_inlier_ratio >= 0 && min_inlier_ratio < 1, "min_inlier_ratio must be in [0, 1)");
-  require(reobserve_every >= 0, "reobserve_every must not be negative");
-  require(local_keyframes >= 1, "local_keyframes must be at least 1");
-  require(max_speed > 0, "max_speed must be positive");
-  require(relocalization_slack >= 0, "relocalization_slack must not be negative");
-  require(relocalization_interval >= 0, "relocalization_interval must not be negative");
-  require(max_image_keyframes >= local_keyframes, "max_image_keyframes must be at least local_keyframes");
-  require(keyframe_translation > 0 && keyframe_rotation > 0,
-          "keyframe_translation and keyframe_rotation must be positive");
-  require(keyframe_overlap > 0 && keyframe_overlap < 1, "keyframe_overlap must be in (0, 1)");
-  require(window >= 2 && window_fixed >= 1, "window must be at least 2 and window_fixed at least 1");
-  require(gravity_sigma > 0, "gravity_sigma must be positive");
-  require(level_tolerance > 0, "level_tolerance must be positive");
-  inertial.validate();
-  require(loop_min_gap >= 2, "loop_min_gap must be at least 2");
-  require(max_fused_frames >= 0, "max_fused_frames must not be negative");
-}
-
 namespace {
 
 Pose imuOnCamera(const Mounting& mounting) {

@@ -6,7 +6,9 @@
 #include <map>
 
 #include "rgbd_slam/depth_model.h"
+#include "rgbd_slam/depth_registration.h"
 #include "rgbd_slam/ground_cloud.h"
+#include "rgbd_slam/rotation_check.h"
 #include "synthetic.h"
 
 namespace rgbd_slam {
@@ -33,6 +35,87 @@ TEST(SampleDepth, MedianOfTheKnownAndNothingAtEdges) {
   DepthModel bad;
   bad.max_range = 0.1;
   EXPECT_THROW(bad.validate(), std::invalid_argument);
+}
+
+TEST(UnitProblem, NamesMillimetresAndMetresTakenForEachOther) {
+  cv::Mat depth(60, 80, CV_32F, cv::Scalar(1.5f));
+  depth.rowRange(0, 20) = NAN;
+  EXPECT_EQ(unitProblem(depth), "");
+  EXPECT_NE(unitProblem(1000 * depth).find("1500 m"), std::string::npos) << unitProblem(1000 * depth);
+  EXPECT_NE(unitProblem(0.001 * depth).find("0.0015 m"), std::string::npos) << unitProblem(0.001 * depth);
+  depth.setTo(NAN);
+  EXPECT_EQ(unitProblem(depth), "");
+}
+
+// Turns about all axes, seen with noise, felt with bias.
+TEST(RotationCheck, NamesSwappedAxesAndUnits) {
+  synthetic::Random random(5);
+  const auto verdict = [&](const Eigen::Matrix3d& axes, bool level) {
+    RotationCheck check;
+    for (int i = 0; i < 120; ++i) {
+      Eigen::Vector3d turn = 0.1 * Eigen::Vector3d(0.2 * std::sin(1.3 * i), 0.3 * std::cos(0.7 * i), 0.5);
+      if (level) turn.head<2>().setZero();
+      check.add(turn + random.gaussVector(0.004), axes * turn + 0.1 * Eigen::Vector3d(0.1, -0.1, 0.1), 0.1);
+    }
+    return check.problem();
+  };
+  Eigen::Matrix3d z_to_x, y_flipped = Eigen::Vector3d(1, -1, -1).asDiagonal();
+  z_to_x << 0, 0, 1, 0, 1, 0, -1, 0, 0;
+  for (const bool level : {false, true}) {
+    EXPECT_EQ(verdict(Eigen::Matrix3d::Identity(), level), "");
+    EXPECT_EQ(verdict(0.6 * Eigen::Matrix3d::Identity(), level), "") << "a scale error is no wrong unit";
+    EXPECT_NE(verdict(z_to_x, level).find("about +z of the base come from the IMU as turns about +x"),
+              std::string::npos)
+        << verdict(z_to_x, level);
+    EXPECT_NE(verdict(y_flipped, level).find("about +z of the base come from the IMU as turns about -z"),
+              std::string::npos)
+        << verdict(y_flipped, level);
+    EXPECT_NE(verdict(180 / M_PI * Eigen::Matrix3d::Identity(), level).find("unit"), std::string::npos);
+  }
+}
+
+// A wall 2 m before the depth camera with a plate 1 m before it, seen by a colour camera of twice the focal length,
+// 0.1 m to the right: positions and depths by hand.
+TEST(DepthRegistration, SeesWhatTheColourCameraSees) {
+  air_ground_common::CameraModel depth_camera, colour_camera;
+  depth_camera.width = 160, depth_camera.height = 120;
+  depth_camera.fx = depth_camera.fy = 100, depth_camera.cx = 79.5, depth_camera.cy = 59.5;
+  colour_camera.width = 200, colour_camera.height = 150;
+  colour_camera.fx = colour_camera.fy = 200, colour_camera.cx = 99.5, colour_camera.cy = 74.5;
+  Pose T_colour_depth = Pose::Identity();
+  T_colour_depth.translation() = Eigen::Vector3d(-0.1, 0, 0.05);
+  const DepthRegistration registration(depth_camera, colour_camera, T_colour_depth);
+  cv::Mat depth(120, 160, CV_32F, cv::Scalar(2.0f));
+  depth(cv::Range(50, 70), cv::Range(70, 90)) =
+      1.0f;  // |x|, |y| <= 0.1 m: of the colour camera x in [-0.2, 0] at 1.05 m
+  depth(cv::Range(0, 60), cv::Range(0, 30)).setTo(NAN);
+  const cv::Mat registered = registration(depth);
+  ASSERT_EQ(registered.size(), cv::Size(200, 150));
+  // The plate's borders: x = 99.5 + 200 * (-0.2 .. 0) / 1.05 = 61.4 .. 99.5, y = 74.5 -+ 19.05.
+  EXPECT_FLOAT_EQ(registered.at<float>(74, 64), 1.05f);
+  EXPECT_FLOAT_EQ(registered.at<float>(74, 97), 1.05f);
+  EXPECT_FLOAT_EQ(registered.at<float>(58, 80), 1.05f);
+  EXPECT_FLOAT_EQ(registered.at<float>(91, 80), 1.05f);
+  EXPECT_FLOAT_EQ(registered.at<float>(74, 58), 2.05f);
+  EXPECT_FLOAT_EQ(registered.at<float>(52, 80), 2.05f);
+  // The depth camera did not see the wall behind the plate on this side: x from 99.5 to 99.5 + 200 * 0.1 / 2.05.
+  EXPECT_TRUE(std::isnan(registered.at<float>(74, 105)));
+  EXPECT_FLOAT_EQ(registered.at<float>(74, 112), 2.05f);
+  EXPECT_EQ(cv::countNonZero(registered(cv::Range(60, 90), cv::Range(64, 96)) != 1.05f), 0) << "no holes";
+  EXPECT_THROW(registration(depth.rowRange(0, 100)), std::invalid_argument);
+
+  // A distorted depth camera: a point is where its own ray says.
+  depth_camera.setDistortion("rational_polynomial", {0.4, 0.1, 0.001, -0.002, 0.02, 0.7, 0.2, 0.05});
+  const DepthRegistration distorted(depth_camera, colour_camera, T_colour_depth);
+  cv::Mat single(120, 160, CV_32F, cv::Scalar(NAN));
+  const Eigen::Vector3d p(0.3, -0.2, 1.5);
+  const Eigen::Vector2d at = *depth_camera.project(p), seen = *colour_camera.project(T_colour_depth * p);
+  single.at<float>(static_cast<int>(std::lround(at.y())), static_cast<int>(std::lround(at.x()))) = 1.5f;
+  const cv::Mat alone = distorted(single);
+  cv::Point found;
+  cv::minMaxLoc(alone == alone, nullptr, nullptr, nullptr, &found);
+  EXPECT_NEAR(found.x, seen.x(), 2.0);
+  EXPECT_NEAR(found.y, seen.y(), 2.0);
 }
 
 struct FloorView {

@@ -33,6 +33,7 @@ class NodeTest : public testing::Test {
     colour_ = handle_.advertise<sensor_msgs::Image>("ground/rgb/image_raw", 100);
     depth_ = handle_.advertise<sensor_msgs::Image>("ground/depth/image_raw", 100);
     info_ = handle_.advertise<sensor_msgs::CameraInfo>("ground/rgb/camera_info", 100);
+    depth_info_ = handle_.advertise<sensor_msgs::CameraInfo>("ground/depth/camera_info", 100);
     imu_ = handle_.advertise<sensor_msgs::Imu>("ground/imu/data", 1000);
     odometry_sub_ = handle_.subscribe<nav_msgs::Odometry>(
         "ground/odometry", 200, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
@@ -41,13 +42,22 @@ class NodeTest : public testing::Test {
     cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>(
         "ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
     tf_sub_ = handle_.subscribe("/tf", 500, &NodeTest::onTf, this);
-    geometry_msgs::TransformStamped camera, imu;
+    geometry_msgs::TransformStamped camera, imu, depth_camera;
+    depth_robot_.camera.width = 320;
+    depth_robot_.camera.height = 240;
+    depth_robot_.camera.cx = 159.5;
+    depth_robot_.camera.cy = 119.5;
+    depth_robot_.camera.fx = depth_robot_.camera.fy = 180;
+    depth_robot_.mounting.T_base_camera.translation() += Eigen::Vector3d(0.05, -0.08, 0.03);
     camera.header.frame_id = imu.header.frame_id = "ground_base_link";
     camera.child_frame_id = "ground_camera_optical_frame";
     imu.child_frame_id = "ground_imu_link";
+    depth_camera.header.frame_id = "ground_base_link";
+    depth_camera.child_frame_id = kDepthFrame;
+    depth_camera.transform = ros_utils::toTransformMsg(depth_robot_.mounting.T_base_camera);
     camera.transform = ros_utils::toTransformMsg(robot_.mounting.T_base_camera);
     imu.transform = ros_utils::toTransformMsg(Pose(*robot_.mounting.R_base_imu));
-    broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu});
+    broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu, depth_camera});
     ASSERT_TRUE(spinUntil([&] {
       return colour_.getNumSubscribers() > 0 && depth_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 &&
              imu_.getNumSubscribers() > 0 && odometry_sub_.getNumPublishers() > 0 &&
@@ -65,9 +75,12 @@ class NodeTest : public testing::Test {
   }
 
   struct Course {
-    int first = 0;         ///< frame
-    double imu_from = 0;   ///< the IMU's first sample [s]
-    bool cropped = false;  ///< images and calibration of the middle only
+    int first = 0;              ///< frame
+    double imu_from = 0;        ///< the IMU's first sample [s]
+    bool cropped = false;       ///< images and calibration of the middle only
+    bool wrong_unit = false;    ///< depth in millimetres where metres are due
+    bool swapped_imu = false;   ///< x, y, z come as z, y, -x
+    bool unregistered = false;  ///< depth as a camera of its own sees it, 0.1 m beside the colour camera
   };
 
   static constexpr int kMarginX = 40, kMarginY = 30;  ///< of the image's cropped middle [px]
@@ -115,9 +128,16 @@ class NodeTest : public testing::Test {
         set(msg.angular_velocity, s.angular_velocity);
         set(msg.linear_acceleration, s.specific_force);
         if (spoil && next_imu > 1 && next_imu < 1.02) msg.angular_velocity.x = NAN;
+        if (course.swapped_imu) {
+          for (auto* v : {&msg.angular_velocity, &msg.linear_acceleration}) {
+            std::swap(v->x, v->z);
+            v->z = -v->z;
+          }
+        }
         imu_.publish(msg);
       }
       auto frame = robot_.frame(t, random);
+      if (course.unregistered) frame.depth = depth_robot_.frame(t, random).depth;
       const CameraModel camera = cameraOf(course);
       if (course.cropped) {
         const cv::Rect middle(kMarginX, kMarginY, camera.width, camera.height);
@@ -141,7 +161,14 @@ class NodeTest : public testing::Test {
       colour_.publish(colour);
       if (spoil && i == 14) colour_.publish(colour);
       header.stamp += ros::Duration(0.003);  // not quite the same stamp
-      if (!(spoil && i == 9)) depth_.publish(ros_utils::toMsg(millimetres, "16UC1", header));
+      if (course.unregistered) {
+        header.frame_id = kDepthFrame;
+        depth_info_.publish(ros_utils::toMsg(depth_robot_.camera, header));
+      }
+      if (course.wrong_unit)
+        depth_.publish(ros_utils::toMsg(1000 * frame.depth, "32FC1", header));
+      else if (!(spoil && i == 9))
+        depth_.publish(ros_utils::toMsg(millimetres, "16UC1", header));
       pause(6);
     }
   }
@@ -156,9 +183,10 @@ class NodeTest : public testing::Test {
     });
   }
 
-  simulated::Robot robot_;
+  static constexpr const char* kDepthFrame = "ground_depth_optical_frame";
+  simulated::Robot robot_, depth_robot_;
   ros::NodeHandle handle_;
-  ros::Publisher colour_, depth_, info_, imu_;
+  ros::Publisher colour_, depth_, info_, depth_info_, imu_;
   ros::Subscriber odometry_sub_, status_sub_, cloud_sub_, tf_sub_;
   ros_utils::NodeDiagnostics diagnostics_{"rgbd_slam"};
   tf2_ros::StaticTransformBroadcaster broadcaster_;
@@ -271,6 +299,33 @@ TEST_F(NodeTest, TakesUpAnImuThatStartsLate) {
   EXPECT_LT((up - truth).norm(), 0.02);
 }
 
+TEST_F(NodeTest, NamesAWrongUnitOfDepthAndGoesOnWithTheRightOne) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  Course course;
+  course.wrong_unit = true;
+  drive(10, false, course);
+  ASSERT_TRUE(spinUntil([&] {
+    return !status.empty() && status.back().reason.find("wrong unit") != std::string::npos;
+  })) << status.back().reason;
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_WAITING);
+  EXPECT_TRUE(odometry.empty());
+  course.first = 10;
+  course.wrong_unit = false;
+  drive(40, false, course);
+  ASSERT_TRUE(answered(40));
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+}
+
+TEST_F(NodeTest, NamesSwappedAxesOfTheImu) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  Course course;
+  course.swapped_imu = true;
+  drive(100, false, course);
+  ASSERT_TRUE(spinUntil([&] { return diagnostics_.counted("gyro and images turn differently (correlation") > 0; }));
+}
+
 TEST_F(NodeTest, BeginsANewMapWithAnotherCalibration) {
   drive(20, false, {});
   ASSERT_TRUE(answered(20));
@@ -286,6 +341,29 @@ TEST_F(NodeTest, BeginsANewMapWithAnotherCalibration) {
   EXPECT_EQ(status.back().map_id, before + 1);
   EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
   EXPECT_GT(odometry.size(), 10u);
+}
+
+// With depth_registered: false, in a launch file of its own.
+TEST_F(NodeTest, RegistersDepthItself) {
+  ASSERT_TRUE(spinUntil([&] { return depth_info_.getNumSubscribers() > 0; }));
+  drive(15, false, {});  // no calibration of the depth camera yet
+  ASSERT_TRUE(answered(15));
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_WAITING);
+  EXPECT_NE(status.back().reason.find("/ground/depth/camera_info"), std::string::npos) << status.back().reason;
+  Course course;
+  course.first = 15;
+  course.unregistered = true;
+  depth_info_.publish(ros_utils::toMsg(depth_robot_.camera, cameraHeader(1.45)));
+  ASSERT_TRUE(diagnostics_.awaitReceived(depth_info_.getTopic(), cameraHeader(1.45).stamp));
+  robot_.start = 1.5;
+  drive(50, false, course);
+  ASSERT_TRUE(answered(50));
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+  ASSERT_GT(odometry.size(), 20u);
+  // Depth taken for registered would be off by up to 0.1 m, and so the landmarks.
+  const Pose moved = ros_utils::fromMsg(odometry.back().pose.pose), truth = robot_.mapped(4.9);
+  EXPECT_GT(truth.translation().norm(), 0.5);
+  EXPECT_LT((moved.translation() - truth.translation()).norm(), 0.03);
 }
 
 }  // namespace

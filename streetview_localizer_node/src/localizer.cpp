@@ -96,34 +96,6 @@ const char* nameOf(Step step) {
   return "";
 }
 
-void LocalizerSettings::validate() const {
-  const auto require = [](bool good, const char* what) {
-    if (!good) throw std::invalid_argument(std::string("localizer: ") + what);
-  };
-  require(quick_inliers >= 0, "quick_inliers must not be negative");
-  require(quick_features >= 1 && quick_views >= 1, "quick_features and quick_views must be at least 1");
-  require(search_features >= 0, "search_features must not be negative");
-  require(neighbors >= 2, "neighbors must be at least 2");
-  require(max_views >= 1, "max_views must be at least 1");
-  require(near_panoramas >= 1, "near_panoramas must be at least 1");
-  require(max_prior_stddev > 0, "max_prior_stddev must be positive");
-  require(min_view_matches >= 1, "min_view_matches must be at least 1");
-  require(merge_position_stddev >= 0 && merge_orientation_stddev >= 0,
-          "merge_position_stddev and merge_orientation_stddev must not be negative");
-  require(model_lateral_stddev >= 0 && model_height_stddev >= 0,
-          "model_lateral_stddev and model_height_stddev must not be negative");
-  require(min_visible_share >= 0 && min_visible_share <= 1, "min_visible_share must lie in [0, 1]");
-  require(min_rival_share >= 0, "min_rival_share must not be negative");
-  require(max_disagreement > 0 && max_turn > 0, "max_disagreement and max_turn must be positive");
-  require(max_fusion_shift > 0, "max_fusion_shift must be positive");
-  require(min_fusion_inliers >= 0 && min_fusion_inliers <= 1, "min_fusion_inliers must lie in [0, 1]");
-  require(covariance == CovarianceKind::kRefined || pose.monte_carlo_samples > 0,
-          "the Monte Carlo covariance needs pose.monte_carlo_samples");
-  pose.validate();
-  acceptance.validate();
-  fusion.validate();
-}
-
 struct Localizer::Impl {
   std::shared_ptr<const StreetviewDatabase> database;
   LocalizerSettings settings;

@@ -26,11 +26,12 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
+#include "air_ground_common/ros/parameters.h"
 #include "city_display.h"
 #include "match_message.h"
+#include "node_parameters.h"
 #include "odometry_buffer.h"
 #include "streetview_localizer/localizer.h"
-#include "streetview_localizer_parameters.h"
 
 namespace streetview_localizer {
 namespace {
@@ -42,10 +43,10 @@ enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStreams };
 
 class StreetviewLocalizerNode {
  public:
-  StreetviewLocalizerNode(ros::NodeHandle handle, ros::NodeHandle private_handle)
+  StreetviewLocalizerNode(ros::NodeHandle handle, ros::NodeHandle private_handle, const NodeSettings& settings)
       : handle_(handle),
         private_handle_(private_handle),
-        settings_(readParameters(private_handle)),
+        settings_(settings),
         info_topic_(handle.resolveName("mav/camera/camera_info")),
         health_("streetview_localizer"),
         listener_(tf_) {
@@ -406,15 +407,12 @@ class StreetviewLocalizerNode {
 }  // namespace streetview_localizer
 
 int main(int argc, char** argv) {
-  ros::init(argc, argv, "streetview_localizer");
-  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
-  try {
-    streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~")};
-    ros::spin();
-    if (node.failed()) return 1;
-  } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
-    return 1;
-  }
-  return 0;
+  bool failed = false;
+  const int status = air_ground_common::ros_utils::runNode<streetview_localizer::NodeSettings>(
+      argc, argv, "streetview_localizer", [&](const auto& settings) {
+        streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~"), settings};
+        ros::spin();
+        failed = node.failed();
+      });
+  return failed ? 1 : status;
 }

@@ -1,4 +1,4 @@
-// What a user asks of an estimator's node.
+// What a user asks of an estimator's node, and what it leaves behind.
 #include <stdexcept>
 
 #include "air_ground_common/ros/estimator_shell.h"
@@ -6,34 +6,53 @@
 
 namespace air_ground_common::ros_utils {
 
+void EstimatorShell::stop() {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    stop_ = true;
+  }
+  queue_changed_.notify_all();
+  if (!worker_.joinable()) return;
+  worker_.join();
+  autosave_.save("trajectory.txt", [this](const std::string& path) { saveTrajectoryTo(path); });
+  autosave_.save("map.ply", [this](const std::string& path) { saveMapTo(path); });
+}
+
+std::size_t EstimatorShell::saveMapTo(const std::string& path) {
+  std::function<std::vector<CloudPoint>()> map;
+  {
+    const std::lock_guard<std::mutex> lock(estimator_mutex_);
+    if (!estimator_.exists()) throw std::runtime_error("there is no map yet");
+    map = estimator_.mapForFile();
+  }
+  const std::vector<CloudPoint> points = map();
+  writeCloud(path, points);
+  return points.size();
+}
+
+std::size_t EstimatorShell::saveTrajectoryTo(const std::string& path) {
+  Trajectory trajectory;
+  {
+    const std::lock_guard<std::mutex> lock(estimator_mutex_);
+    if (!estimator_.exists()) throw std::runtime_error("there is no trajectory yet");
+    trajectory = estimator_.trajectory();
+  }
+  writeTum(path, trajectory);
+  return trajectory.size();
+}
+
 bool EstimatorShell::saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
   return answer(response, [&] {
-    std::function<std::vector<CloudPoint>()> map;
-    {
-      const std::lock_guard<std::mutex> lock(estimator_mutex_);
-      if (!estimator_.exists()) throw std::runtime_error("there is no map yet");
-      map = estimator_.mapForFile();
-    }
-    const std::vector<CloudPoint> points = map();
-    writeCloud(request.path, points);
-    response.points = points.size();
-    return std::to_string(points.size()) + " points in " + settings_.map_frame + " written to " + request.path;
+    response.points = saveMapTo(request.path);
+    return std::to_string(response.points) + " points in " + settings_.map_frame + " written to " + request.path;
   });
 }
 
 bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request,
                                     air_ground::SaveTrajectory::Response& response) {
   return answer(response, [&] {
-    Trajectory trajectory;
-    {
-      const std::lock_guard<std::mutex> lock(estimator_mutex_);
-      if (!estimator_.exists()) throw std::runtime_error("there is no trajectory yet");
-      trajectory = estimator_.trajectory();
-    }
-    writeTum(request.path, trajectory);
-    response.poses = trajectory.size();
-    return std::to_string(trajectory.size()) + " camera poses in " + settings_.map_frame + " written to " +
-           request.path;
+    response.poses = saveTrajectoryTo(request.path);
+    return std::to_string(response.poses) + " camera poses in " + settings_.map_frame + " written to " + request.path;
   });
 }
 

@@ -10,6 +10,7 @@ namespace air_ground_common::ros_utils {
 namespace {
 
 constexpr int kOk = 0, kWarn = 1;
+constexpr std::uint32_t kMapsOfOneStart = 10000;
 constexpr double kPatience =
     1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
 
@@ -32,6 +33,13 @@ std::string nameOf(std::uint8_t state) {
   }
 }
 
+/// 0, then 1 and so on when the node is started again under the same master.
+std::uint32_t countStart(const ros::NodeHandle& private_handle) {
+  const int starts = private_handle.param(kStartsParameter, 0);
+  private_handle.setParam(kStartsParameter, starts + 1);
+  return static_cast<std::uint32_t>(starts);
+}
+
 FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
   FrameAssemblerSettings a;
   a.use_imu = settings.use_imu;
@@ -44,34 +52,53 @@ FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
 
 }  // namespace
 
-void readParameters(Parameters& p, EstimatorSettings* s) {
-  s->map_frame = p.text("map_frame", s->map_frame);
-  s->odom_frame = p.text("odom_frame", s->odom_frame);
-  s->base_frame = p.text("base_frame", s->base_frame);
-  s->publish_tf = p.flag("publish_tf", s->publish_tf);
-  s->camera_frame = p.text("camera_frame", s->camera_frame);
-  s->imu_frame = p.text("imu_frame", s->imu_frame);
-  s->T_base_camera = p.pose("base_camera");
-  s->T_base_imu = p.pose("base_imu");
-  s->transform_timeout = p.number("transform_timeout", s->transform_timeout, 0.0, 600.0);
-  s->use_imu = p.flag("use_imu", s->use_imu);
-  s->imu_wait = p.number("imu_wait", s->imu_wait, 0.0, 10.0);
-  s->max_latency = p.number("max_latency", s->max_latency, 0.0, 600.0);
-  s->queue_size = p.integer("queue_size", s->queue_size, 2, 10000);
-  s->image_transport = p.choice("image_transport", s->image_transport, {"raw", "compressed"});
+void describe(ParameterVisitor& v, EstimatorSettings& s) {
+  v.section("Frames", "map_frame, odom_frame, base_frame and publish_tf are set by the launch file's arguments.");
+  v("map_frame", s.map_frame, "gravity-aligned, z up, origin at base_link of the first keyframe, heading 0 there");
+  v("odom_frame", s.odom_frame, "");
+  v("base_frame", s.base_frame, "");
+  v("publish_tf", s.publish_tf, "map -> odom -> base_link");
+  v("camera_frame", s.camera_frame, "optical frame; \"\" = as camera_info says");
+  v("imu_frame", s.imu_frame, "\"\" = as the IMU's messages say");
+  v("base_camera", s.T_base_camera, "x y z qx qy qz qw of the (colour) camera in base_link [m]; all 0 = from tf");
+  v("base_imu", s.T_base_imu, "the same of the IMU");
+  v("transform_timeout", s.transform_timeout, {0.0, 600.0}, "s",
+    "an image waits so long for its mounting on tf, wall clock");
+
+  v.section("Input");
+  v("use_imu", s.use_imu,
+    "false: no prior of rotation; the MAV's scale stays unknown, the ground robot's base counts as level at the start");
+  v("imu_wait", s.imu_wait, {0.0, 10.0}, "s",
+    "an image waits for IMU samples until images this much newer have been here for 0.3 s");
+  v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
+  v("max_latency", s.max_latency, {0.0, 600.0}, "s",
+    "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
+  v("autosave", s.autosave,
+    "folder, made when missing: map and trajectory go there when the node is stopped, under names of this start; \"\" "
+    "= "
+    "nowhere");
+  v("accel_topic", s.accel_topic,
+    "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
+    "messages");
+  v("image_transport", s.image_transport,
+    "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
 }
 
 EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& settings, const EstimatorNames& names,
                                Estimator& estimator)
     : settings_(settings),
       names_(names),
+      autosave_(settings.autosave),
       estimator_(estimator),
       health_(names.node),
       mountings_(settings.base_frame),
+      imu_input_(health_, !settings.accel_topic.empty()),
       handle_(handle),
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
       assembler_(assemblerSettings(settings)) {
+  // A node that is respawned must not give its maps numbers that others know already.
+  map_id_offset_ = kMapsOfOneStart * countStart(private_handle_);
   status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
   health_.state(kWarn, "waiting for images");
   health_.expectInput(info_topic_);
@@ -80,6 +107,12 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
   if (settings.use_imu)
     imu_subscriber_ =
         handle_.subscribe(names.imu, 5000, &EstimatorShell::onImu, this, ros::TransportHints().tcpNoDelay());
+  if (settings.use_imu && !settings.accel_topic.empty()) {
+    accel_topic_ = handle_.resolveName(settings.accel_topic);
+    health_.expectInput(accel_topic_);
+    accel_subscriber_ = handle_.subscribe(accel_topic_, 5000, &EstimatorShell::onAccelerometer, this,
+                                          ros::TransportHints().tcpNoDelay());
+  }
   const auto listen = [&](const std::string& topic, bool depth, void (EstimatorShell::*callback)(const ImageMessage&)) {
     const std::string argument = std::string("the parameter ") + (depth ? "depth_transport" : "image_transport") +
                                  ", or the launch argument " +
@@ -100,15 +133,6 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
 }
 
 void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
-
-void EstimatorShell::stop() {
-  {
-    const std::lock_guard<std::mutex> lock(queue_mutex_);
-    stop_ = true;
-  }
-  queue_changed_.notify_all();
-  if (worker_.joinable()) worker_.join();
-}
 
 // ---- Inputs
 
@@ -132,15 +156,25 @@ void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
 
 void EstimatorShell::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
   health_.received(imu_topic_, msg->header.stamp);
-  const auto sample = imu_input_.read(*msg);
-  if (!sample) return;
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
-    if (!gate_.admit(kImu, msg->header.stamp)) return;
-    assembler_.addImu(*sample);
     imu_frame_ = msg->header.frame_id;
   }
-  queue_changed_.notify_all();
+  addImu(imu_input_.read(*msg));
+}
+
+void EstimatorShell::onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg) {
+  health_.received(accel_topic_, msg->header.stamp);
+  addImu(imu_input_.readAccelerometer(*msg));
+}
+
+void EstimatorShell::addImu(const std::vector<ImuInput::Sample>& samples) {
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    for (const ImuInput::Sample& sample : samples)
+      if (gate_.admit(kImu, ros::Time(sample.stamp))) assembler_.addImu(sample);
+  }
+  if (!samples.empty()) queue_changed_.notify_all();
 }
 
 void EstimatorShell::onImage(const ImageMessage& message) {
@@ -313,6 +347,11 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
     calibration = *calibration_;
     if (imu_frame.empty()) imu_frame = imu_frame_;
   }
+  const std::string image_frame = withoutSlash(image.header.frame_id),
+                    info_frame = withoutSlash(calibration.info.header.frame_id);
+  if (!image_frame.empty() && !info_frame.empty() && image_frame != info_frame)
+    health_.count("images of the frame '" + image_frame + "' with a calibration of '" + info_frame +
+                  "': are two cameras swapped?");
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   // One that begins late has nothing to say about the images before it, which may still be waiting.
   imu_seen_ = imu_seen_ || (!imu.empty() && (!estimator_.exists() || imu.front().stamp <= image.header.stamp.toSec()));

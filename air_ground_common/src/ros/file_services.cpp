@@ -1,7 +1,17 @@
 #include "air_ground_common/ros/file_services.h"
 
+#include <ros/console.h>
+#include <ros/this_node.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
 #include <cstdint>
+#include <cstring>
+#include <ctime>
+#include <filesystem>
 #include <ostream>
+#include <system_error>
 
 #include "air_ground_common/atomic_file.h"
 
@@ -51,6 +61,33 @@ void writeCloud(const std::string& path, const std::vector<CloudPoint>& points, 
   if (ends(".pcd")) return writePcd(path, points, fields);
   if (!ends(".ply")) throw std::runtime_error("the path must end in .ply or .pcd");
   writePly(path, points);
+}
+
+Autosave::Autosave(const std::string& folder) {
+  if (folder.empty()) return;
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error || ::access(folder.c_str(), W_OK | X_OK) != 0)
+    throw std::runtime_error("parameter autosave: the folder " + folder +
+                             " cannot be written to: " + (error ? error.message() : std::strerror(errno)));
+  std::string node = ros::this_node::getName().substr(1);
+  std::replace(node.begin(), node.end(), '/', '_');
+  const std::time_t now = std::time(nullptr);
+  char time[32];
+  std::strftime(time, sizeof time, "%Y%m%d-%H%M%S", std::gmtime(&now));
+  begin_ = (std::filesystem::path(folder) / (node + "_" + time + "_")).string();
+}
+
+void Autosave::save(const std::string& what, const std::function<void(const std::string&)>& save) const {
+  if (begin_.empty()) return;
+  const std::string path = begin_ + what;
+  try {
+    if (std::filesystem::exists(path)) throw std::runtime_error("it is there already");
+    save(path);
+    ROS_INFO_STREAM("saved " << path);
+  } catch (const std::exception& e) {
+    ROS_WARN_STREAM("not saved, " << path << ": " << e.what());
+  }
 }
 
 }  // namespace air_ground_common::ros_utils

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/sensor_input.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -18,11 +19,12 @@ std::string listed(std::vector<std::string> names) {
 
 }  // namespace
 
-Mountings::Mountings(const std::string& base_frame) : base_frame_(base_frame), listener_(buffer_) {}
+Mountings::Mountings(const std::string& base_frame) : base_frame_(withoutSlash(base_frame)), listener_(buffer_) {}
 
-std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const std::string& sensor_frame,
+std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const std::string& frame,
                                       const std::string& sensor, std::string* why) const {
   if (given) return given;
+  const std::string sensor_frame = withoutSlash(frame);
   if (sensor_frame == base_frame_) return Pose::Identity();
   if (sensor_frame.empty()) {
     *why = "the " + sensor + "'s messages name no frame. Set the parameter " + sensor + "_frame, or base_" + sensor;

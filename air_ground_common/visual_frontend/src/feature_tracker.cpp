@@ -9,6 +9,8 @@
 #include <string>
 #include <unordered_set>
 
+#include "air_ground_common/parameters.h"
+
 namespace visual_frontend {
 
 namespace {
@@ -73,6 +75,13 @@ float patchDifference(const cv::Mat& a, const cv::Point2f& pa, const cv::Mat& b,
 cv::Point2f toCv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 
 }  // namespace
+
+void describe(air_ground_common::ParameterVisitor& v, TrackerSettings& t) {
+  v("max_features", t.max_features, {40, 2000}, "", "tracked at a time");
+  v("feature_distance", t.min_distance, {4, 100}, "px", "between features");
+  v("fast_threshold", t.fast_threshold, {2, 100}, "grey levels", "corner threshold");
+  v("clahe", t.clahe, "local contrast equalisation, for dark or flat images");
+}
 
 void TrackerSettings::validate() const {
   require(max_features > 0, "max_features", "must be positive");

@@ -15,18 +15,22 @@ MAV = {
     '/mav/camera/image_raw': (('sensor_msgs/Image',), 8, 'visual odometry'),
     '/mav/camera/camera_info': (('sensor_msgs/CameraInfo',), 0, 'visual odometry'),
     '/mav/imu/data': (('sensor_msgs/Imu',), 80, 'rotation prior and scale of visual odometry'),
+    '/mav/imu/accel': (('sensor_msgs/Imu',), 0, 'specific force'),
     '/ground_truth/mav': (tuple(POSE_TYPES), 0, 'errors in the report')}
 GROUND = {
     '/ground/rgb/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
     '/ground/rgb/camera_info': (('sensor_msgs/CameraInfo',), 0, 'RGB-D SLAM'),
     '/ground/depth/image_raw': (('sensor_msgs/Image',), 5, 'RGB-D SLAM'),
+    '/ground/depth/camera_info': (('sensor_msgs/CameraInfo',), 0, 'registration of depth to colour'),
     '/ground/imu/data': (('sensor_msgs/Imu',), 80, 'the gravity direction of RGB-D SLAM'),
+    '/ground/imu/accel': (('sensor_msgs/Imu',), 0, 'specific force'),
     '/ground_truth/ground': (tuple(POSE_TYPES), 0, 'errors in the report')}
 CITY = {
     '/gps/fix': (('sensor_msgs/NavSatFix',), 0, 'GPS of the tracker, and for comparison'),
     '/mav/imu/mag': (('sensor_msgs/MagneticField',), 0, 'heading of the tracker with magnetometer'),
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
+ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'bayer_rggb8', 'bayer_bggr8', 'bayer_gbrg8', 'bayer_grbg8', '8UC1', '8UC3')
 DEPTH = ('16UC1', 'mono16', '32FC1')
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
@@ -41,8 +45,8 @@ class Stream:
         self.stamps, self.times, self.frames, self.samples, self.accel, self.gyro = [], [], set(), [], [], []
 
 
-def read(path, topics):
-    """One pass over the bag; images are kept only as a few samples."""
+def read(path, topics, limit=None):
+    """One pass over the bag; images are kept only as a few samples. `limit`: ends when every topic has so many messages."""
     streams = {topic: Stream() for topic in topics}
     with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
@@ -57,6 +61,8 @@ def read(path, topics):
                 a, w = message.linear_acceleration, message.angular_velocity
                 stream.accel.append((a.x, a.y, a.z))
                 stream.gyro.append((w.x, w.y, w.z))
+            if limit and all(len(s.times) >= limit for s in streams.values()):
+                break
     return streams
 
 
@@ -93,9 +99,11 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             present[standard] = next(f'{topic}/{kind}' for kind in bag_guess.TRANSPORTS if f'{topic}/{kind}' in facts.types)
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
-        else:
+        elif standard not in ELSEWHERE:
             findings.append(_missing(facts, standard, topic, types, purpose, actual))
     streams = read(facts.path, present.values())
+    for robot in robots:
+        _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
     for standard, topic in present.items():
         findings += _stamps(topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
@@ -106,7 +114,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         elif standard.endswith('imu/data'):
             findings += _imu(topic, streams[topic])
             findings += _gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
-        elif standard in CITY or city or not facts.counts[topic]:
+        elif standard in CITY or city or standard.endswith('imu/accel') or not facts.counts[topic]:
             continue
         elif streams[topic].frames != {'world'}:
             findings.append(Finding(WARNING, f'{topic} is in frame {_list(streams[topic].frames)}; the report takes both robots\' as one frame'))
@@ -208,6 +216,12 @@ def image_size(message):
     return None if picture is None else picture.shape[1::-1]
 
 
+def _unite(gyro, accelerometer):
+    """Gives a gyro's stream the accelerations of an accelerometer's own, where there is one, at its stamps."""
+    if gyro and accelerometer and accelerometer.accel:
+        gyro.accel = np.column_stack([np.interp(gyro.stamps, accelerometer.stamps, column) for column in np.array(accelerometer.accel).T])
+
+
 def _imu(topic, stream):
     accel, gyro = np.array(stream.accel), np.array(stream.gyro)
     result = []
@@ -219,7 +233,10 @@ def _imu(topic, stream):
     if len(accel) == 0:
         return result + [Finding(ERROR, f'{topic}: no finite reading')]
     norm = np.median(np.linalg.norm(accel, axis=1))
-    if 0.9 < norm < 1.1:
+    if norm == 0:
+        result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
+                              'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
+    elif 0.9 < norm < 1.1:
         result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed'))
     elif norm < 2:
         result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2: gravity was removed; specific force is needed'))
@@ -255,19 +272,40 @@ def _pairs(present, streams):
             if size and (info.width, info.height) != size:
                 result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {size[0]}x{size[1]}'))
         else:
-            result += _registration(present[image], streams[present[image]], present[other], streams[present[other]])
+            result += _registration(present[image], streams[present[image]], present[other], streams[present[other]],
+                                    '/ground/depth/camera_info' in present)
     return result
 
 
-def _registration(colour_topic, colour, depth_topic, depth):
-    """Depth must be seen from the colour camera, image by image."""
-    result, advice = [], 'record the registered one (aligned_depth_to_color, depth_registered)'
+def registered(facts, names):
+    """Whether depth is as the colour camera sees it, by the size and frame of the first images; True without any."""
+    wanted = [names.get(standard, standard) for standard in ('/ground/rgb/image_raw', '/ground/depth/image_raw')]
+    topics = [next((t for t in facts.of_type('sensor_msgs/Image', 'sensor_msgs/CompressedImage') if bag_guess.raw_name(t) == topic), None) for topic in wanted]
+    if None in topics:
+        return True
+    streams = read(facts.path, topics, limit=1)
+    return not _mismatch(*(streams[t] for t in topics))
+
+
+def _mismatch(colour, depth):
+    """By what depth images show that another camera than the colour camera took them; empty where nothing does."""
+    if not colour.samples or not depth.samples:
+        return ''
     sizes = image_size(colour.samples[0]), image_size(depth.samples[0])
     if None not in sizes and sizes[0] != sizes[1]:
-        result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} differ in size: depth must be registered to colour: {advice}'))
-    elif depth.frames != colour.frames:
-        result.append(Finding(WARNING, f'{depth_topic} is in frame {_list(depth.frames)}, {colour_topic} in {_list(colour.frames)}: depth seems not to be '
-                              f'registered to colour: {advice}'))
+        return 'differ in size'
+    return '' if depth.frames == colour.frames else f'are in frames {_list(depth.frames)} and {_list(colour.frames)}'
+
+
+def _registration(colour_topic, colour, depth_topic, depth, calibrated):
+    """Depth is to be seen from the colour camera, image by image, or to be registered to it."""
+    result, mismatch = [], _mismatch(colour, depth)
+    if mismatch and calibrated:
+        result.append(Finding(WARNING, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour: replay with '
+                              'ground_depth_registered:=false, or record the registered one (aligned_depth_to_color, depth_registered)'))
+    elif mismatch:
+        result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour, and the depth camera\'s '
+                              'calibration is missing: record it (camera_info beside the images), or the registered depth (aligned_depth_to_color, depth_registered)'))
     steps = [np.median(np.diff(s.stamps)) if len(s.stamps) > 1 else 0 for s in (colour, depth)]
     if min(steps) > 0 and max(steps) > 1.2 * min(steps):
         result.append(Finding(WARNING, f'{depth_topic} comes at {1 / steps[1]:.1f} Hz, {colour_topic} at {1 / steps[0]:.1f} Hz: what has no partner is left out'))
@@ -322,8 +360,10 @@ def _static(facts):
     how += ['not latched'] if facts.static_messages and not facts.static_latched else []
     if how:
         result.append(Finding(OK, f'/tf_static comes {" and ".join(how)}: replay.launch hands it on whole; rosbag play by itself does not'))
+    if facts.constant_on_tf:
+        result.append(Finding(OK, f'/tf holds transforms that never change, of {_list(facts.constant_on_tf)}: replay.launch takes them as static'))
     if '/clock' in facts.types:
-        result.append(Finding(WARNING, '/clock is in the bag and will disturb that of the replay: rosbag filter x.bag y.bag "topic != \'/clock\'"'))
+        result.append(Finding(OK, '/clock is in the bag: replay.launch leaves it out; rosbag play --clock by itself does not'))
     return result
 
 

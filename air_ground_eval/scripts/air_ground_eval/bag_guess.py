@@ -8,6 +8,7 @@ from .bag_reader import POSE_TYPES
 ARGUMENTS = {
     '/mav/camera/image_raw': 'mav_image', '/mav/camera/camera_info': 'mav_camera_info', '/mav/imu/data': 'mav_imu', '/ground_truth/mav': 'mav_truth',
     '/ground/rgb/image_raw': 'ground_image', '/ground/rgb/camera_info': 'ground_camera_info', '/ground/depth/image_raw': 'ground_depth',
+    '/ground/depth/camera_info': 'ground_depth_camera_info', '/mav/imu/accel': 'mav_imu_accel', '/ground/imu/accel': 'ground_imu_accel',
     '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
     '/barometer': 'barometer_pressure'}
 MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly')
@@ -54,6 +55,10 @@ def _best(topics, score):
     return max(sorted(topics, reverse=True), key=score, default=None)
 
 
+def _infos(facts, parent):
+    return [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rsplit('/', 1)[0] == parent]
+
+
 def guess(facts, city=False):
     """standard topic -> topic of the bag, for those that can be told; a standard topic that is there stays."""
     names = {standard: standard for standard in ARGUMENTS if standard in facts.types or transport(facts, standard)}
@@ -72,6 +77,7 @@ def guess(facts, city=False):
     if not city:
         depth = choose('/ground/depth/image_raw', depths, lambda t: (_has(t, GROUND_WORDS), _has(t, ('aligned', 'registered')), 'raw' in t))
         if depth is not None:
+            choose('/ground/depth/camera_info', _infos(facts, depth.rsplit('/', 1)[0]), lambda t: 0)
             choose('/ground/rgb/image_raw', [t for t in images if t not in depths and not _has(t, MAV_WORDS) and 'infra' not in t],
                    lambda t: (_has(t, GROUND_WORDS), _has(t, ('rgb', 'color', 'colour')), _common(t, depth), 'raw' in t))
     choose('/mav/camera/image_raw', [t for t in images if t not in depths and not _has(t, GROUND_WORDS)],
@@ -81,9 +87,12 @@ def guess(facts, city=False):
         if image is None:
             continue
         parent = image.rsplit('/', 1)[0]
-        choose(camera.replace('image_raw', 'camera_info'), [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rsplit('/', 1)[0] == parent], lambda t: 0)
-        choose(f'/{robot}/imu/data', [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)],
-               lambda t, image=image, own=own: (_has(t, own), _common(t, image), 'raw' not in t))
+        choose(camera.replace('image_raw', 'camera_info'), _infos(facts, parent), lambda t: 0)
+        imus = [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)]
+        imu = choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t],
+                     lambda t, image=image, own=own: (_has(t, own), _common(t, image), 'raw' not in t, 'gyro' not in t))
+        if imu is not None and 'gyro' in imu:
+            choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t], lambda t, imu=imu: _common(t, imu))
         choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if _has(t, ('truth', 'gt', 'vicon', 'mocap', 'leica', 'optitrack')) and not _has(t, other)],
                lambda t, own=own: _has(t, own))
     if city:
@@ -103,14 +112,16 @@ def guess_base(facts, robot, frame):
     return next((f for f in chain if f == f'{robot}_base_link'), None) or next((f for f in chain if 'base' in f or 'body' in f), chain[-1])
 
 
-def command(facts, names, bases, frames, city=False):
-    """The roslaunch command for this bag. bases: robot -> body frame; frames: robot -> its images' frame."""
+def command(facts, names, bases, frames, city=False, registered=True):
+    """The roslaunch command for this bag. bases: robot -> body frame; frames: robot -> its images' frame; registered: depth is seen from the colour camera."""
+    names = {standard: topic for standard, topic in names.items() if not registered or standard != '/ground/depth/camera_info'}
     robots = [robot for robot, image in (('mav', '/mav/camera/image_raw'), ('ground', '/ground/rgb/image_raw')) if image in names]
     words = ['roslaunch', 'air_ground', 'city.launch' if city else 'replay.launch', f'bag:={os.path.abspath(facts.path)}']
     words += ['db:=CITY.gpkg', 'world_config:=WORLD.yaml'] if city else []
     words += [f'{ARGUMENTS[standard]}:={topic}' for standard, topic in names.items() if topic != standard]
     words += [f'{argument}:=compressed' for standard, argument in TRANSPORT_ARGUMENTS.items()
               if standard in names and transport(facts, names[standard]) == 'compressed']
+    words += [] if registered else ['ground_depth_registered:=false']
     for robot in robots:
         words += [f'{robot}_base_frame:={bases[robot]}'] if bases.get(robot, f'{robot}_base_link') != f'{robot}_base_link' else []
         default = f'{robot}_camera_optical_frame'

@@ -1,8 +1,9 @@
 """What the report needs from the bag itself: its time span, static transforms and reference poses."""
 import numpy as np
 import rosbag
+import rospy
 
-from . import geometry
+from . import geometry, messages
 from .evaluation import Track
 
 
@@ -16,6 +17,12 @@ POSE_TYPES = {
     'geometry_msgs/PoseWithCovarianceStamped': lambda m: (m.pose.pose.position, m.pose.pose.orientation),
     'nav_msgs/Odometry': lambda m: (m.pose.pose.position, m.pose.pose.orientation),
     'geometry_msgs/TransformStamped': lambda m: (m.transform.translation, m.transform.rotation)}
+
+
+def _numbers(edge):
+    """Translation [m] and quaternion (x, y, z, w) of a TransformStamped."""
+    t, r = edge.transform.translation, edge.transform.rotation
+    return [t.x, t.y, t.z], [r.x, r.y, r.z, r.w]
 
 
 def open_bag(path):
@@ -46,13 +53,13 @@ class BagFacts:
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
             self.static_latched = bool(static)
             self.static_messages = 0
-            self.static = {}  # child -> TransformStamped: the last of each, as tf keeps them
-            self.edges = {}  # (parent, child) -> T_parent_child
+            self.edges = {}  # (parent, child) -> T_parent_child: the last of each child, as tf keeps them
             self.broken_edges = set()  # 'parent -> child' of those whose quaternion is zero or not finite
             try:
                 for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
                     self.static_latched &= header.get('latching', b'0') in (b'1', '1')
                     self.add_static(message)
+                self.constant_on_tf = self._add_constant(bag)
             except (rosbag.ROSBagException, OSError, ValueError) as error:
                 raise BagError(f'{path} is damaged ({error}): run  rosbag reindex "{path}"  and try again') from error
 
@@ -60,15 +67,51 @@ class BagFacts:
         """Transforms of a TFMessage: of this bag, or of another publisher."""
         self.static_messages += 1
         for edge in message.transforms:
-            parent, child = edge.header.frame_id.lstrip('/'), edge.child_frame_id.lstrip('/')
-            t, r = edge.transform.translation, edge.transform.rotation
-            try:
-                transform = geometry.pose_from_tq([t.x, t.y, t.z], [r.x, r.y, r.z, r.w])
-            except ValueError:
-                self.broken_edges.add(f'{parent} -> {child}')
-                continue
-            self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
-            self.static[child] = edge
+            self._add_edge(edge)
+
+    def _add_edge(self, edge):
+        parent, child = edge.header.frame_id.lstrip('/'), edge.child_frame_id.lstrip('/')
+        try:
+            transform = geometry.pose_from_tq(*_numbers(edge))
+        except ValueError:
+            self.broken_edges.add(f'{parent} -> {child}')
+            return
+        self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
+
+    def _add_constant(self, bag, windows=40, seconds=0.5):
+        """Transforms on /tf that never change are mountings: recordings of tf's first version have all of theirs there.
+
+        Looked at in so many windows over the recording, since a robot may stand for a while. Returns their children.
+        """
+        topics = [topic for topic in self.types if topic.strip('/') == 'tf']
+        first, moved, seen = {}, set(), {}
+        for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
+            for _, message, _ in bag.read_messages(topics, rospy.Time(start), rospy.Time(start + seconds)) if topics else ():
+                for edge in message.transforms:
+                    child = edge.child_frame_id.lstrip('/')
+                    kept = first.setdefault(child, edge)
+                    same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
+                    moved |= set() if same else {child}
+                    seen.setdefault(child, set()).add(window)
+        taken = {child for _, child in self.edges}
+        constant = {child for child in first if child not in moved | taken and len(seen[child]) > windows // 2}
+        for child in sorted(constant):
+            self._add_edge(first[child])
+        return constant
+
+    def static_transforms(self, bases):
+        """The static transforms as a TFMessage, for nodes that publish where the frames `bases` are: since a frame has one parent, the edges above them are
+        turned around."""
+        edges = dict(self.edges)
+        for base in bases:
+            frame, below = base, None
+            while parent := next((parent for parent, child in edges if child == frame and parent != below), None):
+                transform = edges.pop((parent, frame))
+                if parent in bases:
+                    break
+                edges[frame, parent] = geometry.inverse(transform)
+                frame, below = parent, frame
+        return messages.static_transforms([(parent, child, transform) for (parent, child), transform in edges.items()], self.begin)
 
     def of_type(self, *kinds):
         """Topics of these message types, in order."""

@@ -5,6 +5,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 
 
 def cache_folder():
@@ -34,8 +35,20 @@ def rendered_bag(program, world, seed, extra):
     return bag
 
 
+def run_replay(command, environment, **how):
+    """Runs roslaunch with a replay; returns the status that its report ended with: roslaunch's own is 0 whatever happens. 1 if it never ended."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, 'status')
+        subprocess.run(command, env=dict(environment, AIR_GROUND_REPLAY_STATUS=path), check=False, **how)
+        try:
+            with open(path, encoding='ascii') as stream:
+                return int(stream.read())
+        except (OSError, ValueError):
+            return 1
+
+
 def launch(program, file, arguments, out, with_rviz):
-    """Runs a launch file of the package, which must write report.yaml into `out`; exits when it does not."""
+    """Runs a launch file of the package, which must write report.yaml into `out`; exits when it does not, or says that the replay failed."""
     environment = dict(os.environ)
     port = free_port()  # a master of its own: one that runs already is left alone
     environment['ROS_MASTER_URI'] = f'http://localhost:{port}'
@@ -53,6 +66,8 @@ def launch(program, file, arguments, out, with_rviz):
     report = os.path.join(out, 'report.yaml')
     if os.path.exists(report):
         os.remove(report)
-    subprocess.run(command, env=environment, check=False)
+    status = run_replay(command, environment)
     if not os.path.isfile(report):
         sys.exit(f'{program}: the replay ended without a report; the first error among the lines above says why')
+    if status:
+        sys.exit(f'{program}: the replay failed; the last error among the lines above says in what')

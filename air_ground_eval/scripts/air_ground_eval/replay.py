@@ -342,7 +342,8 @@ def play_to_end(recorder, player, end, limits, summary):
 
 def end_launch(line, failed=False):
     """Says how the replay ended, and ends the launch that this node belongs to, as Ctrl-C would: when a required node ends by itself,
-    roslaunch calls it a death, in red. Under another parent than roslaunch the node just ends. Returns its exit status.
+    roslaunch calls it a death, in red. Under another parent than roslaunch the node just ends. Returns its exit status; roslaunch has none of
+    its own, so the status also goes into the file that AIR_GROUND_REPLAY_STATUS names, for who started the launch (see demo.launch).
     """
     (rospy.logfatal if failed else rospy.loginfo)(line)
     time.sleep(0.2)  # the line before those of roslaunch

@@ -11,6 +11,10 @@
 #include "dense_fusion/plane_sweep.h"
 #include "dense_fusion/rectifier.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace dense_fusion {
 
 struct MapperSettings {
@@ -28,7 +32,13 @@ struct MapperSettings {
   double far_margin = 1.3;      ///< and ends at depth_max * far_margin
   double default_depth_min = 0.4;  ///< [m], while the image's depth range is unknown
   double default_depth_max = 6.0;  ///< [m]
+
+  /// Throws std::invalid_argument, naming the field.
+  void validate() const;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, MapperSettings& settings);
 
 struct MapperCounters {
   std::size_t images = 0;           ///< given to add()

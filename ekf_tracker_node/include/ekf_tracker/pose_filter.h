@@ -7,6 +7,10 @@
 
 #include "ekf_tracker/motion_model.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace ekf_tracker {
 
 using Vector6d = Eigen::Matrix<double, 6, 1>;
@@ -38,6 +42,9 @@ struct FilterSettings {
   int recovery_fixes = 3;  ///< this many refused fixes that agree with each other replace the filter's state
   int max_hypotheses = 4;  ///< rivals kept
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, FilterSettings& settings);
 
 /// Throws std::invalid_argument that names the field out of range.
 void check(const FilterSettings& settings);

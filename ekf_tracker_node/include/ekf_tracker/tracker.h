@@ -21,6 +21,12 @@ struct TrackerSettings {
   double default_yaw_stddev = 0.02;         ///< [rad]
 };
 
+/// What a user may set, the filter's too.
+void describe(air_ground_common::ParameterVisitor& visitor, TrackerSettings& settings);
+
+/// Throws std::invalid_argument that names the field out of range.
+void check(const TrackerSettings& settings);
+
 enum class IncrementResult {
   kUsed,
   kUsedAfterGap,  ///< the odometry was silent before: bridged with a broad motion of zero mean

@@ -11,6 +11,10 @@
 #include "air_ground_common/geometry.h"
 #include "heightmap_mcl/particle_filter.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace heightmap_mcl {
 
 enum class Status { kSearching, kAmbiguous, kDegenerate, kConverged };
@@ -65,6 +69,9 @@ struct LocalizerSettings {
 /// The filter of the paper: kPaper with single clouds, highest points, sigma 0.08 and an overlap of the aerial map's
 /// cells, whatever `s` says of these.
 LocalizerSettings paperSettings(LocalizerSettings s);
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, LocalizerSettings& settings);
 
 /// Checks ranges and consistency; throws std::invalid_argument naming the field.
 void validate(const LocalizerSettings& settings);

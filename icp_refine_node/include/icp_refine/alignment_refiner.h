@@ -10,6 +10,10 @@
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace icp_refine {
 
 struct RefinerSettings {
@@ -32,6 +36,9 @@ struct RefinerSettings {
   ScalePrior scale;                 ///< of the aerial map, about 1; the odometry may state a larger deviation
   HeightCheckSettings height_check;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, RefinerSettings& settings);
 
 enum class RefineStatus { kSearching, kDegenerate, kConverged, kRejected };
 
@@ -88,7 +95,8 @@ class AlignmentRefiner {
  private:
   void forgetPoses();
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
-  RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess);
+  /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
+  RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged = false);
   /// Why the result is not to be believed, if so: sets status and reason.
   void judge(RefineOutcome& out) const;
 
@@ -101,6 +109,7 @@ class AlignmentRefiner {
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
   int rejections_ = 0, disagreements_ = 0;
+  bool ground_replaced_ = false;  ///< since the last refinement from the tracked pose
 };
 
 }  // namespace icp_refine

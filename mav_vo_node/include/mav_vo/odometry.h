@@ -24,6 +24,10 @@
 #include "visual_frontend/reobservation.h"
 #include "visual_frontend/rolling_shutter.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace mav_vo {
 
 using air_ground_common::CameraModel;
@@ -82,6 +86,9 @@ struct OdometrySettings {
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
   void validate() const;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, OdometrySettings& settings);
 
 enum class OdometryState { kWaiting, kInitializing, kScaling, kTracking, kLost };
 

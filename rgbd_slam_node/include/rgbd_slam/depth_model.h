@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <opencv2/core/mat.hpp>
 #include <optional>
+#include <string>
 
 namespace rgbd_slam {
 
@@ -21,5 +22,9 @@ struct DepthModel {
 /// Depth [m] at a pixel of a CV_32F image (NaN or <= 0 = unknown): median of the 3x3 neighbourhood. Empty where fewer
 /// than five of the nine are known, outside the range, or at a depth edge (spread beyond 4 sigma plus 2 % of z).
 std::optional<double> sampleDepth(const cv::Mat& depth, const Eigen::Vector2d& pixel, const DepthModel& model);
+
+/// What is wrong with the unit of a depth image in metres, by its median: no depth camera sees a scene 100 m away, or 3
+/// cm. Empty when nothing is, or too little is known.
+std::string unitProblem(const cv::Mat& depth);
 
 }  // namespace rgbd_slam

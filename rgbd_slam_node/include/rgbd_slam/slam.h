@@ -22,6 +22,10 @@
 #include "visual_frontend/reobservation.h"
 #include "visual_frontend/rolling_shutter.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace rgbd_slam {
 
 using air_ground_common::CameraModel;
@@ -92,6 +96,9 @@ struct SlamSettings {
   /// Throws std::invalid_argument, naming the field.
   void validate() const;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, SlamSettings& settings);
 
 /// Where sensors sit on the robot. Base: x forward, y left, z up.
 struct Mounting {

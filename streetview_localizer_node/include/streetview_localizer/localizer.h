@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <string>
@@ -18,6 +19,10 @@
 #include "streetview_localizer/pose_estimation.h"
 #include "streetview_localizer/virtual_views.h"
 #include "streetview_localizer/voting.h"
+
+namespace air_ground_common {
+class ParameterVisitor;
+}
 
 namespace streetview_localizer {
 
@@ -52,7 +57,7 @@ struct LocalizerSettings {
   /// Panoramas with poses better than these are matched as one: a point of the facade gets its place from several of
   /// them.
   double merge_position_stddev = 0.03;                   ///< [m]
-  double merge_orientation_stddev = 0.002;               ///< [rad]
+  double merge_orientation_stddev = 0.115 * M_PI / 180;  ///< [rad]
   double model_lateral_stddev = 0.1;                     ///< of the city model's walls [m] (paper B, II.B)
   double model_height_stddev = 0.5;                      ///< [m]
   CovarianceKind covariance = CovarianceKind::kRefined;  ///< kMonteCarlo needs pose.monte_carlo_samples
@@ -69,6 +74,9 @@ struct LocalizerSettings {
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
   void validate() const;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, LocalizerSettings& settings);
 
 enum class LocalizerStatus { kAccepted, kRefused, kNoPose, kNoMatch };
 const char* nameOf(LocalizerStatus status);  ///< "accepted", "refused", "no_pose", "no_match"

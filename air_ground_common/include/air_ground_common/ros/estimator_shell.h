@@ -24,17 +24,20 @@
 #include "air_ground_common/frame_pairer.h"
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/mountings.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/trajectory.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace air_ground_common::ros_utils {
 
-class Parameters;
-
-/// Parameters that such nodes share; config/mav_vo.yaml and config/rgbd_slam.yaml explain each.
+/// Parameters that such nodes share.
 struct EstimatorSettings {
   std::string map_frame, odom_frame, base_frame;
   std::string camera_frame, imu_frame;            ///< empty: as the messages say
@@ -46,11 +49,13 @@ struct EstimatorSettings {
   double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none; live only [s of data]
   double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
   int queue_size = 400;
+  std::string autosave;  ///< folder for map and trajectory at the end; empty: none
   std::string image_transport = "raw", depth_transport = "raw";  ///< or "compressed"
+  std::string accel_topic;  ///< of an accelerometer whose samples are not in the IMU's messages; empty: they are
 };
 
-/// All but sync_tolerance and depth_transport; what `settings` holds is the default. Throws ParameterError.
-void readParameters(Parameters& parameters, EstimatorSettings* settings);
+/// All but sync_tolerance and depth_transport.
+void describe(ParameterVisitor& visitor, EstimatorSettings& settings);
 
 /// Names by which a node knows its topics (remapping applies), and what it calls things when it speaks to people.
 struct EstimatorNames {
@@ -115,6 +120,7 @@ class EstimatorShell {
   void stop();
 
   NodeHealth& health() { return health_; }
+  const Mountings& mountings() const { return mountings_; }
   const std::string& imuTopic() const { return imu_topic_; }
   /// What is wrong with the accelerometer; empty while nothing is known to be.
   std::string imuProblem() const { return imu_input_.problem(); }
@@ -139,6 +145,8 @@ class EstimatorShell {
   // Inputs: only checks and queueing happen in the callbacks.
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg);
   void onImu(const sensor_msgs::Imu::ConstPtr& msg);
+  void onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg);
+  void addImu(const std::vector<ImuInput::Sample>& samples);
   void onImage(const ImageMessage& message);
   void onDepth(const ImageMessage& message);
   // With the queue locked:
@@ -160,18 +168,21 @@ class EstimatorShell {
                      const std::optional<Pose>& T_base_imu);
   void tellObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
+  std::size_t saveMapTo(const std::string& path);
+  std::size_t saveTrajectoryTo(const std::string& path);
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response);
   bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response);
   bool reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
 
   const EstimatorSettings settings_;
   const EstimatorNames names_;
+  const Autosave autosave_;
   Estimator& estimator_;
   NodeHealth health_;
   Mountings mountings_;
-  ImuInput imu_input_{health_};
+  ImuInput imu_input_;
   ros::NodeHandle handle_, private_handle_{"~"};
-  std::string image_topic_, depth_topic_, info_topic_, imu_topic_;
+  std::string image_topic_, depth_topic_, info_topic_, imu_topic_, accel_topic_;
   ros::Publisher status_publisher_;
 
   // Shared with the worker.
@@ -202,7 +213,7 @@ class EstimatorShell {
   std::thread worker_;
 
   std::vector<ImageInput> images_;
-  ros::Subscriber info_subscriber_, imu_subscriber_;
+  ros::Subscriber info_subscriber_, imu_subscriber_, accel_subscriber_;
   std::vector<ros::ServiceServer> services_;
 };
 

@@ -1,6 +1,7 @@
 // Services that write files: the same formats and the same answers in every node.
 #pragma once
 
+#include <functional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -26,5 +27,20 @@ bool answer(Response& response, const Save& save) {
   }
   return true;
 }
+
+/// What a node leaves behind when it is stopped: files in a folder of the user's (parameter autosave; empty: none),
+/// under names of this start, `<node>_<date and time, UTC>_<what>`, so that no file that is there already is written
+/// over.
+class Autosave {
+ public:
+  /// Makes the folder. Throws std::runtime_error when it cannot be written to: better now than at the end.
+  explicit Autosave(const std::string& folder);
+
+  /// `save` writes the file whose path it gets, or throws when there is nothing to save, which is said; never throws.
+  void save(const std::string& what, const std::function<void(const std::string&)>& save) const;
+
+ private:
+  std::string begin_;  ///< of all paths
+};
 
 }  // namespace air_ground_common::ros_utils

@@ -14,6 +14,8 @@
 #include <utility>
 #include <vector>
 
+#include "air_ground_common/ros/master_watch.h"
+
 namespace air_ground_common::ros_utils {
 
 /// Topics have no order between them: after the process stood still, what has come on one is handled before what has
@@ -24,7 +26,8 @@ constexpr double kTopicsInStep = 0.3;
 /// "14 of 105 tracks" are of one kind, "camera1" and "camera2" are not.
 std::string kindOf(const std::string& text);
 
-/// Thread-safe. One per node; all calls may come from any thread. None of them waits for the master.
+/// Thread-safe. One per node; all calls may come from any thread. None of them waits for the master. While it lives the
+/// node registers with a master that was started again: see MasterWatch.
 class NodeHealth {
  public:
   /// `hardware_id` names the node in /diagnostics, e.g. "mav_vo".
@@ -108,6 +111,7 @@ class NodeHealth {
   ros::Time clock_;  ///< when watched_
   diagnostic_updater::Updater updater_;
   ros::WallTimer timer_;
+  MasterWatch master_watch_;
 };
 
 /// Detects time running backwards, as when a bag loops or /clock is reset. Thread-safe.

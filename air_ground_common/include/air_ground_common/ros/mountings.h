@@ -21,9 +21,9 @@ class Mountings {
 
   /// T_base_sensor: `given` or, without, as tf says at this moment; never waits. Empty, with the edge that is missing,
   /// the frames that are known and what to do in `why`, while it is not known. `sensor` names it as the parameter
-  /// base_<sensor> does: "camera", "imu".
-  std::optional<Pose> lookup(const std::optional<Pose>& given, const std::string& sensor_frame,
-                             const std::string& sensor, std::string* why) const;
+  /// base_<sensor> does: "camera", "imu". Leading slashes of `frame` do not matter.
+  std::optional<Pose> lookup(const std::optional<Pose>& given, const std::string& frame, const std::string& sensor,
+                             std::string* why) const;
 
  private:
   std::string base_frame_;

@@ -1,48 +1,61 @@
-// Parameters that are read once, checked against their range, and echoed. A bad or misspelt one ends the node at start.
+// Parameters of a node, from the ROS parameter server: read once, checked, echoed. A bad or misspelt one ends it at
+// start.
 #pragma once
 
+#include <ros/console.h>
+#include <ros/init.h>
 #include <ros/node_handle.h>
 
-#include <optional>
-#include <set>
+#include <cstdio>
 #include <string>
-#include <vector>
 
-#include "air_ground_common/geometry.h"
+#include "air_ground_common/parameters.h"
 
 namespace air_ground_common::ros_utils {
 
-/// Thrown with one line that names the parameter, its value and what is allowed.
-class ParameterError : public std::runtime_error {
+/// Private parameter that counts how often a node has been started under this master; kept by the nodes themselves.
+constexpr const char* kStartsParameter = "starts";
+
+/// Reads the private parameters of a node. Throws ParameterError.
+class ServerReader : public ParameterReader {
  public:
-  using std::runtime_error::runtime_error;
-};
+  explicit ServerReader(const ros::NodeHandle& private_handle) : handle_(private_handle) { others(kStartsParameter); }
 
-/// Reads private parameters of a node. Every getter throws ParameterError.
-class Parameters {
- public:
-  explicit Parameters(const ros::NodeHandle& private_handle);
-
-  double number(const std::string& name, double fallback, double min, double max);
-  int integer(const std::string& name, int fallback, int min, int max);
-  bool flag(const std::string& name, bool fallback);
-  std::string text(const std::string& name, const std::string& fallback);
-  /// `allowed` lists the accepted values.
-  std::string choice(const std::string& name, const std::string& fallback, const std::vector<std::string>& allowed);
-  std::vector<double> numbers(const std::string& name, const std::vector<double>& fallback, std::size_t size);
-  /// "x y z qx qy qz qw" [m]; seven zeros, the default, for "not given".
-  std::optional<Pose> pose(const std::string& name);
-
-  /// Call after the last getter: throws for a private parameter that nobody read (a misspelt name). `ignored` lists
-  /// names, or prefixes ending in '/', that others own.
-  void finish(const std::set<std::string>& ignored = {}) const;
+  /// Call after describe: throws for a private parameter that nobody read (a misspelt name).
+  void finish() const;
 
  private:
-  template <typename T>
-  T get(const std::string& name, const T& fallback);
+  void visit(const Parameter& parameter, ParameterField field) override;
+  std::string fullName(const std::string& name) const override { return handle_.resolveName(name); }
 
   ros::NodeHandle handle_;
-  std::set<std::string> read_;
 };
+
+/// Settings with `describe` and, for what concerns several of them, `validate`.
+template <typename Settings>
+Settings readParameters(const ros::NodeHandle& private_handle) {
+  Settings settings;
+  ServerReader reader(private_handle);
+  describe(reader, settings);
+  reader.finish();
+  settings.validate();
+  return settings;
+}
+
+/// The main program of a node: `run(settings)` makes it and spins. With --parameters, prints its parameter file
+/// instead.
+template <typename Settings, typename Run>
+int runNode(int argc, char** argv, const std::string& name, const Run& run) {
+  if (argc == 2 && std::string(argv[1]) == "--parameters") return std::fputs(yamlFile(Settings()).c_str(), stdout) < 0;
+  ros::init(argc, argv, name);
+  const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
+  try {
+    run(readParameters<Settings>(ros::NodeHandle("~")));
+  } catch (const std::exception& e) {
+    ROS_FATAL_STREAM(name << ": " << e.what());
+    return 1;
+  }
+  return 0;
+}
 
 }  // namespace air_ground_common::ros_utils

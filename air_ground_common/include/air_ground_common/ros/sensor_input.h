@@ -10,11 +10,18 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "air_ground_common/camera_model.h"
+#include "air_ground_common/imu_combiner.h"
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
+
+/// A frame as tf2 knows it: recordings of tf's first version have names that begin with a slash.
+inline std::string withoutSlash(const std::string& frame) {
+  return !frame.empty() && frame.front() == '/' ? frame.substr(1) : frame;
+}
 
 /// A camera as its driver describes it.
 struct Calibration {
@@ -41,33 +48,40 @@ inline bool recalibrated(const Calibration& in_use, const Calibration& latest, c
 inline std::string cameraFrame(const std::string& configured, const Calibration& calibration,
                                const sensor_msgs::Image& image) {
   if (!configured.empty()) return configured;
-  return calibration.info.header.frame_id.empty() ? image.header.frame_id : calibration.info.header.frame_id;
+  return withoutSlash(calibration.info.header.frame_id.empty() ? image.header.frame_id
+                                                               : calibration.info.header.frame_id);
 }
 
-/// Samples of an IMU: refuses what is not finite, and judges the unit by the mean acceleration. Thread-safe.
+/// Samples of an IMU: refuses what is not finite or not measured, and judges the unit by the mean acceleration.
+/// Thread-safe.
 class ImuInput {
  public:
-  struct Sample {
-    double stamp = 0;                                            ///< [s]
-    Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  ///< IMU frame [rad/s]
-    Eigen::Vector3d specific_force = Eigen::Vector3d::Zero();    ///< IMU frame [m/s^2]
-  };
+  using Sample = ImuCombiner::Sample;  ///< in the IMU's frame: stamp [s], angular velocity [rad/s], force [m/s^2]
 
-  explicit ImuInput(NodeHealth& health) : health_(health) {}
+  /// `separate`: the accelerometer has messages of its own.
+  ImuInput(NodeHealth& health, bool separate) : health_(health), separate_(separate) {}
 
-  /// Empty, and counted, when a number is not finite.
-  std::optional<Sample> read(const sensor_msgs::Imu& msg) {
-    Sample sample;
-    sample.stamp = msg.header.stamp.toSec();
-    sample.angular_velocity = {msg.angular_velocity.x, msg.angular_velocity.y, msg.angular_velocity.z};
-    sample.specific_force = {msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z};
-    if (!sample.angular_velocity.allFinite() || !sample.specific_force.allFinite()) {
-      health_.count("IMU samples refused: not a finite number");
-      return std::nullopt;
-    }
+  /// Samples that are complete with this message, of the gyro alone where `separate`. None, and counted, when a number
+  /// is not finite or the message itself says that it was not measured (first covariance -1).
+  std::vector<Sample> read(const sensor_msgs::Imu& msg) {
+    const Eigen::Vector3d rate(msg.angular_velocity.x, msg.angular_velocity.y, msg.angular_velocity.z);
+    const bool measured = msg.angular_velocity_covariance[0] != -1;
+    if (!measured) health_.count("IMU samples refused: they say that turn rates are not measured");
+    if (separate_) return measured && finite(rate) ? add(msg, &ImuCombiner::addGyro, rate) : std::vector<Sample>{};
+    const Eigen::Vector3d force(msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z);
+    const bool force_measured = msg.linear_acceleration_covariance[0] != -1;
+    if (!force_measured)
+      health_.count("IMU samples refused: they say that accelerations are not measured (on a topic of their own?)");
+    if (!measured || !force_measured || !finite(rate) || !finite(force)) return {};
     const std::lock_guard<std::mutex> lock(mutex_);
-    judgeUnit(sample.specific_force.norm());
-    return sample;
+    judgeUnit(force.norm());
+    return {{msg.header.stamp.toSec(), rate, force}};
+  }
+
+  /// The same for a message of the accelerometer's own.
+  std::vector<Sample> readAccelerometer(const sensor_msgs::Imu& msg) {
+    const Eigen::Vector3d force(msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z);
+    return finite(force) ? add(msg, &ImuCombiner::addAccelerometer, force) : std::vector<Sample>{};
   }
 
   /// What is wrong with the acceleration; empty while nothing is known to be. An accelerometer in g, or without
@@ -83,9 +97,27 @@ class ImuInput {
     sum_ = 0;
     samples_ = 0;
     problem_.clear();
+    combiner_.clear();
   }
 
  private:
+  bool finite(const Eigen::Vector3d& reading) {
+    if (!reading.allFinite()) health_.count("IMU samples refused: not a finite number");
+    return reading.allFinite();
+  }
+
+  std::vector<Sample> add(const sensor_msgs::Imu& msg, void (ImuCombiner::*stream)(double, const Eigen::Vector3d&),
+                          const Eigen::Vector3d& reading) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    (combiner_.*stream)(msg.header.stamp.toSec(), reading);
+    std::vector<Sample> samples;
+    while (const auto sample = combiner_.take()) {
+      judgeUnit(sample->specific_force.norm());
+      samples.push_back(*sample);
+    }
+    return samples;
+  }
+
   void judgeUnit(double force) {
     constexpr int kSamples = 200;
     if (samples_ >= kSamples) return;
@@ -99,7 +131,9 @@ class ImuInput {
   }
 
   NodeHealth& health_;
-  mutable std::mutex mutex_;
+  const bool separate_;
+  mutable std::mutex mutex_;  // of what follows
+  ImuCombiner combiner_;
   double sum_ = 0;
   int samples_ = 0;
   std::string problem_;

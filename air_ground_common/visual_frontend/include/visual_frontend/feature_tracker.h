@@ -9,6 +9,10 @@
 
 #include "visual_frontend/types.h"
 
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
 namespace visual_frontend {
 
 enum class CornerDetector { kFast, kShiTomasi };
@@ -34,6 +38,9 @@ struct TrackerSettings {
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
   void validate() const;
 };
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, TrackerSettings& settings);
 
 struct Feature {
   TrackId id = kNoTrack;

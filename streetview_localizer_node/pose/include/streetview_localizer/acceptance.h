@@ -1,6 +1,7 @@
 // Is a pose right? The test that stands between an estimate and its publication (paper B: 100 % precision first).
 #pragma once
 
+#include <cmath>
 #include <limits>
 #include <string>
 #include <vector>
@@ -42,8 +43,8 @@ struct AcceptanceSettings {
   double min_alternative_margin = 8;  ///< natural logarithm
   double harmless_alternative = 0.3;  ///< poses closer than this need no choice [m]
   double max_competitor_share = 0.5;
-  double max_position_stddev = 0.3;  ///< image noise only [m]
-  double max_angle_stddev = 0.012;   ///< image noise only [rad]
+  double max_position_stddev = 0.3;             ///< image noise only [m]
+  double max_angle_stddev = 0.69 * M_PI / 180;  ///< image noise only [rad]
   double min_score = 0.9;
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.

@@ -1,0 +1,70 @@
+#include "node_parameters.h"
+
+#include "air_ground_common/parameters.h"
+
+namespace ekf_tracker {
+
+void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
+  v.about("ekf_tracker_node: position and heading in the city.");
+  v.section("Frames and output");
+  v("world_frame", s.world_frame, "local east-north-up frame; fixes must be given in it");
+  v("map_frame", s.map_frame, "the visual odometry's gravity-aligned map");
+  v("base_frame", s.base_frame, "");
+  v("publish_tf", s.publish_tf, "world -> mav_map, so that world -> mav_base_link is the tracked pose");
+  v("autosave", s.autosave,
+    "folder, made when missing: the trajectory goes there when the node is stopped, under names of this start; \"\" = "
+    "nowhere");
+  v("path_step", s.path_step, {0.01, 100}, "m",
+    "tracked/path gains a pose after this distance; doubled whenever it holds 5000");
+  v("tilt_stddev", s.tilt_stddev, {0.001, 1}, "rad",
+    "roll and pitch in the published covariance; they come from mav/odometry");
+
+  v.section("Where `world` lies (for tracked/geodetic and gps/fix)");
+  v("origin_crs", s.origin_crs,
+    "e.g. EPSG:2056 (Swiss LV95), EPSG:32632 (UTM 32N); empty: no geodetic output, GPS is not used");
+  v("origin", s.origin, {-1e9, 1e9}, "m", "easting, northing, height of the world's origin in that system");
+  v("geoid_undulation", s.geoid_undulation, {-120, 100}, "m",
+    "ellipsoidal height minus the height used in `origin`; 47.3 in Zurich");
+
+  v.section("Visual odometry");
+  v.choice("increment_frame", s.level_increments, {{"body", true}, {"level", false}},
+           "body: relative_pose is in the tilted body, levelled here; level: it is level already");
+  v("odometry_wait", s.odometry_wait, {0, 60}, "s",
+    "an increment waits so long (wall time) for mav/odometry of its stamp, for tilt and tf; one that is not metric "
+    "only while mav/odometry comes. Without it mav/imu/data gives the tilt. 0: neither is used, roll and pitch are "
+    "neglected as in the paper, and there is no tf");
+  v("clock_tolerance", s.clock_tolerance, {0, 60}, "s",
+    "a fix or an increment stamped this far ahead of the ROS clock is refused");
+  describe(v, s.tracker);
+
+  v.section("Magnetometer (mav/imu/mag)");
+  v("magnetometer", s.magnetometer, "");
+  v.degrees("declination", s.declination, {-180, 180},
+            "of magnetic from true north, east positive; 3.2 in Zurich (2024)");
+  v.degrees("magnetometer_stddev", s.magnetometer_stddev, {0.1, 90},
+            "of the heading; buildings and motors bend the field for seconds on end");
+  v("magnetometer_interval", s.magnetometer_interval, {0, 600}, "s",
+    "at most one reading in this time, since their errors last");
+
+  v.section("GPS (gps/fix)");
+  v("gps", s.gps, "");
+  v("gps_inflation", s.gps_inflation, {1, 20}, "",
+    "multiplies the standard deviations stated in the message: street canyons");
+  v("gps_stddev", s.gps_stddev, {1e-3, 1e3}, "m",
+    "east, north, up where the message states none, and the least ever used");
+  v("gps_interval", s.gps_interval, {0, 600}, "s", "its errors last for tens of seconds: at most one in this time");
+
+  v.section("Barometer (barometer, Pa)");
+  v("barometer", s.barometer, "");
+  v("barometer_stddev", s.barometer_stddev, {0.01, 50}, "m", "of a height");
+  v("barometer_interval", s.barometer_interval, {0, 600}, "s", "");
+}
+
+void NodeSettings::validate() const {
+  check(tracker);
+  if (gps && origin_crs.empty())
+    throw air_ground_common::ParameterError(
+        "parameter gps = true needs origin_crs and origin, which say where the world frame lies");
+}
+
+}  // namespace ekf_tracker

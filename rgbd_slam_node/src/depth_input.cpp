@@ -1,0 +1,70 @@
+#include "depth_input.h"
+
+#include <exception>
+#include <utility>
+
+#include "rgbd_slam/depth_model.h"
+
+namespace rgbd_slam {
+
+namespace ros_utils = air_ground_common::ros_utils;
+using air_ground_common::CameraModel;
+using air_ground_common::Pose;
+
+DepthInput::DepthInput(ros::NodeHandle handle, const std::string& camera_info, const DepthInputSettings& settings,
+                       const ros_utils::Mountings& mountings, ros_utils::NodeHealth& health)
+    : settings_(settings), mountings_(mountings), health_(health), info_topic_(handle.resolveName(camera_info)) {
+  if (settings.registered) return;
+  health_.expectInput(info_topic_);
+  info_subscriber_ = handle.subscribe(camera_info, 20, &DepthInput::onInfo, this);
+}
+
+void DepthInput::setColourCamera(const CameraModel& camera, const Pose& T_base_colour) {
+  colour_camera_ = camera;
+  T_base_colour_ = T_base_colour;
+  registration_.reset();
+}
+
+void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
+  health_.received(info_topic_, message->header.stamp);
+  std::string problem;
+  std::optional<ros_utils::Calibration> calibration;
+  try {
+    calibration = ros_utils::Calibration{ros_utils::fromMsg(*message), *message};
+  } catch (const std::exception& e) {
+    problem = e.what();
+    health_.count("depth camera calibrations refused: " + problem);
+  }
+  const std::lock_guard<std::mutex> lock(mutex_);
+  problem_ = problem;
+  if (calibration) calibration_ = calibration;
+}
+
+std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, std::string* why) {
+  const cv::Mat depth = ros_utils::depthFromMsg(message);
+  if (const std::string problem = unitProblem(depth); !problem.empty()) {
+    health_.count(problem);
+    *why = problem;
+    return std::nullopt;
+  }
+  if (settings_.registered) return depth;
+  std::optional<ros_utils::Calibration> calibration;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    calibration = calibration_;
+    *why = problem_.empty() ? "no calibration of the depth camera has come on " + info_topic_ +
+                                  ": publish sensor_msgs/CameraInfo there, or remap the topic to where it is"
+                            : "the calibration on " + info_topic_ + " cannot be used: " + problem_;
+  }
+  if (!calibration) return std::nullopt;
+  if (!registration_ || !ros_utils::sameCalibration(built_with_, calibration->info)) {
+    const auto T_base_depth = mountings_.lookup(
+        settings_.T_base_depth, ros_utils::cameraFrame(settings_.frame, *calibration, message), "depth", why);
+    if (!T_base_depth) return std::nullopt;
+    registration_.emplace(calibration->camera, colour_camera_, T_base_colour_.inverse() * *T_base_depth);
+    built_with_ = calibration->info;
+  }
+  return (*registration_)(depth);
+}
+
+}  // namespace rgbd_slam
