@@ -21,6 +21,7 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
+#include "dense_fusion/guarded.h"
 #include "dense_fusion/point_map.h"
 #include "node_parameters.h"
 
@@ -30,6 +31,7 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 
 constexpr int kOk = 0, kWarn = 1;
+constexpr std::size_t kMaxQueueBytes = 512u << 20;  // of waiting images, however large each is
 
 double secondsSince(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -104,11 +106,14 @@ class DenseFusionNode {
     {
       const std::lock_guard<std::mutex> lock(queue_mutex_);
       if (!gate_.admit(kImages, msg->header.stamp)) return;
-      if (queue_.size() >= static_cast<std::size_t>(settings_.queue_size)) {
+      queue_.push_back(msg);
+      queue_bytes_ += msg->image.data.size();
+      while (queue_.size() > static_cast<std::size_t>(settings_.queue_size) ||
+             (queue_bytes_ > kMaxQueueBytes && queue_.size() > 1)) {
+        queue_bytes_ -= queue_.front()->image.data.size();
         queue_.pop_front();
         health_.count("images dropped: the queue was full");
       }
-      queue_.push_back(msg);
       last_arrival_ = ros::WallTime::now();
       flush_due_ = true;
     }
@@ -142,6 +147,7 @@ class DenseFusionNode {
   // Called with the queue locked.
   void forgetInputs() {
     queue_.clear();
+    queue_bytes_ = 0;
     sparse_points_.clear();
     reset_requested_ = true;
   }
@@ -213,27 +219,31 @@ class DenseFusionNode {
       queue_changed_.wait(lock, [this] { return stop_ || reset_requested_ || flush_requested_ || !queue_.empty(); });
       if (stop_) return;
       busy_ = true;
-      if (reset_requested_) {
-        startAfresh();
-        reset_requested_ = false;
-      } else if (!queue_.empty()) {
-        const air_ground::PosedImage::ConstPtr msg = queue_.front();
-        queue_.pop_front();
-        const bool sparse_fit = sparse_frame_ == msg->header.frame_id && sparse_stamp_ >= map_since_;
-        mapper_.setSparsePoints(sparse_fit ? sparse_points_ : std::vector<Eigen::Vector3f>());
-        lock.unlock();
-        process(*msg);
-        lock.lock();
-      } else {
-        flush_requested_ = false;
-        flushing_ = true;
-        lock.unlock();
-        if (const auto fused = guarded([this] { return mapper_.flush(); })) publish(*fused);
-        lock.lock();
-        flushing_ = false;
-      }
-      busy_ = false;
+      runGuarded([&] { step(&lock); }, [this](const std::string& what) { health_.count("failed: " + what); });
+      if (!lock.owns_lock()) lock.lock();
+      flushing_ = busy_ = false;
       idle_.notify_all();
+    }
+  }
+
+  // Takes what is due off the queue before it may throw: what fails is not tried for ever.
+  void step(std::unique_lock<std::mutex>* lock) {
+    if (reset_requested_) {
+      reset_requested_ = false;
+      startAfresh();
+    } else if (!queue_.empty()) {
+      const air_ground::PosedImage::ConstPtr msg = queue_.front();
+      queue_.pop_front();
+      queue_bytes_ -= msg->image.data.size();
+      const bool sparse_fit = sparse_frame_ == msg->header.frame_id && sparse_stamp_ >= map_since_;
+      mapper_.setSparsePoints(sparse_fit ? sparse_points_ : std::vector<Eigen::Vector3f>());
+      lock->unlock();
+      process(*msg);
+    } else {
+      flush_requested_ = false;
+      flushing_ = true;
+      lock->unlock();
+      if (const auto fused = guarded([this] { return mapper_.flush(); })) publish(*fused);
     }
   }
 
@@ -406,6 +416,7 @@ class DenseFusionNode {
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_, idle_;
   std::deque<air_ground::PosedImage::ConstPtr> queue_;
+  std::size_t queue_bytes_ = 0;
   ros_utils::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};
   std::vector<Eigen::Vector3f> sparse_points_;
   std::string sparse_frame_;

@@ -143,19 +143,20 @@ std::optional<FusedMap> DenseMapper::finishSweep() {
 
 std::optional<FusedMap> DenseMapper::fuseGroup() {
   std::optional<FusedMap> fused;
-  if (group_.size() == carried_over_) {  // the camera has leapt: nothing new to fuse these with
-    group_.clear();
-    carried_over_ = 0;
-    return fused;
-  }
-  if (static_cast<int>(group_.size()) >= settings_.min_depth_maps) {
+  // Taken out first: a group that fails (no memory, say) is not tried again with the next depth map.
+  std::vector<DepthMap> group = std::move(group_);
+  const std::size_t carried_over = carried_over_;
+  group_.clear();
+  carried_over_ = 0;
+  if (group.size() == carried_over) return fused;  // the camera has leapt: nothing new to fuse these with
+  if (static_cast<int>(group.size()) >= settings_.min_depth_maps) {
     Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-    for (const DepthMap& map : group_) centre += map.T_map_camera.translation() / static_cast<double>(group_.size());
+    for (const DepthMap& map : group) centre += map.T_map_camera.translation() / static_cast<double>(group.size());
     // Among the new views: the stamps of fused maps must rise, which those of carried ones need not.
-    std::size_t reference = carried_over_;
+    std::size_t reference = carried_over;
     double nearest = std::numeric_limits<double>::max();
-    for (std::size_t i = carried_over_; i < group_.size(); ++i) {
-      const double d = (group_[i].T_map_camera.translation() - centre).norm();
+    for (std::size_t i = carried_over; i < group.size(); ++i) {
+      const double d = (group[i].T_map_camera.translation() - centre).norm();
       if (d < nearest) {
         nearest = d;
         reference = i;
@@ -163,16 +164,14 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
     }
     std::vector<Eigen::Vector3f> sparse = sparse_points_;
     for (Eigen::Vector3f& p : sparse) p *= static_cast<float>(unit_);
-    fused = fuseDepthMaps(group_, reference, settings_.fusion, sparse);
+    fused = fuseDepthMaps(group, reference, settings_.fusion, sparse);
     counters_.fused += fused.has_value();
   } else {
     ++counters_.small_groups;
   }
-  std::vector<DepthMap> next;
-  const Eigen::Isometry3d last = group_.back().T_map_camera;
-  for (DepthMap& map : group_)
-    if (distance(map.T_map_camera, last) < settings_.overlap) next.push_back(std::move(map));
-  group_ = std::move(next);
+  const Eigen::Isometry3d last = group.back().T_map_camera;
+  for (DepthMap& map : group)
+    if (distance(map.T_map_camera, last) < settings_.overlap) group_.push_back(std::move(map));
   carried_over_ = group_.size();
   return fused;
 }

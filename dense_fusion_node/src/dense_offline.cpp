@@ -47,7 +47,6 @@ struct Options {
 
 using ImageSink = std::function<void(const cv::Mat&, const CameraModel&, std::int64_t stamp, const Pose& T_map_camera,
                                      double, double)>;
-
 using SparseSink = std::function<void(std::vector<Eigen::Vector3f>)>;
 
 // Posed images as recorded from mav/posed_image, and sparse clouds of the same map if asked for.
@@ -183,36 +182,59 @@ void appendCorners(const air_ground_common::MeshScene& mesh, const cv::Mat& imag
   }
 }
 
-// Absolute errors of a depth map against the mesh, at the pixels where both are known.
-std::vector<double> depthErrors(const air_ground_common::MeshScene& mesh, const dense_fusion::DepthMap& map) {
-  std::vector<double> errors;
+// Depth minus true depth [m], CV_32F; NaN where the map knows nothing, infinity where the mesh has nothing.
+cv::Mat depthErrors(const air_ground_common::MeshScene& mesh, const dense_fusion::DepthMap& map) {
+  cv::Mat errors(map.depth.size(), CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
   for (int v = 0; v < map.depth.rows; ++v)
     for (int u = 0; u < map.depth.cols; ++u) {
-      const float z = map.depth.at<float>(v, u);
-      if (std::isnan(z)) continue;
       const Eigen::Vector3d ray((u - map.camera.cx) / map.camera.fx, (v - map.camera.cy) / map.camera.fy, 1);
       const auto hit = mesh.cast(map.T_map_camera.translation().cast<float>(),
                                  (map.T_map_camera.linear() * ray.normalized()).cast<float>());
-      if (hit) errors.push_back(std::abs(z - hit->distance / ray.norm()));
+      errors.at<float>(v, u) = hit ? map.depth.at<float>(v, u) - static_cast<float>(hit->distance / ray.norm())
+                                   : std::numeric_limits<float>::infinity();
     }
   return errors;
 }
 
-// Depth from near (red) to far (blue), black where unknown, beside the reference image.
-void drawDepth(const std::string& path, const dense_fusion::DepthMap& map) {
+// Appends absolute errors; returns the share of the true surface in view that is known to 3 cm.
+double collectErrors(const cv::Mat& errors, std::vector<double>* absolute) {
+  std::size_t good = 0, seen = 0;
+  for (int i = 0; i < errors.rows * errors.cols; ++i) {
+    const double e = std::abs(errors.ptr<float>()[i]);
+    if (std::isfinite(e)) absolute->push_back(e);
+    seen += !std::isinf(e);
+    good += e < 0.03;
+  }
+  return static_cast<double>(good) / static_cast<double>(std::max<std::size_t>(1, seen));
+}
+
+// Depth from near (red) to far (blue), black where unknown, beside the reference image; and errors where they are
+// known, from too near (blue) over right (white) to 5 cm too far (red).
+void drawDepth(const std::string& path, const dense_fusion::DepthMap& map, const cv::Mat& errors) {
   std::vector<double> depths;
   for (int i = 0; i < map.depth.rows * map.depth.cols; ++i)
     if (const float z = map.depth.ptr<float>()[i]; !std::isnan(z)) depths.push_back(z);
   if (depths.empty()) return;
   const double near = quantile(depths, 0.01), far = std::max(near + 0.01, quantile(depths, 0.99));
-  cv::Mat scaled(map.depth.size(), CV_8U), coloured, intensity, both;
+  cv::Mat scaled(map.depth.size(), CV_8U), coloured, picture;
   for (int i = 0; i < map.depth.rows * map.depth.cols; ++i)
     scaled.data[i] = cv::saturate_cast<std::uint8_t>(255 * (far - map.depth.ptr<float>()[i]) / (far - near));
   cv::applyColorMap(scaled, coloured, cv::COLORMAP_JET);
   coloured.setTo(cv::Scalar(0, 0, 0), map.confidence <= 0);
-  cv::cvtColor(map.intensity, intensity, cv::COLOR_GRAY2BGR);
-  cv::hconcat(intensity, coloured, both);
-  cv::imwrite(path, both);
+  cv::cvtColor(map.intensity, picture, cv::COLOR_GRAY2BGR);
+  cv::hconcat(picture, coloured, picture);
+  if (!errors.empty()) {
+    cv::Mat drawn(errors.size(), CV_8UC3, cv::Scalar(0, 0, 0));
+    for (int v = 0; v < errors.rows; ++v)
+      for (int u = 0; u < errors.cols; ++u) {
+        const float e = errors.at<float>(v, u);
+        if (!std::isfinite(e)) continue;
+        const auto rest = cv::saturate_cast<std::uint8_t>(255 - 255 * std::abs(e) / 0.05f);
+        drawn.at<cv::Vec3b>(v, u) = e > 0 ? cv::Vec3b(rest, rest, 255) : cv::Vec3b(255, rest, rest);
+      }
+    cv::hconcat(picture, drawn, picture);
+  }
+  cv::imwrite(path, picture);
 }
 
 // Highest point a cell seen from above: heights in colour beside grey levels, 50 cells a metre.
@@ -245,7 +267,7 @@ void drawFromAbove(const std::string& path, const std::vector<dense_fusion::Surf
 }
 
 struct Report {
-  std::vector<double> depth_map, fused, cloud;
+  std::vector<double> depth_map, fused, cloud, complete, complete_single;
   int maps = 0;
 };
 
@@ -263,15 +285,16 @@ void reportFused(const Options& options, const dense_fusion::FusedMap& fused, co
     cloud.push_back(point);
   }
   air_ground_common::writePly(base + ".ply", cloud);
-  drawDepth(base + "_view.png", fused.depth_map);
+  const cv::Mat errors = mesh ? depthErrors(*mesh, fused.depth_map) : cv::Mat();
+  drawDepth(base + "_view.png", fused.depth_map, errors);
   drawFromAbove(base + "_above.png", fused.points);
   std::printf(
       "%s: %d depth maps, grid %dx%dx%d of %.4f m, %zu points, support %.1f, votes %.0f + TV-L1 %.0f + surface %.0f ms",
       name, fused.depth_maps, fused.grid.nx, fused.grid.ny, fused.grid.nz, fused.grid.voxel_size, fused.points.size(),
       fused.mean_support, 1e3 * fused.timings.votes, 1e3 * fused.timings.minimisation, 1e3 * fused.timings.surface);
   if (mesh) {
-    const auto view = depthErrors(*mesh, fused.depth_map);
-    std::vector<double> surface;
+    std::vector<double> view, surface;
+    report->complete.push_back(collectErrors(errors, &view));
     for (const auto& p : fused.points) surface.push_back(mesh->distance(p.position, 1.f));
     std::printf("; depth median %.4f 95%% %.4f m, cloud to mesh median %.4f 95%% %.4f m", quantile(view, 0.5),
                 quantile(view, 0.95), quantile(surface, 0.5), quantile(surface, 0.95));
@@ -291,12 +314,10 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   Report report;
   int depth_maps = 0;
   mapper.onDepthMap([&](const dense_fusion::DepthMap& map) {
-    if (mesh) {
-      const auto errors = depthErrors(*mesh, map);
-      report.depth_map.insert(report.depth_map.end(), errors.begin(), errors.end());
-    }
+    const cv::Mat errors = mesh ? depthErrors(*mesh, map) : cv::Mat();
+    if (mesh) report.complete_single.push_back(collectErrors(errors, &report.depth_map));
     if (options.depth_maps)
-      drawDepth((fs::path(options.out) / ("depth_" + std::to_string(depth_maps) + ".png")).string(), map);
+      drawDepth((fs::path(options.out) / ("depth_" + std::to_string(depth_maps) + ".png")).string(), map, errors);
     ++depth_maps;
   });
   std::mt19937 random(1);
@@ -347,10 +368,11 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
       1e3 * seconds / std::max<std::size_t>(1, c.images));
   if (mesh)
     std::printf(
-        "single depth maps: median %.4f 95%% %.4f m\nfused depth maps: median %.4f 95%% %.4f m\ncloud to mesh: median "
-        "%.4f 95%% %.4f m\n",
-        quantile(report.depth_map, 0.5), quantile(report.depth_map, 0.95), quantile(report.fused, 0.5),
-        quantile(report.fused, 0.95), quantile(report.cloud, 0.5), quantile(report.cloud, 0.95));
+        "single depth maps: median %.4f 95%% %.4f m, %.1f %% of a view known to 3 cm\nfused depth maps: median %.4f "
+        "95%% %.4f m, %.1f %% of a view known to 3 cm\ncloud to mesh: median %.4f 95%% %.4f m, %zu points\n",
+        quantile(report.depth_map, 0.5), quantile(report.depth_map, 0.95), 100 * quantile(report.complete_single, 0.5),
+        quantile(report.fused, 0.5), quantile(report.fused, 0.95), 100 * quantile(report.complete, 0.5),
+        quantile(report.cloud, 0.5), quantile(report.cloud, 0.95), report.cloud.size());
   return c.fused > 0 ? 0 : 1;
 }
 
@@ -398,6 +420,8 @@ int main(int argc, char** argv) {
   app.add_option("--lambda", settings.fusion.tv_l1.lambda, "weight of the votes");
   app.add_option("--iterations", settings.fusion.tv_l1.iterations, "of TV-L1 at full resolution");
   app.add_option("--min-support", settings.fusion.min_support, "depth maps that must agree");
+  app.add_option("--min-agreeing", settings.fusion.min_agreeing, "depth maps that must agree with a point");
+  app.add_option("--agreement", settings.fusion.agreement, "how near [voxels]");
   app.add_option("--fill-radius", settings.fusion.fill_radius, "[voxels]");
   app.add_option("--sparse-margin", settings.fusion.sparse_margin, "room around the sparse points [m]");
   app.add_option("--refine", settings.fusion.refine, "sub-voxel correction");

@@ -5,6 +5,7 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "dense_fusion/distance_field.h"
@@ -25,28 +26,69 @@ class Stopwatch {
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
-// Moves surface points along the reference camera's rays by what the depth maps say on average.
-void refineSurface(const std::vector<DepthMap>& maps, const FusionSettings& settings, const RefineSettings& refine,
-                   FusedMap* fused) {
-  const Eigen::Isometry3d& T = fused->depth_map.T_map_camera;
-  const auto& camera = fused->depth_map.camera;
+// Enough maps agree, and no more of them see past it than have it.
+bool believed(const DepthMapViews::Opinion& opinion, const FusionSettings& settings) {
+  return opinion.agreeing >= settings.min_agreeing && opinion.seen_past <= opinion.voices;
+}
+
+// Typical standard deviation of a depth on the surface [m]: grows with distance and where texture is weak.
+double depthDeviation(const DepthMapViews& views, const std::vector<SurfacePoint>& points) {
+  std::vector<float> deviations;
+  const std::size_t step = points.size() / 4000 + 1;
+  for (std::size_t i = 0; i < points.size(); i += step)
+    if (const float deviation = views.ask(points[i].position).deviation; deviation >= 0)
+      deviations.push_back(deviation);
+  if (deviations.empty()) return 0;
+  const auto middle = deviations.begin() + static_cast<std::ptrdiff_t>(deviations.size() / 2);
+  std::nth_element(deviations.begin(), middle, deviations.end());
+  return *middle;
+}
+
+// Asks the depth maps about the reference view's surface: moves it to what they say on average, drops what too few of
+// them agree with, and tells how many do.
+void askAboutView(const DepthMapViews& views, const FusionSettings& settings, DepthMap* map) {
+  const Eigen::Matrix3f R = map->T_map_camera.linear().cast<float>();
+  const Eigen::Vector3f t = map->T_map_camera.translation().cast<float>();
+  const auto& c = map->camera;
+  map->confidence = cv::Mat::zeros(map->depth.size(), CV_32F);
 #pragma omp parallel for schedule(dynamic, 8) num_threads(settings.threads)
-  for (int v = 0; v < camera.height; ++v)
-    for (int u = 0; u < camera.width; ++u) {
-      float& z = fused->depth_map.depth.at<float>(v, u);
+  for (int v = 0; v < map->depth.rows; ++v)
+    for (int u = 0; u < map->depth.cols; ++u) {
+      float& z = map->depth.at<float>(v, u);
       if (std::isnan(z)) continue;
-      const Eigen::Vector3d p = T * (z * Eigen::Vector3d((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1));
-      z += static_cast<float>(depthCorrection(maps, p, refine));
+      const Eigen::Vector3f ray(static_cast<float>((u - c.cx) / c.fx), static_cast<float>((v - c.cy) / c.fy), 1.f);
+      const DepthMapViews::Opinion opinion = views.ask(R * (z * ray) + t);
+      if (!believed(opinion, settings)) {
+        z = std::numeric_limits<float>::quiet_NaN();
+        continue;
+      }
+      if (settings.refine) z += opinion.shift;
+      // One map's word is worth half, ten in agreement 10/11: a share of certainty without a claim of calibration.
+      const float voices = static_cast<float>(opinion.voices);
+      map->confidence.at<float>(v, u) = voices / (1 + voices);
     }
-  const Eigen::Isometry3d T_camera_map = T.inverse();
+}
+
+// The same about the whole surface; points move along the rays of the camera at T.
+void askAboutPoints(const DepthMapViews& views, const FusionSettings& settings, const Eigen::Isometry3d& T,
+                    std::vector<SurfacePoint>* points) {
+  const Eigen::Vector3f centre = T.translation().cast<float>(), axis = T.linear().col(2).cast<float>();
 #pragma omp parallel for schedule(static) num_threads(settings.threads)
-  for (std::size_t i = 0; i < fused->points.size(); ++i) {
-    const Eigen::Vector3d p = fused->points[i].position.cast<double>();
-    const double z = (T_camera_map * p).z();
-    if (z < 0.05) continue;
-    const Eigen::Vector3d per_depth = (p - T.translation()) / z;
-    fused->points[i].position = (p + depthCorrection(maps, p, refine) * per_depth).cast<float>();
+  for (std::size_t i = 0; i < points->size(); ++i) {
+    SurfacePoint& point = (*points)[i];
+    const DepthMapViews::Opinion opinion = views.ask(point.position);
+    point.intensity = opinion.intensity;
+    if (!believed(opinion, settings)) {
+      point.support = 0;
+      continue;
+    }
+    const Eigen::Vector3f ray = point.position - centre;
+    const float z = axis.dot(ray);
+    if (settings.refine && z >= 0.05f) point.position += opinion.shift / z * ray;
   }
+  points->erase(
+      std::remove_if(points->begin(), points->end(), [](const SurfacePoint& point) { return point.support == 0; }),
+      points->end());
 }
 
 // Drops crossings that face away from every camera: the far side of the band, where free-space votes of wrong depths
@@ -171,26 +213,11 @@ std::optional<FusedMap> fuseDepthMaps(const std::vector<DepthMap>& maps, std::si
   fused.depth_map.depth = castRays(field, view.camera, view.T_map_camera, settings.threads, &fused.normals);
   fused.points = extractSurface(field, settings.threads);
   dropBackFaces(maps, &fused.points);
-  if (settings.refine) refineSurface(maps, settings, {0.75 * truncation, grid->voxel_size}, &fused);
-
-  // One map's word is worth half, ten in agreement 10/11: a share of certainty without a claim of calibration.
-  fused.depth_map.confidence = cv::Mat::zeros(fused.depth_map.depth.size(), CV_32F);
+  DepthMapViews views(maps, reference, {truncation, 0.75 * truncation, grid->voxel_size, 0});
+  views.setAgreement(std::max(settings.agreement * grid->voxel_size, depthDeviation(views, fused.points)));
+  askAboutView(views, settings, &fused.depth_map);
+  askAboutPoints(views, settings, view.T_map_camera, &fused.points);
   double sum = 0;
-#pragma omp parallel for schedule(static) num_threads(settings.threads)
-  for (int v = 0; v < fused.depth_map.depth.rows; ++v)
-    for (int u = 0; u < fused.depth_map.depth.cols; ++u) {
-      const float z = fused.depth_map.depth.at<float>(v, u);
-      if (std::isnan(z)) continue;
-      const auto& c = view.camera;
-      const Eigen::Vector3d p = view.T_map_camera * (z * Eigen::Vector3d((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1));
-      float voices = 0;
-      for (const DepthMap& map : maps)
-        if (std::abs(distanceAt(map, p, band)) < 1) voices += 1;
-      fused.depth_map.confidence.at<float>(v, u) = voices / (1 + voices);
-    }
-#pragma omp parallel for schedule(static) num_threads(settings.threads)
-  for (std::size_t i = 0; i < fused.points.size(); ++i)
-    fused.points[i].intensity = intensityAt(maps, reference, fused.points[i].position.cast<double>(), truncation, 128);
   for (const SurfacePoint& p : fused.points) sum += p.support;
   fused.mean_support = fused.points.empty() ? 0 : sum / static_cast<double>(fused.points.size());
   fused.timings.surface = watch.lap();

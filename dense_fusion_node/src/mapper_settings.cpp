@@ -71,6 +71,10 @@ void describe(air_ground_common::ParameterVisitor& v, MapperSettings& m) {
     "further reach behind a surface of its votes for matter, without which thin sheets vanish");
   v("fusion/min_support", m.fusion.min_support, {1, 255}, "",
     "depth maps that must agree within the band, else the surface is the regulariser's invention");
+  v("fusion/min_agreeing", m.fusion.min_agreeing, {0, 255}, "",
+    "depth maps that must agree with a point after its correction; other points are dropped; 0: every point stays");
+  v("fusion/agreement", m.fusion.agreement, {0.01, 50}, "voxels",
+    "they agree when their depth is this near to it, or within the standard deviation of the group's depths");
   v("fusion/fill_radius", m.fusion.fill_radius, {0, 50}, "voxels",
     "surface this far beside supported surface is kept, too: fills holes, less accurately");
   v("fusion/refine", m.fusion.refine, "move points to the mean of the depth maps that agree: below the voxel's size");

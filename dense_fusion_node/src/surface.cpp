@@ -184,37 +184,56 @@ std::vector<SurfacePoint> extractSurface(const SurfaceField& field, int threads)
   return points;
 }
 
-double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d& point,
-                       const RefineSettings& settings) {
-  double sum = 0, weights = 0;
-  int voices = 0;
-  for (const DepthMap& map : maps) {
-    const Eigen::Vector3d p = map.T_map_camera.inverse() * point;
-    const auto pixel = map.camera.project(p);
-    if (!pixel || !map.camera.contains(*pixel)) continue;
-    const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
-    const double residual = map.depth.at<float>(v, u) - p.z();
-    if (!(std::abs(residual) < settings.radius)) continue;
-    const double s = residual / settings.radius, weight = (1 - s * s) * (1 - s * s) * map.confidence.at<float>(v, u);
-    sum += weight * residual;
-    weights += weight;
-    ++voices;
-  }
-  if (voices < 2 || !(weights > 1e-6)) return 0;
-  return std::clamp(sum / weights, -settings.max_shift, settings.max_shift);
-}
-
-std::uint8_t intensityAt(const std::vector<DepthMap>& maps, std::size_t first, const Eigen::Vector3d& point,
-                         double tolerance, std::uint8_t fallback) {
+DepthMapViews::DepthMapViews(const std::vector<DepthMap>& maps, std::size_t first, const Settings& settings)
+    : settings_(settings) {
   for (std::size_t k = 0; k < maps.size(); ++k) {
     const DepthMap& map = maps[(first + k) % maps.size()];
-    const Eigen::Vector3d p = map.T_map_camera.inverse() * point;
-    const auto pixel = map.camera.project(p);
-    if (!pixel || !map.camera.contains(*pixel)) continue;
-    const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
-    if (std::abs(map.depth.at<float>(v, u) - p.z()) < tolerance) return map.intensity.at<std::uint8_t>(v, u);
+    const Eigen::Isometry3d T_camera_map = map.T_map_camera.inverse();
+    views_.push_back({T_camera_map.linear().cast<float>(), T_camera_map.translation().cast<float>(),
+                      static_cast<float>(map.camera.fx), static_cast<float>(map.camera.fy),
+                      static_cast<float>(map.camera.cx), static_cast<float>(map.camera.cy), &map});
   }
-  return fallback;
+}
+
+DepthMapViews::Opinion DepthMapViews::ask(const Eigen::Vector3f& point) const {
+  constexpr int kMost = 255;
+  float residuals[kMost];
+  int known = 0, moving = 0;
+  float sum = 0, weights = 0;
+  const float radius = static_cast<float>(settings_.radius), truncation = static_cast<float>(settings_.truncation);
+  Opinion opinion;
+  for (const View& view : views_) {
+    const Eigen::Vector3f p = view.R * point + view.t;
+    if (!(p.z() > 1e-3f)) continue;
+    const float u = view.fx * p.x() / p.z() + view.cx + 0.5f, v = view.fy * p.y() / p.z() + view.cy + 0.5f;
+    const cv::Mat& depth = view.map->depth;
+    if (!(u >= 0 && v >= 0 && u < static_cast<float>(depth.cols) && v < static_cast<float>(depth.rows))) continue;
+    const int iu = static_cast<int>(u), iv = static_cast<int>(v);
+    const float residual = depth.ptr<float>(iv)[iu] - p.z();
+    opinion.seen_past += residual >= truncation;
+    if (!(std::abs(residual) < truncation)) continue;
+    if (opinion.voices++ == 0) opinion.intensity = view.map->intensity.ptr<std::uint8_t>(iv)[iu];
+    if (known < kMost) residuals[known++] = residual;
+    if (!(std::abs(residual) < radius)) continue;
+    const float s = residual / radius, weight = (1 - s * s) * (1 - s * s) * view.map->confidence.ptr<float>(iv)[iu];
+    sum += weight * residual;
+    weights += weight;
+    ++moving;
+  }
+  const float most = static_cast<float>(settings_.max_shift);
+  if (moving >= 2 && weights > 1e-6f) opinion.shift = std::clamp(sum / weights, -most, most);
+  float deviations = 0;
+  for (int i = 0; i < known; ++i)
+    if (std::abs(residuals[i]) < radius) deviations += std::abs(residuals[i] - opinion.shift);
+  // Of normal noise, from its mean magnitude; the shift is fitted to the same maps.
+  constexpr float kSigmaPerMagnitude = 1.2533f;
+  if (moving >= 2) {
+    const float n = static_cast<float>(moving);
+    opinion.deviation = kSigmaPerMagnitude * deviations / n * std::sqrt(n / (n - 1));
+  }
+  for (int i = 0; i < known; ++i)
+    opinion.agreeing += std::abs(residuals[i] - opinion.shift) < static_cast<float>(settings_.agreement);
+  return opinion;
 }
 
 }  // namespace dense_fusion

@@ -4,7 +4,11 @@
 
 #include <algorithm>
 #include <limits>
+#include <new>
+#include <stdexcept>
+#include <thread>
 
+#include "dense_fusion/guarded.h"
 #include "dense_fusion/point_map.h"
 #include "synthetic_scene.h"
 
@@ -192,6 +196,41 @@ TEST(DenseMapper, StampsRiseWithOverlap) {
   note(mapper.flush());
   ASSERT_GE(stamps.size(), 3u);
   for (std::size_t i = 1; i < stamps.size(); ++i) EXPECT_GT(stamps[i], stamps[i - 1]) << "fused map " << i;
+}
+
+// A worker as the node's: its thread outlives whatever a job throws, and says why the job failed.
+TEST(Guarded, AThrowingJobDoesNotEndTheWorker) {
+  std::vector<std::string> reasons;
+  int done = 0;
+  std::thread worker([&] {
+    for (int job = 0; job < 4; ++job)
+      runGuarded(
+          [&] {
+            if (job == 0) throw std::runtime_error("no room for 9 voxels");
+            if (job == 1) throw std::bad_alloc();
+            if (job == 2) throw 7;
+            ++done;
+          },
+          [&](const std::string& reason) { reasons.push_back(reason); });
+  });
+  worker.join();
+  EXPECT_EQ(done, 1);
+  ASSERT_EQ(reasons.size(), 3u);
+  EXPECT_EQ(reasons[0], "no room for 9 voxels");
+  EXPECT_EQ(reasons[2], "for an unknown reason");
+}
+
+TEST(Guarded, ParallelLoopsThrowAfterTheirEnd) {
+  FirstException first;
+  int done = 0;
+#pragma omp parallel for num_threads(2) reduction(+ : done)
+  for (int i = 0; i < 100; ++i)
+    first.guard([&] {
+      if (i % 10 == 3) throw std::bad_alloc();
+      ++done;
+    });
+  EXPECT_EQ(done, 90);
+  EXPECT_THROW(first.rethrow(), std::bad_alloc);
 }
 
 TEST(PointMap, KeepsTheBetterSupportedPointOfACell) {

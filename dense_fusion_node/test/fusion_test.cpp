@@ -232,6 +232,64 @@ TEST(RayCasting, UnsupportedSurfacesAreNotReported) {
   EXPECT_TRUE(extractSurface(field, 2).empty());
 }
 
+// Three flat maps above one another's place: what they say about a point can be counted by hand.
+TEST(DepthMapViews, PointsNeedMapsThatAgree) {
+  std::vector<DepthMap> maps;
+  for (const float z : {2.f, 2.01f, 2.07f}) {
+    DepthMap map = exactDepth(Scene{}, lookDown({0, 0, 2}));
+    map.depth.setTo(z);
+    map.confidence.setTo(1);
+    map.intensity.setTo(40 + 10 * static_cast<int>(maps.size()));
+    maps.push_back(std::move(map));
+  }
+  const DepthMapViews views(maps, 1, {0.08, 0.06, 0.02, 0.02});
+  const auto opinion = views.ask({0.1f, 0.1f, 0.f});  // depth 2 m
+  EXPECT_EQ(opinion.voices, 3);
+  EXPECT_EQ(opinion.agreeing, 2);
+  EXPECT_EQ(opinion.seen_past, 0);
+  EXPECT_EQ(opinion.intensity, 50);  // of map 1, where the count begins
+  // Residuals 0, 0.01 and 0.07 m; the last is beyond the radius, the others weigh 1 and (1 - 1/36)^2.
+  const double weight = std::pow(1 - 1.0 / 36, 2);
+  EXPECT_NEAR(opinion.shift, 0.01 * weight / (1 + weight), 1e-5);
+  EXPECT_NEAR(opinion.deviation, 1.2533 * 0.005 * std::sqrt(2), 1e-4);
+
+  const auto floating = views.ask({0.1f, 0.1f, 0.1f});
+  EXPECT_EQ(floating.voices, 0);
+  EXPECT_EQ(floating.seen_past, 3);
+  EXPECT_EQ(views.ask({9.f, 0.f, 0.f}).voices, 0);
+  EXPECT_EQ(views.ask({0.f, 0.f, 3.f}).seen_past, 0) << "behind the cameras";
+}
+
+// A nearer surface spills over its edge in the images: in each map by another way, so that no two maps agree there.
+TEST(DepthFusion, WhatNoSecondMapAgreesWithIsDropped) {
+  std::vector<DepthMap> maps;
+  for (int i = 0; i < 5; ++i) {
+    DepthMap map = exactDepth(Scene{}, lookDown({0.05 * i, 0, 2}));
+    // A stripe of the floor that map i believes 5 + i * 2 cm too near: all within the truncation of 8 cm of each other.
+    for (int v = 0; v < map.depth.rows; ++v)
+      for (int u = 0; u < map.depth.cols; ++u) {
+        const double x = (map.T_map_camera *
+                          (map.depth.at<float>(v, u) * map.camera.unproject({double(u), double(v)}).homogeneous()))
+                             .x();
+        if (x > 0.2 && x < 0.5) map.depth.at<float>(v, u) -= 0.05f + 0.045f * static_cast<float>(i);
+      }
+    maps.push_back(std::move(map));
+  }
+  FusionSettings settings;
+  const auto wrong = [&](const FusionSettings& s) {
+    const auto fused = fuseDepthMaps(maps, 2, s);
+    std::size_t count = 0;
+    for (const SurfacePoint& p : fused->points) count += std::abs(p.position.z()) > 0.03;
+    return std::make_pair(count, fused->points.size());
+  };
+  const auto strict = wrong(settings);
+  settings.min_agreeing = 0;
+  const auto all = wrong(settings);
+  EXPECT_GT(all.first, 500u);
+  EXPECT_LT(strict.first, all.first / 10);
+  EXPECT_GT(strict.second, (all.second - all.first) * 9 / 10) << "the floor beside the stripe stays";
+}
+
 // Depth maps of a flight over the boxes with noise and a share of gross outliers.
 std::vector<DepthMap> noisyMaps(const Scene& scene, int count, double sigma, double outliers, unsigned seed) {
   std::mt19937 random(seed);
@@ -250,6 +308,18 @@ std::vector<DepthMap> noisyMaps(const Scene& scene, int count, double sigma, dou
     maps.push_back(std::move(map));
   }
   return maps;
+}
+
+// From high above, depths scatter by more than a voxel: that is no disagreement.
+TEST(DepthFusion, NoiseIsNoDisagreement) {
+  const auto maps = noisyMaps(Scene{}, 5, 0.03, 0, 9);
+  FusionSettings settings;
+  settings.agreement = 0.3;  // 6 mm
+  const auto strict = fuseDepthMaps(maps, 2, settings);
+  settings.min_agreeing = 0;
+  const auto all = fuseDepthMaps(maps, 2, settings);
+  ASSERT_TRUE(strict && all);
+  EXPECT_GT(strict->points.size(), all->points.size() * 8 / 10);
 }
 
 TEST(DepthFusion, RejectsTwelvePercentOutliers) {

@@ -12,11 +12,14 @@ namespace dense_fusion {
 struct FusionSettings {
   double voxel_size = 0.02;           ///< [m]; grows when the scene would need more than max_voxels
   std::size_t max_voxels = 13536000;  ///< 376 x 240 x 150, the paper's grid; about 31 bytes each
-  double truncation_voxels = 4;    ///< half width of the band around a surface in which a depth map votes for distances
-  double behind_voxels = 4;        ///< further reach of its votes for matter: keeps the regulariser from erasing sheets
-  int min_support = 2;             ///< depth maps that must agree within the band for a surface to be kept
-  int fill_radius = 0;             ///< surfaces up to this many voxels beside supported ones are kept, too
-  bool refine = true;              ///< sub-voxel correction by the mean of the depth maps that agree
+  double truncation_voxels = 4;  ///< half width of the band around a surface in which a depth map votes for distances
+  double behind_voxels = 4;      ///< further reach of its votes for matter: keeps the regulariser from erasing sheets
+  int min_support = 2;           ///< depth maps that must agree within the band for a surface to be kept
+  int min_agreeing = 2;  ///< depth maps that must agree with a point of the surface after its correction; 0: any point
+  double agreement =
+      1.0;              ///< they agree when their depth is this near [voxels], or within the deviation of such depths
+  int fill_radius = 0;  ///< surfaces up to this many voxels beside supported ones are kept, too
+  bool refine = true;   ///< sub-voxel correction by the mean of the depth maps that agree
   double extent_quantile = 0.003;  ///< share of the depths left out at each end when the grid is sized
   double sparse_margin = 0.5;      ///< room around the sparse points in view, beyond which the grid is cut [m]
   int min_sparse_points = 50;      ///< in view; fewer do not bound the grid

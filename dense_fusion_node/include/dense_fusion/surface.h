@@ -37,18 +37,40 @@ cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel
 /// All supported crossings on the grid's edges. Intensity is left at 0.
 std::vector<SurfacePoint> extractSurface(const SurfaceField& field, int threads);
 
-struct RefineSettings {
-  double radius = 0.045;    ///< depth maps further than this from the surface have no say [m]
-  double max_shift = 0.02;  ///< limit of the correction [m]
+/// Depth maps ready to be asked about many points.
+class DepthMapViews {
+ public:
+  struct Settings {
+    double truncation = 0.08;  ///< depths nearer than this to a point speak of its surface [m]
+    double radius = 0.06;      ///< depths further than this from a point do not move it [m]
+    double max_shift = 0.02;   ///< limit of a correction [m]
+    double agreement = 0.02;   ///< depths this near to the corrected point agree with it [m]
+  };
+  /// What the depth maps say about a point.
+  struct Opinion {
+    float shift = 0;  ///< along the depth of the asking view: Tukey's weights times confidence; 0 where fewer than two
+                      ///< maps have a say. Takes out the rounding of distances to bins and voxels [m]
+    int voices = 0;   ///< maps whose depth lies within the truncation
+    float deviation = -1;  ///< standard deviation of a depth about the corrected point; -1: fewer than two speak [m]
+    int agreeing = 0;      ///< maps whose depth agrees with the corrected point
+    int seen_past = 0;     ///< maps that see further than the truncation behind it
+    std::uint8_t intensity = 128;  ///< of the first map, counted from `first`, with a voice
+  };
+
+  /// The maps must outlive this.
+  DepthMapViews(const std::vector<DepthMap>& maps, std::size_t first, const Settings& settings);
+  Opinion ask(const Eigen::Vector3f& point) const;
+  void setAgreement(double agreement) { settings_.agreement = agreement; }
+
+ private:
+  struct View {
+    Eigen::Matrix3f R;  // camera from map
+    Eigen::Vector3f t;
+    float fx, fy, cx, cy;
+    const DepthMap* map;
+  };
+  std::vector<View> views_;
+  Settings settings_;
 };
-
-/// Weighted mean over the depth maps of (their depth - depth of the point), Tukey's weights times confidence: takes out
-/// the rounding of distances to bins and voxels. 0 where fewer than two maps have a say.
-double depthCorrection(const std::vector<DepthMap>& maps, const Eigen::Vector3d& point, const RefineSettings& settings);
-
-/// Grey level of a surface point: from map `first` if it shows the point, else from the next that does; `fallback` if
-/// none.
-std::uint8_t intensityAt(const std::vector<DepthMap>& maps, std::size_t first, const Eigen::Vector3d& point,
-                         double tolerance, std::uint8_t fallback);
 
 }  // namespace dense_fusion

@@ -1,0 +1,45 @@
+// A thread's work that may fail without ending the process.
+#pragma once
+
+#include <exception>
+#include <string>
+
+namespace dense_fusion {
+
+/// Runs `job`; whatever it throws goes to `report` as a text. False when it threw. A worker's loop around it goes on:
+/// memory that ran out for one scene, say, is there again for the next.
+template <typename Job, typename Report>
+bool runGuarded(const Job& job, const Report& report) {
+  try {
+    job();
+    return true;
+  } catch (const std::exception& e) {
+    report(std::string(e.what()));
+  } catch (...) {
+    report(std::string("for an unknown reason"));
+  }
+  return false;
+}
+
+/// The same around each piece of a parallel loop, out of which nothing may be thrown: keeps the first exception for
+/// after the loop.
+class FirstException {
+ public:
+  template <typename Job>
+  void guard(const Job& job) {
+    try {
+      job();
+    } catch (...) {
+#pragma omp critical(dense_fusion_first_exception)
+      if (!exception_) exception_ = std::current_exception();
+    }
+  }
+  void rethrow() const {
+    if (exception_) std::rethrow_exception(exception_);
+  }
+
+ private:
+  std::exception_ptr exception_;
+};
+
+}  // namespace dense_fusion
