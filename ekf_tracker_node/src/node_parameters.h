@@ -12,7 +12,6 @@ namespace ekf_tracker {
 struct NodeSettings {
   NodeSettings() { tracker.filter.covariance_factor = 0.1; }
 
-  std::string autosave;  ///< folder for the trajectory at the end; empty: none
   std::string world_frame = "world", map_frame = "mav_map", base_frame = "mav_base_link", origin_crs;
   bool publish_tf = true, level_increments = true, magnetometer = false, gps = false, barometer = false;
   std::string autosave;  ///< folder for the trajectory at the end; empty: none

@@ -300,8 +300,9 @@ class IcpRefineNode {
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     startMap();
     startGround();
-    worker_.post([](Inbox& inbox) {
+    worker_.post([this](Inbox& inbox) {
       inbox = Inbox();
+      inbox.own_unit = own_unit_;
       inbox.reset = true;
     });
     map_id_.reset();

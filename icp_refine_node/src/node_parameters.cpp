@@ -19,10 +19,6 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
   v("queue_size", s.queue_size, {1, 10000}, "",
     "aerial clouds that may wait for a refinement to end; the oldest are dropped, and counted");
-  v("autosave", s.autosave,
-    "folder, made when missing: the augmented map goes there when the node is stopped, under names of this start; \"\" "
-    "= "
-    "nowhere");
   v("min_period", s.min_period, {0, 3600}, "s", "wall time from the end of a refinement to the next: bounds the load");
   v("chain_file", s.chain_file, "instead of `chain` (below), a file that holds the same map");
   v.others("chain");
