@@ -10,6 +10,8 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
       "dense_fusion_node: dense clouds from posed images. Figures of the paper: Forster, Pizzoli, Scaramuzza, IROS "
       "2013, sections V, VIII-B.");
   v.section("Node");
+  v("visual_map_frame", s.visual_map_frame,
+    "posed images in it are of a map without scale, which keeps a unit of its own");
   v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
   v("queue_size", s.queue_size, {10, 10000}, "",
     "posed images that may wait for the worker; the oldest are dropped, and counted, beyond it");
