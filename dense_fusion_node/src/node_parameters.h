@@ -9,6 +9,7 @@ namespace dense_fusion {
 
 struct NodeSettings {
   MapperSettings mapper;
+  std::string visual_map_frame = "mav_visual_map";
   std::string autosave;  ///< folder for the map at the end; empty: none
   int queue_size = 400;
   double flush_timeout = 4.0, service_timeout = 120, map_cell = 0.02;
