@@ -201,6 +201,13 @@ void Localizer::updateEstimate() {
         format("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
     return;
   }
+  if (own_unit_ && scale_evidence_ < settings_.scale_evidence) {
+    // At a scale that nothing singles out there is no place to verify.
+    estimate_.status = Status::kSearching;
+    estimate_.reason = format("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", scale_,
+                              scale_evidence_, settings_.scale_evidence);
+    return;
+  }
   const auto spread = filter_.spread();
   estimate_.particle_spread = spread.position;
   estimate_.particle_spread_yaw = spread.yaw;
@@ -327,10 +334,6 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
     e.status = Status::kAmbiguous;
     e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
                       e.rival_distance, e.rival_ratio);
-  } else if (e.scale_evidence < s.scale_evidence) {
-    e.status = Status::kAmbiguous;
-    e.reason = format("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", e.scale,
-                      e.scale_evidence, s.scale_evidence);
   } else if (e.explained < s.min_explained) {
     e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
                       100 * s.min_explained);
