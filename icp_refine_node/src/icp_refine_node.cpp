@@ -237,8 +237,11 @@ class IcpRefineNode {
         health_.count("coarse alignments of another map");
         return;
       }
-      if (!(msg->scale > 0) || !std::isfinite(msg->scale)) throw std::invalid_argument("the scale is not positive");
-      const CoarseAlignment coarse{similarity(T, own_unit_ ? msg->scale : 1), msg->scale_stddev / msg->scale};
+      CoarseAlignment coarse{similarity(T), 0};
+      if (own_unit_) {
+        if (!(msg->scale > 0) || !std::isfinite(msg->scale)) throw std::invalid_argument("the scale is not positive");
+        coarse = {similarity(T, msg->scale), msg->scale_stddev / msg->scale};
+      }
       worker_.post([&](Inbox& inbox) { inbox.coarse = coarse; });
     } catch (const std::exception& e) {
       health_.count(std::string("coarse alignment unreadable: ") + e.what());

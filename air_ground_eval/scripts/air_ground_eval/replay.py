@@ -346,6 +346,9 @@ def end_launch(line, failed=False):
     its own, so the status also goes into the file that AIR_GROUND_REPLAY_STATUS names, for who started the launch (see demo.launch).
     """
     (rospy.logfatal if failed else rospy.loginfo)(line)
+    if os.environ.get('AIR_GROUND_REPLAY_STATUS'):
+        with open(os.environ['AIR_GROUND_REPLAY_STATUS'], 'w', encoding='ascii') as stream:
+            stream.write(str(int(failed)))
     time.sleep(0.2)  # the line before those of roslaunch
     try:
         with open(f'/proc/{os.getppid()}/cmdline', 'rb') as stream:
