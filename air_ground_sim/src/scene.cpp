@@ -1,11 +1,11 @@
 #include "air_ground_sim/scene.h"
+#include "air_ground_common/first_exception.h"
 
 #include <embree3/rtcore.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <exception>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
@@ -71,17 +71,14 @@ Scene::Scene(const World& world) : mesh_(meshOf(world)), sky_(world.sky) {
   const int patches = static_cast<int>(world.patches.size());
   for (int i = 0; i < patches; ++i)
     if (isLarge(world.patches[i])) bakePatch(world, world.patches[i], &textures_[i], &storage_[i]);
-  std::exception_ptr error;
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic, 4)
   for (int i = 0; i < patches; ++i) {
-    try {
+    failure.guard([&] {
       if (!isLarge(world.patches[i])) bakePatch(world, world.patches[i], &textures_[i], &storage_[i]);
-    } catch (...) {
-#pragma omp critical
-      error = std::current_exception();
-    }
+    });
   }
-  if (error) std::rethrow_exception(error);
+  failure.rethrow();
   for (const auto& levels : storage_)
     for (const auto& level : levels) texels_ += level.size();
 }

@@ -1,4 +1,5 @@
 #include "dense_fusion/dense_mapper.h"
+#include "air_ground_common/first_exception.h"
 
 #include <gtest/gtest.h>
 
@@ -221,7 +222,7 @@ TEST(Guarded, AThrowingJobDoesNotEndTheWorker) {
 }
 
 TEST(Guarded, ParallelLoopsThrowAfterTheirEnd) {
-  FirstException first;
+  air_ground_common::FirstException first;
   int done = 0;
 #pragma omp parallel for num_threads(2) reduction(+ : done)
   for (int i = 0; i < 100; ++i)

@@ -48,15 +48,8 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
 Candidate Localizer::bestPlacement(const HeightMap& map) const {
   const AerialCells cells = aerialCells(map, centerOf(map));
   const CostSettings cost = costFor(map);
-  const double coarse_cell = settings_.coarse_factor * ground_.resolution;
-  const CostVolume volume = coarseVolume(map);
-  Candidate best;
-  for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
-    const PlanarPose start = changeReference(minimum, volume.pivot, cells.reference);
-    const Candidate found = descend(*direct_, cells, start, coarse_cell, M_PI / settings_.headings, cost);
-    if (found.zmssd.score < best.zmssd.score) best = found;
-  }
-  return best;
+  return bestOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
+                      settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
 }
 
 double Localizer::evidence(const Zmssd& z) const {

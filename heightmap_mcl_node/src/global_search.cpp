@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <stdexcept>
 
+#include "air_ground_common/first_exception.h"
 #include "air_ground_common/geometry.h"
 
 namespace heightmap_mcl {
@@ -81,17 +81,13 @@ CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std
   const int cells = 2 * static_cast<int>(std::ceil(std::sqrt(radius) / air.resolution + 1));
   volume.slices.resize(headings.size());
   const int n = static_cast<int>(headings.size());
-  std::exception_ptr failure;  // one that left a parallel loop would end the process
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic)
   for (int i = 0; i < n; ++i) {
-    try {
-      volume.slices[i] = fft(rotateAbout(air, volume.pivot, headings[i], cells), headings[i], settings);
-    } catch (...) {
-#pragma omp critical
-      failure = std::current_exception();
-    }
+    failure.guard(
+        [&] { volume.slices[i] = fft(rotateAbout(air, volume.pivot, headings[i], cells), headings[i], settings); });
   }
-  if (failure) std::rethrow_exception(failure);
+  failure.rethrow();
   return volume;
 }
 
@@ -193,6 +189,18 @@ Candidate descend(const DirectCost& cost, const AerialCells& cells, const Planar
   const Zmssd value = cost(cells, vertex, settings);
   if (value.score <= best.zmssd.score) best = {vertex, value};
   best.pose.yaw = wrapAngle(best.pose.yaw);
+  return best;
+}
+
+Candidate bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
+                       const CostSettings& settings) {
+  Candidate best;
+  for (const PlanarPose& minimum : findLocalMinima(volume, count, distance, angle)) {
+    const PlanarPose start = changeReference(minimum, volume.pivot, cells.reference);
+    const Candidate found = descend(cost, cells, start, step_xy, step_yaw, settings);
+    if (found.zmssd.score < best.zmssd.score) best = found;
+  }
   return best;
 }
 

@@ -200,11 +200,8 @@ Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int
     const auto headings = searchHeadings(kCoarseHeadings, prior_);
     const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
     const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
-    for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
-      const PlanarPose pose = changeReference(minimum, volume.pivot, cells.reference);
-      const Candidate found = descend(*ground.direct, cells, pose, how.resolution, M_PI / kCoarseHeadings, cost);
-      if (found.zmssd.score < trial.best.zmssd.score) trial.best = found;
-    }
+    trial.best = bestOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
+                              how.resolution, M_PI / kCoarseHeadings, cost);
     trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
     if (ground.piece <= 0) ground.piece = pieceArea(ground.map);
     trial.background.piece = std::max(ground.piece, pieceArea(map));

@@ -21,25 +21,4 @@ bool runGuarded(const Job& job, const Report& report) {
   return false;
 }
 
-/// The same around each piece of a parallel loop, out of which nothing may be thrown: keeps the first exception for
-/// after the loop.
-class FirstException {
- public:
-  template <typename Job>
-  void guard(const Job& job) {
-    try {
-      job();
-    } catch (...) {
-#pragma omp critical(dense_fusion_first_exception)
-      if (!exception_) exception_ = std::current_exception();
-    }
-  }
-  void rethrow() const {
-    if (exception_) std::rethrow_exception(exception_);
-  }
-
- private:
-  std::exception_ptr exception_;
-};
-
 }  // namespace dense_fusion

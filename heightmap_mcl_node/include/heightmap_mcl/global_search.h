@@ -58,4 +58,9 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
 
+/// The lowest score that descents from the volume's lowest minima reach; see findLocalMinima and descend.
+Candidate bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
+                       const CostSettings& settings);
+
 }  // namespace heightmap_mcl
