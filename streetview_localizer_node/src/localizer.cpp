@@ -2,67 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
-#include <map>
-#include <numeric>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 #include <utility>
 
 #include "air_ground_common/rectification.h"
+#include "candidates.h"
 #include "mirror_check.h"
 #include "pyramid_cache.h"
-#include "step_timer.h"
+#include "step_times.h"
 #include "view_search.h"
 
 namespace streetview_localizer {
-namespace {
-
-constexpr double kDegree = M_PI / 180;
-constexpr double kGravityGate = 4;  // standard deviations
-
-std::string text(const char* format, double a, double b = 0, double c = 0) {
-  char line[240];
-  std::snprintf(line, sizeof line, format, a, b, c);
-  return line;
-}
-
-// Matches of the query with one view.
-struct ViewMatches {
-  int view = 0;
-  std::vector<Match> matches;   // that survived k-VLD
-  std::vector<int> supporters;  // of each
-  std::vector<Match> dropped;   // by k-VLD: evidence against a pose
-};
-
-// Matches with panoramas whose points may be used as one.
-struct Group {
-  std::vector<ViewMatches> parts;
-  int size() const {
-    return std::accumulate(parts.begin(), parts.end(), 0,
-                           [](int n, const ViewMatches& p) { return n + static_cast<int>(p.matches.size()); });
-  }
-};
-
-struct Candidate {
-  PoseResult pose;
-  Acceptance acceptance;
-  std::vector<Correspondence> correspondences;
-  std::vector<int> views;
-  std::size_t kept = 0;  // the first correspondences; k-VLD dropped the others
-  int panorama = -1, view = -1;
-};
-
-// Index of the most frequent value; the first of equals.
-int mostFrequent(const std::map<int, int>& counts) {
-  int best = -1, most = 0;
-  for (const auto& [value, count] : counts)
-    if (count > most) best = value, most = count;
-  return best;
-}
-
-}  // namespace
 
 const char* nameOf(LocalizerStatus status) {
   switch (status) {
@@ -100,8 +52,8 @@ struct Localizer::Impl {
   std::shared_ptr<const StreetviewDatabase> database;
   LocalizerSettings settings;
   BackProjector projector;
-
   ViewSearch search;
+  CandidateFinder candidates;
   mutable PyramidCache pyramids;
 
   Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s)
@@ -109,197 +61,10 @@ struct Localizer::Impl {
         settings(s),
         projector(database->model),
         search(*database, settings),
+        candidates(*database, projector, settings),
         pyramids(*database) {}
 
-  const View& view(int index) const { return database->views[static_cast<std::size_t>(index)]; }
-  const Panorama& panorama(int index) const { return database->panoramas[static_cast<std::size_t>(index)]; }
-
-  ViewMatches match(const Features& query, const GradientPyramid& query_pyramid, int index,
-                    LocalizerResult* result) const {
-    ViewMatches out;
-    out.view = index;
-    const View& candidate = view(index);
-    std::vector<Match> putative;
-    {
-      const StepTimer timer(result, Step::kMatching);
-      putative = matchPairwise(query, candidate.features, settings.pairwise);
-    }
-    const StepTimer timer(result, Step::kVerification);
-    if (static_cast<int>(putative.size()) < settings.min_view_matches) return out;
-    const KvldResult kvld = filterKvld(query_pyramid, *pyramids.of(index), query.keypoints,
-                                       candidate.features.keypoints, putative, settings.kvld);
-    auto kept = kvld.kept.begin();  // ascending
-    for (int i = 0; i < static_cast<int>(putative.size()); ++i) {
-      const bool survived = kept != kvld.kept.end() && *kept == i;
-      if (survived) ++kept;
-      (survived ? out.matches : out.dropped).push_back(putative[static_cast<std::size_t>(i)]);
-    }
-    out.supporters = kvld.supporters;
-    return out;
-  }
-
-  // One group for all panoramas of well-known pose, one for each of the others: their errors, a decimetre, are common
-  // to the points of one and would set those of two against each other.
-  std::vector<Group> grouped(std::vector<ViewMatches> parts) const {
-    std::vector<Group> groups;
-    std::map<int, std::size_t> group_of;
-    for (ViewMatches& part : parts) {
-      if (static_cast<int>(part.matches.size()) < settings.min_view_matches) continue;
-      const int p = view(part.view).panorama;
-      const bool exact = panorama(p).position_stddev <= settings.merge_position_stddev &&
-                         panorama(p).orientation_stddev <= settings.merge_orientation_stddev;
-      const auto [it, is_new] = group_of.try_emplace(exact ? -1 : p, groups.size());
-      if (is_new) groups.emplace_back();
-      groups[it->second].parts.push_back(std::move(part));
-    }
-    std::stable_sort(groups.begin(), groups.end(), [](const Group& a, const Group& b) { return a.size() > b.size(); });
-    return groups;
-  }
-
-  Candidate locate(const Group& group, const Features& query, const CameraModel& camera, const PosePrior& prior) const {
-    Candidate c;
-    std::vector<ViewRay> rays;
-    std::map<int, int> matches_of_panorama;
-    const auto add = [&](const ViewMatches& part, const Match& m, double quality) {
-      const View& from = view(part.view);
-      const auto q = static_cast<std::size_t>(m.query), v = static_cast<std::size_t>(m.view);
-      Correspondence corr;
-      corr.pixel = {query.keypoints[q].pt.x, query.keypoints[q].pt.y};
-      corr.view_pixel = {from.features.keypoints[v].pt.x, from.features.keypoints[v].pt.y};
-      corr.p_world = from.points[v].cast<double>();
-      corr.normal = from.normals[v].cast<double>();
-      corr.view_centre = from.T_world_camera.translation();
-      corr.quality = quality;
-      c.correspondences.push_back(corr);
-      c.views.push_back(part.view);
-      rays.push_back({from.T_world_camera.translation(), 1 / from.camera.fx, panorama(from.panorama).position_stddev});
-    };
-    for (const ViewMatches& part : group.parts) {
-      matches_of_panorama[view(part.view).panorama] += static_cast<int>(part.matches.size());
-      for (std::size_t i = 0; i < part.matches.size(); ++i)
-        add(part, part.matches[i], part.supporters[i] * (1 - part.matches[i].ratio));
-    }
-    c.kept = c.correspondences.size();
-    for (const ViewMatches& part : group.parts)
-      for (const Match& m : part.dropped) add(part, m, 0);
-    c.panorama = mostFrequent(matches_of_panorama);
-    PointSource source = sourceOf(c.panorama);
-    c.pose = estimatePose(c.correspondences, camera, source, prior, settings.pose, c.kept);
-    if (c.pose.success) {
-      // The panorama that the pose rests on.
-      std::map<int, int> inliers_of_panorama, inliers_of_view;
-      for (const int i : c.pose.inliers) {
-        const int v = c.views[static_cast<std::size_t>(i)];
-        ++inliers_of_view[v];
-        ++inliers_of_panorama[view(v).panorama];
-      }
-      c.panorama = mostFrequent(inliers_of_panorama);
-      c.view = mostFrequent(inliers_of_view);
-      source = sourceOf(c.panorama);
-      if (inliers_of_panorama.size() > 1) refine(camera, prior, rays, &c);
-    }
-    c.acceptance = judge(c.pose, c.correspondences, camera, source, settings.pose, settings.acceptance, c.kept);
-    if (c.acceptance.accepted && prior.up_camera) checkGravity(prior, &c);
-    if (c.acceptance.accepted) checkAgainstModel(&c);
-    if (settings.covariance == CovarianceKind::kMonteCarlo) useMonteCarlo(&c);
-    c.correspondences.resize(c.kept);
-    c.views.resize(c.kept);
-    return c;
-  }
-
-  PointSource sourceOf(int index) const {
-    PointSource source;
-    const Panorama& p = panorama(index);
-    source.position = p.T_world_panorama.translation();
-    source.position_stddev = p.position_stddev;
-    source.orientation_stddev = p.orientation_stddev;
-    source.model_lateral_stddev = settings.model_lateral_stddev;
-    source.model_height_stddev = settings.model_height_stddev;
-    return source;
-  }
-
-  // Several panoramas see the same points: their rays fix them better than the model. Only a pose that the matches
-  // support as well, and near what was found without, takes the place of the first.
-  void refine(const CameraModel& camera, const PosePrior& prior, const std::vector<ViewRay>& rays, Candidate* c) const {
-    const auto fused = fusePoints(c->correspondences, rays, c->pose.inliers, settings.fusion);
-    const FusedRefinement refined = refineOnFusedPoints(fused, camera, prior, c->pose.T_world_camera, settings.fusion);
-    if (!refined.converged) return;
-    const Pose& from = c->pose.T_world_camera;
-    const Eigen::Vector3d moved = refined.T_world_camera.translation() - from.translation();
-    const Eigen::Vector3d turned =
-        air_ground_common::logSO3(refined.T_world_camera.linear() * from.linear().transpose());
-    const auto deviations = [](const Eigen::Vector3d& e, const Eigen::Matrix3d& covariance) {
-      return std::sqrt(e.dot(covariance.llt().solve(e)));
-    };
-    if (!(deviations(moved, c->pose.covariance.topLeftCorner<3, 3>()) <= settings.max_fusion_shift) ||
-        !(deviations(turned, c->pose.covariance.bottomRightCorner<3, 3>()) <= settings.max_fusion_shift))
-      return;
-    const auto kept =
-        onMovedWalls({c->correspondences.begin(), c->correspondences.begin() + static_cast<long>(c->kept)}, c->pose);
-    PoseHypothesis scored = scorePose(refined.T_world_camera, kept, camera, settings.pose);
-    if (static_cast<double>(scored.inliers.size()) <
-        settings.min_fusion_inliers * static_cast<double>(c->pose.inliers.size()))
-      return;
-    static_cast<PoseHypothesis&>(c->pose) = std::move(scored);
-    c->pose.covariance += refined.covariance - c->pose.image_covariance;
-    c->pose.image_covariance = refined.covariance;
-  }
-
-  // The paper's covariance in place of the estimate's.
-  static void useMonteCarlo(Candidate* c) {
-    if (c->pose.monte_carlo_covariance)
-      c->pose.covariance = *c->pose.monte_carlo_covariance;
-    else if (c->acceptance.accepted)
-      refuse(text("only %.0f samples of five matches give a plausible pose: no Monte Carlo covariance",
-                  c->pose.monte_carlo_plausible),
-             c);
-  }
-
-  static void refuse(const std::string& why, Candidate* c) {
-    c->acceptance.accepted = false;
-    c->acceptance.score = 0;
-    c->acceptance.reason = why;
-  }
-
-  // Gravity is part of the estimate; matches that pull away from it all the same belong to another attitude.
-  static void checkGravity(const PosePrior& prior, Candidate* c) {
-    const Eigen::Vector3d up = c->pose.T_world_camera.linear() * prior.up_camera->normalized();
-    const double angle = std::acos(std::clamp(up.z(), -1.0, 1.0)), bound = kGravityGate * prior.up_stddev;
-    if (angle > bound)
-      refuse(text("the attitude is %.1f degrees off the direction of gravity, at most %.1f", angle / kDegree,
-                  bound / kDegree),
-             c);
-  }
-
-  // A camera stands above the ground, outside of buildings, and sees what it matched.
-  void checkAgainstModel(Candidate* c) const {
-    const Eigen::Vector3d centre = c->pose.T_world_camera.translation();
-    const auto below = projector.cast(centre, -Eigen::Vector3d::UnitZ());
-    const auto above = projector.cast(centre, Eigen::Vector3d::UnitZ());
-    const CityModel& model = projector.model();
-    const bool over_ground = below && !model.isBuilding(below->triangle);
-    if (over_ground && below->distance < settings.min_height)
-      return refuse(text("%.2f m above the ground of the model, at least %.2f", below->distance, settings.min_height),
-                    c);
-    if (above && !model.isBuilding(above->triangle))
-      return refuse("the camera would be below the ground of the model", c);
-    int visible = 0;
-    for (const int i : c->pose.inliers) {
-      const Correspondence& corr = c->correspondences[static_cast<std::size_t>(i)];
-      const Eigen::Vector3d ray = corr.p_world - centre;
-      const auto hit = projector.cast(centre, ray);
-      // Half a metre of tolerance: the model's own error, seen obliquely.
-      visible += !hit || hit->distance > ray.norm() - 0.5 - 0.03 * ray.norm();
-    }
-    const double share =
-        static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c->pose.inliers.size(), 1));
-    if (share < settings.min_visible_share)
-      refuse(text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share,
-                  100 * settings.min_visible_share),
-             c);
-  }
-
-  void take(Candidate&& c, LocalizerResult* result) const {
+  static void adopt(Candidate&& c, LocalizerResult* result) {
     result->pose = std::move(c.pose);
     result->acceptance = std::move(c.acceptance);
     result->correspondences = std::move(c.correspondences);
@@ -326,7 +91,7 @@ struct Localizer::Impl {
       if (const std::string apart = disagreement(candidates[0].pose, candidates[i].pose); !apart.empty())
         contradiction = "poses from two panoramas lie " + apart;
     }
-    take(std::move(candidates[0]), result);
+    adopt(std::move(candidates[0]), result);
     if (!contradiction.empty()) contradict(contradiction, result);
   }
 
@@ -335,7 +100,7 @@ struct Localizer::Impl {
     const double apart = (a.T_world_camera.translation() - b.T_world_camera.translation()).norm();
     const double turn = air_ground_common::rotationAngle(a.T_world_camera.linear(), b.T_world_camera.linear());
     if (apart <= settings.max_disagreement && turn <= settings.max_turn) return "";
-    return text("%.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn / kDegree,
+    return text("%.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn * 180 / M_PI,
                 static_cast<double>(b.inliers.size()));
   }
 
@@ -346,66 +111,6 @@ struct Localizer::Impl {
     result->acceptance.reason = result->reason = why;
   }
 
-  void run(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior, LocalizerResult* result) const {
-    cv::Mat grey = image;
-    if (image.channels() == 3) cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
-    std::unique_ptr<GradientPyramid> pyramid;
-    {
-      const StepTimer timer(result, Step::kVerification);
-      pyramid = std::make_unique<GradientPyramid>(grey);
-    }
-    Features features;
-    {
-      const StepTimer timer(result, Step::kFeatures);
-      features = extractFeatures(grey, settings.features.original);
-    }
-    MirrorCheck mirror(features, search, *database, settings);
-    LocalizerResult best;
-    const auto settled = [&](const Features& query, int max_views, int enough) {
-      LocalizerResult next;
-      next.times = best.times;
-      attempt(query, *pyramid, camera, prior, max_views, &mirror, &next);
-      const bool both = best.accepted() && next.accepted();
-      best = better(std::move(best), std::move(next));
-      return best.accepted() ? best.acceptance.evidence.inliers >= enough : both;
-    };
-    best.times = result->times;
-    const bool in_steps = settings.quick_inliers > 0;
-    bool done = static_cast<int>(features.size()) <
-                settings.acceptance.min_inliers;  // a blank image stays blank from every side
-    if (done) best.reason = text("%.0f features in the image: nothing to match", static_cast<double>(features.size()));
-    if (!done && in_steps)
-      done = settled(strongestFeatures(features, settings.quick_features),
-                     std::min(settings.quick_views, settings.max_views), settings.quick_inliers);
-    const bool more =
-        static_cast<int>(features.size()) > settings.quick_features || settings.max_views > settings.quick_views;
-    if (!done && (in_steps ? more : settings.features.views.empty())) done = settled(features, settings.max_views, 0);
-    best.quick = done;
-    if (!done && !settings.features.views.empty()) {
-      {
-        StepTimer timer(&best, Step::kFeatures);
-        features = addVirtualViews(features, grey, camera, settings.features);
-      }
-      settled(features, settings.max_views, 0);
-    }
-    *result = std::move(best);
-  }
-
-  // The panoramas' views are pinholes: features of a fisheye's image look like theirs only after rectification.
-  void runOnPinhole(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior,
-                    LocalizerResult* result) const {
-    constexpr double kMaxField = 100 * M_PI / 180;  // beyond, a pinhole's pixels are mostly of the rim
-    const CameraModel view = air_ground_common::centralPinhole(camera, kMaxField);
-    cv::Mat rectified;
-    cv::remap(image, rectified, air_ground_common::rectificationMap(camera, view), cv::noArray(), cv::INTER_LINEAR,
-              cv::BORDER_REPLICATE);
-    run(rectified, view, prior, result);
-    for (Correspondence& c : result->correspondences) {
-      const auto pixel = camera.project(view.unproject(c.pixel).homogeneous());
-      c.pixel = pixel ? *pixel : Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
-    }
-  }
-
   // Of two attempts at one image: the accepted one with more inliers, else the later. Both accepted, they must agree.
   LocalizerResult better(LocalizerResult before, LocalizerResult after) const {
     after.features = std::max(after.features, before.features);
@@ -413,50 +118,159 @@ struct Localizer::Impl {
     const bool second = after.accepted() && after.acceptance.evidence.inliers > before.acceptance.evidence.inliers;
     const std::string apart = after.accepted() ? disagreement(before.pose, after.pose) : "";
     LocalizerResult& chosen = second ? after : before;
-    chosen.times = after.times;
     chosen.features = after.features;
     if (!apart.empty()) contradict("poses from the image and its virtual views lie " + apart, &chosen);
     return std::move(chosen);
   }
 
-  void attempt(const Features& query, const GradientPyramid& pyramid, const CameraModel& camera, const PosePrior& prior,
-               int max_views, MirrorCheck* mirror, LocalizerResult* result) const {
-    result->features = static_cast<int>(query.size());
-    const double prior_stddev = prior.T_world_camera
-                                    ? std::sqrt(prior.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff())
-                                    : std::numeric_limits<double>::infinity();
-    result->used_prior = prior_stddev <= settings.max_prior_stddev;
-    std::vector<int> views;
-    if (result->used_prior) {
-      const StepTimer timer(result, Step::kVoting);
-      views = search.byPrior(camera, prior, max_views);
-    } else {
-      views = search.byDescriptors(query, max_views, result);
+  LocalizerResult locate(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const;
+  LocalizerResult locateInPinhole(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const;
+};
+
+namespace {
+
+cv::Mat greyOf(const cv::Mat& image) {
+  cv::Mat grey = image;
+  if (image.channels() == 3) cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
+  return grey;
+}
+
+}  // namespace
+
+// One image, and all that is tried to locate it.
+class Localizer::Query {
+ public:
+  Query(const Impl& engine, const cv::Mat& image, const CameraModel& camera, const PosePrior& prior)
+      : engine_(engine),
+        settings_(engine.settings),
+        camera_(camera),
+        prior_(prior),
+        grey_(greyOf(image)),
+        pyramid_(times_.timed(Step::kVerification, [&] { return GradientPyramid(grey_); })),
+        features_(times_.timed(Step::kFeatures, [&] { return extractFeatures(grey_, settings_.features.original); })),
+        mirror_(features_, engine.search, *engine.database, settings_) {}
+
+  // Cheap first: the strongest features, then all, then the virtual views; each only where those before did not settle
+  // it.
+  LocalizerResult locate() {
+    const int count = static_cast<int>(features_.size());
+    const bool in_steps = settings_.quick_inliers > 0, has_virtual_views = !settings_.features.views.empty();
+    const bool more = count > settings_.quick_features || settings_.max_views > settings_.quick_views;
+    bool settled = count < settings_.acceptance.min_inliers;  // a blank image stays blank from every side
+    if (settled) best_.reason = text("%.0f features in the image: nothing to match", static_cast<double>(count));
+    if (!settled && in_steps)
+      settled = settle(strongestFeatures(features_, settings_.quick_features),
+                       std::min(settings_.quick_views, settings_.max_views), settings_.quick_inliers);
+    if (!settled && (in_steps ? more : !has_virtual_views)) settled = settle(features_, settings_.max_views, 0);
+    best_.quick = settled;
+    if (!settled && has_virtual_views) {
+      const Features all =
+          times_.timed(Step::kFeatures, [&] { return addVirtualViews(features_, grey_, camera_, settings_.features); });
+      settle(all, settings_.max_views, 0);
     }
+    best_.times = times_.seconds();
+    return std::move(best_);
+  }
+
+ private:
+  // One more attempt; true when no other is needed.
+  bool settle(const Features& query, int max_views, int enough) {
+    LocalizerResult next = attempt(query, max_views);
+    const bool both = best_.accepted() && next.accepted();
+    best_ = engine_.better(std::move(best_), std::move(next));
+    return best_.accepted() ? best_.acceptance.evidence.inliers >= enough : both;
+  }
+
+  LocalizerResult attempt(const Features& query, int max_views) {
+    LocalizerResult result;
+    result.features = static_cast<int>(query.size());
+    const double prior_stddev = prior_.T_world_camera
+                                    ? std::sqrt(prior_.covariance.topLeftCorner<2, 2>().diagonal().maxCoeff())
+                                    : std::numeric_limits<double>::infinity();
+    result.used_prior = prior_stddev <= settings_.max_prior_stddev;
+    const std::vector<int> views = viewsFor(query, max_views, result.used_prior);
     std::vector<ViewMatches> parts;
     for (const int v : views) {
-      parts.push_back(match(query, pyramid, v, result));
-      result->matches += static_cast<int>(parts.back().matches.size());
-      const int p = view(v).panorama;
-      if (std::find(result->searched.begin(), result->searched.end(), p) == result->searched.end())
-        result->searched.push_back(p);
+      parts.push_back(match(query, v));
+      result.matches += static_cast<int>(parts.back().matches.size());
+      const int p = engine_.database->views[static_cast<std::size_t>(v)].panorama;
+      if (std::find(result.searched.begin(), result.searched.end(), p) == result.searched.end())
+        result.searched.push_back(p);
     }
-    const StepTimer timer(result, Step::kPose);
-    std::vector<Candidate> candidates;
-    for (const Group& group : grouped(std::move(parts))) candidates.push_back(locate(group, query, camera, prior));
+    const auto timer = times_.measure(Step::kPose);
+    std::vector<Candidate> candidates = engine_.candidates.find(std::move(parts), query, camera_, prior_);
     if (candidates.empty()) {
-      result->reason =
-          !views.empty()       ? text("fewer than %.0f matches with every view searched", settings.min_view_matches)
-          : result->used_prior ? "no view of the nearest panoramas shows what would be seen from the predicted pose"
-                               : "no panorama resembles the image";
-      return;
+      result.reason =
+          !views.empty()      ? text("fewer than %.0f matches with every view searched", settings_.min_view_matches)
+          : result.used_prior ? "no view of the nearest panoramas shows what would be seen from the predicted pose"
+                              : "no panorama resembles the image";
+      return result;
     }
-    decide(std::move(candidates), result);
-    if (!result->accepted()) return;
-    if (const std::string why = mirror->objection(result->view, result->used_prior); !why.empty())
-      contradict(why, result);
+    engine_.decide(std::move(candidates), &result);
+    if (!result.accepted()) return result;
+    if (const std::string why = mirror_.objection(result.view, result.used_prior); !why.empty())
+      engine_.contradict(why, &result);
+    return result;
   }
+
+  std::vector<int> viewsFor(const Features& query, int max_views, bool near_prior) {
+    const ViewSearch& search = engine_.search;
+    if (near_prior) return times_.timed(Step::kVoting, [&] { return search.byPrior(camera_, prior_, max_views); });
+    const FoundDescriptors found = times_.timed(Step::kSearch, [&] { return search.nearest(query); });
+    return times_.timed(Step::kVoting, [&] { return search.votedBy(found, query, max_views); });
+  }
+
+  ViewMatches match(const Features& query, int index) {
+    ViewMatches out;
+    out.view = index;
+    const Features& seen = engine_.database->views[static_cast<std::size_t>(index)].features;
+    const std::vector<Match> putative =
+        times_.timed(Step::kMatching, [&] { return matchPairwise(query, seen, settings_.pairwise); });
+    if (static_cast<int>(putative.size()) < settings_.min_view_matches) return out;
+    const auto timer = times_.measure(Step::kVerification);
+    const KvldResult kvld =
+        filterKvld(pyramid_, *engine_.pyramids.of(index), query.keypoints, seen.keypoints, putative, settings_.kvld);
+    auto kept = kvld.kept.begin();  // ascending
+    for (int i = 0; i < static_cast<int>(putative.size()); ++i) {
+      const bool survived = kept != kvld.kept.end() && *kept == i;
+      if (survived) ++kept;
+      (survived ? out.matches : out.dropped).push_back(putative[static_cast<std::size_t>(i)]);
+    }
+    out.supporters = kvld.supporters;
+    return out;
+  }
+
+  const Impl& engine_;
+  const LocalizerSettings& settings_;
+  const CameraModel& camera_;
+  const PosePrior& prior_;
+  StepTimes times_;
+  const cv::Mat grey_;
+  const GradientPyramid pyramid_;
+  const Features features_;
+  MirrorCheck mirror_;
+  LocalizerResult best_;
 };
+
+LocalizerResult Localizer::Impl::locate(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
+  return Query(*this, image, camera, prior).locate();
+}
+
+// The panoramas' views are pinholes: features of a fisheye's image look like theirs only after rectification.
+LocalizerResult Localizer::Impl::locateInPinhole(const cv::Mat& image, const CameraModel& camera,
+                                                 const PosePrior& prior) const {
+  constexpr double kMaxField = 100 * M_PI / 180;  // beyond, a pinhole's pixels are mostly of the rim
+  const CameraModel view = air_ground_common::centralPinhole(camera, kMaxField);
+  cv::Mat rectified;
+  cv::remap(image, rectified, air_ground_common::rectificationMap(camera, view), cv::noArray(), cv::INTER_LINEAR,
+            cv::BORDER_REPLICATE);
+  LocalizerResult result = locate(rectified, view, prior);
+  for (Correspondence& c : result.correspondences) {
+    const auto pixel = camera.project(view.unproject(c.pixel).homogeneous());
+    c.pixel = pixel ? *pixel : Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+  }
+  return result;
+}
 
 Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings) {
   settings.validate();
@@ -474,7 +288,7 @@ Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const L
 Localizer::~Localizer() = default;
 
 LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
-  const auto start = StepTimer::Clock::now();
+  const auto start = StepTimes::Clock::now();
   camera.validate();
   if (image.depth() != CV_8U || (image.channels() != 1 && image.channels() != 3))
     throw std::invalid_argument("localizer: the image must be grey or BGR of 8 bits");
@@ -488,12 +302,9 @@ LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& cam
     throw std::invalid_argument("localizer: the covariance of the predicted pose is not positive definite");
   if (prior.up_camera && (!prior.up_camera->allFinite() || prior.up_camera->norm() < 1e-9))
     throw std::invalid_argument("localizer: the direction of gravity is not finite");
-  LocalizerResult result;
-  if (camera.model == air_ground_common::DistortionModel::kPlumbBob)
-    impl_->run(image, camera, prior, &result);
-  else
-    impl_->runOnPinhole(image, camera, prior, &result);
-  result.total_time = StepTimer::secondsSince(start);
+  const bool pinhole = camera.model == air_ground_common::DistortionModel::kPlumbBob;
+  LocalizerResult result = pinhole ? impl_->locate(image, camera, prior) : impl_->locateInPinhole(image, camera, prior);
+  result.total_time = StepTimes::secondsSince(start);
   return result;
 }
 

@@ -8,7 +8,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "step_timer.h"
+#include "step_times.h"
 
 namespace streetview_localizer {
 namespace {
@@ -85,10 +85,10 @@ void ViewSearch::prepareIndex() {
       why = std::string(" (") + e.what() + ")";
     }
   }
-  const auto start = StepTimer::Clock::now();
+  const auto start = StepTimes::Clock::now();
   index_ = buildIndex(descriptors_, settings_.index);
   char time[32];
-  std::snprintf(time, sizeof time, "%.1f s", StepTimer::secondsSince(start));
+  std::snprintf(time, sizeof time, "%.1f s", StepTimes::secondsSince(start));
   index_remark_ = name + " built in " + time + why;
   if (settings_.index_file.empty()) return;
   try {
@@ -141,35 +141,30 @@ std::vector<int> ViewSearch::byPrior(const CameraModel& camera, const PosePrior&
   return views;
 }
 
-std::vector<int> ViewSearch::byDescriptors(const Features& query, int max_views, LocalizerResult* result) const {
-  const std::vector<int> queried = strongest(query, settings_.search_features);
-  const cv::Mat rows = rowsOf(query.descriptors, queried);
-  std::vector<std::vector<Neighbor>> neighbors;
-  {
-    const StepTimer timer(result, Step::kSearch);
-    neighbors = index_->search(rows, std::min(settings_.neighbors, descriptors_.rows));
-  }
-  const StepTimer timer(result, Step::kVoting);
-  return placesOf(neighbors, queried, query.keypoints, max_views);
+FoundDescriptors ViewSearch::nearest(const Features& query) const {
+  FoundDescriptors found;
+  found.queried = strongest(query, settings_.search_features);
+  found.neighbors =
+      index_->search(rowsOf(query.descriptors, found.queried), std::min(settings_.neighbors, descriptors_.rows));
+  return found;
 }
 
-std::vector<int> ViewSearch::placesOf(const std::vector<std::vector<Neighbor>>& neighbors,
-                                      const std::vector<int>& queried, const std::vector<cv::KeyPoint>& keypoints,
-                                      int max_views) const {
+std::vector<int> ViewSearch::votedBy(const FoundDescriptors& found, const Features& query, int max_views) const {
   VotingSettings voting = settings_.voting;
   voting.best = max_views;
   std::vector<int> views;
-  for (const Vote& vote :
-       voteForPlaces(neighbors, queried, keypoints, view_of_row_, static_cast<int>(database_.views.size()), voting))
+  for (const Vote& vote : voteForPlaces(found.neighbors, found.queried, query.keypoints, view_of_row_,
+                                        static_cast<int>(database_.views.size()), voting))
     views.push_back(vote.place);
   return views;
 }
 
 std::vector<int> ViewSearch::byMirrorImage(const Features& mirrored, int max_views) const {
-  std::vector<int> all(mirrored.size());
-  std::iota(all.begin(), all.end(), 0);
-  return placesOf(index_->search(mirrored.descriptors, std::min(settings_.neighbors, descriptors_.rows)), all,
-                  mirrored.keypoints, max_views);
+  FoundDescriptors found;
+  found.queried.resize(mirrored.size());
+  std::iota(found.queried.begin(), found.queried.end(), 0);
+  found.neighbors = index_->search(mirrored.descriptors, std::min(settings_.neighbors, descriptors_.rows));
+  return votedBy(found, mirrored, max_views);
 }
 
 }  // namespace streetview_localizer

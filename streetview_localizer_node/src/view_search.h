@@ -15,20 +15,26 @@ Features strongestFeatures(const Features& features, int count);
 /// What the mirror image's features would be, at the places of the image's own: the same numbers in another order.
 Features mirroredFeatures(Features features);
 
+struct FoundDescriptors {
+  std::vector<int> queried;                      ///< indices of the features that were looked for
+  std::vector<std::vector<Neighbor>> neighbors;  ///< of each
+};
+
 /// Thread-safe once made.
 class ViewSearch {
  public:
   /// Both must outlive it. Reads the descriptors' index from settings.index_file, or builds it and keeps it there.
   ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings);
 
-  /// Views that the whole database's nearest descriptors vote for. Adds to the times of search and voting.
-  std::vector<int> byDescriptors(const Features& query, int max_views, LocalizerResult* result) const;
+  /// The whole database's descriptors that are nearest to an image's strongest ones, and the views that they vote for.
+  FoundDescriptors nearest(const Features& query) const;
+  std::vector<int> votedBy(const FoundDescriptors& found, const Features& query, int max_views) const;
 
   /// Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image
   /// most.
   std::vector<int> byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const;
 
-  /// The same for the few features of a mirror image; no times.
+  /// Voted by all of the few features of a mirror image.
   std::vector<int> byMirrorImage(const Features& mirrored, int max_views) const;
 
   /// Where the index came from, for the log.
@@ -36,8 +42,6 @@ class ViewSearch {
 
  private:
   void prepareIndex();
-  std::vector<int> placesOf(const std::vector<std::vector<Neighbor>>& neighbors, const std::vector<int>& queried,
-                            const std::vector<cv::KeyPoint>& keypoints, int max_views) const;
   std::vector<int> panoramasNear(const Eigen::Vector3d& position) const;
 
   const StreetviewDatabase& database_;

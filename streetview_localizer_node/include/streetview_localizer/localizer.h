@@ -129,6 +129,7 @@ class Localizer {
 
  private:
   struct Impl;
+  class Query;
   std::unique_ptr<Impl> impl_;
 };
 
