@@ -53,7 +53,8 @@ def write(path, **faults):
                     info.K = [0.0] * 9
                 if faults.get('fisheye'):
                     info.distortion_model = faults['fisheye']
-                bag.write('/mav/camera/camera_info', info, messages.stamp(t))
+                if not (faults.get('info_once') and i):
+                    bag.write('/mav/camera/camera_info', info, messages.stamp(t))
                 if faults.get('compressed'):
                     bag.write('/mav/camera/image_raw/compressed', compressed(np.zeros((48, 64), np.uint8), stamp, 'mav_camera_optical_frame'), messages.stamp(t))
                 else:
@@ -99,11 +100,11 @@ class BagCheck(unittest.TestCase):
         for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
-                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('begins in motion', dict(moving=True))):
+                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
 
     def test_no_errors_where_the_nodes_can_help_themselves(self):
-        for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant')):
+        for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant'), dict(info_once=True)):
             self.assertEqual([f.text for f in self.findings(**faults) if f.level == bag_check.ERROR], [], faults)
         self.assert_found(bag_check.OK, '/clock is in the bag', clock=True)
         self.assert_found(bag_check.OK, '/tf_static comes in 2 messages and not latched', split_tf=True)

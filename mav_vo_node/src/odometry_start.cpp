@@ -163,6 +163,10 @@ std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
   if (const std::string problem = gyroProblem(); !problem.empty()) return problem;
+  if (scale.inverted())
+    return "metric scale is not known: the accelerations point the wrong way; at rest the IMU must read +9.81 m/s^2 "
+           "along "
+           "the axis that points up (specific force): check its signs and the static transform of its frame";
   if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))
     return "metric scale is not known: IMU and images tell of different motions; check the static transforms of IMU "
            "and "

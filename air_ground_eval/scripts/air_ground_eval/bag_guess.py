@@ -125,7 +125,7 @@ def command(facts, names, bases, frames, city=False, registered=True):
     for robot in robots:
         words += [f'{robot}_base_frame:={bases[robot]}'] if bases.get(robot, f'{robot}_base_link') != f'{robot}_base_link' else []
         default = f'{robot}_camera_optical_frame'
-        words += [f'{robot}_camera_frame:={frames[robot]}'] if not city and frames.get(robot, default) != default else []
+        words += [f'{robot}_camera_frame:={frames[robot]}'] if not city and frames.get(robot, default) not in (default, '') else []
     if not city:
         words += [] if 'mav' in robots else ['mav_vo:=false', 'dense_fusion:=false']
         words += [] if 'ground' in robots else ['rgbd_slam:=false']
