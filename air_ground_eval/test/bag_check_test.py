@@ -160,6 +160,27 @@ class BagCheck(unittest.TestCase):
             self.assertIn('ground_depth_camera_info:=/camera/aligned_depth_to_color/camera_info', unregistered)
             self.assertIn('ground_depth_registered:=false', unregistered)
 
+    def test_an_imu_belongs_to_the_robot_that_it_is_mounted_on(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                edges = [('base', 'eye', np.eye(4)), ('base', 'gyro', np.eye(4)), ('body', 'cam', np.eye(4))]
+                messages.write_latched(bag, '/tf_static', messages.static_transforms(edges, 99), 99)
+                for t in np.arange(100, 102, 0.05):
+                    for topic, kind, frame in (('/drone/image_raw', 'mono8', 'cam'), ('/camera/rgb/image_raw', 'rgb8', 'eye'), ('/camera/depth/image_raw', '16UC1', 'eye')):
+                        bag.write(topic, messages.image(np.full((48, 64, 3) if kind == 'rgb8' else (48, 64), 100), kind, t, frame), messages.stamp(t))
+                        bag.write(topic.replace('image_raw', 'camera_info'), messages.camera_info(CAMERA, t, frame), messages.stamp(t))
+                    for k in range(10):
+                        bag.write('/imu', messages.imu([0, 0, 0.001], [0, 0, 9.81], 1e-6, 1e-4, t + 0.005 * k, 'gyro'), messages.stamp(t + 0.005 * k))
+            facts = bag_reader.BagFacts(path)
+            names = bag_guess.guess(facts)
+            self.assertNotIn('/mav/imu/data', names)
+            self.assertEqual(names['/ground/imu/data'], '/imu')
+            self.assertIn('mav_use_imu:=false', bag_guess.command(facts, names, {}, {}).split())
+            found = bag_check.check(facts, names, {'mav': 'body', 'ground': 'base'})
+            self.assertEqual([f.text for f in found if f.level == bag_check.ERROR], [])
+            self.assertTrue(any('mav_use_imu:=false' in f.text for f in found if f.level == bag_check.WARNING))
+
     def test_gyro_and_accelerometer_apart(self):
         """As RealSense's driver publishes them unless told otherwise."""
         with tempfile.TemporaryDirectory() as folder:

@@ -101,7 +101,10 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
         elif standard not in ELSEWHERE:
-            findings.append(_missing(facts, standard, topic, types, purpose, actual))
+            finding = _missing(facts, standard, topic, types, purpose, actual)
+            if standard == '/mav/imu/data' and not city and 'set mav_imu' not in finding.text:
+                finding = Finding(WARNING, f'{finding.text}: mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale')
+            findings.append(finding)
     streams = read(facts.path, present.values())
     for robot in robots:
         _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
