@@ -18,6 +18,7 @@ sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
 from air_ground_eval import bag_check, bag_guess, bag_player, bag_reader, datasets, geometry, messages  # noqa: E402
 
 CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+PICTURE = np.indices((48, 64)).sum(0) % 16 * 16
 
 
 def compressed(array, seconds, frame, prefix=b'', kind='.jpg', form='mono8; jpeg compressed'):
@@ -58,9 +59,9 @@ def write(path, **faults):
                 if faults.get('compressed'):
                     bag.write('/mav/camera/image_raw/compressed', compressed(np.zeros((48, 64), np.uint8), stamp, 'mav_camera_optical_frame'), messages.stamp(t))
                 else:
-                    bag.write('/mav/camera/image_raw', messages.image(np.zeros((48, 64)), 'mono8', stamp, 'mav_camera_optical_frame'), messages.stamp(t))
+                    bag.write('/mav/camera/image_raw', messages.image(np.full((48, 64), 128) if faults.get('flat') else PICTURE, 'mono8', stamp, 'mav_camera_optical_frame'), messages.stamp(t))
                 frame = '' if faults.get('no_frame') else 'ground_camera_optical_frame'
-                bag.write('/ground/rgb/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t + later, frame), messages.stamp(t))
+                bag.write('/ground/rgb/image_raw', messages.image(np.dstack([PICTURE] * 3), 'rgb8', t + later, frame), messages.stamp(t))
                 bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t + later, frame), messages.stamp(t))
                 shape = (24, 32) if faults.get('small_depth') else (48, 64)
                 if faults.get('compressed'):
@@ -100,7 +101,7 @@ class BagCheck(unittest.TestCase):
         for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
-                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True))):
+                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
 
     def test_no_errors_where_the_nodes_can_help_themselves(self):
