@@ -55,10 +55,17 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       shutter(camera_, settings_.readout_time),
       bootstrap(camera_, settings_.bootstrap),
       scale(settings_.scale, settings_.imu_noise, 0.1),
-      gyro_alignment(settings_.gyro_alignment, settings_.imu_noise, T_camera_imu.linear(), sigma()),
+      gyro_alignment(settings_.gyro_alignment, settings_.imu_noise, T_camera_imu.linear(), sigma(), camera_.height),
       standstill(settings_.standstill) {
   settings.validate();
   imu.setOffset(settings.gyro_alignment.time_offset);
+  gyro_alignment.setReadoutTime(settings.readout_time);
+  if (settings.readout_time_stddev > 0) {
+    GyroAlignmentSettings with_readout = settings.gyro_alignment;
+    with_readout.readout_time = settings.readout_time;
+    with_readout.readout_time_stddev = settings.readout_time_stddev;
+    shutter_alignment.emplace(with_readout, settings.imu_noise, T_camera_imu.linear(), sigma(), camera.height);
+  }
   if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
     throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
 }
@@ -99,8 +106,11 @@ void Odometry::Impl::reset() {
   bias = {};
   rested = false;
   gyro_alignment.reset();
+  gyro_alignment.setReadoutTime(settings.readout_time);
+  if (shutter_alignment) shutter_alignment->reset();
   standstill.reset();
   imu.setOffset(settings.gyro_alignment.time_offset);
+  shutter.setReadoutTime(settings.readout_time);
   up_imu.reset();
   up_sigma = 0.1;
   last_stamp = -1;
@@ -129,7 +139,7 @@ std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<Trac
 
 void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
   if (!shutter.active()) return;
-  const double half = 0.5 * std::abs(settings.readout_time);
+  const double half = 0.5 * std::abs(shutter.readoutTime());
   const auto turn = cameraTurn(stamp - half, stamp + half);
   shutter.setMotion(
       turn ? Eigen::Vector3d(air_ground_common::logSO3(turn->R_a_b) / (2 * half)) : Eigen::Vector3d::Zero(),
@@ -467,6 +477,8 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->gyro_bias_stddev = gyro_alignment.biasStddev();
   result->time_offset = imu.offset();
   result->time_offset_stddev = settings.gyro_alignment.time_offset_stddev > 0 ? gyro_alignment.timeOffsetStddev() : 0;
+  result->readout_time = shutter.readoutTime();
+  result->readout_time_stddev = shutter_alignment ? shutter_alignment->readoutTimeStddev() : 0;
   result->pose_valid = located_stamp >= 0 && located_stamp == result->stamp && last_pose.success;
   if (!result->pose_valid) return;
   result->inliers = inliers;
@@ -497,7 +509,7 @@ bool Odometry::addImu(const ImuSample& sample) {
 }
 
 double Odometry::imuNeededAt(double image_stamp) const {
-  return impl_->imu.stamp(image_stamp) + 0.5 * std::abs(impl_->settings.readout_time);
+  return impl_->imu.stamp(image_stamp) + 0.5 * std::abs(impl_->shutter.readoutTime());
 }
 
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }

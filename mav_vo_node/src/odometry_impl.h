@@ -39,8 +39,9 @@ struct Odometry::Impl {
   void reset();
   void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
   void useStandstill(const Standstill& rest);
-  void alignGyro(double stamp);  ///< gyro bias and time offset from the tracks
-  void keepMapsBias();           ///< before a map is given up: what its adjustment knows of the gyro
+  void alignGyro(double stamp);
+  void alignShutter(double stamp);  ///< gyro bias and time offset from the tracks
+  void keepMapsBias();              ///< before a map is given up: what its adjustment knows of the gyro
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
   void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
   void initialize();
@@ -88,6 +89,7 @@ struct Odometry::Impl {
   Bootstrap bootstrap;
   ScaleFilter scale;
   GyroAlignment gyro_alignment;
+  std::optional<GyroAlignment> shutter_alignment;  ///< apart: what it estimates besides makes the others less certain
   StandstillDetector standstill;
   ImageClockImu imu{12.0};
   visual_frontend::AttitudeFilter attitude;

@@ -134,9 +134,10 @@ class OfflineRun {
     std::printf(
         "       gyro bias %.4f %.4f %.4f +- %.4f rad/s, accelerometer bias %.3f %.3f %.3f m/s^2, time offset %.2f +- "
         "%.2f "
-        "ms\n",
+        "ms, readout time %.2f +- %.2f ms\n",
         b.gyro.x(), b.gyro.y(), b.gyro.z(), last_.gyro_bias_stddev, b.accel.x(), b.accel.y(), b.accel.z(),
-        1e3 * last_.time_offset, 1e3 * last_.time_offset_stddev);
+        1e3 * last_.time_offset, 1e3 * last_.time_offset_stddev, 1e3 * last_.readout_time,
+        1e3 * last_.readout_time_stddev);
   }
 
   mav_vo::Odometry odometry_;
@@ -283,6 +284,7 @@ int main(int argc, char** argv) {
   app.add_option("--time-offset", settings.gyro_alignment.time_offset, "t_imu - t_image of the same instant [s]");
   app.add_option("--time-offset-stddev", settings.gyro_alignment.time_offset_stddev, "of that; 0 = exact [s]");
   app.add_option("--readout-time", settings.readout_time, "of a rolling shutter [s]");
+  app.add_option("--readout-time-stddev", settings.readout_time_stddev, "of that; 0 = exact [s]");
   app.add_option("--imu-shift", imu_shift, "added to the IMU's stamps, to try out a time offset [s]");
   CLI11_PARSE(app, argc, argv);
   settings.synchronous = !live;

@@ -25,6 +25,7 @@ struct Options {
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
+  double readout = 0;    ///< of a rolling shutter [s]
   unsigned seed = 11;    ///< of the IMU's noise
   int grain = 5;         ///< of the images' noise
 };
@@ -34,6 +35,22 @@ struct Outcome {
   std::vector<FrameResult> frames;
   double metric_at = -1;
 };
+
+/// Strips of a few rows, each from where the camera is when they are read.
+cv::Mat renderRows(const synthetic::PlateWorld& world, const Options& options, double t, cv::RNG* grain) {
+  constexpr int kRows = 8;
+  const auto camera = synthetic::camera();
+  cv::Mat image(camera.height, camera.width, CV_8U);
+  for (int row = 0; row < camera.height; row += kRows) {
+    auto strip = camera;
+    strip.height = std::min(kRows, camera.height - row);
+    strip.cy -= row;
+    const double at = t + ((row + 0.5 * strip.height) / camera.height - 0.5) * options.readout;
+    world.render(strip, options.flight.T_world_imu(at) * synthetic::T_imu_camera(), options.gain(t), grain)
+        .copyTo(image.rowRange(row, row + strip.height));
+  }
+  return image;
+}
 
 Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* given = nullptr) {
   static const synthetic::PlateWorld world(3);
@@ -60,7 +77,8 @@ Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* gi
     const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
     outcome.truth.push_back({t, T});
     if (options.drop_image(t)) continue;
-    cv::Mat image = world.render(synthetic::camera(), T, options.gain(t), &grain);
+    cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
+                                         : renderRows(world, options, t, &grain);
     if (options.black(t)) image.setTo(3);
     const FrameResult r = given->process(t, image);
     EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));
@@ -159,6 +177,26 @@ TEST(Odometry, FindsTheTimeOffset) {
   EXPECT_LT(last.time_offset_stddev, 0.004);
   ASSERT_GT(o.metric_at, 0) << last.reason;
   EXPECT_LT(ate(o, o.final_poses), 0.015 * air_ground_common::pathLength(o.truth));
+}
+
+TEST(Odometry, FindsTheReadoutTime) {
+  Options options;
+  options.flight.wobble = 0.15;
+  options.readout = 0.025;
+  const Outcome o = fly(options);
+  const FrameResult& last = o.frames.back();
+  std::printf("readout time %.2f +- %.2f ms, ATE %.4f m\n", 1e3 * last.readout_time, 1e3 * last.readout_time_stddev,
+              ate(o, o.final_poses));
+  EXPECT_NEAR(last.readout_time, options.readout, 0.004);
+  EXPECT_LT(last.readout_time_stddev, 0.004);
+  ASSERT_GT(o.metric_at, 0) << last.reason;
+  EXPECT_LT(ate(o, o.final_poses), 0.01 * air_ground_common::pathLength(o.truth));
+}
+
+TEST(Odometry, TakesAGlobalShutterForOne) {
+  Options options;
+  options.flight.wobble = 0.15;
+  for (const FrameResult& r : fly(options).frames) EXPECT_EQ(r.readout_time, 0) << r.stamp;
 }
 
 TEST(Odometry, IncrementsCarryAnHonestCovariance) {
