@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 #include <map>
+#include <string>
 
 #include "../test/simulation.h"
 #include "air_ground_common/linear_algebra.h"
@@ -18,6 +19,7 @@ struct Options {
   int runs = 10000, first_seed = 1;
   double outliers = -1;  // share of the fixes; negative: drawn from 0 to 0.4
   bool repeated = false;
+  double max_false_start = ek::FilterSettings().max_false_start;
 };
 
 /// What one flight showed.
@@ -28,6 +30,7 @@ struct Trial {
   double error = 0;      ///< position, at the end [m]; NaN: never started
   double first_lie = 0;  ///< when the covariance first excluded the truth [s]
   bool metric = false;
+  double started_after = 0;  ///< time of the first pose since take-off [s]; NaN: never
 };
 
 /// Of the squared distance; a right filter passes it once in a million looks.
@@ -54,7 +57,8 @@ ek::SimulationSettings draw(const Options& o, unsigned seed, double* delay) {
 Trial fly(const Options& o, unsigned seed) {
   double delay = 0;
   const ek::SimulationSettings s = draw(o, seed, &delay);
-  const ek::TrackerSettings settings;
+  ek::TrackerSettings settings;
+  settings.filter.max_false_start = o.max_false_start;
   const ek::Simulation sim = ek::simulate(s, settings.filter);
   ek::Tracker tracker(settings);
   Trial out;
@@ -62,12 +66,13 @@ Trial fly(const Options& o, unsigned seed) {
   std::map<double, ek::Result> last_words;
   std::size_t next = 0;
   const std::size_t every = static_cast<std::size_t>(s.rate);
-  out.error = std::nan("");
+  out.error = out.started_after = std::nan("");
   for (std::size_t i = 0; i < sim.odometry.size(); ++i) {
     tracker.addIncrement(sim.odometry[i]);
     for (; next < sim.fixes.size() && sim.fixes[next].stamp + delay <= sim.odometry[i].stamp; ++next)
       tracker.addMeasurement(sim.fixes[next]);
     for (const ek::Outcome& outcome : tracker.takeOutcomes()) last_words[outcome.measurement.stamp] = outcome.result;
+    if (std::isnan(out.started_after) && tracker.latest()) out.started_after = sim.odometry[i].stamp - sim.stamps[0];
     if (i % every != 0) continue;
     ++out.looks;
     const auto estimate = tracker.latest();
@@ -95,6 +100,58 @@ double upperBound(long seen, long all) {
   return 0.5 * ek::chiSquareQuantile(static_cast<int>(2 * (seen + 1)), 0.95) / static_cast<double>(all);
 }
 
+/// "median / 95 %" of the seconds until the first pose.
+std::string firstPose(const std::vector<Trial>& trials, bool metric, bool clean) {
+  std::vector<double> seconds;
+  for (const Trial& t : trials)
+    if (t.metric == metric && (!clean || t.wrong == 0) && std::isfinite(t.started_after))
+      seconds.push_back(t.started_after);
+  if (seconds.empty()) return "none started";
+  std::sort(seconds.begin(), seconds.end());
+  char text[80];
+  std::snprintf(text, sizeof text, "%.1f, %.1f s (%zu flights)", seconds[seconds.size() / 2],
+                seconds[seconds.size() * 95 / 100], seconds.size());
+  return text;
+}
+
+/// Markdown, for docs/results; the flights that lie one by one to stderr.
+void report(const Options& o, const std::vector<Trial>& trials) {
+  long fixes = 0, wrong = 0, used = 0, refused = 0, looks = 0, started = 0, infected = 0, lies = 0, far = 0;
+  std::vector<double> errors;
+  for (const Trial& t : trials) {
+    fixes += t.fixes, wrong += t.wrong, used += t.wrong_used, refused += t.right_refused;
+    looks += t.looks, started += t.started;
+    infected += t.wrong_used > 0;
+    if (std::isfinite(t.error)) errors.push_back(t.error);
+    if (!(t.largest > bound())) continue;
+    ++lies;
+    far += t.error > 10;
+    std::fprintf(stderr,
+                 "seed %ld: excluded from %.0f s on, distance %.1f; %s, %d wrong fixes used, %.1f m off at end\n",
+                 o.first_seed + (&t - trials.data()), t.first_lie, std::sqrt(t.largest),
+                 t.metric ? "metric" : "unknown unit", t.wrong_used, t.error);
+  }
+  std::sort(errors.begin(), errors.end());
+  std::printf("| %d flights from seed %d | seen | 95 %% bound |\n|---|---|---|\n", o.runs, o.first_seed);
+  std::printf("| wrong fixes that entered the state | %ld of %ld, in %ld flights | %.1e a wrong fix |\n", used, wrong,
+              infected, upperBound(used, wrong));
+  std::printf("| flights whose stated covariance excluded the truth | %ld | %.1e a flight |\n", lies,
+              upperBound(lies, o.runs));
+  std::printf("| of those more than 10 m off at the end | %ld | |\n", far);
+  std::printf("| right fixes refused | %.2f %% of %ld | |\n",
+              100.0 * static_cast<double>(refused) / static_cast<double>(fixes - wrong), fixes - wrong);
+  std::printf("| with a pose | %.1f %% of %ld looks; %ld flights never | |\n",
+              100.0 * static_cast<double>(started) / static_cast<double>(looks), looks, o.runs - long(errors.size()));
+  for (const bool metric : {true, false}) {
+    const char* unit = metric ? "metric" : "unknown unit";
+    std::printf("| first pose, %s: median, 95 %% | %s | |\n", unit, firstPose(trials, metric, false).c_str());
+    std::printf("| the same, flights without a wrong fix | %s | |\n", firstPose(trials, metric, true).c_str());
+  }
+  if (!errors.empty())
+    std::printf("| error at the end: median, 99 %%, largest | %.2f, %.2f, %.2f m | |\n", errors[errors.size() / 2],
+                errors[errors.size() * 99 / 100], errors.back());
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -103,6 +160,7 @@ int main(int argc, char** argv) {
   app.add_option("--runs", o.runs, "flights");
   app.add_option("--first-seed", o.first_seed, "of the first");
   app.add_option("--outliers", o.outliers, "share of the fixes that are wrong; negative: drawn from 0 to 0.4");
+  app.add_option("--max-false-start", o.max_false_start, "the tracker's parameter");
   app.add_flag("--repeated", o.repeated,
                "the wrong fixes of a flight are off by the same, as before a facade that repeats itself");
   CLI11_PARSE(app, argc, argv);
@@ -112,38 +170,6 @@ int main(int argc, char** argv) {
   for (int i = 0; i < o.runs; ++i)
     trials[static_cast<std::size_t>(i)] = fly(o, static_cast<unsigned>(o.first_seed + i));
 
-  long fixes = 0, wrong = 0, used = 0, refused = 0, looks = 0, started = 0, unstarted = 0, infected = 0, lies = 0,
-       far = 0;
-  std::vector<double> errors;
-  for (const Trial& t : trials) {
-    fixes += t.fixes, wrong += t.wrong, used += t.wrong_used, refused += t.right_refused;
-    looks += t.looks, started += t.started;
-    infected += t.wrong_used > 0;
-    if (t.largest > bound()) {
-      ++lies;
-      far += t.error > 10;
-      std::printf("seed %ld: excluded from %.0f s on, distance %.1f; %s, %d wrong fixes used, %.1f m off at the end\n",
-                  o.first_seed + (&t - trials.data()), t.first_lie, std::sqrt(t.largest),
-                  t.metric ? "metric" : "unknown unit", t.wrong_used, t.error);
-    }
-    if (std::isfinite(t.error))
-      errors.push_back(t.error);
-    else
-      ++unstarted;
-  }
-  std::sort(errors.begin(), errors.end());
-  std::printf("%d flights, %ld fixes, %ld of them wrong; tracked in %.1f %% of the looks, %ld flights never\n", o.runs,
-              fixes, wrong, 100.0 * static_cast<double>(started) / static_cast<double>(looks), unstarted);
-  std::printf("wrong fixes in the state: %ld of %ld (95 %%: below %.2e), in %ld flights; right ones refused: %.2f %%\n",
-              used, wrong, upperBound(used, wrong), infected,
-              100.0 * static_cast<double>(refused) / static_cast<double>(fixes - wrong));
-  std::printf(
-      "flights with the truth outside what is stated (once in a million if right): %ld of %d (95 %%: below %.2e), %ld "
-      "of them more "
-      "than 10 m off at the end\n",
-      lies, o.runs, upperBound(lies, o.runs), far);
-  if (!errors.empty())
-    std::printf("error at the end: median %.2f m, 99 %% %.2f m, largest %.2f m\n", errors[errors.size() / 2],
-                errors[errors.size() * 99 / 100], errors.back());
+  report(o, trials);
   return 0;
 }

@@ -17,6 +17,9 @@ using air_ground_common::wrapAngle;
 
 enum { kYaw = 3, kScale = 4, kOffset = 5 };
 
+// Of wrong fixes: their share of all, and the heights that they spread over [m].
+constexpr double kWrongShare = 0.5, kWrongFixHeights = 10;
+
 // Rows of the state that a measurement observes; the barometer reads z plus its offset.
 Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> observation(Source source) {
   Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> h;
@@ -49,6 +52,15 @@ Small innovationOf(const State& s, const Measurement& m) {
   if (m.source == Source::kFix) v[3] = wrapAngle(v[3]);
   if (m.source == Source::kHeading) v[0] = wrapAngle(v[0]);
   return v;
+}
+
+// The first pressure gives the offset, fully correlated with the height.
+void readBarometer(const Measurement& m, State* s) {
+  s->x[kOffset] = m.value[0] - s->x[2];
+  s->covariance.row(kOffset) = -s->covariance.row(2);
+  s->covariance.col(kOffset) = -s->covariance.col(2);
+  s->covariance(kOffset, kOffset) = s->covariance(2, 2) + m.covariance(0, 0);
+  s->barometer_known = true;
 }
 
 void symmetrise(Matrix6d* p) { *p = 0.5 * (*p + p->transpose()).eval(); }
@@ -306,7 +318,21 @@ PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix
   symmetrise(&state.covariance);
   fuse(&state, fix);
   state.scale_known = true;
-  return state.x[kScale] > 0 ? Solution::kFound : Solution::kContradiction;
+  if (!(state.x[kScale] > 0)) return Solution::kContradiction;
+  // The density of the fix where any scale is as likely that leads to a place within wrong_fix_spread.
+  const double scales = settings_.wrong_fix_spread / direction.head<3>().norm();
+  countAgreement(-0.5 * (residual.dot(llt.solve(residual)) + std::log(s.determinant()) + std::log(information)) -
+                     1.5 * std::log(2 * M_PI) - std::log(scales),
+                 rival);
+  return Solution::kFound;
+}
+
+// A fix agreed with a rival: evidence for it is the density that the rival predicts over that of a wrong fix, which may
+// lie anywhere within wrong_fix_spread, kWrongFixHeights and with any heading. By Wald's inequality the product of such
+// ratios reaches 1 / p with a probability below p while only wrong fixes agree.
+void PoseFilter::countAgreement(double log_density, Rival* rival) const {
+  const double room = M_PI * std::pow(settings_.wrong_fix_spread, 2) * kWrongFixHeights * 2 * M_PI;
+  rival->log_odds += std::log(1 - kWrongShare) + std::log(room) + log_density;
 }
 
 // The rival that the fix agrees with best, corrected by it; null when it agrees with none.
@@ -317,11 +343,13 @@ PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
     if (!r.state.scale_known) continue;
     const Outcome o = test(r.state, fix);
     if (o.result != Result::kFused)
-      ++r.contradictions;
+      r.log_odds += std::log(kWrongShare);
     else if (o.nis < best)
       best = o.nis, supported = &r;
   }
   if (supported) {
+    const Matrix4d spread = supported->state.covariance.topLeftCorner<4, 4>() + fix.covariance;
+    countAgreement(-0.5 * (best + std::log(spread.determinant())) - 2 * std::log(2 * M_PI), supported);
     fuse(&supported->state, fix);
     supported->stamps.push_back(fix.stamp);
     return supported;
@@ -334,90 +362,85 @@ PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
       r.stamps.push_back(fix.stamp);
       return &r;
     }
-    if (solution == Solution::kContradiction && !r.state.scale_known) ++r.contradictions;
+    if (solution == Solution::kContradiction && !r.state.scale_known) r.log_odds += std::log(kWrongShare);
   }
   return nullptr;
 }
 
-Outcome PoseFilter::correct(const Measurement& m) {
-  const auto readBarometer = [&](State* s) {
-    // The first pressure gives the offset, fully correlated with the height.
-    s->x[kOffset] = m.value[0] - s->x[2];
-    s->covariance.row(kOffset) = -s->covariance.row(2);
-    s->covariance.col(kOffset) = -s->covariance.col(2);
-    s->covariance(kOffset, kOffset) = s->covariance(2, 2) + m.covariance(0, 0);
-    s->barometer_known = true;
-  };
+Outcome PoseFilter::unpredicted(const Measurement& m, Result result) const {
   Outcome out;
   out.measurement = m;
   out.dof = m.size();
   out.gate = gates_[out.dof];
   out.nis = std::numeric_limits<double>::quiet_NaN();
+  out.result = result;
+  return out;
+}
 
-  if (m.source != Source::kFix) {
-    const auto apply = [&](State* s) {
-      if (m.source == Source::kBarometer && !s->barometer_known) {
-        readBarometer(s);
-        out.result = Result::kFused;
-        return;
-      }
-      out = test(*s, m);
-      if (out.result == Result::kFused) fuse(s, m);
-    };
-    for (Rival& r : rivals_)
-      if (r.state.scale_known) apply(&r.state);
-    out.result = Result::kNotStarted;
-    out.nis = std::numeric_limits<double>::quiet_NaN();
-    if (state_) apply(&*state_);
+Outcome PoseFilter::correct(const Measurement& m) {
+  return m.source == Source::kFix ? correctByFix(m) : correctByPart(m);
+}
+
+// Heading, GPS and barometer correct what there is, the rivals too; they neither start nor contradict anything.
+Outcome PoseFilter::correctByPart(const Measurement& m) {
+  const auto apply = [&](State* s) {
+    if (m.source == Source::kBarometer && !s->barometer_known) {
+      readBarometer(m, s);
+      return unpredicted(m, Result::kFused);
+    }
+    const Outcome out = test(*s, m);
+    if (out.result == Result::kFused) fuse(s, m);
     return out;
-  }
+  };
+  for (Rival& r : rivals_)
+    if (r.state.scale_known) apply(&r.state);
+  return state_ ? apply(&*state_) : unpredicted(m, Result::kNotStarted);
+}
 
-  if (state_) {
-    out = test(*state_, m);
-    if (out.result == Result::kFused) {
-      fuse(&*state_, m);
-      if (state_->scale_known) {
-        rivals_.clear();
-        return out;
-      }
-    }
-  } else {
-    out.result = Result::kWaiting;
-  }
-
-  Rival* supported = supporterOf(m);
-  if (!supported) {
-    if (static_cast<int>(rivals_.size()) >= settings_.max_hypotheses) {
-      // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the
-      // scale.
-      const auto plausible = [](const Rival& r) { return 2 * r.state.support - r.contradictions; };
-      auto worst = rivals_.begin();
-      for (auto r = rivals_.begin(); r != rivals_.end(); ++r)
-        if (plausible(*r) <= plausible(*worst)) worst = r;
-      rivals_.erase(worst);
-    }
-    rivals_.push_back(found(m));
-    supported = &rivals_.back();
-  }
-  // Two fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a
-  // prior it would keep the localizer from finding out. In an unknown unit some scale fits many a wrong pair: a third
-  // one confirms it. A state that few fixes support yields to fewer rivals.
-  const bool only_scale = state_ && !state_->scale_known && out.result == Result::kFused;
-  const int to_start = metric_ ? 2 : settings_.unscaled_start_fixes;
-  const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, state_->support + 1) : to_start;
-  if (supported->state.scale_known && supported->state.support >= needed) {
-    out.joined.assign(supported->stamps.begin(), supported->stamps.end() - 1);
-    if (only_scale) {  // no contradiction: the scale was all that was missing
-      state_ = supported->state;
+Outcome PoseFilter::correctByFix(const Measurement& m) {
+  Outcome out = state_ ? test(*state_, m) : unpredicted(m, Result::kWaiting);
+  if (out.result == Result::kFused) {
+    fuse(&*state_, m);
+    if (state_->scale_known) {
       rivals_.clear();
       return out;
     }
+  }
+  Rival* supported = supporterOf(m);
+  if (!supported) supported = addRival(m);
+  // No contradiction where the scale is all that is missing.
+  const bool only_scale = out.result == Result::kFused;
+  if (!isTrusted(*supported, only_scale)) return out;
+  out.joined.assign(supported->stamps.begin(), supported->stamps.end() - 1);
+  if (!only_scale) {
     out.result = state_ ? Result::kRecovered : Result::kInitialised;
     ++(state_ ? recoveries_ : starts_);
-    state_ = supported->state;
-    rivals_.clear();
   }
+  state_ = supported->state;
+  rivals_.clear();
   return out;
+}
+
+PoseFilter::Rival* PoseFilter::addRival(const Measurement& fix) {
+  if (static_cast<int>(rivals_.size()) >= settings_.max_hypotheses) {
+    // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the scale.
+    auto worst = rivals_.begin();
+    for (auto r = rivals_.begin(); r != rivals_.end(); ++r)
+      if (r->log_odds <= worst->log_odds) worst = r;
+    rivals_.erase(worst);
+  }
+  rivals_.push_back(found(fix));
+  return &rivals_.back();
+}
+
+// Fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior
+// it would keep the localizer from finding out. Two do where wrong ones hardly agree so well by chance; in an unknown
+// unit, where some scale fits many a wrong pair, at least a third confirms it. A state that few fixes support yields to
+// fewer rivals.
+bool PoseFilter::isTrusted(const Rival& r, bool only_scale) const {
+  const int to_start = metric_ ? 2 : settings_.unscaled_start_fixes;
+  const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, state_->support + 1) : to_start;
+  return r.state.scale_known && r.state.support >= needed && r.log_odds >= -std::log(settings_.max_false_start);
 }
 
 }  // namespace ekf_tracker

@@ -242,7 +242,7 @@ TEST(Agz, TrackerIsBetterThanTheRecordedGps) {
       EXPECT_LT(f.tracker.mean, f.odometry.mean / 3);
       EXPECT_EQ(f.outliers_used, 0);
       EXPECT_EQ(f.recoveries, 0);
-      EXPECT_LT(f.started, 120);
+      EXPECT_LT(f.started, 150);
     }
   }
 }

@@ -30,17 +30,19 @@ Increment stepOf(const Vector4d& motion, double stddev = 0.01) {
   return i;
 }
 
+// As in the paper: whatever two fixes that agree start the filter, and give the scale.
+FilterSettings twoStart() {
+  FilterSettings settings;
+  settings.max_false_start = 1;
+  settings.unscaled_start_fixes = 2;
+  return settings;
+}
+
 // Two fixes at one place start the filter there, with half a fix's covariance.
 void startAt(const Vector4d& pose, PoseFilter* filter) {
   EXPECT_EQ(filter->correct(fixAt(pose)).result, Result::kWaiting);
   EXPECT_FALSE(filter->started());
   EXPECT_EQ(filter->correct(fixAt(pose)).result, Result::kInitialised);
-}
-
-FilterSettings twoGiveTheScale() {
-  FilterSettings settings;
-  settings.unscaled_start_fixes = 2;
-  return settings;
 }
 
 TEST(PoseFilter, GatesAreChiSquareQuantiles) {
@@ -50,7 +52,7 @@ TEST(PoseFilter, GatesAreChiSquareQuantiles) {
 }
 
 TEST(PoseFilter, FusionIsEquations12And13) {
-  PoseFilter filter;
+  PoseFilter filter(twoStart());
   const Vector4d first(1, 2, 3, 0.5), second(2.5, 1, 3.5, 0.6);
   startAt(first, &filter);
   EXPECT_LT((filter.state().x.head<4>() - first).norm(), 1e-9);
@@ -65,7 +67,7 @@ TEST(PoseFilter, FusionIsEquations12And13) {
 }
 
 TEST(PoseFilter, YawIsWrappedInStateAndInnovation) {
-  PoseFilter filter;
+  PoseFilter filter(twoStart());
   startAt({0, 0, 0, 3.1}, &filter);
   const Outcome out = filter.correct(fixAt({0, 0, 0, -3.1}));
   EXPECT_EQ(out.result, Result::kFused);
@@ -90,7 +92,7 @@ TEST(PoseFilter, OutlierIsRefusedAndLeavesTheStateAlone) {
   EXPECT_EQ(filter.rivals(), 0);
 }
 
-TEST(PoseFilter, FirstFixWrongRecoversWithinThreeGoodOnes) {
+TEST(PoseFilter, FirstFixWrongRecoversWithinFiveGoodOnes) {
   const FilterSettings settings;
   for (const bool metric : {true, false}) {
     int recovered = 0;
@@ -105,9 +107,8 @@ TEST(PoseFilter, FirstFixWrongRecoversWithinThreeGoodOnes) {
       sim.fixes[0].value += Vector4d(40, -30, 3, 1.0);
       sim.fixes[0].value[3] = air_ground_common::wrapAngle(sim.fixes[0].value[3]);
       Tracker tracker;
-      for (const Measurement& fix : {sim.fixes[0], sim.fixes[1], sim.fixes[2], sim.fixes[3]})
-        tracker.addMeasurement(fix);
-      for (std::size_t i = 0; sim.odometry[i].previous_stamp < sim.fixes[3].stamp; ++i)
+      for (std::size_t i = 0; i < 6; ++i) tracker.addMeasurement(sim.fixes[i]);
+      for (std::size_t i = 0; sim.odometry[i].previous_stamp < sim.fixes[5].stamp; ++i)
         tracker.addIncrement(sim.odometry[i]);
       const auto estimate = tracker.latest();
       if (!estimate) continue;
@@ -142,17 +143,47 @@ TEST(PoseFilter, ASingleFixStartsNothing) {
     EXPECT_FALSE(filter.started());
     EXPECT_EQ(filter.rivals(), 2);
     fly();
-    Outcome out = filter.correct(fixAt(q, 3));
-    if (!metric) {  // two gave a scale, a third confirms it
-      EXPECT_EQ(out.result, Result::kWaiting);
-      fly();
-      out = filter.correct(fixAt(q, 4));
-    }
+    EXPECT_EQ(filter.correct(fixAt(q, 3)).result, Result::kWaiting);  // metres of noise: two may agree by chance
+    fly();
+    const Outcome out = filter.correct(fixAt(q, 4));
     EXPECT_EQ(out.result, Result::kInitialised);
-    EXPECT_EQ(out.joined, metric ? std::vector<double>({2}) : std::vector<double>({2, 3}));
+    EXPECT_EQ(out.joined, std::vector<double>({2, 3}));
     EXPECT_LT((filter.state().x.head<4>() - q).norm(), 0.5);
     EXPECT_EQ(filter.starts(), 1);
   }
+}
+
+TEST(PoseFilter, PreciseFixesNeedNoThird) {
+  // Standard deviations of a tenth: two such agree by chance ten thousand times more rarely.
+  PoseFilter filter;
+  Measurement fix = fixAt({1, 2, 3, 0.5});
+  fix.covariance *= 0.01;
+  EXPECT_EQ(filter.correct(fix).result, Result::kWaiting);
+  EXPECT_EQ(filter.correct(fix).result, Result::kInitialised);
+}
+
+// Fixes drawn anywhere, all of them wrong: each may found a hypothesis, which others join with the probability stated.
+TEST(PoseFilter, WrongFixesStartNoMoreOftenThanStated) {
+  constexpr int kRuns = 3000, kFixes = 8;
+  std::mt19937 random(5);
+  std::uniform_real_distribution<double> uniform(0, 1);
+  const auto starts = [&](const FilterSettings& settings) {
+    int started = 0;
+    for (int run = 0; run < kRuns; ++run) {
+      PoseFilter filter(settings);
+      for (int i = 0; i < kFixes; ++i) {
+        const double away = 50 * std::sqrt(uniform(random)), direction = 2 * M_PI * uniform(random);
+        filter.correct(fixAt({away * std::cos(direction), away * std::sin(direction), 10 * uniform(random),
+                              2 * M_PI * uniform(random) - M_PI}));
+      }
+      started += filter.started();
+    }
+    return started;
+  };
+  FilterSettings settings = twoStart();
+  EXPECT_GT(starts(settings), kRuns / 50);
+  settings.max_false_start = 1e-3;
+  EXPECT_LE(starts(settings), kRuns * kFixes * settings.max_false_start);
 }
 
 TEST(PoseFilter, AFixThatNoneJoinsIsForgotten) {
@@ -192,7 +223,7 @@ TEST(PoseFilter, ScaleFromTwoFixesAndItsUncertainty) {
   double normalised = 0;
   int solved = 0;
   for (int run = 0; run < 400; ++run) {
-    PoseFilter filter(twoGiveTheScale());
+    PoseFilter filter(twoStart());
     filter.restart(false, 0);
     const double scale = 2.5;
     Vector4d q(0, 0, 0, 1);
@@ -219,7 +250,7 @@ TEST(PoseFilter, ScaleFromTwoFixesAndItsUncertainty) {
 }
 
 TEST(PoseFilter, FixesThatContradictTheOdometryGiveNoScale) {
-  PoseFilter filter(twoGiveTheScale());
+  PoseFilter filter(twoStart());
   filter.restart(false, 0);
   filter.correct(fixAt({0, 0, 0, 0}));
   Increment increment = stepOf({20, 0, 0, 0}, 0.5);
@@ -233,7 +264,7 @@ TEST(PoseFilter, FixesThatContradictTheOdometryGiveNoScale) {
 }
 
 TEST(PoseFilter, HeadingGpsAndBarometerAreWeakCorrections) {
-  PoseFilter filter;
+  PoseFilter filter(twoStart());
   Measurement heading;
   heading.source = Source::kHeading;
   heading.value[0] = 0.1;

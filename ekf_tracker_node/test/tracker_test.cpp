@@ -288,7 +288,9 @@ TEST(Tracker, AFixAheadOfTheOdometryWaitsForIt) {
   SimulationSettings s;
   s.duration = 5;
   const Simulation sim = simulate(s, FilterSettings());
-  Tracker tracker;
+  TrackerSettings settings;
+  settings.filter.max_false_start = 1;
+  Tracker tracker(settings);
   tracker.addIncrement(sim.odometry[0]);
   Measurement fix = sim.fixes[0];
   tracker.addMeasurement(fix);

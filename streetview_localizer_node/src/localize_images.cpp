@@ -24,7 +24,9 @@ using namespace streetview_localizer;
 constexpr char kHeader[] =
     "image,status,frame,x,y,z,qx,qy,qz,qw,crs_x,crs_y,crs_z,stddev_x,stddev_y,stddev_z,stddev_rot_x,stddev_rot_y,"
     "stddev_rot_z,"
-    "score,panorama,searched,features,matches,inliers,rms_px,range_m,time_s,reason\n";
+    "score,panorama,searched,features,matches,inliers,rms_px,range_m,time_s,share_all,share_kept,stddev_m,competitor,"
+    "cells,"
+    "reason\n";
 
 std::string formatted(const char* format, double a) {
   char text[64];
@@ -59,7 +61,11 @@ std::string lineOf(const std::string& image, const LocalizerResult& r, const Str
   line += "," + std::to_string(r.searched.size()) + "," + std::to_string(r.features) + "," + std::to_string(r.matches) +
           "," + std::to_string(r.pose.success ? r.pose.inliers.size() : 0);
   line += formatted(",%.3f", r.pose.rms) + formatted(",%.2f", r.acceptance.evidence.range) +
-          formatted(",%.3f,", r.total_time) + quoted(r.reason);
+          formatted(",%.3f", r.total_time);
+  const PoseEvidence& e = r.acceptance.evidence;
+  for (const double v : {e.inlier_share, e.kept_share, e.position_stddev, e.competitor_share})
+    line += formatted(",%.4f", v);
+  line += "," + std::to_string(e.cells) + "," + quoted(r.reason);
   return line + "\n";
 }
 
@@ -67,7 +73,7 @@ struct Arguments {
   std::string db, images, camera, cameras, up, out, pictures;
   double up_stddev = 2;
   std::vector<double> region;
-  bool keep_index = true;
+  bool keep_index = true, mirrored = false;
   std::string covariance = "refined";
   int monte_carlo_samples = 1000;
   LocalizerSettings settings;
@@ -117,8 +123,9 @@ int run(Arguments a) {
   std::array<double, kSteps> times{};
   double total = 0;
   for (const std::string& name : names) {
-    const cv::Mat image =
+    cv::Mat image =
         cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
+    if (a.mirrored && !image.empty()) cv::flip(image, image, 1);
     LocalizerResult result;
     if (image.empty()) {
       result.reason = "the image cannot be read";
@@ -184,6 +191,7 @@ int main(int argc, char** argv) {
   app.add_option("--pictures", a.pictures,
                  "folder for a picture of each match, and of the textured model from each pose");
   app.add_flag("!--no-index-file", a.keep_index, "do not keep the search index beside the database (DB.index)");
+  app.add_flag("--mirrored", a.mirrored, "flip the images left to right: nothing may be located");
   app.add_option("--max-views", a.settings.max_views, "views matched pairwise with an image")
       ->capture_default_str()
       ->check(CLI::Range(1, 1000));

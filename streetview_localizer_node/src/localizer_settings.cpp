@@ -67,6 +67,10 @@ void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& l) {
   v("accept/max_rms", a.max_rms, {0.1, 100}, "px", "reprojection error");
   v("accept/max_range", a.max_range, {0.1, 1000}, "m", "from the camera to the panorama (the paper's 15 m rule)");
   v("accept/min_score", a.min_score, {0, 0.999999}, "", "calibrated probability that the pose is right");
+  v("accept/by_all", a.by_all, {-1000, 1000}, "",
+    "that probability's logit, by all matches: factors of 1, the inliers' share of them, ln(position_stddev / m), the "
+    "competitor's share, ln(cells); `rosrun air_ground fit_acceptance` fits them to recorded evidence");
+  v("accept/by_kept", a.by_kept, {-1000, 1000}, "", "the same by the matches that k-VLD kept; the larger one counts");
   v("accept/max_competitor_share", a.max_competitor_share, {0.01, 10}, "",
     "inliers of the best other pose over those of this: repeated windows");
   v("accept/max_position_stddev", a.max_position_stddev, {0.001, 100}, "m", "from image noise alone");

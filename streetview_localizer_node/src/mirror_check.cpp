@@ -7,9 +7,6 @@ namespace {
 
 constexpr int kFeatures = 1000, kSearched = 500, kViews = 2;
 constexpr double kClearRatio = 0.75;  // of a match that hardly arises by chance
-// Clear matches mirrored over those as it is: measured up to 1.1 for images as recorded, mostly from 1.4 for mirrored
-// ones.
-constexpr double kMirrored = 1.2;
 
 }  // namespace
 
@@ -37,7 +34,7 @@ std::string MirrorCheck::objection(int view, bool near_prediction) {
   if (is_new) it->second = {clearMatches(straight_, view), clearMatches(mirrored_, view)};
   const auto [as_it_is, flipped] = it->second;
   const std::size_t as_mirrored = std::max(flipped, elsewhere_.value_or(0));
-  if (static_cast<double>(as_mirrored) <= kMirrored * static_cast<double>(as_it_is)) return "";
+  if (as_mirrored <= as_it_is) return "";  // of two explanations the one with more matches
   return "mirrored, the image has " + std::to_string(as_mirrored) + " clear matches with a view, as it is " +
          std::to_string(as_it_is);
 }

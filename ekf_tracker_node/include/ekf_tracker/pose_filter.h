@@ -38,9 +38,11 @@ struct FilterSettings {
   double pairing_time = 60;  ///< a fix that no other has joined is forgotten after this time [s] ...
   double pairing_drift = 5;  ///< ... or after metric odometry that may be off by more than this, as a gap makes it [m]
   int unscaled_start_fixes =
-      3;                   ///< agreeing fixes for a start in an unknown unit: two give the scale, a third confirms it
-  int recovery_fixes = 3;  ///< this many refused fixes that agree with each other replace the filter's state
-  int max_hypotheses = 4;  ///< rivals kept
+      3;  ///< agreeing fixes for a start in an unknown unit: two give the scale, a third confirms it
+  double max_false_start = 1e-5;  ///< probability that fixes which start or replace the state agree by chance
+  double wrong_fix_spread = 50;   ///< wrong ones lie anywhere within this radius [m]
+  int recovery_fixes = 3;         ///< this many refused fixes that agree with each other replace the filter's state
+  int max_hypotheses = 4;         ///< rivals kept
 };
 
 /// What a user may set.
@@ -132,7 +134,7 @@ class PoseFilter {
   // A rival lives on the fix that founded it and the odometry since. Its scale is free until two of its fixes give it.
   struct Rival {
     State state;                 ///< its scale_known is false until a second fix gives the scale
-    int contradictions = 0;      ///< fixes that did not fit
+    double log_odds = 0;         ///< that its fixes are right, against that wrong ones agree by chance
     double age = 0;              ///< since the anchor [s]
     std::vector<double> stamps;  ///< of its fixes [s]
     Vector4d anchor = Vector4d::Zero();
@@ -145,11 +147,17 @@ class PoseFilter {
   void loseScale();
   void propagate(State* state, const Increment& increment) const;
   Outcome test(const State& state, const Measurement& m) const;
+  Outcome unpredicted(const Measurement& m, Result result) const;
+  Outcome correctByPart(const Measurement& m);
+  Outcome correctByFix(const Measurement& m);
   static void fuse(State* state, const Measurement& m);
   enum class Solution { kNone, kContradiction, kFound };
   Solution solveScale(Rival* rival, const Measurement& fix) const;
+  void countAgreement(double log_density, Rival* rival) const;
   Rival* supporterOf(const Measurement& fix);
   Rival found(const Measurement& fix) const;
+  Rival* addRival(const Measurement& fix);
+  bool isTrusted(const Rival& rival, bool only_scale) const;
   double priorScaleStddev() const;
 
   FilterSettings settings_;

@@ -46,15 +46,13 @@ double log10Binomial(int n, int k) {
 
 double logistic(double x) { return 1 / (1 + std::exp(-x)); }
 
-/// Two logistic regressions, fitted to right and wrong poses (wrong ones from matches whose right part was removed, and
-/// from mirrored images; docs/streetview_pose.md): one looks at all matches, photographs of one courtyard with repeated
-/// windows; one at those that a filter kept, since how many it drops grows with the images' texture: the courtyard and
-/// three simulated streets. Either may vouch for a pose: none of its own wrong poses came to 0.9.
-double scoreOf(const PoseEvidence& e) {
-  const double spread = std::log(std::max(0.02, e.position_stddev)), cells = std::log(std::max(1, e.cells));
-  const double by_all = -4.78 + 7.41 * e.inlier_share - 0.896 * spread - 3.90 * e.competitor_share + 1.19 * cells;
-  const double by_kept = -15.68 + 14.14 * e.kept_share - 2.15 * spread - 7.34 * e.competitor_share + 0.14 * cells;
-  return logistic(std::max(by_all, by_kept));
+/// Either regression may vouch for a pose (docs/streetview_pose.md says what they were fitted to).
+double scoreOf(const PoseEvidence& e, const AcceptanceSettings& s) {
+  const auto logit = [&](const std::vector<double>& w, double share) {
+    return w[0] + w[1] * share + w[2] * std::log(std::max(0.02, e.position_stddev)) + w[3] * e.competitor_share +
+           w[4] * std::log(std::max(1, e.cells));
+  };
+  return logistic(std::max(logit(s.by_all, e.inlier_share), logit(s.by_kept, e.kept_share)));
 }
 
 std::string line(const char* format, double value, double bound) {
@@ -75,6 +73,7 @@ void AcceptanceSettings::validate() const {
   require(max_position_stddev > 0 && max_angle_stddev > 0, "max_position_stddev and max_angle_stddev must be positive");
   require(min_score >= 0 && min_score < 1, "min_score must lie in [0, 1)");
   require(min_facing >= 0 && min_facing <= 1, "min_facing must lie in [0, 1]");
+  require(by_all.size() == 5 && by_kept.size() == 5, "by_all and by_kept must hold 5 numbers each");
   require(max_competitor_share > 0, "max_competitor_share must be positive");
 }
 
@@ -156,7 +155,7 @@ Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& co
   }
   a.evidence = gatherEvidence(result, correspondences, camera, source, pose_settings, first_dropped);
   const PoseEvidence& e = a.evidence;
-  a.score = scoreOf(e);
+  a.score = scoreOf(e, s);
   const double deg = 180 / M_PI;
   if (e.inliers < s.min_inliers)
     a.reason = line("%.0f distinct inliers, %.0f needed", e.inliers, s.min_inliers);

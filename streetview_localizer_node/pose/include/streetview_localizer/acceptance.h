@@ -46,6 +46,9 @@ struct AcceptanceSettings {
   double max_position_stddev = 0.3;             ///< image noise only [m]
   double max_angle_stddev = 0.69 * M_PI / 180;  ///< image noise only [rad]
   double min_score = 0.9;
+  /// Logits of two logistic regressions, in all matches and in those that a filter kept: the score is the larger one's
+  /// probability. Factors of 1, the inliers' share of them, ln(position_stddev / m), competitor_share, ln(cells).
+  std::vector<double> by_all{-4.78, 7.41, -0.896, -3.90, 1.19}, by_kept{-15.68, 14.14, -2.15, -7.34, 0.14};
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
   void validate() const;
