@@ -209,10 +209,12 @@ class Localizer {
     std::unique_ptr<FftCost> fft;  // where it was needed
     double piece = 0;              // see ScaleBackground, of this map alone
   };
-  RawCloud rawCloud() const;
+  RawCloud rawCloud(std::size_t most) const;
   ScaleTrial tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
                       const ScaleBackground& background);
   void refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature);
+  void settleScale(ScaleTrial* trial, double* curvature);
+  double scaleDeviation(const ScaleTrial& trial, double curvature) const;
   GroundLevel& groundLevel(int factor);
   void remakeKeptMaps();
   Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }
