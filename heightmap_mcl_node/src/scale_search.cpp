@@ -2,6 +2,7 @@
 // grid of scales, coarse to fine.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "heightmap_mcl/dominant_floor.h"
@@ -42,6 +43,7 @@ constexpr int kFineCells = 100;       // ... and around a place
 constexpr int kFullCells = 1000;      // the maps' own cells, unless the aerial map is huge
 constexpr int kGroundCells = 64;      // across the ground map in that search
 constexpr int kCoarseHeadings = 36;
+constexpr std::size_t kFloors = 3;               // places of the floor that are tried at a scale
 constexpr int kUnrelated = 200;                  // placements that show what a wrong one costs
 constexpr double kLargest = 2.5;                 // edges of the ground map that the aerial one may be long
 constexpr std::size_t kMostPoints = 20000;       // in large cells
@@ -66,8 +68,8 @@ double pieceArea(const HeightMap& map) {
   }
   const double variance = count > 0 ? squares / count - sum / count * (sum / count) : 0;
   const int most = std::max(map.width, map.height) / 2;
-  int lag = 1;
-  for (; lag < most; ++lag) {
+  double apart = most, before = 0;  // cells; by linear interpolation, since a whole lag is a step of half an area
+  for (int lag = 1; lag < most; ++lag) {
     double difference = 0, pairs = 0;
     const auto add = [&](float a, float b) {
       if (std::isnan(a) || std::isnan(b)) return;
@@ -79,9 +81,15 @@ double pieceArea(const HeightMap& map) {
         if (c + lag < map.width) add(map.at(r, c), map.at(r, c + lag));
         if (r + lag < map.height) add(map.at(r, c), map.at(r + lag, c));
       }
-    if (pairs > 0 && difference / pairs > variance) break;
+    if (pairs < 1) continue;
+    const double mean = difference / pairs;
+    if (mean > variance) {
+      apart = std::max(1.0, lag - (mean - variance) / (mean - before));
+      break;
+    }
+    before = mean;
   }
-  return std::pow(2 * lag * map.resolution, 2);
+  return std::pow(2 * std::max(1.0, apart) * map.resolution, 2);
 }
 
 /// Median cost of the same maps at placements spread over the volume: what two maps cost that have nothing to do with
@@ -106,6 +114,17 @@ double unrelatedCost(const CostVolume& volume, const DirectCost& direct, const A
   for (const Zmssd& z : direct(cells, poses, settings))
     if (std::isfinite(z.cost)) costs.push_back(static_cast<float>(z.cost));
   return costs.empty() ? -1 : quantile(costs, 0.5);
+}
+
+double rootMeanSquareRadius(const HeightMap& map, const Eigen::Vector2d& centre) {
+  double sum = 0, n = 0;
+  for (int r = 0; r < map.height; ++r)
+    for (int c = 0; c < map.width; ++c) {
+      if (std::isnan(map.at(r, c))) continue;
+      sum += (map.center(r, c) - centre).squaredNorm();
+      ++n;
+    }
+  return n > 0 ? std::sqrt(sum / n) : 0;
 }
 
 }  // namespace
@@ -177,6 +196,22 @@ Localizer::GroundLevel& Localizer::groundLevel(int factor) {
   return *level;
 }
 
+/// The best placement over all headings and offsets, and what others cost.
+Localizer::ScaleTrial Localizer::placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre,
+                                               GroundLevel& ground) {
+  ScaleTrial trial;
+  const AerialCells cells = aerialCells(map, centre);
+  const CostSettings cost = costFor(map);
+  if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
+  const auto headings = searchHeadings(kCoarseHeadings, prior_);
+  const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
+  const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
+  trial.best = bestOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
+                            map.resolution, M_PI / kCoarseHeadings, cost);
+  trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
+  return trial;
+}
+
 Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
                                           const ScaleBackground& background) {
   ScaleTrial trial;
@@ -192,28 +227,33 @@ Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int
   how.max_extent = std::max(how.max_extent, 10 * how.resolution);
   std::vector<Eigen::Vector3f> points = raw.points;
   for (auto& p : points) p *= static_cast<float>(scale);
-  const HeightMap map = buildHeightMap(points, how);
+  HeightMap map = buildHeightMap(points, how);
   if (map.empty()) return trial;
   GroundLevel& ground = groundLevel(factor);
-  const AerialCells cells = aerialCells(map, scale * raw.centre);
-  const CostSettings cost = costFor(map);
-  for (std::size_t i = 0; i < cells.h.size(); ++i)
-    trial.radius += static_cast<double>(cells.x[i]) * cells.x[i] + static_cast<double>(cells.y[i]) * cells.y[i];
-  trial.radius = std::sqrt(trial.radius / static_cast<double>(cells.h.size()));
+  const Eigen::Vector2d centre = scale * raw.centre;
   if (start) {
+    if (!std::isnan(background.floor)) map = withFloor(std::move(map), scale * background.floor);
     trial.background = background;
-    trial.best = descend(*ground.direct, cells, *start, 2 * how.resolution, 0.03, cost);
+    trial.best = descend(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
   } else {
-    if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
-    const auto headings = searchHeadings(kCoarseHeadings, prior_);
-    const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
-    const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
-    trial.best = bestOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
-                              how.resolution, M_PI / kCoarseHeadings, cost);
-    trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
+    // Who has seen tables alone takes one for the floor.
+    LevelHistogram levels = map.levels;
+    for (float& cells : levels.cells) cells *= static_cast<float>(factor * factor);
+    std::vector<double> floors = floorCandidates(levels, ground_.levels, ground_.cap, kFloors);
+    const HeightMap own = map;
+    for (std::size_t i = 0; i < floors.size(); ++i) {
+      const HeightMap lifted = i == 0 ? own : withFloor(own, floors[i]);
+      ScaleTrial placed = placeAnywhere(lifted, centre, ground);
+      if (i > 0 && !(placed.best.zmssd.score < trial.best.zmssd.score)) continue;
+      trial.best = placed.best;
+      trial.background.unrelated = placed.background.unrelated;
+      trial.background.floor = i == 0 ? std::numeric_limits<double>::quiet_NaN() : floors[i] / scale;
+      map = lifted;
+    }
     if (ground.piece <= 0) ground.piece = pieceArea(ground.map);
     trial.background.piece = std::max(ground.piece, pieceArea(map));
   }
+  trial.radius = rootMeanSquareRadius(map, centre);
   if (trial.background.unrelated < 0 || !std::isfinite(trial.best.zmssd.cost)) return trial;
   // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
   // it.
