@@ -281,6 +281,32 @@ TEST(Slam, OnlyTheNearestKeyframesKeepTheirImage) {
   EXPECT_LT(worst(run, slam.trajectory()), 0.03);
 }
 
+TEST(Slam, RoundsOverTheSameGroundAddNothing) {
+  Robot robot;
+  robot.radius = 0.5;
+  robot.speed = 0.6;
+  robot.rest = 0;
+  const double round = 2 * M_PI * robot.radius / robot.speed;
+  Slam slam(robot.camera, robot.mounting, {});
+  Drive run = drive(robot, slam, 0, 1.5 * round);
+  const std::size_t keyframes = slam.map().keyframeCount(), landmarks = slam.map().landmarkCount();
+  const auto points = [&] {
+    std::size_t count = 0;
+    for (const PosedPoints& k : slam.posedPoints()) count += k.points->size();
+    return count;
+  };
+  const std::size_t dense = points();
+  const Drive more = drive(robot, slam, 1.5 * round + 0.1, 4.5 * round);
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_LT(slam.map().keyframeCount(), 1.1 * keyframes);
+  EXPECT_LT(slam.map().landmarkCount(), 1.1 * landmarks);
+  EXPECT_LT(points(), 1.1 * dense);
+  // Each frame has its pose all the same, as good as before.
+  run.truth.insert(run.truth.end(), more.truth.begin(), more.truth.end());
+  EXPECT_EQ(slam.trajectory().size() + 1, run.truth.size());  // the first one waits for the IMU
+  EXPECT_LT(worst(run, slam.trajectory()), 0.04);
+}
+
 TEST(Slam, LostSaysSoAndFindsItsWayBack) {
   Robot robot;
   robot.rest = 0.8;
