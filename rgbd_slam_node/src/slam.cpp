@@ -69,7 +69,7 @@ void Slam::Impl::clear() {
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
-  first_stamp = lost_since = last_attempt = -1;
+  first_stamp = strange_since = last_attempt = -1;
   nearly_found = false;
   path = 0;
   velocity.setZero();
@@ -166,16 +166,17 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
     result.tracked = static_cast<int>(tracker.features().size());
   }
   if (!tracked.success) {
-    if (!was_lost) lost_since = stamp;
     state = result.state = State::kLost;
     result.reason = why;
     ++counters.lost_frames;
-    const bool restart = settings.restart_after > 0 && stamp - lost_since > settings.restart_after;
+    const bool restart =
+        settings.restart_after > 0 && strange_since >= 0 && stamp - strange_since >= settings.restart_after;
     // A map this small is no loss; nor can much be recognised by it.
     if (restart || map.keyframeCount() < 2) clear();
     return result;
   }
   if (was_lost) ++counters.relocalizations;
+  strange_since = -1;
   state = State::kTracking;
 
   const Pose T_before = lastPose();

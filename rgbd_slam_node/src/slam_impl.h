@@ -62,7 +62,7 @@ struct Slam::Impl {
   State state = State::kWaiting;
   double first_stamp = -1;
   double last_stamp = -1;
-  double lost_since = -1;
+  double strange_since = -1;  ///< lost, the camera sees other places than those of the map [s]
   double last_attempt = -1;   ///< at finding the way back [s]
   std::string lost_reason;    ///< what came of it
   bool nearly_found = false;  ///< some of a place's points agreed, too few to be sure: the next image is worth a look

@@ -11,6 +11,12 @@ namespace rgbd_slam {
 using air_ground_common::expSO3;
 using air_ground_common::logSO3;
 
+namespace {
+
+constexpr double kGap = 1.0;  // without an image, after which nothing is known of what the camera saw between [s]
+
+}  // namespace
+
 Pose Slam::Impl::predict(double stamp, bool* from_gyro) const {
   Pose T = lastPose();
   const double dt = stamp - frames.lastStamp();
@@ -231,6 +237,7 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
     tracked.reason = lost_reason;
     return tracked;
   }
+  if (stamp - last_attempt > kGap) strange_since = -1;
   last_attempt = stamp;
   ++counters.relocalization_attempts;
   setRowMotion(stamp, lastPose());
@@ -252,6 +259,11 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   if (stamp - frames.lastStamp() < 0.5 && accept(predict(stamp, &from_gyro), 16.0)) return tracked;
   Keyframe query;
   fillOrb(gray, depth, query);
+  const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
+  if (with_depth < settings.min_start_features)
+    strange_since = -1;
+  else if (strange_since < 0)
+    strange_since = stamp;
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = lastPose();
   gate.max_distance = settings.relocalization_slack + settings.max_speed * (stamp - frames.lastStamp());
