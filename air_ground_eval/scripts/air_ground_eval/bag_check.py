@@ -36,6 +36,7 @@ GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', *(f'bayer
 DEPTH = ('16UC1', 'mono16', '32FC1')
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
+FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
 REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
 
 
@@ -101,7 +102,10 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
         elif standard not in ELSEWHERE:
-            findings.append(_missing(facts, standard, topic, types, purpose, actual))
+            finding = _missing(facts, standard, topic, types, purpose, actual)
+            if standard == '/mav/imu/data' and not city and 'set mav_imu' not in finding.text:
+                finding = Finding(WARNING, f'{finding.text}: mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale')
+            findings.append(finding)
     streams = read(facts.path, present.values())
     for robot in robots:
         _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
@@ -204,6 +208,12 @@ def _image(topic, stream, encodings):
             result.append(Finding(WARNING, f'{topic}: {100 * len(valid) / depth.size:.1f} % of the first image has a depth'))
         elif np.median(valid) > 12000:
             result.append(Finding(WARNING, f'{topic}: median depth {np.median(valid)} counts; 16UC1 is read as millimetres (TUM: 5000 a metre)'))
+    elif encodings is GREY:
+        wide = '16' in image.encoding
+        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8) / (257 if wide else 1)
+        if grey.std() < FLAT:
+            result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
+                                  + ('12 bits in 16? Scale them to the full range' if wide else 'too dark?')))
     return result
 
 
