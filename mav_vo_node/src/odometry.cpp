@@ -17,6 +17,7 @@ constexpr double kImuRestBiasSigma = 0.01;  // of one that the IMU alone calls a
 constexpr double kMapTilt = 0.002;          // of the adjusted map as a whole [rad]
 constexpr double kMetricTilt = 0.01;        // of the metric map's z axis against gravity [rad]
 constexpr std::size_t kRecentImages = 800;  // whose inertial motion is kept for the scale filter
+constexpr std::size_t kMaxRecords = 40000;  // half an hour at 20 Hz; older images are thinned
 constexpr double kPlaceEvery = 5;           // images between searches for a known place while lost
 constexpr double kMinInlierShare = 0.35;    // of the tracked landmarks; below, the pose is not believed
 
@@ -84,7 +85,7 @@ void Odometry::Impl::startMap() {
   track_views.clear();
   keyframe_covariance.clear();
   bias.gyro = gyro_alignment.bias();  // the old map's may have been why it was lost
-  hovering = false;
+  relocalized = hovering = false;
   records.clear();
   scale.reset(map_tilt);
   ++map_id;
@@ -237,6 +238,7 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   if (state == OdometryState::kLost) {
     if (relocalize(gray, R_previous_current.has_value())) {
       state = metric ? OdometryState::kTracking : OdometryState::kScaling;
+      relocalized = true;
       localized(false);
     } else if (stamp - lost_since > patience()) {
       startMap();
@@ -343,6 +345,7 @@ void Odometry::Impl::localized(bool continuous) {
                      motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
   if (settings.use_imu) scale.add(scaleMeasurement(records.size() - 1), motion);
   if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
+  if (records.size() > kMaxRecords) thinRecords();
 
   const bool keyframe = needsKeyframe();
   if (settings.reobserve_matches > 0 && (keyframe || !continuous || records.size() % 2 == 0)) {
@@ -360,6 +363,15 @@ void Odometry::Impl::localized(bool continuous) {
   T_map_camera = poseOfRecord(records.size() - 1);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric ? "" : scaleReason();
+}
+
+// Of the older half every second one goes.
+void Odometry::Impl::thinRecords() {
+  std::size_t kept = 0;
+  const std::size_t half = records.size() / 2;
+  for (std::size_t i = 0; i < records.size(); ++i)
+    if (i >= half || i % 2 == 0) records[kept++] = std::move(records[i]);
+  records.resize(kept);
 }
 
 // Where five points cannot tell (hovering, turning on the spot, too few tracks) the poses' covariance stays.
