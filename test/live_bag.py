@@ -15,6 +15,8 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..
 from air_ground_eval import bag_reader, demo  # noqa: E402
 from air_ground_eval.fault_relay import FaultRelay  # noqa: E402
 
+LAG = 0.4    # behind what was sent, from which on the bag waits [s]
+STALL = 5.0  # without a word, from which on it does not [s]
 Said = collections.namedtuple('Said', 'state map_id reason')
 
 
@@ -33,6 +35,7 @@ class LiveBag:
         self.static.publish(self.facts.static_transforms(('mav_base_link', 'ground_base_link')))
         self.said = {name: Said(None, 0, 'nothing') for name in robots}
         self.history = {name: [] for name in robots}
+        self.sent, self.heard = {}, {}  # robot -> newest stamp [s]; and when it was heard
         self.counters = {}
         self.subscribers = [rospy.Subscriber(status, VoStatus, self.on_status, name, queue_size=1000) for name, (_, status) in robots.items()]
         self.subscribers.append(rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100))
@@ -42,6 +45,7 @@ class LiveBag:
         self.rewind(0)
 
     def on_status(self, status, name):
+        self.heard[name] = (status.header.stamp.to_sec(), time.monotonic())
         self.said[name] = Said(status.state, status.map_id, status.reason)
         self.history[name].append(self.said[name])
 
@@ -69,16 +73,35 @@ class LiveBag:
             jump = self.relays[topic].faults.get('jump')
             self.relays[topic].faults = dict(faults, **({'jump': jump} if jump and 'jump' not in faults else {}))
 
+    def lags(self):
+        """A robot's node is behind and working on it: a slow machine plays more slowly, instead of making another test of this."""
+        now = time.monotonic()
+        return any(self.sent.get(name, 0) - stamp > LAG and now - at < STALL for name, (stamp, at) in self.heard.items())
+
+    def send(self, topic, message):
+        target = self.swapped.get(topic, topic)
+        self.relays[target].send(message)
+        for name, topics in self.robots.items():
+            faults = self.relays[target].faults
+            if topic == topics[0]:
+                self.sent[name] = 0 if set(faults) - {'jump'} or self.swapped else message.header.stamp.to_sec() + faults.get('jump', 0)
+
     def play(self, seconds, until=None):
-        """Plays so much of the bag, or until the condition holds: whether it does."""
+        """Plays so much of the bag, or until the condition holds, for which it waits a while at the end: whether it does."""
         self.origin = time.monotonic() - self.position / self.rate
         end = self.position + seconds
         for topic, message, stamp in self.messages:
             self.position = stamp.to_sec() - self.begin
             time.sleep(max(0, self.origin + self.position / self.rate - time.monotonic()))
-            self.relays[self.swapped.get(topic, topic)].send(message)
+            while self.lags():
+                time.sleep(0.02)
+                self.origin = time.monotonic() - self.position / self.rate
+            self.send(topic, message)
             if self.position >= end or (until and until()):
                 break
+        patience = time.monotonic() + STALL
+        while until and not until() and (self.lags() or time.monotonic() < patience):
+            time.sleep(0.05)
         return bool(until and until())
 
     def tracks(self, *names):

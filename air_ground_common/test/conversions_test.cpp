@@ -122,6 +122,23 @@ TEST(Conversions, BigEndianPixelsOf16BitsAreRead) {
   EXPECT_THROW(depthFromMsg(msg), std::invalid_argument);
 }
 
+TEST(Conversions, PixelsAsCamerasSendThemBecomeGrey) {
+  const std::uint16_t high = 200 * 257;
+  const std::vector<std::pair<std::string, cv::Mat>> images = {
+      {"yuv422", cv::Mat(4, 6, CV_8UC2, cv::Scalar(128, 200))},  // U Y V Y
+      {"bayer_rggb8", cv::Mat(4, 6, CV_8UC1, cv::Scalar(200))},
+      {"bayer_grbg16", cv::Mat(4, 6, CV_16UC1, cv::Scalar(high))},
+      {"mono16", cv::Mat(4, 6, CV_16UC1, cv::Scalar(high))},
+      {"rgba8", cv::Mat(4, 6, CV_8UC4, cv::Scalar(200, 200, 200, 255))},
+      {"8UC1", cv::Mat(4, 6, CV_8UC1, cv::Scalar(200))},
+      {"8UC3", cv::Mat(4, 6, CV_8UC3, cv::Scalar(200, 200, 200))}};
+  for (const auto& [encoding, pixels] : images) {
+    const cv::Mat grey = greyFromMsg(toMsg(pixels, encoding, std_msgs::Header()));
+    ASSERT_EQ(grey.size(), pixels.size()) << encoding;
+    EXPECT_NEAR(grey.at<std::uint8_t>(2, 3), 200, 16) << encoding;  // video range of yuv422: 16 to 235
+  }
+}
+
 TEST(Conversions, ImagesWhoseSizeIsALieAreRefused) {
   sensor_msgs::Image msg;
   msg.encoding = "mono8";

@@ -18,6 +18,7 @@ sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
 from air_ground_eval import bag_check, bag_guess, bag_player, bag_reader, datasets, geometry, messages  # noqa: E402
 
 CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+PICTURE = np.indices((48, 64)).sum(0) % 16 * 16
 
 
 def compressed(array, seconds, frame, prefix=b'', kind='.jpg', form='mono8; jpeg compressed'):
@@ -53,13 +54,14 @@ def write(path, **faults):
                     info.K = [0.0] * 9
                 if faults.get('fisheye'):
                     info.distortion_model = faults['fisheye']
-                bag.write('/mav/camera/camera_info', info, messages.stamp(t))
+                if not (faults.get('info_once') and i):
+                    bag.write('/mav/camera/camera_info', info, messages.stamp(t))
                 if faults.get('compressed'):
                     bag.write('/mav/camera/image_raw/compressed', compressed(np.zeros((48, 64), np.uint8), stamp, 'mav_camera_optical_frame'), messages.stamp(t))
                 else:
-                    bag.write('/mav/camera/image_raw', messages.image(np.zeros((48, 64)), 'mono8', stamp, 'mav_camera_optical_frame'), messages.stamp(t))
+                    bag.write('/mav/camera/image_raw', messages.image(np.full((48, 64), 128) if faults.get('flat') else PICTURE, 'mono8', stamp, 'mav_camera_optical_frame'), messages.stamp(t))
                 frame = '' if faults.get('no_frame') else 'ground_camera_optical_frame'
-                bag.write('/ground/rgb/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t + later, frame), messages.stamp(t))
+                bag.write('/ground/rgb/image_raw', messages.image(np.dstack([PICTURE] * 3), 'rgb8', t + later, frame), messages.stamp(t))
                 bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t + later, frame), messages.stamp(t))
                 shape = (24, 32) if faults.get('small_depth') else (48, 64)
                 if faults.get('compressed'):
@@ -99,11 +101,11 @@ class BagCheck(unittest.TestCase):
         for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
-                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('begins in motion', dict(moving=True))):
+                             ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
 
     def test_no_errors_where_the_nodes_can_help_themselves(self):
-        for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant')):
+        for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant'), dict(info_once=True)):
             self.assertEqual([f.text for f in self.findings(**faults) if f.level == bag_check.ERROR], [], faults)
         self.assert_found(bag_check.OK, '/clock is in the bag', clock=True)
         self.assert_found(bag_check.OK, '/tf_static comes in 2 messages and not latched', split_tf=True)
@@ -158,6 +160,27 @@ class BagCheck(unittest.TestCase):
             unregistered = bag_guess.command(facts, names, {}, {}, registered=False).split()
             self.assertIn('ground_depth_camera_info:=/camera/aligned_depth_to_color/camera_info', unregistered)
             self.assertIn('ground_depth_registered:=false', unregistered)
+
+    def test_an_imu_belongs_to_the_robot_that_it_is_mounted_on(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                edges = [('base', 'eye', np.eye(4)), ('base', 'gyro', np.eye(4)), ('body', 'cam', np.eye(4))]
+                messages.write_latched(bag, '/tf_static', messages.static_transforms(edges, 99), 99)
+                for t in np.arange(100, 102, 0.05):
+                    for topic, kind, frame in (('/drone/image_raw', 'mono8', 'cam'), ('/camera/rgb/image_raw', 'rgb8', 'eye'), ('/camera/depth/image_raw', '16UC1', 'eye')):
+                        bag.write(topic, messages.image(np.full((48, 64, 3) if kind == 'rgb8' else (48, 64), 100), kind, t, frame), messages.stamp(t))
+                        bag.write(topic.replace('image_raw', 'camera_info'), messages.camera_info(CAMERA, t, frame), messages.stamp(t))
+                    for k in range(10):
+                        bag.write('/imu', messages.imu([0, 0, 0.001], [0, 0, 9.81], 1e-6, 1e-4, t + 0.005 * k, 'gyro'), messages.stamp(t + 0.005 * k))
+            facts = bag_reader.BagFacts(path)
+            names = bag_guess.guess(facts)
+            self.assertNotIn('/mav/imu/data', names)
+            self.assertEqual(names['/ground/imu/data'], '/imu')
+            self.assertIn('mav_use_imu:=false', bag_guess.command(facts, names, {}, {}).split())
+            found = bag_check.check(facts, names, {'mav': 'body', 'ground': 'base'})
+            self.assertEqual([f.text for f in found if f.level == bag_check.ERROR], [])
+            self.assertTrue(any('mav_use_imu:=false' in f.text for f in found if f.level == bag_check.WARNING))
 
     def test_gyro_and_accelerometer_apart(self):
         """As RealSense's driver publishes them unless told otherwise."""

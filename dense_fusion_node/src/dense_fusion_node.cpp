@@ -294,7 +294,7 @@ class DenseFusionNode {
       const auto camera = ros_utils::fromMsg(msg.camera_info);
       return mapper_.add(ros_utils::greyFromMsg(msg.image), camera,
                          static_cast<std::int64_t>(msg.header.stamp.toNSec()), ros_utils::fromMsg(msg.pose.pose),
-                         msg.depth_min, msg.depth_max);
+                         msg.depth_min, msg.depth_max, msg.readout_time);
     });
     health_.timing(fused ? "image that completes a fused map [s]" : "image [s]", secondsSince(start));
     const MapperCounters& c = mapper_.counters();

@@ -45,13 +45,14 @@ void DenseMapper::reset() {
 void DenseMapper::forgetViews() {
   sweeping_ = false;
   recent_.clear();
+  last_ = {};
   group_.clear();
   carried_over_ = 0;
 }
 
 std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_common::CameraModel& camera,
                                          std::int64_t stamp, const Eigen::Isometry3d& T_map_camera_given,
-                                         double depth_min, double depth_max) {
+                                         double depth_min, double depth_max, double readout_time) {
   Eigen::Isometry3d T_map_camera = T_map_camera_given;
   if (!air_ground_common::isValid(T_map_camera))
     throw std::invalid_argument("dense mapper: the camera pose is not a rigid transform");
@@ -65,13 +66,14 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
     sweep_ = std::make_unique<PlaneSweep>(rectifier_->camera(), settings_.sweep);
   }
   ++counters_.images;
+  const RowMotion rows = rowMotion(readout_time, stamp, T_map_camera, depth_min, depth_max);
   constexpr double kRedundantRotation = 0.05;
   if (!recent_.empty() && distance(recent_.back().T_map_camera, T_map_camera) < settings_.frame_spacing &&
       angle(recent_.back().T_map_camera, T_map_camera) < kRedundantRotation) {
     ++counters_.redundant;
     return std::nullopt;
   }
-  const Frame frame = rectifier_->rectify(image, stamp, T_map_camera);
+  const Frame frame = rectifier_->rectify(image, stamp, T_map_camera, rows);
   std::optional<FusedMap> fused;
   const bool joins = sweeping_ && distance(sweep_->reference().T_map_camera, T_map_camera) <= settings_.sweep_radius &&
                      angle(sweep_->reference().T_map_camera, T_map_camera) <= settings_.max_rotation;
@@ -84,6 +86,23 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   recent_.push_back(frame);
   if (recent_.size() > kRecentFrames) recent_.pop_front();
   return inPosesUnit(std::move(fused));
+}
+
+RowMotion DenseMapper::rowMotion(double readout_time, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera,
+                                 double depth_min, double depth_max) {
+  constexpr double kLongest = 0.25;  // between two images that tell of a motion [s]
+  RowMotion rows;
+  const double dt = 1e-9 * static_cast<double>(stamp - last_.stamp);
+  if (readout_time != 0 && dt > 0 && dt < kLongest) {
+    const Eigen::Isometry3d T_camera_last = T_map_camera.inverse(Eigen::Isometry) * last_.T_map_camera;
+    rows.readout_time = readout_time;
+    rows.angular_rate = -air_ground_common::logSO3(T_camera_last.linear()) / dt;
+    rows.velocity = -T_camera_last.translation() / dt;
+    if (depth_min > 0 && depth_max >= depth_min) rows.depth = 2 / (1 / depth_min + 1 / depth_max);
+  }
+  last_.stamp = stamp;
+  last_.T_map_camera = T_map_camera;
+  return rows;
 }
 
 std::optional<FusedMap> DenseMapper::followDistance(double scene_distance) {

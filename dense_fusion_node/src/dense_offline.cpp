@@ -40,7 +40,7 @@ struct Options {
                            pose_topic = "/ground_truth/mav";
   std::string camera_frame = "mav_camera_optical_frame";
   double depth_min = 0, depth_max = 0, focal = 525, up_x = 0, up_y = 0, up_z = 1, offset_x = 0;
-  double noise_position = 0, noise_rotation = 0;
+  double noise_position = 0, noise_rotation = 0, readout_time = 0;
   int first = 0, last = 1000000, threads = 2;
   bool depth_maps = false, corners = false;
 };
@@ -348,7 +348,7 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
     noisy.translation() += draw(options.noise_position);
     noisy.linear() = T.linear() * air_ground_common::expSO3(draw(options.noise_rotation));
     const auto start = std::chrono::steady_clock::now();
-    const auto fused = mapper.add(image, camera, stamp, noisy, near, far);
+    const auto fused = mapper.add(image, camera, stamp, noisy, near, far, options.readout_time);
     seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     if (fused) reportFused(options, *fused, mesh.get(), &report);
   };
@@ -410,6 +410,7 @@ int main(int argc, char** argv) {
   app.add_option("--up-z", options.up_z, "up direction in a folder's world frame");
   app.add_option("--first", options.first, "first image");
   app.add_option("--last", options.last, "last image");
+  app.add_option("--readout-time", options.readout_time, "of a rolling shutter [s]");
   app.add_option("--noise-position", options.noise_position, "white noise added to the poses [m]");
   app.add_option("--noise-rotation", options.noise_rotation, "white noise added to the poses [rad]");
   app.add_option("--threads", options.threads, "threads");

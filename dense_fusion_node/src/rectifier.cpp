@@ -7,6 +7,7 @@
 #include <string>
 
 #include "air_ground_common/rectification.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace dense_fusion {
 
@@ -41,7 +42,7 @@ Rectifier::Rectifier(const air_ground_common::CameraModel& camera, const Rectifi
     throw std::invalid_argument("rectifier: normalization_radius, contrast_floor and contrast_gain must be positive");
   if (!(settings.max_field >= 0.2 && settings.max_field <= 2.6))
     throw std::invalid_argument("rectifier: max_field must lie in [0.2, 2.6] rad");
-  air_ground_common::CameraModel full = camera.undistorted();
+  air_ground_common::CameraModel& full = full_ = camera.undistorted();
   if (camera.model != air_ground_common::DistortionModel::kPlumbBob) {
     full = air_ground_common::centralPinhole(camera, settings.max_field);
     cv::convertMaps(air_ground_common::rectificationMap(camera, full), cv::noArray(), map1_, map2_, CV_16SC2);
@@ -55,10 +56,36 @@ Rectifier::Rectifier(const air_ground_common::CameraModel& camera, const Rectifi
     cv::initUndistortRectifyMap(camera.cvK(), camera.cvDistortion(), cv::noArray(), K, {camera.width, camera.height},
                                 CV_16SC2, map1_, map2_);
   }
+  exact_map_ = air_ground_common::rectificationMap(camera, full);
   output_ = full.scaled(settings.scale);
 }
 
-Frame Rectifier::rectify(const cv::Mat& image, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera) const {
+// The rows' shifts are smooth: they are computed on a coarse grid.
+cv::Mat Rectifier::rowMap(const RowMotion& rows) const {
+  visual_frontend::RollingShutter shutter(input_, rows.readout_time);
+  // Far away only the turn shows: any depth serves, without velocity.
+  shutter.setMotion(rows.angular_rate, rows.depth > 0 ? rows.velocity : Eigen::Vector3d(Eigen::Vector3d::Zero()));
+  const double depth = rows.depth > 0 ? rows.depth : 1.0;
+  constexpr int kStep = 16;
+  cv::Mat shifts((full_.height + kStep - 1) / kStep, (full_.width + kStep - 1) / kStep, CV_32FC2);
+  for (int i = 0; i < shifts.rows; ++i)
+    for (int j = 0; j < shifts.cols; ++j) {
+      // Where cv::resize puts the centre of a grid's cell.
+      const double u = (j + 0.5) * full_.width / shifts.cols - 0.5, v = (i + 0.5) * full_.height / shifts.rows - 0.5;
+      const Eigen::Vector3d p((u - full_.cx) / full_.fx * depth, (v - full_.cy) / full_.fy * depth, depth);
+      const auto pixel = input_.project(p);
+      const Eigen::Vector2d shift =
+          pixel ? Eigen::Vector2d(shutter.toItsRow(*pixel, p) - *pixel) : Eigen::Vector2d(0, 0);
+      shifts.at<cv::Vec2f>(i, j) = {static_cast<float>(shift.x()), static_cast<float>(shift.y())};
+    }
+  cv::Mat map;
+  cv::resize(shifts, map, exact_map_.size(), 0, 0, cv::INTER_LINEAR);
+  map += exact_map_;
+  return map;
+}
+
+Frame Rectifier::rectify(const cv::Mat& image, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera,
+                         const RowMotion& rows) const {
   if (image.cols != input_.width || image.rows != input_.height)
     throw std::invalid_argument("rectifier: image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
                                 " but calibration for " + std::to_string(input_.width) + "x" +
@@ -70,8 +97,13 @@ Frame Rectifier::rectify(const cv::Mat& image, std::int64_t stamp, const Eigen::
     cv::cvtColor(image, gray, cv::COLOR_BGR2GRAY);
   else
     throw std::invalid_argument("rectifier: image must have 8 bits and 1 or 3 channels");
-  cv::Mat undistorted = gray;
-  if (!map1_.empty()) cv::remap(gray, undistorted, map1_, map2_, cv::INTER_LINEAR, cv::BORDER_REPLICATE);
+  cv::Mat undistorted;  // never the caller's pixels
+  if (rows.readout_time != 0)
+    cv::remap(gray, undistorted, rowMap(rows), cv::noArray(), cv::INTER_LINEAR, cv::BORDER_REPLICATE);
+  else if (!map1_.empty())
+    cv::remap(gray, undistorted, map1_, map2_, cv::INTER_LINEAR, cv::BORDER_REPLICATE);
+  else
+    undistorted = gray;
   Frame frame;
   frame.stamp = stamp;
   frame.T_map_camera = T_map_camera;

@@ -14,6 +14,7 @@ namespace {
 
 using testing::boxScene;
 using testing::lookDown;
+using testing::renderRows;
 using testing::Scene;
 using testing::wideCamera;
 
@@ -167,6 +168,38 @@ TEST(Rectifier, FisheyeBecomesThePinholeThatWouldHaveSeenIt) {
   EXPECT_NEAR(narrow.width, 2 * 289 * std::tan(0.6), 8);
   settings.max_field = 3.2;
   EXPECT_THROW(Rectifier(fisheye(), settings), std::invalid_argument);
+}
+
+TEST(Rectifier, RowsOfARollingShutterGoWhereTheMiddleOneSeesThem) {
+  const auto camera = wideCamera();
+  RectifierSettings settings;
+  settings.scale = 1;
+  const Rectifier rectifier(camera, settings);
+  const Eigen::Isometry3d T = lookDown({0, 0, 2}, 0.02, -0.03, 0.4);
+  const Scene floor;
+  const cv::Mat truth = floor.render(rectifier.camera(), T, 1, 0);
+  const auto difference = [&](const cv::Mat& recorded, const RowMotion& motion) {
+    cv::Mat result;
+    cv::absdiff(rectifier.rectify(recorded, 0, T, motion).intensity, truth, result);
+    return cv::mean(result)[0];
+  };
+  RowMotion still;
+  still.readout_time = 0.03;
+  const double least = difference(floor.render(camera, T, 1, 0), still);
+  RowMotion turning = still, shifting = still;
+  turning.angular_rate = {0.5, -0.4, 0.7};
+  shifting.velocity = {0.8, -1.2, 0.3};
+  shifting.depth = 2;
+  for (const RowMotion& motion : {turning, shifting}) {
+    const cv::Mat recorded = renderRows(floor, camera, T, motion);
+    const double untold = difference(recorded, {}), told = difference(recorded, motion);
+    std::printf("rows: %.2f grey levels untold, %.2f told, %.2f of a camera at rest\n", untold, told, least);
+    EXPECT_LT(told, least + 1.0);
+    EXPECT_GT(untold, 3 * told);
+    RowMotion wrong = motion;
+    wrong.readout_time = -motion.readout_time;
+    EXPECT_GT(difference(recorded, wrong), untold);
+  }
 }
 
 TEST(PlaneSweep, FisheyeFloorDepthIsUnbiased) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "air_ground_common/camera_model.h"
+#include "air_ground_common/geometry.h"
 
 namespace dense_fusion::testing {
 
@@ -103,6 +104,24 @@ inline Eigen::Isometry3d lookDown(const Eigen::Vector3d& position, double roll =
                R_base_camera;
   T.translation() = position;
   return T;
+}
+
+/// What a rolling shutter records: each row by the pose that the camera has then. `motion`: a RowMotion.
+template <typename Motion>
+inline cv::Mat renderRows(const Scene& scene, const air_ground_common::CameraModel& camera, const Eigen::Isometry3d& T,
+                          const Motion& motion) {
+  cv::Mat image(camera.height, camera.width, CV_8U);
+  for (int v = 0; v < camera.height; ++v) {
+    const double t = ((v + 0.5) / camera.height - 0.5) * motion.readout_time;
+    Eigen::Isometry3d T_map_row = T;
+    T_map_row.translation() += T.linear() * (t * motion.velocity);
+    T_map_row.linear() = T.linear() * air_ground_common::expSO3(t * motion.angular_rate);
+    air_ground_common::CameraModel row = camera;
+    row.height = 1;
+    row.cy -= v;
+    scene.render(row, T_map_row, 1, 0).copyTo(image.row(v));
+  }
+  return image;
 }
 
 inline air_ground_common::CameraModel wideCamera() {

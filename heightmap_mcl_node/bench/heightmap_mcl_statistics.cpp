@@ -11,6 +11,7 @@
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <random>
 
 #include "synthetic_world.h"
 
@@ -79,6 +80,27 @@ void writePictures(const std::string& prefix, hm::Localizer& localizer, const Ei
   cv::imwrite(prefix + "_cost.png", image);
 }
 
+/// A unit between 0.5 and 5 m, and a vertical up to 0.3 rad off.
+syn::OwnUnit ownUnit(std::uint64_t seed) {
+  std::mt19937_64 random(seed * 15485863 + 3);
+  std::uniform_real_distribution<double> u(0, 1);
+  syn::OwnUnit own;
+  own.unit = 0.5 * std::pow(10, u(random));
+  const double axis = 2 * M_PI * u(random), tilt = 0.3 * u(random);
+  own.R_raw_level = air_ground_common::expSO3({tilt * std::cos(axis), tilt * std::sin(axis), 0});
+  return own;
+}
+
+/// Error of an estimate that places clouds in a unit of their own, at the aerial cloud's reference point.
+syn::Error similarityError(const hm::Estimate& e, const syn::OwnUnit& own, const air_ground_common::Pose& truth,
+                           const hm::AerialCloud& cloud) {
+  const Eigen::Vector3d raw = own.raw(cloud).reference;
+  const Eigen::Vector3d d = e.similarityPose() * (e.scale * raw) - truth * cloud.reference;
+  const double yaw = air_ground_common::yawOf(Eigen::Matrix3d(e.similarityPose().linear() * own.R_raw_level)) -
+                     air_ground_common::yawOf(truth.rotation());
+  return {d.head<2>().norm(), std::abs(air_ground_common::wrapAngle(yaw)), std::abs(d.z())};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -131,7 +153,12 @@ int main(int argc, char** argv) {
   app.add_option("--tilt", tilt_deg, "of the MAV's map [deg]");
   app.add_flag("!--no-ceiling", options.ceiling, "rooms without ceiling and lamp");
   app.add_flag("--other-world", options.other_world, "the MAV is in another world: every pose is wrong");
+  bool own_unit = false;
+  app.add_flag("--own-unit", own_unit,
+               "a MAV without IMU: unit and level of its map unknown; right: scale to 10 %, too");
+  app.add_option("--ground-noise", options.ground_noise, "of the ground robot's depths, times that of a Kinect");
   CLI11_PARSE(app, argc, argv);
+  if (own_unit) options.scale_error = 0;
   const std::map<std::string, syn::World> worlds{{"boxes", syn::World::kBoxes},
                                                  {"identical", syn::World::kIdenticalBoxes},
                                                  {"flat", syn::World::kFlatFloor},
@@ -158,12 +185,13 @@ int main(int argc, char** argv) {
     out.open(csv);
     out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,"
            "probe,cost,overlap,nees,"
-           "mode_weight,ms,evidence,lead\n";
+           "mode_weight,ms,evidence,lead,scale_error,scale_stddev\n";
   }
   std::vector<std::vector<double>> errors(maps), mean_errors(maps), yaws(maps), spreads(maps);
   std::vector<int> good(maps, 0), mean_good(maps, 0), converged(maps, 0), wrong(maps, 0);
   std::map<std::string, int> statuses;
-  double total_ms = 0, total_nees = 0;
+  std::vector<double> scale_errors;  // of converged estimates
+  double total_ms = 0, total_nees = 0, scale_nees = 0;
   int nees_count = 0;
   for (int run_index = 0; run_index < runs; ++run_index) {
     options.seed = first_seed + run_index;
@@ -182,22 +210,27 @@ int main(int argc, char** argv) {
       prior.yaw_sigma = std::max(known_heading_deg, 0.5) * M_PI / 180;
       localizer.setPrior(prior);
     }
+    const syn::OwnUnit own = own_unit ? ownUnit(options.seed) : syn::OwnUnit();
+    localizer.setOwnUnit(own_unit);
     localizer.setGround(run.ground);
     for (int k = 0; k < maps; ++k) {
       const auto start = std::chrono::steady_clock::now();
-      localizer.addAerial(run.aerial[k]);
+      localizer.addAerial(own.raw(run.aerial[k]));
       const double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
       total_ms += ms;
       const auto& e = localizer.estimate();
       const Eigen::Vector3d& reference = run.aerial[k].reference;
-      const auto error = syn::errorOf(e.T_ground_mav, run.T_ground_mav[k], reference);
+      const auto error = own_unit ? similarityError(e, own, run.T_ground_mav[k], run.aerial[k])
+                                  : syn::errorOf(e.T_ground_mav, run.T_ground_mav[k], reference);
+      const double scale_error = std::log(e.scale / own.unit);
       const Eigen::Vector2d mean(e.particle_mean.x, e.particle_mean.y);
       const double mean_error = (mean - (run.T_ground_mav[k] * reference).head<2>()).norm();
       errors[k].push_back(error.position);
       mean_errors[k].push_back(mean_error);
       yaws[k].push_back(error.yaw * 180 / M_PI);
       spreads[k].push_back(e.particle_spread);
-      const bool ok = !options.other_world && error.position < 0.25 && error.yaw < 5 * M_PI / 180;
+      const bool ok = !options.other_world && error.position < 0.25 && error.yaw < 5 * M_PI / 180 &&
+                      (!own_unit || std::abs(scale_error) < 0.1);
       good[k] += ok;
       mean_good[k] += mean_error < 0.25;
       const bool is_converged = e.status == hm::Status::kConverged;
@@ -216,6 +249,10 @@ int main(int argc, char** argv) {
         for (int j = 0; j < 4; ++j) P(i, j) = e.covariance(index[i], index[j]);
       }
       const double nees = delta.dot(P.ldlt().solve(delta));
+      if (is_converged && ok && own_unit) {
+        scale_errors.push_back(scale_error);
+        scale_nees += std::pow(scale_error * e.scale / e.scale_stddev, 2);
+      }
       if (is_converged) {
         total_nees += nees;
         ++nees_count;
@@ -225,7 +262,8 @@ int main(int argc, char** argv) {
             << error.yaw * 180 / M_PI << ',' << error.z << ',' << mean_error << ',' << e.particle_spread << ','
             << e.particle_spread_yaw * 180 / M_PI << ',' << e.rival_ratio << ',' << e.explained << ',' << e.relief
             << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ',' << nees << ',' << e.mode_weight << ','
-            << ms << ',' << e.evidence << ',' << e.evidence_lead << '\n';
+            << ms << ',' << e.evidence << ',' << e.evidence_lead << ',' << scale_error << ','
+            << e.scale_stddev / e.scale << '\n';
       }
       if (!pictures.empty() && run_index == 0) {
         const Eigen::Vector3d p = run.T_ground_mav[k] * reference;
@@ -251,5 +289,10 @@ int main(int argc, char** argv) {
   for (const auto& status : statuses) std::printf("%s %d  ", status.first.c_str(), status.second);
   std::printf("\nmean NEES of converged estimates (4 degrees of freedom): %.2f; %.0f ms a map\n",
               nees_count ? total_nees / nees_count : 0.0, total_ms / (runs * maps));
+  if (!scale_errors.empty())
+    std::printf(
+        "scale of %zu right and converged estimates: median error %+.2f %%, 10 %% %+.2f, 90 %% %+.2f; NEES %.2f\n",
+        scale_errors.size(), 100 * quantile(scale_errors, 0.5), 100 * quantile(scale_errors, 0.1),
+        100 * quantile(scale_errors, 0.9), scale_nees / static_cast<double>(scale_errors.size()));
   return 0;
 }

@@ -12,8 +12,7 @@ void Localizer::updateFloor() {
   constexpr std::size_t kMost = 4;
   floor_ = std::numeric_limits<double>::quiet_NaN();
   floor_rivals_.clear();
-  // A scale that is searched for leaves no level to compare with.
-  if (settings_.mode == Mode::kPaper || own_unit_ || aerial_.empty()) return;
+  if (settings_.mode == Mode::kPaper || aerial_.empty()) return;
   const HeightMap raw = merge(keptMaps(settings_.verify), settings_.merge);
   const std::vector<double> floors = floorCandidates(raw.levels, ground_.levels, ground_.cap, kMost);
   if (floors.size() < 2) return;

@@ -2,6 +2,8 @@
 // grid of scales, coarse to fine.
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include "heightmap_mcl/dominant_floor.h"
 #include "heightmap_mcl/localizer.h"
@@ -23,25 +25,30 @@ struct Localizer::ScaleTrial {
   /// each independent piece of ground counts by how much less the maps differ than at other places.
   double evidence = -kInfinity;
   double independent = 1;  // pieces of ground
+  double radius = 0;       // root mean square distance of the aerial cells from their centre [m]
 };
 
 namespace {
 
 constexpr double kStep = 0.08;        // of the logarithm: half of it moves the rim of 4 m by 8 cm, a cell
-constexpr double kFinest = 0.003;     // what a cell of 2 cm at the rim of such a map can show
-constexpr double kFloor = 0.03;       // relative; edges that one of the maps rounds or did not see shift the best scale
+constexpr double kFinest = 0.01;      // with coarse cells; then kSettleStep with the maps' own
+constexpr double kSettleStep = 0.01;  // a cell of 2 cm at the rim of such a map
+constexpr double kEdge = 0.03;        // [m] to which both maps place an edge, see scaleDeviation
 constexpr double kTrackStep = 0.012;  // around a scale that has converged
 constexpr double kRestart = 0.015;    // a change by more moves the particles' map too far
 constexpr double kLevelStep = 0.004;  // a smaller change of the level is not worth new maps [rad]
 constexpr double kFloorShare = 0.10;  // of the points, that a floor must hold
 constexpr int kCoarseCells = 36;      // across the aerial map, over all headings and offsets ...
 constexpr int kFineCells = 100;       // ... and around a place
+constexpr int kFullCells = 1000;      // the maps' own cells, unless the aerial map is huge
 constexpr int kGroundCells = 64;      // across the ground map in that search
 constexpr int kCoarseHeadings = 36;
-constexpr int kUnrelated = 200;   // placements that show what a wrong one costs
-constexpr double kLargest = 2.5;  // edges of the ground map that the aerial one may be long
-constexpr std::size_t kMostPoints = 20000;
-constexpr std::size_t kPeaks = 3;  // scales that are refined
+constexpr std::size_t kFloors = 3;               // places of the floor that are tried at a scale
+constexpr int kUnrelated = 200;                  // placements that show what a wrong one costs
+constexpr double kLargest = 2.5;                 // edges of the ground map that the aerial one may be long
+constexpr std::size_t kMostPoints = 20000;       // in large cells
+constexpr std::size_t kMostFullPoints = 400000;  // in the maps' own
+constexpr std::size_t kPeaks = 3;                // scales that are refined
 
 double quantile(std::vector<float>& values, double q) {
   const auto k = values.begin() + static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
@@ -61,8 +68,8 @@ double pieceArea(const HeightMap& map) {
   }
   const double variance = count > 0 ? squares / count - sum / count * (sum / count) : 0;
   const int most = std::max(map.width, map.height) / 2;
-  int lag = 1;
-  for (; lag < most; ++lag) {
+  double apart = most, before = 0;  // cells; by linear interpolation, since a whole lag is a step of half an area
+  for (int lag = 1; lag < most; ++lag) {
     double difference = 0, pairs = 0;
     const auto add = [&](float a, float b) {
       if (std::isnan(a) || std::isnan(b)) return;
@@ -74,9 +81,15 @@ double pieceArea(const HeightMap& map) {
         if (c + lag < map.width) add(map.at(r, c), map.at(r, c + lag));
         if (r + lag < map.height) add(map.at(r, c), map.at(r + lag, c));
       }
-    if (pairs > 0 && difference / pairs > variance) break;
+    if (pairs < 1) continue;
+    const double mean = difference / pairs;
+    if (mean > variance) {
+      apart = std::max(1.0, lag - (mean - variance) / (mean - before));
+      break;
+    }
+    before = mean;
   }
-  return std::pow(2 * lag * map.resolution, 2);
+  return std::pow(2 * std::max(1.0, apart) * map.resolution, 2);
 }
 
 /// Median cost of the same maps at placements spread over the volume: what two maps cost that have nothing to do with
@@ -101,6 +114,17 @@ double unrelatedCost(const CostVolume& volume, const DirectCost& direct, const A
   for (const Zmssd& z : direct(cells, poses, settings))
     if (std::isfinite(z.cost)) costs.push_back(static_cast<float>(z.cost));
   return costs.empty() ? -1 : quantile(costs, 0.5);
+}
+
+double rootMeanSquareRadius(const HeightMap& map, const Eigen::Vector2d& centre) {
+  double sum = 0, n = 0;
+  for (int r = 0; r < map.height; ++r)
+    for (int c = 0; c < map.width; ++c) {
+      if (std::isnan(map.at(r, c))) continue;
+      sum += (map.center(r, c) - centre).squaredNorm();
+      ++n;
+    }
+  return n > 0 ? std::sqrt(sum / n) : 0;
 }
 
 }  // namespace
@@ -137,10 +161,10 @@ void Localizer::remakeKeptMaps() {
   }
 }
 
-Localizer::RawCloud Localizer::rawCloud() const {
+Localizer::RawCloud Localizer::rawCloud(std::size_t most) const {
   std::size_t count = 0;
   for (const Kept& kept : aerial_) count += kept.points.size();
-  const std::size_t step = std::max<std::size_t>(1, (count + kMostPoints - 1) / kMostPoints);
+  const std::size_t step = std::max<std::size_t>(1, (count + most - 1) / most);
   RawCloud raw;
   const Eigen::Matrix3f R = R_level_.cast<float>();
   std::size_t i = 0;
@@ -172,6 +196,22 @@ Localizer::GroundLevel& Localizer::groundLevel(int factor) {
   return *level;
 }
 
+/// The best placement over all headings and offsets, and what others cost.
+Localizer::ScaleTrial Localizer::placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre,
+                                               GroundLevel& ground) {
+  ScaleTrial trial;
+  const AerialCells cells = aerialCells(map, centre);
+  const CostSettings cost = costFor(map);
+  if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
+  const auto headings = searchHeadings(kCoarseHeadings, prior_);
+  const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
+  const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
+  trial.best = bestOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
+                            map.resolution, M_PI / kCoarseHeadings, cost);
+  trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
+  return trial;
+}
+
 Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
                                           const ScaleBackground& background) {
   ScaleTrial trial;
@@ -187,25 +227,33 @@ Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int
   how.max_extent = std::max(how.max_extent, 10 * how.resolution);
   std::vector<Eigen::Vector3f> points = raw.points;
   for (auto& p : points) p *= static_cast<float>(scale);
-  const HeightMap map = buildHeightMap(points, how);
+  HeightMap map = buildHeightMap(points, how);
   if (map.empty()) return trial;
   GroundLevel& ground = groundLevel(factor);
-  const AerialCells cells = aerialCells(map, scale * raw.centre);
-  const CostSettings cost = costFor(map);
+  const Eigen::Vector2d centre = scale * raw.centre;
   if (start) {
+    if (!std::isnan(background.floor)) map = withFloor(std::move(map), scale * background.floor);
     trial.background = background;
-    trial.best = descend(*ground.direct, cells, *start, 2 * how.resolution, 0.03, cost);
+    trial.best = descend(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
   } else {
-    if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
-    const auto headings = searchHeadings(kCoarseHeadings, prior_);
-    const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
-    const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
-    trial.best = bestOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
-                              how.resolution, M_PI / kCoarseHeadings, cost);
-    trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
+    // Who has seen tables alone takes one for the floor.
+    LevelHistogram levels = map.levels;
+    for (float& cells : levels.cells) cells *= static_cast<float>(factor * factor);
+    std::vector<double> floors = floorCandidates(levels, ground_.levels, ground_.cap, kFloors);
+    const HeightMap own = map;
+    for (std::size_t i = 0; i < floors.size(); ++i) {
+      const HeightMap lifted = i == 0 ? own : withFloor(own, floors[i]);
+      ScaleTrial placed = placeAnywhere(lifted, centre, ground);
+      if (i > 0 && !(placed.best.zmssd.score < trial.best.zmssd.score)) continue;
+      trial.best = placed.best;
+      trial.background.unrelated = placed.background.unrelated;
+      trial.background.floor = i == 0 ? std::numeric_limits<double>::quiet_NaN() : floors[i] / scale;
+      map = lifted;
+    }
     if (ground.piece <= 0) ground.piece = pieceArea(ground.map);
     trial.background.piece = std::max(ground.piece, pieceArea(map));
   }
+  trial.radius = rootMeanSquareRadius(map, centre);
   if (trial.background.unrelated < 0 || !std::isfinite(trial.best.zmssd.cost)) return trial;
   // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
   // it.
@@ -239,6 +287,48 @@ void Localizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step,
       if (trial->evidence <= here) break;
     }
   }
+}
+
+/// With the maps' own cells. Larger ones widen each face by half a cell towards where it was seen from, and what lies
+/// behind it is a hole: far faces move inwards, near ones do not, and the best scale came out 2 % too small.
+void Localizer::settleScale(ScaleTrial* trial, double* curvature) {
+  RawCloud raw = rawCloud(kMostFullPoints);
+  const ScaleBackground background = trial->background;
+  const auto at = [&](double scale) { return tryScale(scale, raw, kFullCells, &trial->best.pose, background); };
+  // By piece of ground: that a larger map shares more of them says nothing about how well it fits.
+  const auto fit = [](const ScaleTrial& t) { return t.evidence / t.independent; };
+  ScaleTrial middle = at(trial->scale), before = at(trial->scale * std::exp(-kSettleStep)),
+             after = at(trial->scale * std::exp(kSettleStep));
+  constexpr int kMoves = 6;
+  for (int move = 0; move < kMoves && std::max(fit(before), fit(after)) > fit(middle); ++move) {
+    if (fit(before) > fit(after)) {
+      after = std::exchange(middle, before);
+      before = at(middle.scale * std::exp(-kSettleStep));
+    } else {
+      before = std::exchange(middle, after);
+      after = at(middle.scale * std::exp(kSettleStep));
+    }
+  }
+  if (!std::isfinite(fit(middle))) return;
+  const double evidence = trial->evidence;
+  *trial = middle;
+  const double bend = fit(before) - 2 * fit(middle) + fit(after);
+  if (std::isfinite(bend) && bend < 0) {
+    const double vertex = 0.5 * (fit(before) - fit(after)) / bend;
+    *trial = at(middle.scale * std::exp(std::clamp(vertex, -1.0, 1.0) * kSettleStep));
+    *curvature = std::max(0.0, before.best.zmssd.cost - 2 * middle.best.zmssd.cost + after.best.zmssd.cost) /
+                 (kSettleStep * kSettleStep);
+  }
+  trial->evidence = evidence;  // compares with that of other scales, in large cells
+}
+
+/// Relative. What the heights fix, and that both maps round edges in a way that more of them do not average out: a
+/// face is as thick in the ground map as its depths scatter and cells are wide, towards where it was seen from.
+double Localizer::scaleDeviation(const ScaleTrial& trial, double curvature) const {
+  // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
+  const double information = trial.independent * curvature / (2 * (trial.best.zmssd.cost + settings_.noise_cost));
+  constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
+  return std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kEdge / std::max(trial.radius, kEdge));
 }
 
 bool Localizer::updateLevel() {
@@ -286,7 +376,7 @@ std::vector<double> Localizer::scalesToTry(double extent) {
 }
 
 void Localizer::searchScales() {
-  const RawCloud raw = rawCloud();
+  const RawCloud raw = rawCloud(kMostPoints);
   if (raw.points.empty() || !(raw.extent > 0)) return;
   ScaleTrial best;
   double curvature = 0;
@@ -329,10 +419,8 @@ void Localizer::searchScales() {
     // What the rest of the grid leaves open besides, none of it refined.
   }
   if (!std::isfinite(best.evidence)) return;
-  // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
-  const double information = best.independent * curvature / (2 * (best.best.zmssd.cost + settings_.noise_cost));
-  constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
-  scale_stddev_ = best.scale * std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kFloor);
+  settleScale(&best, &curvature);
+  scale_stddev_ = best.scale * scaleDeviation(best, curvature);
   scale_ = best.scale;
   background_ = best.background;
 }

@@ -1,6 +1,7 @@
 // Level and scale of clouds from a MAV without IMU, on worlds with exact truth.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <iostream>
@@ -15,19 +16,7 @@ using air_ground_common::expSO3;
 
 namespace {
 
-/// What a MAV without IMU makes of a run: its length 1 is `unit` metres, its z axis is tilted.
-struct OwnUnit {
-  double unit;
-  Eigen::Matrix3d R_raw_level;
-
-  AerialCloud raw(const AerialCloud& cloud) const {
-    AerialCloud out = cloud;
-    const Eigen::Matrix3f S = (R_raw_level / unit).cast<float>();
-    for (auto& p : out.points) p = S * p;
-    out.reference = R_raw_level * cloud.reference / unit;
-    return out;
-  }
-};
+using synthetic::OwnUnit;
 
 struct Result {
   Estimate estimate;
@@ -35,8 +24,8 @@ struct Result {
   int wrong = 0;
 };
 
-Result play(const synthetic::Run& run, const OwnUnit& own) {
-  Localizer localizer({});
+Result play(const synthetic::Run& run, const OwnUnit& own, const LocalizerSettings& settings = {}) {
+  Localizer localizer(settings);
   localizer.setOwnUnit(true);
   EXPECT_TRUE(localizer.setGround(run.ground));
   Result r;
@@ -104,6 +93,24 @@ TEST(OwnUnit, ScaledAndTiltedCloudsAreFound) {
     converged += r.estimate.status == Status::kConverged;
   }
   EXPECT_EQ(converged, 2);
+}
+
+// Faces that cells or dilation widen towards where they were seen from made it 1.5 to 5 % too small.
+TEST(OwnUnit, ScaleHasNoBiasWhereDepthIsExact) {
+  synthetic::Options options;
+  options.aerial_clouds = 3;
+  options.scale_error = options.drift_per_metre = options.yaw_drift_per_metre = options.ground_noise = 0;
+  LocalizerSettings settings;
+  settings.scale_min = 0.85;
+  settings.scale_max = 1.18;
+  std::vector<double> errors;
+  for (options.seed = 620; options.seed < 625; ++options.seed) {
+    const Result r = play(synthetic::makeRun(options), {}, settings);
+    if (r.position < 0.15) errors.push_back(r.scale_error);
+  }
+  ASSERT_GE(errors.size(), 4u);
+  std::sort(errors.begin(), errors.end());
+  EXPECT_LT(std::abs(errors[errors.size() / 2]), 0.01);
 }
 
 TEST(OwnUnit, AFlatFloorHasNoScale) {

@@ -120,7 +120,7 @@ TriangleMesh makeMesh(const Options& options, Random& random) {
 }
 
 /// Depth camera at `T_world_base`, looking along +x, tilted down by `tilt`; points in the world frame.
-void seeFromGround(const MeshScene& scene, const Pose& T_world_base, double tilt, Random& random,
+void seeFromGround(const MeshScene& scene, const Pose& T_world_base, double tilt, double noise, Random& random,
                    std::vector<Eigen::Vector3f>& points) {
   const Eigen::Vector3d origin = T_world_base * Eigen::Vector3d(0, 0, 0.5);
   const Eigen::Matrix3d R =
@@ -137,7 +137,7 @@ void seeFromGround(const MeshScene& scene, const Pose& T_world_base, double tilt
       double depth = hit->distance / length;
       if (depth < 0.5 || depth > 4.5) continue;
       // Noise of a Kinect (Nguyen 2012).
-      depth += normal(random, 0.0012 + 0.0019 * (depth - 0.4) * (depth - 0.4));
+      depth += normal(random, noise * (0.0012 + 0.0019 * (depth - 0.4) * (depth - 0.4)));
       points.push_back((origin + R * d * depth).cast<float>());
     }
   }
@@ -251,7 +251,7 @@ Run makeRun(const Options& options) {
     const Pose T_world_base = yawPose(yaw, position);
     if (i == 0) T_world_groundmap = T_world_base;
     run.T_ground_robot = T_world_groundmap.inverse() * T_world_base;
-    seeFromGround(scene, T_world_base, room ? (i % 4 == 3 ? -0.35 : 0.1) : 0.25, random, seen);
+    seeFromGround(scene, T_world_base, room ? (i % 4 == 3 ? -0.35 : 0.1) : 0.25, options.ground_noise, random, seen);
   }
   const Pose T_groundmap_world = T_world_groundmap.inverse();
   for (const auto& p : seen) run.ground.push_back((T_groundmap_world * p.cast<double>()).cast<float>());
@@ -293,6 +293,14 @@ Run makeRun(const Options& options) {
     run.T_ground_mav.push_back(T_groundmap_world * T_world_base * T_believed.inverse() * tilt.inverse());
   }
   return run;
+}
+
+AerialCloud OwnUnit::raw(const AerialCloud& cloud) const {
+  AerialCloud out = cloud;
+  const Eigen::Matrix3f S = (R_raw_level / unit).cast<float>();
+  for (auto& p : out.points) p = S * p;
+  out.reference = R_raw_level * cloud.reference / unit;
+  return out;
 }
 
 Error errorOf(const Pose& estimate, const Pose& truth, const Eigen::Vector3d& reference) {

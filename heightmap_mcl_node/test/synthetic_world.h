@@ -20,6 +20,7 @@ struct Options {
   std::uint64_t seed = 1;
   int aerial_clouds = 12;
   double ground_path = 8.0;            ///< length of the ground robot's arc around the scene [m]
+  double ground_noise = 1;             ///< of the ground robot's depths, times that of a Kinect
   double scale_error = 0.015;          ///< deviation of the aerial scale from 1
   double cloud_noise = 0.02;           ///< white, along the viewing ray [m]
   double smooth_noise = 0.02;          ///< varying over some 0.5 m [m]
@@ -40,6 +41,14 @@ struct Run {
 };
 
 Run makeRun(const Options& options);
+
+/// What a MAV without IMU makes of a run: its length 1 is `unit` metres, its z axis is tilted.
+struct OwnUnit {
+  double unit = 1;
+  Eigen::Matrix3d R_raw_level = Eigen::Matrix3d::Identity();
+
+  AerialCloud raw(const AerialCloud& cloud) const;
+};
 
 /// A box of the given edge lengths, turned by yaw, standing at (x, y) with its lower face at z = bottom.
 void addBox(air_ground_common::TriangleMesh& mesh, double x, double y, double bottom, double yaw,

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "air_ground_common/geometry.h"
 #include "visual_frontend/feature_tracker.h"
@@ -23,15 +24,18 @@ constexpr double kNormalMedian = 0.6745;  // of |x|, x standard normal
 constexpr double kMinNoise = 0.3;         // of a track, in sigmas: what is believed at best
 constexpr double kSystematicBias =
     4e-3;  // common to all pairs: calibration, rolling shutter, tracks on reflections [rad/s]
-constexpr double kSystematicOffset = 5e-4;  // likewise [s]
-constexpr double kMemory = 10;              // pairs older than the window count ever less [s]
-constexpr double kTrackCorrelation = 10;    // tracks of a pair over those that err on their own
-constexpr double kShare = 1.0 / 3;          // of a pair's information: the pairs of the three spans overlap
-constexpr double kOpenOffset = 0.01;        // of a less certain offset other minima are looked for [s]
-constexpr double kSearchInterval = 0.5;     // between such searches [s]
-constexpr double kRoughBias = 0.02;         // a less certain bias is solved for with a loss that narrows [rad/s]
-constexpr int kIterations = 4;              // from the last estimate
-constexpr int kStartIterations = 14;        // while the bias may be anything, with a loss that narrows
+constexpr double kSystematicOffset = 5e-4;   // likewise [s]
+constexpr double kSystematicReadout = 1e-3;  // likewise [s]
+constexpr double kLongestFlow = 0.25;        // between two images that tell how a track moves [s]
+constexpr double kFlowChange = 5;  // of a track from one image to the next, beyond which it is a wrong one [sigmas]
+constexpr double kMemory = 10;     // pairs older than the window count ever less [s]
+constexpr double kTrackCorrelation = 10;  // tracks of a pair over those that err on their own
+constexpr double kShare = 1.0 / 3;        // of a pair's information: the pairs of the three spans overlap
+constexpr double kOpenOffset = 0.01;      // of a less certain offset other minima are looked for [s]
+constexpr double kSearchInterval = 0.5;   // between such searches [s]
+constexpr double kRoughBias = 0.02;       // a less certain bias is solved for with a loss that narrows [rad/s]
+constexpr int kIterations = 4;            // from the last estimate
+constexpr int kStartIterations = 14;      // while the bias may be anything, with a loss that narrows
 
 /// Rotation between two times of the gyro's clock and its derivatives.
 struct Turn {
@@ -75,22 +79,25 @@ double sampson(const Eigen::Vector3d& t, const Eigen::Vector3d& a, const Eigen::
 }  // namespace
 
 GyroAlignment::GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoise& noise,
-                             const Eigen::Matrix3d& R_camera_imu, double sigma)
-    : settings_(settings), noise_(noise), R_camera_imu_(R_camera_imu), sigma_(sigma) {
+                             const Eigen::Matrix3d& R_camera_imu, double sigma, int rows)
+    : settings_(settings), noise_(noise), R_camera_imu_(R_camera_imu), sigma_(sigma), rows_(rows) {
   reset();
 }
 
 void GyroAlignment::reset() {
   pairs_.clear();
   chain_end_ = {};
-  last_view_ = last_search_ = -1;
+  last_view_ = last_search_ = last_stamp_ = -1;
+  tracks_.clear();
   old_H_.setZero();
   old_h_.setZero();
   const double offset_stddev = settings_.time_offset_stddev > 0 ? settings_.time_offset_stddev : kExactOffset;
-  x_ << 0, 0, 0, settings_.time_offset;
+  const double readout_stddev = settings_.readout_time_stddev > 0 ? settings_.readout_time_stddev : kExactOffset;
+  x_ << 0, 0, 0, settings_.time_offset, settings_.readout_time;
   prior_mean_ = x_;
-  Vector4 variance;
-  variance << Eigen::Vector3d::Constant(settings_.bias_stddev * settings_.bias_stddev), offset_stddev * offset_stddev;
+  Vector variance;
+  variance << Eigen::Vector3d::Constant(settings_.bias_stddev * settings_.bias_stddev), offset_stddev * offset_stddev,
+      readout_stddev * readout_stddev;
   covariance_ = variance.asDiagonal();
   prior_ = variance.cwiseInverse().asDiagonal();
   misfit_ = 0;
@@ -101,29 +108,57 @@ void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
   x_.head<3>() = bias;
   prior_mean_ = x_;
   covariance_.topLeftCorner<3, 3>() = Eigen::Matrix3d::Identity() * stddev * stddev;
-  covariance_.topRightCorner<3, 1>().setZero();
-  covariance_.bottomLeftCorner<1, 3>().setZero();
+  covariance_.topRightCorner<3, kStates - 3>().setZero();
+  covariance_.bottomLeftCorner<kStates - 3, 3>().setZero();
   prior_ = covariance_.inverse();
   pairs_.clear();  // what they say of the offset is in the covariance
   old_H_.setZero();
   old_h_.setZero();
 }
 
+void GyroAlignment::setReadoutTime(double readout_time) {
+  settings_.readout_time = x_(4) = prior_mean_(4) = readout_time;
+}
+
 double GyroAlignment::biasStddev() const { return std::sqrt(covariance_.diagonal().head<3>().maxCoeff()); }
 double GyroAlignment::timeOffsetStddev() const { return std::sqrt(covariance_(3, 3)); }
+double GyroAlignment::readoutTimeStddev() const { return std::sqrt(covariance_(4, 4)); }
+
+void GyroAlignment::follow(double stamp, const std::vector<visual_frontend::Feature>& features) {
+  const double dt = last_stamp_ >= 0 ? stamp - last_stamp_ : 0;
+  last_stamp_ = stamp;
+  const auto before = std::exchange(tracks_, {});
+  for (const auto& f : features) {
+    Track& track = tracks_[f.id];
+    track.ray = f.normalized;
+    const auto last = before.find(f.id);
+    if (last == before.end() || !(dt > 0 && dt < kLongestFlow)) continue;
+    track.flow = (f.normalized - last->second.ray) / dt;
+    track.steady = last->second.flow && (*track.flow - *last->second.flow).norm() * dt < kFlowChange * sigma_;
+  }
+}
 
 bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature>& features, const ImuBuffer& imu) {
+  follow(stamp, features);
   if (last_view_ >= 0 && stamp - last_view_ < settings_.view_interval) return false;
   const double elapsed = last_view_ >= 0 ? stamp - last_view_ : 0;
   last_view_ = stamp;
   auto view = std::make_shared<View>();
   view->stamp = stamp;
-  for (const auto& f : features) view->rays[f.id] = f.normalized;
+  const bool rows = settings_.readout_time_stddev > 0 || settings_.readout_time != 0;
+  for (const auto& f : features) {
+    const Track& track = tracks_.at(f.id);
+    if (rows && !track.steady) continue;  // where its row sees it is not known
+    Sight sight;
+    sight.ray = f.normalized;
+    if (rows) sight.by_readout = ((f.pixel.y() + 0.5) / rows_ - 0.5) * *track.flow;
+    view->sights[f.id] = sight;
+  }
   // What was known grows old.
-  Matrix4 walk = Matrix4::Zero();
+  Matrix walk = Matrix::Zero();
   walk.diagonal() << Eigen::Vector3d::Constant(noise_.gyro_bias_walk * noise_.gyro_bias_walk),
-      settings_.time_offset_stddev > 0 ? settings_.time_offset_walk * settings_.time_offset_walk : 0;
-  prior_ = (Matrix4(prior_.inverse()) + elapsed * walk).inverse();
+      settings_.time_offset_stddev > 0 ? settings_.time_offset_walk * settings_.time_offset_walk : 0, 0;
+  prior_ = (Matrix(prior_.inverse()) + elapsed * walk).inverse();
   old_H_ *= std::exp(-elapsed / kMemory);
   old_h_ *= std::exp(-elapsed / kMemory);
 
@@ -136,11 +171,11 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   const bool rough = search || biasStddev() > kRoughBias;
   // The loss narrows from what the present uncertainty allows; offsets have several minima when the motion is periodic.
   const double width = rough ? std::max(kLossWidth, 2 * biasStddev() * settings_.spans.front() / sigma_) : kLossWidth;
-  Vector4 best = x_;
+  Vector best = x_;
   double cost = std::numeric_limits<double>::infinity();
   for (const double shift : {0.0, -0.025, 0.025, -0.05, 0.05, -0.075, 0.075}) {
     if (shift != 0 && (!search || std::abs(shift) > 2.6 * timeOffsetStddev())) continue;
-    Vector4 start = x_, solution;
+    Vector start = x_, solution;
     start(3) = std::clamp(start(3) + shift, settings_.time_offset - settings_.max_time_offset,
                           settings_.time_offset + settings_.max_time_offset);
     const double c = solveFrom(start, rough ? kStartIterations : kIterations, width, imu, &solution);
@@ -150,7 +185,8 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   }
   if (search) last_search_ = stamp;
   if (!best.allFinite() || best.head<3>().norm() > 1.0 ||
-      std::abs(best(3) - settings_.time_offset) > settings_.max_time_offset)
+      std::abs(best(3) - settings_.time_offset) > settings_.max_time_offset ||
+      std::abs(best(4)) > settings_.max_readout_time)
     return false;
   x_ = best;
   summarize(imu);
@@ -170,22 +206,22 @@ void GyroAlignment::addPairs(const std::shared_ptr<const View>& view) {
     pair.begin = first->stamp;
     pair.end = view->stamp;
     std::vector<visual_frontend::TrackId> common;
-    for (const auto& ray : view->rays)
-      if (first->rays.count(ray.first)) common.push_back(ray.first);
+    for (const auto& ray : view->sights)
+      if (first->sights.count(ray.first)) common.push_back(ray.first);
     const auto previous = first;
     first = view;
     if (span > 2 * settings_.spans[s] + 0.2 || static_cast<int>(common.size()) < settings_.min_tracks) continue;
     std::sort(common.begin(), common.end());
     const std::size_t stride = 1 + (common.size() - 1) / static_cast<std::size_t>(settings_.max_tracks);
     for (std::size_t i = 0; i < common.size(); i += stride) {
-      pair.a.push_back(previous->rays.at(common[i]).homogeneous());
-      pair.b.push_back(view->rays.at(common[i]).homogeneous());
+      pair.a.push_back(previous->sights.at(common[i]));
+      pair.b.push_back(view->sights.at(common[i]));
     }
     pairs_.push_back(std::move(pair));
   }
 }
 
-std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, const Vector4& x, const ImuBuffer& imu,
+std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu,
                                                               double width, std::vector<double>* errors) const {
   const auto turn = integrateTurn(imu, pair.begin + x(3), pair.end + x(3), x.head<3>());
   if (!turn) return std::nullopt;
@@ -193,17 +229,21 @@ std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, 
   Eigen::Matrix<double, 3, 4> rotation_by_x;
   rotation_by_x << R_camera_imu_ * turn->by_bias, R_camera_imu_ * turn->by_offset;
   const std::size_t n = pair.a.size();
-  std::vector<Eigen::Vector3d> Rb(n);
-  for (std::size_t i = 0; i < n; ++i) Rb[i] = R * pair.b[i];
+  std::vector<Eigen::Vector3d> a(n), b(n), Rb(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    a[i] = pair.a[i].atMiddleRow(x(4));
+    b[i] = pair.b[i].atMiddleRow(x(4));
+    Rb[i] = R * b[i];
+  }
   // Direction of the translation for this rotation: the normals a x R b are perpendicular to it.
   Eigen::Vector3d t = Eigen::Vector3d::Zero();
   for (int round = 0; round < 3; ++round) {
     Eigen::Matrix3d M = Eigen::Matrix3d::Zero();
     for (std::size_t i = 0; i < n; ++i) {
-      const Eigen::Vector3d normal = pair.a[i].cross(Rb[i]);
+      const Eigen::Vector3d normal = a[i].cross(Rb[i]);
       double weight = 1;
       if (round > 0) {
-        const double e = sampson(t, pair.a[i], Rb[i], R_b_a, sigma_, &weight);
+        const double e = sampson(t, a[i], Rb[i], R_b_a, sigma_, &weight);
         weight = weight * weight / (1 + e * e / (width * width));
       }
       M += weight * normal * normal.transpose();
@@ -212,17 +252,20 @@ std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, 
     solver.computeDirect(M);
     t = solver.eigenvectors().col(0);
   }
-  Eigen::Matrix<double, 6, 6> H = Eigen::Matrix<double, 6, 6>::Zero();  // bias, offset, direction of t
-  Eigen::Matrix<double, 6, 1> g = Eigen::Matrix<double, 6, 1>::Zero();
+  constexpr int kAll = kStates + 2;  // and the direction of t
+  Eigen::Matrix<double, kAll, kAll> H = Eigen::Matrix<double, kAll, kAll>::Zero();
+  Eigen::Matrix<double, kAll, 1> g = Eigen::Matrix<double, kAll, 1>::Zero();
   const Eigen::Matrix<double, 3, 2> B = tangent(t);
   Normal normal;
   for (std::size_t i = 0; i < n; ++i) {
     double weight = 0;
-    const double e = sampson(t, pair.a[i], Rb[i], R_b_a, sigma_, &weight);
+    const double e = sampson(t, a[i], Rb[i], R_b_a, sigma_, &weight);
     if (errors) errors->push_back(std::abs(e));
-    const Eigen::Vector3d by_rotation = pair.b[i].cross(R_b_a * t.cross(pair.a[i]));
-    Eigen::Matrix<double, 6, 1> J;
-    J << rotation_by_x.transpose() * by_rotation, B.transpose() * pair.a[i].cross(Rb[i]);
+    const Eigen::Vector3d by_rotation = b[i].cross(R_b_a * t.cross(a[i]));
+    const double by_readout =
+        pair.a[i].derivative().dot(Rb[i].cross(t)) + pair.b[i].derivative().dot(R_b_a * t.cross(a[i]));
+    Eigen::Matrix<double, kAll, 1> J;
+    J << rotation_by_x.transpose() * by_rotation, by_readout, B.transpose() * a[i].cross(Rb[i]);
     J *= weight;
     const double loss = 1 / (1 + e * e / (width * width));
     H += loss * J * J.transpose();
@@ -231,19 +274,19 @@ std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, 
   }
   Eigen::Matrix2d Htt = H.bottomRightCorner<2, 2>();
   Htt.diagonal().array() += 1.0;  // where nothing moves the direction means nothing
-  const Eigen::Matrix<double, 4, 2> K = H.topRightCorner<4, 2>() * Htt.inverse();
-  normal.H = kShare * (H.topLeftCorner<4, 4>() - K * H.bottomLeftCorner<2, 4>());
-  normal.g = kShare * (g.head<4>() - K * g.tail<2>());
+  const Eigen::Matrix<double, kStates, 2> K = H.topRightCorner<kStates, 2>() * Htt.inverse();
+  normal.H = kShare * (H.topLeftCorner<kStates, kStates>() - K * H.bottomLeftCorner<2, kStates>());
+  normal.g = kShare * (g.head<kStates>() - K * g.tail<2>());
   normal.cost *= kShare;
   return normal;
 }
 
-double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, const ImuBuffer& imu,
-                                Vector4* solution) const {
+double GyroAlignment::solveFrom(Vector x, int iterations, double first_width, const ImuBuffer& imu,
+                                Vector* solution) const {
   double width = first_width;
   for (int iteration = 0; iteration < iterations; ++iteration) {
-    Matrix4 H = old_H_;
-    Vector4 g = old_H_ * x - old_h_;
+    Matrix H = old_H_;
+    Vector g = old_H_ * x - old_h_;
     for (const Pair& pair : pairs_) {
       // A wrong bias turns long spans too far: the short ones lead.
       if (width > 2 * kLossWidth && pair.end - pair.begin > 1.5 * settings_.spans.front()) continue;
@@ -252,14 +295,14 @@ double GyroAlignment::solveFrom(Vector4 x, int iterations, double first_width, c
       H += normal->H / inflation_;
       g += normal->g / inflation_;
     }
-    const Matrix4 share = shareOfTracks(H);
+    const Matrix share = shareOfTracks(H);
     H = prior_ + share * H;
     g = prior_ * (x - prior_mean_) + share * g;
-    const Vector4 step = Eigen::Matrix4d(H).ldlt().solve(-Eigen::Vector4d(g));
+    const Vector step = Eigen::Matrix<double, kStates, kStates>(H).ldlt().solve(-Eigen::Matrix<double, kStates, 1>(g));
     if (!step.allFinite()) break;
     // A step of the offset may not leap over the period of the motion.
     x += step * std::min(1.0, 0.03 / std::max(0.03, std::abs(step(3))));
-    if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && std::abs(step(3)) < 1e-5) break;
+    if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && step.tail<2>().cwiseAbs().maxCoeff() < 1e-5) break;
     width = std::max(kLossWidth, 0.6 * width);
   }
   double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_)) + x.dot(old_H_ * x) - 2 * x.dot(old_h_);
@@ -280,7 +323,7 @@ void GyroAlignment::retire(double before, const ImuBuffer& imu) {
 }
 
 void GyroAlignment::summarize(const ImuBuffer& imu) {
-  Matrix4 H = Matrix4::Zero();
+  Matrix H = Matrix::Zero();
   std::vector<double> errors;
   double scatter = 0;
   int count = 0;
@@ -302,15 +345,15 @@ void GyroAlignment::summarize(const ImuBuffer& imu) {
   inflation_ = std::max(kTrackCorrelation * noise * noise, scatter / count);
   H = old_H_ + H / inflation_;
   covariance_ = (prior_ + shareOfTracks(H) * H).inverse();
-  covariance_ = 0.5 * (covariance_ + Matrix4(covariance_.transpose()));
+  covariance_ = 0.5 * (covariance_ + Matrix(covariance_.transpose()));
 }
 
 // The tracks measure x with the covariance H^-1 + S, S of what is common to all of them: (H^-1 + S)^-1 = share * H.
-GyroAlignment::Matrix4 GyroAlignment::shareOfTracks(const Matrix4& H) const {
-  Matrix4 D = Matrix4::Zero();
+GyroAlignment::Matrix GyroAlignment::shareOfTracks(const Matrix& H) const {
+  Matrix D = Matrix::Zero();
   D.diagonal() << Eigen::Vector3d::Constant(1 / (kSystematicBias * kSystematicBias)),
-      1 / (kSystematicOffset * kSystematicOffset);
-  return D * Matrix4(H + D).inverse();
+      1 / (kSystematicOffset * kSystematicOffset), 1 / (kSystematicReadout * kSystematicReadout);
+  return D * Matrix(H + D).inverse();
 }
 
 }  // namespace mav_vo

@@ -227,6 +227,7 @@ class MavVoNode : private ros_utils::Estimator {
     ros_utils::setCovariance(visual.camera_covariance, &posed.pose.covariance);
     posed.depth_min = static_cast<float>(visual.depth_min);
     posed.depth_max = static_cast<float>(visual.depth_max);
+    posed.readout_time = static_cast<float>(r.readout_time);
     posed.keyframe = r.keyframe;
     posed.metric = visual.metric;
     posed.map_id = r.map_id;

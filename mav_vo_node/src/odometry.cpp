@@ -17,6 +17,7 @@ constexpr double kImuRestBiasSigma = 0.01;  // of one that the IMU alone calls a
 constexpr double kMapTilt = 0.002;          // of the adjusted map as a whole [rad]
 constexpr double kMetricTilt = 0.01;        // of the metric map's z axis against gravity [rad]
 constexpr std::size_t kRecentImages = 800;  // whose inertial motion is kept for the scale filter
+constexpr std::size_t kMaxRecords = 40000;  // half an hour at 20 Hz; older images are thinned
 constexpr double kPlaceEvery = 5;           // images between searches for a known place while lost
 constexpr double kMinInlierShare = 0.35;    // of the tracked landmarks; below, the pose is not believed
 
@@ -55,10 +56,17 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       shutter(camera_, settings_.readout_time),
       bootstrap(camera_, settings_.bootstrap),
       scale(settings_.scale, settings_.imu_noise, 0.1),
-      gyro_alignment(settings_.gyro_alignment, settings_.imu_noise, T_camera_imu.linear(), sigma()),
+      gyro_alignment(settings_.gyro_alignment, settings_.imu_noise, T_camera_imu.linear(), sigma(), camera_.height),
       standstill(settings_.standstill) {
   settings.validate();
   imu.setOffset(settings.gyro_alignment.time_offset);
+  gyro_alignment.setReadoutTime(settings.readout_time);
+  if (settings.readout_time_stddev > 0) {
+    GyroAlignmentSettings with_readout = settings.gyro_alignment;
+    with_readout.readout_time = settings.readout_time;
+    with_readout.readout_time_stddev = settings.readout_time_stddev;
+    shutter_alignment.emplace(with_readout, settings.imu_noise, T_camera_imu.linear(), sigma(), camera.height);
+  }
   if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
     throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
 }
@@ -77,7 +85,7 @@ void Odometry::Impl::startMap() {
   track_views.clear();
   keyframe_covariance.clear();
   bias.gyro = gyro_alignment.bias();  // the old map's may have been why it was lost
-  hovering = false;
+  relocalized = hovering = false;
   records.clear();
   scale.reset(map_tilt);
   ++map_id;
@@ -99,8 +107,11 @@ void Odometry::Impl::reset() {
   bias = {};
   rested = false;
   gyro_alignment.reset();
+  gyro_alignment.setReadoutTime(settings.readout_time);
+  if (shutter_alignment) shutter_alignment->reset();
   standstill.reset();
   imu.setOffset(settings.gyro_alignment.time_offset);
+  shutter.setReadoutTime(settings.readout_time);
   up_imu.reset();
   up_sigma = 0.1;
   last_stamp = -1;
@@ -129,7 +140,7 @@ std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<Trac
 
 void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
   if (!shutter.active()) return;
-  const double half = 0.5 * std::abs(settings.readout_time);
+  const double half = 0.5 * std::abs(shutter.readoutTime());
   const auto turn = cameraTurn(stamp - half, stamp + half);
   shutter.setMotion(
       turn ? Eigen::Vector3d(air_ground_common::logSO3(turn->R_a_b) / (2 * half)) : Eigen::Vector3d::Zero(),
@@ -227,6 +238,7 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   if (state == OdometryState::kLost) {
     if (relocalize(gray, R_previous_current.has_value())) {
       state = metric ? OdometryState::kTracking : OdometryState::kScaling;
+      relocalized = true;
       localized(false);
     } else if (stamp - lost_since > patience()) {
       startMap();
@@ -333,6 +345,7 @@ void Odometry::Impl::localized(bool continuous) {
                      motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
   if (settings.use_imu) scale.add(scaleMeasurement(records.size() - 1), motion);
   if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
+  if (records.size() > kMaxRecords) thinRecords();
 
   const bool keyframe = needsKeyframe();
   if (settings.reobserve_matches > 0 && (keyframe || !continuous || records.size() % 2 == 0)) {
@@ -350,6 +363,15 @@ void Odometry::Impl::localized(bool continuous) {
   T_map_camera = poseOfRecord(records.size() - 1);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric ? "" : scaleReason();
+}
+
+// Of the older half every second one goes.
+void Odometry::Impl::thinRecords() {
+  std::size_t kept = 0;
+  const std::size_t half = records.size() / 2;
+  for (std::size_t i = 0; i < records.size(); ++i)
+    if (i >= half || i % 2 == 0) records[kept++] = std::move(records[i]);
+  records.resize(kept);
 }
 
 // Where five points cannot tell (hovering, turning on the spot, too few tracks) the poses' covariance stays.
@@ -467,6 +489,8 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->gyro_bias_stddev = gyro_alignment.biasStddev();
   result->time_offset = imu.offset();
   result->time_offset_stddev = settings.gyro_alignment.time_offset_stddev > 0 ? gyro_alignment.timeOffsetStddev() : 0;
+  result->readout_time = shutter.readoutTime();
+  result->readout_time_stddev = shutter_alignment ? shutter_alignment->readoutTimeStddev() : 0;
   result->pose_valid = located_stamp >= 0 && located_stamp == result->stamp && last_pose.success;
   if (!result->pose_valid) return;
   result->inliers = inliers;
@@ -497,7 +521,7 @@ bool Odometry::addImu(const ImuSample& sample) {
 }
 
 double Odometry::imuNeededAt(double image_stamp) const {
-  return impl_->imu.stamp(image_stamp) + 0.5 * std::abs(impl_->settings.readout_time);
+  return impl_->imu.stamp(image_stamp) + 0.5 * std::abs(impl_->shutter.readoutTime());
 }
 
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }

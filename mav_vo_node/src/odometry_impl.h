@@ -39,8 +39,9 @@ struct Odometry::Impl {
   void reset();
   void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
   void useStandstill(const Standstill& rest);
-  void alignGyro(double stamp);  ///< gyro bias and time offset from the tracks
-  void keepMapsBias();           ///< before a map is given up: what its adjustment knows of the gyro
+  void alignGyro(double stamp);
+  void alignShutter(double stamp);  ///< gyro bias and time offset from the tracks
+  void keepMapsBias();              ///< before a map is given up: what its adjustment knows of the gyro
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
   void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
   void initialize();
@@ -48,6 +49,7 @@ struct Odometry::Impl {
   bool relocalize(const cv::Mat& gray, bool gyro);
   void localized(bool continuous);  ///< bookkeeping after a pose was found
   void scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const;
+  void thinRecords();  ///< of a long flight
   void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
   std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* tracks) const;
   std::optional<LandmarkId> landmarkOf(TrackId track) const;
@@ -62,6 +64,8 @@ struct Odometry::Impl {
   bool moved(const Keyframe& since) const;  ///< enough to see anything new
   void addKeyframe();
   void insertKeyframe(Keyframe keyframe);  ///< with its inertial link
+  bool contradicts(const Preintegration& motion, KeyframeId previous, const Keyframe& keyframe) const;
+  void thinKeyframes();  ///< of places that are seen again and again
   void triangulateTracks(KeyframeId id);
   void adjustLocally();
   void adjustFully();
@@ -88,6 +92,7 @@ struct Odometry::Impl {
   Bootstrap bootstrap;
   ScaleFilter scale;
   GyroAlignment gyro_alignment;
+  std::optional<GyroAlignment> shutter_alignment;  ///< apart: what it estimates besides makes the others less certain
   StandstillDetector standstill;
   ImageClockImu imu{12.0};
   visual_frontend::AttitudeFilter attitude;
@@ -104,6 +109,7 @@ struct Odometry::Impl {
   std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark
 
   std::map<KeyframeId, Matrix6d> keyframe_covariance;  ///< of their poses in the map
+  bool relocalized = false;                            ///< since the last keyframe
   bool hovering = false;                               ///< the last keyframe saw what the one before it saw
 
   OdometryState state = OdometryState::kWaiting;

@@ -24,6 +24,9 @@ constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an iner
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
 constexpr double kLeastParallax = 10;        // of a new landmark, in standard deviations of a ray
+constexpr double kLinkGate = 30.7;           // chi-squared, three degrees of freedom, one in a million
+constexpr double kVelocityStddev = 0.05;     // of a keyframe's adjusted velocity [m/s]
+constexpr double kTurnStddev = 0.005;        // of the turn between two keyframes by their landmarks [rad]
 constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
 constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
 constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
@@ -59,12 +62,35 @@ bool Odometry::Impl::moved(const Keyframe& since) const {
              0.25 * settings.keyframe_angle;
 }
 
+// Where the camera saw nothing the vehicle may have been carried off, or the IMU's stamps hide a hole: such a link
+// would tear the map.
+bool Odometry::Impl::contradicts(const Preintegration& motion, KeyframeId previous, const Keyframe& keyframe) const {
+  const double dt = motion.duration();
+  const Eigen::Matrix3d R_imu_camera = T_camera_imu.linear().transpose();
+  const InertialState& before = inertial.states.at(previous);
+  const Pose T_before = map.keyframe(previous).T_map_camera * T_camera_imu,
+             T_after = keyframe.T_map_camera * T_camera_imu;
+  const double turn =
+      air_ground_common::rotationAngle(T_before.linear() * motion.rotation(before.bias), T_after.linear());
+  const double turn_sigma = std::hypot(kTurnStddev, gyro_alignment.biasStddev() * dt);
+  if (turn * turn > kLinkGate * turn_sigma * turn_sigma) return true;
+  if (!metric) return false;
+  const Eigen::Vector3d p = T_before.translation() + before.velocity * dt -
+                            0.5 * dt * dt * kGravity * Eigen::Vector3d::UnitZ() +
+                            T_before.linear() * motion.position(before.bias);
+  const double sigma = std::hypot(kVelocityStddev * dt, 0.5 * dt * dt * settings.scale.accel_bias_stddev,
+                                  settings.scale.position_stddev * scene_distance);
+  return (T_after.translation() - p).squaredNorm() > kLinkGate * sigma * sigma;
+}
+
 void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const double stamp = keyframe.stamp;
   const KeyframeId previous = map.lastKeyframe();
   std::optional<Preintegration> motion;
   if (settings.use_imu && previous != visual_frontend::kNoKeyframe)
     motion = imu.motion(map.keyframe(previous).stamp, stamp, settings.imu_noise, bias);
+  if (motion && relocalized && contradicts(*motion, previous, keyframe)) motion.reset();
+  relocalized = false;
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
     const auto& o = map.keyframe(id).observations[i];
@@ -120,10 +146,42 @@ void Odometry::Impl::addKeyframe() {
   tracker.replenish();
   keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, last_pose.covariance);
   map.dropFarImages(T_map_camera, settings.max_image_keyframes, scene_distance);
+  thinKeyframes();
   adjustLocally();
   keyframe_landmarks = 0;
   for (const auto& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != visual_frontend::kNoLandmark;
   made_keyframe = true;
+}
+
+// Only keyframes that no adjustment moves any more: what they tell is in their landmarks.
+void Odometry::Impl::thinKeyframes() {
+  const int newest = std::max(settings.full_max_keyframes, settings.window + 1);
+  if (static_cast<int>(map.keyframeCount()) <= newest) return;
+  // The IMU's samples between keyframes that stay where they are serve nothing.
+  const KeyframeId oldest_free = std::prev(map.keyframes().end(), newest)->first;
+  inertial.links.erase(inertial.links.begin(), inertial.links.lower_bound(oldest_free));
+  const KeyframeId id = map.redundantKeyframe(newest, settings.keyframe_distance, settings.keyframe_angle);
+  if (id == visual_frontend::kNoKeyframe) return;
+  const auto here = map.keyframes().find(id), before = std::prev(here), after = std::next(here);
+  const Pose T_before_here = before->second.T_map_camera.inverse() * here->second.T_map_camera;
+  for (FrameRecord& record : records) {
+    if (record.reference != id) continue;
+    record.reference = before->first;
+    record.T_reference_camera = T_before_here * record.T_reference_camera;
+  }
+  for (auto& [track, views] : track_views)
+    views.erase(std::remove_if(views.begin(), views.end(), [&](const auto& o) { return o.keyframe == id; }),
+                views.end());
+  inertial.links.erase(id);
+  inertial.links.erase(after->first);  // it began here
+  inertial.states.erase(id);
+  keyframe_covariance.erase(id);
+  std::vector<LandmarkId> seen;
+  for (const auto& o : here->second.observations)
+    if (o.landmark != visual_frontend::kNoLandmark) seen.push_back(o.landmark);
+  map.removeKeyframe(id);
+  for (const LandmarkId landmark : seen)
+    if (map.hasLandmark(landmark) && map.landmark(landmark).observations.size() < 2) map.removeLandmark(landmark);
 }
 
 void Odometry::Impl::triangulateTracks(KeyframeId id) {

@@ -24,6 +24,8 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v("readout_time", o.readout_time, {-0.1, 0.1}, "s",
     "rolling shutter: row r of h is exposed at stamp + (r / h - 0.5) * readout_time, so the stamp is the middle row's; "
     "negative: bottom row first");
+  v("readout_time_stddev", o.readout_time_stddev, {0.0, 0.05}, "s",
+    "of that figure; it is estimated from there, which needs turns. 0 = exact (a global shutter, say), not estimated");
 
   v.section("Features");
   describe(v, o.tracker);

@@ -9,18 +9,21 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kRestBiasSigma = 1e-3;    // of a gyro bias measured at rest [rad/s]
-constexpr double kUsefulBiasSigma = 0.02;  // of a bias that the attitude filter takes over [rad/s]
-constexpr double kRestTilt = 0.012;        // of gravity measured at rest [rad]
-constexpr double kMovingTilt = 0.3;        // of gravity as a moving accelerometer shows it [rad]
-constexpr double kTrustedTilt = 0.05;      // better known gravity levels the bundle adjustment [rad]
-constexpr double kOffsetSigma = 0.004;     // a better known time offset is used [s]
-constexpr double kOffsetStep = 5e-4;       // smaller changes of it are not worth the work [s]
-constexpr double kMapTurnError = 8e-3;     // of the turn from a map's first keyframe to its newest [rad]
-constexpr double kMapBiasSigma = 2e-3;     // of a gyro bias from a map, at the best [rad/s]
-constexpr double kScalePatience = 5;       // of a map for a scale as certain as asked for [s]
-constexpr double kMostScaleStddev = 2.5;   // of what was asked for, that serves in the end [1]
-constexpr double kGyroMisfit = 4;          // of noise; above, gyro and images contradict each other
+constexpr double kRestBiasSigma = 1e-3;      // of a gyro bias measured at rest [rad/s]
+constexpr double kUsefulBiasSigma = 0.02;    // of a bias that the attitude filter takes over [rad/s]
+constexpr double kRestTilt = 0.012;          // of gravity measured at rest [rad]
+constexpr double kMovingTilt = 0.3;          // of gravity as a moving accelerometer shows it [rad]
+constexpr double kTrustedTilt = 0.05;        // better known gravity levels the bundle adjustment [rad]
+constexpr double kOffsetSigma = 0.004;       // a better known time offset is used [s]
+constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not worth the work [s]
+constexpr double kMapTurnError = 8e-3;       // of the turn from a map's first keyframe to its newest [rad]
+constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
+constexpr double kReadoutStep = 4e-3;        // least change of it [s]
+constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
+constexpr double kMapBiasSigma = 2e-3;       // of a gyro bias from a map, at the best [rad/s]
+constexpr double kScalePatience = 5;         // of a map for a scale as certain as asked for [s]
+constexpr double kMostScaleStddev = 2.5;     // of what was asked for, that serves in the end [1]
+constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images contradict each other
 
 }  // namespace
 
@@ -47,7 +50,8 @@ void Odometry::Impl::useStandstill(const Standstill& rest) {
 }
 
 void Odometry::Impl::alignGyro(double stamp) {
-  if (!gyro_alignment.add(stamp, currentFeatures(), imu.buffer())) return;
+  alignShutter(stamp);
+  if (!gyro_alignment.add(stamp, tracker.features(), imu.buffer())) return;
   // A map knows the bias better: its adjustment sees all of its keyframes.
   if (map.keyframeCount() == 0) bias.gyro = gyro_alignment.bias();
   if (gyro_alignment.biasStddev() < kUsefulBiasSigma) attitude.setGyroBias(bias.gyro);
@@ -55,6 +59,18 @@ void Odometry::Impl::alignGyro(double stamp) {
   if (sigma > kOffsetSigma || std::abs(offset - imu.offset()) < std::max(kOffsetStep, 2 * sigma)) return;
   imu.setOffset(offset);
   retime();
+}
+
+// A sure readout time replaces the one in use. What a map that is not metric yet has seen without it is not worth
+// keeping.
+void Odometry::Impl::alignShutter(double stamp) {
+  if (!shutter_alignment || !shutter_alignment->add(stamp, tracker.features(), imu.buffer())) return;
+  const double readout = shutter_alignment->readoutTime(), sigma = shutter_alignment->readoutTimeStddev();
+  const double change = std::abs(readout - shutter.readoutTime()), large = std::max(kReadoutStep, 3 * sigma);
+  if (sigma > kReadoutSigma || change < (shutter.active() ? std::max(kReadoutRefinement, sigma) : large)) return;
+  shutter.setReadoutTime(readout);
+  gyro_alignment.setReadoutTime(readout);
+  if (!metric && map.keyframeCount() > 0 && change > large) startMap();
 }
 
 // A map measures turns against landmarks it has triangulated: turn and translation, which image pairs confuse, are
@@ -163,6 +179,10 @@ std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
   if (const std::string problem = gyroProblem(); !problem.empty()) return problem;
+  if (scale.inverted())
+    return "metric scale is not known: the accelerations point the wrong way; at rest the IMU must read +9.81 m/s^2 "
+           "along "
+           "the axis that points up (specific force): check its signs and the static transform of its frame";
   if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))
     return "metric scale is not known: IMU and images tell of different motions; check the static transforms of IMU "
            "and "

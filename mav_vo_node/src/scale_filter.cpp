@@ -19,6 +19,7 @@ constexpr double kSmallTilt = 0.05;        // below, gravity is as good as linea
 constexpr double kMaxTiltSine = 0.95;      // of gravity against the map's z axis
 constexpr int kMinUpdates = 10;            // since the start, that must confirm it
 constexpr double kMaxMeanNis = 2.0;        // since the start, when the scale counts as certain; 1 expected
+constexpr double kInvertedStddevs = 5.0;   // of a scale below zero
 constexpr double kForcedScaleStddev = 0.1;  // added when a row of rejections forces the motion to start afresh [1]
 
 using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
@@ -88,7 +89,7 @@ void ScaleFilter::reset(double tilt_stddev) {
   frames_waited_ = 0;
   updates_ = rejected_updates_ = 0;
   nis_sum_ = 0;
-  contradicted_ = false;
+  contradicted_ = inverted_ = false;
   start_stddev_ = std::numeric_limits<double>::infinity();
 }
 
@@ -207,7 +208,7 @@ void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<P
   window_.clear();
 }
 
-std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
+std::optional<ScaleFilter::State> ScaleFilter::linearSolution() {
   // Two passes: the second knows the scale with which the visual noise becomes metric.
   double guess = 1.0;
   State state;
@@ -231,6 +232,8 @@ std::optional<ScaleFilter::State> ScaleFilter::linearSolution() const {
       addError(dx, &state);
       state.scale += dx(kS);
     }
+    // A sure scale below zero: the accelerations point the other way.
+    inverted_ = state.scale < -kInvertedStddevs * std::sqrt(P(kS, kS));
     if (!(state.scale > 0) || !std::isfinite(state.scale)) return std::nullopt;
     guess = state.scale;
   }

@@ -134,9 +134,10 @@ class OfflineRun {
     std::printf(
         "       gyro bias %.4f %.4f %.4f +- %.4f rad/s, accelerometer bias %.3f %.3f %.3f m/s^2, time offset %.2f +- "
         "%.2f "
-        "ms\n",
+        "ms, readout time %.2f +- %.2f ms\n",
         b.gyro.x(), b.gyro.y(), b.gyro.z(), last_.gyro_bias_stddev, b.accel.x(), b.accel.y(), b.accel.z(),
-        1e3 * last_.time_offset, 1e3 * last_.time_offset_stddev);
+        1e3 * last_.time_offset, 1e3 * last_.time_offset_stddev, 1e3 * last_.readout_time,
+        1e3 * last_.readout_time_stddev);
   }
 
   mav_vo::Odometry odometry_;
@@ -194,34 +195,45 @@ std::string imageTopic(const rosbag::Bag& bag, const std::string& image) {
              : image;
 }
 
+/// One message, its stamp later by `shift` [s].
+void runMessage(const rosbag::MessageInstance& m, double shift, OfflineRun& run) {
+  if (const auto image = m.instantiate<sensor_msgs::Image>())
+    run.addImage(image->header.stamp.toSec() + shift, [image] { return ros_utils::greyFromMsg(*image); });
+  if (const auto image = m.instantiate<sensor_msgs::CompressedImage>())
+    run.addImage(image->header.stamp.toSec() + shift,
+                 [image] { return ros_utils::greyFromMsg(*ros_utils::decompressed(*image)); });
+  if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
+    mav_vo::ImuSample sample;
+    sample.stamp = imu->header.stamp.toSec() + shift;
+    sample.angular_velocity = {imu->angular_velocity.x, imu->angular_velocity.y, imu->angular_velocity.z};
+    sample.specific_force = {imu->linear_acceleration.x, imu->linear_acceleration.y, imu->linear_acceleration.z};
+    run.addImu(sample);
+  }
+  if (const auto pose = m.instantiate<geometry_msgs::PoseStamped>())
+    run.addTruth(pose->header.stamp.toSec() + shift, ros_utils::fromMsg(pose->pose));
+}
+
 /// `live`: at the rate of the bag, as far as the machine keeps up.
-void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double duration, bool live, OfflineRun& run) {
-  const ros::Time begin = rosbag::View(bag).getBeginTime() + ros::Duration(start);
-  const ros::Time end = duration > 0 ? begin + ros::Duration(duration) : ros::TIME_MAX;
+void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double duration, bool live, int rounds,
+            OfflineRun& run) {
+  constexpr double kBetweenRounds = 0.05;  // [s]
+  rosbag::View all(bag);
+  const ros::Time begin = all.getBeginTime() + ros::Duration(start);
+  const ros::Time end = duration > 0 ? begin + ros::Duration(duration) : all.getEndTime();
   const auto played = std::chrono::steady_clock::now();
   double late = 0;
-  for (const rosbag::MessageInstance& m :
-       rosbag::View(bag, rosbag::TopicQuery({imageTopic(bag, topics.image), topics.imu, topics.truth}), begin, end)) {
-    if (live) {
-      const auto due = played + std::chrono::duration<double>((m.getTime() - begin).toSec());
-      const std::chrono::duration<double> behind = std::chrono::steady_clock::now() - due;
-      late = std::max(late, behind.count());
-      std::this_thread::sleep_for(-behind);
+  for (int round = 0; round < rounds; ++round) {
+    const double shift = round * ((end - begin).toSec() + kBetweenRounds);
+    for (const rosbag::MessageInstance& m :
+         rosbag::View(bag, rosbag::TopicQuery({imageTopic(bag, topics.image), topics.imu, topics.truth}), begin, end)) {
+      if (live) {
+        const auto due = played + std::chrono::duration<double>((m.getTime() - begin).toSec() + shift);
+        const std::chrono::duration<double> behind = std::chrono::steady_clock::now() - due;
+        late = std::max(late, behind.count());
+        std::this_thread::sleep_for(-behind);
+      }
+      runMessage(m, shift, run);
     }
-    if (const auto image = m.instantiate<sensor_msgs::Image>())
-      run.addImage(image->header.stamp.toSec(), [image] { return ros_utils::greyFromMsg(*image); });
-    if (const auto image = m.instantiate<sensor_msgs::CompressedImage>())
-      run.addImage(image->header.stamp.toSec(),
-                   [image] { return ros_utils::greyFromMsg(*ros_utils::decompressed(*image)); });
-    if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
-      mav_vo::ImuSample sample;
-      sample.stamp = imu->header.stamp.toSec();
-      sample.angular_velocity = {imu->angular_velocity.x, imu->angular_velocity.y, imu->angular_velocity.z};
-      sample.specific_force = {imu->linear_acceleration.x, imu->linear_acceleration.y, imu->linear_acceleration.z};
-      run.addImu(sample);
-    }
-    if (const auto pose = m.instantiate<geometry_msgs::PoseStamped>())
-      run.addTruth(pose->header.stamp.toSec(), ros_utils::fromMsg(pose->pose));
   }
   if (live) std::printf("live: at most %.2f s behind the bag\n", late);
 }
@@ -247,6 +259,7 @@ int main(int argc, char** argv) {
   Topics topics;
   double duration = 0, start = 0, imu_shift = 0;
   bool verbose = false, live = false;
+  int rounds = 1;
   std::vector<double> calibration;
   mav_vo::OdometrySettings settings;
   app.add_option("recording", path, "bag file, or folder that holds mav0")->required();
@@ -258,6 +271,7 @@ int main(int argc, char** argv) {
   app.add_option("--base", topics.base, "base frame");
   app.add_option("--start", start, "skip so much of the bag [s]");
   app.add_option("--duration", duration, "stop after so much of the bag [s]; 0 = all");
+  app.add_option("--rounds", rounds, "so many times over the bag, time going on")->check(CLI::PositiveNumber);
   app.add_option("--calibration", calibration, "fx fy cx cy k1 k2 p1 p2 k3 instead of the bag's")->expected(9);
   app.add_flag("--verbose", verbose, "a line a second");
   app.add_flag("--live", live,
@@ -283,6 +297,7 @@ int main(int argc, char** argv) {
   app.add_option("--time-offset", settings.gyro_alignment.time_offset, "t_imu - t_image of the same instant [s]");
   app.add_option("--time-offset-stddev", settings.gyro_alignment.time_offset_stddev, "of that; 0 = exact [s]");
   app.add_option("--readout-time", settings.readout_time, "of a rolling shutter [s]");
+  app.add_option("--readout-time-stddev", settings.readout_time_stddev, "of that; 0 = exact [s]");
   app.add_option("--imu-shift", imu_shift, "added to the IMU's stamps, to try out a time offset [s]");
   CLI11_PARSE(app, argc, argv);
   settings.synchronous = !live;
@@ -310,7 +325,7 @@ int main(int argc, char** argv) {
   }
   OfflineRun run(setup, settings, imu_shift, verbose);
   if (bag)
-    runBag(*bag, topics, start, duration, live, run);
+    runBag(*bag, topics, start, duration, live, rounds, run);
   else
     runFolder(folder, start, duration, run);
   run.finish();

@@ -15,7 +15,9 @@ constexpr double kBelievedNoise = 0.6;  // as the odometry has it [px]
 
 struct Case {
   Eigen::Vector3d bias = Eigen::Vector3d::Zero();
-  double offset = 0;       ///< t_imu - t_image [s]
+  double offset = 0;   ///< t_imu - t_image [s]
+  double readout = 0;  ///< of a rolling shutter [s]
+  double readout_stddev = 0;
   double outliers = 0.05;  ///< share of the tracks
   double duration = 2.5;   ///< [s]
   bool turn_only = false;  ///< the camera stays at its place
@@ -45,15 +47,22 @@ GyroAlignment align(const Case& run) {
   }
   GyroAlignmentSettings settings;
   if (!run.estimate_offset) settings.time_offset_stddev = 0;
+  settings.readout_time_stddev = run.readout_stddev;
   GyroAlignment alignment(settings, ImuNoise{}, synthetic::T_imu_camera().linear().transpose(),
-                          kBelievedNoise / camera.fx);
+                          kBelievedNoise / camera.fx, camera.height);
   for (int i = 0; 0.05 * i < run.duration; ++i) {
     const double t = begin + 0.05 * i;
     Pose T = flight.T_world_imu(t) * synthetic::T_imu_camera();
     if (run.turn_only) T.translation() = Eigen::Vector3d(0, 0, 2.5);
     std::vector<visual_frontend::Feature> features;
     for (std::size_t k = 0; k < points.size(); ++k) {
-      const auto pixel = camera.project(T.inverse() * points[k]);
+      auto pixel = camera.project(T.inverse() * points[k]);
+      for (int round = 0; pixel && run.readout != 0 && round < 3; ++round) {
+        Pose T_row = flight.T_world_imu(t + ((pixel->y() + 0.5) / camera.height - 0.5) * run.readout) *
+                     synthetic::T_imu_camera();
+        if (run.turn_only) T_row.translation() = Eigen::Vector3d(0, 0, 2.5);
+        pixel = camera.project(T_row.inverse() * points[k]);
+      }
       if (!pixel || !camera.contains(*pixel, 5)) continue;
       visual_frontend::Feature f;
       f.id = static_cast<visual_frontend::TrackId>(k);
@@ -103,6 +112,28 @@ TEST(GyroAlignment, FindsTheTimeOffset) {
   }
 }
 
+TEST(GyroAlignment, FindsTheReadoutTime) {
+  for (const double readout : {-0.02, 0.0, 0.01, 0.03}) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      Case run;
+      run.readout = readout;
+      run.readout_stddev = 0.02;
+      run.offset = 0.02;
+      run.bias = {0.03, 0.08, -0.05};
+      run.duration = 4;
+      run.seed = seed;
+      const GyroAlignment a = align(run);
+      std::printf("readout %5.1f ms: %5.2f +- %.2f ms, offset %5.2f +- %.2f ms\n", 1e3 * readout, 1e3 * a.readoutTime(),
+                  1e3 * a.readoutTimeStddev(), 1e3 * a.timeOffset(), 1e3 * a.timeOffsetStddev());
+      EXPECT_NEAR(a.readoutTime(), readout, 0.003);
+      EXPECT_LT(a.readoutTimeStddev(), 0.004);
+      EXPECT_LT(std::abs(a.readoutTime() - readout), 4 * a.readoutTimeStddev());
+      EXPECT_NEAR(a.timeOffset(), run.offset, 0.003);
+      EXPECT_LT((a.bias() - run.bias).norm(), 0.005);
+    }
+  }
+}
+
 TEST(GyroAlignment, LeavesAGivenOffsetAlone) {
   Case run;
   run.offset = 0.02;
@@ -112,7 +143,7 @@ TEST(GyroAlignment, LeavesAGivenOffsetAlone) {
 }
 
 TEST(GyroAlignment, KnowsNothingWithoutTracks) {
-  GyroAlignment a(GyroAlignmentSettings{}, ImuNoise{}, Eigen::Matrix3d::Identity(), 1e-3);
+  GyroAlignment a(GyroAlignmentSettings{}, ImuNoise{}, Eigen::Matrix3d::Identity(), 1e-3, 480);
   ImuBuffer buffer(10);
   for (int i = 0; i < 400; ++i) buffer.add({0.005 * i, Eigen::Vector3d::Zero(), Eigen::Vector3d(0, 0, kGravity)});
   for (int i = 0; i < 20; ++i) EXPECT_FALSE(a.add(0.1 * i, {}, buffer));

@@ -25,6 +25,8 @@ struct Options {
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
+  double readout = 0;    ///< of a rolling shutter [s]
+  double replay = 0;     ///< added to all stamps: the recording is played again, time going on [s]
   unsigned seed = 11;    ///< of the IMU's noise
   int grain = 5;         ///< of the images' noise
 };
@@ -34,6 +36,22 @@ struct Outcome {
   std::vector<FrameResult> frames;
   double metric_at = -1;
 };
+
+/// Strips of a few rows, each from where the camera is when they are read.
+cv::Mat renderRows(const synthetic::PlateWorld& world, const Options& options, double t, cv::RNG* grain) {
+  constexpr int kRows = 8;
+  const auto camera = synthetic::camera();
+  cv::Mat image(camera.height, camera.width, CV_8U);
+  for (int row = 0; row < camera.height; row += kRows) {
+    auto strip = camera;
+    strip.height = std::min(kRows, camera.height - row);
+    strip.cy -= row;
+    const double at = t + ((row + 0.5 * strip.height) / camera.height - 0.5) * options.readout;
+    world.render(strip, options.flight.T_world_imu(at) * synthetic::T_imu_camera(), options.gain(t), grain)
+        .copyTo(image.rowRange(row, row + strip.height));
+  }
+  return image;
+}
 
 Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* given = nullptr) {
   static const synthetic::PlateWorld world(3);
@@ -47,12 +65,13 @@ Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* gi
   cv::RNG grain(options.grain);
   const ImuNoise noise{1.7e-4, 2.9e-3, 2e-5, 6e-4};
   auto samples = options.flight.imuSamples(options.begin - 0.2, options.end + 0.1, 200, noise, options.bias, random);
-  for (ImuSample& sample : samples) sample.stamp += options.imu_shift;
+  for (ImuSample& sample : samples) sample.stamp += options.imu_shift + options.replay;
   std::size_t next = 0;
   Outcome outcome;
   for (int i = 1; options.begin + 0.05 * i <= options.end; ++i) {
     const double t = options.begin + 0.05 * i;
-    for (; options.imu && next < samples.size() && samples[next].stamp <= given->imuNeededAt(t) + 1e-9; ++next) {
+    for (; options.imu && next < samples.size() && samples[next].stamp <= given->imuNeededAt(t + options.replay) + 1e-9;
+         ++next) {
       ImuSample sample = samples[next];
       if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
       given->addImu(sample);
@@ -60,9 +79,10 @@ Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* gi
     const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
     outcome.truth.push_back({t, T});
     if (options.drop_image(t)) continue;
-    cv::Mat image = world.render(synthetic::camera(), T, options.gain(t), &grain);
+    cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
+                                         : renderRows(world, options, t, &grain);
     if (options.black(t)) image.setTo(3);
-    const FrameResult r = given->process(t, image);
+    const FrameResult r = given->process(t + options.replay, image);
     EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));
     EXPECT_TRUE(!r.metric || options.imu);
     if (r.metric && outcome.metric_at < 0) outcome.metric_at = t;
@@ -159,6 +179,26 @@ TEST(Odometry, FindsTheTimeOffset) {
   EXPECT_LT(last.time_offset_stddev, 0.004);
   ASSERT_GT(o.metric_at, 0) << last.reason;
   EXPECT_LT(ate(o, o.final_poses), 0.015 * air_ground_common::pathLength(o.truth));
+}
+
+TEST(Odometry, FindsTheReadoutTime) {
+  Options options;
+  options.flight.wobble = 0.15;
+  options.readout = 0.025;
+  const Outcome o = fly(options);
+  const FrameResult& last = o.frames.back();
+  std::printf("readout time %.2f +- %.2f ms, ATE %.4f m\n", 1e3 * last.readout_time, 1e3 * last.readout_time_stddev,
+              ate(o, o.final_poses));
+  EXPECT_NEAR(last.readout_time, options.readout, 0.004);
+  EXPECT_LT(last.readout_time_stddev, 0.004);
+  ASSERT_GT(o.metric_at, 0) << last.reason;
+  EXPECT_LT(ate(o, o.final_poses), 0.01 * air_ground_common::pathLength(o.truth));
+}
+
+TEST(Odometry, TakesAGlobalShutterForOne) {
+  Options options;
+  options.flight.wobble = 0.15;
+  for (const FrameResult& r : fly(options).frames) EXPECT_EQ(r.readout_time, 0) << r.stamp;
 }
 
 TEST(Odometry, IncrementsCarryAnHonestCovariance) {
@@ -343,6 +383,33 @@ TEST(Odometry, ResetGivesANewMap) {
   EXPECT_LT(
       (first.final_poses.back().T_map_body.translation() - second.final_poses.back().T_map_body.translation()).norm(),
       1e-6);
+}
+
+// A recording played again and again: the vehicle is carried back at each seam, which no IMU reports. The map survives
+// that, and holds no more than its places need.
+TEST(Odometry, TheSameRoundAgainNeedsNoMoreMemory) {
+  OdometrySettings settings;
+  settings.full_max_keyframes = 12;
+  Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), settings);
+  Options options;
+  options.end = 8;
+  fly(options, settings, &odometry);
+  std::size_t keyframes = 0, landmarks = 0;
+  for (int round = 1; round <= 3; ++round) {
+    options.replay += 8;
+    const Outcome o = fly(options, settings, &odometry);
+    EXPECT_EQ(odometry.mapId(), 1u);
+    EXPECT_EQ(o.frames.back().state, OdometryState::kTracking) << o.frames.back().reason;
+    EXPECT_LT(ate(o, o.online), 0.01 * air_ground_common::pathLength(o.truth));
+    std::printf("round %d: %zu keyframes, %zu landmarks, ATE %.4f m\n", round, odometry.map().keyframeCount(),
+                odometry.map().landmarkCount(), ate(o, o.online));
+    if (round >= 2) {
+      EXPECT_LE(odometry.map().keyframeCount(), keyframes + 2);
+      EXPECT_LE(odometry.map().landmarkCount(), 1.1 * static_cast<double>(landmarks));
+    }
+    keyframes = odometry.map().keyframeCount();
+    landmarks = odometry.map().landmarkCount();
+  }
 }
 
 TEST(Odometry, RefusesWhatItCannotUse) {

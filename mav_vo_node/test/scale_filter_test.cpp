@@ -120,7 +120,7 @@ struct Believed {
   bool metric = false;    ///< at any time what the odometry takes for certain
   double metric_at = -1;  ///< [s]
   double ratio = 0;       ///< then: estimated over true scale
-  bool contradicted = false;
+  bool contradicted = false, inverted = false;
   double mean_nis = 0;
 };
 
@@ -151,6 +151,7 @@ Believed believe(unsigned seed, const Spoil& spoil) {
     if (i > 0) motion = motionBetween(t - frame, t, buffer, noise, {bias.gyro, Eigen::Vector3d::Zero()});
     filter.add(seenAt(flight, t, R_map_world, origin, true_scale, 0.002 / true_scale * vector()), motion);
     result.contradicted = result.contradicted || filter.contradicted();
+    result.inverted = result.inverted || filter.inverted();
     if (filter.certain(0.02) && !result.metric) {
       result.metric = true;
       result.metric_at = i * frame;
@@ -193,11 +194,23 @@ TEST(ScaleFilter, IsNotCertainWithAWrongImu) {
   }
 }
 
+TEST(ScaleFilter, NamesAccelerationsOfTheWrongSign) {
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    const Believed b = believe(seed, [](ImuSample s) {
+      s.specific_force *= -1;
+      return s;
+    });
+    EXPECT_TRUE(b.inverted) << seed;
+    EXPECT_FALSE(b.metric) << seed;
+  }
+}
+
 TEST(ScaleFilter, IsCertainWithAGoodImu) {
   double latest = 0;
   for (unsigned seed = 1; seed <= 8; ++seed) {
     const Believed b = believe(seed, [](ImuSample s) { return s; });
     ASSERT_TRUE(b.metric) << seed;
+    EXPECT_FALSE(b.inverted) << seed;
     EXPECT_NEAR(b.ratio, 1.0, 0.05) << seed;
     latest = std::max(latest, b.metric_at);
   }

@@ -58,7 +58,7 @@ bool Slam::Impl::levelMap() {
     up = estimate->up;
     sigma = estimate->up_sigma;
   } else if (rest) {
-    up = poseOf(frames.back()).linear() * R_camera_imu * attitude.up();
+    up = lastPose().linear() * R_camera_imu * attitude.up();
     sigma = attitude.upSigma();
   } else {
     return false;

@@ -8,42 +8,92 @@
 
 namespace rgbd_slam {
 
-bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
-  if (since_keyframe < settings.keyframe_min_gap) return false;
-  const Keyframe& last = map.keyframe(map.lastKeyframe());
+namespace {
+
+constexpr double kSameView = 0.25;  // of the change of view that makes a keyframe
+
+int landmarksOf(const Keyframe& keyframe) {
+  return static_cast<int>(std::count_if(keyframe.observations.begin(), keyframe.observations.end(),
+                                        [](const Observation& o) { return o.landmark != kNoLandmark; }));
+}
+
+/// How far a camera is from a keyframe's, by the larger of distance and angle over what makes a new keyframe.
+double changeOfView(const visual_frontend::Map& map, const Keyframe& keyframe, const Pose& T_map_camera,
+                    const SlamSettings& settings) {
   // Seen from afar, parallax grows slowly: distances count against the depth of the scene.
   std::vector<double> depths;
-  for (const Observation& o : last.observations) {
+  for (const Observation& o : keyframe.observations) {
     if (o.landmark != kNoLandmark)
-      depths.push_back((last.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
+      depths.push_back((keyframe.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
   }
   double median = 2.0;
   if (!depths.empty()) {
     std::nth_element(depths.begin(), depths.begin() + depths.size() / 2, depths.end());
     median = depths[depths.size() / 2];
   }
-  // Both against their thresholds.
-  const double moved =
-      (T_map_camera.translation() - last.T_map_camera.translation()).norm() / (settings.keyframe_translation * median);
-  const double turned =
-      air_ground_common::rotationAngle(T_map_camera.linear(), last.T_map_camera.linear()) / settings.keyframe_rotation;
-  if (moved > 1 || turned > 1) return true;
-  // From where the last keyframe stood, another sees nothing new, unless landmarks were lost since.
-  const bool something_new = moved > 0.25 || turned > 0.25 || keyframe_landmarks > 1.25 * landmarks;
-  return something_new &&
-         (landmarks < settings.keyframe_overlap * keyframe_landmarks || landmarks < 3 * settings.min_inliers);
+  const double distance = (T_map_camera.translation() - keyframe.T_map_camera.translation()).norm();
+  const double angle = air_ground_common::rotationAngle(T_map_camera.linear(), keyframe.T_map_camera.linear());
+  return std::max(distance / (settings.keyframe_translation * median), angle / settings.keyframe_rotation);
+}
+
+}  // namespace
+
+bool Slam::Impl::outgrown(const Keyframe& keyframe, const Pose& T_map_camera, int landmarks) const {
+  const double change = changeOfView(map, keyframe, T_map_camera, settings);
+  if (change > 1) return true;
+  // From where the keyframe stood, another sees nothing new, unless landmarks were lost since.
+  const int seen = landmarksOf(keyframe);
+  return (change > kSameView || seen > 1.25 * landmarks) &&
+         (landmarks < settings.keyframe_overlap * seen || landmarks < 3 * settings.min_inliers);
+}
+
+bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
+  return since_keyframe >= settings.keyframe_min_gap && outgrown(map.keyframe(reference), T_map_camera, landmarks);
+}
+
+KeyframeId Slam::Impl::keyframeOfView(const Pose& T_map_camera, int landmarks) const {
+  std::vector<LandmarkId> tracked;
+  for (const auto& entry : track_landmark) tracked.push_back(entry.second);
+  // Shared landmarks say that the two are right to each other: else there may be a loop to close.
+  for (const auto& c : map.observers(tracked, 2 * settings.min_inliers)) {
+    if (!outgrown(map.keyframe(c.keyframe), T_map_camera, landmarks)) return c.keyframe;
+  }
+  return kNoKeyframe;
+}
+
+void Slam::Impl::setReference(KeyframeId id) {
+  finishDepth();
+  reference = id;
+  since_keyframe = since_reobservation = 0;
+}
+
+void Slam::Impl::removeReplacedBy(KeyframeId id) {
+  for (const auto& c : map.covisible(id, 2 * settings.min_inliers)) {
+    // The first one is the origin; the latest may hold what is tracked.
+    if (c.keyframe == map.keyframes().begin()->first || c.keyframe + settings.loop_min_gap > id) continue;
+    if (changeOfView(map, map.keyframe(c.keyframe), map.keyframe(id).T_map_camera, settings) > kSameView) continue;
+    frames.rebase(c.keyframe, id, map);
+    for (auto& [track, views] : track_views) {
+      views.erase(std::remove_if(views.begin(), views.end(),
+                                 [&](const LandmarkObservation& v) { return v.keyframe == c.keyframe; }),
+                  views.end());
+    }
+    keyframe_covariance.erase(c.keyframe);
+    keyframe_path.erase(c.keyframe);
+    keyframe_points.erase(c.keyframe);
+    map.removeKeyframe(c.keyframe);
+  }
 }
 
 void Slam::Impl::finishDepth() {
   if (!active_depth) return;
-  keyframe_points[map.lastKeyframe()] =
+  keyframe_points[reference] =
       std::make_shared<const std::vector<KeyframeDepth::Point>>(active_depth->points(settings.depth, settings.cloud));
   active_depth.reset();
 }
 
 KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance,
                                    const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
-  finishDepth();
   tracker.replenish();
   Keyframe keyframe;
   keyframe.stamp = stamp;
@@ -71,9 +121,7 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
 
   createLandmarks(id);
   if (map.keyframeCount() > 1) adjustWindow(id);
-  keyframe_landmarks = 0;
-  for (const Observation& o : map.keyframe(id).observations) keyframe_landmarks += o.landmark != kNoLandmark;
-  since_keyframe = since_reobservation = 0;
+  setReference(id);
   map.dropFarImages(T_map_camera, settings.max_image_keyframes);
   active_depth = std::make_unique<KeyframeDepth>(camera, depth, bgr, settings.depth, settings.cloud, &rows);
   return id;

@@ -42,7 +42,7 @@ std::string adviceFor(State state) {
     case State::kInitializing:
       return "let the camera see textured surfaces within the range of its depth";
     case State::kLost:
-      return "drive back to where the robot has been, or set restart_after, or call ~reset";
+      return "drive back to where the robot has been; among other places a new map begins after restart_after";
     default:
       return "";
   }

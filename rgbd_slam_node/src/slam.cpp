@@ -69,12 +69,13 @@ void Slam::Impl::clear() {
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
-  first_stamp = lost_since = last_attempt = -1;
+  first_stamp = strange_since = last_attempt = -1;
   nearly_found = false;
   path = 0;
   velocity.setZero();
   turn_rate.setZero();
-  since_keyframe = since_reobservation = keyframe_landmarks = 0;
+  since_keyframe = since_reobservation = 0;
+  reference = kNoKeyframe;
 }
 
 FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
@@ -113,7 +114,7 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   addKeyframe(stamp, T_map_camera, Matrix6d::Identity() * 1e-10, gray, bgr, depth);
   if (imu_ready) startInertial();
   tilt_sigma = imu_ready ? attitude.upSigma() : 0.05;
-  frames.push_back({stamp, map.lastKeyframe(), Pose::Identity()});
+  frames.add(stamp, T_map_camera, reference, map);
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
   result.T_map_camera = T_map_camera;
@@ -121,7 +122,7 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   updateInertial(stamp, T_map_camera, Matrix6d::Zero());
   result.covariance = withTilt(keyframe_covariance.begin()->second, result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
-  result.inliers = keyframe_landmarks;
+  result.inliers = static_cast<int>(track_landmark.size());
   return result;
 }
 
@@ -165,20 +166,21 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
     result.tracked = static_cast<int>(tracker.features().size());
   }
   if (!tracked.success) {
-    if (!was_lost) lost_since = stamp;
     state = result.state = State::kLost;
     result.reason = why;
     ++counters.lost_frames;
-    const bool restart = settings.restart_after > 0 && stamp - lost_since > settings.restart_after;
+    const bool restart =
+        settings.restart_after > 0 && strange_since >= 0 && stamp - strange_since >= settings.restart_after;
     // A map this small is no loss; nor can much be recognised by it.
     if (restart || map.keyframeCount() < 2) clear();
     return result;
   }
   if (was_lost) ++counters.relocalizations;
+  strange_since = -1;
   state = State::kTracking;
 
-  const Pose T_before = poseOf(frames.back());
-  const double dt = stamp - frames.back().stamp;
+  const Pose T_before = lastPose();
+  const double dt = stamp - frames.lastStamp();
   Pose T_map_camera = tracked.pose.T_map_camera;
   result.T_previous_current_base = mounting.T_base_camera * T_before.inverse() * T_map_camera * T_camera_base;
   path += (T_map_camera.translation() - T_before.translation()).norm();
@@ -194,28 +196,31 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   ++since_keyframe;
 
   // Uncertainty of the map here, then of the camera in the map.
-  const KeyframeId reference = map.lastKeyframe();
   const Eigen::Vector3d lever = T_map_camera.translation() - map.keyframe(reference).T_map_camera.translation();
   Matrix6d J = Matrix6d::Identity();
   J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
   const Matrix6d covariance = J * keyframe_covariance.at(reference) * J.transpose() + tracked.pose.covariance;
 
-  if (result.relocalized || keyframeDue(T_map_camera, tracked.landmarks)) {
+  const bool due = result.relocalized || keyframeDue(T_map_camera, tracked.landmarks);
+  const KeyframeId known = due ? keyframeOfView(T_map_camera, tracked.landmarks) : reference;
+  if (known == kNoKeyframe) {
     const KeyframeId id = addKeyframe(stamp, T_map_camera, tracked.pose.covariance, gray, colour, depth);
     result.keyframe = true;
+    frames.add(stamp, map.keyframe(id).T_map_camera, id, map);
     if (settings.loop_closure) result.map_corrected = closeLoop(id);
-    frames.push_back({stamp, id, Pose::Identity()});
+    removeReplacedBy(id);
   } else {
-    frames.push_back({stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera});
+    if (known != reference) setReference(known);
+    frames.add(stamp, T_map_camera, reference, map);
     if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
-      active_depth->fuse(camera, depth, frames.back().T_reference_camera.inverse(), settings.depth, settings.cloud,
-                         &rows);
+      const Pose T_reference_camera = map.keyframe(reference).T_map_camera.inverse() * T_map_camera;
+      active_depth->fuse(camera, depth, T_reference_camera.inverse(), settings.depth, settings.cloud, &rows);
     }
   }
-  if (result.map_corrected) inertial.transform(poseOf(frames.back()) * T_map_camera.inverse());
-  updateInertial(stamp, poseOf(frames.back()), tracked.pose.covariance);
+  if (result.map_corrected) inertial.transform(lastPose() * T_map_camera.inverse());
+  updateInertial(stamp, lastPose(), tracked.pose.covariance);
   if (levelMap()) result.map_corrected = true;
-  T_map_camera = poseOf(frames.back());
+  T_map_camera = lastPose();
   result.state = State::kTracking;
   result.T_map_camera = T_map_camera;
   result.T_map_base = T_map_camera * T_camera_base;
@@ -249,12 +254,7 @@ FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr,
   return impl_->process(stamp, gray, bgr, depth);
 }
 
-air_ground_common::Trajectory Slam::trajectory() const {
-  air_ground_common::Trajectory result;
-  result.reserve(impl_->frames.size());
-  for (const auto& frame : impl_->frames) result.push_back({frame.stamp, impl_->poseOf(frame)});
-  return result;
-}
+air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }
 
 std::vector<PosedPoints> Slam::posedPoints() const {
   std::vector<PosedPoints> result;
@@ -263,8 +263,7 @@ std::vector<PosedPoints> Slam::posedPoints() const {
   if (impl_->active_depth && impl_->map.keyframeCount() > 0) {
     auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(
         impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
-    const KeyframeId last = impl_->map.lastKeyframe();
-    result.push_back({impl_->map.keyframe(last).T_map_camera, points, last});
+    result.push_back({impl_->map.keyframe(impl_->reference).T_map_camera, points, impl_->reference});
   }
   return result;
 }

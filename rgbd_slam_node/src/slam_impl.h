@@ -5,6 +5,7 @@
 #include <set>
 #include <utility>
 
+#include "keyframe_trajectory.h"
 #include "rgbd_slam/slam.h"
 
 namespace rgbd_slam {
@@ -48,7 +49,8 @@ struct Slam::Impl {
   std::map<KeyframeId, Matrix6d> keyframe_covariance;
   std::map<KeyframeId, double> keyframe_path;  ///< way driven until there [m]
   std::map<KeyframeId, KeyframePoints> keyframe_points;
-  std::unique_ptr<KeyframeDepth> active_depth;  ///< of the last keyframe
+  std::unique_ptr<KeyframeDepth> active_depth;  ///< of the last keyframe, while that is the reference
+  KeyframeId reference = kNoKeyframe;           ///< whose view the present frames share
   bool gravity_known = false;
   bool leveled = false;      ///< or nothing to level with
   double tilt_sigma = 0.05;  ///< of the map against gravity, about its origin [rad]
@@ -56,16 +58,11 @@ struct Slam::Impl {
   SlamCounters counters;
 
   // ---- Trajectory
-  struct FrameRecord {
-    double stamp;
-    KeyframeId reference;
-    Pose T_reference_camera;
-  };
-  std::vector<FrameRecord> frames;
+  KeyframeTrajectory frames;
   State state = State::kWaiting;
   double first_stamp = -1;
   double last_stamp = -1;
-  double lost_since = -1;
+  double strange_since = -1;  ///< lost, the camera sees other places than those of the map [s]
   double last_attempt = -1;   ///< at finding the way back [s]
   std::string lost_reason;    ///< what came of it
   bool nearly_found = false;  ///< some of a place's points agreed, too few to be sure: the next image is worth a look
@@ -74,15 +71,12 @@ struct Slam::Impl {
   Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
   int since_keyframe = 0;
   int since_reobservation = 0;
-  int keyframe_landmarks = 0;  ///< landmarks that the last keyframe saw
 
   // ---- slam.cpp
   FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   FrameResult initialize(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   void clear();
-  Pose poseOf(const FrameRecord& frame) const {
-    return map.keyframe(frame.reference).T_map_camera * frame.T_reference_camera;
-  }
+  Pose lastPose() const { return frames.lastPose(map); }
   /// Covariance of a pose in the map, with the tilt of the map that all poses share.
   Matrix6d withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const;
 
@@ -119,7 +113,14 @@ struct Slam::Impl {
   void updateMotion(double dt, const Pose& T_before, const Pose& T_now);
 
   // ---- mapping.cpp
+  /// Whether a frame with so many landmarks sees other things than the keyframe, by more than the settings allow.
+  bool outgrown(const Keyframe& keyframe, const Pose& T_map_camera, int landmarks) const;
   bool keyframeDue(const Pose& T_map_camera, int landmarks) const;
+  /// An earlier keyframe whose view a frame has come back to; kNoKeyframe: none.
+  KeyframeId keyframeOfView(const Pose& T_map_camera, int landmarks) const;
+  void setReference(KeyframeId id);
+  /// Takes keyframes out of the map that stood where `id` stands now, so that going about the same ground adds nothing.
+  void removeReplacedBy(KeyframeId id);
   KeyframeId addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance, const cv::Mat& gray,
                          const cv::Mat& bgr, const cv::Mat& depth);
   void createLandmarks(KeyframeId id);

@@ -46,7 +46,8 @@ void describe(air_ground_common::ParameterVisitor& v, SlamSettings& s) {
     "frames between searches for landmarks of the local map; 0 = off");
   v("local_keyframes", s.local_keyframes, {1, 100}, "", "the nearest keyframes make the local map");
   v("restart_after", s.restart_after, {0.0, 3600.0}, "s",
-    "lost for this long: begin a new map; 0 = wait to be somewhere known again");
+    "lost, and for this long images show other places than the map's: begin a new map; dark or covered images do not "
+    "count; 0 = wait to be somewhere known again");
 
   v.section("Keyframes and map");
   v("keyframe_distance", s.keyframe_translation, {0.01, 1.0}, "", "moved, over the scene's median depth");

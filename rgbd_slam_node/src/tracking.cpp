@@ -11,13 +11,18 @@ namespace rgbd_slam {
 using air_ground_common::expSO3;
 using air_ground_common::logSO3;
 
+namespace {
+
+constexpr double kGap = 1.0;  // without an image, after which nothing is known of what the camera saw between [s]
+
+}  // namespace
+
 Pose Slam::Impl::predict(double stamp, bool* from_gyro) const {
-  const FrameRecord& last = frames.back();
-  Pose T = poseOf(last);
-  const double dt = stamp - last.stamp;
+  Pose T = lastPose();
+  const double dt = stamp - frames.lastStamp();
   *from_gyro = false;
   if (mounting.R_base_imu) {
-    if (const auto R = imu.integrateRotation(last.stamp, stamp, gyro_bias)) {
+    if (const auto R = imu.integrateRotation(frames.lastStamp(), stamp, gyro_bias)) {
       T.linear() = T.linear() * (R_camera_imu * *R * R_camera_imu.transpose());
       *from_gyro = true;
     }
@@ -100,7 +105,7 @@ PoseResult Slam::Impl::solve(const std::vector<PoseCorrespondence>& c, const Pos
 
 Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const cv::Mat& depth) {
   Tracked tracked;
-  const Pose T_before = poseOf(frames.back());
+  const Pose T_before = lastPose();
   bool from_gyro = false;
   const Pose predicted = predict(stamp, &from_gyro);
   visual_frontend::TrackPrediction prediction;
@@ -136,7 +141,7 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
   track_landmark = std::move(living);
   track_views = std::move(living_views);
   // A rotation that may be off by more than a pixel is no known rotation.
-  const double rotation_sigma = gyro_bias_sigma * (stamp - frames.back().stamp);
+  const double rotation_sigma = gyro_bias_sigma * (stamp - frames.lastStamp());
   tracked.pose = solve(correspondences, predicted, from_gyro && focal * rotation_sigma < 1.5);
   const PoseResult& pose = tracked.pose;
   if (!pose.success || pose.inlier_count < settings.min_inliers ||
@@ -145,8 +150,7 @@ Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const c
                      std::to_string(pose.inlier_count) + " agree on a pose";
     return tracked;
   }
-  const double speed =
-      (pose.T_map_camera.translation() - T_before.translation()).norm() / (stamp - frames.back().stamp);
+  const double speed = (pose.T_map_camera.translation() - T_before.translation()).norm() / (stamp - frames.lastStamp());
   if (speed > settings.max_speed) {
     tracked.reason = "the camera would have moved at " + std::to_string(speed) + " m/s";
     return tracked;
@@ -233,9 +237,10 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
     tracked.reason = lost_reason;
     return tracked;
   }
+  if (stamp - last_attempt > kGap) strange_since = -1;
   last_attempt = stamp;
   ++counters.relocalization_attempts;
-  setRowMotion(stamp, poseOf(frames.back()));
+  setRowMotion(stamp, lastPose());
   tracker.track(gray);
   const auto accept = [&](const Pose& around, double radius) {
     tracked.pose = PoseResult();
@@ -251,12 +256,17 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   };
   // Not far from where it was: the gyro still knows the rotation.
   bool from_gyro = false;
-  if (stamp - frames.back().stamp < 0.5 && accept(predict(stamp, &from_gyro), 16.0)) return tracked;
+  if (stamp - frames.lastStamp() < 0.5 && accept(predict(stamp, &from_gyro), 16.0)) return tracked;
   Keyframe query;
   fillOrb(gray, depth, query);
+  const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
+  if (with_depth < settings.min_start_features)
+    strange_since = -1;
+  else if (strange_since < 0)
+    strange_since = stamp;
   visual_frontend::RelocalizationGate gate;
-  gate.T_map_last = poseOf(frames.back());
-  gate.max_distance = settings.relocalization_slack + settings.max_speed * (stamp - frames.back().stamp);
+  gate.T_map_last = lastPose();
+  gate.max_distance = settings.relocalization_slack + settings.max_speed * (stamp - frames.lastStamp());
   if (gravity_known && attitude.initialized()) {
     gate.up_camera = R_camera_imu * attitude.up();
     gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());

@@ -281,6 +281,32 @@ TEST(Slam, OnlyTheNearestKeyframesKeepTheirImage) {
   EXPECT_LT(worst(run, slam.trajectory()), 0.03);
 }
 
+TEST(Slam, RoundsOverTheSameGroundAddNothing) {
+  Robot robot;
+  robot.radius = 0.5;
+  robot.speed = 0.6;
+  robot.rest = 0;
+  const double round = 2 * M_PI * robot.radius / robot.speed;
+  Slam slam(robot.camera, robot.mounting, {});
+  Drive run = drive(robot, slam, 0, 1.5 * round);
+  const std::size_t keyframes = slam.map().keyframeCount(), landmarks = slam.map().landmarkCount();
+  const auto points = [&] {
+    std::size_t count = 0;
+    for (const PosedPoints& k : slam.posedPoints()) count += k.points->size();
+    return count;
+  };
+  const std::size_t dense = points();
+  const Drive more = drive(robot, slam, 1.5 * round + 0.1, 4.5 * round);
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_LT(slam.map().keyframeCount(), 1.1 * keyframes);
+  EXPECT_LT(slam.map().landmarkCount(), 1.1 * landmarks);
+  EXPECT_LT(points(), 1.1 * dense);
+  // Each frame has its pose all the same, as good as before.
+  run.truth.insert(run.truth.end(), more.truth.begin(), more.truth.end());
+  EXPECT_EQ(slam.trajectory().size() + 1, run.truth.size());  // the first one waits for the IMU
+  EXPECT_LT(worst(run, slam.trajectory()), 0.04);
+}
+
 TEST(Slam, LostSaysSoAndFindsItsWayBack) {
   Robot robot;
   robot.rest = 0.8;
@@ -298,6 +324,39 @@ TEST(Slam, LostSaysSoAndFindsItsWayBack) {
   EXPECT_TRUE(r.relocalized);
   EXPECT_LT((r.T_map_base.translation() - robot.mapped(2.0).translation()).norm(), 0.02);
   EXPECT_EQ(slam.trajectory().size(), poses + 1);
+}
+
+TEST(Slam, LostAmongUnknownPlacesItBeginsANewMap) {
+  Robot robot;
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 3);
+  Random random(5);
+  Robot elsewhere;
+  elsewhere.texture = visual_frontend::synthetic::texture(1800, 8);
+  elsewhere.texture.convertTo(elsewhere.texture, -1, 1.8, -102);
+  const auto known = robot.frame(2, random), strange = elsewhere.frame(2, random);
+  auto dark = known;
+  dark.gray = cv::Mat(known.gray.size(), CV_8U, cv::Scalar(15));
+  double t = 3;
+  const auto see = [&](const Robot::Frame& frame, double seconds) {
+    FrameResult r;
+    for (int i = 0; i < std::lround(10 * seconds); ++i) r = slam.process(t += 0.1, frame.gray, cv::Mat(), frame.depth);
+    return r;
+  };
+  // Covered for long, then a person in front of it for four seconds: the map is kept, and known ground found again.
+  EXPECT_EQ(see(dark, 12).state, State::kLost);
+  EXPECT_EQ(see(strange, 4).state, State::kLost);
+  const FrameResult back = see(known, 0.5);
+  EXPECT_EQ(back.state, State::kTracking) << back.reason;
+  EXPECT_LT((back.T_map_base.translation() - robot.mapped(2).translation()).norm(), 0.02);
+  EXPECT_EQ(slam.mapId(), 1);
+  // A gap in the recording, and nothing known after it: a new map.
+  t += 8;
+  EXPECT_EQ(see(strange, 4.5).state, State::kLost);
+  const FrameResult anew = see(strange, 1.5);
+  EXPECT_EQ(anew.state, State::kTracking) << anew.reason;
+  EXPECT_EQ(slam.mapId(), 2);
+  EXPECT_EQ(slam.counters().maps, 2);
 }
 
 TEST(Slam, LoopClosureRemovesDrift) {

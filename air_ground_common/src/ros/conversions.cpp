@@ -30,8 +30,22 @@ void checkSize(const sensor_msgs::Image& msg) {
     throw std::invalid_argument("image: its data do not fit its size");
 }
 
+/// What cv_bridge takes as colour: numpy and OpenCV give images the names of their types.
+const char* colourOf(const std::string& encoding) {
+  namespace enc = sensor_msgs::image_encodings;
+  if (encoding == enc::TYPE_8UC1) return enc::MONO8.c_str();
+  if (encoding == enc::TYPE_8UC3) return enc::BGR8.c_str();
+  if (encoding == enc::TYPE_8UC4) return enc::BGRA8.c_str();
+  return nullptr;
+}
+
 cv::Mat convert(const sensor_msgs::Image& msg, const std::string& encoding) {
   checkSize(msg);
+  if (const char* colour = colourOf(msg.encoding)) {
+    sensor_msgs::Image named = msg;
+    named.encoding = colour;
+    return convert(named, encoding);
+  }
   try {
     const int bits = sensor_msgs::image_encodings::bitDepth(msg.encoding);
     if (msg.is_bigendian && bits > 8) {  // cv_bridge makes two channels of a pixel's two bytes

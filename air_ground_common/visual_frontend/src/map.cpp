@@ -150,6 +150,28 @@ void Map::dropFarImages(const Pose& T_map_camera, int keep, double metres_per_ra
   }
 }
 
+KeyframeId Map::redundantKeyframe(int newest, double distance, double angle) const {
+  if (keyframes_.size() <= static_cast<std::size_t>(std::max(0, newest))) return kNoKeyframe;
+  const auto candidate = std::prev(keyframes_.end(), newest + 1);
+  const Keyframe& later = candidate->second;
+  const Pose T_camera_map = later.T_map_camera.inverse();
+  std::vector<double> depths;
+  for (const Observation& o : later.observations)
+    if (o.landmark != kNoLandmark) depths.push_back((T_camera_map * landmarks_.at(o.landmark).position).z());
+  if (depths.empty()) return kNoKeyframe;
+  std::nth_element(depths.begin(), depths.begin() + depths.size() / 2, depths.end());
+  const double near = distance * depths[depths.size() / 2];
+  for (auto it = keyframes_.begin(); it != candidate; ++it) {
+    const Pose& T = it->second.T_map_camera;
+    if ((T.translation() - later.T_map_camera.translation()).norm() >= near ||
+        air_ground_common::rotationAngle(T.linear(), later.T_map_camera.linear()) >= angle)
+      continue;
+    const bool earlier_goes = it != keyframes_.begin() && it->second.pyramid.empty() && !later.pyramid.empty();
+    return earlier_goes ? it->first : candidate->first;
+  }
+  return kNoKeyframe;
+}
+
 void Map::transform(const air_ground_common::Similarity& S) {
   for (auto& [id, keyframe] : keyframes_) {
     keyframe.T_map_camera.translation() = S * keyframe.T_map_camera.translation();

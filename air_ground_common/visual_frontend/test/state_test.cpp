@@ -162,4 +162,31 @@ TEST(RollingShutter, CarriesWhatARowSeesToTheMiddleRowAndBack) {
 }
 
 }  // namespace
+TEST(Map, NamesTheKeyframeThatShowsAPlaceAgain) {
+  // Cameras look down at a landmark 2 m below; nearer than 0.1 times that is the same place.
+  const auto lookingDown = [](double x, double yaw, bool image) {
+    Keyframe k;
+    k.T_map_camera = Pose(Eigen::Translation3d(x, 0, 2) * Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()) *
+                          Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitX()));
+    k.observations.resize(1);
+    if (image) k.pyramid.push_back(cv::Mat(8, 8, CV_8UC1));
+    return k;
+  };
+  const auto redundant = [&](double x_early, bool early_image, double x_late, double yaw_late, bool late_image) {
+    Map map;
+    const LandmarkId landmark = map.addLandmark(Eigen::Vector3d(0, 0, 0));
+    for (const Keyframe& k : {lookingDown(-3, 0, true), lookingDown(x_early, 0, early_image),
+                              lookingDown(x_late, yaw_late, late_image), lookingDown(5, 0, true)})
+      map.connect(map.addKeyframe(k), 0, landmark);
+    return map.redundantKeyframe(1, 0.1, 0.25);
+  };
+  EXPECT_EQ(redundant(0, true, 0.19, 0, true), 2);
+  EXPECT_EQ(redundant(0, true, 0.21, 0, true), kNoKeyframe);
+  EXPECT_EQ(redundant(0, true, 0.1, 0.24, true), 2);
+  EXPECT_EQ(redundant(0, true, 0.1, 0.26, true), kNoKeyframe);
+  EXPECT_EQ(redundant(0, false, 0.1, 0, true), 1);  // the one that patches can be taken from stays
+  EXPECT_EQ(redundant(0, true, -2.9, 0, true), 2);
+  EXPECT_EQ(Map().redundantKeyframe(1, 0.1, 0.25), kNoKeyframe);
+}
+
 }  // namespace visual_frontend

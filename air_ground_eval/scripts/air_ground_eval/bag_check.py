@@ -31,10 +31,12 @@ CITY = {
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
-GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'bayer_rggb8', 'bayer_bggr8', 'bayer_gbrg8', 'bayer_grbg8', '8UC1', '8UC3')
+GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
+        '8UC1', '8UC3', '8UC4')
 DEPTH = ('16UC1', 'mono16', '32FC1')
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
+FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
 REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
 
 
@@ -100,7 +102,10 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
         elif standard not in ELSEWHERE:
-            findings.append(_missing(facts, standard, topic, types, purpose, actual))
+            finding = _missing(facts, standard, topic, types, purpose, actual)
+            if standard == '/mav/imu/data' and not city and 'set mav_imu' not in finding.text:
+                finding = Finding(WARNING, f'{finding.text}: mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale')
+            findings.append(finding)
     streams = read(facts.path, present.values())
     for robot in robots:
         _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
@@ -146,6 +151,8 @@ def _list(frames):
 def _stamps(topic, stream, least_rate):
     stamps, times = np.array(stream.stamps), np.array(stream.times)
     result = []
+    if len(stamps) == 1 and not least_rate and 'camera_info' in topic:
+        return [Finding(OK, f'{topic}: 1 message, taken for all images')]
     if len(stamps) < 2:
         return [Finding(ERROR, f'{topic} holds {len(stamps)} message(s)')]
     steps = np.diff(stamps)
@@ -190,7 +197,7 @@ def _image(topic, stream, encodings):
     if image._type == 'sensor_msgs/CompressedImage':
         return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
     if image.encoding not in encodings:
-        result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings[:6])}'))
+        result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
     if len(image.data) != image.step * image.height:
         result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
     elif image.encoding in ('16UC1', 'mono16') and encodings is DEPTH:
@@ -201,6 +208,12 @@ def _image(topic, stream, encodings):
             result.append(Finding(WARNING, f'{topic}: {100 * len(valid) / depth.size:.1f} % of the first image has a depth'))
         elif np.median(valid) > 12000:
             result.append(Finding(WARNING, f'{topic}: median depth {np.median(valid)} counts; 16UC1 is read as millimetres (TUM: 5000 a metre)'))
+    elif encodings is GREY:
+        wide = '16' in image.encoding
+        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8) / (257 if wide else 1)
+        if grey.std() < FLAT:
+            result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
+                                  + ('12 bits in 16? Scale them to the full range' if wide else 'too dark?')))
     return result
 
 
@@ -261,6 +274,8 @@ def _pairs(present, streams):
         a, b = np.array(streams[present[image]].stamps), np.sort(streams[present[other]].stamps)
         if not len(a) or not len(b):
             continue
+        if len(b) == 1 and other.endswith('camera_info'):
+            tolerance = np.inf
         i = np.clip(np.searchsorted(b, a), 1, max(len(b) - 1, 1))
         distance = np.minimum(np.abs(b[np.minimum(i, len(b) - 1)] - a), np.abs(b[i - 1] - a))
         alone = np.count_nonzero(distance > tolerance)
@@ -325,8 +340,9 @@ def _gravity_and_start(topic, stream, facts, base):
     if T_base_imu is not None and np.linalg.norm(mean) > 0:
         up = T_base_imu[:3, :3] @ mean / np.linalg.norm(mean)
         if up[2] < np.cos(np.radians(45)):
+            sign = ', or it has the sign of gravity (at rest it must be +9.81 along the axis that points up)' if up[2] < -np.cos(np.radians(45)) else ''
             result.append(Finding(WARNING, f'{topic}: its mean acceleration points along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}) of {base}, which is not up: '
-                                  f'the mounting {base} -> {_list(stream.frames)} or the order of the axes is wrong (or {base} is not z up)'))
+                                  f'the mounting {base} -> {_list(stream.frames)} or the order of the axes is wrong (or {base} is not z up){sign}'))
     first = stamps <= stamps[0] + 1.0
     bins = ((stamps[first] - stamps[0]) / 0.1).astype(int)
     means = np.array([gyro[first][bins == b].mean(0) for b in np.unique(bins)])

@@ -82,13 +82,14 @@ def guess(facts, city=False):
                    lambda t: (_has(t, GROUND_WORDS), _has(t, ('rgb', 'color', 'colour')), _common(t, depth), 'raw' in t))
     choose('/mav/camera/image_raw', [t for t in images if t not in depths and not _has(t, GROUND_WORDS)],
            lambda t: (_has(t, MAV_WORDS), _has(t, ('cam0', 'left', 'mono', 'gray', 'grey')), not _has(t, ('cam1', 'right', 'rect')), 'raw' in t))
+    cameras = ('/mav/camera/image_raw', '/ground/rgb/image_raw')
     for robot, camera, own, other in (('mav', '/mav/camera/image_raw', MAV_WORDS, GROUND_WORDS), ('ground', '/ground/rgb/image_raw', GROUND_WORDS, MAV_WORDS)):
         image = names.get(camera)
         if image is None:
             continue
         parent = image.rsplit('/', 1)[0]
         choose(camera.replace('image_raw', 'camera_info'), _infos(facts, parent), lambda t: 0)
-        imus = [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)]
+        imus = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)], image, [names.get(i) for i in cameras if i != camera])
         imu = choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t],
                      lambda t, image=image, own=own: (_has(t, own), _common(t, image), 'raw' not in t, 'gyro' not in t))
         if imu is not None and 'gyro' in imu:
@@ -99,6 +100,16 @@ def guess(facts, city=False):
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
             choose(standard, facts.of_type(kind), lambda t: _has(t, MAV_WORDS))
     return names
+
+
+def _mounted(facts, imus, image, others):
+    """Of the IMUs those that /tf_static connects with the images' camera; where none is, those that are not on the other robot."""
+    def connected(imu, topic):
+        frames = [facts.frame(t) for t in (topic, *(f'{topic}/{kind}' for kind in TRANSPORTS)) if t in facts.types]
+        return bool(frames) and facts.static_transform(frames[0], facts.frame(imu)) is not None
+
+    own = [imu for imu in imus if connected(imu, image)]
+    return own or [imu for imu in imus if not any(other and connected(imu, other) for other in others)]
 
 
 def guess_base(facts, robot, frame):
@@ -122,10 +133,11 @@ def command(facts, names, bases, frames, city=False, registered=True):
     words += [f'{argument}:=compressed' for standard, argument in TRANSPORT_ARGUMENTS.items()
               if standard in names and transport(facts, names[standard]) == 'compressed']
     words += [] if registered else ['ground_depth_registered:=false']
+    words += ['mav_use_imu:=false'] if 'mav' in robots and '/mav/imu/data' not in names and not city else []
     for robot in robots:
         words += [f'{robot}_base_frame:={bases[robot]}'] if bases.get(robot, f'{robot}_base_link') != f'{robot}_base_link' else []
         default = f'{robot}_camera_optical_frame'
-        words += [f'{robot}_camera_frame:={frames[robot]}'] if not city and frames.get(robot, default) != default else []
+        words += [f'{robot}_camera_frame:={frames[robot]}'] if not city and frames.get(robot, default) not in (default, '') else []
     if not city:
         words += [] if 'mav' in robots else ['mav_vo:=false', 'dense_fusion:=false']
         words += [] if 'ground' in robots else ['rgbd_slam:=false']

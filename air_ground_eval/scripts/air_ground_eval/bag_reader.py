@@ -113,6 +113,13 @@ class BagFacts:
                 frame, below = parent, frame
         return messages.static_transforms([(parent, child, transform) for (parent, child), transform in edges.items()], self.begin)
 
+    def frame(self, topic):
+        """Frame id of a topic's first message; None without one."""
+        with open_bag(self.path) as bag:
+            for _, message, _ in bag.read_messages([topic]):
+                return message.header.frame_id.lstrip('/') if hasattr(message, 'header') else None
+        return None
+
     def of_type(self, *kinds):
         """Topics of these message types, in order."""
         return sorted(topic for topic, kind in self.types.items() if kind in kinds)

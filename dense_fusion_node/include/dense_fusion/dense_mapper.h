@@ -58,9 +58,12 @@ class DenseMapper {
 
   /// Adds an image (CV_8UC1 or CV_8UC3 BGR) of time `stamp` [ns] with the pose of its camera. depth_min, depth_max:
   /// expected depths in view [m], 0 if unknown. Returns a fused map whenever one is complete. A changed calibration
-  /// starts afresh. Throws std::invalid_argument for an image, calibration or pose that cannot be used.
+  /// starts afresh. `readout_time` of a rolling shutter [s], whose stamp is its middle row's: the camera's motion is
+  /// that since the image before, so all images are to be given. Throws std::invalid_argument for an image, calibration
+  /// or pose that cannot be used.
   std::optional<FusedMap> add(const cv::Mat& image, const air_ground_common::CameraModel& camera, std::int64_t stamp,
-                              const Eigen::Isometry3d& T_map_camera, double depth_min, double depth_max);
+                              const Eigen::Isometry3d& T_map_camera, double depth_min, double depth_max,
+                              double readout_time = 0);
 
   /// For poses in a unit that nobody knows: all lengths in the settings become relative to the scene's distance, in
   /// that the present `scene_distance` (in the poses' unit) counts as `nominal_distance` metres. To be called before
@@ -87,6 +90,8 @@ class DenseMapper {
 
  private:
   void forgetViews();
+  RowMotion rowMotion(double readout_time, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera, double depth_min,
+                      double depth_max);
   void startSweep(const Frame& reference, double depth_min, double depth_max);
   std::optional<FusedMap> finishSweep();
   std::optional<FusedMap> fuseGroup();
@@ -99,6 +104,10 @@ class DenseMapper {
   std::unique_ptr<PlaneSweep> sweep_;  // keeps its memory from one reference to the next
   bool sweeping_ = false;
   std::deque<Frame> recent_;
+  struct {
+    std::int64_t stamp = 0;  // [ns]
+    Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();
+  } last_;  // pose given
   std::vector<DepthMap> group_;
   std::vector<Eigen::Vector3f> sparse_points_;
   std::size_t carried_over_ = 0;  // depth maps of the group that the fusion before has used already

@@ -25,6 +25,14 @@ struct Frame {
   cv::Mat normalized;  ///< CV_8U, 128 + gain * (intensity - local mean) / (local deviation + floor)
 };
 
+/// How the camera moved while its rolling shutter ran over an image: uniformly, in its own frame at the middle row.
+struct RowMotion {
+  double readout_time = 0;  ///< row r of h is seen at the image's stamp + (r / h - 0.5) * readout_time [s]
+  Eigen::Vector3d angular_rate = Eigen::Vector3d::Zero();  ///< [rad/s]
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();      ///< [m/s]
+  double depth = 0;                                        ///< of the scene, along the optical axis [m]; 0: far away
+};
+
 class Rectifier {
  public:
   /// `camera`: calibration of the recorded images. Throws std::invalid_argument for a bad calibration or setting.
@@ -35,13 +43,19 @@ class Rectifier {
   const air_ground_common::CameraModel& camera() const { return output_; }
   const air_ground_common::CameraModel& recordedCamera() const { return input_; }
 
-  /// `image`: CV_8UC1 or CV_8UC3 (BGR) of the calibration's size. Throws std::invalid_argument otherwise.
-  Frame rectify(const cv::Mat& image, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera) const;
+  /// `image`: CV_8UC1 or CV_8UC3 (BGR) of the calibration's size. Throws std::invalid_argument otherwise. Where rows
+  /// have times of their own, each is moved to where the camera at the middle row sees it: exactly for the turn, and
+  /// for the shift at the given depth.
+  Frame rectify(const cv::Mat& image, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera,
+                const RowMotion& rows = {}) const;
 
  private:
-  air_ground_common::CameraModel input_, output_;
+  cv::Mat rowMap(const RowMotion& rows) const;
+
+  air_ground_common::CameraModel input_, full_, output_;
   RectifierSettings settings_;
   cv::Mat map1_, map2_;
+  cv::Mat exact_map_;  ///< of full_'s pixels to those recorded, CV_32FC2
 };
 
 /// Local mean and contrast removed: unaffected by gain, offset and slow shading (vignetting, exposure). CV_8U in and

@@ -202,6 +202,7 @@ class Localizer {
     double unrelated = -1;  // what a wrong place costs [m^2]; negative: not known
     double variances = 0;   // of both maps' heights where that was measured, their sum [m^2]
     double piece = 0;       // area over which the heights of either map are alike [m^2]
+    double floor = std::numeric_limits<double>::quiet_NaN();  // of the aerial map [unit]; NaN: its own lowest surface
   };
   struct GroundLevel {
     HeightMap map;  // of larger cells
@@ -209,10 +210,13 @@ class Localizer {
     std::unique_ptr<FftCost> fft;  // where it was needed
     double piece = 0;              // see ScaleBackground, of this map alone
   };
-  RawCloud rawCloud() const;
+  RawCloud rawCloud(std::size_t most) const;
+  ScaleTrial placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre, GroundLevel& ground);
   ScaleTrial tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
                       const ScaleBackground& background);
   void refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature);
+  void settleScale(ScaleTrial* trial, double* curvature);
+  double scaleDeviation(const ScaleTrial& trial, double curvature) const;
   GroundLevel& groundLevel(int factor);
   void remakeKeptMaps();
   Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }

@@ -1,6 +1,7 @@
-// Gyro bias and camera-IMU time offset from feature tracks alone, in any motion: the gyro's rotation between two images
-// must satisfy the epipolar constraint with some translation (the idea of Kneip and Lynen 2013 and He et al. 2023, with
-// the translations eliminated by the Schur complement instead of eigenvalue derivatives). Needs neither map nor scale.
+// Gyro bias, camera-IMU time offset and the readout time of a rolling shutter from feature tracks alone, in any motion:
+// the gyro's rotation between two images must satisfy the epipolar constraint with some translation (the idea of Kneip
+// and Lynen 2013 and He et al. 2023, with the translations eliminated by the Schur complement instead of eigenvalue
+// derivatives). A row that is read later shows a track where it has moved to since. Needs neither map nor scale.
 #pragma once
 
 #include <Eigen/Core>
@@ -25,6 +26,9 @@ struct GyroAlignmentSettings {
   double time_offset = 0;            ///< t_imu = t_image + time_offset: of the same instant on both clocks [s]
   double time_offset_stddev = 0.03;  ///< of that figure before the first image [s]; 0 = exact, it is not estimated
   double max_time_offset = 0.12;     ///< estimates farther from the given one are refused [s]
+  double readout_time = 0;           ///< row r of h is exposed at stamp + (r / h - 0.5) readout_time [s]
+  double readout_time_stddev = 0;    ///< of that figure before the first image [s]; 0 = exact, it is not estimated
+  double max_readout_time = 0.06;    ///< estimates beyond are refused [s]
   double time_offset_walk = 1e-4;    ///< random walk of the offset [s/sqrt(s)]
   double window = 3.0;               ///< image pairs older than this are frozen [s]
   double view_interval = 0.09;       ///< between images that are used [s]
@@ -36,15 +40,19 @@ struct GyroAlignmentSettings {
 
 class GyroAlignment {
  public:
-  /// `sigma`: of a normalised image coordinate.
+  /// `sigma`: of a normalised image coordinate; `rows`: of the images.
   GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoise& noise, const Eigen::Matrix3d& R_camera_imu,
-                double sigma);
+                double sigma, int rows);
 
-  /// Next image's tracks; `imu` should reach to stamp + timeOffset(). True when the estimate changed.
+  /// Next image's tracks, as recorded: nothing done for their rows. `imu` should reach to stamp + timeOffset(). True
+  /// when the estimate changed.
   bool add(double stamp, const std::vector<visual_frontend::Feature>& features, const ImuBuffer& imu);
 
   /// A bias from elsewhere, a rest for example [rad/s].
   void setBias(const Eigen::Vector3d& bias, double stddev);
+
+  /// One from elsewhere, where it is not estimated [s].
+  void setReadoutTime(double readout_time);
 
   void reset();
 
@@ -52,32 +60,42 @@ class GyroAlignment {
   double biasStddev() const;                             ///< of the least certain axis [rad/s]
   double timeOffset() const { return x_(3); }            ///< t_imu - t_image of the same instant [s]
   double timeOffsetStddev() const;                       ///< [s]
+  double readoutTime() const { return x_(4); }           ///< [s]
+  double readoutTimeStddev() const;                      ///< [s]
   /// Median epipolar error over that of pure feature noise: about 1 when gyro and images agree; 0 before any pair.
   double misfit() const { return misfit_; }
 
  private:
-  using Vector4 = Eigen::Matrix<double, 4, 1, Eigen::DontAlign>;
-  using Matrix4 = Eigen::Matrix<double, 4, 4, Eigen::DontAlign>;
+  static constexpr int kStates = 5;  ///< gyro bias, time offset, readout time
+  using Vector = Eigen::Matrix<double, kStates, 1, Eigen::DontAlign>;
+  using Matrix = Eigen::Matrix<double, kStates, kStates, Eigen::DontAlign>;
+  /// Where a track is seen, and how far it moves by the readout time of 1 s until its row is read, as (x, y, 1).
+  struct Sight {
+    Eigen::Vector2d ray = Eigen::Vector2d::Zero(), by_readout = Eigen::Vector2d::Zero();
+    Eigen::Vector3d atMiddleRow(double readout_time) const { return (ray - readout_time * by_readout).homogeneous(); }
+    Eigen::Vector3d derivative() const { return {-by_readout.x(), -by_readout.y(), 0}; }
+  };
   struct View {
     double stamp = 0;
-    std::unordered_map<visual_frontend::TrackId, Eigen::Vector2d> rays;  ///< normalised coordinates
+    std::unordered_map<visual_frontend::TrackId, Sight> sights;
   };
   struct Pair {
-    double begin = 0, end = 0;          ///< stamps of the images [s]
-    std::vector<Eigen::Vector3d> a, b;  ///< (x, y, 1) in the earlier and in the later camera
+    double begin = 0, end = 0;  ///< stamps of the images [s]
+    std::vector<Sight> a, b;    ///< in the earlier and in the later camera
   };
   struct Normal {
-    Matrix4 H = Matrix4::Zero();
-    Vector4 g = Vector4::Zero();
+    Matrix H = Matrix::Zero();
+    Vector g = Vector::Zero();
     double cost = 0;
   };
+  void follow(double stamp, const std::vector<visual_frontend::Feature>& features);
   void addPairs(const std::shared_ptr<const View>& view);
-  std::optional<Normal> linearize(const Pair& pair, const Vector4& x, const ImuBuffer& imu, double width,
+  std::optional<Normal> linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu, double width,
                                   std::vector<double>* errors) const;
-  double solveFrom(Vector4 x, int iterations, double first_width, const ImuBuffer& imu, Vector4* solution) const;
+  double solveFrom(Vector x, int iterations, double first_width, const ImuBuffer& imu, Vector* solution) const;
   void retire(double before, const ImuBuffer& imu);
   void summarize(const ImuBuffer& imu);
-  Matrix4 shareOfTracks(const Matrix4& information) const;
+  Matrix shareOfTracks(const Matrix& information) const;
 
   GyroAlignmentSettings settings_;
   ImuNoise noise_;
@@ -87,12 +105,20 @@ class GyroAlignment {
   std::array<std::shared_ptr<const View>, 3> chain_end_;  ///< by span: where the next pair begins
   std::deque<Pair> pairs_;
   double last_view_ = -1, last_search_ = -1;  ///< [s]
-  Vector4 x_ = Vector4::Zero();               ///< gyro bias, time offset
-  Vector4 prior_mean_ = Vector4::Zero();
-  Matrix4 prior_ = Matrix4::Zero();  ///< information, without the tracks'
-  Matrix4 old_H_ = Matrix4::Zero();  ///< information of pairs that have left the window, fading
-  Vector4 old_h_ = Vector4::Zero();  ///< times their estimate
-  Matrix4 covariance_ = Matrix4::Zero();
+  struct Track {
+    Eigen::Vector2d ray = Eigen::Vector2d::Zero();
+    std::optional<Eigen::Vector2d> flow;  ///< since the image before [1/s]
+    bool steady = false;                  ///< the flow before was alike
+  };
+  double last_stamp_ = -1;                                      ///< of the image before [s]
+  std::unordered_map<visual_frontend::TrackId, Track> tracks_;  ///< of the last image
+  int rows_;
+  Vector x_ = Vector::Zero();
+  Vector prior_mean_ = Vector::Zero();
+  Matrix prior_ = Matrix::Zero();  ///< information, without the tracks'
+  Matrix old_H_ = Matrix::Zero();  ///< information of pairs that have left the window, fading
+  Vector old_h_ = Vector::Zero();  ///< times their estimate
+  Matrix covariance_ = Matrix::Zero();
   double misfit_ = 0;
   double inflation_ = 1;  ///< of the variances, by what the pairs disagree
 };

@@ -51,10 +51,11 @@ struct OdometrySettings {
   ImuNoise imu_noise;
   bool use_imu = true;  ///< false: five-point start, no gyro prior, never metric
 
-  double readout_time = 0;         ///< of a rolling shutter, first row to last; stamps are of the middle row [s]
-  double pixel_sigma = 0.6;        ///< of a tracked feature [px]
-  double gyro_prior_sigma = 0.01;  ///< of the predicted attitude in the pose refinement [rad]
-  int min_inliers = 20;            ///< below: the frame is not localised
+  double readout_time = 0;            ///< of a rolling shutter, first row to last; stamps are of the middle row [s]
+  double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]
+  double pixel_sigma = 0.6;           ///< of a tracked feature [px]
+  double gyro_prior_sigma = 0.01;     ///< of the predicted attitude in the pose refinement [rad]
+  int min_inliers = 20;               ///< below: the frame is not localised
 
   double keyframe_distance = 0.10;        ///< since the last keyframe, over the scene's distance [1]
   double keyframe_angle = 0.25;           ///< turn since the last keyframe [rad]
@@ -123,6 +124,8 @@ struct FrameResult {
   double gyro_bias_stddev = 0;          ///< of the least certain axis [rad/s]
   double time_offset = 0;               ///< t_imu = t_image + time_offset, of the same instant on both clocks [s]
   double time_offset_stddev = 0;        ///< [s]; 0 = given, not estimated
+  double readout_time = 0;              ///< of a rolling shutter, as it is in use [s]
+  double readout_time_stddev = 0;       ///< of its estimate [s]; 0 = given, not estimated
   std::uint32_t map_id = 0;
   std::size_t keyframes = 0, landmarks = 0;
   double seconds = 0;  ///< processing time

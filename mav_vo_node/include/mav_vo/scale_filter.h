@@ -98,6 +98,8 @@ class ScaleFilter {
   double meanNis() const { return updates_ > 0 ? nis_sum_ / (3.0 * updates_) : 0.0; }
   /// The last window that gave a sure scale was refused: IMU and images do not tell of the same motion.
   bool contradicted() const { return contradicted_; }
+  /// The last window gave a sure scale below zero: the accelerations have the sign of gravity.
+  bool inverted() const { return inverted_; }
 
  private:
   struct Frame {
@@ -108,7 +110,7 @@ class ScaleFilter {
   Eigen::Matrix3d visualNoise(const ScaleMeasurement& measurement) const;  ///< of p_map_camera
   void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F,
                  Covariance* Q) const;
-  std::optional<State> linearSolution() const;
+  std::optional<State> linearSolution();
   bool start();
   void update(const ScaleMeasurement& measurement);
   void restartMotion(const ScaleMeasurement& measurement);
@@ -126,7 +128,7 @@ class ScaleFilter {
   int rejected_in_a_row_ = 0;
   int updates_ = 0, rejected_updates_ = 0;  ///< since the start
   double nis_sum_ = 0;                      ///< since the start
-  bool contradicted_ = false;
+  bool contradicted_ = false, inverted_ = false;
   double start_stddev_ = std::numeric_limits<double>::infinity();
   int frames_waited_ = 0;
 };

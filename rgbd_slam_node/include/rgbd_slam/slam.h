@@ -91,7 +91,9 @@ struct SlamSettings {
   int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
   int max_fused_frames = 12;      ///< frames after a keyframe that refine its depth
 
-  double restart_after = 0;  ///< lost for this long: begin a new map [s]; 0 = never
+  /// Lost, and for this long every image showed enough to begin a map, but no known place: begin a new map [s]; 0 =
+  /// never
+  double restart_after = 5;
 
   /// Throws std::invalid_argument, naming the field.
   void validate() const;

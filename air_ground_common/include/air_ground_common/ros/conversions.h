@@ -34,7 +34,8 @@ Matrix6d covarianceFromMsg(const boost::array<double, 36>& msg);
 CameraModel fromMsg(const sensor_msgs::CameraInfo& msg);
 sensor_msgs::CameraInfo toMsg(const CameraModel& camera, const std_msgs::Header& header);
 
-/// Grey image, 8 bit, from mono8, mono16, bgr8, rgb8, bgra8, rgba8 or bayer. Owns its pixels.
+/// Grey image, 8 bit, from mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422, bayer, or 8UC1, 8UC3 (BGR), 8UC4. Owns its
+/// pixels.
 cv::Mat greyFromMsg(const sensor_msgs::Image& msg);
 /// BGR image, 8 bit.
 cv::Mat bgrFromMsg(const sensor_msgs::Image& msg);

@@ -109,6 +109,12 @@ class Map {
   /// stay in the map and can be recognised by their ORB features, but no patch is taken from them.
   void dropFarImages(const Pose& T_map_camera, int keep, double metres_per_radian = 1.0);
 
+  /// Bounds the memory where the same places are seen again and again. Of the keyframes older than the newest `newest`
+  /// the youngest may go: when an earlier one lies nearer than `distance` times its scene's median depth, turned by
+  /// less than `angle` [rad], the one of the two without an image, else the later, is the answer. kNoKeyframe: none.
+  /// The first keyframe stays.
+  KeyframeId redundantKeyframe(int newest, double distance, double angle) const;
+
   /// Applies p' = S * p to all landmarks and moves the cameras with it (camera poses stay rigid). For scale and
   /// leveling.
   void transform(const air_ground_common::Similarity& S_new_old);

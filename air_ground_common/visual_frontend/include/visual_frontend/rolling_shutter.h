@@ -11,6 +11,8 @@ class RollingShutter {
   RollingShutter(const CameraModel& camera, double readout_time) : camera_(camera), readout_time_(readout_time) {}
 
   bool active() const { return readout_time_ != 0; }
+  double readoutTime() const { return readout_time_; }  ///< [s]
+  void setReadoutTime(double readout_time) { readout_time_ = readout_time; }
 
   /// Motion of the camera during the image, in its own frame: angular rate [rad/s], velocity [m/s].
   void setMotion(const Eigen::Vector3d& angular_rate, const Eigen::Vector3d& velocity) {

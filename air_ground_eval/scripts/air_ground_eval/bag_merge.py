@@ -1,0 +1,90 @@
+"""One bag of two robots that each recorded their own."""
+import heapq
+
+import genpy
+import rosbag
+
+from .bag_reader import BagError, BagFacts, open_bag
+
+SHARED = ('/tf', '/tf_static', '/clock', '/rosout', '/rosout_agg', '/diagnostics')  # topics of many publishers
+COMMON_FRAMES = {'world', 'earth', 'mocap'}  # of a reference that sees both robots
+TF_TYPES = ('tf2_msgs/TFMessage', 'tf/tfMessage')
+DROPPED = ('/clock',)  # one for both: the player's
+
+
+def frames_of(facts):
+    """Frames that a bag names: in transforms, and in the first message of each topic with a header."""
+    names = {frame for edge in facts.edges for frame in edge}
+    with open_bag(facts.path) as bag:
+        for topic in facts.types:
+            for _, message, _ in bag.read_messages([topic]):
+                if message._type in TF_TYPES:
+                    names |= {frame for edge in message.transforms for frame in (edge.header.frame_id, edge.child_frame_id)}
+                elif hasattr(message, 'header'):
+                    names.add(message.header.frame_id)
+                break
+    return {name.lstrip('/') for name in names} - {''}
+
+
+class Part:
+    """A robot's bag, and what its topics, frames and times become in the merged one."""
+
+    def __init__(self, robot, path):
+        self.robot, self.facts = robot, BagFacts(path)
+        self.frames, self.topics, self.shift = {}, {}, genpy.Duration()
+
+    def begin(self):
+        return self.facts.begin + self.shift.to_sec()
+
+    def end(self):
+        return self.facts.end + self.shift.to_sec()
+
+    def frame(self, name):
+        return self.frames.get(name.lstrip('/'), name)
+
+    def changed(self, message):
+        if message._type in TF_TYPES:
+            for edge in message.transforms:
+                edge.header.stamp += self.shift
+                edge.header.frame_id, edge.child_frame_id = self.frame(edge.header.frame_id), self.frame(edge.child_frame_id)
+        elif hasattr(message, 'header'):
+            if message.header.stamp:
+                message.header.stamp += self.shift
+            message.header.frame_id = self.frame(message.header.frame_id)
+            if hasattr(message, 'child_frame_id'):
+                message.child_frame_id = self.frame(message.child_frame_id)
+        return message
+
+    def messages(self, order):
+        """(time [ns], order, topic, message, connection header), in order of time."""
+        with open_bag(self.facts.path) as bag:
+            for topic, message, time, header in bag.read_messages(return_connection_header=True):
+                if topic not in DROPPED:
+                    yield (time + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message), header
+
+
+def plan(mav, ground, begin_together):
+    """The two parts. Topics and frames that both bags name get their robot's name in front, so that each is one robot's."""
+    parts = [Part('mav', mav), Part('ground', ground)]
+    topics = (set(parts[0].facts.types) & set(parts[1].facts.types)) - set(SHARED)
+    frames = frames_of(parts[0].facts) & (frames_of(parts[1].facts) - COMMON_FRAMES)
+    for part in parts:
+        part.topics = {topic: f'/{part.robot}{topic}' for topic in topics}
+        part.frames = {frame: f'{part.robot}_{frame}' for frame in frames}
+    if begin_together:
+        parts[1].shift = genpy.Duration.from_sec(parts[0].facts.begin - parts[1].facts.begin)
+    return parts
+
+
+def merge(parts, out, compression='lz4'):
+    """Writes the bag and gives the number of messages. BagError where it cannot be written."""
+    count = 0
+    try:
+        with rosbag.Bag(out, 'w', compression=compression) as bag:
+            # Stamps and topics decide, never the messages themselves, which have no order.
+            for time, order, topic, message, header in heapq.merge(*(part.messages(i) for i, part in enumerate(parts)), key=lambda item: item[:2]):
+                bag.write(topic, message, genpy.Time(time // 10**9, time % 10**9), connection_header={**header, 'topic': topic} if header else None)
+                count += 1
+    except OSError as error:
+        raise BagError(f'{out} cannot be written ({error.strerror or error})') from error
+    return count

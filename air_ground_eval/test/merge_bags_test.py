@@ -1,0 +1,68 @@
+#!/usr/bin/env python3
+"""Two robots' bags with the same names in both become one that check_bag finds nothing wrong with."""
+import os
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+import rosbag
+import rostest
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
+from air_ground_eval import bag_check, bag_guess, bag_merge, bag_reader, datasets, geometry, messages  # noqa: E402
+
+CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+LATER = 86400.0  # the ground robot drives the next day [s]
+
+
+def write(path, begin, depth, x):
+    """A robot's own bag: /camera/..., /imu/data, frames base_link, camera and imu; the camera x metres before the base."""
+    T_base_camera = geometry.pose()
+    T_base_camera[0, 3] = x
+    with rosbag.Bag(path, 'w') as bag:
+        messages.write_latched(bag, '/tf_static', messages.static_transforms([('base_link', 'camera', T_base_camera), ('base_link', 'imu', np.eye(4))], begin), begin)
+        for i in range(600):
+            t = begin + i / 200
+            bag.write('/imu/data', messages.imu(np.array([0.01, 0, 0]), np.array([0, 0, 9.81]), 1e-6, 1e-4, t, 'imu'), messages.stamp(t))
+            if i % 10:
+                continue
+            bag.write('/camera/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t, 'camera'), messages.stamp(t))
+            bag.write('/camera/camera_info', messages.camera_info(CAMERA, t, 'camera'), messages.stamp(t))
+            if depth:
+                bag.write('/camera/depth/image_raw', messages.image(np.full((48, 64), 1500), '16UC1', t, 'camera'), messages.stamp(t))
+
+
+class MergeBags(unittest.TestCase):
+    def test_two_robots_of_the_same_make(self):
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+            write(mav, 1000.0, False, 0.1)
+            write(ground, 1000.0 + LATER, True, 0.3)
+            count = bag_merge.merge(bag_merge.plan(mav, ground, begin_together=True), both)
+            facts = bag_reader.BagFacts(both)
+            self.assertEqual(count, sum(facts.counts.values()))
+            self.assertEqual(sum(facts.counts.values()), sum(sum(bag_reader.BagFacts(path).counts.values()) for path in (mav, ground)))
+            self.assertAlmostEqual(facts.end - facts.begin, 599 / 200, places=6)
+            for robot, x in (('mav', 0.1), ('ground', 0.3)):
+                self.assertAlmostEqual(facts.static_transform(f'{robot}_base_link', f'{robot}_camera')[0, 3], x)
+            names = bag_guess.guess(facts)
+            self.assertEqual((names['/mav/imu/data'], names['/ground/imu/data']), ('/mav/imu/data', '/ground/imu/data'))
+            self.assertEqual([f.text for f in bag_check.check(facts, names) if f.level == bag_check.ERROR], [])
+            streams = bag_check.read(both, ['/mav/imu/data', '/ground/imu/data'])
+            self.assertEqual(streams['/mav/imu/data'].stamps[0], streams['/ground/imu/data'].stamps[0])
+            self.assertEqual(streams['/ground/imu/data'].frames, {'ground_imu'})
+
+    def test_times_stay_unless_asked(self):
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+            write(mav, 1000.0, False, 0.1)
+            write(ground, 1001.0, True, 0.3)
+            bag_merge.merge(bag_merge.plan(mav, ground, begin_together=False), both)
+            streams = bag_check.read(both, ['/mav/imu/data', '/ground/imu/data'])
+            self.assertEqual((streams['/mav/imu/data'].stamps[0], streams['/ground/imu/data'].stamps[0]), (1000.0, 1001.0))
+            self.assertEqual(sorted(streams['/mav/imu/data'].times), streams['/mav/imu/data'].times)
+
+
+if __name__ == '__main__':
+    rostest.rosrun('air_ground', 'merge_bags_test', MergeBags, sys.argv)
