@@ -7,58 +7,34 @@ namespace rgbd_slam {
 
 namespace {
 
-// A rest tells the gyro's bias; a slow steady turn looks the same, up to the rate that a rest may have.
-constexpr double kRestBiasSigma = 0.03;   // [rad/s]
-constexpr double kBiasForRest = 0.003;    // [rad/s]; known so well, the bias tells rest from slow turns
 constexpr double kUpForKeyframes = 0.01;  // [rad]; known so well, gravity holds the keyframes
 constexpr double kSureOfTilt = 3;         // standard deviations, while the direction is still getting better
 
 }  // namespace
 
-void Slam::Impl::startInertial() {
-  if (gyro_bias_sigma <= kRestBiasSigma || !attitude.biasKnown()) return;
-  inertial.setGyroBias(attitude.gyroBias(), kRestBiasSigma);
-  gyro_bias = attitude.gyroBias();
-  gyro_bias_sigma = kRestBiasSigma;
-}
-
-void Slam::Impl::updateInertial(double stamp, const Pose& T_map_camera, const Matrix6d& covariance) {
-  if (!mounting.R_base_imu) return;
-  // Landmarks err together, as in the covariance of the keyframes; calibration and rows of the image add to it.
-  Matrix6d with_floor = 9 * covariance;
-  with_floor.diagonal().head<3>().array() += 0.001 * 0.001;
-  with_floor.diagonal().tail<3>().array() += 0.0005 * 0.0005;
-  if (!inertial.addPose(stamp, T_map_camera, with_floor, imu)) return;
-  const auto estimate = inertial.estimate();
-  if (!estimate) return;
-  gyro_bias = estimate->gyro_bias;
-  gyro_bias_sigma = estimate->gyro_bias_sigma;
-  if (gyro_bias_sigma < kBiasForRest || !attitude.biasKnown())
-    attitude.setGyroBias(gyro_bias, gyro_bias_sigma < kBiasForRest);
-}
-
 std::optional<std::pair<Eigen::Vector3d, double>> Slam::Impl::upOfCamera(const Eigen::Matrix3d& R_map_camera) const {
-  if (!settings.use_gravity || !gravity_known || !attitude.initialized()) return std::nullopt;
-  const auto estimate = inertial.estimate();
+  if (!settings.use_gravity || !gravity_known || !motion.attitude().initialized()) return std::nullopt;
+  const auto estimate = motion.estimate();
   if (estimate && estimate->up_sigma < kUpForKeyframes)
     return std::make_pair(Eigen::Vector3d(R_map_camera.transpose() * estimate->up), kUpForKeyframes);
+  const visual_frontend::AttitudeFilter& attitude = motion.attitude();
   // In a curve the accelerometer leans for as long as the curve lasts.
-  return std::make_pair(
-      Eigen::Vector3d(R_camera_imu * attitude.up()),
-      attitude.atRest() ? 1.5 * attitude.upSigma() : std::max(settings.gravity_sigma, attitude.upSigma()));
+  return std::make_pair(motion.upInCamera(), attitude.atRest() ? 1.5 * attitude.upSigma()
+                                                               : std::max(settings.gravity_sigma, attitude.upSigma()));
 }
 
 bool Slam::Impl::levelMap() {
-  if (!mounting.R_base_imu || !gravity_known) return false;
+  if (!motion.hasImu() || !gravity_known) return false;
+  const visual_frontend::AttitudeFilter& attitude = motion.attitude();
   Eigen::Vector3d up = Eigen::Vector3d::Zero();
   double sigma = 0;
-  const auto estimate = inertial.estimate();
+  const auto estimate = motion.estimate();
   const bool rest = !leveled && attitude.atRest();
   if (estimate && (!rest || estimate->up_sigma < attitude.upSigma())) {
     up = estimate->up;
     sigma = estimate->up_sigma;
   } else if (rest) {
-    up = lastPose().linear() * R_camera_imu * attitude.up();
+    up = lastPose().linear() * motion.upInCamera();
     sigma = attitude.upSigma();
   } else {
     return false;
@@ -77,8 +53,7 @@ bool Slam::Impl::levelMap() {
   const Pose T_first = map.keyframes().begin()->second.T_map_camera * T_camera_base;
   S.R = Eigen::AngleAxisd(-air_ground_common::yawOf(S.R * T_first.linear()), Eigen::Vector3d::UnitZ()) * S.R;
   map.transform(S);
-  velocity = S.R * velocity;
-  inertial.transform(Pose(S.R));
+  motion.turn(S.R);
   if (!leveled) {
     // Directions taken while the map leaned were of an accelerometer in motion.
     for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();

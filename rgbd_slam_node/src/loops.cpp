@@ -46,9 +46,7 @@ void Slam::Impl::mergeLandmarks(KeyframeId id, const std::vector<std::pair<int, 
     if (present == landmark || (map.landmark(present).position - map.landmark(landmark).position).norm() > 0.02 * range)
       continue;
     map.fuse(landmark, present);
-    for (auto& [track, held] : track_landmark) {
-      if (held == present) held = landmark;
-    }
+    tracks.replace(present, landmark);
   }
 }
 

@@ -52,10 +52,8 @@ bool Slam::Impl::keyframeDue(const Pose& T_map_camera, int landmarks) const {
 }
 
 KeyframeId Slam::Impl::keyframeOfView(const Pose& T_map_camera, int landmarks) const {
-  std::vector<LandmarkId> tracked;
-  for (const auto& entry : track_landmark) tracked.push_back(entry.second);
   // Shared landmarks say that the two are right to each other: else there may be a loop to close.
-  for (const auto& c : map.observers(tracked, 2 * settings.min_inliers)) {
+  for (const auto& c : map.observers(tracks.landmarks(), 2 * settings.min_inliers)) {
     if (!outgrown(map.keyframe(c.keyframe), T_map_camera, landmarks)) return c.keyframe;
   }
   return kNoKeyframe;
@@ -73,11 +71,7 @@ void Slam::Impl::removeReplacedBy(KeyframeId id) {
     if (c.keyframe == map.keyframes().begin()->first || c.keyframe + settings.loop_min_gap > id) continue;
     if (changeOfView(map, map.keyframe(c.keyframe), map.keyframe(id).T_map_camera, settings) > kSameView) continue;
     frames.rebase(c.keyframe, id, map);
-    for (auto& [track, views] : track_views) {
-      views.erase(std::remove_if(views.begin(), views.end(),
-                                 [&](const LandmarkObservation& v) { return v.keyframe == c.keyframe; }),
-                  views.end());
-    }
+    tracks.forgetKeyframe(c.keyframe);
     keyframe_covariance.erase(c.keyframe);
     keyframe_path.erase(c.keyframe);
     keyframe_points.erase(c.keyframe);
@@ -92,11 +86,10 @@ void Slam::Impl::finishDepth() {
   active_depth.reset();
 }
 
-KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const Matrix6d& covariance,
-                                   const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+KeyframeId Slam::Impl::addKeyframe(const Images& images, const Pose& T_map_camera, const Matrix6d& covariance) {
   tracker.replenish();
   Keyframe keyframe;
-  keyframe.stamp = stamp;
+  keyframe.stamp = images.stamp;
   keyframe.T_map_camera = T_map_camera;
   keyframe.pyramid = tracker.pyramid();
   if (const auto up = upOfCamera(T_map_camera.linear())) {
@@ -104,15 +97,15 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
     keyframe.up_sigma = up->second;
   }
   for (const Feature& f : tracker.features()) {
-    const auto it = track_landmark.find(f.id);
-    const bool known = it != track_landmark.end() && map.hasLandmark(it->second);
-    const double z = known ? (T_map_camera.inverse() * map.landmark(it->second).position).z() : 0;
-    Observation o = observe(f.pixel, f.normalized, depth, z > 0.1 ? 1 / z : 0);
+    const LandmarkId landmark = tracks.landmarkOf(f.id);
+    const bool known = map.hasLandmark(landmark);
+    const double z = known ? (T_map_camera.inverse() * map.landmark(landmark).position).z() : 0;
+    Observation o = observe(f.pixel, f.normalized, images.depth, z > 0.1 ? 1 / z : 0);
     o.track = f.id;
-    if (known) o.landmark = it->second;
+    if (known) o.landmark = landmark;
     keyframe.observations.push_back(o);
   }
-  fillOrb(gray, depth, keyframe);
+  fillOrb(images.gray, images.depth, keyframe);
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   ++counters.keyframes;
   keyframe_path[id] = path;
@@ -123,7 +116,8 @@ KeyframeId Slam::Impl::addKeyframe(double stamp, const Pose& T_map_camera, const
   if (map.keyframeCount() > 1) adjustWindow(id);
   setReference(id);
   map.dropFarImages(T_map_camera, settings.max_image_keyframes);
-  active_depth = std::make_unique<KeyframeDepth>(camera, depth, bgr, settings.depth, settings.cloud, &rows);
+  active_depth = std::make_unique<KeyframeDepth>(camera, images.depth, images.colour, settings.depth, settings.cloud,
+                                                 &motion.rows());
   return id;
 }
 
@@ -135,7 +129,7 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
   for (int i = 0; i < count; ++i) {
     const Observation& o = map.keyframe(id).observations[i];
     if (o.landmark != kNoLandmark) continue;
-    std::vector<LandmarkObservation> views = track_views[o.track];
+    std::vector<LandmarkObservation> views = tracks.viewsOf(o.track);
     views.push_back({id, i});
     std::vector<visual_frontend::ViewRay> rays;
     for (const LandmarkObservation& view : views) {
@@ -149,15 +143,13 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
     if (!result.ok()) {
       // Views that contradict each other belong to a track that slipped: begin anew with this one.
       if (result.status == visual_frontend::TriangulationStatus::kLargeResidual) views = {{id, i}};
-      track_views[o.track] = std::move(views);
+      tracks.setViews(o.track, std::move(views));
       continue;
     }
-    const TrackId track = o.track;
-    const LandmarkId landmark = map.addLandmark(result.p_map);
+    tracks.assign(o.track, map.addLandmark(result.p_map));
+    const LandmarkId landmark = tracks.landmarkOf(o.track);
     map.landmark(landmark).covariance = result.covariance;
     for (const LandmarkObservation& view : views) map.connect(view.keyframe, view.index, landmark);
-    track_landmark[track] = landmark;
-    track_views.erase(track);
   }
 }
 

@@ -29,73 +29,59 @@ SlamSettings::SlamSettings() {
   bundle.pixel_sigma = 1.0;
 }
 
-namespace {
-
-Pose imuOnCamera(const Mounting& mounting) {
-  Pose T_base_imu = Pose::Identity();
-  if (mounting.R_base_imu) T_base_imu.linear() = *mounting.R_base_imu;
-  T_base_imu.translation() = mounting.p_base_imu;
-  return mounting.T_base_camera.inverse() * T_base_imu;
-}
-
-}  // namespace
-
 Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
     : camera(camera_model),
       mounting(mounted),
       settings(slam_settings),
       tracker(camera_model, slam_settings.tracker),
-      inertial(imuOnCamera(mounted), slam_settings.inertial),
-      rows(camera_model, slam_settings.readout_time) {
+      motion(camera_model, mounted, slam_settings) {
   settings.validate();
   if (!air_ground_common::isValid(mounting.T_base_camera))
     throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
   focal = 0.5 * (camera.fx + camera.fy);
   T_camera_base = mounting.T_base_camera.inverse();
-  if (mounting.R_base_imu) R_camera_imu = T_camera_base.linear() * *mounting.R_base_imu;
-  gyro_bias_sigma = settings.inertial.initial_gyro_bias;
 }
 
 void Slam::Impl::clear() {
   tracker.reset();
   map.clear();
-  track_landmark.clear();
-  track_views.clear();
+  tracks.clear();
   keyframe_covariance.clear();
   keyframe_path.clear();
   keyframe_points.clear();
   active_depth.reset();
-  inertial.newMap();
+  motion.endMap();
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
   first_stamp = strange_since = last_attempt = -1;
   nearly_found = false;
   path = 0;
-  velocity.setZero();
-  turn_rate.setZero();
   since_keyframe = since_reobservation = 0;
   reference = kNoKeyframe;
 }
 
-FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+FrameResult Slam::Impl::initialize(const Images& images) {
   FrameResult result;
+  const double stamp = images.stamp;
   result.state = state = State::kInitializing;
   if (first_stamp < 0) first_stamp = stamp;
-  setRowMotion(stamp, Pose::Identity());
+  motion.setRowMotion(stamp, Pose::Identity());
   tracker.reset();
-  tracker.track(gray);
+  tracker.track(images.gray);
   tracker.replenish();
   int with_depth = 0;
-  for (const Feature& f : tracker.features()) with_depth += sampleDepth(depth, f.pixel, settings.depth).has_value();
+  for (const Feature& f : tracker.features())
+    with_depth += sampleDepth(images.depth, f.pixel, settings.depth).has_value();
   result.tracked = static_cast<int>(tracker.features().size());
   if (with_depth < settings.min_start_features) {
     result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) +
                     " features have depth, " + std::to_string(settings.min_start_features) + " are needed to start";
     return result;
   }
-  const bool imu_ready = mounting.R_base_imu && attitude.initialized();
-  if (mounting.R_base_imu && !imu_ready && stamp - first_stamp < settings.gravity_timeout) {
+  const visual_frontend::AttitudeFilter& attitude = motion.attitude();
+  const bool imu_ready = motion.hasImu() && attitude.initialized();
+  if (motion.hasImu() && !imu_ready && stamp - first_stamp < settings.gravity_timeout) {
     result.reason = "waiting for the IMU to show which way is up";
     return result;
   }
@@ -108,21 +94,20 @@ FrameResult Slam::Impl::initialize(double stamp, const cv::Mat& gray, const cv::
   gravity_known = imu_ready;
   // Begun in motion, the first direction is coarse: levelMap looks again when more is known.
   leveled = !imu_ready || attitude.atRest();
-  const Pose T_map_camera = Pose(R_map_base) * mounting.T_base_camera;
+  result.T_map_camera = Pose(R_map_base) * mounting.T_base_camera;
   ++map_id;
   ++counters.maps;
-  addKeyframe(stamp, T_map_camera, Matrix6d::Identity() * 1e-10, gray, bgr, depth);
-  if (imu_ready) startInertial();
+  addKeyframe(images, result.T_map_camera, Matrix6d::Identity() * 1e-10);
+  if (imu_ready) motion.startMap();
   tilt_sigma = imu_ready ? attitude.upSigma() : 0.05;
-  frames.add(stamp, T_map_camera, reference, map);
+  frames.add(stamp, result.T_map_camera, reference, map);
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
-  result.T_map_camera = T_map_camera;
-  result.T_map_base = T_map_camera * T_camera_base;
-  updateInertial(stamp, T_map_camera, Matrix6d::Zero());
+  result.T_map_base = result.T_map_camera * T_camera_base;
+  motion.addPose(stamp, result.T_map_camera, Matrix6d::Zero());
   result.covariance = withTilt(keyframe_covariance.begin()->second, result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
-  result.inliers = static_cast<int>(track_landmark.size());
+  result.inliers = tracks.count();
   return result;
 }
 
@@ -134,7 +119,7 @@ Matrix6d Slam::Impl::withTilt(const Matrix6d& covariance, const Eigen::Vector3d&
   return covariance + J * tilt * J.transpose();
 }
 
-FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const {
   const auto check = [&](const cv::Mat& image, bool type_ok, const char* what) {
     if (!type_ok || image.cols != camera.width || image.rows != camera.height) {
       throw std::invalid_argument(std::string("Slam::process: ") + what + " has " + std::to_string(image.cols) + "x" +
@@ -148,92 +133,108 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   if (!bgr.empty()) check(bgr, bgr.type() == CV_8UC3, "the colour image (CV_8UC3)");
   if (!std::isfinite(stamp) || stamp <= last_stamp)
     throw std::invalid_argument("Slam::process: the stamp is not newer than the last");
+}
+
+FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+  check(stamp, gray, bgr, depth);
   ++counters.frames;
   last_stamp = stamp;
-  const cv::Mat& colour = bgr.empty() ? gray : bgr;
-  if (state == State::kWaiting || state == State::kInitializing) return initialize(stamp, gray, colour, depth);
+  const Images images{stamp, gray, bgr.empty() ? gray : bgr, depth};
+  if (state == State::kWaiting || state == State::kInitializing) return initialize(images);
 
   FrameResult result;
   const bool was_lost = state == State::kLost;
   Tracked tracked;
-  if (!was_lost) tracked = track(stamp, gray, depth);
-  result.tracked = static_cast<int>(tracker.features().size());
-  std::string why = tracked.reason;
+  if (!was_lost) tracked = track(images);
   if (!tracked.success) {
-    tracked = relocalize(stamp, gray, depth);
+    result.reason = tracked.reason;
+    tracked = relocalize(images);
     result.relocalized = tracked.success;
-    if (why.empty()) why = tracked.reason;
-    result.tracked = static_cast<int>(tracker.features().size());
+    if (result.reason.empty()) result.reason = tracked.reason;
   }
+  result.tracked = static_cast<int>(tracker.features().size());
   if (!tracked.success) {
-    state = result.state = State::kLost;
-    result.reason = why;
-    ++counters.lost_frames;
-    const bool restart =
-        settings.restart_after > 0 && strange_since >= 0 && stamp - strange_since >= settings.restart_after;
-    // A map this small is no loss; nor can much be recognised by it.
-    if (restart || map.keyframeCount() < 2) clear();
+    result.state = State::kLost;
+    beLost(stamp);
     return result;
   }
-  if (was_lost) ++counters.relocalizations;
-  strange_since = -1;
-  state = State::kTracking;
-
-  const Pose T_before = lastPose();
-  const double dt = stamp - frames.lastStamp();
-  Pose T_map_camera = tracked.pose.T_map_camera;
-  result.T_previous_current_base = mounting.T_base_camera * T_before.inverse() * T_map_camera * T_camera_base;
-  path += (T_map_camera.translation() - T_before.translation()).norm();
-  if (result.relocalized || dt > 1.0) {
-    velocity.setZero();
-    turn_rate.setZero();
-    inertial.interrupt();
-  } else {
-    updateMotion(dt, T_before, T_map_camera);
-  }
+  result.state = state = State::kTracking;
+  result.reason.clear();
   result.inliers = tracked.pose.inlier_count;
   result.rms = tracked.pose.rms;
-  ++since_keyframe;
+  if (was_lost) ++counters.relocalizations;
+  strange_since = -1;
 
+  const Pose T_tracked = tracked.pose.T_map_camera;
+  result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
-  const Eigen::Vector3d lever = T_map_camera.translation() - map.keyframe(reference).T_map_camera.translation();
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
-  const Matrix6d covariance = J * keyframe_covariance.at(reference) * J.transpose() + tracked.pose.covariance;
+  const Eigen::Vector3d lever = T_tracked.translation() - map.keyframe(reference).T_map_camera.translation();
+  const Matrix6d covariance =
+      visual_frontend::covarianceAt(keyframe_covariance.at(reference), lever) + tracked.pose.covariance;
+  addToMap(images, tracked, &result);
+  motion.addPose(stamp, lastPose(), tracked.pose.covariance);
+  if (levelMap()) result.map_corrected = true;
+  concludePose(covariance, tracked.pose.covariance, &result);
+  return result;
+}
 
-  const bool due = result.relocalized || keyframeDue(T_map_camera, tracked.landmarks);
+void Slam::Impl::beLost(double stamp) {
+  state = State::kLost;
+  ++counters.lost_frames;
+  const bool restart =
+      settings.restart_after > 0 && strange_since >= 0 && stamp - strange_since >= settings.restart_after;
+  // A map this small is no loss; nor can much be recognised by it.
+  if (restart || map.keyframeCount() < 2) clear();
+}
+
+Pose Slam::Impl::step(double stamp, const Pose& T_map_camera, bool relocalized) {
+  const Pose T_before = lastPose();
+  const double dt = stamp - frames.lastStamp();
+  path += (T_map_camera.translation() - T_before.translation()).norm();
+  if (relocalized || dt > 1.0) {
+    motion.interrupt();
+  } else {
+    motion.update(dt, T_before, T_map_camera);
+  }
+  ++since_keyframe;
+  return mounting.T_base_camera * T_before.inverse() * T_map_camera * T_camera_base;
+}
+
+void Slam::Impl::addToMap(const Images& images, const Tracked& tracked, FrameResult* result) {
+  const Pose& T_map_camera = tracked.pose.T_map_camera;
+  const bool due = result->relocalized || keyframeDue(T_map_camera, tracked.landmarks);
   const KeyframeId known = due ? keyframeOfView(T_map_camera, tracked.landmarks) : reference;
   if (known == kNoKeyframe) {
-    const KeyframeId id = addKeyframe(stamp, T_map_camera, tracked.pose.covariance, gray, colour, depth);
-    result.keyframe = true;
-    frames.add(stamp, map.keyframe(id).T_map_camera, id, map);
-    if (settings.loop_closure) result.map_corrected = closeLoop(id);
+    const KeyframeId id = addKeyframe(images, T_map_camera, tracked.pose.covariance);
+    result->keyframe = true;
+    frames.add(images.stamp, map.keyframe(id).T_map_camera, id, map);
+    if (settings.loop_closure) result->map_corrected = closeLoop(id);
     removeReplacedBy(id);
-  } else {
-    if (known != reference) setReference(known);
-    frames.add(stamp, T_map_camera, reference, map);
-    if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
-      const Pose T_reference_camera = map.keyframe(reference).T_map_camera.inverse() * T_map_camera;
-      active_depth->fuse(camera, depth, T_reference_camera.inverse(), settings.depth, settings.cloud, &rows);
-    }
+    if (result->map_corrected) motion.moveMap(lastPose() * T_map_camera.inverse());
+    return;
   }
-  if (result.map_corrected) inertial.transform(lastPose() * T_map_camera.inverse());
-  updateInertial(stamp, lastPose(), tracked.pose.covariance);
-  if (levelMap()) result.map_corrected = true;
-  T_map_camera = lastPose();
-  result.state = State::kTracking;
-  result.T_map_camera = T_map_camera;
-  result.T_map_base = T_map_camera * T_camera_base;
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(result.T_map_base.translation() - T_map_camera.translation());
-  result.covariance = withTilt(J * covariance * J.transpose(), result.T_map_base.translation());
-  result.covariance.diagonal().array() += 1e-10;
-  if (!result.relocalized) {
-    Matrix6d base_map = Matrix6d::Zero();
-    base_map.topLeftCorner<3, 3>() = base_map.bottomRightCorner<3, 3>() = result.T_map_base.linear().transpose();
-    const Matrix6d to_base = base_map * J;
-    result.increment_covariance = 2 * to_base * tracked.pose.covariance * to_base.transpose();
+  if (known != reference) setReference(known);
+  frames.add(images.stamp, T_map_camera, reference, map);
+  if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
+    const Pose T_reference_camera = map.keyframe(reference).T_map_camera.inverse() * T_map_camera;
+    active_depth->fuse(camera, images.depth, T_reference_camera.inverse(), settings.depth, settings.cloud,
+                       &motion.rows());
   }
-  return result;
+}
+
+void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance,
+                              FrameResult* result) const {
+  result->T_map_camera = lastPose();
+  result->T_map_base = result->T_map_camera * T_camera_base;
+  const Eigen::Vector3d lever = result->T_map_base.translation() - result->T_map_camera.translation();
+  result->covariance =
+      withTilt(visual_frontend::covarianceAt(camera_covariance, lever), result->T_map_base.translation());
+  result->covariance.diagonal().array() += 1e-10;
+  if (result->relocalized) return;
+  Matrix6d base_map = Matrix6d::Zero();
+  base_map.topLeftCorner<3, 3>() = base_map.bottomRightCorner<3, 3>() = result->T_map_base.linear().transpose();
+  result->increment_covariance =
+      2 * base_map * visual_frontend::covarianceAt(frame_covariance, lever) * base_map.transpose();
 }
 
 // ---- Public interface
@@ -242,13 +243,7 @@ Slam::Slam(const CameraModel& camera, const Mounting& mounting, const SlamSettin
     : impl_(new Impl(camera, mounting, settings)) {}
 Slam::~Slam() = default;
 
-bool Slam::addImu(const visual_frontend::ImuSample& stamped) {
-  visual_frontend::ImuSample sample = stamped;
-  sample.stamp -= impl_->settings.time_offset;
-  if (!impl_->mounting.R_base_imu || !impl_->imu.add(sample)) return false;
-  impl_->attitude.add(sample);
-  return true;
-}
+bool Slam::addImu(const visual_frontend::ImuSample& sample) { return impl_->motion.addImu(sample); }
 
 FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
   return impl_->process(stamp, gray, bgr, depth);
@@ -271,27 +266,21 @@ std::vector<PosedPoints> Slam::posedPoints() const {
 const visual_frontend::Map& Slam::map() const { return impl_->map; }
 const std::vector<Feature>& Slam::features() const { return impl_->tracker.features(); }
 const SlamCounters& Slam::counters() const { return impl_->counters; }
-Eigen::Vector3d Slam::gyroBias() const { return impl_->gyro_bias; }
+Eigen::Vector3d Slam::gyroBias() const { return impl_->motion.gyroBias(); }
 bool Slam::gravityKnown() const { return impl_->gravity_known; }
 double Slam::tiltSigma() const { return impl_->tilt_sigma; }
-std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const {
-  return impl_->mounting.R_base_imu ? impl_->inertial.estimate() : std::nullopt;
-}
+std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const { return impl_->motion.estimate(); }
 int Slam::mapId() const { return impl_->map_id; }
 
 std::vector<bool> Slam::mapped() const {
   std::vector<bool> result;
-  for (const Feature& f : impl_->tracker.features()) result.push_back(impl_->track_landmark.count(f.id) > 0);
+  for (const Feature& f : impl_->tracker.features()) result.push_back(impl_->tracks.has(f.id));
   return result;
 }
 
 void Slam::reset() {
   impl_->clear();
-  impl_->imu.clear();
-  impl_->attitude.reset();
-  impl_->inertial.reset();
-  impl_->gyro_bias.setZero();
-  impl_->gyro_bias_sigma = impl_->settings.inertial.initial_gyro_bias;
+  impl_->motion.reset();
   impl_->last_stamp = -1;
 }
 

@@ -8,9 +8,6 @@
 
 namespace rgbd_slam {
 
-using air_ground_common::expSO3;
-using air_ground_common::logSO3;
-
 namespace {
 
 constexpr double kGap = 1.0;  // without an image, after which nothing is known of what the camera saw between [s]
@@ -18,35 +15,7 @@ constexpr double kGap = 1.0;  // without an image, after which nothing is known 
 }  // namespace
 
 Pose Slam::Impl::predict(double stamp, bool* from_gyro) const {
-  Pose T = lastPose();
-  const double dt = stamp - frames.lastStamp();
-  *from_gyro = false;
-  if (mounting.R_base_imu) {
-    if (const auto R = imu.integrateRotation(frames.lastStamp(), stamp, gyro_bias)) {
-      T.linear() = T.linear() * (R_camera_imu * *R * R_camera_imu.transpose());
-      *from_gyro = true;
-    }
-  }
-  if (!*from_gyro && dt < 0.5) T.linear() = T.linear() * expSO3(turn_rate * dt);
-  if (dt < 0.5) T.translation() += velocity * dt;
-  return T;
-}
-
-void Slam::Impl::updateMotion(double dt, const Pose& T_before, const Pose& T_now) {
-  velocity = (T_now.translation() - T_before.translation()) / dt;
-  turn_rate = logSO3(T_before.linear().transpose() * T_now.linear()) / dt;
-}
-
-void Slam::Impl::setRowMotion(double stamp, const Pose& T_map_camera) {
-  if (!rows.active()) return;
-  Eigen::Vector3d rate = turn_rate, v_map = velocity;
-  const double half = std::max(0.5 * std::abs(settings.readout_time), 0.01);
-  if (mounting.R_base_imu) {
-    const auto mean = imu.mean(stamp - half, stamp + half);
-    if (mean.count > 0) rate = R_camera_imu * (mean.angular_velocity - gyro_bias);
-    if (const auto v = inertial.cameraVelocity(stamp, imu)) v_map = *v;
-  }
-  rows.setMotion(rate, T_map_camera.linear().transpose() * v_map);
+  return motion.predict(frames.lastStamp(), lastPose(), stamp, from_gyro);
 }
 
 Observation Slam::Impl::observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth,
@@ -54,7 +23,7 @@ Observation Slam::Impl::observe(const Eigen::Vector2d& pixel, const Eigen::Vecto
   Observation o;
   o.pixel = pixel;
   if (const auto z = sampleDepth(depth, pixel, settings.depth)) {
-    const Eigen::Vector3d p = rows.pointToMiddleRow(pixel.y(), *z * normalized.homogeneous());
+    const Eigen::Vector3d p = motion.rows().pointToMiddleRow(pixel.y(), *z * normalized.homogeneous());
     if (p.z() > 0.5 * *z) {
       o.normalized = p.hnormalized();
       o.depth = p.z();
@@ -62,17 +31,17 @@ Observation Slam::Impl::observe(const Eigen::Vector2d& pixel, const Eigen::Vecto
       return o;
     }
   }
-  o.normalized = rows.toMiddleRow(pixel, normalized, inverse_depth);
+  o.normalized = motion.rows().toMiddleRow(pixel, normalized, inverse_depth);
   return o;
 }
 
-PoseCorrespondence Slam::Impl::correspondence(const Eigen::Vector3d& p_map, const Eigen::Vector2d& pixel,
+PoseCorrespondence Slam::Impl::correspondence(LandmarkId landmark, const Eigen::Vector2d& pixel,
                                               const Eigen::Vector2d& normalized, const cv::Mat& depth,
                                               const Pose& T_camera_map) const {
-  const double z = (T_camera_map * p_map).z();
-  const Observation seen = observe(pixel, normalized, depth, z > 0.1 ? 1 / z : 0);
   PoseCorrespondence c;
-  c.p_map = p_map;
+  c.p_map = map.landmark(landmark).position;
+  const double z = (T_camera_map * c.p_map).z();
+  const Observation seen = observe(pixel, normalized, depth, z > 0.1 ? 1 / z : 0);
   c.normalized = seen.normalized;
   const auto noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
   c.sigma = noise.sigma;
@@ -103,93 +72,78 @@ PoseResult Slam::Impl::solve(const std::vector<PoseCorrespondence>& c, const Pos
   return second.success && (!result.success || second.inlier_count > result.inlier_count) ? second : result;
 }
 
-Slam::Impl::Tracked Slam::Impl::track(double stamp, const cv::Mat& gray, const cv::Mat& depth) {
-  Tracked tracked;
-  const Pose T_before = lastPose();
-  bool from_gyro = false;
-  const Pose predicted = predict(stamp, &from_gyro);
+void Slam::Impl::trackFeatures(const Images& images, const Pose& T_map_predicted) {
   visual_frontend::TrackPrediction prediction;
-  prediction.R_current_previous = predicted.linear().transpose() * T_before.linear();
-  const Pose T_camera_map = predicted.inverse();
-  setRowMotion(stamp, predicted);
-  for (auto it = track_landmark.begin(); it != track_landmark.end();) {
-    if (!map.hasLandmark(it->second)) {
-      it = track_landmark.erase(it);
-      continue;
-    }
-    const Eigen::Vector3d p_camera = T_camera_map * map.landmark(it->second).position;
-    const auto pixel = camera.project(p_camera);
-    if (pixel && camera.contains(*pixel)) prediction.pixels[it->first] = rows.toItsRow(*pixel, p_camera);
-    ++it;
-  }
-  tracker.track(gray, prediction);
-
-  std::vector<PoseCorrespondence> correspondences;
-  std::vector<TrackId> tracks;
-  std::unordered_map<TrackId, LandmarkId> living;
-  std::unordered_map<TrackId, std::vector<LandmarkObservation>> living_views;
+  prediction.R_current_previous = T_map_predicted.linear().transpose() * lastPose().linear();
+  const Pose T_camera_map = T_map_predicted.inverse();
+  motion.setRowMotion(images.stamp, T_map_predicted);
+  tracks.forgetMissing(map);
   for (const Feature& f : tracker.features()) {
-    const auto views = track_views.find(f.id);
-    if (views != track_views.end()) living_views.insert(*views);
-    const auto it = track_landmark.find(f.id);
-    if (it == track_landmark.end()) continue;
-    living.insert(*it);
-    correspondences.push_back(
-        correspondence(map.landmark(it->second).position, f.pixel, f.normalized, depth, T_camera_map));
-    tracks.push_back(f.id);
+    const LandmarkId landmark = tracks.landmarkOf(f.id);
+    if (landmark == kNoLandmark) continue;
+    const Eigen::Vector3d p_camera = T_camera_map * map.landmark(landmark).position;
+    const auto pixel = camera.project(p_camera);
+    if (pixel && camera.contains(*pixel)) prediction.pixels[f.id] = motion.rows().toItsRow(*pixel, p_camera);
   }
-  track_landmark = std::move(living);
-  track_views = std::move(living_views);
-  // A rotation that may be off by more than a pixel is no known rotation.
-  const double rotation_sigma = gyro_bias_sigma * (stamp - frames.lastStamp());
-  tracked.pose = solve(correspondences, predicted, from_gyro && focal * rotation_sigma < 1.5);
-  const PoseResult& pose = tracked.pose;
+  tracker.track(images.gray, prediction);
+  tracks.keep(tracker.features());
+}
+
+std::string Slam::Impl::objection(double stamp, const PoseResult& pose, std::size_t landmarks) const {
   if (!pose.success || pose.inlier_count < settings.min_inliers ||
-      pose.inlier_count < settings.min_inlier_ratio * correspondences.size()) {
-    tracked.reason = std::to_string(correspondences.size()) + " landmarks tracked, " +
-                     std::to_string(pose.inlier_count) + " agree on a pose";
-    return tracked;
+      pose.inlier_count < settings.min_inlier_ratio * landmarks)
+    return std::to_string(landmarks) + " landmarks tracked, " + std::to_string(pose.inlier_count) + " agree on a pose";
+  const double speed =
+      (pose.T_map_camera.translation() - lastPose().translation()).norm() / (stamp - frames.lastStamp());
+  return speed > settings.max_speed ? "the camera would have moved at " + std::to_string(speed) + " m/s" : "";
+}
+
+Slam::Impl::Tracked Slam::Impl::track(const Images& images) {
+  Tracked tracked;
+  bool from_gyro = false;
+  const Pose predicted = predict(images.stamp, &from_gyro);
+  trackFeatures(images, predicted);
+  std::vector<PoseCorrespondence> correspondences;
+  std::vector<TrackId> ids;
+  for (const Feature& f : tracker.features()) {
+    if (!tracks.has(f.id)) continue;
+    correspondences.push_back(
+        correspondence(tracks.landmarkOf(f.id), f.pixel, f.normalized, images.depth, predicted.inverse()));
+    ids.push_back(f.id);
   }
-  const double speed = (pose.T_map_camera.translation() - T_before.translation()).norm() / (stamp - frames.lastStamp());
-  if (speed > settings.max_speed) {
-    tracked.reason = "the camera would have moved at " + std::to_string(speed) + " m/s";
-    return tracked;
-  }
+  // A rotation that may be off by more than a pixel is no known rotation.
+  const double rotation_sigma = motion.rotationSigma(images.stamp - frames.lastStamp());
+  tracked.pose = solve(correspondences, predicted, from_gyro && focal * rotation_sigma < 1.5);
+  tracked.reason = objection(images.stamp, tracked.pose, correspondences.size());
+  if (!tracked.reason.empty()) return tracked;
   std::vector<TrackId> outliers;
-  for (std::size_t i = 0; i < tracks.size(); ++i) {
-    if (pose.inliers[i]) continue;
-    outliers.push_back(tracks[i]);
-    track_landmark.erase(tracks[i]);
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    if (tracked.pose.inliers[i]) continue;
+    outliers.push_back(ids[i]);
+    tracks.release(ids[i]);
   }
   tracker.remove(outliers);
-  tracked.success = true;
-  tracked.landmarks = static_cast<int>(track_landmark.size());
   ++since_reobservation;
   if (settings.reobserve_every > 0 &&
-      (since_reobservation >= settings.reobserve_every || keyframeDue(pose.T_map_camera, tracked.landmarks))) {
+      (since_reobservation >= settings.reobserve_every || keyframeDue(tracked.pose.T_map_camera, tracks.count()))) {
     since_reobservation = 0;
-    reobserveLocalMap(pose.T_map_camera, 6.0, depth, &tracked.pose);
-    tracked.landmarks = static_cast<int>(track_landmark.size());
+    reobserveLocalMap(tracked.pose.T_map_camera, 6.0, images.depth, &tracked.pose);
   }
+  tracked.success = true;
+  tracked.landmarks = tracks.count();
   return tracked;
 }
 
-int Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose) {
+void Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose) {
   const Pose T_camera_map = around.inverse();
   std::set<LandmarkId> held;
   std::vector<Eigen::Vector2d> occupied;
   std::vector<PoseCorrespondence> correspondences;
-  std::vector<const Feature*> loose;  // tracks that may turn out to be one of the landmarks
   for (const Feature& f : tracker.features()) {
-    const auto it = track_landmark.find(f.id);
-    if (it == track_landmark.end()) {
-      loose.push_back(&f);
-      continue;
-    }
-    held.insert(it->second);
+    if (!tracks.has(f.id)) continue;
+    held.insert(tracks.landmarkOf(f.id));
     occupied.push_back(f.pixel);
-    correspondences.push_back(
-        correspondence(map.landmark(it->second).position, f.pixel, f.normalized, depth, T_camera_map));
+    correspondences.push_back(correspondence(tracks.landmarkOf(f.id), f.pixel, f.normalized, depth, T_camera_map));
   }
   const std::size_t tracked = correspondences.size();
   std::vector<LandmarkId> candidates;
@@ -200,38 +154,73 @@ int Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::M
   search.search_radius = radius;
   const std::vector<LandmarkMatch> matches =
       visual_frontend::reobserve(map, camera, tracker.pyramid(), around, candidates, occupied, search);
-  if (matches.empty()) return 0;
+  if (matches.empty()) return;
   for (const LandmarkMatch& m : matches)
-    correspondences.push_back(
-        correspondence(map.landmark(m.landmark).position, m.pixel, m.normalized, depth, T_camera_map));
+    correspondences.push_back(correspondence(m.landmark, m.pixel, m.normalized, depth, T_camera_map));
   const PoseResult refined =
       tracked > 0 ? visual_frontend::refinePose(correspondences, around, {}) : solve(correspondences, around, false);
-  if (!refined.success || refined.inlier_count < pose->inlier_count) return 0;
-  // Copies: starting tracks moves the features that `loose` points to.
-  std::vector<std::pair<TrackId, Eigen::Vector2d>> free_tracks;
-  for (const Feature* f : loose) free_tracks.emplace_back(f->id, f->pixel);
-  int added = 0;
+  if (!refined.success || refined.inlier_count < pose->inlier_count) return;
+  std::vector<LandmarkMatch> agreeing;
   for (std::size_t i = 0; i < matches.size(); ++i) {
-    if (!refined.inliers[tracked + i]) continue;
-    TrackId track = kNoTrack;
-    for (const auto& [id, pixel] : free_tracks) {
-      if ((pixel - matches[i].pixel).squaredNorm() < 2.0 * 2.0 && !track_landmark.count(id)) track = id;
-    }
-    if (track == kNoTrack) track = tracker.addFeature(matches[i].pixel);
-    if (track == kNoTrack) continue;
-    track_landmark[track] = matches[i].landmark;
-    track_views.erase(track);
-    ++added;
+    if (refined.inliers[tracked + i]) agreeing.push_back(matches[i]);
   }
+  startTracks(agreeing);
   *pose = refined;
-  return added;
 }
 
-Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, const cv::Mat& depth) {
+void Slam::Impl::startTracks(const std::vector<LandmarkMatch>& matches) {
+  // Tracks that may turn out to be one of the landmarks. Copies: starting tracks moves the features.
+  std::vector<std::pair<TrackId, Eigen::Vector2d>> loose;
+  for (const Feature& f : tracker.features()) {
+    if (!tracks.has(f.id)) loose.emplace_back(f.id, f.pixel);
+  }
+  for (const LandmarkMatch& match : matches) {
+    TrackId track = kNoTrack;
+    for (const auto& [id, pixel] : loose) {
+      if ((pixel - match.pixel).squaredNorm() < 2.0 * 2.0 && !tracks.has(id)) track = id;
+    }
+    if (track == kNoTrack) track = tracker.addFeature(match.pixel);
+    if (track != kNoTrack) tracks.assign(track, match.landmark);
+  }
+}
+
+Slam::Impl::Tracked Slam::Impl::accept(const Images& images, const Pose& around, double radius) {
+  Tracked found;
+  reobserveLocalMap(around, radius, images.depth, &found.pose);
+  found.landmarks = tracks.count();
+  found.success = found.pose.success && found.landmarks >= settings.min_inliers;
+  if (!found.success) {
+    tracker.reset();
+    tracker.track(images.gray);
+    tracks.clear();
+    found.reason = "a place was recognised but too few of its landmarks were found";
+  }
+  return found;
+}
+
+visual_frontend::PlaceMatch Slam::Impl::recognize(const Images& images) {
+  Keyframe query;
+  fillOrb(images.gray, images.depth, query);
+  const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
+  if (with_depth < settings.min_start_features)
+    strange_since = -1;
+  else if (strange_since < 0)
+    strange_since = images.stamp;
+  visual_frontend::RelocalizationGate gate;
+  gate.T_map_last = lastPose();
+  gate.max_distance = settings.relocalization_slack + settings.max_speed * (images.stamp - frames.lastStamp());
+  if (gravity_known && motion.attitude().initialized()) {
+    gate.up_camera = motion.upInCamera();
+    gate.max_tilt = std::max(gate.max_tilt, 3 * motion.attitude().upSigma());
+  }
+  return visual_frontend::relocalize(map, camera, query, gate, settings.place);
+}
+
+Slam::Impl::Tracked Slam::Impl::relocalize(const Images& images) {
   Tracked tracked;
+  const double stamp = images.stamp;
   tracker.reset();
-  track_landmark.clear();
-  track_views.clear();
+  tracks.clear();
   // Descriptors of the whole image against the whole map take longer than an image may.
   if (state == State::kLost && !nearly_found && stamp - last_attempt < settings.relocalization_interval - 1e-3) {
     tracked.reason = lost_reason;
@@ -240,42 +229,17 @@ Slam::Impl::Tracked Slam::Impl::relocalize(double stamp, const cv::Mat& gray, co
   if (stamp - last_attempt > kGap) strange_since = -1;
   last_attempt = stamp;
   ++counters.relocalization_attempts;
-  setRowMotion(stamp, lastPose());
-  tracker.track(gray);
-  const auto accept = [&](const Pose& around, double radius) {
-    tracked.pose = PoseResult();
-    reobserveLocalMap(around, radius, depth, &tracked.pose);
-    tracked.success = tracked.pose.success && static_cast<int>(track_landmark.size()) >= settings.min_inliers;
-    tracked.landmarks = static_cast<int>(track_landmark.size());
-    if (!tracked.success) {
-      tracker.reset();
-      tracker.track(gray);
-      track_landmark.clear();
-    }
-    return tracked.success;
-  };
+  motion.setRowMotion(stamp, lastPose());
+  tracker.track(images.gray);
   // Not far from where it was: the gyro still knows the rotation.
   bool from_gyro = false;
-  if (stamp - frames.lastStamp() < 0.5 && accept(predict(stamp, &from_gyro), 16.0)) return tracked;
-  Keyframe query;
-  fillOrb(gray, depth, query);
-  const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
-  if (with_depth < settings.min_start_features)
-    strange_since = -1;
-  else if (strange_since < 0)
-    strange_since = stamp;
-  visual_frontend::RelocalizationGate gate;
-  gate.T_map_last = lastPose();
-  gate.max_distance = settings.relocalization_slack + settings.max_speed * (stamp - frames.lastStamp());
-  if (gravity_known && attitude.initialized()) {
-    gate.up_camera = R_camera_imu * attitude.up();
-    gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());
-  }
-  const visual_frontend::PlaceMatch match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
-  if (match.success && accept(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, 10.0)) return tracked;
-  tracked.success = false;
-  tracked.reason =
-      match.success ? "a place was recognised but too few of its landmarks were found" : "lost: " + match.reason;
+  if (stamp - frames.lastStamp() < 0.5) tracked = accept(images, predict(stamp, &from_gyro), 16.0);
+  if (tracked.success) return tracked;
+  const visual_frontend::PlaceMatch match = recognize(images);
+  if (match.success)
+    tracked = accept(images, map.keyframe(match.keyframe).T_map_camera * match.T_place_query, 10.0);
+  else
+    tracked.reason = "lost: " + match.reason;
   lost_reason = tracked.reason;
   nearly_found = match.success || match.inliers > 0.6 * settings.place.min_inliers;
   return tracked;

@@ -1,0 +1,57 @@
+// How the camera moves: by its last two poses, the gyro, and the IMU's biases that come with its motion.
+#pragma once
+
+#include <optional>
+
+#include "rgbd_slam/slam.h"
+
+namespace rgbd_slam {
+
+class CameraMotion {
+ public:
+  CameraMotion(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings);
+
+  bool hasImu() const { return mounting_.R_base_imu.has_value(); }
+  bool addImu(visual_frontend::ImuSample sample);
+
+  /// Pose at `stamp` after the last one known; `from_gyro`: the gyro tells its rotation.
+  Pose predict(double last_stamp, const Pose& T_map_last, double stamp, bool* from_gyro) const;
+  /// Standard deviation of that rotation by the gyro's bias [rad].
+  double rotationSigma(double dt) const { return gyro_bias_sigma_ * dt; }
+  /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
+  void setRowMotion(double stamp, const Pose& T_map_camera);
+  const visual_frontend::RollingShutter& rows() const { return rows_; }
+
+  void update(double dt, const Pose& T_before, const Pose& T_now);
+  void interrupt();                                        ///< after a loss or a gap
+  void turn(const Eigen::Matrix3d& R);                     ///< the map was turned
+  void moveMap(const Pose& T) { inertial_.transform(T); }  ///< by a loop closure
+
+  /// With a new map at hand: what a rest has shown of the gyro's bias.
+  void startMap();
+  /// Gravity and biases from the motion up to this frame.
+  void addPose(double stamp, const Pose& T_map_camera, const Matrix6d& covariance);
+
+  const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }
+  Eigen::Vector3d upInCamera() const { return R_camera_imu_ * attitude_.up(); }  ///< by the accelerometer
+  std::optional<visual_frontend::InertialEstimate> estimate() const;
+  const Eigen::Vector3d& gyroBias() const { return gyro_bias_; }
+
+  void endMap();  ///< biases stay
+  void reset();
+
+ private:
+  Mounting mounting_;
+  double readout_time_, time_offset_, initial_gyro_bias_;
+  Eigen::Matrix3d R_camera_imu_ = Eigen::Matrix3d::Identity();
+  visual_frontend::ImuBuffer imu_;
+  visual_frontend::AttitudeFilter attitude_;
+  visual_frontend::InertialAlignment inertial_;
+  visual_frontend::RollingShutter rows_;  ///< with the motion during the present frame
+  Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
+  double gyro_bias_sigma_;
+  Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
+  Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
+};
+
+}  // namespace rgbd_slam

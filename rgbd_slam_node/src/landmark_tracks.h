@@ -1,0 +1,40 @@
+// What the tracks of the feature tracker show: landmarks, or, of points not placed yet, the keyframes that saw them.
+#pragma once
+
+#include <unordered_map>
+#include <vector>
+
+#include "visual_frontend/feature_tracker.h"
+#include "visual_frontend/map.h"
+
+namespace rgbd_slam {
+
+class LandmarkTracks {
+ public:
+  using TrackId = visual_frontend::TrackId;
+  using LandmarkId = visual_frontend::LandmarkId;
+  using Views = std::vector<visual_frontend::LandmarkObservation>;
+
+  LandmarkId landmarkOf(TrackId track) const;  ///< kNoLandmark: none
+  bool has(TrackId track) const { return landmark_.count(track) > 0; }
+  int count() const { return static_cast<int>(landmark_.size()); }  ///< tracks with a landmark
+  std::vector<LandmarkId> landmarks() const;
+  void assign(TrackId track, LandmarkId landmark);
+  void release(TrackId track) { landmark_.erase(track); }
+
+  Views viewsOf(TrackId track) const;
+  void setViews(TrackId track, Views views) { views_[track] = std::move(views); }
+
+  /// Forgets tracks that are not among the features.
+  void keep(const std::vector<visual_frontend::Feature>& features);
+  void forgetMissing(const visual_frontend::Map& map);  ///< landmarks that are no longer in the map
+  void forgetKeyframe(visual_frontend::KeyframeId keyframe);
+  void replace(LandmarkId from, LandmarkId by);
+  void clear();
+
+ private:
+  std::unordered_map<TrackId, LandmarkId> landmark_;
+  std::unordered_map<TrackId, Views> views_;
+};
+
+}  // namespace rgbd_slam
