@@ -56,9 +56,9 @@ void addPoints(int frame, const Pose& T_map_camera, std::vector<Eigen::Vector3f>
 
 }  // namespace
 
-class RedKitchen : public ::testing::TestWithParam<Tops> {};
+class RedKitchenTops : public ::testing::TestWithParam<Tops> {};
 
-TEST_P(RedKitchen, BothHalvesFindEachOther) {
+TEST_P(RedKitchenTops, BothHalvesFindEachOther) {
   if (!std::filesystem::exists(frameFile(0, "depth.png"))) GTEST_SKIP() << "no recording in " << folder();
   const Eigen::Matrix3d R_level = levelling();
   std::vector<Eigen::Vector3f> ground;
@@ -102,4 +102,36 @@ TEST_P(RedKitchen, BothHalvesFindEachOther) {
   EXPECT_LT(error.position, 0.10);
   EXPECT_LT(error.yaw, 4 * M_PI / 180);
 }
-INSTANTIATE_TEST_SUITE_P(Tops, RedKitchen, ::testing::Values(Tops::kBounded, Tops::kHighest));
+INSTANTIATE_TEST_SUITE_P(Tops, RedKitchenTops, ::testing::Values(Tops::kBounded, Tops::kHighest));
+
+// The MAV's clouds show tables and no floor: a table taken for the floor contradicts the right place at any scale.
+TEST(RedKitchen, ScaleIsFoundThoughTheFloorWasNotSeen) {
+  if (!std::filesystem::exists(frameFile(0, "depth.png"))) GTEST_SKIP() << "no recording in " << folder();
+  const Eigen::Matrix3d R_level = levelling();
+  std::vector<Eigen::Vector3f> ground;
+  for (int frame = 0; frame < 300; frame += 6) addPoints(frame, cameraPose(frame, R_level), ground);
+  const Pose T_ground_mav = air_ground_common::yawPose(2.1, {1.3, -0.7, 0.4});
+  const synthetic::OwnUnit own{2.2, air_ground_common::expSO3({0.1, -0.15, 0})};
+  Localizer localizer({});
+  localizer.setOwnUnit(true);
+  ASSERT_TRUE(localizer.setGround(ground));
+  double scale_error = 1;
+  for (int first = 300; first + 16 < 400; first += 20) {
+    AerialCloud cloud;
+    for (int frame = first; frame < first + 20; frame += 4) {
+      const Pose T_mav_camera = T_ground_mav.inverse() * cameraPose(frame, R_level);
+      addPoints(frame, T_mav_camera, cloud.points);
+      cloud.reference = T_mav_camera.translation();
+    }
+    const AerialCloud raw = own.raw(cloud);
+    ASSERT_TRUE(localizer.addAerial(raw));
+    const Estimate& e = localizer.estimate();
+    scale_error = e.scale / own.unit - 1;
+    const double position =
+        (e.similarityPose() * (e.scale * raw.reference) - T_ground_mav * cloud.reference).head<2>().norm();
+    std::printf("scale %+.1f %%, %.3f m, evidence %.1f, %s: %s\n", 100 * scale_error, position, e.scale_evidence,
+                toString(e.status), e.reason.c_str());
+    EXPECT_FALSE(e.status == Status::kConverged && position > 0.25);
+  }
+  EXPECT_LT(std::abs(scale_error), 0.08);
+}
