@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "air_ground_common/first_exception.h"
 #include "dense_fusion/cost_kernels.h"
 
 namespace dense_fusion {
@@ -186,26 +187,29 @@ DepthMap PlaneSweep::depthMap() const {
   const int half_width = std::clamp(static_cast<int>(std::lround(0.5 / per_hypothesis)), 1, D / 10);
   const int threads = settings_.threads, band = (height + threads - 1) / threads;
   const std::size_t slab = static_cast<std::size_t>(D) * width;
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(static, 1) num_threads(threads)
-  for (int t = 0; t < threads; ++t) {
-    const int first = t * band, last = std::min(height, first + band);
-    std::vector<std::uint32_t> column(slab, 0), aggregated(slab), scratch(3 * static_cast<std::size_t>(width));
-    std::vector<std::uint32_t> count_column(width, 0), count(width);
-    const auto slide = [&](int enter, int leave) {
-      const bool in = enter >= 0 && enter < height, out = leave >= 0;
-      kernels::slideSum(column.data(), in ? &cost_[enter * slab] : nullptr, out ? &cost_[leave * slab] : nullptr,
-                        static_cast<int>(slab));
-      kernels::slideSum(count_column.data(), in ? &samples_[static_cast<std::size_t>(enter) * width] : nullptr,
-                        out ? &samples_[static_cast<std::size_t>(leave) * width] : nullptr, width);
-    };
-    for (int y = std::max(0, first - r); y < first + r; ++y) slide(y, -1);
-    for (int y = first; y < last; ++y) {
-      slide(y + r, y == first ? -1 : y - r - 1);
-      kernels::boxRows(column.data(), D, width, r, aggregated.data());
-      kernels::boxRows(count_column.data(), 1, width, r, count.data());
-      estimateRow(y, aggregated.data(), count, half_width, &map, &scratch);
-    }
-  }
+  for (int t = 0; t < threads; ++t)
+    failure.guard([&] {
+      const int first = t * band, last = std::min(height, first + band);
+      std::vector<std::uint32_t> column(slab, 0), aggregated(slab), scratch(3 * static_cast<std::size_t>(width));
+      std::vector<std::uint32_t> count_column(width, 0), count(width);
+      const auto slide = [&](int enter, int leave) {
+        const bool in = enter >= 0 && enter < height, out = leave >= 0;
+        kernels::slideSum(column.data(), in ? &cost_[enter * slab] : nullptr, out ? &cost_[leave * slab] : nullptr,
+                          static_cast<int>(slab));
+        kernels::slideSum(count_column.data(), in ? &samples_[static_cast<std::size_t>(enter) * width] : nullptr,
+                          out ? &samples_[static_cast<std::size_t>(leave) * width] : nullptr, width);
+      };
+      for (int y = std::max(0, first - r); y < first + r; ++y) slide(y, -1);
+      for (int y = first; y < last; ++y) {
+        slide(y + r, y == first ? -1 : y - r - 1);
+        kernels::boxRows(column.data(), D, width, r, aggregated.data());
+        kernels::boxRows(count_column.data(), 1, width, r, count.data());
+        estimateRow(y, aggregated.data(), count, half_width, &map, &scratch);
+      }
+    });
+  failure.rethrow();
   return map;
 }
 

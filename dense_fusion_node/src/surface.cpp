@@ -6,6 +6,8 @@
 #include <optional>
 #include <stdexcept>
 
+#include "air_ground_common/first_exception.h"
+
 namespace dense_fusion {
 namespace {
 
@@ -75,33 +77,36 @@ std::vector<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, 
   if (fill_radius < 0) throw std::invalid_argument("surface: fill_radius must not be negative");
   const int nx = votes.nx, ny = votes.ny, nz = votes.nz, r = fill_radius;
   std::vector<std::uint8_t> support(static_cast<std::size_t>(nx) * ny * nz, 0);
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(static) num_threads(threads)
-  for (int z = 0; z < nz; ++z) {
-    std::uint8_t* slice = &support[static_cast<std::size_t>(z) * nx * ny];
-    for (int y = 0; y < ny; ++y) {
-      const std::uint8_t* counts = votes.row(y, z);
-      for (int x = 0; x < nx; ++x) {
-        unsigned sum = 0;
-        for (int k = 1; k + 1 < kBins; ++k) sum += counts[static_cast<std::size_t>(k) * nx + x];
-        slice[static_cast<std::size_t>(y) * nx + x] = static_cast<std::uint8_t>(std::min(sum, 255u));
+  for (int z = 0; z < nz; ++z)
+    failure.guard([&] {
+      std::uint8_t* slice = &support[static_cast<std::size_t>(z) * nx * ny];
+      for (int y = 0; y < ny; ++y) {
+        const std::uint8_t* counts = votes.row(y, z);
+        for (int x = 0; x < nx; ++x) {
+          unsigned sum = 0;
+          for (int k = 1; k + 1 < kBins; ++k) sum += counts[static_cast<std::size_t>(k) * nx + x];
+          slice[static_cast<std::size_t>(y) * nx + x] = static_cast<std::uint8_t>(std::min(sum, 255u));
+        }
       }
-    }
-    if (r == 0) continue;
-    std::vector<std::uint8_t> rows(static_cast<std::size_t>(nx) * ny);
-    for (int y = 0; y < ny; ++y)
-      for (int x = 0; x < nx; ++x) {
-        const std::uint8_t* row = slice + static_cast<std::size_t>(y) * nx;
-        rows[static_cast<std::size_t>(y) * nx + x] =
-            *std::max_element(row + std::max(0, x - r), row + std::min(nx, x + r + 1));
-      }
-    for (int y = 0; y < ny; ++y)
-      for (int x = 0; x < nx; ++x) {
-        std::uint8_t best = 0;
-        for (int k = std::max(0, y - r); k <= std::min(ny - 1, y + r); ++k)
-          best = std::max(best, rows[static_cast<std::size_t>(k) * nx + x]);
-        slice[static_cast<std::size_t>(y) * nx + x] = best;
-      }
-  }
+      if (r == 0) return;
+      std::vector<std::uint8_t> rows(static_cast<std::size_t>(nx) * ny);
+      for (int y = 0; y < ny; ++y)
+        for (int x = 0; x < nx; ++x) {
+          const std::uint8_t* row = slice + static_cast<std::size_t>(y) * nx;
+          rows[static_cast<std::size_t>(y) * nx + x] =
+              *std::max_element(row + std::max(0, x - r), row + std::min(nx, x + r + 1));
+        }
+      for (int y = 0; y < ny; ++y)
+        for (int x = 0; x < nx; ++x) {
+          std::uint8_t best = 0;
+          for (int k = std::max(0, y - r); k <= std::min(ny - 1, y + r); ++k)
+            best = std::max(best, rows[static_cast<std::size_t>(k) * nx + x]);
+          slice[static_cast<std::size_t>(y) * nx + x] = best;
+        }
+    });
+  failure.rethrow();
   return support;
 }
 
@@ -156,29 +161,33 @@ std::vector<SurfacePoint> extractSurface(const SurfaceField& field, int threads)
   const VoxelGrid& grid = field.grid;
   std::vector<std::vector<SurfacePoint>> of_slice(grid.nz);
   const std::size_t strides[3] = {1, static_cast<std::size_t>(grid.nx), static_cast<std::size_t>(grid.nx) * grid.ny};
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
   for (int z = 0; z < grid.nz; ++z)
-    for (int y = 0; y < grid.ny; ++y)
-      for (int x = 0; x < grid.nx; ++x) {
-        const std::size_t i = grid.index(x, y, z);
-        const float here = field.phi[i];
-        const bool last[3] = {x + 1 >= grid.nx, y + 1 >= grid.ny, z + 1 >= grid.nz};
-        for (int axis = 0; axis < 3; ++axis) {
-          if (last[axis]) continue;
-          const std::size_t j = i + strides[axis];
-          const float there = field.phi[j];
-          if ((here > 0) == (there > 0)) continue;
-          const std::uint8_t support = std::max(field.support[i], field.support[j]);
-          if (support < field.min_support) continue;
-          Eigen::Vector3f g(x, y, z);
-          g[axis] += here / (here - there);
-          SurfacePoint point;
-          point.position = (grid.origin + grid.voxel_size * g.cast<double>()).cast<float>();
-          point.normal = gradient(grid, field.phi, g);
-          point.support = support;
-          of_slice[z].push_back(point);
+    failure.guard([&] {
+      for (int y = 0; y < grid.ny; ++y)
+        for (int x = 0; x < grid.nx; ++x) {
+          const std::size_t i = grid.index(x, y, z);
+          const float here = field.phi[i];
+          const bool last[3] = {x + 1 >= grid.nx, y + 1 >= grid.ny, z + 1 >= grid.nz};
+          for (int axis = 0; axis < 3; ++axis) {
+            if (last[axis]) continue;
+            const std::size_t j = i + strides[axis];
+            const float there = field.phi[j];
+            if ((here > 0) == (there > 0)) continue;
+            const std::uint8_t support = std::max(field.support[i], field.support[j]);
+            if (support < field.min_support) continue;
+            Eigen::Vector3f g(x, y, z);
+            g[axis] += here / (here - there);
+            SurfacePoint point;
+            point.position = (grid.origin + grid.voxel_size * g.cast<double>()).cast<float>();
+            point.normal = gradient(grid, field.phi, g);
+            point.support = support;
+            of_slice[z].push_back(point);
+          }
         }
-      }
+    });
+  failure.rethrow();
   std::vector<SurfacePoint> points;
   for (const auto& slice : of_slice) points.insert(points.end(), slice.begin(), slice.end());
   return points;

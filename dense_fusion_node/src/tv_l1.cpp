@@ -5,6 +5,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "air_ground_common/first_exception.h"
 #include "dense_fusion/fusion_kernels.h"
 
 namespace dense_fusion {
@@ -25,13 +26,17 @@ void iterate(const Histograms<Count>& votes, double lambda, int iterations, int 
   const float weight = static_cast<float>(lambda);
   // Between slabs: ubar of the next slab's first slice before this iteration, and the new pz of the slice before.
   std::vector<std::vector<float>> ubar_next(slabs), pz_before(slabs), p_scratch(slabs);
+  for (int t = 1; t < slabs; ++t) {  // here, since nothing may be thrown in the loops below
+    ubar_next[t - 1].resize(slice);
+    pz_before[t].resize(slice);
+    p_scratch[t].resize(2 * static_cast<std::size_t>(nx));
+  }
   for (int iteration = 0; iteration < iterations; ++iteration) {
 #pragma omp parallel for schedule(static, 1) num_threads(slabs)
     for (int t = 1; t < slabs; ++t) {
       const std::size_t at = first(t) * slice, before = at - slice;
-      ubar_next[t - 1].assign(&ubar[at], &ubar[at] + slice);
-      pz_before[t].assign(&s->pz[before], &s->pz[before] + slice);
-      p_scratch[t].resize(2 * static_cast<std::size_t>(nx));
+      std::copy_n(&ubar[at], slice, ubar_next[t - 1].data());
+      std::copy_n(&s->pz[before], slice, pz_before[t].data());
       for (int y = 0; y < ny; ++y) {
         const std::size_t row = before + static_cast<std::size_t>(y) * nx;
         float* px = p_scratch[t].data();
@@ -92,21 +97,24 @@ void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const 
   const auto tx = taps(fine.nx, coarse.nx, face_axis == 0), ty = taps(fine.ny, coarse.ny, face_axis == 1),
              tz = taps(fine.nz, coarse.nz, face_axis == 2);
   const auto row = [&](int y, int z) { return &from[(static_cast<std::size_t>(z) * coarse.ny + y) * coarse.nx]; };
+  air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(static) num_threads(threads)
-  for (int z = 0; z < fine.nz; ++z) {
-    std::vector<float> blended(coarse.nx);
-    for (int y = 0; y < fine.ny; ++y) {
-      const Tap &v = ty[y], &w = tz[z];
-      const float *aa = row(v.a, w.a), *ba = row(v.b, w.a), *ab = row(v.a, w.b), *bb = row(v.b, w.b);
-      for (int x = 0; x < coarse.nx; ++x) {
-        const float low = aa[x] + v.weight * (ba[x] - aa[x]), high = ab[x] + v.weight * (bb[x] - ab[x]);
-        blended[x] = low + w.weight * (high - low);
+  for (int z = 0; z < fine.nz; ++z)
+    failure.guard([&] {
+      std::vector<float> blended(coarse.nx);
+      for (int y = 0; y < fine.ny; ++y) {
+        const Tap &v = ty[y], &w = tz[z];
+        const float *aa = row(v.a, w.a), *ba = row(v.b, w.a), *ab = row(v.a, w.b), *bb = row(v.b, w.b);
+        for (int x = 0; x < coarse.nx; ++x) {
+          const float low = aa[x] + v.weight * (ba[x] - aa[x]), high = ab[x] + v.weight * (bb[x] - ab[x]);
+          blended[x] = low + w.weight * (high - low);
+        }
+        float* out = &(*to)[(static_cast<std::size_t>(z) * fine.ny + y) * fine.nx];
+        for (int x = 0; x < fine.nx; ++x)
+          out[x] = blended[tx[x].a] + tx[x].weight * (blended[tx[x].b] - blended[tx[x].a]);
       }
-      float* out = &(*to)[(static_cast<std::size_t>(z) * fine.ny + y) * fine.nx];
-      for (int x = 0; x < fine.nx; ++x)
-        out[x] = blended[tx[x].a] + tx[x].weight * (blended[tx[x].b] - blended[tx[x].a]);
-    }
-  }
+    });
+  failure.rethrow();
 }
 
 // Start of a finer level by linear interpolation; duals across the far borders are zero (Neumann).

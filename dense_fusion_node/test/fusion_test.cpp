@@ -154,7 +154,7 @@ TEST(DistanceField, FastVotesMatchTheReference) {
 TEST(DistanceField, CountsSaturate) {
   std::vector<std::uint8_t> bin = {0, 7, 255, 3}, counts(4 * kBins, 0);
   counts[0] = 255;
-  kernels::countRow(bin.data(), 4, counts.data());
+  kernels::countRow(bin.data(), 4, counts.data(), 4);
   EXPECT_EQ(counts[0], 255);
   EXPECT_EQ(counts[7 * 4 + 1], 1);
   EXPECT_EQ(counts[3 * 4 + 3], 1);

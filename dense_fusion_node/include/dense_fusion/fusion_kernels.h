@@ -10,8 +10,8 @@ namespace dense_fusion::kernels {
 void voteRow(const float start[3], const float step[3], int nx, const float camera[4], const float* depth, int width,
              int height, float inverse_truncation, float lowest, std::uint8_t* bin);
 
-/// counts[k * nx + x] += (bin[x] == k), saturating.
-void countRow(const std::uint8_t* bin, int nx, std::uint8_t* counts);
+/// counts[k * stride + x] += (bin[x] == k), saturating, for x in [0, n).
+void countRow(const std::uint8_t* bin, int n, std::uint8_t* counts, int stride);
 
 /// Dual step of one row: p <- q / max(1, |q|), q = p + sigma grad(ubar), forward differences. ubar_y, ubar_z are the
 /// next rows in y and z; at the border pass the row itself (Neumann: the difference is zero).
