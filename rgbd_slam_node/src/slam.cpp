@@ -54,7 +54,8 @@ void Slam::Impl::clear() {
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
-  first_stamp = strange_since = last_attempt = -1;
+  first_stamp = last_attempt = -1;
+  strange_for = 0;
   nearly_found = false;
   path = 0;
   since_keyframe = since_reobservation = 0;
@@ -155,7 +156,7 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   result.tracked = static_cast<int>(tracker.features().size());
   if (!tracked.success) {
     result.state = State::kLost;
-    beLost(stamp);
+    beLost();
     return result;
   }
   result.state = state = State::kTracking;
@@ -163,7 +164,7 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   result.inliers = tracked.pose.inlier_count;
   result.rms = tracked.pose.rms;
   if (was_lost) ++counters.relocalizations;
-  strange_since = -1;
+  strange_for = 0;
 
   const Pose T_tracked = tracked.pose.T_map_camera;
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
@@ -178,11 +179,10 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   return result;
 }
 
-void Slam::Impl::beLost(double stamp) {
+void Slam::Impl::beLost() {
   state = State::kLost;
   ++counters.lost_frames;
-  const bool restart =
-      settings.restart_after > 0 && strange_since >= 0 && stamp - strange_since >= settings.restart_after;
+  const bool restart = settings.restart_after > 0 && strange_for >= settings.restart_after - 1e-6;
   // A map this small is no loss; nor can much be recognised by it.
   if (restart || map.keyframeCount() < 2) clear();
 }

@@ -63,7 +63,8 @@ struct Slam::Impl {
   State state = State::kWaiting;
   double first_stamp = -1;
   double last_stamp = -1;
-  double strange_since = -1;  ///< lost, the camera sees other places than those of the map [s]
+  double strange_for = 0;     ///< lost, the camera has seen other places than those of the map for so long [s]
+  double since_attempt = 0;   ///< to relocalise [s]
   double last_attempt = -1;   ///< at finding the way back [s]
   std::string lost_reason;    ///< what came of it
   bool nearly_found = false;  ///< some of a place's points agreed, too few to be sure: the next image is worth a look
@@ -82,7 +83,7 @@ struct Slam::Impl {
   FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   void check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const;
   FrameResult initialize(const Images& images);
-  void beLost(double stamp);
+  void beLost();
   /// Takes the step from the last frame to this one; returns what the base moved by.
   Pose step(double stamp, const Pose& T_map_camera, bool relocalized);
   /// Keeps the frame, in the view of a keyframe there is or as a new one.

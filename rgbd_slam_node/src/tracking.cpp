@@ -202,10 +202,7 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const Images& images) {
   Keyframe query;
   fillOrb(images.gray, images.depth, query);
   const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
-  if (with_depth < settings.min_start_features)
-    strange_since = -1;
-  else if (strange_since < 0)
-    strange_since = images.stamp;
+  if (with_depth >= settings.min_start_features) strange_for += since_attempt;
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = lastPose();
   gate.max_distance = settings.relocalization_slack + settings.max_speed * (images.stamp - frames.lastStamp());
@@ -226,7 +223,8 @@ Slam::Impl::Tracked Slam::Impl::relocalize(const Images& images) {
     tracked.reason = lost_reason;
     return tracked;
   }
-  if (stamp - last_attempt > kGap) strange_since = -1;
+  // What passed in a gap of the images is not known to be strange.
+  since_attempt = last_attempt >= 0 && stamp - last_attempt <= kGap ? stamp - last_attempt : 0;
   last_attempt = stamp;
   ++counters.relocalization_attempts;
   motion.setRowMotion(stamp, lastPose());

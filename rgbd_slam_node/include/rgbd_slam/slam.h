@@ -91,8 +91,7 @@ struct SlamSettings {
   int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
   int max_fused_frames = 12;      ///< frames after a keyframe that refine its depth
 
-  /// Lost, and for this long every image showed enough to begin a map, but no known place: begin a new map [s]; 0 =
-  /// never
+  /// Lost, and for so long images showed enough to begin a map, but no known place: begin a new map [s]; 0 = never
   double restart_after = 5;
 
   /// Throws std::invalid_argument, naming the field.
