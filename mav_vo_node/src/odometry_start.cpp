@@ -19,7 +19,6 @@ constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not wo
 constexpr double kMapTurnError = 8e-3;       // of the turn from a map's first keyframe to its newest [rad]
 constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
 constexpr double kReadoutStep = 4e-3;        // least change of it [s]
-constexpr double kReadoutSettled = 2e-3;     // of one that is not worked on any more: it is the camera's own [s]
 constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
 constexpr double kMapBiasSigma = 2e-3;       // of a gyro bias from a map, at the best [rad/s]
 constexpr double kScalePatience = 5;         // of a map for a scale as certain as asked for [s]
@@ -65,11 +64,10 @@ void Odometry::Impl::alignGyro(double stamp) {
 // A sure readout time replaces the one in use. What a map that is not metric yet has seen without it is not worth
 // keeping.
 void Odometry::Impl::alignShutter(double stamp) {
-  if (!shutter_alignment || shutter_alignment->readoutTimeStddev() < kReadoutSettled) return;
-  if (!shutter_alignment->add(stamp, tracker.features(), imu.buffer())) return;
+  if (!shutter_alignment || !shutter_alignment->add(stamp, tracker.features(), imu.buffer())) return;
   const double readout = shutter_alignment->readoutTime(), sigma = shutter_alignment->readoutTimeStddev();
   const double change = std::abs(readout - shutter.readoutTime()), large = std::max(kReadoutStep, 3 * sigma);
-  if (sigma > kReadoutSigma || change < (shutter.active() ? kReadoutRefinement : large)) return;
+  if (sigma > kReadoutSigma || change < (shutter.active() ? std::max(kReadoutRefinement, sigma) : large)) return;
   shutter.setReadoutTime(readout);
   gyro_alignment.setReadoutTime(readout);
   if (!metric && map.keyframeCount() > 0 && change > large) startMap();
