@@ -19,6 +19,7 @@ constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not wo
 constexpr double kMapTurnError = 8e-3;       // of the turn from a map's first keyframe to its newest [rad]
 constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
 constexpr double kReadoutStep = 4e-3;        // least change of it [s]
+constexpr double kShutterMisfit = 2;         // of noise; above, the tracks are not explained by a readout time
 constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
 constexpr double kMapBiasSigma = 2e-3;       // of a gyro bias from a map, at the best [rad/s]
 constexpr double kScalePatience = 5;         // of a map for a scale as certain as asked for [s]
@@ -65,6 +66,8 @@ void Odometry::Impl::alignGyro(double stamp) {
 // keeping.
 void Odometry::Impl::alignShutter(double stamp) {
   if (!shutter_alignment || !shutter_alignment->add(stamp, tracker.features(), imu.buffer())) return;
+  // Broken images or samples tell of no camera.
+  if (shutter_alignment->misfit() > kShutterMisfit) return;
   const double readout = shutter_alignment->readoutTime(), sigma = shutter_alignment->readoutTimeStddev();
   const double change = std::abs(readout - shutter.readoutTime()), large = std::max(kReadoutStep, 3 * sigma);
   if (sigma > kReadoutSigma || change < (shutter.active() ? std::max(kReadoutRefinement, sigma) : large)) return;
