@@ -45,7 +45,8 @@ Rectifier::Rectifier(const air_ground_common::CameraModel& camera, const Rectifi
   air_ground_common::CameraModel& full = full_ = camera.undistorted();
   if (camera.model != air_ground_common::DistortionModel::kPlumbBob) {
     full = air_ground_common::centralPinhole(camera, settings.max_field);
-    cv::convertMaps(air_ground_common::rectificationMap(camera, full), cv::noArray(), map1_, map2_, CV_16SC2);
+    exact_map_ = air_ground_common::rectificationMap(camera, full);
+    cv::convertMaps(exact_map_, cv::noArray(), map1_, map2_, CV_16SC2);
   } else if (camera.hasDistortion()) {
     const cv::Mat K =
         cv::getOptimalNewCameraMatrix(camera.cvK(), camera.cvDistortion(), {camera.width, camera.height}, 0);
@@ -56,7 +57,7 @@ Rectifier::Rectifier(const air_ground_common::CameraModel& camera, const Rectifi
     cv::initUndistortRectifyMap(camera.cvK(), camera.cvDistortion(), cv::noArray(), K, {camera.width, camera.height},
                                 CV_16SC2, map1_, map2_);
   }
-  exact_map_ = air_ground_common::rectificationMap(camera, full);
+  if (exact_map_.empty()) exact_map_ = air_ground_common::rectificationMap(camera, full);
   output_ = full.scaled(settings.scale);
 }
 

@@ -70,14 +70,9 @@ def read(path, topics, limit=None):
 
 def first_frames(facts, names):
     """robot -> frame id of its first image."""
-    result = {}
-    with open_bag(facts.path) as bag:
-        for robot, standard in IMAGES.items():
-            topic = names.get(standard, standard)
-            for _, message, _ in bag.read_messages([t for t in facts.types if bag_guess.raw_name(t) == topic and 'Image' in facts.types[t]] or ['/']):
-                result[robot] = message.header.frame_id.lstrip('/')
-                break
-    return result
+    topics = {robot: bag_guess.recorded(facts, names.get(standard, standard)) for robot, standard in IMAGES.items()}
+    frames = {robot: facts.frame(topic) for robot, topic in topics.items() if topic}
+    return {robot: frame for robot, frame in frames.items() if frame is not None}
 
 
 def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
@@ -98,14 +93,11 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         if topic in facts.types and facts.types[topic] in types:
             present[standard] = topic
         elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
-            present[standard] = next(f'{topic}/{kind}' for kind in bag_guess.TRANSPORTS if f'{topic}/{kind}' in facts.types)
+            present[standard] = bag_guess.recorded(facts, topic)
             argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
         elif standard not in ELSEWHERE:
-            finding = _missing(facts, standard, topic, types, purpose, actual)
-            if standard == '/mav/imu/data' and not city and 'set mav_imu' not in finding.text:
-                finding = Finding(WARNING, f'{finding.text}: mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale')
-            findings.append(finding)
+            findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
     streams = read(facts.path, present.values())
     for robot in robots:
         _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
@@ -130,7 +122,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     return findings
 
 
-def _missing(facts, standard, topic, types, purpose, actual):
+def _missing(facts, standard, topic, types, purpose, actual, city):
     level = WARNING if standard in OPTIONAL else ERROR
     if topic in facts.types:
         return Finding(level, f'{topic} has type {facts.types[topic]}, expected {" or ".join(types)}')
@@ -141,6 +133,8 @@ def _missing(facts, standard, topic, types, purpose, actual):
     hint = f'; the bag has {", ".join(similar[:4])} of this type: set {argument}:= (here: --map)' if similar else ''
     if standard.endswith('camera_info') and not similar:
         hint = '; rosrun air_ground publish_calibration publishes it from a file'
+    if standard == '/mav/imu/data' and not similar and not city:
+        level, hint = WARNING, ': mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale'
     return Finding(level, f'{topic} is missing ({purpose}){hint}')
 
 

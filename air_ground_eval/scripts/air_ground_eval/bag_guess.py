@@ -36,6 +36,12 @@ def transport(facts, topic):
     return 'compressed' if any(f'{topic}/{kind}' in facts.types for kind in TRANSPORTS) else None
 
 
+def recorded(facts, topic):
+    """The topic under which the bag holds an image topic: itself, or compressed; None without."""
+    kind = transport(facts, topic)
+    return topic if kind == 'raw' else next(f'{topic}/{t}' for t in TRANSPORTS if f'{topic}/{t}' in facts.types) if kind else None
+
+
 def _common(a, b):
     """How many words of two topics agree from the front."""
     count = 0
@@ -105,8 +111,8 @@ def guess(facts, city=False):
 def _mounted(facts, imus, image, others):
     """Of the IMUs those that /tf_static connects with the images' camera; where none is, those that are not on the other robot."""
     def connected(imu, topic):
-        frames = [facts.frame(t) for t in (topic, *(f'{topic}/{kind}' for kind in TRANSPORTS)) if t in facts.types]
-        return bool(frames) and facts.static_transform(frames[0], facts.frame(imu)) is not None
+        seen = recorded(facts, topic)
+        return seen is not None and facts.static_transform(facts.frame(seen), facts.frame(imu)) is not None
 
     own = [imu for imu in imus if connected(imu, image)]
     return own or [imu for imu in imus if not any(other and connected(imu, other) for other in others)]
