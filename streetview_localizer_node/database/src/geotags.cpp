@@ -13,6 +13,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/units.h"
 #include "geopackage.h"
 
 namespace streetview_localizer {
@@ -22,7 +23,7 @@ using air_ground_common::Pose;
 
 namespace {
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 
 // Empty, or why the geotag cannot be used.
 std::string problemOf(const Geotag& g) {

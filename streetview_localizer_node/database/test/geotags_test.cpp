@@ -6,12 +6,13 @@
 #include <cmath>
 #include <opencv2/imgcodecs.hpp>
 
+#include "air_ground_common/units.h"
 #include "test_files.h"
 
 namespace streetview_localizer {
 namespace {
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 
 CityModel modelAt(const std::string& crs, const Eigen::Vector3d& origin) {
   CityModel m;
