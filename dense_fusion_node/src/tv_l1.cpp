@@ -46,8 +46,8 @@ std::vector<Tap> taps(int fine, int coarse, bool faces) {
   return result;
 }
 
-void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis,
-              int threads, std::vector<float>* to) {
+void upsample(const Field<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis,
+              int threads, Field<float>* to) {
   const auto tx = taps(fine.nx, coarse.nx, face_axis == 0), ty = taps(fine.ny, coarse.ny, face_axis == 1),
              tz = taps(fine.nz, coarse.nz, face_axis == 2);
   const auto row = [&](int y, int z) { return &from[(static_cast<std::size_t>(z) * coarse.ny + y) * coarse.nx]; };
@@ -74,12 +74,15 @@ void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const 
 // Start of a finer level by linear interpolation; duals across the far borders are zero (Neumann).
 TvL1Solution refineSolution(const TvL1Solution& coarse, int nx, int ny, int nz, int threads) {
   TvL1Solution fine;
-  fine.reset(nx, ny, nz);
+  fine.nx = nx;
+  fine.ny = ny;
+  fine.nz = nz;
+  for (auto* field : {&fine.phi, &fine.px, &fine.py, &fine.pz}) field->resize(static_cast<std::size_t>(nx) * ny * nz);
   upsample(coarse.phi, coarse, fine, -1, threads, &fine.phi);
   upsample(coarse.px, coarse, fine, 0, threads, &fine.px);
   upsample(coarse.py, coarse, fine, 1, threads, &fine.py);
   upsample(coarse.pz, coarse, fine, 2, threads, &fine.pz);
-  const auto zero = [&](std::vector<float>* field, int x0, int y0, int z0) {
+  const auto zero = [&](Field<float>* field, int x0, int y0, int z0) {
     for (int z = z0; z < nz; ++z)
       for (int y = y0; y < ny; ++y)
         for (int x = x0; x < nx; ++x) (*field)[(static_cast<std::size_t>(z) * ny + y) * nx + x] = 0;
@@ -155,7 +158,7 @@ void iterateTvL1Reference(const Histograms<std::uint8_t>& votes, double lambda, 
   const int nx = s->nx, ny = s->ny, nz = s->nz;
   const auto at = [&](int x, int y, int z) { return (static_cast<std::size_t>(z) * ny + y) * nx + x; };
   const double tau = kStep, sigma = kStep;
-  std::vector<float> ubar = s->phi;
+  Field<float> ubar = s->phi;
   for (int iteration = 0; iteration < iterations; ++iteration) {
     for (int z = 0; z < nz; ++z)
       for (int y = 0; y < ny; ++y)

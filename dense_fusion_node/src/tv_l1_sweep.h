@@ -36,7 +36,7 @@ class TvL1Sweep {
   const int nx_, ny_, nz_;
   const std::size_t slice_;
   int stretch_, stretches_;
-  std::vector<float> ubar_;
+  Field<float> ubar_;
   const std::vector<float> zeros_;
   // Stretches that an iteration changed, [iteration of this pass; 0 is the last before][z][y] with a border of zeros.
   std::vector<Mask> changed_;
