@@ -12,6 +12,7 @@
 #include <string>
 
 #include "air_ground_common/camera_file.h"
+#include "air_ground_common/text.h"
 #include "query_list.h"
 #include "streetview_localizer/localizer.h"
 #include "streetview_localizer/match_picture.h"
@@ -28,11 +29,7 @@ constexpr char kHeader[] =
     "cells,"
     "reason\n";
 
-std::string formatted(const char* format, double a) {
-  char text[64];
-  std::snprintf(text, sizeof text, format, a);
-  return text;
-}
+using air_ground_common::formatted;
 
 std::string quoted(const std::string& text) {
   std::string out = "\"";

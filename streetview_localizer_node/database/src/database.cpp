@@ -3,12 +3,12 @@
 #include <boost/geometry.hpp>
 #include <boost/geometry/geometries/point.hpp>
 #include <boost/geometry/index/rtree.hpp>
-#include <cstdio>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
 #include "air_ground_common/encoded_image.h"
+#include "air_ground_common/text.h"
 #include "geopackage.h"
 
 namespace streetview_localizer {
@@ -69,6 +69,8 @@ std::vector<int> StreetviewDatabase::near(const Eigen::Vector3d& position, doubl
 
 namespace {
 
+using air_ground_common::formatted;
+
 // One keypoint: x, y, size, angle, response.
 constexpr std::size_t kKeypointFloats = 5;
 
@@ -122,10 +124,7 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
 std::string indexFileOf(const std::string& path, const DatabaseLoadOptions& options) {
   if (isServer(path)) return "";
   if (!options.centre) return path + ".index";
-  char part[100];
-  std::snprintf(part, sizeof part, ".%.10g_%.10g_%.10g.index", options.centre->x(), options.centre->y(),
-                options.radius);
-  return path + part;
+  return path + formatted(".%.10g_%.10g_%.10g.index", options.centre->x(), options.centre->y(), options.radius);
 }
 
 StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options) {
@@ -164,10 +163,9 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
     database.panoramas.push_back(std::move(panorama));
   }
   if (options.centre && database.panoramas.empty()) {
-    char place[160];
-    std::snprintf(place, sizeof place, "%.10g m of %.10g, %.10g%s%s", options.radius, options.centre->x(),
-                  options.centre->y(), database.crs.empty() ? "" : " in ", database.crs.c_str());
-    throw std::runtime_error(path + " has no panorama within " + place);
+    throw std::runtime_error(path + " has no panorama within " +
+                             formatted("%.10g m of %.10g, %.10g%s%s", options.radius, options.centre->x(),
+                                       options.centre->y(), database.crs.empty() ? "" : " in ", database.crs.c_str()));
   }
   const auto readViews = [&] {
     view_layer->ResetReading();

@@ -4,14 +4,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <opencv2/imgproc.hpp>
 #include <set>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
+
 namespace streetview_localizer {
 
 namespace {
+
+using air_ground_common::formatted;
 
 /// Matches that say something of their own: no two of one pixel (2 px) or of one point (5 cm).
 std::vector<int> distinct(const std::vector<int>& indices, const std::vector<Correspondence>& correspondences) {
@@ -53,12 +56,6 @@ double scoreOf(const PoseEvidence& e, const AcceptanceSettings& s) {
            w[4] * std::log(std::max(1, e.cells));
   };
   return logistic(std::max(logit(s.by_all, e.inlier_share), logit(s.by_kept, e.kept_share)));
-}
-
-std::string line(const char* format, double value, double bound) {
-  char text[200];
-  std::snprintf(text, sizeof(text), format, value, bound);
-  return text;
 }
 
 }  // namespace
@@ -158,35 +155,37 @@ Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& co
   a.score = scoreOf(e, s);
   const double deg = 180 / M_PI;
   if (e.inliers < s.min_inliers)
-    a.reason = line("%.0f distinct inliers, %.0f needed", e.inliers, s.min_inliers);
+    a.reason = formatted("%d distinct inliers, %d needed", e.inliers, s.min_inliers);
   else if (!(e.log_false_alarms <= s.max_log_false_alarms))
-    a.reason = line("so many inliers arise by chance: 10^%.1f false alarms expected, at most 10^%.1f",
-                    e.log_false_alarms, s.max_log_false_alarms);
+    a.reason = formatted("so many inliers arise by chance: 10^%.1f false alarms expected, at most 10^%.1f",
+                         e.log_false_alarms, s.max_log_false_alarms);
   else if (!(e.rms <= s.max_rms))
-    a.reason = line("reprojection error %.2f px, at most %.2f", e.rms, s.max_rms);
+    a.reason = formatted("reprojection error %.2f px, at most %.2f", e.rms, s.max_rms);
   else if (!(e.range <= s.max_range))
-    a.reason = line("%.1f m from the panorama, at most %.1f", e.range, s.max_range);
+    a.reason = formatted("%.1f m from the panorama, at most %.1f", e.range, s.max_range);
   else if (!(e.facing >= s.min_facing))
-    a.reason = line("%.0f %% of the walls face the camera, at least %.0f", 100 * e.facing, 100 * s.min_facing);
+    a.reason = formatted("%.0f %% of the walls face the camera, at least %.0f", 100 * e.facing, 100 * s.min_facing);
   else if (!(e.hull_share >= s.min_hull_share))
-    a.reason = line("inliers cover %.1f %% of the image, at least %.1f", 100 * e.hull_share, 100 * s.min_hull_share);
-  else if (e.cells < s.min_cells)
-    a.reason = line("inliers in %.0f cells of the image, at least %.0f", e.cells, s.min_cells);
-  else if (!(e.view_angle >= s.min_view_angle))
-    a.reason = line("the inliers' points span %.1f degrees, at least %.1f", deg * e.view_angle, deg * s.min_view_angle);
-  else if (!(e.position_stddev <= s.max_position_stddev))
-    a.reason = line("position uncertain to %.2f m, at most %.2f", e.position_stddev, s.max_position_stddev);
-  else if (!(e.angle_stddev <= s.max_angle_stddev))
     a.reason =
-        line("orientation uncertain to %.2f degrees, at most %.2f", deg * e.angle_stddev, deg * s.max_angle_stddev);
+        formatted("inliers cover %.1f %% of the image, at least %.1f", 100 * e.hull_share, 100 * s.min_hull_share);
+  else if (e.cells < s.min_cells)
+    a.reason = formatted("inliers in %d cells of the image, at least %d", e.cells, s.min_cells);
+  else if (!(e.view_angle >= s.min_view_angle))
+    a.reason =
+        formatted("the inliers' points span %.1f degrees, at least %.1f", deg * e.view_angle, deg * s.min_view_angle);
+  else if (!(e.position_stddev <= s.max_position_stddev))
+    a.reason = formatted("position uncertain to %.2f m, at most %.2f", e.position_stddev, s.max_position_stddev);
+  else if (!(e.angle_stddev <= s.max_angle_stddev))
+    a.reason = formatted("orientation uncertain to %.2f degrees, at most %.2f", deg * e.angle_stddev,
+                         deg * s.max_angle_stddev);
   else if (e.alternative_distance > s.harmless_alternative && !(e.alternative_margin >= s.min_alternative_margin))
-    a.reason = line("the plane's other pose is nearly as likely: log-ratio %.1f, at least %.1f", e.alternative_margin,
-                    s.min_alternative_margin);
+    a.reason = formatted("the plane's other pose is nearly as likely: log-ratio %.1f, at least %.1f",
+                         e.alternative_margin, s.min_alternative_margin);
   else if (!(e.competitor_share <= s.max_competitor_share))
-    a.reason = line("the matches support another place: %.2f of the inliers, at most %.2f", e.competitor_share,
-                    s.max_competitor_share);
+    a.reason = formatted("the matches support another place: %.2f of the inliers, at most %.2f", e.competitor_share,
+                         s.max_competitor_share);
   else if (!(a.score >= s.min_score))
-    a.reason = line("score %.3f, at least %.3f", a.score, s.min_score);
+    a.reason = formatted("score %.3f, at least %.3f", a.score, s.min_score);
   else {
     a.accepted = true;
     a.reason = "accepted";

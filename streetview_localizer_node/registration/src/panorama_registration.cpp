@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
 #include "model_outline.h"
 #include "pose_solver.h"
 
@@ -13,6 +13,7 @@ namespace streetview_localizer {
 namespace {
 
 using air_ground_common::CameraModel;
+using air_ground_common::formatted;
 using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
 namespace reg = registration;
@@ -41,12 +42,6 @@ void validate(const RegistrationSettings& s) {
   requireRange("max_position_stddev", s.max_position_stddev, 0.01, 10);
   requireRange("max_orientation_stddev", s.max_orientation_stddev, 1e-3, 1);
   requireRange("threads", s.threads, 1, 256);
-}
-
-std::string format(const char* text, double a, double b = 0) {
-  char line[200];
-  std::snprintf(line, sizeof(line), text, a, b);
-  return line;
 }
 
 /// The geotag, and how far it is believed.
@@ -93,7 +88,7 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
   }
   const auto edges = model.edgesNear(T_world_geotag.translation(), settings.model_radius);
   if (edges.empty()) {
-    selection.reason = format("the model has no building within %.0f m of the geotag", settings.model_radius);
+    selection.reason = formatted("the model has no building within %.0f m of the geotag", settings.model_radius);
     return selection;
   }
   std::vector<Fit> fits;
@@ -125,23 +120,23 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
   const double off = (best.T_world_level.translation() - T_world_geotag.translation()).head<2>().norm();
   const Demands& demands = cues.mask.empty() ? kOfPanorama : kOfPhotograph;
   if (best.sky_angle < demands.sky_angle) {
-    selection.reason = format("the model's sky line covers only %.0f degrees", best.sky_angle * 180 / M_PI);
+    selection.reason = formatted("the model's sky line covers only %.0f degrees", best.sky_angle * 180 / M_PI);
   } else if (best.sky_ratio < demands.sky_ratio) {
-    selection.reason = format("the image's sky line follows only %.0f %% of the model's", 100 * best.sky_ratio);
+    selection.reason = formatted("the image's sky line follows only %.0f %% of the model's", 100 * best.sky_ratio);
   } else if (best.verticals < demands.verticals || best.verticals < demands.vertical_ratio * best.verticals_seen) {
     selection.reason =
-        format("only %.0f of the model's %.0f visible corners were found", best.verticals, best.verticals_seen);
+        formatted("only %d of the model's %d visible corners were found", best.verticals, best.verticals_seen);
   } else if (best.cost > demands.cost) {
-    selection.reason = format("the model's outline does not fit (cost %.2f)", best.cost);
+    selection.reason = formatted("the model's outline does not fit (cost %.2f)", best.cost);
   } else if (selection.second_cost < best.cost + demands.cost_margin) {
     selection.reason =
-        format("another place fits nearly as well (cost %.2f against %.2f)", selection.second_cost, best.cost);
+        formatted("another place fits nearly as well (cost %.2f against %.2f)", selection.second_cost, best.cost);
   } else if (off > settings.search_radius + 0.5) {
-    selection.reason = format("the best place lies %.1f m from the geotag, outside the search", off);
+    selection.reason = formatted("the best place lies %.1f m from the geotag, outside the search", off);
   } else if (horizontal > settings.max_position_stddev) {
-    selection.reason = format("the position is uncertain by %.2f m", horizontal);
+    selection.reason = formatted("the position is uncertain by %.2f m", horizontal);
   } else if (turn > settings.max_orientation_stddev) {
-    selection.reason = format("the orientation is uncertain by %.2f degrees", turn * 180 / M_PI);
+    selection.reason = formatted("the orientation is uncertain by %.2f degrees", turn * 180 / M_PI);
   } else {
     selection.accepted = true;
   }
