@@ -8,8 +8,63 @@
 
 namespace dense_fusion::kernels {
 namespace {
-constexpr int kChunk = 256;       // pixels worked on at once, so that their operands stay in the first-level cache
-constexpr int kFractionBits = 6;  // sample positions are rounded to 1/64 px
+constexpr int kChunk = 256;         // pixels worked on at once, so that their operands stay in the first-level cache
+constexpr int kFractionBits = 6;    // sample positions are rounded to 1/64 px
+constexpr int kGreyBits = 7;        // fraction of a difference of grey levels: 255 << 7 fits in 16 bits
+constexpr float kNodeStep = 0.25f;  // images are sampled this densely along a pixel's line of samples, at least [px]
+constexpr int kMostBetween = 16;    // hypotheses from one sample to the next; rounding of their steps adds up
+
+// Hypotheses from one image sample to the next, so that samples of any pixel of the row lie within kNodeStep.
+// Along rho a sample moves by (shift_xy W - XY shift_w) / (W + rho shift_w)^2, whose numerator does not depend on rho.
+int hypothesesBetween(int x0, int x1, const float* base, const float* step, const float* shift,
+                      const float* inverse_depth, int hypotheses) {
+  if (hypotheses < 2) return 1;
+  float most = 0, least_w = 1e30f;
+  for (const int x : {x0, x1 - 1}) {
+    const float i = static_cast<float>(x);
+    const float X = base[0] + i * step[0], Y = base[1] + i * step[1], W = base[2] + i * step[2];
+    most = std::max(most, std::hypot(shift[0] * W - X * shift[2], shift[1] * W - Y * shift[2]));
+    for (const float rho : {inverse_depth[0], inverse_depth[hypotheses - 1]})
+      least_w = std::min(least_w, W + rho * shift[2]);
+  }
+  const float spacing = std::abs(inverse_depth[hypotheses - 1] - inverse_depth[0]) / static_cast<float>(hypotheses - 1);
+  const float pixels = spacing * most / (least_w * least_w);
+  return pixels * kMostBetween <= kNodeStep ? kMostBetween : std::max(1, static_cast<int>(kNodeStep / pixels));
+}
+
+// (sample - reference) << kGreyBits of n pixels at one hypothesis, whose shifts are s.
+__attribute__((always_inline)) inline void sampleDifferences(int n, const float* X, const float* Y, const float* W,
+                                                             const std::int16_t* reference, float sx, float sy,
+                                                             float sw, const std::uint32_t* packed, int stride,
+                                                             std::int16_t* __restrict out) {
+  constexpr int kOne = 1 << kFractionBits;
+#pragma GCC ivdep
+  for (int i = 0; i < n; ++i) {
+    const float scale = kOne / (W[i] + sw);
+    const std::int32_t u = static_cast<std::int32_t>((X[i] + sx) * scale + 0.5f);
+    const std::int32_t v = static_cast<std::int32_t>((Y[i] + sy) * scale + 0.5f);
+    const std::int32_t fu = u & (kOne - 1), fv = v & (kOne - 1);
+    const std::uint32_t q = packed[(v >> kFractionBits) * stride + (u >> kFractionBits)];
+    const std::int32_t a = q & 255, b = (q >> 8) & 255, c = (q >> 16) & 255, e = q >> 24;
+    const std::int32_t top = a * kOne + fu * (b - a);
+    const std::int32_t bottom = c * kOne + fu * (e - c);
+    const std::int32_t sample = (top * kOne + fv * (bottom - top)) >> (2 * kFractionBits - kGreyBits);
+    out[i] = static_cast<std::int16_t>(sample - reference[i]);
+  }
+}
+
+// cost += min(|difference + k * delta|, 63)^2 / 4 in 16-bit lanes.
+__attribute__((always_inline)) inline void addSquares(int n, const std::int16_t* __restrict difference,
+                                                      const std::int16_t* __restrict delta, std::int16_t k,
+                                                      std::uint16_t* __restrict cost) {
+  for (int i = 0; i < n; ++i) {
+    const std::int16_t exact = static_cast<std::int16_t>(difference[i] + k * delta[i] + (1 << (kGreyBits - 1)));
+    const std::int16_t grey = static_cast<std::int16_t>(exact >> kGreyBits);
+    const std::int16_t size = std::max(grey, static_cast<std::int16_t>(-grey));
+    const std::uint16_t cut = static_cast<std::uint16_t>(std::min<std::int16_t>(size, kDifferenceLimit));
+    cost[i] = static_cast<std::uint16_t>(cost[i] + (static_cast<std::uint16_t>(cut * cut) >> 2));
+  }
+}
 }  // namespace
 
 AIR_GROUND_CLONES
@@ -17,8 +72,8 @@ void addRow(const std::uint8_t* reference, int x0, int x1, int width, const floa
             const float* shift, const float* inverse_depth, int hypotheses, const std::uint32_t* packed, int stride,
             std::uint16_t* cost) {
   alignas(64) float X[kChunk], Y[kChunk], W[kChunk];
-  alignas(64) std::int32_t target[kChunk];
-  constexpr int kOne = 1 << kFractionBits;
+  alignas(64) std::int16_t target[kChunk], delta[kChunk], samples[2][kChunk] = {};
+  const int between = hypothesesBetween(x0, x1, base, step, shift, inverse_depth, hypotheses);
   for (int begin = x0; begin < x1; begin += kChunk) {
     const int n = std::min(kChunk, x1 - begin);
     for (int i = 0; i < n; ++i) {
@@ -26,26 +81,22 @@ void addRow(const std::uint8_t* reference, int x0, int x1, int width, const floa
       X[i] = base[0] + x * step[0];
       Y[i] = base[1] + x * step[1];
       W[i] = base[2] + x * step[2];
-      target[i] = reference[begin + i];
+      target[i] = static_cast<std::int16_t>(reference[begin + i] << kGreyBits);
     }
-    for (int d = 0; d < hypotheses; ++d) {
+    const auto sampleAt = [&](int d, std::int16_t* out) __attribute__((always_inline)) {
       const float rho = inverse_depth[d];
-      const float sx = rho * shift[0], sy = rho * shift[1], sw = rho * shift[2];
-      std::uint16_t* out = cost + static_cast<std::ptrdiff_t>(d) * width + begin;
-#pragma GCC ivdep
-      for (int i = 0; i < n; ++i) {
-        const float scale = kOne / (W[i] + sw);
-        const std::int32_t u = static_cast<std::int32_t>((X[i] + sx) * scale + 0.5f);
-        const std::int32_t v = static_cast<std::int32_t>((Y[i] + sy) * scale + 0.5f);
-        const std::int32_t fu = u & (kOne - 1), fv = v & (kOne - 1);
-        const std::uint32_t q = packed[(v >> kFractionBits) * stride + (u >> kFractionBits)];
-        const std::int32_t a = q & 255, b = (q >> 8) & 255, c = (q >> 16) & 255, e = q >> 24;
-        const std::int32_t top = a * kOne + fu * (b - a);
-        const std::int32_t bottom = c * kOne + fu * (e - c);
-        const std::int32_t sample = (top * kOne + fv * (bottom - top) + kOne * kOne / 2) >> (2 * kFractionBits);
-        const std::int32_t difference = std::min(std::abs(sample - target[i]), kDifferenceLimit);
-        out[i] = static_cast<std::uint16_t>(out[i] + ((difference * difference) >> 2));
-      }
+      sampleDifferences(n, X, Y, W, target, rho * shift[0], rho * shift[1], rho * shift[2], packed, stride, out);
+    };
+    std::int16_t *here = samples[0], *next = samples[1];
+    sampleAt(0, here);
+    for (int d = 0; d < hypotheses;) {
+      const int k = std::max(1, std::min(between, hypotheses - 1 - d));
+      if (d + k < hypotheses) sampleAt(d + k, next);
+      const std::int32_t part = 32768 / k;
+      for (int i = 0; i < n; ++i) delta[i] = static_cast<std::int16_t>(((next[i] - here[i]) * part + 16384) >> 15);
+      for (int j = 0; j < k; ++j, ++d)
+        addSquares(n, here, delta, static_cast<std::int16_t>(j), cost + static_cast<std::ptrdiff_t>(d) * width + begin);
+      std::swap(here, next);
     }
   }
 }

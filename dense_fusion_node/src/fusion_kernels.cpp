@@ -50,24 +50,33 @@ void countRow(const std::uint8_t* bin, int n, std::uint8_t* counts, int stride) 
 }
 
 AIR_GROUND_CLONES
-void dualRow(const float* __restrict ubar, const float* __restrict ubar_y, const float* __restrict ubar_z,
-             float* __restrict px, float* __restrict py, float* __restrict pz, int nx, float sigma) {
-  for (int x = 0; x < nx - 1; ++x) {
+bool dualRow(const float* __restrict ubar, const float* __restrict ubar_y, const float* __restrict ubar_z,
+             float* __restrict px, float* __restrict py, float* __restrict pz, int n, bool at_border, float sigma) {
+  int changed = 0;
+  const int inner = at_border ? n - 1 : n;
+  for (int x = 0; x < inner; ++x) {
     const float qx = px[x] + sigma * (ubar[x + 1] - ubar[x]);
     const float qy = py[x] + sigma * (ubar_y[x] - ubar[x]);
     const float qz = pz[x] + sigma * (ubar_z[x] - ubar[x]);
     const float scale = 1.f / std::sqrt(std::max(1.f, qx * qx + qy * qy + qz * qz));
-    px[x] = qx * scale;
-    py[x] = qy * scale;
-    pz[x] = qz * scale;
+    const float new_x = qx * scale, new_y = qy * scale, new_z = qz * scale;
+    changed |= (new_x != px[x]) | (new_y != py[x]) | (new_z != pz[x]);
+    px[x] = new_x;
+    py[x] = new_y;
+    pz[x] = new_z;
   }
-  const int last = nx - 1;
-  const float qy = py[last] + sigma * (ubar_y[last] - ubar[last]);
-  const float qz = pz[last] + sigma * (ubar_z[last] - ubar[last]);
-  const float scale = 1.f / std::sqrt(std::max(1.f, qy * qy + qz * qz));
-  px[last] = 0;
-  py[last] = qy * scale;
-  pz[last] = qz * scale;
+  if (at_border) {
+    const int last = n - 1;
+    const float qy = py[last] + sigma * (ubar_y[last] - ubar[last]);
+    const float qz = pz[last] + sigma * (ubar_z[last] - ubar[last]);
+    const float scale = 1.f / std::sqrt(std::max(1.f, qy * qy + qz * qz));
+    const float new_y = qy * scale, new_z = qz * scale;
+    changed |= (px[last] != 0) | (new_y != py[last]) | (new_z != pz[last]);
+    px[last] = 0;
+    py[last] = new_y;
+    pz[last] = new_z;
+  }
+  return changed != 0;
 }
 
 namespace {
@@ -95,37 +104,47 @@ __attribute__((always_inline)) inline float proximalStep(float v, const Count* n
 }
 
 template <typename Count>
-__attribute__((always_inline)) inline void primalRowImpl(float* __restrict u, float* __restrict ubar,
+__attribute__((always_inline)) inline bool primalRowImpl(float* __restrict u, float* __restrict ubar,
                                                          const float* __restrict px, const float* __restrict py,
                                                          const float* __restrict py_before, const float* __restrict pz,
                                                          const float* __restrict pz_before,
-                                                         const Count* __restrict counts, int nx, float tau,
-                                                         float lambda) {
+                                                         const Count* __restrict counts, int stride, int n,
+                                                         bool at_border, float tau, float lambda) {
   const float weight = tau * lambda;
-  const float first =
-      proximalStep(u[0] + tau * (px[0] + py[0] - py_before[0] + pz[0] - pz_before[0]), counts, nx, weight);
-  ubar[0] = 2.f * first - u[0];
-  u[0] = first;
-  for (int x = 1; x < nx; ++x) {
-    const float divergence = px[x] - px[x - 1] + py[x] - py_before[x] + pz[x] - pz_before[x];
-    const float next = proximalStep(u[x] + tau * divergence, counts + x, nx, weight);
-    ubar[x] = 2.f * next - u[x];
-    u[x] = next;
+  constexpr int kTogether = 128;
+  float px_before[kTogether];
+  int changed = 0;
+  for (int begin = 0; begin < n; begin += kTogether) {
+    const int m = std::min(kTogether, n - begin);
+    px_before[0] = begin == 0 && at_border ? 0.f : px[begin - 1];
+    std::copy_n(px + begin, m - 1, px_before + 1);
+    for (int i = 0; i < m; ++i) {
+      const int x = begin + i;
+      const float divergence = px[x] - px_before[i] + py[x] - py_before[x] + pz[x] - pz_before[x];
+      const float next = proximalStep(u[x] + tau * divergence, counts + x, stride, weight);
+      const float next_bar = 2.f * next - u[x];
+      changed |= (next != u[x]) | (next_bar != ubar[x]);
+      ubar[x] = next_bar;
+      u[x] = next;
+    }
   }
+  return changed != 0;
 }
 
 }  // namespace
 
 AIR_GROUND_CLONES
-void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
-               const float* pz_before, const std::uint8_t* counts, int nx, float tau, float lambda) {
-  primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, nx, tau, lambda);
+bool primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint8_t* counts, int stride, int n, bool at_border, float tau,
+               float lambda) {
+  return primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, stride, n, at_border, tau, lambda);
 }
 
 AIR_GROUND_CLONES
-void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
-               const float* pz_before, const std::uint16_t* counts, int nx, float tau, float lambda) {
-  primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, nx, tau, lambda);
+bool primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint16_t* counts, int stride, int n, bool at_border, float tau,
+               float lambda) {
+  return primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, stride, n, at_border, tau, lambda);
 }
 
 }  // namespace dense_fusion::kernels

@@ -12,7 +12,7 @@ namespace dense_fusion {
 namespace {
 
 // Trilinear value at continuous voxel coordinates inside [0, n - 1].
-float sample(const VoxelGrid& grid, const std::vector<float>& phi, const Eigen::Vector3f& g) {
+float sample(const VoxelGrid& grid, const Field<float>& phi, const Eigen::Vector3f& g) {
   const int x = std::min(static_cast<int>(g.x()), grid.nx - 2), y = std::min(static_cast<int>(g.y()), grid.ny - 2),
             z = std::min(static_cast<int>(g.z()), grid.nz - 2);
   const float fx = g.x() - x, fy = g.y() - y, fz = g.z() - z;
@@ -37,7 +37,7 @@ bool inside(const VoxelGrid& grid, const Eigen::Vector3f& g) {
 }
 
 // Unit gradient by differences over two voxels; zero where the field is constant.
-Eigen::Vector3f gradient(const VoxelGrid& grid, const std::vector<float>& phi, const Eigen::Vector3f& g) {
+Eigen::Vector3f gradient(const VoxelGrid& grid, const Field<float>& phi, const Eigen::Vector3f& g) {
   const Eigen::Array3f upper(grid.nx - 1.f, grid.ny - 1.f, grid.nz - 1.f);
   Eigen::Vector3f result;
   for (int axis = 0; axis < 3; ++axis) {
@@ -73,10 +73,10 @@ std::optional<Eigen::Vector2d> clipToGrid(const VoxelGrid& grid, const Eigen::Ve
 
 }  // namespace
 
-std::vector<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fill_radius, int threads) {
+Field<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fill_radius, int threads) {
   if (fill_radius < 0) throw std::invalid_argument("surface: fill_radius must not be negative");
   const int nx = votes.nx, ny = votes.ny, nz = votes.nz, r = fill_radius;
-  std::vector<std::uint8_t> support(static_cast<std::size_t>(nx) * ny * nz, 0);
+  Field<std::uint8_t> support(static_cast<std::size_t>(nx) * ny * nz, 0);
   air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(static) num_threads(threads)
   for (int z = 0; z < nz; ++z)

@@ -6,7 +6,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/first_exception.h"
-#include "dense_fusion/fusion_kernels.h"
+#include "tv_l1_sweep.h"
 
 namespace dense_fusion {
 namespace {
@@ -17,53 +17,7 @@ constexpr float kStep = 0.288675f;
 // One call runs all iterations; ubar lives only here.
 template <typename Count>
 void iterate(const Histograms<Count>& votes, double lambda, int iterations, int threads, TvL1Solution* s) {
-  const int nx = s->nx, ny = s->ny, nz = s->nz;
-  const std::size_t slice = static_cast<std::size_t>(nx) * ny;
-  const int slabs = std::min(threads, nz);
-  const auto first = [&](int slab) { return static_cast<int>(static_cast<long>(nz) * slab / slabs); };
-  std::vector<float> ubar = s->phi;
-  const std::vector<float> zeros(nx, 0.f);
-  const float weight = static_cast<float>(lambda);
-  // Between slabs: ubar of the next slab's first slice before this iteration, and the new pz of the slice before.
-  std::vector<std::vector<float>> ubar_next(slabs), pz_before(slabs), p_scratch(slabs);
-  for (int t = 1; t < slabs; ++t) {  // here, since nothing may be thrown in the loops below
-    ubar_next[t - 1].resize(slice);
-    pz_before[t].resize(slice);
-    p_scratch[t].resize(2 * static_cast<std::size_t>(nx));
-  }
-  for (int iteration = 0; iteration < iterations; ++iteration) {
-#pragma omp parallel for schedule(static, 1) num_threads(slabs)
-    for (int t = 1; t < slabs; ++t) {
-      const std::size_t at = first(t) * slice, before = at - slice;
-      std::copy_n(&ubar[at], slice, ubar_next[t - 1].data());
-      std::copy_n(&s->pz[before], slice, pz_before[t].data());
-      for (int y = 0; y < ny; ++y) {
-        const std::size_t row = before + static_cast<std::size_t>(y) * nx;
-        float* px = p_scratch[t].data();
-        std::copy_n(&s->px[row], nx, px);
-        std::copy_n(&s->py[row], nx, px + nx);
-        kernels::dualRow(&ubar[row], &ubar[y + 1 < ny ? row + nx : row], &ubar[row + slice], px, px + nx,
-                         &pz_before[t][static_cast<std::size_t>(y) * nx], nx, kStep);
-      }
-    }
-#pragma omp parallel for schedule(static, 1) num_threads(slabs)
-    for (int t = 0; t < slabs; ++t) {
-      const int begin = first(t), end = first(t + 1);
-      // The dual of a row needs old values of this row and the ones after it, the primal step needs new duals of this
-      // row and the ones before: one sweep does both in place.
-      for (int z = begin; z < end; ++z)
-        for (int y = 0; y < ny; ++y) {
-          const std::size_t in_slice = static_cast<std::size_t>(y) * nx, row = z * slice + in_slice;
-          const float* ubar_z = z + 1 == nz ? &ubar[row] : z + 1 == end ? &ubar_next[t][in_slice] : &ubar[row + slice];
-          kernels::dualRow(&ubar[row], &ubar[y + 1 < ny ? row + nx : row], ubar_z, &s->px[row], &s->py[row],
-                           &s->pz[row], nx, kStep);
-          const float* pz_z = z == 0 ? zeros.data() : z == begin ? &pz_before[t][in_slice] : &s->pz[row - slice];
-          kernels::primalRow(&s->phi[row], &ubar[row], &s->px[row], &s->py[row],
-                             y > 0 ? &s->py[row - nx] : zeros.data(), &s->pz[row], pz_z, votes.row(y, z), nx, kStep,
-                             weight);
-        }
-    }
-  }
+  TvL1Sweep<Count>(votes, static_cast<float>(lambda), kStep, s).run(iterations, threads);
   s->iterations += iterations;
 }
 
@@ -92,8 +46,8 @@ std::vector<Tap> taps(int fine, int coarse, bool faces) {
   return result;
 }
 
-void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis,
-              int threads, std::vector<float>* to) {
+void upsample(const Field<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis,
+              int threads, Field<float>* to) {
   const auto tx = taps(fine.nx, coarse.nx, face_axis == 0), ty = taps(fine.ny, coarse.ny, face_axis == 1),
              tz = taps(fine.nz, coarse.nz, face_axis == 2);
   const auto row = [&](int y, int z) { return &from[(static_cast<std::size_t>(z) * coarse.ny + y) * coarse.nx]; };
@@ -120,12 +74,15 @@ void upsample(const std::vector<float>& from, const TvL1Solution& coarse, const 
 // Start of a finer level by linear interpolation; duals across the far borders are zero (Neumann).
 TvL1Solution refineSolution(const TvL1Solution& coarse, int nx, int ny, int nz, int threads) {
   TvL1Solution fine;
-  fine.reset(nx, ny, nz);
+  fine.nx = nx;
+  fine.ny = ny;
+  fine.nz = nz;
+  for (auto* field : {&fine.phi, &fine.px, &fine.py, &fine.pz}) field->resize(static_cast<std::size_t>(nx) * ny * nz);
   upsample(coarse.phi, coarse, fine, -1, threads, &fine.phi);
   upsample(coarse.px, coarse, fine, 0, threads, &fine.px);
   upsample(coarse.py, coarse, fine, 1, threads, &fine.py);
   upsample(coarse.pz, coarse, fine, 2, threads, &fine.pz);
-  const auto zero = [&](std::vector<float>* field, int x0, int y0, int z0) {
+  const auto zero = [&](Field<float>* field, int x0, int y0, int z0) {
     for (int z = z0; z < nz; ++z)
       for (int y = y0; y < ny; ++y)
         for (int x = x0; x < nx; ++x) (*field)[(static_cast<std::size_t>(z) * ny + y) * nx + x] = 0;
@@ -201,7 +158,7 @@ void iterateTvL1Reference(const Histograms<std::uint8_t>& votes, double lambda, 
   const int nx = s->nx, ny = s->ny, nz = s->nz;
   const auto at = [&](int x, int y, int z) { return (static_cast<std::size_t>(z) * ny + y) * nx + x; };
   const double tau = kStep, sigma = kStep;
-  std::vector<float> ubar = s->phi;
+  Field<float> ubar = s->phi;
   for (int iteration = 0; iteration < iterations; ++iteration) {
     for (int z = 0; z < nz; ++z)
       for (int y = 0; y < ny; ++y)

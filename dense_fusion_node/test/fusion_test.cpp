@@ -38,7 +38,7 @@ Histograms<std::uint8_t> planeVotes(int nx, int ny, int nz, int maps, double out
   return votes;
 }
 
-double largestDifference(const std::vector<float>& a, const std::vector<float>& b) {
+double largestDifference(const Field<float>& a, const Field<float>& b) {
   double largest = 0;
   for (std::size_t i = 0; i < a.size(); ++i) largest = std::max(largest, std::abs(double(a[i]) - b[i]));
   return largest;
@@ -172,8 +172,8 @@ TEST(VoxelGrid, GrowsVoxelsToStayWithinTheBound) {
 
 // Field of an analytic shape: phi = clamp(distance / truncation).
 template <typename Distance>
-std::vector<float> analyticField(const VoxelGrid& grid, double truncation, Distance distance) {
-  std::vector<float> phi(grid.voxels());
+Field<float> analyticField(const VoxelGrid& grid, double truncation, Distance distance) {
+  Field<float> phi(grid.voxels());
   for (int z = 0; z < grid.nz; ++z)
     for (int y = 0; y < grid.ny; ++y)
       for (int x = 0; x < grid.nx; ++x)
@@ -188,7 +188,7 @@ TEST(RayCasting, SphereAndPlaneAreHitWhereTheyAre) {
   const double radius = 0.5;
   const auto phi = analyticField(
       grid, 0.08, [&](const Eigen::Vector3d& p) { return std::min((p - centre).norm() - radius, p.z()); });
-  const std::vector<std::uint8_t> support(grid.voxels(), 2);
+  const Field<std::uint8_t> support(grid.voxels(), 2);
   const SurfaceField field{grid, phi, support, 2};
   const DepthMap view = exactDepth(Scene{}, lookDown({0.2, 0.1, 2}, 0.15, -0.1, 0.5));
   cv::Mat normals;
@@ -225,7 +225,7 @@ TEST(RayCasting, SphereAndPlaneAreHitWhereTheyAre) {
 TEST(RayCasting, UnsupportedSurfacesAreNotReported) {
   const VoxelGrid grid = fitGrid({-1, -1, -0.2}, {1, 1, 0.4}, 0.04, 1000000);
   const auto phi = analyticField(grid, 0.16, [](const Eigen::Vector3d& p) { return p.z(); });
-  const std::vector<std::uint8_t> support(grid.voxels(), 1);
+  const Field<std::uint8_t> support(grid.voxels(), 1);
   const SurfaceField field{grid, phi, support, 2};
   const DepthMap view = exactDepth(Scene{}, lookDown({0, 0, 2}));
   EXPECT_EQ(cv::countNonZero(castRays(field, view.camera, view.T_map_camera, 2) > 0), 0);

@@ -29,27 +29,30 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
   for (auto& v : reference) v = static_cast<std::uint8_t>(100 + random() % 56);
   std::vector<std::uint32_t> packed(image.size());
   kernels::packNeighborhoods(image.data(), width, height, packed.data());
-  std::vector<float> rho(D);
-  for (int d = 0; d < D; ++d) rho[d] = 0.2f + 0.02f * d;
-  std::vector<std::uint16_t> fast(width * D, 5), plain(width * D, 5);
-  const float base[3] = {3.2f, 20.4f, 1.f}, step[3] = {0.97f, 0.01f, 1e-5f}, shift[3] = {9.f, 12.f, 0.02f};
-  kernels::addRow(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, packed.data(), width,
-                  fast.data());
-  kernels::addRowReference(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, image.data(), width,
-                           plain.data());
-  double error = 0, largest = 0, sum = 0;
-  for (std::size_t i = 0; i < fast.size(); ++i) {
-    const double e = std::abs(double(fast[i]) - plain[i]);
-    error += e;
-    sum += plain[i];
-    largest = std::max(largest, e);
-  }
-  EXPECT_LT(error, 0.01 * sum);
-  EXPECT_LE(largest, 64);  // two grey levels at the limit of 63: (63^2 - 61^2) / 4
-  EXPECT_GT(sum, 1e5);
-  for (int d = 0; d < D; ++d) {
-    EXPECT_EQ(fast[d * width + 10], 5);
-    EXPECT_EQ(fast[d * width + 280], 5);
+  // Hypotheses 0.3 px apart are all sampled; of those 0.03 and 0.01 px apart some, with differences between them.
+  for (const float spacing : {0.02f, 0.002f, 0.0007f}) {
+    std::vector<float> rho(D);
+    for (int d = 0; d < D; ++d) rho[d] = 0.2f + spacing * d;
+    std::vector<std::uint16_t> fast(width * D, 5), plain(width * D, 5);
+    const float base[3] = {3.2f, 20.4f, 1.f}, step[3] = {0.97f, 0.01f, 1e-5f}, shift[3] = {9.f, 12.f, 0.02f};
+    kernels::addRow(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, packed.data(), width,
+                    fast.data());
+    kernels::addRowReference(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, image.data(), width,
+                             plain.data());
+    double error = 0, largest = 0, sum = 0;
+    for (std::size_t i = 0; i < fast.size(); ++i) {
+      const double e = std::abs(double(fast[i]) - plain[i]);
+      error += e;
+      sum += plain[i];
+      largest = std::max(largest, e);
+    }
+    EXPECT_LT(error, 0.01 * sum) << spacing;
+    EXPECT_LE(largest, 64) << spacing;  // two grey levels at the limit of 63: (63^2 - 61^2) / 4
+    EXPECT_GT(sum, 1e5);
+    for (int d = 0; d < D; ++d) {
+      EXPECT_EQ(fast[d * width + 10], 5);
+      EXPECT_EQ(fast[d * width + 280], 5);
+    }
   }
 }
 

@@ -12,7 +12,8 @@ constexpr int kDifferenceLimit = 63;
 ///   (X, Y, W) = base + x * step + inverse_depth[d] * shift,  sample = image(X / W, Y / W),
 ///   cost[d * width + x] += min(|sample - reference[x]|, 63)^2 / 4.
 /// `packed`: the 2x2 neighbourhood of each pixel in 32 bits (see packNeighborhoods), `stride` entries a row.
-/// All samples must lie at least half a pixel inside the image.
+/// All samples must lie at least half a pixel inside the image. inverse_depth must be evenly spaced: samples lie a
+/// quarter of a pixel apart at most, and where hypotheses are nearer than that, differences between them are linear.
 void addRow(const std::uint8_t* reference, int x0, int x1, int width, const float base[3], const float step[3],
             const float shift[3], const float* inverse_depth, int hypotheses, const std::uint32_t* packed, int stride,
             std::uint16_t* cost);

@@ -13,16 +13,20 @@ void voteRow(const float start[3], const float step[3], int nx, const float came
 /// counts[k * stride + x] += (bin[x] == k), saturating, for x in [0, n).
 void countRow(const std::uint8_t* bin, int n, std::uint8_t* counts, int stride);
 
-/// Dual step of one row: p <- q / max(1, |q|), q = p + sigma grad(ubar), forward differences. ubar_y, ubar_z are the
-/// next rows in y and z; at the border pass the row itself (Neumann: the difference is zero).
-void dualRow(const float* ubar, const float* ubar_y, const float* ubar_z, float* px, float* py, float* pz, int nx,
-             float sigma);
+/// Dual step of n voxels of a row: p <- q / max(1, |q|), q = p + sigma grad(ubar), forward differences. ubar_y, ubar_z
+/// are the next rows in y and z; at the border pass the row itself (Neumann: the difference is zero). `at_border`: the
+/// last voxel is the last of its row; else ubar[n] is read. True when any value of p has changed.
+bool dualRow(const float* ubar, const float* ubar_y, const float* ubar_z, float* px, float* py, float* pz, int n,
+             bool at_border, float sigma);
 
-/// Primal step of one row: u+ = argmin of the data term around u + tau div p, then ubar = 2 u+ - u.
-/// py_before, pz_before: rows one step before in y and z; at the border pass zeros.
-void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
-               const float* pz_before, const std::uint8_t* counts, int nx, float tau, float lambda);
-void primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
-               const float* pz_before, const std::uint16_t* counts, int nx, float tau, float lambda);
+/// Primal step of n voxels of a row: u+ = argmin of the data term around u + tau div p, then ubar = 2 u+ - u.
+/// py_before, pz_before: rows one step before in y and z; at the border pass zeros. `at_border`: the first voxel is the
+/// first of its row; else px[-1] is read. Counts of the bins lie `stride` apart. True when u or ubar has changed.
+bool primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint8_t* counts, int stride, int n, bool at_border, float tau,
+               float lambda);
+bool primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
+               const float* pz_before, const std::uint16_t* counts, int stride, int n, bool at_border, float tau,
+               float lambda);
 
 }  // namespace dense_fusion::kernels

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "dense_fusion/field.h"
+
 namespace dense_fusion {
 
 constexpr int kBins = 8;  ///< bins of a voxel's histogram
@@ -17,7 +19,7 @@ constexpr float binCenter(int j) { return -1.f + 2.f * j / (kBins - 1); }
 template <typename Count>
 struct Histograms {
   int nx = 0, ny = 0, nz = 0;
-  std::vector<Count> counts;
+  Field<Count> counts;
 
   void resize(int x, int y, int z) {
     nx = x;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "dense_fusion/depth_map.h"
+#include "dense_fusion/field.h"
 #include "dense_fusion/rectifier.h"
 
 namespace dense_fusion {
@@ -56,7 +57,7 @@ class PlaneSweep {
   int frames_ = 0;
   double squared_parallax_ = 0;
   std::vector<float> inverse_depth_;
-  std::vector<std::uint16_t> cost_;     // [y][hypothesis][x]
+  Field<std::uint16_t> cost_;           // [y][hypothesis][x]
   std::vector<std::uint16_t> samples_;  // [y][x], frames behind each pixel
   std::vector<std::uint32_t> packed_;
 };

@@ -20,13 +20,13 @@ struct SurfacePoint {
 
 /// Per voxel: depth maps whose surface lies within the truncation band (all bins but the first and the last),
 /// then the largest of these numbers within `fill_radius` voxels in x and y. Index order of VoxelGrid.
-std::vector<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fill_radius, int threads);
+Field<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fill_radius, int threads);
 
 struct SurfaceField {
   const VoxelGrid& grid;
-  const std::vector<float>& phi;             ///< in [-1, 1], positive in free space
-  const std::vector<std::uint8_t>& support;  ///< from surfaceSupport
-  int min_support = 2;                       ///< crossings with fewer votes are the regulariser's invention: dropped
+  const Field<float>& phi;             ///< in [-1, 1], positive in free space
+  const Field<std::uint8_t>& support;  ///< from surfaceSupport
+  int min_support = 2;                 ///< crossings with fewer votes are the regulariser's invention: dropped
 };
 
 /// Depth of the first supported crossing from free space into matter along each pixel's ray; NaN where there is none.

@@ -19,8 +19,8 @@ struct TvL1Settings {
 /// phi of equation 1 in [-1, 1], in VoxelGrid's index order, and the dual field that certifies how good it is.
 struct TvL1Solution {
   int nx = 0, ny = 0, nz = 0;
-  std::vector<float> phi;
-  std::vector<float> px, py, pz;
+  Field<float> phi;
+  Field<float> px, py, pz;
   int iterations = 0;  ///< done at full resolution
 
   void reset(int x, int y, int z);

@@ -8,8 +8,8 @@
 #include <numeric>
 #include <random>
 
-#include "air_ground_common/text.h"
 #include "../src/polygons.h"
+#include "air_ground_common/text.h"
 #include "test_files.h"
 
 namespace streetview_localizer {

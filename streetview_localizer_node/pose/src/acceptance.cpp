@@ -74,6 +74,44 @@ void AcceptanceSettings::validate() const {
   require(max_competitor_share > 0, "max_competitor_share must be positive");
 }
 
+namespace {
+
+/// How the inliers lie in the image and in space, seen from `centre`.
+void describeSpread(const std::vector<int>& inliers, const std::vector<Correspondence>& correspondences,
+                    const CameraModel& camera, const Eigen::Vector3d& centre, PoseEvidence* e) {
+  const double k = static_cast<double>(inliers.size());
+  std::set<std::pair<int, int>> cells;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  int known = 0, facing = 0;
+  for (const int i : inliers) {
+    const Correspondence& c = correspondences[i];
+    cells.emplace(static_cast<int>(8 * c.pixel.x() / camera.width), static_cast<int>(6 * c.pixel.y() / camera.height));
+    mean += c.p_world / k;
+    if (c.normal.allFinite() && c.normal.squaredNorm() > 0.25) {
+      ++known;
+      facing += c.normal.dot(centre - c.p_world) > 0;
+    }
+  }
+  e->cells = static_cast<int>(cells.size());
+  e->facing = known > 0 ? static_cast<double>(facing) / known : 1;
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const int i : inliers)
+    scatter += (correspondences[i].p_world - mean) * (correspondences[i].p_world - mean).transpose() / k;
+  const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter, Eigen::EigenvaluesOnly)
+                                     .eigenvalues()
+                                     .cwiseMax(0)
+                                     .cwiseSqrt();
+  e->extent_long = values[2];
+  e->extent_short = values[1];
+  e->view_angle = 4 * values[1] / std::max(1e-6, (mean - centre).norm());
+}
+
+double largestStddev(const Eigen::Matrix3d& covariance) {
+  return std::sqrt(covariance.selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
+}
+
+}  // namespace
+
 PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                             const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
                             std::size_t first_dropped) {
@@ -103,41 +141,16 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
                                     log10Binomial(k, 3) + (k - 3) * std::log10(chance);
 
   e.hull_share = hullArea(inliers, correspondences) / image;
-  std::set<std::pair<int, int>> cells;
-  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  int known = 0, facing = 0;
   const Eigen::Vector3d centre = result.T_world_camera.translation();
-  for (const int i : inliers) {
-    const Correspondence& c = correspondences[i];
-    cells.emplace(static_cast<int>(8 * c.pixel.x() / camera.width), static_cast<int>(6 * c.pixel.y() / camera.height));
-    mean += c.p_world / k;
-    if (c.normal.allFinite() && c.normal.squaredNorm() > 0.25) {
-      ++known;
-      facing += c.normal.dot(centre - c.p_world) > 0;
-    }
-  }
-  e.cells = static_cast<int>(cells.size());
-  e.facing = known > 0 ? static_cast<double>(facing) / known : 1;
-  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const int i : inliers)
-    scatter += (correspondences[i].p_world - mean) * (correspondences[i].p_world - mean).transpose() / k;
-  const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter, Eigen::EigenvaluesOnly)
-                                     .eigenvalues()
-                                     .cwiseMax(0)
-                                     .cwiseSqrt();
-  e.extent_long = values[2];
-  e.extent_short = values[1];
-  e.view_angle = 4 * values[1] / std::max(1e-6, (mean - centre).norm());
+  describeSpread(inliers, correspondences, camera, centre, &e);
   e.rms = result.rms;
   e.range = (centre - source.position).norm();
   e.alternative_margin = result.alternative_margin;
   if (result.alternative) e.alternative_distance = (result.alternative->T_world_camera.translation() - centre).norm();
   if (result.competitor)
     e.competitor_share = static_cast<double>(distinct(result.competitor->inliers, correspondences).size()) / k;
-  e.position_stddev =
-      std::sqrt(result.image_covariance.topLeftCorner<3, 3>().selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
-  e.angle_stddev = std::sqrt(
-      result.image_covariance.bottomRightCorner<3, 3>().selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
+  e.position_stddev = largestStddev(result.image_covariance.topLeftCorner<3, 3>());
+  e.angle_stddev = largestStddev(result.image_covariance.bottomRightCorner<3, 3>());
   return e;
 }
 
