@@ -125,6 +125,18 @@ __attribute__((always_inline)) inline bool primalRowImpl(float* __restrict u, fl
     const int m = std::min(kLane, n - begin);
     px_before[0] = begin == 0 && at_border ? 0.f : px[begin - 1];
     std::copy_n(px + begin, m - 1, px_before + 1);
+    if (!counts) {
+      for (int i = 0; i < m; ++i) {
+        const int x = begin + i;
+        const float divergence = px[x] - px_before[i] + py[x] - py_before[x] + pz[x] - pz_before[x];
+        const float next = std::min(1.f, std::max(-1.f, u[x] + tau * divergence));
+        const float next_bar = 2.f * next - u[x];
+        changed |= (next != u[x]) | (next_bar != ubar[x]);
+        ubar[x] = next_bar;
+        u[x] = next;
+      }
+      continue;
+    }
     for (int k = 0; k < kBins; ++k) {
       const Count* of_bin = counts + static_cast<std::ptrdiff_t>(k) * stride + begin;
       for (int i = 0; i < m; ++i) numbers[k * kLane + i] = static_cast<float>(of_bin[i]);
