@@ -8,10 +8,11 @@
 #include <stdexcept>
 #include <utility>
 
+#include "air_ground_common/units.h"
+
 namespace air_ground_common {
 namespace {
 
-constexpr double kDegree = M_PI / 180;
 // WGS 84.
 constexpr double kA = 6378137.0, kF = 1 / 298.257223563, kE2 = kF * (2 - kF);
 

@@ -2,21 +2,20 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <sstream>
+
+#include "air_ground_common/text.h"
 
 namespace air_ground_common {
 namespace {
 
 /// The shortest text that reads back as the same number.
 std::string shortest(double value) {
-  char text[32];
-  for (int digits = 15; digits <= 17; ++digits) {
-    std::snprintf(text, sizeof text, "%.*g", digits, value);
-    if (std::strtod(text, nullptr) == value) break;
-  }
-  return text;
+  for (int digits = 15; digits < 17; ++digits)
+    if (const std::string text = formatted("%.*g", digits, value); std::strtod(text.c_str(), nullptr) == value)
+      return text;
+  return formatted("%.17g", value);
 }
 
 /// A number that YAML takes for one with a fraction.
@@ -46,11 +45,7 @@ std::string joined(const std::vector<std::string>& words) {
 }
 
 /// Of a bound, which may be pi.
-std::string rounded(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.10g", value);
-  return text;
-}
+std::string rounded(double value) { return formatted("%.10g", value); }
 
 /// "text [unit] (min..max)".
 std::string commentOf(const Parameter& p) {

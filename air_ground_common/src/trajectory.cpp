@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/atomic_file.h"
+#include "air_ground_common/statistics.h"
 
 namespace air_ground_common {
 
@@ -124,8 +125,7 @@ TrajectoryError absoluteTrajectoryError(const Trajectory& reference, const Traje
   }
   error.mean = sum / r.size();
   error.rmse = std::sqrt(sum2 / r.size());
-  std::nth_element(distances.begin(), distances.begin() + distances.size() / 2, distances.end());
-  error.median = distances[distances.size() / 2];
+  error.median = median(distances);
   error.max = *std::max_element(distances.begin(), distances.end());
   return error;
 }

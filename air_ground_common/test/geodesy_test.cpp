@@ -7,10 +7,11 @@
 #include <stdexcept>
 #include <vector>
 
+#include "air_ground_common/units.h"
+
 namespace air_ground_common {
 namespace {
 
-constexpr double kDegree = M_PI / 180;
 const Eigen::Vector3d kZurichLv95(2683300, 1247900, 420);
 
 // UTM by Krueger's series to n^4, from the textbook: an independent reference for PROJ and for the axes' order.

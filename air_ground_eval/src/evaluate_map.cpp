@@ -13,19 +13,12 @@
 #include <vector>
 
 #include "air_ground_common/mesh.h"
+#include "air_ground_common/statistics.h"
 
 namespace {
 
 using air_ground_common::LabeledPoint;
-
-/// Linear interpolation between order statistics; q in [0, 1].
-float quantile(std::vector<float> values, double q) {
-  std::sort(values.begin(), values.end());
-  const double position = q * static_cast<double>(values.size() - 1);
-  const std::size_t i = std::min(static_cast<std::size_t>(position), values.size() - 1);
-  const std::size_t j = std::min(i + 1, values.size() - 1);
-  return values[i] + static_cast<float>(position - static_cast<double>(i)) * (values[j] - values[i]);
-}
+using air_ground_common::quantile;
 
 void printStatistics(const std::string& prefix, const std::vector<float>& distances) {
   std::printf("%s_points: %zu\n", prefix.c_str(), distances.size());

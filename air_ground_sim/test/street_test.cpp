@@ -11,6 +11,7 @@
 #include <sstream>
 
 #include "air_ground_common/mesh.h"
+#include "air_ground_common/units.h"
 #include "air_ground_sim/positioning.h"
 #include "air_ground_sim/street/city.h"
 
@@ -18,11 +19,10 @@ namespace air_ground_sim {
 namespace {
 
 namespace fs = std::filesystem;
+using air_ground_common::kDegree;
 using air_ground_common::LocalFrame;
 using air_ground_common::Pose;
 using Eigen::Vector3d;
-
-constexpr double kDegree = M_PI / 180;
 
 SimConfig shipped() { return loadSimConfig(std::string(AIR_GROUND_WORLDS) + "/street.yaml"); }
 

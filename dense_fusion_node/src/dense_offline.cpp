@@ -24,6 +24,8 @@
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/statistics.h"
+#include "air_ground_common/text.h"
 #include "air_ground_common/trajectory.h"
 #include "dense_fusion/dense_mapper.h"
 
@@ -31,6 +33,7 @@ namespace {
 
 using air_ground_common::CameraModel;
 using air_ground_common::Pose;
+using air_ground_common::quantile;
 namespace ros_utils = air_ground_common::ros_utils;
 namespace fs = std::filesystem;
 
@@ -125,8 +128,7 @@ void readFolder(const Options& options, const ImageSink& sink) {
   Pose T_level = Pose::Identity();
   T_level.linear() = air_ground_common::levelingRotation({options.up_x, options.up_y, options.up_z});
   for (int i = options.first; i <= options.last; ++i) {
-    char name[32];
-    std::snprintf(name, sizeof(name), "frame-%06d", i);
+    const std::string name = air_ground_common::formatted("frame-%06d", i);
     const fs::path base = fs::path(options.input) / name;
     std::ifstream file(base.string() + ".pose.txt");
     const cv::Mat image = cv::imread(base.string() + ".color.jpg", cv::IMREAD_GRAYSCALE);
@@ -144,13 +146,6 @@ void readFolder(const Options& options, const ImageSink& sink) {
     sink(image, camera, static_cast<std::int64_t>(i / 30.0 * 1e9),
          T_level * air_ground_common::normalized(pose) * Pose(Eigen::Translation3d(options.offset_x, 0, 0)), 0, 0);
   }
-}
-
-double quantile(std::vector<double> values, double q) {
-  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + i, values.end());
-  return values[i];
 }
 
 // True depths of some rays, to stand in for the sparse points of visual odometry.
@@ -273,8 +268,7 @@ struct Report {
 
 void reportFused(const Options& options, const dense_fusion::FusedMap& fused, const air_ground_common::MeshScene* mesh,
                  Report* report) {
-  char name[64];
-  std::snprintf(name, sizeof(name), "fused_%03d", report->maps++);
+  const std::string name = air_ground_common::formatted("fused_%03d", report->maps++);
   const std::string base = (fs::path(options.out) / name).string();
   std::vector<air_ground_common::LabeledPoint> cloud;
   for (const auto& p : fused.points) {
@@ -290,8 +284,9 @@ void reportFused(const Options& options, const dense_fusion::FusedMap& fused, co
   drawFromAbove(base + "_above.png", fused.points);
   std::printf(
       "%s: %d depth maps, grid %dx%dx%d of %.4f m, %zu points, support %.1f, votes %.0f + TV-L1 %.0f + surface %.0f ms",
-      name, fused.depth_maps, fused.grid.nx, fused.grid.ny, fused.grid.nz, fused.grid.voxel_size, fused.points.size(),
-      fused.mean_support, 1e3 * fused.timings.votes, 1e3 * fused.timings.minimisation, 1e3 * fused.timings.surface);
+      name.c_str(), fused.depth_maps, fused.grid.nx, fused.grid.ny, fused.grid.nz, fused.grid.voxel_size,
+      fused.points.size(), fused.mean_support, 1e3 * fused.timings.votes, 1e3 * fused.timings.minimisation,
+      1e3 * fused.timings.surface);
   if (mesh) {
     std::vector<double> view, surface;
     report->complete.push_back(collectErrors(errors, &view));

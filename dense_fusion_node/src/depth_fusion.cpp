@@ -8,6 +8,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "air_ground_common/statistics.h"
 #include "dense_fusion/distance_field.h"
 
 namespace dense_fusion {
@@ -38,10 +39,7 @@ double depthDeviation(const DepthMapViews& views, const std::vector<SurfacePoint
   for (std::size_t i = 0; i < points.size(); i += step)
     if (const float deviation = views.ask(points[i].position).deviation; deviation >= 0)
       deviations.push_back(deviation);
-  if (deviations.empty()) return 0;
-  const auto middle = deviations.begin() + static_cast<std::ptrdiff_t>(deviations.size() / 2);
-  std::nth_element(deviations.begin(), middle, deviations.end());
-  return *middle;
+  return deviations.empty() ? 0 : air_ground_common::median(std::move(deviations));
 }
 
 // Asks the depth maps about the reference view's surface: moves it to what they say on average, drops what too few of
@@ -113,13 +111,8 @@ void append(const Eigen::Vector3d& point, Axes* axes) {
 Eigen::AlignedBox3d innerBox(Axes axes, double tail) {
   Eigen::AlignedBox3d box;
   for (int k = 0; k < 3; ++k) {
-    const auto at = [&](double q) {
-      const auto i = static_cast<std::ptrdiff_t>(q * static_cast<double>(axes[k].size() - 1));
-      std::nth_element(axes[k].begin(), axes[k].begin() + i, axes[k].end());
-      return axes[k][i];
-    };
-    box.min()[k] = at(tail);
-    box.max()[k] = at(1 - tail);
+    box.min()[k] = air_ground_common::quantile(axes[k], tail);
+    box.max()[k] = air_ground_common::quantile(std::move(axes[k]), 1 - tail);
   }
   return box;
 }

@@ -10,7 +10,6 @@
 #include <tf2_ros/transform_listener.h>
 
 #include <cmath>
-#include <cstdio>
 #include <deque>
 #include <limits>
 #include <optional>
@@ -21,6 +20,7 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/text.h"
 #include "ekf_tracker/increment_synchronizer.h"
 #include "sensor_bridge.h"
 #include "tracked_pose_publisher.h"
@@ -352,16 +352,14 @@ class EkfTrackerNode {
 
   void sayTracking(const Estimate& estimate, double stamp) {
     const Vector4d stddev = estimate.covariance.diagonal().cwiseSqrt();
-    char line[200];
-    std::snprintf(
-        line, sizeof line,
+    const std::string line = air_ground_common::formatted(
         "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago",
         stddev[0], stddev[1], stddev[2], stddev[3] * 180 / M_PI, estimate.scale, estimate.scale_stddev,
         estimate.support, stamp - last_fix_);
     if (!estimate.scale_known)
-      health_.state(1, std::string("the odometry's scale is not known: position is held by fixes alone; ") + line);
+      health_.state(1, "the odometry's scale is not known: position is held by fixes alone; " + line);
     else if (tracker_.filter().strongestRival() > 1)
-      health_.state(1, std::string("doubtful, refused fixes agree; ") + line);
+      health_.state(1, "doubtful, refused fixes agree; " + line);
     else
       health_.state(0, line);
   }

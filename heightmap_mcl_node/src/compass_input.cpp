@@ -1,5 +1,7 @@
 #include "compass_input.h"
 
+#include <tf2/exceptions.h>
+
 #include <cmath>
 
 #include "air_ground_common/ros/conversions.h"

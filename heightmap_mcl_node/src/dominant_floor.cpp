@@ -9,6 +9,8 @@
 #include <cmath>
 #include <limits>
 
+#include "air_ground_common/statistics.h"
+
 namespace heightmap_mcl {
 namespace {
 
@@ -29,9 +31,7 @@ double spacingOf(const pcl::PointCloud<pcl::PointXYZ>& cloud) {
     }
     nearest.push_back(best);
   }
-  const auto middle = nearest.begin() + static_cast<std::ptrdiff_t>(nearest.size() / 2);
-  std::nth_element(nearest.begin(), middle, nearest.end());
-  return std::sqrt(*middle);
+  return std::sqrt(air_ground_common::median(std::move(nearest)));
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <string>
 
+#include "air_ground_common/text.h"
 #include "synthetic_world.h"
 
 using namespace heightmap_mcl;
@@ -23,9 +24,7 @@ std::string folder() {
 }
 
 std::string frameFile(int frame, const char* kind) {
-  char name[64];
-  std::snprintf(name, sizeof(name), "frame-%06d.%s", frame, kind);
-  return folder() + name;
+  return folder() + air_ground_common::formatted("frame-%06d.%s", frame, kind);
 }
 
 /// The recording's frame turned so that z points up.

@@ -2,22 +2,18 @@
 
 #include <Eigen/Eigenvalues>
 #include <cmath>
-#include <cstdio>
 #include <utility>
 
 #include <yaml-cpp/yaml.h>
 
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
+
 namespace icp_refine {
 namespace {
 
-constexpr double kDegrees = 180 / M_PI;
-
-template <class... Args>
-std::string line(const char* format, Args... args) {
-  char text[256];
-  std::snprintf(text, sizeof(text), format, args...);
-  return text;
-}
+using air_ground_common::formatted;
+using air_ground_common::kDegree;
 
 double largestSigma(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
@@ -100,11 +96,11 @@ RefineOutcome AlignmentRefiner::refine() {
   reading = chain_.prepareReading(std::move(reading));
   if (reading.size() < static_cast<std::size_t>(settings_.min_points)) {
     return wait(
-        line("only %zu aerial points with a valid normal, %d are needed", reading.size(), settings_.min_points));
+        formatted("only %zu aerial points with a valid normal, %d are needed", reading.size(), settings_.min_points));
   }
   if (reference_->cloud().size() < static_cast<std::size_t>(settings_.min_points)) {
-    return wait(line("only %zu ground points with a valid normal, %d are needed", reference_->cloud().size(),
-                     settings_.min_points));
+    return wait(formatted("only %zu ground points with a valid normal, %d are needed", reference_->cloud().size(),
+                          settings_.min_points));
   }
 
   // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
@@ -157,7 +153,7 @@ RefineOutcome AlignmentRefiner::refine() {
     if (++rejections_ >= settings_.lost_after) {
       tracked_.reset();
       rejections_ = disagreements_ = 0;
-      out.reason += line("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
+      out.reason += formatted("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
     }
   } else if (from_tracking) {
     // Too little overlap or structure just now says nothing against the pose.
@@ -186,7 +182,7 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
         centre + settings_.retry_distance * Eigen::Vector3d(std::cos(heading), std::sin(heading), 0) - R * centre;
     RefineOutcome other = attempt(reading, similarity(shift * guess, scale_.mean));
     if (other.status == RefineStatus::kConverged) {
-      other.reason += line("; from a start %.2f m beside the guess", settings_.retry_distance);
+      other.reason += formatted("; from a start %.2f m beside the guess", settings_.retry_distance);
       best = other;
     }
   }
@@ -232,8 +228,8 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
   const auto degenerate = [&](const std::string& reason) { verdict(RefineStatus::kDegenerate, reason); };
   if (icp.outcome != IcpResult::Outcome::kConverged) return rejected(icp.reason);
   if (out.overlap < settings_.min_overlap) {
-    return rejected(line("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap,
-                         100 * settings_.min_overlap));
+    return rejected(formatted("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap,
+                              100 * settings_.min_overlap));
   }
   if (!icp.localizability.complete())
     return degenerate("the geometry does not fix: " + icp.localizability.describeMissing());
@@ -241,31 +237,31 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
   const double sigma_angle = largestSigma(out.covariance.bottomRightCorner<3, 3>());
   if (sigma > settings_.max_sigma || sigma_angle > settings_.max_sigma_angle) {
     return degenerate(
-        line("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)", sigma, sigma_angle * kDegrees));
+        formatted("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)", sigma, sigma_angle / kDegree));
   }
   if (icp.residual_rms > settings_.max_rms)
-    return rejected(line("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
+    return rejected(formatted("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
   // Beyond what odometry and clouds leave open with 99.99 % (normal, one degree of freedom): bent to fit a wrong place.
   const double scale = out.T_ground_map_mav_map.scale;
   const double excess = std::abs(scale - scale_.mean) / std::hypot(scale_.stddev, out.scale_stddev);
   if (scale_.mode == ScalePrior::Mode::kPrior && excess > 3.9) {
-    return rejected(line("scale %.3f, %.1f standard deviations from what the odometry can err by (%.1f %%)", scale,
-                         excess, 100 * scale_.stddev));
+    return rejected(formatted("scale %.3f, %.1f standard deviations from what the odometry can err by (%.1f %%)", scale,
+                              excess, 100 * scale_.stddev));
   }
   if (!out.heights.conclusive) {
-    return degenerate(
-        line("only %d cells off the floor were seen by both: too few to verify the pose", out.heights.relief_cells));
+    return degenerate(formatted("only %d cells off the floor were seen by both: too few to verify the pose",
+                                out.heights.relief_cells));
   }
   if (out.heights.agreement() < settings_.min_agreement) {
-    return rejected(line("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
-                         100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
+    return rejected(formatted("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
+                              100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
   }
   verdict(RefineStatus::kConverged,
-          line("residual %.3f m, overlap %.0f %%, heights agree in %.0f %% of %d cells, 1 sigma %.3f m %.2f deg, ",
-               icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells, sigma,
-               sigma_angle * kDegrees) +
-              (icp.scale_estimated ? line("scale %.4f +- %.4f", scale, out.scale_stddev)
-                                   : line("scale held at %.4f: the geometry does not fix it", scale)));
+          formatted("residual %.3f m, overlap %.0f %%, heights agree in %.0f %% of %d cells, 1 sigma %.3f m %.2f deg, ",
+                    icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells, sigma,
+                    sigma_angle / kDegree) +
+              (icp.scale_estimated ? formatted("scale %.4f +- %.4f", scale, out.scale_stddev)
+                                   : formatted("scale held at %.4f: the geometry does not fix it", scale)));
 }
 
 }  // namespace icp_refine

@@ -5,6 +5,7 @@
 #include <limits>
 #include <map>
 
+#include "air_ground_common/statistics.h"
 #include "key_table.h"
 
 namespace icp_refine {
@@ -102,8 +103,7 @@ std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, dou
     if (below.seen(key) && done.insert(key) == before) differences.push_back(below.top(key, 0) - air.top(key, 0));
   }
   if (differences.size() < 50) return std::nullopt;
-  std::nth_element(differences.begin(), differences.begin() + differences.size() / 2, differences.end());
-  return differences[differences.size() / 2];
+  return air_ground_common::median(std::move(differences));
 }
 
 std::vector<char> nearGroundMap(const Cloud& aerial, const Cloud& ground, double margin) {

@@ -3,9 +3,9 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "air_ground_common/linear_algebra.h"
+#include "air_ground_common/text.h"
 #include "key_table.h"
 
 namespace icp_refine {
@@ -17,9 +17,7 @@ std::string axisName(const Eigen::Vector3d& v) {
   for (int k = 0; k < 3; ++k) {
     if (std::abs(u[k]) > 0.98) return kNames[k];
   }
-  char text[64];
-  std::snprintf(text, sizeof(text), "(%.2f %.2f %.2f)", u.x(), u.y(), u.z());
-  return text;
+  return air_ground_common::formatted("(%.2f %.2f %.2f)", u.x(), u.y(), u.z());
 }
 
 using Matrix = Eigen::MatrixXd;

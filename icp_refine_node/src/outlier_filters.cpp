@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cmath>
 
 #include "icp_refine/icp_stages.h"
@@ -6,37 +5,6 @@
 
 namespace icp_refine {
 namespace {
-
-float squaredDistance(const MatchedClouds& c, std::size_t i) {
-  return (c.reading.points[i] - c.reference.points[c.matches.reference_index[i]]).squaredNorm();
-}
-
-// Distances [m^2] of the matches that still count, as a sample for order statistics.
-std::vector<float> squaredDistances(const MatchedClouds& c, const std::vector<float>& weights) {
-  std::vector<float> d;
-  d.reserve(weights.size());
-  for (std::size_t i = 0; i < weights.size(); ++i) {
-    if (weights[i] > 0) d.push_back(squaredDistance(c, i));
-  }
-  return d;
-}
-
-class Trimmed : public OutlierFilter {
- public:
-  explicit Trimmed(const Parameters& p) : ratio_(p("ratio")) {}
-  void apply(const MatchedClouds& c, std::vector<float>& weights) const override {
-    auto d = squaredDistances(c, weights);
-    if (d.empty()) return;
-    const auto k = std::min(d.size() - 1, static_cast<std::size_t>(ratio_ * static_cast<double>(d.size())));
-    std::nth_element(d.begin(), d.begin() + static_cast<std::ptrdiff_t>(k), d.end());
-    for (std::size_t i = 0; i < weights.size(); ++i) {
-      if (weights[i] > 0 && squaredDistance(c, i) > d[k]) weights[i] = 0;
-    }
-  }
-
- private:
-  double ratio_;
-};
 
 class NormalAngle : public OutlierFilter {
  public:
@@ -80,7 +48,6 @@ Filter make(const Parameters& p) {
 
 const std::vector<StageEntry<Filter>>& table() {
   static const std::vector<StageEntry<Filter>> entries = {
-      {{"Trimmed", "Keeps the nearest share of the matches", {{"ratio", "share kept", 0.85, 0.01, 1}}}, make<Trimmed>},
       {{"NormalAngle",
         "Drops matches whose normals differ",
         {{"max", "largest angle [rad]", 0.8, 0, 3.15},

@@ -8,10 +8,12 @@
 #include <cstdio>
 
 #include "air_ground_common/linear_algebra.h"
+#include "air_ground_common/statistics.h"
 #include "icp_refine/alignment_refiner.h"
 #include "synthetic_scene.h"
 
 using namespace icp_refine;
+using air_ground_common::quantile;
 
 namespace {
 
@@ -60,11 +62,6 @@ std::vector<Case> cases(const Options& options) {
     out.push_back(std::move(c));
   }
   return out;
-}
-
-double quantile(std::vector<double> v, double p) {
-  std::sort(v.begin(), v.end());
-  return v.empty() ? 0.0 : v[std::min(v.size() - 1, static_cast<std::size_t>(p * static_cast<double>(v.size())))];
 }
 
 struct Statistics {

@@ -19,6 +19,7 @@ using visual_frontend::BundleProblem;
 
 constexpr double kAnchorPosition = 1e-4;  // [m]
 constexpr double kAnchorYaw = 1e-5;       // [rad]
+constexpr double kLinkLossWidth = 6;      // sigmas of a whole link, of nine numbers: one in 10,000 true ones is longer
 
 void check(const InertialBundleProblem& problem) {
   const std::size_t cameras = problem.visual.cameras.size();
@@ -75,6 +76,8 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
     loss = std::make_unique<ceres::HuberLoss>(settings.loss_width);
   if (settings.loss == visual_frontend::RobustLoss::kCauchy)
     loss = std::make_unique<ceres::CauchyLoss>(settings.loss_width);
+  // One link that a spoilt sample made false may not bend the map.
+  const auto link_loss = std::make_unique<ceres::HuberLoss>(kLinkLossWidth);
 
   std::vector<unsigned char> camera_used(cameras, 0), state_used(cameras, 0), point_used(visual.points.size(), 0);
   for (const auto& m : visual.measurements) {
@@ -88,12 +91,12 @@ InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const I
     Keyframe &a = keyframe[link.a], &b = keyframe[link.b];
     if (problem.metric) {
       solver_problem.AddResidualBlock(new InertialCost(R_0[link.a], R_0[link.b], problem.T_camera_imu, link.motion),
-                                      nullptr, a.camera.data(), a.velocity.data(), a.bias.data(), b.camera.data(),
-                                      b.velocity.data());
+                                      link_loss.get(), a.camera.data(), a.velocity.data(), a.bias.data(),
+                                      b.camera.data(), b.velocity.data());
     } else {
       solver_problem.AddResidualBlock(
-          new GyroCost(R_0[link.a], R_0[link.b], problem.T_camera_imu.linear(), link.motion), nullptr, a.camera.data(),
-          a.bias.data(), b.camera.data());
+          new GyroCost(R_0[link.a], R_0[link.b], problem.T_camera_imu.linear(), link.motion), link_loss.get(),
+          a.camera.data(), a.bias.data(), b.camera.data());
     }
     const double root_dt = std::sqrt(link.motion.duration());
     solver_problem.AddResidualBlock(

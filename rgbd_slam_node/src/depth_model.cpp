@@ -1,10 +1,11 @@
 #include "rgbd_slam/depth_model.h"
 
-#include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 #include <vector>
+
+#include "air_ground_common/statistics.h"
+#include "air_ground_common/text.h"
 
 namespace rgbd_slam {
 
@@ -37,7 +38,7 @@ std::optional<double> sampleDepth(const cv::Mat& depth, const Eigen::Vector2d& p
 }
 
 std::string unitProblem(const cv::Mat& depth) {
-  constexpr float kNear = 0.03f, kFar = 100.f;  // [m]; a wrong unit is wrong by a thousand
+  constexpr double kNear = 0.03, kFar = 100;  // [m]; a wrong unit is wrong by a thousand
   constexpr int kStride = 7;
   constexpr std::size_t kEnough = 50;
   std::vector<float> known;
@@ -45,15 +46,11 @@ std::string unitProblem(const cv::Mat& depth) {
     for (int u = 0; u < depth.cols; u += kStride)
       if (const float z = depth.at<float>(v, u); std::isfinite(z) && z > 0) known.push_back(z);
   if (known.size() < kEnough) return "";
-  const auto middle = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 2);
-  std::nth_element(known.begin(), middle, known.end());
-  if (*middle > kNear && *middle < kFar) return "";
-  char text[200];
-  std::snprintf(
-      text, sizeof text,
+  const double median = air_ground_common::median(std::move(known));
+  if (median > kNear && median < kFar) return "";
+  return air_ground_common::formatted(
       "the depth images are in a wrong unit: their median is %.4g m; 32FC1 must hold metres, 16UC1 millimetres",
-      static_cast<double>(*middle));
-  return text;
+      median);
 }
 
 }  // namespace rgbd_slam

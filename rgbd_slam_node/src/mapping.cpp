@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "air_ground_common/statistics.h"
 #include "slam_impl.h"
 #include "visual_frontend/triangulation.h"
 
@@ -26,11 +27,7 @@ double changeOfView(const visual_frontend::Map& map, const Keyframe& keyframe, c
     if (o.landmark != kNoLandmark)
       depths.push_back((keyframe.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
   }
-  double median = 2.0;
-  if (!depths.empty()) {
-    std::nth_element(depths.begin(), depths.begin() + depths.size() / 2, depths.end());
-    median = depths[depths.size() / 2];
-  }
+  const double median = depths.empty() ? 2.0 : air_ground_common::median(std::move(depths));
   const double distance = (T_map_camera.translation() - keyframe.T_map_camera.translation()).norm();
   const double angle = air_ground_common::rotationAngle(T_map_camera.linear(), keyframe.T_map_camera.linear());
   return std::max(distance / (settings.keyframe_translation * median), angle / settings.keyframe_rotation);

@@ -3,10 +3,13 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
+
+#include "air_ground_common/text.h"
 
 namespace rgbd_slam {
 namespace {
+
+using air_ground_common::formatted;
 
 constexpr int kFrames = 50;
 constexpr double kTurning = 0.2;         // slower frames are mostly noise and bias [rad/s]
@@ -40,21 +43,20 @@ void RotationCheck::judge() {
   const double seen_turn = std::sqrt(seen_seen_.trace()), felt_turn = std::sqrt(felt_felt_);
   const double correlation = felt_seen_.trace() / std::max(1e-12, seen_turn * felt_turn);
   const double ratio = felt_turn / std::max(1e-12, seen_turn);
-  char text[300] = "";
+  std::string problem;
   if (ratio > kUnit || ratio < 1 / kUnit) {
-    std::snprintf(text, sizeof text,
-                  "gyro and images turn differently: the gyro by %.2g times as much; check its unit (rad/s)", ratio);
+    problem =
+        formatted("gyro and images turn differently: the gyro by %.2g times as much; check its unit (rad/s)", ratio);
   } else if (correlation < kMinCorrelation) {
     Eigen::Vector3d axis = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(seen_seen_).eigenvectors().col(2);
     if (axis[indexOf(axis)] < 0) axis = -axis;
-    std::snprintf(
-        text, sizeof text,
+    problem = formatted(
         "gyro and images turn differently (correlation %.2f): turns about %s of the base come from the IMU as "
         "turns about %s; check its transform to base_link and the order and signs of its axes",
         correlation, axisOf(axis).c_str(), axisOf(felt_seen_ * axis).c_str());
   }
   reset();
-  problem_ = text;
+  problem_ = problem;
 }
 
 }  // namespace rgbd_slam

@@ -2,13 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
+
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
 
 namespace streetview_localizer {
 namespace {
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::formatted;
+using air_ground_common::kDegree;
 constexpr double kGravityGate = 4;  // standard deviations
 
 // Index of the most frequent value; the first of equals.
@@ -32,8 +35,8 @@ void useMonteCarlo(Candidate* c) {
   if (c->pose.monte_carlo_covariance)
     c->pose.covariance = *c->pose.monte_carlo_covariance;
   else if (c->acceptance.accepted)
-    refuse(text("only %.0f samples of five matches give a plausible pose: no Monte Carlo covariance",
-                c->pose.monte_carlo_plausible),
+    refuse(formatted("only %d samples of five matches give a plausible pose: no Monte Carlo covariance",
+                     c->pose.monte_carlo_plausible),
            c);
 }
 
@@ -42,17 +45,11 @@ std::string againstGravity(const PosePrior& prior, const PoseResult& pose) {
   const Eigen::Vector3d up = pose.T_world_camera.linear() * prior.up_camera->normalized();
   const double angle = std::acos(std::clamp(up.z(), -1.0, 1.0)), bound = kGravityGate * prior.up_stddev;
   if (angle <= bound) return "";
-  return text("the attitude is %.1f degrees off the direction of gravity, at most %.1f", angle / kDegree,
-              bound / kDegree);
+  return formatted("the attitude is %.1f degrees off the direction of gravity, at most %.1f", angle / kDegree,
+                   bound / kDegree);
 }
 
 }  // namespace
-
-std::string text(const char* format, double a, double b, double c) {
-  char line[240];
-  std::snprintf(line, sizeof line, format, a, b, c);
-  return line;
-}
 
 std::vector<Candidate> CandidateFinder::find(std::vector<ViewMatches> parts, const Features& query,
                                              const CameraModel& camera, const PosePrior& prior) const {
@@ -183,7 +180,7 @@ std::string CandidateFinder::againstModel(const Candidate& c) const {
   const CityModel& model = projector_.model();
   const bool over_ground = below && !model.isBuilding(below->triangle);
   if (over_ground && below->distance < settings_.min_height)
-    return text("%.2f m above the ground of the model, at least %.2f", below->distance, settings_.min_height);
+    return formatted("%.2f m above the ground of the model, at least %.2f", below->distance, settings_.min_height);
   if (above && !model.isBuilding(above->triangle)) return "the camera would be below the ground of the model";
   int visible = 0;
   for (const int i : c.pose.inliers) {
@@ -196,8 +193,8 @@ std::string CandidateFinder::againstModel(const Candidate& c) const {
   const double share =
       static_cast<double>(visible) / static_cast<double>(std::max<std::size_t>(c.pose.inliers.size(), 1));
   if (share >= settings_.min_visible_share) return "";
-  return text("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share,
-              100 * settings_.min_visible_share);
+  return formatted("only %.0f %% of the matched points are visible from the pose, at least %.0f %%", 100 * share,
+                   100 * settings_.min_visible_share);
 }
 
 }  // namespace streetview_localizer

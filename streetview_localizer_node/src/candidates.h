@@ -36,9 +36,6 @@ struct Candidate {
   int panorama = -1, view = -1;
 };
 
-/// snprintf of up to three numbers.
-std::string text(const char* format, double a, double b = 0, double c = 0);
-
 /// Thread-safe.
 class CandidateFinder {
  public:

@@ -12,6 +12,7 @@
 #include <string>
 
 #include "air_ground_common/camera_file.h"
+#include "air_ground_common/text.h"
 #include "query_list.h"
 #include "streetview_localizer/localizer.h"
 #include "streetview_localizer/match_picture.h"
@@ -28,11 +29,7 @@ constexpr char kHeader[] =
     "cells,"
     "reason\n";
 
-std::string formatted(const char* format, double a) {
-  char text[64];
-  std::snprintf(text, sizeof text, format, a);
-  return text;
-}
+using air_ground_common::formatted;
 
 std::string quoted(const std::string& text) {
   std::string out = "\"";
@@ -79,23 +76,59 @@ struct Arguments {
   LocalizerSettings settings;
 };
 
-int run(Arguments a) {
-  if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
-  std::optional<air_ground_common::CameraModel> common;
-  std::map<std::string, air_ground_common::CameraModel> single;
-  if (!a.camera.empty())
-    common = air_ground_common::readCameraFile(a.camera);
-  else
-    single = readCameraList(a.cameras);
-  std::map<std::string, Eigen::Vector3d> ups;
-  if (!a.up.empty()) ups = readUpList(a.up);
-  std::vector<std::string> names = listImages(a.images);
-  // A list of calibrations is a choice of images too.
-  if (!common)
-    names.erase(std::remove_if(names.begin(), names.end(), [&](const std::string& n) { return single.count(n) == 0; }),
-                names.end());
-  if (names.empty()) throw std::runtime_error("no image of " + a.images + " is listed in " + a.cameras);
+/// What is known of the images beforehand.
+struct Flight {
+  std::optional<air_ground_common::CameraModel> common;           ///< of all images; else each has its own
+  std::map<std::string, air_ground_common::CameraModel> cameras;  ///< by file name
+  std::map<std::string, Eigen::Vector3d> ups;                     ///< up in the camera's frame, by file name
+  std::vector<std::string> names;                                 ///< of the files
 
+  air_ground_common::CameraModel cameraOf(const std::string& name, const cv::Mat& image) const {
+    if (common) return *common;
+    air_ground_common::CameraModel camera = cameras.at(name);
+    camera.width = image.cols, camera.height = image.rows;
+    return camera;
+  }
+};
+
+Flight readFlight(const Arguments& a) {
+  if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
+  Flight flight;
+  if (!a.camera.empty())
+    flight.common = air_ground_common::readCameraFile(a.camera);
+  else
+    flight.cameras = readCameraList(a.cameras);
+  if (!a.up.empty()) flight.ups = readUpList(a.up);
+  auto& names = flight.names = listImages(a.images);
+  // A list of calibrations is a choice of images too.
+  if (!flight.common)
+    names.erase(
+        std::remove_if(names.begin(), names.end(), [&](const std::string& n) { return flight.cameras.count(n) == 0; }),
+        names.end());
+  if (names.empty()) throw std::runtime_error("no image of " + a.images + " is listed in " + a.cameras);
+  return flight;
+}
+
+LocalizerResult locate(const Localizer& localizer, const cv::Mat& image, const std::string& name, const Flight& flight,
+                       double up_stddev) {
+  LocalizerResult result;
+  if (image.empty()) {
+    result.reason = "the image cannot be read";
+    return result;
+  }
+  PosePrior prior;
+  if (const auto it = flight.ups.find(name); it != flight.ups.end())
+    prior.up_camera = it->second, prior.up_stddev = up_stddev;
+  try {
+    result = localizer.localize(image, flight.cameraOf(name, image), prior);
+  } catch (const std::invalid_argument& e) {
+    result.reason = e.what();
+  }
+  return result;
+}
+
+int run(Arguments a) {
+  const Flight flight = readFlight(a);
   DatabaseLoadOptions load;
   if (!a.region.empty()) {
     if (!(a.region[2] > 0)) throw std::runtime_error("--region needs a positive radius");
@@ -122,30 +155,17 @@ int run(Arguments a) {
   int accepted = 0;
   std::array<double, kSteps> times{};
   double total = 0;
-  for (const std::string& name : names) {
+  for (const std::string& name : flight.names) {
     cv::Mat image =
         cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
     if (a.mirrored && !image.empty()) cv::flip(image, image, 1);
-    LocalizerResult result;
-    if (image.empty()) {
-      result.reason = "the image cannot be read";
-    } else {
-      air_ground_common::CameraModel camera = common ? *common : single.at(name);
-      if (!common) camera.width = image.cols, camera.height = image.rows;
-      PosePrior prior;
-      if (const auto it = ups.find(name); it != ups.end())
-        prior.up_camera = it->second, prior.up_stddev = a.up_stddev * M_PI / 180;
-      try {
-        result = localizer.localize(image, camera, prior);
-      } catch (const std::invalid_argument& e) {
-        result.reason = e.what();
-      }
-      if (synthesizer) {
-        const std::string stem = a.pictures + "/" + std::filesystem::path(name).stem().string();
-        cv::imwrite(stem + "_match.jpg", drawMatch(image, *database, result));
-        if (result.pose.success)
-          cv::imwrite(stem + "_view.jpg", drawBeside(image, synthesizer->render(camera, result.pose.T_world_camera)));
-      }
+    const LocalizerResult result = locate(localizer, image, name, flight, a.up_stddev * M_PI / 180);
+    if (synthesizer && !image.empty()) {
+      const std::string stem = a.pictures + "/" + std::filesystem::path(name).stem().string();
+      cv::imwrite(stem + "_match.jpg", drawMatch(image, *database, result));
+      if (result.pose.success)
+        cv::imwrite(stem + "_view.jpg",
+                    drawBeside(image, synthesizer->render(flight.cameraOf(name, image), result.pose.T_world_camera)));
     }
     accepted += result.accepted();
     for (std::size_t i = 0; i < times.size(); ++i) times[i] += result.times[i];
@@ -157,8 +177,8 @@ int run(Arguments a) {
   out.close();
   if (!out) throw std::runtime_error("cannot write " + partial);
   std::filesystem::rename(partial, a.out);
-  const double n = static_cast<double>(names.size());
-  std::printf("%s: %d of %zu images located\n", a.out.c_str(), accepted, names.size());
+  const double n = static_cast<double>(flight.names.size());
+  std::printf("%s: %d of %zu images located\n", a.out.c_str(), accepted, flight.names.size());
   for (int i = 0; i < kSteps; ++i)
     std::printf("  %-28s %6.3f s an image\n", nameOf(static_cast<Step>(i)), times[static_cast<std::size_t>(i)] / n);
   std::printf("  %-28s %6.3f s an image\n", "all", total / n);

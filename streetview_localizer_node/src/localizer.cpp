@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "air_ground_common/rectification.h"
+#include "air_ground_common/text.h"
 #include "candidates.h"
 #include "mirror_check.h"
 #include "pyramid_cache.h"
@@ -15,6 +16,8 @@
 #include "view_search.h"
 
 namespace streetview_localizer {
+
+using air_ground_common::formatted;
 
 const char* nameOf(LocalizerStatus status) {
   switch (status) {
@@ -100,8 +103,8 @@ struct Localizer::Impl {
     const double apart = (a.T_world_camera.translation() - b.T_world_camera.translation()).norm();
     const double turn = air_ground_common::rotationAngle(a.T_world_camera.linear(), b.T_world_camera.linear());
     if (apart <= settings.max_disagreement && turn <= settings.max_turn) return "";
-    return text("%.1f m and %.1f degrees apart, the second with %.0f inliers", apart, turn * 180 / M_PI,
-                static_cast<double>(b.inliers.size()));
+    return formatted("%.1f m and %.1f degrees apart, the second with %zu inliers", apart, turn * 180 / M_PI,
+                     b.inliers.size());
   }
 
   static void contradict(const std::string& why, LocalizerResult* result) {
@@ -128,6 +131,8 @@ struct Localizer::Impl {
 };
 
 namespace {
+
+using air_ground_common::formatted;
 
 cv::Mat greyOf(const cv::Mat& image) {
   cv::Mat grey = image;
@@ -157,7 +162,7 @@ class Localizer::Query {
     const bool in_steps = settings_.quick_inliers > 0, has_virtual_views = !settings_.features.views.empty();
     const bool more = count > settings_.quick_features || settings_.max_views > settings_.quick_views;
     bool settled = count < settings_.acceptance.min_inliers;  // a blank image stays blank from every side
-    if (settled) best_.reason = text("%.0f features in the image: nothing to match", static_cast<double>(count));
+    if (settled) best_.reason = formatted("%d features in the image: nothing to match", count);
     if (!settled && in_steps)
       settled = settle(strongestFeatures(features_, settings_.quick_features),
                        std::min(settings_.quick_views, settings_.max_views), settings_.quick_inliers);
@@ -201,7 +206,7 @@ class Localizer::Query {
     std::vector<Candidate> candidates = engine_.candidates.find(std::move(parts), query, camera_, prior_);
     if (candidates.empty()) {
       result.reason =
-          !views.empty()      ? text("fewer than %.0f matches with every view searched", settings_.min_view_matches)
+          !views.empty()      ? formatted("fewer than %d matches with every view searched", settings_.min_view_matches)
           : result.used_prior ? "no view of the nearest panoramas shows what would be seen from the predicted pose"
                               : "no panorama resembles the image";
       return result;

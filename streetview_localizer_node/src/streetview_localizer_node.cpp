@@ -15,7 +15,6 @@
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
-#include <cstdio>
 #include <filesystem>
 #include <memory>
 #include <mutex>
@@ -27,6 +26,7 @@
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/text.h"
 #include "city_display.h"
 #include "match_message.h"
 #include "node_parameters.h"
@@ -38,6 +38,7 @@ namespace {
 
 namespace ru = air_ground_common::ros_utils;
 using air_ground::StreetviewMatch;
+using air_ground_common::formatted;
 
 enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStreams };
 
@@ -336,20 +337,18 @@ class StreetviewLocalizerNode {
   }
 
   void tell(const Job& job, const LocalizerResult& r) {
-    char line[300];
     const std::string tally =
         "; " + std::to_string(accepted_) + " images located, " + std::to_string(refused_) + " not";
     if (r.accepted()) {
       const Eigen::Vector3d stddev = r.pose.covariance.diagonal().head<3>().cwiseSqrt();
-      std::snprintf(line, sizeof line,
-                    "located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
-                    localizer_->database().panoramas[static_cast<std::size_t>(r.panorama)].id.c_str(),
-                    r.pose.inliers.size(), r.acceptance.score, stddev.x(), stddev.y(), stddev.z(), r.total_time);
-      health_.state(0, line + tally);
+      health_.state(
+          0, formatted("located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
+                       localizer_->database().panoramas[static_cast<std::size_t>(r.panorama)].id.c_str(),
+                       r.pose.inliers.size(), r.acceptance.score, stddev.x(), stddev.y(), stddev.z(), r.total_time) +
+                 tally);
       return;
     }
-    std::snprintf(line, sizeof line, "last image %s: %s", nameOf(r.status), r.reason.c_str());
-    std::string state = line + tally;
+    std::string state = formatted("last image %s: %s", nameOf(r.status), r.reason.c_str()) + tally;
     if (!last_fix_.isZero())
       state +=
           "; last fix " + std::to_string(std::lround(job.image->header.stamp.toSec() - last_fix_.toSec())) + " s ago";

@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <numeric>
 #include <stdexcept>
 #include <utility>
 
+#include "air_ground_common/text.h"
 #include "step_times.h"
 
 namespace streetview_localizer {
@@ -87,9 +87,7 @@ void ViewSearch::prepareIndex() {
   }
   const auto start = StepTimes::Clock::now();
   index_ = buildIndex(descriptors_, settings_.index);
-  char time[32];
-  std::snprintf(time, sizeof time, "%.1f s", StepTimes::secondsSince(start));
-  index_remark_ = name + " built in " + time + why;
+  index_remark_ = name + air_ground_common::formatted(" built in %.1f s", StepTimes::secondsSince(start)) + why;
   if (settings_.index_file.empty()) return;
   try {
     index_->save(settings_.index_file);

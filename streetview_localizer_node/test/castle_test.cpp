@@ -7,18 +7,15 @@
 
 #include <opencv2/core.hpp>
 
+#include "air_ground_common/statistics.h"
 #include "castle.h"
 #include "streetview_localizer/localizer.h"
 
 namespace streetview_localizer {
 namespace {
 
+using air_ground_common::median;
 using test::castleAvailable;
-
-double median(std::vector<double> values) {
-  std::nth_element(values.begin(), values.begin() + static_cast<long>(values.size() / 2), values.end());
-  return values[values.size() / 2];
-}
 
 class CastleTest : public ::testing::TestWithParam<int> {};
 

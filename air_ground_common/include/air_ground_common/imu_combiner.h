@@ -7,6 +7,10 @@
 
 namespace air_ground_common {
 
+/// Beyond what the IMU of any robot can read: such a sample was spoilt on its way, or is in another unit.
+constexpr double kMaxAngularVelocity = 100;  ///< [rad/s]
+constexpr double kMaxSpecificForce = 2000;   ///< [m/s^2]
+
 /// Samples at the gyro's stamps, the specific force interpolated linearly between the accelerometer's two around each.
 /// Stamps in seconds, in order within each stream; one that is not later than the last is left out, and one that is a
 /// second earlier begins afresh (a recording that is played again). Not thread-safe.

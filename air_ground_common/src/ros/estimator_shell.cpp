@@ -391,7 +391,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
   }
   for (const ImuInput::Sample& sample : imu)
     if (with_imu_ && !estimator_.addImu(sample))
-      health_.count("IMU samples refused: stamp not later than the last one's");
+      health_.count("IMU samples refused: stamp not later than the last one's, or a reading that leaps and comes back");
   last_stamp_ = frame.stamp;
   EstimatorResult result = estimator_.process(frame);
   imu_lead_ = estimator_.imuLead();

@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cstdint>
 #include <cstring>
 #include <ctime>
 #include <filesystem>
@@ -18,35 +17,24 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
-template <typename T>
-void put(std::ostream& out, const T& value) {
-  out.write(reinterpret_cast<const char*>(&value), sizeof(T));
-}
-
 void writePcd(const std::string& path, const std::vector<CloudPoint>& points, CloudFields fields) {
-  const bool intensity = fields == CloudFields::kXyzIntensity, source = fields == CloudFields::kXyzRgbSource;
-  const bool rgb = fields == CloudFields::kXyzRgb || source;
-  std::string names = "x y z", sizes = "4 4 4", types = "F F F", counts = "1 1 1";
-  const auto add = [&](const char* name, const char* size, const char* type) {
-    names += std::string(" ") + name;
-    sizes += std::string(" ") + size;
-    types += std::string(" ") + type;
+  sensor_msgs::PointCloud2 cloud = toMsg(points, fields, {});
+  std::string names, sizes, types, counts;
+  for (const auto& field : cloud.fields) {
+    const bool byte = field.datatype == sensor_msgs::PointField::UINT8, rgb = field.name == "rgb";
+    names += " " + field.name;
+    sizes += byte ? " 1" : " 4";
+    types += byte || rgb ? " U" : " F";
     counts += " 1";
-  };
-  if (intensity) add("intensity", "4", "F");
-  if (rgb) add("rgb", "4", "U");
-  if (source) add("source", "1", "U");
+    // As PCL packs them: blue lowest, opaque.
+    for (std::size_t at = field.offset + 3; rgb && at < cloud.data.size(); at += cloud.point_step)
+      cloud.data[at] = 0xFF;
+  }
   const auto body = [&](std::ostream& out) {
-    out << "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS " << names << "\nSIZE " << sizes
-        << "\nTYPE " << types << "\nCOUNT " << counts << "\nWIDTH " << points.size()
-        << "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS " << points.size() << "\nDATA binary\n";
-    for (const CloudPoint& p : points) {
-      for (int i = 0; i < 3; ++i) put(out, p.position[i]);
-      if (intensity) put(out, (p.rgb[0] + p.rgb[1] + p.rgb[2]) / 3.0f);
-      // As PCL packs them: blue lowest, opaque.
-      if (rgb) put(out, 0xFF000000u | std::uint32_t{p.rgb[0]} << 16 | std::uint32_t{p.rgb[1]} << 8 | p.rgb[2]);
-      if (source) put(out, p.source);
-    }
+    out << "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS" << names << "\nSIZE" << sizes << "\nTYPE"
+        << types << "\nCOUNT" << counts << "\nWIDTH " << points.size() << "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS "
+        << points.size() << "\nDATA binary\n";
+    out.write(reinterpret_cast<const char*>(cloud.data.data()), static_cast<std::streamsize>(cloud.data.size()));
   };
   writeAtomically(path, body, "# .PCD");
 }

@@ -3,14 +3,32 @@
 #include <algorithm>
 #include <cmath>
 
+#include "air_ground_common/imu_combiner.h"
+
 namespace visual_frontend {
 
 using air_ground_common::expSO3;
 
+namespace {
+
+// No robot turns or accelerates so differently from one sample to the next and back again: a byte was spoilt.
+constexpr double kLeapSeconds = 0.03;  // a leap that lasts longer is believed, and no gap is longer
+constexpr double kLeapRate = 5;        // [rad/s]
+constexpr double kLeapForce = 100;     // [m/s^2]
+
+bool leaps(const ImuSample& last, const ImuSample& sample) {
+  return sample.stamp - last.stamp < kLeapSeconds &&
+         ((sample.angular_velocity - last.angular_velocity).norm() > kLeapRate ||
+          (sample.specific_force - last.specific_force).norm() > kLeapForce);
+}
+
+}  // namespace
+
 bool ImuBuffer::add(const ImuSample& sample) {
-  if (!std::isfinite(sample.stamp) || !sample.angular_velocity.allFinite() || !sample.specific_force.allFinite())
+  if (!std::isfinite(sample.stamp) || !(sample.angular_velocity.norm() <= air_ground_common::kMaxAngularVelocity) ||
+      !(sample.specific_force.norm() <= air_ground_common::kMaxSpecificForce))
     return false;
-  if (!samples_.empty() && sample.stamp <= samples_.back().stamp) return false;
+  if (!samples_.empty() && (sample.stamp <= samples_.back().stamp || leaps(samples_.back(), sample))) return false;
   samples_.push_back(sample);
   while (samples_.size() > 2 && samples_.back().stamp - samples_.front().stamp > max_seconds_) samples_.pop_front();
   return true;

@@ -97,6 +97,31 @@ TEST(Imu, IntegratesTheRotationOfATrajectory) {
   EXPECT_FALSE(buffer.add(imu(3.0, {NAN, 0, 0}, {0, 0, 9.81})));
 }
 
+// A byte of a message can be any on a bad line: one sample of 1e30 rad/s would else be in every later estimate.
+TEST(Imu, SpoiltReadingsAreRefused) {
+  const Eigen::Vector3d up(0, 0, 9.81);
+  ImuBuffer buffer;
+  ASSERT_TRUE(buffer.add(imu(0.000, {0.1, 0, 0}, up)));
+  EXPECT_FALSE(buffer.add(imu(0.005, {1e30, 0, 0}, up)));
+  EXPECT_FALSE(buffer.add(imu(0.005, {0, 200, 0}, up)));
+  EXPECT_FALSE(buffer.add(imu(0.005, {0.1, 0, 0}, {0, -1e5, 0})));
+  EXPECT_FALSE(buffer.add(imu(0.005, {0.1, 30, 0}, up))) << "leaps";
+  EXPECT_FALSE(buffer.add(imu(0.010, {0.1, 0, 0}, {0, 150, 0}))) << "leaps";
+  EXPECT_TRUE(buffer.add(imu(0.015, {0.2, 0, 0}, up)));
+  EXPECT_TRUE(buffer.covers(0, 0.015));
+}
+
+TEST(Imu, AQuickTurnThatLastsIsBelieved) {
+  ImuBuffer buffer;
+  const auto rate = [](double t) { return t < 0.1 ? 0.0 : 20.0; };
+  for (int i = 0; i <= 60; ++i) buffer.add(imu(i * 0.005, {0, 0, rate(i * 0.005)}, {0, 0, 9.81}));
+  EXPECT_DOUBLE_EQ(buffer.samples().back().angular_velocity.z(), 20);
+  EXPECT_TRUE(buffer.covers(0, 0.3));
+  const auto R = buffer.integrateRotation(0, 0.3, Eigen::Vector3d::Zero());
+  ASSERT_TRUE(R);
+  EXPECT_NEAR(Eigen::AngleAxisd(*R).angle(), std::acos(std::cos(4.0)), 0.4);
+}
+
 TEST(Imu, GapsAreNotCovered) {
   ImuBuffer buffer;
   for (int i = 0; i < 100; ++i) {

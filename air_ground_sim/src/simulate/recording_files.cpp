@@ -2,7 +2,6 @@
 
 #include <ros/package.h>
 
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <set>
@@ -10,6 +9,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/camera_file.h"
+#include "air_ground_common/text.h"
 
 namespace air_ground_sim {
 
@@ -49,9 +49,7 @@ std::string contentKey(const std::string& world_file, const SimConfig& config, c
        << air_ground_common::cameraFileText(config.mav_camera.camera, "");
   std::uint64_t h = 0;
   for (const char c : text.str()) h = mix(h ^ static_cast<unsigned char>(c));
-  char hex[17];
-  std::snprintf(hex, sizeof hex, "%016llx", static_cast<unsigned long long>(h));
-  return hex;
+  return air_ground_common::formatted("%016llx", static_cast<unsigned long long>(h));
 }
 
 void writeFaults(const Recording& recording, const std::string& path) {

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <opencv2/imgcodecs.hpp>
@@ -10,15 +9,18 @@
 #include <stdexcept>
 
 #include "air_ground_common/camera_file.h"
+#include "air_ground_common/statistics.h"
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
 
 namespace air_ground_sim {
 namespace {
 
 namespace fs = std::filesystem;
+using air_ground_common::formatted;
+using air_ground_common::kDegree;
 using air_ground_common::LocalFrame;
 using air_ground_common::Pose;
-
-constexpr double kDegree = M_PI / 180;
 
 void writeText(const fs::path& path, const std::string& text) {
   const fs::path part = path.string() + ".part";
@@ -35,17 +37,11 @@ void writeImage(const fs::path& path, const cv::Mat& image, const std::vector<in
   fs::rename(part, path);
 }
 
-std::string format(const char* pattern, double a) {
-  char text[64];
-  std::snprintf(text, sizeof text, pattern, a);
-  return text;
-}
-
 std::string poseText(const Pose& T) {
   const Eigen::Quaterniond q(T.linear());
   std::string text;
-  for (int k = 0; k < 3; ++k) text += "," + format("%.6f", T.translation()[k]);
-  for (const double v : {q.x(), q.y(), q.z(), q.w()}) text += "," + format("%.9f", v);
+  for (int k = 0; k < 3; ++k) text += "," + formatted("%.6f", T.translation()[k]);
+  for (const double v : {q.x(), q.y(), q.z(), q.w()}) text += "," + formatted("%.9f", v);
   return text;
 }
 
@@ -54,8 +50,7 @@ cv::Mat develop(const std::vector<float>& rgb, int width, std::uint64_t seed) {
   std::vector<float> sample;
   for (std::size_t i = width * (width / 8) * 3ul; i < width * (width / 3) * 3ul; i += 3 * 97)
     sample.push_back(rgb[i + 1]);
-  std::nth_element(sample.begin(), sample.begin() + sample.size() / 2, sample.end());
-  const float gain = 0.26f / std::max(1e-4f, sample[sample.size() / 2]);
+  const float gain = 0.26f / std::max(1e-4f, air_ground_common::median(std::move(sample)));
   // Response in steps of 1/1024 of the square root of the light, up to 8 times white.
   constexpr int kSteps = 1024 * 3;
   std::vector<float> response(kSteps);
@@ -94,9 +89,9 @@ std::string cityYaml(const SimConfig& config, const Street& street, const LocalF
     << "]  # easting, northing, height of world's origin\n"
     << "geoid_undulation: " << c.geoid_undulation
     << "  # ellipsoidal height minus the height used in origin [m]; gps/fix is ellipsoidal\n"
-    << "magnetic_declination: " << format("%.4f", std::atan2(field.x(), field.y()) / kDegree)
+    << "magnetic_declination: " << formatted("%.4f", std::atan2(field.x(), field.y()) / kDegree)
     << "  # [deg], east positive\n"
-    << "meridian_convergence: " << format("%.5f", frame.meridianConvergence() / kDegree)
+    << "meridian_convergence: " << formatted("%.5f", frame.meridianConvergence() / kDegree)
     << "  # from true to grid north, clockwise [deg]\n"
     << "geotags: geotags.csv  # image, WGS 84, alt in the height system of origin [m]; heading of the image's centre, "
        "clockwise from true "
@@ -131,9 +126,9 @@ void writeCity(const SimConfig& config, const Street& street, const std::string&
   std::string tags = "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n", truth = "id,x,y,z,qx,qy,qz,qw\n";
   for (const auto& p : street.panoramas) {
     const Geotag g = geotagOf(frame, p.T_world_geotag);
-    tags += p.id + ".jpg," + format("%.9f", g.place.latitude) + "," + format("%.9f", g.place.longitude) + "," +
-            format("%.3f", g.place.height) + "," + format("%.4f", g.heading) + "," + format("%.4f", g.pitch) + "," +
-            format("%.4f", g.roll) + "\n";
+    tags += p.id + ".jpg," + formatted("%.9f", g.place.latitude) + "," + formatted("%.9f", g.place.longitude) + "," +
+            formatted("%.3f", g.place.height) + "," + formatted("%.4f", g.heading) + "," + formatted("%.4f", g.pitch) +
+            "," + formatted("%.4f", g.roll) + "\n";
     truth += p.id + poseText(p.T_world_panorama) + "\n";
   }
   const Scene scene(buildStreetWorld(street, Season::kPanoramas));
@@ -163,8 +158,7 @@ void writeQueries(Recording* recording, int count, const std::string& folder) {
       Eigen::Vector3d velocity = Eigen::Vector3d::Zero();
       const Pose T_world_camera = base(i, &velocity) * c.T_mav_base_camera;
       recording->photograph(T_world_camera, velocity, i, &pixels);
-      char id[32];
-      std::snprintf(id, sizeof id, "query_%04d.png", i);
+      const std::string id = formatted("query_%04d.png", i);
       writeImage(root / id, cv::Mat(c.mav_camera.camera.height, c.mav_camera.camera.width, CV_8U, pixels.data()));
       truth += id + poseText(T_world_camera) + "\n";
     }

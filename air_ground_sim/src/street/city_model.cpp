@@ -1,9 +1,9 @@
 // The street's buildings as CityGML 2.0 (LoD2) and Wavefront OBJ.
-#include <cstdio>
 #include <fstream>
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
 #include "air_ground_sim/street/city.h"
 
 namespace air_ground_sim {
@@ -19,11 +19,7 @@ void writeWhole(const std::string& path, const std::string& text) {
   if (!out || std::rename(part.c_str(), path.c_str()) != 0) throw std::runtime_error("cannot write '" + path + "'");
 }
 
-std::string number(double v) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.3f", v);
-  return text;
-}
+std::string number(double v) { return air_ground_common::formatted("%.3f", v); }
 
 const char* nameOf(SurfaceKind kind) {
   return kind == SurfaceKind::kGround ? "GroundSurface" : kind == SurfaceKind::kWall ? "WallSurface" : "RoofSurface";

@@ -3,15 +3,16 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
 #include "air_ground_sim/noise.h"
 
 namespace air_ground_sim {
 namespace {
 
+using air_ground_common::formatted;
 using air_ground_common::Pose;
 using Eigen::Vector2d;
 using Eigen::Vector3d;
@@ -172,9 +173,7 @@ void addBuildings(Street* street, Rng* rng) {
   const auto place = [&](const Vector2d& front_left, const Vector2d& along, double width, int line) {
     Building b = makeBuilding(*street, front_left, along, width, line, rng);
     if (!isFree(footprintOf(b))) return false;
-    char id[16];
-    std::snprintf(id, sizeof id, "bldg_%03d", static_cast<int>(street->buildings.size()));
-    b.id = id;
+    b.id = formatted("bldg_%03d", static_cast<int>(street->buildings.size()));
     Footprint f = footprintOf(b);
     f.half_along -= 0.01;  // neighbours share a wall
     taken.push_back(f);
@@ -297,9 +296,7 @@ void addPanoramas(Street* street, Rng* rng) {
          s += c.panorama_spacing + rng->uniform(-1, 1)) {
       const Vector2d p = line.from + s * d - (1.5 + 0.2 * rng->gaussian()) * n;  // in the right lane
       PanoramaStand stand;
-      char id[24];
-      std::snprintf(id, sizeof id, "pano_%04d", static_cast<int>(street->panoramas.size()));
-      stand.id = id;
+      stand.id = formatted("pano_%04d", static_cast<int>(street->panoramas.size()));
       const double rise = std::atan((street->ground(p + d) - street->ground(p - d)) / 2);
       const double yaw = std::atan2(d.y(), d.x()) + 0.03 * rng->gaussian();
       stand.T_world_panorama.translation() << p.x(), p.y(),

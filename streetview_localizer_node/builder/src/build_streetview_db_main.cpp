@@ -7,13 +7,14 @@
 #include <string>
 
 #include "air_ground_common/camera_file.h"
+#include "air_ground_common/units.h"
 #include "streetview_localizer/database_builder.h"
 
 namespace {
 
 using namespace streetview_localizer;
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 
 // A bar on a terminal, a line every tenth of the way elsewhere.
 class Progress {

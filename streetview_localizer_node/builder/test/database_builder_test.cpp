@@ -9,6 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "air_ground_common/text.h"
 #include "streetview_localizer/facade_consistency.h"
 #include "streetview_localizer/textured_model.h"
 #include "test_files.h"
@@ -16,6 +17,8 @@
 
 namespace streetview_localizer {
 namespace {
+
+using air_ground_common::formatted;
 
 const Eigen::Vector3d kOrigin(2683500, 1247800, 410);
 
@@ -25,11 +28,9 @@ class Street {
   Street() {
     const air_ground_common::LocalFrame frame("EPSG:2056", kOrigin);
     std::string obj = "o wall\n";
-    char line[160];
     for (const auto& v : wallModel().mesh.vertices) {
       const Eigen::Vector3d p = frame.toCrs(v.cast<double>());
-      std::snprintf(line, sizeof(line), "v %.6f %.6f %.6f\n", p.x(), p.y(), p.z());
-      obj += line;
+      obj += formatted("v %.6f %.6f %.6f\n", p.x(), p.y(), p.z());
     }
     settings.model = folder.write("wall.obj", obj + "f 1 2 3 4\n");
     settings.model_options.crs = "EPSG:2056";
@@ -40,9 +41,8 @@ class Street {
       const std::string name = "p" + std::to_string(i) + ".png";
       cv::imwrite(folder / name, wallPanorama(1024, T, i == 1));
       const auto g = frame.toGeodetic(T.translation());
-      std::snprintf(line, sizeof(line), "%s,%.10f,%.10f,%.4f,%.6f,0,0\n", name.c_str(), g.latitude, g.longitude,
-                    g.height, 90 - 0.9 * 180 / M_PI);
-      csv += line;
+      csv += formatted("%s,%.10f,%.10f,%.4f,%.6f,0,0\n", name.c_str(), g.latitude, g.longitude, g.height,
+                       90 - 0.9 * 180 / M_PI);
     }
     settings.geotags = folder.write("geotags.csv", csv);
     settings.output = folder / "street.gpkg";
@@ -133,11 +133,10 @@ TEST(DatabaseBuilder, SurveyedPhotographsAndGridConvergence) {
   const Eigen::Quaterniond q(Eigen::AngleAxisd(frame.meridianConvergence(), Eigen::Vector3d::UnitZ()) *
                              view.T_world_camera.linear());
   const Eigen::Vector3d t = frame.toCrs(view.T_world_camera.translation());
-  char line[300];
-  std::snprintf(line, sizeof(line), "photo.png %.6f %.6f %.3f %.3f %.6f %.6f %.6f %.9f %.9f %.9f %.9f\n",
-                view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy, t.x(), t.y(), t.z(), q.x(), q.y(),
-                q.z(), q.w());
-  s.poses = street.folder.write("poses.txt", line);
+  s.poses =
+      street.folder.write("poses.txt", formatted("photo.png %.6f %.6f %.3f %.3f %.6f %.6f %.6f %.9f %.9f %.9f %.9f\n",
+                                                 view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy, t.x(),
+                                                 t.y(), t.z(), q.x(), q.y(), q.z(), q.w()));
   s.register_panoramas = true;  // must leave surveyed photographs alone
   EXPECT_EQ(buildDatabase(s).stored, 1);
   const StreetviewDatabase d = loadDatabase(s.output);
@@ -154,11 +153,9 @@ TEST(DatabaseBuilder, APhotographWhosePoseIsNotCorrectedIsRefusedUnlessWanted) {
   const View view = cutPanorama(wallPanorama(1024, panoramaPose(0), false), panoramaPose(0), s.views)[0];
   cv::imwrite(street.folder / "photo.png", view.image);
   const auto g = air_ground_common::LocalFrame("EPSG:2056", kOrigin).toGeodetic(panoramaPose(0).translation());
-  char line[200];
-  std::snprintf(line, sizeof(line), "photo.png,%.10f,%.10f,%.4f,%.6f,15,0\n", g.latitude, g.longitude, g.height,
-                90 - 0.9 * 180 / M_PI);
-  s.geotags =
-      street.folder.write("photo.csv", std::string("image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n") + line);
+  const std::string line =
+      formatted("photo.png,%.10f,%.10f,%.4f,%.6f,15,0\n", g.latitude, g.longitude, g.height, 90 - 0.9 * 180 / M_PI);
+  s.geotags = street.folder.write("photo.csv", "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n" + line);
   s.camera = view.camera;
   s.register_panoramas = true;  // a single long wall does not tell the place
   for (int run = 0; run < 2; ++run) {

@@ -273,14 +273,11 @@ Eigen::Vector3d CityModel::crsFromWorld(const Eigen::Vector3d& point) const {
   return frame ? frame->toCrs(point) : Eigen::Vector3d(point + origin);
 }
 
-CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
-  CityModel model;
-  PolygonModel polygons = readAll(path, options, &model.crs);
-  for (Polygon& polygon : polygons.polygons)
-    for (Ring& ring : polygon.rings)
-      for (Eigen::Vector3d& p : ring) p.z() += options.height_offset;
-  const Box box = bounds(polygons);
-  model.remarks = std::move(polygons.remarks);
+namespace {
+
+/// Origin and frame of the model, from its reference system and extent.
+void chooseFrame(const std::string& path, const Box& box, const CityModelOptions& options, CityModel* result) {
+  CityModel& model = *result;
   if (model.crs.empty()) {
     if (box.low.cwiseAbs().maxCoeff() > 1e5 || box.high.cwiseAbs().maxCoeff() > 1e5)
       throw std::runtime_error(
@@ -292,22 +289,13 @@ CityModel readCityModel(const std::string& path, const CityModelOptions& options
     const double step = degrees ? 1e-5 : 1;
     model.origin = options.origin.value_or(
         Eigen::Vector3d(std::round(c.x() / step) * step, std::round(c.y() / step) * step, std::floor(box.low.z())));
-    try {
-      model.frame = std::make_shared<LocalFrame>(model.crs, model.origin);
-    } catch (const std::invalid_argument& e) {
-      throw std::runtime_error(path + ": " + e.what());
-    }
+    model.frame = std::make_shared<LocalFrame>(model.crs, model.origin);
   }
+}
 
-  try {
-    for (Polygon& polygon : polygons.polygons)
-      for (Ring& ring : polygon.rings)
-        for (Eigen::Vector3d& p : ring) p = model.worldFromCrs(p);
-  } catch (const std::invalid_argument& e) {
-    throw std::runtime_error(path + ": " + e.what());
-  }
-
-  std::vector<int> triangles_of(polygons.building_ids.size(), 0);
+/// Triangles of all polygons, welded within each building; `polygons` in the world frame.
+void triangulateAll(const PolygonModel& polygons, CityModel* result) {
+  CityModel& model = *result;
   std::map<int, VertexMerger> mergers;
   std::vector<Eigen::Vector3d> points;
   int empty = 0;
@@ -323,20 +311,47 @@ CityModel readCityModel(const std::string& path, const CityModelOptions& options
       model.mesh.triangles.push_back(corners);
       model.surface.push_back(surface);
       model.building.push_back(polygon.building);
-      if (polygon.building >= 0) ++triangles_of[polygon.building];
     }
   }
   if (empty > 0) model.remarks.push_back(std::to_string(empty) + " polygons without area were left out");
+}
 
-  // Ids of buildings that came out empty go, so that every id has triangles.
-  std::vector<int> renumbered(triangles_of.size(), -1);
-  for (std::size_t b = 0; b < triangles_of.size(); ++b) {
-    if (triangles_of[b] == 0) continue;
-    renumbered[b] = static_cast<int>(model.building_ids.size());
-    model.building_ids.push_back(polygons.building_ids[b]);
+/// Ids of buildings that came out empty go, so that every id has triangles.
+void numberBuildings(const std::vector<std::string>& ids, CityModel* model) {
+  std::vector<int> number(ids.size(), -1);
+  for (const int b : model->building)
+    if (b >= 0) number[b] = 0;
+  for (std::size_t b = 0; b < ids.size(); ++b) {
+    if (number[b] < 0) continue;
+    number[b] = static_cast<int>(model->building_ids.size());
+    model->building_ids.push_back(ids[b]);
   }
-  for (int& b : model.building)
-    if (b >= 0) b = renumbered[b];
+  for (int& b : model->building)
+    if (b >= 0) b = number[b];
+}
+
+}  // namespace
+
+CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
+  CityModel model;
+  PolygonModel polygons = readAll(path, options, &model.crs);
+  const auto move = [&](const auto& moved) {
+    for (Polygon& polygon : polygons.polygons)
+      for (Ring& ring : polygon.rings)
+        for (Eigen::Vector3d& p : ring) p = moved(p);
+  };
+  move([&](const Eigen::Vector3d& p) -> Eigen::Vector3d {
+    return p + options.height_offset * Eigen::Vector3d::UnitZ();
+  });
+  model.remarks = std::move(polygons.remarks);
+  try {
+    chooseFrame(path, bounds(polygons), options, &model);
+    move([&](const Eigen::Vector3d& p) { return model.worldFromCrs(p); });
+  } catch (const std::invalid_argument& e) {
+    throw std::runtime_error(path + ": " + e.what());
+  }
+  triangulateAll(polygons, &model);
+  numberBuildings(polygons.building_ids, &model);
   if (model.building_ids.empty())
     throw std::runtime_error(path + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
   orientOutwards(&model);

@@ -9,6 +9,7 @@
 #include <random>
 
 #include "../src/polygons.h"
+#include "air_ground_common/text.h"
 #include "test_files.h"
 
 namespace streetview_localizer {
@@ -49,13 +50,11 @@ const char* const kNames[] = {"GroundSurface", "RoofSurface", "WallSurface",
                               "WallSurface",   "WallSurface", "WallSurface"};
 
 std::string posList(const Ring& ring, bool north_first) {
-  char text[128];
   std::string out;
   for (std::size_t i = 0; i <= ring.size(); ++i) {
     const Eigen::Vector3d& p = ring[i % ring.size()];
-    std::snprintf(text, sizeof(text), "%.6f %.6f %.6f ", north_first ? p.y() : p.x(), north_first ? p.x() : p.y(),
-                  p.z());
-    out += text;
+    out += air_ground_common::formatted("%.6f %.6f %.6f ", north_first ? p.y() : p.x(), north_first ? p.x() : p.y(),
+                                        p.z());
   }
   return out;
 }

@@ -3,12 +3,12 @@
 #include <boost/geometry.hpp>
 #include <boost/geometry/geometries/point.hpp>
 #include <boost/geometry/index/rtree.hpp>
-#include <cstdio>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
 #include "air_ground_common/encoded_image.h"
+#include "air_ground_common/text.h"
 #include "geopackage.h"
 
 namespace streetview_localizer {
@@ -69,6 +69,8 @@ std::vector<int> StreetviewDatabase::near(const Eigen::Vector3d& position, doubl
 
 namespace {
 
+using air_ground_common::formatted;
+
 // One keypoint: x, y, size, angle, response.
 constexpr std::size_t kKeypointFloats = 5;
 
@@ -122,11 +124,58 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
 std::string indexFileOf(const std::string& path, const DatabaseLoadOptions& options) {
   if (isServer(path)) return "";
   if (!options.centre) return path + ".index";
-  char part[100];
-  std::snprintf(part, sizeof part, ".%.10g_%.10g_%.10g.index", options.centre->x(), options.centre->y(),
-                options.radius);
-  return path + part;
+  return path + formatted(".%.10g_%.10g_%.10g.index", options.centre->x(), options.centre->y(), options.radius);
 }
+
+namespace {
+
+/// Reads the panoramas that the options choose: of each row's id its index, and how many views it must have.
+std::map<GIntBig, int> readPanoramas(OGRLayer* layer, const std::string& path, const DatabaseLoadOptions& options,
+                                     StreetviewDatabase* database, std::vector<int>* expected) {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  if (options.centre) {
+    const Eigen::Vector2d& c = *options.centre;
+    double reach = options.radius * 1.001;  // grid lengths differ from true ones by less
+    if (database->model.frame && layer->GetSpatialRef() && layer->GetSpatialRef()->IsGeographic())
+      reach /= 111000 * std::max(0.01, std::cos(c.y() * M_PI / 180));
+    layer->SetSpatialFilterRect(c.x() - reach, c.y() - reach, c.x() + reach, c.y() + reach);
+    centre = database->model.worldFromCrs({c.x(), c.y(), database->origin.z()});
+  }
+  std::map<GIntBig, int> index_of;
+  layer->ResetReading();
+  for (auto& row : layer) {
+    Panorama panorama = readPanorama(*row, path);
+    if (options.centre && (panorama.T_world_panorama.translation() - centre).head<2>().norm() > options.radius)
+      continue;
+    index_of[row->GetFID()] = static_cast<int>(database->panoramas.size());
+    expected->push_back(row->GetFieldAsInteger("views"));
+    database->panoramas.push_back(std::move(panorama));
+  }
+  if (options.centre && database->panoramas.empty())
+    throw std::runtime_error(path + " has no panorama within " +
+                             air_ground_common::formatted("%.10g m of %.10g, %.10g%s%s", options.radius,
+                                                          options.centre->x(), options.centre->y(),
+                                                          database->crs.empty() ? "" : " in ", database->crs.c_str()));
+  return index_of;
+}
+
+/// Filters that bring the views of those panoramas alone, some at a time; one that brings all where all are wanted.
+std::vector<std::string> viewFilters(const std::map<GIntBig, int>& index_of, bool all) {
+  constexpr int kChunk = 200;  // ids in one query
+  if (all) return {""};
+  std::vector<std::string> filters;
+  int count = 0;
+  for (const auto& entry : index_of) {
+    if (count++ % kChunk == 0)
+      filters.push_back("panorama_fid IN (" + std::to_string(entry.first));
+    else
+      filters.back() += "," + std::to_string(entry.first);
+  }
+  for (std::string& filter : filters) filter += ")";
+  return filters;
+}
+
+}  // namespace
 
 StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options) {
   const Dataset dataset = openDataset(path, false);
@@ -142,59 +191,21 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
   OGRLayer* layer = dataset->GetLayerByName(kPanoramaTable);
   OGRLayer* view_layer = dataset->GetLayerByName(kViewTable);
   if (!layer || !view_layer) throw std::runtime_error(path + " lacks a table: build it again");
-  if (options.centre) {
-    const Eigen::Vector2d& c = *options.centre;
-    double reach = options.radius * 1.001;  // grid lengths differ from true ones by less
-    if (database.model.frame && layer->GetSpatialRef() && layer->GetSpatialRef()->IsGeographic())
-      reach /= 111000 * std::max(0.01, std::cos(c.y() * M_PI / 180));
-    layer->SetSpatialFilterRect(c.x() - reach, c.y() - reach, c.x() + reach, c.y() + reach);
-  }
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-  if (options.centre)
-    centre = database.model.worldFromCrs({options.centre->x(), options.centre->y(), database.origin.z()});
-  std::map<GIntBig, int> index_of;
-  std::map<int, int> expected;
-  layer->ResetReading();
-  for (auto& row : layer) {
-    Panorama panorama = readPanorama(*row, path);
-    if (options.centre && (panorama.T_world_panorama.translation() - centre).head<2>().norm() > options.radius)
-      continue;
-    index_of[row->GetFID()] = static_cast<int>(database.panoramas.size());
-    expected[static_cast<int>(database.panoramas.size())] = row->GetFieldAsInteger("views");
-    database.panoramas.push_back(std::move(panorama));
-  }
-  if (options.centre && database.panoramas.empty()) {
-    char place[160];
-    std::snprintf(place, sizeof place, "%.10g m of %.10g, %.10g%s%s", options.radius, options.centre->x(),
-                  options.centre->y(), database.crs.empty() ? "" : " in ", database.crs.c_str());
-    throw std::runtime_error(path + " has no panorama within " + place);
-  }
-  const auto readViews = [&] {
+  std::vector<int> expected;  // views that are still to come, by panorama
+  const auto index_of = readPanoramas(layer, path, options, &database, &expected);
+  for (const std::string& filter : viewFilters(index_of, !options.centre)) {
+    view_layer->SetAttributeFilter(filter.empty() ? nullptr : filter.c_str());
     view_layer->ResetReading();
     for (auto& row : view_layer) {
       const auto it = index_of.find(row->GetFieldAsInteger64("panorama_fid"));
       if (it == index_of.end()) continue;
       View view = readView(*row, path, options);
       view.panorama = it->second;
-      --expected[view.panorama];
+      --expected[static_cast<std::size_t>(view.panorama)];
       database.views.push_back(std::move(view));
     }
-  };
-  if (!options.centre) {
-    readViews();
-  } else {
-    constexpr std::size_t kChunk = 200;  // ids in one query
-    std::vector<GIntBig> fids;
-    for (const auto& entry : index_of) fids.push_back(entry.first);
-    for (std::size_t first = 0; first < fids.size(); first += kChunk) {
-      std::string filter = "panorama_fid IN (";
-      for (std::size_t i = first; i < std::min(fids.size(), first + kChunk); ++i)
-        filter += (i > first ? "," : "") + std::to_string(fids[i]);
-      view_layer->SetAttributeFilter((filter + ")").c_str());
-      readViews();
-    }
   }
-  const bool lost = std::any_of(expected.begin(), expected.end(), [](const auto& e) { return e.second > 0; });
+  const bool lost = std::any_of(expected.begin(), expected.end(), [](int views) { return views > 0; });
   if (lost || CPLGetLastErrorType() >= CE_Failure)
     throw std::runtime_error(path + " is damaged (" + (lost ? "views are missing" : CPLGetLastErrorMsg()) +
                              "): build it again");

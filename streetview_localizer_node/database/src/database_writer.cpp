@@ -1,10 +1,10 @@
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 #include <unordered_map>
 
+#include "air_ground_common/text.h"
 #include "footprint.h"
 #include "geopackage.h"
 
@@ -140,11 +140,8 @@ struct DatabaseWriter::Impl {
         {{"building_id", OFTString}, {"vertices", OFTBinary}, {"triangles", OFTBinary}, {"surfaces", OFTBinary}});
     setInfo("version", std::to_string(kDatabaseVersion));
     setInfo("crs", model.crs);
-    for (int i = 0; i < 3; ++i) {
-      char text[32];
-      std::snprintf(text, sizeof(text), "%.10f", model.origin[i]);
-      setInfo(std::string("origin_") + "xyz"[i], text);
-    }
+    for (int i = 0; i < 3; ++i)
+      setInfo(std::string("origin_") + "xyz"[i], air_ground_common::formatted("%.10f", model.origin[i]));
     setInfo("settings", settings);
     setInfo("complete", "0");
     writeModel();

@@ -1,5 +1,6 @@
 #include "streetview_localizer/geotags.h"
 
+#include <cpl_minixml.h>
 #include <gdal_priv.h>
 
 #include <Eigen/Geometry>
@@ -13,6 +14,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/units.h"
 #include "geopackage.h"
 
 namespace streetview_localizer {
@@ -22,7 +24,7 @@ using air_ground_common::Pose;
 
 namespace {
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 
 // Empty, or why the geotag cannot be used.
 std::string problemOf(const Geotag& g) {
@@ -151,24 +153,13 @@ double angle(const char* text) {
   return v[0] + (v.size() > 1 ? v[1] / 60 : 0) + (v.size() > 2 ? v[2] / 3600 : 0);
 }
 
-// As attribute, key="1.5", or as element, <key>1.5</key>.
-double xmpNumber(const std::string& xmp, const std::string& key) {
-  constexpr const char* kSpace = " \t\r\n";
-  for (std::size_t at = xmp.find(key); at != std::string::npos; at = xmp.find(key, at + 1)) {
-    std::size_t value = xmp.find_first_not_of(kSpace, at + key.size());
-    if (value == std::string::npos) break;
-    if (xmp[value] == '=') {
-      value = xmp.find_first_not_of(kSpace, value + 1);
-      if (value == std::string::npos || (xmp[value] != '"' && xmp[value] != '\'')) continue;
-    } else if (xmp[value] != '>') {
-      continue;
-    }
-    const char* begin = xmp.c_str() + value + 1;
-    char* end = nullptr;
-    const double number = std::strtod(begin, &end);
-    if (end != begin) return number;
-  }
-  return std::nan("");
+// Of the attribute or element of this name, wherever it stands.
+double xmpNumber(CPLXMLNode* xmp, const std::string& name) {
+  const CPLXMLNode* node = CPLSearchXMLNode(xmp, ("=" + name).c_str());
+  const char* text = node ? CPLGetXMLValue(node, nullptr, "") : "";
+  char* end = nullptr;
+  const double number = std::strtod(text, &end);
+  return end == text ? std::nan("") : number;
 }
 
 Dataset openImage(const std::string& path) {
@@ -201,7 +192,8 @@ Geotag exifOf(const std::string& path) {
   g.heading = angle(tag("EXIF_GPSImgDirection")) * kDegree;
   bool magnetic = letter("EXIF_GPSImgDirectionRef", 'T') == 'M';
   if (char** packet = image->GetMetadata("xml:XMP"); packet && *packet) {
-    const std::string xmp = *packet;
+    const CPLXMLTreeCloser tree(CPLParseXMLString(*packet));
+    CPLXMLNode* xmp = tree.get();
     if (const double heading = xmpNumber(xmp, "GPano:PoseHeadingDegrees"); std::isfinite(heading))
       g.heading = heading * kDegree, magnetic = false;
     if (const double pitch = xmpNumber(xmp, "GPano:PosePitchDegrees"); std::isfinite(pitch)) g.pitch = pitch * kDegree;

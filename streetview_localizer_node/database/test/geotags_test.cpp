@@ -6,12 +6,13 @@
 #include <cmath>
 #include <opencv2/imgcodecs.hpp>
 
+#include "air_ground_common/units.h"
 #include "test_files.h"
 
 namespace streetview_localizer {
 namespace {
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 
 CityModel modelAt(const std::string& crs, const Eigen::Vector3d& origin) {
   CityModel m;
@@ -144,6 +145,39 @@ TEST(Geotags, SurveyedImages) {
               readSurveyedImages(folder.write("q.txt", "a.jpg 800 801 320 240 1 2 3 0 0 0.6 0.9\n"));
             }).find("norm"),
             std::string::npos);
+}
+
+// Google's panorama metadata, as attributes and as elements (Photo Sphere XMP), in a JPEG's APP1 segment.
+TEST(Geotags, AnglesOfPanoramasComeFromXmp) {
+  const std::string begin =
+      "<x:xmpmeta xmlns:x=\"adobe:ns:meta/\"><rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">"
+      "<rdf:Description xmlns:GPano=\"http://ns.google.com/photos/1.0/panorama/\"";
+  const std::string end = "</rdf:RDF></x:xmpmeta>";
+  const std::string packets[] = {
+      begin + " GPano:PoseHeadingDegrees=\"350.5\" GPano:PosePitchDegrees = '-2' GPano:PoseRollDegrees=\"\"/>" + end,
+      begin +
+          "><GPano:PoseHeadingDegrees>350.5</GPano:PoseHeadingDegrees><GPano:PosePitchDegrees> -2 "
+          "</GPano:PosePitchDegrees></rdf:Description>" +
+          end,
+      begin + " GPano:PoseHeadingDegrees=\"350.5\"><broken"};
+  std::vector<uchar> jpeg;
+  cv::imencode(".jpg", cv::Mat(4, 6, CV_8UC1, cv::Scalar(90)), jpeg);
+  const TemporaryFolder folder;
+  for (std::size_t k = 0; k < std::size(packets); ++k) {
+    const std::string xmp = "http://ns.adobe.com/xap/1.0/" + std::string(1, '\0') + packets[k];
+    const std::size_t length = xmp.size() + 2;
+    folder.write(std::to_string(k) + ".jpg", std::string("\xFF\xD8\xFF\xE1") + static_cast<char>(length >> 8) +
+                                                 static_cast<char>(length & 255) + xmp +
+                                                 std::string(jpeg.begin() + 2, jpeg.end()));
+  }
+  const auto tags = readExif(folder / "");
+  ASSERT_EQ(tags.size(), 3u);
+  for (int k = 0; k < 2; ++k) {
+    EXPECT_NEAR(tags[k].heading, 350.5 * kDegree, 1e-12) << k;
+    EXPECT_NEAR(tags[k].pitch, -2 * kDegree, 1e-12) << k;
+    EXPECT_EQ(tags[k].roll, 0) << k;
+  }
+  EXPECT_TRUE(std::isnan(tags[2].heading));
 }
 
 TEST(Geotags, ExifOfRealPhotographs) {

@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <unordered_map>
 
+#include "air_ground_common/units.h"
 #include "halved_features.h"
 
 namespace streetview_localizer {
@@ -16,7 +17,7 @@ namespace {
 
 using air_ground_common::CameraModel;
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 constexpr double kMaximumTurn = 80 * kDegree;
 constexpr double kImageBlur = 0.5;  // of any image, as SIFT assumes [px]
 constexpr int kGrid = 8;            // the warp is evaluated exactly every so many pixels and interpolated between

@@ -4,14 +4,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <opencv2/imgproc.hpp>
 #include <set>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
+
 namespace streetview_localizer {
 
 namespace {
+
+using air_ground_common::formatted;
 
 /// Matches that say something of their own: no two of one pixel (2 px) or of one point (5 cm).
 std::vector<int> distinct(const std::vector<int>& indices, const std::vector<Correspondence>& correspondences) {
@@ -55,12 +58,6 @@ double scoreOf(const PoseEvidence& e, const AcceptanceSettings& s) {
   return logistic(std::max(logit(s.by_all, e.inlier_share), logit(s.by_kept, e.kept_share)));
 }
 
-std::string line(const char* format, double value, double bound) {
-  char text[200];
-  std::snprintf(text, sizeof(text), format, value, bound);
-  return text;
-}
-
 }  // namespace
 
 void AcceptanceSettings::validate() const {
@@ -76,6 +73,44 @@ void AcceptanceSettings::validate() const {
   require(by_all.size() == 5 && by_kept.size() == 5, "by_all and by_kept must hold 5 numbers each");
   require(max_competitor_share > 0, "max_competitor_share must be positive");
 }
+
+namespace {
+
+/// How the inliers lie in the image and in space, seen from `centre`.
+void describeSpread(const std::vector<int>& inliers, const std::vector<Correspondence>& correspondences,
+                    const CameraModel& camera, const Eigen::Vector3d& centre, PoseEvidence* e) {
+  const double k = static_cast<double>(inliers.size());
+  std::set<std::pair<int, int>> cells;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  int known = 0, facing = 0;
+  for (const int i : inliers) {
+    const Correspondence& c = correspondences[i];
+    cells.emplace(static_cast<int>(8 * c.pixel.x() / camera.width), static_cast<int>(6 * c.pixel.y() / camera.height));
+    mean += c.p_world / k;
+    if (c.normal.allFinite() && c.normal.squaredNorm() > 0.25) {
+      ++known;
+      facing += c.normal.dot(centre - c.p_world) > 0;
+    }
+  }
+  e->cells = static_cast<int>(cells.size());
+  e->facing = known > 0 ? static_cast<double>(facing) / known : 1;
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const int i : inliers)
+    scatter += (correspondences[i].p_world - mean) * (correspondences[i].p_world - mean).transpose() / k;
+  const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter, Eigen::EigenvaluesOnly)
+                                     .eigenvalues()
+                                     .cwiseMax(0)
+                                     .cwiseSqrt();
+  e->extent_long = values[2];
+  e->extent_short = values[1];
+  e->view_angle = 4 * values[1] / std::max(1e-6, (mean - centre).norm());
+}
+
+double largestStddev(const Eigen::Matrix3d& covariance) {
+  return std::sqrt(covariance.selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
+}
+
+}  // namespace
 
 PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspondence>& correspondences,
                             const CameraModel& camera, const PointSource& source, const PoseSettings& pose_settings,
@@ -106,41 +141,16 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
                                     log10Binomial(k, 3) + (k - 3) * std::log10(chance);
 
   e.hull_share = hullArea(inliers, correspondences) / image;
-  std::set<std::pair<int, int>> cells;
-  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  int known = 0, facing = 0;
   const Eigen::Vector3d centre = result.T_world_camera.translation();
-  for (const int i : inliers) {
-    const Correspondence& c = correspondences[i];
-    cells.emplace(static_cast<int>(8 * c.pixel.x() / camera.width), static_cast<int>(6 * c.pixel.y() / camera.height));
-    mean += c.p_world / k;
-    if (c.normal.allFinite() && c.normal.squaredNorm() > 0.25) {
-      ++known;
-      facing += c.normal.dot(centre - c.p_world) > 0;
-    }
-  }
-  e.cells = static_cast<int>(cells.size());
-  e.facing = known > 0 ? static_cast<double>(facing) / known : 1;
-  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const int i : inliers)
-    scatter += (correspondences[i].p_world - mean) * (correspondences[i].p_world - mean).transpose() / k;
-  const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter, Eigen::EigenvaluesOnly)
-                                     .eigenvalues()
-                                     .cwiseMax(0)
-                                     .cwiseSqrt();
-  e.extent_long = values[2];
-  e.extent_short = values[1];
-  e.view_angle = 4 * values[1] / std::max(1e-6, (mean - centre).norm());
+  describeSpread(inliers, correspondences, camera, centre, &e);
   e.rms = result.rms;
   e.range = (centre - source.position).norm();
   e.alternative_margin = result.alternative_margin;
   if (result.alternative) e.alternative_distance = (result.alternative->T_world_camera.translation() - centre).norm();
   if (result.competitor)
     e.competitor_share = static_cast<double>(distinct(result.competitor->inliers, correspondences).size()) / k;
-  e.position_stddev =
-      std::sqrt(result.image_covariance.topLeftCorner<3, 3>().selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
-  e.angle_stddev = std::sqrt(
-      result.image_covariance.bottomRightCorner<3, 3>().selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
+  e.position_stddev = largestStddev(result.image_covariance.topLeftCorner<3, 3>());
+  e.angle_stddev = largestStddev(result.image_covariance.bottomRightCorner<3, 3>());
   return e;
 }
 
@@ -158,35 +168,37 @@ Acceptance judge(const PoseResult& result, const std::vector<Correspondence>& co
   a.score = scoreOf(e, s);
   const double deg = 180 / M_PI;
   if (e.inliers < s.min_inliers)
-    a.reason = line("%.0f distinct inliers, %.0f needed", e.inliers, s.min_inliers);
+    a.reason = formatted("%d distinct inliers, %d needed", e.inliers, s.min_inliers);
   else if (!(e.log_false_alarms <= s.max_log_false_alarms))
-    a.reason = line("so many inliers arise by chance: 10^%.1f false alarms expected, at most 10^%.1f",
-                    e.log_false_alarms, s.max_log_false_alarms);
+    a.reason = formatted("so many inliers arise by chance: 10^%.1f false alarms expected, at most 10^%.1f",
+                         e.log_false_alarms, s.max_log_false_alarms);
   else if (!(e.rms <= s.max_rms))
-    a.reason = line("reprojection error %.2f px, at most %.2f", e.rms, s.max_rms);
+    a.reason = formatted("reprojection error %.2f px, at most %.2f", e.rms, s.max_rms);
   else if (!(e.range <= s.max_range))
-    a.reason = line("%.1f m from the panorama, at most %.1f", e.range, s.max_range);
+    a.reason = formatted("%.1f m from the panorama, at most %.1f", e.range, s.max_range);
   else if (!(e.facing >= s.min_facing))
-    a.reason = line("%.0f %% of the walls face the camera, at least %.0f", 100 * e.facing, 100 * s.min_facing);
+    a.reason = formatted("%.0f %% of the walls face the camera, at least %.0f", 100 * e.facing, 100 * s.min_facing);
   else if (!(e.hull_share >= s.min_hull_share))
-    a.reason = line("inliers cover %.1f %% of the image, at least %.1f", 100 * e.hull_share, 100 * s.min_hull_share);
-  else if (e.cells < s.min_cells)
-    a.reason = line("inliers in %.0f cells of the image, at least %.0f", e.cells, s.min_cells);
-  else if (!(e.view_angle >= s.min_view_angle))
-    a.reason = line("the inliers' points span %.1f degrees, at least %.1f", deg * e.view_angle, deg * s.min_view_angle);
-  else if (!(e.position_stddev <= s.max_position_stddev))
-    a.reason = line("position uncertain to %.2f m, at most %.2f", e.position_stddev, s.max_position_stddev);
-  else if (!(e.angle_stddev <= s.max_angle_stddev))
     a.reason =
-        line("orientation uncertain to %.2f degrees, at most %.2f", deg * e.angle_stddev, deg * s.max_angle_stddev);
+        formatted("inliers cover %.1f %% of the image, at least %.1f", 100 * e.hull_share, 100 * s.min_hull_share);
+  else if (e.cells < s.min_cells)
+    a.reason = formatted("inliers in %d cells of the image, at least %d", e.cells, s.min_cells);
+  else if (!(e.view_angle >= s.min_view_angle))
+    a.reason =
+        formatted("the inliers' points span %.1f degrees, at least %.1f", deg * e.view_angle, deg * s.min_view_angle);
+  else if (!(e.position_stddev <= s.max_position_stddev))
+    a.reason = formatted("position uncertain to %.2f m, at most %.2f", e.position_stddev, s.max_position_stddev);
+  else if (!(e.angle_stddev <= s.max_angle_stddev))
+    a.reason = formatted("orientation uncertain to %.2f degrees, at most %.2f", deg * e.angle_stddev,
+                         deg * s.max_angle_stddev);
   else if (e.alternative_distance > s.harmless_alternative && !(e.alternative_margin >= s.min_alternative_margin))
-    a.reason = line("the plane's other pose is nearly as likely: log-ratio %.1f, at least %.1f", e.alternative_margin,
-                    s.min_alternative_margin);
+    a.reason = formatted("the plane's other pose is nearly as likely: log-ratio %.1f, at least %.1f",
+                         e.alternative_margin, s.min_alternative_margin);
   else if (!(e.competitor_share <= s.max_competitor_share))
-    a.reason = line("the matches support another place: %.2f of the inliers, at most %.2f", e.competitor_share,
-                    s.max_competitor_share);
+    a.reason = formatted("the matches support another place: %.2f of the inliers, at most %.2f", e.competitor_share,
+                         s.max_competitor_share);
   else if (!(a.score >= s.min_score))
-    a.reason = line("score %.3f, at least %.3f", a.score, s.min_score);
+    a.reason = formatted("score %.3f, at least %.3f", a.score, s.min_score);
   else {
     a.accepted = true;
     a.reason = "accepted";

@@ -82,6 +82,46 @@ double clusterInflation(const Matches& m, const std::vector<int>& inliers, const
 
 }  // namespace
 
+namespace {
+
+// Errors that many points share do not average out. The walls' offsets are estimated with the pose, from their spread
+// and the matches; the panorama's pose is not: the estimate moves with it, d(pose, offsets) = -P sum J' e_p dp.
+Matrix6d totalCovariance(const Matches& m, const std::vector<int>& inliers, const std::vector<Row>& rows,
+                         const Matrix6d& information, double variance, const PointSource& source) {
+  std::map<int, int> column_of;
+  for (const int i : inliers)
+    if (source.model_lateral_stddev > 0) column_of.try_emplace(m.wall[i], 6 + static_cast<int>(column_of.size()));
+  const int size = 6 + static_cast<int>(column_of.size());
+  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size), by_source = Eigen::MatrixXd::Zero(size, 6);
+  joint.topLeftCorner<6, 6>() = information;
+  for (int w = 6; w < size; ++w) joint(w, w) = 1 / (source.model_lateral_stddev * source.model_lateral_stddev);
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    const int i = inliers[k];
+    const Eigen::Matrix<double, 2, 7> moved =
+        rows[k].by_point * castJacobian(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
+    const Eigen::Matrix<double, 6, 2> pose = rows[k].by_pose.transpose() / variance;
+    by_source.topRows<6>() += pose * moved.leftCols<6>();
+    const auto wall = column_of.find(m.wall[i]);
+    if (wall == column_of.end()) continue;
+    const Eigen::RowVector2d offset = moved.col(6).transpose() / variance;
+    joint.block<6, 1>(0, wall->second) += pose * moved.col(6);
+    joint.block<1, 6>(wall->second, 0) += offset * rows[k].by_pose;
+    joint(wall->second, wall->second) += offset * moved.col(6);
+    by_source.row(wall->second) += offset * moved.leftCols<6>();
+  }
+  const Eigen::LDLT<Eigen::MatrixXd> factor(joint);
+  const Matrix6d gain = factor.solve(by_source).topRows<6>();
+  Vector6 source_variance;
+  source_variance.head<3>().setConstant(source.position_stddev * source.position_stddev);
+  source_variance.tail<3>().setConstant(source.orientation_stddev * source.orientation_stddev);
+  Matrix6d total = factor.solve(Eigen::MatrixXd::Identity(size, 6)).topRows<6>();
+  total += gain * source_variance.asDiagonal() * gain.transpose();
+  total(2, 2) += source.model_height_stddev * source.model_height_stddev;
+  return 0.5 * (total + total.transpose());
+}
+
+}  // namespace
+
 std::optional<PoseCovariance> poseCovariance(const Matches& m, const std::vector<int>& inliers, const Pose& T,
                                              const PointSource& source, const PosePrior& prior,
                                              const PoseSettings& settings) {
@@ -113,38 +153,7 @@ std::optional<PoseCovariance> poseCovariance(const Matches& m, const std::vector
   result.image = information.inverse();
   result.image = 0.5 * (result.image + result.image.transpose()).eval();
 
-  // Errors that many points share do not average out. The walls' offsets are estimated with the pose, from their spread
-  // and the matches; the panorama's pose is not: the estimate moves with it, d(pose, offsets) = -P sum J' e_p dp.
-  std::map<int, int> column_of;
-  for (const int i : inliers)
-    if (source.model_lateral_stddev > 0) column_of.try_emplace(m.wall[i], 6 + static_cast<int>(column_of.size()));
-  const int size = 6 + static_cast<int>(column_of.size());
-  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size), by_source = Eigen::MatrixXd::Zero(size, 6);
-  joint.topLeftCorner<6, 6>() = information;
-  for (int w = 6; w < size; ++w) joint(w, w) = 1 / (source.model_lateral_stddev * source.model_lateral_stddev);
-  for (std::size_t k = 0; k < rows.size(); ++k) {
-    const int i = inliers[k];
-    const Eigen::Matrix<double, 2, 7> moved =
-        rows[k].by_point * castJacobian(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
-    const Eigen::Matrix<double, 6, 2> pose = rows[k].by_pose.transpose() / (variance * inflation);
-    by_source.topRows<6>() += pose * moved.leftCols<6>();
-    const auto wall = column_of.find(m.wall[i]);
-    if (wall == column_of.end()) continue;
-    const Eigen::RowVector2d offset = moved.col(6).transpose() / (variance * inflation);
-    joint.block<6, 1>(0, wall->second) += pose * moved.col(6);
-    joint.block<1, 6>(wall->second, 0) += offset * rows[k].by_pose;
-    joint(wall->second, wall->second) += offset * moved.col(6);
-    by_source.row(wall->second) += offset * moved.leftCols<6>();
-  }
-  const Eigen::LDLT<Eigen::MatrixXd> factor(joint);
-  const Matrix6d gain = factor.solve(by_source).topRows<6>();
-  Vector6 source_variance;
-  source_variance.head<3>().setConstant(source.position_stddev * source.position_stddev);
-  source_variance.tail<3>().setConstant(source.orientation_stddev * source.orientation_stddev);
-  result.total = factor.solve(Eigen::MatrixXd::Identity(size, 6)).topRows<6>();
-  result.total += gain * source_variance.asDiagonal() * gain.transpose();
-  result.total(2, 2) += source.model_height_stddev * source.model_height_stddev;
-  result.total = 0.5 * (result.total + result.total.transpose()).eval();
+  result.total = totalCovariance(m, inliers, rows, information, variance * inflation, source);
   if (!result.total.allFinite()) return std::nullopt;
   return result;
 }

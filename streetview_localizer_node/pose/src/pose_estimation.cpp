@@ -8,6 +8,7 @@
 #include <opengv/absolute_pose/methods.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/statistics.h"
 #include "planar_alternative.h"
 #include "pose_covariance.h"
 #include "robust_search.h"
@@ -94,8 +95,7 @@ double noiseOf(const Matches& m, const std::vector<int>& inliers, const Pose& T,
   const Pose inverse = T.inverse();
   std::vector<double> errors;
   for (const int i : inliers) errors.push_back(std::sqrt(detail::squaredError(m, i, inverse)));
-  std::nth_element(errors.begin(), errors.begin() + errors.size() / 2, errors.end());
-  return std::max(settings.pixel_stddev, errors[errors.size() / 2] / 1.1774);
+  return std::max(settings.pixel_stddev, air_ground_common::median(std::move(errors)) / 1.1774);
 }
 
 /// A pose from matches that contradict `pose`: those it does not explain, by a wide margin. It must not explain the

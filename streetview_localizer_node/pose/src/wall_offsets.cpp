@@ -87,25 +87,28 @@ Eigen::Vector3d castDirection(const Eigen::Vector3d& point, const Eigen::Vector3
   return ray / along;
 }
 
-std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, const Pose& start, double noise,
-                                          const PointSource& source, const PosePrior& prior,
-                                          const PoseSettings& settings) {
-  if (!(source.model_lateral_stddev > 0)) return std::nullopt;
+namespace {
+
+/// Matches that agree with the pose, by the wall they lie on: of walls with enough of them.
+std::map<int, std::vector<int>> matchesByWall(const Matches& m, std::size_t usable, const Pose& T,
+                                              const PoseSettings& settings) {
   std::map<int, std::vector<int>> walls;
-  for (const int i : inliersOf(m, start, kReach * settings.inlier_threshold))
+  for (const int i : inliersOf(m, T, kReach * settings.inlier_threshold))
     if (static_cast<std::size_t>(i) < usable && m.wall[i] >= 0) walls[m.wall[i]].push_back(i);
   for (auto it = walls.begin(); it != walls.end();)
     it = it->second.size() < kMinMatches ? walls.erase(it) : std::next(it);
-  if (walls.size() < 2) return std::nullopt;
+  return walls;
+}
 
-  Step step{};
-  std::map<int, double> offsets;
+/// Pose and offsets of the walls that fit the matches best; false when the solver fails.
+bool solveOffsets(const Matches& m, const std::map<int, std::vector<int>>& walls, const Pose& start, double noise,
+                  const PointSource& source, const PosePrior& prior, Step* step, std::map<int, double>* offsets) {
   ceres::Problem problem;
   std::size_t count = 0;
   for (const auto& wall : walls) count += wall.second.size();
   const double crowd = std::min(1.0, kEffectiveMeasurements / (2.0 * static_cast<double>(count)));
   for (const auto& [wall, members] : walls) {
-    double* offset = &offsets[wall];
+    double* offset = &(*offsets)[wall];
     for (const int i : members) {
       const auto& c = m.points[i];
       auto* cost = new ceres::AutoDiffCostFunction<Reprojection, 2, 6, 1>(
@@ -113,7 +116,7 @@ std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, 
                            1 / (c.sigma * noise)});
       problem.AddResidualBlock(cost,
                                new ceres::ScaledLoss(new ceres::CauchyLoss(kCauchy), crowd, ceres::TAKE_OWNERSHIP),
-                               step.data(), offset);
+                               step->data(), offset);
     }
     problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Offset, 1, 1>(new Offset{source.model_lateral_stddev}),
                              nullptr, offset);
@@ -121,7 +124,7 @@ std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, 
   if (prior.up_camera)
     problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Gravity, 2, 6>(
                                  new Gravity{start.linear() * prior.up_camera->normalized(), prior.up_stddev}),
-                             nullptr, step.data());
+                             nullptr, step->data());
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
   options.max_num_iterations = 30;
@@ -129,7 +132,37 @@ std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, 
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
-  if (!summary.IsSolutionUsable()) return std::nullopt;
+  return summary.IsSolutionUsable();
+}
+
+/// The matches with the points of each wall moved by its offset.
+Matches withMovedWalls(const Matches& m, const std::map<int, double>& offsets, const PointSource& source) {
+  Matches moved = m;
+  for (std::size_t i = 0; i < m.size(); ++i) {
+    const auto offset = offsets.find(m.wall[i]);
+    if (offset == offsets.end()) continue;
+    const Eigen::Vector3d shift =
+        offset->second * castDirection(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
+    moved.points[i].p_map += shift;
+    moved.x[i] += static_cast<float>(shift.x());
+    moved.y[i] += static_cast<float>(shift.y());
+    moved.z[i] += static_cast<float>(shift.z());
+  }
+  return moved;
+}
+
+}  // namespace
+
+std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, const Pose& start, double noise,
+                                          const PointSource& source, const PosePrior& prior,
+                                          const PoseSettings& settings) {
+  if (!(source.model_lateral_stddev > 0)) return std::nullopt;
+  const std::map<int, std::vector<int>> walls = matchesByWall(m, usable, start, settings);
+  if (walls.size() < 2) return std::nullopt;
+
+  Step step{};
+  std::map<int, double> offsets;
+  if (!solveOffsets(m, walls, start, noise, source, prior, &step, &offsets)) return std::nullopt;
 
   WallAdjustment result;
   const Eigen::Map<const air_ground_common::Vector6d> s(step.data());
@@ -138,17 +171,7 @@ std::optional<WallAdjustment> adjustWalls(const Matches& m, std::size_t usable, 
   result.T_world_camera = air_ground_common::normalized(result.T_world_camera);
   for (const auto& wall : offsets)
     if (std::abs(wall.second) > kMaxOffset * source.model_lateral_stddev) return std::nullopt;
-  result.matches = m;
-  for (std::size_t i = 0; i < m.size(); ++i) {
-    const auto offset = offsets.find(m.wall[i]);
-    if (offset == offsets.end()) continue;
-    const Eigen::Vector3d shift =
-        offset->second * castDirection(m.points[i].p_map, m.normals[i], m.centreOf(i, source));
-    result.matches.points[i].p_map += shift;
-    result.matches.x[i] += static_cast<float>(shift.x());
-    result.matches.y[i] += static_cast<float>(shift.y());
-    result.matches.z[i] += static_cast<float>(shift.z());
-  }
+  result.matches = withMovedWalls(m, offsets, source);
   std::vector<int> positions(usable);
   std::iota(positions.begin(), positions.end(), 0);
   const auto cost = [&](const Matches& matches, const Pose& T) {

@@ -11,7 +11,8 @@
 namespace streetview_localizer::registration {
 namespace {
 
-constexpr double kCreaseCosine = 0.97;  // 14 degrees
+constexpr double kCreaseCosine = 0.97;   // 14 degrees
+constexpr double kOutlineStep = 0.0105;  // between samples of the outline [rad]
 
 using Key = std::array<long, 3>;
 
@@ -26,6 +27,77 @@ double planDistance(const Eigen::Vector3d& p, const ModelEdge& e) {
   return (q - s * d).norm();
 }
 
+/// Edges of the buildings' triangles at which a face ends or bends.
+std::vector<ModelEdge> findCreases(const CityModel& model, const std::vector<char>& solid) {
+  const air_ground_common::TriangleMesh& mesh = model.mesh;
+  std::map<std::pair<int, std::pair<Key, Key>>, std::vector<int>> faces;
+  std::vector<Eigen::Vector3d> normals(mesh.triangles.size());
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    if (!solid[t]) continue;
+    const Eigen::Vector3i& corner = mesh.triangles[t];
+    const Eigen::Vector3d a = mesh.vertices[corner[0]].cast<double>(), b = mesh.vertices[corner[1]].cast<double>(),
+                          c = mesh.vertices[corner[2]].cast<double>();
+    const Eigen::Vector3d n = (b - a).cross(c - a);
+    if (n.norm() < 1e-9) continue;
+    normals[t] = n.normalized();
+    for (int i = 0; i < 3; ++i) {
+      Key p = keyOf(mesh.vertices[corner[i]]), q = keyOf(mesh.vertices[corner[(i + 1) % 3]]);
+      if (p == q) continue;
+      if (q < p) std::swap(p, q);
+      faces[{model.building[t], {p, q}}].push_back(static_cast<int>(t) * 3 + i);
+    }
+  }
+  std::vector<ModelEdge> edges;
+  for (const auto& [key, users] : faces) {
+    bool crease = users.size() == 1;
+    for (std::size_t i = 1; i < users.size(); ++i) {
+      crease = crease || std::abs(normals[users[0] / 3].dot(normals[users[i] / 3])) < kCreaseCosine;
+    }
+    if (!crease) continue;
+    const Eigen::Vector3i& corner = mesh.triangles[users[0] / 3];
+    ModelEdge edge;
+    edge.a = mesh.vertices[corner[users[0] % 3]].cast<double>();
+    edge.b = mesh.vertices[corner[(users[0] % 3 + 1) % 3]].cast<double>();
+    if (edge.b.z() < edge.a.z()) std::swap(edge.a, edge.b);
+    edge.building = key.first;
+    edge.vertical = std::abs((edge.b - edge.a).normalized().z()) > 0.998;
+    for (const int user : users) edge.eave = edge.eave || (!edge.vertical && model.surface[user / 3] == Surface::kWall);
+    edges.push_back(edge);
+  }
+  return edges;
+}
+
+/// Of each building the middle of its edges, at the height of the lowest [m].
+std::vector<Eigen::Vector3d> findFeet(const std::vector<ModelEdge>& edges) {
+  std::map<int, std::pair<Eigen::Vector3d, int>> sums;  // sum of x and y, lowest z, count
+  for (const ModelEdge& edge : edges) {
+    auto& [foot, used] =
+        sums.emplace(edge.building, std::make_pair(Eigen::Vector3d(0, 0, edge.a.z()), 0)).first->second;
+    foot += Eigen::Vector3d(edge.a.x(), edge.a.y(), std::min(0.0, edge.a.z() - foot.z()));
+    ++used;
+  }
+  std::vector<Eigen::Vector3d> feet;
+  for (const auto& [building, foot] : sums)
+    feet.emplace_back(foot.first.x() / foot.second, foot.first.y() / foot.second, foot.first.z());
+  return feet;
+}
+
+/// Middles of the parts of an edge that a camera at `position` sees under equal angles: metres along, angle [rad]. By
+/// shorter steps where the edge is near.
+std::vector<std::pair<double, double>> samplesOf(const ModelEdge& edge, const Eigen::Vector3d& position) {
+  const double length = (edge.b - edge.a).norm();
+  const Eigen::Vector3d direction = (edge.b - edge.a) / length;
+  std::vector<std::pair<double, double>> places;
+  for (double s = 0; s < length;) {
+    const Eigen::Vector3d p = edge.a + s * direction - position;
+    const double speed = std::max(1e-4, p.normalized().cross(direction).norm() / std::max(0.5, p.norm()));
+    const double step = std::min({kOutlineStep / speed, length - s, 5.0});
+    places.emplace_back(s + 0.5 * step, step * speed);
+    s += step;
+  }
+  return places;
+}
+
 }  // namespace
 
 ModelOutline::ModelOutline(const CityModel& model) : mesh_(model.mesh), building_(model.building) {
@@ -35,55 +107,16 @@ ModelOutline::ModelOutline(const CityModel& model) : mesh_(model.mesh), building
                                 " triangles but lists of surfaces and buildings of other lengths");
   }
   solid_.resize(count);
-  std::map<std::pair<int, std::pair<Key, Key>>, std::vector<int>> faces;
-  std::vector<Eigen::Vector3d> normals(count);
   air_ground_common::TriangleMesh ground;
   for (std::size_t t = 0; t < count; ++t) {
-    const Eigen::Vector3i& corner = mesh_.triangles[t];
     solid_[t] = model.isBuilding(static_cast<int>(t));
     building_count_ = std::max(building_count_, building_[t] + 1);
-    if (building_[t] < 0 && model.surface[t] == Surface::kGround) ground.triangles.push_back(corner);
-    if (!solid_[t]) continue;
-    const Eigen::Vector3d a = mesh_.vertices[corner[0]].cast<double>(), b = mesh_.vertices[corner[1]].cast<double>(),
-                          c = mesh_.vertices[corner[2]].cast<double>();
-    const Eigen::Vector3d n = (b - a).cross(c - a);
-    if (n.norm() < 1e-9) continue;
-    normals[t] = n.normalized();
-    for (int i = 0; i < 3; ++i) {
-      Key p = keyOf(mesh_.vertices[corner[i]]), q = keyOf(mesh_.vertices[corner[(i + 1) % 3]]);
-      if (p == q) continue;
-      if (q < p) std::swap(p, q);
-      faces[{building_[t], {p, q}}].push_back(static_cast<int>(t) * 3 + i);
-    }
+    if (building_[t] < 0 && model.surface[t] == Surface::kGround) ground.triangles.push_back(mesh_.triangles[t]);
   }
-  for (const auto& [key, users] : faces) {
-    bool crease = users.size() == 1;
-    for (std::size_t i = 1; i < users.size(); ++i) {
-      crease = crease || std::abs(normals[users[0] / 3].dot(normals[users[i] / 3])) < kCreaseCosine;
-    }
-    if (!crease) continue;
-    const Eigen::Vector3i& corner = mesh_.triangles[users[0] / 3];
-    ModelEdge edge;
-    edge.a = mesh_.vertices[corner[users[0] % 3]].cast<double>();
-    edge.b = mesh_.vertices[corner[(users[0] % 3 + 1) % 3]].cast<double>();
-    if (edge.b.z() < edge.a.z()) std::swap(edge.a, edge.b);
-    edge.building = key.first;
-    edge.vertical = std::abs((edge.b - edge.a).normalized().z()) > 0.998;
-    for (const int user : users) edge.eave = edge.eave || (!edge.vertical && model.surface[user / 3] == Surface::kWall);
-    edges_.push_back(edge);
-  }
-  std::map<int, std::pair<Eigen::Vector3d, int>> feet;  // sum of x and y, lowest z, count
-  for (const ModelEdge& edge : edges_) {
-    auto& [foot, used] =
-        feet.emplace(edge.building, std::make_pair(Eigen::Vector3d(0, 0, edge.a.z()), 0)).first->second;
-    foot += Eigen::Vector3d(edge.a.x(), edge.a.y(), std::min(0.0, edge.a.z() - foot.z()));
-    ++used;
-  }
-  for (const auto& [building, foot] : feet) {
-    feet_.emplace_back(foot.first.x() / foot.second, foot.first.y() / foot.second, foot.first.z());
-  }
+  edges_ = findCreases(model, solid_);
   if (edges_.empty())
     throw std::invalid_argument("the city model has no building: panoramas cannot be registered to it");
+  feet_ = findFeet(edges_);
   scene_ = std::make_unique<air_ground_common::MeshScene>(mesh_);
   if (!ground.triangles.empty()) {
     ground.vertices = mesh_.vertices;
@@ -138,81 +171,74 @@ void ModelOutline::skyProfile(const std::vector<ModelEdge>& edges, const Eigen::
   }
 }
 
-Outline ModelOutline::visible(const std::vector<ModelEdge>& edges, const Eigen::Vector3d& position) const {
-  constexpr double kStep = 0.0105;   // between samples [rad]
-  constexpr double kAside = 0.0045;  // of the rays to both sides
-  Outline outline;
-  const Eigen::Vector3f origin = position.cast<float>();
-  for (const ModelEdge& edge : edges) {
-    const Eigen::Vector3d along = edge.b - edge.a;
-    const double length = along.norm();
-    if (length < 0.3) continue;
-    const Eigen::Vector3d direction = along / length;
-    // Places at equal angles: by halving the step where the edge is near.
-    std::vector<std::pair<double, double>> places;  // metres along, angle
-    for (double s = 0; s < length;) {
-      const Eigen::Vector3d p = edge.a + s * direction - position;
-      const double speed = std::max(1e-4, p.normalized().cross(direction).norm() / std::max(0.5, p.norm()));
-      const double step = std::min({kStep / speed, length - s, 5.0});
-      places.emplace_back(s + 0.5 * step, step * speed);
-      s += step;
+ModelOutline::EdgeView ModelOutline::lookAside(const ModelEdge& edge, const Eigen::Vector3d& p,
+                                               const Eigen::Vector3d& direction,
+                                               const Eigen::Vector3d& position) const {
+  constexpr double kAside = 0.0045;  // [rad]
+  EdgeView view;
+  const Eigen::Vector3d ray = p - position;
+  const double distance = ray.norm();
+  view.across = ray.cross(direction);
+  if (distance < 0.5 || view.across.norm() < 0.05 * distance) return view;
+  view.across.normalize();
+  for (const int side : {-1, 1}) {
+    const Eigen::Vector3d d = (ray / distance + side * kAside * view.across).normalized();
+    const auto hit = scene_->cast(position.cast<float>(), d.cast<float>());
+    if (hit && std::abs(hit->distance - distance) < 0.3 + 0.03 * distance &&
+        building_[hit->triangle] == edge.building && solid_[hit->triangle]) {
+      ++view.own_sides;
+      continue;
     }
-    double seen_low = std::numeric_limits<double>::infinity(), seen_high = -seen_low;
-    int seen = 0, boundary = 0;
-    for (const auto& [s, angle] : places) {
-      const Eigen::Vector3d p = edge.a + s * direction, ray = p - position;
-      const double distance = ray.norm();
-      Eigen::Vector3d across = ray.cross(direction);
-      if (distance < 0.5 || across.norm() < 0.05 * distance) continue;
-      across.normalize();
-      // Of the two sides one must show this building at this distance.
-      int own = 0, outside_side = 0;
-      bool sky = false, ground = false, other = false;
-      for (const int side : {-1, 1}) {
-        const Eigen::Vector3d d = (ray / distance + side * kAside * across).normalized();
-        const auto hit = scene_->cast(origin, d.cast<float>());
-        if (hit && std::abs(hit->distance - distance) < 0.3 + 0.03 * distance &&
-            building_[hit->triangle] == edge.building && solid_[hit->triangle]) {
-          ++own;
-          continue;
-        }
-        if (hit && hit->distance < distance - 0.3) {  // hidden
-          own = -10;
-          break;
-        }
-        outside_side = side;
-        sky = !hit;
-        ground = hit && !solid_[hit->triangle];
-        other = hit && solid_[hit->triangle] && building_[hit->triangle] != edge.building;
-      }
-      if (own < 1) continue;
-      ++seen;
-      seen_low = std::min(seen_low, s);
-      seen_high = std::max(seen_high, s);
-      if (own == 1 && (sky || other || ground)) ++boundary;
-      if (own != 1) continue;
-      if (!sky || p.z() < position.z()) continue;  // below the camera nothing is seen against the sky
-      OutlineSample sample;
-      sample.point = p;
-      sample.direction = direction;
-      sample.outside = outside_side * across;
-      sample.building = edge.building;
-      sample.eave = edge.eave;
-      sample.weight = angle;
-      outline.samples.push_back(sample);
+    if (hit && hit->distance < distance - 0.3) {  // hidden
+      view.own_sides = 0;
+      return view;
     }
-    if (edge.vertical && seen >= 3) {
-      OutlineVertical vertical;
-      vertical.foot = edge.a + seen_low * direction;
-      vertical.top = edge.a + seen_high * direction;
-      vertical.building = edge.building;
-      vertical.boundary = 2 * boundary > seen;
-      outline.verticals.push_back(vertical);
-    }
+    view.outside = side;
+    view.sky = !hit;
+    view.boundary = !hit || !solid_[hit->triangle] || building_[hit->triangle] != edge.building;
   }
-  // Walls often reach below the terrain: their foot is where they meet it.
-  if (!ground_) return outline;
-  for (double azimuth = -M_PI; azimuth < M_PI; azimuth += kStep) {
+  return view;
+}
+
+void ModelOutline::addEdge(const ModelEdge& edge, const Eigen::Vector3d& position, Outline* outline) const {
+  const double length = (edge.b - edge.a).norm();
+  if (length < 0.3) return;
+  const Eigen::Vector3d direction = (edge.b - edge.a) / length;
+  double seen_low = std::numeric_limits<double>::infinity(), seen_high = -seen_low;
+  int seen = 0, boundary = 0;
+  for (const auto& [s, angle] : samplesOf(edge, position)) {
+    const Eigen::Vector3d p = edge.a + s * direction;
+    const EdgeView view = lookAside(edge, p, direction, position);
+    if (view.own_sides < 1) continue;
+    ++seen;
+    seen_low = std::min(seen_low, s);
+    seen_high = std::max(seen_high, s);
+    if (view.own_sides != 1) continue;
+    if (view.boundary) ++boundary;
+    if (!view.sky || p.z() < position.z()) continue;  // below the camera nothing is seen against the sky
+    OutlineSample sample;
+    sample.point = p;
+    sample.direction = direction;
+    sample.outside = view.outside * view.across;
+    sample.building = edge.building;
+    sample.eave = edge.eave;
+    sample.weight = angle;
+    outline->samples.push_back(sample);
+  }
+  if (edge.vertical && seen >= 3) {
+    OutlineVertical vertical;
+    vertical.foot = edge.a + seen_low * direction;
+    vertical.top = edge.a + seen_high * direction;
+    vertical.building = edge.building;
+    vertical.boundary = 2 * boundary > seen;
+    outline->verticals.push_back(vertical);
+  }
+}
+
+// Walls often reach below the terrain: their foot is where they meet it.
+void ModelOutline::addFeet(const Eigen::Vector3d& position, Outline* outline) const {
+  const Eigen::Vector3f origin = position.cast<float>();
+  for (double azimuth = -M_PI; azimuth < M_PI; azimuth += kOutlineStep) {
     const Eigen::Vector3f level(std::cos(azimuth), std::sin(azimuth), 0);
     const auto hit = scene_->cast(origin, level, 40);
     if (!hit || !solid_[hit->triangle] || std::abs(hit->normal.z()) > 0.2f) continue;
@@ -229,11 +255,17 @@ Outline ModelOutline::visible(const std::vector<ModelEdge>& edges, const Eigen::
     sample.outside = ray.cross(sample.direction).normalized();
     if (sample.outside.z() > 0) sample.outside = -sample.outside;
     sample.building = building_[hit->triangle];
-    sample.weight = kStep;
+    sample.weight = kOutlineStep;
     const auto check = scene_->cast(origin, ray.normalized().cast<float>());
     if (check && check->distance < ray.norm() - 0.3) continue;
-    outline.samples.push_back(sample);
+    outline->samples.push_back(sample);
   }
+}
+
+Outline ModelOutline::visible(const std::vector<ModelEdge>& edges, const Eigen::Vector3d& position) const {
+  Outline outline;
+  for (const ModelEdge& edge : edges) addEdge(edge, position, &outline);
+  if (ground_) addFeet(position, &outline);
   return outline;
 }
 

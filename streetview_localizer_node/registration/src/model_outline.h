@@ -86,6 +86,19 @@ class ModelOutline {
   int buildings() const { return building_count_; }
 
  private:
+  /// What the rays to both sides of a place on an edge meet.
+  struct EdgeView {
+    int own_sides = 0;  ///< that show the edge's own building, there; 0 also where the place is hidden
+    Eigen::Vector3d across = Eigen::Vector3d::Zero();  ///< unit vector from side -1 to side 1
+    int outside = 0;                                   ///< the side that shows something else, -1 or 1
+    bool sky = false;                                  ///< which is the sky
+    bool boundary = false;                             ///< sky, ground or another building
+  };
+  EdgeView lookAside(const ModelEdge& edge, const Eigen::Vector3d& p, const Eigen::Vector3d& direction,
+                     const Eigen::Vector3d& position) const;
+  void addEdge(const ModelEdge& edge, const Eigen::Vector3d& position, Outline* outline) const;
+  void addFeet(const Eigen::Vector3d& position, Outline* outline) const;
+
   air_ground_common::TriangleMesh mesh_;  // buildings and ground
   std::vector<int> building_;
   std::vector<char> solid_;

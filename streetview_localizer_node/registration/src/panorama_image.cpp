@@ -70,7 +70,16 @@ void splitChain(const std::vector<Edgel>& edgels, const std::vector<int>& chain,
 
 }  // namespace
 
-std::vector<Segment> findSegments(const cv::Mat& bgr, const cv::Mat& mask, double max_elevation) {
+namespace {
+
+struct Edgels {
+  std::vector<Edgel> list;
+  cv::Mat index;            ///< CV_32S: of the edgel at a pixel, -1 where none is
+  int top = 0, bottom = 0;  ///< rows between which they lie
+};
+
+/// Pixels at which the gradient is strongest across the edge, placed between pixels by a parabola.
+Edgels findEdgels(const cv::Mat& bgr, const cv::Mat& mask, double max_elevation) {
   const int width = bgr.cols, height = bgr.rows;
   cv::Mat gray, smooth, gx, gy, magnitude;
   cv::cvtColor(bgr, gray, cv::COLOR_BGR2GRAY);
@@ -80,11 +89,12 @@ std::vector<Segment> findSegments(const cv::Mat& bgr, const cv::Mat& mask, doubl
   cv::Scharr(smooth, gx, CV_32F, 1, 0, 1.0 / 32);
   cv::Scharr(smooth, gy, CV_32F, 0, 1, 1.0 / 32);
   cv::magnitude(gx, gy, magnitude);
-  const int top = std::max(2, static_cast<int>((0.5 - max_elevation / M_PI) * height));
-  const int bottom = std::min(height - 3, static_cast<int>((0.5 + max_elevation / M_PI) * height));
-  std::vector<Edgel> edgels;
-  cv::Mat index(height, width, CV_32S, cv::Scalar(-1));
-  for (int v = top; v < bottom; ++v) {
+  Edgels edgels;
+  edgels.top = std::max(2, static_cast<int>((0.5 - max_elevation / M_PI) * height));
+  edgels.bottom = std::min(height - 3, static_cast<int>((0.5 + max_elevation / M_PI) * height));
+  edgels.index.create(height, width, CV_32S);
+  edgels.index.setTo(-1);
+  for (int v = edgels.top; v < edgels.bottom; ++v) {
     const float* m = magnitude.ptr<float>(v);
     for (int u = 0; u < width; ++u) {
       const int x = u + 8;
@@ -99,39 +109,51 @@ std::vector<Segment> findSegments(const cv::Mat& bgr, const cv::Mat& mask, doubl
       const float shift = curvature < 0 ? 0.5f * (before - after) / curvature : 0;
       edgel.ray = rayOf(u + (steep ? shift : 0), v + (steep ? 0 : shift), width, height);
       edgel.u = u, edgel.v = v;
-      index.at<int>(v, u) = static_cast<int>(edgels.size());
-      edgels.push_back(edgel);
+      edgels.index.at<int>(v, u) = static_cast<int>(edgels.list.size());
+      edgels.list.push_back(edgel);
     }
   }
+  return edgels;
+}
 
-  // Steep edges are followed downwards, flat ones to the right, to the neighbour whose gradient is most alike.
-  std::vector<char> used(edgels.size(), 0);
+/// The unused neighbour further along the edge whose gradient is most alike; -1 when none is. Steep edges go on
+/// downwards, flat ones to the right.
+int nextAlong(const Edgels& edgels, int from, bool steep, const std::vector<char>& used) {
+  const int width = edgels.index.cols;
+  const Edgel& end = edgels.list[from];
+  int best = -1;
+  double best_cosine = 0.9;
+  for (int side = -1; side <= 1; ++side) {
+    const int v = end.v + (steep ? 1 : side), u = (end.u + (steep ? side : 1) + width) % width;
+    if (v < edgels.top || v >= edgels.bottom) continue;
+    const int next = edgels.index.at<int>(v, u);
+    if (next < 0 || used[next]) continue;
+    const Edgel& e = edgels.list[next];
+    const double cosine = (e.dx * end.dx + e.dy * end.dy) / (std::hypot(e.dx, e.dy) * std::hypot(end.dx, end.dy));
+    if (cosine > best_cosine) best_cosine = cosine, best = next;
+  }
+  return best;
+}
+
+}  // namespace
+
+std::vector<Segment> findSegments(const cv::Mat& bgr, const cv::Mat& mask, double max_elevation) {
+  const Edgels edgels = findEdgels(bgr, mask, max_elevation);
+  std::vector<char> used(edgels.list.size(), 0);
   std::vector<Segment> segments;
   std::vector<int> chain;
-  const double pixel = M_PI / height;
-  for (std::size_t start = 0; start < edgels.size(); ++start) {
+  for (std::size_t start = 0; start < edgels.list.size(); ++start) {
     if (used[start]) continue;
     chain.assign(1, static_cast<int>(start));
     used[start] = 1;
-    const bool steep = std::abs(edgels[start].dx) > std::abs(edgels[start].dy);
-    while (true) {
-      const Edgel& end = edgels[chain.back()];
-      int best = -1;
-      double best_cosine = 0.9;
-      for (int side = -1; side <= 1; ++side) {
-        const int v = end.v + (steep ? 1 : side), u = (end.u + (steep ? side : 1) + width) % width;
-        if (v < top || v >= bottom) continue;
-        const int next = index.at<int>(v, u);
-        if (next < 0 || used[next]) continue;
-        const Edgel& e = edgels[next];
-        const double cosine = (e.dx * end.dx + e.dy * end.dy) / (std::hypot(e.dx, e.dy) * std::hypot(end.dx, end.dy));
-        if (cosine > best_cosine) best_cosine = cosine, best = next;
-      }
-      if (best < 0 || static_cast<int>(chain.size()) > width / 4) break;
-      chain.push_back(best);
-      used[best] = 1;
+    const bool steep = std::abs(edgels.list[start].dx) > std::abs(edgels.list[start].dy);
+    while (static_cast<int>(chain.size()) <= bgr.cols / 4) {
+      const int next = nextAlong(edgels, chain.back(), steep, used);
+      if (next < 0) break;
+      chain.push_back(next);
+      used[next] = 1;
     }
-    splitChain(edgels, chain, 0, static_cast<int>(chain.size()) - 1, pixel, &segments);
+    splitChain(edgels.list, chain, 0, static_cast<int>(chain.size()) - 1, M_PI / bgr.rows, &segments);
   }
   return segments;
 }

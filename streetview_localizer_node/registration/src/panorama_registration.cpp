@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
 #include "model_outline.h"
 #include "pose_solver.h"
 
@@ -13,6 +13,7 @@ namespace streetview_localizer {
 namespace {
 
 using air_ground_common::CameraModel;
+using air_ground_common::formatted;
 using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
 namespace reg = registration;
@@ -41,12 +42,6 @@ void validate(const RegistrationSettings& s) {
   requireRange("max_position_stddev", s.max_position_stddev, 0.01, 10);
   requireRange("max_orientation_stddev", s.max_orientation_stddev, 1e-3, 1);
   requireRange("threads", s.threads, 1, 256);
-}
-
-std::string format(const char* text, double a, double b = 0) {
-  char line[200];
-  std::snprintf(line, sizeof(line), text, a, b);
-  return line;
 }
 
 /// The geotag, and how far it is believed.
@@ -82,6 +77,31 @@ constexpr Demands kOfPanorama = {1.0, 0.62, 4, 0.5, 0.38, 0.025};
 // A photograph sees less of the outline: that part must fit better.
 constexpr Demands kOfPhotograph = {0.7, 0.8, 5, 0.7, 0.25, 0.05};
 
+/// Why the best fit is not believed; empty when it is. `second_cost`: of the best fit at another place.
+std::string doubt(const Fit& best, double second_cost, const Demands& demands, const Pose& T_world_geotag,
+                  const RegistrationSettings& settings) {
+  const Matrix6d& c = best.covariance;
+  const double a = c(0, 0), b = c(0, 1), d = c(1, 1);
+  const double horizontal = std::sqrt(0.5 * (a + d) + std::sqrt(0.25 * (a - d) * (a - d) + b * b));
+  const double turn = std::sqrt(c.diagonal().tail<3>().maxCoeff());
+  const double off = (best.T_world_level.translation() - T_world_geotag.translation()).head<2>().norm();
+  if (best.sky_angle < demands.sky_angle)
+    return formatted("the model's sky line covers only %.0f degrees", best.sky_angle * 180 / M_PI);
+  if (best.sky_ratio < demands.sky_ratio)
+    return formatted("the image's sky line follows only %.0f %% of the model's", 100 * best.sky_ratio);
+  if (best.verticals < demands.verticals || best.verticals < demands.vertical_ratio * best.verticals_seen)
+    return formatted("only %d of the model's %d visible corners were found", best.verticals, best.verticals_seen);
+  if (best.cost > demands.cost) return formatted("the model's outline does not fit (cost %.2f)", best.cost);
+  if (second_cost < best.cost + demands.cost_margin)
+    return formatted("another place fits nearly as well (cost %.2f against %.2f)", second_cost, best.cost);
+  if (off > settings.search_radius + 0.5)
+    return formatted("the best place lies %.1f m from the geotag, outside the search", off);
+  if (horizontal > settings.max_position_stddev) return formatted("the position is uncertain by %.2f m", horizontal);
+  if (turn > settings.max_orientation_stddev)
+    return formatted("the orientation is uncertain by %.2f degrees", turn * 180 / M_PI);
+  return "";
+}
+
 }  // namespace
 
 Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pose& T_world_geotag,
@@ -93,7 +113,7 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
   }
   const auto edges = model.edgesNear(T_world_geotag.translation(), settings.model_radius);
   if (edges.empty()) {
-    selection.reason = format("the model has no building within %.0f m of the geotag", settings.model_radius);
+    selection.reason = formatted("the model has no building within %.0f m of the geotag", settings.model_radius);
     return selection;
   }
   std::vector<Fit> fits;
@@ -118,33 +138,9 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
     if (apart > 0.6) selection.second_cost = std::min(selection.second_cost, other.cost);
   }
 
-  const Matrix6d& c = best.covariance;
-  const double a = c(0, 0), b = c(0, 1), d = c(1, 1);
-  const double horizontal = std::sqrt(0.5 * (a + d) + std::sqrt(0.25 * (a - d) * (a - d) + b * b));
-  const double turn = std::sqrt(c.diagonal().tail<3>().maxCoeff());
-  const double off = (best.T_world_level.translation() - T_world_geotag.translation()).head<2>().norm();
-  const Demands& demands = cues.mask.empty() ? kOfPanorama : kOfPhotograph;
-  if (best.sky_angle < demands.sky_angle) {
-    selection.reason = format("the model's sky line covers only %.0f degrees", best.sky_angle * 180 / M_PI);
-  } else if (best.sky_ratio < demands.sky_ratio) {
-    selection.reason = format("the image's sky line follows only %.0f %% of the model's", 100 * best.sky_ratio);
-  } else if (best.verticals < demands.verticals || best.verticals < demands.vertical_ratio * best.verticals_seen) {
-    selection.reason =
-        format("only %.0f of the model's %.0f visible corners were found", best.verticals, best.verticals_seen);
-  } else if (best.cost > demands.cost) {
-    selection.reason = format("the model's outline does not fit (cost %.2f)", best.cost);
-  } else if (selection.second_cost < best.cost + demands.cost_margin) {
-    selection.reason =
-        format("another place fits nearly as well (cost %.2f against %.2f)", selection.second_cost, best.cost);
-  } else if (off > settings.search_radius + 0.5) {
-    selection.reason = format("the best place lies %.1f m from the geotag, outside the search", off);
-  } else if (horizontal > settings.max_position_stddev) {
-    selection.reason = format("the position is uncertain by %.2f m", horizontal);
-  } else if (turn > settings.max_orientation_stddev) {
-    selection.reason = format("the orientation is uncertain by %.2f degrees", turn * 180 / M_PI);
-  } else {
-    selection.accepted = true;
-  }
+  selection.reason =
+      doubt(best, selection.second_cost, cues.mask.empty() ? kOfPanorama : kOfPhotograph, T_world_geotag, settings);
+  selection.accepted = selection.reason.empty();
   return selection;
 }
 

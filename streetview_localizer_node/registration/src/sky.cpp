@@ -5,6 +5,8 @@
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
+#include "air_ground_common/statistics.h"
+
 namespace streetview_localizer::registration {
 namespace {
 
@@ -103,8 +105,7 @@ class SkyImage {
       for (int u = 0; u < width; u += 2)
         if (isValid(v, u)) sample.push_back(gradient(v, u));
     if (sample.size() < 500) return false;
-    std::nth_element(sample.begin(), sample.begin() + sample.size() / 4, sample.end());
-    noise = std::max(0.7f, sample[sample.size() / 4]);
+    noise = std::max(0.7f, air_ground_common::quantile(std::move(sample), 0.25));
     return true;
   }
 

@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <cstdlib>
 
+#include "air_ground_common/units.h"
 #include "streetview_localizer/panorama_registration.h"
 #include "synthetic_street.h"
 
@@ -13,7 +14,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: photograph_study FIRST_SEED LAST_SEED\n");
     return 1;
   }
-  constexpr double kDegree = M_PI / 180;
+  using air_ground_common::kDegree;
   air_ground_common::CameraModel camera;  // 75 degrees wide
   camera.width = 1024, camera.height = 768;
   camera.fx = camera.fy = 512 / std::tan(37.5 * kDegree);

@@ -52,8 +52,8 @@ inline std::string cameraFrame(const std::string& configured, const Calibration&
                                                                : calibration.info.header.frame_id);
 }
 
-/// Samples of an IMU: refuses what is not finite or not measured, and judges the unit by the mean acceleration.
-/// Thread-safe.
+/// Samples of an IMU: refuses what is not finite, not measured or beyond any sensor's range, and judges the unit by the
+/// mean acceleration. Thread-safe.
 class ImuInput {
  public:
   using Sample = ImuCombiner::Sample;  ///< in the IMU's frame: stamp [s], angular velocity [rad/s], force [m/s^2]
@@ -62,17 +62,18 @@ class ImuInput {
   ImuInput(NodeHealth& health, bool separate) : health_(health), separate_(separate) {}
 
   /// Samples that are complete with this message, of the gyro alone where `separate`. None, and counted, when a number
-  /// is not finite or the message itself says that it was not measured (first covariance -1).
+  /// is not finite or beyond any sensor's range, or the message itself says that it was not measured (first covariance
+  /// -1).
   std::vector<Sample> read(const sensor_msgs::Imu& msg) {
     const Eigen::Vector3d rate(msg.angular_velocity.x, msg.angular_velocity.y, msg.angular_velocity.z);
     const bool measured = msg.angular_velocity_covariance[0] != -1;
     if (!measured) health_.count("IMU samples refused: they say that turn rates are not measured");
-    if (separate_) return measured && finite(rate) ? add(msg, &ImuCombiner::addGyro, rate) : std::vector<Sample>{};
+    if (separate_) return measured && turnRate(rate) ? add(msg, &ImuCombiner::addGyro, rate) : std::vector<Sample>{};
     const Eigen::Vector3d force(msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z);
     const bool force_measured = msg.linear_acceleration_covariance[0] != -1;
     if (!force_measured)
       health_.count("IMU samples refused: they say that accelerations are not measured (on a topic of their own?)");
-    if (!measured || !force_measured || !finite(rate) || !finite(force)) return {};
+    if (!measured || !force_measured || !turnRate(rate) || !acceleration(force)) return {};
     const std::lock_guard<std::mutex> lock(mutex_);
     judgeUnit(force.norm());
     return {{msg.header.stamp.toSec(), rate, force}};
@@ -81,7 +82,7 @@ class ImuInput {
   /// The same for a message of the accelerometer's own.
   std::vector<Sample> readAccelerometer(const sensor_msgs::Imu& msg) {
     const Eigen::Vector3d force(msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z);
-    return finite(force) ? add(msg, &ImuCombiner::addAccelerometer, force) : std::vector<Sample>{};
+    return acceleration(force) ? add(msg, &ImuCombiner::addAccelerometer, force) : std::vector<Sample>{};
   }
 
   /// What is wrong with the acceleration; empty while nothing is known to be. An accelerometer in g, or without
@@ -101,9 +102,20 @@ class ImuInput {
   }
 
  private:
-  bool finite(const Eigen::Vector3d& reading) {
-    if (!reading.allFinite()) health_.count("IMU samples refused: not a finite number");
-    return reading.allFinite();
+  bool turnRate(const Eigen::Vector3d& reading) {
+    return admit(reading, kMaxAngularVelocity,
+                 "IMU samples refused: turns faster than any gyro can read (spoilt, or not in rad/s?)");
+  }
+
+  bool acceleration(const Eigen::Vector3d& reading) {
+    return admit(reading, kMaxSpecificForce,
+                 "IMU samples refused: accelerations beyond what a sensor can read (spoilt, or not in m/s^2?)");
+  }
+
+  bool admit(const Eigen::Vector3d& reading, double limit, const char* beyond) {
+    if (reading.norm() <= limit) return true;
+    health_.count(reading.allFinite() ? beyond : "IMU samples refused: not a finite number");
+    return false;
   }
 
   std::vector<Sample> add(const sensor_msgs::Imu& msg, void (ImuCombiner::*stream)(double, const Eigen::Vector3d&),

@@ -19,7 +19,9 @@ class ImuBuffer {
  public:
   explicit ImuBuffer(double max_seconds = 10.0) : max_seconds_(max_seconds) {}
 
-  /// False (sample dropped) when it is not finite or not newer than the last.
+  /// False (sample dropped) when it is not finite, beyond what an IMU can read (kMaxAngularVelocity,
+  /// kMaxSpecificForce), not newer than the last, or a
+  /// leap of less than 0.03 s.
   bool add(const ImuSample& sample);
   void clear() { samples_.clear(); }
   const std::deque<ImuSample>& samples() const { return samples_; }
