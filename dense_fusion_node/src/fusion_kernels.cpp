@@ -39,12 +39,19 @@ void countRow(const std::uint8_t* bin, int n, std::uint8_t* counts, int stride) 
   constexpr int kTogether = 128;
   for (int begin = 0; begin < n; begin += kTogether) {
     const int end = std::min(n, begin + kTogether);
-    for (int k = 0; k < kBins; ++k) {
-      std::uint8_t any = 0;
-      for (int x = begin; x < end; ++x) any |= static_cast<std::uint8_t>(bin[x] == k);
-      if (!any) continue;
+    std::uint8_t lowest = 255, above = 0;  // above the highest; 255, no vote, wraps to 0
+    for (int x = begin; x < end; ++x) {
+      lowest = std::min(lowest, bin[x]);
+      above = std::max(above, static_cast<std::uint8_t>(bin[x] + 1));
+    }
+    for (int k = lowest; k < above; ++k) {
       std::uint8_t* c = counts + static_cast<std::ptrdiff_t>(k) * stride;
-      for (int x = begin; x < end; ++x) c[x] = static_cast<std::uint8_t>(c[x] + ((bin[x] == k) & (c[x] != 255)));
+      // Votes are alike in the next row, too, whose counts lie behind those of this one.
+      for (int x = begin; x < end; x += 64) __builtin_prefetch(c + x + static_cast<std::ptrdiff_t>(kBins) * stride, 1);
+      for (int x = begin; x < end; ++x) {
+        const std::uint8_t vote = bin[x] == k ? 1 : 0, room = static_cast<std::uint8_t>(~c[x]);
+        c[x] = static_cast<std::uint8_t>(c[x] + std::min(vote, room));
+      }
     }
   }
 }
@@ -83,11 +90,11 @@ namespace {
 
 // Minimiser of (u - v)^2 / (2 tau) + lambda sum_k n_k |u - c_k|: the median of the bin centres and of
 // P_i = v + tau lambda (N - 2 sum_{k <= i} n_k), i = 0..K, here by u = max(P_K, max_i min(c_i, P_{i-1})).
-// `weight` is tau lambda, `n` the voxel's first count, the next ones lie nx apart.
-template <typename Count>
-__attribute__((always_inline)) inline float proximalStep(float v, const Count* n, int nx, float weight) {
-  const float n0 = n[0], n1 = n[nx], n2 = n[2 * nx], n3 = n[3 * nx], n4 = n[4 * nx], n5 = n[5 * nx], n6 = n[6 * nx],
-              n7 = n[7 * nx];
+// `weight` is tau lambda, `n` the voxel's first count, the next ones lie kLane apart.
+constexpr int kLane = 128;  // voxels worked on at once
+__attribute__((always_inline)) inline float proximalStep(float v, const float* n, float weight) {
+  const float n0 = n[0], n1 = n[kLane], n2 = n[2 * kLane], n3 = n[3 * kLane], n4 = n[4 * kLane], n5 = n[5 * kLane],
+              n6 = n[6 * kLane], n7 = n[7 * kLane];
   const float w2 = 2.f * weight;
   const float P0 = v + weight * (((n0 + n1) + (n2 + n3)) + ((n4 + n5) + (n6 + n7)));
   const float P1 = P0 - w2 * n0, P2 = P1 - w2 * n1, P3 = P2 - w2 * n2, P4 = P3 - w2 * n3, P5 = P4 - w2 * n4,
@@ -111,17 +118,33 @@ __attribute__((always_inline)) inline bool primalRowImpl(float* __restrict u, fl
                                                          const Count* __restrict counts, int stride, int n,
                                                          bool at_border, float tau, float lambda) {
   const float weight = tau * lambda;
-  constexpr int kTogether = 128;
-  float px_before[kTogether];
+  // Lanes of one width: bytes and floats in one loop would need more registers than there are.
+  alignas(64) float px_before[kLane], numbers[kBins * kLane];
   int changed = 0;
-  for (int begin = 0; begin < n; begin += kTogether) {
-    const int m = std::min(kTogether, n - begin);
+  for (int begin = 0; begin < n; begin += kLane) {
+    const int m = std::min(kLane, n - begin);
     px_before[0] = begin == 0 && at_border ? 0.f : px[begin - 1];
     std::copy_n(px + begin, m - 1, px_before + 1);
+    if (!counts) {
+      for (int i = 0; i < m; ++i) {
+        const int x = begin + i;
+        const float divergence = px[x] - px_before[i] + py[x] - py_before[x] + pz[x] - pz_before[x];
+        const float next = std::min(1.f, std::max(-1.f, u[x] + tau * divergence));
+        const float next_bar = 2.f * next - u[x];
+        changed |= (next != u[x]) | (next_bar != ubar[x]);
+        ubar[x] = next_bar;
+        u[x] = next;
+      }
+      continue;
+    }
+    for (int k = 0; k < kBins; ++k) {
+      const Count* of_bin = counts + static_cast<std::ptrdiff_t>(k) * stride + begin;
+      for (int i = 0; i < m; ++i) numbers[k * kLane + i] = static_cast<float>(of_bin[i]);
+    }
     for (int i = 0; i < m; ++i) {
       const int x = begin + i;
       const float divergence = px[x] - px_before[i] + py[x] - py_before[x] + pz[x] - pz_before[x];
-      const float next = proximalStep(u[x] + tau * divergence, counts + x, stride, weight);
+      const float next = proximalStep(u[x] + tau * divergence, numbers + i, weight);
       const float next_bar = 2.f * next - u[x];
       changed |= (next != u[x]) | (next_bar != ubar[x]);
       ubar[x] = next_bar;

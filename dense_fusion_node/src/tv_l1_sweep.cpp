@@ -41,6 +41,7 @@ TvL1Sweep<Count>::TvL1Sweep(const Histograms<Count>& votes, float lambda, float 
       slice_(static_cast<std::size_t>(nx_) * ny_),
       ubar_(s_.phi),
       zeros_(nx_, 0.f),
+      voted_(static_cast<std::size_t>(ny_) * nz_, 0),
       changed_(static_cast<std::size_t>(kTogether + 1) * (nz_ + 2) * (ny_ + 2), 0),
       progress_(new std::atomic<int>[bands(ny_, kTogether)]) {
   stretch_ = std::max(kStretch, (nx_ + kMostStretches - 1) / kMostStretches);
@@ -50,6 +51,7 @@ TvL1Sweep<Count>::TvL1Sweep(const Histograms<Count>& votes, float lambda, float 
 
 template <typename Count>
 void TvL1Sweep<Count>::run(int iterations, int threads) {
+  findVotes(threads);
   for (int done = 0; done < iterations;) {
     const int together = std::min(kTogether, iterations - done), count = bands(ny_, together);
     for (int b = 0; b < count; ++b) progress_[b] = 0;
@@ -58,6 +60,22 @@ void TvL1Sweep<Count>::run(int iterations, int threads) {
     std::copy_n(changed(together, -1, -1), static_cast<std::size_t>(nz_ + 2) * (ny_ + 2), changed(0, -1, -1));
     done += together;
   }
+}
+
+template <typename Count>
+void TvL1Sweep<Count>::findVotes(int threads) {
+#pragma omp parallel for schedule(static) num_threads(threads)
+  for (int z = 0; z < nz_; ++z)
+    for (int y = 0; y < ny_; ++y)
+      for (int k = 0; k < stretches_; ++k) {
+        const int x = k * stretch_, n = std::min(stretch_, nx_ - x);
+        bool any = false;
+        for (int bin = 0; bin < kBins && !any; ++bin) {
+          const Count* counts = votes_.row(y, z) + static_cast<std::size_t>(bin) * nx_ + x;
+          any = std::any_of(counts, counts + n, [](Count c) { return c != 0; });
+        }
+        voted_[static_cast<std::size_t>(z) * ny_ + y] |= static_cast<Mask>(unsigned(any) << k);
+      }
 }
 
 // In step s iteration t of the pass works on slice z = s - t and rows [band * kBand - t, (band + 1) * kBand - t). The
@@ -88,7 +106,7 @@ void TvL1Sweep<Count>::iterateRow(int iteration, int y, int z) {
     const std::size_t row_y = y + 1 < ny_ ? row + nx_ : row, row_z = z + 1 < nz_ ? row + slice_ : row;
     const float* py_before = y > 0 ? &s_.py[row - nx_] : zeros_.data();
     const float* pz_before = z > 0 ? &s_.pz[row - slice_] : zeros_.data();
-    const Count* counts = votes_.row(y, z);
+    const Mask voted = voted_[static_cast<std::size_t>(z) * ny_ + y];
     for (int k = 0; k < stretches_; ++k) {
       if (!(active >> k & 1)) continue;
       const int x = k * stretch_, n = std::min(stretch_, nx_ - x);
@@ -99,10 +117,11 @@ void TvL1Sweep<Count>::iterateRow(int iteration, int y, int z) {
     for (int k = 0; k < stretches_; ++k) {
       if (!(active >> k & 1)) continue;
       const int x = k * stretch_, n = std::min(stretch_, nx_ - x);
-      changes |= unsigned(kernels::primalRow(&s_.phi[row + x], &ubar_[row + x], &s_.px[row + x], &s_.py[row + x],
-                                             py_before + x, &s_.pz[row + x], pz_before + x, counts + x, nx_, n, x == 0,
-                                             step_, lambda_))
-                 << k;
+      changes |=
+          unsigned(kernels::primalRow(&s_.phi[row + x], &ubar_[row + x], &s_.px[row + x], &s_.py[row + x],
+                                      py_before + x, &s_.pz[row + x], pz_before + x,
+                                      voted >> k & 1 ? votes_.row(y, z) + x : nullptr, nx_, n, x == 0, step_, lambda_))
+          << k;
     }
   }
   *changed(iteration, y, z) = static_cast<Mask>(changes);

@@ -24,6 +24,7 @@ class TvL1Sweep {
  private:
   using Mask = std::uint16_t;  // one bit a stretch of a row
 
+  void findVotes(int threads);
   void sweepBand(int band, int together);
   void iterateRow(int iteration, int y, int z);
   Mask* changed(int iteration, int y, int z) {
@@ -38,6 +39,7 @@ class TvL1Sweep {
   int stretch_, stretches_;
   Field<float> ubar_;
   const std::vector<float> zeros_;
+  std::vector<Mask> voted_;  // stretches with any vote, [z][y]
   // Stretches that an iteration changed, [iteration of this pass; 0 is the last before][z][y] with a border of zeros.
   std::vector<Mask> changed_;
   std::unique_ptr<std::atomic<int>[]> progress_;  // of each band: steps done

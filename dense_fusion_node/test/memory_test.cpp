@@ -1,48 +1,13 @@
 // Memory that runs out, at any allocation of a fusion: an exception for the caller, never the end of the process.
-#include <gtest/gtest.h>
-
-#include <atomic>
-#include <cstdlib>
-#include <new>
-
+#include "air_ground_common/testing/failing_memory.h"
 #include "dense_fusion/depth_fusion.h"
 #include "dense_fusion/plane_sweep.h"
 #include "synthetic_scene.h"
 
-namespace {
-std::atomic<long> allocations_left{-1};  // the one that finds 0 fails; below 0 none does
-}
-
-// Not inlined: the compiler would take malloc and delete, or new and free, for a mismatch.
-__attribute__((noinline)) void* operator new(std::size_t size) {
-  if (allocations_left >= 0 && allocations_left-- == 0) throw std::bad_alloc();
-  if (void* memory = std::malloc(size == 0 ? 1 : size)) return memory;
-  throw std::bad_alloc();
-}
-__attribute__((noinline)) void operator delete(void* memory) noexcept { std::free(memory); }
-__attribute__((noinline)) void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
-
 namespace dense_fusion {
 namespace {
 
-// Runs `job` with the first allocation failing, then with a later one, and so on, until it needs no more than there is.
-template <typename Job>
-int failures(const Job& job) {
-  int thrown = 0;
-  for (long fails = 0;; fails += 1 + fails / 16) {
-    allocations_left = fails;
-    try {
-      job();
-      const bool had_enough = allocations_left.exchange(-1) >= 0;
-      if (had_enough) return thrown;
-      ADD_FAILURE() << "allocation " << fails << " failed, and nobody was told";
-      return thrown;
-    } catch (const std::bad_alloc&) {
-      allocations_left = -1;
-      ++thrown;
-    }
-  }
-}
+using air_ground_common::testing::failuresWithoutMemory;
 
 DepthMap exactDepth(double x) {
   DepthMap map;
@@ -60,7 +25,7 @@ TEST(OutOfMemory, AFusionThrows) {
   settings.fill_radius = 1;
   settings.tv_l1.iterations = 1;
   settings.tv_l1.coarse_iterations = 1;
-  EXPECT_GT(failures([&] { fuseDepthMaps(maps, 1, settings); }), 20);
+  EXPECT_GT(failuresWithoutMemory([&] { fuseDepthMaps(maps, 1, settings); }), 20);
   EXPECT_TRUE(fuseDepthMaps(maps, 1, settings));
 }
 
@@ -73,7 +38,7 @@ TEST(OutOfMemory, ADepthMapThrows) {
   sweep.start(frame, 1, 3);
   frame.T_map_camera = testing::lookDown({0.3, 0, 2});
   ASSERT_TRUE(sweep.add(frame));
-  EXPECT_GT(failures([&] { sweep.depthMap(); }), 5);
+  EXPECT_GT(failuresWithoutMemory([&] { sweep.depthMap(); }), 5);
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <numeric>
 #include <random>
 
+#include "air_ground_common/first_exception.h"
 #include "icp_refine/neighbor_search.h"
 #include "key_table.h"
 #include "registry.h"
@@ -52,8 +53,7 @@ class VoxelGrid : public DataFilter {
 // Neighbours of one point of a cloud after the other: those of the last one bound the search for the next.
 class NeighborWalk {
  public:
-  NeighborWalk(const Cloud& cloud, const NeighborSearch& tree, int count,
-               float max_distance = std::numeric_limits<float>::infinity())
+  NeighborWalk(const Cloud& cloud, const NeighborSearch& tree, int count, float max_distance)
       : cloud_(cloud), tree_(tree), count_(count), max_distance_(max_distance) {}
 
   void at(int i) {
@@ -77,10 +77,25 @@ class NeighborWalk {
   int last_ = 0;
 };
 
-NeighborSearch placesOf(const Cloud& cloud) {
+// job(i, neighbours) for every point i of the cloud.
+template <class Job>
+void forNeighbors(const Cloud& cloud, int count, float max_distance, const Job& job) {
   Cloud bare;
   bare.points = cloud.points;
-  return NeighborSearch(bare);
+  const NeighborSearch tree(bare);
+  const int n = static_cast<int>(cloud.size());
+  constexpr int kBlock = 512;  // points that one thread walks through
+  air_ground_common::FirstException failure;
+#pragma omp parallel for schedule(static)
+  for (int begin = 0; begin < n; begin += kBlock)
+    failure.guard([&] {
+      NeighborWalk near(cloud, tree, count, max_distance);
+      for (int i = begin; i < std::min(n, begin + kBlock); ++i) {
+        near.at(i);
+        job(i, near);
+      }
+    });
+  failure.rethrow();
 }
 
 // Principal component analysis of the neighbourhood. A normal is valid when enough neighbours are near, they do not lie
@@ -96,19 +111,10 @@ class SurfaceNormals : public DataFilter {
 
   void apply(Cloud& cloud) const override {
     if (cloud.empty()) return;
-    const NeighborSearch tree = placesOf(cloud);
-    const int n = static_cast<int>(cloud.size());
-    std::vector<Eigen::Vector3f> normals(n, Eigen::Vector3f::UnitZ());
-    std::vector<char> valid(n);
-#pragma omp parallel
-    {
-      NeighborWalk near(cloud, tree, neighbors_, radius_);
-#pragma omp for schedule(static)
-      for (int i = 0; i < n; ++i) {
-        near.at(i);
-        valid[i] = normal(cloud, near.index, normals[i]);
-      }
-    }
+    std::vector<Eigen::Vector3f> normals(cloud.size(), Eigen::Vector3f::UnitZ());
+    std::vector<char> valid(cloud.size());
+    forNeighbors(cloud, neighbors_, radius_,
+                 [&](int i, const NeighborWalk& near) { valid[i] = normal(cloud, near.index, normals[i]); });
     cloud.normals = std::move(normals);
     cloud.keep(valid);
   }
@@ -188,20 +194,13 @@ class StatisticalOutlier : public DataFilter {
       : neighbors_(static_cast<int>(p("neighbors"))), factor_(p("stddev_factor")) {}
   void apply(Cloud& cloud) const override {
     if (static_cast<int>(cloud.size()) <= neighbors_) return;
-    const NeighborSearch tree = placesOf(cloud);
     const int n = static_cast<int>(cloud.size());
     std::vector<double> mean_distance(n);
-#pragma omp parallel
-    {
-      NeighborWalk near(cloud, tree, neighbors_ + 1);
-#pragma omp for schedule(static)
-      for (int i = 0; i < n; ++i) {
-        near.at(i);
-        double sum = 0;
-        for (float d : near.squared) sum += std::sqrt(d);
-        mean_distance[i] = sum / neighbors_;
-      }
-    }
+    forNeighbors(cloud, neighbors_ + 1, std::numeric_limits<float>::infinity(), [&](int i, const NeighborWalk& near) {
+      double sum = 0;
+      for (float d : near.squared) sum += std::sqrt(d);
+      mean_distance[i] = sum / neighbors_;
+    });
     double sum = 0, sum2 = 0;
     for (double d : mean_distance) sum += d, sum2 += d * d;
     const double mean = sum / n, stddev = std::sqrt(std::max(0.0, sum2 / n - mean * mean));

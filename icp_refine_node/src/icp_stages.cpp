@@ -143,14 +143,15 @@ std::unique_ptr<TransformationChecker> makeChecker(const std::string& name, cons
 
 void match(const Matcher& matcher, const NeighborSearch& tree, const Cloud& reading, Matches& matches) {
   const int n = static_cast<int>(reading.size());
-  matches.reference_index.resize(n, -1);
+  matches.reference_index.resize(n);
+  matches.traces.resize(n);
   matches.weights.resize(n);
   const bool normals = reading.hasNormals();
 #pragma omp parallel for schedule(static)
   for (int i = 0; i < n; ++i) {
     const Eigen::Vector3f normal = normals ? reading.normals[i] : Eigen::Vector3f(Eigen::Vector3f::Zero());
     int& index = matches.reference_index[i];
-    index = tree.nearest(reading.points[i], normal, matcher.max_distance, index);
+    index = tree.nearest(reading.points[i], normal, matcher.max_distance, matches.traces[i]);
     matches.weights[i] = index >= 0 ? 1.f : 0.f;
   }
 }

@@ -56,27 +56,37 @@ inline __attribute__((always_inline)) void search(const TreeView& tree, const fl
 }
 
 template <int D>
-inline __attribute__((always_inline)) int nearest(const TreeView& tree, const float* query, float* squared) {
-  float best = *squared;
+inline __attribute__((always_inline)) int nearest(const TreeView& tree, const float* query, float* squared,
+                                                  float* next) {
+  float best = *next, second = *next;
   int slot = -1;
   search<D>(
-      tree, query, [&best] { return best; },
+      tree, query, [&second] { return second; },
       [&](int leaf, const float* distances) {
         for (int i = 0; i < kLeaf; ++i) {
-          if (distances[i] < best) best = distances[i], slot = leaf * kLeaf + i;
+          if (distances[i] >= second) continue;
+          if (distances[i] < best)
+            second = best, best = distances[i], slot = leaf * kLeaf + i;
+          else
+            second = distances[i];
         }
       });
   *squared = best;
+  *next = second;
   return slot < 0 ? -1 : tree.index[slot];
 }
 
 }  // namespace
 
 AIR_GROUND_CLONES
-int nearest3(const TreeView& tree, const float* query, float* squared) { return nearest<3>(tree, query, squared); }
+int nearest3(const TreeView& tree, const float* query, float* squared, float* next) {
+  return nearest<3>(tree, query, squared, next);
+}
 
 AIR_GROUND_CLONES
-int nearest6(const TreeView& tree, const float* query, float* squared) { return nearest<6>(tree, query, squared); }
+int nearest6(const TreeView& tree, const float* query, float* squared, float* next) {
+  return nearest<6>(tree, query, squared, next);
+}
 
 AIR_GROUND_CLONES
 int nearestK3(const TreeView& tree, const float* query, int k, float squared_limit, std::int32_t* indices,

@@ -17,10 +17,11 @@ struct TreeView {
   int leaves;
 };
 
-/// Index of the nearest of the points whose squared distance is below `squared`, which becomes its squared distance; -1
-/// when there is none. `query` has 3 or 6 numbers.
-int nearest3(const TreeView& tree, const float* query, float* squared);
-int nearest6(const TreeView& tree, const float* query, float* squared);
+/// Index of the nearest of the points whose squared distance is below `next`, and its squared distance; -1 when there
+/// is none. `next` becomes the squared distance of the second nearest of them, if there is one. `query` has 3 or 6
+/// numbers.
+int nearest3(const TreeView& tree, const float* query, float* squared, float* next);
+int nearest6(const TreeView& tree, const float* query, float* squared, float* next);
 
 /// Up to k nearest points whose squared distance is below `squared_limit`, nearest first; returns how many.
 int nearestK3(const TreeView& tree, const float* query, int k, float squared_limit, std::int32_t* indices,

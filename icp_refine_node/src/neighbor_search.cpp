@@ -67,24 +67,34 @@ void NeighborSearch::build(std::vector<int>& order, int begin, int end) {
 }
 
 int NeighborSearch::nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance,
-                            int hint) const {
+                            Trace& trace) const {
   float query[6] = {point.x(), point.y(), point.z()};
   for (int d = 3; d < dimensions_; ++d) query[d] = normal_weight_ * normal[d - 3];
-  float squared = std::nextafter(max_distance * max_distance, std::numeric_limits<float>::infinity());
-  int found = -1;
-  if (hint >= 0) {
-    float to_hint = 0;
-    for (int d = 0; d < dimensions_; ++d) {
-      const float difference = points_[hint * dimensions_ + d] - query[d];
-      to_hint += difference * difference;
-    }
-    if (to_hint < squared) squared = to_hint, found = hint;
+  const auto distanceTo = [&](const float* other) {
+    float squared = 0;
+    for (int d = 0; d < dimensions_; ++d) squared += (other[d] - query[d]) * (other[d] - query[d]);
+    return std::sqrt(squared);
+  };
+  constexpr float kRounding = 1 + 1e-4f;
+  float next = std::nextafter(max_distance * max_distance, std::numeric_limits<float>::infinity());
+  if (trace.others >= 0) {
+    // All others are at least others - moved away, and, where others is not max_distance, the two nearest lie within
+    // others + moved.
+    const float moved = distanceTo(trace.query.data());
+    if (trace.index >= 0 &&
+        (distanceTo(&points_[static_cast<std::size_t>(trace.index) * dimensions_]) + moved) * kRounding < trace.others)
+      return trace.index;
+    const float reach = (trace.others + moved) * kRounding;
+    next = std::min(next, reach * reach);
   }
   const kernel::TreeView tree{leaves_.data(), index_.data(), axis_.data(), split_.data(),
                               static_cast<int>(axis_.size())};
-  const int nearer =
-      dimensions_ == 6 ? kernel::nearest6(tree, query, &squared) : kernel::nearest3(tree, query, &squared);
-  return nearer >= 0 ? nearer : found;
+  float squared;
+  trace.index = dimensions_ == 6 ? kernel::nearest6(tree, query, &squared, &next)
+                                 : kernel::nearest3(tree, query, &squared, &next);
+  trace.others = std::sqrt(next);
+  std::copy_n(query, 6, trace.query.begin());
+  return trace.index;
 }
 
 void NeighborSearch::nearestK(const Eigen::Vector3f& point, int k, std::vector<int>& indices,

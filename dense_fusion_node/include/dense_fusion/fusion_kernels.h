@@ -21,7 +21,8 @@ bool dualRow(const float* ubar, const float* ubar_y, const float* ubar_z, float*
 
 /// Primal step of n voxels of a row: u+ = argmin of the data term around u + tau div p, then ubar = 2 u+ - u.
 /// py_before, pz_before: rows one step before in y and z; at the border pass zeros. `at_border`: the first voxel is the
-/// first of its row; else px[-1] is read. Counts of the bins lie `stride` apart. True when u or ubar has changed.
+/// first of its row; else px[-1] is read. Counts of the bins lie `stride` apart; null: no votes. True when u or ubar
+/// has changed.
 bool primalRow(float* u, float* ubar, const float* px, const float* py, const float* py_before, const float* pz,
                const float* pz_before, const std::uint8_t* counts, int stride, int n, bool at_border, float tau,
                float lambda);

@@ -12,8 +12,9 @@ namespace icp_refine {
 
 /// One correspondence a reading point; -1 where none was found.
 struct Matches {
-  std::vector<int> reference_index;  ///< size of the reading
-  std::vector<float> weights;        ///< [0, 1], set to 0 where there is no match
+  std::vector<int> reference_index;           ///< size of the reading
+  std::vector<float> weights;                 ///< [0, 1], set to 0 where there is no match
+  std::vector<NeighborSearch::Trace> traces;  ///< of the searches
 };
 
 /// What the outlier filters and the minimiser see: both clouds in the reference frame, matched.
@@ -92,7 +93,7 @@ ErrorMinimizer makeErrorMinimizer(const std::string& name, const YAML::Node& par
 std::unique_ptr<TransformationChecker> makeChecker(const std::string& name, const YAML::Node& parameters);
 
 /// Nearest neighbours of all reading points (parallel; the result does not depend on the number of threads). `matches`
-/// holds those of the iteration before, where the search starts, or nothing.
+/// holds those of the iteration before, whose traces shorten the searches, or nothing.
 void match(const Matcher& matcher, const NeighborSearch& tree, const Cloud& reading, Matches& matches);
 
 }  // namespace icp_refine

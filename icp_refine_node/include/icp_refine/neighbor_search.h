@@ -1,6 +1,7 @@
 // Nearest neighbours in a cloud: a balanced kd-tree in float with leaves of 16 points, laid out for vector units.
 #pragma once
 
+#include <array>
 #include <limits>
 #include <vector>
 
@@ -16,12 +17,23 @@ class NeighborSearch {
   /// Throws std::invalid_argument for an empty cloud, or missing normals.
   explicit NeighborSearch(const Cloud& cloud, float normal_weight = 0);
 
+  /// What a search leaves for the next one of the same point.
+  struct Trace {
+    std::array<float, 6> query;  ///< where it was
+    float others = -1;           ///< all points but the one found were at least this far away [m]; -1: no search yet
+    int index = -1;              ///< found
+  };
+
   float normalWeight() const { return normal_weight_; }
 
   /// Index of the nearest point within max_distance [m], -1 when there is none; `normal` counts with normal_weight > 0
-  /// only. `hint`: index of a point that is likely near, such as the neighbour of a moment ago, or -1; it shortens the
-  /// search and does not change what is found.
-  int nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance, int hint = -1) const;
+  /// only. `trace`: of the last search for this point, with the same max_distance, or a new one. A point that has moved
+  /// less since than its neighbour is nearer than all others keeps it; what is found does not depend on the trace.
+  int nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance, Trace& trace) const;
+  int nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance) const {
+    Trace trace;
+    return nearest(point, normal, max_distance, trace);
+  }
 
   /// Indices of up to k nearest points, nearest first, with squared distances [m^2]: of those nearer than the root of
   /// squared_limit [m^2]. For trees without normals.
@@ -33,7 +45,7 @@ class NeighborSearch {
 
   float normal_weight_;
   int dimensions_;             // 3, or 6 with normals
-  std::vector<float> points_;  // [point][dimension]: a hint's coordinates
+  std::vector<float> points_;  // [point][dimension]
   std::vector<float> leaves_;  // see kernel::TreeView
   std::vector<int> index_, axis_;
   std::vector<float> split_;
