@@ -13,6 +13,7 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "chain_parameter.h"
+#include "ground_camera.h"
 #include "refine_worker.h"
 
 namespace icp_refine {
@@ -98,9 +99,11 @@ class IcpRefineNode {
 
   void startGround() {
     ground_map_start_ = ros::Time();
+    ground_camera_.forget();
     worker_.post([this](Inbox& inbox) {
       inbox.new_ground = true;
       inbox.ground.reset();
+      inbox.ground_camera.reset();
       forgetPoses(inbox);
     });
   }
@@ -331,6 +334,8 @@ class IcpRefineNode {
   ros_utils::NodeHealth health_;
   AlignmentOutput output_;
   RefineWorker worker_;
+  GroundCamera ground_camera_{handle_, settings_.ground_map_frame,
+                              [this](double z) { worker_.post([z](Inbox& inbox) { inbox.ground_camera = z; }); }};
 
   bool own_unit_ = false;  // the MAV's clouds are in the visual map
   std::optional<std::uint32_t> map_id_;
