@@ -14,6 +14,7 @@
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "chain_parameter.h"
+#include "ground_camera.h"
 #include "refine_worker.h"
 
 namespace icp_refine {
@@ -75,9 +76,11 @@ class IcpRefineNode {
 
   void startGround() {
     ground_forgotten_ = true;
+    ground_camera_.forget();
     worker_.post([this](Inbox& inbox) {
       inbox.new_ground = true;
       inbox.ground.reset();
+      inbox.ground_camera.reset();
       forgetPoses(inbox);
     });
   }
@@ -262,6 +265,8 @@ class IcpRefineNode {
   ros_utils::NodeHealth health_;
   AlignmentOutput output_;
   RefineWorker worker_;
+  GroundCamera ground_camera_{handle_, settings_.ground_map_frame,
+                              [this](double z) { worker_.post([z](Inbox& inbox) { inbox.ground_camera = z; }); }};
 
   std::optional<Pose> odometry_;  // T_mav_map_base, the latest
   sensor_msgs::PointCloud2::ConstPtr ground_map_;
