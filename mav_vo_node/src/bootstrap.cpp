@@ -139,114 +139,124 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
   return result;
 }
 
-std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, const BootstrapView& last,
-                                                  const GyroRotations& gyro, const std::optional<GyroRotation>& turn) {
-  const double gyro_sigma = turn ? std::hypot(settings_.gyro_sigma, turn->sigma) : 0;
-  const double sigma = settings_.pixel_sigma / (0.5 * (camera_.fx + camera_.fy));
-  const Common common = commonTracks(first.features, last.features);
+/// Two views, or three, while they are made a map: the first camera is fixed, the baseline is one.
+struct Bootstrap::Attempt {
+  const BootstrapView &first, &last;
+  const BootstrapView* middle = nullptr;
+  std::optional<GyroRotation> turn;  ///< between first and last
+  double sigma = 0;                  ///< of a ray
+  double gyro_sigma = 0;             ///< of the turn [rad]
+  std::vector<visual_frontend::NormalizedNoise> noise_a, noise_b;
+  Common common;
+  std::vector<unsigned char> inliers;  ///< of the common tracks
   Pose T_first_last = Pose::Identity();
-  std::vector<unsigned char> inliers;
-  const auto noiseOf = [this](const std::vector<Eigen::Vector2d>& normalized) {
-    std::vector<visual_frontend::NormalizedNoise> noise;
-    for (const auto& n : normalized) noise.push_back(camera_.normalizedNoise(n, settings_.pixel_sigma));
-    return noise;
-  };
-  const auto noise_a = noiseOf(common.a), noise_b = noiseOf(common.b);
-  if (turn) {
-    T_first_last.linear() = turn->R_a_b;
-    visual_frontend::RansacSettings ransac;
-    // The gyro's error moves the rays by more than the pixel noise.
-    ransac.threshold = 2.5 * std::hypot(sigma, gyro_sigma) / sigma;
-    ransac.seed = settings_.seed;
-    const bool wide = camera_.model != air_ground_common::DistortionModel::kPlumbBob;
-    using Noise = std::vector<visual_frontend::NormalizedNoise>;
-    const auto direction = visual_frontend::translationFromKnownRotation(
-        common.a, common.b, T_first_last.linear(), sigma, ransac, wide ? noise_a : Noise(), wide ? noise_b : Noise());
-    if (!direction.success) {
-      reason_ = "two-point start: " + direction.reason;
-      return std::nullopt;
-    }
-    T_first_last.translation() = direction.t_a_b;
-    inliers = direction.inliers;
-  } else {
-    const auto pose = fivePointPose(common.a, common.b, sigma, &inliers);
+  visual_frontend::BundleProblem problem;
+  std::vector<TrackId> tracks;  ///< of the problem's points
+  std::unordered_map<TrackId, int> point_of;
+};
+
+bool Bootstrap::enough(const Attempt& a, std::size_t points) const {
+  return static_cast<int>(points) * settings_.min_common >= settings_.min_inliers * needed_ &&
+         static_cast<double>(points) >= settings_.min_inlier_share * static_cast<double>(a.common.track.size());
+}
+
+bool Bootstrap::findMotion(Attempt* a) {
+  if (!a->turn) {
+    const auto pose = fivePointPose(a->common.a, a->common.b, a->sigma, &a->inliers);
     if (!pose) {
       reason_ = "five-point start found no motion";
-      return std::nullopt;
+      return false;
     }
-    T_first_last = *pose;
+    a->T_first_last = *pose;
+    return true;
   }
-  // A third view from the middle settles what two views leave open.
-  const BootstrapView* middle = nullptr;
-  for (const BootstrapView& view : views_) {
-    if (view.stamp <= first.stamp) continue;
-    if (!middle || std::abs(view.stamp - 0.5 * (first.stamp + last.stamp)) <
-                       std::abs(middle->stamp - 0.5 * (first.stamp + last.stamp)))
-      middle = &view;
+  a->T_first_last.linear() = a->turn->R_a_b;
+  visual_frontend::RansacSettings ransac;
+  // The gyro's error moves the rays by more than the pixel noise.
+  ransac.threshold = 2.5 * std::hypot(a->sigma, a->gyro_sigma) / a->sigma;
+  ransac.seed = settings_.seed;
+  const bool wide = camera_.model != air_ground_common::DistortionModel::kPlumbBob;
+  using Noise = std::vector<visual_frontend::NormalizedNoise>;
+  const auto direction =
+      visual_frontend::translationFromKnownRotation(a->common.a, a->common.b, a->turn->R_a_b, a->sigma, ransac,
+                                                    wide ? a->noise_a : Noise(), wide ? a->noise_b : Noise());
+  if (!direction.success) {
+    reason_ = "two-point start: " + direction.reason;
+    return false;
   }
+  a->T_first_last.translation() = direction.t_a_b;
+  a->inliers = direction.inliers;
+  return true;
+}
 
+bool Bootstrap::findPoints(Attempt* a) {
   visual_frontend::TriangulationSettings triangulation;
   triangulation.min_parallax = 0.2 * settings_.min_parallax;
-  triangulation.max_residual = 4.0 * std::hypot(sigma, turn ? gyro_sigma : sigma) / sigma;
+  triangulation.max_residual = 4.0 * std::hypot(a->sigma, a->turn ? a->gyro_sigma : a->sigma) / a->sigma;
   triangulation.min_depth = 0.2;
   triangulation.max_depth = 300;  // baselines
-  BootstrapResult result;
-  visual_frontend::BundleProblem problem;
+  auto& problem = a->problem;
   problem.cameras.resize(2);
   problem.cameras[0].fixed = true;
-  problem.cameras[1].T_map_camera = T_first_last;
-  std::unordered_map<TrackId, int> index;
-  for (std::size_t i = 0; i < common.track.size(); ++i) {
-    if (!inliers[i]) continue;
-    const auto &na = noise_a[i], &nb = noise_b[i];
-    const auto point = visual_frontend::triangulate({{Pose::Identity(), common.a[i], na.sigma, 0, 0, na.elongation},
-                                                     {T_first_last, common.b[i], nb.sigma, 0, 0, nb.elongation}},
+  problem.cameras[1].T_map_camera = a->T_first_last;
+  for (std::size_t i = 0; i < a->common.track.size(); ++i) {
+    if (!a->inliers[i]) continue;
+    const auto &na = a->noise_a[i], &nb = a->noise_b[i];
+    const auto point = visual_frontend::triangulate({{Pose::Identity(), a->common.a[i], na.sigma, 0, 0, na.elongation},
+                                                     {a->T_first_last, a->common.b[i], nb.sigma, 0, 0, nb.elongation}},
                                                     triangulation);
     if (!point.ok()) continue;
     const int k = static_cast<int>(problem.points.size());
-    index[common.track[i]] = k;
-    result.points.push_back({common.track[i], point.p_map});
+    a->point_of[a->common.track[i]] = k;
+    a->tracks.push_back(a->common.track[i]);
     problem.points.push_back(point.p_map);
-    problem.measurements.push_back({0, k, common.a[i], na.sigma, 0, 0, na.elongation});
-    problem.measurements.push_back({1, k, common.b[i], nb.sigma, 0, 0, nb.elongation});
+    problem.measurements.push_back({0, k, a->common.a[i], na.sigma, 0, 0, na.elongation});
+    problem.measurements.push_back({1, k, a->common.b[i], nb.sigma, 0, 0, nb.elongation});
   }
-  const auto enough = [&](std::size_t count) {
-    return static_cast<int>(count) * settings_.min_common >= settings_.min_inliers * needed_ &&
-           static_cast<double>(count) >= settings_.min_inlier_share * static_cast<double>(common.track.size());
-  };
-  if (!enough(result.points.size())) {
-    reason_ = std::to_string(result.points.size()) + " of " + std::to_string(common.track.size()) +
-              " tracks fit one motion of the camera; much of the view moves by itself, or the calibration is off";
-    return std::nullopt;
+  if (enough(*a, a->tracks.size())) return true;
+  reason_ = std::to_string(a->tracks.size()) + " of " + std::to_string(a->common.track.size()) +
+            " tracks fit one motion of the camera; much of the view moves by itself, or the calibration is off";
+  return false;
+}
+
+// A third view from the middle settles what two views leave open.
+void Bootstrap::addMiddleView(const GyroRotations& gyro, Attempt* a) const {
+  const double half_way = 0.5 * (a->first.stamp + a->last.stamp);
+  const BootstrapView* middle = nullptr;
+  for (const BootstrapView& view : views_) {
+    if (view.stamp <= a->first.stamp) continue;
+    if (!middle || std::abs(view.stamp - half_way) < std::abs(middle->stamp - half_way)) middle = &view;
   }
-  if (middle) {
-    std::vector<visual_frontend::PoseCorrespondence> seen;
-    std::vector<int> point_of;
-    for (const Feature& f : middle->features) {
-      const auto it = index.find(f.id);
-      if (it == index.end()) continue;
-      const auto noise = camera_.normalizedNoise(f.normalized, settings_.pixel_sigma);
-      seen.push_back({problem.points[it->second], f.normalized, noise.sigma, 0, 0, noise.elongation});
-      point_of.push_back(it->second);
-    }
-    Pose start = air_ground_common::interpolate(Pose::Identity(), T_first_last,
-                                                (middle->stamp - first.stamp) / (last.stamp - first.stamp));
-    const auto middle_turn = turn ? gyro(first.stamp, middle->stamp) : std::nullopt;
-    if (middle_turn) start.linear() = middle_turn->R_a_b;
-    visual_frontend::RefineSettings refine;
-    refine.loss = visual_frontend::RobustLoss::kCauchy;
-    const auto pose = visual_frontend::refinePose(seen, start, refine);
-    if (pose.success && 2 * pose.inlier_count * settings_.min_common >= settings_.min_inliers * needed_) {
-      problem.cameras.emplace_back();
-      problem.cameras.back().T_map_camera = pose.T_map_camera;
-      if (middle_turn) problem.priors.push_back({0, 2, Pose(middle_turn->R_a_b), gyro_sigma, -1});
-      for (std::size_t i = 0; i < seen.size(); ++i)
-        problem.measurements.push_back({2, point_of[i], seen[i].normalized, seen[i].sigma, 0, 0, seen[i].elongation});
-    } else {
-      middle = nullptr;
-    }
+  if (!middle) return;
+  auto& problem = a->problem;
+  std::vector<visual_frontend::PoseCorrespondence> seen;
+  std::vector<int> points;
+  for (const Feature& f : middle->features) {
+    const auto it = a->point_of.find(f.id);
+    if (it == a->point_of.end()) continue;
+    const auto noise = camera_.normalizedNoise(f.normalized, settings_.pixel_sigma);
+    seen.push_back({problem.points[it->second], f.normalized, noise.sigma, 0, 0, noise.elongation});
+    points.push_back(it->second);
   }
-  if (turn) problem.priors.push_back({0, 1, Pose(T_first_last.linear()), gyro_sigma, -1});
+  Pose start = air_ground_common::interpolate(Pose::Identity(), a->T_first_last,
+                                              (middle->stamp - a->first.stamp) / (a->last.stamp - a->first.stamp));
+  const auto turn = a->turn ? gyro(a->first.stamp, middle->stamp) : std::nullopt;
+  if (turn) start.linear() = turn->R_a_b;
+  visual_frontend::RefineSettings refine;
+  refine.loss = visual_frontend::RobustLoss::kCauchy;
+  const auto pose = visual_frontend::refinePose(seen, start, refine);
+  if (!pose.success || 2 * pose.inlier_count * settings_.min_common < settings_.min_inliers * needed_) return;
+  a->middle = middle;
+  problem.cameras.emplace_back();
+  problem.cameras.back().T_map_camera = pose.T_map_camera;
+  if (turn) problem.priors.push_back({0, 2, Pose(turn->R_a_b), a->gyro_sigma, -1});
+  for (std::size_t i = 0; i < seen.size(); ++i)
+    problem.measurements.push_back({2, points[i], seen[i].normalized, seen[i].sigma, 0, 0, seen[i].elongation});
+}
+
+std::optional<BootstrapResult> Bootstrap::adjust(Attempt* a) {
+  auto& problem = a->problem;
+  if (a->turn) problem.priors.push_back({0, 1, Pose(a->T_first_last.linear()), a->gyro_sigma, -1});
   visual_frontend::BundleSettings bundle;
   bundle.max_iterations = 25;
   bundle.loss = visual_frontend::RobustLoss::kCauchy;
@@ -263,34 +273,46 @@ std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, co
     depths.push_back(p.z());
     angles.push_back(std::atan2(p.cross(p - T_last.translation()).norm(), p.dot(p - T_last.translation())));
   }
-  if (!solved.usable || solved.rms > settings_.max_rms || !enough(depths.size())) {
+  if (!solved.usable || solved.rms > settings_.max_rms || !enough(*a, depths.size())) {
     reason_ = "bundle adjustment of the first views keeps " + std::to_string(depths.size()) + " points, rms " +
               std::to_string(solved.rms) + " sigma";
     return std::nullopt;
   }
+  BootstrapResult result;
+  result.rms = solved.rms;
+  result.rotation_from_gyro = a->turn.has_value();
   result.median_parallax = median(angles);
   if (result.median_parallax < 0.5 * (1 - kPatience) * settings_.min_parallax) {
     reason_ = "first views turn rather than move";
     return std::nullopt;
   }
   const double unit = 1.0 / median(depths);
-  std::vector<BootstrapResult::Point> points;
   for (std::size_t i = 0; i < good.size(); ++i)
-    if (good[i]) points.push_back({result.points[i].track, unit * problem.points[i]});
-  result.points = std::move(points);
-  result.views.push_back(first);
-  if (middle) {
-    result.views.push_back(*middle);
-    result.views.back().T_first_camera = problem.cameras[2].T_map_camera;
-  }
-  result.views.push_back(last);
-  result.views.back().T_first_camera = T_last;
-  result.views.front().T_first_camera = Pose::Identity();
-  for (auto& view : result.views) view.T_first_camera.translation() *= unit;
-  result.rms = solved.rms;
-  result.rotation_from_gyro = turn.has_value();
+    if (good[i]) result.points.push_back({a->tracks[i], unit * problem.points[i]});
+  const auto addView = [&](const BootstrapView& view, const Pose& T_first_camera) {
+    result.views.push_back(view);
+    result.views.back().T_first_camera = T_first_camera;
+    result.views.back().T_first_camera.translation() *= unit;
+  };
+  addView(a->first, Pose::Identity());
+  if (a->middle) addView(*a->middle, problem.cameras[2].T_map_camera);
+  addView(a->last, T_last);
   reason_.clear();
   return result;
+}
+
+std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, const BootstrapView& last,
+                                                  const GyroRotations& gyro, const std::optional<GyroRotation>& turn) {
+  Attempt a{first, last};
+  a.turn = turn;
+  a.gyro_sigma = turn ? std::hypot(settings_.gyro_sigma, turn->sigma) : 0;
+  a.sigma = settings_.pixel_sigma / (0.5 * (camera_.fx + camera_.fy));
+  a.common = commonTracks(first.features, last.features);
+  for (const auto& n : a.common.a) a.noise_a.push_back(camera_.normalizedNoise(n, settings_.pixel_sigma));
+  for (const auto& n : a.common.b) a.noise_b.push_back(camera_.normalizedNoise(n, settings_.pixel_sigma));
+  if (!findMotion(&a) || !findPoints(&a)) return std::nullopt;
+  addMiddleView(gyro, &a);
+  return adjust(&a);
 }
 
 }  // namespace mav_vo

@@ -8,6 +8,26 @@ using air_ground_common::Pose;
 using visual_frontend::KeyframeId;
 using visual_frontend::LandmarkId;
 
+namespace {
+
+/// Inertial motion between the keyframes of the problem; `index`: of their cameras.
+void addLinks(const visual_frontend::Map& map, const InertialMap& inertial_map, const std::map<KeyframeId, int>& index,
+              InertialBundleProblem* problem) {
+  for (const auto& entry : index) {
+    const auto link = inertial_map.links.find(entry.first);
+    if (link == inertial_map.links.end()) continue;
+    // The link starts at the keyframe before this one in the map, which must be in the problem too.
+    const auto in_map = map.keyframes().find(entry.first);
+    if (in_map == map.keyframes().begin()) continue;
+    const auto previous = index.find(std::prev(in_map)->first);
+    if (previous == index.end()) continue;
+    if (problem->visual.cameras[previous->second].fixed && problem->visual.cameras[entry.second].fixed) continue;
+    problem->links.push_back({previous->second, entry.second, link->second});
+  }
+}
+
+}  // namespace
+
 BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& inertial_map,
                         const std::vector<KeyframeId>& free, const std::vector<KeyframeId>& fixed,
                         const visual_frontend::CameraModel& camera, double pixel_sigma, bool metric,
@@ -38,17 +58,7 @@ BundleJob makeBundleJob(const visual_frontend::Map& map, const InertialMap& iner
     problem.anchor = 0;
     if (!metric && !problem.visual.cameras.front().up_camera) problem.visual.cameras.front().fixed = true;
   }
-  for (const auto& entry : index) {
-    const auto link = inertial_map.links.find(entry.first);
-    if (link == inertial_map.links.end()) continue;
-    // The link starts at the keyframe before this one in the map, which must be in the problem too.
-    const auto in_map = map.keyframes().find(entry.first);
-    if (in_map == map.keyframes().begin()) continue;
-    const auto previous = index.find(std::prev(in_map)->first);
-    if (previous == index.end()) continue;
-    if (problem.visual.cameras[previous->second].fixed && problem.visual.cameras[entry.second].fixed) continue;
-    problem.links.push_back({previous->second, entry.second, link->second});
-  }
+  addLinks(map, inertial_map, index, &problem);
   for (const LandmarkId id : map.landmarksOf(free)) {
     const auto& landmark = map.landmark(id);
     int views = 0;

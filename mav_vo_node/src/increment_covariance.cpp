@@ -13,6 +13,18 @@ namespace mav_vo {
 namespace {
 constexpr int kSample = 5;
 constexpr double kRoot = 1e-9;  // residual of unit rays that counts as solved
+/// Of normalised coordinates, after the turn R_previous_current is taken out.
+double medianParallax(const std::vector<RayPair>& pairs, const Eigen::Matrix3d& R) {
+  std::vector<double> parallax;
+  for (const RayPair& pair : pairs) {
+    const Eigen::Vector3d turned = R * pair.current.homogeneous();
+    parallax.push_back(turned.z() > 1e-6 ? (turned.head<2>() / turned.z() - pair.previous).norm() : 0.0);
+  }
+  const auto middle = parallax.begin() + static_cast<std::ptrdiff_t>(parallax.size() / 2);
+  std::nth_element(parallax.begin(), middle, parallax.end());
+  return *middle;
+}
+
 }  // namespace
 
 FivePointSolutions solveFivePoint(const std::vector<RayPair>& pairs, const std::vector<int>& samples,
@@ -74,13 +86,7 @@ MonteCarloCovariance monteCarloIncrement(const std::vector<RayPair>& pairs, cons
   }
   const Pose T_camera = T_base_camera.inverse() * T_base * T_base_camera;
   const double length = T_camera.translation().norm();
-  std::vector<double> parallax;
-  for (const RayPair& pair : pairs) {
-    const Eigen::Vector3d turned = T_camera.linear() * pair.current.homogeneous();
-    parallax.push_back(turned.z() > 1e-6 ? (turned.head<2>() / turned.z() - pair.previous).norm() : 0.0);
-  }
-  std::nth_element(parallax.begin(), parallax.begin() + n / 2, parallax.end());
-  if (!(length > 1e-9) || !(parallax[n / 2] > settings.min_parallax * sigma)) {
+  if (!(length > 1e-9) || !(medianParallax(pairs, T_camera.linear()) > settings.min_parallax * sigma)) {
     result.reason = "no parallax: the direction of the motion is open";
     return result;
   }

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
-#include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
 #include "odometry_impl.h"
@@ -14,19 +12,9 @@ namespace mav_vo {
 namespace {
 
 constexpr double kImuRestBiasSigma = 0.01;  // of one that the IMU alone calls a rest [rad/s]
-constexpr double kMapTilt = 0.002;          // of the adjusted map as a whole [rad]
 constexpr double kMetricTilt = 0.01;        // of the metric map's z axis against gravity [rad]
 constexpr std::size_t kRecentImages = 800;  // whose inertial motion is kept for the scale filter
 constexpr std::size_t kMaxRecords = 40000;  // half an hour at 20 Hz; older images are thinned
-constexpr double kPlaceEvery = 5;           // images between searches for a known place while lost
-constexpr double kMinInlierShare = 0.35;    // of the tracked landmarks; below, the pose is not believed
-
-template <typename T>
-T quantile(std::vector<T>& values, double q) {
-  const auto k = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + k, values.end());
-  return values[static_cast<std::size_t>(k)];
-}
 
 }  // namespace
 
@@ -125,19 +113,6 @@ std::optional<LandmarkId> Odometry::Impl::landmarkOf(TrackId track) const {
   return it->second;
 }
 
-std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<TrackId>* tracks) const {
-  std::vector<PoseCorrespondence> list;
-  for (const Feature& f : tracker.features()) {
-    const auto id = landmarkOf(f.id);
-    if (!id) continue;
-    const Eigen::Vector2d ray = rayOf(f);
-    const auto noise = camera.normalizedNoise(ray, settings.pixel_sigma);
-    list.push_back({map.landmark(*id).position, ray, noise.sigma, 0, 0, noise.elongation});
-    tracks->push_back(f.id);
-  }
-  return list;
-}
-
 void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
   if (!shutter.active()) return;
   const double half = 0.5 * std::abs(shutter.readoutTime());
@@ -171,6 +146,67 @@ double Odometry::Impl::patience() const {
   return std::min(settings.lost_timeout, lost_since - map.keyframes().begin()->second.stamp);
 }
 
+bool Odometry::Impl::tracking() const { return state == OdometryState::kScaling || state == OdometryState::kTracking; }
+
+// Where the camera should be at this image, and where its features.
+Pose Odometry::Impl::predict(double stamp, visual_frontend::TrackPrediction* prediction) {
+  Pose predicted = T_map_camera;
+  if (R_previous_current) prediction->R_current_previous = R_previous_current->transpose();
+  const bool predictable = tracking() && located_stamp == last_stamp;
+  if (predictable) {
+    predicted.translation() += velocity * (stamp - located_stamp);
+    if (R_previous_current) predicted.linear() = T_map_camera.linear() * *R_previous_current;
+  }
+  followShutter(stamp, predicted);
+  if (!predictable) return predicted;
+  const Pose T_camera_map = predicted.inverse();
+  for (const Feature& f : tracker.features()) {
+    const auto id = landmarkOf(f.id);
+    if (!id) continue;
+    const Eigen::Vector3d p_camera = T_camera_map * map.landmark(*id).position;
+    if (const auto pixel = camera.project(p_camera)) prediction->pixels[f.id] = shutter.toItsRow(*pixel, p_camera);
+  }
+  return predicted;
+}
+
+void Odometry::Impl::useImu(double stamp) {
+  carryUp(stamp);
+  if (const auto rest = standstill.add(stamp, tracker.features(), imu.buffer(), imu.stamp(stamp))) useStandstill(*rest);
+  alignGyro(stamp);
+}
+
+// What the image does in the present state, and to which state that leads.
+void Odometry::Impl::advance(const cv::Mat& gray) {
+  if (state == OdometryState::kWaiting) {
+    // The IMU seemed to rest before the images began: a hint, no more.
+    if (settings.use_imu && attitude.biasKnown()) gyro_alignment.setBias(attitude.gyroBias(), kImuRestBiasSigma);
+    state = OdometryState::kInitializing;
+    reason = "first image";
+  }
+  if (state == OdometryState::kInitializing) {
+    initialize();
+  } else if (tracking()) {
+    if (locate(R_previous_current.has_value())) {
+      localized(true);
+    } else {
+      state = OdometryState::kLost;
+      reason = "lost: " + last_pose.reason;
+      lost_since = last_stamp;
+      frames_lost = 0;
+    }
+  }
+  if (state == OdometryState::kLost) {
+    if (relocalize(gray, R_previous_current.has_value())) {
+      state = metric ? OdometryState::kTracking : OdometryState::kScaling;
+      relocalized = true;
+      localized(false);
+    } else if (last_stamp - lost_since > patience()) {
+      startMap();
+      reason = "lost for too long: a new map starts";
+    }
+  }
+}
+
 FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   const auto begin = std::chrono::steady_clock::now();
   FrameResult result;
@@ -187,125 +223,18 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   R_previous_current.reset();
   if (last_stamp >= 0)
     if (const auto turn = cameraTurn(last_stamp, stamp)) R_previous_current = turn->R_a_b;
-  const bool tracking = state == OdometryState::kScaling || state == OdometryState::kTracking;
   visual_frontend::TrackPrediction prediction;
-  Pose predicted = T_map_camera;
-  if (R_previous_current) prediction.R_current_previous = R_previous_current->transpose();
-  const bool predictable = tracking && located_stamp == last_stamp;
-  if (predictable) {
-    predicted.translation() += velocity * (stamp - located_stamp);
-    if (R_previous_current) predicted.linear() = T_map_camera.linear() * *R_previous_current;
-  }
-  followShutter(stamp, predicted);
-  if (predictable) {
-    const Pose T_camera_map = predicted.inverse();
-    for (const Feature& f : tracker.features()) {
-      const auto id = landmarkOf(f.id);
-      if (!id) continue;
-      const Eigen::Vector3d p_camera = T_camera_map * map.landmark(*id).position;
-      if (const auto pixel = camera.project(p_camera)) prediction.pixels[f.id] = shutter.toItsRow(*pixel, p_camera);
-    }
-  }
+  const Pose predicted = predict(stamp, &prediction);
   tracker.track(gray, prediction);
   result.tracked = static_cast<int>(tracker.features().size());
-  if (settings.use_imu) {
-    carryUp(stamp);
-    if (const auto rest = standstill.add(stamp, tracker.features(), imu.buffer(), imu.stamp(stamp)))
-      useStandstill(*rest);
-    alignGyro(stamp);
-  }
-  if (tracking) T_map_camera = predicted;
+  if (settings.use_imu) useImu(stamp);
+  if (tracking()) T_map_camera = predicted;
   last_stamp = stamp;
-
-  if (state == OdometryState::kWaiting) {
-    // The IMU seemed to rest before the images began: a hint, no more.
-    if (settings.use_imu && attitude.biasKnown()) gyro_alignment.setBias(attitude.gyroBias(), kImuRestBiasSigma);
-    state = OdometryState::kInitializing;
-    reason = "first image";
-  }
-  if (state == OdometryState::kInitializing) {
-    initialize();
-  } else if (tracking) {
-    if (locate(R_previous_current.has_value())) {
-      localized(true);
-    } else {
-      state = OdometryState::kLost;
-      reason = "lost: " + last_pose.reason;
-      lost_since = stamp;
-      frames_lost = 0;
-    }
-  }
-  if (state == OdometryState::kLost) {
-    if (relocalize(gray, R_previous_current.has_value())) {
-      state = metric ? OdometryState::kTracking : OdometryState::kScaling;
-      relocalized = true;
-      localized(false);
-    } else if (stamp - lost_since > patience()) {
-      startMap();
-      reason = "lost for too long: a new map starts";
-    }
-  }
+  advance(gray);
   fillResult(&result);
   image = nullptr;
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   return result;
-}
-
-bool Odometry::Impl::locate(bool gyro) {
-  std::vector<TrackId> tracks;
-  const auto points = correspondences(&tracks);
-  last_pose = PoseResult{};
-  // A known turn leaves three unknowns of six: half as many landmarks agree by chance as rarely.
-  const int needed = gyro ? (settings.min_inliers + 1) / 2 : settings.min_inliers;
-  if (static_cast<int>(points.size()) < needed) {
-    last_pose.reason = "only " + std::to_string(points.size()) + " known landmarks in view, " + std::to_string(needed) +
-                       " needed: move more slowly, or turn back to known ground";
-    return false;
-  }
-  visual_frontend::RansacSettings ransac;
-  ransac.seed = settings.seed;
-  ransac.min_inliers = settings.min_inliers / 2;
-  ransac.threshold = 4.0;
-  PoseResult start;
-  if (gyro) start = visual_frontend::ransacKnownRotation(points, T_map_camera.linear(), ransac);
-  if (!start.success || start.inlier_count < kMinInlierShare * static_cast<double>(points.size()))
-    start = visual_frontend::ransacPose(points, ransac);
-  if (!start.success) {
-    last_pose = start;
-    return false;
-  }
-  visual_frontend::RefineSettings refine;
-  if (gyro) {
-    refine.R_map_camera_prior = T_map_camera.linear();
-    refine.rotation_prior_sigma =
-        std::hypot(settings.gyro_prior_sigma, gyro_alignment.biasStddev() * (last_stamp - located_stamp));
-  }
-  last_pose = visual_frontend::refinePose(points, start.T_map_camera, refine);
-  if (!last_pose.success) return false;
-  if (last_pose.inlier_count < needed ||
-      last_pose.inlier_count < kMinInlierShare * static_cast<double>(points.size())) {
-    last_pose.success = false;
-    last_pose.reason = std::to_string(last_pose.inlier_count) + " of " + std::to_string(points.size()) +
-                       " landmarks agree on a pose: something large moves in view, or the image is blurred";
-    return false;
-  }
-  T_map_camera = last_pose.T_map_camera;
-  std::vector<TrackId> wrong;
-  std::vector<double> depths;
-  const Pose T_camera_map = T_map_camera.inverse();
-  for (std::size_t i = 0; i < tracks.size(); ++i) {
-    if (!last_pose.inliers[i])
-      wrong.push_back(tracks[i]);
-    else
-      depths.push_back((T_camera_map * points[i].p_map).z());
-  }
-  tracker.remove(wrong);
-  for (const TrackId id : wrong) track_landmark.erase(id);
-  inliers = last_pose.inlier_count;
-  scene_distance = quantile(depths, 0.5);
-  depth_min = quantile(depths, 0.05);
-  depth_max = quantile(depths, 0.95);
-  return true;
 }
 
 void Odometry::Impl::localized(bool continuous) {
@@ -314,19 +243,7 @@ void Odometry::Impl::localized(bool continuous) {
     const Pose T_map_previous = poseOfRecord(records.size() - 1);
     const double dt = last_stamp - located_stamp;
     velocity = (T_map_camera.translation() - T_map_previous.translation()) / dt;
-    Increment step;
-    step.previous_stamp = located_stamp;
-    step.T_previous_current = T_base_camera * T_map_previous.inverse() * T_map_camera * T_base_camera.inverse();
-    // Image noise of the two poses is independent; the map's error is common to both and drops out.
-    const Eigen::Matrix3d R = (T_map_previous * T_base_camera.inverse()).linear().transpose();
-    const Matrix6d sum = last_pose.covariance + previous_covariance;
-    step.covariance.topLeftCorner<3, 3>() = R * sum.topLeftCorner<3, 3>() * R.transpose();
-    step.covariance.block<3, 1>(0, 3) = R * sum.block<3, 1>(0, 5);
-    step.covariance.block<1, 3>(3, 0) = step.covariance.block<3, 1>(0, 3).transpose();
-    step.covariance(3, 3) = sum(5, 5);
-    step.pose_covariance = step.covariance;
-    if (settings.increment_covariance == IncrementCovariance::kMonteCarlo) scatterCovariance(R.transpose(), &step);
-    increment = step;
+    increment = incrementSince(T_map_previous);
   } else {
     velocity.setZero();
   }
@@ -372,106 +289,6 @@ void Odometry::Impl::thinRecords() {
   for (std::size_t i = 0; i < records.size(); ++i)
     if (i >= half || i % 2 == 0) records[kept++] = std::move(records[i]);
   records.resize(kept);
-}
-
-// Where five points cannot tell (hovering, turning on the spot, too few tracks) the poses' covariance stays.
-void Odometry::Impl::scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const {
-  std::vector<RayPair> pairs;
-  for (const Feature& f : tracker.features()) {
-    if (f.age >= 1 && landmarkOf(f.id)) pairs.push_back({camera.unproject(f.previous_pixel), f.normalized});
-  }
-  MonteCarloSettings how;
-  how.samples = settings.increment_samples;
-  how.seed = settings.seed;
-  const Eigen::Vector3d t = step->T_previous_current.translation();
-  const double length = t.norm();
-  const Eigen::Vector3d along = length > 0 ? Eigen::Vector3d(t / length) : Eigen::Vector3d::UnitX();
-  const double length_variance = along.dot(step->pose_covariance.topLeftCorner<3, 3>() * along);
-  const auto scatter =
-      monteCarloIncrement(pairs, step->T_previous_current, T_base_camera, R_map_base, length_variance, sigma(), how);
-  if (scatter.success) step->covariance = scatter.covariance;
-}
-
-void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSettings& how) {
-  std::vector<LandmarkId> tracked;
-  std::vector<Eigen::Vector2d> occupied;
-  for (const Feature& f : tracker.features()) {
-    const auto id = landmarkOf(f.id);
-    if (id) tracked.push_back(*id);
-    occupied.push_back(f.pixel);
-  }
-  std::sort(tracked.begin(), tracked.end());
-  std::vector<LandmarkId> candidates;
-  for (const LandmarkId id : map.landmarksOf(map.nearestKeyframes(T_map_camera, 8, scene_distance)))
-    if (!std::binary_search(tracked.begin(), tracked.end(), id)) candidates.push_back(id);
-  reobserved = 0;
-  for (const auto& match :
-       visual_frontend::reobserve(map, camera, tracker.pyramid(), T_map_camera, candidates, occupied, how)) {
-    const TrackId track = tracker.addFeature(match.pixel);
-    if (track == visual_frontend::kNoTrack) continue;
-    track_landmark[track] = match.landmark;
-    ++reobserved;
-  }
-}
-
-bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
-  if (map.keyframeCount() == 0 || records.empty()) return false;
-  ++frames_lost;
-  if (tracker.features().size() < 0.5 * settings.tracker.max_features) tracker.replenish();
-  // Near the last pose the landmarks' patches are enough; elsewhere the image is recognised by its ORB features.
-  if (frames_lost <= 10 && last_stamp - located_stamp < 0.7) {
-    if (gyro && frames_lost > 1) T_map_camera.linear() = T_map_camera.linear() * *R_previous_current;
-    auto wide = settings.reobservation;
-    wide.search_radius = 25;
-    lookForOldLandmarks(wide);
-    if (locate(gyro)) return true;
-  }
-  if ((frames_lost - 1) % static_cast<int>(kPlaceEvery) != 0) return false;
-  Keyframe query;
-  query.stamp = last_stamp;
-  visual_frontend::describeKeyframe(gray, camera, settings.place, query);
-  visual_frontend::RelocalizationGate gate;
-  gate.T_map_last = poseOfRecord(records.size() - 1);
-  if (metric)
-    gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - records.back().stamp);
-  if (metric && settings.use_imu && attitude.initialized()) {
-    gate.up_camera = T_camera_imu.linear() * attitude.up();
-    gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());
-  }
-  const auto match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
-  if (!match.success) {
-    reason = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";
-    return false;
-  }
-  T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
-  for (const Feature& f : tracker.features()) track_landmark.erase(f.id);
-  tracker.reset();
-  tracker.track(gray);
-  auto wide = settings.reobservation;
-  wide.search_radius = 15;
-  lookForOldLandmarks(wide);
-  const bool found = locate(false);
-  tracker.replenish();
-  return found;
-}
-
-// Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
-// leave open, which grows from its origin.
-Matrix6d Odometry::Impl::mapCovariance(const Matrix6d& camera_covariance) const {
-  Matrix6d C = camera_covariance;
-  const double relative = metric && scale.initialized() ? scale.relativeStddev() : 0.0;
-  const Eigen::Vector3d p = T_map_camera.translation();
-  C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
-  const auto known = records.empty() ? keyframe_covariance.end() : keyframe_covariance.find(records.back().reference);
-  if (known != keyframe_covariance.end())
-    C += visual_frontend::covarianceAt(known->second, p - map.keyframe(known->first).T_map_camera.translation());
-  if (metric) {
-    Matrix6d tilt = Matrix6d::Zero();
-    tilt(3, 3) = tilt(4, 4) = kMapTilt * kMapTilt;
-    C += visual_frontend::covarianceAt(tilt, p);
-  }
-  C.diagonal().array() += 1e-10;
-  return C;
 }
 
 void Odometry::Impl::fillResult(FrameResult* result) const {

@@ -1,5 +1,6 @@
-// State of the odometry, shared by odometry.cpp (images to poses), odometry_start.cpp (bias, gravity, first views) and
-// odometry_mapping.cpp (keyframes, map, scale).
+// State of the odometry, shared by odometry.cpp (one image after the other), odometry_start.cpp (bias, gravity, first
+// views), odometry_tracking.cpp (the image's pose and its covariance), odometry_mapping.cpp (keyframes, landmarks,
+// metric map) and odometry_adjustment.cpp (bundle adjustment, scale of the adjusted map).
 #pragma once
 
 #include <future>
@@ -31,6 +32,11 @@ struct Odometry::Impl {
 
   // odometry.cpp: one image
   FrameResult process(double stamp, const cv::Mat& gray);
+  bool tracking() const;  ///< in a map
+  Pose predict(double stamp, visual_frontend::TrackPrediction* prediction);
+  void useImu(double stamp);
+  void advance(const cv::Mat& gray);
+  Increment incrementSince(const Pose& T_map_previous) const;
   double neededScaleStddev() const;  ///< relative, for the map to become metric; grows while it waits
   std::string scaleReason() const;   ///< why the map is not metric
   std::string gyroProblem() const;   ///< empty: gyro and images agree
@@ -79,6 +85,8 @@ struct Odometry::Impl {
   void retime();      ///< the inertial motion between images, after a change of the time offset
   void setGyroBiasPrior(InertialBundleSettings* how) const;
   void makeMetric();
+  void startVelocities();
+  void scaleIncrement(double factor);
   void transformMap(const air_ground_common::Similarity& S_new_old);
   Pose poseOfRecord(std::size_t i) const;
   double sigma() const { return settings.pixel_sigma / (0.5 * (camera.fx + camera.fy)); }

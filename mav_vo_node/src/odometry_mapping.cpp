@@ -1,11 +1,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#ifdef __linux__
-#include <sys/resource.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#endif
 
 #include "odometry_impl.h"
 #include "visual_frontend/triangulation.h"
@@ -17,26 +12,11 @@ namespace {
 constexpr double kMovingShare = 0.01;       // of the scene's distance; below, the vehicle hovers
 constexpr double kHoverInterval = 3.0;      // a keyframe once the vehicle hovers, so that inertial links stay short [s]
 constexpr double kLongHoverInterval = 9.0;  // and while it goes on hovering; the IMU's samples reach back 12 s [s]
-constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias, at the best [rad/s]
-constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
 constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
-constexpr double kAdjustedTilt = 0.005;     // of the map's z axis after an inertial adjustment [rad]
-constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
-constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
-constexpr double kLeastParallax = 10;        // of a new landmark, in standard deviations of a ray
-constexpr double kLinkGate = 30.7;           // chi-squared, three degrees of freedom, one in a million
-constexpr double kVelocityStddev = 0.05;     // of a keyframe's adjusted velocity [m/s]
-constexpr double kTurnStddev = 0.005;        // of the turn between two keyframes by their landmarks [rad]
-constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
-constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
-constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
-
-/// A thread of the lowest priority delays neither tracking nor local adjustments.
-void yieldToOtherThreads() {
-#ifdef __linux__
-  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
-#endif
-}
+constexpr double kLeastParallax = 10;       // of a new landmark, in standard deviations of a ray
+constexpr double kLinkGate = 30.7;          // chi-squared, three degrees of freedom, one in a million
+constexpr double kVelocityStddev = 0.05;    // of a keyframe's adjusted velocity [m/s]
+constexpr double kTurnStddev = 0.005;       // of the turn between two keyframes by their landmarks [rad]
 
 }  // namespace
 
@@ -235,162 +215,16 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
   track_landmark = std::move(mapped);
 }
 
-void Odometry::Impl::adjustLocally() {
-  std::vector<KeyframeId> free, fixed;
-  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
-    if (static_cast<int>(free.size()) < settings.window) {
-      free.push_back(it->first);
-    } else {
-      fixed.push_back(it->first);  // where the window's inertial chain begins
-      break;
-    }
-  }
-  std::sort(free.begin(), free.end());
-  for (const auto& other : map.observers(map.landmarksOf(free), kMinShared)) {
-    if (static_cast<int>(fixed.size()) > settings.window_fixed) break;
-    if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front()))
-      fixed.push_back(other.keyframe);
-  }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, metric, T_camera_imu);
-  setGyroBiasPrior(&job.settings);
-  job.settings.max_iterations = settings.local_iterations;
-  job.settings.threads = settings.bundle_threads;
-  job.settings.max_seconds = 10;
-  run(std::move(job));
-}
-
-void Odometry::Impl::adjustFully() {
-  std::vector<KeyframeId> free, fixed;
-  for (const auto& entry : map.keyframes()) free.push_back(entry.first);
-  if (static_cast<int>(free.size()) > settings.full_max_keyframes) {
-    const auto first = free.end() - settings.full_max_keyframes;
-    fixed.assign(free.begin(), first);
-    free.erase(free.begin(), first);
-  }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, true, T_camera_imu);
-  job.full = true;
-  setGyroBiasPrior(&job.settings);
-  job.settings.max_iterations = settings.full_iterations;
-  job.settings.threads = settings.bundle_threads;
-  job.settings.max_seconds = 20;
-  next_full = last_stamp + full_interval;
-  full_interval = std::min(2 * full_interval, 4 * settings.full_interval);
-  run(std::move(job));
-}
-
-void Odometry::Impl::run(BundleJob job) {
-  if (settings.synchronous) {
-    job.solve();
-    adopt(job);
-    return;
-  }
-  RunningJob& slot = job.full ? running_full : running_local;
-  // At most one of each kind. Keyframes closer together than the lag wait for the one before.
-  if (job.full && slot.result.valid()) {
-    next_full = last_stamp;
-    return;
-  }
-  if (slot.result.valid()) adoptLocal();
-  slot.stamp = last_stamp;
-  slot.images = 0;
-  slot.result = std::async(std::launch::async, [job = std::move(job)]() mutable {
-    if (job.full) yieldToOtherThreads();
-    job.solve();
-    return std::move(job);
-  });
-}
-
-// The image that takes a result over is known when the adjustment begins, not by when its thread has finished: what a
-// recording gives does not depend on how busy the machine is. A late result is waited for, so that no image is tracked
-// on an older map than it would be on an idle machine. The adjustment of the whole map may take seconds; local ones go
-// on beside, and it is asked for once a second of the recording.
-void Odometry::Impl::adoptDue() {
-  if (running_local.result.valid() && ++running_local.images >= kAdoptAfterImages) adoptLocal();
-  if (!running_full.result.valid() || last_stamp - running_full.stamp < kAdoptFullAfter) return;
-  running_full.stamp = last_stamp;
-  if (running_full.result.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
-  adoptAll();
-}
-
-// A local result begun before the whole map moved must be in before that.
-void Odometry::Impl::adoptAll() {
-  adoptLocal();
-  if (!running_full.result.valid()) return;
-  adopt(running_full.result.get());
-  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
-}
-
-void Odometry::Impl::adoptLocal() {
-  if (!running_local.result.valid()) return;
-  adopt(running_local.result.get());
-  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
-}
-
-void Odometry::Impl::adopt(const BundleJob& job) {
-  if (!job.usable || job.problem.metric != metric) return;
-  applyBundleJob(job, map, inertial);
-  const auto newest = inertial.states.rbegin();
-  if (newest != inertial.states.rend() && settings.use_imu) bias.gyro = newest->second.bias.gyro;
-  if (!metric) return;
-  bias.accel = newest->second.bias.accel;
-  if (job.full) rerunScale();
-}
-
-ScaleMeasurement Odometry::Impl::scaleMeasurement(std::size_t record) const {
-  const Pose T = poseOfRecord(record);
-  ScaleMeasurement measurement;
-  measurement.p_map_camera = T.translation();
-  measurement.R_map_imu = T.linear() * T_camera_imu.linear();
-  measurement.p_imu_camera = T_camera_imu.inverse().translation();
-  measurement.covariance = records[record].position_covariance;
-  measurement.scene_distance = records[record].scene_distance;
-  return measurement;
-}
-
-// The filter saw the images before the map was adjusted: what it says about the scale holds for the map as it is now
-// only when it sees them again.
-void Odometry::Impl::rerunScale() {
-  std::size_t i = 0;
-  while (i < records.size() &&
-         (i + 1 >= records.size() || !records[i + 1].motion ||
-          !records[i].T_reference_camera.matrix().isIdentity(1e-12) || records[i].stamp < metric_since - kScaleHistory))
-    ++i;
-  if (i >= records.size()) return;
-  scale.reset(kAdjustedTilt);
-  const InertialState& start = inertial.states.at(records[i].reference);
-  scale.startAt(scaleMeasurement(i), start.velocity, start.bias.accel, kRestartScaleStddev);
-  for (++i; i < records.size(); ++i) {
-    const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(i), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
-  }
-}
-
-// A map that is not metric yet may have begun with a bias that the tracks have long known better.
-void Odometry::Impl::setGyroBiasPrior(InertialBundleSettings* how) const {
-  how->gyro_bias_prior = std::clamp(gyro_alignment.biasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
-  if (!metric) how->gyro_bias_mean = gyro_alignment.bias();
-}
-
-// Links whose samples are gone keep the offset of their time.
-void Odometry::Impl::retime() {
-  for (auto& link : inertial.links) {
-    const auto here = map.keyframes().find(link.first);
-    if (here == map.keyframes().end() || here == map.keyframes().begin()) continue;
-    const auto motion =
-        imu.motion(std::prev(here)->second.stamp, here->second.stamp, settings.imu_noise, link.second.bias());
-    if (motion) link.second = *motion;
-  }
-  for (std::size_t i = 1; i < records.size(); ++i) {
-    if (!records[i].motion) continue;
-    const auto motion =
-        imu.motion(records[i - 1].stamp, records[i].stamp, settings.imu_noise, records[i].motion->bias());
-    if (motion) records[i].motion = std::make_unique<const Preintegration>(*motion);
-  }
-  if (metric) return;
-  scale.reset(map_tilt);
-  for (std::size_t i = 0; i < records.size(); ++i) {
-    const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(i), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
+void Odometry::Impl::scaleIncrement(double factor) {
+  // Camera moves by the scaled step; the base's lever arm is metric already once the map is.
+  const Pose step = T_base_camera.inverse() * increment->T_previous_current * T_base_camera;
+  Pose scaled = step;
+  scaled.translation() *= factor;
+  increment->T_previous_current = T_base_camera * scaled * T_base_camera.inverse();
+  for (auto* covariance : {&increment->covariance, &increment->pose_covariance}) {
+    covariance->topLeftCorner<3, 3>() *= factor * factor;
+    covariance->block<3, 1>(0, 3) *= factor;
+    covariance->block<1, 3>(3, 0) *= factor;
   }
 }
 
@@ -414,16 +248,28 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
     J.bottomRightCorner<3, 3>() = S.R;
     *covariance = (J * *covariance * J.transpose()).eval();
   }
-  if (increment) {
-    // Camera moves by the scaled step; the base's lever arm is metric already once the map is.
-    const Pose step = T_base_camera.inverse() * increment->T_previous_current * T_base_camera;
-    Pose scaled = step;
-    scaled.translation() *= S.scale;
-    increment->T_previous_current = T_base_camera * scaled * T_base_camera.inverse();
-    for (auto* covariance : {&increment->covariance, &increment->pose_covariance}) {
-      covariance->topLeftCorner<3, 3>() *= S.scale * S.scale;
-      covariance->block<3, 1>(0, 3) *= S.scale;
-      covariance->block<1, 3>(3, 0) *= S.scale;
+  if (increment) scaleIncrement(S.scale);
+}
+
+// From the positions and the inertial motion between them.
+void Odometry::Impl::startVelocities() {
+  for (auto it = map.keyframes().begin(); it != map.keyframes().end(); ++it) {
+    InertialState& here = inertial.states[it->first];
+    here.bias.accel = bias.accel;
+    const auto next = std::next(it);
+    const auto link = next == map.keyframes().end() ? inertial.links.end() : inertial.links.find(next->first);
+    const Eigen::Vector3d g(0, 0, -kGravity);
+    if (link != inertial.links.end()) {
+      const Preintegration& motion = link->second;
+      const double dt = motion.duration();
+      const Pose T_a = it->second.T_map_camera * T_camera_imu, T_b = next->second.T_map_camera * T_camera_imu;
+      here.velocity =
+          (T_b.translation() - T_a.translation() - 0.5 * dt * dt * g - T_a.linear() * motion.position(here.bias)) / dt;
+    } else if (it != map.keyframes().begin() && inertial.links.count(it->first)) {
+      const auto previous = std::prev(it);
+      const Preintegration& motion = inertial.links.at(it->first);
+      here.velocity = inertial.states[previous->first].velocity + g * motion.duration() +
+                      previous->second.T_map_camera.linear() * T_camera_imu.linear() * motion.velocity(here.bias);
     }
   }
 }
@@ -447,26 +293,7 @@ void Odometry::Impl::makeMetric() {
   metric_since = last_stamp;
   bias.accel = accel_bias;
 
-  // Velocities from the positions and the inertial motion between them.
-  for (auto it = map.keyframes().begin(); it != map.keyframes().end(); ++it) {
-    InertialState& here = inertial.states[it->first];
-    here.bias.accel = bias.accel;
-    const auto next = std::next(it);
-    const auto link = next == map.keyframes().end() ? inertial.links.end() : inertial.links.find(next->first);
-    const Eigen::Vector3d g(0, 0, -kGravity);
-    if (link != inertial.links.end()) {
-      const Preintegration& motion = link->second;
-      const double dt = motion.duration();
-      const Pose T_a = it->second.T_map_camera * T_camera_imu, T_b = next->second.T_map_camera * T_camera_imu;
-      here.velocity =
-          (T_b.translation() - T_a.translation() - 0.5 * dt * dt * g - T_a.linear() * motion.position(here.bias)) / dt;
-    } else if (it != map.keyframes().begin() && inertial.links.count(it->first)) {
-      const auto previous = std::prev(it);
-      const Preintegration& motion = inertial.links.at(it->first);
-      here.velocity = inertial.states[previous->first].velocity + g * motion.duration() +
-                      previous->second.T_map_camera.linear() * T_camera_imu.linear() * motion.velocity(here.bias);
-    }
-  }
+  startVelocities();
   for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
   full_interval = settings.full_interval / 2;
   adjustFully();

@@ -77,6 +77,12 @@ class Bootstrap {
   const std::string& reason() const { return reason_; }  ///< why there is no result yet
 
  private:
+  struct Attempt;
+  bool findMotion(Attempt* attempt);  ///< of the last view against the first; false: reason_ says why
+  bool findPoints(Attempt* attempt);  ///< that both see; likewise
+  void addMiddleView(const GyroRotations& gyro, Attempt* attempt) const;
+  std::optional<BootstrapResult> adjust(Attempt* attempt);  ///< all views and points; likewise
+  bool enough(const Attempt& attempt, std::size_t points) const;
   std::optional<BootstrapResult> attempt(const BootstrapView& first, const BootstrapView& last,
                                          const GyroRotations& gyro, const std::optional<GyroRotation>& turn);
 
