@@ -5,6 +5,7 @@
 #   make test SANITIZE=address    the same, watched for bad accesses and leaks (or undefined: undefined behaviour; thread: data races)
 #   make fuzz       feeds hostile files and messages to every reader; FUZZ_SECONDS=60 each, FUZZ_TARGETS="obj ply" for some
 #   make bench      prints the benchmarks, as ratios against plain references
+#   make docs       pages of the libraries' interfaces, by Doxygen: build/doxygen/html/index.html
 #   make build      builds all of it into build/ and devel/
 # Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
 
@@ -37,7 +38,7 @@ endif
 NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
 ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
 
-.PHONY: build configured benchmarks demo demo-city test bench fuzz packages clean
+.PHONY: build configured benchmarks demo demo-city test bench fuzz docs packages clean
 
 packages:
 	@$(ROOT)tools/install_packages
@@ -79,6 +80,10 @@ fuzz:
 	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF)
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) air_ground_fuzz_exe
 	@FUZZ_SECONDS=$(FUZZ_SECONDS) $(ROOT)tools/run_fuzzers $(DEVEL)/lib/air_ground/fuzz $(BUILD)/corpus $(FUZZ_TARGETS)
+
+docs:
+	@$(ROOT)tools/install_packages doxygen
+	@mkdir -p $(ROOT)build && cd $(ROOT) && doxygen Doxyfile && echo $(ROOT)build/doxygen/html/index.html
 
 clean:
 	rm -rf $(ROOT)build $(ROOT)devel $(ROOT)build-* $(ROOT)devel-*

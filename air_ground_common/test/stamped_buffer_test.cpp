@@ -38,6 +38,17 @@ TEST(StampedBuffer, AFrozenStampDoesNotGrowIt) {
   EXPECT_EQ(buffer.size(), 1000u);
 }
 
+TEST(StampedBuffer, AStampFarAheadDoesNotShutItForGood) {
+  StampedBuffer<int> buffer(10);
+  buffer.add(100, 1);
+  buffer.add(4e9, 2);
+  for (int i = 0; i < 3000; ++i) EXPECT_TRUE(buffer.add(100 + 0.01 * i, i)) << i;
+  EXPECT_LE(buffer.size(), 1002u);
+  EXPECT_EQ(*buffer.nearest(125.004, 0.1), 2500);
+  EXPECT_TRUE(buffer.add(5, 7)) << "a looped bag";
+  EXPECT_EQ(buffer.size(), 1u);
+}
+
 // Differences of ros::Time throw from 2038 on where they exceed 2^31 s; seconds in double do not.
 TEST(StampedBuffer, BearsAnyStamp) {
   StampedBuffer<int> buffer(30);

@@ -126,7 +126,7 @@ class BagCheck(unittest.TestCase):
         def imu(path, topic, frame):
             with rosbag.Bag(path, 'a') as bag:
                 for t in np.arange(100, 102, 0.005):
-                    bag.write(topic, messages.imu([0, 0, 0], [0, 0, 9.81], 1e-6, 1e-4, t, frame), messages.stamp(t))
+                    bag.write(topic, messages.imu([0, 0, 0.001], [0, 0, 9.81], 1e-6, 1e-4, t, frame), messages.stamp(t))
 
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, 'x.bag')

@@ -12,7 +12,6 @@
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/units.h"
-#include "air_ground_sim/positioning.h"
 #include "air_ground_sim/street/city.h"
 
 namespace air_ground_sim {
@@ -380,57 +379,6 @@ TEST(StreetRecording, SameSeedSameQueriesForAnyNumberOfThreads) {
   double mean = 0;
   for (const auto v : images[0]) mean += v / 255.0 / static_cast<double>(images[0].size());
   EXPECT_NEAR(mean, config.mav_camera.target_mean, 0.1);
-}
-
-TEST(Positioning, SatellitesErrByMetresForLongAndJump) {
-  GpsConfig c;
-  c.rate = 2;
-  double horizontal = 0, vertical = 0, step = 0;
-  int n = 0, jumps = 0;
-  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
-    GpsReceiver gps(c, seed);
-    Vector3d last = Vector3d::Zero();
-    for (int i = 0; i < 400; ++i, ++n) {
-      const Vector3d e = gps.measure(Vector3d::Zero());
-      horizontal += e.head<2>().squaredNorm();
-      vertical += e.z() * e.z();
-      if (i) step += (e - last).head<2>().squaredNorm();
-      jumps += i && (e - last).head<2>().norm() > 3;
-      last = e;
-    }
-  }
-  const double rms = std::sqrt(horizontal / n);
-  EXPECT_GT(rms, 3);
-  EXPECT_LT(rms, 6);
-  EXPECT_NEAR(std::sqrt(vertical / n), 11, 1.5);
-  EXPECT_LT(std::sqrt(step / n), 0.5 * rms) << "the error is slow";
-  EXPECT_GT(jumps, n / 2 / 60) << "and jumps within a minute";
-}
-
-TEST(Positioning, PressureFallsByTwelvePascalAMetre) {
-  EXPECT_NEAR(standardPressure(0), 101325, 1e-9);
-  EXPECT_NEAR(standardPressure(410) - standardPressure(411), 11.55, 0.1);
-  EXPECT_NEAR(standardPressure(1000), 89875, 10);  // ICAO table
-  BarometerConfig c;
-  c.rate = 20;
-  Barometer b(c, 3);
-  double mean = 0, first = 0;
-  for (int i = 0; i < 200; ++i) (i < 100 ? first : mean) += b.measure(i < 100 ? 410 : 420) / 100;
-  EXPECT_NEAR(first - mean, 115, 5);
-}
-
-TEST(Positioning, IronBendsTheFieldByItsAmplitude) {
-  Rng rng(1);
-  double sum = 0, change = 0;
-  const int n = 20000;
-  for (int i = 0; i < n; ++i) {
-    const Vector3d p(rng.uniform(-100, 100), rng.uniform(-100, 100), rng.uniform(0, 15));
-    const Vector3d f = magneticDisturbance(p, 8e-7, 5);
-    sum += f.squaredNorm() / 3;
-    change += (magneticDisturbance(p + Vector3d(0.2, 0, 0), 8e-7, 5) - f).squaredNorm() / 3;
-  }
-  EXPECT_NEAR(std::sqrt(sum / n), 8e-7, 8e-8);
-  EXPECT_LT(std::sqrt(change / n), 2e-7);
 }
 
 TEST(StreetFile, ErrorsNameTheKey) {

@@ -9,6 +9,7 @@
 #include <fstream>
 #include <iostream>
 #include <map>
+#include <numeric>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <random>
@@ -153,6 +154,8 @@ int main(int argc, char** argv) {
   app.add_option("--tilt", tilt_deg, "of the MAV's map [deg]");
   app.add_flag("!--no-ceiling", options.ceiling, "rooms without ceiling and lamp");
   app.add_flag("--other-world", options.other_world, "the MAV is in another world: every pose is wrong");
+  bool summary = false;
+  app.add_flag("--summary", summary, "one line of a Markdown table, as in docs/results/heightmap_mcl.md");
   bool own_unit = false;
   app.add_flag("--own-unit", own_unit,
                "a MAV without IMU: unit and level of its map unknown; right: scale to 10 %, too");
@@ -271,6 +274,12 @@ int main(int argc, char** argv) {
                       {p.x(), p.y(), air_ground_common::yawOf(run.T_ground_mav[k].rotation())});
       }
     }
+  }
+  if (summary) {
+    std::printf("| %s%s | %d | %d |", options.other_world ? "other " : "", world.c_str(), runs, runs * maps);
+    for (int k = 0; k < maps; ++k) std::printf("%s %d", k ? "," : "", converged[k]);
+    std::printf(" | %d |\n", std::accumulate(wrong.begin(), wrong.end(), 0));
+    return 0;
   }
   const auto quantile = [](std::vector<double> v, double q) {
     std::sort(v.begin(), v.end());

@@ -2,11 +2,10 @@
 // coarse alignment with its verdict out.
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/transform_broadcaster.h>
 
 #include <thread>
 
-#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/alignment_broadcaster.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/renewable_subscriber.h"
 #include "compass_input.h"
@@ -61,10 +60,7 @@ class HeightmapMclNode {
     health_.expectInput(ground_topic_, false);
     reset_ = private_handle_.advertiseService("reset", &HeightmapMclNode::onReset, this);
     relocalize_ = private_handle_.advertiseService("relocalize", &HeightmapMclNode::onRelocalize, this);
-    if (settings_.publish_tf) {
-      tf_timer_ =
-          handle_.createTimer(ros::Duration(1 / settings_.tf_rate), [this](const ros::TimerEvent&) { publishTf(); });
-    }
+    if (settings_.publish_tf) broadcaster_.emplace(settings_.tf_rate, [this] { return inbox_.alignment(); });
     worker_ = std::thread([this] { work(); });
   }
 
@@ -232,20 +228,6 @@ class HeightmapMclNode {
     }
   }
 
-  void publishTf() {
-    const auto alignment = inbox_.alignment();
-    const ros::Time now = ros::Time::now();
-    // The clock stands still while a bag is paused: the same stamp is not sent again.
-    if (!alignment || now.isZero() || now == last_tf_) return;
-    last_tf_ = now;
-    geometry_msgs::TransformStamped transform;
-    transform.header.stamp = now;
-    transform.header.frame_id = alignment->ground_frame;
-    transform.child_frame_id = alignment->mav_frame;
-    transform.transform = ros_utils::toTransformMsg(alignment->T_ground_mav);
-    broadcaster_.sendTransform(transform);
-  }
-
   ros::NodeHandle handle_, private_handle_;
   const NodeSettings settings_;
   const std::string cloud_topic_ = handle_.resolveName("mav/dense_cloud"),
@@ -256,9 +238,7 @@ class HeightmapMclNode {
   ros::Subscriber cloud_sub_, ground_status_sub_, odometry_sub_, status_sub_, guess_sub_;
   std::optional<ros_utils::RenewableSubscriber> ground_sub_;
   ros::ServiceServer reset_, relocalize_;
-  ros::Timer tf_timer_;
-  tf2_ros::TransformBroadcaster broadcaster_;
-  ros::Time last_tf_;
+  std::optional<ros_utils::AlignmentBroadcaster> broadcaster_;
 
   std::optional<CompassInput> compass_;
 

@@ -10,23 +10,20 @@ namespace heightmap_mcl {
 
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground_common::Pose;
+using air_ground_common::RobotMapSession;
+
+Inbox::Inbox(const NodeSettings& settings, ros_utils::NodeHealth& health, std::function<void()> resubscribe_ground)
+    : settings_(settings),
+      health_(health),
+      resubscribe_ground_(std::move(resubscribe_ground)),
+      mav_("MAV", kMavStreams, RobotMapSession(settings.mav_map_frame, settings.visual_map_frame), health,
+           [this] { forgetAerial(); }),
+      ground_robot_("ground robot", kGroundStreams, RobotMapSession(settings.ground_map_frame), health,
+                    [this] { forgetGround(); }) {}
 
 void Inbox::addAerial(const Cloud& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!mav_gate_.admit(kAerial, msg->header.stamp)) return;
-  // A map without scale, or one that has got an IMU, is another map.
-  const bool own_unit = msg->header.frame_id == settings_.visual_map_frame;
-  if (!mav_frame_.empty() && own_unit != ownUnit()) {
-    forgetAerial();
-    mav_frame_.clear();
-  }
-  if (!frameFits(msg->header.frame_id, own_unit ? settings_.visual_map_frame : settings_.mav_map_frame, &mav_frame_,
-                 "aerial clouds"))
-    return;
-  if (msg->header.stamp < map_begin_) {
-    health_.count("aerial clouds of an earlier map of the MAV dropped");
-    return;
-  }
+  if (!mav_.admitMap(kAerial, msg->header, "aerial clouds")) return;
   clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                              std::chrono::duration<double>(ros_utils::kTopicsInStep))});
   while (static_cast<int>(clouds_.size()) > settings_.cloud_queue) {
@@ -43,25 +40,17 @@ void Inbox::addGround(const Cloud& msg) {
     return;
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!ground_gate_.admit(kGround, msg->header.stamp)) return;
-  if (!frameFits(msg->header.frame_id, settings_.ground_map_frame, &ground_frame_, "ground clouds")) return;
-  if (msg->header.stamp < ground_map_begin_) {
-    health_.count("ground clouds of an earlier map dropped");
-    return;
-  }
+  if (!ground_robot_.admitMap(kGround, msg->header, "ground clouds")) return;
   ground_ = msg;  // the newest replaces one that still waits
   wake_.notify_one();
 }
 
 void Inbox::addOdometry(const nav_msgs::OdometryConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!mav_gate_.admit(kOdometry, msg->header.stamp)) return;
-  if (ownUnit()) return;  // it is metric, if it comes at all: nothing that the clouds have to do with
-  if (!mav_frame_.empty() && msg->header.frame_id != mav_frame_) {
-    health_.count("odometry in frame '" + msg->header.frame_id + "' ignored: aerial clouds are in '" + mav_frame_ +
-                  "'");
-    return;
-  }
+  if (!mav_.admit(kOdometry, msg->header.stamp)) return;
+  if (mav_.map().ownUnit()) return;  // it is metric, if it comes at all: nothing that the clouds have to do with
+  const std::string& mav_frame = mav_.map().frame();
+  if (!mav_frame.empty() && !mav_.isFrame(msg->header.frame_id, mav_frame, "odometry")) return;
   try {
     const double stamp = msg->header.stamp.toSec();
     if (!odometry_.empty() && stamp <= odometry_.back().stamp) {
@@ -78,34 +67,19 @@ void Inbox::addOdometry(const nav_msgs::OdometryConstPtr& msg) {
 
 void Inbox::addMavStatus(const air_ground::VoStatusConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!mav_gate_.admit(kMavStatus, msg->header.stamp)) return;
-  if (map_id_ && msg->map_id != *map_id_) {
-    ROS_INFO("The MAV has begun map %u: searching again", msg->map_id);
-    forgetAerial();
-    map_begin_ = msg->header.stamp;
-  }
-  map_id_ = msg->map_id;
+  mav_.admitStatus(kMavStatus, *msg);
 }
 
 void Inbox::addGroundStatus(const air_ground::VoStatusConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!ground_gate_.admit(kGroundStatus, msg->header.stamp)) return;
-  if (ground_map_id_ && msg->map_id != *ground_map_id_) {
-    ROS_INFO("The ground robot has begun map %u: searching again", msg->map_id);
-    forgetGround();
-    ground_map_begin_ = msg->header.stamp;
-  }
-  ground_map_id_ = msg->map_id;
+  ground_robot_.admitStatus(kGroundStatus, *msg);
 }
 
 void Inbox::setInitialPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!ground_frame_.empty() && msg->header.frame_id != ground_frame_) {
-    ROS_WARN("initialpose in frame '%s' ignored: the ground map is in '%s'", msg->header.frame_id.c_str(),
-             ground_frame_.c_str());
-    return;
-  }
-  if (ownUnit()) {
+  const std::string& ground_frame = ground_robot_.map().expectedFrame();
+  if (!ground_frame.empty() && !ground_robot_.isFrame(msg->header.frame_id, ground_frame, "initial poses")) return;
+  if (mav_.map().ownUnit()) {
     ROS_WARN("initialpose ignored: the MAV's map has no scale, so that its place in it says nothing");
     return;
   }
@@ -137,8 +111,8 @@ void Inbox::setInitialPose(const geometry_msgs::PoseWithCovarianceStampedConstPt
 
 void Inbox::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  forgetAerial();
-  forgetGround();
+  mav_.restart();
+  ground_robot_.restart();
   command_ = Command();
   command_.reset = true;
 }
@@ -150,38 +124,15 @@ void Inbox::relocalize() {
   wake_.notify_one();
 }
 
-/// Empty `expected` accepts the first frame that comes; another one later is refused, and both are named.
-bool Inbox::frameFits(const std::string& frame, const std::string& expected, std::string* known,
-                      const std::string& what) {
-  if (known->empty()) *known = expected.empty() ? frame : expected;
-  if (frame == *known && !frame.empty()) return true;
-  health_.count(what + " in frame '" + frame + "' dropped: expected '" + *known + "'");
-  return false;
-}
-
-void Inbox::onMavTimeJump() {
-  ROS_WARN("The MAV's time jumped back: its map starts afresh");
-  forgetAerial();
-}
-
-void Inbox::onGroundTimeJump() {
-  ROS_WARN("The ground robot's time jumped back: its map starts afresh");
-  forgetGround();
-}
-
 void Inbox::forgetAerial() {
   clouds_.clear();
   odometry_.clear();
-  map_begin_ = ros::Time();
-  map_id_.reset();
   command_.forget_aerial = true;
   endSearch();
 }
 
 void Inbox::forgetGround() {
   ground_.reset();
-  ground_map_begin_ = ros::Time();
-  ground_map_id_.reset();
   command_.forget_ground = true;
   // A latched map that has come already comes again.
   resubscribe_ground_();
@@ -212,10 +163,10 @@ std::optional<Work> Inbox::next() {
     work.ground = std::exchange(ground_, nullptr);
     if (cloudReady()) takeCloud(work);
     if (!work.aerial && !work.ground && !work.command.any()) continue;
-    work.map_id = map_id_.value_or(0);
-    work.own_unit = ownUnit();
-    work.ground_frame = ground_frame_;
-    work.mav_frame = mav_frame_;
+    work.map_id = mav_.map().id().value_or(0);
+    work.own_unit = mav_.map().ownUnit();
+    work.ground_frame = ground_robot_.map().frame();
+    work.mav_frame = mav_.map().frame();
     return work;
   }
 }
@@ -246,7 +197,7 @@ bool Inbox::pending() const { return cloudReady() || ground_ || command_.any(); 
 bool Inbox::cloudReady() const {
   if (clouds_.empty()) return false;
   const WaitingCloud& next = clouds_.front();
-  return ownUnit() || Clock::now() >= next.until ||
+  return mav_.map().ownUnit() || Clock::now() >= next.until ||
          (!odometry_.empty() && odometry_.back().stamp >= next.cloud->header.stamp.toSec());
 }
 
@@ -257,10 +208,10 @@ bool Inbox::conclude(const std::optional<Pose>& T_ground_mav) {
   return true;
 }
 
-std::optional<Inbox::Alignment> Inbox::alignment() const {
+std::optional<ros_utils::AlignmentBroadcaster::Edge> Inbox::alignment() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!T_ground_mav_) return std::nullopt;
-  return Alignment{*T_ground_mav_, ground_frame_, mav_frame_};
+  return ros_utils::AlignmentBroadcaster::Edge{ground_robot_.map().frame(), mav_.map().frame(), *T_ground_mav_};
 }
 
 }  // namespace heightmap_mcl

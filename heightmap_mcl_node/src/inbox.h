@@ -15,7 +15,8 @@
 #include <optional>
 #include <string>
 
-#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/alignment_broadcaster.h"
+#include "air_ground_common/ros/robot_map_input.h"
 #include "air_ground_common/trajectory.h"
 #include "node_parameters.h"
 
@@ -48,8 +49,7 @@ class Inbox {
 
   /// `resubscribe_ground` must return at once; it is called when a latched ground map is wanted once more.
   Inbox(const NodeSettings& settings, air_ground_common::ros_utils::NodeHealth& health,
-        std::function<void()> resubscribe_ground)
-      : settings_(settings), health_(health), resubscribe_ground_(std::move(resubscribe_ground)) {}
+        std::function<void()> resubscribe_ground);
 
   void addAerial(const Cloud& msg);
   void addGround(const Cloud& msg);
@@ -67,11 +67,8 @@ class Inbox {
   /// Keeps the alignment for tf, or none. False, and none, when it is about a map that has ended meanwhile.
   bool conclude(const std::optional<air_ground_common::Pose>& T_ground_mav);
 
-  struct Alignment {
-    air_ground_common::Pose T_ground_mav;
-    std::string ground_frame, mav_frame;
-  };
-  std::optional<Alignment> alignment() const;
+  /// What tf says.
+  std::optional<air_ground_common::ros_utils::AlignmentBroadcaster::Edge> alignment() const;
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -84,10 +81,6 @@ class Inbox {
   static constexpr std::size_t kOdometryKept = 4000;
 
   // mutex_ held.
-  bool ownUnit() const { return mav_frame_ == settings_.visual_map_frame; }
-  bool frameFits(const std::string& frame, const std::string& expected, std::string* known, const std::string& what);
-  void onMavTimeJump();
-  void onGroundTimeJump();
   void forgetAerial();
   void forgetGround();
   void endSearch();
@@ -105,14 +98,8 @@ class Inbox {
   Command command_;
   std::deque<WaitingCloud> clouds_;
   Cloud ground_;
-  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its
-  // map again.
-  air_ground_common::ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
-  air_ground_common::ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
-  ros::Time map_begin_, ground_map_begin_;  // clouds before belong to an earlier map
+  air_ground_common::ros_utils::RobotMapInput mav_, ground_robot_;
   air_ground_common::Trajectory odometry_;
-  std::optional<std::uint32_t> map_id_, ground_map_id_;
-  std::string ground_frame_, mav_frame_;
   std::optional<air_ground_common::Pose> T_ground_mav_;  // what tf says: while CONVERGED
 };
 

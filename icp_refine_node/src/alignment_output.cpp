@@ -48,6 +48,7 @@ AlignmentEstimate messageOf(const RefineOutcome& out) {
 AlignmentOutput::AlignmentOutput(const NodeSettings& settings, ros_utils::NodeHealth& health)
     : settings_(settings), health_(health) {
   refined_publisher_ = ros::NodeHandle().advertise<AlignmentEstimate>("alignment/refined", 10);
+  if (settings.publish_tf) broadcaster_.emplace(settings.tf_rate, [this] { return edge(); });
 }
 
 void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking, bool own_unit) {
@@ -67,7 +68,7 @@ void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bo
     }
   }
   refined_publisher_.publish(msg);
-  if (good) publishTf();
+  if (good && broadcaster_) broadcaster_->send();
 
   static const char* kNames[] = {"SEARCHING", "AMBIGUOUS", "DEGENERATE", "CONVERGED", "REJECTED"};
   health_.state(good ? 0 : 1, std::string(kNames[msg.status]) + ": " + out.reason);
@@ -92,28 +93,15 @@ void AlignmentOutput::drop() {
   T_ground_mav_.reset();
 }
 
-void AlignmentOutput::publishTf() {
-  if (!settings_.publish_tf) return;
+std::optional<ros_utils::AlignmentBroadcaster::Edge> AlignmentOutput::edge() {
   std::lock_guard<std::mutex> lock(mutex_);
-  const ros::Time now = ros::Time::now();
-  // The clock stands still while a bag is paused: the same stamp is not sent again.
-  if (!T_ground_mav_ || now.isZero() || now == last_tf_) return;
-  Pose T;
-  if (!own_unit_) {
-    T = rigidAt(*T_ground_mav_, position_.value_or(overlap_));
-  } else if (T_mav_map_visual_) {
-    const Similarity T_ground_mav_map = compose(*T_ground_mav_, inverse(*T_mav_map_visual_));
-    T = rigidAt(T_ground_mav_map, position_.value_or(*T_mav_map_visual_ * overlap_));
-  } else {
-    return;
-  }
-  last_tf_ = now;
-  geometry_msgs::TransformStamped msg;
-  msg.header.stamp = now;
-  msg.header.frame_id = settings_.inverse_tf ? settings_.mav_map_frame : settings_.ground_map_frame;
-  msg.child_frame_id = settings_.inverse_tf ? settings_.ground_map_frame : settings_.mav_map_frame;
-  msg.transform = ros_utils::toTransformMsg(settings_.inverse_tf ? T.inverse() : T);
-  broadcaster_.sendTransform(msg);
+  if (!T_ground_mav_ || (own_unit_ && !T_mav_map_visual_)) return std::nullopt;
+  const Similarity T_ground_mav_map = own_unit_ ? compose(*T_ground_mav_, inverse(*T_mav_map_visual_)) : *T_ground_mav_;
+  const Eigen::Vector3d overlap = own_unit_ ? *T_mav_map_visual_ * overlap_ : overlap_;
+  const Pose T = rigidAt(T_ground_mav_map, position_.value_or(overlap));
+  using Edge = ros_utils::AlignmentBroadcaster::Edge;
+  if (settings_.inverse_tf) return Edge{settings_.mav_map_frame, settings_.ground_map_frame, T.inverse()};
+  return Edge{settings_.ground_map_frame, settings_.mav_map_frame, T};
 }
 
 }  // namespace icp_refine

@@ -3,11 +3,11 @@
 
 #include <air_ground/AlignmentEstimate.h>
 #include <ros/ros.h>
-#include <tf2_ros/transform_broadcaster.h>
 
 #include <mutex>
 #include <optional>
 
+#include "air_ground_common/ros/alignment_broadcaster.h"
 #include "air_ground_common/ros/health.h"
 #include "node_parameters.h"
 
@@ -27,24 +27,24 @@ class AlignmentOutput {
   void setPosition(const std::optional<Eigen::Vector3d>& p_mav_map);
   /// Nothing on tf until the next CONVERGED.
   void drop();
-  /// tf cannot carry a scale: the edge has the alignment's rotation, and the translation that puts the MAV where it is.
-  void publishTf();
   /// Resolved name of alignment/refined.
   std::string topic() const { return refined_publisher_.getTopic(); }
 
  private:
+  /// tf cannot carry a scale: the edge has the alignment's rotation, and the translation that puts the MAV where it is.
+  std::optional<air_ground_common::ros_utils::AlignmentBroadcaster::Edge> edge();
+
   const NodeSettings& settings_;
   air_ground_common::ros_utils::NodeHealth& health_;
   ros::Publisher refined_publisher_;
-  tf2_ros::TransformBroadcaster broadcaster_;
   std::mutex mutex_;
   std::optional<Similarity> T_ground_mav_;  // of the visual map where own_unit_
   bool own_unit_ = false;
   std::optional<Similarity> T_mav_map_visual_;
   Eigen::Vector3d overlap_ = Eigen::Vector3d::Zero();  // its centre in that map
   std::optional<Eigen::Vector3d> position_;
-  ros::Time last_tf_;
   std::uint8_t last_status_ = 255;
+  std::optional<air_ground_common::ros_utils::AlignmentBroadcaster> broadcaster_;
 };
 
 }  // namespace icp_refine

@@ -2,6 +2,7 @@
 
 #include <Eigen/Eigenvalues>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include <yaml-cpp/yaml.h>
@@ -62,6 +63,7 @@ void AlignmentRefiner::startMap() {
 
 void AlignmentRefiner::startGround() {
   ground_ = Cloud();
+  ground_camera_ = std::numeric_limits<double>::infinity();
   reference_.reset();
   forgetPoses();
 }
@@ -204,8 +206,8 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   out.residual_rms = icp.residual_rms;
   out.iterations = icp.iterations;
   if (icp.outcome == IcpResult::Outcome::kConverged) {
-    out.heights =
-        checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check);
+    out.heights = checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check,
+                               ground_camera_);
     out.overlap = out.heights.overlap();
     out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
                        (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);

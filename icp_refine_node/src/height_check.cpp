@@ -50,23 +50,30 @@ double mode(const Columns& columns) {
 
 }  // namespace
 
-HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& s) {
+HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& s, double ground_camera) {
   HeightCheck out;
   const Columns air(aerial, s.cell), floor_robot(ground, s.cell);
   out.floor_height = mode(floor_robot);
   out.aerial_cells = air.keys.size();
   const int reach = std::max(1, static_cast<int>(std::lround(s.tolerance_xy / s.cell)));
 
-  // Highest value of a column's neighbourhood; an unseen column counts as `unseen`.
-  const auto highest = [reach](const Columns& columns, int x, int y, float unseen) {
-    float best = -std::numeric_limits<float>::infinity();
+  // Highest value of a column's neighbourhood; an unseen column counts as infinitely high: it may hold the object.
+  constexpr float kUnseen = std::numeric_limits<float>::infinity();
+  const auto highest = [reach](const Columns& columns, int x, int y) {
+    float best = -kUnseen;
     for (int dy = -reach; dy <= reach; ++dy) {
       for (int dx = -reach; dx <= reach; ++dx) {
         if (dx * dx + dy * dy > reach * reach) continue;
-        best = std::max(best, columns.top(column(x + dx, y + dy), unseen));
+        best = std::max(best, columns.top(column(x + dx, y + dy), kUnseen));
       }
     }
     return best;
+  };
+  // Relief that one cloud has there and the other has not.
+  const auto count = [&out](float seen_beside, double needed) {
+    if (seen_beside == kUnseen) return;
+    ++out.relief_cells;
+    out.contradictions += seen_beside < needed;
   };
 
   KeyTable done;
@@ -79,14 +86,14 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
     const bool air_relief = std::abs(from_air - out.floor_height) > s.relief;
     const bool ground_relief = std::abs(from_ground - out.floor_height) > s.relief;
     if (!air_relief && !ground_relief) continue;
-    ++out.relief_cells;
-    constexpr float kLow = -std::numeric_limits<float>::infinity();
     if (from_ground > from_air + s.tolerance_z) {
-      if (highest(air, x, y, kLow) < from_ground - s.tolerance_z) ++out.contradictions;
+      count(highest(air, x, y), from_ground - s.tolerance_z);
     } else if (air_relief && !ground_relief && from_air > from_ground + s.tolerance_z) {
-      // Unseen ground beside it may hold the object: no contradiction then.
-      if (highest(floor_robot, x, y, std::numeric_limits<float>::infinity()) < out.floor_height + s.relief)
-        ++out.contradictions;
+      const float beside = highest(floor_robot, x, y);
+      const bool hidden = from_air > ground_camera - s.tolerance_z && beside < out.floor_height + s.relief;
+      if (!hidden) count(beside, out.floor_height + s.relief);
+    } else {
+      ++out.relief_cells;
     }
   }
   out.conclusive = out.relief_cells >= s.min_relief_cells;

@@ -12,7 +12,9 @@
 
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/robot_map_input.h"
 #include "chain_parameter.h"
+#include "ground_camera.h"
 #include "refine_worker.h"
 
 namespace icp_refine {
@@ -20,6 +22,7 @@ namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
+using air_ground_common::RobotMapSession;
 
 class IcpRefineNode {
  public:
@@ -44,10 +47,6 @@ class IcpRefineNode {
     save_service_ = file_handle_.advertiseService("save_map", &IcpRefineNode::onSave, this);
     file_spinner_.start();
     for (const auto* s : {&aerial_subscriber_, &ground_subscriber_}) health_.expectInput(s->getTopic(), false);
-    if (settings_.publish_tf) {
-      tf_timer_ = handle_.createTimer(ros::Duration(1 / settings_.tf_rate),
-                                      [this](const ros::TimerEvent&) { output_.publishTf(); });
-    }
   }
 
   ~IcpRefineNode() {
@@ -61,35 +60,14 @@ class IcpRefineNode {
 
   // All but onSave run in the one thread that spins: what they alone use needs no lock.
 
-  // A message without a stamp is taken as it comes.
-  bool admitMav(MavStream stream, const ros::Time& stamp) { return stamp.isZero() || mav_gate_.admit(stream, stamp); }
-  bool admitGround(GroundStream stream, const ros::Time& stamp) {
-    return stamp.isZero() || ground_gate_.admit(stream, stamp);
-  }
-
-  void onMavTimeJump() {
-    ROS_WARN("the MAV's time jumped back: its map starts afresh");
-    health_.count("time jumps");
-    startMap();
-    map_id_.reset();
-    map_id_from_status_ = false;
-  }
-
-  void onGroundTimeJump() {
-    ROS_WARN("the ground robot's time jumped back: its map starts afresh");
-    health_.count("time jumps");
-    startGround();
-    ground_map_id_.reset();
-  }
-
   void startMap() {
     odometry_.reset();
     output_.setPosition(std::nullopt);
     output_.setMapScale(std::nullopt);
-    map_start_ = ros::Time();
+    if (mav_.map().id()) worker_.setMapId(*mav_.map().id());
     worker_.post([this](Inbox& inbox) {
       inbox.new_map = true;
-      inbox.own_unit = own_unit_;
+      inbox.own_unit = mav_.map().ownUnit();
       inbox.aerial.clear();
       inbox.scale_deviation.reset();
       forgetPoses(inbox);
@@ -97,10 +75,12 @@ class IcpRefineNode {
   }
 
   void startGround() {
-    ground_map_start_ = ros::Time();
+    ground_forgotten_ = true;
+    ground_camera_.forget();
     worker_.post([this](Inbox& inbox) {
       inbox.new_ground = true;
       inbox.ground.reset();
+      inbox.ground_camera.reset();
       forgetPoses(inbox);
     });
   }
@@ -109,13 +89,6 @@ class IcpRefineNode {
     inbox.coarse.reset();
     inbox.manual.reset();
     output_.drop();
-  }
-
-  bool rightFrame(const std::string& topic, const std::string& frame, const std::string& expected) {
-    const std::string bare = !frame.empty() && frame[0] == '/' ? frame.substr(1) : frame;
-    if (bare == expected) return true;
-    health_.count(topic + " in frame '" + frame + "' instead of '" + expected + "'");
-    return false;
   }
 
   std::optional<std::vector<ros_utils::CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg,
@@ -134,18 +107,9 @@ class IcpRefineNode {
 
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
-    const bool own_unit = msg->header.frame_id == settings_.visual_map_frame;
-    if (!own_unit && !rightFrame("dense clouds", msg->header.frame_id, settings_.mav_map_frame)) return;
+    if (!mav_.admitMap(kAerial, msg->header, "dense clouds")) return;
     auto points = readCloud(*msg, "dense cloud");
-    if (!points || !admitMav(kAerial, msg->header.stamp)) return;
-    if (msg->header.stamp < map_start_) {
-      health_.count("dense clouds of an earlier map");
-      return;
-    }
-    if (own_unit != own_unit_) {
-      own_unit_ = own_unit;
-      startMap();
-    }
+    if (!points) return;
     worker_.post([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
   }
 
@@ -156,41 +120,28 @@ class IcpRefineNode {
   }
 
   void useGround(const sensor_msgs::PointCloud2& msg) {
-    if (!rightFrame("ground maps", msg.header.frame_id, settings_.ground_map_frame)) return;
+    if (!ground_.admitMap(kGround, msg.header, "ground maps")) return;
     auto points = readCloud(msg, "ground map");
-    if (!points || !admitGround(kGround, msg.header.stamp)) return;
-    if (msg.header.stamp < ground_map_start_) {
-      health_.count("ground maps of an earlier map");
-      return;
-    }
+    if (!points) return;
+    ground_forgotten_ = false;
     worker_.post([&](Inbox& inbox) { inbox.ground = std::move(*points); });
   }
 
   // A latched map comes only once: the last one is kept for a start afresh. (To subscribe again would ask the master.)
   void useLastGround() {
+    ground_forgotten_ = false;
     if (ground_map_ && ground_subscriber_.getNumPublishers() > 0) useGround(*ground_map_);
   }
 
   void onGroundStatus(const air_ground::VoStatus::ConstPtr& msg) {
-    const bool known = ground_map_id_.has_value();
-    if (!admitGround(kGroundStatus, msg->header.stamp)) return;
-    bool afresh = known && !ground_map_id_;  // a jump of time
-    if (ground_map_id_ && *ground_map_id_ != msg->map_id) {
-      ROS_WARN("the ground robot started map %u: starting afresh", msg->map_id);
-      health_.count("new maps of the ground robot");
-      startGround();
-      ground_map_start_ = msg->header.stamp;
-      afresh = true;
-    }
-    ground_map_id_ = msg->map_id;
-    if (afresh) useLastGround();
+    if (ground_.admitStatus(kGroundStatus, *msg) && ground_forgotten_) useLastGround();
   }
 
   void onOdometry(const nav_msgs::Odometry::ConstPtr& msg) {
-    if (!rightFrame("odometry", msg->header.frame_id, settings_.mav_map_frame)) return;
+    if (!mav_.isFrame(msg->header.frame_id, settings_.mav_map_frame, "odometry")) return;
     try {
       const Pose T = ros_utils::fromMsg(msg->pose.pose);
-      if (!admitMav(kOdometry, msg->header.stamp) || msg->header.stamp < map_start_) return;
+      if (!mav_.admit(kOdometry, msg->header.stamp) || mav_.map().isStale(msg->header.stamp.toSec())) return;
       odometry_ = T;
       output_.setPosition(T.translation());
     } catch (const std::exception& e) {
@@ -198,25 +149,10 @@ class IcpRefineNode {
     }
   }
 
-  // The VO's own status outranks the id that comes along with a coarse pose.
-  void observeMapId(std::uint32_t id, const ros::Time& stamp, bool from_status) {
-    if (map_id_from_status_ && !from_status) return;
-    map_id_from_status_ |= from_status;
-    if (map_id_ == id) return;
-    const bool changed = map_id_.has_value();
-    map_id_ = id;
-    worker_.setMapId(id);
-    if (!changed) return;
-    ROS_WARN("the MAV started map %u: starting afresh", id);
-    health_.count("new maps of the MAV");
-    startMap();
-    map_start_ = stamp;
-  }
-
   void onVoStatus(const air_ground::VoStatus::ConstPtr& msg) {
-    if (!admitMav(kMavStatus, msg->header.stamp)) return;
-    observeMapId(msg->map_id, msg->header.stamp, true);
-    if (own_unit_ || msg->state != air_ground::VoStatus::STATE_TRACKING || !(msg->scale > 0) ||
+    if (!mav_.admitStatus(kMavStatus, *msg)) return;
+    worker_.setMapId(msg->map_id);
+    if (mav_.map().ownUnit() || msg->state != air_ground::VoStatus::STATE_TRACKING || !(msg->scale > 0) ||
         !(msg->scale_stddev >= 0))
       return;
     // The map is metric; what the odometry believes by now that it is off counts as uncertainty.
@@ -226,19 +162,19 @@ class IcpRefineNode {
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
     if (msg->status != AlignmentEstimate::STATUS_CONVERGED) return;
-    if (!rightFrame("coarse alignments", msg->header.frame_id, settings_.ground_map_frame)) return;
-    const std::string& child = own_unit_ ? settings_.visual_map_frame : settings_.mav_map_frame;
-    if (!rightFrame("coarse alignments' child", msg->child_frame_id, child)) return;
+    if (!ground_.isFrame(msg->header.frame_id, settings_.ground_map_frame, "coarse alignments")) return;
+    if (!mav_.isFrame(msg->child_frame_id, mav_.map().expectedFrame(), "coarse alignments' child")) return;
     try {
       const Pose T = ros_utils::fromMsg(msg->pose.pose);
-      if (!admitMav(kCoarse, msg->header.stamp)) return;
-      observeMapId(msg->map_id, msg->header.stamp, false);
-      if (map_id_ != msg->map_id) {
+      if (!mav_.admit(kCoarse, msg->header.stamp)) return;
+      mav_.observe(msg->map_id, msg->header.stamp, true);
+      if (mav_.map().id() != msg->map_id) {
         health_.count("coarse alignments of another map");
         return;
       }
+      worker_.setMapId(msg->map_id);
       CoarseAlignment coarse{similarity(T), 0};
-      if (own_unit_) {
+      if (mav_.map().ownUnit()) {
         if (!(msg->scale > 0) || !std::isfinite(msg->scale)) throw std::invalid_argument("the scale is not positive");
         coarse = {similarity(T, msg->scale), msg->scale_stddev / msg->scale};
       }
@@ -249,7 +185,8 @@ class IcpRefineNode {
   }
 
   void onMapScale(const AlignmentEstimate::ConstPtr& msg) {
-    if (msg->child_frame_id != settings_.visual_map_frame || (map_id_ && msg->map_id != *map_id_)) return;
+    if (msg->child_frame_id != settings_.visual_map_frame || (mav_.map().id() && msg->map_id != *mav_.map().id()))
+      return;
     try {
       const Similarity T = similarity(ros_utils::fromMsg(msg->pose.pose), msg->scale);
       if (!isValid(T)) throw std::invalid_argument("it is not a similarity");
@@ -260,8 +197,8 @@ class IcpRefineNode {
   }
 
   void onGuess(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
-    if (!rightFrame("initial poses", msg->header.frame_id, settings_.ground_map_frame)) return;
-    if (own_unit_) {
+    if (!ground_.isFrame(msg->header.frame_id, settings_.ground_map_frame, "initial poses")) return;
+    if (mav_.map().ownUnit()) {
       ROS_WARN("initialpose ignored: a map without scale needs the coarse alignment");
       health_.count("initial poses for a map without scale");
       return;
@@ -301,16 +238,13 @@ class IcpRefineNode {
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    startMap();
-    startGround();
+    mav_.restart();
+    ground_.restart();
     worker_.post([this](Inbox& inbox) {
       inbox = Inbox();
-      inbox.own_unit = own_unit_;
+      inbox.own_unit = mav_.map().ownUnit();
       inbox.reset = true;
     });
-    map_id_.reset();
-    map_id_from_status_ = false;
-    ground_map_id_.reset();
     useLastGround();
     response.success = true;
     response.message = "forgot all maps and poses";
@@ -331,23 +265,21 @@ class IcpRefineNode {
   ros_utils::NodeHealth health_;
   AlignmentOutput output_;
   RefineWorker worker_;
+  GroundCamera ground_camera_{handle_, settings_.ground_map_frame,
+                              [this](double z) { worker_.post([z](Inbox& inbox) { inbox.ground_camera = z; }); }};
 
-  bool own_unit_ = false;  // the MAV's clouds are in the visual map
-  std::optional<std::uint32_t> map_id_;
-  bool map_id_from_status_ = false;
-  std::optional<std::uint32_t> ground_map_id_;
-  ros::Time map_start_, ground_map_start_;  // clouds before belong to an earlier map
-  std::optional<Pose> odometry_;            // T_mav_map_base, the latest
+  std::optional<Pose> odometry_;  // T_mav_map_base, the latest
   sensor_msgs::PointCloud2::ConstPtr ground_map_;
-  // The robots' clocks are watched apart: when the MAV's steps back, a ground robot that stands still does not send its
-  // map again.
-  ros_utils::StreamGate mav_gate_{kMavStreams, health_, [this] { onMavTimeJump(); }};
-  ros_utils::StreamGate ground_gate_{kGroundStreams, health_, [this] { onGroundTimeJump(); }};
+  bool ground_forgotten_ = false;  // and none has come since
+  ros_utils::RobotMapInput mav_{"MAV", kMavStreams,
+                                RobotMapSession(settings_.mav_map_frame, settings_.visual_map_frame), health_,
+                                [this] { startMap(); }};
+  ros_utils::RobotMapInput ground_{"ground robot", kGroundStreams, RobotMapSession(settings_.ground_map_frame), health_,
+                                   [this] { startGround(); }};
 
   ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
       odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;
   ros::ServiceServer save_service_, reset_service_, refine_service_;
-  ros::Timer tf_timer_;
   ros::AsyncSpinner file_spinner_{1, &file_queue_};
 };
 

@@ -130,6 +130,7 @@ bool RefineWorker::use(Inbox& inbox) {
     map_.clearGround();
   }
   if (inbox.forgets()) dropMapPose();
+  if (inbox.ground_camera) refiner_.setGroundCamera(*inbox.ground_camera);
   if (inbox.ground) {
     refiner_.setGround(positionsOf(*inbox.ground));
     map_.setGround(std::move(*inbox.ground));

@@ -35,6 +35,7 @@ struct AerialCloud {
 struct Inbox {
   bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
   std::optional<std::vector<CloudPoint>> ground;
+  std::optional<double> ground_camera;  ///< greatest z of the ground robot's camera in its map [m]
   std::deque<AerialCloud> aerial;
   std::optional<CoarseAlignment> coarse;
   std::optional<Pose> manual;

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 
 #include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/statistics.h"
@@ -22,11 +23,13 @@ struct Case {
   Cloud ground;
   std::vector<Cloud> aerial;
   Similarity truth;
-  Pose placed;  ///< rigid, at the middle of the reading
+  Pose placed;                                                     ///< rigid, at the middle of the reading
+  double ground_camera = std::numeric_limits<double>::infinity();  ///< z in ground_map [m]; infinite: not known
 };
 
 struct Options {
   std::string config, ground;
+  double ground_camera = std::numeric_limits<double>::infinity();
   std::vector<std::string> aerial;
   unsigned first_seed = 1000;
   int scenes = 20, runs = 5, recent = 6;
@@ -50,11 +53,13 @@ std::vector<Case> cases(const Options& options) {
                    std::move(scene.ground),
                    {std::move(scene.aerial)},
                    scene.truth,
-                   scene.T_ground_map_mav_map});
+                   scene.T_ground_map_mav_map,
+                   (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, 0.5)).z()});
   }
   // The node's reading: a sliding window over the fused clouds.
   for (std::size_t last = 0; last < options.aerial.size(); ++last) {
-    Case c{options.aerial[last], readCloud(options.ground), {}, {1 / options.aerial_scale}, Pose::Identity()};
+    Case c{options.aerial[last],       readCloud(options.ground), {},
+           {1 / options.aerial_scale}, Pose::Identity(),          options.ground_camera};
     for (std::size_t k = last + 1 >= static_cast<std::size_t>(options.recent) ? last + 1 - options.recent : 0;
          k <= last; ++k) {
       c.aerial.push_back(readCloud(options.aerial[k], options.aerial_scale));
@@ -124,6 +129,8 @@ int main(int argc, char** argv) {
   app.add_option("--ground", options.ground, "PLY of the ground cloud; with --aerial, instead of synthetic scenes");
   app.add_option("--aerial", options.aerial, "PLYs of the aerial clouds, in order, in the frame of the ground cloud");
   app.add_option("--aerial-scale", options.aerial_scale, "multiplies their coordinates");
+  app.add_option("--ground-camera", options.ground_camera,
+                 "height of the camera of the ground cloud, in its frame [m]");
   app.add_option("--recent", options.recent, "aerial clouds in one reading");
   app.add_option("--first-seed", options.first_seed);
   app.add_option("--scenes", options.scenes);
@@ -145,6 +152,7 @@ int main(int argc, char** argv) {
     settings.recent_clouds = options.recent;
     AlignmentRefiner refiner{IcpChain(chain), settings};
     refiner.setGround(c.ground);
+    refiner.setGroundCamera(c.ground_camera);
     for (const auto& cloud : c.aerial) refiner.addAerial(0, cloud);
     for (int run = 0; run < options.runs; ++run) runOne(c, options, refiner, run, rng, s);
   }

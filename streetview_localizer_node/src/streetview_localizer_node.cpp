@@ -26,11 +26,11 @@
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/stamped_buffer.h"
 #include "air_ground_common/text.h"
 #include "city_display.h"
 #include "match_message.h"
 #include "node_parameters.h"
-#include "odometry_buffer.h"
 #include "streetview_localizer/localizer.h"
 
 namespace streetview_localizer {
@@ -41,6 +41,14 @@ using air_ground::StreetviewMatch;
 using air_ground_common::formatted;
 
 enum Stream : std::size_t { kImages, kPriors, kAttitudes, kStreams };
+
+constexpr double kPosesKept = 10;  // [s]
+
+struct TimedPose {
+  double stamp = 0;  ///< [s]
+  Pose pose = Pose::Identity();
+  Matrix6d covariance = Matrix6d::Identity();
+};
 
 class StreetviewLocalizerNode {
  public:
@@ -190,7 +198,7 @@ class StreetviewLocalizerNode {
     const auto pose = read(*msg, "tracked pose");
     if (pose && gate_.admit(kPriors, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
-      priors_.push(*pose);
+      priors_.add(pose->stamp, *pose);
     }
   }
 
@@ -198,7 +206,7 @@ class StreetviewLocalizerNode {
     const auto pose = read(*msg, "attitude");
     if (pose && gate_.admit(kAttitudes, msg->header.stamp)) {
       const std::lock_guard<std::mutex> lock(mutex_);
-      attitudes_.push(*pose);
+      attitudes_.add(pose->stamp, *pose);
       wake_.notify_all();
     }
   }
@@ -239,7 +247,7 @@ class StreetviewLocalizerNode {
         // The attitude of the image's time may come a little later than the image.
         if (settings_.use_gravity && attitude_.getNumPublishers() > 0)
           wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
-                         [&] { return stop_ || attitudes_.reaches(job->image->header.stamp.toSec()); });
+                         [&] { return stop_ || attitudes_.newest() >= job->image->header.stamp.toSec(); });
         if (stop_) return;
       }
       if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
@@ -257,8 +265,8 @@ class StreetviewLocalizerNode {
     const double stamp = job.image->header.stamp.toSec();
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      predicted = priors_.nearest(stamp, settings_.prior_max_age);
-      attitude = attitudes_.nearest(stamp, settings_.gravity_max_age);
+      if (const TimedPose* pose = priors_.nearest(stamp, settings_.prior_max_age)) predicted = *pose;
+      if (const TimedPose* pose = attitudes_.nearest(stamp, settings_.gravity_max_age)) attitude = *pose;
     }
     if (!T_base_camera) return prior;
     if (predicted && prior_misses_ >= settings_.prior_misses) {
@@ -398,7 +406,7 @@ class StreetviewLocalizerNode {
   std::optional<CameraModel> camera_;
   std::optional<Job> job_;
   ros::Time last_started_;
-  OdometryBuffer priors_, attitudes_;
+  air_ground_common::StampedBuffer<TimedPose> priors_{kPosesKept}, attitudes_{kPosesKept};
   std::thread worker_;
 };
 

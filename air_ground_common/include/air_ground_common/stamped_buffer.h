@@ -20,8 +20,10 @@ class StampedBuffer {
   explicit StampedBuffer(double span, std::size_t most = 20000, double same = 1e-6)
       : span_(span), most_(most), same_(same) {}
 
-  /// A value of a stamp that is there already, or of an earlier time, is not taken: false.
+  /// A value of a stamp that is there already, or of an earlier time, is not taken: false. One of before the span
+  /// begins afresh: time has jumped, or the newest stamp was wrong.
   bool add(double stamp, Value value) {
+    if (stamp < newest() - span_) entries_.clear();
     if (!std::isfinite(stamp) || (!entries_.empty() && stamp <= entries_.back().first + same_)) return false;
     entries_.emplace_back(stamp, std::move(value));
     while (entries_.size() > most_ || entries_.front().first < stamp - span_) entries_.pop_front();

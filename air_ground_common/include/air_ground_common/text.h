@@ -20,4 +20,9 @@ __attribute__((format(printf, 1, 2))) inline std::string formatted(const char* f
   return text;
 }
 
+/// A frame as tf2 knows it: recordings of tf's first version have names that begin with a slash.
+inline std::string withoutSlash(const std::string& frame) {
+  return !frame.empty() && frame.front() == '/' ? frame.substr(1) : frame;
+}
+
 }  // namespace air_ground_common

@@ -154,6 +154,102 @@ struct FeatureTracker::Impl {
     return result;
   }
 
+  /// Takes over the current image for the next one.
+  void keep(std::vector<cv::Mat> current) {
+    lk_pyramid = std::move(current);
+    pyramid.clear();
+    for (std::size_t i = 0; i < lk_pyramid.size(); i += 2) pyramid.push_back(lk_pyramid[i]);
+  }
+
+  /// Where the features of the image before are in this one, from `after` on; of each whether it was found.
+  std::vector<unsigned char> flow(const std::vector<cv::Mat>& current, const std::vector<cv::Point2f>& before,
+                                  std::vector<cv::Point2f>* after) const {
+    const cv::Size window(settings.window, settings.window);
+    const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, settings.max_iterations,
+                                    settings.convergence);
+    const int levels = settings.pyramid_levels - 1;
+    std::vector<unsigned char> status;
+    std::vector<float> error;
+    cv::calcOpticalFlowPyrLK(lk_pyramid, current, before, *after, status, error, window, levels, criteria,
+                             cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
+    if (!settings.forward_backward) return status;
+    std::vector<cv::Point2f> back = before;
+    std::vector<unsigned char> back_status;
+    // From a near start the coarse levels only cost time.
+    cv::calcOpticalFlowPyrLK(current, lk_pyramid, *after, back, back_status, error, window, std::min(levels, 1),
+                             criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
+    for (std::size_t i = 0; i < before.size(); ++i) {
+      const cv::Point2f d = back[i] - before[i];
+      if (!back_status[i] || d.dot(d) > settings.max_forward_backward * settings.max_forward_backward) status[i] = 0;
+    }
+    return status;
+  }
+
+  /// Of two tracks that ran together, which measure the same point, the older stays.
+  void keepApart(std::vector<Feature> found) {
+    std::stable_sort(found.begin(), found.end(), [](const Feature& a, const Feature& b) { return a.age > b.age; });
+    cv::Mat taken(camera.height, camera.width, CV_8UC1, cv::Scalar(0));
+    const int radius = std::max(1, settings.min_distance / 3);
+    features.clear();
+    for (const Feature& f : found) {
+      const cv::Point p(cvRound(f.pixel.x()), cvRound(f.pixel.y()));
+      if (taken.at<std::uint8_t>(p)) continue;
+      cv::circle(taken, p, radius, cv::Scalar(255), -1);
+      features.push_back(f);
+    }
+  }
+
+  bool full() const { return static_cast<int>(features.size()) >= settings.max_features; }
+
+  /// Where `mask` (empty: everywhere) allows features and none is within `spacing` [px]: 255.
+  cv::Mat freeArea(const cv::Mat& mask, int spacing) const {
+    cv::Mat free(pyramid[0].size(), CV_8UC1, cv::Scalar(255));
+    for (const Feature& f : features)
+      cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), spacing, cv::Scalar(0), -1);
+    if (!mask.empty()) cv::bitwise_and(free, mask, free);
+    return free;
+  }
+
+  /// The image's cells, about as many as there may be features.
+  std::vector<cv::Rect> grid(int cell) const {
+    const cv::Mat& image = pyramid[0];
+    const int border = settings.border;
+    std::vector<cv::Rect> cells;
+    for (int y = border; y < image.rows - border; y += cell) {
+      for (int x = border; x < image.cols - border; x += cell)
+        cells.emplace_back(x, y, std::min(cell, image.cols - border - x), std::min(cell, image.rows - border - y));
+    }
+    return cells;
+  }
+
+  /// Features in each cell of that grid.
+  std::vector<int> occupation(std::size_t cells, int cell) const {
+    std::vector<int> occupied(cells, 0);
+    const int border = settings.border, columns = (pyramid[0].cols - 2 * border + cell - 1) / cell;
+    for (const Feature& f : features) {
+      const int cx = (cvRound(f.pixel.x()) - border) / cell, cy = (cvRound(f.pixel.y()) - border) / cell;
+      const std::size_t i = static_cast<std::size_t>(cy) * columns + cx;
+      if (i < occupied.size()) ++occupied[i];
+    }
+    return occupied;
+  }
+
+  /// Makes a feature of the corner where there is room for it and it is not too weak.
+  bool tryAdd(const cv::KeyPoint& k, int spacing, double weakest, cv::Mat* free) {
+    const cv::Point p(cvRound(k.pt.x), cvRound(k.pt.y));
+    if (full() || k.response < weakest || !inside(k.pt) || !free->at<std::uint8_t>(p)) return false;
+    features.push_back(makeFeature({k.pt.x, k.pt.y}, k.response));
+    cv::circle(*free, p, spacing, cv::Scalar(0), -1);
+    return true;
+  }
+
+  /// The same for many, strongest first.
+  void addStrongest(std::vector<cv::KeyPoint> corners, int spacing, double weakest, cv::Mat* free) {
+    std::stable_sort(corners.begin(), corners.end(),
+                     [](const auto& a, const auto& b) { return a.response > b.response; });
+    for (const cv::KeyPoint& k : corners) tryAdd(k, spacing, weakest, free);
+  }
+
   /// Corners of a region, strongest Shi-Tomasi score first.
   std::vector<cv::KeyPoint> corners(const cv::Mat& image, const cv::Rect& cell, int threshold) const {
     std::vector<cv::KeyPoint> found;
@@ -211,42 +307,17 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
     s.clahe->apply(gray, image);
   }
   std::vector<cv::Mat> current = s.lkPyramid(image);
-  const auto finish = [&] {
-    s.lk_pyramid = std::move(current);
-    s.pyramid.clear();
-    for (std::size_t i = 0; i < s.lk_pyramid.size(); i += 2) s.pyramid.push_back(s.lk_pyramid[i]);
-  };
   s.survival = 1;
   if (s.lk_pyramid.empty() || s.features.empty()) {
-    finish();
+    s.keep(std::move(current));
     return s.features;
   }
 
   std::vector<cv::Point2f> before, after = s.predict(prediction);
   for (const Feature& f : s.features) before.push_back(toCv(f.pixel));
-  const cv::Size window(s.settings.window, s.settings.window);
-  const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, s.settings.max_iterations,
-                                  s.settings.convergence);
-  const int levels = s.settings.pyramid_levels - 1;
-  std::vector<unsigned char> status;
-  std::vector<float> error;
-  cv::calcOpticalFlowPyrLK(s.lk_pyramid, current, before, after, status, error, window, levels, criteria,
-                           cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
-  if (s.settings.forward_backward) {
-    std::vector<cv::Point2f> back = before;
-    std::vector<unsigned char> back_status;
-    // From a near start the coarse levels only cost time.
-    cv::calcOpticalFlowPyrLK(current, s.lk_pyramid, after, back, back_status, error, window, std::min(levels, 1),
-                             criteria, cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
-    for (std::size_t i = 0; i < before.size(); ++i) {
-      const cv::Point2f d = back[i] - before[i];
-      if (!back_status[i] || d.dot(d) > s.settings.max_forward_backward * s.settings.max_forward_backward)
-        status[i] = 0;
-    }
-  }
-
-  std::vector<Feature> kept;
-  kept.reserve(s.features.size());
+  const std::vector<unsigned char> status = s.flow(current, before, &after);
+  std::vector<Feature> found;
+  found.reserve(s.features.size());
   for (std::size_t i = 0; i < before.size(); ++i) {
     if (!status[i] || !s.inside(after[i])) continue;
     if (patchDifference(s.lk_pyramid[0], before[i], current[0], after[i]) > s.settings.max_patch_difference) continue;
@@ -256,22 +327,11 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
     f.normalized = s.camera.unproject(f.pixel);
     if (!f.normalized.allFinite()) continue;
     ++f.age;
-    kept.push_back(f);
+    found.push_back(f);
   }
-  // Two tracks that ran together measure the same point: keep the older.
-  std::stable_sort(kept.begin(), kept.end(), [](const Feature& a, const Feature& b) { return a.age > b.age; });
-  cv::Mat taken(s.camera.height, s.camera.width, CV_8UC1, cv::Scalar(0));
-  const int radius = std::max(1, s.settings.min_distance / 3);
-  const std::size_t alive_before = s.features.size();
-  s.features.clear();
-  for (const Feature& f : kept) {
-    const cv::Point p(cvRound(f.pixel.x()), cvRound(f.pixel.y()));
-    if (taken.at<std::uint8_t>(p)) continue;
-    cv::circle(taken, p, radius, cv::Scalar(255), -1);
-    s.features.push_back(f);
-  }
-  s.survival = static_cast<double>(s.features.size()) / alive_before;
-  finish();
+  s.keepApart(std::move(found));
+  s.survival = static_cast<double>(s.features.size()) / before.size();
+  s.keep(std::move(current));
   return s.features;
 }
 
@@ -282,76 +342,40 @@ int FeatureTracker::replenish(const cv::Mat& mask) {
   if (!mask.empty() && (mask.size() != image.size() || mask.type() != CV_8UC1)) {
     throw std::invalid_argument("FeatureTracker::replenish: the mask must be CV_8UC1 of the image's size");
   }
-  cv::Mat free(image.size(), CV_8UC1, cv::Scalar(255));
-  for (const Feature& f : s.features)
-    cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), s.settings.min_distance, cv::Scalar(0), -1);
-  if (!mask.empty()) cv::bitwise_and(free, mask, free);
-
-  const int border = s.settings.border;
-  const int cell = std::max(s.settings.min_distance + 2,
-                            static_cast<int>(std::sqrt(double(image.cols) * image.rows / s.settings.max_features)));
-  std::vector<cv::Rect> cells;
-  for (int y = border; y < image.rows - border; y += cell) {
-    for (int x = border; x < image.cols - border; x += cell) {
-      cells.emplace_back(x, y, std::min(cell, image.cols - border - x), std::min(cell, image.rows - border - y));
-    }
-  }
-  std::vector<int> occupied(cells.size(), 0);
-  const int columns = (image.cols - 2 * border + cell - 1) / cell;
-  for (const Feature& f : s.features) {
-    const int cx = (cvRound(f.pixel.x()) - border) / cell, cy = (cvRound(f.pixel.y()) - border) / cell;
-    const std::size_t i = static_cast<std::size_t>(cy) * columns + cx;
-    if (i < occupied.size()) ++occupied[i];
-  }
-
-  int added = 0;
-  int spacing = s.settings.min_distance;
-  double weakest = s.settings.min_shi_tomasi;
+  const std::size_t before = s.features.size();
+  const TrackerSettings& settings = s.settings;
+  const int cell = std::max(settings.min_distance + 2,
+                            static_cast<int>(std::sqrt(double(image.cols) * image.rows / settings.max_features)));
+  const std::vector<cv::Rect> cells = s.grid(cell);
+  const std::vector<int> occupied = s.occupation(cells.size(), cell);
+  cv::Mat free = s.freeArea(mask, settings.min_distance);
   std::vector<cv::KeyPoint> spare;  // second choices of the cells, for what the empty cells leave over
-  const auto tryAdd = [&](const cv::KeyPoint& k) {
-    const cv::Point p(cvRound(k.pt.x), cvRound(k.pt.y));
-    if (static_cast<int>(s.features.size()) >= s.settings.max_features || k.response < weakest || !s.inside(k.pt) ||
-        !free.at<std::uint8_t>(p)) {
-      return false;
-    }
-    s.features.push_back(s.makeFeature({k.pt.x, k.pt.y}, k.response));
-    cv::circle(free, p, spacing, cv::Scalar(0), -1);
-    ++added;
-    return true;
-  };
-  for (std::size_t i = 0; i < cells.size() && static_cast<int>(s.features.size()) < s.settings.max_features; ++i) {
+  for (std::size_t i = 0; i < cells.size() && !s.full(); ++i) {
     if (occupied[i] || cv::countNonZero(free(cells[i])) == 0) continue;
-    auto found = s.corners(image, cells[i], s.settings.fast_threshold);
-    if (found.empty() && s.settings.detector == CornerDetector::kFast)
-      found = s.corners(image, cells[i], std::max(2, s.settings.fast_threshold / 2));
+    auto found = s.corners(image, cells[i], settings.fast_threshold);
+    if (found.empty() && settings.detector == CornerDetector::kFast)
+      found = s.corners(image, cells[i], std::max(2, settings.fast_threshold / 2));
     bool done = false;
     for (const cv::KeyPoint& k : found) {
       if (!done)
-        done = tryAdd(k);
+        done = s.tryAdd(k, settings.min_distance, settings.min_shi_tomasi, &free);
       else
         spare.push_back(k);
     }
   }
-  std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });
-  for (const cv::KeyPoint& k : spare) tryAdd(k);
-  if (s.settings.sparse_distance <= 0 || 2 * static_cast<int>(s.features.size()) >= s.settings.max_features)
-    return added;
-
-  // Weak texture: what there is stands in few places, so features may stand closer there, and weaker ones do.
-  spacing = s.settings.sparse_distance;
-  weakest = std::min(weakest, s.settings.weak_shi_tomasi);
-  free.setTo(cv::Scalar(255));
-  for (const Feature& f : s.features)
-    cv::circle(free, cv::Point(cvRound(f.pixel.x()), cvRound(f.pixel.y())), spacing, cv::Scalar(0), -1);
-  if (!mask.empty()) cv::bitwise_and(free, mask, free);
-  spare.clear();
-  for (const cv::Rect& area : cells) {
-    const auto found = s.corners(image, area, std::max(2, s.settings.fast_threshold / 4));
-    spare.insert(spare.end(), found.begin(), found.end());
+  s.addStrongest(std::move(spare), settings.min_distance, settings.min_shi_tomasi, &free);
+  if (settings.sparse_distance > 0 && 2 * static_cast<int>(s.features.size()) < settings.max_features) {
+    // Weak texture: what there is stands in few places, so features may stand closer there, and weaker ones do.
+    free = s.freeArea(mask, settings.sparse_distance);
+    std::vector<cv::KeyPoint> weak;
+    for (const cv::Rect& area : cells) {
+      const auto found = s.corners(image, area, std::max(2, settings.fast_threshold / 4));
+      weak.insert(weak.end(), found.begin(), found.end());
+    }
+    s.addStrongest(std::move(weak), settings.sparse_distance,
+                   std::min<double>(settings.min_shi_tomasi, settings.weak_shi_tomasi), &free);
   }
-  std::stable_sort(spare.begin(), spare.end(), [](const auto& a, const auto& b) { return a.response > b.response; });
-  for (const cv::KeyPoint& k : spare) tryAdd(k);
-  return added;
+  return static_cast<int>(s.features.size() - before);
 }
 
 TrackId FeatureTracker::addFeature(const Eigen::Vector2d& pixel) {

@@ -84,6 +84,15 @@ PoseResult solve(const std::vector<PoseCorrespondence>& correspondences, const P
   return refinePose(correspondences, pose.T_map_camera, refine);
 }
 
+Matrix6d covarianceOfInverse(const Pose& T, const Matrix6d& covariance) {
+  Matrix6d J = Matrix6d::Zero();
+  const Eigen::Matrix3d R = T.inverse().linear();
+  J.topLeftCorner<3, 3>() = -R;
+  J.topRightCorner<3, 3>() = -R * air_ground_common::skew(T.translation());
+  J.bottomRightCorner<3, 3>() = -R;
+  return J * covariance * J.transpose();
+}
+
 PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& query, const Keyframe& place,
                   const std::vector<std::pair<int, int>>& matches, const PlaceSettings& settings) {
   PlaceMatch result;
@@ -136,12 +145,7 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
   } else {
     // Solved for the place in the query's frame: turn it round, and the covariance with it.
     result.T_place_query = pose.T_map_camera.inverse();
-    Matrix6d J = Matrix6d::Zero();
-    const Eigen::Matrix3d R = result.T_place_query.linear();
-    J.topLeftCorner<3, 3>() = -R;
-    J.topRightCorner<3, 3>() = -R * air_ground_common::skew(pose.T_map_camera.translation());
-    J.bottomRightCorner<3, 3>() = -R;
-    result.covariance = J * pose.covariance * J.transpose();
+    result.covariance = covarianceOfInverse(pose.T_map_camera, pose.covariance);
   }
   return result;
 }

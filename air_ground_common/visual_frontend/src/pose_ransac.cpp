@@ -180,6 +180,85 @@ PoseResult ransacPose(const std::vector<PoseCorrespondence>& c, const RansacSett
   return best;
 }
 
+namespace {
+
+/// Two lists of rays whose rotation is known: the epipolar constraint a . (t x R b) = 0, t normal to (R b) x a.
+class EpipolarConstraints {
+ public:
+  EpipolarConstraints(const std::vector<Eigen::Vector2d>& a, const std::vector<Eigen::Vector2d>& b,
+                      const Eigen::Matrix3d& R_a_b, double sigma, const std::vector<NormalizedNoise>& noise_a,
+                      const std::vector<NormalizedNoise>& noise_b)
+      : a_(a), b_(b), R_b_a_(R_a_b.transpose()), sigma_(sigma), noise_a_(noise_a), noise_b_(noise_b) {
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      ray_a.push_back(a[i].homogeneous());
+      ray_b.push_back(R_a_b * b[i].homogeneous());
+      normal.push_back(ray_b[i].cross(ray_a[i]));
+    }
+  }
+
+  /// In standard deviations of the constraint.
+  double error(std::size_t i, const Eigen::Vector3d& t) const { return std::abs(normal[i].dot(t)) / deviation(i, t); }
+
+  int inliers(const Eigen::Vector3d& t, double threshold) const {
+    int count = 0;
+    for (std::size_t i = 0; i < normal.size(); ++i) count += error(i, t) < threshold;
+    return count;
+  }
+
+  /// Direction that fits the inliers of t best.
+  Eigen::Vector3d fit(const Eigen::Vector3d& t, double threshold) const {
+    Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+      if (error(i, t) >= threshold) continue;
+      const double size = uniform() ? t.cross(ray_b[i]).squaredNorm() : std::pow(deviation(i, t) / sigma_, 2);
+      A += normal[i] * normal[i].transpose() / std::max(size, 1e-9);
+    }
+    return Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(A).eigenvectors().col(0);
+  }
+
+  std::vector<Eigen::Vector3d> ray_a, ray_b, normal;  ///< in a's frame
+
+ private:
+  bool uniform() const { return noise_a_.size() != a_.size() || noise_b_.size() != a_.size(); }
+
+  /// First order (Sampson).
+  double deviation(std::size_t i, const Eigen::Vector3d& t) const {
+    const Eigen::Vector3d line_a = t.cross(ray_b[i]);
+    const Eigen::Vector3d line_b = R_b_a_ * t.cross(ray_a[i]);
+    if (!uniform())
+      return std::max(std::hypot(alongSigma(line_a.head<2>(), a_[i], noise_a_[i]),
+                                 alongSigma(line_b.head<2>(), b_[i], noise_b_[i])),
+                      1e-9 * sigma_);
+    const double denominator = std::sqrt(line_a.head<2>().squaredNorm() + line_b.head<2>().squaredNorm());
+    return std::max(denominator, 1e-9) * sigma_;
+  }
+
+  const std::vector<Eigen::Vector2d>&a_, &b_;
+  const Eigen::Matrix3d R_b_a_;
+  const double sigma_;
+  const std::vector<NormalizedNoise>&noise_a_, &noise_b_;
+};
+
+/// Signs and sizes of what the inliers of t show: positive votes when most lie in front of both cameras (depths in
+/// d_a a = t + d_b R b), and their angles [rad].
+int depthVotes(const EpipolarConstraints& constraints, const Eigen::Vector3d& t, double sigma, double threshold,
+               std::vector<double>* parallax) {
+  int votes = 0;
+  for (std::size_t i = 0; i < constraints.normal.size(); ++i) {
+    if (constraints.error(i, t) >= threshold) continue;
+    const Eigen::Vector3d &a = constraints.ray_a[i], &b = constraints.ray_b[i];
+    const double sine = a.normalized().cross(b.normalized()).norm();
+    parallax->push_back(std::asin(std::min(1.0, sine)));
+    if (sine < 2 * sigma) continue;  // too little to tell
+    const Eigen::Vector3d n_ab = a.cross(b);
+    const double depth_a = t.cross(b).dot(n_ab), depth_b = t.cross(a).dot(n_ab);
+    votes += (depth_a > 0 && depth_b > 0) - (depth_a < 0 && depth_b < 0);
+  }
+  return votes;
+}
+
+}  // namespace
+
 TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vector2d>& a,
                                                   const std::vector<Eigen::Vector2d>& b, const Eigen::Matrix3d& R_a_b,
                                                   double sigma, const RansacSettings& settings,
@@ -192,44 +271,18 @@ TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vecto
     result.reason = "needs two lists of the same size, at least 2 points";
     return result;
   }
-  // Epipolar constraint a . (t x R b) = 0, so t is normal to (R b) x a.
-  std::vector<Eigen::Vector3d> ray_a(n), ray_b(n), normal(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    ray_a[i] = a[i].homogeneous();
-    ray_b[i] = R_a_b * b[i].homogeneous();
-    normal[i] = ray_b[i].cross(ray_a[i]);
-  }
-  const bool uniform = noise_a.size() != n || noise_b.size() != n;
-  // Standard deviation of the epipolar constraint (first order, Sampson).
-  const auto deviation = [&](std::size_t i, const Eigen::Vector3d& t) {
-    const Eigen::Vector3d line_a = t.cross(ray_b[i]);
-    const Eigen::Vector3d line_b = R_a_b.transpose() * t.cross(ray_a[i]);
-    if (!uniform)
-      return std::max(
-          std::hypot(alongSigma(line_a.head<2>(), a[i], noise_a[i]), alongSigma(line_b.head<2>(), b[i], noise_b[i])),
-          1e-9 * sigma);
-    const double denominator = std::sqrt(line_a.head<2>().squaredNorm() + line_b.head<2>().squaredNorm());
-    return std::max(denominator, 1e-9) * sigma;
-  };
-  const auto error = [&](std::size_t i, const Eigen::Vector3d& t) {
-    return std::abs(normal[i].dot(t)) / deviation(i, t);
-  };
-  const auto inliersOf = [&](const Eigen::Vector3d& t) {
-    int count = 0;
-    for (std::size_t i = 0; i < n; ++i) count += error(i, t) < settings.threshold;
-    return count;
-  };
+  const EpipolarConstraints constraints(a, b, R_a_b, sigma, noise_a, noise_b);
   Sampler sampler(settings.seed, n);
   Eigen::Vector3d best = Eigen::Vector3d::Zero();
   int best_count = -1, needed = settings.max_iterations;
   for (int iteration = 0; iteration < needed; ++iteration) {
     std::size_t index[2];
     sampler.draw(index);
-    Eigen::Vector3d t = normal[index[0]].cross(normal[index[1]]);
+    Eigen::Vector3d t = constraints.normal[index[0]].cross(constraints.normal[index[1]]);
     // Without parallax the normals are noise.
     if (t.norm() < 1e-3 * sigma) continue;
     t.normalize();
-    const int count = inliersOf(t);
+    const int count = constraints.inliers(t, settings.threshold);
     if (count <= best_count) continue;
     best_count = count;
     best = t;
@@ -240,32 +293,16 @@ TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vecto
     return result;
   }
   for (int round = 0; round < 3; ++round) {
-    Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
-    for (std::size_t i = 0; i < n; ++i) {
-      if (error(i, best) >= settings.threshold) continue;
-      const double size = uniform ? best.cross(ray_b[i]).squaredNorm() : std::pow(deviation(i, best) / sigma, 2);
-      A += normal[i] * normal[i].transpose() / std::max(size, 1e-9);
-    }
-    const Eigen::Vector3d t = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(A).eigenvectors().col(0);
-    if (inliersOf(t) < best_count) break;
+    const Eigen::Vector3d t = constraints.fit(best, settings.threshold);
+    const int count = constraints.inliers(t, settings.threshold);
+    if (count < best_count) break;
     best = t;
-    best_count = inliersOf(t);
+    best_count = count;
   }
-  // Sign: depths of the points with enough parallax must be positive: d_a a = t + d_b R b.
-  int votes = 0;
   std::vector<double> parallax;
-  for (std::size_t i = 0; i < n; ++i) {
-    if (error(i, best) >= settings.threshold) continue;
-    const double sine = ray_a[i].normalized().cross(ray_b[i].normalized()).norm();
-    parallax.push_back(std::asin(std::min(1.0, sine)));
-    if (sine < 2 * sigma) continue;
-    const Eigen::Vector3d n_ab = ray_a[i].cross(ray_b[i]);
-    const double depth_a = best.cross(ray_b[i]).dot(n_ab), depth_b = best.cross(ray_a[i]).dot(n_ab);
-    votes += (depth_a > 0 && depth_b > 0) - (depth_a < 0 && depth_b < 0);
-  }
-  if (votes < 0) best = -best;
+  if (depthVotes(constraints, best, sigma, settings.threshold, &parallax) < 0) best = -best;
   result.t_a_b = best;
-  for (std::size_t i = 0; i < n; ++i) result.inliers[i] = error(i, best) < settings.threshold;
+  for (std::size_t i = 0; i < n; ++i) result.inliers[i] = constraints.error(i, best) < settings.threshold;
   result.inlier_count = best_count;
   if (!parallax.empty()) {
     std::nth_element(parallax.begin(), parallax.begin() + parallax.size() / 2, parallax.end());

@@ -136,6 +136,38 @@ int minimise(const Problem& problem, const RefineSettings& settings, Pose& T) {
   return iteration;
 }
 
+/// Sums of squared residuals of the inliers, in sigmas.
+struct Residuals {
+  double reprojection = 0, depth = 0;
+  std::size_t with_depth = 0;
+  int needed() const { return with_depth >= 3 ? 3 : 4; }  ///< inliers that fix a pose
+};
+
+/// Marks and counts the inliers of the result's pose. A wrong depth measurement does not make a wrong match: only the
+/// image decides.
+Residuals classify(const std::vector<PoseCorrespondence>& correspondences, const RefineSettings& settings,
+                   PoseResult* result) {
+  const Pose T_camera_map = result->T_map_camera.inverse();
+  Residuals sums;
+  result->inlier_count = 0;
+  for (std::size_t i = 0; i < correspondences.size(); ++i) {
+    const PoseCorrespondence& c = correspondences[i];
+    const Eigen::Vector3d p = T_camera_map * c.p_map;
+    const double e2 =
+        p.z() > 1e-3 ? squaredSigmas(p.head<2>() / p.z() - c.normalized, c.normalized, {c.sigma, c.elongation}) : 1e12;
+    result->inliers[i] = e2 < settings.inlier_threshold * settings.inlier_threshold;
+    if (!result->inliers[i]) continue;
+    ++result->inlier_count;
+    sums.reprojection += e2;
+    if (!settings.use_depth || !(c.depth > 0)) continue;
+    const double rd = (p.z() - c.depth) / c.depth_sigma;
+    if (std::abs(rd) >= settings.inlier_threshold) continue;
+    ++sums.with_depth;
+    sums.depth += rd * rd;
+  }
+  return sums;
+}
+
 }  // namespace
 
 PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, const Pose& initial,
@@ -148,49 +180,16 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
     return result;
   }
   Problem problem(correspondences, settings);
-  std::size_t with_depth = 0;
-  double reprojection2 = 0, depth2 = 0;
-  const auto classify = [&] {
-    const Pose T_camera_map = result.T_map_camera.inverse();
-    result.inlier_count = 0;
-    with_depth = 0;
-    reprojection2 = depth2 = 0;
-    for (std::size_t i = 0; i < correspondences.size(); ++i) {
-      const PoseCorrespondence& c = correspondences[i];
-      const Eigen::Vector3d p = T_camera_map * c.p_map;
-      const double e2 = p.z() > 1e-3
-                            ? squaredSigmas(p.head<2>() / p.z() - c.normalized, c.normalized, {c.sigma, c.elongation})
-                            : 1e12;
-      // A wrong depth measurement does not make a wrong match: only the image decides.
-      result.inliers[i] = e2 < settings.inlier_threshold * settings.inlier_threshold;
-      if (!result.inliers[i]) continue;
-      ++result.inlier_count;
-      reprojection2 += e2;
-      if (settings.use_depth && c.depth > 0) {
-        const double rd = (p.z() - c.depth) / c.depth_sigma;
-        if (std::abs(rd) < settings.inlier_threshold) {
-          ++with_depth;
-          depth2 += rd * rd;
-        }
-      }
-    }
-  };
   // First all points that lie in front, with the robust loss; then the inliers alone.
   const Pose T_camera_map = initial.inverse();
   for (std::size_t i = 0; i < correspondences.size(); ++i)
     problem.used()[i] = (T_camera_map * correspondences[i].p_map).z() > 1e-3;
-  result.iterations = minimise(problem, settings, result.T_map_camera);
-  classify();
-  const bool constrained = result.inlier_count >= (with_depth >= 3 ? 3 : 4);
-  if (!constrained) {
-    result.reason =
-        "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
-    return result;
-  }
-  problem.used() = result.inliers;
-  result.iterations += minimise(problem, settings, result.T_map_camera);
-  classify();
-  if (result.inlier_count < (with_depth >= 3 ? 3 : 4)) {
+  Residuals residuals;
+  for (int round = 0; round < 2; ++round) {
+    if (round > 0) problem.used() = result.inliers;
+    result.iterations += minimise(problem, settings, result.T_map_camera);
+    residuals = classify(correspondences, settings, &result);
+    if (result.inlier_count >= residuals.needed()) continue;
     result.reason =
         "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
     return result;
@@ -204,10 +203,10 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
     result.reason = "the points do not fix the pose (singular information)";
     return result;
   }
-  const double dof = 2.0 * result.inlier_count + with_depth - 6;
-  const double scale = dof > 0 ? std::max(1.0, (reprojection2 + depth2) / dof) : 1.0;
+  const double dof = 2.0 * result.inlier_count + residuals.with_depth - 6;
+  const double scale = dof > 0 ? std::max(1.0, (residuals.reprojection + residuals.depth) / dof) : 1.0;
   result.covariance = scale * (eigen.vectors * eigen.values.cwiseInverse().asDiagonal() * eigen.vectors.transpose());
-  result.rms = std::sqrt(reprojection2 / (2.0 * result.inlier_count));
+  result.rms = std::sqrt(residuals.reprojection / (2.0 * result.inlier_count));
   result.success = true;
   return result;
 }

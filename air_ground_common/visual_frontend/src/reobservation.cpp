@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 namespace visual_frontend {
 
@@ -160,21 +161,13 @@ struct Candidate {
   const Observation* observation;
 };
 
-}  // namespace
-
-std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, const ImagePyramid& current,
-                                     const Pose& T_map_camera, const std::vector<LandmarkId>& candidates,
-                                     const std::vector<Eigen::Vector2d>& occupied,
-                                     const ReobservationSettings& settings) {
-  std::vector<LandmarkMatch> matches;
-  if (current.empty()) return matches;
-  const int half = std::clamp(settings.half_patch, 2, kMaxHalf - 1);
+/// Candidates that the image should show, each with the observation whose viewing direction is nearest; those seen most
+/// often first.
+std::vector<Candidate> visibleCandidates(const Map& map, const CameraModel& camera, const Pose& T_map_camera,
+                                         const std::vector<LandmarkId>& ids, double border, double min_cosine) {
   const Pose T_camera_map = T_map_camera.inverse();
-  const double border = half + 4;
-  const double min_cosine = std::cos(settings.max_view_angle);
-
   std::vector<Candidate> visible;
-  for (const LandmarkId id : candidates) {
+  for (const LandmarkId id : ids) {
     if (!map.hasLandmark(id)) continue;
     const Landmark& landmark = map.landmark(id);
     const auto pixel = camera.project(T_camera_map * landmark.position);
@@ -196,7 +189,107 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
   std::stable_sort(visible.begin(), visible.end(), [](const Candidate& a, const Candidate& b) {
     return a.landmark->observations.size() > b.landmark->observations.size();
   });
+  return visible;
+}
 
+/// A patch of the reference as the current image should show it, with a rim of one pixel.
+struct Template {
+  Patch patch;
+  float rimmed[4 * kMaxHalf * kMaxHalf];
+};
+
+/// For level `at` of the current image from level `from` of the reference; A: current by reference pixels. False where
+/// the reference ends.
+bool makeTemplate(const Candidate& c, const Eigen::Matrix2d& A, int at, int from, int half, Template* result) {
+  const Eigen::Matrix2f B = (A.inverse() * static_cast<double>(1 << at) / static_cast<double>(1 << from)).cast<float>();
+  const Eigen::Vector2f centre = (c.observation->pixel / static_cast<double>(1 << from)).cast<float>();
+  if (!extract(c.reference->pyramid[from], centre, B, half + 1, result->rimmed)) return false;
+  result->patch.half = half;
+  const int side = 2 * half, rim = side + 2;
+  for (int v = 0; v < side; ++v) std::copy_n(result->rimmed + (v + 1) * rim + 1, side, result->patch.values + v * side);
+  result->patch.statistics();
+  return true;
+}
+
+/// Best place of the template within `radius` pixels of `predicted` by correlation; the score, -1 where there is none.
+float search(const cv::Mat& image, const Patch& reference, int radius, const Eigen::Vector2f& predicted,
+             SearchRegion* region, Eigen::Vector2f* best) {
+  Patch window;
+  window.half = reference.half;
+  float best_score = -1;
+  *best = predicted;
+  region->load(image, predicted, radius, reference.half);
+  for (int dy = -radius; dy <= radius; ++dy) {
+    for (int dx = -radius; dx <= radius; ++dx) {
+      region->window(dx, dy, window.values);
+      window.statistics();
+      const float score = zncc(reference, window);
+      if (score > best_score) {  // never where the window leaves the image
+        best_score = score;
+        *best = predicted + Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
+      }
+    }
+  }
+  return best_score;
+}
+
+/// Finds a candidate in the image: coarse search, then alignment there and at the fine level.
+std::optional<LandmarkMatch> find(const Candidate& c, const CameraModel& camera, const ImagePyramid& current,
+                                  const Pose& T_camera_map, int half, const ReobservationSettings& settings,
+                                  SearchRegion* region) {
+  const Pose T_reference_map = c.reference->T_map_camera.inverse();
+  const double depth = (T_reference_map * c.landmark->position).z();
+  if (!(depth > 0.05)) return std::nullopt;
+  // From where the landmark would appear in the reference, so that a reprojection error there does not bend the warp.
+  const auto reference_pixel = camera.project(T_reference_map * c.landmark->position);
+  if (!reference_pixel) return std::nullopt;
+  const auto A = warp(camera, *reference_pixel, depth, T_camera_map * c.reference->T_map_camera, c.pixel);
+  if (!A) return std::nullopt;
+  const double scale = std::sqrt(std::abs(A->determinant()));
+  if (!(scale > settings.min_scale && scale < settings.max_scale)) return std::nullopt;
+  // Seen larger now: search in a coarser level of the current image, where the scales meet.
+  int level = 0;
+  for (double s = scale; s > 1.5 && level + 1 < static_cast<int>(current.size()); s *= 0.5) ++level;
+  // Seen smaller now: take the template from a coarser level of the reference.
+  const int reference_levels = static_cast<int>(c.reference->pyramid.size());
+  int reference_level = 0;
+  for (double s = scale; s < 0.7 && reference_level + 1 < reference_levels; s *= 2) ++reference_level;
+  const int search_level = std::min(level + 1, static_cast<int>(current.size()) - 1);
+  const int coarse_reference = std::min(reference_level + (search_level - level), reference_levels - 1);
+  Template fine, coarse;
+  if (!makeTemplate(c, *A, level, reference_level, half, &fine) ||
+      !makeTemplate(c, *A, search_level, coarse_reference, half, &coarse))
+    return std::nullopt;
+
+  const double search_scale = 1 << search_level;
+  const int radius = static_cast<int>(std::ceil(settings.search_radius / search_scale));
+  Eigen::Vector2f position;
+  if (search(current[search_level], coarse.patch, radius, (c.pixel / search_scale).cast<float>(), region, &position) <
+          settings.min_zncc - 0.15 ||
+      align(current[search_level], coarse.rimmed, coarse.patch, settings.max_iterations, &position) <
+          settings.min_zncc - 0.1)
+    return std::nullopt;
+  position *= static_cast<float>(1 << (search_level - level));
+  LandmarkMatch match;
+  match.zncc = align(current[level], fine.rimmed, fine.patch, settings.max_iterations, &position);
+  if (match.zncc < settings.min_zncc) return std::nullopt;
+  match.landmark = c.landmark->id;
+  match.pixel = position.cast<double>() * static_cast<double>(1 << level);
+  if ((match.pixel - c.pixel).norm() > 1.5 * settings.search_radius || !camera.contains(match.pixel, 1))
+    return std::nullopt;
+  match.normalized = camera.unproject(match.pixel);
+  return match;
+}
+
+}  // namespace
+
+std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, const ImagePyramid& current,
+                                     const Pose& T_map_camera, const std::vector<LandmarkId>& candidates,
+                                     const std::vector<Eigen::Vector2d>& occupied,
+                                     const ReobservationSettings& settings) {
+  std::vector<LandmarkMatch> matches;
+  if (current.empty()) return matches;
+  const int half = std::clamp(settings.half_patch, 2, kMaxHalf - 1);
   const int cell = std::max(4, settings.cell_size);
   const int columns = camera.width / cell + 1;
   std::vector<unsigned char> taken(static_cast<std::size_t>(columns) * (camera.height / cell + 1), 0);
@@ -206,84 +299,16 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
   for (const Eigen::Vector2d& p : occupied) {
     if (camera.contains(p)) taken[cellOf(p)] = 1;
   }
-
-  SearchRegion searched;
-  for (const Candidate& c : visible) {
+  const Pose T_camera_map = T_map_camera.inverse();
+  SearchRegion region;
+  for (const Candidate& c :
+       visibleCandidates(map, camera, T_map_camera, candidates, half + 4, std::cos(settings.max_view_angle))) {
     if (static_cast<int>(matches.size()) >= settings.max_matches) break;
     if (taken[cellOf(c.pixel)]) continue;
-    const Pose T_reference_map = c.reference->T_map_camera.inverse();
-    const double depth = (T_reference_map * c.landmark->position).z();
-    if (!(depth > 0.05)) continue;
-    // From where the landmark would appear in the reference, so that a reprojection error there does not bend the warp.
-    const Pose T_current_reference = T_camera_map * c.reference->T_map_camera;
-    const auto reference_pixel = camera.project(T_reference_map * c.landmark->position);
-    if (!reference_pixel) continue;
-    const auto A = warp(camera, *reference_pixel, depth, T_current_reference, c.pixel);
-    if (!A) continue;
-    const double scale = std::sqrt(std::abs(A->determinant()));
-    if (!(scale > settings.min_scale && scale < settings.max_scale)) continue;
-    // Seen larger now: search in a coarser level of the current image, where the scales meet.
-    int level = 0;
-    for (double s = scale; s > 1.5 && level + 1 < static_cast<int>(current.size()); s *= 0.5) ++level;
-    // Seen smaller now: take the template from a coarser level of the reference.
-    int reference_level = 0;
-    for (double s = scale; s < 0.7 && reference_level + 1 < static_cast<int>(c.reference->pyramid.size()); s *= 2)
-      ++reference_level;
-
-    const auto makeTemplate = [&](int at_level, int from_level, int h, Patch* patch, float* rimmed) {
-      const Eigen::Matrix2f B =
-          (A->inverse() * static_cast<double>(1 << at_level) / static_cast<double>(1 << from_level)).cast<float>();
-      const Eigen::Vector2f centre = (c.observation->pixel / static_cast<double>(1 << from_level)).cast<float>();
-      if (!extract(c.reference->pyramid[from_level], centre, B, h + 1, rimmed)) return false;
-      patch->half = h;
-      const int side = 2 * h, rim = side + 2;
-      for (int v = 0; v < side; ++v) std::copy_n(rimmed + (v + 1) * rim + 1, side, patch->values + v * side);
-      patch->statistics();
-      return true;
-    };
-    Patch fine, coarse, window;
-    float fine_rimmed[4 * kMaxHalf * kMaxHalf], coarse_rimmed[4 * kMaxHalf * kMaxHalf];
-    if (!makeTemplate(level, reference_level, half, &fine, fine_rimmed)) continue;
-
-    // Search one level up by correlation, then align there and at the fine level.
-    const int search_level = std::min(level + 1, static_cast<int>(current.size()) - 1);
-    const int coarse_reference =
-        std::min(reference_level + (search_level - level), static_cast<int>(c.reference->pyramid.size()) - 1);
-    if (!makeTemplate(search_level, coarse_reference, half, &coarse, coarse_rimmed)) continue;
-    const double search_scale = 1 << search_level;
-    const int radius = static_cast<int>(std::ceil(settings.search_radius / search_scale));
-    const Eigen::Vector2f predicted = (c.pixel / search_scale).cast<float>();
-    Eigen::Vector2f best_position = predicted;
-    float best_score = -1;
-    window.half = half;
-    searched.load(current[search_level], predicted, radius, half);
-    for (int dy = -radius; dy <= radius; ++dy) {
-      for (int dx = -radius; dx <= radius; ++dx) {
-        searched.window(dx, dy, window.values);
-        window.statistics();
-        const float score = zncc(coarse, window);
-        if (score > best_score) {  // never where the window leaves the image
-          best_score = score;
-          best_position = predicted + Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
-        }
-      }
-    }
-    if (best_score < settings.min_zncc - 0.15) continue;
-    if (align(current[search_level], coarse_rimmed, coarse, settings.max_iterations, &best_position) <
-        settings.min_zncc - 0.1)
-      continue;
-    Eigen::Vector2f position = best_position * static_cast<float>(1 << (search_level - level));
-    const float score = align(current[level], fine_rimmed, fine, settings.max_iterations, &position);
-    if (score < settings.min_zncc) continue;
-
-    LandmarkMatch match;
-    match.landmark = c.landmark->id;
-    match.pixel = position.cast<double>() * static_cast<double>(1 << level);
-    if ((match.pixel - c.pixel).norm() > 1.5 * settings.search_radius || !camera.contains(match.pixel, 1)) continue;
-    match.normalized = camera.unproject(match.pixel);
-    match.zncc = score;
+    const auto match = find(c, camera, current, T_camera_map, half, settings, &region);
+    if (!match) continue;
     taken[cellOf(c.pixel)] = 1;
-    matches.push_back(match);
+    matches.push_back(*match);
   }
   return matches;
 }

@@ -65,6 +65,64 @@ System build(const std::vector<ViewRay>& views, const Eigen::Vector3d& p_map) {
   return s;
 }
 
+/// Largest angle between two of the unit directions [rad].
+double largestAngle(const std::vector<Eigen::Vector3d>& directions) {
+  double largest = 0;
+  for (std::size_t i = 0; i < directions.size(); ++i) {
+    for (std::size_t j = i + 1; j < directions.size(); ++j) {
+      // atan2 keeps its precision for small angles, where acos does not.
+      const double angle = std::atan2(directions[i].cross(directions[j]).norm(), directions[i].dot(directions[j]));
+      largest = std::max(largest, angle);
+    }
+  }
+  return largest;
+}
+
+/// Where the measured depths put the point, each by its weight.
+Eigen::Vector3d meanByDepth(const std::vector<ViewRay>& views) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  double weight = 0;
+  for (const ViewRay& v : views) {
+    if (!(v.depth > 0)) continue;
+    const double w = 1 / (v.depth_sigma * v.depth_sigma);
+    sum += w * (v.T_map_camera * (v.depth * v.normalized.homogeneous()));
+    weight += w;
+  }
+  return sum / weight;
+}
+
+/// Point nearest to all rays; `directions`: theirs, of unit length, in the map.
+Eigen::Vector3d nearestToRays(const std::vector<ViewRay>& views, const std::vector<Eigen::Vector3d>& directions) {
+  Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d b = Eigen::Vector3d::Zero();
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    const Eigen::Matrix3d P = Eigen::Matrix3d::Identity() - directions[i] * directions[i].transpose();
+    A += P;
+    b += P * views[i].T_map_camera.translation();
+  }
+  return A.ldlt().solve(b);
+}
+
+/// Levenberg-Marquardt from p, which becomes the best point found; `s`: built there, before and after.
+void minimise(const std::vector<ViewRay>& views, int max_iterations, Eigen::Vector3d* p, System* s) {
+  double lambda = 1e-6;
+  for (int i = 0; i < max_iterations; ++i) {
+    Eigen::Matrix3d H = s->H;
+    H.diagonal() *= 1 + lambda;
+    const Eigen::Vector3d step = -H.ldlt().solve(s->g);
+    if (!step.allFinite()) break;
+    const System trial = build(views, *p + step);
+    if (trial.in_front && trial.cost <= s->cost) {
+      *p += step;
+      *s = trial;
+      lambda = std::max(1e-9, 0.1 * lambda);
+      if (step.norm() < 1e-7 * p->norm()) break;
+    } else {
+      lambda = std::max(1e-4, 10 * lambda);
+    }
+  }
+}
+
 }  // namespace
 
 TriangulationResult triangulate(const std::vector<ViewRay>& views, const TriangulationSettings& settings) {
@@ -75,62 +133,20 @@ TriangulationResult triangulate(const std::vector<ViewRay>& views, const Triangu
   std::vector<Eigen::Vector3d> directions;
   for (const ViewRay& v : views)
     directions.push_back((v.T_map_camera.linear() * v.normalized.homogeneous()).normalized());
-  for (std::size_t i = 0; i < views.size(); ++i) {
-    for (std::size_t j = i + 1; j < views.size(); ++j) {
-      // atan2 keeps its precision for small angles, where acos does not.
-      const double angle = std::atan2(directions[i].cross(directions[j]).norm(), directions[i].dot(directions[j]));
-      result.parallax = std::max(result.parallax, angle);
-    }
-  }
+  result.parallax = largestAngle(directions);
   if (!any_depth && result.parallax < settings.min_parallax) {
     result.status = TriangulationStatus::kLowParallax;
     return result;
   }
 
-  Eigen::Vector3d p;
-  if (any_depth) {
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    double weight = 0;
-    for (const ViewRay& v : views) {
-      if (!(v.depth > 0)) continue;
-      const double w = 1 / (v.depth_sigma * v.depth_sigma);
-      sum += w * (v.T_map_camera * (v.depth * v.normalized.homogeneous()));
-      weight += w;
-    }
-    p = sum / weight;
-  } else {
-    // Point nearest to all rays.
-    Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
-    Eigen::Vector3d b = Eigen::Vector3d::Zero();
-    for (std::size_t i = 0; i < views.size(); ++i) {
-      const Eigen::Matrix3d P = Eigen::Matrix3d::Identity() - directions[i] * directions[i].transpose();
-      A += P;
-      b += P * views[i].T_map_camera.translation();
-    }
-    p = A.ldlt().solve(b);
-  }
+  Eigen::Vector3d p = any_depth ? meanByDepth(views) : nearestToRays(views, directions);
   result.p_map = p;
   System s = build(views, p);
   if (!s.in_front || !p.allFinite()) {
     result.status = TriangulationStatus::kBehindCamera;
     return result;
   }
-  double lambda = 1e-6;
-  for (int i = 0; i < settings.max_iterations; ++i) {
-    Eigen::Matrix3d H = s.H;
-    H.diagonal() *= 1 + lambda;
-    const Eigen::Vector3d step = -H.ldlt().solve(s.g);
-    if (!step.allFinite()) break;
-    const System trial = build(views, p + step);
-    if (trial.in_front && trial.cost <= s.cost) {
-      p += step;
-      s = trial;
-      lambda = std::max(1e-9, 0.1 * lambda);
-      if (step.norm() < 1e-7 * p.norm()) break;
-    } else {
-      lambda = std::max(1e-4, 10 * lambda);
-    }
-  }
+  minimise(views, settings.max_iterations, &p, &s);
   result.p_map = p;
 
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(s.H);

@@ -1,14 +1,14 @@
 """Checks of a bag against what the nodes need: topics, types, rates, stamps, calibration, IMU units, frames, transforms."""
-from collections import namedtuple
+import os
+import re
 
 import cv2
 import numpy as np
 
-from . import bag_guess
+from . import bag_guess, bag_imu
+from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_reader import POSE_TYPES, BagFacts, open_bag
 
-ERROR, WARNING, OK = 'ERROR', 'WARNING', 'ok'
-Finding = namedtuple('Finding', 'level text')
 
 # standard topic: (types, least rate [Hz], who needs it)
 MAV = {
@@ -31,13 +31,15 @@ CITY = {
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
-GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
-        '8UC1', '8UC3', '8UC4')
+GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
+        '8UC1', '8UC3', '8UC4', '16UC1')
 DEPTH = ('16UC1', 'mono16', '32FC1')
-MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
+MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
+          '': 0, 'none': 0}  # as the nodes take them: how many coefficients each may have
+NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
-REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
+FAR = 100  # [m]: half of an image's depths beyond this are of no depth camera
 
 
 class Stream:
@@ -69,9 +71,10 @@ def read(path, topics, limit=None):
 
 
 def first_frames(facts, names):
-    """robot -> frame id of its first image."""
+    """robot -> frame id of its camera: as the nodes have it, of the first camera_info, else of the first image."""
     topics = {robot: bag_guess.recorded(facts, names.get(standard, standard)) for robot, standard in IMAGES.items()}
-    frames = {robot: facts.frame(topic) for robot, topic in topics.items() if topic}
+    infos = {robot: names.get(info := standard.replace('image_raw', 'camera_info'), info) for robot, standard in IMAGES.items()}
+    frames = {robot: facts.frame(infos[robot]) or facts.frame(topic) for robot, topic in topics.items() if topic}
     return {robot: frame for robot, frame in frames.items() if frame is not None}
 
 
@@ -100,7 +103,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
     streams = read(facts.path, present.values())
     for robot in robots:
-        _unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
+        bag_imu.unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
     for standard, topic in present.items():
         findings += _stamps(topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
@@ -109,15 +112,16 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         elif standard.endswith('image_raw'):
             findings += _image(topic, streams[topic], DEPTH if 'depth' in standard else GREY)
         elif standard.endswith('imu/data'):
-            findings += _imu(topic, streams[topic])
-            findings += _gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
+            findings += bag_imu.check(standard, topic, streams[topic], standard.replace('data', 'accel') in present)
+            findings += bag_imu.gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
         elif standard in CITY or city or standard.endswith('imu/accel') or not facts.counts[topic]:
             continue
         elif streams[topic].frames != {'world'}:
-            findings.append(Finding(WARNING, f'{topic} is in frame {_list(streams[topic].frames)}; the report takes both robots\' as one frame'))
+            findings.append(Finding(WARNING, f'{topic} is in frame {quoted(streams[topic].frames)}; the report takes both robots\' as one frame'))
     findings += _pairs(present, streams)
     findings += _clocks(present, streams)
     findings += _static(facts)
+    findings += _parts(facts)
     findings += _transforms(facts, present, streams, bases)
     return findings
 
@@ -132,14 +136,11 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
     similar = [t for t in facts.of_type(*types) if t not in actual.values()]
     hint = f'; the bag has {", ".join(similar[:4])} of this type: set {argument}:= (here: --map)' if similar else ''
     if standard.endswith('camera_info') and not similar:
-        hint = '; rosrun air_ground publish_calibration publishes it from a file'
+        image = actual.get(standard.replace('camera_info', 'image_raw'), standard)
+        hint = f': publish it beside the replay: rosrun air_ground publish_calibration --camera-info FILE.yaml image:={image} camera_info:={standard}'
     if standard == '/mav/imu/data' and not similar and not city:
         level, hint = WARNING, ': mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale'
     return Finding(level, f'{topic} is missing ({purpose}){hint}')
-
-
-def _list(frames):
-    return ', '.join(repr(f) for f in sorted(frames))
 
 
 def _stamps(topic, stream, least_rate):
@@ -149,9 +150,10 @@ def _stamps(topic, stream, least_rate):
         return [Finding(OK, f'{topic}: 1 message, taken for all images')]
     if len(stamps) < 2:
         return [Finding(ERROR, f'{topic} holds {len(stamps)} message(s)')]
-    steps = np.diff(stamps)
     if np.any(stamps <= 0):
-        result.append(Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} messages have no stamp'))
+        return [Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} of {len(stamps)} messages have no stamp (header.stamp is zero): set it in the driver, or to the '
+                        'time of recording (rosrun air_ground join_bags BAG OUT --restamp TOPIC)')]
+    steps = np.diff(stamps)
     if np.any(steps < 0):
         result.append(Finding(WARNING, f'{topic}: stamps go back {np.count_nonzero(steps < 0)} times (by up to {-steps.min():.3f} s); '
                               'by more than 1 s the nodes start afresh'))
@@ -159,7 +161,7 @@ def _stamps(topic, stream, least_rate):
         result.append(Finding(WARNING, f'{topic}: {np.count_nonzero(steps == 0)} stamps repeat; the repeated messages will be dropped'))
     delay = np.median(times - stamps)
     if abs(delay) > 1.0:
-        result.append(Finding(WARNING, f'{topic}: stamps are {delay:.1f} s before the time of recording'))
+        result.append(Finding(WARNING, f'{topic}: stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording'))
     rate = 1 / max(np.median(steps), 1e-9)
     gap = steps.max()
     if rate < least_rate:
@@ -178,10 +180,13 @@ def _camera_info(topic, stream):
         result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
     elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
         result.append(Finding(WARNING, f'{topic}: principal point ({info.K[2]:.1f}, {info.K[5]:.1f}) is far from the centre of {info.width}x{info.height}'))
-    if info.distortion_model not in (*MODELS, ''):
-        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know {", ".join(MODELS)}: undistort first'))
-    elif info.distortion_model == '' and any(info.D):
+    model, count = info.distortion_model.lower(), len(np.trim_zeros(info.D, 'b'))
+    if model not in MODELS:
+        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know plumb_bob, rational_polynomial, equidistant: undistort first'))
+    elif not MODELS[model] and count:
         result.append(Finding(ERROR, f'{topic}: D is set but distortion_model is empty; plumb_bob is needed'))
+    elif count > MODELS[model]:
+        result.append(Finding(ERROR, f'{topic}: {count} coefficients in D; distortion model {info.distortion_model} has at most {MODELS[model]}'))
     return result
 
 
@@ -202,12 +207,21 @@ def _image(topic, stream, encodings):
             result.append(Finding(WARNING, f'{topic}: {100 * len(valid) / depth.size:.1f} % of the first image has a depth'))
         elif np.median(valid) > 12000:
             result.append(Finding(WARNING, f'{topic}: median depth {np.median(valid)} counts; 16UC1 is read as millimetres (TUM: 5000 a metre)'))
+    elif image.encoding == '32FC1' and encodings is DEPTH:
+        depth = np.frombuffer(image.data, np.dtype(np.float32).newbyteorder('>' if image.is_bigendian else '<'))
+        valid = depth[np.isfinite(depth) & (depth > 0)]
+        if len(valid) and np.median(valid) > FAR:
+            result.append(Finding(ERROR, f'{topic}: median depth {np.median(valid):.0f}; 32FC1 is read as metres: are these millimetres?'))
     elif encodings is GREY:
         wide = '16' in image.encoding
-        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8) / (257 if wide else 1)
+        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8)
+        if wide:
+            bits = next(bits for bits in (10, 12, 14, 16) if grey.max() < 1 << bits)
+            grey = grey / ((1 << bits) - 1) * 255
+            result += [Finding(OK, f'{topic}: its pixels use {bits} of 16 bits: the nodes move them up')] if bits < 16 else []
         if grey.std() < FLAT:
             result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
-                                  + ('12 bits in 16? Scale them to the full range' if wide else 'too dark?')))
+                                  'too dark?'))
     return result
 
 
@@ -221,40 +235,6 @@ def image_size(message):
     except cv2.error:
         picture = None
     return None if picture is None else picture.shape[1::-1]
-
-
-def _unite(gyro, accelerometer):
-    """Gives a gyro's stream the accelerations of an accelerometer's own, where there is one, at its stamps."""
-    if gyro and accelerometer and accelerometer.accel:
-        gyro.accel = np.column_stack([np.interp(gyro.stamps, accelerometer.stamps, column) for column in np.array(accelerometer.accel).T])
-
-
-def _imu(topic, stream):
-    accel, gyro = np.array(stream.accel), np.array(stream.gyro)
-    result = []
-    if not (np.all(np.isfinite(accel)) and np.all(np.isfinite(gyro))):
-        bad = np.count_nonzero(~np.isfinite(accel).all(1) | ~np.isfinite(gyro).all(1))
-        result.append(Finding(WARNING, f'{topic}: {bad} readings are not finite'))
-        finite = np.isfinite(accel).all(1) & np.isfinite(gyro).all(1)
-        accel, gyro = accel[finite], gyro[finite]
-    if len(accel) == 0:
-        return result + [Finding(ERROR, f'{topic}: no finite reading')]
-    norm = np.median(np.linalg.norm(accel, axis=1))
-    if norm == 0:
-        result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
-                              'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
-    elif 0.9 < norm < 1.1:
-        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed'))
-    elif norm < 2:
-        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2: gravity was removed; specific force is needed'))
-    elif not 8.5 < norm < 11.5:
-        result.append(Finding(WARNING, f'{topic}: the acceleration is about {norm:.2f} m/s^2, not 9.81'))
-    rate = np.median(np.linalg.norm(gyro, axis=1))
-    if np.max(np.abs(gyro)) > 35:
-        result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}: they seem to be in degrees; rad/s are needed'))
-    elif rate == 0:
-        result.append(Finding(WARNING, f'{topic}: the turn rate is always zero'))
-    return result
 
 
 def _pairs(present, streams):
@@ -279,11 +259,21 @@ def _pairs(present, streams):
             info, picture = streams[present[other]].samples[0], streams[present[image]].samples[0]
             size = image_size(picture)
             if size and (info.width, info.height) != size:
-                result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {size[0]}x{size[1]}'))
+                result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {size[0]}x{size[1]}' + _resized(info, size)))
         else:
             result += _registration(present[image], streams[present[image]], present[other], streams[present[other]],
                                     '/ground/depth/camera_info' in present)
     return result
+
+
+def _resized(info, size):
+    """What to do about images of another size than their calibration's."""
+    scale = size[0] / max(1, info.width)
+    if info.width and info.height and info.binning_x < 2 and not info.roi.width and abs(size[1] / info.height - scale) < 0.01 * scale:
+        how = f': resized? Then fx, fy, cx, cy and size are to be multiplied by {scale:g} (D stays)'
+    else:
+        how = ': cut out, or of another mode of the camera? Calibrate it at this size'
+    return how + '; publish that under another name (rosrun air_ground publish_calibration) and replay with it'
 
 
 def registered(facts, names):
@@ -303,7 +293,7 @@ def _mismatch(colour, depth):
     sizes = image_size(colour.samples[0]), image_size(depth.samples[0])
     if None not in sizes and sizes[0] != sizes[1]:
         return 'differ in size'
-    return '' if depth.frames == colour.frames else f'are in frames {_list(depth.frames)} and {_list(colour.frames)}'
+    return '' if depth.frames == colour.frames else f'are in frames {quoted(depth.frames)} and {quoted(colour.frames)}'
 
 
 def _registration(colour_topic, colour, depth_topic, depth, calibrated):
@@ -321,46 +311,27 @@ def _registration(colour_topic, colour, depth_topic, depth, calibrated):
     return result
 
 
-def _gravity_and_start(topic, stream, facts, base):
-    """Whether the mean specific force points up in the body frame, and whether the recording begins at rest."""
-    accel, gyro, stamps = np.array(stream.accel), np.array(stream.gyro), np.array(stream.stamps)
-    finite = np.isfinite(accel).all(1) & np.isfinite(gyro).all(1)
-    accel, gyro, stamps = accel[finite], gyro[finite], stamps[finite]
-    result = []
-    if len(accel) < 20:
-        return result
-    T_base_imu = facts.static_transform(base, sorted(stream.frames)[0].lstrip('/'))
-    mean = accel.mean(0)
-    if T_base_imu is not None and np.linalg.norm(mean) > 0:
-        up = T_base_imu[:3, :3] @ mean / np.linalg.norm(mean)
-        if up[2] < np.cos(np.radians(45)):
-            sign = ', or it has the sign of gravity (at rest it must be +9.81 along the axis that points up)' if up[2] < -np.cos(np.radians(45)) else ''
-            result.append(Finding(WARNING, f'{topic}: its mean acceleration points along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}) of {base}, which is not up: '
-                                  f'the mounting {base} -> {_list(stream.frames)} or the order of the axes is wrong (or {base} is not z up){sign}'))
-    first = stamps <= stamps[0] + 1.0
-    bins = ((stamps[first] - stamps[0]) / 0.1).astype(int)
-    means = np.array([gyro[first][bins == b].mean(0) for b in np.unique(bins)])
-    if len(means) > 4 and np.linalg.norm(means.std(0)) > REST:
-        result.append(Finding(WARNING, f'{topic}: the recording begins in motion; gyro bias and gravity are known later than after a second at rest'))
-    return result
-
-
 def _clocks(present, streams):
-    """Both robots' stamps against each other and against the time of recording."""
-    spans = {}
+    """Stamps of an IMU against its camera's, of both robots against each other, and against the time of recording."""
+    result, spans = [], {}
     for robot, standard in IMAGES.items():
         if standard in present and len(streams[present[standard]].stamps) > 1:
             stream = streams[present[standard]]
             spans[robot] = (min(stream.stamps), max(stream.stamps), min(stream.times), max(stream.times))
+            imu = streams.get(present.get(f'/{robot}/imu/data'))
+            begin, end, *_ = spans[robot]
+            if imu and imu.stamps and min(begin, min(stream.times)) > 0 and (max(imu.stamps) < begin or end < min(imu.stamps)):
+                result.append(Finding(ERROR, f'{present[standard]} is stamped {begin:.1f} to {end:.1f} s, {present[f"/{robot}/imu/data"]} {min(imu.stamps):.1f} to '
+                                      f'{max(imu.stamps):.1f} s: two clocks. Let both drivers stamp by one, or take the time of recording: rosrun air_ground join_bags BAG OUT --restamp TOPIC'))
     if len(spans) < 2:
-        return []
+        return result
     mav, ground = spans['mav'], spans['ground']
     if mav[0] <= ground[1] and ground[0] <= mav[1]:
-        return []
+        return result
     if mav[2] <= ground[3] and ground[2] <= mav[3]:
-        return [Finding(ERROR, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
+        return result + [Finding(ERROR, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
                         f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart: synchronise them (chrony, ntp)')]
-    return [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
+    return result + [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
 
 
 def _static(facts):
@@ -371,26 +342,53 @@ def _static(facts):
     if how:
         result.append(Finding(OK, f'/tf_static comes {" and ".join(how)}: replay.launch hands it on whole; rosbag play by itself does not'))
     if facts.constant_on_tf:
-        result.append(Finding(OK, f'/tf holds transforms that never change, of {_list(facts.constant_on_tf)}: replay.launch takes them as static'))
+        result.append(Finding(OK, f'/tf holds transforms that never change, of {quoted(facts.constant_on_tf)}: replay.launch takes them as static'))
     if '/clock' in facts.types:
         result.append(Finding(OK, '/clock is in the bag: replay.launch leaves it out; rosbag play --clock by itself does not'))
     return result
 
 
+def _parts(facts):
+    """rosbag record --split writes x_0.bag, x_1.bag ...: one recording."""
+    folder, name = os.path.split(os.path.abspath(facts.path))
+    part = re.fullmatch(r'(.*)_(\d+)\.bag', name)
+    if part is None:
+        return []
+    others = [f'{part[1]}_{int(part[2]) + step}.bag' for step in (-1, 1)]
+    if not any(os.path.isfile(os.path.join(folder, other)) for other in others):
+        return []
+    return [Finding(WARNING, f'{name} seems to be a part of a recording that was split; transforms and calibration may be in the first part alone: '
+                    f'rosrun air_ground join_bags {part[1]}_*.bag {part[1]}.bag makes one of them')]
+
+
 def _transforms(facts, present, streams, bases):
     result = []
-    sensors = (('mav', '/mav/camera/image_raw'), ('mav', '/mav/imu/data'), ('ground', '/ground/rgb/image_raw'), ('ground', '/ground/imu/data'))
+    sensors = [('mav', '/mav/camera/image_raw'), ('mav', '/mav/imu/data'), ('ground', '/ground/rgb/image_raw'), ('ground', '/ground/imu/data')]
+    depth, colour = (streams[present[t]] if t in present else None for t in ('/ground/depth/image_raw', '/ground/rgb/image_raw'))
+    if depth and colour and _mismatch(colour, depth):
+        sensors.append(('ground', '/ground/depth/image_raw'))
+    imus = {frame.lstrip('/') for standard in ('/mav/imu/data', '/ground/imu/data') if standard in present for frame in streams[present[standard]].frames}
     for robot, standard in sensors:
         if standard not in present:
             continue
-        frames = streams[present[standard]].frames
-        if '' in frames:
-            result.append(Finding(ERROR, f'{present[standard]}: the frame id is empty'))
+        topic, info = present[standard], present.get(standard.replace('image_raw', 'camera_info')) if 'image' in standard else None
+        frames = streams[topic].frames
+        named = streams[info].frames - {''} if info else set()  # the nodes take camera_info's, where it has one
+        sensor = 'imu' if 'imu' in standard else 'camera'
+        frame = sorted(named or frames)[0].lstrip('/')
+        if not frame and 'depth' not in standard:
+            result.append(Finding(ERROR, f'{topic}: the frame id is empty: set {sensor}_frame, or base_{sensor} (its pose on the robot), in a copy of '
+                                  f'config/{NODES[robot]}.yaml and replay with {NODES[robot]}_config:=COPY'))
             continue
         if len(frames) > 1:
-            result.append(Finding(WARNING, f'{present[standard]}: several frame ids: {_list(frames)}'))
-        frame = sorted(frames)[0].lstrip('/')
+            result.append(Finding(WARNING, f'{topic}: several frame ids: {quoted(frames)}'))
+        if named and frame not in {f.lstrip('/') for f in frames | {''}}:
+            result.append(Finding(WARNING, f'{topic} is in frame {quoted(frames)}, {info} in {quoted(named)}: the nodes go by the latter'))
         if facts.static_transform(bases[robot], frame) is None:
-            result.append(Finding(ERROR, f'/tf_static does not connect {bases[robot]} with {frame} (of {present[standard]}): '
-                                  f'rosrun air_ground publish_calibration --transform "{bases[robot]} {frame} X Y Z QX QY QZ QW" beside the replay'))
+            text = f'/tf_static does not connect {bases[robot]} with {frame} (of {topic})'
+            if standard == '/ground/imu/data':
+                result.append(Finding(WARNING, text + ': replay without it, ground_imu:=none, or publish where it sits', 'ground_imu:=none'))
+                continue
+            known = ', the pose of the camera in the IMU frame (kalibr: T_cam_imu inverted; import_kalibr does that)' if bases[robot] in imus else ''
+            result.append(Finding(ERROR, f'{text}: rosrun air_ground publish_calibration --transform "{bases[robot]} {frame} X Y Z QX QY QZ QW" beside the replay{known}'))
     return result

@@ -63,6 +63,36 @@ class Part:
                     yield (time + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message), header
 
 
+def shifts(paths, topics):
+    """topic -> what its stamps lack to the times of recording (the median); None where they are zero. BagError for a topic that no part has."""
+    delays = {topic: [] for topic in topics}
+    for path in paths:
+        with open_bag(path) as bag:
+            for topic, message, time in bag.read_messages(topics) if topics else ():
+                if hasattr(message, 'header'):
+                    delays[topic].append((time - message.header.stamp).to_nsec() if message.header.stamp else None)
+    for topic, found in delays.items():
+        if not found:
+            raise BagError(f'--restamp {topic}: no bag has stamps on this topic')
+    return {topic: None if None in found else genpy.Duration(0, sorted(found)[len(found) // 2]) for topic, found in delays.items()}
+
+
+class Restamped:
+    """A part of a recording, with other stamps on some topics."""
+
+    def __init__(self, path, shifts_of_topics):
+        self.path, self.shifts = path, shifts_of_topics
+
+    def messages(self, order):
+        """As Part's."""
+        with open_bag(self.path) as bag:
+            for topic, message, time, header in bag.read_messages(return_connection_header=True):
+                if topic in self.shifts:
+                    shift = self.shifts[topic]
+                    message.header.stamp = time if shift is None else message.header.stamp + shift
+                yield time.to_nsec(), order, topic, message, header
+
+
 def plan(mav, ground, begin_together):
     """The two parts. Topics and frames that both bags name get their robot's name in front, so that each is one robot's."""
     parts = [Part('mav', mav), Part('ground', ground)]

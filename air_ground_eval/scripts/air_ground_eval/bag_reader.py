@@ -1,4 +1,6 @@
 """What the report needs from the bag itself: its time span, static transforms and reference poses."""
+import os
+
 import numpy as np
 import rosbag
 import rospy
@@ -27,6 +29,8 @@ def _numbers(edge):
 
 def open_bag(path):
     """rosbag.Bag for reading; BagError where there is none, or none that can be played."""
+    if os.path.isfile(os.path.join(path, 'metadata.yaml')) or str(path).endswith(('.mcap', '.db3')):
+        raise BagError(f'{path} is a recording of ROS 2: make a bag of ROS 1 of it (pip install rosbags; rosbags-convert --src FOLDER --dst x.bag)')
     try:
         bag = rosbag.Bag(path)
     except rosbag.ROSBagUnindexedException as error:
@@ -51,6 +55,7 @@ class BagFacts:
             self.types = {topic: info.msg_type for topic, info in topics.items()}
             self.counts = {topic: info.message_count for topic, info in topics.items()}
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
+            self.first = {}  # topic -> its first message, of those that were asked for
             self.static_latched = bool(static)
             self.static_messages = 0
             self.edges = {}  # (parent, child) -> T_parent_child: the last of each child, as tf keeps them
@@ -113,12 +118,21 @@ class BagFacts:
                 frame, below = parent, frame
         return messages.static_transforms([(parent, child, transform) for (parent, child), transform in edges.items()], self.begin)
 
+    def first_message(self, topic):
+        """None without one."""
+        if topic not in self.first:
+            with open_bag(self.path) as bag:
+                self.first[topic] = next((message for _, message, _ in bag.read_messages([topic])), None) if topic in self.types else None
+        return self.first[topic]
+
     def frame(self, topic):
-        """Frame id of a topic's first message; None without one."""
-        with open_bag(self.path) as bag:
-            for _, message, _ in bag.read_messages([topic]):
-                return message.header.frame_id.lstrip('/') if hasattr(message, 'header') else None
-        return None
+        """Frame id of a topic's first message, without a slash before it; None without one."""
+        header = getattr(self.first_message(topic), 'header', None)
+        return None if header is None else header.frame_id.lstrip('/')
+
+    def encoding(self, topic):
+        """Of a raw image's pixels; None without one."""
+        return getattr(self.first_message(topic), 'encoding', None)
 
     def of_type(self, *kinds):
         """Topics of these message types, in order."""

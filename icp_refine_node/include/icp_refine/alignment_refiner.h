@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <map>
 #include <optional>
 #include <string>
@@ -68,6 +69,9 @@ class AlignmentRefiner {
 
   /// Replaces the ground map (ground_map frame); filters and trees are made at the next refine().
   void setGround(Cloud cloud);
+  /// Greatest z in ground_map of the camera that made the ground map [m]: what is higher it cannot have seen from
+  /// above.
+  void setGroundCamera(double z) { ground_camera_ = z; }
   /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
   void addAerial(std::int64_t stamp, Cloud cloud);
   /// Coarse pose of a global localization that has converged.
@@ -103,6 +107,7 @@ class AlignmentRefiner {
   IcpChain chain_;
   RefinerSettings settings_;
   Cloud ground_;
+  double ground_camera_ = std::numeric_limits<double>::infinity();  // not known
   std::optional<IcpReference> reference_;
   std::deque<std::pair<std::int64_t, Cloud>> aerial_;
   std::optional<Pose> coarse_, manual_;

@@ -2,6 +2,7 @@
 // through.
 #pragma once
 
+#include <limits>
 #include <optional>
 
 #include "icp_refine/cloud.h"
@@ -17,9 +18,10 @@ struct HeightCheckSettings {
 };
 
 struct HeightCheck {
-  int aerial_cells = 0;     ///< columns that the aerial cloud observed
-  int cells = 0;            ///< of them, observed by the ground robot too
-  int relief_cells = 0;     ///< of them, off the floor in one of the clouds
+  int aerial_cells = 0;  ///< columns that the aerial cloud observed
+  int cells = 0;         ///< of them, observed by the ground robot too
+  /// Of them, off the floor in one of the clouds, where the other would show it: the rest speaks for nobody.
+  int relief_cells = 0;
   int contradictions = 0;   ///< relief cells where one cloud has a surface in the other's free space
   double floor_height = 0;  ///< [m]
   bool conclusive = false;  ///< enough relief cells
@@ -30,12 +32,15 @@ struct HeightCheck {
 };
 
 /// Both clouds in one gravity-aligned frame. The highest point of each column is compared:
-/// - a ground point clearly above the aerial surface: the aerial camera, looking down, would have seen it.
-/// Contradiction.
-/// - an aerial surface clearly above a place where the ground robot saw the floor: it looked through. Contradiction.
+/// - a ground point clearly above the aerial surface: the aerial camera, looking down, would have seen it, unless an
+/// aerial column beside it was not seen (a wall that the image cut). Contradiction.
+/// - an aerial surface clearly above a place where the ground robot saw the floor: seen from above it would have hidden
+/// it. Contradiction; but a surface higher than `ground_camera` (z of the ground robot's camera [m]; infinite: not
+/// known) may be a table, under which that camera looked, and says nothing.
 /// - an aerial surface above the ground robot's view of a steep face: no contradiction, its top may be above the
 /// camera.
-HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& settings = {});
+HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& settings = {},
+                         double ground_camera = std::numeric_limits<double>::infinity());
 
 /// Median of ground minus aerial height over the columns that both saw [m]; empty with fewer than 50 of them.
 std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, double cell);

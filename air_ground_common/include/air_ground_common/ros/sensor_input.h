@@ -15,13 +15,9 @@
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/imu_combiner.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/text.h"
 
 namespace air_ground_common::ros_utils {
-
-/// A frame as tf2 knows it: recordings of tf's first version have names that begin with a slash.
-inline std::string withoutSlash(const std::string& frame) {
-  return !frame.empty() && frame.front() == '/' ? frame.substr(1) : frame;
-}
 
 /// A camera as its driver describes it.
 struct Calibration {

@@ -1,0 +1,52 @@
+#include "air_ground_common/ros/robot_map_input.h"
+
+#include <ros/console.h>
+
+namespace air_ground_common::ros_utils {
+
+RobotMapInput::RobotMapInput(const std::string& robot, std::size_t streams, RobotMapSession map, NodeHealth& health,
+                             std::function<void()> forget)
+    : robot_(robot), health_(health), map_(std::move(map)), forget_(std::move(forget)), gate_(streams, health, [this] {
+        ROS_WARN_STREAM("the " << robot_ << "'s time jumped back: its map starts afresh");
+        health_.count("time jumps");
+        restart();
+      }) {}
+
+bool RobotMapInput::admit(std::size_t stream, const ros::Time& stamp) {
+  return stamp.isZero() || gate_.admit(stream, stamp);
+}
+
+bool RobotMapInput::admitMap(std::size_t stream, const std_msgs::Header& header, const std::string& what) {
+  if (!map_.knows(header.frame_id)) return isFrame(header.frame_id, map_.expectedFrame(), what);
+  if (!admit(stream, header.stamp)) return false;
+  const RobotMapSession::Verdict verdict = map_.admit(header.frame_id, header.stamp.toSec());
+  if (verdict == RobotMapSession::Verdict::kStale) health_.count(what + " of an earlier map dropped");
+  if (verdict == RobotMapSession::Verdict::kNewMap) forget_();
+  return verdict != RobotMapSession::Verdict::kStale;
+}
+
+bool RobotMapInput::admitStatus(std::size_t stream, const air_ground::VoStatus& msg) {
+  if (!admit(stream, msg.header.stamp)) return false;
+  observe(msg.map_id, msg.header.stamp, false);
+  return true;
+}
+
+void RobotMapInput::observe(std::uint32_t id, const ros::Time& stamp, bool second_hand) {
+  if (!map_.observe(id, stamp.toSec(), second_hand)) return;
+  ROS_WARN_STREAM("the " << robot_ << " has begun map " << id << ": starting afresh");
+  health_.count("new maps of the " + robot_);
+  forget_();
+}
+
+bool RobotMapInput::isFrame(const std::string& frame, const std::string& expected, const std::string& what) const {
+  if (!frame.empty() && withoutSlash(frame) == expected) return true;
+  health_.count(what + " in frame '" + frame + "' dropped: expected '" + expected + "'");
+  return false;
+}
+
+void RobotMapInput::restart() {
+  map_.restart();
+  forget_();
+}
+
+}  // namespace air_ground_common::ros_utils

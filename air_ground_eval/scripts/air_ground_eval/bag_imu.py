@@ -1,0 +1,73 @@
+"""Checks of the messages of an IMU: units, axes, what is measured."""
+import numpy as np
+
+from .bag_finding import ERROR, WARNING, Finding, quoted
+
+FASTEST = 4  # [rad/s]: half of a recording's turn rates beyond this are of no robot whose images can be followed
+REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
+
+
+def unite(gyro, accelerometer):
+    """Gives a gyro's stream the accelerations of an accelerometer's own, where there is one, at its stamps."""
+    if gyro and accelerometer and accelerometer.accel:
+        gyro.accel = np.column_stack([np.interp(gyro.stamps, accelerometer.stamps, column) for column in np.array(accelerometer.accel).T])
+
+
+def check(standard, topic, stream, apart):
+    accel, gyro = np.array(stream.accel), np.array(stream.gyro)
+    result = []
+    refused = [what for what, field in (('turn rates', 'angular_velocity_covariance'), ('accelerations', 'linear_acceleration_covariance'))
+               if stream.samples and getattr(stream.samples[0], field)[0] == -1]
+    if refused and not apart:
+        result.append(Finding(ERROR, f'{topic}: its messages say that {" and ".join(refused)} are not measured (first covariance -1), so no node uses them: '
+                              'take another topic of this IMU, or write 0 (unknown) there'))
+    if not (np.all(np.isfinite(accel)) and np.all(np.isfinite(gyro))):
+        bad = np.count_nonzero(~np.isfinite(accel).all(1) | ~np.isfinite(gyro).all(1))
+        result.append(Finding(WARNING, f'{topic}: {bad} readings are not finite'))
+        finite = np.isfinite(accel).all(1) & np.isfinite(gyro).all(1)
+        accel, gyro = accel[finite], gyro[finite]
+    if len(accel) == 0:
+        return result + [Finding(ERROR, f'{topic}: no finite reading')]
+    norm = np.median(np.linalg.norm(accel, axis=1))
+    if norm == 0:
+        result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
+                              'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
+    elif 0.9 < norm < 1.1:
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed'))
+    elif norm < 2:
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2: gravity was removed; specific force is needed'))
+    elif not 8.5 < norm < 11.5:
+        result.append(Finding(WARNING, f'{topic}: the acceleration is about {norm:.2f} m/s^2, not 9.81'))
+    rate = np.median(np.linalg.norm(gyro, axis=1))
+    if np.max(np.abs(gyro)) > 35 or rate > FASTEST:
+        result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}, their median {rate:.1f}: they seem to be in degrees; rad/s are needed'))
+    elif not gyro.any():
+        robot = 'ground' if standard.startswith('/ground') else 'mav'
+        without = 'ground_imu:=none' if robot == 'ground' else 'mav_use_imu:=false'
+        result.append(Finding(WARNING, f'{topic}: the turn rate is always zero, an accelerometer alone helps no node: replay with {without}', without))
+    return result
+
+
+def gravity_and_start(topic, stream, facts, base):
+    """Whether the mean specific force points up in the body frame, and whether the recording begins at rest."""
+    accel, gyro, stamps = np.array(stream.accel), np.array(stream.gyro), np.array(stream.stamps)
+    finite = np.isfinite(accel).all(1) & np.isfinite(gyro).all(1)
+    accel, gyro, stamps = accel[finite], gyro[finite], stamps[finite]
+    result = []
+    if len(accel) < 20:
+        return result
+    frame = sorted(stream.frames)[0].lstrip('/')
+    T_base_imu = facts.static_transform(base, frame)
+    mean = accel.mean(0)
+    if T_base_imu is not None and frame != base and np.linalg.norm(mean) > 0:
+        up = T_base_imu[:3, :3] @ mean / np.linalg.norm(mean)
+        if up[2] < np.cos(np.radians(45)):
+            sign = ', or it has the sign of gravity (at rest it must be +9.81 along the axis that points up)' if up[2] < -np.cos(np.radians(45)) else ''
+            result.append(Finding(WARNING, f'{topic}: its mean acceleration points along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}) of {base}, which is not up: '
+                                  f'the mounting {base} -> {quoted(stream.frames)} or the order of the axes is wrong (or {base} is not z up){sign}'))
+    first = stamps <= stamps[0] + 1.0
+    bins = ((stamps[first] - stamps[0]) / 0.1).astype(int)
+    means = np.array([gyro[first][bins == b].mean(0) for b in np.unique(bins)])
+    if len(means) > 4 and np.linalg.norm(means.std(0)) > REST:
+        result.append(Finding(WARNING, f'{topic}: the recording begins in motion; gyro bias and gravity are known later than after a second at rest'))
+    return result

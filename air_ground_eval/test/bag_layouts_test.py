@@ -1,0 +1,224 @@
+#!/usr/bin/env python3
+"""check_bag on bags as public data sets and the drivers of others record them: which topic is which, and a clear line about what is wrong."""
+import contextlib
+import importlib.machinery
+import importlib.util
+import io
+import os
+import sys
+import tempfile
+import unittest
+from unittest import mock
+
+import numpy as np
+import rosbag
+import rosunit
+from sensor_msgs.msg import Image
+
+HERE = os.path.dirname(os.path.realpath(__file__))
+SCRIPTS = os.path.join(HERE, '..', 'scripts')
+sys.path.insert(0, SCRIPTS)
+from air_ground_eval import datasets, geometry, messages  # noqa: E402
+
+PICTURE = (np.indices((48, 64)).sum(0) % 16 * 16).astype(np.uint8)
+CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+DEPTH = {'16UC1': np.full((48, 64), 1500, np.uint16), '32FC1': np.full((48, 64), 1.5, np.float32)}
+CHANNELS = {'mono8': 1, 'yuv422_yuy2': 2, 'rgb8': 3, 'bgra8': 4}
+
+
+def image(encoding, stamp, frame, factor=1):
+    pixels = PICTURE.astype(np.uint16) * 16 if encoding == 'mono16' else DEPTH[encoding] * factor if encoding in DEPTH else np.dstack([PICTURE] * CHANNELS[encoding])
+    message = Image(height=48, width=64, encoding=encoding, step=pixels.nbytes // 48, data=pixels.tobytes())
+    message.header.stamp, message.header.frame_id = messages.stamp(stamp), frame
+    return message
+
+
+class Recording:
+    """A bag of 2 s."""
+
+    def __init__(self, path, mountings=()):
+        self.path = path
+        with rosbag.Bag(path, 'w') as bag:
+            if mountings:
+                messages.write_latched(bag, '/tf_static', messages.static_transforms([(p, c, np.eye(4)) for p, c in mountings], 99), 99)
+
+    def add(self, topic, rate, message):
+        with rosbag.Bag(self.path, 'a') as bag:
+            for t in np.arange(100, 102, 1 / rate):
+                bag.write(topic, message(t), messages.stamp(t))
+        return self
+
+    def camera(self, topic, encoding, frame, info=True, model='plumb_bob', distortion=(), size=None, info_frame=None, late=0.0, factor=1):
+        def calibration(t):
+            message = messages.camera_info(CAMERA, t - (late or 0.0), frame if info_frame is None else info_frame)
+            message.distortion_model, message.D = model, list(distortion)
+            message.width, message.height = size or (64, 48)
+            return message
+
+        self.add(topic, 20, lambda t: image(encoding, 0 if late is None else t - late, frame, factor))
+        return self.add(topic.rsplit('/', 1)[0] + '/camera_info', 20, calibration) if info else self
+
+    def imu(self, topic, frame, accel=(0, 0, 9.81), gyro=(0.01, 0, 0.001), measured=True):
+        def sample(t):
+            message = messages.imu(gyro, accel, 1e-6, 1e-4, t, frame)
+            message.angular_velocity_covariance[0] = 1e-6 if measured else -1
+            return message
+
+        return self.add(topic, 200, sample)
+
+    def poses(self, topic):
+        return self.add(topic, 50, lambda t: messages.pose_stamped(geometry.pose(), t, 'world'))
+
+
+def run(program, *arguments):
+    """(status, output)."""
+    path = os.path.join(SCRIPTS, program)
+    loader = importlib.machinery.SourceFileLoader(program, path)
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(program, loader))
+    loader.exec_module(module)
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), mock.patch.object(sys, 'argv', [program, *arguments]):
+        status = module.main()
+    return status, output.getvalue()
+
+
+class BagLayouts(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+
+    def path(self, name='x.bag'):
+        return os.path.join(self.folder.name, name)
+
+    def check(self, *arguments, path=None):
+        status, output = run('check_bag', path or self.path(), *arguments)
+        command = output.strip().splitlines()[-1].split()
+        return status, output, {word.partition(':=')[0]: word.partition(':=')[2] for word in command if ':=' in word}
+
+    def assert_arguments(self, command, **expected):
+        self.assertEqual({name: command.get(name) for name in expected}, expected)
+
+    def depth_camera(self, prefix='/camera', root='camera_link'):
+        """As a RealSense's driver records by default."""
+        eyes = ('color', 'infra1', 'infra2', 'imu')
+        recording = Recording(self.path(), [(root, f'{eye}_frame') for eye in eyes])
+        recording.camera(f'{prefix}/color/image_raw', 'rgb8', 'color_frame').camera(f'{prefix}/aligned_depth_to_color/image_raw', '16UC1', 'color_frame')
+        for eye in ('infra1', 'infra2'):
+            recording.camera(f'{prefix}/{eye}/image_rect_raw', 'mono8', f'{eye}_frame')
+        return recording.imu(f'{prefix}/imu', 'imu_frame')
+
+    def test_the_eyes_of_a_depth_camera_are_no_mav(self):
+        self.depth_camera()
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_image='/camera/color/image_raw', ground_depth='/camera/aligned_depth_to_color/image_raw', ground_imu='/camera/imu',
+                              mav_vo='false', mav_image=None)
+        self.assertIn('--only mav', output)
+        status, output, command = self.check('--only', 'mav')
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_image='/camera/color/image_raw', mav_imu='/camera/imu', rgbd_slam='false', ground_image=None, ground_depth=None)
+
+    def test_of_a_stereo_camera_depth_belongs_to_the_left_eye(self):
+        """As a ZED's and an Azure Kinect's drivers name them."""
+        recording = Recording(self.path(), [('base_link', 'left'), ('base_link', 'right'), ('base_link', 'imu')])
+        for eye in ('left', 'right'):
+            recording.camera(f'/zed/zed_node/{eye}/image_rect_color', 'bgra8', eye)
+        recording.camera('/zed/zed_node/depth/depth_registered', '32FC1', 'left').imu('/zed/zed_node/imu/data', 'imu')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_image='/zed/zed_node/left/image_rect_color', ground_imu='/zed/zed_node/imu/data', ground_depth_registered=None, mav_image=None)
+
+        recording = Recording(self.path(), [('camera_base', 'depth'), ('camera_base', 'rgb'), ('camera_base', 'imu')])
+        recording.camera('/rgb/image_raw', 'bgra8', 'rgb').camera('/depth_to_rgb/image_raw', '16UC1', 'rgb').camera('/depth/image_raw', '16UC1', 'depth')
+        recording.camera('/ir/image_raw', 'mono8', 'depth').imu('/imu', 'imu')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_image='/rgb/image_raw', ground_depth='/depth_to_rgb/image_raw', ground_imu='/imu', mav_image=None)
+
+    def test_a_simulated_helicopter(self):
+        """As rotors: its name says that it flies, a disparity is no depth, ground_truth is no ground robot."""
+        recording = Recording(self.path(), [('firefly/base_link', 'left'), ('firefly/base_link', 'imu')])
+        recording.camera('/firefly/vi_sensor/left/image_raw', 'mono8', 'left').camera('/firefly/vi_sensor/camera_depth/depth/disparity', '32FC1', 'left')
+        recording.camera('/firefly/vi_sensor/right/image_raw', 'mono8', 'right').imu('/firefly/vi_sensor/imu', 'imu').imu('/firefly/ground_truth/imu', 'imu')
+        recording.poses('/firefly/ground_truth/pose')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_image='/firefly/vi_sensor/left/image_raw', mav_imu='/firefly/vi_sensor/imu', mav_truth='/firefly/ground_truth/pose',
+                              ground_depth=None)
+
+    def test_without_transforms_the_imu_is_the_base(self):
+        """As TUM-VI, UZH-FPV and NTU VIRAL: calibration apart; the left eye, the IMU that is not the lidar's."""
+        recording = Recording(self.path())
+        recording.camera('/snappy_cam/stereo_l', 'mono8', 'l', info=False).camera('/snappy_cam/stereo_r', 'mono8', 'r', info=False)
+        recording.imu('/imu/imu', 'imu', accel=(9.0, 0, 3.9)).imu('/os1_cloud_node1/imu', 'os1').poses('/groundtruth/odometry')
+        status, output, command = self.check()
+        self.assertEqual(status, 1)
+        self.assert_arguments(command, mav_image='/snappy_cam/stereo_l', mav_imu='/imu/imu', mav_base_frame='imu', mav_truth='/groundtruth/odometry')
+        self.assertIn('publish_calibration --transform "imu l X Y Z', output)
+        self.assertIn('image:=/snappy_cam/stereo_l camera_info:=/mav/camera/camera_info', output)
+        self.assertEqual(output.count('ERROR'), 2, output)
+
+    def test_an_imu_that_helps_nobody_is_left_out(self):
+        """As TUM RGB-D: the accelerometer of a Kinect, mounted nowhere."""
+        recording = Recording(self.path(), [('kinect', 'openni')])
+        recording.camera('/camera/rgb/image_color', 'rgb8', '/openni').camera('/camera/depth/image', '32FC1', '/openni')
+        recording.imu('/imu', '/imu', gyro=(0, 0, 0))
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_imu='none', ground_image='/camera/rgb/image_color', ground_base_frame='kinect')
+        self.assertEqual(output.splitlines()[-1].count('ground_imu:='), 1)
+
+    def test_of_two_cameras_the_one_that_looks_down(self):
+        recording = Recording(self.path(), [('base_link', frame) for frame in ('front', 'down', 'imu')])
+        recording.camera('/uav1/a_front_camera/image_raw', 'rgb8', 'front').camera('/uav1/down_camera/image_raw', 'mono8', 'down').imu('/uav1/imu', 'imu')
+        self.assert_arguments(self.check()[2], mav_image='/uav1/down_camera/image_raw')
+
+    def found(self, text, level='ERROR', imu=None, recording=None, **camera):
+        if recording is None:
+            recording = Recording(self.path(), [('mav_base_link', 'cam'), ('mav_base_link', 'imu'), ('mav_base_link', 'other')])
+            recording.camera('/mav/camera/image_raw', camera.pop('encoding', 'mono8'), 'cam', **camera).imu('/mav/imu/data', 'imu', **(imu or {}))
+        output = self.check()[1]
+        self.assertTrue(any(line.startswith(level) and text in line for line in output.splitlines()), f'no {level} with "{text}" in\n{output}')
+
+    def test_one_clear_line(self):
+        self.found('set it in the driver', late=None)
+        self.found('two clocks', late=50.0)
+        self.found('in degrees', imu=dict(gyro=(8.0, 5.0, 12.0)))
+        self.found('are not measured', imu=dict(measured=False))
+        self.found('has at most 4', model='equidistant', distortion=[0.1] * 5)
+        self.found('multiplied by 0.5', size=(128, 96))
+        self.found('the nodes go by the latter', level='WARNING', info_frame='other')
+        for name, model in (('OpenCV', 'fisheye'), ('kalibr', 'radtan')):
+            self.found('0 errors', level='0 errors', model=model, distortion=[0.1, 0.01, 0, 0])
+        self.found('0 errors', level='0 errors', encoding='yuv422_yuy2')
+        self.found('use 12 of 16 bits', level='ok', encoding='mono16')
+        ground = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
+        self.found('are these millimetres', recording=ground.camera('/ground/depth/image_raw', '32FC1', 'cam', factor=1000))
+        ground = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
+        self.found('does not connect ground_base_link with eye', recording=ground.camera('/ground/depth/image_raw', '16UC1', 'eye'))
+        os.mkdir(self.path('ros2'))
+        with open(self.path('ros2/metadata.yaml'), 'w', encoding='ascii') as file:
+            file.write('rosbag2_bagfile_information:')
+        self.assertIn('rosbags-convert', self.check(path=self.path('ros2'))[1])
+
+    def test_parts_are_joined_and_stamps_mended(self):
+        first = Recording(self.path('x_0.bag'), [('mav_base_link', 'cam'), ('mav_base_link', 'imu')])
+        first.camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0).imu('/mav/imu/data', 'imu')
+        Recording(self.path('x_1.bag')).camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0).imu('/mav/imu/data', 'imu')
+        self.assertIn('join_bags x_*.bag x.bag', self.check(path=self.path('x_1.bag'))[1])
+        topics = ['--restamp', '/mav/camera/image_raw', '--restamp', '/mav/camera/camera_info']
+        status, output = run('join_bags', self.path('x_0.bag'), self.path('x_1.bag'), self.path('x.bag'), *topics)
+        self.assertEqual(status, 0, output)
+        self.assertIn('/mav/camera/image_raw: stamps shifted by +50.000 s', output)
+        with rosbag.Bag(self.path('x.bag')) as bag:
+            self.assertEqual(bag.get_message_count('/mav/imu/data'), 800)
+            self.assertTrue(all(m.header.stamp == t for _, m, t in bag.read_messages('/mav/camera/image_raw')))
+        Recording(self.path('y.bag'), [('mav_base_link', 'cam')]).camera('/mav/camera/image_raw', 'mono8', 'cam', late=None)
+        self.assertEqual(run('join_bags', self.path('y.bag'), self.path('z.bag'), *topics[:2])[0], 0)
+        with rosbag.Bag(self.path('z.bag')) as bag:
+            self.assertTrue(all(m.header.stamp == t for _, m, t in bag.read_messages('/mav/camera/image_raw')))
+        self.assertEqual(run('join_bags', self.path('y.bag'), self.path('w.bag'), '--restamp', '/other')[0], 1)
+
+
+if __name__ == '__main__':
+    rosunit.unitrun('air_ground', 'bag_layouts_test', BagLayouts)

@@ -1,0 +1,34 @@
+// How high the camera that makes the ground map stands: from its frame and tf.
+#pragma once
+
+#include <ros/ros.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <functional>
+#include <limits>
+#include <string>
+
+namespace icp_refine {
+
+class GroundCamera {
+ public:
+  /// `tell` is called, by the thread that spins, with the greatest z in `map_frame` [m] so far, whenever it grows.
+  GroundCamera(ros::NodeHandle& handle, const std::string& map_frame, std::function<void(double)> tell);
+
+  /// Another ground map begins.
+  void forget();
+
+ private:
+  void onInfo(const sensor_msgs::CameraInfo& msg);
+
+  const std::string map_frame_;
+  std::function<void(double)> tell_;
+  double greatest_ = -std::numeric_limits<double>::infinity();
+  tf2_ros::Buffer tf_;
+  tf2_ros::TransformListener listener_{tf_};
+  ros::Subscriber subscriber_;
+};
+
+}  // namespace icp_refine

@@ -1,0 +1,115 @@
+// The running node where clouds are in a unit of their own, and where it is told how high the ground camera stands.
+#include <sensor_msgs/CameraInfo.h>
+
+#include "node_fixture.h"
+
+namespace icp_refine {
+namespace {
+
+class OwnUnitTest : public NodeTest {
+ protected:
+  OwnUnitTest() {
+    map_scale_ = handle_.advertise<AlignmentEstimate>("mav/map_scale", 5);
+    info_ = handle_.advertise<sensor_msgs::CameraInfo>("ground/rgb/camera_info", 5);
+    tf_static_ = handle_.advertise<tf2_msgs::TFMessage>("/tf_static", 5, true);
+  }
+
+  void SetUp() override {
+    NodeTest::SetUp();
+    ASSERT_TRUE(waitFor([this] {
+      return map_scale_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 && tf_static_.getNumSubscribers() > 0;
+    }));
+  }
+
+  AlignmentEstimate similarityMessage(const Similarity& T, const std::string& frame) const {
+    AlignmentEstimate msg;
+    msg.header.stamp = ros::Time(now_);
+    msg.header.frame_id = frame;
+    msg.child_frame_id = "mav_visual_map";
+    msg.pose.pose = ros_utils::toMsg(poseOf(T));
+    msg.scale = T.scale;
+    msg.scale_stddev = 0.02 * T.scale;
+    msg.status = AlignmentEstimate::STATUS_CONVERGED;
+    return msg;
+  }
+
+  ros::Publisher map_scale_, info_, tf_static_;
+};
+
+// A map in units of 2.5 m, 15 degrees from level; a coarse alignment that is 2.2 % too small and 0.12 m off.
+TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
+  const auto scene = synthetic::makeScene(3);
+  const Similarity T_mav_visual{
+      2.5, Eigen::AngleAxisd(0.26, Eigen::Vector3d(0.6, -0.8, 0)).toRotationMatrix(), {0.3, -0.2, 0.9}};
+  const Cloud visual = transformed(scene.aerial, inverse(T_mav_visual));
+  const Similarity truth = compose(scene.truth, T_mav_visual);
+  const Eigen::Vector3d centre = synthetic::centroid(visual);
+
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  aerial_.publish(cloud(visual, "mav_visual_map"));
+  ASSERT_TRUE(settle());
+  Similarity coarse = compose(similarity(offset(scene)), T_mav_visual);
+  const Eigen::Vector3d at = coarse * centre;
+  coarse.scale *= 1 - 0.022;
+  coarse.t += at - coarse * centre;
+  coarse_.publish(similarityMessage(coarse, "ground_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  const auto estimate = estimates_.back();
+  EXPECT_EQ(estimate.child_frame_id, "mav_visual_map");
+  const Similarity refined = similarity(ros_utils::fromMsg(estimate.pose.pose), estimate.scale);
+  EXPECT_LT((refined * centre - truth * centre).norm(), 0.08);
+  EXPECT_LT(air_ground_common::rotationAngle(refined.R, truth.R), 0.02);
+  EXPECT_GT(estimate.scale_stddev, 0);
+  EXPECT_NEAR(std::log(refined.scale / truth.scale), 0, 0.011);  // two standard deviations: drift of the ground map
+  EXPECT_LT(std::abs(refined.scale - truth.scale), 3 * estimate.scale_stddev);
+
+  // tf is about mav_map: it waits until the odometry says what that is.
+  EXPECT_TRUE(noTransformAfter(now_));
+  map_scale_.publish(similarityMessage(T_mav_visual, "mav_map"));
+  transforms_.clear();
+  ASSERT_TRUE(waitFor([this] { return !transforms_.empty(); }));
+  EXPECT_EQ(transforms_.back().header.frame_id, "ground_map");
+  EXPECT_EQ(transforms_.back().child_frame_id, "mav_map");
+  const Eigen::Vector3d middle = truth * centre;
+  EXPECT_LT((lastTransform() * (T_mav_visual * centre) - middle).norm(), 0.1);
+
+  // Metric again, for the tests to come.
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  ASSERT_TRUE(settle());
+}
+
+// A large table top over floor that the ground robot saw: a contradiction, unless its camera stands lower.
+TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromTf) {
+  auto scene = synthetic::makeScene(1);
+  const Similarity T_mav_ground = inverse(scene.truth);
+  for (double x = -1.2; x < 2.2; x += 0.025) {
+    for (double y = -1.4; y < 1.4; y += 0.025) {
+      const Eigen::Vector3d p_ground_map = scene.T_world_ground_map.inverse() * Eigen::Vector3d(x, y, 0.9);
+      scene.aerial.points.push_back((T_mav_ground * p_ground_map).cast<float>());
+    }
+  }
+  sendScene(scene);
+  ASSERT_TRUE(settle());
+  sendCoarse(scene.T_ground_map_mav_map);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_REJECTED)) << lastReason();
+  EXPECT_NE(lastReason().find("heights contradict"), std::string::npos) << lastReason();
+
+  geometry_msgs::TransformStamped mounting;
+  mounting.header.frame_id = "ground_map";
+  mounting.child_frame_id = "ground_camera_optical_frame";
+  mounting.transform.translation.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, 0.5)).z();
+  mounting.transform.rotation.w = 1;
+  tf2_msgs::TFMessage all;
+  all.transforms.push_back(mounting);
+  tf_static_.publish(all);
+  sensor_msgs::CameraInfo info;
+  info.header.frame_id = "ground_camera_optical_frame";
+  ASSERT_TRUE(waitFor([&] {
+    info_.publish(info);  // tf may need a moment
+    sendCoarse(scene.T_ground_map_mav_map);
+    return !estimates_.empty() && estimates_.back().status == AlignmentEstimate::STATUS_CONVERGED;
+  })) << lastReason();
+}
+
+}  // namespace
+}  // namespace icp_refine
