@@ -10,23 +10,11 @@ namespace heightmap_mcl {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 
-namespace {
-
-std::uint8_t statusMsg(Status status) {
-  switch (status) {
-    case Status::kSearching:
-      return AlignmentEstimate::STATUS_SEARCHING;
-    case Status::kAmbiguous:
-      return AlignmentEstimate::STATUS_AMBIGUOUS;
-    case Status::kDegenerate:
-      return AlignmentEstimate::STATUS_DEGENERATE;
-    case Status::kConverged:
-      return AlignmentEstimate::STATUS_CONVERGED;
-  }
-  return AlignmentEstimate::STATUS_SEARCHING;
-}
-
-}  // namespace
+// One order in both.
+static_assert(static_cast<int>(Status::kSearching) == AlignmentEstimate::STATUS_SEARCHING &&
+              static_cast<int>(Status::kAmbiguous) == AlignmentEstimate::STATUS_AMBIGUOUS &&
+              static_cast<int>(Status::kDegenerate) == AlignmentEstimate::STATUS_DEGENERATE &&
+              static_cast<int>(Status::kConverged) == AlignmentEstimate::STATUS_CONVERGED);
 
 air_ground::HeightMap toMsg(const HeightMap& map, const std_msgs::Header& header, std::uint32_t map_id) {
   air_ground::HeightMap msg;
@@ -77,7 +65,7 @@ AlignmentEstimate toMsg(const Estimate& e, const std_msgs::Header& header, const
   msg.reference_point.x = e.reference_point.x();
   msg.reference_point.y = e.reference_point.y();
   msg.reference_point.z = e.reference_point.z();
-  msg.status = statusMsg(e.status);
+  msg.status = static_cast<std::uint8_t>(e.status);
   msg.stage = AlignmentEstimate::STAGE_COARSE;
   msg.reason = e.reason;
   msg.particle_spread = e.particle_spread;

@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <opengv/relative_pose/CentralRelativeAdapter.hpp>
 #include <opengv/sac/Ransac.hpp>
 #include <opengv/sac_problems/relative_pose/CentralRelativePoseSacProblem.hpp>
 #include <unordered_map>
 
+#include "air_ground_common/statistics.h"
+#include "air_ground_common/text.h"
 #include "visual_frontend/bundle_adjustment.h"
 #include "visual_frontend/pose_solver.h"
 #include "visual_frontend/triangulation.h"
@@ -22,11 +23,7 @@ namespace {
 
 constexpr double kPatience = 0.6;  // of the parallax of the first views, given up at their greatest age [1]
 
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
+using air_ground_common::median;
 
 Eigen::Vector3d ray(const Eigen::Vector2d& normalized) { return normalized.homogeneous().normalized(); }
 
@@ -121,10 +118,8 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
     // Who moves slowly gets there slowly: less is asked of views far apart.
     const double parallax = settings_.min_parallax * (1 - kPatience * (stamp - first.stamp) / settings_.max_age);
     if (median(angles) < parallax) {
-      char text[120];
-      std::snprintf(text, sizeof text, "move the camera sideways: parallax is %.1f of %.1f degrees",
-                    median(angles) * 180 / M_PI, parallax * 180 / M_PI);
-      reason_ = text;
+      reason_ = air_ground_common::formatted("move the camera sideways: parallax is %.1f of %.1f degrees",
+                                             median(angles) * 180 / M_PI, parallax * 180 / M_PI);
       break;
     }
     for (const cv::Mat& level : pyramid) current.pyramid.push_back(level.clone());

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/statistics.h"
 #include "visual_frontend/feature_tracker.h"
 
 namespace mav_vo {
@@ -337,9 +338,7 @@ void GyroAlignment::summarize(const ImuBuffer& imu) {
     count += 3;
   }
   if (errors.empty()) return;
-  const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2);
-  std::nth_element(errors.begin(), middle, errors.end());
-  misfit_ = *middle / kNormalMedian;
+  misfit_ = air_ground_common::median(std::move(errors)) / kNormalMedian;
   // Errors of tracks beside each other are alike (blur, edges, calibration): many are worth as much as a few.
   const double noise = std::max(kMinNoise, misfit_);
   inflation_ = std::max(kTrackCorrelation * noise * noise, scatter / count);

@@ -46,7 +46,6 @@ bool Odometry::Impl::moved(const Keyframe& since) const {
 // would tear the map.
 bool Odometry::Impl::contradicts(const Preintegration& motion, KeyframeId previous, const Keyframe& keyframe) const {
   const double dt = motion.duration();
-  const Eigen::Matrix3d R_imu_camera = T_camera_imu.linear().transpose();
   const InertialState& before = inertial.states.at(previous);
   const Pose T_before = map.keyframe(previous).T_map_camera * T_camera_imu,
              T_after = keyframe.T_map_camera * T_camera_imu;

@@ -1,8 +1,8 @@
 // The odometry before it is sure of itself: gyro bias and gravity, the first views, and why it is not metric yet.
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "air_ground_common/text.h"
 #include "odometry_impl.h"
 
 namespace mav_vo {
@@ -192,22 +192,17 @@ std::string Odometry::Impl::scaleReason() const {
            "camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
   const double stddev = scale.initialized() ? scale.relativeStddev() : scale.startStddev();
   if (!std::isfinite(stddev)) return "metric scale is not known yet: it needs a second of motion";
-  char text[160];
-  std::snprintf(text, sizeof text,
-                "metric scale is not known yet (+- %.0f %%, %.0f %% needed): change speed and direction", 100 * stddev,
-                100 * neededScaleStddev());
-  return text;
+  return air_ground_common::formatted(
+      "metric scale is not known yet (+- %.0f %%, %.0f %% needed): change speed and direction", 100 * stddev,
+      100 * neededScaleStddev());
 }
 
 std::string Odometry::Impl::gyroProblem() const {
   if (!settings.use_imu || gyro_alignment.misfit() < kGyroMisfit) return "";
-  char text[200];
-  std::snprintf(
-      text, sizeof text,
+  return air_ground_common::formatted(
       "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
       "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
       gyro_alignment.misfit());
-  return text;
 }
 
 }  // namespace mav_vo

@@ -2,22 +2,18 @@
 #include <cmath>
 #include <vector>
 
+#include "air_ground_common/statistics.h"
 #include "odometry_impl.h"
 
 namespace mav_vo {
+
+using air_ground_common::quantile;
 
 namespace {
 
 constexpr double kMapTilt = 0.002;        // of the adjusted map as a whole [rad]
 constexpr double kPlaceEvery = 5;         // images between searches for a known place while lost
 constexpr double kMinInlierShare = 0.35;  // of the tracked landmarks; below, the pose is not believed
-
-template <typename T>
-T quantile(std::vector<T>& values, double q) {
-  const auto k = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + k, values.end());
-  return values[static_cast<std::size_t>(k)];
-}
 
 }  // namespace
 

@@ -1,8 +1,8 @@
 #include "mav_vo/standstill_detector.h"
 
-#include <algorithm>
 #include <cmath>
 
+#include "air_ground_common/statistics.h"
 #include "mav_vo/imu_preintegration.h"
 
 namespace mav_vo {
@@ -12,11 +12,7 @@ namespace {
 constexpr std::size_t kMinFeatures = 10;  // a camera that sees nothing knows nothing
 constexpr int kMinSamples = 20;
 
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
+using air_ground_common::median;
 
 }  // namespace
 

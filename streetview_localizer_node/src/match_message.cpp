@@ -9,19 +9,11 @@ using air_ground::StreetviewMatch;
 
 namespace {
 
-std::uint8_t messageStatus(LocalizerStatus status) {
-  switch (status) {
-    case LocalizerStatus::kAccepted:
-      return StreetviewMatch::STATUS_ACCEPTED;
-    case LocalizerStatus::kRefused:
-      return StreetviewMatch::STATUS_REFUSED;
-    case LocalizerStatus::kNoPose:
-      return StreetviewMatch::STATUS_NO_POSE;
-    case LocalizerStatus::kNoMatch:
-      return StreetviewMatch::STATUS_NO_MATCH;
-  }
-  return StreetviewMatch::STATUS_NO_MATCH;
-}
+// One order in both.
+static_assert(static_cast<int>(LocalizerStatus::kAccepted) == StreetviewMatch::STATUS_ACCEPTED &&
+              static_cast<int>(LocalizerStatus::kRefused) == StreetviewMatch::STATUS_REFUSED &&
+              static_cast<int>(LocalizerStatus::kNoPose) == StreetviewMatch::STATUS_NO_POSE &&
+              static_cast<int>(LocalizerStatus::kNoMatch) == StreetviewMatch::STATUS_NO_MATCH);
 
 air_ground::StreetviewPoint pointMessage(const Correspondence& c, int view) {
   air_ground::StreetviewPoint point;
@@ -40,7 +32,7 @@ air_ground::StreetviewPoint pointMessage(const Correspondence& c, int view) {
 
 StreetviewMatch matchMessage(const LocalizerResult& r, const StreetviewDatabase& database) {
   StreetviewMatch msg;
-  msg.status = messageStatus(r.status);
+  msg.status = static_cast<std::uint8_t>(r.status);
   msg.reason = r.reason;
   if (r.panorama >= 0) msg.panorama_id = database.panoramas[static_cast<std::size_t>(r.panorama)].id;
   if (r.view >= 0) msg.view_id = static_cast<std::uint32_t>(r.view);

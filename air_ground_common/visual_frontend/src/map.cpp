@@ -4,6 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "air_ground_common/statistics.h"
+
 namespace visual_frontend {
 
 KeyframeId Map::addKeyframe(Keyframe keyframe) {
@@ -159,8 +161,7 @@ KeyframeId Map::redundantKeyframe(int newest, double distance, double angle) con
   for (const Observation& o : later.observations)
     if (o.landmark != kNoLandmark) depths.push_back((T_camera_map * landmarks_.at(o.landmark).position).z());
   if (depths.empty()) return kNoKeyframe;
-  std::nth_element(depths.begin(), depths.begin() + depths.size() / 2, depths.end());
-  const double near = distance * depths[depths.size() / 2];
+  const double near = distance * air_ground_common::median(std::move(depths));
   for (auto it = keyframes_.begin(); it != candidate; ++it) {
     const Pose& T = it->second.T_map_camera;
     if ((T.translation() - later.T_map_camera.translation()).norm() >= near ||

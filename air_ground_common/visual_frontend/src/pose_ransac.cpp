@@ -4,6 +4,7 @@
 #include <cmath>
 #include <random>
 
+#include "air_ground_common/statistics.h"
 #include "visual_frontend/pose_solver.h"
 
 namespace visual_frontend {
@@ -304,10 +305,7 @@ TranslationDirection translationFromKnownRotation(const std::vector<Eigen::Vecto
   result.t_a_b = best;
   for (std::size_t i = 0; i < n; ++i) result.inliers[i] = constraints.error(i, best) < settings.threshold;
   result.inlier_count = best_count;
-  if (!parallax.empty()) {
-    std::nth_element(parallax.begin(), parallax.begin() + parallax.size() / 2, parallax.end());
-    result.median_parallax = parallax[parallax.size() / 2];
-  }
+  if (!parallax.empty()) result.median_parallax = air_ground_common::median(std::move(parallax));
   result.success = best_count >= settings.min_inliers;
   if (!result.success) result.reason = "only " + std::to_string(best_count) + " inliers of " + std::to_string(n);
   return result;

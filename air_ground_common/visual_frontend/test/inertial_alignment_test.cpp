@@ -1,5 +1,6 @@
 // Gravity, velocity and IMU biases from the metric poses of a camera in motion.
 #include "visual_frontend/inertial_alignment.h"
+#include "air_ground_common/units.h"
 
 #include <gtest/gtest.h>
 
@@ -12,7 +13,7 @@ using air_ground_common::expSO3;
 using air_ground_common::logSO3;
 using air_ground_common::testing::Random;
 
-constexpr double kDegree = M_PI / 180;
+using air_ground_common::kDegree;
 
 /// A robot that never rests: sums of sines for position, heading and sway. The map's z is not up.
 struct Motion {

@@ -5,26 +5,15 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
+#include "air_ground_common/testing/camera.h"
 #include "air_ground_common/testing/random.h"
 #include "visual_frontend/types.h"
 
 namespace visual_frontend::synthetic {
 
 inline CameraModel camera(bool distorted = true) {
-  CameraModel c;
-  c.width = 640;
-  c.height = 480;
-  c.fx = 525;
-  c.fy = 520;
-  c.cx = 318;
-  c.cy = 243;
-  if (distorted) {
-    c.k1 = -0.2;
-    c.k2 = 0.06;
-    c.p1 = 0.001;
-    c.p2 = -0.0007;
-  }
-  return c;
+  const Eigen::Vector4d distortion(-0.2, 0.06, 0.001, -0.0007);
+  return air_ground_common::testing::vgaCamera({525, 520, 318, 243}, (distorted ? 1 : 0) * distortion);
 }
 
 using air_ground_common::testing::Random;

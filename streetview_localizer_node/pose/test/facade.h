@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "air_ground_common/linear_algebra.h"
+#include "air_ground_common/testing/camera.h"
 #include "air_ground_common/testing/random.h"
 #include "streetview_localizer/acceptance.h"
 
@@ -13,20 +14,8 @@ using air_ground_common::testing::Random;
 
 /// Small front camera of a MAV.
 inline CameraModel camera(bool distorted = true) {
-  CameraModel c;
-  c.width = 640;
-  c.height = 480;
-  c.fx = 500;
-  c.fy = 498;
-  c.cx = 321;
-  c.cy = 238;
-  if (distorted) {
-    c.k1 = -0.18;
-    c.k2 = 0.05;
-    c.p1 = 0.0008;
-    c.p2 = -0.0006;
-  }
-  return c;
+  const Eigen::Vector4d distortion(-0.18, 0.05, 0.0008, -0.0006);
+  return air_ground_common::testing::vgaCamera({500, 498, 321, 238}, (distorted ? 1 : 0) * distortion);
 }
 
 /// Facade coordinates: x along the wall, y into the building, z up; the street is at y < 0.
