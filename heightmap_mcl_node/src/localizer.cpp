@@ -22,33 +22,6 @@ std::string format(const char* text, Args... args) {
 
 double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
-/// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells
-/// are charged has no part in it: where the maps end fixes nothing.
-Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const PlanarPose& p,
-                          const CostSettings& settings, const Eigen::Vector3d& step) {
-  std::vector<PlanarPose> poses{p};
-  const auto push = [&](const Eigen::Vector3d& d) { poses.push_back({p.x + d.x(), p.y + d.y(), p.yaw + d.z()}); };
-  for (int i = 0; i < 3; ++i) {
-    for (int sign : {-1, 1}) push(sign * step[i] * Eigen::Vector3d::Unit(i));
-  }
-  for (int i = 0; i < 3; ++i) {
-    const int j = (i + 1) % 3;
-    for (int a : {-1, 1}) {
-      for (int b : {-1, 1}) push(a * step[i] * Eigen::Vector3d::Unit(i) + b * step[j] * Eigen::Vector3d::Unit(j));
-    }
-  }
-  const auto values = cost(cells, poses, settings);
-  const auto c = [&](std::size_t k) { return std::isfinite(values[k].cost) ? values[k].cost : values[0].cost; };
-  Eigen::Matrix3d H;
-  for (int i = 0; i < 3; ++i) {
-    const int j = (i + 1) % 3;
-    H(i, i) = (c(1 + 2 * i) - 2 * c(0) + c(2 + 2 * i)) / (step[i] * step[i]);
-    const std::size_t k = 7 + 4 * i;
-    H(i, j) = H(j, i) = (c(k) - c(k + 1) - c(k + 2) + c(k + 3)) / (4 * step[i] * step[j]);
-  }
-  return H;
-}
-
 }  // namespace
 
 Localizer::Localizer(const LocalizerSettings& settings) : settings_(settings), filter_(settings.filter, settings.seed) {
@@ -221,7 +194,12 @@ void Localizer::updateEstimate() {
   estimate_.mode_spread = std::sqrt(mode.covariance.topLeftCorner<2, 2>().trace() / 2);
   estimate_.mode_spread_yaw = std::sqrt(mode.covariance(2, 2));
 
-  // Everything from here on uses the merged maps about their own centre, where heading and position hardly interact.
+  estimateFromPlaces(mode);
+}
+
+/// The best of all places, its rivals and the verdict on it. Everything here uses the merged maps about their own
+/// centre, where heading and position hardly interact.
+void Localizer::estimateFromPlaces(const ParticleMode& mode) {
   const HeightMap verify_map = lastMaps(settings_.verify);
   const AerialCells cells = aerialCells(verify_map, centerOf(verify_map));
   const CostSettings cost = costFor(verify_map);
@@ -231,46 +209,16 @@ void Localizer::updateEstimate() {
     best = {mean, (*direct_)(cells, mean, cost)};
   }
 
-  // Rivals: the lowest places of the full search that are not this one. Where one fits better than the particles' mode,
-  // it is the estimate, and the particles have yet to follow.
   const CostVolume volume = coarseVolume(verify_map);
-  const auto starts = findLocalMinima(volume, 8, settings_.rival_distance, settings_.rival_angle);
-  std::vector<Candidate> places(starts.size());
-  const double coarse_cell = settings_.coarse_factor * ground_.resolution;
-  const int n = static_cast<int>(starts.size());
-#pragma omp parallel for schedule(dynamic)
-  for (int i = 0; i < n; ++i) {
-    places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
-  }
-  places.push_back(best);
-  places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
-  // Where a position is known, places beyond three standard deviations are no rivals.
-  places.erase(std::remove_if(places.begin(), places.end(),
-                              [&](const Candidate& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
-               places.end());
+  const std::vector<Candidate> places = findPlaces(volume, cells, cost, best);
   if (places.empty()) {
     estimate_.reason = "nothing fits near the initial guess";
     return;
   }
-  const auto same = [&](const Candidate& a, const Candidate& b) {
-    return separation(a.pose, b.pose) < settings_.rival_distance &&
-           std::abs(wrapAngle(a.pose.yaw - b.pose.yaw)) < settings_.rival_angle;
-  };
   best = *std::min_element(places.begin(), places.end(),
                            [](const Candidate& a, const Candidate& b) { return a.zmssd.score < b.zmssd.score; });
-  Candidate rival;
-  estimate_.rival_ratio = kInfinity;
-  estimate_.evidence_lead = evidence(best.zmssd);
-  for (const Candidate& c : places) {
-    if (same(c, best)) continue;
-    estimate_.evidence_lead = std::min(estimate_.evidence_lead, evidence(best.zmssd) - evidence(c.zmssd));
-    const double ratio = rivalRatio(c.zmssd, best.zmssd);
-    if (ratio < estimate_.rival_ratio) {
-      estimate_.rival_ratio = ratio;
-      rival = c;
-    }
-  }
-  const bool particles_agree = same({mean, {}}, best);
+  const Candidate rival = compareWithRivals(best, places);
+  const bool particles_agree = isSame({mean, {}}, best);
 
   estimate_.has_pose = std::isfinite(best.zmssd.cost);
   if (!estimate_.has_pose) {
@@ -295,151 +243,47 @@ void Localizer::updateEstimate() {
   weighed_ = false;
 }
 
-Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
-                                 bool particles_agree) {
-  const LocalizerSettings& s = settings_;
-  Estimate& e = estimate_;
-  e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
-  e.explained = best.zmssd.explained;
-
-  // The flattest direction of the cost, with the heading scaled so that it moves the rim of the map as far as a shift.
-  double radius = 0;
-  for (std::size_t i = 0; i < cells.h.size(); ++i) {
-    radius += static_cast<double>(cells.x[i]) * cells.x[i] + static_cast<double>(cells.y[i]) * cells.y[i];
+/// The lowest places of the full search beside the particles' mode. Where one fits better than that, it is the
+/// estimate, and the particles have yet to follow.
+std::vector<Candidate> Localizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
+                                             const CostSettings& cost, const Candidate& mode) const {
+  const auto starts = findLocalMinima(volume, 8, settings_.rival_distance, settings_.rival_angle);
+  std::vector<Candidate> places(starts.size());
+  const double coarse_cell = settings_.coarse_factor * ground_.resolution;
+  const int n = static_cast<int>(starts.size());
+#pragma omp parallel for schedule(dynamic)
+  for (int i = 0; i < n; ++i) {
+    places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
   }
-  radius = std::max(std::sqrt(radius / static_cast<double>(cells.h.size())), 0.1);
-  const Eigen::Vector3d scale(1, 1, 1 / radius);
-  const Eigen::Matrix3d H = scale.asDiagonal() *
-                            curvature(*direct_, cells, best.pose, cost, 0.5 * s.probe_distance * scale) *
-                            scale.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(H);
-  const Eigen::Vector3d weakest = scale.cwiseProduct(eigen.eigenvectors().col(0)) * s.probe_distance;
-  e.probe_ratio = kInfinity;
-  for (int sign : {-1, 1}) {
-    const PlanarPose p{best.pose.x + sign * weakest.x(), best.pose.y + sign * weakest.y(),
-                       best.pose.yaw + sign * weakest.z()};
-    e.probe_ratio =
-        std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
-  }
-
-  gatherEvidence();
-  if (e.relief < s.min_relief) {
-    e.status = Status::kDegenerate;
-    e.reason = format("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
-  } else if (e.probe_ratio < s.probe_ratio) {
-    e.status = Status::kDegenerate;
-    e.reason = format("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
-                      weakest.y(), weakest.z() / kDegree, e.probe_ratio);
-  } else if (e.rival_ratio < s.ambiguity_ratio) {
-    e.status = Status::kAmbiguous;
-    e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
-                      e.rival_distance, e.rival_ratio);
-  } else if (e.explained < s.min_explained) {
-    e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
-                      100 * s.min_explained);
-  } else if (e.maps < s.min_maps) {
-    e.reason = format("%d of %d aerial maps seen", e.maps, s.min_maps);
-  } else if (e.evidence < s.min_evidence) {
-    e.reason = format("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
-  } else if (!particles_agree) {
-    e.reason = "the particles have not gathered at the best place yet";
-  } else if (e.mode_weight < s.min_mode_weight) {
-    e.reason = format("%.0f %% of the particles are at the best place, %.0f %% are needed", 100 * e.mode_weight,
-                      100 * s.min_mode_weight);
-  } else if (e.mode_spread > s.max_spread || e.mode_spread_yaw > s.max_spread_yaw) {
-    e.reason = format("the particles spread over %.2f m, %.1f deg", e.mode_spread, e.mode_spread_yaw / kDegree);
-  } else {
-    e.status = Status::kConverged;
-    e.reason = format("%d maps; the next best place is %.1f times as bad; overlap %.0f %%", e.maps, e.rival_ratio,
-                      100 * e.overlap);
-  }
-  return weakest;
+  places.push_back(mode);
+  places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
+  // Where a position is known, places beyond three standard deviations are no rivals.
+  places.erase(std::remove_if(places.begin(), places.end(),
+                              [&](const Candidate& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
+               places.end());
+  return places;
 }
 
-void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
-                              const CostSettings& cost, const ParticleMode& mode, const Eigen::Vector3d& flattest) {
-  const LocalizerSettings& s = settings_;
-  Estimate& e = estimate_;
-  const Eigen::Vector2d center = direct_->overlapCenter(cells, best.pose);
-  const Eigen::Isometry3d& T = e.T_ground_mav;
-  // Height of the overlap's middle: the aerial maps' mean, lifted.
-  e.reference_point = {center.x(), center.y(), cells.mean_height + best.zmssd.dz};
-  if (e.status == Status::kSearching) return;  // the covariance of not knowing, as it was set up
+bool Localizer::isSame(const Candidate& a, const Candidate& b) const {
+  return separation(a.pose, b.pose) < settings_.rival_distance &&
+         std::abs(wrapAngle(a.pose.yaw - b.pose.yaw)) < settings_.rival_angle;
+}
 
-  // Residuals of variance 2C, one independent in cells_per_independent: -log p = n C(u) / (2 C_min), so that the
-  // information is n / (2 C_min) times the curvature of the cost.
-  const double independent = std::max(best.zmssd.overlap / s.cells_per_independent, 1.0);
-  const double residual_variance = 2 * (best.zmssd.cost + s.noise_cost);
-  const Eigen::Vector2d center_mav = (T.inverse() * e.reference_point).head<2>();
-  const PlanarPose at_center = changeReference(best.pose, cells.reference, center_mav);
-  AerialCells about_center = cells;
-  about_center.reference = center_mav;
-  const Eigen::Vector2d shift = center_mav - cells.reference;
-  for (std::size_t i = 0; i < cells.h.size(); ++i) {
-    about_center.x[i] -= static_cast<float>(shift.x());
-    about_center.y[i] -= static_cast<float>(shift.y());
+/// Sets rival_ratio and evidence_lead; returns the best rival, without a finite cost where there is none.
+Candidate Localizer::compareWithRivals(const Candidate& best, const std::vector<Candidate>& places) {
+  Candidate rival;
+  estimate_.rival_ratio = kInfinity;
+  estimate_.evidence_lead = evidence(best.zmssd);
+  for (const Candidate& c : places) {
+    if (isSame(c, best)) continue;
+    estimate_.evidence_lead = std::min(estimate_.evidence_lead, evidence(best.zmssd) - evidence(c.zmssd));
+    const double ratio = rivalRatio(c.zmssd, best.zmssd);
+    if (ratio < estimate_.rival_ratio) {
+      estimate_.rival_ratio = ratio;
+      rival = c;
+    }
   }
-  const Eigen::Matrix3d H =
-      curvature(*direct_, about_center, at_center, cost, {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
-  // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has
-  // excluded more, else all that the ground map leaves open.
-  const bool degenerate = e.status == Status::kDegenerate;
-  const double extent = std::max(ground_.width, ground_.height) * ground_.resolution;
-  const Eigen::Vector3d limit = degenerate ? Eigen::Vector3d(extent, extent, M_PI)
-                                           : Eigen::Vector3d(s.rival_distance, s.rival_distance, s.rival_angle);
-  Eigen::Matrix3d information = H * independent / residual_variance;
-  // The curvature of a flat floor is that of its noise.
-  if (e.relief < s.min_relief) information.setZero();
-  information = 0.5 * (information + information.transpose()).eval();
-  const Eigen::Matrix3d scaled = limit.asDiagonal() * information * limit.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scaled);
-  const Eigen::Vector3d variances = eigen.eigenvalues().cwiseMax(0.0).unaryExpr([](double v) { return 1 / (1 + v); });
-  Eigen::Matrix3d planar = limit.asDiagonal() *
-                           (eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose()) *
-                           limit.asDiagonal();
-
-  const auto carriedBy = [](const Eigen::Vector2d& lever) {
-    Eigen::Matrix3d carry = Eigen::Matrix3d::Identity();
-    carry(0, 2) = -lever.y();
-    carry(1, 2) = lever.x();
-    return carry;
-  };
-  if (degenerate) {
-    // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
-    const double reach =
-        std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
-    const Eigen::Vector3d open = reach * (carriedBy(center - Eigen::Vector2d(best.pose.x, best.pose.y)) * flattest);
-    planar += open * open.transpose();
-  }
-
-  // The particles' own scatter, carried from the MAV to the centre of the overlap.
-  const Eigen::Vector2d lever =
-      center - Eigen::Vector2d(changeReference(best.pose, cells.reference, filter_.reference()).x,
-                               changeReference(best.pose, cells.reference, filter_.reference()).y);
-  const Eigen::Matrix3d carry = carriedBy(lever);
-  const Eigen::Matrix3d particles = carry * mode.covariance * carry.transpose();
-
-  e.covariance.setZero();
-  const int index[3] = {0, 1, 5};
-  const bool sharp = mode.weight > 0.9;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) e.covariance(index[i], index[j]) = planar(i, j) + (sharp ? 0.0 : particles(i, j));
-  }
-  e.covariance(0, 0) += s.floor_position * s.floor_position;
-  e.covariance(1, 1) += s.floor_position * s.floor_position;
-  e.covariance(2, 2) = s.floor_z * s.floor_z + residual_variance / independent;
-  e.covariance(3, 3) = e.covariance(4, 4) = 2 * s.gravity_sigma * s.gravity_sigma;
-  e.covariance(5, 5) += s.floor_yaw * s.floor_yaw;
-  if (e.status == Status::kAmbiguous) {
-    // The truth may as well be over there.
-    const PlanarPose there = changeReference(rival.pose, cells.reference, center_mav);
-    air_ground_common::Vector6d way = air_ground_common::Vector6d::Zero();
-    way[0] = there.x - at_center.x;
-    way[1] = there.y - at_center.y;
-    way[2] = rival.zmssd.dz - best.zmssd.dz;
-    way[5] = wrapAngle(there.yaw - at_center.yaw);
-    e.covariance += way * way.transpose();
-  }
+  return rival;
 }
 
 CostMap Localizer::costMap(Eigen::Vector2d* pivot) {

@@ -412,11 +412,11 @@ void Localizer::searchScales() {
         curvature = bend;
       }
     }
-    scale_evidence_ = kInfinity;
+    // Without another peak the alternative is that nothing fits: evidence 0, that of unrelated heights.
+    scale_evidence_ = std::max(0.0, best.evidence);
     for (const ScaleTrial& other : refined)
       if (std::abs(std::log(other.scale / best.scale)) > kStep)
         scale_evidence_ = std::min(scale_evidence_, best.evidence - other.evidence);
-    // What the rest of the grid leaves open besides, none of it refined.
   }
   if (!std::isfinite(best.evidence)) return;
   settleScale(&best, &curvature);

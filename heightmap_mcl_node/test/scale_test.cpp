@@ -128,6 +128,20 @@ TEST(OwnUnit, AnotherWorldIsNotVerified) {
   }
 }
 
+// One scale alone is tried: that it has no rival says nothing for it, in a world where the MAV is not.
+TEST(OwnUnit, AScaleWithoutRivalHasNoMoreEvidenceThanItsFit) {
+  synthetic::Options options;
+  options.aerial_clouds = 2;
+  options.other_world = true;
+  options.seed = 641;
+  LocalizerSettings settings;
+  settings.scale_min = 0.99;
+  settings.scale_max = 1.01;
+  const Result r = play(synthetic::makeRun(options), {}, settings);
+  EXPECT_TRUE(std::isfinite(r.estimate.scale_evidence));
+  EXPECT_LT(r.first_converged, 0);
+}
+
 TEST(OwnUnit, AFlatFloorHasNoScale) {
   synthetic::Options options;
   options.world = synthetic::World::kFlatFloor;

@@ -106,7 +106,8 @@ struct Estimate {
   double scale = 1;
   double scale_stddev = 0;                                ///< of it; 0 where the clouds are metric
   Eigen::Matrix3d R_level = Eigen::Matrix3d::Identity();  ///< turns their dominant floor level
-  /// Logarithm of how much likelier the scale is than the best one elsewhere; infinite where the clouds are metric.
+  /// Logarithm of how much likelier the scale is than the best one elsewhere, or than that nothing fits; infinite where
+  /// the clouds are metric.
   double scale_evidence = std::numeric_limits<double>::infinity();
   air_ground_common::Pose similarityPose() const;  ///< T_ground_mav * R_level: p_ground = scale * R p + t
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
@@ -222,8 +223,14 @@ class Localizer {
   Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }
   /// The estimate of Mode::kPaper.
   void estimateFromParticles();
-  /// Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad]) of the cells'
-  /// reference.
+  /// The best place of the whole search.
+  void estimateFromPlaces(const ParticleMode& mode);
+  std::vector<Candidate> findPlaces(const CostVolume& volume, const AerialCells& cells, const CostSettings& cost,
+                                    const Candidate& mode) const;
+  bool isSame(const Candidate& a, const Candidate& b) const;
+  Candidate compareWithRivals(const Candidate& best, const std::vector<Candidate>& places);
+  /// verdict.cpp. Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad])
+  /// of the cells' reference.
   Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
   /// Adds a new map's lead.

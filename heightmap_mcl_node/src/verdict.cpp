@@ -1,0 +1,203 @@
+// The verdict on the best place: what the heights fix there, and how surely.
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "heightmap_mcl/localizer.h"
+
+namespace heightmap_mcl {
+namespace {
+
+using air_ground_common::Vector6d;
+using air_ground_common::wrapAngle;
+constexpr double kDegree = M_PI / 180;
+
+template <typename... Args>
+std::string format(const char* text, Args... args) {
+  char buffer[256];
+  std::snprintf(buffer, sizeof(buffer), text, args...);
+  return buffer;
+}
+
+/// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells
+/// are charged has no part in it: where the maps end fixes nothing.
+Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const PlanarPose& p,
+                          const CostSettings& settings, const Eigen::Vector3d& step) {
+  std::vector<PlanarPose> poses{p};
+  const auto push = [&](const Eigen::Vector3d& d) { poses.push_back({p.x + d.x(), p.y + d.y(), p.yaw + d.z()}); };
+  for (int i = 0; i < 3; ++i) {
+    for (int sign : {-1, 1}) push(sign * step[i] * Eigen::Vector3d::Unit(i));
+  }
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3;
+    for (int a : {-1, 1}) {
+      for (int b : {-1, 1}) push(a * step[i] * Eigen::Vector3d::Unit(i) + b * step[j] * Eigen::Vector3d::Unit(j));
+    }
+  }
+  const auto values = cost(cells, poses, settings);
+  const auto c = [&](std::size_t k) { return std::isfinite(values[k].cost) ? values[k].cost : values[0].cost; };
+  Eigen::Matrix3d H;
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3;
+    H(i, i) = (c(1 + 2 * i) - 2 * c(0) + c(2 + 2 * i)) / (step[i] * step[i]);
+    const std::size_t k = 7 + 4 * i;
+    H(i, j) = H(j, i) = (c(k) - c(k + 1) - c(k + 2) + c(k + 3)) / (4 * step[i] * step[j]);
+  }
+  return H;
+}
+
+/// The cells about another reference.
+AerialCells about(AerialCells cells, const Eigen::Vector2d& reference) {
+  const Eigen::Vector2d shift = reference - cells.reference;
+  cells.reference = reference;
+  for (std::size_t i = 0; i < cells.h.size(); ++i) {
+    cells.x[i] -= static_cast<float>(shift.x());
+    cells.y[i] -= static_cast<float>(shift.y());
+  }
+  return cells;
+}
+
+/// Covariance of (x, y, yaw) with `limit` as deviation along what the information leaves open.
+Eigen::Matrix3d boundedInverse(const Eigen::Matrix3d& information, const Eigen::Vector3d& limit) {
+  const Eigen::Matrix3d symmetric = 0.5 * (information + information.transpose());
+  const Eigen::Matrix3d scaled = limit.asDiagonal() * symmetric * limit.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scaled);
+  const Eigen::Vector3d variances = eigen.eigenvalues().cwiseMax(0.0).unaryExpr([](double v) { return 1 / (1 + v); });
+  return limit.asDiagonal() * (eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose()) *
+         limit.asDiagonal();
+}
+
+/// Carries an error of (x, y, yaw) over a lever [m].
+Eigen::Matrix3d carriedBy(const Eigen::Vector2d& lever) {
+  Eigen::Matrix3d carry = Eigen::Matrix3d::Identity();
+  carry(0, 2) = -lever.y();
+  carry(1, 2) = lever.x();
+  return carry;
+}
+
+}  // namespace
+
+Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
+                                 bool particles_agree) {
+  const LocalizerSettings& s = settings_;
+  Estimate& e = estimate_;
+  e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
+  e.explained = best.zmssd.explained;
+
+  // The flattest direction of the cost, with the heading scaled so that it moves the rim of the map as far as a shift.
+  double radius = 0;
+  for (std::size_t i = 0; i < cells.h.size(); ++i) {
+    radius += static_cast<double>(cells.x[i]) * cells.x[i] + static_cast<double>(cells.y[i]) * cells.y[i];
+  }
+  radius = std::max(std::sqrt(radius / static_cast<double>(cells.h.size())), 0.1);
+  const Eigen::Vector3d scale(1, 1, 1 / radius);
+  const Eigen::Matrix3d H = scale.asDiagonal() *
+                            curvature(*direct_, cells, best.pose, cost, 0.5 * s.probe_distance * scale) *
+                            scale.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(H);
+  const Eigen::Vector3d weakest = scale.cwiseProduct(eigen.eigenvectors().col(0)) * s.probe_distance;
+  e.probe_ratio = kInfinity;
+  for (int sign : {-1, 1}) {
+    const PlanarPose p{best.pose.x + sign * weakest.x(), best.pose.y + sign * weakest.y(),
+                       best.pose.yaw + sign * weakest.z()};
+    e.probe_ratio =
+        std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
+  }
+
+  gatherEvidence();
+  if (e.relief < s.min_relief) {
+    e.status = Status::kDegenerate;
+    e.reason = format("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
+  } else if (e.probe_ratio < s.probe_ratio) {
+    e.status = Status::kDegenerate;
+    e.reason = format("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
+                      weakest.y(), weakest.z() / kDegree, e.probe_ratio);
+  } else if (e.rival_ratio < s.ambiguity_ratio) {
+    e.status = Status::kAmbiguous;
+    e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
+                      e.rival_distance, e.rival_ratio);
+  } else if (e.explained < s.min_explained) {
+    e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
+                      100 * s.min_explained);
+  } else if (e.maps < s.min_maps) {
+    e.reason = format("%d of %d aerial maps seen", e.maps, s.min_maps);
+  } else if (e.evidence < s.min_evidence) {
+    e.reason = format("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
+  } else if (!particles_agree) {
+    e.reason = "the particles have not gathered at the best place yet";
+  } else if (e.mode_weight < s.min_mode_weight) {
+    e.reason = format("%.0f %% of the particles are at the best place, %.0f %% are needed", 100 * e.mode_weight,
+                      100 * s.min_mode_weight);
+  } else if (e.mode_spread > s.max_spread || e.mode_spread_yaw > s.max_spread_yaw) {
+    e.reason = format("the particles spread over %.2f m, %.1f deg", e.mode_spread, e.mode_spread_yaw / kDegree);
+  } else {
+    e.status = Status::kConverged;
+    e.reason = format("%d maps; the next best place is %.1f times as bad; overlap %.0f %%", e.maps, e.rival_ratio,
+                      100 * e.overlap);
+  }
+  return weakest;
+}
+
+void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
+                              const CostSettings& cost, const ParticleMode& mode, const Eigen::Vector3d& flattest) {
+  const LocalizerSettings& s = settings_;
+  Estimate& e = estimate_;
+  const Eigen::Vector2d center = direct_->overlapCenter(cells, best.pose);
+  // Height of the overlap's middle: the aerial maps' mean, lifted.
+  e.reference_point = {center.x(), center.y(), cells.mean_height + best.zmssd.dz};
+  if (e.status == Status::kSearching) return;  // the covariance of not knowing, as it was set up
+
+  // Residuals of variance 2C, one independent in cells_per_independent: -log p = n C(u) / (2 C_min), so that the
+  // information is n / (2 C_min) times the curvature of the cost.
+  const double independent = std::max(best.zmssd.overlap / s.cells_per_independent, 1.0);
+  const double residual_variance = 2 * (best.zmssd.cost + s.noise_cost);
+  const Eigen::Vector2d center_mav = (e.T_ground_mav.inverse() * e.reference_point).head<2>();
+  const PlanarPose at_center = changeReference(best.pose, cells.reference, center_mav);
+  const Eigen::Matrix3d H = curvature(*direct_, about(cells, center_mav), at_center, cost,
+                                      {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
+  // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has
+  // excluded more, else all that the ground map leaves open.
+  const bool degenerate = e.status == Status::kDegenerate;
+  const double extent = std::max(ground_.width, ground_.height) * ground_.resolution;
+  const Eigen::Vector3d limit = degenerate ? Eigen::Vector3d(extent, extent, M_PI)
+                                           : Eigen::Vector3d(s.rival_distance, s.rival_distance, s.rival_angle);
+  Eigen::Matrix3d information = H * independent / residual_variance;
+  // The curvature of a flat floor is that of its noise.
+  if (e.relief < s.min_relief) information.setZero();
+  Eigen::Matrix3d planar = boundedInverse(information, limit);
+  if (degenerate) {
+    // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
+    const double reach =
+        std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
+    const Eigen::Vector3d open = reach * (carriedBy(center - Eigen::Vector2d(best.pose.x, best.pose.y)) * flattest);
+    planar += open * open.transpose();
+  }
+
+  // The particles' own scatter, carried from the MAV to the centre of the overlap.
+  const PlanarPose mav = changeReference(best.pose, cells.reference, filter_.reference());
+  const Eigen::Matrix3d carry = carriedBy(center - Eigen::Vector2d(mav.x, mav.y));
+  const Eigen::Matrix3d particles = carry * mode.covariance * carry.transpose();
+
+  e.covariance.setZero();
+  const int index[3] = {0, 1, 5};
+  const bool sharp = mode.weight > 0.9;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) e.covariance(index[i], index[j]) = planar(i, j) + (sharp ? 0.0 : particles(i, j));
+  }
+  e.covariance(0, 0) += s.floor_position * s.floor_position;
+  e.covariance(1, 1) += s.floor_position * s.floor_position;
+  e.covariance(2, 2) = s.floor_z * s.floor_z + residual_variance / independent;
+  e.covariance(3, 3) = e.covariance(4, 4) = 2 * s.gravity_sigma * s.gravity_sigma;
+  e.covariance(5, 5) += s.floor_yaw * s.floor_yaw;
+  if (e.status == Status::kAmbiguous) {
+    // The truth may as well be over there.
+    const PlanarPose there = changeReference(rival.pose, cells.reference, center_mav);
+    Vector6d way = Vector6d::Zero();
+    way << there.x - at_center.x, there.y - at_center.y, rival.zmssd.dz - best.zmssd.dz, 0, 0,
+        wrapAngle(there.yaw - at_center.yaw);
+    e.covariance += way * way.transpose();
+  }
+}
+
+}  // namespace heightmap_mcl
