@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <boost/make_shared.hpp>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -10,6 +11,7 @@
 
 #include "air_ground_common/encoded_image.h"
 #include "air_ground_common/ros/compressed_image.h"
+#include "air_ground_common/ros/pixel_range.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -125,7 +127,9 @@ TEST(Conversions, BigEndianPixelsOf16BitsAreRead) {
 TEST(Conversions, PixelsAsCamerasSendThemBecomeGrey) {
   const std::uint16_t high = 200 * 257;
   const std::vector<std::pair<std::string, cv::Mat>> images = {
-      {"yuv422", cv::Mat(4, 6, CV_8UC2, cv::Scalar(128, 200))},  // U Y V Y
+      {"yuv422", cv::Mat(4, 6, CV_8UC2, cv::Scalar(128, 200))},       // U Y V Y
+      {"yuv422_yuy2", cv::Mat(4, 6, CV_8UC2, cv::Scalar(200, 128))},  // Y U Y V
+      {"16UC1", cv::Mat(4, 6, CV_16UC1, cv::Scalar(high))},
       {"bayer_rggb8", cv::Mat(4, 6, CV_8UC1, cv::Scalar(200))},
       {"bayer_grbg16", cv::Mat(4, 6, CV_16UC1, cv::Scalar(high))},
       {"mono16", cv::Mat(4, 6, CV_16UC1, cv::Scalar(high))},
@@ -137,6 +141,29 @@ TEST(Conversions, PixelsAsCamerasSendThemBecomeGrey) {
     ASSERT_EQ(grey.size(), pixels.size()) << encoding;
     EXPECT_NEAR(grey.at<std::uint8_t>(2, 3), 200, 16) << encoding;  // video range of yuv422: 16 to 235
   }
+}
+
+TEST(Conversions, ACameraOfTwelveBitsIsAsBrightAsOneOfEight) {
+  PixelRange range;
+  const auto grey = [&](int brightest, int centre, const std::string& encoding = "mono16", bool big_endian = false) {
+    cv::Mat pixels(4, 6, CV_16UC1, cv::Scalar(centre));
+    pixels.at<std::uint16_t>(0, 0) = static_cast<std::uint16_t>(brightest);
+    sensor_msgs::Image msg = toMsg(pixels, encoding, std_msgs::Header());
+    msg.is_bigendian = big_endian;
+    if (big_endian)
+      for (std::size_t i = 1; i < msg.data.size(); i += 2) std::swap(msg.data[i - 1], msg.data[i]);
+    const cv::Mat image = greyFromMsg(*range.full(boost::make_shared<sensor_msgs::Image>(msg)));
+    return static_cast<int>(image.at<std::uint8_t>(2, 3));
+  };
+  EXPECT_NEAR(grey(4000, 2048), 128, 1);
+  EXPECT_NEAR(grey(900, 512), 32, 1) << "a darker image of the same camera stays darker";
+  EXPECT_NEAR(grey(4000, 2048, "mono16", true), 128, 1);
+  EXPECT_NEAR(grey(4000, 2048, "bayer_rggb16"), 128, 1);
+  EXPECT_NEAR(grey(16000, 8192), 128, 1) << "14 bits after all";
+  EXPECT_NEAR(grey(60000, 200 * 257), 200, 1);
+  EXPECT_NEAR(grey(4000, 200 * 16), 12, 1) << "16 bits: as it stands";
+  const sensor_msgs::Image eight = toMsg(cv::Mat(4, 6, CV_8UC1, cv::Scalar(3)), "mono8", std_msgs::Header());
+  EXPECT_EQ(greyFromMsg(*PixelRange().full(boost::make_shared<sensor_msgs::Image>(eight))).at<std::uint8_t>(2, 3), 3);
 }
 
 TEST(Conversions, ImagesWhoseSizeIsALieAreRefused) {

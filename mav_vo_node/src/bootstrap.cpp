@@ -136,6 +136,8 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
 
 /// Two views, or three, while they are made a map: the first camera is fixed, the baseline is one.
 struct Bootstrap::Attempt {
+  Attempt(const BootstrapView& first_, const BootstrapView& last_) : first(first_), last(last_) {}
+
   const BootstrapView &first, &last;
   const BootstrapView* middle = nullptr;
   std::optional<GyroRotation> turn;  ///< between first and last
@@ -298,7 +300,7 @@ std::optional<BootstrapResult> Bootstrap::adjust(Attempt* a) {
 
 std::optional<BootstrapResult> Bootstrap::attempt(const BootstrapView& first, const BootstrapView& last,
                                                   const GyroRotations& gyro, const std::optional<GyroRotation>& turn) {
-  Attempt a{first, last};
+  Attempt a(first, last);
   a.turn = turn;
   a.gyro_sigma = turn ? std::hypot(settings_.gyro_sigma, turn->sigma) : 0;
   a.sigma = settings_.pixel_sigma / (0.5 * (camera_.fx + camera_.fy));

@@ -17,12 +17,14 @@
 #include <iostream>
 #include <limits>
 #include <map>
+#include <memory>
 #include <numeric>
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/image_input.h"
+#include "air_ground_common/ros/pixel_range.h"
 #include "air_ground_common/trajectory.h"
 #include "euroc_folder.h"
 #include "mav_vo/odometry.h"
@@ -196,12 +198,14 @@ std::string imageTopic(const rosbag::Bag& bag, const std::string& image) {
 }
 
 /// One message, its stamp later by `shift` [s].
-void runMessage(const rosbag::MessageInstance& m, double shift, OfflineRun& run) {
+void runMessage(const rosbag::MessageInstance& m, double shift, const std::shared_ptr<ros_utils::PixelRange>& range,
+                OfflineRun& run) {
   if (const auto image = m.instantiate<sensor_msgs::Image>())
-    run.addImage(image->header.stamp.toSec() + shift, [image] { return ros_utils::greyFromMsg(*image); });
+    run.addImage(image->header.stamp.toSec() + shift,
+                 [image, range] { return ros_utils::greyFromMsg(*range->full(image)); });
   if (const auto image = m.instantiate<sensor_msgs::CompressedImage>())
     run.addImage(image->header.stamp.toSec() + shift,
-                 [image] { return ros_utils::greyFromMsg(*ros_utils::decompressed(*image)); });
+                 [image, range] { return ros_utils::greyFromMsg(*range->full(ros_utils::decompressed(*image))); });
   if (const auto imu = m.instantiate<sensor_msgs::Imu>()) {
     mav_vo::ImuSample sample;
     sample.stamp = imu->header.stamp.toSec() + shift;
@@ -221,6 +225,7 @@ void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double d
   const ros::Time begin = all.getBeginTime() + ros::Duration(start);
   const ros::Time end = duration > 0 ? begin + ros::Duration(duration) : all.getEndTime();
   const auto played = std::chrono::steady_clock::now();
+  const auto range = std::make_shared<ros_utils::PixelRange>();
   double late = 0;
   for (int round = 0; round < rounds; ++round) {
     const double shift = round * ((end - begin).toSec() + kBetweenRounds);
@@ -232,7 +237,7 @@ void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double d
         late = std::max(late, behind.count());
         std::this_thread::sleep_for(-behind);
       }
-      runMessage(m, shift, run);
+      runMessage(m, shift, range, run);
     }
   }
   if (live) std::printf("live: at most %.2f s behind the bag\n", late);

@@ -45,7 +45,7 @@ Pose CameraMotion::predict(double last_stamp, const Pose& T_map_last, double sta
   Pose T = T_map_last;
   const double dt = stamp - last_stamp;
   *from_gyro = false;
-  if (hasImu()) {
+  if (gyroTrusted()) {
     if (const auto R = imu_.integrateRotation(last_stamp, stamp, gyro_bias_)) {
       T.linear() = T.linear() * (R_camera_imu_ * *R * R_camera_imu_.transpose());
       *from_gyro = true;
@@ -56,11 +56,27 @@ Pose CameraMotion::predict(double last_stamp, const Pose& T_map_last, double sta
   return T;
 }
 
+std::optional<Eigen::Vector3d> CameraMotion::feltTurn(double from, double to) const {
+  if (!hasImu()) return std::nullopt;
+  const auto R = imu_.integrateRotation(from, to, Eigen::Vector3d::Zero());
+  if (!R) return std::nullopt;
+  return Eigen::Vector3d(*mounting_.R_base_imu * logSO3(Eigen::Matrix3d(*R)));
+}
+
+void CameraMotion::trustGyro(bool trusted) {
+  if (trusted == gyro_trusted_) return;
+  gyro_trusted_ = trusted;
+  inertial_.newMap();
+  inertial_.setGyroBias(Eigen::Vector3d::Zero(), initial_gyro_bias_);
+  gyro_bias_.setZero();
+  gyro_bias_sigma_ = initial_gyro_bias_;
+}
+
 void CameraMotion::setRowMotion(double stamp, const Pose& T_map_camera) {
   if (!rows_.active()) return;
   Eigen::Vector3d rate = turn_rate_, v_map = velocity_;
   const double half = std::max(0.5 * std::abs(readout_time_), 0.01);
-  if (hasImu()) {
+  if (gyroTrusted()) {
     const auto mean = imu_.mean(stamp - half, stamp + half);
     if (mean.count > 0) rate = R_camera_imu_ * (mean.angular_velocity - gyro_bias_);
     if (const auto v = inertial_.cameraVelocity(stamp, imu_)) v_map = *v;
@@ -92,7 +108,7 @@ void CameraMotion::startMap() {
 }
 
 void CameraMotion::addPose(double stamp, const Pose& T_map_camera, const Matrix6d& covariance) {
-  if (!hasImu()) return;
+  if (!gyroTrusted()) return;
   // Landmarks err together, as in the covariance of the keyframes; calibration and rows of the image add to it.
   Matrix6d with_floor = 9 * covariance;
   with_floor.diagonal().head<3>().array() += 0.001 * 0.001;
@@ -107,7 +123,7 @@ void CameraMotion::addPose(double stamp, const Pose& T_map_camera, const Matrix6
 }
 
 std::optional<visual_frontend::InertialEstimate> CameraMotion::estimate() const {
-  return hasImu() ? inertial_.estimate() : std::nullopt;
+  return gyroTrusted() ? inertial_.estimate() : std::nullopt;
 }
 
 void CameraMotion::endMap() {
@@ -121,6 +137,7 @@ void CameraMotion::reset() {
   imu_.clear();
   attitude_.reset();
   inertial_.reset();
+  gyro_trusted_ = true;
   gyro_bias_.setZero();
   gyro_bias_sigma_ = initial_gyro_bias_;
 }

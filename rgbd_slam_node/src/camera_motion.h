@@ -12,12 +12,17 @@ class CameraMotion {
   CameraMotion(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings);
 
   bool hasImu() const { return mounting_.R_base_imu.has_value(); }
+  bool gyroTrusted() const { return hasImu() && gyro_trusted_; }
   bool addImu(visual_frontend::ImuSample sample);
 
   /// Pose at `stamp` after the last one known; `from_gyro`: the gyro tells its rotation.
   Pose predict(double last_stamp, const Pose& T_map_last, double stamp, bool* from_gyro) const;
   /// Standard deviation of that rotation by the gyro's bias [rad].
   double rotationSigma(double dt) const { return gyro_bias_sigma_ * dt; }
+  /// How the gyro felt the base turn between two stamps: rotation vector in the base [rad]. None without its samples.
+  std::optional<Eigen::Vector3d> feltTurn(double from, double to) const;
+  /// False: the gyro contradicts the images, and nothing is taken from it any more.
+  void trustGyro(bool trusted);
   /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
   void setRowMotion(double stamp, const Pose& T_map_camera);
   const visual_frontend::RollingShutter& rows() const { return rows_; }
@@ -50,6 +55,7 @@ class CameraMotion {
   visual_frontend::RollingShutter rows_;  ///< with the motion during the present frame
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
   double gyro_bias_sigma_;
+  bool gyro_trusted_ = true;
   Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
   Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
 };

@@ -14,7 +14,6 @@
 #include "cloud_publisher.h"
 #include "depth_input.h"
 #include "node_parameters.h"
-#include "rgbd_slam/rotation_check.h"
 
 namespace rgbd_slam {
 namespace {
@@ -78,8 +77,6 @@ class RgbdSlamNode : private ros_utils::Estimator {
       mounting.p_base_imu = T_base_imu->translation();
     }
     slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
-    R_base_imu_ = T_base_imu.value_or(Pose::Identity()).linear();
-    turns_.reset();
     depth_.setColourCamera(camera, T_base_camera);
   }
 
@@ -93,11 +90,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
 
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
-    if (!slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force})) return false;
-    felt_ +=
-        std::max(0.0, std::min(sample.stamp - last_sample_, kLongestSample)) * (R_base_imu_ * sample.angular_velocity);
-    last_sample_ = sample.stamp;
-    return true;
+    return slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force});
   }
 
   double imuLead() const override { return settings_.slam.time_offset + 0.5 * std::abs(settings_.slam.readout_time); }
@@ -124,7 +117,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
-    if (r.relocalized) ROS_INFO("found the way back into the map");
+    if (r.relocalized) ROS_INFO_THROTTLE(10, "found the way back into the map");
     if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, or levelled)");
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
@@ -134,10 +127,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.scale = 1.0;
     status.processing_time = seconds;
     status.reason = r.reason;
-    if (const std::string problem = compareTurns(frame.stamp, r); !problem.empty()) {
-      shell_.health().count(problem);
-      if (status.reason.empty()) status.reason = problem;
-    }
+    if (!r.imu_problem.empty()) tellImuProblem(r.imu_problem, status.reason);
     result.advice = adviceFor(r.state);
     result.pose_published =
         r.state == State::kTracking && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
@@ -145,14 +135,11 @@ class RgbdSlamNode : private ros_utils::Estimator {
     return result;
   }
 
-  /// What gyro and images disagree in; empty while nothing is known to be wrong.
-  std::string compareTurns(const ros::Time& stamp, const FrameResult& r) {
-    if (r.increment_covariance)
-      turns_.add(air_ground_common::logSO3(r.T_previous_current_base.linear()), felt_,
-                 stamp.toSec() - last_turn_.toSec());
-    felt_.setZero();
-    last_turn_ = stamp;
-    return turns_.problem();
+  void tellImuProblem(const std::string& problem, std::string& reason) {
+    if (!imu_problem_told_) ROS_WARN_STREAM(problem << ". The map goes on without the gyro for as long as that lasts");
+    imu_problem_told_ = true;
+    shell_.health().count(problem);
+    if (reason.empty()) reason = problem;
   }
 
   void publish(const ros::Time& stamp, const cv::Mat& grey, const FrameResult& r) {
@@ -200,14 +187,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros::Publisher keyframe_publisher_;
   std::unique_ptr<Slam> slam_;
   ros::Time last_stamp_, last_cloud_;
-  bool cloud_outdated_ = false;
-
-  static constexpr double kLongestSample = 0.1;  ///< of the IMU [s]
-  RotationCheck turns_;
-  Eigen::Matrix3d R_base_imu_ = Eigen::Matrix3d::Identity();
-  Eigen::Vector3d felt_ = Eigen::Vector3d::Zero();  ///< by the gyro since the last frame, in the base [rad]
-  double last_sample_ = 0;                          ///< [s]
-  ros::Time last_turn_;
+  bool cloud_outdated_ = false, imu_problem_told_ = false;
 
   ros_utils::EstimatorShell shell_;
   DepthInput depth_;

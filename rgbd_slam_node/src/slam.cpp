@@ -167,6 +167,8 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   strange_for = 0;
 
   const Pose T_tracked = tracked.pose.T_map_camera;
+  compareTurns(stamp, T_tracked);
+  result.imu_problem = turns.problem();
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
   const Eigen::Vector3d lever = T_tracked.translation() - map.keyframe(reference).T_map_camera.translation();
@@ -177,6 +179,17 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   if (levelMap()) result.map_corrected = true;
   concludePose(covariance, tracked.pose.covariance, &result);
   return result;
+}
+
+void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
+  const double last = frames.lastStamp();
+  const auto felt = motion.feltTurn(last, stamp);
+  if (!felt) return;
+  const Eigen::Matrix3d R_previous_current = lastPose().linear().transpose() * T_map_camera.linear();
+  turns.add(mounting.T_base_camera.linear() * air_ground_common::logSO3(R_previous_current), *felt, stamp - last);
+  motion.trustGyro(turns.problem().empty());
+  // Which way is up comes from the gyro, too, whenever the robot moves.
+  if (!motion.gyroTrusted()) gravity_known = false;
 }
 
 void Slam::Impl::beLost() {
@@ -281,6 +294,7 @@ std::vector<bool> Slam::mapped() const {
 void Slam::reset() {
   impl_->clear();
   impl_->motion.reset();
+  impl_->turns.reset();
   impl_->last_stamp = -1;
 }
 

@@ -8,6 +8,7 @@
 #include "camera_motion.h"
 #include "keyframe_trajectory.h"
 #include "landmark_tracks.h"
+#include "rgbd_slam/rotation_check.h"
 #include "rgbd_slam/slam.h"
 
 namespace rgbd_slam {
@@ -43,6 +44,7 @@ struct Slam::Impl {
   // ---- Sensors
   visual_frontend::FeatureTracker tracker;
   CameraMotion motion;
+  RotationCheck turns;  ///< gyro against images
 
   // ---- Map
   visual_frontend::Map map;
@@ -86,6 +88,8 @@ struct Slam::Impl {
   void beLost();
   /// Takes the step from the last frame to this one; returns what the base moved by.
   Pose step(double stamp, const Pose& T_map_camera, bool relocalized);
+  /// Compares the turn from the last frame to this one with the gyro's, and goes on without a gyro that contradicts.
+  void compareTurns(double stamp, const Pose& T_map_camera);
   /// Keeps the frame, in the view of a keyframe there is or as a new one.
   void addToMap(const Images& images, const Tracked& tracked, FrameResult* result);
   void concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance, FrameResult* result) const;

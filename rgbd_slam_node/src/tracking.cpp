@@ -232,6 +232,7 @@ Slam::Impl::Tracked Slam::Impl::relocalize(const Images& images) {
   // Not far from where it was: the gyro still knows the rotation.
   bool from_gyro = false;
   if (stamp - frames.lastStamp() < 0.5) tracked = accept(images, predict(stamp, &from_gyro), 16.0);
+  if (from_gyro && !tracked.success) tracked = accept(images, lastPose(), 16.0);  // a gyro may be wrong
   if (tracked.success) return tracked;
   const visual_frontend::PlaceMatch match = recognize(images);
   if (match.success)

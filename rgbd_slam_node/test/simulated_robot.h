@@ -29,6 +29,7 @@ struct Robot {
   bool spin = false;                             ///< turn on the spot instead
   Eigen::Vector3d tilt{0.03, -0.02, 0};          ///< the base is not level [rad]
   Eigen::Vector3d gyro_bias{0.01, -0.02, 0.015};
+  Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();  ///< what the gyro makes of a turn rate
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();
   double start = 0;         ///< when the map begins [s]
   double readout_time = 0;  ///< of a rolling shutter [s]
@@ -90,7 +91,7 @@ struct Robot {
     const Eigen::Matrix3d R_imu_world = mounting.R_base_imu->transpose() * now.linear().transpose();
     ImuSample s;
     s.stamp = t;
-    s.angular_velocity = mounting.R_base_imu->transpose() * rate + gyro_bias + random.gaussVector(0.003);
+    s.angular_velocity = gyro_matrix * mounting.R_base_imu->transpose() * rate + gyro_bias + random.gaussVector(0.003);
     s.specific_force =
         R_imu_world * (acceleration + Eigen::Vector3d(0, 0, 9.81)) + accel_bias + random.gaussVector(0.04);
     return s;

@@ -184,6 +184,31 @@ TEST(Slam, RollingShutter) {
   EXPECT_LT(worstTurn(robot, with, 1.5), 0.012);
 }
 
+TEST(Slam, AGyroInDegreesIsNamedAndLeftOut) {
+  for (const bool degrees : {true, false}) {
+    Robot robot;
+    robot.sway = 0.08;
+    robot.sway_rate = 2;  // it turns by up to 0.3 rad/s
+    robot.gyro_matrix = degrees ? Eigen::Matrix3d(180 / M_PI * Eigen::Matrix3d::Identity())
+                                : Eigen::Matrix3d(Eigen::Vector3d(1, -1, -1).asDiagonal());
+    Slam slam(robot.camera, robot.mounting, {});
+    drive(robot, slam, 0, 12);
+    const Drive later = drive(robot, slam, 12.1, 16);
+    const std::string expected = degrees ? "the gyro by 5" : "correlation -";
+    EXPECT_NE(later.results.back().imu_problem.find("gyro and images turn differently"), std::string::npos);
+    EXPECT_NE(later.results.back().imu_problem.find(expected), std::string::npos) << later.results.back().imu_problem;
+    for (const FrameResult& r : later.results) EXPECT_TRUE(r.state == State::kTracking && !r.relocalized) << r.reason;
+    EXPECT_EQ(slam.counters().maps, 1);
+    // The circle as it was driven, but for where up is.
+    std::vector<Pose> truth, estimate;
+    for (std::size_t i = 0; i < later.results.size(); ++i) {
+      truth.push_back(later.truth[0].T_map_body.inverse() * later.truth[i].T_map_body);
+      estimate.push_back(later.results[0].T_map_camera.inverse() * later.results[i].T_map_camera);
+    }
+    EXPECT_LT((truth.back().translation() - estimate.back().translation()).norm(), 0.03);
+  }
+}
+
 TEST(Slam, LostItLooksForItsPlaceTenTimesASecond) {
   Robot robot;
   robot.rest = 0.8;

@@ -36,24 +36,38 @@ const char* colourOf(const std::string& encoding) {
   if (encoding == enc::TYPE_8UC1) return enc::MONO8.c_str();
   if (encoding == enc::TYPE_8UC3) return enc::BGR8.c_str();
   if (encoding == enc::TYPE_8UC4) return enc::BGRA8.c_str();
+  if (encoding == enc::TYPE_16UC1) return enc::MONO16.c_str();
   return nullptr;
+}
+
+/// The order Y U Y V that most web cameras send, which cv_bridge does not know; it knows U Y V Y.
+bool isYuy2(const std::string& encoding) { return encoding == "yuv422_yuy2" || encoding == "yuyv"; }
+
+sensor_msgs::Image bytesSwapped(const sensor_msgs::Image& msg) {
+  sensor_msgs::Image swapped = msg;
+  swapped.is_bigendian = 0;
+  for (std::size_t i = 1; i < swapped.data.size(); i += 2) std::swap(swapped.data[i - 1], swapped.data[i]);
+  return swapped;
 }
 
 cv::Mat convert(const sensor_msgs::Image& msg, const std::string& encoding) {
   checkSize(msg);
-  if (const char* colour = colourOf(msg.encoding)) {
+  const char* colour = colourOf(msg.encoding);
+  if (colour && encoding != msg.encoding) {
     sensor_msgs::Image named = msg;
     named.encoding = colour;
     return convert(named, encoding);
+  }
+  if (isYuy2(msg.encoding)) {
+    sensor_msgs::Image swapped = bytesSwapped(msg);
+    swapped.encoding = sensor_msgs::image_encodings::YUV422;
+    return convert(swapped, encoding);
   }
   try {
     const int bits = sensor_msgs::image_encodings::bitDepth(msg.encoding);
     if (msg.is_bigendian && bits > 8) {  // cv_bridge makes two channels of a pixel's two bytes
       if (bits != 16) throw std::invalid_argument("image: big-endian pixels of " + std::to_string(bits) + " bits");
-      sensor_msgs::Image swapped = msg;
-      swapped.is_bigendian = 0;
-      for (std::size_t i = 1; i < swapped.data.size(); i += 2) std::swap(swapped.data[i - 1], swapped.data[i]);
-      return convert(swapped, encoding);
+      return convert(bytesSwapped(msg), encoding);
     }
     cv_bridge::CvImagePtr image = cv_bridge::toCvCopy(msg, encoding);
     if (image->image.empty()) throw std::invalid_argument("image: it has no pixels");

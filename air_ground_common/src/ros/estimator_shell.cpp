@@ -325,6 +325,7 @@ void EstimatorShell::attempt(Assembler::Frame& waiting) {
     frame_.reset();
     return;
   }
+  frame.image = pixel_range_.full(frame.image);
   if (pairer_) frame.depth = pair.depth.pixels();
   const std::deque<ImuInput::Sample> imu = std::move(waiting.imu);
   frame_.reset();

@@ -112,7 +112,8 @@ enum class State { kWaiting, kInitializing, kTracking, kLost };
 
 struct FrameResult {
   State state = State::kWaiting;
-  std::string reason;  ///< why not tracking
+  std::string reason;       ///< why not tracking
+  std::string imu_problem;  ///< the gyro contradicts the images, and is left out; empty: no
   bool keyframe = false;
   bool map_corrected = false;            ///< a loop was closed: earlier poses moved
   bool relocalized = false;              ///< found again after being lost

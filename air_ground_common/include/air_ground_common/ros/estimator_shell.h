@@ -28,6 +28,7 @@
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/mountings.h"
+#include "air_ground_common/ros/pixel_range.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/trajectory.h"
 
@@ -208,7 +209,8 @@ class EstimatorShell {
   ros::Time last_stamp_;
 
   // The worker's own.
-  std::optional<Assembler::Frame> frame_;              ///< waits for its mounting
+  std::optional<Assembler::Frame> frame_;  ///< waits for its mounting
+  PixelRange pixel_range_;
   double obstructed_since_ = -1, obstacle_told_ = -1;  ///< by the clock of the assembler [s]; negative: not
   std::thread worker_;
 
