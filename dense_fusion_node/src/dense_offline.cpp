@@ -300,6 +300,23 @@ void reportFused(const Options& options, const dense_fusion::FusedMap& fused, co
   std::fflush(stdout);
 }
 
+/// `report`: against the true surface; null where it is not known.
+void printFigures(const dense_fusion::MapperCounters& c, double seconds, const Report* report) {
+  std::printf(
+      "%zu images (%zu redundant), %zu sweeps, %zu depth maps (%zu poor), %zu fused (%zu groups too small), %.1f ms an "
+      "image\n",
+      c.images, c.redundant, c.swept, c.depth_maps, c.poor_depth_maps, c.fused, c.small_groups,
+      1e3 * seconds / std::max<std::size_t>(1, c.images));
+  if (report)
+    std::printf(
+        "single depth maps: median %.4f 95%% %.4f m, %.1f %% of a view known to 3 cm\nfused depth maps: median %.4f "
+        "95%% %.4f m, %.1f %% of a view known to 3 cm\ncloud to mesh: median %.4f 95%% %.4f m, %zu points\n",
+        quantile(report->depth_map, 0.5), quantile(report->depth_map, 0.95),
+        100 * quantile(report->complete_single, 0.5), quantile(report->fused, 0.5), quantile(report->fused, 0.95),
+        100 * quantile(report->complete, 0.5), quantile(report->cloud, 0.5), quantile(report->cloud, 0.95),
+        report->cloud.size());
+}
+
 int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   fs::create_directories(options.out);
   std::unique_ptr<air_ground_common::MeshScene> mesh;
@@ -355,20 +372,8 @@ int run(const Options& options, const dense_fusion::MapperSettings& settings) {
   else
     readTruth(options, sink);
   if (const auto fused = mapper.flush()) reportFused(options, *fused, mesh.get(), &report);
-  const auto& c = mapper.counters();
-  std::printf(
-      "%zu images (%zu redundant), %zu sweeps, %zu depth maps (%zu poor), %zu fused (%zu groups too small), %.1f ms an "
-      "image\n",
-      c.images, c.redundant, c.swept, c.depth_maps, c.poor_depth_maps, c.fused, c.small_groups,
-      1e3 * seconds / std::max<std::size_t>(1, c.images));
-  if (mesh)
-    std::printf(
-        "single depth maps: median %.4f 95%% %.4f m, %.1f %% of a view known to 3 cm\nfused depth maps: median %.4f "
-        "95%% %.4f m, %.1f %% of a view known to 3 cm\ncloud to mesh: median %.4f 95%% %.4f m, %zu points\n",
-        quantile(report.depth_map, 0.5), quantile(report.depth_map, 0.95), 100 * quantile(report.complete_single, 0.5),
-        quantile(report.fused, 0.5), quantile(report.fused, 0.95), 100 * quantile(report.complete, 0.5),
-        quantile(report.cloud, 0.5), quantile(report.cloud, 0.95), report.cloud.size());
-  return c.fused > 0 ? 0 : 1;
+  printFigures(mapper.counters(), seconds, mesh ? &report : nullptr);
+  return mapper.counters().fused > 0 ? 0 : 1;
 }
 
 }  // namespace

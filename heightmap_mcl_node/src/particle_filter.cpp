@@ -28,25 +28,31 @@ ParticleFilter::ParticleFilter(const FilterSettings& settings, std::uint64_t see
   validate(settings_);
 }
 
-std::vector<PlanarPose> ParticleFilter::draw(const CostVolume& volume, const Prior& prior, int count) {
-  if (!std::isfinite(volume.lowest()) || count <= 0) return {};
-  const int n = static_cast<int>(volume.slices.size());
-  const bool use_prior = prior.any();
-  // Where a prior forbids the lowest cost, the exponents are relative to the likeliest place.
-  double lowest = volume.lowest();
-  if (use_prior) {
-    lowest = kInfinity;
-    for (const CostMap& map : volume.slices) {
-      for (int r = 0; r < map.height; ++r) {
-        for (int c = 0; c < map.width; ++c) {
-          if (!std::isfinite(map.at(r, c))) continue;
-          const double log_density = prior.logDensity(map.pose(r, c), volume.pivot);
-          lowest = std::min(lowest, map.at(r, c) - settings_.sampling_sigma * log_density);
-        }
+namespace {
+
+/// Where a prior forbids the lowest cost, the exponents are relative to the likeliest place.
+double lowestWithPrior(const CostVolume& volume, const Prior& prior, double sampling_sigma) {
+  double lowest = kInfinity;
+  for (const CostMap& map : volume.slices) {
+    for (int r = 0; r < map.height; ++r) {
+      for (int c = 0; c < map.width; ++c) {
+        if (!std::isfinite(map.at(r, c))) continue;
+        const double log_density = prior.logDensity(map.pose(r, c), volume.pivot);
+        lowest = std::min(lowest, map.at(r, c) - sampling_sigma * log_density);
       }
     }
-    if (!std::isfinite(lowest)) return {};
   }
+  return lowest;
+}
+
+}  // namespace
+
+std::vector<PlanarPose> ParticleFilter::draw(const CostVolume& volume, const Prior& prior, int count) {
+  if (count <= 0) return {};
+  const int n = static_cast<int>(volume.slices.size());
+  const bool use_prior = prior.any();
+  const double lowest = use_prior ? lowestWithPrior(volume, prior, settings_.sampling_sigma) : volume.lowest();
+  if (!std::isfinite(lowest)) return {};
   const auto weightOf = [&](const CostMap& map, int row, int column) -> double {
     const float cost = map.at(row, column);
     if (!std::isfinite(cost)) return 0;

@@ -80,6 +80,68 @@ void AlignmentRefiner::forgetPoses() {
   rejections_ = disagreements_ = 0;
 }
 
+std::string AlignmentRefiner::missing() const {
+  if (!tracked_ && !coarse_ && !manual_) return "waiting for a coarse alignment or a manual guess";
+  if (aerial_.empty()) return "waiting for aerial clouds";
+  if (ground_.empty()) return "waiting for the ground map";
+  return "";
+}
+
+Cloud AlignmentRefiner::prepareReading() {
+  Cloud reading;
+  for (const auto& [stamp, cloud] : aerial_)
+    reading.points.insert(reading.points.end(), cloud.points.begin(), cloud.points.end());
+  return chain_.prepareReading(std::move(reading));
+}
+
+// A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
+void AlignmentRefiner::countDisagreement(const Eigen::Vector3d& centre) {
+  if (!tracked_ || !coarse_) return;
+  const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
+  const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) -
+                                                             air_ground_common::yawOf(coarse_->linear())));
+  const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
+  disagreements_ = disagrees ? disagreements_ + 1 : 0;
+}
+
+RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen::Vector3d& centre) {
+  RefineOutcome out = attempt(reading, *tracked_);
+  // A loop closure moves the ground map by more than ICP reaches from the last pose.
+  const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
+  if (std::exchange(ground_replaced_, false) && out.status != RefineStatus::kConverged && !too_little) {
+    RefineOutcome other = attemptFromGuess(reading, rigidAt(*tracked_, centre), true);
+    if (other.status == RefineStatus::kConverged) out = other;
+  }
+  out.tracking = true;
+  if (disagreements_ < settings_.coarse_disagreements) return out;
+  disagreements_ = 0;
+  RefineOutcome other = attemptFromGuess(reading, *coarse_);
+  if (other.status == RefineStatus::kConverged &&
+      (out.status != RefineStatus::kConverged || other.heights.agreement() > out.heights.agreement())) {
+    other.reason = "the coarse alignment disagreed and fits better: taken instead";
+    return other;
+  }
+  return out;
+}
+
+// What the attempt says of the tracked pose.
+void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
+  if (out->status == RefineStatus::kConverged) {
+    tracked_ = out->T_ground_map_mav_map;
+    rejections_ = 0;
+  } else if (from_tracking && out->contradicted) {
+    // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be.
+    if (++rejections_ >= settings_.lost_after) {
+      tracked_.reset();
+      rejections_ = disagreements_ = 0;
+      out->reason += formatted("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
+    }
+  } else if (from_tracking) {
+    // Too little overlap or structure just now says nothing against the pose.
+    out->reason += "; the last refined pose is kept";
+  }
+}
+
 RefineOutcome AlignmentRefiner::refine() {
   RefineOutcome out;
   const auto wait = [&out](const std::string& reason) {
@@ -87,33 +149,18 @@ RefineOutcome AlignmentRefiner::refine() {
     out.reason = reason;
     return out;
   };
-  if (!tracked_ && !coarse_ && !manual_) return wait("waiting for a coarse alignment or a manual guess");
-  if (aerial_.empty()) return wait("waiting for aerial clouds");
-  if (ground_.empty()) return wait("waiting for the ground map");
+  if (const std::string what = missing(); !what.empty()) return wait(what);
   if (!reference_) reference_ = chain_.prepareReference(ground_);
-  Cloud reading;
-  for (const auto& [stamp, cloud] : aerial_) {
-    reading.points.insert(reading.points.end(), cloud.points.begin(), cloud.points.end());
-  }
-  reading = chain_.prepareReading(std::move(reading));
-  if (reading.size() < static_cast<std::size_t>(settings_.min_points)) {
-    return wait(
-        formatted("only %zu aerial points with a valid normal, %d are needed", reading.size(), settings_.min_points));
-  }
-  if (reference_->cloud().size() < static_cast<std::size_t>(settings_.min_points)) {
-    return wait(formatted("only %zu ground points with a valid normal, %d are needed", reference_->cloud().size(),
-                          settings_.min_points));
-  }
+  const Cloud reading = prepareReading();
+  const std::size_t needed = static_cast<std::size_t>(settings_.min_points);
+  const auto few = [&](std::size_t count, const char* whose) {
+    return wait(formatted("only %zu %s points with a valid normal, %d are needed", count, whose, settings_.min_points));
+  };
+  if (reading.size() < needed) return few(reading.size(), "aerial");
+  if (reference_->cloud().size() < needed) return few(reference_->cloud().size(), "ground");
 
-  // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
   const Eigen::Vector3d centre = middle(reading);
-  if (tracked_ && coarse_) {
-    const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
-    const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) -
-                                                               air_ground_common::yawOf(coarse_->linear())));
-    const bool disagrees = distance > settings_.coarse_distance || angle > settings_.coarse_angle;
-    disagreements_ = disagrees ? disagreements_ + 1 : 0;
-  }
+  countDisagreement(centre);
   // A person's guess is tried once, before all else; what is tracked stays until it has proved right.
   std::string refused;
   bool decided = false;
@@ -127,40 +174,9 @@ RefineOutcome AlignmentRefiner::refine() {
       refused = "; the manual guess was not taken: " + out.reason;
   }
   const bool from_tracking = tracked_ && !decided;
-  if (!decided) out = from_tracking ? attempt(reading, *tracked_) : attemptFromGuess(reading, *coarse_);
-  // A loop closure moves the ground map by more than ICP reaches from the last pose.
-  const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
-  if (from_tracking && std::exchange(ground_replaced_, false) && out.status != RefineStatus::kConverged &&
-      !too_little) {
-    RefineOutcome other = attemptFromGuess(reading, rigidAt(*tracked_, centre), true);
-    if (other.status == RefineStatus::kConverged) out = other;
-  }
-  out.tracking = from_tracking;
-  if (from_tracking && disagreements_ >= settings_.coarse_disagreements) {
-    disagreements_ = 0;
-    RefineOutcome other = attemptFromGuess(reading, *coarse_);
-    if (other.status == RefineStatus::kConverged &&
-        (out.status != RefineStatus::kConverged || other.heights.agreement() > out.heights.agreement())) {
-      other.reason = "the coarse alignment disagreed and fits better: taken instead";
-      out = other;
-    }
-  }
-  coarse_ = from_tracking || out.status == RefineStatus::kConverged ? std::nullopt : coarse_;
-
-  if (out.status == RefineStatus::kConverged) {
-    tracked_ = out.T_ground_map_mav_map;
-    rejections_ = 0;
-  } else if (from_tracking && out.contradicted) {
-    // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be.
-    if (++rejections_ >= settings_.lost_after) {
-      tracked_.reset();
-      rejections_ = disagreements_ = 0;
-      out.reason += formatted("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
-    }
-  } else if (from_tracking) {
-    // Too little overlap or structure just now says nothing against the pose.
-    out.reason += "; the last refined pose is kept";
-  }
+  if (!decided) out = from_tracking ? refineTracked(reading, centre) : attemptFromGuess(reading, *coarse_);
+  if (from_tracking || out.status == RefineStatus::kConverged) coarse_.reset();
+  follow(from_tracking, &out);
   out.reason += refused;
   return out;
 }

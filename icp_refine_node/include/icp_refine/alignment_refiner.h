@@ -98,6 +98,11 @@ class AlignmentRefiner {
 
  private:
   void forgetPoses();
+  std::string missing() const;  ///< what a refinement waits for; empty: nothing
+  Cloud prepareReading();
+  void countDisagreement(const Eigen::Vector3d& centre);
+  RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
+  void follow(bool from_tracking, RefineOutcome* out);
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
   /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
   RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged = false);
