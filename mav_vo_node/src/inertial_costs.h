@@ -4,8 +4,8 @@
 
 #include <ceres/sized_cost_function.h>
 
-#include "ceres_costs.h"
 #include "mav_vo/imu_preintegration.h"
+#include "visual_frontend/ceres_costs.h"
 
 namespace mav_vo {
 

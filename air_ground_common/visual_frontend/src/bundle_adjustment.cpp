@@ -1,16 +1,12 @@
 #include "visual_frontend/bundle_adjustment.h"
 
-#include <ceres/loss_function.h>
-#include <ceres/problem.h>
-#include <ceres/solver.h>
-
 #include <algorithm>
 #include <cmath>
 #include <memory>
 #include <stdexcept>
 #include <unordered_map>
 
-#include "ceres_costs.h"
+#include "visual_frontend/bundle_solver.h"
 
 namespace visual_frontend {
 
@@ -42,86 +38,38 @@ void check(const BundleProblem& problem) {
   }
 }
 
-/// Squared reprojection error in sigmas; huge behind the camera.
-double squaredError(const BundleProblem& problem, const BundleProblem::Measurement& m) {
-  const Pose& T = problem.cameras[m.camera].T_map_camera;
-  const Eigen::Vector3d p = T.linear().transpose() * (problem.points[m.point] - T.translation());
-  if (!(p.z() > 1e-4)) return 1e12;
-  return squaredSigmas(p.head<2>() / p.z() - m.normalized, m.normalized, {m.sigma, m.elongation});
-}
+struct Camera {
+  Vector6d camera;
+};
 
-ceres::LossFunction* makeLoss(RobustLoss loss, double width) {
-  switch (loss) {
-    case RobustLoss::kHuber:
-      return new ceres::HuberLoss(width);
-    case RobustLoss::kCauchy:
-      return new ceres::CauchyLoss(width);
-    case RobustLoss::kNone:
-      break;
-  }
-  return nullptr;
-}
-
-/// A problem as Ceres takes it, and back.
-class Solver {
+class Solver : BundleSolver<Camera> {
  public:
   Solver(BundleProblem& problem, const BundleSettings& settings)
-      : problem_(problem),
+      : BundleSolver(problem, settings.loss, settings.loss_width),
         settings_(settings),
-        camera_(problem.cameras.size(), Vector6d::Zero()),
-        camera_used_(problem.cameras.size(), 0),
-        point_used_(problem.points.size(), 0),
-        loss_(makeLoss(settings.loss, settings.loss_width)),
-        depth_loss_(settings.depth_loss_width),
-        ceres_(borrowedLosses()),
-        ordering_(std::make_shared<ceres::ParameterBlockOrdering>()) {
-    for (std::size_t i = 0; i < camera_.size(); ++i) {
-      camera_[i].head<3>() = problem.cameras[i].T_map_camera.translation();
-      R_0_.push_back(problem.cameras[i].T_map_camera.linear());
-    }
-    addMeasurements();
+        depth_loss_(settings.depth_loss_width) {
+    addMeasurements([this](const BundleProblem::Measurement& m) {
+      if (settings_.use_depth && m.depth > 0)
+        ceres_.AddResidualBlock(new DepthCost(R_0_[m.camera], m.depth, m.depth_sigma), &depth_loss_,
+                                block_[m.camera].camera.data(), problem_.points[m.point].data());
+    });
     addPriors();
-    addCameras();
+    for (std::size_t i = 0; i < block_.size(); ++i) {
+      const auto& c = problem_.cameras[i];
+      if (settings_.use_gravity) {
+        addGravity(i);
+        if (c.up_camera && !c.fixed) camera_used_[i] = 1;
+      }
+      if (camera_used_[i]) addCamera(i);
+    }
     addPoints();
   }
 
   ceres::Solver::Summary solve() {
-    ceres::Solver::Options options;
-    options.linear_solver_ordering = ordering_;
-    options.linear_solver_type = free_cameras_ <= 30 ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
-    options.max_num_iterations = settings_.max_iterations;
-    options.max_solver_time_in_seconds = settings_.max_seconds;
-    options.num_threads = settings_.threads;
-    options.function_tolerance = 1e-5;
-    options.parameter_tolerance = 1e-7;
-    options.logging_type = ceres::SILENT;
-    ceres::Solver::Summary summary;
-    ceres::Solve(options, &ceres_, &summary);
-    if (summary.IsSolutionUsable()) apply();
-    return summary;
+    return BundleSolver::solve({settings_.max_iterations, settings_.max_seconds, settings_.threads});
   }
 
  private:
-  static ceres::Problem::Options borrowedLosses() {
-    ceres::Problem::Options options;
-    options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-    return options;
-  }
-
-  void addMeasurements() {
-    for (const auto& m : problem_.measurements) {
-      // A point behind its camera at the start has no gradient that helps: it is reported as an outlier.
-      if (squaredError(problem_, m) >= 1e12) continue;
-      double* x_camera = camera_[m.camera].data();
-      double* x_point = problem_.points[m.point].data();
-      ceres_.AddResidualBlock(new ReprojectionCost(R_0_[m.camera], m.normalized, {m.sigma, m.elongation}), loss_.get(),
-                              x_camera, x_point);
-      if (settings_.use_depth && m.depth > 0)
-        ceres_.AddResidualBlock(new DepthCost(R_0_[m.camera], m.depth, m.depth_sigma), &depth_loss_, x_camera, x_point);
-      camera_used_[m.camera] = point_used_[m.point] = 1;
-    }
-  }
-
   void addPriors() {
     for (const auto& p : problem_.priors) {
       Vector6d weights = Vector6d::Zero();
@@ -129,56 +77,13 @@ class Solver {
       if (p.rotation_sigma > 0) weights.tail<3>().setConstant(1 / p.rotation_sigma);
       ceres_.AddResidualBlock(
           new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, weights.asDiagonal()), nullptr,
-          camera_[p.camera_a].data(), camera_[p.camera_b].data());
+          block_[p.camera_a].camera.data(), block_[p.camera_b].camera.data());
       camera_used_[p.camera_a] = camera_used_[p.camera_b] = 1;
     }
   }
 
-  void addCameras() {
-    for (std::size_t i = 0; i < camera_.size(); ++i) {
-      const auto& c = problem_.cameras[i];
-      if (settings_.use_gravity && c.up_camera && !c.fixed) {
-        ceres_.AddResidualBlock(new GravityCost(R_0_[i], *c.up_camera, c.up_sigma), nullptr, camera_[i].data());
-        camera_used_[i] = 1;
-      }
-      if (!camera_used_[i]) continue;
-      ordering_->AddElementToGroup(camera_[i].data(), 1);
-      if (c.fixed)
-        ceres_.SetParameterBlockConstant(camera_[i].data());
-      else
-        ++free_cameras_;
-    }
-  }
-
-  void addPoints() {
-    for (std::size_t i = 0; i < problem_.points.size(); ++i) {
-      if (!point_used_[i]) continue;
-      ordering_->AddElementToGroup(problem_.points[i].data(), 0);
-      if (!problem_.point_fixed.empty() && problem_.point_fixed[i])
-        ceres_.SetParameterBlockConstant(problem_.points[i].data());
-    }
-  }
-
-  void apply() {
-    for (std::size_t i = 0; i < camera_.size(); ++i) {
-      auto& c = problem_.cameras[i];
-      if (c.fixed || !camera_used_[i]) continue;
-      c.T_map_camera.translation() = camera_[i].head<3>();
-      c.T_map_camera.linear() = expSO3(camera_[i].tail<3>()) * R_0_[i];
-      c.T_map_camera = air_ground_common::normalized(c.T_map_camera);
-    }
-  }
-
-  BundleProblem& problem_;
   const BundleSettings& settings_;
-  std::vector<Vector6d> camera_;  // centre, rotation vector from R_0
-  std::vector<Eigen::Matrix3d> R_0_;
-  std::vector<unsigned char> camera_used_, point_used_;
-  std::unique_ptr<ceres::LossFunction> loss_;
   ceres::CauchyLoss depth_loss_;
-  ceres::Problem ceres_;
-  std::shared_ptr<ceres::ParameterBlockOrdering> ordering_;
-  int free_cameras_ = 0;
 };
 
 /// A part of a map as a problem, with where each piece came from.
@@ -246,9 +151,27 @@ void removeOutliers(const MapProblem& part, const std::vector<int>& outliers, Ma
 
 }  // namespace
 
-BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings) {
-  check(problem);
-  const ceres::Solver::Summary summary = Solver(problem, settings).solve();
+double squaredError(const BundleProblem& problem, const BundleProblem::Measurement& m) {
+  const Pose& T = problem.cameras[m.camera].T_map_camera;
+  const Eigen::Vector3d p = T.linear().transpose() * (problem.points[m.point] - T.translation());
+  if (!(p.z() > 1e-4)) return kBehindCamera;
+  return squaredSigmas(p.head<2>() / p.z() - m.normalized, m.normalized, {m.sigma, m.elongation});
+}
+
+std::unique_ptr<ceres::LossFunction> makeLoss(RobustLoss loss, double width) {
+  switch (loss) {
+    case RobustLoss::kHuber:
+      return std::make_unique<ceres::HuberLoss>(width);
+    case RobustLoss::kCauchy:
+      return std::make_unique<ceres::CauchyLoss>(width);
+    case RobustLoss::kNone:
+      break;
+  }
+  return nullptr;
+}
+
+BundleResult bundleResult(const ceres::Solver::Summary& summary, const BundleProblem& problem,
+                          double outlier_threshold) {
   BundleResult result;
   result.usable = summary.IsSolutionUsable();
   result.message = summary.message;
@@ -260,15 +183,21 @@ BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings)
   std::size_t inliers = 0;
   for (std::size_t i = 0; i < problem.measurements.size(); ++i) {
     const double e2 = squaredError(problem, problem.measurements[i]);
-    if (e2 > settings.outlier_threshold * settings.outlier_threshold) {
+    if (e2 > outlier_threshold * outlier_threshold) {
       result.outliers.push_back(static_cast<int>(i));
     } else {
       sum += e2;
       ++inliers;
     }
   }
-  result.rms = inliers > 0 ? std::sqrt(sum / (2.0 * inliers)) : 0;
+  result.rms = inliers > 0 ? std::sqrt(sum / (2.0 * static_cast<double>(inliers))) : 0;
   return result;
+}
+
+BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings) {
+  check(problem);
+  const ceres::Solver::Summary summary = Solver(problem, settings).solve();
+  return bundleResult(summary, problem, settings.outlier_threshold);
 }
 
 BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,

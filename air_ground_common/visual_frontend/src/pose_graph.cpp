@@ -11,7 +11,7 @@
 #include <unordered_map>
 
 #include "air_ground_common/linear_algebra.h"
-#include "ceres_costs.h"
+#include "visual_frontend/ceres_costs.h"
 
 namespace visual_frontend {
 

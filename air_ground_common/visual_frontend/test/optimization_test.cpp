@@ -1,8 +1,8 @@
 #include <gtest/gtest.h>
 
-#include "../src/ceres_costs.h"
 #include "synthetic.h"
 #include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/ceres_costs.h"
 #include "visual_frontend/pose_graph.h"
 
 namespace visual_frontend {

@@ -46,15 +46,7 @@ struct InertialBundleProblem {
   int anchor = -1;
 };
 
-struct InertialBundleResult {
-  bool usable = false;
-  std::string message;
-  double initial_cost = 0, final_cost = 0;
-  int iterations = 0;
-  double seconds = 0;
-  double rms = 0;             ///< reprojection error of the inliers per coordinate, in sigmas
-  std::vector<int> outliers;  ///< measurements beyond outlier_threshold, ascending
-};
+using InertialBundleResult = visual_frontend::BundleResult;
 
 /// Throws std::invalid_argument when sizes or indices do not fit.
 InertialBundleResult solveInertialBundle(InertialBundleProblem& problem, const InertialBundleSettings& settings);
