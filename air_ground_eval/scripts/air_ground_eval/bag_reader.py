@@ -7,6 +7,7 @@ import rospy
 
 from . import geometry, messages
 from .evaluation import Track
+from .video import is_video
 
 
 class BagError(Exception):
@@ -31,6 +32,8 @@ def open_bag(path):
     """rosbag.Bag for reading; BagError where there is none, or none that can be played."""
     if os.path.isfile(os.path.join(path, 'metadata.yaml')) or str(path).endswith(('.mcap', '.db3')):
         raise BagError(f'{path} is a recording of ROS 2: make a bag of ROS 1 of it (pip install rosbags; rosbags-convert --src FOLDER --dst x.bag)')
+    if is_video(str(path)):
+        raise BagError(f'{path} is a video: make a bag of it (rosrun air_ground dataset_to_bag --mav {path} --config camera.yaml --out x.bag)')
     try:
         bag = rosbag.Bag(path)
     except rosbag.ROSBagUnindexedException as error:

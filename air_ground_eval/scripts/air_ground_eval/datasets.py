@@ -39,11 +39,21 @@ class Camera:
             if not (np.isfinite(value) and value > 0):
                 raise DatasetError(f'camera {name} = {value}: it must be positive')
 
+    def resized(self, width):
+        """The camera of the same images at this width [px]; centres of pixels have whole coordinates."""
+        height = max(1, round(self.height * width / self.width))
+        sx, sy = width / self.width, height / self.height
+        return Camera(width, height, self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, self.distortion, self.model)
+
 
 @dataclass
 class Frame:
     stamp: float  # [s]
     path: str
+
+    def read(self):
+        """Its colour or grey image, as read_image gives it."""
+        return read_image(self.path)
 
 
 @dataclass

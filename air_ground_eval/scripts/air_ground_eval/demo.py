@@ -47,8 +47,9 @@ def run_replay(command, environment, **how):
             return 1
 
 
-def launch(program, file, arguments, out, with_rviz):
-    """Runs a launch file of the package, which must write report.yaml into `out`; exits when it does not, or says that the replay failed."""
+def launch(program, file, arguments, out, with_rviz, **how):
+    """Runs a launch file of the package, which must write report.yaml into `out`; exits when it does not, or says that the replay failed.
+    `how` goes to subprocess.run."""
     environment = dict(os.environ)
     port = free_port()  # a master of its own: one that runs already is left alone
     environment['ROS_MASTER_URI'] = f'http://localhost:{port}'
@@ -66,7 +67,7 @@ def launch(program, file, arguments, out, with_rviz):
     report = os.path.join(out, 'report.yaml')
     if os.path.exists(report):
         os.remove(report)
-    status = run_replay(command, environment)
+    status = run_replay(command, environment, **how)
     if not os.path.isfile(report):
         sys.exit(f'{program}: the replay ended without a report; the first error among the lines above says why')
     if status:

@@ -27,6 +27,7 @@ class Recorded:
     evaluate_map: str = 'evaluate_map'   # the program
     has_map: bool = False                # augmented_map.ply was written
     wall_time: float = 0.0
+    held: float = 0.0                    # the player, so that the nodes could keep up [s]
     switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
     tf_publishers: Dict[str, set] = field(default_factory=dict)  # 'parent -> child': nodes that publish the transform
@@ -59,7 +60,7 @@ class Report:
         """Computes everything, writes alignment.txt, report.yaml and report.png; returns the dict of report.yaml."""
         r = self.r
         self.values.update({
-            'bag': os.path.basename(r.bag), 'bag_duration_s': r.end - r.begin, 'wall_time_s': r.wall_time,
+            'bag': os.path.basename(r.bag), 'bag_duration_s': r.end - r.begin, 'wall_time_s': r.wall_time, 'player_held_s': r.held,
             'ground_truth_in_bag': r.mav_truth is not None or r.ground_truth is not None})
         self._odometry('vo', 'mav', r.mav, r.mav_truth)
         self._odometry('slam', 'ground', r.ground, r.ground_truth)
@@ -124,7 +125,8 @@ class Report:
         if not converged:
             v['alignment_verdict'] = 'no alignment accepted: ' + self.refusal()
             self.figure['no_alignment'] = 'no alignment accepted'
-        if last is not None and converged:
+        if converged:
+            v['alignment_accepted_after_s'] = converged[0].stamp - r.begin
             v['T_ground_map_mav_map_translation_m'] = list(last.pose[:3, 3])
             v['T_ground_map_mav_map_quaternion_xyzw'] = list(geometry.quaternion_from_matrix(last.pose[:3, :3]))
             v['refined_sigma_m_m_m_rad_rad_rad'] = list(last.deviations)
