@@ -156,83 +156,107 @@ void addRoom(const WorldConfig& c, std::uint64_t seed, World* world) {
   }
 }
 
-void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
-                 World* world) {
-  std::vector<Footprint> base;  // everything that stands on the floor
-  const auto tryPlace = [&](const ClusterConfig& c, double hx, double hy, double gap, Footprint* placed) {
+namespace {
+
+// Pallets, boxes and debris of clusters, each on free floor or on what carries it.
+class ClusterBuilder {
+ public:
+  ClusterBuilder(const FreeSpace& free, double texel, Rng* rng, World* world)
+      : free_(free), texel_(texel), rng_(rng), world_(world) {}
+
+  void add(const ClusterConfig& c) {
+    carriers_.clear();
+    Footprint f;
+    for (int i = 0; i < c.pallets; ++i)
+      if (tryPlace(c, 0.6, 0.4, 0.03, &f)) addLoadedPallet(f);
+    for (int i = 0; i < c.boxes; ++i) addBox(c);
+    ClusterConfig wide = c;
+    wide.radius *= 1.5;
+    for (int i = 0; i < c.debris; ++i)
+      if (tryPlace(wide, 0.2, 0.15, -0.05, &f)) addDebris(f.center, f.yaw, texel_, rng_, world_);
+  }
+
+ private:
+  bool tryPlace(const ClusterConfig& c, double hx, double hy, double gap, Footprint* placed) {
     for (int attempt = 0; attempt < 60; ++attempt) {
       Footprint f;
-      const double r = c.radius * std::sqrt(rng->uniform()), a = rng->uniform(-M_PI, M_PI);
+      const double r = c.radius * std::sqrt(rng_->uniform()), a = rng_->uniform(-M_PI, M_PI);
       f.center = c.center + r * Eigen::Vector2d(std::cos(a), std::sin(a));
-      f.yaw = rng->uniform(-M_PI, M_PI);
+      f.yaw = rng_->uniform(-M_PI, M_PI);
       f.hx = hx;
       f.hy = hy;
-      if (!free.isFree(f.center, std::hypot(hx, hy))) continue;
-      if (std::any_of(base.begin(), base.end(), [&](const Footprint& o) { return overlap(f, o, gap); })) continue;
+      if (!free_.isFree(f.center, std::hypot(hx, hy))) continue;
+      if (std::any_of(base_.begin(), base_.end(), [&](const Footprint& o) { return overlap(f, o, gap); })) continue;
       *placed = f;
       return true;
     }
     return false;
-  };
-
-  for (const ClusterConfig& c : clusters) {
-    std::vector<Footprint> carriers;
-    Footprint f;
-    for (int i = 0; i < c.pallets; ++i) {
-      if (!tryPlace(c, 0.6, 0.4, 0.03, &f)) continue;
-      addPallet(f, texel, rng->next(), world);
-      f.top = 0.144;
-      base.push_back(f);
-      // Two or three boxes side by side on the pallet, each of which may carry more.
-      const int n = 2 + rng->integer(2);
-      for (int k = 0; k < n; ++k) {
-        Cuboid box = randomBox(rng);
-        box.size.x() = std::min(box.size.x(), 0.78);
-        box.size.y() = std::min(box.size.y(), 1.16 / n);
-        Footprint b;
-        const double along = 1.2 * ((k + 0.5) / n - 0.5);
-        b.yaw = f.yaw + M_PI / 2 + rng->uniform(-0.04, 0.04);
-        b.center = f.center + along * Eigen::Vector2d(std::cos(f.yaw), std::sin(f.yaw));
-        b.hx = 0.5 * box.size.x();
-        b.hy = 0.5 * box.size.y();
-        b.top = f.top + box.size.z();
-        box.T_world_base = standing(b, f.top);
-        addCuboid(box, texel, world);
-        carriers.push_back(b);
-      }
-    }
-    for (int i = 0; i < c.boxes; ++i) {
-      Cuboid box = randomBox(rng);
-      std::vector<std::size_t> options;  // carriers with room for it
-      for (std::size_t k = 0; k < carriers.size(); ++k)
-        if (carriers[k].can_carry && carriers[k].top + box.size.z() <= c.max_height &&
-            0.5 * box.size.x() < 1.15 * carriers[k].hx && 0.5 * box.size.y() < 1.15 * carriers[k].hy)
-          options.push_back(k);
-      if (!options.empty() && rng->chance(0.45)) {
-        Footprint& below = carriers[options[rng->integer(static_cast<int>(options.size()))]];
-        Footprint b = below;
-        b.yaw += rng->uniform(-0.35, 0.35);
-        b.center += Eigen::Vector2d(rng->uniform(-0.03, 0.03), rng->uniform(-0.03, 0.03));
-        b.hx = 0.5 * box.size.x();
-        b.hy = 0.5 * box.size.y();
-        b.top = below.top + box.size.z();
-        box.T_world_base = standing(b, below.top);
-        below.can_carry = false;
-        addCuboid(box, texel, world);
-        carriers.push_back(b);
-      } else if (tryPlace(c, 0.5 * box.size.x(), 0.5 * box.size.y(), 0.02, &f)) {
-        f.top = box.size.z();
-        box.T_world_base = standing(f, 0);
-        addCuboid(box, texel, world);
-        base.push_back(f);
-        carriers.push_back(f);
-      }
-    }
-    ClusterConfig wide = c;
-    wide.radius *= 1.5;
-    for (int i = 0; i < c.debris; ++i)
-      if (tryPlace(wide, 0.2, 0.15, -0.05, &f)) addDebris(f.center, f.yaw, texel, rng, world);
   }
+
+  // Two or three boxes side by side on the pallet, each of which may carry more.
+  void addLoadedPallet(Footprint f) {
+    addPallet(f, texel_, rng_->next(), world_);
+    f.top = 0.144;
+    base_.push_back(f);
+    const int n = 2 + rng_->integer(2);
+    for (int k = 0; k < n; ++k) {
+      Cuboid box = randomBox(rng_);
+      box.size.x() = std::min(box.size.x(), 0.78);
+      box.size.y() = std::min(box.size.y(), 1.16 / n);
+      Footprint b;
+      const double along = 1.2 * ((k + 0.5) / n - 0.5);
+      b.yaw = f.yaw + M_PI / 2 + rng_->uniform(-0.04, 0.04);
+      b.center = f.center + along * Eigen::Vector2d(std::cos(f.yaw), std::sin(f.yaw));
+      stand(b, f.top, &box);
+    }
+  }
+
+  // On a carrier with room for it, or on the floor.
+  void addBox(const ClusterConfig& c) {
+    Cuboid box = randomBox(rng_);
+    std::vector<std::size_t> options;
+    for (std::size_t k = 0; k < carriers_.size(); ++k)
+      if (carriers_[k].can_carry && carriers_[k].top + box.size.z() <= c.max_height &&
+          0.5 * box.size.x() < 1.15 * carriers_[k].hx && 0.5 * box.size.y() < 1.15 * carriers_[k].hy)
+        options.push_back(k);
+    Footprint f;
+    if (!options.empty() && rng_->chance(0.45)) {
+      Footprint& below = carriers_[options[rng_->integer(static_cast<int>(options.size()))]];
+      Footprint b = below;
+      b.yaw += rng_->uniform(-0.35, 0.35);
+      b.center += Eigen::Vector2d(rng_->uniform(-0.03, 0.03), rng_->uniform(-0.03, 0.03));
+      below.can_carry = false;
+      stand(b, below.top, &box);
+    } else if (tryPlace(c, 0.5 * box.size.x(), 0.5 * box.size.y(), 0.02, &f)) {
+      base_.push_back(f);
+      stand(f, 0, &box);
+    }
+  }
+
+  // The box as it stands on something of this height: one more carrier.
+  void stand(Footprint b, double height, Cuboid* box) {
+    b.hx = 0.5 * box->size.x();
+    b.hy = 0.5 * box->size.y();
+    b.top = height + box->size.z();
+    box->T_world_base = standing(b, height);
+    addCuboid(*box, texel_, world_);
+    carriers_.push_back(b);
+  }
+
+  const FreeSpace& free_;
+  const double texel_;
+  Rng* rng_;
+  World* world_;
+  std::vector<Footprint> base_;      // everything that stands on the floor
+  std::vector<Footprint> carriers_;  // of the cluster: what a box may stand on
+};
+
+}  // namespace
+
+void addClusters(const std::vector<ClusterConfig>& clusters, const FreeSpace& free, double texel, Rng* rng,
+                 World* world) {
+  ClusterBuilder builder(free, texel, rng, world);
+  for (const ClusterConfig& c : clusters) builder.add(c);
 }
 
 void addWall(const WallConfig& wall, double texel, std::uint64_t seed, World* world) {
@@ -257,76 +281,101 @@ void addGrid(const WorldConfig& config, World* world) {
     }
 }
 
-void addRubble(const WorldConfig& config, const FreeSpace& free, Rng* rng, World* world) {
-  const auto seed = static_cast<std::uint32_t>(rng->next());
+namespace {
+
+// Noise and mounds away from the lane, level on it.
+class Terrain {
+ public:
+  Terrain(const WorldConfig& config, const FreeSpace& free, Rng* rng)
+      : free_(free), relief_(config.relief), seed_(static_cast<std::uint32_t>(rng->next())) {
+    for (int i = 0; i < 5; ++i)
+      mounds_.push_back(
+          {{rng->uniform(-1.8, 1.8), rng->uniform(-1.8, 1.8)}, rng->uniform(0.5, 0.9), rng->uniform(0.25, 0.7)});
+  }
+
+  double height(const Eigen::Vector2d& p) const {
+    const auto q = p.cast<float>().eval();
+    double z = relief_ * fractalNoise(0.9f * q.x(), 0.9f * q.y(), seed_, 5, 0.5f);
+    for (const auto& m : mounds_)
+      z += m.height * std::exp(-(p - m.center).squaredNorm() / (m.radius * m.radius)) *
+           (1 + 0.35 * fractalNoise(3 * q.x(), 3 * q.y(), seed_ + 9, 4));
+    return z * openness(p);
+  }
+
+  void addTile(const Eigen::Vector2d& low, const Eigen::Vector2d& high, double cell, double texel, World* world) const {
+    const Eigen::Vector2d size = high - low;
+    if (size.minCoeff() < 0.01) return;
+    Patch p;
+    p.columns = std::max(1, static_cast<int>(std::lround(size.x() / cell)));
+    p.rows = std::max(1, static_cast<int>(std::lround(size.y() / cell)));
+    p.width = static_cast<float>(size.x());
+    p.height = static_cast<float>(size.y());
+    p.material = Material::kGravel;
+    p.texel = static_cast<float>(texel);
+    p.seed = p.object = seed_;
+    for (int r = 0; r <= p.rows; ++r)
+      for (int c = 0; c <= p.columns; ++c) {
+        const Eigen::Vector2d q(low.x() + size.x() * c / p.columns, low.y() + size.y() * r / p.rows);
+        p.vertices.emplace_back(static_cast<float>(q.x()), static_cast<float>(q.y()), static_cast<float>(height(q)));
+      }
+    world->patches.push_back(p);
+  }
+
+ private:
   struct Mound {
     Eigen::Vector2d center;
     double radius, height;
   };
-  std::vector<Mound> mounds;
-  for (int i = 0; i < 5; ++i)
-    mounds.push_back(
-        {{rng->uniform(-1.8, 1.8), rng->uniform(-1.8, 1.8)}, rng->uniform(0.5, 0.9), rng->uniform(0.25, 0.7)});
-  const auto openness = [&](const Eigen::Vector2d& p) {  // 0 on the lane and at the start, 1 away from them
-    double d = (p - free.start).norm() - free.start_radius;
-    for (std::size_t i = 0; i < free.lane.size(); i += 4)
-      d = std::min(d, (p - free.lane[i]).norm() - free.lane_half_width);
+
+  double openness(const Eigen::Vector2d& p) const {  // 0 on the lane and at the start, 1 away from them
+    double d = (p - free_.start).norm() - free_.start_radius;
+    for (std::size_t i = 0; i < free_.lane.size(); i += 4)
+      d = std::min(d, (p - free_.lane[i]).norm() - free_.lane_half_width);
     const double x = std::clamp(d / 0.6, 0.0, 1.0);
     return x * x * (3 - 2 * x);
-  };
-  const auto height = [&](const Eigen::Vector2d& p) {
-    const auto q = p.cast<float>().eval();
-    double z = config.relief * fractalNoise(0.9f * q.x(), 0.9f * q.y(), seed, 5, 0.5f);
-    for (const auto& m : mounds)
-      z += m.height * std::exp(-(p - m.center).squaredNorm() / (m.radius * m.radius)) *
-           (1 + 0.35 * fractalNoise(3 * q.x(), 3 * q.y(), seed + 9, 4));
-    return z * openness(p);
-  };
+  }
+
+  const FreeSpace& free_;
+  const double relief_;
+  const std::uint32_t seed_;
+  std::vector<Mound> mounds_;
+};
+
+void addSlab(const Terrain& terrain, const FreeSpace& free, double texel, Rng* rng, World* world) {
+  Cuboid c;
+  const bool beam = rng->chance(0.4);
+  c.size = beam ? Eigen::Vector3d(rng->uniform(0.8, 1.5), 0.12, 0.12)
+                : Eigen::Vector3d(rng->uniform(0.4, 0.9), rng->uniform(0.3, 0.7), rng->uniform(0.06, 0.12));
+  c.material = beam ? Material::kWood : Material::kConcrete;
+  c.printed = false;
+  c.seed = rng->next();
+  const Eigen::Vector2d p(rng->uniform(-2.2, 2.2), rng->uniform(-2.2, 2.2));
+  const double tilt = rng->uniform(0.1, 0.5), yaw = rng->uniform(-M_PI, M_PI);
+  if (!free.isFree(p, 0.5 * std::hypot(c.size.x(), c.size.y()))) return;
+  c.T_world_base = yawPose(yaw, {p.x(), p.y(), terrain.height(p) + 0.4 * c.size.x() * std::sin(tilt)}) *
+                   Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitY());
+  addCuboid(c, texel, world);
+}
+
+}  // namespace
+
+void addRubble(const WorldConfig& config, const FreeSpace& free, Rng* rng, World* world) {
+  const Terrain terrain(config, free, rng);
   // The height field: a fine centre and coarse surroundings, as tiles so that texture resolution can differ.
   const double half = 0.5 * config.floor_size, inner = std::min(half, 4.2);
-  const auto tile = [&](double x0, double y0, double x1, double y1, double cell, double texel) {
-    if (x1 - x0 < 0.01 || y1 - y0 < 0.01) return;
-    Patch p;
-    p.columns = std::max(1, static_cast<int>(std::lround((x1 - x0) / cell)));
-    p.rows = std::max(1, static_cast<int>(std::lround((y1 - y0) / cell)));
-    p.width = static_cast<float>(x1 - x0);
-    p.height = static_cast<float>(y1 - y0);
-    p.material = Material::kGravel;
-    p.texel = static_cast<float>(texel);
-    p.seed = p.object = seed;
-    for (int r = 0; r <= p.rows; ++r)
-      for (int c = 0; c <= p.columns; ++c) {
-        const Eigen::Vector2d q(x0 + (x1 - x0) * c / p.columns, y0 + (y1 - y0) * r / p.rows);
-        p.vertices.emplace_back(static_cast<float>(q.x()), static_cast<float>(q.y()), static_cast<float>(height(q)));
-      }
-    world->patches.push_back(p);
-  };
   const double edges[4] = {-half, -inner, inner, half};  // tiles of one row or column share their vertices: no cracks
   for (int r = 0; r < 3; ++r)
     for (int k = 0; k < 3; ++k)
-      tile(edges[k], edges[r], edges[k + 1], edges[r + 1], 0.035, r == 1 && k == 1 ? config.texel : 3 * config.texel);
+      terrain.addTile({edges[k], edges[r]}, {edges[k + 1], edges[r + 1]}, 0.035,
+                      r == 1 && k == 1 ? config.texel : 3 * config.texel, world);
 
   for (int i = 0; i < config.rocks; ++i) {
     const double r = 0.07 + 0.33 * std::pow(rng->uniform(), 2.5);
     const Eigen::Vector2d p(rng->uniform(-2.9, 2.9), rng->uniform(-2.9, 2.9));
     if (!free.isFree(p, 1.25 * r)) continue;
-    addRock({p.x(), p.y(), height(p) + 0.25 * r}, r, config.texel, rng, world);
+    addRock({p.x(), p.y(), terrain.height(p) + 0.25 * r}, r, config.texel, rng, world);
   }
-  for (int i = 0; i < 9; ++i) {  // broken slabs and beams
-    Cuboid c;
-    const bool beam = rng->chance(0.4);
-    c.size = beam ? Eigen::Vector3d(rng->uniform(0.8, 1.5), 0.12, 0.12)
-                  : Eigen::Vector3d(rng->uniform(0.4, 0.9), rng->uniform(0.3, 0.7), rng->uniform(0.06, 0.12));
-    c.material = beam ? Material::kWood : Material::kConcrete;
-    c.printed = false;
-    c.seed = rng->next();
-    const Eigen::Vector2d p(rng->uniform(-2.2, 2.2), rng->uniform(-2.2, 2.2));
-    const double tilt = rng->uniform(0.1, 0.5), yaw = rng->uniform(-M_PI, M_PI);
-    if (!free.isFree(p, 0.5 * std::hypot(c.size.x(), c.size.y()))) continue;
-    c.T_world_base = yawPose(yaw, {p.x(), p.y(), height(p) + 0.4 * c.size.x() * std::sin(tilt)}) *
-                     Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitY());
-    addCuboid(c, config.texel, world);
-  }
+  for (int i = 0; i < 9; ++i) addSlab(terrain, free, config.texel, rng, world);
 }
 
 }  // namespace air_ground_sim

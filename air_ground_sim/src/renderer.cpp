@@ -209,6 +209,23 @@ __attribute__((target_clones("avx512f", "avx2", "default"))) void panoramaRows(c
   }
 }
 
+// Ray i of the packet, from a camera's point at depth z along d to the projector beside it; it starts off the surface
+// on the camera's side.
+void aimAtProjector(const CameraPose& pose, const float d[3], float z, float projector_offset, int i, RTCRay8* rays) {
+  float* const org[3] = {rays->org_x, rays->org_y, rays->org_z};
+  float* const dir[3] = {rays->dir_x, rays->dir_y, rays->dir_z};
+  const float back = z - std::min(0.003f, 0.01f * z);
+  for (int k = 0; k < 3; ++k) {
+    org[k][i] = pose.t[k] + back * d[k];
+    dir[k][i] = pose.t[k] + pose.R[3 * k] * projector_offset - org[k][i];
+  }
+  rays->tnear[i] = 0;
+  rays->tfar[i] = 1;
+  rays->time[i] = 0;
+  rays->mask[i] = ~0u;
+  rays->id[i] = rays->flags[i] = 0;
+}
+
 }  // namespace
 
 Renderer::Renderer(const Scene& scene, const air_ground_common::CameraModel& camera, int samples, std::uint64_t seed)
@@ -321,20 +338,7 @@ void Renderer::depth(const std::vector<air_ground_common::Pose>& T_world_camera,
         result->depth[pixel] = z;
         result->cosine[pixel] =
             std::abs(t.nx * d[0] + t.ny * d[1] + t.nz * d[2]) / std::sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-        // From the point to the projector, starting off the surface on the camera's side.
-        float* const org[3] = {shadow.org_x, shadow.org_y, shadow.org_z};
-        float* const dir[3] = {shadow.dir_x, shadow.dir_y, shadow.dir_z};
-        const float back = z - std::min(0.003f, 0.01f * z);
-        const CameraPose& pose = i < 4 ? upper : lower;
-        for (int k = 0; k < 3; ++k) {
-          org[k][i] = pose.t[k] + back * d[k];
-          dir[k][i] = pose.t[k] + pose.R[3 * k] * projector_offset - org[k][i];
-        }
-        shadow.tnear[i] = 0;
-        shadow.tfar[i] = 1;
-        shadow.time[i] = 0;
-        shadow.mask[i] = ~0u;
-        shadow.id[i] = shadow.flags[i] = 0;
+        aimAtProjector(i < 4 ? upper : lower, d, z, projector_offset, i, &shadow);
         result->lit[pixel] = 1;
       }
       if (projector_offset == 0) continue;

@@ -33,6 +33,65 @@ Eigen::Matrix3f basisAround(const Eigen::Vector3f& z) {
   return B;
 }
 
+constexpr float kLampRadius = 0.07f;  // sine of half the angle under which the lamp is seen, 4 degrees
+constexpr float kHemisphereRadius = 0.98f;
+
+// Share of 16 rays from p that nothing stops within reach; stratified over a disc about the basis' z, of this sine of
+// half angle.
+float visible(RTCScene scene, const Eigen::Vector3f& p, const Eigen::Vector3f& n, const Eigen::Matrix3f& basis,
+              float largest_radius, float reach, Rng* rng) {
+  alignas(64) RTCRay16 rays;
+  alignas(64) int valid[16];
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  for (int i = 0; i < 16; ++i) {
+    const float a = (i % 4 + static_cast<float>(rng->uniform())) / 4,
+                b = (i / 4 + static_cast<float>(rng->uniform())) / 4;
+    const float radius = std::sqrt(a) * largest_radius, phi = 2 * static_cast<float>(M_PI) * b;
+    const Eigen::Vector3f d =
+        basis * Eigen::Vector3f(radius * std::cos(phi), radius * std::sin(phi), std::sqrt(1 - radius * radius));
+    valid[i] = n.dot(d) > 0 ? -1 : 0;
+    rays.org_x[i] = p.x();
+    rays.org_y[i] = p.y();
+    rays.org_z[i] = p.z();
+    rays.dir_x[i] = d.x();
+    rays.dir_y[i] = d.y();
+    rays.dir_z[i] = d.z();
+    rays.tnear[i] = 0;
+    rays.tfar[i] = reach;
+    rays.time[i] = 0;
+    rays.mask[i] = ~0u;
+    rays.id[i] = 0;
+    rays.flags[i] = 0;
+  }
+  rtcOccluded16(valid, scene, &context, &rays);
+  int count = 0;
+  for (int i = 0; i < 16; ++i) count += valid[i] && rays.tfar[i] >= 0;
+  return static_cast<float>(count) / 16;
+}
+
+// Light at a fraction of the texture's resolution: shadows of a lamp of some size have no finer detail.
+cv::Mat bakeLight(RTCScene scene, const World& world, const Patch& patch, const cv::Size& size) {
+  cv::Mat light(size, CV_32F);
+  const Eigen::Matrix3f sun_basis = basisAround(world.sun);
+#pragma omp parallel for schedule(dynamic, 4)
+  for (int y = 0; y < size.height; ++y)
+    for (int x = 0; x < size.width; ++x) {
+      const float u = (x + 0.5f) / size.width, v = (y + 0.5f) / size.height;
+      const Eigen::Vector3f n = normalAt(patch, u, v), p = patch.point(u, v) + 2e-3f * n;
+      Rng rng(mix(patch.seed, static_cast<std::uint64_t>(y) * size.width + x));
+      const float facing = std::max(0.0f, n.dot(world.sun));
+      // Outer walls do not cast the key light's shadow into the room: the lamp hangs inside.
+      const float sun =
+          facing > 0 ? facing * visible(scene, p, n, sun_basis, kLampRadius, world.sun_reach, &rng) : 0.0f;
+      const float surround = visible(scene, p, n, basisAround(n), kHemisphereRadius, world.ambient_reach, &rng);
+      // A tenth of the light is reflected by the surroundings whatever stands in the way.
+      light.at<float>(y, x) = world.ambient * (0.15f + 0.85f * surround) + (1 - world.ambient) * sun;
+    }
+  cv::GaussianBlur(light, light, {3, 3}, 0.7, 0.7, cv::BORDER_REPLICATE);  // Monte Carlo noise of the light
+  return light;
+}
+
 }  // namespace
 
 Scene::Scene(const World& world) : mesh_(meshOf(world)), sky_(world.sky) {
@@ -132,58 +191,9 @@ void Scene::bakePatch(const World& world, const Patch& patch, PatchTexture* text
   const int w = albedo.cols, h = albedo.rows;
   texture->texel = patch.texel;
 
-  // Light at a fraction of the texture's resolution: shadows of a lamp of some size have no finer detail.
-  const int lw = std::max(2, w / patch.light_step), lh = std::max(2, h / patch.light_step);
-  cv::Mat light(lh, lw, CV_32F);
-  const Eigen::Matrix3f sun_basis = basisAround(world.sun);
-#pragma omp parallel for schedule(dynamic, 4)
-  for (int y = 0; y < lh; ++y)
-    for (int x = 0; x < lw; ++x) {
-      const float u = (x + 0.5f) / lw, v = (y + 0.5f) / lh;
-      const Eigen::Vector3f n = normalAt(patch, u, v), p = patch.point(u, v) + 2e-3f * n;
-      const Eigen::Matrix3f normal_basis = basisAround(n);
-      Rng rng(mix(patch.seed, static_cast<std::uint64_t>(y) * lw + x));
-      alignas(64) RTCRay16 rays;
-      alignas(64) int valid[16];
-      RTCIntersectContext context;
-      rtcInitIntersectContext(&context);
-      const auto visible = [&](const Eigen::Matrix3f& basis, bool cosine, float reach) {
-        int count = 0;
-        for (int i = 0; i < 16; ++i) {
-          // Stratified over the lamp's disc (half angle 4 degrees) or the hemisphere.
-          const float a = (i % 4 + static_cast<float>(rng.uniform())) / 4,
-                      b = (i / 4 + static_cast<float>(rng.uniform())) / 4;
-          const float radius = std::sqrt(a) * (cosine ? 0.98f : 0.07f), phi = 2 * static_cast<float>(M_PI) * b;
-          const Eigen::Vector3f d =
-              basis * Eigen::Vector3f(radius * std::cos(phi), radius * std::sin(phi), std::sqrt(1 - radius * radius));
-          valid[i] = n.dot(d) > 0 ? -1 : 0;
-          rays.org_x[i] = p.x();
-          rays.org_y[i] = p.y();
-          rays.org_z[i] = p.z();
-          rays.dir_x[i] = d.x();
-          rays.dir_y[i] = d.y();
-          rays.dir_z[i] = d.z();
-          rays.tnear[i] = 0;
-          rays.tfar[i] = reach;
-          rays.time[i] = 0;
-          rays.mask[i] = ~0u;
-          rays.id[i] = 0;
-          rays.flags[i] = 0;
-        }
-        rtcOccluded16(valid, scene_, &context, &rays);
-        for (int i = 0; i < 16; ++i) count += valid[i] && rays.tfar[i] >= 0;
-        return static_cast<float>(count) / 16;
-      };
-      const float facing = std::max(0.0f, n.dot(world.sun));
-      // Outer walls do not cast the key light's shadow into the room: the lamp hangs inside.
-      const float sun = facing > 0 ? facing * visible(sun_basis, false, world.sun_reach) : 0.0f;
-      const float surround = visible(normal_basis, true, world.ambient_reach);
-      // A tenth of the light is reflected by the surroundings whatever stands in the way.
-      light.at<float>(y, x) = world.ambient * (0.15f + 0.85f * surround) + (1 - world.ambient) * sun;
-    }
   cv::Mat full;
-  cv::GaussianBlur(light, light, {3, 3}, 0.7, 0.7, cv::BORDER_REPLICATE);  // Monte Carlo noise of the light
-  cv::resize(light, full, {w, h}, 0, 0, cv::INTER_LINEAR);
+  cv::resize(bakeLight(scene_, world, patch, {std::max(2, w / patch.light_step), std::max(2, h / patch.light_step)}),
+             full, {w, h}, 0, 0, cv::INTER_LINEAR);
 
   float linear[256];
   for (int i = 0; i < 256; ++i) linear[i] = std::pow(i / 255.0f, 2.2f);

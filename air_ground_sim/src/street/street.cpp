@@ -54,31 +54,41 @@ double distanceToSegment(const Vector2d& p, const Vector2d& a, const Vector2d& b
 }
 
 // Windows in columns, shop windows and doors on the ground floor, balconies on some columns.
-void addOpenings(Building* b, Rng* rng) {
-  const double margin = rng->uniform(0.7, 1.2);
-  const double window_width = rng->uniform(0.95, 1.5),
-               window_height = std::min(rng->uniform(1.35, 2.1), b->floor_height - 1.0);
-  const double sill = std::clamp(b->floor_height - window_height - rng->uniform(0.45, 0.7), 0.2, 1.1);
-  const double pitch_wanted = window_width + rng->uniform(0.8, 1.7);
-  const int columns =
-      std::max(2, static_cast<int>((b->width - 2 * margin + pitch_wanted - window_width) / pitch_wanted));
-  const double pitch = (b->width - 2 * margin - window_width) / (columns - 1);
+// A row of windows: the columns of a facade.
+struct WindowGrid {
+  double margin, pitch, width, height, sill;
+  int columns;
+};
+
+WindowGrid drawWindows(const Building& b, Rng* rng) {
+  WindowGrid g;
+  g.margin = rng->uniform(0.7, 1.2);
+  g.width = rng->uniform(0.95, 1.5);
+  g.height = std::min(rng->uniform(1.35, 2.1), b.floor_height - 1.0);
+  g.sill = std::clamp(b.floor_height - g.height - rng->uniform(0.45, 0.7), 0.2, 1.1);
+  const double wanted = g.width + rng->uniform(0.8, 1.7);
+  g.columns = std::max(2, static_cast<int>((b.width - 2 * g.margin + wanted - g.width) / wanted));
+  g.pitch = (b.width - 2 * g.margin - g.width) / (g.columns - 1);
+  return g;
+}
+
+void addUpperFloors(const WindowGrid& g, Building* b, Rng* rng) {
   const bool balconies = rng->chance(0.5);
-  const int balcony_column = rng->integer(columns), balcony_step = 2 + rng->integer(2);
+  const int balcony_column = rng->integer(g.columns), balcony_step = 2 + rng->integer(2);
   for (int f = 1; f < b->floors; ++f) {
     const double z0 = b->street_level + b->shop_height + (f - 1) * b->floor_height;
-    for (int c = 0; c < columns; ++c) {
+    for (int c = 0; c < g.columns; ++c) {
       Opening o;
       o.floor = f;
       o.column = c;
-      o.x = margin + c * pitch;
-      o.width = window_width;
-      o.z = z0 + sill;
-      o.height = window_height;
+      o.x = g.margin + c * g.pitch;
+      o.width = g.width;
+      o.z = z0 + g.sill;
+      o.height = g.height;
       const bool balcony = balconies && f > 0 && c % balcony_step == balcony_column % balcony_step;
       if (balcony) {  // a door to it
         o.z = z0 + 0.12;
-        o.height = sill + window_height - 0.12;
+        o.height = g.sill + g.height - 0.12;
         Opening slab = o;
         slab.x -= 0.35;
         slab.width += 0.7;
@@ -89,45 +99,57 @@ void addOpenings(Building* b, Rng* rng) {
       b->openings.push_back(o);
     }
   }
-  const int door_column = rng->integer(columns);
+}
+
+void addShopFronts(double margin, Building* b, Rng* rng) {
   double x = margin;
-  if (b->shop) {
-    const int shops = std::max(1, static_cast<int>(std::lround(b->width / rng->uniform(4.5, 7.0))));
-    const double share = (b->width - 2 * margin) / shops;
-    for (int i = 0; i < shops; ++i, x += share) {
-      const bool door_left = rng->chance(0.5);
-      Opening door, pane;
-      door.kind = OpeningKind::kDoor;
-      pane.kind = OpeningKind::kShopWindow;
-      door.width = rng->uniform(0.95, 1.2);
-      door.height = rng->uniform(2.15, 2.4);
-      door.z = b->street_level + 0.06;
-      pane.width = share - door.width - 0.75;
-      pane.height = rng->uniform(1.7, 2.1);
-      pane.z = b->street_level + rng->uniform(0.35, 0.6);
-      door.x = door_left ? x + 0.1 : x + share - door.width - 0.1;
-      pane.x = door_left ? door.x + door.width + 0.3 : x + 0.2;
-      door.column = pane.column = i;
-      b->openings.push_back(door);
-      if (pane.width > 0.8) b->openings.push_back(pane);
-    }
-    return;
+  const int shops = std::max(1, static_cast<int>(std::lround(b->width / rng->uniform(4.5, 7.0))));
+  const double share = (b->width - 2 * margin) / shops;
+  for (int i = 0; i < shops; ++i, x += share) {
+    const bool door_left = rng->chance(0.5);
+    Opening door, pane;
+    door.kind = OpeningKind::kDoor;
+    pane.kind = OpeningKind::kShopWindow;
+    door.width = rng->uniform(0.95, 1.2);
+    door.height = rng->uniform(2.15, 2.4);
+    door.z = b->street_level + 0.06;
+    pane.width = share - door.width - 0.75;
+    pane.height = rng->uniform(1.7, 2.1);
+    pane.z = b->street_level + rng->uniform(0.35, 0.6);
+    door.x = door_left ? x + 0.1 : x + share - door.width - 0.1;
+    pane.x = door_left ? door.x + door.width + 0.3 : x + 0.2;
+    door.column = pane.column = i;
+    b->openings.push_back(door);
+    if (pane.width > 0.8) b->openings.push_back(pane);
   }
-  for (int c = 0; c < columns; ++c) {
+}
+
+void addGroundFloor(const WindowGrid& g, int door_column, Building* b) {
+  for (int c = 0; c < g.columns; ++c) {
     Opening o;
     o.column = c;
-    o.x = margin + c * pitch;
-    o.width = window_width;
+    o.x = g.margin + c * g.pitch;
+    o.width = g.width;
     if (c == door_column) {
       o.kind = OpeningKind::kDoor;
       o.z = b->street_level + 0.15;
       o.height = 2.25;
     } else {
-      o.z = b->street_level + b->shop_height - window_height - 0.75;
-      o.height = window_height;
+      o.z = b->street_level + b->shop_height - g.height - 0.75;
+      o.height = g.height;
     }
     b->openings.push_back(o);
   }
+}
+
+void addOpenings(Building* b, Rng* rng) {
+  const WindowGrid windows = drawWindows(*b, rng);
+  addUpperFloors(windows, b, rng);
+  const int door_column = rng->integer(windows.columns);
+  if (b->shop)
+    addShopFronts(windows.margin, b, rng);
+  else
+    addGroundFloor(windows, door_column, b);
 }
 
 Building makeBuilding(const Street& street, const Vector2d& front_left, const Vector2d& along, double width, int line,

@@ -125,6 +125,65 @@ void addRoof(const Building& b, const Vec3f& wall, double coarse, Builder* add) 
   add->quad({w, 0, e}, {w, d, e}, {w - inset, middle, ridge}, {w - inset, middle, ridge}, fine, gable);
 }
 
+void addWindows(const Building& b, double texel, double coarse, Season season, Builder* builder) {
+  Builder& add = *builder;
+  const Vec3f wall = wallColor(b), trim = trimColor(b);
+  for (std::size_t i = 0; i < b.openings.size(); ++i) {
+    const Opening& o = b.openings[i];
+    const double r = recessOf(o.kind), x0 = o.x, x1 = o.x + o.width, z0 = o.z, z1 = o.z + o.height;
+    const int index = static_cast<int>(i);
+    add.rectangle({x0, r, z0}, {o.width, 0, 0}, {0, 0, o.height}, texel,
+                  [&b, index, season](const Patch& p) { return paintPane(b, index, season, p.texel); });
+    add.rectangle({x0, 0, z0}, {0, r, 0}, {0, 0, o.height}, coarse, add.plain(wall * 0.9f));
+    add.rectangle({x1, r, z0}, {0, -r, 0}, {0, 0, o.height}, coarse, add.plain(wall * 0.9f));
+    add.rectangle({x0, 0, z0}, {o.width, 0, 0}, {0, r, 0}, coarse, add.plain(trim));
+    add.rectangle({x0, r, z1}, {o.width, 0, 0}, {0, -r, 0}, coarse, add.plain(wall * 0.85f));
+    if (o.kind == OpeningKind::kWindow) add.box({x0 - 0.1, -0.1, z0 - 0.07}, {x1 + 0.1, 0, z0}, trim, coarse);
+  }
+}
+
+void addBalconies(const Building& b, double texel, double coarse, Season season, Builder* builder) {
+  Builder& add = *builder;
+  const Vec3f trim = trimColor(b);
+  for (std::size_t i = 0; i < b.balconies.size(); ++i) {
+    const Opening& o = b.balconies[i];
+    const int index = static_cast<int>(i);
+    const Picture railing = [&b, index, season](const Patch& p) {
+      return paintRailing(b, index, season, p.width, p.height, p.texel);
+    };
+    add.box({o.x, -1.05, o.z - 0.14}, {o.x + o.width, 0, o.z}, trim, coarse);
+    add.box({o.x, -1.05, o.z}, {o.x + o.width, -1.0, o.z + 1.0}, trim, texel, railing, nullptr, true);
+    add.box({o.x, -1.0, o.z}, {o.x + 0.05, 0, o.z + 1.0}, trim, texel, nullptr, railing);
+    add.box({o.x + o.width - 0.05, -1.0, o.z}, {o.x + o.width, 0, o.z + 1.0}, trim, texel, nullptr, railing);
+  }
+}
+
+// Signs over the windows, signs that stand out, awnings.
+void addShopFronts(const Building& b, double texel, Season season, Builder* builder) {
+  Builder& add = *builder;
+  const Vec3f trim = trimColor(b);
+  for (const auto& o : b.openings) {
+    if (o.kind != OpeningKind::kShopWindow) continue;
+    const int shop = o.column;
+    const double z = b.street_level + b.shop_height - 0.82;
+    add.box({o.x, -0.12, z}, {std::min(b.width - 0.1, o.x + o.width), 0, z + 0.5}, trim, texel,
+            [&b, shop](const Patch& p) { return paintSign(b, shop, false, p.width, p.height, p.texel); });
+    Rng own(mix(mix(b.seed, 8), shop));
+    if (own.chance(0.7)) {
+      const double x = own.chance(0.5) ? o.x - 0.25 : std::min(b.width - 0.2, o.x + o.width + 0.1),
+                   zb = b.street_level + b.shop_height + own.uniform(-0.3, 0.4);
+      add.box({x, -0.85, zb}, {x + 0.1, -0.1, zb + own.uniform(0.6, 0.9)}, trim, texel, nullptr,
+              [&b, shop](const Patch& p) { return paintSign(b, shop, true, p.width, p.height, p.texel); });
+    }
+    const double out = own.uniform();
+    if (out < (season == Season::kPanoramas ? 0.5 : 0.25)) {
+      const double top = z - 0.02, reach = own.uniform(0.9, 1.3);
+      add.rectangle({o.x, -reach, top - 0.45}, {o.width, 0, 0}, {0, reach, 0.45}, texel,
+                    [&b, shop](const Patch& p) { return paintAwning(b, shop, p.width, p.height, p.texel); });
+    }
+  }
+}
+
 void addBuilding(const Building& b, const StreetConfig& c, Season season, World* world) {
   const double texel = c.texel, coarse = 4 * texel;
   Builder add(world, b.T_world_front, b.seed, coarse);
@@ -156,51 +215,9 @@ void addBuilding(const Building& b, const StreetConfig& c, Season season, World*
             nullptr, true);
   }
   if (!c.facade_images.empty()) return;
-
-  for (std::size_t i = 0; i < b.openings.size(); ++i) {
-    const Opening& o = b.openings[i];
-    const double r = recessOf(o.kind), x0 = o.x, x1 = o.x + o.width, z0 = o.z, z1 = o.z + o.height;
-    const int index = static_cast<int>(i);
-    add.rectangle({x0, r, z0}, {o.width, 0, 0}, {0, 0, o.height}, texel,
-                  [&b, index, season](const Patch& p) { return paintPane(b, index, season, p.texel); });
-    add.rectangle({x0, 0, z0}, {0, r, 0}, {0, 0, o.height}, coarse, add.plain(wall * 0.9f));
-    add.rectangle({x1, r, z0}, {0, -r, 0}, {0, 0, o.height}, coarse, add.plain(wall * 0.9f));
-    add.rectangle({x0, 0, z0}, {o.width, 0, 0}, {0, r, 0}, coarse, add.plain(trim));
-    add.rectangle({x0, r, z1}, {o.width, 0, 0}, {0, -r, 0}, coarse, add.plain(wall * 0.85f));
-    if (o.kind == OpeningKind::kWindow) add.box({x0 - 0.1, -0.1, z0 - 0.07}, {x1 + 0.1, 0, z0}, trim, coarse);
-  }
-  for (std::size_t i = 0; i < b.balconies.size(); ++i) {
-    const Opening& o = b.balconies[i];
-    const int index = static_cast<int>(i);
-    const Picture railing = [&b, index, season](const Patch& p) {
-      return paintRailing(b, index, season, p.width, p.height, p.texel);
-    };
-    add.box({o.x, -1.05, o.z - 0.14}, {o.x + o.width, 0, o.z}, trim, coarse);
-    add.box({o.x, -1.05, o.z}, {o.x + o.width, -1.0, o.z + 1.0}, trim, texel, railing, nullptr, true);
-    add.box({o.x, -1.0, o.z}, {o.x + 0.05, 0, o.z + 1.0}, trim, texel, nullptr, railing);
-    add.box({o.x + o.width - 0.05, -1.0, o.z}, {o.x + o.width, 0, o.z + 1.0}, trim, texel, nullptr, railing);
-  }
-  if (!b.shop) return;
-  for (const auto& o : b.openings) {
-    if (o.kind != OpeningKind::kShopWindow) continue;
-    const int shop = o.column;
-    const double z = b.street_level + b.shop_height - 0.82;
-    add.box({o.x, -0.12, z}, {std::min(w - 0.1, o.x + o.width), 0, z + 0.5}, trim, texel,
-            [&b, shop](const Patch& p) { return paintSign(b, shop, false, p.width, p.height, p.texel); });
-    Rng own(mix(mix(b.seed, 8), shop));
-    if (own.chance(0.7)) {
-      const double x = own.chance(0.5) ? o.x - 0.25 : std::min(w - 0.2, o.x + o.width + 0.1),
-                   zb = b.street_level + b.shop_height + own.uniform(-0.3, 0.4);
-      add.box({x, -0.85, zb}, {x + 0.1, -0.1, zb + own.uniform(0.6, 0.9)}, trim, texel, nullptr,
-              [&b, shop](const Patch& p) { return paintSign(b, shop, true, p.width, p.height, p.texel); });
-    }
-    const double out = own.uniform();
-    if (out < (season == Season::kPanoramas ? 0.5 : 0.25)) {
-      const double top = z - 0.02, reach = own.uniform(0.9, 1.3);
-      add.rectangle({o.x, -reach, top - 0.45}, {o.width, 0, 0}, {0, reach, 0.45}, texel,
-                    [&b, shop](const Patch& p) { return paintAwning(b, shop, p.width, p.height, p.texel); });
-    }
-  }
+  addWindows(b, texel, coarse, season, &add);
+  addBalconies(b, texel, coarse, season, &add);
+  if (b.shop) addShopFronts(b, texel, season, &add);
 }
 
 Pose standPose(const Stand& s) { return air_ground_common::yawPose(s.yaw, s.position); }
