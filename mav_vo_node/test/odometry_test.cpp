@@ -2,104 +2,16 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
-#include <functional>
 #include <thread>
 
 #include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/trajectory.h"
-#include "mav_vo/odometry.h"
-#include "synthetic_camera.h"
+#include "rendered_flight.h"
 
 using namespace mav_vo;
 using air_ground_common::Alignment;
 
 namespace {
-
-struct Options {
-  double begin = 0, end = 12;
-  bool imu = true;
-  ImuBias bias{{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}};
-  std::function<bool(double)> drop_image = [](double) { return false; };
-  std::function<double(double)> gain = [](double) { return 1.0; };
-  std::function<bool(double)> black = [](double) { return false; };
-  std::function<bool(double)> nan_imu = [](double) { return false; };
-  synthetic::Flight flight;
-  double imu_shift = 0;  ///< added to the IMU's stamps [s]
-  double readout = 0;    ///< of a rolling shutter [s]
-  double replay = 0;     ///< added to all stamps: the recording is played again, time going on [s]
-  unsigned seed = 11;    ///< of the IMU's noise
-  int grain = 5;         ///< of the images' noise
-};
-
-struct Outcome {
-  air_ground_common::Trajectory truth, online, final_poses;  // of the camera
-  std::vector<FrameResult> frames;
-  double metric_at = -1;
-};
-
-/// Strips of a few rows, each from where the camera is when they are read.
-cv::Mat renderRows(const synthetic::PlateWorld& world, const Options& options, double t, cv::RNG* grain) {
-  constexpr int kRows = 8;
-  const auto camera = synthetic::camera();
-  cv::Mat image(camera.height, camera.width, CV_8U);
-  for (int row = 0; row < camera.height; row += kRows) {
-    auto strip = camera;
-    strip.height = std::min(kRows, camera.height - row);
-    strip.cy -= row;
-    const double at = t + ((row + 0.5 * strip.height) / camera.height - 0.5) * options.readout;
-    world.render(strip, options.flight.T_world_imu(at) * synthetic::T_imu_camera(), options.gain(t), grain)
-        .copyTo(image.rowRange(row, row + strip.height));
-  }
-  return image;
-}
-
-Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* given = nullptr) {
-  static const synthetic::PlateWorld world(3);
-  settings.use_imu = options.imu;
-  std::unique_ptr<Odometry> own;
-  if (!given) {
-    own = std::make_unique<Odometry>(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), settings);
-    given = own.get();
-  }
-  std::mt19937 random(options.seed);
-  cv::RNG grain(options.grain);
-  const ImuNoise noise{1.7e-4, 2.9e-3, 2e-5, 6e-4};
-  auto samples = options.flight.imuSamples(options.begin - 0.2, options.end + 0.1, 200, noise, options.bias, random);
-  for (ImuSample& sample : samples) sample.stamp += options.imu_shift + options.replay;
-  std::size_t next = 0;
-  Outcome outcome;
-  for (int i = 1; options.begin + 0.05 * i <= options.end; ++i) {
-    const double t = options.begin + 0.05 * i;
-    for (; options.imu && next < samples.size() && samples[next].stamp <= given->imuNeededAt(t + options.replay) + 1e-9;
-         ++next) {
-      ImuSample sample = samples[next];
-      if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
-      given->addImu(sample);
-    }
-    const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
-    outcome.truth.push_back({t, T});
-    if (options.drop_image(t)) continue;
-    cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
-                                         : renderRows(world, options, t, &grain);
-    if (options.black(t)) image.setTo(3);
-    const FrameResult r = given->process(t + options.replay, image);
-    EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));
-    EXPECT_TRUE(!r.metric || options.imu);
-    if (r.metric && outcome.metric_at < 0) outcome.metric_at = t;
-    if (r.metric && r.pose_valid) outcome.online.push_back({t, r.T_map_camera});
-    outcome.frames.push_back(r);
-  }
-  outcome.final_poses = given->trajectory();
-  return outcome;
-}
-
-double ate(const Outcome& o, const air_ground_common::Trajectory& estimate, double* scale_error = nullptr) {
-  if (scale_error)
-    *scale_error = air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kSimilarity)
-                       .reference_from_estimate.scale -
-                   1;
-  return air_ground_common::absoluteTrajectoryError(o.truth, estimate, Alignment::kYawTranslation).rmse;
-}
 
 TEST(Odometry, IsMetricAndAccurate) {
   const Outcome o = fly(Options{});
