@@ -1,0 +1,31 @@
+// Messages of a fused map: depth map, cloud, and figures of the distance field.
+#pragma once
+
+#include <ros/ros.h>
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "air_ground_common/ros/conversions.h"
+#include "dense_fusion/dense_mapper.h"
+
+namespace dense_fusion {
+
+/// The points that are finite, as the MAV's.
+std::vector<air_ground_common::ros_utils::CloudPoint> messagePoints(const std::vector<SurfacePoint>& points);
+
+/// mav/depth_map, mav/dense_cloud, mav/distance_field.
+class FusedMapPublisher {
+ public:
+  explicit FusedMapPublisher(ros::NodeHandle handle);
+
+  /// Poses and points are in map_frame, depth maps in camera_frame.
+  void publish(const FusedMap& fused, const std::string& map_frame, const std::string& camera_frame,
+               std::uint32_t map_id);
+
+ private:
+  ros::Publisher depth_map_, cloud_, field_;
+};
+
+}  // namespace dense_fusion

@@ -1,0 +1,120 @@
+#include "work_queue.h"
+
+#include <chrono>
+#include <utility>
+
+namespace dense_fusion {
+namespace {
+
+constexpr std::size_t kMaxBytes = 512u << 20;  // of waiting images, however large each is
+
+}  // namespace
+
+WorkQueue::WorkQueue(std::size_t most_images, air_ground_common::ros_utils::NodeHealth& health)
+    : most_images_(most_images), health_(health), gate_(kStreams, health, [this] {
+        ROS_WARN("time jumped back: the dense map starts afresh");
+        forget();
+      }) {}
+
+void WorkQueue::add(const air_ground::PosedImage::ConstPtr& msg) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!gate_.admit(kImages, msg->header.stamp)) return;
+    images_.push_back(msg);
+    bytes_ += msg->image.data.size();
+    while (images_.size() > most_images_ || (bytes_ > kMaxBytes && images_.size() > 1)) {
+      bytes_ -= images_.front()->image.data.size();
+      images_.pop_front();
+      health_.count("images dropped: the queue was full");
+    }
+    last_arrival_ = ros::WallTime::now();
+    flush_due_ = true;
+  }
+  changed_.notify_all();
+}
+
+void WorkQueue::add(SparseCloud cloud) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (gate_.admit(kSparseClouds, cloud.stamp)) sparse_ = std::make_shared<const SparseCloud>(std::move(cloud));
+}
+
+void WorkQueue::flushAfter(double silence) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!flush_due_ || !images_.empty() || busy_) return;
+    if ((ros::WallTime::now() - last_arrival_).toSec() < silence) return;
+    flush_due_ = false;
+    flush_requested_ = true;
+  }
+  changed_.notify_all();
+}
+
+bool WorkQueue::flushAndWait(double patience) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  flush_requested_ = true;
+  flush_due_ = false;
+  changed_.notify_all();
+  return idle_.wait_for(lock, std::chrono::duration<double>(patience), [this] {
+    return stop_ || (!flush_requested_ && !flushing_);
+  }) && !stop_;
+}
+
+bool WorkQueue::resetAndWait(double patience) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  forget();
+  flush_requested_ = flush_due_ = false;
+  changed_.notify_all();
+  idle_.wait_for(lock, std::chrono::duration<double>(patience), [this] { return stop_ || !reset_requested_; });
+  return !reset_requested_;
+}
+
+void WorkQueue::forget() {
+  images_.clear();
+  bytes_ = 0;
+  sparse_.reset();
+  reset_requested_ = true;
+}
+
+std::optional<Work> WorkQueue::next() {
+  std::unique_lock<std::mutex> lock(mutex_);
+  changed_.wait(lock, [this] { return stop_ || reset_requested_ || flush_requested_ || !images_.empty(); });
+  if (stop_) return std::nullopt;
+  busy_ = true;
+  if (reset_requested_) {
+    reset_requested_ = false;
+    return Work{Work::Kind::kReset, nullptr, nullptr};
+  }
+  if (!images_.empty()) {
+    const Work work{Work::Kind::kImage, images_.front(), sparse_};
+    images_.pop_front();
+    bytes_ -= work.image->image.data.size();
+    return work;
+  }
+  flush_requested_ = false;
+  flushing_ = true;
+  return Work{};
+}
+
+void WorkQueue::done() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    flushing_ = busy_ = false;
+  }
+  idle_.notify_all();
+}
+
+std::size_t WorkQueue::imagesWaiting() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return images_.size();
+}
+
+void WorkQueue::stop() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    stop_ = true;
+  }
+  changed_.notify_all();
+  idle_.notify_all();
+}
+
+}  // namespace dense_fusion

@@ -1,0 +1,86 @@
+// What dense_fusion_node's worker has to do: images, flushes and resets, in their order.
+#pragma once
+
+#include <air_ground/PosedImage.h>
+#include <ros/ros.h>
+
+#include <Eigen/Core>
+#include <condition_variable>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "air_ground_common/ros/health.h"
+
+namespace dense_fusion {
+
+/// Landmarks of the odometry.
+struct SparseCloud {
+  std::vector<Eigen::Vector3f> points;
+  std::string frame;
+  ros::Time stamp;
+};
+
+struct Work {
+  enum class Kind { kImage, kFlush, kReset };
+  Kind kind = Kind::kFlush;
+  air_ground::PosedImage::ConstPtr image;
+  std::shared_ptr<const SparseCloud> sparse;  ///< the newest one; null: none
+};
+
+/// Callbacks add, services wait, one worker takes; all may do so at once.
+class WorkQueue {
+ public:
+  WorkQueue(std::size_t most_images, air_ground_common::ros_utils::NodeHealth& health);
+
+  // ---- Callbacks. Messages from before a jump of time reset the work and start anew.
+
+  void add(const air_ground::PosedImage::ConstPtr& msg);
+  void add(SparseCloud cloud);
+  /// Asks for a flush once when nothing has come for so long and all images are done [s].
+  void flushAfter(double silence);
+
+  // ---- Services. False: it did not come to that in time.
+
+  bool flushAndWait(double patience);
+  bool resetAndWait(double patience);
+
+  // ---- The worker
+
+  /// Waits for something to do; empty when stop() was called. What is taken is off the queue: what fails is not tried
+  /// for ever. done() must follow.
+  std::optional<Work> next();
+  void done();
+  /// Runs `publish` unless a reset waits: nothing of the time before a jump or a reset goes out after it.
+  template <typename Publish>
+  bool unlessReset(const Publish& publish) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (reset_requested_) return false;
+    publish();
+    return true;
+  }
+  std::size_t imagesWaiting() const;
+
+  void stop();
+
+ private:
+  enum Stream { kImages, kSparseClouds, kStreams };
+  void forget();  // locked
+
+  const std::size_t most_images_;
+  air_ground_common::ros_utils::NodeHealth& health_;
+  mutable std::mutex mutex_;
+  std::condition_variable changed_, idle_;
+  air_ground_common::ros_utils::StreamGate gate_;
+  std::deque<air_ground::PosedImage::ConstPtr> images_;
+  std::size_t bytes_ = 0;
+  std::shared_ptr<const SparseCloud> sparse_;
+  ros::WallTime last_arrival_;
+  bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flushing_ = false, flush_due_ = false,
+       busy_ = false;
+};
+
+}  // namespace dense_fusion
