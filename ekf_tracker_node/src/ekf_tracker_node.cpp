@@ -2,28 +2,23 @@
 // so everything runs in the callbacks of one thread, in the order of arrival.
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoIncrement.h>
-#include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
-#include <sensor_msgs/Imu.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <cmath>
-#include <deque>
 #include <limits>
 #include <optional>
 #include <string>
-#include <utility>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
-#include "air_ground_common/text.h"
+#include "attitude_input.h"
 #include "ekf_tracker/increment_synchronizer.h"
 #include "sensor_bridge.h"
 #include "tracked_pose_publisher.h"
+#include "tracker_state.h"
 
 namespace ekf_tracker {
 namespace {
@@ -31,11 +26,6 @@ namespace {
 using air_ground_common::Pose;
 namespace ru = air_ground_common::ros_utils;
 using Synchronizer = IncrementSynchronizer<air_ground::VoIncrement::ConstPtr>;
-
-constexpr double kSilence = 1.0;           // without odometry that could be used: it is lost [s]
-constexpr double kFieldTolerance = 0.2;    // between a magnetometer's reading and the pose that tells its tilt [s]
-constexpr double kUnlocated = 10;          // odometry without any fix: said on the console [s]
-constexpr std::size_t kMostFields = 1000;  // readings that wait for the odometry
 
 std::optional<air_ground_common::LocalFrame> frameOf(const NodeSettings& settings) {
   if (settings.origin_crs.empty()) return std::nullopt;
@@ -49,8 +39,6 @@ std::optional<air_ground_common::LocalFrame> frameOf(const NodeSettings& setting
 
 // Of a clock that nobody sets [s].
 double steadySeconds() { return ros::SteadyTime::now().toSec(); }
-// By the clock that the messages follow, so that a paused replay is no silence; else by one that nobody sets.
-double seconds() { return ros::Time::isSimTime() ? ros::Time::now().toSec() : steadySeconds(); }
 
 class EkfTrackerNode {
  public:
@@ -61,21 +49,13 @@ class EkfTrackerNode {
         bridge_(settings_, frame_ ? &*frame_ : nullptr),
         publisher_(handle, settings_, frame_ ? &*frame_ : nullptr),
         health_("ekf_tracker"),
-        listener_(tf_) {
+        state_(health_),
+        attitude_(
+            handle, settings_, bridge_, health_, [this] { drain(); }, [this](const Measurement& m) { add(m); }) {
     increments_ = handle.subscribe("mav/vo_increment", 400, &EkfTrackerNode::onIncrement, this);
     fixes_ = handle.subscribe("streetview/pose", 100, &EkfTrackerNode::onFix, this);
     // Fixes come seconds apart: their absence is told by the state, not by a watch for silence.
     health_.expectInput(increments_.getTopic());
-    if (settings_.odometry_wait > 0) {
-      vo_poses_ = handle.subscribe("mav/odometry", 400, &EkfTrackerNode::onVoPose, this);
-      health_.expectInput(vo_poses_.getTopic());
-    }
-    if (settings_.magnetometer || settings_.odometry_wait > 0)
-      imu_ = handle.subscribe("mav/imu/data", 1000, &EkfTrackerNode::onImu, this);
-    if (settings_.magnetometer) {
-      magnetometer_ = handle.subscribe("mav/imu/mag", 400, &EkfTrackerNode::onMagneticField, this);
-      health_.expectInput(magnetometer_.getTopic());
-    }
     if (settings_.gps) {
       gps_ = handle.subscribe("gps/fix", 100, &EkfTrackerNode::onGps, this);
       health_.expectInput(gps_.getTopic());
@@ -88,8 +68,8 @@ class EkfTrackerNode {
     save_ = private_handle.advertiseService("save_trajectory", &EkfTrackerNode::onSave, this);
     timer_ = handle.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) {
       drain();
-      drainFields();
-      watch();
+      attitude_.drainFields();
+      state_.watch(increments_.getTopic());
     });
     health_.state(1, "waiting for visual odometry");
   }
@@ -133,31 +113,13 @@ class EkfTrackerNode {
     forget();
   }
 
-  void onVoPose(const nav_msgs::Odometry::ConstPtr& msg) {
-    health_.received(vo_poses_.getTopic(), msg->header.stamp);
-    // Of a frame that is not the one named here nothing is known, not even that it is level: no tilt and no tf from it.
-    if (msg->header.frame_id != settings_.map_frame)
-      return health_.count("mav/odometry ignored: in frame '" + msg->header.frame_id + "', expected map_frame '" +
-                           settings_.map_frame + "'");
-    if (!msg->child_frame_id.empty() && msg->child_frame_id != settings_.base_frame)
-      return health_.count("mav/odometry ignored: of frame '" + msg->child_frame_id + "', expected base_frame '" +
-                           settings_.base_frame + "'");
-    try {
-      tilts_.addPose(msg->header.stamp.toSec(), ru::fromMsg(msg->pose.pose));
-    } catch (const std::invalid_argument& e) {
-      return health_.count(std::string("mav/odometry ignored: ") + e.what());
-    }
-    drain();
-    drainFields();
-  }
-
   void drain() {
     while (const auto ready = synchronizer_.next(steadySeconds())) apply(*ready->message, ready->T_map_base);
   }
 
   void apply(const air_ground::VoIncrement& msg, const std::optional<Pose>& T_map_base) {
     const ros::WallTime started = ros::WallTime::now();
-    const auto R_level_base = tiltAt(msg.header.stamp.toSec(), T_map_base);
+    const auto R_level_base = attitude_.tiltAt(msg.header.stamp.toSec(), T_map_base);
     if (settings_.odometry_wait > 0 && !T_map_base)
       health_.count(
           R_level_base
@@ -172,8 +134,7 @@ class EkfTrackerNode {
     }
     if (replaced) health_.count("increments whose covariance is not one: the default stands in");
     if (!countResult(result)) return;
-    used_ = seconds();
-    lost_ = false;
+    state_.odometryUsed();
     health_.timing("odometry step", (ros::WallTime::now() - started).toSec());
     publishOutcomes();
     publishPose(msg, R_level_base, T_map_base);
@@ -221,7 +182,7 @@ class EkfTrackerNode {
   }
 
   void onFix(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
-    ++fixes_heard_;
+    state_.fixHeard();
     if (msg->header.frame_id != settings_.world_frame)
       return health_.count("fixes ignored: in frame '" + msg->header.frame_id + "', expected '" +
                            settings_.world_frame + "'");
@@ -246,63 +207,6 @@ class EkfTrackerNode {
     }
   }
 
-  void onImu(const sensor_msgs::Imu::ConstPtr& msg) {
-    const Eigen::Vector3d force(msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z);
-    const auto R_base_sensor = rotationFrom(msg->header.frame_id);
-    if (force.allFinite() && R_base_sensor) tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
-  }
-
-  void onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg) {
-    health_.received(magnetometer_.getTopic(), msg->header.stamp);
-    if (!bridge_.takesField(*msg)) return;
-    pending_fields_.emplace_back(msg, steadySeconds());
-    if (pending_fields_.size() > kMostFields) pending_fields_.pop_front();
-    drainFields();
-  }
-
-  // A reading waits, like an increment, for the odometry of its time, whose tilt is better than the accelerometer's.
-  void drainFields() {
-    while (!pending_fields_.empty()) {
-      const auto [msg, received] = pending_fields_.front();
-      const bool come = tilts_.newestPose() >= msg->header.stamp.toSec();
-      if (!come && steadySeconds() - received <= settings_.odometry_wait) return;
-      pending_fields_.pop_front();
-      applyField(*msg);
-    }
-  }
-
-  void applyField(const sensor_msgs::MagneticField& msg) {
-    const auto R_base_sensor = rotationFrom(msg.header.frame_id);
-    if (!R_base_sensor) return;
-    const double stamp = msg.header.stamp.toSec();
-    const auto T_map_base = tilts_.poseAt(stamp, kFieldTolerance);
-    const auto R_level_base = T_map_base ? tiltOf(T_map_base->linear()) : tilts_.accelerometerTiltAt(stamp);
-    if (!R_level_base)
-      return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data at their time");
-    try {
-      add(bridge_.heading(msg, *R_base_sensor, *R_level_base));
-    } catch (const std::invalid_argument& e) {
-      health_.count(std::string("magnetometer readings ignored: ") + e.what());
-    }
-  }
-
-  // From the odometry or, without, the accelerometer; empty where neither says anything.
-  std::optional<Eigen::Matrix3d> tiltAt(double stamp, const std::optional<Pose>& T_map_base) const {
-    if (T_map_base) return tiltOf(T_map_base->linear());
-    if (settings_.odometry_wait <= 0) return std::nullopt;
-    return tilts_.accelerometerTiltAt(stamp);
-  }
-
-  std::optional<Eigen::Matrix3d> rotationFrom(const std::string& frame) {
-    if (frame.empty() || frame == settings_.base_frame) return Eigen::Matrix3d::Identity();
-    try {
-      return ru::fromMsg(tf_.lookupTransform(settings_.base_frame, frame, ros::Time(0)).transform).linear();
-    } catch (const std::exception&) {
-      health_.count("readings ignored: no transform from " + frame + " to " + settings_.base_frame);
-      return std::nullopt;
-    }
-  }
-
   // ---- Output -------------------------------------------------------------------------------------------------------
 
   void publishOutcomes() {
@@ -316,7 +220,7 @@ class EkfTrackerNode {
 
   void publishOutcome(const Outcome& o) {
     const Source source = o.measurement.source;
-    if (source == Source::kFix && isUsed(o.result)) last_fix_ = std::max(last_fix_, o.measurement.stamp);
+    if (source == Source::kFix && isUsed(o.result)) state_.fixUsed(o.measurement.stamp);
     // Refusals are counted by name; waiting for a partner is none.
     const bool waits = o.result == Result::kWaiting || o.result == Result::kNotStarted;
     if (o.revised)
@@ -331,63 +235,19 @@ class EkfTrackerNode {
                    const std::optional<Pose>& T_map_base) {
     const double stamp = cause.header.stamp.toSec();
     const auto estimate = tracker_.latest();
-    if (!estimate) return sayUnlocated(stamp, cause.metric != 0);
+    if (!estimate) return state_.unlocated(stamp, cause.metric != 0, fixes_);
     publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(),
                        R_level_base.value_or(Eigen::Matrix3d::Identity()), T_map_base);
-    sayTracking(*estimate, stamp);
-  }
-
-  void sayUnlocated(double stamp, bool metric) {
-    std::string line = metric
-                           ? "waiting for two fixes that agree"
-                           : "waiting for fixes that agree, two of them far enough apart to give the odometry's scale";
-    line += "; " + std::to_string(fixes_heard_) + " came on " + fixes_.getTopic() + ", which has " +
-            std::to_string(fixes_.getNumPublishers()) + " publishers";
-    health_.state(1, line);
-    if (fixes_heard_ > 0) return;
-    if (!unlocated_since_ || stamp < *unlocated_since_) unlocated_since_ = stamp;
-    if (stamp > *unlocated_since_ + kUnlocated)
-      ROS_WARN_STREAM_ONCE("odometry has come for 10 s, but no fix: " << line);
-  }
-
-  void sayTracking(const Estimate& estimate, double stamp) {
-    const Vector4d stddev = estimate.covariance.diagonal().cwiseSqrt();
-    const std::string line = air_ground_common::formatted(
-        "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago",
-        stddev[0], stddev[1], stddev[2], stddev[3] * 180 / M_PI, estimate.scale, estimate.scale_stddev,
-        estimate.support, stamp - last_fix_);
-    if (!estimate.scale_known)
-      health_.state(1, "the odometry's scale is not known: position is held by fixes alone; " + line);
-    else if (tracker_.filter().strongestRival() > 1)
-      health_.state(1, "doubtful, refused fixes agree; " + line);
-    else
-      health_.state(0, line);
-  }
-
-  // What was said last must not stand when the odometry has died.
-  void watch() {
-    if (!used_ || lost_) return;
-    const double silent = seconds() - *used_;
-    if (silent < 0) used_ = seconds();  // the clock ran back
-    if (silent < kSilence) return;
-    lost_ = true;
-    health_.count("visual odometry was lost");
-    health_.state(
-        2, "no usable visual odometry on " + increments_.getTopic() + " for more than a second: no pose is published");
+    state_.tracking(*estimate, stamp, tracker_.filter().strongestRival() > 1);
   }
 
   // All but the increments that wait: at a jump they are of the new time already.
   void forget() {
-    used_.reset();
-    lost_ = false;
-    health_.state(1, "forgot the pose; waiting for visual odometry");
-    tilts_.clear();
+    state_.forget();
+    attitude_.clear();
     tracker_.reset();
     bridge_.reset();
     publisher_.reset();
-    tf_.clear();  // of moving edges; fixed ones stay
-    pending_fields_.clear();
-    last_fix_ = 0;
     recoveries_ = 0;
   }
 
@@ -415,22 +275,15 @@ class EkfTrackerNode {
   const std::optional<air_ground_common::LocalFrame> frame_;
   SensorBridge bridge_;
   TrackedPosePublisher publisher_;
-  TiltSource tilts_;
-  Synchronizer synchronizer_{settings_.odometry_wait, tilts_};
   ru::NodeHealth health_;
+  TrackerState state_;
+  AttitudeInput attitude_;
+  Synchronizer synchronizer_{settings_.odometry_wait, attitude_.tilts()};
   ru::TimeJumpDetector clock_;
-  tf2_ros::Buffer tf_;
-  tf2_ros::TransformListener listener_;
-  ros::Subscriber increments_, fixes_, vo_poses_, imu_, magnetometer_, gps_, barometer_;
+  ros::Subscriber increments_, fixes_, gps_, barometer_;
   ros::ServiceServer reset_, save_;
   ros::WallTimer timer_;
 
-  std::deque<std::pair<sensor_msgs::MagneticField::ConstPtr, double>> pending_fields_;  ///< with their arrival [s]
-  std::optional<double> used_;  ///< when an increment was, by seconds()
-  bool lost_ = false;
-  std::optional<double> unlocated_since_;  ///< [s]
-  double last_fix_ = 0;                    ///< stamp of the last one fused [s]
-  std::size_t fixes_heard_ = 0;
   int recoveries_ = 0;
 };
 

@@ -1,0 +1,118 @@
+#include "attitude_input.h"
+
+#include "air_ground_common/ros/conversions.h"
+
+namespace ekf_tracker {
+namespace {
+
+using air_ground_common::Pose;
+namespace ru = air_ground_common::ros_utils;
+
+constexpr double kFieldTolerance = 0.2;    // between a magnetometer's reading and the pose that tells its tilt [s]
+constexpr std::size_t kMostFields = 1000;  // readings that wait for the odometry
+
+// Of a clock that nobody sets [s].
+double steadySeconds() { return ros::SteadyTime::now().toSec(); }
+
+}  // namespace
+
+AttitudeInput::AttitudeInput(ros::NodeHandle handle, const NodeSettings& settings, SensorBridge& bridge,
+                             ru::NodeHealth& health, std::function<void()> on_pose,
+                             std::function<void(const Measurement&)> on_heading)
+    : settings_(settings),
+      bridge_(bridge),
+      health_(health),
+      on_pose_(std::move(on_pose)),
+      on_heading_(std::move(on_heading)) {
+  if (settings_.odometry_wait > 0) {
+    vo_poses_ = handle.subscribe("mav/odometry", 400, &AttitudeInput::onVoPose, this);
+    health_.expectInput(vo_poses_.getTopic());
+  }
+  if (settings_.magnetometer || settings_.odometry_wait > 0)
+    imu_ = handle.subscribe("mav/imu/data", 1000, &AttitudeInput::onImu, this);
+  if (settings_.magnetometer) {
+    magnetometer_ = handle.subscribe("mav/imu/mag", 400, &AttitudeInput::onMagneticField, this);
+    health_.expectInput(magnetometer_.getTopic());
+  }
+}
+
+void AttitudeInput::onVoPose(const nav_msgs::Odometry::ConstPtr& msg) {
+  health_.received(vo_poses_.getTopic(), msg->header.stamp);
+  // Of a frame that is not the one named here nothing is known, not even that it is level: no tilt and no tf from it.
+  if (msg->header.frame_id != settings_.map_frame)
+    return health_.count("mav/odometry ignored: in frame '" + msg->header.frame_id + "', expected map_frame '" +
+                         settings_.map_frame + "'");
+  if (!msg->child_frame_id.empty() && msg->child_frame_id != settings_.base_frame)
+    return health_.count("mav/odometry ignored: of frame '" + msg->child_frame_id + "', expected base_frame '" +
+                         settings_.base_frame + "'");
+  try {
+    tilts_.addPose(msg->header.stamp.toSec(), ru::fromMsg(msg->pose.pose));
+  } catch (const std::invalid_argument& e) {
+    return health_.count(std::string("mav/odometry ignored: ") + e.what());
+  }
+  on_pose_();
+  drainFields();
+}
+
+void AttitudeInput::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
+  const Eigen::Vector3d force(msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z);
+  const auto R_base_sensor = rotationFrom(msg->header.frame_id);
+  if (force.allFinite() && R_base_sensor) tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
+}
+
+void AttitudeInput::onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg) {
+  health_.received(magnetometer_.getTopic(), msg->header.stamp);
+  if (!bridge_.takesField(*msg)) return;
+  pending_fields_.emplace_back(msg, steadySeconds());
+  if (pending_fields_.size() > kMostFields) pending_fields_.pop_front();
+  drainFields();
+}
+
+void AttitudeInput::drainFields() {
+  while (!pending_fields_.empty()) {
+    const auto [msg, received] = pending_fields_.front();
+    const bool come = tilts_.newestPose() >= msg->header.stamp.toSec();
+    if (!come && steadySeconds() - received <= settings_.odometry_wait) return;
+    pending_fields_.pop_front();
+    applyField(*msg);
+  }
+}
+
+void AttitudeInput::applyField(const sensor_msgs::MagneticField& msg) {
+  const auto R_base_sensor = rotationFrom(msg.header.frame_id);
+  if (!R_base_sensor) return;
+  const double stamp = msg.header.stamp.toSec();
+  const auto T_map_base = tilts_.poseAt(stamp, kFieldTolerance);
+  const auto R_level_base = T_map_base ? tiltOf(T_map_base->linear()) : tilts_.accelerometerTiltAt(stamp);
+  if (!R_level_base)
+    return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data at their time");
+  try {
+    on_heading_(bridge_.heading(msg, *R_base_sensor, *R_level_base));
+  } catch (const std::invalid_argument& e) {
+    health_.count(std::string("magnetometer readings ignored: ") + e.what());
+  }
+}
+
+std::optional<Eigen::Matrix3d> AttitudeInput::tiltAt(double stamp, const std::optional<Pose>& T_map_base) const {
+  if (T_map_base) return tiltOf(T_map_base->linear());
+  if (settings_.odometry_wait <= 0) return std::nullopt;
+  return tilts_.accelerometerTiltAt(stamp);
+}
+
+std::optional<Eigen::Matrix3d> AttitudeInput::rotationFrom(const std::string& frame) {
+  if (frame.empty() || frame == settings_.base_frame) return Eigen::Matrix3d::Identity();
+  try {
+    return ru::fromMsg(tf_.lookupTransform(settings_.base_frame, frame, ros::Time(0)).transform).linear();
+  } catch (const std::exception&) {
+    health_.count("readings ignored: no transform from " + frame + " to " + settings_.base_frame);
+    return std::nullopt;
+  }
+}
+
+void AttitudeInput::clear() {
+  tilts_.clear();
+  tf_.clear();  // of moving edges; fixed ones stay
+  pending_fields_.clear();
+}
+
+}  // namespace ekf_tracker
