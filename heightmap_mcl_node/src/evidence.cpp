@@ -40,8 +40,9 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   // Of two bare floors there is nothing to explain.
   if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief)
     return by_score;
-  const auto unexplained = [this](const Zmssd& z) { return (z.cost + settings_.noise_cost) / z.variance; };
-  return std::min(by_score, unexplained(other) / unexplained(best));
+  // The ratio of the shares left unexplained where both overlap as much; what explains less ground counts for less.
+  const double independent = std::max(best.overlap / settings_.cells_per_independent, 1.0);
+  return std::min(by_score, std::exp(2 * (evidence(best) - evidence(other)) / independent));
 }
 
 Candidate Localizer::bestPlacement(const HeightMap& map) const {

@@ -135,8 +135,12 @@ std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
 CostSettings Localizer::costFor(const HeightMap& air) const {
   // Of unrelated heights, eq. 2 is on average half the sum of both variances.
   const double unrelated = 0.5 * (std::pow(heightDeviation(air), 2) + ground_variance_);
-  return {settings_.min_overlap, settings_.unknown_weight * unrelated, settings_.min_explained, settings_.min_relief,
-          settings_.overlap_of_air};
+  // The paper's share is of one cloud: what other clouds saw elsewhere takes nothing from what this one shares.
+  double largest = 0;
+  for (const Kept& kept : aerial_) largest = std::max(largest, static_cast<double>(kept.map.defined()));
+  const double smaller = static_cast<double>(std::min(air.defined(), ground_.defined()));
+  return {settings_.min_overlap * std::min(1.0, largest / std::max(smaller, 1.0)), settings_.unknown_weight * unrelated,
+          settings_.min_explained, settings_.min_relief, settings_.overlap_of_air};
 }
 
 CostVolume Localizer::coarseVolume(const HeightMap& map) const {
@@ -197,26 +201,33 @@ void Localizer::updateEstimate() {
   estimateFromPlaces(mode);
 }
 
-/// The best of all places, its rivals and the verdict on it. Everything here uses the merged maps about their own
-/// centre, where heading and position hardly interact.
+/// The best of all places, its rivals and the verdict on it. Sought about the merged maps' centre, compared and judged
+/// about that of the overlap, where heading and position hardly interact.
 void Localizer::estimateFromPlaces(const ParticleMode& mode) {
   const HeightMap verify_map = lastMaps(settings_.verify);
-  const AerialCells cells = aerialCells(verify_map, centerOf(verify_map));
+  AerialCells cells = aerialCells(verify_map, centerOf(verify_map));
   const CostSettings cost = costFor(verify_map);
-  const PlanarPose mean = changeReference(mode.mean, filter_.reference(), cells.reference);
+  PlanarPose mean = changeReference(mode.mean, filter_.reference(), cells.reference);
   Candidate best = descend(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);
   if (!std::isfinite(best.zmssd.cost) || separation(best.pose, mean) > settings_.rival_distance) {
     best = {mean, (*direct_)(cells, mean, cost)};
   }
 
   const CostVolume volume = coarseVolume(verify_map);
-  const std::vector<Candidate> places = findPlaces(volume, cells, cost, best);
+  std::vector<Candidate> places = findPlaces(volume, cells, cost, best);
   if (places.empty()) {
     estimate_.reason = "nothing fits near the initial guess";
     return;
   }
   best = *std::min_element(places.begin(), places.end(),
                            [](const Candidate& a, const Candidate& b) { return a.zmssd.score < b.zmssd.score; });
+  const Eigen::Vector2d merged_center = cells.reference;
+  cells = about(std::move(cells), overlapCenter(cells, best.pose));
+  for (Candidate& place : places) place.pose = changeReference(place.pose, merged_center, cells.reference);
+  mean = changeReference(mean, merged_center, cells.reference);
+  best.pose = changeReference(best.pose, merged_center, cells.reference);
+  const Candidate refined = descend(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
+  if (refined.zmssd.score < best.zmssd.score) best = refined;
   const Candidate rival = compareWithRivals(best, places);
   const bool particles_agree = isSame({mean, {}}, best);
 
@@ -241,6 +252,12 @@ void Localizer::estimateFromPlaces(const ParticleMode& mode) {
     filter_.resample(&volume, prior_);
   }
   weighed_ = false;
+}
+
+/// In the aerial frame.
+Eigen::Vector2d Localizer::overlapCenter(const AerialCells& cells, const PlanarPose& pose) const {
+  const Eigen::Vector2d center = direct_->overlapAt(cells, pose).center;
+  return cells.reference + Eigen::Rotation2Dd(-pose.yaw) * (center - Eigen::Vector2d(pose.x, pose.y));
 }
 
 /// The lowest places of the full search beside the particles' mode. Where one fits better than that, it is the

@@ -47,17 +47,6 @@ Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, cons
   return H;
 }
 
-/// The cells about another reference.
-AerialCells about(AerialCells cells, const Eigen::Vector2d& reference) {
-  const Eigen::Vector2d shift = reference - cells.reference;
-  cells.reference = reference;
-  for (std::size_t i = 0; i < cells.h.size(); ++i) {
-    cells.x[i] -= static_cast<float>(shift.x());
-    cells.y[i] -= static_cast<float>(shift.y());
-  }
-  return cells;
-}
-
 /// Covariance of (x, y, yaw) with `limit` as deviation along what the information leaves open.
 Eigen::Matrix3d boundedInverse(const Eigen::Matrix3d& information, const Eigen::Vector3d& limit) {
   const Eigen::Matrix3d symmetric = 0.5 * (information + information.transpose());
@@ -85,12 +74,8 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
   e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
   e.explained = best.zmssd.explained;
 
-  // The flattest direction of the cost, with the heading scaled so that it moves the rim of the map as far as a shift.
-  double radius = 0;
-  for (std::size_t i = 0; i < cells.h.size(); ++i) {
-    radius += static_cast<double>(cells.x[i]) * cells.x[i] + static_cast<double>(cells.y[i]) * cells.y[i];
-  }
-  radius = std::max(std::sqrt(radius / static_cast<double>(cells.h.size())), 0.1);
+  // The flattest direction of the cost, with the heading scaled so that it moves the overlap's rim as far as a shift.
+  const double radius = std::max(direct_->overlapAt(cells, best.pose).radius, 0.1);
   const Eigen::Vector3d scale(1, 1, 1 / radius);
   const Eigen::Matrix3d H = scale.asDiagonal() *
                             curvature(*direct_, cells, best.pose, cost, 0.5 * s.probe_distance * scale) *
@@ -143,19 +128,16 @@ void Localizer::setCovariance(const Candidate& best, const Candidate& rival, con
                               const CostSettings& cost, const ParticleMode& mode, const Eigen::Vector3d& flattest) {
   const LocalizerSettings& s = settings_;
   Estimate& e = estimate_;
-  const Eigen::Vector2d center = direct_->overlapCenter(cells, best.pose);
   // Height of the overlap's middle: the aerial maps' mean, lifted.
-  e.reference_point = {center.x(), center.y(), cells.mean_height + best.zmssd.dz};
+  e.reference_point = {best.pose.x, best.pose.y, cells.mean_height + best.zmssd.dz};
   if (e.status == Status::kSearching) return;  // the covariance of not knowing, as it was set up
 
   // Residuals of variance 2C, one independent in cells_per_independent: -log p = n C(u) / (2 C_min), so that the
   // information is n / (2 C_min) times the curvature of the cost.
   const double independent = std::max(best.zmssd.overlap / s.cells_per_independent, 1.0);
   const double residual_variance = 2 * (best.zmssd.cost + s.noise_cost);
-  const Eigen::Vector2d center_mav = (e.T_ground_mav.inverse() * e.reference_point).head<2>();
-  const PlanarPose at_center = changeReference(best.pose, cells.reference, center_mav);
-  const Eigen::Matrix3d H = curvature(*direct_, about(cells, center_mav), at_center, cost,
-                                      {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
+  const Eigen::Matrix3d H =
+      curvature(*direct_, cells, best.pose, cost, {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
   // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has
   // excluded more, else all that the ground map leaves open.
   const bool degenerate = e.status == Status::kDegenerate;
@@ -170,13 +152,13 @@ void Localizer::setCovariance(const Candidate& best, const Candidate& rival, con
     // The flattest direction changes the cost too little to be told from noise, whatever its curvature just here.
     const double reach =
         std::min(extent / std::max(flattest.head<2>().norm(), 1e-9), M_PI / std::max(std::abs(flattest.z()), 1e-9));
-    const Eigen::Vector3d open = reach * (carriedBy(center - Eigen::Vector2d(best.pose.x, best.pose.y)) * flattest);
+    const Eigen::Vector3d open = reach * flattest;
     planar += open * open.transpose();
   }
 
   // The particles' own scatter, carried from the MAV to the centre of the overlap.
   const PlanarPose mav = changeReference(best.pose, cells.reference, filter_.reference());
-  const Eigen::Matrix3d carry = carriedBy(center - Eigen::Vector2d(mav.x, mav.y));
+  const Eigen::Matrix3d carry = carriedBy({best.pose.x - mav.x, best.pose.y - mav.y});
   const Eigen::Matrix3d particles = carry * mode.covariance * carry.transpose();
 
   e.covariance.setZero();
@@ -192,10 +174,9 @@ void Localizer::setCovariance(const Candidate& best, const Candidate& rival, con
   e.covariance(5, 5) += s.floor_yaw * s.floor_yaw;
   if (e.status == Status::kAmbiguous) {
     // The truth may as well be over there.
-    const PlanarPose there = changeReference(rival.pose, cells.reference, center_mav);
     Vector6d way = Vector6d::Zero();
-    way << there.x - at_center.x, there.y - at_center.y, rival.zmssd.dz - best.zmssd.dz, 0, 0,
-        wrapAngle(there.yaw - at_center.yaw);
+    way << rival.pose.x - best.pose.x, rival.pose.y - best.pose.y, rival.zmssd.dz - best.zmssd.dz, 0, 0,
+        wrapAngle(rival.pose.yaw - best.pose.yaw);
     e.covariance += way * way.transpose();
   }
 }

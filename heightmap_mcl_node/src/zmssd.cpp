@@ -114,6 +114,16 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference) 
   return cells;
 }
 
+AerialCells about(AerialCells cells, const Eigen::Vector2d& reference) {
+  const Eigen::Vector2d shift = reference - cells.reference;
+  cells.reference = reference;
+  for (std::size_t i = 0; i < cells.h.size(); ++i) {
+    cells.x[i] -= static_cast<float>(shift.x());
+    cells.y[i] -= static_cast<float>(shift.y());
+  }
+  return cells;
+}
+
 AerialCells thinned(const AerialCells& cells, int stride) {
   AerialCells result;
   result.weight = cells.weight * stride;
@@ -180,17 +190,21 @@ float DirectCost::groundAt(double x, double y) const {
   return heights_[static_cast<std::size_t>(r) * width_ + static_cast<std::size_t>(c)];
 }
 
-Eigen::Vector2d DirectCost::overlapCenter(const AerialCells& cells, const PlanarPose& pose) const {
+DirectCost::Overlap DirectCost::overlapAt(const AerialCells& cells, const PlanarPose& pose) const {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
+  const Eigen::Vector2d origin(pose.x, pose.y);
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
-  double n = 0;
+  double squares = 0, n = 0;
   for (std::size_t i = 0; i < cells.h.size(); ++i) {
-    const Eigen::Vector2d p(c * cells.x[i] - s * cells.y[i] + pose.x, s * cells.x[i] + c * cells.y[i] + pose.y);
-    if (std::isnan(groundAt(p.x(), p.y()))) continue;
+    const Eigen::Vector2d p(c * cells.x[i] - s * cells.y[i], s * cells.x[i] + c * cells.y[i]);
+    if (std::isnan(groundAt(origin.x() + p.x(), origin.y() + p.y()))) continue;
     sum += p;
+    squares += p.squaredNorm();
     ++n;
   }
-  return n > 0 ? Eigen::Vector2d(sum / n) : Eigen::Vector2d(pose.x, pose.y);
+  if (n == 0) return {origin, 0};
+  const Eigen::Vector2d mean = sum / n;
+  return {origin + mean, std::sqrt(std::max(0.0, squares / n - mean.squaredNorm()))};
 }
 
 }  // namespace heightmap_mcl

@@ -132,6 +132,53 @@ TEST_P(Boxes, ConvergesWithoutAGuessAndIsNeverWronglySure) {
 }
 INSTANTIATE_TEST_SUITE_P(Seeds, Boxes, ::testing::Values(501, 502, 503));
 
+/// Height that a twentieth of the points are below.
+double floorOf(const AerialCloud& cloud) {
+  std::vector<float> z;
+  for (const auto& p : cloud.points) z.push_back(p.z());
+  const auto rank = z.begin() + static_cast<long>(z.size() / 20);
+  std::nth_element(z.begin(), rank, z.end());
+  return *rank;
+}
+
+/// A flight from elsewhere: three clouds of other ground, then those of the run.
+TEST(Localizer, WhatTheMavSawElsewhereDoesNotHideWhereItIs) {
+  synthetic::Options options;
+  options.seed = 21;
+  options.aerial_clouds = 4;
+  const synthetic::Run run = synthetic::makeRun(options);
+  options.seed = 22;
+  options.aerial_clouds = 1;
+  const AerialCloud elsewhere = synthetic::makeRun(options).aerial[0];
+
+  LocalizerSettings settings;
+  settings.air_map.resolution = settings.ground_map.resolution = 0.05;
+  settings.cells_per_independent *= std::pow(0.02 / 0.05, 2);
+  settings.coarse_factor = 2;
+  Localizer localizer(settings);
+  ASSERT_TRUE(localizer.setGround(run.ground));
+  for (int k = 3; k > 0; --k) {
+    Eigen::Vector3d shift = run.aerial[0].reference - elsewhere.reference + 9.0 * k * Eigen::Vector3d::UnitX();
+    shift.z() = floorOf(run.aerial[0]) - floorOf(elsewhere);
+    AerialCloud cloud;
+    cloud.reference = elsewhere.reference + shift;
+    for (const auto& p : elsewhere.points) cloud.points.push_back(p + shift.cast<float>());
+    ASSERT_TRUE(localizer.addAerial(cloud));
+    EXPECT_NE(localizer.estimate().status, Status::kConverged) << k;
+  }
+  for (std::size_t k = 0; k < run.aerial.size(); ++k) {
+    ASSERT_TRUE(localizer.addAerial(run.aerial[k]));
+    const Estimate& e = localizer.estimate();
+    const auto error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav[k], run.aerial[k].reference);
+    std::printf("cloud %zu: %s, %.3f m, overlap %.2f; %s\n", k, toString(e.status), error.position, e.overlap,
+                e.reason.c_str());
+    if (k < 2) continue;
+    EXPECT_LT(error.position, 0.25) << k;
+    EXPECT_LT(e.overlap, 0.5) << "the merged map lies elsewhere for the most part";
+  }
+  EXPECT_EQ(localizer.estimate().status, Status::kConverged) << localizer.estimate().reason;
+}
+
 TEST(Localizer, KnownHeadingIsUsed) {
   synthetic::Options options;
   options.seed = 504;

@@ -227,6 +227,7 @@ class Localizer {
   void estimateFromPlaces(const ParticleMode& mode);
   std::vector<Candidate> findPlaces(const CostVolume& volume, const AerialCells& cells, const CostSettings& cost,
                                     const Candidate& mode) const;
+  Eigen::Vector2d overlapCenter(const AerialCells& cells, const PlanarPose& pose) const;
   bool isSame(const Candidate& a, const Candidate& b) const;
   Candidate compareWithRivals(const Candidate& best, const std::vector<Candidate>& places);
   /// verdict.cpp. Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad])

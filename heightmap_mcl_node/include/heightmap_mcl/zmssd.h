@@ -109,6 +109,8 @@ struct AerialCells {
 };
 /// A bound's height above base is that of its level.
 AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference);
+/// The same cells relative to another point.
+AerialCells about(AerialCells cells, const Eigen::Vector2d& reference);
 /// Every `stride`th of them.
 AerialCells thinned(const AerialCells& cells, int stride);
 
@@ -124,8 +126,11 @@ class DirectCost {
   std::vector<Zmssd> operator()(const AerialCells& cells, const std::vector<PlanarPose>& poses,
                                 const CostSettings& settings) const;
 
-  /// Centre of the overlap [m], ground frame; the pose's own position when nothing overlaps.
-  Eigen::Vector2d overlapCenter(const AerialCells& cells, const PlanarPose& pose) const;
+  struct Overlap {
+    Eigen::Vector2d center;  ///< in the ground frame [m]; the pose's own position when nothing overlaps
+    double radius = 0;       ///< root mean square distance of its cells from there [m]
+  };
+  Overlap overlapAt(const AerialCells& cells, const PlanarPose& pose) const;
 
  private:
   /// Ground height (minus base) of the cell under a point, NaN for holes and outside.
