@@ -156,6 +156,10 @@ void Localizer::updateFilter() {
     filter_.move(reference);
     weighed_ = filter_.weigh(*direct_, aerialCells(filter_map_, reference), costFor(filter_map_));
     if (weighed_ || settings_.mode == Mode::kPaper) return;
+    // The last clouds lie outside the ground map: those before them still tell.
+    const HeightMap verify_map = lastMaps(settings_.verify);
+    weighed_ = filter_.weigh(*direct_, aerialCells(verify_map, reference), costFor(verify_map));
+    if (weighed_) return;
     ++restarts_;
   }
   if (!filter_.initialize(coarseVolume(filter_map_), prior_, reference)) maps_ = 0;

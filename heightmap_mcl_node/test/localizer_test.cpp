@@ -141,8 +141,8 @@ double floorOf(const AerialCloud& cloud) {
   return *rank;
 }
 
-/// A flight from elsewhere: three clouds of other ground, then those of the run.
-TEST(Localizer, WhatTheMavSawElsewhereDoesNotHideWhereItIs) {
+/// A flight from elsewhere and back: three clouds of other ground, those of the run, four of other ground.
+TEST(Localizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
   synthetic::Options options;
   options.seed = 21;
   options.aerial_clouds = 4;
@@ -157,13 +157,17 @@ TEST(Localizer, WhatTheMavSawElsewhereDoesNotHideWhereItIs) {
   settings.coarse_factor = 2;
   Localizer localizer(settings);
   ASSERT_TRUE(localizer.setGround(run.ground));
-  for (int k = 3; k > 0; --k) {
-    Eigen::Vector3d shift = run.aerial[0].reference - elsewhere.reference + 9.0 * k * Eigen::Vector3d::UnitX();
+  const auto addElsewhere = [&](int k) {
+    Eigen::Vector3d shift = run.aerial[0].reference - elsewhere.reference +
+                            9.0 * Eigen::Vector3d(std::cos(k * M_PI / 2), std::sin(k * M_PI / 2), 0);
     shift.z() = floorOf(run.aerial[0]) - floorOf(elsewhere);
     AerialCloud cloud;
     cloud.reference = elsewhere.reference + shift;
     for (const auto& p : elsewhere.points) cloud.points.push_back(p + shift.cast<float>());
     ASSERT_TRUE(localizer.addAerial(cloud));
+  };
+  for (int k = 3; k > 0; --k) {
+    addElsewhere(k);
     EXPECT_NE(localizer.estimate().status, Status::kConverged) << k;
   }
   for (std::size_t k = 0; k < run.aerial.size(); ++k) {
@@ -177,6 +181,10 @@ TEST(Localizer, WhatTheMavSawElsewhereDoesNotHideWhereItIs) {
     EXPECT_LT(e.overlap, 0.5) << "the merged map lies elsewhere for the most part";
   }
   EXPECT_EQ(localizer.estimate().status, Status::kConverged) << localizer.estimate().reason;
+  for (int k = 1; k <= settings.accumulate; ++k) {
+    addElsewhere(k);
+    EXPECT_EQ(localizer.estimate().status, Status::kConverged) << k << ": " << localizer.estimate().reason;
+  }
 }
 
 TEST(Localizer, KnownHeadingIsUsed) {

@@ -69,7 +69,7 @@ struct LocalizerSettings {
   double min_relief = 0.05;      ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
   double min_explained = 0.25;   ///< see Zmssd::explained; a place with less is charged as if without partners
   double probe_distance = 0.25;  ///< eq. 2 this far along its flattest direction ... [m]
-  double probe_ratio = 1.3;      ///< ... must be this much higher, else the direction is not fixed
+  double probe_ratio = 1.5;      ///< ... must be this much higher, else the direction is not fixed
 
   // Covariance.
   double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
