@@ -55,15 +55,24 @@ void AlignmentRefiner::setScaleDeviation(double stddev) {
   if (std::isfinite(stddev)) scale_.stddev = std::max(settings_.scale.stddev, stddev);
 }
 
+Priors AlignmentRefiner::priors() const {
+  Priors out(scale_);
+  if (aerial_tilt_ > 0 && ground_tilt_ > 0)
+    out.tilt_stddev = std::hypot(settings_.tilt_stddev, std::hypot(aerial_tilt_, ground_tilt_));
+  return out;
+}
+
 void AlignmentRefiner::startMap() {
   aerial_.clear();
   scale_ = settings_.scale;
+  aerial_tilt_ = 0;
   forgetPoses();
 }
 
 void AlignmentRefiner::startGround() {
   ground_ = Cloud();
   ground_camera_ = std::numeric_limits<double>::infinity();
+  ground_tilt_ = 0;
   reference_.reset();
   forgetPoses();
 }
@@ -213,7 +222,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   // What lies beyond the ground map cannot match, and would take the samples of what can.
   Cloud reading = whole;
   reading.keep(nearGroundMap(transformed(whole, guess), reference_->cloud(), settings_.margin));
-  out.icp = chain_.align(reading, *reference_, guess, scale_);
+  out.icp = chain_.align(reading, *reference_, guess, priors());
   const IcpResult& icp = out.icp;
   out.T_ground_map_mav_map = icp.T_reference_reading;
   out.covariance = icp.covariance.topLeftCorner<6, 6>();

@@ -141,16 +141,16 @@ struct IcpChain::Impl {
   CovarianceSettings covariance;
 
   // Statistics at the solution, with the last level's matches.
-  void describe(const Iteration& at, int dof, const ScalePrior& prior, IcpResult& out) const {
+  void describe(const Iteration& at, int dof, const Priors& priors, IcpResult& out) const {
     const NormalEquations& equations = at.equations();
     out.centre = equations.centre;
     out.hessian = equations.hessian;
     out.inliers = equations.used;
     out.residual_rms = std::sqrt(equations.square / equations.weight);
-    out.localizability = analyzeLocalizability(at.clouds(), at.weights(), equations, localizability, prior.mode);
+    out.localizability = analyzeLocalizability(at.clouds(), at.weights(), equations, localizability, priors.scale.mode);
     const Matrix7d scatter = gradientScatter(at.clouds(), at.weights(), equations.centre, covariance);
-    out.covariance = estimateCovariance(equations, out.localizability, scatter, dof, prior, covariance);
-    out.scale_estimated = estimatesScale(out.localizability, dof, prior);
+    out.covariance = estimateCovariance(equations, out.localizability, scatter, dof, priors, covariance);
+    out.scale_estimated = estimatesScale(out.localizability, dof, priors.scale);
   }
 };
 
@@ -236,7 +236,7 @@ Cloud IcpChain::prepareReading(Cloud cloud) const {
 }
 
 IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, const Similarity& T_initial,
-                          const ScalePrior& prior) const {
+                          const Priors& priors) const {
   const auto start = std::chrono::steady_clock::now();
   IcpResult out;
   out.T_reference_reading = T_initial;
@@ -265,14 +265,16 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
       if (!iteration.update(T))
         return fail("fewer than 6 matches are left: the clouds do not overlap at the initial guess");
       const NormalEquations& equations = iteration.equations();
-      const auto localizability =
-          analyzeLocalizability(iteration.clouds(), iteration.weights(), equations, impl_->localizability, prior.mode);
-      // It weighs the prior, which is one of the scale.
-      const bool weigh = level.minimizer.dof == 7 && prior.mode == ScalePrior::Mode::kPrior;
+      const auto localizability = analyzeLocalizability(iteration.clouds(), iteration.weights(), equations,
+                                                        impl_->localizability, priors.scale.mode);
+      // It weighs the priors.
+      const int dof = level.minimizer.dof;
+      const bool weigh =
+          (dof == 7 && priors.scale.mode == ScalePrior::Mode::kPrior) || (dof > 4 && std::isfinite(priors.tilt_stddev));
       const Matrix7d scatter =
           weigh ? gradientScatter(iteration.clouds(), iteration.weights(), equations.centre, impl_->covariance)
                 : Matrix7d(Matrix7d::Zero());
-      const Vector7d step = constrainedStep(equations, localizability, scatter, level.minimizer.dof, prior, T.scale);
+      const Vector7d step = constrainedStep(equations, localizability, scatter, dof, priors, T, impl_->covariance);
       T = normalized(compose(motion(step, equations.centre), T));
 
       for (const auto& c : level.checkers) {
@@ -285,7 +287,7 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
     if (!last) continue;
     if (!iteration.update(T)) return fail("fewer than 6 matches are left at the solution");
     out.T_reference_reading = T;
-    impl_->describe(iteration, level.minimizer.dof, prior, out);
+    impl_->describe(iteration, level.minimizer.dof, priors, out);
     out.overlap = static_cast<double>(out.inliers) / static_cast<double>(sampled.size());
   }
   out.outcome = IcpResult::Outcome::kConverged;

@@ -134,7 +134,10 @@ class IcpRefineNode {
   }
 
   void onGroundStatus(const air_ground::VoStatus::ConstPtr& msg) {
-    if (ground_.admitStatus(kGroundStatus, *msg) && ground_forgotten_) useLastGround();
+    if (!ground_.admitStatus(kGroundStatus, *msg)) return;
+    if (msg->state == air_ground::VoStatus::STATE_TRACKING)
+      worker_.post([&](Inbox& inbox) { inbox.ground_tilt = msg->tilt_stddev; });
+    if (ground_forgotten_) useLastGround();
   }
 
   void onOdometry(const nav_msgs::Odometry::ConstPtr& msg) {
@@ -157,7 +160,10 @@ class IcpRefineNode {
       return;
     // The map is metric; what the odometry believes by now that it is off counts as uncertainty.
     const double deviation = std::hypot(msg->scale_stddev / msg->scale, msg->scale - 1);
-    worker_.post([&](Inbox& inbox) { inbox.scale_deviation = deviation; });
+    worker_.post([&](Inbox& inbox) {
+      inbox.scale_deviation = deviation;
+      inbox.aerial_tilt = msg->tilt_stddev;
+    });
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {

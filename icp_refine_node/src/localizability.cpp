@@ -57,15 +57,36 @@ Matrix fixedDirections(const Localizability& localizability, bool with_scale) {
   return B.leftCols(columns);
 }
 
-// Weight of the prior against residuals, all in metres: k^2 / stddev^2, k^2 = u^T S u / u^T A u along the direction u
-// of the scale that the pose cannot follow.
-double priorWeight(const Matrix7d& A, const Matrix7d& scatter, const Localizability& localizability,
-                   const ScalePrior& prior) {
-  if (prior.mode != ScalePrior::Mode::kPrior) return 0;
-  const Vector7d e = Vector7d::Unit(6);
-  const Vector7d u = e - inverseOn(fixedDirections(localizability, false), A) * A * e;
-  const double information = u.dot(A * u), deviation = prior.stddev * localizability.mean_range;
-  return information > 0 && deviation > 0 ? u.dot(scatter * u) / information / (deviation * deviation) : 0.0;
+// A prior of one unknown, all in metres: its weight against residuals, and its standard deviation.
+struct Weighed {
+  int index;
+  double weight, deviation;
+};
+
+// (k^2 + information * distortion^2) / stddev^2: k^2 = u^T S u / u^T A u along the unknown's direction u.
+Weighed weigh(int index, const Matrix7d& A, const Matrix7d& scatter, const Vector7d& u, double distortion,
+              double deviation) {
+  const double information = u.dot(A * u);
+  if (!(information > 0) || !(deviation > 0) || !std::isfinite(deviation)) return {index, 0, deviation};
+  const double variance = u.dot(scatter * u) / information + information * distortion * distortion;
+  return {index, variance / (deviation * deviation), deviation};
+}
+
+// Those of the tilt; of the scale, where it follows the clouds, along what the pose cannot follow.
+std::vector<Weighed> weighPriors(const Matrix7d& A, const Matrix7d& scatter, const Localizability& localizability,
+                                 const Priors& priors, bool scale_free, const CovarianceSettings& settings) {
+  const double range = localizability.mean_range;
+  std::vector<Weighed> out;
+  for (int axis : {3, 4}) {
+    out.push_back(
+        weigh(axis, A, scatter, Vector7d::Unit(axis), range * settings.map_rotation_sigma, range * priors.tilt_stddev));
+  }
+  if (scale_free && priors.scale.mode == ScalePrior::Mode::kPrior) {
+    const Vector7d e = Vector7d::Unit(6);
+    const Vector7d u = e - inverseOn(fixedDirections(localizability, false), A) * A * e;
+    out.push_back(weigh(6, A, scatter, u, range * settings.map_scale_sigma, range * priors.scale.stddev));
+  }
+  return out;
 }
 
 }  // namespace
@@ -177,27 +198,28 @@ Matrix7d gradientScatter(const MatchedClouds& c, const std::vector<float>& weigh
 }
 
 Vector7d constrainedStep(const NormalEquations& equations, const Localizability& localizability,
-                         const Matrix7d& scatter, int dof, const ScalePrior& prior, double scale) {
+                         const Matrix7d& scatter, int dof, const Priors& priors, const Similarity& T,
+                         const CovarianceSettings& settings) {
   const Vector7d unit = metres(localizability.mean_range);
   Matrix7d H = unit.asDiagonal() * equations.hessian * unit.asDiagonal();
   Vector7d g = unit.cwiseProduct(equations.gradient);
-  const double to_mean = std::log(prior.mean / scale) / unit[6];  // in metres
+  Vector7d to_mean = Vector7d::Zero();  // of the priors, in metres
+  to_mean.segment<2>(3) = -Eigen::Vector3d::UnitZ().cross(T.R.col(2)).head<2>() / unit[3];
+  to_mean[6] = std::log(priors.scale.mean / T.scale) / unit[6];
   Vector7d held = Vector7d::Zero();
   Matrix B;
   if (dof == 4) {
     B = Matrix::Zero(7, 4);
     B(0, 0) = B(1, 1) = B(2, 2) = B(5, 3) = 1;
   } else {
-    const bool free = estimatesScale(localizability, dof, prior);
+    const bool free = estimatesScale(localizability, dof, priors.scale);
     B = fixedDirections(localizability, free);
-    if (free) {
-      const double weight =
-          priorWeight(equations.slope * H, unit.asDiagonal() * scatter * unit.asDiagonal(), localizability, prior);
-      H(6, 6) += weight;
-      g[6] -= weight * to_mean;
-    } else if (dof == 7) {
-      held[6] = to_mean;
+    const Matrix7d A = equations.slope * H, S = unit.asDiagonal() * scatter * unit.asDiagonal();
+    for (const Weighed& prior : weighPriors(A, S, localizability, priors, free, settings)) {
+      H(prior.index, prior.index) += prior.weight;
+      g[prior.index] -= prior.weight * to_mean[prior.index];
     }
+    if (dof == 7 && !free) held[6] = to_mean[6];
   }
   Vector7d step = held - inverseOn(B, H) * (g + H * held);
   if (dof == 4) {
@@ -210,33 +232,42 @@ Vector7d constrainedStep(const NormalEquations& equations, const Localizability&
 }
 
 Matrix7d estimateCovariance(const NormalEquations& equations, const Localizability& localizability,
-                            const Matrix7d& scatter, int dof, const ScalePrior& prior,
+                            const Matrix7d& scatter, int dof, const Priors& priors,
                             const CovarianceSettings& settings) {
   const Vector7d unit = metres(localizability.mean_range), e = Vector7d::Unit(6);
-  Matrix7d A = equations.slope * (unit.asDiagonal() * equations.hessian * unit.asDiagonal());
+  const Matrix7d residuals = equations.slope * (unit.asDiagonal() * equations.hessian * unit.asDiagonal());
   const Matrix7d S = settings.inflation * settings.inflation * (unit.asDiagonal() * scatter * unit.asDiagonal());
   // Missing directions: their own Hessian is noise, so they are left out and given a wide variance.
   Matrix7d covariance = 1e-8 * Matrix7d::Identity();  // 0.1 mm: positive definite whatever the geometry
   for (const auto& d : localizability.directions) {
     if (!d.localizable) covariance.topLeftCorner<6, 6>() += d.v * d.v.transpose();
   }
-  const double deviation = prior.stddev / unit[6];
-  if (estimatesScale(localizability, dof, prior)) {
-    const double weight = priorWeight(A, S, localizability, prior);
-    A(6, 6) += weight;
-    const Matrix7d inverse = inverseOn(fixedDirections(localizability, true), A);
-    const Vector7d by_prior = weight * deviation * (inverse * e);
-    covariance += inverse * S * inverse + by_prior * by_prior.transpose();
-  } else {
-    const Matrix7d inverse = inverseOn(fixedDirections(localizability, false), A);
+  const bool free = estimatesScale(localizability, dof, priors.scale);
+  std::vector<Weighed> weighed;
+  if (dof > 4) weighed = weighPriors(residuals, S, localizability, priors, free, settings);
+  Matrix7d A = residuals;
+  for (const Weighed& prior : weighed) A(prior.index, prior.index) += prior.weight;
+  const Matrix7d inverse = inverseOn(fixedDirections(localizability, free), A);
+  covariance += inverse * S * inverse;
+  // What the maps' distortion does to the alignment, as far as the priors leave it to the residuals.
+  const double range = localizability.mean_range;
+  Vector7d distortion;
+  distortion << Eigen::Vector3d::Constant(settings.map_translation_sigma),
+      Eigen::Vector3d::Constant(range * settings.map_rotation_sigma), free ? range * settings.map_scale_sigma : 0.0;
+  const Matrix7d shift = inverse * residuals * distortion.asDiagonal();
+  covariance += shift * shift.transpose();
+  for (const Weighed& prior : weighed) {
+    if (prior.weight == 0) continue;
+    const Vector7d by_prior = prior.weight * prior.deviation * inverse.col(prior.index);
+    covariance += by_prior * by_prior.transpose();
+  }
+  if (!free) {
     const Vector7d by_scale = e - inverse * (A * e);
-    const double unknown = prior.mode == ScalePrior::Mode::kFree ? 1.0 : deviation;
-    covariance += inverse * S * inverse + unknown * unknown * by_scale * by_scale.transpose();
+    const double unknown = priors.scale.mode == ScalePrior::Mode::kFree ? 1.0 : priors.scale.stddev / unit[6];
+    covariance += unknown * unknown * by_scale * by_scale.transpose();
   }
   covariance = (unit.asDiagonal() * covariance * unit.asDiagonal()).eval();
-  covariance.diagonal().head<3>().array() += settings.map_translation_sigma * settings.map_translation_sigma;
-  covariance.diagonal().segment<3>(3).array() += settings.map_rotation_sigma * settings.map_rotation_sigma;
-  covariance(6, 6) += settings.map_scale_sigma * settings.map_scale_sigma;
+  if (!free) covariance(6, 6) += settings.map_scale_sigma * settings.map_scale_sigma;
   return 0.5 * (covariance + covariance.transpose());
 }
 

@@ -142,6 +142,8 @@ bool RefineWorker::use(Inbox& inbox) {
     addAerial(aerial);
   }
   if (inbox.scale_deviation) refiner_.setScaleDeviation(*inbox.scale_deviation);
+  if (inbox.aerial_tilt) refiner_.setAerialTilt(*inbox.aerial_tilt);
+  if (inbox.ground_tilt) refiner_.setGroundTilt(*inbox.ground_tilt);
   if (inbox.coarse) useCoarse(*inbox.coarse);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
   map_due_ |= inbox.ground && map_.aligned();

@@ -39,8 +39,9 @@ struct Inbox {
   std::deque<AerialCloud> aerial;
   std::optional<CoarseAlignment> coarse;
   std::optional<Pose> manual;
-  bool own_unit = false;                  ///< the clouds are in the visual map's unit
-  std::optional<double> scale_deviation;  ///< relative, as the odometry states it
+  bool own_unit = false;                           ///< the clouds are in the visual map's unit
+  std::optional<double> scale_deviation;           ///< relative, as the odometry states it
+  std::optional<double> aerial_tilt, ground_tilt;  ///< standard deviations of the maps' verticals [rad]; 0: not known
   bool any() const { return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual; }
   bool forgets() const { return reset || new_map || new_ground; }
 };

@@ -21,6 +21,9 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
       "covariance");
   v("scale_prior_stddev", r.scale.stddev, {1e-4, 1}, "",
     "relative standard deviation; a larger one that mav/vo_status states counts instead");
+  v("tilt_prior_stddev", r.tilt_stddev, {1e-5, 1}, "rad",
+    "about each horizontal axis, by which both maps may lean apart beyond what their robots state (tilt_stddev of "
+    "mav/vo_status and ground/slam_status; where one is not known, the clouds alone tell)");
 
   v.section("Acceptance: a refined pose is CONVERGED only when all of these hold");
   v("accept/min_points", r.min_points, {6, 1000000}, "", "points with a valid normal in each map, else SEARCHING");

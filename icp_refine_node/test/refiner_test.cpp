@@ -208,6 +208,26 @@ TEST_F(Refiner, EstimatesTheScaleAndTracksIt) {
   }
 }
 
+// Maps are as parallel as both robots know their verticals; one that does not know leaves it to the clouds.
+TEST_F(Refiner, HoldsTheTiltWhereBothRobotsKnowGravity) {
+  const Pose lean(Eigen::AngleAxisd(0.03, Eigen::Vector3d::UnitX()));
+  const Cloud leaning = transformed(scene.aerial, lean);
+  for (const auto& [aerial, ground] : {std::pair{0.0, 0.0}, {0.002, 0.0}, {0.0, 0.002}, {0.002, 0.002}}) {
+    refiner.reset();
+    refiner.setGround(scene.ground);
+    refiner.addAerial(1, leaning);
+    refiner.setAerialTilt(aerial);
+    refiner.setGroundTilt(ground);
+    refiner.setCoarse(scene.T_ground_map_mav_map * lean.inverse());
+    const auto out = refiner.refine();
+    const double tilt = std::acos(out.T_ground_map_mav_map.R(2, 2));
+    if (aerial > 0 && ground > 0)
+      EXPECT_LT(tilt, 0.015) << out.reason;
+    else
+      EXPECT_NEAR(tilt, 0.03, 0.005) << out.reason;
+  }
+}
+
 TEST_F(Refiner, AFlatFloorStaysDegenerateWhateverItsScale) {
   synthetic::SceneSettings settings;
   settings.world = synthetic::World::kFlat;

@@ -61,6 +61,7 @@ air_ground::VoStatus statusOf(const FrameResult& r) {
   status.map_points = static_cast<std::uint32_t>(r.landmarks);
   status.scale = r.scale;
   status.scale_stddev = r.scale_stddev;
+  status.tilt_stddev = r.tilt_stddev;
   status.processing_time = r.seconds;
   status.reason = r.reason;
   return status;

@@ -302,6 +302,7 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->increment = increment;
   result->scale = scale.initialized() ? scale.scale() : 1.0;
   result->scale_stddev = scale.scaleStddev();
+  if (metric && settings.use_imu) result->tilt_stddev = kMapTilt;
   result->imu_bias = bias;
   result->gyro_bias_stddev = gyro_alignment.biasStddev();
   result->time_offset = imu.offset();

@@ -25,7 +25,8 @@ using visual_frontend::PoseCorrespondence;
 using visual_frontend::PoseResult;
 using visual_frontend::TrackId;
 
-constexpr int kScaleTrial = 40;  // images after which a scale that most of them reject is given up
+constexpr double kMapTilt = 0.002;  // of the adjusted map as a whole, against gravity [rad]
+constexpr int kScaleTrial = 40;     // images after which a scale that most of them reject is given up
 
 struct Odometry::Impl {
   Impl(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings);

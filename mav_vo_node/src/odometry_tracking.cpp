@@ -11,7 +11,6 @@ using air_ground_common::quantile;
 
 namespace {
 
-constexpr double kMapTilt = 0.002;        // of the adjusted map as a whole [rad]
 constexpr double kPlaceEvery = 5;         // images between searches for a known place while lost
 constexpr double kMinInlierShare = 0.35;  // of the tracked landmarks; below, the pose is not believed
 

@@ -125,6 +125,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.keyframes = static_cast<std::uint32_t>(slam_->map().keyframeCount());
     status.map_points = static_cast<std::uint32_t>(slam_->map().landmarkCount());
     status.scale = 1.0;
+    if (slam_->gravityKnown()) status.tilt_stddev = slam_->tiltSigma();
     status.processing_time = seconds;
     status.reason = r.reason;
     if (!r.imu_problem.empty()) tellImuProblem(r.imu_problem, status.reason);

@@ -35,6 +35,7 @@ struct RefinerSettings {
   double coarse_angle = 0.26;       ///< or this far in heading [rad]
   int coarse_disagreements = 3;     ///< in a row: then the coarse pose is tried against the refined one
   ScalePrior scale;                 ///< of the aerial map, about 1; the odometry may state a larger deviation
+  double tilt_stddev = 0.002;       ///< by which maps lean apart beyond what their robots state [rad]
   HeightCheckSettings height_check;
 };
 
@@ -82,6 +83,10 @@ class AlignmentRefiner {
   /// What the MAV's odometry says of its scale: relative standard deviation. Counts when it is larger than the
   /// settings'.
   void setScaleDeviation(double stddev);
+  /// Standard deviation by which the map's z axis may lean against gravity [rad]; 0: not known. Where both maps hang
+  /// from gravity, they are parallel as surely as that.
+  void setAerialTilt(double stddev) { aerial_tilt_ = stddev; }
+  void setGroundTilt(double stddev) { ground_tilt_ = stddev; }
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();
   /// Forgets the ground map and all poses, not the aerial clouds: another ground map has begun.
@@ -99,6 +104,7 @@ class AlignmentRefiner {
  private:
   void forgetPoses();
   std::string missing() const;  ///< what a refinement waits for; empty: nothing
+  Priors priors() const;
   Cloud prepareReading();
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
@@ -118,6 +124,7 @@ class AlignmentRefiner {
   std::optional<Pose> coarse_, manual_;
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
+  double aerial_tilt_ = 0, ground_tilt_ = 0;
   int rejections_ = 0, disagreements_ = 0;
   bool ground_replaced_ = false;  ///< since the last refinement from the tracked pose
 };

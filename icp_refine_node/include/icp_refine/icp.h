@@ -65,11 +65,11 @@ class IcpChain {
   /// `reading` as prepareReading left it. T_initial: reference <- reading. Never throws for poor data: see outcome,
   /// reason. Same input, same result, whatever the number of threads.
   IcpResult align(const Cloud& reading, const IcpReference& reference, const Similarity& T_initial,
-                  const ScalePrior& prior = {}) const;
+                  const Priors& priors = {}) const;
   /// From the prior's mean scale.
   IcpResult align(const Cloud& reading, const IcpReference& reference, const Pose& T_initial,
-                  const ScalePrior& prior = {}) const {
-    return align(reading, reference, similarity(T_initial, prior.mean), prior);
+                  const Priors& priors = {}) const {
+    return align(reading, reference, similarity(T_initial, priors.scale.mean), priors);
   }
 
  private:

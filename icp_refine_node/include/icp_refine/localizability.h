@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -29,6 +30,14 @@ struct ScalePrior {
   Mode mode = Mode::kPrior;
   double mean = 1;       ///< ground-map length per aerial-map length
   double stddev = 0.02;  ///< relative
+};
+
+/// What is known of the alignment before the clouds are compared.
+struct Priors {
+  Priors(const ScalePrior& scale_prior = {}) : scale(scale_prior) {}
+  ScalePrior scale;
+  /// Of the angle between both maps' z axes, about each horizontal axis [rad]: finite where both hang from gravity.
+  double tilt_stddev = std::numeric_limits<double>::infinity();
 };
 
 struct Evidence {
@@ -79,23 +88,24 @@ struct CovarianceSettings {
 Matrix7d gradientScatter(const MatchedClouds& clouds, const std::vector<float>& weights, const Eigen::Vector3d& centre,
                          const CovarianceSettings& settings);
 
-/// Gauss-Newton step from the alignment `scale` with `dof` degrees of freedom (ErrorMinimizer) under the hard
+/// Gauss-Newton step from the alignment T with `dof` degrees of freedom (ErrorMinimizer) under the hard
 /// constraint that it has no part along directions of the pose that the geometry does not fix (Tuna 2024). With 7, a
 /// scale that the geometry does not fix goes to the prior's mean; else the prior counts as lambda (log(scale / mean))^2
-/// with lambda = k^2 / stddev^2, k^2 the variance of a unit of weight along the scale that `scatter` shows.
+/// with lambda = (k^2 + information map_scale_sigma^2) / stddev^2, k^2 the variance of a unit of weight along the scale
+/// that `scatter` shows. So does the tilt e_z x R e_z, with 6 or 7.
 Vector7d constrainedStep(const NormalEquations& equations, const Localizability& localizability,
-                         const Matrix7d& scatter, int dof, const ScalePrior& prior, double scale);
+                         const Matrix7d& scatter, int dof, const Priors& priors, const Similarity& T,
+                         const CovarianceSettings& settings);
 
 /// Covariance of (translation [m], rotation [rad], relative scale) about the equations' centre, reference frame;
 /// positive definite. Its first six rows and columns are the pose's, the scale marginalised.
-///   k^2 A^-1 S A^-1  +  lambda^2 stddev^2 A^-1 e e^T A^-1  +  map distortion,   A = slope H + lambda e e^T, k =
-///   inflation
-/// with S the scatter above: the cluster-robust sandwich. Correspondence errors are alike within a block, so that
-/// sigma^2 (J^T J)^-1, which takes all points as independent, is a lower bound (Censi 2007). A scale that is held adds
-/// stddev^2 b b^T instead, b the alignment's derivative by it. Directions that `localizability` calls missing get a
-/// standard deviation of 1 m (or 1 m / mean range).
+///   k^2 A^-1 S A^-1  +  sum lambda^2 stddev^2 A^-1 e e^T A^-1  +  map distortion,   A = slope H + sum lambda e e^T, k
+///   = inflation
+/// over the priors, with S the scatter above: the cluster-robust sandwich. Correspondence errors are alike within a
+/// block, so that sigma^2 (J^T J)^-1, which takes all points as independent, is a lower bound (Censi 2007). A scale
+/// that is held adds stddev^2 b b^T instead, b the alignment's derivative by it. Directions that `localizability` calls
+/// missing get a standard deviation of 1 m (or 1 m / mean range).
 Matrix7d estimateCovariance(const NormalEquations& equations, const Localizability& localizability,
-                            const Matrix7d& scatter, int dof, const ScalePrior& prior,
-                            const CovarianceSettings& settings);
+                            const Matrix7d& scatter, int dof, const Priors& priors, const CovarianceSettings& settings);
 
 }  // namespace icp_refine
