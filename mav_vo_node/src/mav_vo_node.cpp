@@ -1,8 +1,5 @@
 // Visual odometry of the MAV: images and IMU in, metric poses, posed images, increments and the sparse map out.
 #include <air_ground/AlignmentEstimate.h>
-#include <air_ground/PosedImage.h>
-#include <air_ground/VoIncrement.h>
-#include <air_ground/VoStatus.h>
 #include <ros/ros.h>
 
 #include <memory>
@@ -14,6 +11,7 @@
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "mav_vo/external_scale.h"
+#include "messages.h"
 #include "node_parameters.h"
 #include "visual_frontend/feature_tracker.h"
 
@@ -21,65 +19,6 @@ namespace mav_vo {
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
-
-std::uint8_t stateOf(OdometryState state) {
-  switch (state) {
-    case OdometryState::kWaiting:
-      return air_ground::VoStatus::STATE_WAITING;
-    case OdometryState::kInitializing:
-      return air_ground::VoStatus::STATE_INITIALIZING;
-    case OdometryState::kScaling:
-      return air_ground::VoStatus::STATE_SCALING;
-    case OdometryState::kTracking:
-      return air_ground::VoStatus::STATE_TRACKING;
-    case OdometryState::kLost:
-      return air_ground::VoStatus::STATE_LOST;
-  }
-  return air_ground::VoStatus::STATE_LOST;
-}
-
-/// What a user can do about an odometry that is in this state.
-std::string adviceFor(OdometryState state) {
-  switch (state) {
-    case OdometryState::kInitializing:
-      return "move the camera sideways over a scene with texture, sharp and well lit";
-    case OdometryState::kScaling:
-      return "accelerate the vehicle for some seconds; without IMU fly over what the ground robot has seen";
-    case OdometryState::kLost:
-      return "bring the camera back to where it has been, or wait: a new map begins after lost_timeout";
-    default:
-      return "";
-  }
-}
-
-air_ground::VoStatus statusOf(const FrameResult& r) {
-  air_ground::VoStatus status;
-  status.state = stateOf(r.state);
-  status.tracked_features = static_cast<std::uint32_t>(r.tracked);
-  status.inliers = static_cast<std::uint32_t>(r.inliers);
-  status.keyframes = static_cast<std::uint32_t>(r.keyframes);
-  status.map_points = static_cast<std::uint32_t>(r.landmarks);
-  status.scale = r.scale;
-  status.scale_stddev = r.scale_stddev;
-  status.tilt_stddev = r.tilt_stddev;
-  status.processing_time = r.seconds;
-  status.reason = r.reason;
-  return status;
-}
-
-/// The increment's image noise; roll and pitch, which its covariance leaves out, taken like the heading.
-ros_utils::Motion motionOf(const FrameResult& r) {
-  ros_utils::Motion motion;
-  if (!r.increment) return motion;
-  motion.T_previous_current = r.increment->T_previous_current;
-  const Eigen::Matrix4d& c = r.increment->pose_covariance;
-  Matrix6d& covariance = motion.covariance.emplace(Matrix6d::Zero());
-  covariance.topLeftCorner<3, 3>() = c.topLeftCorner<3, 3>();
-  covariance.block<3, 1>(0, 5) = c.topRightCorner<3, 1>();
-  covariance.block<1, 3>(5, 0) = c.bottomLeftCorner<1, 3>();
-  covariance.diagonal().tail<3>().setConstant(c(3, 3));
-  return motion;
-}
 
 class MavVoNode : private ros_utils::Estimator {
  public:
@@ -138,7 +77,7 @@ class MavVoNode : private ros_utils::Estimator {
     shell_.health().timing("image [s]", r.seconds);
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     ros_utils::EstimatorResult result;
-    result.status = statusOf(r);
+    result.status = statusMessage(r);
     result.advice = adviceFor(r.state);
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
@@ -217,43 +156,19 @@ class MavVoNode : private ros_utils::Estimator {
     // Odometry and tf have no flag that says "not metric": they begin with the metric map.
     if (r.metric) pose_publisher_.publish(header.stamp, r.T_map_base, motionOf(r), r.covariance);
     // What is reconstructed from them, and aligned, stays in one unit as long as the map lives.
-    air_ground::PosedImage posed;
+    air_ground::PosedImage posed = posedImage(*image, visual);
     posed.header = header;
     if (visual_) posed.header.frame_id = settings_.visual_frame;
-    posed.image = *image;
     posed.camera_info = shell_.cameraInfo();
     posed.camera_info.header.stamp = header.stamp;
     posed.camera_info.header.frame_id = shell_.cameraFrame();
-    posed.pose.pose = ros_utils::toMsg(visual.T_map_camera);
-    ros_utils::setCovariance(visual.camera_covariance, &posed.pose.covariance);
-    posed.depth_min = static_cast<float>(visual.depth_min);
-    posed.depth_max = static_cast<float>(visual.depth_max);
-    posed.readout_time = static_cast<float>(r.readout_time);
-    posed.keyframe = r.keyframe;
-    posed.metric = visual.metric;
-    posed.map_id = r.map_id;
     posed_publisher_.publish(posed);
-    if (r.increment) publishIncrement(header, r);
+    if (r.increment) increment_publisher_.publish(incrementMessage(header, r));
     if ((visual_ || r.metric) && r.keyframe &&
         header.stamp.toSec() - last_cloud_.toSec() >= settings_.sparse_cloud_interval) {
       last_cloud_ = header.stamp;
       cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, posed.header));
     }
-  }
-
-  void publishIncrement(const std_msgs::Header& header, const FrameResult& r) {
-    air_ground::VoIncrement increment;
-    increment.header = header;
-    increment.previous_stamp = ros::Time(r.increment->previous_stamp);
-    increment.relative_pose = ros_utils::toMsg(r.increment->T_previous_current);
-    for (int row = 0; row < 4; ++row)
-      for (int column = 0; column < 4; ++column)
-        increment.covariance[4 * row + column] = r.increment->covariance(row, column);
-    increment.metric = r.metric;
-    increment.scale_variance = r.metric ? r.scale_stddev * r.scale_stddev : 0.0;
-    increment.inliers = static_cast<std::uint32_t>(r.inliers);
-    increment.map_id = r.map_id;
-    increment_publisher_.publish(increment);
   }
 
   std::vector<ros_utils::CloudPoint> sparsePoints() const {

@@ -1,0 +1,29 @@
+// What mav_vo_node says of an image.
+#pragma once
+
+#include <air_ground/PosedImage.h>
+#include <air_ground/VoIncrement.h>
+#include <air_ground/VoStatus.h>
+
+#include <string>
+
+#include "air_ground_common/ros/pose_publisher.h"
+#include "mav_vo/odometry.h"
+
+namespace mav_vo {
+
+/// What a user can do about an odometry that is in this state.
+std::string adviceFor(OdometryState state);
+
+air_ground::VoStatus statusMessage(const FrameResult& r);
+
+/// The increment's image noise; roll and pitch, which its covariance leaves out, taken like the heading.
+air_ground_common::ros_utils::Motion motionOf(const FrameResult& r);
+
+/// Image and pose in the odometry's own map; header and calibration are left to the caller.
+air_ground::PosedImage posedImage(const sensor_msgs::Image& image, const FrameResult& r);
+
+/// `r` has an increment.
+air_ground::VoIncrement incrementMessage(const std_msgs::Header& header, const FrameResult& r);
+
+}  // namespace mav_vo

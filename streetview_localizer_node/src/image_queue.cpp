@@ -1,0 +1,119 @@
+#include "image_queue.h"
+
+#include <Eigen/Cholesky>
+#include <chrono>
+#include <cmath>
+#include <string>
+#include <utility>
+
+namespace streetview_localizer {
+
+void ImageQueue::setCamera(const CameraModel& camera) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  camera_ = camera;
+}
+
+void ImageQueue::add(const air_ground_common::ros_utils::ImageMessage& message) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!camera_) return health_.count("images without calibration");
+  const ros::Time stamp = message.header().stamp;
+  if (!last_started_.isZero() && stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
+  sensor_msgs::Image::ConstPtr msg;
+  try {
+    msg = message.pixels();
+  } catch (const std::exception& e) {
+    return health_.count(std::string("images that could not be used: ") + e.what());
+  }
+  if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
+    return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
+                         std::to_string(msg->height) + " against " + std::to_string(camera_->width) + " x " +
+                         std::to_string(camera_->height) + ")");
+  if (job_) ++skipped_;
+  job_ = Job{msg, *camera_, pass_};
+  wake_.notify_all();
+}
+
+void ImageQueue::addPrediction(const TimedPose& T_world_base) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  predictions_.add(T_world_base.stamp, T_world_base);
+}
+
+void ImageQueue::addAttitude(const TimedPose& T_map_base) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  attitudes_.add(T_map_base.stamp, T_map_base);
+  wake_.notify_all();
+}
+
+void ImageQueue::reset() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ++pass_;
+  job_.reset();
+  predictions_.clear();
+  attitudes_.clear();
+  last_started_ = ros::Time();
+}
+
+void ImageQueue::stop() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    stop_ = true;
+  }
+  wake_.notify_all();
+}
+
+std::optional<Job> ImageQueue::next(const std::function<bool()>& attitudes_come) {
+  std::optional<Job> job;
+  std::size_t skipped = 0;
+  {
+    std::unique_lock<std::mutex> lock(mutex_);
+    wake_.wait(lock, [this] { return stop_ || job_; });
+    if (stop_) return std::nullopt;
+    job.swap(job_);
+    last_started_ = job->image->header.stamp;
+    std::swap(skipped, skipped_);
+    // The attitude of the image's time may come a little later than the image.
+    if (attitudes_come())
+      wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
+                     [&] { return stop_ || attitudes_.newest() >= job->image->header.stamp.toSec(); });
+    if (stop_) return std::nullopt;
+  }
+  if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
+  return job;
+}
+
+bool ImageQueue::isCurrent(const Job& job) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return job.pass == pass_;
+}
+
+PosePrior ImageQueue::priorFor(const Job& job, const Pose& T_base_camera, bool use_prediction) {
+  PosePrior prior;
+  std::optional<TimedPose> predicted, attitude;
+  const double stamp = job.image->header.stamp.toSec();
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (const TimedPose* pose = predictions_.nearest(stamp, settings_.prior_max_age)) predicted = *pose;
+    if (const TimedPose* pose = attitudes_.nearest(stamp, settings_.gravity_max_age)) attitude = *pose;
+  }
+  if (predicted && !use_prediction) {
+    // A tracker that is sure of a wrong place would keep the search away from the right one for ever.
+    health_.count("predictions set aside: no image near them was located, the whole database is searched");
+  } else if (predicted) {
+    prior.T_world_camera = predicted->pose * T_base_camera;
+    const Eigen::Vector3d lever = predicted->pose.linear() * T_base_camera.translation();
+    prior.covariance = covarianceAt(predicted->covariance, lever);
+    const double moved = settings_.prior_speed * std::abs(predicted->stamp - stamp);
+    prior.covariance.topLeftCorner<3, 3>() += moved * moved * Eigen::Matrix3d::Identity();
+    if (Eigen::LLT<Matrix6d>(prior.covariance).info() != Eigen::Success) {
+      prior.T_world_camera.reset();
+      health_.count("tracked poses ignored: covariance not positive definite");
+    }
+  }
+  if (attitude) {
+    prior.up_camera = (attitude->pose.linear() * T_base_camera.linear()).transpose() * Eigen::Vector3d::UnitZ();
+    prior.up_stddev = settings_.gravity_stddev;
+  }
+  return prior;
+}
+
+}  // namespace streetview_localizer

@@ -1,0 +1,74 @@
+// What streetview_localizer_node's worker has to do, the newest image, and what is known of its pose beforehand.
+#pragma once
+
+#include <ros/time.h>
+#include <sensor_msgs/Image.h>
+
+#include <condition_variable>
+#include <functional>
+#include <mutex>
+#include <optional>
+
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/image_input.h"
+#include "air_ground_common/stamped_buffer.h"
+#include "node_parameters.h"
+#include "streetview_localizer/localizer.h"
+
+namespace streetview_localizer {
+
+struct TimedPose {
+  double stamp = 0;  ///< [s]
+  Pose pose = Pose::Identity();
+  Matrix6d covariance = Matrix6d::Identity();
+};
+
+struct Job {
+  sensor_msgs::Image::ConstPtr image;
+  CameraModel camera;
+  unsigned pass = 0;  ///< counts the starts afresh
+};
+
+/// Callbacks add, one worker takes; all may do so at once.
+class ImageQueue {
+ public:
+  ImageQueue(const NodeSettings& settings, air_ground_common::ros_utils::NodeHealth& health)
+      : settings_(settings), health_(health) {}
+
+  // ---- Callbacks
+
+  void setCamera(const CameraModel& camera);
+  /// Takes the place of an image that waits. Counts why one is not taken.
+  void add(const air_ground_common::ros_utils::ImageMessage& message);
+  void addPrediction(const TimedPose& T_world_base);
+  void addAttitude(const TimedPose& T_map_base);
+  /// Forgets images and poses.
+  void reset();
+  void stop();
+
+  // ---- The worker
+
+  /// Waits for an image and, where `attitudes_come` then, a little for the attitude of its time. Empty when stop() was
+  /// called.
+  std::optional<Job> next(const std::function<bool()>& attitudes_come);
+  /// Nothing of it was forgotten meanwhile.
+  bool isCurrent(const Job& job) const;
+  /// Of the image's time, as far as poses near it have come. `use_prediction` false: without the tracked pose.
+  PosePrior priorFor(const Job& job, const Pose& T_base_camera, bool use_prediction);
+
+ private:
+  const NodeSettings& settings_;
+  air_ground_common::ros_utils::NodeHealth& health_;
+  mutable std::mutex mutex_;  // guards what follows
+  std::condition_variable wake_;
+  bool stop_ = false;
+  unsigned pass_ = 0;
+  std::size_t skipped_ = 0;
+  std::optional<CameraModel> camera_;
+  std::optional<Job> job_;
+  ros::Time last_started_;
+  air_ground_common::StampedBuffer<TimedPose> predictions_{kPosesKept}, attitudes_{kPosesKept};
+  static constexpr double kPosesKept = 10;  // [s]
+};
+
+}  // namespace streetview_localizer
