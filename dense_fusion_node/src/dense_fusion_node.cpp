@@ -7,9 +7,7 @@
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
 
-#include <chrono>
 #include <cmath>
-#include <mutex>
 #include <thread>
 
 #include "air_ground_common/ros/conversions.h"
@@ -17,8 +15,8 @@
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
 #include "dense_fusion/guarded.h"
-#include "dense_fusion/point_map.h"
 #include "fused_map_publisher.h"
+#include "map_store.h"
 #include "node_parameters.h"
 #include "work_queue.h"
 
@@ -29,10 +27,6 @@ namespace ros_utils = air_ground_common::ros_utils;
 
 constexpr int kOk = 0, kWarn = 1;
 
-double secondsSince(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 class DenseFusionNode {
  public:
   explicit DenseFusionNode(const NodeSettings& settings)
@@ -40,8 +34,7 @@ class DenseFusionNode {
         health_("dense_fusion"),
         queue_(static_cast<std::size_t>(settings.queue_size), health_),
         publisher_(handle_),
-        mapper_(settings.mapper),
-        map_(settings.map_cell, settings.map_max_points) {
+        mapper_(settings.mapper) {
     image_topic_ = handle_.resolveName("mav/posed_image");
     health_.expectInput(image_topic_);
     health_.state(kWarn, "waiting for posed images");
@@ -63,7 +56,7 @@ class DenseFusionNode {
     queue_.stop();
     service_spinner_.stop();
     worker_.join();
-    autosave_.save("map.ply", [this](const std::string& path) { write(path); });
+    autosave_.save("map.ply", [this](const std::string& path) { map_.write(path); });
   }
 
  private:
@@ -95,7 +88,6 @@ class DenseFusionNode {
   bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     return ros_utils::answer(response, [&] {
       flushAndWait();
-      const std::lock_guard<std::mutex> lock(map_mutex_);
       return "map holds " + std::to_string(map_.size()) + " points";
     });
   }
@@ -103,17 +95,9 @@ class DenseFusionNode {
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&] {
       flushAndWait();
-      response.points = write(request.path);
+      response.points = map_.write(request.path);
       return "wrote " + std::to_string(response.points) + " points to " + request.path;
     });
-  }
-
-  std::size_t write(const std::string& path) {
-    const std::lock_guard<std::mutex> lock(map_mutex_);
-    if (map_.size() == 0) throw std::runtime_error("nothing has been reconstructed yet");
-    const auto points = messagePoints(map_.points());
-    ros_utils::writeCloud(path, points, ros_utils::CloudFields::kXyzIntensity);
-    return points.size();
   }
 
   bool reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -151,8 +135,7 @@ class DenseFusionNode {
     mapper_.reset();
     last_stamp_ = ros::Time();
     map_id_.reset();
-    const std::lock_guard<std::mutex> lock(map_mutex_);
-    map_ = PointMap(settings_.map_cell, settings_.map_max_points);
+    map_.reset();
   }
 
   template <typename Function>
@@ -166,7 +149,7 @@ class DenseFusionNode {
   }
 
   void process(const air_ground::PosedImage& msg) {
-    const auto start = std::chrono::steady_clock::now();
+    const ros::WallTime start = ros::WallTime::now();
     // A map in the visual frame has no scale and keeps its unit; any other that is not metric will change it.
     const bool own_unit = !msg.metric && msg.header.frame_id == settings_.visual_map_frame;
     if (!msg.metric && !own_unit) {
@@ -196,7 +179,8 @@ class DenseFusionNode {
                          static_cast<std::int64_t>(msg.header.stamp.toNSec()), ros_utils::fromMsg(msg.pose.pose),
                          msg.depth_min, msg.depth_max, msg.readout_time);
     });
-    health_.timing(fused ? "image that completes a fused map [s]" : "image [s]", secondsSince(start));
+    health_.timing(fused ? "image that completes a fused map [s]" : "image [s]",
+                   (ros::WallTime::now() - start).toSec());
     const MapperCounters& c = mapper_.counters();
     health_.state(kOk, std::to_string(c.images) + " images, " + std::to_string(c.depth_maps) + " depth maps (" +
                            std::to_string(c.poor_depth_maps) + " too poor), " + std::to_string(c.fused) +
@@ -216,22 +200,14 @@ class DenseFusionNode {
     }
     const double before = mapper_.unit();
     if (const auto fused = guarded([&] { return mapper_.followDistance(distance); })) publish(*fused);
-    if (before == 1 && mapper_.unit() != 1) {
-      const std::lock_guard<std::mutex> lock(map_mutex_);
-      map_ = PointMap(settings_.map_cell / mapper_.unit(), settings_.map_max_points);
-    }
+    if (before == 1 && mapper_.unit() != 1) map_.reset(mapper_.unit());
     return true;
   }
 
   void publish(const FusedMap& fused) {
     if (!queue_.unlessReset([&] { publisher_.publish(fused, frame_id_, camera_frame_, *map_id_); }))
       return health_.count("fused maps of the time before a jump or reset dropped");
-    {
-      const std::lock_guard<std::mutex> lock(map_mutex_);
-      const double cell = map_.cell();
-      health_.count("points left out of the map: not finite, or too far away", map_.add(fused.points));
-      if (map_.cell() > cell) health_.count("map_max_points reached: the cells of the map were doubled");
-    }
+    map_.add(fused.points);
     health_.timing("fusion: votes [s]", fused.timings.votes);
     health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
     health_.timing("fusion: surface [s]", fused.timings.surface);
@@ -260,8 +236,7 @@ class DenseFusionNode {
   ros::Time last_stamp_, map_since_;
   std::size_t without_scale_ = 0;
 
-  std::mutex map_mutex_;
-  PointMap map_;
+  MapStore map_{settings_, health_};
   std::thread worker_;
 };
 
@@ -269,9 +244,6 @@ class DenseFusionNode {
 }  // namespace dense_fusion
 
 int main(int argc, char** argv) {
-  return air_ground_common::ros_utils::runNode<dense_fusion::NodeSettings>(
-      argc, argv, "dense_fusion", [](const auto& settings) {
-        dense_fusion::DenseFusionNode node(settings);
-        ros::spin();
-      });
+  using namespace dense_fusion;
+  return air_ground_common::ros_utils::runNode<NodeSettings, DenseFusionNode>(argc, argv, "dense_fusion");
 }

@@ -16,6 +16,7 @@
 #include "air_ground_common/ros/parameters.h"
 #include "attitude_input.h"
 #include "ekf_tracker/increment_synchronizer.h"
+#include "outcome_report.h"
 #include "sensor_bridge.h"
 #include "tracked_pose_publisher.h"
 #include "tracker_state.h"
@@ -27,46 +28,36 @@ using air_ground_common::Pose;
 namespace ru = air_ground_common::ros_utils;
 using Synchronizer = IncrementSynchronizer<air_ground::VoIncrement::ConstPtr>;
 
-std::optional<air_ground_common::LocalFrame> frameOf(const NodeSettings& settings) {
-  if (settings.origin_crs.empty()) return std::nullopt;
-  air_ground_common::LocalFrame frame(settings.origin_crs, Eigen::Vector3d(settings.origin.data()));
-  const auto& o = frame.origin();
-  ROS_INFO("the world's origin is at latitude %.7f, longitude %.7f; grid north lies %.4f deg clockwise of its y axis%s",
-           o.latitude, o.longitude, frame.meridianConvergence() * 180 / M_PI,
-           frame.usesGrid() ? "; by a grid file" : "");
-  return frame;
-}
-
 // Of a clock that nobody sets [s].
 double steadySeconds() { return ros::SteadyTime::now().toSec(); }
 
 class EkfTrackerNode {
  public:
-  EkfTrackerNode(ros::NodeHandle handle, ros::NodeHandle private_handle, const NodeSettings& settings)
+  explicit EkfTrackerNode(const NodeSettings& settings)
       : settings_(settings),
         tracker_(settings_.tracker),
         frame_(frameOf(settings_)),
         bridge_(settings_, frame_ ? &*frame_ : nullptr),
-        publisher_(handle, settings_, frame_ ? &*frame_ : nullptr),
+        publisher_(handle_, settings_, frame_ ? &*frame_ : nullptr),
         health_("ekf_tracker"),
         state_(health_),
         attitude_(
-            handle, settings_, bridge_, health_, [this] { drain(); }, [this](const Measurement& m) { add(m); }) {
-    increments_ = handle.subscribe("mav/vo_increment", 400, &EkfTrackerNode::onIncrement, this);
-    fixes_ = handle.subscribe("streetview/pose", 100, &EkfTrackerNode::onFix, this);
+            handle_, settings_, bridge_, health_, [this] { drain(); }, [this](const Measurement& m) { add(m); }) {
+    increments_ = handle_.subscribe("mav/vo_increment", 400, &EkfTrackerNode::onIncrement, this);
+    fixes_ = handle_.subscribe("streetview/pose", 100, &EkfTrackerNode::onFix, this);
     // Fixes come seconds apart: their absence is told by the state, not by a watch for silence.
     health_.expectInput(increments_.getTopic());
     if (settings_.gps) {
-      gps_ = handle.subscribe("gps/fix", 100, &EkfTrackerNode::onGps, this);
+      gps_ = handle_.subscribe("gps/fix", 100, &EkfTrackerNode::onGps, this);
       health_.expectInput(gps_.getTopic());
     }
     if (settings_.barometer) {
-      barometer_ = handle.subscribe("barometer", 200, &EkfTrackerNode::onPressure, this);
+      barometer_ = handle_.subscribe("barometer", 200, &EkfTrackerNode::onPressure, this);
       health_.expectInput(barometer_.getTopic());
     }
-    reset_ = private_handle.advertiseService("reset", &EkfTrackerNode::onReset, this);
-    save_ = private_handle.advertiseService("save_trajectory", &EkfTrackerNode::onSave, this);
-    timer_ = handle.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) {
+    reset_ = private_handle_.advertiseService("reset", &EkfTrackerNode::onReset, this);
+    save_ = private_handle_.advertiseService("save_trajectory", &EkfTrackerNode::onSave, this);
+    timer_ = handle_.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) {
       drain();
       attitude_.drainFields();
       state_.watch(increments_.getTopic());
@@ -133,33 +124,11 @@ class EkfTrackerNode {
       return health_.count(std::string("increments ignored: ") + e.what());
     }
     if (replaced) health_.count("increments whose covariance is not one: the default stands in");
-    if (!countResult(result)) return;
+    if (!report_.count(result)) return;
     state_.odometryUsed();
     health_.timing("odometry step", (ros::WallTime::now() - started).toSec());
-    publishOutcomes();
+    report_.publishPending();
     publishPose(msg, R_level_base, T_map_base);
-  }
-
-  // False: the increment was not used.
-  bool countResult(IncrementResult result) {
-    switch (result) {
-      case IncrementResult::kUsed:
-        return true;
-      case IncrementResult::kUsedAfterGap:
-        health_.count("gaps in the odometry, bridged");
-        return true;
-      case IncrementResult::kNewUnit:
-        health_.count(
-            "odometry began a new map in an unknown unit: only its turns are used until two fixes give the scale");
-        return true;
-      case IncrementResult::kOutOfOrder:
-        health_.count("increments ignored: out of order or repeated");
-        return false;
-      case IncrementResult::kInvalid:
-        health_.count("increments ignored: not finite");
-        return false;
-    }
-    return false;
   }
 
   // ---- Measurements -------------------------------------------------------------------------------------------------
@@ -174,11 +143,11 @@ class EkfTrackerNode {
       out.dof = m.size();
       out.nis = std::numeric_limits<double>::quiet_NaN();
       out.delay = now.toSec() - m.stamp;
-      return publishOutcome(out);
+      return report_.publish(out);
     }
     tracker_.addMeasurement(m);
     health_.timing("measurement with replay", (ros::WallTime::now() - started).toSec());
-    publishOutcomes();
+    report_.publishPending();
   }
 
   void onFix(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
@@ -209,28 +178,6 @@ class EkfTrackerNode {
 
   // ---- Output -------------------------------------------------------------------------------------------------------
 
-  void publishOutcomes() {
-    for (const Outcome& o : tracker_.takeOutcomes()) publishOutcome(o);
-    if (tracker_.filter().recoveries() > recoveries_) {
-      ROS_WARN("fixes that agree with each other contradicted the tracked pose: it was wrong and has been replaced");
-      health_.count("recoveries from a wrong pose");
-    }
-    recoveries_ = tracker_.filter().recoveries();
-  }
-
-  void publishOutcome(const Outcome& o) {
-    const Source source = o.measurement.source;
-    if (source == Source::kFix && isUsed(o.result)) state_.fixUsed(o.measurement.stamp);
-    // Refusals are counted by name; waiting for a partner is none.
-    const bool waits = o.result == Result::kWaiting || o.result == Result::kNotStarted;
-    if (o.revised)
-      health_.count("results of earlier measurements revised by later ones");
-    else if (o.result == Result::kRecovered || (!isUsed(o.result) && !waits))
-      health_.count(std::string(nameOf(source)) + ": " + describe(o.result));
-    if (o.result == Result::kInitialised) ROS_INFO("fixes that agree start the tracker");
-    publisher_.publish(o, tracker_);
-  }
-
   void publishPose(const air_ground::VoIncrement& cause, const std::optional<Eigen::Matrix3d>& R_level_base,
                    const std::optional<Pose>& T_map_base) {
     const double stamp = cause.header.stamp.toSec();
@@ -248,7 +195,7 @@ class EkfTrackerNode {
     tracker_.reset();
     bridge_.reset();
     publisher_.reset();
-    recoveries_ = 0;
+    report_.reset();
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -269,6 +216,7 @@ class EkfTrackerNode {
     });
   }
 
+  ros::NodeHandle handle_, private_handle_{"~"};
   const NodeSettings settings_;
   const ru::Autosave autosave_{settings_.autosave};
   Tracker tracker_;
@@ -277,23 +225,19 @@ class EkfTrackerNode {
   TrackedPosePublisher publisher_;
   ru::NodeHealth health_;
   TrackerState state_;
+  OutcomeReport report_{tracker_, publisher_, state_, health_};
   AttitudeInput attitude_;
   Synchronizer synchronizer_{settings_.odometry_wait, attitude_.tilts()};
   ru::TimeJumpDetector clock_;
   ros::Subscriber increments_, fixes_, gps_, barometer_;
   ros::ServiceServer reset_, save_;
   ros::WallTimer timer_;
-
-  int recoveries_ = 0;
 };
 
 }  // namespace
 }  // namespace ekf_tracker
 
 int main(int argc, char** argv) {
-  return air_ground_common::ros_utils::runNode<ekf_tracker::NodeSettings>(
-      argc, argv, "ekf_tracker", [](const auto& settings) {
-        ekf_tracker::EkfTrackerNode node{ros::NodeHandle(), ros::NodeHandle("~"), settings};
-        ros::spin();
-      });
+  using namespace ekf_tracker;
+  return air_ground_common::ros_utils::runNode<NodeSettings, EkfTrackerNode>(argc, argv, "ekf_tracker");
 }

@@ -1,5 +1,7 @@
 #include "sensor_bridge.h"
 
+#include <ros/console.h>
+
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -20,6 +22,16 @@ bool tooSoon(double stamp, double interval, const std::optional<double>& last) {
 }
 
 }  // namespace
+
+std::optional<air_ground_common::LocalFrame> frameOf(const NodeSettings& settings) {
+  if (settings.origin_crs.empty()) return std::nullopt;
+  air_ground_common::LocalFrame frame(settings.origin_crs, Eigen::Vector3d(settings.origin.data()));
+  const auto& o = frame.origin();
+  ROS_INFO("the world's origin is at latitude %.7f, longitude %.7f; grid north lies %.4f deg clockwise of its y axis%s",
+           o.latitude, o.longitude, frame.meridianConvergence() * 180 / M_PI,
+           frame.usesGrid() ? "; by a grid file" : "");
+  return frame;
+}
 
 const char* nameOf(Source source) {
   switch (source) {

@@ -18,6 +18,9 @@ namespace ekf_tracker {
 
 const char* nameOf(Source source);
 
+/// Of the world, where the settings give its origin; said on the console.
+std::optional<air_ground_common::LocalFrame> frameOf(const NodeSettings& settings);
+
 /// Reads messages; what it cannot use it throws as std::invalid_argument, with the kind of the reason. Readings closer
 /// than a sensor's interval are no new information and give nothing. Not thread-safe.
 class SensorBridge {

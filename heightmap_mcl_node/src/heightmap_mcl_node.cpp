@@ -17,10 +17,13 @@ namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
 
-std::vector<Eigen::Vector3f> positions(const std::vector<ros_utils::CloudPoint>& points) {
+std::optional<std::vector<Eigen::Vector3f>> positionsOf(const sensor_msgs::PointCloud2& msg, const std::string& what,
+                                                        ros_utils::NodeHealth& health) {
+  const auto points = ros_utils::readCloud(msg, what, health);
+  if (!points) return std::nullopt;
   std::vector<Eigen::Vector3f> result;
-  result.reserve(points.size());
-  for (const auto& p : points) result.push_back(p.position);
+  result.reserve(points->size());
+  for (const auto& p : *points) result.push_back(p.position);
   return result;
 }
 
@@ -125,21 +128,10 @@ class HeightmapMclNode {
 
   void useGround(const Cloud& msg) {
     const ros::WallTime start = ros::WallTime::now();
-    std::size_t dropped = 0;
-    std::vector<Eigen::Vector3f> points;
-    try {
-      points = positions(ros_utils::cloudFromMsg(*msg, &dropped));
-    } catch (const std::invalid_argument& e) {
-      health_.count(std::string("ground clouds not usable: ") + e.what());
-      return;
-    }
-    health_.count("ground points that are not finite", dropped);
-    if (points.empty()) {
-      health_.count("ground clouds without a finite point");
-      return;
-    }
+    const auto points = positionsOf(*msg, "ground clouds", health_);
+    if (!points) return;
     std::size_t cropped = 0;
-    if (!localizer_.setGround(points, &cropped)) health_.count("ground clouds that define no cell");
+    if (!localizer_.setGround(*points, &cropped)) health_.count("ground clouds that define no cell");
     health_.count("ground points beyond ground/max_extent", cropped);
     ground_stamp_ = msg->header.stamp;
     health_.timing("ground map", (ros::WallTime::now() - start).toSec());
@@ -147,19 +139,10 @@ class HeightmapMclNode {
 
   void useAerial(const Cloud& msg, const std::optional<air_ground_common::StampedPose>& reference, bool own_unit) {
     const ros::WallTime start = ros::WallTime::now();
+    auto points = positionsOf(*msg, "aerial clouds", health_);
+    if (!points) return;
     AerialCloud cloud;
-    std::size_t dropped = 0;
-    try {
-      cloud.points = positions(ros_utils::cloudFromMsg(*msg, &dropped));
-    } catch (const std::invalid_argument& e) {
-      health_.count(std::string("aerial clouds not usable: ") + e.what());
-      return;
-    }
-    health_.count("aerial points that are not finite", dropped);
-    if (cloud.points.empty()) {
-      health_.count("aerial clouds without a finite point");
-      return;
-    }
+    cloud.points = std::move(*points);
     if (reference) {
       cloud.reference = reference->T_map_body.translation();
       heading_ = air_ground_common::yawOf(reference->T_map_body.rotation());
@@ -256,9 +239,6 @@ class HeightmapMclNode {
 }  // namespace heightmap_mcl
 
 int main(int argc, char** argv) {
-  return air_ground_common::ros_utils::runNode<heightmap_mcl::NodeSettings>(
-      argc, argv, "heightmap_mcl", [](const auto& settings) {
-        heightmap_mcl::HeightmapMclNode node(settings);
-        ros::spin();
-      });
+  using namespace heightmap_mcl;
+  return air_ground_common::ros_utils::runNode<NodeSettings, HeightmapMclNode>(argc, argv, "heightmap_mcl");
 }

@@ -66,8 +66,8 @@ TEST_F(NodeTest, SurvivesBadInput) {
   ground_.publish(cloudMsg({}, "ground_map", stamp_));
   // Each kind of bad input has its counter.
   for (const char* event :
-       {"aerial clouds without a finite point", "aerial points that are not finite",
-        "aerial clouds in frame 'elsewhere'", "aerial clouds not usable", "ground clouds without a point"}) {
+       {"aerial clouds without a finite point", "points of aerial clouds that are not finite",
+        "aerial clouds in frame 'elsewhere'", "aerial clouds unreadable", "ground clouds without a point"}) {
     EXPECT_TRUE(diagnostics_.await(event, 1)) << event;
   }
   for (const auto& e : coarse_.messages) {

@@ -28,6 +28,13 @@ Eigen::Vector3d middle(const Cloud& cloud) {
 
 }  // namespace
 
+Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base) {
+  const double yaw =
+      air_ground_common::yawOf(T_ground_map_base.linear()) - air_ground_common::yawOf(T_mav_map_base.linear());
+  const Pose turn = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
+  return air_ground_common::yawPose(yaw, T_ground_map_base.translation() - turn * T_mav_map_base.translation());
+}
+
 AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settings)
     : chain_(std::move(chain)), settings_(settings), scale_(settings.scale) {}
 

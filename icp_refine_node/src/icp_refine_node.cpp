@@ -1,20 +1,18 @@
 // Pose refinement and map augmentation (A-VII): ROS around icp_refine::AlignmentRefiner. Callbacks check and convert
 // what comes; RefineWorker works on it; AlignmentOutput publishes.
-#include <air_ground/SaveMap.h>
 #include <air_ground/VoStatus.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <nav_msgs/Odometry.h>
-#include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
 
 #include <cmath>
 
-#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "chain_parameter.h"
 #include "ground_camera.h"
+#include "map_file.h"
 #include "refine_worker.h"
 
 namespace icp_refine {
@@ -42,23 +40,14 @@ class IcpRefineNode {
     guess_subscriber_ = handle_.subscribe("initialpose", 5, &IcpRefineNode::onGuess, this);
     reset_service_ = private_.advertiseService("reset", &IcpRefineNode::onReset, this);
     refine_service_ = private_.advertiseService("refine", &IcpRefineNode::onRefine, this);
-    // Writing a large map takes seconds, in which tf must go on: a thread of its own.
-    file_handle_.setCallbackQueue(&file_queue_);
-    save_service_ = file_handle_.advertiseService("save_map", &IcpRefineNode::onSave, this);
-    file_spinner_.start();
     for (const auto* s : {&aerial_subscriber_, &ground_subscriber_}) health_.expectInput(s->getTopic(), false);
-  }
-
-  ~IcpRefineNode() {
-    file_spinner_.stop();
-    autosave_.save("augmented_map.ply", [this](const std::string& path) { write(path); });
   }
 
  private:
   enum MavStream { kAerial, kCoarse, kOdometry, kMavStatus, kMavStreams };
   enum GroundStream { kGround, kGroundStatus, kGroundStreams };
 
-  // All but onSave run in the one thread that spins: what they alone use needs no lock.
+  // All callbacks run in the one thread that spins: what they alone use needs no lock.
 
   void startMap() {
     odometry_.reset();
@@ -70,6 +59,7 @@ class IcpRefineNode {
       inbox.own_unit = mav_.map().ownUnit();
       inbox.aerial.clear();
       inbox.scale_deviation.reset();
+      inbox.aerial_tilt.reset();
       forgetPoses(inbox);
     });
   }
@@ -81,6 +71,7 @@ class IcpRefineNode {
       inbox.new_ground = true;
       inbox.ground.reset();
       inbox.ground_camera.reset();
+      inbox.ground_tilt.reset();
       forgetPoses(inbox);
     });
   }
@@ -91,24 +82,10 @@ class IcpRefineNode {
     output_.drop();
   }
 
-  std::optional<std::vector<ros_utils::CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg,
-                                                              const std::string& topic) {
-    try {
-      std::size_t dropped = 0;
-      auto points = ros_utils::cloudFromMsg(msg, &dropped);
-      if (dropped) health_.count("points that are not finite", dropped);
-      if (!points.empty()) return points;
-      health_.count(topic + " without a finite point");
-    } catch (const std::exception& e) {
-      health_.count(topic + " unreadable: " + e.what());
-    }
-    return std::nullopt;
-  }
-
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
     if (!mav_.admitMap(kAerial, msg->header, "dense clouds")) return;
-    auto points = readCloud(*msg, "dense cloud");
+    auto points = ros_utils::readCloud(*msg, "dense clouds", health_);
     if (!points) return;
     worker_.post([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
   }
@@ -121,7 +98,7 @@ class IcpRefineNode {
 
   void useGround(const sensor_msgs::PointCloud2& msg) {
     if (!ground_.admitMap(kGround, msg.header, "ground maps")) return;
-    auto points = readCloud(msg, "ground map");
+    auto points = ros_utils::readCloud(msg, "ground maps", health_);
     if (!points) return;
     ground_forgotten_ = false;
     worker_.post([&](Inbox& inbox) { inbox.ground = std::move(*points); });
@@ -204,43 +181,21 @@ class IcpRefineNode {
 
   void onGuess(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
     if (!ground_.isFrame(msg->header.frame_id, settings_.ground_map_frame, "initial poses")) return;
-    if (mav_.map().ownUnit()) {
-      ROS_WARN("initialpose ignored: a map without scale needs the coarse alignment");
-      health_.count("initial poses for a map without scale");
-      return;
-    }
+    const auto ignored = [this](const char* why, const char* event) {
+      ROS_WARN("initialpose ignored: %s", why);
+      health_.count(std::string("initial poses ") + event);
+    };
+    if (mav_.map().ownUnit())
+      return ignored("a map without scale needs the coarse alignment", "for a map without scale");
     try {
       const Pose T_ground_base = ros_utils::fromMsg(msg->pose.pose);
-      if (!odometry_) {
-        ROS_WARN("initialpose ignored: no mav/odometry yet that says where the MAV is in its own map");
-        health_.count("initial poses without odometry");
-        return;
-      }
-      // Both maps hang from gravity: heading and place of the base fix one map in the other.
-      const double yaw =
-          air_ground_common::yawOf(T_ground_base.linear()) - air_ground_common::yawOf(odometry_->linear());
-      Pose T = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
-      T.translation() = T_ground_base.translation() - T.linear() * odometry_->translation();
+      if (!odometry_)
+        return ignored("no mav/odometry yet that says where the MAV is in its own map", "without odometry");
+      const Pose T = alignmentFrom(T_ground_base, *odometry_);
       worker_.post([&](Inbox& inbox) { inbox.manual = T; });
     } catch (const std::exception& e) {
       health_.count(std::string("initial pose unreadable: ") + e.what());
     }
-  }
-
-  bool onSave(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
-    return ros_utils::answer(response, [&]() -> std::string {
-      const auto [points, aligned] = write(request.path);
-      response.points = points;
-      return aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
-    });
-  }
-
-  /// Number of points; whether the aerial ones are among them.
-  std::pair<std::size_t, bool> write(const std::string& path) {
-    const auto [points, aligned] = worker_.map();
-    if (points.empty()) throw std::runtime_error("no map yet: neither a ground map nor an aligned aerial map has come");
-    ros_utils::writeCloud(path, points, ros_utils::CloudFields::kXyzRgbSource);
-    return {points.size(), aligned};
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -264,13 +219,12 @@ class IcpRefineNode {
     return true;
   }
 
-  ros::CallbackQueue file_queue_;
-  ros::NodeHandle handle_, private_, file_handle_{"~"};
+  ros::NodeHandle handle_, private_;
   const NodeSettings settings_;
-  const ros_utils::Autosave autosave_{settings_.autosave};
   ros_utils::NodeHealth health_;
   AlignmentOutput output_;
   RefineWorker worker_;
+  MapFile map_file_{settings_.autosave, worker_};
   GroundCamera ground_camera_{handle_, settings_.ground_map_frame,
                               [this](double z) { worker_.post([z](Inbox& inbox) { inbox.ground_camera = z; }); }};
 
@@ -285,17 +239,13 @@ class IcpRefineNode {
 
   ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
       odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;
-  ros::ServiceServer save_service_, reset_service_, refine_service_;
-  ros::AsyncSpinner file_spinner_{1, &file_queue_};
+  ros::ServiceServer reset_service_, refine_service_;
 };
 
 }  // namespace
 }  // namespace icp_refine
 
 int main(int argc, char** argv) {
-  return air_ground_common::ros_utils::runNode<icp_refine::NodeSettings>(argc, argv, "icp_refine",
-                                                                         [](const auto& settings) {
-                                                                           icp_refine::IcpRefineNode node(settings);
-                                                                           ros::spin();
-                                                                         });
+  using namespace icp_refine;
+  return air_ground_common::ros_utils::runNode<NodeSettings, IcpRefineNode>(argc, argv, "icp_refine");
 }

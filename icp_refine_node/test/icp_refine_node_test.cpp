@@ -190,9 +190,10 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
   zero.header.frame_id = "ground_map";
   guess_.publish(zero);  // quaternion 0 0 0 0
   sendCoarse(Pose::Identity());
-  for (const char* event : {"dense cloud without a finite point", "dense clouds in frame 'ground_map'",
-                            "dense clouds in frame ''", "ground map without a finite point",
-                            "coarse alignment unreadable", "initial pose unreadable", "points that are not finite"}) {
+  for (const char* event :
+       {"dense clouds without a finite point", "dense clouds in frame 'ground_map'", "dense clouds in frame ''",
+        "ground maps without a finite point", "coarse alignment unreadable", "initial pose unreadable",
+        "points of dense clouds that are not finite"}) {
     EXPECT_TRUE(awaitCount(event, 1)) << event;
   }
   ASSERT_TRUE(settle());

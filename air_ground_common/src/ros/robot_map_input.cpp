@@ -4,6 +4,20 @@
 
 namespace air_ground_common::ros_utils {
 
+std::optional<std::vector<CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg, const std::string& what,
+                                                 NodeHealth& health) {
+  try {
+    std::size_t dropped = 0;
+    auto points = cloudFromMsg(msg, &dropped);
+    health.count("points of " + what + " that are not finite", dropped);
+    if (!points.empty()) return points;
+    health.count(what + " without a finite point");
+  } catch (const std::exception& e) {
+    health.count(what + " unreadable: " + e.what());
+  }
+  return std::nullopt;
+}
+
 RobotMapInput::RobotMapInput(const std::string& robot, std::size_t streams, RobotMapSession map, NodeHealth& health,
                              std::function<void()> forget)
     : robot_(robot), health_(health), map_(std::move(map)), forget_(std::move(forget)), gate_(streams, health, [this] {

@@ -63,6 +63,9 @@ struct RefineOutcome {
   IcpResult icp;
 };
 
+/// Both maps hang from gravity: heading and place of one body in both fix the MAV's map in the ground robot's.
+Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base);
+
 /// Not thread-safe: one caller.
 class AlignmentRefiner {
  public:

@@ -58,4 +58,13 @@ int runNode(int argc, char** argv, const std::string& name, const Run& run) {
   return 0;
 }
 
+/// The same of a node that is made from its settings and needs one thread.
+template <typename Settings, typename Node>
+int runNode(int argc, char** argv, const std::string& name) {
+  return runNode<Settings>(argc, argv, name, [](const Settings& settings) {
+    Node node(settings);
+    ros::spin();
+  });
+}
+
 }  // namespace air_ground_common::ros_utils

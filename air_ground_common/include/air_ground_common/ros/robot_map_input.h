@@ -5,12 +5,19 @@
 #include <std_msgs/Header.h>
 
 #include <functional>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "air_ground_common/robot_map_session.h"
+#include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
+
+/// The finite points of a cloud; none, and counted, where it has none or cannot be read. `what`: "dense clouds".
+std::optional<std::vector<CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg, const std::string& what,
+                                                 NodeHealth& health);
 
 /// Not thread-safe. Robots are watched apart: when the clock of one steps back, another that stands still does not send
 /// its map again.
