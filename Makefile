@@ -48,8 +48,11 @@ configure = $(ENVIRONMENT) cmake -S $(ROOT) -B $(BUILD) -G Ninja -DPYTHON_EXECUT
 	-DCATKIN_DEVEL_PREFIX=$(DEVEL) -DCATKIN_ENABLE_TESTING=ON -DAIR_GROUND_SANITIZE=$(SANITIZE) -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
 	|| { tail -30 $(BUILD)/configure.log; echo "configuring failed: the lines above say why (all of it: $(BUILD)/configure.log)"; exit 1; }
 
+# Messages first: ninja looks at their headers once, when it starts, since ccache writes their paths in another way.
+messages = $(ENVIRONMENT) ninja --quiet -C $(BUILD) -j $(JOBS) air_ground_generate_messages_cpp
+
 configured: packages
-	@mkdir -p $(BUILD) && $(call configure,)
+	@mkdir -p $(BUILD) && $(call configure,) && $(messages)
 
 build: configured
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
@@ -63,7 +66,7 @@ demo-city: configured
 	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
 
 benchmarks: packages
-	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_BENCHMARKS=ON)
+	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_BENCHMARKS=ON) && $(messages)
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
 
 test: benchmarks
@@ -77,7 +80,7 @@ fuzz: BUILD := $(ROOT)build-fuzz
 fuzz: DEVEL := $(ROOT)devel-fuzz
 fuzz:
 	@$(ROOT)tools/install_packages clang-14 libclang-rt-14-dev libomp-14-dev
-	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF)
+	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF) && $(messages)
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) air_ground_fuzz_exe
 	@FUZZ_SECONDS=$(FUZZ_SECONDS) $(ROOT)tools/run_fuzzers $(DEVEL)/lib/air_ground/fuzz $(BUILD)/corpus $(FUZZ_TARGETS)
 

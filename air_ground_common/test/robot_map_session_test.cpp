@@ -20,6 +20,20 @@ TEST(RobotMapSession, ANewIdEndsTheMapAndMakesEarlierStampsStale) {
   EXPECT_EQ(map.admit("mav_map", 8), Verdict::kCurrent);
 }
 
+TEST(RobotMapSession, ACorrectionMakesEarlierStampsStale) {
+  RobotMapSession map("mav_map");
+  map.observe(1, 1);
+  EXPECT_FALSE(map.revise(5, 2)) << "the first count that is known is of the present map";
+  EXPECT_FALSE(map.revise(5, 3));
+  EXPECT_TRUE(map.revise(6, 4));
+  EXPECT_EQ(map.admit("mav_map", 3.9), Verdict::kStale);
+  EXPECT_EQ(map.admit("mav_map", 4), Verdict::kCurrent);
+  map.observe(2, 5);
+  EXPECT_FALSE(map.revise(0, 5)) << "another map counts anew";
+  map.restart();
+  EXPECT_FALSE(map.revise(3, 1));
+}
+
 TEST(RobotMapSession, AJumpOfTimeMakesNothingStale) {
   RobotMapSession map("mav_map");
   map.observe(1, 100);

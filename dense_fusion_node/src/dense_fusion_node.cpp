@@ -157,12 +157,12 @@ class DenseFusionNode {
       ++without_scale_;
       return;
     }
-    if (!map_id_ || *map_id_ != msg.map_id || frame_id_ != msg.header.frame_id) {
-      if (map_id_)
-        ROS_WARN_STREAM("the MAV's map changed from " << *map_id_ << " to " << msg.map_id
-                                                      << ": the dense map starts afresh");
+    const bool other = map_id_ != msg.map_id || frame_id_ != msg.header.frame_id;
+    if (other || map_revision_ != msg.map_revision) {
+      if (map_id_) ROS_WARN("the MAV's map %s: the dense map starts afresh", other ? "is another" : "was corrected");
       startAfresh();
       map_id_ = msg.map_id;
+      map_revision_ = msg.map_revision;
       frame_id_ = msg.header.frame_id;
       map_since_ = msg.header.stamp;
     }
@@ -232,6 +232,7 @@ class DenseFusionNode {
   FusedMapPublisher publisher_;
   DenseMapper mapper_;
   std::optional<std::uint32_t> map_id_;
+  std::uint32_t map_revision_ = 0;
   std::string frame_id_, camera_frame_;
   ros::Time last_stamp_, map_since_;
   std::size_t without_scale_ = 0;

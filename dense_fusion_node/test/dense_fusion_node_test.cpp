@@ -60,7 +60,8 @@ class DenseFusionNodeTest : public ::testing::Test {
   }
 
   // One image of the flight; the map frame may be shifted to tell maps apart.
-  air_ground::PosedImage message(int i, double start, std::uint32_t map_id, double shift_x = 0) {
+  air_ground::PosedImage message(int i, double start, std::uint32_t map_id, double shift_x = 0,
+                                 std::uint32_t map_revision = 0) {
     air_ground::PosedImage msg;
     msg.header.stamp.fromSec(start + 0.05 * i);
     msg.header.stamp.nsec += 7;  // stamps must come back exactly
@@ -76,6 +77,7 @@ class DenseFusionNodeTest : public ::testing::Test {
     msg.depth_max = 2.1f;
     msg.metric = true;
     msg.map_id = map_id;
+    msg.map_revision = map_revision;
     return msg;
   }
 
@@ -84,9 +86,9 @@ class DenseFusionNodeTest : public ::testing::Test {
     publisher_.publish(msg);
   }
 
-  void fly(double start, std::uint32_t map_id, double shift_x = 0) {
+  void fly(double start, std::uint32_t map_id, double shift_x = 0, std::uint32_t map_revision = 0) {
     for (int i = 0; i < kFrames; ++i) {
-      send(message(i, start, map_id, shift_x));
+      send(message(i, start, map_id, shift_x, map_revision));
       ros_utils::pause(2);
     }
   }
@@ -232,20 +234,25 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
 
 TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
   fly(400, 1);
-  fly(410, 2, 10);
-  flush(410);
   const std::string path = "/tmp/dense_fusion_node_test_" + std::to_string(getpid()) + ".ply";
   air_ground::SaveMap save;
-  save.request.path = path;
-  ASSERT_TRUE(ros_utils::callService("dense_fusion/save_map", save));
-  ASSERT_TRUE(save.response.success) << save.response.message;
-  const auto points = air_ground_common::readPlyPoints(path);
-  std::remove(path.c_str());
-  EXPECT_EQ(points.size(), save.response.points);
-  ASSERT_GT(points.size(), 5000u);
-  for (const auto& p : points) {
-    ASSERT_GT(p.position.x(), 5) << "a point of the old map";
-    ASSERT_EQ(p.source, 1);
+  double start = 410;
+  // Another map, and the same one corrected as a whole.
+  for (const std::uint32_t revision : {0, 1}) {
+    fly(start, 2, 10 + 10 * revision, revision);
+    flush(start);
+    start += 10;
+    save.request.path = path;
+    ASSERT_TRUE(ros_utils::callService("dense_fusion/save_map", save));
+    ASSERT_TRUE(save.response.success) << save.response.message;
+    const auto points = air_ground_common::readPlyPoints(path);
+    std::remove(path.c_str());
+    EXPECT_EQ(points.size(), save.response.points);
+    ASSERT_GT(points.size(), 5000u);
+    for (const auto& p : points) {
+      ASSERT_GT(p.position.x(), 5 + 10 * revision) << "a point of the old map";
+      ASSERT_EQ(p.source, 1);
+    }
   }
   save.request.path = "/nonexistent/map.ply";
   ASSERT_TRUE(ros_utils::callService("dense_fusion/save_map", save));

@@ -40,7 +40,7 @@ AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settin
 
 void AlignmentRefiner::setGround(Cloud cloud) {
   ground_ = std::move(cloud);
-  ground_replaced_ = true;
+  if (moved_grounds_ > 0) --moved_grounds_;
   reference_.reset();
 }
 
@@ -124,7 +124,7 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen:
   RefineOutcome out = attempt(reading, *tracked_);
   // A loop closure moves the ground map by more than ICP reaches from the last pose.
   const bool too_little = out.icp.outcome == IcpResult::Outcome::kConverged && out.overlap < settings_.min_overlap;
-  if (std::exchange(ground_replaced_, false) && out.status != RefineStatus::kConverged && !too_little) {
+  if (moved_grounds_ > 0 && out.status != RefineStatus::kConverged && !too_little) {
     RefineOutcome other = attemptFromGuess(reading, rigidAt(*tracked_, centre), true);
     if (other.status == RefineStatus::kConverged) out = other;
   }

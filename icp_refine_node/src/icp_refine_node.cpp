@@ -8,6 +8,7 @@
 
 #include <cmath>
 
+#include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "chain_parameter.h"
@@ -29,7 +30,13 @@ class IcpRefineNode {
         settings_(settings),
         health_("icp_refine"),
         output_(settings_, health_),
-        worker_(settings_, readChain(private_, settings_.chain_file), output_, health_) {
+        worker_(settings_, readChain(private_, settings_.chain_file), output_, health_),
+        mav_(
+            "MAV", kMavStreams, RobotMapSession(settings_.mav_map_frame, settings_.visual_map_frame), health_,
+            [this] { startMap(); }, [this] { worker_.post(&Inbox::reviseMap); }),
+        ground_(
+            "ground robot", kGroundStreams, RobotMapSession(settings_.ground_map_frame), health_,
+            [this] { startGround(); }, [this] { worker_.post(&Inbox::reviseGround); }) {
     coarse_subscriber_ = handle_.subscribe("alignment/coarse", 50, &IcpRefineNode::onCoarse, this);
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
     ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
@@ -55,12 +62,8 @@ class IcpRefineNode {
     output_.setMapScale(std::nullopt);
     if (mav_.map().id()) worker_.setMapId(*mav_.map().id());
     worker_.post([this](Inbox& inbox) {
-      inbox.new_map = true;
-      inbox.own_unit = mav_.map().ownUnit();
-      inbox.aerial.clear();
-      inbox.scale_deviation.reset();
-      inbox.aerial_tilt.reset();
-      forgetPoses(inbox);
+      inbox.startMap(mav_.map().ownUnit());
+      output_.drop();
     });
   }
 
@@ -68,18 +71,9 @@ class IcpRefineNode {
     ground_forgotten_ = true;
     ground_camera_.forget();
     worker_.post([this](Inbox& inbox) {
-      inbox.new_ground = true;
-      inbox.ground.reset();
-      inbox.ground_camera.reset();
-      inbox.ground_tilt.reset();
-      forgetPoses(inbox);
+      inbox.startGround();
+      output_.drop();
     });
-  }
-
-  void forgetPoses(Inbox& inbox) {
-    inbox.coarse.reset();
-    inbox.manual.reset();
-    output_.drop();
   }
 
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
@@ -207,16 +201,12 @@ class IcpRefineNode {
       inbox.reset = true;
     });
     useLastGround();
-    response.success = true;
-    response.message = "forgot all maps and poses";
-    return true;
+    return ros_utils::answer(response, [] { return "forgot all maps and poses"; });
   }
 
   bool onRefine(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     worker_.post([](Inbox& inbox) { inbox.refine = true; });
-    response.success = true;
-    response.message = "refining; see " + output_.topic();
-    return true;
+    return ros_utils::answer(response, [this] { return "refining; see " + output_.topic(); });
   }
 
   ros::NodeHandle handle_, private_;
@@ -231,11 +221,7 @@ class IcpRefineNode {
   std::optional<Pose> odometry_;  // T_mav_map_base, the latest
   sensor_msgs::PointCloud2::ConstPtr ground_map_;
   bool ground_forgotten_ = false;  // and none has come since
-  ros_utils::RobotMapInput mav_{"MAV", kMavStreams,
-                                RobotMapSession(settings_.mav_map_frame, settings_.visual_map_frame), health_,
-                                [this] { startMap(); }};
-  ros_utils::RobotMapInput ground_{"ground robot", kGroundStreams, RobotMapSession(settings_.ground_map_frame), health_,
-                                   [this] { startGround(); }};
+  ros_utils::RobotMapInput mav_, ground_;
 
   ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
       odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;

@@ -63,6 +63,30 @@ RefineWorker::~RefineWorker() {
   thread_.join();
 }
 
+void Inbox::startMap(bool in_own_unit) {
+  new_map = true;
+  own_unit = in_own_unit;
+  aerial.clear();
+  scale_deviation.reset();
+  aerial_tilt.reset();
+  coarse.reset();
+  manual.reset();
+}
+
+void Inbox::reviseMap() {
+  aerial_revised = true;
+  aerial.clear();
+}
+
+void Inbox::startGround() {
+  new_ground = true;
+  ground.reset();
+  ground_camera.reset();
+  ground_tilt.reset();
+  coarse.reset();
+  manual.reset();
+}
+
 void RefineWorker::post(const std::function<void(Inbox&)>& change) {
   std::lock_guard<std::mutex> lock(mutex_);
   change(inbox_);
@@ -130,6 +154,13 @@ bool RefineWorker::use(Inbox& inbox) {
     map_.clearGround();
   }
   if (inbox.forgets()) dropMapPose();
+  if (inbox.aerial_revised) {
+    refiner_.forgetAerial();
+    map_.clearAerial();
+    own_clouds_.clear();
+    map_due_ |= map_.aligned();
+  }
+  if (inbox.ground_moved) refiner_.groundMoved();
   if (inbox.ground_camera) refiner_.setGroundCamera(*inbox.ground_camera);
   if (inbox.ground) {
     refiner_.setGround(positionsOf(*inbox.ground));

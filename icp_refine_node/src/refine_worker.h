@@ -33,6 +33,7 @@ struct AerialCloud {
 
 /// What has come since the worker looked last.
 struct Inbox {
+  bool aerial_revised = false, ground_moved = false;  ///< a map was corrected as a whole
   bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
   std::optional<std::vector<CloudPoint>> ground;
   std::optional<double> ground_camera;  ///< greatest z of the ground robot's camera in its map [m]
@@ -42,7 +43,14 @@ struct Inbox {
   bool own_unit = false;                           ///< the clouds are in the visual map's unit
   std::optional<double> scale_deviation;           ///< relative, as the odometry states it
   std::optional<double> aerial_tilt, ground_tilt;  ///< standard deviations of the maps' verticals [rad]; 0: not known
-  bool any() const { return forgets() || refine || map_subscriber || ground || !aerial.empty() || coarse || manual; }
+  bool any() const {
+    return forgets() || aerial_revised || refine || map_subscriber || ground || !aerial.empty() || coarse || manual;
+  }
+  void startMap(bool in_own_unit);
+  /// The map was corrected as a whole: what relates both maps stays about right, the clouds so far do not.
+  void reviseMap();
+  void startGround();
+  void reviseGround() { ground_moved = true; }
   bool forgets() const { return reset || new_map || new_ground; }
 };
 

@@ -255,6 +255,31 @@ TEST_F(NodeTest, AnotherMapStartsAfresh) {
   EXPECT_EQ(estimates_.back().map_id, 8u);
 }
 
+TEST_F(NodeTest, ACorrectedMapOfTheMavDropsItsCloudsNotThePose) {
+  const auto scene = synthetic::makeScene(1);
+  sendStatus(7);
+  sendScene(scene);
+  sendCoarse(offset(scene), AlignmentEstimate::STATUS_CONVERGED, 7);
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
+  ASSERT_TRUE(refresh());
+  const int corrections = diagnostics_.counted("corrections of the map of the MAV"),
+            earlier = diagnostics_.counted("dense clouds of an earlier map dropped");
+  auto late = cloud(scene.aerial, "mav_map");
+  tick(1);
+  sendStatus(7, 1);
+  ASSERT_TRUE(awaitCount("corrections of the map of the MAV", corrections + 1));
+  ASSERT_TRUE(waitFor([this] { return aerialPoints(maps_.back()) == 0; })) << "points of the map as it was";
+  aerial_.publish(late);
+  ASSERT_TRUE(awaitCount("dense clouds of an earlier map dropped", earlier + 1));
+  transforms_.clear();
+  ASSERT_TRUE(waitFor([this] { return !transforms_.empty(); })) << "what relates the maps stays";
+  estimates_.clear();
+  tick(1);
+  aerial_.publish(cloud(scene.aerial, "mav_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+}
+
 TEST_F(NodeTest, AnotherGroundMapStartsAfresh) {
   const auto scene = synthetic::makeScene(1);
   sendGroundStatus(1);
@@ -284,11 +309,15 @@ TEST_F(NodeTest, ACorrectedGroundMapIsFollowedWithinOneCloud) {
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
   // The ground robot closes a loop: its map, still the same one, moves by half a metre where the MAV is.
   const Eigen::Vector3d centre = scene.truth * synthetic::centroid(scene.aerial);
+  std::uint32_t revision = 0;
+  sendGroundStatus(1, revision);
   for (const double direction : {0.6, 3.7}) {
     const Eigen::Vector3d step(0.5 * std::cos(direction), 0.5 * std::sin(direction), 0);
     const Pose correction = Eigen::Translation3d(centre + step) * Eigen::AngleAxisd(0.04, Eigen::Vector3d::UnitZ()) *
                             Eigen::Translation3d(-centre);
     tick(1);
+    sendGroundStatus(1, ++revision);
+    ASSERT_TRUE(awaitCount("corrections of the map of the ground robot", static_cast<int>(revision)));
     auto corrected = cloud(transformed(scene.ground, correction), "ground_map");
     ground_.publish(corrected);
     ASSERT_TRUE(waitFor([&] { return diagnostics_.received("/ground/map_cloud", corrected.header.stamp); }));

@@ -185,18 +185,20 @@ class NodeTest : public testing::Test {
     odometry_.publish(msg);
   }
 
-  void sendGroundStatus(std::uint32_t map_id) {
+  void sendGroundStatus(std::uint32_t map_id, std::uint32_t map_revision = 0) {
     air_ground::VoStatus msg;
     msg.header.stamp = ros::Time(now_);
     msg.map_id = map_id;
+    msg.map_revision = map_revision;
     ground_status_.publish(msg);
   }
 
-  void sendStatus(std::uint32_t map_id) {
+  void sendStatus(std::uint32_t map_id, std::uint32_t map_revision = 0) {
     air_ground::VoStatus msg;
     msg.header.stamp = ros::Time(now_);
     msg.state = air_ground::VoStatus::STATE_TRACKING;
     msg.map_id = map_id;
+    msg.map_revision = map_revision;
     status_.publish(msg);
   }
 

@@ -49,6 +49,7 @@ air_ground::VoStatus statusMessage(const FrameResult& r) {
   status.scale = r.scale;
   status.scale_stddev = r.scale_stddev;
   status.tilt_stddev = r.tilt_stddev;
+  status.map_revision = r.map_revision;
   status.processing_time = r.seconds;
   status.reason = r.reason;
   return status;
@@ -78,6 +79,7 @@ air_ground::PosedImage posedImage(const sensor_msgs::Image& image, const FrameRe
   posed.keyframe = r.keyframe;
   posed.metric = r.metric;
   posed.map_id = r.map_id;
+  posed.map_revision = r.map_revision;
   return posed;
 }
 

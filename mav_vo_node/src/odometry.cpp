@@ -68,6 +68,7 @@ void Odometry::Impl::startMap() {
   bootstrap.reset();
   keepMapsBias();
   map.clear();
+  revision.restart();
   inertial = {};
   track_landmark.clear();
   track_views.clear();
@@ -296,6 +297,7 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->reason = reason;
   result->metric = metric;
   result->map_id = map_id;
+  result->map_revision = revision.count();
   result->keyframe = made_keyframe;
   result->keyframes = map.keyframeCount();
   result->landmarks = map.landmarkCount();

@@ -124,6 +124,7 @@ void Odometry::Impl::adoptLocal() {
 void Odometry::Impl::adopt(const BundleJob& job) {
   if (!job.usable || job.problem.metric != metric) return;
   applyBundleJob(job, map, inertial);
+  revision.follow(map, scene_distance);
   const auto newest = inertial.states.rbegin();
   if (newest != inertial.states.rend() && settings.use_imu) bias.gyro = newest->second.bias.gyro;
   if (!metric) return;

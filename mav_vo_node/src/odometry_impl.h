@@ -10,6 +10,7 @@
 
 #include "bundle_job.h"
 #include "image_clock_imu.h"
+#include "map_revision.h"
 #include "mav_vo/odometry.h"
 #include "visual_frontend/imu_attitude.h"
 #include "visual_frontend/pose_solver.h"
@@ -113,6 +114,7 @@ struct Odometry::Impl {
   double map_tilt = 0.1;  ///< of the map's z axis when the map began [rad]
 
   visual_frontend::Map map;
+  MapRevision revision;
   InertialMap inertial;
   std::unordered_map<TrackId, LandmarkId> track_landmark;
   std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark

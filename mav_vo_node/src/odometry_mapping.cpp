@@ -289,6 +289,7 @@ void Odometry::Impl::makeMetric() {
   const Eigen::Vector3d accel_bias = estimate.accel_bias;
   transformMap(S);
   metric = true;
+  revision.restart();
   metric_since = last_stamp;
   bias.accel = accel_bias;
 

@@ -124,6 +124,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.inliers = static_cast<std::uint32_t>(r.inliers);
     status.keyframes = static_cast<std::uint32_t>(slam_->map().keyframeCount());
     status.map_points = static_cast<std::uint32_t>(slam_->map().landmarkCount());
+    map_revision_ += r.map_corrected;
+    status.map_revision = map_revision_;
     status.scale = 1.0;
     if (slam_->gravityKnown()) status.tilt_stddev = slam_->tiltSigma();
     status.processing_time = seconds;
@@ -189,6 +191,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::unique_ptr<Slam> slam_;
   ros::Time last_stamp_, last_cloud_;
   bool cloud_outdated_ = false, imu_problem_told_ = false;
+  std::uint32_t map_revision_ = 0;
 
   ros_utils::EstimatorShell shell_;
   DepthInput depth_;

@@ -49,8 +49,20 @@ class RobotMapSession {
     if (second_hand && id_ && !second_hand_) return false;
     second_hand_ = second_hand;
     const bool other = id_ && *id_ != id;
-    if (other) begin_ = stamp;
+    if (other) {
+      begin_ = stamp;
+      revision_.reset();
+    }
     id_ = id;
+    return other;
+  }
+
+  /// The robot counts the corrections of its map. True: another count than before in this map; what is stamped earlier
+  /// is of the map as it was.
+  bool revise(std::uint32_t revision, double stamp) {
+    const bool other = revision_ && *revision_ != revision;
+    if (other) begin_ = stamp;
+    revision_ = revision;
     return other;
   }
 
@@ -58,6 +70,7 @@ class RobotMapSession {
   void restart() {
     begin_ = -std::numeric_limits<double>::infinity();
     id_.reset();
+    revision_.reset();
   }
 
   const std::optional<std::uint32_t>& id() const { return id_; }
@@ -70,7 +83,7 @@ class RobotMapSession {
 
  private:
   std::string expected_, without_scale_, frame_;
-  std::optional<std::uint32_t> id_;
+  std::optional<std::uint32_t> id_, revision_;
   bool second_hand_ = false;
   double begin_ = -std::numeric_limits<double>::infinity();
 };

@@ -19,8 +19,13 @@ std::optional<std::vector<CloudPoint>> readCloud(const sensor_msgs::PointCloud2&
 }
 
 RobotMapInput::RobotMapInput(const std::string& robot, std::size_t streams, RobotMapSession map, NodeHealth& health,
-                             std::function<void()> forget)
-    : robot_(robot), health_(health), map_(std::move(map)), forget_(std::move(forget)), gate_(streams, health, [this] {
+                             std::function<void()> forget, std::function<void()> revise)
+    : robot_(robot),
+      health_(health),
+      map_(std::move(map)),
+      forget_(std::move(forget)),
+      revise_(std::move(revise)),
+      gate_(streams, health, [this] {
         ROS_WARN_STREAM("the " << robot_ << "'s time jumped back: its map starts afresh");
         health_.count("time jumps");
         restart();
@@ -42,6 +47,9 @@ bool RobotMapInput::admitMap(std::size_t stream, const std_msgs::Header& header,
 bool RobotMapInput::admitStatus(std::size_t stream, const air_ground::VoStatus& msg) {
   if (!admit(stream, msg.header.stamp)) return false;
   observe(msg.map_id, msg.header.stamp, false);
+  if (!revise_ || !map_.revise(msg.map_revision, msg.header.stamp.toSec())) return true;
+  health_.count("corrections of the map of the " + robot_);
+  revise_();
   return true;
 }
 

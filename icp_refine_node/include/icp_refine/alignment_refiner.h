@@ -90,6 +90,11 @@ class AlignmentRefiner {
   /// from gravity, they are parallel as surely as that.
   void setAerialTilt(double stddev) { aerial_tilt_ = stddev; }
   void setGroundTilt(double stddev) { ground_tilt_ = stddev; }
+  /// The aerial map was corrected as a whole: forgets the clouds so far.
+  void forgetAerial() { aerial_.clear(); }
+  /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches, on the
+  /// ground map that came just before, or comes next.
+  void groundMoved() { moved_grounds_ = kMovedGrounds; }
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();
   /// Forgets the ground map and all poses, not the aerial clouds: another ground map has begun.
@@ -129,7 +134,8 @@ class AlignmentRefiner {
   ScalePrior scale_;
   double aerial_tilt_ = 0, ground_tilt_ = 0;
   int rejections_ = 0, disagreements_ = 0;
-  bool ground_replaced_ = false;  ///< since the last refinement from the tracked pose
+  static constexpr int kMovedGrounds = 2;
+  int moved_grounds_ = 0;  ///< ground maps to come for which the ground counts as moved
 };
 
 }  // namespace icp_refine

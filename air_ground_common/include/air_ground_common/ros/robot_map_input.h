@@ -23,9 +23,10 @@ std::optional<std::vector<CloudPoint>> readCloud(const sensor_msgs::PointCloud2&
 /// its map again.
 class RobotMapInput {
  public:
-  /// `robot`: "MAV", for messages. `forget`: called when its map has ended, before what shows it is used.
+  /// `robot`: "MAV", for messages. `forget`: called when its map has ended, before what shows it is used; `revise`,
+  /// unless null, when it was corrected as a whole: the parts that came before are dropped, and those that still come.
   RobotMapInput(const std::string& robot, std::size_t streams, RobotMapSession map, NodeHealth& health,
-                std::function<void()> forget);
+                std::function<void()> forget, std::function<void()> revise = nullptr);
   RobotMapInput(const RobotMapInput&) = delete;
 
   // Each returns false, and counts, where the message is to be dropped. One without a stamp is taken as it comes.
@@ -49,7 +50,7 @@ class RobotMapInput {
   const std::string robot_;
   NodeHealth& health_;
   RobotMapSession map_;
-  const std::function<void()> forget_;
+  const std::function<void()> forget_, revise_;
   StreamGate gate_;
 };
 

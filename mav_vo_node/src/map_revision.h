@@ -1,0 +1,30 @@
+// Tells when a map has been corrected so far that what was reconstructed from its earlier poses is off.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <map>
+
+#include "visual_frontend/map.h"
+
+namespace mav_vo {
+
+/// A map becomes metric while its scale is known to one or two percent; some seconds later, adjustments with more
+/// motion correct it.
+class MapRevision {
+ public:
+  static constexpr double kMoved = 0.02;  ///< of the scene's distance: what the newest keyframes may move, RMS
+  static constexpr int kNewest = 40;
+
+  /// After every change of the poses. `scene_distance` in the map's unit.
+  void follow(const visual_frontend::Map& map, double scene_distance);
+  /// Another map, or another unit: not counted.
+  void restart() { positions_.clear(); }
+  std::uint32_t count() const { return count_; }
+
+ private:
+  std::map<visual_frontend::KeyframeId, Eigen::Vector3d> positions_;  // when counted last, or added
+  std::uint32_t count_ = 0;
+};
+
+}  // namespace mav_vo
