@@ -16,9 +16,8 @@ Inbox::Inbox(const NodeSettings& settings, ros_utils::NodeHealth& health, std::f
     : settings_(settings),
       health_(health),
       resubscribe_ground_(std::move(resubscribe_ground)),
-      mav_(
-          "MAV", kMavStreams, RobotMapSession(settings.mav_map_frame, settings.visual_map_frame), health,
-          [this] { forgetAerial(); }, [this] { forgetAerial(); }),
+      mav_("MAV", kMavStreams, RobotMapSession(settings.mav_map_frame, settings.visual_map_frame), health,
+           [this] { forgetAerial(); }),
       ground_robot_("ground robot", kGroundStreams, RobotMapSession(settings.ground_map_frame), health,
                     [this] { forgetGround(); }) {}
 

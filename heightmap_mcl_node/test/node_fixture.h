@@ -124,13 +124,12 @@ class NodeTest : public ::testing::Test {
     odometry_.publish(odometry);
   }
 
-  void sendStatus(std::uint32_t map_id, std::uint32_t map_revision = 0) { sendStatus(status_, map_id, map_revision); }
+  void sendStatus(std::uint32_t map_id) { sendStatus(status_, map_id); }
   void sendGroundStatus(std::uint32_t map_id) { sendStatus(ground_status_, map_id); }
-  void sendStatus(const ros::Publisher& publisher, std::uint32_t map_id, std::uint32_t map_revision = 0) {
+  void sendStatus(const ros::Publisher& publisher, std::uint32_t map_id) {
     air_ground::VoStatus status;
     status.header.stamp = stamp_;
     status.map_id = map_id;
-    status.map_revision = map_revision;
     publisher.publish(status);
   }
 
