@@ -25,7 +25,7 @@ Pose imuOnCamera(const Mounting& mounting) {
 
 CameraMotion::CameraMotion(const CameraModel& camera, const Mounting& mounting, const SlamSettings& settings)
     : mounting_(mounting),
-      readout_time_(settings.readout_time),
+      given_readout_time_(settings.readout_time),
       time_offset_(settings.time_offset),
       initial_gyro_bias_(settings.inertial.initial_gyro_bias),
       inertial_(imuOnCamera(mounting), settings.inertial),
@@ -75,7 +75,7 @@ void CameraMotion::trustGyro(bool trusted) {
 void CameraMotion::setRowMotion(double stamp, const Pose& T_map_camera) {
   if (!rows_.active()) return;
   Eigen::Vector3d rate = turn_rate_, v_map = velocity_;
-  const double half = std::max(0.5 * std::abs(readout_time_), 0.01);
+  const double half = std::max(0.5 * std::abs(rows_.readoutTime()), 0.01);
   if (gyroTrusted()) {
     const auto mean = imu_.mean(stamp - half, stamp + half);
     if (mean.count > 0) rate = R_camera_imu_ * (mean.angular_velocity - gyro_bias_);
@@ -137,6 +137,7 @@ void CameraMotion::reset() {
   imu_.clear();
   attitude_.reset();
   inertial_.reset();
+  rows_.setReadoutTime(given_readout_time_);
   gyro_trusted_ = true;
   gyro_bias_.setZero();
   gyro_bias_sigma_ = initial_gyro_bias_;

@@ -26,6 +26,7 @@ class CameraMotion {
   /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
   void setRowMotion(double stamp, const Pose& T_map_camera);
   const visual_frontend::RollingShutter& rows() const { return rows_; }
+  void setReadoutTime(double readout_time) { rows_.setReadoutTime(readout_time); }  ///< [s]
 
   void update(double dt, const Pose& T_before, const Pose& T_now);
   void interrupt();                                        ///< after a loss or a gap
@@ -47,7 +48,7 @@ class CameraMotion {
 
  private:
   Mounting mounting_;
-  double readout_time_, time_offset_, initial_gyro_bias_;
+  double given_readout_time_, time_offset_, initial_gyro_bias_;
   Eigen::Matrix3d R_camera_imu_ = Eigen::Matrix3d::Identity();
   visual_frontend::ImuBuffer imu_;
   visual_frontend::AttitudeFilter attitude_;

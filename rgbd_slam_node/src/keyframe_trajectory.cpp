@@ -2,12 +2,22 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
+#include <iterator>
+
+#include "air_ground_common/geometry.h"
 
 namespace rgbd_slam {
 
 using air_ground_common::Pose;
 using visual_frontend::KeyframeId;
 using visual_frontend::Map;
+
+namespace {
+
+constexpr double kLongestStep = 0.25;  // between frames that tell of one motion [s]
+
+}  // namespace
 
 void KeyframeTrajectory::Frame::set(const Pose& T_reference_camera) {
   const Eigen::Vector3d t = T_reference_camera.translation();
@@ -32,6 +42,23 @@ void KeyframeTrajectory::add(double stamp, const Pose& T_map_camera, KeyframeId 
 
 Pose KeyframeTrajectory::lastPose(const Map& map) const {
   return map.keyframe(frames_.back().reference).T_map_camera * T_reference_last_;
+}
+
+std::optional<KeyframeTrajectory::Motion> KeyframeTrajectory::motionAt(double stamp, const Map& map) const {
+  const auto at = std::lower_bound(frames_.begin(), frames_.end(), stamp,
+                                   [](const Frame& f, double earlier) { return f.stamp < earlier; });
+  if (at == frames_.end() || at->stamp != stamp) return std::nullopt;
+  const auto usable = [&](const auto& f) { return std::abs(f->stamp - stamp) < kLongestStep; };
+  const auto before = at != frames_.begin() && usable(std::prev(at)) ? std::prev(at) : at;
+  const auto after = std::next(at) != frames_.end() && usable(std::next(at)) ? std::next(at) : at;
+  const double dt = after->stamp - before->stamp;
+  if (!(dt > 0)) return std::nullopt;
+  const auto poseOf = [&map](const auto& f) { return Pose(map.keyframe(f->reference).T_map_camera * f->pose()); };
+  const Pose T_map_before = poseOf(before), T_map_after = poseOf(after);
+  const Eigen::Matrix3d R_camera_map = poseOf(at).linear().transpose();
+  const Eigen::Matrix3d turn = T_map_after.linear() * T_map_before.linear().transpose();
+  return Motion{R_camera_map * (T_map_after.translation() - T_map_before.translation()) / dt,
+                R_camera_map * air_ground_common::logSO3(turn) / dt};
 }
 
 air_ground_common::Trajectory KeyframeTrajectory::poses(const Map& map) const {

@@ -1,6 +1,7 @@
 // Where the camera was, each frame by a keyframe, so that it moves with the map when that is corrected.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "air_ground_common/trajectory.h"
@@ -17,6 +18,11 @@ class KeyframeTrajectory {
   /// Camera of the last frame in the map, as its keyframe stands now.
   air_ground_common::Pose lastPose(const visual_frontend::Map& map) const;
   air_ground_common::Trajectory poses(const visual_frontend::Map& map) const;
+  /// How the camera moved in its own axes [m/s, rad/s] at the frame of this stamp, by those before and after it.
+  struct Motion {
+    Eigen::Vector3d velocity, angular_rate;
+  };
+  std::optional<Motion> motionAt(double stamp, const visual_frontend::Map& map) const;
   /// Before keyframe `from` leaves the map: its frames go by `to`.
   void rebase(visual_frontend::KeyframeId from, visual_frontend::KeyframeId to, const visual_frontend::Map& map);
   void clear() { frames_.clear(); }

@@ -99,12 +99,7 @@ bool Slam::Impl::closeLoop(KeyframeId id) {
     adjustWindow(id);
     return false;
   }
-  visual_frontend::BundleSettings bundle = settings.bundle;
-  bundle.pixel_sigma = settings.pixel_sigma;
-  bundle.max_iterations = 10;
-  bundle.max_seconds = 2.0;
-  bundle.use_gravity = settings.use_gravity && leveled;
-  visual_frontend::adjustFullMap(map, camera, {}, bundle);
+  adjustWhole();
   return true;
 }
 

@@ -168,10 +168,21 @@ void Slam::Impl::adjustWindow(KeyframeId id) {
     free.erase(oldest);
   }
   if (free.empty()) return;
+  visual_frontend::adjustMap(map, camera, free, fixed, bundleSettings());
+}
+
+void Slam::Impl::adjustWhole() {
+  visual_frontend::BundleSettings bundle = bundleSettings();
+  bundle.max_iterations = 10;
+  bundle.max_seconds = 2.0;
+  visual_frontend::adjustFullMap(map, camera, {}, bundle);
+}
+
+visual_frontend::BundleSettings Slam::Impl::bundleSettings() const {
   visual_frontend::BundleSettings bundle = settings.bundle;
   bundle.pixel_sigma = settings.pixel_sigma;
   bundle.use_gravity = settings.use_gravity && leveled;
-  visual_frontend::adjustMap(map, camera, free, fixed, bundle);
+  return bundle;
 }
 
 }  // namespace rgbd_slam

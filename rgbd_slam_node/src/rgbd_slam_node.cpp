@@ -93,7 +93,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
     return slam_->addImu({sample.stamp, sample.angular_velocity, sample.specific_force});
   }
 
-  double imuLead() const override { return settings_.slam.time_offset + 0.5 * std::abs(settings_.slam.readout_time); }
+  double imuLead() const override {
+    const double readout_time = slam_ ? slam_->readoutTime() : settings_.slam.readout_time;
+    return settings_.slam.time_offset + 0.5 * std::abs(readout_time);
+  }
 
   /// Nothing of another map than `map_id` is published any more, and no cloud of one stays latched.
   void beginMap(std::uint32_t map_id) {
@@ -118,7 +121,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
     if (r.relocalized) ROS_INFO_THROTTLE(10, "found the way back into the map");
-    if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, or levelled)");
+    if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, levelled, or readout time found)");
+    tellReadoutTime();
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
     status.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -136,6 +140,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
         r.state == State::kTracking && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     if (result.pose_published) result.publish = [this, stamp = frame.stamp, grey, r] { publish(stamp, grey, r); };
     return result;
+  }
+
+  void tellReadoutTime() {
+    if (std::abs(slam_->readoutTime() - told_readout_time_) < 1e-6) return;
+    told_readout_time_ = slam_->readoutTime();
+    ROS_INFO("rolling shutter: an image is read in %.1f ms; what each row saw is moved accordingly",
+             1e3 * told_readout_time_);
   }
 
   void tellImuProblem(const std::string& problem, std::string& reason) {
@@ -191,6 +202,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::unique_ptr<Slam> slam_;
   ros::Time last_stamp_, last_cloud_;
   bool cloud_outdated_ = false, imu_problem_told_ = false;
+  double told_readout_time_ = 0;
   std::uint32_t map_revision_ = 0;
 
   ros_utils::EstimatorShell shell_;

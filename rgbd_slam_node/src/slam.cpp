@@ -40,6 +40,8 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
     throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
   focal = 0.5 * (camera.fx + camera.fy);
   T_camera_base = mounting.T_base_camera.inverse();
+  if (settings.readout_time_stddev > 0)
+    shutter.emplace(settings.readout_time, settings.readout_time_stddev, settings.pixel_sigma / focal);
 }
 
 void Slam::Impl::clear() {
@@ -51,6 +53,7 @@ void Slam::Impl::clear() {
   keyframe_points.clear();
   active_depth.reset();
   motion.endMap();
+  if (shutter) shutter->interrupt();
   gravity_known = leveled = false;
   frames.clear();
   state = State::kWaiting;
@@ -176,7 +179,8 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
       visual_frontend::covarianceAt(keyframe_covariance.at(reference), lever) + tracked.pose.covariance;
   addToMap(images, tracked, &result);
   motion.addPose(stamp, lastPose(), tracked.pose.covariance);
-  if (levelMap()) result.map_corrected = true;
+  if (alignShutter(images) || levelMap()) result.map_corrected = true;
+  if (shutter && result.map_corrected) shutter->interrupt();
   concludePose(covariance, tracked.pose.covariance, &result);
   return result;
 }
@@ -281,6 +285,8 @@ const std::vector<Feature>& Slam::features() const { return impl_->tracker.featu
 const SlamCounters& Slam::counters() const { return impl_->counters; }
 Eigen::Vector3d Slam::gyroBias() const { return impl_->motion.gyroBias(); }
 bool Slam::gravityKnown() const { return impl_->gravity_known; }
+double Slam::readoutTime() const { return impl_->motion.rows().readoutTime(); }
+double Slam::readoutTimeStddev() const { return impl_->shutter ? impl_->shutter->stddev() : 0; }
 double Slam::tiltSigma() const { return impl_->tilt_sigma; }
 std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const { return impl_->motion.estimate(); }
 int Slam::mapId() const { return impl_->map_id; }
@@ -295,6 +301,7 @@ void Slam::reset() {
   impl_->clear();
   impl_->motion.reset();
   impl_->turns.reset();
+  if (impl_->shutter) impl_->shutter->reset();
   impl_->last_stamp = -1;
 }
 

@@ -1,5 +1,6 @@
 // State of Slam, shared by the files that implement it: slam.cpp (frames in, results out), tracking.cpp (pose of a
-// frame), mapping.cpp (keyframes, landmarks, local optimisation), loops.cpp (places seen before) and leveling.cpp.
+// frame), mapping.cpp (keyframes, landmarks, local optimisation), loops.cpp (places seen before), leveling.cpp and
+// shutter.cpp (rows of the images).
 #pragma once
 
 #include <set>
@@ -8,6 +9,7 @@
 #include "camera_motion.h"
 #include "keyframe_trajectory.h"
 #include "landmark_tracks.h"
+#include "rgbd_slam/readout_estimator.h"
 #include "rgbd_slam/rotation_check.h"
 #include "rgbd_slam/slam.h"
 
@@ -44,7 +46,8 @@ struct Slam::Impl {
   // ---- Sensors
   visual_frontend::FeatureTracker tracker;
   CameraMotion motion;
-  RotationCheck turns;  ///< gyro against images
+  RotationCheck turns;                      ///< gyro against images
+  std::optional<ReadoutEstimator> shutter;  ///< none: the readout time is given
 
   // ---- Map
   visual_frontend::Map map;
@@ -103,6 +106,12 @@ struct Slam::Impl {
   std::optional<std::pair<Eigen::Vector3d, double>> upOfCamera(const Eigen::Matrix3d& R_map_camera) const;
   bool levelMap();  ///< when the map leans for certain; true when it turned the map
 
+  // ---- shutter.cpp
+  /// Learns the readout time from this frame, and takes it into use once it is sure; true when that moved the map.
+  bool alignShutter(const Images& images);
+  /// What the keyframes saw, as if their readout time were longer by `change` [s].
+  void moveRows(double change);
+
   // ---- tracking.cpp
   Tracked track(const Images& images);
   Tracked relocalize(const Images& images);
@@ -138,6 +147,8 @@ struct Slam::Impl {
   KeyframeId addKeyframe(const Images& images, const Pose& T_map_camera, const Matrix6d& covariance);
   void createLandmarks(KeyframeId id);
   void adjustWindow(KeyframeId id);
+  void adjustWhole();
+  visual_frontend::BundleSettings bundleSettings() const;
   void finishDepth();
 
   // ---- loops.cpp

@@ -22,8 +22,10 @@ void describe(air_ground_common::ParameterVisitor& v, SlamSettings& s) {
   v("level_tolerance", s.level_tolerance, {0.001, 0.5}, "rad",
     "the map is levelled anew when it leans by more for certain");
   v("time_offset", s.time_offset, {-1.0, 1.0}, "s", "stamps of the IMU less the true time by the camera's clock");
-  v("readout_time", s.readout_time, {-0.2, 0.2}, "s",
+  v("readout_time", s.readout_time, {-0.1, 0.1}, "s",
     "rolling shutter, first row to last, stamps in the middle; negative: last row first; 0 = global");
+  v("readout_time_stddev", s.readout_time_stddev, {0.0, 0.05}, "s",
+    "of that figure; it is estimated from there, which needs motion. 0 = exact (a global shutter, say), not estimated");
 
   v.section("Depth camera: sigma(z) = base + quadratic * z^2");
   v("depth_sigma_base", s.depth.sigma_base, {1e-5, 0.5}, "m", "");

@@ -1,7 +1,10 @@
 // A ground robot over a textured floor with exact truth: colour, depth with a Kinect's noise, and IMU.
 #pragma once
 
+#include <algorithm>
+#include <functional>
 #include <opencv2/imgproc.hpp>
+#include <vector>
 
 #include "rgbd_slam/slam.h"
 #include "synthetic.h"  // of the visual front end
@@ -97,5 +100,50 @@ struct Robot {
     return s;
   }
 };
+
+struct Drive {
+  std::vector<FrameResult> results;
+  std::vector<double> stamps;
+  air_ground_common::Trajectory truth;  ///< camera in the map
+};
+
+/// Drives SLAM from t0 to t1 at 10 Hz. `blind(t)`: the lens is covered.
+inline Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool imu = true,
+                   const std::function<bool(double)>& blind = {}) {
+  Drive run;
+  synthetic::Random random(11);
+  double next_imu = t0;
+  for (int i = 0; t0 + 0.1 * i <= t1; ++i) {
+    const double t = t0 + 0.1 * i;
+    for (; imu && next_imu <= t + 0.005; next_imu += 0.005) slam.addImu(robot.imu(next_imu, random));
+    auto frame = robot.frame(t, random);
+    if (blind && blind(t)) frame.gray.setTo(15);
+    run.results.push_back(slam.process(t, frame.gray, cv::Mat(), frame.depth));
+    run.stamps.push_back(t);
+    run.truth.push_back({t, robot.mapped(t) * robot.mounting.T_base_camera});
+  }
+  return run;
+}
+
+/// Largest distance of an estimate from the truth [m].
+inline double worst(const Drive& run, const air_ground_common::Trajectory& estimate) {
+  double largest = 0;
+  for (const auto& pose : estimate) {
+    const auto truth = air_ground_common::poseAt(run.truth, pose.stamp);
+    if (truth) largest = std::max(largest, (truth->translation() - pose.T_map_body.translation()).norm());
+  }
+  return largest;
+}
+
+/// Largest angle by which the orientation differs from the truth.
+inline double worstTurn(const Robot& robot, const Drive& run, double from) {
+  double largest = 0;
+  for (std::size_t i = 0; i < run.results.size(); ++i) {
+    if (run.results[i].state != State::kTracking || run.stamps[i] < from) continue;
+    largest = std::max(largest, air_ground_common::rotationAngle(run.results[i].T_map_base.linear(),
+                                                                 robot.mapped(run.stamps[i]).linear()));
+  }
+  return largest;
+}
 
 }  // namespace rgbd_slam::simulated

@@ -14,38 +14,9 @@ namespace {
 using simulated::Robot;
 using simulated::synthetic::Random;
 
-struct Drive {
-  std::vector<FrameResult> results;
-  std::vector<double> stamps;
-  air_ground_common::Trajectory truth;  ///< camera in the map
-};
-
-/// Drives SLAM from t0 to t1 at 10 Hz. `blind(t)`: the lens is covered.
-Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool imu = true,
-            const std::function<bool(double)>& blind = {}) {
-  Drive run;
-  Random random(11);
-  double next_imu = t0;
-  for (int i = 0; t0 + 0.1 * i <= t1; ++i) {
-    const double t = t0 + 0.1 * i;
-    for (; imu && next_imu <= t + 0.005; next_imu += 0.005) slam.addImu(robot.imu(next_imu, random));
-    auto frame = robot.frame(t, random);
-    if (blind && blind(t)) frame.gray.setTo(15);
-    run.results.push_back(slam.process(t, frame.gray, cv::Mat(), frame.depth));
-    run.stamps.push_back(t);
-    run.truth.push_back({t, robot.mapped(t) * robot.mounting.T_base_camera});
-  }
-  return run;
-}
-
-double worst(const Drive& run, const air_ground_common::Trajectory& estimate) {
-  double largest = 0;
-  for (const auto& pose : estimate) {
-    const auto truth = air_ground_common::poseAt(run.truth, pose.stamp);
-    if (truth) largest = std::max(largest, (truth->translation() - pose.T_map_body.translation()).norm());
-  }
-  return largest;
-}
+using simulated::Drive;
+using simulated::drive;
+using simulated::worst;
 
 TEST(Slam, CircleInAGravityAlignedMap) {
   Robot robot;
@@ -122,17 +93,6 @@ TEST(Slam, LevelsAMapThatWasBegunInMotion) {
   EXPECT_LT(worst(run, slam.trajectory()), 0.08);
 }
 
-/// Largest angle by which the orientation differs from the truth.
-double worstTurn(const Robot& robot, const Drive& run, double from) {
-  double largest = 0;
-  for (std::size_t i = 0; i < run.results.size(); ++i) {
-    if (run.results[i].state != State::kTracking || run.stamps[i] < from) continue;
-    largest = std::max(largest, air_ground_common::rotationAngle(run.results[i].T_map_base.linear(),
-                                                                 robot.mapped(run.stamps[i]).linear()));
-  }
-  return largest;
-}
-
 TEST(Slam, ImuClockAheadOfTheCamera) {
   Robot robot;
   robot.sway = 0.06;
@@ -166,22 +126,6 @@ TEST(Slam, ImuClockAheadOfTheCamera) {
   const double bias_error = (corrected.gyroBias() - robot.gyro_bias).norm();
   EXPECT_LT(bias_error, 0.006);
   EXPECT_GT((untold.gyroBias() - robot.gyro_bias).norm(), 2 * bias_error);
-}
-
-TEST(Slam, RollingShutter) {
-  Robot robot;
-  robot.readout_time = 0.03;
-  robot.sway = 0.05;
-  robot.sway_rate = 2.5;
-  robot.tilt.setZero();
-  robot.speed = 0.6;
-  SlamSettings told;
-  told.readout_time = robot.readout_time;
-  Slam corrected(robot.camera, robot.mounting, told), untold(robot.camera, robot.mounting, {});
-  const Drive with = drive(robot, corrected, 0, 4), without = drive(robot, untold, 0, 4);
-  EXPECT_EQ(corrected.counters().lost_frames, 0);
-  EXPECT_LT(worst(with, corrected.trajectory()), 0.5 * worst(without, untold.trajectory()));
-  EXPECT_LT(worstTurn(robot, with, 1.5), 0.012);
 }
 
 TEST(Slam, AGyroInDegreesIsNamedAndLeftOut) {

@@ -46,6 +46,7 @@ struct SlamSettings {
   double time_offset = 0;   ///< the IMU's stamps less the images': a sample was taken at its stamp less this [s]
   double readout_time = 0;  ///< of a rolling shutter, colour and depth alike: row r is exposed at
                             ///< stamp + (r / height - 0.5) * readout_time [s]; negative: from the last row up
+  double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]
 
   // Start
   int min_start_features = 40;   ///< features with depth that the first frame must have
@@ -115,7 +116,7 @@ struct FrameResult {
   std::string reason;       ///< why not tracking
   std::string imu_problem;  ///< the gyro contradicts the images, and is left out; empty: no
   bool keyframe = false;
-  bool map_corrected = false;            ///< a loop was closed: earlier poses moved
+  bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, or readout time found
   bool relocalized = false;              ///< found again after being lost
   bool new_map = false;                  ///< the map frame starts here
   Pose T_map_camera = Pose::Identity();  ///< valid while tracking
@@ -160,6 +161,8 @@ class Slam {
   const SlamCounters& counters() const;
   Eigen::Vector3d gyroBias() const;  ///< estimate [rad/s]
   bool gravityKnown() const;         ///< the map was levelled by the accelerometer
+  double readoutTime() const;        ///< of a rolling shutter, as it is in use [s]
+  double readoutTimeStddev() const;  ///< of its estimate [s]; 0 = given, not estimated
   double tiltSigma() const;          ///< what the map may lean against gravity, standard deviation [rad]
   /// Gravity and biases from the motion so far; empty without IMU or before there was any.
   std::optional<visual_frontend::InertialEstimate> inertialEstimate() const;
