@@ -162,7 +162,8 @@ bool isAnyOf(const std::string& name, std::initializer_list<const char*> names) 
 
 void CameraModel::setDistortion(const std::string& name, const std::vector<double>& coefficients) {
   std::string lower = name;
-  std::transform(lower.begin(), lower.end(), lower.begin(), [](unsigned char c) { return std::tolower(c); });
+  std::transform(lower.begin(), lower.end(), lower.begin(),
+                 [](unsigned char c) { return c == ' ' || c == '-' ? '_' : std::tolower(c); });
   std::size_t count = coefficients.size();
   while (count > 0 && coefficients[count - 1] == 0) --count;  // drivers fill up with zeros
 
@@ -176,8 +177,8 @@ void CameraModel::setDistortion(const std::string& name, const std::vector<doubl
   if (isAnyOf(lower, {"equidistant", "fisheye", "equi", "kannala_brandt"})) {
     model = DistortionModel::kEquidistant;
     fields = {&k1, &k2, &k3, &k4};
-  } else if (isAnyOf(lower, {"plumb_bob", "radtan", "rational_polynomial"}) ||
-             (isAnyOf(lower, {"", "none"}) && count == 0)) {
+  } else if (isAnyOf(lower, {"plumb_bob", "radtan", "radial_tangential", "brown_conrady", "rational_polynomial"}) ||
+             (isAnyOf(lower, {"", "none", "pinhole", "perspective", "inverse_brown_conrady"}) && count == 0)) {
     // More than five under the name plumb_bob are the rational model's, as OpenCV and image_geometry take them.
     model =
         lower == "rational_polynomial" || count > 5 ? DistortionModel::kRationalPolynomial : DistortionModel::kPlumbBob;

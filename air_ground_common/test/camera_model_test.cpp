@@ -207,8 +207,14 @@ TEST(CameraModel, TakesWhatDriversWrite) {
   CameraModel c = wideAngle();
   c.setDistortion("plumb_bob", {});  // a rectified camera
   EXPECT_FALSE(c.hasDistortion());
-  c.setDistortion("", {0, 0, 0, 0, 0});
-  EXPECT_FALSE(c.hasDistortion());
+  for (const char* name : {"", "none", "pinhole", "perspective", "Inverse Brown Conrady"}) {
+    c.setDistortion(name, {0, 0, 0, 0, 0});
+    EXPECT_FALSE(c.hasDistortion());
+    EXPECT_EQ(c.distortionName(), "plumb_bob");
+    EXPECT_THROW(c.setDistortion(name, {0.1}), std::invalid_argument);  // of which model?
+  }
+  c.setDistortion("radial-tangential", {-0.2});
+  EXPECT_EQ(c.k1, -0.2);
   c.setDistortion("plumb_bob", {-0.2, 0.05, 0.001, 0.002});
   EXPECT_EQ(c.p2, 0.002);
   EXPECT_EQ(c.k3, 0);
@@ -224,7 +230,6 @@ TEST(CameraModel, TakesWhatDriversWrite) {
   // A tilted sensor, a model without its name, and one that is not known.
   EXPECT_THROW(c.setDistortion("rational_polynomial", {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 0, 0.1}),
                std::invalid_argument);
-  EXPECT_THROW(c.setDistortion("", {0.1}), std::invalid_argument);
   EXPECT_THROW(c.setDistortion("omni", {0.1}), std::invalid_argument);
 }
 

@@ -9,15 +9,6 @@
 
 namespace mav_vo {
 
-namespace {
-
-constexpr double kImuRestBiasSigma = 0.01;  // of one that the IMU alone calls a rest [rad/s]
-constexpr double kMetricTilt = 0.01;        // of the metric map's z axis against gravity [rad]
-constexpr std::size_t kRecentImages = 800;  // whose inertial motion is kept for the scale filter
-constexpr std::size_t kMaxRecords = 40000;  // half an hour at 20 Hz; older images are thinned
-
-}  // namespace
-
 const char* toString(OdometryState state) {
   switch (state) {
     case OdometryState::kWaiting:
@@ -44,36 +35,23 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       shutter(camera_, settings_.readout_time),
       bootstrap(camera_, settings_.bootstrap),
       scale(settings_.scale, settings_.imu_noise, 0.1),
-      gyro_alignment(settings_.gyro_alignment, settings_.imu_noise, T_camera_imu.linear(), sigma(), camera_.height),
-      standstill(settings_.standstill) {
+      imu(settings_, T_camera_imu.linear(), sigma(), camera_.height) {
   settings.validate();
-  imu.setOffset(settings.gyro_alignment.time_offset);
-  gyro_alignment.setReadoutTime(settings.readout_time);
-  if (settings.readout_time_stddev > 0) {
-    GyroAlignmentSettings with_readout = settings.gyro_alignment;
-    with_readout.readout_time = settings.readout_time;
-    with_readout.readout_time_stddev = settings.readout_time_stddev;
-    shutter_alignment.emplace(with_readout, settings.imu_noise, T_camera_imu.linear(), sigma(), camera.height);
-  }
   if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
     throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
 }
 
 void Odometry::Impl::startMap() {
-  for (RunningJob* job : {&running_local, &running_full}) {
-    if (job->result.valid()) job->result.wait();
-    *job = {};
-  }
+  adjustments.discard();
   tracker.reset();
   bootstrap.reset();
   keepMapsBias();
   map.clear();
   revision.restart();
   inertial = {};
-  track_landmark.clear();
-  track_views.clear();
+  tracks.clear();
   keyframe_covariance.clear();
-  bias.gyro = gyro_alignment.bias();  // the old map's may have been why it was lost
+  bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost
   relocalized = hovering = false;
   records.clear();
   scale.reset(map_tilt);
@@ -91,27 +69,18 @@ void Odometry::Impl::startMap() {
 
 void Odometry::Impl::reset() {
   startMap();
-  imu.clear();
-  attitude.reset();
+  imu.reset();
   bias = {};
-  rested = false;
-  gyro_alignment.reset();
-  gyro_alignment.setReadoutTime(settings.readout_time);
-  if (shutter_alignment) shutter_alignment->reset();
-  standstill.reset();
-  imu.setOffset(settings.gyro_alignment.time_offset);
   shutter.setReadoutTime(settings.readout_time);
-  up_imu.reset();
-  up_sigma = 0.1;
   last_stamp = -1;
   state = OdometryState::kWaiting;
   reason = "no image yet";
 }
 
 std::optional<LandmarkId> Odometry::Impl::landmarkOf(TrackId track) const {
-  const auto it = track_landmark.find(track);
-  if (it == track_landmark.end() || !map.hasLandmark(it->second)) return std::nullopt;
-  return it->second;
+  const LandmarkId landmark = tracks.landmarkOf(track);
+  if (!map.hasLandmark(landmark)) return std::nullopt;
+  return landmark;
 }
 
 void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
@@ -171,16 +140,15 @@ Pose Odometry::Impl::predict(double stamp, visual_frontend::TrackPrediction* pre
 }
 
 void Odometry::Impl::useImu(double stamp) {
-  carryUp(stamp);
-  if (const auto rest = standstill.add(stamp, tracker.features(), imu.buffer(), imu.stamp(stamp))) useStandstill(*rest);
-  alignGyro(stamp);
+  imu.carryUp(R_previous_current, stamp - last_stamp);
+  if (imu.detectStandstill(stamp, tracker.features(), metric)) bias.gyro = imu.gyroBias();
+  alignImu(stamp);
 }
 
 // What the image does in the present state, and to which state that leads.
 void Odometry::Impl::advance(const cv::Mat& gray) {
   if (state == OdometryState::kWaiting) {
-    // The IMU seemed to rest before the images began: a hint, no more.
-    if (settings.use_imu && attitude.biasKnown()) gyro_alignment.setBias(attitude.gyroBias(), kImuRestBiasSigma);
+    if (settings.use_imu) imu.takeRestOfImuAlone();
     state = OdometryState::kInitializing;
     reason = "first image";
   }
@@ -241,7 +209,7 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
 void Odometry::Impl::localized(bool continuous) {
   const bool known_before = continuous && located_stamp >= 0 && !records.empty();
   if (known_before) {
-    const Pose T_map_previous = poseOfRecord(records.size() - 1);
+    const Pose T_map_previous = records.lastPose(map);
     const double dt = last_stamp - located_stamp;
     velocity = (T_map_camera.translation() - T_map_previous.translation()) / dt;
     increment = incrementSince(T_map_previous);
@@ -250,20 +218,16 @@ void Odometry::Impl::localized(bool continuous) {
   }
   std::optional<Preintegration> motion;
   if (known_before && settings.use_imu)
-    motion = imu.motion(located_stamp, last_stamp, settings.imu_noise, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
-  if (metric && settings.use_imu) {
-    up_imu = (T_map_camera.linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ();
-    up_sigma = kMetricTilt;
-  }
+    motion = imu.motion(located_stamp, last_stamp, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
+  if (metric && settings.use_imu)
+    imu.setUp((T_map_camera.linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ());
   previous_covariance = last_pose.covariance;
   located_stamp = last_stamp;
   const KeyframeId reference = map.lastKeyframe();
-  records.push_back({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
-                     scene_distance, last_pose.covariance.topLeftCorner<3, 3>(),
-                     motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
+  records.add({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance,
+               last_pose.covariance.topLeftCorner<3, 3>(),
+               motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
   if (settings.use_imu) scale.add(scaleMeasurement(records.size() - 1), motion);
-  if (records.size() > kRecentImages) records[records.size() - 1 - kRecentImages].motion.reset();
-  if (records.size() > kMaxRecords) thinRecords();
 
   const bool keyframe = needsKeyframe();
   if (settings.reobserve_matches > 0 && (keyframe || !continuous || records.size() % 2 == 0)) {
@@ -278,18 +242,9 @@ void Odometry::Impl::localized(bool continuous) {
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if (metric && last_stamp >= next_full && made_keyframe) adjustFully();
-  T_map_camera = poseOfRecord(records.size() - 1);
+  T_map_camera = records.lastPose(map);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric ? "" : scaleReason();
-}
-
-// Of the older half every second one goes.
-void Odometry::Impl::thinRecords() {
-  std::size_t kept = 0;
-  const std::size_t half = records.size() / 2;
-  for (std::size_t i = 0; i < records.size(); ++i)
-    if (i >= half || i % 2 == 0) records[kept++] = std::move(records[i]);
-  records.resize(kept);
 }
 
 void Odometry::Impl::fillResult(FrameResult* result) const {
@@ -306,11 +261,11 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->scale_stddev = scale.scaleStddev();
   if (metric && settings.use_imu) result->tilt_stddev = kMapTilt;
   result->imu_bias = bias;
-  result->gyro_bias_stddev = gyro_alignment.biasStddev();
-  result->time_offset = imu.offset();
-  result->time_offset_stddev = settings.gyro_alignment.time_offset_stddev > 0 ? gyro_alignment.timeOffsetStddev() : 0;
+  result->gyro_bias_stddev = imu.gyroBiasStddev();
+  result->time_offset = imu.timeOffset();
+  result->time_offset_stddev = imu.timeOffsetStddev();
   result->readout_time = shutter.readoutTime();
-  result->readout_time_stddev = shutter_alignment ? shutter_alignment->readoutTimeStddev() : 0;
+  result->readout_time_stddev = imu.readoutTimeStddev();
   result->pose_valid = located_stamp >= 0 && located_stamp == result->stamp && last_pose.success;
   if (!result->pose_valid) return;
   result->inliers = inliers;
@@ -334,14 +289,10 @@ Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const P
 
 Odometry::~Odometry() = default;
 
-bool Odometry::addImu(const ImuSample& sample) {
-  if (!impl_->imu.add(sample)) return false;
-  impl_->attitude.add(sample);
-  return true;
-}
+bool Odometry::addImu(const ImuSample& sample) { return impl_->imu.add(sample); }
 
 double Odometry::imuNeededAt(double image_stamp) const {
-  return impl_->imu.stamp(image_stamp) + 0.5 * std::abs(impl_->shutter.readoutTime());
+  return impl_->imu.imuStamp(image_stamp) + 0.5 * std::abs(impl_->shutter.readoutTime());
 }
 
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }
@@ -359,11 +310,6 @@ std::vector<bool> Odometry::mappedFeatures() const {
   return mapped;
 }
 
-air_ground_common::Trajectory Odometry::trajectory() const {
-  air_ground_common::Trajectory trajectory;
-  for (std::size_t i = 0; i < impl_->records.size(); ++i)
-    trajectory.push_back({impl_->records[i].stamp, impl_->poseOfRecord(i)});
-  return trajectory;
-}
+air_ground_common::Trajectory Odometry::trajectory() const { return impl_->records.poses(impl_->map); }
 
 }  // namespace mav_vo

@@ -1,10 +1,4 @@
 #include <algorithm>
-#include <chrono>
-#ifdef __linux__
-#include <sys/resource.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#endif
 
 #include "odometry_impl.h"
 
@@ -18,15 +12,6 @@ constexpr double kAdjustedTilt = 0.005;      // of the map's z axis after an ine
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
 constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
-constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
-constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
-
-/// A thread of the lowest priority delays neither tracking nor local adjustments.
-void yieldToOtherThreads() {
-#ifdef __linux__
-  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
-#endif
-}
 
 }  // namespace
 
@@ -79,46 +64,32 @@ void Odometry::Impl::run(BundleJob job) {
     adopt(job);
     return;
   }
-  RunningJob& slot = job.full ? running_full : running_local;
   // At most one of each kind. Keyframes closer together than the lag wait for the one before.
-  if (job.full && slot.result.valid()) {
+  if (job.full && adjustments.fullRuns()) {
     next_full = last_stamp;
     return;
   }
-  if (slot.result.valid()) adoptLocal();
-  slot.stamp = last_stamp;
-  slot.images = 0;
-  slot.result = std::async(std::launch::async, [job = std::move(job)]() mutable {
-    if (job.full) yieldToOtherThreads();
-    job.solve();
-    return std::move(job);
-  });
+  if (!job.full) adoptLocal();
+  adjustments.start(std::move(job), last_stamp);
 }
 
-// The image that takes a result over is known when the adjustment begins, not by when its thread has finished: what a
-// recording gives does not depend on how busy the machine is. A late result is waited for, so that no image is tracked
-// on an older map than it would be on an idle machine. The adjustment of the whole map may take seconds; local ones go
-// on beside, and it is asked for once a second of the recording.
 void Odometry::Impl::adoptDue() {
-  if (running_local.result.valid() && ++running_local.images >= kAdoptAfterImages) adoptLocal();
-  if (!running_full.result.valid() || last_stamp - running_full.stamp < kAdoptFullAfter) return;
-  running_full.stamp = last_stamp;
-  if (running_full.result.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
-  adoptAll();
+  if (adjustments.localDue()) adoptLocal();
+  if (adjustments.fullDue(last_stamp)) adoptAll();
 }
 
 // A local result begun before the whole map moved must be in before that.
 void Odometry::Impl::adoptAll() {
   adoptLocal();
-  if (!running_full.result.valid()) return;
-  adopt(running_full.result.get());
-  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
+  if (!adjustments.fullRuns()) return;
+  adopt(adjustments.takeFull());
+  if (!records.empty()) T_map_camera = records.lastPose(map);
 }
 
 void Odometry::Impl::adoptLocal() {
-  if (!running_local.result.valid()) return;
-  adopt(running_local.result.get());
-  if (!records.empty()) T_map_camera = poseOfRecord(records.size() - 1);
+  if (!adjustments.localRuns()) return;
+  adopt(adjustments.takeLocal());
+  if (!records.empty()) T_map_camera = records.lastPose(map);
 }
 
 void Odometry::Impl::adopt(const BundleJob& job) {
@@ -133,7 +104,7 @@ void Odometry::Impl::adopt(const BundleJob& job) {
 }
 
 ScaleMeasurement Odometry::Impl::scaleMeasurement(std::size_t record) const {
-  const Pose T = poseOfRecord(record);
+  const Pose T = records.pose(record, map);
   ScaleMeasurement measurement;
   measurement.p_map_camera = T.translation();
   measurement.R_map_imu = T.linear() * T_camera_imu.linear();
@@ -163,8 +134,8 @@ void Odometry::Impl::rerunScale() {
 
 // A map that is not metric yet may have begun with a bias that the tracks have long known better.
 void Odometry::Impl::setGyroBiasPrior(InertialBundleSettings* how) const {
-  how->gyro_bias_prior = std::clamp(gyro_alignment.biasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
-  if (!metric) how->gyro_bias_mean = gyro_alignment.bias();
+  how->gyro_bias_prior = std::clamp(imu.gyroBiasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
+  if (!metric) how->gyro_bias_mean = imu.gyroBias();
 }
 
 // Links whose samples are gone keep the offset of their time.
@@ -172,16 +143,10 @@ void Odometry::Impl::retime() {
   for (auto& link : inertial.links) {
     const auto here = map.keyframes().find(link.first);
     if (here == map.keyframes().end() || here == map.keyframes().begin()) continue;
-    const auto motion =
-        imu.motion(std::prev(here)->second.stamp, here->second.stamp, settings.imu_noise, link.second.bias());
+    const auto motion = imu.motion(std::prev(here)->second.stamp, here->second.stamp, link.second.bias());
     if (motion) link.second = *motion;
   }
-  for (std::size_t i = 1; i < records.size(); ++i) {
-    if (!records[i].motion) continue;
-    const auto motion =
-        imu.motion(records[i - 1].stamp, records[i].stamp, settings.imu_noise, records[i].motion->bias());
-    if (motion) records[i].motion = std::make_unique<const Preintegration>(*motion);
-  }
+  records.integrateAnew([this](double from, double to, const ImuBias& of) { return imu.motion(from, to, of); });
   if (metric) return;
   scale.reset(map_tilt);
   for (std::size_t i = 0; i < records.size(); ++i) {

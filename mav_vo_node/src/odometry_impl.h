@@ -3,16 +3,16 @@
 // metric map) and odometry_adjustment.cpp (bundle adjustment, scale of the adjusted map).
 #pragma once
 
-#include <future>
 #include <map>
 #include <memory>
 #include <unordered_map>
 
-#include "bundle_job.h"
-#include "image_clock_imu.h"
+#include "adjustment_threads.h"
+#include "frame_records.h"
+#include "imu_alignment.h"
 #include "map_revision.h"
 #include "mav_vo/odometry.h"
-#include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/pose_solver.h"
 
 namespace mav_vo {
@@ -38,33 +38,32 @@ struct Odometry::Impl {
   Pose predict(double stamp, visual_frontend::TrackPrediction* prediction);
   void useImu(double stamp);
   void advance(const cv::Mat& gray);
-  Increment incrementSince(const Pose& T_map_previous) const;
-  double neededScaleStddev() const;  ///< relative, for the map to become metric; grows while it waits
-  std::string scaleReason() const;   ///< why the map is not metric
-  std::string gyroProblem() const;   ///< empty: gyro and images agree
-  double patience() const;           ///< of a lost odometry, before a new map starts [s]
-  void startMap();                   ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
-  void reset();
-  void carryUp(double stamp);  ///< turns the known direction of gravity along with the camera
-  void useStandstill(const Standstill& rest);
-  void alignGyro(double stamp);
-  void alignShutter(double stamp);  ///< gyro bias and time offset from the tracks
-  void keepMapsBias();              ///< before a map is given up: what its adjustment knows of the gyro
-  std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
-  void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
-  void initialize();
-  bool locate(bool gyro);  ///< pose of the current image from tracked landmarks
-  bool relocalize(const cv::Mat& gray, bool gyro);
   void localized(bool continuous);  ///< bookkeeping after a pose was found
-  void scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const;
-  void thinRecords();  ///< of a long flight
-  void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
-  std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* tracks) const;
+  void fillResult(FrameResult* result) const;
+  double patience() const;  ///< of a lost odometry, before a new map starts [s]
+  void startMap();          ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
+  void reset();
   std::optional<LandmarkId> landmarkOf(TrackId track) const;
   void followShutter(double stamp, const Pose& predicted);  ///< motion of the camera during the image
   Eigen::Vector2d rayOf(const Feature& feature) const;      ///< normalised, as the middle row would see it
   std::vector<Feature> currentFeatures() const;             ///< with such rays
-  void fillResult(FrameResult* result) const;
+
+  // odometry_start.cpp
+  void alignImu(double stamp);  ///< gyro bias, time offset and readout time from the tracks
+  void keepMapsBias();          ///< before a map is given up: what its adjustment knows of the gyro
+  std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
+  void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
+  void initialize();
+  double neededScaleStddev() const;  ///< relative, for the map to become metric; grows while it waits
+  std::string scaleReason() const;   ///< why the map is not metric
+
+  // odometry_tracking.cpp
+  bool locate(bool gyro);  ///< pose of the current image from tracked landmarks
+  bool relocalize(const cv::Mat& gray, bool gyro);
+  void lookForOldLandmarks(const visual_frontend::ReobservationSettings& how);
+  std::vector<PoseCorrespondence> correspondences(std::vector<TrackId>* seen) const;
+  Increment incrementSince(const Pose& T_map_previous) const;
+  void scatterCovariance(const Eigen::Matrix3d& R_map_base, Increment* step) const;
   Matrix6d mapCovariance(const Matrix6d& camera_covariance) const;
 
   // odometry_mapping.cpp
@@ -75,6 +74,12 @@ struct Odometry::Impl {
   bool contradicts(const Preintegration& motion, KeyframeId previous, const Keyframe& keyframe) const;
   void thinKeyframes();  ///< of places that are seen again and again
   void triangulateTracks(KeyframeId id);
+  void makeMetric();
+  void startVelocities();
+  void scaleIncrement(double factor);
+  void transformMap(const air_ground_common::Similarity& S_new_old);
+
+  // odometry_adjustment.cpp
   void adjustLocally();
   void adjustFully();
   void run(BundleJob job);
@@ -86,11 +91,7 @@ struct Odometry::Impl {
   void rerunScale();  ///< over the recent images, as the adjusted map places them
   void retime();      ///< the inertial motion between images, after a change of the time offset
   void setGyroBiasPrior(InertialBundleSettings* how) const;
-  void makeMetric();
-  void startVelocities();
-  void scaleIncrement(double factor);
-  void transformMap(const air_ground_common::Similarity& S_new_old);
-  Pose poseOfRecord(std::size_t i) const;
+
   double sigma() const { return settings.pixel_sigma / (0.5 * (camera.fx + camera.fy)); }
 
   CameraModel camera;
@@ -101,23 +102,14 @@ struct Odometry::Impl {
   visual_frontend::RollingShutter shutter;
   Bootstrap bootstrap;
   ScaleFilter scale;
-  GyroAlignment gyro_alignment;
-  std::optional<GyroAlignment> shutter_alignment;  ///< apart: what it estimates besides makes the others less certain
-  StandstillDetector standstill;
-  ImageClockImu imu{12.0};
-  visual_frontend::AttitudeFilter attitude;
+  ImuAlignment imu;
   ImuBias bias;
-  bool rested = false;  ///< the gyro bias was measured at rest
-  std::optional<Eigen::Vector3d>
-      up_imu;             ///< against gravity, IMU frame, at last_stamp; since a rest, or in a metric map
-  double up_sigma = 0.1;  ///< [rad]
   double map_tilt = 0.1;  ///< of the map's z axis when the map began [rad]
 
   visual_frontend::Map map;
   MapRevision revision;
   InertialMap inertial;
-  std::unordered_map<TrackId, LandmarkId> track_landmark;
-  std::unordered_map<TrackId, std::vector<LandmarkObservation>> track_views;  ///< of tracks without a landmark
+  visual_frontend::LandmarkTracks tracks;
 
   std::map<KeyframeId, Matrix6d> keyframe_covariance;  ///< of their poses in the map
   bool relocalized = false;                            ///< since the last keyframe
@@ -143,29 +135,13 @@ struct Odometry::Impl {
   double scene_distance = 1;
   int keyframe_landmarks = 0;  ///< tracked landmarks when the last keyframe was made
   int inliers = 0;
-  int reobserved = 0;
   double depth_min = 0, depth_max = 0;
   std::optional<Increment> increment;
   bool made_keyframe = false;
   std::optional<Eigen::Matrix3d> R_previous_current;  ///< of the camera, from the gyro
 
-  struct FrameRecord {
-    double stamp = 0;
-    KeyframeId reference = visual_frontend::kNoKeyframe;
-    Pose T_reference_camera = Pose::Identity();
-    double scene_distance = 1;
-    Eigen::Matrix3d position_covariance = Eigen::Matrix3d::Zero();  ///< of the image noise
-    std::unique_ptr<const Preintegration> motion;  ///< since the record before; kept for the recent ones
-  };
-  std::vector<FrameRecord> records;
-
-  /// An adjustment on a thread of its own.
-  struct RunningJob {
-    std::future<BundleJob> result;
-    double stamp = 0;  ///< begun, or last asked for, at this image [s]
-    int images = 0;    ///< since
-  };
-  RunningJob running_local, running_full;
+  FrameRecords records;
+  AdjustmentThreads adjustments;
   const cv::Mat* image = nullptr;  ///< the one being processed
 };
 

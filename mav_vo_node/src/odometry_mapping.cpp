@@ -20,10 +20,6 @@ constexpr double kTurnStddev = 0.005;       // of the turn between two keyframes
 
 }  // namespace
 
-Pose Odometry::Impl::poseOfRecord(std::size_t i) const {
-  return map.keyframe(records[i].reference).T_map_camera * records[i].T_reference_camera;
-}
-
 bool Odometry::Impl::needsKeyframe() const {
   const Keyframe& last = map.keyframe(map.lastKeyframe());
   const double elapsed = last_stamp - last.stamp;
@@ -51,7 +47,7 @@ bool Odometry::Impl::contradicts(const Preintegration& motion, KeyframeId previo
              T_after = keyframe.T_map_camera * T_camera_imu;
   const double turn =
       air_ground_common::rotationAngle(T_before.linear() * motion.rotation(before.bias), T_after.linear());
-  const double turn_sigma = std::hypot(kTurnStddev, gyro_alignment.biasStddev() * dt);
+  const double turn_sigma = std::hypot(kTurnStddev, imu.gyroBiasStddev() * dt);
   if (turn * turn > kLinkGate * turn_sigma * turn_sigma) return true;
   if (!metric) return false;
   const Eigen::Vector3d p = T_before.translation() + before.velocity * dt -
@@ -67,13 +63,13 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const KeyframeId previous = map.lastKeyframe();
   std::optional<Preintegration> motion;
   if (settings.use_imu && previous != visual_frontend::kNoKeyframe)
-    motion = imu.motion(map.keyframe(previous).stamp, stamp, settings.imu_noise, bias);
+    motion = imu.motion(map.keyframe(previous).stamp, stamp, bias);
   if (motion && relocalized && contradicts(*motion, previous, keyframe)) motion.reset();
   relocalized = false;
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
     const auto& o = map.keyframe(id).observations[i];
-    if (o.landmark == visual_frontend::kNoLandmark) track_views[o.track].push_back({id, i});
+    if (o.landmark == visual_frontend::kNoLandmark) tracks.addView(o.track, {id, i});
   }
   InertialState state_here;
   state_here.bias = bias;
@@ -113,14 +109,13 @@ void Odometry::Impl::addKeyframe() {
   if (!hovering)
     for (const cv::Mat& level : tracker.pyramid()) keyframe.pyramid.push_back(level.clone());
   visual_frontend::describeKeyframe(*image, camera, settings.place, keyframe);
-  if (!metric && up_imu && up_sigma < kTrustedTilt) {
-    keyframe.up_camera = T_camera_imu.linear() * *up_imu;
-    keyframe.up_sigma = std::max(0.02, up_sigma);
+  if (const auto& up = imu.up(); !metric && up && up->sigma < kTrustedTilt) {
+    keyframe.up_camera = T_camera_imu.linear() * up->up_imu;
+    keyframe.up_sigma = std::max(0.02, up->sigma);
   }
   insertKeyframe(std::move(keyframe));
   const KeyframeId id = map.lastKeyframe();
-  records.back().reference = id;
-  records.back().T_reference_camera.setIdentity();
+  records.lastIsKeyframe(id);
   triangulateTracks(id);
   tracker.replenish();
   keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, last_pose.covariance);
@@ -142,15 +137,8 @@ void Odometry::Impl::thinKeyframes() {
   const KeyframeId id = map.redundantKeyframe(newest, settings.keyframe_distance, settings.keyframe_angle);
   if (id == visual_frontend::kNoKeyframe) return;
   const auto here = map.keyframes().find(id), before = std::prev(here), after = std::next(here);
-  const Pose T_before_here = before->second.T_map_camera.inverse() * here->second.T_map_camera;
-  for (FrameRecord& record : records) {
-    if (record.reference != id) continue;
-    record.reference = before->first;
-    record.T_reference_camera = T_before_here * record.T_reference_camera;
-  }
-  for (auto& [track, views] : track_views)
-    views.erase(std::remove_if(views.begin(), views.end(), [&](const auto& o) { return o.keyframe == id; }),
-                views.end());
+  records.rebase(id, before->first, before->second.T_map_camera.inverse() * here->second.T_map_camera);
+  tracks.forgetKeyframe(id);
   inertial.links.erase(id);
   inertial.links.erase(after->first);  // it began here
   inertial.states.erase(id);
@@ -178,10 +166,10 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
   for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
     const auto observation = map.keyframe(id).observations[i];
     if (observation.landmark != visual_frontend::kNoLandmark) continue;
-    const auto seen = track_views.find(observation.track);
-    if (seen == track_views.end() || seen->second.size() < 2) continue;
+    const visual_frontend::LandmarkTracks::Views views = tracks.viewsOf(observation.track);
+    if (views.size() < 2) continue;
     std::vector<visual_frontend::ViewRay> rays;
-    for (const LandmarkObservation& o : seen->second) {
+    for (const LandmarkObservation& o : views) {
       const Keyframe& keyframe = map.keyframe(o.keyframe);
       const Eigen::Vector2d& normalized = keyframe.observations[o.index].normalized;
       const auto noise = camera.normalizedNoise(normalized, settings.pixel_sigma);
@@ -192,26 +180,16 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
       if (point.status == visual_frontend::TriangulationStatus::kLargeResidual ||
           point.status == visual_frontend::TriangulationStatus::kBehindCamera) {
         tracker.remove({observation.track});
-        track_views.erase(seen);
+        tracks.forgetViews(observation.track);
       }
       continue;
     }
     const LandmarkId landmark = map.addLandmark(point.p_map);
-    for (const LandmarkObservation& o : seen->second) map.connect(o.keyframe, o.index, landmark);
-    track_landmark[observation.track] = landmark;
-    track_views.erase(seen);
+    for (const LandmarkObservation& o : views) map.connect(o.keyframe, o.index, landmark);
+    tracks.assign(observation.track, landmark);
   }
-  // Views of tracks that have ended are of no further use.
-  std::unordered_map<TrackId, std::vector<LandmarkObservation>> living;
-  for (const Feature& f : tracker.features()) {
-    const auto it = track_views.find(f.id);
-    if (it != track_views.end()) living.insert(std::move(*it));
-  }
-  track_views = std::move(living);
-  std::unordered_map<TrackId, LandmarkId> mapped;
-  for (const Feature& f : tracker.features())
-    if (const auto known = landmarkOf(f.id)) mapped[f.id] = *known;
-  track_landmark = std::move(mapped);
+  tracks.forgetMissing(map);
+  tracks.keep(tracker.features());
 }
 
 void Odometry::Impl::scaleIncrement(double factor) {
@@ -229,11 +207,7 @@ void Odometry::Impl::scaleIncrement(double factor) {
 
 void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   map.transform(S);
-  for (auto& record : records) {
-    record.T_reference_camera.translation() *= S.scale;
-    record.scene_distance *= S.scale;
-    record.position_covariance = (S.scale * S.scale * S.R * record.position_covariance * S.R.transpose()).eval();
-  }
+  records.transform(S);
   scale.transform(S);
   velocity = S.scale * (S.R * velocity);
   scene_distance *= S.scale;

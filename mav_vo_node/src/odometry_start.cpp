@@ -9,71 +9,26 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kRestBiasSigma = 1e-3;      // of a gyro bias measured at rest [rad/s]
-constexpr double kUsefulBiasSigma = 0.02;    // of a bias that the attitude filter takes over [rad/s]
-constexpr double kRestTilt = 0.012;          // of gravity measured at rest [rad]
-constexpr double kMovingTilt = 0.3;          // of gravity as a moving accelerometer shows it [rad]
-constexpr double kTrustedTilt = 0.05;        // better known gravity levels the bundle adjustment [rad]
-constexpr double kOffsetSigma = 0.004;       // a better known time offset is used [s]
-constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not worth the work [s]
-constexpr double kMapTurnError = 8e-3;       // of the turn from a map's first keyframe to its newest [rad]
-constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
-constexpr double kReadoutStep = 4e-3;        // least change of it [s]
-constexpr double kShutterMisfit = 2;         // of noise; above, the tracks are not explained by a readout time
-constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
-constexpr double kMapBiasSigma = 2e-3;       // of a gyro bias from a map, at the best [rad/s]
-constexpr double kScalePatience = 5;         // of a map for a scale as certain as asked for [s]
-constexpr double kMostScaleStddev = 2.5;     // of what was asked for, that serves in the end [1]
-constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images contradict each other
+constexpr double kMovingTilt = 0.3;       // of gravity as a moving accelerometer shows it [rad]
+constexpr double kTrustedTilt = 0.05;     // better known gravity levels the bundle adjustment [rad]
+constexpr double kMapTurnError = 8e-3;    // of the turn from a map's first keyframe to its newest [rad]
+constexpr double kMapBiasSigma = 2e-3;    // of a gyro bias from a map, at the best [rad/s]
+constexpr double kScalePatience = 5;      // of a map for a scale as certain as asked for [s]
+constexpr double kMostScaleStddev = 2.5;  // of what was asked for, that serves in the end [1]
 
 }  // namespace
 
-void Odometry::Impl::carryUp(double stamp) {
-  if (up_imu && R_previous_current) {
-    const Eigen::Matrix3d R_camera_imu = T_camera_imu.linear();
-    *up_imu = (R_camera_imu.transpose() * R_previous_current->transpose() * R_camera_imu * *up_imu).normalized();
-    up_sigma = std::min(0.5, up_sigma + std::max(kRestBiasSigma, gyro_alignment.biasStddev()) * (stamp - last_stamp));
-  } else if (up_imu) {
-    // The IMU had a gap: what the vehicle did meanwhile is not known.
-    up_imu.reset();
-    up_sigma = 0.1;
+// What a map that is not metric yet has seen with another readout time is not worth keeping.
+void Odometry::Impl::alignImu(double stamp) {
+  if (const auto readout = imu.alignShutter(stamp, tracker.features(), shutter.readoutTime())) {
+    shutter.setReadoutTime(readout->readout_time);
+    if (!metric && map.keyframeCount() > 0 && readout->large) startMap();
   }
-}
-
-void Odometry::Impl::useStandstill(const Standstill& rest) {
-  // Once the map is metric its own estimate is better than a short rest in the air.
-  if (metric) return;
-  rested = true;
-  bias.gyro = rest.gyro_bias;
-  gyro_alignment.setBias(rest.gyro_bias, kRestBiasSigma);
-  up_imu = rest.up_imu;
-  up_sigma = kRestTilt;
-}
-
-void Odometry::Impl::alignGyro(double stamp) {
-  alignShutter(stamp);
-  if (!gyro_alignment.add(stamp, tracker.features(), imu.buffer())) return;
+  if (!imu.alignGyro(stamp, tracker.features())) return;
   // A map knows the bias better: its adjustment sees all of its keyframes.
-  if (map.keyframeCount() == 0) bias.gyro = gyro_alignment.bias();
-  if (gyro_alignment.biasStddev() < kUsefulBiasSigma) attitude.setGyroBias(bias.gyro);
-  const double offset = gyro_alignment.timeOffset(), sigma = gyro_alignment.timeOffsetStddev();
-  if (sigma > kOffsetSigma || std::abs(offset - imu.offset()) < std::max(kOffsetStep, 2 * sigma)) return;
-  imu.setOffset(offset);
-  retime();
-}
-
-// A sure readout time replaces the one in use. What a map that is not metric yet has seen without it is not worth
-// keeping.
-void Odometry::Impl::alignShutter(double stamp) {
-  if (!shutter_alignment || !shutter_alignment->add(stamp, tracker.features(), imu.buffer())) return;
-  // Broken images or samples tell of no camera.
-  if (shutter_alignment->misfit() > kShutterMisfit) return;
-  const double readout = shutter_alignment->readoutTime(), sigma = shutter_alignment->readoutTimeStddev();
-  const double change = std::abs(readout - shutter.readoutTime()), large = std::max(kReadoutStep, 3 * sigma);
-  if (sigma > kReadoutSigma || change < (shutter.active() ? std::max(kReadoutRefinement, sigma) : large)) return;
-  shutter.setReadoutTime(readout);
-  gyro_alignment.setReadoutTime(readout);
-  if (!metric && map.keyframeCount() > 0 && change > large) startMap();
+  if (map.keyframeCount() == 0) bias.gyro = imu.gyroBias();
+  imu.followBias(bias.gyro);
+  if (imu.adoptTimeOffset()) retime();
 }
 
 // A map measures turns against landmarks it has triangulated: turn and translation, which image pairs confuse, are
@@ -82,28 +37,23 @@ void Odometry::Impl::keepMapsBias() {
   if (!settings.use_imu || inertial.links.empty() || map.keyframeCount() < 2) return;
   const double lived = map.keyframe(map.lastKeyframe()).stamp - map.keyframes().begin()->second.stamp;
   const double sigma = std::max(kMapBiasSigma, kMapTurnError / std::max(lived, 0.1));
-  if (sigma < gyro_alignment.biasStddev()) gyro_alignment.setBias(inertial.states.rbegin()->second.bias.gyro, sigma);
+  imu.keepBias(inertial.states.rbegin()->second.bias.gyro, sigma);
 }
 
 std::optional<GyroRotation> Odometry::Impl::cameraTurn(double stamp_a, double stamp_b) const {
   if (!settings.use_imu) return std::nullopt;
-  const auto R = imu.rotation(stamp_a, stamp_b, bias.gyro);
-  if (!R) return std::nullopt;
-  const double duration = stamp_b - stamp_a;
-  const double rate = air_ground_common::rotationAngle(Eigen::Matrix3d::Identity(), *R) / duration;
-  return GyroRotation{T_camera_imu.linear() * *R * T_camera_imu.linear().transpose(),
-                      std::hypot(gyro_alignment.biasStddev() * duration, gyro_alignment.timeOffsetStddev() * rate)};
+  return imu.cameraTurn(stamp_a, stamp_b, bias.gyro);
 }
 
 // Levels the map with what is known of gravity, heading 0 at the first view's base_link.
 void Odometry::Impl::levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const {
   std::optional<Eigen::Vector3d> up;
   *tilt = kMovingTilt;
-  if (up_imu && up_sigma < kMovingTilt) {
-    up = *up_imu;
-    *tilt = up_sigma;
-  } else if (settings.use_imu && attitude.initialized()) {
-    up = attitude.up();
+  if (imu.up() && imu.up()->sigma < kMovingTilt) {
+    up = imu.up()->up_imu;
+    *tilt = imu.up()->sigma;
+  } else if (settings.use_imu && imu.attitude().initialized()) {
+    up = imu.attitude().up();
   }
   // Without gravity the vehicle is taken to be level.
   Eigen::Matrix3d R_map_first = T_base_camera.linear();
@@ -121,7 +71,7 @@ void Odometry::Impl::initialize() {
   auto start = bootstrap.add(last_stamp, currentFeatures(), tracker.pyramid(),
                              [this](double a, double b) { return cameraTurn(a, b); });
   if (!start) {
-    const std::string problem = gyroProblem();
+    const std::string problem = settings.use_imu ? imu.problem() : "";
     reason = "initialising: " + (problem.empty() ? bootstrap.reason() : problem);
     return;
   }
@@ -129,16 +79,14 @@ void Odometry::Impl::initialize() {
   Pose T_map_first;
   levelFirstViews(*start, &T_map_first, &map_tilt);
 
-  std::unordered_map<TrackId, LandmarkId> landmark_of;
-  for (const auto& point : start->points) landmark_of[point.track] = map.addLandmark(T_map_first * point.position);
+  for (const auto& point : start->points) tracks.assign(point.track, map.addLandmark(T_map_first * point.position));
   for (BootstrapView& view : start->views) {
     Keyframe keyframe;
     keyframe.stamp = view.stamp;
     keyframe.T_map_camera = T_map_first * view.T_first_camera;
     for (const Feature& f : view.features) {
       visual_frontend::Observation o;
-      const auto it = landmark_of.find(f.id);
-      if (it != landmark_of.end()) o.landmark = it->second;
+      o.landmark = tracks.landmarkOf(f.id);
       o.track = f.id;
       o.pixel = f.pixel;
       o.normalized = f.normalized;
@@ -151,7 +99,6 @@ void Odometry::Impl::initialize() {
     }
     insertKeyframe(std::move(keyframe));
   }
-  track_landmark = landmark_of;
   bootstrap.reset();
   scale.reset(map_tilt);
   scene_distance = 1;
@@ -181,7 +128,7 @@ double Odometry::Impl::neededScaleStddev() const {
 std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
-  if (const std::string problem = gyroProblem(); !problem.empty()) return problem;
+  if (const std::string problem = imu.problem(); !problem.empty()) return problem;
   if (scale.inverted())
     return "metric scale is not known: the accelerations point the wrong way; at rest the IMU must read +9.81 m/s^2 "
            "along "
@@ -195,14 +142,6 @@ std::string Odometry::Impl::scaleReason() const {
   return air_ground_common::formatted(
       "metric scale is not known yet (+- %.0f %%, %.0f %% needed): change speed and direction", 100 * stddev,
       100 * neededScaleStddev());
-}
-
-std::string Odometry::Impl::gyroProblem() const {
-  if (!settings.use_imu || gyro_alignment.misfit() < kGyroMisfit) return "";
-  return air_ground_common::formatted(
-      "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
-      "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
-      gyro_alignment.misfit());
 }
 
 }  // namespace mav_vo

@@ -16,7 +16,7 @@ constexpr double kMinInlierShare = 0.35;  // of the tracked landmarks; below, th
 
 }  // namespace
 
-std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<TrackId>* tracks) const {
+std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<TrackId>* seen) const {
   std::vector<PoseCorrespondence> list;
   for (const Feature& f : tracker.features()) {
     const auto id = landmarkOf(f.id);
@@ -24,14 +24,14 @@ std::vector<PoseCorrespondence> Odometry::Impl::correspondences(std::vector<Trac
     const Eigen::Vector2d ray = rayOf(f);
     const auto noise = camera.normalizedNoise(ray, settings.pixel_sigma);
     list.push_back({map.landmark(*id).position, ray, noise.sigma, 0, 0, noise.elongation});
-    tracks->push_back(f.id);
+    seen->push_back(f.id);
   }
   return list;
 }
 
 bool Odometry::Impl::locate(bool gyro) {
-  std::vector<TrackId> tracks;
-  const auto points = correspondences(&tracks);
+  std::vector<TrackId> seen;
+  const auto points = correspondences(&seen);
   last_pose = PoseResult{};
   // A known turn leaves three unknowns of six: half as many landmarks agree by chance as rarely.
   const int needed = gyro ? (settings.min_inliers + 1) / 2 : settings.min_inliers;
@@ -56,7 +56,7 @@ bool Odometry::Impl::locate(bool gyro) {
   if (gyro) {
     refine.R_map_camera_prior = T_map_camera.linear();
     refine.rotation_prior_sigma =
-        std::hypot(settings.gyro_prior_sigma, gyro_alignment.biasStddev() * (last_stamp - located_stamp));
+        std::hypot(settings.gyro_prior_sigma, imu.gyroBiasStddev() * (last_stamp - located_stamp));
   }
   last_pose = visual_frontend::refinePose(points, start.T_map_camera, refine);
   if (!last_pose.success) return false;
@@ -71,14 +71,14 @@ bool Odometry::Impl::locate(bool gyro) {
   std::vector<TrackId> wrong;
   std::vector<double> depths;
   const Pose T_camera_map = T_map_camera.inverse();
-  for (std::size_t i = 0; i < tracks.size(); ++i) {
+  for (std::size_t i = 0; i < seen.size(); ++i) {
     if (!last_pose.inliers[i])
-      wrong.push_back(tracks[i]);
+      wrong.push_back(seen[i]);
     else
       depths.push_back((T_camera_map * points[i].p_map).z());
   }
   tracker.remove(wrong);
-  for (const TrackId id : wrong) track_landmark.erase(id);
+  for (const TrackId id : wrong) tracks.release(id);
   inliers = last_pose.inlier_count;
   scene_distance = quantile(depths, 0.5);
   depth_min = quantile(depths, 0.05);
@@ -98,13 +98,10 @@ void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSet
   std::vector<LandmarkId> candidates;
   for (const LandmarkId id : map.landmarksOf(map.nearestKeyframes(T_map_camera, 8, scene_distance)))
     if (!std::binary_search(tracked.begin(), tracked.end(), id)) candidates.push_back(id);
-  reobserved = 0;
   for (const auto& match :
        visual_frontend::reobserve(map, camera, tracker.pyramid(), T_map_camera, candidates, occupied, how)) {
     const TrackId track = tracker.addFeature(match.pixel);
-    if (track == visual_frontend::kNoTrack) continue;
-    track_landmark[track] = match.landmark;
-    ++reobserved;
+    if (track != visual_frontend::kNoTrack) tracks.assign(track, match.landmark);
   }
 }
 
@@ -125,12 +122,12 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   query.stamp = last_stamp;
   visual_frontend::describeKeyframe(gray, camera, settings.place, query);
   visual_frontend::RelocalizationGate gate;
-  gate.T_map_last = poseOfRecord(records.size() - 1);
+  gate.T_map_last = records.lastPose(map);
   if (metric)
     gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - records.back().stamp);
-  if (metric && settings.use_imu && attitude.initialized()) {
-    gate.up_camera = T_camera_imu.linear() * attitude.up();
-    gate.max_tilt = std::max(gate.max_tilt, 3 * attitude.upSigma());
+  if (metric && settings.use_imu && imu.attitude().initialized()) {
+    gate.up_camera = T_camera_imu.linear() * imu.attitude().up();
+    gate.max_tilt = std::max(gate.max_tilt, 3 * imu.attitude().upSigma());
   }
   const auto match = visual_frontend::relocalize(map, camera, query, gate, settings.place);
   if (!match.success) {
@@ -138,7 +135,7 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
     return false;
   }
   T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
-  for (const Feature& f : tracker.features()) track_landmark.erase(f.id);
+  for (const Feature& f : tracker.features()) tracks.release(f.id);
   tracker.reset();
   tracker.track(gray);
   auto wide = settings.reobservation;

@@ -8,10 +8,10 @@
 
 #include "camera_motion.h"
 #include "keyframe_trajectory.h"
-#include "landmark_tracks.h"
 #include "rgbd_slam/readout_estimator.h"
 #include "rgbd_slam/rotation_check.h"
 #include "rgbd_slam/slam.h"
+#include "visual_frontend/landmark_tracks.h"
 
 namespace rgbd_slam {
 
@@ -23,6 +23,7 @@ using visual_frontend::kNoTrack;
 using visual_frontend::Landmark;
 using visual_frontend::LandmarkMatch;
 using visual_frontend::LandmarkObservation;
+using visual_frontend::LandmarkTracks;
 using visual_frontend::Observation;
 using visual_frontend::PoseCorrespondence;
 using visual_frontend::PoseResult;

@@ -38,8 +38,8 @@ struct CameraModel {
   double max_radius = std::numeric_limits<double>::infinity();
 
   /// Sets model and coefficients as camera_info and calibration files hold them: `name` plumb_bob (radtan),
-  /// rational_polynomial or equidistant (fisheye), coefficients in their order, those left out zero. Throws
-  /// std::invalid_argument, naming the known models, for another name and for coefficients that the model has not.
+  /// rational_polynomial, equidistant (fisheye) or, without coefficients, none (pinhole); those left out are zero.
+  /// Throws std::invalid_argument, naming the known models, for others and for coefficients that a model has not.
   void setDistortion(const std::string& name, const std::vector<double>& coefficients);
   std::string distortionName() const;                                         ///< as camera_info names it
   std::vector<double> distortionCoefficients() const;                         ///< 5, 8 (12 with thin prism) or 4

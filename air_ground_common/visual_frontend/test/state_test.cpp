@@ -3,6 +3,7 @@
 
 #include "synthetic.h"
 #include "visual_frontend/imu_attitude.h"
+#include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/rolling_shutter.h"
 
@@ -184,6 +185,38 @@ TEST(RollingShutter, CarriesWhatARowSeesToTheMiddleRowAndBack) {
   }
   EXPECT_FALSE(RollingShutter(camera, 0).active());
   EXPECT_EQ(RollingShutter(camera, 0).toMiddleRow({3, 4}, {0.1, 0.2}, 1), Eigen::Vector2d(0.1, 0.2));
+}
+
+TEST(LandmarkTracks, AreOfALandmarkOrOfViewsAndEndWithTheirFeature) {
+  LandmarkTracks tracks;
+  EXPECT_EQ(tracks.landmarkOf(1), kNoLandmark);
+  tracks.addView(1, {7, 0});
+  tracks.addView(1, {8, 3});
+  tracks.addView(2, {8, 4});
+  tracks.assign(3, 30);
+  tracks.assign(4, 40);
+  EXPECT_EQ(tracks.count(), 2);
+  EXPECT_EQ(tracks.viewsOf(1).size(), 2u);
+  tracks.forgetKeyframe(8);
+  ASSERT_EQ(tracks.viewsOf(1).size(), 1u);
+  EXPECT_EQ(tracks.viewsOf(1)[0].keyframe, 7);
+  EXPECT_TRUE(tracks.viewsOf(2).empty());
+  tracks.assign(1, 10);  // placed: its views are the landmark's now
+  EXPECT_TRUE(tracks.viewsOf(1).empty());
+  EXPECT_EQ(tracks.landmarkOf(1), 10);
+  tracks.replace(30, 31);
+  EXPECT_EQ(tracks.landmarkOf(3), 31);
+  Map map;
+  while (map.landmarkCount() < 35) map.addLandmark(Eigen::Vector3d::Zero());
+  tracks.forgetMissing(map);
+  EXPECT_FALSE(tracks.has(4));
+  std::vector<Feature> features(1);
+  features[0].id = 3;
+  tracks.keep(features);
+  EXPECT_TRUE(tracks.has(3));
+  EXPECT_FALSE(tracks.has(1));
+  tracks.release(3);
+  EXPECT_EQ(tracks.count(), 0);
 }
 
 }  // namespace

@@ -34,8 +34,8 @@ ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
         '8UC1', '8UC3', '8UC4', '16UC1')
 DEPTH = ('16UC1', 'mono16', '32FC1')
-MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
-          '': 0, 'none': 0}  # as the nodes take them: how many coefficients each may have
+MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'radial_tangential', 'brown_conrady', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
+          **dict.fromkeys(('', 'none', 'pinhole', 'perspective', 'inverse_brown_conrady'), 0)}  # as the nodes take them: how many coefficients each may have
 NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
@@ -180,11 +180,11 @@ def _camera_info(topic, stream):
         result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
     elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
         result.append(Finding(WARNING, f'{topic}: principal point ({info.K[2]:.1f}, {info.K[5]:.1f}) is far from the centre of {info.width}x{info.height}'))
-    model, count = info.distortion_model.lower(), len(np.trim_zeros(info.D, 'b'))
+    model, count = re.sub('[- ]', '_', info.distortion_model.lower()), len(np.trim_zeros(info.D, 'b'))
     if model not in MODELS:
         result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know plumb_bob, rational_polynomial, equidistant: undistort first'))
     elif not MODELS[model] and count:
-        result.append(Finding(ERROR, f'{topic}: D is set but distortion_model is empty; plumb_bob is needed'))
+        result.append(Finding(ERROR, f'{topic}: D is set, but distortion_model {info.distortion_model!r} does not say how it is meant; plumb_bob, for OpenCV\'s five'))
     elif count > MODELS[model]:
         result.append(Finding(ERROR, f'{topic}: {count} coefficients in D; distortion model {info.distortion_model} has at most {MODELS[model]}'))
     return result

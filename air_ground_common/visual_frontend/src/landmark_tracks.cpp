@@ -1,17 +1,15 @@
-#include "landmark_tracks.h"
+#include "visual_frontend/landmark_tracks.h"
 
 #include <algorithm>
 
-namespace rgbd_slam {
+namespace visual_frontend {
 
-using visual_frontend::LandmarkObservation;
-
-LandmarkTracks::LandmarkId LandmarkTracks::landmarkOf(TrackId track) const {
+LandmarkId LandmarkTracks::landmarkOf(TrackId track) const {
   const auto it = landmark_.find(track);
-  return it == landmark_.end() ? visual_frontend::kNoLandmark : it->second;
+  return it == landmark_.end() ? kNoLandmark : it->second;
 }
 
-std::vector<LandmarkTracks::LandmarkId> LandmarkTracks::landmarks() const {
+std::vector<LandmarkId> LandmarkTracks::landmarks() const {
   std::vector<LandmarkId> ids;
   for (const auto& entry : landmark_) ids.push_back(entry.second);
   return ids;
@@ -27,21 +25,21 @@ LandmarkTracks::Views LandmarkTracks::viewsOf(TrackId track) const {
   return it == views_.end() ? Views() : it->second;
 }
 
-void LandmarkTracks::keep(const std::vector<visual_frontend::Feature>& features) {
+void LandmarkTracks::keep(const std::vector<Feature>& features) {
   LandmarkTracks kept;
-  for (const visual_frontend::Feature& f : features) {
+  for (const Feature& f : features) {
     if (const auto it = landmark_.find(f.id); it != landmark_.end()) kept.landmark_.insert(*it);
     if (const auto it = views_.find(f.id); it != views_.end()) kept.views_.insert(*it);
   }
   *this = std::move(kept);
 }
 
-void LandmarkTracks::forgetMissing(const visual_frontend::Map& map) {
+void LandmarkTracks::forgetMissing(const Map& map) {
   for (auto it = landmark_.begin(); it != landmark_.end();)
     it = map.hasLandmark(it->second) ? std::next(it) : landmark_.erase(it);
 }
 
-void LandmarkTracks::forgetKeyframe(visual_frontend::KeyframeId keyframe) {
+void LandmarkTracks::forgetKeyframe(KeyframeId keyframe) {
   for (auto& [track, views] : views_) {
     views.erase(std::remove_if(views.begin(), views.end(),
                                [&](const LandmarkObservation& v) { return v.keyframe == keyframe; }),
@@ -60,4 +58,4 @@ void LandmarkTracks::clear() {
   views_.clear();
 }
 
-}  // namespace rgbd_slam
+}  // namespace visual_frontend

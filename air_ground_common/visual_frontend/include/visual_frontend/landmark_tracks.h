@@ -7,13 +7,11 @@
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/map.h"
 
-namespace rgbd_slam {
+namespace visual_frontend {
 
 class LandmarkTracks {
  public:
-  using TrackId = visual_frontend::TrackId;
-  using LandmarkId = visual_frontend::LandmarkId;
-  using Views = std::vector<visual_frontend::LandmarkObservation>;
+  using Views = std::vector<LandmarkObservation>;
 
   LandmarkId landmarkOf(TrackId track) const;  ///< kNoLandmark: none
   bool has(TrackId track) const { return landmark_.count(track) > 0; }
@@ -24,11 +22,13 @@ class LandmarkTracks {
 
   Views viewsOf(TrackId track) const;
   void setViews(TrackId track, Views views) { views_[track] = std::move(views); }
+  void addView(TrackId track, const LandmarkObservation& view) { views_[track].push_back(view); }
+  void forgetViews(TrackId track) { views_.erase(track); }
 
   /// Forgets tracks that are not among the features.
-  void keep(const std::vector<visual_frontend::Feature>& features);
-  void forgetMissing(const visual_frontend::Map& map);  ///< landmarks that are no longer in the map
-  void forgetKeyframe(visual_frontend::KeyframeId keyframe);
+  void keep(const std::vector<Feature>& features);
+  void forgetMissing(const Map& map);  ///< landmarks that are no longer in the map
+  void forgetKeyframe(KeyframeId keyframe);
   void replace(LandmarkId from, LandmarkId by);
   void clear();
 
@@ -37,4 +37,4 @@ class LandmarkTracks {
   std::unordered_map<TrackId, Views> views_;
 };
 
-}  // namespace rgbd_slam
+}  // namespace visual_frontend

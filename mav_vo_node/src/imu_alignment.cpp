@@ -1,0 +1,143 @@
+#include "imu_alignment.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "air_ground_common/geometry.h"
+#include "air_ground_common/text.h"
+
+namespace mav_vo {
+
+namespace {
+
+constexpr double kImuRestBiasSigma = 0.01;   // of a gyro bias that the IMU alone calls a rest [rad/s]
+constexpr double kRestBiasSigma = 1e-3;      // of one measured at rest [rad/s]
+constexpr double kUsefulBiasSigma = 0.02;    // of a bias that the attitude filter takes over [rad/s]
+constexpr double kRestTilt = 0.012;          // of gravity measured at rest [rad]
+constexpr double kOffsetSigma = 0.004;       // a better known time offset is used [s]
+constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not worth the work [s]
+constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
+constexpr double kReadoutStep = 4e-3;        // least change of it [s]
+constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
+constexpr double kShutterMisfit = 2;         // of noise; above, the tracks are not explained by a readout time
+constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images contradict each other
+
+}  // namespace
+
+ImuAlignment::ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix3d& R_camera_imu, double ray_sigma,
+                           int rows)
+    : settings_(settings),
+      noise_(settings.imu_noise),
+      R_camera_imu_(R_camera_imu),
+      gyro_alignment_(settings.gyro_alignment, settings.imu_noise, R_camera_imu, ray_sigma, rows),
+      standstill_(settings.standstill) {
+  if (settings.readout_time_stddev > 0) {
+    GyroAlignmentSettings with_readout = settings.gyro_alignment;
+    with_readout.readout_time = settings.readout_time;
+    with_readout.readout_time_stddev = settings.readout_time_stddev;
+    shutter_alignment_.emplace(with_readout, settings.imu_noise, R_camera_imu, ray_sigma, rows);
+  }
+  reset();
+}
+
+bool ImuAlignment::add(const ImuSample& sample) {
+  if (!imu_.add(sample)) return false;
+  attitude_.add(sample);
+  return true;
+}
+
+void ImuAlignment::reset() {
+  imu_.clear();
+  attitude_.reset();
+  gyro_alignment_.reset();
+  gyro_alignment_.setReadoutTime(settings_.readout_time);
+  if (shutter_alignment_) shutter_alignment_->reset();
+  standstill_.reset();
+  imu_.setOffset(settings_.gyro_alignment.time_offset);
+  up_.reset();
+}
+
+void ImuAlignment::takeRestOfImuAlone() {
+  if (attitude_.biasKnown()) gyro_alignment_.setBias(attitude_.gyroBias(), kImuRestBiasSigma);
+}
+
+void ImuAlignment::carryUp(const std::optional<Eigen::Matrix3d>& R_previous_current, double dt) {
+  if (!up_) return;
+  if (!R_previous_current) {
+    // The IMU had a gap: what the vehicle did meanwhile is not known.
+    up_.reset();
+    return;
+  }
+  up_->up_imu =
+      (R_camera_imu_.transpose() * R_previous_current->transpose() * R_camera_imu_ * up_->up_imu).normalized();
+  up_->sigma = std::min(0.5, up_->sigma + std::max(kRestBiasSigma, gyroBiasStddev()) * dt);
+}
+
+bool ImuAlignment::detectStandstill(double stamp, const std::vector<visual_frontend::Feature>& features, bool metric) {
+  const auto rest = standstill_.add(stamp, features, imu_.buffer(), imu_.stamp(stamp));
+  // Once the map is metric its own estimate is better than a short rest in the air.
+  if (!rest || metric) return false;
+  gyro_alignment_.setBias(rest->gyro_bias, kRestBiasSigma);
+  up_ = UpDirection{rest->up_imu, kRestTilt};
+  return true;
+}
+
+std::optional<ImuAlignment::ReadoutChange> ImuAlignment::alignShutter(
+    double stamp, const std::vector<visual_frontend::Feature>& features, double in_use) {
+  if (!shutter_alignment_ || !shutter_alignment_->add(stamp, features, imu_.buffer())) return std::nullopt;
+  // Broken images or samples tell of no camera.
+  if (shutter_alignment_->misfit() > kShutterMisfit) return std::nullopt;
+  const double readout = shutter_alignment_->readoutTime(), sigma = shutter_alignment_->readoutTimeStddev();
+  const double change = std::abs(readout - in_use), large = std::max(kReadoutStep, 3 * sigma);
+  if (sigma > kReadoutSigma || change < (in_use != 0 ? std::max(kReadoutRefinement, sigma) : large))
+    return std::nullopt;
+  gyro_alignment_.setReadoutTime(readout);
+  return ReadoutChange{readout, change > large};
+}
+
+bool ImuAlignment::alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features) {
+  return gyro_alignment_.add(stamp, features, imu_.buffer());
+}
+
+void ImuAlignment::followBias(const Eigen::Vector3d& gyro_bias) {
+  if (gyroBiasStddev() < kUsefulBiasSigma) attitude_.setGyroBias(gyro_bias);
+}
+
+bool ImuAlignment::adoptTimeOffset() {
+  const double offset = gyro_alignment_.timeOffset(), sigma = gyro_alignment_.timeOffsetStddev();
+  if (sigma > kOffsetSigma || std::abs(offset - imu_.offset()) < std::max(kOffsetStep, 2 * sigma)) return false;
+  imu_.setOffset(offset);
+  return true;
+}
+
+void ImuAlignment::keepBias(const Eigen::Vector3d& gyro_bias, double sigma) {
+  if (sigma < gyroBiasStddev()) gyro_alignment_.setBias(gyro_bias, sigma);
+}
+
+std::optional<GyroRotation> ImuAlignment::cameraTurn(double stamp_a, double stamp_b,
+                                                     const Eigen::Vector3d& gyro_bias) const {
+  const auto R = imu_.rotation(stamp_a, stamp_b, gyro_bias);
+  if (!R) return std::nullopt;
+  const double duration = stamp_b - stamp_a;
+  const double rate = air_ground_common::rotationAngle(Eigen::Matrix3d::Identity(), *R) / duration;
+  return GyroRotation{R_camera_imu_ * *R * R_camera_imu_.transpose(),
+                      std::hypot(gyroBiasStddev() * duration, gyro_alignment_.timeOffsetStddev() * rate)};
+}
+
+std::string ImuAlignment::problem() const {
+  if (gyro_alignment_.misfit() < kGyroMisfit) return "";
+  return air_ground_common::formatted(
+      "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
+      "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
+      gyro_alignment_.misfit());
+}
+
+double ImuAlignment::timeOffsetStddev() const {
+  return settings_.gyro_alignment.time_offset_stddev > 0 ? gyro_alignment_.timeOffsetStddev() : 0;
+}
+
+double ImuAlignment::readoutTimeStddev() const {
+  return shutter_alignment_ ? shutter_alignment_->readoutTimeStddev() : 0;
+}
+
+}  // namespace mav_vo

@@ -1,0 +1,84 @@
+// What the IMU and the feature tracks tell without a map: the gyro's bias, the clocks' offset, the readout time of a
+// rolling shutter, whether the vehicle rests, and which way is up.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "image_clock_imu.h"
+#include "mav_vo/odometry.h"
+#include "visual_frontend/imu_attitude.h"
+
+namespace mav_vo {
+
+/// Against gravity, in the IMU's axes.
+struct UpDirection {
+  Eigen::Vector3d up_imu = Eigen::Vector3d::UnitZ();
+  double sigma = 0.1;  ///< [rad]
+};
+
+class ImuAlignment {
+ public:
+  /// `ray_sigma`: of a normalised image coordinate; `rows`: of the images.
+  ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix3d& R_camera_imu, double ray_sigma, int rows);
+
+  bool add(const ImuSample& sample);
+  void reset();
+
+  /// The IMU seemed to rest before the images began: a hint, no more.
+  void takeRestOfImuAlone();
+  /// Up at the next image, `dt` [s] later; the camera turned by `R_previous_current`, none: not known.
+  void carryUp(const std::optional<Eigen::Matrix3d>& R_previous_current, double dt);
+  /// True when the vehicle rests: gyro bias and up are measured, unless a metric map knows them better.
+  bool detectStandstill(double stamp, const std::vector<visual_frontend::Feature>& features, bool metric);
+  /// Up as a metric map has it.
+  void setUp(const Eigen::Vector3d& up_imu) { up_ = UpDirection{up_imu, kMetricTilt}; }
+  const std::optional<UpDirection>& up() const { return up_; }  ///< since a rest, or in a metric map
+
+  /// A sure readout time replaces `in_use`; by how much, empty: not.
+  struct ReadoutChange {
+    double readout_time;  ///< [s]
+    bool large;           ///< what was seen with the one before is bent
+  };
+  std::optional<ReadoutChange> alignShutter(double stamp, const std::vector<visual_frontend::Feature>& features,
+                                            double in_use);
+  /// True when the estimates of bias and offset changed.
+  bool alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features);
+  /// The attitude filter follows a bias that is known well enough.
+  void followBias(const Eigen::Vector3d& gyro_bias);
+  /// True when a sure offset between the clocks replaced the one in use.
+  bool adoptTimeOffset();
+  /// A bias from elsewhere, kept where it is better known than the tracks'.
+  void keepBias(const Eigen::Vector3d& gyro_bias, double sigma);
+
+  /// R_a_b of the camera between two images' stamps, and its standard deviation; empty where samples are missing.
+  std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b, const Eigen::Vector3d& gyro_bias) const;
+  std::optional<Preintegration> motion(double stamp_a, double stamp_b, const ImuBias& bias) const {
+    return imu_.motion(stamp_a, stamp_b, noise_, bias);
+  }
+  std::string problem() const;  ///< empty: gyro and images agree
+
+  double imuStamp(double image_stamp) const { return imu_.stamp(image_stamp); }
+  const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }
+  Eigen::Vector3d gyroBias() const { return gyro_alignment_.bias(); }     ///< [rad/s]
+  double gyroBiasStddev() const { return gyro_alignment_.biasStddev(); }  ///< [rad/s]
+  double timeOffset() const { return imu_.offset(); }                     ///< in use [s]
+  double timeOffsetStddev() const;                                        ///< 0: given, not estimated [s]
+  double readoutTimeStddev() const;                                       ///< likewise [s]
+
+ private:
+  static constexpr double kMetricTilt = 0.01;  // of the metric map's z axis against gravity [rad]
+
+  OdometrySettings settings_;
+  ImuNoise noise_;
+  Eigen::Matrix3d R_camera_imu_;
+  ImageClockImu imu_{12.0};
+  visual_frontend::AttitudeFilter attitude_;
+  GyroAlignment gyro_alignment_;
+  std::optional<GyroAlignment> shutter_alignment_;  ///< apart: what it estimates besides makes the others less certain
+  StandstillDetector standstill_;
+  std::optional<UpDirection> up_;
+};
+
+}  // namespace mav_vo
