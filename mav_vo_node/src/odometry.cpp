@@ -61,6 +61,7 @@ void Odometry::Impl::startMap() {
   reason = "new map";
   located_stamp = -1;
   velocity.setZero();
+  turn_rate.setZero();
   T_map_camera.setIdentity();
   inliers = keyframe_landmarks = 0;
   scene_distance = 1;
@@ -87,9 +88,8 @@ void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
   if (!shutter.active()) return;
   const double half = 0.5 * std::abs(shutter.readoutTime());
   const auto turn = cameraTurn(stamp - half, stamp + half);
-  shutter.setMotion(
-      turn ? Eigen::Vector3d(air_ground_common::logSO3(turn->R_a_b) / (2 * half)) : Eigen::Vector3d::Zero(),
-      predicted.linear().transpose() * velocity);
+  shutter.setMotion(turn ? Eigen::Vector3d(air_ground_common::logSO3(turn->R_a_b) / (2 * half)) : turn_rate,
+                    predicted.linear().transpose() * velocity);
 }
 
 Eigen::Vector2d Odometry::Impl::rayOf(const Feature& feature) const {
@@ -212,9 +212,11 @@ void Odometry::Impl::localized(bool continuous) {
     const Pose T_map_previous = records.lastPose(map);
     const double dt = last_stamp - located_stamp;
     velocity = (T_map_camera.translation() - T_map_previous.translation()) / dt;
+    turn_rate = air_ground_common::logSO3(T_map_previous.linear().transpose() * T_map_camera.linear()) / dt;
     increment = incrementSince(T_map_previous);
   } else {
     velocity.setZero();
+    turn_rate.setZero();
   }
   std::optional<Preintegration> motion;
   if (known_before && settings.use_imu)

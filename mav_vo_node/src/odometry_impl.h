@@ -128,6 +128,7 @@ struct Odometry::Impl {
   Pose T_map_camera = Pose::Identity();  ///< at located_stamp
   Eigen::Vector3d velocity =
       Eigen::Vector3d::Zero();  ///< of the camera in the map [unit/s], constant-velocity prediction
+  Eigen::Vector3d turn_rate = Eigen::Vector3d::Zero();  ///< of the camera, by its last two poses, own axes [rad/s]
   PoseResult last_pose;
   Matrix6d previous_covariance = Matrix6d::Zero();
   double lost_since = 0;

@@ -21,6 +21,7 @@ struct Options {
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
   double readout = 0;    ///< of a rolling shutter [s]
+  bool told = false;     ///< the odometry is told of it
   double replay = 0;     ///< added to all stamps: the recording is played again, time going on [s]
   unsigned seed = 11;    ///< of the IMU's noise
   int grain = 5;         ///< of the images' noise
@@ -51,6 +52,7 @@ inline cv::Mat renderRows(const synthetic::PlateWorld& world, const Options& opt
 inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* given = nullptr) {
   static const synthetic::PlateWorld world(3);
   settings.use_imu = options.imu;
+  if (options.told) settings.readout_time = options.readout;
   std::unique_ptr<Odometry> own;
   if (!given) {
     own = std::make_unique<Odometry>(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), settings);

@@ -120,16 +120,19 @@ void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const 
     const Eigen::Vector3f p = R * (cell.z * Eigen::Vector3f(cell.x, cell.y, 1)) + t;
     auto pixel = camera.project(p.cast<double>());
     if (!pixel) continue;
-    if (rolling) pixel = rows->toItsRow(*pixel, p.cast<double>());
+    float expected = p.z();
+    if (rolling) {
+      // The row that sees it is next to that of the middle row's image: within a pixel nothing changes.
+      const Eigen::Vector3d in_row = rows->pointFromMiddleRow(pixel->y(), p.cast<double>());
+      pixel = camera.project(in_row);
+      if (!pixel) continue;
+      expected = static_cast<float>(in_row.z());
+    }
     const int u = static_cast<int>(std::lround(pixel->x())), v = static_cast<int>(std::lround(pixel->y()));
     if (u < 0 || v < 0 || u >= depth.cols || v >= depth.rows) continue;
-    float z = depth.at<float>(v, u);
+    const float z = depth.at<float>(v, u);
     if (!known(z) || z < model.min_range || z > model.max_range) continue;
-    if (rolling) {
-      const Eigen::Vector2d ray = camera.unproject(Eigen::Vector2d(u, v));
-      z = static_cast<float>(rows->pointToMiddleRow(v, z * ray.homogeneous()).z());
-    }
-    const float sigma = static_cast<float>(model.sigma(z)), difference = z - p.z();
+    const float sigma = static_cast<float>(model.sigma(z)), difference = z - expected;
     // The surface may rise within the pixel: that much is no disagreement.
     const float slack = static_cast<float>(settings.gate) * sigma + 0.5f * z / static_cast<float>(camera.fx) * 3.f;
     if (std::abs(difference) > slack) {
@@ -141,7 +144,7 @@ void KeyframeDepth::fuse(const CameraModel& camera, const cv::Mat& depth, const 
     // Depth along the keyframe's ray whose image is at the measured depth.
     const float along = R.row(2).dot(Eigen::Vector3f(cell.x, cell.y, 1));
     if (along < 0.3f) continue;
-    const float measured = (z - t.z()) / along, weight = along * along / (sigma * sigma);
+    const float measured = (z + (p.z() - expected) - t.z()) / along, weight = along * along / (sigma * sigma);
     cell.z += weight / (cell.weight + weight) * (measured - cell.z);
     cell.weight += weight;
   }

@@ -20,6 +20,12 @@ Eigen::Vector3d RollingShutter::pointToMiddleRow(double row, const Eigen::Vector
   return rotate(angular_rate_ * t, p_camera) + t * velocity_;
 }
 
+Eigen::Vector3d RollingShutter::pointFromMiddleRow(double row, const Eigen::Vector3d& p_camera) const {
+  if (!active()) return p_camera;
+  const double t = timeOf(row);
+  return rotate(-angular_rate_ * t, p_camera - t * velocity_);
+}
+
 Eigen::Vector2d RollingShutter::toMiddleRow(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized,
                                             double inverse_depth) const {
   if (!active()) return normalized;
@@ -34,8 +40,7 @@ Eigen::Vector2d RollingShutter::toItsRow(const Eigen::Vector2d& pixel, const Eig
   if (!active()) return pixel;
   Eigen::Vector2d result = pixel;
   for (int i = 0; i < 3; ++i) {  // the motion decides the row, and the row how much of the motion
-    const double t = timeOf(result.y());
-    const auto moved = camera_.project(rotate(-angular_rate_ * t, p_camera - t * velocity_));
+    const auto moved = camera_.project(pointFromMiddleRow(result.y(), p_camera));
     if (!moved) return pixel;
     result = *moved;
   }

@@ -23,6 +23,9 @@ class RollingShutter {
   /// Point seen in a row, camera frame when that row was exposed, to the camera frame of the middle row [m].
   Eigen::Vector3d pointToMiddleRow(double row, const Eigen::Vector3d& p_camera) const;
 
+  /// The converse: in the camera frame when that row was exposed [m].
+  Eigen::Vector3d pointFromMiddleRow(double row, const Eigen::Vector3d& p_camera) const;
+
   /// Normalised coordinates as the camera at the middle row would see them. `inverse_depth` 0: far away or not known.
   Eigen::Vector2d toMiddleRow(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized,
                               double inverse_depth) const;
