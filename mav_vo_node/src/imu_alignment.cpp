@@ -27,7 +27,6 @@ constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images
 ImuAlignment::ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix3d& R_camera_imu, double ray_sigma,
                            int rows)
     : settings_(settings),
-      noise_(settings.imu_noise),
       R_camera_imu_(R_camera_imu),
       gyro_alignment_(settings.gyro_alignment, settings.imu_noise, R_camera_imu, ray_sigma, rows),
       standstill_(settings.standstill) {

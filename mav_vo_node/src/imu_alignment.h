@@ -55,7 +55,7 @@ class ImuAlignment {
   /// R_a_b of the camera between two images' stamps, and its standard deviation; empty where samples are missing.
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b, const Eigen::Vector3d& gyro_bias) const;
   std::optional<Preintegration> motion(double stamp_a, double stamp_b, const ImuBias& bias) const {
-    return imu_.motion(stamp_a, stamp_b, noise_, bias);
+    return imu_.motion(stamp_a, stamp_b, settings_.imu_noise, bias);
   }
   std::string problem() const;  ///< empty: gyro and images agree
 
@@ -71,7 +71,6 @@ class ImuAlignment {
   static constexpr double kMetricTilt = 0.01;  // of the metric map's z axis against gravity [rad]
 
   OdometrySettings settings_;
-  ImuNoise noise_;
   Eigen::Matrix3d R_camera_imu_;
   ImageClockImu imu_{12.0};
   visual_frontend::AttitudeFilter attitude_;

@@ -5,8 +5,6 @@
 #include <cmath>
 #include <iterator>
 
-#include "air_ground_common/geometry.h"
-
 namespace rgbd_slam {
 
 using air_ground_common::Pose;
@@ -44,7 +42,7 @@ Pose KeyframeTrajectory::lastPose(const Map& map) const {
   return map.keyframe(frames_.back().reference).T_map_camera * T_reference_last_;
 }
 
-std::optional<KeyframeTrajectory::Motion> KeyframeTrajectory::motionAt(double stamp, const Map& map) const {
+std::optional<visual_frontend::CameraVelocity> KeyframeTrajectory::velocityAt(double stamp, const Map& map) const {
   const auto at = std::lower_bound(frames_.begin(), frames_.end(), stamp,
                                    [](const Frame& f, double earlier) { return f.stamp < earlier; });
   if (at == frames_.end() || at->stamp != stamp) return std::nullopt;
@@ -54,11 +52,7 @@ std::optional<KeyframeTrajectory::Motion> KeyframeTrajectory::motionAt(double st
   const double dt = after->stamp - before->stamp;
   if (!(dt > 0)) return std::nullopt;
   const auto poseOf = [&map](const auto& f) { return Pose(map.keyframe(f->reference).T_map_camera * f->pose()); };
-  const Pose T_map_before = poseOf(before), T_map_after = poseOf(after);
-  const Eigen::Matrix3d R_camera_map = poseOf(at).linear().transpose();
-  const Eigen::Matrix3d turn = T_map_after.linear() * T_map_before.linear().transpose();
-  return Motion{R_camera_map * (T_map_after.translation() - T_map_before.translation()) / dt,
-                R_camera_map * air_ground_common::logSO3(turn) / dt};
+  return visual_frontend::velocityBetween(poseOf(before), poseOf(at), poseOf(after), dt);
 }
 
 air_ground_common::Trajectory KeyframeTrajectory::poses(const Map& map) const {

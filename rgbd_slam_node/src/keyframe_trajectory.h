@@ -6,6 +6,7 @@
 
 #include "air_ground_common/trajectory.h"
 #include "visual_frontend/map.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
 
@@ -18,11 +19,8 @@ class KeyframeTrajectory {
   /// Camera of the last frame in the map, as its keyframe stands now.
   air_ground_common::Pose lastPose(const visual_frontend::Map& map) const;
   air_ground_common::Trajectory poses(const visual_frontend::Map& map) const;
-  /// How the camera moved in its own axes [m/s, rad/s] at the frame of this stamp, by those before and after it.
-  struct Motion {
-    Eigen::Vector3d velocity, angular_rate;
-  };
-  std::optional<Motion> motionAt(double stamp, const visual_frontend::Map& map) const;
+  /// How the camera moved at the frame of this stamp, by those before and after it.
+  std::optional<visual_frontend::CameraVelocity> velocityAt(double stamp, const visual_frontend::Map& map) const;
   /// Before keyframe `from` leaves the map: its frames go by `to`.
   void rebase(visual_frontend::KeyframeId from, visual_frontend::KeyframeId to, const visual_frontend::Map& map);
   void clear() { frames_.clear(); }

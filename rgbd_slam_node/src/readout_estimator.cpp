@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "air_ground_common/statistics.h"
+#include "visual_frontend/rolling_shutter.h"
 
 namespace rgbd_slam {
 
@@ -161,17 +162,13 @@ bool ReadoutEstimator::add(double stamp, const Pose& T_map_camera, const std::ve
 
 bool ReadoutEstimator::conclude(const Pose& T_map_after, double after) {
   if (!before_ || (!views_.empty() && last_->stamp - views_.back().stamp < kViewInterval)) return false;
-  const double dt = after - before_->stamp;
-  const Eigen::Matrix3d R_camera_map = last_->T_map_camera.linear().transpose();
-  const Eigen::Vector3d velocity =
-      R_camera_map * (T_map_after.translation() - before_->T_map_camera.translation()) / dt;
-  const Eigen::Matrix3d turn = T_map_after.linear() * before_->T_map_camera.linear().transpose();
-  const Eigen::Vector3d rate = R_camera_map * air_ground_common::logSO3(turn) / dt;
+  const auto velocity =
+      visual_frontend::velocityBetween(before_->T_map_camera, last_->T_map_camera, T_map_after, after - before_->stamp);
   for (auto& [track, sight] : last_->sights) {
     const Eigen::Vector3d& p = sight.point.p_camera;
     const Eigen::Vector3d off_axis(p.x(), p.y(), 0);
-    sight.by_state << sight.point.row * (rate.cross(p) + velocity), off_axis, p.z() * Eigen::Vector3d::UnitX(),
-        p.z() * Eigen::Vector3d::UnitY(), p.hnormalized().squaredNorm() * off_axis;
+    sight.by_state << sight.point.row * (velocity.angular.cross(p) + velocity.linear), off_axis,
+        p.z() * Eigen::Vector3d::UnitX(), p.z() * Eigen::Vector3d::UnitY(), p.hnormalized().squaredNorm() * off_axis;
   }
   bool changed = false;
   for (const double span : kSpans) {

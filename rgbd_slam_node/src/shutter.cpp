@@ -47,9 +47,9 @@ void Slam::Impl::moveRows(double change) {
   visual_frontend::RollingShutter shift(camera, change);
   for (const auto& entry : map.keyframes()) {
     Keyframe& keyframe = map.keyframe(entry.first);
-    const auto moved = frames.motionAt(keyframe.stamp, map);
+    const auto moved = frames.velocityAt(keyframe.stamp, map);
     if (!moved) continue;
-    shift.setMotion(moved->angular_rate, moved->velocity);
+    shift.setMotion(moved->angular, moved->linear);
     const Pose T_camera_map = keyframe.T_map_camera.inverse();
     const auto put = [&shift](const Eigen::Vector2d& pixel, double inverse_depth, Eigen::Vector2d* normalized,
                               double* depth) {

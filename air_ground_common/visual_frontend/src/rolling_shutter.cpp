@@ -14,6 +14,13 @@ Eigen::Vector3d rotate(const Eigen::Vector3d& v, const Eigen::Vector3d& p) {
 
 }  // namespace
 
+CameraVelocity velocityBetween(const Pose& T_map_before, const Pose& T_map_camera, const Pose& T_map_after, double dt) {
+  const Eigen::Matrix3d R_camera_map = T_map_camera.linear().transpose();
+  const Eigen::Matrix3d turn = T_map_after.linear() * T_map_before.linear().transpose();
+  return {R_camera_map * (T_map_after.translation() - T_map_before.translation()) / dt,
+          R_camera_map * air_ground_common::logSO3(turn) / dt};
+}
+
 Eigen::Vector3d RollingShutter::pointToMiddleRow(double row, const Eigen::Vector3d& p_camera) const {
   if (!active()) return p_camera;
   const double t = timeOf(row);

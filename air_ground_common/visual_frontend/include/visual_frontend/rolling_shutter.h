@@ -5,6 +5,14 @@
 
 namespace visual_frontend {
 
+/// Of a camera, in its own axes.
+struct CameraVelocity {
+  Eigen::Vector3d linear, angular;  ///< [m/s], [rad/s]
+};
+
+/// At T_map_camera, from where the camera was before and after; `dt`: between these two [s].
+CameraVelocity velocityBetween(const Pose& T_map_before, const Pose& T_map_camera, const Pose& T_map_after, double dt);
+
 /// Row r is exposed at stamp + (r / height - 0.5) * readout_time; during an image the camera's motion is uniform.
 class RollingShutter {
  public:
