@@ -15,7 +15,7 @@ import yaml
 from roslib.packages import find_node
 
 ROOT = rospkg.RosPack().get_path('air_ground')
-NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'icp_refine', 'streetview_localizer', 'ekf_tracker')
+NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'view_match', 'icp_refine', 'streetview_localizer', 'ekf_tracker')
 LAUNCH_FILES = ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch', 'tracker.launch', 'city_localizer.launch', 'city.launch')
 # What city.launch sets itself in the files that it includes.
 SET_BY_CITY = {'database', 'bag', 'rviz', 'rviz_config', 'rate', 'start', 'images', 'camera', 'cameras', 'period', 'mav_camera_frame', 'tracker_name', 'localizer_required', 'respawn'}

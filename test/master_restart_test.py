@@ -18,7 +18,7 @@ from nav_msgs.msg import Odometry
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'air_ground_eval', 'scripts'))
 from air_ground_eval import demo  # noqa: E402
 
-NODES = ['/mav_vo', '/rgbd_slam', '/dense_fusion', '/heightmap_mcl', '/icp_refine', '/ekf_tracker']
+NODES = ['/mav_vo', '/rgbd_slam', '/dense_fusion', '/heightmap_mcl', '/view_match', '/icp_refine', '/ekf_tracker']
 SPEED = 1.0  # along x [m/s]
 
 

@@ -15,7 +15,7 @@ sys.path.insert(0, os.path.dirname(os.path.realpath(__file__)))
 from faults_test import ROBOTS  # noqa: E402
 from live_bag import LiveBag  # noqa: E402
 
-KILLED_AT = {'mav_vo': 7, 'rgbd_slam': 7, 'dense_fusion': 14, 'heightmap_mcl': 17, 'icp_refine': 20}  # [s of the bag]
+KILLED_AT = {'mav_vo': 7, 'rgbd_slam': 7, 'dense_fusion': 14, 'heightmap_mcl': 17, 'view_match': 18, 'icp_refine': 20}  # [s of the bag]
 
 
 def pid_of(node):

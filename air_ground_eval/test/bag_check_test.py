@@ -137,7 +137,7 @@ class BagCheck(unittest.TestCase):
             self.assertEqual(result.returncode, 0, result.stdout + result.stderr)
             self.assertEqual(result.stdout.splitlines()[-1], f'roslaunch air_ground replay.launch bag:={path} mav_image:=/cam0/image_raw '
                              'mav_camera_info:=/cam0/camera_info mav_imu:=/imu0 mav_base_frame:=imu4 mav_camera_frame:=cam0 rgbd_slam:=false '
-                             'heightmap_mcl:=false icp_refine:=false')
+                             'heightmap_mcl:=false view_match:=false icp_refine:=false')
 
             first(path, [('/drone/mono/image_raw/compressed', 'mono8', 'drone_cam'), ('/camera/color/image_raw', 'rgb8', 'camera_color'),
                          ('/camera/aligned_depth_to_color/image_raw', '16UC1', 'camera_color'), ('/camera/depth/image_rect_raw', '16UC1', 'camera_depth')],

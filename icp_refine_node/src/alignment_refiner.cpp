@@ -56,6 +56,8 @@ void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
 
 void AlignmentRefiner::setCoarse(const Pose& T) { coarse_ = T; }
 
+void AlignmentRefiner::setViews(const ViewAlignment& views) { views_ = views; }
+
 void AlignmentRefiner::setManual(const Pose& T) { manual_ = T; }
 
 void AlignmentRefiner::setScaleDeviation(double stddev) {
@@ -64,6 +66,10 @@ void AlignmentRefiner::setScaleDeviation(double stddev) {
 
 Priors AlignmentRefiner::priors() const {
   Priors out(scale_);
+  if (views_ && views_->tells_scale && views_->scale_stddev < out.scale.stddev) {
+    out.scale.mean = views_->T_ground_map_mav_map.scale;
+    out.scale.stddev = views_->scale_stddev;
+  }
   if (aerial_tilt_ > 0 && ground_tilt_ > 0)
     out.tilt_stddev = std::hypot(settings_.tilt_stddev, std::hypot(aerial_tilt_, ground_tilt_));
   return out;
@@ -92,12 +98,13 @@ void AlignmentRefiner::reset() {
 void AlignmentRefiner::forgetPoses() {
   coarse_.reset();
   manual_.reset();
+  views_.reset();
   tracked_.reset();
   rejections_ = disagreements_ = 0;
 }
 
 std::string AlignmentRefiner::missing() const {
-  if (!tracked_ && !coarse_ && !manual_) return "waiting for a coarse alignment or a manual guess";
+  if (!tracked_ && !coarse_ && !views_ && !manual_) return "waiting for a coarse alignment or a manual guess";
   if (aerial_.empty()) return "waiting for aerial clouds";
   if (ground_.empty()) return "waiting for the ground map";
   return "";
@@ -183,18 +190,30 @@ RefineOutcome AlignmentRefiner::refine() {
   if (manual_) {
     out = attemptFromGuess(reading, *manual_);
     manual_.reset();
-    decided = out.status == RefineStatus::kConverged || (!tracked_ && !coarse_);
+    decided = out.status == RefineStatus::kConverged || (!tracked_ && !coarse_ && !views_);
     if (decided)
       disagreements_ = 0;
     else
       refused = "; the manual guess was not taken: " + out.reason;
   }
   const bool from_tracking = tracked_ && !decided;
-  if (!decided) out = from_tracking ? refineTracked(reading, centre) : attemptFromGuess(reading, *coarse_);
+  if (!decided) out = from_tracking ? refineTracked(reading, centre) : refineGuessed(reading);
   if (from_tracking || out.status == RefineStatus::kConverged) coarse_.reset();
   follow(from_tracking, &out);
   out.reason += refused;
   return out;
+}
+
+RefineOutcome AlignmentRefiner::refineGuessed(const Cloud& reading) {
+  if (!views_) return attemptFromGuess(reading, *coarse_);
+  RefineOutcome out = attempt(reading, views_->T_ground_map_mav_map);
+  if (out.status == RefineStatus::kConverged && !out.seen) {
+    out.status = RefineStatus::kRejected;
+    out.reason = "the clouds fit elsewhere than where the images tell";
+  }
+  if (out.status == RefineStatus::kConverged || !coarse_) return out;
+  RefineOutcome other = attemptFromGuess(reading, *coarse_);
+  return other.status == RefineStatus::kConverged ? other : out;
 }
 
 RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged) {
@@ -238,6 +257,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   out.residual_rms = icp.residual_rms;
   out.iterations = icp.iterations;
   if (icp.outcome == IcpResult::Outcome::kConverged) {
+    compareWithViews(out);
     out.heights = checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check,
                                ground_camera_);
     out.overlap = out.heights.overlap();
@@ -250,6 +270,11 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
     out.scale_stddev = 0;
   }
   return out;
+}
+
+void AlignmentRefiner::compareWithViews(RefineOutcome& out) const {
+  out.seen = views_ && squaredSigmas(*views_, out.icp) < settings_.view_squared_sigmas;
+  if (out.seen && !out.icp.localizability.complete()) out.covariance = heldByViews(*views_, out.icp);
 }
 
 void AlignmentRefiner::judge(RefineOutcome& out) const {
@@ -265,7 +290,7 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
     return rejected(formatted("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap,
                               100 * settings_.min_overlap));
   }
-  if (!icp.localizability.complete())
+  if (!icp.localizability.complete() && !out.seen)
     return degenerate("the geometry does not fix: " + icp.localizability.describeMissing());
   const double sigma = largestSigma(out.covariance.topLeftCorner<3, 3>());
   const double sigma_angle = largestSigma(out.covariance.bottomRightCorner<3, 3>());
@@ -277,16 +302,17 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
     return rejected(formatted("residual %.3f m RMS, at most %.3f m", icp.residual_rms, settings_.max_rms));
   // Beyond what odometry and clouds leave open with 99.99 % (normal, one degree of freedom): bent to fit a wrong place.
   const double scale = out.T_ground_map_mav_map.scale;
-  const double excess = std::abs(scale - scale_.mean) / std::hypot(scale_.stddev, out.scale_stddev);
-  if (scale_.mode == ScalePrior::Mode::kPrior && excess > 3.9) {
+  const ScalePrior prior = priors().scale;
+  const double excess = std::abs(scale - prior.mean) / std::hypot(prior.stddev, out.scale_stddev);
+  if (prior.mode == ScalePrior::Mode::kPrior && excess > 3.9) {
     return rejected(formatted("scale %.3f, %.1f standard deviations from what the odometry can err by (%.1f %%)", scale,
-                              excess, 100 * scale_.stddev));
+                              excess, 100 * prior.stddev));
   }
-  if (!out.heights.conclusive) {
+  if (!out.heights.conclusive && !out.seen) {
     return degenerate(formatted("only %d cells off the floor were seen by both: too few to verify the pose",
                                 out.heights.relief_cells));
   }
-  if (out.heights.agreement() < settings_.min_agreement) {
+  if (out.heights.conclusive && out.heights.agreement() < settings_.min_agreement) {
     return rejected(formatted("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
                               100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
   }
@@ -295,7 +321,8 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
                     icp.residual_rms, 100 * out.overlap, 100 * out.heights.agreement(), out.heights.relief_cells, sigma,
                     sigma_angle / kDegree) +
               (icp.scale_estimated ? formatted("scale %.4f +- %.4f", scale, out.scale_stddev)
-                                   : formatted("scale held at %.4f: the geometry does not fix it", scale)));
+                                   : formatted("scale held at %.4f: the geometry does not fix it", scale)) +
+              (out.seen ? ", the images agree" : ""));
 }
 
 }  // namespace icp_refine

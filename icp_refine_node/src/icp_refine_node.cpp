@@ -11,6 +11,7 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
+#include "alignment_input.h"
 #include "chain_parameter.h"
 #include "ground_camera.h"
 #include "map_file.h"
@@ -38,6 +39,7 @@ class IcpRefineNode {
             "ground robot", kGroundStreams, RobotMapSession(settings_.ground_map_frame), health_,
             [this] { startGround(); }, [this] { worker_.post(&Inbox::reviseGround); }) {
     coarse_subscriber_ = handle_.subscribe("alignment/coarse", 50, &IcpRefineNode::onCoarse, this);
+    views_subscriber_ = handle_.subscribe("alignment/views", 50, &IcpRefineNode::onViews, this);
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
     ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
     ground_status_subscriber_ = handle_.subscribe("ground/slam_status", 100, &IcpRefineNode::onGroundStatus, this);
@@ -51,7 +53,7 @@ class IcpRefineNode {
   }
 
  private:
-  enum MavStream { kAerial, kCoarse, kOdometry, kMavStatus, kMavStreams };
+  enum MavStream { kAerial, kCoarse, kViews, kOdometry, kMavStatus, kMavStreams };
   enum GroundStream { kGround, kGroundStatus, kGroundStreams };
 
   // All callbacks run in the one thread that spins: what they alone use needs no lock.
@@ -76,12 +78,21 @@ class IcpRefineNode {
     });
   }
 
+  /// The first part of the first map tells the map's unit, without a change of map.
+  template <typename Change>
+  void postOfMav(const Change& change) {
+    worker_.post([&](Inbox& inbox) {
+      inbox.own_unit = mav_.map().ownUnit();
+      change(inbox);
+    });
+  }
+
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
     if (!mav_.admitMap(kAerial, msg->header, "dense clouds")) return;
     auto points = ros_utils::readCloud(*msg, "dense clouds", health_);
     if (!points) return;
-    worker_.post([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
+    postOfMav([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
   }
 
   void onGround(const sensor_msgs::PointCloud2::ConstPtr& msg) {
@@ -138,26 +149,31 @@ class IcpRefineNode {
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
-    if (msg->status != AlignmentEstimate::STATUS_CONVERGED) return;
-    if (!ground_.isFrame(msg->header.frame_id, settings_.ground_map_frame, "coarse alignments")) return;
-    if (!mav_.isFrame(msg->child_frame_id, mav_.map().expectedFrame(), "coarse alignments' child")) return;
+    useAlignment(*msg, kCoarse, "coarse alignments", [&] {
+      postOfMav([coarse = coarseAlignmentFrom(*msg, mav_.map().ownUnit())](Inbox& inbox) { inbox.coarse = coarse; });
+    });
+  }
+
+  void onViews(const AlignmentEstimate::ConstPtr& msg) {
+    useAlignment(*msg, kViews, "alignments by views", [&] {
+      postOfMav([views = viewAlignmentFrom(*msg, mav_.map().ownUnit())](Inbox& inbox) { inbox.views = views; });
+    });
+  }
+
+  /// When it is CONVERGED, and of the maps that both robots have now.
+  void useAlignment(const AlignmentEstimate& msg, MavStream stream, const std::string& what,
+                    const std::function<void()>& use) {
+    if (msg.status != AlignmentEstimate::STATUS_CONVERGED) return;
+    if (!ground_.isFrame(msg.header.frame_id, settings_.ground_map_frame, what)) return;
+    if (!mav_.isFrame(msg.child_frame_id, mav_.map().expectedFrame(), what + "' child")) return;
+    if (!mav_.admit(stream, msg.header.stamp)) return;
+    mav_.observe(msg.map_id, msg.header.stamp, true);
+    if (mav_.map().id() != msg.map_id) return health_.count(what + " of another map");
     try {
-      const Pose T = ros_utils::fromMsg(msg->pose.pose);
-      if (!mav_.admit(kCoarse, msg->header.stamp)) return;
-      mav_.observe(msg->map_id, msg->header.stamp, true);
-      if (mav_.map().id() != msg->map_id) {
-        health_.count("coarse alignments of another map");
-        return;
-      }
-      worker_.setMapId(msg->map_id);
-      CoarseAlignment coarse{similarity(T), 0};
-      if (mav_.map().ownUnit()) {
-        if (!(msg->scale > 0) || !std::isfinite(msg->scale)) throw std::invalid_argument("the scale is not positive");
-        coarse = {similarity(T, msg->scale), msg->scale_stddev / msg->scale};
-      }
-      worker_.post([&](Inbox& inbox) { inbox.coarse = coarse; });
+      use();
+      worker_.setMapId(msg.map_id);
     } catch (const std::exception& e) {
-      health_.count(std::string("coarse alignment unreadable: ") + e.what());
+      health_.count(what + " unreadable: " + e.what());
     }
   }
 
@@ -223,8 +239,8 @@ class IcpRefineNode {
   bool ground_forgotten_ = false;  // and none has come since
   ros_utils::RobotMapInput mav_, ground_;
 
-  ros::Subscriber coarse_subscriber_, aerial_subscriber_, ground_subscriber_, ground_status_subscriber_,
-      odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;
+  ros::Subscriber coarse_subscriber_, views_subscriber_, aerial_subscriber_, ground_subscriber_,
+      ground_status_subscriber_, odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;
   ros::ServiceServer reset_service_, refine_service_;
 };
 

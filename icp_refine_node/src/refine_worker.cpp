@@ -70,6 +70,7 @@ void Inbox::startMap(bool in_own_unit) {
   scale_deviation.reset();
   aerial_tilt.reset();
   coarse.reset();
+  views.reset();
   manual.reset();
 }
 
@@ -84,6 +85,7 @@ void Inbox::startGround() {
   ground_camera.reset();
   ground_tilt.reset();
   coarse.reset();
+  views.reset();
   manual.reset();
 }
 
@@ -176,10 +178,11 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.aerial_tilt) refiner_.setAerialTilt(*inbox.aerial_tilt);
   if (inbox.ground_tilt) refiner_.setGroundTilt(*inbox.ground_tilt);
   if (inbox.coarse) useCoarse(*inbox.coarse);
+  if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
   map_due_ |= inbox.ground && map_.aligned();
   // While tracking, the next aerial cloud is soon enough: a new ground map alone would only cost its normals.
-  const bool wanted = (inbox.coarse || inbox.ground) && !refiner_.tracking();
+  const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && !refiner_.tracking();
   return inbox.refine || !inbox.aerial.empty() || inbox.manual || wanted;
 }
 
@@ -191,21 +194,24 @@ void RefineWorker::addAerial(const AerialCloud& aerial) {
   refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), positionsOf(points));
 }
 
+void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
+  const Similarity now = levelMetric(T_ground_visual);
+  const bool other = !T_metric_visual_ || std::abs(std::log(now.scale / T_metric_visual_->scale)) > kOtherScale ||
+                     air_ground_common::rotationAngle(now.R, T_metric_visual_->R) > kOtherLevel;
+  if (!other || refiner_.tracking()) return;
+  T_metric_visual_ = now;
+  refiner_.startMap();
+  map_.clearAerial();
+  for (const auto& aerial : own_clouds_) addAerial(aerial);
+}
+
 void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
   const Similarity& T = coarse.T_ground_map_mav_map;
   if (!own_unit_) {
     refiner_.setCoarse(poseOf(T));
     return;
   }
-  const Similarity now = levelMetric(T);
-  const bool other = !T_metric_visual_ || std::abs(std::log(now.scale / T_metric_visual_->scale)) > kOtherScale ||
-                     air_ground_common::rotationAngle(now.R, T_metric_visual_->R) > kOtherLevel;
-  if (other && !refiner_.tracking()) {
-    T_metric_visual_ = now;
-    refiner_.startMap();
-    map_.clearAerial();
-    for (const auto& aerial : own_clouds_) addAerial(aerial);
-  }
+  makeMetric(T);
   refiner_.setScaleDeviation(std::max(kWeakScale, coarse.scale_stddev));
   // Rigid, and right where the newest cloud is.
   Eigen::Vector3d middle = Eigen::Vector3d::Zero();
@@ -214,6 +220,15 @@ void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
     for (const auto& p : points) middle += p.position.cast<double>() / static_cast<double>(points.size());
   }
   refiner_.setCoarse(rigidAt(compose(T, inverse(*T_metric_visual_)), *T_metric_visual_ * middle));
+}
+
+void RefineWorker::useViews(ViewAlignment views) {
+  if (own_unit_) {
+    makeMetric(views.T_ground_map_mav_map);
+    refiner_.setScaleDeviation(kWeakScale);
+    views.T_ground_map_mav_map = compose(views.T_ground_map_mav_map, inverse(*T_metric_visual_));
+  }
+  refiner_.setViews(views);
 }
 
 void RefineWorker::refine() {

@@ -13,18 +13,12 @@
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
+#include "alignment_input.h"
 #include "alignment_output.h"
-#include "icp_refine/similarity.h"
 
 namespace icp_refine {
 
 using air_ground_common::ros_utils::CloudPoint;
-
-/// Where the coarse stage has placed the MAV's map.
-struct CoarseAlignment {
-  Similarity T_ground_map_mav_map;
-  double scale_stddev = 0;  ///< relative
-};
 
 struct AerialCloud {
   ros::Time stamp;
@@ -39,12 +33,14 @@ struct Inbox {
   std::optional<double> ground_camera;  ///< greatest z of the ground robot's camera in its map [m]
   std::deque<AerialCloud> aerial;
   std::optional<CoarseAlignment> coarse;
+  std::optional<ViewAlignment> views;
   std::optional<Pose> manual;
   bool own_unit = false;                           ///< the clouds are in the visual map's unit
   std::optional<double> scale_deviation;           ///< relative, as the odometry states it
   std::optional<double> aerial_tilt, ground_tilt;  ///< standard deviations of the maps' verticals [rad]; 0: not known
   bool any() const {
-    return forgets() || aerial_revised || refine || map_subscriber || ground || !aerial.empty() || coarse || manual;
+    return forgets() || aerial_revised || refine || map_subscriber || ground || !aerial.empty() || coarse || views ||
+           manual;
   }
   void startMap(bool in_own_unit);
   /// The map was corrected as a whole: what relates both maps stays about right, the clouds so far do not.
@@ -73,7 +69,10 @@ class RefineWorker {
   void work();
   bool use(Inbox& inbox);
   void addAerial(const AerialCloud& aerial);
+  /// Of a map without scale: what makes it about metric and level. A start afresh where that differs from before.
+  void makeMetric(const Similarity& T_ground_visual);
   void useCoarse(const CoarseAlignment& coarse);
+  void useViews(ViewAlignment views);
   void refine();
   void dropMapPose();
   void publishMapWhenDue();

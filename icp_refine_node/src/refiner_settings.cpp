@@ -42,6 +42,10 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
     "heights are compared with the best column this near");
   v("accept/height_tolerance_z", r.height_check.tolerance_z, {0, 10}, "m", "");
   v("accept/relief", r.height_check.relief, {0, 100}, "m", "off the floor: farther than this from its height");
+  v("accept/view_squared_sigmas", r.view_squared_sigmas, {0, 1e6}, "",
+    "by which the pose may differ from what the images tell (alignment/views), in sigmas of both, squared: then "
+    "directions "
+    "that the geometry does not fix are theirs, and heights need not verify it");
 
   v.section("Tracking: once CONVERGED, the next refinements start from the last refined pose");
   v("tracking/lost_after", r.lost_after, {1, 1000}, "",

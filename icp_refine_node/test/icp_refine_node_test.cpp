@@ -192,7 +192,7 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
   sendCoarse(Pose::Identity());
   for (const char* event :
        {"dense clouds without a finite point", "dense clouds in frame 'ground_map'", "dense clouds in frame ''",
-        "ground maps without a finite point", "coarse alignment unreadable", "initial pose unreadable",
+        "ground maps without a finite point", "coarse alignments unreadable", "initial pose unreadable",
         "points of dense clouds that are not finite"}) {
     EXPECT_TRUE(awaitCount(event, 1)) << event;
   }

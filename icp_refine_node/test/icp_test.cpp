@@ -179,8 +179,8 @@ TEST(Icp, TheTiltPriorHoldsMapsParallel) {
   const auto scene = synthetic::makeScene(6, exact());
   const Eigen::Vector3d centre = scene.T_ground_map_mav_map * synthetic::centroid(scene.aerial);
   const auto reference = shipped().prepareReference(scene.ground);
-  for (const Eigen::Vector3d lean : {Eigen::Vector3d(0.02, 0, 0), Eigen::Vector3d(-0.02, 0, 0),
-                                     Eigen::Vector3d(0, 0.02, 0), Eigen::Vector3d(0, -0.02, 0)}) {
+  for (const Eigen::Vector3d& lean : {Eigen::Vector3d(0.02, 0, 0), Eigen::Vector3d(-0.02, 0, 0),
+                                      Eigen::Vector3d(0, 0.02, 0), Eigen::Vector3d(0, -0.02, 0)}) {
     Vector7d turn = Vector7d::Zero();
     turn.segment<3>(3) = -lean;
     const Pose& T = scene.T_ground_map_mav_map;

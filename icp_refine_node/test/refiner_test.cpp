@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 #include <yaml-cpp/yaml.h>
 
+#include <random>
+
 #include "icp_refine/alignment_refiner.h"
 #include "icp_refine/augmented_map.h"
 #include "synthetic_scene.h"
@@ -106,6 +108,75 @@ TEST_F(Refiner, AWrongCoarsePoseIsRejectedAndNotTracked) {
   if (out.status == RefineStatus::kRejected) {
     EXPECT_GE(out.covariance.diagonal().minCoeff(), 1e6);
   }
+}
+
+/// Floor and one wall along x: nothing tells where along the wall the MAV was.
+class AlongAWall : public testing::Test {
+ protected:
+  AlongAWall() : refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
+    std::mt19937 random(3);
+    std::normal_distribution<float> noise(0, 0.005f);
+    const auto scan = [&](float from, float to) {
+      Cloud cloud;
+      for (float x = from; x < to; x += 0.03f) {
+        for (float y = 0; y < 2; y += 0.03f) cloud.points.emplace_back(x, y, noise(random));
+        for (float z = 0; z < 1.5f; z += 0.03f) cloud.points.emplace_back(x, 2 + noise(random), z);
+      }
+      return cloud;
+    };
+    refiner.setGround(scan(-3, 3));
+    refiner.addAerial(1, transformed(scan(-1.5, 1.5), truth.inverse()));
+    views.centre = {0, 1, 0.5};
+    views.covariance = 9e-4 * Matrix6d::Identity();
+    views.covariance.bottomRightCorner<3, 3>() *= 0.1;
+  }
+  void seeAt(double x, double y) {
+    views.T_ground_map_mav_map = similarity(Pose(Eigen::Translation3d(x, y, 0) * truth));
+    refiner.setViews(views);
+  }
+
+  Pose truth = air_ground_common::yawPose(0.7, {1, 2, 0.1});  // T_ground_map_mav_map
+  AlignmentRefiner refiner;
+  ViewAlignment views;
+};
+
+TEST_F(AlongAWall, TheCloudsAloneAreDegenerate) {
+  refiner.setCoarse(truth);
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kDegenerate);
+}
+
+TEST_F(AlongAWall, ViewsTellWhatTheGeometryLeavesOpen) {
+  seeAt(0.02, 0.05);
+  const RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_TRUE(out.seen);
+  const Eigen::Vector3d error =
+      out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point;
+  EXPECT_NEAR(error.x(), 0.02, 0.01);  // as the images say
+  EXPECT_NEAR(error.y(), 0, 0.01);     // as the wall says
+  EXPECT_NEAR(std::sqrt(out.covariance(0, 0)), 0.03, 0.015);
+  EXPECT_LT(std::sqrt(out.covariance(1, 1)), std::sqrt(out.covariance(0, 0)));
+}
+
+TEST_F(AlongAWall, ViewsThatTheWallContradictsAreNotTaken) {
+  seeAt(0, 0.3);
+  const RefineOutcome out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kDegenerate) << out.reason;
+  EXPECT_FALSE(out.seen);
+  EXPECT_FALSE(refiner.tracking());
+}
+
+TEST_F(Refiner, ViewsThatTheCloudsContradictAreNotTaken) {
+  ViewAlignment views;
+  views.T_ground_map_mav_map = similarity(moved(0.3, 0, 0, 0));
+  views.covariance = 4e-4 * Matrix6d::Identity();
+  views.centre = scene.T_ground_map_mav_map * centre;
+  refiner.setViews(views);
+  const RefineOutcome out = refiner.refine();
+  EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(refiner.tracking());
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kConverged);
 }
 
 TEST_F(Refiner, WantOfOverlapKeepsThePoseContradictionsEndIt) {

@@ -72,6 +72,7 @@ class MavVoNode : private ros_utils::Estimator {
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
     FrameResult visual = odometry_->process(frame.stamp.toSec(), grey);
     visual.map_id = shell_.mapId();
+    last_stamp_ = frame.stamp;
     if (visual_) useAlignment(frame.stamp, visual.map_id);
     const FrameResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
@@ -90,6 +91,11 @@ class MavVoNode : private ros_utils::Estimator {
       return;
     const std::lock_guard<std::mutex> lock(alignment_mutex_);
     alignment_ = msg;
+  }
+
+  /// No more images come: what the alignment tells still makes the trajectory metric.
+  void idle() override {
+    if (visual_) useAlignment(last_stamp_, shell_.mapId());
   }
 
   /// The map's scale and vertical are those of its last alignment with the ground map, if it is of this map.
@@ -213,7 +219,7 @@ class MavVoNode : private ros_utils::Estimator {
   std::optional<ExternalScale> external_scale_;
   std::mutex alignment_mutex_;
   air_ground::AlignmentEstimate::ConstPtr alignment_;  // the newest that has not been used yet
-  ros::Time last_cloud_;
+  ros::Time last_stamp_, last_cloud_;
   std::uint32_t map_id_ = 0;
   std::size_t frame_count_ = 0;
   ros_utils::EstimatorShell shell_;

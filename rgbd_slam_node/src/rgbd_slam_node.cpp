@@ -13,6 +13,7 @@
 #include "air_ground_common/ros/pose_publisher.h"
 #include "cloud_publisher.h"
 #include "depth_input.h"
+#include "keyframe_publisher.h"
 #include "node_parameters.h"
 
 namespace rgbd_slam {
@@ -60,7 +61,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
                 "runs without rotation prior and takes the robot's base for level at the start"},
                *this),
         depth_(handle_, "ground/depth/camera_info", settings_.depth, shell_.mountings(), shell_.health()),
-        clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()) {
+        clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()),
+        keyframes_(handle_, "ground/map_keyframes", frames_.map_frame) {
     keyframe_publisher_ = handle_.advertise<sensor_msgs::Image>("ground/keyframe_image", 5);
     shell_.start();
   }
@@ -170,17 +172,18 @@ class RgbdSlamNode : private ros_utils::Estimator {
       }
     }
     if ((cloud_outdated_ && stamp.toSec() - last_cloud_.toSec() >= settings_.cloud_interval) || r.map_corrected)
-      requestCloud();
+      publishMap();
   }
 
   void idle() override {
-    if (cloud_outdated_) requestCloud();  // no more images come: show what there is
+    if (cloud_outdated_) publishMap();  // no more images come: show what there is
   }
 
-  void requestCloud() {
+  void publishMap() {
     cloud_outdated_ = false;
     last_cloud_ = last_stamp_;
     clouds_.request(shell_.mapId(), last_stamp_, slam_->posedPoints());
+    keyframes_.publish(shell_.mapId(), last_stamp_, slam_->map());
   }
 
   std::function<std::vector<ros_utils::CloudPoint>()> mapForFile() override {
@@ -208,6 +211,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros_utils::EstimatorShell shell_;
   DepthInput depth_;
   CloudPublisher clouds_;
+  KeyframePublisher keyframes_;
 };
 
 }  // namespace

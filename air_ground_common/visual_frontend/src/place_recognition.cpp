@@ -215,8 +215,9 @@ PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyfr
 
 PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate,
                       const PlaceSettings& settings) {
-  std::vector<KeyframeId> places;
-  for (const auto& entry : map.keyframes()) places.push_back(entry.first);
+  std::vector<KeyframeId> places = gate.places;
+  if (places.empty())
+    for (const auto& entry : map.keyframes()) places.push_back(entry.first);
   int matches = 0;
   std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
   const auto poseIn = [&](const PlaceMatch& m) {

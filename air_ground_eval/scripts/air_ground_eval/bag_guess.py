@@ -179,5 +179,5 @@ def command(facts, names, bases, frames, city=False, registered=True, arguments=
     if not city:
         words += [] if 'mav' in robots else ['mav_vo:=false', 'dense_fusion:=false']
         words += [] if 'ground' in robots else ['rgbd_slam:=false']
-        words += [] if len(robots) == 2 else ['heightmap_mcl:=false', 'icp_refine:=false']
+        words += [] if len(robots) == 2 else ['heightmap_mcl:=false', 'view_match:=false', 'icp_refine:=false']
     return ' '.join(shlex.quote(word) for word in [*words, *arguments])

@@ -10,6 +10,7 @@
 
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
+#include "icp_refine/view_alignment.h"
 
 namespace air_ground_common {
 class ParameterVisitor;
@@ -31,11 +32,13 @@ struct RefinerSettings {
   double max_sigma = 0.15;          ///< largest standard deviation of the position, any direction [m]
   double max_sigma_angle = 0.09;    ///< and of the rotation, any axis [rad]
   int lost_after = 3;               ///< refinements in a row that contradict the tracked pose end tracking
-  double coarse_distance = 0.5;     ///< a coarse pose this far from the refined one disagrees [m]
-  double coarse_angle = 0.26;       ///< or this far in heading [rad]
-  int coarse_disagreements = 3;     ///< in a row: then the coarse pose is tried against the refined one
-  ScalePrior scale;                 ///< of the aerial map, about 1; the odometry may state a larger deviation
-  double tilt_stddev = 0.002;       ///< by which maps lean apart beyond what their robots state [rad]
+  double view_squared_sigmas =
+      37;  ///< by which it may differ from what the images tell: 6 degrees of freedom, 1e-6; common errors aside
+  double coarse_distance = 0.5;  ///< a coarse pose this far from the refined one disagrees [m]
+  double coarse_angle = 0.26;    ///< or this far in heading [rad]
+  int coarse_disagreements = 3;  ///< in a row: then the coarse pose is tried against the refined one
+  ScalePrior scale;              ///< of the aerial map, about 1; the odometry may state a larger deviation
+  double tilt_stddev = 0.002;    ///< by which maps lean apart beyond what their robots state [rad]
   HeightCheckSettings height_check;
 };
 
@@ -59,6 +62,7 @@ struct RefineOutcome {
   std::int64_t stamp = 0;     ///< of the newest aerial cloud [ns]
   bool contradicted = false;  ///< rejected by data that speak against the pose, not for want of data
   bool tracking = false;      ///< started from the last refined pose
+  bool seen = false;          ///< agrees with what the images tell
   HeightCheck heights;
   IcpResult icp;
 };
@@ -80,6 +84,9 @@ class AlignmentRefiner {
   void addAerial(std::int64_t stamp, Cloud cloud);
   /// Coarse pose of a global localization that has converged.
   void setCoarse(const Pose& T_ground_map_mav_map);
+  /// What the robots' images tell: tried before the coarse pose. An alignment that agrees with it needs neither
+  /// geometry that fixes all directions nor heights that prove it.
+  void setViews(const ViewAlignment& views);
   /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
   /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);
@@ -114,6 +121,8 @@ class AlignmentRefiner {
   std::string missing() const;  ///< what a refinement waits for; empty: nothing
   Priors priors() const;
   Cloud prepareReading();
+  RefineOutcome refineGuessed(const Cloud& reading);
+  void compareWithViews(RefineOutcome& out) const;
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
   void follow(bool from_tracking, RefineOutcome* out);
@@ -130,6 +139,7 @@ class AlignmentRefiner {
   std::optional<IcpReference> reference_;
   std::deque<std::pair<std::int64_t, Cloud>> aerial_;
   std::optional<Pose> coarse_, manual_;
+  std::optional<ViewAlignment> views_;
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
   double aerial_tilt_ = 0, ground_tilt_ = 0;

@@ -52,12 +52,13 @@ struct RelocalizationGate {
   Pose T_map_last = Pose::Identity();                             ///< camera when it was last known
   double max_distance = std::numeric_limits<double>::infinity();  ///< that it can have moved since [map unit]
   std::optional<Eigen::Vector3d>
-      up_camera;           ///< against gravity, camera frame now, unit; the map's z axis is up. None: not known
-  double max_tilt = 0.15;  ///< between that and the map's up as the place has it [rad]
-  double min_lead = 1.4;   ///< inliers of the place over those of the best place that puts the camera elsewhere
+      up_camera;                   ///< against gravity, camera frame now, unit; the map's z axis is up. None: not known
+  double max_tilt = 0.15;          ///< between that and the map's up as the place has it [rad]
+  double min_lead = 1.4;           ///< inliers of the place over those of the best place that puts the camera elsewhere
+  std::vector<KeyframeId> places;  ///< among which it is sought; empty: the whole map
 };
 
-/// recognizePlace over the whole map for a camera that was lost: places that the gate excludes do not count, and of two
+/// recognizePlace for a camera that was lost: places that the gate excludes do not count, and of two
 /// that look alike none is taken. `reason` says what stood against it.
 PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate,
                       const PlaceSettings& settings);

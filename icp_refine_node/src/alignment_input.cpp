@@ -1,0 +1,41 @@
+#include "alignment_input.h"
+
+#include <cmath>
+#include <stdexcept>
+
+#include "air_ground_common/ros/conversions.h"
+
+namespace icp_refine {
+
+namespace ros_utils = air_ground_common::ros_utils;
+
+namespace {
+
+constexpr double kSharedScaleError = 0.01;  // relative: depth and calibration, that all views share
+
+Similarity similarityFrom(const air_ground::AlignmentEstimate& msg) {
+  if (!(msg.scale > 0) || !std::isfinite(msg.scale)) throw std::invalid_argument("the scale is not positive");
+  return similarity(ros_utils::fromMsg(msg.pose.pose), msg.scale);
+}
+
+}  // namespace
+
+CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
+  if (!own_unit) return {similarity(ros_utils::fromMsg(msg.pose.pose)), 0};
+  return {similarityFrom(msg), msg.scale_stddev / msg.scale};
+}
+
+ViewAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
+  ViewAlignment views;
+  views.T_ground_map_mav_map = similarityFrom(msg);
+  views.covariance = ros_utils::covarianceFromMsg(msg.pose.covariance);
+  views.centre = {msg.reference_point.x, msg.reference_point.y, msg.reference_point.z};
+  views.scale_stddev = std::hypot(kSharedScaleError, msg.scale_stddev / msg.scale);
+  views.tells_scale = own_unit;
+  if (!views.covariance.allFinite() || !(views.covariance.diagonal().minCoeff() > 0) || !views.centre.allFinite() ||
+      !std::isfinite(views.scale_stddev))
+    throw std::invalid_argument("its covariance is none");
+  return views;
+}
+
+}  // namespace icp_refine

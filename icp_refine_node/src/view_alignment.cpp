@@ -1,0 +1,44 @@
+#include "icp_refine/view_alignment.h"
+
+#include <Eigen/Cholesky>
+
+namespace icp_refine {
+namespace {
+
+/// Projects on the directions of the pose that the geometry does not fix: translation [m], rotation [rad].
+Matrix6d missingDirections(const Localizability& localizability) {
+  Vector6d unit = Vector6d::Ones();
+  unit.tail<3>() /= std::max(localizability.mean_range, 1e-3);
+  Matrix6d P = Matrix6d::Zero();
+  for (const Direction& d : localizability.directions)
+    if (!d.localizable) P += unit.asDiagonal() * d.v * d.v.transpose() * unit.cwiseInverse().asDiagonal();
+  return P;
+}
+
+}  // namespace
+
+Matrix6d covarianceAbout(const ViewAlignment& views, const Eigen::Vector3d& point) {
+  const Eigen::Vector3d lever = point - views.centre;
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
+  Matrix6d out = J * views.covariance * J.transpose();
+  out.topLeftCorner<3, 3>() += views.scale_stddev * views.scale_stddev * lever * lever.transpose();
+  return out;
+}
+
+Matrix6d heldByViews(const ViewAlignment& views, const IcpResult& icp) {
+  const Matrix6d missing = missingDirections(icp.localizability), fixed = Matrix6d::Identity() - missing;
+  return fixed * icp.covariance.topLeftCorner<6, 6>() * fixed.transpose() +
+         missing * covarianceAbout(views, icp.centre) * missing.transpose();
+}
+
+double squaredSigmas(const ViewAlignment& views, const IcpResult& icp) {
+  const Eigen::Vector3d p_mav = inverse(icp.T_reference_reading) * icp.centre;
+  Vector6d difference;
+  difference << icp.centre - views.T_ground_map_mav_map * p_mav,
+      air_ground_common::logSO3(icp.T_reference_reading.R * views.T_ground_map_mav_map.R.transpose());
+  const Matrix6d covariance = covarianceAbout(views, icp.centre) + heldByViews(views, icp);
+  return difference.dot(covariance.ldlt().solve(difference));
+}
+
+}  // namespace icp_refine

@@ -1,0 +1,134 @@
+// Where both robots saw the same things from about the same side, their images tell how the maps lie to each other:
+// the MAV's image is recognised among the ground robot's keyframes, whose features have depth.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <opencv2/core/mat.hpp>
+#include <string>
+#include <vector>
+
+#include "air_ground_common/camera_model.h"
+#include "view_match/pose_consensus.h"
+#include "visual_frontend/place_recognition.h"
+
+namespace air_ground_common {
+class ParameterVisitor;
+}
+
+namespace view_match {
+
+struct MatcherSettings {
+  MatcherSettings();
+
+  visual_frontend::PlaceSettings place;
+  double min_lead = 1.4;     ///< features that agree at a place, over those at the best place elsewhere
+  double systematic = 0.02;  ///< error that all features of an image share (calibration, depth), over their distance
+  double systematic_angle = 0.02;  ///< and of the camera's attitude [rad]
+  double systematic_scale = 0.03;  ///< and of the scale that depths tell, relative
+  double new_view = 0.05;          ///< an image is another view when the camera moved by this share of the distance ...
+  double new_view_angle = 0.08;    ///< ... or turned by this [rad]
+  int max_images = 40;             ///< recognised images kept, the newest
+  int max_waiting = 100;           ///< images kept for keyframes to come, the newest
+  double scale_stddev = 0.03;      ///< relative, of the scale of a metric map
+
+  // Acceptance
+  int min_images = 4;             ///< that agree
+  double min_share = 0.6;         ///< of the recognised images agree
+  double min_baseline = 0.15;     ///< greatest distance between their cameras, over the distance of what they see
+  double max_sigma = 0.15;        ///< position, any direction [m]
+  double max_sigma_angle = 0.05;  ///< any axis [rad]
+  double max_sigma_scale = 0.06;  ///< relative
+
+  /// Throws std::invalid_argument, naming the fields.
+  void validate() const;
+};
+
+/// What a user may set.
+void describe(air_ground_common::ParameterVisitor& visitor, MatcherSettings& settings);
+
+/// A keyframe of the ground robot's map.
+struct KeyframeView {
+  std::uint32_t id = 0;
+  Pose T_ground_camera = Pose::Identity();
+  std::vector<Eigen::Vector3d> points;  ///< in the camera's frame [m]; z > 0
+  cv::Mat descriptors;                  ///< a row of 32 bytes a point, CV_8UC1: ORB
+};
+
+enum class MatchStatus { kSearching, kAmbiguous, kDegenerate, kConverged };
+const char* toString(MatchStatus status);
+
+struct MatchEstimate {
+  MatchStatus status = MatchStatus::kSearching;
+  std::string reason;  ///< one line for a person
+  Similarity T_ground_mav;
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< in the ground map: covariance is about this point
+  Matrix7d covariance =
+      1e6 * Matrix7d::Identity();  ///< translation [m], rotation [rad], relative scale; 1e6 I: not known
+  int images = 0;                  ///< that agree
+};
+
+/// Not thread-safe.
+class ViewMatcher {
+ public:
+  explicit ViewMatcher(const MatcherSettings& settings);
+
+  /// Throws std::invalid_argument when descriptors and points do not fit. A known one stays as it is.
+  void addKeyframe(const KeyframeView& keyframe);
+  /// Looks for the images that were not recognised so far in the keyframes that have come since. True: some were.
+  bool matchWaiting();
+  /// The map as it stands now: keyframes that it does not name are forgotten, names without keyframe ignored.
+  void setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera);
+  std::size_t keyframes() const { return ids_.size(); }
+
+  /// Looks for the image (CV_8UC1) in the keyframes; a view that is known already is left out. True: it was recognised.
+  /// `landmarks`: points of the MAV's map, in it: what of them the image shows tells the scale. Throws
+  /// std::invalid_argument for another image type.
+  bool addImage(const cv::Mat& image, const air_ground_common::CameraModel& camera, const Pose& T_mav_camera,
+                const std::vector<Eigen::Vector3f>& landmarks);
+
+  /// The MAV's map has no scale: it is to be estimated.
+  void setOwnUnit(bool own_unit) { own_unit_ = own_unit; }
+  void forgetGround();
+  void forgetAerial();
+
+  MatchEstimate estimate() const;
+  /// The recognised images in both maps.
+  std::vector<CameraInBoth> cameras() const;
+
+ private:
+  struct RecognisedImage {
+    Pose T_mav_camera, T_keyframe_camera;
+    visual_frontend::KeyframeId keyframe;
+    Matrix6d covariance;         // of T_keyframe_camera, in the keyframe's camera frame
+    double distance;             // of what it sees [m]
+    double scale, scale_stddev;  // metres per unit of the MAV's map, by depths; relative
+  };
+  struct WaitingImage {
+    visual_frontend::Keyframe features;
+    air_ground_common::CameraModel camera;
+    Pose T_mav_camera;
+    std::vector<Eigen::Vector3d> seen;          // landmarks before the camera: pixel and depth
+    visual_frontend::KeyframeId next_keyframe;  // the first that it was not looked for in
+  };
+  /// In the keyframes from `image.next_keyframe` on.
+  bool recognise(WaitingImage& image);
+  void compareDepths(const WaitingImage& image, RecognisedImage& seen) const;
+  bool isKnownView(const Pose& T_mav_camera, double distance) const;
+  CameraInBoth inBoth(const RecognisedImage& image) const;
+  void judge(const std::vector<CameraInBoth>& cameras, const Consensus& consensus, MatchEstimate* out) const;
+  std::string notRecognised() const;
+
+  MatcherSettings settings_;
+  visual_frontend::Map map_;
+  std::map<std::uint32_t, visual_frontend::KeyframeId> ids_;
+  std::map<visual_frontend::KeyframeId, Eigen::Vector3d> scenes_;  // middle of a keyframe's points, in its camera
+  std::vector<RecognisedImage> images_;
+  std::deque<WaitingImage> waiting_;
+  std::string last_reason_;
+  bool own_unit_ = false;
+  int tried_ = 0;  // images, since a map began
+};
+
+}  // namespace view_match

@@ -1,0 +1,182 @@
+// The MAV's images recognised among the ground robot's keyframes: posed images and keyframes in, an alignment of both
+// maps with its verdict out. All work is done in the callbacks of one thread; what comes meanwhile is dropped.
+#include <air_ground/AlignmentEstimate.h>
+#include <air_ground/MapKeyframes.h>
+#include <air_ground/PosedImage.h>
+#include <air_ground/VoStatus.h>
+#include <ros/ros.h>
+#include <std_srvs/Trigger.h>
+
+#include <cmath>
+
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/robot_map_input.h"
+#include "node_parameters.h"
+
+namespace view_match {
+namespace {
+
+namespace ros_utils = air_ground_common::ros_utils;
+using air_ground::AlignmentEstimate;
+using air_ground_common::RobotMapSession;
+
+constexpr int kDescriptorBytes = 32;
+
+// One order in both.
+static_assert(static_cast<int>(MatchStatus::kSearching) == AlignmentEstimate::STATUS_SEARCHING &&
+              static_cast<int>(MatchStatus::kAmbiguous) == AlignmentEstimate::STATUS_AMBIGUOUS &&
+              static_cast<int>(MatchStatus::kDegenerate) == AlignmentEstimate::STATUS_DEGENERATE &&
+              static_cast<int>(MatchStatus::kConverged) == AlignmentEstimate::STATUS_CONVERGED);
+
+/// Throws std::invalid_argument for descriptors that do not fit the points.
+KeyframeView viewOf(const air_ground::KeyframeFeatures& msg, const Pose& T_ground_camera) {
+  if (msg.descriptors.size() != kDescriptorBytes * msg.points.size())
+    throw std::invalid_argument("descriptors do not fit the points");
+  KeyframeView view;
+  view.id = msg.id;
+  view.T_ground_camera = T_ground_camera;
+  for (const auto& p : msg.points) view.points.emplace_back(p.x, p.y, p.z);
+  view.descriptors = cv::Mat(static_cast<int>(msg.points.size()), kDescriptorBytes, CV_8UC1,
+                             const_cast<std::uint8_t*>(msg.descriptors.data()))
+                         .clone();
+  return view;
+}
+
+class ViewMatchNode {
+ public:
+  explicit ViewMatchNode(const NodeSettings& settings)
+      : settings_(settings),
+        health_("view_match"),
+        matcher_(settings.matcher),
+        mav_(
+            "MAV", kMavStreams, RobotMapSession(settings.mav_map_frame, settings.visual_map_frame), health_,
+            [this] { forgetAerial(); }, [this] { forgetAerial(); }),
+        ground_("ground robot", kGroundStreams, RobotMapSession(settings.ground_map_frame), health_,
+                [this] { matcher_.forgetGround(); }) {
+    publisher_ = handle_.advertise<AlignmentEstimate>("alignment/views", 20, true);
+    image_subscriber_ = handle_.subscribe("mav/posed_image", 5, &ViewMatchNode::onImage, this);
+    sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &ViewMatchNode::onSparseCloud, this);
+    status_subscriber_ = handle_.subscribe("mav/vo_status", 100, &ViewMatchNode::onMavStatus, this);
+    keyframes_subscriber_ = handle_.subscribe("ground/map_keyframes", 20, &ViewMatchNode::onKeyframes, this);
+    reset_service_ = ros::NodeHandle("~").advertiseService("reset", &ViewMatchNode::onReset, this);
+    for (const auto* s : {&image_subscriber_, &keyframes_subscriber_}) health_.expectInput(s->getTopic(), false);
+  }
+
+ private:
+  enum MavStream { kImages, kLandmarks, kStatus, kMavStreams };
+  enum GroundStream { kKeyframes, kGroundStreams };
+
+  void forgetAerial() {
+    matcher_.forgetAerial();
+    landmarks_.clear();
+    last_image_ = ros::Time();
+  }
+
+  bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    mav_.restart();
+    return ros_utils::answer(response, [] { return "forgot the MAV's images"; });
+  }
+
+  void onMavStatus(const air_ground::VoStatus::ConstPtr& msg) { mav_.admitStatus(kStatus, *msg); }
+
+  void onSparseCloud(const sensor_msgs::PointCloud2::ConstPtr& msg) {
+    if (!mav_.admitMap(kLandmarks, msg->header, "sparse clouds")) return;
+    const auto points = ros_utils::readCloud(*msg, "sparse clouds", health_);
+    if (!points) return;
+    landmarks_.clear();
+    for (const auto& p : *points) landmarks_.push_back(p.position);
+  }
+
+  void onKeyframes(const air_ground::MapKeyframes::ConstPtr& msg) {
+    health_.received(keyframes_subscriber_.getTopic(), msg->header.stamp);
+    ground_.observe(msg->map_id, msg->header.stamp, false);
+    if (!ground_.admitMap(kKeyframes, msg->header, "keyframes")) return;
+    try {
+      if (msg->ids.size() != msg->poses.size()) throw std::invalid_argument("there are not as many poses as ids");
+      std::map<std::uint32_t, Pose> poses;
+      for (std::size_t i = 0; i < msg->ids.size(); ++i) poses[msg->ids[i]] = ros_utils::fromMsg(msg->poses[i]);
+      for (const auto& features : msg->features) {
+        if (features.points.empty() || poses.count(features.id) == 0) continue;
+        matcher_.addKeyframe(viewOf(features, poses.at(features.id)));
+      }
+      matcher_.setPoses(poses);
+      const ros::WallTime start = ros::WallTime::now();
+      matcher_.matchWaiting();
+      health_.timing("waiting images", (ros::WallTime::now() - start).toSec());
+    } catch (const std::exception& e) {
+      return health_.count(std::string("keyframes not usable: ") + e.what());
+    }
+    publish();
+  }
+
+  void onImage(const air_ground::PosedImage::ConstPtr& msg) {
+    health_.received(image_subscriber_.getTopic(), msg->header.stamp);
+    const double interval = status_ == MatchStatus::kConverged ? settings_.converged_interval : settings_.interval;
+    if (!last_image_.isZero() && std::abs((msg->header.stamp - last_image_).toSec()) < interval) return;
+    if (!msg->metric && msg->header.frame_id != settings_.visual_map_frame) return;  // the poses will change
+    if (!mav_.admitMap(kImages, msg->header, "posed images")) return;
+    mav_.observe(msg->map_id, msg->header.stamp, true);
+    last_image_ = msg->header.stamp;
+    try {
+      const ros::WallTime start = ros::WallTime::now();
+      matcher_.setOwnUnit(mav_.map().ownUnit());
+      const bool recognised =
+          matcher_.addImage(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info),
+                            ros_utils::fromMsg(msg->pose.pose), landmarks_);
+      health_.timing("image", (ros::WallTime::now() - start).toSec());
+      if (recognised) stamp_ = msg->header.stamp;
+    } catch (const std::exception& e) {
+      return health_.count(std::string("posed images not usable: ") + e.what());
+    }
+    publish();
+  }
+
+  void publish() {
+    const MatchEstimate e = matcher_.estimate();
+    health_.state(0, std::string(toString(e.status)) + ": " + e.reason);
+    if (e.status != status_) ROS_INFO("Alignment by views %s: %s", toString(e.status), e.reason.c_str());
+    status_ = e.status;
+    AlignmentEstimate msg;
+    msg.header.stamp = stamp_;
+    msg.header.frame_id = settings_.ground_map_frame;
+    msg.child_frame_id = mav_.map().expectedFrame();
+    Pose T = Pose::Identity();
+    T.linear() = e.T_ground_mav.R;
+    T.translation() = e.T_ground_mav.t;
+    msg.pose.pose = ros_utils::toMsg(T);
+    ros_utils::setCovariance(e.covariance.topLeftCorner<6, 6>(), &msg.pose.covariance);
+    msg.scale = e.T_ground_mav.scale;
+    msg.scale_stddev = e.status == MatchStatus::kConverged ? msg.scale * std::sqrt(e.covariance(6, 6)) : 0;
+    msg.reference_point.x = e.centre.x();
+    msg.reference_point.y = e.centre.y();
+    msg.reference_point.z = e.centre.z();
+    msg.status = static_cast<std::uint8_t>(e.status);
+    msg.stage = AlignmentEstimate::STAGE_COARSE;
+    msg.reason = e.reason;
+    msg.iterations = static_cast<std::uint32_t>(e.images);
+    msg.map_id = mav_.map().id().value_or(0);
+    publisher_.publish(msg);
+  }
+
+  ros::NodeHandle handle_;
+  const NodeSettings settings_;
+  ros_utils::NodeHealth health_;
+  ViewMatcher matcher_;
+  std::vector<Eigen::Vector3f> landmarks_;  // in the MAV's map, as of its last sparse cloud
+  ros::Time last_image_, stamp_;            // looked up, recognised
+  std::optional<MatchStatus> status_;
+  ros_utils::RobotMapInput mav_, ground_;
+  ros::Publisher publisher_;
+  ros::ServiceServer reset_service_;
+  ros::Subscriber image_subscriber_, sparse_subscriber_, status_subscriber_, keyframes_subscriber_;
+};
+
+}  // namespace
+}  // namespace view_match
+
+int main(int argc, char** argv) {
+  using namespace view_match;
+  return air_ground_common::ros_utils::runNode<NodeSettings, ViewMatchNode>(argc, argv, "view_match");
+}

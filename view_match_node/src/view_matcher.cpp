@@ -1,0 +1,274 @@
+#include "view_match/view_matcher.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "air_ground_common/statistics.h"
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
+
+namespace view_match {
+namespace {
+
+using air_ground_common::formatted;
+using air_ground_common::kDegree;
+using visual_frontend::Keyframe;
+using visual_frontend::KeyframeId;
+
+constexpr double kDepthRadius = 10;       // of a point and a landmark whose depths are compared [px]
+constexpr std::size_t kLeastDepths = 15;  // that tell the scale
+
+double largestSigma(const Eigen::Matrix3d& covariance) {
+  return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
+}
+
+}  // namespace
+
+const char* toString(MatchStatus status) {
+  switch (status) {
+    case MatchStatus::kSearching:
+      return "SEARCHING";
+    case MatchStatus::kAmbiguous:
+      return "AMBIGUOUS";
+    case MatchStatus::kDegenerate:
+      return "DEGENERATE";
+    case MatchStatus::kConverged:
+      return "CONVERGED";
+  }
+  return "";
+}
+
+MatcherSettings::MatcherSettings() { place.orb_features = 1000; }
+
+ViewMatcher::ViewMatcher(const MatcherSettings& settings) : settings_(settings) {}
+
+void ViewMatcher::addKeyframe(const KeyframeView& view) {
+  if (view.points.empty() || view.descriptors.rows != static_cast<int>(view.points.size()) ||
+      view.descriptors.cols != 32 || view.descriptors.type() != CV_8UC1)
+    throw std::invalid_argument("a keyframe needs points, and a descriptor of 32 bytes for each");
+  if (ids_.count(view.id)) return;  // sent again for another subscriber
+  Keyframe keyframe;
+  keyframe.T_map_camera = view.T_ground_camera;
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const Eigen::Vector3d& p : view.points) {
+    if (!p.allFinite() || !(p.z() > 0))
+      throw std::invalid_argument("a keyframe's point does not lie before its camera");
+    keyframe.orb_normalized.push_back(p.hnormalized());
+    keyframe.orb_pixels.push_back(keyframe.orb_normalized.back());  // no landmarks are looked up by them
+    keyframe.orb_depth.push_back(p.z());
+    sum += p;
+  }
+  keyframe.orb_descriptors = view.descriptors.clone();
+  const KeyframeId id = map_.addKeyframe(std::move(keyframe));
+  ids_[view.id] = id;
+  scenes_[id] = sum / static_cast<double>(view.points.size());
+}
+
+void ViewMatcher::setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera) {
+  for (auto it = ids_.begin(); it != ids_.end();) {
+    const auto pose = T_ground_camera.find(it->first);
+    if (pose != T_ground_camera.end()) {
+      map_.keyframe(it->second).T_map_camera = pose->second;
+      ++it;
+      continue;
+    }
+    const KeyframeId gone = it->second;
+    images_.erase(std::remove_if(images_.begin(), images_.end(),
+                                 [gone](const RecognisedImage& image) { return image.keyframe == gone; }),
+                  images_.end());
+    map_.removeKeyframe(gone);
+    scenes_.erase(gone);
+    it = ids_.erase(it);
+  }
+}
+
+bool ViewMatcher::isKnownView(const Pose& T_mav_camera, double distance) const {
+  return std::any_of(images_.begin(), images_.end(), [&](const RecognisedImage& image) {
+    return (image.T_mav_camera.translation() - T_mav_camera.translation()).norm() <= settings_.new_view * distance &&
+           air_ground_common::rotationAngle(image.T_mav_camera.linear(), T_mav_camera.linear()) <
+               settings_.new_view_angle;
+  });
+}
+
+bool ViewMatcher::recognise(WaitingImage& image) {
+  visual_frontend::RelocalizationGate among;
+  among.min_lead = settings_.min_lead;
+  for (const auto& entry : map_.keyframes())
+    if (entry.first >= image.next_keyframe) among.places.push_back(entry.first);
+  if (among.places.empty()) return false;
+  image.next_keyframe = among.places.back() + 1;
+  const auto match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
+  last_reason_ = match.success ? "" : match.reason;
+  if (!match.success) return false;
+  RecognisedImage seen{image.T_mav_camera,
+                       match.T_place_query,
+                       match.keyframe,
+                       match.covariance,
+                       0,
+                       1,
+                       std::numeric_limits<double>::infinity()};
+  seen.distance = (match.T_place_query.inverse() * scenes_.at(match.keyframe)).norm();
+  compareDepths(image, seen);
+  images_.push_back(seen);
+  if (images_.size() > static_cast<std::size_t>(settings_.max_images)) images_.erase(images_.begin());
+  return true;
+}
+
+// Points of the keyframe beside landmarks in the image: their depths differ by the scale, but where one is behind the
+// other's edge.
+void ViewMatcher::compareDepths(const WaitingImage& image, RecognisedImage& seen) const {
+  const Keyframe& keyframe = map_.keyframe(seen.keyframe);
+  const Pose T_camera_keyframe = seen.T_keyframe_camera.inverse();
+  std::vector<double> logs;
+  for (std::size_t i = 0; i < keyframe.orb_depth.size(); ++i) {
+    const Eigen::Vector3d p = T_camera_keyframe * (keyframe.orb_depth[i] * keyframe.orb_normalized[i].homogeneous());
+    const auto pixel = image.camera.project(p);
+    if (!pixel || !image.camera.contains(*pixel)) continue;
+    double nearest = kDepthRadius * kDepthRadius, depth = 0;
+    for (const Eigen::Vector3d& landmark : image.seen) {
+      const double d2 = (landmark.head<2>() - *pixel).squaredNorm();
+      if (d2 >= nearest) continue;
+      nearest = d2;
+      depth = landmark.z();
+    }
+    if (depth > 0) logs.push_back(std::log(p.z() / depth));
+  }
+  if (logs.size() < kLeastDepths) return;
+  const double middle = air_ground_common::median(logs);
+  std::vector<double> away;
+  for (const double l : logs) away.push_back(std::abs(l - middle));
+  // Standard error of a median of normal errors, these being 1.48 times their median away.
+  const double error = 1.25 * 1.48 * air_ground_common::median(away) / std::sqrt(static_cast<double>(logs.size()));
+  seen.scale = std::exp(middle);
+  seen.scale_stddev = std::hypot(error, settings_.systematic_scale);
+}
+
+bool ViewMatcher::matchWaiting() {
+  const std::size_t before = waiting_.size();
+  waiting_.erase(std::remove_if(waiting_.begin(), waiting_.end(), [this](WaitingImage& w) { return recognise(w); }),
+                 waiting_.end());
+  return waiting_.size() < before;
+}
+
+bool ViewMatcher::addImage(const cv::Mat& image, const air_ground_common::CameraModel& camera, const Pose& T_mav_camera,
+                           const std::vector<Eigen::Vector3f>& landmarks) {
+  WaitingImage query{{}, camera, T_mav_camera, {}, 0};
+  const Pose T_camera_mav = T_mav_camera.inverse();
+  std::vector<double> depths;
+  for (const Eigen::Vector3f& p_mav : landmarks) {
+    const Eigen::Vector3d p = T_camera_mav * p_mav.cast<double>();
+    const auto pixel = camera.project(p);
+    if (!pixel || !camera.contains(*pixel)) continue;
+    query.seen.emplace_back(pixel->x(), pixel->y(), p.z());
+    depths.push_back(p.z());
+  }
+  if (isKnownView(T_mav_camera, depths.empty() ? 0 : air_ground_common::median(depths))) return false;
+  visual_frontend::describeKeyframe(image, camera, settings_.place, query.features);
+  ++tried_;
+  if (recognise(query)) return true;
+  waiting_.push_back(std::move(query));
+  if (waiting_.size() > static_cast<std::size_t>(settings_.max_waiting)) waiting_.pop_front();
+  return false;
+}
+
+void ViewMatcher::forgetGround() {
+  map_.clear();
+  ids_.clear();
+  scenes_.clear();
+  images_.clear();
+}
+
+void ViewMatcher::forgetAerial() {
+  images_.clear();
+  waiting_.clear();
+  last_reason_.clear();
+  tried_ = 0;
+}
+
+CameraInBoth ViewMatcher::inBoth(const RecognisedImage& image) const {
+  const Pose& T_ground_keyframe = map_.keyframe(image.keyframe).T_map_camera;
+  CameraInBoth out;
+  out.T_a_camera = T_ground_keyframe * image.T_keyframe_camera;
+  out.T_b_camera = image.T_mav_camera;
+  out.scene = T_ground_keyframe * scenes_.at(image.keyframe);
+  out.scale = image.scale;
+  out.scale_stddev = image.scale_stddev;
+  Matrix6d turn = Matrix6d::Zero();
+  turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = T_ground_keyframe.linear();
+  out.covariance = turn * image.covariance * turn.transpose();
+  out.covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * image.distance, 2);
+  out.covariance.diagonal().tail<3>().array() += std::pow(settings_.systematic_angle, 2);
+  return out;
+}
+
+std::vector<CameraInBoth> ViewMatcher::cameras() const {
+  std::vector<CameraInBoth> out;
+  for (const RecognisedImage& image : images_) out.push_back(inBoth(image));
+  return out;
+}
+
+std::string ViewMatcher::notRecognised() const {
+  if (ids_.empty()) return "no keyframes of the ground robot yet";
+  if (tried_ == 0) return "no images of the MAV yet";
+  return formatted("%zu of %d images show what the ground robot saw, %d are needed%s", images_.size(), tried_,
+                   settings_.min_images, last_reason_.empty() ? "" : (" (the last: " + last_reason_ + ")").c_str());
+}
+
+MatchEstimate ViewMatcher::estimate() const {
+  MatchEstimate out;
+  if (static_cast<int>(images_.size()) < settings_.min_images) {
+    out.reason = notRecognised();
+    return out;
+  }
+  const std::vector<CameraInBoth> cameras = this->cameras();
+  ScaleKnowledge scale;
+  scale.stddev = own_unit_ ? std::numeric_limits<double>::infinity() : settings_.scale_stddev;
+  const Consensus consensus = consensusOf(cameras, scale);
+  judge(cameras, consensus, &out);
+  return out;
+}
+
+void ViewMatcher::judge(const std::vector<CameraInBoth>& cameras, const Consensus& consensus,
+                        MatchEstimate* out) const {
+  const auto verdict = [out](MatchStatus status, const std::string& reason) {
+    out->status = status;
+    out->reason = reason;
+  };
+  if (!consensus.found) return verdict(MatchStatus::kDegenerate, consensus.reason);
+  const auto& agreeing = consensus.agreeing;
+  out->images = static_cast<int>(agreeing.size());
+  out->T_ground_mav = consensus.T_a_b;
+  out->centre = consensus.centre;
+  if (out->images < settings_.min_images || out->images < settings_.min_share * static_cast<double>(cameras.size()))
+    return verdict(MatchStatus::kAmbiguous, formatted("%d of %zu recognised images agree on where the MAV's map lies",
+                                                      out->images, cameras.size()));
+  double baseline = 0, distance = 0;
+  for (const int i : agreeing) {
+    distance += images_[i].distance / out->images;
+    for (const int j : agreeing)
+      baseline = std::max(baseline, (cameras[i].T_a_camera.translation() - cameras[j].T_a_camera.translation()).norm());
+  }
+  if (baseline < settings_.min_baseline * distance)
+    return verdict(
+        MatchStatus::kDegenerate,
+        formatted("the %d images that agree are of one place: their cameras lie within %.2f m, %.2f m are needed",
+                  out->images, baseline, settings_.min_baseline * distance));
+  // What all images share does not average out.
+  Matrix7d covariance = consensus.covariance;
+  covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * distance, 2);
+  covariance.diagonal().segment<3>(3).array() += std::pow(settings_.systematic_angle, 2);
+  const double sigma = largestSigma(covariance.topLeftCorner<3, 3>());
+  const double sigma_angle = largestSigma(covariance.block<3, 3>(3, 3));
+  const double sigma_scale = std::sqrt(covariance(6, 6));
+  const std::string figures = formatted(
+      "%d of %zu recognised images agree, 1 sigma %.3f m %.2f deg, scale %.4f +- %.4f", out->images, cameras.size(),
+      sigma, sigma_angle / kDegree, consensus.T_a_b.scale, consensus.T_a_b.scale * sigma_scale);
+  out->covariance = covariance;
+  const bool sure = sigma <= settings_.max_sigma && sigma_angle <= settings_.max_sigma_angle &&
+                    sigma_scale <= settings_.max_sigma_scale;
+  verdict(sure ? MatchStatus::kConverged : MatchStatus::kDegenerate, sure ? figures : "not sure enough: " + figures);
+}
+
+}  // namespace view_match

@@ -1,0 +1,140 @@
+// A textured corner seen by both robots: the MAV's map, of unknown unit and turned, is found in the ground robot's.
+#include <gtest/gtest.h>
+
+#include "textured_corner.h"
+
+namespace view_match {
+namespace {
+
+class ViewMatching : public testing::Test, protected CornerScene {
+ protected:
+  void addGroundViews(const Corner& corner, ViewMatcher& matcher) const {
+    for (const KeyframeView& view : groundViews(corner)) matcher.addKeyframe(view);
+  }
+
+  bool addView(const Corner& corner, ViewMatcher& matcher, const Pose& T_ground_camera) const {
+    cv::Mat depth;
+    const cv::Mat image = render(corner, T_ground_camera, &depth);
+    return matcher.addImage(image, camera, inMavMap(T_ground_camera), landmarks(depth, T_ground_camera));
+  }
+
+  void addFlight(const Corner& corner, ViewMatcher& matcher) const {
+    for (int i = 0; i < 7; ++i) addView(corner, matcher, flown(i));
+  }
+};
+
+TEST_F(ViewMatching, FindsPlaceAttitudeAndScaleOfAMapWithoutUnit) {
+  const Corner corner(1);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  EXPECT_NE(matcher.estimate().reason.find("keyframes"), std::string::npos);
+  addGroundViews(corner, matcher);
+  EXPECT_NE(matcher.estimate().reason.find("images"), std::string::npos);
+  addFlight(corner, matcher);
+  const MatchEstimate e = matcher.estimate();
+  ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
+  EXPECT_GE(e.images, 5) << e.reason;
+  EXPECT_NEAR(e.T_ground_mav.scale / truth.scale, 1, 0.02);
+  EXPECT_LT(air_ground_common::rotationAngle(e.T_ground_mav.R, truth.R), 0.01);
+  for (int i = 0; i < 7; ++i)
+    EXPECT_LT((e.T_ground_mav * inMavMap(flown(i)).translation() - flown(i).translation()).norm(), 0.04);
+}
+
+// Cameras 5 cm apart tell no scale; what they see does.
+TEST_F(ViewMatching, DepthsTellTheScaleBeforeTheMavHasMovedFar) {
+  const Corner corner(5);
+  MatcherSettings settings;
+  settings.new_view = settings.min_baseline = 0.01;
+  ViewMatcher matcher(settings);
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  for (int i = 0; i < 5; ++i) addView(corner, matcher, lookingAt({-0.2 + 0.05 * i, 0.3, 1.0}, {0.5, 4, 0.7}));
+  const MatchEstimate e = matcher.estimate();
+  ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
+  EXPECT_NEAR(e.T_ground_mav.scale / truth.scale, 1, 0.02);
+}
+
+TEST_F(ViewMatching, AMetricMapKeepsItsScale) {
+  truth.scale = 1;
+  const Corner corner(2);
+  ViewMatcher matcher({});
+  addGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  const MatchEstimate e = matcher.estimate();
+  ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
+  EXPECT_NEAR(e.T_ground_mav.scale, 1, 0.02);
+}
+
+TEST_F(ViewMatching, FollowsTheGroundMapWhenItMoves) {
+  truth.scale = 1;
+  const Corner corner(3);
+  ViewMatcher matcher({});
+  addGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  ASSERT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+  // A loop closure carries all keyframes a metre along x.
+  std::map<std::uint32_t, Pose> poses;
+  for (const KeyframeView& view : groundViews(corner))
+    poses[view.id] = Eigen::Translation3d(1, 0, 0) * view.T_ground_camera;
+  const Eigen::Vector3d before = matcher.estimate().T_ground_mav.t;
+  matcher.setPoses(poses);
+  EXPECT_NEAR((matcher.estimate().T_ground_mav.t - before - Eigen::Vector3d(1, 0, 0)).norm(), 0, 1e-6);
+  matcher.setPoses({});
+  EXPECT_EQ(matcher.keyframes(), 0u);
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching);
+}
+
+TEST_F(ViewMatching, ImagesWaitForTheGroundRobotToSeeTheSame) {
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addFlight(corner, matcher);
+  EXPECT_FALSE(matcher.matchWaiting());
+  addGroundViews(corner, matcher);
+  EXPECT_TRUE(matcher.matchWaiting());
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+}
+
+TEST_F(ViewMatching, KeyframesThatComeAgainChangeNothing) {
+  const Corner corner(1);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  const Eigen::Vector3d before = matcher.estimate().T_ground_mav.t;
+  addGroundViews(corner, matcher);
+  EXPECT_EQ(matcher.keyframes(), 5u);
+  EXPECT_LT((matcher.estimate().T_ground_mav.t - before).norm(), 1e-9);
+}
+
+TEST_F(ViewMatching, AnotherPlaceIsNotRecognised) {
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(Corner(1), matcher);
+  addFlight(Corner(99), matcher);
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching);
+  EXPECT_EQ(matcher.estimate().images, 0);
+}
+
+TEST_F(ViewMatching, ImagesFromOnePlaceAreOneView) {
+  const Corner corner(1);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  EXPECT_TRUE(addView(corner, matcher, flown(0)));
+  EXPECT_FALSE(addView(corner, matcher, flown(0)));
+}
+
+TEST_F(ViewMatching, RefusesFeaturesThatDoNotFit) {
+  ViewMatcher matcher({});
+  KeyframeView view;
+  view.points = {{0, 0, 1}, {0, 0, 2}};
+  view.descriptors = cv::Mat::zeros(1, 32, CV_8UC1);
+  EXPECT_THROW(matcher.addKeyframe(view), std::invalid_argument);
+  view.descriptors = cv::Mat::zeros(2, 32, CV_8UC1);
+  view.points[1].z() = -2;
+  EXPECT_THROW(matcher.addKeyframe(view), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace view_match
