@@ -4,6 +4,8 @@
 #include <cmath>
 
 #include "../../ekf_tracker_node/src/sensor_bridge.h"
+#include "../../icp_refine_node/src/alignment_input.h"
+#include "../../view_match_node/src/messages.h"
 #include "air_ground_common/rectification.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
@@ -187,6 +189,58 @@ void alignment(const Bytes& bytes) {
     require(result.T_reference_reading.t.allFinite() && result.T_reference_reading.scale > 0, "alignment");
 }
 
+// Keyframes and recognised cameras, and what icp_refine makes of an alignment by views.
+void views(const Bytes& bytes) {
+  Source source(bytes);
+  air_ground::MapKeyframes msg;
+  const auto keyframes = source.take<std::uint8_t>() % 5;
+  for (int i = 0; i < keyframes; ++i) {
+    msg.ids.push_back(source.take<std::uint8_t>());
+    msg.poses.push_back(poseFrom(source));
+    air_ground::KeyframeFeatures features;
+    features.id = source.take<std::uint8_t>() % 4 ? msg.ids.back() : source.take<std::uint8_t>();
+    for (const Eigen::Vector3f& p : pointsFrom(source, source.take<std::uint8_t>() % 40)) {
+      geometry_msgs::Point32 point;
+      point.x = p.x(), point.y = p.y(), point.z = p.z();
+      features.points.push_back(point);
+    }
+    features.descriptors.resize(features.points.size() * 32 + source.take<std::uint8_t>() / 250);
+    for (auto& byte : features.descriptors) byte = source.take<std::uint8_t>();
+    msg.features.push_back(features);
+  }
+  view_match::ViewMatcher matcher({});
+  answers([&] {
+    const auto poses = view_match::posesOf(msg);
+    for (const auto& features : msg.features)
+      if (poses.count(features.id)) matcher.addKeyframe(view_match::viewOf(features, poses.at(features.id)));
+    matcher.setPoses(poses);
+  });
+  matcher.matchWaiting();
+
+  std::vector<view_match::CameraInBoth> cameras;
+  while (!source.empty() && cameras.size() < 8) {
+    view_match::CameraInBoth camera;
+    const bool good = answers([&] {
+      camera.T_a_camera = ru::fromMsg(poseFrom(source));
+      camera.T_b_camera = ru::fromMsg(poseFrom(source));
+    });
+    if (source.take<std::uint8_t>() % 2) camera.scale = std::abs(source.number()), camera.scale_stddev = 0.03;
+    if (good) cameras.push_back(camera);
+  }
+  const auto found = view_match::consensusOf(cameras, {});
+  if (!found.found) return;
+  require(found.T_a_b.t.allFinite() && found.T_a_b.scale > 0 && found.covariance.allFinite(), "alignment by views");
+  view_match::MatchEstimate estimate;
+  estimate.T_ground_mav = found.T_a_b;
+  estimate.covariance = found.covariance;
+  answers([&] {
+    const auto read = icp_refine::viewAlignmentFrom(view_match::toMsg(estimate), true);
+    icp_refine::IcpResult icp;
+    icp.centre = read.centre;
+    require(icp_refine::heldByViews(read, icp).allFinite(), "covariance by views");
+  });
+}
+
 // From `last` on, which it moves, or at any time.
 air_ground::VoIncrement incrementFrom(Source& source, const std_msgs::Header& header, ros::Time* last) {
   air_ground::VoIncrement msg;
@@ -272,7 +326,8 @@ void addMessageTargets(Targets* targets) {
                    {"point_cloud", pointCloud},
                    {"height_maps", heightMaps},
                    {"alignment", alignment},
-                   {"tracking", tracking}});
+                   {"tracking", tracking},
+                   {"views", views}});
 }
 
 }  // namespace air_ground_fuzz

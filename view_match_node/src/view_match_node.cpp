@@ -1,18 +1,15 @@
 // The MAV's images recognised among the ground robot's keyframes: posed images and keyframes in, an alignment of both
 // maps with its verdict out. All work is done in the callbacks of one thread; what comes meanwhile is dropped.
-#include <air_ground/AlignmentEstimate.h>
-#include <air_ground/MapKeyframes.h>
 #include <air_ground/PosedImage.h>
 #include <air_ground/VoStatus.h>
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
 
-#include <cmath>
-
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
+#include "messages.h"
 #include "node_parameters.h"
 
 namespace view_match {
@@ -21,28 +18,6 @@ namespace {
 namespace ros_utils = air_ground_common::ros_utils;
 using air_ground::AlignmentEstimate;
 using air_ground_common::RobotMapSession;
-
-constexpr int kDescriptorBytes = 32;
-
-// One order in both.
-static_assert(static_cast<int>(MatchStatus::kSearching) == AlignmentEstimate::STATUS_SEARCHING &&
-              static_cast<int>(MatchStatus::kAmbiguous) == AlignmentEstimate::STATUS_AMBIGUOUS &&
-              static_cast<int>(MatchStatus::kDegenerate) == AlignmentEstimate::STATUS_DEGENERATE &&
-              static_cast<int>(MatchStatus::kConverged) == AlignmentEstimate::STATUS_CONVERGED);
-
-/// Throws std::invalid_argument for descriptors that do not fit the points.
-KeyframeView viewOf(const air_ground::KeyframeFeatures& msg, const Pose& T_ground_camera) {
-  if (msg.descriptors.size() != kDescriptorBytes * msg.points.size())
-    throw std::invalid_argument("descriptors do not fit the points");
-  KeyframeView view;
-  view.id = msg.id;
-  view.T_ground_camera = T_ground_camera;
-  for (const auto& p : msg.points) view.points.emplace_back(p.x, p.y, p.z);
-  view.descriptors = cv::Mat(static_cast<int>(msg.points.size()), kDescriptorBytes, CV_8UC1,
-                             const_cast<std::uint8_t*>(msg.descriptors.data()))
-                         .clone();
-  return view;
-}
 
 class ViewMatchNode {
  public:
@@ -94,9 +69,7 @@ class ViewMatchNode {
     ground_.observe(msg->map_id, msg->header.stamp, false);
     if (!ground_.admitMap(kKeyframes, msg->header, "keyframes")) return;
     try {
-      if (msg->ids.size() != msg->poses.size()) throw std::invalid_argument("there are not as many poses as ids");
-      std::map<std::uint32_t, Pose> poses;
-      for (std::size_t i = 0; i < msg->ids.size(); ++i) poses[msg->ids[i]] = ros_utils::fromMsg(msg->poses[i]);
+      const auto poses = posesOf(*msg);
       for (const auto& features : msg->features) {
         if (features.points.empty() || poses.count(features.id) == 0) continue;
         matcher_.addKeyframe(viewOf(features, poses.at(features.id)));
@@ -138,24 +111,10 @@ class ViewMatchNode {
     health_.state(0, std::string(toString(e.status)) + ": " + e.reason);
     if (e.status != status_) ROS_INFO("Alignment by views %s: %s", toString(e.status), e.reason.c_str());
     status_ = e.status;
-    AlignmentEstimate msg;
+    AlignmentEstimate msg = toMsg(e);
     msg.header.stamp = stamp_;
     msg.header.frame_id = settings_.ground_map_frame;
     msg.child_frame_id = mav_.map().expectedFrame();
-    Pose T = Pose::Identity();
-    T.linear() = e.T_ground_mav.R;
-    T.translation() = e.T_ground_mav.t;
-    msg.pose.pose = ros_utils::toMsg(T);
-    ros_utils::setCovariance(e.covariance.topLeftCorner<6, 6>(), &msg.pose.covariance);
-    msg.scale = e.T_ground_mav.scale;
-    msg.scale_stddev = e.status == MatchStatus::kConverged ? msg.scale * std::sqrt(e.covariance(6, 6)) : 0;
-    msg.reference_point.x = e.centre.x();
-    msg.reference_point.y = e.centre.y();
-    msg.reference_point.z = e.centre.z();
-    msg.status = static_cast<std::uint8_t>(e.status);
-    msg.stage = AlignmentEstimate::STAGE_COARSE;
-    msg.reason = e.reason;
-    msg.iterations = static_cast<std::uint32_t>(e.images);
     msg.map_id = mav_.map().id().value_or(0);
     publisher_.publish(msg);
   }
