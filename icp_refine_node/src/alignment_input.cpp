@@ -13,12 +13,12 @@ namespace {
 
 constexpr double kSharedScaleError = 0.01;  // relative: depth and calibration, that all views share
 
+}  // namespace
+
 Similarity similarityFrom(const air_ground::AlignmentEstimate& msg) {
   if (!(msg.scale > 0) || !std::isfinite(msg.scale)) throw std::invalid_argument("the scale is not positive");
   return similarity(ros_utils::fromMsg(msg.pose.pose), msg.scale);
 }
-
-}  // namespace
 
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
   if (!own_unit) return {similarity(ros_utils::fromMsg(msg.pose.pose)), 0};

@@ -1,4 +1,4 @@
-// Alignments of other nodes, read from their messages. Both throw std::invalid_argument for what cannot be used.
+// Alignments of other nodes, read from their messages. They throw std::invalid_argument for what cannot be used.
 #pragma once
 
 #include <air_ground/AlignmentEstimate.h>
@@ -6,6 +6,16 @@
 #include "icp_refine/view_alignment.h"
 
 namespace icp_refine {
+
+/// Of the child: an alignment that comes before any cloud tells the unit of the MAV's map.
+inline std_msgs::Header childHeader(const air_ground::AlignmentEstimate& msg) {
+  std_msgs::Header header = msg.header;
+  header.frame_id = msg.child_frame_id;
+  return header;
+}
+
+/// With the message's scale.
+Similarity similarityFrom(const air_ground::AlignmentEstimate& msg);
 
 /// Where the coarse stage has placed the MAV's map.
 struct CoarseAlignment {

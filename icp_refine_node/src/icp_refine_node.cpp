@@ -149,28 +149,26 @@ class IcpRefineNode {
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
-    useAlignment(*msg, kCoarse, "coarse alignments", [&] {
-      postOfMav([coarse = coarseAlignmentFrom(*msg, mav_.map().ownUnit())](Inbox& inbox) { inbox.coarse = coarse; });
-    });
+    useAlignment(*msg, kCoarse, "coarse alignments", coarseAlignmentFrom, &Inbox::coarse);
   }
 
   void onViews(const AlignmentEstimate::ConstPtr& msg) {
-    useAlignment(*msg, kViews, "alignments by views", [&] {
-      postOfMav([views = viewAlignmentFrom(*msg, mav_.map().ownUnit())](Inbox& inbox) { inbox.views = views; });
-    });
+    useAlignment(*msg, kViews, "alignments by views", viewAlignmentFrom, &Inbox::views);
   }
 
   /// When it is CONVERGED, and of the maps that both robots have now.
-  void useAlignment(const AlignmentEstimate& msg, MavStream stream, const std::string& what,
-                    const std::function<void()>& use) {
+  template <typename Read, typename Kept>
+  void useAlignment(const AlignmentEstimate& msg, MavStream stream, const std::string& what, const Read& read,
+                    Kept Inbox::*kept) {
     if (msg.status != AlignmentEstimate::STATUS_CONVERGED) return;
     if (!ground_.isFrame(msg.header.frame_id, settings_.ground_map_frame, what)) return;
+    if (mav_.map().frame().empty() && !mav_.admitMap(stream, childHeader(msg), what + "' child")) return;
     if (!mav_.isFrame(msg.child_frame_id, mav_.map().expectedFrame(), what + "' child")) return;
     if (!mav_.admit(stream, msg.header.stamp)) return;
     mav_.observe(msg.map_id, msg.header.stamp, true);
     if (mav_.map().id() != msg.map_id) return health_.count(what + " of another map");
     try {
-      use();
+      postOfMav([kept, value = read(msg, mav_.map().ownUnit())](Inbox& inbox) { inbox.*kept = value; });
       worker_.setMapId(msg.map_id);
     } catch (const std::exception& e) {
       health_.count(what + " unreadable: " + e.what());
@@ -181,9 +179,7 @@ class IcpRefineNode {
     if (msg->child_frame_id != settings_.visual_map_frame || (mav_.map().id() && msg->map_id != *mav_.map().id()))
       return;
     try {
-      const Similarity T = similarity(ros_utils::fromMsg(msg->pose.pose), msg->scale);
-      if (!isValid(T)) throw std::invalid_argument("it is not a similarity");
-      output_.setMapScale(T);
+      output_.setMapScale(similarityFrom(*msg));
     } catch (const std::exception& e) {
       health_.count(std::string("scale of the visual map unreadable: ") + e.what());
     }
