@@ -260,6 +260,22 @@ TEST(Decompressed, ImagesOfAnyKind) {
   EXPECT_THROW(decompressed(broken), std::invalid_argument);
 }
 
+TEST(Compressed, PosedImageWhicheverWayItCame) {
+  cv::Mat grey(48, 64, CV_8UC1);
+  for (int v = 0; v < grey.rows; ++v)
+    for (int u = 0; u < grey.cols; ++u) grey.at<std::uint8_t>(v, u) = static_cast<std::uint8_t>(2 * u + v);
+  air_ground::PosedImage raw, jpeg;
+  raw.image = toMsg(grey, "mono8", std_msgs::Header());
+  jpeg.compressed = ros_utils::compressed(grey, 90, std_msgs::Header());
+  EXPECT_LT(jpeg.compressed.data.size(), raw.image.data.size() / 2);
+  EXPECT_EQ(cv::norm(greyFromMsg(raw), grey, cv::NORM_INF), 0);
+  EXPECT_LT(cv::norm(greyFromMsg(jpeg), grey, cv::NORM_INF), 8);
+  jpeg.compressed.data.resize(20);
+  EXPECT_THROW(greyFromMsg(jpeg), std::invalid_argument);
+  EXPECT_THROW(greyFromMsg(air_ground::PosedImage()), std::invalid_argument);
+  EXPECT_THROW(ros_utils::compressed(cv::Mat(4, 4, CV_32F), 90, std_msgs::Header()), std::invalid_argument);
+}
+
 TEST(Decompressed, Depth) {
   const cv::Mat millimetres(40, 60, CV_16UC1, cv::Scalar(1234));
   for (const std::size_t header : {0, 12}) {

@@ -10,6 +10,7 @@
 #include <cmath>
 #include <thread>
 
+#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
@@ -175,9 +176,8 @@ class DenseFusionNode {
     camera_frame_ = msg.camera_info.header.frame_id;
     const auto fused = guarded([&] {
       const auto camera = ros_utils::fromMsg(msg.camera_info);
-      return mapper_.add(ros_utils::greyFromMsg(msg.image), camera,
-                         static_cast<std::int64_t>(msg.header.stamp.toNSec()), ros_utils::fromMsg(msg.pose.pose),
-                         msg.depth_min, msg.depth_max, msg.readout_time);
+      return mapper_.add(ros_utils::greyFromMsg(msg), camera, static_cast<std::int64_t>(msg.header.stamp.toNSec()),
+                         ros_utils::fromMsg(msg.pose.pose), msg.depth_min, msg.depth_max, msg.readout_time);
     });
     health_.timing(fused ? "image that completes a fused map [s]" : "image [s]",
                    (ros::WallTime::now() - start).toSec());

@@ -5,7 +5,6 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
-#include <sensor_msgs/Image.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -23,6 +22,7 @@
 #include <random>
 
 #include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
@@ -67,7 +67,7 @@ void readPosedImages(const Options& options, const ImageSink& sink, const Sparse
     }
     const auto msg = m.instantiate<air_ground::PosedImage>();
     if (!msg || !msg->metric) continue;
-    sink(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info),
+    sink(ros_utils::greyFromMsg(*msg), ros_utils::fromMsg(msg->camera_info),
          static_cast<std::int64_t>(msg->header.stamp.toNSec()), ros_utils::fromMsg(msg->pose.pose), msg->depth_min,
          msg->depth_max);
   }

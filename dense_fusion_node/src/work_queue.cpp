@@ -8,6 +8,8 @@ namespace {
 
 constexpr std::size_t kMaxBytes = 512u << 20;  // of waiting images, however large each is
 
+std::size_t bytesOf(const air_ground::PosedImage& msg) { return msg.image.data.size() + msg.compressed.data.size(); }
+
 }  // namespace
 
 WorkQueue::WorkQueue(std::size_t most_images, air_ground_common::ros_utils::NodeHealth& health)
@@ -21,9 +23,9 @@ void WorkQueue::add(const air_ground::PosedImage::ConstPtr& msg) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!gate_.admit(kImages, msg->header.stamp)) return;
     images_.push_back(msg);
-    bytes_ += msg->image.data.size();
+    bytes_ += bytesOf(*msg);
     while (images_.size() > most_images_ || (bytes_ > kMaxBytes && images_.size() > 1)) {
-      bytes_ -= images_.front()->image.data.size();
+      bytes_ -= bytesOf(*images_.front());
       images_.pop_front();
       health_.count("images dropped: the queue was full");
     }
@@ -87,7 +89,7 @@ std::optional<Work> WorkQueue::next() {
   if (!images_.empty()) {
     const Work work{Work::Kind::kImage, images_.front(), sparse_};
     images_.pop_front();
-    bytes_ -= work.image->image.data.size();
+    bytes_ -= bytesOf(*work.image);
     return work;
   }
   flush_requested_ = false;

@@ -15,6 +15,7 @@
 #include <set>
 
 #include "air_ground_common/mesh.h"
+#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/node_testing.h"
 #include "synthetic_scene.h"
@@ -68,7 +69,10 @@ class DenseFusionNodeTest : public ::testing::Test {
     msg.header.frame_id = "mav_map";
     std_msgs::Header optical = msg.header;
     optical.frame_id = "mav_camera_optical_frame";
-    msg.image = ros_utils::toMsg((*images_)[i], "mono8", optical);
+    if (i % 2 == 0)
+      msg.image = ros_utils::toMsg((*images_)[i], "mono8", optical);
+    else
+      msg.compressed = ros_utils::compressed((*images_)[i], 90, optical);
     msg.camera_info = ros_utils::toMsg(*camera_, optical);
     Eigen::Isometry3d T = pose(i);
     T.translation().x() += shift_x;
@@ -214,7 +218,7 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   msg.camera_info.K[0] = 0;
   publisher_.publish(msg);
   msg = message(3, 300, 1);
-  msg.image.data.resize(10);
+  msg.compressed.data.resize(10);
   publisher_.publish(msg);
   msg = message(4, 300, 1);
   msg.image.encoding = "nonsense";
@@ -222,13 +226,16 @@ TEST_F(DenseFusionNodeTest, SurvivesBadInput) {
   msg = message(5, 300, 1);
   msg.depth_min = std::numeric_limits<float>::quiet_NaN();
   publisher_.publish(msg);
-  for (int i = 6; i < 9; ++i) publisher_.publish(message(6, 300, 1));  // repeated
+  msg = message(6, 300, 1);
+  msg.image.data.resize(10);
+  publisher_.publish(msg);
+  for (int i = 0; i < 3; ++i) publisher_.publish(message(8, 300, 1));  // repeated
   publisher_.publish(message(3, 300, 1));                              // late
   fly(301, 1);
   flushToCloud(301);
   checkOutput(0);
   ASSERT_TRUE(diagnostics_.refresh());
-  EXPECT_EQ(diagnostics_.counted(refused) - refused_before, 5);  // two poses, a calibration, a size, an encoding
+  EXPECT_EQ(diagnostics_.counted(refused) - refused_before, 6);  // two poses, a calibration, two sizes, an encoding
   EXPECT_EQ(diagnostics_.counted(late) - late_before, 3);
 }
 

@@ -13,6 +13,7 @@
 #include "mav_vo/external_scale.h"
 #include "messages.h"
 #include "node_parameters.h"
+#include "posed_image_selection.h"
 #include "visual_frontend/feature_tracker.h"
 
 namespace mav_vo {
@@ -162,18 +163,21 @@ class MavVoNode : private ros_utils::Estimator {
     // Odometry and tf have no flag that says "not metric": they begin with the metric map.
     if (r.metric) pose_publisher_.publish(header.stamp, r.T_map_base, motionOf(r), r.covariance);
     // What is reconstructed from them, and aligned, stays in one unit as long as the map lives.
-    air_ground::PosedImage posed = posedImage(*image, visual);
-    posed.header = header;
-    if (visual_) posed.header.frame_id = settings_.visual_frame;
-    posed.camera_info = shell_.cameraInfo();
-    posed.camera_info.header.stamp = header.stamp;
-    posed.camera_info.header.frame_id = shell_.cameraFrame();
-    posed_publisher_.publish(posed);
+    std_msgs::Header map_header = header;
+    if (visual_) map_header.frame_id = settings_.visual_frame;
+    if (posed_selection_.selects(visual)) {
+      air_ground::PosedImage posed = posedImage(grey, visual, settings_.posed_image_quality);
+      posed.header = map_header;
+      posed.camera_info = shell_.cameraInfo();
+      posed.camera_info.header.stamp = header.stamp;
+      posed.camera_info.header.frame_id = shell_.cameraFrame();
+      posed_publisher_.publish(posed);
+    }
     if (r.increment) increment_publisher_.publish(incrementMessage(header, r));
     if ((visual_ || r.metric) && r.keyframe &&
         header.stamp.toSec() - last_cloud_.toSec() >= settings_.sparse_cloud_interval) {
       last_cloud_ = header.stamp;
-      cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, posed.header));
+      cloud_publisher_.publish(ros_utils::toMsg(sparsePoints(), ros_utils::CloudFields::kXyz, map_header));
     }
   }
 
@@ -215,6 +219,7 @@ class MavVoNode : private ros_utils::Estimator {
   ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, track_publisher_, scale_publisher_;
   ros::Subscriber alignment_subscriber_;
   std::unique_ptr<Odometry> odometry_;
+  PosedImageSelection posed_selection_{settings_.posed_image_spacing};
   bool visual_ = false;  // no IMU: the map keeps its own unit
   std::optional<ExternalScale> external_scale_;
   std::mutex alignment_mutex_;

@@ -1,5 +1,8 @@
 #include "messages.h"
 
+#include <sensor_msgs/image_encodings.h>
+
+#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 
 namespace mav_vo {
@@ -68,9 +71,12 @@ ros_utils::Motion motionOf(const FrameResult& r) {
   return motion;
 }
 
-air_ground::PosedImage posedImage(const sensor_msgs::Image& image, const FrameResult& r) {
+air_ground::PosedImage posedImage(const cv::Mat& grey, const FrameResult& r, int quality) {
   air_ground::PosedImage posed;
-  posed.image = image;
+  if (quality > 0)
+    posed.compressed = ros_utils::compressed(grey, quality, std_msgs::Header());
+  else
+    posed.image = ros_utils::toMsg(grey, sensor_msgs::image_encodings::MONO8, std_msgs::Header());
   posed.pose.pose = ros_utils::toMsg(r.T_map_camera);
   ros_utils::setCovariance(r.camera_covariance, &posed.pose.covariance);
   posed.depth_min = static_cast<float>(r.depth_min);

@@ -20,8 +20,9 @@ air_ground::VoStatus statusMessage(const FrameResult& r);
 /// The increment's image noise; roll and pitch, which its covariance leaves out, taken like the heading.
 air_ground_common::ros_utils::Motion motionOf(const FrameResult& r);
 
-/// Image and pose in the odometry's own map; header and calibration are left to the caller.
-air_ground::PosedImage posedImage(const sensor_msgs::Image& image, const FrameResult& r);
+/// Image and pose in the odometry's own map; header and calibration are left to the caller. grey: 8 bit; quality: of
+/// its JPEG, 1..100, or 0: uncompressed.
+air_ground::PosedImage posedImage(const cv::Mat& grey, const FrameResult& r, int quality);
 
 /// `r` has an increment.
 air_ground::VoIncrement incrementMessage(const std_msgs::Header& header, const FrameResult& r);

@@ -18,6 +18,12 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("visual_map_frame", n.visual_frame,
     "without IMU: frame of posed images and sparse clouds, in a unit that the map keeps");
   v("sparse_cloud_interval", n.sparse_cloud_interval, {0, 60}, "s", "between sparse clouds, at keyframes");
+  v("posed_image_spacing", n.posed_image_spacing, {0, 10}, "m",
+    "images nearer than this to the last one sent, turned by less than 0.05 rad and not 0.2 s later are not sent; "
+    "without "
+    "scale as if the scene were 2 m away; 0: all are");
+  v("posed_image_quality", n.posed_image_quality, {0, 100}, "",
+    "of their JPEG, for a radio link: 90 is a seventh of the pixels; 0: uncompressed");
   v("track_image_every", n.track_image_every, {1, 1000}, "", "publish every n-th image with its tracks");
 
   describe(v, n.odometry);

@@ -17,6 +17,8 @@ struct NodeSettings {
   std::string visual_frame = "mav_visual_map";
   double sparse_cloud_interval = 1.0;
   int track_image_every = 2;
+  double posed_image_spacing = 0.02;
+  int posed_image_quality = 0;
 
   void validate() const { odometry.validate(); }
 };

@@ -5,6 +5,7 @@
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
 
+#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
@@ -95,9 +96,8 @@ class ViewMatchNode {
     try {
       const ros::WallTime start = ros::WallTime::now();
       matcher_.setOwnUnit(mav_.map().ownUnit());
-      const bool recognised =
-          matcher_.addImage(ros_utils::greyFromMsg(msg->image), ros_utils::fromMsg(msg->camera_info),
-                            ros_utils::fromMsg(msg->pose.pose), landmarks_);
+      const bool recognised = matcher_.addImage(ros_utils::greyFromMsg(*msg), ros_utils::fromMsg(msg->camera_info),
+                                                ros_utils::fromMsg(msg->pose.pose), landmarks_);
       health_.timing("image", (ros::WallTime::now() - start).toSec());
       if (recognised) stamp_ = msg->header.stamp;
     } catch (const std::exception& e) {

@@ -74,4 +74,18 @@ sensor_msgs::Image::Ptr decompressed(const sensor_msgs::CompressedImage& msg) {
   return boost::make_shared<sensor_msgs::Image>(toMsg(image, encoding, msg.header));
 }
 
+sensor_msgs::CompressedImage compressed(const cv::Mat& image, int quality, const std_msgs::Header& header) {
+  if (image.empty() || (image.type() != CV_8UC1 && image.type() != CV_8UC3))
+    throw std::invalid_argument("an image to be compressed must be grey or BGR, 8 bit");
+  sensor_msgs::CompressedImage msg;
+  msg.header = header;
+  msg.format = "jpeg";
+  cv::imencode(".jpg", image, msg.data, {cv::IMWRITE_JPEG_QUALITY, quality});
+  return msg;
+}
+
+cv::Mat greyFromMsg(const air_ground::PosedImage& msg) {
+  return msg.compressed.data.empty() ? greyFromMsg(msg.image) : greyFromMsg(*decompressed(msg.compressed));
+}
+
 }  // namespace air_ground_common::ros_utils

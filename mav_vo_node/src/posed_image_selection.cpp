@@ -1,0 +1,33 @@
+#include "posed_image_selection.h"
+
+#include <cmath>
+
+#include "air_ground_common/geometry.h"
+
+namespace mav_vo {
+namespace {
+
+constexpr double kAngle = 0.05;           // [rad], as DenseMapper's
+constexpr double kLongest = 0.199;        // [s]: the rows of a rolling shutter take their motion from neighbours
+constexpr double kNominalDistance = 2.0;  // [m], as dense_fusion's nominal_distance
+
+}  // namespace
+
+bool PosedImageSelection::selects(const FrameResult& frame) {
+  double unit = 1;  // [m] of the map's
+  if (!frame.metric && frame.depth_min > 0 && frame.depth_max >= frame.depth_min)
+    unit = kNominalDistance / std::sqrt(frame.depth_min * frame.depth_max);
+  const bool same_map = frame.map_id == map_id_ && frame.map_revision == map_revision_;
+  const double moved = unit * (frame.T_map_camera.translation() - T_map_camera_.translation()).norm();
+  const double gap = frame.stamp - stamp_;
+  if (same_map && !frame.keyframe && gap >= 0 && gap < kLongest && moved < spacing_ &&
+      air_ground_common::rotationAngle(frame.T_map_camera.linear(), T_map_camera_.linear()) < kAngle)
+    return false;
+  map_id_ = frame.map_id;
+  map_revision_ = frame.map_revision;
+  stamp_ = frame.stamp;
+  T_map_camera_ = frame.T_map_camera;
+  return true;
+}
+
+}  // namespace mav_vo
