@@ -25,6 +25,18 @@ CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bo
   return {similarityFrom(msg), msg.scale_stddev / msg.scale};
 }
 
+Vertical verticalFrom(const air_ground::VoStatus& msg) {
+  constexpr double kNearZ = 0.9;  // the prior is linear in the lean
+  const Eigen::Vector3d up(msg.up.x, msg.up.y, msg.up.z);
+  Vertical vertical;
+  if (!(msg.tilt_stddev > 0) || !std::isfinite(msg.tilt_stddev)) return vertical;
+  vertical.stddev = msg.tilt_stddev;
+  if (up.isZero()) return vertical;
+  if (!up.allFinite() || !(up.z() > kNearZ * up.norm())) return {};
+  vertical.up = up.normalized();
+  return vertical;
+}
+
 ViewAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
   ViewAlignment views;
   views.T_ground_map_mav_map = similarityFrom(msg);

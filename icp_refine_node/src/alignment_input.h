@@ -2,7 +2,9 @@
 #pragma once
 
 #include <air_ground/AlignmentEstimate.h>
+#include <air_ground/VoStatus.h>
 
+#include "icp_refine/localizability.h"
 #include "icp_refine/view_alignment.h"
 
 namespace icp_refine {
@@ -25,6 +27,9 @@ struct CoarseAlignment {
 
 /// `own_unit`: the MAV's map has no scale but this; else the message's is left out.
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit);
+
+/// Not known where the message's numbers are none; never throws.
+Vertical verticalFrom(const air_ground::VoStatus& msg);
 
 ViewAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit);
 

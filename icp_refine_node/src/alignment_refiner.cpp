@@ -70,22 +70,25 @@ Priors AlignmentRefiner::priors() const {
     out.scale.mean = views_->T_ground_map_mav_map.scale;
     out.scale.stddev = views_->scale_stddev;
   }
-  if (aerial_tilt_ > 0 && ground_tilt_ > 0)
-    out.tilt_stddev = std::hypot(settings_.tilt_stddev, std::hypot(aerial_tilt_, ground_tilt_));
+  if (aerial_vertical_.stddev > 0 && ground_vertical_.stddev > 0) {
+    out.up_reading = aerial_vertical_.up;
+    out.up_reference = ground_vertical_.up;
+    out.tilt_stddev = std::hypot(settings_.tilt_stddev, aerial_vertical_.stddev, ground_vertical_.stddev);
+  }
   return out;
 }
 
 void AlignmentRefiner::startMap() {
   aerial_.clear();
   scale_ = settings_.scale;
-  aerial_tilt_ = 0;
+  aerial_vertical_ = {};
   forgetPoses();
 }
 
 void AlignmentRefiner::startGround() {
   ground_ = Cloud();
   ground_camera_ = std::numeric_limits<double>::infinity();
-  ground_tilt_ = 0;
+  ground_vertical_ = {};
   reference_.reset();
   forgetPoses();
 }

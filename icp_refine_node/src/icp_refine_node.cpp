@@ -118,7 +118,7 @@ class IcpRefineNode {
   void onGroundStatus(const air_ground::VoStatus::ConstPtr& msg) {
     if (!ground_.admitStatus(kGroundStatus, *msg)) return;
     if (msg->state == air_ground::VoStatus::STATE_TRACKING)
-      worker_.post([&](Inbox& inbox) { inbox.ground_tilt = msg->tilt_stddev; });
+      worker_.post([&](Inbox& inbox) { inbox.ground_vertical = verticalFrom(*msg); });
     if (ground_forgotten_) useLastGround();
   }
 
@@ -144,7 +144,7 @@ class IcpRefineNode {
     const double deviation = std::hypot(msg->scale_stddev / msg->scale, msg->scale - 1);
     worker_.post([&](Inbox& inbox) {
       inbox.scale_deviation = deviation;
-      inbox.aerial_tilt = msg->tilt_stddev;
+      inbox.aerial_vertical = verticalFrom(*msg);
     });
   }
 

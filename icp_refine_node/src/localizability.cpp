@@ -204,7 +204,7 @@ Vector7d constrainedStep(const NormalEquations& equations, const Localizability&
   Matrix7d H = unit.asDiagonal() * equations.hessian * unit.asDiagonal();
   Vector7d g = unit.cwiseProduct(equations.gradient);
   Vector7d to_mean = Vector7d::Zero();  // of the priors, in metres
-  to_mean.segment<2>(3) = -Eigen::Vector3d::UnitZ().cross(T.R.col(2)).head<2>() / unit[3];
+  to_mean.segment<2>(3) = -priors.up_reference.cross(T.R * priors.up_reading).head<2>() / unit[3];
   to_mean[6] = std::log(priors.scale.mean / T.scale) / unit[6];
   Vector7d held = Vector7d::Zero();
   Matrix B;

@@ -68,7 +68,7 @@ void Inbox::startMap(bool in_own_unit) {
   own_unit = in_own_unit;
   aerial.clear();
   scale_deviation.reset();
-  aerial_tilt.reset();
+  aerial_vertical.reset();
   coarse.reset();
   views.reset();
   manual.reset();
@@ -83,7 +83,7 @@ void Inbox::startGround() {
   new_ground = true;
   ground.reset();
   ground_camera.reset();
-  ground_tilt.reset();
+  ground_vertical.reset();
   coarse.reset();
   views.reset();
   manual.reset();
@@ -175,8 +175,8 @@ bool RefineWorker::use(Inbox& inbox) {
     addAerial(aerial);
   }
   if (inbox.scale_deviation) refiner_.setScaleDeviation(*inbox.scale_deviation);
-  if (inbox.aerial_tilt) refiner_.setAerialTilt(*inbox.aerial_tilt);
-  if (inbox.ground_tilt) refiner_.setGroundTilt(*inbox.ground_tilt);
+  if (inbox.aerial_vertical) refiner_.setAerialVertical(*inbox.aerial_vertical);
+  if (inbox.ground_vertical) refiner_.setGroundVertical(*inbox.ground_vertical);
   if (inbox.coarse) useCoarse(*inbox.coarse);
   if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);

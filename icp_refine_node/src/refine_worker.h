@@ -35,9 +35,9 @@ struct Inbox {
   std::optional<CoarseAlignment> coarse;
   std::optional<ViewAlignment> views;
   std::optional<Pose> manual;
-  bool own_unit = false;                           ///< the clouds are in the visual map's unit
-  std::optional<double> scale_deviation;           ///< relative, as the odometry states it
-  std::optional<double> aerial_tilt, ground_tilt;  ///< standard deviations of the maps' verticals [rad]; 0: not known
+  bool own_unit = false;                  ///< the clouds are in the visual map's unit
+  std::optional<double> scale_deviation;  ///< relative, as the odometry states it
+  std::optional<Vertical> aerial_vertical, ground_vertical;
   bool any() const {
     return forgets() || aerial_revised || refine || map_subscriber || ground || !aerial.empty() || coarse || views ||
            manual;

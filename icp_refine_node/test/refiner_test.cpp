@@ -287,8 +287,8 @@ TEST_F(Refiner, HoldsTheTiltWhereBothRobotsKnowGravity) {
     refiner.reset();
     refiner.setGround(scene.ground);
     refiner.addAerial(1, leaning);
-    refiner.setAerialTilt(aerial);
-    refiner.setGroundTilt(ground);
+    refiner.setAerialVertical({Eigen::Vector3d::UnitZ(), aerial});
+    refiner.setGroundVertical({Eigen::Vector3d::UnitZ(), ground});
     refiner.setCoarse(scene.T_ground_map_mav_map * lean.inverse());
     const auto out = refiner.refine();
     const double tilt = std::acos(out.T_ground_map_mav_map.R(2, 2));

@@ -52,6 +52,7 @@ air_ground::VoStatus statusMessage(const FrameResult& r) {
   status.scale = r.scale;
   status.scale_stddev = r.scale_stddev;
   status.tilt_stddev = r.tilt_stddev;
+  status.up.z = 1;
   status.map_revision = r.map_revision;
   status.processing_time = r.seconds;
   status.reason = r.reason;

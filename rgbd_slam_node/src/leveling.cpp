@@ -40,7 +40,8 @@ bool Slam::Impl::levelMap() {
     return false;
   }
   const double angle = std::atan2(up.head<2>().norm(), up.z());
-  // What is not corrected counts as uncertainty.
+  vertical = {up, sigma};
+  // What is not corrected counts as uncertainty of the poses.
   if (sigma < tilt_sigma) tilt_sigma = std::hypot(sigma, angle);
   const bool certain = rest || sigma < settings.level_tolerance / 2;
   if (angle < settings.level_tolerance || !(certain || angle > kSureOfTilt * sigma)) {
@@ -54,6 +55,7 @@ bool Slam::Impl::levelMap() {
   S.R = Eigen::AngleAxisd(-air_ground_common::yawOf(S.R * T_first.linear()), Eigen::Vector3d::UnitZ()) * S.R;
   map.transform(S);
   motion.turn(S.R);
+  vertical.up = S.R * up;
   if (!leveled) {
     // Directions taken while the map leaned were of an accelerometer in motion.
     for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();

@@ -133,7 +133,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
     map_revision_ += r.map_corrected;
     status.map_revision = map_revision_;
     status.scale = 1.0;
-    if (slam_->gravityKnown()) status.tilt_stddev = slam_->tiltSigma();
+    if (slam_->gravityKnown()) {
+      const Vertical vertical = slam_->vertical();
+      status.tilt_stddev = vertical.sigma;
+      status.up.x = vertical.up.x();
+      status.up.y = vertical.up.y();
+      status.up.z = vertical.up.z();
+    }
     status.processing_time = seconds;
     status.reason = r.reason;
     if (!r.imu_problem.empty()) tellImuProblem(r.imu_problem, status.reason);

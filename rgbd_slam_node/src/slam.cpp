@@ -104,6 +104,7 @@ FrameResult Slam::Impl::initialize(const Images& images) {
   addKeyframe(images, result.T_map_camera, Matrix6d::Identity() * 1e-10);
   if (imu_ready) motion.startMap();
   tilt_sigma = imu_ready ? attitude.upSigma() : 0.05;
+  vertical = {Eigen::Vector3d::UnitZ(), tilt_sigma};
   frames.add(stamp, result.T_map_camera, reference, map);
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
@@ -287,7 +288,7 @@ Eigen::Vector3d Slam::gyroBias() const { return impl_->motion.gyroBias(); }
 bool Slam::gravityKnown() const { return impl_->gravity_known; }
 double Slam::readoutTime() const { return impl_->motion.rows().readoutTime(); }
 double Slam::readoutTimeStddev() const { return impl_->shutter ? impl_->shutter->stddev() : 0; }
-double Slam::tiltSigma() const { return impl_->tilt_sigma; }
+Vertical Slam::vertical() const { return impl_->vertical; }
 std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const { return impl_->motion.estimate(); }
 int Slam::mapId() const { return impl_->map_id; }
 

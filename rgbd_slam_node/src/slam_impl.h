@@ -60,7 +60,8 @@ struct Slam::Impl {
   KeyframeId reference = kNoKeyframe;           ///< whose view the present frames share
   bool gravity_known = false;
   bool leveled = false;      ///< or nothing to level with
-  double tilt_sigma = 0.05;  ///< of the map against gravity, about its origin [rad]
+  double tilt_sigma = 0.05;  ///< of the map against gravity, about its origin, what it is known to lean included [rad]
+  Vertical vertical;
   int map_id = 0;
   SlamCounters counters;
 

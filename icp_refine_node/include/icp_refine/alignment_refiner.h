@@ -93,10 +93,9 @@ class AlignmentRefiner {
   /// What the MAV's odometry says of its scale: relative standard deviation. Counts when it is larger than the
   /// settings'.
   void setScaleDeviation(double stddev);
-  /// Standard deviation by which the map's z axis may lean against gravity [rad]; 0: not known. Where both maps hang
-  /// from gravity, they are parallel as surely as that.
-  void setAerialTilt(double stddev) { aerial_tilt_ = stddev; }
-  void setGroundTilt(double stddev) { ground_tilt_ = stddev; }
+  /// What the robots know of gravity in their maps: where both do, the maps' verticals are parallel as surely as that.
+  void setAerialVertical(const Vertical& vertical) { aerial_vertical_ = vertical; }
+  void setGroundVertical(const Vertical& vertical) { ground_vertical_ = vertical; }
   /// The aerial map was corrected as a whole: forgets the clouds so far.
   void forgetAerial() { aerial_.clear(); }
   /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches, on the
@@ -142,7 +141,7 @@ class AlignmentRefiner {
   std::optional<ViewAlignment> views_;
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
-  double aerial_tilt_ = 0, ground_tilt_ = 0;
+  Vertical aerial_vertical_, ground_vertical_;
   int rejections_ = 0, disagreements_ = 0;
   static constexpr int kMovedGrounds = 2;
   int moved_grounds_ = 0;  ///< ground maps to come for which the ground counts as moved

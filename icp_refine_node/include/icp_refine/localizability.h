@@ -32,11 +32,18 @@ struct ScalePrior {
   double stddev = 0.02;  ///< relative
 };
 
+/// What a robot knows of gravity in its map.
+struct Vertical {
+  Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  ///< unit, near z
+  double stddev = 0;                              ///< about each horizontal axis [rad]; 0: not known
+};
+
 /// What is known of the alignment before the clouds are compared.
 struct Priors {
   Priors(const ScalePrior& scale_prior = {}) : scale(scale_prior) {}
   ScalePrior scale;
-  /// Of the angle between both maps' z axes, about each horizontal axis [rad]: finite where both hang from gravity.
+  Eigen::Vector3d up_reading = Eigen::Vector3d::UnitZ(), up_reference = Eigen::Vector3d::UnitZ();
+  /// Of the angle between these two, about each horizontal axis [rad]: finite where both maps hang from gravity.
   double tilt_stddev = std::numeric_limits<double>::infinity();
 };
 
@@ -92,7 +99,7 @@ Matrix7d gradientScatter(const MatchedClouds& clouds, const std::vector<float>& 
 /// constraint that it has no part along directions of the pose that the geometry does not fix (Tuna 2024). With 7, a
 /// scale that the geometry does not fix goes to the prior's mean; else the prior counts as lambda (log(scale / mean))^2
 /// with lambda = (k^2 + information map_scale_sigma^2) / stddev^2, k^2 the variance of a unit of weight along the scale
-/// that `scatter` shows. So does the tilt e_z x R e_z, with 6 or 7.
+/// that `scatter` shows. So does the tilt up_reference x R up_reading, with 6 or 7.
 Vector7d constrainedStep(const NormalEquations& equations, const Localizability& localizability,
                          const Matrix7d& scatter, int dof, const Priors& priors, const Similarity& T,
                          const CovarianceSettings& settings);

@@ -111,6 +111,12 @@ struct Mounting {
 
 enum class State { kWaiting, kInitializing, kTracking, kLost };
 
+/// Gravity in the map.
+struct Vertical {
+  Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  ///< unit
+  double sigma = 0.05;                            ///< about each horizontal axis [rad]
+};
+
 struct FrameResult {
   State state = State::kWaiting;
   std::string reason;       ///< why not tracking
@@ -163,7 +169,7 @@ class Slam {
   bool gravityKnown() const;         ///< the map was levelled by the accelerometer
   double readoutTime() const;        ///< of a rolling shutter, as it is in use [s]
   double readoutTimeStddev() const;  ///< of its estimate [s]; 0 = given, not estimated
-  double tiltSigma() const;          ///< what the map may lean against gravity, standard deviation [rad]
+  Vertical vertical() const;         ///< what is up in the map, which leans a little (`level_tolerance`)
   /// Gravity and biases from the motion so far; empty without IMU or before there was any.
   std::optional<visual_frontend::InertialEstimate> inertialEstimate() const;
   int mapId() const;  ///< counts the maps that were begun
