@@ -3,6 +3,10 @@
 #include <algorithm>
 #include <cmath>
 
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
 // Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
 #define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 
@@ -32,25 +36,78 @@ int hypothesesBetween(int x0, int x1, const float* base, const float* step, cons
   return pixels * kMostBetween <= kNodeStep ? kMostBetween : std::max(1, static_cast<int>(kNodeStep / pixels));
 }
 
-// (sample - reference) << kGreyBits of n pixels at one hypothesis, whose shifts are s.
-__attribute__((always_inline)) inline void sampleDifferences(int n, const float* X, const float* Y, const float* W,
-                                                             const std::int16_t* reference, float sx, float sy,
-                                                             float sw, const std::uint32_t* packed, int stride,
-                                                             std::int16_t* __restrict out) {
-  constexpr int kOne = 1 << kFractionBits;
-#pragma GCC ivdep
-  for (int i = 0; i < n; ++i) {
-    const float scale = kOne / (W[i] + sw);
-    const std::int32_t u = static_cast<std::int32_t>((X[i] + sx) * scale + 0.5f);
-    const std::int32_t v = static_cast<std::int32_t>((Y[i] + sy) * scale + 0.5f);
+constexpr int kOne = 1 << kFractionBits;
+constexpr int kSampleShift = 2 * kFractionBits - kGreyBits;
+
+/// Pixels of a row, and where they lie in the frame.
+struct Pixels {
+  int n = 0;
+  const float *X = nullptr, *Y = nullptr, *W = nullptr;
+  const std::int16_t* reference = nullptr;  ///< grey levels << kGreyBits
+  const std::uint32_t* packed = nullptr;    ///< the frame
+  int stride = 0;
+};
+
+// (sample - reference) << kGreyBits of the pixels from `first` on at one hypothesis, whose shifts are s.
+void samplePlain(const Pixels& p, int first, float sx, float sy, float sw, std::int16_t* __restrict out) {
+  for (int i = first; i < p.n; ++i) {
+    const float scale = kOne / (p.W[i] + sw);
+    const std::int32_t u = static_cast<std::int32_t>((p.X[i] + sx) * scale + 0.5f);
+    const std::int32_t v = static_cast<std::int32_t>((p.Y[i] + sy) * scale + 0.5f);
     const std::int32_t fu = u & (kOne - 1), fv = v & (kOne - 1);
-    const std::uint32_t q = packed[(v >> kFractionBits) * stride + (u >> kFractionBits)];
+    const std::uint32_t q = p.packed[(v >> kFractionBits) * p.stride + (u >> kFractionBits)];
     const std::int32_t a = q & 255, b = (q >> 8) & 255, c = (q >> 16) & 255, e = q >> 24;
     const std::int32_t top = a * kOne + fu * (b - a);
     const std::int32_t bottom = c * kOne + fu * (e - c);
-    const std::int32_t sample = (top * kOne + fv * (bottom - top)) >> (2 * kFractionBits - kGreyBits);
-    out[i] = static_cast<std::int16_t>(sample - reference[i]);
+    const std::int32_t sample = (top * kOne + fv * (bottom - top)) >> kSampleShift;
+    out[i] = static_cast<std::int16_t>(sample - p.reference[i]);
   }
+}
+
+#if defined(__x86_64__)
+// The same, by gathers, and with both linear interpolations as products of pairs: bytes a, b by (64 - fu, fu), then
+// 16-bit top, bottom by (64 - fv, fv). The compiler finds neither.
+__attribute__((target("avx2"))) inline __m256i sampleEight(const Pixels& p, int i, __m256 sx, __m256 sy, __m256 sw) {
+  const __m256 half = _mm256_set1_ps(0.5f);
+  const __m256i one = _mm256_set1_epi32(kOne), fraction = _mm256_set1_epi32(kOne - 1);
+  const __m256 scale = _mm256_div_ps(_mm256_set1_ps(kOne), _mm256_add_ps(_mm256_loadu_ps(p.W + i), sw));
+  const auto position = [&](const float* at, __m256 shift) __attribute__((target("avx2"))) {
+    return _mm256_cvttps_epi32(
+        _mm256_add_ps(_mm256_mul_ps(_mm256_add_ps(_mm256_loadu_ps(at + i), shift), scale), half));
+  };
+  const __m256i u = position(p.X, sx), v = position(p.Y, sy);
+  const __m256i index =
+      _mm256_add_epi32(_mm256_mullo_epi32(_mm256_srai_epi32(v, kFractionBits), _mm256_set1_epi32(p.stride)),
+                       _mm256_srai_epi32(u, kFractionBits));
+  const __m256i q = _mm256_i32gather_epi32(reinterpret_cast<const int*>(p.packed), index, 4);
+  const __m256i fu = _mm256_and_si256(u, fraction), fv = _mm256_and_si256(v, fraction);
+  const __m256i pair = _mm256_add_epi32(_mm256_sub_epi32(one, fu), _mm256_slli_epi32(fu, 8));
+  const __m256i across = _mm256_or_si256(pair, _mm256_slli_epi32(pair, 16));
+  const __m256i down = _mm256_or_si256(_mm256_sub_epi32(one, fv), _mm256_slli_epi32(fv, 16));
+  return _mm256_srai_epi32(_mm256_madd_epi16(_mm256_maddubs_epi16(q, across), down), kSampleShift);
+}
+
+__attribute__((target("avx2"))) void sampleAvx2(const Pixels& p, int first, float sx, float sy, float sw,
+                                                std::int16_t* __restrict out) {
+  const __m256 x = _mm256_set1_ps(sx), y = _mm256_set1_ps(sy), w = _mm256_set1_ps(sw);
+  int i = first;
+  for (; i + 16 <= p.n; i += 16) {
+    const __m256i samples =
+        _mm256_permute4x64_epi64(_mm256_packs_epi32(sampleEight(p, i, x, y, w), sampleEight(p, i + 8, x, y, w)), 0xd8);
+    const __m256i reference = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p.reference + i));
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + i), _mm256_sub_epi16(samples, reference));
+  }
+  samplePlain(p, i, sx, sy, sw, out);
+}
+#endif
+
+using Sampler = void (*)(const Pixels&, int, float, float, float, std::int16_t*);
+
+Sampler fastestSampler() {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx2")) return sampleAvx2;
+#endif
+  return samplePlain;
 }
 
 // cost += min(|difference + k * delta|, 63)^2 / 4 in 16-bit lanes.
@@ -73,6 +130,7 @@ void addRow(const std::uint8_t* reference, int x0, int x1, int width, const floa
             std::uint16_t* cost) {
   alignas(64) float X[kChunk], Y[kChunk], W[kChunk];
   alignas(64) std::int16_t target[kChunk], delta[kChunk], samples[2][kChunk] = {};
+  static const Sampler sample = fastestSampler();
   const int between = hypothesesBetween(x0, x1, base, step, shift, inverse_depth, hypotheses);
   for (int begin = x0; begin < x1; begin += kChunk) {
     const int n = std::min(kChunk, x1 - begin);
@@ -83,17 +141,22 @@ void addRow(const std::uint8_t* reference, int x0, int x1, int width, const floa
       W[i] = base[2] + x * step[2];
       target[i] = static_cast<std::int16_t>(reference[begin + i] << kGreyBits);
     }
-    const auto sampleAt = [&](int d, std::int16_t* out) __attribute__((always_inline)) {
+    const Pixels pixels{n, X, Y, W, target, packed, stride};
+    const auto sampleAt = [&](int d, std::int16_t* out) {
       const float rho = inverse_depth[d];
-      sampleDifferences(n, X, Y, W, target, rho * shift[0], rho * shift[1], rho * shift[2], packed, stride, out);
+      sample(pixels, 0, rho * shift[0], rho * shift[1], rho * shift[2], out);
     };
     std::int16_t *here = samples[0], *next = samples[1];
     sampleAt(0, here);
     for (int d = 0; d < hypotheses;) {
       const int k = std::max(1, std::min(between, hypotheses - 1 - d));
       if (d + k < hypotheses) sampleAt(d + k, next);
-      const std::int32_t part = 32768 / k;
-      for (int i = 0; i < n; ++i) delta[i] = static_cast<std::int16_t>(((next[i] - here[i]) * part + 16384) >> 15);
+      // (x * part + 2^14) >> 15 is one instruction (pmulhrsw); with k = 1 only the first, without the delta, is used.
+      const std::int16_t part = static_cast<std::int16_t>(32768 / std::max(2, k));
+      for (int i = 0; i < n; ++i) {
+        const std::int16_t change = static_cast<std::int16_t>(next[i] - here[i]);
+        delta[i] = static_cast<std::int16_t>((change * part + 16384) >> 15);
+      }
       for (int j = 0; j < k; ++j, ++d)
         addSquares(n, here, delta, static_cast<std::int16_t>(j), cost + static_cast<std::ptrdiff_t>(d) * width + begin);
       std::swap(here, next);

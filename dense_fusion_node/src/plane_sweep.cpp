@@ -69,63 +69,65 @@ void PlaneSweep::start(const Frame& reference, double depth_min, double depth_ma
     const double s = static_cast<double>(d) / (D - 1);
     inverse_depth_[d] = static_cast<float>((1 - s) / depth_max + s / depth_min);
   }
-  const std::size_t pixels = static_cast<std::size_t>(camera_.width) * camera_.height;
-  cost_.assign(pixels * D, 0);
-  samples_.assign(pixels, 0);
-  packed_.resize(pixels);
-  frames_ = 0;
+  views_.clear();
   squared_parallax_ = 0;
   started_ = true;
 }
 
-double PlaneSweep::parallax() const { return frames_ > 0 ? std::sqrt(squared_parallax_ / frames_) : 0; }
+double PlaneSweep::parallax() const { return views_.empty() ? 0 : std::sqrt(squared_parallax_ / frames()); }
 
 bool PlaneSweep::add(const Frame& frame) {
   if (!started_) throw std::logic_error("plane sweep: add() before start()");
   if (frame.normalized.cols != camera_.width || frame.normalized.rows != camera_.height)
     throw std::invalid_argument("plane sweep: the frame's size differs from the camera's");
-  if (frames_ >= settings_.max_frames) return false;
-  const int width = camera_.width, height = camera_.height, D = settings_.hypotheses;
+  if (frames() >= settings_.max_frames) return false;
+  const int width = camera_.width, height = camera_.height;
   // A point at inverse depth rho on the reference pixel x = (u, v, 1): K (R K^-1 x + rho t), up to scale.
   const Eigen::Isometry3d T_frame_reference = frame.T_map_camera.inverse() * reference_.T_map_camera;
   const Eigen::Matrix3d K = camera_.K();
-  const Eigen::Matrix3d H = K * T_frame_reference.linear() * K.inverse();
-  const Eigen::Vector3d b = K * T_frame_reference.translation();
+  View view{K * T_frame_reference.linear() * K.inverse(), K * T_frame_reference.translation(), {}, {}, {}};
+  const auto& [H, b, x0, x1, packed] = view;
   const double rho[2] = {inverse_depth_.front(), inverse_depth_.back()};
 
-  std::vector<int> x0(height), x1(height);
   bool any = false;
   for (int y = 0; y < height; ++y) {
     double begin = 0, end = width - 1;
     const Eigen::Vector3d at_zero = H * Eigen::Vector3d(0, y, 1);
     for (const double r : rho) clipRow(at_zero + r * b, H.col(0), width, height, &begin, &end);
-    x0[y] = begin <= end ? static_cast<int>(std::ceil(begin)) : 0;
-    x1[y] = begin <= end ? static_cast<int>(std::floor(end)) + 1 : 0;
-    any = any || x1[y] > x0[y];
+    view.x0.push_back(begin <= end ? static_cast<int>(std::ceil(begin)) : 0);
+    view.x1.push_back(begin <= end ? static_cast<int>(std::floor(end)) + 1 : 0);
+    any = any || view.x1.back() > view.x0.back();
   }
   if (!any) return false;
 
-  kernels::packNeighborhoods(frame.normalized.ptr<std::uint8_t>(), width, height, packed_.data());
-  const float step[3] = {float(H(0, 0)), float(H(1, 0)), float(H(2, 0))};
-  const float shift[3] = {float(b.x()), float(b.y()), float(b.z())};
-#pragma omp parallel for schedule(dynamic, 8) num_threads(settings_.threads)
-  for (int y = 0; y < height; ++y) {
-    if (x1[y] <= x0[y]) continue;
-    const float base[3] = {float(H(0, 1) * y + H(0, 2)), float(H(1, 1) * y + H(1, 2)), float(H(2, 1) * y + H(2, 2))};
-    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0[y], x1[y], width, base, step, shift,
-                    inverse_depth_.data(), D, packed_.data(), width, &cost_[static_cast<std::size_t>(y) * D * width]);
-    for (int x = x0[y]; x < x1[y]; ++x) ++samples_[static_cast<std::size_t>(y) * width + x];
-  }
+  view.packed.resize(static_cast<std::size_t>(width) * height);
+  kernels::packNeighborhoods(frame.normalized.ptr<std::uint8_t>(), width, height, view.packed.data());
   // Shift of the image centre's sample between the two end planes.
   const Eigen::Vector3d centre(camera_.cx, camera_.cy, 1);
   const Eigen::Vector2d far = (H * centre + rho[0] * b).hnormalized(), near = (H * centre + rho[1] * b).hnormalized();
   squared_parallax_ += (near - far).squaredNorm();
-  ++frames_;
+  views_.push_back(std::move(view));
   return true;
 }
 
+void PlaneSweep::sumCosts(int y, CostRow* row) const {
+  const int width = camera_.width, D = settings_.hypotheses;
+  row->cost.assign(static_cast<std::size_t>(D) * width, 0);
+  row->samples.assign(width, 0);
+  for (const auto& [H, b, x0, x1, packed] : views_) {
+    if (x1[y] <= x0[y]) continue;
+    const float step[3] = {float(H(0, 0)), float(H(1, 0)), float(H(2, 0))};
+    const float shift[3] = {float(b.x()), float(b.y()), float(b.z())};
+    const float base[3] = {float(H(0, 1) * y + H(0, 2)), float(H(1, 1) * y + H(1, 2)), float(H(2, 1) * y + H(2, 2))};
+    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0[y], x1[y], width, base, step, shift,
+                    inverse_depth_.data(), D, packed.data(), width, row->cost.data());
+    for (int x = x0[y]; x < x1[y]; ++x) ++row->samples[x];
+  }
+}
+
 void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples,
-                             int half_width, DepthMap* map, std::vector<std::uint32_t>* scratch) const {
+                             const std::vector<std::uint16_t>& own_samples, int half_width, DepthMap* map,
+                             std::vector<std::uint32_t>* scratch) const {
   const int width = camera_.width, D = settings_.hypotheses;
   std::uint32_t* best = scratch->data();
   std::uint32_t* second = best + width;
@@ -143,7 +145,7 @@ void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector
   }
   const double n_fit = 2 * w + 1, determinant = n_fit * m4 - m2 * m2;
   for (int x = 0; x < width; ++x) {
-    if (samples_[static_cast<std::size_t>(y) * width + x] < settings_.min_samples) continue;
+    if (own_samples[x] < settings_.min_samples) continue;
     const int d = index[x];
     if (d < w || d + w >= D || !(best[x] < settings_.max_peak_ratio * second[x])) continue;
     double s0 = 0, s1 = 0, s2 = 0;
@@ -178,7 +180,7 @@ DepthMap PlaneSweep::depthMap() const {
   map.camera = camera_;
   map.T_map_camera = reference_.T_map_camera;
   map.intensity = reference_.intensity;
-  map.frames = frames_ + 1;
+  map.frames = frames() + 1;
   map.depth = cv::Mat(height, width, CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
   map.confidence = cv::Mat::zeros(height, width, CV_32F);
   if (parallax() < settings_.min_parallax) return map;
@@ -194,19 +196,22 @@ DepthMap PlaneSweep::depthMap() const {
       const int first = t * band, last = std::min(height, first + band);
       std::vector<std::uint32_t> column(slab, 0), aggregated(slab), scratch(3 * static_cast<std::size_t>(width));
       std::vector<std::uint32_t> count_column(width, 0), count(width);
+      std::vector<CostRow> rows(2 * r + 2);  // from the one that leaves the window to the one that enters it
+      const auto rowAt = [&rows](int y) -> CostRow& { return rows[static_cast<std::size_t>(y) % rows.size()]; };
       const auto slide = [&](int enter, int leave) {
-        const bool in = enter >= 0 && enter < height, out = leave >= 0;
-        kernels::slideSum(column.data(), in ? &cost_[enter * slab] : nullptr, out ? &cost_[leave * slab] : nullptr,
-                          static_cast<int>(slab));
-        kernels::slideSum(count_column.data(), in ? &samples_[static_cast<std::size_t>(enter) * width] : nullptr,
-                          out ? &samples_[static_cast<std::size_t>(leave) * width] : nullptr, width);
+        const bool in = enter < height, out = leave >= 0;
+        if (in) sumCosts(enter, &rowAt(enter));
+        kernels::slideSum(column.data(), in ? rowAt(enter).cost.data() : nullptr,
+                          out ? rowAt(leave).cost.data() : nullptr, static_cast<int>(slab));
+        kernels::slideSum(count_column.data(), in ? rowAt(enter).samples.data() : nullptr,
+                          out ? rowAt(leave).samples.data() : nullptr, width);
       };
       for (int y = std::max(0, first - r); y < first + r; ++y) slide(y, -1);
       for (int y = first; y < last; ++y) {
         slide(y + r, y == first ? -1 : y - r - 1);
         kernels::boxRows(column.data(), D, width, r, aggregated.data());
         kernels::boxRows(count_column.data(), 1, width, r, count.data());
-        estimateRow(y, aggregated.data(), count, half_width, &map, &scratch);
+        estimateRow(y, aggregated.data(), count, rowAt(y).samples, half_width, &map, &scratch);
       }
     });
   failure.rethrow();

@@ -1,4 +1,5 @@
 """What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
+import collections
 import os
 import re
 import shutil
@@ -184,6 +185,7 @@ class Pacer:
         self.recorder, self.limits, self.player = recorder, limits, player
         self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
         self.paused, self.held, self.since = False, 0.0, None
+        self.slowest, self.held_for = '', collections.Counter()  # node: wall time [s]
 
     def step(self, now):
         """now: time of the bag [s]."""
@@ -196,6 +198,7 @@ class Pacer:
                     if name in self.busy and name in self.limits}
         lag = max(lags.values(), default=0.0)
         if not self.paused and lag > 1.0:
+            self.slowest = max(lags, key=lags.get)
             self._set(True)
         elif self.paused and lag < 0.6:
             self._set(False)
@@ -210,7 +213,9 @@ class Pacer:
         if pause:
             self.since = time.monotonic()
         elif self.since is not None:
-            self.held += time.monotonic() - self.since
+            held = time.monotonic() - self.since
+            self.held += held
+            self.held_for[self.slowest] += held
         self.paused = pause
 
 
@@ -337,6 +342,9 @@ def play_to_end(recorder, player, end, limits, summary):
                 break
         time.sleep(0.1)
     pacer.release()
+    if pacer.held > 1:
+        rospy.loginfo('the player was held for %.0f s in all so that the nodes could keep up (%s)', pacer.held,
+                      ', '.join(f'{name}: {seconds:.0f} s' for name, seconds in pacer.held_for.most_common()))
     return pacer.held
 
 

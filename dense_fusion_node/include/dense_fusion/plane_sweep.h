@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "dense_fusion/depth_map.h"
-#include "dense_fusion/field.h"
 #include "dense_fusion/rectifier.h"
 
 namespace dense_fusion {
@@ -23,21 +22,23 @@ struct PlaneSweepSettings {
   int threads = 2;
 };
 
-/// Squared differences of one reference image with many frames, summed per pixel and hypothesis.
+/// Squared differences of one reference image with many frames, summed per pixel and hypothesis. They are summed when
+/// the depth map is asked for, row by row over all frames, so that a row's costs stay in the cache: the whole volume
+/// (36 MB of 376x240x200) would go through memory with every frame.
 class PlaneSweep {
  public:
   /// `camera`: undistorted pinhole of all frames. Throws std::invalid_argument for bad settings or a distorted camera.
   PlaneSweep(const air_ground_common::CameraModel& camera, const PlaneSweepSettings& settings = {});
 
-  /// Clears the volume. Depth range in metres, 0 < depth_min < depth_max; throws std::invalid_argument otherwise.
+  /// Forgets all frames. Depth range in metres, 0 < depth_min < depth_max; throws std::invalid_argument otherwise.
   void start(const Frame& reference, double depth_min, double depth_max);
   bool started() const { return started_; }
 
-  /// Adds a frame. False, and no change, when the volume is full or no pixel of the reference is seen by it.
+  /// Adds a frame. False, and no change, when there are max_frames or no pixel of the reference is seen by it.
   bool add(const Frame& frame);
 
   const Frame& reference() const { return reference_; }
-  int frames() const { return frames_; }  ///< added so far, without the reference
+  int frames() const { return static_cast<int>(views_.size()); }  ///< added so far, without the reference
   /// RMS shift of a pixel over the frames between the nearest and the farthest plane [px].
   double parallax() const;
   double inverseDepth(int hypothesis) const { return inverse_depth_[hypothesis]; }  ///< [1/m], rising
@@ -47,19 +48,30 @@ class PlaneSweep {
   DepthMap depthMap() const;
 
  private:
-  void estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples, int half_width,
-                   DepthMap* map, std::vector<std::uint32_t>* scratch) const;
+  /// A frame as the reference's pixels see it: x at inverse depth rho lies at H x + rho b.
+  struct View {
+    Eigen::Matrix3d H;
+    Eigen::Vector3d b;
+    std::vector<int> x0, x1;            ///< of each row: pixels that it sees at all depths
+    std::vector<std::uint32_t> packed;  ///< kernels::packNeighborhoods
+  };
+  struct CostRow {
+    std::vector<std::uint16_t> cost;     ///< [hypothesis][x]
+    std::vector<std::uint16_t> samples;  ///< [x], frames behind each pixel
+  };
+
+  void sumCosts(int y, CostRow* row) const;
+  void estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples,
+                   const std::vector<std::uint16_t>& own_samples, int half_width, DepthMap* map,
+                   std::vector<std::uint32_t>* scratch) const;
 
   air_ground_common::CameraModel camera_;
   PlaneSweepSettings settings_;
   Frame reference_;
   bool started_ = false;
-  int frames_ = 0;
   double squared_parallax_ = 0;
   std::vector<float> inverse_depth_;
-  Field<std::uint16_t> cost_;           // [y][hypothesis][x]
-  std::vector<std::uint16_t> samples_;  // [y][x], frames behind each pixel
-  std::vector<std::uint32_t> packed_;
+  std::vector<View> views_;
 };
 
 }  // namespace dense_fusion
