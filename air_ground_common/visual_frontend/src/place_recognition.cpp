@@ -39,13 +39,14 @@ void describeKeyframe(const cv::Mat& gray, const CameraModel& camera, const Plac
 std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Mat& b, const PlaceSettings& settings) {
   std::vector<std::pair<int, int>> matches;
   if (a.rows < 2 || b.rows < 2) return matches;
-  std::vector<int> nearest_a(a.rows), distance_a(a.rows), second_a(a.rows), nearest_b(b.rows), distance_b(b.rows),
-      second_b(b.rows);
-  nearestHamming(a.data, a.step, a.rows, b.data, b.step, b.rows, nearest_a.data(), distance_a.data(), second_a.data());
-  nearestHamming(b.data, b.step, b.rows, a.data, a.step, a.rows, nearest_b.data(), distance_b.data(), second_b.data());
+  std::vector<int> nearest(a.rows), distance(a.rows), second(a.rows);
+  nearestHamming(a.data, a.step, a.rows, b.data, b.step, b.rows, nearest.data(), distance.data(), second.data());
   for (int i = 0; i < a.rows; ++i) {
-    if (distance_a[i] > settings.max_hamming || distance_a[i] > settings.max_ratio * second_a[i]) continue;
-    if (nearest_b[nearest_a[i]] == i) matches.emplace_back(i, nearest_a[i]);
+    if (distance[i] > settings.max_hamming || distance[i] > settings.max_ratio * second[i]) continue;
+    // The other way only for those that are left: a few of a hundred.
+    int back, back_distance, back_second;
+    nearestHamming(b.ptr(nearest[i]), b.step, 1, a.data, a.step, a.rows, &back, &back_distance, &back_second);
+    if (back == i) matches.emplace_back(i, nearest[i]);
   }
   return matches;
 }

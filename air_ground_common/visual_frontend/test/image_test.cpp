@@ -1,6 +1,8 @@
 // Tracking, re-observation and place recognition on rendered views of a textured plane.
 #include <gtest/gtest.h>
 
+#include <opencv2/features2d.hpp>
+
 #include "../src/hamming.h"
 #include "synthetic.h"
 #include "visual_frontend/feature_tracker.h"
@@ -266,6 +268,31 @@ TEST(Hamming, MatchesBitByBitCount) {
     EXPECT_EQ(all[0], distance[i]);
     EXPECT_EQ(all[1], second[i]);
   }
+}
+
+TEST(Hamming, MatchesAreTheMutualNearestThatPassTheRatio) {
+  cv::RNG rng(7);
+  cv::Mat a(200, 32, CV_8U), b(150, 32, CV_8U);
+  rng.fill(a, cv::RNG::UNIFORM, 0, 256);
+  rng.fill(b, cv::RNG::UNIFORM, 0, 256);
+  for (int i = 0; i < 100; ++i) {  // of each, every second has its like in the other, twice now and then
+    a.row(2 * i).copyTo(b.row(i));
+    for (int k = 0; k < rng.uniform(0, 12); ++k) b.at<std::uint8_t>(i, rng.uniform(0, 32)) ^= 1 << rng.uniform(0, 8);
+    if (i % 10 == 0) b.row(i).copyTo(b.row(100 + i / 10));
+    if (i % 10 == 5) b.row(i).copyTo(a.row(2 * i + 1));
+  }
+  PlaceSettings settings;
+  std::vector<std::vector<cv::DMatch>> forward;
+  std::vector<cv::DMatch> back;
+  cv::BFMatcher(cv::NORM_HAMMING).knnMatch(a, b, forward, 2);
+  cv::BFMatcher(cv::NORM_HAMMING).match(b, a, back);
+  std::vector<std::pair<int, int>> expected;
+  for (const auto& m : forward)
+    if (m[0].distance <= settings.max_hamming && m[0].distance <= settings.max_ratio * m[1].distance &&
+        back[m[0].trainIdx].trainIdx == m[0].queryIdx)
+      expected.emplace_back(m[0].queryIdx, m[0].trainIdx);
+  EXPECT_GT(expected.size(), 70u);
+  EXPECT_EQ(matchDescriptors(a, b, settings), expected);
 }
 
 }  // namespace
