@@ -45,7 +45,8 @@ void printError(const char* name, const air_ground_common::Trajectory& truth,
       "%s: %zu poses over %.2f m; ATE RMSE yaw-aligned %.4f m (%.3f %% of path), rigid %.4f m (%.3f %%), max %.4f m; "
       "similarity %.4f m, scale error %+.3f %%\n",
       name, yaw.pairs, yaw.path_length, yaw.rmse, 100 * yaw.rmse / yaw.path_length, rigid.rmse,
-      100 * rigid.rmse / rigid.path_length, rigid.max, similar.rmse, 100 * (similar.reference_from_estimate.scale - 1));
+      100 * rigid.rmse / rigid.path_length, rigid.max, similar.rmse,
+      100 * (1 / similar.reference_from_estimate.scale - 1));
 }
 
 /// What a recording holds beside its data.

@@ -1,5 +1,7 @@
 #include "depth_input.h"
 
+#include <sensor_msgs/image_encodings.h>
+
 #include <exception>
 #include <utility>
 
@@ -41,11 +43,21 @@ void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
 }
 
 std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, std::string* why) {
-  const cv::Mat depth = ros_utils::depthFromMsg(message);
-  if (const std::string problem = unitProblem(depth); !problem.empty()) {
+  const cv::Mat depth = ros_utils::depthFromMsg(message, settings_.unit);
+  const double median = medianDepth(depth);
+  if (const std::string problem = unitProblem(median); !problem.empty()) {
     health_.count(problem);
     *why = problem;
     return std::nullopt;
+  }
+  constexpr double kFar = 6;  // [m]; few RGB-D cameras see half of a scene beyond that
+  if (!doubted_ && message.encoding != sensor_msgs::image_encodings::TYPE_32FC1 && median > kFar) {
+    doubted_ = true;
+    ROS_WARN(
+        "half of the depth image lies beyond %.1f m, its steps taken for %g m: if what is seen is nearer, the map will "
+        "be "
+        "too large; say what a step is by depth_unit (launch argument ground_depth_unit; 0.0002 for TUM's PNG images)",
+        median, settings_.unit);
   }
   if (settings_.registered) return depth;
   std::optional<ros_utils::Calibration> calibration;

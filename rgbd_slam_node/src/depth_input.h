@@ -18,6 +18,7 @@
 namespace rgbd_slam {
 
 struct DepthInputSettings {
+  double unit = 1e-3;                                   ///< of 16UC1 [m]
   bool registered = true;                               ///< by the driver
   std::string frame;                                    ///< of the depth camera; empty: as its calibration says
   std::optional<air_ground_common::Pose> T_base_depth;  ///< instead of tf
@@ -48,6 +49,7 @@ class DepthInput {
   air_ground_common::Pose T_base_colour_;
   std::optional<DepthRegistration> registration_;
   sensor_msgs::CameraInfo built_with_;  ///< what that was made with
+  bool doubted_ = false;                ///< its unit, on the console
 
   std::mutex mutex_;  // of the next two
   std::optional<air_ground_common::ros_utils::Calibration> calibration_;

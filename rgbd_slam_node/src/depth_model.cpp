@@ -1,6 +1,7 @@
 #include "rgbd_slam/depth_model.h"
 
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <vector>
 
@@ -37,19 +38,24 @@ std::optional<double> sampleDepth(const cv::Mat& depth, const Eigen::Vector2d& p
   return z;
 }
 
-std::string unitProblem(const cv::Mat& depth) {
-  constexpr double kNear = 0.03, kFar = 100;  // [m]; a wrong unit is wrong by a thousand
+double medianDepth(const cv::Mat& depth) {
   constexpr int kStride = 7;
   constexpr std::size_t kEnough = 50;
   std::vector<float> known;
   for (int v = 0; v < depth.rows; v += kStride)
     for (int u = 0; u < depth.cols; u += kStride)
       if (const float z = depth.at<float>(v, u); std::isfinite(z) && z > 0) known.push_back(z);
-  if (known.size() < kEnough) return "";
-  const double median = air_ground_common::median(std::move(known));
-  if (median > kNear && median < kFar) return "";
+  if (known.size() < kEnough) return std::numeric_limits<double>::quiet_NaN();
+  return air_ground_common::median(std::move(known));
+}
+
+std::string unitProblem(double median) {
+  constexpr double kNear = 0.03, kFar = 100;  // [m]; a wrong unit is wrong by a thousand
+  if (std::isnan(median) || (median > kNear && median < kFar)) return "";
   return air_ground_common::formatted(
-      "the depth images are in a wrong unit: their median is %.4g m; 32FC1 must hold metres, 16UC1 millimetres",
+      "the depth images are in a wrong unit: their median is %.4g m; 32FC1 must hold metres, 16UC1 millimetres or "
+      "steps "
+      "of depth_unit",
       median);
 }
 

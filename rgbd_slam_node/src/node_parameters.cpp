@@ -15,6 +15,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("sync_tolerance", n.estimator.sync_tolerance, {0, 1}, "s", "largest difference of the stamps of colour and depth");
   v("depth_transport", n.estimator.depth_transport,
     "compressed: PNG on <topic>/compressedDepth (launch argument ground_depth_transport)", {"raw", "compressed"});
+  v("depth_unit", n.depth.unit, {1e-6, 1}, "m", "a step of 16UC1 depth images (launch argument ground_depth_unit)");
   v("depth_registered", n.depth.registered,
     "false: depth is registered to colour here, by ground/depth/camera_info and the mounting (launch argument)");
   v("depth_frame", n.depth.frame,

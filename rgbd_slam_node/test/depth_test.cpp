@@ -40,11 +40,13 @@ TEST(SampleDepth, MedianOfTheKnownAndNothingAtEdges) {
 TEST(UnitProblem, NamesMillimetresAndMetresTakenForEachOther) {
   cv::Mat depth(60, 80, CV_32F, cv::Scalar(1.5f));
   depth.rowRange(0, 20) = NAN;
-  EXPECT_EQ(unitProblem(depth), "");
-  EXPECT_NE(unitProblem(1000 * depth).find("1500 m"), std::string::npos) << unitProblem(1000 * depth);
-  EXPECT_NE(unitProblem(0.001 * depth).find("0.0015 m"), std::string::npos) << unitProblem(0.001 * depth);
+  EXPECT_EQ(unitProblem(medianDepth(depth)), "");
+  EXPECT_NE(unitProblem(medianDepth(1000 * depth)).find("1500 m"), std::string::npos)
+      << unitProblem(medianDepth(1000 * depth));
+  EXPECT_NE(unitProblem(medianDepth(0.001 * depth)).find("0.0015 m"), std::string::npos)
+      << unitProblem(medianDepth(0.001 * depth));
   depth.setTo(NAN);
-  EXPECT_EQ(unitProblem(depth), "");
+  EXPECT_EQ(unitProblem(medianDepth(depth)), "");
 }
 
 // Turns about all axes, seen with noise, felt with bias.

@@ -201,14 +201,14 @@ cv::Mat greyFromMsg(const sensor_msgs::Image& msg) { return convert(msg, sensor_
 
 cv::Mat bgrFromMsg(const sensor_msgs::Image& msg) { return convert(msg, sensor_msgs::image_encodings::BGR8); }
 
-cv::Mat depthFromMsg(const sensor_msgs::Image& msg) {
+cv::Mat depthFromMsg(const sensor_msgs::Image& msg, double unit) {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   cv::Mat depth;
   if (msg.encoding == "16UC1" || msg.encoding == "mono16") {
-    const cv::Mat mm = convert(msg, msg.encoding);
-    mm.convertTo(depth, CV_32F, 1e-3);
-    depth.setTo(nan, mm == 0);
-    depth.setTo(nan, mm == 65535);
+    const cv::Mat steps = convert(msg, msg.encoding);
+    steps.convertTo(depth, CV_32F, unit);
+    depth.setTo(nan, steps == 0);
+    depth.setTo(nan, steps == 65535);
   } else if (msg.encoding == "32FC1") {
     depth = convert(msg, msg.encoding);
     for (int r = 0; r < depth.rows; ++r) {

@@ -23,8 +23,11 @@ struct DepthModel {
 /// than five of the nine are known, outside the range, or at a depth edge (spread beyond 4 sigma plus 2 % of z).
 std::optional<double> sampleDepth(const cv::Mat& depth, const Eigen::Vector2d& pixel, const DepthModel& model);
 
-/// What is wrong with the unit of a depth image in metres, by its median: no depth camera sees a scene 100 m away, or 3
-/// cm. Empty when nothing is, or too little is known.
-std::string unitProblem(const cv::Mat& depth);
+/// Of a depth image [m], by every seventh pixel; NaN where too little is known.
+double medianDepth(const cv::Mat& depth);
+
+/// What is wrong with the unit of a depth image, by its median [m]: no depth camera sees a scene 100 m away, or 3 cm.
+/// Empty when nothing is, or too little is known (NaN).
+std::string unitProblem(double median_depth);
 
 }  // namespace rgbd_slam

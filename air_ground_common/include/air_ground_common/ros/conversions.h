@@ -39,8 +39,8 @@ sensor_msgs::CameraInfo toMsg(const CameraModel& camera, const std_msgs::Header&
 cv::Mat greyFromMsg(const sensor_msgs::Image& msg);
 /// BGR image, 8 bit.
 cv::Mat bgrFromMsg(const sensor_msgs::Image& msg);
-/// Depth in metres, CV_32F, NaN where unknown, from 16UC1 [mm, 0 unknown] or 32FC1 [m].
-cv::Mat depthFromMsg(const sensor_msgs::Image& msg);
+/// Depth in metres, CV_32F, NaN where unknown, from 16UC1 [steps of `unit`, 0 and 65535 unknown] or 32FC1 [m].
+cv::Mat depthFromMsg(const sensor_msgs::Image& msg, double unit = 1e-3);
 /// encoding: "mono8", "bgr8", "rgb8", "32FC1", "16UC1".
 sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, const std_msgs::Header& header);
 
