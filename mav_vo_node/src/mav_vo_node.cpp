@@ -165,7 +165,7 @@ class MavVoNode : private ros_utils::Estimator {
     // What is reconstructed from them, and aligned, stays in one unit as long as the map lives.
     std_msgs::Header map_header = header;
     if (visual_) map_header.frame_id = settings_.visual_frame;
-    if (posed_selection_.selects(visual)) {
+    if (posed_publisher_.getNumSubscribers() > 0 && posed_selection_.selects(visual)) {
       air_ground::PosedImage posed = posedImage(grey, visual, settings_.posed_image_quality);
       posed.header = map_header;
       posed.camera_info = shell_.cameraInfo();

@@ -184,8 +184,8 @@ class Pacer:
     def __init__(self, recorder, player, limits):
         self.recorder, self.limits, self.player = recorder, limits, player
         self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
-        self.paused, self.held, self.since = False, 0.0, None
-        self.slowest, self.held_for = '', collections.Counter()  # node: wall time [s]
+        self.paused, self.since, self.slowest = False, None, ''
+        self.held_for = collections.Counter()  # node: wall time [s]
 
     def step(self, now):
         """now: time of the bag [s]."""
@@ -213,9 +213,7 @@ class Pacer:
         if pause:
             self.since = time.monotonic()
         elif self.since is not None:
-            held = time.monotonic() - self.since
-            self.held += held
-            self.held_for[self.slowest] += held
+            self.held_for[self.slowest] += time.monotonic() - self.since
         self.paused = pause
 
 
@@ -342,10 +340,11 @@ def play_to_end(recorder, player, end, limits, summary):
                 break
         time.sleep(0.1)
     pacer.release()
-    if pacer.held > 1:
-        rospy.loginfo('the player was held for %.0f s in all so that the nodes could keep up (%s)', pacer.held,
+    held = sum(pacer.held_for.values(), 0.0)
+    if held > 1:
+        rospy.loginfo('the player was held for %.0f s in all so that the nodes could keep up (%s)', held,
                       ', '.join(f'{name}: {seconds:.0f} s' for name, seconds in pacer.held_for.most_common()))
-    return pacer.held
+    return held
 
 
 def end_launch(line, failed=False):
