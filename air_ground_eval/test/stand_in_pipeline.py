@@ -13,6 +13,7 @@ import numpy as np
 import rospy
 from air_ground.msg import AlignmentEstimate, VoStatus
 from air_ground.srv import SaveMap, SaveMapResponse, SaveTrajectory, SaveTrajectoryResponse
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
@@ -37,6 +38,7 @@ class StandIn:
                        'ground': rospy.Publisher('ground/slam_status', VoStatus, queue_size=100)}
         self.estimates = {0: rospy.Publisher('alignment/coarse', AlignmentEstimate, queue_size=10),
                           1: rospy.Publisher('alignment/refined', AlignmentEstimate, queue_size=10)}
+        self.field = rospy.Publisher('mav/distance_field', DiagnosticArray, queue_size=10)
         self.silent = rospy.get_param('~silent', '')
         self.static, self.static_children = None, set()
         self.count = 0
@@ -97,6 +99,9 @@ class StandIn:
             messages.fill_pose(message.pose.pose, alignment)
             message.pose.covariance = list((1e-4 * np.eye(6)).ravel())
             self.estimates[stage].publish(message)
+        field = DiagnosticArray(status=[DiagnosticStatus(values=[KeyValue('newest image [s]', f'{stamp.to_sec() - 0.7:.9f}')])])
+        field.header.stamp = stamp
+        self.field.publish(field)
 
     def save(self, request, name):
         with self.lock:

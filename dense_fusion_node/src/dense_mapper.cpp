@@ -185,6 +185,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
     for (Eigen::Vector3f& p : sparse) p *= static_cast<float>(unit_);
     fused = fuseDepthMaps(group, reference, settings_.fusion, sparse);
     counters_.fused += fused.has_value();
+    if (fused) fused->newest_image = last_.stamp;
   } else {
     ++counters_.small_groups;
   }

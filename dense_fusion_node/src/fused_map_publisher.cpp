@@ -4,6 +4,8 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <sensor_msgs/PointCloud2.h>
 
+#include "air_ground_common/text.h"
+
 namespace dense_fusion {
 
 namespace ros_utils = air_ground_common::ros_utils;
@@ -26,7 +28,10 @@ diagnostic_msgs::DiagnosticArray fieldMessage(const FusedMap& fused, const std_m
   status.hardware_id = "dense_fusion";
   status.message = "fused " + std::to_string(fused.depth_maps) + " depth maps";
   const VoxelGrid& g = fused.grid;
-  status.values = {entry("depth maps", std::to_string(fused.depth_maps)),
+  ros::Time newest;
+  newest.fromNSec(static_cast<std::uint64_t>(fused.newest_image));
+  status.values = {entry("newest image [s]", air_ground_common::formatted("%.9f", newest.toSec())),
+                   entry("depth maps", std::to_string(fused.depth_maps)),
                    entry("voxels x", std::to_string(g.nx)),
                    entry("voxels y", std::to_string(g.ny)),
                    entry("voxels z", std::to_string(g.nz)),

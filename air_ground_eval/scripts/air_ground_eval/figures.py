@@ -9,7 +9,7 @@ MAV_COLOUR, GROUND_COLOUR = '#1f4fd8', '#2a9d2a'  # blue and green, as in the pa
 
 def draw_report(path, data):
     """data: the dict built by report.Report.figure_data(); absent parts leave their panel with a line that says so."""
-    figure, axes = plt.subplots(2, 3, figsize=(19, 11.5), constrained_layout=True)
+    figure, axes = plt.subplots(2, 4, figsize=(25, 11.5), constrained_layout=True)
     figure.suptitle(data['title'], fontsize=13)
     _trajectories(axes[0, 0], data)
     _errors_over_time(axes[0, 1], data)
@@ -17,6 +17,8 @@ def draw_report(path, data):
     _map_from_above(axes[1, 0], data)
     _map_error(axes[1, 1], data)
     _error_distribution(axes[1, 2], data)
+    _processor(axes[0, 3], data)
+    _latency(axes[1, 3], data)
     figure.savefig(path, dpi=90)
     plt.close(figure)
 
@@ -132,4 +134,27 @@ def _error_distribution(axis, data):
     axis.set_xlabel('distance [cm]')
     axis.set_ylabel('share of points [%]')
     axis.legend(fontsize=9, loc='lower right')
+    axis.grid(alpha=0.3)
+
+
+def _processor(axis, data):
+    axis.set_title('Processor by node')
+    if 'cores' not in data:
+        return _empty(axis, 'the nodes ran on another machine')
+    time, curves = data['cores']
+    axis.stackplot(time, list(curves.values()), labels=[f'{name}: {curve.mean():.2f}' for name, curve in curves.items()])
+    axis.set_xlabel('time [s]')
+    axis.set_ylabel('cores in use')
+    axis.legend(fontsize=9, loc='upper left', title='mean')
+    axis.grid(alpha=0.3)
+
+
+def _latency(axis, data):
+    axis.set_title('From the last image of a dense cloud to the pose refined with it')
+    if 'latencies' not in data:
+        return _empty(axis, data.get('no_alignment', 'no refined pose'))
+    axis.plot(data['latencies'][:, 0], data['latencies'][:, 1], 's-', color='#8a1a8a', ms=5, lw=1)
+    axis.set_xlabel('time [s]')
+    axis.set_ylabel('delay [s]')
+    axis.set_ylim(bottom=0)
     axis.grid(alpha=0.3)

@@ -64,6 +64,7 @@ class Recorder:
         self.said = {}  # hardware id -> its line in the diagnostics
         self.missing = {}  # topic -> why no message of it can come
         self.tf_publishers = {}  # 'parent -> child': names of the nodes that publish it
+        self.cores = []  # (time of the bag [s], {node: cores that it kept busy}), about every second
         self.played = 0.0  # newest stamp of the bag's cameras or IMUs that was heard [s]
         self.last_output = time.monotonic()
         self.subscribers = [rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100),
@@ -192,7 +193,9 @@ class Pacer:
         wall = time.monotonic()
         if wall - self.last_load > 1.0:
             self.last_load = wall
-            self.busy = {name for name, cores in self.load.cores().items() if cores > 0.1}
+            cores = self.load.cores()
+            self.recorder.cores.append((now, cores))
+            self.busy = {name for name, used in cores.items() if used > 0.1}
         with self.recorder.lock:
             lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
                     if name in self.busy and name in self.limits}

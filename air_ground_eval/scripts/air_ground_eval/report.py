@@ -2,7 +2,7 @@
 import os
 import subprocess
 from dataclasses import dataclass, field
-from typing import Dict, List, Optional
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 import yaml
@@ -28,6 +28,8 @@ class Recorded:
     has_map: bool = False                # augmented_map.ply was written
     wall_time: float = 0.0
     held: float = 0.0                    # the player, so that the nodes could keep up [s]
+    cores: List[Tuple[float, Dict[str, float]]] = field(default_factory=list)  # (time of the bag [s], node -> cores that it kept busy)
+    latencies: List[Tuple[float, float]] = field(default_factory=list)  # (stamp of a dense cloud, from its last image to the refined pose) [s]
     switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
     tf_publishers: Dict[str, set] = field(default_factory=dict)  # 'parent -> child': nodes that publish the transform
@@ -65,6 +67,7 @@ class Report:
         self._odometry('vo', 'mav', r.mav, r.mav_truth)
         self._odometry('slam', 'ground', r.ground, r.ground_truth)
         self._alignment()
+        self._load()
         self._map()
         self.values['tf_publishers'] = {edge: sorted(nodes) for edge, nodes in sorted(r.tf_publishers.items())}
         for edge, nodes in sorted(r.tf_publishers.items()):
@@ -161,6 +164,20 @@ class Report:
             v['refined_error_through_first_pose_m'] = alternative[-1]['position_m']
             v['refined_error_through_first_pose_deg'] = alternative[-1]['rotation_deg']
         self.figure['refined'] = rows
+
+    def _load(self):
+        """Processor and delay: whether the nodes would keep up with two robots."""
+        r, v = self.r, self.values
+        names = sorted({name for _, cores in r.cores for name in cores})
+        if names:
+            curves = {name: np.array([cores.get(name, 0.0) for _, cores in r.cores]) for name in names}
+            v['cpu_cores_mean'] = {name: float(curve.mean()) for name, curve in curves.items()}
+            self.figure['cores'] = (np.array([now for now, _ in r.cores]) - r.begin, curves)
+        if r.latencies:
+            delays = [delay for _, delay in r.latencies]
+            v['refined_latency_median_s'] = float(np.median(delays))
+            v['refined_latency_95_percent_s'] = float(np.quantile(delays, 0.95))
+            self.figure['latencies'] = np.array(r.latencies) - [r.begin, 0]
 
     def refusal(self):
         """Why nothing was accepted, in one line."""

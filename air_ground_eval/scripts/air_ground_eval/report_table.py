@@ -39,6 +39,10 @@ def table(v, notes):
         add('1 sigma of the refined pose', ', '.join(f'{x:.3f}' for x in v['refined_sigma_m_m_m_rad_rad_rad']) + ' (m, rad)')
     else:
         add('alignment', v['alignment_verdict'])
+    if 'refined_latency_median_s' in v:
+        add('last image of a cloud to refined pose', f'median {v["refined_latency_median_s"]:.2f} s, 95 % {v["refined_latency_95_percent_s"]:.2f} s')
+    if 'cpu_cores_mean' in v:
+        add('processor cores in use', f'{sum(v["cpu_cores_mean"].values()):.2f} on average')
     if 'augmented_map_points' in v:
         add('augmented map', f'{v["augmented_map_points"]} points ({v["augmented_map_ground_points"]} ground, '
             f'{v["augmented_map_aerial_points"]} aerial)')
