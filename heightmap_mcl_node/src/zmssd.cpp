@@ -32,18 +32,62 @@ namespace {
 struct Height {
   double value = 0;
   bool bound = false;
+  double low = 0, high = 0;  // what it may be
+  bool known() const { return low == high; }
 };
+
+constexpr double kNoLimit = 1e9;  // [m]
 
 Height heightOf(const HeightMap& map, std::size_t cell, double base) {
   const int level = boundLevel(map, cell);
-  if (level > 0) return {map.cap * level / kBoundLevels, true};
-  return {map.heights[cell] - base, false};
+  const double value = level > 0 ? map.cap * level / kBoundLevels : map.heights[cell] - base;
+  return {value, level > 0, value, level > 0 ? kNoLimit : value};
+}
+
+/// The greatest of the values within `reach` cells in both directions.
+std::vector<float> greatestNear(const std::vector<float>& values, int width, int height, int reach) {
+  if (reach == 0) return values;
+  std::vector<float> rows = values, out = values;
+  for (int r = 0; r < height; ++r) {
+    for (int c = 0; c < width; ++c) {
+      const auto begin = values.begin() + static_cast<std::ptrdiff_t>(r) * width;
+      rows[static_cast<std::size_t>(r) * width + c] =
+          *std::max_element(begin + std::max(0, c - reach), begin + std::min(width, c + reach + 1));
+    }
+  }
+  for (int r = 0; r < height; ++r) {
+    for (int other = std::max(0, r - reach); other <= std::min(height - 1, r + reach); ++other) {
+      const std::size_t here = static_cast<std::size_t>(r) * width, there = static_cast<std::size_t>(other) * width;
+      for (int c = 0; c < width; ++c) out[here + c] = std::max(out[here + c], rows[there + c]);
+    }
+  }
+  return out;
+}
+
+/// The same with what lies within `edge` cells, where there is a step.
+Height heightNear(const HeightMap& map, int row, int column, double base, int edge) {
+  const auto cell = [&map](int r, int c) { return static_cast<std::size_t>(r) * map.width + c; };
+  Height height = heightOf(map, cell(row, column), base);
+  double low = height.low, high = height.high;
+  for (int r = std::max(0, row - edge); r <= std::min(map.height - 1, row + edge); ++r) {
+    for (int c = std::max(0, column - edge); c <= std::min(map.width - 1, column + edge); ++c) {
+      if (std::isnan(map.at(r, c))) continue;
+      const Height other = heightOf(map, cell(r, c), base);
+      low = std::min(low, other.low);
+      high = std::max(high, other.high);
+    }
+  }
+  if (high - low > kEdgeStep) {
+    height.low = low;
+    height.high = high;
+  }
+  return height;
 }
 
 }  // namespace
 
 Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
-                     const PlanarPose& pose, const CostSettings& settings) {
+                     const PlanarPose& pose, const CostSettings& settings, int edge) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
   const double air_base = baseHeight(air), ground_base = baseHeight(ground);
   double aerial_cells = 0;
@@ -59,8 +103,7 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
       if (gc < 0 || gr < 0 || gc >= ground.width || gr >= ground.height) continue;
       const std::size_t cell = static_cast<std::size_t>(gr) * ground.width + static_cast<std::size_t>(gc);
       if (std::isnan(ground.heights[cell])) continue;
-      pairs.emplace_back(heightOf(air, static_cast<std::size_t>(row) * air.width + column, air_base),
-                         heightOf(ground, cell, ground_base));
+      pairs.emplace_back(heightNear(air, row, column, air_base, edge), heightOf(ground, cell, ground_base));
     }
   }
   // The means first, then the squares about them: no cancellation.
@@ -68,7 +111,7 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
   for (const auto& [a, g] : pairs) {
     mean_a += a.value / static_cast<double>(pairs.size());
     mean_g += g.value / static_cast<double>(pairs.size());
-    if (a.bound || g.bound) continue;
+    if (!a.known() || g.bound) continue;
     mean_d += a.value - g.value;
     ++known;
   }
@@ -77,11 +120,11 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
   sums.known = known;
   for (const auto& [a, g] : pairs) {
     ++sums.n;
-    const double d = a.value - g.value;
-    if (!a.bound && !g.bound) {
-      sums.d2 += (d - mean_d) * (d - mean_d);
-    } else if (a.bound != g.bound) {
-      sums.d2 += std::pow(std::max(0.0, a.bound ? d : -d), 2);
+    if (a.known() && !g.bound) {
+      sums.d2 += std::pow(a.value - g.value - mean_d, 2);
+    } else {
+      // By how much the ranges of what both may be lie apart.
+      sums.d2 += std::pow(std::max({0.0, a.low - g.high, g.low - a.high}), 2);
     }
     sums.a2 += (a.value - mean_a) * (a.value - mean_a);
     sums.g2 += (g.value - mean_g) * (g.value - mean_g);
@@ -91,22 +134,36 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
   return result;
 }
 
-AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference) {
+AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, int edge) {
   AerialCells cells;
   cells.reference = reference;
   cells.base = baseHeight(air);
-  const std::size_t n = air.defined();
-  for (auto* v : {&cells.x, &cells.y, &cells.h, &cells.bound}) v->reserve(n);
+  const std::size_t n = air.defined(), all = air.heights.size();
+  for (auto* v : {&cells.x, &cells.y, &cells.h, &cells.bound, &cells.low, &cells.high}) v->reserve(n);
+  constexpr float kNone = -std::numeric_limits<float>::infinity();
+  std::vector<float> high(all, kNone), minus_low(all, kNone);
+  for (std::size_t i = 0; i < all; ++i) {
+    if (std::isnan(air.heights[i])) continue;
+    const Height height = heightOf(air, i, cells.base);
+    high[i] = static_cast<float>(height.high);
+    minus_low[i] = static_cast<float>(-height.low);
+  }
+  const std::vector<float> high_near = greatestNear(high, air.width, air.height, edge);
+  const std::vector<float> minus_low_near = greatestNear(minus_low, air.width, air.height, edge);
   double sum = 0;
   for (int row = 0; row < air.height; ++row) {
     for (int column = 0; column < air.width; ++column) {
       if (std::isnan(air.at(row, column))) continue;
+      const std::size_t i = static_cast<std::size_t>(row) * air.width + column;
       const Eigen::Vector2d q = air.center(row, column) - reference;
-      const Height height = heightOf(air, static_cast<std::size_t>(row) * air.width + column, cells.base);
+      const Height height = heightOf(air, i, cells.base);
+      const bool step = high_near[i] + minus_low_near[i] > static_cast<float>(kEdgeStep);
       cells.x.push_back(static_cast<float>(q.x()));
       cells.y.push_back(static_cast<float>(q.y()));
       cells.h.push_back(static_cast<float>(height.value));
       cells.bound.push_back(height.bound ? 1.f : 0.f);
+      cells.low.push_back(-(step ? minus_low_near[i] : minus_low[i]));
+      cells.high.push_back(step ? high_near[i] : high[i]);
       sum += height.value;
     }
   }
@@ -135,6 +192,8 @@ AerialCells thinned(const AerialCells& cells, int stride) {
     result.y.push_back(cells.y[i]);
     result.h.push_back(cells.h[i]);
     result.bound.push_back(cells.bound[i]);
+    result.low.push_back(cells.low[i]);
+    result.high.push_back(cells.high[i]);
   }
   return result;
 }
@@ -162,7 +221,8 @@ DirectCost::DirectCost(const HeightMap& ground)
 Zmssd DirectCost::operator()(const AerialCells& cells, const PlanarPose& pose, const CostSettings& settings) const {
   const double inverse = 1 / resolution_;
   auto sums = kernel::overlapSums(
-      {cells.x.data(), cells.y.data(), cells.h.data(), cells.bound.data(), static_cast<int>(cells.h.size())},
+      {cells.x.data(), cells.y.data(), cells.h.data(), cells.bound.data(), cells.low.data(), cells.high.data(),
+       static_cast<int>(cells.h.size())},
       static_cast<float>(std::cos(pose.yaw) * inverse), static_cast<float>(std::sin(pose.yaw) * inverse),
       static_cast<float>((pose.x - origin_x_) * inverse), static_cast<float>((pose.y - origin_y_) * inverse),
       {heights_.data(), width_, height_});

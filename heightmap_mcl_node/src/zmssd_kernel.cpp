@@ -13,6 +13,7 @@ OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty
   // The border of holes lets us clamp instead of test: whatever lies outside lands on a hole.
   const float max_column = static_cast<float>(ground.width) - 0.5f, max_row = static_cast<float>(ground.height) - 0.5f;
   const float *heights = ground.heights, *x = air.x, *y = air.y, *h = air.h, *bound = air.bound;
+  const float *low = air.low, *high = air.high;
   const int width = ground.width;
   OverlapSums total;
   constexpr int kBlock = 4096;  // floats accumulate over a block only
@@ -31,11 +32,12 @@ OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty
       const float partner = value == value ? 1.f : 0.f;
       const float ground_bound = value > 0.5f * kBoundOffset ? 1.f : 0.f;
       const float g = (value == value ? value : 0.f) - ground_bound * kBoundOffset, a = partner * h[i];
-      const float known = partner * (1.f - bound[i]) * (1.f - ground_bound);
+      const float known = partner * (1.f - bound[i]) * (1.f - ground_bound) * (low[i] == high[i] ? 1.f : 0.f);
       const float d = a - g, known_d = known * d;
-      // What the ground lacks of an aerial bound, or the aerial height of the ground's bound.
-      float lack = bound[i] * (1.f - ground_bound) * d - ground_bound * (1.f - bound[i]) * d;
-      lack = lack > 0.f ? partner * lack : 0.f;
+      // What the ground lacks of the least that the aerial height may be, or the greatest of the ground's.
+      const float above = (1.f - ground_bound) * (low[i] - g), below = g - high[i];
+      float lack = above > below ? above : below;
+      lack = lack > 0.f ? (partner - known) * lack : 0.f;
       count += partner;
       both += known;
       d1 += known_d;

@@ -13,7 +13,7 @@ struct GroundView {
 };
 
 struct AirView {
-  const float *x, *y, *h, *bound;  // as in AerialCells
+  const float *x, *y, *h, *bound, *low, *high;  // as in AerialCells
   int n;
 };
 

@@ -167,16 +167,44 @@ TEST(Zmssd, WhatExplainsNothingHasNoPartners) {
   EXPECT_NEAR(flat.score, flat.cost, 1e-9);
 }
 
-class KernelMatchesReference : public ::testing::TestWithParam<double> {};
+TEST(Zmssd, ACellByAnEdgeIsAsHighAsAnythingThere) {
+  // A box of 1 m, drawn one cell too far to the right in the aerial map.
+  HeightMap ground;
+  ground.resolution = 1;
+  ground.width = 8;
+  ground.height = 1;
+  ground.heights = {0, 0, 0, 0, 1, 1, 1, 1};
+  HeightMap air = ground;
+  air.heights = {5, 5, 5, 5, 5, 6, 6, 6};
+  const auto cost = [&](int edge) {
+    return zmssdReference(air, ground, Eigen::Vector2d::Zero(), {0, 0, 0}, {0.5, 0}, edge).cost;
+  };
+  // Aerial heights are above their mean, 5.375, ground heights above 0.5: d = 0.125 but at cell 4, where it is -0.875.
+  EXPECT_NEAR(cost(0), (7 * 0.125 * 0.125 + 0.875 * 0.875) / 16, 1e-9);
+  // Cells 4 and 5 may be either; the others differ by 0.125 all, which is the mean.
+  EXPECT_NEAR(cost(1), 0, 1e-9);
+  // Where the aerial map shows floor alone, the box is missed as much as before.
+  air.heights = {5, 5, 5, 5, 5, 5, 5, 5};
+  EXPECT_NEAR(cost(1), cost(0), 1e-9);
+  // And a step within the noise is none.
+  air.heights = {5, 5.05f, 5, 5.05f, 5, 5.05f, 5, 5.05f};
+  EXPECT_NEAR(cost(1), cost(0), 1e-9);
+}
+
+struct Cells {
+  double bounds;  // share of the cells
+  int edge;
+};
+class KernelMatchesReference : public ::testing::TestWithParam<Cells> {};
 
 TEST_P(KernelMatchesReference, AtRandomPoses) {
   auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
-  if (GetParam() > 0) {
-    ground = withBounds(ground, 4, GetParam());
-    air = withBounds(air, 5, GetParam());
+  if (GetParam().bounds > 0) {
+    ground = withBounds(ground, 4, GetParam().bounds);
+    air = withBounds(air, 5, GetParam().bounds);
   }
   const Eigen::Vector2d reference(-0.4, 2.9);
-  const auto cells = aerialCells(air, reference);
+  const auto cells = aerialCells(air, reference, GetParam().edge);
   const DirectCost direct(ground);
   std::mt19937_64 random(3);
   std::uniform_real_distribution<double> x(-1.5, 3.6), y(2, 5.3), yaw(-4, 4);
@@ -186,7 +214,7 @@ TEST_P(KernelMatchesReference, AtRandomPoses) {
   const auto fast = direct(cells, poses, settings);
   int finite = 0;
   for (std::size_t i = 0; i < poses.size(); ++i) {
-    const auto slow = zmssdReference(air, ground, reference, poses[i], settings);
+    const auto slow = zmssdReference(air, ground, reference, poses[i], settings, GetParam().edge);
     // Single precision may put a cell whose centre lies on a border into the neighbour.
     if (std::isinf(slow.cost) || std::isinf(fast[i].cost)) {
       EXPECT_NEAR(slow.overlap, fast[i].overlap, 4);
@@ -203,7 +231,8 @@ TEST_P(KernelMatchesReference, AtRandomPoses) {
   }
   EXPECT_GT(finite, 60);
 }
-INSTANTIATE_TEST_SUITE_P(ShareOfBounds, KernelMatchesReference, ::testing::Values(0.0, 0.3));
+INSTANTIATE_TEST_SUITE_P(BoundsAndEdges, KernelMatchesReference,
+                         ::testing::Values(Cells{0, 0}, Cells{0.3, 0}, Cells{0, 1}, Cells{0.3, 2}));
 
 TEST(Zmssd, ChangeOfReferenceKeepsThePlacement) {
   const auto ground = randomMap(97, 61, 1, 0.1), air = randomMap(43, 37, 2, 0.1);

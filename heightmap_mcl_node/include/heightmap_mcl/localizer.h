@@ -36,6 +36,7 @@ struct LocalizerSettings {
   double min_overlap = 0.5;                         ///< see CostSettings
   bool overlap_of_air = false;                      ///< see CostSettings
   double unknown_weight = 1;  ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
+  int edge_cells = 2;         ///< by which the aerial map's edges may lie beside where they are, see aerialCells
   FilterSettings filter;
   std::uint64_t seed = 1;
 

@@ -4,6 +4,9 @@
 // other one's height h, both above their own floors; two bounds contradict nothing. Such cells are partners like any
 // other, but have no part in the mean that eq. 2 takes off. Bounds are rounded down to kBoundLevels levels, which makes
 // their sums a few more correlations (fft_cost.h).
+//
+// The MAV's map draws edges a few cells beside where they are. A cell near one is compared as what it may be: its
+// residual is the distance of the ground height from the range of the aerial heights around it.
 #pragma once
 
 #include <Eigen/Core>
@@ -63,12 +66,13 @@ struct Zmssd {
   double dz = 0;  ///< mean of ground minus aerial height over the overlap: what lifts the aerial map [m]
 };
 
-/// Sums over the cells defined in both maps: a aerial, g ground heights or bounds, d = a - g where both are heights.
+/// Sums over the cells defined in both maps: a aerial, g ground heights or bounds, d = a - g where both are heights and
+/// no edge is near.
 struct OverlapSums {
   double n = 0;
-  double known = 0;  ///< cells with a height in both
+  double known = 0;  ///< cells with a height in both, no edge near
   double d = 0;      ///< over the known ones
-  double d2 = 0;     ///< over the known ones, and the squared residuals of bounds
+  double d2 = 0;     ///< over the known ones, and the squared residuals of bounds and edges
   double a = 0, a2 = 0, g = 0, g2 = 0;
 };
 
@@ -93,22 +97,25 @@ inline Zmssd zmssdFromSums(const OverlapSums& sums, double cells, const CostSett
 }
 
 /// Reference: double precision, one cell after the other, nearest ground cell. `pose` places `reference` (aerial
-/// frame).
+/// frame). `edge`: see aerialCells.
 Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
-                     const PlanarPose& pose, const CostSettings& settings);
+                     const PlanarPose& pose, const CostSettings& settings, int edge = 0);
 
 /// Defined cells of an aerial map as plain arrays, relative to a reference point.
 struct AerialCells {
   std::vector<float> x, y;                              ///< centre of the cell minus the reference point [m]
   std::vector<float> h;                                 ///< height or bound minus base [m]
   std::vector<float> bound;                             ///< 1 for a bound, else 0
+  std::vector<float> low, high;                         ///< what the height may be [m]: h, but at edges and of bounds
   int weight = 1;                                       ///< cells that each of them stands for
   double base = 0;                                      ///< see baseHeight [m]
   double mean_height = 0;                               ///< [m]
   Eigen::Vector2d reference = Eigen::Vector2d::Zero();  ///< in the aerial frame [m]
 };
-/// A bound's height above base is that of its level.
-AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference);
+/// A bound's height above base is that of its level. Cells that have an edge, a step of more than kEdgeStep, within
+/// `edge` cells may be as high as anything there.
+AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, int edge = 0);
+constexpr double kEdgeStep = 0.1;  // [m]
 /// The same cells relative to another point.
 AerialCells about(AerialCells cells, const Eigen::Vector2d& reference);
 /// Every `stride`th of them.
