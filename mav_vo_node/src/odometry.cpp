@@ -37,6 +37,7 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       scale(settings_.scale, settings_.imu_noise, 0.1),
       imu(settings_, T_camera_imu.linear(), sigma(), camera_.height) {
   settings.validate();
+  inertial.T_camera_imu = T_camera_imu;
   if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
     throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
 }
@@ -48,7 +49,7 @@ void Odometry::Impl::startMap() {
   keepMapsBias();
   map.clear();
   revision.restart();
-  inertial = {};
+  inertial = {{}, {}, T_camera_imu, false};
   tracks.clear();
   keyframe_covariance.clear();
   bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost

@@ -11,7 +11,9 @@ constexpr double kMaxGyroBiasPrior = 0.05;   // [rad/s]
 constexpr double kAdjustedTilt = 0.005;      // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
 constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
-constexpr int kMinShared = 8;                // landmarks that make an older keyframe hold the window
+constexpr double kMaxSeconds = 10, kMaxFullSeconds = 20;  // of an adjustment, wall clock [s]
+constexpr double kParameterTolerance = 1e-8;              // relative step at which its iterations end
+constexpr int kMinShared = 8;                             // landmarks that make an older keyframe hold the window
 
 }  // namespace
 
@@ -31,12 +33,7 @@ void Odometry::Impl::adjustLocally() {
     if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front()))
       fixed.push_back(other.keyframe);
   }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, metric, T_camera_imu);
-  setGyroBiasPrior(&job.settings);
-  job.settings.max_iterations = settings.local_iterations;
-  job.settings.threads = settings.bundle_threads;
-  job.settings.max_seconds = 10;
-  run(std::move(job));
+  run(extractBundle(map, camera, free, fixed, bundleSettings(settings.local_iterations, kMaxSeconds), &inertial));
 }
 
 void Odometry::Impl::adjustFully() {
@@ -47,12 +44,9 @@ void Odometry::Impl::adjustFully() {
     fixed.assign(free.begin(), first);
     free.erase(free.begin(), first);
   }
-  BundleJob job = makeBundleJob(map, inertial, free, fixed, camera, settings.pixel_sigma, true, T_camera_imu);
+  BundleJob job =
+      extractBundle(map, camera, free, fixed, bundleSettings(settings.full_iterations, kMaxFullSeconds), &inertial);
   job.full = true;
-  setGyroBiasPrior(&job.settings);
-  job.settings.max_iterations = settings.full_iterations;
-  job.settings.threads = settings.bundle_threads;
-  job.settings.max_seconds = 20;
   next_full = last_stamp + full_interval;
   full_interval = std::min(2 * full_interval, 4 * settings.full_interval);
   run(std::move(job));
@@ -93,8 +87,8 @@ void Odometry::Impl::adoptLocal() {
 }
 
 void Odometry::Impl::adopt(const BundleJob& job) {
-  if (!job.usable || job.problem.metric != metric) return;
-  applyBundleJob(job, map, inertial);
+  if (!job.result.usable || job.problem.metric != metric) return;
+  applyBundle(job, map, &inertial);
   revision.follow(map, scene_distance);
   const auto newest = inertial.states.rbegin();
   if (newest != inertial.states.rend() && settings.use_imu) bias.gyro = newest->second.bias.gyro;
@@ -124,7 +118,7 @@ void Odometry::Impl::rerunScale() {
     ++i;
   if (i >= records.size()) return;
   scale.reset(kAdjustedTilt);
-  const InertialState& start = inertial.states.at(records[i].reference);
+  const visual_frontend::InertialState& start = inertial.states.at(records[i].reference);
   scale.startAt(scaleMeasurement(i), start.velocity, start.bias.accel, kRestartScaleStddev);
   for (++i; i < records.size(); ++i) {
     const auto& motion = records[i].motion;
@@ -132,10 +126,17 @@ void Odometry::Impl::rerunScale() {
   }
 }
 
-// A map that is not metric yet may have begun with a bias that the tracks have long known better.
-void Odometry::Impl::setGyroBiasPrior(InertialBundleSettings* how) const {
-  how->gyro_bias_prior = std::clamp(imu.gyroBiasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
-  if (!metric) how->gyro_bias_mean = imu.gyroBias();
+visual_frontend::BundleSettings Odometry::Impl::bundleSettings(int iterations, double max_seconds) const {
+  visual_frontend::BundleSettings bundle;
+  bundle.pixel_sigma = settings.pixel_sigma;
+  bundle.max_iterations = iterations;
+  bundle.max_seconds = max_seconds;
+  bundle.threads = settings.bundle_threads;
+  bundle.parameter_tolerance = kParameterTolerance;
+  bundle.gyro_bias_prior = std::clamp(imu.gyroBiasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
+  // A map that is not metric yet may have begun with a bias that the tracks have long known better.
+  if (!metric) bundle.gyro_bias_mean = imu.gyroBias();
+  return bundle;
 }
 
 // Links whose samples are gone keep the offset of their time.

@@ -17,6 +17,7 @@
 
 namespace mav_vo {
 
+using visual_frontend::BundleJob;
 using visual_frontend::Feature;
 using visual_frontend::Keyframe;
 using visual_frontend::KeyframeId;
@@ -90,7 +91,7 @@ struct Odometry::Impl {
   ScaleMeasurement scaleMeasurement(std::size_t record) const;
   void rerunScale();  ///< over the recent images, as the adjusted map places them
   void retime();      ///< the inertial motion between images, after a change of the time offset
-  void setGyroBiasPrior(InertialBundleSettings* how) const;
+  visual_frontend::BundleSettings bundleSettings(int iterations, double max_seconds) const;
 
   double sigma() const { return settings.pixel_sigma / (0.5 * (camera.fx + camera.fy)); }
 
@@ -108,7 +109,7 @@ struct Odometry::Impl {
 
   visual_frontend::Map map;
   MapRevision revision;
-  InertialMap inertial;
+  visual_frontend::InertialMap inertial;
   visual_frontend::LandmarkTracks tracks;
 
   std::map<KeyframeId, Matrix6d> keyframe_covariance;  ///< of their poses in the map

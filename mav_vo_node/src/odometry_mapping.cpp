@@ -42,7 +42,7 @@ bool Odometry::Impl::moved(const Keyframe& since) const {
 // would tear the map.
 bool Odometry::Impl::contradicts(const Preintegration& motion, KeyframeId previous, const Keyframe& keyframe) const {
   const double dt = motion.duration();
-  const InertialState& before = inertial.states.at(previous);
+  const visual_frontend::InertialState& before = inertial.states.at(previous);
   const Pose T_before = map.keyframe(previous).T_map_camera * T_camera_imu,
              T_after = keyframe.T_map_camera * T_camera_imu;
   const double turn =
@@ -71,12 +71,12 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
     const auto& o = map.keyframe(id).observations[i];
     if (o.landmark == visual_frontend::kNoLandmark) tracks.addView(o.track, {id, i});
   }
-  InertialState state_here;
+  visual_frontend::InertialState state_here;
   state_here.bias = bias;
   if (motion) {
     inertial.links.emplace(id, *motion);
     if (metric) {
-      const InertialState& before = inertial.states.at(previous);
+      const visual_frontend::InertialState& before = inertial.states.at(previous);
       const Eigen::Matrix3d R = map.keyframe(previous).T_map_camera.linear() * T_camera_imu.linear();
       state_here.velocity =
           before.velocity + Eigen::Vector3d(0, 0, -kGravity) * motion->duration() + R * motion->velocity(before.bias);
@@ -227,7 +227,7 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
 // From the positions and the inertial motion between them.
 void Odometry::Impl::startVelocities() {
   for (auto it = map.keyframes().begin(); it != map.keyframes().end(); ++it) {
-    InertialState& here = inertial.states[it->first];
+    visual_frontend::InertialState& here = inertial.states[it->first];
     here.bias.accel = bias.accel;
     const auto next = std::next(it);
     const auto link = next == map.keyframes().end() ? inertial.links.end() : inertial.links.find(next->first);
@@ -262,7 +262,7 @@ void Odometry::Impl::makeMetric() {
   S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_first_base);
   const Eigen::Vector3d accel_bias = estimate.accel_bias;
   transformMap(S);
-  metric = true;
+  metric = inertial.metric = true;
   revision.restart();
   metric_since = last_stamp;
   bias.accel = accel_bias;

@@ -5,6 +5,7 @@
 
 #include "air_ground_common/statistics.h"
 #include "slam_impl.h"
+#include "visual_frontend/bundle_job.h"
 #include "visual_frontend/triangulation.h"
 
 namespace rgbd_slam {
@@ -175,7 +176,7 @@ void Slam::Impl::adjustWhole() {
   visual_frontend::BundleSettings bundle = bundleSettings();
   bundle.max_iterations = 10;
   bundle.max_seconds = 2.0;
-  visual_frontend::adjustFullMap(map, camera, {}, bundle);
+  visual_frontend::adjustFullMap(map, camera, bundle);
 }
 
 visual_frontend::BundleSettings Slam::Impl::bundleSettings() const {

@@ -88,7 +88,8 @@ class Map {
   std::vector<LandmarkId> landmarkIds() const;  ///< ascending, so that runs are deterministic
   std::size_t keyframeCount() const { return keyframes_.size(); }
   std::size_t landmarkCount() const { return landmarks_.size(); }
-  KeyframeId lastKeyframe() const;  ///< kNoKeyframe when empty
+  KeyframeId lastKeyframe() const;                                  ///< kNoKeyframe when empty
+  LandmarkId newestLandmark() const { return next_landmark_ - 1; }  ///< that was ever added; kNoLandmark: none was
 
   struct Covisible {
     KeyframeId keyframe;
