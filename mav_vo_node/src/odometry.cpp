@@ -9,6 +9,13 @@
 
 namespace mav_vo {
 
+namespace {
+
+constexpr double kUnknownTilt = 0.1;       // of a map that has not begun [rad]
+constexpr std::size_t kMaxFrames = 40000;  // half an hour at 20 Hz; older ones are thinned
+
+}  // namespace
+
 const char* toString(OdometryState state) {
   switch (state) {
     case OdometryState::kWaiting:
@@ -34,7 +41,7 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       tracker(camera_, settings_.tracker),
       shutter(camera_, settings_.readout_time),
       bootstrap(camera_, settings_.bootstrap),
-      scale(settings_.scale, settings_.imu_noise, 0.1),
+      scale(settings_, T_camera_imu),
       imu(settings_, T_camera_imu.linear(), sigma(), camera_.height) {
   settings.validate();
   inertial.T_camera_imu = T_camera_imu;
@@ -54,8 +61,8 @@ void Odometry::Impl::startMap() {
   keyframe_covariance.clear();
   bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost
   relocalized = hovering = false;
-  records.clear();
-  scale.reset(map_tilt);
+  frames.clear();
+  scale.begin(kUnknownTilt);
   ++map_id;
   metric = false;
   state = OdometryState::kInitializing;
@@ -208,9 +215,9 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
 }
 
 void Odometry::Impl::localized(bool continuous) {
-  const bool known_before = continuous && located_stamp >= 0 && !records.empty();
+  const bool known_before = continuous && located_stamp >= 0 && !frames.empty();
   if (known_before) {
-    const Pose T_map_previous = records.lastPose(map);
+    const Pose T_map_previous = frames.lastPose(map);
     const double dt = last_stamp - located_stamp;
     velocity = (T_map_camera.translation() - T_map_previous.translation()) / dt;
     turn_rate = air_ground_common::logSO3(T_map_previous.linear().transpose() * T_map_camera.linear()) / dt;
@@ -227,25 +234,23 @@ void Odometry::Impl::localized(bool continuous) {
   previous_covariance = last_pose.covariance;
   located_stamp = last_stamp;
   const KeyframeId reference = map.lastKeyframe();
-  records.add({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance,
-               last_pose.covariance.topLeftCorner<3, 3>(),
-               motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
-  if (settings.use_imu) scale.add(scaleMeasurement(records.size() - 1), motion);
+  frames.add(last_stamp, T_map_camera, reference, map);
+  frames.thin(kMaxFrames);
+  if (settings.use_imu) scale.add(frames, map, scene_distance, last_pose.covariance.topLeftCorner<3, 3>(), motion);
 
   const bool keyframe = needsKeyframe();
-  if (settings.reobserve_matches > 0 && (keyframe || !continuous || records.size() % 2 == 0)) {
+  if (settings.reobserve_matches > 0 && (keyframe || !continuous || frames.size() % 2 == 0)) {
     auto how = settings.reobservation;
     how.max_matches = settings.reobserve_matches;
     lookForOldLandmarks(how);
   }
   if (keyframe) addKeyframe();
-  // A scale that most images since its start speak against was wrong from the start.
-  if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(map_tilt);
-  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(neededScaleStddev()) &&
+  if (!metric) scale.dropRefuted();
+  if (!metric && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if (metric && last_stamp >= next_full && made_keyframe) adjustFully();
-  T_map_camera = records.lastPose(map);
+  T_map_camera = frames.lastPose(map);
   state = metric ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric ? "" : scaleReason();
 }
@@ -260,8 +265,9 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->keyframes = map.keyframeCount();
   result->landmarks = map.landmarkCount();
   result->increment = increment;
-  result->scale = scale.initialized() ? scale.scale() : 1.0;
-  result->scale_stddev = scale.scaleStddev();
+  const ScaleFilter& estimate = scale.filter();
+  result->scale = estimate.initialized() ? estimate.scale() : 1.0;
+  result->scale_stddev = estimate.scaleStddev();
   if (metric && settings.use_imu) result->tilt_stddev = kMapTilt;
   result->imu_bias = bias;
   result->gyro_bias_stddev = imu.gyroBiasStddev();
@@ -278,12 +284,12 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->camera_covariance = mapCovariance(last_pose.covariance);
   // In the visual unit the lever arm between camera and base_link is not known: the base is put at the camera.
   Pose T_camera_base = T_base_camera.inverse();
-  if (!metric) T_camera_base.translation() *= scale.initialized() ? 1.0 / scale.scale() : 0.0;
+  if (!metric) T_camera_base.translation() *= estimate.initialized() ? 1.0 / estimate.scale() : 0.0;
   result->T_map_base = T_map_camera * T_camera_base;
   Matrix6d J = Matrix6d::Identity();
   J.topRightCorner<3, 3>() = -air_ground_common::skew(T_map_camera.linear() * T_camera_base.translation());
   result->covariance = J * result->camera_covariance * J.transpose();
-  if (metric && scale.initialized()) result->velocity = scale.state().v;
+  if (metric && estimate.initialized()) result->velocity = estimate.state().v;
 }
 
 Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu,
@@ -313,6 +319,6 @@ std::vector<bool> Odometry::mappedFeatures() const {
   return mapped;
 }
 
-air_ground_common::Trajectory Odometry::trajectory() const { return impl_->records.poses(impl_->map); }
+air_ground_common::Trajectory Odometry::trajectory() const { return impl_->frames.poses(impl_->map); }
 
 }  // namespace mav_vo

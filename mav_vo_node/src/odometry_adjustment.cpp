@@ -6,11 +6,8 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kRestBiasPrior = 1e-3;      // of a gyro bias, at the best [rad/s]
-constexpr double kMaxGyroBiasPrior = 0.05;   // [rad/s]
-constexpr double kAdjustedTilt = 0.005;      // of the map's z axis after an inertial adjustment [rad]
-constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
-constexpr double kScaleHistory = 3.0;        // images from so long before the map became metric are judged too [s]
+constexpr double kRestBiasPrior = 1e-3;                   // of a gyro bias, at the best [rad/s]
+constexpr double kMaxGyroBiasPrior = 0.05;                // [rad/s]
 constexpr double kMaxSeconds = 10, kMaxFullSeconds = 20;  // of an adjustment, wall clock [s]
 constexpr double kParameterTolerance = 1e-8;              // relative step at which its iterations end
 constexpr int kMinShared = 8;                             // landmarks that make an older keyframe hold the window
@@ -77,13 +74,13 @@ void Odometry::Impl::adoptAll() {
   adoptLocal();
   if (!adjustments.fullRuns()) return;
   adopt(adjustments.takeFull());
-  if (!records.empty()) T_map_camera = records.lastPose(map);
+  if (!frames.empty()) T_map_camera = frames.lastPose(map);
 }
 
 void Odometry::Impl::adoptLocal() {
   if (!adjustments.localRuns()) return;
   adopt(adjustments.takeLocal());
-  if (!records.empty()) T_map_camera = records.lastPose(map);
+  if (!frames.empty()) T_map_camera = frames.lastPose(map);
 }
 
 void Odometry::Impl::adopt(const BundleJob& job) {
@@ -94,36 +91,7 @@ void Odometry::Impl::adopt(const BundleJob& job) {
   if (newest != inertial.states.rend() && settings.use_imu) bias.gyro = newest->second.bias.gyro;
   if (!metric) return;
   bias.accel = newest->second.bias.accel;
-  if (job.full) rerunScale();
-}
-
-ScaleMeasurement Odometry::Impl::scaleMeasurement(std::size_t record) const {
-  const Pose T = records.pose(record, map);
-  ScaleMeasurement measurement;
-  measurement.p_map_camera = T.translation();
-  measurement.R_map_imu = T.linear() * T_camera_imu.linear();
-  measurement.p_imu_camera = T_camera_imu.inverse().translation();
-  measurement.covariance = records[record].position_covariance;
-  measurement.scene_distance = records[record].scene_distance;
-  return measurement;
-}
-
-// The filter saw the images before the map was adjusted: what it says about the scale holds for the map as it is now
-// only when it sees them again.
-void Odometry::Impl::rerunScale() {
-  std::size_t i = 0;
-  while (i < records.size() &&
-         (i + 1 >= records.size() || !records[i + 1].motion ||
-          !records[i].T_reference_camera.matrix().isIdentity(1e-12) || records[i].stamp < metric_since - kScaleHistory))
-    ++i;
-  if (i >= records.size()) return;
-  scale.reset(kAdjustedTilt);
-  const visual_frontend::InertialState& start = inertial.states.at(records[i].reference);
-  scale.startAt(scaleMeasurement(i), start.velocity, start.bias.accel, kRestartScaleStddev);
-  for (++i; i < records.size(); ++i) {
-    const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(i), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
-  }
+  if (job.full) scale.judgeAnew(frames, map, inertial, metric_since);
 }
 
 visual_frontend::BundleSettings Odometry::Impl::bundleSettings(int iterations, double max_seconds) const {
@@ -147,13 +115,8 @@ void Odometry::Impl::retime() {
     const auto motion = imu.motion(std::prev(here)->second.stamp, here->second.stamp, link.second.bias());
     if (motion) link.second = *motion;
   }
-  records.integrateAnew([this](double from, double to, const ImuBias& of) { return imu.motion(from, to, of); });
-  if (metric) return;
-  scale.reset(map_tilt);
-  for (std::size_t i = 0; i < records.size(); ++i) {
-    const auto& motion = records[i].motion;
-    scale.add(scaleMeasurement(i), motion ? std::optional<Preintegration>(*motion) : std::nullopt);
-  }
+  scale.integrateAnew(frames, [this](double from, double to, const ImuBias& of) { return imu.motion(from, to, of); });
+  if (!metric) scale.estimateAnew(frames, map);
 }
 
 }  // namespace mav_vo

@@ -8,9 +8,9 @@
 #include <unordered_map>
 
 #include "adjustment_threads.h"
-#include "frame_records.h"
 #include "imu_alignment.h"
 #include "map_revision.h"
+#include "map_scale.h"
 #include "mav_vo/odometry.h"
 #include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/pose_solver.h"
@@ -28,7 +28,6 @@ using visual_frontend::PoseResult;
 using visual_frontend::TrackId;
 
 constexpr double kMapTilt = 0.002;  // of the adjusted map as a whole, against gravity [rad]
-constexpr int kScaleTrial = 40;     // images after which a scale that most of them reject is given up
 
 struct Odometry::Impl {
   Impl(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings);
@@ -55,8 +54,8 @@ struct Odometry::Impl {
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;
   void levelFirstViews(const BootstrapResult& start, Pose* T_map_first, double* tilt) const;
   void initialize();
-  double neededScaleStddev() const;  ///< relative, for the map to become metric; grows while it waits
-  std::string scaleReason() const;   ///< why the map is not metric
+  double mapAge() const;            ///< [s]
+  std::string scaleReason() const;  ///< why the map is not metric
 
   // odometry_tracking.cpp
   bool locate(bool gyro);  ///< pose of the current image from tracked landmarks
@@ -88,8 +87,6 @@ struct Odometry::Impl {
   void adoptDue();    ///< of adjustments beside the tracking, what this image must have
   void adoptLocal();  ///< waits
   void adoptAll();    ///< waits
-  ScaleMeasurement scaleMeasurement(std::size_t record) const;
-  void rerunScale();  ///< over the recent images, as the adjusted map places them
   void retime();      ///< the inertial motion between images, after a change of the time offset
   visual_frontend::BundleSettings bundleSettings(int iterations, double max_seconds) const;
 
@@ -102,10 +99,9 @@ struct Odometry::Impl {
   visual_frontend::FeatureTracker tracker;
   visual_frontend::RollingShutter shutter;
   Bootstrap bootstrap;
-  ScaleFilter scale;
+  MapScale scale;
   ImuAlignment imu;
   ImuBias bias;
-  double map_tilt = 0.1;  ///< of the map's z axis when the map began [rad]
 
   visual_frontend::Map map;
   MapRevision revision;
@@ -142,7 +138,7 @@ struct Odometry::Impl {
   bool made_keyframe = false;
   std::optional<Eigen::Matrix3d> R_previous_current;  ///< of the camera, from the gyro
 
-  FrameRecords records;
+  FrameTrajectory frames;
   AdjustmentThreads adjustments;
   const cv::Mat* image = nullptr;  ///< the one being processed
 };

@@ -82,8 +82,8 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
           before.velocity + Eigen::Vector3d(0, 0, -kGravity) * motion->duration() + R * motion->velocity(before.bias);
       state_here.bias = before.bias;
     }
-  } else if (metric && scale.initialized()) {
-    state_here.velocity = scale.state().v;
+  } else if (metric && scale.filter().initialized()) {
+    state_here.velocity = scale.filter().state().v;
   }
   inertial.states[id] = state_here;
 }
@@ -115,7 +115,7 @@ void Odometry::Impl::addKeyframe() {
   }
   insertKeyframe(std::move(keyframe));
   const KeyframeId id = map.lastKeyframe();
-  records.lastIsKeyframe(id);
+  frames.lastIsKeyframe(id);
   triangulateTracks(id);
   tracker.replenish();
   keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, last_pose.covariance);
@@ -136,8 +136,8 @@ void Odometry::Impl::thinKeyframes() {
   inertial.links.erase(inertial.links.begin(), inertial.links.lower_bound(oldest_free));
   const KeyframeId id = map.redundantKeyframe(newest, settings.keyframe_distance, settings.keyframe_angle);
   if (id == visual_frontend::kNoKeyframe) return;
-  const auto here = map.keyframes().find(id), before = std::prev(here), after = std::next(here);
-  records.rebase(id, before->first, before->second.T_map_camera.inverse() * here->second.T_map_camera);
+  const auto here = map.keyframes().find(id), after = std::next(here);
+  frames.rebase(id, std::prev(here)->first, map);
   tracks.forgetKeyframe(id);
   inertial.links.erase(id);
   inertial.links.erase(after->first);  // it began here
@@ -207,7 +207,7 @@ void Odometry::Impl::scaleIncrement(double factor) {
 
 void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   map.transform(S);
-  records.transform(S);
+  frames.rescale(S.scale);
   scale.transform(S);
   velocity = S.scale * (S.R * velocity);
   scene_distance *= S.scale;
@@ -249,7 +249,7 @@ void Odometry::Impl::startVelocities() {
 
 void Odometry::Impl::makeMetric() {
   adoptAll();
-  const auto& estimate = scale.state();
+  const auto& estimate = scale.filter().state();
   const Eigen::Vector3d up = -estimate.gravity();
   air_ground_common::Similarity S;
   S.scale = estimate.scale;

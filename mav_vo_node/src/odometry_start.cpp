@@ -2,19 +2,16 @@
 #include <algorithm>
 #include <cmath>
 
-#include "air_ground_common/text.h"
 #include "odometry_impl.h"
 
 namespace mav_vo {
 
 namespace {
 
-constexpr double kMovingTilt = 0.3;       // of gravity as a moving accelerometer shows it [rad]
-constexpr double kTrustedTilt = 0.05;     // better known gravity levels the bundle adjustment [rad]
-constexpr double kMapTurnError = 8e-3;    // of the turn from a map's first keyframe to its newest [rad]
-constexpr double kMapBiasSigma = 2e-3;    // of a gyro bias from a map, at the best [rad/s]
-constexpr double kScalePatience = 5;      // of a map for a scale as certain as asked for [s]
-constexpr double kMostScaleStddev = 2.5;  // of what was asked for, that serves in the end [1]
+constexpr double kMovingTilt = 0.3;     // of gravity as a moving accelerometer shows it [rad]
+constexpr double kTrustedTilt = 0.05;   // better known gravity levels the bundle adjustment [rad]
+constexpr double kMapTurnError = 8e-3;  // of the turn from a map's first keyframe to its newest [rad]
+constexpr double kMapBiasSigma = 2e-3;  // of a gyro bias from a map, at the best [rad/s]
 
 }  // namespace
 
@@ -77,6 +74,7 @@ void Odometry::Impl::initialize() {
   }
   const BootstrapView &first = start->views.front(), &last = start->views.back();
   Pose T_map_first;
+  double map_tilt = 0;
   levelFirstViews(*start, &T_map_first, &map_tilt);
 
   for (const auto& point : start->points) tracks.assign(point.track, map.addLandmark(T_map_first * point.position));
@@ -100,7 +98,7 @@ void Odometry::Impl::initialize() {
     insertKeyframe(std::move(keyframe));
   }
   bootstrap.reset();
-  scale.reset(map_tilt);
+  scale.begin(map_tilt);
   scene_distance = 1;
   velocity = (map.keyframe(map.lastKeyframe()).T_map_camera.translation() - T_map_first.translation()) /
              (last.stamp - first.stamp);
@@ -117,31 +115,15 @@ void Odometry::Impl::initialize() {
   }
 }
 
-// Motion that tells little of the scale: a rough one that the map's adjustment goes on refining serves better than
-// none.
-double Odometry::Impl::neededScaleStddev() const {
-  if (map.keyframeCount() == 0) return settings.metric_stddev;
-  const double waited = last_stamp - map.keyframes().begin()->second.stamp;
-  return settings.metric_stddev * std::clamp(waited / kScalePatience, 1.0, kMostScaleStddev);
+double Odometry::Impl::mapAge() const {
+  return map.keyframeCount() == 0 ? 0 : last_stamp - map.keyframes().begin()->second.stamp;
 }
 
 std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
   if (const std::string problem = imu.problem(); !problem.empty()) return problem;
-  if (scale.inverted())
-    return "metric scale is not known: the accelerations point the wrong way; at rest the IMU must read +9.81 m/s^2 "
-           "along "
-           "the axis that points up (specific force): check its signs and the static transform of its frame";
-  if (scale.contradicted() || (scale.updates() >= kScaleTrial && !scale.certain(1.0)))
-    return "metric scale is not known: IMU and images tell of different motions; check the static transforms of IMU "
-           "and "
-           "camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
-  const double stddev = scale.initialized() ? scale.relativeStddev() : scale.startStddev();
-  if (!std::isfinite(stddev)) return "metric scale is not known yet: it needs a second of motion";
-  return air_ground_common::formatted(
-      "metric scale is not known yet (+- %.0f %%, %.0f %% needed): change speed and direction", 100 * stddev,
-      100 * neededScaleStddev());
+  return scale.reason(mapAge());
 }
 
 }  // namespace mav_vo

@@ -106,7 +106,7 @@ void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSet
 }
 
 bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
-  if (map.keyframeCount() == 0 || records.empty()) return false;
+  if (map.keyframeCount() == 0 || frames.empty()) return false;
   ++frames_lost;
   if (tracker.features().size() < 0.5 * settings.tracker.max_features) tracker.replenish();
   // Near the last pose the landmarks' patches are enough; elsewhere the image is recognised by its ORB features.
@@ -122,9 +122,9 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray, bool gyro) {
   query.stamp = last_stamp;
   visual_frontend::describeKeyframe(gray, camera, settings.place, query);
   visual_frontend::RelocalizationGate gate;
-  gate.T_map_last = records.lastPose(map);
+  gate.T_map_last = frames.lastPose(map);
   if (metric)
-    gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - records.back().stamp);
+    gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - frames.lastStamp());
   if (metric && settings.use_imu && imu.attitude().initialized()) {
     gate.up_camera = T_camera_imu.linear() * imu.attitude().up();
     gate.max_tilt = std::max(gate.max_tilt, 3 * imu.attitude().upSigma());
@@ -184,10 +184,10 @@ void Odometry::Impl::scatterCovariance(const Eigen::Matrix3d& R_map_base, Increm
 // leave open, which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance(const Matrix6d& camera_covariance) const {
   Matrix6d C = camera_covariance;
-  const double relative = metric && scale.initialized() ? scale.relativeStddev() : 0.0;
+  const double relative = metric && scale.filter().initialized() ? scale.filter().relativeStddev() : 0.0;
   const Eigen::Vector3d p = T_map_camera.translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
-  const auto known = records.empty() ? keyframe_covariance.end() : keyframe_covariance.find(records.back().reference);
+  const auto known = frames.empty() ? keyframe_covariance.end() : keyframe_covariance.find(frames.lastReference());
   if (known != keyframe_covariance.end())
     C += visual_frontend::covarianceAt(known->second, p - map.keyframe(known->first).T_map_camera.translation());
   if (metric) {

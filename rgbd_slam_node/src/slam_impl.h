@@ -7,10 +7,10 @@
 #include <utility>
 
 #include "camera_motion.h"
-#include "keyframe_trajectory.h"
 #include "rgbd_slam/readout_estimator.h"
 #include "rgbd_slam/rotation_check.h"
 #include "rgbd_slam/slam.h"
+#include "visual_frontend/keyframe_trajectory.h"
 #include "visual_frontend/landmark_tracks.h"
 
 namespace rgbd_slam {
@@ -66,7 +66,7 @@ struct Slam::Impl {
   SlamCounters counters;
 
   // ---- Trajectory
-  KeyframeTrajectory frames;
+  visual_frontend::KeyframeTrajectory<visual_frontend::CompactPose> frames;
   State state = State::kWaiting;
   double first_stamp = -1;
   double last_stamp = -1;
