@@ -58,7 +58,7 @@ void Odometry::Impl::startMap() {
   revision.restart();
   inertial = {{}, {}, T_camera_imu, false};
   tracks.clear();
-  keyframe_covariance.clear();
+  covariances.clear();
   bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost
   relocalized = hovering = false;
   frames.clear();

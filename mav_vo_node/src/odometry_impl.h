@@ -12,6 +12,7 @@
 #include "map_revision.h"
 #include "map_scale.h"
 #include "mav_vo/odometry.h"
+#include "visual_frontend/keyframe_covariances.h"
 #include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/pose_solver.h"
 
@@ -108,9 +109,9 @@ struct Odometry::Impl {
   visual_frontend::InertialMap inertial;
   visual_frontend::LandmarkTracks tracks;
 
-  std::map<KeyframeId, Matrix6d> keyframe_covariance;  ///< of their poses in the map
-  bool relocalized = false;                            ///< since the last keyframe
-  bool hovering = false;                               ///< the last keyframe saw what the one before it saw
+  visual_frontend::KeyframeCovariances covariances;
+  bool relocalized = false;  ///< since the last keyframe
+  bool hovering = false;     ///< the last keyframe saw what the one before it saw
 
   OdometryState state = OdometryState::kWaiting;
   std::string reason = "no image yet";

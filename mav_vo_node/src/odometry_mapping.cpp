@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "odometry_impl.h"
-#include "visual_frontend/triangulation.h"
+#include "visual_frontend/local_landmarks.h"
 
 namespace mav_vo {
 
@@ -23,19 +23,18 @@ constexpr double kTurnStddev = 0.005;       // of the turn between two keyframes
 bool Odometry::Impl::needsKeyframe() const {
   const Keyframe& last = map.keyframe(map.lastKeyframe());
   const double elapsed = last_stamp - last.stamp;
-  const double distance = (T_map_camera.translation() - last.T_map_camera.translation()).norm() / scene_distance;
-  if (distance > settings.keyframe_distance) return true;
-  if (air_ground_common::rotationAngle(last.T_map_camera.linear(), T_map_camera.linear()) > settings.keyframe_angle)
+  if (visual_frontend::changeOfView(last.T_map_camera, T_map_camera, scene_distance,
+                                    {settings.keyframe_distance, settings.keyframe_angle}) > 1)
     return true;
   if (keyframe_landmarks > 0 && inliers < settings.keyframe_overlap * keyframe_landmarks) return true;
-  if (elapsed > settings.keyframe_max_interval && distance > kMovingShare) return true;
+  const double distance = (T_map_camera.translation() - last.T_map_camera.translation()).norm();
+  if (elapsed > settings.keyframe_max_interval && distance > kMovingShare * scene_distance) return true;
   return elapsed > (hovering && !moved(last) ? kLongHoverInterval : kHoverInterval);
 }
 
 bool Odometry::Impl::moved(const Keyframe& since) const {
-  return (T_map_camera.translation() - since.T_map_camera.translation()).norm() > kMovingShare * scene_distance ||
-         air_ground_common::rotationAngle(since.T_map_camera.linear(), T_map_camera.linear()) >
-             0.25 * settings.keyframe_angle;
+  return visual_frontend::changeOfView(since.T_map_camera, T_map_camera, scene_distance,
+                                       {kMovingShare, 0.25 * settings.keyframe_angle}) > 1;
 }
 
 // Where the camera saw nothing the vehicle may have been carried off, or the IMU's stamps hide a hole: such a link
@@ -67,10 +66,7 @@ void Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   if (motion && relocalized && contradicts(*motion, previous, keyframe)) motion.reset();
   relocalized = false;
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
-  for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
-    const auto& o = map.keyframe(id).observations[i];
-    if (o.landmark == visual_frontend::kNoLandmark) tracks.addView(o.track, {id, i});
-  }
+  tracks.addViews(map.keyframe(id));
   visual_frontend::InertialState state_here;
   state_here.bias = bias;
   if (motion) {
@@ -118,7 +114,7 @@ void Odometry::Impl::addKeyframe() {
   frames.lastIsKeyframe(id);
   triangulateTracks(id);
   tracker.replenish();
-  keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, last_pose.covariance);
+  covariances.add(id, last_pose.covariance, map);
   map.dropFarImages(T_map_camera, settings.max_image_keyframes, scene_distance);
   thinKeyframes();
   adjustLocally();
@@ -134,7 +130,7 @@ void Odometry::Impl::thinKeyframes() {
   // The IMU's samples between keyframes that stay where they are serve nothing.
   const KeyframeId oldest_free = std::prev(map.keyframes().end(), newest)->first;
   inertial.links.erase(inertial.links.begin(), inertial.links.lower_bound(oldest_free));
-  const KeyframeId id = map.redundantKeyframe(newest, settings.keyframe_distance, settings.keyframe_angle);
+  const KeyframeId id = map.redundantKeyframe(newest, {settings.keyframe_distance, settings.keyframe_angle});
   if (id == visual_frontend::kNoKeyframe) return;
   const auto here = map.keyframes().find(id), after = std::next(here);
   frames.rebase(id, std::prev(here)->first, map);
@@ -142,7 +138,7 @@ void Odometry::Impl::thinKeyframes() {
   inertial.links.erase(id);
   inertial.links.erase(after->first);  // it began here
   inertial.states.erase(id);
-  keyframe_covariance.erase(id);
+  covariances.forget(id);
   std::vector<LandmarkId> seen;
   for (const auto& o : here->second.observations)
     if (o.landmark != visual_frontend::kNoLandmark) seen.push_back(o.landmark);
@@ -163,30 +159,12 @@ void Odometry::Impl::triangulateTracks(KeyframeId id) {
       few ? std::min(settings.triangulation_parallax, kLeastParallax * sigma()) : settings.triangulation_parallax;
   how.min_depth = 0.1 * scene_distance;
   how.max_depth = 20 * scene_distance;
-  for (int i = 0; i < static_cast<int>(map.keyframe(id).observations.size()); ++i) {
-    const auto observation = map.keyframe(id).observations[i];
-    if (observation.landmark != visual_frontend::kNoLandmark) continue;
-    const visual_frontend::LandmarkTracks::Views views = tracks.viewsOf(observation.track);
-    if (views.size() < 2) continue;
-    std::vector<visual_frontend::ViewRay> rays;
-    for (const LandmarkObservation& o : views) {
-      const Keyframe& keyframe = map.keyframe(o.keyframe);
-      const Eigen::Vector2d& normalized = keyframe.observations[o.index].normalized;
-      const auto noise = camera.normalizedNoise(normalized, settings.pixel_sigma);
-      rays.push_back({keyframe.T_map_camera, normalized, noise.sigma, 0, 0, noise.elongation});
-    }
-    const auto point = visual_frontend::triangulate(rays, how);
-    if (!point.ok()) {
-      if (point.status == visual_frontend::TriangulationStatus::kLargeResidual ||
-          point.status == visual_frontend::TriangulationStatus::kBehindCamera) {
-        tracker.remove({observation.track});
-        tracks.forgetViews(observation.track);
-      }
+  for (const auto& unplaced : visual_frontend::createLandmarks(id, camera, settings.pixel_sigma, how, map, tracks)) {
+    if (unplaced.status != visual_frontend::TriangulationStatus::kLargeResidual &&
+        unplaced.status != visual_frontend::TriangulationStatus::kBehindCamera)
       continue;
-    }
-    const LandmarkId landmark = map.addLandmark(point.p_map);
-    for (const LandmarkObservation& o : views) map.connect(o.keyframe, o.index, landmark);
-    tracks.assign(observation.track, landmark);
+    tracker.remove({unplaced.track});
+    tracks.forgetViews(unplaced.track);
   }
   tracks.forgetMissing(map);
   tracks.keep(tracker.features());
@@ -213,14 +191,9 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
   scene_distance *= S.scale;
   depth_min *= S.scale;
   depth_max *= S.scale;
-  std::vector<Matrix6d*> covariances{&last_pose.covariance, &previous_covariance};
-  for (auto& entry : keyframe_covariance) covariances.push_back(&entry.second);
-  for (Matrix6d* covariance : covariances) {
-    Matrix6d J = Matrix6d::Zero();
-    J.topLeftCorner<3, 3>() = S.scale * S.R;
-    J.bottomRightCorner<3, 3>() = S.R;
-    *covariance = (J * *covariance * J.transpose()).eval();
-  }
+  covariances.transform(S);
+  for (Matrix6d* covariance : {&last_pose.covariance, &previous_covariance})
+    *covariance = visual_frontend::transformed(*covariance, S);
   if (increment) scaleIncrement(S.scale);
 }
 

@@ -4,6 +4,7 @@
 
 #include "air_ground_common/statistics.h"
 #include "odometry_impl.h"
+#include "visual_frontend/local_landmarks.h"
 
 namespace mav_vo {
 
@@ -87,17 +88,10 @@ bool Odometry::Impl::locate(bool gyro) {
 }
 
 void Odometry::Impl::lookForOldLandmarks(const visual_frontend::ReobservationSettings& how) {
-  std::vector<LandmarkId> tracked;
+  const auto candidates =
+      visual_frontend::untrackedLandmarks(map, tracks, tracker.features(), T_map_camera, 8, scene_distance);
   std::vector<Eigen::Vector2d> occupied;
-  for (const Feature& f : tracker.features()) {
-    const auto id = landmarkOf(f.id);
-    if (id) tracked.push_back(*id);
-    occupied.push_back(f.pixel);
-  }
-  std::sort(tracked.begin(), tracked.end());
-  std::vector<LandmarkId> candidates;
-  for (const LandmarkId id : map.landmarksOf(map.nearestKeyframes(T_map_camera, 8, scene_distance)))
-    if (!std::binary_search(tracked.begin(), tracked.end(), id)) candidates.push_back(id);
+  for (const Feature& f : tracker.features()) occupied.push_back(f.pixel);
   for (const auto& match :
        visual_frontend::reobserve(map, camera, tracker.pyramid(), T_map_camera, candidates, occupied, how)) {
     const TrackId track = tracker.addFeature(match.pixel);
@@ -187,14 +181,8 @@ Matrix6d Odometry::Impl::mapCovariance(const Matrix6d& camera_covariance) const 
   const double relative = metric && scale.filter().initialized() ? scale.filter().relativeStddev() : 0.0;
   const Eigen::Vector3d p = T_map_camera.translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
-  const auto known = frames.empty() ? keyframe_covariance.end() : keyframe_covariance.find(frames.lastReference());
-  if (known != keyframe_covariance.end())
-    C += visual_frontend::covarianceAt(known->second, p - map.keyframe(known->first).T_map_camera.translation());
-  if (metric) {
-    Matrix6d tilt = Matrix6d::Zero();
-    tilt(3, 3) = tilt(4, 4) = kMapTilt * kMapTilt;
-    C += visual_frontend::covarianceAt(tilt, p);
-  }
+  if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
+  if (metric) C += visual_frontend::tiltCovariance(kMapTilt, p);
   C.diagonal().array() += 1e-10;
   return C;
 }

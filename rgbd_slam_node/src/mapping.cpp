@@ -3,10 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "air_ground_common/statistics.h"
 #include "slam_impl.h"
 #include "visual_frontend/bundle_job.h"
-#include "visual_frontend/triangulation.h"
+#include "visual_frontend/local_landmarks.h"
 
 namespace rgbd_slam {
 
@@ -22,16 +21,8 @@ int landmarksOf(const Keyframe& keyframe) {
 /// How far a camera is from a keyframe's, by the larger of distance and angle over what makes a new keyframe.
 double changeOfView(const visual_frontend::Map& map, const Keyframe& keyframe, const Pose& T_map_camera,
                     const SlamSettings& settings) {
-  // Seen from afar, parallax grows slowly: distances count against the depth of the scene.
-  std::vector<double> depths;
-  for (const Observation& o : keyframe.observations) {
-    if (o.landmark != kNoLandmark)
-      depths.push_back((keyframe.T_map_camera.inverse() * map.landmark(o.landmark).position).z());
-  }
-  const double median = depths.empty() ? 2.0 : air_ground_common::median(std::move(depths));
-  const double distance = (T_map_camera.translation() - keyframe.T_map_camera.translation()).norm();
-  const double angle = air_ground_common::rotationAngle(T_map_camera.linear(), keyframe.T_map_camera.linear());
-  return std::max(distance / (settings.keyframe_translation * median), angle / settings.keyframe_rotation);
+  return visual_frontend::changeOfView(T_map_camera, keyframe.T_map_camera, map.medianDepth(keyframe).value_or(2.0),
+                                       {settings.keyframe_translation, settings.keyframe_rotation});
 }
 
 }  // namespace
@@ -70,7 +61,7 @@ void Slam::Impl::removeReplacedBy(KeyframeId id) {
     if (changeOfView(map, map.keyframe(c.keyframe), map.keyframe(id).T_map_camera, settings) > kSameView) continue;
     frames.rebase(c.keyframe, id, map);
     tracks.forgetKeyframe(c.keyframe);
-    keyframe_covariance.erase(c.keyframe);
+    covariances.forget(c.keyframe);
     keyframe_path.erase(c.keyframe);
     keyframe_points.erase(c.keyframe);
     map.removeKeyframe(c.keyframe);
@@ -108,8 +99,7 @@ KeyframeId Slam::Impl::addKeyframe(const Images& images, const Pose& T_map_camer
   ++counters.keyframes;
   keyframe_path[id] = path;
 
-  keyframe_covariance[id] = visual_frontend::chainedCovariance(map, keyframe_covariance, id, covariance);
-
+  covariances.add(id, covariance, map);
   createLandmarks(id);
   if (map.keyframeCount() > 1) adjustWindow(id);
   setReference(id);
@@ -123,31 +113,12 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
   visual_frontend::TriangulationSettings triangulation;
   triangulation.max_depth = 15.0;
   triangulation.min_depth = 0.2;
-  const int count = static_cast<int>(map.keyframe(id).observations.size());
-  for (int i = 0; i < count; ++i) {
-    const Observation& o = map.keyframe(id).observations[i];
-    if (o.landmark != kNoLandmark) continue;
-    std::vector<LandmarkObservation> views = tracks.viewsOf(o.track);
-    views.push_back({id, i});
-    std::vector<visual_frontend::ViewRay> rays;
-    for (const LandmarkObservation& view : views) {
-      const Keyframe& keyframe = map.keyframe(view.keyframe);
-      const Observation& seen = keyframe.observations[view.index];
-      const auto noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
-      rays.push_back(
-          {keyframe.T_map_camera, seen.normalized, noise.sigma, seen.depth, seen.depth_sigma, noise.elongation});
-    }
-    const auto result = visual_frontend::triangulate(rays, triangulation);
-    if (!result.ok()) {
-      // Views that contradict each other belong to a track that slipped: begin anew with this one.
-      if (result.status == visual_frontend::TriangulationStatus::kLargeResidual) views = {{id, i}};
-      tracks.setViews(o.track, std::move(views));
-      continue;
-    }
-    tracks.assign(o.track, map.addLandmark(result.p_map));
-    const LandmarkId landmark = tracks.landmarkOf(o.track);
-    map.landmark(landmark).covariance = result.covariance;
-    for (const LandmarkObservation& view : views) map.connect(view.keyframe, view.index, landmark);
+  tracks.addViews(map.keyframe(id));
+  for (const auto& unplaced :
+       visual_frontend::createLandmarks(id, camera, settings.pixel_sigma, triangulation, map, tracks)) {
+    // Views that contradict each other belong to a track that slipped: begin anew with this one.
+    if (unplaced.status == visual_frontend::TriangulationStatus::kLargeResidual)
+      tracks.setViews(unplaced.track, {{id, unplaced.observation}});
   }
 }
 

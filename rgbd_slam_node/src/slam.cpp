@@ -48,7 +48,7 @@ void Slam::Impl::clear() {
   tracker.reset();
   map.clear();
   tracks.clear();
-  keyframe_covariance.clear();
+  covariances.clear();
   keyframe_path.clear();
   keyframe_points.clear();
   active_depth.reset();
@@ -110,18 +110,11 @@ FrameResult Slam::Impl::initialize(const Images& images) {
   result.keyframe = result.new_map = true;
   result.T_map_base = result.T_map_camera * T_camera_base;
   motion.addPose(stamp, result.T_map_camera, Matrix6d::Zero());
-  result.covariance = withTilt(keyframe_covariance.begin()->second, result.T_map_base.translation());
+  result.covariance = covariances.at(reference, result.T_map_camera.translation(), map) +
+                      visual_frontend::tiltCovariance(tilt_sigma, result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   result.inliers = tracks.count();
   return result;
-}
-
-Matrix6d Slam::Impl::withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const {
-  Matrix6d tilt = Matrix6d::Zero();
-  tilt(3, 3) = tilt(4, 4) = tilt_sigma * tilt_sigma;
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(position);
-  return covariance + J * tilt * J.transpose();
 }
 
 void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const {
@@ -175,9 +168,7 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   result.imu_problem = turns.problem();
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
-  const Eigen::Vector3d lever = T_tracked.translation() - map.keyframe(reference).T_map_camera.translation();
-  const Matrix6d covariance =
-      visual_frontend::covarianceAt(keyframe_covariance.at(reference), lever) + tracked.pose.covariance;
+  const Matrix6d covariance = covariances.at(reference, T_tracked.translation(), map) + tracked.pose.covariance;
   addToMap(images, tracked, &result);
   motion.addPose(stamp, lastPose(), tracked.pose.covariance);
   if (alignShutter(images) || levelMap()) result.map_corrected = true;
@@ -245,8 +236,8 @@ void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d&
   result->T_map_camera = lastPose();
   result->T_map_base = result->T_map_camera * T_camera_base;
   const Eigen::Vector3d lever = result->T_map_base.translation() - result->T_map_camera.translation();
-  result->covariance =
-      withTilt(visual_frontend::covarianceAt(camera_covariance, lever), result->T_map_base.translation());
+  result->covariance = visual_frontend::covarianceAt(camera_covariance, lever) +
+                       visual_frontend::tiltCovariance(tilt_sigma, result->T_map_base.translation());
   result->covariance.diagonal().array() += 1e-10;
   if (result->relocalized) return;
   Matrix6d base_map = Matrix6d::Zero();

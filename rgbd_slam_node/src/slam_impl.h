@@ -10,6 +10,7 @@
 #include "rgbd_slam/readout_estimator.h"
 #include "rgbd_slam/rotation_check.h"
 #include "rgbd_slam/slam.h"
+#include "visual_frontend/keyframe_covariances.h"
 #include "visual_frontend/keyframe_trajectory.h"
 #include "visual_frontend/landmark_tracks.h"
 
@@ -53,7 +54,7 @@ struct Slam::Impl {
   // ---- Map
   visual_frontend::Map map;
   LandmarkTracks tracks;
-  std::map<KeyframeId, Matrix6d> keyframe_covariance;
+  visual_frontend::KeyframeCovariances covariances;
   std::map<KeyframeId, double> keyframe_path;  ///< way driven until there [m]
   std::map<KeyframeId, KeyframePoints> keyframe_points;
   std::unique_ptr<KeyframeDepth> active_depth;  ///< of the last keyframe, while that is the reference
@@ -100,8 +101,6 @@ struct Slam::Impl {
   void concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance, FrameResult* result) const;
   void clear();
   Pose lastPose() const { return frames.lastPose(map); }
-  /// Covariance of a pose in the map, with the tilt of the map that all poses share.
-  Matrix6d withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const;
 
   // ---- leveling.cpp
   /// Up in a camera and its standard deviation [rad], to hold a keyframe by.

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "slam_impl.h"
+#include "visual_frontend/local_landmarks.h"
 #include "visual_frontend/pose_solver.h"
 
 namespace rgbd_slam {
@@ -136,20 +137,16 @@ Slam::Impl::Tracked Slam::Impl::track(const Images& images) {
 
 void Slam::Impl::reobserveLocalMap(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose) {
   const Pose T_camera_map = around.inverse();
-  std::set<LandmarkId> held;
   std::vector<Eigen::Vector2d> occupied;
   std::vector<PoseCorrespondence> correspondences;
   for (const Feature& f : tracker.features()) {
     if (!tracks.has(f.id)) continue;
-    held.insert(tracks.landmarkOf(f.id));
     occupied.push_back(f.pixel);
     correspondences.push_back(correspondence(tracks.landmarkOf(f.id), f.pixel, f.normalized, depth, T_camera_map));
   }
   const std::size_t tracked = correspondences.size();
-  std::vector<LandmarkId> candidates;
-  for (const LandmarkId id : map.landmarksOf(map.nearestKeyframes(around, settings.local_keyframes))) {
-    if (!held.count(id)) candidates.push_back(id);
-  }
+  const auto candidates =
+      visual_frontend::untrackedLandmarks(map, tracks, tracker.features(), around, settings.local_keyframes);
   visual_frontend::ReobservationSettings search;
   search.search_radius = radius;
   const std::vector<LandmarkMatch> matches =

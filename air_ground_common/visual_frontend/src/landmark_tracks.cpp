@@ -25,6 +25,12 @@ LandmarkTracks::Views LandmarkTracks::viewsOf(TrackId track) const {
   return it == views_.end() ? Views() : it->second;
 }
 
+void LandmarkTracks::addViews(const Keyframe& keyframe) {
+  for (std::size_t i = 0; i < keyframe.observations.size(); ++i)
+    if (keyframe.observations[i].landmark == kNoLandmark)
+      addView(keyframe.observations[i].track, {keyframe.id, static_cast<int>(i)});
+}
+
 void LandmarkTracks::keep(const std::vector<Feature>& features) {
   LandmarkTracks kept;
   for (const Feature& f : features) {

@@ -23,6 +23,7 @@ class LandmarkTracks {
   Views viewsOf(TrackId track) const;
   void setViews(TrackId track, Views views) { views_[track] = std::move(views); }
   void addView(TrackId track, const LandmarkObservation& view) { views_[track].push_back(view); }
+  void addViews(const Keyframe& keyframe);  ///< of all its tracks without landmark
   void forgetViews(TrackId track) { views_.erase(track); }
 
   /// Forgets tracks that are not among the features.
