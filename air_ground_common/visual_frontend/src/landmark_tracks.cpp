@@ -9,6 +9,11 @@ LandmarkId LandmarkTracks::landmarkOf(TrackId track) const {
   return it == landmark_.end() ? kNoLandmark : it->second;
 }
 
+LandmarkId LandmarkTracks::landmarkIn(const Map& map, TrackId track) const {
+  const LandmarkId landmark = landmarkOf(track);
+  return map.hasLandmark(landmark) ? landmark : kNoLandmark;
+}
+
 std::vector<LandmarkId> LandmarkTracks::landmarks() const {
   std::vector<LandmarkId> ids;
   for (const auto& entry : landmark_) ids.push_back(entry.second);

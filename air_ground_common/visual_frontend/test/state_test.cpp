@@ -221,6 +221,9 @@ TEST(LandmarkTracks, AreOfALandmarkOrOfViewsAndEndWithTheirFeature) {
   EXPECT_EQ(tracks.landmarkOf(3), 31);
   Map map;
   while (map.landmarkCount() < 35) map.addLandmark(Eigen::Vector3d::Zero());
+  EXPECT_EQ(tracks.landmarkOf(4), 40);
+  EXPECT_EQ(tracks.landmarkIn(map, 4), kNoLandmark);
+  EXPECT_EQ(tracks.landmarkIn(map, 3), 31);
   tracks.forgetMissing(map);
   EXPECT_FALSE(tracks.has(4));
   std::vector<Feature> features(1);
