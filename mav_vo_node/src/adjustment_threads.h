@@ -4,9 +4,11 @@
 #include <future>
 #include <optional>
 
-#include "bundle_job.h"
+#include "visual_frontend/bundle_job.h"
 
 namespace mav_vo {
+
+using visual_frontend::BundleJob;
 
 class AdjustmentThreads {
  public:

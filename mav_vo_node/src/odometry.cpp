@@ -5,9 +5,19 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "increment.h"
 #include "odometry_impl.h"
 
 namespace mav_vo {
+
+using visual_frontend::Feature;
+
+namespace {
+
+constexpr double kMapTilt = 0.002;         // of the adjusted map as a whole, against gravity [rad]
+constexpr std::size_t kMaxFrames = 40000;  // half an hour at 20 Hz; older ones are thinned
+
+}  // namespace
 
 const char* toString(OdometryState state) {
   switch (state) {
@@ -31,118 +41,73 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       T_base_camera(T_base_camera_),
       T_camera_imu(T_base_camera_.inverse() * T_base_imu),
       settings(settings_),
-      tracker(camera_, settings_.tracker),
-      shutter(camera_, settings_.readout_time),
+      inertial(settings_, T_camera_imu),
+      adjuster(camera_, settings_),
+      scale(settings_, T_camera_imu),
+      imu(settings_, T_camera_imu.linear(), sigma(), camera_.height),
+      pose(camera_, settings_, map, tracks, [this](double a, double b) { return cameraTurn(a, b); }),
       bootstrap(camera_, settings_.bootstrap),
-      scale(settings_.scale, settings_.imu_noise, 0.1),
-      imu(settings_, T_camera_imu.linear(), sigma(), camera_.height) {
+      policy(settings_),
+      relocalizer(camera_, settings_) {
   settings.validate();
   if (!air_ground_common::isValid(T_base_camera) || !air_ground_common::isValid(T_base_imu))
     throw std::invalid_argument("Odometry: T_base_camera and T_base_imu must be rigid transforms");
-}
-
-void Odometry::Impl::startMap() {
-  adjustments.discard();
-  tracker.reset();
-  bootstrap.reset();
-  keepMapsBias();
-  map.clear();
-  revision.restart();
-  inertial = {};
-  tracks.clear();
-  keyframe_covariance.clear();
-  bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost
-  relocalized = hovering = false;
-  records.clear();
-  scale.reset(map_tilt);
-  ++map_id;
-  metric = false;
-  state = OdometryState::kInitializing;
-  reason = "new map";
-  located_stamp = -1;
-  velocity.setZero();
-  turn_rate.setZero();
-  T_map_camera.setIdentity();
-  inliers = keyframe_landmarks = 0;
-  scene_distance = 1;
-  depth_min = depth_max = 0;
 }
 
 void Odometry::Impl::reset() {
   startMap();
   imu.reset();
   bias = {};
-  shutter.setReadoutTime(settings.readout_time);
+  pose.setReadoutTime(settings.readout_time);
   last_stamp = -1;
   state = OdometryState::kWaiting;
   reason = "no image yet";
 }
 
-std::optional<LandmarkId> Odometry::Impl::landmarkOf(TrackId track) const {
-  const LandmarkId landmark = tracks.landmarkOf(track);
-  if (!map.hasLandmark(landmark)) return std::nullopt;
-  return landmark;
-}
+bool Odometry::Impl::tracking() const { return state == OdometryState::kScaling || state == OdometryState::kTracking; }
 
-void Odometry::Impl::followShutter(double stamp, const Pose& predicted) {
-  if (!shutter.active()) return;
-  const double half = 0.5 * std::abs(shutter.readoutTime());
-  const auto turn = cameraTurn(stamp - half, stamp + half);
-  shutter.setMotion(turn ? Eigen::Vector3d(air_ground_common::logSO3(turn->R_a_b) / (2 * half)) : turn_rate,
-                    predicted.linear().transpose() * velocity);
-}
-
-Eigen::Vector2d Odometry::Impl::rayOf(const Feature& feature) const {
-  if (!shutter.active()) return feature.normalized;
-  double inverse_depth = 0;
-  if (map.keyframeCount() > 0) {
-    const auto id = landmarkOf(feature.id);
-    const double depth = id ? (T_map_camera.inverse() * map.landmark(*id).position).z() : scene_distance;
-    if (depth > 0.1 * scene_distance) inverse_depth = 1 / depth;
-  }
-  return shutter.toMiddleRow(feature.pixel, feature.normalized, inverse_depth);
-}
-
-std::vector<Feature> Odometry::Impl::currentFeatures() const {
-  std::vector<Feature> features = tracker.features();
-  if (shutter.active())
-    for (Feature& f : features) f.normalized = rayOf(f);
-  return features;
+double Odometry::Impl::mapAge() const {
+  return map.keyframeCount() == 0 ? 0 : last_stamp - map.keyframes().begin()->second.stamp;
 }
 
 // A map that is not metric yet has little to lose: it is waited for no longer than it lived.
 double Odometry::Impl::patience() const {
-  if (metric || map.keyframeCount() == 0) return settings.lost_timeout;
-  return std::min(settings.lost_timeout, lost_since - map.keyframes().begin()->second.stamp);
+  if (metric() || map.keyframeCount() == 0) return settings.lost_timeout;
+  return std::min(settings.lost_timeout, relocalizer.lostSince() - map.keyframes().begin()->second.stamp);
 }
 
-bool Odometry::Impl::tracking() const { return state == OdometryState::kScaling || state == OdometryState::kTracking; }
-
-// Where the camera should be at this image, and where its features.
-Pose Odometry::Impl::predict(double stamp, visual_frontend::TrackPrediction* prediction) {
-  Pose predicted = T_map_camera;
-  if (R_previous_current) prediction->R_current_previous = R_previous_current->transpose();
-  const bool predictable = tracking() && located_stamp == last_stamp;
-  if (predictable) {
-    predicted.translation() += velocity * (stamp - located_stamp);
-    if (R_previous_current) predicted.linear() = T_map_camera.linear() * *R_previous_current;
-  }
-  followShutter(stamp, predicted);
-  if (!predictable) return predicted;
-  const Pose T_camera_map = predicted.inverse();
-  for (const Feature& f : tracker.features()) {
-    const auto id = landmarkOf(f.id);
-    if (!id) continue;
-    const Eigen::Vector3d p_camera = T_camera_map * map.landmark(*id).position;
-    if (const auto pixel = camera.project(p_camera)) prediction->pixels[f.id] = shutter.toItsRow(*pixel, p_camera);
-  }
-  return predicted;
+std::string Odometry::Impl::scaleReason() const {
+  if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
+  if (!imu_problem.empty()) return imu_problem;
+  if (const std::string problem = imu.problem(); !problem.empty()) return problem;
+  return scale.reason(mapAge());
 }
 
+std::optional<double> Odometry::Impl::turnSigma() const {
+  if (!pose.turnSincePrevious()) return std::nullopt;
+  return std::hypot(settings.gyro_prior_sigma, imu.gyroBiasStddev() * (last_stamp - pose.locatedStamp()));
+}
+
+std::optional<GyroRotation> Odometry::Impl::cameraTurn(double stamp_a, double stamp_b) const {
+  if (!settings.use_imu) return std::nullopt;
+  return imu.cameraTurn(stamp_a, stamp_b, bias.gyro);
+}
+
+// What the IMU and the tracks tell of each other, with or without a map.
 void Odometry::Impl::useImu(double stamp) {
-  imu.carryUp(R_previous_current, stamp - last_stamp);
-  if (imu.detectStandstill(stamp, tracker.features(), metric)) bias.gyro = imu.gyroBias();
-  alignImu(stamp);
+  const std::vector<Feature>& features = pose.tracker().features();
+  imu.carryUp(pose.turnSincePrevious(), stamp - last_stamp);
+  if (imu.detectStandstill(stamp, features, metric())) bias.gyro = imu.gyroBias();
+  if (const auto readout = imu.alignShutter(stamp, features, pose.readoutTime())) {
+    pose.setReadoutTime(readout->readout_time);
+    // What a map that is not metric yet has seen with another readout time is not worth keeping.
+    if (!metric() && map.keyframeCount() > 0 && readout->large) startMap();
+  }
+  if (!imu.alignGyro(stamp, features)) return;
+  // A map knows the bias better: its adjustment sees all of its keyframes.
+  if (map.keyframeCount() == 0) bias.gyro = imu.gyroBias();
+  imu.followBias(bias.gyro);
+  if (imu.adoptTimeOffset()) retime();
 }
 
 // What the image does in the present state, and to which state that leads.
@@ -153,27 +118,41 @@ void Odometry::Impl::advance(const cv::Mat& gray) {
     reason = "first image";
   }
   if (state == OdometryState::kInitializing) {
-    initialize();
+    initialize(gray);
   } else if (tracking()) {
-    if (locate(R_previous_current.has_value())) {
-      localized(true);
+    if (pose.locate(turnSigma())) {
+      localized(gray, true);
     } else {
       state = OdometryState::kLost;
-      reason = "lost: " + last_pose.reason;
-      lost_since = last_stamp;
-      frames_lost = 0;
+      reason = "lost: " + pose.result().reason;
+      relocalizer.begin(last_stamp);
     }
   }
   if (state == OdometryState::kLost) {
-    if (relocalize(gray, R_previous_current.has_value())) {
-      state = metric ? OdometryState::kTracking : OdometryState::kScaling;
+    if (relocalize(gray)) {
+      state = metric() ? OdometryState::kTracking : OdometryState::kScaling;
       relocalized = true;
-      localized(false);
-    } else if (last_stamp - lost_since > patience()) {
+      localized(gray, false);
+    } else if (last_stamp - relocalizer.lostSince() > patience()) {
       startMap();
       reason = "lost for too long: a new map starts";
     }
   }
+}
+
+bool Odometry::Impl::relocalize(const cv::Mat& gray) {
+  if (map.keyframeCount() == 0 || frames.empty()) return false;
+  visual_frontend::RelocalizationGate gate;
+  gate.T_map_last = frames.lastPose(map);
+  if (metric())
+    gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - frames.lastStamp());
+  if (metric() && settings.use_imu && imu.attitude().initialized()) {
+    gate.up_camera = T_camera_imu.linear() * imu.attitude().up();
+    gate.max_tilt = std::max(gate.max_tilt, 3 * imu.attitude().upSigma());
+  }
+  const bool found = relocalizer.find(last_stamp, gray, map, gate, turnSigma(), pose);
+  if (!found && !relocalizer.reason().empty()) reason = relocalizer.reason();
+  return found;
 }
 
 FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
@@ -187,102 +166,115 @@ FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
     result.reason = "the image's stamp is not later than the last one's";
     return result;
   }
-  adoptDue();
-  image = &gray;
-  R_previous_current.reset();
-  if (last_stamp >= 0)
-    if (const auto turn = cameraTurn(last_stamp, stamp)) R_previous_current = turn->R_a_b;
-  visual_frontend::TrackPrediction prediction;
-  const Pose predicted = predict(stamp, &prediction);
-  tracker.track(gray, prediction);
-  result.tracked = static_cast<int>(tracker.features().size());
+  adopt(adjuster.due(last_stamp));
+  pose.track(last_stamp, stamp, gray, tracking());
+  result.tracked = static_cast<int>(pose.tracker().features().size());
   if (settings.use_imu) useImu(stamp);
-  if (tracking()) T_map_camera = predicted;
   last_stamp = stamp;
   advance(gray);
   fillResult(&result);
-  image = nullptr;
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   return result;
 }
 
-void Odometry::Impl::localized(bool continuous) {
-  const bool known_before = continuous && located_stamp >= 0 && !records.empty();
-  if (known_before) {
-    const Pose T_map_previous = records.lastPose(map);
-    const double dt = last_stamp - located_stamp;
-    velocity = (T_map_camera.translation() - T_map_previous.translation()) / dt;
-    turn_rate = air_ground_common::logSO3(T_map_previous.linear().transpose() * T_map_camera.linear()) / dt;
-    increment = incrementSince(T_map_previous);
-  } else {
-    velocity.setZero();
-    turn_rate.setZero();
-  }
+void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
+  std::optional<Pose> T_map_previous;
   std::optional<Preintegration> motion;
-  if (known_before && settings.use_imu)
-    motion = imu.motion(located_stamp, last_stamp, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
-  if (metric && settings.use_imu)
-    imu.setUp((T_map_camera.linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ());
-  previous_covariance = last_pose.covariance;
-  located_stamp = last_stamp;
-  const KeyframeId reference = map.lastKeyframe();
-  records.add({last_stamp, reference, map.keyframe(reference).T_map_camera.inverse() * T_map_camera, scene_distance,
-               last_pose.covariance.topLeftCorner<3, 3>(),
-               motion ? std::make_unique<const Preintegration>(*motion) : nullptr});
-  if (settings.use_imu) scale.add(scaleMeasurement(records.size() - 1), motion);
+  if (continuous && pose.locatedStamp() >= 0 && !frames.empty()) {
+    T_map_previous = frames.lastPose(map);
+    increment = incrementSince(*T_map_previous);
+    if (settings.use_imu)
+      motion = imu.motion(pose.locatedStamp(), last_stamp, ImuBias{bias.gyro, Eigen::Vector3d::Zero()});
+  }
+  if (metric() && settings.use_imu)
+    imu.setUp((pose.pose().linear() * T_camera_imu.linear()).transpose() * Eigen::Vector3d::UnitZ());
+  pose.settle(last_stamp, T_map_previous);
+  frames.add(last_stamp, pose.pose(), map.lastKeyframe(), map);
+  frames.thin(kMaxFrames);
+  if (settings.use_imu)
+    scale.add(frames, map, pose.sceneDistance(), pose.result().covariance.topLeftCorner<3, 3>(), motion);
 
-  const bool keyframe = needsKeyframe();
-  if (settings.reobserve_matches > 0 && (keyframe || !continuous || records.size() % 2 == 0)) {
+  const bool keyframe = policy.due(map.keyframe(map.lastKeyframe()), last_stamp, pose.pose(), pose.sceneDistance(),
+                                   pose.result().inlier_count);
+  if (settings.reobserve_matches > 0 && (keyframe || !continuous || frames.size() % 2 == 0)) {
     auto how = settings.reobservation;
     how.max_matches = settings.reobserve_matches;
-    lookForOldLandmarks(how);
+    pose.reobserve(how);
   }
-  if (keyframe) addKeyframe();
-  // A scale that most images since its start speak against was wrong from the start.
-  if (!metric && scale.updates() >= kScaleTrial && scale.rejectedShare() > 0.5) scale.reset(map_tilt);
-  if (!metric && settings.use_imu && imu_problem.empty() && scale.certain(neededScaleStddev()) &&
+  if (keyframe) addKeyframe(gray);
+  if (!metric()) scale.dropRefuted();
+  if (!metric() && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
-  if (metric && last_stamp >= next_full && made_keyframe) adjustFully();
-  T_map_camera = records.lastPose(map);
-  state = metric ? OdometryState::kTracking : OdometryState::kScaling;
-  reason = metric ? "" : scaleReason();
+  if (metric() && made_keyframe && adjuster.wholeDue(last_stamp))
+    adopt(adjuster.adjustWhole(map, inertial.data(), bundleSettings(), last_stamp));
+  pose.setPose(frames.lastPose(map));
+  state = metric() ? OdometryState::kTracking : OdometryState::kScaling;
+  reason = metric() ? "" : scaleReason();
+}
+
+Increment Odometry::Impl::incrementSince(const Pose& T_map_previous) const {
+  Increment step = incrementBetween(pose.locatedStamp(), {T_map_previous, pose.previousCovariance()},
+                                    {pose.pose(), pose.result().covariance}, T_base_camera);
+  if (settings.increment_covariance != IncrementCovariance::kMonteCarlo) return step;
+  std::vector<RayPair> pairs;
+  for (const Feature& f : pose.tracker().features())
+    if (f.age >= 1 && tracks.landmarkIn(map, f.id) != visual_frontend::kNoLandmark)
+      pairs.push_back({camera.unproject(f.previous_pixel), f.normalized});
+  MonteCarloSettings how;
+  how.samples = settings.increment_samples;
+  how.seed = settings.seed;
+  scatterCovariance(pairs, (T_map_previous * T_base_camera.inverse()).linear(), T_base_camera, sigma(), how, &step);
+  return step;
+}
+
+// Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
+// leave open, which grows from its origin.
+Matrix6d Odometry::Impl::mapCovariance() const {
+  Matrix6d C = pose.result().covariance;
+  const double relative = metric() && scale.filter().initialized() ? scale.filter().relativeStddev() : 0.0;
+  const Eigen::Vector3d p = pose.pose().translation();
+  C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
+  if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
+  if (metric()) C += visual_frontend::tiltCovariance(kMapTilt, p);
+  C.diagonal().array() += 1e-10;
+  return C;
 }
 
 void Odometry::Impl::fillResult(FrameResult* result) const {
+  const ScaleFilter& estimate = scale.filter();
   result->state = state;
   result->reason = reason;
-  result->metric = metric;
+  result->metric = metric();
   result->map_id = map_id;
   result->map_revision = revision.count();
   result->keyframe = made_keyframe;
   result->keyframes = map.keyframeCount();
   result->landmarks = map.landmarkCount();
   result->increment = increment;
-  result->scale = scale.initialized() ? scale.scale() : 1.0;
-  result->scale_stddev = scale.scaleStddev();
-  if (metric && settings.use_imu) result->tilt_stddev = kMapTilt;
+  result->scale = estimate.initialized() ? estimate.scale() : 1.0;
+  result->scale_stddev = estimate.scaleStddev();
+  if (metric() && settings.use_imu) result->tilt_stddev = kMapTilt;
   result->imu_bias = bias;
   result->gyro_bias_stddev = imu.gyroBiasStddev();
   result->time_offset = imu.timeOffset();
   result->time_offset_stddev = imu.timeOffsetStddev();
-  result->readout_time = shutter.readoutTime();
+  result->readout_time = pose.readoutTime();
   result->readout_time_stddev = imu.readoutTimeStddev();
-  result->pose_valid = located_stamp >= 0 && located_stamp == result->stamp && last_pose.success;
+  result->pose_valid = pose.locatedStamp() >= 0 && pose.locatedStamp() == result->stamp && pose.result().success;
   if (!result->pose_valid) return;
-  result->inliers = inliers;
-  result->depth_min = depth_min;
-  result->depth_max = depth_max;
-  result->T_map_camera = T_map_camera;
-  result->camera_covariance = mapCovariance(last_pose.covariance);
+  result->inliers = pose.result().inlier_count;
+  result->depth_min = pose.depthMin();
+  result->depth_max = pose.depthMax();
+  result->T_map_camera = pose.pose();
+  result->camera_covariance = mapCovariance();
   // In the visual unit the lever arm between camera and base_link is not known: the base is put at the camera.
   Pose T_camera_base = T_base_camera.inverse();
-  if (!metric) T_camera_base.translation() *= scale.initialized() ? 1.0 / scale.scale() : 0.0;
-  result->T_map_base = T_map_camera * T_camera_base;
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(T_map_camera.linear() * T_camera_base.translation());
-  result->covariance = J * result->camera_covariance * J.transpose();
-  if (metric && scale.initialized()) result->velocity = scale.state().v;
+  if (!metric()) T_camera_base.translation() *= estimate.initialized() ? 1.0 / estimate.scale() : 0.0;
+  result->T_map_base = pose.pose() * T_camera_base;
+  result->covariance =
+      visual_frontend::covarianceAt(result->camera_covariance, pose.pose().linear() * T_camera_base.translation());
+  if (metric() && estimate.initialized()) result->velocity = estimate.state().v;
 }
 
 Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu,
@@ -294,24 +286,25 @@ Odometry::~Odometry() = default;
 bool Odometry::addImu(const ImuSample& sample) { return impl_->imu.add(sample); }
 
 double Odometry::imuNeededAt(double image_stamp) const {
-  return impl_->imu.imuStamp(image_stamp) + 0.5 * std::abs(impl_->shutter.readoutTime());
+  return impl_->imu.imuStamp(image_stamp) + 0.5 * std::abs(impl_->pose.readoutTime());
 }
 
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }
 FrameResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
 void Odometry::reset() { impl_->reset(); }
 const visual_frontend::Map& Odometry::map() const { return impl_->map; }
-const std::vector<Feature>& Odometry::features() const { return impl_->tracker.features(); }
-bool Odometry::metric() const { return impl_->metric; }
+const std::vector<Feature>& Odometry::features() const { return impl_->pose.tracker().features(); }
+bool Odometry::metric() const { return impl_->metric(); }
 std::uint32_t Odometry::mapId() const { return impl_->map_id; }
-void Odometry::finish() { impl_->adoptAll(); }
+void Odometry::finish() { impl_->adopt(impl_->adjuster.finish()); }
 
 std::vector<bool> Odometry::mappedFeatures() const {
   std::vector<bool> mapped;
-  for (const Feature& f : impl_->tracker.features()) mapped.push_back(impl_->landmarkOf(f.id).has_value());
+  for (const Feature& f : impl_->pose.tracker().features())
+    mapped.push_back(impl_->tracks.landmarkIn(impl_->map, f.id) != visual_frontend::kNoLandmark);
   return mapped;
 }
 
-air_ground_common::Trajectory Odometry::trajectory() const { return impl_->records.poses(impl_->map); }
+air_ground_common::Trajectory Odometry::trajectory() const { return impl_->frames.poses(impl_->map); }
 
 }  // namespace mav_vo

@@ -1,10 +1,10 @@
 #include <gtest/gtest.h>
 
-#include "../src/inertial_costs.h"
-#include "mav_vo/inertial_bundle.h"
 #include "synthetic_flight.h"
+#include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/inertial_costs.h"
 
-using namespace mav_vo;
+using namespace visual_frontend;
 using air_ground_common::Pose;
 
 namespace {
@@ -112,7 +112,7 @@ TEST(BiasAndPriorCost, JacobiansMatchNumericDerivatives) {
 }
 
 struct World {
-  InertialBundleProblem problem;
+  BundleProblem problem;
   std::vector<Pose> truth;
 };
 
@@ -130,7 +130,7 @@ World makeWorld(double scale, double tilt, unsigned seed) {
   auto& p = world.problem;
   const Eigen::Matrix3d R = air_ground_common::expSO3({tilt, -tilt, 0});
   const Pose first = flight.T_world_imu(begin) * synthetic::T_imu_camera();
-  p.visual.points = points;
+  p.points = points;
   p.T_camera_imu = synthetic::T_imu_camera().inverse();
   p.anchor = 0;
   for (int k = 0; k < 12; ++k) {
@@ -141,36 +141,34 @@ World makeWorld(double scale, double tilt, unsigned seed) {
       const Eigen::Vector3d q = T.inverse() * points[i];
       const auto pixel = camera.project(q);
       if (!pixel || !camera.contains(*pixel)) continue;
-      p.visual.measurements.push_back(
+      p.measurements.push_back(
           {k, i, q.head<2>() / q.z() + sigma * Eigen::Vector2d(normal(random), normal(random)), sigma, 0, 0});
     }
-    visual_frontend::BundleProblem::Camera c;
+    BundleProblem::Camera c;
     c.T_map_camera.linear() = R * T.linear();
     c.T_map_camera.translation() = first.translation() + scale * (R * (T.translation() - first.translation()));
-    p.visual.cameras.push_back(c);
-    p.states.push_back(
-        {flight.velocity(t) + 0.1 * Eigen::Vector3d(normal(random), normal(random), normal(random)), ImuBias{}});
-    p.state_fixed.push_back(0);
+    c.state.velocity = flight.velocity(t) + 0.1 * Eigen::Vector3d(normal(random), normal(random), normal(random));
+    p.cameras.push_back(c);
     if (k > 0) p.links.push_back({k - 1, k, motionBetween(t - step, t, noise, bias, ImuBias{}, random)});
   }
-  for (auto& point : p.visual.points) point = first.translation() + scale * (R * (point - first.translation()));
+  for (auto& point : p.points) point = first.translation() + scale * (R * (point - first.translation()));
   return world;
 }
 
 TEST(InertialBundle, FindsScaleAndGravity) {
   for (const double scale : {0.85, 1.0, 1.2}) {
     World world = makeWorld(scale, 0.02, 5);
-    InertialBundleSettings settings;
+    BundleSettings settings;
     settings.max_iterations = 30;
-    const auto result = solveInertialBundle(world.problem, settings);
+    const auto result = solveBundle(world.problem, settings);
     ASSERT_TRUE(result.usable) << result.message;
     double length = 0, truth = 0, tilt = 0;
     for (std::size_t k = 1; k < world.truth.size(); ++k) {
-      length += (world.problem.visual.cameras[k].T_map_camera.translation() -
-                 world.problem.visual.cameras[k - 1].T_map_camera.translation())
+      length += (world.problem.cameras[k].T_map_camera.translation() -
+                 world.problem.cameras[k - 1].T_map_camera.translation())
                     .norm();
       truth += (world.truth[k].translation() - world.truth[k - 1].translation()).norm();
-      const Eigen::Vector3d up = world.problem.visual.cameras[k].T_map_camera.linear().row(2),
+      const Eigen::Vector3d up = world.problem.cameras[k].T_map_camera.linear().row(2),
                             up_truth = world.truth[k].linear().row(2);
       tilt = std::max(tilt, std::acos(std::min(1.0, up.dot(up_truth))));
     }
@@ -179,58 +177,58 @@ TEST(InertialBundle, FindsScaleAndGravity) {
     // One sigma less what the fit of points and poses takes up.
     EXPECT_GT(result.rms, 0.6);
     EXPECT_LT(result.rms, 1.0);
-    EXPECT_LT((world.problem.visual.cameras[0].T_map_camera.translation() - world.truth[0].translation()).norm(), 1e-3);
-    EXPECT_LT((world.problem.states.back().bias.accel - Eigen::Vector3d(0.04, -0.06, 0.03)).norm(), 0.05);
-    EXPECT_LT((world.problem.states.back().bias.gyro - Eigen::Vector3d(2e-3, -1e-3, 1e-3)).norm(), 1e-3);
+    EXPECT_LT((world.problem.cameras[0].T_map_camera.translation() - world.truth[0].translation()).norm(), 1e-3);
+    EXPECT_LT((world.problem.cameras.back().state.bias.accel - Eigen::Vector3d(0.04, -0.06, 0.03)).norm(), 0.05);
+    EXPECT_LT((world.problem.cameras.back().state.bias.gyro - Eigen::Vector3d(2e-3, -1e-3, 1e-3)).norm(), 1e-3);
   }
 }
 
 TEST(InertialBundle, WithoutMetresTheGyroStillBindsRotations) {
-  const auto solve = [](World& world, const InertialBundleSettings& settings) {
+  const auto solve = [](World& world, const BundleSettings& settings) {
     world.problem.metric = false;
-    world.problem.visual.cameras[0].fixed = true;
-    EXPECT_TRUE(solveInertialBundle(world.problem, settings).usable);
+    world.problem.cameras[0].fixed = true;
+    EXPECT_TRUE(solveBundle(world.problem, settings).usable);
     double worst = 0;
     for (std::size_t k = 0; k < world.truth.size(); ++k)
-      worst = std::max(worst, air_ground_common::rotationAngle(world.problem.visual.cameras[k].T_map_camera.linear(),
+      worst = std::max(worst, air_ground_common::rotationAngle(world.problem.cameras[k].T_map_camera.linear(),
                                                                world.truth[k].linear()));
     return worst;
   };
   const Eigen::Vector3d gyro_bias(2e-3, -1e-3, 1e-3);
   World seen = makeWorld(1.0, 0.0, 8);
-  InertialBundleSettings patient;
+  BundleSettings patient;
   patient.max_iterations = 40;
   // Some 15 points an image show the bias to a fraction of its prior (0.01 rad/s); 5.5 s of its error is what the
   // rotation may be off.
   EXPECT_LT(solve(seen, patient), 0.012);
-  EXPECT_LT((seen.problem.states.back().bias.gyro - gyro_bias).norm(), 2e-3);
+  EXPECT_LT((seen.problem.cameras.back().state.bias.gyro - gyro_bias).norm(), 2e-3);
 
   // So few points that images alone leave the rotation loose, but the bias known from a rest.
   World sparse = makeWorld(1.0, 0.0, 8);
-  auto& measurements = sparse.problem.visual.measurements;
+  auto& measurements = sparse.problem.measurements;
   measurements.erase(
       std::remove_if(measurements.begin(), measurements.end(), [](const auto& m) { return m.point > 60; }),
       measurements.end());
-  for (auto& state : sparse.problem.states) state.bias.gyro = gyro_bias;
-  InertialBundleSettings settings;
+  for (auto& camera : sparse.problem.cameras) camera.state.bias.gyro = gyro_bias;
+  BundleSettings settings;
   settings.gyro_bias_prior = 1e-4;
   EXPECT_LT(solve(sparse, settings), 0.004);
 }
 
 TEST(InertialBundle, ReportsOutliers) {
   World world = makeWorld(1.0, 0.0, 6);
-  world.problem.visual.measurements[10].normalized.x() += 0.1;
-  const auto result = solveInertialBundle(world.problem, InertialBundleSettings{});
+  world.problem.measurements[10].normalized.x() += 0.1;
+  const auto result = solveBundle(world.problem, BundleSettings{});
   EXPECT_NE(std::find(result.outliers.begin(), result.outliers.end(), 10), result.outliers.end());
 }
 
 TEST(InertialBundle, RejectsIndicesOutOfRange) {
   World world = makeWorld(1.0, 0.0, 6);
-  world.problem.links[0].b = 99;
-  EXPECT_THROW(solveInertialBundle(world.problem, InertialBundleSettings{}), std::invalid_argument);
+  world.problem.links[0].camera_b = 99;
+  EXPECT_THROW(solveBundle(world.problem, BundleSettings{}), std::invalid_argument);
   world = makeWorld(1.0, 0.0, 6);
-  world.problem.states.pop_back();
-  EXPECT_THROW(solveInertialBundle(world.problem, InertialBundleSettings{}), std::invalid_argument);
+  world.problem.anchor = 12;
+  EXPECT_THROW(solveBundle(world.problem, BundleSettings{}), std::invalid_argument);
 }
 
 }  // namespace

@@ -1,11 +1,20 @@
 #include "rgbd_slam/slam.h"
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
 #include "slam_impl.h"
 
 namespace rgbd_slam {
+
+using visual_frontend::Feature;
+
+namespace {
+
+constexpr double kPlaceRadius = 10;  // of the search for landmarks about where a recognised place puts them [px]
+
+}  // namespace
 
 const char* toString(State state) {
   switch (state) {
@@ -33,51 +42,50 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
     : camera(camera_model),
       mounting(mounted),
       settings(slam_settings),
-      tracker(camera_model, slam_settings.tracker),
-      motion(camera_model, mounted, slam_settings) {
+      level(slam_settings),
+      loops(camera_model, slam_settings),
+      dense(camera_model, slam_settings),
+      reference(slam_settings),
+      motion(camera_model, mounted, slam_settings),
+      tracking(camera_model, slam_settings, map, frames, tracks, motion),
+      shutter(camera_model, slam_settings),
+      search(slam_settings) {
   settings.validate();
   if (!air_ground_common::isValid(mounting.T_base_camera))
     throw std::invalid_argument("Mounting::T_base_camera is not a rigid transform");
-  focal = 0.5 * (camera.fx + camera.fy);
   T_camera_base = mounting.T_base_camera.inverse();
-  if (settings.readout_time_stddev > 0)
-    shutter.emplace(settings.readout_time, settings.readout_time_stddev, settings.pixel_sigma / focal);
 }
 
 void Slam::Impl::clear() {
-  tracker.reset();
+  tracking.reset();
+  tracking.postponeReobservation();
   map.clear();
-  tracks.clear();
-  keyframe_covariance.clear();
-  keyframe_path.clear();
-  keyframe_points.clear();
-  active_depth.reset();
-  motion.endMap();
-  if (shutter) shutter->interrupt();
-  gravity_known = leveled = false;
   frames.clear();
+  covariances.clear();
+  level.clear();
+  loops.clear();
+  dense.clear();
+  reference.reset();
+  motion.endMap();
+  shutter.interrupt();
+  search.clear();
   state = State::kWaiting;
-  first_stamp = last_attempt = -1;
-  strange_for = 0;
-  nearly_found = false;
-  path = 0;
-  since_keyframe = since_reobservation = 0;
-  reference = kNoKeyframe;
+  first_stamp = -1;
 }
 
-FrameResult Slam::Impl::initialize(const Images& images) {
+FrameResult Slam::Impl::initialize(const RgbdImages& images) {
   FrameResult result;
   const double stamp = images.stamp;
   result.state = state = State::kInitializing;
   if (first_stamp < 0) first_stamp = stamp;
   motion.setRowMotion(stamp, Pose::Identity());
-  tracker.reset();
-  tracker.track(images.gray);
-  tracker.replenish();
-  int with_depth = 0;
-  for (const Feature& f : tracker.features())
-    with_depth += sampleDepth(images.depth, f.pixel, settings.depth).has_value();
-  result.tracked = static_cast<int>(tracker.features().size());
+  tracking.restart(images.gray);
+  tracking.tracker().replenish();
+  const std::vector<Feature>& features = tracking.tracker().features();
+  const auto with_depth = std::count_if(features.begin(), features.end(), [&](const Feature& f) {
+    return sampleDepth(images.depth, f.pixel, settings.depth).has_value();
+  });
+  result.tracked = static_cast<int>(features.size());
   if (with_depth < settings.min_start_features) {
     result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) +
                     " features have depth, " + std::to_string(settings.min_start_features) + " are needed to start";
@@ -95,33 +103,22 @@ FrameResult Slam::Impl::initialize(const Images& images) {
     R_map_base = air_ground_common::levelingRotation(*mounting.R_base_imu * attitude.up());
     R_map_base = Eigen::AngleAxisd(-air_ground_common::yawOf(R_map_base), Eigen::Vector3d::UnitZ()) * R_map_base;
   }
-  gravity_known = imu_ready;
-  // Begun in motion, the first direction is coarse: levelMap looks again when more is known.
-  leveled = !imu_ready || attitude.atRest();
+  level.begin(imu_ready ? &attitude : nullptr);
   result.T_map_camera = Pose(R_map_base) * mounting.T_base_camera;
   ++map_id;
   ++counters.maps;
-  addKeyframe(images, result.T_map_camera, Matrix6d::Identity() * 1e-10);
+  const KeyframeId id = addKeyframe(images, result.T_map_camera, Matrix6d::Identity() * 1e-10);
   if (imu_ready) motion.startMap();
-  tilt_sigma = imu_ready ? attitude.upSigma() : 0.05;
-  vertical = {Eigen::Vector3d::UnitZ(), tilt_sigma};
-  frames.add(stamp, result.T_map_camera, reference, map);
+  frames.add(stamp, result.T_map_camera, id, map);
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
   result.T_map_base = result.T_map_camera * T_camera_base;
   motion.addPose(stamp, result.T_map_camera, Matrix6d::Zero());
-  result.covariance = withTilt(keyframe_covariance.begin()->second, result.T_map_base.translation());
+  result.covariance = covariances.at(id, result.T_map_camera.translation(), map) +
+                      visual_frontend::tiltCovariance(level.sigma(), result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   result.inliers = tracks.count();
   return result;
-}
-
-Matrix6d Slam::Impl::withTilt(const Matrix6d& covariance, const Eigen::Vector3d& position) const {
-  Matrix6d tilt = Matrix6d::Zero();
-  tilt(3, 3) = tilt(4, 4) = tilt_sigma * tilt_sigma;
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(position);
-  return covariance + J * tilt * J.transpose();
 }
 
 void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const {
@@ -144,20 +141,20 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   check(stamp, gray, bgr, depth);
   ++counters.frames;
   last_stamp = stamp;
-  const Images images{stamp, gray, bgr.empty() ? gray : bgr, depth};
+  const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth};
   if (state == State::kWaiting || state == State::kInitializing) return initialize(images);
 
   FrameResult result;
   const bool was_lost = state == State::kLost;
-  Tracked tracked;
-  if (!was_lost) tracked = track(images);
+  TrackedPose tracked;
+  if (!was_lost) tracked = tracking.track(images, reference);
   if (!tracked.success) {
     result.reason = tracked.reason;
     tracked = relocalize(images);
     result.relocalized = tracked.success;
     if (result.reason.empty()) result.reason = tracked.reason;
   }
-  result.tracked = static_cast<int>(tracker.features().size());
+  result.tracked = static_cast<int>(tracking.tracker().features().size());
   if (!tracked.success) {
     result.state = State::kLost;
     beLost();
@@ -168,20 +165,18 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   result.inliers = tracked.pose.inlier_count;
   result.rms = tracked.pose.rms;
   if (was_lost) ++counters.relocalizations;
-  strange_for = 0;
+  search.found();
 
   const Pose T_tracked = tracked.pose.T_map_camera;
   compareTurns(stamp, T_tracked);
   result.imu_problem = turns.problem();
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
-  const Eigen::Vector3d lever = T_tracked.translation() - map.keyframe(reference).T_map_camera.translation();
-  const Matrix6d covariance =
-      visual_frontend::covarianceAt(keyframe_covariance.at(reference), lever) + tracked.pose.covariance;
+  const Matrix6d covariance = covariances.at(reference.id(), T_tracked.translation(), map) + tracked.pose.covariance;
   addToMap(images, tracked, &result);
   motion.addPose(stamp, lastPose(), tracked.pose.covariance);
   if (alignShutter(images) || levelMap()) result.map_corrected = true;
-  if (shutter && result.map_corrected) shutter->interrupt();
+  if (result.map_corrected) shutter.interrupt();
   concludePose(covariance, tracked.pose.covariance, &result);
   return result;
 }
@@ -193,51 +188,65 @@ void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
   const Eigen::Matrix3d R_previous_current = lastPose().linear().transpose() * T_map_camera.linear();
   turns.add(mounting.T_base_camera.linear() * air_ground_common::logSO3(R_previous_current), *felt, stamp - last);
   motion.trustGyro(turns.problem().empty());
-  // Which way is up comes from the gyro, too, whenever the robot moves.
-  if (!motion.gyroTrusted()) gravity_known = false;
+  if (!motion.gyroTrusted()) level.distrust();
 }
 
 void Slam::Impl::beLost() {
   state = State::kLost;
   ++counters.lost_frames;
-  const bool restart = settings.restart_after > 0 && strange_for >= settings.restart_after - 1e-6;
   // A map this small is no loss; nor can much be recognised by it.
-  if (restart || map.keyframeCount() < 2) clear();
+  if (search.givesUp() || map.keyframeCount() < 2) clear();
+}
+
+TrackedPose Slam::Impl::relocalize(const RgbdImages& images) {
+  TrackedPose tracked;
+  tracking.reset();
+  if (state == State::kLost && !search.due(images.stamp)) {
+    tracked.reason = search.reason();
+    return tracked;
+  }
+  search.begin(images.stamp);
+  ++counters.relocalization_attempts;
+  motion.setRowMotion(images.stamp, lastPose());
+  tracking.restart(images.gray);
+  tracked = tracking.findNearLast(images);
+  if (tracked.success) return tracked;
+  const visual_frontend::PlaceMatch match = recognize(images);
+  if (match.success)
+    tracked =
+        tracking.findAround(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, kPlaceRadius, images);
+  else
+    tracked.reason = "lost: " + match.reason;
+  search.conclude(match, tracked.reason);
+  return tracked;
+}
+
+visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images) {
+  Keyframe query;
+  describe(images, query);
+  const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
+  if (with_depth >= settings.min_start_features) search.sawAPlace();
+  visual_frontend::RelocalizationGate gate;
+  gate.T_map_last = lastPose();
+  gate.max_distance = settings.relocalization_slack + settings.max_speed * (images.stamp - frames.lastStamp());
+  if (level.known() && motion.attitude().initialized()) {
+    gate.up_camera = motion.upInCamera();
+    gate.max_tilt = std::max(gate.max_tilt, 3 * motion.attitude().upSigma());
+  }
+  return visual_frontend::relocalize(map, camera, query, gate, settings.place);
 }
 
 Pose Slam::Impl::step(double stamp, const Pose& T_map_camera, bool relocalized) {
   const Pose T_before = lastPose();
   const double dt = stamp - frames.lastStamp();
-  path += (T_map_camera.translation() - T_before.translation()).norm();
+  loops.advance((T_map_camera.translation() - T_before.translation()).norm());
   if (relocalized || dt > 1.0) {
     motion.interrupt();
   } else {
     motion.update(dt, T_before, T_map_camera);
   }
-  ++since_keyframe;
+  reference.countFrame();
   return mounting.T_base_camera * T_before.inverse() * T_map_camera * T_camera_base;
-}
-
-void Slam::Impl::addToMap(const Images& images, const Tracked& tracked, FrameResult* result) {
-  const Pose& T_map_camera = tracked.pose.T_map_camera;
-  const bool due = result->relocalized || keyframeDue(T_map_camera, tracked.landmarks);
-  const KeyframeId known = due ? keyframeOfView(T_map_camera, tracked.landmarks) : reference;
-  if (known == kNoKeyframe) {
-    const KeyframeId id = addKeyframe(images, T_map_camera, tracked.pose.covariance);
-    result->keyframe = true;
-    frames.add(images.stamp, map.keyframe(id).T_map_camera, id, map);
-    if (settings.loop_closure) result->map_corrected = closeLoop(id);
-    removeReplacedBy(id);
-    if (result->map_corrected) motion.moveMap(lastPose() * T_map_camera.inverse());
-    return;
-  }
-  if (known != reference) setReference(known);
-  frames.add(images.stamp, T_map_camera, reference, map);
-  if (active_depth && active_depth->frames() <= settings.max_fused_frames) {
-    const Pose T_reference_camera = map.keyframe(reference).T_map_camera.inverse() * T_map_camera;
-    active_depth->fuse(camera, images.depth, T_reference_camera.inverse(), settings.depth, settings.cloud,
-                       &motion.rows());
-  }
 }
 
 void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance,
@@ -245,8 +254,8 @@ void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d&
   result->T_map_camera = lastPose();
   result->T_map_base = result->T_map_camera * T_camera_base;
   const Eigen::Vector3d lever = result->T_map_base.translation() - result->T_map_camera.translation();
-  result->covariance =
-      withTilt(visual_frontend::covarianceAt(camera_covariance, lever), result->T_map_base.translation());
+  result->covariance = visual_frontend::covarianceAt(camera_covariance, lever) +
+                       visual_frontend::tiltCovariance(level.sigma(), result->T_map_base.translation());
   result->covariance.diagonal().array() += 1e-10;
   if (result->relocalized) return;
   Matrix6d base_map = Matrix6d::Zero();
@@ -269,32 +278,21 @@ FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr,
 
 air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }
 
-std::vector<PosedPoints> Slam::posedPoints() const {
-  std::vector<PosedPoints> result;
-  for (const auto& [id, points] : impl_->keyframe_points)
-    result.push_back({impl_->map.keyframe(id).T_map_camera, points, id});
-  if (impl_->active_depth && impl_->map.keyframeCount() > 0) {
-    auto points = std::make_shared<std::vector<KeyframeDepth::Point>>(
-        impl_->active_depth->points(impl_->settings.depth, impl_->settings.cloud));
-    result.push_back({impl_->map.keyframe(impl_->reference).T_map_camera, points, impl_->reference});
-  }
-  return result;
-}
-
+std::vector<PosedPoints> Slam::posedPoints() const { return impl_->dense.posed(impl_->map); }
 const visual_frontend::Map& Slam::map() const { return impl_->map; }
-const std::vector<Feature>& Slam::features() const { return impl_->tracker.features(); }
+const std::vector<Feature>& Slam::features() const { return impl_->tracking.tracker().features(); }
 const SlamCounters& Slam::counters() const { return impl_->counters; }
 Eigen::Vector3d Slam::gyroBias() const { return impl_->motion.gyroBias(); }
-bool Slam::gravityKnown() const { return impl_->gravity_known; }
+bool Slam::gravityKnown() const { return impl_->level.known(); }
 double Slam::readoutTime() const { return impl_->motion.rows().readoutTime(); }
-double Slam::readoutTimeStddev() const { return impl_->shutter ? impl_->shutter->stddev() : 0; }
-Vertical Slam::vertical() const { return impl_->vertical; }
+double Slam::readoutTimeStddev() const { return impl_->shutter.stddev(); }
+Vertical Slam::vertical() const { return impl_->level.vertical(); }
 std::optional<visual_frontend::InertialEstimate> Slam::inertialEstimate() const { return impl_->motion.estimate(); }
 int Slam::mapId() const { return impl_->map_id; }
 
 std::vector<bool> Slam::mapped() const {
   std::vector<bool> result;
-  for (const Feature& f : impl_->tracker.features()) result.push_back(impl_->tracks.has(f.id));
+  for (const Feature& f : impl_->tracking.tracker().features()) result.push_back(impl_->tracks.has(f.id));
   return result;
 }
 
@@ -302,7 +300,7 @@ void Slam::reset() {
   impl_->clear();
   impl_->motion.reset();
   impl_->turns.reset();
-  if (impl_->shutter) impl_->shutter->reset();
+  impl_->shutter.reset();
   impl_->last_stamp = -1;
 }
 

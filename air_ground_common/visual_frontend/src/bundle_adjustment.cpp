@@ -1,16 +1,26 @@
 #include "visual_frontend/bundle_adjustment.h"
 
-#include <algorithm>
+#include <ceres/loss_function.h>
+#include <ceres/problem.h>
+#include <ceres/solver.h>
+
 #include <cmath>
 #include <memory>
 #include <stdexcept>
-#include <unordered_map>
 
-#include "visual_frontend/bundle_solver.h"
+#include "visual_frontend/ceres_costs.h"
+#include "visual_frontend/inertial_costs.h"
 
 namespace visual_frontend {
 
 namespace {
+
+constexpr double kBehindCamera = 1e12;
+constexpr double kAnchorPosition = 1e-4;  // [m]
+constexpr double kAnchorYaw = 1e-5;       // [rad]
+constexpr double kLinkLossWidth = 6;      // sigmas of a whole link, of nine numbers: one in 10,000 true ones is longer
+constexpr int kDenseCameras = 30;         // up to so many free ones the reduced system is solved densely
+constexpr int kDenseInertial = 25;        // likewise where each has nine unknowns more
 
 void check(const BundleProblem& problem) {
   const auto fail = [](const std::string& what) { throw std::invalid_argument("solveBundle: " + what); };
@@ -32,125 +42,21 @@ void check(const BundleProblem& problem) {
       fail("a measurement is not finite or its sigma not positive");
     if (m.depth > 0 && !(m.depth_sigma > 0)) fail("a depth needs a positive depth_sigma");
   }
-  for (const auto& p : problem.priors) {
-    if (p.camera_a < 0 || p.camera_a >= cameras || p.camera_b < 0 || p.camera_b >= cameras || p.camera_a == p.camera_b)
-      fail("a prior's index is out of range");
-  }
-}
-
-struct Camera {
-  Vector6d camera;
-};
-
-class Solver : BundleSolver<Camera> {
- public:
-  Solver(BundleProblem& problem, const BundleSettings& settings)
-      : BundleSolver(problem, settings.loss, settings.loss_width),
-        settings_(settings),
-        depth_loss_(settings.depth_loss_width) {
-    addMeasurements([this](const BundleProblem::Measurement& m) {
-      if (settings_.use_depth && m.depth > 0)
-        ceres_.AddResidualBlock(new DepthCost(R_0_[m.camera], m.depth, m.depth_sigma), &depth_loss_,
-                                block_[m.camera].camera.data(), problem_.points[m.point].data());
-    });
-    addPriors();
-    for (std::size_t i = 0; i < block_.size(); ++i) {
-      const auto& c = problem_.cameras[i];
-      if (settings_.use_gravity) {
-        addGravity(i);
-        if (c.up_camera && !c.fixed) camera_used_[i] = 1;
-      }
-      if (camera_used_[i]) addCamera(i);
-    }
-    addPoints();
-  }
-
-  ceres::Solver::Summary solve() {
-    return BundleSolver::solve({settings_.max_iterations, settings_.max_seconds, settings_.threads});
-  }
-
- private:
-  void addPriors() {
-    for (const auto& p : problem_.priors) {
-      Vector6d weights = Vector6d::Zero();
-      if (p.translation_sigma > 0) weights.head<3>().setConstant(1 / p.translation_sigma);
-      if (p.rotation_sigma > 0) weights.tail<3>().setConstant(1 / p.rotation_sigma);
-      ceres_.AddResidualBlock(
-          new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, weights.asDiagonal()), nullptr,
-          block_[p.camera_a].camera.data(), block_[p.camera_b].camera.data());
-      camera_used_[p.camera_a] = camera_used_[p.camera_b] = 1;
-    }
-  }
-
-  const BundleSettings& settings_;
-  ceres::CauchyLoss depth_loss_;
-};
-
-/// A part of a map as a problem, with where each piece came from.
-struct MapProblem {
-  BundleProblem problem;
-  std::vector<KeyframeId> keyframes;         ///< of the cameras
-  std::vector<LandmarkId> landmarks;         ///< of the points
-  std::vector<LandmarkObservation> sources;  ///< of the measurements
-};
-
-MapProblem extract(const Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                   const std::vector<KeyframeId>& fixed, const BundleSettings& settings) {
-  MapProblem part;
-  std::unordered_map<KeyframeId, int> camera_index;
-  const auto addCamera = [&](KeyframeId id, bool held) {
-    if (!camera_index.emplace(id, static_cast<int>(part.keyframes.size())).second) return;
-    const Keyframe& keyframe = map.keyframe(id);
-    part.problem.cameras.push_back({keyframe.T_map_camera, held, keyframe.up_camera, keyframe.up_sigma});
-    part.keyframes.push_back(id);
+  const auto apart = [cameras](const auto& pair) {
+    return pair.camera_a >= 0 && pair.camera_a < cameras && pair.camera_b >= 0 && pair.camera_b < cameras &&
+           pair.camera_a != pair.camera_b;
   };
-  for (const KeyframeId id : fixed) addCamera(id, true);
-  for (const KeyframeId id : free) addCamera(id, false);
-  if (fixed.empty() && !part.problem.cameras.empty()) part.problem.cameras.front().fixed = true;
-
-  const std::vector<LandmarkId> landmarks = map.landmarksOf(free);
-  part.problem.points.reserve(landmarks.size());
-  for (const LandmarkId id : landmarks) {
-    const Landmark& landmark = map.landmark(id);
-    bool depth = false;
-    int views = 0;
-    for (const LandmarkObservation& o : landmark.observations) {
-      if (!camera_index.count(o.keyframe)) continue;
-      ++views;
-      depth = depth || (settings.use_depth && map.keyframe(o.keyframe).observations[o.index].depth > 0);
-    }
-    if (views < 2 && !depth) continue;
-    const int point = static_cast<int>(part.landmarks.size());
-    part.problem.points.push_back(landmark.position);
-    part.landmarks.push_back(id);
-    for (const LandmarkObservation& o : landmark.observations) {
-      const auto it = camera_index.find(o.keyframe);
-      if (it == camera_index.end()) continue;
-      const Observation& seen = map.keyframe(o.keyframe).observations[o.index];
-      const NormalizedNoise noise = camera.normalizedNoise(seen.normalized, settings.pixel_sigma);
-      part.problem.measurements.push_back(
-          {it->second, point, seen.normalized, noise.sigma, seen.depth, seen.depth_sigma, noise.elongation});
-      part.sources.push_back(o);
-    }
+  for (const auto& p : problem.priors) {
+    if (!apart(p)) fail("a prior's index is out of range");
   }
-  return part;
+  for (const auto& link : problem.links) {
+    if (!apart(link)) fail("a link's index is out of range");
+    if (!(link.motion.duration() > 0)) fail("a link without inertial samples");
+  }
+  if (problem.anchor >= cameras) fail("the anchor is out of range");
 }
 
-/// Disconnects the measurements; landmarks left with one observation without depth go.
-void removeOutliers(const MapProblem& part, const std::vector<int>& outliers, Map& map) {
-  for (const int i : outliers) map.disconnect(part.sources[i].keyframe, part.sources[i].index);
-  for (const int i : outliers) {
-    const LandmarkId id = part.landmarks[part.problem.measurements[i].point];
-    if (!map.hasLandmark(id)) continue;
-    const Landmark& landmark = map.landmark(id);
-    if (landmark.observations.size() >= 2) continue;
-    const LandmarkObservation& o = landmark.observations.front();
-    if (!(map.keyframe(o.keyframe).observations[o.index].depth > 0)) map.removeLandmark(id);
-  }
-}
-
-}  // namespace
-
+/// Squared reprojection error in sigmas; kBehindCamera there.
 double squaredError(const BundleProblem& problem, const BundleProblem::Measurement& m) {
   const Pose& T = problem.cameras[m.camera].T_map_camera;
   const Eigen::Vector3d p = T.linear().transpose() * (problem.points[m.point] - T.translation());
@@ -158,6 +64,7 @@ double squaredError(const BundleProblem& problem, const BundleProblem::Measureme
   return squaredSigmas(p.head<2>() / p.z() - m.normalized, m.normalized, {m.sigma, m.elongation});
 }
 
+/// Null for RobustLoss::kNone.
 std::unique_ptr<ceres::LossFunction> makeLoss(RobustLoss loss, double width) {
   switch (loss) {
     case RobustLoss::kHuber:
@@ -170,6 +77,198 @@ std::unique_ptr<ceres::LossFunction> makeLoss(RobustLoss loss, double width) {
   return nullptr;
 }
 
+/// What is estimated of a camera.
+struct Block {
+  Eigen::Matrix<double, 6, 1, Eigen::DontAlign> camera;  ///< centre in the map, rotation vector from R_0
+  Eigen::Vector3d velocity;
+  Eigen::Matrix<double, 6, 1, Eigen::DontAlign> bias;  ///< gyro, accelerometer
+};
+
+/// A problem as Ceres takes it, and back. All blocks lie in one array: Ceres orders them by address, and the result
+/// must not depend on the heap.
+class Solver {
+ public:
+  Solver(BundleProblem& problem, const BundleSettings& settings)
+      : problem_(problem),
+        settings_(settings),
+        block_(problem.cameras.size()),
+        camera_used_(problem.cameras.size(), 0),
+        state_used_(problem.cameras.size(), 0),
+        point_used_(problem.points.size(), 0),
+        loss_(makeLoss(settings.loss, settings.loss_width)),
+        depth_loss_(settings.depth_loss_width),
+        link_loss_(kLinkLossWidth),
+        ceres_(borrowedLosses()),
+        ordering_(std::make_shared<ceres::ParameterBlockOrdering>()) {
+    for (std::size_t i = 0; i < block_.size(); ++i) {
+      const BundleProblem::Camera& camera = problem.cameras[i];
+      block_[i].camera << camera.T_map_camera.translation(), 0, 0, 0;
+      block_[i].velocity = camera.state.velocity;
+      block_[i].bias << camera.state.bias.gyro, camera.state.bias.accel;
+      R_0_.push_back(camera.T_map_camera.linear());
+    }
+    addMeasurements();
+    addPriors();
+    addLinks();
+    addCameras();
+    addAnchor();
+    addPoints();
+  }
+  Solver(const Solver&) = delete;
+  Solver& operator=(const Solver&) = delete;
+
+  /// Poses, points and states of the problem are changed where the solution is usable.
+  ceres::Solver::Summary solve() {
+    ceres::Solver::Options options;
+    options.linear_solver_ordering = ordering_;
+    options.linear_solver_type = free_cameras_ <= (problem_.links.empty() ? kDenseCameras : kDenseInertial)
+                                     ? ceres::DENSE_SCHUR
+                                     : ceres::SPARSE_SCHUR;
+    options.max_num_iterations = settings_.max_iterations;
+    options.max_solver_time_in_seconds = settings_.max_seconds;
+    options.num_threads = settings_.threads;
+    options.function_tolerance = 1e-5;
+    options.parameter_tolerance = settings_.parameter_tolerance;
+    options.logging_type = ceres::SILENT;
+    ceres::Solver::Summary summary;
+    ceres::Solve(options, &ceres_, &summary);
+    if (summary.IsSolutionUsable()) takeOver();
+    return summary;
+  }
+
+ private:
+  static ceres::Problem::Options borrowedLosses() {
+    ceres::Problem::Options options;
+    options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+    return options;
+  }
+
+  void takeOver() {
+    for (std::size_t i = 0; i < block_.size(); ++i) {
+      BundleProblem::Camera& c = problem_.cameras[i];
+      const Block& b = block_[i];
+      if (state_used_[i] && !c.state_fixed) c.state = {b.velocity, {b.bias.head<3>(), b.bias.tail<3>()}};
+      if (c.fixed || !camera_used_[i]) continue;
+      c.T_map_camera.translation() = b.camera.head<3>();
+      c.T_map_camera.linear() = expSO3(b.camera.tail<3>()) * R_0_[i];
+      c.T_map_camera = air_ground_common::normalized(c.T_map_camera);
+    }
+  }
+
+  void addMeasurements() {
+    for (const auto& m : problem_.measurements) {
+      // A point behind its camera at the start has no gradient that helps: it is reported as an outlier.
+      if (squaredError(problem_, m) >= kBehindCamera) continue;
+      double *camera = block_[m.camera].camera.data(), *point = problem_.points[m.point].data();
+      ceres_.AddResidualBlock(new ReprojectionCost(R_0_[m.camera], m.normalized, {m.sigma, m.elongation}), loss_.get(),
+                              camera, point);
+      if (settings_.use_depth && m.depth > 0)
+        ceres_.AddResidualBlock(new DepthCost(R_0_[m.camera], m.depth, m.depth_sigma), &depth_loss_, camera, point);
+      camera_used_[m.camera] = point_used_[m.point] = 1;
+    }
+  }
+
+  void addPriors() {
+    for (const auto& p : problem_.priors) {
+      Vector6d weights = Vector6d::Zero();
+      if (p.translation_sigma > 0) weights.head<3>().setConstant(1 / p.translation_sigma);
+      if (p.rotation_sigma > 0) weights.tail<3>().setConstant(1 / p.rotation_sigma);
+      ceres_.AddResidualBlock(
+          new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, weights.asDiagonal()), nullptr,
+          block_[p.camera_a].camera.data(), block_[p.camera_b].camera.data());
+      camera_used_[p.camera_a] = camera_used_[p.camera_b] = 1;
+    }
+  }
+
+  void addLinks() {
+    for (const auto& link : problem_.links) {
+      Block &a = block_[link.camera_a], &b = block_[link.camera_b];
+      const Eigen::Matrix3d &R_a = R_0_[link.camera_a], &R_b = R_0_[link.camera_b];
+      if (problem_.metric) {
+        ceres_.AddResidualBlock(new InertialCost(R_a, R_b, problem_.T_camera_imu, link.motion), &link_loss_,
+                                a.camera.data(), a.velocity.data(), a.bias.data(), b.camera.data(), b.velocity.data());
+      } else {
+        ceres_.AddResidualBlock(new GyroCost(R_a, R_b, problem_.T_camera_imu.linear(), link.motion), &link_loss_,
+                                a.camera.data(), a.bias.data(), b.camera.data());
+      }
+      const double root_dt = std::sqrt(link.motion.duration());
+      const ImuNoise& noise = link.motion.noise();
+      ceres_.AddResidualBlock(new BiasWalkCost(noise.gyro_bias_walk * root_dt, noise.accel_bias_walk * root_dt),
+                              nullptr, a.bias.data(), b.bias.data());
+      for (const int i : {link.camera_a, link.camera_b}) camera_used_[i] = state_used_[i] = 1;
+    }
+  }
+
+  void addCameras() {
+    std::vector<unsigned char> has_predecessor(block_.size(), 0);
+    for (const auto& link : problem_.links) has_predecessor[link.camera_b] = 1;
+    for (std::size_t i = 0; i < block_.size(); ++i) {
+      addGravity(i);
+      if (!camera_used_[i]) continue;
+      ordering_->AddElementToGroup(block_[i].camera.data(), 1);
+      if (problem_.cameras[i].fixed)
+        ceres_.SetParameterBlockConstant(block_[i].camera.data());
+      else
+        ++free_cameras_;
+      if (state_used_[i]) addState(i, has_predecessor[i]);
+    }
+  }
+
+  void addGravity(std::size_t i) {
+    const BundleProblem::Camera& c = problem_.cameras[i];
+    if (!settings_.use_gravity || !c.up_camera || c.fixed) return;
+    ceres_.AddResidualBlock(new GravityCost(R_0_[i], *c.up_camera, c.up_sigma), nullptr, block_[i].camera.data());
+    camera_used_[i] = 1;
+  }
+
+  void addState(std::size_t i, bool has_predecessor) {
+    Block& b = block_[i];
+    if (problem_.metric) ordering_->AddElementToGroup(b.velocity.data(), 1);
+    ordering_->AddElementToGroup(b.bias.data(), 1);
+    if (problem_.cameras[i].state_fixed) {
+      if (problem_.metric) ceres_.SetParameterBlockConstant(b.velocity.data());
+      ceres_.SetParameterBlockConstant(b.bias.data());
+    } else if (!has_predecessor) {
+      // Where a chain of links begins, nothing else says what the bias was before.
+      Vector6d sigma, mean = b.bias;
+      sigma << Eigen::Vector3d::Constant(settings_.gyro_bias_prior),
+          Eigen::Vector3d::Constant(settings_.accel_bias_prior);
+      if (settings_.gyro_bias_mean) mean.head<3>() = *settings_.gyro_bias_mean;
+      ceres_.AddResidualBlock(new PriorCost(mean, sigma), nullptr, b.bias.data());
+    }
+  }
+
+  void addAnchor() {
+    if (problem_.anchor < 0 || !camera_used_[problem_.anchor]) return;
+    auto& camera = block_[problem_.anchor].camera;
+    Vector6d sigma;
+    sigma << Eigen::Vector3d::Constant(kAnchorPosition), 0, 0, kAnchorYaw;
+    ceres_.AddResidualBlock(new PriorCost(camera, sigma), nullptr, camera.data());
+  }
+
+  void addPoints() {
+    for (std::size_t i = 0; i < problem_.points.size(); ++i) {
+      if (!point_used_[i]) continue;
+      ordering_->AddElementToGroup(problem_.points[i].data(), 0);
+      if (!problem_.point_fixed.empty() && problem_.point_fixed[i])
+        ceres_.SetParameterBlockConstant(problem_.points[i].data());
+    }
+  }
+
+  BundleProblem& problem_;
+  const BundleSettings& settings_;
+  std::vector<Block> block_;
+  std::vector<Eigen::Matrix3d> R_0_;
+  std::vector<unsigned char> camera_used_, state_used_, point_used_;
+  std::unique_ptr<ceres::LossFunction> loss_;
+  ceres::CauchyLoss depth_loss_;
+  ceres::HuberLoss link_loss_;  // one link that a spoilt sample made false may not bend the map
+  ceres::Problem ceres_;
+  std::shared_ptr<ceres::ParameterBlockOrdering> ordering_;
+  int free_cameras_ = 0;
+};
+
+/// The solver's words, and of the solved problem the measurements beyond `outlier_threshold` [sigmas].
 BundleResult bundleResult(const ceres::Solver::Summary& summary, const BundleProblem& problem,
                           double outlier_threshold) {
   BundleResult result;
@@ -194,35 +293,12 @@ BundleResult bundleResult(const ceres::Solver::Summary& summary, const BundlePro
   return result;
 }
 
+}  // namespace
+
 BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings) {
   check(problem);
   const ceres::Solver::Summary summary = Solver(problem, settings).solve();
   return bundleResult(summary, problem, settings.outlier_threshold);
-}
-
-BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings) {
-  MapProblem part = extract(map, camera, free, fixed, settings);
-  BundleResult result = solveBundle(part.problem, settings);
-  if (!result.usable) return result;
-  for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
-    const auto& c = part.problem.cameras[i];
-    if (!c.fixed) map.keyframe(part.keyframes[i]).T_map_camera = c.T_map_camera;
-  }
-  for (std::size_t i = 0; i < part.landmarks.size(); ++i)
-    map.landmark(part.landmarks[i]).position = part.problem.points[i];
-  if (settings.remove_outliers) removeOutliers(part, result.outliers, map);
-  return result;
-}
-
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& fixed,
-                           const BundleSettings& settings) {
-  std::vector<KeyframeId> free, held = fixed;
-  if (held.empty() && map.keyframeCount() > 0) held.push_back(map.keyframes().begin()->first);
-  for (const auto& [id, keyframe] : map.keyframes()) {
-    if (std::find(held.begin(), held.end(), id) == held.end()) free.push_back(id);
-  }
-  return adjustMap(map, camera, free, held, settings);
 }
 
 }  // namespace visual_frontend

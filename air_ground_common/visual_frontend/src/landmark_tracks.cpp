@@ -9,6 +9,11 @@ LandmarkId LandmarkTracks::landmarkOf(TrackId track) const {
   return it == landmark_.end() ? kNoLandmark : it->second;
 }
 
+LandmarkId LandmarkTracks::landmarkIn(const Map& map, TrackId track) const {
+  const LandmarkId landmark = landmarkOf(track);
+  return map.hasLandmark(landmark) ? landmark : kNoLandmark;
+}
+
 std::vector<LandmarkId> LandmarkTracks::landmarks() const {
   std::vector<LandmarkId> ids;
   for (const auto& entry : landmark_) ids.push_back(entry.second);
@@ -23,6 +28,12 @@ void LandmarkTracks::assign(TrackId track, LandmarkId landmark) {
 LandmarkTracks::Views LandmarkTracks::viewsOf(TrackId track) const {
   const auto it = views_.find(track);
   return it == views_.end() ? Views() : it->second;
+}
+
+void LandmarkTracks::addViews(const Keyframe& keyframe) {
+  for (std::size_t i = 0; i < keyframe.observations.size(); ++i)
+    if (keyframe.observations[i].landmark == kNoLandmark)
+      addView(keyframe.observations[i].track, {keyframe.id, static_cast<int>(i)});
 }
 
 void LandmarkTracks::keep(const std::vector<Feature>& features) {

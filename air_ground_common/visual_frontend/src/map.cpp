@@ -8,6 +8,12 @@
 
 namespace visual_frontend {
 
+double changeOfView(const Pose& T_map_a, const Pose& T_map_b, double scene_distance, const ViewLimits& limits) {
+  const double distance = (T_map_a.translation() - T_map_b.translation()).norm();
+  const double angle = air_ground_common::rotationAngle(T_map_a.linear(), T_map_b.linear());
+  return std::max(distance / (limits.distance * scene_distance), angle / limits.angle);
+}
+
 KeyframeId Map::addKeyframe(Keyframe keyframe) {
   const KeyframeId id = next_keyframe_++;
   keyframe.id = id;
@@ -152,21 +158,23 @@ void Map::dropFarImages(const Pose& T_map_camera, int keep, double metres_per_ra
   }
 }
 
-KeyframeId Map::redundantKeyframe(int newest, double distance, double angle) const {
+std::optional<double> Map::medianDepth(const Keyframe& keyframe) const {
+  const Pose T_camera_map = keyframe.T_map_camera.inverse();
+  std::vector<double> depths;
+  for (const Observation& o : keyframe.observations)
+    if (o.landmark != kNoLandmark) depths.push_back((T_camera_map * landmarks_.at(o.landmark).position).z());
+  if (depths.empty()) return std::nullopt;
+  return air_ground_common::median(std::move(depths));
+}
+
+KeyframeId Map::redundantKeyframe(int newest, const ViewLimits& limits) const {
   if (keyframes_.size() <= static_cast<std::size_t>(std::max(0, newest))) return kNoKeyframe;
   const auto candidate = std::prev(keyframes_.end(), newest + 1);
   const Keyframe& later = candidate->second;
-  const Pose T_camera_map = later.T_map_camera.inverse();
-  std::vector<double> depths;
-  for (const Observation& o : later.observations)
-    if (o.landmark != kNoLandmark) depths.push_back((T_camera_map * landmarks_.at(o.landmark).position).z());
-  if (depths.empty()) return kNoKeyframe;
-  const double near = distance * air_ground_common::median(std::move(depths));
+  const auto depth = medianDepth(later);
+  if (!depth) return kNoKeyframe;
   for (auto it = keyframes_.begin(); it != candidate; ++it) {
-    const Pose& T = it->second.T_map_camera;
-    if ((T.translation() - later.T_map_camera.translation()).norm() >= near ||
-        air_ground_common::rotationAngle(T.linear(), later.T_map_camera.linear()) >= angle)
-      continue;
+    if (changeOfView(it->second.T_map_camera, later.T_map_camera, *depth, limits) >= 1) continue;
     const bool earlier_goes = it != keyframes_.begin() && it->second.pyramid.empty() && !later.pyramid.empty();
     return earlier_goes ? it->first : candidate->first;
   }
@@ -194,30 +202,6 @@ void Map::transform(const air_ground_common::Similarity& S) {
 void Map::clear() {
   keyframes_.clear();
   landmarks_.clear();
-}
-
-Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever) {
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
-  return J * covariance * J.transpose();
-}
-
-Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id,
-                           const Matrix6d& pose_covariance) {
-  const Eigen::Vector3d p = map.keyframe(id).T_map_camera.translation();
-  Matrix6d best = Matrix6d::Zero();
-  bool any = false;
-  for (const auto& c : map.covisible(id, 20)) {
-    const auto other = known.find(c.keyframe);
-    if (other == known.end()) continue;
-    const Matrix6d C = covarianceAt(other->second, p - map.keyframe(c.keyframe).T_map_camera.translation());
-    if (!any || C.topLeftCorner<3, 3>().trace() < best.topLeftCorner<3, 3>().trace()) best = C;
-    any = true;
-  }
-  if (!any && !known.empty()) best = known.rbegin()->second;
-  // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the
-  // standard deviation makes up for it (normalised errors of simulated runs).
-  return best + 9 * pose_covariance;
 }
 
 }  // namespace visual_frontend

@@ -1,7 +1,7 @@
 #include <gtest/gtest.h>
 
 #include "synthetic.h"
-#include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/bundle_job.h"
 #include "visual_frontend/ceres_costs.h"
 #include "visual_frontend/pose_graph.h"
 

@@ -69,6 +69,19 @@ TEST(Map, TransformMovesCamerasAndPointsTogether) {
   EXPECT_NEAR(map.keyframe(key).observations[0].depth, 3.4, 1e-12);
 }
 
+TEST(Map, ViewsDifferByDistanceOverDepthOrByAngle) {
+  const Pose a = Pose::Identity(), b = air_ground_common::yawPose(0.1, {0.3, 0.4, 0});
+  EXPECT_NEAR(changeOfView(a, b, 5, {0.1, 1}), 1, 1e-12);
+  EXPECT_NEAR(changeOfView(a, b, 10, {0.1, 0.1}), 1, 1e-12);
+  EXPECT_NEAR(changeOfView(b, a, 5, {0.2, 0.05}), 2, 1e-12);
+  Map map;
+  Keyframe k = keyframeSeeing({});
+  EXPECT_FALSE(map.medianDepth(k));
+  k = keyframeSeeing({map.addLandmark({0, 0, 2}), map.addLandmark({3, 0, 4}), map.addLandmark({0, 0, 9})});
+  k.T_map_camera.translation().z() = 1;
+  EXPECT_NEAR(*map.medianDepth(k), 3, 1e-12);
+}
+
 ImuSample imu(double stamp, const Eigen::Vector3d& rate, const Eigen::Vector3d& force) {
   ImuSample s;
   s.stamp = stamp;
@@ -208,6 +221,9 @@ TEST(LandmarkTracks, AreOfALandmarkOrOfViewsAndEndWithTheirFeature) {
   EXPECT_EQ(tracks.landmarkOf(3), 31);
   Map map;
   while (map.landmarkCount() < 35) map.addLandmark(Eigen::Vector3d::Zero());
+  EXPECT_EQ(tracks.landmarkOf(4), 40);
+  EXPECT_EQ(tracks.landmarkIn(map, 4), kNoLandmark);
+  EXPECT_EQ(tracks.landmarkIn(map, 3), 31);
   tracks.forgetMissing(map);
   EXPECT_FALSE(tracks.has(4));
   std::vector<Feature> features(1);
@@ -236,7 +252,7 @@ TEST(Map, NamesTheKeyframeThatShowsAPlaceAgain) {
     for (const Keyframe& k : {lookingDown(-3, 0, true), lookingDown(x_early, 0, early_image),
                               lookingDown(x_late, yaw_late, late_image), lookingDown(5, 0, true)})
       map.connect(map.addKeyframe(k), 0, landmark);
-    return map.redundantKeyframe(1, 0.1, 0.25);
+    return map.redundantKeyframe(1, {0.1, 0.25});
   };
   EXPECT_EQ(redundant(0, true, 0.19, 0, true), 2);
   EXPECT_EQ(redundant(0, true, 0.21, 0, true), kNoKeyframe);
@@ -244,7 +260,7 @@ TEST(Map, NamesTheKeyframeThatShowsAPlaceAgain) {
   EXPECT_EQ(redundant(0, true, 0.1, 0.26, true), kNoKeyframe);
   EXPECT_EQ(redundant(0, false, 0.1, 0, true), 1);  // the one that patches can be taken from stays
   EXPECT_EQ(redundant(0, true, -2.9, 0, true), 2);
-  EXPECT_EQ(Map().redundantKeyframe(1, 0.1, 0.25), kNoKeyframe);
+  EXPECT_EQ(Map().redundantKeyframe(1, {0.1, 0.25}), kNoKeyframe);
 }
 
 }  // namespace visual_frontend

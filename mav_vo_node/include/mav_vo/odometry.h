@@ -15,7 +15,6 @@
 #include "mav_vo/gyro_alignment.h"
 #include "mav_vo/imu_preintegration.h"
 #include "mav_vo/increment_covariance.h"
-#include "mav_vo/inertial_bundle.h"
 #include "mav_vo/scale_filter.h"
 #include "mav_vo/standstill_detector.h"
 #include "visual_frontend/feature_tracker.h"

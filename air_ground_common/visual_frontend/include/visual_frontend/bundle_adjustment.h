@@ -1,11 +1,12 @@
-// Bundle adjustment with Ceres: windowed or full, with optional depth residuals and gravity priors.
+// Bundle adjustment with Ceres of cameras and points, with optional depth residuals, gravity priors, and preintegrated
+// inertial motion between the cameras, which makes scale and gravity direction observable (Forster 2017).
 #pragma once
 
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "visual_frontend/map.h"
+#include "visual_frontend/imu_preintegration.h"
 #include "visual_frontend/pose_solver.h"
 #include "visual_frontend/types.h"
 
@@ -18,20 +19,31 @@ struct BundleSettings {
   bool use_depth = true;          ///< depth residuals where observations carry depth
   double depth_loss_width = 2.0;  ///< Cauchy, in sigmas
   bool use_gravity = true;        ///< roll and pitch priors of keyframes that carry up_camera
+  double gyro_bias_prior = 0.01;  ///< of the first state of a chain of inertial links against its start [rad/s]
+  std::optional<Eigen::Vector3d> gyro_bias_mean = {};  ///< instead of that start [rad/s]
+  double accel_bias_prior = 0.1;  ///< of the first state of a chain of inertial links against its start [m/s^2]
   int max_iterations = 10;
-  double max_seconds = 1.0;  ///< wall clock [s]; a result stopped by it is usable but not reproducible
+  double parameter_tolerance = 1e-7;  ///< relative step at which iterations end
+  double max_seconds = 1.0;           ///< wall clock [s]; a result stopped by it is usable but not reproducible
   int threads = 1;
-  double outlier_threshold = 3.0;  ///< sigmas; larger residuals are reported (and disconnected by adjustMap)
-  bool remove_outliers = true;     ///< adjustMap: disconnect them
+  double outlier_threshold = 3.0;  ///< sigmas; larger residuals are reported (and disconnected by applyBundle)
+  bool remove_outliers = true;     ///< applyBundle: disconnect them
 };
 
-/// Plain data: what the solver sees. Poses and points are changed in place.
+struct InertialState {
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  ///< of the IMU in the map [m/s]
+  ImuBias bias;
+};
+
+/// Plain data: what the solver sees. Poses, points and states are changed in place.
 struct BundleProblem {
   struct Camera {
     Pose T_map_camera = Pose::Identity();
     bool fixed = false;
     std::optional<Eigen::Vector3d> up_camera;  ///< unit
     double up_sigma = 0.02;                    ///< [rad]
+    InertialState state;                       ///< used where a link touches the camera
+    bool state_fixed = false;
   };
   struct Measurement {
     int camera = 0;
@@ -49,11 +61,22 @@ struct BundleProblem {
     double rotation_sigma = 0.01;   ///< [rad]; <= 0 leaves the rotation out
     double translation_sigma = -1;  ///< [m]; <= 0 leaves the translation out
   };
+  /// Inertial motion from one camera to a later one.
+  struct InertialLink {
+    int camera_a = 0, camera_b = 0;
+    Preintegration motion;
+  };
   std::vector<Camera> cameras;
   std::vector<Eigen::Vector3d> points;
   std::vector<unsigned char> point_fixed;  ///< empty = none
   std::vector<Measurement> measurements;
   std::vector<RelativePrior> priors;
+  std::vector<InertialLink> links;
+  Pose T_camera_imu = Pose::Identity();
+  bool metric = true;  ///< false: the map's unit is not known, links bind rotations and gyro biases only
+  /// Without a fixed camera: this one keeps its position and heading (roll, pitch and scale stay free, which links and
+  /// gravity priors determine). -1: none.
+  int anchor = -1;
 };
 
 struct BundleResult {
@@ -68,15 +91,5 @@ struct BundleResult {
 
 /// Throws std::invalid_argument for indices out of range or values that are not finite.
 BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings);
-
-/// Optimises `free` keyframes and the landmarks they see; `fixed` keyframes also constrain those landmarks. Keyframes
-/// in neither list are not touched and not used. At least one keyframe should be fixed (two for a monocular map), else
-/// the first is held. Disconnects outliers; landmarks left with one observation without depth are removed.
-BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings);
-
-/// adjustMap over all keyframes; `fixed` as there (empty: the oldest is held).
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& fixed,
-                           const BundleSettings& settings);
 
 }  // namespace visual_frontend

@@ -13,7 +13,8 @@ class LandmarkTracks {
  public:
   using Views = std::vector<LandmarkObservation>;
 
-  LandmarkId landmarkOf(TrackId track) const;  ///< kNoLandmark: none
+  LandmarkId landmarkOf(TrackId track) const;                  ///< kNoLandmark: none
+  LandmarkId landmarkIn(const Map& map, TrackId track) const;  ///< kNoLandmark, too, where it has left the map
   bool has(TrackId track) const { return landmark_.count(track) > 0; }
   int count() const { return static_cast<int>(landmark_.size()); }  ///< tracks with a landmark
   std::vector<LandmarkId> landmarks() const;
@@ -23,6 +24,7 @@ class LandmarkTracks {
   Views viewsOf(TrackId track) const;
   void setViews(TrackId track, Views views) { views_[track] = std::move(views); }
   void addView(TrackId track, const LandmarkObservation& view) { views_[track].push_back(view); }
+  void addViews(const Keyframe& keyframe);  ///< of all its tracks without landmark
   void forgetViews(TrackId track) { views_.erase(track); }
 
   /// Forgets tracks that are not among the features.

@@ -54,6 +54,15 @@ struct Landmark {
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  ///< of position [m^2]; zero = not known
 };
 
+/// How far apart two cameras may be that see the same.
+struct ViewLimits {
+  double distance;  ///< over that of the scene: seen from afar, parallax grows slowly [1]
+  double angle;     ///< [rad]
+};
+
+/// How far a view is from another, by the larger of distance and angle over what the limits allow.
+double changeOfView(const Pose& T_map_a, const Pose& T_map_b, double scene_distance, const ViewLimits& limits);
+
 /// Owns keyframes and landmarks; keeps both sides of each observation consistent. Not thread-safe.
 class Map {
  public:
@@ -88,7 +97,8 @@ class Map {
   std::vector<LandmarkId> landmarkIds() const;  ///< ascending, so that runs are deterministic
   std::size_t keyframeCount() const { return keyframes_.size(); }
   std::size_t landmarkCount() const { return landmarks_.size(); }
-  KeyframeId lastKeyframe() const;  ///< kNoKeyframe when empty
+  KeyframeId lastKeyframe() const;                                  ///< kNoKeyframe when empty
+  LandmarkId newestLandmark() const { return next_landmark_ - 1; }  ///< that was ever added; kNoLandmark: none was
 
   struct Covisible {
     KeyframeId keyframe;
@@ -98,6 +108,9 @@ class Map {
   std::vector<Covisible> covisible(KeyframeId id, int min_shared = 1) const;
   /// Keyframes that see at least `min_shared` of the given landmarks, most first.
   std::vector<Covisible> observers(const std::vector<LandmarkId>& landmarks, int min_shared = 1) const;
+
+  /// Median depth of the landmarks that a keyframe sees; none: it sees none [m].
+  std::optional<double> medianDepth(const Keyframe& keyframe) const;
 
   /// Landmarks seen from any of the keyframes, each once, ascending.
   std::vector<LandmarkId> landmarksOf(const std::vector<KeyframeId>& keyframes) const;
@@ -110,10 +123,9 @@ class Map {
   void dropFarImages(const Pose& T_map_camera, int keep, double metres_per_radian = 1.0);
 
   /// Bounds the memory where the same places are seen again and again. Of the keyframes older than the newest `newest`
-  /// the youngest may go: when an earlier one lies nearer than `distance` times its scene's median depth, turned by
-  /// less than `angle` [rad], the one of the two without an image, else the later, is the answer. kNoKeyframe: none.
-  /// The first keyframe stays.
-  KeyframeId redundantKeyframe(int newest, double distance, double angle) const;
+  /// the youngest may go: when an earlier one has the same view, within `limits` and by its scene's median depth, the
+  /// one of the two without an image, else the later, is the answer. kNoKeyframe: none. The first keyframe stays.
+  KeyframeId redundantKeyframe(int newest, const ViewLimits& limits) const;
 
   /// Applies p' = S * p to all landmarks and moves the cameras with it (camera poses stay rigid). For scale and
   /// leveling.
@@ -127,13 +139,5 @@ class Map {
   KeyframeId next_keyframe_ = 0;
   LandmarkId next_landmark_ = 0;
 };
-
-/// Covariance of a pose (x y z rotX rotY rotZ, map axes) carried over to a point that `lever` leads to, fixed to it.
-Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
-
-/// Covariance of a keyframe in the map along the shortest chain of views: that of the best known keyframe (`known`)
-/// which shares 20 landmarks with it, plus what its own pose adds.
-Matrix6d chainedCovariance(const Map& map, const std::map<KeyframeId, Matrix6d>& known, KeyframeId id,
-                           const Matrix6d& pose_covariance);
 
 }  // namespace visual_frontend

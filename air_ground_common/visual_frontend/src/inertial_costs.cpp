@@ -1,9 +1,9 @@
-#include "inertial_costs.h"
+#include "visual_frontend/inertial_costs.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 
-namespace mav_vo {
+namespace visual_frontend {
 
 InertialCost::InertialCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& R_j_0,
                            const air_ground_common::Pose& T_camera_imu, const Preintegration& motion)
@@ -20,7 +20,6 @@ InertialCost::InertialCost(const Eigen::Matrix3d& R_i_0, const Eigen::Matrix3d& 
 }
 
 bool InertialCost::Evaluate(double const* const* x, double* residuals, double** jacobians) const {
-  using air_ground_common::skew;
   const CameraState<6> camera_i(x[0], R_i_0_), camera_j(x[3], R_j_0_);
   const Eigen::Map<const Eigen::Vector3d> v_i(x[1]), v_j(x[4]);
   const ImuBias bias{Eigen::Map<const Eigen::Vector3d>(x[2]), Eigen::Map<const Eigen::Vector3d>(x[2] + 3)};
@@ -37,7 +36,7 @@ bool InertialCost::Evaluate(double const* const* x, double* residuals, double** 
   Eigen::Map<Eigen::Matrix<double, 9, 1>>(residuals).noalias() = W_ * r;
   if (!jacobians) return true;
 
-  const Eigen::Matrix3d J_r = visual_frontend::inverseRightJacobianSO3(r_theta);
+  const Eigen::Matrix3d J_r = inverseRightJacobianSO3(r_theta);
   if (jacobians[0]) {
     Eigen::Matrix<double, 9, 6> J = Eigen::Matrix<double, 9, 6>::Zero();
     J.block<3, 3>(6, 0) = -Rt_i;
@@ -89,7 +88,7 @@ bool GyroCost::Evaluate(double const* const* x, double* residuals, double** jaco
   Eigen::Map<Eigen::Vector3d> out(residuals);
   out.noalias() = W_ * r;
   if (!jacobians) return true;
-  const Eigen::Matrix3d J_r = W_ * visual_frontend::inverseRightJacobianSO3(r);
+  const Eigen::Matrix3d J_r = W_ * inverseRightJacobianSO3(r);
   Eigen::Matrix<double, 3, 6> J = Eigen::Matrix<double, 3, 6>::Zero();
   if (jacobians[0]) {
     J.rightCols<3>() = -J_r * R_j.transpose() * camera_i.rotationJacobian();
@@ -108,4 +107,4 @@ bool GyroCost::Evaluate(double const* const* x, double* residuals, double** jaco
   return true;
 }
 
-}  // namespace mav_vo
+}  // namespace visual_frontend

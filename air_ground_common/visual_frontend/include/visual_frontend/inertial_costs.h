@@ -4,16 +4,14 @@
 
 #include <ceres/sized_cost_function.h>
 
-#include "mav_vo/imu_preintegration.h"
 #include "visual_frontend/ceres_costs.h"
+#include "visual_frontend/imu_preintegration.h"
 
-namespace mav_vo {
-
-using visual_frontend::CameraState;
+namespace visual_frontend {
 
 template <int Rows, int Cols>
-Eigen::Map<visual_frontend::RowMajor<Rows, Cols>> rowMajor(double* data) {
-  return Eigen::Map<visual_frontend::RowMajor<Rows, Cols>>(data);
+Eigen::Map<RowMajor<Rows, Cols>> rowMajor(double* data) {
+  return Eigen::Map<RowMajor<Rows, Cols>>(data);
 }
 
 /// Parameters: camera i, velocity i, bias i, camera j, velocity j. Residual: (rotation, velocity, position) of the
@@ -84,4 +82,4 @@ class PriorCost final : public ceres::SizedCostFunction<6, 6> {
   Vector mean_, weight_;
 };
 
-}  // namespace mav_vo
+}  // namespace visual_frontend

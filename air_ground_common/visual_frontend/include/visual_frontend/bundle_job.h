@@ -1,0 +1,55 @@
+// A part of a map as a bundle problem: taken out as plain data, so that it can be solved beside what goes on with the
+// map, and put back afterwards.
+#pragma once
+
+#include <map>
+#include <vector>
+
+#include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/map.h"
+
+namespace visual_frontend {
+
+/// Velocities, biases and inertial motion of a map's keyframes.
+struct InertialMap {
+  std::map<KeyframeId, InertialState> states;
+  std::map<KeyframeId, Preintegration> links;  ///< by keyframe: motion from the one before it
+  Pose T_camera_imu = Pose::Identity();
+  bool metric = false;  ///< the map's unit is the metre: velocities and positions of the links count
+};
+
+struct BundleJob {
+  bool full = false;  ///< moves the whole map
+  BundleProblem problem;
+  BundleSettings settings;
+  BundleResult result;
+
+  std::vector<KeyframeId> keyframes;         ///< one a camera
+  std::vector<LandmarkId> landmarks;         ///< one a point
+  std::vector<LandmarkObservation> sources;  ///< one a measurement
+  KeyframeId newest_keyframe = kNoKeyframe;  ///< of the map at the time
+  LandmarkId newest_landmark = kNoLandmark;  ///< of the map at the time
+
+  void solve() { result = solveBundle(problem, settings); }
+};
+
+/// `free` keyframes and the landmarks they see move, `fixed` ones hold those landmarks; keyframes in neither list are
+/// not used. At least one should be fixed (two for a monocular map without gravity), else the first free one is held:
+/// whole, or with `inertial` only its position and heading where something tells which way is up. Throws
+/// std::out_of_range for keyframes that are not in the map.
+BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
+                        const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
+                        const InertialMap* inertial = nullptr);
+
+/// Puts a usable result into the map. Keyframes and landmarks that came since are carried along with the newest
+/// keyframe of the job. Disconnects outliers; landmarks left with one observation without depth are removed.
+void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial = nullptr);
+
+/// extractBundle, solve and applyBundle at once.
+BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
+                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings);
+
+/// adjustMap over all keyframes; the oldest is held.
+BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings);
+
+}  // namespace visual_frontend

@@ -1,0 +1,107 @@
+#include "map_adjuster.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace mav_vo {
+
+using visual_frontend::BundleSettings;
+using visual_frontend::InertialMap;
+using visual_frontend::KeyframeId;
+using visual_frontend::Map;
+
+namespace {
+
+constexpr double kMaxSeconds = 10, kMaxWholeSeconds = 20;  // of an adjustment, wall clock [s]
+constexpr double kParameterTolerance = 1e-8;               // relative step at which its iterations end
+constexpr int kMinShared = 8;                              // landmarks that make an older keyframe hold the window
+
+}  // namespace
+
+MapAdjuster::Jobs MapAdjuster::adjustNewest(const Map& map, const InertialMap& inertial, BundleSettings settings,
+                                            double stamp) {
+  std::vector<KeyframeId> free, fixed;
+  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
+    if (static_cast<int>(free.size()) < settings_.window) {
+      free.push_back(it->first);
+    } else {
+      fixed.push_back(it->first);  // where the window's inertial chain begins
+      break;
+    }
+  }
+  std::sort(free.begin(), free.end());
+  for (const auto& other : map.observers(map.landmarksOf(free), kMinShared)) {
+    if (static_cast<int>(fixed.size()) > settings_.window_fixed) break;
+    if (other.keyframe < free.front() && (fixed.empty() || other.keyframe != fixed.front()))
+      fixed.push_back(other.keyframe);
+  }
+  settings.max_iterations = settings_.local_iterations;
+  settings.max_seconds = kMaxSeconds;
+  settings.parameter_tolerance = kParameterTolerance;
+  return run(extractBundle(map, camera_, free, fixed, settings, &inertial), stamp);
+}
+
+MapAdjuster::Jobs MapAdjuster::adjustWhole(const Map& map, const InertialMap& inertial, BundleSettings settings,
+                                           double stamp) {
+  std::vector<KeyframeId> free, fixed;
+  for (const auto& entry : map.keyframes()) free.push_back(entry.first);
+  if (static_cast<int>(free.size()) > settings_.full_max_keyframes) {
+    const auto first = free.end() - settings_.full_max_keyframes;
+    fixed.assign(free.begin(), first);
+    free.erase(free.begin(), first);
+  }
+  settings.max_iterations = settings_.full_iterations;
+  settings.max_seconds = kMaxWholeSeconds;
+  settings.parameter_tolerance = kParameterTolerance;
+  BundleJob job = extractBundle(map, camera_, free, fixed, settings, &inertial);
+  job.full = true;
+  next_whole_ = stamp + interval_;
+  interval_ = std::min(2 * interval_, 4 * settings_.full_interval);
+  return run(std::move(job), stamp);
+}
+
+void MapAdjuster::restartSchedule(double stamp) {
+  interval_ = settings_.full_interval / 2;
+  next_whole_ = stamp + interval_;
+}
+
+MapAdjuster::Jobs MapAdjuster::run(BundleJob job, double stamp) {
+  Jobs done;
+  if (settings_.synchronous) {
+    job.solve();
+    done.push_back(std::move(job));
+    return done;
+  }
+  // At most one of each kind. Keyframes closer together than the lag wait for the one before.
+  if (job.full && threads_.fullRuns()) {
+    next_whole_ = stamp;
+    return done;
+  }
+  if (!job.full) takeNewest(&done);
+  threads_.start(std::move(job), stamp);
+  return done;
+}
+
+void MapAdjuster::takeNewest(Jobs* done) {
+  if (threads_.localRuns()) done->push_back(threads_.takeLocal());
+}
+
+MapAdjuster::Jobs MapAdjuster::due(double stamp) {
+  Jobs done;
+  if (threads_.localDue()) takeNewest(&done);
+  if (threads_.fullDue(stamp)) {
+    // A local result begun before the whole map moved must be in before that.
+    takeNewest(&done);
+    done.push_back(threads_.takeFull());
+  }
+  return done;
+}
+
+MapAdjuster::Jobs MapAdjuster::finish() {
+  Jobs done;
+  takeNewest(&done);
+  if (threads_.fullRuns()) done.push_back(threads_.takeFull());
+  return done;
+}
+
+}  // namespace mav_vo

@@ -1,0 +1,43 @@
+// Bundle adjustments of a map: which keyframes move, and when; at once, or beside the tracking.
+#pragma once
+
+#include <vector>
+
+#include "adjustment_threads.h"
+#include "mav_vo/odometry.h"
+
+namespace mav_vo {
+
+class MapAdjuster {
+ public:
+  using Jobs = std::vector<BundleJob>;  ///< solved, to be applied to the map in this order
+
+  MapAdjuster(const CameraModel& camera, const OdometrySettings& settings) : camera_(camera), settings_(settings) {}
+
+  /// Waits for what runs; nothing comes of it.
+  void discard() { threads_.discard(); }
+  /// The newest keyframes and what they see, older observers held. `settings`: those that the state of the map decides;
+  /// `stamp`: of the image [s]. Returns what is done, of earlier adjustments too.
+  Jobs adjustNewest(const visual_frontend::Map& map, const visual_frontend::InertialMap& inertial,
+                    visual_frontend::BundleSettings settings, double stamp);
+  /// The whole map, but for the oldest keyframes of a long flight.
+  Jobs adjustWhole(const visual_frontend::Map& map, const visual_frontend::InertialMap& inertial,
+                   visual_frontend::BundleSettings settings, double stamp);
+  bool wholeDue(double stamp) const { return stamp >= next_whole_; }
+  /// The next adjustment of the whole map is due half an interval later; the interval grows from there.
+  void restartSchedule(double stamp);
+  /// What this image must have of the adjustments beside the tracking.
+  Jobs due(double stamp);
+  Jobs finish();  ///< waits for all that run
+
+ private:
+  Jobs run(BundleJob job, double stamp);
+  void takeNewest(Jobs* done);
+
+  CameraModel camera_;
+  OdometrySettings settings_;
+  AdjustmentThreads threads_;
+  double next_whole_ = 0, interval_ = 0;  // [s]
+};
+
+}  // namespace mav_vo

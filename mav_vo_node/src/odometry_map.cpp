@@ -1,0 +1,275 @@
+// The odometry's map: how it begins, grows, is adjusted and becomes metric.
+#include <algorithm>
+#include <iterator>
+#include <utility>
+
+#include "increment.h"
+#include "odometry_impl.h"
+#include "visual_frontend/local_landmarks.h"
+
+namespace mav_vo {
+
+using visual_frontend::kNoKeyframe;
+using visual_frontend::kNoLandmark;
+
+namespace {
+
+constexpr double kUnknownTilt = 0.1;        // of a map that has not begun [rad]
+constexpr double kMovingTilt = 0.3;         // of gravity as a moving accelerometer shows it [rad]
+constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
+constexpr double kMapTurnError = 8e-3;      // of the turn from a map's first keyframe to its newest [rad]
+constexpr double kMapBiasSigma = 2e-3;      // of a gyro bias from a map, at the best [rad/s]
+constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias, at the best [rad/s]
+constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
+constexpr double kLeastParallax = 10;       // of a new landmark, in standard deviations of a ray
+
+int mappedObservations(const Keyframe& keyframe) {
+  return static_cast<int>(
+      std::count_if(keyframe.observations.begin(), keyframe.observations.end(),
+                    [](const visual_frontend::Observation& o) { return o.landmark != kNoLandmark; }));
+}
+
+/// Up in the IMU's axes as it is known at the first views; without gravity the vehicle is taken to be level.
+std::optional<UpDirection> upAtStart(const ImuAlignment& imu, bool use_imu) {
+  if (imu.up() && imu.up()->sigma < kMovingTilt) return imu.up();
+  if (use_imu && imu.attitude().initialized()) return UpDirection{imu.attitude().up(), kMovingTilt};
+  return std::nullopt;
+}
+
+/// Rotation about the vertical that gives base_link heading 0.
+Eigen::Matrix3d headingZero(const Eigen::Matrix3d& R_map_base) {
+  return Eigen::AngleAxisd(-air_ground_common::yawOf(R_map_base), Eigen::Vector3d::UnitZ()).toRotationMatrix();
+}
+
+/// A view of the start as a keyframe.
+Keyframe keyframeOf(BootstrapView& view, const Pose& T_map_first, const visual_frontend::LandmarkTracks& tracks) {
+  Keyframe keyframe;
+  keyframe.stamp = view.stamp;
+  keyframe.T_map_camera = T_map_first * view.T_first_camera;
+  for (const visual_frontend::Feature& f : view.features)
+    keyframe.observations.push_back({tracks.landmarkOf(f.id), f.id, f.pixel, f.normalized});
+  keyframe.pyramid = std::move(view.pyramid);
+  return keyframe;
+}
+
+}  // namespace
+
+void Odometry::Impl::startMap() {
+  adjuster.discard();
+  bootstrap.reset();
+  keepMapsBias();
+  map.clear();
+  revision.restart();
+  inertial.clear();
+  tracks.clear();
+  covariances.clear();
+  frames.clear();
+  bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost
+  pose.reset();
+  policy.reset();
+  scale.begin(kUnknownTilt);
+  relocalized = false;
+  ++map_id;
+  state = OdometryState::kInitializing;
+  reason = "new map";
+}
+
+// A map measures turns against landmarks it has triangulated: turn and translation, which image pairs confuse, are
+// apart.
+void Odometry::Impl::keepMapsBias() {
+  if (!settings.use_imu || !inertial.linked() || map.keyframeCount() < 2) return;
+  const double lived = map.keyframe(map.lastKeyframe()).stamp - map.keyframes().begin()->second.stamp;
+  imu.keepBias(inertial.newestBias()->gyro, std::max(kMapBiasSigma, kMapTurnError / std::max(lived, 0.1)));
+}
+
+void Odometry::Impl::initialize(const cv::Mat& gray) {
+  visual_frontend::FeatureTracker& tracker = pose.tracker();
+  if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features)
+    tracker.replenish();
+  auto start = bootstrap.add(last_stamp, pose.currentFeatures(), tracker.pyramid(),
+                             [this](double a, double b) { return cameraTurn(a, b); });
+  if (!start) {
+    const std::string problem = settings.use_imu ? imu.problem() : "";
+    reason = "initialising: " + (problem.empty() ? bootstrap.reason() : problem);
+    return;
+  }
+  const auto up = upAtStart(imu, settings.use_imu);
+  const double tilt = up ? up->sigma : kMovingTilt;
+  Eigen::Matrix3d R_map_first = T_base_camera.linear();
+  if (up)
+    R_map_first = air_ground_common::levelingRotation(start->views.back().T_first_camera.linear() *
+                                                      (T_camera_imu.linear() * up->up_imu));
+  Pose T_map_first = Pose::Identity();
+  T_map_first.linear() = headingZero(R_map_first * T_base_camera.linear().transpose()) * R_map_first;
+
+  for (const auto& point : start->points) tracks.assign(point.track, map.addLandmark(T_map_first * point.position));
+  for (BootstrapView& view : start->views) {
+    Keyframe keyframe = keyframeOf(view, T_map_first, tracks);
+    if (tilt < kTrustedTilt) {
+      keyframe.up_camera = keyframe.T_map_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+      keyframe.up_sigma = std::max(0.01, tilt);
+    }
+    insertKeyframe(std::move(keyframe));
+  }
+  bootstrap.reset();
+  scale.begin(tilt);
+  const Pose& T_map_last = map.keyframe(map.lastKeyframe()).T_map_camera;
+  pose.beginMap(T_map_last, (T_map_last.translation() - T_map_first.translation()) /
+                                (start->views.back().stamp - start->views.front().stamp));
+  state = OdometryState::kScaling;
+  reason = scaleReason();
+  if (pose.locate(std::nullopt)) {
+    localized(gray, false);
+    createLandmarks(map.lastKeyframe());
+  } else {
+    startMap();
+    reason = "initialising: the first map did not hold in the next image; another is tried";
+  }
+}
+
+KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {
+  const KeyframeId before = map.lastKeyframe();
+  const Keyframe* previous = before == kNoKeyframe ? nullptr : &map.keyframe(before);
+  std::optional<Preintegration> motion;
+  if (settings.use_imu && previous) motion = imu.motion(previous->stamp, keyframe.stamp, bias);
+  if (motion && relocalized &&
+      inertial.contradicts(*motion, *previous, keyframe, imu.gyroBiasStddev(), pose.sceneDistance()))
+    motion.reset();
+  relocalized = false;
+  const KeyframeId id = map.addKeyframe(std::move(keyframe));
+  tracks.addViews(map.keyframe(id));
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();
+  if (metric() && scale.filter().initialized()) velocity = scale.filter().state().v;
+  inertial.add(id, previous, motion, bias, velocity);
+  return id;
+}
+
+void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
+  Keyframe keyframe;
+  keyframe.stamp = last_stamp;
+  keyframe.T_map_camera = pose.pose();
+  keyframe.observations = pose.observations();
+  policy.follow(map.keyframe(map.lastKeyframe()), pose.pose(), pose.sceneDistance());
+  // What a hovering camera sees is in earlier images already.
+  if (!policy.hovering())
+    for (const cv::Mat& level : pose.tracker().pyramid()) keyframe.pyramid.push_back(level.clone());
+  visual_frontend::describeKeyframe(gray, camera, settings.place, keyframe);
+  if (const auto& up = imu.up(); !metric() && up && up->sigma < kTrustedTilt) {
+    keyframe.up_camera = T_camera_imu.linear() * up->up_imu;
+    keyframe.up_sigma = std::max(0.02, up->sigma);
+  }
+  const KeyframeId id = insertKeyframe(std::move(keyframe));
+  frames.lastIsKeyframe(id);
+  createLandmarks(id);
+  pose.tracker().replenish();
+  covariances.add(id, pose.result().covariance, map);
+  map.dropFarImages(pose.pose(), settings.max_image_keyframes, pose.sceneDistance());
+  thinKeyframes();
+  adopt(adjuster.adjustNewest(map, inertial.data(), bundleSettings(), last_stamp));
+  policy.setLandmarks(mappedObservations(map.keyframe(id)));
+  made_keyframe = true;
+}
+
+void Odometry::Impl::createLandmarks(KeyframeId id) {
+  visual_frontend::TriangulationSettings how;
+  // Where few tracks have a landmark the next one is needed at once, with 10 % of its depth open.
+  const Keyframe& keyframe = map.keyframe(id);
+  const bool few = 2 * static_cast<std::size_t>(mappedObservations(keyframe)) < keyframe.observations.size();
+  how.min_parallax =
+      few ? std::min(settings.triangulation_parallax, kLeastParallax * sigma()) : settings.triangulation_parallax;
+  how.min_depth = 0.1 * pose.sceneDistance();
+  how.max_depth = 20 * pose.sceneDistance();
+  for (const auto& unplaced : visual_frontend::createLandmarks(id, camera, settings.pixel_sigma, how, map, tracks)) {
+    if (unplaced.status != visual_frontend::TriangulationStatus::kLargeResidual &&
+        unplaced.status != visual_frontend::TriangulationStatus::kBehindCamera)
+      continue;
+    pose.tracker().remove({unplaced.track});
+    tracks.forgetViews(unplaced.track);
+  }
+  tracks.forgetMissing(map);
+  tracks.keep(pose.tracker().features());
+}
+
+// Only keyframes that no adjustment moves any more: what they tell is in their landmarks.
+void Odometry::Impl::thinKeyframes() {
+  const int newest = std::max(settings.full_max_keyframes, settings.window + 1);
+  if (static_cast<int>(map.keyframeCount()) <= newest) return;
+  inertial.forgetLinksBefore(std::prev(map.keyframes().end(), newest)->first);
+  const KeyframeId id = map.redundantKeyframe(newest, {settings.keyframe_distance, settings.keyframe_angle});
+  if (id == kNoKeyframe) return;
+  frames.rebase(id, std::prev(map.keyframes().find(id))->first, map);
+  tracks.forgetKeyframe(id);
+  inertial.remove(id, map);
+  covariances.forget(id);
+  std::vector<visual_frontend::LandmarkId> seen;
+  for (const auto& o : map.keyframe(id).observations)
+    if (o.landmark != kNoLandmark) seen.push_back(o.landmark);
+  map.removeKeyframe(id);
+  for (const auto landmark : seen)
+    if (map.hasLandmark(landmark) && map.landmark(landmark).observations.size() < 2) map.removeLandmark(landmark);
+}
+
+void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
+  map.transform(S);
+  frames.rescale(S.scale);
+  scale.transform(S);
+  pose.transform(S);
+  covariances.transform(S);
+  if (increment) scaleIncrement(S.scale, T_base_camera, &*increment);
+}
+
+void Odometry::Impl::makeMetric() {
+  adopt(adjuster.finish());
+  const ScaleFilter::State estimate = scale.filter().state();
+  air_ground_common::Similarity S;
+  S.scale = estimate.scale;
+  S.R = air_ground_common::levelingRotation(-estimate.gravity());
+  const Pose first = map.keyframes().begin()->second.T_map_camera;
+  // Origin and heading 0 at the base_link of the first keyframe.
+  S.R = (headingZero(S.R * first.linear() * T_base_camera.linear().transpose()) * S.R).eval();
+  const Eigen::Vector3d p_first_base = T_base_camera.inverse().translation();
+  S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_first_base);
+  transformMap(S);
+  revision.restart();
+  metric_since = last_stamp;
+  bias.accel = estimate.accel_bias;
+  inertial.makeMetric(map, bias.accel);
+  for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
+  adopt(adjuster.adjustWhole(map, inertial.data(), bundleSettings(), last_stamp));
+  adopt(adjuster.finish());
+  adjuster.restartSchedule(last_stamp);
+}
+
+// Links whose samples are gone keep the offset of their time.
+void Odometry::Impl::retime() {
+  const auto between = [this](double from, double to, const ImuBias& of) { return imu.motion(from, to, of); };
+  inertial.integrateAnew(map, between);
+  scale.integrateAnew(frames, between);
+  if (!metric()) scale.estimateAnew(frames, map);
+}
+
+visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {
+  visual_frontend::BundleSettings bundle;
+  bundle.pixel_sigma = settings.pixel_sigma;
+  bundle.threads = settings.bundle_threads;
+  bundle.gyro_bias_prior = std::clamp(imu.gyroBiasStddev(), kRestBiasPrior, kMaxGyroBiasPrior);
+  // A map that is not metric yet may have begun with a bias that the tracks have long known better.
+  if (!metric()) bundle.gyro_bias_mean = imu.gyroBias();
+  return bundle;
+}
+
+void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
+  for (const BundleJob& job : jobs) {
+    if (!job.result.usable || job.problem.metric != metric()) continue;
+    applyBundle(job, map, &inertial.data());
+    revision.follow(map, pose.sceneDistance());
+    const ImuBias* newest = inertial.newestBias();
+    if (newest && settings.use_imu) bias.gyro = newest->gyro;
+    if (!metric()) continue;
+    bias.accel = newest->accel;
+    if (job.full) scale.judgeAnew(frames, map, inertial.data(), metric_since);
+  }
+  if (!jobs.empty() && !frames.empty()) pose.setPose(frames.lastPose(map));
+}
+
+}  // namespace mav_vo

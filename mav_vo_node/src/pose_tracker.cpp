@@ -1,0 +1,231 @@
+#include "pose_tracker.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "air_ground_common/statistics.h"
+#include "visual_frontend/keyframe_covariances.h"
+#include "visual_frontend/local_landmarks.h"
+
+namespace mav_vo {
+
+using air_ground_common::logSO3;
+using air_ground_common::quantile;
+using visual_frontend::Feature;
+using visual_frontend::kNoLandmark;
+using visual_frontend::LandmarkId;
+using visual_frontend::PoseCorrespondence;
+
+namespace {
+
+constexpr double kMinInlierShare = 0.35;  // of the tracked landmarks; below, the pose is not believed
+constexpr int kLocalKeyframes = 8;        // nearest ones, whose landmarks are looked for
+
+}  // namespace
+
+PoseTracker::PoseTracker(const CameraModel& camera, const OdometrySettings& settings, const visual_frontend::Map& map,
+                         visual_frontend::LandmarkTracks& tracks, GyroRotations turn)
+    : camera_(camera),
+      settings_(settings),
+      map_(map),
+      tracks_(tracks),
+      turn_(std::move(turn)),
+      tracker_(camera, settings.tracker),
+      shutter_(camera, settings.readout_time) {}
+
+void PoseTracker::reset() {
+  tracker_.reset();
+  beginMap(Pose::Identity(), Eigen::Vector3d::Zero());
+  turn_rate_.setZero();
+  depth_min_ = depth_max_ = 0;
+}
+
+void PoseTracker::beginMap(const Pose& T_map_camera, const Eigen::Vector3d& velocity) {
+  T_map_camera_ = T_map_camera;
+  velocity_ = velocity;
+  located_stamp_ = -1;
+  scene_distance_ = 1;
+}
+
+void PoseTracker::followShutter(double stamp, const Pose& predicted) {
+  if (!shutter_.active()) return;
+  const double half = 0.5 * std::abs(shutter_.readoutTime());
+  const auto turn = turn_(stamp - half, stamp + half);
+  shutter_.setMotion(turn ? Eigen::Vector3d(logSO3(turn->R_a_b) / (2 * half)) : turn_rate_,
+                     predicted.linear().transpose() * velocity_);
+}
+
+// Where the camera should be at this image, and where its features.
+Pose PoseTracker::predict(double last_stamp, double stamp, bool tracking,
+                          visual_frontend::TrackPrediction* prediction) {
+  Pose predicted = T_map_camera_;
+  if (R_previous_current_) prediction->R_current_previous = R_previous_current_->transpose();
+  const bool predictable = tracking && located_stamp_ == last_stamp;
+  if (predictable) {
+    predicted.translation() += velocity_ * (stamp - located_stamp_);
+    if (R_previous_current_) predicted.linear() = T_map_camera_.linear() * *R_previous_current_;
+  }
+  followShutter(stamp, predicted);
+  if (!predictable) return predicted;
+  const Pose T_camera_map = predicted.inverse();
+  for (const Feature& f : tracker_.features()) {
+    const LandmarkId id = tracks_.landmarkIn(map_, f.id);
+    if (id == kNoLandmark) continue;
+    const Eigen::Vector3d p_camera = T_camera_map * map_.landmark(id).position;
+    if (const auto pixel = camera_.project(p_camera)) prediction->pixels[f.id] = shutter_.toItsRow(*pixel, p_camera);
+  }
+  return predicted;
+}
+
+void PoseTracker::track(double last_stamp, double stamp, const cv::Mat& gray, bool tracking) {
+  R_previous_current_.reset();
+  if (last_stamp >= 0)
+    if (const auto turn = turn_(last_stamp, stamp)) R_previous_current_ = turn->R_a_b;
+  visual_frontend::TrackPrediction prediction;
+  const Pose predicted = predict(last_stamp, stamp, tracking, &prediction);
+  tracker_.track(gray, prediction);
+  T_map_camera_ = predicted;
+}
+
+Eigen::Vector2d PoseTracker::rayOf(const Feature& feature) const {
+  if (!shutter_.active()) return feature.normalized;
+  double inverse_depth = 0;
+  if (map_.keyframeCount() > 0) {
+    const LandmarkId id = tracks_.landmarkIn(map_, feature.id);
+    const double depth =
+        id != kNoLandmark ? (T_map_camera_.inverse() * map_.landmark(id).position).z() : scene_distance_;
+    if (depth > 0.1 * scene_distance_) inverse_depth = 1 / depth;
+  }
+  return shutter_.toMiddleRow(feature.pixel, feature.normalized, inverse_depth);
+}
+
+std::vector<Feature> PoseTracker::currentFeatures() const {
+  std::vector<Feature> features = tracker_.features();
+  if (shutter_.active())
+    for (Feature& f : features) f.normalized = rayOf(f);
+  return features;
+}
+
+std::vector<visual_frontend::Observation> PoseTracker::observations() const {
+  std::vector<visual_frontend::Observation> observations;
+  for (const Feature& f : currentFeatures())
+    observations.push_back({tracks_.landmarkIn(map_, f.id), f.id, f.pixel, f.normalized});
+  return observations;
+}
+
+std::vector<PoseCorrespondence> PoseTracker::correspondences(std::vector<TrackId>* seen) const {
+  std::vector<PoseCorrespondence> list;
+  for (const Feature& f : tracker_.features()) {
+    const LandmarkId id = tracks_.landmarkIn(map_, f.id);
+    if (id == kNoLandmark) continue;
+    const Eigen::Vector2d ray = rayOf(f);
+    const auto noise = camera_.normalizedNoise(ray, settings_.pixel_sigma);
+    list.push_back({map_.landmark(id).position, ray, noise.sigma, 0, 0, noise.elongation});
+    seen->push_back(f.id);
+  }
+  return list;
+}
+
+PoseResult PoseTracker::solve(const std::vector<PoseCorrespondence>& points,
+                              const std::optional<double>& turn_sigma) const {
+  PoseResult result;
+  // A known turn leaves three unknowns of six: half as many landmarks agree by chance as rarely.
+  const int needed = turn_sigma ? (settings_.min_inliers + 1) / 2 : settings_.min_inliers;
+  const double believed = kMinInlierShare * static_cast<double>(points.size());
+  if (static_cast<int>(points.size()) < needed) {
+    result.reason = "only " + std::to_string(points.size()) + " known landmarks in view, " + std::to_string(needed) +
+                    " needed: move more slowly, or turn back to known ground";
+    return result;
+  }
+  visual_frontend::RansacSettings ransac;
+  ransac.seed = settings_.seed;
+  ransac.min_inliers = settings_.min_inliers / 2;
+  ransac.threshold = 4.0;
+  if (turn_sigma) result = visual_frontend::ransacKnownRotation(points, T_map_camera_.linear(), ransac);
+  if (!result.success || result.inlier_count < believed) result = visual_frontend::ransacPose(points, ransac);
+  if (!result.success) return result;
+  visual_frontend::RefineSettings refine;
+  if (turn_sigma) {
+    refine.R_map_camera_prior = T_map_camera_.linear();
+    refine.rotation_prior_sigma = *turn_sigma;
+  }
+  result = visual_frontend::refinePose(points, result.T_map_camera, refine);
+  if (result.success && (result.inlier_count < needed || result.inlier_count < believed)) {
+    result.success = false;
+    result.reason = std::to_string(result.inlier_count) + " of " + std::to_string(points.size()) +
+                    " landmarks agree on a pose: something large moves in view, or the image is blurred";
+  }
+  return result;
+}
+
+bool PoseTracker::locate(const std::optional<double>& turn_sigma) {
+  std::vector<TrackId> seen;
+  const auto points = correspondences(&seen);
+  result_ = solve(points, turn_sigma);
+  if (!result_.success) return false;
+  T_map_camera_ = result_.T_map_camera;
+  std::vector<TrackId> wrong;
+  std::vector<double> depths;
+  const Pose T_camera_map = T_map_camera_.inverse();
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    if (!result_.inliers[i])
+      wrong.push_back(seen[i]);
+    else
+      depths.push_back((T_camera_map * points[i].p_map).z());
+  }
+  tracker_.remove(wrong);
+  for (const TrackId id : wrong) tracks_.release(id);
+  scene_distance_ = quantile(depths, 0.5);
+  depth_min_ = quantile(depths, 0.05);
+  depth_max_ = quantile(depths, 0.95);
+  return true;
+}
+
+void PoseTracker::settle(double stamp, const std::optional<Pose>& T_map_previous) {
+  velocity_.setZero();
+  turn_rate_.setZero();
+  if (T_map_previous) {
+    const double dt = stamp - located_stamp_;
+    velocity_ = (T_map_camera_.translation() - T_map_previous->translation()) / dt;
+    turn_rate_ = logSO3(T_map_previous->linear().transpose() * T_map_camera_.linear()) / dt;
+  }
+  previous_covariance_ = result_.covariance;
+  located_stamp_ = stamp;
+}
+
+void PoseTracker::reobserve(const visual_frontend::ReobservationSettings& how) {
+  const auto candidates = visual_frontend::untrackedLandmarks(map_, tracks_, tracker_.features(), T_map_camera_,
+                                                              kLocalKeyframes, scene_distance_);
+  std::vector<Eigen::Vector2d> occupied;
+  for (const Feature& f : tracker_.features()) occupied.push_back(f.pixel);
+  for (const auto& match :
+       visual_frontend::reobserve(map_, camera_, tracker_.pyramid(), T_map_camera_, candidates, occupied, how)) {
+    const TrackId track = tracker_.addFeature(match.pixel);
+    if (track != visual_frontend::kNoTrack) tracks_.assign(track, match.landmark);
+  }
+}
+
+void PoseTracker::turnByGyro() {
+  if (R_previous_current_) T_map_camera_.linear() = T_map_camera_.linear() * *R_previous_current_;
+}
+
+void PoseTracker::beginAround(const Pose& T_map_camera, const cv::Mat& gray,
+                              const visual_frontend::ReobservationSettings& how) {
+  T_map_camera_ = T_map_camera;
+  for (const Feature& f : tracker_.features()) tracks_.release(f.id);
+  tracker_.reset();
+  tracker_.track(gray);
+  reobserve(how);
+}
+
+void PoseTracker::transform(const air_ground_common::Similarity& S) {
+  velocity_ = S.scale * (S.R * velocity_);
+  scene_distance_ *= S.scale;
+  depth_min_ *= S.scale;
+  depth_max_ *= S.scale;
+  for (Matrix6d* covariance : {&result_.covariance, &previous_covariance_})
+    *covariance = visual_frontend::transformed(*covariance, S);
+}
+
+}  // namespace mav_vo

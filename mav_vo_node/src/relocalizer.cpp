@@ -1,0 +1,53 @@
+#include "relocalizer.h"
+
+namespace mav_vo {
+
+namespace {
+
+constexpr int kPlaceEvery = 5;         // images between searches for a known place
+constexpr int kNearImages = 10;        // in which the camera is looked for near its last pose
+constexpr double kNearSeconds = 0.7;   // and so long at the most [s]
+constexpr double kNearRadius = 25;     // of the search about where a landmark should be [px]
+constexpr double kAtPlaceRadius = 15;  // likewise once a place is recognised [px]
+
+}  // namespace
+
+void Relocalizer::begin(double stamp) {
+  lost_since_ = stamp;
+  frames_lost_ = 0;
+  reason_.clear();
+}
+
+visual_frontend::ReobservationSettings Relocalizer::within(double search_radius) const {
+  visual_frontend::ReobservationSettings how = settings_.reobservation;
+  how.search_radius = search_radius;
+  return how;
+}
+
+bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend::Map& map,
+                       const visual_frontend::RelocalizationGate& gate, const std::optional<double>& turn_sigma,
+                       PoseTracker& pose) {
+  ++frames_lost_;
+  visual_frontend::FeatureTracker& tracker = pose.tracker();
+  if (tracker.features().size() < 0.5 * settings_.tracker.max_features) tracker.replenish();
+  if (frames_lost_ <= kNearImages && stamp - pose.locatedStamp() < kNearSeconds) {
+    if (frames_lost_ > 1) pose.turnByGyro();
+    pose.reobserve(within(kNearRadius));
+    if (pose.locate(turn_sigma)) return true;
+  }
+  if ((frames_lost_ - 1) % kPlaceEvery != 0) return false;
+  visual_frontend::Keyframe query;
+  query.stamp = stamp;
+  visual_frontend::describeKeyframe(gray, camera_, settings_.place, query);
+  const auto match = visual_frontend::relocalize(map, camera_, query, gate, settings_.place);
+  if (!match.success) {
+    reason_ = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";
+    return false;
+  }
+  pose.beginAround(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, gray, within(kAtPlaceRadius));
+  const bool found = pose.locate(std::nullopt);
+  tracker.replenish();
+  return found;
+}
+
+}  // namespace mav_vo

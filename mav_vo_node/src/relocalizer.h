@@ -1,0 +1,35 @@
+// The way back into the map for a camera that was lost.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "pose_tracker.h"
+#include "visual_frontend/place_recognition.h"
+
+namespace mav_vo {
+
+class Relocalizer {
+ public:
+  Relocalizer(const CameraModel& camera, const OdometrySettings& settings) : camera_(camera), settings_(settings) {}
+
+  void begin(double stamp);                         ///< lost at this image [s]
+  double lostSince() const { return lost_since_; }  ///< [s]
+  /// Tries the image: near the last pose by the landmarks' patches, elsewhere by its ORB features where `gate` allows.
+  /// True: `pose` has found it.
+  bool find(double stamp, const cv::Mat& gray, const visual_frontend::Map& map,
+            const visual_frontend::RelocalizationGate& gate, const std::optional<double>& turn_sigma,
+            PoseTracker& pose);
+  const std::string& reason() const { return reason_; }  ///< why no known place was recognised; empty: none was sought
+
+ private:
+  visual_frontend::ReobservationSettings within(double search_radius) const;  // [px]
+
+  CameraModel camera_;
+  OdometrySettings settings_;
+  double lost_since_ = 0;
+  int frames_lost_ = 0;
+  std::string reason_;
+};
+
+}  // namespace mav_vo

@@ -1,0 +1,51 @@
+#include "dense_keyframes.h"
+
+namespace rgbd_slam {
+
+using Points = std::vector<KeyframeDepth::Point>;
+
+void DenseKeyframes::clear() {
+  points_.clear();
+  active_.reset();
+}
+
+void DenseKeyframes::begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& colour,
+                           const visual_frontend::RollingShutter& rows) {
+  finish();
+  active_ = std::make_unique<KeyframeDepth>(camera_, depth, colour, depth_, cloud_, &rows);
+  active_id_ = id;
+}
+
+void DenseKeyframes::fuse(const cv::Mat& depth, const Pose& T_frame_keyframe,
+                          const visual_frontend::RollingShutter& rows) {
+  if (active_ && active_->frames() <= max_frames_)
+    active_->fuse(camera_, depth, T_frame_keyframe, depth_, cloud_, &rows);
+}
+
+void DenseKeyframes::finish() {
+  if (!active_) return;
+  points_[active_id_] = std::make_shared<const Points>(active_->points(depth_, cloud_));
+  active_.reset();
+}
+
+void DenseKeyframes::moveRows(KeyframeId id, const visual_frontend::RollingShutter& shift) {
+  const auto dense = points_.find(id);
+  if (dense == points_.end()) return;
+  auto points = std::make_shared<Points>(*dense->second);
+  for (KeyframeDepth::Point& point : *points) {
+    const Eigen::Vector3d p = point.position.cast<double>();
+    if (const auto pixel = camera_.project(p)) point.position = shift.pointToMiddleRow(pixel->y(), p).cast<float>();
+  }
+  dense->second = std::move(points);
+}
+
+std::vector<PosedPoints> DenseKeyframes::posed(const visual_frontend::Map& map) const {
+  std::vector<PosedPoints> result;
+  for (const auto& [id, points] : points_) result.push_back({map.keyframe(id).T_map_camera, points, id});
+  if (active_)
+    result.push_back({map.keyframe(active_id_).T_map_camera,
+                      std::make_shared<const Points>(active_->points(depth_, cloud_)), active_id_});
+  return result;
+}
+
+}  // namespace rgbd_slam

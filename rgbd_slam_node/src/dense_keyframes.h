@@ -1,0 +1,39 @@
+// Dense points of the keyframes; those of the newest are still refined by the frames that share its view.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <vector>
+
+#include "rgbd_slam/slam.h"
+
+namespace rgbd_slam {
+
+class DenseKeyframes {
+ public:
+  DenseKeyframes(const CameraModel& camera, const SlamSettings& settings)
+      : camera_(camera), depth_(settings.depth), cloud_(settings.cloud), max_frames_(settings.max_fused_frames) {}
+
+  void clear();
+  /// A new keyframe saw this.
+  void begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& colour, const visual_frontend::RollingShutter& rows);
+  /// Refines the newest keyframe, as long as it is not finished and few frames have. T_frame_keyframe: from its camera
+  /// to the frame's.
+  void fuse(const cv::Mat& depth, const Pose& T_frame_keyframe, const visual_frontend::RollingShutter& rows);
+  void finish();  ///< the frames' view is no longer the newest keyframe's
+  void forget(KeyframeId id) { points_.erase(id); }
+  /// Moves the points of a finished keyframe to where the middle row sees them.
+  void moveRows(KeyframeId id, const visual_frontend::RollingShutter& shift);
+  std::vector<PosedPoints> posed(const visual_frontend::Map& map) const;
+
+ private:
+  CameraModel camera_;
+  DepthModel depth_;
+  CloudSettings cloud_;
+  int max_frames_;
+  std::map<KeyframeId, KeyframePoints> points_;
+  std::unique_ptr<KeyframeDepth> active_;
+  KeyframeId active_id_ = visual_frontend::kNoKeyframe;
+};
+
+}  // namespace rgbd_slam

@@ -1,0 +1,250 @@
+#include "frame_tracker.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "visual_frontend/local_landmarks.h"
+
+namespace rgbd_slam {
+
+using visual_frontend::Feature;
+using visual_frontend::kNoLandmark;
+using visual_frontend::kNoTrack;
+using visual_frontend::LandmarkMatch;
+using visual_frontend::Observation;
+using visual_frontend::PoseCorrespondence;
+using visual_frontend::PoseResult;
+
+namespace {
+
+constexpr double kReobserveRadius = 6;  // of the search about where a landmark should be, while tracking [px]
+constexpr double kNearRadius = 16;      // likewise just after the camera was lost [px]
+constexpr double kNearSeconds = 0.5;    // so long after it was lost the camera is near where it was [s]
+
+/// Of a point at depth z, to move what a row sees; 0: too near to be one [1/m].
+double inverseDepth(double z) { return z > 0.1 ? 1 / z : 0; }
+
+}  // namespace
+
+Observation observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                    const DepthModel& model, const visual_frontend::RollingShutter& rows, double inverse_depth) {
+  Observation o;
+  o.pixel = pixel;
+  if (const auto z = sampleDepth(depth, pixel, model)) {
+    const Eigen::Vector3d p = rows.pointToMiddleRow(pixel.y(), *z * normalized.homogeneous());
+    if (p.z() > 0.5 * *z) {
+      o.normalized = p.hnormalized();
+      o.depth = p.z();
+      o.depth_sigma = model.sigma(*z);
+      return o;
+    }
+  }
+  o.normalized = rows.toMiddleRow(pixel, normalized, inverse_depth);
+  return o;
+}
+
+FrameTracker::FrameTracker(const CameraModel& camera, const SlamSettings& settings, const visual_frontend::Map& map,
+                           const Frames& frames, visual_frontend::LandmarkTracks& tracks, CameraMotion& motion)
+    : camera_(camera),
+      settings_(settings),
+      focal_(0.5 * (camera.fx + camera.fy)),
+      map_(map),
+      frames_(frames),
+      tracks_(tracks),
+      motion_(motion),
+      tracker_(camera, settings.tracker) {}
+
+void FrameTracker::reset() {
+  tracker_.reset();
+  tracks_.clear();
+}
+
+void FrameTracker::restart(const cv::Mat& gray) {
+  reset();
+  tracker_.track(gray);
+}
+
+std::vector<Observation> FrameTracker::observations(const Pose& T_map_camera, const cv::Mat& depth) const {
+  std::vector<Observation> observations;
+  for (const Feature& f : tracker_.features()) {
+    const LandmarkId landmark = tracks_.landmarkIn(map_, f.id);
+    const double z = landmark != kNoLandmark ? (T_map_camera.inverse() * map_.landmark(landmark).position).z() : 0;
+    Observation o = observe(f.pixel, f.normalized, depth, settings_.depth, motion_.rows(), inverseDepth(z));
+    o.track = f.id;
+    o.landmark = landmark;
+    observations.push_back(o);
+  }
+  return observations;
+}
+
+PoseCorrespondence FrameTracker::correspondence(LandmarkId landmark, const Eigen::Vector2d& pixel,
+                                                const Eigen::Vector2d& normalized, const cv::Mat& depth,
+                                                const Pose& T_camera_map) const {
+  PoseCorrespondence c;
+  c.p_map = map_.landmark(landmark).position;
+  const double z = (T_camera_map * c.p_map).z();
+  const Observation seen = observe(pixel, normalized, depth, settings_.depth, motion_.rows(), inverseDepth(z));
+  c.normalized = seen.normalized;
+  const auto noise = camera_.normalizedNoise(seen.normalized, settings_.pixel_sigma);
+  c.sigma = noise.sigma;
+  c.elongation = noise.elongation;
+  c.depth = seen.depth;
+  c.depth_sigma = seen.depth_sigma;
+  return c;
+}
+
+FrameTracker::Correspondences FrameTracker::correspondences(const cv::Mat& depth, const Pose& T_camera_map,
+                                                            std::vector<TrackId>* ids) const {
+  Correspondences list;
+  for (const Feature& f : tracker_.features()) {
+    if (!tracks_.has(f.id)) continue;
+    list.push_back(correspondence(tracks_.landmarkOf(f.id), f.pixel, f.normalized, depth, T_camera_map));
+    ids->push_back(f.id);
+  }
+  return list;
+}
+
+PoseResult FrameTracker::solve(const Correspondences& c, const Pose& predicted, bool rotation_known) const {
+  visual_frontend::RefineSettings refine;
+  visual_frontend::RansacSettings ransac;
+  ransac.min_inliers = std::min<int>(settings_.min_inliers, 10);
+  Pose start = predicted;
+  if (rotation_known) {
+    // Two points a sample; the threshold leaves room for the gyro's error over a frame.
+    ransac.threshold = 4;
+    const PoseResult two_point = visual_frontend::ransacKnownRotation(c, predicted.linear(), ransac);
+    if (two_point.success) start = two_point.T_map_camera;
+  }
+  PoseResult result = visual_frontend::refinePose(c, start, refine);
+  if (result.success && result.inlier_count > 0.6 * c.size()) return result;
+  ransac.threshold = 2.8;
+  const PoseResult three_point = visual_frontend::ransacPose(c, ransac);
+  if (!three_point.success) return result;
+  const PoseResult second = visual_frontend::refinePose(c, three_point.T_map_camera, refine);
+  return second.success && (!result.success || second.inlier_count > result.inlier_count) ? second : result;
+}
+
+void FrameTracker::follow(const RgbdImages& images, const Pose& T_map_predicted) {
+  visual_frontend::TrackPrediction prediction;
+  prediction.R_current_previous = T_map_predicted.linear().transpose() * lastPose().linear();
+  const Pose T_camera_map = T_map_predicted.inverse();
+  motion_.setRowMotion(images.stamp, T_map_predicted);
+  tracks_.forgetMissing(map_);
+  for (const Feature& f : tracker_.features()) {
+    const LandmarkId landmark = tracks_.landmarkOf(f.id);
+    if (landmark == kNoLandmark) continue;
+    const Eigen::Vector3d p_camera = T_camera_map * map_.landmark(landmark).position;
+    const auto pixel = camera_.project(p_camera);
+    if (pixel && camera_.contains(*pixel)) prediction.pixels[f.id] = motion_.rows().toItsRow(*pixel, p_camera);
+  }
+  tracker_.track(images.gray, prediction);
+  tracks_.keep(tracker_.features());
+}
+
+std::string FrameTracker::objection(double stamp, const PoseResult& pose, std::size_t landmarks) const {
+  if (!pose.success || pose.inlier_count < settings_.min_inliers ||
+      pose.inlier_count < settings_.min_inlier_ratio * landmarks)
+    return std::to_string(landmarks) + " landmarks tracked, " + std::to_string(pose.inlier_count) + " agree on a pose";
+  const double speed =
+      (pose.T_map_camera.translation() - lastPose().translation()).norm() / (stamp - frames_.lastStamp());
+  return speed > settings_.max_speed ? "the camera would have moved at " + std::to_string(speed) + " m/s" : "";
+}
+
+TrackedPose FrameTracker::track(const RgbdImages& images, const ReferenceKeyframe& reference) {
+  TrackedPose tracked;
+  bool from_gyro = false;
+  const Pose predicted = motion_.predict(frames_.lastStamp(), lastPose(), images.stamp, &from_gyro);
+  follow(images, predicted);
+  std::vector<TrackId> ids;
+  const Correspondences seen = correspondences(images.depth, predicted.inverse(), &ids);
+  // A rotation that may be off by more than a pixel is no known rotation.
+  const double rotation_sigma = motion_.rotationSigma(images.stamp - frames_.lastStamp());
+  tracked.pose = solve(seen, predicted, from_gyro && focal_ * rotation_sigma < 1.5);
+  tracked.reason = objection(images.stamp, tracked.pose, seen.size());
+  if (!tracked.reason.empty()) return tracked;
+  std::vector<TrackId> outliers;
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    if (tracked.pose.inliers[i]) continue;
+    outliers.push_back(ids[i]);
+    tracks_.release(ids[i]);
+  }
+  tracker_.remove(outliers);
+  ++since_reobservation_;
+  if (settings_.reobserve_every > 0 && (since_reobservation_ >= settings_.reobserve_every ||
+                                        reference.due(map_, tracked.pose.T_map_camera, tracks_.count()))) {
+    since_reobservation_ = 0;
+    reobserve(tracked.pose.T_map_camera, kReobserveRadius, images.depth, &tracked.pose);
+  }
+  tracked.success = true;
+  tracked.landmarks = tracks_.count();
+  return tracked;
+}
+
+TrackedPose FrameTracker::findNearLast(const RgbdImages& images) {
+  TrackedPose tracked;
+  if (images.stamp - frames_.lastStamp() >= kNearSeconds) return tracked;
+  // The gyro still knows the rotation, but may be wrong.
+  bool from_gyro = false;
+  const Pose predicted = motion_.predict(frames_.lastStamp(), lastPose(), images.stamp, &from_gyro);
+  tracked = findAround(predicted, kNearRadius, images);
+  if (from_gyro && !tracked.success) tracked = findAround(lastPose(), kNearRadius, images);
+  return tracked;
+}
+
+TrackedPose FrameTracker::findAround(const Pose& around, double radius, const RgbdImages& images) {
+  TrackedPose found;
+  reobserve(around, radius, images.depth, &found.pose);
+  found.landmarks = tracks_.count();
+  found.success = found.pose.success && found.landmarks >= settings_.min_inliers;
+  if (!found.success) {
+    restart(images.gray);
+    found.reason = "a place was recognised but too few of its landmarks were found";
+  }
+  return found;
+}
+
+void FrameTracker::reobserve(const Pose& around, double radius, const cv::Mat& depth, PoseResult* pose) {
+  const Pose T_camera_map = around.inverse();
+  std::vector<TrackId> ids;
+  Correspondences seen = correspondences(depth, T_camera_map, &ids);
+  std::vector<Eigen::Vector2d> occupied;
+  for (const Feature& f : tracker_.features())
+    if (tracks_.has(f.id)) occupied.push_back(f.pixel);
+  const std::size_t tracked = seen.size();
+  const auto candidates =
+      visual_frontend::untrackedLandmarks(map_, tracks_, tracker_.features(), around, settings_.local_keyframes);
+  visual_frontend::ReobservationSettings search;
+  search.search_radius = radius;
+  const std::vector<LandmarkMatch> matches =
+      visual_frontend::reobserve(map_, camera_, tracker_.pyramid(), around, candidates, occupied, search);
+  if (matches.empty()) return;
+  for (const LandmarkMatch& m : matches)
+    seen.push_back(correspondence(m.landmark, m.pixel, m.normalized, depth, T_camera_map));
+  const PoseResult refined = tracked > 0 ? visual_frontend::refinePose(seen, around, {}) : solve(seen, around, false);
+  if (!refined.success || refined.inlier_count < pose->inlier_count) return;
+  std::vector<LandmarkMatch> agreeing;
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    if (refined.inliers[tracked + i]) agreeing.push_back(matches[i]);
+  }
+  startTracks(agreeing);
+  *pose = refined;
+}
+
+void FrameTracker::startTracks(const std::vector<LandmarkMatch>& matches) {
+  // Tracks that may turn out to be one of the landmarks. Copies: starting tracks moves the features.
+  std::vector<std::pair<TrackId, Eigen::Vector2d>> loose;
+  for (const Feature& f : tracker_.features()) {
+    if (!tracks_.has(f.id)) loose.emplace_back(f.id, f.pixel);
+  }
+  for (const LandmarkMatch& match : matches) {
+    TrackId track = kNoTrack;
+    for (const auto& [id, pixel] : loose) {
+      if ((pixel - match.pixel).squaredNorm() < 2.0 * 2.0 && !tracks_.has(id)) track = id;
+    }
+    if (track == kNoTrack) track = tracker_.addFeature(match.pixel);
+    if (track != kNoTrack) tracks_.assign(track, match.landmark);
+  }
+}
+
+}  // namespace rgbd_slam

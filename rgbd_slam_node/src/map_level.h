@@ -1,0 +1,44 @@
+// Which way is up in the map: from rest at the start, then from the motion that camera and IMU agree on.
+#pragma once
+
+#include <optional>
+#include <utility>
+
+#include "camera_motion.h"
+#include "rgbd_slam/slam.h"
+
+namespace rgbd_slam {
+
+class MapLevel {
+ public:
+  explicit MapLevel(const SlamSettings& settings) : settings_(settings) {}
+
+  void clear() { known_ = settled_ = false; }
+  /// A new map, level as far as the accelerometer tells; null: nothing tells.
+  void begin(const visual_frontend::AttitudeFilter* attitude);
+  /// The gyro contradicts the images: which way is up comes from it, too, whenever the robot moves.
+  void distrust() { known_ = false; }
+
+  struct Correction {
+    Eigen::Matrix3d R;      ///< levels the map, turned about its origin
+    bool directions_false;  ///< up in the keyframes was of an accelerometer in motion
+  };
+  /// When the map leans for certain, T_map_camera being the pose now. T_map_first_base: whose yaw stays.
+  std::optional<Correction> update(const CameraMotion& motion, const Pose& T_map_camera, const Pose& T_map_first_base);
+
+  /// Up in a camera and its standard deviation [rad], to hold a keyframe by.
+  std::optional<std::pair<Eigen::Vector3d, double>> upInCamera(const Eigen::Matrix3d& R_map_camera,
+                                                               const CameraMotion& motion) const;
+  bool known() const { return known_; }      ///< the map was levelled by the accelerometer
+  bool settled() const { return settled_; }  ///< for good, or there is nothing to level with
+  double sigma() const { return sigma_; }    ///< of the map's z axis, what it is known to lean included [rad]
+  const Vertical& vertical() const { return vertical_; }
+
+ private:
+  SlamSettings settings_;
+  bool known_ = false, settled_ = false;
+  double sigma_ = Vertical().sigma;
+  Vertical vertical_;
+};
+
+}  // namespace rgbd_slam

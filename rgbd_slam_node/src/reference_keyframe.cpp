@@ -1,0 +1,55 @@
+#include "reference_keyframe.h"
+
+#include <algorithm>
+
+namespace rgbd_slam {
+
+using visual_frontend::Keyframe;
+using visual_frontend::Map;
+
+namespace {
+
+constexpr double kSameView = 0.25;     // of the change of view that makes a keyframe
+constexpr double kUnknownDepth = 2.0;  // of a scene without landmarks [m]
+
+int landmarksOf(const Keyframe& keyframe) {
+  return static_cast<int>(
+      std::count_if(keyframe.observations.begin(), keyframe.observations.end(),
+                    [](const visual_frontend::Observation& o) { return o.landmark != visual_frontend::kNoLandmark; }));
+}
+
+}  // namespace
+
+double ReferenceKeyframe::changeOfView(const Map& map, const Keyframe& keyframe, const Pose& T_map_camera) const {
+  return visual_frontend::changeOfView(T_map_camera, keyframe.T_map_camera,
+                                       map.medianDepth(keyframe).value_or(kUnknownDepth),
+                                       {settings_.keyframe_translation, settings_.keyframe_rotation});
+}
+
+bool ReferenceKeyframe::outgrown(const Map& map, const Keyframe& keyframe, const Pose& T_map_camera,
+                                 int landmarks) const {
+  const double change = changeOfView(map, keyframe, T_map_camera);
+  if (change > 1) return true;
+  // From where the keyframe stood, another sees nothing new, unless landmarks were lost since.
+  const int seen = landmarksOf(keyframe);
+  return (change > kSameView || seen > 1.25 * landmarks) &&
+         (landmarks < settings_.keyframe_overlap * seen || landmarks < 3 * settings_.min_inliers);
+}
+
+bool ReferenceKeyframe::due(const Map& map, const Pose& T_map_camera, int landmarks) const {
+  return frames_ >= settings_.keyframe_min_gap && outgrown(map, map.keyframe(id_), T_map_camera, landmarks);
+}
+
+KeyframeId ReferenceKeyframe::ofView(const Map& map, const visual_frontend::LandmarkTracks& tracks,
+                                     const Pose& T_map_camera, int landmarks) const {
+  // Shared landmarks say that the two are right to each other: else there may be a loop to close.
+  for (const auto& c : map.observers(tracks.landmarks(), 2 * settings_.min_inliers))
+    if (!outgrown(map, map.keyframe(c.keyframe), T_map_camera, landmarks)) return c.keyframe;
+  return visual_frontend::kNoKeyframe;
+}
+
+bool ReferenceKeyframe::same(const Map& map, KeyframeId earlier, KeyframeId later) const {
+  return changeOfView(map, map.keyframe(earlier), map.keyframe(later).T_map_camera) <= kSameView;
+}
+
+}  // namespace rgbd_slam

@@ -1,0 +1,41 @@
+// The keyframe whose view the present frames share, and when another must take its place.
+#pragma once
+
+#include "rgbd_slam/slam.h"
+#include "visual_frontend/landmark_tracks.h"
+
+namespace rgbd_slam {
+
+class ReferenceKeyframe {
+ public:
+  explicit ReferenceKeyframe(const SlamSettings& settings) : settings_(settings) {}
+
+  void reset() { set(visual_frontend::kNoKeyframe); }
+  void set(KeyframeId id) {
+    id_ = id;
+    frames_ = 0;
+  }
+  void countFrame() { ++frames_; }
+  KeyframeId id() const { return id_; }
+
+  /// A frame that sees so many landmarks needs another: its view has outgrown this one.
+  bool due(const visual_frontend::Map& map, const Pose& T_map_camera, int landmarks) const;
+  /// An earlier keyframe whose view such a frame has come back to; kNoKeyframe: none.
+  KeyframeId ofView(const visual_frontend::Map& map, const visual_frontend::LandmarkTracks& tracks,
+                    const Pose& T_map_camera, int landmarks) const;
+  /// Two keyframes stand in the same place.
+  bool same(const visual_frontend::Map& map, KeyframeId earlier, KeyframeId later) const;
+
+ private:
+  double changeOfView(const visual_frontend::Map& map, const visual_frontend::Keyframe& keyframe,
+                      const Pose& T_map_camera) const;
+  /// Whether the frame sees other things than the keyframe, by more than the settings allow.
+  bool outgrown(const visual_frontend::Map& map, const visual_frontend::Keyframe& keyframe, const Pose& T_map_camera,
+                int landmarks) const;
+
+  SlamSettings settings_;
+  KeyframeId id_ = visual_frontend::kNoKeyframe;
+  int frames_ = 0;  // since it became the reference
+};
+
+}  // namespace rgbd_slam

@@ -1,0 +1,168 @@
+// The map of the SLAM. Landmarks start from measured depth, also while the camera only turns (paper, section IV), and
+// from parallax where the sensor sees no depth.
+#include <algorithm>
+#include <utility>
+
+#include "slam_impl.h"
+#include "visual_frontend/bundle_job.h"
+#include "visual_frontend/local_landmarks.h"
+
+namespace rgbd_slam {
+
+void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, FrameResult* result) {
+  const Pose& T_map_camera = tracked.pose.T_map_camera;
+  const bool due = result->relocalized || reference.due(map, T_map_camera, tracked.landmarks);
+  const KeyframeId known = due ? reference.ofView(map, tracks, T_map_camera, tracked.landmarks) : reference.id();
+  if (known == kNoKeyframe) {
+    const KeyframeId id = addKeyframe(images, T_map_camera, tracked.pose.covariance);
+    result->keyframe = true;
+    frames.add(images.stamp, map.keyframe(id).T_map_camera, id, map);
+    if (settings.loop_closure) result->map_corrected = closeLoop(id);
+    removeReplacedBy(id);
+    if (result->map_corrected) motion.moveMap(lastPose() * T_map_camera.inverse());
+    return;
+  }
+  if (known != reference.id()) setReference(known);
+  frames.add(images.stamp, T_map_camera, known, map);
+  const Pose T_reference_camera = map.keyframe(known).T_map_camera.inverse() * T_map_camera;
+  dense.fuse(images.depth, T_reference_camera.inverse(), motion.rows());
+}
+
+void Slam::Impl::setReference(KeyframeId id) {
+  dense.finish();
+  reference.set(id);
+  tracking.postponeReobservation();
+}
+
+void Slam::Impl::removeReplacedBy(KeyframeId id) {
+  for (const auto& c : map.covisible(id, 2 * settings.min_inliers)) {
+    // The first one is the origin; the latest may hold what is tracked.
+    if (c.keyframe == map.keyframes().begin()->first || c.keyframe + settings.loop_min_gap > id) continue;
+    if (!reference.same(map, c.keyframe, id)) continue;
+    frames.rebase(c.keyframe, id, map);
+    tracks.forgetKeyframe(c.keyframe);
+    covariances.forget(c.keyframe);
+    loops.forget(c.keyframe);
+    dense.forget(c.keyframe);
+    map.removeKeyframe(c.keyframe);
+  }
+}
+
+KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const Pose& T_map_camera, const Matrix6d& covariance) {
+  tracking.tracker().replenish();
+  Keyframe keyframe;
+  keyframe.stamp = images.stamp;
+  keyframe.T_map_camera = T_map_camera;
+  keyframe.pyramid = tracking.tracker().pyramid();
+  if (const auto up = level.upInCamera(T_map_camera.linear(), motion)) {
+    keyframe.up_camera = up->first;
+    keyframe.up_sigma = up->second;
+  }
+  keyframe.observations = tracking.observations(T_map_camera, images.depth);
+  describe(images, keyframe);
+  const KeyframeId id = map.addKeyframe(std::move(keyframe));
+  ++counters.keyframes;
+  loops.add(id);
+  covariances.add(id, covariance, map);
+  createLandmarks(id);
+  if (map.keyframeCount() > 1) adjustWindow(id);
+  setReference(id);
+  map.dropFarImages(T_map_camera, settings.max_image_keyframes);
+  dense.begin(id, images.depth, images.colour, motion.rows());
+  return id;
+}
+
+void Slam::Impl::describe(const RgbdImages& images, Keyframe& keyframe) const {
+  visual_frontend::describeKeyframe(images.gray, camera, settings.place, keyframe);
+  for (std::size_t i = 0; i < keyframe.orb_pixels.size(); ++i) {
+    const auto seen =
+        observe(keyframe.orb_pixels[i], keyframe.orb_normalized[i], images.depth, settings.depth, motion.rows());
+    keyframe.orb_normalized[i] = seen.normalized;
+    keyframe.orb_depth.push_back(seen.depth);
+  }
+}
+
+void Slam::Impl::createLandmarks(KeyframeId id) {
+  visual_frontend::TriangulationSettings triangulation;
+  triangulation.max_depth = 15.0;
+  triangulation.min_depth = 0.2;
+  tracks.addViews(map.keyframe(id));
+  for (const auto& unplaced :
+       visual_frontend::createLandmarks(id, camera, settings.pixel_sigma, triangulation, map, tracks)) {
+    // Views that contradict each other belong to a track that slipped: begin anew with this one.
+    if (unplaced.status == visual_frontend::TriangulationStatus::kLargeResidual)
+      tracks.setViews(unplaced.track, {{id, unplaced.observation}});
+  }
+}
+
+bool Slam::Impl::closeLoop(KeyframeId id) {
+  const LoopCloser::Outcome outcome = loops.close(id, level.known(), map, tracks);
+  const bool corrected = outcome == LoopCloser::Outcome::kCorrected;
+  counters.loops_refused += outcome == LoopCloser::Outcome::kRefused;
+  if (corrected || outcome == LoopCloser::Outcome::kMerged) ++counters.loops;
+  if (outcome == LoopCloser::Outcome::kMerged) adjustWindow(id);
+  if (corrected) adjustWhole();
+  return corrected;
+}
+
+bool Slam::Impl::alignShutter(const RgbdImages& images) {
+  const double in_use = motion.rows().readoutTime();
+  const auto readout = shutter.add(images, lastPose(), tracking.tracker().features(), in_use);
+  if (!readout) return false;
+  const Pose T_map_before = lastPose();
+  moveRows(*readout - in_use, camera, frames, map, dense);
+  motion.setReadoutTime(*readout);
+  if (map.keyframeCount() > 1) adjustWhole();
+  motion.moveMap(lastPose() * T_map_before.inverse());
+  return true;
+}
+
+bool Slam::Impl::levelMap() {
+  const auto correction =
+      level.update(motion, lastPose(), map.keyframes().begin()->second.T_map_camera * T_camera_base);
+  if (!correction) return false;
+  air_ground_common::Similarity S;
+  S.R = correction->R;
+  map.transform(S);
+  motion.turn(S.R);
+  if (correction->directions_false)
+    for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
+  return true;
+}
+
+void Slam::Impl::adjustWindow(KeyframeId id) {
+  std::vector<KeyframeId> free{id};
+  for (const auto& c : map.covisible(id, 10)) {
+    if (static_cast<int>(free.size()) >= settings.window) break;
+    free.push_back(c.keyframe);
+  }
+  std::vector<KeyframeId> fixed;
+  for (const auto& c : map.observers(map.landmarksOf(free), 5)) {
+    if (static_cast<int>(fixed.size()) >= settings.window_fixed) break;
+    if (std::find(free.begin(), free.end(), c.keyframe) == free.end()) fixed.push_back(c.keyframe);
+  }
+  // The first keyframe defines the map; with nothing outside the window the oldest inside holds it.
+  const auto oldest = std::min_element(free.begin(), free.end());
+  if (*oldest == map.keyframes().begin()->first || fixed.empty()) {
+    fixed.push_back(*oldest);
+    free.erase(oldest);
+  }
+  if (free.empty()) return;
+  visual_frontend::adjustMap(map, camera, free, fixed, bundleSettings());
+}
+
+void Slam::Impl::adjustWhole() {
+  visual_frontend::BundleSettings bundle = bundleSettings();
+  bundle.max_iterations = 10;
+  bundle.max_seconds = 2.0;
+  visual_frontend::adjustFullMap(map, camera, bundle);
+}
+
+visual_frontend::BundleSettings Slam::Impl::bundleSettings() const {
+  visual_frontend::BundleSettings bundle = settings.bundle;
+  bundle.pixel_sigma = settings.pixel_sigma;
+  bundle.use_gravity = settings.use_gravity && level.settled();
+  return bundle;
+}
+
+}  // namespace rgbd_slam
