@@ -59,10 +59,10 @@ void BM_AddFrame(benchmark::State& state) {
   std::vector<std::uint16_t> cost(static_cast<std::size_t>(w) * D);
   std::vector<float> rho(D);
   for (int d = 0; d < D; ++d) rho[d] = static_cast<float>(sweep.inverseDepth(d));
-  const float base[3] = {20, 100, 1}, step[3] = {0.9f, 0.01f, 0}, shift[3] = {18, 6, 0};
+  const kernels::RowOfFrame row{{20, 100, 1}, {0.9f, 0.01f, 0}, {18, 6, 0}};
   const double plain = camera.height * seconds([&] {
-                         kernels::addRowReference(reference.normalized.ptr(100), 5, w - 5, w, base, step, shift,
-                                                  rho.data(), D, frame.normalized.ptr(), w, cost.data());
+                         kernels::addRowReference(reference.normalized.ptr(100), 5, w - 5, row, rho.data(), D,
+                                                  frame.normalized.ptr(), w, cost.data(), w);
                        });
   state.counters["plain_ms"] = 1e3 * plain;
   state.counters["fast_ms"] = 1e3 * spent / static_cast<double>(frames);

@@ -3,111 +3,57 @@
 #include <algorithm>
 #include <cmath>
 
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
-
 // Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
 #define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 
 namespace dense_fusion::kernels {
 namespace {
-constexpr int kChunk = 256;         // pixels worked on at once, so that their operands stay in the first-level cache
-constexpr int kFractionBits = 6;    // sample positions are rounded to 1/64 px
-constexpr int kGreyBits = 7;        // fraction of a difference of grey levels: 255 << 7 fits in 16 bits
-constexpr float kNodeStep = 0.25f;  // images are sampled this densely along a pixel's line of samples, at least [px]
-constexpr int kMostBetween = 16;    // hypotheses from one sample to the next; rounding of their steps adds up
-
-// Hypotheses from one image sample to the next, so that samples of any pixel of the row lie within kNodeStep.
-// Along rho a sample moves by (shift_xy W - XY shift_w) / (W + rho shift_w)^2, whose numerator does not depend on rho.
-int hypothesesBetween(int x0, int x1, const float* base, const float* step, const float* shift,
-                      const float* inverse_depth, int hypotheses) {
-  if (hypotheses < 2) return 1;
-  float most = 0, least_w = 1e30f;
-  for (const int x : {x0, x1 - 1}) {
-    const float i = static_cast<float>(x);
-    const float X = base[0] + i * step[0], Y = base[1] + i * step[1], W = base[2] + i * step[2];
-    most = std::max(most, std::hypot(shift[0] * W - X * shift[2], shift[1] * W - Y * shift[2]));
-    for (const float rho : {inverse_depth[0], inverse_depth[hypotheses - 1]})
-      least_w = std::min(least_w, W + rho * shift[2]);
-  }
-  const float spacing = std::abs(inverse_depth[hypotheses - 1] - inverse_depth[0]) / static_cast<float>(hypotheses - 1);
-  const float pixels = spacing * most / (least_w * least_w);
-  return pixels * kMostBetween <= kNodeStep ? kMostBetween : std::max(1, static_cast<int>(kNodeStep / pixels));
-}
+constexpr int kChunk = 256;        // pixels worked on at once, so that their operands stay in the first-level cache
+constexpr int kVector = 16;        // 16-bit lanes; pixels are worked on by so many
+constexpr float kNowhere = 1e30f;  // W of lanes beyond the last pixel: their sample is pixel (0, 0), exactly
+constexpr int kFractionBits = 6;   // sample positions are rounded to 1/64 px
+constexpr int kGreyBits = 7;       // fraction of a difference of grey levels: 255 << 7 fits in 16 bits
+constexpr float kNodeStep = 0.5f;  // images are sampled this densely along a pixel's line of samples, at least [px]
+constexpr int kMostBetween = 16;   // hypotheses from one sample to the next; rounding of their steps adds up
 
 constexpr int kOne = 1 << kFractionBits;
 constexpr int kSampleShift = 2 * kFractionBits - kGreyBits;
 
-/// Pixels of a row, and where they lie in the frame.
+/// Pixels of a row, as a frame sees them. Lanes up to a multiple of kVector stand for no pixel: they differ by nothing.
 struct Pixels {
-  int n = 0;
-  const float *X = nullptr, *Y = nullptr, *W = nullptr;
-  const std::int16_t* reference = nullptr;  ///< grey levels << kGreyBits
-  const std::uint32_t* packed = nullptr;    ///< the frame
-  int stride = 0;
+  int n;
+  alignas(64) float X[kChunk], Y[kChunk], W[kChunk];
+  alignas(64) std::int16_t reference[kChunk];  // grey levels << kGreyBits
 };
 
-// (sample - reference) << kGreyBits of the pixels from `first` on at one hypothesis, whose shifts are s.
-void samplePlain(const Pixels& p, int first, float sx, float sy, float sw, std::int16_t* __restrict out) {
-  for (int i = first; i < p.n; ++i) {
+// One by one, which takes no longer than a vector's gather does.
+__attribute__((noinline)) void fetch(const std::uint32_t* packed, int n, std::uint32_t* __restrict at) {
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) at[i] = packed[at[i]];
+}
+
+// (sample - reference) << kGreyBits at one hypothesis, whose shifts are s.
+__attribute__((always_inline)) inline void sample(const Pixels& p, float sx, float sy, float sw,
+                                                  const std::uint32_t* packed, int stride,
+                                                  std::int16_t* __restrict out) {
+  alignas(64) std::uint32_t pixels[kChunk], across[kChunk], down[kChunk];
+  for (int i = 0; i < p.n; ++i) {
     const float scale = kOne / (p.W[i] + sw);
     const std::int32_t u = static_cast<std::int32_t>((p.X[i] + sx) * scale + 0.5f);
     const std::int32_t v = static_cast<std::int32_t>((p.Y[i] + sy) * scale + 0.5f);
-    const std::int32_t fu = u & (kOne - 1), fv = v & (kOne - 1);
-    const std::uint32_t q = p.packed[(v >> kFractionBits) * p.stride + (u >> kFractionBits)];
-    const std::int32_t a = q & 255, b = (q >> 8) & 255, c = (q >> 16) & 255, e = q >> 24;
-    const std::int32_t top = a * kOne + fu * (b - a);
-    const std::int32_t bottom = c * kOne + fu * (e - c);
-    const std::int32_t sample = (top * kOne + fv * (bottom - top)) >> kSampleShift;
-    out[i] = static_cast<std::int16_t>(sample - p.reference[i]);
+    pixels[i] = static_cast<std::uint32_t>((v >> kFractionBits) * stride + (u >> kFractionBits));
+    across[i] = static_cast<std::uint32_t>(u) & (kOne - 1);
+    down[i] = static_cast<std::uint32_t>(v) & (kOne - 1);
   }
-}
-
-#if defined(__x86_64__)
-// The same, by gathers, and with both linear interpolations as products of pairs: bytes a, b by (64 - fu, fu), then
-// 16-bit top, bottom by (64 - fv, fv). The compiler finds neither.
-__attribute__((target("avx2"))) inline __m256i sampleEight(const Pixels& p, int i, __m256 sx, __m256 sy, __m256 sw) {
-  const __m256 half = _mm256_set1_ps(0.5f);
-  const __m256i one = _mm256_set1_epi32(kOne), fraction = _mm256_set1_epi32(kOne - 1);
-  const __m256 scale = _mm256_div_ps(_mm256_set1_ps(kOne), _mm256_add_ps(_mm256_loadu_ps(p.W + i), sw));
-  const auto position = [&](const float* at, __m256 shift) __attribute__((target("avx2"))) {
-    return _mm256_cvttps_epi32(
-        _mm256_add_ps(_mm256_mul_ps(_mm256_add_ps(_mm256_loadu_ps(at + i), shift), scale), half));
-  };
-  const __m256i u = position(p.X, sx), v = position(p.Y, sy);
-  const __m256i index =
-      _mm256_add_epi32(_mm256_mullo_epi32(_mm256_srai_epi32(v, kFractionBits), _mm256_set1_epi32(p.stride)),
-                       _mm256_srai_epi32(u, kFractionBits));
-  const __m256i q = _mm256_i32gather_epi32(reinterpret_cast<const int*>(p.packed), index, 4);
-  const __m256i fu = _mm256_and_si256(u, fraction), fv = _mm256_and_si256(v, fraction);
-  const __m256i pair = _mm256_add_epi32(_mm256_sub_epi32(one, fu), _mm256_slli_epi32(fu, 8));
-  const __m256i across = _mm256_or_si256(pair, _mm256_slli_epi32(pair, 16));
-  const __m256i down = _mm256_or_si256(_mm256_sub_epi32(one, fv), _mm256_slli_epi32(fv, 16));
-  return _mm256_srai_epi32(_mm256_madd_epi16(_mm256_maddubs_epi16(q, across), down), kSampleShift);
-}
-
-__attribute__((target("avx2"))) void sampleAvx2(const Pixels& p, int first, float sx, float sy, float sw,
-                                                std::int16_t* __restrict out) {
-  const __m256 x = _mm256_set1_ps(sx), y = _mm256_set1_ps(sy), w = _mm256_set1_ps(sw);
-  int i = first;
-  for (; i + 16 <= p.n; i += 16) {
-    const __m256i samples =
-        _mm256_permute4x64_epi64(_mm256_packs_epi32(sampleEight(p, i, x, y, w), sampleEight(p, i + 8, x, y, w)), 0xd8);
-    const __m256i reference = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p.reference + i));
-    _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + i), _mm256_sub_epi16(samples, reference));
+  fetch(packed, p.n, pixels);
+  constexpr std::uint32_t kEvenBytes = 0x00ff00ff, kLow = 0xffff;
+  for (int i = 0; i < p.n; ++i) {
+    // Upper and lower row of the neighbourhood at once, in the halves of 32 bits.
+    const std::uint32_t rows =
+        (pixels[i] & kEvenBytes) * (kOne - across[i]) + (pixels[i] >> 8 & kEvenBytes) * across[i];
+    const std::uint32_t sum = (rows & kLow) * (kOne - down[i]) + (rows >> 16) * down[i];
+    out[i] = static_cast<std::int16_t>((sum >> kSampleShift) - static_cast<std::uint32_t>(p.reference[i]));
   }
-  samplePlain(p, i, sx, sy, sw, out);
-}
-#endif
-
-using Sampler = void (*)(const Pixels&, int, float, float, float, std::int16_t*);
-
-Sampler fastestSampler() {
-#if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx2")) return sampleAvx2;
-#endif
-  return samplePlain;
 }
 
 // cost += min(|difference + k * delta|, 63)^2 / 4 in 16-bit lanes.
@@ -122,51 +68,115 @@ __attribute__((always_inline)) inline void addSquares(int n, const std::int16_t*
     cost[i] = static_cast<std::uint16_t>(cost[i] + (static_cast<std::uint16_t>(cut * cut) >> 2));
   }
 }
-}  // namespace
 
-AIR_GROUND_CLONES
-void addRow(const std::uint8_t* reference, int x0, int x1, int width, const float* base, const float* step,
-            const float* shift, const float* inverse_depth, int hypotheses, const std::uint32_t* packed, int stride,
-            std::uint16_t* cost) {
-  alignas(64) float X[kChunk], Y[kChunk], W[kChunk];
-  alignas(64) std::int16_t target[kChunk], delta[kChunk], samples[2][kChunk] = {};
-  static const Sampler sample = fastestSampler();
-  const int between = hypothesesBetween(x0, x1, base, step, shift, inverse_depth, hypotheses);
+__attribute__((always_inline)) inline void addRowAny(const std::uint8_t* reference, int x0, int x1,
+                                                     const RowOfFrame& frame, const float* inverse_depth,
+                                                     int hypotheses, int between, const std::uint32_t* packed,
+                                                     int stride, std::uint16_t* cost, int cost_stride) {
+  Pixels p;
+  alignas(64) std::int16_t delta[kChunk], samples[2][kChunk];
+  const auto &base = frame.base, &step = frame.step, &shift = frame.shift;
   for (int begin = x0; begin < x1; begin += kChunk) {
-    const int n = std::min(kChunk, x1 - begin);
-    for (int i = 0; i < n; ++i) {
+    const int known = std::min(kChunk, x1 - begin);
+    p.n = (known + kVector - 1) / kVector * kVector;
+    for (int i = 0; i < known; ++i) {
       const float x = static_cast<float>(begin + i);
-      X[i] = base[0] + x * step[0];
-      Y[i] = base[1] + x * step[1];
-      W[i] = base[2] + x * step[2];
-      target[i] = static_cast<std::int16_t>(reference[begin + i] << kGreyBits);
+      p.X[i] = base[0] + x * step[0];
+      p.Y[i] = base[1] + x * step[1];
+      p.W[i] = base[2] + x * step[2];
+      p.reference[i] = static_cast<std::int16_t>(reference[begin + i] << kGreyBits);
     }
-    const Pixels pixels{n, X, Y, W, target, packed, stride};
-    const auto sampleAt = [&](int d, std::int16_t* out) {
-      const float rho = inverse_depth[d];
-      sample(pixels, 0, rho * shift[0], rho * shift[1], rho * shift[2], out);
-    };
+    for (int i = known; i < p.n; ++i) {
+      p.X[i] = p.Y[i] = 0;
+      p.W[i] = kNowhere;
+      p.reference[i] = static_cast<std::int16_t>((packed[0] & 255) << kGreyBits);
+    }
     std::int16_t *here = samples[0], *next = samples[1];
-    sampleAt(0, here);
-    for (int d = 0; d < hypotheses;) {
-      const int k = std::max(1, std::min(between, hypotheses - 1 - d));
+    // (x * part + 2^14) >> 15 is one instruction (pmulhrsw); with k = 1 only the first, without the delta, is used.
+    for (int d = 0, k = 0; d < hypotheses; d += k) {
+      const auto sampleAt = [&](int at, std::int16_t* out) __attribute__((always_inline)) {
+        const float rho = inverse_depth[at];
+        sample(p, rho * shift[0], rho * shift[1], rho * shift[2], packed, stride, out);
+      };
+      if (d == 0) sampleAt(0, here);
+      k = std::max(1, std::min(between, hypotheses - 1 - d));
       if (d + k < hypotheses) sampleAt(d + k, next);
-      // (x * part + 2^14) >> 15 is one instruction (pmulhrsw); with k = 1 only the first, without the delta, is used.
       const std::int16_t part = static_cast<std::int16_t>(32768 / std::max(2, k));
-      for (int i = 0; i < n; ++i) {
+      for (int i = 0; i < p.n; ++i) {
         const std::int16_t change = static_cast<std::int16_t>(next[i] - here[i]);
         delta[i] = static_cast<std::int16_t>((change * part + 16384) >> 15);
       }
-      for (int j = 0; j < k; ++j, ++d)
-        addSquares(n, here, delta, static_cast<std::int16_t>(j), cost + static_cast<std::ptrdiff_t>(d) * width + begin);
+      std::uint16_t* of_first = cost + static_cast<std::ptrdiff_t>(d) * cost_stride + (begin - x0);
+      for (int j = 0; j < k; ++j)
+        addSquares(p.n, here, delta, static_cast<std::int16_t>(j),
+                   of_first + static_cast<std::ptrdiff_t>(j) * cost_stride);
       std::swap(here, next);
     }
   }
 }
 
-void addRowReference(const std::uint8_t* reference, int x0, int x1, int width, const float* base, const float* step,
-                     const float* shift, const float* inverse_depth, int hypotheses, const std::uint8_t* image,
-                     int stride, std::uint16_t* cost) {
+using RowAdder = decltype(&addRow);
+
+// Not by target_clones, which knows AVX-512 without its 16-bit lanes only.
+void addRowPlain(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& frame, const float* inverse_depth,
+                 int hypotheses, int between, const std::uint32_t* packed, int stride, std::uint16_t* cost,
+                 int cost_stride) {
+  addRowAny(reference, x0, x1, frame, inverse_depth, hypotheses, between, packed, stride, cost, cost_stride);
+}
+
+#if defined(__x86_64__)
+__attribute__((target("avx2"))) void addRowAvx2(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& frame,
+                                                const float* inverse_depth, int hypotheses, int between,
+                                                const std::uint32_t* packed, int stride, std::uint16_t* cost,
+                                                int cost_stride) {
+  addRowAny(reference, x0, x1, frame, inverse_depth, hypotheses, between, packed, stride, cost, cost_stride);
+}
+
+__attribute__((target("avx512bw"))) void addRowAvx512(const std::uint8_t* reference, int x0, int x1,
+                                                      const RowOfFrame& frame, const float* inverse_depth,
+                                                      int hypotheses, int between, const std::uint32_t* packed,
+                                                      int stride, std::uint16_t* cost, int cost_stride) {
+  addRowAny(reference, x0, x1, frame, inverse_depth, hypotheses, between, packed, stride, cost, cost_stride);
+}
+
+#endif
+
+RowAdder fastestRowAdder() {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx512bw")) return addRowAvx512;
+  if (__builtin_cpu_supports("avx2")) return addRowAvx2;
+#endif
+  return addRowPlain;
+}
+}  // namespace
+
+// Along rho a sample moves by (shift_xy W - XY shift_w) / (W + rho shift_w)^2, whose numerator does not depend on rho.
+int hypothesesBetween(int x0, int x1, const RowOfFrame& frame, const float* inverse_depth, int hypotheses) {
+  const auto &base = frame.base, &step = frame.step, &shift = frame.shift;
+  if (hypotheses < 2 || x1 <= x0) return 1;
+  float most = 0, least_w = 1e30f;
+  for (const int x : {x0, x1 - 1}) {
+    const float i = static_cast<float>(x);
+    const float X = base[0] + i * step[0], Y = base[1] + i * step[1], W = base[2] + i * step[2];
+    most = std::max(most, std::hypot(shift[0] * W - X * shift[2], shift[1] * W - Y * shift[2]));
+    for (const float rho : {inverse_depth[0], inverse_depth[hypotheses - 1]})
+      least_w = std::min(least_w, W + rho * shift[2]);
+  }
+  const float spacing = std::abs(inverse_depth[hypotheses - 1] - inverse_depth[0]) / static_cast<float>(hypotheses - 1);
+  const float pixels = spacing * most / (least_w * least_w);
+  return pixels * kMostBetween <= kNodeStep ? kMostBetween : std::max(1, static_cast<int>(kNodeStep / pixels));
+}
+
+void addRow(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& frame, const float* inverse_depth,
+            int hypotheses, int between, const std::uint32_t* packed, int stride, std::uint16_t* cost,
+            int cost_stride) {
+  static const RowAdder add = fastestRowAdder();
+  add(reference, x0, x1, frame, inverse_depth, hypotheses, between, packed, stride, cost, cost_stride);
+}
+
+void addRowReference(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& frame, const float* inverse_depth,
+                     int hypotheses, const std::uint8_t* image, int stride, std::uint16_t* cost, int cost_stride) {
+  const auto &base = frame.base, &step = frame.step, &shift = frame.shift;
   for (int d = 0; d < hypotheses; ++d)
     for (int x = x0; x < x1; ++x) {
       const double w = base[2] + double(x) * step[2] + double(inverse_depth[d]) * shift[2];
@@ -177,7 +187,7 @@ void addRowReference(const std::uint8_t* reference, int x0, int x1, int width, c
       const std::uint8_t* p = image + static_cast<std::ptrdiff_t>(iv) * stride + iu;
       const double sample = (1 - fv) * ((1 - fu) * p[0] + fu * p[1]) + fv * ((1 - fu) * p[stride] + fu * p[stride + 1]);
       const int difference = std::min(std::abs(static_cast<int>(std::lround(sample)) - reference[x]), kDifferenceLimit);
-      std::uint16_t& out = cost[static_cast<std::ptrdiff_t>(d) * width + x];
+      std::uint16_t& out = cost[static_cast<std::ptrdiff_t>(d) * cost_stride + x - x0];
       out = static_cast<std::uint16_t>(out + difference * difference / 4);
     }
 }
@@ -208,43 +218,39 @@ void slideSum(std::uint32_t* sum, const std::uint16_t* enter, const std::uint16_
 }
 
 AIR_GROUND_CLONES
-void boxRows(const std::uint32_t* sum, int rows, int width, int radius, std::uint32_t* out) {
+void boxRows(const std::uint32_t* sum, int rows, int stride, int n, int radius, std::uint32_t* out) {
   for (int r = 0; r < rows; ++r) {
-    const std::uint32_t* in = sum + static_cast<std::ptrdiff_t>(r) * width;
-    std::uint32_t* to = out + static_cast<std::ptrdiff_t>(r) * width;
-    const int inner_end = std::max(radius, width - radius);
-    for (int x = radius; x < inner_end; ++x) to[x] = in[x];
-    for (int k = 1; k <= radius; ++k)
-      for (int x = radius; x < inner_end; ++x) to[x] += in[x - k] + in[x + k];
-    for (int x = 0; x < width; ++x) {
-      if (x == radius && inner_end > radius) x = inner_end;
-      if (x >= width) break;
-      std::uint32_t s = 0;
-      for (int k = std::max(0, x - radius); k <= std::min(width - 1, x + radius); ++k) s += in[k];
-      to[x] = s;
+    const std::uint32_t* in = sum + static_cast<std::ptrdiff_t>(r) * stride;
+    std::uint32_t* __restrict to = out + static_cast<std::ptrdiff_t>(r) * stride;
+    if (radius == 2) {  // the default, in one pass
+      for (int x = 0; x < n; ++x) to[x] = in[x] + in[x + 1] + in[x + 2] + in[x + 3] + in[x + 4];
+      continue;
     }
+    for (int x = 0; x < n; ++x) to[x] = in[x];
+    for (int k = 1; k <= 2 * radius; ++k)
+      for (int x = 0; x < n; ++x) to[x] += in[x + k];
   }
 }
 
 AIR_GROUND_CLONES
-void winnerTakesAll(const std::uint32_t* cost, int hypotheses, int width, int exclusion, std::uint32_t* best,
-                    std::int32_t* index, std::uint32_t* second) {
-  for (int x = 0; x < width; ++x) {
+void winnerTakesAll(const std::uint32_t* __restrict cost, int hypotheses, int stride, int n, int exclusion,
+                    std::uint32_t* __restrict best, std::int32_t* __restrict index, std::uint32_t* __restrict second) {
+  for (int x = 0; x < n; ++x) {
     best[x] = cost[x];
     index[x] = 0;
     second[x] = 0x7fffffffu;
   }
   for (int d = 1; d < hypotheses; ++d) {
-    const std::uint32_t* c = cost + static_cast<std::ptrdiff_t>(d) * width;
-    for (int x = 0; x < width; ++x) {
+    const std::uint32_t* c = cost + static_cast<std::ptrdiff_t>(d) * stride;
+    for (int x = 0; x < n; ++x) {
       const bool smaller = c[x] < best[x];
       best[x] = smaller ? c[x] : best[x];
       index[x] = smaller ? d : index[x];
     }
   }
   for (int d = 0; d < hypotheses; ++d) {
-    const std::uint32_t* c = cost + static_cast<std::ptrdiff_t>(d) * width;
-    for (int x = 0; x < width; ++x) {
+    const std::uint32_t* c = cost + static_cast<std::ptrdiff_t>(d) * stride;
+    for (int x = 0; x < n; ++x) {
       const bool outside = std::abs(d - index[x]) > exclusion;
       const std::uint32_t candidate = outside ? c[x] : 0x7fffffffu;
       second[x] = candidate < second[x] ? candidate : second[x];

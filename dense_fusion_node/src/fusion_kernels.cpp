@@ -170,4 +170,32 @@ bool primalRow(float* u, float* ubar, const float* px, const float* py, const fl
   return primalRowImpl(u, ubar, px, py, py_before, pz, pz_before, counts, stride, n, at_border, tau, lambda);
 }
 
+AIR_GROUND_CLONES
+void supportRow(const std::uint8_t* __restrict counts, int stride, int n, std::uint8_t* __restrict support) {
+  static_assert(kBins == 8, "six inner bins are summed");
+  const std::uint8_t *c1 = counts + stride, *c2 = c1 + stride, *c3 = c2 + stride, *c4 = c3 + stride, *c5 = c4 + stride,
+                     *c6 = c5 + stride;
+  for (int x = 0; x < n; ++x) {
+    const unsigned sum = c1[x] + c2[x] + c3[x] + c4[x] + c5[x] + c6[x];
+    support[x] = static_cast<std::uint8_t>(std::min(sum, 255u));
+  }
+}
+
+AIR_GROUND_CLONES
+void signChanges(const float* __restrict u, const float* __restrict next_y, const float* __restrict next_z, int n,
+                 std::uint8_t* __restrict changes) {
+  for (int x = 0; x + 1 < n; ++x) {
+    const int here = u[x] > 0;
+    changes[x] = static_cast<std::uint8_t>((here ^ (u[x + 1] > 0)) | (here ^ (next_y[x] > 0)) << 1 |
+                                           (here ^ (next_z[x] > 0)) << 2);
+  }
+  const int last = u[n - 1] > 0;
+  changes[n - 1] = static_cast<std::uint8_t>((last ^ (next_y[n - 1] > 0)) << 1 | (last ^ (next_z[n - 1] > 0)) << 2);
+}
+
+AIR_GROUND_CLONES
+void lowerTo(const float* __restrict u, int n, float* __restrict least) {
+  for (int x = 0; x < n; ++x) least[x] = std::min(least[x], u[x]);
+}
+
 }  // namespace dense_fusion::kernels

@@ -1,9 +1,8 @@
 #include "dense_fusion/plane_sweep.h"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <stdexcept>
 #include <string>
@@ -15,6 +14,13 @@ namespace dense_fusion {
 namespace {
 
 constexpr double kBorder = 0.5;  // samples stay this far inside the image [px]
+constexpr int kStrip = 96;       // columns worked on at once, at most
+
+kernels::RowOfFrame rowOfFrame(const Eigen::Matrix3d& H, const Eigen::Vector3d& b, int y) {
+  return {{float(H(0, 1) * y + H(0, 2)), float(H(1, 1) * y + H(1, 2)), float(H(2, 1) * y + H(2, 2))},
+          {float(H(0, 0)), float(H(1, 0)), float(H(2, 0))},
+          {float(b.x()), float(b.y()), float(b.z())}};
+}
 
 // Interval of x in [0, width) where lower <= (a + x b) holds; intersects it with [*begin, *end].
 void clipHalfLine(double a, double b, double* begin, double* end) {
@@ -85,8 +91,9 @@ bool PlaneSweep::add(const Frame& frame) {
   // A point at inverse depth rho on the reference pixel x = (u, v, 1): K (R K^-1 x + rho t), up to scale.
   const Eigen::Isometry3d T_frame_reference = frame.T_map_camera.inverse() * reference_.T_map_camera;
   const Eigen::Matrix3d K = camera_.K();
-  View view{K * T_frame_reference.linear() * K.inverse(), K * T_frame_reference.translation(), {}, {}, {}};
-  const auto& [H, b, x0, x1, packed] = view;
+  View view{K * T_frame_reference.linear() * K.inverse(), K * T_frame_reference.translation(), {}, {}, {}, {}};
+  const Eigen::Matrix3d& H = view.H;
+  const Eigen::Vector3d& b = view.b;
   const double rho[2] = {inverse_depth_.front(), inverse_depth_.back()};
 
   bool any = false;
@@ -97,6 +104,8 @@ bool PlaneSweep::add(const Frame& frame) {
     view.x0.push_back(begin <= end ? static_cast<int>(std::ceil(begin)) : 0);
     view.x1.push_back(begin <= end ? static_cast<int>(std::floor(end)) + 1 : 0);
     any = any || view.x1.back() > view.x0.back();
+    view.between.push_back(kernels::hypothesesBetween(view.x0.back(), view.x1.back(), rowOfFrame(view.H, view.b, y),
+                                                      inverse_depth_.data(), settings_.hypotheses));
   }
   if (!any) return false;
 
@@ -110,31 +119,26 @@ bool PlaneSweep::add(const Frame& frame) {
   return true;
 }
 
-void PlaneSweep::sumCosts(int y, CostRow* row) const {
-  const int width = camera_.width, D = settings_.hypotheses;
-  row->cost.assign(static_cast<std::size_t>(D) * width, 0);
-  row->samples.assign(width, 0);
-  for (const auto& [H, b, x0, x1, packed] : views_) {
-    if (x1[y] <= x0[y]) continue;
-    const float step[3] = {float(H(0, 0)), float(H(1, 0)), float(H(2, 0))};
-    const float shift[3] = {float(b.x()), float(b.y()), float(b.z())};
-    const float base[3] = {float(H(0, 1) * y + H(0, 2)), float(H(1, 1) * y + H(1, 2)), float(H(2, 1) * y + H(2, 2))};
-    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0[y], x1[y], width, base, step, shift,
-                    inverse_depth_.data(), D, packed.data(), width, row->cost.data());
-    for (int x = x0[y]; x < x1[y]; ++x) ++row->samples[x];
+void PlaneSweep::sumCosts(int y, const Strip& strip, CostRow* row) const {
+  const int width = camera_.width, D = settings_.hypotheses, at_zero = strip.begin - settings_.aggregation_radius;
+  row->cost.resize(static_cast<std::size_t>(D) * strip.stride);
+  std::memset(row->cost.data(), 0, row->cost.size() * sizeof row->cost[0]);
+  row->samples.assign(strip.stride, 0);
+  for (const View& view : views_) {
+    const int x0 = std::max(view.x0[y], at_zero), x1 = std::min(view.x1[y], strip.end + settings_.aggregation_radius);
+    if (x1 <= x0) continue;
+    kernels::addRow(reference_.normalized.ptr<std::uint8_t>(y), x0, x1, rowOfFrame(view.H, view.b, y),
+                    inverse_depth_.data(), D, view.between[y], view.packed.data(), width,
+                    row->cost.data() + (x0 - at_zero), strip.stride);
+    for (int x = x0; x < x1; ++x) ++row->samples[x - at_zero];
   }
 }
 
-void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples,
-                             const std::vector<std::uint16_t>& own_samples, int half_width, DepthMap* map,
-                             std::vector<std::uint32_t>* scratch) const {
-  const int width = camera_.width, D = settings_.hypotheses;
-  std::uint32_t* best = scratch->data();
-  std::uint32_t* second = best + width;
-  std::int32_t* index = reinterpret_cast<std::int32_t*>(second + width);
-  kernels::winnerTakesAll(cost, D, width, 2 * half_width, best, index, second);
-  float* depth = map->depth.ptr<float>(y);
-  float* confidence = map->confidence.ptr<float>(y);
+void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width,
+                             DepthMap* map) const {
+  const int D = settings_.hypotheses;
+  float* depth = map->depth.ptr<float>(y) + strip.begin;
+  float* confidence = map->confidence.ptr<float>(y) + strip.begin;
   const double rho_step = (static_cast<double>(inverse_depth_.back()) - inverse_depth_.front()) / (D - 1);
   // Least-squares parabola c0 + c1 k + c2 k^2 over k = -w..w: closed form from the moments of k.
   const int w = half_width;
@@ -144,13 +148,14 @@ void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector
     m4 += double(k) * k * k * k;
   }
   const double n_fit = 2 * w + 1, determinant = n_fit * m4 - m2 * m2;
-  for (int x = 0; x < width; ++x) {
-    if (own_samples[x] < settings_.min_samples) continue;
-    const int d = index[x];
-    if (d < w || d + w >= D || !(best[x] < settings_.max_peak_ratio * second[x])) continue;
+  for (int i = 0; i < strip.end - strip.begin; ++i) {
+    if (own.samples[i + settings_.aggregation_radius] < settings_.min_samples) continue;
+    const int d = winners.index[i];
+    const double best = winners.best[i], limit = settings_.max_peak_ratio * winners.second[i];
+    if (d < w || d + w >= D || !(best < limit)) continue;
     double s0 = 0, s1 = 0, s2 = 0;
     for (int k = -w; k <= w; ++k) {
-      const double c = cost[static_cast<std::ptrdiff_t>(d + k) * width + x];
+      const double c = winners.cost[static_cast<std::size_t>(d + k) * strip.stride + i];
       s0 += c;
       s1 += c * k;
       s2 += c * k * k;
@@ -160,21 +165,52 @@ void PlaneSweep::estimateRow(int y, const std::uint32_t* cost, const std::vector
     const double offset = -slope / (2 * curvature);
     if (!(std::abs(offset) < w)) continue;
     // A floor of one unit a sample (two grey levels) stands for the quantisation.
-    const double n = samples[x], noise = std::max(1.0, best[x] / n);
+    const double n = winners.samples[i], noise = std::max(1.0, best / n);
     const double sigma_rho = rho_step * std::sqrt(noise / curvature);
     const double rho = inverse_depth_[d] + offset * rho_step;
     const double z = 1 / rho, sigma_z = z * z * sigma_rho / settings_.confidence_sigma;
-    const double uniqueness = 1 - best[x] / (settings_.max_peak_ratio * second[x]);
+    const double uniqueness = 1 - best / limit;
     const double c = std::min(1.0, 2 * uniqueness) / (1 + sigma_z * sigma_z);
     if (c < settings_.min_confidence) continue;
-    depth[x] = static_cast<float>(z);
-    confidence[x] = static_cast<float>(c);
+    depth[i] = static_cast<float>(z);
+    confidence[i] = static_cast<float>(c);
+  }
+}
+
+// Rows [first, last) of a strip, one after the other: a window's columns are those of the row before, with one row more
+// and one less.
+void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map) const {
+  const int height = camera_.height, D = settings_.hypotheses, r = settings_.aggregation_radius;
+  const int slab = D * strip.stride, n = (strip.end - strip.begin + 15) / 16 * 16;  // whole vectors
+  std::vector<std::uint32_t> column(slab, 0), count(strip.stride, 0);
+  Winners winners;
+  winners.cost.resize(slab);
+  for (auto* of_pixel : {&winners.best, &winners.second, &winners.samples}) of_pixel->resize(n);
+  winners.index.resize(n);
+  std::vector<CostRow> rows(2 * r + 2);  // from the one that leaves the window to the one that enters it
+  const auto rowAt = [&rows](int y) -> CostRow& { return rows[static_cast<std::size_t>(y) % rows.size()]; };
+  const auto slide = [&](int enter, int leave) {
+    const bool in = enter < height, out = leave >= 0;
+    if (in) sumCosts(enter, strip, &rowAt(enter));
+    kernels::slideSum(column.data(), in ? rowAt(enter).cost.data() : nullptr, out ? rowAt(leave).cost.data() : nullptr,
+                      slab);
+    kernels::slideSum(count.data(), in ? rowAt(enter).samples.data() : nullptr,
+                      out ? rowAt(leave).samples.data() : nullptr, strip.stride);
+  };
+  for (int y = std::max(0, first - r); y < first + r; ++y) slide(y, -1);
+  for (int y = first; y < last; ++y) {
+    slide(y + r, y == first ? -1 : y - r - 1);
+    kernels::boxRows(column.data(), D, strip.stride, n, r, winners.cost.data());
+    kernels::boxRows(count.data(), 1, strip.stride, n, r, winners.samples.data());
+    kernels::winnerTakesAll(winners.cost.data(), D, strip.stride, n, 2 * half_width, winners.best.data(),
+                            winners.index.data(), winners.second.data());
+    estimateRow(y, strip, winners, rowAt(y), half_width, map);
   }
 }
 
 DepthMap PlaneSweep::depthMap() const {
   if (!started_) throw std::logic_error("plane sweep: depthMap() before start()");
-  const int width = camera_.width, height = camera_.height, D = settings_.hypotheses, r = settings_.aggregation_radius;
+  const int width = camera_.width, height = camera_.height, D = settings_.hypotheses;
   DepthMap map;
   map.stamp = reference_.stamp;
   map.camera = camera_;
@@ -187,33 +223,17 @@ DepthMap PlaneSweep::depthMap() const {
   // The cost is near-quadratic within half a pixel of its minimum; fit over that range.
   const double per_hypothesis = parallax() / (D - 1);
   const int half_width = std::clamp(static_cast<int>(std::lround(0.5 / per_hypothesis)), 1, D / 10);
-  const int threads = settings_.threads, band = (height + threads - 1) / threads;
-  const std::size_t slab = static_cast<std::size_t>(D) * width;
+  const int bands = settings_.threads, band = (height + bands - 1) / bands;
+  const int strips = (width + kStrip - 1) / kStrip, columns = (width + strips - 1) / strips;
   air_ground_common::FirstException failure;
-#pragma omp parallel for schedule(static, 1) num_threads(threads)
-  for (int t = 0; t < threads; ++t)
-    failure.guard([&] {
-      const int first = t * band, last = std::min(height, first + band);
-      std::vector<std::uint32_t> column(slab, 0), aggregated(slab), scratch(3 * static_cast<std::size_t>(width));
-      std::vector<std::uint32_t> count_column(width, 0), count(width);
-      std::vector<CostRow> rows(2 * r + 2);  // from the one that leaves the window to the one that enters it
-      const auto rowAt = [&rows](int y) -> CostRow& { return rows[static_cast<std::size_t>(y) % rows.size()]; };
-      const auto slide = [&](int enter, int leave) {
-        const bool in = enter < height, out = leave >= 0;
-        if (in) sumCosts(enter, &rowAt(enter));
-        kernels::slideSum(column.data(), in ? rowAt(enter).cost.data() : nullptr,
-                          out ? rowAt(leave).cost.data() : nullptr, static_cast<int>(slab));
-        kernels::slideSum(count_column.data(), in ? rowAt(enter).samples.data() : nullptr,
-                          out ? rowAt(leave).samples.data() : nullptr, width);
-      };
-      for (int y = std::max(0, first - r); y < first + r; ++y) slide(y, -1);
-      for (int y = first; y < last; ++y) {
-        slide(y + r, y == first ? -1 : y - r - 1);
-        kernels::boxRows(column.data(), D, width, r, aggregated.data());
-        kernels::boxRows(count_column.data(), 1, width, r, count.data());
-        estimateRow(y, aggregated.data(), count, rowAt(y).samples, half_width, &map, &scratch);
-      }
-    });
+#pragma omp parallel for collapse(2) schedule(dynamic, 1) num_threads(settings_.threads)
+  for (int b = 0; b < bands; ++b)
+    for (int s = 0; s < strips; ++s)
+      failure.guard([&] {
+        const int begin = std::min(width, s * columns), end = std::min(width, begin + columns);
+        const int stride = kernels::costStride(end - begin + 2 * settings_.aggregation_radius);
+        sweepStrip({begin, end, stride}, b * band, std::min(height, (b + 1) * band), half_width, &map);
+      });
   failure.rethrow();
   return map;
 }

@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/first_exception.h"
+#include "dense_fusion/fusion_kernels.h"
 
 namespace dense_fusion {
 namespace {
@@ -35,6 +36,39 @@ std::size_t nearestVoxel(const VoxelGrid& grid, const Eigen::Vector3f& g) {
 bool inside(const VoxelGrid& grid, const Eigen::Vector3f& g) {
   return g.x() >= 0 && g.y() >= 0 && g.z() >= 0 && g.x() <= grid.nx - 1 && g.y() <= grid.ny - 1 && g.z() <= grid.nz - 1;
 }
+
+// Which cubes of 8^3 voxels lie well in free space as a whole: a ray passes them without reading the field.
+class FreeBlocks {
+ public:
+  FreeBlocks(const VoxelGrid& grid, const Field<float>& phi, int threads)
+      : nx_(blocks(grid.nx)), ny_(blocks(grid.ny)), free_(static_cast<std::size_t>(nx_) * ny_ * blocks(grid.nz)) {
+    air_ground_common::FirstException failure;
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int Z = 0; Z < blocks(grid.nz); ++Z)
+      failure.guard([&] {
+        for (int Y = 0; Y < ny_; ++Y) {
+          std::vector<float> least(static_cast<std::size_t>(nx_) * kSide, 1.f);
+          for (int z = Z * kSide; z < std::min(grid.nz, (Z + 1) * kSide); ++z)
+            for (int y = Y * kSide; y < std::min(grid.ny, (Y + 1) * kSide); ++y)
+              kernels::lowerTo(&phi[grid.index(0, y, z)], grid.nx, least.data());
+          for (int X = 0; X < nx_; ++X) {
+            const auto begin = least.begin() + X * kSide;
+            free_[(static_cast<std::size_t>(Z) * ny_ + Y) * nx_ + X] = *std::min_element(begin, begin + kSide) > kFree;
+          }
+        }
+      });
+    failure.rethrow();
+  }
+  bool at(int x, int y, int z) const {
+    return free_[(static_cast<std::size_t>(z / kSide) * ny_ + y / kSide) * nx_ + x / kSide];
+  }
+
+ private:
+  static constexpr int kSide = 8;
+  static int blocks(int voxels) { return (voxels + kSide - 1) / kSide; }
+  int nx_, ny_;
+  std::vector<std::uint8_t> free_;
+};
 
 // Unit gradient by differences over two voxels; zero where the field is constant.
 Eigen::Vector3f gradient(const VoxelGrid& grid, const Field<float>& phi, const Eigen::Vector3f& g) {
@@ -71,6 +105,40 @@ std::optional<Eigen::Vector2d> clipToGrid(const VoxelGrid& grid, const Eigen::Ve
   return Eigen::Vector2d(begin, end);
 }
 
+// Parameter of the first supported crossing from free space into matter on the ray o + z r, in voxels; NaN: none.
+float firstCrossing(const SurfaceField& field, const FreeBlocks& blocks, const Eigen::Vector3f& o,
+                    const Eigen::Vector3f& r, const Eigen::Vector2f& range) {
+  const VoxelGrid& grid = field.grid;
+  const float voxel = 1.f / r.norm();
+  float z = range[0] + 1e-4f * voxel, before = -1.f, z_before = z;
+  constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
+  std::size_t unread = kNone;  // where `before` is still to be read
+  while (z < range[1]) {
+    const Eigen::Vector3f g = o + z * r;
+    if (!inside(grid, g)) break;
+    const int x = static_cast<int>(g.x() + 0.5f), y = static_cast<int>(g.y() + 0.5f),
+              k = static_cast<int>(g.z() + 0.5f);
+    const std::size_t nearest = grid.index(x, y, k);
+    float value = 1.f;
+    const bool skipped = blocks.at(x, y, k);
+    if (!skipped) {
+      // Far from a surface the nearest voxel tells enough.
+      value = field.phi[nearest] > kFree ? field.phi[nearest] : sample(grid, field.phi, g);
+      if (before > 0 && value <= 0) {
+        if (unread != kNone) before = field.phi[unread];
+        const float hit = z_before + (z - z_before) * before / (before - value);
+        if (field.support[nearestVoxel(grid, o + hit * r)] >= field.min_support) return hit;
+      }
+    }
+    unread = skipped ? nearest : kNone;
+    before = value;
+    z_before = z;
+    // Where the field is near 1 a surface is several voxels away: longer steps are safe.
+    z += (value > kFree ? 2.f : 0.7f) * voxel;
+  }
+  return std::numeric_limits<float>::quiet_NaN();
+}
+
 }  // namespace
 
 Field<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fill_radius, int threads) {
@@ -82,14 +150,8 @@ Field<std::uint8_t> surfaceSupport(const Histograms<std::uint8_t>& votes, int fi
   for (int z = 0; z < nz; ++z)
     failure.guard([&] {
       std::uint8_t* slice = &support[static_cast<std::size_t>(z) * nx * ny];
-      for (int y = 0; y < ny; ++y) {
-        const std::uint8_t* counts = votes.row(y, z);
-        for (int x = 0; x < nx; ++x) {
-          unsigned sum = 0;
-          for (int k = 1; k + 1 < kBins; ++k) sum += counts[static_cast<std::size_t>(k) * nx + x];
-          slice[static_cast<std::size_t>(y) * nx + x] = static_cast<std::uint8_t>(std::min(sum, 255u));
-        }
-      }
+      for (int y = 0; y < ny; ++y)
+        kernels::supportRow(votes.row(y, z), nx, nx, slice + static_cast<std::size_t>(y) * nx);
       if (r == 0) return;
       std::vector<std::uint8_t> rows(static_cast<std::size_t>(nx) * ny);
       for (int y = 0; y < ny; ++y)
@@ -117,7 +179,9 @@ cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel
     throw std::invalid_argument("ray casting: the grid needs 2 voxels a side");
   cv::Mat depth(camera.height, camera.width, CV_32F, cv::Scalar(std::numeric_limits<float>::quiet_NaN()));
   if (normals) *normals = cv::Mat::zeros(camera.height, camera.width, CV_32FC3);
+  const FreeBlocks blocks(grid, field.phi, threads);
   const Eigen::Vector3d origin = (T_map_camera.translation() - grid.origin) / grid.voxel_size;
+  const Eigen::Vector3f o = origin.cast<float>();
 #pragma omp parallel for schedule(dynamic, 8) num_threads(threads)
   for (int v = 0; v < camera.height; ++v)
     for (int u = 0; u < camera.width; ++u) {
@@ -127,32 +191,12 @@ cv::Mat castRays(const SurfaceField& field, const air_ground_common::CameraModel
                                   grid.voxel_size;
       const auto range = clipToGrid(grid, origin, ray);
       if (!range) continue;
-      const Eigen::Vector3f o = origin.cast<float>(), r = ray.cast<float>();
-      const float voxel = 1.f / r.norm(), end = static_cast<float>(range->y());
-      float z = static_cast<float>(range->x()) + 1e-4f * voxel, before = -1.f, z_before = z;
-      while (z < end) {
-        const Eigen::Vector3f g = o + z * r;
-        if (!inside(grid, g)) break;
-        // Far from a surface the nearest voxel tells enough.
-        const float nearest_value = field.phi[nearestVoxel(grid, g)];
-        const float value = nearest_value > kFree ? nearest_value : sample(grid, field.phi, g);
-        if (before > 0 && value <= 0) {
-          const float hit = z_before + (z - z_before) * before / (before - value);
-          const Eigen::Vector3f at = o + hit * r;
-          if (field.support[nearestVoxel(grid, at)] >= field.min_support) {
-            depth.at<float>(v, u) = hit;
-            if (normals) {
-              const Eigen::Vector3f n = gradient(grid, field.phi, at);
-              normals->at<cv::Vec3f>(v, u) = {n.x(), n.y(), n.z()};
-            }
-            break;
-          }
-        }
-        before = value;
-        z_before = z;
-        // Where the field is near 1 a surface is several voxels away: longer steps are safe.
-        z += (value > kFree ? 2.f : 0.7f) * voxel;
-      }
+      const Eigen::Vector3f r = ray.cast<float>();
+      const float hit = firstCrossing(field, blocks, o, r, range->cast<float>());
+      depth.at<float>(v, u) = hit;
+      if (!normals || std::isnan(hit)) continue;
+      const Eigen::Vector3f n = gradient(grid, field.phi, o + hit * r);
+      normals->at<cv::Vec3f>(v, u) = {n.x(), n.y(), n.z()};
     }
   return depth;
 }
@@ -161,31 +205,33 @@ std::vector<SurfacePoint> extractSurface(const SurfaceField& field, int threads)
   const VoxelGrid& grid = field.grid;
   std::vector<std::vector<SurfacePoint>> of_slice(grid.nz);
   const std::size_t strides[3] = {1, static_cast<std::size_t>(grid.nx), static_cast<std::size_t>(grid.nx) * grid.ny};
+  const auto addCrossing = [&](int x, int y, int z, int axis, std::vector<SurfacePoint>* points) {
+    const std::size_t i = grid.index(x, y, z), j = i + strides[axis];
+    const std::uint8_t support = std::max(field.support[i], field.support[j]);
+    if (support < field.min_support) return;
+    const float here = field.phi[i], there = field.phi[j];
+    Eigen::Vector3f g(x, y, z);
+    g[axis] += here / (here - there);
+    SurfacePoint point;
+    point.position = (grid.origin + grid.voxel_size * g.cast<double>()).cast<float>();
+    point.normal = gradient(grid, field.phi, g);
+    point.support = support;
+    points->push_back(point);
+  };
   air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
   for (int z = 0; z < grid.nz; ++z)
     failure.guard([&] {
-      for (int y = 0; y < grid.ny; ++y)
-        for (int x = 0; x < grid.nx; ++x) {
-          const std::size_t i = grid.index(x, y, z);
-          const float here = field.phi[i];
-          const bool last[3] = {x + 1 >= grid.nx, y + 1 >= grid.ny, z + 1 >= grid.nz};
-          for (int axis = 0; axis < 3; ++axis) {
-            if (last[axis]) continue;
-            const std::size_t j = i + strides[axis];
-            const float there = field.phi[j];
-            if ((here > 0) == (there > 0)) continue;
-            const std::uint8_t support = std::max(field.support[i], field.support[j]);
-            if (support < field.min_support) continue;
-            Eigen::Vector3f g(x, y, z);
-            g[axis] += here / (here - there);
-            SurfacePoint point;
-            point.position = (grid.origin + grid.voxel_size * g.cast<double>()).cast<float>();
-            point.normal = gradient(grid, field.phi, g);
-            point.support = support;
-            of_slice[z].push_back(point);
-          }
-        }
+      std::vector<std::uint8_t> changes(grid.nx);
+      for (int y = 0; y < grid.ny; ++y) {
+        const float* u = &field.phi[grid.index(0, y, z)];
+        kernels::signChanges(u, y + 1 < grid.ny ? u + strides[1] : u, z + 1 < grid.nz ? u + strides[2] : u, grid.nx,
+                             changes.data());
+        const auto changed = [](std::uint8_t axes) { return axes != 0; };
+        for (auto at = changes.begin(); (at = std::find_if(at, changes.end(), changed)) != changes.end(); ++at)
+          for (int axis = 0; axis < 3; ++axis)
+            if (*at >> axis & 1) addCrossing(static_cast<int>(at - changes.begin()), y, z, axis, &of_slice[z]);
+      }
     });
   failure.rethrow();
   std::vector<SurfacePoint> points;

@@ -46,16 +46,31 @@ std::vector<Tap> taps(int fine, int coarse, bool faces) {
   return result;
 }
 
+// The same along a row, without tables: `in` has one more value at each end.
+void widen(const float* __restrict in, int n, bool faces, float* __restrict out) {
+  if (faces) {
+    for (int x = 0; x < n; ++x) {
+      out[2 * x] = in[x - 1] + 0.5f * (in[x] - in[x - 1]);
+      out[2 * x + 1] = in[x];
+    }
+  } else {
+    for (int x = 0; x < n; ++x) {
+      out[2 * x] = in[x] + 0.25f * (in[x - 1] - in[x]);
+      out[2 * x + 1] = in[x] + 0.25f * (in[x + 1] - in[x]);
+    }
+  }
+}
+
 void upsample(const Field<float>& from, const TvL1Solution& coarse, const TvL1Solution& fine, int face_axis,
               int threads, Field<float>* to) {
-  const auto tx = taps(fine.nx, coarse.nx, face_axis == 0), ty = taps(fine.ny, coarse.ny, face_axis == 1),
-             tz = taps(fine.nz, coarse.nz, face_axis == 2);
+  const auto ty = taps(fine.ny, coarse.ny, face_axis == 1), tz = taps(fine.nz, coarse.nz, face_axis == 2);
   const auto row = [&](int y, int z) { return &from[(static_cast<std::size_t>(z) * coarse.ny + y) * coarse.nx]; };
   air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(static) num_threads(threads)
   for (int z = 0; z < fine.nz; ++z)
     failure.guard([&] {
-      std::vector<float> blended(coarse.nx);
+      std::vector<float> padded(coarse.nx + 2), twice(2 * static_cast<std::size_t>(coarse.nx));
+      float* blended = padded.data() + 1;
       for (int y = 0; y < fine.ny; ++y) {
         const Tap &v = ty[y], &w = tz[z];
         const float *aa = row(v.a, w.a), *ba = row(v.b, w.a), *ab = row(v.a, w.b), *bb = row(v.b, w.b);
@@ -63,9 +78,10 @@ void upsample(const Field<float>& from, const TvL1Solution& coarse, const TvL1So
           const float low = aa[x] + v.weight * (ba[x] - aa[x]), high = ab[x] + v.weight * (bb[x] - ab[x]);
           blended[x] = low + w.weight * (high - low);
         }
-        float* out = &(*to)[(static_cast<std::size_t>(z) * fine.ny + y) * fine.nx];
-        for (int x = 0; x < fine.nx; ++x)
-          out[x] = blended[tx[x].a] + tx[x].weight * (blended[tx[x].b] - blended[tx[x].a]);
+        blended[-1] = blended[0];
+        blended[coarse.nx] = blended[coarse.nx - 1];
+        widen(blended, coarse.nx, face_axis == 0, twice.data());
+        std::copy_n(twice.data(), fine.nx, &(*to)[(static_cast<std::size_t>(z) * fine.ny + y) * fine.nx]);
       }
     });
   failure.rethrow();

@@ -73,6 +73,31 @@ TEST(DistanceField, CountsSaturate) {
   EXPECT_EQ(std::accumulate(counts.begin() + 1, counts.end(), 0), 2);
 }
 
+TEST(SurfaceKernels, RowsAreThoseOfPlainLoops) {
+  std::mt19937 random(9);
+  for (const int n : {1, 7, 64, 150}) {
+    std::vector<std::uint8_t> counts(n * kBins), support(n), changes(n);
+    for (auto& c : counts) c = static_cast<std::uint8_t>(random() % 60);
+    kernels::supportRow(counts.data(), n, n, support.data());
+    std::vector<float> u(n), y(n), z(n);
+    for (auto* row : {&u, &y, &z})
+      for (float& value : *row) value = 0.5f * static_cast<float>(static_cast<int>(random() % 5) - 2);  // zeros, too
+    std::vector<float> least = y;
+    kernels::signChanges(u.data(), y.data(), z.data(), n, changes.data());
+    kernels::lowerTo(u.data(), n, least.data());
+    for (int x = 0; x < n; ++x) {
+      int sum = 0;
+      for (int k = 1; k + 1 < kBins; ++k) sum += counts[k * n + x];
+      ASSERT_EQ(support[x], std::min(sum, 255));
+      const bool here = u[x] > 0;
+      ASSERT_EQ(changes[x] & 1, x + 1 < n && here != (u[x + 1] > 0)) << x;
+      ASSERT_EQ(changes[x] >> 1 & 1, here != (y[x] > 0)) << x;
+      ASSERT_EQ(changes[x] >> 2, here != (z[x] > 0)) << x;
+      ASSERT_EQ(least[x], std::min(y[x], u[x]));
+    }
+  }
+}
+
 TEST(VoxelGrid, GrowsVoxelsToStayWithinTheBound) {
   const VoxelGrid grid = fitGrid({0, 0, 0}, {10, 10, 2}, 0.01, 2000000);
   EXPECT_LE(grid.voxels(), 2000000u);

@@ -33,12 +33,12 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
   for (const float spacing : {0.02f, 0.002f, 0.0007f}) {
     std::vector<float> rho(D);
     for (int d = 0; d < D; ++d) rho[d] = 0.2f + spacing * d;
-    std::vector<std::uint16_t> fast(width * D, 5), plain(width * D, 5);
-    const float base[3] = {3.2f, 20.4f, 1.f}, step[3] = {0.97f, 0.01f, 1e-5f}, shift[3] = {9.f, 12.f, 0.02f};
-    kernels::addRow(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, packed.data(), width,
-                    fast.data());
-    kernels::addRowReference(reference.data(), 11, 280, width, base, step, shift, rho.data(), D, image.data(), width,
-                             plain.data());
+    const kernels::RowOfFrame frame{{3.2f, 20.4f, 1.f}, {0.97f, 0.01f, 1e-5f}, {9.f, 12.f, 0.02f}};
+    const int between = kernels::hypothesesBetween(11, 280, frame, rho.data(), D);
+    const int stride = 1 + kernels::costStride(280 - 11);
+    std::vector<std::uint16_t> fast(stride * D, 5), plain(stride * D, 5);
+    kernels::addRow(reference.data(), 11, 280, frame, rho.data(), D, between, packed.data(), width, &fast[1], stride);
+    kernels::addRowReference(reference.data(), 11, 280, frame, rho.data(), D, image.data(), width, &plain[1], stride);
     double error = 0, largest = 0, sum = 0;
     for (std::size_t i = 0; i < fast.size(); ++i) {
       const double e = std::abs(double(fast[i]) - plain[i]);
@@ -50,8 +50,8 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
     EXPECT_LE(largest, 64) << spacing;  // two grey levels at the limit of 63: (63^2 - 61^2) / 4
     EXPECT_GT(sum, 1e5);
     for (int d = 0; d < D; ++d) {
-      EXPECT_EQ(fast[d * width + 10], 5);
-      EXPECT_EQ(fast[d * width + 280], 5);
+      EXPECT_EQ(fast[d * stride], 5);
+      EXPECT_EQ(fast[d * stride + 1 + 280 - 11], 5);
     }
   }
 }
@@ -59,17 +59,38 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
 TEST(CostKernels, BoxRowsMatchesDirectSums) {
   std::mt19937 random(3);
   for (const int radius : {0, 1, 2, 4})
-    for (const int width : {1, 5, 9, 100}) {
-      std::vector<std::uint32_t> in(3 * width), out(in.size());
+    for (const int n : {1, 5, 100}) {
+      const int stride = n + 2 * radius + 3;
+      std::vector<std::uint32_t> in(3 * stride), out(in.size());
       for (auto& v : in) v = random() % 1000;
-      kernels::boxRows(in.data(), 3, width, radius, out.data());
+      kernels::boxRows(in.data(), 3, stride, n, radius, out.data());
       for (int r = 0; r < 3; ++r)
-        for (int x = 0; x < width; ++x) {
+        for (int x = 0; x < n; ++x) {
           std::uint32_t s = 0;
-          for (int k = std::max(0, x - radius); k <= std::min(width - 1, x + radius); ++k) s += in[r * width + k];
-          ASSERT_EQ(out[r * width + x], s) << "radius " << radius << " width " << width << " x " << x;
+          for (int k = 0; k <= 2 * radius; ++k) s += in[r * stride + x + k];
+          ASSERT_EQ(out[r * stride + x], s) << "radius " << radius << " of " << n << ", x " << x;
         }
     }
+}
+
+TEST(CostKernels, WinnerAndItsRivalAreThoseOfAPlainSearch) {
+  std::mt19937 random(4);
+  const int D = 40, n = 70, stride = 77, exclusion = 6;
+  std::vector<std::uint32_t> cost(D * stride), best(n), second(n);
+  std::vector<std::int32_t> index(n);
+  for (auto& v : cost) v = random() % 500;
+  kernels::winnerTakesAll(cost.data(), D, stride, n, exclusion, best.data(), index.data(), second.data());
+  for (int x = 0; x < n; ++x) {
+    int winner = 0;
+    for (int d = 1; d < D; ++d)
+      if (cost[d * stride + x] < cost[winner * stride + x]) winner = d;
+    std::uint32_t rival = 0x7fffffff;
+    for (int d = 0; d < D; ++d)
+      if (std::abs(d - winner) > exclusion) rival = std::min(rival, cost[d * stride + x]);
+    ASSERT_EQ(index[x], winner);
+    ASSERT_EQ(best[x], cost[winner * stride + x]);
+    ASSERT_EQ(second[x], rival);
+  }
 }
 
 struct Errors {

@@ -77,7 +77,7 @@ class NeighborWalk {
   int last_ = 0;
 };
 
-// job(i, neighbours) for every point i of the cloud.
+// job(i, neighbours) for every point i of the cloud, in the tree's order: each is near to the one before.
 template <class Job>
 void forNeighbors(const Cloud& cloud, int count, float max_distance, const Job& job) {
   Cloud bare;
@@ -90,7 +90,8 @@ void forNeighbors(const Cloud& cloud, int count, float max_distance, const Job& 
   for (int begin = 0; begin < n; begin += kBlock)
     failure.guard([&] {
       NeighborWalk near(cloud, tree, count, max_distance);
-      for (int i = begin; i < std::min(n, begin + kBlock); ++i) {
+      for (int k = begin; k < std::min(n, begin + kBlock); ++k) {
+        const int i = tree.pointAt(k);
         near.at(i);
         job(i, near);
       }

@@ -1,6 +1,8 @@
 #include "kd_tree_kernel.h"
 
 #include <algorithm>
+#include <cstring>
+#include <limits>
 
 // Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
 #define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
@@ -8,50 +10,66 @@
 namespace icp_refine::kernel {
 namespace {
 
-constexpr int kDepth = 40;  // of a tree with 2^40 leaves
+// Squared distances that are not negative rise with their bits. The last bits make room for the number of a child.
+std::int32_t bitsOf(float squared) {
+  std::int32_t bits;
+  std::memcpy(&bits, &squared, sizeof bits);
+  return bits;
+}
 
-// Visits the leaves that may hold a point nearer than bound(), nearest first. visit(leaf, squared distances).
+// Of each child of a group: its number, and the squared distance of its box, rounded down. Distances of boxes are
+// rounded like those of points, so that none comes out greater than that of a point inside.
+template <int D>
+inline __attribute__((always_inline)) void measure(const float* boxes, const float* query, std::int32_t* keys) {
+  float squared[kFan] = {};
+  for (int d = 0; d < D; ++d) {
+    const float *lower = boxes + 2 * d * kFan, *upper = lower + kFan;
+    for (int i = 0; i < kFan; ++i) {
+      const float outside = std::max(0.f, std::max(lower[i] - query[d], query[d] - upper[i]));
+      squared[i] += outside * outside;
+    }
+  }
+  std::memcpy(keys, squared, sizeof squared);
+  for (int i = 0; i < kFan; ++i) keys[i] = (keys[i] & ~(kFan - 1)) | i;
+}
+
+// Visits the leaves that may hold a point nearer than bound(), in each group the nearest first.
+// visit(leaf, squared distances).
 template <int D, class Bound, class Visit>
 inline __attribute__((always_inline)) void search(const TreeView& tree, const float* query, const Bound& bound,
                                                   const Visit& visit) {
-  // A part of the tree that is still to be visited, with the query's offset to it along each axis.
-  struct Part {
-    int begin, end;
-    float squared, offset[D];
+  constexpr std::int32_t kDone = std::numeric_limits<std::int32_t>::max();
+  alignas(64) std::int32_t keys[kLevels][kFan];
+  int group[kLevels];
+  const auto enter = [&](int level, int which) __attribute__((always_inline)) {
+    group[level] = which;
+    measure<D>(tree.boxes + static_cast<std::ptrdiff_t>(tree.first_group[level] + which) * D * 2 * kFan, query,
+               keys[level]);
   };
-  Part stack[kDepth];
-  int top = 0;
-  Part now{0, tree.leaves, 0, {}};
-  constexpr float kRounding = 1 - 1e-6f;
-  while (true) {
-    while (now.end - now.begin > 1) {
-      const int middle = (now.begin + now.end) / 2, axis = tree.axis[middle];
-      const float difference = query[axis] - tree.split[middle];
-      const float squared = now.squared + (difference * difference - now.offset[axis] * now.offset[axis]);
-      const bool left = difference < 0;
-      if (squared * kRounding < bound()) {
-        Part& other = stack[top++];
-        other = now;
-        other.squared = squared;
-        other.offset[axis] = difference;
-        (left ? other.begin : other.end) = middle;
-      }
-      (left ? now.end : now.begin) = middle;
+  int level = tree.levels - 1;
+  enter(level, 0);
+  while (level < tree.levels) {
+    std::int32_t next = kDone;
+    for (int i = 0; i < kFan; ++i) next = std::min(next, keys[level][i]);
+    if ((next & ~(kFan - 1)) >= bitsOf(bound())) {
+      ++level;
+      continue;
     }
-    const float* c = tree.coordinates + static_cast<std::ptrdiff_t>(now.begin) * D * kLeaf;
-    float squared[kLeaf];
-    for (int i = 0; i < kLeaf; ++i) squared[i] = (c[i] - query[0]) * (c[i] - query[0]);
-    for (int d = 1; d < D; ++d) {
+    const int lane = next & (kFan - 1), child = group[level] * kFan + lane;
+    keys[level][lane] = kDone;
+    if (level > 0) {
+      enter(--level, child);
+      continue;
+    }
+    const float* c = tree.coordinates + static_cast<std::ptrdiff_t>(child) * D * kLeaf;
+    float squared[kLeaf] = {};
+    for (int d = 0; d < D; ++d) {
       for (int i = 0; i < kLeaf; ++i) squared[i] += (c[d * kLeaf + i] - query[d]) * (c[d * kLeaf + i] - query[d]);
     }
     const float limit = bound();
     int any = 0;
     for (int i = 0; i < kLeaf; ++i) any |= squared[i] < limit;
-    if (any) visit(now.begin, squared);
-    do {
-      if (top == 0) return;
-      now = stack[--top];
-    } while (now.squared * kRounding >= bound());
+    if (any) visit(child, squared);
   }
 }
 

@@ -5,16 +5,18 @@
 
 namespace icp_refine::kernel {
 
-constexpr int kLeaf = 16;  // points a leaf: one or two vectors of distances
+constexpr int kLeaf = 16;   // points a leaf: one or two vectors of distances
+constexpr int kFan = 16;    // children of a node: one or two vectors of distances to their boxes
+constexpr int kLevels = 8;  // at most: 16^9 points
 
-/// A tree over leaves [0, leaves). The part [begin, end) of them is split at the leaf middle = (begin + end) / 2:
-/// points of the leaves before it lie at or below split[middle] along axis[middle], the others at or above it.
+/// Leaves of points, and levels of boxes around them: of 16 leaves each, of 16 boxes of the level below each, and so on
+/// up to a single group. Child j of a level lies in its group j / kFan.
 struct TreeView {
   const float* coordinates;   ///< [leaf][dimension][kLeaf]; places beyond the last point are infinitely far away
   const std::int32_t* index;  ///< [leaf][kLeaf]: of the point in the cloud
-  const std::int32_t* axis;   ///< [leaf]
-  const float* split;         ///< [leaf]
-  int leaves;
+  const float* boxes;         ///< [group][dimension][lower, upper][kFan]; those beyond the last child likewise
+  const int* first_group;     ///< of each level
+  int levels;
 };
 
 /// Index of the nearest of the points whose squared distance is below `next`, and its squared distance; -1 when there

@@ -3,14 +3,28 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <numeric>
 #include <stdexcept>
 
 #include "kd_tree_kernel.h"
 
 namespace icp_refine {
 
+using kernel::kFan;
 using kernel::kLeaf;
+static_assert(kFan == kLeaf, "boxes are made of leaves and of groups alike");
+
+namespace {
+
+// Leaves [begin, end) are split after a multiple of the largest group of boxes that is smaller: groups are then parts
+// of the tree.
+int splitOf(int begin, int end) {
+  const int count = end - begin;
+  int unit = 1;
+  while (unit * kFan < count) unit *= kFan;
+  return begin + std::max(1, (count / 2 + unit / 2) / unit) * unit;
+}
+
+}  // namespace
 
 NeighborSearch::NeighborSearch(const Cloud& cloud, float normal_weight)
     : normal_weight_(normal_weight), dimensions_(normal_weight > 0 ? 6 : 3) {
@@ -25,45 +39,92 @@ NeighborSearch::NeighborSearch(const Cloud& cloud, float normal_weight)
   }
   leaves_.assign(static_cast<std::size_t>(leaves) * dimensions_ * kLeaf, std::numeric_limits<float>::infinity());
   index_.assign(static_cast<std::size_t>(leaves) * kLeaf, -1);
-  axis_.assign(leaves, 0);
-  split_.assign(leaves, 0);
-  std::vector<int> order(n);
-  std::iota(order.begin(), order.end(), 0);
-  build(order, 0, leaves);
+  if (dimensions_ == 6)
+    fill<6>(n, leaves);
+  else
+    fill<3>(n, leaves);
+}
+
+// Builds on copies of the points, which are moved about: no access to memory at random.
+template <int D>
+void NeighborSearch::fill(int n, int leaves) {
+  std::vector<Entry<D>> entries(n);
+  for (int i = 0; i < n; ++i) {
+    std::copy_n(&points_[static_cast<std::size_t>(i) * D], D, entries[i].at);
+    entries[i].index = i;
+  }
+  build(entries, 0, leaves);
+  makeBoxes(leaves);
 }
 
 // Splits the widest axis such that all leaves but the last are full: a part of the tree is then known by its leaves.
-void NeighborSearch::build(std::vector<int>& order, int begin, int end) {
-  const int first = begin * kLeaf, last = std::min(end * kLeaf, static_cast<int>(order.size()));
+template <int D>
+void NeighborSearch::build(std::vector<Entry<D>>& entries, int begin, int end) {
+  const int first = begin * kLeaf, last = std::min(end * kLeaf, static_cast<int>(entries.size()));
   if (end - begin == 1) {
     for (int i = first; i < last; ++i) {
-      index_[i] = order[i];
-      for (int d = 0; d < dimensions_; ++d)
-        leaves_[(begin * dimensions_ + d) * kLeaf + (i - first)] = points_[order[i] * dimensions_ + d];
+      index_[i] = entries[i].index;
+      for (int d = 0; d < D; ++d) leaves_[(begin * D + d) * kLeaf + (i - first)] = entries[i].at[d];
     }
     return;
   }
-  std::array<float, 6> low, high;
+  std::array<float, D> low, high;
   low.fill(std::numeric_limits<float>::max());
   high.fill(std::numeric_limits<float>::lowest());
   for (int i = first; i < last; ++i) {
-    const float* p = &points_[order[i] * dimensions_];
-    for (int d = 0; d < dimensions_; ++d) low[d] = std::min(low[d], p[d]), high[d] = std::max(high[d], p[d]);
+    const float* p = entries[i].at;
+    for (int d = 0; d < D; ++d) low[d] = std::min(low[d], p[d]), high[d] = std::max(high[d], p[d]);
   }
   int axis = 0;
-  for (int d = 1; d < dimensions_; ++d) {
+  for (int d = 1; d < D; ++d) {
     if (high[d] - low[d] > high[axis] - low[axis]) axis = d;
   }
-  const int middle = (begin + end) / 2;
-  const auto coordinate = [&](int i) { return points_[i * dimensions_ + axis]; };
+  const int middle = splitOf(begin, end);
   // Ties by index: the tree, and with it the choice among equals, does not depend on the standard library.
-  std::nth_element(order.begin() + first, order.begin() + middle * kLeaf, order.begin() + last, [&](int a, int b) {
-    return coordinate(a) != coordinate(b) ? coordinate(a) < coordinate(b) : a < b;
-  });
-  axis_[middle] = axis;
-  split_[middle] = coordinate(order[middle * kLeaf]);
-  build(order, begin, middle);
-  build(order, middle, end);
+  std::nth_element(entries.begin() + first, entries.begin() + middle * kLeaf, entries.begin() + last,
+                   [axis](const Entry<D>& a, const Entry<D>& b) {
+                     return a.at[axis] != b.at[axis] ? a.at[axis] < b.at[axis] : a.index < b.index;
+                   });
+  build(entries, begin, middle);
+  build(entries, middle, end);
+}
+
+void NeighborSearch::makeBoxes(int leaves) {
+  constexpr float kFar = std::numeric_limits<float>::infinity();
+  const int D = dimensions_;
+  const auto at = [D](int level_begin, int child, int d, int side) {
+    return (((level_begin + child / kFan) * D + d) * 2 + side) * kFan + child % kFan;
+  };
+  for (int count = leaves, begin = 0;; count = (count + kFan - 1) / kFan) {
+    const int below = first_group_.empty() ? 0 : first_group_.back(), groups = (count + kFan - 1) / kFan;
+    boxes_.resize(static_cast<std::size_t>(begin + groups) * D * 2 * kFan, kFar);
+    for (int child = 0; child < count; ++child)
+      for (int d = 0; d < D; ++d) {
+        // Of a leaf its points, of a group its boxes.
+        const float *lower, *upper;
+        if (first_group_.empty()) {
+          lower = upper = &leaves_[(static_cast<std::size_t>(child) * D + d) * kLeaf];
+        } else {
+          lower = &boxes_[at(below + child, 0, d, 0)];
+          upper = lower + kFan;
+        }
+        float low = kFar, high = -kFar;
+        for (int i = 0; i < kFan; ++i) {
+          if (lower[i] == kFar) continue;
+          low = std::min(low, lower[i]);
+          high = std::max(high, upper[i]);
+        }
+        boxes_[at(begin, child, d, 0)] = low;
+        boxes_[at(begin, child, d, 1)] = high;
+      }
+    first_group_.push_back(begin);
+    begin += groups;
+    if (groups == 1) return;
+  }
+}
+
+kernel::TreeView NeighborSearch::view() const {
+  return {leaves_.data(), index_.data(), boxes_.data(), first_group_.data(), static_cast<int>(first_group_.size())};
 }
 
 int NeighborSearch::nearest(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float max_distance,
@@ -87,11 +148,9 @@ int NeighborSearch::nearest(const Eigen::Vector3f& point, const Eigen::Vector3f&
     const float reach = (trace.others + moved) * kRounding;
     next = std::min(next, reach * reach);
   }
-  const kernel::TreeView tree{leaves_.data(), index_.data(), axis_.data(), split_.data(),
-                              static_cast<int>(axis_.size())};
   float squared;
-  trace.index = dimensions_ == 6 ? kernel::nearest6(tree, query, &squared, &next)
-                                 : kernel::nearest3(tree, query, &squared, &next);
+  trace.index = dimensions_ == 6 ? kernel::nearest6(view(), query, &squared, &next)
+                                 : kernel::nearest3(view(), query, &squared, &next);
   trace.others = std::sqrt(next);
   std::copy_n(query, 6, trace.query.begin());
   return trace.index;
@@ -103,9 +162,7 @@ void NeighborSearch::nearestK(const Eigen::Vector3f& point, int k, std::vector<i
   indices.resize(k);
   squared_distances.resize(k);
   const float query[3] = {point.x(), point.y(), point.z()};
-  const kernel::TreeView tree{leaves_.data(), index_.data(), axis_.data(), split_.data(),
-                              static_cast<int>(axis_.size())};
-  const int count = kernel::nearestK3(tree, query, k, squared_limit, indices.data(), squared_distances.data());
+  const int count = kernel::nearestK3(view(), query, k, squared_limit, indices.data(), squared_distances.data());
   indices.resize(count);
   squared_distances.resize(count);
 }

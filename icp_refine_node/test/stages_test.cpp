@@ -52,6 +52,29 @@ std::vector<std::pair<float, int>> bruteForce(const Cloud& cloud, const Eigen::V
   return out;
 }
 
+// Sizes about which leaves, and the levels of boxes above them, begin to be more than one.
+TEST(NeighborSearch, TreesOfAnyHeightFindWhatAllPointsTell) {
+  for (const int size : {1, 16, 17, 256, 257, 300, 4097, 9000}) {
+    const Cloud cloud = randomCloud(size, 11), queries = randomCloud(20, 12, 3);
+    const NeighborSearch place(cloud), both(cloud, 0.5f);
+    for (std::size_t i = 0; i < queries.size(); ++i) {
+      const Eigen::Vector3f &p = queries.points[i], &n = queries.normals[i];
+      const auto by_place = bruteForce(cloud, p, n, 0);
+      ASSERT_EQ(place.nearest(p, n, 10), by_place[0].second) << size;
+      ASSERT_EQ(both.nearest(p, n, 10), bruteForce(cloud, p, n, 0.5f)[0].second) << size;
+      std::vector<int> indices;
+      std::vector<float> squared;
+      place.nearestK(p, 12, indices, squared);
+      ASSERT_EQ(indices.size(), std::min<std::size_t>(12, cloud.size()));
+      for (std::size_t k = 0; k < indices.size(); ++k) ASSERT_EQ(indices[k], by_place[k].second) << size;
+    }
+    std::set<int> places;
+    for (int k = 0; k < size; ++k) places.insert(place.pointAt(k));
+    ASSERT_EQ(places.size(), cloud.size());
+    ASSERT_EQ(*places.rbegin(), size - 1);
+  }
+}
+
 // Steps that halve, as an alignment converges: most of the last ones need no search, and all find the nearest.
 TEST(NeighborSearch, TracesOfMovingPointsChangeNothing) {
   const Cloud cloud = randomCloud(1000, 3), start = randomCloud(100, 4), directions = randomCloud(100, 5);

@@ -30,4 +30,14 @@ bool primalRow(float* u, float* ubar, const float* px, const float* py, const fl
                const float* pz_before, const std::uint16_t* counts, int stride, int n, bool at_border, float tau,
                float lambda);
 
+/// support[x] = votes in all bins but the first and the last, at most 255. Counts of the bins lie `stride` apart.
+void supportRow(const std::uint8_t* counts, int stride, int n, std::uint8_t* support);
+
+/// changes[x]: bit k is set where u[x] > 0 and the next value along axis k is not, or the other way round. next_y,
+/// next_z: the next rows; at the border pass the row itself. u[n] is not read: the last voxel has no next one in x.
+void signChanges(const float* u, const float* next_y, const float* next_z, int n, std::uint8_t* changes);
+
+/// least[x] = min(least[x], u[x])
+void lowerTo(const float* u, int n, float* least);
+
 }  // namespace dense_fusion::kernels

@@ -53,17 +53,29 @@ class PlaneSweep {
     Eigen::Matrix3d H;
     Eigen::Vector3d b;
     std::vector<int> x0, x1;            ///< of each row: pixels that it sees at all depths
+    std::vector<int> between;           ///< of each row: kernels::hypothesesBetween
     std::vector<std::uint32_t> packed;  ///< kernels::packNeighborhoods
   };
+  /// Columns [begin, end) of the reference, narrow enough that their costs stay in the cache from row to row. In the
+  /// arrays below x lies at x - begin + aggregation_radius; what is outside the image stays zero.
+  struct Strip {
+    int begin, end;
+    int stride;
+  };
   struct CostRow {
-    std::vector<std::uint16_t> cost;     ///< [hypothesis][x]
-    std::vector<std::uint16_t> samples;  ///< [x], frames behind each pixel
+    std::vector<std::uint16_t> cost;     ///< [hypothesis][stride]
+    std::vector<std::uint16_t> samples;  ///< [stride], frames behind each pixel
+  };
+  /// Of a row of a strip, from its `begin` on: costs of the windows, [hypothesis][stride], and who wins.
+  struct Winners {
+    std::vector<std::uint32_t> cost, best, second, samples;
+    std::vector<std::int32_t> index;
   };
 
-  void sumCosts(int y, CostRow* row) const;
-  void estimateRow(int y, const std::uint32_t* cost, const std::vector<std::uint32_t>& samples,
-                   const std::vector<std::uint16_t>& own_samples, int half_width, DepthMap* map,
-                   std::vector<std::uint32_t>* scratch) const;
+  void sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map) const;
+  void sumCosts(int y, const Strip& strip, CostRow* row) const;
+  void estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width,
+                   DepthMap* map) const;
 
   air_ground_common::CameraModel camera_;
   PlaneSweepSettings settings_;

@@ -9,6 +9,10 @@
 
 namespace icp_refine {
 
+namespace kernel {
+struct TreeView;
+}
+
 /// Kd-tree over points or, with normal_weight > 0, over (point, normal_weight * normal): a neighbour is then near in
 /// place and in orientation. Holds copies; queries are exact, const and thread-safe.
 class NeighborSearch {
@@ -25,6 +29,9 @@ class NeighborSearch {
   };
 
   float normalWeight() const { return normal_weight_; }
+  /// Point of the cloud at place k of the tree, k in [0, size of the cloud): places near each other hold points that
+  /// are.
+  int pointAt(int k) const { return index_[k]; }
 
   /// Index of the nearest point within max_distance [m], -1 when there is none; `normal` counts with normal_weight > 0
   /// only. `trace`: of the last search for this point, with the same max_distance, or a new one. A point that has moved
@@ -41,14 +48,25 @@ class NeighborSearch {
                 float squared_limit = std::numeric_limits<float>::infinity()) const;
 
  private:
-  void build(std::vector<int>& order, int begin, int end);
+  template <int D>
+  struct Entry {
+    float at[D];
+    int index;
+  };
+  template <int D>
+  void fill(int n, int leaves);
+  template <int D>
+  void build(std::vector<Entry<D>>& entries, int begin, int end);
+  void makeBoxes(int leaves);
+  kernel::TreeView view() const;
 
   float normal_weight_;
   int dimensions_;             // 3, or 6 with normals
   std::vector<float> points_;  // [point][dimension]
   std::vector<float> leaves_;  // see kernel::TreeView
-  std::vector<int> index_, axis_;
-  std::vector<float> split_;
+  std::vector<int> index_;
+  std::vector<float> boxes_;
+  std::vector<int> first_group_;
 };
 
 }  // namespace icp_refine
