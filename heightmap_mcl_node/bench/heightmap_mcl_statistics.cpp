@@ -128,7 +128,7 @@ int main(int argc, char** argv) {
   app.add_option("--mixture", s.filter.mixture_ratio, "");
   app.add_option("--unknown-weight", s.unknown_weight, "");
   app.add_option("--min-overlap", s.min_overlap, "");
-  app.add_option("--edge-cells", s.edge_cells, "");
+  app.add_option("--edge-width", s.edge_width, "[m]");
   app.add_option("--accumulate", s.accumulate, "");
   app.add_option("--verify", s.verify, "");
   app.add_option("--coarse", s.coarse_factor, "");

@@ -46,7 +46,7 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
 }
 
 Candidate Localizer::bestPlacement(const HeightMap& map) const {
-  const AerialCells cells = aerialCells(map, centerOf(map), settings_.edge_cells);
+  const AerialCells cells = cellsOf(map, centerOf(map));
   const CostSettings cost = costFor(map);
   return bestOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
                       settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);

@@ -143,6 +143,10 @@ CostSettings Localizer::costFor(const HeightMap& air) const {
           settings_.min_explained, settings_.min_relief, settings_.overlap_of_air};
 }
 
+AerialCells Localizer::cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const {
+  return aerialCells(air, reference, static_cast<int>(std::lround(settings_.edge_width / air.resolution)));
+}
+
 CostVolume Localizer::coarseVolume(const HeightMap& map) const {
   const auto headings = searchHeadings(settings_.headings, prior_);
   const bool circular = static_cast<int>(headings.size()) == settings_.headings;
@@ -154,11 +158,11 @@ void Localizer::updateFilter() {
   ++maps_;
   if (filter_.initialized()) {
     filter_.move(reference);
-    weighed_ = filter_.weigh(*direct_, aerialCells(filter_map_, reference, settings_.edge_cells), costFor(filter_map_));
+    weighed_ = filter_.weigh(*direct_, cellsOf(filter_map_, reference), costFor(filter_map_));
     if (weighed_ || settings_.mode == Mode::kPaper) return;
     // The last clouds lie outside the ground map: those before them still tell.
     const HeightMap verify_map = lastMaps(settings_.verify);
-    weighed_ = filter_.weigh(*direct_, aerialCells(verify_map, reference, settings_.edge_cells), costFor(verify_map));
+    weighed_ = filter_.weigh(*direct_, cellsOf(verify_map, reference), costFor(verify_map));
     if (weighed_) return;
     ++restarts_;
   }
@@ -209,7 +213,7 @@ void Localizer::updateEstimate() {
 /// about that of the overlap, where heading and position hardly interact.
 void Localizer::estimateFromPlaces(const ParticleMode& mode) {
   const HeightMap verify_map = lastMaps(settings_.verify);
-  AerialCells cells = aerialCells(verify_map, centerOf(verify_map), settings_.edge_cells);
+  AerialCells cells = cellsOf(verify_map, centerOf(verify_map));
   const CostSettings cost = costFor(verify_map);
   PlanarPose mean = changeReference(mode.mean, filter_.reference(), cells.reference);
   Candidate best = descend(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);

@@ -64,10 +64,10 @@ void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
     "charge for cells of the smaller map without a partner, as a share of what unrelated heights would cost by eq. 2; "
     "0 = paper. A place that explains less than min_explained (below) is charged for its other cells too, up to all of "
     "them");
-  v("edge_cells", s.edge_cells, {0, 10}, "",
+  v("edge_width", s.edge_width, {0.0, 0.5}, "m",
     "an aerial cell with a step of more than 0.1 m so near may be as high as anything there: dense reconstruction "
     "draws "
-    "edges a few cells beside where they are; 0 = paper. Not for the search among scales");
+    "edges a little beside where they are; 0 = paper. Not for the search among scales");
   v("scale_min", s.scale_min, {1e-3, 1e3}, "m per unit",
     "of the clouds of a MAV without IMU, whose unit is the distance of what it saw when its map began; the search "
     "takes all from here ...");
@@ -164,7 +164,7 @@ LocalizerSettings paperSettings(LocalizerSettings s) {
   s.merge = Merge::kHighest;
   s.air_map.tops = s.ground_map.tops = Tops::kHighest;
   s.unknown_weight = s.min_explained = 0;
-  s.edge_cells = 0;
+  s.edge_width = 0;
   s.overlap_of_air = true;
   s.min_maps = 4;  // particles alone have no other evidence
   s.filter.sampling_sigma = s.filter.weight_sigma = 0.08;

@@ -36,7 +36,7 @@ struct LocalizerSettings {
   double min_overlap = 0.5;                         ///< see CostSettings
   bool overlap_of_air = false;                      ///< see CostSettings
   double unknown_weight = 1;  ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
-  int edge_cells = 2;         ///< by which the aerial map's edges may lie beside where they are, see aerialCells
+  double edge_width = 0.04;   ///< by which the aerial map's edges may lie beside where they are [m], see aerialCells
   FilterSettings filter;
   std::uint64_t seed = 1;
 
@@ -245,6 +245,8 @@ class Localizer {
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
+  /// Cells of an aerial map, edges as wide as the settings say.
+  AerialCells cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const;
   CostSettings costFor(const HeightMap& air) const;
   /// How many times as bad as the best place another one is: by score (the own cost and what the other's is higher), or
   /// by the share of the heights that it leaves unexplained, whichever is less.
