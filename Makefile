@@ -5,6 +5,7 @@
 #   make test SANITIZE=address    the same, watched for bad accesses and leaks (or undefined: undefined behaviour; thread: data races)
 #   make fuzz       feeds hostile files and messages to every reader; FUZZ_SECONDS=60 each, FUZZ_TARGETS="obj ply" for some
 #   make bench      prints the benchmarks, as ratios against plain references
+#   make tidy       looks for hidden mistakes with clang-tidy (.clang-tidy), in what is no test: half an hour on two cores
 #   make docs       pages of the libraries' interfaces, by Doxygen: build/doxygen/html/index.html
 #   make build      builds all of it into build/ and devel/
 # Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
@@ -38,7 +39,7 @@ endif
 NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
 ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
 
-.PHONY: build configured benchmarks demo demo-city test bench fuzz docs packages clean
+.PHONY: build configured benchmarks demo demo-city test bench fuzz tidy docs packages clean
 
 packages:
 	@$(ROOT)tools/install_packages
@@ -83,6 +84,12 @@ fuzz:
 	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF) && $(messages)
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) air_ground_fuzz_exe
 	@FUZZ_SECONDS=$(FUZZ_SECONDS) $(ROOT)tools/run_fuzzers $(DEVEL)/lib/air_ground/fuzz $(BUILD)/corpus $(FUZZ_TARGETS)
+
+# Not in make test: seven seconds a file.
+tidy: configured
+	@$(ROOT)tools/install_packages clang-tidy-14
+	@cd $(ROOT) && run-clang-tidy-14 -quiet -p $(BUILD) -j $(JOBS) '^$(ROOT)[a-z_/]*/src/.*\.cpp$$' > $(BUILD)/tidy.log 2>&1 && echo 'make tidy: nothing found' \
+		|| { grep -E -A3 '(warning|error): ' $(BUILD)/tidy.log; echo "make tidy: all of it in $(BUILD)/tidy.log"; exit 1; }
 
 docs:
 	@$(ROOT)tools/install_packages doxygen
