@@ -15,9 +15,10 @@ from sensor_msgs.msg import CompressedImage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, bag_guess, bag_player, bag_reader, datasets, geometry, messages  # noqa: E402
+from air_ground_eval import bag_check, bag_guess, bag_player, bag_reader, geometry, messages  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
 
-CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+CAMERA = Camera(64, 48, 60, 60, 32, 24)
 PICTURE = np.indices((48, 64)).sum(0) % 16 * 16
 
 

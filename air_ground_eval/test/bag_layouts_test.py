@@ -18,10 +18,11 @@ from sensor_msgs.msg import Image
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
 sys.path.insert(0, SCRIPTS)
-from air_ground_eval import datasets, geometry, messages  # noqa: E402
+from air_ground_eval import geometry, messages  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
 
 PICTURE = (np.indices((48, 64)).sum(0) % 16 * 16).astype(np.uint8)
-CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+CAMERA = Camera(64, 48, 60, 60, 32, 24)
 DEPTH = {'16UC1': np.full((48, 64), 1500, np.uint16), '32FC1': np.full((48, 64), 1.5, np.float32)}
 CHANNELS = {'mono8': 1, 'yuv422_yuy2': 2, 'rgb8': 3, 'bgra8': 4}
 

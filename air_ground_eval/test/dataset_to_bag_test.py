@@ -15,6 +15,7 @@ from PIL import Image
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
 from air_ground_eval import bag_check, calibration, datasets, geometry, imu_synthesis, registration  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
 
 WIDTH, HEIGHT = 160, 120
 RATE = 30.0
@@ -311,7 +312,7 @@ class DatasetToBag(unittest.TestCase):
         video, camera = os.path.join(self.folder, 'flight.avi'), os.path.join(self.folder, 'camera.yaml')
         write_video(video)
         with open(camera, 'w', encoding='utf-8') as stream:
-            stream.write(calibration.camera_info_yaml(datasets.Camera(WIDTH, HEIGHT, 100.0, 101.0, 79.5, 59.5, (-0.1, 0.01, 0.0, 0.0, 0.0)), 'mav'))
+            stream.write(calibration.camera_info_yaml(Camera(WIDTH, HEIGHT, 100.0, 101.0, 79.5, 59.5, (-0.1, 0.01, 0.0, 0.0, 0.0)), 'mav'))
         result = convert('--mav', video + '@1-10', '--config', camera, '--mav-width', str(WIDTH // 2), '--mav-rate', '15', '--out', self.bag)
         self.assertEqual(result.returncode, 0, result.stderr)
         images = messages_of(self.bag, '/mav/camera/image_raw')
@@ -364,8 +365,8 @@ class DatasetToBag(unittest.TestCase):
 
     def test_registration(self):
         """A point seen by the depth camera lands where the colour camera sees it, with its depth; nearer surfaces win."""
-        depth_camera = datasets.Camera(WIDTH, HEIGHT, 150, 150, 80, 60)
-        colour_camera = datasets.Camera(WIDTH, HEIGHT, 130, 130, 78, 61)
+        depth_camera = Camera(WIDTH, HEIGHT, 150, 150, 80, 60)
+        colour_camera = Camera(WIDTH, HEIGHT, 130, 130, 78, 61)
         T_depth_colour = geometry.pose(geometry.rotation_z(0.05), (0.03, -0.01, 0.02))
         depth = np.full((HEIGHT, WIDTH), np.nan)
         depth[40, 100], depth[40, 101] = 2.0, 1.0

@@ -10,9 +10,10 @@ import rosbag
 import rostest
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
-from air_ground_eval import bag_check, bag_guess, bag_merge, bag_reader, datasets, geometry, messages  # noqa: E402
+from air_ground_eval import bag_check, bag_guess, bag_merge, bag_reader, geometry, messages  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
 
-CAMERA = datasets.Camera(64, 48, 60, 60, 32, 24)
+CAMERA = Camera(64, 48, 60, 60, 32, 24)
 LATER = 86400.0  # the ground robot drives the next day [s]
 
 

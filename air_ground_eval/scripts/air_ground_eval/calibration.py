@@ -8,7 +8,7 @@ import yaml
 from sensor_msgs.msg import CameraInfo
 
 from . import geometry
-from .datasets import Camera, DatasetError
+from .recording import Camera, DatasetError
 
 MODELS = {'radtan': 'plumb_bob', 'none': 'plumb_bob', 'equidistant': 'equidistant'}  # of kalibr's pinhole -> of camera_info
 COEFFICIENTS = {'plumb_bob': 5, 'equidistant': 4, 'rational_polynomial': 8}

@@ -7,141 +7,12 @@ import csv
 import glob
 import os
 import re
-from dataclasses import dataclass, field
-from typing import List, Optional
 
 import numpy as np
 import yaml
-from PIL import Image, UnidentifiedImageError
 
-from . import geometry
-
-
-class DatasetError(Exception):
-    """The input cannot be converted; the message says what to change."""
-
-
-@dataclass
-class Camera:
-    """Pinhole with distortion as camera_info names it: plumb_bob (k1 k2 p1 p2 k3) or equidistant (k1 k2 k3 k4)."""
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple = (0.0, 0.0, 0.0, 0.0, 0.0)
-    model: str = 'plumb_bob'
-
-    def __post_init__(self):
-        for name in ('width', 'height', 'fx', 'fy'):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise DatasetError(f'camera {name} = {value}: it must be positive')
-
-    def resized(self, width):
-        """The camera of the same images at this width [px]; centres of pixels have whole coordinates."""
-        height = max(1, round(self.height * width / self.width))
-        sx, sy = width / self.width, height / self.height
-        return Camera(width, height, self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, self.distortion, self.model)
-
-
-@dataclass
-class Frame:
-    stamp: float  # [s]
-    path: str
-
-    def read(self):
-        """Its colour or grey image, as read_image gives it."""
-        return read_image(self.path)
-
-
-@dataclass
-class Imu:
-    stamps: np.ndarray  # (n,) [s]
-    gyro: np.ndarray    # (n, 3) [rad/s]
-    accel: np.ndarray   # (n, 3) [m/s^2], specific force
-
-
-@dataclass
-class Gps:
-    stamps: np.ndarray      # (n,) [s]
-    places: np.ndarray      # (n, 3) latitude, longitude [deg], height above the ellipsoid [m]
-    deviations: np.ndarray  # (n, 2) horizontal, vertical [m]
-
-
-@dataclass
-class Pressure:
-    stamps: np.ndarray  # (n,) [s]
-    pascal: np.ndarray  # (n,)
-
-
-@dataclass
-class Recording:
-    name: str
-    colour: List[Frame]
-    camera: Optional[Camera]                                   # of the colour (or grey) images
-    depth: List[Frame] = field(default_factory=list)
-    depth_camera: Optional[Camera] = None            # None: depth is registered to colour
-    depth_unit: float = 0.001                        # metres per count
-    depth_invalid: tuple = (0, 65535)
-    T_depth_colour: np.ndarray = field(default_factory=lambda: np.eye(4))
-    pose_stamps: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # T_world_camera, world z up
-    imu: Optional[Imu] = None
-    T_imu_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
-    gps: Optional[Gps] = None
-    pressure: Optional[Pressure] = None
-    city: Optional[dict] = None                      # content of city.yaml: where world lies, and the panoramas
-    geotags: List[str] = field(default_factory=list)  # lines of geotags.csv
-    notes: List[str] = field(default_factory=list)
-
-
-def read_image(path, depth=False):
-    """The image as an array: uint8 (h, w, 3), uint8 (h, w), or uint16 (h, w) when depth."""
-    try:
-        with Image.open(path) as image:
-            array = np.asarray(image)
-            if depth:
-                if array.ndim != 2:
-                    raise DatasetError(f'{path}: a depth image must have one channel, this has shape {array.shape}')
-                return array.astype(np.uint16)
-            if array.ndim == 3:
-                return np.asarray(image.convert('RGB'))
-            return array.astype(np.uint8) if array.dtype == np.uint8 else np.asarray(image.convert('L'))
-    except (OSError, UnidentifiedImageError) as error:
-        raise DatasetError(f'{path}: cannot be read as an image ({error})') from error
-
-
-def load_config(path):
-    """The calibration file of a data set (config/datasets/*.yaml); an empty dict without one."""
-    if not path:
-        return {}
-    try:
-        with open(path, encoding='utf-8') as stream:
-            config = yaml.safe_load(stream)
-    except (OSError, yaml.YAMLError) as error:
-        raise DatasetError(f'{path}: {error}') from error
-    if not isinstance(config, dict):
-        raise DatasetError(f'{path}: expected a mapping such as config/datasets/redkitchen.yaml')
-    return config
-
-
-def camera_from_config(section, name, size):
-    try:
-        return Camera(section.get('width_px', size[0]), section.get('height_px', size[1]),
-                      float(section['fx_px']), float(section['fy_px']), float(section['cx_px']), float(section['cy_px']),
-                      tuple(float(k) for k in section.get('distortion', [0.0] * 5)))
-    except KeyError as error:
-        raise DatasetError(f'{name} in the calibration file lacks {error}') from error
-
-
-def orthonormal_pose(section, name):
-    """4x4 transform of a section with translation_m and quaternion_xyzw."""
-    try:
-        return geometry.pose_from_tq(section['translation_m'], section['quaternion_xyzw'])
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f'{name}: translation_m and quaternion_xyzw are needed ({error})') from error
+from . import geometry, zurich_urban
+from .recording import Camera, DatasetError, Frame, Imu, Recording, camera_from_config, orthonormal_pose, read_image
 
 
 def detect_layout(folder):
@@ -154,16 +25,14 @@ def detect_layout(folder):
         return 'tum'
     if os.path.isdir(os.path.join(euroc_root(folder), 'cam0')):
         return 'euroc'
-    from .zurich_urban import log_folder
-    if log_folder(folder):
+    if zurich_urban.log_folder(folder):
         return 'agz'
     raise DatasetError(f'{folder}: none of the known layouts: 7-Scenes (frame-000000.color.*), TUM RGB-D (rgb.txt), '
                        'EuRoC MAV (cam0/ or mav0/cam0/), Zurich Urban MAV (Log Files/RawAccel.csv)')
 
 
 def read_recording(folder, layout, config):
-    from .zurich_urban import read_zurich_urban
-    readers = {'7scenes': read_7scenes, 'tum': read_tum, 'euroc': read_euroc, 'agz': read_zurich_urban}
+    readers = {'7scenes': read_7scenes, 'tum': read_tum, 'euroc': read_euroc, 'agz': zurich_urban.read_zurich_urban}
     if layout == 'auto':
         layout = detect_layout(folder)
     elif not os.path.isdir(folder):

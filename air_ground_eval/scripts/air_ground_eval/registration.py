@@ -1,7 +1,7 @@
 """Depth images registered to the colour camera."""
 import numpy as np
 
-from . import datasets
+from .recording import DatasetError, read_image
 
 
 def distort(x, y, distortion):
@@ -43,10 +43,10 @@ def register_depth(depth, depth_camera, colour_camera, T_depth_colour):
 
 def depth_in_millimetres(recording, path):
     """The depth image of a recording, registered to its colour camera, uint16 [mm], 0 invalid."""
-    raw = datasets.read_image(path, depth=True)
+    raw = read_image(path, depth=True)
     camera = recording.depth_camera or recording.camera
     if raw.shape != (camera.height, camera.width):
-        raise datasets.DatasetError(f'{path}: is {raw.shape[1]}x{raw.shape[0]}, its camera {camera.width}x{camera.height}')
+        raise DatasetError(f'{path}: is {raw.shape[1]}x{raw.shape[0]}, its camera {camera.width}x{camera.height}')
     depth = np.where(np.isin(raw, recording.depth_invalid), np.nan, raw * recording.depth_unit)
     if recording.depth_camera is not None:
         depth = register_depth(depth, recording.depth_camera, recording.camera, recording.T_depth_colour)

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from . import datasets, geometry, registration
+from . import geometry, registration
+from .recording import Camera, read_image
 
 NAMES = ('f_px', 'cx_px', 'cy_px', 'tx_m', 'ty_m', 'roll_rad')
 FIRST_STEPS = np.array([4.0, 2.0, 2.0, 0.004, 0.004, 0.004])
@@ -26,7 +27,7 @@ def sample(image, u, v):
 
 
 def grey_image(path):
-    image = datasets.read_image(path)
+    image = read_image(path)
     return (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image).astype(np.float32)
 
 
@@ -51,7 +52,7 @@ class EdgeObjective:
         self.depth_camera, self.frames = recording.depth_camera, []
         depth_of = {f.stamp: f for f in recording.depth}
         for frame in frames:
-            raw = datasets.read_image(depth_of[frame.stamp].path, depth=True)
+            raw = read_image(depth_of[frame.stamp].path, depth=True)
             depth = np.where(np.isin(raw, recording.depth_invalid), np.nan, raw * recording.depth_unit)
             depth[depth > 5] = np.nan
             smooth = blur(grey_image(frame.path), 1.2)
@@ -96,7 +97,7 @@ def maximise(objective, start):
 def apply(recording, p):
     """Sets the recording's colour camera and extrinsics from the parameters."""
     size = recording.camera.width, recording.camera.height
-    recording.camera = datasets.Camera(*size, p[0], p[0], p[1], p[2])
+    recording.camera = Camera(*size, p[0], p[0], p[1], p[2])
     recording.T_depth_colour = geometry.pose(geometry.rotation_z(-p[5]), (p[3], p[4], 0))
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 from scipy.spatial.transform import Rotation
 
-from . import datasets, geometry, registration
+from . import geometry, registration
+from .recording import DatasetError
 from .rgbd_calibration import grey_image
 
 NAMES = ('f_px', 'cx_px', 'cy_px', 'k1', 'k2', 'readout_s')
@@ -124,7 +125,7 @@ def pairs(tracks, recording, chosen, max_error=12.0):
         poses += [np.eye(4), geometry.inverse(T[i]) @ T[i + 1]]
         twists += [twist(recording, indices[i]), twist(recording, indices[i + 1])]
     if not rows:
-        raise datasets.DatasetError('no pair of images shares 20 tracks with depth')
+        raise DatasetError('no pair of images shares 20 tracks with depth')
     rows = np.concatenate(rows)
     used, track = np.unique(tracks.track[rows], return_inverse=True)
     return (Tracks([None] * len(poses), track, np.concatenate(anchors), np.concatenate(others), tracks.anchor_uv[rows],

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from . import calibration
-from .datasets import Camera, DatasetError, Frame, Recording, camera_from_config
+from .recording import Camera, DatasetError, Frame, Recording, camera_from_config
 
 EXTENSIONS = ('.mp4', '.mov', '.avi', '.mkv', '.m4v', '.webm', '.mpg', '.mpeg', '.ts', '.mts')
 

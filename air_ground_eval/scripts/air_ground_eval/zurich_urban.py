@@ -16,7 +16,7 @@ import numpy as np
 
 from . import geometry
 from .city_database import CityError, WorldFrame
-from .datasets import DatasetError, Frame, Gps, Imu, Pressure, Recording, camera_from_config, orthonormal_pose, read_image
+from .recording import DatasetError, Frame, Gps, Imu, Pressure, Recording, camera_from_config, orthonormal_pose, read_image
 
 CRS = 'EPSG:32632'  # of the ground truth
 GEOID_UNDULATION = 47.3  # in Zurich [m]: the logs' heights are above the sea
