@@ -153,9 +153,7 @@ bool ReadoutEstimator::add(double stamp, const Pose& T_map_camera, const std::ve
   if (last_ && !(stamp > last_->stamp && stamp - last_->stamp < kLongestStep)) interrupt();
   const bool changed = conclude(T_map_camera, stamp);
   before_ = std::move(last_);
-  last_.emplace();
-  last_->stamp = stamp;
-  last_->T_map_camera = T_map_camera;
+  last_.emplace(stamp, T_map_camera);
   for (const RowPoint& point : points) last_->sights[point.track].point = point;
   return changed;
 }

@@ -52,8 +52,9 @@ class ReadoutEstimator {
     Eigen::Matrix<double, 3, kStates> by_state;  ///< of the point in the camera at the middle row [m]
   };
   struct View {
-    double stamp = 0;
-    air_ground_common::Pose T_map_camera = air_ground_common::Pose::Identity();
+    View(double image_stamp, const air_ground_common::Pose& pose) : stamp(image_stamp), T_map_camera(pose) {}
+    double stamp;
+    air_ground_common::Pose T_map_camera;
     std::unordered_map<visual_frontend::TrackId, Sight> sights;
   };
   struct Pair;
