@@ -66,8 +66,7 @@ void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
     "them");
   v("edge_width", s.edge_width, {0.0, 0.5}, "m",
     "an aerial cell with a step of more than 0.1 m so near may be as high as anything there: dense reconstruction "
-    "draws "
-    "edges a little beside where they are; 0 = paper. Not for the search among scales");
+    "draws edges a little beside where they are; 0 = paper. Not for the search among scales");
   v("scale_min", s.scale_min, {1e-3, 1e3}, "m per unit",
     "of the clouds of a MAV without IMU, whose unit is the distance of what it saw when its map began; the search "
     "takes all from here ...");
