@@ -35,6 +35,10 @@ constexpr double kShare = 1.0 / 3;        // of a pair's information: the pairs 
 constexpr double kOpenOffset = 0.01;      // of a less certain offset other minima are looked for [s]
 constexpr double kSearchInterval = 0.5;   // between such searches [s]
 constexpr double kRoughBias = 0.02;       // a less certain bias is solved for with a loss that narrows [rad/s]
+constexpr double kRestartInterval = 1.0;  // between searches from the bias that was given first [s]
+constexpr double kOtherMinimum = 9;       // in cost over the window, by which another minimum must be better
+constexpr double kYoung = 10;             // an older estimate goes when it is refuted repeatedly only [s]
+constexpr int kRepeated = 4;              // times in a row
 constexpr int kIterations = 4;            // from the last estimate
 constexpr int kStartIterations = 14;      // while the bias may be anything, with a loss that narrows
 
@@ -88,7 +92,8 @@ GyroAlignment::GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoi
 void GyroAlignment::reset() {
   pairs_.clear();
   chain_end_ = {};
-  last_view_ = last_search_ = last_stamp_ = -1;
+  first_view_ = last_view_ = last_search_ = last_restart_ = last_stamp_ = -1;
+  refuted_ = 0;
   tracks_.clear();
   old_H_.setZero();
   old_h_.setZero();
@@ -185,6 +190,11 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
     best = solution;
   }
   if (search) last_search_ = stamp;
+  if (stamp - last_restart_ >= kRestartInterval) {
+    last_restart_ = stamp;
+    if (first_view_ < 0) first_view_ = stamp;
+    leaveWrongMinimum(stamp - first_view_ < kYoung ? 1 : kRepeated, imu, &best);
+  }
   if (!best.allFinite() || best.head<3>().norm() > 1.0 ||
       std::abs(best(3) - settings_.time_offset) > settings_.max_time_offset ||
       std::abs(best(4)) > settings_.max_readout_time)
@@ -192,6 +202,24 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   x_ = best;
   summarize(imu);
   return true;
+}
+
+// The first pairs may have led to a wrong minimum, where every pair that leaves the window is linearised anew.
+void GyroAlignment::leaveWrongMinimum(int times, const ImuBuffer& imu, Vector* best) {
+  Vector start = *best, other;
+  start.head<3>() = prior_mean_.head<3>();
+  const Matrix old_H = std::exchange(old_H_, Matrix::Zero());
+  const Vector old_h = std::exchange(old_h_, Vector::Zero());
+  const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
+  const double cost = solveFrom(start, kStartIterations, std::max(kLossWidth, width), imu, &other);
+  refuted_ = cost + kOtherMinimum < costAt(*best, imu) ? refuted_ + 1 : 0;
+  if (refuted_ >= times) {
+    refuted_ = 0;
+    *best = other;
+    return;
+  }
+  old_H_ = old_H;
+  old_h_ = old_h;
 }
 
 void GyroAlignment::addPairs(const std::shared_ptr<const View>& view) {
@@ -306,10 +334,14 @@ double GyroAlignment::solveFrom(Vector x, int iterations, double first_width, co
     if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && step.tail<2>().cwiseAbs().maxCoeff() < 1e-5) break;
     width = std::max(kLossWidth, 0.6 * width);
   }
+  *solution = x;
+  return costAt(x, imu);
+}
+
+double GyroAlignment::costAt(const Vector& x, const ImuBuffer& imu) const {
   double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_)) + x.dot(old_H_ * x) - 2 * x.dot(old_h_);
   for (const Pair& pair : pairs_)
     if (const auto normal = linearize(pair, x, imu, kLossWidth, nullptr)) cost += normal->cost / inflation_;
-  *solution = x;
   return cost;
 }
 

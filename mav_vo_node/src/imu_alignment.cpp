@@ -1,5 +1,6 @@
 #include "imu_alignment.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -15,11 +16,14 @@ constexpr double kRestBiasSigma = 1e-3;      // of one measured at rest [rad/s]
 constexpr double kUsefulBiasSigma = 0.02;    // of a bias that the attitude filter takes over [rad/s]
 constexpr double kRestTilt = 0.012;          // of gravity measured at rest [rad]
 constexpr double kOffsetSigma = 0.004;       // a better known time offset is used [s]
+constexpr double kOpenOffsetSigma = 0.012;   // ... or one not known so well, that rules the one in use out [s]
+constexpr double kRuledOut = 4;              // by so many standard deviations
 constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not worth the work [s]
 constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
 constexpr double kReadoutStep = 4e-3;        // least change of it [s]
 constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
 constexpr double kShutterMisfit = 2;         // of noise; above, the tracks are not explained by a readout time
+constexpr double kChi2Of3 = 16.27;           // 3 degrees of freedom, 99.9 %
 constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images contradict each other
 
 }  // namespace
@@ -51,6 +55,7 @@ void ImuAlignment::reset() {
   gyro_alignment_.reset();
   gyro_alignment_.setReadoutTime(settings_.readout_time);
   if (shutter_alignment_) shutter_alignment_->reset();
+  metric_ = shutter_open_ = false;
   standstill_.reset();
   imu_.setOffset(settings_.gyro_alignment.time_offset);
   up_.reset();
@@ -77,6 +82,7 @@ bool ImuAlignment::detectStandstill(double stamp, const std::vector<visual_front
   // Once the map is metric its own estimate is better than a short rest in the air.
   if (!rest || metric) return false;
   gyro_alignment_.setBias(rest->gyro_bias, kRestBiasSigma);
+  if (shutter_alignment_) shutter_alignment_->setBias(rest->gyro_bias, kRestBiasSigma);
   up_ = UpDirection{rest->up_imu, kRestTilt};
   return true;
 }
@@ -94,8 +100,11 @@ std::optional<ImuAlignment::ReadoutChange> ImuAlignment::alignShutter(
   return ReadoutChange{readout, change > large};
 }
 
-bool ImuAlignment::alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features) {
-  return gyro_alignment_.add(stamp, features, imu_.buffer());
+bool ImuAlignment::alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features, bool metric) {
+  if (!gyro_alignment_.add(stamp, features, imu_.buffer())) return false;
+  metric_ = metric;
+  shutter_open_ = !metric && shutter_alignment_ && contradictsShutter();
+  return true;
 }
 
 void ImuAlignment::followBias(const Eigen::Vector3d& gyro_bias) {
@@ -103,8 +112,11 @@ void ImuAlignment::followBias(const Eigen::Vector3d& gyro_bias) {
 }
 
 bool ImuAlignment::adoptTimeOffset() {
-  const double offset = gyro_alignment_.timeOffset(), sigma = gyro_alignment_.timeOffsetStddev();
-  if (sigma > kOffsetSigma || std::abs(offset - imu_.offset()) < std::max(kOffsetStep, 2 * sigma)) return false;
+  const double offset = trusted().timeOffset(), sigma = trusted().timeOffsetStddev();
+  const double change = std::abs(offset - imu_.offset());
+  if (sigma > (metric_ ? kOffsetSigma : kOpenOffsetSigma) ||
+      change < std::max(kOffsetStep, (sigma > kOffsetSigma ? kRuledOut : 2) * sigma))
+    return false;
   imu_.setOffset(offset);
   return true;
 }
@@ -120,19 +132,25 @@ std::optional<GyroRotation> ImuAlignment::cameraTurn(double stamp_a, double stam
   const double duration = stamp_b - stamp_a;
   const double rate = air_ground_common::rotationAngle(Eigen::Matrix3d::Identity(), *R) / duration;
   return GyroRotation{R_camera_imu_ * *R * R_camera_imu_.transpose(),
-                      std::hypot(gyroBiasStddev() * duration, gyro_alignment_.timeOffsetStddev() * rate)};
+                      std::hypot(gyroBiasStddev() * duration, trusted().timeOffsetStddev() * rate)};
+}
+
+// Hausman's test: a readout time that is taken for known makes the estimate surer, and wrong where it is not true.
+bool ImuAlignment::contradictsShutter() const {
+  const Eigen::Vector3d difference = shutter_alignment_->bias() - gyro_alignment_.bias();
+  return difference.dot(shutter_alignment_->biasCovariance().ldlt().solve(difference)) > kChi2Of3;
 }
 
 std::string ImuAlignment::problem() const {
-  if (gyro_alignment_.misfit() < kGyroMisfit) return "";
+  if (trusted().misfit() < kGyroMisfit) return "";
   return air_ground_common::formatted(
       "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
       "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
-      gyro_alignment_.misfit());
+      trusted().misfit());
 }
 
 double ImuAlignment::timeOffsetStddev() const {
-  return settings_.gyro_alignment.time_offset_stddev > 0 ? gyro_alignment_.timeOffsetStddev() : 0;
+  return settings_.gyro_alignment.time_offset_stddev > 0 ? trusted().timeOffsetStddev() : 0;
 }
 
 double ImuAlignment::readoutTimeStddev() const {

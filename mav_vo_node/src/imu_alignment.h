@@ -43,8 +43,8 @@ class ImuAlignment {
   };
   std::optional<ReadoutChange> alignShutter(double stamp, const std::vector<visual_frontend::Feature>& features,
                                             double in_use);
-  /// True when the estimates of bias and offset changed.
-  bool alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features);
+  /// True when the estimates of bias and offset changed. A `metric` map knows the bias better than they do.
+  bool alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features, bool metric);
   /// The attitude filter follows a bias that is known well enough.
   void followBias(const Eigen::Vector3d& gyro_bias);
   /// True when a sure offset between the clocks replaced the one in use.
@@ -61,13 +61,16 @@ class ImuAlignment {
 
   double imuStamp(double image_stamp) const { return imu_.stamp(image_stamp); }
   const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }
-  Eigen::Vector3d gyroBias() const { return gyro_alignment_.bias(); }     ///< [rad/s]
-  double gyroBiasStddev() const { return gyro_alignment_.biasStddev(); }  ///< [rad/s]
-  double timeOffset() const { return imu_.offset(); }                     ///< in use [s]
-  double timeOffsetStddev() const;                                        ///< 0: given, not estimated [s]
-  double readoutTimeStddev() const;                                       ///< likewise [s]
+  Eigen::Vector3d gyroBias() const { return trusted().bias(); }     ///< [rad/s]
+  double gyroBiasStddev() const { return trusted().biasStddev(); }  ///< [rad/s]
+  double timeOffset() const { return imu_.offset(); }               ///< in use [s]
+  double timeOffsetStddev() const;                                  ///< 0: given, not estimated [s]
+  double readoutTimeStddev() const;                                 ///< likewise [s]
 
  private:
+  const GyroAlignment& trusted() const { return shutter_open_ ? *shutter_alignment_ : gyro_alignment_; }
+  bool contradictsShutter() const;
+
   static constexpr double kMetricTilt = 0.01;  // of the metric map's z axis against gravity [rad]
 
   OdometrySettings settings_;
@@ -76,6 +79,8 @@ class ImuAlignment {
   visual_frontend::AttitudeFilter attitude_;
   GyroAlignment gyro_alignment_;
   std::optional<GyroAlignment> shutter_alignment_;  ///< apart: what it estimates besides makes the others less certain
+  bool shutter_open_ = false;  ///< the estimate without the readout time is wrong, as far as one can tell
+  bool metric_ = false;
   StandstillDetector standstill_;
   std::optional<UpDirection> up_;
 };

@@ -11,6 +11,7 @@ namespace {
 
 constexpr std::size_t kImages = 800;         // whose inertial motion is kept
 constexpr int kTrial = 40;                   // images after which a scale that most of them reject is given up
+constexpr int kLongTrial = 100;              // ... that neither holds nor fails
 constexpr double kPatience = 5;              // of a map for a scale as certain as asked for [s]
 constexpr double kMostStddev = 2.5;          // of what was asked for, that serves in the end [1]
 constexpr double kAdjustedTilt = 0.005;      // of the map's z axis after an inertial adjustment [rad]
@@ -39,7 +40,10 @@ void MapScale::add(const FrameTrajectory& frames, const visual_frontend::Map& ma
 }
 
 void MapScale::dropRefuted() {
-  if (filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5) filter_.reset(tilt_stddev_);
+  const bool refuted = filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5;
+  // What a scale was started on stays in its count of rejections: a new window judges the map as it is by now.
+  const bool undecided = filter_.updates() >= kLongTrial && !filter_.certain(1.0);
+  if (refuted || undecided) filter_.reset(tilt_stddev_);
 }
 
 void MapScale::transform(const air_ground_common::Similarity& S) {

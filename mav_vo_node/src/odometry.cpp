@@ -103,7 +103,9 @@ void Odometry::Impl::useImu(double stamp) {
     // What a map that is not metric yet has seen with another readout time is not worth keeping.
     if (!metric() && map.keyframeCount() > 0 && readout->large) startMap();
   }
-  if (!imu.alignGyro(stamp, features)) return;
+  if (!imu.alignGyro(stamp, features, metric())) return;
+  // Landmarks of a false start bend the turns of the gyro towards themselves.
+  if (!metric() && mapBiasRefuted()) startMap();
   // A map knows the bias better: its adjustment sees all of its keyframes.
   if (map.keyframeCount() == 0) bias.gyro = imu.gyroBias();
   imu.followBias(bias.gyro);

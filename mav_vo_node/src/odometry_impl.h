@@ -47,6 +47,9 @@ struct Odometry::Impl {
   // ---- odometry_map.cpp
   void initialize(const cv::Mat& gray);
   void startMap();  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
+  bool mapHasBias() const;
+  double mapBiasSigma() const;  ///< of the gyro bias that the map's adjustment found [rad/s]
+  bool mapBiasRefuted() const;  ///< by the tracks alone
   void keepMapsBias();
   void addKeyframe(const cv::Mat& gray);
   KeyframeId insertKeyframe(Keyframe keyframe);  ///< with its inertial link

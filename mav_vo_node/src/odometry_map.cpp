@@ -19,6 +19,7 @@ constexpr double kMovingTilt = 0.3;         // of gravity as a moving accelerome
 constexpr double kTrustedTilt = 0.05;       // better known gravity levels the bundle adjustment [rad]
 constexpr double kMapTurnError = 8e-3;      // of the turn from a map's first keyframe to its newest [rad]
 constexpr double kMapBiasSigma = 2e-3;      // of a gyro bias from a map, at the best [rad/s]
+constexpr double kOtherBias = 6;            // standard deviations between the map's bias and the tracks'
 constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias, at the best [rad/s]
 constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
 constexpr double kLeastParallax = 10;       // of a new landmark, in standard deviations of a ray
@@ -76,10 +77,20 @@ void Odometry::Impl::startMap() {
 
 // A map measures turns against landmarks it has triangulated: turn and translation, which image pairs confuse, are
 // apart.
-void Odometry::Impl::keepMapsBias() {
-  if (!settings.use_imu || !inertial.linked() || map.keyframeCount() < 2) return;
+double Odometry::Impl::mapBiasSigma() const {
   const double lived = map.keyframe(map.lastKeyframe()).stamp - map.keyframes().begin()->second.stamp;
-  imu.keepBias(inertial.newestBias()->gyro, std::max(kMapBiasSigma, kMapTurnError / std::max(lived, 0.1)));
+  return std::max(kMapBiasSigma, kMapTurnError / std::max(lived, 0.1));
+}
+
+bool Odometry::Impl::mapHasBias() const { return settings.use_imu && inertial.linked() && map.keyframeCount() >= 2; }
+
+void Odometry::Impl::keepMapsBias() {
+  if (mapHasBias() && !mapBiasRefuted()) imu.keepBias(inertial.newestBias()->gyro, mapBiasSigma());
+}
+
+bool Odometry::Impl::mapBiasRefuted() const {
+  return mapHasBias() && (inertial.newestBias()->gyro - imu.gyroBias()).norm() >
+                             kOtherBias * std::hypot(mapBiasSigma(), imu.gyroBiasStddev());
 }
 
 void Odometry::Impl::initialize(const cv::Mat& gray) {

@@ -58,10 +58,11 @@ class GyroAlignment {
 
   Eigen::Vector3d bias() const { return x_.head<3>(); }  ///< [rad/s]
   double biasStddev() const;                             ///< of the least certain axis [rad/s]
-  double timeOffset() const { return x_(3); }            ///< t_imu - t_image of the same instant [s]
-  double timeOffsetStddev() const;                       ///< [s]
-  double readoutTime() const { return x_(4); }           ///< [s]
-  double readoutTimeStddev() const;                      ///< [s]
+  Eigen::Matrix3d biasCovariance() const { return covariance_.topLeftCorner<3, 3>(); }  ///< [rad^2/s^2]
+  double timeOffset() const { return x_(3); }   ///< t_imu - t_image of the same instant [s]
+  double timeOffsetStddev() const;              ///< [s]
+  double readoutTime() const { return x_(4); }  ///< [s]
+  double readoutTimeStddev() const;             ///< [s]
   /// Median epipolar error over that of pure feature noise: about 1 when gyro and images agree; 0 before any pair.
   double misfit() const { return misfit_; }
 
@@ -93,6 +94,8 @@ class GyroAlignment {
   std::optional<Normal> linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu, double width,
                                   std::vector<double>* errors) const;
   double solveFrom(Vector x, int iterations, double first_width, const ImuBuffer& imu, Vector* solution) const;
+  double costAt(const Vector& x, const ImuBuffer& imu) const;
+  void leaveWrongMinimum(int times, const ImuBuffer& imu, Vector* best);
   void retire(double before, const ImuBuffer& imu);
   void summarize(const ImuBuffer& imu);
   Matrix shareOfTracks(const Matrix& information) const;
@@ -104,7 +107,8 @@ class GyroAlignment {
 
   std::array<std::shared_ptr<const View>, 3> chain_end_;  ///< by span: where the next pair begins
   std::deque<Pair> pairs_;
-  double last_view_ = -1, last_search_ = -1;  ///< [s]
+  double first_view_ = -1, last_view_ = -1, last_search_ = -1, last_restart_ = -1;  ///< [s]
+  int refuted_ = 0;  ///< times in a row that another minimum was better
   struct Track {
     Eigen::Vector2d ray = Eigen::Vector2d::Zero();
     std::optional<Eigen::Vector2d> flow;  ///< since the image before [1/s]
