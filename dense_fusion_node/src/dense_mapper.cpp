@@ -80,7 +80,8 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   if (joins) {
     counters_.swept += sweep_->add(frame);
   } else {
-    if (sweeping_) fused = finishSweep();
+    if (sweeping_) finishSweep();
+    if (endsGroup(T_map_camera)) fused = fuseGroup();
     startSweep(frame, depth_min, depth_max);
   }
   recent_.push_back(frame);
@@ -142,22 +143,23 @@ void DenseMapper::startSweep(const Frame& reference, double depth_min, double de
       counters_.swept += sweep_->add(frame);
 }
 
-std::optional<FusedMap> DenseMapper::finishSweep() {
+void DenseMapper::finishSweep() {
   DepthMap map = sweep_->depthMap();
   sweeping_ = false;
   if (validShare(map.depth) < settings_.min_valid) {
     ++counters_.poor_depth_maps;
-    return std::nullopt;
+    return;
   }
   ++counters_.depth_maps;
   if (on_depth_map_) on_depth_map_(map);
-  std::optional<FusedMap> fused;
-  constexpr std::size_t kMaxGroup = 255;
-  if (!group_.empty() &&
-      (distance(group_.front().T_map_camera, map.T_map_camera) > settings_.fusion_radius || group_.size() >= kMaxGroup))
-    fused = fuseGroup();
   group_.push_back(std::move(map));
-  return fused;
+}
+
+// Told by where the next depth map begins: its end would come later.
+bool DenseMapper::endsGroup(const Eigen::Isometry3d& T_map_reference) const {
+  constexpr std::size_t kMaxGroup = 255;
+  return !group_.empty() && (distance(group_.front().T_map_camera, T_map_reference) > settings_.fusion_radius ||
+                             group_.size() >= kMaxGroup);
 }
 
 std::optional<FusedMap> DenseMapper::fuseGroup() {
@@ -185,7 +187,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
     for (Eigen::Vector3f& p : sparse) p *= static_cast<float>(unit_);
     fused = fuseDepthMaps(group, reference, settings_.fusion, sparse);
     counters_.fused += fused.has_value();
-    if (fused) fused->newest_image = last_.stamp;
+    if (fused) fused->newest_image = recent_.back().stamp;
   } else {
     ++counters_.small_groups;
   }
@@ -198,9 +200,8 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
 
 std::optional<FusedMap> DenseMapper::flush() {
   std::optional<FusedMap> fused;
-  if (sweeping_) fused = finishSweep();
-  // What is left after a fusion that has just happened, or only carried over from the one before, brings nothing new.
-  if (!fused && group_.size() > carried_over_) fused = fuseGroup();
+  if (sweeping_) finishSweep();
+  if (group_.size() > carried_over_) fused = fuseGroup();  // what is carried over alone brings nothing new
   return inPosesUnit(std::move(fused));
 }
 

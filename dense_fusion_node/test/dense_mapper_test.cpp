@@ -233,6 +233,29 @@ TEST(DenseMapper, StampsRiseWithOverlap) {
   for (std::size_t i = 1; i < stamps.size(); ++i) EXPECT_GT(stamps[i], stamps[i - 1]) << "fused map " << i;
 }
 
+// Not one depth map later, and by the stamp of what it was made of.
+TEST(DenseMapper, FusesAsSoonAsTheCameraLeaves) {
+  MapperSettings settings = smallSettings();
+  settings.fusion_radius = 0.5;
+  settings.fusion.voxel_size = 0.06;
+  DenseMapper mapper(settings);
+  std::vector<Eigen::Isometry3d> references;
+  mapper.onDepthMap([&](const DepthMap& map) { references.push_back(map.T_map_camera); });
+  std::size_t groups = 0, first = 0;
+  for (std::size_t i = 0; i < flight().size(); ++i) {
+    const Eigen::Isometry3d T = flightPose(static_cast<int>(i));
+    const auto fused = mapper.add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000, T, 1.3, 2.05);
+    if (!fused) continue;
+    ++groups;
+    const double way = (T.translation() - references.at(first).translation()).norm();
+    EXPECT_GT(way, settings.fusion_radius);
+    EXPECT_LT(way, settings.fusion_radius + settings.sweep_radius + 0.04);
+    EXPECT_EQ(fused->newest_image, static_cast<std::int64_t>(i - 1) * 50000000);
+    first = references.size();
+  }
+  EXPECT_GE(groups, 2u);
+}
+
 // A worker as the node's: its thread outlives whatever a job throws, and says why the job failed.
 TEST(Guarded, AThrowingJobDoesNotEndTheWorker) {
   std::vector<std::string> reasons;

@@ -93,7 +93,8 @@ class DenseMapper {
   RowMotion rowMotion(double readout_time, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera, double depth_min,
                       double depth_max);
   void startSweep(const Frame& reference, double depth_min, double depth_max);
-  std::optional<FusedMap> finishSweep();
+  void finishSweep();
+  bool endsGroup(const Eigen::Isometry3d& T_map_reference) const;
   std::optional<FusedMap> fuseGroup();
   std::optional<FusedMap> inPosesUnit(std::optional<FusedMap> fused) const;
 

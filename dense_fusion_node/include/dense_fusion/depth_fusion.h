@@ -40,7 +40,7 @@ struct FusedMap {
   int depth_maps = 0;       ///< fused
   double mean_support = 0;  ///< depth maps behind a surface point
   FusionTimings timings;
-  std::int64_t newest_image = 0;  ///< stamp of the image that completed it [ns]
+  std::int64_t newest_image = 0;  ///< stamp of the last image that was used [ns]
 };
 
 /// The box of the `sparse_points` (map frame, [m]) that lie in the view of any of the maps, with `sparse_margin` on all
