@@ -23,6 +23,7 @@ constexpr double kHistory = 3.0;             // images from so long before the m
 MapScale::MapScale(const OdometrySettings& settings, const Pose& T_camera_imu)
     : T_camera_imu_(T_camera_imu),
       metric_stddev_(settings.metric_stddev),
+      accel_scale_stddev_(settings.accel_scale_stddev),
       filter_(settings.scale, settings.imu_noise, tilt_stddev_) {}
 
 void MapScale::begin(double tilt_stddev) {

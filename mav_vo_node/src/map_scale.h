@@ -2,6 +2,7 @@
 // adjusted again and again.
 #pragma once
 
+#include <cmath>
 #include <deque>
 #include <optional>
 #include <string>
@@ -45,6 +46,8 @@ class MapScale {
   }
 
   const ScaleFilter& filter() const { return filter_; }
+  /// Of the scale, relative, with the accelerometer's own error, which the filter cannot see; infinite while unknown.
+  double relativeStddev() const { return std::hypot(filter_.relativeStddev(), accel_scale_stddev_); }
   /// Enough to make a map metric that is `age` [s] old.
   bool known(double age) const { return filter_.certain(neededStddev(age)); }
   std::string reason(double age) const;  ///< why it is not
@@ -63,7 +66,7 @@ class MapScale {
   ScaleMeasurement measurement(std::size_t image, const FrameTrajectory& frames, const visual_frontend::Map& map) const;
 
   Pose T_camera_imu_;
-  double metric_stddev_;
+  double metric_stddev_, accel_scale_stddev_;
   double tilt_stddev_ = 0.1;
   ScaleFilter filter_;
   std::deque<Image> images_;

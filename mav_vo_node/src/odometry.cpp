@@ -234,7 +234,7 @@ Increment Odometry::Impl::incrementSince(const Pose& T_map_previous) const {
 // leave open, which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance() const {
   Matrix6d C = pose.result().covariance;
-  const double relative = metric() && scale.filter().initialized() ? scale.filter().relativeStddev() : 0.0;
+  const double relative = metric() && scale.filter().initialized() ? scale.relativeStddev() : 0.0;
   const Eigen::Vector3d p = pose.pose().translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
   if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
@@ -255,7 +255,7 @@ void Odometry::Impl::fillResult(FrameResult* result) const {
   result->landmarks = map.landmarkCount();
   result->increment = increment;
   result->scale = estimate.initialized() ? estimate.scale() : 1.0;
-  result->scale_stddev = estimate.scaleStddev();
+  result->scale_stddev = result->scale * scale.relativeStddev();
   if (metric() && settings.use_imu) result->tilt_stddev = kMapTilt;
   result->imu_bias = bias;
   result->gyro_bias_stddev = imu.gyroBiasStddev();

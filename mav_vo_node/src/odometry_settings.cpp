@@ -14,6 +14,9 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v("accel_bias_walk", o.imu_noise.accel_bias_walk, {1e-8, 10.0}, "m/s^3/sqrt(Hz)", "");
   v("accel_bias_stddev", o.scale.accel_bias_stddev, {1e-3, 5.0}, "m/s^2",
     "of the accelerometer's bias before the flight, per axis");
+  v("accel_scale_stddev", o.accel_scale_stddev, {0.0, 0.2}, "",
+    "of the accelerometer's scale factor, relative (data sheet: sensitivity tolerance); the scale that is published "
+    "cannot be known better");
   v("gyro_bias_stddev", o.gyro_alignment.bias_stddev, {1e-4, 1.0}, "rad/s",
     "of the gyro's bias before the first image, per axis");
   v("time_offset", o.gyro_alignment.time_offset, {-1.0, 1.0}, "s",
