@@ -41,8 +41,7 @@ MapAdjuster::Jobs MapAdjuster::adjustNewest(const Map& map, const InertialMap& i
   return run(extractBundle(map, camera_, free, fixed, settings, &inertial), stamp);
 }
 
-MapAdjuster::Jobs MapAdjuster::adjustWhole(const Map& map, const InertialMap& inertial, BundleSettings settings,
-                                           double stamp) {
+BundleJob MapAdjuster::wholeMap(const Map& map, const InertialMap& inertial, BundleSettings settings) const {
   std::vector<KeyframeId> free, fixed;
   for (const auto& entry : map.keyframes()) free.push_back(entry.first);
   if (static_cast<int>(free.size()) > settings_.full_max_keyframes) {
@@ -55,9 +54,13 @@ MapAdjuster::Jobs MapAdjuster::adjustWhole(const Map& map, const InertialMap& in
   settings.parameter_tolerance = kParameterTolerance;
   BundleJob job = extractBundle(map, camera_, free, fixed, settings, &inertial);
   job.full = true;
+  return job;
+}
+
+MapAdjuster::Jobs MapAdjuster::adjustWhole(BundleJob whole, double stamp) {
   next_whole_ = stamp + interval_;
   interval_ = std::min(2 * interval_, 4 * settings_.full_interval);
-  return run(std::move(job), stamp);
+  return run(std::move(whole), stamp);
 }
 
 void MapAdjuster::restartSchedule(double stamp) {

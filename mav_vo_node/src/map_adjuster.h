@@ -14,6 +14,7 @@ class MapAdjuster {
 
   MapAdjuster(const CameraModel& camera, const OdometrySettings& settings) : camera_(camera), settings_(settings) {}
 
+  void setCamera(const CameraModel& camera) { camera_ = camera; }
   /// Waits for what runs; nothing comes of it.
   void discard() { threads_.discard(); }
   /// The newest keyframes and what they see, older observers held. `settings`: those that the state of the map decides;
@@ -21,8 +22,9 @@ class MapAdjuster {
   Jobs adjustNewest(const visual_frontend::Map& map, const visual_frontend::InertialMap& inertial,
                     visual_frontend::BundleSettings settings, double stamp);
   /// The whole map, but for the oldest keyframes of a long flight.
-  Jobs adjustWhole(const visual_frontend::Map& map, const visual_frontend::InertialMap& inertial,
-                   visual_frontend::BundleSettings settings, double stamp);
+  BundleJob wholeMap(const visual_frontend::Map& map, const visual_frontend::InertialMap& inertial,
+                     visual_frontend::BundleSettings settings) const;
+  Jobs adjustWhole(BundleJob whole, double stamp);
   bool wholeDue(double stamp) const { return stamp >= next_whole_; }
   /// The next adjustment of the whole map is due half an interval later; the interval grows from there.
   void restartSchedule(double stamp);

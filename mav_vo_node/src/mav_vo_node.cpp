@@ -50,6 +50,7 @@ class MavVoNode : private ros_utils::Estimator {
     settings.use_imu = T_base_imu.has_value();
     visual_ = !settings.use_imu;
     external_scale_.emplace(T_base_camera);
+    radial_ = camera.k1;
     odometry_ = std::make_unique<Odometry>(camera, T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
   }
 
@@ -74,6 +75,7 @@ class MavVoNode : private ros_utils::Estimator {
     FrameResult visual = odometry_->process(frame.stamp.toSec(), grey);
     visual.map_id = shell_.mapId();
     last_stamp_ = frame.stamp;
+    tellCalibration();
     if (visual_) useAlignment(frame.stamp, visual.map_id);
     const FrameResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
@@ -84,6 +86,18 @@ class MavVoNode : private ros_utils::Estimator {
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;
+  }
+
+  /// A calibration that the images have corrected is no secret.
+  void tellCalibration() {
+    const double radial = odometry_->camera().k1;
+    shell_.health().value("k1", radial);
+    if (radial == radial_) return;
+    ROS_WARN(
+        "The images show that the camera's calibration is off: k1 is %.4f, not %.4f, and is used so. Calibrate the "
+        "camera; radial_stddev: 0 keeps what camera_info says",
+        radial, radial_);
+    radial_ = radial;
   }
 
   /// Only kept: process() uses it, on the worker's thread.
@@ -168,9 +182,9 @@ class MavVoNode : private ros_utils::Estimator {
     if (posed_publisher_.getNumSubscribers() > 0 && posed_selection_.selects(visual)) {
       air_ground::PosedImage posed = posedImage(grey, visual, settings_.posed_image_quality);
       posed.header = map_header;
-      posed.camera_info = shell_.cameraInfo();
-      posed.camera_info.header.stamp = header.stamp;
-      posed.camera_info.header.frame_id = shell_.cameraFrame();
+      std_msgs::Header camera_header = header;
+      camera_header.frame_id = shell_.cameraFrame();
+      posed.camera_info = ros_utils::toMsg(odometry_->camera(), camera_header);
       posed_publisher_.publish(posed);
     }
     if (r.increment) increment_publisher_.publish(incrementMessage(header, r));
@@ -220,6 +234,7 @@ class MavVoNode : private ros_utils::Estimator {
   ros::Subscriber alignment_subscriber_;
   std::unique_ptr<Odometry> odometry_;
   PosedImageSelection posed_selection_{settings_.posed_image_spacing};
+  double radial_ = 0;    // k1 that the console knows of
   bool visual_ = false;  // no IMU: the map keeps its own unit
   std::optional<ExternalScale> external_scale_;
   std::mutex alignment_mutex_;

@@ -37,13 +37,15 @@ const char* toString(OdometryState state) {
 
 Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, const Pose& T_base_imu,
                      const OdometrySettings& settings_)
-    : camera(camera_),
+    : given_camera(camera_),
       T_base_camera(T_base_camera_),
       T_camera_imu(T_base_camera_.inverse() * T_base_imu),
       settings(settings_),
       inertial(settings_, T_camera_imu),
       adjuster(camera_, settings_),
       scale(settings_, T_camera_imu),
+      camera(camera_),
+      calibration(camera_, settings_),
       imu(settings_, T_camera_imu.linear(), sigma(), camera_.height),
       pose(camera_, settings_, map, tracks, [this](double a, double b) { return cameraTurn(a, b); }),
       bootstrap(camera_, settings_.bootstrap),
@@ -58,6 +60,8 @@ void Odometry::Impl::reset() {
   startMap();
   imu.reset();
   bias = {};
+  calibration = CalibrationAlignment(given_camera, settings);
+  setCamera(given_camera);
   pose.setReadoutTime(settings.readout_time);
   last_stamp = -1;
   state = OdometryState::kWaiting;
@@ -208,8 +212,7 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
   if (!metric() && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
-  if (metric() && made_keyframe && adjuster.wholeDue(last_stamp))
-    adopt(adjuster.adjustWhole(map, inertial.data(), bundleSettings(), last_stamp));
+  if ((metric() || calibration.estimates()) && made_keyframe && adjuster.wholeDue(last_stamp)) adjustWholeMap();
   pose.setPose(frames.lastPose(map));
   state = metric() ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric() ? "" : scaleReason();
@@ -294,6 +297,7 @@ double Odometry::imuNeededAt(double image_stamp) const {
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }
 FrameResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
 void Odometry::reset() { impl_->reset(); }
+const CameraModel& Odometry::camera() const { return impl_->camera; }
 const visual_frontend::Map& Odometry::map() const { return impl_->map; }
 const std::vector<Feature>& Odometry::features() const { return impl_->pose.tracker().features(); }
 bool Odometry::metric() const { return impl_->metric(); }

@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "calibration_alignment.h"
 #include "imu_alignment.h"
 #include "inertial_keyframes.h"
 #include "keyframe_policy.h"
@@ -59,10 +60,13 @@ struct Odometry::Impl {
   void transformMap(const air_ground_common::Similarity& S_new_old);
   void retime();
   visual_frontend::BundleSettings bundleSettings() const;
+  void adjustWholeMap();
   void adopt(const MapAdjuster::Jobs& jobs);
+  void recalibrate(const visual_frontend::CalibrationEstimate& estimate);  ///< with its adjustment in the map
+  void setCamera(const CameraModel& better_known);
 
   // ---- Fixed
-  CameraModel camera;
+  CameraModel given_camera;
   Pose T_base_camera, T_camera_imu;
   OdometrySettings settings;
 
@@ -79,6 +83,8 @@ struct Odometry::Impl {
   double metric_since = 0;  ///< [s]
 
   // ---- Image by image
+  CameraModel camera;  ///< as it is known now
+  CalibrationAlignment calibration;
   ImuAlignment imu;
   ImuBias bias;
   PoseTracker pose;

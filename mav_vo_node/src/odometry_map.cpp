@@ -123,6 +123,7 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
     insertKeyframe(std::move(keyframe));
   }
   bootstrap.reset();
+  adjuster.restartSchedule(last_stamp);
   scale.begin(tilt);
   const Pose& T_map_last = map.keyframe(map.lastKeyframe()).T_map_camera;
   pose.beginMap(T_map_last, (T_map_last.translation() - T_map_first.translation()) /
@@ -246,7 +247,7 @@ void Odometry::Impl::makeMetric() {
   bias.accel = estimate.accel_bias;
   inertial.makeMetric(map, bias.accel);
   for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
-  adopt(adjuster.adjustWhole(map, inertial.data(), bundleSettings(), last_stamp));
+  adjustWholeMap();
   adopt(adjuster.finish());
   adjuster.restartSchedule(last_stamp);
 }
@@ -269,11 +270,38 @@ visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {
   return bundle;
 }
 
+void Odometry::Impl::adjustWholeMap() {
+  BundleJob whole = adjuster.wholeMap(map, inertial.data(), bundleSettings());
+  if (calibration.estimates()) calibration.open(frames, map, &whole);
+  adopt(adjuster.adjustWhole(std::move(whole), last_stamp));
+}
+
+void Odometry::Impl::setCamera(const CameraModel& better_known) {
+  camera = better_known;
+  pose.setCamera(camera);
+  bootstrap.setCamera(camera);
+  relocalizer.setCamera(camera);
+  adjuster.setCamera(camera);
+}
+
+void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& estimate) {
+  calibration.follow(estimate);
+  setCamera(calibration.camera());
+  if (!settings.use_imu) pose.setReadoutTime(calibration.readoutTime());
+  calibration.recalibrate(frames, pose.readoutTime(), &map);
+  adjuster.restartSchedule(last_stamp);
+  if (!metric() && settings.use_imu) scale.estimateAnew(frames, map);
+  revision.next();
+}
+
 void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
   for (const BundleJob& job : jobs) {
     if (!job.result.usable || job.problem.metric != metric()) continue;
+    // Before the scale is known, the whole map is adjusted for the calibration's sake alone.
+    if (job.full && !metric() && settings.use_imu && !job.problem.calibration) continue;
     applyBundle(job, map, &inertial.data());
     revision.follow(map, pose.sceneDistance());
+    if (job.problem.calibration) recalibrate(*job.problem.calibration);
     const ImuBias* newest = inertial.newestBias();
     if (newest && settings.use_imu) bias.gyro = newest->gyro;
     if (!metric()) continue;

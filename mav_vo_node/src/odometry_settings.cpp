@@ -29,6 +29,10 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
     "negative: bottom row first");
   v("readout_time_stddev", o.readout_time_stddev, {0.0, 0.05}, "s",
     "of that figure; it is estimated from there, which needs turns. 0 = exact (a global shutter, say), not estimated");
+  v("radial_stddev", o.radial_stddev, {0.0, 0.5}, "",
+    "of the calibration's first radial coefficient, k1; where the images are sure that it is another one, that is "
+    "used. "
+    "0 = exact, not estimated");
 
   v.section("Features");
   describe(v, o.tracker);

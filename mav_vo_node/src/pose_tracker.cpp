@@ -34,6 +34,12 @@ PoseTracker::PoseTracker(const CameraModel& camera, const OdometrySettings& sett
       tracker_(camera, settings.tracker),
       shutter_(camera, settings.readout_time) {}
 
+void PoseTracker::setCamera(const CameraModel& camera) {
+  camera_ = camera;
+  tracker_.setCamera(camera);
+  shutter_.setCamera(camera);
+}
+
 void PoseTracker::reset() {
   tracker_.reset();
   beginMap(Pose::Identity(), Eigen::Vector3d::Zero());

@@ -61,6 +61,7 @@ class PoseTracker {
   std::vector<visual_frontend::Observation> observations() const;
   double readoutTime() const { return shutter_.readoutTime(); }  ///< [s]
   void setReadoutTime(double readout_time) { shutter_.setReadoutTime(readout_time); }
+  void setCamera(const CameraModel& camera);  ///< the same, better known
 
  private:
   Pose predict(double last_stamp, double stamp, bool tracking, visual_frontend::TrackPrediction* prediction);

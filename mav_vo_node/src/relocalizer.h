@@ -13,6 +13,7 @@ class Relocalizer {
  public:
   Relocalizer(const CameraModel& camera, const OdometrySettings& settings) : camera_(camera), settings_(settings) {}
 
+  void setCamera(const CameraModel& camera) { camera_ = camera; }
   void begin(double stamp);                         ///< lost at this image [s]
   double lostSince() const { return lost_since_; }  ///< [s]
   /// Tries the image: near the last pose by the landmarks' patches, elsewhere by its ORB features where `gate` allows.

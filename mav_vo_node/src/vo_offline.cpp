@@ -93,6 +93,7 @@ class OfflineRun {
         frames ? 1e3 * times_[frames / 2] : 0, frames ? 1e3 * times_[frames * 95 / 100] : 0,
         frames ? 1e3 * times_.back() : 0);
     if (use_imu_) printInertial();
+    printCalibration();
     if (truth_.empty()) return;
     auto final_poses = odometry_.trajectory();
     for (auto& p : final_poses) p.T_map_body = p.T_map_body * T_base_camera_.inverse();
@@ -130,7 +131,14 @@ class OfflineRun {
         "%6.2f %-12s map %u tracked %3d inliers %3d keyframes %3zu landmarks %4zu scale %.4f +- %.4f  %.1f ms  %s\n",
         stamp - first_stamp_, mav_vo::toString(r.state), r.map_id, r.tracked, r.inliers, r.keyframes, r.landmarks,
         r.scale, r.scale_stddev, 1e3 * r.seconds, r.reason.c_str());
-    printInertial();
+    if (use_imu_) printInertial();
+    printCalibration();
+  }
+
+  void printCalibration() const {
+    const auto& c = odometry_.camera();
+    std::printf("       calibration: f %.1f %.1f px, centre %.1f %.1f px, k1 %.4f, readout time %.1f ms\n", c.fx, c.fy,
+                c.cx, c.cy, c.k1, 1e3 * last_.readout_time);
   }
 
   void printInertial() const {
@@ -304,6 +312,7 @@ int main(int argc, char** argv) {
   app.add_option("--time-offset", settings.gyro_alignment.time_offset, "t_imu - t_image of the same instant [s]");
   app.add_option("--time-offset-stddev", settings.gyro_alignment.time_offset_stddev, "of that; 0 = exact [s]");
   app.add_option("--readout-time", settings.readout_time, "of a rolling shutter [s]");
+  app.add_option("--radial-stddev", settings.radial_stddev, "of the calibration's k1; 0 = exact");
   app.add_option("--readout-time-stddev", settings.readout_time_stddev, "of that; 0 = exact [s]");
   app.add_option("--imu-shift", imu_shift, "added to the IMU's stamps, to try out a time offset [s]");
   CLI11_PARSE(app, argc, argv);

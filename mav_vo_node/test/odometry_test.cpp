@@ -112,15 +112,62 @@ TEST(Odometry, WithoutAGyroTheLastTurnTellsWhatRowsAreLate) {
   options.flight.wobble = 0.15;
   options.imu = false;
   options.readout = 0.03;
-  const auto shapeError = [](const Outcome& o) {
-    return air_ground_common::absoluteTrajectoryError(o.truth, o.final_poses, air_ground_common::Alignment::kSimilarity)
-        .rmse;
-  };
-  const double untold = shapeError(fly(options));
+  OdometrySettings given;
+  given.readout_time_stddev = 0;
+  const double untold = shapeError(fly(options, given));
+  const Outcome found = fly(options);
   options.told = true;
-  const double told = shapeError(fly(options));
-  std::printf("without IMU, readout time 30 ms: ATE after similarity %.4f m, told %.4f m\n", untold, told);
+  const double told = shapeError(fly(options, given));
+  const double readout = found.frames.back().readout_time;
+  std::printf("without IMU, readout time 30 ms: ATE after similarity %.4f m, told %.4f m, found to be %.1f ms %.4f m\n",
+              untold, told, 1e3 * readout, shapeError(found));
   EXPECT_LT(told, 0.7 * untold);
+  EXPECT_LT(shapeError(found), 0.7 * untold);
+  EXPECT_NEAR(readout, options.readout, 0.006);
+}
+
+// k1 of the camera is 0.04 less than the calibration says.
+TEST(Odometry, FindsThatTheCalibrationIsOff) {
+  for (const bool imu : {true, false}) {
+    Options options;
+    options.flight.wobble = 0.15;
+    options.imu = imu;
+    options.radial = 0.04;
+    OdometrySettings believing;
+    believing.radial_stddev = 0;
+    const Outcome believed = fly(options, believing), found = fly(options);
+    std::printf("%s IMU: k1 off by %.4f instead of %.4f, ATE after similarity %.4f m instead of %.4f m\n",
+                imu ? "with" : "without", found.camera.k1 - synthetic::camera().k1, options.radial, shapeError(found),
+                shapeError(believed));
+    EXPECT_EQ(believed.camera.k1, synthetic::camera().k1 + options.radial);
+    EXPECT_NEAR(found.camera.k1, synthetic::camera().k1, 0.008);
+    EXPECT_LT(shapeError(found), 0.6 * shapeError(believed));
+    EXPECT_EQ(imu, found.metric_at > 0);
+  }
+}
+
+TEST(Odometry, KeepsACalibrationThatIsRight) {
+  for (const bool imu : {true, false}) {
+    Options options;
+    options.imu = imu;
+    const Outcome o = fly(options);
+    EXPECT_EQ(o.camera.k1, synthetic::camera().k1);
+    EXPECT_EQ(o.frames.back().readout_time, 0);
+  }
+}
+
+TEST(Odometry, ResetBelievesTheCalibrationAgain) {
+  Options options;
+  options.flight.wobble = 0.15;
+  options.imu = false;
+  OdometrySettings settings;
+  settings.use_imu = false;
+  const CameraModel told = visual_frontend::withRadial(synthetic::camera(), 0.04);
+  Odometry odometry(told, synthetic::T_imu_camera(), Pose::Identity(), settings);
+  fly(options, settings, &odometry);
+  EXPECT_LT(odometry.camera().k1, told.k1 - 0.02);
+  odometry.reset();
+  EXPECT_EQ(odometry.camera().k1, told.k1);
 }
 
 TEST(Odometry, TakesAGlobalShutterForOne) {

@@ -7,6 +7,7 @@
 #include "air_ground_common/trajectory.h"
 #include "mav_vo/odometry.h"
 #include "synthetic_camera.h"
+#include "visual_frontend/self_calibration.h"
 
 namespace mav_vo {
 
@@ -22,6 +23,7 @@ struct Options {
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
   double readout = 0;    ///< of a rolling shutter [s]
   bool told = false;     ///< the odometry is told of it
+  double radial = 0;     ///< by which the calibration that it is told is larger than the camera's k1
   double replay = 0;     ///< added to all stamps: the recording is played again, time going on [s]
   unsigned seed = 11;    ///< of the IMU's noise
   int grain = 5;         ///< of the images' noise
@@ -31,6 +33,7 @@ struct Outcome {
   air_ground_common::Trajectory truth, online, final_poses;  // of the camera
   std::vector<FrameResult> frames;
   double metric_at = -1;
+  CameraModel camera;  ///< as the odometry knows it at the end
 };
 
 /// Strips of a few rows, each from where the camera is when they are read.
@@ -55,7 +58,8 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
   if (options.told) settings.readout_time = options.readout;
   std::unique_ptr<Odometry> own;
   if (!given) {
-    own = std::make_unique<Odometry>(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), settings);
+    own = std::make_unique<Odometry>(visual_frontend::withRadial(synthetic::camera(), options.radial),
+                                     synthetic::T_imu_camera(), Pose::Identity(), settings);
     given = own.get();
   }
   std::mt19937 random(options.seed);
@@ -87,7 +91,14 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
     outcome.frames.push_back(r);
   }
   outcome.final_poses = given->trajectory();
+  outcome.camera = given->camera();
   return outcome;
+}
+
+/// What no choice of unit, position and attitude of the map explains [m].
+inline double shapeError(const Outcome& o) {
+  return air_ground_common::absoluteTrajectoryError(o.truth, o.final_poses, air_ground_common::Alignment::kSimilarity)
+      .rmse;
 }
 
 inline double ate(const Outcome& o, const air_ground_common::Trajectory& estimate, double* scale_error = nullptr) {

@@ -1,9 +1,13 @@
 #include "visual_frontend/bundle_adjustment.h"
 
+#include <ceres/crs_matrix.h>
 #include <ceres/loss_function.h>
+#include <ceres/normal_prior.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
+#include <Eigen/SparseCholesky>
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <stdexcept>
@@ -21,6 +25,9 @@ constexpr double kAnchorYaw = 1e-5;       // [rad]
 constexpr double kLinkLossWidth = 6;      // sigmas of a whole link, of nine numbers: one in 10,000 true ones is longer
 constexpr int kDenseCameras = 30;         // up to so many free ones the reduced system is solved densely
 constexpr int kDenseInertial = 25;        // likewise where each has nine unknowns more
+constexpr double kTolerance = 1e-5;       // relative change of the cost at which iterations end
+constexpr double kCalibratedTolerance = 1e-8;  // a calibration changes it little for a long time
+constexpr double kGaugeInformation = 1e-3;     // on all unknowns: a map without scale has one that nothing fixes
 
 void check(const BundleProblem& problem) {
   const auto fail = [](const std::string& what) { throw std::invalid_argument("solveBundle: " + what); };
@@ -54,6 +61,8 @@ void check(const BundleProblem& problem) {
     if (!(link.motion.duration() > 0)) fail("a link without inertial samples");
   }
   if (problem.anchor >= cameras) fail("the anchor is out of range");
+  if (problem.calibration && !(problem.calibration->sigma.array() > 0).all())
+    fail("standard deviations of a calibration must be positive");
 }
 
 /// Squared reprojection error in sigmas; kBehindCamera there.
@@ -91,7 +100,7 @@ class Solver {
   Solver(BundleProblem& problem, const BundleSettings& settings)
       : problem_(problem),
         settings_(settings),
-        block_(problem.cameras.size()),
+        block_(problem.cameras.size() + 1),
         camera_used_(problem.cameras.size(), 0),
         state_used_(problem.cameras.size(), 0),
         point_used_(problem.points.size(), 0),
@@ -100,13 +109,14 @@ class Solver {
         link_loss_(kLinkLossWidth),
         ceres_(borrowedLosses()),
         ordering_(std::make_shared<ceres::ParameterBlockOrdering>()) {
-    for (std::size_t i = 0; i < block_.size(); ++i) {
+    for (std::size_t i = 0; i < problem.cameras.size(); ++i) {
       const BundleProblem::Camera& camera = problem.cameras[i];
       block_[i].camera << camera.T_map_camera.translation(), 0, 0, 0;
       block_[i].velocity = camera.state.velocity;
       block_[i].bias << camera.state.bias.gyro, camera.state.bias.accel;
       R_0_.push_back(camera.T_map_camera.linear());
     }
+    addCalibration();
     addMeasurements();
     addPriors();
     addLinks();
@@ -127,7 +137,7 @@ class Solver {
     options.max_num_iterations = settings_.max_iterations;
     options.max_solver_time_in_seconds = settings_.max_seconds;
     options.num_threads = settings_.threads;
-    options.function_tolerance = 1e-5;
+    options.function_tolerance = problem_.calibration ? kCalibratedTolerance : kTolerance;
     options.parameter_tolerance = settings_.parameter_tolerance;
     options.logging_type = ceres::SILENT;
     ceres::Solver::Summary summary;
@@ -144,7 +154,8 @@ class Solver {
   }
 
   void takeOver() {
-    for (std::size_t i = 0; i < block_.size(); ++i) {
+    takeOverCalibration();
+    for (std::size_t i = 0; i < problem_.cameras.size(); ++i) {
       BundleProblem::Camera& c = problem_.cameras[i];
       const Block& b = block_[i];
       if (state_used_[i] && !c.state_fixed) c.state = {b.velocity, {b.bias.head<3>(), b.bias.tail<3>()}};
@@ -155,13 +166,58 @@ class Solver {
     }
   }
 
+  /// Beside the cameras', whose array has one block more for it.
+  double* calibration() { return block_.back().camera.data(); }
+
+  void addCalibration() {
+    if (!problem_.calibration) return;
+    const CalibrationEstimate& estimate = *problem_.calibration;
+    Eigen::Map<CalibrationVector>(calibration()).setZero();
+    ceres_.AddResidualBlock(
+        new ceres::NormalPrior(Eigen::MatrixXd(estimate.sigma.cwiseInverse().asDiagonal()), estimate.mean), nullptr,
+        calibration());
+    ordering_->AddElementToGroup(calibration(), 1);
+  }
+
+  void takeOverCalibration() {
+    if (!problem_.calibration) return;
+    problem_.calibration->error = Eigen::Map<const CalibrationVector>(calibration());
+    problem_.calibration->covariance = calibrationCovariance();
+    for (auto& m : problem_.measurements) m.normalized += m.by_calibration * problem_.calibration->error;
+  }
+
+  /// What the images leave open of the calibration when poses, points and states are free.
+  CalibrationMatrix calibrationCovariance() {
+    ceres::Problem::EvaluateOptions options;
+    ceres_.GetParameterBlocks(&options.parameter_blocks);
+    auto& blocks = options.parameter_blocks;
+    blocks.erase(std::remove_if(blocks.begin(), blocks.end(),
+                                [this](double* b) { return b == calibration() || ceres_.IsParameterBlockConstant(b); }),
+                 blocks.end());
+    blocks.insert(blocks.begin(), calibration());
+    ceres::CRSMatrix crs;
+    ceres_.Evaluate(options, nullptr, nullptr, nullptr, &crs);
+    const Eigen::Map<const Eigen::SparseMatrix<double, Eigen::RowMajor>> J(
+        crs.num_rows, crs.num_cols, static_cast<Eigen::Index>(crs.values.size()), crs.rows.data(), crs.cols.data(),
+        crs.values.data());
+    Eigen::SparseMatrix<double> H = Eigen::SparseMatrix<double>(J.transpose()) * J;
+    for (Eigen::Index i = 0; i < H.cols(); ++i) H.coeffRef(i, i) += kGaugeInformation;
+    const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(H);
+    const Eigen::MatrixXd columns = solver.solve(Eigen::MatrixXd::Identity(H.cols(), kCalibrationStates));
+    return columns.topRows<kCalibrationStates>();
+  }
+
   void addMeasurements() {
     for (const auto& m : problem_.measurements) {
       // A point behind its camera at the start has no gradient that helps: it is reported as an outlier.
       if (squaredError(problem_, m) >= kBehindCamera) continue;
       double *camera = block_[m.camera].camera.data(), *point = problem_.points[m.point].data();
-      ceres_.AddResidualBlock(new ReprojectionCost(R_0_[m.camera], m.normalized, {m.sigma, m.elongation}), loss_.get(),
-                              camera, point);
+      const NormalizedNoise noise{m.sigma, m.elongation};
+      if (problem_.calibration)
+        ceres_.AddResidualBlock(new CalibratedReprojectionCost(R_0_[m.camera], m.normalized, noise, m.by_calibration),
+                                loss_.get(), camera, point, calibration());
+      else
+        ceres_.AddResidualBlock(new ReprojectionCost(R_0_[m.camera], m.normalized, noise), loss_.get(), camera, point);
       if (settings_.use_depth && m.depth > 0)
         ceres_.AddResidualBlock(new DepthCost(R_0_[m.camera], m.depth, m.depth_sigma), &depth_loss_, camera, point);
       camera_used_[m.camera] = point_used_[m.point] = 1;
@@ -200,9 +256,9 @@ class Solver {
   }
 
   void addCameras() {
-    std::vector<unsigned char> has_predecessor(block_.size(), 0);
+    std::vector<unsigned char> has_predecessor(problem_.cameras.size(), 0);
     for (const auto& link : problem_.links) has_predecessor[link.camera_b] = 1;
-    for (std::size_t i = 0; i < block_.size(); ++i) {
+    for (std::size_t i = 0; i < problem_.cameras.size(); ++i) {
       addGravity(i);
       if (!camera_used_[i]) continue;
       ordering_->AddElementToGroup(block_[i].camera.data(), 1);

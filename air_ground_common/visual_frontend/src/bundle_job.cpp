@@ -1,13 +1,21 @@
 #include "visual_frontend/bundle_job.h"
 
+#include <Eigen/Cholesky>
+#include <algorithm>
 #include <iterator>
 #include <map>
+#include <utility>
 
 namespace visual_frontend {
 
 namespace {
 
 using CameraIndex = std::map<KeyframeId, int>;
+
+constexpr double kTrackCorrelation = 10;  // points of a map over those that err on their own
+constexpr double kSureCalibration = 25;   // squared error over its variance: one of 10^5 by chance in two dimensions
+constexpr double kSureRefinement = 9;     // the same of a calibration that has been found to be off before
+constexpr double kLeastShift = 0.5;       // what it moves the measurements, RMS [sigmas]
 
 void addCameras(const Map& map, const std::vector<KeyframeId>& ids, bool fixed, const InertialMap* inertial,
                 CameraIndex* index, BundleJob* job) {
@@ -62,6 +70,17 @@ void addLandmark(const Map& map, const CameraModel& camera, const Landmark& land
   }
 }
 
+/// The camera is another one than it was taken for, beyond doubt and so that it matters.
+bool isSure(const CalibrationEstimate& estimate, const BundleProblem& problem, double rms) {
+  const double inflation = kTrackCorrelation * std::max(1.0, rms * rms);
+  const double significance = estimate.error.dot(estimate.covariance.ldlt().solve(estimate.error)) / inflation;
+  double squares = 0;
+  for (const auto& m : problem.measurements)
+    squares += squaredSigmas(m.by_calibration * estimate.error, m.normalized, {m.sigma, m.elongation});
+  return significance > (estimate.mean.isZero() ? kSureCalibration : kSureRefinement) &&
+         squares > kLeastShift * kLeastShift * static_cast<double>(problem.measurements.size());
+}
+
 /// What came into the map since the job was taken out of it.
 void carryAlong(const BundleJob& job, const Pose& correction, Map& map, InertialMap* inertial) {
   if (map.lastKeyframe() == job.newest_keyframe) return;
@@ -91,6 +110,19 @@ void removeOutliers(const BundleJob& job, Map& map) {
 }
 
 }  // namespace
+
+void BundleJob::solve() {
+  if (problem.calibration) {
+    BundleProblem calibrated = problem;
+    result = solveBundle(calibrated, settings);
+    if (result.usable && isSure(*calibrated.calibration, calibrated, result.rms)) {
+      problem = std::move(calibrated);
+      return;
+    }
+    problem.calibration.reset();
+  }
+  result = solveBundle(problem, settings);
+}
 
 BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
                         const std::vector<KeyframeId>& fixed, const BundleSettings& settings,

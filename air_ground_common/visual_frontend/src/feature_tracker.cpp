@@ -406,6 +406,10 @@ void FeatureTracker::reset() {
 const std::vector<Feature>& FeatureTracker::features() const { return impl_->features; }
 const ImagePyramid& FeatureTracker::pyramid() const { return impl_->pyramid; }
 const CameraModel& FeatureTracker::camera() const { return impl_->camera; }
+void FeatureTracker::setCamera(const CameraModel& camera) {
+  impl_->camera = camera;
+  for (Feature& f : impl_->features) f.normalized = camera.unproject(f.pixel);
+}
 const TrackerSettings& FeatureTracker::settings() const { return impl_->settings; }
 double FeatureTracker::lastSurvival() const { return impl_->survival; }
 

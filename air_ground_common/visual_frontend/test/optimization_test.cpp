@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include "air_ground_common/linear_algebra.h"
+
 #include "synthetic.h"
 #include "visual_frontend/bundle_job.h"
 #include "visual_frontend/ceres_costs.h"
@@ -55,6 +57,11 @@ TEST(Jacobians, MatchDifferences) {
     EXPECT_LT(
         jacobianError(ReprojectionCost(R_0, {0.1, -0.2}, {0.002, i % 2 ? 3.0 : 1.0}), {vectorOf(camera), vectorOf(p)}),
         1e-6);
+    RayByCalibration by_calibration;
+    by_calibration << random.vector(1).head<2>(), random.vector(1).head<2>();
+    EXPECT_LT(jacobianError(CalibratedReprojectionCost(R_0, {0.1, -0.2}, {0.002, 3.0}, by_calibration),
+                            {vectorOf(camera), vectorOf(p), {0.03, -0.02}}),
+              1e-6);
     EXPECT_LT(jacobianError(DepthCost(R_0, 2.0, 0.01), {vectorOf(camera), vectorOf(p)}), 1e-6);
     EXPECT_LT(jacobianError(GravityCost(R_0, random.vector(1).normalized(), 0.01), {vectorOf(camera)}), 1e-6);
 
@@ -148,6 +155,78 @@ TEST(Bundle, MonocularKeepsScaleOfTwoFixedCameras) {
   ASSERT_TRUE(r.usable);
   EXPECT_LT(worstCamera(s), 0.01);
   EXPECT_NEAR(r.rms, 0.5, 0.06);
+}
+
+/// What a camera whose k1 and readout time are larger than assumed by `error` sees of an arc.
+Scene miscalibrated(unsigned seed, const CalibrationVector& error) {
+  Scene s = arc(seed, 8, 120, 0.5, false, 0.01);
+  Random random(seed + 1000);
+  for (auto& m : s.problem.measurements) {
+    const Eigen::Vector2d n =
+        (s.truth.cameras[m.camera].T_map_camera.inverse() * s.truth.points[m.point]).hnormalized();
+    m.by_calibration.col(0) = n.squaredNorm() * n;
+    m.by_calibration.col(1) = random.gaussVector(0.3).head<2>();
+    m.normalized -= m.by_calibration * error;
+  }
+  s.problem.calibration.emplace();
+  s.problem.calibration->sigma << 0.1, 0.05;
+  return s;
+}
+
+TEST(Bundle, EstimatesTheCalibrationAndHowWell) {
+  const CalibrationVector error(0.05, -0.012);
+  constexpr int kRuns = 40;
+  BundleSettings settings;
+  settings.max_iterations = 40;
+  settings.pixel_sigma = 0.5;
+  settings.loss = RobustLoss::kNone;
+  double nees = 0;
+  for (unsigned seed = 0; seed < kRuns; ++seed) {
+    Scene s = miscalibrated(seed, error);
+    for (auto& m : s.problem.measurements) m.sigma = 0.5 / 525;
+    const auto before = s.problem.measurements;
+    ASSERT_TRUE(solveBundle(s.problem, settings).usable);
+    const CalibrationEstimate& found = *s.problem.calibration;
+    nees += (found.error - error).dot(found.covariance.inverse() * (found.error - error)) / kRuns;
+    EXPECT_NEAR(found.error[0], error[0], 5 * std::sqrt(found.covariance(0, 0)));
+    EXPECT_NEAR(found.error[1], error[1], 5 * std::sqrt(found.covariance(1, 1)));
+    EXPECT_LT(std::sqrt(found.covariance(0, 0)), 0.02);
+    EXPECT_LT(std::sqrt(found.covariance(1, 1)), 0.001);
+    // The measurements are then the calibrated camera's.
+    EXPECT_LT(
+        (s.problem.measurements[7].normalized - before[7].normalized - before[7].by_calibration * found.error).norm(),
+        1e-12);
+  }
+  std::printf("squared error over its covariance: %.2f on average, 2 expected\n", nees);
+  EXPECT_GT(nees, 1.2);
+  EXPECT_LT(nees, 3.0);
+}
+
+TEST(Bundle, AHeldCalibrationStays) {
+  Scene s = miscalibrated(1, {0.05, -0.012});
+  s.problem.calibration->sigma << 1e-9, 0.05;
+  BundleSettings settings;
+  settings.max_iterations = 40;
+  ASSERT_TRUE(solveBundle(s.problem, settings).usable);
+  EXPECT_LT(std::abs(s.problem.calibration->error[0]), 1e-6);
+  EXPECT_NEAR(s.problem.calibration->error[1], -0.012, 0.002);
+  s.problem.calibration->sigma << 0, 0.05;
+  EXPECT_THROW(solveBundle(s.problem, settings), std::invalid_argument);
+}
+
+TEST(Bundle, AJobKeepsACalibrationOnlyWhereItIsSurelyAnother) {
+  BundleJob off, right, plain;
+  off.problem = miscalibrated(2, {0.05, -0.012}).problem;
+  right.problem = plain.problem = miscalibrated(2, {0, 0}).problem;
+  plain.problem.calibration.reset();
+  for (BundleJob* job : {&off, &right, &plain}) job->solve();
+  ASSERT_TRUE(off.problem.calibration);
+  EXPECT_NEAR(off.problem.calibration->error[1], -0.012, 0.002);
+  EXPECT_FALSE(right.problem.calibration);
+  // Then it is as if nobody had asked.
+  for (std::size_t i = 0; i < plain.problem.cameras.size(); ++i)
+    EXPECT_EQ(right.problem.cameras[i].T_map_camera.matrix(), plain.problem.cameras[i].T_map_camera.matrix());
+  EXPECT_EQ(right.result.final_cost, plain.result.final_cost);
 }
 
 TEST(Bundle, ReportsOutliers) {

@@ -73,6 +73,7 @@ class Bootstrap {
   std::optional<BootstrapResult> add(double stamp, const std::vector<visual_frontend::Feature>& features,
                                      const visual_frontend::ImagePyramid& pyramid, const GyroRotations& gyro);
   void reset();
+  void setCamera(const visual_frontend::CameraModel& camera) { camera_ = camera; }  ///< when no views are kept
 
   const std::string& reason() const { return reason_; }  ///< why there is no result yet
 

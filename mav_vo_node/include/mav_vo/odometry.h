@@ -53,6 +53,7 @@ struct OdometrySettings {
 
   double readout_time = 0;            ///< of a rolling shutter, first row to last; stamps are of the middle row [s]
   double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]
+  double radial_stddev = 0.05;        ///< of the calibration's k1; it is estimated from there; 0 = exact [1]
   double pixel_sigma = 0.6;           ///< of a tracked feature [px]
   double gyro_prior_sigma = 0.01;     ///< of the predicted attitude in the pose refinement [rad]
   int min_inliers = 20;               ///< below: the frame is not localised
@@ -157,6 +158,7 @@ class Odometry {
   /// Forgets everything and takes a new map id.
   void reset();
 
+  const CameraModel& camera() const;  ///< the given one, or what the images make of it (radial_stddev)
   const visual_frontend::Map& map() const;
   const std::vector<visual_frontend::Feature>& features() const;
   /// For each of features(): it has a landmark.

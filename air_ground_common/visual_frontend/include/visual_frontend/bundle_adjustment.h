@@ -8,6 +8,7 @@
 
 #include "visual_frontend/imu_preintegration.h"
 #include "visual_frontend/pose_solver.h"
+#include "visual_frontend/self_calibration.h"
 #include "visual_frontend/types.h"
 
 namespace visual_frontend {
@@ -35,7 +36,7 @@ struct InertialState {
   ImuBias bias;
 };
 
-/// Plain data: what the solver sees. Poses, points and states are changed in place.
+/// Plain data: what the solver sees. Poses, points, states and calibration are changed in place.
 struct BundleProblem {
   struct Camera {
     Pose T_map_camera = Pose::Identity();
@@ -53,6 +54,7 @@ struct BundleProblem {
     double depth = 0;  ///< measured z [m]; 0 = none
     double depth_sigma = 0;
     double elongation = 1;  ///< of the noise (NormalizedNoise)
+    RayByCalibration by_calibration = RayByCalibration::Zero();
   };
   /// Relative pose prior, for example from an IMU or odometry.
   struct RelativePrior {
@@ -77,6 +79,9 @@ struct BundleProblem {
   /// Without a fixed camera: this one keeps its position and heading (roll, pitch and scale stay free, which links and
   /// gravity priors determine). -1: none.
   int anchor = -1;
+  /// Set: estimated, too, with its covariance; the measurements are then changed to what the camera without the error
+  /// sees.
+  std::optional<CalibrationEstimate> calibration;
 };
 
 struct BundleResult {

@@ -30,7 +30,9 @@ struct BundleJob {
   KeyframeId newest_keyframe = kNoKeyframe;  ///< of the map at the time
   LandmarkId newest_landmark = kNoLandmark;  ///< of the map at the time
 
-  void solve() { result = solveBundle(problem, settings); }
+  /// An estimated calibration stays in the problem where the images are sure that it is another one; else poses and
+  /// points are those of the camera as it was.
+  void solve();
 };
 
 /// `free` keyframes and the landmarks they see move, `fixed` ones hold those landmarks; keyframes in neither list are

@@ -5,6 +5,7 @@
 #include <ceres/cost_function.h>
 #include <ceres/sized_cost_function.h>
 
+#include "visual_frontend/self_calibration.h"
 #include "visual_frontend/types.h"
 
 namespace visual_frontend {
@@ -88,6 +89,25 @@ class ReprojectionCost final : public ceres::SizedCostFunction<2, 6, 3> {
   Eigen::Matrix3d R_0_;
   Eigen::Vector2d normalized_;
   Eigen::Matrix2d W_;
+};
+
+/// The same of a camera whose calibration is off, to the first order; camera, point and calibration's error.
+class CalibratedReprojectionCost final : public ceres::SizedCostFunction<2, 6, 3, kCalibrationStates> {
+ public:
+  CalibratedReprojectionCost(const Eigen::Matrix3d& R_0, const Eigen::Vector2d& normalized,
+                             const NormalizedNoise& noise, const RayByCalibration& by_calibration)
+      : calibrated_(R_0, normalized, noise), by_error_(-whitening(normalized, noise) * by_calibration) {}
+
+  bool Evaluate(double const* const* x, double* residuals, double** jacobians) const override {
+    if (!calibrated_.Evaluate(x, residuals, jacobians)) return false;
+    Eigen::Map<Eigen::Vector2d>{residuals} += by_error_ * Eigen::Map<const CalibrationVector>(x[2]);
+    if (jacobians && jacobians[2]) Eigen::Map<RowMajor<2, kCalibrationStates>>{jacobians[2]} = by_error_;
+    return true;
+  }
+
+ private:
+  ReprojectionCost calibrated_;
+  RayByCalibration by_error_;
 };
 
 /// z in the camera against a measurement, over sigma.

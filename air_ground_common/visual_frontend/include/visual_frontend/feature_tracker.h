@@ -97,6 +97,8 @@ class FeatureTracker {
   const std::vector<Feature>& features() const;
   const ImagePyramid& pyramid() const;  ///< of the current image (after CLAHE, if on)
   const CameraModel& camera() const;
+  /// The same camera, better known: normalised coordinates follow.
+  void setCamera(const CameraModel& camera);
   const TrackerSettings& settings() const;
   /// Features tracked by the last track() over those that were alive before it; 1 when there were none.
   double lastSurvival() const;

@@ -21,6 +21,7 @@ class RollingShutter {
   bool active() const { return readout_time_ != 0; }
   double readoutTime() const { return readout_time_; }  ///< [s]
   void setReadoutTime(double readout_time) { readout_time_ = readout_time; }
+  void setCamera(const CameraModel& camera) { camera_ = camera; }
 
   /// Motion of the camera during the image, in its own frame: angular rate [rad/s], velocity [m/s].
   void setMotion(const Eigen::Vector3d& angular_rate, const Eigen::Vector3d& velocity) {
