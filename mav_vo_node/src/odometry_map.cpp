@@ -291,7 +291,6 @@ void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& est
   calibration.recalibrate(frames, pose.readoutTime(), &map);
   adjuster.restartSchedule(last_stamp);
   if (!metric() && settings.use_imu) scale.estimateAnew(frames, map);
-  revision.next();
 }
 
 void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
