@@ -18,6 +18,8 @@ class MapRevision {
 
   /// After every change of the poses. `scene_distance` in the map's unit.
   void follow(const visual_frontend::Map& map, double scene_distance);
+  /// Rays have bent: what was made of earlier poses is off, however far these moved.
+  void next() { ++count_; }
   /// Another map, or another unit: not counted.
   void restart() { positions_.clear(); }
   std::uint32_t count() const { return count_; }

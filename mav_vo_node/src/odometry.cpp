@@ -45,7 +45,7 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       adjuster(camera_, settings_),
       scale(settings_, T_camera_imu),
       camera(camera_),
-      calibration(camera_, settings_),
+      calibration(givenCalibration()),
       imu(settings_, T_camera_imu.linear(), sigma(), camera_.height),
       pose(camera_, settings_, map, tracks, [this](double a, double b) { return cameraTurn(a, b); }),
       bootstrap(camera_, settings_.bootstrap),
@@ -60,7 +60,7 @@ void Odometry::Impl::reset() {
   startMap();
   imu.reset();
   bias = {};
-  calibration = CalibrationAlignment(given_camera, settings);
+  calibration = givenCalibration();
   setCamera(given_camera);
   pose.setReadoutTime(settings.readout_time);
   last_stamp = -1;

@@ -5,7 +5,6 @@
 #include <optional>
 #include <string>
 
-#include "calibration_alignment.h"
 #include "imu_alignment.h"
 #include "inertial_keyframes.h"
 #include "keyframe_policy.h"
@@ -15,6 +14,7 @@
 #include "mav_vo/odometry.h"
 #include "pose_tracker.h"
 #include "relocalizer.h"
+#include "visual_frontend/calibration_alignment.h"
 #include "visual_frontend/keyframe_covariances.h"
 
 namespace mav_vo {
@@ -64,6 +64,8 @@ struct Odometry::Impl {
   void adopt(const MapAdjuster::Jobs& jobs);
   void recalibrate(const visual_frontend::CalibrationEstimate& estimate);  ///< with its adjustment in the map
   void setCamera(const CameraModel& better_known);
+  visual_frontend::CalibrationAlignment givenCalibration() const;
+  visual_frontend::VelocityAt velocityAt() const;
 
   // ---- Fixed
   CameraModel given_camera;
@@ -84,7 +86,7 @@ struct Odometry::Impl {
 
   // ---- Image by image
   CameraModel camera;  ///< as it is known now
-  CalibrationAlignment calibration;
+  visual_frontend::CalibrationAlignment calibration;
   ImuAlignment imu;
   ImuBias bias;
   PoseTracker pose;

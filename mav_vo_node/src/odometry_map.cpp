@@ -272,8 +272,18 @@ visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {
 
 void Odometry::Impl::adjustWholeMap() {
   BundleJob whole = adjuster.wholeMap(map, inertial.data(), bundleSettings());
-  if (calibration.estimates()) calibration.open(frames, map, &whole);
+  if (calibration.estimates()) calibration.open(velocityAt(), map, &whole);
   adopt(adjuster.adjustWhole(std::move(whole), last_stamp));
+}
+
+// With an IMU, ImuAlignment tells the readout time.
+visual_frontend::CalibrationAlignment Odometry::Impl::givenCalibration() const {
+  return {given_camera, settings.readout_time, settings.radial_stddev,
+          settings.use_imu ? 0 : settings.readout_time_stddev};
+}
+
+visual_frontend::VelocityAt Odometry::Impl::velocityAt() const {
+  return [this](double stamp) { return frames.velocityAt(stamp, map); };
 }
 
 void Odometry::Impl::setCamera(const CameraModel& better_known) {
@@ -288,8 +298,9 @@ void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& est
   calibration.follow(estimate);
   setCamera(calibration.camera());
   if (!settings.use_imu) pose.setReadoutTime(calibration.readoutTime());
-  calibration.recalibrate(frames, pose.readoutTime(), &map);
+  calibration.recalibrate(velocityAt(), &map);
   adjuster.restartSchedule(last_stamp);
+  revision.next();
   if (!metric() && settings.use_imu) scale.estimateAnew(frames, map);
 }
 

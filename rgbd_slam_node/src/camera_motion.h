@@ -26,6 +26,7 @@ class CameraMotion {
   /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
   void setRowMotion(double stamp, const Pose& T_map_camera);
   const visual_frontend::RollingShutter& rows() const { return rows_; }
+  void setCamera(const CameraModel& camera) { rows_.setCamera(camera); }            ///< the same, better known
   void setReadoutTime(double readout_time) { rows_.setReadoutTime(readout_time); }  ///< [s]
 
   void update(double dt, const Pose& T_before, const Pose& T_now);

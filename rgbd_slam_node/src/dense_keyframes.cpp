@@ -39,6 +39,20 @@ void DenseKeyframes::moveRows(KeyframeId id, const visual_frontend::RollingShutt
   dense->second = std::move(points);
 }
 
+void DenseKeyframes::recalibrate(const CameraModel& camera) {
+  finish();
+  for (auto& entry : points_) {
+    auto points = std::make_shared<Points>(*entry.second);
+    for (KeyframeDepth::Point& point : *points) {
+      const Eigen::Vector3d p = point.position.cast<double>();
+      if (const auto pixel = camera_.project(p))
+        point.position = (p.z() * camera.unproject(*pixel).homogeneous()).cast<float>();
+    }
+    entry.second = std::move(points);
+  }
+  camera_ = camera;
+}
+
 std::vector<PosedPoints> DenseKeyframes::posed(const visual_frontend::Map& map) const {
   std::vector<PosedPoints> result;
   for (const auto& [id, points] : points_) result.push_back({map.keyframe(id).T_map_camera, points, id});

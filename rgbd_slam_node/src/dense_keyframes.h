@@ -24,6 +24,8 @@ class DenseKeyframes {
   void forget(KeyframeId id) { points_.erase(id); }
   /// Moves the points of a finished keyframe to where the middle row sees them.
   void moveRows(KeyframeId id, const visual_frontend::RollingShutter& shift);
+  /// Points of all keyframes, now finished, by a better calibration than the one they were made with.
+  void recalibrate(const CameraModel& camera);
   std::vector<PosedPoints> posed(const visual_frontend::Map& map) const;
 
  private:

@@ -55,6 +55,11 @@ FrameTracker::FrameTracker(const CameraModel& camera, const SlamSettings& settin
       motion_(motion),
       tracker_(camera, settings.tracker) {}
 
+void FrameTracker::setCamera(const CameraModel& camera) {
+  camera_ = camera;
+  tracker_.setCamera(camera);
+}
+
 void FrameTracker::reset() {
   tracker_.reset();
   tracks_.clear();

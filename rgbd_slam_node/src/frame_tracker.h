@@ -41,8 +41,9 @@ class FrameTracker {
   FrameTracker(const CameraModel& camera, const SlamSettings& settings, const visual_frontend::Map& map,
                const Frames& frames, visual_frontend::LandmarkTracks& tracks, CameraMotion& motion);
 
-  void reset();                       ///< tracks are forgotten
-  void restart(const cv::Mat& gray);  ///< and begin with this image
+  void setCamera(const CameraModel& camera);  ///< the same, better known
+  void reset();                               ///< tracks are forgotten
+  void restart(const cv::Mat& gray);          ///< and begin with this image
   /// Pose after the last frame's.
   TrackedPose track(const RgbdImages& images, const ReferenceKeyframe& reference);
   /// Not far from where it was, the camera is found by the local map; `restart` first.

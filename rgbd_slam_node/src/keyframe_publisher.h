@@ -18,6 +18,7 @@ class KeyframePublisher {
   KeyframePublisher(ros::NodeHandle handle, const std::string& topic, const std::string& frame);
 
   /// Without subscribers nothing is made.
+  void resendAll() { known_.clear(); }  ///< features of earlier keyframes, too, with the next publish()
   void publish(std::uint32_t map_id, const ros::Time& stamp, const visual_frontend::Map& map);
 
  private:

@@ -20,6 +20,7 @@ class LoopCloser {
 
   LoopCloser(const CameraModel& camera, const SlamSettings& settings) : camera_(camera), settings_(settings) {}
 
+  void setCamera(const CameraModel& camera) { camera_ = camera; }  ///< the same, better known
   void clear();
   void advance(double way) { path_ += way; }         ///< the camera has moved by so much [m]
   void add(KeyframeId id) { path_at_[id] = path_; }  ///< a new keyframe, where the camera is

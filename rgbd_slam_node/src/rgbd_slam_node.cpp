@@ -123,8 +123,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
     if (r.relocalized) ROS_INFO_THROTTLE(10, "found the way back into the map");
-    if (r.map_corrected) ROS_INFO("the map was corrected as a whole (loop closed, levelled, or readout time found)");
+    if (r.map_corrected)
+      ROS_INFO("the map was corrected as a whole (loop closed, levelled, readout time or distortion found)");
     tellReadoutTime();
+    if (r.recalibrated) tellCalibration();
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
     status.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -155,6 +157,15 @@ class RgbdSlamNode : private ros_utils::Estimator {
     told_readout_time_ = slam_->readoutTime();
     ROS_INFO("rolling shutter: an image is read in %.1f ms; what each row saw is moved accordingly",
              1e3 * told_readout_time_);
+  }
+
+  void tellCalibration() {
+    keyframes_.resendAll();
+    ROS_WARN(
+        "The images show that the colour camera's calibration is off: k1 is %.4f, and is used so. Calibrate the "
+        "camera; "
+        "radial_stddev: 0 keeps what camera_info says",
+        slam_->camera().k1);
   }
 
   void tellImuProblem(const std::string& problem, std::string& reason) {

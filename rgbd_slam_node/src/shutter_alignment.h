@@ -18,6 +18,9 @@ class ShutterAlignment {
   /// to replace the one `in_use`.
   std::optional<double> add(const RgbdImages& images, const Pose& T_map_camera,
                             const std::vector<visual_frontend::Feature>& features, double in_use);
+  void distrust() {  ///< what was seen was seen with another calibration
+    if (estimator_) estimator_->distrust();
+  }
   void interrupt();  ///< the next pose does not go on from the last one
   void reset();
   double stddev() const { return estimator_ ? estimator_->stddev() : 0; }  ///< [s]; 0: given, not estimated

@@ -39,13 +39,15 @@ SlamSettings::SlamSettings() {
 }
 
 Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
-    : camera(camera_model),
+    : given_camera(camera_model),
       mounting(mounted),
       settings(slam_settings),
       level(slam_settings),
       loops(camera_model, slam_settings),
       dense(camera_model, slam_settings),
       reference(slam_settings),
+      camera(camera_model),
+      calibration(camera_model, slam_settings.readout_time, slam_settings.radial_stddev, 0),
       motion(camera_model, mounted, slam_settings),
       tracking(camera_model, slam_settings, map, frames, tracks, motion),
       shutter(camera_model, slam_settings),
@@ -69,6 +71,7 @@ void Slam::Impl::clear() {
   motion.endMap();
   shutter.interrupt();
   search.clear();
+  next_calibration = kCalibrationKeyframes;
   state = State::kWaiting;
   first_stamp = -1;
 }
@@ -175,7 +178,8 @@ FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat
   const Matrix6d covariance = covariances.at(reference.id(), T_tracked.translation(), map) + tracked.pose.covariance;
   addToMap(images, tracked, &result);
   motion.addPose(stamp, lastPose(), tracked.pose.covariance);
-  if (alignShutter(images) || levelMap()) result.map_corrected = true;
+  result.recalibrated = result.keyframe && alignCalibration();
+  if (alignShutter(images) || levelMap() || result.recalibrated) result.map_corrected = true;
   if (result.map_corrected) shutter.interrupt();
   concludePose(covariance, tracked.pose.covariance, &result);
   return result;
@@ -279,6 +283,7 @@ FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr,
 air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }
 
 std::vector<PosedPoints> Slam::posedPoints() const { return impl_->dense.posed(impl_->map); }
+const CameraModel& Slam::camera() const { return impl_->camera; }
 const visual_frontend::Map& Slam::map() const { return impl_->map; }
 const std::vector<Feature>& Slam::features() const { return impl_->tracking.tracker().features(); }
 const SlamCounters& Slam::counters() const { return impl_->counters; }
@@ -298,6 +303,8 @@ std::vector<bool> Slam::mapped() const {
 
 void Slam::reset() {
   impl_->clear();
+  impl_->calibration = {impl_->given_camera, impl_->settings.readout_time, impl_->settings.radial_stddev, 0};
+  impl_->setCamera(impl_->given_camera);
   impl_->motion.reset();
   impl_->turns.reset();
   impl_->shutter.reset();

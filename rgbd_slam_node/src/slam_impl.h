@@ -11,6 +11,7 @@
 #include "rgbd_slam/rotation_check.h"
 #include "rgbd_slam/slam.h"
 #include "shutter_alignment.h"
+#include "visual_frontend/calibration_alignment.h"
 #include "visual_frontend/keyframe_covariances.h"
 #include "visual_frontend/landmark_tracks.h"
 
@@ -18,6 +19,8 @@ namespace rgbd_slam {
 
 using visual_frontend::Keyframe;
 using visual_frontend::kNoKeyframe;
+
+constexpr std::size_t kCalibrationKeyframes = 10;  ///< of a map whose calibration is looked at first
 
 struct Slam::Impl {
   Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings);
@@ -48,13 +51,15 @@ struct Slam::Impl {
   void removeReplacedBy(KeyframeId id);
   bool closeLoop(KeyframeId id);                ///< true when it moved the map
   bool alignShutter(const RgbdImages& images);  ///< likewise
+  bool alignCalibration();                      ///< likewise
   bool levelMap();                              ///< likewise
+  void setCamera(const CameraModel& better_known);
   void adjustWindow(KeyframeId id);
   void adjustWhole();
   visual_frontend::BundleSettings bundleSettings() const;
 
   // ---- Fixed
-  CameraModel camera;
+  CameraModel given_camera;
   Mounting mounting;
   SlamSettings settings;
   Pose T_camera_base;
@@ -71,6 +76,9 @@ struct Slam::Impl {
   int map_id = 0;
 
   // ---- Frame by frame
+  CameraModel camera;  ///< as it is known now
+  visual_frontend::CalibrationAlignment calibration;
+  std::size_t next_calibration = 0;  ///< keyframes of the map at which it is looked at again
   CameraMotion motion;
   FrameTracker tracking;
   RotationCheck turns;  ///< gyro against images

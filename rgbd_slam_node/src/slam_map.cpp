@@ -9,6 +9,12 @@
 
 namespace rgbd_slam {
 
+namespace {
+
+constexpr std::size_t kMostCalibrating = 40;  // keyframes that tell of the calibration, the newest
+
+}  // namespace
+
 void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, FrameResult* result) {
   const Pose& T_map_camera = tracked.pose.T_map_camera;
   const bool due = result->relocalized || reference.due(map, T_map_camera, tracked.landmarks);
@@ -115,6 +121,41 @@ bool Slam::Impl::alignShutter(const RgbdImages& images) {
   if (map.keyframeCount() > 1) adjustWhole();
   motion.moveMap(lastPose() * T_map_before.inverse());
   return true;
+}
+
+// By the images alone: where colour and depth are not of one calibration, depth would speak for the wrong one.
+bool Slam::Impl::alignCalibration() {
+  if (!calibration.estimates() || map.keyframeCount() < next_calibration) return false;
+  next_calibration = map.keyframeCount() + map.keyframeCount() / 2;
+  std::vector<KeyframeId> newest;
+  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend() && newest.size() < kMostCalibrating; ++it)
+    newest.push_back(it->first);
+  visual_frontend::BundleSettings images = bundleSettings();
+  images.use_depth = images.use_gravity = false;
+  images.max_iterations = 12;
+  visual_frontend::BundleJob job =
+      visual_frontend::extractBundle(map, camera, {newest.begin(), newest.end() - 1}, {newest.back()}, images);
+  const auto velocity = [this](double stamp) { return frames.velocityAt(stamp, map); };
+  calibration.open(velocity, map, &job);
+  job.solve();
+  if (!job.problem.calibration) return false;
+  calibration.follow(*job.problem.calibration);
+  const Pose T_map_before = lastPose();
+  setCamera(calibration.camera());
+  calibration.recalibrate(velocity, &map);
+  dense.recalibrate(camera);
+  shutter.distrust();
+  adjustWhole();
+  motion.moveMap(lastPose() * T_map_before.inverse());
+  next_calibration = map.keyframeCount() + kCalibrationKeyframes / 2;
+  return true;
+}
+
+void Slam::Impl::setCamera(const CameraModel& better_known) {
+  camera = better_known;
+  tracking.setCamera(camera);
+  loops.setCamera(camera);
+  motion.setCamera(camera);
 }
 
 bool Slam::Impl::levelMap() {

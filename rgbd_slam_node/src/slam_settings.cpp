@@ -26,6 +26,9 @@ void describe(air_ground_common::ParameterVisitor& v, SlamSettings& s) {
     "rolling shutter, first row to last, stamps in the middle; negative: last row first; 0 = global");
   v("readout_time_stddev", s.readout_time_stddev, {0.0, 0.05}, "s",
     "of that figure; it is estimated from there, which needs motion. 0 = exact (a global shutter, say), not estimated");
+  v("radial_stddev", s.radial_stddev, {0.0, 0.5}, "",
+    "of the colour calibration's first radial coefficient, k1; where the images are sure that it is another one, that "
+    "is used. 0 = exact, not estimated");
 
   v.section("Depth camera: sigma(z) = base + quadratic * z^2");
   v("depth_sigma_base", s.depth.sigma_base, {1e-5, 0.5}, "m", "");

@@ -5,6 +5,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "simulated_robot.h"
+#include "visual_frontend/self_calibration.h"
 
 namespace rgbd_slam {
 namespace {
@@ -179,6 +180,31 @@ TEST(Slam, FindsTheReadoutTimeAndPutsTheMapRight) {
   drive(global, straight, 0, 12);
   EXPECT_EQ(straight.readoutTime(), 0);
   EXPECT_GT(straight.readoutTimeStddev(), 0);
+}
+
+// k1 of the colour camera is 0.06 less than its calibration says.
+TEST(Slam, FindsThatTheCalibrationIsOff) {
+  Robot robot;
+  robot.sway = 0.15;
+  robot.sway_rate = 2;
+  robot.floor = 18;
+  const CameraModel told = visual_frontend::withRadial(robot.camera, 0.06);
+  SlamSettings believing;
+  believing.radial_stddev = 0;
+  Slam slam(told, robot.mounting, {}), believer(told, robot.mounting, believing);
+  const Drive found = drive(robot, slam, 0, 16), believed = drive(robot, believer, 0, 16);
+  std::printf("k1 off by %.4f instead of 0.06; worst pose %.4f m instead of %.4f m\n",
+              slam.camera().k1 - robot.camera.k1, worst(found, slam.trajectory()),
+              worst(believed, believer.trajectory()));
+  EXPECT_EQ(believer.camera().k1, told.k1);
+  EXPECT_NEAR(slam.camera().k1, robot.camera.k1, 0.015);
+  EXPECT_LT(worst(found, slam.trajectory()), 0.6 * worst(believed, believer.trajectory()));
+  slam.reset();
+  EXPECT_EQ(slam.camera().k1, told.k1);
+
+  Slam right(robot.camera, robot.mounting, {});
+  drive(robot, right, 0, 16);
+  EXPECT_EQ(right.camera().k1, robot.camera.k1);
 }
 
 }  // namespace

@@ -48,7 +48,6 @@ void ViewMatcher::addKeyframe(const KeyframeView& view) {
   if (view.points.empty() || view.descriptors.rows != static_cast<int>(view.points.size()) ||
       view.descriptors.cols != 32 || view.descriptors.type() != CV_8UC1)
     throw std::invalid_argument("a keyframe needs points, and a descriptor of 32 bytes for each");
-  if (ids_.count(view.id)) return;  // sent again for another subscriber
   Keyframe keyframe;
   keyframe.T_map_camera = view.T_ground_camera;
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
@@ -61,8 +60,10 @@ void ViewMatcher::addKeyframe(const KeyframeView& view) {
     sum += p;
   }
   keyframe.orb_descriptors = view.descriptors.clone();
-  const KeyframeId id = map_.addKeyframe(std::move(keyframe));
-  ids_[view.id] = id;
+  const auto known = ids_.find(view.id);
+  const KeyframeId id = known == ids_.end() ? map_.addKeyframe({}) : known->second;
+  keyframe.id = ids_[view.id] = id;
+  map_.keyframe(id) = std::move(keyframe);
   scenes_[id] = sum / static_cast<double>(view.points.size());
 }
 

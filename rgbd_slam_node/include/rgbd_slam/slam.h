@@ -48,6 +48,8 @@ struct SlamSettings {
                             ///< stamp + (r / height - 0.5) * readout_time [s]; negative: from the last row up
   double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]
 
+  double radial_stddev = 0.05;  ///< of the colour calibration's k1; it is estimated from there; 0 = exact [1]
+
   // Start
   int min_start_features = 40;   ///< features with depth that the first frame must have
   double gravity_timeout = 1.0;  ///< with an IMU: wait this long for the direction of gravity [s]
@@ -122,7 +124,8 @@ struct FrameResult {
   std::string reason;       ///< why not tracking
   std::string imu_problem;  ///< the gyro contradicts the images, and is left out; empty: no
   bool keyframe = false;
-  bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, or readout time found
+  bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, shutter or lens found
+  bool recalibrated = false;             ///< what earlier keyframes saw lies elsewhere in their cameras
   bool relocalized = false;              ///< found again after being lost
   bool new_map = false;                  ///< the map frame starts here
   Pose T_map_camera = Pose::Identity();  ///< valid while tracking
@@ -160,6 +163,7 @@ class Slam {
   /// What fusePoints needs: posed points of all keyframes.
   std::vector<PosedPoints> posedPoints() const;
 
+  const CameraModel& camera() const;  ///< the given one, or what the images make of it (radial_stddev)
   const visual_frontend::Map& map() const;
   const std::vector<visual_frontend::Feature>& features() const;
   /// One flag for each of features(): it has a landmark.

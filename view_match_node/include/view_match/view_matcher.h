@@ -74,7 +74,8 @@ class ViewMatcher {
  public:
   explicit ViewMatcher(const MatcherSettings& settings);
 
-  /// Throws std::invalid_argument when descriptors and points do not fit. A known one stays as it is.
+  /// Throws std::invalid_argument when descriptors and points do not fit. A known one is
+  /// replaced: its camera may be known better.
   void addKeyframe(const KeyframeView& keyframe);
   /// Looks for the images that were not recognised so far in the keyframes that have come since. True: some were.
   bool matchWaiting();

@@ -1,13 +1,8 @@
-#include "calibration_alignment.h"
+#include "visual_frontend/calibration_alignment.h"
 
-namespace mav_vo {
+#include <vector>
 
-using visual_frontend::BundleJob;
-using visual_frontend::CameraVelocity;
-using visual_frontend::Keyframe;
-using visual_frontend::kNoLandmark;
-using visual_frontend::LandmarkId;
-using visual_frontend::Map;
+namespace visual_frontend {
 
 namespace {
 
@@ -20,8 +15,6 @@ Eigen::Vector3d inCamera(const Map& map, const Keyframe& keyframe, LandmarkId la
   return keyframe.T_map_camera.inverse() * map.landmark(landmark).position;
 }
 
-double inverseDepth(const Eigen::Vector3d& p_camera) { return p_camera.z() > 0 ? 1 / p_camera.z() : 0; }
-
 /// Where a point lies in the middle row's view, by the readout time [1/s].
 Eigen::Vector2d byReadout(double row, const Eigen::Vector3d& p_camera, const CameraVelocity& moved) {
   const Eigen::Vector3d ray = p_camera / p_camera.z();
@@ -31,22 +24,24 @@ Eigen::Vector2d byReadout(double row, const Eigen::Vector3d& p_camera, const Cam
 
 }  // namespace
 
-CalibrationAlignment::CalibrationAlignment(const CameraModel& camera, const OdometrySettings& settings)
+CalibrationAlignment::CalibrationAlignment(const CameraModel& camera, double readout_time, double radial_stddev,
+                                           double readout_time_stddev)
     : camera_(camera),
-      estimates_(settings.radial_stddev > 0 || (!settings.use_imu && settings.readout_time_stddev > 0)),
-      readout_time_(settings.readout_time) {
-  sigma_ << settings.radial_stddev, settings.use_imu ? 0 : settings.readout_time_stddev;
+      camera_before_(camera),
+      estimates_(radial_stddev > 0 || readout_time_stddev > 0),
+      readout_time_(readout_time) {
+  sigma_ << radial_stddev, readout_time_stddev;
   sigma_ = sigma_.cwiseMax(kHeld).eval();
   mean_.setZero();
 }
 
-void CalibrationAlignment::open(const FrameTrajectory& frames, const Map& map, BundleJob* job) const {
+void CalibrationAlignment::open(const VelocityAt& velocity, const Map& map, BundleJob* job) const {
   job->problem.calibration.emplace();
   job->problem.calibration->mean = mean_;
   job->problem.calibration->sigma = sigma_;
-  const CameraModel other = visual_frontend::withRadial(camera_, kRadialStep);
+  const CameraModel other = withRadial(camera_, kRadialStep);
   std::vector<std::optional<CameraVelocity>> moved;
-  for (const auto id : job->keyframes) moved.push_back(frames.velocityAt(map.keyframe(id).stamp, map));
+  for (const auto id : job->keyframes) moved.push_back(velocity(map.keyframe(id).stamp));
   for (std::size_t i = 0; i < job->problem.measurements.size(); ++i) {
     auto& m = job->problem.measurements[i];
     const Eigen::Vector3d p_camera = inCamera(map, map.keyframe(job->sources[i].keyframe), job->landmarks[m.point]);
@@ -58,25 +53,31 @@ void CalibrationAlignment::open(const FrameTrajectory& frames, const Map& map, B
   }
 }
 
-void CalibrationAlignment::follow(const visual_frontend::CalibrationEstimate& estimate) {
-  camera_ = visual_frontend::withRadial(camera_, estimate.error[0]);
-  readout_time_ += estimate.error[1];
+void CalibrationAlignment::follow(const CalibrationEstimate& estimate) {
+  camera_before_ = camera_;
+  camera_ = withRadial(camera_, estimate.error[0]);
+  readout_change_ = estimate.error[1];
+  readout_time_ += readout_change_;
   mean_ -= estimate.error;
 }
 
-void CalibrationAlignment::recalibrate(const FrameTrajectory& frames, double readout_time, Map* map) const {
-  visual_frontend::RollingShutter shutter(camera_, readout_time);
+void CalibrationAlignment::recalibrate(const VelocityAt& velocity, Map* map) const {
+  const auto moved = [this](const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized) -> Eigen::Vector2d {
+    return normalized + camera_.unproject(pixel) - camera_before_.unproject(pixel);
+  };
+  RollingShutter shift(camera_, readout_change_);
   for (const auto& entry : map->keyframes()) {
     Keyframe& keyframe = map->keyframe(entry.first);
-    const auto moved = frames.velocityAt(keyframe.stamp, *map);
-    shutter.setMotion(moved ? moved->angular : Eigen::Vector3d::Zero().eval(),
-                      moved ? moved->linear : Eigen::Vector3d::Zero().eval());
-    for (auto& o : keyframe.observations)
-      o.normalized =
-          shutter.toMiddleRow(o.pixel, camera_.unproject(o.pixel), inverseDepth(inCamera(*map, keyframe, o.landmark)));
+    const auto motion = velocity(keyframe.stamp);
+    if (motion) shift.setMotion(motion->angular, motion->linear);
+    for (Observation& o : keyframe.observations) {
+      const double z = inCamera(*map, keyframe, o.landmark).z();
+      o.normalized = moved(o.pixel, o.normalized);
+      if (motion) o.normalized = shift.toMiddleRow(o.pixel, o.normalized, z > 0 ? 1 / z : 0);
+    }
     for (std::size_t i = 0; i < keyframe.orb_pixels.size(); ++i)
-      keyframe.orb_normalized[i] = camera_.unproject(keyframe.orb_pixels[i]);
+      keyframe.orb_normalized[i] = moved(keyframe.orb_pixels[i], keyframe.orb_normalized[i]);
   }
 }
 
-}  // namespace mav_vo
+}  // namespace visual_frontend
