@@ -179,6 +179,9 @@ TEST_F(Dense, FramesRefineTheNewestUntilItIsFinished) {
   EXPECT_EQ(dense->posed(map).size(), 1u);
   dense->clear();
   EXPECT_TRUE(dense->posed(map).empty());
+  begin(0, 2);
+  begin(1, 3);
+  EXPECT_EQ(dense->posed(map).size(), 2u) << "a newer one finishes the one before";
 }
 
 TEST_F(Dense, AFewFramesAreEnough) {
