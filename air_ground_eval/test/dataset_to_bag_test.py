@@ -357,6 +357,15 @@ class DatasetToBag(unittest.TestCase):
             self.assertEqual(result.returncode, 1, arguments)
             self.assertIn(text, result.stderr)
             self.assertNotIn('Traceback', result.stderr)
+        config = os.path.join(self.folder, 'config.yaml')
+        for content, text in [(b'depth: [1,\n', 'while parsing'), (b'- 1\n', 'expected named values'), (b'\xff\n', 'decode byte')]:
+            with open(config, 'wb') as stream:
+                stream.write(content)
+            result = convert('--ground', data, '--config', config, '--out', self.bag)
+            self.assertEqual(result.returncode, 1, content)
+            self.assertIn(config + ': ', result.stderr)
+            self.assertIn(text, result.stderr)
+            self.assertEqual(result.stderr.count('\n'), 1, result.stderr)
         with open(os.path.join(data, 'frame-000003.pose.txt'), 'w', encoding='utf-8') as stream:
             stream.write('1 2 3\n')
         result = convert('--ground', data, '--out', self.bag)

@@ -3,22 +3,18 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <stdexcept>
+
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
 
 namespace heightmap_mcl {
 namespace {
 
+using air_ground_common::formatted;
+using air_ground_common::kDegree;
 using air_ground_common::wrapAngle;
-constexpr double kDegree = M_PI / 180;
-
-template <typename... Args>
-std::string format(const char* text, Args... args) {
-  char buffer[256];
-  std::snprintf(buffer, sizeof(buffer), text, args...);
-  return buffer;
-}
 
 double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
@@ -183,14 +179,14 @@ void Localizer::updateEstimate() {
   }
   if (!filter_.initialized()) {
     estimate_.reason =
-        format("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
+        formatted("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
     return;
   }
   if (own_unit_ && scale_evidence_ < settings_.scale_evidence) {
     // At a scale that nothing singles out there is no place to verify.
     estimate_.status = Status::kSearching;
-    estimate_.reason = format("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", scale_,
-                              scale_evidence_, settings_.scale_evidence);
+    estimate_.reason = formatted("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", scale_,
+                                 scale_evidence_, settings_.scale_evidence);
     return;
   }
   const auto spread = filter_.spread();

@@ -2,23 +2,18 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
 #include "heightmap_mcl/localizer.h"
 
 namespace heightmap_mcl {
 namespace {
 
+using air_ground_common::formatted;
+using air_ground_common::kDegree;
 using air_ground_common::Vector6d;
 using air_ground_common::wrapAngle;
-constexpr double kDegree = M_PI / 180;
-
-template <typename... Args>
-std::string format(const char* text, Args... args) {
-  char buffer[256];
-  std::snprintf(buffer, sizeof(buffer), text, args...);
-  return buffer;
-}
 
 /// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells
 /// are charged has no part in it: where the maps end fixes nothing.
@@ -93,33 +88,34 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
   gatherEvidence();
   if (e.relief < s.min_relief) {
     e.status = Status::kDegenerate;
-    e.reason = format("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
+    e.reason = formatted("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
   } else if (e.probe_ratio < s.probe_ratio) {
     e.status = Status::kDegenerate;
-    e.reason = format("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
-                      weakest.y(), weakest.z() / kDegree, e.probe_ratio);
+    e.reason = formatted("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
+                         weakest.y(), weakest.z() / kDegree, e.probe_ratio);
   } else if (e.rival_ratio < s.ambiguity_ratio) {
     e.status = Status::kAmbiguous;
-    e.reason = format("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
-                      e.rival_distance, e.rival_ratio);
+    e.reason =
+        formatted("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
+                  e.rival_distance, e.rival_ratio);
   } else if (e.explained < s.min_explained) {
-    e.reason = format("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
-                      100 * s.min_explained);
+    e.reason = formatted("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
+                         100 * s.min_explained);
   } else if (e.maps < s.min_maps) {
-    e.reason = format("%d of %d aerial maps seen", e.maps, s.min_maps);
+    e.reason = formatted("%d of %d aerial maps seen", e.maps, s.min_maps);
   } else if (e.evidence < s.min_evidence) {
-    e.reason = format("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
+    e.reason = formatted("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
   } else if (!particles_agree) {
     e.reason = "the particles have not gathered at the best place yet";
   } else if (e.mode_weight < s.min_mode_weight) {
-    e.reason = format("%.0f %% of the particles are at the best place, %.0f %% are needed", 100 * e.mode_weight,
-                      100 * s.min_mode_weight);
+    e.reason = formatted("%.0f %% of the particles are at the best place, %.0f %% are needed", 100 * e.mode_weight,
+                         100 * s.min_mode_weight);
   } else if (e.mode_spread > s.max_spread || e.mode_spread_yaw > s.max_spread_yaw) {
-    e.reason = format("the particles spread over %.2f m, %.1f deg", e.mode_spread, e.mode_spread_yaw / kDegree);
+    e.reason = formatted("the particles spread over %.2f m, %.1f deg", e.mode_spread, e.mode_spread_yaw / kDegree);
   } else {
     e.status = Status::kConverged;
-    e.reason = format("%d maps; the next best place is %.1f times as bad; overlap %.0f %%", e.maps, e.rival_ratio,
-                      100 * e.overlap);
+    e.reason = formatted("%d maps; the next best place is %.1f times as bad; overlap %.0f %%", e.maps, e.rival_ratio,
+                         100 * e.overlap);
   }
   return weakest;
 }

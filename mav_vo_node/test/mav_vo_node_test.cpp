@@ -95,7 +95,7 @@ class MavVoNode : public testing::Test {
   void play(double duration, double begin = 0, double factor = 1) {
     std::mt19937 random(11);
     cv::RNG grain(5);
-    const auto samples = flight_.imuSamples(begin, duration, 200, mav_vo::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4},
+    const auto samples = flight_.imuSamples(begin, duration, 200, visual_frontend::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4},
                                             {{0.008, -0.012, 0.005}, {0.05, -0.04, 0.06}}, random);
     std::size_t next = 0;
     const std::size_t before = status_.size();

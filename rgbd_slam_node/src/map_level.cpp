@@ -16,7 +16,7 @@ void MapLevel::begin(const visual_frontend::AttitudeFilter* attitude) {
   known_ = attitude != nullptr;
   // Begun in motion, the first direction is coarse: update looks again when more is known.
   settled_ = !attitude || attitude->atRest();
-  sigma_ = attitude ? attitude->upSigma() : Vertical().sigma;
+  sigma_ = attitude ? attitude->upSigma() : kNoGravity;
   vertical_ = {Eigen::Vector3d::UnitZ(), sigma_};
 }
 
@@ -48,15 +48,15 @@ std::optional<MapLevel::Correction> MapLevel::update(const CameraMotion& motion,
   const double angle = std::atan2(now.up.head<2>().norm(), now.up.z());
   vertical_ = now;
   // What is not corrected counts as uncertainty of the poses.
-  if (now.sigma < sigma_) sigma_ = std::hypot(now.sigma, angle);
-  const bool certain = rest || now.sigma < settings_.level_tolerance / 2;
+  if (now.stddev < sigma_) sigma_ = std::hypot(now.stddev, angle);
+  const bool certain = rest || now.stddev < settings_.level_tolerance / 2;
   const bool settled_before = settled_;
   settled_ = settled_ || certain;
-  if (angle < settings_.level_tolerance || !(certain || angle > kSureOfTilt * now.sigma)) return std::nullopt;
+  if (angle < settings_.level_tolerance || !(certain || angle > kSureOfTilt * now.stddev)) return std::nullopt;
   Eigen::Matrix3d R = air_ground_common::levelingRotation(now.up);
   R = Eigen::AngleAxisd(-air_ground_common::yawOf(R * T_map_first_base.linear()), Eigen::Vector3d::UnitZ()) * R;
   vertical_.up = R * now.up;
-  sigma_ = now.sigma;
+  sigma_ = now.stddev;
   return Correction{R, !settled_before};
 }
 

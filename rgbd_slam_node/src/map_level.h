@@ -35,10 +35,12 @@ class MapLevel {
   const Vertical& vertical() const { return vertical_; }
 
  private:
+  static constexpr double kNoGravity = 0.05;  // how far a robot may lean that nothing levels [rad]
+
   SlamSettings settings_;
   bool known_ = false, settled_ = false;
-  double sigma_ = Vertical().sigma;
-  Vertical vertical_;
+  double sigma_ = kNoGravity;
+  Vertical vertical_{Eigen::Vector3d::UnitZ(), kNoGravity};
 };
 
 }  // namespace rgbd_slam

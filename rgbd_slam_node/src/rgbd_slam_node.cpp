@@ -137,7 +137,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.scale = 1.0;
     if (slam_->gravityKnown()) {
       const Vertical vertical = slam_->vertical();
-      status.tilt_stddev = vertical.sigma;
+      status.tilt_stddev = vertical.stddev;
       status.up.x = vertical.up.x();
       status.up.y = vertical.up.y();
       status.up.z = vertical.up.z();

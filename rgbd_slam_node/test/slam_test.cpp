@@ -92,8 +92,8 @@ TEST(Slam, LevelsAMapThatWasBegunInMotion) {
   }
   EXPECT_LE(corrected, 4);
   const Vertical vertical = slam.vertical();
-  EXPECT_LT(vertical.sigma, 0.3 * M_PI / 180);
-  EXPECT_LT(angleBetween(upOf(robot, run.results.back(), run.stamps.back()), vertical.up), 3 * vertical.sigma);
+  EXPECT_LT(vertical.stddev, 0.3 * M_PI / 180);
+  EXPECT_LT(angleBetween(upOf(robot, run.results.back(), run.stamps.back()), vertical.up), 3 * vertical.stddev);
   EXPECT_LT((slam.gyroBias() - robot.gyro_bias).norm(), 0.004);
   EXPECT_LT((slam.inertialEstimate()->accel_bias - robot.accel_bias).norm(), 0.12);
   EXPECT_LT(worst(run, slam.trajectory()), 0.08);

@@ -9,6 +9,7 @@ from sensor_msgs.msg import CameraInfo
 
 from . import geometry
 from .recording import Camera, DatasetError
+from .yaml_file import read_mapping
 
 MODELS = {'radtan': 'plumb_bob', 'none': 'plumb_bob', 'equidistant': 'equidistant'}  # of kalibr's pinhole -> of camera_info
 COEFFICIENTS = {'plumb_bob': 5, 'equidistant': 4, 'rational_polynomial': 8}
@@ -32,14 +33,7 @@ class KalibrCamera:
 
 
 def load(path):
-    try:
-        with open(path, encoding='utf-8') as stream:
-            content = yaml.safe_load(''.join(line for line in stream if not line.startswith('%')))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise CalibrationError(f'{path}: {" ".join(str(error).split())}') from error
-    if not isinstance(content, dict):
-        raise CalibrationError(f'{path}: not a YAML file of named values')
-    return content
+    return read_mapping(path, CalibrationError, 'named values')
 
 
 def read_kalibr_camera(path, name):

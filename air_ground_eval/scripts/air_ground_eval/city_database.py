@@ -7,7 +7,8 @@ import sqlite3
 from dataclasses import dataclass, field
 
 import numpy as np
-import yaml
+
+from .yaml_file import read_mapping
 
 
 class CityError(Exception):
@@ -77,13 +78,7 @@ class WorldFrame:
 
 def read_city_file(path):
     """Content of a city's YAML file, as `simulate` writes beside a street bag; CityError says what is wrong with it."""
-    try:
-        with open(path, encoding='utf-8') as stream:
-            facts = yaml.safe_load(stream)
-    except (OSError, yaml.YAMLError) as error:
-        raise CityError(f'{path}: {error}') from error
-    if not isinstance(facts, dict):
-        raise CityError(f'{path}: expected lines such as "crs: EPSG:2056"')
+    facts = read_mapping(path, CityError, 'lines such as "crs: EPSG:2056"')
     for name in ('geoid_undulation', 'magnetic_declination'):
         if name in facts and not isinstance(facts[name], (int, float)):
             raise CityError(f'{path}: {name} must be a number')

@@ -9,10 +9,10 @@ import os
 import re
 
 import numpy as np
-import yaml
 
 from . import geometry, zurich_urban
 from .recording import Camera, DatasetError, Frame, Imu, Recording, camera_from_config, orthonormal_pose, read_image
+from .yaml_file import read_mapping
 
 
 def detect_layout(folder):
@@ -181,15 +181,13 @@ def euroc_root(folder):
 
 
 def read_euroc_sensor(path):
-    """A sensor.yaml (its %YAML:1.0 first line is not YAML)."""
+    """A sensor.yaml."""
     if not os.path.isfile(path):
         raise DatasetError(f'{path}: missing; a EuRoC folder has cam0/sensor.yaml, cam0/data and imu0/data.csv')
-    with open(path, encoding='utf-8') as stream:
-        text = ''.join(line for line in stream if not line.startswith('%'))
+    sensor = read_mapping(path, DatasetError, 'a EuRoC sensor description')
     try:
-        sensor = yaml.safe_load(text)
         transform = np.array(sensor['T_BS']['data'], float).reshape(4, 4)
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f'{path}: not a EuRoC sensor description ({error})') from error
     return sensor, geometry.orthonormalized(transform)
 

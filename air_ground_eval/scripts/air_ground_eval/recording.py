@@ -3,10 +3,10 @@ from dataclasses import dataclass, field
 from typing import List, Optional
 
 import numpy as np
-import yaml
 from PIL import Image, UnidentifiedImageError
 
 from . import geometry
+from .yaml_file import read_mapping
 
 
 class DatasetError(Exception):
@@ -107,16 +107,7 @@ def read_image(path, depth=False):
 
 def load_config(path):
     """The calibration file of a data set (config/datasets/*.yaml); an empty dict without one."""
-    if not path:
-        return {}
-    try:
-        with open(path, encoding='utf-8') as stream:
-            config = yaml.safe_load(stream)
-    except (OSError, yaml.YAMLError) as error:
-        raise DatasetError(f'{path}: {error}') from error
-    if not isinstance(config, dict):
-        raise DatasetError(f'{path}: expected a mapping such as config/datasets/redkitchen.yaml')
-    return config
+    return read_mapping(path, DatasetError, 'named values as in config/datasets/redkitchen.yaml') if path else {}
 
 
 def camera_from_config(section, name, size):

@@ -7,9 +7,12 @@
 #include <string>
 #include <vector>
 
+#include "air_ground_common/vertical.h"
 #include "icp_refine/icp_stages.h"
 
 namespace icp_refine {
+
+using air_ground_common::Vertical;
 
 struct LocalizabilitySettings {
   double strong =
@@ -30,12 +33,6 @@ struct ScalePrior {
   Mode mode = Mode::kPrior;
   double mean = 1;       ///< ground-map length per aerial-map length
   double stddev = 0.02;  ///< relative
-};
-
-/// What a robot knows of gravity in its map.
-struct Vertical {
-  Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  ///< unit, near z
-  double stddev = 0;                              ///< about each horizontal axis [rad]; 0: not known
 };
 
 /// What is known of the alignment before the clouds are compared.

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "air_ground_common/trajectory.h"
+#include "air_ground_common/vertical.h"
 #include "rgbd_slam/depth_model.h"
 #include "rgbd_slam/ground_cloud.h"
 #include "visual_frontend/bundle_adjustment.h"
@@ -31,6 +32,7 @@ namespace rgbd_slam {
 using air_ground_common::CameraModel;
 using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
+using air_ground_common::Vertical;
 using visual_frontend::KeyframeId;
 using visual_frontend::LandmarkId;
 using visual_frontend::TrackId;
@@ -112,12 +114,6 @@ struct Mounting {
 };
 
 enum class State { kWaiting, kInitializing, kTracking, kLost };
-
-/// Gravity in the map.
-struct Vertical {
-  Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  ///< unit
-  double sigma = 0.05;                            ///< about each horizontal axis [rad]
-};
 
 struct FrameResult {
   State state = State::kWaiting;

@@ -1,6 +1,7 @@
 #include "streetview_localizer/geotags.h"
 
 #include <cpl_minixml.h>
+#include <cpl_string.h>
 #include <gdal_priv.h>
 
 #include <Eigen/Geometry>
@@ -8,7 +9,6 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
-#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <sstream>
@@ -38,30 +38,17 @@ std::string problemOf(const Geotag& g) {
   return "";
 }
 
-std::vector<std::string> split(const std::string& line) {
-  std::vector<std::string> cells;
-  std::string cell;
-  bool quoted = false;
-  for (const char c : line) {
-    if (c == '"')
-      quoted = !quoted;
-    else if (c == ',' && !quoted)
-      cells.push_back(std::exchange(cell, ""));
-    else if (c != '\r')
-      cell += c;
-  }
-  cells.push_back(cell);
-  for (std::string& s : cells) {
-    s.erase(0, s.find_first_not_of(" \t"));
-    s.erase(s.find_last_not_of(" \t") + 1);
-  }
-  return cells;
+/// Of a line; semicolons as spreadsheets write them where a comma is the decimal mark.
+CPLStringList cellsOf(const std::string& line, const char* separator) {
+  return CPLStringList(
+      CSLTokenizeString2(line.c_str(), separator,
+                         CSLT_HONOURSTRINGS | CSLT_ALLOWEMPTYTOKENS | CSLT_STRIPLEADSPACES | CSLT_STRIPENDSPACES));
 }
 
-double number(const std::string& text, const std::string& where) {
-  if (text.empty()) return std::nan("");
+double number(const char* text, const std::string& where) {
+  if (!*text) return std::nan("");
   char* end = nullptr;
-  const double v = std::strtod(text.c_str(), &end);
+  const double v = CPLStrtod(text, &end);
   if (*end) throw std::runtime_error(where + ": '" + text + "' is not a number");
   return v;
 }
@@ -70,28 +57,34 @@ std::vector<Geotag> readCsv(const std::string& path) {
   std::ifstream file(path);
   if (!file) throw std::runtime_error("cannot open " + path);
   std::string line;
-  while (std::getline(file, line) && (line.empty() || line[0] == '#')) {
-  }
-  const std::vector<std::string> header = split(line);
-  std::map<std::string, std::size_t> column;
-  for (std::size_t i = 0; i < header.size(); ++i) column[header[i]] = i;
+  int n = 0;
+  const auto next = [&] {  // that says something
+    do {
+      if (!std::getline(file, line)) return false;
+      if (++n == 1 && line.rfind("\xEF\xBB\xBF", 0) == 0) line.erase(0, 3);
+    } while (line.empty() || line == "\r" || line[0] == '#');
+    return true;
+  };
+  next();
+  const char* separator = line.find(',') == std::string::npos ? ";" : ",";
+  const CPLStringList header = cellsOf(line, separator);
   for (const char* name : {"image", "lat", "lon", "alt", "heading_deg"})
-    if (!column.count(name))
+    if (header.FindString(name) < 0)
       throw std::runtime_error(path + " has no column " + name +
                                ": needed are image, lat, lon, alt, heading_deg; pitch_deg and roll_deg may follow");
   std::vector<Geotag> tags;
-  for (int n = 2; std::getline(file, line); ++n) {
-    if (line.empty() || line == "\r" || line[0] == '#') continue;
-    const std::vector<std::string> cells = split(line);
+  while (next()) {
+    const CPLStringList cells = cellsOf(line, separator);
     const std::string where = path + " line " + std::to_string(n);
     if (cells.size() < header.size())
       throw std::runtime_error(where + " has " + std::to_string(cells.size()) + " columns instead of " +
                                std::to_string(header.size()));
     const auto value = [&](const char* name, double fallback) {
-      return column.count(name) ? number(cells[column[name]], where) : fallback;
+      const int column = header.FindString(name);
+      return column < 0 ? fallback : number(cells[column], where);
     };
     Geotag g;
-    g.image = cells[column["image"]];
+    g.image = cells[header.FindString("image")];
     g.position = {value("lat", 0), value("lon", 0), value("alt", 0)};
     g.heading = value("heading_deg", 0) * kDegree;
     g.pitch = value("pitch_deg", 0) * kDegree;
@@ -136,21 +129,11 @@ std::vector<Geotag> readGeoJson(const std::string& path) {
 }
 
 // EXIF rationals come from GDAL as "(47) (22) (30.5)".
-std::vector<double> rationals(const char* text) {
-  std::vector<double> values;
-  if (!text) return values;
-  std::string s = text;
-  std::replace_if(
-      s.begin(), s.end(), [](char c) { return c == '(' || c == ')'; }, ' ');
-  std::istringstream words(s);
-  for (double v; words >> v;) values.push_back(v);
-  return values;
-}
-
 double angle(const char* text) {
-  const std::vector<double> v = rationals(text);
-  if (v.empty()) return std::nan("");
-  return v[0] + (v.size() > 1 ? v[1] / 60 : 0) + (v.size() > 2 ? v[2] / 3600 : 0);
+  const CPLStringList parts(CSLTokenizeString2(text ? text : "", " ()", 0));
+  double sum = parts.empty() ? std::nan("") : 0;
+  for (int i = 0; i < parts.size(); ++i) sum += CPLAtof(parts[i]) / std::pow(60, i);
+  return sum;
 }
 
 // Of the attribute or element of this name, wherever it stands.
@@ -205,12 +188,15 @@ Geotag exifOf(const std::string& path) {
   return g;
 }
 
+bool hasExtension(const std::string& path, std::initializer_list<const char*> extensions) {
+  return std::any_of(extensions.begin(), extensions.end(),
+                     [&](const char* extension) { return EQUAL(CPLGetExtension(path.c_str()), extension); });
+}
+
 }  // namespace
 
 std::vector<Geotag> readGeotags(const std::string& path) {
-  std::string extension = fs::path(path).extension();
-  std::transform(extension.begin(), extension.end(), extension.begin(), ::tolower);
-  std::vector<Geotag> tags = extension == ".geojson" || extension == ".json" ? readGeoJson(path) : readCsv(path);
+  std::vector<Geotag> tags = hasExtension(path, {"geojson", "json"}) ? readGeoJson(path) : readCsv(path);
   if (tags.empty()) throw std::runtime_error(path + " lists no images");
   return tags;
 }
@@ -218,11 +204,8 @@ std::vector<Geotag> readGeotags(const std::string& path) {
 std::vector<Geotag> readExif(const std::string& folder) {
   if (!fs::is_directory(folder)) throw std::runtime_error("there is no folder " + folder);
   std::vector<std::string> files;
-  for (const auto& entry : fs::directory_iterator(folder)) {
-    std::string e = entry.path().extension();
-    std::transform(e.begin(), e.end(), e.begin(), ::tolower);
-    if (e == ".jpg" || e == ".jpeg") files.push_back(entry.path());
-  }
+  for (const auto& entry : fs::directory_iterator(folder))
+    if (hasExtension(entry.path(), {"jpg", "jpeg"})) files.push_back(entry.path());
   if (files.empty()) throw std::runtime_error("no JPEG files in " + folder);
   std::sort(files.begin(), files.end());
   std::vector<Geotag> tags;

@@ -44,6 +44,24 @@ TEST(Geotags, CsvColumnsByNameAndProblemsOfSingleImages) {
   EXPECT_NE(tags[3].problem.find("latitude"), std::string::npos);
 }
 
+// As spreadsheets save them: a byte order mark, semicolons, carriage returns, quoted cells, spaces.
+TEST(Geotags, CsvOfSpreadsheets) {
+  const TemporaryFolder folder;
+  const auto tags = readGeotags(folder.write("a.CSV",
+                                             "\xEF\xBB\xBF\"image\"; \"lat\" ;lon;alt;heading_deg\r\n"
+                                             "\r\n"
+                                             "\"a;1, north.jpg\" ; \"-33.86\";-151.21; 4.5 ;90\r\n"
+                                             "b.jpg;;8;1;2;a cell too many\r\n"));
+  ASSERT_EQ(tags.size(), 2u);
+  EXPECT_EQ(tags[0].image, "a;1, north.jpg");
+  EXPECT_EQ(tags[0].position.latitude, -33.86);
+  EXPECT_EQ(tags[0].position.longitude, -151.21);
+  EXPECT_EQ(tags[0].position.height, 4.5);
+  EXPECT_NEAR(tags[0].heading, M_PI / 2, 1e-12);
+  EXPECT_EQ(tags[0].problem, "");
+  EXPECT_EQ(tags[1].problem, "has no latitude and longitude");
+}
+
 TEST(Geotags, GeoJson) {
   const TemporaryFolder folder;
   const auto tags = readGeotags(folder.write("a.geojson",
@@ -70,6 +88,13 @@ TEST(Geotags, BrokenListsGiveOneClearLine) {
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2\n").find("line 2"), std::string::npos);
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2,3,north\n").find("'north' is not a number"),
             std::string::npos);
+  EXPECT_NE(
+      error("a.csv", "# first\n\nimage,lat,lon,alt,heading_deg\na.jpg,1,2,3,4\n#\nb.jpg,1,2,3,4deg\n").find("line 6: "),
+      std::string::npos);
+  EXPECT_NE(error("a.csv", "image;lat;lon;alt;heading_deg\na.jpg;47,37;8;3;4\n").find("'47,37' is not a number"),
+            std::string::npos);
+  EXPECT_NE(error("a.csv", "").find("no column image"), std::string::npos);
+  EXPECT_NE(error("a.csv", "# nothing\r\n\r\n").find("no column image"), std::string::npos);
   EXPECT_NE(error("a.geojson", "{").find("no GeoJSON"), std::string::npos);
   EXPECT_NE(messageOf([&] { readGeotags(folder / "none.csv"); }).find("cannot open"), std::string::npos);
 }
@@ -178,6 +203,79 @@ TEST(Geotags, AnglesOfPanoramasComeFromXmp) {
     EXPECT_EQ(tags[k].roll, 0) << k;
   }
   EXPECT_TRUE(std::isnan(tags[2].heading));
+}
+
+/// A JPEG whose EXIF has these GPS entries: letters or a byte, and rationals as pairs.
+class ExifImage {
+ public:
+  void text(std::uint16_t tag, char letter) { entry(tag, 2, 2, std::string(1, letter) + std::string(3, '\0')); }
+  void byte(std::uint16_t tag, char value) { entry(tag, 1, 1, std::string(1, value) + std::string(3, '\0')); }
+  void rationals(std::uint16_t tag, const std::vector<std::pair<std::uint32_t, std::uint32_t>>& values) {
+    entry(tag, 5, static_cast<std::uint32_t>(values.size()), "");
+    for (const auto& [numerator, denominator] : values) data_.back() += number(numerator, 4) + number(denominator, 4);
+  }
+  std::string jpeg() const {
+    std::vector<uchar> image;
+    cv::imencode(".jpg", cv::Mat(4, 6, CV_8UC1, cv::Scalar(90)), image);
+    // The header and a directory of one entry, which points to that of GPS; behind it lie the rationals.
+    constexpr std::uint32_t kGps = 8 + 2 + 12 + 4;
+    std::string tiff = "II*" + std::string(1, '\0') + number(8, 4) + number(1, 2) + number(0x8825, 2) + number(4, 2) +
+                       number(1, 4) + number(kGps, 4) + number(0, 4) + number(entries_.size(), 2);
+    std::string data;
+    for (std::size_t i = 0; i < entries_.size(); ++i) {
+      const std::size_t at = kGps + 2 + 12 * entries_.size() + 4 + data.size();
+      tiff += entries_[i] + (data_[i].empty() ? "" : number(at, 4));
+      data += data_[i];
+    }
+    const std::string exif = std::string("Exif\0\0", 6) + tiff + number(0, 4) + data;
+    return std::string("\xFF\xD8\xFF\xE1") + static_cast<char>((exif.size() + 2) >> 8) +
+           static_cast<char>((exif.size() + 2) & 255) + exif + std::string(image.begin() + 2, image.end());
+  }
+
+ private:
+  static std::string number(std::size_t value, int bytes) {
+    std::string text;
+    for (; bytes > 0; --bytes, value >>= 8) text += static_cast<char>(value & 255);
+    return text;
+  }
+  void entry(std::uint16_t tag, std::uint16_t type, std::uint32_t count, const std::string& value) {
+    entries_.push_back(number(tag, 2) + number(type, 2) + number(count, 4) + value);
+    data_.emplace_back();
+  }
+  std::vector<std::string> entries_, data_;
+};
+
+/// The geotag of a photograph south of the equator and west of Greenwich, below the sea.
+Geotag exifOf(const std::vector<std::pair<std::uint32_t, std::uint32_t>>& latitude,
+              const std::vector<std::pair<std::uint32_t, std::uint32_t>>& longitude, char north = 'T') {
+  ExifImage image;
+  image.text(1, 'S');
+  image.rationals(2, latitude);
+  image.text(3, 'W');
+  image.rationals(4, longitude);
+  image.byte(5, 1);
+  image.rationals(6, {{45, 10}});
+  image.text(16, north);
+  image.rationals(17, {{2705, 10}});
+  const TemporaryFolder folder;
+  folder.write("a.JPG", image.jpeg());
+  return readExif(folder / "").at(0);
+}
+
+TEST(Geotags, ExifOfAnotherHemisphere) {
+  const Geotag g = exifOf({{33, 1}, {51, 1}, {4500, 100}}, {{151, 1}, {12, 1}, {0, 1}});
+  EXPECT_EQ(g.problem, "");
+  EXPECT_NEAR(g.position.latitude, -(33 + 51 / 60.0 + 45 / 3600.0), 1e-9);
+  EXPECT_NEAR(g.position.longitude, -(151 + 12 / 60.0), 1e-9);
+  EXPECT_NEAR(g.position.height, -4.5, 1e-9);
+  EXPECT_NEAR(g.heading, 270.5 * kDegree, 1e-9);
+  EXPECT_NE(exifOf({{33, 1}}, {{151, 1}}, 'M').problem.find("declination"), std::string::npos);
+}
+
+// What telephones write that never found their place.
+TEST(Geotags, ExifRationalsOverZeroAreNoPlace) {
+  const std::vector<std::pair<std::uint32_t, std::uint32_t>> none(3, {0, 0});
+  EXPECT_NE(exifOf(none, none).problem.find("never located"), std::string::npos);
 }
 
 TEST(Geotags, ExifOfRealPhotographs) {

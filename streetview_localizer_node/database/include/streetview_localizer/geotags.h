@@ -33,9 +33,9 @@ struct SurveyedImage {
       air_ground_common::Pose::Identity();  ///< optical frame; position in the model's coordinates
 };
 
-/// CSV with a header line; columns by name, in any order: image, lat, lon, alt, heading_deg and, optional, pitch_deg,
-/// roll_deg. GeoJSON: points [lon, lat, alt] with properties image, heading_deg and the optional ones. Throws
-/// std::runtime_error with one line: file, line, what is wrong.
+/// CSV with a header line, commas or semicolons between; columns by name, in any order: image, lat, lon, alt,
+/// heading_deg and, optional, pitch_deg, roll_deg. GeoJSON: points [lon, lat, alt] with properties image, heading_deg
+/// and the optional ones. Throws std::runtime_error with one line: file, line, what is wrong.
 std::vector<Geotag> readGeotags(const std::string& path);
 
 /// EXIF GPS position and direction of the JPEGs of a folder, in order of their names; XMP GPano angles where present.

@@ -5,10 +5,10 @@
 #include <sstream>
 
 #include "air_ground_common/geometry.h"
-#include "mav_vo/imu_preintegration.h"
 #include "synthetic_flight.h"
+#include "visual_frontend/imu_preintegration.h"
 
-using namespace mav_vo;
+using namespace visual_frontend;
 using air_ground_common::logSO3;
 
 namespace {

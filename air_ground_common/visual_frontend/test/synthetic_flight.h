@@ -8,7 +8,7 @@
 
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
-#include "mav_vo/imu_preintegration.h"
+#include "visual_frontend/imu_preintegration.h"
 
 namespace synthetic {
 
@@ -52,27 +52,28 @@ struct Flight {
   }
 
   /// Noise-free sample.
-  mav_vo::ImuSample imu(double t) const {
+  visual_frontend::ImuSample imu(double t) const {
     const double h = 1e-3;
     const Pose T = T_world_imu(t);
-    mav_vo::ImuSample sample;
+    visual_frontend::ImuSample sample;
     sample.stamp = t;
     sample.angular_velocity =
         air_ground_common::logSO3(T_world_imu(t - h).linear().transpose() * T_world_imu(t + h).linear()) / (2 * h);
     const Eigen::Vector3d acceleration =
         (T_world_imu(t + h).translation() - 2 * T.translation() + T_world_imu(t - h).translation()) / (h * h);
-    sample.specific_force = T.linear().transpose() * (acceleration + Eigen::Vector3d(0, 0, mav_vo::kGravity));
+    sample.specific_force = T.linear().transpose() * (acceleration + Eigen::Vector3d(0, 0, visual_frontend::kGravity));
     return sample;
   }
 
   /// Samples of [begin, end] at `rate` with white noise and constant biases.
-  std::vector<mav_vo::ImuSample> imuSamples(double begin, double end, double rate, const mav_vo::ImuNoise& noise,
-                                            const mav_vo::ImuBias& bias, std::mt19937& random) const {
+  std::vector<visual_frontend::ImuSample> imuSamples(double begin, double end, double rate,
+                                                     const visual_frontend::ImuNoise& noise,
+                                                     const visual_frontend::ImuBias& bias, std::mt19937& random) const {
     std::normal_distribution<double> normal;
     const auto vector = [&] { return Eigen::Vector3d(normal(random), normal(random), normal(random)); };
-    std::vector<mav_vo::ImuSample> samples;
+    std::vector<visual_frontend::ImuSample> samples;
     for (int i = 0; begin + i / rate <= end + 1e-9; ++i) {
-      mav_vo::ImuSample s = imu(begin + i / rate);
+      visual_frontend::ImuSample s = imu(begin + i / rate);
       s.angular_velocity += bias.gyro + noise.gyro_density * std::sqrt(rate) * vector();
       s.specific_force += bias.accel + noise.accel_density * std::sqrt(rate) * vector();
       samples.push_back(s);

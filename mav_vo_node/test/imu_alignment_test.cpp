@@ -1,0 +1,179 @@
+// What IMU and tracks tell of each other without a map, against the bias, offset and readout time that made them.
+#include "../src/imu_alignment.h"
+
+#include <gtest/gtest.h>
+
+#include "synthetic_flight.h"
+#include "visual_frontend/feature_tracker.h"
+
+namespace mav_vo {
+namespace {
+
+using air_ground_common::expSO3;
+using air_ground_common::rotationAngle;
+using visual_frontend::Feature;
+
+const Eigen::Matrix3d kCameraImu = synthetic::T_imu_camera().linear().transpose();  // R_camera_imu
+/// Another R_camera_imu: the flight's is its own inverse.
+const Eigen::Matrix3d kAskew = expSO3({0.4, -0.7, 1.1});
+const Eigen::Vector3d kRate(0.2, -0.1, 0.4);     // of the IMU, own axes [rad/s]
+const Eigen::Vector3d kBias(0.02, -0.01, 0.03);  // of its gyro [rad/s]
+
+ImuAlignment make(const Eigen::Matrix3d& R_camera_imu = kCameraImu, const OdometrySettings& settings = {}) {
+  const auto camera = synthetic::camera();
+  return {settings, R_camera_imu, settings.pixel_sigma / camera.fx, camera.height};
+}
+
+/// An IMU that turns at a rate, or rests, leaning by 0.1 rad, from 0 to `end` [s].
+void turn(ImuAlignment& imu, const Eigen::Vector3d& rate, double end) {
+  for (int i = 0; i <= 200 * end; ++i)
+    imu.add({0.005 * i, rate + kBias, kGravity * Eigen::Vector3d(std::sin(0.1), 0, std::cos(0.1))});
+}
+
+/// Tracks that have moved by (dx, 0) [px] since the image before.
+std::vector<Feature> tracks(double dx) {
+  std::vector<Feature> features(30);
+  for (std::size_t i = 0; i < features.size(); ++i) {
+    features[i].id = static_cast<visual_frontend::TrackId>(i);
+    features[i].pixel = features[i].previous_pixel = {20.0 * static_cast<double>(i), 200};
+    features[i].pixel.x() += dx;
+    features[i].age = 1;
+  }
+  return features;
+}
+
+bool rests(ImuAlignment& imu, double dx, bool metric) {
+  bool any = false;
+  for (int i = 0; i <= 20; ++i) any = imu.detectStandstill(0.05 * i, tracks(dx), metric) || any;
+  return any;
+}
+
+TEST(ImuAlignment, TurnsAsTheCameraDoes) {
+  ImuAlignment imu = make(kAskew);
+  turn(imu, kRate, 1);
+  const auto turned = imu.cameraTurn(0.2, 0.7, kBias);
+  ASSERT_TRUE(turned);
+  const Eigen::Matrix3d R_a_b = expSO3(Eigen::Vector3d(0.5 * kAskew * kRate));
+  EXPECT_LT(rotationAngle(turned->R_a_b, R_a_b), 1e-6);
+  EXPECT_GT(rotationAngle(turned->R_a_b, R_a_b.transpose()), 0.2);
+  EXPECT_FALSE(imu.cameraTurn(0.8, 1.2, kBias)) << "there are no samples";
+}
+
+TEST(ImuAlignment, ARestTellsBiasAndUp) {
+  ImuAlignment imu = make();
+  turn(imu, Eigen::Vector3d::Zero(), 1);
+  EXPECT_FALSE(rests(imu, 2, false)) << "the image moves";
+  EXPECT_FALSE(imu.up());
+  EXPECT_FALSE(rests(imu, 0, true)) << "the metric map knows it better";
+  EXPECT_LT(imu.gyroBias().norm(), 1e-9);
+  ASSERT_TRUE(rests(imu, 0, false));
+  EXPECT_LT((imu.gyroBias() - kBias).norm(), 1e-6);
+  EXPECT_LT(imu.gyroBiasStddev(), 0.0011);
+  ASSERT_TRUE(imu.up());
+  EXPECT_LT((imu.up()->up_imu - Eigen::Vector3d(std::sin(0.1), 0, std::cos(0.1))).norm(), 1e-9);
+  imu.reset();
+  EXPECT_FALSE(imu.up());
+  EXPECT_LT(imu.gyroBias().norm(), 1e-9);
+}
+
+TEST(ImuAlignment, UpTurnsWithTheCameraUntilAGap) {
+  ImuAlignment imu = make(kAskew);
+  imu.setUp(Eigen::Vector3d::UnitZ());
+  const double sigma = imu.up()->sigma;
+  imu.carryUp(kAskew * expSO3({0.3, 0, 0}) * kAskew.transpose(), 0.1);
+  // The body's left side rises: up is seen farther to the left.
+  EXPECT_LT((imu.up()->up_imu - Eigen::Vector3d(0, std::sin(0.3), std::cos(0.3))).norm(), 1e-9);
+  EXPECT_NEAR(imu.up()->sigma, sigma + 0.1 * imu.gyroBiasStddev(), 1e-9);
+  imu.carryUp(std::nullopt, 0.1);
+  EXPECT_FALSE(imu.up());
+}
+
+TEST(ImuAlignment, KeepsOnlyABetterBias) {
+  ImuAlignment imu = make();
+  imu.keepBias({0, 0, 0.1}, 2 * imu.gyroBiasStddev());
+  EXPECT_LT(imu.gyroBias().norm(), 1e-9);
+  imu.keepBias(kBias, 0.01);
+  EXPECT_LT((imu.gyroBias() - kBias).norm(), 1e-6);
+  EXPECT_NEAR(imu.gyroBiasStddev(), 0.01, 1e-4);
+}
+
+/// What a swinging flight shows of the floor, each row where the camera is when it is read.
+struct Swing {
+  explicit Swing(double offset = 0, double readout = 0) : readout_time(readout) {
+    flight.wobble = 0.2;
+    for (ImuSample s : flight.imuSamples(kBegin - 0.3, kBegin + kLong + 0.3, 200, ImuNoise{}, {kBias, {}}, random)) {
+      s.stamp += offset;
+      samples.push_back(s);
+    }
+    points = synthetic::pointCloud(600, random);
+  }
+  std::vector<Feature> at(double t) const {
+    const auto camera = synthetic::camera();
+    std::vector<Feature> features;
+    for (std::size_t k = 0; k < points.size(); ++k) {
+      std::optional<Eigen::Vector2d> pixel(Eigen::Vector2d(camera.cx, camera.cy));
+      for (int round = 0; pixel && round < 4; ++round) {
+        const double row = t + ((pixel->y() + 0.5) / camera.height - 0.5) * readout_time;
+        pixel = camera.project((flight.T_world_imu(row) * synthetic::T_imu_camera()).inverse() * points[k]);
+      }
+      if (!pixel || !camera.contains(*pixel, 5)) continue;
+      Feature f;
+      f.id = static_cast<visual_frontend::TrackId>(k);
+      f.pixel = *pixel;
+      f.normalized = camera.unproject(*pixel);
+      features.push_back(f);
+    }
+    return features;
+  }
+  /// Feeds `imu` with it as the odometry does; `each` image in between.
+  template <class Each>
+  void show(ImuAlignment& imu, const Each& each) const {
+    for (const ImuSample& s : samples) imu.add(s);
+    for (double t = kBegin; t < kBegin + kLong; t += 0.05) each(t, at(t));
+  }
+
+  static constexpr double kBegin = 5, kLong = 6;  // [s]
+  synthetic::Flight flight;
+  double readout_time;
+  std::mt19937 random{1};
+  std::vector<ImuSample> samples;
+  std::vector<Eigen::Vector3d> points;
+};
+
+TEST(ImuAlignment, AdoptsASureTimeOffset) {
+  ImuAlignment imu = make();
+  int adopted = 0;
+  Swing(0.02).show(imu, [&](double t, const std::vector<Feature>& features) {
+    if (imu.alignGyro(t, features, false)) adopted += imu.adoptTimeOffset();
+  });
+  EXPECT_GT(adopted, 0);
+  EXPECT_NEAR(imu.timeOffset(), 0.02, 0.002);
+  EXPECT_NEAR(imu.imuStamp(7), 7.02, 0.002);
+  EXPECT_LT((imu.gyroBias() - kBias).norm(), 0.005);
+  EXPECT_EQ(imu.problem(), "");
+  EXPECT_FALSE(imu.adoptTimeOffset()) << "it is in use";
+}
+
+TEST(ImuAlignment, FindsAReadoutTimeAndSaysWhenItWasFarOff) {
+  ImuAlignment imu = make();
+  double in_use = 0;
+  std::optional<ImuAlignment::ReadoutChange> first;
+  Swing(0, 0.025).show(imu, [&](double t, const std::vector<Feature>& features) {
+    const auto change = imu.alignShutter(t, features, in_use);
+    if (!change) return;
+    if (!first) first = change;
+    in_use = change->readout_time;
+  });
+  ASSERT_TRUE(first);
+  EXPECT_TRUE(first->large);
+  EXPECT_NEAR(in_use, 0.025, 0.003);
+}
+
+TEST(ImuAlignment, AGyroThatTurnsOtherwiseIsAProblem) {
+  ImuAlignment imu = make(Eigen::Matrix3d::Identity());
+  Swing().show(imu, [&](double t, const std::vector<Feature>& features) { imu.alignGyro(t, features, false); });
+  EXPECT_NE(imu.problem(), "");
+}
+
+}  // namespace
+}  // namespace mav_vo

@@ -1,0 +1,182 @@
+// Which keyframes an adjustment moves, and which image has its result: the same whether its thread is quick or slow.
+#include "../src/map_adjuster.h"
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <thread>
+
+#include "synthetic_flight.h"
+
+namespace mav_vo {
+namespace {
+
+using visual_frontend::BundleSettings;
+using visual_frontend::InertialMap;
+using visual_frontend::Keyframe;
+using visual_frontend::KeyframeId;
+using visual_frontend::LandmarkId;
+using visual_frontend::Map;
+
+/// Keyframes in a row, 0.2 m apart, 3 m above a floor that each of them sees as it is.
+Map rowOver(int keyframes) {
+  Map map;
+  const CameraModel camera = synthetic::camera();
+  std::vector<LandmarkId> floor;
+  for (int x = -10; x <= 10 + keyframes; ++x)
+    for (int y = -6; y <= 6; ++y)
+      floor.push_back(map.addLandmark({0.2 * x, 0.2 * y, 3 + 0.05 * ((x * 7 + y * 3) % 5)}));
+  for (int i = 0; i < keyframes; ++i) {
+    Keyframe keyframe;
+    keyframe.stamp = i;
+    keyframe.T_map_camera.translation().x() = 0.2 * i;
+    for (const LandmarkId id : floor) {
+      const auto pixel = camera.project(keyframe.T_map_camera.inverse() * map.landmark(id).position);
+      if (!pixel || !camera.contains(*pixel)) continue;
+      visual_frontend::Observation o;
+      o.landmark = id;
+      o.pixel = *pixel;
+      o.normalized = camera.unproject(*pixel);
+      keyframe.observations.push_back(o);
+    }
+    map.addKeyframe(std::move(keyframe));
+  }
+  return map;
+}
+
+std::vector<KeyframeId> camerasOf(const BundleJob& job, bool fixed) {
+  std::vector<KeyframeId> ids;
+  for (std::size_t i = 0; i < job.keyframes.size(); ++i)
+    if (job.problem.cameras[i].fixed == fixed) ids.push_back(job.keyframes[i]);
+  return ids;
+}
+
+OdometrySettings windowOf(int window, int window_fixed, bool synchronous) {
+  OdometrySettings settings;
+  settings.window = window;
+  settings.window_fixed = window_fixed;
+  settings.synchronous = synchronous;
+  return settings;
+}
+
+TEST(MapAdjuster, TheNewestMoveAndOlderObserversHoldThem) {
+  Map map = rowOver(12);
+  map.addKeyframe(Keyframe{});  // far from all of them: it sees nothing
+  const InertialMap inertial;
+  MapAdjuster adjuster(synthetic::camera(), windowOf(4, 3, true));
+  const auto jobs = adjuster.adjustNewest(map, inertial, {}, 0);
+  ASSERT_EQ(jobs.size(), 1u);
+  EXPECT_FALSE(jobs[0].full);
+  EXPECT_EQ(camerasOf(jobs[0], false), (std::vector<KeyframeId>{9, 10, 11, 12}));
+  const auto held = camerasOf(jobs[0], true);
+  EXPECT_EQ(held.size(), 4u) << "where the inertial chain begins, and window_fixed more";
+  EXPECT_EQ(held.front(), 8);
+  for (const KeyframeId id : held) EXPECT_LT(id, 9);
+}
+
+TEST(MapAdjuster, MovesAKeyframeToWhereItsLandmarksSayItIs) {
+  Map map = rowOver(6);
+  map.keyframe(5).T_map_camera.translation() += Eigen::Vector3d(0.05, -0.03, 0.02);
+  MapAdjuster adjuster(synthetic::camera(), windowOf(1, 4, true));
+  InertialMap inertial;
+  for (const BundleJob& job : adjuster.adjustNewest(map, inertial, {}, 0)) applyBundle(job, map, &inertial);
+  EXPECT_LT((map.keyframe(5).T_map_camera.translation() - Eigen::Vector3d(1, 0, 0)).norm(), 1e-4);
+}
+
+TEST(MapAdjuster, OfALongFlightTheOldestStay) {
+  Map map = rowOver(8);
+  OdometrySettings settings = windowOf(4, 3, true);
+  settings.full_max_keyframes = 5;
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  const auto jobs = adjuster.adjustWhole(map, {}, {}, 0);
+  ASSERT_EQ(jobs.size(), 1u);
+  EXPECT_TRUE(jobs[0].full);
+  EXPECT_EQ(camerasOf(jobs[0], true), (std::vector<KeyframeId>{0, 1, 2}));
+}
+
+TEST(MapAdjuster, TheWholeMapIsDueLessAndLessOften) {
+  const Map map = rowOver(3);
+  OdometrySettings settings;
+  settings.full_interval = 8;
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  double stamp = 100;
+  adjuster.restartSchedule(stamp);
+  for (const double interval : {4, 4, 8, 16, 32, 32}) {
+    EXPECT_FALSE(adjuster.wholeDue(stamp + interval - 0.01)) << interval;
+    ASSERT_TRUE(adjuster.wholeDue(stamp + interval)) << interval;
+    stamp += interval;
+    adjuster.adjustWhole(map, {}, {}, stamp);
+  }
+}
+
+/// Beside the tracking: `slow` has much to solve, of another none; a quick thread is given time to finish.
+struct BesideTracking : ::testing::TestWithParam<bool> {
+  BesideTracking() : map(rowOver(GetParam() ? 60 : 3)) {
+    settings = windowOf(GetParam() ? 50 : 2, 10, false);
+    settings.local_iterations = settings.full_iterations = GetParam() ? 40 : 1;
+    for (const auto& entry : map.keyframes())
+      map.keyframe(entry.first).T_map_camera.translation().y() += 0.01 * (entry.first % 3);
+  }
+  void pause() const {
+    if (!GetParam()) std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  }
+
+  Map map;
+  OdometrySettings settings;
+};
+
+TEST_P(BesideTracking, TheSecondImageHasTheResult) {
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  EXPECT_TRUE(adjuster.adjustNewest(map, {}, {}, 10).empty());
+  pause();
+  EXPECT_TRUE(adjuster.due(10.05).empty());
+  pause();
+  const auto jobs = adjuster.due(10.1);
+  ASSERT_EQ(jobs.size(), 1u);
+  EXPECT_TRUE(jobs[0].result.usable);
+  EXPECT_TRUE(adjuster.due(10.15).empty());
+  EXPECT_TRUE(adjuster.finish().empty());
+}
+
+TEST_P(BesideTracking, TheNextOneOfItsKindTakesTheOneBeforeAlong) {
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  EXPECT_TRUE(adjuster.adjustNewest(map, {}, {}, 10).empty());
+  const auto jobs = adjuster.adjustNewest(map, {}, {}, 10.05);
+  ASSERT_EQ(jobs.size(), 1u);
+  EXPECT_TRUE(jobs[0].result.usable);
+  EXPECT_EQ(adjuster.finish().size(), 1u);
+}
+
+TEST_P(BesideTracking, OfTheWholeMapThereIsOneAtATimeAskedForOnceASecond) {
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  adjuster.restartSchedule(0);
+  EXPECT_TRUE(adjuster.adjustWhole(map, {}, {}, 10).empty());
+  EXPECT_FALSE(adjuster.wholeDue(10.5));
+  EXPECT_TRUE(adjuster.adjustWhole(map, {}, {}, 10.5).empty());
+  EXPECT_TRUE(adjuster.wholeDue(10.5)) << "it could not begin, and is due as soon as it can";
+  pause();
+  EXPECT_TRUE(adjuster.due(10.99).empty());
+  if (GetParam()) return adjuster.discard();
+  // A local one, begun before the whole map moves, comes before it.
+  EXPECT_TRUE(adjuster.adjustNewest(map, {}, {}, 11).empty());
+  const auto jobs = adjuster.due(11.05);
+  ASSERT_EQ(jobs.size(), 2u);
+  EXPECT_FALSE(jobs[0].full);
+  EXPECT_TRUE(jobs[1].full);
+}
+
+TEST_P(BesideTracking, NothingComesOfWhatIsDiscarded) {
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  adjuster.adjustNewest(map, {}, {}, 10);
+  adjuster.adjustWhole(map, {}, {}, 10);
+  adjuster.discard();
+  EXPECT_TRUE(adjuster.due(10.05).empty());
+  EXPECT_TRUE(adjuster.due(12).empty());
+  EXPECT_TRUE(adjuster.finish().empty());
+}
+
+INSTANTIATE_TEST_SUITE_P(Thread, BesideTracking, ::testing::Bool(),
+                         [](const auto& info) { return info.param ? "Slow" : "Quick"; });
+
+}  // namespace
+}  // namespace mav_vo
