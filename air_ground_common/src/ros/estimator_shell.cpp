@@ -167,7 +167,7 @@ void EstimatorShell::addImu(const std::vector<ImuInput::Sample>& samples) {
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
     for (const ImuInput::Sample& sample : samples)
-      if (gate_.admit(kImu, ros::Time(sample.stamp))) assembler_.addImu(sample);
+      if (gate_.admit(kImu, sample.stamp)) assembler_.addImu(sample);
   }
   if (!samples.empty()) queue_changed_.notify_all();
 }

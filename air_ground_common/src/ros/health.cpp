@@ -284,11 +284,9 @@ bool StreamJumpDetector::hold(Stream* stream, double t) const {
   return true;
 }
 
-StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const ros::Time& stamp,
-                                                      const ros::WallTime& now) {
+StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, double t, const ros::WallTime& now) {
   Stream& stream = streams_.at(index);
-  if (stamp.isZero()) return Verdict::kOld;
-  const double t = stamp.toSec();
+  if (t == 0 || t > kEndOfStamps) return Verdict::kOld;
   const bool back = t + tolerance_ < stream.newest;
   Verdict verdict = Verdict::kInOrder;
   if (stream.pass == pass_) {
@@ -317,7 +315,7 @@ StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const r
   return verdict;
 }
 
-bool StreamGate::admit(std::size_t stream, const ros::Time& stamp) {
+bool StreamGate::admit(std::size_t stream, double stamp) {
   const StreamJumpDetector::Verdict verdict = jumps_.watch(stream, stamp);
   if (verdict == StreamJumpDetector::Verdict::kOld) {
     health_.count("messages of the time before a jump dropped");
