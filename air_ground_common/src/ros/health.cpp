@@ -2,6 +2,7 @@
 
 #include <ros/master.h>
 #include <ros/this_node.h>
+#include <xmlrpcpp/XmlRpcException.h>
 
 #include <algorithm>
 #include <cctype>
@@ -62,9 +63,12 @@ struct NodeHealth::Inquiry {
       request[0] = ros::this_node::getName();
       request[1] = "";
       std::set<std::string> names;
-      const bool answered = ros::master::execute("getPublishedTopics", request, response, topics, false);
-      if (answered)
-        for (int i = 0; i < topics.size(); ++i) names.insert(std::string(topics[i][0]));
+      bool answered = ros::master::execute("getPublishedTopics", request, response, topics, false);
+      try {
+        for (int i = 0; answered && i < topics.size(); ++i) names.insert(std::string(topics[i][0]));
+      } catch (const XmlRpc::XmlRpcException&) {  // no list of topics: that is no ROS master
+        answered = false;
+      }
       const std::lock_guard<std::mutex> lock(inquiry->mutex);
       inquiry->advertised = std::move(names);
       inquiry->answered = answered;
