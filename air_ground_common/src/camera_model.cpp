@@ -223,10 +223,16 @@ void CameraModel::validate() const {
   };
   if (width <= 0) fail("width", width, "must be positive (does the driver fill in camera_info?)");
   if (height <= 0) fail("height", height, "must be positive (does the driver fill in camera_info?)");
-  if (!(fx > 0) || !std::isfinite(fx)) fail("fx", fx, "must be positive (is the camera calibrated?)");
-  if (!(fy > 0) || !std::isfinite(fy)) fail("fy", fy, "must be positive (is the camera calibrated?)");
-  const std::pair<const char*, double> others[] = {{"cx", cx}, {"cy", cy}, {"k1", k1}, {"k2", k2}, {"p1", p1},
-                                                   {"p2", p2}, {"k3", k3}, {"k4", k4}, {"k5", k5}, {"k6", k6},
+  // Of any camera, with room on both sides; products and quotients of what lies within are finite.
+  constexpr double kLeast = 1e-3, kMost = 1e9;  // [px]
+  const std::pair<const char*, double> focal_lengths[] = {{"fx", fx}, {"fy", fy}}, centre[] = {{"cx", cx}, {"cy", cy}};
+  for (const auto& [name, value] : focal_lengths)
+    if (!(value >= kLeast && value <= kMost))
+      fail(name, value, "must be positive, a focal length in pixels (is the camera calibrated?)");
+  for (const auto& [name, value] : centre)
+    if (!(std::abs(value) <= kMost)) fail(name, value, "must be finite, and near the image [px]");
+  const std::pair<const char*, double> others[] = {{"k1", k1}, {"k2", k2}, {"p1", p1}, {"p2", p2},
+                                                   {"k3", k3}, {"k4", k4}, {"k5", k5}, {"k6", k6},
                                                    {"s1", s1}, {"s2", s2}, {"s3", s3}, {"s4", s4}};
   for (const auto& [name, value] : others)
     if (!std::isfinite(value)) fail(name, value, "must be finite");

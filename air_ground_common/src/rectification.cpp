@@ -47,9 +47,14 @@ CameraModel centralPinhole(const CameraModel& camera, double max_field) {
   for (int i = 0; i < 200 && !extent.isSeenBy(camera); ++i)
     for (double& side : extent.side) side *= 0.98;
   CameraModel view = camera.undistorted();
-  const auto whole = [](double pixels) { return static_cast<int>(pixels / 8) * 8; };
-  view.width = whole(camera.fx * (extent.side[0] + extent.side[1]));
-  view.height = whole(camera.fy * (extent.side[2] + extent.side[3]));
+  const auto whole = [](double pixels, int recorded) {
+    if (pixels > 4.0 * recorded)
+      throw std::invalid_argument(
+          "pinhole view: by its calibration the camera sees much on few pixels; calibrate anew");
+    return static_cast<int>(pixels / 8) * 8;
+  };
+  view.width = whole(camera.fx * (extent.side[0] + extent.side[1]), camera.width);
+  view.height = whole(camera.fy * (extent.side[2] + extent.side[3]), camera.height);
   if (view.width < 32 || view.height < 32)
     throw std::invalid_argument("pinhole view: the camera sees next to nothing about its optical axis");
   // What rounding left over is shared between the sides.

@@ -77,6 +77,15 @@ TEST(CameraModel, RefusesWhatItCannotUse) {
   } catch (const std::invalid_argument& e) {
     EXPECT_NE(std::string(e.what()).find("fx"), std::string::npos);
   }
+  // The determinant of their matrix would be none.
+  bad = wideAngle();
+  bad.fx = bad.fy = 1e200;
+  EXPECT_THROW(bad.validate(), std::invalid_argument);
+  bad.fx = bad.fy = 1e-200;
+  EXPECT_THROW(bad.validate(), std::invalid_argument);
+  bad = wideAngle();
+  bad.cy = -1e300;
+  EXPECT_THROW(bad.validate(), std::invalid_argument);
 }
 
 // Azure Kinect's colour camera (rational), one with thin prism, and a fisheye of 150 degrees across.

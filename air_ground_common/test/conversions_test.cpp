@@ -103,6 +103,14 @@ TEST(Conversions, BinningAndRegionOfInterestAreAppliedToTheSensorsCalibration) {
   EXPECT_THROW(fromMsg(info), std::invalid_argument);
 }
 
+TEST(Conversions, CamerasLargerThanAnyAreRefused) {
+  auto info = cameraInfo("plumb_bob", {});
+  info.width = info.height = 40000;
+  EXPECT_THROW(fromMsg(info), std::invalid_argument);
+  info.binning_x = info.binning_y = 8;
+  EXPECT_EQ(fromMsg(info).width, 5000);
+}
+
 TEST(Conversions, UnknownModelsAreRefusedByNameWithTheKnownOnes) {
   try {
     fromMsg(cameraInfo("mei_unified", {0.1}));
@@ -193,16 +201,17 @@ TEST(Conversions, DepthInMillimetresBecomesMetresAndZeroBecomesNaN) {
   EXPECT_THROW(depthFromMsg(toMsg(cv::Mat(1, 1, CV_8U), "mono8", std_msgs::Header())), std::invalid_argument);
 }
 
-TEST(Conversions, CloudRoundTripKeepsColourAndDropsNaN) {
-  std::vector<CloudPoint> points(2);
+TEST(Conversions, CloudRoundTripKeepsColourAndDropsWhatIsNowhere) {
+  std::vector<CloudPoint> points(3);
   points[0].position = {1, 2, 3};
   points[0].rgb << 200, 100, 50;
   points[0].source = 1;
   points[1].position.x() = std::numeric_limits<float>::quiet_NaN();
+  points[2].position.z() = -2e6f;
   std::size_t dropped = 0;
   auto read = cloudFromMsg(toMsg(points, CloudFields::kXyzRgbSource, std_msgs::Header()), &dropped);
   ASSERT_EQ(read.size(), 1u);
-  EXPECT_EQ(dropped, 1u);
+  EXPECT_EQ(dropped, 2u);
   EXPECT_EQ(read[0].rgb, points[0].rgb);
   EXPECT_EQ(read[0].source, 1);
   points[0].rgb.setConstant(77);

@@ -46,6 +46,20 @@ struct Master : Child {
   explicit Master(const std::string& port) : Child({"rosmaster", "--core", "-p", port}) {}
 };
 
+/// At the master's port, and none: of the topics that are published it gives no list.
+struct OtherServer : Child {
+  explicit OtherServer(const std::string& port)
+      : Child({"/usr/bin/python3", "-c",
+               "from xmlrpc.server import SimpleXMLRPCServer as Server\n"
+               "server = Server(('localhost', " +
+                   port +
+                   "), logRequests=False)\n"
+                   "server.register_function(lambda *_: [1, '', 7], 'getPid')\n"
+                   "server.register_function(lambda *_: [1, '', [7]], 'getPublishedTopics')\n"
+                   "server.register_function(lambda *_: [1, '', []], 'registerSubscriber')\n"
+                   "server.serve_forever()"}) {}
+};
+
 void ignore(const std_msgs::Empty::ConstPtr&) {}
 
 /// What the master has of this node: "publisher /topic", "service /name" and so on.
@@ -111,6 +125,13 @@ TEST(NodeHealth, GoesOnWithoutMasterAndRegistersWithANewOne) {
   EXPECT_TRUE(diagnostics.refresh()) << "diagnostics go on";
   EXPECT_NE(diagnostics.level(), -1);
 
+  {
+    const OtherServer other(port);
+    ASSERT_TRUE(masterIsThere());
+    health.expectInput("/silent/too");
+    pause(1000);  // 3 s of silence, and what is asked then
+    EXPECT_TRUE(diagnostics.refresh()) << "an answer that is none ends nothing";
+  }
   master.emplace(port);
   ASSERT_TRUE(masterIsThere());
   const Child other({"rostopic", "pub", "-r", "10", "/from_another_process", "std_msgs/Empty"});

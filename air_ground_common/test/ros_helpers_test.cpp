@@ -232,6 +232,21 @@ TEST(Mountings, TransformsOnTfCountToo) {
   EXPECT_TRUE(spinUntil([&] { return mountings.lookup(std::nullopt, "rover_camera", "camera", &why).has_value(); }));
 }
 
+TEST(Mountings, ATransformWithoutTimeIsLeftOut) {
+  const Mountings mountings("crawler");
+  const Pose T_crawler_camera = yawPose(0.5, {0, 1, 0});
+  auto none = edge("crawler", "crawler_camera", Pose::Identity());
+  none.header.stamp.sec = none.header.stamp.nsec = 0xFFFFFFFFu;
+  publishOnce("/tf", {none, edge("crawler", "crawler_camera", T_crawler_camera)});
+  std::string why;
+  std::optional<Pose> camera;
+  ASSERT_TRUE(spinUntil([&] {
+    camera = mountings.lookup(std::nullopt, "crawler_camera", "camera", &why);
+    return camera.has_value();
+  }));
+  EXPECT_LT((camera->matrix() - T_crawler_camera.matrix()).norm(), 1e-9);
+}
+
 TEST(Mountings, LeadingSlashesDoNotMatter) {
   const Mountings mountings("/kinect");
   publishOnce("/tf", {edge("/kinect", "/kinect_eye", yawPose(0.5, {0, 1, 0}))});

@@ -68,6 +68,17 @@ TEST(StreamJumpDetector, OneWrongStampIsNoJump) {
   EXPECT_EQ(watch(100.02), Verdict::kInOrder);
 }
 
+TEST(StreamJumpDetector, NoStreamBeginsWithAStampThatWasNotSet) {
+  using Verdict = StreamJumpDetector::Verdict;
+  StreamJumpDetector detector(1);
+  ros::Time ones;
+  ones.sec = ones.nsec = 0xFFFFFFFFu;
+  for (const ros::Time& none : {ros::Time(), ros::Time(0xFFFFFFFFu, 0), ones})
+    EXPECT_EQ(detector.watch(0, none), Verdict::kOld) << none;
+  EXPECT_EQ(detector.watch(0, 4294967299.3), Verdict::kOld) << "more seconds than ros::Time holds";
+  EXPECT_EQ(detector.watch(0, ros::Time(100.0)), Verdict::kInOrder) << "no jump";
+}
+
 TEST(TimeJumpDetector, BearsAnyStamp) {
   TimeJumpDetector detector;
   EXPECT_FALSE(detector.jumped(ros::Time(0xFFFFFFFFu, 0)));

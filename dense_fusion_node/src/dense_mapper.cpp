@@ -134,8 +134,9 @@ void DenseMapper::startSweep(const Frame& reference, double depth_min, double de
   const bool known = std::isfinite(depth_min) && std::isfinite(depth_max) && depth_min > 0 && depth_max >= depth_min;
   const double near = known ? depth_min / settings_.near_margin : settings_.default_depth_min;
   const double far = known ? depth_max * settings_.far_margin : settings_.default_depth_max;
-  sweeping_ = true;
+  sweeping_ = false;
   sweep_->start(reference, near, std::max(far, near * 1.01));
+  sweeping_ = true;
   // Frames from before the reference count as much as those after it: the baseline doubles.
   for (const Frame& frame : recent_)
     if (distance(frame.T_map_camera, reference.T_map_camera) <= settings_.sweep_radius &&

@@ -24,11 +24,12 @@ void voteRow(const float* start, const float* step, int nx, const float* camera,
     const float u = fx * X * inverse_z + cx,
                 v = fy * Y * inverse_z + cy;  // +0.5: truncation rounds to the nearest pixel
     const int inside = (u >= 0.f) & (v >= 0.f) & (u < right) & (v < bottom) & (Z > 1e-3f);
-    const int iu = static_cast<int>(std::min(std::max(u, 0.f), right - 1.f));
-    const int iv = static_cast<int>(std::min(std::max(v, 0.f), bottom - 1.f));
+    // In this order NaN, of depth too, becomes the lower bound.
+    const int iu = static_cast<int>(std::min(std::max(0.f, u), right - 1.f));
+    const int iv = static_cast<int>(std::min(std::max(0.f, v), bottom - 1.f));
     const float f = (depth[iv * width + iu] - Z) * inverse_truncation;
     const int voted = inside & (f >= lowest);  // false for NaN depth
-    const int k = static_cast<int>(std::min(std::max(f, -1.f), 1.f) * kHalf + (kHalf + 0.5f));
+    const int k = static_cast<int>(std::min(std::max(-1.f, f), 1.f) * kHalf + (kHalf + 0.5f));
     bin[x] = static_cast<std::uint8_t>(voted ? k : 255);
   }
 }

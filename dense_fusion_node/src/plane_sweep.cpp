@@ -63,7 +63,8 @@ PlaneSweep::PlaneSweep(const air_ground_common::CameraModel& camera, const Plane
 }
 
 void PlaneSweep::start(const Frame& reference, double depth_min, double depth_max) {
-  if (!(depth_min > 0) || !(depth_max > depth_min) || !std::isfinite(depth_max))
+  constexpr double kNearest = 1e-6;  // [m]; inverse depths are numbers
+  if (!(depth_min >= kNearest) || !(depth_max > depth_min) || !std::isfinite(depth_max))
     throw std::invalid_argument("plane sweep: depth range [" + std::to_string(depth_min) + ", " +
                                 std::to_string(depth_max) + "] m must be positive and rising");
   if (reference.normalized.cols != camera_.width || reference.normalized.rows != camera_.height)
@@ -96,6 +97,7 @@ bool PlaneSweep::add(const Frame& frame) {
   const Eigen::Vector3d& b = view.b;
   const double rho[2] = {inverse_depth_.front(), inverse_depth_.back()};
 
+  if (!H.allFinite() || !b.allFinite()) return false;
   bool any = false;
   for (int y = 0; y < height; ++y) {
     double begin = 0, end = width - 1;

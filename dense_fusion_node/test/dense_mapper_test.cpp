@@ -204,6 +204,10 @@ TEST(DenseMapper, RefusesWhatItCannotUse) {
   camera.fx = 0;
   EXPECT_THROW(mapper.add(flight()[0], camera, 0, flightPose(0), 1, 2), std::invalid_argument);
   EXPECT_THROW(mapper.add(cv::Mat(), smallCamera(), 0, flightPose(0), 1, 2), std::invalid_argument);
+  // A depth whose inverse is no number; the next image begins a depth map of its own.
+  EXPECT_THROW(mapper.add(flight()[0], smallCamera(), 0, flightPose(0), 1e-45, 2), std::invalid_argument);
+  EXPECT_NO_THROW(mapper.add(flight()[1], smallCamera(), 1, flightPose(1), 1, 2));
+  mapper.reset();
   // An unknown depth range falls back to the default one.
   EXPECT_NO_THROW(
       mapper.add(flight()[0], smallCamera(), 0, flightPose(0), 0, std::numeric_limits<double>::quiet_NaN()));

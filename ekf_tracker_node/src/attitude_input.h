@@ -6,7 +6,6 @@
 #include <sensor_msgs/Imu.h>
 #include <sensor_msgs/MagneticField.h>
 #include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <deque>
 #include <functional>
@@ -15,6 +14,7 @@
 #include <utility>
 
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/transform_input.h"
 #include "ekf_tracker/tilt_source.h"
 #include "sensor_bridge.h"
 
@@ -51,7 +51,7 @@ class AttitudeInput {
   const std::function<void(const Measurement&)> on_heading_;
   TiltSource tilts_;
   tf2_ros::Buffer tf_;
-  tf2_ros::TransformListener listener_{tf_};
+  air_ground_common::ros_utils::TransformInput transforms_{tf_};
   ros::Subscriber vo_poses_, imu_, magnetometer_;
   std::deque<std::pair<sensor_msgs::MagneticField::ConstPtr, double>> pending_fields_;  ///< with their arrival [s]
 };

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/health.h"
 
 namespace ekf_tracker {
 namespace {
@@ -106,7 +107,7 @@ void TrackedPosePublisher::publishGeodetic(const ros::Time& stamp, const Estimat
 }
 
 void TrackedPosePublisher::publish(const Outcome& o, const Tracker& tracker) {
-  if (!std::isfinite(o.measurement.stamp) || o.measurement.stamp < 0) return;
+  if (!(o.measurement.stamp >= 0 && o.measurement.stamp < ru::kEndOfStamps)) return;
   air_ground::TrackerInnovation msg;
   msg.header.stamp.fromSec(o.measurement.stamp);
   msg.header.frame_id = settings_.world_frame;

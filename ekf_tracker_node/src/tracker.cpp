@@ -14,9 +14,18 @@ namespace {
 
 constexpr std::size_t kMaxWaiting = 2000;  // while no odometry comes at all
 
+// Beyond what any vehicle measures; within, no product in the filter overflows.
+constexpr double kFarthest = 1e9, kLongestStep = 1e6, kLargestVariance = 1e30;  // [m], [m], [m^2]
+constexpr double kLargestScaleStddev = 1e3;                                     // relative: nothing is known
+
+bool isKnown(const Eigen::Ref<const Eigen::MatrixXd>& covariance) {
+  return isCovariance(covariance) && covariance.cwiseAbs().maxCoeff() <= kLargestVariance;
+}
+
 bool usable(const Measurement& m) {
   const int n = m.size();
-  return std::isfinite(m.stamp) && m.value.head(n).allFinite() && isCovariance(m.covariance.topLeftCorner(n, n));
+  return std::isfinite(m.stamp) && m.value.head(n).allFinite() && m.value.head(n).cwiseAbs().maxCoeff() <= kFarthest &&
+         isKnown(m.covariance.topLeftCorner(n, n));
 }
 
 // The order in which simultaneous measurements apply must not depend on their arrival.
@@ -56,10 +65,11 @@ IncrementResult Tracker::addIncrement(const Increment& given, bool* covariance_r
   Increment increment = given;
   increment.gap = increment.new_unit = increment.assumed_covariance = false;
   if (!std::isfinite(increment.stamp) || !std::isfinite(increment.previous_stamp) || !increment.motion.allFinite() ||
-      !std::isfinite(increment.scale_stddev))
+      increment.motion.cwiseAbs().maxCoeff() > kLongestStep || !std::isfinite(increment.scale_stddev))
     return IncrementResult::kInvalid;
+  increment.scale_stddev = std::min(increment.scale_stddev, kLargestScaleStddev);
   if (increment.stamp <= increment.previous_stamp) return IncrementResult::kOutOfOrder;
-  if (!isCovariance(increment.covariance)) {
+  if (!isKnown(increment.covariance)) {
     const double stddev = settings_.default_translation_stddev * increment.motion.head<3>().norm() +
                           settings_.filter.min_translation_stddev;
     increment.covariance = Vector4d(stddev, stddev, stddev, settings_.default_yaw_stddev).cwiseAbs2().asDiagonal();

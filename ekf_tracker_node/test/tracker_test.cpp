@@ -155,6 +155,15 @@ TEST(Tracker, BadInputIsRefusedByName) {
   bool replaced = false;
   EXPECT_EQ(tracker.addIncrement(step, &replaced), IncrementResult::kUsed);
   EXPECT_TRUE(replaced);
+  // Numbers whose squares are none.
+  step.previous_stamp = 10.1;
+  step.stamp = 10.15;
+  step.motion[2] = -1e300;
+  EXPECT_EQ(tracker.addIncrement(step), IncrementResult::kInvalid);
+  step.motion[2] = 0;
+  step.covariance = 1e300 * Matrix4d::Identity();
+  EXPECT_EQ(tracker.addIncrement(step, &replaced), IncrementResult::kUsed);
+  EXPECT_TRUE(replaced);
 
   Measurement fix;
   const auto resultOf = [&](const Measurement& m) {
@@ -169,8 +178,10 @@ TEST(Tracker, BadInputIsRefusedByName) {
   fix.covariance = -Matrix4d::Identity();
   EXPECT_EQ(resultOf(fix), Result::kInvalid);
   fix.covariance = Matrix4d::Identity();
-  fix.value[0] = std::numeric_limits<double>::infinity();
-  EXPECT_EQ(resultOf(fix), Result::kInvalid);
+  for (const double none : {std::numeric_limits<double>::infinity(), 1e300}) {
+    fix.value[0] = none;
+    EXPECT_EQ(resultOf(fix), Result::kInvalid) << none;
+  }
   fix.value.setZero();
   fix.stamp = 9;
   EXPECT_EQ(resultOf(fix), Result::kTooOld);

@@ -5,7 +5,6 @@
 #include <ros/ros.h>
 #include <sensor_msgs/MagneticField.h>
 #include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <mutex>
 #include <optional>
@@ -13,6 +12,7 @@
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/transform_input.h"
 #include "heightmap_mcl/compass.h"
 
 namespace heightmap_mcl {
@@ -43,7 +43,7 @@ class CompassInput {
   air_ground_common::ros_utils::NodeHealth& health_;
   const double sigma_;
   tf2_ros::Buffer tf_;
-  tf2_ros::TransformListener listener_{tf_};
+  air_ground_common::ros_utils::TransformInput transforms_{tf_};
   mutable std::mutex mutex_;
   Robot mav_{"mav", {}, {}, {}, {}, {}, {}}, ground_{"ground", {}, {}, {}, {}, {}, {}};
 };

@@ -4,11 +4,12 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <functional>
 #include <limits>
 #include <string>
+
+#include "air_ground_common/ros/transform_input.h"
 
 namespace icp_refine {
 
@@ -27,7 +28,7 @@ class GroundCamera {
   std::function<void(double)> tell_;
   double greatest_ = -std::numeric_limits<double>::infinity();
   tf2_ros::Buffer tf_;
-  tf2_ros::TransformListener listener_{tf_};
+  air_ground_common::ros_utils::TransformInput transforms_{tf_};
   ros::Subscriber subscriber_;
 };
 

@@ -13,7 +13,11 @@ namespace {
 
 std::uint64_t column(int x, int y) { return cellKey({x + 0.5f, y + 0.5f, 0.f}, 1.f); }
 
-int cellOf(float v, double cell) { return static_cast<int>(std::floor(v / cell)); }
+// A guess that is far off moves points to where there are no cells: they share the last.
+int cellOf(float v, double cell) {
+  constexpr double kLast = 1e9;
+  return static_cast<int>(std::max(-kLast, std::min(kLast, std::floor(v / cell))));
+}
 
 // Highest point of each column.
 struct Columns {

@@ -140,6 +140,27 @@ TEST_F(Inputs, ANodeThatIsBehindDropsTheOldestImages) {
   EXPECT_TRUE(rest([&] { return status_.back().header.stamp > begin + ros::Duration(9); }, true));
 }
 
+TEST_F(Inputs, StampsThatWereNotSetAreDropped) {
+  ASSERT_TRUE(spinUntil([&] {
+    return image_.getNumSubscribers() > 0 && imu_.getNumSubscribers() > 0 && subscribers_[0].getNumPublishers() > 0;
+  }));
+  stamp_ = ros::Time(3000.0);
+  ASSERT_TRUE(rest([&] { return !status_.empty() && status_.back().header.stamp > ros::Time(3000.0); }, true));
+  ASSERT_TRUE(diagnostics_.refresh());
+  const std::string dropped = "messages of the time before a jump dropped";
+  const int before = diagnostics_.counted(dropped);
+  ros::Time none;
+  none.sec = none.nsec = 0xFFFFFFFFu;
+  sensor_msgs::Imu msg;
+  msg.header = header("mav_imu_link", none);
+  msg.linear_acceleration.z = 9.81;
+  imu_.publish(msg);
+  publishImage(none);
+  EXPECT_TRUE(diagnostics_.await(dropped, before + 2));
+  const ros::Time then = stamp_;
+  EXPECT_TRUE(rest([&] { return status_.back().header.stamp > then; }, true)) << "it works on";
+}
+
 TEST_F(Inputs, ASilentNodeNamesTheTopicThatHasTheImages) {
   const ros::Publisher compressed =
       handle_.advertise<sensor_msgs::CompressedImage>("other/mav/camera/image_raw/compressed", 1);

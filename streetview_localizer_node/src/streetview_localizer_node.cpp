@@ -5,7 +5,6 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <atomic>
 #include <filesystem>
@@ -16,6 +15,7 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/transform_input.h"
 #include "outcome_publisher.h"
 
 namespace streetview_localizer {
@@ -32,8 +32,7 @@ class StreetviewLocalizerNode {
         private_handle_(private_handle),
         settings_(settings),
         info_topic_(handle.resolveName("mav/camera/camera_info")),
-        health_("streetview_localizer"),
-        listener_(tf_) {
+        health_("streetview_localizer") {
     health_.state(1, "reading the database " + settings_.database);
     worker_ = std::thread([this] { run(); });
   }
@@ -204,7 +203,7 @@ class StreetviewLocalizerNode {
   ru::NodeHealth health_;
   ru::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};  // of the callbacks, which share one thread
   tf2_ros::Buffer tf_;
-  tf2_ros::TransformListener listener_;
+  ru::TransformInput transforms_{tf_};
   ImageQueue queue_{settings_, health_};
   std::unique_ptr<Localizer> localizer_;  // of the worker, as the next two
   OutcomePublisher output_{settings_, health_};

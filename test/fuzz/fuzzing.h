@@ -22,12 +22,14 @@ using Targets = std::map<std::string, Target>;
 void addFileTargets(Targets* targets);
 void addCityTargets(Targets* targets);
 void addMessageTargets(Targets* targets);
+void addFusionTargets(Targets* targets);
 
 inline Targets allTargets() {
   Targets targets;
   addFileTargets(&targets);
   addCityTargets(&targets);
   addMessageTargets(&targets);
+  addFusionTargets(&targets);
   return targets;
 }
 

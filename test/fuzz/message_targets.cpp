@@ -6,12 +6,15 @@
 #include "../../ekf_tracker_node/src/sensor_bridge.h"
 #include "../../icp_refine_node/src/alignment_input.h"
 #include "../../view_match_node/src/messages.h"
+#include "air_ground_common/encoded_image.h"
 #include "air_ground_common/rectification.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "ekf_tracker/tilt_source.h"
 #include "fuzzing.h"
 #include "heightmap_mcl/height_map.h"
+#include "icp_refine/alignment_refiner.h"
+#include "icp_refine/augmented_map.h"
 #include "icp_refine/icp.h"
 
 namespace air_ground_fuzz {
@@ -98,6 +101,7 @@ void cameraInfo(const Bytes& bytes) {
   answers([&] {
     const auto camera = ru::fromMsg(msg);
     require(camera.width > 0 && camera.height > 0, "size of the image");
+    require(std::int64_t{camera.width} * camera.height <= air_ground_common::kMaxImagePixels, "pixels of the image");
     camera.unproject({0, 0});
     camera.unproject({0.7 * camera.width, 0.4 * camera.height});
     camera.project({0.3, -0.2, 1});
@@ -139,7 +143,7 @@ void pointCloud(const Bytes& bytes) {
     std::size_t dropped = 0;
     const auto points = ru::cloudFromMsg(msg, &dropped);
     require(points.size() + dropped == static_cast<std::size_t>(msg.width) * msg.height, "count of the points");
-    for (const auto& p : points) require(p.position.allFinite(), "point");
+    for (const auto& p : points) require(p.position.cwiseAbs().maxCoeff() <= 1e6f, "point");
   });
 }
 
@@ -172,13 +176,17 @@ void heightMaps(const Bytes& bytes) {
     heightmap_mcl::merge({&first, &second}, heightmap_mcl::Merge::kMean);
 }
 
-void alignment(const Bytes& bytes) {
-  static const auto chain = icp_refine::IcpChain::fromString(
+icp_refine::IcpChain smallChain() {
+  return icp_refine::IcpChain::fromString(
       "{reading_filters: [{VoxelGrid: {leaf: 0.1}}, {StatisticalOutlier: {neighbors: 4}}, SurfaceNormals, "
       "OrientNormals], "
       "reference_filters: [{VoxelGrid: {leaf: 0.1}}, SurfaceNormals, OrientNormals], levels: [{matcher: KdTree, "
       "outlier_filters: "
       "[NormalAngle, Cauchy], error_minimizer: {PointToPlane: {dof: 7}}, checkers: [{Iterations: {max: 5}}]}]}");
+}
+
+void alignment(const Bytes& bytes) {
+  static const auto chain = smallChain();
   Source source(bytes);
   icp_refine::Cloud reading, reference;
   reading.points = pointsFrom(source, 60);
@@ -187,6 +195,69 @@ void alignment(const Bytes& bytes) {
   const auto result = chain.align(chain.prepareReading(reading), prepared, icp_refine::Similarity());
   if (result.outcome == icp_refine::IcpResult::Outcome::kConverged)
     require(result.T_reference_reading.t.allFinite() && result.T_reference_reading.scale > 0, "alignment");
+}
+
+// A cloud as cloudFromMsg may give it: any points, or a floor with a box on it, whose points are moved a little.
+icp_refine::Cloud mapFrom(Source& source) {
+  constexpr float kFarthest = 1e6f;
+  icp_refine::Cloud cloud;
+  const auto kind = source.take<std::uint8_t>();
+  if (kind % 2) cloud.points = pointsFrom(source, kind / 4);
+  for (Eigen::Vector3f& p : cloud.points) p = p.cwiseMax(-kFarthest).cwiseMin(kFarthest);
+  for (int i = 0; kind & 2 && i < 324; ++i) {
+    const float u = 0.1f * static_cast<float>(i % 18), v = 0.1f * static_cast<float>(i / 18);
+    cloud.points.emplace_back(u, v, u > 0.5f && v > 0.3f && u + v < 2 ? 0.4f : 0.f);
+    if (!source.empty()) cloud.points.back().z() += 0.001f * static_cast<float>(source.take<std::int8_t>());
+  }
+  return cloud;
+}
+
+// All that icp_refine's callbacks hand on, in any order.
+void refinement(const Bytes& bytes) {
+  namespace ir = icp_refine;
+  Source source(bytes);
+  ir::RefinerSettings settings;
+  settings.min_points = 10;
+  settings.retries = 1;
+  ir::AlignmentRefiner refiner(smallChain(), settings);
+  ir::AugmentedMapSettings map_settings;
+  map_settings.max_voxels = 500;
+  ir::AugmentedMap map(map_settings);
+  for (int messages = 0; messages < 20 && !source.empty(); ++messages) {
+    const auto kind = source.take<std::uint8_t>() % 9;  // 8: nothing
+    answers([&] {
+      air_ground::AlignmentEstimate estimate;
+      estimate.scale = 1;
+      estimate.pose.pose = poseFrom(source);
+      for (std::size_t i = 0; i < 36; i += 7) estimate.pose.covariance[i] = 1e-4;
+      if (kind == 0) refiner.setCoarse(ir::poseOf(ir::coarseAlignmentFrom(estimate, false).T_ground_map_mav_map));
+      if (kind == 1)
+        refiner.setManual(ir::alignmentFrom(ru::fromMsg(estimate.pose.pose), ru::fromMsg(poseFrom(source))));
+      if (kind == 2) {
+        estimate.scale_stddev = source.number();
+        estimate.reference_point.x = source.number();
+        refiner.setViews(ir::viewAlignmentFrom(estimate, true));
+      }
+      if (kind == 3) refiner.setScaleDeviation(source.number());
+      if (kind == 4) refiner.groundMoved();
+      if (kind == 5) refiner.setGroundCamera(source.number());
+      if (kind == 6) refiner.setGround(mapFrom(source));
+      if (kind == 7) {
+        const ir::Cloud cloud = mapFrom(source);
+        std::vector<ir::LabeledPoint> points(cloud.size());
+        for (std::size_t i = 0; i < points.size(); ++i) points[i].position = cloud.points[i];
+        map.addAerial(points);
+        refiner.addAerial(messages, cloud);
+      }
+    });
+    if (kind < 8 && !source.empty()) continue;
+    const ir::RefineOutcome out = refiner.refine();
+    if (out.status != ir::RefineStatus::kConverged) continue;
+    require(out.T_ground_map_mav_map.t.allFinite() && out.T_ground_map_mav_map.scale > 0, "refined pose");
+    require(out.covariance.allFinite(), "covariance of the refined pose");
+    map.align(out.T_ground_map_mav_map);
+    for (const auto& p : map.points()) require(p.position.allFinite(), "point of the augmented map");
+  }
 }
 
 // Keyframes and recognised cameras, and what icp_refine makes of an alignment by views.
@@ -326,6 +397,7 @@ void addMessageTargets(Targets* targets) {
                    {"point_cloud", pointCloud},
                    {"height_maps", heightMaps},
                    {"alignment", alignment},
+                   {"refinement", refinement},
                    {"tracking", tracking},
                    {"views", views}});
 }

@@ -88,7 +88,7 @@ class ViewMatchNode {
   void onImage(const air_ground::PosedImage::ConstPtr& msg) {
     health_.received(image_subscriber_.getTopic(), msg->header.stamp);
     const double interval = status_ == MatchStatus::kConverged ? settings_.converged_interval : settings_.interval;
-    if (!last_image_.isZero() && std::abs((msg->header.stamp - last_image_).toSec()) < interval) return;
+    if (!last_image_.isZero() && std::abs(msg->header.stamp.toSec() - last_image_.toSec()) < interval) return;
     if (!msg->metric && msg->header.frame_id != settings_.visual_map_frame) return;  // the poses will change
     if (!mav_.admitMap(kImages, msg->header, "posed images")) return;
     mav_.observe(msg->map_id, msg->header.stamp, true);

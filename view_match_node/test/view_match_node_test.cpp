@@ -148,6 +148,10 @@ TEST_F(ViewMatchNode, BadInputIsCountedNotFatal) {
   // It works on.
   keyframes_.publish(keyframes(4));
   for (int i = 0; i < 7; ++i) fly(i, "mav_visual_map", false);
+  image.header.stamp = ros::Time(0xFFFFFFFFu, 0);  // further from the last than a ros::Duration can hold
+  images_.publish(image);
+  ASSERT_TRUE(diagnostics_.awaitReceived("/mav/posed_image", image.header.stamp));
+  keyframes_.publish(keyframes(4));
   EXPECT_TRUE(awaitStatus(AlignmentEstimate::STATUS_CONVERGED)) << reason();
 }
 

@@ -9,6 +9,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "air_ground_common/encoded_image.h"
+
 namespace air_ground_common::ros_utils {
 namespace {
 
@@ -178,10 +180,14 @@ CameraModel fromMsg(const sensor_msgs::CameraInfo& msg) {
   // K, width and height are those of the whole sensor; roi and binning tell which part of it the image is. Zeros stand
   // for the whole sensor and for no binning.
   const bool whole = msg.roi.width == 0 || msg.roi.height == 0;
-  return c.window(static_cast<int>(msg.roi.x_offset), static_cast<int>(msg.roi.y_offset),
-                  static_cast<int>(whole ? msg.width : msg.roi.width),
-                  static_cast<int>(whole ? msg.height : msg.roi.height), static_cast<int>(std::max(1u, msg.binning_x)),
-                  static_cast<int>(std::max(1u, msg.binning_y)));
+  c = c.window(static_cast<int>(msg.roi.x_offset), static_cast<int>(msg.roi.y_offset),
+               static_cast<int>(whole ? msg.width : msg.roi.width),
+               static_cast<int>(whole ? msg.height : msg.roi.height), static_cast<int>(std::max(1u, msg.binning_x)),
+               static_cast<int>(std::max(1u, msg.binning_y)));
+  if (std::int64_t{c.width} * c.height > kMaxImagePixels)  // tables of this size are made before an image has come
+    throw std::invalid_argument("camera calibration: it states " + std::to_string(c.width) + " x " +
+                                std::to_string(c.height) + " pixels, more than any camera has");
+  return c;
 }
 
 sensor_msgs::CameraInfo toMsg(const CameraModel& c, const std_msgs::Header& header) {
@@ -229,6 +235,7 @@ sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, cons
 }
 
 std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::size_t* dropped) {
+  constexpr float kFarthest = 1e6f;  // [m]; cells of any size that a map has can still be counted by integers
   const FieldOffsets o = findFields(msg);
   const std::size_t count = static_cast<std::size_t>(msg.width) * msg.height;
   if (msg.data.size() < static_cast<std::size_t>(msg.row_step) * msg.height ||
@@ -244,7 +251,7 @@ std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::s
       std::memcpy(&point.position[0], p + o.x, 4);
       std::memcpy(&point.position[1], p + o.y, 4);
       std::memcpy(&point.position[2], p + o.z, 4);
-      if (!point.position.allFinite()) continue;
+      if (!point.position.allFinite() || point.position.cwiseAbs().maxCoeff() > kFarthest) continue;
       if (o.rgb >= 0) {
         point.rgb << p[o.rgb + 2], p[o.rgb + 1], p[o.rgb];
       } else if (o.intensity >= 0) {

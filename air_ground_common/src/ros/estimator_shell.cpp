@@ -149,26 +149,23 @@ void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
   queue_changed_.notify_all();
 }
 
+// Locked while they are read: gyro and accelerometer may come on two threads, and their samples are one sequence.
 void EstimatorShell::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
   health_.received(imu_topic_, msg->header.stamp);
-  {
-    const std::lock_guard<std::mutex> lock(queue_mutex_);
-    imu_frame_ = msg->header.frame_id;
-  }
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
+  imu_frame_ = msg->header.frame_id;
   addImu(imu_input_.read(*msg));
 }
 
 void EstimatorShell::onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg) {
   health_.received(accel_topic_, msg->header.stamp);
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
   addImu(imu_input_.readAccelerometer(*msg));
 }
 
 void EstimatorShell::addImu(const std::vector<ImuInput::Sample>& samples) {
-  {
-    const std::lock_guard<std::mutex> lock(queue_mutex_);
-    for (const ImuInput::Sample& sample : samples)
-      if (gate_.admit(kImu, ros::Time(sample.stamp))) assembler_.addImu(sample);
-  }
+  for (const ImuInput::Sample& sample : samples)
+    if (gate_.admit(kImu, sample.stamp)) assembler_.addImu(sample);
   if (!samples.empty()) queue_changed_.notify_all();
 }
 
@@ -293,21 +290,24 @@ void EstimatorShell::work() {
     if (restart) {
       frame_.reset();
       startAfresh(false);
-    } else if (frame_) {
-      try {
-        attempt(*frame_);
-      } catch (const std::exception& e) {
-        health_.count(std::string("images refused: ") + e.what());
-        health_.withheld(std::string("images are refused: ") + e.what());
-        frame_.reset();
-      }
-    } else if (!obstacle.reason.empty()) {
+    } else if (!frame_ && !obstacle.reason.empty()) {
       tellObstacle(obstacle, newest);
     } else {
-      const std::lock_guard<std::mutex> lock(estimator_mutex_);
-      if (estimator_.exists()) estimator_.idle();
+      const bool image = frame_.has_value();
+      try {
+        image ? attempt(*frame_) : rest();
+      } catch (const std::exception& e) {
+        health_.count(std::string(image ? "images refused: " : "between images: ") + e.what());
+        if (image) health_.withheld(std::string("images are refused: ") + e.what());
+        frame_.reset();
+      }
     }
   }
+}
+
+void EstimatorShell::rest() {
+  const std::lock_guard<std::mutex> lock(estimator_mutex_);
+  if (estimator_.exists()) estimator_.idle();
 }
 
 /// Frees `frame_` unless its image is to wait for its mounting.

@@ -2,6 +2,7 @@
 
 #include <ros/master.h>
 #include <ros/this_node.h>
+#include <xmlrpcpp/XmlRpcException.h>
 
 #include <algorithm>
 #include <cctype>
@@ -62,9 +63,12 @@ struct NodeHealth::Inquiry {
       request[0] = ros::this_node::getName();
       request[1] = "";
       std::set<std::string> names;
-      const bool answered = ros::master::execute("getPublishedTopics", request, response, topics, false);
-      if (answered)
-        for (int i = 0; i < topics.size(); ++i) names.insert(std::string(topics[i][0]));
+      bool answered = ros::master::execute("getPublishedTopics", request, response, topics, false);
+      try {
+        for (int i = 0; answered && i < topics.size(); ++i) names.insert(std::string(topics[i][0]));
+      } catch (const XmlRpc::XmlRpcException&) {  // no list of topics: that is no ROS master
+        answered = false;
+      }
       const std::lock_guard<std::mutex> lock(inquiry->mutex);
       inquiry->advertised = std::move(names);
       inquiry->answered = answered;
@@ -284,11 +288,9 @@ bool StreamJumpDetector::hold(Stream* stream, double t) const {
   return true;
 }
 
-StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const ros::Time& stamp,
-                                                      const ros::WallTime& now) {
+StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, double t, const ros::WallTime& now) {
   Stream& stream = streams_.at(index);
-  if (stamp.isZero()) return Verdict::kOld;
-  const double t = stamp.toSec();
+  if (t == 0 || t > kEndOfStamps) return Verdict::kOld;
   const bool back = t + tolerance_ < stream.newest;
   Verdict verdict = Verdict::kInOrder;
   if (stream.pass == pass_) {
@@ -317,7 +319,7 @@ StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, const r
   return verdict;
 }
 
-bool StreamGate::admit(std::size_t stream, const ros::Time& stamp) {
+bool StreamGate::admit(std::size_t stream, double stamp) {
   const StreamJumpDetector::Verdict verdict = jumps_.watch(stream, stamp);
   if (verdict == StreamJumpDetector::Verdict::kOld) {
     health_.count("messages of the time before a jump dropped");

@@ -19,7 +19,7 @@ std::string listed(std::vector<std::string> names) {
 
 }  // namespace
 
-Mountings::Mountings(const std::string& base_frame) : base_frame_(withoutSlash(base_frame)), listener_(buffer_) {}
+Mountings::Mountings(const std::string& base_frame) : base_frame_(withoutSlash(base_frame)), transforms_(buffer_) {}
 
 std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const std::string& frame,
                                       const std::string& sensor, std::string* why) const {

@@ -9,7 +9,7 @@ std::optional<std::vector<CloudPoint>> readCloud(const sensor_msgs::PointCloud2&
   try {
     std::size_t dropped = 0;
     auto points = cloudFromMsg(msg, &dropped);
-    health.count("points of " + what + " that are not finite", dropped);
+    health.count("points of " + what + " that are not finite, or beyond 1000 km", dropped);
     if (!points.empty()) return points;
     health.count(what + " without a finite point");
   } catch (const std::exception& e) {

@@ -30,7 +30,7 @@ class PlaneSweep {
   /// `camera`: undistorted pinhole of all frames. Throws std::invalid_argument for bad settings or a distorted camera.
   PlaneSweep(const air_ground_common::CameraModel& camera, const PlaneSweepSettings& settings = {});
 
-  /// Forgets all frames. Depth range in metres, 0 < depth_min < depth_max; throws std::invalid_argument otherwise.
+  /// Forgets all frames. Depth range in metres, 1e-6 <= depth_min < depth_max; throws std::invalid_argument otherwise.
   void start(const Frame& reference, double depth_min, double depth_max);
   bool started() const { return started_; }
 

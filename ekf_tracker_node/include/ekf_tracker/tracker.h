@@ -32,7 +32,7 @@ enum class IncrementResult {
   kUsedAfterGap,  ///< the odometry was silent before: bridged with a broad motion of zero mean
   kNewUnit,       ///< the odometry's unit became unknown (a new map): until two fixes give it, only the turns are used
   kOutOfOrder,    ///< its time is covered already, or runs backwards
-  kInvalid,       ///< not finite
+  kInvalid,       ///< not finite, or longer than any step
 };
 
 /// Mean motion over the newest step of odometry, in the levelled body frame at its begin.

@@ -54,7 +54,7 @@ class Reader {
             const json& value = metadata[key];
             if (value.is_string()) model_.srs = value.get<std::string>();
             if (value.is_object() && value.contains("epsg"))
-              model_.srs = "EPSG:" + std::to_string(value["epsg"].get<int>());
+              model_.srs = "EPSG:" + std::to_string(integer(value["epsg"]));
           }
       }
       if (head.contains("transform"))
@@ -143,6 +143,11 @@ class Reader {
     return id;
   }
 
+  std::int64_t integer(const json& value) const {
+    if (!value.is_number_integer()) throw std::runtime_error(path_ + " has something else where an integer must be");
+    return value.get<std::int64_t>();
+  }
+
   static int lodOf(const json& geometry) {
     if (!geometry.contains("lod")) return -1;
     const json& lod = geometry["lod"];
@@ -226,7 +231,7 @@ class Reader {
     for (const json& indices : rings) {
       Ring ring;
       for (const json& i : indices) {
-        const std::size_t index = i.get<std::size_t>();
+        const auto index = static_cast<std::size_t>(integer(i));
         if (index >= vertices_.size())
           throw std::runtime_error(path_ + ": vertex " + std::to_string(index) + " does not exist");
         ring.push_back(vertices_[index]);

@@ -47,9 +47,9 @@ sensor_msgs::Image toMsg(const cv::Mat& image, const std::string& encoding, cons
 /// Grey clouds have r = g = b.
 using CloudPoint = LabeledPoint;
 
-/// Finite points of a cloud with float x y z and, optionally, packed `rgb`, float `intensity` (0..255) and uint8
-/// `source`. `dropped`, if given, receives the number of non-finite points. Throws when x, y, z are missing or of
-/// another type.
+/// Points of a cloud with float x y z and, optionally, packed `rgb`, float `intensity` (0..255) and uint8 `source`.
+/// `dropped`, if given, receives the number of those left out: not finite, or a coordinate beyond 1000 km, where no map
+/// is. Throws when x, y, z are missing or of another type.
 std::vector<CloudPoint> cloudFromMsg(const sensor_msgs::PointCloud2& msg, std::size_t* dropped = nullptr);
 
 enum class CloudFields { kXyz, kXyzIntensity, kXyzRgb, kXyzRgbSource };

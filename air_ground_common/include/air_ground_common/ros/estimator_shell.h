@@ -147,10 +147,10 @@ class EstimatorShell {
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg);
   void onImu(const sensor_msgs::Imu::ConstPtr& msg);
   void onAccelerometer(const sensor_msgs::Imu::ConstPtr& msg);
-  void addImu(const std::vector<ImuInput::Sample>& samples);
   void onImage(const ImageMessage& message);
   void onDepth(const ImageMessage& message);
   // With the queue locked:
+  void addImu(const std::vector<ImuInput::Sample>& samples);
   void onTimeJump();
   void clearQueues();
   bool frameReady();
@@ -162,6 +162,7 @@ class EstimatorShell {
   // Worker
   void work();
   void attempt(Assembler::Frame& frame);
+  void rest();
   Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
   void startAfresh(bool anew);

@@ -22,6 +22,10 @@ namespace air_ground_common::ros_utils {
 /// come on another meanwhile. So long after a message is here, it tells what the other topics lack [s, wall clock].
 constexpr double kTopicsInStep = 0.3;
 
+/// Where the time ends that a stamp can hold [s], but for a day: beyond, roscpp and tf2 throw when they add to it or
+/// make one from seconds. Such stamps, of all ones (-1) above all, were not set.
+constexpr double kEndOfStamps = 4294967295.0 - 86400;
+
 /// Kind of an event or a reason: its text with every number that stands by itself replaced by '#'. "9 of 80 tracks" and
 /// "14 of 105 tracks" are of one kind, "camera1" and "camera2" are not.
 std::string kindOf(const std::string& text);
@@ -143,8 +147,12 @@ class StreamJumpDetector {
   explicit StreamJumpDetector(std::size_t streams, double tolerance = 1.0, double patience = 3.0)
       : streams_(streams), tolerance_(tolerance), patience_(patience) {}
 
-  /// Throws std::out_of_range for an unknown stream.
-  Verdict watch(std::size_t stream, const ros::Time& stamp, const ros::WallTime& now = ros::WallTime::now());
+  /// `stamp` [s]. All zeros and all ones (-1) stand for one that was not set. Throws std::out_of_range for an unknown
+  /// stream.
+  Verdict watch(std::size_t stream, double stamp, const ros::WallTime& now = ros::WallTime::now());
+  Verdict watch(std::size_t stream, const ros::Time& stamp, const ros::WallTime& now = ros::WallTime::now()) {
+    return watch(stream, stamp.toSec(), now);
+  }
 
  private:
   struct Stream {
@@ -172,8 +180,9 @@ class StreamGate {
   StreamGate(std::size_t streams, NodeHealth& health, std::function<void()> start_afresh)
       : jumps_(streams), health_(health), start_afresh_(std::move(start_afresh)) {}
 
-  /// False: drop the message.
-  bool admit(std::size_t stream, const ros::Time& stamp);
+  /// False: drop the message. `stamp` [s].
+  bool admit(std::size_t stream, double stamp);
+  bool admit(std::size_t stream, const ros::Time& stamp) { return admit(stream, stamp.toSec()); }
 
  private:
   StreamJumpDetector jumps_;

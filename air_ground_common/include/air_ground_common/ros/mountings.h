@@ -2,12 +2,12 @@
 #pragma once
 
 #include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
 
 #include <optional>
 #include <string>
 
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/ros/transform_input.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -31,7 +31,7 @@ class Mountings {
  private:
   std::string base_frame_;
   tf2_ros::Buffer buffer_;
-  tf2_ros::TransformListener listener_;
+  TransformInput transforms_;
 };
 
 }  // namespace air_ground_common::ros_utils

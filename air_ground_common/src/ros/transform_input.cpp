@@ -1,0 +1,47 @@
+#include "air_ground_common/ros/transform_input.h"
+
+#include <ros/console.h>
+#include <ros/message_event.h>
+
+#include "air_ground_common/ros/health.h"
+
+namespace air_ground_common::ros_utils {
+
+TransformInput::TransformInput(tf2_ros::Buffer& buffer) : buffer_(buffer) {
+  using Event = ros::MessageEvent<tf2_msgs::TFMessage const>;
+  buffer_.setUsingDedicatedThread(true);  // who waits for a transform may
+  handle_.setCallbackQueue(&queue_);
+  const auto listen = [this](const char* topic, bool fixed) {
+    return handle_.subscribe<tf2_msgs::TFMessage>(
+        topic, 100, boost::function<void(const Event&)>([this, fixed](const Event& event) {
+          take(*event.getConstMessage(), event.getPublisherName(), fixed);
+        }));
+  };
+  moving_ = listen("/tf", false);
+  fixed_ = listen("/tf_static", true);
+  spinner_.start();
+}
+
+void TransformInput::take(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed) {
+  const ros::Time now = ros::Time::now();
+  if (now < last_) {
+    ROS_WARN("time jumped back: what moved on tf is forgotten");
+    buffer_.clear();
+  }
+  last_ = now;
+  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    if (transform.header.stamp.toSec() > kEndOfStamps) {
+      ROS_WARN_STREAM_ONCE("tf: a transform to '" << transform.child_frame_id << "', from " << authority
+                                                  << ", has no time: such are left out");
+      continue;
+    }
+    try {
+      buffer_.setTransform(transform, authority, fixed);
+    } catch (const tf2::TransformException& e) {
+      ROS_ERROR_STREAM_THROTTLE(10, "tf: a transform to '" << transform.child_frame_id << "', from " << authority
+                                                           << ", is left out: " << e.what());
+    }
+  }
+}
+
+}  // namespace air_ground_common::ros_utils

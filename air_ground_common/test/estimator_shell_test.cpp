@@ -1,0 +1,151 @@
+// The shell of a robot's motion estimator around a stand-in: nothing that it throws ends the worker, and services may
+// be called from any thread meanwhile. Started by estimator_shell.test.
+#include <gtest/gtest.h>
+#include <ros/ros.h>
+
+#include <atomic>
+#include <stdexcept>
+#include <thread>
+
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/node_testing.h"
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+/// Counts what it is given. Called by the shell with its lock held: what is not atomic is read after stop() alone.
+class StandIn : public Estimator {
+ public:
+  bool exists() const override { return made_; }
+  void make(const CameraModel&, const Pose&, const std::optional<Pose>&) override { made_ = true; }
+  std::uint32_t mapId() const override { return map_id_; }
+  void forgetMap() override {}
+  void drop() override { made_ = false; }
+  void reset() override { ++map_id_; }
+  bool addImu(const ImuInput::Sample& sample) override {
+    ++samples;
+    const bool later = sample.stamp > last_sample_;
+    if (!later) ++disorder;
+    last_sample_ = sample.stamp;
+    return later;
+  }
+  EstimatorResult process(const EstimatorFrame&) override {
+    if (fail) throw std::runtime_error("this one is spoilt");
+    ++images;
+    return {};
+  }
+  void idle() override {
+    if (fail_idle.exchange(false)) throw std::bad_alloc();
+  }
+  std::function<std::vector<CloudPoint>()> mapForFile() override {
+    return [] { return std::vector<CloudPoint>(1); };
+  }
+  Trajectory trajectory() override { return {}; }
+
+  std::atomic<bool> fail{false}, fail_idle{false};
+  std::atomic<int> images{0}, samples{0}, disorder{0};
+
+ private:
+  bool made_ = false;
+  std::uint32_t map_id_ = 1;
+  double last_sample_ = 0;
+};
+
+class Shell : public testing::Test {
+ protected:
+  Shell() {
+    EstimatorSettings settings;
+    settings.map_frame = "map", settings.odom_frame = "odom", settings.base_frame = "base";
+    settings.T_base_camera = settings.T_base_imu = Pose::Identity();
+    settings.accel_topic = "accel";
+    settings.max_latency = 0;
+    shell_.emplace(handle_, settings,
+                   EstimatorNames{"image", "camera_info", "imu", "status", "", "shell", "estimation", "", "", ""},
+                   estimator_);
+    shell_->start();
+    image_ = handle_.advertise<sensor_msgs::Image>("image", 100);
+    info_ = handle_.advertise<sensor_msgs::CameraInfo>("camera_info", 10);
+    gyro_ = handle_.advertise<sensor_msgs::Imu>("imu", 1000);
+    accel_ = handle_.advertise<sensor_msgs::Imu>("accel", 1000);
+  }
+
+  /// A tenth of a second: an image, and the two streams of the IMU at 100 Hz and 200 Hz.
+  void publish(int i) {
+    const double stamp = 100 + 0.1 * i;
+    CameraModel camera;
+    camera.width = 8, camera.height = 6;
+    camera.fx = camera.fy = 5, camera.cx = 3.5, camera.cy = 2.5;
+    std_msgs::Header header;
+    header.stamp = ros::Time(stamp);
+    info_.publish(toMsg(camera, header));
+    for (int k = 0; k < 20; ++k) {
+      sensor_msgs::Imu msg;
+      msg.header.stamp = ros::Time(stamp + 0.005 * k);
+      msg.linear_acceleration.z = 9.81;
+      accel_.publish(msg);
+      if (k % 2 == 0) gyro_.publish(msg);
+    }
+    image_.publish(toMsg(cv::Mat(6, 8, CV_8UC1, cv::Scalar(0)), "mono8", header));
+  }
+
+  bool publishUntil(const std::function<bool()>& done) {
+    return spinUntil([&] {
+      publish(next_++);
+      return done();
+    });
+  }
+
+  ros::NodeHandle handle_;
+  StandIn estimator_;
+  std::optional<EstimatorShell> shell_;
+  ros::Publisher image_, info_, gyro_, accel_;
+  int next_ = 0;
+};
+
+TEST_F(Shell, NothingThatTheEstimatorThrowsEndsTheWorker) {
+  ASSERT_TRUE(publishUntil([&] { return estimator_.images > 3; }));
+  estimator_.fail = true;
+  ASSERT_TRUE(publishUntil([&] { return shell_->health().counted("images refused: this one is spoilt") > 0; }));
+  estimator_.fail = false;
+  estimator_.fail_idle = true;
+  ASSERT_TRUE(spinUntil([&] { return !estimator_.fail_idle; }));  // no more images
+  const int before = estimator_.images;
+  EXPECT_TRUE(publishUntil([&] { return estimator_.images > before; })) << "it works on";
+}
+
+TEST_F(Shell, TwoStreamsOfAnImuStayOneSequenceWhateverTheThreads) {
+  ros::AsyncSpinner spinner(4);
+  spinner.start();
+  std::atomic<bool> over{false};
+  std::thread user([&] {
+    while (!over) {
+      std_srvs::Trigger reset;
+      ros::service::call("estimator_shell_test/reset", reset);
+      air_ground::SaveTrajectory save;
+      save.request.path = "/nowhere/at/all.txt";
+      ros::service::call("estimator_shell_test/save_trajectory", save);
+      ros::WallDuration(0.05).sleep();
+    }
+  });
+  for (int i = 0; i < 300 || (estimator_.samples < 1000 && i < 6000); ++i) {
+    publish(next_++);
+    ros::WallDuration(0.005).sleep();
+  }
+  over = true;
+  user.join();
+  spinner.stop();
+  shell_->stop();
+  EXPECT_GT(estimator_.samples, 500);
+  EXPECT_EQ(estimator_.disorder, 0);
+}
+
+}  // namespace
+}  // namespace air_ground_common::ros_utils
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "estimator_shell_test");
+  const ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}
