@@ -86,11 +86,12 @@ class BagFacts:
             return
         self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
 
-    def _add_constant(self, bag, windows=40, seconds=0.5):
+    def _add_constant(self, bag, most_windows=40, seconds=2.0):
         """Transforms on /tf that never change are mountings: recordings of tf's first version have all of theirs there.
 
-        Looked at in so many windows over the recording, since a robot may stand for a while. Returns their children.
+        Looked at in windows over the recording, since a robot may stand for a while; some are told once a second. Returns their children.
         """
+        windows = int(np.clip((self.end - self.begin) / seconds, 1, most_windows))
         topics = [topic for topic in self.types if topic.strip('/') == 'tf']
         first, moved, seen = {}, set(), {}
         for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
