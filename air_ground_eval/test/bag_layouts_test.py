@@ -171,6 +171,7 @@ class BagLayouts(unittest.TestCase):
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, ground_imu='none', ground_image='/camera/rgb/image_color', ground_base_frame='kinect')
         self.assertEqual(output.splitlines()[-1].count('ground_imu:='), 1)
+        self.assertIn('WARNING without IMU the ground map is as level as kinect is', output)
 
     def test_of_two_cameras_the_one_that_looks_down(self):
         recording = Recording(self.path(), [('base_link', frame) for frame in ('front', 'down', 'imu')])
@@ -266,6 +267,15 @@ class BagLayouts(unittest.TestCase):
         self.found('0.0 % of the first image has a depth', level='WARNING', recording=ground.camera('/ground/depth/image_raw', '32FC1', 'cam', factor=np.float32(np.nan)))
         ground = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
         self.found('does not connect ground_base_link with eye', recording=ground.camera('/ground/depth/image_raw', '16UC1', 'eye'))
+        self.found('all stamps are 50.0 s before', level='ok', recording=Recording(self.path()).camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0))
+        with rosbag.Bag(self.path()) as whole, rosbag.Bag(self.path('spoilt.bag'), 'w', compression='bz2', chunk_threshold=5000) as spoilt:
+            for topic, message, time in whole.read_messages():
+                spoilt.write(topic, message, time)
+        with open(self.path('spoilt.bag'), 'r+b') as file:
+            content = file.read()
+            file.seek(content.index(b'BZh', len(content) // 2) + 20)  # within a compressed chunk
+            file.write(b'?' * 100)
+        self.assertIn('which keeps what lies before the damage', self.check(path=self.path('spoilt.bag'))[1])
         os.mkdir(self.path('ros2'))
         with open(self.path('ros2/metadata.yaml'), 'w', encoding='ascii') as file:
             file.write('rosbag2_bagfile_information:')

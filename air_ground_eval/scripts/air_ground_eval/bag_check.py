@@ -115,6 +115,11 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += _static(facts)
     findings += _parts(facts)
     findings += _transforms(facts, present, streams, bases)
+    without_imu = '/ground/imu/data' not in present or any(f.argument == 'ground_imu:=none' for f in findings)
+    if without_imu and '/ground/rgb/image_raw' in present and not re.search('base|body|foot', bases['ground']):
+        findings.append(Finding(WARNING, f'without IMU the ground map is as level as {bases["ground"]} is at the start, and nothing else can tell: where that is a camera that may be '
+                                f'tilted, rosrun air_ground publish_calibration --transform "ground_base_link {bases["ground"]} X Y Z QX QY QZ QW" beside the replay, with '
+                                'ground_base_frame:=ground_base_link'))
     return findings
 
 
@@ -136,7 +141,7 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
 
 
 def _stamps(topic, stream, least_rate):
-    stamps, times = np.array(stream.stamps), np.array(stream.times)
+    stamps = np.array(stream.stamps)
     result = []
     if len(stamps) == 1 and not least_rate and 'camera_info' in topic:
         return [Finding(OK, f'{topic}: 1 message, taken for all images')]
@@ -153,9 +158,6 @@ def _stamps(topic, stream, least_rate):
                               'by more than 1 s the nodes start afresh'))
     if np.any(steps == 0):
         result.append(Finding(WARNING, f'{topic}: {np.count_nonzero(steps == 0)} stamps repeat; the repeated messages will be dropped'))
-    delay = np.median(times - stamps)
-    if abs(delay) > 1.0:
-        result.append(Finding(WARNING, f'{topic}: stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording'))
     rate = 1 / max(np.median(steps), 1e-9)
     gap = steps.max()
     if rate < least_rate:
@@ -232,9 +234,18 @@ def _registration(colour_topic, colour, depth_topic, depth, calibrated):
     return result
 
 
+def _delays(present, streams):
+    """Stamps against the time of recording."""
+    delays = {topic: np.median(np.array(s.times) - s.stamps) for topic, s in ((t, streams[t]) for t in present.values()) if len(s.stamps) > 1 and min(s.stamps) > 0}
+    if len(delays) > 1 and min(np.abs(list(delays.values()))) > 1 > np.ptp(list(delays.values())):
+        delay = np.median(list(delays.values()))
+        return [Finding(OK, f'all stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording, by another clock, or recorded from another bag')]
+    return [Finding(WARNING, f'{topic}: stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording') for topic, delay in delays.items() if abs(delay) > 1]
+
+
 def _clocks(present, streams):
     """Stamps of an IMU against its camera's, of both robots against each other, and against the time of recording."""
-    result, spans = [], {}
+    result, spans = _delays(present, streams), {}
     for robot, standard in IMAGES.items():
         if standard in present and len(streams[present[standard]].stamps) > 1:
             stream = streams[present[standard]]
@@ -250,8 +261,8 @@ def _clocks(present, streams):
     if mav[0] <= ground[1] and ground[0] <= mav[1]:
         return result
     if mav[2] <= ground[3] and ground[2] <= mav[3]:
-        return result + [Finding(ERROR, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
-                        f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart: synchronise them (chrony, ntp)')]
+        return result + [Finding(WARNING, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
+                        f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart. The alignment of their maps needs no common clock, but who looks up on tf where the MAV is in the ground map: synchronise them (chrony, ntp)')]
     return result + [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
 
 

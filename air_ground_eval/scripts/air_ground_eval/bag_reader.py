@@ -1,6 +1,8 @@
 """What the report needs from the bag itself: its time span, static transforms and reference poses."""
 import os
+import struct
 
+import genpy
 import numpy as np
 import rosbag
 import rospy
@@ -28,6 +30,16 @@ def _numbers(edge):
     return [t.x, t.y, t.z], [r.x, r.y, r.z, r.w]
 
 
+class _Bag(rosbag.Bag):
+    """One whose damaged parts are BagErrors, too."""
+
+    def read_messages(self, *arguments, **options):
+        try:
+            yield from super().read_messages(*arguments, **options)
+        except (rosbag.ROSBagException, genpy.MessageException, struct.error, OSError, ValueError, EOFError, LookupError, RuntimeError) as error:
+            raise BagError(f'{self.filename} is damaged ({error}): run  rosbag reindex "{self.filename}", which keeps what lies before the damage, and try again') from error
+
+
 def open_bag(path):
     """rosbag.Bag for reading; BagError where there is none, or none that can be played."""
     if os.path.isfile(os.path.join(path, 'metadata.yaml')) or str(path).endswith(('.mcap', '.db3')):
@@ -35,7 +47,7 @@ def open_bag(path):
     if is_video(str(path)):
         raise BagError(f'{path} is a video: make a bag of it (rosrun air_ground dataset_to_bag --mav {path} --config camera.yaml --out x.bag)')
     try:
-        bag = rosbag.Bag(path)
+        bag = _Bag(path)
     except rosbag.ROSBagUnindexedException as error:
         raise BagError(f'{path} was not closed when it was recorded, or is cut short: run  rosbag reindex "{path}"  and try again') from error
     except (rosbag.ROSBagException, OSError, ValueError) as error:
@@ -63,13 +75,10 @@ class BagFacts:
             self.static_messages = 0
             self.edges = {}  # (parent, child) -> T_parent_child: the last of each child, as tf keeps them
             self.broken_edges = set()  # 'parent -> child' of those whose quaternion is zero or not finite
-            try:
-                for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
-                    self.static_latched &= header.get('latching', b'0') in (b'1', '1')
-                    self.add_static(message)
-                self.constant_on_tf = self._add_constant(bag)
-            except (rosbag.ROSBagException, OSError, ValueError) as error:
-                raise BagError(f'{path} is damaged ({error}): run  rosbag reindex "{path}"  and try again') from error
+            for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
+                self.static_latched &= header.get('latching', b'0') in (b'1', '1')
+                self.add_static(message)
+            self.constant_on_tf = self._add_constant(bag)
 
     def add_static(self, message):
         """Transforms of a TFMessage: of this bag, or of another publisher."""
