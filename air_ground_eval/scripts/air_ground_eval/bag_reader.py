@@ -70,6 +70,7 @@ class BagFacts:
             self.types = {topic: info.msg_type for topic, info in topics.items()}
             self.counts = {topic: info.message_count for topic, info in topics.items()}
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
+            self.delays = {}  # topic -> delay(topic), of those that were asked for
             self.first = {}  # topic -> its first message, of those that were asked for
             self.static_latched = bool(static)
             self.static_messages = 0
@@ -95,24 +96,28 @@ class BagFacts:
             return
         self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
 
-    def _add_constant(self, bag, most_windows=40, seconds=2.0):
+    def _add_constant(self, bag, windows=40, lengths=(0.5, 2.0)):
         """Transforms on /tf that never change are mountings: recordings of tf's first version have all of theirs there.
 
-        Looked at in windows over the recording, since a robot may stand for a while; some are told once a second. Returns their children.
+        Looked at in so many windows over the recording, since a robot may stand for a while; in longer ones where one is told too rarely, as once a second.
+        Returns their children.
         """
-        windows = int(np.clip((self.end - self.begin) / seconds, 1, most_windows))
         topics = [topic for topic in self.types if topic.strip('/') == 'tf']
-        first, moved, seen = {}, set(), {}
-        for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
-            for _, message, _ in bag.read_messages(topics, rospy.Time(start), rospy.Time(start + seconds)) if topics else ():
-                for edge in message.transforms:
-                    child = edge.child_frame_id.lstrip('/')
-                    kept = first.setdefault(child, edge)
-                    same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
-                    moved |= set() if same else {child}
-                    seen.setdefault(child, set()).add(window)
-        taken = {child for _, child in self.edges}
-        constant = {child for child in first if child not in moved | taken and len(seen[child]) > windows // 2}
+        taken, constant = {child for _, child in self.edges}, set()
+        for seconds in lengths if topics else ():
+            first, moved, seen = {}, set(), {}
+            for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
+                for _, message, _ in bag.read_messages(topics, rospy.Time(start), rospy.Time(start + seconds)):
+                    for edge in message.transforms:
+                        child = edge.child_frame_id.lstrip('/')
+                        kept = first.setdefault(child, edge)
+                        same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
+                        moved |= set() if same else {child}
+                        seen.setdefault(child, set()).add(window)
+            still = set(first) - moved - taken
+            constant = {child for child in still if len(seen[child]) > windows // 2}
+            if constant == still:
+                break
         for child in sorted(constant):
             self._add_edge(first[child])
         return constant
@@ -142,6 +147,19 @@ class BagFacts:
         """Frame id of a topic's first message, without a slash before it; None without one."""
         header = getattr(self.first_message(topic), 'header', None)
         return None if header is None else header.frame_id.lstrip('/')
+
+    def delay(self, topic, most=100):
+        """How long after its stamp a message was recorded [s], the median of the first ones: the bag's clock less that of the stamps. 0 without stamps."""
+        if topic not in self.delays:
+            delays = []
+            with open_bag(self.path) as bag:
+                for _, message, time in bag.read_messages([topic]) if topic in self.types else ():
+                    if getattr(getattr(message, 'header', None), 'stamp', None):
+                        delays.append((time - message.header.stamp).to_sec())
+                    if len(delays) == most or not hasattr(message, 'header'):
+                        break
+            self.delays[topic] = float(np.median(delays)) if delays else 0.0
+        return self.delays[topic]
 
     def encoding(self, topic):
         """Of a raw image's pixels; None without one."""
