@@ -59,6 +59,30 @@ sensor_msgs::CameraInfo cameraInfo(const std::string& model, const std::vector<d
   return info;
 }
 
+// As image_proc leaves it: one camera_info for image_raw and image_rect.
+TEST(Conversions, RectifiedImagesAreDescribedByP) {
+  auto info = cameraInfo("plumb_bob", {-0.2, 0.05, 0.001, 0.002, 0.003});
+  info.P = {500, 0, 630, 0, 0, 505, 470, 0, 0, 0, 1, 0};
+  for (const std::string topic :
+       {"/camera/rgb/image_rect_color", "/left/image_rect", "/k/qhd/image_color_rect", "/a/rectified/image"}) {
+    const CameraModel c = fromMsg(infoOfImages(info, topic));
+    EXPECT_EQ(c.fx, 500) << topic;
+    EXPECT_EQ(c.cy, 470) << topic;
+    EXPECT_FALSE(c.hasDistortion()) << topic;
+  }
+  for (const std::string topic : {"/camera/rgb/image_raw", "/direct/image", "/corrected_image"}) {
+    EXPECT_EQ(fromMsg(infoOfImages(info, topic)).fx, 600) << topic;
+    EXPECT_TRUE(fromMsg(infoOfImages(info, topic)).hasDistortion()) << topic;
+  }
+  auto undistorted = cameraInfo("plumb_bob", {0, 0, 0, 0, 0});
+  EXPECT_EQ(fromMsg(infoOfImages(undistorted, "/image_rect_raw")).fx, 600);
+  undistorted.P = info.P;
+  undistorted.K.assign(0);
+  EXPECT_EQ(fromMsg(infoOfImages(undistorted, "/image_raw")).fx, 500);
+  info.K.assign(0);
+  EXPECT_THROW(fromMsg(infoOfImages(info, "/image_raw")), std::invalid_argument);
+}
+
 TEST(Conversions, CameraInfoOfEveryModelSurvivesTheRoundTrip) {
   const std::vector<std::pair<std::string, std::vector<double>>> models = {
       {"plumb_bob", {-0.2, 0.05, 0.001, 0.002, 0.003}},

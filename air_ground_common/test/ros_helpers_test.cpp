@@ -354,6 +354,25 @@ TEST(NodeHealth, SaysOnceWhyNothingIsPublished) {
   EXPECT_EQ(console.count("images come, but no pose"), 2) << "poses come, or no images";
 }
 
+// A replay's nodes wait for the player, which opens a large bag first.
+TEST(NodeHealth, NothingIsSilentBeforeTheClockRuns) {
+  ros::Time::setNow(ros::Time(5.0));
+  const Console console;
+  const ros::Publisher publisher = ros::NodeHandle().advertise<nav_msgs::Odometry>("/of_the_player", 1);
+  NodeHealth health("paused_test");
+  health.expectInput("/of_the_player");
+  health.expectInput("/of_nobody");
+  EXPECT_TRUE(spinUntil([&] { return console.count("nothing on /of_nobody") > 0; }));
+  pause(300);
+  EXPECT_EQ(console.count("nothing on /of_the_player"), 0);
+  double t = 5.0;
+  EXPECT_TRUE(spinUntil([&] {
+    ros::Time::setNow(ros::Time(t += 0.01));
+    return console.count("nothing on /of_the_player for 3 s: it is advertised") > 0;
+  }));
+  ros::Time::init();
+}
+
 TEST(NodeHealth, KindsOfReasonsAndCounters) {
   EXPECT_EQ(kindOf("14 of 105 tracks fit"), kindOf("9 of 88 tracks fit"));
   EXPECT_EQ(kindOf("missed by -0.25 s, 1e-05 allowed"), kindOf("missed by 3.5 s, 2.5 allowed"));

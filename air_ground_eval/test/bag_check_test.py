@@ -52,7 +52,7 @@ def write(path, **faults):
                 stamp = t - 0.5 if faults.get('jump') and i == 300 else t
                 info = messages.camera_info(CAMERA, stamp, 'mav_camera_optical_frame')
                 if faults.get('uncalibrated'):
-                    info.K = [0.0] * 9
+                    info.K, info.P = [0.0] * 9, [0.0] * 12
                 if faults.get('fisheye'):
                     info.distortion_model = faults['fisheye']
                 if not (faults.get('info_once') and i):
@@ -93,13 +93,13 @@ class BagCheck(unittest.TestCase):
 
     def test_errors(self):
         for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('degrees', dict(gyro_factor=6000.0)),
-                             ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('clocks of the robots do not overlap', dict(clocks=5000.0)), ('/tf_static', dict(no_tf=True)),
+                             ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('/tf_static', dict(no_tf=True)),
                              ('frame id is empty', dict(no_frame=True)), ('/ground/depth/image_raw is missing', dict(no_depth=True)),
                              ('differ in size', dict(small_depth=True)), ('calibration is missing', dict(depth_frame=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
             self.assert_found(bag_check.ERROR, text, **faults)
 
     def test_warnings(self):
-        for text, faults in (('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
+        for text, faults in (('clocks of the robots do not overlap', dict(clocks=5000.0)), ('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):
@@ -209,16 +209,18 @@ class BagCheck(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, 'x.bag')
             with rosbag.Bag(path, 'w') as bag:
-                for t in np.arange(100, 130, 0.1):
+                for t in np.arange(100, 170, 0.1):
                     edges = [('/kinect', '/camera', T_kinect_camera), ('/camera', '/eye', T_camera_eye)]
+                    if round(10 * t) % 10 == 0:
+                        bag.write('/tf', messages.static_transforms([('/camera', '/imu', np.eye(4))], t), messages.stamp(t))
                     if int(10 * t) % 2:  # the robot stands for the first half, and its pose comes in messages of its own
                         edges = [('/world', '/kinect', geometry.pose(translation=(max(0.0, t - 115), 2, 3)))]
                     bag.write('/tf', messages.static_transforms(edges, t), messages.stamp(t))
             facts = bag_reader.BagFacts(path)
-        self.assertEqual(facts.constant_on_tf, {'camera', 'eye'})
+        self.assertEqual(facts.constant_on_tf, {'camera', 'eye', 'imu'})
         np.testing.assert_allclose(facts.static_transform('kinect', 'eye'), T_kinect_camera @ T_camera_eye, atol=1e-9)
         turned = {(e.header.frame_id, e.child_frame_id): e.transform.translation for e in facts.static_transforms(['camera']).transforms}
-        self.assertEqual(set(turned), {('camera', 'kinect'), ('camera', 'eye')})
+        self.assertEqual(set(turned), {('camera', 'kinect'), ('camera', 'eye'), ('camera', 'imu')})
         inverse = turned['camera', 'kinect']
         np.testing.assert_allclose([inverse.x, inverse.y, inverse.z], np.linalg.inv(T_kinect_camera)[:3, 3], atol=1e-9)
 

@@ -14,6 +14,7 @@ import numpy as np
 import rosbag
 import rosunit
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
@@ -24,7 +25,7 @@ from air_ground_eval.recording import Camera  # noqa: E402
 PICTURE = (np.indices((48, 64)).sum(0) % 16 * 16).astype(np.uint8)
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
 DEPTH = {'16UC1': np.full((48, 64), 1500, np.uint16), '32FC1': np.full((48, 64), 1.5, np.float32)}
-CHANNELS = {'mono8': 1, 'yuv422_yuy2': 2, 'rgb8': 3, 'bgra8': 4}
+CHANNELS = {'mono8': 1, 'yuv422_yuy2': 2, 'rgb8': 3, 'bgr8': 3, 'bgra8': 4}
 
 
 def image(encoding, stamp, frame, factor=1):
@@ -49,11 +50,13 @@ class Recording:
                 bag.write(topic, message(t), messages.stamp(t))
         return self
 
-    def camera(self, topic, encoding, frame, info=True, model='plumb_bob', distortion=(), size=None, info_frame=None, late=0.0, factor=1):
+    def camera(self, topic, encoding, frame, info=True, model='plumb_bob', distortion=(), size=None, info_frame=None, late=0.0, factor=1, **fields):
         def calibration(t):
             message = messages.camera_info(CAMERA, t - (late or 0.0), frame if info_frame is None else info_frame)
             message.distortion_model, message.D = model, list(distortion)
             message.width, message.height = size or (64, 48)
+            for name, value in fields.items():
+                setattr(message, name, value)
             return message
 
         self.add(topic, 20, lambda t: image(encoding, 0 if late is None else t - late, frame, factor))
@@ -168,11 +171,60 @@ class BagLayouts(unittest.TestCase):
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, ground_imu='none', ground_image='/camera/rgb/image_color', ground_base_frame='kinect')
         self.assertEqual(output.splitlines()[-1].count('ground_imu:='), 1)
+        self.assertIn('WARNING without IMU the ground map is as level as kinect is', output)
 
     def test_of_two_cameras_the_one_that_looks_down(self):
         recording = Recording(self.path(), [('base_link', frame) for frame in ('front', 'down', 'imu')])
         recording.camera('/uav1/a_front_camera/image_raw', 'rgb8', 'front').camera('/uav1/down_camera/image_raw', 'mono8', 'down').imu('/uav1/imu', 'imu')
         self.assert_arguments(self.check()[2], mav_image='/uav1/down_camera/image_raw')
+
+    def test_two_robots_with_depth_cameras(self):
+        """The names tell which is which."""
+        recording = Recording(self.path(), [(f'{robot}/base_link', f'{robot}/{sensor}') for robot in ('drone1', 'husky') for sensor in ('cam', 'imu')])
+        for robot in ('drone1', 'husky'):
+            recording.camera(f'/{robot}/camera/color/image_raw', 'rgb8', f'{robot}/cam').imu(f'/{robot}/camera/imu', f'{robot}/imu')
+            recording.camera(f'/{robot}/camera/aligned_depth_to_color/image_raw', '16UC1', f'{robot}/cam')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_image='/husky/camera/color/image_raw', ground_depth='/husky/camera/aligned_depth_to_color/image_raw', ground_imu='/husky/camera/imu',
+                              mav_image='/drone1/camera/color/image_raw', mav_imu='/drone1/camera/imu', ground_depth_registered=None)
+
+    def test_robots_whose_frames_have_the_same_names(self):
+        """As when the bags of two robots with drivers of one kind were put together by other tools than merge_bags."""
+        recording = Recording(self.path(), [('base_link', 'cam'), ('base_link', 'imu')]).imu('/uav/imu/data', 'imu').imu('/ugv/imu/data', 'imu')
+        recording.camera('/uav/camera/image_raw', 'mono8', 'cam').camera('/ugv/rgb/image_raw', 'rgb8', 'cam').camera('/ugv/depth/image_raw', '16UC1', 'cam')
+        status, output, _ = self.check()
+        self.assertEqual(status, 1, output)
+        self.assertIn("the body frame of both robots is 'base_link'", output)
+
+    def test_the_unit_of_depth(self):
+        for factor, level, unit in ((1, 'ok', None), (5, 'WARNING', None), (10, 'WARNING', '0.0002')):
+            recording = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
+            recording.camera('/ground/depth/image_raw', '16UC1', 'cam', factor=factor)
+            _, output, command = self.check()
+            self.assertEqual(any(line.startswith('WARNING') and 'ground_depth_unit' in line for line in output.splitlines()), level == 'WARNING', output)
+            self.assert_arguments(command, ground_depth_unit=unit)
+
+    def test_colour_and_depth_share_a_calibration(self):
+        """As simulators have it: of two robots, and of a drone alone, whose depth is not a ground robot's."""
+        recording = Recording(self.path(), [(f'{robot}/base', f'{robot}/{sensor}') for robot in ('X1', 'X2') for sensor in ('cam', 'imu')])
+        recording.camera('/X1/front/image_raw', 'rgb8', 'X1/cam').camera('/X1/front/depth', '32FC1', 'X1/cam', info=False).imu('/X1/imu/data', 'X1/imu')
+        recording.camera('/X2/down/image_raw', 'mono8', 'X2/cam').imu('/X2/imu/data', 'X2/imu')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_camera_info='/X1/front/camera_info', mav_image='/X2/down/image_raw')
+
+        recording = Recording(self.path(), [('Drone1', 'front')]).imu('/airsim_node/Drone1/imu/Imu', 'Drone1')
+        recording.camera('/airsim_node/Drone1/front/Scene', 'bgr8', 'front').camera('/airsim_node/Drone1/front/DepthPlanar', '32FC1', 'front', info=False)
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_image='/airsim_node/Drone1/front/Scene', mav_camera_info='/airsim_node/Drone1/front/camera_info', ground_depth=None)
+
+    def test_a_camera_alone_is_its_own_base(self):
+        Recording(self.path()).camera('/camera/image_raw', 'mono8', 'cam')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_base_frame='cam', mav_use_imu='false')
 
     def found(self, text, level='ERROR', imu=None, recording=None, **camera):
         if recording is None:
@@ -181,22 +233,49 @@ class BagLayouts(unittest.TestCase):
         output = self.check()[1]
         self.assertTrue(any(line.startswith(level) and text in line for line in output.splitlines()), f'no {level} with "{text}" in\n{output}')
 
+    def test_rectified_images_have_the_calibration_of_P(self):
+        """image_raw and image_rect share a camera_info, of which K and D are the former's, P the latter's."""
+        recording = Recording(self.path(), [('base_link', 'cam'), ('base_link', 'imu')]).imu('/imu/data', 'imu')
+        recording.camera('/left/image_rect', 'mono8', 'cam', distortion=[-0.3, 0.1, 0, 0, 0], R=list(geometry.rotation_z(0.01).ravel()))
+        status, output, _ = self.check()
+        self.assertEqual(status, 0, output)
+        self.assertIn('P is taken, not K and D, for /left/image_rect is rectified', output)
+        self.assertIn('rectification turned /left/image_rect by 0.6 degrees', output)
+        Recording(self.path(), [('mav_base_link', 'cam'), ('mav_base_link', 'imu')]).camera('/mav/camera/image_raw', 'mono8', 'cam', K=[0.0] * 9).imu('/mav/imu/data', 'imu')
+        self.assertIn('P is taken, not K and D, for K is empty', self.check()[1])
+
     def test_one_clear_line(self):
         self.found('set it in the driver', late=None)
         self.found('two clocks', late=50.0)
         self.found('in degrees', imu=dict(gyro=(8.0, 5.0, 12.0)))
         self.found('are not measured', imu=dict(measured=False))
+        self.found('an attitude alone helps no node', level='WARNING', imu=dict(gyro=(0, 0, 0), accel=(0, 0, 0)))
+        self.assert_arguments(self.check()[2], mav_use_imu='false')
         self.found('has at most 4', model='equidistant', distortion=[0.1] * 5)
         self.found('multiplied by 0.5', size=(128, 96))
         self.found('the nodes go by the latter', level='WARNING', info_frame='other')
         for name, model in (('OpenCV', 'fisheye'), ('kalibr', 'radtan')):
             self.found('0 errors', level='0 errors', model=model, distortion=[0.1, 0.01, 0, 0])
         self.found('0 errors', level='0 errors', encoding='yuv422_yuy2')
+        self.found('0 errors', level='0 errors', size=(129, 97), binning_x=2, binning_y=2)
+        self.found('is for 32x24', binning_x=2, binning_y=2)
+        self.found('0 errors', level='0 errors', header=Header(frame_id='cam'))
         self.found('use 12 of 16 bits', level='ok', encoding='mono16')
         ground = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
         self.found('are these millimetres', recording=ground.camera('/ground/depth/image_raw', '32FC1', 'cam', factor=1000))
         ground = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
+        self.found('0.0 % of the first image has a depth', level='WARNING', recording=ground.camera('/ground/depth/image_raw', '32FC1', 'cam', factor=np.float32(np.nan)))
+        ground = Recording(self.path(), [('ground_base_link', 'cam')]).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
         self.found('does not connect ground_base_link with eye', recording=ground.camera('/ground/depth/image_raw', '16UC1', 'eye'))
+        self.found('all stamps are 50.0 s before', level='ok', recording=Recording(self.path()).camera('/mav/camera/image_raw', 'mono8', 'cam', late=50.0))
+        with rosbag.Bag(self.path()) as whole, rosbag.Bag(self.path('spoilt.bag'), 'w', compression='bz2', chunk_threshold=5000) as spoilt:
+            for topic, message, time in whole.read_messages():
+                spoilt.write(topic, message, time)
+        with open(self.path('spoilt.bag'), 'r+b') as file:
+            content = file.read()
+            file.seek(content.index(b'BZh', len(content) // 2) + 20)  # within a compressed chunk
+            file.write(b'?' * 100)
+        self.assertIn('which keeps what lies before the damage', self.check(path=self.path('spoilt.bag'))[1])
         os.mkdir(self.path('ros2'))
         with open(self.path('ros2/metadata.yaml'), 'w', encoding='ascii') as file:
             file.write('rosbag2_bagfile_information:')

@@ -15,13 +15,14 @@ import yaml
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
 from air_ground_eval import demo, evaluation, geometry, messages, ply  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
 
 sys.path.insert(0, HERE)
 DURATION = 6.0
 
 
-def write_bag(path, truth=True):
-    """A MAV that flies a helix and a ground robot that drives an arc; ground truth only."""
+def write_bag(path, truth=True, ahead=None):
+    """A MAV that flies a helix and a ground robot that drives an arc; ground truth only, and images stamped so much `ahead` of the time of recording, as the truth is [s]."""
     with rosbag.Bag(path, 'w') as bag:
         edges = [('mav_base_link', 'mav_camera_optical_frame', geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))),
                  ('ground_base_link', 'ground_camera_optical_frame', geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.1, 0, 0.4)))]
@@ -32,7 +33,11 @@ def write_bag(path, truth=True):
             ground = geometry.pose(geometry.rotation_z(0.3 * t), (2 * np.cos(0.3 * t), 2 * np.sin(0.3 * t), 0.05 * np.sin(t)))
             for name, pose in (('mav', mav), ('ground', ground)):
                 topic = f'/ground_truth/{name}' if truth else f'/hidden/{name}'
-                bag.write(topic, messages.pose_stamped(pose, 100 + t, 'world'), messages.stamp(100 + t))
+                bag.write(topic, messages.pose_stamped(pose, 100 + t + (ahead or 0.0), 'world'), messages.stamp(100 + t))
+            if ahead is not None:
+                stamp = 100 + t + ahead
+                bag.write('/mav/camera/image_raw', messages.image(np.zeros((8, 8)), 'mono8', stamp, 'camera'), messages.stamp(100 + t))
+                bag.write('/mav/camera/camera_info', messages.camera_info(Camera(8, 8, 8, 8, 4, 4), stamp + 3600 * (t == 1), 'camera'), messages.stamp(100 + t))
     vertices = [(-3, -3, 0), (3, -3, 0), (3, 3, 0), (-3, 3, 0)]
     with open(os.path.splitext(path)[0] + '.world.ply', 'wb') as stream:
         stream.write(b'ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n'
@@ -68,10 +73,10 @@ def replay(folder, stand_in, *arguments):
 
 
 class ReplayReport(unittest.TestCase):
-    def run_replay(self, stand_in, truth=True):
+    def run_replay(self, stand_in, truth=True, **recording):
         folder = tempfile.TemporaryDirectory(prefix='a folder with spaces ')
         self.addCleanup(folder.cleanup)
-        write_bag(os.path.join(folder.name, 'x.bag'), truth)
+        write_bag(os.path.join(folder.name, 'x.bag'), truth, **recording)
         static_file = os.path.join(folder.name, 'static.txt')
         output = replay(folder.name, dict(stand_in, static_file=static_file), *([] if truth else ['truth:=/hidden']))
         out = os.path.join(folder.name, 'out')
@@ -130,6 +135,17 @@ class ReplayReport(unittest.TestCase):
         self.assertGreater(values['augmented_map_points'], 1000)
         self.assertNotIn('map_surface_error_median_m', values)
         self.assertTrue(os.path.isfile(os.path.join(out, 'report.png')))
+
+    def test_stamps_of_another_clock(self):
+        """As of a camera that counts from when it was switched on, or a computer without a network: how far the player is, nodes lag and time has gone is not for them to tell."""
+        for ahead in (-90.0, 1e6):
+            _, values, output = self.run_replay({}, ahead=ahead)
+            for tenth in (1, 5, 9):
+                self.assertEqual(output.count(f'replay {10 * tenth} %'), 1, output)
+            self.assertLess(abs(values['alignment_accepted_after_s']), 2)
+            self.assertGreater(values['refined_latency_median_s'], 0.7 - 0.1)
+            self.assertLess(values['refined_latency_median_s'], 0.7 + 2)
+            self.assertGreater(values['vo_coverage_percent'], 90)
 
     def test_a_robot_without_pose_and_one_switched_off(self):
         out, values, output = self.run_replay({'silent': 'too dark, says the stand-in', 'ground': 'false'})

@@ -181,7 +181,7 @@ Setup readSetup(const rosbag::Bag& bag, const Topics& topics) {
       for (const auto& t : tf->transforms)
         if (t.header.frame_id == topics.base) fixed[t.child_frame_id] = ros_utils::fromMsg(t.transform);
     if (const auto info = m.instantiate<sensor_msgs::CameraInfo>(); info && !setup.camera) {
-      setup.camera = ros_utils::fromMsg(*info);
+      setup.camera = ros_utils::fromMsg(ros_utils::infoOfImages(*info, topics.image));
       camera_frame = info->header.frame_id;
     }
     if (const auto imu = m.instantiate<sensor_msgs::Imu>(); imu && imu_frame.empty()) imu_frame = imu->header.frame_id;

@@ -88,7 +88,7 @@ TEST(MapAdjuster, OfALongFlightTheOldestStay) {
   OdometrySettings settings = windowOf(4, 3, true);
   settings.full_max_keyframes = 5;
   MapAdjuster adjuster(synthetic::camera(), settings);
-  const auto jobs = adjuster.adjustWhole(map, {}, {}, 0);
+  const auto jobs = adjuster.adjustWhole(adjuster.wholeMap(map, {}, {}), 0);
   ASSERT_EQ(jobs.size(), 1u);
   EXPECT_TRUE(jobs[0].full);
   EXPECT_EQ(camerasOf(jobs[0], true), (std::vector<KeyframeId>{0, 1, 2}));
@@ -105,7 +105,7 @@ TEST(MapAdjuster, TheWholeMapIsDueLessAndLessOften) {
     EXPECT_FALSE(adjuster.wholeDue(stamp + interval - 0.01)) << interval;
     ASSERT_TRUE(adjuster.wholeDue(stamp + interval)) << interval;
     stamp += interval;
-    adjuster.adjustWhole(map, {}, {}, stamp);
+    adjuster.adjustWhole(adjuster.wholeMap(map, {}, {}), stamp);
   }
 }
 
@@ -150,9 +150,9 @@ TEST_P(BesideTracking, TheNextOneOfItsKindTakesTheOneBeforeAlong) {
 TEST_P(BesideTracking, OfTheWholeMapThereIsOneAtATimeAskedForOnceASecond) {
   MapAdjuster adjuster(synthetic::camera(), settings);
   adjuster.restartSchedule(0);
-  EXPECT_TRUE(adjuster.adjustWhole(map, {}, {}, 10).empty());
+  EXPECT_TRUE(adjuster.adjustWhole(adjuster.wholeMap(map, {}, {}), 10).empty());
   EXPECT_FALSE(adjuster.wholeDue(10.5));
-  EXPECT_TRUE(adjuster.adjustWhole(map, {}, {}, 10.5).empty());
+  EXPECT_TRUE(adjuster.adjustWhole(adjuster.wholeMap(map, {}, {}), 10.5).empty());
   EXPECT_TRUE(adjuster.wholeDue(10.5)) << "it could not begin, and is due as soon as it can";
   pause();
   EXPECT_TRUE(adjuster.due(10.99).empty());
@@ -168,7 +168,7 @@ TEST_P(BesideTracking, OfTheWholeMapThereIsOneAtATimeAskedForOnceASecond) {
 TEST_P(BesideTracking, NothingComesOfWhatIsDiscarded) {
   MapAdjuster adjuster(synthetic::camera(), settings);
   adjuster.adjustNewest(map, {}, {}, 10);
-  adjuster.adjustWhole(map, {}, {}, 10);
+  adjuster.adjustWhole(adjuster.wholeMap(map, {}, {}), 10);
   adjuster.discard();
   EXPECT_TRUE(adjuster.due(10.05).empty());
   EXPECT_TRUE(adjuster.due(12).empty());

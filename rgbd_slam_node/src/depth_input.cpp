@@ -13,9 +13,14 @@ namespace ros_utils = air_ground_common::ros_utils;
 using air_ground_common::CameraModel;
 using air_ground_common::Pose;
 
-DepthInput::DepthInput(ros::NodeHandle handle, const std::string& camera_info, const DepthInputSettings& settings,
-                       const ros_utils::Mountings& mountings, ros_utils::NodeHealth& health)
-    : settings_(settings), mountings_(mountings), health_(health), info_topic_(handle.resolveName(camera_info)) {
+DepthInput::DepthInput(ros::NodeHandle handle, const std::string& image, const std::string& camera_info,
+                       const DepthInputSettings& settings, const ros_utils::Mountings& mountings,
+                       ros_utils::NodeHealth& health)
+    : settings_(settings),
+      mountings_(mountings),
+      health_(health),
+      image_topic_(handle.resolveName(image)),
+      info_topic_(handle.resolveName(camera_info)) {
   if (settings.registered) return;
   health_.expectInput(info_topic_);
   info_subscriber_ = handle.subscribe(camera_info, 20, &DepthInput::onInfo, this);
@@ -32,7 +37,8 @@ void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
   std::string problem;
   std::optional<ros_utils::Calibration> calibration;
   try {
-    calibration = ros_utils::Calibration{ros_utils::fromMsg(*message), *message};
+    const sensor_msgs::CameraInfo info = ros_utils::infoOfImages(*message, image_topic_);
+    calibration = ros_utils::Calibration{ros_utils::fromMsg(info), info};
   } catch (const std::exception& e) {
     problem = e.what();
     health_.count("depth camera calibrations refused: " + problem);

@@ -24,11 +24,12 @@ struct DepthInputSettings {
   std::optional<air_ground_common::Pose> T_base_depth;  ///< instead of tf
 };
 
-/// What registration here needs is the depth camera's calibration, on `camera_info`, and its mounting, from tf.
+/// What registration here needs is the calibration of the depth camera (of `image`), on `camera_info`, and its
+/// mounting, from tf.
 class DepthInput {
  public:
-  DepthInput(ros::NodeHandle handle, const std::string& camera_info, const DepthInputSettings& settings,
-             const air_ground_common::ros_utils::Mountings& mountings,
+  DepthInput(ros::NodeHandle handle, const std::string& image, const std::string& camera_info,
+             const DepthInputSettings& settings, const air_ground_common::ros_utils::Mountings& mountings,
              air_ground_common::ros_utils::NodeHealth& health);
 
   /// The colour camera that depth is registered to from now on; call before `read`.
@@ -44,7 +45,7 @@ class DepthInput {
   const DepthInputSettings settings_;
   const air_ground_common::ros_utils::Mountings& mountings_;
   air_ground_common::ros_utils::NodeHealth& health_;
-  std::string info_topic_;
+  std::string image_topic_, info_topic_;
   air_ground_common::CameraModel colour_camera_;
   air_ground_common::Pose T_base_colour_;
   std::optional<DepthRegistration> registration_;

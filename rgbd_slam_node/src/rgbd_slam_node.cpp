@@ -60,7 +60,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
                 "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
                 "runs without rotation prior and takes the robot's base for level at the start"},
                *this),
-        depth_(handle_, "ground/depth/camera_info", settings_.depth, shell_.mountings(), shell_.health()),
+        depth_(handle_, "ground/depth/image_raw", "ground/depth/camera_info", settings_.depth, shell_.mountings(),
+               shell_.health()),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()),
         keyframes_(handle_, "ground/map_keyframes", frames_.map_frame) {
     keyframe_publisher_ = handle_.advertise<sensor_msgs::Image>("ground/keyframe_image", 5);

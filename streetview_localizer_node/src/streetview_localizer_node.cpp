@@ -97,7 +97,7 @@ class StreetviewLocalizerNode {
   void onCameraInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
     health_.received(info_topic_, msg->header.stamp);
     try {
-      queue_.setCamera(ru::fromMsg(*msg));
+      queue_.setCamera(ru::fromMsg(ru::infoOfImages(*msg, handle_.resolveName("mav/camera/image_raw"))));
     } catch (const std::invalid_argument& e) {
       health_.count(std::string("calibration ignored: ") + e.what());
     }

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <regex>
 #include <stdexcept>
 
 #include "air_ground_common/encoded_image.h"
@@ -40,6 +41,12 @@ const char* colourOf(const std::string& encoding) {
   if (encoding == enc::TYPE_8UC4) return enc::BGRA8.c_str();
   if (encoding == enc::TYPE_16UC1) return enc::MONO16.c_str();
   return nullptr;
+}
+
+/// By the name that image_proc and the drivers give them.
+bool isRectified(const std::string& topic) {
+  static const std::regex kRectified("(^|[/_])rect(ified)?([/_]|$)");
+  return std::regex_search(topic, kRectified);
 }
 
 /// The order Y U Y V that most web cameras send, which cv_bridge does not know; it knows U Y V Y.
@@ -188,6 +195,19 @@ CameraModel fromMsg(const sensor_msgs::CameraInfo& msg) {
     throw std::invalid_argument("camera calibration: it states " + std::to_string(c.width) + " x " +
                                 std::to_string(c.height) + " pixels, more than any camera has");
   return c;
+}
+
+sensor_msgs::CameraInfo infoOfImages(const sensor_msgs::CameraInfo& info, const std::string& topic) {
+  const auto zero = [](double d) { return d == 0; };
+  const bool distorted = !std::all_of(info.D.begin(), info.D.end(), zero);
+  const bool empty = std::all_of(info.K.begin(), info.K.end(), zero) && !distorted;
+  if (info.P[0] <= 0 || !(empty || (distorted && isRectified(topic)))) return info;
+  sensor_msgs::CameraInfo own = info;
+  own.K = {info.P[0], info.P[1], info.P[2], info.P[4], info.P[5], info.P[6], info.P[8], info.P[9], info.P[10]};
+  own.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  own.distortion_model = "plumb_bob";
+  own.D.assign(5, 0.0);
+  return own;
 }
 
 sensor_msgs::CameraInfo toMsg(const CameraModel& c, const std_msgs::Header& header) {

@@ -135,9 +135,9 @@ void EstimatorShell::onInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
   health_.received(info_topic_, msg->header.stamp);
   std::string problem;
   try {
-    const CameraModel camera = fromMsg(*msg);
     const std::lock_guard<std::mutex> lock(queue_mutex_);
-    calibration_ = Calibration{camera, *msg};
+    const sensor_msgs::CameraInfo info = infoOfImages(*msg, image_topic_);
+    calibration_ = Calibration{fromMsg(info), info};
   } catch (const std::exception& e) {
     problem = e.what();
     health_.count("camera calibrations refused: " + problem);

@@ -16,8 +16,9 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
-constexpr double kSilence = 3.0;        // of an input or an output before it is warned of [s, wall clock]
-constexpr double kSayAgain = 60.0;      // a reason for silence [s]
+constexpr double kSilence = 3.0;    // of an input or an output before it is warned of [s, wall clock]
+constexpr double kOpening = 60.0;   // of a bag, for the player to begin, before its topics are missed [s, wall clock]
+constexpr double kSayAgain = 60.0;  // a reason for silence [s]
 constexpr double kMasterAnswers = 2.0;  // in this time, or is not waited for [s]
 constexpr std::size_t kMostKinds = 100;
 
@@ -83,7 +84,8 @@ struct NodeHealth::Inquiry {
   }
 };
 
-NodeHealth::NodeHealth(const std::string& hardware_id) : started_(ros::WallTime::now()), watched_(started_) {
+NodeHealth::NodeHealth(const std::string& hardware_id)
+    : started_(ros::WallTime::now()), watched_(started_), running_(started_) {
   updater_.setHardwareID(hardware_id);
   updater_.add("state", this, &NodeHealth::report);
   // A wall timer: diagnostics and warnings must come when /clock stands still, too.
@@ -181,6 +183,7 @@ void NodeHealth::watch() {
     const std::lock_guard<std::mutex> lock(mutex_);
     paused = ros::Time::isSimTime() && clock == clock_;
   }
+  if (paused) running_ = now;
   watchInputs(now, paused);
   watchSilence(now, paused);
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -205,11 +208,20 @@ void NodeHealth::watchInputs(const ros::WallTime& now, bool paused) {
   const bool over = inquiry_->await(0);
   if (!over && (now - inquiry_->begun).toSec() < kMasterAnswers) return;
   for (const auto& [topic, input] : silent_) {
+    const bool advertised = over && inquiry_->advertised.count(topic) > 0;
+    const bool opening = clock_.isZero() && (now - started_).toSec() < kOpening;
+    if ((advertised || opening) && input.messages == 0 && (now - running_).toSec() < kSilence) {
+      // The player has yet to begin.
+      const std::lock_guard<std::mutex> lock(mutex_);
+      inputs_[topic].warned = false;
+      inputs_[topic].last_arrival = running_;
+      continue;
+    }
     std::ostringstream line;
     line << "nothing on " << topic << " for " << kSilence << " s: ";
     if (!over || !inquiry_->answered)
       line << "the ROS master does not answer";
-    else if (inquiry_->advertised.count(topic) > 0)
+    else if (advertised)
       line << "it is advertised, but no message comes";
     else
       line << "nobody publishes it (is a remapping or a namespace wrong?)";

@@ -2,10 +2,9 @@
 import os
 import re
 
-import cv2
 import numpy as np
 
-from . import bag_guess, bag_imu
+from . import bag_camera, bag_guess, bag_imu
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_reader import POSE_TYPES, BagFacts, open_bag
 
@@ -31,15 +30,8 @@ CITY = {
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
-GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
-        '8UC1', '8UC3', '8UC4', '16UC1')
-DEPTH = ('16UC1', 'mono16', '32FC1')
-MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'radial_tangential', 'brown_conrady', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
-          **dict.fromkeys(('', 'none', 'pinhole', 'perspective', 'inverse_brown_conrady'), 0)}  # as the nodes take them: how many coefficients each may have
 NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
-FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
-FAR = 100  # [m]: half of an image's depths beyond this are of no depth camera
 
 
 class Stream:
@@ -108,9 +100,9 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         findings += _stamps(topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
         if standard.endswith('camera_info'):
-            findings += _camera_info(topic, streams[topic])
+            findings += bag_camera.check_info(topic, streams[topic], present.get(standard.replace('camera_info', 'image_raw'), topic))
         elif standard.endswith('image_raw'):
-            findings += _image(topic, streams[topic], DEPTH if 'depth' in standard else GREY)
+            findings += bag_camera.check_image(topic, streams[topic], bag_camera.DEPTH if 'depth' in standard else bag_camera.GREY)
         elif standard.endswith('imu/data'):
             findings += bag_imu.check(standard, topic, streams[topic], standard.replace('data', 'accel') in present)
             findings += bag_imu.gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
@@ -123,6 +115,11 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += _static(facts)
     findings += _parts(facts)
     findings += _transforms(facts, present, streams, bases)
+    without_imu = '/ground/imu/data' not in present or any(f.argument == 'ground_imu:=none' for f in findings)
+    if without_imu and '/ground/rgb/image_raw' in present and not re.search('base|body|foot', bases['ground']):
+        findings.append(Finding(WARNING, f'without IMU the ground map is as level as {bases["ground"]} is at the start, and nothing else can tell: where that is a camera that may be '
+                                f'tilted, rosrun air_ground publish_calibration --transform "ground_base_link {bases["ground"]} X Y Z QX QY QZ QW" beside the replay, with '
+                                'ground_base_frame:=ground_base_link'))
     return findings
 
 
@@ -144,12 +141,14 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
 
 
 def _stamps(topic, stream, least_rate):
-    stamps, times = np.array(stream.stamps), np.array(stream.times)
+    stamps = np.array(stream.stamps)
     result = []
     if len(stamps) == 1 and not least_rate and 'camera_info' in topic:
         return [Finding(OK, f'{topic}: 1 message, taken for all images')]
     if len(stamps) < 2:
         return [Finding(ERROR, f'{topic} holds {len(stamps)} message(s)')]
+    if np.any(stamps <= 0) and stream.samples[0]._type == 'sensor_msgs/CameraInfo':
+        return [Finding(OK, f'{topic}: {len(stamps)} messages without stamp: each holds until the next one')]
     if np.any(stamps <= 0):
         return [Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} of {len(stamps)} messages have no stamp (header.stamp is zero): set it in the driver, or to the '
                         'time of recording (rosrun air_ground join_bags BAG OUT --restamp TOPIC)')]
@@ -159,9 +158,6 @@ def _stamps(topic, stream, least_rate):
                               'by more than 1 s the nodes start afresh'))
     if np.any(steps == 0):
         result.append(Finding(WARNING, f'{topic}: {np.count_nonzero(steps == 0)} stamps repeat; the repeated messages will be dropped'))
-    delay = np.median(times - stamps)
-    if abs(delay) > 1.0:
-        result.append(Finding(WARNING, f'{topic}: stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording'))
     rate = 1 / max(np.median(steps), 1e-9)
     gap = steps.max()
     if rate < least_rate:
@@ -171,70 +167,6 @@ def _stamps(topic, stream, least_rate):
     if not result:
         result.append(Finding(OK, f'{topic}: {len(stamps)} messages, {rate:.1f} Hz'))
     return result
-
-
-def _camera_info(topic, stream):
-    info = stream.samples[0]
-    result = []
-    if not (info.K[0] > 0 and info.K[4] > 0):
-        result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
-    elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
-        result.append(Finding(WARNING, f'{topic}: principal point ({info.K[2]:.1f}, {info.K[5]:.1f}) is far from the centre of {info.width}x{info.height}'))
-    model, count = re.sub('[- ]', '_', info.distortion_model.lower()), len(np.trim_zeros(info.D, 'b'))
-    if model not in MODELS:
-        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know plumb_bob, rational_polynomial, equidistant: undistort first'))
-    elif not MODELS[model] and count:
-        result.append(Finding(ERROR, f'{topic}: D is set, but distortion_model {info.distortion_model!r} does not say how it is meant; plumb_bob, for OpenCV\'s five'))
-    elif count > MODELS[model]:
-        result.append(Finding(ERROR, f'{topic}: {count} coefficients in D; distortion model {info.distortion_model} has at most {MODELS[model]}'))
-    return result
-
-
-def _image(topic, stream, encodings):
-    image = stream.samples[0]
-    result = []
-    if image._type == 'sensor_msgs/CompressedImage':
-        return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
-    if image.encoding not in encodings:
-        result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
-    if len(image.data) != image.step * image.height:
-        result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
-    elif image.encoding in ('16UC1', 'mono16') and encodings is DEPTH:
-        dtype = np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<')
-        depth = np.frombuffer(image.data, dtype).reshape(image.height, -1)
-        valid = depth[depth > 0]
-        if len(valid) < 0.02 * depth.size:
-            result.append(Finding(WARNING, f'{topic}: {100 * len(valid) / depth.size:.1f} % of the first image has a depth'))
-        elif np.median(valid) > 12000:
-            result.append(Finding(WARNING, f'{topic}: median depth {np.median(valid)} counts; 16UC1 is read as millimetres (TUM: 5000 a metre)'))
-    elif image.encoding == '32FC1' and encodings is DEPTH:
-        depth = np.frombuffer(image.data, np.dtype(np.float32).newbyteorder('>' if image.is_bigendian else '<'))
-        valid = depth[np.isfinite(depth) & (depth > 0)]
-        if len(valid) and np.median(valid) > FAR:
-            result.append(Finding(ERROR, f'{topic}: median depth {np.median(valid):.0f}; 32FC1 is read as metres: are these millimetres?'))
-    elif encodings is GREY:
-        wide = '16' in image.encoding
-        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8)
-        if wide:
-            bits = next(bits for bits in (10, 12, 14, 16) if grey.max() < 1 << bits)
-            grey = grey / ((1 << bits) - 1) * 255
-            result += [Finding(OK, f'{topic}: its pixels use {bits} of 16 bits: the nodes move them up')] if bits < 16 else []
-        if grey.std() < FLAT:
-            result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
-                                  'too dark?'))
-    return result
-
-
-def image_size(message):
-    """(width, height) of a raw or compressed image; None where that cannot be told. A compressedDepth image begins with 12 bytes of its own."""
-    if message._type == 'sensor_msgs/Image':
-        return message.width, message.height
-    data = np.frombuffer(message.data, np.uint8)
-    try:
-        picture = cv2.imdecode(data[12:] if 'compressedDepth' in message.format else data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        picture = None
-    return None if picture is None else picture.shape[1::-1]
 
 
 def _pairs(present, streams):
@@ -252,28 +184,19 @@ def _pairs(present, streams):
             tolerance = np.inf
         i = np.clip(np.searchsorted(b, a), 1, max(len(b) - 1, 1))
         distance = np.minimum(np.abs(b[np.minimum(i, len(b) - 1)] - a), np.abs(b[i - 1] - a))
-        alone = np.count_nonzero(distance > tolerance)
+        alone = np.count_nonzero(distance > tolerance) if np.all(b > 0) else 0
         if alone > 0.02 * len(a):
             result.append(Finding(WARNING, f'{present[image]}: {alone} of {len(a)} images have no {present[other]} within {1000 * tolerance:g} ms'))
         if other.endswith('camera_info'):
             info, picture = streams[present[other]].samples[0], streams[present[image]].samples[0]
-            size = image_size(picture)
-            if size and (info.width, info.height) != size:
-                result.append(Finding(ERROR, f'{present[other]} is for {info.width}x{info.height}, the images are {size[0]}x{size[1]}' + _resized(info, size)))
+            size = bag_camera.image_size(picture)
+            stated = bag_camera.stated_size(info)
+            if size and stated != size:
+                result.append(Finding(ERROR, f'{present[other]} is for {stated[0]}x{stated[1]}, the images are {size[0]}x{size[1]}' + bag_camera.resized(info, size)))
         else:
             result += _registration(present[image], streams[present[image]], present[other], streams[present[other]],
                                     '/ground/depth/camera_info' in present)
     return result
-
-
-def _resized(info, size):
-    """What to do about images of another size than their calibration's."""
-    scale = size[0] / max(1, info.width)
-    if info.width and info.height and info.binning_x < 2 and not info.roi.width and abs(size[1] / info.height - scale) < 0.01 * scale:
-        how = f': resized? Then fx, fy, cx, cy and size are to be multiplied by {scale:g} (D stays)'
-    else:
-        how = ': cut out, or of another mode of the camera? Calibrate it at this size'
-    return how + '; publish that under another name (rosrun air_ground publish_calibration) and replay with it'
 
 
 def registered(facts, names):
@@ -290,7 +213,7 @@ def _mismatch(colour, depth):
     """By what depth images show that another camera than the colour camera took them; empty where nothing does."""
     if not colour.samples or not depth.samples:
         return ''
-    sizes = image_size(colour.samples[0]), image_size(depth.samples[0])
+    sizes = bag_camera.image_size(colour.samples[0]), bag_camera.image_size(depth.samples[0])
     if None not in sizes and sizes[0] != sizes[1]:
         return 'differ in size'
     return '' if depth.frames == colour.frames else f'are in frames {quoted(depth.frames)} and {quoted(colour.frames)}'
@@ -311,9 +234,18 @@ def _registration(colour_topic, colour, depth_topic, depth, calibrated):
     return result
 
 
+def _delays(present, streams):
+    """Stamps against the time of recording."""
+    delays = {topic: np.median(np.array(s.times) - s.stamps) for topic, s in ((t, streams[t]) for t in present.values()) if len(s.stamps) > 1 and min(s.stamps) > 0}
+    if len(delays) > 1 and min(np.abs(list(delays.values()))) > 1 > np.ptp(list(delays.values())):
+        delay = np.median(list(delays.values()))
+        return [Finding(OK, f'all stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording, by another clock, or recorded from another bag')]
+    return [Finding(WARNING, f'{topic}: stamps are {abs(delay):.1f} s {"before" if delay > 0 else "after"} the time of recording') for topic, delay in delays.items() if abs(delay) > 1]
+
+
 def _clocks(present, streams):
     """Stamps of an IMU against its camera's, of both robots against each other, and against the time of recording."""
-    result, spans = [], {}
+    result, spans = _delays(present, streams), {}
     for robot, standard in IMAGES.items():
         if standard in present and len(streams[present[standard]].stamps) > 1:
             stream = streams[present[standard]]
@@ -329,8 +261,8 @@ def _clocks(present, streams):
     if mav[0] <= ground[1] and ground[0] <= mav[1]:
         return result
     if mav[2] <= ground[3] and ground[2] <= mav[3]:
-        return result + [Finding(ERROR, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
-                        f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart: synchronise them (chrony, ntp)')]
+        return result + [Finding(WARNING, f'the clocks of the robots do not overlap: recorded together, but stamped {mav[0]:.1f} to {mav[1]:.1f} s (MAV) and {ground[0]:.1f} to '
+                        f'{ground[1]:.1f} s (ground robot), {abs(mav[0] - ground[0]):.1f} s apart. The alignment of their maps needs no common clock, but who looks up on tf where the MAV is in the ground map: synchronise them (chrony, ntp)')]
     return result + [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
 
 
@@ -367,6 +299,9 @@ def _transforms(facts, present, streams, bases):
     depth, colour = (streams[present[t]] if t in present else None for t in ('/ground/depth/image_raw', '/ground/rgb/image_raw'))
     if depth and colour and _mismatch(colour, depth):
         sensors.append(('ground', '/ground/depth/image_raw'))
+    if bases['mav'] == bases['ground'] and all(image in present for image in IMAGES.values()):
+        result.append(Finding(ERROR, f'the body frame of both robots is {bases["mav"]!r}, and a frame has one place: of the bags that each robot recorded, '
+                              'rosrun air_ground merge_bags FLIGHT.bag GROUND.bag BOTH.bag names the frames apart; else have each publish its own (tf_prefix)'))
     imus = {frame.lstrip('/') for standard in ('/mav/imu/data', '/ground/imu/data') if standard in present for frame in streams[present[standard]].frames}
     for robot, standard in sensors:
         if standard not in present:

@@ -12,8 +12,8 @@ ARGUMENTS = {
     '/ground/depth/camera_info': 'ground_depth_camera_info', '/mav/imu/accel': 'mav_imu_accel', '/ground/imu/accel': 'ground_imu_accel',
     '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
     '/barometer': 'barometer_pressure'}
-MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly')
-GROUND_WORDS = ('ground', 'ugv', 'rover', 'robot', 'kinect', 'realsense')
+MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly', 'px4', 'dji', 'iris', 'hummingbird', 'bebop', 'tello', 'anafi')
+GROUND_WORDS = ('ground', 'ugv', 'rover', 'robot', 'husky', 'jackal', 'turtlebot', 'tb3', 'summit', 'pioneer', 'kinect', 'realsense')
 TRUTH_WORDS = ('truth', 'gt', 'vicon', 'vrpn', 'mocap', 'leica', 'optitrack', 'qualisys', 'natnet')
 DOWN_WORDS = ('down', 'bottom', 'nadir', 'belly')
 LIDAR_WORDS = ('os0', 'os1', 'ouster', 'lidar', 'livox', 'velodyne')
@@ -103,13 +103,15 @@ def guess(facts, city=False, robots=('mav', 'ground')):
         return names.get(standard)
 
     if not city and 'ground' in robots:
-        depth = choose('/ground/depth/image_raw', depths, lambda t: (_has(t, GROUND_WORDS), _has(t, ('aligned', 'registered', 'depth_to_rgb')), 'raw' in t))
+        depth = choose('/ground/depth/image_raw', depths,
+                       lambda t: (_has(t, GROUND_WORDS), not _has(t, MAV_WORDS), _has(t, ('aligned', 'registered', 'depth_to_rgb')), 'raw' in t))
         if depth is not None:
-            choose('/ground/depth/camera_info', _infos(facts, depth.rsplit('/', 1)[0]), lambda t: 0)
             frame = facts.frame(recorded(facts, depth))
             choose('/ground/rgb/image_raw', [t for t in colours if not _has(t, MAV_WORDS) and not INFRARED.search(t)],
                    lambda t: (_has(t, GROUND_WORDS), facts.frame(recorded(facts, t)) == frame, _has(t, ('rgb', 'color', 'colour')), _common(t, depth),
                               not RIGHT.search(t), 'raw' in t))
+            if '/ground/rgb/image_raw' not in names:  # a MAV's, or of a camera for something else
+                taken.discard(names.pop('/ground/depth/image_raw'))
     ground = names.get('/ground/rgb/image_raw') if 'ground' in robots else None
     if 'mav' in robots:  # a camera that sits on the ground robot is not the MAV's
         choose('/mav/camera/image_raw', [t for t in colours if ground is None or not _has(t, GROUND_WORDS) and (_has(t, MAV_WORDS) or not _same_robot(facts, t, ground))],
@@ -130,6 +132,8 @@ def guess(facts, city=False, robots=('mav', 'ground')):
             choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t], lambda t, imu=imu: _common(t, imu))
         choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if _has(t, TRUTH_WORDS) and not _has(t, other)],
                lambda t, own=own: _has(t, own))
+    if '/ground/depth/image_raw' in names:  # beside colour in one folder, it may have none of its own
+        choose('/ground/depth/camera_info', _infos(facts, names['/ground/depth/image_raw'].rsplit('/', 1)[0]), lambda t: 0)
     if city:
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
             choose(standard, facts.of_type(kind), lambda t: _has(t, MAV_WORDS))
@@ -148,14 +152,14 @@ def _mounted(facts, imus, image, others):
 
 def guess_base(facts, robot, frame, names=None):
     """The body frame that /tf_static connects with a sensor's frame: <robot>_base_link, another base_link, else the root. Where it connects the sensor with
-    nothing: the IMU's frame, as calibrations of camera and IMU tell their poses in it. None without."""
+    nothing: the IMU's frame, as calibrations of camera and IMU tell their poses in it; without IMU the MAV's camera, whose vertical the ground map tells. None without."""
     parents = {child: parent for parent, child in facts.edges}
     chain = [frame]
     while chain[-1] in parents and len(chain) < 100:
         chain.append(parents[chain[-1]])
     if len(chain) == 1 and chain[0] not in parents.values():
         imu = facts.frame((names or {}).get(f'/{robot}/imu/data'))
-        return (guess_base(facts, robot, imu) or imu) if imu else None
+        return (guess_base(facts, robot, imu) or imu) if imu else frame or None if robot == 'mav' else None
     return next((f for f in chain if f == f'{robot}_base_link'), None) or next((f for f in chain if 'base' in f or 'body' in f), chain[-1])
 
 

@@ -15,12 +15,13 @@ def unite(gyro, accelerometer):
 
 def check(standard, topic, stream, apart):
     accel, gyro = np.array(stream.accel), np.array(stream.gyro)
+    without = 'ground_imu:=none' if standard.startswith('/ground') else 'mav_use_imu:=false'
     result = []
     refused = [what for what, field in (('turn rates', 'angular_velocity_covariance'), ('accelerations', 'linear_acceleration_covariance'))
                if stream.samples and getattr(stream.samples[0], field)[0] == -1]
     if refused and not apart:
         result.append(Finding(ERROR, f'{topic}: its messages say that {" and ".join(refused)} are not measured (first covariance -1), so no node uses them: '
-                              'take another topic of this IMU, or write 0 (unknown) there'))
+                              f'take another topic of this IMU, or write 0 (unknown) there; or replay with {without}', without))
     if not (np.all(np.isfinite(accel)) and np.all(np.isfinite(gyro))):
         bad = np.count_nonzero(~np.isfinite(accel).all(1) | ~np.isfinite(gyro).all(1))
         result.append(Finding(WARNING, f'{topic}: {bad} readings are not finite'))
@@ -29,6 +30,9 @@ def check(standard, topic, stream, apart):
     if len(accel) == 0:
         return result + [Finding(ERROR, f'{topic}: no finite reading')]
     norm = np.median(np.linalg.norm(accel, axis=1))
+    if norm == 0 and not gyro.any() and not apart:
+        return result + [Finding(WARNING, f'{topic}: turn rates and accelerations are all zero, an attitude alone helps no node: take another topic of this IMU, or replay '
+                                 f'with {without}', without)]
     if norm == 0:
         result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
                               'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
@@ -42,8 +46,6 @@ def check(standard, topic, stream, apart):
     if np.max(np.abs(gyro)) > 35 or rate > FASTEST:
         result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}, their median {rate:.1f}: they seem to be in degrees; rad/s are needed'))
     elif not gyro.any():
-        robot = 'ground' if standard.startswith('/ground') else 'mav'
-        without = 'ground_imu:=none' if robot == 'ground' else 'mav_use_imu:=false'
         result.append(Finding(WARNING, f'{topic}: the turn rate is always zero, an accelerometer alone helps no node: replay with {without}', without))
     return result
 

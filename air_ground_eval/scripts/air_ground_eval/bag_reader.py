@@ -1,6 +1,8 @@
 """What the report needs from the bag itself: its time span, static transforms and reference poses."""
 import os
+import struct
 
+import genpy
 import numpy as np
 import rosbag
 import rospy
@@ -28,6 +30,16 @@ def _numbers(edge):
     return [t.x, t.y, t.z], [r.x, r.y, r.z, r.w]
 
 
+class _Bag(rosbag.Bag):
+    """One whose damaged parts are BagErrors, too."""
+
+    def read_messages(self, *arguments, **options):
+        try:
+            yield from super().read_messages(*arguments, **options)
+        except (rosbag.ROSBagException, genpy.MessageException, struct.error, OSError, ValueError, EOFError, LookupError, RuntimeError) as error:
+            raise BagError(f'{self.filename} is damaged ({error}): run  rosbag reindex "{self.filename}", which keeps what lies before the damage, and try again') from error
+
+
 def open_bag(path):
     """rosbag.Bag for reading; BagError where there is none, or none that can be played."""
     if os.path.isfile(os.path.join(path, 'metadata.yaml')) or str(path).endswith(('.mcap', '.db3')):
@@ -35,7 +47,7 @@ def open_bag(path):
     if is_video(str(path)):
         raise BagError(f'{path} is a video: make a bag of it (rosrun air_ground dataset_to_bag --mav {path} --config camera.yaml --out x.bag)')
     try:
-        bag = rosbag.Bag(path)
+        bag = _Bag(path)
     except rosbag.ROSBagUnindexedException as error:
         raise BagError(f'{path} was not closed when it was recorded, or is cut short: run  rosbag reindex "{path}"  and try again') from error
     except (rosbag.ROSBagException, OSError, ValueError) as error:
@@ -58,18 +70,16 @@ class BagFacts:
             self.types = {topic: info.msg_type for topic, info in topics.items()}
             self.counts = {topic: info.message_count for topic, info in topics.items()}
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
+            self.delays = {}  # topic -> delay(topic), of those that were asked for
             self.first = {}  # topic -> its first message, of those that were asked for
             self.static_latched = bool(static)
             self.static_messages = 0
             self.edges = {}  # (parent, child) -> T_parent_child: the last of each child, as tf keeps them
             self.broken_edges = set()  # 'parent -> child' of those whose quaternion is zero or not finite
-            try:
-                for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
-                    self.static_latched &= header.get('latching', b'0') in (b'1', '1')
-                    self.add_static(message)
-                self.constant_on_tf = self._add_constant(bag)
-            except (rosbag.ROSBagException, OSError, ValueError) as error:
-                raise BagError(f'{path} is damaged ({error}): run  rosbag reindex "{path}"  and try again') from error
+            for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
+                self.static_latched &= header.get('latching', b'0') in (b'1', '1')
+                self.add_static(message)
+            self.constant_on_tf = self._add_constant(bag)
 
     def add_static(self, message):
         """Transforms of a TFMessage: of this bag, or of another publisher."""
@@ -86,23 +96,28 @@ class BagFacts:
             return
         self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
 
-    def _add_constant(self, bag, windows=40, seconds=0.5):
+    def _add_constant(self, bag, windows=40, lengths=(0.5, 2.0)):
         """Transforms on /tf that never change are mountings: recordings of tf's first version have all of theirs there.
 
-        Looked at in so many windows over the recording, since a robot may stand for a while. Returns their children.
+        Looked at in so many windows over the recording, since a robot may stand for a while; in longer ones where one is told too rarely, as once a second.
+        Returns their children.
         """
         topics = [topic for topic in self.types if topic.strip('/') == 'tf']
-        first, moved, seen = {}, set(), {}
-        for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
-            for _, message, _ in bag.read_messages(topics, rospy.Time(start), rospy.Time(start + seconds)) if topics else ():
-                for edge in message.transforms:
-                    child = edge.child_frame_id.lstrip('/')
-                    kept = first.setdefault(child, edge)
-                    same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
-                    moved |= set() if same else {child}
-                    seen.setdefault(child, set()).add(window)
-        taken = {child for _, child in self.edges}
-        constant = {child for child in first if child not in moved | taken and len(seen[child]) > windows // 2}
+        taken, constant = {child for _, child in self.edges}, set()
+        for seconds in lengths if topics else ():
+            first, moved, seen = {}, set(), {}
+            for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
+                for _, message, _ in bag.read_messages(topics, rospy.Time(start), rospy.Time(start + seconds)):
+                    for edge in message.transforms:
+                        child = edge.child_frame_id.lstrip('/')
+                        kept = first.setdefault(child, edge)
+                        same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
+                        moved |= set() if same else {child}
+                        seen.setdefault(child, set()).add(window)
+            still = set(first) - moved - taken
+            constant = {child for child in still if len(seen[child]) > windows // 2}
+            if constant == still:
+                break
         for child in sorted(constant):
             self._add_edge(first[child])
         return constant
@@ -132,6 +147,19 @@ class BagFacts:
         """Frame id of a topic's first message, without a slash before it; None without one."""
         header = getattr(self.first_message(topic), 'header', None)
         return None if header is None else header.frame_id.lstrip('/')
+
+    def delay(self, topic, most=100):
+        """How long after its stamp a message was recorded [s], the median of the first ones: the bag's clock less that of the stamps. 0 without stamps."""
+        if topic not in self.delays:
+            delays = []
+            with open_bag(self.path) as bag:
+                for _, message, time in bag.read_messages([topic]) if topic in self.types else ():
+                    if getattr(getattr(message, 'header', None), 'stamp', None):
+                        delays.append((time - message.header.stamp).to_sec())
+                    if len(delays) == most or not hasattr(message, 'header'):
+                        break
+            self.delays[topic] = float(np.median(delays)) if delays else 0.0
+        return self.delays[topic]
 
     def encoding(self, topic):
         """Of a raw image's pixels; None without one."""

@@ -57,7 +57,7 @@ def _errors_over_time(axis, data):
     for name, label, colour in (('mav', 'visual odometry', MAV_COLOUR), ('ground', 'RGB-D SLAM', GROUND_COLOUR)):
         error = data.get(f'{name}_error')
         if error is not None:
-            axis.plot(error['stamps'] - data['begin'], 100 * error['errors_m'], color=colour, lw=1,
+            axis.plot(error['stamps'] - data['begins'][name], 100 * error['errors_m'], color=colour, lw=1,
                       label=f'{label}: RMSE {100 * error["rmse_m"]:.1f} cm')
             drawn = True
     if not drawn:
@@ -74,9 +74,9 @@ def _alignment(axis, data):
     axis.set_title('Alignment error at the MAV')
     if not coarse and not refined:
         return _empty(axis, data.get('no_alignment', 'no alignment'))
-    time = [row['stamp_s'] - data['begin'] for row in coarse]
+    time = [row['stamp_s'] - data['begins']['mav'] for row in coarse]
     axis.semilogy(time, [max(row['position_m'], 1e-3) for row in coarse], 'o-', color='#c77800', ms=4, lw=1, label='coarse, each height map')
-    time = [row['stamp_s'] - data['begin'] for row in refined]
+    time = [row['stamp_s'] - data['begins']['mav'] for row in refined]
     axis.semilogy(time, [max(row['position_m'], 1e-3) for row in refined], 's-', color='#8a1a8a', ms=5, lw=1, label='refined')
     for level, text in ((0.5, 'paper: 65 % after 1'), (0.25, 'paper: 89 % after 4'), (0.08, 'paper: refined')):
         axis.axhline(level, color='0.6', lw=0.8, ls=':')

@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
-from . import geometry
+from . import bag_guess, geometry
 
 CALLER = '/replay_report'
 STATES = {VoStatus.STATE_WAITING: 'WAITING', VoStatus.STATE_INITIALIZING: 'INITIALIZING', VoStatus.STATE_SCALING: 'SCALING',
@@ -34,6 +34,7 @@ class Robot:
 
     def __init__(self, node, image, on=True):
         self.node, self.image, self.on = node, rospy.resolve_name(image), on
+        self.delay = 0.0  # of the bag's time of its images after their stamps [s], which may be another clock's
         self.odometry = {}  # stamp -> T_map_base
         self.last_status = None
         self.processing, self.lost, self.frames = 0.0, 0, 0
@@ -54,18 +55,19 @@ class Robot:
 
 
 class Recorder:
-    """Listens to diagnostics and tf; a report's own recorder adds its topics. `nodes`: names of the nodes that are watched."""
+    """Listens to diagnostics and tf; a report's own recorder adds its topics and robots. `nodes`: names of the nodes that are watched."""
 
     def __init__(self, begin, nodes):
         self.lock = threading.Lock()
-        self.begin, self.nodes = begin, nodes
-        self.progress = {}  # node -> newest stamp of its output [s]
+        self.begin, self.end, self.nodes = begin, float('inf'), nodes
+        self.robots = {}  # name -> Robot: a report's own
+        self.progress = {}  # node -> newest stamp of its output, on the bag's clock [s]
         self.diagnostics = {}  # hardware id -> {key: value} of the last message
         self.said = {}  # hardware id -> its line in the diagnostics
         self.missing = {}  # topic -> why no message of it can come
         self.tf_publishers = {}  # 'parent -> child': names of the nodes that publish it
         self.cores = []  # (time of the bag [s], {node: cores that it kept busy}), about every second
-        self.played = 0.0  # newest stamp of the bag's cameras or IMUs that was heard [s]
+        self.played = 0.0  # when the newest message of the bag's cameras or IMUs that was heard was recorded [s]
         self.last_output = time.monotonic()
         self.subscribers = [rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100),
                             rospy.Subscriber('/tf', TFMessage, self.on_tf, queue_size=1000)]
@@ -75,24 +77,28 @@ class Recorder:
 
     def follow(self, bag):
         """Hears how far the player is: it gives no /clock while it is behind its own time, as on a busy machine."""
+        self.end = bag.end
+        for robot in self.robots.values():
+            robot.delay = bag.delay(bag_guess.recorded(bag, robot.image))
         for name, kind in (('sensor_msgs/CameraInfo', CameraInfo), ('sensor_msgs/Imu', Imu)):
             topics = [topic for topic, of in bag.types.items() if of == name]
             if topics:
-                self.subscribers += [rospy.Subscriber(topic, kind, self.on_played, queue_size=1000) for topic in topics]
+                self.subscribers += [rospy.Subscriber(topic, kind, self.on_played, bag.delay(topic), queue_size=1000) for topic in topics]
                 return
 
-    def on_played(self, message):
-        self.played = max(self.played, message.header.stamp.to_sec())
+    def on_played(self, message, delay):
+        time = message.header.stamp.to_sec() + delay
+        self.played = max(self.played, time) if time <= self.end else self.played  # a stamp that leaps tells nothing
 
-    def advance(self, node, stamp):
-        if stamp >= self.begin and stamp > self.progress.get(node, 0.0):
-            self.progress[node] = stamp
+    def advance(self, node, time):
+        if self.begin <= time <= self.end + 1 and time > self.progress.get(node, 0.0):
+            self.progress[node] = time
 
     def hear_status(self, robot, message):
         """Takes a VoStatus of a robot's odometry."""
         with self.lock:
             robot.heard(message)
-            self.advance(robot.node, message.header.stamp.to_sec())
+            self.advance(robot.node, message.header.stamp.to_sec() + robot.delay)
             if message.state != VoStatus.STATE_WAITING:  # said again and again while images wait for what never comes
                 self.touch()
 

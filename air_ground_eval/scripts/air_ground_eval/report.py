@@ -30,6 +30,7 @@ class Recorded:
     held: float = 0.0                    # the player, so that the nodes could keep up [s]
     cores: List[Tuple[float, Dict[str, float]]] = field(default_factory=list)  # (time of the bag [s], node -> cores that it kept busy)
     latencies: List[Tuple[float, float]] = field(default_factory=list)  # (stamp of a dense cloud, from its last image to the refined pose) [s]
+    delays: Dict[str, float] = field(default_factory=dict)  # robot -> the bag's clock less that of its images' stamps [s]
     switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
     tf_publishers: Dict[str, set] = field(default_factory=dict)  # 'parent -> child': nodes that publish the transform
@@ -55,7 +56,8 @@ class Report:
     def __init__(self, recorded):
         self.r = recorded
         self.values = {}
-        self.figure = {'begin': recorded.begin, 'title': os.path.basename(recorded.bag)}
+        self.begins = {robot: recorded.begin - recorded.delays.get(robot, 0.0) for robot in ('mav', 'ground')}  # of the bag, by the stamps of each robot
+        self.figure = {'begins': self.begins, 'title': os.path.basename(recorded.bag)}
         self.T_ground_map_world = None
 
     def build(self):
@@ -129,7 +131,7 @@ class Report:
             v['alignment_verdict'] = 'no alignment accepted: ' + self.refusal()
             self.figure['no_alignment'] = 'no alignment accepted'
         if converged:
-            v['alignment_accepted_after_s'] = converged[0].stamp - r.begin
+            v['alignment_accepted_after_s'] = converged[0].stamp - self.begins['mav']
             v['T_ground_map_mav_map_translation_m'] = list(last.pose[:3, 3])
             v['T_ground_map_mav_map_quaternion_xyzw'] = list(geometry.quaternion_from_matrix(last.pose[:3, :3]))
             v['refined_sigma_m_m_m_rad_rad_rad'] = list(last.deviations)
@@ -177,7 +179,7 @@ class Report:
             delays = [delay for _, delay in r.latencies]
             v['refined_latency_median_s'] = float(np.median(delays))
             v['refined_latency_95_percent_s'] = float(np.quantile(delays, 0.95))
-            self.figure['latencies'] = np.array(r.latencies) - [r.begin, 0]
+            self.figure['latencies'] = np.array(r.latencies) - [self.begins['mav'], 0]
 
     def refusal(self):
         """Why nothing was accepted, in one line."""

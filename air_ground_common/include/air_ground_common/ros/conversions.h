@@ -33,6 +33,9 @@ Matrix6d covarianceFromMsg(const boost::array<double, 36>& msg);
 /// fx <= 0 (uncalibrated) and for models other than those of CameraModel::setDistortion (or empty without D).
 CameraModel fromMsg(const sensor_msgs::CameraInfo& msg);
 sensor_msgs::CameraInfo toMsg(const CameraModel& camera, const std_msgs::Header& header);
+/// The calibration of the images on `topic`. Rectified ones (image_rect, image_rect_color ...) come beside the
+/// camera_info of the raw ones, in which P is theirs, and neither K nor D. So is P where K is left empty.
+sensor_msgs::CameraInfo infoOfImages(const sensor_msgs::CameraInfo& info, const std::string& topic);
 
 /// Grey image, 8 bit, from mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422, bayer, or 8UC1, 8UC3 (BGR), 8UC4. Owns its
 /// pixels.

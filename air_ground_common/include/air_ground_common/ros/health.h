@@ -111,8 +111,8 @@ class NodeHealth {
   std::map<std::string, Timing> timings_;
   int level_ = 1;
   std::string line_ = "starting";
-  ros::WallTime started_, watched_;
-  ros::Time clock_;  ///< when watched_
+  ros::WallTime started_, watched_, running_;  ///< running_: since when the clock does without a pause
+  ros::Time clock_;                            ///< when watched_
   diagnostic_updater::Updater updater_;
   ros::WallTimer timer_;
   MasterWatch master_watch_;

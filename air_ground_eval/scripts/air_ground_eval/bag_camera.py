@@ -1,0 +1,128 @@
+"""Checks of the images of a camera and of its calibration: encodings, brightness, depth units, K, P and D."""
+import copy
+import re
+
+import cv2
+import numpy as np
+
+from .bag_finding import ERROR, OK, WARNING, Finding
+
+GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
+        '8UC1', '8UC3', '8UC4', '16UC1')
+DEPTH = ('16UC1', 'mono16', '32FC1')
+MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'radial_tangential', 'brown_conrady', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
+          **dict.fromkeys(('', 'none', 'pinhole', 'perspective', 'inverse_brown_conrady'), 0)}  # as the nodes take them: how many coefficients each may have
+RECTIFIED = re.compile(r'(^|[/_])rect(ified)?([/_]|$)')  # as image_proc and the drivers name them
+TURNED = 0.3  # [deg]: of a stereo pair's rectification, from which on it matters beside an IMU
+FLAT = 5  # [of 255]: spread of the brightness, below which hardly any corner is found
+DOUBTFUL, TOO_FAR = 6, 12  # [m]: half of an image's depths beyond this are of few, and of no, RGB-D cameras
+FAR = 100  # [m]: half of an image's depths beyond this are of no depth camera
+
+
+def of_images(info, topic):
+    """The calibration of a topic's images, as the nodes take it: of rectified ones P, which says nothing of K and D; P, too, where K is empty."""
+    distorted = any(info.D)
+    if info.P[0] <= 0 or not (distorted and RECTIFIED.search(topic) or not distorted and not any(info.K)):
+        return info
+    own = copy.copy(info)
+    own.K, own.D, own.distortion_model = [info.P[i] for i in (0, 1, 2, 4, 5, 6, 8, 9, 10)], [], 'plumb_bob'
+    return own
+
+
+def check_info(topic, stream, image):
+    """image: the topic that it calibrates."""
+    raw = stream.samples[0]
+    info = of_images(raw, image)
+    result = []
+    if info is not raw:
+        result.append(Finding(OK, f'{topic}: P is taken, not K and D, ' + (f'for {image} is rectified by its name' if any(raw.D) else 'for K is empty')))
+    turn = np.degrees(np.arccos(np.clip((np.trace(np.reshape(raw.R, (3, 3))) - 1) / 2, -1, 1))) if any(raw.R) else 0
+    if RECTIFIED.search(image) and turn > TURNED:
+        result.append(Finding(WARNING, f'{topic}: rectification turned {image} by {turn:.1f} degrees (R), which the transform to {info.header.frame_id!r} does not tell: '
+                              'better take the raw images'))
+    if not (info.K[0] > 0 and info.K[4] > 0):
+        result.append(Finding(ERROR, f'{topic}: fx = {info.K[0]:g}, fy = {info.K[4]:g}: the camera is not calibrated'))
+    elif not (0.1 * info.width < info.K[2] < 0.9 * info.width and 0.1 * info.height < info.K[5] < 0.9 * info.height):
+        result.append(Finding(WARNING, f'{topic}: principal point ({info.K[2]:.1f}, {info.K[5]:.1f}) is far from the centre of {info.width}x{info.height}'))
+    model, count = re.sub('[- ]', '_', info.distortion_model.lower()), len(np.trim_zeros(info.D, 'b'))
+    if model not in MODELS:
+        result.append(Finding(ERROR, f'{topic}: distortion model {info.distortion_model!r}; the nodes know plumb_bob, rational_polynomial, equidistant: undistort first'))
+    elif not MODELS[model] and count:
+        result.append(Finding(ERROR, f'{topic}: D is set, but distortion_model {info.distortion_model!r} does not say how it is meant; plumb_bob, for OpenCV\'s five'))
+    elif count > MODELS[model]:
+        result.append(Finding(ERROR, f'{topic}: {count} coefficients in D; distortion model {info.distortion_model} has at most {MODELS[model]}'))
+    return result
+
+
+def _check_depth(topic, image):
+    metres = image.encoding == '32FC1'
+    dtype = np.dtype(np.float32 if metres else np.uint16).newbyteorder('>' if image.is_bigendian else '<')
+    if image.step < image.width * dtype.itemsize:
+        return [Finding(ERROR, f'{topic}: rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}')]
+    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :image.width * dtype.itemsize]
+    depth = np.ascontiguousarray(rows).view(dtype)
+    valid = depth[np.isfinite(depth) & (depth > 0)]
+    if len(valid) < 0.02 * depth.size:
+        return [Finding(WARNING, f'{topic}: {100 * len(valid) / max(1, depth.size):.1f} % of the first image has a depth')]
+    if metres and np.median(valid) > FAR:
+        return [Finding(ERROR, f'{topic}: median depth {np.median(valid):.0f}; 32FC1 is read as metres: are these millimetres?')]
+    steps = 0 if metres else np.median(valid)
+    if steps > 1000 * TOO_FAR:
+        return [Finding(WARNING, f'{topic}: median depth {steps:.0f} steps, {steps / 1000:.1f} m if they are millimetres: taken for 5000 a metre, as TUM\'s PNG images have it; '
+                        'else set ground_depth_unit', 'ground_depth_unit:=0.0002')]
+    if steps > 1000 * DOUBTFUL:
+        return [Finding(WARNING, f'{topic}: median depth {steps / 1000:.1f} m if its steps are millimetres: if what is seen is nearer, set ground_depth_unit (0.0002: TUM\'s PNG images)')]
+    return []
+
+
+def check_image(topic, stream, encodings):
+    image = stream.samples[0]
+    result = []
+    if image._type == 'sensor_msgs/CompressedImage':
+        return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
+    if image.encoding not in encodings:
+        result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
+    if len(image.data) != image.step * image.height:
+        result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
+    elif image.encoding in DEPTH and encodings is DEPTH:
+        result += _check_depth(topic, image)
+    elif encodings is GREY:
+        wide = '16' in image.encoding
+        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8)
+        if wide:
+            bits = next(bits for bits in (10, 12, 14, 16) if grey.max() < 1 << bits)
+            grey = grey / ((1 << bits) - 1) * 255
+            result += [Finding(OK, f'{topic}: its pixels use {bits} of 16 bits: the nodes move them up')] if bits < 16 else []
+        if grey.std() < FLAT:
+            result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
+                                  'too dark?'))
+    return result
+
+
+def image_size(message):
+    """(width, height) of a raw or compressed image; None where that cannot be told. A compressedDepth image begins with 12 bytes of its own."""
+    if message._type == 'sensor_msgs/Image':
+        return message.width, message.height
+    data = np.frombuffer(message.data, np.uint8)
+    try:
+        picture = cv2.imdecode(data[12:] if 'compressedDepth' in message.format else data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    return None if picture is None else picture.shape[1::-1]
+
+
+def stated_size(info):
+    """(width, height) of the images that a camera_info describes: width and height are the sensor's."""
+    whole = 0 in (info.roi.width, info.roi.height)
+    width, height = (info.width, info.height) if whole else (info.roi.width, info.roi.height)
+    return width // max(1, info.binning_x), height // max(1, info.binning_y)
+
+
+def resized(info, size):
+    """What to do about images of another size than their calibration's."""
+    scale = size[0] / max(1, info.width)
+    if info.width and info.height and info.binning_x < 2 and not info.roi.width and abs(size[1] / info.height - scale) < 0.01 * scale:
+        how = f': resized? Then fx, fy, cx, cy and size are to be multiplied by {scale:g} (D stays)'
+    else:
+        how = ': cut out, or of another mode of the camera? Calibrate it at this size'
+    return how + '; publish that under another name (rosrun air_ground publish_calibration) and replay with it'
