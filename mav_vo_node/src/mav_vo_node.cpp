@@ -162,9 +162,9 @@ class MavVoNode : private ros_utils::Estimator {
     std_msgs::Header header;
     header.stamp = image->header.stamp;
     header.frame_id = frames_.map_frame;
+    std_msgs::Header camera_header = header;
+    camera_header.frame_id = shell_.cameraFrame();
     if (track_publisher_.getNumSubscribers() > 0 && frame_count_++ % settings_.track_image_every == 0) {
-      std_msgs::Header camera_header = header;
-      camera_header.frame_id = shell_.cameraFrame();
       track_publisher_.publish(
           ros_utils::toMsg(visual_frontend::drawTracks(grey, odometry_->features(), odometry_->mappedFeatures()),
                            "bgr8", camera_header));
@@ -182,8 +182,6 @@ class MavVoNode : private ros_utils::Estimator {
     if (posed_publisher_.getNumSubscribers() > 0 && posed_selection_.selects(visual)) {
       air_ground::PosedImage posed = posedImage(grey, visual, settings_.posed_image_quality);
       posed.header = map_header;
-      std_msgs::Header camera_header = header;
-      camera_header.frame_id = shell_.cameraFrame();
       posed.camera_info = ros_utils::toMsg(odometry_->camera(), camera_header);
       posed_publisher_.publish(posed);
     }

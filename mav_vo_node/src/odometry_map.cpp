@@ -273,6 +273,7 @@ visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {
 void Odometry::Impl::adjustWholeMap() {
   BundleJob whole = adjuster.wholeMap(map, inertial.data(), bundleSettings());
   if (calibration.estimates()) calibration.open(velocityAt(), map, &whole);
+  whole.for_calibration = settings.use_imu && !metric();
   adopt(adjuster.adjustWhole(std::move(whole), last_stamp));
 }
 
@@ -307,8 +308,6 @@ void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& est
 void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
   for (const BundleJob& job : jobs) {
     if (!job.result.usable || job.problem.metric != metric()) continue;
-    // Before the scale is known, the whole map is adjusted for the calibration's sake alone.
-    if (job.full && !metric() && settings.use_imu && !job.problem.calibration) continue;
     applyBundle(job, map, &inertial.data());
     revision.follow(map, pose.sceneDistance());
     if (job.problem.calibration) recalibrate(*job.problem.calibration);

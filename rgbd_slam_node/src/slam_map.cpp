@@ -136,9 +136,10 @@ bool Slam::Impl::alignCalibration() {
   visual_frontend::BundleJob job =
       visual_frontend::extractBundle(map, camera, {newest.begin(), newest.end() - 1}, {newest.back()}, images);
   const auto velocity = [this](double stamp) { return frames.velocityAt(stamp, map); };
+  job.for_calibration = true;
   calibration.open(velocity, map, &job);
   job.solve();
-  if (!job.problem.calibration) return false;
+  if (!job.result.usable) return false;
   calibration.follow(*job.problem.calibration);
   const Pose T_map_before = lastPose();
   setCamera(calibration.camera());

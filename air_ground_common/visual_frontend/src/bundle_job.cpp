@@ -120,6 +120,8 @@ void BundleJob::solve() {
       return;
     }
     problem.calibration.reset();
+    result.usable = false;
+    if (for_calibration) return;
   }
   result = solveBundle(problem, settings);
 }

@@ -227,6 +227,17 @@ TEST(Bundle, AJobKeepsACalibrationOnlyWhereItIsSurelyAnother) {
   for (std::size_t i = 0; i < plain.problem.cameras.size(); ++i)
     EXPECT_EQ(right.problem.cameras[i].T_map_camera.matrix(), plain.problem.cameras[i].T_map_camera.matrix());
   EXPECT_EQ(right.result.final_cost, plain.result.final_cost);
+  // One that was for the calibration alone is of no use then.
+  BundleJob found, nothing;
+  found.problem = miscalibrated(2, {0.05, -0.012}).problem;
+  nothing.problem = miscalibrated(2, {0, 0}).problem;
+  for (BundleJob* job : {&found, &nothing}) {
+    job->for_calibration = true;
+    job->solve();
+  }
+  EXPECT_TRUE(found.result.usable);
+  EXPECT_FALSE(nothing.result.usable);
+  EXPECT_FALSE(nothing.problem.calibration);
 }
 
 TEST(Bundle, ReportsOutliers) {

@@ -128,7 +128,6 @@ class EstimatorShell {
 
   // For the estimator, when it is called:
   std::uint32_t mapId() const { return map_id_offset_ + estimator_.mapId(); }
-  const sensor_msgs::CameraInfo& cameraInfo() const { return built_.info; }
   const std::string& cameraFrame() const { return camera_frame_; }
 
  private:

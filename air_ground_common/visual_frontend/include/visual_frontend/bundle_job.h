@@ -19,7 +19,8 @@ struct InertialMap {
 };
 
 struct BundleJob {
-  bool full = false;  ///< moves the whole map
+  bool full = false;             ///< moves the whole map
+  bool for_calibration = false;  ///< of use only where it finds the camera to be another one
   BundleProblem problem;
   BundleSettings settings;
   BundleResult result;
@@ -31,7 +32,7 @@ struct BundleJob {
   LandmarkId newest_landmark = kNoLandmark;  ///< of the map at the time
 
   /// An estimated calibration stays in the problem where the images are sure that it is another one; else poses and
-  /// points are those of the camera as it was.
+  /// points are those of the camera as it was, or the result is not usable where it was for the calibration.
   void solve();
 };
 

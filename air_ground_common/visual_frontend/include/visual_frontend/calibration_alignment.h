@@ -27,12 +27,11 @@ class CalibrationAlignment {
   /// Moves the rays of the map's keyframes from the calibration before the last follow() to the one now.
   void recalibrate(const VelocityAt& velocity, Map* map) const;
 
-  const CameraModel& camera() const { return camera_; }               ///< as it is known now
-  const CameraModel& cameraBefore() const { return camera_before_; }  ///< the last follow()
-  double readoutTime() const { return readout_time_; }                ///< as it is known now [s]
+  const CameraModel& camera() const { return camera_; }  ///< as it is known now
+  double readoutTime() const { return readout_time_; }   ///< likewise [s]
 
  private:
-  CameraModel camera_, camera_before_;
+  CameraModel camera_, camera_before_;  // the last follow()
   bool estimates_;
   double readout_time_, readout_change_ = 0;
   CalibrationVector sigma_;  ///< before the first image
