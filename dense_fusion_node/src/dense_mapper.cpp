@@ -10,7 +10,7 @@
 namespace dense_fusion {
 namespace {
 
-constexpr std::size_t kRecentFrames = 64;
+constexpr std::size_t kRecentFrames = 65;  // the newest and what joins its depth map when it starts one
 
 double distance(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
   return (a.translation() - b.translation()).norm();
@@ -44,6 +44,7 @@ void DenseMapper::reset() {
 
 void DenseMapper::forgetViews() {
   sweeping_ = false;
+  waiting_range_.reset();
   recent_.clear();
   last_ = {};
   group_.clear();
@@ -73,6 +74,7 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
     ++counters_.redundant;
     return std::nullopt;
   }
+  startWaitingSweep();
   const Frame frame = rectifier_->rectify(image, stamp, T_map_camera, rows);
   std::optional<FusedMap> fused;
   const bool joins = sweeping_ && distance(sweep_->reference().T_map_camera, T_map_camera) <= settings_.sweep_radius &&
@@ -82,10 +84,11 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   } else {
     if (sweeping_) finishSweep();
     if (endsGroup(T_map_camera)) fused = fuseGroup();
-    startSweep(frame, depth_min, depth_max);
+    waiting_range_ = {depth_min, depth_max};
   }
   recent_.push_back(frame);
   if (recent_.size() > kRecentFrames) recent_.pop_front();
+  if (!fused) startWaitingSweep();  // else it would only delay the map
   return inPosesUnit(std::move(fused));
 }
 
@@ -130,18 +133,21 @@ std::optional<FusedMap> DenseMapper::inPosesUnit(std::optional<FusedMap> fused) 
   return fused;
 }
 
-void DenseMapper::startSweep(const Frame& reference, double depth_min, double depth_max) {
+void DenseMapper::startWaitingSweep() {
+  if (!waiting_range_) return;
+  const auto [depth_min, depth_max] = *waiting_range_;
+  waiting_range_.reset();
   const bool known = std::isfinite(depth_min) && std::isfinite(depth_max) && depth_min > 0 && depth_max >= depth_min;
   const double near = known ? depth_min / settings_.near_margin : settings_.default_depth_min;
   const double far = known ? depth_max * settings_.far_margin : settings_.default_depth_max;
-  sweeping_ = false;
+  const Frame& reference = recent_.back();
   sweep_->start(reference, near, std::max(far, near * 1.01));
   sweeping_ = true;
   // Frames from before the reference count as much as those after it: the baseline doubles.
-  for (const Frame& frame : recent_)
-    if (distance(frame.T_map_camera, reference.T_map_camera) <= settings_.sweep_radius &&
-        angle(frame.T_map_camera, reference.T_map_camera) <= settings_.max_rotation)
-      counters_.swept += sweep_->add(frame);
+  for (auto frame = recent_.begin(); frame != recent_.end() - 1; ++frame)
+    if (distance(frame->T_map_camera, reference.T_map_camera) <= settings_.sweep_radius &&
+        angle(frame->T_map_camera, reference.T_map_camera) <= settings_.max_rotation)
+      counters_.swept += sweep_->add(*frame);
 }
 
 void DenseMapper::finishSweep() {
@@ -201,6 +207,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
 
 std::optional<FusedMap> DenseMapper::flush() {
   std::optional<FusedMap> fused;
+  startWaitingSweep();
   if (sweeping_) finishSweep();
   if (group_.size() > carried_over_) fused = fuseGroup();  // what is carried over alone brings nothing new
   return inPosesUnit(std::move(fused));

@@ -260,6 +260,37 @@ TEST(DenseMapper, FusesAsSoonAsTheCameraLeaves) {
   EXPECT_GE(groups, 2u);
 }
 
+// A fused map goes out before the next depth map is begun, which must not cost that one its frames.
+TEST(DenseMapper, FusingChangesNoDepthMap) {
+  const auto depthMaps = [](double fusion_radius, int* groups) {
+    MapperSettings settings = smallSettings();
+    settings.fusion_radius = fusion_radius;
+    settings.fusion.voxel_size = 0.06;
+    DenseMapper mapper(settings);
+    std::vector<DepthMap> maps;
+    mapper.onDepthMap([&](const DepthMap& map) { maps.push_back(map); });
+    for (std::size_t i = 0; i < flight().size(); ++i)
+      *groups += mapper
+                     .add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000,
+                          flightPose(static_cast<int>(i)), 1.3, 2.05)
+                     .has_value();
+    mapper.flush();
+    return maps;
+  };
+  int groups = 0, none = 0;
+  const auto fused = depthMaps(0.5, &groups), apart = depthMaps(100, &none);
+  EXPECT_GE(groups, 2);
+  EXPECT_EQ(none, 0);
+  ASSERT_EQ(fused.size(), apart.size());
+  for (std::size_t i = 0; i < fused.size(); ++i) {
+    EXPECT_EQ(fused[i].frames, apart[i].frames) << i;
+    EXPECT_EQ(fused[i].stamp, apart[i].stamp) << i;
+    EXPECT_TRUE(std::equal(fused[i].depth.begin<float>(), fused[i].depth.end<float>(), apart[i].depth.begin<float>(),
+                           [](float a, float b) { return a == b || (std::isnan(a) && std::isnan(b)); }))
+        << i;
+  }
+}
+
 // A worker as the node's: its thread outlives whatever a job throws, and says why the job failed.
 TEST(Guarded, AThrowingJobDoesNotEndTheWorker) {
   std::vector<std::string> reasons;

@@ -44,6 +44,10 @@ void AlignmentRefiner::setGround(Cloud cloud) {
   reference_.reset();
 }
 
+void AlignmentRefiner::prepareGround() {
+  if (tracked_ && !reference_ && !ground_.empty()) reference_ = chain_.prepareReference(ground_);
+}
+
 void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
   removeInvalid(cloud);
   YAML::Node leaf;

@@ -131,7 +131,10 @@ void RefineWorker::work() {
     try {
       pending |= use(inbox);
       publishMapWhenDue();
-      if (!pending || Clock::now() < next) continue;
+      if (!pending || Clock::now() < next) {
+        refiner_.prepareGround();
+        continue;
+      }
       pending = false;
       refine();
       next = Clock::now() + secondsOf(settings_.min_period);
@@ -181,7 +184,7 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
   map_due_ |= inbox.ground && map_.aligned();
-  // While tracking, the next aerial cloud is soon enough: a new ground map alone would only cost its normals.
+  // While tracking, the next aerial cloud is soon enough.
   const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && !refiner_.tracking();
   return inbox.refine || !inbox.aerial.empty() || inbox.manual || wanted;
 }

@@ -64,6 +64,23 @@ TEST_F(Refiner, TracksFromTheLastRefinedPose) {
   EXPECT_EQ(out.stamp, 2);
 }
 
+TEST_F(Refiner, RefinesWithTheNewestGroundMapHoweverEarlyItWasPrepared) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  const auto before = refiner.refine();
+  ASSERT_EQ(before.status, RefineStatus::kConverged);
+  const Eigen::Vector3d correction(0.06, -0.04, 0.02);  // of the ground map, twice
+  Cloud ground = scene.ground;
+  for (int corrections = 1; corrections <= 2; ++corrections) {
+    for (auto& p : ground.points) p += correction.cast<float>();
+    refiner.setGround(ground);
+    refiner.prepareGround();
+    const auto out = refiner.refine();
+    ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+    const Eigen::Vector3d expected = before.T_ground_map_mav_map * centre + corrections * correction;
+    EXPECT_LT((out.T_ground_map_mav_map * centre - expected).norm(), 0.01) << corrections;
+  }
+}
+
 TEST_F(Refiner, AGuessOnAPlaneGetsItsHeightFromTheMaps) {
   refiner.setManual(moved(0.1, 0.1, 1.3, 0.05));
   const auto out = refiner.refine();

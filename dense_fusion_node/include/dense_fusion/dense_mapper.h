@@ -5,6 +5,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "dense_fusion/depth_fusion.h"
@@ -92,7 +93,8 @@ class DenseMapper {
   void forgetViews();
   RowMotion rowMotion(double readout_time, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera, double depth_min,
                       double depth_max);
-  void startSweep(const Frame& reference, double depth_min, double depth_max);
+  /// Of the newest frame, when it is to start a depth map.
+  void startWaitingSweep();
   void finishSweep();
   bool endsGroup(const Eigen::Isometry3d& T_map_reference) const;
   std::optional<FusedMap> fuseGroup();
@@ -105,6 +107,7 @@ class DenseMapper {
   std::unique_ptr<PlaneSweep> sweep_;  // keeps its memory from one reference to the next
   bool sweeping_ = false;
   std::deque<Frame> recent_;
+  std::optional<std::pair<double, double>> waiting_range_;  // depths in view of the newest frame, which starts a sweep
   struct {
     std::int64_t stamp = 0;  // [ns]
     Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();

@@ -77,6 +77,9 @@ class AlignmentRefiner {
 
   /// Replaces the ground map (ground_map frame); filters and trees are made at the next refine().
   void setGround(Cloud cloud);
+  /// While a pose is tracked, filters of the ground map and its normals ahead of the refinement that needs them: to be
+  /// called when there is nothing else to do.
+  void prepareGround();
   /// Greatest z in ground_map of the camera that made the ground map [m]: what is higher it cannot have seen from
   /// above.
   void setGroundCamera(double z) { ground_camera_ = z; }
