@@ -97,6 +97,7 @@ class ReplayReport(unittest.TestCase):
         self.assertAlmostEqual(values['coarse_error_m'][0], 0.8, delta=5e-3)
         self.assertAlmostEqual(values['coarse_error_m'][3], 0.2, delta=5e-3)
         self.assertAlmostEqual(values['coarse_error_yaw_deg'][0], np.degrees(0.1), delta=0.05)
+        self.assertTrue(np.allclose(values['coarse_error_overlap'], 0.8))
         self.assertGreater(values['refined_latency_median_s'], 0.7 - 0.1)  # the clock of a replay has steps
         self.assertLess(values['refined_latency_median_s'], 0.7 + 2)
         self.assertAlmostEqual(values['ground_surface_error_median_m'], 0.0, delta=2e-3)

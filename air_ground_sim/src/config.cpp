@@ -334,6 +334,9 @@ void read(Section s, FaultsConfig* f) {
   s.numbers("accel_bias", &f->accel_bias);
   s.flag("start_in_motion", &f->start_in_motion);
   s.integer("jpeg_quality", &f->jpeg_quality, 0, 100);
+  s.number("radial_error", &f->radial_error, -kAny, kAny);
+  s.number("focal_error", &f->focal_error, -kAny, kAny);
+  s.number("lost_images", &f->lost_images, -kAny, kAny);
   s.number("clock_offset", &f->clock_offset, -kAny, kAny);
   s.choice<StaticTransforms>("tf_static", &f->tf_static,
                              {{"latched", StaticTransforms::kLatched},

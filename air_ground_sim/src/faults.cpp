@@ -46,7 +46,8 @@ std::string listOf(const std::vector<double>& numbers) {
 
 bool FaultsConfig::any() const {
   return time_offset != 0 || readout_time != 0 || vibration != 0 || !gyro_bias.empty() || !accel_bias.empty() ||
-         start_in_motion || jpeg_quality != 0 || clock_offset != 0 || tf_static != StaticTransforms::kLatched;
+         start_in_motion || jpeg_quality != 0 || radial_error != 0 || focal_error != 0 || lost_images != 0 ||
+         clock_offset != 0 || tf_static != StaticTransforms::kLatched;
 }
 
 void FaultsConfig::validate() const {
@@ -56,6 +57,9 @@ void FaultsConfig::validate() const {
   checkBias("gyro_bias", gyro_bias, 1);
   checkBias("accel_bias", accel_bias, 5);
   checkRange("jpeg_quality", jpeg_quality, 0, 100);
+  checkRange("radial_error", radial_error, -1, 1);
+  checkRange("focal_error", focal_error, -0.5, 0.5);
+  checkRange("lost_images", lost_images, 0, 0.9);
   checkRange("clock_offset", clock_offset, -1000, 1000);
 }
 
@@ -64,6 +68,7 @@ std::string FaultsConfig::describe() const {
   s << "time_offset: " << time_offset << "\nreadout_time: " << readout_time << "\nvibration: " << vibration
     << "\ngyro_bias: " << listOf(gyro_bias) << "\naccel_bias: " << listOf(accel_bias)
     << "\nstart_in_motion: " << (start_in_motion ? "true" : "false") << "\njpeg_quality: " << jpeg_quality
+    << "\nradial_error: " << radial_error << "\nfocal_error: " << focal_error << "\nlost_images: " << lost_images
     << "\nclock_offset: " << clock_offset << "\ntf_static: " << nameOf(tf_static) << '\n';
   return s.str();
 }
@@ -78,6 +83,19 @@ FaultsConfig FaultsConfig::all() {
   f.start_in_motion = true;
   f.jpeg_quality = 80;
   return f;
+}
+
+std::vector<bool> lostImages(double share, int count, std::uint64_t seed) {
+  constexpr int kLongest = 5;
+  constexpr double kMeanLength = (1 + kLongest) / 2.0;
+  const double begins = share / (kMeanLength * (1 - share));  // at an image that is not lost
+  Rng rng(seed);
+  std::vector<bool> lost(count);
+  for (int i = 0; i < count; ++i) {
+    if (!rng.chance(begins)) continue;
+    for (int left = 1 + rng.integer(kLongest); left > 0 && i < count; --left) lost[i++] = true;
+  }
+  return lost;
 }
 
 Eigen::Vector3d initialBias(double stddev, const Eigen::Vector3d& drawn, const std::vector<double>& asked) {

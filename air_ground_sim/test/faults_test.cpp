@@ -1,6 +1,7 @@
 // Faults of real recordings, each against what its definition says.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <complex>
 #include <fstream>
@@ -31,6 +32,9 @@ TEST(Faults, NoneByDefaultAndRangesAreChecked) {
   refused([](FaultsConfig* f) { f->accel_bias = {0, 0, 6}; });
   refused([](FaultsConfig* f) { f->vibration = std::nan(""); });
   refused([](FaultsConfig* f) { f->jpeg_quality = 101; });
+  refused([](FaultsConfig* f) { f->focal_error = -0.6; });
+  refused([](FaultsConfig* f) { f->lost_images = 1; });
+  refused([](FaultsConfig* f) { f->radial_error = 2; });
 }
 
 TEST(Faults, AreReadFromTheWorldFile) {
@@ -39,14 +43,28 @@ TEST(Faults, AreReadFromTheWorldFile) {
                          "imu: {ground_magnetometer: true}\n"
                          "faults: {time_offset: -0.03, readout_time: 0.025, vibration: 2, gyro_bias: 0.1,\n"
                          "         accel_bias: [0.1, -0.2, 0.3], start_in_motion: true, jpeg_quality: 70,\n"
+                         "         radial_error: 0.04, focal_error: -0.01, lost_images: 0.1,\n"
                          "         clock_offset: 1.5, tf_static: split}\n";
   const SimConfig c = loadSimConfig(path);
   EXPECT_EQ(c.faults.describe(),
             "time_offset: -0.03\nreadout_time: 0.025\nvibration: 2\ngyro_bias: [0.1]\naccel_bias: [0.1, -0.2, 0.3]\n"
-            "start_in_motion: true\njpeg_quality: 70\nclock_offset: 1.5\ntf_static: split\n");
+            "start_in_motion: true\njpeg_quality: 70\nradial_error: 0.04\nfocal_error: -0.01\n"
+            "lost_images: 0.1\nclock_offset: 1.5\ntf_static: split\n");
   EXPECT_TRUE(c.imu.ground_magnetometer);
   std::ofstream(path) << "lane: {points: [[1, 0], [2, 0], [3, 0]]}\nfaults: {readout_time: 0.2}\n";
   EXPECT_THROW(loadSimConfig(path), std::invalid_argument);
+}
+
+TEST(LostImages, AreAShareInShortGaps) {
+  constexpr int kCount = 20000;
+  const auto lost = lostImages(0.2, kCount, 1);
+  const auto number = std::count(lost.begin(), lost.end(), true);
+  EXPECT_NEAR(number, 0.2 * kCount, 5 * std::sqrt(3 * 0.2 * kCount));  // gaps of 3 in the mean
+  int longest = 0, now = 0;
+  for (const bool l : lost) longest = std::max(longest, now = l ? now + 1 : 0);
+  EXPECT_EQ(longest, 5);
+  EXPECT_NE(lost, lostImages(0.2, kCount, 2));
+  EXPECT_EQ(lostImages(0, 100, 1), std::vector<bool>(100));
 }
 
 TEST(Bias, HasTheNormOrTheNumbersAsked) {

@@ -131,6 +131,38 @@ TEST_F(Recorder, JpegComesOnTheCompressedTopicInPlaceOfTheImage) {
   for (const double e : error) EXPECT_LT(e, 8);
 }
 
+TEST_F(Recorder, CalibrationsMayBePublishedWrong) {
+  SimConfig c = smallConfig();
+  record(c);
+  const auto right = all<sensor_msgs::CameraInfo>("/mav/camera/camera_info").at(0);
+  const auto image = all<sensor_msgs::Image>("/mav/camera/image_raw").at(0);
+  bag_.close();
+  c.faults.radial_error = 0.04;
+  c.faults.focal_error = -0.02;
+  record(c);
+  const auto wrong = all<sensor_msgs::CameraInfo>("/mav/camera/camera_info").at(0);
+  EXPECT_NEAR(wrong.D.at(0), right.D.at(0) + 0.04, 1e-12);
+  EXPECT_NEAR(wrong.K[0], 0.98 * right.K[0], 1e-9);
+  EXPECT_NEAR(wrong.P[5], 0.98 * right.P[5], 1e-9);
+  EXPECT_EQ(wrong.K[2], right.K[2]);
+  EXPECT_EQ(all<sensor_msgs::Image>("/mav/camera/image_raw").at(0).data, image.data) << "the image is the camera's";
+  EXPECT_NEAR(all<sensor_msgs::CameraInfo>("/ground/rgb/camera_info").at(0).D.at(0),
+              c.ground_camera.camera.distortionCoefficients().at(0) + 0.04, 1e-12);
+}
+
+TEST_F(Recorder, LostImagesLackWithTheirCalibrations) {
+  SimConfig c = smallConfig();
+  c.faults.lost_images = 0.5;
+  record(c);
+  const auto images = all<sensor_msgs::Image>("/mav/camera/image_raw");
+  EXPECT_GT(images.size(), 0u);
+  EXPECT_LT(images.size(), 12u);
+  EXPECT_EQ(all<sensor_msgs::CameraInfo>("/mav/camera/camera_info").size(), images.size());
+  EXPECT_EQ(all<sensor_msgs::Image>("/ground/depth/image_raw").size(),
+            all<sensor_msgs::Image>("/ground/rgb/image_raw").size());
+  for (const auto& m : images) EXPECT_NEAR(timeOf(m.header.stamp), 0.05 + m.header.seq / 2.0, 1e-6);
+}
+
 TEST_F(Recorder, StaticTransformsMayBeSplitOrComeFromSeveralPublishers) {
   for (const StaticTransforms mode : {StaticTransforms::kSplit, StaticTransforms::kPublishers}) {
     SimConfig c = smallConfig();

@@ -178,7 +178,7 @@ def alignment_errors(estimates, T_ground_map_world, mav_truth):
             continue
         error = alignment_error(estimate, T_ground_map_world, mav_truth)
         if error is not None:
-            rows.append({'stamp_s': estimate.stamp, 'height_maps': estimate.iterations, 'status': estimate.status,
+            rows.append({'stamp_s': estimate.stamp, 'height_maps': estimate.iterations, 'overlap': estimate.overlap, 'status': estimate.status,
                          'position_m': error[0], 'horizontal_m': error[1], 'rotation_deg': float(np.degrees(error[2])),
                          'yaw_deg': float(np.degrees(error[3]))})
     return rows

@@ -149,6 +149,7 @@ class Report:
         rows = evaluation.alignment_errors(coarse, self.T_ground_map_world, r.mav_truth)
         if rows:
             v['coarse_error_height_maps'] = [row['height_maps'] for row in rows]
+            v['coarse_error_overlap'] = [row['overlap'] for row in rows]
             v['coarse_error_m'] = [row['position_m'] for row in rows]
             v['coarse_error_horizontal_m'] = [row['horizontal_m'] for row in rows]
             v['coarse_error_yaw_deg'] = [row['yaw_deg'] for row in rows]

@@ -21,6 +21,9 @@ struct FaultsConfig {
   std::vector<double> accel_bias;  ///< at time 0 [m/s^2], likewise
   bool start_in_motion = false;    ///< the recording begins when both robots move as they do later
   int jpeg_quality = 0;            ///< of the colour and grey images, 1 to 100; 0: raw images
+  double radial_error = 0;         ///< of both published calibrations: their k1 minus the true one
+  double focal_error = 0;          ///< likewise: their focal lengths, relative
+  double lost_images = 0;          ///< share of each robot's images that is not recorded, 1 to 5 in a row
   double clock_offset = 0;         ///< of the ground robot's clock: its stamps minus the MAV's [s]
   StaticTransforms tf_static = StaticTransforms::kLatched;
 
@@ -34,6 +37,9 @@ struct FaultsConfig {
   /// robots' clocks agree, /tf_static is latched.
   static FaultsConfig all();
 };
+
+/// Which of `count` images are lost: each gap begins at random and lasts 1 to 5 images, in all about `share` of them.
+std::vector<bool> lostImages(double share, int count, std::uint64_t seed);
 
 /// `drawn` scaled as asked: by `stddev`, to the norm `asked[0]`, or replaced by three numbers.
 Eigen::Vector3d initialBias(double stddev, const Eigen::Vector3d& drawn, const std::vector<double>& asked);

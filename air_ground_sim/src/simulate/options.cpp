@@ -12,6 +12,9 @@ void FaultOptions::apply(FaultsConfig* f) const {
   f->time_offset = time_offset.value_or(f->time_offset);
   f->readout_time = readout_time.value_or(f->readout_time);
   f->vibration = vibration.value_or(f->vibration);
+  f->radial_error = radial_error.value_or(f->radial_error);
+  f->focal_error = focal_error.value_or(f->focal_error);
+  f->lost_images = lost_images.value_or(f->lost_images);
   f->clock_offset = clock_offset.value_or(f->clock_offset);
   if (!gyro_bias.empty()) f->gyro_bias = gyro_bias;
   if (!accel_bias.empty()) f->accel_bias = accel_bias;
@@ -64,6 +67,13 @@ void addFaultOptions(CLI::App* app, FaultOptions* f) {
   app->add_option(
          "--jpeg", f->jpeg_quality,
          "quality 1 to 100: sensor_msgs/CompressedImage on <topic>/compressed in place of raw images (depth stays)")
+      ->group(group);
+  app->add_option("--radial-error", f->radial_error, "of both calibrations as published: their k1 minus the true one")
+      ->group(group);
+  app->add_option("--focal-error", f->focal_error, "likewise: focal lengths that are too large by this share")
+      ->group(group);
+  app->add_option("--lost-images", f->lost_images,
+                  "share of each robot's images that was not recorded, 1 to 5 in a row, drawn by the seed")
       ->group(group);
   app->add_option("--tf-static", f->tf_static,
                   "latched: one message; split: a message a transform, not latched; publishers: each by a latching\n"

@@ -18,10 +18,16 @@ using air_ground_common::Pose;
 
 ros::Time stampOf(double time) { return ros::Time(kRecordingStart + time); }
 
-sensor_msgs::CameraInfo infoOf(const air_ground_common::CameraModel& camera, const std::string& frame) {
+// The calibration as it is published.
+sensor_msgs::CameraInfo infoOf(air_ground_common::CameraModel camera, const FaultsConfig& faults,
+                               const std::string& frame) {
   std_msgs::Header header;
   header.frame_id = frame;
-  return air_ground_common::ros_utils::toMsg(camera, header);
+  camera.fx *= 1 + faults.focal_error;
+  camera.fy *= 1 + faults.focal_error;
+  sensor_msgs::CameraInfo info = air_ground_common::ros_utils::toMsg(camera, header);
+  info.D.at(0) += faults.radial_error;
+  return info;
 }
 
 }  // namespace
@@ -59,8 +65,10 @@ BagRecorder::BagRecorder(Recording* recording, const RecorderOptions& options, c
   bag_.open(path, rosbag::bagmode::Write);
   if (options.lz4) bag_.setCompression(rosbag::compression::LZ4);
   if (c.hasCity()) frame_ = std::make_unique<air_ground_common::LocalFrame>(c.street.crs, c.street.origin);
-  mav_info_ = infoOf(c.mav_camera.camera, "mav_camera_optical_frame");
-  ground_info_ = infoOf(c.ground_camera.camera, "ground_camera_optical_frame");
+  mav_info_ = infoOf(c.mav_camera.camera, c.faults, "mav_camera_optical_frame");
+  lost_mav_images_ = lostImages(c.faults.lost_images, sim_.frameCount(c.mav_camera), mix(sim_.seed(), 38));
+  lost_ground_images_ = lostImages(c.faults.lost_images, sim_.frameCount(c.ground_camera), mix(sim_.seed(), 39));
+  ground_info_ = infoOf(c.ground_camera.camera, c.faults, "ground_camera_optical_frame");
 }
 
 void BagRecorder::run() {
@@ -231,6 +239,7 @@ void BagRecorder::writeImage(const std::string& topic, double time, const sensor
 }
 
 void BagRecorder::writeMavImage(double time, int index, std::vector<std::uint8_t> pixels) {
+  if (lost_mav_images_[index]) return;
   mav_info_.header = headerOf(kMav, mav_info_.header.frame_id, time);
   mav_info_.header.seq = index;
   writeImage("/mav/camera/image_raw", time, imageMessage(mav_info_, encodings::MONO8, 1, std::move(pixels)));
@@ -238,6 +247,7 @@ void BagRecorder::writeMavImage(double time, int index, std::vector<std::uint8_t
 }
 
 void BagRecorder::writeGroundImage(double time, int index, RgbdFrame frame) {
+  if (lost_ground_images_[index]) return;
   ground_info_.header = headerOf(kGround, ground_info_.header.frame_id, time);
   ground_info_.header.seq = index;
   std::vector<std::uint8_t> depth(2 * frame.depth_mm.size());

@@ -63,6 +63,7 @@ class BagRecorder {
   RecorderOptions options_;
   rosbag::Bag bag_;
   std::unique_ptr<air_ground_common::LocalFrame> frame_;  // of street worlds
+  std::vector<bool> lost_mav_images_, lost_ground_images_;
   sensor_msgs::CameraInfo mav_info_, ground_info_;
 };
 
