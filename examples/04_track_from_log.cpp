@@ -41,7 +41,7 @@ int main(int argc, char** argv) try {
       fix.covariance = Eigen::Vector4d(0.09, 0.09, 0.09, 4e-4).asDiagonal();
       tracker.addMeasurement(fix);
     }
-    for (const auto& outcome : tracker.takeOutcomes())
+    for (const auto& outcome : tracker.popOutcomes())
       refused += outcome.result == ekf_tracker::Result::kRefusedByGate ? 1 : 0;
   }
   const auto now = tracker.latest();

@@ -71,7 +71,7 @@ Trial fly(const Options& o, unsigned seed) {
     tracker.addIncrement(sim.odometry[i]);
     for (; next < sim.fixes.size() && sim.fixes[next].stamp + delay <= sim.odometry[i].stamp; ++next)
       tracker.addMeasurement(sim.fixes[next]);
-    for (const ek::Outcome& outcome : tracker.takeOutcomes()) last_words[outcome.measurement.stamp] = outcome.result;
+    for (const ek::Outcome& outcome : tracker.popOutcomes()) last_words[outcome.measurement.stamp] = outcome.result;
     if (std::isnan(out.started_after) && tracker.latest()) out.started_after = sim.odometry[i].stamp - sim.stamps[0];
     if (i % every != 0) continue;
     ++out.looks;

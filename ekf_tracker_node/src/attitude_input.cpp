@@ -62,7 +62,7 @@ void AttitudeInput::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
 
 void AttitudeInput::onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg) {
   health_.received(magnetometer_.getTopic(), msg->header.stamp);
-  if (!bridge_.takesField(*msg)) return;
+  if (!bridge_.isFieldDue(*msg)) return;
   pending_fields_.emplace_back(msg, steadySeconds());
   if (pending_fields_.size() > kMostFields) pending_fields_.pop_front();
   drainFields();

@@ -185,7 +185,7 @@ class EkfTrackerNode {
     if (!estimate) return state_.unlocated(stamp, cause.metric != 0, fixes_);
     publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(),
                        R_level_base.value_or(Eigen::Matrix3d::Identity()), T_map_base);
-    state_.tracking(*estimate, stamp, tracker_.filter().strongestRival() > 1);
+    state_.tracking(*estimate, stamp, tracker_.filter().strongestHypothesis() > 1);
   }
 
   // All but the increments that wait: at a jump they are of the new time already.

@@ -9,7 +9,7 @@
 namespace ekf_tracker {
 
 void OutcomeReport::publishPending() {
-  for (const Outcome& o : tracker_.takeOutcomes()) publish(o);
+  for (const Outcome& o : tracker_.popOutcomes()) publish(o);
   if (tracker_.filter().recoveries() > recoveries_) {
     ROS_WARN("fixes that agree with each other contradicted the tracked pose: it was wrong and has been replaced");
     health_.count("recoveries from a wrong pose");

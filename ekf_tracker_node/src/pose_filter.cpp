@@ -118,15 +118,15 @@ PoseFilter::PoseFilter(const FilterSettings& settings) : settings_(settings) {
   for (int dof = 1; dof <= 4; ++dof) gates_[dof] = chiSquareQuantile(dof, settings.gate_probability);
 }
 
-int PoseFilter::strongestRival() const {
+int PoseFilter::strongestHypothesis() const {
   int most = 0;
-  for (const Rival& r : rivals_) most = std::max(most, r.state.support);
+  for (const Hypothesis& h : hypotheses_) most = std::max(most, h.state.support);
   return most;
 }
 
 void PoseFilter::restart(bool metric, double scale_stddev) {
   state_.reset();
-  rivals_.clear();
+  hypotheses_.clear();
   metric_ = metric;
   scale_stddev_ = metric ? scale_stddev : 0;
 }
@@ -166,7 +166,7 @@ void PoseFilter::propagate(State* state, const Increment& given) const {
 
 // The odometry found its own scale: what was known of its old unit says nothing about what is left to apply.
 void PoseFilter::becomeMetric() {
-  rivals_.clear();
+  hypotheses_.clear();
   if (!state_) return;
   state_->scale_known = true;
   state_->x[kScale] = 1;
@@ -176,7 +176,7 @@ void PoseFilter::becomeMetric() {
 }
 
 void PoseFilter::loseScale() {
-  rivals_.clear();
+  hypotheses_.clear();
   if (!state_) return;
   state_->scale_known = false;
   state_->x[kScale] = 1;  // without meaning from here on
@@ -188,9 +188,10 @@ void PoseFilter::loseScale() {
 void PoseFilter::predict(const Increment& given) {
   Increment increment = given;
   if (increment.gap) {
-    // A rival that still needs the scale cannot bridge a silence of unknown length in the odometry's unit.
-    rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), [](const Rival& r) { return !r.state.scale_known; }),
-                  rivals_.end());
+    // A hypothesis that still needs the scale cannot bridge a silence of unknown length in the odometry's unit.
+    hypotheses_.erase(std::remove_if(hypotheses_.begin(), hypotheses_.end(),
+                                     [](const Hypothesis& h) { return !h.state.scale_known; }),
+                      hypotheses_.end());
   } else {
     scale_stddev_ = increment.metric ? increment.scale_stddev : 0;
     if (increment.new_unit) loseScale();
@@ -199,21 +200,21 @@ void PoseFilter::predict(const Increment& given) {
     increment.covariance = noiseOf(given, settings_);
   }
   if (state_) propagate(&*state_, increment);
-  for (Rival& rival : rivals_) {
-    rival.age += increment.stamp - increment.previous_stamp;
-    if (rival.state.scale_known) propagate(&rival.state, increment);
-    const MotionJacobians j = motionJacobians(rival.travelled, increment.motion, 1);
-    rival.travelled = move<double>(rival.travelled, increment.motion, 1);
-    rival.travelled_covariance = j.by_state * rival.travelled_covariance * j.by_state.transpose() +
-                                 j.by_increment * increment.covariance * j.by_increment.transpose();
+  for (Hypothesis& h : hypotheses_) {
+    h.age += increment.stamp - increment.previous_stamp;
+    if (h.state.scale_known) propagate(&h.state, increment);
+    const MotionJacobians j = motionJacobians(h.travelled, increment.motion, 1);
+    h.travelled = move<double>(h.travelled, increment.motion, 1);
+    h.travelled_covariance = j.by_state * h.travelled_covariance * j.by_state.transpose() +
+                             j.by_increment * increment.covariance * j.by_increment.transpose();
   }
   // When long has passed, or the odometry was silent, almost anything agrees with a single fix.
   const double drift = std::pow(settings_.pairing_drift, 2);
-  const auto alone = [&](const Rival& r) {
-    return r.state.support < 2 && (r.age > settings_.pairing_time ||
-                                   (metric_ && r.travelled_covariance.diagonal().head<3>().maxCoeff() > drift));
+  const auto alone = [&](const Hypothesis& h) {
+    return h.state.support < 2 && (h.age > settings_.pairing_time ||
+                                   (metric_ && h.travelled_covariance.diagonal().head<3>().maxCoeff() > drift));
   };
-  rivals_.erase(std::remove_if(rivals_.begin(), rivals_.end(), alone), rivals_.end());
+  hypotheses_.erase(std::remove_if(hypotheses_.begin(), hypotheses_.end(), alone), hypotheses_.end());
 }
 
 Outcome PoseFilter::test(const State& state, const Measurement& m) const {
@@ -248,49 +249,49 @@ void PoseFilter::fuse(State* state, const Measurement& m) {
   if (m.source == Source::kFix) ++state->support;
 }
 
-PoseFilter::Rival PoseFilter::found(const Measurement& fix) const {
-  Rival r;
-  r.anchor = fix.value;
-  r.anchor[3] = wrapAngle(r.anchor[3]);
-  r.anchor_covariance = fix.covariance;
-  r.stamps = {fix.stamp};
-  r.state.support = 1;
-  r.state.scale_known = false;
-  r.state.x << r.anchor, 1, 0;
-  r.state.covariance.setZero();
-  r.state.covariance.topLeftCorner<4, 4>() = fix.covariance;
-  r.state.covariance(kOffset, kOffset) = 1;  // without meaning until the first pressure
+PoseFilter::Hypothesis PoseFilter::hypothesisFrom(const Measurement& fix) const {
+  Hypothesis h;
+  h.anchor = fix.value;
+  h.anchor[3] = wrapAngle(h.anchor[3]);
+  h.anchor_covariance = fix.covariance;
+  h.stamps = {fix.stamp};
+  h.state.support = 1;
+  h.state.scale_known = false;
+  h.state.x << h.anchor, 1, 0;
+  h.state.covariance.setZero();
+  h.state.covariance.topLeftCorner<4, 4>() = fix.covariance;
+  h.state.covariance(kOffset, kOffset) = 1;  // without meaning until the first pressure
   if (metric_) {
-    r.state.scale_known = true;
-    r.state.x[kScale] = state_ && state_->scale_known ? state_->x[kScale] : 1;
-    r.state.covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
+    h.state.scale_known = true;
+    h.state.x[kScale] = state_ && state_->scale_known ? state_->x[kScale] : 1;
+    h.state.covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
   } else if (state_ && state_->scale_known) {
     // Likely the scale is right although the pose is not; solveScale() answers where it is not.
-    r.state.scale_known = true;
-    r.state.x[kScale] = state_->x[kScale];
-    r.state.covariance(kScale, kScale) = std::max(state_->covariance(kScale, kScale),
+    h.state.scale_known = true;
+    h.state.x[kScale] = state_->x[kScale];
+    h.state.covariance(kScale, kScale) = std::max(state_->covariance(kScale, kScale),
                                                   std::pow(settings_.max_initial_scale_stddev * state_->x[kScale], 2));
   }
-  return r;
+  return h;
 }
 
 // B-III.E: the scale from two global fixes and the odometry between them. The paper divides the two lengths; this is
 // the weighted least-squares factor, which noise does not bias upwards, and whose residual (three degrees of freedom:
 // the direction of travel twice, and the yaw) tells whether the two fixes belong together at all.
-PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix) const {
-  const double length = rival->travelled.head<3>().norm();
-  const double ratio = (fix.value.head<3>() - rival->anchor.head<3>()).norm() / length;
+PoseFilter::Solution PoseFilter::solveScale(Hypothesis* h, const Measurement& fix) const {
+  const double length = h->travelled.head<3>().norm();
+  const double ratio = (fix.value.head<3>() - h->anchor.head<3>()).norm() / length;
   if (!(length > 0) || !std::isfinite(ratio) || ratio <= 0) return Solution::kNone;
-  const MotionJacobians j = motionJacobians(rival->anchor, rival->travelled, ratio);
-  const Matrix4d s = j.by_state * rival->anchor_covariance * j.by_state.transpose() +
-                     j.by_increment * rival->travelled_covariance * j.by_increment.transpose() + fix.covariance;
+  const MotionJacobians j = motionJacobians(h->anchor, h->travelled, ratio);
+  const Matrix4d s = j.by_state * h->anchor_covariance * j.by_state.transpose() +
+                     j.by_increment * h->travelled_covariance * j.by_increment.transpose() + fix.covariance;
   const Vector4d& direction = j.by_scale;
-  Vector4d difference = fix.value - move<double>(rival->anchor, rival->travelled, 0.0);
+  Vector4d difference = fix.value - move<double>(h->anchor, h->travelled, 0.0);
   difference[3] = wrapAngle(difference[3]);
   const Eigen::LLT<Matrix4d> llt(s);
   const double information = direction.dot(llt.solve(direction));
   const double scale = direction.dot(llt.solve(difference)) / information;
-  // Too close together, to go by the lengths, for a useful scale: neither for nor against this rival.
+  // Too close together, to go by the lengths, for a useful scale: neither for nor against this hypothesis.
   if (1 / std::sqrt(information) > settings_.max_initial_scale_stddev * ratio) return Solution::kNone;
   const Vector4d residual = difference - scale * direction;
   if (residual.dot(llt.solve(residual)) > gates_[3] ||
@@ -299,22 +300,22 @@ PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix
 
   // The joint posterior of pose and scale: from the anchor with a scale that is as good as unknown, moved and
   // corrected.
-  State& state = rival->state;
-  state.x << rival->anchor, scale, 0;
+  State& state = h->state;
+  state.x << h->anchor, scale, 0;
   state.covariance.setZero();
-  state.covariance.topLeftCorner<4, 4>() = rival->anchor_covariance;
+  state.covariance.topLeftCorner<4, 4>() = h->anchor_covariance;
   state.covariance(kScale, kScale) = std::pow(10 * scale, 2);
   state.covariance(kOffset, kOffset) = 1;
   state.barometer_known = false;
   state.support = 1;
   Matrix6d f = Matrix6d::Identity();
-  const MotionJacobians at = motionJacobians(rival->anchor, rival->travelled, scale);
+  const MotionJacobians at = motionJacobians(h->anchor, h->travelled, scale);
   f.topLeftCorner<4, 4>() = at.by_state;
   f.block<4, 1>(0, kScale) = at.by_scale;
-  state.x.head<4>() = move<double>(rival->anchor, rival->travelled, scale);
+  state.x.head<4>() = move<double>(h->anchor, h->travelled, scale);
   state.x[kYaw] = wrapAngle(state.x[kYaw]);
   state.covariance = f * state.covariance * f.transpose();
-  state.covariance.topLeftCorner<4, 4>() += at.by_increment * rival->travelled_covariance * at.by_increment.transpose();
+  state.covariance.topLeftCorner<4, 4>() += at.by_increment * h->travelled_covariance * at.by_increment.transpose();
   symmetrise(&state.covariance);
   fuse(&state, fix);
   state.scale_known = true;
@@ -323,29 +324,29 @@ PoseFilter::Solution PoseFilter::solveScale(Rival* rival, const Measurement& fix
   const double scales = settings_.wrong_fix_spread / direction.head<3>().norm();
   countAgreement(-0.5 * (residual.dot(llt.solve(residual)) + std::log(s.determinant()) + std::log(information)) -
                      1.5 * std::log(2 * M_PI) - std::log(scales),
-                 rival);
+                 h);
   return Solution::kFound;
 }
 
-// A fix agreed with a rival: evidence for it is the density that the rival predicts over that of a wrong fix, which may
+// A fix agreed with a hypothesis: evidence for it is the density that this predicts over that of a wrong fix, which may
 // lie anywhere within wrong_fix_spread, kWrongFixHeights and with any heading. By Wald's inequality the product of such
 // ratios reaches 1 / p with a probability below p while only wrong fixes agree.
-void PoseFilter::countAgreement(double log_density, Rival* rival) const {
+void PoseFilter::countAgreement(double log_density, Hypothesis* h) const {
   const double room = M_PI * std::pow(settings_.wrong_fix_spread, 2) * kWrongFixHeights * 2 * M_PI;
-  rival->log_odds += std::log(1 - kWrongShare) + std::log(room) + log_density;
+  h->log_odds += std::log(1 - kWrongShare) + std::log(room) + log_density;
 }
 
-// The rival that the fix agrees with best, corrected by it; null when it agrees with none.
-PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
-  Rival* supported = nullptr;
+// The hypothesis that the fix agrees with best, corrected by it; null when it agrees with none.
+PoseFilter::Hypothesis* PoseFilter::correctBestHypothesis(const Measurement& fix) {
+  Hypothesis* supported = nullptr;
   double best = std::numeric_limits<double>::infinity();
-  for (Rival& r : rivals_) {
-    if (!r.state.scale_known) continue;
-    const Outcome o = test(r.state, fix);
+  for (Hypothesis& h : hypotheses_) {
+    if (!h.state.scale_known) continue;
+    const Outcome o = test(h.state, fix);
     if (o.result != Result::kFused)
-      r.log_odds += std::log(kWrongShare);
+      h.log_odds += std::log(kWrongShare);
     else if (o.nis < best)
-      best = o.nis, supported = &r;
+      best = o.nis, supported = &h;
   }
   if (supported) {
     const Matrix4d spread = supported->state.covariance.topLeftCorner<4, 4>() + fix.covariance;
@@ -355,14 +356,14 @@ PoseFilter::Rival* PoseFilter::supporterOf(const Measurement& fix) {
     return supported;
   }
   if (metric_) return nullptr;
-  for (Rival& r : rivals_) {
-    if (r.state.support > 1) continue;
-    const Solution solution = solveScale(&r, fix);
+  for (Hypothesis& h : hypotheses_) {
+    if (h.state.support > 1) continue;
+    const Solution solution = solveScale(&h, fix);
     if (solution == Solution::kFound) {
-      r.stamps.push_back(fix.stamp);
-      return &r;
+      h.stamps.push_back(fix.stamp);
+      return &h;
     }
-    if (solution == Solution::kContradiction && !r.state.scale_known) r.log_odds += std::log(kWrongShare);
+    if (solution == Solution::kContradiction && !h.state.scale_known) h.log_odds += std::log(kWrongShare);
   }
   return nullptr;
 }
@@ -381,7 +382,7 @@ Outcome PoseFilter::correct(const Measurement& m) {
   return m.source == Source::kFix ? correctByFix(m) : correctByPart(m);
 }
 
-// Heading, GPS and barometer correct what there is, the rivals too; they neither start nor contradict anything.
+// Heading, GPS and barometer correct what there is, the hypotheses too; they neither start nor contradict anything.
 Outcome PoseFilter::correctByPart(const Measurement& m) {
   const auto apply = [&](State* s) {
     if (m.source == Source::kBarometer && !s->barometer_known) {
@@ -392,8 +393,8 @@ Outcome PoseFilter::correctByPart(const Measurement& m) {
     if (out.result == Result::kFused) fuse(s, m);
     return out;
   };
-  for (Rival& r : rivals_)
-    if (r.state.scale_known) apply(&r.state);
+  for (Hypothesis& h : hypotheses_)
+    if (h.state.scale_known) apply(&h.state);
   return state_ ? apply(&*state_) : unpredicted(m, Result::kNotStarted);
 }
 
@@ -402,12 +403,12 @@ Outcome PoseFilter::correctByFix(const Measurement& m) {
   if (out.result == Result::kFused) {
     fuse(&*state_, m);
     if (state_->scale_known) {
-      rivals_.clear();
+      hypotheses_.clear();
       return out;
     }
   }
-  Rival* supported = supporterOf(m);
-  if (!supported) supported = addRival(m);
+  Hypothesis* supported = correctBestHypothesis(m);
+  if (!supported) supported = addHypothesis(m);
   // No contradiction where the scale is all that is missing.
   const bool only_scale = out.result == Result::kFused;
   if (!isTrusted(*supported, only_scale)) return out;
@@ -417,30 +418,30 @@ Outcome PoseFilter::correctByFix(const Measurement& m) {
     ++(state_ ? recoveries_ : starts_);
   }
   state_ = supported->state;
-  rivals_.clear();
+  hypotheses_.clear();
   return out;
 }
 
-PoseFilter::Rival* PoseFilter::addRival(const Measurement& fix) {
-  if (static_cast<int>(rivals_.size()) >= settings_.max_hypotheses) {
+PoseFilter::Hypothesis* PoseFilter::addHypothesis(const Measurement& fix) {
+  if (static_cast<int>(hypotheses_.size()) >= settings_.max_hypotheses) {
     // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the scale.
-    auto worst = rivals_.begin();
-    for (auto r = rivals_.begin(); r != rivals_.end(); ++r)
-      if (r->log_odds <= worst->log_odds) worst = r;
-    rivals_.erase(worst);
+    auto worst = hypotheses_.begin();
+    for (auto h = hypotheses_.begin(); h != hypotheses_.end(); ++h)
+      if (h->log_odds <= worst->log_odds) worst = h;
+    hypotheses_.erase(worst);
   }
-  rivals_.push_back(found(fix));
-  return &rivals_.back();
+  hypotheses_.push_back(hypothesisFrom(fix));
+  return &hypotheses_.back();
 }
 
 // Fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior
 // it would keep the localizer from finding out. Two do where wrong ones hardly agree so well by chance; in an unknown
 // unit, where some scale fits many a wrong pair, at least a third confirms it. A state that few fixes support yields to
-// fewer rivals.
-bool PoseFilter::isTrusted(const Rival& r, bool only_scale) const {
+// fewer hypotheses.
+bool PoseFilter::isTrusted(const Hypothesis& h, bool only_scale) const {
   const int to_start = metric_ ? 2 : settings_.unscaled_start_fixes;
   const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, state_->support + 1) : to_start;
-  return r.state.scale_known && r.state.support >= needed && r.log_odds >= -std::log(settings_.max_false_start);
+  return h.state.scale_known && h.state.support >= needed && h.log_odds >= -std::log(settings_.max_false_start);
 }
 
 }  // namespace ekf_tracker

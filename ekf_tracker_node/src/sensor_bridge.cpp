@@ -95,7 +95,7 @@ std::optional<Measurement> SensorBridge::pressure(const sensor_msgs::FluidPressu
   return m;
 }
 
-bool SensorBridge::takesField(const sensor_msgs::MagneticField& msg) {
+bool SensorBridge::isFieldDue(const sensor_msgs::MagneticField& msg) {
   const double stamp = msg.header.stamp.toSec();
   if (tooSoon(stamp, settings_.magnetometer_interval, last_magnetometer_)) return false;
   last_magnetometer_ = stamp;

@@ -34,7 +34,7 @@ class SensorBridge {
   std::optional<Measurement> gps(const sensor_msgs::NavSatFix& msg);
   std::optional<Measurement> pressure(const sensor_msgs::FluidPressure& msg);
   /// False: too soon after the last one.
-  bool takesField(const sensor_msgs::MagneticField& msg);
+  bool isFieldDue(const sensor_msgs::MagneticField& msg);
   Measurement heading(const sensor_msgs::MagneticField& msg, const Eigen::Matrix3d& R_base_sensor,
                       const Eigen::Matrix3d& R_level_base) const;
   /// `R_level_base`: tilt at the increment's end, or empty to take the increment as level.

@@ -51,8 +51,9 @@ TrackedPosePublisher::TrackedPosePublisher(ros::NodeHandle handle, const NodeSet
   innovation_ = handle.advertise<air_ground::TrackerInnovation>("tracked/innovation", 100);
 }
 
-void TrackedPosePublisher::publish(const ros::Time& stamp, const Estimate& estimate, const std::optional<Rate>& rate,
-                                   const Eigen::Matrix3d& R_level_base, const std::optional<Pose>& T_map_base) {
+void TrackedPosePublisher::publish(const ros::Time& stamp, const PoseEstimate& estimate,
+                                   const std::optional<Rate>& rate, const Eigen::Matrix3d& R_level_base,
+                                   const std::optional<Pose>& T_map_base) {
   Pose T_world_base = air_ground_common::yawPose(estimate.pose[3], estimate.pose.head<3>());
   T_world_base.linear() = T_world_base.linear() * R_level_base;
 
@@ -78,7 +79,7 @@ void TrackedPosePublisher::publish(const ros::Time& stamp, const Estimate& estim
 }
 
 // Both frames are level: only a heading and a shift lie between them.
-void TrackedPosePublisher::publishEdge(const std_msgs::Header& header, const Estimate& estimate,
+void TrackedPosePublisher::publishEdge(const std_msgs::Header& header, const PoseEstimate& estimate,
                                        const Pose& T_map_base) {
   const double yaw = estimate.pose[3] - air_ground_common::yawOf(T_map_base.linear());
   Pose T_world_map = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
@@ -90,7 +91,7 @@ void TrackedPosePublisher::publishEdge(const std_msgs::Header& header, const Est
   broadcaster_.sendTransform(edge);
 }
 
-void TrackedPosePublisher::publishGeodetic(const ros::Time& stamp, const Estimate& estimate) {
+void TrackedPosePublisher::publishGeodetic(const ros::Time& stamp, const PoseEstimate& estimate) {
   const auto g = frame_->toGeodetic(estimate.pose.head<3>());
   sensor_msgs::NavSatFix fix;
   fix.header.stamp = stamp;
@@ -128,7 +129,7 @@ void TrackedPosePublisher::publish(const Outcome& o, const Tracker& tracker) {
   }
   msg.gate = o.gate;
   msg.delay = o.delay;
-  msg.rivals = static_cast<std::uint32_t>(tracker.filter().strongestRival());
+  msg.rivals = static_cast<std::uint32_t>(tracker.filter().strongestHypothesis());
   if (const auto estimate = tracker.latest()) {
     msg.support = static_cast<std::uint32_t>(estimate->support);
     msg.scale = estimate->scale_known ? estimate->scale : 0;

@@ -24,7 +24,7 @@ class TrackedPosePublisher {
 
   /// `rate`: of the last step; `R_level_base`: roll and pitch of the base; `T_map_base`: its pose by the odometry at
   /// this stamp, without which there is no tf.
-  void publish(const ros::Time& stamp, const Estimate& estimate, const std::optional<Rate>& rate,
+  void publish(const ros::Time& stamp, const PoseEstimate& estimate, const std::optional<Rate>& rate,
                const Eigen::Matrix3d& R_level_base, const std::optional<air_ground_common::Pose>& T_map_base);
   void publish(const Outcome& outcome, const Tracker& tracker);
 
@@ -33,8 +33,9 @@ class TrackedPosePublisher {
   void reset();
 
  private:
-  void publishEdge(const std_msgs::Header& header, const Estimate& estimate, const air_ground_common::Pose& T_map_base);
-  void publishGeodetic(const ros::Time& stamp, const Estimate& estimate);
+  void publishEdge(const std_msgs::Header& header, const PoseEstimate& estimate,
+                   const air_ground_common::Pose& T_map_base);
+  void publishGeodetic(const ros::Time& stamp, const PoseEstimate& estimate);
 
   const NodeSettings& settings_;
   const air_ground_common::LocalFrame* frame_;

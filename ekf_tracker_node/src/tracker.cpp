@@ -54,7 +54,7 @@ void Tracker::report(const Measurement& m, Result result, double delay) {
   outcomes_.push_back(out);
 }
 
-std::vector<Outcome> Tracker::takeOutcomes() {
+std::vector<Outcome> Tracker::popOutcomes() {
   std::vector<Outcome> out;
   out.swap(outcomes_);
   return out;
@@ -194,11 +194,11 @@ void Tracker::replay(std::size_t first) {
       k.outcome.delay = k.delay;
     }
   }
-  tellChanges();
+  reportChanges();
 }
 
 // Reports every measurement whose result is new, or another one than was told.
-void Tracker::tellChanges() {
+void Tracker::reportChanges() {
   std::vector<double> joined;  // fixes that entered the state by a later one
   for (const Step& step : steps_)
     for (const Kept& k : step.measurements)
@@ -210,9 +210,9 @@ void Tracker::tellChanges() {
       if (unused && std::find(joined.begin(), joined.end(), k.measurement.stamp) != joined.end() &&
           k.measurement.source == Source::kFix)
         out.result = Result::kAgreed;
-      if (k.told == out.result) continue;
-      out.revised = k.told.has_value();
-      k.told = out.result;
+      if (k.reported == out.result) continue;
+      out.revised = k.reported.has_value();
+      k.reported = out.result;
       outcomes_.push_back(out);
     }
   }
@@ -220,9 +220,9 @@ void Tracker::tellChanges() {
 
 namespace {
 
-Estimate estimateOf(const PoseFilter& filter, double stamp) {
+PoseEstimate estimateOf(const PoseFilter& filter, double stamp) {
   const State& s = filter.state();
-  Estimate e;
+  PoseEstimate e;
   e.stamp = stamp;
   e.pose = s.x.head<4>();
   e.covariance = s.covariance.topLeftCorner<4, 4>();
@@ -235,7 +235,7 @@ Estimate estimateOf(const PoseFilter& filter, double stamp) {
 
 }  // namespace
 
-std::optional<Estimate> Tracker::latest() const {
+std::optional<PoseEstimate> Tracker::latest() const {
   if (steps_.empty() || !now_.started()) return std::nullopt;
   return estimateOf(now_, steps_.back().increment.stamp);
 }
@@ -259,7 +259,7 @@ std::optional<Rate> Tracker::rate() const {
   return rate;
 }
 
-std::optional<Estimate> Tracker::at(double stamp) const {
+std::optional<PoseEstimate> Tracker::at(double stamp) const {
   if (steps_.empty() || !(stamp >= steps_.front().increment.stamp) || stamp > steps_.back().increment.stamp)
     return std::nullopt;
   std::size_t i = steps_.size() - 1;

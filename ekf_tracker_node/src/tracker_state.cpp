@@ -29,7 +29,7 @@ void TrackerState::unlocated(double stamp, bool metric, const ros::Subscriber& f
   if (stamp > *unlocated_since_ + kUnlocated) ROS_WARN_STREAM_ONCE("odometry has come for 10 s, but no fix: " << line);
 }
 
-void TrackerState::tracking(const Estimate& estimate, double stamp, bool doubtful) {
+void TrackerState::tracking(const PoseEstimate& estimate, double stamp, bool doubtful) {
   const Vector4d stddev = estimate.covariance.diagonal().cwiseSqrt();
   const std::string line = air_ground_common::formatted(
       "tracking: %.1f %.1f %.1f m, %.1f deg (1 sigma); odometry scale %.3f +- %.3f; %d fixes; last fused %.1f s ago",

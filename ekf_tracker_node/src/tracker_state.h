@@ -22,7 +22,7 @@ class TrackerState {
 
   /// There is odometry, but no pose yet.
   void unlocated(double stamp, bool metric, const ros::Subscriber& fixes);
-  void tracking(const Estimate& estimate, double stamp, bool doubtful);
+  void tracking(const PoseEstimate& estimate, double stamp, bool doubtful);
   /// What was said last must not stand when the odometry on `topic` has died.
   void watch(const std::string& topic);
   void forget();

@@ -145,7 +145,7 @@ Flight fly(const AgzLog& log, const AgzMadeSettings& s, bool use_barometer, bool
     if (!dead_reckoned) dead_reckoned = log.at(now);
     while (next_fix < made.fixes.size() && made.fixes[next_fix].stamp + s.fix_period <= now) {
       tracker.addMeasurement(made.fixes[next_fix]);
-      for (const Outcome& o : tracker.takeOutcomes()) {
+      for (const Outcome& o : tracker.popOutcomes()) {
         if (o.measurement.source != Source::kFix) continue;
         last_words[o.measurement.stamp] = o.result;
       }

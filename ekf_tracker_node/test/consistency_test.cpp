@@ -35,7 +35,7 @@ Averages fly(const SimulationSettings& base, unsigned first_seed) {
       while (next_fix < sim.fixes.size() && sim.fixes[next_fix].stamp + kFixDelay <= now) {
         tracker.addMeasurement(sim.fixes[next_fix]);
         ++next_fix;
-        for (const Outcome& o : tracker.takeOutcomes()) last_words[o.measurement.stamp] = o;
+        for (const Outcome& o : tracker.popOutcomes()) last_words[o.measurement.stamp] = o;
       }
       const auto estimate = tracker.latest();
       if (estimate) {

@@ -89,7 +89,7 @@ TEST(PoseFilter, OutlierIsRefusedAndLeavesTheStateAlone) {
   EXPECT_EQ(filter.correct(fixAt({0, 0, 0, 1.5})).result, Result::kRefusedByGate);
   EXPECT_EQ(filter.state().x, before);
   EXPECT_EQ(filter.correct(fixAt({1, 0, 0, 0})).result, Result::kFused);
-  EXPECT_EQ(filter.rivals(), 0);
+  EXPECT_EQ(filter.hypotheses(), 0);
 }
 
 TEST(PoseFilter, FirstFixWrongRecoversWithinFiveGoodOnes) {
@@ -141,7 +141,7 @@ TEST(PoseFilter, ASingleFixStartsNothing) {
     fly();
     EXPECT_EQ(filter.correct(fixAt(q, 2)).result, Result::kWaiting);
     EXPECT_FALSE(filter.started());
-    EXPECT_EQ(filter.rivals(), 2);
+    EXPECT_EQ(filter.hypotheses(), 2);
     fly();
     EXPECT_EQ(filter.correct(fixAt(q, 3)).result, Result::kWaiting);  // metres of noise: two may agree by chance
     fly();
@@ -192,16 +192,16 @@ TEST(PoseFilter, AFixThatNoneJoinsIsForgotten) {
   step.stamp = 1;
   filter.correct(fixAt({0, 0, 0, 0}));
   for (int i = 0; i < 59; ++i) filter.predict(step);
-  EXPECT_EQ(filter.rivals(), 1);
+  EXPECT_EQ(filter.hypotheses(), 1);
   filter.predict(step);
   filter.predict(step);
-  EXPECT_EQ(filter.rivals(), 0);
+  EXPECT_EQ(filter.hypotheses(), 0);
   // A gap of ten seconds, 15 m at one sigma: whatever agrees after it says little.
   filter.correct(fixAt({0, 0, 0, 0}));
   step.gap = true;
   step.covariance = Vector4d(15, 15, 15, 1).cwiseAbs2().asDiagonal();
   filter.predict(step);
-  EXPECT_EQ(filter.rivals(), 0);
+  EXPECT_EQ(filter.hypotheses(), 0);
   EXPECT_EQ(filter.correct(fixAt({20, 0, 0, 0})).result, Result::kWaiting);
 }
 
@@ -211,7 +211,7 @@ TEST(PoseFilter, SteadyFilterNeedsThreeAgreeingFixesToGiveUp) {
   EXPECT_EQ(filter.correct(fixAt({40, 0, 0, 0})).result, Result::kRefusedByGate);
   EXPECT_EQ(filter.correct(fixAt({0, 60, 0, 0})).result, Result::kRefusedByGate);  // an outlier between them
   EXPECT_EQ(filter.correct(fixAt({41, 1, 0, 0})).result, Result::kRefusedByGate);
-  EXPECT_EQ(filter.strongestRival(), 2);
+  EXPECT_EQ(filter.strongestHypothesis(), 2);
   EXPECT_EQ(filter.correct(fixAt({39, 0, 0, 0})).result, Result::kRecovered);
   EXPECT_NEAR(filter.state().x[0], 40, 0.5);
   EXPECT_EQ(filter.recoveries(), 1);

@@ -41,7 +41,7 @@ std::vector<Delivery> deliveries(const Simulation& sim, Delay delay) {
   return out;
 }
 
-Estimate run(const Simulation& sim, const std::vector<Delivery>& all, std::map<Result, int>* results = nullptr) {
+PoseEstimate run(const Simulation& sim, const std::vector<Delivery>& all, std::map<Result, int>* results = nullptr) {
   Tracker tracker;
   std::size_t next = 0;
   for (const Increment& increment : sim.odometry) {
@@ -51,7 +51,7 @@ Estimate run(const Simulation& sim, const std::vector<Delivery>& all, std::map<R
   }
   for (; next < all.size(); ++next) tracker.addMeasurement(all[next].measurement);
   if (results)
-    for (const Outcome& o : tracker.takeOutcomes()) ++(*results)[o.result];
+    for (const Outcome& o : tracker.popOutcomes()) ++(*results)[o.result];
   return *tracker.latest();
 }
 
@@ -67,10 +67,10 @@ TEST(Tracker, DelayedMeasurementsGiveWhatOrderedOnesGive) {
       const Simulation sim = simulate(s, FilterSettings());
       std::mt19937 random(seed);
       std::uniform_real_distribution<double> uniform(0, 3);
-      const Estimate ordered = run(sim, deliveries(sim, [] { return 0.0; }));
-      const Estimate late = run(sim, deliveries(sim, [] { return 1.0; }));
-      const Estimate shuffled = run(sim, deliveries(sim, [&] { return uniform(random); }));
-      for (const Estimate* other : {&late, &shuffled}) {
+      const PoseEstimate ordered = run(sim, deliveries(sim, [] { return 0.0; }));
+      const PoseEstimate late = run(sim, deliveries(sim, [] { return 1.0; }));
+      const PoseEstimate shuffled = run(sim, deliveries(sim, [&] { return uniform(random); }));
+      for (const PoseEstimate* other : {&late, &shuffled}) {
         EXPECT_LT(poseError(other->pose, ordered.pose).norm(), 1e-9);
         EXPECT_LT((other->covariance - ordered.covariance).norm(), 1e-9);
         EXPECT_NEAR(other->scale, ordered.scale, 1e-9);
@@ -90,7 +90,7 @@ TEST(Tracker, EstimateAtAnEarlierTimeIsTheOneOfThatTime) {
   const Simulation sim = simulate(s, FilterSettings());
   Tracker tracker;
   for (const Measurement& fix : sim.fixes) tracker.addMeasurement(fix);
-  std::optional<Estimate> then;
+  std::optional<PoseEstimate> then;
   for (const Increment& increment : sim.odometry) {
     tracker.addIncrement(increment);
     if (!then && increment.stamp >= 110) then = tracker.latest();
@@ -168,7 +168,7 @@ TEST(Tracker, BadInputIsRefusedByName) {
   Measurement fix;
   const auto resultOf = [&](const Measurement& m) {
     tracker.addMeasurement(m);
-    const auto outcomes = tracker.takeOutcomes();
+    const auto outcomes = tracker.popOutcomes();
     EXPECT_EQ(outcomes.size(), 1u);
     return outcomes.empty() ? Result::kFused : outcomes[0].result;
   };
@@ -277,7 +277,7 @@ TEST(Tracker, AResultThatALateFixChangesIsToldAgain) {
     fix.covariance = Matrix4d::Identity() * 0.01;
     tracker.addMeasurement(fix);
     std::map<double, std::pair<Result, bool>> told;
-    for (const Outcome& o : tracker.takeOutcomes())
+    for (const Outcome& o : tracker.popOutcomes())
       EXPECT_TRUE(told.emplace(o.measurement.stamp, std::make_pair(o.result, o.revised)).second);
     return told;
   };
@@ -305,14 +305,14 @@ TEST(Tracker, AFixAheadOfTheOdometryWaitsForIt) {
   tracker.addIncrement(sim.odometry[0]);
   Measurement fix = sim.fixes[0];
   tracker.addMeasurement(fix);
-  EXPECT_EQ(tracker.takeOutcomes().size(), 1u);
+  EXPECT_EQ(tracker.popOutcomes().size(), 1u);
   fix.stamp = sim.odometry[9].stamp;
   tracker.addMeasurement(fix);
   for (int i = 1; i < 9; ++i) tracker.addIncrement(sim.odometry[static_cast<std::size_t>(i)]);
-  EXPECT_TRUE(tracker.takeOutcomes().empty());
+  EXPECT_TRUE(tracker.popOutcomes().empty());
   EXPECT_EQ(tracker.waiting(), 1u);
   tracker.addIncrement(sim.odometry[9]);
-  EXPECT_EQ(tracker.takeOutcomes().size(), 2u);  // its own, and of the one that waited for it
+  EXPECT_EQ(tracker.popOutcomes().size(), 2u);  // its own, and of the one that waited for it
   EXPECT_EQ(tracker.latest()->support, 2);
 }
 
@@ -394,7 +394,7 @@ TEST(Tracker, MemoryAndHistoryAreBounded) {
   for (const Increment& increment : sim.odometry) tracker.addIncrement(increment);
   Measurement old = sim.fixes[1];
   tracker.addMeasurement(old);
-  EXPECT_EQ(tracker.takeOutcomes().at(0).result, Result::kTooOld);
+  EXPECT_EQ(tracker.popOutcomes().at(0).result, Result::kTooOld);
   Tracker silent;
   for (int i = 0; i < 3000; ++i) {
     old.stamp = i;

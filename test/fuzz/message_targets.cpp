@@ -372,7 +372,7 @@ void tracking(const Bytes& bytes) {
         sensor_msgs::MagneticField msg;
         msg.header = header;
         for (double* v : {&msg.magnetic_field.x, &msg.magnetic_field.y, &msg.magnetic_field.z}) *v = source.number();
-        if (bridge.takesField(msg))
+        if (bridge.isFieldDue(msg))
           tracker.addMeasurement(bridge.heading(msg, Eigen::Matrix3d::Identity(), Eigen::Matrix3d::Identity()));
       } else {
         tilts.addPose(header.stamp.toSec(), ru::fromMsg(poseFrom(source)));
@@ -380,7 +380,7 @@ void tracking(const Bytes& bytes) {
         if (force.allFinite()) tilts.addSpecificForce(header.stamp.toSec(), force);
       }
     });
-    tracker.takeOutcomes();
+    tracker.popOutcomes();
     if (const auto estimate = tracker.latest()) {
       require(estimate->pose.allFinite() && estimate->covariance.allFinite(), "tracked pose");
       require((estimate->covariance.diagonal().array() > 0).all(), "tracked covariance");

@@ -1,5 +1,5 @@
 // The Kalman filter of paper B, section III, with the odometry's scale and the barometer's offset as further states,
-// and with rival hypotheses from which it starts and recovers. A plain value: copies are snapshots.
+// and with competing hypotheses from which it starts and recovers. A plain value: copies are snapshots.
 #pragma once
 
 #include <optional>
@@ -42,7 +42,7 @@ struct FilterSettings {
   double max_false_start = 1e-5;  ///< probability that fixes which start or replace the state agree by chance
   double wrong_fix_spread = 50;   ///< wrong ones lie anywhere within this radius [m]
   int recovery_fixes = 3;         ///< this many refused fixes that agree with each other replace the filter's state
-  int max_hypotheses = 4;         ///< rivals kept
+  int max_hypotheses = 4;         ///< kept beside the state
 };
 
 /// What a user may set.
@@ -64,11 +64,11 @@ struct Measurement {
 
 enum class Result {
   kFused,
-  kRefusedByGate,  ///< outside the gate (a fix then supports or founds a rival hypothesis)
+  kRefusedByGate,  ///< outside the gate (a fix then supports or founds a hypothesis)
   kWaiting,        ///< a fix kept for the start: nothing is known yet
   kNotStarted,     ///< not a fix, and no state to correct
   kInitialised,    ///< it agrees with one kept before: the filter starts with both
-  kRecovered,      ///< rival fixes agreed and replaced the state
+  kRecovered,      ///< the fixes of a hypothesis agreed and replaced the state
   // Found by Tracker before the filter sees the measurement:
   kInvalid,     ///< not finite, or no positive definite covariance
   kTooOld,      ///< before the buffered history
@@ -126,13 +126,14 @@ class PoseFilter {
   const State& state() const { return *state_; }
   int recoveries() const { return recoveries_; }
   int starts() const { return starts_; }
-  /// Rival hypotheses, and fixes the strongest of them holds.
-  int rivals() const { return static_cast<int>(rivals_.size()); }
-  int strongestRival() const;
+  /// Hypotheses that contradict the state, and fixes the strongest of them holds.
+  int hypotheses() const { return static_cast<int>(hypotheses_.size()); }
+  int strongestHypothesis() const;
 
  private:
-  // A rival lives on the fix that founded it and the odometry since. Its scale is free until two of its fixes give it.
-  struct Rival {
+  // Of where the vehicle is: rests on the fix that founded it and the odometry since. Its scale is free until two of
+  // its fixes give it.
+  struct Hypothesis {
     State state;                 ///< its scale_known is false until a second fix gives the scale
     double log_odds = 0;         ///< that its fixes are right, against that wrong ones agree by chance
     double age = 0;              ///< since the anchor [s]
@@ -152,18 +153,18 @@ class PoseFilter {
   Outcome correctByFix(const Measurement& m);
   static void fuse(State* state, const Measurement& m);
   enum class Solution { kNone, kContradiction, kFound };
-  Solution solveScale(Rival* rival, const Measurement& fix) const;
-  void countAgreement(double log_density, Rival* rival) const;
-  Rival* supporterOf(const Measurement& fix);
-  Rival found(const Measurement& fix) const;
-  Rival* addRival(const Measurement& fix);
-  bool isTrusted(const Rival& rival, bool only_scale) const;
+  Solution solveScale(Hypothesis* h, const Measurement& fix) const;
+  void countAgreement(double log_density, Hypothesis* h) const;
+  Hypothesis* correctBestHypothesis(const Measurement& fix);
+  Hypothesis hypothesisFrom(const Measurement& fix) const;
+  Hypothesis* addHypothesis(const Measurement& fix);
+  bool isTrusted(const Hypothesis& h, bool only_scale) const;
   double priorScaleStddev() const;
 
   FilterSettings settings_;
   double gates_[5] = {};  ///< by degrees of freedom
   std::optional<State> state_;
-  std::vector<Rival> rivals_;
+  std::vector<Hypothesis> hypotheses_;
   bool metric_ = true;
   double scale_stddev_ = 0;
   int recoveries_ = 0, starts_ = 0;

@@ -44,8 +44,8 @@ struct Rate {
 };
 constexpr double kUnknownVariance = 1e6;
 
-/// Estimate for users.
-struct Estimate {
+/// What the tracker publishes.
+struct PoseEstimate {
   double stamp = 0;                  ///< [s]
   Vector4d pose = Vector4d::Zero();  ///< x y z [m], yaw [rad] in `world`
   Matrix4d covariance = Matrix4d::Identity();
@@ -62,17 +62,17 @@ class Tracker {
   /// Odometry, in order. `covariance_replaced`, if given, tells whether the default covariance had to stand in.
   IncrementResult addIncrement(const Increment& increment, bool* covariance_replaced = nullptr);
 
-  /// Any order. What it did is known when the odometry has reached its stamp: see takeOutcomes().
+  /// Any order. What it did is known when the odometry has reached its stamp: see popOutcomes().
   void addMeasurement(const Measurement& measurement);
 
   /// What the measurements decided since the last call did, in the order in which they were decided. One whose result a
   /// late measurement changed comes again, marked as revised: the last word counts.
-  std::vector<Outcome> takeOutcomes();
+  std::vector<Outcome> popOutcomes();
 
   /// At the newest odometry stamp; empty before the start.
-  std::optional<Estimate> latest() const;
+  std::optional<PoseEstimate> latest() const;
   /// At any buffered stamp (interpolated between steps); empty outside the history or before the start.
-  std::optional<Estimate> at(double stamp) const;
+  std::optional<PoseEstimate> at(double stamp) const;
 
   /// Empty before the start.
   std::optional<Rate> rate() const;
@@ -89,8 +89,8 @@ class Tracker {
   struct Kept {
     Measurement measurement;
     double delay = 0;
-    Outcome outcome;             ///< by the filter as it passed
-    std::optional<Result> told;  ///< last result reported
+    Outcome outcome;                 ///< by the filter as it passed
+    std::optional<Result> reported;  ///< last result reported
   };
   struct Step {
     Increment increment;  ///< that led here; of the first step only the stamp counts
@@ -103,7 +103,7 @@ class Tracker {
   void insert(const Kept& kept);
   void replay(std::size_t first);
   void report(const Measurement& m, Result result, double delay);
-  void tellChanges();
+  void reportChanges();
 
   TrackerSettings settings_;
   std::deque<Step> steps_;
