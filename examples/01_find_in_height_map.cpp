@@ -25,9 +25,9 @@ int main(int argc, char** argv) try {
     std::fprintf(stderr, "usage: %s AERIAL.ply GROUND.ply\n", argv[0]);
     return 2;
   }
-  heightmap_mcl::LocalizerSettings settings;
+  heightmap_mcl::HeightMapLocalizerSettings settings;
   settings.min_maps = 1;  // one cloud that holds all the MAV has seen, not one of many
-  heightmap_mcl::Localizer localizer(settings);
+  heightmap_mcl::HeightMapLocalizer localizer(settings);
   if (!localizer.setGround(positions(argv[2]))) {
     std::fprintf(stderr, "%s holds no surface\n", argv[2]);
     return 1;
@@ -40,7 +40,7 @@ int main(int argc, char** argv) try {
       std::fprintf(stderr, "%s holds no surface\n", argv[1]);
       return 1;
     }
-  const heightmap_mcl::Estimate& e = localizer.estimate();
+  const heightmap_mcl::CoarseEstimate& e = localizer.estimate();
   const Eigen::Vector3d p = e.T_ground_mav.translation();
   std::printf("%s %s\n", toString(e.status), e.reason.c_str());
   std::printf("%.4f %.4f %.4f %.4f\n", p.x(), p.y(), p.z(), air_ground_common::yawOf(e.T_ground_mav.linear()));

@@ -37,7 +37,7 @@ cv::Mat picture(const hm::HeightMap& map, float low, float high) {
   return image;
 }
 
-void writePictures(const std::string& prefix, hm::Localizer& localizer, const Eigen::Vector3d& truth) {
+void writePictures(const std::string& prefix, hm::HeightMapLocalizer& localizer, const Eigen::Vector3d& truth) {
   const auto& ground = localizer.groundMap();
   const auto limits = [](const hm::HeightMap& m) {
     float low = 1e9f, high = -1e9f;
@@ -93,7 +93,7 @@ syn::OwnUnit ownUnit(std::uint64_t seed) {
 }
 
 /// Error of an estimate that places clouds in a unit of their own, at the aerial cloud's reference point.
-syn::Error similarityError(const hm::Estimate& e, const syn::OwnUnit& own, const air_ground_common::Pose& truth,
+syn::Error similarityError(const hm::CoarseEstimate& e, const syn::OwnUnit& own, const air_ground_common::Pose& truth,
                            const hm::AerialCloud& cloud) {
   const Eigen::Vector3d raw = own.raw(cloud).reference;
   const Eigen::Vector3d d = e.similarityPose() * (e.scale * raw) - truth * cloud.reference;
@@ -108,7 +108,7 @@ int main(int argc, char** argv) {
   CLI::App app("Statistics of the height-map Monte Carlo localization on synthetic worlds");
   int first_seed = 1001, runs = 41, maps = 12;
   std::string world = "boxes", csv, pictures;
-  hm::LocalizerSettings s;
+  hm::HeightMapLocalizerSettings s;
   syn::Options options;
   double known_heading_deg = -1;
   std::string dilation = "all";
@@ -201,7 +201,7 @@ int main(int argc, char** argv) {
     options.seed = first_seed + run_index;
     const auto run = syn::makeRun(options);
     s.seed = options.seed;
-    hm::Localizer localizer(s);
+    hm::HeightMapLocalizer localizer(s);
     hm::Prior prior;
     if (region > 0) {
       prior.position = run.T_ground_robot.translation().head<2>();

@@ -8,7 +8,7 @@
 
 namespace heightmap_mcl {
 
-void Localizer::updateFloor() {
+void HeightMapLocalizer::updateFloor() {
   constexpr std::size_t kMost = 4;
   floor_ = std::numeric_limits<double>::quiet_NaN();
   floor_rivals_.clear();
@@ -28,12 +28,12 @@ void Localizer::updateFloor() {
   floor_ = floors[best];
 }
 
-HeightMap Localizer::lastMaps(int count) const {
+HeightMap HeightMapLocalizer::lastMaps(int count) const {
   HeightMap map = merge(keptMaps(count), settings_.merge);
   return std::isnan(floor_) ? map : withFloor(std::move(map), floor_);
 }
 
-double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
+double HeightMapLocalizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   // What both are charged for unknown cells says nothing about either.
   const double cost = best.cost + settings_.noise_cost;
   const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
@@ -45,21 +45,21 @@ double Localizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
   return std::min(by_score, std::exp(2 * (evidence(best) - evidence(other)) / independent));
 }
 
-Candidate Localizer::bestPlacement(const HeightMap& map) const {
+Candidate HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
   const AerialCells cells = cellsOf(map, centerOf(map));
   const CostSettings cost = costFor(map);
   return bestOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
                       settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
 }
 
-double Localizer::evidence(const Zmssd& z) const {
+double HeightMapLocalizer::evidence(const Zmssd& z) const {
   if (!std::isfinite(z.cost)) return 0;
   const double unexplained = 2 * (z.cost + settings_.noise_cost) / z.variance;
   return std::max(0.0, -0.5 * z.overlap / settings_.cells_per_independent * std::log(unexplained));
 }
 
-void Localizer::gatherEvidence() {
-  const LocalizerSettings& s = settings_;
+void HeightMapLocalizer::gatherEvidence() {
+  const HeightMapLocalizerSettings& s = settings_;
   const bool told_apart = estimate_.relief >= s.min_relief && estimate_.probe_ratio >= s.probe_ratio &&
                           estimate_.rival_ratio >= s.ambiguity_ratio && estimate_.explained >= s.min_explained;
   const auto place = [this](const air_ground_common::Pose& T) {

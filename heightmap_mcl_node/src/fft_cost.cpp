@@ -213,7 +213,7 @@ struct FftCost::Impl {
     return size;
   }
 
-  std::unique_ptr<Workspace> take(Size& size) {
+  std::unique_ptr<Workspace> acquire(Size& size) {
     {
       const std::lock_guard<std::mutex> lock(mutex);
       if (!size.idle.empty()) {
@@ -225,7 +225,7 @@ struct FftCost::Impl {
     return std::make_unique<Workspace>(size.plans);
   }
 
-  void give(Size& size, std::unique_ptr<Workspace> workspace) {
+  void release(Size& size, std::unique_ptr<Workspace> workspace) {
     const std::lock_guard<std::mutex> lock(mutex);
     size.idle.push_back(std::move(workspace));
   }
@@ -292,7 +292,7 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
   }
   const auto size = impl_->sizeFor(paddedSize(result.height), paddedSize(result.width));
   const Plans& plans = size->plans;
-  auto workspace = impl_->take(*size);
+  auto workspace = impl_->acquire(*size);
   impl_->sums(air, *size, *workspace);
 
   // Negative offsets wrap to the far end of the padded grid.
@@ -313,7 +313,7 @@ CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSetti
     segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);
     segment(line, ground.width, out + negative);
   }
-  impl_->give(*size, std::move(workspace));
+  impl_->release(*size, std::move(workspace));
   return result;
 }
 

@@ -171,7 +171,7 @@ class HeightmapMclNode {
   }
 
   void publish(const Work& work) {
-    const Estimate& e = localizer_.estimate();
+    const CoarseEstimate& e = localizer_.estimate();
     std_msgs::Header header;
     header.frame_id = work.ground_frame;
     header.stamp = aerial_stamp_;
@@ -226,7 +226,7 @@ class HeightmapMclNode {
   std::optional<CompassInput> compass_;
 
   // The worker's own.
-  Localizer localizer_;
+  HeightMapLocalizer localizer_;
   bool heading_known_ = false;  // by the compass
   bool guessed_ = false;        // initialpose is in force
   ros::Time aerial_stamp_, ground_stamp_;

@@ -161,7 +161,7 @@ std::optional<Work> Inbox::next() {
     Work work;
     work.command = std::exchange(command_, {});
     work.ground = std::exchange(ground_, nullptr);
-    if (cloudReady()) takeCloud(work);
+    if (cloudReady()) popCloud(work);
     if (!work.aerial && !work.ground && !work.command.any()) continue;
     work.map_id = mav_.map().id().value_or(0);
     work.own_unit = mav_.map().ownUnit();
@@ -171,7 +171,7 @@ std::optional<Work> Inbox::next() {
   }
 }
 
-void Inbox::takeCloud(Work& work) {
+void Inbox::popCloud(Work& work) {
   work.aerial = clouds_.front().cloud;
   clouds_.pop_front();
   const double stamp = work.aerial->header.stamp.toSec();

@@ -86,7 +86,7 @@ class Inbox {
   void endSearch();
   bool pending() const;
   bool cloudReady() const;
-  void takeCloud(Work& work);
+  void popCloud(Work& work);
 
   const NodeSettings settings_;
   air_ground_common::ros_utils::NodeHealth& health_;

@@ -20,19 +20,20 @@ double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(
 
 }  // namespace
 
-Localizer::Localizer(const LocalizerSettings& settings) : settings_(settings), filter_(settings.filter, settings.seed) {
+HeightMapLocalizer::HeightMapLocalizer(const HeightMapLocalizerSettings& settings)
+    : settings_(settings), filter_(settings.filter, settings.seed) {
   validate(settings_);
   restart(true);
 }
-Localizer::~Localizer() = default;
+HeightMapLocalizer::~HeightMapLocalizer() = default;
 
-air_ground_common::Pose Estimate::similarityPose() const {
+air_ground_common::Pose CoarseEstimate::similarityPose() const {
   air_ground_common::Pose T = T_ground_mav;
   T.linear() = T_ground_mav.linear() * R_level;
   return T;
 }
 
-void Localizer::forgetGround() {
+void HeightMapLocalizer::forgetGround() {
   ground_ = HeightMap();
   ground_levels_.clear();
   direct_.reset();
@@ -41,7 +42,7 @@ void Localizer::forgetGround() {
   restart(false);
 }
 
-void Localizer::restart(bool forget_aerial) {
+void HeightMapLocalizer::restart(bool forget_aerial) {
   filter_.clear();
   maps_ = 0;
   restarts_ = 0;
@@ -62,7 +63,7 @@ void Localizer::restart(bool forget_aerial) {
   updateEstimate();
 }
 
-void Localizer::drawFromKeptMaps() {
+void HeightMapLocalizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(aerial_.size());
   if (scale_stddev_ == 0) updateScale();
@@ -71,7 +72,7 @@ void Localizer::drawFromKeptMaps() {
   filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, lastReference());
 }
 
-bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
+bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
   HeightMap map = buildHeightMap(points, settings_.ground_map, cropped);
   if (map.empty()) {
     forgetGround();
@@ -92,7 +93,7 @@ bool Localizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_
   return true;
 }
 
-bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
+bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
   if (cropped) *cropped = 0;
   if (!cloud.reference.allFinite()) return false;
   // A cloud that shows a table alone has the floor of those before it.
@@ -121,14 +122,14 @@ bool Localizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
   return true;
 }
 
-std::vector<const HeightMap*> Localizer::keptMaps(int count) const {
+std::vector<const HeightMap*> HeightMapLocalizer::keptMaps(int count) const {
   std::vector<const HeightMap*> maps;
   const int n = static_cast<int>(aerial_.size());
   for (int i = std::max(0, n - count); i < n; ++i) maps.push_back(&aerial_[i].map);
   return maps;
 }
 
-CostSettings Localizer::costFor(const HeightMap& air) const {
+CostSettings HeightMapLocalizer::costFor(const HeightMap& air) const {
   // Of unrelated heights, eq. 2 is on average half the sum of both variances.
   const double unrelated = 0.5 * (std::pow(heightDeviation(air), 2) + ground_variance_);
   // The paper's share is of one cloud: what other clouds saw elsewhere takes nothing from what this one shares.
@@ -139,17 +140,17 @@ CostSettings Localizer::costFor(const HeightMap& air) const {
           settings_.min_explained, settings_.min_relief, settings_.overlap_of_air};
 }
 
-AerialCells Localizer::cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const {
+AerialCells HeightMapLocalizer::cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const {
   return aerialCells(air, reference, static_cast<int>(std::lround(settings_.edge_width / air.resolution)));
 }
 
-CostVolume Localizer::coarseVolume(const HeightMap& map) const {
+CostVolume HeightMapLocalizer::coarseVolume(const HeightMap& map) const {
   const auto headings = searchHeadings(settings_.headings, prior_);
   const bool circular = static_cast<int>(headings.size()) == settings_.headings;
   return computeCostVolume(*coarse_fft_, downsample(map, settings_.coarse_factor), headings, circular, costFor(map));
 }
 
-void Localizer::updateFilter() {
+void HeightMapLocalizer::updateFilter() {
   const Eigen::Vector2d reference = lastReference();
   ++maps_;
   if (filter_.initialized()) {
@@ -165,8 +166,8 @@ void Localizer::updateFilter() {
   if (!filter_.initialize(coarseVolume(filter_map_), prior_, reference)) maps_ = 0;
 }
 
-void Localizer::updateEstimate() {
-  estimate_ = Estimate();
+void HeightMapLocalizer::updateEstimate() {
+  estimate_ = CoarseEstimate();
   estimate_.scale = scale_;
   estimate_.scale_stddev = scale_stddev_;
   estimate_.R_level = R_level_;
@@ -207,7 +208,7 @@ void Localizer::updateEstimate() {
 
 /// The best of all places, its rivals and the verdict on it. Sought about the merged maps' centre, compared and judged
 /// about that of the overlap, where heading and position hardly interact.
-void Localizer::estimateFromPlaces(const ParticleMode& mode) {
+void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
   const HeightMap verify_map = lastMaps(settings_.verify);
   AerialCells cells = cellsOf(verify_map, centerOf(verify_map));
   const CostSettings cost = costFor(verify_map);
@@ -259,15 +260,15 @@ void Localizer::estimateFromPlaces(const ParticleMode& mode) {
 }
 
 /// In the aerial frame.
-Eigen::Vector2d Localizer::overlapCenter(const AerialCells& cells, const PlanarPose& pose) const {
+Eigen::Vector2d HeightMapLocalizer::overlapCenter(const AerialCells& cells, const PlanarPose& pose) const {
   const Eigen::Vector2d center = direct_->overlapAt(cells, pose).center;
   return cells.reference + Eigen::Rotation2Dd(-pose.yaw) * (center - Eigen::Vector2d(pose.x, pose.y));
 }
 
 /// The lowest places of the full search beside the particles' mode. Where one fits better than that, it is the
 /// estimate, and the particles have yet to follow.
-std::vector<Candidate> Localizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
-                                             const CostSettings& cost, const Candidate& mode) const {
+std::vector<Candidate> HeightMapLocalizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
+                                                      const CostSettings& cost, const Candidate& mode) const {
   const auto starts = findLocalMinima(volume, 8, settings_.rival_distance, settings_.rival_angle);
   std::vector<Candidate> places(starts.size());
   const double coarse_cell = settings_.coarse_factor * ground_.resolution;
@@ -285,13 +286,13 @@ std::vector<Candidate> Localizer::findPlaces(const CostVolume& volume, const Aer
   return places;
 }
 
-bool Localizer::isSame(const Candidate& a, const Candidate& b) const {
+bool HeightMapLocalizer::isSame(const Candidate& a, const Candidate& b) const {
   return separation(a.pose, b.pose) < settings_.rival_distance &&
          std::abs(wrapAngle(a.pose.yaw - b.pose.yaw)) < settings_.rival_angle;
 }
 
 /// Sets rival_ratio and evidence_lead; returns the best rival, without a finite cost where there is none.
-Candidate Localizer::compareWithRivals(const Candidate& best, const std::vector<Candidate>& places) {
+Candidate HeightMapLocalizer::compareWithRivals(const Candidate& best, const std::vector<Candidate>& places) {
   Candidate rival;
   estimate_.rival_ratio = kInfinity;
   estimate_.evidence_lead = evidence(best.zmssd);
@@ -307,7 +308,7 @@ Candidate Localizer::compareWithRivals(const Candidate& best, const std::vector<
   return rival;
 }
 
-CostMap Localizer::costMap(Eigen::Vector2d* pivot) {
+CostMap HeightMapLocalizer::costMap(Eigen::Vector2d* pivot) {
   if (!hasGround() || filter_map_.empty()) return {};
   if (!full_fft_) full_fft_ = std::make_unique<FftCost>(ground_);
   const double yaw = air_ground_common::yawOf(estimate_.T_ground_mav.rotation());

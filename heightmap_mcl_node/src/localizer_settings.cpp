@@ -26,7 +26,7 @@ void describeMap(air_ground_common::ParameterVisitor& v, const std::string& grou
 
 }  // namespace
 
-void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& s) {
+void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings& s) {
   v.choice(
       "mode", s.mode, {{"search", Mode::kSearch}, {"paper", Mode::kPaper}},
       "search: every cloud is searched for in the whole map, and the particles say when to believe it. paper: the "
@@ -141,7 +141,7 @@ const char* toString(Status status) {
   return "";
 }
 
-void validate(const LocalizerSettings& s) {
+void validate(const HeightMapLocalizerSettings& s) {
   const auto require = [](bool ok, const std::string& text) {
     if (!ok) throw std::invalid_argument("localizer settings: " + text);
   };
@@ -157,7 +157,7 @@ void validate(const LocalizerSettings& s) {
   require(s.verify >= s.accumulate, "verify must not be less than accumulate");
 }
 
-LocalizerSettings paperSettings(LocalizerSettings s) {
+HeightMapLocalizerSettings paperSettings(HeightMapLocalizerSettings s) {
   s.mode = Mode::kPaper;
   s.accumulate = s.verify = 1;
   s.merge = Merge::kHighest;

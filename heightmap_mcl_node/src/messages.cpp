@@ -53,7 +53,7 @@ nav_msgs::OccupancyGrid toMsg(const CostMap& map, const Eigen::Vector2d& shift, 
   return msg;
 }
 
-AlignmentEstimate toMsg(const Estimate& e, const std_msgs::Header& header, const std::string& mav_frame,
+AlignmentEstimate toMsg(const CoarseEstimate& e, const std_msgs::Header& header, const std::string& mav_frame,
                         std::uint32_t map_id) {
   AlignmentEstimate msg;
   msg.header = header;

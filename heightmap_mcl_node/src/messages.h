@@ -15,7 +15,7 @@ air_ground::HeightMap toMsg(const HeightMap& map, const std_msgs::Header& header
 /// A cost as occupancy: 0 best, 100 worst, -1 too little overlap. The square root spreads the low end.
 nav_msgs::OccupancyGrid toMsg(const CostMap& map, const Eigen::Vector2d& shift, const std_msgs::Header& header);
 
-air_ground::AlignmentEstimate toMsg(const Estimate& estimate, const std_msgs::Header& header,
+air_ground::AlignmentEstimate toMsg(const CoarseEstimate& estimate, const std_msgs::Header& header,
                                     const std::string& mav_frame, std::uint32_t map_id);
 
 /// The particles as poses of the MAV at height `z`; `heading`: of the MAV in its own map [rad].

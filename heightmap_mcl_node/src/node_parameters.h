@@ -10,7 +10,7 @@ namespace heightmap_mcl {
 struct NodeSettings {
   NodeSettings() { prior.yaw_sigma = 0.17; }
 
-  LocalizerSettings localizer;
+  HeightMapLocalizerSettings localizer;
   Prior prior;           ///< empty when the heading is searched
   bool compass = false;  ///< the heading is that of two magnetometers, prior.yaw_sigma their common error
   std::string ground_map_frame, mav_map_frame, visual_map_frame = "mav_visual_map";

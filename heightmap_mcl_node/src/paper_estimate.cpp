@@ -6,8 +6,8 @@
 
 namespace heightmap_mcl {
 
-void Localizer::estimateFromParticles() {
-  Estimate& e = estimate_;
+void HeightMapLocalizer::estimateFromParticles() {
+  CoarseEstimate& e = estimate_;
   const AerialCells cells = aerialCells(filter_map_, filter_.reference());
   const Zmssd at_mean = (*direct_)(cells, e.particle_mean, costFor(filter_map_));
   if (weighed_) filter_.resample(nullptr, prior_);
@@ -24,7 +24,7 @@ void Localizer::estimateFromParticles() {
   e.explained = at_mean.explained;
   e.relief = std::min(at_mean.relief_air, at_mean.relief_ground);
   e.reference_point = {e.particle_mean.x, e.particle_mean.y, cells.mean_height + at_mean.dz};
-  const LocalizerSettings& s = settings_;
+  const HeightMapLocalizerSettings& s = settings_;
   if (e.maps < s.min_maps || e.particle_spread > s.max_spread || e.particle_spread_yaw > s.max_spread_yaw) {
     e.reason = "the particles have not gathered yet";
     return;

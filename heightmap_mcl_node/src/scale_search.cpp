@@ -11,13 +11,13 @@
 namespace heightmap_mcl {
 
 /// The kept clouds together, level, thinned.
-struct Localizer::RawCloud {
+struct HeightMapLocalizer::RawCloud {
   std::vector<Eigen::Vector3f> points;
   Eigen::Vector2d centre = Eigen::Vector2d::Zero();
   double extent = 0;  // longer edge in plan
 };
 
-struct Localizer::ScaleTrial {
+struct HeightMapLocalizer::ScaleTrial {
   double scale = 1;
   Candidate best;  // of scale * centre
   ScaleBackground background;
@@ -129,7 +129,7 @@ double rootMeanSquareRadius(const HeightMap& map, const Eigen::Vector2d& centre)
 
 }  // namespace
 
-std::vector<Eigen::Vector3f> Localizer::kept(const std::vector<Eigen::Vector3f>& points) const {
+std::vector<Eigen::Vector3f> HeightMapLocalizer::kept(const std::vector<Eigen::Vector3f>& points) const {
   constexpr std::size_t kMostKept = 40000;
   const std::size_t step = (points.size() + kMostKept - 1) / kMostKept;
   std::vector<Eigen::Vector3f> some;
@@ -137,14 +137,14 @@ std::vector<Eigen::Vector3f> Localizer::kept(const std::vector<Eigen::Vector3f>&
   return some;
 }
 
-void Localizer::setOwnUnit(bool own_unit) {
+void HeightMapLocalizer::setOwnUnit(bool own_unit) {
   if (own_unit == own_unit_) return;
   own_unit_ = own_unit;
   restart(true);
 }
 
-HeightMap Localizer::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
-                           std::size_t* cropped) const {
+HeightMap HeightMapLocalizer::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
+                                    std::size_t* cropped) const {
   if (!own_unit_) return buildHeightMap(points, settings_.air_map, cropped, &earlier);
   const Eigen::Matrix3f S = (scale_ * R_level_).cast<float>();
   std::vector<Eigen::Vector3f> metric;
@@ -153,7 +153,7 @@ HeightMap Localizer::mapOf(const std::vector<Eigen::Vector3f>& points, const Lev
   return buildHeightMap(metric, settings_.air_map, cropped, &earlier);
 }
 
-void Localizer::remakeKeptMaps() {
+void HeightMapLocalizer::remakeKeptMaps() {
   LevelHistogram levels;
   for (Kept& kept : aerial_) {
     kept.map = mapOf(kept.points, levels);
@@ -161,7 +161,7 @@ void Localizer::remakeKeptMaps() {
   }
 }
 
-Localizer::RawCloud Localizer::rawCloud(std::size_t most) const {
+HeightMapLocalizer::RawCloud HeightMapLocalizer::rawCloud(std::size_t most) const {
   std::size_t count = 0;
   for (const Kept& kept : aerial_) count += kept.points.size();
   const std::size_t step = std::max<std::size_t>(1, (count + most - 1) / most);
@@ -186,7 +186,7 @@ Localizer::RawCloud Localizer::rawCloud(std::size_t most) const {
   return raw;
 }
 
-Localizer::GroundLevel& Localizer::groundLevel(int factor) {
+HeightMapLocalizer::GroundLevel& HeightMapLocalizer::groundLevel(int factor) {
   auto& level = ground_levels_[factor];
   if (!level) {
     level = std::make_unique<GroundLevel>();
@@ -197,8 +197,8 @@ Localizer::GroundLevel& Localizer::groundLevel(int factor) {
 }
 
 /// The best placement over all headings and offsets, and what others cost.
-Localizer::ScaleTrial Localizer::placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre,
-                                               GroundLevel& ground) {
+HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre,
+                                                                 GroundLevel& ground) {
   ScaleTrial trial;
   const AerialCells cells = aerialCells(map, centre);
   const CostSettings cost = costFor(map);
@@ -212,8 +212,9 @@ Localizer::ScaleTrial Localizer::placeAnywhere(const HeightMap& map, const Eigen
   return trial;
 }
 
-Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
-                                          const ScaleBackground& background) {
+HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const RawCloud& raw, int cells_across,
+                                                            const PlanarPose* start,
+                                                            const ScaleBackground& background) {
   ScaleTrial trial;
   trial.scale = scale;
   const double fine = settings_.air_map.resolution;
@@ -269,7 +270,7 @@ Localizer::ScaleTrial Localizer::tryScale(double scale, const RawCloud& raw, int
 }
 
 /// `curvature`: of the cost by the logarithm of the scale.
-void Localizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature) {
+void HeightMapLocalizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature) {
   const ScaleBackground background = trial->background;
   *trial = tryScale(trial->scale, raw, kFineCells, &trial->best.pose, background);
   *curvature = 0;
@@ -291,7 +292,7 @@ void Localizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step,
 
 /// With the maps' own cells. Larger ones widen each face by half a cell towards where it was seen from, and what lies
 /// behind it is a hole: far faces move inwards, near ones do not, and the best scale came out 2 % too small.
-void Localizer::settleScale(ScaleTrial* trial, double* curvature) {
+void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
   RawCloud raw = rawCloud(kMostFullPoints);
   const ScaleBackground background = trial->background;
   const auto at = [&](double scale) { return tryScale(scale, raw, kFullCells, &trial->best.pose, background); };
@@ -324,14 +325,14 @@ void Localizer::settleScale(ScaleTrial* trial, double* curvature) {
 
 /// Relative. What the heights fix, and that both maps round edges in a way that more of them do not average out: a
 /// face is as thick in the ground map as its depths scatter and cells are wide, towards where it was seen from.
-double Localizer::scaleDeviation(const ScaleTrial& trial, double curvature) const {
+double HeightMapLocalizer::scaleDeviation(const ScaleTrial& trial, double curvature) const {
   // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
   const double information = trial.independent * curvature / (2 * (trial.best.zmssd.cost + settings_.noise_cost));
   constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
   return std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kEdge / std::max(trial.radius, kEdge));
 }
 
-bool Localizer::updateLevel() {
+bool HeightMapLocalizer::updateLevel() {
   if (settings_.max_tilt <= 0) return false;
   std::vector<Eigen::Vector3f> all;
   for (const Kept& kept : aerial_) all.insert(all.end(), kept.points.begin(), kept.points.end());
@@ -343,7 +344,7 @@ bool Localizer::updateLevel() {
   return true;
 }
 
-void Localizer::updateScale() {
+void HeightMapLocalizer::updateScale() {
   if (!own_unit_ || !hasGround() || aerial_.empty()) return;
   const double scale_before = scale_;
   const bool levelled = updateLevel();
@@ -355,7 +356,7 @@ void Localizer::updateScale() {
 
 /// The whole grid, less and less often, or what is around the last grid's best ones. Scales at which the aerial map
 /// would dwarf the ground map are left out: nothing could prove them right.
-std::vector<double> Localizer::scalesToTry(double extent) {
+std::vector<double> HeightMapLocalizer::scalesToTry(double extent) {
   const double largest =
       kLargest * std::max(ground_.width, ground_.height) * ground_.resolution / std::max(extent, 1e-9);
   std::vector<double> scales;
@@ -375,7 +376,7 @@ std::vector<double> Localizer::scalesToTry(double extent) {
   return scales;
 }
 
-void Localizer::searchScales() {
+void HeightMapLocalizer::searchScales() {
   const RawCloud raw = rawCloud(kMostPoints);
   if (raw.points.empty() || !(raw.extent > 0)) return;
   ScaleTrial best;

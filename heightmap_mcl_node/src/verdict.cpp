@@ -62,10 +62,10 @@ Eigen::Matrix3d carriedBy(const Eigen::Vector2d& lever) {
 
 }  // namespace
 
-Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
-                                 bool particles_agree) {
-  const LocalizerSettings& s = settings_;
-  Estimate& e = estimate_;
+Eigen::Vector3d HeightMapLocalizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
+                                          bool particles_agree) {
+  const HeightMapLocalizerSettings& s = settings_;
+  CoarseEstimate& e = estimate_;
   e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
   e.explained = best.zmssd.explained;
 
@@ -120,10 +120,11 @@ Eigen::Vector3d Localizer::judge(const Candidate& best, const AerialCells& cells
   return weakest;
 }
 
-void Localizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
-                              const CostSettings& cost, const ParticleMode& mode, const Eigen::Vector3d& flattest) {
-  const LocalizerSettings& s = settings_;
-  Estimate& e = estimate_;
+void HeightMapLocalizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
+                                       const CostSettings& cost, const ParticleMode& mode,
+                                       const Eigen::Vector3d& flattest) {
+  const HeightMapLocalizerSettings& s = settings_;
+  CoarseEstimate& e = estimate_;
   // Height of the overlap's middle: the aerial maps' mean, lifted.
   e.reference_point = {best.pose.x, best.pose.y, cells.mean_height + best.zmssd.dz};
   if (e.status == Status::kSearching) return;  // the covariance of not knowing, as it was set up

@@ -34,13 +34,13 @@ Eigen::Vector2d meanOf(const ParticleFilter& filter) {
 }
 
 struct Outcome {
-  Estimate last;
+  CoarseEstimate last;
   synthetic::Error error;
   int converged = 0, wrong = 0, first_converged = -1;
   std::vector<Status> statuses;
 };
 
-Outcome play(const synthetic::Run& run, Localizer& localizer) {
+Outcome play(const synthetic::Run& run, HeightMapLocalizer& localizer) {
   Outcome outcome;
   localizer.setGround(run.ground);
   for (std::size_t k = 0; k < run.aerial.size(); ++k) {
@@ -122,7 +122,7 @@ TEST_P(Boxes, ConvergesWithoutAGuessAndIsNeverWronglySure) {
   options.seed = GetParam();
   options.aerial_clouds = 8;
   const auto run = synthetic::makeRun(options);
-  Localizer localizer({});
+  HeightMapLocalizer localizer({});
   const auto outcome = play(run, localizer);
   EXPECT_EQ(outcome.wrong, 0);
   EXPECT_EQ(outcome.last.status, Status::kConverged) << outcome.last.reason;
@@ -142,7 +142,7 @@ double floorOf(const AerialCloud& cloud) {
 }
 
 /// A flight from elsewhere and back: three clouds of other ground, those of the run, four of other ground.
-TEST(Localizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
+TEST(HeightMapLocalizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
   synthetic::Options options;
   options.seed = 21;
   options.aerial_clouds = 4;
@@ -151,11 +151,11 @@ TEST(Localizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
   options.aerial_clouds = 1;
   const AerialCloud elsewhere = synthetic::makeRun(options).aerial[0];
 
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.air_map.resolution = settings.ground_map.resolution = 0.05;
   settings.cells_per_independent *= std::pow(0.02 / 0.05, 2);
   settings.coarse_factor = 2;
-  Localizer localizer(settings);
+  HeightMapLocalizer localizer(settings);
   ASSERT_TRUE(localizer.setGround(run.ground));
   const auto addElsewhere = [&](int k) {
     Eigen::Vector3d shift = run.aerial[0].reference - elsewhere.reference +
@@ -172,7 +172,7 @@ TEST(Localizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
   }
   for (std::size_t k = 0; k < run.aerial.size(); ++k) {
     ASSERT_TRUE(localizer.addAerial(run.aerial[k]));
-    const Estimate& e = localizer.estimate();
+    const CoarseEstimate& e = localizer.estimate();
     const auto error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav[k], run.aerial[k].reference);
     std::printf("cloud %zu: %s, %.3f m, overlap %.2f; %s\n", k, toString(e.status), error.position, e.overlap,
                 e.reason.c_str());
@@ -187,12 +187,12 @@ TEST(Localizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
   }
 }
 
-TEST(Localizer, KnownHeadingIsUsed) {
+TEST(HeightMapLocalizer, KnownHeadingIsUsed) {
   synthetic::Options options;
   options.seed = 504;
   options.aerial_clouds = 5;
   const auto run = synthetic::makeRun(options);
-  Localizer localizer({});
+  HeightMapLocalizer localizer({});
   Prior prior;
   prior.yaw = yawOf(run.T_ground_mav[0].rotation()) + 0.05;
   prior.yaw_sigma = 0.1;
@@ -202,12 +202,12 @@ TEST(Localizer, KnownHeadingIsUsed) {
   EXPECT_LT(outcome.error.position, 0.2);
   // A wrong heading that excludes the truth must not be sold as a solution.
   prior.yaw = *prior.yaw + M_PI;
-  Localizer misled({});
+  HeightMapLocalizer misled({});
   misled.setPrior(prior);
   EXPECT_EQ(play(run, misled).converged, 0);
 }
 
-TEST(Localizer, RoomWithWallsIsAligned) {
+TEST(HeightMapLocalizer, RoomWithWallsIsAligned) {
   // Walls of 2.5 m that each view cuts elsewhere, tables seen from below, a ceiling: the paper's highest points fail.
   synthetic::Options options;
   options.world = synthetic::World::kRoom;
@@ -216,7 +216,7 @@ TEST(Localizer, RoomWithWallsIsAligned) {
   for (int seed : {201, 202, 203}) {
     options.seed = seed;
     const auto run = synthetic::makeRun(options);
-    Localizer localizer({});
+    HeightMapLocalizer localizer({});
     const auto outcome = play(run, localizer);
     EXPECT_EQ(outcome.wrong, 0) << "seed " << seed;
     right += outcome.error.position < 0.25 && outcome.error.yaw < 5 * M_PI / 180;
@@ -224,15 +224,15 @@ TEST(Localizer, RoomWithWallsIsAligned) {
   EXPECT_GE(right, 2);
 }
 
-TEST(Localizer, ThePapersFilterGathersAtTheTruth) {
+TEST(HeightMapLocalizer, ThePapersFilterGathersAtTheTruth) {
   synthetic::Options options;
   options.seed = 503;
   options.aerial_clouds = 8;
   const auto run = synthetic::makeRun(options);
-  LocalizerSettings settings = paperSettings({});
+  HeightMapLocalizerSettings settings = paperSettings({});
   EXPECT_EQ(settings.filter.sampling_sigma, 0.08);
   settings.filter.sampling_sigma = settings.filter.weight_sigma = 0.004;  // the paper's is too wide without the heading
-  Localizer localizer(settings);
+  HeightMapLocalizer localizer(settings);
   Prior prior;
   prior.yaw = yawOf(run.T_ground_mav[0].rotation());
   prior.yaw_sigma = 0.05;
@@ -249,13 +249,13 @@ TEST(Localizer, ThePapersFilterGathersAtTheTruth) {
   EXPECT_NEAR(mav.y(), outcome.last.particle_mean.y, 1e-6);
 }
 
-TEST(Localizer, FlatFloorIsDegenerate) {
+TEST(HeightMapLocalizer, FlatFloorIsDegenerate) {
   synthetic::Options options;
   options.world = synthetic::World::kFlatFloor;
   options.aerial_clouds = 5;
   for (int seed : {1, 2}) {
     options.seed = seed;
-    Localizer localizer({});
+    HeightMapLocalizer localizer({});
     const auto outcome = play(synthetic::makeRun(options), localizer);
     EXPECT_EQ(outcome.converged, 0);
     EXPECT_EQ(outcome.last.status, Status::kDegenerate) << outcome.last.reason;
@@ -268,7 +268,7 @@ TEST(Localizer, FlatFloorIsDegenerate) {
   }
 }
 
-TEST(Localizer, EndlessRidgeIsNeverConverged) {
+TEST(HeightMapLocalizer, EndlessRidgeIsNeverConverged) {
   synthetic::Options options;
   options.world = synthetic::World::kRidge;
   options.aerial_clouds = 5;
@@ -276,15 +276,15 @@ TEST(Localizer, EndlessRidgeIsNeverConverged) {
   // another.
   for (int seed : {3, 37}) {
     options.seed = seed;
-    LocalizerSettings settings;
+    HeightMapLocalizerSettings settings;
     settings.seed = options.seed;
-    Localizer localizer(settings);
+    HeightMapLocalizer localizer(settings);
     const auto outcome = play(synthetic::makeRun(options), localizer);
     EXPECT_EQ(outcome.converged, 0) << "seed " << seed;
   }
 }
 
-TEST(Localizer, BareFloorIsNoRivalOfStructure) {
+TEST(HeightMapLocalizer, BareFloorIsNoRivalOfStructure) {
   // A ground robot that has seen little: the front faces of some boxes and the floor before them. Anywhere on the wide
   // bare floor about the boxes eq. 2 is low, since most of what the ground map shows is floor.
   struct Box {
@@ -309,9 +309,9 @@ TEST(Localizer, BareFloorIsNoRivalOfStructure) {
     }
   }
   // By the heights of fronts alone: as bounds, they leave this little map DEGENERATE.
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.air_map.tops = settings.ground_map.tops = Tops::kHighest;
-  Localizer localizer(settings);
+  HeightMapLocalizer localizer(settings);
   localizer.setGround(ground);
   for (int k = 0; k < 6; ++k) {
     air.reference = {0.3 * k, 0.1 * k, 2};
@@ -323,13 +323,13 @@ TEST(Localizer, BareFloorIsNoRivalOfStructure) {
   EXPECT_GT(e.rival_ratio, 1.5);
 }
 
-TEST(Localizer, IdenticalBoxesAreAmbiguous) {
+TEST(HeightMapLocalizer, IdenticalBoxesAreAmbiguous) {
   synthetic::Options options;
   options.world = synthetic::World::kIdenticalBoxes;
   options.aerial_clouds = 6;
   for (int seed : {1, 2}) {
     options.seed = seed;
-    Localizer localizer({});
+    HeightMapLocalizer localizer({});
     const auto outcome = play(synthetic::makeRun(options), localizer);
     EXPECT_EQ(outcome.converged, 0);
     EXPECT_EQ(outcome.last.status, Status::kAmbiguous) << outcome.last.reason;
@@ -343,12 +343,12 @@ TEST(Localizer, IdenticalBoxesAreAmbiguous) {
   }
 }
 
-TEST(Localizer, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
+TEST(HeightMapLocalizer, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
   synthetic::Options options;
   options.seed = 505;
   options.aerial_clouds = 4;
   const auto run = synthetic::makeRun(options);
-  Localizer localizer({});
+  HeightMapLocalizer localizer({});
   EXPECT_FALSE(localizer.estimate().has_pose);
   EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
   for (const auto& cloud : run.aerial) localizer.addAerial(cloud);
@@ -367,8 +367,8 @@ TEST(Localizer, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
   EXPECT_NE(localizer.estimate().reason.find("aerial"), std::string::npos);
 }
 
-TEST(Localizer, BadCloudsChangeNothing) {
-  Localizer localizer({});
+TEST(HeightMapLocalizer, BadCloudsChangeNothing) {
+  HeightMapLocalizer localizer({});
   const float nan = std::nanf("");
   EXPECT_FALSE(localizer.addAerial({}));
   EXPECT_FALSE(localizer.addAerial({{{nan, nan, nan}}, Eigen::Vector3d::Zero()}));
@@ -376,22 +376,22 @@ TEST(Localizer, BadCloudsChangeNothing) {
   EXPECT_FALSE(localizer.hasAerial());
 }
 
-TEST(Localizer, AGroundMapWithoutACellIsForgottenWhole) {
+TEST(HeightMapLocalizer, AGroundMapWithoutACellIsForgottenWhole) {
   synthetic::Options options;
   options.seed = 505;
   options.aerial_clouds = 2;
   const auto run = synthetic::makeRun(options);
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.ground_map.min_points = 2;
-  Localizer localizer(settings);
+  HeightMapLocalizer localizer(settings);
   EXPECT_FALSE(localizer.setGround({{0, 0, 0}, {1, 0, 0.2f}, {0, 1, 0.1f}}));
   EXPECT_FALSE(localizer.hasGround());
   ASSERT_TRUE(localizer.addAerial(run.aerial[0]));
   EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
 }
 
-TEST(Localizer, AerialCloudsFarApartAreNotMerged) {
-  Localizer localizer({});
+TEST(HeightMapLocalizer, AerialCloudsFarApartAreNotMerged) {
+  HeightMapLocalizer localizer({});
   AerialCloud cloud;
   for (int i = 0; i < 100; ++i) cloud.points.emplace_back(0.02f * i, 0.01f * i, 0.f);
   ASSERT_TRUE(localizer.addAerial(cloud));
@@ -403,12 +403,12 @@ TEST(Localizer, AerialCloudsFarApartAreNotMerged) {
   EXPECT_LT(localizer.aerialMap().width, 200);
 }
 
-TEST(Localizer, SameSeedSameResult) {
+TEST(HeightMapLocalizer, SameSeedSameResult) {
   synthetic::Options options;
   options.seed = 506;
   options.aerial_clouds = 3;
   const auto run = synthetic::makeRun(options);
-  Localizer a({}), b({});
+  HeightMapLocalizer a({}), b({});
   const auto first = play(run, a), second = play(run, b);
   EXPECT_EQ(first.last.T_ground_mav.matrix(), second.last.T_ground_mav.matrix());
   EXPECT_EQ(first.last.covariance, second.last.covariance);
@@ -416,11 +416,11 @@ TEST(Localizer, SameSeedSameResult) {
   EXPECT_EQ(a.filter().particles()[7].pose.x, b.filter().particles()[7].pose.x);
 }
 
-TEST(Localizer, BadSettingsAreNamed) {
-  LocalizerSettings settings;
+TEST(HeightMapLocalizer, BadSettingsAreNamed) {
+  HeightMapLocalizerSettings settings;
   settings.ambiguity_ratio = 0.9;
   try {
-    Localizer localizer(settings);
+    HeightMapLocalizer localizer(settings);
     FAIL();
   } catch (const std::invalid_argument& e) {
     EXPECT_NE(std::string(e.what()).find("ambiguity_ratio"), std::string::npos);

@@ -64,9 +64,9 @@ TEST_P(RedKitchenTops, BothHalvesFindEachOther) {
   for (int frame = 0; frame < 300; frame += 6) addPoints(frame, cameraPose(frame, R_level), ground);
   // The MAV's map: another origin and heading.
   const Pose T_ground_mav = air_ground_common::yawPose(2.1, {1.3, -0.7, 0.4});
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.air_map.tops = settings.ground_map.tops = GetParam();
-  Localizer localizer(settings);
+  HeightMapLocalizer localizer(settings);
   ASSERT_TRUE(localizer.setGround(ground));
   std::printf("floor of the ground map at %.2f m\n", localizer.groundMap().floor);
   constexpr int kCloudEvery = 20;
@@ -80,7 +80,7 @@ TEST_P(RedKitchenTops, BothHalvesFindEachOther) {
       cloud.reference = T_mav_camera.translation();
     }
     ASSERT_TRUE(localizer.addAerial(cloud));
-    const Estimate& e = localizer.estimate();
+    const CoarseEstimate& e = localizer.estimate();
     error = synthetic::errorOf(e.T_ground_mav, T_ground_mav, cloud.reference);
     const bool ok = error.position < 0.10 && error.yaw < 4 * M_PI / 180;
     right += ok;
@@ -114,7 +114,7 @@ TEST(RedKitchen, ScaleIsFoundThoughTheFloorWasNotSeen) {
   for (int frame = 0; frame < 300; frame += 6) addPoints(frame, cameraPose(frame, R_level), ground);
   const Pose T_ground_mav = air_ground_common::yawPose(2.1, {1.3, -0.7, 0.4});
   const synthetic::OwnUnit own{2.2, air_ground_common::expSO3({0.1, -0.15, 0})};
-  Localizer localizer({});
+  HeightMapLocalizer localizer({});
   localizer.setOwnUnit(true);
   ASSERT_TRUE(localizer.setGround(ground));
   double scale_error = 1;
@@ -127,7 +127,7 @@ TEST(RedKitchen, ScaleIsFoundThoughTheFloorWasNotSeen) {
     }
     const AerialCloud raw = own.raw(cloud);
     ASSERT_TRUE(localizer.addAerial(raw));
-    const Estimate& e = localizer.estimate();
+    const CoarseEstimate& e = localizer.estimate();
     scale_error = e.scale / own.unit - 1;
     const double position =
         (e.similarityPose() * (e.scale * raw.reference) - T_ground_mav * cloud.reference).head<2>().norm();

@@ -19,13 +19,13 @@ namespace {
 using synthetic::OwnUnit;
 
 struct Result {
-  Estimate estimate;
+  CoarseEstimate estimate;
   double scale_error = 0, tilt = 0, position = 0, first_converged = -1;
   int wrong = 0;
 };
 
-Result play(const synthetic::Run& run, const OwnUnit& own, const LocalizerSettings& settings = {}) {
-  Localizer localizer(settings);
+Result play(const synthetic::Run& run, const OwnUnit& own, const HeightMapLocalizerSettings& settings = {}) {
+  HeightMapLocalizer localizer(settings);
   localizer.setOwnUnit(true);
   EXPECT_TRUE(localizer.setGround(run.ground));
   Result r;
@@ -34,7 +34,7 @@ Result play(const synthetic::Run& run, const OwnUnit& own, const LocalizerSettin
     const auto start = std::chrono::steady_clock::now();
     EXPECT_TRUE(localizer.addAerial(raw));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    const Estimate& e = localizer.estimate();
+    const CoarseEstimate& e = localizer.estimate();
     // Where the estimate puts the MAV, against the truth.
     const Eigen::Vector3d there = e.similarityPose() * (e.scale * raw.reference);
     r.position = (there - run.T_ground_mav[k] * run.aerial[k].reference).head<2>().norm();
@@ -100,7 +100,7 @@ TEST(OwnUnit, ScaleHasNoBiasWhereDepthIsExact) {
   synthetic::Options options;
   options.aerial_clouds = 3;
   options.scale_error = options.drift_per_metre = options.yaw_drift_per_metre = options.ground_noise = 0;
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.scale_min = 0.85;
   settings.scale_max = 1.18;
   std::vector<double> errors;
@@ -117,7 +117,7 @@ TEST(OwnUnit, AnotherWorldIsNotVerified) {
   synthetic::Options options;
   options.aerial_clouds = 2;
   options.scale_error = 0;
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.scale_min = 0.5;
   settings.scale_max = 2;
   for (const auto world : {synthetic::World::kBoxes, synthetic::World::kIdenticalBoxes}) {
@@ -134,7 +134,7 @@ TEST(OwnUnit, AScaleWithoutRivalHasNoMoreEvidenceThanItsFit) {
   options.aerial_clouds = 2;
   options.other_world = true;
   options.seed = 641;
-  LocalizerSettings settings;
+  HeightMapLocalizerSettings settings;
   settings.scale_min = 0.99;
   settings.scale_max = 1.01;
   const Result r = play(synthetic::makeRun(options), {}, settings);

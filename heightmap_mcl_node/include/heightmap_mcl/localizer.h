@@ -29,7 +29,7 @@ enum class Mode { kSearch, kPaper };
 /// Settings with tops as far as they were seen.
 HeightMapSettings boundedMap(bool drop_hanging);
 
-struct LocalizerSettings {
+struct HeightMapLocalizerSettings {
   Mode mode = Mode::kSearch;
   HeightMapSettings air_map = boundedMap(false);
   HeightMapSettings ground_map = boundedMap(true);  ///< same resolution, tops and cap as air_map
@@ -40,8 +40,8 @@ struct LocalizerSettings {
   FilterSettings filter;
   std::uint64_t seed = 1;
 
-  // Aerial clouds of a map without scale, see Localizer::setOwnUnit. Its unit is the distance of what the MAV saw at
-  // the map's start, and all distances in these bounds are equally likely by order of magnitude.
+  // Aerial clouds of a map without scale, see HeightMapLocalizer::setOwnUnit. Its unit is the distance of what the MAV
+  // saw at the map's start, and all distances in these bounds are equally likely by order of magnitude.
   double scale_min = 0.3;     ///< [m per unit]
   double scale_max = 30;      ///< [m per unit]
   double max_tilt = 0.6;      ///< of that map's z axis from the vertical [rad]; 0: it is vertical
@@ -82,13 +82,13 @@ struct LocalizerSettings {
 
 /// The filter of the paper: kPaper with single clouds, highest points, sigma 0.08 and an overlap of the aerial map's
 /// cells, whatever `s` says of these.
-LocalizerSettings paperSettings(LocalizerSettings s);
+HeightMapLocalizerSettings paperSettings(HeightMapLocalizerSettings s);
 
 /// What a user may set.
-void describe(air_ground_common::ParameterVisitor& visitor, LocalizerSettings& settings);
+void describe(air_ground_common::ParameterVisitor& visitor, HeightMapLocalizerSettings& settings);
 
 /// Checks ranges and consistency; throws std::invalid_argument naming the field.
-void validate(const LocalizerSettings& settings);
+void validate(const HeightMapLocalizerSettings& settings);
 
 /// One aerial point cloud.
 struct AerialCloud {
@@ -96,7 +96,7 @@ struct AerialCloud {
   Eigen::Vector3d reference = Eigen::Vector3d::Zero();  ///< position of the MAV in mav_map [m]
 };
 
-struct Estimate {
+struct CoarseEstimate {
   Status status = Status::kSearching;
   std::string reason;  ///< one line: why this status
   /// False until there is a pose at all (best guess; to be trusted only when status is kConverged).
@@ -124,22 +124,22 @@ struct Estimate {
   double mode_spread_yaw = 0;  ///< of the heading within it [rad]
   double overlap = 0;          ///< share of the verification map's cells
   double cost = 0;             ///< eq. 2 at the estimate [m^2]
-  double rival_ratio = 0;      ///< see LocalizerSettings::ambiguity_ratio; infinite without rival
+  double rival_ratio = 0;      ///< see HeightMapLocalizerSettings::ambiguity_ratio; infinite without rival
   double rival_distance = 0;   ///< [m]
   double explained = 0;        ///< see Zmssd::explained
-  double evidence_lead = 0;    ///< of the place over its best rival, see LocalizerSettings::min_evidence
+  double evidence_lead = 0;    ///< of the place over its best rival, see HeightMapLocalizerSettings::min_evidence
   double evidence = 0;         ///< that sum
   double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
-  double probe_ratio = 0;      ///< see LocalizerSettings
+  double probe_ratio = 0;      ///< see HeightMapLocalizerSettings
   int maps = 0;                ///< aerial maps used since the search began
   int restarts = 0;  ///< times all particles were drawn anew: they had lost the overlap or missed the best place
 };
 
 /// Not thread-safe: one worker owns it.
-class Localizer {
+class HeightMapLocalizer {
  public:
-  explicit Localizer(const LocalizerSettings& settings);
-  ~Localizer();
+  explicit HeightMapLocalizer(const HeightMapLocalizerSettings& settings);
+  ~HeightMapLocalizer();
 
   /// Replaces the ground map. Transforms are recomputed lazily. A search that has not converged begins anew on the kept
   /// aerial maps. Returns false (and forgets the ground map) when the cloud defines no cell. `cropped`: see
@@ -151,7 +151,7 @@ class Localizer {
   bool addAerial(const AerialCloud& cloud, std::size_t* cropped = nullptr);
 
   /// The verdict for the present maps; `has_pose` false while one of them is missing.
-  const Estimate& estimate() const { return estimate_; }
+  const CoarseEstimate& estimate() const { return estimate_; }
 
   /// Begins the global search again. Aerial maps are kept unless `forget_aerial` (new mav_map).
   void restart(bool forget_aerial);
@@ -252,7 +252,7 @@ class Localizer {
   /// by the share of the heights that it leaves unexplained, whichever is less.
   double rivalRatio(const Zmssd& other, const Zmssd& best) const;
 
-  LocalizerSettings settings_;
+  HeightMapLocalizerSettings settings_;
   Prior prior_;
   ParticleFilter filter_;
   HeightMap ground_, filter_map_;
@@ -260,7 +260,7 @@ class Localizer {
   std::unique_ptr<DirectCost> direct_;
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;
-  Estimate estimate_;
+  CoarseEstimate estimate_;
   double floor_ = 0;                     // of the aerial maps [m]; NaN: as merged
   std::vector<Candidate> floor_rivals_;  // the best placements with other floors
   bool own_unit_ = false;
