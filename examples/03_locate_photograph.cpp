@@ -21,7 +21,7 @@ int main(int argc, char** argv) try {
     std::fprintf(stderr, "%s cannot be read as an image\n", argv[2]);
     return 1;
   }
-  const streetview_localizer::Localizer localizer(database);
+  const streetview_localizer::StreetviewLocalizer localizer(database);
   const auto result = localizer.localize(photograph, air_ground_common::readCameraFile(argv[3]));
   std::printf("%s %s\n", nameOf(result.status), result.reason.c_str());
   if (!result.accepted()) return 1;

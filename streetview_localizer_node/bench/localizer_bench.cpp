@@ -26,9 +26,9 @@ const char* const kCounters[kSteps] = {"1_features", "2_search", "3_voting", "4_
 
 void run(benchmark::State& state, const std::shared_ptr<const StreetviewDatabase>& database,
          const std::vector<Query>& queries, bool quick) {
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   if (!quick) settings.quick_inliers = 0;
-  const Localizer localizer(database, settings);
+  const StreetviewLocalizer localizer(database, settings);
   std::array<double, kSteps> sums{};
   std::size_t next = 0, accepted = 0;
   for (auto _ : state) {

@@ -40,7 +40,8 @@ struct Candidate {
 class CandidateFinder {
  public:
   /// All must outlive it.
-  CandidateFinder(const StreetviewDatabase& database, const BackProjector& projector, const LocalizerSettings& settings)
+  CandidateFinder(const StreetviewDatabase& database, const BackProjector& projector,
+                  const StreetviewLocalizerSettings& settings)
       : database_(database), projector_(projector), settings_(settings) {}
 
   /// One for each group of `parts`, the largest first.
@@ -60,7 +61,7 @@ class CandidateFinder {
 
   const StreetviewDatabase& database_;
   const BackProjector& projector_;
-  const LocalizerSettings& settings_;
+  const StreetviewLocalizerSettings& settings_;
 };
 
 }  // namespace streetview_localizer

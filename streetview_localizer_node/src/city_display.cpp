@@ -48,7 +48,8 @@ void CityDisplay::advertise(ros::NodeHandle* handle) {
   cameras_ = handle->advertise<visualization_msgs::Marker>("streetview/cameras", 1, true);
 }
 
-void CityDisplay::prepare(const Localizer& localizer, double spacing, std::size_t max_points, int cameras_shown) {
+void CityDisplay::prepare(const StreetviewLocalizer& localizer, double spacing, std::size_t max_points,
+                          int cameras_shown) {
   localizer_ = &localizer;
   spacing_ = spacing;
   max_points_ = max_points;

@@ -19,7 +19,7 @@ class CityDisplay {
   void advertise(ros::NodeHandle* handle);
 
   /// Reads the depth of all views and colours the model: seconds for a city. Call before the others; keeps a reference.
-  void prepare(const Localizer& localizer, double spacing, std::size_t max_points, int cameras_shown);
+  void prepare(const StreetviewLocalizer& localizer, double spacing, std::size_t max_points, int cameras_shown);
   /// Textured model and panoramas, latched.
   void publishCity(const std::string& world_frame);
   /// Adds a camera to those shown; the oldest go.
@@ -31,7 +31,7 @@ class CityDisplay {
   cv::Mat besideModel(const cv::Mat& image, const CameraModel& camera, const LocalizerResult& result, int width) const;
 
  private:
-  const Localizer* localizer_ = nullptr;
+  const StreetviewLocalizer* localizer_ = nullptr;
   std::unique_ptr<ViewSynthesizer> synthesizer_;
   ros::Publisher model_, panoramas_, cameras_;
   double spacing_ = 0.2;

@@ -73,7 +73,7 @@ struct Arguments {
   bool keep_index = true, mirrored = false;
   std::string covariance = "refined";
   int monte_carlo_samples = 1000;
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
 };
 
 /// What is known of the images beforehand.
@@ -109,8 +109,8 @@ Flight readFlight(const Arguments& a) {
   return flight;
 }
 
-LocalizerResult locate(const Localizer& localizer, const cv::Mat& image, const std::string& name, const Flight& flight,
-                       double up_stddev) {
+LocalizerResult locate(const StreetviewLocalizer& localizer, const cv::Mat& image, const std::string& name,
+                       const Flight& flight, double up_stddev) {
   LocalizerResult result;
   if (image.empty()) {
     result.reason = "the image cannot be read";
@@ -141,7 +141,7 @@ int run(Arguments a) {
     a.settings.covariance = CovarianceKind::kMonteCarlo;
     a.settings.pose.monte_carlo_samples = a.monte_carlo_samples;
   }
-  const Localizer localizer(database, a.settings);
+  const StreetviewLocalizer localizer(database, a.settings);
   std::fprintf(stderr, "%s\n", localizer.indexRemark().c_str());
   std::unique_ptr<ViewSynthesizer> synthesizer;
   if (!a.pictures.empty()) {

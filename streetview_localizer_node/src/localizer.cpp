@@ -51,15 +51,15 @@ const char* nameOf(Step step) {
   return "";
 }
 
-struct Localizer::Impl {
+struct StreetviewLocalizer::Impl {
   std::shared_ptr<const StreetviewDatabase> database;
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   BackProjector projector;
   ViewSearch search;
   CandidateFinder candidates;
   mutable PyramidCache pyramids;
 
-  Impl(std::shared_ptr<const StreetviewDatabase> db, const LocalizerSettings& s)
+  Impl(std::shared_ptr<const StreetviewDatabase> db, const StreetviewLocalizerSettings& s)
       : database(std::move(db)),
         settings(s),
         projector(database->model),
@@ -143,7 +143,7 @@ cv::Mat greyOf(const cv::Mat& image) {
 }  // namespace
 
 // One image, and all that is tried to locate it.
-class Localizer::Query {
+class StreetviewLocalizer::Query {
  public:
   Query(const Impl& engine, const cv::Mat& image, const CameraModel& camera, const PosePrior& prior)
       : engine_(engine),
@@ -246,7 +246,7 @@ class Localizer::Query {
   }
 
   const Impl& engine_;
-  const LocalizerSettings& settings_;
+  const StreetviewLocalizerSettings& settings_;
   const CameraModel& camera_;
   const PosePrior& prior_;
   StepTimes times_;
@@ -257,13 +257,14 @@ class Localizer::Query {
   LocalizerResult best_;
 };
 
-LocalizerResult Localizer::Impl::locate(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
+LocalizerResult StreetviewLocalizer::Impl::locate(const cv::Mat& image, const CameraModel& camera,
+                                                  const PosePrior& prior) const {
   return Query(*this, image, camera, prior).locate();
 }
 
 // The panoramas' views are pinholes: features of a fisheye's image look like theirs only after rectification.
-LocalizerResult Localizer::Impl::locateInPinhole(const cv::Mat& image, const CameraModel& camera,
-                                                 const PosePrior& prior) const {
+LocalizerResult StreetviewLocalizer::Impl::locateInPinhole(const cv::Mat& image, const CameraModel& camera,
+                                                           const PosePrior& prior) const {
   constexpr double kMaxField = 100 * M_PI / 180;  // beyond, a pinhole's pixels are mostly of the rim
   const CameraModel view = air_ground_common::centralPinhole(camera, kMaxField);
   cv::Mat rectified;
@@ -277,7 +278,8 @@ LocalizerResult Localizer::Impl::locateInPinhole(const cv::Mat& image, const Cam
   return result;
 }
 
-Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings) {
+StreetviewLocalizer::StreetviewLocalizer(std::shared_ptr<const StreetviewDatabase> database,
+                                         const StreetviewLocalizerSettings& settings) {
   settings.validate();
   if (!database) throw std::invalid_argument("localizer: no database");
   std::size_t features = 0;
@@ -290,9 +292,10 @@ Localizer::Localizer(std::shared_ptr<const StreetviewDatabase> database, const L
   impl_ = std::make_unique<Impl>(std::move(database), settings);
 }
 
-Localizer::~Localizer() = default;
+StreetviewLocalizer::~StreetviewLocalizer() = default;
 
-LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior) const {
+LocalizerResult StreetviewLocalizer::localize(const cv::Mat& image, const CameraModel& camera,
+                                              const PosePrior& prior) const {
   const auto start = StepTimes::Clock::now();
   camera.validate();
   if (image.depth() != CV_8U || (image.channels() != 1 && image.channels() != 3))
@@ -313,9 +316,9 @@ LocalizerResult Localizer::localize(const cv::Mat& image, const CameraModel& cam
   return result;
 }
 
-const StreetviewDatabase& Localizer::database() const { return *impl_->database; }
-const BackProjector& Localizer::projector() const { return impl_->projector; }
-const LocalizerSettings& Localizer::settings() const { return impl_->settings; }
-const std::string& Localizer::indexRemark() const { return impl_->search.indexRemark(); }
+const StreetviewDatabase& StreetviewLocalizer::database() const { return *impl_->database; }
+const BackProjector& StreetviewLocalizer::projector() const { return impl_->projector; }
+const StreetviewLocalizerSettings& StreetviewLocalizer::settings() const { return impl_->settings; }
+const std::string& StreetviewLocalizer::indexRemark() const { return impl_->search.indexRemark(); }
 
 }  // namespace streetview_localizer

@@ -5,7 +5,7 @@
 
 namespace streetview_localizer {
 
-void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& l) {
+void describe(air_ground_common::ParameterVisitor& v, StreetviewLocalizerSettings& l) {
   v.section("Search near a prediction");
   v("near_panoramas", l.near_panoramas, {1, 1000}, "", "that have views and are searched then; the paper: 4 to 8");
   v("max_prior_stddev", l.max_prior_stddev, {0.1, 10000}, "m",
@@ -84,7 +84,7 @@ void describe(air_ground_common::ParameterVisitor& v, LocalizerSettings& l) {
     "a panorama with fewer than this share of the best one's inliers has no say in that");
 }
 
-void LocalizerSettings::validate() const {
+void StreetviewLocalizerSettings::validate() const {
   air_ground_common::checkRanges(*this);
   if (!(max_turn > 0)) throw std::invalid_argument("localizer: max_turn must be positive");
   if (covariance == CovarianceKind::kMonteCarlo && pose.monte_carlo_samples <= 0)

@@ -11,7 +11,7 @@ constexpr double kClearRatio = 0.75;  // of a match that hardly arises by chance
 }  // namespace
 
 MirrorCheck::MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database,
-                         const LocalizerSettings& settings)
+                         const StreetviewLocalizerSettings& settings)
     : straight_(strongestFeatures(features, kFeatures)),
       mirrored_(mirroredFeatures(straight_)),
       search_(search),

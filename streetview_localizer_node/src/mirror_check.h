@@ -17,7 +17,7 @@ class MirrorCheck {
  public:
   /// `features`: of the image as recorded, without its virtual views. The others must outlive it.
   MirrorCheck(const Features& features, const ViewSearch& search, const StreetviewDatabase& database,
-              const LocalizerSettings& settings);
+              const StreetviewLocalizerSettings& settings);
 
   /// Why an image whose pose rests on `view` is taken for a mirrored one; empty if it is not. Views where the mirror
   /// image may belong are looked for in the whole database, unless `near_prediction`: what led to the prediction has

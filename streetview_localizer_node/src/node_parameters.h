@@ -17,7 +17,7 @@ struct NodeSettings {
   double model_spacing = 0.2;
   int model_max_points = 400000, display_width = 480, cameras_shown = 500;
   DatabaseLoadOptions load;
-  LocalizerSettings localizer;
+  StreetviewLocalizerSettings localizer;
 
   /// Throws ParameterError.
   void validate() const;

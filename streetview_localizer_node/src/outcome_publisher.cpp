@@ -22,7 +22,7 @@ void OutcomePublisher::advertise(ros::NodeHandle* handle) {
   display_.advertise(handle);
 }
 
-void OutcomePublisher::prepareDisplay(const Localizer& localizer) {
+void OutcomePublisher::prepareDisplay(const StreetviewLocalizer& localizer) {
   try {
     display_.prepare(localizer, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points),
                      settings_.cameras_shown);

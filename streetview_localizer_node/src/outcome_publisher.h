@@ -21,7 +21,7 @@ class OutcomePublisher {
   void advertise(ros::NodeHandle* handle);
   /// Reads what the pictures and markers need, seconds for a city, and publishes the city. `localizer` must live on.
   /// Without display, says why.
-  void prepareDisplay(const Localizer& localizer);
+  void prepareDisplay(const StreetviewLocalizer& localizer);
   /// Without `T_base_camera` the pose of the base is not known. `image`: BGR.
   void publish(const Job& job, const cv::Mat& image, const std::string& camera_frame,
                const std::optional<Pose>& T_base_camera, const LocalizerResult& result,

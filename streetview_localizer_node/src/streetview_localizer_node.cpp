@@ -72,7 +72,7 @@ class StreetviewLocalizerNode {
     health_.state(1, "preparing the search index over " + std::to_string(database->views.size()) + " views" +
                          (std::filesystem::exists(index) ? ", from " + index
                                                          : ": building it, which takes minutes for a large city"));
-    localizer_ = std::make_unique<Localizer>(database, settings_.localizer);
+    localizer_ = std::make_unique<StreetviewLocalizer>(database, settings_.localizer);
     ROS_INFO("%s", localizer_->indexRemark().c_str());
   }
 
@@ -205,7 +205,7 @@ class StreetviewLocalizerNode {
   tf2_ros::Buffer tf_;
   ru::TransformInput transforms_{tf_};
   ImageQueue queue_{settings_, health_};
-  std::unique_ptr<Localizer> localizer_;  // of the worker, as the next two
+  std::unique_ptr<StreetviewLocalizer> localizer_;  // of the worker, as the next two
   OutcomePublisher output_{settings_, health_};
   int prior_misses_ = 0;  // images in a row without a pose near the prediction
   std::optional<ru::ImageInput> image_;

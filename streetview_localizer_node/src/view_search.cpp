@@ -59,7 +59,7 @@ Features mirroredFeatures(Features features) {
   return features;
 }
 
-ViewSearch::ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings)
+ViewSearch::ViewSearch(const StreetviewDatabase& database, const StreetviewLocalizerSettings& settings)
     : database_(database), settings_(settings) {
   std::vector<cv::Mat> parts;
   for (std::size_t i = 0; i < database_.views.size(); ++i) {

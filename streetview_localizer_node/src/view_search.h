@@ -24,7 +24,7 @@ struct FoundDescriptors {
 class ViewSearch {
  public:
   /// Both must outlive it. Reads the descriptors' index from settings.index_file, or builds it and keeps it there.
-  ViewSearch(const StreetviewDatabase& database, const LocalizerSettings& settings);
+  ViewSearch(const StreetviewDatabase& database, const StreetviewLocalizerSettings& settings);
 
   /// The whole database's descriptors that are nearest to an image's strongest ones, and the views that they vote for.
   FoundDescriptors nearest(const Features& query) const;
@@ -45,7 +45,7 @@ class ViewSearch {
   std::vector<int> panoramasNear(const Eigen::Vector3d& position) const;
 
   const StreetviewDatabase& database_;
-  const LocalizerSettings& settings_;
+  const StreetviewLocalizerSettings& settings_;
   cv::Mat descriptors_;           // of all views
   std::vector<int> view_of_row_;  // of descriptors_
   std::unique_ptr<DescriptorIndex> index_;

@@ -24,7 +24,7 @@ TEST_P(CastleTest, LocatesTheOtherHalf) {
     GTEST_SKIP() << "no photographs at " << test::strechaFolder()
                  << " (AIR_GROUND_SHARED names the folder above data/)";
   const test::Castle castle = test::makeCastle(GetParam());
-  const Localizer localizer(castle.database);
+  const StreetviewLocalizer localizer(castle.database);
   std::vector<double> errors, turns;
   int queries = 0;
   for (std::size_t i = static_cast<std::size_t>(1 - GetParam()); i < castle.photos.size(); i += 2) {
@@ -60,7 +60,7 @@ TEST_P(CastleTest, LocatesTheOtherHalf) {
 TEST(CastleRefusals, NothingIsFoundWhereNothingIs) {
   if (!castleAvailable()) GTEST_SKIP() << "no photographs at " << test::strechaFolder();
   const test::Castle castle = test::makeCastle(0);
-  const Localizer localizer(castle.database);
+  const StreetviewLocalizer localizer(castle.database);
   const auto refuse = [&](const std::string& name, const cv::Mat& image) {
     ASSERT_FALSE(image.empty()) << name;
     const LocalizerResult r = localizer.localize(image, test::cameraOf(castle.photos[0], image));

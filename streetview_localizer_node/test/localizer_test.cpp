@@ -24,7 +24,7 @@ class LocalizerTest : public ::testing::Test {
   static void SetUpTestSuite() {
     city_ = new TinyCity(1);
     database_ = city_->database();
-    localizer_ = new Localizer(database_);
+    localizer_ = new StreetviewLocalizer(database_);
   }
   static void TearDownTestSuite() {
     delete localizer_;
@@ -44,12 +44,12 @@ class LocalizerTest : public ::testing::Test {
 
   static TinyCity* city_;
   static std::shared_ptr<StreetviewDatabase> database_;
-  static Localizer* localizer_;
+  static StreetviewLocalizer* localizer_;
 };
 
 TinyCity* LocalizerTest::city_ = nullptr;
 std::shared_ptr<StreetviewDatabase> LocalizerTest::database_;
-Localizer* LocalizerTest::localizer_ = nullptr;
+StreetviewLocalizer* LocalizerTest::localizer_ = nullptr;
 
 TEST_F(LocalizerTest, FindsCamerasInTheAir) {
   const Pose poses[] = {TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05),
@@ -102,9 +102,9 @@ TEST_F(LocalizerTest, SameInSameOut) {
 }
 
 TEST_F(LocalizerTest, PriorNamesThePanoramasAndNotThePose) {
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   settings.near_panoramas = 1;
-  const Localizer near_only(database_, settings);
+  const StreetviewLocalizer near_only(database_, settings);
   const Pose T = TinyCity::look({5, 1, 4}, M_PI / 2, 0);
   const cv::Mat image = city_->photograph(TinyCity::camera(), T);
   PosePrior prior;
@@ -132,13 +132,13 @@ TEST_F(LocalizerTest, PanoramasWithoutViewsTakeNoPlaces) {
     db->panoramas.push_back(empty);
   }
   db->buildIndex();
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   settings.near_panoramas = 1;
   settings.index.method = IndexMethod::kBruteForce;
   PosePrior prior;
   prior.T_world_camera = T;
   const LocalizerResult r =
-      Localizer(db, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior);
+      StreetviewLocalizer(db, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera(), prior);
   EXPECT_TRUE(r.accepted()) << r.reason;
   EXPECT_EQ(r.searched, std::vector<int>{2});
 }
@@ -169,14 +169,14 @@ TEST_F(LocalizerTest, DroppedMatchesAreEvidence) {
 }
 
 TEST_F(LocalizerTest, PapersCovarianceOnRequest) {
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   settings.index.method = IndexMethod::kBruteForce;
   settings.covariance = CovarianceKind::kMonteCarlo;
-  EXPECT_THROW(Localizer(database_, settings), std::invalid_argument);  // of how many samples?
+  EXPECT_THROW(StreetviewLocalizer(database_, settings), std::invalid_argument);  // of how many samples?
   settings.pose.monte_carlo_samples = 200;
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
   const LocalizerResult r =
-      Localizer(database_, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera());
+      StreetviewLocalizer(database_, settings).localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera());
   ASSERT_TRUE(r.accepted()) << r.reason;
   ASSERT_TRUE(r.pose.monte_carlo_covariance);
   EXPECT_EQ(r.pose.covariance, *r.pose.monte_carlo_covariance);
@@ -184,10 +184,10 @@ TEST_F(LocalizerTest, PapersCovarianceOnRequest) {
 
 TEST_F(LocalizerTest, IndexOfAnotherMethodIsBuiltAgain) {
   const std::string file = ::testing::TempDir() + "localizer_test_" + std::to_string(getpid()) + ".index";
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   settings.index_file = file;
   settings.index.method = IndexMethod::kBruteForce;
-  const auto remark = [&] { return Localizer(database_, settings).indexRemark(); };
+  const auto remark = [&] { return StreetviewLocalizer(database_, settings).indexRemark(); };
   const auto contains = [](const std::string& text, const std::string& part) {
     return text.find(part) != std::string::npos;
   };
@@ -238,7 +238,7 @@ TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
 
 // The check alone, whatever else refuses: features of the image and of its mirror image, each as the query's own.
 TEST_F(LocalizerTest, MirrorCheckTellsAnImageFromItsMirrorImage) {
-  const LocalizerSettings settings;
+  const StreetviewLocalizerSettings settings;
   const ViewSearch search(*database_, settings);
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
   const cv::Mat image = city_->photograph(TinyCity::camera(), T);
@@ -267,7 +267,7 @@ TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
     view.features = extractFeatures(view.image);
     projector.apply(&view);
   }
-  const Localizer mirrored(db);
+  const StreetviewLocalizer mirrored(db);
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
   EXPECT_FALSE(mirrored.localize(city_->photograph(TinyCity::camera(), T), TinyCity::camera()).accepted());
 }
@@ -275,7 +275,7 @@ TEST_F(LocalizerTest, MirroredPanoramaMatchesNothing) {
 // Walls that repeat themselves every 3 m, with a corner in sight to tell the periods apart: right, or silent.
 TEST(Repetition, IsRightOrSilent) {
   const TinyCity city(5, 3.0);
-  const Localizer localizer(city.database());
+  const StreetviewLocalizer localizer(city.database());
   int accepted = 0;
   for (const double x : {3.0, 6.0}) {
     const Pose T = TinyCity::look({x, 1, 4}, 0.7, 0.05);
@@ -311,10 +311,10 @@ TEST_F(LocalizerTest, BadInputIsNamed) {
   prior.T_world_camera = Pose::Identity();
   prior.covariance(0, 1) = prior.covariance(1, 0) = 2;  // indefinite
   EXPECT_THROW(localizer_->localize(cv::Mat(480, 640, CV_8UC1, cv::Scalar(0)), camera, prior), std::invalid_argument);
-  EXPECT_THROW(Localizer(std::make_shared<StreetviewDatabase>()), std::invalid_argument);
-  LocalizerSettings settings;
+  EXPECT_THROW(StreetviewLocalizer(std::make_shared<StreetviewDatabase>()), std::invalid_argument);
+  StreetviewLocalizerSettings settings;
   settings.max_views = 0;
-  EXPECT_THROW(Localizer(database_, settings), std::invalid_argument);
+  EXPECT_THROW(StreetviewLocalizer(database_, settings), std::invalid_argument);
 }
 
 // The synthesised view shows what the camera saw.

@@ -87,12 +87,12 @@ int run(const std::string& city, const std::string& db_path, const std::string& 
   std::size_t features = 0;
   for (const View& v : db->views) features += v.features.size();
   std::printf("%zu panoramas, %zu views, %zu features\n", db->panoramas.size(), db->views.size(), features);
-  LocalizerSettings settings;
+  StreetviewLocalizerSettings settings;
   const char* env = std::getenv("STUDY_MAX_VIEWS");
   if (env) settings.max_views = std::atoi(env);
   if (std::getenv("STUDY_NO_DOUBLING")) settings.features.original.double_image = false;
   if (!db_path.empty()) settings.index_file = db_path + ".index";
-  const Localizer localizer(db, settings);
+  const StreetviewLocalizer localizer(db, settings);
   std::printf("%s\n", localizer.indexRemark().c_str());
   const auto camera = air_ground_common::readCameraFile(city + "/camera.yaml");
   std::mt19937 rng(11);

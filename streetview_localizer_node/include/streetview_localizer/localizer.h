@@ -30,7 +30,7 @@ namespace streetview_localizer {
 /// (docs/streetview_pose.md).
 enum class CovarianceKind { kRefined, kMonteCarlo };
 
-struct LocalizerSettings {
+struct StreetviewLocalizerSettings {
   VirtualViewSettings features;
   IndexSettings index;
   VotingSettings voting;
@@ -76,7 +76,7 @@ struct LocalizerSettings {
 };
 
 /// What a user may set.
-void describe(air_ground_common::ParameterVisitor& visitor, LocalizerSettings& settings);
+void describe(air_ground_common::ParameterVisitor& visitor, StreetviewLocalizerSettings& settings);
 
 enum class LocalizerStatus { kAccepted, kRefused, kNoPose, kNoMatch };
 const char* nameOf(LocalizerStatus status);  ///< "accepted", "refused", "no_pose", "no_match"
@@ -109,11 +109,12 @@ struct LocalizerResult {
 };
 
 /// Thread-safe. Holds the search index and small caches.
-class Localizer {
+class StreetviewLocalizer {
  public:
   /// Throws std::invalid_argument for bad settings or a database without views, features or images.
-  Localizer(std::shared_ptr<const StreetviewDatabase> database, const LocalizerSettings& settings = {});
-  ~Localizer();
+  StreetviewLocalizer(std::shared_ptr<const StreetviewDatabase> database,
+                      const StreetviewLocalizerSettings& settings = {});
+  ~StreetviewLocalizer();
 
   /// `image`: 8-bit, grey or BGR, as recorded with `camera`; of wide-angle cameras (rational_polynomial, equidistant)
   /// the central 100 degrees are used, as a pinhole's view. Throws std::invalid_argument when they do not fit together,
@@ -123,7 +124,7 @@ class Localizer {
 
   const StreetviewDatabase& database() const;
   const BackProjector& projector() const;
-  const LocalizerSettings& settings() const;
+  const StreetviewLocalizerSettings& settings() const;
   /// One line on how the search index came to be: read, or built and kept, or why not.
   const std::string& indexRemark() const;
 
