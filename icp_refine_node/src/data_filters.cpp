@@ -19,7 +19,7 @@ namespace {
 // deterministic.
 class VoxelGrid : public DataFilter {
  public:
-  explicit VoxelGrid(const Parameters& p) : leaf_(p("leaf")), min_points_(static_cast<int>(p("min_points"))) {}
+  explicit VoxelGrid(const StageParameters& p) : leaf_(p("leaf")), min_points_(static_cast<int>(p("min_points"))) {}
   void apply(Cloud& cloud) const override {
     struct Cell {
       Eigen::Vector3f sum = Eigen::Vector3f::Zero(), normal = Eigen::Vector3f::Zero();
@@ -103,7 +103,7 @@ void forNeighbors(const Cloud& cloud, int count, float max_distance, const Job& 
 // on a line, and they lie on a plane: points without a valid normal are removed, because they pull the pose away.
 class SurfaceNormals : public DataFilter {
  public:
-  explicit SurfaceNormals(const Parameters& p)
+  explicit SurfaceNormals(const StageParameters& p)
       : neighbors_(static_cast<int>(p("neighbors"))),
         radius_(p("radius")),
         min_neighbors_(static_cast<int>(p("min_neighbors"))),
@@ -152,7 +152,8 @@ class SurfaceNormals : public DataFilter {
 // to where the cloud is lower. Where nothing was seen (behind a face) it counts as solid.
 class OrientNormals : public DataFilter {
  public:
-  explicit OrientNormals(const Parameters& p) : cell_(p("cell")), reach_(p("reach")), steep_(std::cos(p("steep"))) {}
+  explicit OrientNormals(const StageParameters& p)
+      : cell_(p("cell")), reach_(p("reach")), steep_(std::cos(p("steep"))) {}
   void apply(Cloud& cloud) const override {
     if (cloud.empty()) return;
     if (!cloud.hasNormals()) throw ConfigError("OrientNormals needs normals: put SurfaceNormals before it");
@@ -191,7 +192,7 @@ class OrientNormals : public DataFilter {
 
 class StatisticalOutlier : public DataFilter {
  public:
-  explicit StatisticalOutlier(const Parameters& p)
+  explicit StatisticalOutlier(const StageParameters& p)
       : neighbors_(static_cast<int>(p("neighbors"))), factor_(p("stddev_factor")) {}
   void apply(Cloud& cloud) const override {
     if (static_cast<int>(cloud.size()) <= neighbors_) return;
@@ -230,7 +231,7 @@ std::vector<int> randomSubset(std::size_t size, std::size_t count, std::uint32_t
 // y and yaw, are not outvoted by the floor.
 class NormalSpaceSampling : public DataFilter {
  public:
-  explicit NormalSpaceSampling(const Parameters& p)
+  explicit NormalSpaceSampling(const StageParameters& p)
       : count_(static_cast<std::size_t>(p("count"))), seed_(static_cast<std::uint32_t>(p("seed"))) {}
   void apply(Cloud& cloud) const override {
     if (cloud.size() <= count_) return;
@@ -262,7 +263,7 @@ class NormalSpaceSampling : public DataFilter {
 };
 
 template <class T>
-std::unique_ptr<DataFilter> make(const Parameters& p) {
+std::unique_ptr<DataFilter> make(const StageParameters& p) {
   return std::make_unique<T>(p);
 }
 

@@ -185,10 +185,10 @@ IcpChain::IcpChain(const YAML::Node& config) : impl_(std::make_unique<Impl>()) {
     if (!bounded) throw ConfigError(where + ".checkers: 'Iterations' is missing; without it a level may never end");
     impl_->levels.push_back(std::move(level));
   }
-  const Parameters l(localizabilityDoc(), config["localizability"]);
+  const StageParameters l(localizabilityDoc(), config["localizability"]);
   impl_->localizability = {l("strong"), static_cast<int>(l("min_points")), l("min_share"),
                            static_cast<int>(l("min_patches")), l("patch_size")};
-  const Parameters c(covarianceDoc(), config["covariance"]);
+  const StageParameters c(covarianceDoc(), config["covariance"]);
   impl_->covariance = {c("block_size"),         c("noise_floor"),     c("map_translation_sigma"),
                        c("map_rotation_sigma"), c("map_scale_sigma"), c("inflation")};
 }

@@ -12,7 +12,7 @@ namespace {
 
 class Iterations : public TransformationChecker {
  public:
-  explicit Iterations(const Parameters& p) : max_(static_cast<int>(p("max"))) {}
+  explicit Iterations(const StageParameters& p) : max_(static_cast<int>(p("max"))) {}
   void reset(const Similarity&, const Eigen::Vector3d&) override { count_ = 0; }
   Check check(const Similarity&, std::string&) override {
     return ++count_ >= max_ ? Check::kConverged : Check::kContinue;
@@ -24,7 +24,7 @@ class Iterations : public TransformationChecker {
 
 class Differential : public TransformationChecker {
  public:
-  explicit Differential(const Parameters& p)
+  explicit Differential(const StageParameters& p)
       : limits_(p("translation"), p("rotation"), p("scale")), smooth_(static_cast<std::size_t>(p("smooth"))) {}
   void reset(const Similarity& T, const Eigen::Vector3d& centre) override {
     last_ = T;
@@ -52,7 +52,8 @@ class Differential : public TransformationChecker {
 
 class Bound : public TransformationChecker {
  public:
-  explicit Bound(const Parameters& p) : translation_(p("translation")), rotation_(p("rotation")), scale_(p("scale")) {}
+  explicit Bound(const StageParameters& p)
+      : translation_(p("translation")), rotation_(p("rotation")), scale_(p("scale")) {}
   void reset(const Similarity& T, const Eigen::Vector3d& centre) override {
     initial_ = T;
     centre_ = centre;
@@ -78,7 +79,7 @@ class Bound : public TransformationChecker {
 };
 
 template <class Base, class T>
-std::unique_ptr<Base> make(const Parameters& p) {
+std::unique_ptr<Base> make(const StageParameters& p) {
   return std::make_unique<T>(p);
 }
 
@@ -88,7 +89,7 @@ const std::vector<StageEntry<Matcher>>& matcherTable() {
         "Nearest reference point by a kd-tree",
         {{"max_distance", "farther points have no match [m]; with normal_weight, in the joint space", 0.5, 1e-4, 1e6},
          {"normal_weight", "0: by place only; else by place and normal, 1 rad counting for this [m]", 0, 0, 100}}},
-       [](const Parameters& p) {
+       [](const StageParameters& p) {
          return Matcher{static_cast<float>(p("max_distance")), static_cast<float>(p("normal_weight"))};
        }}};
   return entries;
@@ -99,7 +100,7 @@ const std::vector<StageEntry<ErrorMinimizer>>& minimizerTable() {
       {{"PointToPlane",
         "Gauss-Newton step of the weighted squares of n . (p - q)",
         {{"dof", "4: x y z and yaw, when both maps hang from gravity; 6: and roll, pitch; 7: and scale", 6, 4, 7}}},
-       [](const Parameters& p) {
+       [](const StageParameters& p) {
          const double dof = p("dof");
          if (dof != 4 && dof != 6 && dof != 7) throw ConfigError("PointToPlane: parameter 'dof' must be 4, 6 or 7");
          return ErrorMinimizer{static_cast<int>(dof)};

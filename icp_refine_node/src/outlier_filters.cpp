@@ -8,7 +8,7 @@ namespace {
 
 class NormalAngle : public OutlierFilter {
  public:
-  explicit NormalAngle(const Parameters& p) : min_cos_(std::cos(p("max"))), signed_(p("oriented") != 0) {}
+  explicit NormalAngle(const StageParameters& p) : min_cos_(std::cos(p("max"))), signed_(p("oriented") != 0) {}
   void apply(const MatchedClouds& c, std::vector<float>& weights) const override {
     if (!c.reading.hasNormals()) throw ConfigError("NormalAngle needs normals: add SurfaceNormals to reading_filters");
     for (std::size_t i = 0; i < weights.size(); ++i) {
@@ -26,7 +26,7 @@ class NormalAngle : public OutlierFilter {
 
 class Cauchy : public OutlierFilter {
  public:
-  explicit Cauchy(const Parameters& p) : scale_(p("scale")) {}
+  explicit Cauchy(const StageParameters& p) : scale_(p("scale")) {}
   void apply(const MatchedClouds& c, std::vector<float>& weights) const override {
     for (std::size_t i = 0; i < weights.size(); ++i) {
       if (weights[i] <= 0) continue;
@@ -42,7 +42,7 @@ class Cauchy : public OutlierFilter {
 using Filter = std::unique_ptr<OutlierFilter>;
 
 template <class T>
-Filter make(const Parameters& p) {
+Filter make(const StageParameters& p) {
   return std::make_unique<T>(p);
 }
 

@@ -14,7 +14,7 @@ namespace icp_refine {
 template <class Product>
 struct StageEntry {
   StageDoc doc;
-  std::function<Product(const Parameters&)> make;
+  std::function<Product(const StageParameters&)> make;
 };
 
 template <class Product>
@@ -29,7 +29,7 @@ Product makeFrom(const std::vector<StageEntry<Product>>& table, const std::strin
                  const YAML::Node& parameters) {
   std::string known;
   for (const auto& entry : table) {
-    if (entry.doc.name == name) return entry.make(Parameters(entry.doc, parameters));
+    if (entry.doc.name == name) return entry.make(StageParameters(entry.doc, parameters));
     known += (known.empty() ? "" : ", ") + entry.doc.name;
   }
   throw ConfigError("unknown " + kind + " '" + name + "'; known: " + known);

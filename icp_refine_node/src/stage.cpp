@@ -7,7 +7,7 @@
 
 namespace icp_refine {
 
-Parameters::Parameters(const StageDoc& stage, const YAML::Node& node) : stage_(stage.name) {
+StageParameters::StageParameters(const StageDoc& stage, const YAML::Node& node) : stage_(stage.name) {
   std::string known;
   for (const auto& p : stage.parameters) {
     values_[p.name] = p.default_value;
@@ -40,7 +40,7 @@ Parameters::Parameters(const StageDoc& stage, const YAML::Node& node) : stage_(s
   }
 }
 
-double Parameters::operator()(const std::string& name) const {
+double StageParameters::operator()(const std::string& name) const {
   const auto it = values_.find(name);
   if (it == values_.end()) throw std::logic_error(stage_ + " reads the undeclared parameter " + name);
   return it->second;

@@ -34,11 +34,11 @@ struct StageDoc {
 };
 
 /// A stage's numbers, checked against its declaration.
-class Parameters {
+class StageParameters {
  public:
   /// `node`: a map of numbers (or booleans), or null for all defaults.
   /// Throws ConfigError for a name that was not declared, a value that is no number, or one out of range.
-  Parameters(const StageDoc& stage, const YAML::Node& node);
+  StageParameters(const StageDoc& stage, const YAML::Node& node);
 
   /// Throws std::logic_error for a name that was not declared.
   double operator()(const std::string& name) const;
