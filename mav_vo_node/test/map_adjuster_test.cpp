@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "synthetic_flight.h"
+#include "synthetic_map.h"
 
 namespace mav_vo {
 namespace {
@@ -27,18 +28,10 @@ Map rowOver(int keyframes) {
     for (int y = -6; y <= 6; ++y)
       floor.push_back(map.addLandmark({0.2 * x, 0.2 * y, 3 + 0.05 * ((x * 7 + y * 3) % 5)}));
   for (int i = 0; i < keyframes; ++i) {
-    Keyframe keyframe;
+    Pose T = Pose::Identity();
+    T.translation().x() = 0.2 * i;
+    Keyframe keyframe = visual_frontend::synthetic::keyframeAt(T, map, floor, camera);
     keyframe.stamp = i;
-    keyframe.T_map_camera.translation().x() = 0.2 * i;
-    for (const LandmarkId id : floor) {
-      const auto pixel = camera.project(keyframe.T_map_camera.inverse() * map.landmark(id).position);
-      if (!pixel || !camera.contains(*pixel)) continue;
-      visual_frontend::Observation o;
-      o.landmark = id;
-      o.pixel = *pixel;
-      o.normalized = camera.unproject(*pixel);
-      keyframe.observations.push_back(o);
-    }
     map.addKeyframe(std::move(keyframe));
   }
   return map;

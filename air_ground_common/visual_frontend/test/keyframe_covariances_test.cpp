@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include "synthetic_map.h"
+
 namespace visual_frontend {
 namespace {
 
@@ -16,12 +18,11 @@ Map chain(int keyframes, int shared) {
   Map map;
   std::vector<LandmarkId> before;
   for (int k = 0; k < keyframes; ++k) {
-    Keyframe keyframe;
-    keyframe.T_map_camera.translation().x() = 10 * k;
-    std::vector<LandmarkId> here;
+    std::vector<LandmarkId> here, seen = before;
     for (int i = 0; i < shared; ++i) here.push_back(map.addLandmark(Eigen::Vector3d::Zero()));
-    for (const auto& ids : {before, here})
-      for (const LandmarkId id : ids) keyframe.observations.push_back({id});
+    seen.insert(seen.end(), here.begin(), here.end());
+    Keyframe keyframe = synthetic::keyframeSeeing(seen);
+    keyframe.T_map_camera.translation().x() = 10 * k;
     before = here;
     map.addKeyframe(keyframe);
   }

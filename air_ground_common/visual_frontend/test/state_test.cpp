@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include "synthetic.h"
+#include "synthetic_map.h"
 #include "visual_frontend/imu_attitude.h"
 #include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/map.h"
@@ -11,17 +12,8 @@ namespace visual_frontend {
 namespace {
 
 using air_ground_common::expSO3;
+using synthetic::keyframeSeeing;
 using synthetic::Random;
-
-Keyframe keyframeSeeing(const std::vector<LandmarkId>& landmarks) {
-  Keyframe k;
-  for (const LandmarkId id : landmarks) {
-    Observation o;
-    o.landmark = id;
-    k.observations.push_back(o);
-  }
-  return k;
-}
 
 TEST(Map, KeepsBothSidesConsistent) {
   Map map;
