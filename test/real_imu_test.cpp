@@ -98,7 +98,7 @@ World roomAround(const Trajectory& flight, std::uint64_t seed) {
 }
 
 struct Outcome {
-  mav_vo::FrameResult last;
+  mav_vo::VoResult last;
   double first_pose = -1, metric = -1;  ///< after the first image; -1: never [s]
   std::size_t lost = 0;                 ///< images without a pose once the map was metric
   Trajectory trajectory;                ///< of the body, of the last map

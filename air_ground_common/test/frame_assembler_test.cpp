@@ -21,7 +21,7 @@ TEST(FrameAssembler, AnImageWaitsForTheImuUpToItsStamp) {
   EXPECT_FALSE(assembler.ready(100)) << "the IMU may only be late";
   for (const double t : {1.005, 1.01, 1.02}) assembler.addImu({t});
   ASSERT_TRUE(assembler.ready(0));
-  const auto frame = assembler.take();
+  const auto frame = assembler.pop();
   EXPECT_EQ(frame.image, 1);
   ASSERT_EQ(frame.imu.size(), 4u);
   EXPECT_DOUBLE_EQ(frame.imu.back().stamp, 1.005) << "one beyond the image";
@@ -29,7 +29,7 @@ TEST(FrameAssembler, AnImageWaitsForTheImuUpToItsStamp) {
   EXPECT_FALSE(assembler.ready(0));
   assembler.addImu({1.05});
   ASSERT_TRUE(assembler.ready(0));
-  EXPECT_DOUBLE_EQ(assembler.take().imu.front().stamp, 1.01) << "goes on where the last frame ended";
+  EXPECT_DOUBLE_EQ(assembler.pop().imu.front().stamp, 1.01) << "goes on where the last frame ended";
 }
 
 // The IMU's clock runs 20 ms ahead: what belongs to an image has later stamps.
@@ -41,7 +41,7 @@ TEST(FrameAssembler, AnImageWaitsForTheImuUpToTheLead) {
   EXPECT_FALSE(assembler.ready(0));
   for (const double t : {1.025, 1.03}) assembler.addImu({t});
   ASSERT_TRUE(assembler.ready(0));
-  const auto frame = assembler.take();
+  const auto frame = assembler.pop();
   ASSERT_EQ(frame.imu.size(), 3u);
   EXPECT_DOUBLE_EQ(frame.imu.back().stamp, 1.025);
 }
@@ -57,7 +57,7 @@ TEST(FrameAssembler, WithoutImuItGoesOnWhenNewerImagesHaveSettled) {
   assembler.addImage(1.6, 3, 10.6);
   EXPECT_FALSE(assembler.ready(10.85)) << "the IMU's topic may only be behind the images'";
   ASSERT_TRUE(assembler.ready(10.91));
-  EXPECT_EQ(assembler.take().image, 1);
+  EXPECT_EQ(assembler.pop().image, 1);
   EXPECT_FALSE(assembler.ready(20));
   settings.use_imu = false;
   Assembler alone(settings);
@@ -76,7 +76,7 @@ TEST(FrameAssembler, DropsTheOldestWhenTooFarBehind) {
   EXPECT_EQ(assembler.dropLate(), 15u);
   EXPECT_NEAR(assembler.lag(), 0.5, 1e-9);
   EXPECT_EQ(assembler.dropLate(), 0u);
-  const auto frame = assembler.take();
+  const auto frame = assembler.pop();
   EXPECT_EQ(frame.image, 15);
   EXPECT_DOUBLE_EQ(frame.imu.front().stamp, 0) << "no IMU sample is lost with an image";
   // A replay loses nothing.
@@ -84,7 +84,7 @@ TEST(FrameAssembler, DropsTheOldestWhenTooFarBehind) {
   Assembler replay(settings);
   for (int i = 0; i < 100; ++i) replay.addImage(i, i, 0);
   EXPECT_EQ(replay.dropLate(), 0u);
-  EXPECT_EQ(replay.take().image, 0);
+  EXPECT_EQ(replay.pop().image, 0);
 }
 
 TEST(FrameAssembler, IsBoundedAndForgets) {
@@ -93,10 +93,10 @@ TEST(FrameAssembler, IsBoundedAndForgets) {
   Assembler assembler(settings);
   for (int i = 0; i < 5; ++i) assembler.addImage(i, i, 0);
   EXPECT_EQ(assembler.waiting(), 3u);
-  EXPECT_EQ(assembler.takeOverflown(), 2u);
-  EXPECT_EQ(assembler.takeOverflown(), 0u);
+  EXPECT_EQ(assembler.popOverflown(), 2u);
+  EXPECT_EQ(assembler.popOverflown(), 0u);
   assembler.addImu({10});
-  EXPECT_EQ(assembler.take().image, 2);
+  EXPECT_EQ(assembler.pop().image, 2);
   assembler.clear();
   EXPECT_EQ(assembler.waiting(), 0u);
   assembler.addImage(1, 1, 0);
@@ -110,12 +110,12 @@ TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
   pairer.addColour(0.0, 0, 0);
   pairer.addColour(0.1, 1, 0);
   ASSERT_TRUE(pairer.front(0));
-  EXPECT_EQ(pairer.take().depth, 0);
+  EXPECT_EQ(pairer.pop().depth, 0);
   EXPECT_FALSE(pairer.front(0));  // waits for depth
   pairer.addDepth(0.085, 1, 0);
   pairer.addDepth(0.101, 2, 0);
   ASSERT_TRUE(pairer.front(0));
-  EXPECT_EQ(pairer.take().depth, 2);
+  EXPECT_EQ(pairer.pop().depth, 2);
   EXPECT_EQ(pairer.unmatchedDepth(), 1u);
   pairer.addColour(0.2, 2, 0);
   pairer.addDepth(0.3, 3, 0);

@@ -19,7 +19,7 @@ void feed(ImuCombiner& combiner, double from, double to, std::vector<ImuCombiner
       combiner.addAccelerometer(next_force, {next_force, 0, 9.81});
       next_force += 0.016;
     }
-    while (const auto sample = combiner.take()) samples->push_back(*sample);
+    while (const auto sample = combiner.pop()) samples->push_back(*sample);
   }
 }
 
@@ -48,7 +48,7 @@ TEST(ImuCombiner, BeginsAfreshWhereTheRecordingIsPlayedAgain) {
   EXPECT_NEAR(samples.front().specific_force.x(), samples.front().stamp, 1e-9);
   combiner.addGyro(10.2, {0, 0, 7});  // out of order
   combiner.addAccelerometer(10.6, {10.6, 0, 9.81});
-  while (const auto sample = combiner.take()) EXPECT_NE(sample->angular_velocity.z(), 7);
+  while (const auto sample = combiner.pop()) EXPECT_NE(sample->angular_velocity.z(), 7);
 }
 
 }  // namespace

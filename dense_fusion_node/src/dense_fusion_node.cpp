@@ -119,7 +119,7 @@ class DenseFusionNode {
   void perform(const Work& work) {
     switch (work.kind) {
       case Work::Kind::kReset:
-        return startAfresh();
+        return startMap();
       case Work::Kind::kImage: {
         const air_ground::PosedImage& msg = *work.image;
         const bool sparse_fit =
@@ -132,7 +132,7 @@ class DenseFusionNode {
     }
   }
 
-  void startAfresh() {
+  void startMap() {
     mapper_.reset();
     last_stamp_ = ros::Time();
     map_id_.reset();
@@ -161,7 +161,7 @@ class DenseFusionNode {
     const bool other = map_id_ != msg.map_id || frame_id_ != msg.header.frame_id;
     if (other || map_revision_ != msg.map_revision) {
       if (map_id_) ROS_WARN("the MAV's map %s: the dense map starts afresh", other ? "is another" : "was corrected");
-      startAfresh();
+      startMap();
       map_id_ = msg.map_id;
       map_revision_ = msg.map_revision;
       frame_id_ = msg.header.frame_id;

@@ -104,7 +104,7 @@ void wholeFlight(benchmark::State& state) {
     for (std::size_t i = 0; i < images.size(); ++i) {
       const double t = 0.05 * static_cast<double>(i + 1);
       for (; next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) odometry.addImu(samples[next]);
-      const FrameResult r = odometry.process(t, images[i]);
+      const VoResult r = odometry.process(t, images[i]);
       all += r.seconds;
       ++processed;
       if (r.state != OdometryState::kTracking || r.keyframe) continue;

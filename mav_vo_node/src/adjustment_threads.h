@@ -27,8 +27,8 @@ class AdjustmentThreads {
   /// Adjustments of the whole map may take seconds: asked for once a second of the recording.
   bool fullDue(double stamp);
 
-  BundleJob takeLocal() { return local_.result.get(); }  ///< waits
-  BundleJob takeFull() { return full_.result.get(); }    ///< waits
+  BundleJob awaitLocal() { return local_.result.get(); }  ///< waits
+  BundleJob awaitFull() { return full_.result.get(); }    ///< waits
 
  private:
   struct Running {

@@ -19,7 +19,9 @@ Pose moved(const Similarity& S, const Pose& T) {
 }
 
 /// The ground map's vertical in the visual map.
-Eigen::Vector3d upIn(const ScaleOffer& offer) { return offer.T_ground_visual.R.transpose() * Eigen::Vector3d::UnitZ(); }
+Eigen::Vector3d upIn(const AlignedScale& aligned) {
+  return aligned.T_ground_visual.R.transpose() * Eigen::Vector3d::UnitZ();
+}
 
 void scaleIncrement(double scale, const Pose& T_base_camera, Increment* increment) {
   // The camera moves by the scaled step; the base's lever arm is metric already.
@@ -35,27 +37,28 @@ void scaleIncrement(double scale, const Pose& T_base_camera, Increment* incremen
 
 }  // namespace
 
-bool ExternalScale::offer(const ScaleOffer& offer) {
-  if (!(offer.T_ground_visual.scale > 0) || !(offer.scale_stddev > 0) || offer.scale_stddev > settings_.largest_stddev)
+bool ExternalScale::update(const AlignedScale& aligned) {
+  if (!(aligned.T_ground_visual.scale > 0) || !(aligned.scale_stddev > 0) ||
+      aligned.scale_stddev > settings_.largest_stddev)
     return false;
-  if (taken_ && taken_->map_id != offer.map_id) forget();
-  if (taken_ && !differs(offer, *taken_)) {
-    rival_.reset();
+  if (adopted_ && adopted_->map_id != aligned.map_id) forget();
+  if (adopted_ && !differs(aligned, *adopted_)) {
+    candidate_.reset();
     return false;
   }
-  const bool confirmed = !taken_ || (rival_ && !differs(offer, *rival_));
-  rival_ = offer;
+  const bool confirmed = !adopted_ || (candidate_ && !differs(aligned, *candidate_));
+  candidate_ = aligned;
   if (!confirmed) return false;
-  take(offer);
+  adopt(aligned);
   return true;
 }
 
 void ExternalScale::forget() {
-  taken_.reset();
-  rival_.reset();
+  adopted_.reset();
+  candidate_.reset();
 }
 
-bool ExternalScale::differs(const ScaleOffer& a, const ScaleOffer& b) const {
+bool ExternalScale::differs(const AlignedScale& a, const AlignedScale& b) const {
   const double change = std::abs(std::log(a.T_ground_visual.scale / b.T_ground_visual.scale));
   const double tilt = std::acos(std::clamp(upIn(a).dot(upIn(b)), -1.0, 1.0));
   const double k = settings_.significance;
@@ -63,14 +66,14 @@ bool ExternalScale::differs(const ScaleOffer& a, const ScaleOffer& b) const {
          tilt > std::max(settings_.min_tilt, k * std::hypot(a.tilt_stddev, b.tilt_stddev));
 }
 
-void ExternalScale::take(const ScaleOffer& offer) {
-  taken_ = offer;
-  rival_.reset();
+void ExternalScale::adopt(const AlignedScale& aligned) {
+  adopted_ = aligned;
+  candidate_.reset();
   Similarity& S = T_map_visual_;
-  S.scale = offer.T_ground_visual.scale;
-  S.R = air_ground_common::levelingRotation(upIn(offer));
+  S.scale = aligned.T_ground_visual.scale;
+  S.R = air_ground_common::levelingRotation(upIn(aligned));
   // Origin and heading 0 at the base_link of the first keyframe.
-  const Pose& first = offer.T_visual_camera_first;
+  const Pose& first = aligned.T_visual_camera_first;
   const double yaw = air_ground_common::yawOf(S.R * first.linear() * T_base_camera_.linear().transpose());
   S.R = (Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()) * S.R).eval();
   const Eigen::Vector3d p_camera_base = T_base_camera_.inverse().translation();
@@ -78,21 +81,21 @@ void ExternalScale::take(const ScaleOffer& offer) {
 }
 
 std::optional<Similarity> ExternalScale::T_map_visual(std::uint32_t map_id) const {
-  if (!taken_ || taken_->map_id != map_id) return std::nullopt;
+  if (!adopted_ || adopted_->map_id != map_id) return std::nullopt;
   return T_map_visual_;
 }
 
-FrameResult ExternalScale::metric(const FrameResult& visual) const {
+VoResult ExternalScale::metric(const VoResult& visual) const {
   const auto S = T_map_visual(visual.map_id);
   if (!S) return visual;
-  FrameResult r = visual;
+  VoResult r = visual;
   r.metric = true;
   if (r.state == OdometryState::kScaling) {
     r.state = OdometryState::kTracking;
     r.reason = "scale from the ground map";
   }
   r.scale = S->scale;
-  r.scale_stddev = S->scale * taken_->scale_stddev;
+  r.scale_stddev = S->scale * adopted_->scale_stddev;
   if (!r.pose_valid) return r;
   r.depth_min *= S->scale;
   r.depth_max *= S->scale;
@@ -103,7 +106,7 @@ FrameResult ExternalScale::metric(const FrameResult& visual) const {
   r.camera_covariance = J * visual.camera_covariance * J.transpose();
   // What the scale leaves open grows from the map's origin.
   const Eigen::Vector3d p = r.T_map_camera.translation();
-  r.camera_covariance.topLeftCorner<3, 3>() += taken_->scale_stddev * taken_->scale_stddev * p * p.transpose();
+  r.camera_covariance.topLeftCorner<3, 3>() += adopted_->scale_stddev * adopted_->scale_stddev * p * p.transpose();
   const Pose T_camera_base = T_base_camera_.inverse();
   r.T_map_base = r.T_map_camera * T_camera_base;
   J.setIdentity();

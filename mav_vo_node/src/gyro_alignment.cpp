@@ -155,10 +155,10 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   for (const auto& f : features) {
     const Track& track = tracks_.at(f.id);
     if (rows && !track.steady) continue;  // where its row sees it is not known
-    Sight sight;
-    sight.ray = f.normalized;
-    if (rows) sight.by_readout = ((f.pixel.y() + 0.5) / rows_ - 0.5) * *track.flow;
-    view->sights[f.id] = sight;
+    RayObservation observation;
+    observation.ray = f.normalized;
+    if (rows) observation.by_readout = ((f.pixel.y() + 0.5) / rows_ - 0.5) * *track.flow;
+    view->observations[f.id] = observation;
   }
   // What was known grows old.
   Matrix walk = Matrix::Zero();
@@ -235,16 +235,16 @@ void GyroAlignment::addPairs(const std::shared_ptr<const View>& view) {
     pair.begin = first->stamp;
     pair.end = view->stamp;
     std::vector<visual_frontend::TrackId> common;
-    for (const auto& ray : view->sights)
-      if (first->sights.count(ray.first)) common.push_back(ray.first);
+    for (const auto& ray : view->observations)
+      if (first->observations.count(ray.first)) common.push_back(ray.first);
     const auto previous = first;
     first = view;
     if (span > 2 * settings_.spans[s] + 0.2 || static_cast<int>(common.size()) < settings_.min_tracks) continue;
     std::sort(common.begin(), common.end());
     const std::size_t stride = 1 + (common.size() - 1) / static_cast<std::size_t>(settings_.max_tracks);
     for (std::size_t i = 0; i < common.size(); i += stride) {
-      pair.a.push_back(previous->sights.at(common[i]));
-      pair.b.push_back(view->sights.at(common[i]));
+      pair.a.push_back(previous->observations.at(common[i]));
+      pair.b.push_back(view->observations.at(common[i]));
     }
     pairs_.push_back(std::move(pair));
   }

@@ -61,7 +61,7 @@ void ImuAlignment::reset() {
   up_.reset();
 }
 
-void ImuAlignment::takeRestOfImuAlone() {
+void ImuAlignment::useBiasAtRest() {
   if (attitude_.biasKnown()) gyro_alignment_.setBias(attitude_.gyroBias(), kImuRestBiasSigma);
 }
 

@@ -27,7 +27,7 @@ class ImuAlignment {
   void reset();
 
   /// The IMU seemed to rest before the images began: a hint, no more.
-  void takeRestOfImuAlone();
+  void useBiasAtRest();
   /// Up at the next image, `dt` [s] later; the camera turned by `R_previous_current`, none: not known.
   void carryUp(const std::optional<Eigen::Matrix3d>& R_previous_current, double dt);
   /// True when the vehicle rests: gyro bias and up are measured, unless a metric map knows them better.

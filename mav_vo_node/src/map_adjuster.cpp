@@ -80,30 +80,30 @@ MapAdjuster::Jobs MapAdjuster::run(BundleJob job, double stamp) {
     next_whole_ = stamp;
     return done;
   }
-  if (!job.full) takeNewest(&done);
+  if (!job.full) awaitNewest(&done);
   threads_.start(std::move(job), stamp);
   return done;
 }
 
-void MapAdjuster::takeNewest(Jobs* done) {
-  if (threads_.localRuns()) done->push_back(threads_.takeLocal());
+void MapAdjuster::awaitNewest(Jobs* done) {
+  if (threads_.localRuns()) done->push_back(threads_.awaitLocal());
 }
 
 MapAdjuster::Jobs MapAdjuster::due(double stamp) {
   Jobs done;
-  if (threads_.localDue()) takeNewest(&done);
+  if (threads_.localDue()) awaitNewest(&done);
   if (threads_.fullDue(stamp)) {
     // A local result begun before the whole map moved must be in before that.
-    takeNewest(&done);
-    done.push_back(threads_.takeFull());
+    awaitNewest(&done);
+    done.push_back(threads_.awaitFull());
   }
   return done;
 }
 
 MapAdjuster::Jobs MapAdjuster::finish() {
   Jobs done;
-  takeNewest(&done);
-  if (threads_.fullRuns()) done.push_back(threads_.takeFull());
+  awaitNewest(&done);
+  if (threads_.fullRuns()) done.push_back(threads_.awaitFull());
   return done;
 }
 

@@ -34,7 +34,7 @@ class MapAdjuster {
 
  private:
   Jobs run(BundleJob job, double stamp);
-  void takeNewest(Jobs* done);
+  void awaitNewest(Jobs* done);
 
   CameraModel camera_;
   OdometrySettings settings_;

@@ -72,12 +72,12 @@ class MavVoNode : private ros_utils::Estimator {
   ros_utils::EstimatorResult process(const ros_utils::EstimatorFrame& frame) override {
     odometry_->setImuProblem(shell_.imuProblem());
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
-    FrameResult visual = odometry_->process(frame.stamp.toSec(), grey);
+    VoResult visual = odometry_->process(frame.stamp.toSec(), grey);
     visual.map_id = shell_.mapId();
     last_stamp_ = frame.stamp;
     tellCalibration();
     if (visual_) useAlignment(frame.stamp, visual.map_id);
-    const FrameResult r = visual_ ? external_scale_->metric(visual) : visual;
+    const VoResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     ros_utils::EstimatorResult result;
@@ -122,15 +122,15 @@ class MavVoNode : private ros_utils::Estimator {
     }
     if (!msg || msg->map_id != map_id || odometry_->map().keyframeCount() == 0) return;
     try {
-      ScaleOffer offer;
-      offer.map_id = map_id;
+      AlignedScale aligned;
+      aligned.map_id = map_id;
       const Pose T = ros_utils::fromMsg(msg->pose.pose);
-      offer.T_ground_visual = {msg->scale, T.linear(), T.translation()};
-      offer.scale_stddev = msg->scale_stddev / msg->scale;
+      aligned.T_ground_visual = {msg->scale, T.linear(), T.translation()};
+      aligned.scale_stddev = msg->scale_stddev / msg->scale;
       const Matrix6d C = ros_utils::covarianceFromMsg(msg->pose.covariance);
-      offer.tilt_stddev = std::sqrt(std::max(C(3, 3), C(4, 4)));
-      offer.T_visual_camera_first = odometry_->map().keyframes().begin()->second.T_map_camera;
-      if (!external_scale_->offer(offer)) return;
+      aligned.tilt_stddev = std::sqrt(std::max(C(3, 3), C(4, 4)));
+      aligned.T_visual_camera_first = odometry_->map().keyframes().begin()->second.T_map_camera;
+      if (!external_scale_->update(aligned)) return;
     } catch (const std::exception& e) {
       shell_.health().count(std::string("alignments unreadable: ") + e.what());
       return;
@@ -157,8 +157,8 @@ class MavVoNode : private ros_utils::Estimator {
 
   /// `visual`: in the odometry's own map, whose unit never changes where there is no IMU; `r`: the same in the metric
   /// map, as far as that is known.
-  void publish(const sensor_msgs::Image::ConstPtr& image, const cv::Mat& grey, const FrameResult& visual,
-               const FrameResult& r, bool usable) {
+  void publish(const sensor_msgs::Image::ConstPtr& image, const cv::Mat& grey, const VoResult& visual,
+               const VoResult& r, bool usable) {
     std_msgs::Header header;
     header.stamp = image->header.stamp;
     header.frame_id = frames_.map_frame;

@@ -42,7 +42,7 @@ std::string adviceFor(OdometryState state) {
   }
 }
 
-air_ground::VoStatus statusMessage(const FrameResult& r) {
+air_ground::VoStatus statusMessage(const VoResult& r) {
   air_ground::VoStatus status;
   status.state = stateOf(r.state);
   status.tracked_features = static_cast<std::uint32_t>(r.tracked);
@@ -59,7 +59,7 @@ air_ground::VoStatus statusMessage(const FrameResult& r) {
   return status;
 }
 
-ros_utils::Motion motionOf(const FrameResult& r) {
+ros_utils::Motion motionOf(const VoResult& r) {
   ros_utils::Motion motion;
   if (!r.increment) return motion;
   motion.T_previous_current = r.increment->T_previous_current;
@@ -72,7 +72,7 @@ ros_utils::Motion motionOf(const FrameResult& r) {
   return motion;
 }
 
-air_ground::PosedImage posedImage(const cv::Mat& grey, const FrameResult& r, int quality) {
+air_ground::PosedImage posedImage(const cv::Mat& grey, const VoResult& r, int quality) {
   air_ground::PosedImage posed;
   if (quality > 0)
     posed.compressed = ros_utils::compressed(grey, quality, std_msgs::Header());
@@ -90,7 +90,7 @@ air_ground::PosedImage posedImage(const cv::Mat& grey, const FrameResult& r, int
   return posed;
 }
 
-air_ground::VoIncrement incrementMessage(const std_msgs::Header& header, const FrameResult& r) {
+air_ground::VoIncrement incrementMessage(const std_msgs::Header& header, const VoResult& r) {
   air_ground::VoIncrement increment;
   increment.header = header;
   increment.previous_stamp = ros::Time(r.increment->previous_stamp);

@@ -119,7 +119,7 @@ void Odometry::Impl::useImu(double stamp) {
 // What the image does in the present state, and to which state that leads.
 void Odometry::Impl::advance(const cv::Mat& gray) {
   if (state == OdometryState::kWaiting) {
-    if (settings.use_imu) imu.takeRestOfImuAlone();
+    if (settings.use_imu) imu.useBiasAtRest();
     state = OdometryState::kInitializing;
     reason = "first image";
   }
@@ -161,9 +161,9 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray) {
   return found;
 }
 
-FrameResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
+VoResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   const auto begin = std::chrono::steady_clock::now();
-  FrameResult result;
+  VoResult result;
   result.stamp = stamp;
   increment.reset();
   made_keyframe = false;
@@ -246,7 +246,7 @@ Matrix6d Odometry::Impl::mapCovariance() const {
   return C;
 }
 
-void Odometry::Impl::fillResult(FrameResult* result) const {
+void Odometry::Impl::fillResult(VoResult* result) const {
   const ScaleFilter& estimate = scale.filter();
   result->state = state;
   result->reason = reason;
@@ -295,7 +295,7 @@ double Odometry::imuNeededAt(double image_stamp) const {
 }
 
 void Odometry::setImuProblem(const std::string& problem) { impl_->imu_problem = problem; }
-FrameResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
+VoResult Odometry::process(double stamp, const cv::Mat& gray) { return impl_->process(stamp, gray); }
 void Odometry::reset() { impl_->reset(); }
 const CameraModel& Odometry::camera() const { return impl_->camera; }
 const visual_frontend::Map& Odometry::map() const { return impl_->map; }

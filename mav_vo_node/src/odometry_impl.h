@@ -26,13 +26,13 @@ struct Odometry::Impl {
   Impl(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu, const OdometrySettings& settings);
 
   // ---- odometry.cpp
-  FrameResult process(double stamp, const cv::Mat& gray);
+  VoResult process(double stamp, const cv::Mat& gray);
   void useImu(double stamp);
   void advance(const cv::Mat& gray);
   bool relocalize(const cv::Mat& gray);
   void localized(const cv::Mat& gray, bool continuous);  ///< bookkeeping after a pose was found
   Increment incrementSince(const Pose& T_map_previous) const;
-  void fillResult(FrameResult* result) const;
+  void fillResult(VoResult* result) const;
   Matrix6d mapCovariance() const;  ///< of the camera's pose
   void reset();
 

@@ -13,7 +13,7 @@ constexpr double kNominalDistance = 2.0;  // [m], as dense_fusion's nominal_dist
 
 }  // namespace
 
-bool PosedImageSelection::selects(const FrameResult& frame) {
+bool PosedImageSelection::selects(const VoResult& frame) {
   double unit = 1;  // [m] of the map's
   if (!frame.metric && frame.depth_min > 0 && frame.depth_max >= frame.depth_min)
     unit = kNominalDistance / std::sqrt(frame.depth_min * frame.depth_max);

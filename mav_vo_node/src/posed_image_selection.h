@@ -17,7 +17,7 @@ class PosedImageSelection {
 
   /// True for keyframes, for the first image of a map or of its correction, and for those that lie `spacing` or 0.05
   /// rad from the last one selected, or 0.2 s after it. `frame`: in the odometry's own map.
-  bool selects(const FrameResult& frame);
+  bool selects(const VoResult& frame);
 
  private:
   const double spacing_;

@@ -159,7 +159,7 @@ class OfflineRun {
   bool verbose_;
   std::deque<Image> images_;
   air_ground_common::Trajectory truth_, online_;
-  mav_vo::FrameResult last_;
+  mav_vo::VoResult last_;
   std::vector<double> times_;
   double newest_imu_ = -1, first_stamp_ = -1, located_at_ = -1, metric_at_ = -1, next_line_ = 0;
   std::size_t located_ = 0;

@@ -37,9 +37,9 @@ struct Flight {
     return out;
   }
   /// As an alignment with a ground map that is turned by `yaw` and shifted against the world gives it.
-  ScaleOffer offer(double scale_error = 0, double stddev = 0.01, std::uint32_t map_id = 4) const {
+  AlignedScale aligned(double scale_error = 0, double stddev = 0.01, std::uint32_t map_id = 4) const {
     const Eigen::Matrix3d R_ground_world = expSO3({0, 0, 1.2});
-    ScaleOffer o;
+    AlignedScale o;
     o.map_id = map_id;
     o.T_ground_visual.scale = kUnit * (1 + scale_error);
     o.T_ground_visual.R = R_ground_world * T_visual_world.R.transpose();
@@ -49,8 +49,8 @@ struct Flight {
     o.T_visual_camera_first = visual(0);
     return o;
   }
-  FrameResult result(double t) const {
-    FrameResult r;
+  VoResult result(double t) const {
+    VoResult r;
     r.map_id = 4;
     r.state = OdometryState::kScaling;
     r.reason = "no IMU";
@@ -72,13 +72,13 @@ TEST(ExternalScale, LengthsAndVerticalAreTheWorlds) {
   const Flight flight;
   ExternalScale scale(flight.T_base_camera);
   EXPECT_FALSE(scale.metric(flight.result(1)).metric);
-  ASSERT_TRUE(scale.offer(flight.offer()));
+  ASSERT_TRUE(scale.update(flight.aligned()));
   // Origin and heading are those of base_link at the first keyframe.
   const Pose first = flight.world(0);
   const Pose T_map_world = air_ground_common::yawPose(-air_ground_common::yawOf(first.linear()), {0, 0, 0}) *
                            Pose(Eigen::Translation3d(-first.translation()));
   for (const double t : {0.5, 1.0, 3.0}) {
-    const FrameResult r = scale.metric(flight.result(t));
+    const VoResult r = scale.metric(flight.result(t));
     EXPECT_TRUE(r.metric);
     EXPECT_EQ(r.state, OdometryState::kTracking);
     EXPECT_EQ(r.reason, "scale from the ground map");
@@ -104,25 +104,25 @@ TEST(ExternalScale, LengthsAndVerticalAreTheWorlds) {
 TEST(ExternalScale, SmallAndSingleChangesDoNotMoveIt) {
   const Flight flight;
   ExternalScale scale(flight.T_base_camera);
-  ASSERT_TRUE(scale.offer(flight.offer()));
-  EXPECT_FALSE(scale.offer(flight.offer(0.02))) << "within two standard deviations of both";
-  EXPECT_FALSE(scale.offer(flight.offer(0.08))) << "not confirmed";
-  EXPECT_FALSE(scale.offer(flight.offer(0.0)));
-  EXPECT_FALSE(scale.offer(flight.offer(0.08))) << "the one between spoke against it";
-  EXPECT_TRUE(scale.offer(flight.offer(0.07)));
+  ASSERT_TRUE(scale.update(flight.aligned()));
+  EXPECT_FALSE(scale.update(flight.aligned(0.02))) << "within two standard deviations of both";
+  EXPECT_FALSE(scale.update(flight.aligned(0.08))) << "not confirmed";
+  EXPECT_FALSE(scale.update(flight.aligned(0.0)));
+  EXPECT_FALSE(scale.update(flight.aligned(0.08))) << "the one between spoke against it";
+  EXPECT_TRUE(scale.update(flight.aligned(0.07)));
   EXPECT_NEAR(scale.T_map_visual(4)->scale, 1.07 * kUnit, 1e-12);
 }
 
 TEST(ExternalScale, AnotherMapHasNoneYet) {
   const Flight flight;
   ExternalScale scale(flight.T_base_camera);
-  EXPECT_FALSE(scale.offer(flight.offer(0, 0.3))) << "too uncertain";
-  EXPECT_FALSE(scale.offer(flight.offer(0, 0))) << "nothing is known of it";
-  ASSERT_TRUE(scale.offer(flight.offer()));
-  FrameResult r = flight.result(1);
+  EXPECT_FALSE(scale.update(flight.aligned(0, 0.3))) << "too uncertain";
+  EXPECT_FALSE(scale.update(flight.aligned(0, 0))) << "nothing is known of it";
+  ASSERT_TRUE(scale.update(flight.aligned()));
+  VoResult r = flight.result(1);
   r.map_id = 5;
   EXPECT_FALSE(scale.metric(r).metric);
-  ASSERT_TRUE(scale.offer(flight.offer(0, 0.01, 5)));
+  ASSERT_TRUE(scale.update(flight.aligned(0, 0.01, 5)));
   EXPECT_TRUE(scale.metric(r).metric);
   EXPECT_FALSE(scale.T_map_visual(4));
 }

@@ -26,7 +26,7 @@ TEST(Odometry, IsMetricAndAccurate) {
   EXPECT_LT(std::abs(scale_error), 0.015);
   EXPECT_LT(ate(o, o.online), 0.02 * length);
   // Once metric, it does not lose its way, and says how sure it is.
-  for (const FrameResult& r : o.frames) {
+  for (const VoResult& r : o.frames) {
     if (r.stamp < o.metric_at) continue;
     EXPECT_TRUE(r.pose_valid) << r.stamp << " " << r.reason;
     EXPECT_LT(std::abs(r.scale - 1), 5 * r.scale_stddev + 0.01);
@@ -64,7 +64,7 @@ TEST(Odometry, StartsInMotionWithLargeBiases) {
   ASSERT_GT(o.metric_at, 0) << o.frames.back().reason;
   double scale_error = 1;
   const double error = ate(o, o.final_poses, &scale_error), length = air_ground_common::pathLength(o.truth);
-  const FrameResult& last = o.frames.back();
+  const VoResult& last = o.frames.back();
   std::printf(
       "metric after %.2f s; final ATE %.4f m of %.2f m, scale %+.3f %%, tilt %.2f deg, gyro bias off %.4f rad/s, "
       "accelerometer's %.3f m/s^2\n",
@@ -75,7 +75,7 @@ TEST(Odometry, StartsInMotionWithLargeBiases) {
   EXPECT_LT(std::abs(scale_error), 0.015);
   EXPECT_LT(worstTilt(o), 0.5 * M_PI / 180);
   EXPECT_LT((last.imu_bias.gyro - options.bias.gyro).norm(), 0.005);
-  for (const FrameResult& r : o.frames)
+  for (const VoResult& r : o.frames)
     EXPECT_TRUE(r.pose_valid || r.stamp < options.begin + 1.5) << r.stamp << " " << r.reason;
 }
 
@@ -84,7 +84,7 @@ TEST(Odometry, FindsTheTimeOffset) {
   options.flight.wobble = 0.15;
   options.imu_shift = 0.03;
   const Outcome o = fly(options);
-  const FrameResult& last = o.frames.back();
+  const VoResult& last = o.frames.back();
   std::printf("time offset %.2f +- %.2f ms, ATE %.4f m\n", 1e3 * last.time_offset, 1e3 * last.time_offset_stddev,
               ate(o, o.final_poses));
   EXPECT_NEAR(last.time_offset, options.imu_shift, 0.004);
@@ -98,7 +98,7 @@ TEST(Odometry, FindsTheReadoutTime) {
   options.flight.wobble = 0.15;
   options.readout = 0.025;
   const Outcome o = fly(options);
-  const FrameResult& last = o.frames.back();
+  const VoResult& last = o.frames.back();
   std::printf("readout time %.2f +- %.2f ms, ATE %.4f m\n", 1e3 * last.readout_time, 1e3 * last.readout_time_stddev,
               ate(o, o.final_poses));
   EXPECT_NEAR(last.readout_time, options.readout, 0.004);
@@ -173,7 +173,7 @@ TEST(Odometry, ResetBelievesTheCalibrationAgain) {
 TEST(Odometry, TakesAGlobalShutterForOne) {
   Options options;
   options.flight.wobble = 0.15;
-  for (const FrameResult& r : fly(options).frames) EXPECT_EQ(r.readout_time, 0) << r.stamp;
+  for (const VoResult& r : fly(options).frames) EXPECT_EQ(r.readout_time, 0) << r.stamp;
 }
 
 TEST(Odometry, IncrementsCarryAnHonestCovariance) {
@@ -182,7 +182,7 @@ TEST(Odometry, IncrementsCarryAnHonestCovariance) {
   const Outcome o = fly({});
   double scatter = 0, poses = 0, variance_ratio = 0;
   int count = 0, cautious = 0;
-  for (const FrameResult& r : o.frames) {
+  for (const VoResult& r : o.frames) {
     if (!r.increment || !r.metric) continue;
     const Increment& step = *r.increment;
     const auto truthAt = [&](double stamp) {
@@ -234,7 +234,7 @@ TEST(Odometry, PosesCarryAnHonestCovariance) {
         air_ground_common::yawPose(air_ground_common::yawOf(first.linear()), first.translation()).inverse();
     double flight = 0;
     int frames = 0;
-    for (const FrameResult& r : o.frames) {
+    for (const VoResult& r : o.frames) {
       if (!r.metric || !r.pose_valid) continue;
       const Eigen::Vector3d e =
           r.T_map_base.translation() - (T_map_world * options.flight.T_world_imu(r.stamp)).translation();
@@ -306,7 +306,7 @@ TEST(Odometry, RecoversAfterBlackImagesInTheSameMap) {
   options.black = [](double t) { return t > 9 && t < 9.6; };
   const Outcome o = fly(options);
   bool lost = false;
-  for (const FrameResult& r : o.frames) lost = lost || r.state == OdometryState::kLost;
+  for (const VoResult& r : o.frames) lost = lost || r.state == OdometryState::kLost;
   EXPECT_TRUE(lost);
   EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
   EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);

@@ -9,7 +9,7 @@ namespace {
 
 struct Flight {
   PosedImageSelection selection{0.02};
-  FrameResult frame;
+  VoResult frame;
 
   Flight() {
     frame.metric = true;
@@ -26,7 +26,7 @@ struct Flight {
 
 TEST(PosedImageSelection, FirstImageThenThoseFromElsewhere) {
   PosedImageSelection selection(0.02);
-  EXPECT_TRUE(selection.selects(FrameResult()));
+  EXPECT_TRUE(selection.selects(VoResult()));
   Flight flight;
   EXPECT_FALSE(flight.at(0.01));
   EXPECT_TRUE(flight.at(0.03)) << "measured from the last one selected";
@@ -67,7 +67,7 @@ TEST(PosedImageSelection, WithoutScaleAsIfTheSceneWereTwoMetresAway) {
 
 TEST(PosedImageSelection, AllWithoutSpacing) {
   PosedImageSelection selection(0);
-  FrameResult frame;
+  VoResult frame;
   for (int i = 0; i < 5; ++i) {
     frame.stamp += 0.01;
     EXPECT_TRUE(selection.selects(frame));

@@ -38,7 +38,7 @@ EurocFolder backwards(EurocFolder folder) {
 }
 
 struct Replay {
-  FrameResult last;
+  VoResult last;
   double first_pose = -1, metric = -1, all_poses_from = -1;  ///< after the first image; -1: never [s]
   air_ground_common::Trajectory trajectory;                  ///< of the body, of the last map
 };

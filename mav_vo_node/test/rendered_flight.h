@@ -31,7 +31,7 @@ struct Options {
 
 struct Outcome {
   air_ground_common::Trajectory truth, online, final_poses;  // of the camera
-  std::vector<FrameResult> frames;
+  std::vector<VoResult> frames;
   double metric_at = -1;
   CameraModel camera;  ///< as the odometry knows it at the end
 };
@@ -83,7 +83,7 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
     cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
                                          : renderRows(world, options, t, &grain);
     if (options.black(t)) image.setTo(3);
-    const FrameResult r = given->process(t + options.replay, image);
+    const VoResult r = given->process(t + options.replay, image);
     EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));
     EXPECT_TRUE(!r.metric || options.imu);
     if (r.metric && outcome.metric_at < 0) outcome.metric_at = t;

@@ -50,7 +50,7 @@ Flown fly(const CameraModel& camera) {
     const double t = 0.05 * i;
     for (; next < samples.size() && samples[next].stamp <= t + 1e-9; ++next) odometry.addImu(samples[next]);
     const Pose T = flight.T_world_imu(t) * synthetic::T_imu_camera();
-    const FrameResult r = odometry.process(t, world.renderByRays(camera, rays, T, &grain));
+    const VoResult r = odometry.process(t, world.renderByRays(camera, rays, T, &grain));
     flown.truth.push_back({t, T});
     flown.valid += r.pose_valid;
     flown.metric += r.metric;

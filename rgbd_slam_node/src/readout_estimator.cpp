@@ -50,7 +50,7 @@ struct ReadoutEstimator::Pair {
   using VectorAll = Eigen::Matrix<double, kAll, 1>;
   using MatrixAll = Eigen::Matrix<double, kAll, kAll>;
 
-  std::vector<std::pair<const Sight*, const Sight*>> points;
+  std::vector<std::pair<const RowObservation*, const RowObservation*>> points;
   double ray_sigma;
   Vector x;
   Pose T_b_a = Pose::Identity();
@@ -154,7 +154,7 @@ bool ReadoutEstimator::add(double stamp, const Pose& T_map_camera, const std::ve
   const bool changed = conclude(T_map_camera, stamp);
   before_ = std::move(last_);
   last_.emplace(stamp, T_map_camera);
-  for (const RowPoint& point : points) last_->sights[point.track].point = point;
+  for (const RowPoint& point : points) last_->observations[point.track].point = point;
   return changed;
 }
 
@@ -162,10 +162,10 @@ bool ReadoutEstimator::conclude(const Pose& T_map_after, double after) {
   if (!before_ || (!views_.empty() && last_->stamp - views_.back().stamp < kViewInterval)) return false;
   const auto velocity =
       visual_frontend::velocityBetween(before_->T_map_camera, last_->T_map_camera, T_map_after, after - before_->stamp);
-  for (auto& [track, sight] : last_->sights) {
-    const Eigen::Vector3d& p = sight.point.p_camera;
+  for (auto& [track, observation] : last_->observations) {
+    const Eigen::Vector3d& p = observation.point.p_camera;
     const Eigen::Vector3d off_axis(p.x(), p.y(), 0);
-    sight.by_state << sight.point.row * (velocity.angular.cross(p) + velocity.linear), off_axis,
+    observation.by_state << observation.point.row * (velocity.angular.cross(p) + velocity.linear), off_axis,
         p.z() * Eigen::Vector3d::UnitX(), p.z() * Eigen::Vector3d::UnitY(), p.hnormalized().squaredNorm() * off_axis;
   }
   bool changed = false;
@@ -187,9 +187,9 @@ bool ReadoutEstimator::compare(const View& a, const View& b) {
   Pair pair;
   pair.ray_sigma = ray_sigma_;
   pair.x = x_;
-  for (const auto& [track, seen] : b.sights) {
-    const auto earlier = a.sights.find(track);
-    if (earlier != a.sights.end()) pair.points.emplace_back(&earlier->second, &seen);
+  for (const auto& [track, seen] : b.observations) {
+    const auto earlier = a.observations.find(track);
+    if (earlier != a.observations.end()) pair.points.emplace_back(&earlier->second, &seen);
   }
   if (static_cast<int>(pair.points.size()) < kMinPoints) return false;
   // In one order whatever the tables' is: sums round by it.

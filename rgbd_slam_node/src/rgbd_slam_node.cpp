@@ -119,7 +119,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
       return result;
     }
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
-    const FrameResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image), *depth);
+    const SlamResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image), *depth);
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
@@ -176,7 +176,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     if (reason.empty()) reason = problem;
   }
 
-  void publish(const ros::Time& stamp, const cv::Mat& grey, const FrameResult& r) {
+  void publish(const ros::Time& stamp, const cv::Mat& grey, const SlamResult& r) {
     if (r.new_map) beginMap(shell_.mapId());
     pose_publisher_.publish(stamp, r.T_map_base, {r.T_previous_current_base, r.increment_covariance}, r.covariance);
     if (r.keyframe) {

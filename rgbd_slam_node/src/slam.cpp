@@ -76,8 +76,8 @@ void Slam::Impl::clear() {
   first_stamp = -1;
 }
 
-FrameResult Slam::Impl::initialize(const RgbdImages& images) {
-  FrameResult result;
+SlamResult Slam::Impl::initialize(const RgbdImages& images) {
+  SlamResult result;
   const double stamp = images.stamp;
   result.state = state = State::kInitializing;
   if (first_stamp < 0) first_stamp = stamp;
@@ -140,14 +140,14 @@ void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, co
     throw std::invalid_argument("Slam::process: the stamp is not newer than the last");
 }
 
-FrameResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
   check(stamp, gray, bgr, depth);
   ++counters.frames;
   last_stamp = stamp;
   const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth};
   if (state == State::kWaiting || state == State::kInitializing) return initialize(images);
 
-  FrameResult result;
+  SlamResult result;
   const bool was_lost = state == State::kLost;
   TrackedPose tracked;
   if (!was_lost) tracked = tracking.track(images, reference);
@@ -254,7 +254,7 @@ Pose Slam::Impl::step(double stamp, const Pose& T_map_camera, bool relocalized) 
 }
 
 void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance,
-                              FrameResult* result) const {
+                              SlamResult* result) const {
   result->T_map_camera = lastPose();
   result->T_map_base = result->T_map_camera * T_camera_base;
   const Eigen::Vector3d lever = result->T_map_base.translation() - result->T_map_camera.translation();
@@ -276,7 +276,7 @@ Slam::~Slam() = default;
 
 bool Slam::addImu(const visual_frontend::ImuSample& sample) { return impl_->motion.addImu(sample); }
 
-FrameResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+SlamResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
   return impl_->process(stamp, gray, bgr, depth);
 }
 

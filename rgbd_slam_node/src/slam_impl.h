@@ -26,9 +26,9 @@ struct Slam::Impl {
   Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings);
 
   // ---- slam.cpp
-  FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   void check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const;
-  FrameResult initialize(const RgbdImages& images);
+  SlamResult initialize(const RgbdImages& images);
   TrackedPose relocalize(const RgbdImages& images);
   visual_frontend::PlaceMatch recognize(const RgbdImages& images);
   void beLost();
@@ -36,13 +36,13 @@ struct Slam::Impl {
   void compareTurns(double stamp, const Pose& T_map_camera);
   /// Takes the step from the last frame to this one; returns what the base moved by.
   Pose step(double stamp, const Pose& T_map_camera, bool relocalized);
-  void concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance, FrameResult* result) const;
+  void concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance, SlamResult* result) const;
   void clear();
   Pose lastPose() const { return frames.lastPose(map); }
 
   // ---- slam_map.cpp
   /// Keeps the frame, in the view of a keyframe there is or as a new one.
-  void addToMap(const RgbdImages& images, const TrackedPose& tracked, FrameResult* result);
+  void addToMap(const RgbdImages& images, const TrackedPose& tracked, SlamResult* result);
   KeyframeId addKeyframe(const RgbdImages& images, const Pose& T_map_camera, const Matrix6d& covariance);
   void describe(const RgbdImages& images, Keyframe& keyframe) const;  ///< for place recognition
   void createLandmarks(KeyframeId id);

@@ -15,7 +15,7 @@ constexpr std::size_t kMostCalibrating = 40;  // keyframes that tell of the cali
 
 }  // namespace
 
-void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, FrameResult* result) {
+void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, SlamResult* result) {
   const Pose& T_map_camera = tracked.pose.T_map_camera;
   const bool due = result->relocalized || reference.due(map, T_map_camera, tracked.landmarks);
   const KeyframeId known = due ? reference.ofView(map, tracks, T_map_camera, tracked.landmarks) : reference.id();

@@ -102,7 +102,7 @@ struct Robot {
 };
 
 struct Drive {
-  std::vector<FrameResult> results;
+  std::vector<SlamResult> results;
   std::vector<double> stamps;
   air_ground_common::Trajectory truth;  ///< camera in the map
 };

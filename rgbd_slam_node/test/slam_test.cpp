@@ -26,7 +26,7 @@ TEST(Slam, CircleInAGravityAlignedMap) {
   double nees = 0;
   int count = 0;
   for (std::size_t i = 0; i < run.results.size(); ++i) {
-    const FrameResult& r = run.results[i];
+    const SlamResult& r = run.results[i];
     corrected += r.map_corrected;
     if (r.state != State::kTracking) {
       EXPECT_LT(run.stamps[i], 0.3);
@@ -63,7 +63,7 @@ TEST(Slam, CircleInAGravityAlignedMap) {
 }
 
 /// The true vertical in the map, by the pose of a frame.
-Eigen::Vector3d upOf(const Robot& robot, const FrameResult& r, double t) {
+Eigen::Vector3d upOf(const Robot& robot, const SlamResult& r, double t) {
   return r.T_map_base.linear() * robot.base(t).linear().transpose() * Eigen::Vector3d::UnitZ();
 }
 
@@ -112,7 +112,7 @@ TEST(Slam, ImuClockAheadOfTheCamera) {
   Random random(11);
   double next_imu = 0;
   std::deque<visual_frontend::ImuSample> shifted;
-  FrameResult a, b;
+  SlamResult a, b;
   for (int i = 0; i <= 50; ++i) {
     const double t = 0.1 * i;
     for (; next_imu <= t + 0.005; next_imu += 0.005) {
@@ -147,7 +147,7 @@ TEST(Slam, AGyroInDegreesIsNamedAndLeftOut) {
     const std::string expected = degrees ? "the gyro by 5" : "correlation -";
     EXPECT_NE(later.results.back().imu_problem.find("gyro and images turn differently"), std::string::npos);
     EXPECT_NE(later.results.back().imu_problem.find(expected), std::string::npos) << later.results.back().imu_problem;
-    for (const FrameResult& r : later.results) EXPECT_TRUE(r.state == State::kTracking && !r.relocalized) << r.reason;
+    for (const SlamResult& r : later.results) EXPECT_TRUE(r.state == State::kTracking && !r.relocalized) << r.reason;
     EXPECT_EQ(slam.counters().maps, 1);
     // The circle as it was driven, but for where up is.
     std::vector<Pose> truth, estimate;
@@ -169,7 +169,7 @@ TEST(Slam, LostItLooksForItsPlaceTenTimesASecond) {
   Random random(5);
   auto dark = robot.frame(3, random);
   dark.gray.setTo(15);
-  FrameResult r;
+  SlamResult r;
   int i = 0;
   for (; i < 60; ++i) r = slam.process(3.1 + i / 30.0, dark.gray, cv::Mat(), dark.depth);
   EXPECT_EQ(r.state, State::kLost);
@@ -294,7 +294,7 @@ TEST(Slam, LostSaysSoAndFindsItsWayBack) {
   const std::size_t poses = slam.trajectory().size();
   Random random(5);
   const auto frame = robot.frame(2.0, random);
-  const FrameResult r = slam.process(5.0, frame.gray, cv::Mat(), frame.depth);
+  const SlamResult r = slam.process(5.0, frame.gray, cv::Mat(), frame.depth);
   ASSERT_EQ(r.state, State::kTracking) << r.reason;
   EXPECT_TRUE(r.relocalized);
   EXPECT_LT((r.T_map_base.translation() - robot.mapped(2.0).translation()).norm(), 0.02);
@@ -314,21 +314,21 @@ TEST(Slam, LostAmongUnknownPlacesItBeginsANewMap) {
   dark.gray = cv::Mat(known.gray.size(), CV_8U, cv::Scalar(15));
   double t = 3;
   const auto see = [&](const Robot::Frame& frame, double seconds) {
-    FrameResult r;
+    SlamResult r;
     for (int i = 0; i < std::lround(10 * seconds); ++i) r = slam.process(t += 0.1, frame.gray, cv::Mat(), frame.depth);
     return r;
   };
   // Covered for long, then a person in front of it for four seconds: the map is kept, and known ground found again.
   EXPECT_EQ(see(dark, 12).state, State::kLost);
   EXPECT_EQ(see(strange, 4).state, State::kLost);
-  const FrameResult back = see(known, 0.5);
+  const SlamResult back = see(known, 0.5);
   EXPECT_EQ(back.state, State::kTracking) << back.reason;
   EXPECT_LT((back.T_map_base.translation() - robot.mapped(2).translation()).norm(), 0.02);
   EXPECT_EQ(slam.mapId(), 1);
   // A gap in the recording, and nothing known after it: a new map.
   t += 8;
   EXPECT_EQ(see(strange, 4.5).state, State::kLost);
-  const FrameResult anew = see(strange, 1.5);
+  const SlamResult anew = see(strange, 1.5);
   EXPECT_EQ(anew.state, State::kTracking) << anew.reason;
   EXPECT_EQ(slam.mapId(), 2);
   EXPECT_EQ(slam.counters().maps, 2);
@@ -369,7 +369,7 @@ TEST(Slam, WaitsForDepthAndRefusesBadInput) {
   Random random(1);
   const auto frame = robot.frame(0, random);
   const cv::Mat no_depth(480, 640, CV_32F, cv::Scalar(NAN));
-  const FrameResult r = slam.process(1, frame.gray, cv::Mat(), no_depth);
+  const SlamResult r = slam.process(1, frame.gray, cv::Mat(), no_depth);
   EXPECT_EQ(r.state, State::kInitializing);
   EXPECT_NE(r.reason.find("depth"), std::string::npos);
   EXPECT_THROW(slam.process(1, frame.gray, cv::Mat(), frame.depth), std::invalid_argument);  // the same stamp

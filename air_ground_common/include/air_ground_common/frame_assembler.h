@@ -67,7 +67,7 @@ class FrameAssembler {
   }
 
   /// The oldest image; call when there is one.
-  Frame take() {
+  Frame pop() {
     Waiting& oldest = images_.front();
     Frame frame{oldest.stamp, oldest.arrival, std::move(oldest.image), {}};
     images_.pop_front();
@@ -88,7 +88,7 @@ class FrameAssembler {
   /// How far the oldest image is behind the newest [s of data].
   double lag() const { return images_.empty() ? 0 : newest_image_ - images_.front().stamp; }
   /// Images given up because too many waited, since the last call.
-  std::size_t takeOverflown() { return std::exchange(overflown_, 0); }
+  std::size_t popOverflown() { return std::exchange(overflown_, 0); }
 
  private:
   struct Waiting {

@@ -53,7 +53,7 @@ class FramePairer {
     return pair_ ? &*pair_ : nullptr;
   }
 
-  Pair take() {
+  Pair pop() {
     Pair pair = std::move(*pair_);
     pair_.reset();
     return pair;

@@ -31,7 +31,7 @@ class ImuCombiner {
   }
 
   /// The next sample that is complete. A gyro's before the first of the accelerometer is left out.
-  std::optional<Sample> take() {
+  std::optional<Sample> pop() {
     while (!gyro_.empty() && accelerometer_.size() > 1) {
       const double t = gyro_.front().stamp;
       while (accelerometer_.size() > 2 && accelerometer_[1].stamp < t) accelerometer_.pop_front();

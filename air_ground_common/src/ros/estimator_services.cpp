@@ -63,7 +63,7 @@ bool EstimatorShell::reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Respo
     const std::lock_guard<std::mutex> lock(queue_mutex_);
     clearQueues();
   }
-  startAfresh(true);
+  resetEstimator(true);
   response.success = true;
   response.message = names_.subject + " starts afresh";
   return true;

@@ -178,7 +178,7 @@ void EstimatorShell::onImage(const ImageMessage& message) {
       addToPairs(message, true);
     else
       assembler_.addImage(message.header().stamp.toSec(), {message, {}}, now());
-    health_.count("images dropped: the queue was full", assembler_.takeOverflown());
+    health_.count("images dropped: the queue was full", assembler_.popOverflown());
   }
   queue_changed_.notify_all();
 }
@@ -219,10 +219,10 @@ void EstimatorShell::clearQueues() {
 void EstimatorShell::movePairs() {
   if (!pairer_) return;
   while (pairer_->front(now())) {
-    auto pair = pairer_->take();
+    auto pair = pairer_->pop();
     assembler_.addImage(pair.stamp, {std::move(pair.colour), std::move(pair.depth)}, now());
   }
-  health_.count("images dropped: the queue was full", assembler_.takeOverflown());
+  health_.count("images dropped: the queue was full", assembler_.popOverflown());
 }
 
 void EstimatorShell::reportUnmatched() {
@@ -281,7 +281,7 @@ void EstimatorShell::work() {
       newest = newest_image_;
       if (!restart && !frame_ && frameReady()) {
         health_.value("lag [s]", assembler_.lag());
-        frame_ = assembler_.take();
+        frame_ = assembler_.pop();
       } else if (!frame_) {
         obstacle = whyNotReady();
       }
@@ -289,13 +289,13 @@ void EstimatorShell::work() {
     }
     if (restart) {
       frame_.reset();
-      startAfresh(false);
+      resetEstimator(false);
     } else if (!frame_ && !obstacle.reason.empty()) {
-      tellObstacle(obstacle, newest);
+      reportObstacle(obstacle, newest);
     } else {
       const bool image = frame_.has_value();
       try {
-        image ? attempt(*frame_) : rest();
+        image ? attempt(*frame_) : idle();
       } catch (const std::exception& e) {
         health_.count(std::string(image ? "images refused: " : "between images: ") + e.what());
         if (image) health_.withheld(std::string("images are refused: ") + e.what());
@@ -305,7 +305,7 @@ void EstimatorShell::work() {
   }
 }
 
-void EstimatorShell::rest() {
+void EstimatorShell::idle() {
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   if (estimator_.exists()) estimator_.idle();
 }
@@ -319,7 +319,7 @@ void EstimatorShell::attempt(Assembler::Frame& waiting) {
   frame.stamp = frame.image->header.stamp;
   const Obstacle obstacle = prepare(*frame.image, waiting.imu);
   if (!obstacle.reason.empty()) {
-    tellObstacle(obstacle, frame.stamp);
+    reportObstacle(obstacle, frame.stamp);
     if (now() - waiting.arrival < settings_.transform_timeout) return;
     health_.count("images without " + obstacle.lacking);
     frame_.reset();
@@ -413,7 +413,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
 }
 
 /// A status says so, too, unless there are others or it is only a matter of time: topics have no order between them.
-void EstimatorShell::tellObstacle(const Obstacle& obstacle, const ros::Time& stamp) {
+void EstimatorShell::reportObstacle(const Obstacle& obstacle, const ros::Time& stamp) {
   health_.withheld(obstacle.reason, obstacle.advice);
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   if (estimator_.exists()) return;
@@ -431,17 +431,17 @@ void EstimatorShell::tellObstacle(const Obstacle& obstacle, const ros::Time& sta
   status_publisher_.publish(status);
 }
 
-/// `anew`: calibration and mountings are read again, too.
-void EstimatorShell::startAfresh(bool anew) {
+/// `all`: calibration and mountings are read again, too.
+void EstimatorShell::resetEstimator(bool all) {
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
-  if (estimator_.exists() && anew) {
+  if (estimator_.exists() && all) {
     map_id_offset_ += estimator_.mapId();
     estimator_.drop();
   } else if (estimator_.exists()) {
     estimator_.reset();
   }
   imu_input_.reset();
-  if (anew) imu_seen_ = false;
+  if (all) imu_seen_ = false;
   estimator_.forgetMap();
   last_stamp_ = ros::Time();
   health_.state(kWarn, "started afresh: waiting for images");

@@ -337,7 +337,7 @@ bool StreamGate::admit(std::size_t stream, double stamp) {
     health_.count("messages of the time before a jump dropped");
     return false;
   }
-  if (verdict == StreamJumpDetector::Verdict::kJump) start_afresh_();
+  if (verdict == StreamJumpDetector::Verdict::kJump) reset_();
   return true;
 }
 

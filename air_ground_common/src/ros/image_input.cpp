@@ -17,19 +17,20 @@ ImageInput::ImageInput(ros::NodeHandle handle, const std::string& topic, const s
   topic_ = topicOf(resolved, compressed, depth);
   health.expectInput(topic_, true, topicOf(resolved, !compressed, depth),
                      "set " + argument + " to " + (compressed ? "raw" : "compressed"));
-  const auto take = [&health, callback, name = topic_](const ImageMessage& message) {
+  const auto onMessage = [&health, callback, name = topic_](const ImageMessage& message) {
     health.received(name, message.header().stamp);
     callback(message);
   };
   if (compressed)
     subscriber_ = handle.subscribe<sensor_msgs::CompressedImage>(
-        topic_, queue, [take](const sensor_msgs::CompressedImage::ConstPtr& msg) {
-          take({nullptr, msg});
+        topic_, queue, [onMessage](const sensor_msgs::CompressedImage::ConstPtr& msg) {
+          onMessage({nullptr, msg});
         });
   else
-    subscriber_ = handle.subscribe<sensor_msgs::Image>(topic_, queue, [take](const sensor_msgs::Image::ConstPtr& msg) {
-      take({msg, nullptr});
-    });
+    subscriber_ =
+        handle.subscribe<sensor_msgs::Image>(topic_, queue, [onMessage](const sensor_msgs::Image::ConstPtr& msg) {
+          onMessage({msg, nullptr});
+        });
 }
 
 }  // namespace air_ground_common::ros_utils

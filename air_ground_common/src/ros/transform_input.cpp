@@ -14,7 +14,7 @@ TransformInput::TransformInput(tf2_ros::Buffer& buffer) : buffer_(buffer) {
   const auto listen = [this](const char* topic, bool fixed) {
     return handle_.subscribe<tf2_msgs::TFMessage>(
         topic, 100, boost::function<void(const Event&)>([this, fixed](const Event& event) {
-          take(*event.getConstMessage(), event.getPublisherName(), fixed);
+          onMessage(*event.getConstMessage(), event.getPublisherName(), fixed);
         }));
   };
   moving_ = listen("/tf", false);
@@ -22,7 +22,7 @@ TransformInput::TransformInput(tf2_ros::Buffer& buffer) : buffer_(buffer) {
   spinner_.start();
 }
 
-void TransformInput::take(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed) {
+void TransformInput::onMessage(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed) {
   const ros::Time now = ros::Time::now();
   if (now < last_) {
     ROS_WARN("time jumped back: what moved on tf is forgotten");

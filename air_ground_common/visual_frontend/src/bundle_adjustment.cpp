@@ -142,7 +142,7 @@ class Solver {
     options.logging_type = ceres::SILENT;
     ceres::Solver::Summary summary;
     ceres::Solve(options, &ceres_, &summary);
-    if (summary.IsSolutionUsable()) takeOver();
+    if (summary.IsSolutionUsable()) writeBack();
     return summary;
   }
 
@@ -153,8 +153,8 @@ class Solver {
     return options;
   }
 
-  void takeOver() {
-    takeOverCalibration();
+  void writeBack() {
+    writeBackCalibration();
     for (std::size_t i = 0; i < problem_.cameras.size(); ++i) {
       BundleProblem::Camera& c = problem_.cameras[i];
       const Block& b = block_[i];
@@ -179,7 +179,7 @@ class Solver {
     ordering_->AddElementToGroup(calibration(), 1);
   }
 
-  void takeOverCalibration() {
+  void writeBackCalibration() {
     if (!problem_.calibration) return;
     problem_.calibration->error = Eigen::Map<const CalibrationVector>(calibration());
     problem_.calibration->covariance = calibrationCovariance();

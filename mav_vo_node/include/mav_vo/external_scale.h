@@ -15,8 +15,8 @@ struct ExternalScaleSettings {
   double largest_stddev = 0.10;  ///< relative; an alignment that knows its scale less well gives none [1]
 };
 
-/// An alignment with a metric, level map.
-struct ScaleOffer {
+/// Scale and vertical that an alignment with a metric, level map tells.
+struct AlignedScale {
   std::uint32_t map_id = 0;                       ///< of the visual map that was aligned
   air_ground_common::Similarity T_ground_visual;  ///< p_ground [m] = scale R p_visual [visual unit] + t
   double scale_stddev = 0;                        ///< relative
@@ -26,31 +26,32 @@ struct ScaleOffer {
 
 /// Holds p_map = scale R p_visual + t, whose map is metric and level with its origin at base_link of the first
 /// keyframe. The visual map itself stays as it is: what was reconstructed in it, and the alignment, know nothing of the
-/// scale that is taken from them. The first offer is taken; a later one when it differs significantly and the next one
-/// says the same. Not thread-safe.
+/// scale that is taken from them. The first alignment is used; a later one when it differs significantly and the next
+/// one says the same. Not thread-safe.
 class ExternalScale {
  public:
   explicit ExternalScale(const Pose& T_base_camera, const ExternalScaleSettings& settings = {})
       : T_base_camera_(T_base_camera), settings_(settings) {}
 
-  /// True when the similarity is another one after it. An offer of another map than the one in use forgets the latter.
-  bool offer(const ScaleOffer& offer);
+  /// True when the similarity is another one after it. An alignment of another map than the one in use forgets the
+  /// latter.
+  bool update(const AlignedScale& aligned);
   void forget();
 
   /// Of that map, once known.
   std::optional<air_ground_common::Similarity> T_map_visual(std::uint32_t map_id) const;
-  double scaleStddev() const { return taken_ ? taken_->scale_stddev : 0; }  ///< relative
+  double scaleStddev() const { return adopted_ ? adopted_->scale_stddev : 0; }  ///< relative
   /// The result in the metric map, as an odometry with IMU gives it; unchanged while the scale of its map is not known.
-  FrameResult metric(const FrameResult& visual) const;
+  VoResult metric(const VoResult& visual) const;
   air_ground_common::Trajectory metric(const air_ground_common::Trajectory& visual, std::uint32_t map_id) const;
 
  private:
-  bool differs(const ScaleOffer& a, const ScaleOffer& b) const;
-  void take(const ScaleOffer& offer);
+  bool differs(const AlignedScale& a, const AlignedScale& b) const;
+  void adopt(const AlignedScale& aligned);
 
   Pose T_base_camera_;
   ExternalScaleSettings settings_;
-  std::optional<ScaleOffer> taken_, rival_;
+  std::optional<AlignedScale> adopted_, candidate_;
   air_ground_common::Similarity T_map_visual_;
 };
 

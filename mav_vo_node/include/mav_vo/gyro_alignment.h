@@ -71,18 +71,18 @@ class GyroAlignment {
   using Vector = Eigen::Matrix<double, kStates, 1, Eigen::DontAlign>;
   using Matrix = Eigen::Matrix<double, kStates, kStates, Eigen::DontAlign>;
   /// Where a track is seen, and how far it moves by the readout time of 1 s until its row is read, as (x, y, 1).
-  struct Sight {
+  struct RayObservation {
     Eigen::Vector2d ray = Eigen::Vector2d::Zero(), by_readout = Eigen::Vector2d::Zero();
     Eigen::Vector3d atMiddleRow(double readout_time) const { return (ray - readout_time * by_readout).homogeneous(); }
     Eigen::Vector3d derivative() const { return {-by_readout.x(), -by_readout.y(), 0}; }
   };
   struct View {
     double stamp = 0;
-    std::unordered_map<visual_frontend::TrackId, Sight> sights;
+    std::unordered_map<visual_frontend::TrackId, RayObservation> observations;
   };
   struct Pair {
-    double begin = 0, end = 0;  ///< stamps of the images [s]
-    std::vector<Sight> a, b;    ///< in the earlier and in the later camera
+    double begin = 0, end = 0;         ///< stamps of the images [s]
+    std::vector<RayObservation> a, b;  ///< in the earlier and in the later camera
   };
   struct Normal {
     Matrix H = Matrix::Zero();

@@ -104,7 +104,7 @@ struct Increment {
 };
 
 /// What one image gave.
-struct FrameResult {
+struct VoResult {
   double stamp = 0;  ///< [s]
   OdometryState state = OdometryState::kWaiting;
   std::string reason;                  ///< why not tracking; empty while it is
@@ -153,7 +153,7 @@ class Odometry {
 
   /// Next image, CV_8UC1 of the camera's size (std::invalid_argument otherwise). Stamps must increase; an image that
   /// does not is answered with the last state and no pose.
-  FrameResult process(double stamp, const cv::Mat& gray);
+  VoResult process(double stamp, const cv::Mat& gray);
 
   /// Forgets everything and takes a new map id.
   void reset();

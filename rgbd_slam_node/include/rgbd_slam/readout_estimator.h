@@ -47,7 +47,7 @@ class ReadoutEstimator {
   static constexpr int kStates = 5;
   using Vector = Eigen::Matrix<double, kStates, 1, Eigen::DontAlign>;
   using Matrix = Eigen::Matrix<double, kStates, kStates, Eigen::DontAlign>;
-  struct Sight {
+  struct RowObservation {
     RowPoint point;
     Eigen::Matrix<double, 3, kStates> by_state;  ///< of the point in the camera at the middle row [m]
   };
@@ -55,7 +55,7 @@ class ReadoutEstimator {
     View(double image_stamp, const air_ground_common::Pose& pose) : stamp(image_stamp), T_map_camera(pose) {}
     double stamp;
     air_ground_common::Pose T_map_camera;
-    std::unordered_map<visual_frontend::TrackId, Sight> sights;
+    std::unordered_map<visual_frontend::TrackId, RowObservation> observations;
   };
   struct Pair;
   /// Knows the last image's motion now, and compares it with earlier ones.

@@ -115,7 +115,7 @@ struct Mounting {
 
 enum class State { kWaiting, kInitializing, kTracking, kLost };
 
-struct FrameResult {
+struct SlamResult {
   State state = State::kWaiting;
   std::string reason;       ///< why not tracking
   std::string imu_problem;  ///< the gyro contradicts the images, and is left out; empty: no
@@ -151,7 +151,7 @@ class Slam {
 
   /// Next frame: grey CV_8UC1, `bgr` CV_8UC3 (empty: grey is used) and depth CV_32F in metres (NaN or 0 unknown), all
   /// of the camera's size and registered. Throws std::invalid_argument for other types or a stamp that is not newer.
-  FrameResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
 
   /// Camera poses of all tracked frames in the map, placed by their keyframes as those stand now.
   air_ground_common::Trajectory trajectory() const;

@@ -161,13 +161,11 @@ class EstimatorShell {
   // Worker
   void work();
   void attempt(Assembler::Frame& frame);
-  void rest();
+  void idle();
   Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
-  void startAfresh(bool anew);
-  void makeEstimator(const Calibration& calibration, const std::string& camera_frame, const Pose& T_base_camera,
-                     const std::optional<Pose>& T_base_imu);
-  void tellObstacle(const Obstacle& obstacle, const ros::Time& stamp);
+  void resetEstimator(bool all);
+  void reportObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
   std::size_t saveMapTo(const std::string& path);
   std::size_t saveTrajectoryTo(const std::string& path);

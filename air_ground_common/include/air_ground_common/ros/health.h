@@ -176,9 +176,9 @@ class StreamJumpDetector {
 /// What a node does with the verdict: starts afresh at a jump, and counts what it drops. Not thread-safe.
 class StreamGate {
  public:
-  /// `start_afresh` is called at a jump, before the message that shows it is used.
-  StreamGate(std::size_t streams, NodeHealth& health, std::function<void()> start_afresh)
-      : jumps_(streams), health_(health), start_afresh_(std::move(start_afresh)) {}
+  /// `reset` is called at a jump, before the message that shows it is used.
+  StreamGate(std::size_t streams, NodeHealth& health, std::function<void()> reset)
+      : jumps_(streams), health_(health), reset_(std::move(reset)) {}
 
   /// False: drop the message. `stamp` [s].
   bool admit(std::size_t stream, double stamp);
@@ -187,7 +187,7 @@ class StreamGate {
  private:
   StreamJumpDetector jumps_;
   NodeHealth& health_;
-  std::function<void()> start_afresh_;
+  std::function<void()> reset_;
 };
 
 }  // namespace air_ground_common::ros_utils

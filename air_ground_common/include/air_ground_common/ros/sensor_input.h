@@ -119,7 +119,7 @@ class ImuInput {
     const std::lock_guard<std::mutex> lock(mutex_);
     (combiner_.*stream)(msg.header.stamp.toSec(), reading);
     std::vector<Sample> samples;
-    while (const auto sample = combiner_.take()) {
+    while (const auto sample = combiner_.pop()) {
       judgeUnit(sample->specific_force.norm());
       samples.push_back(*sample);
     }

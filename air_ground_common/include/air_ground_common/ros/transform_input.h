@@ -17,7 +17,7 @@ class TransformInput {
   explicit TransformInput(tf2_ros::Buffer& buffer);
 
  private:
-  void take(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed);
+  void onMessage(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed);
 
   tf2_ros::Buffer& buffer_;
   ros::Time last_;  ///< by the node's clock
