@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "air_ground_common/ros/calibration_report.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/mountings.h"
@@ -352,6 +353,17 @@ TEST(NodeHealth, SaysOnceWhyNothingIsPublished) {
   health.published();
   pause(300);
   EXPECT_EQ(console.count("images come, but no pose"), 2) << "poses come, or no images";
+}
+
+TEST(CalibrationReport, SaysOnceThatTheImagesCorrectTheCalibration) {
+  const Console console;
+  NodeHealth health("calibration_test");
+  CalibrationReport report(health, "left camera");
+  report.setGiven(-0.2);
+  for (const double k1 : {-0.2, -0.18, -0.18, -0.2}) report.update(k1);
+  EXPECT_TRUE(spinUntil([&] { return console.count("the left camera is off: k1 is -0.1800, not -0.2000") > 0; }));
+  pause(300);
+  EXPECT_EQ(console.count("left camera"), 1) << "after a reset what was given holds again";
 }
 
 // A replay's nodes wait for the player, which opens a large bag first.

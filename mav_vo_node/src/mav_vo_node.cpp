@@ -6,6 +6,7 @@
 #include <mutex>
 #include <stdexcept>
 
+#include "air_ground_common/ros/calibration_report.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/parameters.h"
@@ -50,7 +51,7 @@ class MavVoNode : private ros_utils::Estimator {
     settings.use_imu = T_base_imu.has_value();
     visual_ = !settings.use_imu;
     external_scale_.emplace(T_base_camera);
-    radial_ = camera.k1;
+    calibration_.setGiven(camera.k1);
     odometry_ = std::make_unique<Odometry>(camera, T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
   }
 
@@ -75,7 +76,7 @@ class MavVoNode : private ros_utils::Estimator {
     VoResult visual = odometry_->process(frame.stamp.toSec(), grey);
     visual.map_id = shell_.mapId();
     last_stamp_ = frame.stamp;
-    tellCalibration();
+    calibration_.update(odometry_->camera().k1);
     if (visual_) useAlignment(frame.stamp, visual.map_id);
     const VoResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
@@ -86,18 +87,6 @@ class MavVoNode : private ros_utils::Estimator {
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;
-  }
-
-  /// A calibration that the images have corrected is no secret.
-  void tellCalibration() {
-    const double radial = odometry_->camera().k1;
-    shell_.health().value("k1", radial);
-    if (radial == radial_) return;
-    ROS_WARN(
-        "The images show that the camera's calibration is off: k1 is %.4f, not %.4f, and is used so. Calibrate the "
-        "camera; radial_stddev: 0 keeps what camera_info says",
-        radial, radial_);
-    radial_ = radial;
   }
 
   /// Only kept: process() uses it, on the worker's thread.
@@ -232,7 +221,6 @@ class MavVoNode : private ros_utils::Estimator {
   ros::Subscriber alignment_subscriber_;
   std::unique_ptr<Odometry> odometry_;
   PosedImageSelection posed_selection_{settings_.posed_image_spacing};
-  double radial_ = 0;    // k1 that the console knows of
   bool visual_ = false;  // no IMU: the map keeps its own unit
   std::optional<ExternalScale> external_scale_;
   std::mutex alignment_mutex_;
@@ -241,6 +229,7 @@ class MavVoNode : private ros_utils::Estimator {
   std::uint32_t map_id_ = 0;
   std::size_t frame_count_ = 0;
   ros_utils::EstimatorShell shell_;
+  ros_utils::CalibrationReport calibration_{shell_.health(), "camera"};
 };
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <memory>
 #include <stdexcept>
 
+#include "air_ground_common/ros/calibration_report.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/parameters.h"
@@ -81,6 +82,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     }
     slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
     depth_.setColourCamera(camera, T_base_camera);
+    calibration_.setGiven(camera.k1);
   }
 
   void forgetMap() override {
@@ -127,7 +129,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
     if (r.map_corrected)
       ROS_INFO("the map was corrected as a whole (loop closed, levelled, readout time or distortion found)");
     tellReadoutTime();
-    if (r.recalibrated) tellCalibration();
+    calibration_.update(slam_->camera().k1);
+    if (r.recalibrated) keyframes_.resendAll();
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
     status.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -158,15 +161,6 @@ class RgbdSlamNode : private ros_utils::Estimator {
     told_readout_time_ = slam_->readoutTime();
     ROS_INFO("rolling shutter: an image is read in %.1f ms; what each row saw is moved accordingly",
              1e3 * told_readout_time_);
-  }
-
-  void tellCalibration() {
-    keyframes_.resendAll();
-    ROS_WARN(
-        "The images show that the colour camera's calibration is off: k1 is %.4f, and is used so. Calibrate the "
-        "camera; "
-        "radial_stddev: 0 keeps what camera_info says",
-        slam_->camera().k1);
   }
 
   void tellImuProblem(const std::string& problem, std::string& reason) {
@@ -227,6 +221,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::uint32_t map_revision_ = 0;
 
   ros_utils::EstimatorShell shell_;
+  ros_utils::CalibrationReport calibration_{shell_.health(), "colour camera"};
   DepthInput depth_;
   CloudPublisher clouds_;
   KeyframePublisher keyframes_;
