@@ -25,9 +25,13 @@ std::size_t MapStore::size() const {
 }
 
 std::size_t MapStore::write(const std::string& path) const {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  if (map_.size() == 0) throw std::runtime_error("nothing has been reconstructed yet");
-  const auto points = messagePoints(map_.points());
+  std::vector<SurfacePoint> copy;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    copy = map_.points();
+  }
+  if (copy.empty()) throw std::runtime_error("nothing has been reconstructed yet");
+  const auto points = messagePoints(copy);
   air_ground_common::ros_utils::writeCloud(path, points, air_ground_common::ros_utils::CloudFields::kXyzIntensity);
   return points.size();
 }

@@ -20,7 +20,8 @@ class MapStore {
   void reset(double unit = 1);
   void add(const std::vector<SurfacePoint>& points);
   std::size_t size() const;
-  /// Number of points written. Throws std::runtime_error, also when there is none.
+  /// Of the points now; others may come while it writes. Number of points written. Throws std::runtime_error, also when
+  /// there is none.
   std::size_t write(const std::string& path) const;
 
  private:

@@ -7,13 +7,17 @@
 #include <sensor_msgs/PointCloud2.h>
 #include <sensor_msgs/image_encodings.h>
 #include <std_srvs/Trigger.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cstdio>
+#include <fstream>
+#include <future>
 #include <limits>
 #include <set>
 
+#include "../src/map_store.h"
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
@@ -326,6 +330,27 @@ TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {
     spinUntil([&] { return clouds > 0; }, 2000);
   }
   EXPECT_GT(clouds, 0);
+}
+
+// A slow disk: a file that cannot be opened until somebody writes into it.
+TEST(MapStore, PointsComeInWhileItWrites) {
+  const dense_fusion::NodeSettings settings;
+  ros_utils::NodeHealth health("map_store");
+  dense_fusion::MapStore store(settings, health);
+  store.add({{{1, 2, 3}, {0, 0, 1}, 9, 1}});
+  const std::string pipe = "/tmp/map_store_" + std::to_string(getpid()) + ".ply";
+  ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
+  auto written = std::async(std::launch::async, [&] {
+    EXPECT_THROW(store.write(pipe), std::runtime_error);  // in the end: it is no map
+  });
+  EXPECT_EQ(written.wait_for(std::chrono::milliseconds(300)), std::future_status::timeout);
+  auto added = std::async(std::launch::async, [&] { store.add({{{4, 5, 6}, {0, 0, 1}, 9, 1}}); });
+  EXPECT_EQ(added.wait_for(std::chrono::seconds(5)), std::future_status::ready);
+  std::ofstream(pipe) << "not a map";
+  written.wait();
+  added.wait();
+  EXPECT_EQ(store.size(), 2u);
+  std::remove(pipe.c_str());
 }
 
 }  // namespace
