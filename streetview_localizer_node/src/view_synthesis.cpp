@@ -135,8 +135,13 @@ std::vector<ColouredPoint> ViewSynthesizer::sampleModel(double spacing, std::siz
   std::vector<std::vector<ColouredPoint>> parts(triangles.size());
 #pragma omp parallel for schedule(dynamic, 16)
   for (std::size_t i = 0; i < triangles.size(); ++i) {
-    const Eigen::Vector3d a = corner(triangles[i], 0), e1 = corner(triangles[i], 1) - a,
-                          e2 = corner(triangles[i], 2) - a;
+    // From the longest edge on, so that a needle has few rows: at most as many as its area has.
+    int first = 0;
+    const auto edge = [&](int k) { return (corner(triangles[i], (k + 1) % 3) - corner(triangles[i], k)).norm(); };
+    for (int k = 1; k < 3; ++k)
+      if (edge(k) > edge(first)) first = k;
+    const Eigen::Vector3d a = corner(triangles[i], first), e1 = corner(triangles[i], (first + 1) % 3) - a,
+                          e2 = corner(triangles[i], (first + 2) % 3) - a;
     const Eigen::Vector3d normal = e1.cross(e2).normalized();
     const double length = e1.norm();
     if (!normal.allFinite() || length < 1e-6) continue;

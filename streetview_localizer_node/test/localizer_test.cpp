@@ -5,6 +5,7 @@
 
 #include <unistd.h>
 
+#include <chrono>
 #include <cstdio>
 #include <limits>
 #include <opencv2/imgproc.hpp>
@@ -336,6 +337,25 @@ TEST_F(LocalizerTest, SynthesisedViewResemblesThePhotograph) {
   EXPECT_LT(correlation(aside), correlation(T) - 0.3);
   const auto cloud = synthesizer.sampleModel(0.5, 100000);
   EXPECT_NEAR(static_cast<double>(cloud.size()), (24 + 16 + 24) * 9 / 0.25, 400);
+}
+
+// Needles, as careless triangulations of a city have them: a kilometre by a millimetre, and as long as no city is.
+TEST(ViewSynthesizer, NeedlesTakeNoLongerThanTheirAreaDoes) {
+  const StreetviewDatabase nothing;
+  constexpr std::size_t kMost = 2000;
+  const auto begin = std::chrono::steady_clock::now();
+  for (const float length : {1e3F, 1e14F}) {
+    CityModel needle;
+    needle.mesh.vertices = {{0, 0, 0}, {0, 0, length}, {1e-3F, 0, 0}};
+    needle.surface = {Surface::kWall};
+    needle.building = {0};
+    for (int first = 0; first < 3; ++first) {
+      needle.mesh.triangles = {{first, (first + 1) % 3, (first + 2) % 3}};
+      const BackProjector projector(needle);
+      EXPECT_LE(ViewSynthesizer(nothing, projector).sampleModel(0.01, kMost).size(), 4 * kMost) << length << first;
+    }
+  }
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(5));
 }
 
 }  // namespace
