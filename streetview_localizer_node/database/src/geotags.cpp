@@ -15,6 +15,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/units.h"
+#include "exif_gps.h"
 #include "geopackage.h"
 
 namespace streetview_localizer {
@@ -164,15 +165,21 @@ Geotag exifOf(const std::string& path) {
     return g;
   }
   const auto tag = [&](const char* name) { return image->GetMetadataItem(name); };
+  const std::set<std::uint16_t> over_zero = gpsTagsOverZero(path);
+  const auto gpsAngle = [&](GpsTag number, const char* name) {
+    return over_zero.count(number) > 0 ? std::nan("") : angle(tag(name));
+  };
   const auto letter = [&](const char* name, char fallback) {
     return tag(name) && *tag(name) ? tag(name)[0] : fallback;
   };
-  g.position.latitude = angle(tag("EXIF_GPSLatitude")) * (letter("EXIF_GPSLatitudeRef", 'N') == 'S' ? -1 : 1);
-  g.position.longitude = angle(tag("EXIF_GPSLongitude")) * (letter("EXIF_GPSLongitudeRef", 'E') == 'W' ? -1 : 1);
+  g.position.latitude =
+      gpsAngle(kGpsLatitude, "EXIF_GPSLatitude") * (letter("EXIF_GPSLatitudeRef", 'N') == 'S' ? -1 : 1);
+  g.position.longitude =
+      gpsAngle(kGpsLongitude, "EXIF_GPSLongitude") * (letter("EXIF_GPSLongitudeRef", 'E') == 'W' ? -1 : 1);
   const char* below = tag("EXIF_GPSAltitudeRef");
-  g.position.height =
-      angle(tag("EXIF_GPSAltitude")) * (below && std::string(below).find('1') != std::string::npos ? -1 : 1);
-  g.heading = angle(tag("EXIF_GPSImgDirection")) * kDegree;
+  g.position.height = gpsAngle(kGpsAltitude, "EXIF_GPSAltitude") *
+                      (below && std::string(below).find('1') != std::string::npos ? -1 : 1);
+  g.heading = gpsAngle(kGpsImageDirection, "EXIF_GPSImgDirection") * kDegree;
   bool magnetic = letter("EXIF_GPSImgDirectionRef", 'T') == 'M';
   if (char** packet = image->GetMetadata("xml:XMP"); packet && *packet) {
     const CPLXMLTreeCloser tree(CPLParseXMLString(*packet));
@@ -183,6 +190,8 @@ Geotag exifOf(const std::string& path) {
     if (const double roll = xmpNumber(xmp, "GPano:PoseRollDegrees"); std::isfinite(roll)) g.roll = roll * kDegree;
   }
   g.problem = problemOf(g);
+  if (over_zero.count(kGpsLatitude) > 0 || over_zero.count(kGpsLongitude) > 0)
+    g.problem = "has a latitude or longitude over zero in its EXIF: it was never located";
   if (g.problem.empty() && magnetic)
     g.problem = "has a heading from magnetic north: add the declination and give a geotag file";
   return g;

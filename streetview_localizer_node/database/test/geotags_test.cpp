@@ -247,16 +247,18 @@ class ExifImage {
 
 /// The geotag of a photograph south of the equator and west of Greenwich, below the sea.
 Geotag exifOf(const std::vector<std::pair<std::uint32_t, std::uint32_t>>& latitude,
-              const std::vector<std::pair<std::uint32_t, std::uint32_t>>& longitude, char north = 'T') {
+              const std::vector<std::pair<std::uint32_t, std::uint32_t>>& longitude, char north = 'T',
+              const std::pair<std::uint32_t, std::uint32_t>& depth = {45, 10},
+              const std::pair<std::uint32_t, std::uint32_t>& direction = {2705, 10}) {
   ExifImage image;
   image.text(1, 'S');
   image.rationals(2, latitude);
   image.text(3, 'W');
   image.rationals(4, longitude);
   image.byte(5, 1);
-  image.rationals(6, {{45, 10}});
+  image.rationals(6, {depth});
   image.text(16, north);
-  image.rationals(17, {{2705, 10}});
+  image.rationals(17, {direction});
   const TemporaryFolder folder;
   folder.write("a.JPG", image.jpeg());
   return readExif(folder / "").at(0);
@@ -276,6 +278,14 @@ TEST(Geotags, ExifOfAnotherHemisphere) {
 TEST(Geotags, ExifRationalsOverZeroAreNoPlace) {
   const std::vector<std::pair<std::uint32_t, std::uint32_t>> none(3, {0, 0});
   EXPECT_NE(exifOf(none, none).problem.find("never located"), std::string::npos);
+  for (const std::size_t part : {0, 1, 2}) {
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> known = {{33, 1}, {51, 1}, {45, 1}}, broken = known;
+    broken[part].second = 0;
+    for (const Geotag& g : {exifOf(broken, known), exifOf(known, broken)})
+      EXPECT_NE(g.problem.find("over zero in its EXIF"), std::string::npos) << part << ": " << g.problem;
+  }
+  EXPECT_EQ(exifOf({{33, 1}}, {{151, 1}}, 'T', {45, 0}).problem, "has no height");
+  EXPECT_EQ(exifOf({{33, 1}}, {{151, 1}}, 'T', {45, 10}, {2705, 0}).problem, "has no heading");
 }
 
 TEST(Geotags, ExifOfRealPhotographs) {
