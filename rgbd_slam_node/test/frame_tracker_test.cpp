@@ -137,6 +137,8 @@ TEST_F(Tracked, LostItIsFoundNearWhereItWasForHalfASecond) {
 TEST_F(Tracked, WithoutSuccessNoTrackIsLeft) {
   const Image image = see(above(2, 2, kHeight));
   tracker.restart(image.gray);
+  tracker.tracker().replenish();
+  ASSERT_FALSE(tracker.tracker().features().empty());
   const TrackedPose found = tracker.findAround(above(0, 0, kHeight), 10, {0.1, image.gray, image.gray, image.depth});
   EXPECT_FALSE(found.success);
   EXPECT_NE(found.reason, "");

@@ -228,5 +228,32 @@ TEST(MapLevel, TheMotionThatCameraAndImuAgreeOnTellsUp) {
   EXPECT_TRUE(corrected);
 }
 
+// A keyframe is held by up as the motion has it, which no acceleration bends, once that is known well.
+TEST(MapLevel, KeyframesAreHeldByTheMotionsUp) {
+  Robot robot;
+  robot.rest = 0;
+  robot.sway = 0.15;
+  SlamSettings settings;
+  CameraMotion motion(robot.camera, robot.mounting, settings);
+  MapLevel level(settings);
+  Random random(5);
+  const auto cameraAt = [&](double t) { return Pose(robot.base(t) * robot.mounting.T_base_camera); };
+  double next = 0.5;
+  const auto known = [&] { return motion.estimate() && motion.estimate()->up_sigma < 0.01; };
+  for (double t = 1; t < 30; t += 0.1) {
+    for (; next <= t + 0.005; next += 0.005) motion.addImu(robot.imu(next, random));
+    if (t == 1) level.begin(&motion.attitude());
+    motion.addPose(t, cameraAt(t), 1e-8 * Matrix6d::Identity());
+    const Eigen::Matrix3d R_map_camera = cameraAt(t).linear();
+    const auto up = level.upInCamera(R_map_camera, motion);
+    ASSERT_TRUE(up) << t;
+    EXPECT_EQ(up->second <= 0.01, known()) << t;
+    if (!known()) continue;
+    EXPECT_LT((up->first - R_map_camera.transpose() * motion.estimate()->up).norm(), 1e-9) << t;
+    EXPECT_LT((R_map_camera * up->first - Eigen::Vector3d::UnitZ()).norm(), 0.03) << t;
+  }
+  EXPECT_TRUE(known());
+}
+
 }  // namespace
 }  // namespace rgbd_slam
