@@ -1,6 +1,7 @@
 #include "map_adjuster.h"
 
 #include <algorithm>
+#include <stdexcept>
 #include <utility>
 
 namespace mav_vo {
@@ -20,6 +21,7 @@ constexpr int kMinShared = 8;                              // landmarks that mak
 
 MapAdjuster::Jobs MapAdjuster::adjustNewest(const Map& map, const InertialMap& inertial, BundleSettings settings,
                                             double stamp) {
+  if (threads_.localRuns()) throw std::logic_error("MapAdjuster: the adjustment before is not in the map yet");
   std::vector<KeyframeId> free, fixed;
   for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
     if (static_cast<int>(free.size()) < settings_.window) {
@@ -75,34 +77,34 @@ MapAdjuster::Jobs MapAdjuster::run(BundleJob job, double stamp) {
     done.push_back(std::move(job));
     return done;
   }
-  // At most one of each kind. Keyframes closer together than the lag wait for the one before.
+  // At most one of each kind.
   if (job.full && threads_.fullRuns()) {
     next_whole_ = stamp;
     return done;
   }
-  if (!job.full) awaitNewest(&done);
   threads_.start(std::move(job), stamp);
   return done;
 }
 
-void MapAdjuster::awaitNewest(Jobs* done) {
-  if (threads_.localRuns()) done->push_back(threads_.awaitLocal());
+MapAdjuster::Jobs MapAdjuster::finishNewest() {
+  Jobs done;
+  if (threads_.localRuns()) done.push_back(threads_.awaitLocal());
+  return done;
 }
 
 MapAdjuster::Jobs MapAdjuster::due(double stamp) {
   Jobs done;
-  if (threads_.localDue()) awaitNewest(&done);
+  if (threads_.localDue()) done = finishNewest();
   if (threads_.fullDue(stamp)) {
     // A local result begun before the whole map moved must be in before that.
-    awaitNewest(&done);
+    if (done.empty()) done = finishNewest();
     done.push_back(threads_.awaitFull());
   }
   return done;
 }
 
 MapAdjuster::Jobs MapAdjuster::finish() {
-  Jobs done;
-  awaitNewest(&done);
+  Jobs done = finishNewest();
   if (threads_.fullRuns()) done.push_back(threads_.awaitFull());
   return done;
 }

@@ -17,8 +17,11 @@ class MapAdjuster {
   void setCamera(const CameraModel& camera) { camera_ = camera; }
   /// Waits for what runs; nothing comes of it.
   void discard() { threads_.discard(); }
+  /// What adjustNewest() began, waited for. The map must have it before the next one is taken out of it.
+  Jobs finishNewest();
   /// The newest keyframes and what they see, older observers held. `settings`: those that the state of the map decides;
-  /// `stamp`: of the image [s]. Returns what is done, of earlier adjustments too.
+  /// `stamp`: of the image [s]. Returns what is done. Throws std::logic_error while the one
+  /// before runs: finishNewest().
   Jobs adjustNewest(const visual_frontend::Map& map, const visual_frontend::InertialMap& inertial,
                     visual_frontend::BundleSettings settings, double stamp);
   /// The whole map, but for the oldest keyframes of a long flight.
@@ -34,7 +37,6 @@ class MapAdjuster {
 
  private:
   Jobs run(BundleJob job, double stamp);
-  void awaitNewest(Jobs* done);
 
   CameraModel camera_;
   OdometrySettings settings_;

@@ -158,6 +158,7 @@ KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {
 
 void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
   Keyframe keyframe;
+  adopt(adjuster.finishNewest());  // keyframes closer together than its lag wait for the one before
   keyframe.stamp = last_stamp;
   keyframe.T_map_camera = pose.pose();
   keyframe.observations = pose.observations();

@@ -76,6 +76,25 @@ TEST(MapAdjuster, MovesAKeyframeToWhereItsLandmarksSayItIs) {
   EXPECT_LT((map.keyframe(5).T_map_camera.translation() - Eigen::Vector3d(1, 0, 0)).norm(), 1e-4);
 }
 
+// Two keyframes one image apart: the second is adjusted to what the adjustment of the first makes of the map.
+TEST(MapAdjuster, AKeyframeIsHeldByTheMapAsTheOneBeforeCorrectedIt) {
+  const Map seven = rowOver(7);
+  Map map = seven;
+  map.removeKeyframe(6);
+  map.keyframe(5).T_map_camera.translation() += Eigen::Vector3d(0.05, -0.03, 0.02);
+  MapAdjuster adjuster(synthetic::camera(), windowOf(1, 4, false));
+  InertialMap inertial;
+  EXPECT_TRUE(adjuster.adjustNewest(map, inertial, {}, 10).empty());
+  EXPECT_THROW(adjuster.adjustNewest(map, inertial, {}, 10.05), std::logic_error);
+  for (const BundleJob& job : adjuster.finishNewest()) applyBundle(job, map, &inertial);
+  Keyframe last = seven.keyframe(6);
+  last.T_map_camera.translation() += Eigen::Vector3d(0.01, 0.01, 0);
+  const KeyframeId id = map.addKeyframe(std::move(last));
+  EXPECT_TRUE(adjuster.adjustNewest(map, inertial, {}, 10.05).empty());
+  for (const BundleJob& job : adjuster.finishNewest()) applyBundle(job, map, &inertial);
+  EXPECT_LT((map.keyframe(id).T_map_camera.translation() - Eigen::Vector3d(1.2, 0, 0)).norm(), 1e-4);
+}
+
 TEST(MapAdjuster, OfALongFlightTheOldestStay) {
   Map map = rowOver(8);
   OdometrySettings settings = windowOf(4, 3, true);
@@ -131,12 +150,14 @@ TEST_P(BesideTracking, TheSecondImageHasTheResult) {
   EXPECT_TRUE(adjuster.finish().empty());
 }
 
-TEST_P(BesideTracking, TheNextOneOfItsKindTakesTheOneBeforeAlong) {
+TEST_P(BesideTracking, TheNextOneOfItsKindWaitsForTheOneBefore) {
   MapAdjuster adjuster(synthetic::camera(), settings);
   EXPECT_TRUE(adjuster.adjustNewest(map, {}, {}, 10).empty());
-  const auto jobs = adjuster.adjustNewest(map, {}, {}, 10.05);
+  const auto jobs = adjuster.finishNewest();
   ASSERT_EQ(jobs.size(), 1u);
   EXPECT_TRUE(jobs[0].result.usable);
+  EXPECT_TRUE(adjuster.finishNewest().empty());
+  EXPECT_TRUE(adjuster.adjustNewest(map, {}, {}, 10.05).empty());
   EXPECT_EQ(adjuster.finish().size(), 1u);
 }
 
