@@ -55,19 +55,23 @@ class StandIn : public Estimator {
 class Shell : public testing::Test {
  protected:
   Shell() {
-    EstimatorSettings settings;
-    settings.map_frame = "map", settings.odom_frame = "odom", settings.base_frame = "base";
-    settings.T_base_camera = settings.T_base_imu = Pose::Identity();
-    settings.accel_topic = "accel";
-    settings.max_latency = 0;
-    shell_.emplace(handle_, settings,
-                   EstimatorNames{"image", "camera_info", "imu", "status", "", "shell", "estimation", "", "", ""},
-                   estimator_);
-    shell_->start();
+    settings_.map_frame = "map", settings_.odom_frame = "odom", settings_.base_frame = "base";
+    settings_.T_base_camera = settings_.T_base_imu = Pose::Identity();
+    settings_.accel_topic = "accel";
+    settings_.max_latency = 0;
+    start();
     image_ = handle_.advertise<sensor_msgs::Image>("image", 100);
     info_ = handle_.advertise<sensor_msgs::CameraInfo>("camera_info", 10);
     gyro_ = handle_.advertise<sensor_msgs::Imu>("imu", 1000);
     accel_ = handle_.advertise<sensor_msgs::Imu>("accel", 1000);
+  }
+
+  void start() {
+    shell_.reset();
+    shell_.emplace(handle_, settings_,
+                   EstimatorNames{"image", "camera_info", "imu", "status", "", "shell", "estimation", "", "", ""},
+                   estimator_);
+    shell_->start();
   }
 
   /// A tenth of a second: an image, and the two streams of the IMU at 100 Hz and 200 Hz.
@@ -97,6 +101,7 @@ class Shell : public testing::Test {
   }
 
   ros::NodeHandle handle_;
+  EstimatorSettings settings_;
   StandIn estimator_;
   std::optional<EstimatorShell> shell_;
   ros::Publisher image_, info_, gyro_, accel_;
@@ -112,6 +117,20 @@ TEST_F(Shell, NothingThatTheEstimatorThrowsEndsTheWorker) {
   ASSERT_TRUE(spinUntil([&] { return !estimator_.fail_idle; }));  // no more images
   const int before = estimator_.images;
   EXPECT_TRUE(publishUntil([&] { return estimator_.images > before; })) << "it works on";
+}
+
+// Without calibration images wait.
+TEST_F(Shell, ImagesThatWaitTakeNoMoreThanTheQueuesMemory) {
+  settings_.queue_memory = 1;  // [MB]
+  start();
+  const std::string dropped = "images dropped: the queue held queue_memory";
+  std_msgs::Header header;
+  ASSERT_TRUE(spinUntil([&] {
+    header.stamp = ros::Time(200 + 0.1 * next_++);
+    image_.publish(toMsg(cv::Mat(600, 1000, CV_8UC1, cv::Scalar(0)), "mono8", header));
+    return shell_->health().counted(dropped) > 3;
+  }));
+  EXPECT_EQ(shell_->health().counted("images dropped: the queue was full"), 0u);
 }
 
 TEST_F(Shell, TwoStreamsOfAnImuStayOneSequenceWhateverTheThreads) {

@@ -89,12 +89,12 @@ TEST(FrameAssembler, DropsTheOldestWhenTooFarBehind) {
 
 TEST(FrameAssembler, IsBoundedAndForgets) {
   FrameAssemblerSettings settings;
-  settings.max_images = 3;
+  settings.images.count = 3;
   Assembler assembler(settings);
   for (int i = 0; i < 5; ++i) assembler.addImage(i, i, 0);
   EXPECT_EQ(assembler.waiting(), 3u);
-  EXPECT_EQ(assembler.popOverflown(), 2u);
-  EXPECT_EQ(assembler.popOverflown(), 0u);
+  EXPECT_EQ(assembler.overflow().by_count, 2u);
+  EXPECT_EQ(assembler.overflow().by_bytes, 0u);
   assembler.addImu({10});
   EXPECT_EQ(assembler.pop().image, 2);
   assembler.clear();
@@ -104,8 +104,43 @@ TEST(FrameAssembler, IsBoundedAndForgets) {
   EXPECT_EQ(assembler.lag(), 0);
 }
 
+TEST(FrameAssembler, LargeImagesAreBoundedByWhatTheyTake) {
+  FrameAssemblerSettings settings;
+  settings.use_imu = false;
+  settings.images.bytes = 100;
+  Assembler assembler(settings);
+  for (int i = 0; i < 5; ++i) assembler.addImage(i, i, 0, 30);
+  EXPECT_EQ(assembler.waiting(), 3u);
+  EXPECT_EQ(assembler.waitingBytes(), 90u);
+  EXPECT_EQ(assembler.overflow().by_bytes, 2u);
+  EXPECT_EQ(assembler.overflow().by_count, 0u);
+  EXPECT_EQ(assembler.pop().image, 2);
+  assembler.addImage(5, 5, 0, 40);
+  EXPECT_EQ(assembler.waiting(), 3u) << "100 bytes are no more than 100";
+  assembler.addImage(6, 6, 0, 1000);
+  EXPECT_EQ(assembler.waiting(), 1u) << "the newest stays, whatever its size";
+  EXPECT_EQ(assembler.pop().image, 6);
+  EXPECT_EQ(assembler.waitingBytes(), 0u);
+  assembler.addImage(7, 7, 0, 30);
+  assembler.clear();
+  EXPECT_EQ(assembler.waitingBytes(), 0u);
+}
+
+TEST(FramePairer, BoundsEachStreamByWhatItTakes) {
+  FramePairer<int> pairer(0.02, 1.0, 0.3, {100, 50});
+  for (int i = 0; i < 4; ++i) pairer.addDepth(i, i, 0, 20);
+  for (int i = 0; i < 4; ++i) pairer.addColour(i, i, 0, 25);
+  EXPECT_EQ(pairer.overflow().by_bytes, 4u);
+  EXPECT_EQ(pairer.overflow().by_count, 0u);
+  ASSERT_TRUE(pairer.front(0));
+  const auto pair = pairer.pop();
+  EXPECT_EQ(pair.colour, 2);
+  EXPECT_EQ(pair.depth, 2);
+  EXPECT_EQ(pair.bytes, 45u);
+}
+
 TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
-  FramePairer<int> pairer(0.02, 1.0, 0.3, 100);
+  FramePairer<int> pairer(0.02, 1.0, 0.3, {100});
   pairer.addDepth(0.005, 0, 0);
   pairer.addColour(0.0, 0, 0);
   pairer.addColour(0.1, 1, 0);
@@ -124,7 +159,7 @@ TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
   EXPECT_NEAR(pairer.closestMiss(), 0.1, 1e-9);
   // Without any depth, colour images give up after a while: not at once, as all depth images may come after all colour
   // images.
-  FramePairer<int> alone(0.02, 1.0, 0.3, 100);
+  FramePairer<int> alone(0.02, 1.0, 0.3, {100});
   for (int i = 0; i < 30; ++i) alone.addColour(0.1 * i, i, 50);
   EXPECT_FALSE(alone.front(50.2));
   EXPECT_EQ(alone.unmatchedColour(), 0u);
@@ -134,7 +169,8 @@ TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
   EXPECT_FALSE(alone.front(50.4));
   EXPECT_GT(alone.unmatchedColour(), 15u);
   alone.addColour(0.5, 99, 50.4);  // out of order
-  EXPECT_EQ(alone.overflow(), 1u);
+  EXPECT_EQ(alone.outOfOrder(), 1u);
+  EXPECT_EQ(alone.overflow().by_count, 0u);
 }
 
 }  // namespace

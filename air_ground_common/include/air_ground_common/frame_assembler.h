@@ -6,14 +6,16 @@
 #include <deque>
 #include <utility>
 
+#include "air_ground_common/bounded_queue.h"
+
 namespace air_ground_common {
 
 struct FrameAssemblerSettings {
   bool use_imu = true;
-  double imu_wait = 0.5;         ///< an image waits for the IMU until images this much newer ... [s of data]
-  double settle = 0.3;           ///< ... have been here for so long [s]
-  std::size_t max_images = 400;  ///< that wait; beyond, the oldest go
-  double max_latency = 0;        ///< images so far behind the newest are given up; 0 = none [s of data]
+  double imu_wait = 0.5;   ///< an image waits for the IMU until images this much newer ... [s of data]
+  double settle = 0.3;     ///< ... have been here for so long [s]
+  QueueLimits images;      ///< that wait
+  double max_latency = 0;  ///< images so far behind the newest are given up; 0 = none [s of data]
 };
 
 /// Image: anything movable, e.g. a message pointer or a pair of them; Imu: with a `stamp` [s]. Stamps in order of time.
@@ -21,7 +23,7 @@ struct FrameAssemblerSettings {
 template <typename Image, typename Imu>
 class FrameAssembler {
  public:
-  explicit FrameAssembler(const FrameAssemblerSettings& settings) : settings_(settings) {}
+  explicit FrameAssembler(const FrameAssemblerSettings& settings) : settings_(settings), images_(settings.images) {}
 
   struct Frame {
     double stamp = 0, arrival = 0;  ///< by the data's clock and by that of `now` [s]
@@ -29,12 +31,9 @@ class FrameAssembler {
     std::deque<Imu> imu;  ///< since the last frame; one sample beyond the lead, to interpolate the motion up to it
   };
 
-  void addImage(double stamp, Image image, double now) {
-    if (images_.size() >= settings_.max_images) {
-      images_.pop_front();
-      ++overflown_;
-    }
-    images_.push_back({stamp, now, std::move(image)});
+  /// `bytes`: that the image takes.
+  void addImage(double stamp, Image image, double now, std::size_t bytes = 0) {
+    images_.push({stamp, now, std::move(image)}, bytes);
     newest_image_ = std::max(newest_image_, stamp);
   }
 
@@ -51,26 +50,24 @@ class FrameAssembler {
   /// Gives up the images that are too far behind, oldest first; returns how many.
   std::size_t dropLate() {
     std::size_t dropped = 0;
-    for (; settings_.max_latency > 0 && images_.size() > 1 && lag() > settings_.max_latency; ++dropped)
-      images_.pop_front();
+    for (; settings_.max_latency > 0 && waiting() > 1 && lag() > settings_.max_latency; ++dropped) images_.pop();
     return dropped;
   }
 
   /// The oldest image has its IMU samples, or has waited long enough for them.
   bool ready(double now) const {
-    if (images_.empty()) return false;
-    const double stamp = images_.front().stamp;
+    if (waiting() == 0) return false;
+    const double stamp = oldest().stamp;
     if (!settings_.use_imu || newest_imu_ >= stamp + imu_lead_) return true;
-    for (const Waiting& image : images_)
+    for (const Waiting& image : images_.entries())
       if (image.stamp - stamp > settings_.imu_wait) return now - image.arrival >= settings_.settle;
     return false;
   }
 
   /// The oldest image; call when there is one.
   Frame pop() {
-    Waiting& oldest = images_.front();
+    Waiting oldest = images_.pop();
     Frame frame{oldest.stamp, oldest.arrival, std::move(oldest.image), {}};
-    images_.pop_front();
     while (!imu_.empty() && (frame.imu.empty() || frame.imu.back().stamp < frame.stamp + imu_lead_)) {
       frame.imu.push_back(imu_.front());
       imu_.pop_front();
@@ -84,11 +81,12 @@ class FrameAssembler {
     newest_image_ = newest_imu_ = 0;
   }
 
-  std::size_t waiting() const { return images_.size(); }
+  std::size_t waiting() const { return images_.entries().size(); }
+  std::size_t waitingBytes() const { return images_.bytes(); }
   /// How far the oldest image is behind the newest [s of data].
-  double lag() const { return images_.empty() ? 0 : newest_image_ - images_.front().stamp; }
-  /// Images given up because too many waited, since the last call.
-  std::size_t popOverflown() { return std::exchange(overflown_, 0); }
+  double lag() const { return waiting() == 0 ? 0 : newest_image_ - oldest().stamp; }
+  /// Images given up because too many waited, or too large ones.
+  const QueueOverflow& overflow() const { return images_.overflow(); }
 
  private:
   struct Waiting {
@@ -96,11 +94,12 @@ class FrameAssembler {
     Image image;
   };
 
+  const Waiting& oldest() const { return images_.entries().front(); }
+
   FrameAssemblerSettings settings_;
-  std::deque<Waiting> images_;
+  BoundedQueue<Waiting> images_;
   std::deque<Imu> imu_;
   double newest_image_ = 0, newest_imu_ = 0, imu_lead_ = 0;
-  std::size_t overflown_ = 0;
 };
 
 }  // namespace air_ground_common

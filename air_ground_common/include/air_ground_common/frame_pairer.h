@@ -2,9 +2,11 @@
 #pragma once
 
 #include <cmath>
-#include <deque>
+#include <cstddef>
 #include <optional>
 #include <utility>
+
+#include "air_ground_common/bounded_queue.h"
 
 namespace air_ground_common {
 
@@ -14,40 +16,40 @@ class FramePairer {
  public:
   /// `tolerance`: largest difference of the stamps of a pair [s]. A colour image waits for depth until one that is
   /// `patience` [s] newer has been here for `settle` [s]: whole seconds of one topic may come before the other's.
-  FramePairer(double tolerance, double patience, double settle, std::size_t limit)
-      : tolerance_(tolerance), patience_(patience), settle_(settle), limit_(limit) {}
+  /// `limits`: of each stream.
+  FramePairer(double tolerance, double patience, double settle, const QueueLimits& limits)
+      : tolerance_(tolerance), patience_(patience), settle_(settle), colour_(limits), depth_(limits) {}
 
-  /// `now`, here and below: time of a clock that runs on while the stamps may not [s].
-  void addColour(double stamp, T image, double now) { push(&colour_, stamp, std::move(image), now); }
-  void addDepth(double stamp, T image, double now) { push(&depth_, stamp, std::move(image), now); }
+  /// `now`, here and below: time of a clock that runs on while the stamps may not [s]. `bytes`: that the image takes.
+  void addColour(double stamp, T image, double now, std::size_t bytes = 0) {
+    push(&colour_, {stamp, now, std::move(image), bytes});
+  }
+  void addDepth(double stamp, T image, double now, std::size_t bytes = 0) {
+    push(&depth_, {stamp, now, std::move(image), bytes});
+  }
 
   struct Pair {
     double stamp;  ///< of the colour image [s]
     T colour, depth;
+    std::size_t bytes;  ///< that both take
   };
 
   /// The oldest pair, if it is known: drops what can no longer find a partner. Does not remove the pair.
   const Pair* front(double now) {
-    while (!pair_ && !colour_.empty()) {
-      const double stamp = colour_.front().stamp;
-      while (!depth_.empty() && depth_.front().stamp < stamp - tolerance_) {
-        depth_.pop_front();
-        ++unmatched_depth_;
-      }
-      while (depth_.size() > 1 && std::abs(depth_[1].stamp - stamp) < std::abs(depth_[0].stamp - stamp)) {
-        depth_.pop_front();
-        ++unmatched_depth_;
-      }
-      if (!depth_.empty() && depth_.front().stamp <= stamp + tolerance_) {
-        pair_ = Pair{stamp, std::move(colour_.front().image), std::move(depth_.front().image)};
-        colour_.pop_front();
-        depth_.pop_front();
+    while (!pair_ && !colour_.entries().empty()) {
+      const double stamp = colour_.entries().front().stamp;
+      const std::deque<Waiting>& depth = depth_.entries();
+      while (!depth.empty() && depth.front().stamp < stamp - tolerance_) dropDepth();
+      while (depth.size() > 1 && std::abs(depth[1].stamp - stamp) < std::abs(depth[0].stamp - stamp)) dropDepth();
+      if (!depth.empty() && depth.front().stamp <= stamp + tolerance_) {
+        Waiting a = colour_.pop(), b = depth_.pop();
+        pair_ = Pair{stamp, std::move(a.image), std::move(b.image), a.bytes + b.bytes};
         break;
       }
-      const bool missed = !depth_.empty();  // depth is already newer
+      const bool missed = !depth.empty();  // depth is already newer
       if (!missed && !overtaken(stamp, patience_, now)) break;
-      if (missed) closest_miss_ = depth_.front().stamp - stamp;
-      colour_.pop_front();
+      if (missed) closest_miss_ = depth.front().stamp - stamp;
+      colour_.pop();
       ++unmatched_colour_;
     }
     return pair_ ? &*pair_ : nullptr;
@@ -63,20 +65,25 @@ class FramePairer {
     colour_.clear();
     depth_.clear();
     pair_.reset();
-    unmatched_colour_ = unmatched_depth_ = overflow_ = 0;
+    unmatched_colour_ = unmatched_depth_ = 0;
   }
 
   /// True when a colour image newer than `stamp` by more than this [s] has been waiting for `settle`.
   bool overtaken(double stamp, double by, double now) const {
-    for (const Waiting& colour : colour_)
+    for (const Waiting& colour : colour_.entries())
       if (colour.stamp - stamp > by) return now - colour.arrival >= settle_;
     return false;
   }
-  std::size_t waiting() const { return colour_.size() + (pair_ ? 1 : 0); }
+  std::size_t waiting() const { return colour_.entries().size() + (pair_ ? 1 : 0); }
   /// Counted since the last call of clear().
   std::size_t unmatchedColour() const { return unmatched_colour_; }
   std::size_t unmatchedDepth() const { return unmatched_depth_; }
-  std::size_t overflow() const { return overflow_; }
+  /// Of both streams, since the begin.
+  QueueOverflow overflow() const {
+    const QueueOverflow &a = colour_.overflow(), &b = depth_.overflow();
+    return {a.by_count + b.by_count, a.by_bytes + b.by_bytes};
+  }
+  std::size_t outOfOrder() const { return out_of_order_; }  ///< since the begin
   /// Depth stamp minus colour stamp of the last colour image that found no partner [s].
   double closestMiss() const { return closest_miss_; }
 
@@ -84,26 +91,27 @@ class FramePairer {
   struct Waiting {
     double stamp, arrival;
     T image;
+    std::size_t bytes;
   };
-  using Queue = std::deque<Waiting>;
+  using Queue = BoundedQueue<Waiting>;
 
-  void push(Queue* queue, double stamp, T image, double now) {
-    if (!queue->empty() && stamp <= queue->back().stamp) {
-      ++overflow_;
+  void push(Queue* queue, Waiting image) {
+    if (!queue->entries().empty() && image.stamp <= queue->entries().back().stamp) {
+      ++out_of_order_;
       return;
     }
-    if (queue->size() >= limit_) {
-      queue->pop_front();
-      ++overflow_;
-    }
-    queue->push_back({stamp, now, std::move(image)});
+    const std::size_t bytes = image.bytes;
+    queue->push(std::move(image), bytes);
+  }
+  void dropDepth() {
+    depth_.pop();
+    ++unmatched_depth_;
   }
 
   double tolerance_, patience_, settle_;
-  std::size_t limit_;
   Queue colour_, depth_;
   std::optional<Pair> pair_;
-  std::size_t unmatched_colour_ = 0, unmatched_depth_ = 0, overflow_ = 0;
+  std::size_t unmatched_colour_ = 0, unmatched_depth_ = 0, out_of_order_ = 0;
   double closest_miss_ = 0;
 };
 

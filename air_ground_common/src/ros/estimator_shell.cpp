@@ -14,6 +14,8 @@ constexpr std::uint32_t kMapsOfOneStart = 10000;
 constexpr double kPatience =
     1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
 
+constexpr double kAssembledShare = 0.75;  // of the queue's memory: for pairs; the rest for what waits for its partner
+
 /// Of a clock that never stands still or leaps [s].
 double now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
 
@@ -40,46 +42,22 @@ std::uint32_t countStart(const ros::NodeHandle& private_handle) {
   return static_cast<std::uint32_t>(starts);
 }
 
-FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings) {
+/// With `share` of the memory.
+QueueLimits queueLimits(const EstimatorSettings& settings, double share) {
+  return {static_cast<std::size_t>(settings.queue_size), static_cast<std::size_t>(share * 1e6 * settings.queue_memory)};
+}
+
+FrameAssemblerSettings assemblerSettings(const EstimatorSettings& settings, const EstimatorNames& names) {
   FrameAssemblerSettings a;
   a.use_imu = settings.use_imu;
   a.imu_wait = settings.imu_wait;
   a.settle = kTopicsInStep;
-  a.max_images = static_cast<std::size_t>(settings.queue_size);
+  a.images = queueLimits(settings, names.depth.empty() ? 1 : kAssembledShare);
   a.max_latency = ros::Time::isSimTime() ? 0 : settings.max_latency;  // the player of a replay waits for its nodes
   return a;
 }
 
 }  // namespace
-
-void describe(ParameterVisitor& v, EstimatorSettings& s) {
-  v.section("Frames", "map_frame, odom_frame, base_frame and publish_tf are set by the launch file's arguments.");
-  v("map_frame", s.map_frame, "gravity-aligned, z up, origin at base_link of the first keyframe, heading 0 there");
-  v("odom_frame", s.odom_frame, "");
-  v("base_frame", s.base_frame, "");
-  v("publish_tf", s.publish_tf, "map -> odom -> base_link");
-  v("camera_frame", s.camera_frame, "optical frame; \"\" = as camera_info says");
-  v("imu_frame", s.imu_frame, "\"\" = as the IMU's messages say");
-  v("base_camera", s.T_base_camera, "x y z qx qy qz qw of the (colour) camera in base_link [m]; all 0 = from tf");
-  v("base_imu", s.T_base_imu, "the same of the IMU");
-  v("transform_timeout", s.transform_timeout, {0.0, 600.0}, "s",
-    "an image waits so long for its mounting on tf, wall clock");
-
-  v.section("Input");
-  v("use_imu", s.use_imu,
-    "false: no prior of rotation; the MAV's scale stays unknown, the ground robot's base counts as level at the start");
-  v("imu_wait", s.imu_wait, {0.0, 10.0}, "s",
-    "an image waits for IMU samples until images this much newer have been here for 0.3 s");
-  v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");
-  v("max_latency", s.max_latency, {0.0, 600.0}, "s",
-    "live: images further behind the newest are dropped, oldest first; 0 = none; a replay (use_sim_time) drops none");
-  v("autosave", s.autosave, kAutosave);
-  v("accel_topic", s.accel_topic,
-    "sensor_msgs/Imu of an accelerometer that has a topic of its own (a launch argument); \"\" = in the IMU's "
-    "messages");
-  v("image_transport", s.image_transport,
-    "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
-}
 
 EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& settings, const EstimatorNames& names,
                                Estimator& estimator)
@@ -93,7 +71,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       handle_(handle),
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
-      assembler_(assemblerSettings(settings)) {
+      assembler_(assemblerSettings(settings, names)) {
   // A node that is respawned must not give its maps numbers that others know already.
   map_id_offset_ = kMapsOfOneStart * countStart(private_handle_);
   status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
@@ -120,7 +98,8 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
     return images_.back().topic();
   };
   if (!names.depth.empty()) {
-    pairer_.emplace(settings.sync_tolerance, kPatience, kTopicsInStep, static_cast<std::size_t>(settings.queue_size));
+    pairer_.emplace(settings.sync_tolerance, kPatience, kTopicsInStep,
+                    queueLimits(settings, 0.5 * (1 - kAssembledShare)));
     depth_topic_ = listen(names.depth, true, &EstimatorShell::onDepth);
   }
   image_topic_ = listen(names.image, false, &EstimatorShell::onImage);
@@ -177,8 +156,8 @@ void EstimatorShell::onImage(const ImageMessage& message) {
     if (pairer_)
       addToPairs(message, true);
     else
-      assembler_.addImage(message.header().stamp.toSec(), {message, {}}, now());
-    health_.count("images dropped: the queue was full", assembler_.popOverflown());
+      assembler_.addImage(message.header().stamp.toSec(), {message, {}}, now(), message.bytes());
+    reportDropped();
   }
   queue_changed_.notify_all();
 }
@@ -194,12 +173,12 @@ void EstimatorShell::onDepth(const ImageMessage& message) {
 
 void EstimatorShell::addToPairs(const ImageMessage& message, bool colour) {
   const double stamp = message.header().stamp.toSec();
-  const std::size_t lost = pairer_->overflow();
+  const std::size_t before = pairer_->outOfOrder();
   if (colour)
-    pairer_->addColour(stamp, message, now());
+    pairer_->addColour(stamp, message, now(), message.bytes());
   else
-    pairer_->addDepth(stamp, message, now());
-  health_.count("images dropped: the queue was full, or out of order", pairer_->overflow() - lost);
+    pairer_->addDepth(stamp, message, now(), message.bytes());
+  health_.count("images dropped: out of order", pairer_->outOfOrder() - before);
   movePairs();
 }
 
@@ -220,9 +199,21 @@ void EstimatorShell::movePairs() {
   if (!pairer_) return;
   while (pairer_->front(now())) {
     auto pair = pairer_->pop();
-    assembler_.addImage(pair.stamp, {std::move(pair.colour), std::move(pair.depth)}, now());
+    assembler_.addImage(pair.stamp, {std::move(pair.colour), std::move(pair.depth)}, now(), pair.bytes);
   }
-  health_.count("images dropped: the queue was full", assembler_.popOverflown());
+  reportDropped();
+}
+
+void EstimatorShell::reportDropped() {
+  QueueOverflow dropped = assembler_.overflow();
+  if (pairer_) {
+    const QueueOverflow unpaired = pairer_->overflow();
+    dropped.by_count += unpaired.by_count;
+    dropped.by_bytes += unpaired.by_bytes;
+  }
+  health_.count("images dropped: the queue was full", dropped.by_count - reported_dropped_.by_count);
+  health_.count("images dropped: the queue held queue_memory", dropped.by_bytes - reported_dropped_.by_bytes);
+  reported_dropped_ = dropped;
 }
 
 void EstimatorShell::reportUnmatched() {
@@ -281,6 +272,7 @@ void EstimatorShell::work() {
       newest = newest_image_;
       if (!restart && !frame_ && frameReady()) {
         health_.value("lag [s]", assembler_.lag());
+        health_.value("images waiting [MB]", 1e-6 * static_cast<double>(assembler_.waitingBytes()));
         frame_ = assembler_.pop();
       } else if (!frame_) {
         obstacle = whyNotReady();

@@ -49,8 +49,9 @@ struct EstimatorSettings {
   double imu_wait = 0.5;           ///< and for the IMU's samples up to its stamp [s of data]
   double max_latency = 1.0;        ///< images further behind the newest are dropped; 0 = none; live only [s of data]
   double sync_tolerance = 0.02;    ///< of the stamps of an image and its depth image [s]
-  int queue_size = 400;
-  std::string autosave;  ///< folder for map and trajectory at the end; empty: none
+  int queue_size = 400;            ///< images that wait ...
+  double queue_memory = 1000;      ///< ... and what they take at the most [MB]
+  std::string autosave;            ///< folder for map and trajectory at the end; empty: none
   std::string image_transport = "raw", depth_transport = "raw";  ///< or "compressed"
   std::string accel_topic;  ///< of an accelerometer whose samples are not in the IMU's messages; empty: they are
 };
@@ -156,6 +157,7 @@ class EstimatorShell {
   void movePairs();
   void addToPairs(const ImageMessage& message, bool colour);
   void reportUnmatched();
+  void reportDropped();
   Obstacle whyNotReady() const;
 
   // Worker
@@ -191,6 +193,7 @@ class EstimatorShell {
   Assembler assembler_;
   std::optional<FramePairer<ImageMessage>> pairer_;
   std::size_t reported_unmatched_ = 0;
+  QueueOverflow reported_dropped_;
   std::optional<Calibration> calibration_;
   std::string calibration_problem_;  ///< of the last one that was refused
   std::string imu_frame_;

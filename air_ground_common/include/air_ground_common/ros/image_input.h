@@ -16,6 +16,7 @@ struct ImageMessage {
   sensor_msgs::CompressedImage::ConstPtr compressed;
 
   const std_msgs::Header& header() const { return raw ? raw->header : compressed->header; }
+  std::size_t bytes() const { return raw ? raw->data.size() : compressed->data.size(); }
   /// Throws std::invalid_argument when it cannot be decompressed.
   sensor_msgs::Image::ConstPtr pixels() const { return raw ? raw : decompressed(*compressed); }
 };
