@@ -67,6 +67,7 @@ void Odometry::Impl::startMap() {
   frames.clear();
   bias.gyro = imu.gyroBias();  // the old map's may have been why it was lost
   pose.reset();
+  relocalizer.reset();
   policy.reset();
   scale.begin(kUnknownTilt);
   relocalized = false;
@@ -157,8 +158,8 @@ KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {
 }
 
 void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
-  Keyframe keyframe;
   adopt(adjuster.finishNewest());  // keyframes closer together than its lag wait for the one before
+  Keyframe keyframe;
   keyframe.stamp = last_stamp;
   keyframe.T_map_camera = pose.pose();
   keyframe.observations = pose.observations();

@@ -33,7 +33,10 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   if (frames_lost_ <= kNearImages && stamp - pose.locatedStamp() < kNearSeconds) {
     if (frames_lost_ > 1) pose.turnByGyro();
     pose.reobserve(within(kNearRadius));
-    if (pose.locate(turn_sigma)) return true;
+    if (pose.locate(turn_sigma)) {
+      reason_.clear();
+      return true;
+    }
   }
   if ((frames_lost_ - 1) % kPlaceEvery != 0) return false;
   visual_frontend::Keyframe query;
@@ -46,6 +49,7 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   }
   pose.beginAround(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, gray, within(kAtPlaceRadius));
   const bool found = pose.locate(std::nullopt);
+  reason_ = found ? "" : "lost: a known place was recognised, but " + pose.result().reason;
   tracker.replenish();
   return found;
 }

@@ -15,13 +15,15 @@ class Relocalizer {
 
   void setCamera(const CameraModel& camera) { camera_ = camera; }
   void begin(double stamp);                         ///< lost at this image [s]
+  void reset() { reason_.clear(); }                 ///< for another map
   double lostSince() const { return lost_since_; }  ///< [s]
   /// Tries the image: near the last pose by the landmarks' patches, elsewhere by its ORB features where `gate` allows.
   /// True: `pose` has found it.
   bool find(double stamp, const cv::Mat& gray, const visual_frontend::Map& map,
             const visual_frontend::RelocalizationGate& gate, const std::optional<double>& turn_sigma,
             PoseTracker& pose);
-  const std::string& reason() const { return reason_; }  ///< why no known place was recognised; empty: none was sought
+  /// Why the last search for a known place found none; empty: none was sought since begin(), or the camera was found.
+  const std::string& reason() const { return reason_; }
 
  private:
   visual_frontend::ReobservationSettings within(double search_radius) const;  // [px]
