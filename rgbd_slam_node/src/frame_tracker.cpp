@@ -114,19 +114,20 @@ PoseResult FrameTracker::solve(const Correspondences& c, const Pose& predicted, 
   visual_frontend::RefineSettings refine;
   visual_frontend::RansacSettings ransac;
   ransac.min_inliers = std::min<int>(settings_.min_inliers, 10);
-  Pose start = predicted;
+  PoseResult start;
+  start.T_map_camera = predicted;
   if (rotation_known) {
     // Two points a sample; the threshold leaves room for the gyro's error over a frame.
     ransac.threshold = 4;
-    const PoseResult two_point = visual_frontend::ransacKnownRotation(c, predicted.linear(), ransac);
-    if (two_point.success) start = two_point.T_map_camera;
+    PoseResult two_point = visual_frontend::ransacKnownRotation(c, predicted.linear(), ransac);
+    if (two_point.success) start = std::move(two_point);
   }
-  PoseResult result = visual_frontend::refinePose(c, start, refine);
+  PoseResult result = visual_frontend::refinePose(c, start.T_map_camera, refine, start.inliers);
   if (result.success && result.inlier_count > 0.6 * c.size()) return result;
   ransac.threshold = 2.8;
   const PoseResult three_point = visual_frontend::ransacPose(c, ransac);
   if (!three_point.success) return result;
-  const PoseResult second = visual_frontend::refinePose(c, three_point.T_map_camera, refine);
+  const PoseResult second = visual_frontend::refinePose(c, three_point.T_map_camera, refine, three_point.inliers);
   return second.success && (!result.success || second.inlier_count > result.inlier_count) ? second : result;
 }
 

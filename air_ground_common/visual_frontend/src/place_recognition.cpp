@@ -82,7 +82,7 @@ PoseResult solve(const std::vector<PoseCorrespondence>& correspondences, const P
   if (!pose.success) return pose;
   RefineSettings refine;
   refine.use_depth = false;
-  return refinePose(correspondences, pose.T_map_camera, refine);
+  return refinePose(correspondences, pose.T_map_camera, refine, pose.inliers);
 }
 
 Matrix6d covarianceOfInverse(const Pose& T, const Matrix6d& covariance) {

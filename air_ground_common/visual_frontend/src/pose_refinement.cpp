@@ -171,7 +171,7 @@ Residuals classify(const std::vector<PoseCorrespondence>& correspondences, const
 }  // namespace
 
 PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, const Pose& initial,
-                      const RefineSettings& settings) {
+                      const RefineSettings& settings, const std::vector<unsigned char>& chosen) {
   PoseResult result;
   result.T_map_camera = initial;
   result.inliers.assign(correspondences.size(), 0);
@@ -180,10 +180,10 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
     return result;
   }
   Problem problem(correspondences, settings);
-  // First all points that lie in front, with the robust loss; then the inliers alone.
+  // First all points that lie in front, or of those the chosen ones, with the robust loss; then the inliers alone.
   const Pose T_camera_map = initial.inverse();
   for (std::size_t i = 0; i < correspondences.size(); ++i)
-    problem.used()[i] = (T_camera_map * correspondences[i].p_map).z() > 1e-3;
+    problem.used()[i] = (chosen.empty() || chosen[i]) && (T_camera_map * correspondences[i].p_map).z() > 1e-3;
   Residuals residuals;
   for (int round = 0; round < 2; ++round) {
     if (round > 0) problem.used() = result.inliers;

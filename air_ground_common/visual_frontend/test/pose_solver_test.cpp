@@ -199,6 +199,27 @@ TEST(Refine, PriorsPullTheRightWay) {
   EXPECT_LT((level.T_map_camera.linear().transpose().col(2) - *settings.up_camera).norm(), 5e-4);
 }
 
+// Most points move together, and not with the camera: those that were chosen keep the pose from being dragged along.
+TEST(Refine, GoesByThePointsThatWereChosen) {
+  Random random(10);
+  int dragged = 0;
+  for (int trial = 0; trial < 20; ++trial) {
+    const Pose T = synthetic::randomPose(random);
+    auto c = scene(random, T, 200, 0, 0.8 / 525);
+    const Eigen::Vector3d step = T.linear() * Eigen::Vector3d(0.15, 0.05, 0);
+    std::vector<unsigned char> chosen(c.size(), 0);
+    for (std::size_t i = 0; i < c.size(); ++i) {
+      chosen[i] = i % 20 < 9;
+      if (!chosen[i]) c[i].p_map += step;
+    }
+    const PoseResult r = refinePose(c, T, {}, chosen);
+    ASSERT_TRUE(r.success);
+    EXPECT_LT(positionError(r.T_map_camera, T), 0.02) << trial;
+    dragged += positionError(refinePose(c, T, {}).T_map_camera, T) > 0.03;
+  }
+  EXPECT_GT(dragged, 15) << "without";
+}
+
 TEST(Refine, FailsHonestly) {
   Random random(7);
   const Pose T = synthetic::randomPose(random);

@@ -83,9 +83,11 @@ PoseResult ransacPose(const std::vector<PoseCorrespondence>& correspondences, co
 
 /// Levenberg-Marquardt on the pose alone, from `initial`; analytic Jacobians, robust loss, covariance from the inliers'
 /// information scaled by max(1, chi^2 per degree of freedom). Fails (success false, with the reason) when fewer than 4
-/// inliers remain (3 with depth) or the information is singular.
+/// inliers remain (3 with depth) or the information is singular. `chosen`, one flag a correspondence: the first
+/// iterations go by these alone, e.g. RANSAC's inliers; empty: by all in front of the camera. What agrees with the
+/// pose they give decides in the end.
 PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, const Pose& initial,
-                      const RefineSettings& settings);
+                      const RefineSettings& settings, const std::vector<unsigned char>& chosen = {});
 
 /// Relative rotation known, two views of unknown points: direction of translation from two correspondences (epipolar
 /// constraint is linear in t): RANSAC, then all inliers. For monocular initialisation.
