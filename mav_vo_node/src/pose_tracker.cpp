@@ -21,6 +21,20 @@ namespace {
 
 constexpr double kMinInlierShare = 0.35;  // of the tracked landmarks; below, the pose is not believed
 constexpr int kLocalKeyframes = 8;        // nearest ones, whose landmarks are looked for
+constexpr double kEqualShare = 0.6;       // so many of the best motion's landmarks make another one its equal
+constexpr double kOtherMotion = 4.0;      // median shift of the landmarks between two motions that are not one [sigma]
+constexpr double kClearlyNearer = 0.5;    // to the prediction than the other motion
+
+/// How far the landmarks shift in the image between two poses, in the median [sigma].
+double shiftBetween(const Pose& a, const Pose& b, const std::vector<PoseCorrespondence>& points) {
+  const Pose T_a = a.inverse(), T_b = b.inverse();
+  std::vector<double> shifts;
+  for (const PoseCorrespondence& c : points) {
+    const Eigen::Vector3d p_a = T_a * c.p_map, p_b = T_b * c.p_map;
+    if (p_a.z() > 0 && p_b.z() > 0) shifts.push_back((p_a.hnormalized() - p_b.hnormalized()).norm() / c.sigma);
+  }
+  return quantile(shifts, 0.5);
+}
 
 }  // namespace
 
@@ -67,13 +81,13 @@ Pose PoseTracker::predict(double last_stamp, double stamp, bool tracking,
                           visual_frontend::TrackPrediction* prediction) {
   Pose predicted = T_map_camera_;
   if (R_previous_current_) prediction->R_current_previous = R_previous_current_->transpose();
-  const bool predictable = tracking && located_stamp_ == last_stamp;
-  if (predictable) {
+  predicted_ = tracking && located_stamp_ == last_stamp;
+  if (predicted_) {
     predicted.translation() += velocity_ * (stamp - located_stamp_);
     if (R_previous_current_) predicted.linear() = T_map_camera_.linear() * *R_previous_current_;
   }
   followShutter(stamp, predicted);
-  if (!predictable) return predicted;
+  if (!predicted_) return predicted;
   const Pose T_camera_map = predicted.inverse();
   for (const Feature& f : tracker_.features()) {
     const LandmarkId id = tracks_.landmarkIn(map_, f.id);
@@ -133,8 +147,7 @@ std::vector<PoseCorrespondence> PoseTracker::correspondences(std::vector<TrackId
   return list;
 }
 
-PoseResult PoseTracker::solve(const std::vector<PoseCorrespondence>& points,
-                              const std::optional<double>& turn_sigma) const {
+PoseResult PoseTracker::solve(const Correspondences& points, const std::optional<double>& turn_sigma) const {
   PoseResult result;
   // A known turn leaves three unknowns of six: half as many landmarks agree by chance as rarely.
   const int needed = turn_sigma ? (settings_.min_inliers + 1) / 2 : settings_.min_inliers;
@@ -144,25 +157,65 @@ PoseResult PoseTracker::solve(const std::vector<PoseCorrespondence>& points,
                     " needed: move more slowly, or turn back to known ground";
     return result;
   }
-  visual_frontend::RansacSettings ransac;
-  ransac.seed = settings_.seed;
-  ransac.min_inliers = settings_.min_inliers / 2;
-  ransac.threshold = 4.0;
-  if (turn_sigma) result = visual_frontend::ransacKnownRotation(points, T_map_camera_.linear(), ransac);
-  if (!result.success || result.inlier_count < believed) result = visual_frontend::ransacPose(points, ransac);
-  if (!result.success) return result;
+  result = search(points, turn_sigma.has_value());
+  if (!result.success || !chooseMotion(points, turn_sigma.has_value(), &result)) return result;
   visual_frontend::RefineSettings refine;
   if (turn_sigma) {
     refine.R_map_camera_prior = T_map_camera_.linear();
     refine.rotation_prior_sigma = *turn_sigma;
   }
-  result = visual_frontend::refinePose(points, result.T_map_camera, refine);
+  result = visual_frontend::refinePose(points, result.T_map_camera, refine, result.inliers);
   if (result.success && (result.inlier_count < needed || result.inlier_count < believed)) {
     result.success = false;
     result.reason = std::to_string(result.inlier_count) + " of " + std::to_string(points.size()) +
                     " landmarks agree on a pose: something large moves in view, or the image is blurred";
   }
   return result;
+}
+
+// A start for the refinement, and the landmarks that agree with it.
+PoseResult PoseTracker::search(const Correspondences& points, bool turn_known) const {
+  visual_frontend::RansacSettings ransac;
+  ransac.seed = settings_.seed;
+  ransac.min_inliers = settings_.min_inliers / 2;
+  ransac.threshold = 4.0;
+  PoseResult result;
+  if (turn_known) result = visual_frontend::ransacKnownRotation(points, T_map_camera_.linear(), ransac);
+  if (!result.success || result.inlier_count < kMinInlierShare * static_cast<double>(points.size()))
+    result = visual_frontend::ransacPose(points, ransac);
+  return result;
+}
+
+// Something large may move in view, with as many landmarks on it as on what stands still: then not the number of the
+// landmarks but the way on which the camera was tells which motion is its own. False, with the reason, where it does
+// not: no pose is better than one that is carried off.
+bool PoseTracker::chooseMotion(const Correspondences& points, bool turn_known, PoseResult* found) const {
+  Correspondences rest;
+  std::vector<std::size_t> at;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (found->inliers[i]) continue;
+    rest.push_back(points[i]);
+    at.push_back(i);
+  }
+  const double needed = std::max(kEqualShare * found->inlier_count, 1.0 * settings_.min_inliers);
+  if (static_cast<double>(rest.size()) < needed) return true;
+  PoseResult other = search(rest, turn_known);
+  if (!other.success || other.inlier_count < needed) return true;
+  if (shiftBetween(found->T_map_camera, other.T_map_camera, points) < kOtherMotion) return true;
+  const double first = shiftBetween(T_map_camera_, found->T_map_camera, points),
+               second = shiftBetween(T_map_camera_, other.T_map_camera, points);
+  if (predicted_ && first < kClearlyNearer * second) return true;
+  if (!predicted_ || !(second < kClearlyNearer * first)) {
+    found->success = false;
+    found->reason = std::to_string(found->inlier_count) + " and " + std::to_string(other.inlier_count) + " of " +
+                    std::to_string(points.size()) + " landmarks tell of two motions: something large moves in view";
+    return false;
+  }
+  std::vector<unsigned char> inliers(points.size(), 0);
+  for (std::size_t i = 0; i < at.size(); ++i) inliers[at[i]] = other.inliers[i];
+  other.inliers = std::move(inliers);
+  *found = std::move(other);
+  return true;
 }
 
 bool PoseTracker::locate(const std::optional<double>& turn_sigma) {
@@ -219,6 +272,7 @@ void PoseTracker::turnByGyro() {
 void PoseTracker::beginAround(const Pose& T_map_camera, const cv::Mat& gray,
                               const visual_frontend::ReobservationSettings& how) {
   T_map_camera_ = T_map_camera;
+  predicted_ = false;
   for (const Feature& f : tracker_.features()) tracks_.release(f.id);
   tracker_.reset();
   tracker_.track(gray);

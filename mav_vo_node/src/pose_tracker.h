@@ -68,8 +68,10 @@ class PoseTracker {
   void followShutter(double stamp, const Pose& predicted);  ///< motion of the camera during the image
   Eigen::Vector2d rayOf(const visual_frontend::Feature& feature) const;
   std::vector<visual_frontend::PoseCorrespondence> correspondences(std::vector<TrackId>* seen) const;
-  PoseResult solve(const std::vector<visual_frontend::PoseCorrespondence>& points,
-                   const std::optional<double>& turn_sigma) const;
+  using Correspondences = std::vector<visual_frontend::PoseCorrespondence>;
+  PoseResult solve(const Correspondences& points, const std::optional<double>& turn_sigma) const;
+  PoseResult search(const Correspondences& points, bool turn_known) const;
+  bool chooseMotion(const Correspondences& points, bool turn_known, PoseResult* found) const;
 
   CameraModel camera_;
   OdometrySettings settings_;
@@ -80,6 +82,7 @@ class PoseTracker {
   visual_frontend::RollingShutter shutter_;
 
   Pose T_map_camera_ = Pose::Identity();
+  bool predicted_ = false;  // the pose before locate() is where the motion leads
   double located_stamp_ = -1;
   Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   // of the camera in the map [unit/s]
   Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  // of the camera, by its last two poses, own axes [rad/s]

@@ -140,6 +140,35 @@ TEST_F(Floor, HalfOfThemIs) {
   EXPECT_LT(error(above(0.01, 0)), 0.004);
 }
 
+/// A bus with 55 of a hundred landmarks on it, which has moved by `step` in the image of above(0.01, 0).
+struct Bus : Floor {
+  void drive(const Eigen::Vector3d& step) {
+    const std::vector<LandmarkId> ids = map.landmarkIds();
+    for (std::size_t i = 0; i < ids.size(); ++i)
+      if (i * 37 % 100 < 55) map.landmark(ids[i]).position -= step;
+  }
+};
+
+TEST_F(Bus, OfTwoMotionsTheOneIsTheCamerasThatThePredictionKnows) {
+  ASSERT_TRUE(see(above(0, 0), 0.1)) << pose.result().reason;
+  pose.settle(0.1, above(0, 0));
+  drive({0, 0.06, 0});
+  ASSERT_TRUE(see(above(0.01, 0), 0.2)) << pose.result().reason;
+  EXPECT_LT(error(above(0.01, 0)), 0.004);
+  // The bus is not followed any more.
+  pose.settle(0.2, above(0, 0));
+  ASSERT_TRUE(see(above(0.02, 0), 0.3)) << pose.result().reason;
+  EXPECT_GT(pose.result().inlier_count, 0.9 * tracks.count());
+  EXPECT_LT(error(above(0.02, 0)), 0.004);
+}
+
+TEST_F(Bus, WithoutAPredictionNeitherIsBelieved) {
+  drive({0, 0.06, 0});
+  EXPECT_FALSE(see(above(0.01, 0), 0.1, false));
+  EXPECT_NE(pose.result().reason.find("two motions"), std::string::npos) << pose.result().reason;
+  EXPECT_LT(error(above(0, 0)), 1e-12);
+}
+
 TEST_F(Floor, LandmarksWithoutATrackAreFoundAgain) {
   keepTracks(30);
   const Pose T = above(0.02, 0.01);
@@ -148,6 +177,7 @@ TEST_F(Floor, LandmarksWithoutATrackAreFoundAgain) {
   pose.reobserve(settings.reobservation);
   EXPECT_GT(pose.tracker().features().size(), before + 30);
   ASSERT_TRUE(pose.locate(std::nullopt));
+  EXPECT_GT(pose.result().inlier_count, static_cast<int>(before) + 30) << "they tell the pose, too";
   EXPECT_LT(error(T), 0.004);
 }
 
@@ -195,7 +225,9 @@ TEST_F(Lost, FarAwayItIsFoundByRecognisingThePlaceEveryFifthImage) {
   EXPECT_FALSE(relocalizer.find(2, black, map, {}, std::nullopt, pose));
   EXPECT_NE(relocalizer.reason().find("no known place recognised"), std::string::npos);
   for (int i = 1; i < 5; ++i) EXPECT_FALSE(find(T, 2 + 0.1 * i)) << i;
+  EXPECT_NE(relocalizer.reason(), "");
   ASSERT_TRUE(find(T, 2.5)) << relocalizer.reason();
+  EXPECT_EQ(relocalizer.reason(), "") << "of an earlier image";
   EXPECT_LT(error(T), 0.01);
   EXPECT_LT(air_ground_common::rotationAngle(pose.pose().linear(), T.linear()), 0.005);
 }
@@ -204,6 +236,8 @@ TEST_F(Lost, NotWhereItCannotHaveCome) {
   lose();
   EXPECT_FALSE(find(above(0.3, 0.2, 1.5), 2, 0.2));
   EXPECT_NE(relocalizer.reason(), "");
+  relocalizer.reset();
+  EXPECT_EQ(relocalizer.reason(), "") << "of another map";
   relocalizer.begin(2);
   EXPECT_EQ(relocalizer.reason(), "");
   EXPECT_TRUE(find(above(0.3, 0.2, 1.5), 2.1, 0.5)) << relocalizer.reason();
