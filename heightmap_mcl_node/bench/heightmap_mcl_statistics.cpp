@@ -189,7 +189,7 @@ int main(int argc, char** argv) {
     out.open(csv);
     out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,"
            "probe,cost,overlap,nees,"
-           "mode_weight,ms,evidence,lead,scale_error,scale_stddev,sigma_m,sigma_deg\n";
+           "mode_weight,ms,evidence,lead,scale_error,scale_stddev,sigma_m,sigma_deg,guess\n";
   }
   std::vector<std::vector<double>> errors(maps), mean_errors(maps), yaws(maps), spreads(maps);
   std::vector<int> good(maps, 0), mean_good(maps, 0), converged(maps, 0), wrong(maps, 0);
@@ -268,7 +268,7 @@ int main(int argc, char** argv) {
             << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ',' << nees << ',' << e.mode_weight << ','
             << ms << ',' << e.evidence << ',' << e.evidence_lead << ',' << scale_error << ','
             << e.scale_stddev / e.scale << ',' << std::sqrt(std::max(e.covariance(0, 0), e.covariance(1, 1))) << ','
-            << std::sqrt(e.covariance(5, 5)) * 180 / M_PI << '\n';
+            << std::sqrt(e.covariance(5, 5)) * 180 / M_PI << ',' << e.guess << '\n';
       }
       if (!pictures.empty() && run_index == 0) {
         const Eigen::Vector3d p = run.T_ground_mav[k] * reference;

@@ -60,8 +60,8 @@ double HeightMapLocalizer::evidence(const Zmssd& z) const {
 
 void HeightMapLocalizer::gatherEvidence() {
   const HeightMapLocalizerSettings& s = settings_;
-  const bool told_apart = estimate_.relief >= s.min_relief && estimate_.probe_ratio >= s.probe_ratio &&
-                          estimate_.rival_ratio >= s.ambiguity_ratio && estimate_.explained >= s.min_explained;
+  const bool told_apart = estimate_.relief >= s.min_relief && estimate_.rival_ratio >= s.ambiguity_ratio &&
+                          estimate_.explained >= s.min_explained;
   const auto place = [this](const air_ground_common::Pose& T) {
     return PlanarPose{(T * inMetres(aerial_.back().reference)).x(), (T * inMetres(aerial_.back().reference)).y(),
                       air_ground_common::yawOf(T.rotation())};
@@ -69,13 +69,18 @@ void HeightMapLocalizer::gatherEvidence() {
   const PlanarPose now = place(estimate_.T_ground_mav), before = place(evidence_pose_);
   if (std::hypot(now.x - before.x, now.y - before.y) > settings_.rival_distance ||
       std::abs(air_ground_common::wrapAngle(now.yaw - before.yaw)) > settings_.rival_angle) {
-    evidence_ = 0;
+    evidence_ = guess_evidence_ = 0;
   }
   evidence_pose_ = estimate_.T_ground_mav;
   if (new_map_) {
-    const double most = settings_.min_evidence / 2;
-    const double lead = std::clamp(estimate_.evidence_lead, -most, told_apart ? most : 0.0);
-    evidence_ = std::clamp(evidence_ + lead, 0.0, 2 * settings_.min_evidence);
+    const auto sum = [&](double before, double probe_ratio) {
+      const double most = s.min_evidence / 2;
+      const bool in_favour = told_apart && estimate_.probe_ratio >= probe_ratio;
+      return std::clamp(before + std::clamp(estimate_.evidence_lead, -most, in_favour ? most : 0.0), 0.0,
+                        2 * s.min_evidence);
+    };
+    evidence_ = sum(evidence_, s.probe_ratio);
+    guess_evidence_ = sum(guess_evidence_, s.guess_probe_ratio);
   }
   estimate_.evidence = evidence_;
 }

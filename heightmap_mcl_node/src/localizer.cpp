@@ -46,7 +46,7 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   filter_.clear();
   maps_ = 0;
   restarts_ = 0;
-  evidence_ = 0;
+  evidence_ = guess_evidence_ = 0;
   new_map_ = false;
   if (forget_aerial) {
     floor_ = std::numeric_limits<double>::quiet_NaN();

@@ -66,6 +66,7 @@ AlignmentEstimate toMsg(const CoarseEstimate& e, const std_msgs::Header& header,
   msg.reference_point.y = e.reference_point.y();
   msg.reference_point.z = e.reference_point.z();
   msg.status = static_cast<std::uint8_t>(e.status);
+  msg.guess = e.guess;
   msg.stage = AlignmentEstimate::STAGE_COARSE;
   msg.reason = e.reason;
   msg.particle_spread = e.particle_spread;

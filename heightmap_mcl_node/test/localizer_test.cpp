@@ -36,7 +36,7 @@ Eigen::Vector2d meanOf(const ParticleFilter& filter) {
 struct Outcome {
   CoarseEstimate last;
   synthetic::Error error;
-  int converged = 0, wrong = 0, first_converged = -1;
+  int converged = 0, wrong = 0, first_converged = -1, guesses = 0;
   std::vector<Status> statuses;
 };
 
@@ -58,6 +58,7 @@ Outcome play(const synthetic::Run& run, HeightMapLocalizer& localizer) {
       EXPECT_TRUE(e.covariance.allFinite());
       EXPECT_TRUE(e.reference_point.allFinite());
     }
+    outcome.guesses += e.guess;
     if (e.status != Status::kConverged) continue;
     if (outcome.converged++ == 0) outcome.first_converged = static_cast<int>(k);
     outcome.wrong += outcome.error.position > 0.25 || outcome.error.yaw > 5 * M_PI / 180;
@@ -224,6 +225,27 @@ TEST(HeightMapLocalizer, RoomWithWallsIsAligned) {
   EXPECT_GE(right, 2);
 }
 
+TEST(HeightMapLocalizer, APlaceWithoutRivalIsAGuessWhereADirectionIsFixedLoosely) {
+  synthetic::Options options;
+  options.world = synthetic::World::kRoom;
+  options.aerial_clouds = 4;
+  for (int seed : {720021, 720036, 720049}) {
+    options.seed = seed;
+    HeightMapLocalizerSettings settings;
+    settings.seed = seed;
+    HeightMapLocalizer localizer(settings);
+    const auto outcome = play(synthetic::makeRun(options), localizer);
+    EXPECT_TRUE(outcome.last.guess) << outcome.last.reason;
+    EXPECT_EQ(outcome.last.status, Status::kDegenerate);
+    EXPECT_NE(outcome.last.reason.find("guess"), std::string::npos) << outcome.last.reason;
+    EXPECT_LT(outcome.error.position, 0.3);
+    EXPECT_LT(outcome.error.yaw, 0.2);
+    settings.guess_probe_ratio = settings.probe_ratio;
+    HeightMapLocalizer strict(settings);
+    EXPECT_FALSE(play(synthetic::makeRun(options), strict).last.guess);
+  }
+}
+
 TEST(HeightMapLocalizer, ThePapersFilterGathersAtTheTruth) {
   synthetic::Options options;
   options.seed = 503;
@@ -280,7 +302,7 @@ TEST(HeightMapLocalizer, EndlessRidgeIsNeverConverged) {
     settings.seed = options.seed;
     HeightMapLocalizer localizer(settings);
     const auto outcome = play(synthetic::makeRun(options), localizer);
-    EXPECT_EQ(outcome.converged, 0) << "seed " << seed;
+    EXPECT_EQ(outcome.converged + outcome.guesses, 0) << "seed " << seed;
   }
 }
 

@@ -20,9 +20,14 @@ Similarity similarityFrom(const air_ground::AlignmentEstimate& msg) {
   return similarity(ros_utils::fromMsg(msg.pose.pose), msg.scale);
 }
 
+bool isUsable(const air_ground::AlignmentEstimate& msg) {
+  return msg.status == air_ground::AlignmentEstimate::STATUS_CONVERGED || msg.guess;
+}
+
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
-  if (!own_unit) return {similarity(ros_utils::fromMsg(msg.pose.pose)), 0};
-  return {similarityFrom(msg), msg.scale_stddev / msg.scale};
+  const bool sure = msg.status == air_ground::AlignmentEstimate::STATUS_CONVERGED;
+  if (!own_unit) return {similarity(ros_utils::fromMsg(msg.pose.pose)), 0, sure};
+  return {similarityFrom(msg), msg.scale_stddev / msg.scale, sure};
 }
 
 Vertical verticalFrom(const air_ground::VoStatus& msg) {

@@ -23,7 +23,11 @@ Similarity similarityFrom(const air_ground::AlignmentEstimate& msg);
 struct CoarseAlignment {
   Similarity T_ground_map_mav_map;
   double scale_stddev = 0;  ///< relative
+  bool sure = true;         ///< false: a guess
 };
+
+/// CONVERGED, or a guess for a refinement.
+bool isUsable(const air_ground::AlignmentEstimate& msg);
 
 /// `own_unit`: the MAV's map has no scale but this; else the message's is left out.
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit);

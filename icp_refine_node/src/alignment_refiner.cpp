@@ -58,7 +58,10 @@ void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
   while (aerial_.size() > static_cast<std::size_t>(settings_.recent_clouds)) aerial_.pop_front();
 }
 
-void AlignmentRefiner::setCoarse(const Pose& T) { coarse_ = T; }
+void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
+  coarse_ = T;
+  coarse_sure_ = sure;
+}
 
 void AlignmentRefiner::setViews(const ViewAlignment& views) { views_ = views; }
 
@@ -107,6 +110,7 @@ void AlignmentRefiner::forgetPoses() {
   manual_.reset();
   views_.reset();
   tracked_.reset();
+  unconfirmed_.reset();
   rejections_ = disagreements_ = 0;
 }
 
@@ -126,7 +130,7 @@ Cloud AlignmentRefiner::prepareReading() {
 
 // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
 void AlignmentRefiner::countDisagreement(const Eigen::Vector3d& centre) {
-  if (!tracked_ || !coarse_) return;
+  if (!tracked_ || !coarse_ || !coarse_sure_) return;
   const double distance = (*tracked_ * centre - *coarse_ * centre).head<2>().norm();
   const double angle = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(tracked_->R) -
                                                              air_ground_common::yawOf(coarse_->linear())));
@@ -172,6 +176,17 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
   }
 }
 
+void AlignmentRefiner::demandConfirmation(const Eigen::Vector3d& centre, RefineOutcome* out) {
+  constexpr double kSameDistance = 0.06, kSameAngle = 0.03;  // [m], [rad]
+  const Similarity& T = out->T_ground_map_mav_map;
+  const bool same = unconfirmed_ && (unconfirmed_->second * centre - T * centre).norm() < kSameDistance &&
+                    air_ground_common::rotationAngle(unconfirmed_->second.R, T.R) < kSameAngle;
+  if (same && out->stamp > unconfirmed_->first) return unconfirmed_.reset();
+  if (!same) unconfirmed_ = {out->stamp, T};
+  out->status = RefineStatus::kSearching;
+  out->reason = "refined from a guess: waits for another aerial cloud that confirms it";
+}
+
 RefineOutcome AlignmentRefiner::refine() {
   RefineOutcome out;
   const auto wait = [&out](const std::string& reason) {
@@ -205,7 +220,9 @@ RefineOutcome AlignmentRefiner::refine() {
   }
   const bool from_tracking = tracked_ && !decided;
   if (!decided) out = from_tracking ? refineTracked(reading, centre) : refineGuessed(reading);
-  if (from_tracking || out.status == RefineStatus::kConverged) coarse_.reset();
+  const bool guessed = !decided && !from_tracking && coarse_ && !coarse_sure_ && !out.seen;
+  if (guessed && out.status == RefineStatus::kConverged) demandConfirmation(centre, &out);
+  if (from_tracking || guessed || out.status == RefineStatus::kConverged) coarse_.reset();
   follow(from_tracking, &out);
   out.reason += refused;
   return out;

@@ -156,11 +156,11 @@ class IcpRefineNode {
     useAlignment(*msg, kViews, "alignments by views", viewAlignmentFrom, &Inbox::views);
   }
 
-  /// When it is CONVERGED, and of the maps that both robots have now.
+  /// When it is of the maps that both robots have now.
   template <typename Read, typename Kept>
   void useAlignment(const AlignmentEstimate& msg, MavStream stream, const std::string& what, const Read& read,
                     Kept Inbox::*kept) {
-    if (msg.status != AlignmentEstimate::STATUS_CONVERGED) return;
+    if (!isUsable(msg)) return;
     if (!ground_.isFrame(msg.header.frame_id, settings_.ground_map_frame, what)) return;
     if (mav_.map().frame().empty() && !mav_.admitMap(stream, childHeader(msg), what + "' child")) return;
     if (!mav_.isFrame(msg.child_frame_id, mav_.map().expectedFrame(), what + "' child")) return;

@@ -211,7 +211,7 @@ void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
 void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
   const Similarity& T = coarse.T_ground_map_mav_map;
   if (!own_unit_) {
-    refiner_.setCoarse(poseOf(T));
+    refiner_.setCoarse(poseOf(T), coarse.sure);
     return;
   }
   makeMetric(T);

@@ -71,6 +71,8 @@ struct HeightMapLocalizerSettings {
   double min_explained = 0.25;   ///< see Zmssd::explained; a place with less is charged as if without partners
   double probe_distance = 0.25;  ///< eq. 2 this far along its flattest direction ... [m]
   double probe_ratio = 1.5;      ///< ... must be this much higher, else the direction is not fixed
+  double guess_probe_ratio =
+      1.15;  ///< ... or at least this much for a place that is told apart from all others: a guess for a refinement
 
   // Covariance.
   double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
@@ -131,6 +133,7 @@ struct CoarseEstimate {
   double evidence = 0;         ///< that sum
   double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
   double probe_ratio = 0;      ///< see HeightMapLocalizerSettings
+  bool guess = false;          ///< DEGENERATE for probe_ratio alone, and by more than guess_probe_ratio
   int maps = 0;                ///< aerial maps used since the search began
   int restarts = 0;  ///< times all particles were drawn anew: they had lost the overlap or missed the best place
 };
@@ -272,7 +275,8 @@ class HeightMapLocalizer {
   std::map<int, std::unique_ptr<GroundLevel>> ground_levels_;  // by the factor of their cells
   int maps_ = 0, restarts_ = 0;
   std::size_t far_maps_dropped_ = 0;
-  double evidence_ = 0;  // gathered for the place of evidence_pose_
+  // Gathered for the place of evidence_pose_, for CONVERGED and for a guess.
+  double evidence_ = 0, guess_evidence_ = 0;
   air_ground_common::Pose evidence_pose_ = air_ground_common::Pose::Identity();
   bool new_map_ = false;  // whose evidence has not been gathered yet
   bool weighed_ = false;  // the particles carry weights that the next resampling consumes

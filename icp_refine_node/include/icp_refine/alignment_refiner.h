@@ -85,8 +85,9 @@ class AlignmentRefiner {
   void setGroundCamera(double z) { ground_camera_ = z; }
   /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
   void addAerial(std::int64_t stamp, Cloud cloud);
-  /// Coarse pose of a global localization that has converged.
-  void setCoarse(const Pose& T_ground_map_mav_map);
+  /// Coarse pose of a global localization. Not `sure`: a guess that the heights do not fix sharply; what is refined
+  /// from it is believed when another aerial cloud, from a coarse pose of its own, confirms it.
+  void setCoarse(const Pose& T_ground_map_mav_map, bool sure = true);
   /// What the robots' images tell: tried before the coarse pose. An alignment that agrees with it needs neither
   /// geometry that fixes all directions nor heights that prove it.
   void setViews(const ViewAlignment& views);
@@ -128,6 +129,8 @@ class AlignmentRefiner {
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
   void follow(bool from_tracking, RefineOutcome* out);
+  /// Takes what was refined from a guess back, unless an earlier cloud has led to the same place.
+  void demandConfirmation(const Eigen::Vector3d& centre, RefineOutcome* out);
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
   /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
   RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged = false);
@@ -141,6 +144,9 @@ class AlignmentRefiner {
   std::optional<IcpReference> reference_;
   std::deque<std::pair<std::int64_t, Cloud>> aerial_;
   std::optional<Pose> coarse_, manual_;
+  bool coarse_sure_ = true;
+  std::optional<std::pair<std::int64_t, Similarity>>
+      unconfirmed_;  // refined from a guess, with the newest cloud's stamp
   std::optional<ViewAlignment> views_;
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
