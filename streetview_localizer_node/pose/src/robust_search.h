@@ -50,7 +50,8 @@ double tilt(const PosePrior& prior, const Pose& T_world_camera);
 std::optional<Pose> refine(const Matches& matches, const std::vector<int>& positions, const Pose& initial, double noise,
                            const PosePrior& prior, int iterations = 15);
 
-/// Refines and counts again, up to `rounds` times, from the matches at `positions`; empty when too few support it.
+/// Refines and counts again, up to `rounds` times, from the matches at `positions`; empty when too few support it. Only
+/// the first round goes by these: a pose of three noisy points has but some of its matches, which a better one gains.
 std::optional<Pose> converge(const Matches& matches, std::vector<int> positions, const Pose& initial, double noise,
                              const PosePrior& prior, const PoseSettings& settings, int rounds = 3);
 
