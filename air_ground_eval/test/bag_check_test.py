@@ -109,6 +109,9 @@ class BagCheck(unittest.TestCase):
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
 
+    def test_a_pause_is_named_once(self):
+        self.assertFalse([f.text for f in self.findings(gap=True) if 'are missing at' in f.text])
+
     def test_an_imu_of_no_use_is_left_out_of_the_command(self):
         for faults in (dict(imu_factor=1 / 9.81), dict(shaken=3.0), dict(gyro_factor=6000.0)):
             arguments = {f.argument for f in self.findings(**faults) if f.argument}

@@ -169,9 +169,10 @@ def _stamps(topic, stream, least_rate):
         return result
     if rate < least_rate:
         result.append(Finding(WARNING, f'{topic}: {rate:.1f} Hz; at least {least_rate} Hz are advised'))
-    if least_rate > 0 and gap > max(0.5, 5 / rate):
+    pause = max(0.5, 5 / rate)
+    if least_rate > 0 and gap > pause:
         result.append(Finding(WARNING, f'{topic}: a gap of {gap:.2f} s after {stamps[np.argmax(steps)] - stamps[0]:.1f} s'))
-    lacking = np.maximum(np.round(steps * rate) - 1, 0)
+    lacking = np.maximum(np.round(steps[steps <= pause] * rate) - 1, 0)
     if least_rate > 0 and lacking.sum() > LACKING * len(stamps):
         result.append(Finding(WARNING, f'{topic}: {lacking.sum():.0f} of {len(stamps) + lacking.sum():.0f} messages are missing at {rate:.0f} Hz, up to {lacking.max():.0f} in a row: where the '
                               'recorder lost them, rosbag record --buffsize 0, compressed images or a faster disk help'))
