@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <random>
 #include <vector>
+
+#include "air_ground_common/packet_spreader.h"
 
 namespace air_ground_common {
 namespace {
@@ -49,6 +52,44 @@ TEST(ImuCombiner, BeginsAfreshWhereTheRecordingIsPlayedAgain) {
   combiner.addGyro(10.2, {0, 0, 7});  // out of order
   combiner.addAccelerometer(10.6, {10.6, 0, 9.81});
   while (const auto sample = combiner.pop()) EXPECT_NE(sample->angular_velocity.z(), 7);
+}
+
+/// What comes of samples of 200 Hz whose stamps are `stampOf` their number.
+template <typename StampOf>
+std::vector<double> spreadStamps(int count, const StampOf& stampOf) {
+  PacketSpreader<ImuCombiner::Sample> spreader;
+  std::vector<double> stamps;
+  for (int i = 0; i < count; ++i)
+    for (const auto& sample : spreader.add({stampOf(i), {0, 0, static_cast<double>(i)}, {}}))
+      stamps.push_back(sample.stamp);
+  return stamps;
+}
+
+TEST(PacketSpreader, SpreadsPacketsOverTheTimeSinceTheOneBefore) {
+  for (const int packet : {2, 4, 10})
+    for (const double within : {0.0, 1e-5, 2e-4}) {
+      const auto arrival = [&](int i) { return 5 + 0.005 * packet * (i / packet + 1) + within * (i % packet); };
+      const std::vector<double> stamps = spreadStamps(400, arrival);
+      ASSERT_GE(stamps.size(), 400u - packet);
+      for (std::size_t i = 141; i < stamps.size(); ++i) EXPECT_NEAR(stamps[i] - stamps[i - 1], 0.005, 2e-4) << packet;
+      EXPECT_NEAR(stamps[300], 5 + 0.005 * 301, within * packet + 1e-9) << "measured at the latest when it arrived";
+    }
+}
+
+TEST(PacketSpreader, LeavesOthersAsTheyAre) {
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  std::vector<double> jittery;
+  for (int i = 0; i < 2000; ++i) jittery.push_back(0.005 * i + 0.001 * normal(random));
+  std::sort(jittery.begin(), jittery.end());
+  for (const auto& told : {jittery, [] {
+                             std::vector<double> gaps;  // every third lost, one in twenty doubled, and a pause
+                             for (int i = 0; i < 2000; ++i)
+                               if (i % 3) gaps.insert(gaps.end(), i % 20 ? 1 : 2, 0.005 * i + (i > 900 ? 2 : 0));
+                             return gaps;
+                           }()}) {
+    EXPECT_EQ(spreadStamps(static_cast<int>(told.size()), [&](int i) { return told[i]; }), told);
+  }
 }
 
 }  // namespace

@@ -45,10 +45,13 @@ def write(path, **faults):
             t = 100 + i / 200
             for robot in ('mav', 'ground'):
                 accel = np.array([9.81, 0, 0] if faults.get('imu_axes') else [0, 0, 9.81]) * faults.get('imu_factor', 1.0)
+                if faults.get('shaken'):
+                    accel = faults['shaken'] * np.sin([70 * t, 83 * t, 97 * t])
                 gyro = np.array([0.01 + (0.3 * np.sin(5 * t) if faults.get('moving') else 0), 0, 0]) * faults.get('gyro_factor', 1.0)
                 topic = f'/{robot}/imu/data' if robot == 'ground' or not faults.get('imu_elsewhere') else '/imu0'
-                bag.write(topic, messages.imu(gyro, accel, 1e-6, 1e-4, t, f'{robot}_imu_link'), messages.stamp(t))
-            if i % 10 == 0 and not (faults.get('gap') and 200 < i < 400):
+                stamp = 100 + (i // 10 * 10 + 10) / 200 + i % 10 * 1e-5 if faults.get('packets') else t
+                bag.write(topic, messages.imu(gyro, accel, 1e-6, 1e-4, stamp, f'{robot}_imu_link'), messages.stamp(t))
+            if i % 10 == 0 and not (faults.get('gap') and 200 < i < 400) and not (faults.get('lossy') and i % 80 > 50):
                 stamp = t - 0.5 if faults.get('jump') and i == 300 else t
                 info = messages.camera_info(CAMERA, stamp, 'mav_camera_optical_frame')
                 if faults.get('uncalibrated'):
@@ -92,18 +95,27 @@ class BagCheck(unittest.TestCase):
         self.assertEqual([f for f in self.findings() if f.level != bag_check.OK], [])
 
     def test_errors(self):
-        for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('degrees', dict(gyro_factor=6000.0)),
+        for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('gravity was removed', dict(shaken=3.0)), ('gravity was removed', dict(shaken=0.8)), ('degrees', dict(gyro_factor=6000.0)),
                              ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('/tf_static', dict(no_tf=True)),
                              ('frame id is empty', dict(no_frame=True)), ('/ground/depth/image_raw is missing', dict(no_depth=True)),
                              ('differ in size', dict(small_depth=True)), ('calibration is missing', dict(depth_frame=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
             self.assert_found(bag_check.ERROR, text, **faults)
 
     def test_warnings(self):
-        for text, faults in (('clocks of the robots do not overlap', dict(clocks=5000.0)), ('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)), ('millimetres', dict(depth=20000)),
+        for text, faults in (('clocks of the robots do not overlap', dict(clocks=5000.0)), ('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)),
+                             ('messages are missing at 20 Hz, up to 2 in a row', dict(lossy=True)), ('messages a second, but most of them within 0.01 ms', dict(packets=True)), ('millimetres', dict(depth=20000)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
+
+    def test_a_pause_is_named_once(self):
+        self.assertFalse([f.text for f in self.findings(gap=True) if 'are missing at' in f.text])
+
+    def test_an_imu_of_no_use_is_left_out_of_the_command(self):
+        for faults in (dict(imu_factor=1 / 9.81), dict(shaken=3.0), dict(gyro_factor=6000.0)):
+            arguments = {f.argument for f in self.findings(**faults) if f.argument}
+            self.assertEqual(arguments, {'mav_use_imu:=false', 'ground_imu:=none'}, faults)
 
     def test_no_errors_where_the_nodes_can_help_themselves(self):
         for faults in (dict(compressed=True), dict(split_tf=True), dict(fisheye='equidistant'), dict(info_once=True)):

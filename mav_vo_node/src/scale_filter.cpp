@@ -20,6 +20,7 @@ constexpr double kMaxTiltSine = 0.95;      // of gravity against the map's z axi
 constexpr int kMinUpdates = 10;            // since the start, that must confirm it
 constexpr double kMaxMeanNis = 2.0;        // since the start, when the scale counts as certain; 1 expected
 constexpr double kInvertedStddevs = 5.0;   // of a scale below zero
+constexpr double kMaxBiasStddevs = 6.0;    // an accelerometer that is off by more lacks gravity, or has another unit
 constexpr double kForcedScaleStddev = 0.1;  // added when a row of rejections forces the motion to start afresh [1]
 
 using ErrorVector = Eigen::Matrix<double, ScaleFilter::kStates, 1>;
@@ -282,8 +283,10 @@ bool ScaleFilter::start() {
   }
   start_stddev_ = std::sqrt(P(kS, kS));
   if (start_stddev_ > settings_.start_relative_stddev) return false;
-  // A sure scale that does not fit: wrong unit, gravity removed, wrong mounting.
-  contradicted_ = nis > settings_.start_max_nis * 3.0 * static_cast<double>(window_.size() - 1);
+  // A sure scale that does not fit: wrong unit, gravity removed, wrong mounting. One term among hundreds of a long
+  // window, a bias as large as gravity hardly shows in their mean.
+  contradicted_ = nis > settings_.start_max_nis * 3.0 * static_cast<double>(window_.size() - 1) ||
+                  solution.accel_bias.norm() > kMaxBiasStddevs * settings_.accel_bias_stddev;
   if (contradicted_) return false;
   state_ = solution;
   P_ = P;

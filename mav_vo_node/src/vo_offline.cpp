@@ -22,6 +22,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
+#include "air_ground_common/packet_spreader.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/pixel_range.h"
@@ -65,10 +66,12 @@ class OfflineRun {
         imu_shift_(imu_shift),
         verbose_(verbose) {}
 
-  void addImu(mav_vo::ImuSample sample) {
-    sample.stamp += imu_shift_;
-    newest_imu_ = sample.stamp;
-    odometry_.addImu(sample);
+  void addImu(mav_vo::ImuSample arrived) {
+    arrived.stamp += imu_shift_;
+    for (const mav_vo::ImuSample& sample : spreader_.add(arrived)) {
+      newest_imu_ = sample.stamp;
+      odometry_.addImu(sample);
+    }
     drain(false);
   }
   void addImage(double stamp, std::function<cv::Mat()> load) {
@@ -158,6 +161,7 @@ class OfflineRun {
   double imu_shift_;
   bool verbose_;
   std::deque<Image> images_;
+  air_ground_common::PacketSpreader<mav_vo::ImuSample> spreader_;
   air_ground_common::Trajectory truth_, online_;
   mav_vo::VoResult last_;
   std::vector<double> times_;

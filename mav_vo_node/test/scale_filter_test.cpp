@@ -126,14 +126,13 @@ struct Believed {
 
 /// Flies with the default settings, as the odometry uses the filter: the map is levelled by what the IMU calls up at
 /// the start.
-Believed believe(unsigned seed, const Spoil& spoil) {
-  const synthetic::Flight flight;
+Believed believe(unsigned seed, const Spoil& spoil, double frame = 0.05, const synthetic::Flight& flight = {}) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal;
   const auto vector = [&] { return Eigen::Vector3d(normal(random), normal(random), normal(random)); };
   const ImuNoise noise;
   const ImuBias bias{1e-3 * vector(), 0.05 * vector()};
-  const double begin = 1.5, frame = 0.05, duration = 12.0, true_scale = 1.7;
+  const double begin = 1.5, duration = 12.0, true_scale = 1.7;
   ImuBuffer buffer(1000);
   for (const auto& s : flight.imuSamples(begin - 0.1, begin + duration + 0.1, 200, noise, bias, random))
     buffer.add(spoil(s));
@@ -192,6 +191,24 @@ TEST(ScaleFilter, IsNotCertainWithAWrongImu) {
                              << " of the true scale, mean NIS " << b.mean_nis;
     }
   }
+}
+
+// Of a body that stays level gravity that was removed is a constant bias, and one term among many in a long window.
+TEST(ScaleFilter, GravityIsNoBias) {
+  synthetic::Flight level;
+  level.wobble = 0;
+  for (const double frame : {0.05, 0.02})
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      const Believed b = believe(
+          seed,
+          [](ImuSample s) {
+            s.specific_force.z() -= kGravity;
+            return s;
+          },
+          frame, level);
+      EXPECT_FALSE(b.metric) << 1 / frame << " Hz: after " << b.metric_at << " s, " << b.ratio << " of the true scale";
+      EXPECT_TRUE(b.contradicted);
+    }
 }
 
 TEST(ScaleFilter, NamesAccelerationsOfTheWrongSign) {

@@ -15,6 +15,9 @@ namespace visual_frontend {
 
 namespace {
 
+constexpr double kLeap = 0.08;  // of the mean brightness' logarithm from image to image; what comes into view adds less
+constexpr double kDark = 4;     // [grey levels]; the brightness of a darker image is noise
+
 void require(bool ok, const char* field, const char* what) {
   if (!ok) throw std::invalid_argument(std::string("TrackerSettings::") + field + " " + what);
 }
@@ -152,6 +155,16 @@ struct FeatureTracker::Impl {
       result.push_back(guess);
     }
     return result;
+  }
+
+  /// Lets the image before be as bright as this one: what is followed keeps its brightness. Lamps flicker, exposures
+  /// leap.
+  void matchBrightness(const cv::Mat& current) {
+    const double before = cv::mean(lk_pyramid[0])[0], now = cv::mean(current)[0];
+    if (before < kDark || now < kDark || std::abs(std::log(now / before)) < kLeap) return;
+    cv::Mat matched;
+    lk_pyramid[0].convertTo(matched, CV_8U, now / before);
+    lk_pyramid = lkPyramid(matched);
   }
 
   /// Takes over the current image for the next one.
@@ -313,6 +326,7 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
     return s.features;
   }
 
+  s.matchBrightness(current[0]);
   std::vector<cv::Point2f> before, after = s.predict(prediction);
   for (const Feature& f : s.features) before.push_back(toCv(f.pixel));
   const std::vector<unsigned char> status = s.flow(current, before, &after);

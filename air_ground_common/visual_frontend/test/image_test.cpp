@@ -60,6 +60,28 @@ TEST(Tracker, FollowsAMovingCameraToSubPixel) {
   EXPECT_LT(errors[errors.size() * 9 / 10], 0.8);
 }
 
+TEST(Tracker, FollowsThroughFlickeringLight) {
+  const CameraModel camera = synthetic::camera();
+  for (const double flicker : {0.0, 0.35}) {
+    FeatureTracker tracker(camera, {});
+    tracker.track(0.6 * renderPlane(camera, above(0, 0, 2), planeTexture(), kPlane));
+    const int begun = tracker.replenish();
+    std::vector<double> errors;
+    std::vector<std::pair<TrackId, Eigen::Vector3d>> truth;
+    for (const Feature& f : tracker.features()) truth.emplace_back(f.id, onPlane(camera, above(0, 0, 2), f.pixel));
+    const Pose T = above(0.12, -0.06, 2);
+    for (int i = 1; i <= 6; ++i)
+      tracker.track(0.6 * (1 + (i % 2 ? flicker : -flicker)) *
+                    renderPlane(camera, above(0.02 * i, -0.01 * i, 2), planeTexture(), kPlane));
+    for (const Feature& f : tracker.features())
+      for (const auto& [id, p] : truth)
+        if (id == f.id) errors.push_back((*camera.project(T.inverse() * p) - f.pixel).norm());
+    std::sort(errors.begin(), errors.end());
+    ASSERT_GT(static_cast<int>(errors.size()), begun * 3 / 4) << "flicker " << flicker;
+    EXPECT_LT(errors[errors.size() / 2], 0.25) << "flicker " << flicker;
+  }
+}
+
 TEST(Tracker, RotationPriorBridgesFastTurns) {
   const CameraModel camera = synthetic::camera();
   const Pose T0 = above(0, 0, 2), T1 = above(0, 0, 2, 0.35);

@@ -31,6 +31,8 @@ CITY = {
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
 NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
+BURSTS = 3  # times the median step: a long one, as it lies between packets of messages
+LACKING = 0.05  # of the messages
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 
 
@@ -160,10 +162,20 @@ def _stamps(topic, stream, least_rate):
         result.append(Finding(WARNING, f'{topic}: {np.count_nonzero(steps == 0)} stamps repeat; the repeated messages will be dropped'))
     rate = 1 / max(np.median(steps), 1e-9)
     gap = steps.max()
+    long = steps > BURSTS / rate
+    if long.mean() > 0.02 and steps[long].sum() > 0.7 * steps.sum():
+        result.append(Finding(WARNING, f'{topic}: {1 / steps.mean():.0f} messages a second, but most of them within {1000 / rate:.2g} ms of another: stamped when a packet arrived, not '
+                              'when they were measured; have the driver take the sensor\'s own clock'))
+        return result
     if rate < least_rate:
         result.append(Finding(WARNING, f'{topic}: {rate:.1f} Hz; at least {least_rate} Hz are advised'))
-    if least_rate > 0 and gap > max(0.5, 5 / rate):
+    pause = max(0.5, 5 / rate)
+    if least_rate > 0 and gap > pause:
         result.append(Finding(WARNING, f'{topic}: a gap of {gap:.2f} s after {stamps[np.argmax(steps)] - stamps[0]:.1f} s'))
+    lacking = np.maximum(np.round(steps[steps <= pause] * rate) - 1, 0)
+    if least_rate > 0 and lacking.sum() > LACKING * len(stamps):
+        result.append(Finding(WARNING, f'{topic}: {lacking.sum():.0f} of {len(stamps) + lacking.sum():.0f} messages are missing at {rate:.0f} Hz, up to {lacking.max():.0f} in a row: where the '
+                              'recorder lost them, rosbag record --buffsize 0, compressed images or a faster disk help'))
     if not result:
         result.append(Finding(OK, f'{topic}: {len(stamps)} messages, {rate:.1f} Hz'))
     return result

@@ -4,6 +4,7 @@ import numpy as np
 from .bag_finding import ERROR, WARNING, Finding, quoted
 
 FASTEST = 4  # [rad/s]: half of a recording's turn rates beyond this are of no robot whose images can be followed
+VANISHING = 0.3  # of a reading's size: vibration without gravity has a smaller mean, a robot that stays upright one of about 1
 REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
 
 
@@ -29,22 +30,24 @@ def check(standard, topic, stream, apart):
         accel, gyro = accel[finite], gyro[finite]
     if len(accel) == 0:
         return result + [Finding(ERROR, f'{topic}: no finite reading')]
-    norm = np.median(np.linalg.norm(accel, axis=1))
+    norm, mean = np.median(np.linalg.norm(accel, axis=1)), np.linalg.norm(accel.mean(0))
     if norm == 0 and not gyro.any() and not apart:
         return result + [Finding(WARNING, f'{topic}: turn rates and accelerations are all zero, an attitude alone helps no node: take another topic of this IMU, or replay '
                                  f'with {without}', without)]
     if norm == 0:
         result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
                               'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
-    elif 0.9 < norm < 1.1:
-        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed'))
-    elif norm < 2:
-        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2: gravity was removed; specific force is needed'))
+    elif 0.9 < norm < 1.1 and mean > VANISHING * norm:
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed: convert it, or replay with {without}', without))
+    elif norm < 2 or norm < 8.5 and mean < VANISHING * norm:
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2, its mean {mean:.2f}: gravity was removed; specific force is needed: take another topic of '
+                              f'this IMU (imu/data_raw, say), or replay with {without}', without))
     elif not 8.5 < norm < 11.5:
         result.append(Finding(WARNING, f'{topic}: the acceleration is about {norm:.2f} m/s^2, not 9.81'))
     rate = np.median(np.linalg.norm(gyro, axis=1))
     if np.max(np.abs(gyro)) > 35 or rate > FASTEST:
-        result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}, their median {rate:.1f}: they seem to be in degrees; rad/s are needed'))
+        result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}, their median {rate:.1f}: they seem to be in degrees; rad/s are needed: convert them, '
+                              f'or replay with {without}', without))
     elif not gyro.any():
         result.append(Finding(WARNING, f'{topic}: the turn rate is always zero, an accelerometer alone helps no node: replay with {without}', without))
     return result

@@ -14,6 +14,7 @@
 
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/imu_combiner.h"
+#include "air_ground_common/packet_spreader.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/text.h"
 
@@ -48,8 +49,8 @@ inline std::string cameraFrame(const std::string& configured, const Calibration&
                                                                : calibration.info.header.frame_id);
 }
 
-/// Samples of an IMU: refuses what is not finite, not measured or beyond any sensor's range, and judges the unit by the
-/// mean acceleration. Thread-safe.
+/// Samples of an IMU: refuses what is not finite, not measured or beyond any sensor's range, judges the unit by the
+/// mean acceleration, and spreads packets of samples that were stamped on arrival. Thread-safe.
 class ImuInput {
  public:
   using Sample = ImuCombiner::Sample;  ///< in the IMU's frame: stamp [s], angular velocity [rad/s], force [m/s^2]
@@ -72,7 +73,10 @@ class ImuInput {
     if (!measured || !force_measured || !turnRate(rate) || !acceleration(force)) return {};
     const std::lock_guard<std::mutex> lock(mutex_);
     judgeUnit(force.norm());
-    return {{msg.header.stamp.toSec(), rate, force}};
+    if (spreader_.inPackets())
+      health_.count(
+          "IMU samples stamped on arrival, in packets: spread evenly; better have the driver take the sensor's clock");
+    return spreader_.add({msg.header.stamp.toSec(), rate, force});
   }
 
   /// The same for a message of the accelerometer's own.
@@ -95,6 +99,7 @@ class ImuInput {
     samples_ = 0;
     problem_.clear();
     combiner_.clear();
+    spreader_.clear();
   }
 
  private:
@@ -142,6 +147,7 @@ class ImuInput {
   const bool separate_;
   mutable std::mutex mutex_;  // of what follows
   ImuCombiner combiner_;
+  PacketSpreader<Sample> spreader_;
   double sum_ = 0;
   int samples_ = 0;
   std::string problem_;
