@@ -178,6 +178,13 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
 
 void AlignmentRefiner::demandConfirmation(const Eigen::Vector3d& centre, RefineOutcome* out) {
   constexpr double kSameDistance = 0.06, kSameAngle = 0.03;  // [m], [rad]
+  if (out->heights.conclusive && out->heights.agreement() < settings_.guess_agreement) {
+    out->status = RefineStatus::kRejected;
+    out->reason =
+        formatted("heights contradict what was refined from a guess: %.0f %% of %d cells agree, %.0f %% needed",
+                  100 * out->heights.agreement(), out->heights.relief_cells, 100 * settings_.guess_agreement);
+    return;
+  }
   const Similarity& T = out->T_ground_map_mav_map;
   const bool same = unconfirmed_ && (unconfirmed_->second * centre - T * centre).norm() < kSameDistance &&
                     air_ground_common::rotationAngle(unconfirmed_->second.R, T.R) < kSameAngle;

@@ -35,6 +35,8 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
   v("accept/max_sigma_angle", r.max_sigma_angle, {0, 4}, "rad", "and of the rotation about any axis");
   v("accept/min_agreement", r.min_agreement, {0, 1}, "",
     "share of the columns off the floor whose heights do not contradict each other, else REJECTED");
+  v("accept/guess_agreement", r.guess_agreement, {0, 1}, "",
+    "the same where the coarse stage gave but a guess, whose result a second aerial cloud must confirm, too");
   v("accept/min_relief_cells", r.height_check.min_relief_cells, {0, 1000000}, "",
     "fewer such columns cannot verify a pose: DEGENERATE");
   v("accept/height_cell", r.height_check.cell, {0.005, 10}, "m", "edge of a column");

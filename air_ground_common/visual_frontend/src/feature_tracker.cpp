@@ -10,13 +10,13 @@
 #include <unordered_set>
 
 #include "air_ground_common/parameters.h"
+#include "brightness.h"
 
 namespace visual_frontend {
 
 namespace {
 
-constexpr double kLeap = 0.08;  // of the mean brightness' logarithm from image to image; what comes into view adds less
-constexpr double kDark = 4;     // [grey levels]; the brightness of a darker image is noise
+constexpr double kFewFound = 0.7;  // of the features, below which the light may have leapt
 
 void require(bool ok, const char* field, const char* what) {
   if (!ok) throw std::invalid_argument(std::string("TrackerSettings::") + field + " " + what);
@@ -157,14 +157,25 @@ struct FeatureTracker::Impl {
     return result;
   }
 
-  /// Lets the image before be as bright as this one: what is followed keeps its brightness. Lamps flicker, exposures
-  /// leap.
-  void matchBrightness(const cv::Mat& current) {
-    const double before = cv::mean(lk_pyramid[0])[0], now = cv::mean(current)[0];
-    if (before < kDark || now < kDark || std::abs(std::log(now / before)) < kLeap) return;
-    cv::Mat matched;
-    lk_pyramid[0].convertTo(matched, CV_8U, now / before);
-    lk_pyramid = lkPyramid(matched);
+  /// The features where they are in the current image, as far as they are found.
+  std::vector<Feature> follow(const std::vector<cv::Mat>& current, const TrackPrediction& prediction) const {
+    std::vector<cv::Point2f> before, after = predict(prediction);
+    for (const Feature& f : features) before.push_back(toCv(f.pixel));
+    const std::vector<unsigned char> status = flow(current, before, &after);
+    std::vector<Feature> found;
+    found.reserve(features.size());
+    for (std::size_t i = 0; i < before.size(); ++i) {
+      if (!status[i] || !inside(after[i])) continue;
+      if (patchDifference(lk_pyramid[0], before[i], current[0], after[i]) > settings.max_patch_difference) continue;
+      Feature f = features[i];
+      f.previous_pixel = f.pixel;
+      f.pixel = {after[i].x, after[i].y};
+      f.normalized = camera.unproject(f.pixel);
+      if (!f.normalized.allFinite()) continue;
+      ++f.age;
+      found.push_back(f);
+    }
+    return found;
   }
 
   /// Takes over the current image for the next one.
@@ -326,25 +337,17 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
     return s.features;
   }
 
-  s.matchBrightness(current[0]);
-  std::vector<cv::Point2f> before, after = s.predict(prediction);
-  for (const Feature& f : s.features) before.push_back(toCv(f.pixel));
-  const std::vector<unsigned char> status = s.flow(current, before, &after);
-  std::vector<Feature> found;
-  found.reserve(s.features.size());
-  for (std::size_t i = 0; i < before.size(); ++i) {
-    if (!status[i] || !s.inside(after[i])) continue;
-    if (patchDifference(s.lk_pyramid[0], before[i], current[0], after[i]) > s.settings.max_patch_difference) continue;
-    Feature f = s.features[i];
-    f.previous_pixel = f.pixel;
-    f.pixel = {after[i].x, after[i].y};
-    f.normalized = s.camera.unproject(f.pixel);
-    if (!f.normalized.allFinite()) continue;
-    ++f.age;
-    found.push_back(f);
+  const std::size_t before = s.features.size();
+  std::vector<Feature> found = s.follow(current, prediction);
+  // Only then: what comes into view looks like a leap of light, too.
+  const bool few = static_cast<double>(found.size()) < kFewFound * static_cast<double>(before);
+  if (const double leap = few ? brightnessLeap(s.lk_pyramid[0], current[0]) : 1; leap != 1) {
+    s.lk_pyramid = s.lkPyramid(leap * s.lk_pyramid[0]);
+    std::vector<Feature> again = s.follow(current, prediction);
+    if (again.size() > found.size()) found = std::move(again);
   }
   s.keepApart(std::move(found));
-  s.survival = static_cast<double>(s.features.size()) / before.size();
+  s.survival = static_cast<double>(s.features.size()) / static_cast<double>(before);
   s.keep(std::move(current));
   return s.features;
 }

@@ -3,6 +3,7 @@
 
 #include <opencv2/features2d.hpp>
 
+#include "../src/brightness.h"
 #include "../src/hamming.h"
 #include "synthetic.h"
 #include "visual_frontend/feature_tracker.h"
@@ -80,6 +81,19 @@ TEST(Tracker, FollowsThroughFlickeringLight) {
     ASSERT_GT(static_cast<int>(errors.size()), begun * 3 / 4) << "flicker " << flicker;
     EXPECT_LT(errors[errors.size() / 2], 0.25) << "flicker " << flicker;
   }
+}
+
+TEST(BrightnessLeap, IsTheWholeImagesNotAWindowsThatComesIntoView) {
+  cv::Mat before(480, 752, CV_8U);
+  cv::randu(before, 40, 120);
+  const cv::Mat brighter = 1.3 * before, darker = 0.7 * before, alike = 1.05 * before;
+  EXPECT_NEAR(brightnessLeap(before, brighter), 1.3, 0.02);
+  EXPECT_NEAR(brightnessLeap(before, darker), 0.7, 0.02);
+  EXPECT_EQ(brightnessLeap(before, alike), 1);
+  cv::Mat window = before.clone();
+  window(cv::Rect(0, 0, 300, 480)) = 250;  // the mean is nearly twice as bright
+  EXPECT_EQ(brightnessLeap(before, window), 1);
+  EXPECT_EQ(brightnessLeap(cv::Mat::zeros(480, 752, CV_8U), before), 1) << "of darkness nothing is known";
 }
 
 TEST(Tracker, RotationPriorBridgesFastTurns) {

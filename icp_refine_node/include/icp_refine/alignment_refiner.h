@@ -28,6 +28,7 @@ struct RefinerSettings {
   double retry_angle = 0.1;         ///< of heading [rad]
   double min_overlap = 0.08;        ///< smallest share of the aerial map that overlaps the ground map, by columns
   double max_rms = 0.05;            ///< largest RMS point-to-plane residual [m]
+  double guess_agreement = 0.85;    ///< the same where the coarse pose was but a guess
   double min_agreement = 0.7;       ///< smallest share of relief cells without contradiction (height_check.h)
   double max_sigma = 0.15;          ///< largest standard deviation of the position, any direction [m]
   double max_sigma_angle = 0.09;    ///< and of the rotation, any axis [rad]
