@@ -25,6 +25,8 @@ constexpr double kReadoutRefinement = 1e-3;  // least change of one that was est
 constexpr double kShutterMisfit = 2;         // of noise; above, the tracks are not explained by a readout time
 constexpr double kChi2Of3 = 16.27;           // 3 degrees of freedom, 99.9 %
 constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images contradict each other
+constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
+constexpr double kCloseMisfit = 0.5;   // of a gyro that fits so well that another offset cannot matter
 
 }  // namespace
 
@@ -147,6 +149,15 @@ std::string ImuAlignment::problem() const {
       "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
       "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
       trusted().misfit());
+}
+
+std::string ImuAlignment::clockProblem() const {
+  const double misfit = trusted().misfit();  // 0: of nothing yet
+  if (timeOffsetStddev() < kKnownOffset || (misfit > 0 && misfit < kCloseMisfit)) return "";
+  return air_ground_common::formatted(
+      "how far the clocks of images and IMU are apart is not known yet (+- %.0f ms): turn the camera; if that does not "
+      "help, have both drivers stamp when they measure, or set time_offset (t_imu - t_image) and time_offset_stddev: 0",
+      1e3 * timeOffsetStddev());
 }
 
 double ImuAlignment::timeOffsetStddev() const {

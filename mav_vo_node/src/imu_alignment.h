@@ -58,6 +58,9 @@ class ImuAlignment {
     return imu_.motion(stamp_a, stamp_b, settings_.imu_noise, bias);
   }
   std::string problem() const;  ///< empty: gyro and images agree
+  /// Empty: how far the clocks are apart is known well enough for a scale; else what is missing. Clocks that are
+  /// farther apart than is looked for end in a false minimum, which never gets sure.
+  std::string clockProblem() const;
 
   double imuStamp(double image_stamp) const { return imu_.stamp(image_stamp); }
   const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }

@@ -150,8 +150,21 @@ TEST(ImuAlignment, AdoptsASureTimeOffset) {
   EXPECT_NEAR(imu.timeOffset(), 0.02, 0.002);
   EXPECT_NEAR(imu.imuStamp(7), 7.02, 0.002);
   EXPECT_LT((imu.gyroBias() - kBias).norm(), 0.005);
-  EXPECT_EQ(imu.problem(), "");
+  EXPECT_EQ(imu.problem() + imu.clockProblem(), "");
   EXPECT_FALSE(imu.adoptTimeOffset()) << "it is in use";
+}
+
+// Images stamped on arrival, by radio: none of the offsets that are looked for explains them.
+TEST(ImuAlignment, ClocksTooFarApartTellNoScale) {
+  for (const double offset : {0.25, -0.3}) {
+    ImuAlignment imu = make();
+    EXPECT_NE(imu.clockProblem(), "") << "nothing is known at first";
+    Swing(offset).show(imu, [&](double t, const std::vector<Feature>& features) {
+      if (imu.alignGyro(t, features, false)) imu.adoptTimeOffset();
+    });
+    EXPECT_NE(imu.problem() + imu.clockProblem(), "")
+        << offset << ": " << imu.timeOffset() << " +- " << imu.timeOffsetStddev();
+  }
 }
 
 TEST(ImuAlignment, FindsAReadoutTimeAndSaysWhenItWasFarOff) {
