@@ -58,10 +58,13 @@ double HeightMapLocalizer::evidence(const Zmssd& z) const {
   return std::max(0.0, -0.5 * z.overlap / settings_.cells_per_independent * std::log(unexplained));
 }
 
+bool HeightMapLocalizer::toldApart() const {
+  return estimate_.relief >= settings_.min_relief && estimate_.rival_ratio >= settings_.ambiguity_ratio &&
+         estimate_.explained >= settings_.min_explained;
+}
+
 void HeightMapLocalizer::gatherEvidence() {
   const HeightMapLocalizerSettings& s = settings_;
-  const bool told_apart = estimate_.relief >= s.min_relief && estimate_.rival_ratio >= s.ambiguity_ratio &&
-                          estimate_.explained >= s.min_explained;
   const auto place = [this](const air_ground_common::Pose& T) {
     return PlanarPose{(T * inMetres(aerial_.back().reference)).x(), (T * inMetres(aerial_.back().reference)).y(),
                       air_ground_common::yawOf(T.rotation())};
@@ -75,7 +78,7 @@ void HeightMapLocalizer::gatherEvidence() {
   if (new_map_) {
     const auto sum = [&](double before, double probe_ratio) {
       const double most = s.min_evidence / 2;
-      const bool in_favour = told_apart && estimate_.probe_ratio >= probe_ratio;
+      const bool in_favour = toldApart() && estimate_.probe_ratio >= probe_ratio;
       return std::clamp(before + std::clamp(estimate_.evidence_lead, -most, in_favour ? most : 0.0), 0.0,
                         2 * s.min_evidence);
     };

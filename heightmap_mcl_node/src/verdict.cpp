@@ -93,8 +93,8 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Candidate& best, const AerialCel
     e.status = Status::kDegenerate;
     e.reason = formatted("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
                          weakest.y(), weakest.z() / kDegree, e.probe_ratio);
-    e.guess = !own_unit_ && e.probe_ratio >= s.guess_probe_ratio && e.rival_ratio >= s.ambiguity_ratio &&
-              e.explained >= s.min_explained && e.maps >= s.min_maps && guess_evidence_ >= s.min_evidence;
+    e.guess = !own_unit_ && e.probe_ratio >= s.guess_probe_ratio && toldApart() && e.maps >= s.min_maps &&
+              guess_evidence_ >= s.min_evidence;
     if (e.guess) e.reason += "; no other place fits: a guess for the refinement";
   } else if (e.rival_ratio < s.ambiguity_ratio) {
     e.status = Status::kAmbiguous;

@@ -84,8 +84,9 @@ std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
   if (const std::string problem = imu.problem(); !problem.empty()) return problem;
-  if (const std::string clock = imu.clockProblem(); !clock.empty() && scale.known(mapAge())) return clock;
-  return scale.reason(mapAge());
+  if (!scale.known(mapAge())) return scale.reason(mapAge());
+  const std::string clock = imu.clockProblem();
+  return clock.empty() ? scale.reason(mapAge()) : clock;
 }
 
 std::optional<double> Odometry::Impl::turnSigma() const {
@@ -210,7 +211,7 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
   }
   if (keyframe) addKeyframe(gray);
   if (!metric()) scale.dropRefuted();
-  if (!metric() && settings.use_imu && imu_problem.empty() && imu.clockProblem().empty() && scale.known(mapAge()) &&
+  if (!metric() && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) && imu.clockProblem().empty() &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
   if ((metric() || calibration.estimates()) && made_keyframe && adjuster.wholeDue(last_stamp)) adjustWholeMap();

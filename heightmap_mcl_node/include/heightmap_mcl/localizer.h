@@ -239,6 +239,7 @@ class HeightMapLocalizer {
   Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
   /// Adds a new map's lead.
+  bool toldApart() const;  ///< there is relief, and no other place explains it as well
   void gatherEvidence();
   /// To be called with the verdict known.
   void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
