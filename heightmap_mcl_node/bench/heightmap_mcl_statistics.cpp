@@ -129,6 +129,9 @@ int main(int argc, char** argv) {
   app.add_option("--unknown-weight", s.unknown_weight, "");
   app.add_option("--min-overlap", s.min_overlap, "");
   app.add_option("--edge-width", s.edge_width, "[m]");
+  app.add_option("--cutoff", s.cutoff, "[m]");
+  app.add_option("--min-agreement", s.min_agreement, "");
+  app.add_option("--probe-ratio", s.probe_ratio, "");
   app.add_option("--accumulate", s.accumulate, "");
   app.add_option("--verify", s.verify, "");
   app.add_option("--coarse", s.coarse_factor, "");
@@ -187,7 +190,8 @@ int main(int argc, char** argv) {
   std::ofstream out;
   if (!csv.empty()) {
     out.open(csv);
-    out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,relief,"
+    out << "seed,map,status,error_m,error_deg,error_z_m,mean_error_m,spread_m,spread_deg,rival_ratio,explained,"
+           "agreement,relief,"
            "probe,cost,overlap,nees,"
            "mode_weight,ms,evidence,lead,scale_error,scale_stddev,sigma_m,sigma_deg,guess\n";
   }
@@ -264,9 +268,9 @@ int main(int argc, char** argv) {
       if (out) {
         out << options.seed << ',' << k << ',' << hm::toString(e.status) << ',' << error.position << ','
             << error.yaw * 180 / M_PI << ',' << error.z << ',' << mean_error << ',' << e.particle_spread << ','
-            << e.particle_spread_yaw * 180 / M_PI << ',' << e.rival_ratio << ',' << e.explained << ',' << e.relief
-            << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ',' << nees << ',' << e.mode_weight << ','
-            << ms << ',' << e.evidence << ',' << e.evidence_lead << ',' << scale_error << ','
+            << e.particle_spread_yaw * 180 / M_PI << ',' << e.rival_ratio << ',' << e.explained << ',' << e.agreement
+            << ',' << e.relief << ',' << e.probe_ratio << ',' << e.cost << ',' << e.overlap << ',' << nees << ','
+            << e.mode_weight << ',' << ms << ',' << e.evidence << ',' << e.evidence_lead << ',' << scale_error << ','
             << e.scale_stddev / e.scale << ',' << std::sqrt(std::max(e.covariance(0, 0), e.covariance(1, 1))) << ','
             << std::sqrt(e.covariance(5, 5)) * 180 / M_PI << ',' << e.guess << '\n';
       }

@@ -16,11 +16,11 @@ void HeightMapLocalizer::updateFloor() {
   const HeightMap raw = merge(keptMaps(settings_.verify), settings_.merge);
   const std::vector<double> floors = floorCandidates(raw.levels, ground_.levels, ground_.cap, kMost);
   if (floors.size() < 2) return;
-  std::vector<Candidate> placements;
+  std::vector<Placement> placements;
   for (const double floor : floors) placements.push_back(bestPlacement(withFloor(raw, floor)));
   std::size_t best = 0;
   for (std::size_t i = 1; i < placements.size(); ++i) {
-    if (placements[i].zmssd.score < placements[best].zmssd.score) best = i;
+    if (placements[i].agreement.score < placements[best].agreement.score) best = i;
   }
   for (std::size_t i = 0; i < placements.size(); ++i) {
     if (i != best) floor_rivals_.push_back(placements[i]);
@@ -33,34 +33,39 @@ HeightMap HeightMapLocalizer::lastMaps(int count) const {
   return std::isnan(floor_) ? map : withFloor(std::move(map), floor_);
 }
 
-double HeightMapLocalizer::rivalRatio(const Zmssd& other, const Zmssd& best) const {
+double HeightMapLocalizer::rivalRatio(const Agreement& other, const Agreement& best) const {
   // What both are charged for unknown cells says nothing about either.
   const double cost = best.cost + settings_.noise_cost;
-  const double by_score = std::max(0.0, cost + other.score - best.score) / cost;
-  // Of two bare floors there is nothing to explain.
-  if (!std::isfinite(other.cost) || std::min(other.relief_air, other.relief_ground) < settings_.min_relief)
-    return by_score;
-  // The ratio of the shares left unexplained where both overlap as much; what explains less ground counts for less.
-  const double independent = std::max(best.overlap / settings_.cells_per_independent, 1.0);
-  return std::min(by_score, std::exp(2 * (evidence(best) - evidence(other)) / independent));
+  return std::max(0.0, cost + other.score - best.score) / cost;
 }
 
-Candidate HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
+Placement HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
   const AerialCells cells = cellsOf(map, centerOf(map));
   const CostSettings cost = costFor(map);
-  return bestOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
-                      settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
+  const CostVolume volume = coarseVolume(map);
+  Placement best;
+  for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
+    const Placement found =
+        descendByAgreement(*direct_, cells, changeReference(minimum, volume.pivot, cells.reference),
+                           settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
+    if (found.agreement.score < best.agreement.score) best = found;
+  }
+  return best;
 }
 
-double HeightMapLocalizer::evidence(const Zmssd& z) const {
-  if (!std::isfinite(z.cost)) return 0;
-  const double unexplained = 2 * (z.cost + settings_.noise_cost) / z.variance;
-  return std::max(0.0, -0.5 * z.overlap / settings_.cells_per_independent * std::log(unexplained));
+double HeightMapLocalizer::independentCells(const Agreement& place) const {
+  return std::max(place.overlap / settings_.cells_per_independent, 1.0);
+}
+
+double HeightMapLocalizer::evidenceLead(const Agreement& place, double other_score) const {
+  if (!std::isfinite(place.score)) return 0;
+  const double sigma = kHeightDeviation * settings_.cutoff;
+  return independentCells(place) * (other_score - place.score) / (2 * sigma * sigma);
 }
 
 bool HeightMapLocalizer::toldApart() const {
   return estimate_.relief >= settings_.min_relief && estimate_.rival_ratio >= settings_.ambiguity_ratio &&
-         estimate_.explained >= settings_.min_explained;
+         estimate_.agreement >= settings_.min_agreement;
 }
 
 void HeightMapLocalizer::gatherEvidence() {

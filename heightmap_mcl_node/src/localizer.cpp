@@ -16,6 +16,9 @@ using air_ground_common::formatted;
 using air_ground_common::kDegree;
 using air_ground_common::wrapAngle;
 
+/// Minima of eq. 2 that are compared: the right place is often not its lowest one.
+constexpr std::size_t kPlaces = 16;
+
 double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
 }  // namespace
@@ -136,8 +139,12 @@ CostSettings HeightMapLocalizer::costFor(const HeightMap& air) const {
   double largest = 0;
   for (const Kept& kept : aerial_) largest = std::max(largest, static_cast<double>(kept.map.defined()));
   const double smaller = static_cast<double>(std::min(air.defined(), ground_.defined()));
-  return {settings_.min_overlap * std::min(1.0, largest / std::max(smaller, 1.0)), settings_.unknown_weight * unrelated,
-          settings_.min_explained, settings_.min_relief, settings_.overlap_of_air};
+  return {settings_.min_overlap * std::min(1.0, largest / std::max(smaller, 1.0)),
+          settings_.unknown_weight * unrelated,
+          settings_.min_explained,
+          settings_.min_relief,
+          settings_.overlap_of_air,
+          settings_.cutoff};
 }
 
 AerialCells HeightMapLocalizer::cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const {
@@ -213,40 +220,40 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
   AerialCells cells = cellsOf(verify_map, centerOf(verify_map));
   const CostSettings cost = costFor(verify_map);
   PlanarPose mean = changeReference(mode.mean, filter_.reference(), cells.reference);
-  Candidate best = descend(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);
-  if (!std::isfinite(best.zmssd.cost) || separation(best.pose, mean) > settings_.rival_distance) {
-    best = {mean, (*direct_)(cells, mean, cost)};
+  Placement best = descendByAgreement(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);
+  if (!std::isfinite(best.agreement.cost) || separation(best.pose, mean) > settings_.rival_distance) {
+    best = placementAt(*direct_, cells, mean, cost);
   }
 
   const CostVolume volume = coarseVolume(verify_map);
-  std::vector<Candidate> places = findPlaces(volume, cells, cost, best);
+  std::vector<Placement> places = findPlaces(volume, cells, cost, best);
   if (places.empty()) {
     estimate_.reason = "nothing fits near the initial guess";
     return;
   }
-  best = *std::min_element(places.begin(), places.end(),
-                           [](const Candidate& a, const Candidate& b) { return a.zmssd.score < b.zmssd.score; });
+  best = *std::min_element(places.begin(), places.end(), [](const Placement& a, const Placement& b) {
+    return a.agreement.score < b.agreement.score;
+  });
   const Eigen::Vector2d merged_center = cells.reference;
   cells = about(std::move(cells), overlapCenter(cells, best.pose));
-  for (Candidate& place : places) place.pose = changeReference(place.pose, merged_center, cells.reference);
+  for (Placement& place : places) place.pose = changeReference(place.pose, merged_center, cells.reference);
   mean = changeReference(mean, merged_center, cells.reference);
   best.pose = changeReference(best.pose, merged_center, cells.reference);
-  const Candidate refined = descend(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
-  if (refined.zmssd.score < best.zmssd.score) best = refined;
-  const Candidate rival = compareWithRivals(best, places);
-  const bool particles_agree = isSame({mean, {}}, best);
+  const Placement refined = descendByAgreement(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
+  if (refined.agreement.score < best.agreement.score) best = refined;
+  const Placement rival = compareWithRivals(best, places);
+  const bool particles_agree = isSame(mean, best.pose);
 
-  estimate_.has_pose = std::isfinite(best.zmssd.cost);
+  estimate_.has_pose = std::isfinite(best.agreement.cost);
   if (!estimate_.has_pose) {
     estimate_.reason = "the maps do not overlap where the particles are";
     filter_.clear();
     return;
   }
   const PlanarPose origin = changeReference(best.pose, cells.reference, Eigen::Vector2d::Zero());
-  estimate_.T_ground_mav = air_ground_common::yawPose(origin.yaw, {origin.x, origin.y, best.zmssd.dz});
-  estimate_.cost = best.zmssd.cost;
-  estimate_.overlap = best.zmssd.overlap / static_cast<double>(cells.h.size());
-  estimate_.rival_distance = std::isfinite(rival.zmssd.cost) ? separation(rival.pose, best.pose) : kInfinity;
+  estimate_.T_ground_mav = air_ground_common::yawPose(origin.yaw, {origin.x, origin.y, best.agreement.dz});
+  estimate_.overlap = best.agreement.overlap / static_cast<double>(cells.h.size());
+  estimate_.rival_distance = std::isfinite(rival.agreement.cost) ? separation(rival.pose, best.pose) : kInfinity;
   const Eigen::Vector3d flattest = judge(best, cells, cost, particles_agree);
   setCovariance(best, rival, cells, cost, mode, flattest);
   if (!particles_agree && estimate_.rival_ratio >= settings_.ambiguity_ratio) {
@@ -267,44 +274,40 @@ Eigen::Vector2d HeightMapLocalizer::overlapCenter(const AerialCells& cells, cons
 
 /// The lowest places of the full search beside the particles' mode. Where one fits better than that, it is the
 /// estimate, and the particles have yet to follow.
-std::vector<Candidate> HeightMapLocalizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
-                                                      const CostSettings& cost, const Candidate& mode) const {
-  const auto starts = findLocalMinima(volume, 8, settings_.rival_distance, settings_.rival_angle);
-  std::vector<Candidate> places(starts.size());
+std::vector<Placement> HeightMapLocalizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
+                                                      const CostSettings& cost, const Placement& mode) const {
+  const auto starts = findLocalMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle);
+  std::vector<Placement> places(starts.size());
   const double coarse_cell = settings_.coarse_factor * ground_.resolution;
   const int n = static_cast<int>(starts.size());
 #pragma omp parallel for schedule(dynamic)
   for (int i = 0; i < n; ++i) {
-    places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
+    places[i] = descendByAgreement(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
   }
   places.push_back(mode);
   places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
   // Where a position is known, places beyond three standard deviations are no rivals.
   places.erase(std::remove_if(places.begin(), places.end(),
-                              [&](const Candidate& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
+                              [&](const Placement& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
                places.end());
   return places;
 }
 
-bool HeightMapLocalizer::isSame(const Candidate& a, const Candidate& b) const {
-  return separation(a.pose, b.pose) < settings_.rival_distance &&
-         std::abs(wrapAngle(a.pose.yaw - b.pose.yaw)) < settings_.rival_angle;
+bool HeightMapLocalizer::isSame(const PlanarPose& a, const PlanarPose& b) const {
+  return separation(a, b) < settings_.rival_distance && std::abs(wrapAngle(a.yaw - b.yaw)) < settings_.rival_angle;
 }
 
 /// Sets rival_ratio and evidence_lead; returns the best rival, without a finite cost where there is none.
-Candidate HeightMapLocalizer::compareWithRivals(const Candidate& best, const std::vector<Candidate>& places) {
-  Candidate rival;
-  estimate_.rival_ratio = kInfinity;
-  estimate_.evidence_lead = evidence(best.zmssd);
-  for (const Candidate& c : places) {
-    if (isSame(c, best)) continue;
-    estimate_.evidence_lead = std::min(estimate_.evidence_lead, evidence(best.zmssd) - evidence(c.zmssd));
-    const double ratio = rivalRatio(c.zmssd, best.zmssd);
-    if (ratio < estimate_.rival_ratio) {
-      estimate_.rival_ratio = ratio;
-      rival = c;
-    }
+Placement HeightMapLocalizer::compareWithRivals(const Placement& best, const std::vector<Placement>& places) {
+  Placement rival;
+  for (const Placement& c : places) {
+    if (!isSame(c.pose, best.pose) && c.agreement.score < rival.agreement.score) rival = c;
   }
+  const bool alone = !std::isfinite(rival.agreement.score);
+  estimate_.rival_ratio = alone ? kInfinity : rivalRatio(rival.agreement, best.agreement);
+  // Without any other place: the lead over nothing known.
+  estimate_.evidence_lead =
+      evidenceLead(best.agreement, alone ? 0.5 * settings_.cutoff * settings_.cutoff : rival.agreement.score);
   return rival;
 }
 

@@ -62,11 +62,16 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
     "0.5");
   v("unknown_weight", s.unknown_weight, {0.0, 2.0}, "",
     "charge for cells of the smaller map without a partner, as a share of what unrelated heights would cost by eq. 2; "
-    "0 = paper. A place that explains less than min_explained (below) is charged for its other cells too, up to all of "
+    "0 = paper. A place that explains less than min_explained is charged for its other cells too, up to all of "
     "them");
+  v("min_explained", s.min_explained, {0.0, 0.99}, "",
+    "share of the heights' variance (of the map that varies more) that the other map explains, see unknown_weight");
   v("edge_width", s.edge_width, {0.0, 0.5}, "m",
     "an aerial cell with a step of more than 0.1 m so near may be as high as anything there: dense reconstruction "
     "draws edges a little beside where they are; 0 = paper. Not for the search among scales");
+  v("cutoff", s.cutoff, {0.001, 10.0}, "m",
+    "places that eq. 2 finds are compared, refined and judged by how much agrees: a height that differs by more than "
+    "this costs no more than that");
   v("scale_min", s.scale_min, {1e-3, 1e3}, "m per unit",
     "of the clouds of a MAV without IMU, whose unit is the distance of what it saw when its map began; the search "
     "takes all from here ...");
@@ -103,16 +108,16 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("max_spread", s.max_spread, {0.01, 10.0}, "m", "standard deviation of the position within it");
   v("max_spread_yaw", s.max_spread_yaw, {0.002, M_PI}, "rad", "of the heading within it");
   v("ambiguity_ratio", s.ambiguity_ratio, {1.001, 100.0}, "",
-    "any other place must cost, and leave unexplained, this many times as much, else AMBIGUOUS");
+    "any other place must cost this many times as much, else AMBIGUOUS");
   v("noise_cost", s.noise_cost, {1e-9, 1.0}, "m^2",
     "added to both sides of a ratio: differences below it mean nothing");
   v("rival_distance", s.rival_distance, {0.05, 10.0}, "m", "a rival lies at least this far away ...");
   v("rival_angle", s.rival_angle, {0.02, M_PI / 2}, "rad", "... or is turned by this");
   v("min_relief", s.min_relief, {0.0, 10.0}, "m",
     "standard deviation of the heights in the overlap; below: DEGENERATE (flat)");
-  v("min_explained", s.min_explained, {0.0, 0.99}, "",
-    "share of the heights' variance (of the map that varies more) that the other map explains");
-  v("probe_distance", s.probe_distance, {0.05, 5.0}, "m", "eq. 2 this far along its flattest direction ...");
+  v("min_agreement", s.min_agreement, {0.0, 1.0}, "",
+    "of what stands on the floor in either map, share whose heights agree (within 0.6 of cutoff)");
+  v("probe_distance", s.probe_distance, {0.05, 5.0}, "m", "the cost this far along its flattest direction ...");
   v("probe_ratio", s.probe_ratio, {1.001, 100.0}, "",
     "... must be this much worse, else DEGENERATE (e.g. along an endless ridge)");
   v("guess_probe_ratio", s.guess_probe_ratio, {1.001, 100.0}, "",

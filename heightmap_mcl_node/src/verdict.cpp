@@ -2,6 +2,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
@@ -15,29 +16,26 @@ using air_ground_common::kDegree;
 using air_ground_common::Vector6d;
 using air_ground_common::wrapAngle;
 
-/// Curvature of eq. 2 in (x, y, yaw) at a pose by central differences [m^2 per m^2, m rad, rad^2]. What unknown cells
-/// are charged has no part in it: where the maps end fixes nothing.
-Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const PlanarPose& p,
+Placement moved(const DirectCost& cost, const AerialCells& cells, const Placement& from, const Eigen::Vector3d& d,
+                const CostSettings& settings) {
+  const PlanarPose pose{from.pose.x + d.x(), from.pose.y + d.y(), from.pose.yaw + d.z()};
+  return {pose, cost.agreement(cells, pose, from.agreement.offset, settings)};
+}
+
+/// Curvature of the cost (agreement.h) in (x, y, yaw) at a placement by central differences [m^2 per m^2, m rad,
+/// rad^2]. What unknown cells are charged has no part in it: where the maps end fixes nothing.
+Eigen::Matrix3d curvature(const DirectCost& cost, const AerialCells& cells, const Placement& best,
                           const CostSettings& settings, const Eigen::Vector3d& step) {
-  std::vector<PlanarPose> poses{p};
-  const auto push = [&](const Eigen::Vector3d& d) { poses.push_back({p.x + d.x(), p.y + d.y(), p.yaw + d.z()}); };
-  for (int i = 0; i < 3; ++i) {
-    for (int sign : {-1, 1}) push(sign * step[i] * Eigen::Vector3d::Unit(i));
-  }
-  for (int i = 0; i < 3; ++i) {
-    const int j = (i + 1) % 3;
-    for (int a : {-1, 1}) {
-      for (int b : {-1, 1}) push(a * step[i] * Eigen::Vector3d::Unit(i) + b * step[j] * Eigen::Vector3d::Unit(j));
-    }
-  }
-  const auto values = cost(cells, poses, settings);
-  const auto c = [&](std::size_t k) { return std::isfinite(values[k].cost) ? values[k].cost : values[0].cost; };
+  const auto at = [&](const Eigen::Vector3d& d) {
+    const double value = moved(cost, cells, best, d, settings).agreement.cost;
+    return std::isfinite(value) ? value : best.agreement.cost;
+  };
   Eigen::Matrix3d H;
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3;
-    H(i, i) = (c(1 + 2 * i) - 2 * c(0) + c(2 + 2 * i)) / (step[i] * step[i]);
-    const std::size_t k = 7 + 4 * i;
-    H(i, j) = H(j, i) = (c(k) - c(k + 1) - c(k + 2) + c(k + 3)) / (4 * step[i] * step[j]);
+    const Eigen::Vector3d di = step[i] * Eigen::Vector3d::Unit(i), dj = step[j] * Eigen::Vector3d::Unit(j);
+    H(i, i) = (at(-di) - 2 * best.agreement.cost + at(di)) / (step[i] * step[i]);
+    H(i, j) = H(j, i) = (at(-di - dj) - at(-di + dj) - at(di - dj) + at(di + dj)) / (4 * step[i] * step[j]);
   }
   return H;
 }
@@ -62,29 +60,46 @@ Eigen::Matrix3d carriedBy(const Eigen::Vector2d& lever) {
 
 }  // namespace
 
-Eigen::Vector3d HeightMapLocalizer::judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
+/// Sets probe_ratio. The heading is scaled so that it moves the overlap's rim as far as a shift; tried are shifts all
+/// round, turns about the middle, and the direction of the least curvature.
+Eigen::Vector3d HeightMapLocalizer::probe(const Placement& best, const AerialCells& cells, const CostSettings& cost) {
+  const HeightMapLocalizerSettings& s = settings_;
+  const double radius = std::max(direct_->overlapAt(cells, best.pose).radius, 0.1);
+  const Eigen::Vector3d scale(1, 1, 1 / radius);
+  const Eigen::Matrix3d H =
+      scale.asDiagonal() * curvature(*direct_, cells, best, cost, 0.5 * s.probe_distance * scale) * scale.asDiagonal();
+  std::vector<Eigen::Vector3d> directions{Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(H).eigenvectors().col(0),
+                                          Eigen::Vector3d::UnitZ()};
+  constexpr int kHalf = 8;
+  for (int i = 0; i < kHalf; ++i) {
+    directions.emplace_back(std::cos(i * M_PI / kHalf), std::sin(i * M_PI / kHalf), 0);
+  }
+  Eigen::Vector3d weakest = Eigen::Vector3d::Zero();
+  estimate_.probe_ratio = kInfinity;
+  for (const Eigen::Vector3d& direction : directions) {
+    const Eigen::Vector3d d = scale.cwiseProduct(direction) * s.probe_distance;
+    for (int sign : {-1, 1}) {
+      const double ratio = (moved(*direct_, cells, best, sign * d, cost).agreement.cost + s.noise_cost) /
+                           (best.agreement.cost + s.noise_cost);
+      if (ratio >= estimate_.probe_ratio) continue;
+      estimate_.probe_ratio = ratio;
+      weakest = d;
+    }
+  }
+  return weakest;
+}
+
+Eigen::Vector3d HeightMapLocalizer::judge(const Placement& best, const AerialCells& cells, const CostSettings& cost,
                                           bool particles_agree) {
   const HeightMapLocalizerSettings& s = settings_;
   CoarseEstimate& e = estimate_;
-  e.relief = std::min(best.zmssd.relief_air, best.zmssd.relief_ground);
-  e.explained = best.zmssd.explained;
+  const Zmssd zmssd = (*direct_)(cells, best.pose, cost);
+  e.cost = zmssd.cost;
+  e.relief = std::min(zmssd.relief_air, zmssd.relief_ground);
+  e.explained = zmssd.explained;
+  e.agreement = best.agreement.agreeing;
 
-  // The flattest direction of the cost, with the heading scaled so that it moves the overlap's rim as far as a shift.
-  const double radius = std::max(direct_->overlapAt(cells, best.pose).radius, 0.1);
-  const Eigen::Vector3d scale(1, 1, 1 / radius);
-  const Eigen::Matrix3d H = scale.asDiagonal() *
-                            curvature(*direct_, cells, best.pose, cost, 0.5 * s.probe_distance * scale) *
-                            scale.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(H);
-  const Eigen::Vector3d weakest = scale.cwiseProduct(eigen.eigenvectors().col(0)) * s.probe_distance;
-  e.probe_ratio = kInfinity;
-  for (int sign : {-1, 1}) {
-    const PlanarPose p{best.pose.x + sign * weakest.x(), best.pose.y + sign * weakest.y(),
-                       best.pose.yaw + sign * weakest.z()};
-    e.probe_ratio =
-        std::min(e.probe_ratio, ((*direct_)(cells, p, cost).cost + s.noise_cost) / (best.zmssd.cost + s.noise_cost));
-  }
-
+  const Eigen::Vector3d weakest = probe(best, cells, cost);
   gatherEvidence();
   if (e.relief < s.min_relief) {
     e.status = Status::kDegenerate;
@@ -98,12 +113,11 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Candidate& best, const AerialCel
     if (e.guess) e.reason += "; no other place fits: a guess for the refinement";
   } else if (e.rival_ratio < s.ambiguity_ratio) {
     e.status = Status::kAmbiguous;
-    e.reason =
-        formatted("another place %.2f m away fits about as well: it costs or leaves unexplained %.2f times as much",
-                  e.rival_distance, e.rival_ratio);
-  } else if (e.explained < s.min_explained) {
-    e.reason = formatted("the maps explain %.0f %% of each other's heights, %.0f %% are needed", 100 * e.explained,
-                         100 * s.min_explained);
+    e.reason = formatted("another place %.2f m away fits about as well: it costs %.2f times as much", e.rival_distance,
+                         e.rival_ratio);
+  } else if (e.agreement < s.min_agreement) {
+    e.reason = formatted("of what stands on the floor %.0f %% agree, %.0f %% are needed", 100 * e.agreement,
+                         100 * s.min_agreement);
   } else if (e.maps < s.min_maps) {
     e.reason = formatted("%d of %d aerial maps seen", e.maps, s.min_maps);
   } else if (e.evidence < s.min_evidence) {
@@ -123,28 +137,28 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Candidate& best, const AerialCel
   return weakest;
 }
 
-void HeightMapLocalizer::setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells,
+void HeightMapLocalizer::setCovariance(const Placement& best, const Placement& rival, const AerialCells& cells,
                                        const CostSettings& cost, const ParticleMode& mode,
                                        const Eigen::Vector3d& flattest) {
   const HeightMapLocalizerSettings& s = settings_;
   CoarseEstimate& e = estimate_;
   // Height of the overlap's middle: the aerial maps' mean, lifted.
-  e.reference_point = {best.pose.x, best.pose.y, cells.mean_height + best.zmssd.dz};
+  e.reference_point = {best.pose.x, best.pose.y, cells.mean_height + best.agreement.dz};
   if (e.status == Status::kSearching) return;  // the covariance of not knowing, as it was set up
 
-  // Residuals of variance 2C, one independent in cells_per_independent: -log p = n C(u) / (2 C_min), so that the
+  // Residuals of variance C, one independent in cells_per_independent: -log p = n C(u) / (2 C_min), so that the
   // information is n / (2 C_min) times the curvature of the cost.
-  const double independent = std::max(best.zmssd.overlap / s.cells_per_independent, 1.0);
-  const double residual_variance = 2 * (best.zmssd.cost + s.noise_cost);
+  const double independent = independentCells(best.agreement);
+  const double residual_variance = best.agreement.cost + s.noise_cost;
   const Eigen::Matrix3d H =
-      curvature(*direct_, cells, best.pose, cost, {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
+      curvature(*direct_, cells, best, cost, {2 * ground_.resolution, 2 * ground_.resolution, 2 * kDegree});
   // A direction without curvature gets a limit as its deviation: the rival distance (or angle) where the verdict has
   // excluded more, else all that the ground map leaves open.
   const bool degenerate = e.status == Status::kDegenerate;
   const double extent = std::max(ground_.width, ground_.height) * ground_.resolution;
   const Eigen::Vector3d limit = degenerate ? Eigen::Vector3d(extent, extent, M_PI)
                                            : Eigen::Vector3d(s.rival_distance, s.rival_distance, s.rival_angle);
-  Eigen::Matrix3d information = H * independent / residual_variance;
+  Eigen::Matrix3d information = H * independent / (2 * residual_variance);
   // The curvature of a flat floor is that of its noise.
   if (e.relief < s.min_relief) information.setZero();
   Eigen::Matrix3d planar = boundedInverse(information, limit);
@@ -175,7 +189,7 @@ void HeightMapLocalizer::setCovariance(const Candidate& best, const Candidate& r
   if (e.status == Status::kAmbiguous) {
     // The truth may as well be over there.
     Vector6d way = Vector6d::Zero();
-    way << rival.pose.x - best.pose.x, rival.pose.y - best.pose.y, rival.zmssd.dz - best.zmssd.dz, 0, 0,
+    way << rival.pose.x - best.pose.x, rival.pose.y - best.pose.y, rival.agreement.dz - best.agreement.dz, 0, 0,
         wrapAngle(rival.pose.yaw - best.pose.yaw);
     e.covariance += way * way.transpose();
   }

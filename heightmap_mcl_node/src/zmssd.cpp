@@ -4,6 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "partners.h"
 #include "zmssd_kernel.h"
 
 namespace heightmap_mcl {
@@ -24,21 +25,14 @@ void validate(const CostSettings& settings) {
   if (!(settings.min_explained >= 0 && settings.min_explained < 1 && settings.min_relief >= 0)) {
     throw std::invalid_argument("cost settings: min_explained must be in [0, 1), min_relief must not be negative [m]");
   }
+  if (!(settings.cutoff > 0)) throw std::invalid_argument("cost settings: cutoff must be positive [m]");
 }
 
 namespace {
 
-/// Height above base; of a bound that of its level.
-struct Height {
-  double value = 0;
-  bool bound = false;
-  double low = 0, high = 0;  // what it may be
-  bool known() const { return low == high; }
-};
-
 constexpr double kNoLimit = 1e9;  // [m]
 
-Height heightOf(const HeightMap& map, std::size_t cell, double base) {
+CellHeight heightOf(const HeightMap& map, std::size_t cell, double base) {
   const int level = boundLevel(map, cell);
   const double value = level > 0 ? map.cap * level / kBoundLevels : map.heights[cell] - base;
   return {value, level > 0, value, level > 0 ? kNoLimit : value};
@@ -65,14 +59,14 @@ std::vector<float> greatestNear(const std::vector<float>& values, int width, int
 }
 
 /// The same with what lies within `edge` cells, where there is a step.
-Height heightNear(const HeightMap& map, int row, int column, double base, int edge) {
+CellHeight heightNear(const HeightMap& map, int row, int column, double base, int edge) {
   const auto cell = [&map](int r, int c) { return static_cast<std::size_t>(r) * map.width + c; };
-  Height height = heightOf(map, cell(row, column), base);
+  CellHeight height = heightOf(map, cell(row, column), base);
   double low = height.low, high = height.high;
   for (int r = std::max(0, row - edge); r <= std::min(map.height - 1, row + edge); ++r) {
     for (int c = std::max(0, column - edge); c <= std::min(map.width - 1, column + edge); ++c) {
       if (std::isnan(map.at(r, c))) continue;
-      const Height other = heightOf(map, cell(r, c), base);
+      const CellHeight other = heightOf(map, cell(r, c), base);
       low = std::min(low, other.low);
       high = std::max(high, other.high);
     }
@@ -86,16 +80,14 @@ Height heightNear(const HeightMap& map, int row, int column, double base, int ed
 
 }  // namespace
 
-Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
-                     const PlanarPose& pose, const CostSettings& settings, int edge) {
+Partners partnersOf(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
+                    const PlanarPose& pose, int edge) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
   const double air_base = baseHeight(air), ground_base = baseHeight(ground);
-  double aerial_cells = 0;
-  std::vector<std::pair<Height, Height>> pairs;
+  Partners pairs;
   for (int row = 0; row < air.height; ++row) {
     for (int column = 0; column < air.width; ++column) {
       if (std::isnan(air.at(row, column))) continue;
-      ++aerial_cells;
       const Eigen::Vector2d q = air.center(row, column) - reference;
       const double x = c * q.x() - s * q.y() + pose.x, y = s * q.x() + c * q.y() + pose.y;
       const double gc = std::floor((x - ground.origin_x) / ground.resolution);
@@ -106,6 +98,12 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
       pairs.emplace_back(heightNear(air, row, column, air_base, edge), heightOf(ground, cell, ground_base));
     }
   }
+  return pairs;
+}
+
+Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen::Vector2d& reference,
+                     const PlanarPose& pose, const CostSettings& settings, int edge) {
+  const Partners pairs = partnersOf(air, ground, reference, pose, edge);
   // The means first, then the squares about them: no cancellation.
   double mean_a = 0, mean_g = 0, mean_d = 0, known = 0;
   for (const auto& [a, g] : pairs) {
@@ -123,14 +121,14 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
     if (a.known() && !g.bound) {
       sums.d2 += std::pow(a.value - g.value - mean_d, 2);
     } else {
-      // By how much the ranges of what both may be lie apart.
-      sums.d2 += std::pow(std::max({0.0, a.low - g.high, g.low - a.high}), 2);
+      sums.d2 += std::pow(lackOf(a, g), 2);
     }
     sums.a2 += (a.value - mean_a) * (a.value - mean_a);
     sums.g2 += (g.value - mean_g) * (g.value - mean_g);
   }
-  Zmssd result = zmssdFromSums(sums, settings.cells(aerial_cells, static_cast<double>(ground.defined())), settings);
-  if (std::isfinite(result.cost)) result.dz = ground_base - air_base - mean_d;
+  const double smaller = settings.cells(static_cast<double>(air.defined()), static_cast<double>(ground.defined()));
+  Zmssd result = zmssdFromSums(sums, smaller, settings);
+  if (std::isfinite(result.cost)) result.dz = baseHeight(ground) - baseHeight(air) - mean_d;
   return result;
 }
 
@@ -144,7 +142,7 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
   std::vector<float> high(all, kNone), minus_low(all, kNone);
   for (std::size_t i = 0; i < all; ++i) {
     if (std::isnan(air.heights[i])) continue;
-    const Height height = heightOf(air, i, cells.base);
+    const CellHeight height = heightOf(air, i, cells.base);
     high[i] = static_cast<float>(height.high);
     minus_low[i] = static_cast<float>(-height.low);
   }
@@ -156,7 +154,7 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
       if (std::isnan(air.at(row, column))) continue;
       const std::size_t i = static_cast<std::size_t>(row) * air.width + column;
       const Eigen::Vector2d q = air.center(row, column) - reference;
-      const Height height = heightOf(air, i, cells.base);
+      const CellHeight height = heightOf(air, i, cells.base);
       const bool step = high_near[i] + minus_low_near[i] > static_cast<float>(kEdgeStep);
       cells.x.push_back(static_cast<float>(q.x()));
       cells.y.push_back(static_cast<float>(q.y()));
@@ -210,7 +208,7 @@ DirectCost::DirectCost(const HeightMap& ground)
     for (int c = 0; c < ground.width; ++c) {
       if (std::isnan(ground.at(r, c))) continue;
       ++defined_;
-      const Height height = heightOf(ground, static_cast<std::size_t>(r) * ground.width + c, base_);
+      const CellHeight height = heightOf(ground, static_cast<std::size_t>(r) * ground.width + c, base_);
       heights_[static_cast<std::size_t>(r + 1) * width_ + c + 1] =
           static_cast<float>(height.value) + (height.bound ? kernel::kBoundOffset : 0.f);
     }

@@ -60,6 +60,61 @@ OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty
 }
 
 HEIGHTMAP_MCL_CLONES
+AgreementSums agreementSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground,
+                            const AgreementLimits& limits) {
+  const float max_column = static_cast<float>(ground.width) - 0.5f, max_row = static_cast<float>(ground.height) - 0.5f;
+  const float *heights = ground.heights, *x = air.x, *y = air.y, *h = air.h, *bound = air.bound;
+  const float *low = air.low, *high = air.high;
+  const float offset = limits.offset, cutoff = limits.cutoff, agreeing = limits.agreeing, raised = limits.raised;
+  const int width = ground.width;
+  AgreementSums total;
+  constexpr int kBlock = 4096;
+  for (int begin = 0; begin < air.n; begin += kBlock) {
+    const int end = std::min(begin + kBlock, air.n);
+    float count = 0, squares = 0, up = 0, up_agree = 0, inliers = 0, d1 = 0;
+#pragma omp simd reduction(+ : count, squares, up, up_agree, inliers, d1)
+    for (int i = begin; i < end; ++i) {
+      float column = c * x[i] - s * y[i] + tx;
+      float row = s * x[i] + c * y[i] + ty;
+      column = column > 0.f ? column : 0.f;
+      column = column < max_column ? column : max_column;
+      row = row > 0.f ? row : 0.f;
+      row = row < max_row ? row : max_row;
+      const float value = heights[static_cast<int>(row) * width + static_cast<int>(column)];
+      const float partner = value == value ? 1.f : 0.f;
+      const float ground_bound = value > 0.5f * kBoundOffset ? 1.f : 0.f;
+      const float g = (value == value ? value : 0.f) - ground_bound * kBoundOffset;
+      const float known = (1.f - bound[i]) * (1.f - ground_bound) * (low[i] == high[i] ? 1.f : 0.f);
+      const float d = h[i] - g;
+      float residual = d - offset;
+      residual = residual > 0.f ? residual : -residual;
+      const float above = (1.f - ground_bound) * (low[i] - g), below = g - high[i];
+      float lack = above > below ? above : below;
+      lack = lack > 0.f ? lack : 0.f;
+      residual = known > 0.f ? residual : lack;
+      const float inlier = partner * known * (residual < cutoff ? 1.f : 0.f);
+      const float agree = residual < agreeing ? 1.f : 0.f;
+      const float most = low[i] > g ? low[i] : g;
+      const float standing = partner * (most > raised ? 1.f : 0.f);
+      residual = residual < cutoff ? residual : cutoff;
+      count += partner;
+      squares += partner * residual * residual;
+      up += standing;
+      up_agree += standing * agree;
+      inliers += inlier;
+      d1 += inlier * d;
+    }
+    total.n += count;
+    total.squares += squares;
+    total.raised += up;
+    total.agree += up_agree;
+    total.inliers += inliers;
+    total.d += d1;
+  }
+  return total;
+}
+
+HEIGHTMAP_MCL_CLONES
 void correlate(const MapSpectra& air_known, const MapSpectra& air_all, const MapSpectra& ground_known,
                const MapSpectra& ground_all, int n, bool bounds, float* const out[kSums]) {
   const float *a0 = air_known.mask, *a1 = air_known.h, *a2 = air_known.h2;

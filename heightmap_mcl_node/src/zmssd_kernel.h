@@ -20,6 +20,19 @@ struct AirView {
 /// Cell coordinates of aerial cell i: column = c*x - s*y + tx, row = s*x + c*y + ty, in cells of the bordered grid.
 OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground);
 
+/// Over the cells defined in both maps. `limits`: see agreement.h [m].
+struct AgreementLimits {
+  float offset, cutoff, agreeing, raised;
+};
+struct AgreementSums {
+  double n = 0;
+  double squares = 0;            ///< of the residuals, none beyond the cutoff
+  double raised = 0, agree = 0;  ///< cells with something on them, and those of them that agree
+  double inliers = 0, d = 0;     ///< cells with a height in both that differ by less than the cutoff, and their sum
+};
+AgreementSums agreementSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground,
+                            const AgreementLimits& limits);
+
 /// In the order of OverlapSums.
 constexpr int kSums = 8;
 

@@ -4,6 +4,7 @@
 #include <optional>
 #include <vector>
 
+#include "heightmap_mcl/agreement.h"
 #include "heightmap_mcl/fft_cost.h"
 
 namespace heightmap_mcl {
@@ -57,6 +58,10 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 /// are the first steps.
 Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
+
+/// The same on the score of what agrees, see agreement.h.
+Placement descendByAgreement(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
+                             double step_yaw, const CostSettings& settings);
 
 /// The lowest score that descents from the volume's lowest minima reach; see findLocalMinima and descend.
 Candidate bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,

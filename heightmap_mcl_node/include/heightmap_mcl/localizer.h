@@ -37,6 +37,7 @@ struct HeightMapLocalizerSettings {
   bool overlap_of_air = false;                      ///< see CostSettings
   double unknown_weight = 1;  ///< CostSettings::unknown_cost as a share of what unrelated heights would cost; 0 = paper
   double edge_width = 0.04;   ///< by which the aerial map's edges may lie beside where they are [m], see aerialCells
+  double cutoff = 0.1;        ///< see agreement.h [m]
   FilterSettings filter;
   std::uint64_t seed = 1;
 
@@ -55,10 +56,9 @@ struct HeightMapLocalizerSettings {
   // What it takes to be believed. Scores are those of the verification map at full resolution.
   int min_maps = 2;  ///< aerial maps seen before CONVERGED
   /// By which the place leads all others, summed over the maps that had it as their best (a cumulative sum, Page 1954;
-  /// each counts for at most half of it, and nothing in favour while places cannot be told apart). Evidence is the
-  /// logarithm of how much likelier the heights are there than unrelated ones of the same variance, 0.5 n ln(1 /
-  /// unexplained share) over n independent cells. 15: the logarithm of some 7e4 places that differ (72 headings, 1000
-  /// offsets), and of 50.
+  /// each counts for at most half of it, and nothing in favour while places cannot be told apart): logarithm of how
+  /// much likelier the heights are there, n / (2 sigma^2) times the difference of both scores (see agreement.h) over n
+  /// independent cells. 15: the logarithm of some 7e4 places that differ (72 headings, 1000 offsets), and of 50.
   double min_evidence = 15;
   double min_mode_weight = 0.7;  ///< share of the particles in the dominant mode
   double max_spread = 0.20;      ///< of the position within the dominant mode [m]
@@ -68,11 +68,12 @@ struct HeightMapLocalizerSettings {
   double rival_distance = 0.4;   ///< a rival lies at least this far off [m] ...
   double rival_angle = 0.26;     ///< ... or is turned by this [rad]
   double min_relief = 0.05;      ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
-  double min_explained = 0.25;   ///< see Zmssd::explained; a place with less is charged as if without partners
-  double probe_distance = 0.25;  ///< eq. 2 this far along its flattest direction ... [m]
-  double probe_ratio = 1.5;      ///< ... must be this much higher, else the direction is not fixed
+  double min_explained = 0.25;   ///< see Zmssd::explained; the search charges a place with less as if without partners
+  double min_agreement = 0.7;    ///< see Agreement::agreeing
+  double probe_distance = 0.25;  ///< the cost this far along its flattest direction ... [m]
+  double probe_ratio = 1.2;      ///< ... must be this much higher, else the direction is not fixed
   double guess_probe_ratio =
-      1.15;  ///< ... or at least this much for a place that is told apart from all others: a guess for a refinement
+      1.1;  ///< ... or at least this much for a place that is told apart from all others: a guess for a refinement
 
   // Covariance.
   double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
@@ -129,6 +130,7 @@ struct CoarseEstimate {
   double rival_ratio = 0;      ///< see HeightMapLocalizerSettings::ambiguity_ratio; infinite without rival
   double rival_distance = 0;   ///< [m]
   double explained = 0;        ///< see Zmssd::explained
+  double agreement = 0;        ///< see Agreement::agreeing
   double evidence_lead = 0;    ///< of the place over its best rival, see HeightMapLocalizerSettings::min_evidence
   double evidence = 0;         ///< that sum
   double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
@@ -196,7 +198,7 @@ class HeightMapLocalizer {
   void updateScale();
   /// Chooses among the places of the floor that the maps allow, by the best placement of each.
   void updateFloor();
-  Candidate bestPlacement(const HeightMap& map) const;
+  Placement bestPlacement(const HeightMap& map) const;
   bool updateLevel();
   void searchScales();
   std::vector<double> scalesToTry(double extent);
@@ -229,32 +231,32 @@ class HeightMapLocalizer {
   void estimateFromParticles();
   /// The best place of the whole search.
   void estimateFromPlaces(const ParticleMode& mode);
-  std::vector<Candidate> findPlaces(const CostVolume& volume, const AerialCells& cells, const CostSettings& cost,
-                                    const Candidate& mode) const;
+  std::vector<Placement> findPlaces(const CostVolume& volume, const AerialCells& cells, const CostSettings& cost,
+                                    const Placement& mode) const;
   Eigen::Vector2d overlapCenter(const AerialCells& cells, const PlanarPose& pose) const;
-  bool isSame(const Candidate& a, const Candidate& b) const;
-  Candidate compareWithRivals(const Candidate& best, const std::vector<Candidate>& places);
+  bool isSame(const PlanarPose& a, const PlanarPose& b) const;
+  Placement compareWithRivals(const Placement& best, const std::vector<Placement>& places);
   /// verdict.cpp. Sets status and reason. Returns the flattest direction of the cost at `best`: (x, y [m], yaw [rad])
   /// of the cells' reference.
-  Eigen::Vector3d judge(const Candidate& best, const AerialCells& cells, const CostSettings& cost,
+  Eigen::Vector3d judge(const Placement& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
-  /// Adds a new map's lead.
-  bool toldApart() const;  ///< there is relief, and no other place explains it as well
-  void gatherEvidence();
+  Eigen::Vector3d probe(const Placement& best, const AerialCells& cells, const CostSettings& cost);
+  bool toldApart() const;  ///< there is relief, what stands on it agrees, and nowhere else as well
+  void gatherEvidence();   ///< adds a new map's lead
   /// To be called with the verdict known.
-  void setCovariance(const Candidate& best, const Candidate& rival, const AerialCells& cells, const CostSettings& cost,
+  void setCovariance(const Placement& best, const Placement& rival, const AerialCells& cells, const CostSettings& cost,
                      const ParticleMode& mode, const Eigen::Vector3d& flattest);
-  /// Logarithm of how much likelier the heights are at a place than unrelated ones of the same variance.
-  double evidence(const Zmssd& z) const;
+  /// Logarithm of how much likelier the heights are at a place than at another one of that score [m^2].
+  double evidenceLead(const Agreement& place, double other_score) const;
+  double independentCells(const Agreement& place) const;
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
   /// Cells of an aerial map, edges as wide as the settings say.
   AerialCells cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const;
   CostSettings costFor(const HeightMap& air) const;
-  /// How many times as bad as the best place another one is: by score (the own cost and what the other's is higher), or
-  /// by the share of the heights that it leaves unexplained, whichever is less.
-  double rivalRatio(const Zmssd& other, const Zmssd& best) const;
+  /// How many times as bad as the best place another one is: the own cost and what the other's score is higher.
+  double rivalRatio(const Agreement& other, const Agreement& best) const;
 
   HeightMapLocalizerSettings settings_;
   Prior prior_;
@@ -266,7 +268,7 @@ class HeightMapLocalizer {
   std::deque<Kept> aerial_;
   CoarseEstimate estimate_;
   double floor_ = 0;                     // of the aerial maps [m]; NaN: as merged
-  std::vector<Candidate> floor_rivals_;  // the best placements with other floors
+  std::vector<Placement> floor_rivals_;  // the best placements with other floors
   bool own_unit_ = false;
   double scale_ = 1, scale_stddev_ = 0, scale_evidence_ = 0;
   ScaleBackground background_;

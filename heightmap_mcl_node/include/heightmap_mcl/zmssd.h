@@ -45,6 +45,7 @@ struct CostSettings {
   double min_explained = 0;
   double min_relief = 0;        ///< see Zmssd::explained [m]
   bool overlap_of_air = false;  ///< the aerial map counts as the smaller one, whichever is (paper)
+  double cutoff = 0.1;          ///< see agreement.h [m]
 
   /// Cells that a full overlap has.
   double cells(double aerial, double ground) const { return overlap_of_air ? aerial : std::min(aerial, ground); }
@@ -121,6 +122,8 @@ AerialCells about(AerialCells cells, const Eigen::Vector2d& reference);
 /// Every `stride`th of them.
 AerialCells thinned(const AerialCells& cells, int stride);
 
+struct Agreement;
+
 /// Ground map prepared for fast evaluation at arbitrary poses. Thread-safe once built.
 class DirectCost {
  public:
@@ -132,6 +135,12 @@ class DirectCost {
   /// Many poses at once (OpenMP).
   std::vector<Zmssd> operator()(const AerialCells& cells, const std::vector<PlanarPose>& poses,
                                 const CostSettings& settings) const;
+
+  /// See agreement.h; `offset` of the aerial heights [m].
+  Agreement agreement(const AerialCells& cells, const PlanarPose& pose, double offset,
+                      const CostSettings& settings) const;
+  /// Median of aerial minus ground height, both above base, over the cells with a height in both [m]; 0 without any.
+  double medianOffset(const AerialCells& cells, const PlanarPose& pose) const;
 
   struct Overlap {
     Eigen::Vector2d center;  ///< in the ground frame [m]; the pose's own position when nothing overlaps
