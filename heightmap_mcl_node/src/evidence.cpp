@@ -63,9 +63,16 @@ double HeightMapLocalizer::evidenceLead(const Agreement& place, double other_sco
   return independentCells(place) * (other_score - place.score) / (2 * sigma * sigma);
 }
 
-bool HeightMapLocalizer::toldApart() const {
-  return estimate_.relief >= settings_.min_relief && estimate_.rival_ratio >= settings_.ambiguity_ratio &&
-         estimate_.agreement >= settings_.min_agreement;
+bool HeightMapLocalizer::toldApart(double agreement, double rival_ratio) const {
+  return estimate_.relief >= settings_.min_relief && estimate_.agreement >= agreement &&
+         estimate_.rival_ratio >= rival_ratio;
+}
+
+bool HeightMapLocalizer::isGuess() const {
+  const HeightMapLocalizerSettings& s = settings_;
+  return !own_unit_ && estimate_.status != Status::kConverged && estimate_.maps >= s.min_maps &&
+         estimate_.probe_ratio >= s.guess_ratio && toldApart(s.guess_agreement, s.guess_ratio) &&
+         guess_evidence_ >= s.min_evidence;
 }
 
 void HeightMapLocalizer::gatherEvidence() {
@@ -81,14 +88,14 @@ void HeightMapLocalizer::gatherEvidence() {
   }
   evidence_pose_ = estimate_.T_ground_mav;
   if (new_map_) {
-    const auto sum = [&](double before, double probe_ratio) {
+    const auto sum = [&](double before, bool in_favour) {
       const double most = s.min_evidence / 2;
-      const bool in_favour = toldApart() && estimate_.probe_ratio >= probe_ratio;
       return std::clamp(before + std::clamp(estimate_.evidence_lead, -most, in_favour ? most : 0.0), 0.0,
                         2 * s.min_evidence);
     };
-    evidence_ = sum(evidence_, s.probe_ratio);
-    guess_evidence_ = sum(guess_evidence_, s.guess_probe_ratio);
+    const double probe = estimate_.probe_ratio;
+    evidence_ = sum(evidence_, probe >= s.probe_ratio && toldApart(s.min_agreement, s.ambiguity_ratio));
+    guess_evidence_ = sum(guess_evidence_, probe >= s.guess_ratio && toldApart(s.guess_agreement, s.guess_ratio));
   }
   estimate_.evidence = evidence_;
 }

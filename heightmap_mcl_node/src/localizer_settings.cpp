@@ -120,9 +120,10 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("probe_distance", s.probe_distance, {0.05, 5.0}, "m", "the cost this far along its flattest direction ...");
   v("probe_ratio", s.probe_ratio, {1.001, 100.0}, "",
     "... must be this much worse, else DEGENERATE (e.g. along an endless ridge)");
-  v("guess_probe_ratio", s.guess_probe_ratio, {1.001, 100.0}, "",
-    "down to this much, a place that has the evidence and no rival is DEGENERATE, but a guess for icp_refine, which "
-    "believes what becomes of it when later clouds confirm it");
+  v("guess_ratio", s.guess_ratio, {1.001, 100.0}, "",
+    "a place that is not CONVERGED but has min_evidence over maps with this instead of ambiguity_ratio and probe_ratio "
+    "is a guess for icp_refine, which believes what becomes of it when later clouds confirm it");
+  v("guess_agreement", s.guess_agreement, {0.0, 1.0}, "", "and this instead of min_agreement");
 
   v.section("Covariance");
   v("cells_per_independent", s.cells_per_independent, {1.0, 1e6}, "",

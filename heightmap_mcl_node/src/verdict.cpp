@@ -108,9 +108,6 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Placement& best, const AerialCel
     e.status = Status::kDegenerate;
     e.reason = formatted("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
                          weakest.y(), weakest.z() / kDegree, e.probe_ratio);
-    e.guess = !own_unit_ && e.probe_ratio >= s.guess_probe_ratio && toldApart() && e.maps >= s.min_maps &&
-              guess_evidence_ >= s.min_evidence;
-    if (e.guess) e.reason += "; no other place fits: a guess for the refinement";
   } else if (e.rival_ratio < s.ambiguity_ratio) {
     e.status = Status::kAmbiguous;
     e.reason = formatted("another place %.2f m away fits about as well: it costs %.2f times as much", e.rival_distance,
@@ -134,6 +131,8 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Placement& best, const AerialCel
     e.reason = formatted("%d maps; the next best place is %.1f times as bad; overlap %.0f %%", e.maps, e.rival_ratio,
                          100 * e.overlap);
   }
+  e.guess = isGuess();
+  if (e.guess) e.reason += "; a guess for the refinement: no other place has as much evidence";
   return weakest;
 }
 

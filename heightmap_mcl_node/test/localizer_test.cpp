@@ -240,7 +240,7 @@ TEST(HeightMapLocalizer, APlaceWithoutRivalIsAGuessWhereADirectionIsFixedLoosely
     EXPECT_NE(outcome.last.reason.find("guess"), std::string::npos) << outcome.last.reason;
     EXPECT_LT(outcome.error.position, 0.3);
     EXPECT_LT(outcome.error.yaw, 0.2);
-    settings.guess_probe_ratio = settings.probe_ratio;
+    settings.guess_ratio = settings.probe_ratio;
     HeightMapLocalizer strict(settings);
     EXPECT_FALSE(play(synthetic::makeRun(options), strict).last.guess);
   }

@@ -72,8 +72,9 @@ struct HeightMapLocalizerSettings {
   double min_agreement = 0.7;    ///< see Agreement::agreeing
   double probe_distance = 0.25;  ///< the cost this far along its flattest direction ... [m]
   double probe_ratio = 1.2;      ///< ... must be this much higher, else the direction is not fixed
-  double guess_probe_ratio =
-      1.1;  ///< ... or at least this much for a place that is told apart from all others: a guess for a refinement
+  // What it takes to be a guess for a refinement: the evidence, of places that are told apart this much.
+  double guess_ratio = 1.1;      ///< instead of ambiguity_ratio and probe_ratio
+  double guess_agreement = 0.4;  ///< instead of min_agreement
 
   // Covariance.
   double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
@@ -135,7 +136,7 @@ struct CoarseEstimate {
   double evidence = 0;         ///< that sum
   double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
   double probe_ratio = 0;      ///< see HeightMapLocalizerSettings
-  bool guess = false;          ///< DEGENERATE for probe_ratio alone, and by more than guess_probe_ratio
+  bool guess = false;          ///< not CONVERGED, but see HeightMapLocalizerSettings::guess_ratio
   int maps = 0;                ///< aerial maps used since the search began
   int restarts = 0;  ///< times all particles were drawn anew: they had lost the overlap or missed the best place
 };
@@ -241,7 +242,9 @@ class HeightMapLocalizer {
   Eigen::Vector3d judge(const Placement& best, const AerialCells& cells, const CostSettings& cost,
                         bool particles_agree);
   Eigen::Vector3d probe(const Placement& best, const AerialCells& cells, const CostSettings& cost);
-  bool toldApart() const;  ///< there is relief, what stands on it agrees, and nowhere else as well
+  /// There is relief, what stands on it agrees, and nowhere else as well.
+  bool toldApart(double agreement, double rival_ratio) const;
+  bool isGuess() const;
   void gatherEvidence();   ///< adds a new map's lead
   /// To be called with the verdict known.
   void setCovariance(const Placement& best, const Placement& rival, const AerialCells& cells, const CostSettings& cost,
