@@ -245,7 +245,7 @@ class HeightMapLocalizer {
   /// There is relief, what stands on it agrees, and nowhere else as well.
   bool toldApart(double agreement, double rival_ratio) const;
   bool isGuess() const;
-  void gatherEvidence();   ///< adds a new map's lead
+  void gatherEvidence();  ///< adds a new map's lead
   /// To be called with the verdict known.
   void setCovariance(const Placement& best, const Placement& rival, const AerialCells& cells, const CostSettings& cost,
                      const ParticleMode& mode, const Eigen::Vector3d& flattest);
