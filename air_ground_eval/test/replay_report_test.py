@@ -94,6 +94,7 @@ class ReplayReport(unittest.TestCase):
         self.assertLess(values['slam_ate_rmse_m'], 1e-3)
         self.assertAlmostEqual(values['refined_error_m'], 0.05, delta=2e-3)
         self.assertAlmostEqual(values['refined_error_deg'], np.degrees(0.02), delta=0.05)
+        self.assertAlmostEqual(values['refined_scale_error_percent'], 5.0, delta=0.1)  # 1.05 between two maps of the same scale
         self.assertAlmostEqual(values['coarse_error_m'][0], 0.8, delta=5e-3)
         self.assertAlmostEqual(values['coarse_error_m'][3], 0.2, delta=5e-3)
         self.assertAlmostEqual(values['coarse_error_yaw_deg'][0], np.degrees(0.1), delta=0.05)

@@ -184,6 +184,11 @@ def alignment_errors(estimates, T_ground_map_world, mav_truth):
     return rows
 
 
+def alignment_scale_error(scale, mav_error_percent, ground_error_percent):
+    """Error [%] of an alignment's scale (ground-map length per length of the MAV's map), given by how much [%] either map is too large."""
+    return 100 * (scale * (1 + mav_error_percent / 100) / (1 + ground_error_percent / 100) - 1)
+
+
 def coverage(stamps, begin, end, max_gap=0.5):
     """Share of [begin, end] during which the stamps have gaps of at most max_gap [s]."""
     if len(stamps) < 2 or end <= begin:

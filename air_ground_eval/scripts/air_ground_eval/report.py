@@ -159,6 +159,9 @@ class Report:
         if rows:
             v['refined_error_m'] = rows[-1]['position_m']
             v['refined_error_deg'] = rows[-1]['rotation_deg']
+            if 'vo_scale_error_percent' in v and 'slam_scale_error_percent' in v:
+                v['refined_scale_error_percent'] = evaluation.alignment_scale_error(
+                    self.final.scale, v['vo_scale_error_percent'], v['slam_scale_error_percent'])
             v['refined_error_median_m'] = float(np.median([row['position_m'] for row in rows]))
             v['refined_error_median_deg'] = float(np.median([row['rotation_deg'] for row in rows]))
             v['refined_errors_m'] = [row['position_m'] for row in rows]
