@@ -81,7 +81,7 @@ void headingSearch(benchmark::State& state) {
 }
 BENCHMARK(headingSearch)->Arg(1)->Arg(2)->Arg(4)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-/// All headings and the eight lowest places at full resolution.
+/// All headings and the sixteen lowest places at full resolution.
 void searchAndRefine(benchmark::State& state) {
   const HeightMap coarse = downsample(air(), 4);
   const FftCost fft(downsample(ground(), 4));
@@ -90,8 +90,8 @@ void searchAndRefine(benchmark::State& state) {
   const auto headings = searchHeadings(72, {});
   for (auto _ : state) {
     const CostVolume volume = computeCostVolume(fft, coarse, headings, true, {});
-    for (const PlanarPose& start : findLocalMinima(volume, 8, 0.4, 0.26))
-      benchmark::DoNotOptimize(descend(cost, cells, start, 0.08, M_PI / 72, {}));
+    for (const PlanarPose& start : findLocalMinima(volume, 16, 0.4, 0.26))
+      benchmark::DoNotOptimize(descendByAgreement(cost, cells, start, 0.08, M_PI / 72, {}));
   }
 }
 BENCHMARK(searchAndRefine)->Unit(benchmark::kMillisecond)->UseRealTime();
@@ -111,5 +111,24 @@ void particlesKernel(benchmark::State& state) {
   for (auto _ : state) benchmark::DoNotOptimize(cost(cells, poses, CostSettings()));
 }
 BENCHMARK(particlesKernel)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+void agreementOfParticlesReference(benchmark::State& state) {
+  const auto poses = particles();
+  for (auto _ : state) {
+    for (const auto& p : poses)
+      benchmark::DoNotOptimize(agreementReference(air(), ground(), {1.5, 1.2}, p, 0, CostSettings()));
+  }
+}
+BENCHMARK(agreementOfParticlesReference)->Unit(benchmark::kMillisecond);
+
+void agreementOfParticlesKernel(benchmark::State& state) {
+  const auto poses = particles();
+  const auto cells = aerialCells(air(), {1.5, 1.2});
+  const DirectCost cost(ground());
+  for (auto _ : state) {
+    for (const auto& p : poses) benchmark::DoNotOptimize(cost.agreement(cells, p, 0, CostSettings()));
+  }
+}
+BENCHMARK(agreementOfParticlesKernel)->Unit(benchmark::kMillisecond);
 
 }  // namespace
