@@ -19,12 +19,13 @@ struct HeightMapLocalizer::RawCloud {
 
 struct HeightMapLocalizer::ScaleTrial {
   double scale = 1;
-  Candidate best;  // of scale * centre
+  Placement best;  // of scale * centre
   ScaleBackground background;
   /// Logarithm of the likelihood that the heights in the overlap belong together, over that of their being unrelated:
   /// each independent piece of ground counts by how much less the maps differ than at other places.
   double evidence = -kInfinity;
   double independent = 1;  // pieces of ground
+  double variances = 0;    // of both maps' heights in the overlap, their sum [m^2]
   double radius = 0;       // root mean square distance of the aerial cells from their centre [m]
 };
 
@@ -33,7 +34,7 @@ namespace {
 constexpr double kStep = 0.08;        // of the logarithm: half of it moves the rim of 4 m by 8 cm, a cell
 constexpr double kFinest = 0.01;      // with coarse cells; then kSettleStep with the maps' own
 constexpr double kSettleStep = 0.01;  // a cell of 2 cm at the rim of such a map
-constexpr double kEdge = 0.03;        // [m] to which both maps place an edge, see scaleDeviation
+constexpr double kEdge = 0.02;        // [m] to which both maps place an edge, see scaleDeviation
 constexpr double kTrackStep = 0.012;  // around a scale that has converged
 constexpr double kRestart = 0.015;    // a change by more moves the particles' map too far
 constexpr double kLevelStep = 0.004;  // a smaller change of the level is not worth new maps [rad]
@@ -43,6 +44,7 @@ constexpr int kFineCells = 100;       // ... and around a place
 constexpr int kFullCells = 1000;      // the maps' own cells, unless the aerial map is huge
 constexpr int kGroundCells = 64;      // across the ground map in that search
 constexpr int kCoarseHeadings = 36;
+constexpr std::size_t kPlaces = 6;               // of a scale, that are compared
 constexpr std::size_t kFloors = 3;               // places of the floor that are tried at a scale
 constexpr int kUnrelated = 200;                  // placements that show what a wrong one costs
 constexpr double kLargest = 2.5;                 // edges of the ground map that the aerial one may be long
@@ -206,8 +208,12 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(const HeightMap
   const auto headings = searchHeadings(kCoarseHeadings, prior_);
   const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
   const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
-  trial.best = bestOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
-                            map.resolution, M_PI / kCoarseHeadings, cost);
+  for (const PlanarPose& minimum : findLocalMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle)) {
+    const Placement found =
+        descendByAgreement(*ground.direct, cells, changeReference(minimum, volume.pivot, cells.reference),
+                           map.resolution, M_PI / kCoarseHeadings, cost);
+    if (found.agreement.score < trial.best.agreement.score) trial.best = found;
+  }
   trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
   return trial;
 }
@@ -235,7 +241,8 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
   if (start) {
     if (!std::isnan(background.floor)) map = withFloor(std::move(map), scale * background.floor);
     trial.background = background;
-    trial.best = descend(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
+    trial.best =
+        descendByAgreement(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
   } else {
     // Who has seen tables alone takes one for the floor.
     LevelHistogram levels = map.levels;
@@ -245,7 +252,7 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
     for (std::size_t i = 0; i < floors.size(); ++i) {
       const HeightMap lifted = i == 0 ? own : withFloor(own, floors[i]);
       ScaleTrial placed = placeAnywhere(lifted, centre, ground);
-      if (i > 0 && !(placed.best.zmssd.score < trial.best.zmssd.score)) continue;
+      if (i > 0 && !(placed.best.agreement.score < trial.best.agreement.score)) continue;
       trial.best = placed.best;
       trial.background.unrelated = placed.background.unrelated;
       trial.background.floor = i == 0 ? std::numeric_limits<double>::quiet_NaN() : floors[i] / scale;
@@ -255,17 +262,18 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
     trial.background.piece = std::max(ground.piece, pieceArea(map));
   }
   trial.radius = rootMeanSquareRadius(map, centre);
-  if (trial.background.unrelated < 0 || !std::isfinite(trial.best.zmssd.cost)) return trial;
+  if (trial.background.unrelated < 0 || !std::isfinite(trial.best.agreement.cost)) return trial;
   // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
   // it.
-  const double variances = std::pow(trial.best.zmssd.relief_air, 2) + std::pow(trial.best.zmssd.relief_ground, 2);
-  if (!start) trial.background.variances = variances;
+  const Zmssd zmssd = (*ground.direct)(aerialCells(map, centre), trial.best.pose, costFor(map));
+  trial.variances = std::pow(zmssd.relief_air, 2) + std::pow(zmssd.relief_ground, 2);
+  if (!start) trial.background.variances = trial.variances;
   const double unrelated =
-      trial.background.unrelated * (trial.background.variances > 0 ? variances / trial.background.variances : 1);
+      trial.background.unrelated * (trial.background.variances > 0 ? trial.variances / trial.background.variances : 1);
   trial.independent =
-      std::max(1.0, trial.best.zmssd.overlap * how.resolution * how.resolution / trial.background.piece);
-  trial.evidence = 0.5 * trial.independent *
-                   std::log((unrelated + settings_.noise_cost) / (trial.best.zmssd.cost + settings_.noise_cost));
+      std::max(1.0, trial.best.agreement.overlap * how.resolution * how.resolution / trial.background.piece);
+  trial.evidence =
+      0.5 * trial.independent * std::log((unrelated + settings_.noise_cost) / (zmssd.cost + settings_.noise_cost));
   return trial;
 }
 
@@ -278,10 +286,10 @@ void HeightMapLocalizer::refineScale(ScaleTrial* trial, const RawCloud& raw, dou
   for (; step >= kFinest; step /= 2) {
     for (int move = 0; move < kMoves; ++move) {
       const PlanarPose start = trial->best.pose;
-      const double middle = trial->best.zmssd.cost, here = trial->evidence;
+      const double middle = trial->best.agreement.cost, here = trial->evidence;
       const ScaleTrial before = tryScale(trial->scale * std::exp(-step), raw, kFineCells, &start, background),
                        after = tryScale(trial->scale * std::exp(step), raw, kFineCells, &start, background);
-      const double bend = (before.best.zmssd.cost - 2 * middle + after.best.zmssd.cost) / (step * step);
+      const double bend = (before.best.agreement.cost - 2 * middle + after.best.agreement.cost) / (step * step);
       if (std::isfinite(bend) && bend > 0) *curvature = bend;
       if (before.evidence > trial->evidence) *trial = before;
       if (after.evidence > trial->evidence) *trial = after;
@@ -297,7 +305,9 @@ void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
   const ScaleBackground background = trial->background;
   const auto at = [&](double scale) { return tryScale(scale, raw, kFullCells, &trial->best.pose, background); };
   // By piece of ground: that a larger map shares more of them says nothing about how well it fits.
-  const auto fit = [](const ScaleTrial& t) { return t.evidence / t.independent; };
+  const auto fit = [this](const ScaleTrial& t) {
+    return std::log(t.variances / (t.best.agreement.cost + settings_.noise_cost));
+  };
   ScaleTrial middle = at(trial->scale), before = at(trial->scale * std::exp(-kSettleStep)),
              after = at(trial->scale * std::exp(kSettleStep));
   constexpr int kMoves = 6;
@@ -317,8 +327,9 @@ void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
   if (std::isfinite(bend) && bend < 0) {
     const double vertex = 0.5 * (fit(before) - fit(after)) / bend;
     *trial = at(middle.scale * std::exp(std::clamp(vertex, -1.0, 1.0) * kSettleStep));
-    *curvature = std::max(0.0, before.best.zmssd.cost - 2 * middle.best.zmssd.cost + after.best.zmssd.cost) /
-                 (kSettleStep * kSettleStep);
+    *curvature =
+        std::max(0.0, before.best.agreement.cost - 2 * middle.best.agreement.cost + after.best.agreement.cost) /
+        (kSettleStep * kSettleStep);
   }
   trial->evidence = evidence;  // compares with that of other scales, in large cells
 }
@@ -327,7 +338,7 @@ void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
 /// face is as thick in the ground map as its depths scatter and cells are wide, towards where it was seen from.
 double HeightMapLocalizer::scaleDeviation(const ScaleTrial& trial, double curvature) const {
   // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
-  const double information = trial.independent * curvature / (2 * (trial.best.zmssd.cost + settings_.noise_cost));
+  const double information = trial.independent * curvature / (2 * (trial.best.agreement.cost + settings_.noise_cost));
   constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
   return std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kEdge / std::max(trial.radius, kEdge));
 }
