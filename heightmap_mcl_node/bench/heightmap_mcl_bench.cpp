@@ -91,7 +91,7 @@ void searchAndRefine(benchmark::State& state) {
   for (auto _ : state) {
     const CostVolume volume = computeCostVolume(fft, coarse, headings, true, {});
     for (const PlanarPose& start : findLocalMinima(volume, 16, 0.4, 0.26))
-      benchmark::DoNotOptimize(descendByAgreement(cost, cells, start, 0.08, M_PI / 72, {}));
+      benchmark::DoNotOptimize(descend(cost, cells, start, 0.08, M_PI / 72, {}));
   }
 }
 BENCHMARK(searchAndRefine)->Unit(benchmark::kMillisecond)->UseRealTime();

@@ -152,6 +152,7 @@ int main(int argc, char** argv) {
   app.add_option("--tops", tops, "highest, clipped, bounded");
   app.add_option("--min-maps", s.min_maps, "");
   app.add_option("--min-evidence", s.min_evidence, "");
+  app.add_option("--scale-evidence", s.scale_evidence, "");
   double cells_per_metre = 50;
   app.add_option("--cells-per-metre", cells_per_metre, "fewer are faster");
   app.add_option("--cap", s.air_map.cap, "[m]");

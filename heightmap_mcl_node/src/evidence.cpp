@@ -45,9 +45,8 @@ Placement HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
   const CostVolume volume = coarseVolume(map);
   Placement best;
   for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
-    const Placement found =
-        descendByAgreement(*direct_, cells, changeReference(minimum, volume.pivot, cells.reference),
-                           settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
+    const Placement found = descend(*direct_, cells, changeReference(minimum, volume.pivot, cells.reference),
+                                    settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
     if (found.agreement.score < best.agreement.score) best = found;
   }
   return best;

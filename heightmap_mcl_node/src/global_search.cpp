@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
-#include <utility>
 
 #include "air_ground_common/first_exception.h"
 #include "air_ground_common/geometry.h"
@@ -138,102 +137,49 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
   return minima;
 }
 
-namespace {
-
-/// Descends on the score of what `evaluate(poses, thin, best)` gives for each pose: on a thinned map or the whole,
-/// given the value at the best pose so far.
-template <class Value, class Evaluate>
-std::pair<PlanarPose, Value> descendBy(const Evaluate& evaluate, const PlanarPose& start, double step_xy,
-                                       double step_yaw) {
+Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
+                  double step_yaw, const CostSettings& settings) {
   constexpr int kLevels = 4, kCoarseLevels = 2, kMovesPerLevel = 6;
   // Far from the minimum a quarter of the cells says where it lies, and every neighbour is looked at; near it heading
   // and position hardly interact, and one axis at a time will do.
+  constexpr int kStride = 4;
   constexpr int kAxes[] = {4, 10, 12, 14, 16, 22};
-  PlanarPose best = start;
-  Value value = evaluate({start}, true, Value{}).front();
-  std::vector<PlanarPose> poses;
+  const AerialCells thin = thinned(cells, kStride);
+  // What agrees with the best pose so far says how far the heights lie apart.
+  Placement best{start, cost.agreement(thin, start, cost.medianOffset(thin, start), settings)};
+  const auto at = [&](const PlanarPose& pose, bool coarse) {
+    return Placement{pose, cost.agreement(coarse ? thin : cells, pose, best.agreement.offset, settings)};
+  };
   for (int level = 0; level < kLevels; ++level, step_xy *= 0.5, step_yaw *= 0.5) {
     const bool coarse = level < kCoarseLevels;
-    if (level == kCoarseLevels) value = evaluate({best}, false, value).front();
+    if (level == kCoarseLevels) best = at(best.pose, false);
     for (int move = 0; move < kMovesPerLevel; ++move) {
-      poses.clear();
+      Placement lowest = best;
       for (int i = 0; i < 27; ++i) {
         if (i == 13 || (!coarse && std::find(std::begin(kAxes), std::end(kAxes), i) == std::end(kAxes))) continue;
-        poses.push_back(
-            {best.x + (i % 3 - 1) * step_xy, best.y + (i / 3 % 3 - 1) * step_xy, best.yaw + (i / 9 - 1) * step_yaw});
+        const Placement found = at({best.pose.x + (i % 3 - 1) * step_xy, best.pose.y + (i / 3 % 3 - 1) * step_xy,
+                                    best.pose.yaw + (i / 9 - 1) * step_yaw},
+                                   coarse);
+        if (found.agreement.score < lowest.agreement.score) lowest = found;
       }
-      const auto values = evaluate(poses, coarse, value);
-      const auto lowest = std::min_element(values.begin(), values.end(),
-                                           [](const Value& a, const Value& b) { return a.score < b.score; });
-      if (!(lowest->score < value.score)) break;
-      best = poses[lowest - values.begin()];
-      value = *lowest;
+      if (!(lowest.agreement.score < best.agreement.score)) break;
+      best = lowest;
     }
   }
   // Sub-cell: the cost is a mean over thousands of cells and therefore smooth at the scale of one.
   const double h_xy = 1.5 * step_xy * 2, h_yaw = 1.5 * step_yaw * 2;
-  const PlanarPose& p = best;
-  const auto values = evaluate({{p.x - h_xy, p.y, p.yaw},
-                                {p.x + h_xy, p.y, p.yaw},
-                                {p.x, p.y - h_xy, p.yaw},
-                                {p.x, p.y + h_xy, p.yaw},
-                                {p.x, p.y, p.yaw - h_yaw},
-                                {p.x, p.y, p.yaw + h_yaw}},
-                               false, value);
-  double shift[3];
-  for (int axis = 0; axis < 3; ++axis) {
-    const double before = values[2 * axis].score, after = values[2 * axis + 1].score;
-    const double bend = before - 2 * value.score + after;
-    shift[axis] = std::isfinite(bend) && bend > 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0.0;
-  }
-  const PlanarPose vertex{p.x + shift[0] * h_xy, p.y + shift[1] * h_xy, p.yaw + shift[2] * h_yaw};
-  const Value there = evaluate({vertex}, false, value).front();
-  if (there.score <= value.score) {
-    best = vertex;
-    value = there;
-  }
-  best.yaw = wrapAngle(best.yaw);
-  return {best, value};
-}
-
-constexpr int kStride = 4;  // of the thinned map
-
-}  // namespace
-
-Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
-                  double step_yaw, const CostSettings& settings) {
-  const AerialCells thin = thinned(cells, kStride);
-  const auto [pose, zmssd] =
-      descendBy<Zmssd>([&](const std::vector<PlanarPose>& poses, bool coarse,
-                           const Zmssd&) { return cost(coarse ? thin : cells, poses, settings); },
-                       start, step_xy, step_yaw);
-  return {pose, zmssd};
-}
-
-Placement descendByAgreement(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
-                             double step_yaw, const CostSettings& settings) {
-  const AerialCells thin = thinned(cells, kStride);
-  const double offset = cost.medianOffset(thin, start);
-  const auto [pose, agreement] = descendBy<Agreement>(
-      [&](const std::vector<PlanarPose>& poses, bool coarse, const Agreement& best) {
-        const double from = best.overlap > 0 ? best.offset : offset;
-        std::vector<Agreement> values;
-        for (const PlanarPose& p : poses) values.push_back(cost.agreement(coarse ? thin : cells, p, from, settings));
-        return values;
-      },
-      start, step_xy, step_yaw);
-  return {pose, agreement};
-}
-
-Candidate bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
-                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
-                       const CostSettings& settings) {
-  Candidate best;
-  for (const PlanarPose& minimum : findLocalMinima(volume, count, distance, angle)) {
-    const PlanarPose start = changeReference(minimum, volume.pivot, cells.reference);
-    const Candidate found = descend(cost, cells, start, step_xy, step_yaw, settings);
-    if (found.zmssd.score < best.zmssd.score) best = found;
-  }
+  const PlanarPose& p = best.pose;
+  const auto shift = [&](const PlanarPose& before, const PlanarPose& after) {
+    const double low = at(before, false).agreement.score, high = at(after, false).agreement.score;
+    const double bend = low - 2 * best.agreement.score + high;
+    return std::isfinite(bend) && bend > 0 ? std::clamp(0.5 * (low - high) / bend, -0.5, 0.5) : 0.0;
+  };
+  const Placement vertex = at({p.x + h_xy * shift({p.x - h_xy, p.y, p.yaw}, {p.x + h_xy, p.y, p.yaw}),
+                               p.y + h_xy * shift({p.x, p.y - h_xy, p.yaw}, {p.x, p.y + h_xy, p.yaw}),
+                               p.yaw + h_yaw * shift({p.x, p.y, p.yaw - h_yaw}, {p.x, p.y, p.yaw + h_yaw})},
+                              false);
+  if (vertex.agreement.score <= best.agreement.score) best = vertex;
+  best.pose.yaw = wrapAngle(best.pose.yaw);
   return best;
 }
 

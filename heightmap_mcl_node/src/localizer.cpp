@@ -220,7 +220,7 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
   AerialCells cells = cellsOf(verify_map, centerOf(verify_map));
   const CostSettings cost = costFor(verify_map);
   PlanarPose mean = changeReference(mode.mean, filter_.reference(), cells.reference);
-  Placement best = descendByAgreement(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);
+  Placement best = descend(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);
   if (!std::isfinite(best.agreement.cost) || separation(best.pose, mean) > settings_.rival_distance) {
     best = placementAt(*direct_, cells, mean, cost);
   }
@@ -239,7 +239,7 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
   for (Placement& place : places) place.pose = changeReference(place.pose, merged_center, cells.reference);
   mean = changeReference(mean, merged_center, cells.reference);
   best.pose = changeReference(best.pose, merged_center, cells.reference);
-  const Placement refined = descendByAgreement(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
+  const Placement refined = descend(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
   if (refined.agreement.score < best.agreement.score) best = refined;
   const Placement rival = compareWithRivals(best, places);
   const bool particles_agree = isSame(mean, best.pose);
@@ -282,7 +282,7 @@ std::vector<Placement> HeightMapLocalizer::findPlaces(const CostVolume& volume, 
   const int n = static_cast<int>(starts.size());
 #pragma omp parallel for schedule(dynamic)
   for (int i = 0; i < n; ++i) {
-    places[i] = descendByAgreement(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
+    places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
   }
   places.push_back(mode);
   places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());

@@ -209,9 +209,8 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(const HeightMap
   const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
   const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
   for (const PlanarPose& minimum : findLocalMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle)) {
-    const Placement found =
-        descendByAgreement(*ground.direct, cells, changeReference(minimum, volume.pivot, cells.reference),
-                           map.resolution, M_PI / kCoarseHeadings, cost);
+    const Placement found = descend(*ground.direct, cells, changeReference(minimum, volume.pivot, cells.reference),
+                                    map.resolution, M_PI / kCoarseHeadings, cost);
     if (found.agreement.score < trial.best.agreement.score) trial.best = found;
   }
   trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
@@ -241,8 +240,7 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
   if (start) {
     if (!std::isnan(background.floor)) map = withFloor(std::move(map), scale * background.floor);
     trial.background = background;
-    trial.best =
-        descendByAgreement(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
+    trial.best = descend(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
   } else {
     // Who has seen tables alone takes one for the floor.
     LevelHistogram levels = map.levels;

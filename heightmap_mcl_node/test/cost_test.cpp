@@ -286,7 +286,7 @@ TEST_P(SearchRecovers, OffsetHeadingAndHeight) {
   EXPECT_NEAR(origin.x, truth.x, 0.03);
   EXPECT_NEAR(origin.y, truth.y, 0.03);
   EXPECT_NEAR(std::remainder(origin.yaw - truth.yaw, 2 * M_PI), 0, 0.02);
-  EXPECT_NEAR(found.zmssd.dz, p.dz, 0.02);
+  EXPECT_NEAR(found.agreement.dz, p.dz, 0.02);
 }
 INSTANTIATE_TEST_SUITE_P(Placements, SearchRecovers,
                          ::testing::Values(Cut{1.2, 4.1, 0, 0.3}, Cut{1.7, 3.6, 33, -1.2}, Cut{2.1, 4.4, 90, 2},

@@ -44,28 +44,13 @@ Eigen::Vector2d centerOf(const HeightMap& map);
 CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings,
                              bool circular, const CostSettings& settings);
 
-/// A placement with its cost at full resolution.
-struct Candidate {
-  PlanarPose pose;  ///< of the reference point of the cells it was computed with
-  Zmssd zmssd;
-};
-
 /// Local minima of the volume, lowest first, at least `distance` [m] or `angle` [rad] apart.
 std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle);
 
-/// Descends from `start` on the cost at full resolution: the neighbours at steps that are halved down to about half a
-/// cell, the first ones on a quarter of the cells, then a parabola along each axis. `step_xy` [m] and `step_yaw` [rad]
-/// are the first steps.
-Candidate descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
+/// Descends from `start` on the score of what agrees (agreement.h) at full resolution: the neighbours at steps that are
+/// halved down to about half a cell, the first ones on a quarter of the cells, then a parabola along each axis.
+/// `step_xy` [m] and `step_yaw` [rad] are the first steps.
+Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
-
-/// The same on the score of what agrees, see agreement.h.
-Placement descendByAgreement(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
-                             double step_yaw, const CostSettings& settings);
-
-/// The lowest score that descents from the volume's lowest minima reach; see findLocalMinima and descend.
-Candidate bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
-                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
-                       const CostSettings& settings);
 
 }  // namespace heightmap_mcl

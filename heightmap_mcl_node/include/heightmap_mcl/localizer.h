@@ -46,7 +46,7 @@ struct HeightMapLocalizerSettings {
   double scale_min = 0.3;     ///< [m per unit]
   double scale_max = 30;      ///< [m per unit]
   double max_tilt = 0.6;      ///< of that map's z axis from the vertical [rad]; 0: it is vertical
-  double scale_evidence = 5;  ///< logarithm of how much likelier than any other scale the best one must be
+  double scale_evidence = 3;  ///< logarithm of how much likelier than any other scale the best one must be
   int headings = 72;          ///< over the full circle, in the coarse search
   int coarse_factor = 4;      ///< cells of the coarse search are this much larger
   int accumulate = 4;         ///< aerial clouds merged into the map that weighs the particles; 1 = paper
