@@ -152,9 +152,10 @@ struct Bootstrap::Attempt {
   std::unordered_map<TrackId, int> point_of;
 };
 
-bool Bootstrap::enough(const Attempt& a, std::size_t points) const {
-  return static_cast<int>(points) * settings_.min_common >= settings_.min_inliers * needed_ &&
-         static_cast<double>(points) >= settings_.min_inlier_share * static_cast<double>(a.common.track.size());
+std::size_t Bootstrap::leastPoints(const Attempt& a) const {
+  const double by_texture = static_cast<double>(settings_.min_inliers * needed_) / settings_.min_common;
+  const double by_share = settings_.min_inlier_share * static_cast<double>(a.common.track.size());
+  return static_cast<std::size_t>(std::ceil(std::max(by_texture, by_share)));
 }
 
 bool Bootstrap::findMotion(Attempt* a) {
@@ -210,7 +211,7 @@ bool Bootstrap::findPoints(Attempt* a) {
     problem.measurements.push_back({0, k, a->common.a[i], na.sigma, 0, 0, na.elongation});
     problem.measurements.push_back({1, k, a->common.b[i], nb.sigma, 0, 0, nb.elongation});
   }
-  if (enough(*a, a->tracks.size())) return true;
+  if (a->tracks.size() >= leastPoints(*a)) return true;
   reason_ = std::to_string(a->tracks.size()) + " of " + std::to_string(a->common.track.size()) +
             " tracks fit one motion of the camera; much of the view moves by itself, or the calibration is off";
   return false;
@@ -270,9 +271,12 @@ std::optional<BootstrapResult> Bootstrap::adjust(Attempt* a) {
     depths.push_back(p.z());
     angles.push_back(std::atan2(p.cross(p - T_last.translation()).norm(), p.dot(p - T_last.translation())));
   }
-  if (!solved.usable || solved.rms > settings_.max_rms || !enough(*a, depths.size())) {
-    reason_ = "bundle adjustment of the first views keeps " + std::to_string(depths.size()) + " points, rms " +
-              std::to_string(solved.rms) + " sigma";
+  if (!solved.usable || solved.rms > settings_.max_rms || depths.size() < leastPoints(*a)) {
+    reason_ = solved.usable && solved.rms <= settings_.max_rms
+                  ? std::to_string(depths.size()) + " points of the first views have a sure depth, " +
+                        std::to_string(leastPoints(*a)) + " needed: go on moving sideways, over more texture"
+                  : "the first views do not fit one rigid scene: keep what moves by itself out of view, check the "
+                    "calibration (camera_info) and whether the shutter rolls (readout_time)";
     return std::nullopt;
   }
   BootstrapResult result;

@@ -149,6 +149,27 @@ TEST(Bootstrap, WaitsWithoutFeatures) {
   EXPECT_NE(bootstrap.reason().find("too few"), std::string::npos);
 }
 
+// Tracks three times as noisy as believed: many points come out uncertain.
+TEST(Bootstrap, SaysWhatToDoWhereTooFewPointsAreSure) {
+  const synthetic::Flight flight;
+  const auto at = [&](double t) { return flight.T_world_imu(t) * synthetic::T_imu_camera(); };
+  std::string reasons;
+  for (unsigned seed = 1; seed <= 4; ++seed) {
+    Scene scene(seed);
+    Bootstrap bootstrap(scene.camera, BootstrapSettings{});
+    for (int i = 0; i < 40; ++i) {
+      const double t = 2.5 + 0.05 * i;
+      if (bootstrap.add(t, scene.view(at(t), 1.8), {}, [&](double a, double b) {
+            return GyroRotation{at(a).linear().transpose() * at(b).linear(), 0};
+          }))
+        break;
+      reasons += bootstrap.reason() + "\n";
+    }
+  }
+  EXPECT_NE(reasons.find("points of the first views have a sure depth"), std::string::npos) << reasons;
+  EXPECT_NE(reasons.find("go on moving sideways"), std::string::npos) << reasons;
+}
+
 // The two-point solver of the shared front end against OpenGV's five-point solution and the truth.
 TEST(TwoPoint, AgreesWithTruthAndFivePoints) {
   Scene scene(7);

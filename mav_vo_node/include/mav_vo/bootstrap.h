@@ -83,7 +83,7 @@ class Bootstrap {
   bool findPoints(Attempt* attempt);  ///< that both see; likewise
   void addMiddleView(const GyroRotations& gyro, Attempt* attempt) const;
   std::optional<BootstrapResult> adjust(Attempt* attempt);  ///< all views and points; likewise
-  bool enough(const Attempt& attempt, std::size_t points) const;
+  std::size_t leastPoints(const Attempt& attempt) const;
   std::optional<BootstrapResult> attempt(const BootstrapView& first, const BootstrapView& last,
                                          const GyroRotations& gyro, const std::optional<GyroRotation>& turn);
 
