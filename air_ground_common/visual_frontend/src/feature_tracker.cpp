@@ -341,8 +341,8 @@ const std::vector<Feature>& FeatureTracker::track(const cv::Mat& gray, const Tra
   std::vector<Feature> found = s.follow(current, prediction);
   // Only then: what comes into view looks like a leap of light, too.
   const bool few = static_cast<double>(found.size()) < kFewFound * static_cast<double>(before);
-  if (const double leap = few ? brightnessLeap(s.lk_pyramid[0], current[0]) : 1; leap != 1) {
-    s.lk_pyramid = s.lkPyramid(leap * s.lk_pyramid[0]);
+  if (const cv::Mat leap = few ? brightnessLeap(s.lk_pyramid[0], current[0]) : cv::Mat(); !leap.empty()) {
+    s.lk_pyramid = s.lkPyramid(brightened(s.lk_pyramid[0], leap));
     std::vector<Feature> again = s.follow(current, prediction);
     if (again.size() > found.size()) found = std::move(again);
   }

@@ -83,17 +83,61 @@ TEST(Tracker, FollowsThroughFlickeringLight) {
   }
 }
 
+/// Light of a lamp that flickers, as a shutter shows it that exposes `period` rows while the lamp goes through once.
+cv::Mat lampBands(int rows, double share, double period, double phase) {
+  cv::Mat gain(rows, 1, CV_32F);
+  for (int r = 0; r < rows; ++r)
+    gain.at<float>(r) = static_cast<float>(1 + share * std::sin(2 * M_PI * (r / period + phase)));
+  return gain;
+}
+
+TEST(Tracker, FollowsThroughBandsOfALamp) {
+  const CameraModel camera = synthetic::camera();
+  for (const double period : {160.0, 240.0}) {
+    FeatureTracker tracker(camera, {});
+    const auto image = [&](int i) {
+      const cv::Mat plane = renderPlane(camera, above(0.02 * i, -0.01 * i, 2), planeTexture(), kPlane);
+      return brightened(brightened(plane, cv::Mat(plane.rows, 1, CV_32F, cv::Scalar(0.6))),
+                        lampBands(plane.rows, 0.3, period, 0.37 * i));
+    };
+    tracker.track(image(0));
+    const int begun = tracker.replenish();
+    std::vector<std::pair<TrackId, Eigen::Vector3d>> truth;
+    for (const Feature& f : tracker.features()) truth.emplace_back(f.id, onPlane(camera, above(0, 0, 2), f.pixel));
+    for (int i = 1; i <= 6; ++i) tracker.track(image(i));
+    std::vector<double> errors;
+    for (const Feature& f : tracker.features())
+      for (const auto& [id, p] : truth)
+        if (id == f.id) errors.push_back((*camera.project(above(0.12, -0.06, 2).inverse() * p) - f.pixel).norm());
+    std::sort(errors.begin(), errors.end());
+    ASSERT_GT(static_cast<int>(errors.size()), begun / 2) << "period " << period;
+    EXPECT_LT(errors[errors.size() / 2], 0.3) << "period " << period;
+  }
+}
+
 TEST(BrightnessLeap, IsTheWholeImagesNotAWindowsThatComesIntoView) {
   cv::Mat before(480, 752, CV_8U);
   cv::randu(before, 40, 120);
   const cv::Mat brighter = 1.3 * before, darker = 0.7 * before, alike = 1.05 * before;
-  EXPECT_NEAR(brightnessLeap(before, brighter), 1.3, 0.02);
-  EXPECT_NEAR(brightnessLeap(before, darker), 0.7, 0.02);
-  EXPECT_EQ(brightnessLeap(before, alike), 1);
+  const auto expectAll = [](const cv::Mat& gains, double expected) {
+    ASSERT_EQ(gains.size(), cv::Size(1, 480));
+    EXPECT_LT(cv::norm(gains, cv::Mat(gains.size(), CV_32F, cv::Scalar(expected)), cv::NORM_INF), 0.02);
+  };
+  expectAll(brightnessLeap(before, brighter), 1.3);
+  expectAll(brightnessLeap(before, darker), 0.7);
+  EXPECT_TRUE(brightnessLeap(before, alike).empty());
   cv::Mat window = before.clone();
   window(cv::Rect(0, 0, 300, 480)) = 250;  // the mean is nearly twice as bright
-  EXPECT_EQ(brightnessLeap(before, window), 1);
-  EXPECT_EQ(brightnessLeap(cv::Mat::zeros(480, 752, CV_8U), before), 1) << "of darkness nothing is known";
+  EXPECT_TRUE(brightnessLeap(before, window).empty());
+  EXPECT_TRUE(brightnessLeap(cv::Mat::zeros(480, 752, CV_8U), before).empty()) << "of darkness nothing is known";
+}
+
+TEST(BrightnessLeap, FindsTheBandsOfALamp) {
+  cv::Mat before(480, 752, CV_8U);
+  cv::randu(before, 40, 120);
+  const cv::Mat lamp = lampBands(480, 0.3, 200, 0.1), found = brightnessLeap(before, brightened(before, lamp));
+  ASSERT_EQ(found.size(), lamp.size());
+  EXPECT_LT(cv::norm(found, lamp, cv::NORM_INF), 0.06);
 }
 
 TEST(Tracker, RotationPriorBridgesFastTurns) {
