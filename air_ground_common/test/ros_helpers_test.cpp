@@ -286,6 +286,29 @@ TEST(ImuInput, TakesWhatWasMeasuredAlone) {
   }
 }
 
+TEST(ImuInput, SpreadsPacketsOfAnAccelerometerOfItsOwn) {
+  NodeHealth health("imu_packets_test");
+  ImuInput apart(health, true);
+  std::vector<ImuInput::Sample> samples;
+  const auto keep = [&](const std::vector<ImuInput::Sample>& more) {
+    samples.insert(samples.end(), more.begin(), more.end());
+  };
+  for (int packet = 1; packet <= 80; ++packet) {  // 200 Hz and 100 Hz; the force rises by 1 m/s^2 each second
+    sensor_msgs::Imu message;
+    message.header.stamp = ros::Time(10 + 0.04 * packet);
+    for (int i = 0; i < 8; ++i) keep(apart.read(message));
+    for (int i = 3; i >= 0; --i) {
+      message.linear_acceleration.z = 9 + 0.04 * packet - 0.01 * i;
+      keep(apart.readAccelerometer(message));
+    }
+  }
+  ASSERT_GT(samples.size(), 500u);
+  for (std::size_t i = samples.size() - 200; i < samples.size(); ++i) {
+    EXPECT_NEAR(samples[i].stamp - samples[i - 1].stamp, 0.005, 1e-6);
+    EXPECT_NEAR(samples[i].specific_force.z(), samples[i].stamp - 1, 1e-6);
+  }
+}
+
 TEST(Mountings, SayWhatIsMissingAndWhatToDoAndNeverWait) {
   const Mountings mountings("base_link");
   std::string why;

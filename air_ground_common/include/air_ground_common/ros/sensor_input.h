@@ -65,7 +65,8 @@ class ImuInput {
     const Eigen::Vector3d rate(msg.angular_velocity.x, msg.angular_velocity.y, msg.angular_velocity.z);
     const bool measured = msg.angular_velocity_covariance[0] != -1;
     if (!measured) health_.count("IMU samples refused: they say that turn rates are not measured");
-    if (separate_) return measured && turnRate(rate) ? add(msg, &ImuCombiner::addGyro, rate) : std::vector<Sample>{};
+    if (separate_)
+      return measured && turnRate(rate) ? add(msg, rate, gyro_spreader_, &ImuCombiner::addGyro) : std::vector<Sample>{};
     const Eigen::Vector3d force(msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z);
     const bool force_measured = msg.linear_acceleration_covariance[0] != -1;
     if (!force_measured)
@@ -73,16 +74,15 @@ class ImuInput {
     if (!measured || !force_measured || !turnRate(rate) || !acceleration(force)) return {};
     const std::lock_guard<std::mutex> lock(mutex_);
     judgeUnit(force.norm());
-    if (spreader_.inPackets())
-      health_.count(
-          "IMU samples stamped on arrival, in packets: spread evenly; better have the driver take the sensor's clock");
+    countPackets(spreader_);
     return spreader_.add({msg.header.stamp.toSec(), rate, force});
   }
 
   /// The same for a message of the accelerometer's own.
   std::vector<Sample> readAccelerometer(const sensor_msgs::Imu& msg) {
     const Eigen::Vector3d force(msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z);
-    return acceleration(force) ? add(msg, &ImuCombiner::addAccelerometer, force) : std::vector<Sample>{};
+    return acceleration(force) ? add(msg, force, force_spreader_, &ImuCombiner::addAccelerometer)
+                               : std::vector<Sample>{};
   }
 
   /// What is wrong with the acceleration; empty while nothing is known to be. An accelerometer in g, or without
@@ -100,9 +100,16 @@ class ImuInput {
     problem_.clear();
     combiner_.clear();
     spreader_.clear();
+    gyro_spreader_.clear();
+    force_spreader_.clear();
   }
 
  private:
+  struct Reading {
+    double stamp;  ///< [s]
+    Eigen::Vector3d value;
+  };
+
   bool turnRate(const Eigen::Vector3d& reading) {
     return admit(reading, kMaxAngularVelocity,
                  "IMU samples refused: turns faster than any gyro can read (spoilt, or not in rad/s?)");
@@ -119,10 +126,19 @@ class ImuInput {
     return false;
   }
 
-  std::vector<Sample> add(const sensor_msgs::Imu& msg, void (ImuCombiner::*stream)(double, const Eigen::Vector3d&),
-                          const Eigen::Vector3d& reading) {
+  template <class Kind>
+  void countPackets(const PacketSpreader<Kind>& spreader) {
+    if (spreader.inPackets())
+      health_.count(
+          "IMU samples stamped on arrival, in packets: spread evenly; better have the driver take the sensor's clock");
+  }
+
+  std::vector<Sample> add(const sensor_msgs::Imu& msg, const Eigen::Vector3d& value, PacketSpreader<Reading>& spreader,
+                          void (ImuCombiner::*stream)(double, const Eigen::Vector3d&)) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    (combiner_.*stream)(msg.header.stamp.toSec(), reading);
+    countPackets(spreader);
+    for (const Reading& reading : spreader.add({msg.header.stamp.toSec(), value}))
+      (combiner_.*stream)(reading.stamp, reading.value);
     std::vector<Sample> samples;
     while (const auto sample = combiner_.pop()) {
       judgeUnit(sample->specific_force.norm());
@@ -148,6 +164,7 @@ class ImuInput {
   mutable std::mutex mutex_;  // of what follows
   ImuCombiner combiner_;
   PacketSpreader<Sample> spreader_;
+  PacketSpreader<Reading> gyro_spreader_, force_spreader_;  // where they are apart
   double sum_ = 0;
   int samples_ = 0;
   std::string problem_;
