@@ -67,7 +67,7 @@ def write(path, **faults):
                 frame = '' if faults.get('no_frame') else 'ground_camera_optical_frame'
                 bag.write('/ground/rgb/image_raw', messages.image(np.dstack([PICTURE] * 3), 'rgb8', t + later, frame), messages.stamp(t))
                 bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t + later, frame), messages.stamp(t))
-                shape = (24, 32) if faults.get('small_depth') else (48, 64)
+                shape = {None: (48, 64), 'half': (24, 32), 'cut': (24, 64)}[faults.get('small_depth')]
                 if faults.get('compressed'):
                     picture = compressed(np.full(shape, 1500, np.uint16), t, frame, bytes(12), '.png', '16UC1; compressedDepth')
                     bag.write('/ground/depth/image_raw/compressedDepth', picture, messages.stamp(t))
@@ -98,8 +98,13 @@ class BagCheck(unittest.TestCase):
         for text, faults in (('in g', dict(imu_factor=1 / 9.81)), ('gravity was removed', dict(imu_factor=0.01)), ('gravity was removed', dict(shaken=3.0)), ('gravity was removed', dict(shaken=0.8)), ('degrees', dict(gyro_factor=6000.0)),
                              ('not calibrated', dict(uncalibrated=True)), ('undistort', dict(fisheye='omni')), ('/tf_static', dict(no_tf=True)),
                              ('frame id is empty', dict(no_frame=True)), ('/ground/depth/image_raw is missing', dict(no_depth=True)),
-                             ('differ in size', dict(small_depth=True)), ('calibration is missing', dict(depth_frame=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
+                             ('differ in size', dict(small_depth='cut')), ('calibration is missing', dict(depth_frame=True)), ('the bag has /imu0', dict(imu_elsewhere=True))):
             self.assert_found(bag_check.ERROR, text, **faults)
+
+    def test_depth_of_the_colour_camera_at_another_resolution(self):
+        self.assertEqual([f.text for f in self.findings(small_depth='half') if f.level != bag_check.OK], [])
+        self.assert_found(bag_check.OK, 'at another resolution', small_depth='half')
+        self.assert_found(bag_check.ERROR, 'calibration is missing', small_depth='half', depth_frame=True)
 
     def test_warnings(self):
         for text, faults in (('clocks of the robots do not overlap', dict(clocks=5000.0)), ('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)),

@@ -5,6 +5,7 @@
 #include <exception>
 #include <utility>
 
+#include "air_ground_common/text.h"
 #include "rgbd_slam/depth_model.h"
 
 namespace rgbd_slam {
@@ -48,7 +49,27 @@ void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
   if (calibration) calibration_ = calibration;
 }
 
-std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, std::string* why) {
+std::optional<cv::Mat> DepthInput::atColourSize(const cv::Mat& depth, const std::string& frame,
+                                                const std::string& colour_frame, std::string* why) {
+  if (depth.cols == colour_camera_.width && depth.rows == colour_camera_.height) return depth;
+  const auto scaled = depthAtSize(depth, colour_camera_.width, colour_camera_.height);
+  const bool same_camera = frame.empty() || frame == colour_frame;
+  if (!scaled || !same_camera) {
+    *why = air_ground_common::formatted(
+        "depth images are %dx%d in frame '%s', colour images %dx%d in '%s': of another camera? Then depth_registered: "
+        "false (launch argument ground_depth_registered), with its camera_info",
+        depth.cols, depth.rows, frame.c_str(), colour_camera_.width, colour_camera_.height, colour_frame.c_str());
+    health_.count("depth images of another size than the colour images', not of its camera");
+    return std::nullopt;
+  }
+  if (!std::exchange(resized_, true))
+    ROS_WARN("depth images are %dx%d, colour images %dx%d, both of one camera: the colour's calibration serves, scaled",
+             depth.cols, depth.rows, colour_camera_.width, colour_camera_.height);
+  return scaled;
+}
+
+std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, const std::string& colour_frame,
+                                        std::string* why) {
   const cv::Mat depth = ros_utils::depthFromMsg(message, settings_.unit);
   const double median = medianDepth(depth);
   if (const std::string problem = unitProblem(median); !problem.empty()) {
@@ -65,7 +86,8 @@ std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, std::
         "too large; say what a step is by depth_unit (launch argument ground_depth_unit; 0.0002 for TUM's PNG images)",
         median, settings_.unit);
   }
-  if (settings_.registered) return depth;
+  if (settings_.registered)
+    return atColourSize(depth, air_ground_common::withoutSlash(message.header.frame_id), colour_frame, why);
   std::optional<ros_utils::Calibration> calibration;
   {
     const std::lock_guard<std::mutex> lock(mutex_);

@@ -35,12 +35,14 @@ class DepthInput {
   /// The colour camera that depth is registered to from now on; call before `read`.
   void setColourCamera(const air_ground_common::CameraModel& camera, const air_ground_common::Pose& T_base_colour);
 
-  /// Depth [m], CV_32F. Empty while calibration or mounting are not known: `why` says what to do. Throws
-  /// std::invalid_argument for an image that cannot be read or is not of the calibration's size.
-  std::optional<cv::Mat> read(const sensor_msgs::Image& message, std::string* why);
+  /// Depth [m], CV_32F, of the colour camera's size. Empty while calibration or mounting are not known: `why` says what
+  /// to do. Throws std::invalid_argument for an image that cannot be read or is not of the calibration's size.
+  std::optional<cv::Mat> read(const sensor_msgs::Image& message, const std::string& colour_frame, std::string* why);
 
  private:
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& message);
+  std::optional<cv::Mat> atColourSize(const cv::Mat& depth, const std::string& frame, const std::string& colour_frame,
+                                      std::string* why);
 
   const DepthInputSettings settings_;
   const air_ground_common::ros_utils::Mountings& mountings_;
@@ -51,6 +53,7 @@ class DepthInput {
   std::optional<DepthRegistration> registration_;
   sensor_msgs::CameraInfo built_with_;  ///< what that was made with
   bool doubted_ = false;                ///< its unit, on the console
+  bool resized_ = false;                ///< said so on the console
 
   std::mutex mutex_;  // of the next two
   std::optional<air_ground_common::ros_utils::Calibration> calibration_;

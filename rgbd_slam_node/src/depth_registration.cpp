@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <limits>
+#include <opencv2/imgproc.hpp>
 #include <stdexcept>
 #include <string>
 
@@ -19,6 +20,15 @@ int pixelsCovered(double focal_length, double focal_length_depth) {
 }
 
 }  // namespace
+
+std::optional<cv::Mat> depthAtSize(const cv::Mat& depth, int width, int height) {
+  constexpr double kSameProportions = 0.01;
+  const double across = static_cast<double>(width) / depth.cols, down = static_cast<double>(height) / depth.rows;
+  if (std::abs(across / down - 1) > kSameProportions) return std::nullopt;
+  cv::Mat result;
+  cv::resize(depth, result, cv::Size(width, height), 0, 0, cv::INTER_NEAREST_EXACT);  // no depths between two surfaces
+  return result;
+}
 
 DepthRegistration::DepthRegistration(const CameraModel& depth_camera, const CameraModel& colour_camera,
                                      const Pose& T_colour_depth)

@@ -115,7 +115,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     const auto begin = std::chrono::steady_clock::now();
     ros_utils::EstimatorResult result;
     air_ground::VoStatus& status = result.status;
-    const auto depth = depth_.read(*frame.depth, &status.reason);
+    const auto depth = depth_.read(*frame.depth, shell_.cameraFrame(), &status.reason);
     if (!depth) {
       status.state = air_ground::VoStatus::STATE_WAITING;
       return result;

@@ -120,6 +120,20 @@ TEST(DepthRegistration, SeesWhatTheColourCameraSees) {
   EXPECT_NEAR(found.y, seen.y(), 2.0);
 }
 
+TEST(DepthAtSize, TakesEachPixelFromWhereItIsSeen) {
+  cv::Mat half(60, 80, CV_32F);
+  for (int v = 0; v < half.rows; ++v)
+    for (int u = 0; u < half.cols; ++u) half.at<float>(v, u) = static_cast<float>(1000 * v + u);
+  const auto whole = depthAtSize(half, 160, 120);
+  ASSERT_TRUE(whole);
+  for (int v = 0; v < 120; ++v)
+    for (int u = 0; u < 160; ++u) EXPECT_EQ(whole->at<float>(v, u), static_cast<float>(1000 * (v / 2) + u / 2));
+  const auto fewer = depthAtSize(*whole, 80, 60);
+  ASSERT_TRUE(fewer);
+  EXPECT_EQ(cv::countNonZero(*fewer != half), 0);
+  EXPECT_FALSE(depthAtSize(half, 160, 90)) << "cut out, or of another camera";
+}
+
 struct FloorView {
   cv::Mat gray, depth;
 };

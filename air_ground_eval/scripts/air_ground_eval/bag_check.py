@@ -221,12 +221,16 @@ def registered(facts, names):
     return not _mismatch(*(streams[t] for t in topics))
 
 
+def _same_proportions(a, b):
+    return abs(a[0] * b[1] / (a[1] * b[0]) - 1) < 0.01
+
+
 def _mismatch(colour, depth):
     """By what depth images show that another camera than the colour camera took them; empty where nothing does."""
     if not colour.samples or not depth.samples:
         return ''
     sizes = bag_camera.image_size(colour.samples[0]), bag_camera.image_size(depth.samples[0])
-    if None not in sizes and sizes[0] != sizes[1]:
+    if None not in sizes and sizes[0] != sizes[1] and not (depth.frames == colour.frames and _same_proportions(*sizes)):
         return 'differ in size'
     return '' if depth.frames == colour.frames else f'are in frames {quoted(depth.frames)} and {quoted(colour.frames)}'
 
@@ -240,6 +244,8 @@ def _registration(colour_topic, colour, depth_topic, depth, calibrated):
     elif mismatch:
         result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour, and the depth camera\'s '
                               'calibration is missing: record it (camera_info beside the images), or the registered depth (aligned_depth_to_color, depth_registered)'))
+    elif colour.samples and depth.samples and bag_camera.image_size(colour.samples[0]) != bag_camera.image_size(depth.samples[0]):
+        result.append(Finding(OK, f'{depth_topic} is {colour_topic} at another resolution: the colour camera\'s calibration serves, scaled'))
     steps = [np.median(np.diff(s.stamps)) if len(s.stamps) > 1 else 0 for s in (colour, depth)]
     if min(steps) > 0 and max(steps) > 1.2 * min(steps):
         result.append(Finding(WARNING, f'{depth_topic} comes at {1 / steps[1]:.1f} Hz, {colour_topic} at {1 / steps[0]:.1f} Hz: what has no partner is left out'))

@@ -3,12 +3,17 @@
 
 #include <Eigen/Core>
 #include <opencv2/core/mat.hpp>
+#include <optional>
 #include <vector>
 
 #include "air_ground_common/camera_model.h"
 #include "air_ground_common/geometry.h"
 
 namespace rgbd_slam {
+
+/// Depth of the colour camera at another resolution than its images: each pixel as at its centre. Empty where the
+/// proportions differ by more than 1 %.
+std::optional<cv::Mat> depthAtSize(const cv::Mat& depth, int width, int height);
 
 class DepthRegistration {
  public:
