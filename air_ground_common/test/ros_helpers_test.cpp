@@ -336,6 +336,23 @@ TEST(CalibrationReport, SaysOnceThatTheImagesCorrectTheCalibration) {
   EXPECT_EQ(console.count("left camera"), 1) << "after a reset what was given holds again";
 }
 
+TEST(MountingReport, SaysWhichRotationWouldBeRight) {
+  const Console console;
+  NodeHealth health("mounting_test");
+  MountingReport report(health, "drone");
+  using air_ground_common::expSO3;
+  report.setGiven(expSO3(Eigen::Vector3d(0, 0, M_PI / 2)));
+  const Eigen::Matrix3d turn = expSO3(Eigen::Vector3d(0.05, 0, 0));
+  for (const Eigen::Matrix3d& R : {Eigen::Matrix3d(Eigen::Matrix3d::Identity()), turn, turn}) report.update(R);
+  // q(z, 90 degrees) q(x, 0.05): (sin(0.025), sin(0.025), cos(0.025), cos(0.025)) / sqrt(2)
+  EXPECT_TRUE(spinUntil([&] {
+    return console.count("by 2.9 degrees") && console.count("in drone is qx qy qz qw = 0.0177 0.0177 0.7069 0.7069");
+  }));
+  report.update(Eigen::Matrix3d::Identity());
+  pause(300);
+  EXPECT_EQ(console.count("turned against each other"), 1) << "after a reset what was given holds again";
+}
+
 // A replay's nodes wait for the player, which opens a large bag first.
 TEST(NodeHealth, NothingIsSilentBeforeTheClockRuns) {
   ros::Time::setNow(ros::Time(5.0));

@@ -25,9 +25,10 @@ constexpr double kNormalMedian = 0.6745;  // of |x|, x standard normal
 constexpr double kMinNoise = 0.3;         // of a track, in sigmas: what is believed at best
 constexpr double kSystematicBias =
     4e-3;  // common to all pairs: calibration, rolling shutter, tracks on reflections [rad/s]
-constexpr double kSystematicOffset = 5e-4;   // likewise [s]
-constexpr double kSystematicReadout = 1e-3;  // likewise [s]
-constexpr double kLongestFlow = 0.25;        // between two images that tell how a track moves [s]
+constexpr double kSystematicOffset = 5e-4;    // likewise [s]
+constexpr double kSystematicReadout = 1e-3;   // likewise [s]
+constexpr double kSystematicMounting = 3e-3;  // likewise: axes that are not square [rad]
+constexpr double kLongestFlow = 0.25;         // between two images that tell how a track moves [s]
 constexpr double kFlowChange = 5;  // of a track from one image to the next, beyond which it is a wrong one [sigmas]
 constexpr double kMemory = 10;     // pairs older than the window count ever less [s]
 constexpr double kTrackCorrelation = 10;  // tracks of a pair over those that err on their own
@@ -35,8 +36,10 @@ constexpr double kShare = 1.0 / 3;        // of a pair's information: the pairs 
 constexpr double kOpenOffset = 0.01;      // of a less certain offset other minima are looked for [s]
 constexpr double kSearchInterval = 0.5;   // between such searches [s]
 constexpr double kRoughBias = 0.02;       // a less certain bias is solved for with a loss that narrows [rad/s]
+constexpr double kUsualTurn = 0.2;        // of a short pair, by which an unknown mounting errs [rad]
 constexpr double kRestartInterval = 1.0;  // between searches from the bias that was given first [s]
 constexpr double kOtherMinimum = 9;       // in cost over the window, by which another minimum must be better
+constexpr double kAgreement = 2;          // misfit of gyro and images that are of one mounting
 constexpr double kYoung = 10;             // an older estimate goes when it is refuted repeatedly only [s]
 constexpr int kRepeated = 4;              // times in a row
 constexpr int kIterations = 4;            // from the last estimate
@@ -81,6 +84,28 @@ double sampson(const Eigen::Vector3d& t, const Eigen::Vector3d& a, const Eigen::
   return *weight * t.dot(a.cross(Rb));
 }
 
+/// Direction of the translation for a rotation: the normals a x R b are perpendicular to it.
+Eigen::Vector3d translationBetween(const std::vector<Eigen::Vector3d>& a, const std::vector<Eigen::Vector3d>& Rb,
+                                   const Eigen::Matrix3d& R_b_a, double sigma, double width) {
+  Eigen::Vector3d t = Eigen::Vector3d::Zero();
+  for (int round = 0; round < 3; ++round) {
+    Eigen::Matrix3d M = Eigen::Matrix3d::Zero();
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      const Eigen::Vector3d normal = a[i].cross(Rb[i]);
+      double weight = 1;
+      if (round > 0) {
+        const double e = sampson(t, a[i], Rb[i], R_b_a, sigma, &weight);
+        weight = weight * weight / (1 + e * e / (width * width));
+      }
+      M += weight * normal * normal.transpose();
+    }
+    Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
+    solver.computeDirect(M);
+    t = solver.eigenvectors().col(0);
+  }
+  return t;
+}
+
 }  // namespace
 
 GyroAlignment::GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoise& noise,
@@ -99,11 +124,12 @@ void GyroAlignment::reset() {
   old_h_.setZero();
   const double offset_stddev = settings_.time_offset_stddev > 0 ? settings_.time_offset_stddev : kExactOffset;
   const double readout_stddev = settings_.readout_time_stddev > 0 ? settings_.readout_time_stddev : kExactOffset;
-  x_ << 0, 0, 0, settings_.time_offset, settings_.readout_time;
+  const double mounting_stddev = settings_.mounting_stddev > 0 ? settings_.mounting_stddev : kExactOffset;
+  x_ << 0, 0, 0, settings_.time_offset, settings_.readout_time, 0, 0, 0;
   prior_mean_ = x_;
   Vector variance;
   variance << Eigen::Vector3d::Constant(settings_.bias_stddev * settings_.bias_stddev), offset_stddev * offset_stddev,
-      readout_stddev * readout_stddev;
+      readout_stddev * readout_stddev, Eigen::Vector3d::Constant(mounting_stddev * mounting_stddev);
   covariance_ = variance.asDiagonal();
   prior_ = variance.cwiseInverse().asDiagonal();
   misfit_ = 0;
@@ -124,6 +150,12 @@ void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
 
 void GyroAlignment::setReadoutTime(double readout_time) {
   settings_.readout_time = x_(4) = prior_mean_(4) = readout_time;
+}
+
+void GyroAlignment::setMounting(const Eigen::Vector3d& mounting) {
+  x_.tail<3>() = prior_mean_.tail<3>() = mounting;
+  old_H_.setZero();  // of turns about other axes
+  old_h_.setZero();
 }
 
 double GyroAlignment::biasStddev() const { return std::sqrt(covariance_.diagonal().head<3>().maxCoeff()); }
@@ -160,13 +192,7 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
     if (rows) observation.by_readout = ((f.pixel.y() + 0.5) / rows_ - 0.5) * *track.flow;
     view->observations[f.id] = observation;
   }
-  // What was known grows old.
-  Matrix walk = Matrix::Zero();
-  walk.diagonal() << Eigen::Vector3d::Constant(noise_.gyro_bias_walk * noise_.gyro_bias_walk),
-      settings_.time_offset_stddev > 0 ? settings_.time_offset_walk * settings_.time_offset_walk : 0, 0;
-  prior_ = (Matrix(prior_.inverse()) + elapsed * walk).inverse();
-  old_H_ *= std::exp(-elapsed / kMemory);
-  old_h_ *= std::exp(-elapsed / kMemory);
+  growOld(elapsed);
 
   const std::size_t before = pairs_.size();
   addPairs(view);
@@ -174,9 +200,11 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   retire(stamp - settings_.window, imu);
   const bool offset_open = settings_.time_offset_stddev > 0 && timeOffsetStddev() > kOpenOffset;
   const bool search = offset_open && stamp - last_search_ >= kSearchInterval;
+  const double turn_error = std::hypot(biasStddev() * settings_.spans.front(),
+                                       kUsualTurn * std::sqrt(covariance_.diagonal().tail<3>().maxCoeff()));
   const bool rough = search || biasStddev() > kRoughBias;
   // The loss narrows from what the present uncertainty allows; offsets have several minima when the motion is periodic.
-  const double width = rough ? std::max(kLossWidth, 2 * biasStddev() * settings_.spans.front() / sigma_) : kLossWidth;
+  const double width = rough ? std::max(kLossWidth, 2 * turn_error / sigma_) : kLossWidth;
   Vector best = x_;
   double cost = std::numeric_limits<double>::infinity();
   for (const double shift : {0.0, -0.025, 0.025, -0.05, 0.05, -0.075, 0.075}) {
@@ -195,19 +223,59 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
     if (first_view_ < 0) first_view_ = stamp;
     leaveWrongMinimum(stamp - first_view_ < kYoung ? 1 : kRepeated, imu, &best);
   }
-  if (!best.allFinite() || best.head<3>().norm() > 1.0 ||
-      std::abs(best(3) - settings_.time_offset) > settings_.max_time_offset ||
-      std::abs(best(4)) > settings_.max_readout_time)
-    return false;
+  const bool credible = best.allFinite() && best.head<3>().norm() <= 1.0 &&
+                        std::abs(best(3) - settings_.time_offset) <= settings_.max_time_offset &&
+                        std::abs(best(4)) <= settings_.max_readout_time &&
+                        best.tail<3>().norm() <= settings_.max_mounting;
+  if (!credible) return false;
   x_ = best;
   summarize(imu);
   return true;
+}
+
+// What was known `elapsed` seconds ago.
+void GyroAlignment::growOld(double elapsed) {
+  Matrix walk = Matrix::Zero();
+  walk.diagonal() << Eigen::Vector3d::Constant(noise_.gyro_bias_walk * noise_.gyro_bias_walk),
+      settings_.time_offset_stddev > 0 ? settings_.time_offset_walk * settings_.time_offset_walk : 0, 0,
+      Eigen::Vector3d::Zero();
+  prior_ = (Matrix(prior_.inverse()) + elapsed * walk).inverse();
+  old_H_ *= std::exp(-elapsed / kMemory);
+  old_h_ *= std::exp(-elapsed / kMemory);
+}
+
+std::optional<Eigen::Matrix3d> GyroAlignment::rightAngles(const ImuBuffer& imu) const {
+  double best = std::numeric_limits<double>::infinity(), second = best;
+  Eigen::Matrix3d R_best = Eigen::Matrix3d::Identity();
+  for (int i = 0; i < 24; ++i) {  // each axis up, four headings
+    Eigen::Matrix3d R = Eigen::Matrix3d::Zero();
+    R((i / 4) % 3, 0) = i < 12 ? 1 : -1;
+    R((i / 4 + 1 + i % 2) % 3, 1) = i % 4 < 2 ? 1 : -1;
+    R.col(2) = R.col(0).cross(R.col(1));
+    GyroAlignment turned(*this);
+    turned.R_camera_imu_ = R_camera_imu_ * R;
+    turned.old_H_.setZero();
+    turned.old_h_.setZero();
+    turned.inflation_ = kTrackCorrelation;
+    const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
+    Vector solution;
+    const double cost = turned.solveFrom(prior_mean_, kStartIterations, std::max(kLossWidth, width), imu, &solution);
+    second = std::min(second, std::max(cost, best));
+    if (cost >= best) continue;
+    turned.x_ = solution;
+    turned.summarize(imu);
+    best = cost;
+    R_best = turned.misfit_ > kAgreement ? Eigen::Matrix3d(Eigen::Matrix3d::Identity()) : R;
+  }
+  if (R_best.isIdentity() || second < best + kOtherMinimum) return std::nullopt;
+  return R_best;
 }
 
 // The first pairs may have led to a wrong minimum, where every pair that leaves the window is linearised anew.
 void GyroAlignment::leaveWrongMinimum(int times, const ImuBuffer& imu, Vector* best) {
   Vector start = *best, other;
   start.head<3>() = prior_mean_.head<3>();
+  start.tail<3>() = prior_mean_.tail<3>();
   const Matrix old_H = std::exchange(old_H_, Matrix::Zero());
   const Vector old_h = std::exchange(old_h_, Vector::Zero());
   const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
@@ -254,9 +322,13 @@ std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, 
                                                               double width, std::vector<double>* errors) const {
   const auto turn = integrateTurn(imu, pair.begin + x(3), pair.end + x(3), x.head<3>());
   if (!turn) return std::nullopt;
-  const Eigen::Matrix3d R = R_camera_imu_ * turn->R * R_camera_imu_.transpose(), R_b_a = R.transpose();
-  Eigen::Matrix<double, 3, 4> rotation_by_x;
-  rotation_by_x << R_camera_imu_ * turn->by_bias, R_camera_imu_ * turn->by_offset;
+  const Eigen::Matrix3d R_camera_imu = R_camera_imu_ * expSO3(Eigen::Vector3d(x.tail<3>()));
+  const Eigen::Matrix3d R = R_camera_imu * turn->R * R_camera_imu.transpose(), R_b_a = R.transpose();
+  Eigen::Matrix<double, 3, 7> rotation_by_x;  // bias, offset, mounting
+  rotation_by_x << R_camera_imu * turn->by_bias, R_camera_imu * turn->by_offset, Eigen::Matrix3d::Zero();
+  if (settings_.mounting_stddev > 0)
+    rotation_by_x.rightCols<3>() =
+        R_camera_imu * (turn->R.transpose() - Eigen::Matrix3d::Identity()) * rightJacobianSO3(x.tail<3>());
   const std::size_t n = pair.a.size();
   std::vector<Eigen::Vector3d> a(n), b(n), Rb(n);
   for (std::size_t i = 0; i < n; ++i) {
@@ -264,23 +336,7 @@ std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, 
     b[i] = pair.b[i].atMiddleRow(x(4));
     Rb[i] = R * b[i];
   }
-  // Direction of the translation for this rotation: the normals a x R b are perpendicular to it.
-  Eigen::Vector3d t = Eigen::Vector3d::Zero();
-  for (int round = 0; round < 3; ++round) {
-    Eigen::Matrix3d M = Eigen::Matrix3d::Zero();
-    for (std::size_t i = 0; i < n; ++i) {
-      const Eigen::Vector3d normal = a[i].cross(Rb[i]);
-      double weight = 1;
-      if (round > 0) {
-        const double e = sampson(t, a[i], Rb[i], R_b_a, sigma_, &weight);
-        weight = weight * weight / (1 + e * e / (width * width));
-      }
-      M += weight * normal * normal.transpose();
-    }
-    Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
-    solver.computeDirect(M);
-    t = solver.eigenvectors().col(0);
-  }
+  const Eigen::Vector3d t = translationBetween(a, Rb, R_b_a, sigma_, width);
   constexpr int kAll = kStates + 2;  // and the direction of t
   Eigen::Matrix<double, kAll, kAll> H = Eigen::Matrix<double, kAll, kAll>::Zero();
   Eigen::Matrix<double, kAll, 1> g = Eigen::Matrix<double, kAll, 1>::Zero();
@@ -294,7 +350,8 @@ std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, 
     const double by_readout =
         pair.a[i].derivative().dot(Rb[i].cross(t)) + pair.b[i].derivative().dot(R_b_a * t.cross(a[i]));
     Eigen::Matrix<double, kAll, 1> J;
-    J << rotation_by_x.transpose() * by_rotation, by_readout, B.transpose() * a[i].cross(Rb[i]);
+    const Eigen::Matrix<double, 7, 1> by_turn = rotation_by_x.transpose() * by_rotation;
+    J << by_turn.head<4>(), by_readout, by_turn.tail<3>(), B.transpose() * a[i].cross(Rb[i]);
     J *= weight;
     const double loss = 1 / (1 + e * e / (width * width));
     H += loss * J * J.transpose();
@@ -331,7 +388,8 @@ double GyroAlignment::solveFrom(Vector x, int iterations, double first_width, co
     if (!step.allFinite()) break;
     // A step of the offset may not leap over the period of the motion.
     x += step * std::min(1.0, 0.03 / std::max(0.03, std::abs(step(3))));
-    if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && step.tail<2>().cwiseAbs().maxCoeff() < 1e-5) break;
+    if (width <= kLossWidth && step.head<3>().norm() < 1e-5 && step.tail<kStates - 3>().cwiseAbs().maxCoeff() < 1e-5)
+      break;
     width = std::max(kLossWidth, 0.6 * width);
   }
   *solution = x;
@@ -383,7 +441,8 @@ void GyroAlignment::summarize(const ImuBuffer& imu) {
 GyroAlignment::Matrix GyroAlignment::shareOfTracks(const Matrix& H) const {
   Matrix D = Matrix::Zero();
   D.diagonal() << Eigen::Vector3d::Constant(1 / (kSystematicBias * kSystematicBias)),
-      1 / (kSystematicOffset * kSystematicOffset), 1 / (kSystematicReadout * kSystematicReadout);
+      1 / (kSystematicOffset * kSystematicOffset), 1 / (kSystematicReadout * kSystematicReadout),
+      Eigen::Vector3d::Constant(1 / (kSystematicMounting * kSystematicMounting));
   return D * Matrix(H + D).inverse();
 }
 

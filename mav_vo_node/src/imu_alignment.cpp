@@ -11,22 +11,35 @@ namespace mav_vo {
 
 namespace {
 
-constexpr double kImuRestBiasSigma = 0.01;   // of a gyro bias that the IMU alone calls a rest [rad/s]
-constexpr double kRestBiasSigma = 1e-3;      // of one measured at rest [rad/s]
-constexpr double kUsefulBiasSigma = 0.02;    // of a bias that the attitude filter takes over [rad/s]
-constexpr double kRestTilt = 0.012;          // of gravity measured at rest [rad]
-constexpr double kOffsetSigma = 0.004;       // a better known time offset is used [s]
-constexpr double kOpenOffsetSigma = 0.012;   // ... or one not known so well, that rules the one in use out [s]
-constexpr double kRuledOut = 4;              // by so many standard deviations
-constexpr double kOffsetStep = 5e-4;         // smaller changes of it are not worth the work [s]
-constexpr double kReadoutSigma = 4e-3;       // of a readout time that is taken over [s]
-constexpr double kReadoutStep = 4e-3;        // least change of it [s]
-constexpr double kReadoutRefinement = 1e-3;  // least change of one that was estimated [s]
-constexpr double kShutterMisfit = 2;         // of noise; above, the tracks are not explained by a readout time
-constexpr double kChi2Of3 = 16.27;           // 3 degrees of freedom, 99.9 %
-constexpr double kGyroMisfit = 4;            // of noise; above, gyro and images contradict each other
+constexpr double kImuRestBiasSigma = 0.01;    // of a gyro bias that the IMU alone calls a rest [rad/s]
+constexpr double kRestBiasSigma = 1e-3;       // of one measured at rest [rad/s]
+constexpr double kUsefulBiasSigma = 0.02;     // of a bias that the attitude filter takes over [rad/s]
+constexpr double kRestTilt = 0.012;           // of gravity measured at rest [rad]
+constexpr double kOffsetSigma = 0.004;        // a better known time offset is used [s]
+constexpr double kOpenOffsetSigma = 0.012;    // ... or one not known so well, that rules the one in use out [s]
+constexpr double kRuledOut = 4;               // by so many standard deviations
+constexpr double kOffsetStep = 5e-4;          // smaller changes of it are not worth the work [s]
+constexpr double kReadoutSigma = 4e-3;        // of a readout time that is taken over [s]
+constexpr double kReadoutStep = 4e-3;         // least change of it [s]
+constexpr double kReadoutRefinement = 1e-3;   // least change of one that was estimated [s]
+constexpr double kShutterMisfit = 2;          // of noise; above, the tracks are not explained by a readout time
+constexpr double kChi2Of3 = 16.27;            // 3 degrees of freedom, 99.9 %
+constexpr double kSureChi2Of3 = 30.7;         // likewise, all but one in a million: asked ten times a second
+constexpr double kMeanChi2Of3 = 3;            // likewise, the mean: an estimate that has become better by as much
+constexpr double kMountingStep = 0.0175;      // least turn of an IMU against its mounting as told [rad]
+constexpr double kMountingRefinement = 4e-3;  // ... and of one that was estimated [rad]
+constexpr double kGyroMisfit = 4;             // of noise; above, gyro and images contradict each other
+constexpr int kMountingTracks = 50;           // of a pair; there is time to find it
+constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
 constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
 constexpr double kCloseMisfit = 0.5;   // of a gyro that fits so well that another offset cannot matter
+
+/// Of a unit vector along an axis: "-y".
+std::string axisName(const Eigen::Vector3d& axis) {
+  int largest = 0;
+  axis.cwiseAbs().maxCoeff(&largest);
+  return std::string(axis(largest) < 0 ? "-" : "") + "xyz"[largest];
+}
 
 }  // namespace
 
@@ -36,12 +49,15 @@ ImuAlignment::ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix
       R_camera_imu_(R_camera_imu),
       gyro_alignment_(settings.gyro_alignment, settings.imu_noise, R_camera_imu, ray_sigma, rows),
       standstill_(settings.standstill) {
-  if (settings.readout_time_stddev > 0) {
-    GyroAlignmentSettings with_readout = settings.gyro_alignment;
-    with_readout.readout_time = settings.readout_time;
-    with_readout.readout_time_stddev = settings.readout_time_stddev;
-    shutter_alignment_.emplace(with_readout, settings.imu_noise, R_camera_imu, ray_sigma, rows);
-  }
+  GyroAlignmentSettings open = settings.gyro_alignment;
+  open.readout_time = settings.readout_time;
+  open.readout_time_stddev = settings.readout_time_stddev;
+  if (settings.readout_time_stddev > 0)
+    shutter_alignment_.emplace(open, settings.imu_noise, R_camera_imu, ray_sigma, rows);
+  open.mounting_stddev = settings.imu_rotation_stddev;
+  open.max_tracks = kMountingTracks;
+  if (settings.imu_rotation_stddev > 0)
+    mounting_alignment_.emplace(open, settings.imu_noise, R_camera_imu, ray_sigma, rows);
   reset();
 }
 
@@ -56,8 +72,12 @@ void ImuAlignment::reset() {
   attitude_.reset();
   gyro_alignment_.reset();
   gyro_alignment_.setReadoutTime(settings_.readout_time);
+  imu_.setMounting(Eigen::Matrix3d::Identity());
   if (shutter_alignment_) shutter_alignment_->reset();
+  if (mounting_alignment_) mounting_alignment_->reset();
   metric_ = shutter_open_ = false;
+  last_guess_ = -1;
+  right_angles_.reset();
   standstill_.reset();
   imu_.setOffset(settings_.gyro_alignment.time_offset);
   up_.reset();
@@ -85,7 +105,8 @@ bool ImuAlignment::detectStandstill(double stamp, const std::vector<visual_front
   if (!rest || metric) return false;
   gyro_alignment_.setBias(rest->gyro_bias, kRestBiasSigma);
   if (shutter_alignment_) shutter_alignment_->setBias(rest->gyro_bias, kRestBiasSigma);
-  up_ = UpDirection{rest->up_imu, kRestTilt};
+  if (mounting_alignment_) mounting_alignment_->setBias(rest->gyro_bias, kRestBiasSigma);
+  up_ = UpDirection{imu_.mounting() * rest->up_imu, kRestTilt};
   return true;
 }
 
@@ -102,15 +123,43 @@ std::optional<ImuAlignment::ReadoutChange> ImuAlignment::alignShutter(
   return ReadoutChange{readout, change > large};
 }
 
+std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
+                                                           const std::vector<visual_frontend::Feature>& features) {
+  if (!mounting_alignment_ || !mounting_alignment_->add(stamp, features, imu_.buffer()) ||
+      mounting_alignment_->misfit() > kShutterMisfit)
+    return std::nullopt;
+  const Eigen::Vector3d mounting = mounting_alignment_->mounting(), in_use = gyro_alignment_.mounting();
+  const Eigen::Vector3d change = mounting - in_use;
+  const double nis = change.dot(mounting_alignment_->mountingCovariance().ldlt().solve(change));
+  const bool first = in_use.isZero();
+  if (change.norm() < (first ? kMountingStep : kMountingRefinement) || nis < (first ? kSureChi2Of3 : kMeanChi2Of3))
+    return std::nullopt;
+  const Eigen::Matrix3d before = imu_.mounting();
+  imu_.setMounting(air_ground_common::expSO3(mounting));
+  gyro_alignment_.setMounting(mounting);
+  if (shutter_alignment_) shutter_alignment_->setMounting(mounting);
+  const Eigen::Matrix3d turn = imu_.mounting() * before.transpose();
+  if (up_) up_->up_imu = (turn * up_->up_imu).eval();
+  return turn;
+}
+
 bool ImuAlignment::alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features, bool metric) {
-  if (!gyro_alignment_.add(stamp, features, imu_.buffer())) return false;
-  metric_ = metric;
-  shutter_open_ = !metric && shutter_alignment_ && contradictsShutter();
-  return true;
+  const bool changed = gyro_alignment_.add(stamp, features, imu_.buffer());
+  if (changed) {
+    metric_ = metric;
+    shutter_open_ = !metric && shutter_alignment_ && contradictsShutter();
+  }
+  if (trusted().misfit() < kGyroMisfit) {
+    right_angles_.reset();
+  } else if (stamp - last_guess_ > kGuessInterval) {
+    last_guess_ = stamp;
+    right_angles_ = gyro_alignment_.rightAngles(imu_.buffer());
+  }
+  return changed;
 }
 
 void ImuAlignment::followBias(const Eigen::Vector3d& gyro_bias) {
-  if (gyroBiasStddev() < kUsefulBiasSigma) attitude_.setGyroBias(gyro_bias);
+  if (gyroBiasStddev() < kUsefulBiasSigma) attitude_.setGyroBias(imu_.mounting().transpose() * gyro_bias);
 }
 
 bool ImuAlignment::adoptTimeOffset() {
@@ -124,7 +173,7 @@ bool ImuAlignment::adoptTimeOffset() {
 }
 
 void ImuAlignment::keepBias(const Eigen::Vector3d& gyro_bias, double sigma) {
-  if (sigma < gyroBiasStddev()) gyro_alignment_.setBias(gyro_bias, sigma);
+  if (sigma < gyroBiasStddev()) gyro_alignment_.setBias(imu_.mounting().transpose() * gyro_bias, sigma);
 }
 
 std::optional<GyroRotation> ImuAlignment::cameraTurn(double stamp_a, double stamp_b,
@@ -145,6 +194,12 @@ bool ImuAlignment::contradictsShutter() const {
 
 std::string ImuAlignment::problem() const {
   if (trusted().misfit() < kGyroMisfit) return "";
+  if (right_angles_)
+    return air_ground_common::formatted(
+        "gyro and images turn differently: the x, y and z axes of the IMU seem to be %s, %s and %s of its frame: "
+        "correct its static transform (or the camera's)",
+        axisName(right_angles_->col(0)).c_str(), axisName(right_angles_->col(1)).c_str(),
+        axisName(right_angles_->col(2)).c_str());
   return air_ground_common::formatted(
       "gyro and images turn differently (%.0f times the tracks' noise): check the static transforms of IMU and "
       "camera, the gyro's unit (rad/s), time stamps, rolling shutter (readout_time)",
@@ -166,6 +221,15 @@ double ImuAlignment::timeOffsetStddev() const {
 
 double ImuAlignment::readoutTimeStddev() const {
   return shutter_alignment_ ? shutter_alignment_->readoutTimeStddev() : 0;
+}
+
+double ImuAlignment::mountingStddev() const {
+  return mounting_alignment_ ? std::sqrt(mounting_alignment_->mountingCovariance().diagonal().maxCoeff()) : 0;
+}
+
+std::optional<UpDirection> ImuAlignment::attitude() const {
+  if (!attitude_.initialized()) return std::nullopt;
+  return UpDirection{imu_.mounting() * attitude_.up(), attitude_.upSigma()};
 }
 
 }  // namespace mav_vo

@@ -1,5 +1,6 @@
 // What the IMU and the feature tracks tell without a map: the gyro's bias, the clocks' offset, the readout time of a
-// rolling shutter, whether the vehicle rests, and which way is up.
+// rolling shutter, how the IMU is turned as mounted, whether the vehicle rests, and which way is up. Outside, all is in
+// the axes that the IMU was told to have.
 #pragma once
 
 #include <optional>
@@ -43,6 +44,9 @@ class ImuAlignment {
   };
   std::optional<ReadoutChange> alignShutter(double stamp, const std::vector<visual_frontend::Feature>& features,
                                             double in_use);
+  /// The IMU is surely mounted otherwise than it was taken to be: what it has told is to be turned by this rotation;
+  /// empty: as before.
+  std::optional<Eigen::Matrix3d> alignMounting(double stamp, const std::vector<visual_frontend::Feature>& features);
   /// True when the estimates of bias and offset changed. A `metric` map knows the bias better than they do.
   bool alignGyro(double stamp, const std::vector<visual_frontend::Feature>& features, bool metric);
   /// The attitude filter follows a bias that is known well enough.
@@ -63,12 +67,14 @@ class ImuAlignment {
   std::string clockProblem() const;
 
   double imuStamp(double image_stamp) const { return imu_.stamp(image_stamp); }
-  const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }
-  Eigen::Vector3d gyroBias() const { return trusted().bias(); }     ///< [rad/s]
-  double gyroBiasStddev() const { return trusted().biasStddev(); }  ///< [rad/s]
-  double timeOffset() const { return imu_.offset(); }               ///< in use [s]
-  double timeOffsetStddev() const;                                  ///< 0: given, not estimated [s]
-  double readoutTimeStddev() const;                                 ///< likewise [s]
+  std::optional<UpDirection> attitude() const;  ///< by the accelerometer; empty: no samples yet
+  Eigen::Vector3d gyroBias() const { return imu_.mounting() * trusted().bias(); }  ///< [rad/s]
+  double gyroBiasStddev() const { return trusted().biasStddev(); }                 ///< [rad/s]
+  double timeOffset() const { return imu_.offset(); }                              ///< in use [s]
+  double timeOffsetStddev() const;                                                 ///< 0: given, not estimated [s]
+  double readoutTimeStddev() const;                                                ///< likewise [s]
+  const Eigen::Matrix3d& mounting() const { return imu_.mounting(); }              ///< R_given_imu in use
+  double mountingStddev() const;  ///< of the least certain axis; 0: given, not estimated [rad]
 
  private:
   const GyroAlignment& trusted() const { return shutter_open_ ? *shutter_alignment_ : gyro_alignment_; }
@@ -83,7 +89,10 @@ class ImuAlignment {
   GyroAlignment gyro_alignment_;
   std::optional<GyroAlignment> shutter_alignment_;  ///< apart: what it estimates besides makes the others less certain
   bool shutter_open_ = false;  ///< the estimate without the readout time is wrong, as far as one can tell
+  std::optional<GyroAlignment> mounting_alignment_;  ///< and this one the mounting
   bool metric_ = false;
+  double last_guess_ = -1;                       ///< of right angles [s]
+  std::optional<Eigen::Matrix3d> right_angles_;  ///< R_given_imu by which gyro and images would agree
   StandstillDetector standstill_;
   std::optional<UpDirection> up_;
 };

@@ -73,6 +73,17 @@ void InertialKeyframes::forgetLinksBefore(KeyframeId id) {
   data_.links.erase(data_.links.begin(), data_.links.lower_bound(id));
 }
 
+void InertialKeyframes::turn(const Eigen::Matrix3d& R_new_old, const visual_frontend::Map& map) {
+  for (auto& link : data_.links) link.second = link.second.turned(R_new_old);
+  for (auto& [id, state] : data_.states) {
+    const Eigen::Vector3d up =
+        (map.keyframe(id).T_map_camera.linear() * data_.T_camera_imu.linear()).transpose().col(2);
+    const Eigen::Vector3d reads = kGravity * up + state.bias.accel;
+    state.bias.accel += R_new_old * reads - reads;
+    state.bias.gyro = (R_new_old * state.bias.gyro).eval();
+  }
+}
+
 void InertialKeyframes::makeMetric(const visual_frontend::Map& map, const Eigen::Vector3d& accel_bias) {
   data_.metric = true;
   const Eigen::Vector3d g(0, 0, -kGravity);

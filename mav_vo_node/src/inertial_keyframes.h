@@ -42,6 +42,9 @@ class InertialKeyframes {
     }
   }
 
+  /// The IMU's axes have become others; what its accelerometer reads stays, so its bias takes up the difference.
+  void turn(const Eigen::Matrix3d& R_new_old, const visual_frontend::Map& map);
+
   bool linked() const { return !data_.links.empty(); }
   /// Of the newest keyframe; null: there is none.
   const ImuBias* newestBias() const { return data_.states.empty() ? nullptr : &data_.states.rbegin()->second.bias; }

@@ -45,6 +45,12 @@ class MapScale {
     }
   }
 
+  /// The IMU's axes have become others.
+  void turn(const Eigen::Matrix3d& R_new_old) {
+    for (Image& image : images_)
+      if (image.motion) image.motion = image.motion->turned(R_new_old);
+  }
+
   const ScaleFilter& filter() const { return filter_; }
   /// Of the scale, relative, with the accelerometer's own error, which the filter cannot see; infinite while unknown.
   double relativeStddev() const { return std::hypot(filter_.relativeStddev(), accel_scale_stddev_); }

@@ -52,6 +52,7 @@ class MavVoNode : private ros_utils::Estimator {
     visual_ = !settings.use_imu;
     external_scale_.emplace(T_base_camera);
     calibration_.setGiven(camera.k1);
+    if (T_base_imu) mounting_.setGiven(T_base_imu->linear());
     odometry_ = std::make_unique<Odometry>(camera, T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
   }
 
@@ -77,7 +78,10 @@ class MavVoNode : private ros_utils::Estimator {
     visual.map_id = shell_.mapId();
     last_stamp_ = frame.stamp;
     calibration_.update(odometry_->camera().k1);
-    if (visual_) useAlignment(frame.stamp, visual.map_id);
+    if (visual_)
+      useAlignment(frame.stamp, visual.map_id);
+    else
+      mounting_.update(visual.R_given_imu);
     const VoResult r = visual_ ? external_scale_->metric(visual) : visual;
     shell_.health().timing("image [s]", r.seconds);
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
@@ -230,6 +234,7 @@ class MavVoNode : private ros_utils::Estimator {
   std::size_t frame_count_ = 0;
   ros_utils::EstimatorShell shell_;
   ros_utils::CalibrationReport calibration_{shell_.health(), "camera"};
+  ros_utils::MountingReport mounting_{shell_.health(), frames_.base_frame};
 };
 
 }  // namespace

@@ -109,6 +109,7 @@ void Odometry::Impl::useImu(double stamp) {
     // What a map that is not metric yet has seen with another readout time is not worth keeping.
     if (!metric() && map.keyframeCount() > 0 && readout->large) startMap();
   }
+  if (const auto turn = imu.alignMounting(stamp, features)) turnImu(*turn);
   if (!imu.alignGyro(stamp, features, metric())) return;
   // Landmarks of a false start bend the turns of the gyro towards themselves.
   if (!metric() && mapBiasRefuted()) startMap();
@@ -154,9 +155,9 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray) {
   gate.T_map_last = frames.lastPose(map);
   if (metric())
     gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - frames.lastStamp());
-  if (metric() && settings.use_imu && imu.attitude().initialized()) {
-    gate.up_camera = T_camera_imu.linear() * imu.attitude().up();
-    gate.max_tilt = std::max(gate.max_tilt, 3 * imu.attitude().upSigma());
+  if (const auto up = imu.attitude(); up && metric() && settings.use_imu) {
+    gate.up_camera = T_camera_imu.linear() * up->up_imu;
+    gate.max_tilt = std::max(gate.max_tilt, 3 * up->sigma);
   }
   const bool found = relocalizer.find(last_stamp, gray, map, gate, turnSigma(), pose);
   if (!found && !relocalizer.reason().empty()) reason = relocalizer.reason();
@@ -268,6 +269,8 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->time_offset_stddev = imu.timeOffsetStddev();
   result->readout_time = pose.readoutTime();
   result->readout_time_stddev = imu.readoutTimeStddev();
+  result->R_given_imu = imu.mounting();
+  result->imu_rotation_stddev = imu.mountingStddev();
   result->pose_valid = pose.locatedStamp() >= 0 && pose.locatedStamp() == result->stamp && pose.result().success;
   if (!result->pose_valid) return;
   result->inliers = pose.result().inlier_count;

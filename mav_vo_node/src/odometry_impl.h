@@ -59,6 +59,7 @@ struct Odometry::Impl {
   void makeMetric();
   void transformMap(const air_ground_common::Similarity& S_new_old);
   void retime();
+  void turnImu(const Eigen::Matrix3d& R_new_old);
   visual_frontend::BundleSettings bundleSettings() const;
   void adjustWholeMap();
   void adopt(const MapAdjuster::Jobs& jobs);

@@ -22,6 +22,7 @@ constexpr double kMapBiasSigma = 2e-3;      // of a gyro bias from a map, at the
 constexpr double kOtherBias = 6;            // standard deviations between the map's bias and the tracks'
 constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias, at the best [rad/s]
 constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
+constexpr double kBendingTurn = 0.0175;     // of the IMU's axes against what they were taken for [rad]
 constexpr double kLeastParallax = 10;       // of a new landmark, in standard deviations of a ray
 
 int mappedObservations(const Keyframe& keyframe) {
@@ -33,7 +34,7 @@ int mappedObservations(const Keyframe& keyframe) {
 /// Up in the IMU's axes as it is known at the first views; without gravity the vehicle is taken to be level.
 std::optional<UpDirection> upAtStart(const ImuAlignment& imu, bool use_imu) {
   if (imu.up() && imu.up()->sigma < kMovingTilt) return imu.up();
-  if (use_imu && imu.attitude().initialized()) return UpDirection{imu.attitude().up(), kMovingTilt};
+  if (const auto up = imu.attitude(); up && use_imu) return UpDirection{up->up_imu, kMovingTilt};
   return std::nullopt;
 }
 
@@ -260,6 +261,22 @@ void Odometry::Impl::retime() {
   inertial.integrateAnew(map, between);
   scale.integrateAnew(frames, between);
   if (!metric()) scale.estimateAnew(frames, map);
+}
+
+// The IMU's axes have become others. Turns about wrong axes have bent a map that is not metric yet.
+void Odometry::Impl::turnImu(const Eigen::Matrix3d& R_new_old) {
+  bias.gyro = R_new_old * bias.gyro;
+  if (map.keyframeCount() == 0) return;
+  if (!metric() && air_ground_common::rotationAngle(R_new_old, Eigen::Matrix3d::Identity()) > kBendingTurn) {
+    inertial.clear();  // its gyro bias is of turns about wrong axes, too
+    return startMap();
+  }
+  adopt(adjuster.finish());
+  inertial.turn(R_new_old, map);
+  scale.turn(R_new_old);
+  if (!metric()) return scale.estimateAnew(frames, map);
+  bias.accel = inertial.newestBias()->accel;
+  scale.judgeAnew(frames, map, inertial.data(), metric_since);
 }
 
 visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {

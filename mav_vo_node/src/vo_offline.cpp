@@ -153,6 +153,11 @@ class OfflineRun {
         b.gyro.x(), b.gyro.y(), b.gyro.z(), last_.gyro_bias_stddev, b.accel.x(), b.accel.y(), b.accel.z(),
         1e3 * last_.time_offset, 1e3 * last_.time_offset_stddev, 1e3 * last_.readout_time,
         1e3 * last_.readout_time_stddev);
+    if (last_.imu_rotation_stddev == 0) return;
+    const Eigen::AngleAxisd turn(last_.R_given_imu);
+    const Eigen::Vector3d v = 180 / M_PI * turn.angle() * turn.axis();
+    std::printf("       IMU turned from its mounting by %.2f %.2f %.2f degrees (+- %.2f)\n", v.x(), v.y(), v.z(),
+                180 / M_PI * last_.imu_rotation_stddev);
   }
 
   mav_vo::Odometry odometry_;

@@ -1,6 +1,8 @@
 // Gyro bias and time offset from feature tracks, against the bias and the offset that made the samples.
 #include <gtest/gtest.h>
 
+#include <Eigen/LU>
+
 #include "air_ground_common/geometry.h"
 #include "mav_vo/gyro_alignment.h"
 #include "synthetic_flight.h"
@@ -24,20 +26,18 @@ struct Case {
   double duration = 2.5;   ///< [s]
   bool turn_only = false;  ///< the camera stays at its place
   bool estimate_offset = true;
-  double strange = 0;  ///< so long all tracks turn by another bias: a mirror, a passing lorry [s]
+  Eigen::Vector3d mounting = Eigen::Vector3d::Zero();  ///< rotation vector of R_given_imu [rad]
+  double mounting_stddev = 0;
+  double wobble = 0.2;  ///< of roll and pitch [rad]
+  double strange = 0;   ///< so long all tracks turn by another bias: a mirror, a passing lorry [s]
   unsigned seed = 1;
 };
 
 const Eigen::Vector3d kStrangeBias(-0.05, 0.09, 0.02);  // seen in the strange tracks [rad/s]
 
-synthetic::Flight swinging() {
-  synthetic::Flight flight;
-  flight.wobble = 0.2;
-  return flight;
-}
-
 GyroAlignment align(const Case& run) {
-  const synthetic::Flight flight = swinging();
+  synthetic::Flight flight;
+  flight.wobble = run.wobble;
   const auto camera = synthetic::camera();
   std::mt19937 random(run.seed);
   std::normal_distribution<double> normal(0, kPixelNoise);
@@ -48,11 +48,12 @@ GyroAlignment align(const Case& run) {
   for (ImuSample s : flight.imuSamples(begin - 0.3, begin + run.duration + 0.3, 200, ImuNoise{},
                                        {run.bias, Eigen::Vector3d::Zero()}, random)) {
     s.stamp += run.offset;
-    buffer.add(s);
+    buffer.add(visual_frontend::turned(expSO3(-run.mounting), s));
   }
   GyroAlignmentSettings settings;
   if (!run.estimate_offset) settings.time_offset_stddev = 0;
   settings.readout_time_stddev = run.readout_stddev;
+  settings.mounting_stddev = run.mounting_stddev;
   GyroAlignment alignment(settings, ImuNoise{}, synthetic::T_imu_camera().linear().transpose(),
                           kBelievedNoise / camera.fx, camera.height);
   for (int i = 0; 0.05 * i < run.duration; ++i) {
@@ -152,6 +153,43 @@ TEST(GyroAlignment, FindsTheReadoutTime) {
       EXPECT_LT((a.bias() - run.bias).norm(), 0.005);
     }
   }
+}
+
+// With bias, offset and readout time open as well.
+TEST(GyroAlignment, FindsHowTheImuIsTurned) {
+  constexpr double kDegree = M_PI / 180;
+  for (const Eigen::Vector3d& degrees :
+       {Eigen::Vector3d(0, 0, 0), Eigen::Vector3d(1.7, 1.7, 1.7), Eigen::Vector3d(5, 0, 0), Eigen::Vector3d(0, 0, 5),
+        Eigen::Vector3d(-4, 5, 3)}) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      Case run;
+      run.mounting = kDegree * degrees;
+      run.mounting_stddev = 0.03;
+      run.readout = 0.01;
+      run.readout_stddev = 0.02;
+      run.offset = 0.02;
+      run.bias = {0.03, 0.08, -0.05};
+      run.duration = 5;
+      run.seed = seed;
+      const GyroAlignment a = align(run);
+      const Eigen::Vector3d off = a.mounting() - run.mounting;
+      const double sigmas = std::sqrt(off.dot(a.mountingCovariance().inverse() * off));
+      std::printf("mounting %4.1f %4.1f %4.1f: off by %.2f degrees, %.1f sigmas\n", degrees.x(), degrees.y(),
+                  degrees.z(), off.norm() / kDegree, sigmas);
+      EXPECT_LT(off.norm(), 0.8 * kDegree);
+      EXPECT_LT(sigmas, 4.0);  // three degrees of freedom, 99.9 %
+    }
+  }
+}
+
+TEST(GyroAlignment, ASteadyTurnDoesNotTellMountingFromBias) {
+  Case run;
+  run.mounting_stddev = 0.03;
+  run.mounting = {0.04, 0.04, 0.04};
+  run.wobble = 0;
+  const GyroAlignment a = align(run);
+  EXPECT_LT(a.mounting().norm(), 0.02);
+  EXPECT_GT(std::sqrt(a.mountingCovariance().diagonal().minCoeff()), 0.02);
 }
 
 TEST(GyroAlignment, LeavesAGivenOffsetAlone) {

@@ -99,11 +99,14 @@ TEST(ImuAlignment, KeepsOnlyABetterBias) {
 
 /// What a swinging flight shows of the floor, each row where the camera is when it is read.
 struct Swing {
-  explicit Swing(double offset = 0, double readout = 0) : readout_time(readout) {
-    flight.wobble = 0.2;
+  /// `R_given_imu`: of the IMU's axes.
+  explicit Swing(double offset = 0, double readout = 0,
+                 const Eigen::Matrix3d& R_given_imu = Eigen::Matrix3d::Identity(), double wobble = 0.2)
+      : readout_time(readout) {
+    flight.wobble = wobble;
     for (ImuSample s : flight.imuSamples(kBegin - 0.3, kBegin + kLong + 0.3, 200, ImuNoise{}, {kBias, {}}, random)) {
       s.stamp += offset;
-      samples.push_back(s);
+      samples.push_back(visual_frontend::turned(R_given_imu.transpose(), s));
     }
     points = synthetic::pointCloud(600, random);
   }
@@ -182,10 +185,65 @@ TEST(ImuAlignment, FindsAReadoutTimeAndSaysWhenItWasFarOff) {
   EXPECT_NEAR(in_use, 0.025, 0.003);
 }
 
+// Outside, all is in the axes that were given.
+TEST(ImuAlignment, AdoptsAMountingThatIsOff) {
+  const Eigen::Matrix3d R_given_imu = expSO3({0.05, -0.03, 0.04});
+  ImuAlignment imu = make();
+  Eigen::Matrix3d turned = Eigen::Matrix3d::Identity();
+  const Swing swing(0.01, 0, R_given_imu);
+  swing.show(imu, [&](double t, const std::vector<Feature>& features) {
+    imu.alignShutter(t, features, 0);
+    if (const auto turn = imu.alignMounting(t, features)) turned = *turn * turned;
+    if (imu.alignGyro(t, features, false)) imu.adoptTimeOffset();
+  });
+  EXPECT_LT(rotationAngle(imu.mounting(), R_given_imu), 3 * imu.mountingStddev());
+  EXPECT_LT(imu.mountingStddev(), 0.01);
+  EXPECT_LT(rotationAngle(imu.mounting(), turned), 1e-9);
+  EXPECT_EQ(imu.problem(), "");
+  EXPECT_LT((imu.gyroBias() - kBias).norm(), 0.006);
+  const double t = Swing::kBegin + 4;
+  const auto camera = [&](double at) { return swing.flight.T_world_imu(at) * synthetic::T_imu_camera(); };
+  const auto turn = imu.cameraTurn(t, t + 0.4, imu.gyroBias());
+  ASSERT_TRUE(turn);
+  EXPECT_LT(rotationAngle(turn->R_a_b, camera(t).linear().transpose() * camera(t + 0.4).linear()), 0.004);
+  ImuAlignment exact = make();
+  for (const ImuSample& s : Swing().samples) exact.add(s);
+  const ImuBias bias{kBias, Eigen::Vector3d::Zero()};
+  const auto motion = imu.motion(t, t + 0.4, bias), truth = exact.motion(t, t + 0.4, bias);
+  ASSERT_TRUE(motion && truth);
+  EXPECT_LT((motion->velocity() - truth->velocity()).norm(), 0.012 * kGravity * 0.4 + 0.05);
+  imu.reset();
+  EXPECT_TRUE(imu.mounting().isIdentity());
+}
+
+TEST(ImuAlignment, KeepsARightMounting) {
+  ImuAlignment imu = make();
+  Swing().show(imu, [&](double t, const std::vector<Feature>& features) {
+    imu.alignShutter(t, features, 0);
+    EXPECT_FALSE(imu.alignMounting(t, features)) << t;
+    imu.alignGyro(t, features, false);
+  });
+  EXPECT_LT(imu.mountingStddev(), 0.01);
+}
+
 TEST(ImuAlignment, AGyroThatTurnsOtherwiseIsAProblem) {
   ImuAlignment imu = make(Eigen::Matrix3d::Identity());
   Swing().show(imu, [&](double t, const std::vector<Feature>& features) { imu.alignGyro(t, features, false); });
   EXPECT_NE(imu.problem(), "");
+}
+
+// A quarter turn is no error of some degrees: named, not believed.
+TEST(ImuAlignment, NamesAxesThatWereTakenForEachOther) {
+  Eigen::Matrix3d R_given_imu;
+  R_given_imu << 0, -1, 0, 1, 0, 0, 0, 0, 1;
+  ImuAlignment imu = make();
+  Swing(0, 0, R_given_imu, 0.5).show(imu, [&](double t, const std::vector<Feature>& features) {
+    imu.alignShutter(t, features, 0);
+    EXPECT_FALSE(imu.alignMounting(t, features)) << t;
+    imu.alignGyro(t, features, false);
+  });
+  EXPECT_NE(imu.problem().find("seem to be y, -x and z of its frame"), std::string::npos)
+      << "'" << imu.problem() << "', bias " << imu.gyroBias().transpose();
 }
 
 }  // namespace

@@ -134,5 +134,21 @@ TEST_F(Links, LinksAreIntegratedAnewFromKeyframeToKeyframe) {
   EXPECT_NEAR(keyframes.data().links.at(2).duration(), kStep, 1e-9);
 }
 
+// What the accelerometer read of gravity stays explained; turns are about the turned axes.
+TEST_F(Links, OtherAxesOfTheImuLeaveWhatItReadsExplained) {
+  fly(3);
+  const Eigen::Matrix3d R = air_ground_common::expSO3({0.05, -0.03, 0.02});
+  keyframes.data().states.at(1).bias.gyro = {0.01, 0, 0};
+  const auto velocity = [&] { return keyframes.data().links.at(2).velocity(keyframes.data().states.at(1).bias); };
+  const Eigen::Matrix3d turn = keyframes.data().links.at(2).rotation();
+  const Eigen::Vector3d before = velocity();
+  keyframes.turn(R, map);
+  EXPECT_LT((velocity() - before).norm(), 0.06) << "0.3 m/s by the turn of gravity alone";
+  EXPECT_LT((keyframes.newestBias()->accel).norm(), 0.7);
+  EXPECT_GT((keyframes.newestBias()->accel).norm(), 0.4);
+  EXPECT_LT(air_ground_common::rotationAngle(keyframes.data().links.at(2).rotation(), R * turn * R.transpose()), 1e-6);
+  EXPECT_LT((keyframes.data().states.at(1).bias.gyro - R.col(0) * 0.01).norm(), 1e-12);
+}
+
 }  // namespace
 }  // namespace mav_vo

@@ -21,12 +21,14 @@ struct Options {
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
-  double readout = 0;    ///< of a rolling shutter [s]
-  bool told = false;     ///< the odometry is told of it
-  double radial = 0;     ///< by which the calibration that it is told is larger than the camera's k1
-  double replay = 0;     ///< added to all stamps: the recording is played again, time going on [s]
-  unsigned seed = 11;    ///< of the IMU's noise
-  int grain = 5;         ///< of the images' noise
+  /// The IMU's axes against those that the odometry is told.
+  Eigen::Matrix3d R_given_imu = Eigen::Matrix3d::Identity();
+  double readout = 0;  ///< of a rolling shutter [s]
+  bool told = false;   ///< the odometry is told of it
+  double radial = 0;   ///< by which the calibration that it is told is larger than the camera's k1
+  double replay = 0;   ///< added to all stamps: the recording is played again, time going on [s]
+  unsigned seed = 11;  ///< of the IMU's noise
+  int grain = 5;       ///< of the images' noise
 };
 
 struct Outcome {
@@ -66,7 +68,10 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
   cv::RNG grain(options.grain);
   const ImuNoise noise{1.7e-4, 2.9e-3, 2e-5, 6e-4};
   auto samples = options.flight.imuSamples(options.begin - 0.2, options.end + 0.1, 200, noise, options.bias, random);
-  for (ImuSample& sample : samples) sample.stamp += options.imu_shift + options.replay;
+  for (ImuSample& sample : samples) {
+    sample.stamp += options.imu_shift + options.replay;
+    sample = visual_frontend::turned(options.R_given_imu.transpose(), sample);
+  }
   std::size_t next = 0;
   Outcome outcome;
   for (int i = 1; options.begin + 0.05 * i <= options.end; ++i) {

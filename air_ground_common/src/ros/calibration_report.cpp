@@ -2,6 +2,8 @@
 
 #include <ros/console.h>
 
+#include <Eigen/Geometry>
+#include <cmath>
 #include <utility>
 
 namespace air_ground_common::ros_utils {
@@ -14,6 +16,22 @@ void CalibrationReport::update(double k1) {
       "The images show that the calibration of the %s is off: k1 is %.4f, not %.4f, and is used so. Calibrate it; "
       "radial_stddev: 0 keeps what camera_info says",
       camera_.c_str(), k1, before);
+}
+
+void MountingReport::update(const Eigen::Matrix3d& R_given_imu) {
+  constexpr double kDegree = M_PI / 180, kWorthALine = 0.5;  // [degrees]
+  const double turned = rotationAngle(Eigen::Matrix3d::Identity(), R_given_imu) / kDegree;
+  health_.value("IMU turned against its mounting [degrees]", turned);
+  if (rotationAngle(told_, R_given_imu) < kWorthALine * kDegree) return;
+  told_ = R_given_imu;
+  if (turned < kWorthALine) return;  // an estimator that was reset begins with what was given
+  const Eigen::Quaterniond q(R_base_imu_ * R_given_imu);
+  ROS_WARN(
+      "Turns of the camera show that camera and IMU are turned against each other by %.1f degrees more than their "
+      "mountings say, and are used so. If the camera's is right, the IMU's rotation in %s is qx qy qz qw = %.4f %.4f "
+      "%.4f %.4f: correct its static transform (URDF) or base_imu; imu_rotation_stddev: 0 keeps the mountings as they "
+      "are",
+      turned, base_frame_.c_str(), q.x(), q.y(), q.z(), q.w());
 }
 
 }  // namespace air_ground_common::ros_utils

@@ -94,6 +94,14 @@ Preintegration Preintegration::reintegrated(const ImuBias& bias) const {
   return result;
 }
 
+Preintegration Preintegration::turned(const Eigen::Matrix3d& R_turned_imu) const {
+  Preintegration result(noise_, {R_turned_imu * bias_.gyro, R_turned_imu * bias_.accel});
+  std::vector<ImuSample> samples;
+  for (const ImuSample& s : samples_) samples.push_back(visual_frontend::turned(R_turned_imu, s));
+  result.integrate(samples);
+  return result;
+}
+
 std::vector<ImuSample> samplesBetween(const ImuBuffer& buffer, double begin, double end, double max_gap) {
   if (!(begin < end) || !buffer.covers(begin, end, max_gap)) return {};
   const auto& samples = buffer.samples();

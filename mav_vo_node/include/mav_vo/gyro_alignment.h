@@ -1,7 +1,9 @@
-// Gyro bias, camera-IMU time offset and the readout time of a rolling shutter from feature tracks alone, in any motion:
-// the gyro's rotation between two images must satisfy the epipolar constraint with some translation (the idea of Kneip
-// and Lynen 2013 and He et al. 2023, with the translations eliminated by the Schur complement instead of eigenvalue
-// derivatives). A row that is read later shows a track where it has moved to since. Needs neither map nor scale.
+// Gyro bias, camera-IMU time offset, the readout time of a rolling shutter and how the IMU is turned against the
+// camera, from feature tracks alone, in any motion: the gyro's rotation between two images must satisfy the epipolar
+// constraint with some translation (the idea of Kneip and Lynen 2013 and He et al. 2023, with the translations
+// eliminated by the Schur complement instead of eigenvalue derivatives). A row that is read later shows a track where
+// it has moved to since. Needs neither map nor scale. An IMU that is mounted otherwise than told sees each turn about
+// another axis: turns about two axes tell how.
 #pragma once
 
 #include <Eigen/Core>
@@ -29,11 +31,13 @@ struct GyroAlignmentSettings {
   double readout_time = 0;           ///< row r of h is exposed at stamp + (r / h - 0.5) readout_time [s]
   double readout_time_stddev = 0;    ///< of that figure before the first image [s]; 0 = exact, it is not estimated
   double max_readout_time = 0.06;    ///< estimates beyond are refused [s]
-  double time_offset_walk = 1e-4;    ///< random walk of the offset [s/sqrt(s)]
-  double window = 3.0;               ///< image pairs older than this are frozen [s]
-  double view_interval = 0.09;       ///< between images that are used [s]
-  int min_tracks = 25;               ///< that both images of a pair share
-  int max_tracks = 80;               ///< of a pair that are used
+  double mounting_stddev = 0;      ///< of the IMU's rotation as mounted, per axis [rad]; 0 = exact, it is not estimated
+  double max_mounting = 0.2;       ///< estimates that turn it farther are refused [rad]
+  double time_offset_walk = 1e-4;  ///< random walk of the offset [s/sqrt(s)]
+  double window = 3.0;             ///< image pairs older than this are frozen [s]
+  double view_interval = 0.09;     ///< between images that are used [s]
+  int min_tracks = 25;             ///< that both images of a pair share
+  int max_tracks = 80;             ///< of a pair that are used
   std::array<double, 3> spans{
       {0.2, 0.4, 0.8}};  ///< of the image pairs; long ones weigh rotation, short ones survive [s]
 };
@@ -54,6 +58,9 @@ class GyroAlignment {
   /// One from elsewhere, where it is not estimated [s].
   void setReadoutTime(double readout_time);
 
+  /// Likewise [rad].
+  void setMounting(const Eigen::Vector3d& mounting);
+
   void reset();
 
   Eigen::Vector3d bias() const { return x_.head<3>(); }  ///< [rad/s]
@@ -63,11 +70,18 @@ class GyroAlignment {
   double timeOffsetStddev() const;              ///< [s]
   double readoutTime() const { return x_(4); }  ///< [s]
   double readoutTimeStddev() const;             ///< [s]
+  /// Rotation vector of R_given_imu: what the IMU reads, turned by it, is in the axes that `R_camera_imu` was given for
+  /// [rad].
+  Eigen::Vector3d mounting() const { return x_.tail<3>(); }
+  Eigen::Matrix3d mountingCovariance() const { return covariance_.bottomRightCorner<3, 3>(); }  ///< [rad^2]
   /// Median epipolar error over that of pure feature noise: about 1 when gyro and images agree; 0 before any pair.
   double misfit() const { return misfit_; }
+  /// R_given_imu by right angles with which they would agree, where no other does nearly as well. Takes as long as 24
+  /// images.
+  std::optional<Eigen::Matrix3d> rightAngles(const ImuBuffer& imu) const;
 
  private:
-  static constexpr int kStates = 5;  ///< gyro bias, time offset, readout time
+  static constexpr int kStates = 8;  ///< gyro bias, time offset, readout time, mounting
   using Vector = Eigen::Matrix<double, kStates, 1, Eigen::DontAlign>;
   using Matrix = Eigen::Matrix<double, kStates, kStates, Eigen::DontAlign>;
   /// Where a track is seen, and how far it moves by the readout time of 1 s until its row is read, as (x, y, 1).
@@ -90,6 +104,7 @@ class GyroAlignment {
     double cost = 0;
   };
   void follow(double stamp, const std::vector<visual_frontend::Feature>& features);
+  void growOld(double elapsed);
   void addPairs(const std::shared_ptr<const View>& view);
   std::optional<Normal> linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu, double width,
                                   std::vector<double>* errors) const;

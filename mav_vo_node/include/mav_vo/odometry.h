@@ -53,10 +53,12 @@ struct OdometrySettings {
 
   double readout_time = 0;            ///< of a rolling shutter, first row to last; stamps are of the middle row [s]
   double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]
-  double radial_stddev = 0.05;        ///< of the calibration's k1; it is estimated from there; 0 = exact [1]
-  double pixel_sigma = 0.6;           ///< of a tracked feature [px]
-  double gyro_prior_sigma = 0.01;     ///< of the predicted attitude in the pose refinement [rad]
-  int min_inliers = 20;               ///< below: the frame is not localised
+  double imu_rotation_stddev =
+      0.03;                     ///< of the IMU's rotation as mounted, per axis; estimated from there; 0 = exact [rad]
+  double radial_stddev = 0.05;  ///< of the calibration's k1; it is estimated from there; 0 = exact [1]
+  double pixel_sigma = 0.6;     ///< of a tracked feature [px]
+  double gyro_prior_sigma = 0.01;  ///< of the predicted attitude in the pose refinement [rad]
+  int min_inliers = 20;            ///< below: the frame is not localised
 
   double keyframe_distance = 0.10;        ///< since the last keyframe, over the scene's distance [1]
   double keyframe_angle = 0.25;           ///< turn since the last keyframe [rad]
@@ -129,6 +131,9 @@ struct VoResult {
   double time_offset_stddev = 0;        ///< [s]; 0 = given, not estimated
   double readout_time = 0;              ///< of a rolling shutter, as it is in use [s]
   double readout_time_stddev = 0;       ///< of its estimate [s]; 0 = given, not estimated
+  /// Turns what the IMU reads into the axes that T_base_imu was given for, as it is in use.
+  Eigen::Matrix3d R_given_imu = Eigen::Matrix3d::Identity();
+  double imu_rotation_stddev = 0;  ///< of its estimate, of the least certain axis [rad]; 0 = given, not estimated
   std::uint32_t map_id = 0;
   std::size_t keyframes = 0, landmarks = 0;
   double seconds = 0;  ///< processing time

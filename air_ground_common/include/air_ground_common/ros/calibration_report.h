@@ -1,8 +1,9 @@
-// Tells users that an estimator goes by another calibration than the camera's driver says.
+// Tells users that an estimator goes by another calibration than the camera's driver, or tf, says.
 #pragma once
 
 #include <string>
 
+#include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
@@ -22,6 +23,26 @@ class CalibrationReport {
   NodeHealth& health_;
   const std::string camera_;
   double given_ = 0, told_ = 0;
+};
+
+/// How the IMU is turned against the mounting that was given: in /diagnostics, and on the console when turns have shown
+/// it, with the rotation that would be right.
+class MountingReport {
+ public:
+  /// `base_frame`: whose mountings they are. `health` must outlive this.
+  MountingReport(NodeHealth& health, const std::string& base_frame) : health_(health), base_frame_(base_frame) {}
+
+  void setGiven(const Eigen::Matrix3d& R_base_imu) {
+    R_base_imu_ = R_base_imu;
+    told_.setIdentity();
+  }
+  /// Called after each image: turns what the IMU reads into the axes that were given.
+  void update(const Eigen::Matrix3d& R_given_imu);
+
+ private:
+  NodeHealth& health_;
+  const std::string base_frame_;
+  Eigen::Matrix3d R_base_imu_ = Eigen::Matrix3d::Identity(), told_ = Eigen::Matrix3d::Identity();
 };
 
 }  // namespace air_ground_common::ros_utils

@@ -20,6 +20,11 @@ struct ImuNoise {
   void validate() const;
 };
 
+/// As an IMU reads it whose axes are R_turned_imu from this one's.
+inline ImuSample turned(const Eigen::Matrix3d& R_turned_imu, const ImuSample& s) {
+  return {s.stamp, R_turned_imu * s.angular_velocity, R_turned_imu * s.specific_force};
+}
+
 struct ImuBias {
   Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< [rad/s]
   Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< [m/s^2]
@@ -56,6 +61,9 @@ class Preintegration {
   /// d (rotation, velocity, position) / d (gyro bias, accel bias), rotation rows right-multiplied.
   const Eigen::Matrix<double, 9, 6>& biasJacobian() const { return bias_jacobian_; }
   const std::vector<ImuSample>& samples() const { return samples_; }
+
+  /// The same samples and bias as an IMU reads them whose axes are R_turned_imu from this one's.
+  Preintegration turned(const Eigen::Matrix3d& R_turned_imu) const;
 
   /// The same samples integrated at another bias.
   Preintegration reintegrated(const ImuBias& bias) const;

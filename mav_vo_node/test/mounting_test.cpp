@@ -1,0 +1,35 @@
+// An IMU that is mounted otherwise than the odometry is told, on rendered flights.
+#include <gtest/gtest.h>
+
+#include "rendered_flight.h"
+
+using namespace mav_vo;
+
+namespace {
+
+// Metric, and in shape, though the IMU is mounted otherwise than told.
+TEST(Odometry, FindsHowTheImuIsTurned) {
+  constexpr double kDegree = M_PI / 180;
+  for (const Eigen::Vector3d& degrees :
+       {Eigen::Vector3d(1.73, 1.73, 1.73), Eigen::Vector3d(5, 0, 0), Eigen::Vector3d(0, 0, 5)}) {
+    Options options;
+    options.flight.wobble = 0.15;
+    options.R_given_imu = air_ground_common::expSO3(Eigen::Vector3d(kDegree * degrees));
+    const Outcome o = fly(options);
+    const VoResult& last = o.frames.back();
+    const double off = air_ground_common::rotationAngle(last.R_given_imu, options.R_given_imu) / kDegree;
+    double scale_error = 1;
+    const double error = o.metric_at > 0 ? ate(o, o.final_poses, &scale_error) : 1;
+    std::printf(
+        "IMU turned by %.1f %.1f %.1f degrees: found to %.2f (+- %.2f), metric after %.2f s, ATE %.4f m, scale "
+        "%+.2f %%\n",
+        degrees.x(), degrees.y(), degrees.z(), off, last.imu_rotation_stddev / kDegree, o.metric_at, error,
+        100 * scale_error);
+    EXPECT_LT(off, 1.0);
+    ASSERT_GT(o.metric_at, 0) << last.reason;
+    EXPECT_LT(std::abs(scale_error), 0.02);
+    EXPECT_LT(error, 0.015 * air_ground_common::pathLength(o.truth));
+  }
+}
+
+}  // namespace
