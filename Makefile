@@ -13,8 +13,9 @@
 SHELL := /bin/bash
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
 SANITIZE ?=
-BUILD := $(ROOT)build$(addprefix -,$(SANITIZE))
-# Beside build/, as in a workspace: rosrun overlooks what lies below a package's folder build/.
+# Below build/, which rosrun overlooks: what cmake puts beside would be found as a second program of each name.
+BUILD := $(ROOT)build$(addprefix /,$(SANITIZE))
+# Beside build/, as in a workspace, to be found.
 DEVEL := $(ROOT)devel$(addprefix -,$(SANITIZE))
 FUZZ_SECONDS ?= 20
 FUZZ_TARGETS ?=
@@ -77,7 +78,7 @@ bench: benchmarks
 	@for b in $(BUILD)/bench/*; do echo "== $$(basename $$b)"; "$$b" || exit 1; done
 
 # By clang, whose libFuzzer it is. Static: one program whose coverage libFuzzer sees whole.
-fuzz: BUILD := $(ROOT)build-fuzz
+fuzz: BUILD := $(ROOT)build/fuzz
 fuzz: DEVEL := $(ROOT)devel-fuzz
 fuzz:
 	@$(ROOT)tools/install_packages clang-14 libclang-rt-14-dev libomp-14-dev
@@ -96,4 +97,4 @@ docs:
 	@mkdir -p $(ROOT)build && cd $(ROOT) && doxygen Doxyfile && echo $(ROOT)build/doxygen/html/index.html
 
 clean:
-	rm -rf $(ROOT)build $(ROOT)devel $(ROOT)build-* $(ROOT)devel-*
+	rm -rf $(ROOT)build $(ROOT)devel $(ROOT)devel-*

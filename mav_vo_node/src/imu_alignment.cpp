@@ -29,6 +29,7 @@ constexpr double kMeanChi2Of3 = 3;            // likewise, the mean: an estimate
 constexpr double kMountingStep = 0.0175;      // least turn of an IMU against its mounting as told [rad]
 constexpr double kMountingRefinement = 4e-3;  // ... and of one that was estimated [rad]
 constexpr double kGyroMisfit = 4;             // of noise; above, gyro and images contradict each other
+constexpr double kMountingGain = 0.8;         // misfit of a first turn, as a share of that of what explains the rest
 constexpr int kMountingTracks = 50;           // of a pair; there is time to find it
 constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
 constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
@@ -132,6 +133,11 @@ std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
   const Eigen::Vector3d change = mounting - in_use;
   const double nis = change.dot(mounting_alignment_->mountingCovariance().ldlt().solve(change));
   const bool first = in_use.isZero();
+  // What else an IMU and images can do to each other bends this estimate too, but then it explains no more than they
+  // do.
+  const double others =
+      std::min(gyro_alignment_.misfit(), shutter_alignment_ ? shutter_alignment_->misfit() : gyro_alignment_.misfit());
+  if (first && mounting_alignment_->misfit() > kMountingGain * others) return std::nullopt;
   if (change.norm() < (first ? kMountingStep : kMountingRefinement) || nis < (first ? kSureChi2Of3 : kMeanChi2Of3))
     return std::nullopt;
   const Eigen::Matrix3d before = imu_.mounting();
