@@ -255,6 +255,17 @@ class DatasetToBag(unittest.TestCase):
         os.rename(os.path.join(cam0, 'data'), os.path.join(cam0, 'nowhere'))
         self.assertIn('5 of 5 images named in', convert('--mav', data, '--out', self.bag).stderr)
 
+    def test_euroc_mounting_that_is_none(self):
+        data = os.path.join(self.folder, 'integers')
+        os.mkdir(data)
+        write_euroc(data)
+        path = os.path.join(data, 'mav0', 'imu0', 'sensor.yaml')
+        with open(path, 'w', encoding='utf-8') as stream:  # a rotation that was written as integers
+            stream.write('T_BS:\n  data: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\nrate_hz: 200\n')
+        result = convert('--mav', data, '--out', self.bag)
+        self.assertNotEqual(result.returncode, 0)
+        self.assertIn(f'{path}: the upper left 3x3 of T_BS is no rotation', result.stderr)
+
     def test_euroc_fisheye(self):
         data = os.path.join(self.folder, 'tumvi')
         os.mkdir(data)

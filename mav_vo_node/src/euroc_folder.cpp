@@ -45,10 +45,14 @@ YAML::Node readSensor(const std::string& path) {
   return YAML::Load(text);
 }
 
-air_ground_common::Pose poseOf(const YAML::Node& sensor) {
+air_ground_common::Pose poseOf(const YAML::Node& sensor, const std::string& path) {
   const auto data = sensor["T_BS"]["data"].as<std::vector<double>>();
   air_ground_common::Pose T = air_ground_common::Pose::Identity();
   for (int i = 0; i < 12; ++i) T(i / 4, i % 4) = data.at(static_cast<std::size_t>(i));
+  const Eigen::Matrix3d R = T.linear();
+  if (!T.matrix().allFinite() || (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 1e-2 ||
+      R.determinant() < 0)
+    throw std::runtime_error(path + ": the upper left 3x3 of T_BS is no rotation");
   return air_ground_common::normalized(T);
 }
 
@@ -71,8 +75,8 @@ EurocFolder readEurocFolder(const std::string& path) {
   double* const distortion[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
   for (std::size_t i = 0; i < std::min<std::size_t>(5, k.size()); ++i) *distortion[i] = k[i];
   c.validate();
-  folder.T_base_camera = poseOf(camera);
-  folder.T_base_imu = poseOf(readSensor(imu + "sensor.yaml"));
+  folder.T_base_camera = poseOf(camera, cam + "sensor.yaml");
+  folder.T_base_imu = poseOf(readSensor(imu + "sensor.yaml"), imu + "sensor.yaml");
   for (const auto& row : readRows(cam + "data.csv", true))
     folder.images.push_back({stampOf(row.at(0)), cam + "data/" + row.at(1)});
   for (const auto& row : readRows(imu + "data.csv", true))
