@@ -111,7 +111,8 @@ TEST(MoveRows, DensePointsAreWhereTheMiddleRowSeesThem) {
   dense.begin(id, depth, gray, RollingShutter(camera, 0));
   const auto heights = [&] {  // the floor's, in the map: zero [m]
     double largest = 0;
-    for (const auto& point : *dense.posed(map).at(0).points)
+    const auto posed = dense.posed(map);
+    for (const auto& point : *posed.at(0).points)
       largest = std::max(largest, std::abs((motion.T0 * point.position.cast<double>()).z()));
     return largest;
   };
