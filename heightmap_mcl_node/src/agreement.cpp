@@ -49,14 +49,10 @@ Agreement agreementReference(const HeightMap& air, const HeightMap& ground, cons
 
 Agreement DirectCost::agreement(const AerialCells& cells, const PlanarPose& pose, double offset,
                                 const CostSettings& settings) const {
-  const double inverse = 1 / resolution_;
-  const auto f = [](double v) { return static_cast<float>(v); };
-  auto sums = kernel::agreementSums(
-      {cells.x.data(), cells.y.data(), cells.h.data(), cells.bound.data(), cells.low.data(), cells.high.data(),
-       static_cast<int>(cells.h.size())},
-      f(std::cos(pose.yaw) * inverse), f(std::sin(pose.yaw) * inverse), f((pose.x - origin_x_) * inverse),
-      f((pose.y - origin_y_) * inverse), {heights_.data(), width_, height_},
-      {f(offset), f(settings.cutoff), f(kAgreeing * settings.cutoff), f(kRaised * settings.cutoff)});
+  const auto share = [&settings](double part) { return static_cast<float>(part * settings.cutoff); };
+  auto sums = kernel::agreementSums(kernel::viewOf(cells), {pose, resolution_, origin_x_, origin_y_},
+                                    {heights_.data(), width_, height_},
+                                    {static_cast<float>(offset), share(1), share(kAgreeing), share(kRaised)});
   for (double* sum : {&sums.n, &sums.squares, &sums.raised, &sums.agree, &sums.inliers, &sums.d}) *sum *= cells.weight;
   const double smaller = settings.cells(static_cast<double>(cells.weight * cells.h.size()), defined_);
   return fromSums(sums, smaller, offset, base_ - cells.base, settings);

@@ -41,15 +41,8 @@ double HeightMapLocalizer::rivalRatio(const Agreement& other, const Agreement& b
 
 Placement HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
   const AerialCells cells = cellsOf(map, centerOf(map));
-  const CostSettings cost = costFor(map);
-  const CostVolume volume = coarseVolume(map);
-  Placement best;
-  for (const PlanarPose& minimum : findLocalMinima(volume, 3, settings_.rival_distance, settings_.rival_angle)) {
-    const Placement found = descend(*direct_, cells, changeReference(minimum, volume.pivot, cells.reference),
-                                    settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
-    if (found.agreement.score < best.agreement.score) best = found;
-  }
-  return best;
+  return bestOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
+                      settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, costFor(map));
 }
 
 double HeightMapLocalizer::independentCells(const Agreement& place) const {

@@ -183,4 +183,16 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
   return best;
 }
 
+Placement bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
+                       const CostSettings& settings) {
+  Placement best;
+  for (const PlanarPose& minimum : findLocalMinima(volume, count, distance, angle)) {
+    const PlanarPose start = changeReference(minimum, volume.pivot, cells.reference);
+    const Placement found = descend(cost, cells, start, step_xy, step_yaw, settings);
+    if (found.agreement.score < best.agreement.score) best = found;
+  }
+  return best;
+}
+
 }  // namespace heightmap_mcl

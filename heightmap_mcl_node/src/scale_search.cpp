@@ -20,12 +20,12 @@ struct HeightMapLocalizer::RawCloud {
 struct HeightMapLocalizer::ScaleTrial {
   double scale = 1;
   Placement best;  // of scale * centre
+  Zmssd zmssd;     // there
   ScaleBackground background;
   /// Logarithm of the likelihood that the heights in the overlap belong together, over that of their being unrelated:
   /// each independent piece of ground counts by how much less the maps differ than at other places.
   double evidence = -kInfinity;
   double independent = 1;  // pieces of ground
-  double variances = 0;    // of both maps' heights in the overlap, their sum [m^2]
   double radius = 0;       // root mean square distance of the aerial cells from their centre [m]
 };
 
@@ -118,6 +118,9 @@ double unrelatedCost(const CostVolume& volume, const DirectCost& direct, const A
   return costs.empty() ? -1 : quantile(costs, 0.5);
 }
 
+/// Of both maps' heights in the overlap, their sum [m^2].
+double variancesOf(const Zmssd& z) { return std::pow(z.relief_air, 2) + std::pow(z.relief_ground, 2); }
+
 double rootMeanSquareRadius(const HeightMap& map, const Eigen::Vector2d& centre) {
   double sum = 0, n = 0;
   for (int r = 0; r < map.height; ++r)
@@ -208,11 +211,9 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(const HeightMap
   const auto headings = searchHeadings(kCoarseHeadings, prior_);
   const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
   const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
-  for (const PlanarPose& minimum : findLocalMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle)) {
-    const Placement found = descend(*ground.direct, cells, changeReference(minimum, volume.pivot, cells.reference),
-                                    map.resolution, M_PI / kCoarseHeadings, cost);
-    if (found.agreement.score < trial.best.agreement.score) trial.best = found;
-  }
+  trial.best = bestOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
+                            map.resolution, M_PI / kCoarseHeadings, cost);
+  trial.zmssd = (*ground.direct)(cells, trial.best.pose, cost);
   trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
   return trial;
 }
@@ -240,7 +241,10 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
   if (start) {
     if (!std::isnan(background.floor)) map = withFloor(std::move(map), scale * background.floor);
     trial.background = background;
-    trial.best = descend(*ground.direct, aerialCells(map, centre), *start, 2 * how.resolution, 0.03, costFor(map));
+    const AerialCells cells = aerialCells(map, centre);
+    const CostSettings cost = costFor(map);
+    trial.best = descend(*ground.direct, cells, *start, 2 * how.resolution, 0.03, cost);
+    trial.zmssd = (*ground.direct)(cells, trial.best.pose, cost);
   } else {
     // Who has seen tables alone takes one for the floor.
     LevelHistogram levels = map.levels;
@@ -252,6 +256,7 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
       ScaleTrial placed = placeAnywhere(lifted, centre, ground);
       if (i > 0 && !(placed.best.agreement.score < trial.best.agreement.score)) continue;
       trial.best = placed.best;
+      trial.zmssd = placed.zmssd;
       trial.background.unrelated = placed.background.unrelated;
       trial.background.floor = i == 0 ? std::numeric_limits<double>::quiet_NaN() : floors[i] / scale;
       map = lifted;
@@ -263,15 +268,14 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const 
   if (trial.background.unrelated < 0 || !std::isfinite(trial.best.agreement.cost)) return trial;
   // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
   // it.
-  const Zmssd zmssd = (*ground.direct)(aerialCells(map, centre), trial.best.pose, costFor(map));
-  trial.variances = std::pow(zmssd.relief_air, 2) + std::pow(zmssd.relief_ground, 2);
-  if (!start) trial.background.variances = trial.variances;
+  const double variances = variancesOf(trial.zmssd);
+  if (!start) trial.background.variances = variances;
   const double unrelated =
-      trial.background.unrelated * (trial.background.variances > 0 ? trial.variances / trial.background.variances : 1);
+      trial.background.unrelated * (trial.background.variances > 0 ? variances / trial.background.variances : 1);
   trial.independent =
       std::max(1.0, trial.best.agreement.overlap * how.resolution * how.resolution / trial.background.piece);
-  trial.evidence =
-      0.5 * trial.independent * std::log((unrelated + settings_.noise_cost) / (zmssd.cost + settings_.noise_cost));
+  trial.evidence = 0.5 * trial.independent *
+                   std::log((unrelated + settings_.noise_cost) / (trial.zmssd.cost + settings_.noise_cost));
   return trial;
 }
 
@@ -304,7 +308,7 @@ void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
   const auto at = [&](double scale) { return tryScale(scale, raw, kFullCells, &trial->best.pose, background); };
   // By piece of ground: that a larger map shares more of them says nothing about how well it fits.
   const auto fit = [this](const ScaleTrial& t) {
-    return std::log(t.variances / (t.best.agreement.cost + settings_.noise_cost));
+    return std::log(variancesOf(t.zmssd) / (t.best.agreement.cost + settings_.noise_cost));
   };
   ScaleTrial middle = at(trial->scale), before = at(trial->scale * std::exp(-kSettleStep)),
              after = at(trial->scale * std::exp(kSettleStep));

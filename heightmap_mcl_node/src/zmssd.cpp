@@ -217,13 +217,8 @@ DirectCost::DirectCost(const HeightMap& ground)
 }
 
 Zmssd DirectCost::operator()(const AerialCells& cells, const PlanarPose& pose, const CostSettings& settings) const {
-  const double inverse = 1 / resolution_;
-  auto sums = kernel::overlapSums(
-      {cells.x.data(), cells.y.data(), cells.h.data(), cells.bound.data(), cells.low.data(), cells.high.data(),
-       static_cast<int>(cells.h.size())},
-      static_cast<float>(std::cos(pose.yaw) * inverse), static_cast<float>(std::sin(pose.yaw) * inverse),
-      static_cast<float>((pose.x - origin_x_) * inverse), static_cast<float>((pose.y - origin_y_) * inverse),
-      {heights_.data(), width_, height_});
+  auto sums = kernel::overlapSums(kernel::viewOf(cells), {pose, resolution_, origin_x_, origin_y_},
+                                  {heights_.data(), width_, height_});
   for (double* sum : {&sums.n, &sums.known, &sums.d, &sums.d2, &sums.a, &sums.a2, &sums.g, &sums.g2})
     *sum *= cells.weight;
   const double smaller = settings.cells(static_cast<double>(cells.weight * cells.h.size()), defined_);

@@ -8,37 +8,57 @@
 
 namespace heightmap_mcl::kernel {
 
-HEIGHTMAP_MCL_CLONES
-OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground) {
+namespace {
+
+constexpr int kBlock = 4096;  // cells; floats accumulate over a block only
+
+/// An aerial cell and the ground cell that it comes to lie on; 1 or 0 for what is so or not.
+struct Pair {
+  float partner, ground_bound;  // whether there is a ground cell, and whether it is a bound
+  float g;                      // ground height or bound; 0 without partner
+  float known;                  // heights in both, no edge near
+  float lack;  // what the ground lacks of the least that the aerial height may be, or the greatest of the ground's
+};
+
+// Part of loops that vectorise, in each of the clones.
+[[gnu::always_inline]] inline Pair pairAt(const AirView& air, int i, const ToCells& to, const GroundView& ground) {
   // The border of holes lets us clamp instead of test: whatever lies outside lands on a hole.
   const float max_column = static_cast<float>(ground.width) - 0.5f, max_row = static_cast<float>(ground.height) - 0.5f;
-  const float *heights = ground.heights, *x = air.x, *y = air.y, *h = air.h, *bound = air.bound;
-  const float *low = air.low, *high = air.high;
-  const int width = ground.width;
+  float column = to.c * air.x[i] - to.s * air.y[i] + to.x0;
+  float row = to.s * air.x[i] + to.c * air.y[i] + to.y0;
+  column = column > 0.f ? column : 0.f;
+  column = column < max_column ? column : max_column;
+  row = row > 0.f ? row : 0.f;
+  row = row < max_row ? row : max_row;
+  const float value = ground.heights[static_cast<int>(row) * ground.width + static_cast<int>(column)];
+  Pair pair;
+  pair.partner = value == value ? 1.f : 0.f;
+  pair.ground_bound = value > 0.5f * kBoundOffset ? 1.f : 0.f;
+  pair.g = (value == value ? value : 0.f) - pair.ground_bound * kBoundOffset;
+  pair.known = (1.f - air.bound[i]) * (1.f - pair.ground_bound) * (air.low[i] == air.high[i] ? 1.f : 0.f);
+  const float above = (1.f - pair.ground_bound) * (air.low[i] - pair.g), below = pair.g - air.high[i];
+  const float lack = above > below ? above : below;
+  pair.lack = lack > 0.f ? lack : 0.f;
+  return pair;
+}
+
+}  // namespace
+
+HEIGHTMAP_MCL_CLONES
+OverlapSums overlapSums(const AirView& air, const ToCells& to_cells, const GroundView& ground) {
+  const AirView cells = air;
+  const ToCells to = to_cells;
+  const GroundView map = ground;
   OverlapSums total;
-  constexpr int kBlock = 4096;  // floats accumulate over a block only
-  for (int begin = 0; begin < air.n; begin += kBlock) {
-    const int end = std::min(begin + kBlock, air.n);
+  for (int begin = 0; begin < cells.n; begin += kBlock) {
+    const int end = std::min(begin + kBlock, cells.n);
     float count = 0, both = 0, d1 = 0, d2 = 0, a1 = 0, a2 = 0, g1 = 0, g2 = 0;
 #pragma omp simd reduction(+ : count, both, d1, d2, a1, a2, g1, g2)
     for (int i = begin; i < end; ++i) {
-      float column = c * x[i] - s * y[i] + tx;
-      float row = s * x[i] + c * y[i] + ty;
-      column = column > 0.f ? column : 0.f;
-      column = column < max_column ? column : max_column;
-      row = row > 0.f ? row : 0.f;
-      row = row < max_row ? row : max_row;
-      const float value = heights[static_cast<int>(row) * width + static_cast<int>(column)];
-      const float partner = value == value ? 1.f : 0.f;
-      const float ground_bound = value > 0.5f * kBoundOffset ? 1.f : 0.f;
-      const float g = (value == value ? value : 0.f) - ground_bound * kBoundOffset, a = partner * h[i];
-      const float known = partner * (1.f - bound[i]) * (1.f - ground_bound) * (low[i] == high[i] ? 1.f : 0.f);
-      const float d = a - g, known_d = known * d;
-      // What the ground lacks of the least that the aerial height may be, or the greatest of the ground's.
-      const float above = (1.f - ground_bound) * (low[i] - g), below = g - high[i];
-      float lack = above > below ? above : below;
-      lack = lack > 0.f ? (partner - known) * lack : 0.f;
-      count += partner;
+      const Pair pair = pairAt(cells, i, to, map);
+      const float g = pair.g, a = pair.partner * cells.h[i], known = pair.partner * pair.known;
+      const float d = a - g, known_d = known * d, lack = (pair.partner - known) * pair.lack;
+      count += pair.partner;
       both += known;
       d1 += known_d;
       d2 += known_d * d + lack * lack;
@@ -60,45 +80,30 @@ OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty
 }
 
 HEIGHTMAP_MCL_CLONES
-AgreementSums agreementSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground,
+AgreementSums agreementSums(const AirView& air, const ToCells& to_cells, const GroundView& ground,
                             const AgreementLimits& limits) {
-  const float max_column = static_cast<float>(ground.width) - 0.5f, max_row = static_cast<float>(ground.height) - 0.5f;
-  const float *heights = ground.heights, *x = air.x, *y = air.y, *h = air.h, *bound = air.bound;
-  const float *low = air.low, *high = air.high;
-  const float offset = limits.offset, cutoff = limits.cutoff, agreeing = limits.agreeing, raised = limits.raised;
-  const int width = ground.width;
+  const AirView cells = air;
+  const ToCells to = to_cells;
+  const GroundView map = ground;
+  const AgreementLimits limit = limits;
   AgreementSums total;
-  constexpr int kBlock = 4096;
-  for (int begin = 0; begin < air.n; begin += kBlock) {
-    const int end = std::min(begin + kBlock, air.n);
+  for (int begin = 0; begin < cells.n; begin += kBlock) {
+    const int end = std::min(begin + kBlock, cells.n);
     float count = 0, squares = 0, up = 0, up_agree = 0, inliers = 0, d1 = 0;
 #pragma omp simd reduction(+ : count, squares, up, up_agree, inliers, d1)
     for (int i = begin; i < end; ++i) {
-      float column = c * x[i] - s * y[i] + tx;
-      float row = s * x[i] + c * y[i] + ty;
-      column = column > 0.f ? column : 0.f;
-      column = column < max_column ? column : max_column;
-      row = row > 0.f ? row : 0.f;
-      row = row < max_row ? row : max_row;
-      const float value = heights[static_cast<int>(row) * width + static_cast<int>(column)];
-      const float partner = value == value ? 1.f : 0.f;
-      const float ground_bound = value > 0.5f * kBoundOffset ? 1.f : 0.f;
-      const float g = (value == value ? value : 0.f) - ground_bound * kBoundOffset;
-      const float known = (1.f - bound[i]) * (1.f - ground_bound) * (low[i] == high[i] ? 1.f : 0.f);
-      const float d = h[i] - g;
-      float residual = d - offset;
+      const Pair pair = pairAt(cells, i, to, map);
+      const float d = cells.h[i] - pair.g;
+      float residual = d - limit.offset;
       residual = residual > 0.f ? residual : -residual;
-      const float above = (1.f - ground_bound) * (low[i] - g), below = g - high[i];
-      float lack = above > below ? above : below;
-      lack = lack > 0.f ? lack : 0.f;
-      residual = known > 0.f ? residual : lack;
-      const float inlier = partner * known * (residual < cutoff ? 1.f : 0.f);
-      const float agree = residual < agreeing ? 1.f : 0.f;
-      const float most = low[i] > g ? low[i] : g;
-      const float standing = partner * (most > raised ? 1.f : 0.f);
-      residual = residual < cutoff ? residual : cutoff;
-      count += partner;
-      squares += partner * residual * residual;
+      residual = pair.known > 0.f ? residual : pair.lack;
+      const float inlier = pair.partner * pair.known * (residual < limit.cutoff ? 1.f : 0.f);
+      const float agree = residual < limit.agreeing ? 1.f : 0.f;
+      const float most = cells.low[i] > pair.g ? cells.low[i] : pair.g;
+      const float standing = pair.partner * (most > limit.raised ? 1.f : 0.f);
+      residual = residual < limit.cutoff ? residual : limit.cutoff;
+      count += pair.partner;
+      squares += pair.partner * residual * residual;
       up += standing;
       up_agree += standing * agree;
       inliers += inlier;

@@ -1,6 +1,8 @@
 // Hot loops on plain arrays, compiled for several instruction sets; see zmssd_kernel.cpp.
 #pragma once
 
+#include <cmath>
+
 #include "heightmap_mcl/zmssd.h"
 
 namespace heightmap_mcl::kernel {
@@ -17,8 +19,29 @@ struct AirView {
   int n;
 };
 
-/// Cell coordinates of aerial cell i: column = c*x - s*y + tx, row = s*x + c*y + ty, in cells of the bordered grid.
-OverlapSums overlapSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground);
+inline AirView viewOf(const AerialCells& cells) {
+  return {cells.x.data(),
+          cells.y.data(),
+          cells.h.data(),
+          cells.bound.data(),
+          cells.low.data(),
+          cells.high.data(),
+          static_cast<int>(cells.h.size())};
+}
+
+/// To cells of the bordered grid: column = c*x - s*y + x0, row = s*x + c*y + y0.
+struct ToCells {
+  float c, s, x0, y0;
+
+  /// `x`, `y`: the grid's corner [m].
+  ToCells(const PlanarPose& pose, double resolution, double x, double y)
+      : c(static_cast<float>(std::cos(pose.yaw) / resolution)),
+        s(static_cast<float>(std::sin(pose.yaw) / resolution)),
+        x0(static_cast<float>((pose.x - x) / resolution)),
+        y0(static_cast<float>((pose.y - y) / resolution)) {}
+};
+
+OverlapSums overlapSums(const AirView& air, const ToCells& to_cells, const GroundView& ground);
 
 /// Over the cells defined in both maps. `limits`: see agreement.h [m].
 struct AgreementLimits {
@@ -30,7 +53,7 @@ struct AgreementSums {
   double raised = 0, agree = 0;  ///< cells with something on them, and those of them that agree
   double inliers = 0, d = 0;     ///< cells with a height in both that differ by less than the cutoff, and their sum
 };
-AgreementSums agreementSums(const AirView& air, float c, float s, float tx, float ty, const GroundView& ground,
+AgreementSums agreementSums(const AirView& air, const ToCells& to_cells, const GroundView& ground,
                             const AgreementLimits& limits);
 
 /// In the order of OverlapSums.

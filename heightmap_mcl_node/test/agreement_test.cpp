@@ -7,21 +7,12 @@
 using namespace heightmap_mcl;
 using namespace heightmap_mcl::random_maps;
 
-struct Cells {
-  double bounds;  // share of the cells
-  int edge;
-};
 class AgreementMatchesReference : public ::testing::TestWithParam<Cells> {};
 
 TEST_P(AgreementMatchesReference, AtRandomPoses) {
-  auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
-  if (GetParam().bounds > 0) {
-    ground = withBounds(ground, 4, GetParam().bounds);
-    air = withBounds(air, 5, GetParam().bounds);
-  }
-  const Eigen::Vector2d reference(-0.4, 2.9);
-  const auto cells = aerialCells(air, reference, GetParam().edge);
-  const DirectCost direct(ground);
+  const MapPair maps(GetParam());
+  const auto cells = aerialCells(maps.air, kReference, GetParam().edge);
+  const DirectCost direct(maps.ground);
   std::mt19937_64 random(3);
   std::uniform_real_distribution<double> x(-1.5, 3.6), y(2, 5.3), yaw(-4, 4), offset(-0.3, 0.3);
   CostSettings settings{0.3};
@@ -31,7 +22,7 @@ TEST_P(AgreementMatchesReference, AtRandomPoses) {
     const PlanarPose pose{x(random), y(random), yaw(random)};
     const double d = offset(random);
     const Agreement fast = direct.agreement(cells, pose, d, settings);
-    const Agreement slow = agreementReference(air, ground, reference, pose, d, settings, GetParam().edge);
+    const Agreement slow = agreementReference(maps.air, maps.ground, kReference, pose, d, settings, GetParam().edge);
     // Single precision may put a cell whose centre lies on a border into the neighbour.
     EXPECT_NEAR(fast.overlap, slow.overlap, 4);
     if (std::isinf(slow.cost) || std::isinf(fast.cost)) continue;
@@ -45,8 +36,7 @@ TEST_P(AgreementMatchesReference, AtRandomPoses) {
   }
   EXPECT_GT(finite, 60);
 }
-INSTANTIATE_TEST_SUITE_P(BoundsAndEdges, AgreementMatchesReference,
-                         ::testing::Values(Cells{0, 0}, Cells{0.3, 0}, Cells{0, 1}, Cells{0.3, 2}));
+INSTANTIATE_TEST_SUITE_P(BoundsAndEdges, AgreementMatchesReference, ::testing::ValuesIn(kKindsOfCells));
 
 TEST(Agreement, HandComputedValue) {
   HeightMap ground, air;

@@ -126,21 +126,12 @@ TEST(Zmssd, ACellByAnEdgeIsAsHighAsAnythingThere) {
   EXPECT_NEAR(cost(1), cost(0), 1e-9);
 }
 
-struct Cells {
-  double bounds;  // share of the cells
-  int edge;
-};
 class KernelMatchesReference : public ::testing::TestWithParam<Cells> {};
 
 TEST_P(KernelMatchesReference, AtRandomPoses) {
-  auto ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
-  if (GetParam().bounds > 0) {
-    ground = withBounds(ground, 4, GetParam().bounds);
-    air = withBounds(air, 5, GetParam().bounds);
-  }
-  const Eigen::Vector2d reference(-0.4, 2.9);
-  const auto cells = aerialCells(air, reference, GetParam().edge);
-  const DirectCost direct(ground);
+  const MapPair maps(GetParam());
+  const auto cells = aerialCells(maps.air, kReference, GetParam().edge);
+  const DirectCost direct(maps.ground);
   std::mt19937_64 random(3);
   std::uniform_real_distribution<double> x(-1.5, 3.6), y(2, 5.3), yaw(-4, 4);
   const CostSettings settings{0.3, 0.01, 0.4, 0.05};
@@ -149,7 +140,7 @@ TEST_P(KernelMatchesReference, AtRandomPoses) {
   const auto fast = direct(cells, poses, settings);
   int finite = 0;
   for (std::size_t i = 0; i < poses.size(); ++i) {
-    const auto slow = zmssdReference(air, ground, reference, poses[i], settings, GetParam().edge);
+    const auto slow = zmssdReference(maps.air, maps.ground, kReference, poses[i], settings, GetParam().edge);
     // Single precision may put a cell whose centre lies on a border into the neighbour.
     if (std::isinf(slow.cost) || std::isinf(fast[i].cost)) {
       EXPECT_NEAR(slow.overlap, fast[i].overlap, 4);
@@ -166,8 +157,7 @@ TEST_P(KernelMatchesReference, AtRandomPoses) {
   }
   EXPECT_GT(finite, 60);
 }
-INSTANTIATE_TEST_SUITE_P(BoundsAndEdges, KernelMatchesReference,
-                         ::testing::Values(Cells{0, 0}, Cells{0.3, 0}, Cells{0, 1}, Cells{0.3, 2}));
+INSTANTIATE_TEST_SUITE_P(BoundsAndEdges, KernelMatchesReference, ::testing::ValuesIn(kKindsOfCells));
 
 TEST(Zmssd, ChangeOfReferenceKeepsThePlacement) {
   const auto ground = randomMap(97, 61, 1, 0.1), air = randomMap(43, 37, 2, 0.1);

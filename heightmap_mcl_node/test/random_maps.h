@@ -71,4 +71,23 @@ inline HeightMap cutOut(const HeightMap& ground, const PlanarPose& pose, double 
   return air;
 }
 
+/// What of two random maps is not plain heights.
+struct Cells {
+  double bounds;  ///< share of the cells
+  int edge;       ///< see aerialCells
+};
+const Cells kKindsOfCells[] = {{0, 0}, {0.3, 0}, {0, 1}, {0.3, 2}};
+
+/// A ground and an aerial map for comparisons at random poses about kReference.
+struct MapPair {
+  HeightMap ground = randomMap(97, 61, 1, 0.2), air = randomMap(43, 37, 2, 0.3);
+
+  explicit MapPair(const Cells& cells) {
+    if (cells.bounds == 0) return;
+    ground = withBounds(ground, 4, cells.bounds);
+    air = withBounds(air, 5, cells.bounds);
+  }
+};
+const Eigen::Vector2d kReference(-0.4, 2.9);  ///< in the aerial map [m]
+
 }  // namespace heightmap_mcl::random_maps

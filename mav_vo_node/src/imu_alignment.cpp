@@ -135,8 +135,8 @@ std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
   const bool first = in_use.isZero();
   // What else an IMU and images can do to each other bends this estimate too, but then it explains no more than they
   // do.
-  const double others =
-      std::min(gyro_alignment_.misfit(), shutter_alignment_ ? shutter_alignment_->misfit() : gyro_alignment_.misfit());
+  double others = gyro_alignment_.misfit();
+  if (shutter_alignment_) others = std::min(others, shutter_alignment_->misfit());
   if (first && mounting_alignment_->misfit() > kMountingGain * others) return std::nullopt;
   if (change.norm() < (first ? kMountingStep : kMountingRefinement) || nis < (first ? kSureChi2Of3 : kMeanChi2Of3))
     return std::nullopt;

@@ -31,8 +31,7 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
     "of that figure; it is estimated from there, which needs turns. 0 = exact (a global shutter, say), not estimated");
   v("imu_rotation_stddev", o.imu_rotation_stddev, {0.0, 0.1}, "rad",
     "of the rotation between camera and IMU as they are mounted, per axis; where turns are sure that it is another "
-    "one, "
-    "that is used. 0 = exact, not estimated");
+    "one, that is used. 0 = exact, not estimated");
   v("radial_stddev", o.radial_stddev, {0.0, 0.5}, "",
     "of the calibration's first radial coefficient, k1; where the images are sure that it is another one, that is "
     "used. "

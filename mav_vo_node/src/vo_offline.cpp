@@ -27,12 +27,14 @@
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/pixel_range.h"
 #include "air_ground_common/trajectory.h"
+#include "air_ground_common/units.h"
 #include "euroc_folder.h"
 #include "mav_vo/odometry.h"
 
 namespace {
 
 using air_ground_common::Alignment;
+using air_ground_common::kDegree;
 using air_ground_common::Pose;
 namespace ros_utils = air_ground_common::ros_utils;
 
@@ -155,9 +157,9 @@ class OfflineRun {
         1e3 * last_.readout_time_stddev);
     if (last_.imu_rotation_stddev == 0) return;
     const Eigen::AngleAxisd turn(last_.R_given_imu);
-    const Eigen::Vector3d v = 180 / M_PI * turn.angle() * turn.axis();
+    const Eigen::Vector3d v = turn.angle() / kDegree * turn.axis();
     std::printf("       IMU turned from its mounting by %.2f %.2f %.2f degrees (+- %.2f)\n", v.x(), v.y(), v.z(),
-                180 / M_PI * last_.imu_rotation_stddev);
+                last_.imu_rotation_stddev / kDegree);
   }
 
   mav_vo::Odometry odometry_;

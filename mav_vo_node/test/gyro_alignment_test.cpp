@@ -4,12 +4,14 @@
 #include <Eigen/LU>
 
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/units.h"
 #include "mav_vo/gyro_alignment.h"
 #include "synthetic_flight.h"
 #include "visual_frontend/feature_tracker.h"
 
 using namespace mav_vo;
 using air_ground_common::expSO3;
+using air_ground_common::kDegree;
 using synthetic::Pose;
 
 namespace {
@@ -32,6 +34,17 @@ struct Case {
   double strange = 0;   ///< so long all tracks turn by another bias: a mirror, a passing lorry [s]
   unsigned seed = 1;
 };
+
+/// A bias, an offset and a readout time that are not known.
+Case openCase(double duration, unsigned seed) {
+  Case run;
+  run.readout_stddev = 0.02;
+  run.offset = 0.02;
+  run.bias = {0.03, 0.08, -0.05};
+  run.duration = duration;
+  run.seed = seed;
+  return run;
+}
 
 const Eigen::Vector3d kStrangeBias(-0.05, 0.09, 0.02);  // seen in the strange tracks [rad/s]
 
@@ -136,13 +149,8 @@ TEST(GyroAlignment, FindsTheTimeOffset) {
 TEST(GyroAlignment, FindsTheReadoutTime) {
   for (const double readout : {-0.02, 0.0, 0.01, 0.03}) {
     for (unsigned seed = 1; seed <= 3; ++seed) {
-      Case run;
+      Case run = openCase(4, seed);
       run.readout = readout;
-      run.readout_stddev = 0.02;
-      run.offset = 0.02;
-      run.bias = {0.03, 0.08, -0.05};
-      run.duration = 4;
-      run.seed = seed;
       const GyroAlignment a = align(run);
       std::printf("readout %5.1f ms: %5.2f +- %.2f ms, offset %5.2f +- %.2f ms\n", 1e3 * readout, 1e3 * a.readoutTime(),
                   1e3 * a.readoutTimeStddev(), 1e3 * a.timeOffset(), 1e3 * a.timeOffsetStddev());
@@ -157,20 +165,14 @@ TEST(GyroAlignment, FindsTheReadoutTime) {
 
 // With bias, offset and readout time open as well.
 TEST(GyroAlignment, FindsHowTheImuIsTurned) {
-  constexpr double kDegree = M_PI / 180;
   for (const Eigen::Vector3d& degrees :
        {Eigen::Vector3d(0, 0, 0), Eigen::Vector3d(1.7, 1.7, 1.7), Eigen::Vector3d(5, 0, 0), Eigen::Vector3d(0, 0, 5),
         Eigen::Vector3d(-4, 5, 3)}) {
     for (unsigned seed = 1; seed <= 3; ++seed) {
-      Case run;
+      Case run = openCase(5, seed);
+      run.readout = 0.01;
       run.mounting = kDegree * degrees;
       run.mounting_stddev = 0.03;
-      run.readout = 0.01;
-      run.readout_stddev = 0.02;
-      run.offset = 0.02;
-      run.bias = {0.03, 0.08, -0.05};
-      run.duration = 5;
-      run.seed = seed;
       const GyroAlignment a = align(run);
       const Eigen::Vector3d off = a.mounting() - run.mounting;
       const double sigmas = std::sqrt(off.dot(a.mountingCovariance().inverse() * off));

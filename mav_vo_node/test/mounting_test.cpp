@@ -1,15 +1,16 @@
 // An IMU that is mounted otherwise than the odometry is told, on rendered flights.
 #include <gtest/gtest.h>
 
+#include "air_ground_common/units.h"
 #include "rendered_flight.h"
 
 using namespace mav_vo;
+using air_ground_common::kDegree;
 
 namespace {
 
 // Metric, and in shape, though the IMU is mounted otherwise than told.
 TEST(Odometry, FindsHowTheImuIsTurned) {
-  constexpr double kDegree = M_PI / 180;
   for (const Eigen::Vector3d& degrees :
        {Eigen::Vector3d(1.73, 1.73, 1.73), Eigen::Vector3d(5, 0, 0), Eigen::Vector3d(0, 0, 5)}) {
     Options options;

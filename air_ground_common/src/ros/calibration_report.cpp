@@ -3,8 +3,9 @@
 #include <ros/console.h>
 
 #include <Eigen/Geometry>
-#include <cmath>
 #include <utility>
+
+#include "air_ground_common/units.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -19,7 +20,7 @@ void CalibrationReport::update(double k1) {
 }
 
 void MountingReport::update(const Eigen::Matrix3d& R_given_imu) {
-  constexpr double kDegree = M_PI / 180, kWorthALine = 0.5;  // [degrees]
+  constexpr double kWorthALine = 0.5;  // [degrees]
   const double turned = rotationAngle(Eigen::Matrix3d::Identity(), R_given_imu) / kDegree;
   health_.value("IMU turned against its mounting [degrees]", turned);
   if (rotationAngle(told_, R_given_imu) < kWorthALine * kDegree) return;

@@ -72,8 +72,7 @@ def rigid(rows, name):
         matrix = np.array(rows, float).reshape(4, 4)
     except (TypeError, ValueError) as error:
         raise CalibrationError(f'{name}: expected a 4x4 matrix') from error
-    R = matrix[:3, :3]
-    if not np.all(np.isfinite(matrix)) or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0 or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9:
+    if not geometry.is_rigid(matrix, 1e-3) or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise CalibrationError(f'{name} is no rigid transform')
     return geometry.orthonormalized(matrix)
 

@@ -189,8 +189,7 @@ def read_euroc_sensor(path):
         transform = np.array(sensor['T_BS']['data'], float).reshape(4, 4)
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f'{path}: not a EuRoC sensor description ({error})') from error
-    R = transform[:3, :3]
-    if not np.all(np.isfinite(transform)) or np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or np.linalg.det(R) < 0:
+    if not geometry.is_rigid(transform, 1e-2):
         raise DatasetError(f'{path}: the upper left 3x3 of T_BS is no rotation')
     return sensor, geometry.orthonormalized(transform)
 

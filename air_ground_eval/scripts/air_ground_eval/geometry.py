@@ -41,6 +41,12 @@ def inverse(transform):
     return result
 
 
+def is_rigid(transform, tolerance):
+    """Whether a 4x4 matrix is finite and its upper left 3x3 a rotation, up to rounding."""
+    rotation = transform[:3, :3]
+    return bool(np.all(np.isfinite(transform)) and np.abs(rotation @ rotation.T - np.eye(3)).max() <= tolerance and np.linalg.det(rotation) >= 0)
+
+
 def orthonormalized(transform):
     """The nearest rigid transform (measured poses carry rounding in their rotation)."""
     u, _, vt = np.linalg.svd(transform[:3, :3])

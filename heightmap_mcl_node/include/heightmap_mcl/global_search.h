@@ -53,4 +53,9 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
 
+/// The lowest score that descents from the volume's `count` lowest minima reach; see findLocalMinima and descend.
+Placement bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
+                       const CostSettings& settings);
+
 }  // namespace heightmap_mcl
