@@ -21,6 +21,8 @@ namespace {
 constexpr double kReobserveRadius = 6;  // of the search about where a landmark should be, while tracking [px]
 constexpr double kNearRadius = 16;      // likewise just after the camera was lost [px]
 constexpr double kNearSeconds = 0.5;    // so long after it was lost the camera is near where it was [s]
+constexpr double kGyroSigma = 0.003;    // of a turn between frames beside the bias [rad]
+constexpr double kDepthPosition = 0.02, kDepthTurn = 0.01;  // of a pose by depth, at most, in all [m], [rad]
 
 /// Of a point at depth z, to move what a row sees; 0: too near to be one [1/m].
 double inverseDepth(double z) { return z > 0.1 ? 1 / z : 0; }
@@ -45,13 +47,15 @@ Observation observe(const Eigen::Vector2d& pixel, const Eigen::Vector2d& normali
 }
 
 FrameTracker::FrameTracker(const CameraModel& camera, const SlamSettings& settings, const visual_frontend::Map& map,
-                           const Frames& frames, visual_frontend::LandmarkTracks& tracks, CameraMotion& motion)
+                           const Frames& frames, visual_frontend::LandmarkTracks& tracks,
+                           const KeyframeSurfaces& surfaces, CameraMotion& motion)
     : camera_(camera),
       settings_(settings),
       focal_(0.5 * (camera.fx + camera.fy)),
       map_(map),
       frames_(frames),
       tracks_(tracks),
+      surfaces_(surfaces),
       motion_(motion),
       tracker_(camera, settings.tracker) {}
 
@@ -131,6 +135,27 @@ PoseResult FrameTracker::solve(const Correspondences& c, const Pose& predicted, 
   return second.success && (!result.success || second.inlier_count > result.inlier_count) ? second : result;
 }
 
+PoseResult FrameTracker::solveByDepth(const Correspondences& c, const Pose& predicted, double rotation_sigma,
+                                      KeyframeId reference, const cv::Mat& depth) const {
+  PoseResult result;
+  if (!surfaces_.has(reference)) return result;
+  const Pose& T_map_reference = map_.keyframe(reference).T_map_camera;
+  const SurfaceAlignment aligned =
+      surfaces_.align(reference, surfaces_.surfaceOf(depth, motion_.rows()), T_map_reference.inverse() * predicted);
+  if (!aligned.success) return result;
+  visual_frontend::RefineSettings refine;
+  refine.prior = {T_map_reference * aligned.T_a_b, aligned.information};
+  if (rotation_sigma > 0) {
+    refine.R_map_camera_prior = predicted.linear();
+    refine.rotation_prior_sigma = std::hypot(rotation_sigma, kGyroSigma);
+  }
+  result = visual_frontend::refinePose(c, refine.prior->T_map_camera, refine);
+  const double position = result.covariance.topLeftCorner<3, 3>().trace(),
+               rotation = result.covariance.bottomRightCorner<3, 3>().trace();
+  result.success = result.success && position < kDepthPosition * kDepthPosition && rotation < kDepthTurn * kDepthTurn;
+  return result;
+}
+
 void FrameTracker::follow(const RgbdImages& images, const Pose& T_map_predicted) {
   visual_frontend::TrackPrediction prediction;
   prediction.R_current_previous = T_map_predicted.linear().transpose() * lastPose().linear();
@@ -152,8 +177,11 @@ std::string FrameTracker::objection(double stamp, const PoseResult& pose, std::s
   if (!pose.success || pose.inlier_count < settings_.min_inliers ||
       pose.inlier_count < settings_.min_inlier_ratio * landmarks)
     return std::to_string(landmarks) + " landmarks tracked, " + std::to_string(pose.inlier_count) + " agree on a pose";
-  const double speed =
-      (pose.T_map_camera.translation() - lastPose().translation()).norm() / (stamp - frames_.lastStamp());
+  return tooFast(stamp, pose.T_map_camera);
+}
+
+std::string FrameTracker::tooFast(double stamp, const Pose& T_map_camera) const {
+  const double speed = (T_map_camera.translation() - lastPose().translation()).norm() / (stamp - frames_.lastStamp());
   return speed > settings_.max_speed ? "the camera would have moved at " + std::to_string(speed) + " m/s" : "";
 }
 
@@ -168,7 +196,13 @@ TrackedPose FrameTracker::track(const RgbdImages& images, const ReferenceKeyfram
   const double rotation_sigma = motion_.rotationSigma(images.stamp - frames_.lastStamp());
   tracked.pose = solve(seen, predicted, from_gyro && focal_ * rotation_sigma < 1.5);
   tracked.reason = objection(images.stamp, tracked.pose, seen.size());
-  if (!tracked.reason.empty()) return tracked;
+  if (!tracked.reason.empty() && settings_.use_surfaces) {
+    const PoseResult by_depth =
+        solveByDepth(seen, predicted, from_gyro ? rotation_sigma : 0, reference.id(), images.depth);
+    tracked.by_depth = by_depth.success && tooFast(images.stamp, by_depth.T_map_camera).empty();
+    if (tracked.by_depth) tracked.pose = by_depth;
+  }
+  if (!tracked.reason.empty() && !tracked.by_depth) return tracked;
   std::vector<TrackId> outliers;
   for (std::size_t i = 0; i < ids.size(); ++i) {
     if (tracked.pose.inliers[i]) continue;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "camera_motion.h"
+#include "keyframe_surfaces.h"
 #include "reference_keyframe.h"
 #include "rgbd_slam/slam.h"
 #include "visual_frontend/keyframe_trajectory.h"
@@ -26,7 +27,8 @@ struct TrackedPose {
   bool success = false;
   std::string reason;  ///< why not
   visual_frontend::PoseResult pose;
-  int landmarks = 0;  ///< that are tracked
+  int landmarks = 0;      ///< that are tracked
+  bool by_depth = false;  ///< too few landmarks agreed: the surfaces that depth shows gave the pose
 };
 
 /// What the camera sees at a pixel, as of the middle row: normalised coordinates, and depth where it is measured.
@@ -37,9 +39,10 @@ visual_frontend::Observation observe(const Eigen::Vector2d& pixel, const Eigen::
 
 class FrameTracker {
  public:
-  /// `map`, `frames`, `tracks` and `motion` are those of the SLAM, and outlive this.
+  /// `map`, `frames`, `tracks`, `surfaces` and `motion` are those of the SLAM, and outlive this.
   FrameTracker(const CameraModel& camera, const SlamSettings& settings, const visual_frontend::Map& map,
-               const Frames& frames, visual_frontend::LandmarkTracks& tracks, CameraMotion& motion);
+               const Frames& frames, visual_frontend::LandmarkTracks& tracks, const KeyframeSurfaces& surfaces,
+               CameraMotion& motion);
 
   void setCamera(const CameraModel& camera);  ///< the same, better known
   void reset();                               ///< tracks are forgotten
@@ -69,8 +72,13 @@ class FrameTracker {
                                                      const Eigen::Vector2d& normalized, const cv::Mat& depth,
                                                      const Pose& T_camera_map) const;
   visual_frontend::PoseResult solve(const Correspondences& c, const Pose& predicted, bool rotation_known) const;
+  /// Where the reference keyframe's surfaces place the camera, together with what landmarks and, with a rotation known
+  /// to `rotation_sigma` [rad] (0: it is not), the gyro tell. Without success where that leaves a direction open.
+  visual_frontend::PoseResult solveByDepth(const Correspondences& c, const Pose& predicted, double rotation_sigma,
+                                           KeyframeId reference, const cv::Mat& depth) const;
   /// Why a pose found from so many landmarks cannot be; empty: it can.
   std::string objection(double stamp, const visual_frontend::PoseResult& pose, std::size_t landmarks) const;
+  std::string tooFast(double stamp, const Pose& T_map_camera) const;  ///< likewise
   /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
   void reobserve(const Pose& around, double radius, const cv::Mat& depth, visual_frontend::PoseResult* pose);
   void startTracks(const std::vector<visual_frontend::LandmarkMatch>& matches);
@@ -82,6 +90,7 @@ class FrameTracker {
   const visual_frontend::Map& map_;
   const Frames& frames_;
   visual_frontend::LandmarkTracks& tracks_;
+  const KeyframeSurfaces& surfaces_;
   CameraMotion& motion_;
   visual_frontend::FeatureTracker tracker_;
   int since_reobservation_ = 0;  // [frames]

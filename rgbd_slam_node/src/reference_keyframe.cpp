@@ -10,6 +10,7 @@ using visual_frontend::Map;
 namespace {
 
 constexpr double kSameView = 0.25;     // of the change of view that makes a keyframe
+constexpr double kNearView = 0.75;     // likewise
 constexpr double kUnknownDepth = 2.0;  // of a scene without landmarks [m]
 
 int landmarksOf(const Keyframe& keyframe) {
@@ -46,6 +47,23 @@ KeyframeId ReferenceKeyframe::ofView(const Map& map, const visual_frontend::Land
   for (const auto& c : map.observers(tracks.landmarks(), 2 * settings_.min_inliers))
     if (!outgrown(map, map.keyframe(c.keyframe), T_map_camera, landmarks)) return c.keyframe;
   return visual_frontend::kNoKeyframe;
+}
+
+KeyframeId ReferenceKeyframe::nearest(const Map& map, const Pose& T_map_camera) const {
+  if (changeOfView(map, map.keyframe(id_), T_map_camera) <= 1) return id_;
+  KeyframeId best = visual_frontend::kNoKeyframe;
+  double least = kNearView;
+  for (const auto& [id, keyframe] : map.keyframes()) {
+    const double change = changeOfView(map, keyframe, T_map_camera);
+    if (change > least) continue;
+    least = change;
+    best = id;
+  }
+  return best;
+}
+
+bool ReferenceKeyframe::hasFewLandmarks(const Map& map) const {
+  return landmarksOf(map.keyframe(id_)) < settings_.min_start_features;
 }
 
 bool ReferenceKeyframe::same(const Map& map, KeyframeId earlier, KeyframeId later) const {

@@ -23,6 +23,11 @@ class ReferenceKeyframe {
   /// An earlier keyframe whose view such a frame has come back to; kNoKeyframe: none.
   KeyframeId ofView(const visual_frontend::Map& map, const visual_frontend::LandmarkTracks& tracks,
                     const Pose& T_map_camera, int landmarks) const;
+  /// A keyframe that a view by depth alone goes by: the reference or, where the camera has left its view, the one that
+  /// is nearest; kNoKeyframe: none is near enough.
+  KeyframeId nearest(const visual_frontend::Map& map, const Pose& T_map_camera) const;
+  /// It has fewer landmarks than a map needs to begin.
+  bool hasFewLandmarks(const visual_frontend::Map& map) const;
   /// Two keyframes stand in the same place.
   bool same(const visual_frontend::Map& map, KeyframeId earlier, KeyframeId later) const;
 

@@ -12,6 +12,7 @@
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
+#include "air_ground_common/text.h"
 #include "cloud_publisher.h"
 #include "depth_input.h"
 #include "keyframe_publisher.h"
@@ -148,6 +149,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     }
     status.processing_time = seconds;
     status.reason = r.reason;
+    if (r.by_depth) tellByDepth(r.inliers, status.reason);
     if (!r.imu_problem.empty()) tellImuProblem(r.imu_problem, status.reason);
     result.advice = adviceFor(r.state);
     result.pose_published =
@@ -161,6 +163,14 @@ class RgbdSlamNode : private ros_utils::Estimator {
     told_readout_time_ = slam_->readoutTime();
     ROS_INFO("rolling shutter: an image is read in %.1f ms; what each row saw is moved accordingly",
              1e3 * told_readout_time_);
+  }
+
+  void tellByDepth(int landmarks, std::string& reason) {
+    reason = air_ground_common::formatted(
+        "by depth alone: only %d landmarks agree (dark or without texture); the surfaces in view give the pose",
+        landmarks);
+    shell_.health().count("frames by depth alone");
+    ROS_WARN_STREAM_THROTTLE(30, "SLAM goes on " << reason);
   }
 
   void tellImuProblem(const std::string& problem, std::string& reason) {

@@ -63,7 +63,7 @@ std::optional<double> ShutterAlignment::add(const RgbdImages& images, const Pose
 }
 
 void moveRows(double change, const CameraModel& camera, const Frames& frames, visual_frontend::Map& map,
-              DenseKeyframes& dense) {
+              DenseKeyframes& dense, KeyframeSurfaces& surfaces) {
   dense.finish();
   visual_frontend::RollingShutter shift(camera, change);
   for (const auto& entry : map.keyframes()) {
@@ -79,7 +79,9 @@ void moveRows(double change, const CameraModel& camera, const Frames& frames, vi
     for (std::size_t i = 0; i < keyframe.orb_pixels.size(); ++i)
       moveToMiddleRow(shift, keyframe.orb_pixels[i], 0, &keyframe.orb_normalized[i], &keyframe.orb_depth[i]);
     dense.moveRows(keyframe.id, shift);
+    surfaces.moveRows(keyframe.id, shift);
   }
+  surfaces.relink(map);
 }
 
 }  // namespace rgbd_slam

@@ -31,8 +31,8 @@ class ShutterAlignment {
   std::optional<ReadoutEstimator> estimator_;
 };
 
-/// Moves what the keyframes saw, and their dense points, as if their readout time were longer by `change` [s].
+/// Moves what the keyframes saw, their dense points and surfaces, as if their readout time were longer by `change` [s].
 void moveRows(double change, const CameraModel& camera, const Frames& frames, visual_frontend::Map& map,
-              DenseKeyframes& dense);
+              DenseKeyframes& dense, KeyframeSurfaces& surfaces);
 
 }  // namespace rgbd_slam

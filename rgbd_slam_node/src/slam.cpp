@@ -45,11 +45,12 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
       level(slam_settings),
       loops(camera_model, slam_settings),
       dense(camera_model, slam_settings),
+      surfaces(camera_model, slam_settings),
       reference(slam_settings),
       camera(camera_model),
       calibration(camera_model, slam_settings.readout_time, slam_settings.radial_stddev, 0),
       motion(camera_model, mounted, slam_settings),
-      tracking(camera_model, slam_settings, map, frames, tracks, motion),
+      tracking(camera_model, slam_settings, map, frames, tracks, surfaces, motion),
       shutter(camera_model, slam_settings),
       search(slam_settings) {
   settings.validate();
@@ -67,6 +68,7 @@ void Slam::Impl::clear() {
   level.clear();
   loops.clear();
   dense.clear();
+  surfaces.clear();
   reference.reset();
   motion.endMap();
   shutter.interrupt();
@@ -84,11 +86,8 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   motion.setRowMotion(stamp, Pose::Identity());
   tracking.restart(images.gray);
   tracking.tracker().replenish();
-  const std::vector<Feature>& features = tracking.tracker().features();
-  const auto with_depth = std::count_if(features.begin(), features.end(), [&](const Feature& f) {
-    return sampleDepth(images.depth, f.pixel, settings.depth).has_value();
-  });
-  result.tracked = static_cast<int>(features.size());
+  const int with_depth = featuresWithDepth(images);
+  result.tracked = static_cast<int>(tracking.tracker().features().size());
   if (with_depth < settings.min_start_features) {
     result.reason = "only " + std::to_string(with_depth) + " of " + std::to_string(result.tracked) +
                     " features have depth, " + std::to_string(settings.min_start_features) + " are needed to start";
@@ -110,7 +109,10 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   result.T_map_camera = Pose(R_map_base) * mounting.T_base_camera;
   ++map_id;
   ++counters.maps;
-  const KeyframeId id = addKeyframe(images, result.T_map_camera, Matrix6d::Identity() * 1e-10);
+  TrackedPose first;
+  first.pose.T_map_camera = result.T_map_camera;
+  first.pose.covariance = Matrix6d::Identity() * 1e-10;
+  const KeyframeId id = addKeyframe(images, first);
   if (imu_ready) motion.startMap();
   frames.add(stamp, result.T_map_camera, id, map);
   result.state = state = State::kTracking;
@@ -167,6 +169,8 @@ SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat&
   result.reason.clear();
   result.inliers = tracked.pose.inlier_count;
   result.rms = tracked.pose.rms;
+  result.by_depth = tracked.by_depth;
+  counters.by_depth += tracked.by_depth;
   if (was_lost) ++counters.relocalizations;
   search.found();
 

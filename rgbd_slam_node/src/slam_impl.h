@@ -4,6 +4,7 @@
 #include "camera_motion.h"
 #include "dense_keyframes.h"
 #include "frame_tracker.h"
+#include "keyframe_surfaces.h"
 #include "loop_closer.h"
 #include "map_level.h"
 #include "place_search.h"
@@ -43,9 +44,13 @@ struct Slam::Impl {
   // ---- slam_map.cpp
   /// Keeps the frame, in the view of a keyframe there is or as a new one.
   void addToMap(const RgbdImages& images, const TrackedPose& tracked, SlamResult* result);
-  KeyframeId addKeyframe(const RgbdImages& images, const Pose& T_map_camera, const Matrix6d& covariance);
+  /// The keyframe there is whose view a frame has; kNoKeyframe: it needs one of its own.
+  KeyframeId keyframeOfView(const RgbdImages& images, const TrackedPose& tracked, bool relocalized);
+  int featuresWithDepth(const RgbdImages& images) const;
+  KeyframeId addKeyframe(const RgbdImages& images, const TrackedPose& tracked);
   void describe(const RgbdImages& images, Keyframe& keyframe) const;  ///< for place recognition
   void createLandmarks(KeyframeId id);
+  void linkBySurfaces(KeyframeId id);
   void setReference(KeyframeId id);
   /// Takes keyframes out of the map that stood where `id` stands now, so that going about the same ground adds nothing.
   void removeReplacedBy(KeyframeId id);
@@ -72,6 +77,7 @@ struct Slam::Impl {
   MapLevel level;
   LoopCloser loops;
   DenseKeyframes dense;
+  KeyframeSurfaces surfaces;
   ReferenceKeyframe reference;
   int map_id = 0;
 

@@ -11,16 +11,16 @@ namespace rgbd_slam {
 
 namespace {
 
+constexpr std::size_t kMostLinks = 3;         // of a new keyframe to others by their surfaces
 constexpr std::size_t kMostCalibrating = 40;  // keyframes that tell of the calibration, the newest
 
 }  // namespace
 
 void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, SlamResult* result) {
   const Pose& T_map_camera = tracked.pose.T_map_camera;
-  const bool due = result->relocalized || reference.due(map, T_map_camera, tracked.landmarks);
-  const KeyframeId known = due ? reference.ofView(map, tracks, T_map_camera, tracked.landmarks) : reference.id();
+  const KeyframeId known = keyframeOfView(images, tracked, result->relocalized);
   if (known == kNoKeyframe) {
-    const KeyframeId id = addKeyframe(images, T_map_camera, tracked.pose.covariance);
+    const KeyframeId id = addKeyframe(images, tracked);
     result->keyframe = true;
     frames.add(images.stamp, map.keyframe(id).T_map_camera, id, map);
     if (settings.loop_closure) result->map_corrected = closeLoop(id);
@@ -32,6 +32,25 @@ void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, 
   frames.add(images.stamp, T_map_camera, known, map);
   const Pose T_reference_camera = map.keyframe(known).T_map_camera.inverse() * T_map_camera;
   dense.fuse(images.depth, T_reference_camera.inverse(), motion.rows());
+}
+
+KeyframeId Slam::Impl::keyframeOfView(const RgbdImages& images, const TrackedPose& tracked, bool relocalized) {
+  const Pose& T_map_camera = tracked.pose.T_map_camera;
+  if (tracked.by_depth) {
+    // In the light again: what is there to see becomes landmarks.
+    tracking.tracker().replenish();
+    const bool begin_anew = reference.hasFewLandmarks(map) && featuresWithDepth(images) >= settings.min_start_features;
+    return begin_anew ? kNoKeyframe : reference.nearest(map, T_map_camera);
+  }
+  const bool due = relocalized || reference.due(map, T_map_camera, tracked.landmarks);
+  return due ? reference.ofView(map, tracks, T_map_camera, tracked.landmarks) : reference.id();
+}
+
+int Slam::Impl::featuresWithDepth(const RgbdImages& images) const {
+  const auto& features = tracking.tracker().features();
+  return static_cast<int>(std::count_if(features.begin(), features.end(), [&](const visual_frontend::Feature& f) {
+    return sampleDepth(images.depth, f.pixel, settings.depth).has_value();
+  }));
 }
 
 void Slam::Impl::setReference(KeyframeId id) {
@@ -50,11 +69,13 @@ void Slam::Impl::removeReplacedBy(KeyframeId id) {
     covariances.forget(c.keyframe);
     loops.forget(c.keyframe);
     dense.forget(c.keyframe);
+    surfaces.replace(c.keyframe, id, map);
     map.removeKeyframe(c.keyframe);
   }
 }
 
-KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const Pose& T_map_camera, const Matrix6d& covariance) {
+KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const TrackedPose& tracked) {
+  const Pose& T_map_camera = tracked.pose.T_map_camera;
   tracking.tracker().replenish();
   Keyframe keyframe;
   keyframe.stamp = images.stamp;
@@ -69,8 +90,13 @@ KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const Pose& T_map_c
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   ++counters.keyframes;
   loops.add(id);
-  covariances.add(id, covariance, map);
+  covariances.add(id, tracked.pose.covariance, map);
   createLandmarks(id);
+  if (settings.use_surfaces) {
+    surfaces.add(id, surfaces.surfaceOf(images.depth, motion.rows()));
+    linkBySurfaces(id);
+    if (tracked.by_depth) surfaces.tie(id, reference.id(), tracked.pose.covariance, map);
+  }
   if (map.keyframeCount() > 1) adjustWindow(id);
   setReference(id);
   map.dropFarImages(T_map_camera, settings.max_image_keyframes);
@@ -101,6 +127,19 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
   }
 }
 
+void Slam::Impl::linkBySurfaces(KeyframeId id) {
+  std::vector<KeyframeId> others;
+  const auto add = [&others](KeyframeId other) {
+    if (others.size() < kMostLinks && std::find(others.begin(), others.end(), other) == others.end())
+      others.push_back(other);
+  };
+  if (reference.id() != kNoKeyframe) add(reference.id());
+  for (const auto& c : map.covisible(id, 2 * settings.min_inliers)) add(c.keyframe);
+  if (reference.id() != kNoKeyframe)
+    for (const KeyframeId other : surfaces.linkedTo(reference.id())) add(other);
+  surfaces.link(id, others, map);
+}
+
 bool Slam::Impl::closeLoop(KeyframeId id) {
   const LoopCloser::Outcome outcome = loops.close(id, level.known(), map, tracks);
   const bool corrected = outcome == LoopCloser::Outcome::kCorrected;
@@ -116,7 +155,7 @@ bool Slam::Impl::alignShutter(const RgbdImages& images) {
   const auto readout = shutter.add(images, lastPose(), tracking.tracker().features(), in_use);
   if (!readout) return false;
   const Pose T_map_before = lastPose();
-  moveRows(*readout - in_use, camera, frames, map, dense);
+  moveRows(*readout - in_use, camera, frames, map, dense, surfaces);
   motion.setReadoutTime(*readout);
   if (map.keyframeCount() > 1) adjustWhole();
   motion.moveMap(lastPose() * T_map_before.inverse());
@@ -145,6 +184,7 @@ bool Slam::Impl::alignCalibration() {
   setCamera(calibration.camera());
   calibration.recalibrate(velocity, &map);
   dense.recalibrate(camera);
+  surfaces.relink(map);
   shutter.distrust();
   adjustWhole();
   motion.moveMap(lastPose() * T_map_before.inverse());
@@ -156,6 +196,7 @@ void Slam::Impl::setCamera(const CameraModel& better_known) {
   camera = better_known;
   tracking.setCamera(camera);
   loops.setCamera(camera);
+  surfaces.setCamera(camera);
   motion.setCamera(camera);
 }
 
@@ -178,11 +219,22 @@ void Slam::Impl::adjustWindow(KeyframeId id) {
     if (static_cast<int>(free.size()) >= settings.window) break;
     free.push_back(c.keyframe);
   }
+  const auto add = [](const std::vector<KeyframeId>& others, int most, const std::vector<KeyframeId>& but,
+                      std::vector<KeyframeId>* list) {
+    for (const KeyframeId other : others) {
+      if (static_cast<int>(list->size()) >= most) break;
+      if (std::find(list->begin(), list->end(), other) == list->end() &&
+          std::find(but.begin(), but.end(), other) == but.end())
+        list->push_back(other);
+    }
+  };
+  add(surfaces.linkedTo(id), settings.window, {}, &free);
   std::vector<KeyframeId> fixed;
   for (const auto& c : map.observers(map.landmarksOf(free), 5)) {
     if (static_cast<int>(fixed.size()) >= settings.window_fixed) break;
     if (std::find(free.begin(), free.end(), c.keyframe) == free.end()) fixed.push_back(c.keyframe);
   }
+  for (const KeyframeId moving : free) add(surfaces.linkedTo(moving), settings.window_fixed, free, &fixed);
   // The first keyframe defines the map; with nothing outside the window the oldest inside holds it.
   const auto oldest = std::min_element(free.begin(), free.end());
   if (*oldest == map.keyframes().begin()->first || fixed.empty()) {
@@ -190,14 +242,14 @@ void Slam::Impl::adjustWindow(KeyframeId id) {
     free.erase(oldest);
   }
   if (free.empty()) return;
-  visual_frontend::adjustMap(map, camera, free, fixed, bundleSettings());
+  visual_frontend::adjustMap(map, camera, free, fixed, bundleSettings(), surfaces.links());
 }
 
 void Slam::Impl::adjustWhole() {
   visual_frontend::BundleSettings bundle = bundleSettings();
   bundle.max_iterations = 10;
   bundle.max_seconds = 2.0;
-  visual_frontend::adjustFullMap(map, camera, bundle);
+  visual_frontend::adjustFullMap(map, camera, bundle, surfaces.links());
 }
 
 visual_frontend::BundleSettings Slam::Impl::bundleSettings() const {

@@ -47,6 +47,9 @@ void describe(air_ground_common::ParameterVisitor& v, SlamSettings& s) {
     "a place recognised while lost may lie this and max_speed times the time lost away");
   v("relocalization_interval", s.relocalization_interval, {0.0, 60.0}, "s of data",
     "while lost, places are looked up so often");
+  v("use_surfaces", s.use_surfaces,
+    "surfaces that depth shows bind keyframes to each other, and give the pose where too few landmarks agree (bare "
+    "walls, darkness), unless they leave a direction open");
   v("reobserve_every", s.reobserve_every, {0, 1000}, "",
     "frames between searches for landmarks of the local map; 0 = off");
   v("local_keyframes", s.local_keyframes, {1, 100}, "", "the nearest keyframes make the local map");

@@ -82,7 +82,8 @@ struct Tracked : ::testing::Test, Floor {
   visual_frontend::LandmarkTracks tracks;
   CameraMotion motion{camera, Mounting(), settings};
   ReferenceKeyframe reference{settings};
-  FrameTracker tracker{camera, settings, map, frames, tracks, motion};
+  KeyframeSurfaces surfaces{camera, settings};
+  FrameTracker tracker{camera, settings, map, frames, tracks, surfaces, motion};
 };
 
 TEST_F(Tracked, LandmarksTellThePose) {

@@ -78,7 +78,8 @@ TEST(MoveRows, WhatAKeyframeSawIsWhereItsMiddleRowSeesIt) {
   strange.stamp = 20;
   map.addKeyframe(strange);
   DenseKeyframes dense(camera, {});
-  moveRows(kReadout, camera, around(motion, 10, map), map, dense);
+  KeyframeSurfaces surfaces(camera, {});
+  moveRows(kReadout, camera, around(motion, 10, map), map, dense, surfaces);
   double largest = 0;
   for (std::size_t i = 0; i < points.size(); ++i) {
     const Eigen::Vector3d p = motion.T0.inverse() * points[i];
@@ -109,6 +110,7 @@ TEST(MoveRows, DensePointsAreWhereTheMiddleRowSeesThem) {
   const KeyframeId id = map.addKeyframe(keyframe);
   DenseKeyframes dense(camera, {});
   dense.begin(id, depth, gray, RollingShutter(camera, 0));
+  KeyframeSurfaces surfaces(camera, {});
   const auto heights = [&] {  // the floor's, in the map: zero [m]
     double largest = 0;
     const auto posed = dense.posed(map);
@@ -117,7 +119,7 @@ TEST(MoveRows, DensePointsAreWhereTheMiddleRowSeesThem) {
     return largest;
   };
   EXPECT_GT(heights(), 0.01);
-  moveRows(kReadout, camera, around(motion, 10, map), map, dense);
+  moveRows(kReadout, camera, around(motion, 10, map), map, dense, surfaces);
   EXPECT_LT(heights(), 1e-3);
 }
 

@@ -30,6 +30,7 @@ struct Robot {
   Mounting mounting;
   double radius = 1.0, speed = 0.3, rest = 0.8;  ///< circle [m], [m/s], standstill at the start [s]
   bool spin = false;                             ///< turn on the spot instead
+  bool walls = false;                            ///< bare ones, without texture, about the floor
   Eigen::Vector3d tilt{0.03, -0.02, 0};          ///< the base is not level [rad]
   Eigen::Vector3d gyro_bias{0.01, -0.02, 0.015};
   Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();  ///< what the gyro makes of a turn rate
@@ -71,6 +72,7 @@ struct Robot {
     f.gray = readout_time == 0
                  ? synthetic::renderPlane(camera, base(t) * mounting.T_base_camera, texture, floor, &f.depth)
                  : synthetic::renderPlaneByRows(camera, cameraOf, texture, floor, &f.depth);
+    if (walls) addWalls(base(t) * mounting.T_base_camera, &f);
     cv::Mat noise(f.gray.size(), CV_16S), noisy;
     cv::RNG rng(static_cast<std::uint64_t>(t * 1000) + 5);
     rng.fill(noise, cv::RNG::NORMAL, 0, 2);
@@ -84,6 +86,26 @@ struct Robot {
       }
     }
     return f;
+  }
+
+  /// Of a room with eight sides about the circle that is driven.
+  void addWalls(const Pose& T_world_camera, Frame* f) const {
+    std::vector<std::pair<Eigen::Vector3d, double>> planes;
+    for (int i = 0; i < 8; ++i)
+      planes.emplace_back(Eigen::AngleAxisd(0.4 + M_PI / 4 * i, Eigen::Vector3d::UnitZ()) * Eigen::Vector3d::UnitX(),
+                          2.2 + 0.2 * (i % 3));
+    for (int v = 0; v < camera.height; ++v) {
+      for (int u = 0; u < camera.width; ++u) {
+        const Eigen::Vector3d ray = T_world_camera.linear() * camera.unproject(Eigen::Vector2d(u, v)).homogeneous();
+        for (const auto& [normal, distance] : planes) {
+          const double z = (distance - normal.dot(T_world_camera.translation())) / normal.dot(ray);
+          float& depth = f->depth.at<float>(v, u);
+          if (!(z > 0) || (depth > 0 && depth < z)) continue;
+          depth = static_cast<float>(z);
+          f->gray.at<std::uint8_t>(v, u) = 120;
+        }
+      }
+    }
   }
 
   ImuSample imu(double t, synthetic::Random& random) const {

@@ -159,6 +159,57 @@ TEST(Slam, AGyroInDegreesIsNamedAndLeftOut) {
   }
 }
 
+/// In a room whose walls show nothing but their shape, looking 35 degrees down.
+Robot inARoom() {
+  Robot robot;
+  robot.walls = true;
+  robot.mounting.T_base_camera.linear() = Eigen::AngleAxisd(0.6, Eigen::Vector3d::UnitY()).toRotationMatrix() *
+                                          air_ground_common::opticalFromForwardBody().transpose();
+  return robot;
+}
+
+bool isDark(double t) { return t > 3 && t < 6; }
+
+TEST(Slam, GoesOnInTheDarkByTheShapeOfTheRoom) {
+  const Robot robot = inARoom();
+  Slam slam(robot.camera, robot.mounting, {});
+  const Drive run = drive(robot, slam, 0, 8, true, isDark);
+  EXPECT_GT(slam.counters().by_depth, 20);
+  EXPECT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_EQ(slam.counters().maps, 1);
+  for (std::size_t i = 0; i < run.results.size(); ++i) {
+    const SlamResult& r = run.results[i];
+    if (run.stamps[i] < 1) continue;
+    ASSERT_EQ(r.state, State::kTracking) << run.stamps[i] << " " << r.reason;
+    const Eigen::Vector3d e = r.T_map_base.translation() - robot.mapped(run.stamps[i]).translation();
+    EXPECT_LT(e.norm(), 0.015) << run.stamps[i];
+    EXPECT_LT(air_ground_common::squaredMahalanobis(e, r.covariance.topLeftCorner<3, 3>()), 20) << run.stamps[i];
+  }
+  // In the light again the images are believed again.
+  EXPECT_FALSE(run.results.back().by_depth);
+  EXPECT_GT(run.results.back().inliers, 40);
+  EXPECT_LT(worst(run, slam.trajectory()), 0.015);
+}
+
+TEST(Slam, AFloorAloneIsNoWayThroughTheDark) {
+  Robot robot = inARoom();
+  robot.walls = false;
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 5, true, isDark);
+  EXPECT_EQ(slam.counters().by_depth, 0);
+  EXPECT_GT(slam.counters().lost_frames, 15);
+}
+
+TEST(Slam, WithoutSurfacesDarknessIsALoss) {
+  const Robot robot = inARoom();
+  SlamSettings settings;
+  settings.use_surfaces = false;
+  Slam slam(robot.camera, robot.mounting, settings);
+  drive(robot, slam, 0, 8, true, isDark);
+  EXPECT_GT(slam.counters().lost_frames, 15);
+  EXPECT_EQ(slam.counters().by_depth, 0);
+}
+
 TEST(Slam, LostItLooksForItsPlaceTenTimesASecond) {
   Robot robot;
   robot.rest = 0.8;

@@ -12,6 +12,7 @@
 #include <memory>
 #include <stdexcept>
 
+#include "air_ground_common/linear_algebra.h"
 #include "visual_frontend/ceres_costs.h"
 #include "visual_frontend/inertial_costs.h"
 
@@ -55,6 +56,7 @@ void check(const BundleProblem& problem) {
   };
   for (const auto& p : problem.priors) {
     if (!apart(p)) fail("a prior's index is out of range");
+    if (!p.information.allFinite()) fail("a prior's information is not finite");
   }
   for (const auto& link : problem.links) {
     if (!apart(link)) fail("a link's index is out of range");
@@ -84,6 +86,12 @@ std::unique_ptr<ceres::LossFunction> makeLoss(RobustLoss loss, double width) {
       break;
   }
   return nullptr;
+}
+
+/// W with W^T W = `information`, which may be singular.
+Matrix6d squareRoot(const Matrix6d& information) {
+  const auto eigen = air_ground_common::symmetricEigen(information);
+  return eigen.values.cwiseMax(0).cwiseSqrt().asDiagonal() * eigen.vectors.transpose();
 }
 
 /// What is estimated of a camera.
@@ -226,11 +234,8 @@ class Solver {
 
   void addPriors() {
     for (const auto& p : problem_.priors) {
-      Vector6d weights = Vector6d::Zero();
-      if (p.translation_sigma > 0) weights.head<3>().setConstant(1 / p.translation_sigma);
-      if (p.rotation_sigma > 0) weights.tail<3>().setConstant(1 / p.rotation_sigma);
       ceres_.AddResidualBlock(
-          new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, weights.asDiagonal()), nullptr,
+          new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, squareRoot(p.information)), &link_loss_,
           block_[p.camera_a].camera.data(), block_[p.camera_b].camera.data());
       camera_used_[p.camera_a] = camera_used_[p.camera_b] = 1;
     }
@@ -350,6 +355,12 @@ BundleResult bundleResult(const ceres::Solver::Summary& summary, const BundlePro
 }
 
 }  // namespace
+
+Matrix6d rotationInformation(double sigma) {
+  Matrix6d information = Matrix6d::Zero();
+  information.diagonal().tail<3>().setConstant(1 / (sigma * sigma));
+  return information;
+}
 
 BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings) {
   check(problem);

@@ -174,18 +174,27 @@ void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial) {
 }
 
 BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings) {
+                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
+                       const std::vector<KeyframeLink>& links) {
   BundleJob job = extractBundle(map, camera, free, fixed, settings);
+  CameraIndex index;
+  for (std::size_t i = 0; i < job.keyframes.size(); ++i) index[job.keyframes[i]] = static_cast<int>(i);
+  for (const KeyframeLink& link : links) {
+    const auto a = index.find(link.a), b = index.find(link.b);
+    if (a != index.end() && b != index.end())
+      job.problem.priors.push_back({a->second, b->second, link.T_a_b, link.information});
+  }
   job.solve();
   applyBundle(job, map);
   return job.result;
 }
 
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings) {
+BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings,
+                           const std::vector<KeyframeLink>& links) {
   std::vector<KeyframeId> ids;
   for (const auto& entry : map.keyframes()) ids.push_back(entry.first);
   const std::size_t held = ids.empty() ? 0 : 1;
-  return adjustMap(map, camera, {ids.begin() + held, ids.end()}, {ids.begin(), ids.begin() + held}, settings);
+  return adjustMap(map, camera, {ids.begin() + held, ids.end()}, {ids.begin(), ids.begin() + held}, settings, links);
 }
 
 }  // namespace visual_frontend

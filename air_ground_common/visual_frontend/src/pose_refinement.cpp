@@ -37,6 +37,18 @@ struct Normal {
   double cost = 0;
 };
 
+void addPrior(const Pose& T, const PosePrior& prior, Normal* n) {
+  const Eigen::Matrix3d to_prior = prior.T_map_camera.linear().transpose();
+  Vector6d e;
+  e << to_prior * (T.translation() - prior.T_map_camera.translation()), logSO3(to_prior * T.linear());
+  Matrix6d J = Matrix6d::Zero();
+  J.topLeftCorner<3, 3>() = to_prior;
+  J.bottomRightCorner<3, 3>() = T.linear().transpose();  // to first order in the turn
+  n->cost += e.dot(prior.information * e);
+  n->H.noalias() += J.transpose() * prior.information * J;
+  n->g.noalias() += J.transpose() * (prior.information * e);
+}
+
 class Problem {
  public:
   Problem(const std::vector<PoseCorrespondence>& c, const RefineSettings& s) : c_(c), s_(s), used_(c.size(), 1) {}
@@ -99,6 +111,7 @@ class Problem {
       n.H.block<3, 3>(3, 3) += J.transpose() * J;
       n.g.tail<3>() += J.transpose() * r;
     }
+    if (s_.prior) addPrior(T, *s_.prior, &n);
     return n;
   }
 
@@ -189,7 +202,7 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
     if (round > 0) problem.used() = result.inliers;
     result.iterations += minimise(problem, settings, result.T_map_camera);
     residuals = classify(correspondences, settings, &result);
-    if (result.inlier_count >= residuals.needed()) continue;
+    if (settings.prior || result.inlier_count >= residuals.needed()) continue;
     result.reason =
         "only " + std::to_string(result.inlier_count) + " inliers of " + std::to_string(correspondences.size());
     return result;
@@ -206,7 +219,7 @@ PoseResult refinePose(const std::vector<PoseCorrespondence>& correspondences, co
   const double dof = 2.0 * result.inlier_count + residuals.with_depth - 6;
   const double scale = dof > 0 ? std::max(1.0, (residuals.reprojection + residuals.depth) / dof) : 1.0;
   result.covariance = scale * (eigen.vectors * eigen.values.cwiseInverse().asDiagonal() * eigen.vectors.transpose());
-  result.rms = std::sqrt(residuals.reprojection / (2.0 * result.inlier_count));
+  result.rms = std::sqrt(residuals.reprojection / (2.0 * std::max(1, result.inlier_count)));
   result.success = true;
   return result;
 }

@@ -65,6 +65,9 @@ struct SlamSettings {
   double relocalization_slack =
       0.5;  ///< a place recognised while lost may lie this and max_speed times the time lost away [m]
 
+  /// Surfaces that depth shows bind keyframes to each other, and give the pose where too few landmarks agree.
+  bool use_surfaces = true;
+
   double relocalization_interval = 0.1;  ///< while lost, places are looked up so often, by the images' stamps [s]
 
   // Keyframes
@@ -123,6 +126,7 @@ struct SlamResult {
   bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, shutter or lens found
   bool recalibrated = false;             ///< what earlier keyframes saw lies elsewhere in their cameras
   bool relocalized = false;              ///< found again after being lost
+  bool by_depth = false;                 ///< too few landmarks: the pose is that of the surfaces
   bool new_map = false;                  ///< the map frame starts here
   Pose T_map_camera = Pose::Identity();  ///< valid while tracking
   Pose T_map_base = Pose::Identity();
@@ -137,6 +141,7 @@ struct SlamResult {
 
 struct SlamCounters {
   int frames = 0, lost_frames = 0, keyframes = 0, loops = 0, loops_refused = 0, relocalizations = 0, maps = 0;
+  int by_depth = 0;                 ///< frames whose pose is that of the surfaces
   int relocalization_attempts = 0;  ///< frames in which places were looked up
 };
 

@@ -56,12 +56,12 @@ struct BundleProblem {
     double elongation = 1;  ///< of the noise (NormalizedNoise)
     RayByCalibration by_calibration = RayByCalibration::Zero();
   };
-  /// Relative pose prior, for example from an IMU or odometry.
+  /// Relative pose that something else than the points tells, for example a gyro or depth.
   struct RelativePrior {
     int camera_a = 0, camera_b = 0;
     Pose T_a_b = Pose::Identity();
-    double rotation_sigma = 0.01;   ///< [rad]; <= 0 leaves the rotation out
-    double translation_sigma = -1;  ///< [m]; <= 0 leaves the translation out
+    /// Of (translation, rotation) of a perturbation d in T_a_b * exp(d); singular where nothing is told.
+    Matrix6d information = Matrix6d::Zero();
   };
   /// Inertial motion from one camera to a later one.
   struct InertialLink {
@@ -83,6 +83,9 @@ struct BundleProblem {
   /// sees.
   std::optional<CalibrationEstimate> calibration;
 };
+
+/// Information of a rotation known to `sigma` [rad] about each axis, and of nothing else.
+Matrix6d rotationInformation(double sigma);
 
 struct BundleResult {
   bool usable = false;

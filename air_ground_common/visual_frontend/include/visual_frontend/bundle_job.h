@@ -18,6 +18,13 @@ struct InertialMap {
   bool metric = false;  ///< the map's unit is the metre: velocities and positions of the links count
 };
 
+/// Where a keyframe stands to another, by something else than landmarks.
+struct KeyframeLink {
+  KeyframeId a = kNoKeyframe, b = kNoKeyframe;
+  Pose T_a_b = Pose::Identity();
+  Matrix6d information = Matrix6d::Zero();  ///< as of BundleProblem::RelativePrior
+};
+
 struct BundleJob {
   bool full = false;             ///< moves the whole map
   bool for_calibration = false;  ///< of use only where it finds the camera to be another one
@@ -48,11 +55,13 @@ BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::ve
 /// keyframe of the job. Disconnects outliers; landmarks left with one observation without depth are removed.
 void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial = nullptr);
 
-/// extractBundle, solve and applyBundle at once.
+/// extractBundle, solve and applyBundle at once. Of `links` those between keyframes of the job count.
 BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings);
+                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
+                       const std::vector<KeyframeLink>& links = {});
 
 /// adjustMap over all keyframes; the oldest is held.
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings);
+BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings,
+                           const std::vector<KeyframeLink>& links = {});
 
 }  // namespace visual_frontend

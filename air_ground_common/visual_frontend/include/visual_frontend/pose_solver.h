@@ -28,6 +28,13 @@ struct RansacSettings {
 
 enum class RobustLoss { kNone, kHuber, kCauchy };
 
+/// What something else than points tells of a pose.
+struct PosePrior {
+  Pose T_map_camera = Pose::Identity();
+  /// Of (translation, rotation) of a perturbation d in T_map_camera * exp(d); singular where nothing is told.
+  Matrix6d information = Matrix6d::Zero();
+};
+
 struct RefineSettings {
   RobustLoss loss = RobustLoss::kHuber;
   double loss_width = 1.5;  ///< in sigmas
@@ -40,7 +47,8 @@ struct RefineSettings {
   double rotation_prior_sigma = 0.01;
   /// Prior on roll and pitch: the direction up (+z of the map) in the camera frame.
   std::optional<Eigen::Vector3d> up_camera;
-  double up_sigma = 0.02;  ///< [rad]
+  double up_sigma = 0.02;          ///< [rad]
+  std::optional<PosePrior> prior;  ///< with it no number of points is asked for, but that all together fix the pose
 };
 
 struct PoseResult {

@@ -1,0 +1,101 @@
+#include "keyframe_surfaces.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "air_ground_common/linear_algebra.h"
+
+namespace rgbd_slam {
+
+namespace {
+
+constexpr KeyframeId kRelinked = 20;  // newest keyframes: 0.3 s of work
+
+}  // namespace
+
+void KeyframeSurfaces::clear() {
+  surfaces_.clear();
+  links_.clear();
+  ties_.clear();
+}
+
+DepthSurface KeyframeSurfaces::surfaceOf(const cv::Mat& depth, const visual_frontend::RollingShutter& rows) const {
+  return DepthSurface(camera_, depth, depth_, rows);
+}
+
+void KeyframeSurfaces::add(KeyframeId id, DepthSurface surface) { surfaces_.insert_or_assign(id, std::move(surface)); }
+
+void KeyframeSurfaces::replace(KeyframeId from, KeyframeId to, const visual_frontend::Map& map) {
+  surfaces_.erase(from);
+  const Pose T_from_to = map.keyframe(from).T_map_camera.inverse() * map.keyframe(to).T_map_camera;
+  Matrix6d adjoint = Matrix6d::Zero();  // a perturbation after T_from_to, as one before it
+  adjoint.topLeftCorner<3, 3>() = adjoint.bottomRightCorner<3, 3>() = T_from_to.linear();
+  adjoint.topRightCorner<3, 3>() = air_ground_common::skew(T_from_to.translation()) * T_from_to.linear();
+  for (auto& link : links_) {
+    if (link.a == from) {
+      link.a = to;
+      link.T_a_b = T_from_to.inverse() * link.T_a_b;
+    } else if (link.b == from) {
+      link.b = to;
+      link.T_a_b = link.T_a_b * T_from_to;
+      link.information = adjoint.transpose() * link.information * adjoint;
+    }
+  }
+  links_.erase(std::remove_if(links_.begin(), links_.end(), [](const auto& link) { return link.a == link.b; }),
+               links_.end());
+}
+
+void KeyframeSurfaces::setCamera(const CameraModel& better_known) {
+  for (auto& entry : surfaces_) entry.second.recalibrate(camera_, better_known);
+  camera_ = better_known;
+}
+
+void KeyframeSurfaces::moveRows(KeyframeId id, const visual_frontend::RollingShutter& shift) {
+  const auto surface = surfaces_.find(id);
+  if (surface != surfaces_.end()) surface->second.moveRows(shift);
+}
+
+void KeyframeSurfaces::relink(const visual_frontend::Map& map) {
+  const auto old = std::exchange(links_, {});
+  for (const auto& l : old) {
+    if (ties_.count({l.a, l.b}) > 0)
+      links_.push_back(l);
+    else if (l.b + kRelinked > surfaces_.rbegin()->first)
+      link(l.b, {l.a}, map);
+  }
+}
+
+SurfaceAlignment KeyframeSurfaces::align(KeyframeId id, const DepthSurface& surface,
+                                         const Pose& T_keyframe_camera) const {
+  return alignSurfaces(camera_, surfaces_.at(id), surface, T_keyframe_camera);
+}
+
+void KeyframeSurfaces::link(KeyframeId id, const std::vector<KeyframeId>& others, const visual_frontend::Map& map) {
+  const Pose& T_map_camera = map.keyframe(id).T_map_camera;
+  for (const KeyframeId other : others) {
+    if (!has(other) || !map.hasKeyframe(other)) continue;
+    const SurfaceAlignment aligned =
+        align(other, surfaces_.at(id), map.keyframe(other).T_map_camera.inverse() * T_map_camera);
+    if (aligned.success) links_.push_back({other, id, aligned.T_a_b, aligned.information});
+  }
+}
+
+void KeyframeSurfaces::tie(KeyframeId id, KeyframeId reference, const Matrix6d& covariance,
+                           const visual_frontend::Map& map) {
+  const Pose& T_map_camera = map.keyframe(id).T_map_camera;
+  Matrix6d to_camera = Matrix6d::Zero();
+  to_camera.topLeftCorner<3, 3>() = to_camera.bottomRightCorner<3, 3>() = T_map_camera.linear().transpose();
+  const Matrix6d information = to_camera * air_ground_common::inverse(covariance) * to_camera.transpose();
+  ties_.insert({reference, id});
+  links_.push_back({reference, id, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
+                    0.5 * (information + information.transpose())});
+}
+
+std::vector<KeyframeId> KeyframeSurfaces::linkedTo(KeyframeId id) const {
+  std::vector<KeyframeId> others;
+  for (const auto& link : links_)
+    if (link.a == id || link.b == id) others.push_back(link.a == id ? link.b : link.a);
+  return others;
+}
+
+}  // namespace rgbd_slam
