@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "air_ground_common/linear_algebra.h"
+#include "visual_frontend/keyframe_covariances.h"
 
 namespace rgbd_slam {
 
@@ -31,18 +32,20 @@ void KeyframeSurfaces::replace(KeyframeId from, KeyframeId to, const visual_fron
   Matrix6d adjoint = Matrix6d::Zero();  // a perturbation after T_from_to, as one before it
   adjoint.topLeftCorner<3, 3>() = adjoint.bottomRightCorner<3, 3>() = T_from_to.linear();
   adjoint.topRightCorner<3, 3>() = air_ground_common::skew(T_from_to.translation()) * T_from_to.linear();
-  for (auto& link : links_) {
-    if (link.a == from) {
-      link.a = to;
-      link.T_a_b = T_from_to.inverse() * link.T_a_b;
-    } else if (link.b == from) {
-      link.b = to;
-      link.T_a_b = link.T_a_b * T_from_to;
-      link.information = adjoint.transpose() * link.information * adjoint;
+  for (auto* links : {&links_, &ties_}) {
+    for (auto& link : *links) {
+      if (link.a == from) {
+        link.a = to;
+        link.T_a_b = T_from_to.inverse() * link.T_a_b;
+      } else if (link.b == from) {
+        link.b = to;
+        link.T_a_b = link.T_a_b * T_from_to;
+        link.information = adjoint.transpose() * link.information * adjoint;
+      }
     }
+    links->erase(std::remove_if(links->begin(), links->end(), [](const auto& link) { return link.a == link.b; }),
+                 links->end());
   }
-  links_.erase(std::remove_if(links_.begin(), links_.end(), [](const auto& link) { return link.a == link.b; }),
-               links_.end());
 }
 
 void KeyframeSurfaces::setCamera(const CameraModel& better_known) {
@@ -57,12 +60,8 @@ void KeyframeSurfaces::moveRows(KeyframeId id, const visual_frontend::RollingShu
 
 void KeyframeSurfaces::relink(const visual_frontend::Map& map) {
   const auto old = std::exchange(links_, {});
-  for (const auto& l : old) {
-    if (ties_.count({l.a, l.b}) > 0)
-      links_.push_back(l);
-    else if (l.b + kRelinked > surfaces_.rbegin()->first)
-      link(l.b, {l.a}, map);
-  }
+  for (const auto& l : old)
+    if (l.b + kRelinked > surfaces_.rbegin()->first) link(l.b, {l.a}, map);
 }
 
 SurfaceAlignment KeyframeSurfaces::align(KeyframeId id, const DepthSurface& surface,
@@ -73,7 +72,7 @@ SurfaceAlignment KeyframeSurfaces::align(KeyframeId id, const DepthSurface& surf
 void KeyframeSurfaces::link(KeyframeId id, const std::vector<KeyframeId>& others, const visual_frontend::Map& map) {
   const Pose& T_map_camera = map.keyframe(id).T_map_camera;
   for (const KeyframeId other : others) {
-    if (!has(other) || !map.hasKeyframe(other)) continue;
+    if (!has(other)) continue;
     const SurfaceAlignment aligned =
         align(other, surfaces_.at(id), map.keyframe(other).T_map_camera.inverse() * T_map_camera);
     if (aligned.success) links_.push_back({other, id, aligned.T_a_b, aligned.information});
@@ -83,17 +82,21 @@ void KeyframeSurfaces::link(KeyframeId id, const std::vector<KeyframeId>& others
 void KeyframeSurfaces::tie(KeyframeId id, KeyframeId reference, const Matrix6d& covariance,
                            const visual_frontend::Map& map) {
   const Pose& T_map_camera = map.keyframe(id).T_map_camera;
-  Matrix6d to_camera = Matrix6d::Zero();
-  to_camera.topLeftCorner<3, 3>() = to_camera.bottomRightCorner<3, 3>() = T_map_camera.linear().transpose();
-  const Matrix6d information = to_camera * air_ground_common::inverse(covariance) * to_camera.transpose();
-  ties_.insert({reference, id});
-  links_.push_back({reference, id, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
-                    0.5 * (information + information.transpose())});
+  const Matrix6d information =
+      visual_frontend::aboutAxes(T_map_camera.linear().transpose(), air_ground_common::inverse(covariance));
+  ties_.push_back({reference, id, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
+                   0.5 * (information + information.transpose())});
+}
+
+std::vector<visual_frontend::KeyframeLink> KeyframeSurfaces::links() const {
+  std::vector<visual_frontend::KeyframeLink> all = links_;
+  all.insert(all.end(), ties_.begin(), ties_.end());
+  return all;
 }
 
 std::vector<KeyframeId> KeyframeSurfaces::linkedTo(KeyframeId id) const {
   std::vector<KeyframeId> others;
-  for (const auto& link : links_)
+  for (const auto& link : links())
     if (link.a == id || link.b == id) others.push_back(link.a == id ? link.b : link.a);
   return others;
 }

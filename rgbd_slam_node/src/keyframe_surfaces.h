@@ -2,8 +2,6 @@
 #pragma once
 
 #include <map>
-#include <set>
-#include <utility>
 #include <vector>
 
 #include "rgbd_slam/depth_surface.h"
@@ -35,14 +33,13 @@ class KeyframeSurfaces {
   /// Links a keyframe to the one by which depth gave its pose: with `covariance` of that, about the map's axes.
   void tie(KeyframeId id, KeyframeId reference, const Matrix6d& covariance, const visual_frontend::Map& map);
   std::vector<KeyframeId> linkedTo(KeyframeId id) const;
-  const std::vector<visual_frontend::KeyframeLink>& links() const { return links_; }
+  std::vector<visual_frontend::KeyframeLink> links() const;
 
  private:
   CameraModel camera_;
   DepthModel depth_;
   std::map<KeyframeId, DepthSurface> surfaces_;
-  std::vector<visual_frontend::KeyframeLink> links_;
-  std::set<std::pair<KeyframeId, KeyframeId>> ties_;  // those of them that are more than surfaces
+  std::vector<visual_frontend::KeyframeLink> links_, ties_;  // by the surfaces alone, and by all that gave a pose
 };
 
 }  // namespace rgbd_slam

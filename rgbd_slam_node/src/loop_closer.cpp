@@ -3,6 +3,8 @@
 #include <cmath>
 #include <set>
 
+#include "visual_frontend/keyframe_covariances.h"
+
 namespace rgbd_slam {
 
 using visual_frontend::kNoLandmark;
@@ -22,9 +24,7 @@ visual_frontend::LoopEdge edgeOf(const visual_frontend::PlaceMatch& match, Keyfr
   loop.b = id;
   loop.T_a_b = match.T_place_query;
   // From the axes of the place to those of this camera.
-  Matrix6d turn_axes = Matrix6d::Zero();
-  turn_axes.topLeftCorner<3, 3>() = turn_axes.bottomRightCorner<3, 3>() = match.T_place_query.linear().transpose();
-  loop.covariance = turn_axes * match.covariance * turn_axes.transpose();
+  loop.covariance = visual_frontend::aboutAxes(match.T_place_query.linear().transpose(), match.covariance);
   loop.covariance.diagonal().head<3>().array() += kPositionFloor * kPositionFloor;
   loop.covariance.diagonal().tail<3>().array() += kRotationFloor * kRotationFloor;
   return loop;

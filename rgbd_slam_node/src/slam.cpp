@@ -266,10 +266,8 @@ void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d&
                        visual_frontend::tiltCovariance(level.sigma(), result->T_map_base.translation());
   result->covariance.diagonal().array() += 1e-10;
   if (result->relocalized) return;
-  Matrix6d base_map = Matrix6d::Zero();
-  base_map.topLeftCorner<3, 3>() = base_map.bottomRightCorner<3, 3>() = result->T_map_base.linear().transpose();
-  result->increment_covariance =
-      2 * base_map * visual_frontend::covarianceAt(frame_covariance, lever) * base_map.transpose();
+  result->increment_covariance = 2 * visual_frontend::aboutAxes(result->T_map_base.linear().transpose(),
+                                                                visual_frontend::covarianceAt(frame_covariance, lever));
 }
 
 // ---- Public interface

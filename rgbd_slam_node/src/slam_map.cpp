@@ -11,8 +11,17 @@ namespace rgbd_slam {
 
 namespace {
 
-constexpr std::size_t kMostLinks = 3;         // of a new keyframe to others by their surfaces
+constexpr int kMostLinks = 3;                 // of a new keyframe to others by their surfaces
 constexpr std::size_t kMostCalibrating = 40;  // keyframes that tell of the calibration, the newest
+
+bool contains(const std::vector<KeyframeId>& list, KeyframeId id) {
+  return std::find(list.begin(), list.end(), id) != list.end();
+}
+
+/// Adds a keyframe that is not in the list, as long as there is room.
+void addOnce(KeyframeId id, int most, std::vector<KeyframeId>* list) {
+  if (static_cast<int>(list->size()) < most && !contains(*list, id)) list->push_back(id);
+}
 
 }  // namespace
 
@@ -128,15 +137,10 @@ void Slam::Impl::createLandmarks(KeyframeId id) {
 }
 
 void Slam::Impl::linkBySurfaces(KeyframeId id) {
-  std::vector<KeyframeId> others;
-  const auto add = [&others](KeyframeId other) {
-    if (others.size() < kMostLinks && std::find(others.begin(), others.end(), other) == others.end())
-      others.push_back(other);
-  };
-  if (reference.id() != kNoKeyframe) add(reference.id());
-  for (const auto& c : map.covisible(id, 2 * settings.min_inliers)) add(c.keyframe);
-  if (reference.id() != kNoKeyframe)
-    for (const KeyframeId other : surfaces.linkedTo(reference.id())) add(other);
+  if (reference.id() == kNoKeyframe) return;
+  std::vector<KeyframeId> others{reference.id()};
+  for (const auto& c : map.covisible(id, 2 * settings.min_inliers)) addOnce(c.keyframe, kMostLinks, &others);
+  for (const KeyframeId other : surfaces.linkedTo(reference.id())) addOnce(other, kMostLinks, &others);
   surfaces.link(id, others, map);
 }
 
@@ -215,26 +219,14 @@ bool Slam::Impl::levelMap() {
 
 void Slam::Impl::adjustWindow(KeyframeId id) {
   std::vector<KeyframeId> free{id};
-  for (const auto& c : map.covisible(id, 10)) {
-    if (static_cast<int>(free.size()) >= settings.window) break;
-    free.push_back(c.keyframe);
-  }
-  const auto add = [](const std::vector<KeyframeId>& others, int most, const std::vector<KeyframeId>& but,
-                      std::vector<KeyframeId>* list) {
-    for (const KeyframeId other : others) {
-      if (static_cast<int>(list->size()) >= most) break;
-      if (std::find(list->begin(), list->end(), other) == list->end() &&
-          std::find(but.begin(), but.end(), other) == but.end())
-        list->push_back(other);
-    }
-  };
-  add(surfaces.linkedTo(id), settings.window, {}, &free);
+  for (const auto& c : map.covisible(id, 10)) addOnce(c.keyframe, settings.window, &free);
+  for (const KeyframeId other : surfaces.linkedTo(id)) addOnce(other, settings.window, &free);
   std::vector<KeyframeId> fixed;
-  for (const auto& c : map.observers(map.landmarksOf(free), 5)) {
-    if (static_cast<int>(fixed.size()) >= settings.window_fixed) break;
-    if (std::find(free.begin(), free.end(), c.keyframe) == free.end()) fixed.push_back(c.keyframe);
-  }
-  for (const KeyframeId moving : free) add(surfaces.linkedTo(moving), settings.window_fixed, free, &fixed);
+  for (const auto& c : map.observers(map.landmarksOf(free), 5))
+    if (!contains(free, c.keyframe)) addOnce(c.keyframe, settings.window_fixed, &fixed);
+  for (const KeyframeId moving : free)
+    for (const KeyframeId other : surfaces.linkedTo(moving))
+      if (!contains(free, other)) addOnce(other, settings.window_fixed, &fixed);
   // The first keyframe defines the map; with nothing outside the window the oldest inside holds it.
   const auto oldest = std::min_element(free.begin(), free.end());
   if (*oldest == map.keyframes().begin()->first || fixed.empty()) {

@@ -4,7 +4,6 @@
 #include <gtest/gtest.h>
 
 #include <limits>
-#include <utility>
 #include <vector>
 
 #include "air_ground_common/linear_algebra.h"
@@ -15,13 +14,10 @@ namespace {
 
 namespace synthetic = visual_frontend::synthetic;
 using air_ground_common::CameraModel;
-using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
 using air_ground_common::Vector6d;
+using synthetic::Plane;
 using visual_frontend::RollingShutter;
-
-/// Points p with n . p = d; the normal points at the camera's side or away from it.
-using Plane = std::pair<Eigen::Vector3d, double>;
 
 /// A floor, and two walls that meet in a corner.
 std::vector<Plane> corner() {
@@ -36,12 +32,7 @@ cv::Mat depthOf(const CameraModel& camera, const Pose& T_world_camera, const std
   cv::Mat depth(camera.height, camera.width, CV_32F);
   for (int v = 0; v < camera.height; ++v) {
     for (int u = 0; u < camera.width; ++u) {
-      const Eigen::Vector3d ray = T_world_camera.linear() * camera.unproject(Eigen::Vector2d(u, v)).homogeneous();
-      double nearest = std::numeric_limits<double>::infinity();
-      for (const auto& [n, d] : planes) {
-        const double z = (d - n.dot(T_world_camera.translation())) / n.dot(ray);
-        if (z > 0) nearest = std::min(nearest, z);
-      }
+      const double nearest = synthetic::depthOfPlanes(planes, camera, T_world_camera, {u, v});
       depth.at<float>(v, u) = static_cast<float>(nearest + random.gauss(noise * model.sigma(nearest)));
     }
   }

@@ -90,20 +90,17 @@ struct Robot {
 
   /// Of a room with eight sides about the circle that is driven.
   void addWalls(const Pose& T_world_camera, Frame* f) const {
-    std::vector<std::pair<Eigen::Vector3d, double>> planes;
+    std::vector<synthetic::Plane> planes;
     for (int i = 0; i < 8; ++i)
       planes.emplace_back(Eigen::AngleAxisd(0.4 + M_PI / 4 * i, Eigen::Vector3d::UnitZ()) * Eigen::Vector3d::UnitX(),
                           2.2 + 0.2 * (i % 3));
     for (int v = 0; v < camera.height; ++v) {
       for (int u = 0; u < camera.width; ++u) {
-        const Eigen::Vector3d ray = T_world_camera.linear() * camera.unproject(Eigen::Vector2d(u, v)).homogeneous();
-        for (const auto& [normal, distance] : planes) {
-          const double z = (distance - normal.dot(T_world_camera.translation())) / normal.dot(ray);
-          float& depth = f->depth.at<float>(v, u);
-          if (!(z > 0) || (depth > 0 && depth < z)) continue;
-          depth = static_cast<float>(z);
-          f->gray.at<std::uint8_t>(v, u) = 120;
-        }
+        const double z = synthetic::depthOfPlanes(planes, camera, T_world_camera, {u, v});
+        float& depth = f->depth.at<float>(v, u);
+        if (!std::isfinite(z) || (depth > 0 && depth < z)) continue;
+        depth = static_cast<float>(z);
+        f->gray.at<std::uint8_t>(v, u) = 120;
       }
     }
   }

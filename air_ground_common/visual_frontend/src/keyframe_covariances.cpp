@@ -21,6 +21,12 @@ Matrix6d transformed(const Matrix6d& covariance, const air_ground_common::Simila
   return J * covariance * J.transpose();
 }
 
+Matrix6d aboutAxes(const Eigen::Matrix3d& R_new_old, const Matrix6d& covariance) {
+  air_ground_common::Similarity S;
+  S.R = R_new_old;
+  return transformed(covariance, S);
+}
+
 void KeyframeCovariances::add(KeyframeId id, const Matrix6d& pose_covariance, const Map& map) {
   const Eigen::Vector3d p = map.keyframe(id).T_map_camera.translation();
   Matrix6d best = Matrix6d::Zero();

@@ -1,8 +1,11 @@
 // Synthetic cameras, points and images with exact truth, for the tests and benchmarks of the visual front end.
 #pragma once
 
+#include <algorithm>
 #include <functional>
+#include <limits>
 #include <opencv2/imgproc.hpp>
+#include <utility>
 #include <vector>
 
 #include "air_ground_common/testing/camera.h"
@@ -79,6 +82,21 @@ inline cv::Mat renderPlane(const CameraModel& camera, const Pose& T_map_camera, 
                            cv::Mat* depth = nullptr) {
   return renderPlaneByRows(
       camera, [&](int) { return T_map_camera; }, texture, metres, depth);
+}
+
+/// Points p with n . p = d.
+using Plane = std::pair<Eigen::Vector3d, double>;
+
+/// z of the nearest plane before the camera in a pixel; infinite where there is none.
+inline double depthOfPlanes(const std::vector<Plane>& planes, const CameraModel& camera, const Pose& T_world_camera,
+                            const Eigen::Vector2d& pixel) {
+  const Eigen::Vector3d ray = T_world_camera.linear() * camera.unproject(pixel).homogeneous();
+  double nearest = std::numeric_limits<double>::infinity();
+  for (const auto& [n, d] : planes) {
+    const double z = (d - n.dot(T_world_camera.translation())) / n.dot(ray);
+    if (z > 0) nearest = std::min(nearest, z);
+  }
+  return nearest;
 }
 
 /// Camera above the plane looking down at (x, y) from height h, turned by yaw and tilted by pitch [rad].

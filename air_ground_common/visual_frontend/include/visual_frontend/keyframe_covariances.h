@@ -16,6 +16,9 @@ Matrix6d tiltCovariance(double sigma, const Eigen::Vector3d& position);
 /// Of a pose after Map::transform.
 Matrix6d transformed(const Matrix6d& covariance, const air_ground_common::Similarity& S_new_old);
 
+/// About the axes of another frame, which R_new_old turns into.
+Matrix6d aboutAxes(const Eigen::Matrix3d& R_new_old, const Matrix6d& covariance);
+
 class KeyframeCovariances {
  public:
   /// Along the shortest chain of views: that of the best known keyframe which shares 20 landmarks with this one, plus
