@@ -247,7 +247,8 @@ void Bootstrap::addMiddleView(const GyroRotations& gyro, Attempt* a) const {
   a->middle = middle;
   problem.cameras.emplace_back();
   problem.cameras.back().T_map_camera = pose.T_map_camera;
-  if (turn) problem.priors.push_back({0, 2, Pose(turn->R_a_b), visual_frontend::rotationInformation(a->gyro_sigma)});
+  if (turn)
+    problem.priors.push_back({0, 2, Pose(turn->R_a_b), visual_frontend::sqrtRotationInformation(a->gyro_sigma)});
   for (std::size_t i = 0; i < seen.size(); ++i)
     problem.measurements.push_back({2, points[i], seen[i].normalized, seen[i].sigma, 0, 0, seen[i].elongation});
 }
@@ -256,7 +257,7 @@ std::optional<BootstrapResult> Bootstrap::adjust(Attempt* a) {
   auto& problem = a->problem;
   if (a->turn)
     problem.priors.push_back(
-        {0, 1, Pose(a->T_first_last.linear()), visual_frontend::rotationInformation(a->gyro_sigma)});
+        {0, 1, Pose(a->T_first_last.linear()), visual_frontend::sqrtRotationInformation(a->gyro_sigma)});
   visual_frontend::BundleSettings bundle;
   bundle.max_iterations = 25;
   bundle.loss = visual_frontend::RobustLoss::kCauchy;

@@ -12,7 +12,6 @@
 #include <memory>
 #include <stdexcept>
 
-#include "air_ground_common/linear_algebra.h"
 #include "visual_frontend/ceres_costs.h"
 #include "visual_frontend/inertial_costs.h"
 
@@ -56,7 +55,7 @@ void check(const BundleProblem& problem) {
   };
   for (const auto& p : problem.priors) {
     if (!apart(p)) fail("a prior's index is out of range");
-    if (!p.information.allFinite()) fail("a prior's information is not finite");
+    if (!p.sqrt_information.allFinite()) fail("a prior's information is not finite");
   }
   for (const auto& link : problem.links) {
     if (!apart(link)) fail("a link's index is out of range");
@@ -86,12 +85,6 @@ std::unique_ptr<ceres::LossFunction> makeLoss(RobustLoss loss, double width) {
       break;
   }
   return nullptr;
-}
-
-/// W with W^T W = `information`, which may be singular.
-Matrix6d squareRoot(const Matrix6d& information) {
-  const auto eigen = air_ground_common::symmetricEigen(information);
-  return eigen.values.cwiseMax(0).cwiseSqrt().asDiagonal() * eigen.vectors.transpose();
 }
 
 /// What is estimated of a camera.
@@ -234,9 +227,9 @@ class Solver {
 
   void addPriors() {
     for (const auto& p : problem_.priors) {
-      ceres_.AddResidualBlock(
-          new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, squareRoot(p.information)), &link_loss_,
-          block_[p.camera_a].camera.data(), block_[p.camera_b].camera.data());
+      ceres_.AddResidualBlock(new RelativePoseCost<6>(R_0_[p.camera_a], R_0_[p.camera_b], p.T_a_b, p.sqrt_information),
+                              p.may_be_false ? &link_loss_ : nullptr, block_[p.camera_a].camera.data(),
+                              block_[p.camera_b].camera.data());
       camera_used_[p.camera_a] = camera_used_[p.camera_b] = 1;
     }
   }
@@ -356,10 +349,10 @@ BundleResult bundleResult(const ceres::Solver::Summary& summary, const BundlePro
 
 }  // namespace
 
-Matrix6d rotationInformation(double sigma) {
-  Matrix6d information = Matrix6d::Zero();
-  information.diagonal().tail<3>().setConstant(1 / (sigma * sigma));
-  return information;
+Matrix6d sqrtRotationInformation(double sigma) {
+  Matrix6d root = Matrix6d::Zero();
+  root.diagonal().tail<3>().setConstant(1 / sigma);
+  return root;
 }
 
 BundleResult solveBundle(BundleProblem& problem, const BundleSettings& settings) {

@@ -6,6 +6,8 @@
 #include <map>
 #include <utility>
 
+#include "air_ground_common/linear_algebra.h"
+
 namespace visual_frontend {
 
 namespace {
@@ -68,6 +70,12 @@ void addLandmark(const Map& map, const CameraModel& camera, const Landmark& land
         {it->second, point, seen.normalized, noise.sigma, seen.depth, seen.depth_sigma, noise.elongation});
     job->sources.push_back(o);
   }
+}
+
+/// W with W^T W = `information`, which may be singular.
+Matrix6d squareRoot(const Matrix6d& information) {
+  const auto eigen = air_ground_common::symmetricEigen(information);
+  return eigen.values.cwiseMax(0).cwiseSqrt().asDiagonal() * eigen.vectors.transpose();
 }
 
 /// The camera is another one than it was taken for, beyond doubt and so that it matters.
@@ -182,7 +190,7 @@ BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<Ke
   for (const KeyframeLink& link : links) {
     const auto a = index.find(link.a), b = index.find(link.b);
     if (a != index.end() && b != index.end())
-      job.problem.priors.push_back({a->second, b->second, link.T_a_b, link.information});
+      job.problem.priors.push_back({a->second, b->second, link.T_a_b, squareRoot(link.information), true});
   }
   job.solve();
   applyBundle(job, map);

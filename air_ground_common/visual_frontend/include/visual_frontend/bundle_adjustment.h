@@ -60,8 +60,10 @@ struct BundleProblem {
   struct RelativePrior {
     int camera_a = 0, camera_b = 0;
     Pose T_a_b = Pose::Identity();
-    /// Of (translation, rotation) of a perturbation d in T_a_b * exp(d); singular where nothing is told.
-    Matrix6d information = Matrix6d::Zero();
+    /// W, with the information W^T W of (translation, rotation) of a perturbation d in T_a_b * exp(d); singular where
+    /// nothing is told.
+    Matrix6d sqrt_information = Matrix6d::Zero();
+    bool may_be_false = false;  ///< then it may not bend the map
   };
   /// Inertial motion from one camera to a later one.
   struct InertialLink {
@@ -84,8 +86,8 @@ struct BundleProblem {
   std::optional<CalibrationEstimate> calibration;
 };
 
-/// Information of a rotation known to `sigma` [rad] about each axis, and of nothing else.
-Matrix6d rotationInformation(double sigma);
+/// Square root of the information of a rotation known to `sigma` [rad] about each axis, and of nothing else.
+Matrix6d sqrtRotationInformation(double sigma);
 
 struct BundleResult {
   bool usable = false;

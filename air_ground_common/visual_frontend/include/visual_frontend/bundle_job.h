@@ -22,7 +22,7 @@ struct InertialMap {
 struct KeyframeLink {
   KeyframeId a = kNoKeyframe, b = kNoKeyframe;
   Pose T_a_b = Pose::Identity();
-  Matrix6d information = Matrix6d::Zero();  ///< as of BundleProblem::RelativePrior
+  Matrix6d information = Matrix6d::Zero();  ///< of d in T_a_b * exp(d); may be singular
 };
 
 struct BundleJob {
