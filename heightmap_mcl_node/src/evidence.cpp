@@ -41,8 +41,8 @@ double HeightMapLocalizer::rivalRatio(const Agreement& other, const Agreement& b
 
 Placement HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
   const AerialCells cells = cellsOf(map, centerOf(map));
-  return bestOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
-                      settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, costFor(map));
+  return bestOf(placesOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
+                               settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, costFor(map)));
 }
 
 double HeightMapLocalizer::independentCells(const Agreement& place) const {
@@ -50,10 +50,15 @@ double HeightMapLocalizer::independentCells(const Agreement& place) const {
 }
 
 double HeightMapLocalizer::evidenceLead(const Agreement& place, double other_score) const {
-  if (!std::isfinite(place.score)) return 0;
-  const double sigma = kHeightDeviation * settings_.cutoff;
-  return independentCells(place) * (other_score - place.score) / (2 * sigma * sigma);
+  return std::isfinite(place.score) ? logLikelihoodRatio(independentCells(place), other_score - place.score) : 0;
 }
+
+double HeightMapLocalizer::logLikelihoodRatio(double independent, double cost_less) const {
+  const double sigma = kHeightDeviation * settings_.cutoff;
+  return independent * cost_less / (2 * sigma * sigma);
+}
+
+double HeightMapLocalizer::nothingKnown() const { return 0.5 * settings_.cutoff * settings_.cutoff; }
 
 bool HeightMapLocalizer::toldApart(double agreement, double rival_ratio) const {
   return estimate_.relief >= settings_.min_relief && estimate_.agreement >= agreement &&

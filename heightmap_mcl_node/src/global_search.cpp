@@ -183,15 +183,24 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
   return best;
 }
 
-Placement bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
-                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
-                       const CostSettings& settings) {
-  Placement best;
-  for (const PlanarPose& minimum : findLocalMinima(volume, count, distance, angle)) {
-    const PlanarPose start = changeReference(minimum, volume.pivot, cells.reference);
-    const Placement found = descend(cost, cells, start, step_xy, step_yaw, settings);
-    if (found.agreement.score < best.agreement.score) best = found;
+std::vector<Placement> placesOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                                      const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
+                                      const CostSettings& settings) {
+  const std::vector<PlanarPose> minima = findLocalMinima(volume, count, distance, angle);
+  std::vector<Placement> places(minima.size());
+  const int n = static_cast<int>(minima.size());
+#pragma omp parallel for schedule(dynamic)
+  for (int i = 0; i < n; ++i) {
+    const PlanarPose start = changeReference(minima[i], volume.pivot, cells.reference);
+    places[i] = descend(cost, cells, start, step_xy, step_yaw, settings);
   }
+  return places;
+}
+
+Placement bestOf(const std::vector<Placement>& places) {
+  Placement best;
+  for (const Placement& place : places)
+    if (place.agreement.score < best.agreement.score) best = place;
   return best;
 }
 

@@ -39,6 +39,7 @@ air_ground_common::Pose CoarseEstimate::similarityPose() const {
 void HeightMapLocalizer::forgetGround() {
   ground_ = HeightMap();
   ground_levels_.clear();
+  ground_piece_ = 0;
   direct_.reset();
   coarse_fft_.reset();
   full_fft_.reset();
@@ -86,6 +87,7 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   auto coarse_fft = std::make_unique<FftCost>(downsample(map, settings_.coarse_factor));
   ground_ = std::move(map);
   ground_levels_.clear();
+  ground_piece_ = 0;
   ground_variance_ = std::pow(heightDeviation(ground_), 2);
   direct_ = std::move(direct);
   coarse_fft_ = std::move(coarse_fft);
@@ -231,9 +233,7 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
     estimate_.reason = "nothing fits near the initial guess";
     return;
   }
-  best = *std::min_element(places.begin(), places.end(), [](const Placement& a, const Placement& b) {
-    return a.agreement.score < b.agreement.score;
-  });
+  best = bestOf(places);
   const Eigen::Vector2d merged_center = cells.reference;
   cells = about(std::move(cells), overlapCenter(cells, best.pose));
   for (Placement& place : places) place.pose = changeReference(place.pose, merged_center, cells.reference);
@@ -276,14 +276,9 @@ Eigen::Vector2d HeightMapLocalizer::overlapCenter(const AerialCells& cells, cons
 /// estimate, and the particles have yet to follow.
 std::vector<Placement> HeightMapLocalizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
                                                       const CostSettings& cost, const Placement& mode) const {
-  const auto starts = findLocalMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle);
-  std::vector<Placement> places(starts.size());
-  const double coarse_cell = settings_.coarse_factor * ground_.resolution;
-  const int n = static_cast<int>(starts.size());
-#pragma omp parallel for schedule(dynamic)
-  for (int i = 0; i < n; ++i) {
-    places[i] = descend(*direct_, cells, starts[i], coarse_cell, M_PI / settings_.headings, cost);
-  }
+  std::vector<Placement> places =
+      placesOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
+                     settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
   places.push_back(mode);
   places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
   // Where a position is known, places beyond three standard deviations are no rivals.
@@ -306,8 +301,7 @@ Placement HeightMapLocalizer::compareWithRivals(const Placement& best, const std
   const bool alone = !std::isfinite(rival.agreement.score);
   estimate_.rival_ratio = alone ? kInfinity : rivalRatio(rival.agreement, best.agreement);
   // Without any other place: the lead over nothing known.
-  estimate_.evidence_lead =
-      evidenceLead(best.agreement, alone ? 0.5 * settings_.cutoff * settings_.cutoff : rival.agreement.score);
+  estimate_.evidence_lead = evidenceLead(best.agreement, alone ? nothingKnown() : rival.agreement.score);
   return rival;
 }
 

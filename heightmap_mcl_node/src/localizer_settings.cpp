@@ -77,7 +77,8 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
     "takes all from here ...");
   v("scale_max", s.scale_max, {1e-3, 1e3}, "m per unit", "... to there for equally likely by order of magnitude");
   v("scale_evidence", s.scale_evidence, {0, 1000}, "",
-    "logarithm of how much likelier than any other scale the best one must be before a place is verified");
+    "by how much the place at the best scale must stand out more from the places beside it than at any other scale, "
+    "before it is verified; summed over the ground that both maps know");
   v("max_tilt", s.max_tilt, {0, 1.1}, "rad",
     "without IMU the dominant plane within this of the map's z axis is made level; 0: the mounting on tf and a level "
     "start are trusted");

@@ -17,21 +17,35 @@ struct HeightMapLocalizer::RawCloud {
   double extent = 0;  // longer edge in plan
 };
 
+/// Their height map at a scale, in the cells of a level of the ground map.
+struct HeightMapLocalizer::ScaledMap {
+  double scale = 1;
+  HeightMap map;
+  Eigen::Vector2d centre = Eigen::Vector2d::Zero();  // [m]
+  GroundLevel* ground = nullptr;
+
+  /// See PlaceOnFloor.
+  HeightMap onFloor(double floor) const { return std::isnan(floor) ? map : withFloor(map, scale * floor); }
+};
+
 struct HeightMapLocalizer::ScaleTrial {
   double scale = 1;
-  Placement best;  // of scale * centre
-  Zmssd zmssd;     // there
-  ScaleBackground background;
-  /// Logarithm of the likelihood that the heights in the overlap belong together, over that of their being unrelated:
-  /// each independent piece of ground counts by how much less the maps differ than at other places.
-  double evidence = -kInfinity;
-  double independent = 1;  // pieces of ground
+  PlaceOnFloor place;   // the best one
+  Agreement agreement;  // there
+  Zmssd zmssd;
+  /// Logarithm of how much likelier the heights of a piece of ground are there than at the best place elsewhere, times
+  /// the share that the place explains of what nothing known would cost. At a wrong scale many places fit about as
+  /// well, if it is too small, or none does, if it is too large.
+  double distinctness = -kInfinity;
+  double independent = 1;  // pieces of ground whose height both maps know
+  double curvature = 0;    // of the cost by the logarithm of the scale [m^2], not negative
   double radius = 0;       // root mean square distance of the aerial cells from their centre [m]
 };
 
 namespace {
 
 constexpr double kStep = 0.08;        // of the logarithm: half of it moves the rim of 4 m by 8 cm, a cell
+constexpr double kAlike = 4 * kStep;  // by so much the scales of one place may differ in large cells
 constexpr double kFinest = 0.01;      // with coarse cells; then kSettleStep with the maps' own
 constexpr double kSettleStep = 0.01;  // a cell of 2 cm at the rim of such a map
 constexpr double kEdge = 0.02;        // [m] to which both maps place an edge, see scaleDeviation
@@ -46,11 +60,10 @@ constexpr int kGroundCells = 64;      // across the ground map in that search
 constexpr int kCoarseHeadings = 36;
 constexpr std::size_t kPlaces = 6;               // of a scale, that are compared
 constexpr std::size_t kFloors = 3;               // places of the floor that are tried at a scale
-constexpr int kUnrelated = 200;                  // placements that show what a wrong one costs
 constexpr double kLargest = 2.5;                 // edges of the ground map that the aerial one may be long
 constexpr std::size_t kMostPoints = 20000;       // in large cells
 constexpr std::size_t kMostFullPoints = 400000;  // in the maps' own
-constexpr std::size_t kPeaks = 3;                // scales that are refined
+constexpr std::size_t kPeaks = 5;                // scales that are refined
 
 double quantile(std::vector<float>& values, double q) {
   const auto k = values.begin() + static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
@@ -92,30 +105,6 @@ double pieceArea(const HeightMap& map) {
     before = mean;
   }
   return std::pow(2 * std::max(1.0, apart) * map.resolution, 2);
-}
-
-/// Median cost of the same maps at placements spread over the volume: what two maps cost that have nothing to do with
-/// each other there. Negative where there is none.
-double unrelatedCost(const CostVolume& volume, const DirectCost& direct, const AerialCells& cells,
-                     const CostSettings& settings) {
-  std::size_t total = 0;
-  for (const CostMap& slice : volume.slices)
-    total += static_cast<std::size_t>(
-        std::count_if(slice.cost.begin(), slice.cost.end(), [](float c) { return std::isfinite(c); }));
-  const std::size_t step = std::max<std::size_t>(1, total / kUnrelated);
-  std::vector<PlanarPose> poses;
-  std::size_t i = 0;
-  for (const CostMap& slice : volume.slices) {
-    for (std::size_t k = 0; k < slice.cost.size(); ++k) {
-      if (!std::isfinite(slice.cost[k]) || i++ % step != 0) continue;
-      const int row = static_cast<int>(k / slice.width), column = static_cast<int>(k % slice.width);
-      poses.push_back(changeReference(slice.pose(row, column), volume.pivot, cells.reference));
-    }
-  }
-  std::vector<float> costs;
-  for (const Zmssd& z : direct(cells, poses, settings))
-    if (std::isfinite(z.cost)) costs.push_back(static_cast<float>(z.cost));
-  return costs.empty() ? -1 : quantile(costs, 0.5);
 }
 
 /// Of both maps' heights in the overlap, their sum [m^2].
@@ -201,120 +190,150 @@ HeightMapLocalizer::GroundLevel& HeightMapLocalizer::groundLevel(int factor) {
   return *level;
 }
 
-/// The best placement over all headings and offsets, and what others cost.
-HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre,
-                                                                 GroundLevel& ground) {
-  ScaleTrial trial;
-  const AerialCells cells = aerialCells(map, centre);
-  const CostSettings cost = costFor(map);
-  if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
-  const auto headings = searchHeadings(kCoarseHeadings, prior_);
-  const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
-  const CostVolume volume = computeCostVolume(*ground.fft, map, headings, circular, cost);
-  trial.best = bestOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *ground.direct, cells,
-                            map.resolution, M_PI / kCoarseHeadings, cost);
-  trial.zmssd = (*ground.direct)(cells, trial.best.pose, cost);
-  trial.background.unrelated = unrelatedCost(volume, *ground.direct, cells, cost);
-  return trial;
+/// Of the ground map's cells in the search over all placements.
+int HeightMapLocalizer::coarseFactor() const {
+  return std::max(settings_.coarse_factor, (std::max(ground_.width, ground_.height) + kGroundCells - 1) / kGroundCells);
 }
 
-HeightMapLocalizer::ScaleTrial HeightMapLocalizer::tryScale(double scale, const RawCloud& raw, int cells_across,
-                                                            const PlanarPose* start,
-                                                            const ScaleBackground& background) {
-  ScaleTrial trial;
-  trial.scale = scale;
+double HeightMapLocalizer::groundPiece() {
+  if (ground_piece_ <= 0) ground_piece_ = pieceArea(groundLevel(coarseFactor()).map);
+  return ground_piece_;
+}
+
+HeightMapLocalizer::ScaledMap HeightMapLocalizer::scaledMap(double scale, const RawCloud& raw, int cells_across,
+                                                            int least_factor) {
   const double fine = settings_.air_map.resolution;
-  int factor = std::max(1, static_cast<int>(std::ceil(scale * raw.extent / (fine * cells_across))));
-  if (!start)
-    factor = std::max(
-        {factor, settings_.coarse_factor, (std::max(ground_.width, ground_.height) + kGroundCells - 1) / kGroundCells});
+  const int factor = std::max(least_factor, static_cast<int>(std::ceil(scale * raw.extent / (fine * cells_across))));
   HeightMapSettings how = settings_.air_map;
   how.resolution = fine * factor;
   if (factor > 1 && how.dilation == Dilation::kAll) how.dilation = Dilation::kHoles;  // large cells are dilated already
   how.max_extent = std::max(how.max_extent, 10 * how.resolution);
   std::vector<Eigen::Vector3f> points = raw.points;
   for (auto& p : points) p *= static_cast<float>(scale);
-  HeightMap map = buildHeightMap(points, how);
-  if (map.empty()) return trial;
-  GroundLevel& ground = groundLevel(factor);
-  const Eigen::Vector2d centre = scale * raw.centre;
-  if (start) {
-    if (!std::isnan(background.floor)) map = withFloor(std::move(map), scale * background.floor);
-    trial.background = background;
-    const AerialCells cells = aerialCells(map, centre);
-    const CostSettings cost = costFor(map);
-    trial.best = descend(*ground.direct, cells, *start, 2 * how.resolution, 0.03, cost);
-    trial.zmssd = (*ground.direct)(cells, trial.best.pose, cost);
-  } else {
-    // Who has seen tables alone takes one for the floor.
-    LevelHistogram levels = map.levels;
-    for (float& cells : levels.cells) cells *= static_cast<float>(factor * factor);
-    std::vector<double> floors = floorCandidates(levels, ground_.levels, ground_.cap, kFloors);
-    const HeightMap own = map;
-    for (std::size_t i = 0; i < floors.size(); ++i) {
-      const HeightMap lifted = i == 0 ? own : withFloor(own, floors[i]);
-      ScaleTrial placed = placeAnywhere(lifted, centre, ground);
-      if (i > 0 && !(placed.best.agreement.score < trial.best.agreement.score)) continue;
-      trial.best = placed.best;
-      trial.zmssd = placed.zmssd;
-      trial.background.unrelated = placed.background.unrelated;
-      trial.background.floor = i == 0 ? std::numeric_limits<double>::quiet_NaN() : floors[i] / scale;
-      map = lifted;
+  return {scale, buildHeightMap(points, how), scale * raw.centre, &groundLevel(factor)};
+}
+
+/// The best placement over all headings, offsets and floors.
+HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(double scale, const RawCloud& raw) {
+  ScaleTrial trial;
+  trial.scale = scale;
+  const ScaledMap map = scaledMap(scale, raw, kCoarseCells, coarseFactor());
+  if (map.map.empty()) return trial;
+  GroundLevel& ground = *map.ground;
+  if (!ground.fft) ground.fft = std::make_unique<FftCost>(ground.map);
+  const auto headings = searchHeadings(kCoarseHeadings, prior_);
+  const bool circular = static_cast<int>(headings.size()) == kCoarseHeadings;
+  // Who has seen tables alone takes one for the floor.
+  LevelHistogram levels = map.map.levels;
+  const double cell = std::pow(ground.map.resolution / ground_.resolution, 2);
+  for (float& cells : levels.cells) cells *= static_cast<float>(cell);
+  std::vector<Placement> places;
+  std::vector<double> floors;  // of each of them
+  const std::vector<double> candidates = floorCandidates(levels, ground_.levels, ground_.cap, kFloors);
+  for (std::size_t i = 0; i < candidates.size(); ++i) {
+    // Its own one, too: at another scale it might take another surface for that.
+    const double floor = (i == 0 ? map.map.floor : candidates[i]) / scale;
+    const HeightMap lifted = i == 0 ? map.map : map.onFloor(floor);
+    const CostSettings cost = costFor(lifted);
+    const CostVolume volume = computeCostVolume(*ground.fft, lifted, headings, circular, cost);
+    for (const Placement& place :
+         placesOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *ground.direct,
+                        aerialCells(lifted, map.centre), lifted.resolution, M_PI / kCoarseHeadings, cost)) {
+      if (!std::isfinite(place.agreement.score)) continue;
+      places.push_back(place);
+      floors.push_back(floor);
     }
-    if (ground.piece <= 0) ground.piece = pieceArea(ground.map);
-    trial.background.piece = std::max(ground.piece, pieceArea(map));
   }
-  trial.radius = rootMeanSquareRadius(map, centre);
-  if (trial.background.unrelated < 0 || !std::isfinite(trial.best.agreement.cost)) return trial;
-  // Unrelated maps cost half the sum of their variances: heights that shrink with the scale do not fit the better for
-  // it.
-  const double variances = variancesOf(trial.zmssd);
-  if (!start) trial.background.variances = variances;
-  const double unrelated =
-      trial.background.unrelated * (trial.background.variances > 0 ? variances / trial.background.variances : 1);
-  trial.independent =
-      std::max(1.0, trial.best.agreement.overlap * how.resolution * how.resolution / trial.background.piece);
-  trial.evidence = 0.5 * trial.independent *
-                   std::log((unrelated + settings_.noise_cost) / (trial.zmssd.cost + settings_.noise_cost));
+  if (places.empty()) return trial;
+  std::size_t best = 0, rival = places.size();
+  for (std::size_t i = 1; i < places.size(); ++i)
+    if (places[i].agreement.score < places[best].agreement.score) best = i;
+  for (std::size_t i = 0; i < places.size(); ++i)
+    if (!isSame(places[i].pose, places[best].pose) &&
+        (rival == places.size() || places[i].agreement.score < places[rival].agreement.score))
+      rival = i;
+  trial.place = {places[best].pose, floors[best]};
+  judgeTrial(&trial, map, places[best].agreement);
+  const double elsewhere = rival < places.size() ? places[rival].agreement.score : nothingKnown();
+  const double explained = std::max(0.0, 1 - trial.agreement.score / nothingKnown());
+  const double by_chance = 1 / (1 + trial.independent);  // a single piece of ground is like many others
+  trial.distinctness = logLikelihoodRatio(1, elsewhere - trial.agreement.score) * explained * (1 - by_chance);
   return trial;
 }
 
-/// `curvature`: of the cost by the logarithm of the scale.
-void HeightMapLocalizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature) {
-  const ScaleBackground background = trial->background;
-  *trial = tryScale(trial->scale, raw, kFineCells, &trial->best.pose, background);
-  *curvature = 0;
+/// The best placement near that of another scale; whether it stands out is not asked.
+HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeNear(double scale, const RawCloud& raw, int cells_across,
+                                                             const PlaceOnFloor& start) {
+  ScaleTrial trial;
+  trial.scale = scale;
+  trial.place = start;
+  const ScaledMap map = scaledMap(scale, raw, cells_across, 1);
+  if (map.map.empty()) return trial;
+  Agreement there;
+  // What the floor is off shows where heights agree; tables alone were seen at another scale above it.
+  for (int i = 0; i < 2; ++i) {
+    const HeightMap lifted = map.onFloor(trial.place.floor);
+    const Placement best = descend(*map.ground->direct, aerialCells(lifted, map.centre), trial.place.pose,
+                                   2 * lifted.resolution, 0.03, costFor(lifted));
+    trial.place.pose = best.pose;
+    there = best.agreement;
+    if (i == 0 && std::isfinite(there.cost)) trial.place.floor += there.offset / scale;
+  }
+  judgeTrial(&trial, map, there);
+  return trial;
+}
+
+/// What both maps say at the trial's place.
+void HeightMapLocalizer::judgeTrial(ScaleTrial* trial, const ScaledMap& map, const Agreement& there) {
+  const HeightMap lifted = map.onFloor(trial->place.floor);
+  trial->agreement = there;
+  trial->radius = rootMeanSquareRadius(lifted, map.centre);
+  trial->zmssd = (*map.ground->direct)(aerialCells(lifted, map.centre), trial->place.pose, costFor(lifted));
+  trial->independent = trial->zmssd.known * std::pow(lifted.resolution, 2) / groundPiece();
+}
+
+/// Of the cost by the logarithm of the scale [m^2]; 0 where it is not convex or not known.
+double HeightMapLocalizer::bendOf(const ScaleTrial& before, const ScaleTrial& middle, const ScaleTrial& after,
+                                  double step) {
+  const double bend = (before.agreement.cost - 2 * middle.agreement.cost + after.agreement.cost) / (step * step);
+  return std::isfinite(bend) ? std::max(0.0, bend) : 0;
+}
+
+/// How well the heights fit, by piece of ground: a larger map shares more of them, and one with less relief differs by
+/// less, which says nothing for either. `charged` for what has no partner, too.
+double HeightMapLocalizer::fitOf(const ScaleTrial& trial, bool charged) const {
+  const double cost = charged ? trial.agreement.score : trial.agreement.cost;
+  return std::log(variancesOf(trial.zmssd) / (cost + settings_.noise_cost));
+}
+
+/// Climbs to the best scale around the trial's.
+void HeightMapLocalizer::refineScale(ScaleTrial* trial, const RawCloud& raw, double step) {
+  *trial = placeNear(trial->scale, raw, kFineCells, trial->place);
   constexpr int kMoves = 4;
   for (; step >= kFinest; step /= 2) {
     for (int move = 0; move < kMoves; ++move) {
-      const PlanarPose start = trial->best.pose;
-      const double middle = trial->best.agreement.cost, here = trial->evidence;
-      const ScaleTrial before = tryScale(trial->scale * std::exp(-step), raw, kFineCells, &start, background),
-                       after = tryScale(trial->scale * std::exp(step), raw, kFineCells, &start, background);
-      const double bend = (before.best.agreement.cost - 2 * middle + after.best.agreement.cost) / (step * step);
-      if (std::isfinite(bend) && bend > 0) *curvature = bend;
-      if (before.evidence > trial->evidence) *trial = before;
-      if (after.evidence > trial->evidence) *trial = after;
-      if (trial->evidence <= here) break;
+      const ScaleTrial middle = *trial;
+      const ScaleTrial before = placeNear(middle.scale * std::exp(-step), raw, kFineCells, middle.place),
+                       after = placeNear(middle.scale * std::exp(step), raw, kFineCells, middle.place);
+      if (fitOf(before, true) > fitOf(*trial, true)) *trial = before;
+      if (fitOf(after, true) > fitOf(*trial, true)) *trial = after;
+      trial->curvature = bendOf(before, middle, after, step);
+      if (trial->scale == middle.scale) break;
     }
   }
 }
 
 /// With the maps' own cells. Larger ones widen each face by half a cell towards where it was seen from, and what lies
 /// behind it is a hole: far faces move inwards, near ones do not, and the best scale came out 2 % too small.
-void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
-  RawCloud raw = rawCloud(kMostFullPoints);
-  const ScaleBackground background = trial->background;
-  const auto at = [&](double scale) { return tryScale(scale, raw, kFullCells, &trial->best.pose, background); };
-  // By piece of ground: that a larger map shares more of them says nothing about how well it fits.
-  const auto fit = [this](const ScaleTrial& t) {
-    return std::log(variancesOf(t.zmssd) / (t.best.agreement.cost + settings_.noise_cost));
-  };
+void HeightMapLocalizer::settleScale(ScaleTrial* trial) {
+  const RawCloud raw = rawCloud(kMostFullPoints);
+  const PlaceOnFloor start = trial->place;
+  const auto at = [&](double scale) { return placeNear(scale, raw, kFullCells, start); };
   ScaleTrial middle = at(trial->scale), before = at(trial->scale * std::exp(-kSettleStep)),
              after = at(trial->scale * std::exp(kSettleStep));
   constexpr int kMoves = 6;
-  for (int move = 0; move < kMoves && std::max(fit(before), fit(after)) > fit(middle); ++move) {
-    if (fit(before) > fit(after)) {
+  for (int move = 0; move < kMoves && std::max(fitOf(before), fitOf(after)) > fitOf(middle); ++move) {
+    if (fitOf(before) > fitOf(after)) {
       after = std::exchange(middle, before);
       before = at(middle.scale * std::exp(-kSettleStep));
     } else {
@@ -322,25 +341,22 @@ void HeightMapLocalizer::settleScale(ScaleTrial* trial, double* curvature) {
       after = at(middle.scale * std::exp(kSettleStep));
     }
   }
-  if (!std::isfinite(fit(middle))) return;
-  const double evidence = trial->evidence;
+  if (!std::isfinite(fitOf(middle))) return;
   *trial = middle;
-  const double bend = fit(before) - 2 * fit(middle) + fit(after);
+  const double bend = fitOf(before) - 2 * fitOf(middle) + fitOf(after);
   if (std::isfinite(bend) && bend < 0) {
-    const double vertex = 0.5 * (fit(before) - fit(after)) / bend;
+    const double vertex = 0.5 * (fitOf(before) - fitOf(after)) / bend;
     *trial = at(middle.scale * std::exp(std::clamp(vertex, -1.0, 1.0) * kSettleStep));
-    *curvature =
-        std::max(0.0, before.best.agreement.cost - 2 * middle.best.agreement.cost + after.best.agreement.cost) /
-        (kSettleStep * kSettleStep);
+    trial->curvature = bendOf(before, middle, after, kSettleStep);
   }
-  trial->evidence = evidence;  // compares with that of other scales, in large cells
 }
 
 /// Relative. What the heights fix, and that both maps round edges in a way that more of them do not average out: a
 /// face is as thick in the ground map as its depths scatter and cells are wide, towards where it was seen from.
-double HeightMapLocalizer::scaleDeviation(const ScaleTrial& trial, double curvature) const {
+double HeightMapLocalizer::scaleDeviation(const ScaleTrial& trial) const {
   // As for the pose (setCovariance): the information is n / (2 C) times the curvature of the cost.
-  const double information = trial.independent * curvature / (2 * (trial.best.agreement.cost + settings_.noise_cost));
+  const double information =
+      std::max(1.0, trial.independent) * trial.curvature / (2 * (trial.agreement.cost + settings_.noise_cost));
   constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
   return std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kEdge / std::max(trial.radius, kEdge));
 }
@@ -389,54 +405,63 @@ std::vector<double> HeightMapLocalizer::scalesToTry(double extent) {
   return scales;
 }
 
+/// Of the grid's peaks the one whose place stands out most; sets scale_evidence_.
+HeightMapLocalizer::ScaleTrial HeightMapLocalizer::bestOfScales(const RawCloud& raw) {
+  std::vector<ScaleTrial> trials;
+  for (const double scale : scalesToTry(raw.extent)) trials.push_back(placeAnywhere(scale, raw));
+  std::vector<std::size_t> peaks;
+  for (std::size_t i = 0; i < trials.size(); ++i) {
+    const bool peak = std::isfinite(trials[i].distinctness) &&
+                      (i == 0 || trials[i].distinctness >= trials[i - 1].distinctness) &&
+                      (i + 1 == trials.size() || trials[i].distinctness > trials[i + 1].distinctness);
+    if (peak) peaks.push_back(i);
+  }
+  std::sort(peaks.begin(), peaks.end(),
+            [&](std::size_t a, std::size_t b) { return trials[a].distinctness > trials[b].distinctness; });
+  if (peaks.size() > kPeaks) peaks.resize(kPeaks);
+  ScaleTrial best;
+  std::vector<ScaleTrial> refined;
+  scale_peaks_.clear();
+  for (const std::size_t i : peaks) {
+    ScaleTrial trial = trials[i];
+    refineScale(&trial, raw, kStep);
+    trial.distinctness = std::max(trials[i].distinctness, placeAnywhere(trial.scale, raw).distinctness);
+    scale_peaks_.push_back(trial.scale);
+    refined.push_back(trial);
+    if (trial.distinctness > best.distinctness) best = trial;
+  }
+  // Without another peak the alternative is that nothing fits: evidence 0.
+  double lead = std::max(0.0, best.distinctness);
+  ScaleTrial fittest = best;
+  for (const ScaleTrial& other : refined) {
+    // Neighbours that place the map alike are one answer, whose scale is the one that fits.
+    const bool alike =
+        std::abs(std::log(other.scale / best.scale)) < kAlike && isSame(other.place.pose, best.place.pose);
+    if (!alike) lead = std::min(lead, best.distinctness - other.distinctness);
+    if (alike && fitOf(other) > fitOf(fittest)) fittest = other;
+  }
+  scale_evidence_ = lead * best.independent;
+  return fittest;
+}
+
 void HeightMapLocalizer::searchScales() {
   const RawCloud raw = rawCloud(kMostPoints);
   if (raw.points.empty() || !(raw.extent > 0)) return;
   ScaleTrial best;
-  double curvature = 0;
   if (estimate_.status == Status::kConverged) {
     const Eigen::Vector2d reference = scale_ * raw.centre;
     const Eigen::Vector3d p = estimate_.T_ground_mav * Eigen::Vector3d(reference.x(), reference.y(), 0);
     best.scale = scale_;
-    best.background = background_;
-    best.best.pose = {p.x(), p.y(), air_ground_common::yawOf(estimate_.T_ground_mav.rotation())};
-    refineScale(&best, raw, kTrackStep, &curvature);
+    best.place = {{p.x(), p.y(), air_ground_common::yawOf(estimate_.T_ground_mav.rotation())}, scale_floor_};
+    refineScale(&best, raw, kTrackStep);
   } else {
-    std::vector<ScaleTrial> trials;
-    for (const double scale : scalesToTry(raw.extent))
-      trials.push_back(tryScale(scale, raw, kCoarseCells, nullptr, {}));
-    std::vector<std::size_t> peaks;
-    for (std::size_t i = 0; i < trials.size(); ++i) {
-      const bool peak = std::isfinite(trials[i].evidence) && (i == 0 || trials[i].evidence >= trials[i - 1].evidence) &&
-                        (i + 1 == trials.size() || trials[i].evidence > trials[i + 1].evidence);
-      if (peak) peaks.push_back(i);
-    }
-    std::sort(peaks.begin(), peaks.end(),
-              [&](std::size_t a, std::size_t b) { return trials[a].evidence > trials[b].evidence; });
-    if (peaks.size() > kPeaks) peaks.resize(kPeaks);
-    std::vector<ScaleTrial> refined;
-    scale_peaks_.clear();
-    for (const std::size_t i : peaks) {
-      refined.push_back(trials[i]);
-      double bend = 0;
-      refineScale(&refined.back(), raw, kStep / 2, &bend);
-      scale_peaks_.push_back(refined.back().scale);
-      if (refined.back().evidence > best.evidence) {
-        best = refined.back();
-        curvature = bend;
-      }
-    }
-    // Without another peak the alternative is that nothing fits: evidence 0, that of unrelated heights.
-    scale_evidence_ = std::max(0.0, best.evidence);
-    for (const ScaleTrial& other : refined)
-      if (std::abs(std::log(other.scale / best.scale)) > kStep)
-        scale_evidence_ = std::min(scale_evidence_, best.evidence - other.evidence);
+    best = bestOfScales(raw);
   }
-  if (!std::isfinite(best.evidence)) return;
-  settleScale(&best, &curvature);
-  scale_stddev_ = best.scale * scaleDeviation(best, curvature);
+  if (!std::isfinite(best.agreement.cost)) return;
+  settleScale(&best);
+  scale_stddev_ = best.scale * scaleDeviation(best);
   scale_ = best.scale;
-  background_ = best.background;
+  scale_floor_ = best.place.floor;
 }
 
 }  // namespace heightmap_mcl

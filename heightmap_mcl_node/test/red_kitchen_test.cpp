@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 #include <opencv2/imgcodecs.hpp>
+#include <random>
 #include <string>
 
 #include "air_ground_common/text.h"
@@ -103,34 +104,48 @@ TEST_P(RedKitchenTops, BothHalvesFindEachOther) {
 }
 INSTANTIATE_TEST_SUITE_P(Tops, RedKitchenTops, ::testing::Values(Tops::kBounded, Tops::kHighest));
 
-// The MAV's clouds show tables and no floor: a table taken for the floor contradicts the right place at any scale.
+// The MAV's clouds show tables and no floor: a table taken for the floor contradicts the right place at any scale. With
+// some points left out, so that luck in a tie between scales is seen.
 TEST(RedKitchen, ScaleIsFoundThoughTheFloorWasNotSeen) {
   if (!std::filesystem::exists(frameFile(0, "depth.png"))) GTEST_SKIP() << "no recording in " << folder();
   const Eigen::Matrix3d R_level = levelling();
-  std::vector<Eigen::Vector3f> ground;
-  for (int frame = 0; frame < 300; frame += 6) addPoints(frame, cameraPose(frame, R_level), ground);
+  std::vector<Eigen::Vector3f> all_ground;
+  for (int frame = 0; frame < 300; frame += 6) addPoints(frame, cameraPose(frame, R_level), all_ground);
   const Pose T_ground_mav = air_ground_common::yawPose(2.1, {1.3, -0.7, 0.4});
   const synthetic::OwnUnit own{2.2, air_ground_common::expSO3({0.1, -0.15, 0})};
-  HeightMapLocalizer localizer({});
-  localizer.setOwnUnit(true);
-  ASSERT_TRUE(localizer.setGround(ground));
-  double scale_error = 1;
-  for (int first = 300; first + 16 < 400; first += 20) {
-    AerialCloud cloud;
-    for (int frame = first; frame < first + 20; frame += 4) {
-      const Pose T_mav_camera = T_ground_mav.inverse() * cameraPose(frame, R_level);
-      addPoints(frame, T_mav_camera, cloud.points);
-      cloud.reference = T_mav_camera.translation();
+  for (const unsigned seed : {1u, 2u, 3u}) {
+    std::mt19937 random(seed);
+    const auto some = [&random](const std::vector<Eigen::Vector3f>& points) {
+      std::vector<Eigen::Vector3f> kept;
+      for (const auto& p : points)
+        if (random() % 10 != 0) kept.push_back(p);
+      return kept;
+    };
+    HeightMapLocalizer localizer({});
+    localizer.setOwnUnit(true);
+    ASSERT_TRUE(localizer.setGround(some(all_ground)));
+    double scale_error = 1;
+    bool converged = false;
+    for (int first = 300; first + 16 < 360; first += 20) {
+      AerialCloud cloud;
+      for (int frame = first; frame < first + 20; frame += 4) {
+        const Pose T_mav_camera = T_ground_mav.inverse() * cameraPose(frame, R_level);
+        addPoints(frame, T_mav_camera, cloud.points);
+        cloud.reference = T_mav_camera.translation();
+      }
+      cloud.points = some(cloud.points);
+      const AerialCloud raw = own.raw(cloud);
+      ASSERT_TRUE(localizer.addAerial(raw));
+      const CoarseEstimate& e = localizer.estimate();
+      scale_error = e.scale / own.unit - 1;
+      const double position =
+          (e.similarityPose() * (e.scale * raw.reference) - T_ground_mav * cloud.reference).head<2>().norm();
+      std::printf("scale %+.1f %%, %.3f m, evidence %.1f, %s: %s\n", 100 * scale_error, position, e.scale_evidence,
+                  toString(e.status), e.reason.c_str());
+      EXPECT_FALSE(e.status == Status::kConverged && position > 0.25);
+      converged = converged || e.status == Status::kConverged;
     }
-    const AerialCloud raw = own.raw(cloud);
-    ASSERT_TRUE(localizer.addAerial(raw));
-    const CoarseEstimate& e = localizer.estimate();
-    scale_error = e.scale / own.unit - 1;
-    const double position =
-        (e.similarityPose() * (e.scale * raw.reference) - T_ground_mav * cloud.reference).head<2>().norm();
-    std::printf("scale %+.1f %%, %.3f m, evidence %.1f, %s: %s\n", 100 * scale_error, position, e.scale_evidence,
-                toString(e.status), e.reason.c_str());
-    EXPECT_FALSE(e.status == Status::kConverged && position > 0.25);
+    EXPECT_TRUE(converged);
+    EXPECT_LT(std::abs(scale_error), 0.08);
   }
-  EXPECT_LT(std::abs(scale_error), 0.08);
 }

@@ -53,9 +53,11 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings);
 
-/// The lowest score that descents from the volume's `count` lowest minima reach; see findLocalMinima and descend.
-Placement bestOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
-                       const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
-                       const CostSettings& settings);
+/// What descents from the volume's `count` lowest minima reach (OpenMP); see findLocalMinima and descend.
+std::vector<Placement> placesOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                                      const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
+                                      const CostSettings& settings);
+/// The lowest score; without a finite one where there is none.
+Placement bestOf(const std::vector<Placement>& places);
 
 }  // namespace heightmap_mcl

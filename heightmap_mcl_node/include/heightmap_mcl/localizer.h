@@ -43,14 +43,14 @@ struct HeightMapLocalizerSettings {
 
   // Aerial clouds of a map without scale, see HeightMapLocalizer::setOwnUnit. Its unit is the distance of what the MAV
   // saw at the map's start, and all distances in these bounds are equally likely by order of magnitude.
-  double scale_min = 0.3;     ///< [m per unit]
-  double scale_max = 30;      ///< [m per unit]
-  double max_tilt = 0.6;      ///< of that map's z axis from the vertical [rad]; 0: it is vertical
-  double scale_evidence = 3;  ///< logarithm of how much likelier than any other scale the best one must be
-  int headings = 72;          ///< over the full circle, in the coarse search
-  int coarse_factor = 4;      ///< cells of the coarse search are this much larger
-  int accumulate = 4;         ///< aerial clouds merged into the map that weighs the particles; 1 = paper
-  int verify = 8;             ///< aerial clouds merged into the map that checks the result for rivals and refines it
+  double scale_min = 0.3;       ///< [m per unit]
+  double scale_max = 30;        ///< [m per unit]
+  double max_tilt = 0.6;        ///< of that map's z axis from the vertical [rad]; 0: it is vertical
+  double scale_evidence = 0.1;  ///< see CoarseEstimate: little, since the verdict on the place tells scales apart, too
+  int headings = 72;            ///< over the full circle, in the coarse search
+  int coarse_factor = 4;        ///< cells of the coarse search are this much larger
+  int accumulate = 4;           ///< aerial clouds merged into the map that weighs the particles; 1 = paper
+  int verify = 8;               ///< aerial clouds merged into the map that checks the result for rivals and refines it
   Merge merge = Merge::kMean;
 
   // What it takes to be believed. Scores are those of the verification map at full resolution.
@@ -111,8 +111,8 @@ struct CoarseEstimate {
   double scale = 1;
   double scale_stddev = 0;                                ///< of it; 0 where the clouds are metric
   Eigen::Matrix3d R_level = Eigen::Matrix3d::Identity();  ///< turns their dominant floor level
-  /// Logarithm of how much likelier the scale is than the best one elsewhere, or than that nothing fits; infinite where
-  /// the clouds are metric.
+  /// By how much more its place stands out from the other ones than at the next best scale (logarithm of a likelihood
+  /// ratio, times the share explained, summed over pieces of ground); infinite where the clouds are metric.
   double scale_evidence = std::numeric_limits<double>::infinity();
   air_ground_common::Pose similarityPose() const;  ///< T_ground_mav * R_level: p_ground = scale * R p + t
   /// 6x6 (x y z rotX rotY rotZ) in the ground frame, of a point at `reference_point` carried by T_ground_mav.
@@ -206,26 +206,30 @@ class HeightMapLocalizer {
   std::vector<Eigen::Vector3f> kept(const std::vector<Eigen::Vector3f>& points) const;
   struct RawCloud;
   struct ScaleTrial;
-  struct ScaleBackground {
-    double unrelated = -1;  // what a wrong place costs [m^2]; negative: not known
-    double variances = 0;   // of both maps' heights where that was measured, their sum [m^2]
-    double piece = 0;       // area over which the heights of either map are alike [m^2]
+  struct PlaceOnFloor {
+    PlanarPose pose;                                          // of the kept clouds' centre
     double floor = std::numeric_limits<double>::quiet_NaN();  // of the aerial map [unit]; NaN: its own lowest surface
   };
   struct GroundLevel {
     HeightMap map;  // of larger cells
     std::unique_ptr<DirectCost> direct;
     std::unique_ptr<FftCost> fft;  // where it was needed
-    double piece = 0;              // see ScaleBackground, of this map alone
   };
   RawCloud rawCloud(std::size_t most) const;
-  ScaleTrial placeAnywhere(const HeightMap& map, const Eigen::Vector2d& centre, GroundLevel& ground);
-  ScaleTrial tryScale(double scale, const RawCloud& raw, int cells_across, const PlanarPose* start,
-                      const ScaleBackground& background);
-  void refineScale(ScaleTrial* trial, const RawCloud& raw, double step, double* curvature);
-  void settleScale(ScaleTrial* trial, double* curvature);
-  double scaleDeviation(const ScaleTrial& trial, double curvature) const;
+  struct ScaledMap;
+  ScaledMap scaledMap(double scale, const RawCloud& raw, int cells_across, int least_factor);
+  ScaleTrial placeAnywhere(double scale, const RawCloud& raw);
+  ScaleTrial placeNear(double scale, const RawCloud& raw, int cells_across, const PlaceOnFloor& start);
+  void judgeTrial(ScaleTrial* trial, const ScaledMap& map, const Agreement& there);
+  double fitOf(const ScaleTrial& trial, bool charged = false) const;
+  static double bendOf(const ScaleTrial& before, const ScaleTrial& middle, const ScaleTrial& after, double step);
+  ScaleTrial bestOfScales(const RawCloud& raw);
+  void refineScale(ScaleTrial* trial, const RawCloud& raw, double step);
+  void settleScale(ScaleTrial* trial);
+  double scaleDeviation(const ScaleTrial& trial) const;
   GroundLevel& groundLevel(int factor);
+  int coarseFactor() const;
+  double groundPiece();
   void remakeKeptMaps();
   Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }
   /// The estimate of Mode::kPaper.
@@ -252,6 +256,9 @@ class HeightMapLocalizer {
   /// Logarithm of how much likelier the heights are at a place than at another one of that score [m^2].
   double evidenceLead(const Agreement& place, double other_score) const;
   double independentCells(const Agreement& place) const;
+  /// The same for mean squared residuals that are less by `cost_less` [m^2] over that many independent measurements.
+  double logLikelihoodRatio(double independent, double cost_less) const;
+  double nothingKnown() const;  ///< score of a placement without partners [m^2]
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
@@ -274,11 +281,12 @@ class HeightMapLocalizer {
   std::vector<Placement> floor_rivals_;  // the best placements with other floors
   bool own_unit_ = false;
   double scale_ = 1, scale_stddev_ = 0, scale_evidence_ = 0;
-  ScaleBackground background_;
-  std::vector<double> scale_peaks_;  // the last grid's best scales
+  double scale_floor_ = std::numeric_limits<double>::quiet_NaN();  // see PlaceOnFloor
+  std::vector<double> scale_peaks_;                                // the last grid's best scales
   int grids_ = 0, clouds_since_grid_ = 0;
   Eigen::Matrix3d R_level_ = Eigen::Matrix3d::Identity();
   std::map<int, std::unique_ptr<GroundLevel>> ground_levels_;  // by the factor of their cells
+  double ground_piece_ = 0;  // area over which the ground map's heights are alike [m^2]; 0: not known yet
   int maps_ = 0, restarts_ = 0;
   std::size_t far_maps_dropped_ = 0;
   // Gathered for the place of evidence_pose_, for CONVERGED and for a guess.

@@ -56,6 +56,7 @@ void validate(const CostSettings& settings);
 
 struct Zmssd {
   int overlap = 0;           ///< cells defined in both maps, bounds included
+  int known = 0;             ///< those of them with a height in both, no edge near
   double cost = kInfinity;   ///< eq. 2 [m^2], eta = 1 / (2 overlap); infinite below the overlap threshold
   double score = kInfinity;  ///< what placements are compared by [m^2], see CostSettings::unknown_cost
   double relief_air = 0;     ///< standard deviation of the aerial heights in the overlap [m]
@@ -82,6 +83,7 @@ inline Zmssd zmssdFromSums(const OverlapSums& sums, double cells, const CostSett
   Zmssd result;
   const double n = sums.n;
   result.overlap = static_cast<int>(n + 0.5);
+  result.known = static_cast<int>(sums.known + 0.5);
   if (n < 1 || n < settings.min_overlap * cells) return result;
   const auto variance = [n](double sum, double squares) { return std::max(0.0, squares / n - sum / n * (sum / n)); };
   const double air = variance(sums.a, sums.a2), ground = variance(sums.g, sums.g2);
