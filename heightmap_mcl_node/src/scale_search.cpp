@@ -1,11 +1,9 @@
-// Level and scale of the aerial clouds, for a MAV whose odometry has neither: the dominant floor, and a logarithmic
-// grid of scales, coarse to fine.
+// The scale of the aerial clouds, for a MAV whose odometry has none: a logarithmic grid, coarse to fine.
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
 
-#include "heightmap_mcl/dominant_floor.h"
 #include "heightmap_mcl/localizer.h"
 
 namespace heightmap_mcl {
@@ -51,8 +49,6 @@ constexpr double kSettleStep = 0.01;  // a cell of 2 cm at the rim of such a map
 constexpr double kEdge = 0.02;        // [m] to which both maps place an edge, see scaleDeviation
 constexpr double kTrackStep = 0.012;  // around a scale that has converged
 constexpr double kRestart = 0.015;    // a change by more moves the particles' map too far
-constexpr double kLevelStep = 0.004;  // a smaller change of the level is not worth new maps [rad]
-constexpr double kFloorShare = 0.10;  // of the points, that a floor must hold
 constexpr int kCoarseCells = 36;      // across the aerial map, over all headings and offsets ...
 constexpr int kFineCells = 100;       // ... and around a place
 constexpr int kFullCells = 1000;      // the maps' own cells, unless the aerial map is huge
@@ -122,38 +118,6 @@ double rootMeanSquareRadius(const HeightMap& map, const Eigen::Vector2d& centre)
 }
 
 }  // namespace
-
-std::vector<Eigen::Vector3f> HeightMapLocalizer::kept(const std::vector<Eigen::Vector3f>& points) const {
-  constexpr std::size_t kMostKept = 40000;
-  const std::size_t step = (points.size() + kMostKept - 1) / kMostKept;
-  std::vector<Eigen::Vector3f> some;
-  for (std::size_t i = 0; i < points.size(); i += step) some.push_back(points[i]);
-  return some;
-}
-
-void HeightMapLocalizer::setOwnUnit(bool own_unit) {
-  if (own_unit == own_unit_) return;
-  own_unit_ = own_unit;
-  restart(true);
-}
-
-HeightMap HeightMapLocalizer::mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
-                                    std::size_t* cropped) const {
-  if (!own_unit_) return buildHeightMap(points, settings_.air_map, cropped, &earlier);
-  const Eigen::Matrix3f S = (scale_ * R_level_).cast<float>();
-  std::vector<Eigen::Vector3f> metric;
-  metric.reserve(points.size());
-  for (const auto& p : points) metric.push_back(S * p);
-  return buildHeightMap(metric, settings_.air_map, cropped, &earlier);
-}
-
-void HeightMapLocalizer::remakeKeptMaps() {
-  LevelHistogram levels;
-  for (Kept& kept : aerial_) {
-    kept.map = mapOf(kept.points, levels);
-    levels.add(kept.map.levels);
-  }
-}
 
 HeightMapLocalizer::RawCloud HeightMapLocalizer::rawCloud(std::size_t most) const {
   std::size_t count = 0;
@@ -359,18 +323,6 @@ double HeightMapLocalizer::scaleDeviation(const ScaleTrial& trial) const {
       std::max(1.0, trial.independent) * trial.curvature / (2 * (trial.agreement.cost + settings_.noise_cost));
   constexpr double kOpen = 0.1;  // where the cost shows no minimum: another peak would have been found beyond
   return std::hypot(1 / std::sqrt(information + 1 / (kOpen * kOpen)), kEdge / std::max(trial.radius, kEdge));
-}
-
-bool HeightMapLocalizer::updateLevel() {
-  if (settings_.max_tilt <= 0) return false;
-  std::vector<Eigen::Vector3f> all;
-  for (const Kept& kept : aerial_) all.insert(all.end(), kept.points.begin(), kept.points.end());
-  const auto floor = findDominantFloor(all, settings_.max_tilt, kFloorShare);
-  if (!floor) return false;
-  const Eigen::Matrix3d R = air_ground_common::levelingRotation(floor->up);
-  if (air_ground_common::rotationAngle(R, R_level_) < kLevelStep) return false;
-  R_level_ = R;
-  return true;
 }
 
 void HeightMapLocalizer::updateScale() {

@@ -194,8 +194,8 @@ class HeightMapLocalizer {
   void drawFromKeptMaps();
   void updateFilter();
   void updateEstimate();
-  /// scale_search.cpp: level and scale at which the kept clouds fit best, over all scales, or around the present one
-  /// once an estimate has converged; the kept maps are made anew where these have changed.
+  /// own_unit.cpp, scale_search.cpp: level and scale at which the kept clouds fit best, over all scales, or around the
+  /// present one once an estimate has converged; the kept maps are made anew where these have changed.
   void updateScale();
   /// Chooses among the places of the floor that the maps allow, by the best placement of each.
   void updateFloor();
