@@ -28,7 +28,7 @@ def read(*path):
 
 
 def sources(node):
-    paths = [path for kind in ('cpp', 'h') for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', f'*.{kind}'))]
+    paths = [path for kind in ('cpp', 'h') for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', '**', f'*.{kind}'), recursive=True)]
     if node in ('mav_vo', 'rgbd_slam'):
         paths.append(os.path.join(ROOT, 'air_ground_common', 'src', 'ros', 'estimator_shell.cpp'))
     return '\n'.join(read(path) for path in paths)

@@ -17,7 +17,7 @@
 #include <limits>
 #include <set>
 
-#include "../src/map_store.h"
+#include "../src/ros/map_store.h"
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"

@@ -8,7 +8,7 @@
 
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/parameters.h"
-#include "node_parameters.h"
+#include "ros/node_parameters.h"
 
 namespace {
 

@@ -12,9 +12,9 @@
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "mav_vo/external_scale.h"
-#include "messages.h"
-#include "node_parameters.h"
 #include "posed_image_selection.h"
+#include "ros/messages.h"
+#include "ros/node_parameters.h"
 #include "visual_frontend/feature_tracker.h"
 
 namespace mav_vo {

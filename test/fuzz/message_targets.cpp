@@ -3,9 +3,9 @@
 
 #include <cmath>
 
-#include "../../ekf_tracker_node/src/sensor_bridge.h"
-#include "../../icp_refine_node/src/alignment_input.h"
-#include "../../view_match_node/src/messages.h"
+#include "../../ekf_tracker_node/src/ros/sensor_bridge.h"
+#include "../../icp_refine_node/src/ros/alignment_input.h"
+#include "../../view_match_node/src/ros/messages.h"
 #include "air_ground_common/encoded_image.h"
 #include "air_ground_common/rectification.h"
 #include "air_ground_common/ros/compressed_image.h"
