@@ -74,16 +74,11 @@ bool HeightMapLocalizer::isGuess() const {
 
 void HeightMapLocalizer::gatherEvidence() {
   const HeightMapLocalizerSettings& s = settings_;
-  const auto place = [this](const air_ground_common::Pose& T) {
-    return PlanarPose{(T * inMetres(aerial_.back().reference)).x(), (T * inMetres(aerial_.back().reference)).y(),
-                      air_ground_common::yawOf(T.rotation())};
-  };
-  const PlanarPose now = place(estimate_.T_ground_mav), before = place(evidence_pose_);
-  if (std::hypot(now.x - before.x, now.y - before.y) > settings_.rival_distance ||
-      std::abs(air_ground_common::wrapAngle(now.yaw - before.yaw)) > settings_.rival_angle) {
+  const Eigen::Vector2d reference = lastReference();
+  if (!place_before_ || !isSame(planarOf(estimate_.T_ground_mav, reference), planarOf(*place_before_, reference))) {
     evidence_ = guess_evidence_ = 0;
   }
-  evidence_pose_ = estimate_.T_ground_mav;
+  place_before_ = estimate_.T_ground_mav;
   if (new_map_) {
     const auto sum = [&](double before, bool in_favour) {
       const double most = s.min_evidence / 2;

@@ -51,6 +51,7 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   maps_ = 0;
   restarts_ = 0;
   evidence_ = guess_evidence_ = 0;
+  place_before_.reset();
   new_map_ = false;
   if (forget_aerial) {
     floor_ = std::numeric_limits<double>::quiet_NaN();
@@ -280,6 +281,10 @@ std::vector<Placement> HeightMapLocalizer::findPlaces(const CostVolume& volume, 
       placesOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
                      settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
   places.push_back(mode);
+  // Where the maps were before: few new cells may hide that place from the search over coarse ones.
+  if (place_before_)
+    places.push_back(
+        descend(*direct_, cells, planarOf(*place_before_, cells.reference), 2 * ground_.resolution, 2 * kDegree, cost));
   places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
   // Where a position is known, places beyond three standard deviations are no rivals.
   places.erase(std::remove_if(places.begin(), places.end(),

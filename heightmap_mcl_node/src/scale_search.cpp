@@ -401,10 +401,8 @@ void HeightMapLocalizer::searchScales() {
   if (raw.points.empty() || !(raw.extent > 0)) return;
   ScaleTrial best;
   if (estimate_.status == Status::kConverged) {
-    const Eigen::Vector2d reference = scale_ * raw.centre;
-    const Eigen::Vector3d p = estimate_.T_ground_mav * Eigen::Vector3d(reference.x(), reference.y(), 0);
     best.scale = scale_;
-    best.place = {{p.x(), p.y(), air_ground_common::yawOf(estimate_.T_ground_mav.rotation())}, scale_floor_};
+    best.place = {planarOf(estimate_.T_ground_mav, scale_ * raw.centre), scale_floor_};
     refineScale(&best, raw, kTrackStep);
   } else {
     best = bestOfScales(raw);

@@ -15,6 +15,11 @@ PlanarPose changeReference(const PlanarPose& pose, const Eigen::Vector2d& from, 
   return {pose.x + c * d.x() - s * d.y(), pose.y + s * d.x() + c * d.y(), pose.yaw};
 }
 
+PlanarPose planarOf(const air_ground_common::Pose& T_ground_air, const Eigen::Vector2d& reference) {
+  const Eigen::Vector3d p = T_ground_air * Eigen::Vector3d(reference.x(), reference.y(), 0);
+  return {p.x(), p.y(), air_ground_common::yawOf(T_ground_air.rotation())};
+}
+
 void validate(const CostSettings& settings) {
   if (!(settings.min_overlap > 0 && settings.min_overlap <= 1)) {
     throw std::invalid_argument("cost settings: min_overlap must be in (0, 1]");

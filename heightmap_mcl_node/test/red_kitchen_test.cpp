@@ -98,7 +98,7 @@ TEST_P(RedKitchenTops, BothHalvesFindEachOther) {
   EXPECT_EQ(wrong, 0);
   EXPECT_GE(converged, 8);
   EXPECT_EQ(first_right, 0);  // the first cloud shows tables and no floor
-  EXPECT_GE(right, clouds - 2);
+  EXPECT_GE(right, clouds - 1);
   EXPECT_LT(error.position, 0.10);
   EXPECT_LT(error.yaw, 4 * M_PI / 180);
 }

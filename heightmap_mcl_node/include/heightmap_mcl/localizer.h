@@ -289,10 +289,10 @@ class HeightMapLocalizer {
   double ground_piece_ = 0;  // area over which the ground map's heights are alike [m^2]; 0: not known yet
   int maps_ = 0, restarts_ = 0;
   std::size_t far_maps_dropped_ = 0;
-  // Gathered for the place of evidence_pose_, for CONVERGED and for a guess.
+  // Gathered for the place before, for CONVERGED and for a guess.
   double evidence_ = 0, guess_evidence_ = 0;
-  air_ground_common::Pose evidence_pose_ = air_ground_common::Pose::Identity();
-  bool new_map_ = false;  // whose evidence has not been gathered yet
+  std::optional<air_ground_common::Pose> place_before_;  // T_ground_mav
+  bool new_map_ = false;                                 // whose evidence has not been gathered yet
   bool weighed_ = false;  // the particles carry weights that the next resampling consumes
 };
 

@@ -15,6 +15,7 @@
 #include <limits>
 #include <vector>
 
+#include "air_ground_common/geometry.h"
 #include "heightmap_mcl/height_map.h"
 
 namespace heightmap_mcl {
@@ -31,6 +32,8 @@ struct PlanarPose {
 
 /// The same placement stated for another reference point (both in the aerial frame).
 PlanarPose changeReference(const PlanarPose& pose, const Eigen::Vector2d& from, const Eigen::Vector2d& to);
+/// What a level T_ground_air makes of a reference point.
+PlanarPose planarOf(const air_ground_common::Pose& T_ground_air, const Eigen::Vector2d& reference);
 
 struct CostSettings {
   /// Cells that must be defined in both maps, as a share of the defined cells of the aerial map (paper), or of the
