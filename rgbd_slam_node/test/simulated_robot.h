@@ -17,7 +17,7 @@ namespace synthetic = visual_frontend::synthetic;
 struct Robot {
   Robot() : camera(synthetic::camera(false)), texture(synthetic::texture(1800, 3)) {
     texture.convertTo(texture, -1, 1.8, -102);
-    // 1.2 m up, looking forward and 60 degrees down: the floor fills the image.
+    // 1.2 m up, looking to the right and lying on its side: floor in a part of the image, up to the horizon.
     mounting.T_base_camera.linear() = Eigen::AngleAxisd(1.05, Eigen::Vector3d::UnitY()).toRotationMatrix() *
                                       air_ground_common::opticalFromForwardBody();
     mounting.T_base_camera.translation() = Eigen::Vector3d(0.1, 0.03, 1.2);

@@ -49,7 +49,7 @@ Pose normalized(const Pose& T);
 /// True when every entry is finite and the rotation is orthonormal to 1e-6.
 bool isValid(const Pose& T);
 
-/// Fixed transform of an optical frame (x right, y down, z forward) whose optical axis is the body's +x (REP-103).
+/// R_optical_body of a camera (x right, y down, z forward) whose optical axis is the body's +x (REP-103).
 Eigen::Matrix3d opticalFromForwardBody();
 
 /// Similarity transform: p_a = scale * R * p_b + t.
