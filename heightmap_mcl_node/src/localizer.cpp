@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <stdexcept>
 
@@ -297,12 +298,16 @@ bool HeightMapLocalizer::isSame(const PlanarPose& a, const PlanarPose& b) const 
   return separation(a, b) < settings_.rival_distance && std::abs(wrapAngle(a.yaw - b.yaw)) < settings_.rival_angle;
 }
 
+Placement HeightMapLocalizer::bestElsewhere(const std::vector<Placement>& places, const PlanarPose& pose) const {
+  std::vector<Placement> others;
+  std::copy_if(places.begin(), places.end(), std::back_inserter(others),
+               [&](const Placement& place) { return !isSame(place.pose, pose); });
+  return bestOf(others);
+}
+
 /// Sets rival_ratio and evidence_lead; returns the best rival, without a finite cost where there is none.
 Placement HeightMapLocalizer::compareWithRivals(const Placement& best, const std::vector<Placement>& places) {
-  Placement rival;
-  for (const Placement& c : places) {
-    if (!isSame(c.pose, best.pose) && c.agreement.score < rival.agreement.score) rival = c;
-  }
+  const Placement rival = bestElsewhere(places, best.pose);
   const bool alone = !std::isfinite(rival.agreement.score);
   estimate_.rival_ratio = alone ? kInfinity : rivalRatio(rival.agreement, best.agreement);
   // Without any other place: the lead over nothing known.

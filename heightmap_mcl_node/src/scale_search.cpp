@@ -192,7 +192,8 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(double scale, c
   const double cell = std::pow(ground.map.resolution / ground_.resolution, 2);
   for (float& cells : levels.cells) cells *= static_cast<float>(cell);
   std::vector<Placement> places;
-  std::vector<double> floors;  // of each of them
+  Placement best;
+  HeightMap best_map;
   const std::vector<double> candidates = floorCandidates(levels, ground_.levels, ground_.cap, kFloors);
   for (std::size_t i = 0; i < candidates.size(); ++i) {
     // Its own one, too: at another scale it might take another surface for that.
@@ -200,25 +201,20 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeAnywhere(double scale, c
     const HeightMap lifted = i == 0 ? map.map : map.onFloor(floor);
     const CostSettings cost = costFor(lifted);
     const CostVolume volume = computeCostVolume(*ground.fft, lifted, headings, circular, cost);
-    for (const Placement& place :
-         placesOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *ground.direct,
-                        aerialCells(lifted, map.centre), lifted.resolution, M_PI / kCoarseHeadings, cost)) {
-      if (!std::isfinite(place.agreement.score)) continue;
-      places.push_back(place);
-      floors.push_back(floor);
-    }
+    const std::vector<Placement> found =
+        placesOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *ground.direct,
+                       aerialCells(lifted, map.centre), lifted.resolution, M_PI / kCoarseHeadings, cost);
+    places.insert(places.end(), found.begin(), found.end());
+    const Placement lowest = bestOf(found);
+    if (!(lowest.agreement.score < best.agreement.score)) continue;
+    best = lowest;
+    best_map = lifted;
+    trial.place = {best.pose, floor};
   }
-  if (places.empty()) return trial;
-  std::size_t best = 0, rival = places.size();
-  for (std::size_t i = 1; i < places.size(); ++i)
-    if (places[i].agreement.score < places[best].agreement.score) best = i;
-  for (std::size_t i = 0; i < places.size(); ++i)
-    if (!isSame(places[i].pose, places[best].pose) &&
-        (rival == places.size() || places[i].agreement.score < places[rival].agreement.score))
-      rival = i;
-  trial.place = {places[best].pose, floors[best]};
-  judgeTrial(&trial, map, places[best].agreement);
-  const double elsewhere = rival < places.size() ? places[rival].agreement.score : nothingKnown();
+  if (!std::isfinite(best.agreement.score)) return trial;
+  judgeTrial(&trial, map, best_map, best.agreement);
+  const Placement rival = bestElsewhere(places, best.pose);
+  const double elsewhere = std::isfinite(rival.agreement.score) ? rival.agreement.score : nothingKnown();
   const double explained = std::max(0.0, 1 - trial.agreement.score / nothingKnown());
   const double by_chance = 1 / (1 + trial.independent);  // a single piece of ground is like many others
   trial.distinctness = logLikelihoodRatio(1, elsewhere - trial.agreement.score) * explained * (1 - by_chance);
@@ -234,22 +230,23 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::placeNear(double scale, const
   const ScaledMap map = scaledMap(scale, raw, cells_across, 1);
   if (map.map.empty()) return trial;
   Agreement there;
+  HeightMap lifted;
   // What the floor is off shows where heights agree; tables alone were seen at another scale above it.
   for (int i = 0; i < 2; ++i) {
-    const HeightMap lifted = map.onFloor(trial.place.floor);
+    lifted = map.onFloor(trial.place.floor);
     const Placement best = descend(*map.ground->direct, aerialCells(lifted, map.centre), trial.place.pose,
                                    2 * lifted.resolution, 0.03, costFor(lifted));
     trial.place.pose = best.pose;
     there = best.agreement;
     if (i == 0 && std::isfinite(there.cost)) trial.place.floor += there.offset / scale;
   }
-  judgeTrial(&trial, map, there);
+  judgeTrial(&trial, map, lifted, there);
   return trial;
 }
 
-/// What both maps say at the trial's place.
-void HeightMapLocalizer::judgeTrial(ScaleTrial* trial, const ScaledMap& map, const Agreement& there) {
-  const HeightMap lifted = map.onFloor(trial->place.floor);
+/// What both maps say at the trial's place. `lifted`: on the floor of that.
+void HeightMapLocalizer::judgeTrial(ScaleTrial* trial, const ScaledMap& map, const HeightMap& lifted,
+                                    const Agreement& there) {
   trial->agreement = there;
   trial->radius = rootMeanSquareRadius(lifted, map.centre);
   trial->zmssd = (*map.ground->direct)(aerialCells(lifted, map.centre), trial->place.pose, costFor(lifted));
@@ -377,7 +374,9 @@ HeightMapLocalizer::ScaleTrial HeightMapLocalizer::bestOfScales(const RawCloud& 
   for (const std::size_t i : peaks) {
     ScaleTrial trial = trials[i];
     refineScale(&trial, raw, kStep);
-    trial.distinctness = std::max(trials[i].distinctness, placeAnywhere(trial.scale, raw).distinctness);
+    trial.distinctness = trials[i].distinctness;
+    if (trial.scale != trials[i].scale)
+      trial.distinctness = std::max(trial.distinctness, placeAnywhere(trial.scale, raw).distinctness);
     scale_peaks_.push_back(trial.scale);
     refined.push_back(trial);
     if (trial.distinctness > best.distinctness) best = trial;

@@ -220,7 +220,7 @@ class HeightMapLocalizer {
   ScaledMap scaledMap(double scale, const RawCloud& raw, int cells_across, int least_factor);
   ScaleTrial placeAnywhere(double scale, const RawCloud& raw);
   ScaleTrial placeNear(double scale, const RawCloud& raw, int cells_across, const PlaceOnFloor& start);
-  void judgeTrial(ScaleTrial* trial, const ScaledMap& map, const Agreement& there);
+  void judgeTrial(ScaleTrial* trial, const ScaledMap& map, const HeightMap& lifted, const Agreement& there);
   double fitOf(const ScaleTrial& trial, bool charged = false) const;
   static double bendOf(const ScaleTrial& before, const ScaleTrial& middle, const ScaleTrial& after, double step);
   ScaleTrial bestOfScales(const RawCloud& raw);
@@ -259,6 +259,8 @@ class HeightMapLocalizer {
   /// The same for mean squared residuals that are less by `cost_less` [m^2] over that many independent measurements.
   double logLikelihoodRatio(double independent, double cost_less) const;
   double nothingKnown() const;  ///< score of a placement without partners [m^2]
+  /// The best one that is not at `pose`; without a finite score where there is none.
+  Placement bestElsewhere(const std::vector<Placement>& places, const PlanarPose& pose) const;
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
