@@ -104,6 +104,14 @@ TEST(StreamGate, StartsAfreshAtAJumpAndCountsWhatItDrops) {
   EXPECT_EQ(health.counted("messages of the time before a jump dropped"), 1u);
   EXPECT_TRUE(gate.admit(1, ros::Time(100.1)));
   EXPECT_EQ(afresh, 1);
+  for (int i = 1; i <= 20; ++i) EXPECT_TRUE(gate.admit(0, ros::Time(100 + 0.05 * i)));
+  EXPECT_FALSE(gate.admit(0, ros::Time()));
+  EXPECT_EQ(health.counted("messages whose stamp was not set dropped"), 1u);
+  EXPECT_FALSE(gate.admit(0, ros::Time(106.0))) << "after a gap";
+  EXPECT_TRUE(gate.admit(0, ros::Time(106.05)));
+  EXPECT_EQ(health.counted("messages far from those before in time dropped (one a gap is: the next confirms it)"), 1u);
+  EXPECT_EQ(health.counted("messages of the time before a jump dropped"), 1u);
+  EXPECT_EQ(afresh, 1);
 }
 
 TEST(NodeHealth, CountersReachDiagnostics) {

@@ -55,15 +55,15 @@ TEST(StreamJumpDetector, OneWrongStampIsNoJump) {
   double t = 100;
   for (int i = 0; i < 50; ++i, t += 0.01) ASSERT_EQ(watch(t), Verdict::kInOrder);
   for (const double wrong : {t + 3, t - 40, 4.2e9}) {
-    EXPECT_EQ(watch(wrong), Verdict::kOld) << wrong;
+    EXPECT_EQ(watch(wrong), Verdict::kHeld) << wrong;
     EXPECT_EQ(watch(t += 0.01), Verdict::kInOrder) << "after " << wrong;
   }
-  EXPECT_EQ(detector.watch(0, ros::Time(), wall), Verdict::kOld) << "no stamp";
-  EXPECT_EQ(detector.watch(0, ros::Time(0xFFFFFFFFu, 0), wall), Verdict::kOld) << "an uninitialised stamp";
+  EXPECT_EQ(detector.watch(0, ros::Time(), wall), Verdict::kUnset) << "no stamp";
+  EXPECT_EQ(detector.watch(0, ros::Time(0xFFFFFFFFu, 0), wall), Verdict::kUnset) << "an uninitialised stamp";
   EXPECT_EQ(watch(t += 0.01), Verdict::kInOrder);
-  EXPECT_EQ(watch(t += 5), Verdict::kOld) << "a gap costs one message";
+  EXPECT_EQ(watch(t += 5), Verdict::kHeld) << "a gap costs one message";
   EXPECT_EQ(watch(t += 0.01), Verdict::kInOrder);
-  EXPECT_EQ(watch(100), Verdict::kOld);
+  EXPECT_EQ(watch(100), Verdict::kHeld);
   EXPECT_EQ(watch(100.01), Verdict::kJump) << "confirmed";
   EXPECT_EQ(watch(100.02), Verdict::kInOrder);
 }
@@ -74,8 +74,8 @@ TEST(StreamJumpDetector, NoStreamBeginsWithAStampThatWasNotSet) {
   ros::Time ones;
   ones.sec = ones.nsec = 0xFFFFFFFFu;
   for (const ros::Time& none : {ros::Time(), ros::Time(0xFFFFFFFFu, 0), ones})
-    EXPECT_EQ(detector.watch(0, none), Verdict::kOld) << none;
-  EXPECT_EQ(detector.watch(0, 4294967299.3), Verdict::kOld) << "more seconds than ros::Time holds";
+    EXPECT_EQ(detector.watch(0, none), Verdict::kUnset) << none;
+  EXPECT_EQ(detector.watch(0, 4294967299.3), Verdict::kUnset) << "more seconds than ros::Time holds";
   EXPECT_EQ(detector.watch(0, ros::Time(100.0)), Verdict::kInOrder) << "no jump";
 }
 

@@ -68,14 +68,15 @@ def write(path, **faults):
                 bag.write('/ground/rgb/image_raw', messages.image(np.dstack([PICTURE] * 3), 'rgb8', t + later, frame), messages.stamp(t))
                 bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t + later, frame), messages.stamp(t))
                 shape = {None: (48, 64), 'half': (24, 32), 'cut': (24, 64)}[faults.get('small_depth')]
+                depth = faults.get('depth', 1500) if i >= faults.get('depth_from', 0) else 1500
                 if faults.get('compressed'):
-                    picture = compressed(np.full(shape, 1500, np.uint16), t, frame, bytes(12), '.png', '16UC1; compressedDepth')
+                    picture = compressed(np.full(shape, depth, np.uint16), t, frame, bytes(12), '.png', '16UC1; compressedDepth')
                     bag.write('/ground/depth/image_raw/compressedDepth', picture, messages.stamp(t))
                 elif not faults.get('no_depth') and not (faults.get('slow_depth') and i % 20):
                     depth_frame = 'ground_depth_optical_frame' if faults.get('depth_frame') else frame
                     if faults.get('depth_calibrated'):
                         bag.write('/ground/depth/camera_info', messages.camera_info(CAMERA, t + later, depth_frame), messages.stamp(t))
-                    bag.write('/ground/depth/image_raw', messages.image(np.full(shape, faults.get('depth', 1500)), '16UC1', t + later, depth_frame), messages.stamp(t))
+                    bag.write('/ground/depth/image_raw', messages.image(np.full(shape, depth), '16UC1', t + later, depth_frame), messages.stamp(t))
                 for robot in ('mav', 'ground'):
                     bag.write(f'/ground_truth/{robot}', messages.pose_stamped(geometry.pose(), t, 'world'), messages.stamp(t))
 
@@ -108,7 +109,8 @@ class BagCheck(unittest.TestCase):
 
     def test_warnings(self):
         for text, faults in (('clocks of the robots do not overlap', dict(clocks=5000.0)), ('stamps go back', dict(jump=True)), ('a gap of', dict(gap=True)),
-                             ('messages are missing at 20 Hz, up to 2 in a row', dict(lossy=True)), ('messages a second, but most of them within 0.01 ms', dict(packets=True)), ('millimetres', dict(depth=20000)),
+                             ('messages are missing at 20 Hz, up to 2 in a row', dict(lossy=True)), ('messages a second, but most of them within 0.01 ms', dict(packets=True)), ('taken for 5000 a metre', dict(depth=20000)),
+                             ('taken for 5000 a metre', dict(depth=20000, compressed=True)), ('taken for 5000 a metre', dict(depth=20000, depth_from=200)), ('half lies beyond 8.0 m', dict(depth=8000, depth_from=400)),
                              ('mav_image_transport:=compressed', dict(compressed=True)), ('ground_depth_transport:=compressed', dict(compressed=True)),
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):

@@ -65,11 +65,19 @@ ImuAlignment::ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix
 bool ImuAlignment::add(const ImuSample& sample) {
   if (!imu_.add(sample)) return false;
   attitude_.add(sample);
+  accel_noise_.add(sample.stamp, sample.specific_force);
   return true;
+}
+
+ImuNoise ImuAlignment::noise() const {
+  ImuNoise noise = settings_.imu_noise;
+  noise.accel_density = std::max(noise.accel_density, accel_noise_.density());
+  return noise;
 }
 
 void ImuAlignment::reset() {
   imu_.clear();
+  accel_noise_.reset();
   attitude_.reset();
   gyro_alignment_.reset();
   gyro_alignment_.setReadoutTime(settings_.readout_time);

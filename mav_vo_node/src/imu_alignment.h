@@ -9,6 +9,7 @@
 
 #include "image_clock_imu.h"
 #include "mav_vo/odometry.h"
+#include "visual_frontend/accel_noise.h"
 #include "visual_frontend/imu_attitude.h"
 
 namespace mav_vo {
@@ -59,8 +60,10 @@ class ImuAlignment {
   /// R_a_b of the camera between two images' stamps, and its standard deviation; empty where samples are missing.
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b, const Eigen::Vector3d& gyro_bias) const;
   std::optional<Preintegration> motion(double stamp_a, double stamp_b, const ImuBias& bias) const {
-    return imu_.motion(stamp_a, stamp_b, settings_.imu_noise, bias);
+    return imu_.motion(stamp_a, stamp_b, noise(), bias);
   }
+  /// As given, or more where the accelerometer's samples show more.
+  ImuNoise noise() const;
   std::string problem() const;  ///< empty: gyro and images agree
   /// Empty: how far the clocks are apart is known well enough for a scale; else what is missing. Clocks that are
   /// farther apart than is looked for end in a false minimum, which never gets sure.
@@ -85,6 +88,7 @@ class ImuAlignment {
   OdometrySettings settings_;
   Eigen::Matrix3d R_camera_imu_;
   ImageClockImu imu_{12.0};
+  visual_frontend::AccelNoise accel_noise_;
   visual_frontend::AttitudeFilter attitude_;
   GyroAlignment gyro_alignment_;
   std::optional<GyroAlignment> shutter_alignment_;  ///< apart: what it estimates besides makes the others less certain

@@ -2,6 +2,7 @@
 #include <air_ground/AlignmentEstimate.h>
 #include <ros/ros.h>
 
+#include <algorithm>
 #include <memory>
 #include <mutex>
 #include <stdexcept>
@@ -78,6 +79,7 @@ class MavVoNode : private ros_utils::Estimator {
     visual.map_id = shell_.mapId();
     last_stamp_ = frame.stamp;
     calibration_.update(odometry_->camera().k1);
+    warnOfNoise(visual.accel_noise);
     if (visual_)
       useAlignment(frame.stamp, visual.map_id);
     else
@@ -87,10 +89,22 @@ class MavVoNode : private ros_utils::Estimator {
     const bool usable = r.pose_valid && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     ros_utils::EstimatorResult result;
     result.status = statusMessage(r);
-    result.advice = adviceFor(r.state);
+    if (!r.imu_contradicts) result.advice = adviceFor(r.state);
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;
+  }
+
+  void warnOfNoise(double density) {
+    constexpr double kFolded = 0.05;  // [m/s^2/sqrt(Hz)]; a multicopter's IMU that is sampled well has less
+    shell_.health().value("accelerometer's noise [m/s^2/sqrt(Hz)]", density);
+    if (noise_warned_ || density < std::max(kFolded, 1.01 * settings_.odometry.imu_noise.accel_density)) return;
+    noise_warned_ = true;
+    ROS_WARN(
+        "the accelerometer reads %.2f m/s^2/sqrt(Hz) where there is no motion: vibration faster than it is sampled. "
+        "The "
+        "scale comes late and is less certain: record it at a higher rate, let it filter (low pass), or damp its mount",
+        density);
   }
 
   /// Only kept: process() uses it, on the worker's thread.
@@ -232,6 +246,7 @@ class MavVoNode : private ros_utils::Estimator {
   ros::Time last_stamp_, last_cloud_;
   std::uint32_t map_id_ = 0;
   std::size_t frame_count_ = 0;
+  bool noise_warned_ = false;
   ros_utils::EstimatorShell shell_;
   ros_utils::CalibrationReport calibration_{shell_.health(), "camera"};
   ros_utils::MountingReport mounting_{shell_.health(), frames_.base_frame};

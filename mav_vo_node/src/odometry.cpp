@@ -253,6 +253,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   const ScaleFilter& estimate = scale.filter();
   result->state = state;
   result->reason = reason;
+  result->imu_contradicts = settings.use_imu && state != OdometryState::kTracking && !imu.problem().empty();
   result->metric = metric();
   result->map_id = map_id;
   result->map_revision = revision.count();
@@ -271,6 +272,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->readout_time_stddev = imu.readoutTimeStddev();
   result->R_given_imu = imu.mounting();
   result->imu_rotation_stddev = imu.mountingStddev();
+  if (settings.use_imu) result->accel_noise = imu.noise().accel_density;
   result->pose_valid = pose.locatedStamp() >= 0 && pose.locatedStamp() == result->stamp && pose.result().success;
   if (!result->pose_valid) return;
   result->inliers = pose.result().inlier_count;

@@ -9,7 +9,8 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v.section("IMU");
   v("gyro_noise_density", o.imu_noise.gyro_density, {1e-7, 1.0}, "rad/s/sqrt(Hz)",
     "data sheet value, or up to twice that");
-  v("accel_noise_density", o.imu_noise.accel_density, {1e-6, 10.0}, "m/s^2/sqrt(Hz)", "");
+  v("accel_noise_density", o.imu_noise.accel_density, {1e-6, 10.0}, "m/s^2/sqrt(Hz)",
+    "more is used where its samples show more");
   v("gyro_bias_walk", o.imu_noise.gyro_bias_walk, {1e-9, 1.0}, "rad/s^2/sqrt(Hz)", "");
   v("accel_bias_walk", o.imu_noise.accel_bias_walk, {1e-8, 10.0}, "m/s^3/sqrt(Hz)", "");
   v("accel_bias_stddev", o.scale.accel_bias_stddev, {1e-3, 5.0}, "m/s^2",

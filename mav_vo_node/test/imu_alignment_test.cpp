@@ -59,6 +59,22 @@ TEST(ImuAlignment, TurnsAsTheCameraDoes) {
   EXPECT_FALSE(imu.cameraTurn(0.8, 1.2, kBias)) << "there are no samples";
 }
 
+TEST(ImuAlignment, FoldedVibrationIsNoiseOfTheMotion) {
+  const auto stddev = [](double rate) {  // of the velocity after a second [m/s]
+    ImuAlignment imu = make();
+    for (int i = 0; i <= 3 * rate; ++i) {
+      const double t = i / rate, phase = 2 * M_PI * (75 * t + 7.5 * std::sin(2 * t));  // 60 to 90 Hz
+      imu.add({t, kBias, Eigen::Vector3d(1.4 * std::sin(phase), 1.4 * std::cos(phase), kGravity)});
+    }
+    const auto motion = imu.motion(1.5, 2.5, ImuBias{kBias, Eigen::Vector3d::Zero()});
+    return motion ? std::sqrt(motion->covariance()(3, 3)) : -1.0;
+  };
+  const double given = OdometrySettings{}.imu_noise.accel_density;
+  EXPECT_NEAR(stddev(500), given, 0.2 * given) << "what is sampled well averages out";
+  EXPECT_GT(stddev(66), 3 * given);
+  EXPECT_LT(stddev(66), 20 * given);
+}
+
 TEST(ImuAlignment, ARestTellsBiasAndUp) {
   ImuAlignment imu = make();
   turn(imu, Eigen::Vector3d::Zero(), 1);

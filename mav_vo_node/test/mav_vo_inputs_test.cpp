@@ -147,7 +147,7 @@ TEST_F(Inputs, StampsThatWereNotSetAreDropped) {
   stamp_ = ros::Time(3000.0);
   ASSERT_TRUE(rest([&] { return !status_.empty() && status_.back().header.stamp > ros::Time(3000.0); }, true));
   ASSERT_TRUE(diagnostics_.refresh());
-  const std::string dropped = "messages of the time before a jump dropped";
+  const std::string dropped = "messages whose stamp was not set dropped";
   const int before = diagnostics_.counted(dropped);
   ros::Time none;
   none.sec = none.nsec = 0xFFFFFFFFu;

@@ -302,11 +302,11 @@ bool StreamJumpDetector::hold(Stream* stream, double t) const {
 
 StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, double t, const ros::WallTime& now) {
   Stream& stream = streams_.at(index);
-  if (t == 0 || t > kEndOfStamps) return Verdict::kOld;
+  if (t == 0 || t > kEndOfStamps) return Verdict::kUnset;
   const bool back = t + tolerance_ < stream.newest;
   Verdict verdict = Verdict::kInOrder;
   if (stream.pass == pass_) {
-    if (hold(&stream, t)) return Verdict::kOld;
+    if (hold(&stream, t)) return Verdict::kHeld;
     if (back) {
       // Halfway between the passes lies what tells the old one from the new one on streams that have yet to follow.
       ceiling_ = t + (newest_ - t) * 0.5;
@@ -332,13 +332,24 @@ StreamJumpDetector::Verdict StreamJumpDetector::watch(std::size_t index, double 
 }
 
 bool StreamGate::admit(std::size_t stream, double stamp) {
-  const StreamJumpDetector::Verdict verdict = jumps_.watch(stream, stamp);
-  if (verdict == StreamJumpDetector::Verdict::kOld) {
-    health_.count("messages of the time before a jump dropped");
-    return false;
+  using Verdict = StreamJumpDetector::Verdict;
+  switch (jumps_.watch(stream, stamp)) {
+    case Verdict::kInOrder:
+      return true;
+    case Verdict::kJump:
+      reset_();
+      return true;
+    case Verdict::kOld:
+      health_.count("messages of the time before a jump dropped");
+      break;
+    case Verdict::kUnset:
+      health_.count("messages whose stamp was not set dropped");
+      break;
+    case Verdict::kHeld:
+      health_.count("messages far from those before in time dropped (one a gap is: the next confirms it)");
+      break;
   }
-  if (verdict == StreamJumpDetector::Verdict::kJump) reset_();
-  return true;
+  return false;
 }
 
 }  // namespace air_ground_common::ros_utils

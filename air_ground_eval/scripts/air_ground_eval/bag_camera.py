@@ -54,38 +54,54 @@ def check_info(topic, stream, image):
     return result
 
 
-def _check_depth(topic, image):
-    metres = image.encoding == '32FC1'
-    dtype = np.dtype(np.float32 if metres else np.uint16).newbyteorder('>' if image.is_bigendian else '<')
-    if image.step < image.width * dtype.itemsize:
-        return [Finding(ERROR, f'{topic}: rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}')]
-    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :image.width * dtype.itemsize]
-    depth = np.ascontiguousarray(rows).view(dtype)
-    valid = depth[np.isfinite(depth) & (depth > 0)]
-    if len(valid) < 0.02 * depth.size:
-        return [Finding(WARNING, f'{topic}: {100 * len(valid) / max(1, depth.size):.1f} % of the first image has a depth')]
-    if metres and np.median(valid) > FAR:
-        return [Finding(ERROR, f'{topic}: median depth {np.median(valid):.0f}; 32FC1 is read as metres: are these millimetres?')]
-    steps = 0 if metres else np.median(valid)
-    if steps > 1000 * TOO_FAR:
-        return [Finding(WARNING, f'{topic}: median depth {steps:.0f} steps, {steps / 1000:.1f} m if they are millimetres: taken for 5000 a metre, as TUM\'s PNG images have it; '
+def _depths(image):
+    """Its depths in metres (32FC1) or steps, where it has any; None of an image that cannot be read."""
+    if image._type == 'sensor_msgs/CompressedImage':
+        depth = picture(image)
+    else:
+        dtype = np.dtype(np.float32 if image.encoding == '32FC1' else np.uint16).newbyteorder('>' if image.is_bigendian else '<')
+        if image.encoding not in DEPTH or len(image.data) != image.step * image.height or image.step < image.width * dtype.itemsize:
+            return None
+        rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :image.width * dtype.itemsize]
+        depth = np.ascontiguousarray(rows).view(dtype)
+    return depth
+
+
+def check_depth(topic, images):
+    """What is wrong with a topic's depth images: `images` from all over the recording, since its first may look at a wall."""
+    images = [depth for depth in map(_depths, images) if depth is not None and depth.ndim == 2]
+    valid = [depth[np.isfinite(depth) & (depth > 0)] for depth in images]
+    shares = [len(v) / max(1, d.size) for v, d in zip(valid, images)]
+    if images and np.median(shares) < 0.02:
+        return [Finding(WARNING, f'{topic}: {100 * np.median(shares):.1f} % of an image has a depth')]
+    medians = [np.median(v) for v in valid if len(v)]
+    if not medians:
+        return []
+    typical, far = np.median(medians), np.percentile(medians, 75)
+    if images[0].dtype.kind == 'f':
+        return [Finding(ERROR, f'{topic}: median depth {typical:.0f}; 32FC1 is read as metres: are these millimetres?')] if typical > FAR else []
+    if typical > 1000 * TOO_FAR:
+        return [Finding(WARNING, f'{topic}: median depth {typical:.0f} steps, {typical / 1000:.1f} m if they are millimetres: taken for 5000 a metre, as TUM\'s PNG images have it; '
                         'else set ground_depth_unit', 'ground_depth_unit:=0.0002')]
-    if steps > 1000 * DOUBTFUL:
-        return [Finding(WARNING, f'{topic}: median depth {steps / 1000:.1f} m if its steps are millimetres: if what is seen is nearer, set ground_depth_unit (0.0002: TUM\'s PNG images)')]
+    if far > 1000 * DOUBTFUL:
+        return [Finding(WARNING, f'{topic}: of every fourth image, half lies beyond {far / 1000:.1f} m if its steps are millimetres: if what is seen is nearer, set ground_depth_unit '
+                        '(0.0002: TUM\'s PNG images)')]
     return []
 
 
 def check_image(topic, stream, encodings):
     image = stream.samples[0]
-    result = []
+    depth = check_depth(topic, stream.spread) if encodings is DEPTH else []
     if image._type == 'sensor_msgs/CompressedImage':
-        return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
+        return depth if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
+    result = depth
     if image.encoding not in encodings:
         result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
+    bytes_a_pixel = {'32FC1': 4, '16UC1': 2, 'mono16': 2}.get(image.encoding, 1)
     if len(image.data) != image.step * image.height:
         result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
-    elif image.encoding in DEPTH and encodings is DEPTH:
-        result += _check_depth(topic, image)
+    elif image.step < image.width * bytes_a_pixel:
+        result.append(Finding(ERROR, f'{topic}: rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}'))
     elif encodings is GREY:
         wide = '16' in image.encoding
         grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8)
@@ -99,16 +115,21 @@ def check_image(topic, stream, encodings):
     return result
 
 
-def image_size(message):
-    """(width, height) of a raw or compressed image; None where that cannot be told. A compressedDepth image begins with 12 bytes of its own."""
-    if message._type == 'sensor_msgs/Image':
-        return message.width, message.height
+def picture(message):
+    """The pixels of a compressed image, None where they cannot be decoded. A compressedDepth image begins with 12 bytes of its own."""
     data = np.frombuffer(message.data, np.uint8)
     try:
-        picture = cv2.imdecode(data[12:] if 'compressedDepth' in message.format else data, cv2.IMREAD_UNCHANGED)
+        return cv2.imdecode(data[12:] if 'compressedDepth' in message.format else data, cv2.IMREAD_UNCHANGED)
     except cv2.error:
-        picture = None
-    return None if picture is None else picture.shape[1::-1]
+        return None
+
+
+def image_size(message):
+    """(width, height) of a raw or compressed image; None where that cannot be told."""
+    if message._type == 'sensor_msgs/Image':
+        return message.width, message.height
+    pixels = picture(message)
+    return None if pixels is None else pixels.shape[1::-1]
 
 
 def stated_size(info):

@@ -36,11 +36,32 @@ LACKING = 0.05  # of the messages
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 
 
+SPREAD = 24  # messages of a topic that are looked at, at most
+
+
 class Stream:
-    """Stamps, bag times, frame ids and a few first messages of a topic."""
+    """Stamps, bag times, frame ids and messages of a topic: a few first ones, and some from all over the bag."""
 
     def __init__(self):
-        self.stamps, self.times, self.frames, self.samples, self.accel, self.gyro = [], [], set(), [], [], []
+        self.stamps, self.times, self.frames, self.samples, self.spread, self.accel, self.gyro = [], [], set(), [], [], [], []
+        self._step = 1
+
+    def add(self, message, time):
+        """time: of the bag [s]."""
+        if len(self.samples) < 3:
+            self.samples.append(message)
+        if len(self.times) % self._step == 0:
+            self.spread.append(message)
+        if len(self.spread) > SPREAD:
+            self.spread, self._step = self.spread[::2], 2 * self._step
+        self.times.append(time)
+        if hasattr(message, 'header'):
+            self.stamps.append(message.header.stamp.to_sec())
+            self.frames.add(message.header.frame_id)
+        if message._type == 'sensor_msgs/Imu':
+            a, w = message.linear_acceleration, message.angular_velocity
+            self.accel.append((a.x, a.y, a.z))
+            self.gyro.append((w.x, w.y, w.z))
 
 
 def read(path, topics, limit=None):
@@ -48,17 +69,7 @@ def read(path, topics, limit=None):
     streams = {topic: Stream() for topic in topics}
     with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
-            stream = streams[topic]
-            stream.times.append(time.to_sec())
-            if hasattr(message, 'header'):
-                stream.stamps.append(message.header.stamp.to_sec())
-                stream.frames.add(message.header.frame_id)
-            if len(stream.samples) < 3:
-                stream.samples.append(message)
-            if message._type == 'sensor_msgs/Imu':
-                a, w = message.linear_acceleration, message.angular_velocity
-                stream.accel.append((a.x, a.y, a.z))
-                stream.gyro.append((w.x, w.y, w.z))
+            streams[topic].add(message, time.to_sec())
             if limit and all(len(s.times) >= limit for s in streams.values()):
                 break
     return streams

@@ -110,6 +110,7 @@ struct VoResult {
   double stamp = 0;  ///< [s]
   OdometryState state = OdometryState::kWaiting;
   std::string reason;                  ///< why not tracking; empty while it is
+  bool imu_contradicts = false;        ///< the reason is that gyro and images turn differently: motion does not help
   bool pose_valid = false;             ///< the poses below are of this image
   Pose T_map_base = Pose::Identity();  ///< [m], or the visual unit while not metric
   Pose T_map_camera = Pose::Identity();
@@ -133,6 +134,7 @@ struct VoResult {
   double readout_time_stddev = 0;       ///< of its estimate [s]; 0 = given, not estimated
   /// Turns what the IMU reads into the axes that T_base_imu was given for, as it is in use.
   Eigen::Matrix3d R_given_imu = Eigen::Matrix3d::Identity();
+  double accel_noise = 0;          ///< density in use: as given, or as its samples show [m/s^2/sqrt(Hz)]; 0 without IMU
   double imu_rotation_stddev = 0;  ///< of its estimate, of the least certain axis [rad]; 0 = given, not estimated
   std::uint32_t map_id = 0;
   std::size_t keyframes = 0, landmarks = 0;

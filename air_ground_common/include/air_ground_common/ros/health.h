@@ -140,7 +140,9 @@ class StreamJumpDetector {
   enum class Verdict {
     kInOrder,  ///< use it
     kJump,     ///< time ran back: start afresh, then use it
-    kOld       ///< drop it: from before the jump, stamp not set, or far off and not confirmed
+    kOld,      ///< drop it: from before the jump
+    kUnset,    ///< drop it: its stamp was not set
+    kHeld      ///< drop it: far off, and not confirmed by a second one; a gap costs one message
   };
 
   /// `patience`: a stream that has not followed a jump after this long is taken as it comes [s, wall clock].

@@ -1,0 +1,68 @@
+// The accelerometer's noise where vibration folds into the band of motion, and none where it does not.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "visual_frontend/accel_noise.h"
+
+namespace visual_frontend {
+namespace {
+
+/// Feeds `seconds` of samples at `rate` [Hz] of `force` (time -> m/s^2), white noise of `density` added.
+template <typename Force>
+double measured(double rate, double seconds, double density, const Force& force) {
+  std::mt19937 random(7);
+  std::normal_distribution<double> normal(0, density * std::sqrt(rate));
+  AccelNoise noise;
+  for (int i = 0; i < seconds * rate; ++i) {
+    const double t = 1e9 + i / rate;
+    const Eigen::Vector3d white(normal(random), normal(random), normal(random));
+    noise.add(t, force(i / rate) + white);
+  }
+  return noise.density();
+}
+
+Eigen::Vector3d still(double) { return {0, 0, 9.81}; }
+
+TEST(AccelNoise, WhiteNoiseHasItsDensity) {
+  for (const double rate : {50.0, 66.0, 100.0, 200.0, 400.0, 1000.0})
+    for (const double density : {0.004, 0.1})
+      EXPECT_NEAR(measured(rate, 20, density, still), density, (rate < 150 ? 0.3 : 0.15) * density) << rate << " Hz";
+}
+
+TEST(AccelNoise, MotionIsNoNoise) {
+  const auto flown = [](double t) {
+    return Eigen::Vector3d(2 * std::sin(2 * M_PI * 0.7 * t), 3 * std::sin(2 * M_PI * 2 * t),
+                           9.81 + std::sin(2 * M_PI * 4 * t));
+  };
+  EXPECT_LT(measured(200, 10, 1e-6, flown), 0.002);
+}
+
+TEST(AccelNoise, VibrationCountsWhereItIsFoldedDown) {
+  // A rotor that changes its speed: 60 to 90 Hz, 1.4 m/s^2.
+  const auto vibrating = [](double t) {
+    const double phase = 2 * M_PI * (75 * t + 15 * 0.5 * std::sin(2 * t));
+    return Eigen::Vector3d(1.4 * std::sin(phase), 1.4 * std::cos(phase), 9.81 + std::sin(phase + 1));
+  };
+  EXPECT_LT(measured(1000, 10, 1e-6, vibrating), 0.01);
+  EXPECT_LT(measured(400, 10, 1e-6, vibrating), 0.01);
+  EXPECT_GT(measured(66, 10, 1e-6, vibrating), 0.03);
+}
+
+TEST(AccelNoise, NothingAtFirstNorAcrossAGap) {
+  EXPECT_EQ(measured(200, 0.2, 0.1, still), 0);
+  EXPECT_GT(measured(200, 0.5, 0.1, still), 0.05);
+  AccelNoise noise;
+  for (int i = 0; i < 400; ++i) {
+    // A leap during the gap would be noise of 10 m/s^2.
+    noise.add(i * 0.005 + (i < 200 ? 0 : 5), Eigen::Vector3d(i < 200 ? 0 : 10, 0, 9.81));
+    noise.add(i * 0.005 + (i < 200 ? 0 : 5), Eigen::Vector3d(5, 0, 0));  // no later: dropped
+  }
+  EXPECT_LT(noise.density(), 1e-9);
+  noise.reset();
+  EXPECT_EQ(noise.density(), 0);
+}
+
+}  // namespace
+}  // namespace visual_frontend
