@@ -5,16 +5,18 @@ import subprocess
 import sys
 import tempfile
 import unittest
+from unittest import mock
 
 import numpy as np
 import rosbag
 import rospkg
+import rospy
 import rostest
 import yaml
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import demo, evaluation, geometry, messages, ply  # noqa: E402
+from air_ground_eval import demo, evaluation, geometry, messages, pacing, ply  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 sys.path.insert(0, HERE)
@@ -192,6 +194,24 @@ class ReplayReport(unittest.TestCase):
                 bag.write('/cam0/image_raw', messages.image(np.zeros((8, 8)), 'mono8', 101, 'camera'), messages.stamp(101))
             self.assert_refused('no message on /mav/camera/image_raw: the bag has no such topic; of type sensor_msgs/Image it has /cam0/image_raw: set mav_image:=',
                                 'no message on /ground/depth/image_raw', bag=whole)
+
+    def test_the_clock_follows_what_was_played_and_never_leads(self):
+        """The player gives no /clock while it is behind its own time."""
+        with mock.patch.object(pacing, 'rospy') as ros:
+            ros.Time.from_sec = rospy.Time.from_sec
+            ros.get_time.return_value = 100.0
+            keeper = pacing.ClockKeeper()
+            keeper.step(100.4)
+            ros.Publisher.assert_not_called()  # the player's own clock is there
+            for played in (101.0, 102.0, 102.0):
+                keeper.step(played)
+            ros.Publisher.assert_called_once_with('/clock', mock.ANY, queue_size=10)
+            ros.logwarn.assert_called_once()
+            given = [call.args[0].clock.to_sec() for call in ros.Publisher.return_value.publish.call_args_list]
+            np.testing.assert_allclose(given, [100.95, 101.95, 101.95])
+            ros.get_time.return_value = 102.1
+            keeper.step(102.2)
+            self.assertEqual(ros.Publisher.return_value.publish.call_count, 3)
 
 
 if __name__ == '__main__':

@@ -1,5 +1,4 @@
 """What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
-import collections
 import os
 import re
 import shutil
@@ -17,8 +16,8 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from . import bag_guess, geometry
+from .pacing import CALLER, ClockKeeper, CpuLoad, Pacer
 
-CALLER = '/replay_report'
 STATES = {VoStatus.STATE_WAITING: 'WAITING', VoStatus.STATE_INITIALIZING: 'INITIALIZING', VoStatus.STATE_SCALING: 'SCALING',
           VoStatus.STATE_TRACKING: 'TRACKING', VoStatus.STATE_LOST: 'LOST'}
 
@@ -142,90 +141,6 @@ class Recorder:
                     if 'dropped' in key and value.strip() not in ('', '0')]
 
 
-class CpuLoad:
-    """CPU time that the nodes use, from /proc (zero for nodes on other machines)."""
-
-    def __init__(self, nodes):
-        self.nodes = nodes
-        self.processes = {}
-        self.previous = {}
-        self.last_lookup = 0.0
-
-    def cores(self):
-        """Mean number of cores that each node kept busy since the last call: name -> cores."""
-        now = time.monotonic()
-        if len(self.processes) < len(self.nodes) and now - self.last_lookup > 2.0:
-            self.last_lookup = now
-            self._find()
-        result = {}
-        for name, pid in self.processes.items():
-            try:
-                with open(f'/proc/{pid}/stat', encoding='ascii') as stream:
-                    words = stream.read().rsplit(')', 1)[1].split()
-                used = (int(words[11]) + int(words[12])) / os.sysconf('SC_CLK_TCK')
-            except (OSError, IndexError):
-                continue
-            before = self.previous.get(name)
-            self.previous[name] = (now, used)
-            if before is not None:
-                result[name] = max(0.0, used - before[1]) / max(now - before[0], 1e-3)
-        return result
-
-    def _find(self):
-        master = rosgraph.Master(CALLER)
-        for name in self.nodes:
-            if name not in self.processes:
-                try:
-                    uri = master.lookupNode(rospy.resolve_name(name))
-                    self.processes[name] = xmlrpc.client.ServerProxy(uri).getPid(CALLER)[2]
-                except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
-                    continue
-
-
-class Pacer:
-    """Holds the player while a node lags, and lets go when the one that lags is idle (it is then waiting for data).
-
-    limits: node -> how far behind the clock its output may be [s of the bag].
-    """
-
-    def __init__(self, recorder, player, limits):
-        self.recorder, self.limits, self.player = recorder, limits, player
-        self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
-        self.paused, self.since, self.slowest = False, None, ''
-        self.held_for = collections.Counter()  # node: wall time [s]
-
-    def step(self, now):
-        """now: time of the bag [s]."""
-        wall = time.monotonic()
-        if wall - self.last_load > 1.0:
-            self.last_load = wall
-            cores = self.load.cores()
-            self.recorder.cores.append((now, cores))
-            self.busy = {name for name, used in cores.items() if used > 0.1}
-        with self.recorder.lock:
-            lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
-                    if name in self.busy and name in self.limits}
-        lag = max(lags.values(), default=0.0)
-        if not self.paused and lag > 1.0:
-            self.slowest = max(lags, key=lags.get)
-            self._set(True)
-        elif self.paused and lag < 0.6:
-            self._set(False)
-
-    def release(self):
-        if self.paused:
-            self._set(False)
-
-    def _set(self, pause):
-        if not self.player.pause(pause):
-            return
-        if pause:
-            self.since = time.monotonic()
-        elif self.since is not None:
-            self.held_for[self.slowest] += time.monotonic() - self.since
-        self.paused = pause
-
-
 def node_exists(name):
     try:
         rosgraph.Master(CALLER).lookupNode(rospy.resolve_name(name))
@@ -335,11 +250,12 @@ def let_go(player, timeout=30.0):
 
 def play_to_end(recorder, player, end, limits, summary):
     """Returns, when the bag has ended, for how long the player was held [s]. Shows summary() at every 10 % of the bag."""
-    pacer = Pacer(recorder, player, limits)
+    pacer, clock = Pacer(recorder, player, limits), ClockKeeper()
     shown = 0
     while not rospy.is_shutdown() and player.running():
         now = max(rospy.get_time(), recorder.played)
         if now > 0:
+            clock.step(recorder.played)
             pacer.step(now)
             tenth = int(10 * (now - recorder.begin) / max(end - recorder.begin, 1e-3))
             if tenth > shown and tenth <= 10:

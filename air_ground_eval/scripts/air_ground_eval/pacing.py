@@ -1,0 +1,114 @@
+"""Keeps a replay's player and its clock in step with the nodes."""
+import collections
+import os
+import time
+import xmlrpc.client
+
+import rosgraph
+import rospy
+from rosgraph_msgs.msg import Clock
+
+CALLER = '/replay_report'
+
+
+class CpuLoad:
+    """CPU time that the nodes use, from /proc (zero for nodes on other machines)."""
+
+    def __init__(self, nodes):
+        self.nodes = nodes
+        self.processes = {}
+        self.previous = {}
+        self.last_lookup = 0.0
+
+    def cores(self):
+        """Mean number of cores that each node kept busy since the last call: name -> cores."""
+        now = time.monotonic()
+        if len(self.processes) < len(self.nodes) and now - self.last_lookup > 2.0:
+            self.last_lookup = now
+            self._find()
+        result = {}
+        for name, pid in self.processes.items():
+            try:
+                with open(f'/proc/{pid}/stat', encoding='ascii') as stream:
+                    words = stream.read().rsplit(')', 1)[1].split()
+                used = (int(words[11]) + int(words[12])) / os.sysconf('SC_CLK_TCK')
+            except (OSError, IndexError):
+                continue
+            before = self.previous.get(name)
+            self.previous[name] = (now, used)
+            if before is not None:
+                result[name] = max(0.0, used - before[1]) / max(now - before[0], 1e-3)
+        return result
+
+    def _find(self):
+        master = rosgraph.Master(CALLER)
+        for name in self.nodes:
+            if name not in self.processes:
+                try:
+                    uri = master.lookupNode(rospy.resolve_name(name))
+                    self.processes[name] = xmlrpc.client.ServerProxy(uri).getPid(CALLER)[2]
+                except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
+                    continue
+
+
+class Pacer:
+    """Holds the player while a node lags, and lets go when the one that lags is idle (it is then waiting for data).
+
+    limits: node -> how far behind the clock its output may be [s of the bag].
+    """
+
+    def __init__(self, recorder, player, limits):
+        self.recorder, self.limits, self.player = recorder, limits, player
+        self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
+        self.paused, self.since, self.slowest = False, None, ''
+        self.held_for = collections.Counter()  # node: wall time [s]
+
+    def step(self, now):
+        """now: time of the bag [s]."""
+        wall = time.monotonic()
+        if wall - self.last_load > 1.0:
+            self.last_load = wall
+            cores = self.load.cores()
+            self.recorder.cores.append((now, cores))
+            self.busy = {name for name, used in cores.items() if used > 0.1}
+        with self.recorder.lock:
+            lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
+                    if name in self.busy and name in self.limits}
+        lag = max(lags.values(), default=0.0)
+        if not self.paused and lag > 1.0:
+            self.slowest = max(lags, key=lags.get)
+            self._set(True)
+        elif self.paused and lag < 0.6:
+            self._set(False)
+
+    def release(self):
+        if self.paused:
+            self._set(False)
+
+    def _set(self, pause):
+        if not self.player.pause(pause):
+            return
+        if pause:
+            self.since = time.monotonic()
+        elif self.since is not None:
+            self.held_for[self.slowest] += time.monotonic() - self.since
+        self.paused = pause
+
+
+class ClockKeeper:
+    """Gives /clock while the player gives none: it does so only while it waits for the next message, so not where it reads more slowly than it plays."""
+
+    BEHIND = 0.5  # [s] of the clock behind what was played
+    MARGIN = 0.05  # [s]: never ahead of the player's own clock, for time must not go back
+
+    def __init__(self):
+        self.publisher = None
+
+    def step(self, played):
+        """played: when the newest message that was heard was recorded [s]."""
+        if played - rospy.get_time() < self.BEHIND:
+            return
+        if self.publisher is None:
+            self.publisher = rospy.Publisher('/clock', Clock, queue_size=10)
+            rospy.logwarn('the player cannot read the bag as fast as it plays: /clock follows what it has read. Faster: rosbag decompress, a quicker disk, or rate:=0.5')
+        self.publisher.publish(Clock(rospy.Time.from_sec(played - self.MARGIN)))
