@@ -135,10 +135,10 @@ class Recorder:
                 self.tf_publishers.setdefault(name, set()).add(node)
 
     def losses(self):
-        """A line for each counter of dropped data in the last diagnostics."""
+        """A line for each counter of dropped or doubtful data in the last diagnostics."""
         with self.lock:
             return [f'{node}: {key}: {value}' for node, values in sorted(self.diagnostics.items()) for key, value in values.items()
-                    if 'dropped' in key and value.strip() not in ('', '0')]
+                    if ('dropped' in key or 'in doubt' in key) and value.strip() not in ('', '0')]
 
 
 def node_exists(name):

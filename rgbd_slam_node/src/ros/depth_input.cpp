@@ -80,11 +80,12 @@ std::optional<cv::Mat> DepthInput::read(const sensor_msgs::Image& message, const
   constexpr double kFar = 6;  // [m]; few RGB-D cameras see half of a scene beyond that
   if (!doubted_ && message.encoding != sensor_msgs::image_encodings::TYPE_32FC1 && median > kFar) {
     doubted_ = true;
-    ROS_WARN(
-        "half of the depth image lies beyond %.1f m, its steps taken for %g m: if what is seen is nearer, the map will "
-        "be "
-        "too large; say what a step is by depth_unit (launch argument ground_depth_unit; 0.0002 for TUM's PNG images)",
-        median, settings_.unit);
+    const char* doubt =
+        "depth images whose unit is in doubt: half of one lies beyond %.1f m, its steps taken for %g m. If what is "
+        "seen "
+        "is nearer, the map will be too large: say what a step is by depth_unit (launch argument ground_depth_unit; "
+        "0.0002 for TUM's PNG images)";
+    health_.count(air_ground_common::formatted(doubt, median, settings_.unit));
   }
   if (settings_.registered)
     return atColourSize(depth, air_ground_common::withoutSlash(message.header.frame_id), colour_frame, why);
