@@ -232,6 +232,19 @@ TEST(ImuAlignment, AdoptsAMountingThatIsOff) {
   EXPECT_TRUE(imu.mounting().isIdentity());
 }
 
+TEST(ImuAlignment, FoldedVibrationTellsNoMounting) {
+  Swing swing(0, 0, expSO3({0.05, -0.03, 0.04}));
+  std::normal_distribution<double> vibration(0, 1);  // white: of any frequency [m/s^2]
+  for (ImuSample& s : swing.samples)
+    for (int axis = 0; axis < 3; ++axis) s.specific_force(axis) += vibration(swing.random);
+  ImuAlignment imu = make();
+  swing.show(imu, [&](double t, const std::vector<Feature>& features) {
+    EXPECT_FALSE(imu.alignMounting(t, features));
+    imu.alignGyro(t, features, false);
+  });
+  EXPECT_TRUE(imu.mounting().isIdentity());
+}
+
 TEST(ImuAlignment, KeepsARightMounting) {
   ImuAlignment imu = make();
   Swing().show(imu, [&](double t, const std::vector<Feature>& features) {
