@@ -9,11 +9,12 @@ namespace visual_frontend {
 
 namespace {
 
-constexpr double kStep = 0.005;   // [s]
-constexpr double kMaxGap = 0.1;   // [s]
-constexpr double kMemory = 10.0;  // [s]
-constexpr double kLeast = 0.15;   // of values, once the kernels are full [s]
-constexpr int kOrder = 5;         // of the differences: the motion's Taylor series up to the fourth power vanishes
+constexpr double kStep = 0.005;  // [s]
+constexpr double kMaxGap = 0.1;  // [s]
+constexpr double kPart = 0.5;    // [s]
+constexpr std::size_t kParts = 8;
+constexpr double kLeast = 0.15;  // of values, once the kernels are full [s]
+constexpr int kOrder = 5;        // of the differences: the motion's Taylor series up to the fourth power vanishes
 
 /// Differences of triangular means, `spacing` steps wide each way.
 std::vector<double> bandKernel(int spacing) {
@@ -58,8 +59,22 @@ AccelNoise::AccelNoise() {
 
 void AccelNoise::Power::add(const Eigen::Vector3d& value, double interval) {
   seconds += interval;
-  mean += (value.squaredNorm() / 3 - mean) * interval / std::min(seconds, kMemory);
+  sum += value.squaredNorm() / 3 * interval;
+  if (seconds < kPart) return;
+  parts.push_back(sum / seconds);
+  if (parts.size() > kParts) parts.pop_front();
+  sum = seconds = 0;
 }
+
+double AccelNoise::Power::typical() const {
+  if (parts.empty()) return seconds > 0 ? sum / seconds : 0;
+  std::vector<double> sorted(parts.begin(), parts.end());
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  return *middle;
+}
+
+bool AccelNoise::Power::known() const { return !parts.empty() || seconds >= kLeast; }
 
 void AccelNoise::reset() {
   stamp_ = -1;
@@ -121,10 +136,11 @@ void AccelNoise::addMean(const Eigen::Vector3d& mean) {
 double AccelNoise::density() const {
   double least = std::numeric_limits<double>::infinity();
   for (const Band& band : bands_) {
-    if (band.power.seconds < kLeast) return 0;
-    least = std::min(least, band.power.mean / heldPower(band.kernel, interval_));
+    if (!band.power.known()) return 0;
+    least = std::min(least, band.power.typical() / heldPower(band.kernel, interval_));
   }
-  return nyquist_.mean > least ? std::pow(least, 1.5) / nyquist_.mean : std::sqrt(least);
+  const double nyquist = nyquist_.typical();
+  return nyquist > least ? std::pow(least, 1.5) / nyquist : std::sqrt(least);
 }
 
 }  // namespace visual_frontend

@@ -22,15 +22,18 @@ class AccelNoise {
   void add(double stamp, const Eigen::Vector3d& specific_force);
   void reset();
 
-  /// Mean of the last ten seconds [m/s^2/sqrt(Hz)]; 0 in the first third of a second.
+  /// Median of the last eight half seconds, so that a bump is no noise [m/s^2/sqrt(Hz)]; 0 in the first third of a
+  /// second.
   double density() const;
 
  private:
-  /// Squared densities of a band, averaged over the axes and the time.
+  /// Squared density of a band, averaged over the axes and half a second each.
   struct Power {
     void add(const Eigen::Vector3d& value, double interval);
-    double mean = 0;
-    double seconds = 0;
+    double typical() const;  ///< the median
+    bool known() const;
+    std::deque<double> parts;
+    double sum = 0, seconds = 0;  ///< of the part that grows
   };
   struct Band {
     std::vector<double> kernel;  ///< over means of kStep; of white noise of density 1 it makes a mean square of 1
