@@ -28,12 +28,10 @@ constexpr double kSureChi2Of3 = 30.7;         // likewise, all but one in a mill
 constexpr double kMeanChi2Of3 = 3;            // likewise, the mean: an estimate that has become better by as much
 constexpr double kMountingStep = 0.0175;      // least turn of an IMU against its mounting as told [rad]
 constexpr double kMountingRefinement = 4e-3;  // ... and of one that was estimated [rad]
-// What vibration an accelerometer folds down, its gyro does, too, whose turns tell little then.
-constexpr double kFolded = 0.05;       // [m/s^2/sqrt(Hz)]
-constexpr double kGyroMisfit = 4;      // of noise; above, gyro and images contradict each other
-constexpr double kMountingGain = 0.8;  // misfit of a first turn, as a share of that of what explains the rest
-constexpr int kMountingTracks = 50;    // of a pair; there is time to find it
-constexpr double kGuessInterval = 3;   // between guesses of axes that were taken for each other [s]
+constexpr double kGyroMisfit = 4;             // of noise; above, gyro and images contradict each other
+constexpr double kMountingGain = 0.8;         // misfit of a first turn, as a share of that of what explains the rest
+constexpr int kMountingTracks = 50;           // of a pair; there is time to find it
+constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
 constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
 constexpr double kCloseMisfit = 0.5;   // of a gyro that fits so well that another offset cannot matter
 
@@ -137,8 +135,10 @@ std::optional<ImuAlignment::ReadoutChange> ImuAlignment::alignShutter(
 std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
                                                            const std::vector<visual_frontend::Feature>& features) {
   if (!mounting_alignment_ || !mounting_alignment_->add(stamp, features, imu_.buffer()) ||
-      mounting_alignment_->misfit() > kShutterMisfit || accel_noise_.density() > kFolded)
+      mounting_alignment_->misfit() > kShutterMisfit)
     return std::nullopt;
+  // The vibration is folded down in the gyro, too, whose turns tell little then.
+  if (accel_noise_.density() > visual_frontend::AccelNoise::kFolded) return std::nullopt;
   const Eigen::Vector3d mounting = mounting_alignment_->mounting(), in_use = gyro_alignment_.mounting();
   const Eigen::Vector3d change = mounting - in_use;
   const double nis = change.dot(mounting_alignment_->mountingCovariance().ldlt().solve(change));

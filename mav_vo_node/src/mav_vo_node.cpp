@@ -16,6 +16,7 @@
 #include "posed_image_selection.h"
 #include "ros/messages.h"
 #include "ros/node_parameters.h"
+#include "visual_frontend/accel_noise.h"
 #include "visual_frontend/feature_tracker.h"
 
 namespace mav_vo {
@@ -96,9 +97,10 @@ class MavVoNode : private ros_utils::Estimator {
   }
 
   void warnOfNoise(double density) {
-    constexpr double kFolded = 0.05;  // [m/s^2/sqrt(Hz)]; a multicopter's IMU that is sampled well has less
     shell_.health().value("accelerometer's noise [m/s^2/sqrt(Hz)]", density);
-    if (noise_warned_ || density < std::max(kFolded, 1.01 * settings_.odometry.imu_noise.accel_density)) return;
+    if (noise_warned_ ||
+        density < std::max(visual_frontend::AccelNoise::kFolded, 1.01 * settings_.odometry.imu_noise.accel_density))
+      return;
     noise_warned_ = true;
     ROS_WARN(
         "the accelerometer reads %.2f m/s^2/sqrt(Hz) where there is no motion: vibration faster than it is sampled. "

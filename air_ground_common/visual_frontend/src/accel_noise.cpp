@@ -5,6 +5,8 @@
 #include <iterator>
 #include <limits>
 
+#include "air_ground_common/statistics.h"
+
 namespace visual_frontend {
 
 namespace {
@@ -68,10 +70,7 @@ void AccelNoise::Power::add(const Eigen::Vector3d& value, double interval) {
 
 double AccelNoise::Power::typical() const {
   if (parts.empty()) return seconds > 0 ? sum / seconds : 0;
-  std::vector<double> sorted(parts.begin(), parts.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return *middle;
+  return air_ground_common::median(std::vector<double>(parts.begin(), parts.end()));
 }
 
 bool AccelNoise::Power::known() const { return !parts.empty() || seconds >= kLeast; }

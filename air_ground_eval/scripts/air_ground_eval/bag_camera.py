@@ -9,7 +9,7 @@ from .bag_finding import ERROR, OK, WARNING, Finding
 
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
         '8UC1', '8UC3', '8UC4', '16UC1')
-DEPTH = ('16UC1', 'mono16', '32FC1')
+DEPTH = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}  # encoding: type of a pixel
 MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'radial_tangential', 'brown_conrady', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
           **dict.fromkeys(('', 'none', 'pinhole', 'perspective', 'inverse_brown_conrady'), 0)}  # as the nodes take them: how many coefficients each may have
 RECTIFIED = re.compile(r'(^|[/_])rect(ified)?([/_]|$)')  # as image_proc and the drivers name them
@@ -57,14 +57,14 @@ def check_info(topic, stream, image):
 def _depths(image):
     """Its depths in metres (32FC1) or steps, where it has any; None of an image that cannot be read."""
     if image._type == 'sensor_msgs/CompressedImage':
-        depth = picture(image)
-    else:
-        dtype = np.dtype(np.float32 if image.encoding == '32FC1' else np.uint16).newbyteorder('>' if image.is_bigendian else '<')
-        if image.encoding not in DEPTH or len(image.data) != image.step * image.height or image.step < image.width * dtype.itemsize:
-            return None
-        rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :image.width * dtype.itemsize]
-        depth = np.ascontiguousarray(rows).view(dtype)
-    return depth
+        return picture(image)
+    if image.encoding not in DEPTH:
+        return None
+    dtype = np.dtype(DEPTH[image.encoding]).newbyteorder('>' if image.is_bigendian else '<')
+    if len(image.data) != image.step * image.height or image.step < image.width * dtype.itemsize:
+        return None
+    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :image.width * dtype.itemsize]
+    return np.ascontiguousarray(rows).view(dtype)
 
 
 def check_depth(topic, images):
@@ -91,13 +91,12 @@ def check_depth(topic, images):
 
 def check_image(topic, stream, encodings):
     image = stream.samples[0]
-    depth = check_depth(topic, stream.spread) if encodings is DEPTH else []
+    result = check_depth(topic, stream.spread) if encodings is DEPTH else []
     if image._type == 'sensor_msgs/CompressedImage':
-        return depth if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
-    result = depth
+        return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
     if image.encoding not in encodings:
         result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
-    bytes_a_pixel = {'32FC1': 4, '16UC1': 2, 'mono16': 2}.get(image.encoding, 1)
+    bytes_a_pixel = np.dtype(DEPTH.get(image.encoding, np.uint8)).itemsize
     if len(image.data) != image.step * image.height:
         result.append(Finding(ERROR, f'{topic}: {len(image.data)} bytes for {image.height} rows of {image.step}'))
     elif image.step < image.width * bytes_a_pixel:

@@ -34,26 +34,24 @@ NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
 BURSTS = 3  # times the median step: a long one, as it lies between packets of messages
 LACKING = 0.05  # of the messages
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
-
-
-SPREAD = 24  # messages of a topic that are looked at, at most
+SPREAD = 24  # messages from all over a topic that are kept, at most
 
 
 class Stream:
-    """Stamps, bag times, frame ids and messages of a topic: a few first ones, and some from all over the bag."""
+    """Stamps, bag times, frame ids and a few first messages of a topic; with `spread` some from all over the bag, too."""
 
-    def __init__(self):
+    def __init__(self, spread=False):
         self.stamps, self.times, self.frames, self.samples, self.spread, self.accel, self.gyro = [], [], set(), [], [], [], []
-        self._step = 1
+        self._step = 1 if spread else None
 
     def add(self, message, time):
         """time: of the bag [s]."""
         if len(self.samples) < 3:
             self.samples.append(message)
-        if len(self.times) % self._step == 0:
+        if self._step and len(self.times) % self._step == 0:
             self.spread.append(message)
-        if len(self.spread) > SPREAD:
-            self.spread, self._step = self.spread[::2], 2 * self._step
+            if len(self.spread) > SPREAD:
+                self.spread, self._step = self.spread[::2], 2 * self._step
         self.times.append(time)
         if hasattr(message, 'header'):
             self.stamps.append(message.header.stamp.to_sec())
@@ -64,9 +62,9 @@ class Stream:
             self.gyro.append((w.x, w.y, w.z))
 
 
-def read(path, topics, limit=None):
-    """One pass over the bag; images are kept only as a few samples. `limit`: ends when every topic has so many messages."""
-    streams = {topic: Stream() for topic in topics}
+def read(path, topics, limit=None, spread=()):
+    """One pass over the bag; images are kept only as a few samples. `limit`: ends when every topic has so many messages; `spread`: see Stream."""
+    streams = {topic: Stream(topic in spread) for topic in topics}
     with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
             streams[topic].add(message, time.to_sec())
@@ -106,7 +104,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
         elif standard not in ELSEWHERE:
             findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
-    streams = read(facts.path, present.values())
+    streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard == '/ground/depth/image_raw'])
     for robot in robots:
         bag_imu.unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
     for standard, topic in present.items():

@@ -89,6 +89,10 @@ class Recorder:
         time = message.header.stamp.to_sec() + delay
         self.played = max(self.played, time) if time <= self.end else self.played  # a stamp that leaps tells nothing
 
+    def now(self):
+        """The bag's time: the clock's, or what was played where the player gives none [s]."""
+        return max(rospy.get_time(), self.played)
+
     def advance(self, node, time):
         if self.begin <= time <= self.end + 1 and time > self.progress.get(node, 0.0):
             self.progress[node] = time
@@ -253,7 +257,7 @@ def play_to_end(recorder, player, end, limits, summary):
     pacer, clock = Pacer(recorder, player, limits), ClockKeeper()
     shown = 0
     while not rospy.is_shutdown() and player.running():
-        now = max(rospy.get_time(), recorder.played)
+        now = recorder.now()
         if now > 0:
             clock.step(recorder.played)
             pacer.step(now)

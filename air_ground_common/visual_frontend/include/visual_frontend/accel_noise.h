@@ -1,10 +1,9 @@
 // How noisy an accelerometer is in flight: vibration that its sampling folds down into the band of the robot's motion.
 #pragma once
 
+#include <Eigen/Core>
 #include <deque>
 #include <vector>
-
-#include <Eigen/Core>
 
 namespace visual_frontend {
 
@@ -16,6 +15,9 @@ namespace visual_frontend {
 /// towards zero; else it is taken to be white.
 class AccelNoise {
  public:
+  /// Vibration is folded down from here on; an IMU of a multicopter that is sampled well has less [m/s^2/sqrt(Hz)].
+  static constexpr double kFolded = 0.05;
+
   AccelNoise();
 
   /// In order of time; a gap of more than 0.1 s begins anew. [s], [m/s^2]
