@@ -9,7 +9,7 @@
 #include <fstream>
 #include <opencv2/core.hpp>
 
-#include "../mav_vo_node/src/euroc_folder.h"
+#include "../mav_vo_node/tools/euroc_folder.h"
 #include "air_ground_sim/random.h"
 #include "air_ground_sim/renderer.h"
 #include "air_ground_sim/scene.h"

@@ -7,7 +7,7 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
-#include "../src/euroc_folder.h"
+#include "../tools/euroc_folder.h"
 #include "mav_vo/odometry.h"
 
 using namespace mav_vo;

@@ -6,9 +6,9 @@
 #include <stdexcept>
 #include <string>
 
+#include "../src/ros/node_parameters.h"
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/parameters.h"
-#include "ros/node_parameters.h"
 
 namespace {
 

@@ -16,7 +16,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/transform_input.h"
-#include "ros/outcome_publisher.h"
+#include "outcome_publisher.h"
 
 namespace streetview_localizer {
 namespace {

@@ -16,10 +16,10 @@
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
 #include "dense_fusion/guarded.h"
-#include "ros/fused_map_publisher.h"
-#include "ros/map_store.h"
-#include "ros/node_parameters.h"
-#include "ros/work_queue.h"
+#include "fused_map_publisher.h"
+#include "map_store.h"
+#include "node_parameters.h"
+#include "work_queue.h"
 
 namespace dense_fusion {
 namespace {

@@ -10,8 +10,8 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
-#include "ros/messages.h"
-#include "ros/node_parameters.h"
+#include "messages.h"
+#include "node_parameters.h"
 
 namespace view_match {
 namespace {

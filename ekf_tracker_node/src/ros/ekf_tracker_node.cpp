@@ -14,12 +14,12 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/parameters.h"
+#include "attitude_input.h"
 #include "ekf_tracker/increment_synchronizer.h"
-#include "ros/attitude_input.h"
-#include "ros/outcome_report.h"
-#include "ros/sensor_bridge.h"
-#include "ros/tracked_pose_publisher.h"
-#include "ros/tracker_state.h"
+#include "outcome_report.h"
+#include "sensor_bridge.h"
+#include "tracked_pose_publisher.h"
+#include "tracker_state.h"
 
 namespace ekf_tracker {
 namespace {

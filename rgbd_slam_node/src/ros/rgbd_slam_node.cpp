@@ -13,10 +13,10 @@
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/text.h"
-#include "ros/cloud_publisher.h"
-#include "ros/depth_input.h"
-#include "ros/keyframe_publisher.h"
-#include "ros/node_parameters.h"
+#include "cloud_publisher.h"
+#include "depth_input.h"
+#include "keyframe_publisher.h"
+#include "node_parameters.h"
 
 namespace rgbd_slam {
 namespace {

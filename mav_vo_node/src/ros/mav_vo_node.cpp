@@ -7,15 +7,15 @@
 #include <mutex>
 #include <stdexcept>
 
+#include "../posed_image_selection.h"
 #include "air_ground_common/ros/calibration_report.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "mav_vo/external_scale.h"
-#include "posed_image_selection.h"
-#include "ros/messages.h"
-#include "ros/node_parameters.h"
+#include "messages.h"
+#include "node_parameters.h"
 #include "visual_frontend/accel_noise.h"
 #include "visual_frontend/feature_tracker.h"
 

@@ -11,11 +11,11 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
-#include "ros/alignment_input.h"
-#include "ros/chain_parameter.h"
-#include "ros/ground_camera.h"
-#include "ros/map_file.h"
-#include "ros/refine_worker.h"
+#include "alignment_input.h"
+#include "chain_parameter.h"
+#include "ground_camera.h"
+#include "map_file.h"
+#include "refine_worker.h"
 
 namespace icp_refine {
 namespace {

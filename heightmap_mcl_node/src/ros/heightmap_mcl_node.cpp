@@ -8,9 +8,9 @@
 #include "air_ground_common/ros/alignment_broadcaster.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/renewable_subscriber.h"
-#include "ros/compass_input.h"
-#include "ros/inbox.h"
-#include "ros/messages.h"
+#include "compass_input.h"
+#include "inbox.h"
+#include "messages.h"
 
 namespace heightmap_mcl {
 namespace {
