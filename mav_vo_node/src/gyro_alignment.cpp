@@ -28,22 +28,23 @@ constexpr double kSystematicBias =
 constexpr double kSystematicOffset = 5e-4;    // likewise [s]
 constexpr double kSystematicReadout = 1e-3;   // likewise [s]
 constexpr double kSystematicMounting = 3e-3;  // likewise: axes that are not square [rad]
-constexpr double kLongestFlow = 0.25;         // between two images that tell how a track moves [s]
-constexpr double kFlowChange = 5;  // of a track from one image to the next, beyond which it is a wrong one [sigmas]
-constexpr double kMemory = 10;     // pairs older than the window count ever less [s]
-constexpr double kTrackCorrelation = 10;  // tracks of a pair over those that err on their own
-constexpr double kShare = 1.0 / 3;        // of a pair's information: the pairs of the three spans overlap
-constexpr double kOpenOffset = 0.01;      // of a less certain offset other minima are looked for [s]
-constexpr double kSearchInterval = 0.5;   // between such searches [s]
-constexpr double kRoughBias = 0.02;       // a less certain bias is solved for with a loss that narrows [rad/s]
-constexpr double kUsualTurn = 0.2;        // of a short pair, by which an unknown mounting errs [rad]
-constexpr double kRestartInterval = 1.0;  // between searches from the bias that was given first [s]
-constexpr double kOtherMinimum = 9;       // in cost over the window, by which another minimum must be better
-constexpr double kAgreement = 2;          // misfit of gyro and images that are of one mounting
-constexpr double kYoung = 10;             // an older estimate goes when it is refuted repeatedly only [s]
-constexpr int kRepeated = 4;              // times in a row
-constexpr int kIterations = 4;            // from the last estimate
-constexpr int kStartIterations = 14;      // while the bias may be anything, with a loss that narrows
+constexpr double kUsualBias = 0.02;           // of most gyros, some have more: scale of a Cauchy distribution [rad/s]
+constexpr double kMemory = 10;                // pairs older than the window count ever less [s]
+constexpr double kTrackCorrelation = 10;      // tracks of a pair over those that err on their own
+constexpr double kShare = 1.0 / 3;            // of a pair's information: the pairs of the three spans overlap
+constexpr double kOpenOffset = 0.01;          // of a less certain offset other minima are looked for [s]
+constexpr double kSearchInterval = 0.5;       // between such searches [s]
+constexpr double kRoughBias = 0.02;           // a less certain bias is solved for with a loss that narrows [rad/s]
+constexpr double kUsualTurn = 0.2;            // of a short pair, by which an unknown mounting errs [rad]
+constexpr double kRestartInterval = 1.0;      // between searches from the bias that was given first [s]
+constexpr double kOtherMinimum = 9;           // in cost over the window, by which another minimum must be better
+constexpr double kAgreement = 2;              // misfit of gyro and images that are of one mounting
+constexpr double kContradiction = 3;          // likewise: the bias is none of the usual ones
+constexpr double kFirstLook = 1;              // in which no bias is the less likely one [s]
+constexpr double kYoung = 10;                 // an older estimate goes when it is refuted repeatedly only [s]
+constexpr int kRepeated = 4;                  // times in a row
+constexpr int kIterations = 4;                // from the last estimate
+constexpr int kStartIterations = 14;          // while the bias may be anything, with a loss that narrows
 
 /// Rotation between two times of the gyro's clock and its derivatives.
 struct Turn {
@@ -110,16 +111,17 @@ Eigen::Vector3d translationBetween(const std::vector<Eigen::Vector3d>& a, const 
 
 GyroAlignment::GyroAlignment(const GyroAlignmentSettings& settings, const ImuNoise& noise,
                              const Eigen::Matrix3d& R_camera_imu, double sigma, int rows)
-    : settings_(settings), noise_(noise), R_camera_imu_(R_camera_imu), sigma_(sigma), rows_(rows) {
+    : settings_(settings), noise_(noise), R_camera_imu_(R_camera_imu), sigma_(sigma), flows_(sigma), rows_(rows) {
   reset();
 }
 
 void GyroAlignment::reset() {
   pairs_.clear();
   chain_end_ = {};
-  first_view_ = last_view_ = last_search_ = last_restart_ = last_stamp_ = -1;
+  first_view_ = last_view_ = last_search_ = last_restart_ = -1;
   refuted_ = 0;
-  tracks_.clear();
+  bias_given_ = false;
+  flows_.clear();
   old_H_.setZero();
   old_h_.setZero();
   const double offset_stddev = settings_.time_offset_stddev > 0 ? settings_.time_offset_stddev : kExactOffset;
@@ -137,6 +139,7 @@ void GyroAlignment::reset() {
 }
 
 void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
+  bias_given_ = true;
   x_.head<3>() = bias;
   prior_mean_ = x_;
   covariance_.topLeftCorner<3, 3>() = Eigen::Matrix3d::Identity() * stddev * stddev;
@@ -162,22 +165,8 @@ double GyroAlignment::biasStddev() const { return std::sqrt(covariance_.diagonal
 double GyroAlignment::timeOffsetStddev() const { return std::sqrt(covariance_(3, 3)); }
 double GyroAlignment::readoutTimeStddev() const { return std::sqrt(covariance_(4, 4)); }
 
-void GyroAlignment::follow(double stamp, const std::vector<visual_frontend::Feature>& features) {
-  const double dt = last_stamp_ >= 0 ? stamp - last_stamp_ : 0;
-  last_stamp_ = stamp;
-  const auto before = std::exchange(tracks_, {});
-  for (const auto& f : features) {
-    Track& track = tracks_[f.id];
-    track.ray = f.normalized;
-    const auto last = before.find(f.id);
-    if (last == before.end() || !(dt > 0 && dt < kLongestFlow)) continue;
-    track.flow = (f.normalized - last->second.ray) / dt;
-    track.steady = last->second.flow && (*track.flow - *last->second.flow).norm() * dt < kFlowChange * sigma_;
-  }
-}
-
 bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature>& features, const ImuBuffer& imu) {
-  follow(stamp, features);
+  flows_.add(stamp, features);
   if (last_view_ >= 0 && stamp - last_view_ < settings_.view_interval) return false;
   const double elapsed = last_view_ >= 0 ? stamp - last_view_ : 0;
   last_view_ = stamp;
@@ -185,11 +174,11 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   view->stamp = stamp;
   const bool rows = settings_.readout_time_stddev > 0 || settings_.readout_time != 0;
   for (const auto& f : features) {
-    const Track& track = tracks_.at(f.id);
-    if (rows && !track.steady) continue;  // where its row sees it is not known
+    const Eigen::Vector2d* flow = flows_.steadyFlow(f.id);
+    if (rows && !flow) continue;  // where its row sees it is not known
     RayObservation observation;
     observation.ray = f.normalized;
-    if (rows) observation.by_readout = ((f.pixel.y() + 0.5) / rows_ - 0.5) * *track.flow;
+    if (rows) observation.by_readout = ((f.pixel.y() + 0.5) / rows_ - 0.5) * *flow;
     view->observations[f.id] = observation;
   }
   growOld(elapsed);
@@ -197,6 +186,7 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   const std::size_t before = pairs_.size();
   addPairs(view);
   if (pairs_.size() == before) return false;
+  if (first_view_ < 0) first_view_ = stamp;
   retire(stamp - settings_.window, imu);
   const bool offset_open = settings_.time_offset_stddev > 0 && timeOffsetStddev() > kOpenOffset;
   const bool search = offset_open && stamp - last_search_ >= kSearchInterval;
@@ -220,7 +210,6 @@ bool GyroAlignment::add(double stamp, const std::vector<visual_frontend::Feature
   if (search) last_search_ = stamp;
   if (stamp - last_restart_ >= kRestartInterval) {
     last_restart_ = stamp;
-    if (first_view_ < 0) first_view_ = stamp;
     leaveWrongMinimum(stamp - first_view_ < kYoung ? 1 : kRepeated, imu, &best);
   }
   const bool credible = best.allFinite() && best.head<3>().norm() <= 1.0 &&
@@ -384,6 +373,8 @@ double GyroAlignment::solveFrom(Vector x, int iterations, double first_width, co
     const Matrix share = shareOfTracks(H);
     H = prior_ + share * H;
     g = prior_ * (x - prior_mean_) + share * g;
+    H.diagonal().head<3>().array() += unusualBias(x).weight;
+    g.head<3>() += unusualBias(x).weight * x.head<3>();
     const Vector step = Eigen::Matrix<double, kStates, kStates>(H).ldlt().solve(-Eigen::Matrix<double, kStates, 1>(g));
     if (!step.allFinite()) break;
     // A step of the offset may not leap over the period of the motion.
@@ -396,8 +387,18 @@ double GyroAlignment::solveFrom(Vector x, int iterations, double first_width, co
   return costAt(x, imu);
 }
 
+// Where blur, weak texture or a rolling shutter leave the bias open, a small one is likelier; a large one that the
+// tracks show costs little. It makes the estimate no surer: the covariance is without it.
+GyroAlignment::UnusualBias GyroAlignment::unusualBias(const Vector& x) const {
+  if (bias_given_ || misfit_ > kContradiction || last_view_ - first_view_ < kFirstLook) return {};
+  constexpr double scale = kUsualBias * kUsualBias;
+  const double square = x.head<3>().squaredNorm();
+  return {4 * std::log1p(square / scale), 4 / (scale + square)};
+}
+
 double GyroAlignment::costAt(const Vector& x, const ImuBuffer& imu) const {
   double cost = (x - prior_mean_).dot(prior_ * (x - prior_mean_)) + x.dot(old_H_ * x) - 2 * x.dot(old_h_);
+  cost += unusualBias(x).cost;
   for (const Pair& pair : pairs_)
     if (const auto normal = linearize(pair, x, imu, kLossWidth, nullptr)) cost += normal->cost / inflation_;
   return cost;

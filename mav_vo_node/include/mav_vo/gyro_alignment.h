@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "mav_vo/imu_preintegration.h"
+#include "mav_vo/track_flows.h"
 #include "visual_frontend/types.h"
 
 namespace visual_frontend {
@@ -24,8 +25,8 @@ struct Feature;
 namespace mav_vo {
 
 struct GyroAlignmentSettings {
-  double bias_stddev = 0.15;         ///< of the gyro bias before the first image, per axis [rad/s]
-  double time_offset = 0;            ///< t_imu = t_image + time_offset: of the same instant on both clocks [s]
+  double bias_stddev = 0.15;  ///< of the gyro bias before the first image, per axis, at most: most are small [rad/s]
+  double time_offset = 0;     ///< t_imu = t_image + time_offset: of the same instant on both clocks [s]
   double time_offset_stddev = 0.03;  ///< of that figure before the first image [s]; 0 = exact, it is not estimated
   double max_time_offset = 0.12;     ///< estimates farther from the given one are refused [s]
   double readout_time = 0;           ///< row r of h is exposed at stamp + (r / h - 0.5) readout_time [s]
@@ -103,13 +104,18 @@ class GyroAlignment {
     Vector g = Vector::Zero();
     double cost = 0;
   };
-  void follow(double stamp, const std::vector<visual_frontend::Feature>& features);
   void growOld(double elapsed);
   void addPairs(const std::shared_ptr<const View>& view);
   std::optional<Normal> linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu, double width,
                                   std::vector<double>* errors) const;
   double solveFrom(Vector x, int iterations, double first_width, const ImuBuffer& imu, Vector* solution) const;
   double costAt(const Vector& x, const ImuBuffer& imu) const;
+  /// Minus twice the logarithm of a bias' Cauchy distribution in three dimensions, and that of a Gaussian with the same
+  /// slope as a weight of |bias|^2; zero where the bias is known from elsewhere.
+  struct UnusualBias {
+    double cost = 0, weight = 0;
+  };
+  UnusualBias unusualBias(const Vector& x) const;
   void leaveWrongMinimum(int times, const ImuBuffer& imu, Vector* best);
   void retire(double before, const ImuBuffer& imu);
   void summarize(const ImuBuffer& imu);
@@ -123,14 +129,9 @@ class GyroAlignment {
   std::array<std::shared_ptr<const View>, 3> chain_end_;  ///< by span: where the next pair begins
   std::deque<Pair> pairs_;
   double first_view_ = -1, last_view_ = -1, last_search_ = -1, last_restart_ = -1;  ///< [s]
-  int refuted_ = 0;  ///< times in a row that another minimum was better
-  struct Track {
-    Eigen::Vector2d ray = Eigen::Vector2d::Zero();
-    std::optional<Eigen::Vector2d> flow;  ///< since the image before [1/s]
-    bool steady = false;                  ///< the flow before was alike
-  };
-  double last_stamp_ = -1;                                      ///< of the image before [s]
-  std::unordered_map<visual_frontend::TrackId, Track> tracks_;  ///< of the last image
+  int refuted_ = 0;          ///< times in a row that another minimum was better
+  bool bias_given_ = false;  ///< from elsewhere
+  TrackFlows flows_;
   int rows_;
   Vector x_ = Vector::Zero();
   Vector prior_mean_ = Vector::Zero();
