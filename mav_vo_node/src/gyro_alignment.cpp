@@ -373,8 +373,9 @@ double GyroAlignment::solveFrom(Vector x, int iterations, double first_width, co
     const Matrix share = shareOfTracks(H);
     H = prior_ + share * H;
     g = prior_ * (x - prior_mean_) + share * g;
-    H.diagonal().head<3>().array() += unusualBias(x).weight;
-    g.head<3>() += unusualBias(x).weight * x.head<3>();
+    const double unusual = unusualBias(x).weight;
+    H.diagonal().head<3>().array() += unusual;
+    g.head<3>() += unusual * x.head<3>();
     const Vector step = Eigen::Matrix<double, kStates, kStates>(H).ldlt().solve(-Eigen::Matrix<double, kStates, 1>(g));
     if (!step.allFinite()) break;
     // A step of the offset may not leap over the period of the motion.

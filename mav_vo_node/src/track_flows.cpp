@@ -19,6 +19,7 @@ void TrackFlows::add(double stamp, const std::vector<visual_frontend::Feature>& 
   const double dt = last_stamp_ >= 0 ? stamp - last_stamp_ : 0;
   last_stamp_ = stamp;
   const auto before = std::exchange(tracks_, {});
+  std::vector<std::pair<Track*, Eigen::Vector2d>> changes;  // of the mean flow
   std::vector<double> changes_x, changes_y;
   for (const auto& f : features) {
     Track& track = tracks_[f.id];
@@ -27,20 +28,18 @@ void TrackFlows::add(double stamp, const std::vector<visual_frontend::Feature>& 
     if (last == before.end() || !(dt > 0 && dt < kLongest)) continue;
     track.mean = (f.normalized - last->second.ray) / dt;
     if (!last->second.mean) continue;
-    track.change = *track.mean - *last->second.mean;
-    changes_x.push_back(track.change->x());
-    changes_y.push_back(track.change->y());
+    const Eigen::Vector2d change = *track.mean - *last->second.mean;
+    changes.emplace_back(&track, change);
+    changes_x.push_back(change.x());
+    changes_y.push_back(change.y());
   }
-  if (changes_x.empty()) return;
+  if (changes.empty()) return;
   // A camera that speeds up changes the flow of all tracks alike: what the images so far show of it is half an interval
   // old.
   const Eigen::Vector2d common(air_ground_common::median(std::move(changes_x)),
                                air_ground_common::median(std::move(changes_y)));
-  for (auto& entry : tracks_) {
-    Track& track = entry.second;
-    if (track.change && (*track.change - common).norm() * dt < kChange * sigma_)
-      track.flow = *track.mean + 0.5 * common;
-  }
+  for (const auto& [track, change] : changes)
+    if ((change - common).norm() * dt < kChange * sigma_) track->flow = *track->mean + 0.5 * common;
 }
 
 const Eigen::Vector2d* TrackFlows::steadyFlow(visual_frontend::TrackId id) const {

@@ -158,7 +158,7 @@ TEST(GyroAlignment, FindsTheReadoutTime) {
       std::printf("readout %5.1f ms: %5.2f +- %.2f ms, offset %5.2f +- %.2f ms\n", 1e3 * readout, 1e3 * a.readoutTime(),
                   1e3 * a.readoutTimeStddev(), 1e3 * a.timeOffset(), 1e3 * a.timeOffsetStddev());
       EXPECT_NEAR(a.readoutTime(), readout, 0.003);
-      EXPECT_LT(a.readoutTimeStddev(), 0.0045);
+      EXPECT_LT(a.readoutTimeStddev(), 0.004);
       EXPECT_LT(std::abs(a.readoutTime() - readout), 4 * a.readoutTimeStddev());
       EXPECT_NEAR(a.timeOffset(), run.offset, 0.003);
       EXPECT_LT((a.bias() - run.bias).norm(), 0.005);

@@ -29,9 +29,8 @@ class TrackFlows {
  private:
   struct Track {
     Eigen::Vector2d ray = Eigen::Vector2d::Zero();
-    std::optional<Eigen::Vector2d> mean;    ///< flow since the image before [1/s]
-    std::optional<Eigen::Vector2d> change;  ///< of it, since that of the image before [1/s]
-    std::optional<Eigen::Vector2d> flow;    ///< at the image, where it is steady [1/s]
+    std::optional<Eigen::Vector2d> mean;  ///< flow since the image before [1/s]
+    std::optional<Eigen::Vector2d> flow;  ///< at the image, where it is steady [1/s]
   };
   double sigma_;
   double last_stamp_ = -1;  ///< [s]
