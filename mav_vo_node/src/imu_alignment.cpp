@@ -20,6 +20,7 @@ constexpr double kOpenOffsetSigma = 0.012;    // ... or one not known so well, t
 constexpr double kRuledOut = 4;               // by so many standard deviations
 constexpr double kOffsetStep = 5e-4;          // smaller changes of it are not worth the work [s]
 constexpr double kReadoutSigma = 4e-3;        // of a readout time that is taken over [s]
+constexpr double kOpenReadoutSigma = 0.01;    // ... or of one not known so well, that rules the one in use out [s]
 constexpr double kReadoutStep = 4e-3;         // least change of it [s]
 constexpr double kReadoutRefinement = 1e-3;   // least change of one that was estimated [s]
 constexpr double kShutterMisfit = 2;          // of noise; above, the tracks are not explained by a readout time
@@ -126,7 +127,9 @@ std::optional<ImuAlignment::ReadoutChange> ImuAlignment::alignShutter(
   if (shutter_alignment_->misfit() > kShutterMisfit) return std::nullopt;
   const double readout = shutter_alignment_->readoutTime(), sigma = shutter_alignment_->readoutTimeStddev();
   const double change = std::abs(readout - in_use), large = std::max(kReadoutStep, 3 * sigma);
-  if (sigma > kReadoutSigma || change < (in_use != 0 ? std::max(kReadoutRefinement, sigma) : large))
+  const bool known = sigma < kReadoutSigma;
+  if (sigma > kOpenReadoutSigma ||
+      change < (!known ? kRuledOut * sigma : in_use != 0 ? std::max(kReadoutRefinement, sigma) : large))
     return std::nullopt;
   gyro_alignment_.setReadoutTime(readout);
   return ReadoutChange{readout, change > large};

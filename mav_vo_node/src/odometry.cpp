@@ -104,11 +104,7 @@ void Odometry::Impl::useImu(double stamp) {
   const std::vector<Feature>& features = pose.tracker().features();
   imu.carryUp(pose.turnSincePrevious(), stamp - last_stamp);
   if (imu.detectStandstill(stamp, features, metric())) bias.gyro = imu.gyroBias();
-  if (const auto readout = imu.alignShutter(stamp, features, pose.readoutTime())) {
-    pose.setReadoutTime(readout->readout_time);
-    // What a map that is not metric yet has seen with another readout time is not worth keeping.
-    if (!metric() && map.keyframeCount() > 0 && readout->large) startMap();
-  }
+  if (const auto readout = imu.alignShutter(stamp, features, pose.readoutTime())) setReadoutTime(readout->readout_time);
   if (const auto turn = imu.alignMounting(stamp, features)) turnImu(*turn);
   if (!imu.alignGyro(stamp, features, metric())) return;
   // Landmarks of a false start bend the turns of the gyro towards themselves.

@@ -64,6 +64,7 @@ struct Odometry::Impl {
   void adjustWholeMap();
   void adopt(const MapAdjuster::Jobs& jobs);
   void recalibrate(const visual_frontend::CalibrationEstimate& estimate);  ///< with its adjustment in the map
+  void setReadoutTime(double readout_time);  ///< as the IMU tells it [s]
   void setCamera(const CameraModel& better_known);
   visual_frontend::CalibrationAlignment givenCalibration() const;
   visual_frontend::VelocityAt velocityAt() const;

@@ -314,6 +314,19 @@ void Odometry::Impl::setCamera(const CameraModel& better_known) {
   adjuster.setCamera(camera);
 }
 
+void Odometry::Impl::setReadoutTime(double readout_time) {
+  adopt(adjuster.finish());
+  pose.setReadoutTime(readout_time);
+  calibration.followReadout(readout_time);
+  if (map.keyframeCount() == 0) return;
+  calibration.recalibrate(velocityAt(), &map);
+  if (metric()) return;
+  adjustWholeMap();
+  adopt(adjuster.finish());
+  adjuster.restartSchedule(last_stamp);
+  scale.estimateAnew(frames, map);
+}
+
 void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& estimate) {
   calibration.follow(estimate);
   setCamera(calibration.camera());

@@ -61,6 +61,12 @@ void CalibrationAlignment::follow(const CalibrationEstimate& estimate) {
   mean_ -= estimate.error;
 }
 
+void CalibrationAlignment::followReadout(double readout_time) {
+  camera_before_ = camera_;
+  readout_change_ = readout_time - readout_time_;
+  readout_time_ = readout_time;
+}
+
 void CalibrationAlignment::recalibrate(const VelocityAt& velocity, Map* map) const {
   const auto moved = [this](const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized) -> Eigen::Vector2d {
     return normalized + camera_.unproject(pixel) - camera_before_.unproject(pixel);

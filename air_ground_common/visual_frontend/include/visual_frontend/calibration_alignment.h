@@ -24,7 +24,9 @@ class CalibrationAlignment {
   void open(const VelocityAt& velocity, const Map& map, BundleJob* job) const;
   /// Takes over what a job has found.
   void follow(const CalibrationEstimate& estimate);
-  /// Moves the rays of the map's keyframes from the calibration before the last follow() to the one now.
+  /// Takes over a readout time [s] that something else has told.
+  void followReadout(double readout_time);
+  /// Moves the rays of the map's keyframes from the calibration before the last of these two to the one now.
   void recalibrate(const VelocityAt& velocity, Map* map) const;
 
   const CameraModel& camera() const { return camera_; }  ///< as it is known now
