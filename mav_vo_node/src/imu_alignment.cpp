@@ -120,19 +120,20 @@ bool ImuAlignment::detectStandstill(double stamp, const std::vector<visual_front
   return true;
 }
 
-std::optional<ImuAlignment::ReadoutChange> ImuAlignment::alignShutter(
-    double stamp, const std::vector<visual_frontend::Feature>& features, double in_use) {
+std::optional<double> ImuAlignment::alignShutter(double stamp, const std::vector<visual_frontend::Feature>& features,
+                                                 double in_use) {
   if (!shutter_alignment_ || !shutter_alignment_->add(stamp, features, imu_.buffer())) return std::nullopt;
   // Broken images or samples tell of no camera.
   if (shutter_alignment_->misfit() > kShutterMisfit) return std::nullopt;
   const double readout = shutter_alignment_->readoutTime(), sigma = shutter_alignment_->readoutTimeStddev();
   const double change = std::abs(readout - in_use), large = std::max(kReadoutStep, 3 * sigma);
   const bool known = sigma < kReadoutSigma;
-  if (sigma > kOpenReadoutSigma ||
-      change < (!known ? kRuledOut * sigma : in_use != 0 ? std::max(kReadoutRefinement, sigma) : large))
+  if (sigma > kOpenReadoutSigma || change < (!known        ? kRuledOut * sigma
+                                             : in_use != 0 ? std::max(kReadoutRefinement, sigma)
+                                                           : large))
     return std::nullopt;
   gyro_alignment_.setReadoutTime(readout);
-  return ReadoutChange{readout, change > large};
+  return readout;
 }
 
 std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,

@@ -38,13 +38,9 @@ class ImuAlignment {
   void setUp(const Eigen::Vector3d& up_imu) { up_ = UpDirection{up_imu, kMetricTilt}; }
   const std::optional<UpDirection>& up() const { return up_; }  ///< since a rest, or in a metric map
 
-  /// A sure readout time replaces `in_use`; by how much, empty: not.
-  struct ReadoutChange {
-    double readout_time;  ///< [s]
-    bool large;           ///< what was seen with the one before is bent
-  };
-  std::optional<ReadoutChange> alignShutter(double stamp, const std::vector<visual_frontend::Feature>& features,
-                                            double in_use);
+  /// Readout time that is to replace the one `in_use` [s]; empty: none is sure enough.
+  std::optional<double> alignShutter(double stamp, const std::vector<visual_frontend::Feature>& features,
+                                     double in_use);
   /// The IMU is surely mounted otherwise than it was taken to be: what it has told is to be turned by this rotation;
   /// empty: as before.
   std::optional<Eigen::Matrix3d> alignMounting(double stamp, const std::vector<visual_frontend::Feature>& features);

@@ -40,11 +40,13 @@ void MapScale::add(const FrameTrajectory& frames, const visual_frontend::Map& ma
   filter_.add(measurement(images_.size() - 1, frames, map), motion);
 }
 
-void MapScale::dropRefuted() {
+void MapScale::dropRefuted(const FrameTrajectory& frames, const visual_frontend::Map& map) {
   const bool refuted = filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5;
   // What a scale was started on stays in its count of rejections: a new window judges the map as it is by now.
   const bool undecided = filter_.updates() >= kLongTrial && !filter_.certain(1.0);
-  if (refuted || undecided) filter_.reset(tilt_stddev_);
+  if (!refuted && !undecided) return;
+  estimateAnew(frames, map);
+  if (filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5) filter_.reset(tilt_stddev_);
 }
 
 void MapScale::transform(const air_ground_common::Similarity& S) {

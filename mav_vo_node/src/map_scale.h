@@ -26,7 +26,7 @@ class MapScale {
   void add(const FrameTrajectory& frames, const visual_frontend::Map& map, double scene_distance,
            const Eigen::Matrix3d& position_covariance, const std::optional<Preintegration>& motion);
   /// A scale that most images since its start speak against was wrong from the start: begins anew.
-  void dropRefuted();
+  void dropRefuted(const FrameTrajectory& frames, const visual_frontend::Map& map);
   /// With Map::transform.
   void transform(const air_ground_common::Similarity& S_new_old);
   /// After the adjustment of a metric map: judges it by the images since a keyframe not long before `metric_since` [s].

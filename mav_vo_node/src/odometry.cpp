@@ -63,6 +63,7 @@ void Odometry::Impl::reset() {
   calibration = givenCalibration();
   setCamera(given_camera);
   pose.setReadoutTime(settings.readout_time);
+  next_readout.reset();
   last_stamp = -1;
   state = OdometryState::kWaiting;
   reason = "no image yet";
@@ -104,7 +105,7 @@ void Odometry::Impl::useImu(double stamp) {
   const std::vector<Feature>& features = pose.tracker().features();
   imu.carryUp(pose.turnSincePrevious(), stamp - last_stamp);
   if (imu.detectStandstill(stamp, features, metric())) bias.gyro = imu.gyroBias();
-  if (const auto readout = imu.alignShutter(stamp, features, pose.readoutTime())) setReadoutTime(readout->readout_time);
+  next_readout = imu.alignShutter(stamp, features, pose.readoutTime());
   if (const auto turn = imu.alignMounting(stamp, features)) turnImu(*turn);
   if (!imu.alignGyro(stamp, features, metric())) return;
   // Landmarks of a false start bend the turns of the gyro towards themselves.
@@ -172,6 +173,7 @@ VoResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
     return result;
   }
   adopt(adjuster.due(last_stamp));
+  if (next_readout) setReadoutTime(*next_readout);
   pose.track(last_stamp, stamp, gray, tracking());
   result.tracked = static_cast<int>(pose.tracker().features().size());
   if (settings.use_imu) useImu(stamp);
@@ -207,7 +209,7 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
     pose.reobserve(how);
   }
   if (keyframe) addKeyframe(gray);
-  if (!metric()) scale.dropRefuted();
+  if (!metric()) scale.dropRefuted(frames, map);
   if (!metric() && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) && imu.clockProblem().empty() &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();

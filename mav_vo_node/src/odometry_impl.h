@@ -64,7 +64,7 @@ struct Odometry::Impl {
   void adjustWholeMap();
   void adopt(const MapAdjuster::Jobs& jobs);
   void recalibrate(const visual_frontend::CalibrationEstimate& estimate);  ///< with its adjustment in the map
-  void setReadoutTime(double readout_time);  ///< as the IMU tells it [s]
+  void setReadoutTime(double readout_time);                                ///< as the IMU tells it [s]
   void setCamera(const CameraModel& better_known);
   visual_frontend::CalibrationAlignment givenCalibration() const;
   visual_frontend::VelocityAt velocityAt() const;
@@ -98,8 +98,9 @@ struct Odometry::Impl {
   OdometryState state = OdometryState::kWaiting;
   std::string reason = "no image yet";
   std::string imu_problem;
-  double last_stamp = -1;    ///< of the last image [s]
-  bool relocalized = false;  ///< since the last keyframe
+  double last_stamp = -1;              ///< of the last image [s]
+  bool relocalized = false;            ///< since the last keyframe
+  std::optional<double> next_readout;  ///< readout time from the next image on, which is predicted with it [s]
   std::optional<Increment> increment;
   bool made_keyframe = false;
 };

@@ -315,13 +315,14 @@ void Odometry::Impl::setCamera(const CameraModel& better_known) {
 }
 
 void Odometry::Impl::setReadoutTime(double readout_time) {
+  next_readout.reset();
   adopt(adjuster.finish());
   pose.setReadoutTime(readout_time);
   calibration.followReadout(readout_time);
   if (map.keyframeCount() == 0) return;
   calibration.recalibrate(velocityAt(), &map);
-  if (metric()) return;
   adjustWholeMap();
+  if (metric()) return;
   adopt(adjuster.finish());
   adjuster.restartSchedule(last_stamp);
   scale.estimateAnew(frames, map);
@@ -338,6 +339,8 @@ void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& est
 }
 
 void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
+  if (jobs.empty()) return;
+  const Pose T_last_now = frames.empty() ? Pose::Identity() : frames.lastPose(map).inverse() * pose.pose();
   for (const BundleJob& job : jobs) {
     if (!job.result.usable || job.problem.metric != metric()) continue;
     applyBundle(job, map, &inertial.data());
@@ -349,7 +352,7 @@ void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
     bias.accel = newest->accel;
     if (job.full) scale.judgeAnew(frames, map, inertial.data(), metric_since);
   }
-  if (!jobs.empty() && !frames.empty()) pose.setPose(frames.lastPose(map));
+  if (!frames.empty()) pose.setPose(frames.lastPose(map) * T_last_now);
 }
 
 }  // namespace mav_vo

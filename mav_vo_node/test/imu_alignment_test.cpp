@@ -186,18 +186,18 @@ TEST(ImuAlignment, ClocksTooFarApartTellNoScale) {
   }
 }
 
-TEST(ImuAlignment, FindsAReadoutTimeAndSaysWhenItWasFarOff) {
+TEST(ImuAlignment, FindsAReadoutTime) {
   ImuAlignment imu = make();
   double in_use = 0;
-  std::optional<ImuAlignment::ReadoutChange> first;
+  std::optional<double> first;
   Swing(0, 0.025).show(imu, [&](double t, const std::vector<Feature>& features) {
-    const auto change = imu.alignShutter(t, features, in_use);
-    if (!change) return;
-    if (!first) first = change;
-    in_use = change->readout_time;
+    const auto found = imu.alignShutter(t, features, in_use);
+    if (!found) return;
+    if (!first) first = found;
+    in_use = *found;
   });
   ASSERT_TRUE(first);
-  EXPECT_TRUE(first->large);
+  EXPECT_NEAR(*first, 0.025, 0.01) << "even a first one, not known well, is better than none";
   EXPECT_NEAR(in_use, 0.025, 0.003);
 }
 
