@@ -87,7 +87,7 @@ double Odometry::Impl::mapBiasSigma() const {
 bool Odometry::Impl::mapHasBias() const { return settings.use_imu && inertial.linked() && map.keyframeCount() >= 2; }
 
 void Odometry::Impl::keepMapsBias() {
-  if (mapHasBias() && !mapBiasRefuted()) imu.keepBias(inertial.newestBias()->gyro, mapBiasSigma());
+  if (metric() && mapHasBias() && !mapBiasRefuted()) imu.keepBias(inertial.newestBias()->gyro, mapBiasSigma());
 }
 
 bool Odometry::Impl::mapBiasRefuted() const {
