@@ -321,8 +321,9 @@ void Odometry::Impl::setReadoutTime(double readout_time) {
   calibration.followReadout(readout_time);
   if (map.keyframeCount() == 0) return;
   calibration.recalibrate(velocityAt(), &map);
-  adjustWholeMap();
-  if (metric()) return;
+  if (metric()) return adjustWholeMap();
+  // All that was wrong so far, the gyro's bias too, stands in old keyframes.
+  adopt(adjuster.adjustWhole(adjuster.wholeMap(map, inertial.data(), bundleSettings()), last_stamp));
   adopt(adjuster.finish());
   adjuster.restartSchedule(last_stamp);
   scale.estimateAnew(frames, map);
