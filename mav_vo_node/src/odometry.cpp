@@ -213,7 +213,7 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
   if (!metric() && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) && imu.clockProblem().empty() &&
       map.keyframeCount() >= settings.min_metric_keyframes)
     makeMetric();
-  if ((metric() || calibration.estimates()) && made_keyframe && adjuster.wholeDue(last_stamp)) adjustWholeMap();
+  if (made_keyframe && adjuster.wholeDue(last_stamp)) adjustWholeMap();
   pose.setPose(frames.lastPose(map));
   state = metric() ? OdometryState::kTracking : OdometryState::kScaling;
   reason = metric() ? "" : scaleReason();

@@ -292,7 +292,6 @@ visual_frontend::BundleSettings Odometry::Impl::bundleSettings() const {
 void Odometry::Impl::adjustWholeMap() {
   BundleJob whole = adjuster.wholeMap(map, inertial.data(), bundleSettings());
   if (calibration.estimates()) calibration.open(velocityAt(), map, &whole);
-  whole.for_calibration = settings.use_imu && !metric();
   adopt(adjuster.adjustWhole(std::move(whole), last_stamp));
 }
 
@@ -349,7 +348,10 @@ void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
     if (job.problem.calibration) recalibrate(*job.problem.calibration);
     const ImuBias* newest = inertial.newestBias();
     if (newest && settings.use_imu) bias.gyro = newest->gyro;
-    if (!metric()) continue;
+    if (!metric()) {
+      if (job.full && settings.use_imu && !job.problem.calibration) scale.estimateAnew(frames, map);
+      continue;
+    }
     bias.accel = newest->accel;
     if (job.full) scale.judgeAnew(frames, map, inertial.data(), metric_since);
   }
