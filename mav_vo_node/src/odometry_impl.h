@@ -62,6 +62,7 @@ struct Odometry::Impl {
   void turnImu(const Eigen::Matrix3d& R_new_old);
   visual_frontend::BundleSettings bundleSettings() const;
   void adjustWholeMap();
+  void adjustAnew();  ///< a map that is not metric, at once
   void adopt(const MapAdjuster::Jobs& jobs);
   void recalibrate(const visual_frontend::CalibrationEstimate& estimate);  ///< with its adjustment in the map
   void setReadoutTime(double readout_time);                                ///< as the IMU tells it [s]

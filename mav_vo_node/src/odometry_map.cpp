@@ -22,7 +22,6 @@ constexpr double kMapBiasSigma = 2e-3;      // of a gyro bias from a map, at the
 constexpr double kOtherBias = 6;            // standard deviations between the map's bias and the tracks'
 constexpr double kRestBiasPrior = 1e-3;     // of a gyro bias, at the best [rad/s]
 constexpr double kMaxGyroBiasPrior = 0.05;  // [rad/s]
-constexpr double kBendingTurn = 0.0175;     // of the IMU's axes against what they were taken for [rad]
 constexpr double kLeastParallax = 10;       // of a new landmark, in standard deviations of a ray
 
 int mappedObservations(const Keyframe& keyframe) {
@@ -263,18 +262,14 @@ void Odometry::Impl::retime() {
   if (!metric()) scale.estimateAnew(frames, map);
 }
 
-// The IMU's axes have become others. Turns about wrong axes have bent a map that is not metric yet.
+// The IMU's axes have become others.
 void Odometry::Impl::turnImu(const Eigen::Matrix3d& R_new_old) {
   bias.gyro = R_new_old * bias.gyro;
   if (map.keyframeCount() == 0) return;
-  if (!metric() && air_ground_common::rotationAngle(R_new_old, Eigen::Matrix3d::Identity()) > kBendingTurn) {
-    inertial.clear();  // its gyro bias is of turns about wrong axes, too
-    return startMap();
-  }
   adopt(adjuster.finish());
   inertial.turn(R_new_old, map);
   scale.turn(R_new_old);
-  if (!metric()) return scale.estimateAnew(frames, map);
+  if (!metric()) return adjustAnew();
   bias.accel = inertial.newestBias()->accel;
   scale.judgeAnew(frames, map, inertial.data(), metric_since);
 }
@@ -320,8 +315,11 @@ void Odometry::Impl::setReadoutTime(double readout_time) {
   calibration.followReadout(readout_time);
   if (map.keyframeCount() == 0) return;
   calibration.recalibrate(velocityAt(), &map);
-  if (metric()) return adjustWholeMap();
-  // All that was wrong so far, the gyro's bias too, stands in old keyframes.
+  metric() ? adjustWholeMap() : adjustAnew();
+}
+
+// What was taken for known has turned out to be wrong, and so is what old keyframes have of it: the gyro's bias, too.
+void Odometry::Impl::adjustAnew() {
   adopt(adjuster.adjustWhole(adjuster.wholeMap(map, inertial.data(), bundleSettings()), last_stamp));
   adopt(adjuster.finish());
   adjuster.restartSchedule(last_stamp);
