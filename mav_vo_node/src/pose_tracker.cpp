@@ -84,7 +84,10 @@ Pose PoseTracker::predict(double last_stamp, double stamp, bool tracking,
   predicted_ = tracking && located_stamp_ == last_stamp;
   if (predicted_) {
     predicted.translation() += velocity_ * (stamp - located_stamp_);
-    if (R_previous_current_) predicted.linear() = T_map_camera_.linear() * *R_previous_current_;
+    const Eigen::Matrix3d turn =
+        R_previous_current_ ? *R_previous_current_ : air_ground_common::expSO3(turn_rate_ * (stamp - located_stamp_));
+    predicted.linear() = T_map_camera_.linear() * turn;
+    prediction->R_current_previous = turn.transpose();
   }
   followShutter(stamp, predicted);
   if (!predicted_) return predicted;

@@ -27,6 +27,7 @@ TEST(Odometry, FindsHowTheImuIsTurned) {
         degrees.x(), degrees.y(), degrees.z(), off, last.imu_rotation_stddev / kDegree, o.metric_at, error,
         100 * scale_error);
     EXPECT_LT(off, 1.0);
+    EXPECT_EQ(last.map_id, o.frames.front().map_id) << "a map is kept when the mounting turns out";
     ASSERT_GT(o.metric_at, 0) << last.reason;
     EXPECT_LT(std::abs(scale_error), 0.02);
     EXPECT_LT(error, 0.015 * air_ground_common::pathLength(o.truth));

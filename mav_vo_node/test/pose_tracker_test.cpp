@@ -103,6 +103,19 @@ TEST_F(Floor, TheNextImageIsWhereTheMotionLeads) {
   EXPECT_LT(air_ground_common::rotationAngle(pose.pose().linear(), above(0, 0, -0.02).linear()), 0.003);
 }
 
+// Without a gyro the camera goes on turning as it did, and each feature is sought where that leads.
+TEST_F(Floor, WithoutAGyroTheTurnGoesOn) {
+  constexpr double kTurn = 0.12;  // between two images [rad]
+  ASSERT_TRUE(see(above(0, 0, kTurn), 0.1)) << pose.result().reason;
+  pose.settle(0.1, above(0, 0));
+  const Pose T = above(0, 0, 2 * kTurn);
+  pose.track(0.1, 0.2, image(T), true);
+  EXPECT_LT(air_ground_common::rotationAngle(pose.pose().linear(), T.linear()), 0.005)
+      << "before the landmarks are asked";
+  ASSERT_TRUE(pose.locate(std::nullopt)) << pose.result().reason;
+  EXPECT_LT(error(T), 0.01);
+}
+
 TEST_F(Floor, LandmarksThatDisagreeLoseTheirTracks) {
   const std::size_t before = pose.tracker().features().size();
   std::vector<LandmarkId> wrong = map.landmarkIds();

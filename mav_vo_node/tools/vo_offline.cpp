@@ -103,7 +103,10 @@ class OfflineRun {
     auto final_poses = odometry_.trajectory();
     for (auto& p : final_poses) p.T_map_body = p.T_map_body * T_base_camera_.inverse();
     printError("as published", truth_, online_);
-    printError("final       ", truth_, final_poses);
+    if (odometry_.metric())
+      printError("final       ", truth_, final_poses);
+    else
+      printShapeError(truth_, final_poses);
   }
   air_ground_common::Trajectory trajectory() const { return odometry_.trajectory(); }
 
