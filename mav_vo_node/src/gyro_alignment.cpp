@@ -294,8 +294,7 @@ void GyroAlignment::addPairs(const std::shared_ptr<const View>& view) {
     std::vector<visual_frontend::TrackId> common;
     for (const auto& ray : view->observations)
       if (first->observations.count(ray.first)) common.push_back(ray.first);
-    const auto previous = first;
-    first = view;
+    const auto previous = std::exchange(first, view);
     if (span > 2 * settings_.spans[s] + 0.2 || static_cast<int>(common.size()) < settings_.min_tracks) continue;
     std::sort(common.begin(), common.end());
     const std::size_t stride = 1 + (common.size() - 1) / static_cast<std::size_t>(settings_.max_tracks);

@@ -93,42 +93,6 @@ TEST(Odometry, FindsTheTimeOffset) {
   EXPECT_LT(ate(o, o.final_poses), 0.015 * air_ground_common::pathLength(o.truth));
 }
 
-TEST(Odometry, FindsTheReadoutTime) {
-  Options options;
-  options.flight.wobble = 0.15;
-  options.readout = 0.025;
-  const Outcome o = fly(options);
-  const VoResult& last = o.frames.back();
-  std::printf("readout time %.2f +- %.2f ms, ATE %.4f m\n", 1e3 * last.readout_time, 1e3 * last.readout_time_stddev,
-              ate(o, o.final_poses));
-  EXPECT_NEAR(last.readout_time, options.readout, 0.004);
-  EXPECT_LT(last.readout_time_stddev, 0.004);
-  ASSERT_GT(o.metric_at, 0) << last.reason;
-  EXPECT_LT(ate(o, o.final_poses), 0.01 * air_ground_common::pathLength(o.truth));
-}
-
-// What the map has seen by then is put right; it is not begun anew.
-TEST(Odometry, KeepsItsMapWhenTheReadoutTimeTurnsOut) {
-  Options options;
-  options.begin = 4;
-  options.end = 14;
-  options.flight.wobble = 0.3;
-  options.readout = 0.03;
-  const Outcome o = fly(options);
-  const VoResult& last = o.frames.back();
-  ASSERT_GT(o.metric_at, 0) << last.reason;
-  const auto found = std::find_if(o.frames.begin(), o.frames.end(), [](const auto& r) { return r.readout_time != 0; });
-  double scale_error = 1;
-  const double error = ate(o, o.final_poses, &scale_error);
-  std::printf("readout time found after %.2f s, metric after %.2f s, map %u, ATE %.4f m, scale error %+.3f %%\n",
-              found->stamp - options.begin, o.metric_at - options.begin, last.map_id, error, 100 * scale_error);
-  EXPECT_LT(found->stamp, o.metric_at) << "not what this test is about";
-  const auto first = std::find_if(o.frames.begin(), o.frames.end(), [](const auto& r) { return r.pose_valid; });
-  for (auto r = first; r != o.frames.end(); ++r) EXPECT_TRUE(r->pose_valid) << r->stamp << " " << r->reason;
-  EXPECT_EQ(last.map_id, first->map_id);
-  EXPECT_LT(error, 0.01 * air_ground_common::pathLength(o.truth));
-}
-
 TEST(Odometry, WithoutAGyroTheLastTurnTellsWhatRowsAreLate) {
   Options options;
   options.flight.wobble = 0.15;

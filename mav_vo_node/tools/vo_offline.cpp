@@ -52,6 +52,14 @@ void printError(const char* name, const air_ground_common::Trajectory& truth,
       100 * (1 / similar.reference_from_estimate.scale - 1));
 }
 
+/// Of a map that never became metric, whose lengths are in a unit of its own.
+void printShapeError(const air_ground_common::Trajectory& truth, const air_ground_common::Trajectory& estimate) {
+  if (estimate.size() < 10) return;
+  const auto similar = air_ground_common::absoluteTrajectoryError(truth, estimate, Alignment::kSimilarity);
+  std::printf("last map, not metric: %zu poses over %.2f m; ATE RMSE after similarity alignment %.4f m\n",
+              similar.pairs, similar.path_length, similar.rmse);
+}
+
 /// What a recording holds beside its data.
 struct Setup {
   std::optional<air_ground_common::CameraModel> camera;
