@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import unittest
 from unittest import mock
 
@@ -212,6 +213,24 @@ class ReplayReport(unittest.TestCase):
             ros.get_time.return_value = 102.1
             keeper.step(102.2)
             self.assertEqual(ros.Publisher.return_value.publish.call_count, 3)
+
+    def test_who_is_late_is_not_held(self):
+        """A player that is held repeats the time at which it waited last: before what the ClockKeeper gave meanwhile, time went back by 2 s."""
+        with mock.patch.object(pacing, 'rospy') as ros, mock.patch.object(pacing, 'CpuLoad') as load:
+            ros.Time.from_sec = rospy.Time.from_sec
+            load.return_value.cores.return_value = {'mav_vo': 0.9}
+            player, recorder = mock.Mock(), mock.Mock(nodes=['mav_vo'], progress={'mav_vo': 95.0}, lock=threading.Lock(), cores=[])
+            ros.get_time.return_value = 100.0
+            keeper, pacer = pacing.ClockKeeper(), pacing.Pacer(recorder, player, {'mav_vo': 1.5})
+            self.assertFalse(keeper.leads())
+            keeper.step(102.0)
+            ros.get_time.return_value = 101.95
+            self.assertTrue(keeper.leads())
+            pacer.step(101.95, may_hold=not keeper.leads())
+            player.pause.assert_not_called()
+            ros.get_time.return_value = 102.3  # the player waits again
+            pacer.step(102.3, may_hold=not keeper.leads())
+            player.pause.assert_called_once_with(True)
 
 
 if __name__ == '__main__':

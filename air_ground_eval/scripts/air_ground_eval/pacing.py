@@ -63,8 +63,8 @@ class Pacer:
         self.paused, self.since, self.slowest = False, None, ''
         self.held_for = collections.Counter()  # node: wall time [s]
 
-    def step(self, now):
-        """now: time of the bag [s]."""
+    def step(self, now, may_hold=True):
+        """now: time of the bag [s]; may_hold: no ClockKeeper leads."""
         wall = time.monotonic()
         if wall - self.last_load > 1.0:
             self.last_load = wall
@@ -75,7 +75,7 @@ class Pacer:
             lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
                     if name in self.busy and name in self.limits}
         lag = max(lags.values(), default=0.0)
-        if not self.paused and lag > 1.0:
+        if not self.paused and may_hold and lag > 1.0:
             self.slowest = max(lags, key=lags.get)
             self._set(True)
         elif self.paused and lag < 0.6:
@@ -96,19 +96,27 @@ class Pacer:
 
 
 class ClockKeeper:
-    """Gives /clock while the player gives none: it does so only while it waits for the next message, so not where it reads more slowly than it plays."""
+    """Gives /clock while the player gives none: it does so only while it waits for the next message, so not where it reads more slowly than it plays.
+
+    A player that is held gives its own clock again and again, as it was when it waited last: time would jump between the two.
+    """
 
     BEHIND = 0.5  # [s] of the clock behind what was played
     MARGIN = 0.05  # [s]: never ahead of the player's own clock, for time must not go back
 
     def __init__(self):
-        self.publisher = None
+        self.publisher, self.given = None, None
+
+    def leads(self):
+        """The newest time on /clock is from here: the player must not be held."""
+        return self.given is not None and rospy.get_time() <= self.given + 1e-6
 
     def step(self, played):
-        """played: when the newest message that was heard was recorded [s]."""
+        """To be called while the player is not held. played: when the newest message that was heard was recorded [s]."""
         if played - rospy.get_time() < self.BEHIND:
             return
         if self.publisher is None:
             self.publisher = rospy.Publisher('/clock', Clock, queue_size=10)
             rospy.logwarn('the player cannot read the bag as fast as it plays: /clock follows what it has read. Faster: rosbag decompress, a quicker disk, or rate:=0.5')
-        self.publisher.publish(Clock(rospy.Time.from_sec(played - self.MARGIN)))
+        self.given = played - self.MARGIN
+        self.publisher.publish(Clock(rospy.Time.from_sec(self.given)))

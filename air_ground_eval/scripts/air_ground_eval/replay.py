@@ -259,8 +259,9 @@ def play_to_end(recorder, player, end, limits, summary):
     while not rospy.is_shutdown() and player.running():
         now = recorder.now()
         if now > 0:
-            clock.step(recorder.played)
-            pacer.step(now)
+            if not pacer.paused:
+                clock.step(recorder.played)
+            pacer.step(now, may_hold=not clock.leads())
             tenth = int(10 * (now - recorder.begin) / max(end - recorder.begin, 1e-3))
             if tenth > shown and tenth <= 10:
                 shown = tenth
