@@ -128,12 +128,22 @@ std::optional<double> ImuAlignment::alignShutter(double stamp, const std::vector
   const double readout = shutter_alignment_->readoutTime(), sigma = shutter_alignment_->readoutTimeStddev();
   const double change = std::abs(readout - in_use), large = std::max(kReadoutStep, 3 * sigma);
   const bool known = sigma < kReadoutSigma;
-  if (sigma > kOpenReadoutSigma || change < (!known        ? kRuledOut * sigma
-                                             : in_use != 0 ? std::max(kReadoutRefinement, sigma)
-                                                           : large))
+  if (sigma > (mountingExplainsMore() ? kReadoutSigma : kOpenReadoutSigma) ||
+      change < (!known        ? kRuledOut * sigma
+                : in_use != 0 ? std::max(kReadoutRefinement, sigma)
+                              : large))
     return std::nullopt;
   gyro_alignment_.setReadoutTime(readout);
   return readout;
+}
+
+// What else an IMU and images can do to each other bends the mounting's estimate too, but then it explains no more than
+// they do.
+bool ImuAlignment::mountingExplainsMore() const {
+  if (!mounting_alignment_) return false;
+  double others = gyro_alignment_.misfit();
+  if (shutter_alignment_) others = std::min(others, shutter_alignment_->misfit());
+  return mounting_alignment_->misfit() <= kMountingGain * others;
 }
 
 std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
@@ -147,11 +157,7 @@ std::optional<Eigen::Matrix3d> ImuAlignment::alignMounting(double stamp,
   const Eigen::Vector3d change = mounting - in_use;
   const double nis = change.dot(mounting_alignment_->mountingCovariance().ldlt().solve(change));
   const bool first = in_use.isZero();
-  // What else an IMU and images can do to each other bends this estimate too, but then it explains no more than they
-  // do.
-  double others = gyro_alignment_.misfit();
-  if (shutter_alignment_) others = std::min(others, shutter_alignment_->misfit());
-  if (first && mounting_alignment_->misfit() > kMountingGain * others) return std::nullopt;
+  if (first && !mountingExplainsMore()) return std::nullopt;
   if (change.norm() < (first ? kMountingStep : kMountingRefinement) || nis < (first ? kSureChi2Of3 : kMeanChi2Of3))
     return std::nullopt;
   const Eigen::Matrix3d before = imu_.mounting();

@@ -77,6 +77,7 @@ class ImuAlignment {
 
  private:
   const GyroAlignment& trusted() const { return shutter_open_ ? *shutter_alignment_ : gyro_alignment_; }
+  bool mountingExplainsMore() const;
   bool contradictsShutter() const;
 
   static constexpr double kMetricTilt = 0.01;  // of the metric map's z axis against gravity [rad]
