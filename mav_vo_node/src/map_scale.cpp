@@ -41,12 +41,14 @@ void MapScale::add(const FrameTrajectory& frames, const visual_frontend::Map& ma
 }
 
 void MapScale::dropRefuted(const FrameTrajectory& frames, const visual_frontend::Map& map) {
-  const bool refuted = filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5;
-  // What a scale was started on stays in its count of rejections: a new window judges the map as it is by now.
-  const bool undecided = filter_.updates() >= kLongTrial && !filter_.certain(1.0);
-  if (!refuted && !undecided) return;
+  const auto hopeless = [this] {
+    const bool refuted = filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5;
+    // What a scale was started on stays in its count of rejections: a new window judges the map as it is by now.
+    return refuted || (filter_.updates() >= kLongTrial && !filter_.certain(1.0));
+  };
+  if (!hopeless()) return;
   estimateAnew(frames, map);
-  if (filter_.updates() >= kTrial && filter_.rejectedShare() > 0.5) filter_.reset(tilt_stddev_);
+  if (hopeless()) filter_.reset(tilt_stddev_);
 }
 
 void MapScale::transform(const air_ground_common::Similarity& S) {

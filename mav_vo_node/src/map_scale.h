@@ -25,7 +25,8 @@ class MapScale {
   /// The last of `frames`; `motion`: since the frame before it. Covariance of its position by the image noise.
   void add(const FrameTrajectory& frames, const visual_frontend::Map& map, double scene_distance,
            const Eigen::Matrix3d& position_covariance, const std::optional<Preintegration>& motion);
-  /// A scale that most images since its start speak against was wrong from the start: begins anew.
+  /// A scale that most images since its start speak against was wrong from the start: all images are judged anew,
+  /// by the map as it is now; where that does not help the next ones begin.
   void dropRefuted(const FrameTrajectory& frames, const visual_frontend::Map& map);
   /// With Map::transform.
   void transform(const air_ground_common::Similarity& S_new_old);
