@@ -126,13 +126,11 @@ std::optional<double> ImuAlignment::alignShutter(double stamp, const std::vector
   // Broken images or samples tell of no camera.
   if (shutter_alignment_->misfit() > kShutterMisfit) return std::nullopt;
   const double readout = shutter_alignment_->readoutTime(), sigma = shutter_alignment_->readoutTimeStddev();
-  const double change = std::abs(readout - in_use), large = std::max(kReadoutStep, 3 * sigma);
   const bool known = sigma < kReadoutSigma;
-  if (sigma > (mountingExplainsMore() ? kReadoutSigma : kOpenReadoutSigma) ||
-      change < (!known        ? kRuledOut * sigma
-                : in_use != 0 ? std::max(kReadoutRefinement, sigma)
-                              : large))
-    return std::nullopt;
+  if (!known && (sigma > kOpenReadoutSigma || mountingExplainsMore())) return std::nullopt;
+  double least = kRuledOut * sigma;
+  if (known) least = in_use != 0 ? std::max(kReadoutRefinement, sigma) : std::max(kReadoutStep, 3 * sigma);
+  if (std::abs(readout - in_use) < least) return std::nullopt;
   gyro_alignment_.setReadoutTime(readout);
   return readout;
 }

@@ -323,7 +323,6 @@ void Odometry::Impl::adjustAnew() {
   adopt(adjuster.adjustWhole(adjuster.wholeMap(map, inertial.data(), bundleSettings()), last_stamp));
   adopt(adjuster.finish());
   adjuster.restartSchedule(last_stamp);
-  scale.estimateAnew(frames, map);
 }
 
 void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& estimate) {
@@ -333,11 +332,11 @@ void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& est
   calibration.recalibrate(velocityAt(), &map);
   adjuster.restartSchedule(last_stamp);
   revision.next();
-  if (!metric() && settings.use_imu) scale.estimateAnew(frames, map);
 }
 
 void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
   if (jobs.empty()) return;
+  // An image may be under way, whose pose is predicted from the last one's.
   const Pose T_last_now = frames.empty() ? Pose::Identity() : frames.lastPose(map).inverse() * pose.pose();
   for (const BundleJob& job : jobs) {
     if (!job.result.usable || job.problem.metric != metric()) continue;
@@ -346,12 +345,9 @@ void Odometry::Impl::adopt(const MapAdjuster::Jobs& jobs) {
     if (job.problem.calibration) recalibrate(*job.problem.calibration);
     const ImuBias* newest = inertial.newestBias();
     if (newest && settings.use_imu) bias.gyro = newest->gyro;
-    if (!metric()) {
-      if (job.full && settings.use_imu && !job.problem.calibration) scale.estimateAnew(frames, map);
-      continue;
-    }
-    bias.accel = newest->accel;
-    if (job.full) scale.judgeAnew(frames, map, inertial.data(), metric_since);
+    if (metric()) bias.accel = newest->accel;
+    if (job.full && metric()) scale.judgeAnew(frames, map, inertial.data(), metric_since);
+    if (job.full && !metric() && settings.use_imu) scale.estimateAnew(frames, map);
   }
   if (!frames.empty()) pose.setPose(frames.lastPose(map) * T_last_now);
 }
