@@ -126,6 +126,7 @@ void Odometry::Impl::advance(const cv::Mat& gray) {
   if (state == OdometryState::kInitializing) {
     initialize(gray);
   } else if (tracking()) {
+    pose.realign();
     if (pose.locate(turnSigma())) {
       localized(gray, true);
     } else {

@@ -256,6 +256,10 @@ void PoseTracker::settle(double stamp, const std::optional<Pose>& T_map_previous
   located_stamp_ = stamp;
 }
 
+void PoseTracker::realign() {
+  visual_frontend::realignTracks(map_, tracks_, T_map_camera_, scene_distance_, settings_.realignment, &tracker_);
+}
+
 void PoseTracker::reobserve(const visual_frontend::ReobservationSettings& how) {
   const auto candidates = visual_frontend::untrackedLandmarks(map_, tracks_, tracker_.features(), T_map_camera_,
                                                               kLocalKeyframes, scene_distance_);

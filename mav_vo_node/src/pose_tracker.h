@@ -28,6 +28,8 @@ class PoseTracker {
   /// Finds the pose of the image from its landmarks. `turn_sigma`: of the predicted rotation, by the gyro [rad]; none:
   /// not known. Landmarks that disagree lose their tracks. False, `result().reason` says why: the pose is as before.
   bool locate(const std::optional<double>& turn_sigma);
+  /// Before that: puts the tracks back to where the keyframes' images show their points, for they drift.
+  void realign();
   /// The pose found stands; T_map_previous: of the last image that was located, right before; none: not known.
   void settle(double stamp, const std::optional<Pose>& T_map_previous);
   /// Looks around the pose for landmarks that have no track.

@@ -11,6 +11,7 @@
 
 #include "air_ground_common/parameters.h"
 #include "brightness.h"
+#include "patch_alignment.h"
 
 namespace visual_frontend {
 
@@ -42,37 +43,6 @@ double shiTomasiScore(const cv::Mat& image, int x, int y) {
   const double norm = 1.0 / (4.0 * 255.0 * 255.0 * (2 * kHalf + 1) * (2 * kHalf + 1));
   const double a = sxx * norm, b = syy * norm, c = sxy * norm;
   return 0.5 * (a + b - std::sqrt((a - b) * (a - b) + 4 * c * c));
-}
-
-float bilinear(const cv::Mat& image, float x, float y) {
-  const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
-  const float fx = x - x0, fy = y - y0;
-  const std::uint8_t* row = image.ptr(y0) + x0;
-  const std::uint8_t* below = image.ptr(y0 + 1) + x0;
-  return (1 - fy) * ((1 - fx) * row[0] + fx * row[1]) + fy * ((1 - fx) * below[0] + fx * below[1]);
-}
-
-/// Mean absolute difference of two 9x9 windows after removing their means; large near the edge.
-float patchDifference(const cv::Mat& a, const cv::Point2f& pa, const cv::Mat& b, const cv::Point2f& pb) {
-  constexpr int kHalf = 4, kSize = 2 * kHalf + 1;
-  const auto inside = [](const cv::Mat& m, const cv::Point2f& p) {
-    return p.x >= kHalf && p.y >= kHalf && p.x < m.cols - kHalf - 1 && p.y < m.rows - kHalf - 1;
-  };
-  if (!inside(a, pa) || !inside(b, pb)) return 1e6f;
-  float wa[kSize * kSize], wb[kSize * kSize], mean_a = 0, mean_b = 0;
-  int i = 0;
-  for (int v = -kHalf; v <= kHalf; ++v) {
-    for (int u = -kHalf; u <= kHalf; ++u, ++i) {
-      wa[i] = bilinear(a, pa.x + u, pa.y + v);
-      wb[i] = bilinear(b, pb.x + u, pb.y + v);
-      mean_a += wa[i];
-      mean_b += wb[i];
-    }
-  }
-  const float shift = (mean_a - mean_b) / (kSize * kSize);
-  float sum = 0;
-  for (i = 0; i < kSize * kSize; ++i) sum += std::abs(wa[i] - wb[i] - shift);
-  return sum / (kSize * kSize);
 }
 
 cv::Point2f toCv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
@@ -411,6 +381,18 @@ void FeatureTracker::remove(const std::vector<TrackId>& ids) {
   const std::unordered_set<TrackId> gone(ids.begin(), ids.end());
   auto& f = impl_->features;
   f.erase(std::remove_if(f.begin(), f.end(), [&](const Feature& x) { return gone.count(x.id) > 0; }), f.end());
+}
+
+void FeatureTracker::move(const std::vector<std::optional<Eigen::Vector2d>>& pixels) {
+  if (pixels.size() != impl_->features.size())
+    throw std::invalid_argument("FeatureTracker::move: needs a pixel, or none, for each of the " +
+                                std::to_string(impl_->features.size()) + " features, got " +
+                                std::to_string(pixels.size()));
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    if (!pixels[i]) continue;
+    impl_->features[i].pixel = *pixels[i];
+    impl_->features[i].normalized = impl_->camera.unproject(*pixels[i]);
+  }
 }
 
 void FeatureTracker::reset() {

@@ -1,130 +1,16 @@
 #include "visual_frontend/reobservation.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <optional>
 
+#include "patch_alignment.h"
+
 namespace visual_frontend {
 
 namespace {
-
-constexpr int kMaxHalf = 8;
-
-/// Square patch of (2h)^2 grey values with its statistics; the template side also holds gradients.
-struct Patch {
-  int half = 4;
-  float values[4 * kMaxHalf * kMaxHalf];
-  float mean = 0, deviation = 0;  ///< deviation: root of the sum of squares about the mean
-  int area() const { return 4 * half * half; }
-  void statistics() {
-    float sum = 0;
-    for (int i = 0; i < area(); ++i) sum += values[i];
-    mean = sum / area();
-    float squares = 0;
-    for (int i = 0; i < area(); ++i) squares += (values[i] - mean) * (values[i] - mean);
-    deviation = std::sqrt(squares);
-  }
-};
-
-/// Bilinear value, or false outside the image.
-bool sample(const cv::Mat& image, float x, float y, float* value) {
-  if (!(x >= 0 && y >= 0 && x < image.cols - 1 && y < image.rows - 1)) return false;
-  const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
-  const float fx = x - x0, fy = y - y0;
-  const std::uint8_t* row = image.ptr(y0) + x0;
-  const std::uint8_t* below = image.ptr(y0 + 1) + x0;
-  *value = (1 - fy) * ((1 - fx) * row[0] + fx * row[1]) + fy * ((1 - fx) * below[0] + fx * below[1]);
-  return true;
-}
-
-/// Patch around `centre` whose steps of one pixel in the patch are the columns of A in the image. `margin` adds a rim.
-bool extract(const cv::Mat& image, const Eigen::Vector2f& centre, const Eigen::Matrix2f& A, int half, float* out) {
-  for (int v = -half; v < half; ++v) {
-    for (int u = -half; u < half; ++u) {
-      const Eigen::Vector2f p = centre + A * Eigen::Vector2f(u + 0.5f, v + 0.5f);
-      if (!sample(image, p.x(), p.y(), out++)) return false;
-    }
-  }
-  return true;
-}
-
-float zncc(const Patch& a, const Patch& b) {
-  if (a.deviation < 1e-3f || b.deviation < 1e-3f) return 0;
-  float sum = 0;
-  for (int i = 0; i < a.area(); ++i) sum += (a.values[i] - a.mean) * (b.values[i] - b.mean);
-  return sum / (a.deviation * b.deviation);
-}
-
-/// Inverse compositional alignment of the template (with a rim of one pixel, side 2h + 2) in `image` from `centre`;
-/// the window is brought to the template's mean and contrast first. Returns the score, or -1.
-float align(const cv::Mat& image, const float* rimmed, const Patch& reference, int max_iterations,
-            Eigen::Vector2f* centre) {
-  const int side = 2 * reference.half, rim = side + 2;
-  float gx[4 * kMaxHalf * kMaxHalf], gy[4 * kMaxHalf * kMaxHalf];
-  float mean_x = 0, mean_y = 0;
-  for (int v = 0, i = 0; v < side; ++v) {
-    for (int u = 0; u < side; ++u, ++i) {
-      const float* c = rimmed + (v + 1) * rim + u + 1;
-      gx[i] = 0.5f * (c[1] - c[-1]);
-      gy[i] = 0.5f * (c[rim] - c[-rim]);
-      mean_x += gx[i];
-      mean_y += gy[i];
-    }
-  }
-  const int n = reference.area();
-  mean_x /= n;
-  mean_y /= n;
-  Eigen::Matrix2f H = Eigen::Matrix2f::Zero();
-  for (int i = 0; i < n; ++i) {
-    gx[i] -= mean_x;  // the offset in brightness is eliminated
-    gy[i] -= mean_y;
-    H(0, 0) += gx[i] * gx[i];
-    H(0, 1) += gx[i] * gy[i];
-    H(1, 1) += gy[i] * gy[i];
-  }
-  H(1, 0) = H(0, 1);
-  if (!(H.determinant() > 1e-2f * n * n)) return -1;
-  const Eigen::Matrix2f H_inverse = H.inverse();
-  Patch window;
-  window.half = reference.half;
-  const Eigen::Vector2f start = *centre;
-  for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    if (!extract(image, *centre, Eigen::Matrix2f::Identity(), reference.half, window.values)) return -1;
-    window.statistics();
-    if (window.deviation < 1e-3f) return -1;
-    const float gain = reference.deviation / window.deviation;
-    Eigen::Vector2f b = Eigen::Vector2f::Zero();
-    for (int i = 0; i < n; ++i) {
-      const float r = gain * (window.values[i] - window.mean) - (reference.values[i] - reference.mean);
-      b.x() += gx[i] * r;
-      b.y() += gy[i] * r;
-    }
-    const Eigen::Vector2f step = -H_inverse * b;
-    *centre += step;
-    if (!centre->allFinite() || (*centre - start).squaredNorm() > 9.f) return -1;
-    if (step.squaredNorm() < 4e-4f) break;
-  }
-  if (!extract(image, *centre, Eigen::Matrix2f::Identity(), reference.half, window.values)) return -1;
-  window.statistics();
-  return zncc(reference, window);
-}
-
-/// Columns: movement in the current image for one pixel right and down in the reference image, plane facing it.
-std::optional<Eigen::Matrix2d> warp(const CameraModel& camera, const Eigen::Vector2d& pixel, double depth,
-                                    const Pose& T_current_reference, const Eigen::Vector2d& projected) {
-  Eigen::Matrix2d A;
-  constexpr double kStep = 4;
-  for (int i = 0; i < 2; ++i) {
-    const Eigen::Vector2d moved = pixel + kStep * Eigen::Vector2d::Unit(i);
-    const auto p = camera.project(T_current_reference * (depth * camera.unproject(moved).homogeneous()));
-    if (!p) return std::nullopt;
-    A.col(i) = (*p - projected) / kStep;
-  }
-  return A;
-}
 
 /// Values around a position at steps of one pixel: the windows of a search share their samples.
 class SearchRegion {
@@ -137,7 +23,7 @@ class SearchRegion {
     const float first = 0.5f - static_cast<float>(radius + half);
     for (int v = 0, i = 0; v < side_; ++v) {
       for (int u = 0; u < side_; ++u, ++i) {
-        if (!sample(image, centre.x() + first + u, centre.y() + first + v, &values_[i]))
+        if (!sampleBilinear(image, centre.x() + first + u, centre.y() + first + v, &values_[i]))
           values_[i] = std::numeric_limits<float>::quiet_NaN();
       }
     }
@@ -192,23 +78,12 @@ std::vector<Candidate> visibleCandidates(const Map& map, const CameraModel& came
   return visible;
 }
 
-/// A patch of the reference as the current image should show it, with a rim of one pixel.
-struct Template {
-  Patch patch;
-  float rimmed[4 * kMaxHalf * kMaxHalf];
-};
-
 /// For level `at` of the current image from level `from` of the reference; A: current by reference pixels. False where
 /// the reference ends.
-bool makeTemplate(const Candidate& c, const Eigen::Matrix2d& A, int at, int from, int half, Template* result) {
-  const Eigen::Matrix2f B = (A.inverse() * static_cast<double>(1 << at) / static_cast<double>(1 << from)).cast<float>();
-  const Eigen::Vector2f centre = (c.observation->pixel / static_cast<double>(1 << from)).cast<float>();
-  if (!extract(c.reference->pyramid[from], centre, B, half + 1, result->rimmed)) return false;
-  result->patch.half = half;
-  const int side = 2 * half, rim = side + 2;
-  for (int v = 0; v < side; ++v) std::copy_n(result->rimmed + (v + 1) * rim + 1, side, result->patch.values + v * side);
-  result->patch.statistics();
-  return true;
+bool makeTemplate(const Candidate& c, const Eigen::Matrix2d& A, int at, int from, int half, PatchTemplate* result) {
+  const double steps = 1.0 / (1 << from);
+  const Eigen::Matrix2d B = A.inverse() * (steps * (1 << at));
+  return makeTemplate(c.reference->pyramid[from], steps * c.observation->pixel, B, half, result);
 }
 
 /// Best place of the template within `radius` pixels of `predicted` by correlation; the score, -1 where there is none.
@@ -243,7 +118,7 @@ std::optional<LandmarkMatch> find(const Candidate& c, const CameraModel& camera,
   // From where the landmark would appear in the reference, so that a reprojection error there does not bend the warp.
   const auto reference_pixel = camera.project(T_reference_map * c.landmark->position);
   if (!reference_pixel) return std::nullopt;
-  const auto A = warp(camera, *reference_pixel, depth, T_camera_map * c.reference->T_map_camera, c.pixel);
+  const auto A = patchWarp(camera, *reference_pixel, depth, T_camera_map * c.reference->T_map_camera);
   if (!A) return std::nullopt;
   const double scale = std::sqrt(std::abs(A->determinant()));
   if (!(scale > settings.min_scale && scale < settings.max_scale)) return std::nullopt;
@@ -256,7 +131,7 @@ std::optional<LandmarkMatch> find(const Candidate& c, const CameraModel& camera,
   for (double s = scale; s < 0.7 && reference_level + 1 < reference_levels; s *= 2) ++reference_level;
   const int search_level = std::min(level + 1, static_cast<int>(current.size()) - 1);
   const int coarse_reference = std::min(reference_level + (search_level - level), reference_levels - 1);
-  Template fine, coarse;
+  PatchTemplate fine, coarse;
   if (!makeTemplate(c, *A, level, reference_level, half, &fine) ||
       !makeTemplate(c, *A, search_level, coarse_reference, half, &coarse))
     return std::nullopt;
@@ -266,12 +141,11 @@ std::optional<LandmarkMatch> find(const Candidate& c, const CameraModel& camera,
   Eigen::Vector2f position;
   if (search(current[search_level], coarse.patch, radius, (c.pixel / search_scale).cast<float>(), region, &position) <
           settings.min_zncc - 0.15 ||
-      align(current[search_level], coarse.rimmed, coarse.patch, settings.max_iterations, &position) <
-          settings.min_zncc - 0.1)
+      alignPatch(current[search_level], coarse, settings.max_iterations, &position) < settings.min_zncc - 0.1)
     return std::nullopt;
   position *= static_cast<float>(1 << (search_level - level));
   LandmarkMatch match;
-  match.zncc = align(current[level], fine.rimmed, fine.patch, settings.max_iterations, &position);
+  match.zncc = alignPatch(current[level], fine, settings.max_iterations, &position);
   if (match.zncc < settings.min_zncc) return std::nullopt;
   match.landmark = c.landmark->id;
   match.pixel = position.cast<double>() * static_cast<double>(1 << level);
@@ -289,7 +163,7 @@ std::vector<LandmarkMatch> reobserve(const Map& map, const CameraModel& camera, 
                                      const ReobservationSettings& settings) {
   std::vector<LandmarkMatch> matches;
   if (current.empty()) return matches;
-  const int half = std::clamp(settings.half_patch, 2, kMaxHalf - 1);
+  const int half = std::clamp(settings.half_patch, 2, kMaxHalfPatch - 1);
   const int cell = std::max(4, settings.cell_size);
   const int columns = camera.width / cell + 1;
   std::vector<unsigned char> taken(static_cast<std::size_t>(columns) * (camera.height / cell + 1), 0);

@@ -5,7 +5,7 @@
 
 #include "../src/brightness.h"
 #include "../src/hamming.h"
-#include "synthetic.h"
+#include "textured_plane.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/reobservation.h"
@@ -14,19 +14,11 @@ namespace visual_frontend {
 namespace {
 
 using synthetic::above;
+using synthetic::kPlane;
+using synthetic::onPlane;
+using synthetic::planeMap;
+using synthetic::planeTexture;
 using synthetic::renderPlane;
-
-const cv::Mat& planeTexture() {
-  static const cv::Mat texture = synthetic::texture(1600, 7);
-  return texture;
-}
-constexpr double kPlane = 6.0;
-
-/// Point of the plane z = 0 seen at a pixel.
-Eigen::Vector3d onPlane(const CameraModel& camera, const Pose& T, const Eigen::Vector2d& pixel) {
-  const Eigen::Vector3d d = T.linear() * camera.unproject(pixel).homogeneous();
-  return T.translation() - T.translation().z() / d.z() * d;
-}
 
 TEST(Tracker, FollowsAMovingCameraToSubPixel) {
   const CameraModel camera = synthetic::camera();
@@ -192,30 +184,6 @@ TEST(Tracker, DetectsWithBothDetectorsAndInsideTheMask) {
   FeatureTracker flat(camera, {});
   flat.track(cv::Mat(480, 640, CV_8UC1, cv::Scalar(90)));
   EXPECT_EQ(flat.replenish(), 0);
-}
-
-/// A map of one keyframe whose landmarks are corners of the plane.
-Map planeMap(const CameraModel& camera, const Pose& T, int levels = 4) {
-  Map map;
-  Keyframe k;
-  cv::Mat depth;
-  const cv::Mat image = renderPlane(camera, T, planeTexture(), kPlane, &depth);
-  FeatureTracker tracker(camera, {});
-  tracker.track(image);
-  tracker.replenish();
-  for (const Feature& f : tracker.features()) {
-    Observation o;
-    o.landmark = map.addLandmark(onPlane(camera, T, f.pixel));
-    o.pixel = f.pixel;
-    o.normalized = f.normalized;
-    k.observations.push_back(o);
-  }
-  k.pyramid = buildPyramid(image, levels);
-  k.T_map_camera = T;
-  describeKeyframe(image, camera, {}, k);
-  for (const Eigen::Vector2d& p : k.orb_pixels) k.orb_depth.push_back(depth.at<float>(cvRound(p.y()), cvRound(p.x())));
-  map.addKeyframe(k);
-  return map;
 }
 
 class ReobserveTest : public testing::TestWithParam<Pose> {};

@@ -20,6 +20,7 @@
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
+#include "visual_frontend/realignment.h"
 #include "visual_frontend/reobservation.h"
 #include "visual_frontend/rolling_shutter.h"
 
@@ -42,6 +43,7 @@ struct OdometrySettings {
 
   visual_frontend::TrackerSettings tracker;
   visual_frontend::ReobservationSettings reobservation;
+  visual_frontend::RealignmentSettings realignment;
   visual_frontend::PlaceSettings place;
   BootstrapSettings bootstrap;
   ScaleFilterSettings scale;

@@ -88,6 +88,10 @@ class FeatureTracker {
   /// near to the edge or to a living feature.
   TrackId addFeature(const Eigen::Vector2d& pixel);
 
+  /// Moves features() to where they have been found more exactly, in their order; those without a pixel stay. Throws
+  /// std::invalid_argument for another number of pixels.
+  void move(const std::vector<std::optional<Eigen::Vector2d>>& pixels);
+
   /// Drops tracks (for example outliers).
   void remove(const std::vector<TrackId>& ids);
 

@@ -1,0 +1,167 @@
+#include "patch_alignment.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+namespace visual_frontend {
+
+namespace {
+
+constexpr float kFlat = 1e-3f;         // deviation of a patch without contrast [grey levels]
+constexpr float kMaxShift = 3.f;       // from the start of an alignment [px]
+constexpr float kConvergence = 0.02f;  // step at which its iterations end [px]
+
+float bilinear(const cv::Mat& image, float x, float y) {
+  const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
+  const float fx = x - x0, fy = y - y0;
+  const std::uint8_t* row = image.ptr(y0) + x0;
+  const std::uint8_t* below = image.ptr(y0 + 1) + x0;
+  return (1 - fy) * ((1 - fx) * row[0] + fx * row[1]) + fy * ((1 - fx) * below[0] + fx * below[1]);
+}
+
+/// Patch around `centre` whose steps of one pixel in the patch are the columns of A in the image; false outside it.
+bool extract(const cv::Mat& image, const Eigen::Vector2f& centre, const Eigen::Matrix2f& A, int half, float* out) {
+  for (int v = -half; v < half; ++v) {
+    for (int u = -half; u < half; ++u) {
+      const Eigen::Vector2f p = centre + A * Eigen::Vector2f(u + 0.5f, v + 0.5f);
+      if (!sampleBilinear(image, p.x(), p.y(), out++)) return false;
+    }
+  }
+  return true;
+}
+
+bool extractWindow(const cv::Mat& image, const Eigen::Vector2f& centre, Patch* window) {
+  if (!extract(image, centre, Eigen::Matrix2f::Identity(), window->half, window->values)) return false;
+  window->statistics();
+  return true;
+}
+
+/// Derivatives of a template's values about their mean: an offset in brightness is eliminated.
+struct Gradients {
+  float x[4 * kMaxHalfPatch * kMaxHalfPatch], y[4 * kMaxHalfPatch * kMaxHalfPatch];
+  Eigen::Matrix2f information = Eigen::Matrix2f::Zero();
+
+  explicit Gradients(const PatchTemplate& of) {
+    const int side = 2 * of.patch.half, rim = side + 2, n = of.patch.area();
+    float mean_x = 0, mean_y = 0;
+    for (int v = 0, i = 0; v < side; ++v) {
+      for (int u = 0; u < side; ++u, ++i) {
+        const float* c = of.rimmed + (v + 1) * rim + u + 1;
+        x[i] = 0.5f * (c[1] - c[-1]);
+        y[i] = 0.5f * (c[rim] - c[-rim]);
+        mean_x += x[i];
+        mean_y += y[i];
+      }
+    }
+    mean_x /= static_cast<float>(n);
+    mean_y /= static_cast<float>(n);
+    for (int i = 0; i < n; ++i) {
+      x[i] -= mean_x;
+      y[i] -= mean_y;
+      information(0, 0) += x[i] * x[i];
+      information(0, 1) += x[i] * y[i];
+      information(1, 1) += y[i] * y[i];
+    }
+    information(1, 0) = information(0, 1);
+  }
+};
+
+}  // namespace
+
+void Patch::statistics() {
+  float sum = 0;
+  for (int i = 0; i < area(); ++i) sum += values[i];
+  mean = sum / static_cast<float>(area());
+  float squares = 0;
+  for (int i = 0; i < area(); ++i) squares += (values[i] - mean) * (values[i] - mean);
+  deviation = std::sqrt(squares);
+}
+
+bool sampleBilinear(const cv::Mat& image, float x, float y, float* value) {
+  if (!(x >= 0 && y >= 0 && x < image.cols - 1 && y < image.rows - 1)) return false;
+  *value = bilinear(image, x, y);
+  return true;
+}
+
+float patchDifference(const cv::Mat& a, const cv::Point2f& pa, const cv::Mat& b, const cv::Point2f& pb) {
+  constexpr int kHalf = 4, kSize = 2 * kHalf + 1;
+  const auto inside = [](const cv::Mat& m, const cv::Point2f& p) {
+    return p.x >= kHalf && p.y >= kHalf && p.x < m.cols - kHalf - 1 && p.y < m.rows - kHalf - 1;
+  };
+  if (!inside(a, pa) || !inside(b, pb)) return 1e6f;
+  float wa[kSize * kSize], wb[kSize * kSize], mean_a = 0, mean_b = 0;
+  int i = 0;
+  for (int v = -kHalf; v <= kHalf; ++v) {
+    for (int u = -kHalf; u <= kHalf; ++u, ++i) {
+      wa[i] = bilinear(a, pa.x + u, pa.y + v);
+      wb[i] = bilinear(b, pb.x + u, pb.y + v);
+      mean_a += wa[i];
+      mean_b += wb[i];
+    }
+  }
+  const float shift = (mean_a - mean_b) / (kSize * kSize);
+  float sum = 0;
+  for (i = 0; i < kSize * kSize; ++i) sum += std::abs(wa[i] - wb[i] - shift);
+  return sum / (kSize * kSize);
+}
+
+float zncc(const Patch& a, const Patch& b) {
+  if (a.deviation < kFlat || b.deviation < kFlat) return 0;
+  float sum = 0;
+  for (int i = 0; i < a.area(); ++i) sum += (a.values[i] - a.mean) * (b.values[i] - b.mean);
+  return sum / (a.deviation * b.deviation);
+}
+
+std::optional<Eigen::Matrix2d> patchWarp(const CameraModel& camera, const Eigen::Vector2d& pixel, double depth,
+                                         const Pose& T_current_reference) {
+  constexpr double kStep = 4;
+  const auto moved = [&](const Eigen::Vector2d& step) {
+    return camera.project(T_current_reference * (depth * camera.unproject(pixel + step).homogeneous()));
+  };
+  const auto centre = moved(Eigen::Vector2d::Zero()), right = moved({kStep, 0}), down = moved({0, kStep});
+  if (!centre || !right || !down) return std::nullopt;
+  Eigen::Matrix2d A;
+  A << *right - *centre, *down - *centre;
+  return A / kStep;
+}
+
+bool makeTemplate(const cv::Mat& image, const Eigen::Vector2d& centre, const Eigen::Matrix2d& B, int half,
+                  PatchTemplate* result) {
+  if (!extract(image, centre.cast<float>(), B.cast<float>(), half + 1, result->rimmed)) return false;
+  result->patch.half = half;
+  const int side = 2 * half, rim = side + 2;
+  for (int v = 0; v < side; ++v) std::copy_n(result->rimmed + (v + 1) * rim + 1, side, result->patch.values + v * side);
+  result->patch.statistics();
+  return true;
+}
+
+float alignPatch(const cv::Mat& image, const PatchTemplate& reference, int max_iterations, Eigen::Vector2f* centre) {
+  const Patch& wanted = reference.patch;
+  const Gradients gradients(reference);
+  const int n = wanted.area();
+  const float texture = static_cast<float>(n) * static_cast<float>(n);
+  if (!(gradients.information.determinant() > 1e-2f * texture)) return -1;
+  const Eigen::Matrix2f covariance = gradients.information.inverse();
+  const Eigen::Vector2f start = *centre;
+  Patch window;
+  window.half = wanted.half;
+  for (int iteration = 0; iteration < max_iterations; ++iteration) {
+    if (!extractWindow(image, *centre, &window) || window.deviation < kFlat) return -1;
+    const float gain = wanted.deviation / window.deviation;
+    Eigen::Vector2f b = Eigen::Vector2f::Zero();
+    for (int i = 0; i < n; ++i) {
+      const float r = gain * (window.values[i] - window.mean) - (wanted.values[i] - wanted.mean);
+      b.x() += gradients.x[i] * r;
+      b.y() += gradients.y[i] * r;
+    }
+    const Eigen::Vector2f step = -covariance * b;
+    *centre += step;
+    if (!centre->allFinite() || (*centre - start).squaredNorm() > kMaxShift * kMaxShift) return -1;
+    if (step.squaredNorm() < kConvergence * kConvergence) break;
+  }
+  return extractWindow(image, *centre, &window) ? zncc(wanted, window) : -1;
+}
+
+}  // namespace visual_frontend
