@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "../src/relocalizer.h"
+#include "air_ground_common/statistics.h"
 #include "synthetic_camera.h"
 
 namespace mav_vo {
@@ -101,6 +102,24 @@ TEST_F(Floor, TheNextImageIsWhereTheMotionLeads) {
   pose.settle(0.2, T);
   pose.track(0.2, 0.3, image(above(0.15, 0, -0.02)), true);
   EXPECT_LT(air_ground_common::rotationAngle(pose.pose().linear(), above(0, 0, -0.02).linear()), 0.003);
+}
+
+TEST_F(Floor, KeyframesKeepTheTracksFromDrifting) {
+  const auto drift = [this](const Pose& T) {  // median [px]
+    std::vector<double> pixels;
+    for (const Feature& f : pose.tracker().features())
+      pixels.push_back(
+          (*camera.project(T.inverse() * map.landmark(tracks.landmarkOf(f.id)).position) - f.pixel).norm());
+    return air_ground_common::median(pixels);
+  };
+  std::vector<std::optional<Eigen::Vector2d>> drifted;
+  for (const Feature& f : pose.tracker().features()) drifted.emplace_back(f.pixel + Eigen::Vector2d(0.6, 0));
+  pose.tracker().move(drifted);
+  const Pose T = above(0.04, -0.03, 0.03);
+  pose.track(0, 0.1, image(T), true);
+  EXPECT_GT(drift(T), 0.4);
+  pose.realign();
+  EXPECT_LT(drift(T), 0.2);
 }
 
 // Without a gyro the camera goes on turning as it did, and each feature is sought where that leads.

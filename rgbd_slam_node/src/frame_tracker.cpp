@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "air_ground_common/statistics.h"
 #include "visual_frontend/local_landmarks.h"
 
 namespace rgbd_slam {
@@ -162,15 +163,20 @@ void FrameTracker::follow(const RgbdImages& images, const Pose& T_map_predicted)
   const Pose T_camera_map = T_map_predicted.inverse();
   motion_.setRowMotion(images.stamp, T_map_predicted);
   tracks_.forgetMissing(map_);
+  std::vector<double> depths;
   for (const Feature& f : tracker_.features()) {
     const LandmarkId landmark = tracks_.landmarkOf(f.id);
     if (landmark == kNoLandmark) continue;
     const Eigen::Vector3d p_camera = T_camera_map * map_.landmark(landmark).position;
+    depths.push_back(p_camera.z());
     const auto pixel = camera_.project(p_camera);
     if (pixel && camera_.contains(*pixel)) prediction.pixels[f.id] = motion_.rows().toItsRow(*pixel, p_camera);
   }
   tracker_.track(images.gray, prediction);
   tracks_.keep(tracker_.features());
+  if (!depths.empty())
+    visual_frontend::realignTracks(map_, tracks_, T_map_predicted, air_ground_common::median(depths),
+                                   settings_.realignment, &tracker_);
 }
 
 std::string FrameTracker::objection(double stamp, const PoseResult& pose, std::size_t landmarks) const {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "../src/loop_closer.h"
+#include "air_ground_common/statistics.h"
 #include "simulated_robot.h"
 
 namespace rgbd_slam {
@@ -94,6 +95,23 @@ TEST_F(Tracked, LandmarksTellThePose) {
   EXPECT_LT(air_ground_common::rotationAngle(found.pose.T_map_camera.linear(), T.linear()), 0.002);
   EXPECT_EQ(found.landmarks, tracks.count());
   EXPECT_GT(found.landmarks, 100);
+}
+
+TEST_F(Tracked, KeyframesKeepTheTracksFromDrifting) {
+  settings.reobserve_every = 0;
+  std::vector<std::optional<Eigen::Vector2d>> drifted;
+  for (const auto& f : tracker.tracker().features()) drifted.emplace_back(f.pixel + Eigen::Vector2d(0.8, 0));
+  tracker.tracker().move(drifted);
+  const Pose T = above(0.03, -0.02, kHeight, 0.03);
+  ASSERT_TRUE(track(T, 0.1).success);
+  std::vector<double> pixels;
+  for (const auto& f : tracker.tracker().features()) {
+    const LandmarkId id = tracks.landmarkOf(f.id);
+    if (id != kNoLandmark)
+      pixels.push_back((*camera.project(T.inverse() * map.landmark(id).position) - f.pixel).norm());
+  }
+  ASSERT_GT(pixels.size(), 100u);
+  EXPECT_LT(air_ground_common::median(pixels), 0.2);
 }
 
 TEST_F(Tracked, LandmarksThatDisagreeLoseTheirTracks) {

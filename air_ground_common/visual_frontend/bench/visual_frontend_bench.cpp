@@ -4,11 +4,12 @@
 #include <opengv/absolute_pose/CentralAbsoluteAdapter.hpp>
 #include <opengv/absolute_pose/methods.hpp>
 
-#include "../test/synthetic.h"
+#include "../test/textured_plane.h"
 #include "visual_frontend/bundle_adjustment.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/pose_solver.h"
+#include "visual_frontend/realignment.h"
 
 namespace visual_frontend {
 namespace {
@@ -115,6 +116,29 @@ void Track(benchmark::State& state) {
   state.counters["features"] = static_cast<double>(tracker.features().size());
 }
 BENCHMARK(Track)->Unit(benchmark::kMillisecond);
+
+void Realign(benchmark::State& state) {
+  const CameraModel camera = synthetic::camera();
+  const Pose T_keyframe = synthetic::above(0, 0, 2), T = synthetic::above(0.1, 0.05, 1.9, 0.3);
+  const Map map = synthetic::planeMap(camera, T_keyframe);
+  FeatureTracker tracker(camera, {});
+  LandmarkTracks tracks;
+  tracker.track(synthetic::renderPlane(camera, T, synthetic::planeTexture(), synthetic::kPlane));
+  std::vector<std::optional<Eigen::Vector2d>> drifted;
+  for (const LandmarkId id : map.landmarkIds()) {
+    const auto pixel = camera.project(T.inverse() * map.landmark(id).position);
+    const TrackId track = pixel ? tracker.addFeature(*pixel) : kNoTrack;
+    if (track == kNoTrack) continue;
+    tracks.assign(track, id);
+    drifted.emplace_back(*pixel + Eigen::Vector2d(0.2, -0.1));
+  }
+  for (auto _ : state) {
+    tracker.move(drifted);
+    benchmark::DoNotOptimize(realignTracks(map, tracks, T, 2, {}, &tracker));
+  }
+  state.counters["features"] = static_cast<double>(drifted.size());
+}
+BENCHMARK(Realign)->Unit(benchmark::kMicrosecond);
 
 void MatchDescriptors(benchmark::State& state) {
   cv::RNG rng(5);

@@ -32,8 +32,21 @@ bool extract(const cv::Mat& image, const Eigen::Vector2f& centre, const Eigen::M
   return true;
 }
 
+/// The same with steps of one pixel of the image: all values share their weights.
 bool extractWindow(const cv::Mat& image, const Eigen::Vector2f& centre, Patch* window) {
-  if (!extract(image, centre, Eigen::Matrix2f::Identity(), window->half, window->values)) return false;
+  const int half = window->half, side = 2 * half;
+  const Eigen::Vector2f first = centre.array() + (0.5f - static_cast<float>(half));
+  if (!(first.x() >= 0 && first.y() >= 0 && first.x() + static_cast<float>(side) < static_cast<float>(image.cols) &&
+        first.y() + static_cast<float>(side) < static_cast<float>(image.rows)))
+    return false;
+  const int x0 = static_cast<int>(first.x()), y0 = static_cast<int>(first.y());
+  const float fx = first.x() - static_cast<float>(x0), fy = first.y() - static_cast<float>(y0);
+  const float w00 = (1 - fx) * (1 - fy), w10 = fx * (1 - fy), w01 = (1 - fx) * fy, w11 = fx * fy;
+  for (int v = 0; v < side; ++v) {
+    const std::uint8_t *row = image.ptr(y0 + v) + x0, *below = image.ptr(y0 + v + 1) + x0;
+    float* out = window->values + v * side;
+    for (int u = 0; u < side; ++u) out[u] = w00 * row[u] + w10 * row[u + 1] + w01 * below[u] + w11 * below[u + 1];
+  }
   window->statistics();
   return true;
 }

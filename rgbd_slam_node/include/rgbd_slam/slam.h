@@ -20,6 +20,7 @@
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
 #include "visual_frontend/pose_graph.h"
+#include "visual_frontend/realignment.h"
 #include "visual_frontend/reobservation.h"
 #include "visual_frontend/rolling_shutter.h"
 
@@ -59,6 +60,7 @@ struct SlamSettings {
   // Tracking
   int min_inliers = 15;            ///< fewer make the frame lost
   double min_inlier_ratio = 0.25;  ///< of the tracked landmarks
+  visual_frontend::RealignmentSettings realignment;
   int reobserve_every = 3;  ///< frames between searches for landmarks of the local map, keyframes always do; 0 = never
   int local_keyframes = 8;  ///< nearest keyframes whose landmarks are searched
   double max_speed = 3.0;   ///< a faster motion between frames is taken for a failure [m/s]
