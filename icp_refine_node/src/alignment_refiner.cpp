@@ -16,6 +16,8 @@ namespace {
 using air_ground_common::formatted;
 using air_ground_common::kDegree;
 
+constexpr int kTellingCells = 8;  // off the floor, that may contradict a pose though they are too few to verify one
+
 double largestSigma(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
 }
@@ -304,7 +306,10 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
 }
 
 void AlignmentRefiner::compareWithViews(RefineOutcome& out) const {
-  out.seen = views_ && squaredSigmas(*views_, out.icp) < settings_.view_squared_sigmas;
+  if (!views_) return;
+  const double squared = squaredSigmas(*views_, out.icp);
+  out.view_sigmas = std::sqrt(squared);
+  out.seen = squared < settings_.view_squared_sigmas;
   if (out.seen && !out.icp.localizability.complete()) out.covariance = heldByViews(*views_, out.icp);
 }
 
@@ -343,6 +348,12 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
     return degenerate(formatted("only %d cells off the floor were seen by both: too few to verify the pose",
                                 out.heights.relief_cells));
   }
+  if (!out.heights.conclusive && out.heights.relief_cells >= kTellingCells &&
+      out.heights.agreement() < settings_.min_agreement) {
+    return degenerate(
+        formatted("the images agree, but of the %d cells off the floor that both saw %.0f %% do, %.0f %% needed",
+                  out.heights.relief_cells, 100 * out.heights.agreement(), 100 * settings_.min_agreement));
+  }
   if (out.heights.conclusive && out.heights.agreement() < settings_.min_agreement) {
     return rejected(formatted("heights contradict: %.0f %% of %d cells off the floor agree, %.0f %% needed",
                               100 * out.heights.agreement(), out.heights.relief_cells, 100 * settings_.min_agreement));
@@ -353,7 +364,7 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
                     sigma_angle / kDegree) +
               (icp.scale_estimated ? formatted("scale %.4f +- %.4f", scale, out.scale_stddev)
                                    : formatted("scale held at %.4f: the geometry does not fix it", scale)) +
-              (out.seen ? ", the images agree" : ""));
+              (out.seen ? formatted(", the images agree within %.1f sigma", out.view_sigmas) : ""));
 }
 
 }  // namespace icp_refine

@@ -228,6 +228,14 @@ TEST_F(AlongAWall, ViewsThatTheWallContradictsAreNotTaken) {
   EXPECT_FALSE(refiner.tracking());
 }
 
+TEST_F(AlongAWall, ViewsFiveSigmasAwayAreNotTaken) {
+  seeAt(0, 0.22);
+  const RefineOutcome out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kDegenerate) << out.reason;
+  EXPECT_GT(out.view_sigmas, 4.5);
+  EXPECT_LT(out.view_sigmas, 5.8);
+}
+
 TEST_F(Refiner, ViewsThatTheCloudsContradictAreNotTaken) {
   ViewAlignment views;
   views.T_ground_map_mav_map = similarity(moved(0.3, 0, 0, 0));
