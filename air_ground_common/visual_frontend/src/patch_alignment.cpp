@@ -51,45 +51,35 @@ bool extractWindow(const cv::Mat& image, const Eigen::Vector2f& centre, Patch* w
   return true;
 }
 
+using Values = Eigen::Map<const Eigen::ArrayXf>;
+
+Values valuesOf(const Patch& patch) { return {patch.values, patch.area()}; }
+
 /// Derivatives of a template's values about their mean: an offset in brightness is eliminated.
 struct Gradients {
-  float x[4 * kMaxHalfPatch * kMaxHalfPatch], y[4 * kMaxHalfPatch * kMaxHalfPatch];
-  Eigen::Matrix2f information = Eigen::Matrix2f::Zero();
+  Eigen::Array<float, Eigen::Dynamic, 2, Eigen::ColMajor, 4 * kMaxHalfPatch * kMaxHalfPatch, 2> d;  // by x, by y
 
-  explicit Gradients(const PatchTemplate& of) {
-    const int side = 2 * of.patch.half, rim = side + 2, n = of.patch.area();
-    float mean_x = 0, mean_y = 0;
+  explicit Gradients(const PatchTemplate& of) : d(of.patch.area(), 2) {
+    const int side = 2 * of.patch.half, rim = side + 2;
     for (int v = 0, i = 0; v < side; ++v) {
       for (int u = 0; u < side; ++u, ++i) {
         const float* c = of.rimmed + (v + 1) * rim + u + 1;
-        x[i] = 0.5f * (c[1] - c[-1]);
-        y[i] = 0.5f * (c[rim] - c[-rim]);
-        mean_x += x[i];
-        mean_y += y[i];
+        d(i, 0) = 0.5f * (c[1] - c[-1]);
+        d(i, 1) = 0.5f * (c[rim] - c[-rim]);
       }
     }
-    mean_x /= static_cast<float>(n);
-    mean_y /= static_cast<float>(n);
-    for (int i = 0; i < n; ++i) {
-      x[i] -= mean_x;
-      y[i] -= mean_y;
-      information(0, 0) += x[i] * x[i];
-      information(0, 1) += x[i] * y[i];
-      information(1, 1) += y[i] * y[i];
-    }
-    information(1, 0) = information(0, 1);
+    for (const int k : {0, 1}) d.col(k) -= d.col(k).mean();
   }
+  Eigen::Vector2f dot(const Values& values) const { return {(d.col(0) * values).sum(), (d.col(1) * values).sum()}; }
+  Eigen::Matrix2f information() const { return d.matrix().transpose() * d.matrix(); }
 };
 
 }  // namespace
 
 void Patch::statistics() {
-  float sum = 0;
-  for (int i = 0; i < area(); ++i) sum += values[i];
-  mean = sum / static_cast<float>(area());
-  float squares = 0;
-  for (int i = 0; i < area(); ++i) squares += (values[i] - mean) * (values[i] - mean);
-  deviation = std::sqrt(squares);
+  const Values all = valuesOf(*this);
+  mean = all.mean();
+  deviation = std::sqrt((all - mean).square().sum());
 }
 
 bool sampleBilinear(const cv::Mat& image, float x, float y, float* value) {
@@ -122,9 +112,7 @@ float patchDifference(const cv::Mat& a, const cv::Point2f& pa, const cv::Mat& b,
 
 float zncc(const Patch& a, const Patch& b) {
   if (a.deviation < kFlat || b.deviation < kFlat) return 0;
-  float sum = 0;
-  for (int i = 0; i < a.area(); ++i) sum += (a.values[i] - a.mean) * (b.values[i] - b.mean);
-  return sum / (a.deviation * b.deviation);
+  return ((valuesOf(a) - a.mean) * (valuesOf(b) - b.mean)).sum() / (a.deviation * b.deviation);
 }
 
 std::optional<Eigen::Matrix2d> patchWarp(const CameraModel& camera, const Eigen::Vector2d& pixel, double depth,
@@ -153,23 +141,19 @@ bool makeTemplate(const cv::Mat& image, const Eigen::Vector2d& centre, const Eig
 float alignPatch(const cv::Mat& image, const PatchTemplate& reference, int max_iterations, Eigen::Vector2f* centre) {
   const Patch& wanted = reference.patch;
   const Gradients gradients(reference);
-  const int n = wanted.area();
-  const float texture = static_cast<float>(n) * static_cast<float>(n);
-  if (!(gradients.information.determinant() > 1e-2f * texture)) return -1;
-  const Eigen::Matrix2f covariance = gradients.information.inverse();
+  const Eigen::Matrix2f information = gradients.information();
+  const float texture = static_cast<float>(wanted.area()) * static_cast<float>(wanted.area());
+  if (!(information.determinant() > 1e-2f * texture)) return -1;
+  const Eigen::Matrix2f covariance = information.inverse();
+  // Means drop out of both, since the gradients have none.
+  const Eigen::Vector2f of_wanted = gradients.dot(valuesOf(wanted));
   const Eigen::Vector2f start = *centre;
   Patch window;
   window.half = wanted.half;
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
     if (!extractWindow(image, *centre, &window) || window.deviation < kFlat) return -1;
     const float gain = wanted.deviation / window.deviation;
-    Eigen::Vector2f b = Eigen::Vector2f::Zero();
-    for (int i = 0; i < n; ++i) {
-      const float r = gain * (window.values[i] - window.mean) - (wanted.values[i] - wanted.mean);
-      b.x() += gradients.x[i] * r;
-      b.y() += gradients.y[i] * r;
-    }
-    const Eigen::Vector2f step = -covariance * b;
+    const Eigen::Vector2f step = covariance * (of_wanted - gain * gradients.dot(valuesOf(window)));
     *centre += step;
     if (!centre->allFinite() || (*centre - start).squaredNorm() > kMaxShift * kMaxShift) return -1;
     if (step.squaredNorm() < kConvergence * kConvergence) break;
