@@ -125,13 +125,8 @@ void Realign(benchmark::State& state) {
   LandmarkTracks tracks;
   tracker.track(synthetic::renderPlane(camera, T, synthetic::planeTexture(), synthetic::kPlane));
   std::vector<std::optional<Eigen::Vector2d>> drifted;
-  for (const LandmarkId id : map.landmarkIds()) {
-    const auto pixel = camera.project(T.inverse() * map.landmark(id).position);
-    const TrackId track = pixel ? tracker.addFeature(*pixel) : kNoTrack;
-    if (track == kNoTrack) continue;
-    tracks.assign(track, id);
-    drifted.emplace_back(*pixel + Eigen::Vector2d(0.2, -0.1));
-  }
+  for (const Eigen::Vector2d& pixel : synthetic::trackLandmarks(map, T, &tracker, &tracks))
+    drifted.emplace_back(pixel + Eigen::Vector2d(0.2, -0.1));
   for (auto _ : state) {
     tracker.move(drifted);
     benchmark::DoNotOptimize(realignTracks(map, tracks, T, 2, {}, &tracker));

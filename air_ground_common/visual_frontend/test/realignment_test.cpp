@@ -28,15 +28,13 @@ struct DriftedTracks {
   DriftedTracks(const Map& map, const Pose& T, const cv::Mat& image, double drift) {
     Random random(3);
     tracker.track(image);
-    for (const LandmarkId id : map.landmarkIds()) {
-      const auto pixel = camera.project(T.inverse() * map.landmark(id).position);
-      if (!pixel || !camera.contains(*pixel, 20)) continue;
+    truth = synthetic::trackLandmarks(map, T, &tracker, &tracks);
+    std::vector<std::optional<Eigen::Vector2d>> drifted;
+    for (const Eigen::Vector2d& pixel : truth) {
       const double angle = random.uniform(0, 2 * M_PI);
-      const TrackId track = tracker.addFeature(*pixel + drift * Eigen::Vector2d(std::cos(angle), std::sin(angle)));
-      if (track == kNoTrack) continue;
-      tracks.assign(track, id);
-      truth.push_back(*pixel);
+      drifted.emplace_back(pixel + drift * Eigen::Vector2d(std::cos(angle), std::sin(angle)));
     }
+    tracker.move(drifted);
   }
   std::vector<double> errors() const {
     std::vector<double> errors;
@@ -100,10 +98,7 @@ std::vector<double> errorsAfterFlight(bool realign) {
   FeatureTracker tracker(camera, {});
   LandmarkTracks tracks;
   tracker.track(viewOf(above(0, 0, 2)));
-  for (const LandmarkId id : map.landmarkIds()) {
-    const TrackId track = tracker.addFeature(*camera.project(above(0, 0, 2).inverse() * map.landmark(id).position));
-    if (track != kNoTrack) tracks.assign(track, id);
-  }
+  synthetic::trackLandmarks(map, above(0, 0, 2), &tracker, &tracks);
   cv::RNG rng(5);
   Pose T;
   for (int i = 1; i <= 60; ++i) {

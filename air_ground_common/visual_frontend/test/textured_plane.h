@@ -3,6 +3,7 @@
 
 #include "synthetic.h"
 #include "visual_frontend/feature_tracker.h"
+#include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/map.h"
 #include "visual_frontend/place_recognition.h"
 
@@ -42,6 +43,21 @@ inline Map planeMap(const CameraModel& camera, const Pose& T, int levels = 4) {
   for (const Eigen::Vector2d& p : k.orb_pixels) k.orb_depth.push_back(depth.at<float>(cvRound(p.y()), cvRound(p.x())));
   map.addKeyframe(k);
   return map;
+}
+
+/// Starts tracks in the tracker's image where a camera at T sees the map's landmarks; their pixels, in the order of the
+/// tracker's features.
+inline std::vector<Eigen::Vector2d> trackLandmarks(const Map& map, const Pose& T, FeatureTracker* tracker,
+                                                   LandmarkTracks* tracks) {
+  std::vector<Eigen::Vector2d> pixels;
+  for (const LandmarkId id : map.landmarkIds()) {
+    const auto pixel = tracker->camera().project(T.inverse() * map.landmark(id).position);
+    const TrackId track = pixel ? tracker->addFeature(*pixel) : kNoTrack;
+    if (track == kNoTrack) continue;
+    tracks->assign(track, id);
+    pixels.push_back(*pixel);
+  }
+  return pixels;
 }
 
 }  // namespace visual_frontend::synthetic
