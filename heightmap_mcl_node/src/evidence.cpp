@@ -10,6 +10,7 @@ namespace heightmap_mcl {
 
 void HeightMapLocalizer::updateFloor() {
   constexpr std::size_t kMost = 4;
+  verify_volume_.reset();
   floor_ = std::numeric_limits<double>::quiet_NaN();
   floor_rivals_.clear();
   if (settings_.mode == Mode::kPaper || aerial_.empty()) return;
@@ -17,10 +18,14 @@ void HeightMapLocalizer::updateFloor() {
   const std::vector<double> floors = floorCandidates(raw.levels, ground_.levels, ground_.cap, kMost);
   if (floors.size() < 2) return;
   std::vector<Placement> placements;
-  for (const double floor : floors) placements.push_back(bestPlacement(withFloor(raw, floor)));
   std::size_t best = 0;
-  for (std::size_t i = 1; i < placements.size(); ++i) {
-    if (placements[i].agreement.score < placements[best].agreement.score) best = i;
+  for (std::size_t i = 0; i < floors.size(); ++i) {
+    const HeightMap map = withFloor(raw, floors[i]);
+    CostVolume volume = coarseVolume(map);
+    placements.push_back(bestPlacement(map, volume));
+    if (i > 0 && !(placements[i].agreement.score < placements[best].agreement.score)) continue;
+    best = i;
+    verify_volume_ = std::move(volume);
   }
   for (std::size_t i = 0; i < placements.size(); ++i) {
     if (i != best) floor_rivals_.push_back(placements[i]);
@@ -39,9 +44,9 @@ double HeightMapLocalizer::rivalRatio(const Agreement& other, const Agreement& b
   return std::max(0.0, cost + other.score - best.score) / cost;
 }
 
-Placement HeightMapLocalizer::bestPlacement(const HeightMap& map) const {
+Placement HeightMapLocalizer::bestPlacement(const HeightMap& map, const CostVolume& volume) const {
   const AerialCells cells = cellsOf(map, centerOf(map));
-  return bestOf(placesOfMinima(coarseVolume(map), 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
+  return bestOf(placesOfMinima(volume, 3, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
                                settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, costFor(map)));
 }
 

@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "air_ground_common/geometry.h"
 #include "zmssd_kernel.h"
 
 namespace heightmap_mcl {
@@ -159,6 +160,7 @@ struct Workspace {
   }
   Spectra air;
   Buffer product[kernel::kSums], sum[kernel::kSums];  // of correlate
+  Buffer levels[2];                                   // what all levels of bounds add to product[3]; half a turn on
 };
 
 }  // namespace
@@ -230,29 +232,45 @@ struct FftCost::Impl {
     size.idle.push_back(std::move(workspace));
   }
 
-  /// Leaves the sums over the overlap at every offset in work.sum, in the order of OverlapSums, still to be scaled.
-  void sums(const Cells& air, Size& size, Workspace& work) const {
+  bool bounds(const Cells& air, const Size& size) const { return air.bounds() || size.ground.bounds(); }
+
+  /// Transforms of the aerial map into work.air, of its levels into work.levels: `ways` of them (see sums).
+  void transform(const Cells& air, Size& size, int ways, Workspace& work) const {
     const Plans& plans = size.plans;
     const int n = static_cast<int>(plans.spectrumSize());
     float* const real = work.sum[0].get();
+    work.air.compute(plans, air, real);
+    if (!bounds(air, size)) return;
+    for (int way = 0; way < ways; ++way) {
+      if (!work.levels[way]) work.levels[way] = allocate(2 * plans.spectrumSize());
+      std::fill_n(work.levels[way].get(), 2 * plans.spectrumSize(), 0.f);
+    }
+    const auto add = [&](const float* of_air, const Buffer& of_ground) {
+      for (int way = 0; way < ways; ++way)
+        kernel::addCorrelation(of_air, of_ground.get(), n, way == 1, work.levels[way].get());
+    };
+    for (int k = 1; k <= kBoundLevels; ++k) {
+      if (size.bounds[k]) add(work.air.lackingAt(plans, air, cells.levelHeight(k), real), size.bounds[k]);
+      if (air.has[k]) add(work.air.boundsAt(plans, air, k, real), size.lacking[k]);
+    }
+  }
+
+  /// Leaves the sums over the overlap at every offset in work.sum, in the order of OverlapSums, still to be scaled.
+  /// Way 1: of the aerial map turned by half a turn, whose spectra are the conjugate ones but for a shift: offset u
+  /// lies at u + size of the aerial map - 1.
+  void sums(const Cells& air, const Size& size, int way, Workspace& work) const {
+    const Plans& plans = size.plans;
+    const int n = static_cast<int>(plans.spectrumSize());
     float* products[kernel::kSums];
     for (int k = 0; k < kernel::kSums; ++k) products[k] = work.product[k].get();
-    work.air.compute(plans, air, real);
-    const bool bounds = work.air.bounds() || size.ground.bounds();
-    kernel::correlate(work.air.known(), work.air.all(), size.ground.known(), size.ground.all(), n, bounds, products);
-    for (int k = 1; k <= kBoundLevels; ++k) {
-      if (size.bounds[k]) {
-        const float* lacking = work.air.lackingAt(plans, air, cells.levelHeight(k), real);
-        kernel::addCorrelation(lacking, size.bounds[k].get(), n, products[3]);
-      }
-      if (air.has[k]) {
-        kernel::addCorrelation(work.air.boundsAt(plans, air, k, real), size.lacking[k].get(), n, products[3]);
-      }
-    }
+    const bool with_bounds = bounds(air, size);
+    kernel::correlate(work.air.known(), work.air.all(), size.ground.known(), size.ground.all(), n, with_bounds,
+                      way == 1, products);
+    if (with_bounds) kernel::addTo(work.levels[way].get(), 2 * n, products[3]);
     for (int k = 0; k < kernel::kSums; ++k) {
-      if (bounds || (k != 1 && k != 6)) plans.toReal(products[k], work.sum[k].get());
+      if (with_bounds || (k != 1 && k != 6)) plans.toReal(products[k], work.sum[k].get());
     }
-    if (bounds) return;
+    if (with_bounds) return;
     for (std::size_t i = 0; i < plans.realSize(); ++i) {
       work.sum[1][i] = work.sum[0][i];
       work.sum[6][i] = work.sum[4][i] - work.sum[2][i];
@@ -272,49 +290,78 @@ FftCost::~FftCost() = default;
 FftCost::FftCost(FftCost&&) noexcept = default;
 FftCost& FftCost::operator=(FftCost&&) noexcept = default;
 
+namespace {
+
+/// Without costs.
+CostMap emptyMap(const HeightMap& ground, const HeightMap& turned, double yaw, int way) {
+  CostMap map;
+  map.resolution = ground.resolution;
+  map.yaw = way == 0 ? yaw : air_ground_common::wrapAngle(yaw + M_PI);
+  map.width = ground.width + turned.width - 1;
+  map.height = ground.height + turned.height - 1;
+  // Aerial cell (0, 0) lies on ground cell u = (column - turned.width + 1, row - turned.height + 1).
+  const auto corner = [&](double origin, int cells) { return way == 0 ? origin : -origin - cells * turned.resolution; };
+  map.x0 = ground.origin_x - corner(turned.origin_x, turned.width) - (turned.width - 1) * ground.resolution;
+  map.y0 = ground.origin_y - corner(turned.origin_y, turned.height) - (turned.height - 1) * ground.resolution;
+  map.cost.resize(static_cast<std::size_t>(map.width) * map.height);
+  return map;
+}
+
+}  // namespace
+
 CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSettings& settings) const {
+  CostMap map;
+  compute(turned, yaw, settings, 1, &map);
+  return map;
+}
+
+std::array<CostMap, 2> FftCost::andOpposite(const HeightMap& turned, double yaw, const CostSettings& settings) const {
+  std::array<CostMap, 2> maps;
+  compute(turned, yaw, settings, 2, maps.data());
+  return maps;
+}
+
+void FftCost::compute(const HeightMap& turned, double yaw, const CostSettings& settings, int ways,
+                      CostMap* maps) const {
   const HeightMap& ground = impl_->ground;
   if (std::abs(turned.resolution - ground.resolution) > 1e-9) {
     throw std::invalid_argument("FftCost: aerial and ground height map must have the same resolution");
   }
-  CostMap result;
-  result.resolution = ground.resolution;
-  result.yaw = yaw;
-  result.width = ground.width + turned.width - 1;
-  result.height = ground.height + turned.height - 1;
-  // Aerial cell (0, 0) lies on ground cell u = (column - turned.width + 1, row - turned.height + 1).
-  result.x0 = ground.origin_x - turned.origin_x - (turned.width - 1) * ground.resolution;
-  result.y0 = ground.origin_y - turned.origin_y - (turned.height - 1) * ground.resolution;
-
   const Cells air(turned);
   if (air.bounds() && (ground.bounds.empty() || ground.cap != turned.cap)) {
     throw std::invalid_argument("FftCost: maps with bounds must have the same cap");
   }
-  const auto size = impl_->sizeFor(paddedSize(result.height), paddedSize(result.width));
+  const auto size =
+      impl_->sizeFor(paddedSize(ground.height + turned.height - 1), paddedSize(ground.width + turned.width - 1));
   const Plans& plans = size->plans;
   auto workspace = impl_->acquire(*size);
-  impl_->sums(air, *size, *workspace);
+  impl_->transform(air, *size, ways, *workspace);
 
-  // Negative offsets wrap to the far end of the padded grid.
-  result.cost.resize(static_cast<std::size_t>(result.width) * result.height);
   const auto scale = static_cast<float>(1.0 / static_cast<double>(plans.realSize()));
   const double smaller =
       std::max(settings.cells(static_cast<double>(air.defined), static_cast<double>(impl_->cells.defined)), 1.0);
-  const int negative = turned.width - 1;
-  for (int row = 0; row < result.height; ++row) {
-    const int u = row - (turned.height - 1);
-    const std::size_t line = static_cast<std::size_t>(u < 0 ? u + plans.rows : u) * plans.columns;
-    float* out = result.cost.data() + static_cast<std::size_t>(row) * result.width;
-    const auto segment = [&](std::size_t from, int count, float* to) {
-      const float* sums[kernel::kSums];
-      for (int k = 0; k < kernel::kSums; ++k) sums[k] = workspace->sum[k].get() + from;
-      kernel::scoreRow(sums, count, scale, static_cast<float>(smaller), settings, to);
-    };
-    segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);
-    segment(line, ground.width, out + negative);
+  for (int way = 0; way < ways; ++way) {
+    maps[way] = emptyMap(ground, turned, yaw, way);
+    impl_->sums(air, *size, way, *workspace);
+    for (int row = 0; row < maps[way].height; ++row) {
+      float* out = maps[way].cost.data() + static_cast<std::size_t>(row) * maps[way].width;
+      const auto segment = [&](std::size_t from, int count, float* to) {
+        const float* sums[kernel::kSums];
+        for (int k = 0; k < kernel::kSums; ++k) sums[k] = workspace->sum[k].get() + from;
+        kernel::scoreRow(sums, count, scale, static_cast<float>(smaller), settings, to);
+      };
+      if (way == 1) {
+        segment(static_cast<std::size_t>(row) * plans.columns, maps[way].width, out);
+        continue;
+      }
+      // Negative offsets wrap to the far end of the padded grid.
+      const int u = row - (turned.height - 1), negative = turned.width - 1;
+      const std::size_t line = static_cast<std::size_t>(u < 0 ? u + plans.rows : u) * plans.columns;
+      segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);
+      segment(line, ground.width, out + negative);
+    }
   }
   impl_->release(*size, std::move(workspace));
-  return result;
 }
 
 CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground,

@@ -80,12 +80,23 @@ CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std
   }
   const int cells = 2 * static_cast<int>(std::ceil(std::sqrt(radius) / air.resolution + 1));
   volume.slices.resize(headings.size());
-  const int n = static_cast<int>(headings.size());
+  const int all = static_cast<int>(headings.size());
+  // Round the circle the second half of an even number of headings is opposite to the first.
+  const bool in_pairs = circular && all % 2 == 0;
+  const int n = in_pairs ? all / 2 : all;
   air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic)
   for (int i = 0; i < n; ++i) {
-    failure.guard(
-        [&] { volume.slices[i] = fft(rotateAbout(air, volume.pivot, headings[i], cells), headings[i], settings); });
+    failure.guard([&] {
+      const HeightMap turned = rotateAbout(air, volume.pivot, headings[i], cells);
+      if (in_pairs) {
+        auto maps = fft.andOpposite(turned, headings[i], settings);
+        volume.slices[i] = std::move(maps[0]);
+        volume.slices[i + n] = std::move(maps[1]);
+      } else {
+        volume.slices[i] = fft(turned, headings[i], settings);
+      }
+    });
   }
   failure.rethrow();
   return volume;
@@ -140,11 +151,11 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings) {
   constexpr int kLevels = 4, kCoarseLevels = 2, kMovesPerLevel = 6;
-  // Far from the minimum a quarter of the cells says where it lies, and every neighbour is looked at; near it heading
-  // and position hardly interact, and one axis at a time will do.
-  constexpr int kStride = 4;
+  // Far from the minimum a quarter of the cells says where it lies, or some thousand of a large map, and every neighbour
+  // is looked at; near it heading and position hardly interact, and one axis at a time will do.
+  constexpr std::size_t kStride = 4, kEnough = 8192;
   constexpr int kAxes[] = {4, 10, 12, 14, 16, 22};
-  const AerialCells thin = thinned(cells, kStride);
+  const AerialCells thin = thinned(cells, static_cast<int>(std::max(kStride, cells.h.size() / kEnough)));
   // What agrees with the best pose so far says how far the heights lie apart.
   Placement best{start, cost.agreement(thin, start, cost.medianOffset(thin, start), settings)};
   const auto at = [&](const PlanarPose& pose, bool coarse) {

@@ -75,7 +75,7 @@ void HeightMapLocalizer::drawFromKeptMaps() {
   if (scale_stddev_ == 0) updateScale();
   updateFloor();
   filter_map_ = lastMaps(settings_.accumulate);
-  filter_.initialize(coarseVolume(lastMaps(settings_.verify)), prior_, lastReference());
+  filter_.initialize(verifyVolume(lastMaps(settings_.verify)), prior_, lastReference());
 }
 
 bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
@@ -94,10 +94,23 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   direct_ = std::move(direct);
   coarse_fft_ = std::move(coarse_fft);
   full_fft_.reset();
+  verify_volume_.reset();
+  if (stillStands()) return true;
   // What the particles drawn so far could not know lies in the new part of the map.
   if (estimate_.status != Status::kConverged) drawFromKeptMaps();
   updateEstimate();
   return true;
+}
+
+bool HeightMapLocalizer::stillStands() const {
+  constexpr double kGrowth = 1.1, kWorse = 1.1;
+  if (estimate_.status != Status::kConverged || settings_.mode == Mode::kPaper) return false;
+  const auto now = static_cast<double>(ground_.defined()), then = static_cast<double>(searched_cells_);
+  if (now > kGrowth * then || then > kGrowth * now) return false;
+  const HeightMap map = lastMaps(settings_.verify);
+  const AerialCells cells = cellsOf(map, centerOf(map));
+  const Placement place = placementAt(*direct_, cells, planarOf(estimate_.T_ground_mav, cells.reference), costFor(map));
+  return place.agreement.score <= kWorse * score_ && place.agreement.agreeing >= settings_.min_agreement;
 }
 
 bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
@@ -161,6 +174,11 @@ CostVolume HeightMapLocalizer::coarseVolume(const HeightMap& map) const {
   return computeCostVolume(*coarse_fft_, downsample(map, settings_.coarse_factor), headings, circular, costFor(map));
 }
 
+const CostVolume& HeightMapLocalizer::verifyVolume(const HeightMap& verify_map) {
+  if (!verify_volume_) verify_volume_ = coarseVolume(verify_map);
+  return *verify_volume_;
+}
+
 void HeightMapLocalizer::updateFilter() {
   const Eigen::Vector2d reference = lastReference();
   ++maps_;
@@ -215,6 +233,7 @@ void HeightMapLocalizer::updateEstimate() {
   estimate_.mode_spread_yaw = std::sqrt(mode.covariance(2, 2));
 
   estimateFromPlaces(mode);
+  verify_volume_.reset();  // tens of megabytes
 }
 
 /// The best of all places, its rivals and the verdict on it. Sought about the merged maps' centre, compared and judged
@@ -229,7 +248,7 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
     best = placementAt(*direct_, cells, mean, cost);
   }
 
-  const CostVolume volume = coarseVolume(verify_map);
+  const CostVolume& volume = verifyVolume(verify_map);
   std::vector<Placement> places = findPlaces(volume, cells, cost, best);
   if (places.empty()) {
     estimate_.reason = "nothing fits near the initial guess";
@@ -243,6 +262,8 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
   best.pose = changeReference(best.pose, merged_center, cells.reference);
   const Placement refined = descend(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
   if (refined.agreement.score < best.agreement.score) best = refined;
+  score_ = best.agreement.score;
+  searched_cells_ = ground_.defined();
   const Placement rival = compareWithRivals(best, places);
   const bool particles_agree = isSame(mean, best.pose);
 

@@ -142,7 +142,7 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
   cells.reference = reference;
   cells.base = baseHeight(air);
   const std::size_t n = air.defined(), all = air.heights.size();
-  for (auto* v : {&cells.x, &cells.y, &cells.h, &cells.bound, &cells.low, &cells.high}) v->reserve(n);
+  for (auto* v : {&cells.x, &cells.y, &cells.h, &cells.low, &cells.high}) v->reserve(n);
   constexpr float kNone = -std::numeric_limits<float>::infinity();
   std::vector<float> high(all, kNone), minus_low(all, kNone);
   for (std::size_t i = 0; i < all; ++i) {
@@ -164,7 +164,6 @@ AerialCells aerialCells(const HeightMap& air, const Eigen::Vector2d& reference, 
       cells.x.push_back(static_cast<float>(q.x()));
       cells.y.push_back(static_cast<float>(q.y()));
       cells.h.push_back(static_cast<float>(height.value));
-      cells.bound.push_back(height.bound ? 1.f : 0.f);
       cells.low.push_back(-(step ? minus_low_near[i] : minus_low[i]));
       cells.high.push_back(step ? high_near[i] : high[i]);
       sum += height.value;
@@ -194,7 +193,6 @@ AerialCells thinned(const AerialCells& cells, int stride) {
     result.x.push_back(cells.x[i]);
     result.y.push_back(cells.y[i]);
     result.h.push_back(cells.h[i]);
-    result.bound.push_back(cells.bound[i]);
     result.low.push_back(cells.low[i]);
     result.high.push_back(cells.high[i]);
   }

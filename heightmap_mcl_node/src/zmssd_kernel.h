@@ -15,18 +15,13 @@ struct GroundView {
 };
 
 struct AirView {
-  const float *x, *y, *h, *bound, *low, *high;  // as in AerialCells
+  const float *x, *y, *h, *low, *high;  // as in AerialCells; low == high: a height, no edge near
   int n;
 };
 
 inline AirView viewOf(const AerialCells& cells) {
-  return {cells.x.data(),
-          cells.y.data(),
-          cells.h.data(),
-          cells.bound.data(),
-          cells.low.data(),
-          cells.high.data(),
-          static_cast<int>(cells.h.size())};
+  return {cells.x.data(),   cells.y.data(),    cells.h.data(),
+          cells.low.data(), cells.high.data(), static_cast<int>(cells.h.size())};
 }
 
 /// To cells of the bordered grid: column = c*x - s*y + x0, row = s*x + c*y + y0.
@@ -65,11 +60,14 @@ struct MapSpectra {
 };
 /// Products of one heading's spectra, interleaved complex arrays of n elements: the spectra of the sums. `known`: cells
 /// with a height; `all`: with bounds at their levels. Where neither map has bounds, out[1] and out[6] are not written.
+/// `opposite`: a in place of conj(a), which is the aerial map turned by half a turn.
 void correlate(const MapSpectra& air_known, const MapSpectra& air_all, const MapSpectra& ground_known,
-               const MapSpectra& ground_all, int n, bool bounds, float* const out[kSums]);
+               const MapSpectra& ground_all, int n, bool bounds, bool opposite, float* const out[kSums]);
 
-/// out += conj(a) b, interleaved complex arrays of n elements.
-void addCorrelation(const float* a, const float* b, int n, float* out);
+/// out += conj(a) b, or a b, interleaved complex arrays of n elements.
+void addCorrelation(const float* a, const float* b, int n, bool opposite, float* out);
+/// out += a, arrays of n elements.
+void addTo(const float* a, int n, float* out);
 
 /// Scores for a row of n offsets from the inverse transforms of correlate's products (each still to be multiplied by
 /// `scale`). score[i] = infinity where the overlap is below min_overlap. cells: defined cells of the smaller map.

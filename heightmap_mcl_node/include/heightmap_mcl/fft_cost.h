@@ -1,7 +1,8 @@
 // Equation 2 for every offset of one heading at once, by FFT: nine transforms (eleven and two for every level of
-// bounds that occurs) instead of overlap times offsets operations.
+// bounds that occurs) instead of overlap times offsets operations, and six or eight more for the opposite heading.
 #pragma once
 
+#include <array>
 #include <memory>
 #include <vector>
 
@@ -47,8 +48,12 @@ class FftCost {
   /// std::invalid_argument). All offsets with any overlap are covered: width = ground width + aerial width - 1.
   /// The error is that of single precision, about 2e-5 of the largest cost.
   CostMap operator()(const HeightMap& turned, double yaw, const CostSettings& settings) const;
+  /// The same, and for the aerial map turned about its pivot by another half turn, whose transforms are the same but
+  /// for their sign.
+  std::array<CostMap, 2> andOpposite(const HeightMap& turned, double yaw, const CostSettings& settings) const;
 
  private:
+  void compute(const HeightMap& turned, double yaw, const CostSettings& settings, int ways, CostMap* maps) const;
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };

@@ -31,7 +31,7 @@ std::vector<double> searchHeadings(int count, const Prior& prior);
 struct CostVolume {
   Eigen::Vector2d pivot = Eigen::Vector2d::Zero();
   std::vector<CostMap> slices;  ///< one a heading
-  bool circular = false;        ///< the headings go all round
+  bool circular = false;        ///< the headings go all round, evenly
 
   /// Lowest finite cost, infinite when there is none.
   double lowest() const;

@@ -147,9 +147,9 @@ class HeightMapLocalizer {
   explicit HeightMapLocalizer(const HeightMapLocalizerSettings& settings);
   ~HeightMapLocalizer();
 
-  /// Replaces the ground map. Transforms are recomputed lazily. A search that has not converged begins anew on the kept
-  /// aerial maps. Returns false (and forgets the ground map) when the cloud defines no cell. `cropped`: see
-  /// buildHeightMap.
+  /// Replaces the ground map. A search that has not converged begins anew on the kept aerial maps; an estimate that has
+  /// stays until the next aerial cloud where its heights agree as before in a map that is hardly larger. Returns false
+  /// (and forgets the ground map) when the cloud defines no cell. `cropped`: see buildHeightMap.
   bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
 
   /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent
@@ -168,7 +168,10 @@ class HeightMapLocalizer {
   void setOwnUnit(bool own_unit);
 
   /// Used from the next (re)start on; pass {} to search everywhere.
-  void setPrior(const Prior& prior) { prior_ = prior; }
+  void setPrior(const Prior& prior) {
+    prior_ = prior;
+    verify_volume_.reset();
+  }
 
   bool hasGround() const { return direct_ != nullptr; }
   bool hasAerial() const { return !aerial_.empty(); }
@@ -199,7 +202,7 @@ class HeightMapLocalizer {
   void updateScale();
   /// Chooses among the places of the floor that the maps allow, by the best placement of each.
   void updateFloor();
-  Placement bestPlacement(const HeightMap& map) const;
+  Placement bestPlacement(const HeightMap& map, const CostVolume& volume) const;
   bool updateLevel();
   void searchScales();
   std::vector<double> scalesToTry(double extent);
@@ -232,6 +235,8 @@ class HeightMapLocalizer {
   double groundPiece();
   void remakeKeptMaps();
   Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }
+  /// Whether the last estimate, which was CONVERGED, needs no other search in the ground map of now.
+  bool stillStands() const;
   /// The estimate of Mode::kPaper.
   void estimateFromParticles();
   /// The best place of the whole search.
@@ -264,6 +269,7 @@ class HeightMapLocalizer {
   std::vector<const HeightMap*> keptMaps(int count) const;
   HeightMap lastMaps(int count) const;
   CostVolume coarseVolume(const HeightMap& map) const;
+  const CostVolume& verifyVolume(const HeightMap& verify_map);
   /// Cells of an aerial map, edges as wide as the settings say.
   AerialCells cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const;
   CostSettings costFor(const HeightMap& air) const;
@@ -278,7 +284,10 @@ class HeightMapLocalizer {
   std::unique_ptr<DirectCost> direct_;
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;
+  std::optional<CostVolume> verify_volume_;  // of the last `verify` clouds in the present ground map, once computed
   CoarseEstimate estimate_;
+  double score_ = kInfinity;             // of the estimate's place [m^2]
+  std::size_t searched_cells_ = 0;       // of the ground map in which it was found
   double floor_ = 0;                     // of the aerial maps [m]; NaN: as merged
   std::vector<Placement> floor_rivals_;  // the best placements with other floors
   bool own_unit_ = false;

@@ -111,7 +111,6 @@ Zmssd zmssdReference(const HeightMap& air, const HeightMap& ground, const Eigen:
 struct AerialCells {
   std::vector<float> x, y;                              ///< centre of the cell minus the reference point [m]
   std::vector<float> h;                                 ///< height or bound minus base [m]
-  std::vector<float> bound;                             ///< 1 for a bound, else 0
   std::vector<float> low, high;                         ///< what the height may be [m]: h, but at edges and of bounds
   int weight = 1;                                       ///< cells that each of them stands for
   double base = 0;                                      ///< see baseHeight [m]
