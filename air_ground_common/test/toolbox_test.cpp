@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <thread>
+
+#include "air_ground_common/niceness.h"
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 
@@ -16,6 +19,22 @@ TEST(Statistics, QuantilesAreOrderStatistics) {
   EXPECT_EQ(median(std::vector<float>{4, 1, 3, 2}), 3);
   EXPECT_EQ(median(std::vector<float>{2}), 2);
   EXPECT_TRUE(std::isnan(median(std::vector<double>{})));
+}
+
+TEST(Niceness, IsOfTheThreadAndThoseThatItStarts) {
+  const auto own = [] { return getpriority(PRIO_PROCESS, 0); };
+  const int before = own();
+  int given = 0, inherited = 0;
+  std::thread([&] {
+    air_ground_common::giveWay(0);
+    EXPECT_EQ(own(), before);
+    air_ground_common::giveWay(17);
+    given = own();
+    std::thread([&] { inherited = own(); }).join();
+  }).join();
+  EXPECT_EQ(given, 17);
+  EXPECT_EQ(inherited, 17);
+  EXPECT_EQ(own(), before);
 }
 
 TEST(Text, IsFormattedWhateverItsLength) {

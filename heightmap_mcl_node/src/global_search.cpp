@@ -151,8 +151,8 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
 Placement descend(const DirectCost& cost, const AerialCells& cells, const PlanarPose& start, double step_xy,
                   double step_yaw, const CostSettings& settings) {
   constexpr int kLevels = 4, kCoarseLevels = 2, kMovesPerLevel = 6;
-  // Far from the minimum a quarter of the cells says where it lies, or some thousand of a large map, and every neighbour
-  // is looked at; near it heading and position hardly interact, and one axis at a time will do.
+  // Far from the minimum a quarter of the cells says where it lies, or some thousand of a large map, and every
+  // neighbour is looked at; near it heading and position hardly interact, and one axis at a time will do.
   constexpr std::size_t kStride = 4, kEnough = 8192;
   constexpr int kAxes[] = {4, 10, 12, 14, 16, 22};
   const AerialCells thin = thinned(cells, static_cast<int>(std::max(kStride, cells.h.size() / kEnough)));

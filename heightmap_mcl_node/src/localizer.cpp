@@ -104,9 +104,10 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
 
 bool HeightMapLocalizer::stillStands() const {
   constexpr double kGrowth = 1.1, kWorse = 1.1;
-  if (estimate_.status != Status::kConverged || settings_.mode == Mode::kPaper) return false;
+  if (!estimate_.has_pose || settings_.mode == Mode::kPaper) return false;
   const auto now = static_cast<double>(ground_.defined()), then = static_cast<double>(searched_cells_);
   if (now > kGrowth * then || then > kGrowth * now) return false;
+  if (estimate_.status != Status::kConverged) return true;
   const HeightMap map = lastMaps(settings_.verify);
   const AerialCells cells = cellsOf(map, centerOf(map));
   const Placement place = placementAt(*direct_, cells, planarOf(estimate_.T_ground_mav, cells.reference), costFor(map));

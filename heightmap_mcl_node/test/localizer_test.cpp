@@ -365,30 +365,6 @@ TEST(HeightMapLocalizer, IdenticalBoxesAreAmbiguous) {
   }
 }
 
-TEST(HeightMapLocalizer, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
-  synthetic::Options options;
-  options.seed = 505;
-  options.aerial_clouds = 4;
-  const auto run = synthetic::makeRun(options);
-  HeightMapLocalizer localizer({});
-  EXPECT_FALSE(localizer.estimate().has_pose);
-  EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
-  for (const auto& cloud : run.aerial) localizer.addAerial(cloud);
-  EXPECT_EQ(localizer.estimate().status, Status::kSearching);
-  localizer.setGround(run.ground);
-  EXPECT_TRUE(localizer.estimate().has_pose);
-  const auto error =
-      synthetic::errorOf(localizer.estimate().T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
-  EXPECT_LT(error.position, 0.2);
-  // Losing the ground map, or getting an empty one, takes the pose back.
-  EXPECT_FALSE(localizer.setGround({}));
-  EXPECT_FALSE(localizer.estimate().has_pose);
-  localizer.setGround(run.ground);
-  localizer.restart(true);
-  EXPECT_FALSE(localizer.estimate().has_pose);
-  EXPECT_NE(localizer.estimate().reason.find("aerial"), std::string::npos);
-}
-
 TEST(HeightMapLocalizer, BadCloudsChangeNothing) {
   HeightMapLocalizer localizer({});
   const float nan = std::nanf("");
@@ -396,20 +372,6 @@ TEST(HeightMapLocalizer, BadCloudsChangeNothing) {
   EXPECT_FALSE(localizer.addAerial({{{nan, nan, nan}}, Eigen::Vector3d::Zero()}));
   EXPECT_FALSE(localizer.addAerial({{{0, 0, 0}}, Eigen::Vector3d(std::nan(""), 0, 0)}));
   EXPECT_FALSE(localizer.hasAerial());
-}
-
-TEST(HeightMapLocalizer, AGroundMapWithoutACellIsForgottenWhole) {
-  synthetic::Options options;
-  options.seed = 505;
-  options.aerial_clouds = 2;
-  const auto run = synthetic::makeRun(options);
-  HeightMapLocalizerSettings settings;
-  settings.ground_map.min_points = 2;
-  HeightMapLocalizer localizer(settings);
-  EXPECT_FALSE(localizer.setGround({{0, 0, 0}, {1, 0, 0.2f}, {0, 1, 0.1f}}));
-  EXPECT_FALSE(localizer.hasGround());
-  ASSERT_TRUE(localizer.addAerial(run.aerial[0]));
-  EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
 }
 
 TEST(HeightMapLocalizer, AerialCloudsFarApartAreNotMerged) {

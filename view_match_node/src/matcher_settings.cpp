@@ -12,6 +12,9 @@ void describe(air_ground_common::ParameterVisitor& v, MatcherSettings& m) {
   v("min_matches", m.place.min_matches, {8, 10000}, "", "mutual matches with a keyframe, for a place to be verified");
   v("min_inliers", m.place.min_inliers, {8, 10000}, "", "of them that agree on a pose of the camera");
   v("min_lead", m.min_lead, {1, 100}, "", "of these, over those at the best place elsewhere");
+  v("max_elevation", m.max_elevation, {0, 3.2}, "rad",
+    "images of a level map are compared with keyframes whose optical axes are as far above or below the horizon as "
+    "theirs, within this; ORB bears half of it");
   v("pixel_sigma", m.place.pixel_sigma, {0.1, 50}, "px", "of ORB positions at full resolution");
   v("systematic_error", m.systematic, {0, 1}, "",
     "of a recognised camera's position over the distance of what it sees: calibration, depth, rolling shutter");

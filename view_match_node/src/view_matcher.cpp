@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "air_ground_common/statistics.h"
@@ -19,6 +20,9 @@ using visual_frontend::KeyframeId;
 
 constexpr double kDepthRadius = 10;       // of a point and a landmark whose depths are compared [px]
 constexpr std::size_t kLeastDepths = 15;  // that tell the scale
+
+/// Of the optical axis over the horizon [rad].
+double elevationOf(const Pose& T_map_camera) { return std::asin(std::clamp(T_map_camera.linear()(2, 2), -1.0, 1.0)); }
 
 double largestSigma(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
@@ -96,10 +100,22 @@ bool ViewMatcher::isKnownView(const Pose& T_mav_camera, double distance) const {
 bool ViewMatcher::recognise(WaitingImage& image) {
   visual_frontend::RelocalizationGate among;
   among.min_lead = settings_.min_lead;
-  for (const auto& entry : map_.keyframes())
-    if (entry.first >= image.next_keyframe) among.places.push_back(entry.first);
-  if (among.places.empty()) return false;
-  image.next_keyframe = among.places.back() + 1;
+  // A metric map is level, as the ground robot's is. Features bear half of the difference that is let through.
+  const double elevation = elevationOf(image.T_mav_camera);
+  const KeyframeId first = image.next_keyframe;
+  double least = std::numeric_limits<double>::infinity();
+  for (const auto& [id, keyframe] : map_.keyframes()) {
+    if (id < first) continue;
+    image.next_keyframe = id + 1;
+    const double difference = std::abs(elevationOf(keyframe.T_map_camera) - elevation);
+    least = std::min(least, difference);
+    if (own_unit_ || difference <= settings_.max_elevation) among.places.push_back(id);
+  }
+  if (among.places.empty()) {
+    if (std::isfinite(least))
+      last_reason_ = formatted("the ground robot's images look %.0f degrees higher or lower, or more", least / kDegree);
+    return false;
+  }
   const auto match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
   last_reason_ = match.success ? "" : match.reason;
   if (!match.success) return false;

@@ -65,6 +65,24 @@ TEST_F(ViewMatching, AMetricMapKeepsItsScale) {
   EXPECT_NEAR(e.T_ground_mav.scale, 1, 0.02);
 }
 
+// What looks down is not compared with what looks ahead, and the reason says so; without gravity nobody knows.
+TEST_F(ViewMatching, ImagesOfOtherElevationsAreNotCompared) {
+  truth.scale = 1;
+  truth.R = Eigen::AngleAxisd(1.3, Eigen::Vector3d::UnitX()).toRotationMatrix() * truth.R;
+  const Corner corner(2);
+  for (const bool own_unit : {false, true}) {
+    ViewMatcher matcher({});
+    matcher.setOwnUnit(own_unit);
+    addGroundViews(corner, matcher);
+    addFlight(corner, matcher);
+    const MatchEstimate e = matcher.estimate();
+    EXPECT_EQ(e.status, own_unit ? MatchStatus::kConverged : MatchStatus::kSearching) << e.reason;
+    if (!own_unit) {
+      EXPECT_NE(e.reason.find("degrees higher or lower"), std::string::npos) << e.reason;
+    }
+  }
+}
+
 TEST_F(ViewMatching, FollowsTheGroundMapWhenItMoves) {
   truth.scale = 1;
   const Corner corner(3);

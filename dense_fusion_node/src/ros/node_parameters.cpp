@@ -1,5 +1,6 @@
 #include "node_parameters.h"
 
+#include "air_ground_common/niceness.h"
 #include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/file_services.h"
 
@@ -13,6 +14,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("visual_map_frame", s.visual_map_frame,
     "posed images in it are of a map without scale, which keeps a unit of its own");
   v("autosave", s.autosave, air_ground_common::ros_utils::kAutosave);
+  v("niceness", s.niceness, {0, 19}, "", air_ground_common::kNiceness);
   v("queue_size", s.queue_size, {10, 10000}, "",
     "posed images that may wait for the worker; the oldest are dropped, and counted, beyond it");
   v("flush_timeout", s.flush_timeout, {0, 3600}, "s",

@@ -14,6 +14,7 @@ struct NodeSettings {
   int queue_size = 400;
   double flush_timeout = 4.0, service_timeout = 120, map_cell = 0.02;
   int map_max_points = 5000000;
+  int niceness = 5;  ///< see giveWay
 
   void validate() const { mapper.validate(); }
 };

@@ -147,9 +147,10 @@ class HeightMapLocalizer {
   explicit HeightMapLocalizer(const HeightMapLocalizerSettings& settings);
   ~HeightMapLocalizer();
 
-  /// Replaces the ground map. A search that has not converged begins anew on the kept aerial maps; an estimate that has
-  /// stays until the next aerial cloud where its heights agree as before in a map that is hardly larger. Returns false
-  /// (and forgets the ground map) when the cloud defines no cell. `cropped`: see buildHeightMap.
+  /// Replaces the ground map. Where it is larger or smaller by a tenth than when the last search was made, or what was
+  /// CONVERGED no longer agrees, the search is made again at once, else at the next aerial cloud; one that has not
+  /// converged begins anew on the kept aerial maps. Returns false (and forgets the ground map) when the cloud defines
+  /// no cell. `cropped`: see buildHeightMap.
   bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
 
   /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent
@@ -235,7 +236,7 @@ class HeightMapLocalizer {
   double groundPiece();
   void remakeKeptMaps();
   Eigen::Vector2d lastReference() const { return inMetres(aerial_.back().reference).head<2>(); }
-  /// Whether the last estimate, which was CONVERGED, needs no other search in the ground map of now.
+  /// Whether the last estimate needs no other search in the ground map of now.
   bool stillStands() const;
   /// The estimate of Mode::kPaper.
   void estimateFromParticles();

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "air_ground_common/niceness.h"
 #include "air_ground_common/parameters.h"
 
 namespace heightmap_mcl {
@@ -16,6 +17,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("publish_tf", n.publish_tf,
     "ground map -> MAV map on /tf while CONVERGED; leave off when icp_refine_node publishes it");
   v("tf_rate", n.tf_rate, {0.1, 1000}, "Hz", "of that transform, stamped with the clock");
+  v("niceness", n.niceness, {0, 19}, "", air_ground_common::kNiceness);
   v("cloud_queue", n.cloud_queue, {1, 10000}, "",
     "aerial clouds that may wait; the oldest is dropped (and counted) beyond that");
   v("odometry_gap", n.odometry_gap, {0.01, 10.0}, "s",

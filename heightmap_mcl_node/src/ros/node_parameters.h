@@ -19,6 +19,7 @@ struct NodeSettings {
   double tf_rate = 10;
   int cloud_queue = 30;
   double odometry_gap = 0.3;
+  int niceness = 10;  ///< see giveWay
 
   void validate() const { heightmap_mcl::validate(localizer); }
 };

@@ -1,5 +1,6 @@
 #include "node_parameters.h"
 
+#include "air_ground_common/niceness.h"
 #include "air_ground_common/parameters.h"
 
 namespace streetview_localizer {
@@ -13,6 +14,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("camera_frame", s.camera_frame, "empty: as the images' headers say");
   v("image_transport", s.image_transport,
     "compressed: CompressedImage on <topic>/compressed (launch argument mav_image_transport)", {"raw", "compressed"});
+  v("niceness", s.niceness, {0, 19}, "", air_ground_common::kNiceness);
   v("min_period", s.min_period, {0, 3600}, "s",
     "images closer than this to the last one worked on are passed over; 0: as many as it can");
 

@@ -32,6 +32,7 @@ struct MatcherSettings {
   int max_images = 40;             ///< recognised images kept, the newest
   int max_waiting = 100;           ///< images kept for keyframes to come, the newest
   double scale_stddev = 0.03;      ///< relative, of the scale of a metric map
+  double max_elevation = 1.0;      ///< difference of the elevations at which two cameras look in level maps [rad]
 
   // Acceptance
   int min_images = 4;             ///< that agree

@@ -11,6 +11,7 @@ struct NodeSettings {
   std::string ground_map_frame = "ground_map", mav_map_frame = "mav_map", visual_map_frame = "mav_visual_map";
   double interval = 0.3, converged_interval = 2;  ///< [s] of the images' stamps
   MatcherSettings matcher;
+  int niceness = 10;  ///< see giveWay
 
   void validate() const { matcher.validate(); }
 };

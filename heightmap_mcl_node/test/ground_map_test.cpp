@@ -1,0 +1,89 @@
+// What the localizer makes of ground maps that come late, change, or hold nothing.
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+#include "air_ground_common/geometry.h"
+#include "heightmap_mcl/localizer.h"
+#include "synthetic_world.h"
+
+namespace heightmap_mcl {
+namespace {
+
+TEST(GroundMap, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
+  synthetic::Options options;
+  options.seed = 505;
+  options.aerial_clouds = 4;
+  const auto run = synthetic::makeRun(options);
+  HeightMapLocalizer localizer({});
+  EXPECT_FALSE(localizer.estimate().has_pose);
+  EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
+  for (const auto& cloud : run.aerial) localizer.addAerial(cloud);
+  EXPECT_EQ(localizer.estimate().status, Status::kSearching);
+  localizer.setGround(run.ground);
+  EXPECT_TRUE(localizer.estimate().has_pose);
+  const auto error =
+      synthetic::errorOf(localizer.estimate().T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
+  EXPECT_LT(error.position, 0.2);
+  // Losing the ground map, or getting an empty one, takes the pose back.
+  EXPECT_FALSE(localizer.setGround({}));
+  EXPECT_FALSE(localizer.estimate().has_pose);
+  localizer.setGround(run.ground);
+  localizer.restart(true);
+  EXPECT_FALSE(localizer.estimate().has_pose);
+  EXPECT_NE(localizer.estimate().reason.find("aerial"), std::string::npos);
+}
+
+TEST(GroundMap, AConvergedEstimateHoldsUntilTheGroundMapChanges) {
+  synthetic::Options options;
+  options.seed = 505;
+  options.aerial_clouds = 6;
+  const auto run = synthetic::makeRun(options);
+  HeightMapLocalizer localizer({});
+  ASSERT_TRUE(localizer.setGround(run.ground));
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(localizer.addAerial(cloud));
+  ASSERT_EQ(localizer.estimate().status, Status::kConverged) << localizer.estimate().reason;
+  const auto moved = [&run](double yaw, const Eigen::Vector3d& shift) {
+    const air_ground_common::Pose T = air_ground_common::yawPose(yaw, shift);
+    std::vector<Eigen::Vector3f> points;
+    for (const auto& p : run.ground) points.push_back((T * p.cast<double>()).cast<float>());
+    return points;
+  };
+  const auto errorFor = [&](const air_ground_common::Pose& T) {
+    return synthetic::errorOf(localizer.estimate().T_ground_mav, T * run.T_ground_mav.back(),
+                              run.aerial.back().reference);
+  };
+  // The same map, levelled anew by less than a cell: the same estimate, not another search.
+  const air_ground_common::Pose before = localizer.estimate().T_ground_mav;
+  ASSERT_TRUE(localizer.setGround(moved(0, {0.004, 0, 0})));
+  EXPECT_EQ(localizer.estimate().status, Status::kConverged);
+  EXPECT_TRUE(localizer.estimate().T_ground_mav.isApprox(before, 0));
+  // Corrected as a whole, by more than any descent reaches from the place of before.
+  const Eigen::Vector3d shift(1.5, -0.8, 0);
+  ASSERT_TRUE(localizer.setGround(moved(0.5, shift)));
+  EXPECT_LT(errorFor(air_ground_common::yawPose(0.5, shift)).position, 0.2);
+  // A second, equal place comes into view.
+  std::vector<Eigen::Vector3f> twice = run.ground;
+  const std::vector<Eigen::Vector3f> other = moved(0, {0, 20, 0});
+  twice.insert(twice.end(), other.begin(), other.end());
+  ASSERT_TRUE(localizer.setGround(twice));
+  EXPECT_EQ(localizer.estimate().status, Status::kAmbiguous) << localizer.estimate().reason;
+}
+
+TEST(GroundMap, AGroundMapWithoutACellIsForgottenWhole) {
+  synthetic::Options options;
+  options.seed = 505;
+  options.aerial_clouds = 2;
+  const auto run = synthetic::makeRun(options);
+  HeightMapLocalizerSettings settings;
+  settings.ground_map.min_points = 2;
+  HeightMapLocalizer localizer(settings);
+  EXPECT_FALSE(localizer.setGround({{0, 0, 0}, {1, 0, 0.2f}, {0, 1, 0.1f}}));
+  EXPECT_FALSE(localizer.hasGround());
+  ASSERT_TRUE(localizer.addAerial(run.aerial[0]));
+  EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace heightmap_mcl
