@@ -13,7 +13,7 @@ namespace mav_vo {
 /// motion correct it.
 class MapRevision {
  public:
-  static constexpr double kMoved = 0.02;  ///< of the scene's distance: what the newest keyframes may move, RMS
+  static constexpr double kMoved = 0.01;  ///< of the scene's distance: what the newest keyframes may move, RMS
   static constexpr int kNewest = 40;
 
   /// After every change of the poses. `scene_distance` in the map's unit.
