@@ -11,11 +11,15 @@
 namespace heightmap_mcl {
 namespace {
 
-TEST(GroundMap, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
+synthetic::Run runOf(int aerial_clouds) {
   synthetic::Options options;
   options.seed = 505;
-  options.aerial_clouds = 4;
-  const auto run = synthetic::makeRun(options);
+  options.aerial_clouds = aerial_clouds;
+  return synthetic::makeRun(options);
+}
+
+TEST(GroundMap, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
+  const synthetic::Run run = runOf(4);
   HeightMapLocalizer localizer({});
   EXPECT_FALSE(localizer.estimate().has_pose);
   EXPECT_NE(localizer.estimate().reason.find("ground"), std::string::npos);
@@ -36,10 +40,7 @@ TEST(GroundMap, OrderOfMapsDoesNotMatterAndMissingOnesAreNamed) {
 }
 
 TEST(GroundMap, AConvergedEstimateHoldsUntilTheGroundMapChanges) {
-  synthetic::Options options;
-  options.seed = 505;
-  options.aerial_clouds = 6;
-  const auto run = synthetic::makeRun(options);
+  const synthetic::Run run = runOf(6);
   HeightMapLocalizer localizer({});
   ASSERT_TRUE(localizer.setGround(run.ground));
   for (const auto& cloud : run.aerial) ASSERT_TRUE(localizer.addAerial(cloud));
@@ -72,10 +73,7 @@ TEST(GroundMap, AConvergedEstimateHoldsUntilTheGroundMapChanges) {
 }
 
 TEST(GroundMap, AGroundMapWithoutACellIsForgottenWhole) {
-  synthetic::Options options;
-  options.seed = 505;
-  options.aerial_clouds = 2;
-  const auto run = synthetic::makeRun(options);
+  const synthetic::Run run = runOf(2);
   HeightMapLocalizerSettings settings;
   settings.ground_map.min_points = 2;
   HeightMapLocalizer localizer(settings);

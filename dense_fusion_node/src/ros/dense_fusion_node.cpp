@@ -10,7 +10,6 @@
 #include <cmath>
 #include <thread>
 
-#include "air_ground_common/niceness.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
@@ -247,10 +246,5 @@ class DenseFusionNode {
 
 int main(int argc, char** argv) {
   using namespace dense_fusion;
-  return air_ground_common::ros_utils::runNode<NodeSettings>(argc, argv, "dense_fusion",
-                                                             [](const NodeSettings& settings) {
-                                                               air_ground_common::giveWay(settings.niceness);
-                                                               DenseFusionNode node(settings);
-                                                               ros::spin();
-                                                             });
+  return air_ground_common::ros_utils::runNode<NodeSettings, DenseFusionNode>(argc, argv, "dense_fusion");
 }

@@ -5,7 +5,6 @@
 
 #include <thread>
 
-#include "air_ground_common/niceness.h"
 #include "air_ground_common/ros/alignment_broadcaster.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/renewable_subscriber.h"
@@ -241,10 +240,5 @@ class HeightmapMclNode {
 
 int main(int argc, char** argv) {
   using namespace heightmap_mcl;
-  return air_ground_common::ros_utils::runNode<NodeSettings>(argc, argv, "heightmap_mcl",
-                                                             [](const NodeSettings& settings) {
-                                                               air_ground_common::giveWay(settings.niceness);
-                                                               HeightmapMclNode node(settings);
-                                                               ros::spin();
-                                                             });
+  return air_ground_common::ros_utils::runNode<NodeSettings, HeightmapMclNode>(argc, argv, "heightmap_mcl");
 }

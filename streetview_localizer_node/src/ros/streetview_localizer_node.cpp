@@ -13,7 +13,6 @@
 #include <string>
 #include <thread>
 
-#include "air_ground_common/niceness.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/transform_input.h"
@@ -223,7 +222,6 @@ int main(int argc, char** argv) {
   bool failed = false;
   const int status = air_ground_common::ros_utils::runNode<streetview_localizer::NodeSettings>(
       argc, argv, "streetview_localizer", [&](const auto& settings) {
-        air_ground_common::giveWay(settings.niceness);
         streetview_localizer::StreetviewLocalizerNode node{ros::NodeHandle(), ros::NodeHandle("~"), settings};
         ros::spin();
         failed = node.failed();

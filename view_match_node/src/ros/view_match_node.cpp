@@ -5,7 +5,6 @@
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
 
-#include "air_ground_common/niceness.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
@@ -138,10 +137,5 @@ class ViewMatchNode {
 
 int main(int argc, char** argv) {
   using namespace view_match;
-  return air_ground_common::ros_utils::runNode<NodeSettings>(argc, argv, "view_match",
-                                                             [](const NodeSettings& settings) {
-                                                               air_ground_common::giveWay(settings.niceness);
-                                                               ViewMatchNode node(settings);
-                                                               ros::spin();
-                                                             });
+  return air_ground_common::ros_utils::runNode<NodeSettings, ViewMatchNode>(argc, argv, "view_match");
 }

@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <string>
 
+#include "air_ground_common/niceness.h"
 #include "air_ground_common/parameters.h"
 
 namespace air_ground_common::ros_utils {
@@ -42,15 +43,27 @@ Settings readParameters(const ros::NodeHandle& private_handle) {
   return settings;
 }
 
-/// The main program of a node: `run(settings)` makes it and spins. With --parameters, prints its parameter file
-/// instead.
+/// Of settings that have a `niceness`; else 0.
+template <typename Settings>
+auto nicenessOf(const Settings& settings, int) -> decltype(settings.niceness) {
+  return settings.niceness;
+}
+template <typename Settings>
+int nicenessOf(const Settings&, long) {
+  return 0;
+}
+
+/// The main program of a node: `run(settings)` makes it and spins, with the niceness of its settings. With
+/// --parameters, prints its parameter file instead.
 template <typename Settings, typename Run>
 int runNode(int argc, char** argv, const std::string& name, const Run& run) {
   if (argc == 2 && std::string(argv[1]) == "--parameters") return std::fputs(yamlFile(Settings()).c_str(), stdout) < 0;
   ros::init(argc, argv, name);
   const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
   try {
-    run(readParameters<Settings>(ros::NodeHandle("~")));
+    const auto settings = readParameters<Settings>(ros::NodeHandle("~"));
+    giveWay(nicenessOf(settings, 0));
+    run(settings);
   } catch (const std::exception& e) {
     ROS_FATAL_STREAM(name << ": " << e.what());
     return 1;
