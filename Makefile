@@ -13,10 +13,9 @@
 SHELL := /bin/bash
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
 SANITIZE ?=
-# Below build/, which rosrun overlooks: what cmake puts beside would be found as a second program of each name.
+# Below build/, which rosrun overlooks: what lies beside would be found as a second program of each name.
 BUILD := $(ROOT)build$(addprefix /,$(SANITIZE))
-# Beside build/, as in a workspace, to be found.
-DEVEL := $(ROOT)devel$(addprefix -,$(SANITIZE))
+DEVEL := $(if $(SANITIZE),$(BUILD)/devel,$(ROOT)devel)
 FUZZ_SECONDS ?= 20
 FUZZ_TARGETS ?=
 JOBS ?= $(shell nproc)
@@ -81,7 +80,7 @@ bench: benchmarks
 
 # By clang, whose libFuzzer it is. Static: one program whose coverage libFuzzer sees whole.
 fuzz: BUILD := $(ROOT)build/fuzz
-fuzz: DEVEL := $(ROOT)devel-fuzz
+fuzz: DEVEL := $(ROOT)build/fuzz/devel
 fuzz:
 	@$(ROOT)tools/install_packages clang-14 libclang-rt-14-dev libomp-14-dev
 	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF) && $(messages)
@@ -90,7 +89,7 @@ fuzz:
 
 # Not in make test: seven seconds a file. Without headers precompiled by another compiler.
 tidy: BUILD := $(ROOT)build/tidy
-tidy: DEVEL := $(ROOT)devel-tidy
+tidy: DEVEL := $(ROOT)build/tidy/devel
 tidy: packages
 	@$(ROOT)tools/install_packages clang-tidy-14
 	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_PRECOMPILE=OFF) && $(messages)
@@ -102,4 +101,4 @@ docs:
 	@mkdir -p $(ROOT)build && cd $(ROOT) && doxygen Doxyfile && echo $(ROOT)build/doxygen/html/index.html
 
 clean:
-	rm -rf $(ROOT)build $(ROOT)devel $(ROOT)devel-*
+	rm -rf $(ROOT)build $(ROOT)devel

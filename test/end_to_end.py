@@ -1,11 +1,16 @@
 """What the end-to-end tests share: a demonstration run once for all test cases, its output and its report."""
 import os
 import subprocess
+import sys
 import tempfile
 import unittest
 
+import rospkg
 import rospy
 import yaml
+
+sys.path.insert(0, os.path.join(rospkg.RosPack().get_path('air_ground'), 'air_ground_eval', 'scripts'))
+from air_ground_eval.demo import find_program  # noqa: E402
 
 TIME_LIMIT = 1400  # [s], rendering, building of databases, and replay
 
@@ -22,7 +27,7 @@ class DemonstrationTest(unittest.TestCase):
         rospy.init_node(cls.program + '_test', anonymous=True, disable_signals=True)
         cls.folder = tempfile.TemporaryDirectory()
         cls.out = os.path.join(cls.folder.name, 'out')
-        command = ['rosrun', 'air_ground', cls.program, cls.out, '--no-rviz', '--world', str(rospy.get_param('~world')),
+        command = [find_program(cls.program), cls.out, '--no-rviz', '--world', str(rospy.get_param('~world')),
                    '--seed', str(rospy.get_param('~seed')), '--simulate', '--quiet ' + str(rospy.get_param('~simulate', ''))]
         result = subprocess.run(command, text=True, timeout=TIME_LIMIT, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         cls.output = result.stdout

@@ -13,7 +13,7 @@ import yaml
 
 sys.path.insert(0, os.path.dirname(os.path.realpath(__file__)))
 
-from end_to_end import DemonstrationTest  # noqa: E402
+from end_to_end import DemonstrationTest, find_program  # noqa: E402
 
 
 class EndToEndCity(DemonstrationTest):
@@ -71,7 +71,7 @@ class EndToEndCity(DemonstrationTest):
         for stamp, image in images.items():
             photograph = os.path.join(self.folder.name, 'photograph.png')
             cv2.imwrite(photograph, image)
-            result = subprocess.run(['rosrun', 'air_ground', '03_locate_photograph', database, photograph, calibration], capture_output=True, text=True, check=False)
+            result = subprocess.run([find_program('03_locate_photograph'), database, photograph, calibration], capture_output=True, text=True, check=False)
             if result.returncode == 0:
                 nearest = truth[min(truth, key=lambda t: abs(t - stamp))]
                 found.append(np.linalg.norm(np.array(result.stdout.splitlines()[-1].split(), float) - nearest))

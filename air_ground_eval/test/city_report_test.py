@@ -79,7 +79,7 @@ class CityReport(unittest.TestCase):
         with open(path('city.yaml'), 'w', encoding='utf-8') as stream:
             yaml.safe_dump({'geoid_undulation': UNDULATION, 'magnetic_declination': 3.0}, stream)
         with open(path('world.yaml'), 'w', encoding='utf-8') as stream:
-            subprocess.run(['rosrun', 'air_ground', 'city_parameters', '--database', path('x.gpkg'), '--city', path('city.yaml')], stdout=stream, check=True)
+            subprocess.run([demo.find_program('city_parameters'), '--database', path('x.gpkg'), '--city', path('city.yaml')], stdout=stream, check=True)
         params = ''.join(f'<param name="{k}" value="{v}"/>' for k, v in stand_in.items())
         with open(path('x.launch'), 'w', encoding='utf-8') as stream:
             stream.write('<launch><arg name="bag"/><arg name="db"/><arg name="out"/><arg name="world_config"/>'

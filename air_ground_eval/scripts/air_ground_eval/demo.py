@@ -18,6 +18,20 @@ def package_file(name):
     return os.path.join(rospkg.RosPack().get_path('air_ground'), name)
 
 
+def find_program(name):
+    """Path of a program of this package: beside the scripts, in the package's lib folder, or on PATH. In the workspace that was
+    sourced: rosrun asks which one is meant where a second one lies below the package (make test SANITIZE=...)."""
+    scripts = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+    candidates = [os.path.join(scripts, name)]
+    for prefix in os.environ.get('CMAKE_PREFIX_PATH', '').split(os.pathsep):
+        candidates.append(os.path.join(prefix, 'lib', 'air_ground', name))
+    candidates.append(package_file(os.path.join('..', '..', 'lib', 'air_ground', name)))
+    for candidate in candidates:
+        if os.access(candidate, os.X_OK):
+            return candidate
+    return shutil.which(name) or name
+
+
 def free_port():
     """Below those that the system hands out, lest another process gets it before the master does."""
     while True:
@@ -33,7 +47,7 @@ def free_port():
 def rendered_bag(program, world, seed, extra):
     """Path of the world's bag: `simulate` takes it from the cache when it was rendered before. Exits when that fails."""
     print(f'-- world {world}, seed {seed}: rendering its sensors, unless the cache has them (minutes)', flush=True)
-    command = ['rosrun', 'air_ground', 'simulate', '--world', world, '--seed', str(seed), '--cache', os.path.join(cache_folder(), 'bags')] + extra
+    command = [find_program('simulate'), '--world', world, '--seed', str(seed), '--cache', os.path.join(cache_folder(), 'bags')] + extra
     result = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True)
     bag = result.stdout.strip().splitlines()[-1] if result.stdout.strip() else ''
     if result.returncode != 0 or not os.path.isfile(bag):

@@ -1,7 +1,6 @@
 """What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
 import os
 import re
-import shutil
 import signal
 import subprocess
 import threading
@@ -351,17 +350,3 @@ def take_screenshot(path, notes):
         subprocess.run(['import', '-window', window, path], capture_output=True, text=True, timeout=30, check=True)
     except (OSError, subprocess.SubprocessError) as error:
         notes.append(f'no screenshot: {error}')
-
-
-def find_program(name):
-    """Path of a program of this package: beside the scripts, in the package's lib folder, or on PATH."""
-    import rospkg
-    scripts = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
-    candidates = [os.path.join(scripts, name)]
-    for prefix in os.environ.get('CMAKE_PREFIX_PATH', '').split(os.pathsep):
-        candidates.append(os.path.join(prefix, 'lib', 'air_ground', name))
-    candidates.append(os.path.join(rospkg.RosPack().get_path('air_ground'), '..', '..', 'lib', 'air_ground', name))
-    for candidate in candidates:
-        if os.access(candidate, os.X_OK):
-            return candidate
-    return shutil.which(name) or name
