@@ -15,7 +15,7 @@ ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
 SANITIZE ?=
 # Below build/, which rosrun overlooks: what lies beside would be found as a second program of each name.
 BUILD := $(ROOT)build$(addprefix /,$(SANITIZE))
-DEVEL := $(if $(SANITIZE),$(BUILD)/devel,$(ROOT)devel)
+DEVEL = $(if $(filter $(ROOT)build,$(BUILD)),$(ROOT)devel,$(BUILD)/devel)
 FUZZ_SECONDS ?= 20
 FUZZ_TARGETS ?=
 JOBS ?= $(shell nproc)
@@ -46,16 +46,15 @@ ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
 packages:
 	@$(ROOT)tools/install_packages
 
-# configure,extra options
-configure = $(ENVIRONMENT) cmake -S $(ROOT) -B $(BUILD) -G Ninja -DPYTHON_EXECUTABLE=/usr/bin/python3 \
+# configure,extra options: and the messages, first, since ninja looks at their headers once, when it starts, and ccache writes their
+# paths in another way.
+configure = mkdir -p $(BUILD) && $(ENVIRONMENT) cmake -S $(ROOT) -B $(BUILD) -G Ninja -DPYTHON_EXECUTABLE=/usr/bin/python3 \
 	-DCATKIN_DEVEL_PREFIX=$(DEVEL) -DCATKIN_ENABLE_TESTING=ON -DAIR_GROUND_SANITIZE=$(SANITIZE) -Wno-dev $(1) > $(BUILD)/configure.log 2>&1 \
-	|| { tail -30 $(BUILD)/configure.log; echo "configuring failed: the lines above say why (all of it: $(BUILD)/configure.log)"; exit 1; }
-
-# Messages first: ninja looks at their headers once, when it starts, since ccache writes their paths in another way.
-messages = $(ENVIRONMENT) ninja --quiet -C $(BUILD) -j $(JOBS) air_ground_generate_messages_cpp
+	|| { tail -30 $(BUILD)/configure.log; echo "configuring failed: the lines above say why (all of it: $(BUILD)/configure.log)"; exit 1; } \
+	&& $(ENVIRONMENT) ninja --quiet -C $(BUILD) -j $(JOBS) air_ground_generate_messages_cpp
 
 configured: packages
-	@mkdir -p $(BUILD) && $(call configure,) && $(messages)
+	@$(call configure,)
 
 build: configured
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
@@ -69,7 +68,7 @@ demo-city: configured
 	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
 
 benchmarks: packages
-	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_BENCHMARKS=ON) && $(messages)
+	@$(call configure,-DAIR_GROUND_BENCHMARKS=ON)
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS)
 
 test: benchmarks
@@ -80,19 +79,17 @@ bench: benchmarks
 
 # By clang, whose libFuzzer it is. Static: one program whose coverage libFuzzer sees whole.
 fuzz: BUILD := $(ROOT)build/fuzz
-fuzz: DEVEL := $(ROOT)build/fuzz/devel
 fuzz:
 	@$(ROOT)tools/install_packages clang-14 libclang-rt-14-dev libomp-14-dev
-	@mkdir -p $(BUILD) && $(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF) && $(messages)
+	@$(call configure,-DCMAKE_C_COMPILER=clang-14 -DCMAKE_CXX_COMPILER=clang++-14 -DAIR_GROUND_FUZZ=ON -DBUILD_SHARED_LIBS=OFF)
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) air_ground_fuzz_exe
 	@FUZZ_SECONDS=$(FUZZ_SECONDS) $(ROOT)tools/run_fuzzers $(DEVEL)/lib/air_ground/fuzz $(BUILD)/corpus $(FUZZ_TARGETS)
 
 # Not in make test: seven seconds a file. Without headers precompiled by another compiler.
 tidy: BUILD := $(ROOT)build/tidy
-tidy: DEVEL := $(ROOT)build/tidy/devel
 tidy: packages
 	@$(ROOT)tools/install_packages clang-tidy-14
-	@mkdir -p $(BUILD) && $(call configure,-DAIR_GROUND_PRECOMPILE=OFF) && $(messages)
+	@$(call configure,-DAIR_GROUND_PRECOMPILE=OFF)
 	@cd $(ROOT) && run-clang-tidy-14 -quiet -p $(BUILD) -j $(JOBS) '^$(ROOT)[a-z_/]*/src/.*\.cpp$$' > $(BUILD)/tidy.log 2>&1 && echo 'make tidy: nothing found' \
 		|| { grep -E -A3 '(warning|error): ' $(BUILD)/tidy.log; echo "make tidy: all of it in $(BUILD)/tidy.log"; exit 1; }
 

@@ -35,6 +35,9 @@ function(air_ground_executable)
   install(TARGETS ${target} RUNTIME DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
 endfunction()
 
+# How a test starts that leaves the processor to the rostest beside it.
+set(air_ground_behind nice -n 10)
+
 # air_ground_gtest(NAME <name> SOURCES <files> [LINK <targets>] [TIMEOUT s] [COST s])
 # A plain gtest, no roscore. Run by `make test` through ctest, several at a time, with what the rostest beside them leaves of the
 # processor; COST, about the seconds it takes, starts long ones first.
@@ -54,7 +57,7 @@ function(air_ground_gtest)
   if(NOT ARG_COST)
     set(ARG_COST 1)
   endif()
-  add_test(NAME ${ARG_NAME} COMMAND nice -n 10 $<TARGET_FILE:${target}>)
+  add_test(NAME ${ARG_NAME} COMMAND ${air_ground_behind} $<TARGET_FILE:${target}>)
   # Threads that wait for each other must not spin: another test runs beside.
   set_tests_properties(${ARG_NAME} PROPERTIES TIMEOUT ${ARG_TIMEOUT} COST ${ARG_COST} ENVIRONMENT OMP_WAIT_POLICY=passive)
 endfunction()
@@ -111,7 +114,7 @@ function(air_ground_bench)
   set_target_properties(${target} PROPERTIES OUTPUT_NAME ${ARG_NAME} RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/bench)
   target_link_libraries(${target} PRIVATE ${ARG_LINK} benchmark::benchmark benchmark::benchmark_main)
   if(CATKIN_ENABLE_TESTING)
-    add_test(NAME ${ARG_NAME}_once COMMAND nice -n 10 ${CMAKE_SOURCE_DIR}/tools/run_benchmark_once $<TARGET_FILE:${target}>)
+    add_test(NAME ${ARG_NAME}_once COMMAND ${air_ground_behind} ${CMAKE_SOURCE_DIR}/tools/run_benchmark_once $<TARGET_FILE:${target}>)
     set_tests_properties(${ARG_NAME}_once PROPERTIES TIMEOUT 600 LABELS benchmark COST 20 ENVIRONMENT OMP_WAIT_POLICY=passive)
   endif()
 endfunction()

@@ -1,4 +1,4 @@
-# What nearly every file reads, precompiled once for each kind of target: a quarter of the time that a build takes.
+# What nearly every file reads, precompiled once for each kind of target: about a sixth of the compilers' time.
 # Off where each file shall show that it includes what it uses (make tidy).
 option(AIR_GROUND_PRECOMPILE "Precompile the headers that most files read" ON)
 
@@ -12,7 +12,11 @@ if(AIR_GROUND_PRECOMPILE AND CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
   add_compile_options(-fpch-preprocess)  # ccache asks for it
 endif()
 
-# air_ground_precompiled_headers(<kind> HEADERS <headers> [LINK <targets>]): the kind's headers, in a target that has no code.
+set(plain_headers <algorithm> <array> <cmath> <fstream> <functional> <map> <memory> <optional> <random> <sstream> <string>
+  <unordered_map> <vector> <Eigen/Core> <Eigen/Geometry> <Eigen/LU> <opencv2/core.hpp>)
+
+# air_ground_precompiled_headers(<kind> [HEADERS <headers>] [LINK <targets>]): the plain headers and the kind's own, in a target
+# that has no code.
 function(air_ground_precompiled_headers KIND)
   cmake_parse_arguments(ARG "" "" "HEADERS;LINK" ${ARGN})
   if(NOT AIR_GROUND_PRECOMPILE)
@@ -21,8 +25,8 @@ function(air_ground_precompiled_headers KIND)
   set(source ${CMAKE_BINARY_DIR}/precompiled_${KIND}.cpp)
   file(GENERATE OUTPUT ${source} CONTENT "")
   add_library(air_ground_precompiled_${KIND} OBJECT ${source})
-  target_link_libraries(air_ground_precompiled_${KIND} PRIVATE ${ARG_LINK})
-  target_precompile_headers(air_ground_precompiled_${KIND} PRIVATE ${ARG_HEADERS})
+  target_link_libraries(air_ground_precompiled_${KIND} PRIVATE Eigen3::Eigen opencv_core ${ARG_LINK})
+  target_precompile_headers(air_ground_precompiled_${KIND} PRIVATE ${plain_headers} ${ARG_HEADERS})
 endfunction()
 
 # air_ground_precompile(<target> <kind>)
@@ -32,13 +36,11 @@ function(air_ground_precompile TARGET KIND)
   endif()
 endfunction()
 
-set(plain_headers <algorithm> <array> <cmath> <fstream> <functional> <map> <memory> <optional> <random> <sstream> <string>
-  <unordered_map> <vector> <Eigen/Core> <Eigen/Geometry> <Eigen/LU> <opencv2/core.hpp>)
-air_ground_precompiled_headers(plain HEADERS ${plain_headers} LINK Eigen3::Eigen opencv_core)
+air_ground_precompiled_headers(plain)
 if(CATKIN_ENABLE_TESTING)
-  air_ground_precompiled_headers(test HEADERS ${plain_headers} <gtest/gtest.h> LINK Eigen3::Eigen opencv_core GTest::gtest)
+  air_ground_precompiled_headers(test HEADERS <gtest/gtest.h> LINK GTest::gtest)
 endif()
-air_ground_precompiled_headers(ros HEADERS ${plain_headers} <ros/ros.h> <diagnostic_updater/diagnostic_updater.h>
+air_ground_precompiled_headers(ros HEADERS <ros/ros.h> <diagnostic_updater/diagnostic_updater.h>
   <nav_msgs/Odometry.h> <sensor_msgs/CameraInfo.h> <sensor_msgs/Image.h> <sensor_msgs/Imu.h> <sensor_msgs/PointCloud2.h>
   <std_srvs/Trigger.h> <tf2_ros/transform_broadcaster.h> <tf2_ros/transform_listener.h>
-  LINK Eigen3::Eigen opencv_core ${catkin_LIBRARIES})
+  LINK ${catkin_LIBRARIES})

@@ -5,11 +5,10 @@ import sys
 import tempfile
 import unittest
 
-import rospkg
 import rospy
 import yaml
 
-sys.path.insert(0, os.path.join(rospkg.RosPack().get_path('air_ground'), 'air_ground_eval', 'scripts'))
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'air_ground_eval', 'scripts'))
 from air_ground_eval.demo import find_program  # noqa: E402
 
 TIME_LIMIT = 1400  # [s], rendering, building of databases, and replay
