@@ -2,7 +2,7 @@
 #   make demo       replays an indoor world through roslaunch to one aligned, augmented map; results in out/
 #   make demo-city  replays a flight along a street: odometry, localization in a city model, tracking; results in out-city/
 #   make test       builds and runs every test, and every benchmark once at its smallest size
-#   make test SANITIZE=address    the same, watched for bad accesses and leaks (or undefined: undefined behaviour; thread: data races)
+#   make test SANITIZE=address    the same, watched for bad accesses and leaks (or undefined: undefined behaviour; address,undefined: both; thread: data races)
 #   make fuzz       feeds hostile files and messages to every reader; FUZZ_SECONDS=60 each, FUZZ_TARGETS="obj ply" for some
 #   make bench      prints the benchmarks, as ratios against plain references
 #   make tidy       looks for hidden mistakes with clang-tidy (.clang-tidy), in what is no test: half an hour on two cores
@@ -13,8 +13,10 @@
 SHELL := /bin/bash
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
 SANITIZE ?=
-# Below build/, which rosrun overlooks: what lies beside would be found as a second program of each name.
-BUILD := $(ROOT)build$(addprefix /,$(SANITIZE))
+# Below build/, which rosrun overlooks: what lies beside would be found as a second program of each name. A linker's option (-rpath)
+# ends at a comma.
+comma := ,
+BUILD := $(ROOT)build$(addprefix /,$(subst $(comma),-,$(SANITIZE)))
 DEVEL = $(if $(filter $(ROOT)build,$(BUILD)),$(ROOT)devel,$(BUILD)/devel)
 FUZZ_SECONDS ?= 20
 FUZZ_TARGETS ?=

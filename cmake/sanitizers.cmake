@@ -1,17 +1,17 @@
 # Programs that watch themselves. Each kind has a build folder of its own: make test SANITIZE=address, make fuzz.
-set(AIR_GROUND_SANITIZE "" CACHE STRING "address, undefined or thread")
+set(AIR_GROUND_SANITIZE "" CACHE STRING "address, undefined, both (address,undefined) or thread")
 option(AIR_GROUND_FUZZ "Build libFuzzer's program, by clang" OFF)
 
 if(AIR_GROUND_FUZZ)
   set(sanitizers address,undefined,float-cast-overflow)
   add_compile_options(-fsanitize=fuzzer-no-link)
-elseif(AIR_GROUND_SANITIZE MATCHES "^(address|undefined|thread)$")
+elseif(AIR_GROUND_SANITIZE MATCHES "^(address|undefined|address,undefined|thread)$")
   set(sanitizers ${AIR_GROUND_SANITIZE})
-  if(sanitizers STREQUAL "undefined")
-    set(sanitizers undefined,float-cast-overflow)
+  if(sanitizers MATCHES "undefined")
+    string(APPEND sanitizers ",float-cast-overflow")
   endif()
 elseif(AIR_GROUND_SANITIZE)
-  message(FATAL_ERROR "AIR_GROUND_SANITIZE is '${AIR_GROUND_SANITIZE}', not address, undefined or thread")
+  message(FATAL_ERROR "AIR_GROUND_SANITIZE is '${AIR_GROUND_SANITIZE}', not address, undefined, address,undefined or thread")
 endif()
 
 if(sanitizers)

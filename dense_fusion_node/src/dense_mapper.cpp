@@ -6,10 +6,17 @@
 #include <stdexcept>
 
 #include "air_ground_common/geometry.h"
+#include "sparse_depth.h"
 
 namespace dense_fusion {
+
+using air_ground_common::CloudCorrections;
+using air_ground_common::PosesByStamp;
+using air_ground_common::Similarity;
+
 namespace {
 
+constexpr std::size_t kMostPoses = 40000;  // half an hour of images 0.02 m apart
 constexpr std::size_t kRecentFrames = 65;  // the newest and what joins its depth map when it starts one
 
 double distance(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
@@ -39,6 +46,9 @@ DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings) {
 void DenseMapper::reset() {
   unit_ = 1;
   followed_ = false;
+  poses_.clear();
+  corrected_.clear();
+  made_.clear();
   forgetViews();
 }
 
@@ -54,9 +64,10 @@ void DenseMapper::forgetViews() {
 std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_common::CameraModel& camera,
                                          std::int64_t stamp, const Eigen::Isometry3d& T_map_camera_given,
                                          double depth_min, double depth_max, double readout_time) {
-  Eigen::Isometry3d T_map_camera = T_map_camera_given;
-  if (!air_ground_common::isValid(T_map_camera))
+  if (!air_ground_common::isValid(T_map_camera_given))
     throw std::invalid_argument("dense mapper: the camera pose is not a rigid transform");
+  const Eigen::Isometry3d T_now = air_ground_common::poseOfImage(corrected_, stamp).value_or(T_map_camera_given);
+  Eigen::Isometry3d T_map_camera = T_now;
   T_map_camera.translation() *= unit_;
   depth_min *= unit_;
   depth_max *= unit_;
@@ -67,6 +78,8 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
     sweep_ = std::make_unique<PlaneSweep>(rectifier_->camera(), settings_.sweep);
   }
   ++counters_.images;
+  poses_[stamp] = T_now;
+  if (poses_.size() > kMostPoses) poses_.erase(poses_.begin());
   const RowMotion rows = rowMotion(readout_time, stamp, T_map_camera, depth_min, depth_max);
   constexpr double kRedundantRotation = 0.05;
   if (!recent_.empty() && distance(recent_.back().T_map_camera, T_map_camera) < settings_.frame_spacing &&
@@ -122,6 +135,72 @@ std::optional<FusedMap> DenseMapper::followDistance(double scene_distance) {
   return fused;
 }
 
+CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
+  // Depth rests on baselines of the sweep's radius: where they have changed among each other, it was off.
+  constexpr double kBent = 0.02;
+  const double radius = settings_.fusion_radius / unit_, most = kBent * settings_.sweep_radius / unit_;
+  CloudCorrections since;
+  for (auto& [stamp, made] : made_) {
+    const auto [S, residual] = air_ground_common::localCorrection(poses_, now, made.place, radius);
+    if (residual > most || !made.T_now_returned) {
+      since[stamp] = made.T_now_returned = std::nullopt;
+      continue;
+    }
+    made.T_now_returned = air_ground_common::compose(S, *made.T_now_returned);
+    made.place = S * made.place;
+    since[stamp] = S;
+  }
+  followHere(now, air_ground_common::localCorrection(poses_, now, last_.T_map_camera.translation() / unit_, radius),
+             most);
+  for (auto& [stamp, T] : poses_)
+    if (const auto known = air_ground_common::poseOfImage(now, stamp)) T = *known;
+  corrected_ = now;
+  ++counters_.corrections;
+  return since;
+}
+
+// What waits to be fused, and what is to be swept with images to come.
+void DenseMapper::followHere(const PosesByStamp& now, const air_ground_common::LocalCorrection& here,
+                             double most_bent) {
+  const auto follow = [&](std::int64_t stamp, Eigen::Isometry3d* T_map_camera) {
+    if (const auto known = air_ground_common::poseOfImage(now, stamp)) {
+      *T_map_camera = *known;
+    } else {
+      T_map_camera->translation() = here.T_now_then * (T_map_camera->translation() / unit_);
+      T_map_camera->linear() = here.T_now_then.R * T_map_camera->linear().eval();
+    }
+    T_map_camera->translation() *= unit_;
+  };
+  follow(last_.stamp, &last_.T_map_camera);
+  for (Frame& frame : recent_) follow(frame.stamp, &frame.T_map_camera);
+  if (here.residual > most_bent) {
+    group_.clear();
+    carried_over_ = 0;
+    sweeping_ = false;
+    return;
+  }
+  for (DepthMap& map : group_) {
+    follow(map.stamp, &map.T_map_camera);
+    map.depth *= here.T_now_then.scale;
+  }
+  if (!sweeping_) return;
+  Eigen::Isometry3d T_map_reference = sweep_->reference().T_map_camera;
+  follow(sweep_->reference().stamp, &T_map_reference);
+  sweep_->moveReference(T_map_reference);
+}
+
+CloudCorrections DenseMapper::corrections() const {
+  CloudCorrections corrections;
+  for (const auto& [stamp, made] : made_) corrections[stamp] = made.T_now_returned;
+  return corrections;
+}
+
+std::vector<Eigen::Vector3f> DenseMapper::sparsePoints() const {
+  std::vector<Eigen::Vector3f> points = sparse_points_;
+  for (Eigen::Vector3f& p : points) p *= static_cast<float>(unit_);
+  return points;
+}
+
 std::optional<FusedMap> DenseMapper::inPosesUnit(std::optional<FusedMap> fused) const {
   if (!fused || unit_ == 1) return fused;
   const double scale = 1 / unit_;
@@ -158,6 +237,9 @@ void DenseMapper::finishSweep() {
     return;
   }
   ++counters_.depth_maps;
+  // Errors of poses within so short a baseline show in the depth as a whole; landmarks have been seen from further
+  // apart.
+  if (const auto ratio = sparseDepthRatio(map, sparsePoints())) map.depth *= *ratio;
   if (on_depth_map_) on_depth_map_(map);
   group_.push_back(std::move(map));
 }
@@ -190,11 +272,13 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
         reference = i;
       }
     }
-    std::vector<Eigen::Vector3f> sparse = sparse_points_;
-    for (Eigen::Vector3f& p : sparse) p *= static_cast<float>(unit_);
-    fused = fuseDepthMaps(group, reference, settings_.fusion, sparse);
-    counters_.fused += fused.has_value();
-    if (fused) fused->newest_image = recent_.back().stamp;
+    fused = fuseDepthMaps(group, reference, settings_.fusion, sparsePoints());
+    if (fused) {
+      ++counters_.fused;
+      fused->newest_image = recent_.back().stamp;
+      made_[fused->depth_map.stamp] = {fused->depth_map.T_map_camera.translation() / unit_, Similarity()};
+      if (made_.size() > air_ground_common::kFollowedClouds) made_.erase(made_.begin());
+    }
   } else {
     ++counters_.small_groups;
   }

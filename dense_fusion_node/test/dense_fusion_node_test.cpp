@@ -1,8 +1,10 @@
 // The node from outside: rendered flights in, clouds and depth maps out.
+#include <air_ground/CloudCorrections.h>
 #include <air_ground/PosedDepthMap.h>
 #include <air_ground/PosedImage.h>
 #include <air_ground/SaveMap.h>
 #include <gtest/gtest.h>
+#include <nav_msgs/Path.h>
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <sensor_msgs/image_encodings.h>
@@ -22,6 +24,7 @@
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/node_testing.h"
+#include "air_ground_common/statistics.h"
 #include "synthetic_scene.h"
 
 namespace {
@@ -337,20 +340,64 @@ TEST(MapStore, PointsComeInWhileItWrites) {
   const dense_fusion::NodeSettings settings;
   ros_utils::NodeHealth health("map_store");
   dense_fusion::MapStore store(settings, health);
-  store.add({{{1, 2, 3}, {0, 0, 1}, 9, 1}});
+  store.add(1, {{{1, 2, 3}, {0, 0, 1}, 9, 1}});
   const std::string pipe = "/tmp/map_store_" + std::to_string(getpid()) + ".ply";
   ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
   auto written = std::async(std::launch::async, [&] {
     EXPECT_THROW(store.write(pipe), std::runtime_error);  // in the end: it is no map
   });
   EXPECT_EQ(written.wait_for(std::chrono::milliseconds(300)), std::future_status::timeout);
-  auto added = std::async(std::launch::async, [&] { store.add({{{4, 5, 6}, {0, 0, 1}, 9, 1}}); });
+  auto added = std::async(std::launch::async, [&] { store.add(2, {{{4, 5, 6}, {0, 0, 1}, 9, 1}}); });
   EXPECT_EQ(added.wait_for(std::chrono::seconds(5)), std::future_status::ready);
   std::ofstream(pipe) << "not a map";
   written.wait();
   added.wait();
   EXPECT_EQ(store.size(), 2u);
   std::remove(pipe.c_str());
+}
+
+// What was reconstructed lies where the map's correction puts it, in the file, too.
+TEST_F(DenseFusionNodeTest, CloudsFollowACorrectionOfTheMap) {
+  std::vector<air_ground::CloudCorrections::ConstPtr> corrections;
+  const auto subscriber = handle_.subscribe<air_ground::CloudCorrections>(
+      "mav/cloud_corrections", 10, [&](const air_ground::CloudCorrections::ConstPtr& m) { corrections.push_back(m); });
+  auto publisher = handle_.advertise<nav_msgs::Path>("mav/corrected_path", 10);
+  ASSERT_TRUE(spinUntil([&] { return publisher.getNumSubscribers() > 0 && subscriber.getNumPublishers() > 0; }));
+  fly(1000, 1);
+  flushToCloud(1000);
+  const auto heights = [&] {
+    air_ground::SaveMap save;
+    save.request.path = std::string(P_tmpdir) + "/dense_fusion_correction.ply";
+    EXPECT_TRUE(ros_utils::callService("dense_fusion/save_map", save));
+    std::vector<float> z;
+    for (const auto& p : air_ground_common::readPlyPoints(save.request.path)) z.push_back(p.position.z());
+    std::remove(save.request.path.c_str());
+    return z;
+  };
+  const float before = air_ground_common::median(heights());
+
+  nav_msgs::Path path;
+  path.header = message(kFrames - 1, 1000, 1).header;
+  for (int i = 0; i < kFrames; ++i) {
+    const air_ground::PosedImage image = message(i, 1000, 1);
+    path.poses.emplace_back().header.stamp = image.header.stamp;
+    path.poses.back().pose = image.pose.pose;
+    path.poses.back().pose.position.z += 0.5;
+  }
+  nav_msgs::Path other = path;
+  other.header.frame_id = "mav_visual_map";
+  publisher.publish(other);  // of another map
+  publisher.publish(path);
+  ASSERT_TRUE(spinUntil([&] { return !corrections.empty(); }));
+  ASSERT_EQ(corrections.size(), 1u);
+  const auto& msg = *corrections.back();
+  EXPECT_EQ(msg.header.frame_id, "mav_map");
+  EXPECT_EQ(msg.map_id, 1u);
+  ASSERT_EQ(msg.stamps.size(), 1u);
+  EXPECT_EQ(msg.stamps[0], clouds_.back()->header.stamp);
+  EXPECT_NEAR(msg.scales[0], 1, 1e-3);
+  EXPECT_NEAR(msg.poses[0].position.z, 0.5, 1e-3);
+  EXPECT_NEAR(air_ground_common::median(heights()), before + 0.5f, 0.01f);
 }
 
 }  // namespace

@@ -11,56 +11,18 @@
 #include "air_ground_common/first_exception.h"
 #include "dense_fusion/guarded.h"
 #include "dense_fusion/point_map.h"
-#include "synthetic_scene.h"
+#include "straight_flight.h"
 
 namespace dense_fusion {
 namespace {
 
 using testing::boxScene;
+using testing::flight;
+using testing::flightPose;
+using testing::fly;
 using testing::lookDown;
-
-air_ground_common::CameraModel smallCamera() {
-  air_ground_common::CameraModel c;
-  c.width = 240;
-  c.height = 160;
-  c.fx = c.fy = 150;
-  c.cx = 119.5;
-  c.cy = 79.5;
-  return c;
-}
-
-MapperSettings smallSettings() {
-  MapperSettings s;
-  s.rectifier.scale = 1;
-  s.fusion.voxel_size = 0.03;
-  s.sweep.hypotheses = 100;
-  s.frame_spacing = 0.02;
-  return s;
-}
-
-// A straight flight rendered once for all tests: 1.7 m at 2 m above the boxes.
-const std::vector<cv::Mat>& flight() {
-  static const std::vector<cv::Mat> images = [] {
-    std::vector<cv::Mat> result;
-    for (int i = 0; i < 57; ++i)
-      result.push_back(boxScene().render(smallCamera(), lookDown({-0.8 + 0.03 * i, 0, 2}, 0.02, 0.01, 0.1),
-                                         1 + 0.004 * i, -i * 0.2));
-    return result;
-  }();
-  return images;
-}
-
-Eigen::Isometry3d flightPose(int i) { return lookDown({-0.8 + 0.03 * i, 0, 2}, 0.02, 0.01, 0.1); }
-
-std::vector<FusedMap> fly(DenseMapper* mapper) {
-  std::vector<FusedMap> maps;
-  for (std::size_t i = 0; i < flight().size(); ++i)
-    if (auto fused = mapper->add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * 50000000,
-                                 flightPose(static_cast<int>(i)), 1.3, 2.05))
-      maps.push_back(std::move(*fused));
-  if (auto fused = mapper->flush()) maps.push_back(std::move(*fused));
-  return maps;
-}
+using testing::smallCamera;
+using testing::smallSettings;
 
 // Rows that come later see further along the way: untold, the baseline between two images is wrong, and so is depth, by
 // the share v f readout / (z height) = 0.6 * 150 * 0.03 / (2 * 160).

@@ -60,6 +60,24 @@ void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
   while (aerial_.size() > static_cast<std::size_t>(settings_.recent_clouds)) aerial_.pop_front();
 }
 
+void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& corrections) {
+  std::optional<Similarity> newest;
+  for (auto aerial = aerial_.begin(); aerial != aerial_.end();) {
+    const auto it = corrections.find(aerial->first);
+    const bool bent = it != corrections.end() && !it->second;
+    if (it != corrections.end() && it->second) {
+      aerial->second = transformed(aerial->second, *it->second);
+      removeInvalid(aerial->second);
+      newest = it->second;
+    }
+    aerial = bent ? aerial_.erase(aerial) : std::next(aerial);
+  }
+  if (!newest) return;
+  const Similarity T_then_now = inverse(*newest);
+  if (tracked_) tracked_ = compose(*tracked_, T_then_now);
+  if (unconfirmed_) unconfirmed_->second = compose(unconfirmed_->second, T_then_now);
+}
+
 void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
   coarse_ = T;
   coarse_sure_ = sure;

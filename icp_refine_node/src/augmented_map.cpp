@@ -6,6 +6,14 @@
 
 namespace icp_refine {
 
+namespace {
+
+void add(const std::vector<LabeledPoint>& points, AerialVoxels* voxels) {
+  for (const auto& p : points) voxels->add(p.position, p.rgb[0]);
+}
+
+}  // namespace
+
 void AerialVoxels::add(const Eigen::Vector3f& point, float intensity) {
   if (!point.allFinite() || point.cwiseAbs().maxCoeff() > 1e4f || !std::isfinite(intensity)) return;
   Voxel& v = voxels_[cellKey(point, leaf_)];
@@ -65,8 +73,21 @@ std::vector<char> addedByAir(const std::vector<Eigen::Vector3f>& aerial, const s
   return mask;
 }
 
-void AugmentedMap::addAerial(const std::vector<LabeledPoint>& points) {
-  for (const auto& p : points) aerial_.add(p.position, p.rgb[0]);
+void AugmentedMap::addAerial(std::int64_t stamp, std::vector<LabeledPoint> points) {
+  add(points, &aerial_);
+  clouds_.add(stamp, std::move(points), [this](const std::vector<LabeledPoint>& old) { add(old, &settled_); });
+}
+
+void AugmentedMap::correctAerial(const air_ground_common::CloudCorrections& corrections) {
+  clouds_.correct(corrections);
+  aerial_ = settled_;
+  for (const auto& [stamp, points] : clouds_.clouds()) add(points, &aerial_);
+}
+
+void AugmentedMap::clearAerial() {
+  clouds_.clear();
+  settled_.clear();
+  aerial_.clear();
 }
 
 std::vector<LabeledPoint> AugmentedMap::points() const {

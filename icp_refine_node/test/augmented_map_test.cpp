@@ -49,7 +49,7 @@ TEST(AddedByAir, OnlyWhereTheGroundRobotSawNothing) {
 TEST(AugmentedMap, HoldsAerialPointsOnlyWhileAligned) {
   AugmentedMap map({});
   map.setGround({{{1, 0, 0}, {10, 20, 30}, 1}});
-  map.addAerial({{{0, 2, 0}, {77, 77, 77}, 1}});
+  map.addAerial(1, {{{0, 2, 0}, {77, 77, 77}, 1}});
   ASSERT_EQ(map.points().size(), 1u);
   EXPECT_EQ(map.points()[0].source, 0);
   EXPECT_EQ(map.points()[0].rgb[0], 220) << "red";
@@ -70,10 +70,25 @@ TEST(AugmentedMap, HoldsAerialPointsOnlyWhileAligned) {
 
 TEST(AugmentedMap, AppliesTheScale) {
   AugmentedMap map({});
-  map.addAerial({{{0, 2, 0}, {77, 77, 77}, 1}});
+  map.addAerial(1, {{{0, 2, 0}, {77, 77, 77}, 1}});
   map.align(Similarity{0.5, Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitZ()).toRotationMatrix(), {0, 0, 5}});
   ASSERT_EQ(map.points().size(), 1u);
   EXPECT_LT((map.points()[0].position - Eigen::Vector3f(-1, 0, 5)).norm(), 1e-6);
+}
+
+TEST(AugmentedMap, AerialCloudsFollowTheirMap) {
+  AugmentedMap map({});
+  map.align(similarity(Pose::Identity()));
+  map.addAerial(1, {{{0, 2, 0}, {77, 77, 77}, 1}});
+  map.addAerial(2, {{{0, 4, 0}, {78, 78, 78}, 1}});
+  map.addAerial(3, {{{0, 6, 0}, {79, 79, 79}, 1}});
+  map.correctAerial({{1, Similarity{2, Eigen::Matrix3d::Identity(), {0, 0, 1}}}, {3, std::nullopt}});
+  const auto points = map.points();
+  ASSERT_EQ(points.size(), 2u) << "the last is off in itself";
+  EXPECT_LT((points[0].position - Eigen::Vector3f(0, 4, 1)).norm(), 1e-6);
+  EXPECT_LT((points[1].position - Eigen::Vector3f(0, 4, 0)).norm(), 1e-6);
+  map.clearAerial();
+  EXPECT_TRUE(map.points().empty());
 }
 
 TEST(AugmentedMap, FillsOnlyWhatTheGroundRobotDidNotSee) {
@@ -83,7 +98,7 @@ TEST(AugmentedMap, FillsOnlyWhatTheGroundRobotDidNotSee) {
   AugmentedMap map(settings);
   map.align(Similarity());
   map.setGround({{{0.01f, 0.01f, 0.01f}, {10, 20, 30}, 0}});
-  map.addAerial({{{0.03f, 0.01f, 0.01f}, {77, 77, 77}, 1}, {{1, 0, 0}, {77, 77, 77}, 1}});
+  map.addAerial(1, {{{0.03f, 0.01f, 0.01f}, {77, 77, 77}, 1}, {{1, 0, 0}, {77, 77, 77}, 1}});
   const auto points = map.points();
   ASSERT_EQ(points.size(), 2u);
   EXPECT_EQ(points[0].rgb[2], 30);

@@ -383,6 +383,28 @@ TEST_F(Refiner, AFlatFloorStaysDegenerateWhateverItsScale) {
   EXPECT_EQ(out.T_ground_map_mav_map.scale, 1);
 }
 
+// The MAV's map grows by 2 % about its origin and shifts; the ground robot's stays.
+TEST_F(Refiner, FollowsACorrectionOfTheAerialMap) {
+  refiner.setCoarse(moved(0.2, -0.1, 0.1, 0.06));
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  const Similarity S{1.02, Eigen::AngleAxisd(0.03, Eigen::Vector3d::UnitZ()).toRotationMatrix(), {0.2, -0.1, 0.05}};
+  refiner.correctAerial({{1, S}, {99, std::nullopt}});
+  const auto errorNow = [&](const Similarity& T) {
+    return (T * (S * centre) - scene.T_ground_map_mav_map * centre).norm();
+  };
+  EXPECT_LT(errorNow(*refiner.refined()), 0.08) << "at once";
+  EXPECT_NEAR(refiner.refined()->scale, 1 / 1.02, 0.01);
+  refiner.setScaleDeviation(0.02);
+  const auto out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_TRUE(out.tracking);
+  EXPECT_LT(errorNow(out.T_ground_map_mav_map), 0.08);
+
+  refiner.correctAerial({{1, std::nullopt}});
+  EXPECT_NE(refiner.refine().reason.find("aerial"), std::string::npos) << "a cloud that is off in itself goes";
+  EXPECT_TRUE(refiner.tracking());
+}
+
 TEST(Similarity, InverseProductAndTheRigidTransformAtAPoint) {
   const Similarity T{1.7, air_ground_common::expSO3({0.3, -0.5, 1.1}), {1, 2, 3}};
   const Eigen::Vector3d p(0.4, -0.7, 2.5), q(5, 1, -2);

@@ -19,7 +19,7 @@ void MapRevision::follow(const visual_frontend::Map& map, double scene_distance)
     ++known;
   }
   const bool moved = known > 0 && std::sqrt(squares / known) > kMoved * scene_distance;
-  count_ += moved;
+  corrections_ += moved;
   positions_ = std::move(moved ? now : then);
 }
 

@@ -256,6 +256,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->metric = metric();
   result->map_id = map_id;
   result->map_revision = revision.count();
+  result->map_corrections = revision.corrections();
   result->keyframe = made_keyframe;
   result->keyframes = map.keyframeCount();
   result->landmarks = map.landmarkCount();

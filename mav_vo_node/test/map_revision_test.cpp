@@ -21,16 +21,16 @@ struct Flight {
   }
 };
 
-TEST(MapRevision, CountsWhatMovesTheMapByOnePercentOfTheScenesDistanceInSum) {
+TEST(MapRevision, CountsCorrectionsOfTwoThousandthsOfTheScenesDistanceInSum) {
   Flight flight;
   for (int i = 0; i < 10; ++i) flight.add(4 + 0.1 * i);
-  EXPECT_EQ(flight.revision.count(), 0u);
-  flight.scale(1.005);  // 2.2 cm of 3
-  EXPECT_EQ(flight.revision.count(), 0u);
-  flight.scale(1.005);
-  EXPECT_EQ(flight.revision.count(), 1u) << "small steps add up";
-  flight.scale(1.005);
-  EXPECT_EQ(flight.revision.count(), 1u) << "of the map as it was corrected last";
+  EXPECT_EQ(flight.revision.corrections(), 0u);
+  flight.scale(1.001);  // 4.4 mm of 3 m
+  EXPECT_EQ(flight.revision.corrections(), 0u);
+  flight.scale(1.001);
+  EXPECT_EQ(flight.revision.corrections(), 1u) << "small steps add up";
+  flight.scale(1.001);
+  EXPECT_EQ(flight.revision.corrections(), 1u) << "of the map as it was corrected last";
 }
 
 TEST(MapRevision, NeitherAnotherUnitNorKeyframesThatCome) {
@@ -38,9 +38,19 @@ TEST(MapRevision, NeitherAnotherUnitNorKeyframesThatCome) {
   for (int i = 0; i < 100; ++i) flight.add(0.1 * i);
   flight.revision.restart();
   flight.scale(2);
-  EXPECT_EQ(flight.revision.count(), 0u);
+  EXPECT_EQ(flight.revision.corrections(), 0u);
   for (int i = 0; i < 100; ++i) flight.add(20);
+  EXPECT_EQ(flight.revision.corrections(), 0u);
+}
+
+TEST(MapRevision, BentRaysAreAnotherMatter) {
+  Flight flight;
+  for (int i = 0; i < 10; ++i) flight.add(4 + 0.1 * i);
+  flight.scale(1.05);
   EXPECT_EQ(flight.revision.count(), 0u);
+  flight.revision.next();
+  EXPECT_EQ(flight.revision.count(), 1u);
+  EXPECT_EQ(flight.revision.corrections(), 1u);
 }
 
 }  // namespace

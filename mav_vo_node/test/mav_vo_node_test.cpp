@@ -17,6 +17,7 @@
 
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/trajectory.h"
 #include "synthetic_camera.h"
@@ -48,6 +49,8 @@ class MavVoNode : public testing::Test {
             "mav/vo_status", 1000, [this](const air_ground::VoStatus::ConstPtr& m) { status_.push_back(*m); }),
         handle_.subscribe<sensor_msgs::PointCloud2>(
             "mav/sparse_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(*m); }),
+        handle_.subscribe<nav_msgs::Path>("mav/corrected_path", 100,
+                                          [this](const nav_msgs::Path::ConstPtr& m) { corrected_.push_back(m); }),
         handle_.subscribe<sensor_msgs::Image>("mav/track_image", 100,
                                               [this](const sensor_msgs::Image::ConstPtr& m) { tracks_.push_back(m); }),
         handle_.subscribe("/tf", 1000, &MavVoNode::onTf, this)};
@@ -148,6 +151,7 @@ class MavVoNode : public testing::Test {
   air_ground_common::Trajectory truth_camera_, truth_base_;
   std::vector<nav_msgs::Odometry> odometry_;
   std::vector<air_ground::PosedImage::ConstPtr> posed_;
+  std::vector<nav_msgs::Path::ConstPtr> corrected_;
   std::vector<air_ground::VoIncrement> increments_;
   std::vector<air_ground::VoStatus> status_;
   std::vector<sensor_msgs::PointCloud2> clouds_;
@@ -209,6 +213,17 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   const Pose T_camera = ros_utils::fromMsg(posed_.back()->pose.pose),
              T_base = ros_utils::fromMsg(same_image->pose.pose);
   EXPECT_LT(((T_base * synthetic::T_imu_camera()).translation() - T_camera.translation()).norm(), 1e-6);
+  // Corrections of the map: cameras, images that were posed among them.
+  std::printf("%zu corrections of the map\n", corrected_.size());
+  for (const auto& path : corrected_) {
+    EXPECT_EQ(path->header.frame_id, "mav_map");
+    const auto poses = ros_utils::fromMsg(*path);
+    ASSERT_EQ(poses.size(), path->poses.size()) << "a stamp twice";
+    const auto first = std::find_if(posed_.begin(), posed_.end(), [](const auto& p) { return p->metric; });
+    const auto T = air_ground_common::poseOfImage(poses, static_cast<std::int64_t>((*first)->header.stamp.toNSec()));
+    ASSERT_TRUE(T);
+    EXPECT_LT((T->translation() - ros_utils::fromMsg((*first)->pose.pose).translation()).norm(), 0.1);
+  }
   // Image rate: a pose with every image once metric.
   EXPECT_NEAR(static_cast<double>(odometry_.size()),
               (odometry_.back().header.stamp - odometry_.front().header.stamp).toSec() / 0.05 + 1, 3);

@@ -100,7 +100,7 @@ class OfflineRun {
         "a "
         "whole %u times; %.2f ms a frame (median %.2f, 95 %% %.2f, worst %.1f)\n",
         frames, located_, located_at_, odometry_.mapId(), odometry_.map().keyframeCount(), metric_at_,
-        last_.map_revision,
+        last_.map_corrections,
         1e3 * std::accumulate(times_.begin(), times_.end(), 0.0) /
             static_cast<double>(std::max<std::size_t>(1, frames)),
         frames ? 1e3 * times_[frames / 2] : 0, frames ? 1e3 * times_[frames * 95 / 100] : 0,

@@ -7,6 +7,7 @@
 
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "dense_fusion/dense_mapper.h"
 #include "dense_fusion/point_map.h"
 #include "fuzzing.h"
@@ -97,6 +98,17 @@ void posedImages(const Bytes& bytes) {
       if (own_unit && distance > 0 && std::isfinite(distance)) keep(mapper.followDistance(distance));
       if (before != mapper.unit()) map.emplace(0.01 / mapper.unit());
     });
+    if (source.take<std::uint8_t>() % 4 == 3) {
+      nav_msgs::Path path;
+      for (int k = 0; k < i; ++k) {
+        path.poses.emplace_back().header.stamp = ros::Time(100 + 0.1 * k);
+        path.poses.back().pose = ru::toMsg(air_ground_common::Pose(Eigen::Translation3d(1.01 * kStep * k, 0, 0)));
+        if (source.take<std::uint8_t>() % 8 == 7) path.poses.back().pose.position.y = source.number();
+      }
+      answers([&] { mapper.correct(ru::fromMsg(path)); });
+      for (const auto& [stamp, S] : mapper.corrections())
+        require(!S || (S->t.allFinite() && S->scale > 0), "correction of a fused map");
+    }
     answers([&] {
       keep(mapper.add(ru::greyFromMsg(msg), ru::fromMsg(msg.camera_info),
                       static_cast<std::int64_t>(msg.header.stamp.toNSec()), ru::fromMsg(msg.pose.pose), msg.depth_min,

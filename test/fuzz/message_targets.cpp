@@ -10,6 +10,7 @@
 #include "air_ground_common/rectification.h"
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "ekf_tracker/tilt_source.h"
 #include "fuzzing.h"
 #include "heightmap_mcl/height_map.h"
@@ -224,7 +225,7 @@ void refinement(const Bytes& bytes) {
   map_settings.max_voxels = 500;
   ir::AugmentedMap map(map_settings);
   for (int messages = 0; messages < 20 && !source.empty(); ++messages) {
-    const auto kind = source.take<std::uint8_t>() % 9;  // 8: nothing
+    const auto kind = source.take<std::uint8_t>() % 10;  // 9: nothing
     answers([&] {
       air_ground::AlignmentEstimate estimate;
       estimate.scale = 1;
@@ -246,11 +247,22 @@ void refinement(const Bytes& bytes) {
         const ir::Cloud cloud = mapFrom(source);
         std::vector<ir::LabeledPoint> points(cloud.size());
         for (std::size_t i = 0; i < points.size(); ++i) points[i].position = cloud.points[i];
-        map.addAerial(points);
+        map.addAerial(messages, std::move(points));
         refiner.addAerial(messages, cloud);
       }
+      if (kind == 8) {
+        air_ground::CloudCorrections msg;
+        for (int i = 0; i < messages; ++i) {
+          msg.stamps.emplace_back(0, static_cast<std::uint32_t>(i));
+          msg.poses.push_back(poseFrom(source));
+          msg.scales.push_back(source.take<std::uint8_t>() % 2 ? 1.01 : source.number());
+        }
+        const auto corrections = ru::fromMsg(msg);
+        map.correctAerial(corrections);
+        refiner.correctAerial(corrections);
+      }
     });
-    if (kind < 8 && !source.empty()) continue;
+    if (kind < 9 && !source.empty()) continue;
     const ir::RefineOutcome out = refiner.refine();
     if (out.status != ir::RefineStatus::kConverged) continue;
     require(out.T_ground_map_mav_map.t.allFinite() && out.T_ground_map_mav_map.scale > 0, "refined pose");

@@ -119,7 +119,8 @@ bool ViewMatcher::recognise(WaitingImage& image) {
   const auto match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
   last_reason_ = match.success ? "" : match.reason;
   if (!match.success) return false;
-  RecognisedImage seen{image.T_mav_camera,
+  RecognisedImage seen{image.stamp,
+                       image.T_mav_camera,
                        match.T_place_query,
                        match.keyframe,
                        match.covariance,
@@ -169,9 +170,9 @@ bool ViewMatcher::matchWaiting() {
   return waiting_.size() < before;
 }
 
-bool ViewMatcher::addImage(const cv::Mat& image, const air_ground_common::CameraModel& camera, const Pose& T_mav_camera,
-                           const std::vector<Eigen::Vector3f>& landmarks) {
-  WaitingImage query{{}, camera, T_mav_camera, {}, 0};
+bool ViewMatcher::addImage(std::int64_t stamp, const cv::Mat& image, const air_ground_common::CameraModel& camera,
+                           const Pose& T_mav_camera, const std::vector<Eigen::Vector3f>& landmarks) {
+  WaitingImage query{stamp, {}, camera, T_mav_camera, {}, 0};
   const Pose T_camera_mav = T_mav_camera.inverse();
   std::vector<double> depths;
   for (const Eigen::Vector3f& p_mav : landmarks) {
@@ -188,6 +189,14 @@ bool ViewMatcher::addImage(const cv::Mat& image, const air_ground_common::Camera
   waiting_.push_back(std::move(query));
   if (waiting_.size() > static_cast<std::size_t>(settings_.max_waiting)) waiting_.pop_front();
   return false;
+}
+
+void ViewMatcher::correctAerial(const air_ground_common::PosesByStamp& T_mav_camera) {
+  const auto follow = [&](auto& image) {
+    if (const auto T = air_ground_common::poseOfImage(T_mav_camera, image.stamp)) image.T_mav_camera = *T;
+  };
+  for (RecognisedImage& image : images_) follow(image);
+  for (WaitingImage& image : waiting_) follow(image);
 }
 
 void ViewMatcher::forgetGround() {

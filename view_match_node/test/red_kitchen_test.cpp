@@ -93,7 +93,7 @@ TEST(RedKitchen, ImagesTellPlaceAttitudeAndScale) {
     Pose T_mav_camera = Pose::Identity();
     T_mav_camera.linear() = truth.R.transpose() * T_ground_camera.linear();
     T_mav_camera.translation() = truth.R.transpose() * (T_ground_camera.translation() - truth.t) / truth.scale;
-    recognised += matcher.addImage(greyImage(frame), colour, T_mav_camera, {});
+    recognised += matcher.addImage(1000000 * frame, greyImage(frame), colour, T_mav_camera, {});
     flown.push_back(T_mav_camera);
   }
   const MatchEstimate e = matcher.estimate();

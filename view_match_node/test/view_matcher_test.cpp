@@ -12,10 +12,10 @@ class ViewMatching : public testing::Test, protected CornerScene {
     for (const KeyframeView& view : groundViews(corner)) matcher.addKeyframe(view);
   }
 
-  bool addView(const Corner& corner, ViewMatcher& matcher, const Pose& T_ground_camera) const {
+  bool addView(const Corner& corner, ViewMatcher& matcher, const Pose& T_ground_camera, std::int64_t stamp = 0) const {
     cv::Mat depth;
     const cv::Mat image = render(corner, T_ground_camera, &depth);
-    return matcher.addImage(image, camera, inMavMap(T_ground_camera), landmarks(depth, T_ground_camera));
+    return matcher.addImage(stamp, image, camera, inMavMap(T_ground_camera), landmarks(depth, T_ground_camera));
   }
 
   void addFlight(const Corner& corner, ViewMatcher& matcher) const {
@@ -52,6 +52,30 @@ TEST_F(ViewMatching, DepthsTellTheScaleBeforeTheMavHasMovedFar) {
   const MatchEstimate e = matcher.estimate();
   ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
   EXPECT_NEAR(e.T_ground_mav.scale / truth.scale, 1, 0.02);
+}
+
+// Images of a map that is 10 cm and some degrees off at first.
+TEST_F(ViewMatching, ImagesFollowACorrectionOfTheMavsMap) {
+  constexpr std::int64_t kStep = 50000000;
+  const Corner corner(1);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  const Similarity right = truth;
+  truth.R = truth.R * air_ground_common::expSO3({0.05, 0.02, -0.04});
+  truth.t += Eigen::Vector3d(0.06, -0.06, 0.05);
+  for (int i = 0; i < 7; ++i) addView(corner, matcher, flown(i), i * kStep);
+  truth = right;
+  air_ground_common::PosesByStamp now;
+  for (int i = 0; i < 7; ++i) now[i * kStep + 200] = inMavMap(flown(i));  // stamps that were seconds
+  const auto error = [&](const MatchEstimate& e) {
+    return (e.T_ground_mav * inMavMap(flown(3)).translation() - flown(3).translation()).norm();
+  };
+  EXPECT_GT(error(matcher.estimate()), 0.05);
+  matcher.correctAerial(now);
+  const MatchEstimate e = matcher.estimate();
+  ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
+  EXPECT_LT(error(e), 0.04);
 }
 
 TEST_F(ViewMatching, AMetricMapKeepsItsScale) {

@@ -3,11 +3,13 @@
 
 #include <deque>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <utility>
 #include <vector>
 
+#include "air_ground_common/map_correction.h"
 #include "dense_fusion/depth_fusion.h"
 #include "dense_fusion/plane_sweep.h"
 #include "dense_fusion/rectifier.h"
@@ -50,6 +52,7 @@ struct MapperCounters {
   std::size_t poor_depth_maps = 0;  ///< dropped: too little parallax or texture
   std::size_t fused = 0;            ///< fused maps
   std::size_t small_groups = 0;     ///< dropped: fewer than min_depth_maps
+  std::size_t corrections = 0;      ///< of the map, followed
 };
 
 class DenseMapper {
@@ -75,14 +78,22 @@ class DenseMapper {
   /// Metres that a length of 1 in the poses counts as; 1 where followDistance was not called.
   double unit() const { return unit_; }
 
+  /// The odometry has corrected its map: `now` says where it has earlier images [unit of the poses]. What waits to be
+  /// fused follows, and images of these stamps that come later are taken to be there. Returns what the newest fused
+  /// maps so far go through, by the stamps of their reference views: they are given up where cameras nearby moved
+  /// against each other by 2 % of sweep_radius.
+  air_ground_common::CloudCorrections correct(const air_ground_common::PosesByStamp& now);
+  /// The same, since each of them was returned.
+  air_ground_common::CloudCorrections corrections() const;
+
   /// Fuses what there is; empty when that is less than min_depth_maps. The next image starts a new depth map.
   std::optional<FusedMap> flush();
 
   /// Forgets images, depth maps and the unit, not the counters.
   void reset();
 
-  /// Sparse points in the map frame [unit of the poses] bound the grid of the next fusions where they are in view; none
-  /// lift the bound.
+  /// Sparse points in the map frame [unit of the poses] bound the grid of the next fusions where they are in view, and
+  /// tell the scale of each depth map (see sparseDepthRatio); none lift the bound.
   void setSparsePoints(std::vector<Eigen::Vector3f> points) { sparse_points_ = std::move(points); }
 
   const MapperCounters& counters() const { return counters_; }
@@ -98,7 +109,10 @@ class DenseMapper {
   void finishSweep();
   bool endsGroup(const Eigen::Isometry3d& T_map_reference) const;
   std::optional<FusedMap> fuseGroup();
+  void followHere(const air_ground_common::PosesByStamp& now, const air_ground_common::LocalCorrection& here,
+                  double most_bent);
   std::optional<FusedMap> inPosesUnit(std::optional<FusedMap> fused) const;
+  std::vector<Eigen::Vector3f> sparsePoints() const;  // in metres, as the next
 
   MapperSettings settings_;
   double unit_ = 1;  // see unit()
@@ -113,6 +127,14 @@ class DenseMapper {
     Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();
   } last_;  // pose given
   std::vector<DepthMap> group_;
+  // In the poses' unit: where the images so far are in the map, where its last correction has images, and what has
+  // become of fused maps.
+  air_ground_common::PosesByStamp poses_, corrected_;
+  struct Made {
+    Eigen::Vector3d place;                                        // of the reference view
+    std::optional<air_ground_common::Similarity> T_now_returned;  // empty: the map has bent there
+  };
+  std::map<std::int64_t, Made> made_;
   std::vector<Eigen::Vector3f> sparse_points_;
   std::size_t carried_over_ = 0;  // depth maps of the group that the fusion before has used already
   MapperCounters counters_;

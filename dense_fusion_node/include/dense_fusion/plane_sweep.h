@@ -38,6 +38,8 @@ class PlaneSweep {
   bool add(const Frame& frame);
 
   const Frame& reference() const { return reference_; }
+  /// The map was corrected: where the reference is in it now, for frames to come. What was added stays.
+  void moveReference(const Eigen::Isometry3d& T_map_camera) { reference_.T_map_camera = T_map_camera; }
   int frames() const { return static_cast<int>(views_.size()); }  ///< added so far, without the reference
   /// RMS shift of a pixel over the frames between the nearest and the farthest plane [px].
   double parallax() const;

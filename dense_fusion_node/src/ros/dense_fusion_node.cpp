@@ -14,6 +14,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/parameters.h"
 #include "dense_fusion/guarded.h"
 #include "fused_map_publisher.h"
@@ -41,6 +42,8 @@ class DenseFusionNode {
     health_.state(kWarn, "waiting for posed images");
     image_subscriber_ = handle_.subscribe("mav/posed_image", 400, &DenseFusionNode::onImage, this);
     sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &DenseFusionNode::onSparseCloud, this);
+    corrected_subscriber_ = handle_.subscribe<nav_msgs::Path>(
+        "mav/corrected_path", 20, [this](const nav_msgs::Path::ConstPtr& msg) { queue_.add(msg); });
     // Services wait for the worker, which must not keep the inputs from being received.
     service_handle_.setCallbackQueue(&service_queue_);
     save_service_ = service_handle_.advertiseService("save_map", &DenseFusionNode::saveMap, this);
@@ -127,6 +130,8 @@ class DenseFusionNode {
         mapper_.setSparsePoints(sparse_fit ? work.sparse->points : std::vector<Eigen::Vector3f>());
         return process(msg);
       }
+      case Work::Kind::kCorrection:
+        return correct(*work.corrected);
       case Work::Kind::kFlush:
         if (const auto fused = guarded([this] { return mapper_.flush(); })) publish(*fused);
     }
@@ -137,6 +142,12 @@ class DenseFusionNode {
     last_stamp_ = ros::Time();
     map_id_.reset();
     map_.reset();
+  }
+
+  void correct(const nav_msgs::Path& msg) {
+    if (!map_id_ || msg.header.frame_id != frame_id_ || msg.header.stamp < map_since_) return;  // of another map
+    map_.correct(mapper_.correct(ros_utils::fromMsg(msg)));
+    queue_.unlessReset([&] { publisher_.publish(mapper_.corrections(), msg.header, *map_id_); });
   }
 
   template <typename Function>
@@ -160,7 +171,8 @@ class DenseFusionNode {
     }
     const bool other = map_id_ != msg.map_id || frame_id_ != msg.header.frame_id;
     if (other || map_revision_ != msg.map_revision) {
-      if (map_id_) ROS_WARN("the MAV's map %s: the dense map starts afresh", other ? "is another" : "was corrected");
+      if (map_id_)
+        ROS_WARN("the MAV's %s: the dense map starts afresh", other ? "map is another" : "calibration has changed");
       startMap();
       map_id_ = msg.map_id;
       map_revision_ = msg.map_revision;
@@ -184,7 +196,8 @@ class DenseFusionNode {
     const MapperCounters& c = mapper_.counters();
     health_.state(kOk, std::to_string(c.images) + " images, " + std::to_string(c.depth_maps) + " depth maps (" +
                            std::to_string(c.poor_depth_maps) + " too poor), " + std::to_string(c.fused) +
-                           " fused maps, " + std::to_string(queue_.imagesWaiting()) + " images waiting, " +
+                           " fused maps (map corrected " + std::to_string(c.corrections) + " times), " +
+                           std::to_string(queue_.imagesWaiting()) + " images waiting, " +
                            std::to_string(without_scale_) + " without scale ignored");
     if (fused) publish(*fused);
   }
@@ -207,7 +220,7 @@ class DenseFusionNode {
   void publish(const FusedMap& fused) {
     if (!queue_.unlessReset([&] { publisher_.publish(fused, frame_id_, camera_frame_, *map_id_); }))
       return health_.count("fused maps of the time before a jump or reset dropped");
-    map_.add(fused.points);
+    map_.add(fused.depth_map.stamp, fused.points);
     health_.timing("fusion: votes [s]", fused.timings.votes);
     health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
     health_.timing("fusion: surface [s]", fused.timings.surface);
@@ -223,7 +236,7 @@ class DenseFusionNode {
   ros_utils::NodeHealth health_;
   ros::AsyncSpinner service_spinner_{1, &service_queue_};
   WorkQueue queue_;
-  ros::Subscriber image_subscriber_, sparse_subscriber_;
+  ros::Subscriber image_subscriber_, sparse_subscriber_, corrected_subscriber_;
   ros::ServiceServer save_service_, flush_service_, reset_service_;
   ros::WallTimer timer_;
   std::string image_topic_;

@@ -4,6 +4,7 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <sensor_msgs/PointCloud2.h>
 
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/text.h"
 
 namespace dense_fusion {
@@ -66,6 +67,7 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<SurfacePoint>
 FusedMapPublisher::FusedMapPublisher(ros::NodeHandle handle)
     : depth_map_(handle.advertise<air_ground::PosedDepthMap>("mav/depth_map", 20)),
       cloud_(handle.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20)),
+      corrections_(handle.advertise<air_ground::CloudCorrections>("mav/cloud_corrections", 20)),
       field_(handle.advertise<diagnostic_msgs::DiagnosticArray>("mav/distance_field", 20)) {}
 
 void FusedMapPublisher::publish(const FusedMap& fused, const std::string& map_frame, const std::string& camera_frame,
@@ -89,6 +91,11 @@ void FusedMapPublisher::publish(const FusedMap& fused, const std::string& map_fr
   depth_map_.publish(depth);
   cloud_.publish(ros_utils::toMsg(messagePoints(fused.points), ros_utils::CloudFields::kXyzIntensity, header));
   field_.publish(fieldMessage(fused, header));
+}
+
+void FusedMapPublisher::publish(const air_ground_common::CloudCorrections& corrections, const std_msgs::Header& header,
+                                std::uint32_t map_id) {
+  corrections_.publish(ros_utils::toMsg(corrections, header, map_id));
 }
 
 }  // namespace dense_fusion

@@ -15,7 +15,7 @@ namespace dense_fusion {
 /// The points that are finite, as the MAV's.
 std::vector<air_ground_common::ros_utils::CloudPoint> messagePoints(const std::vector<SurfacePoint>& points);
 
-/// mav/depth_map, mav/dense_cloud, mav/distance_field.
+/// mav/depth_map, mav/dense_cloud, mav/distance_field, mav/cloud_corrections.
 class FusedMapPublisher {
  public:
   explicit FusedMapPublisher(ros::NodeHandle handle);
@@ -23,9 +23,12 @@ class FusedMapPublisher {
   /// Poses and points are in map_frame, depth maps in camera_frame.
   void publish(const FusedMap& fused, const std::string& map_frame, const std::string& camera_frame,
                std::uint32_t map_id);
+  /// What has become of the clouds published so far; header: of the correction.
+  void publish(const air_ground_common::CloudCorrections& corrections, const std_msgs::Header& header,
+               std::uint32_t map_id);
 
  private:
-  ros::Publisher depth_map_, cloud_, field_;
+  ros::Publisher depth_map_, cloud_, corrections_, field_;
 };
 
 }  // namespace dense_fusion

@@ -40,6 +40,15 @@ void WorkQueue::add(SparseCloud cloud) {
   if (gate_.admit(kSparseClouds, cloud.stamp)) sparse_ = std::make_shared<const SparseCloud>(std::move(cloud));
 }
 
+void WorkQueue::add(const nav_msgs::Path::ConstPtr& corrected) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!gate_.admit(kCorrections, corrected->header.stamp)) return;
+    corrected_ = corrected;
+  }
+  changed_.notify_all();
+}
+
 void WorkQueue::flushAfter(double silence) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -74,20 +83,23 @@ void WorkQueue::forget() {
   images_.clear();
   bytes_ = 0;
   sparse_.reset();
+  corrected_.reset();
   reset_requested_ = true;
 }
 
 std::optional<Work> WorkQueue::next() {
   std::unique_lock<std::mutex> lock(mutex_);
-  changed_.wait(lock, [this] { return stop_ || reset_requested_ || flush_requested_ || !images_.empty(); });
+  changed_.wait(lock,
+                [this] { return stop_ || reset_requested_ || flush_requested_ || corrected_ || !images_.empty(); });
   if (stop_) return std::nullopt;
   busy_ = true;
   if (reset_requested_) {
     reset_requested_ = false;
-    return Work{Work::Kind::kReset, nullptr, nullptr};
+    return Work{Work::Kind::kReset, nullptr, nullptr, nullptr};
   }
+  if (corrected_) return Work{Work::Kind::kCorrection, nullptr, nullptr, std::exchange(corrected_, nullptr)};
   if (!images_.empty()) {
-    const Work work{Work::Kind::kImage, images_.front(), sparse_};
+    const Work work{Work::Kind::kImage, images_.front(), sparse_, nullptr};
     images_.pop_front();
     bytes_ -= bytesOf(*work.image);
     return work;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <air_ground/PosedImage.h>
+#include <nav_msgs/Path.h>
 #include <ros/ros.h>
 
 #include <Eigen/Core>
@@ -25,10 +26,11 @@ struct SparseCloud {
 };
 
 struct Work {
-  enum class Kind { kImage, kFlush, kReset };
+  enum class Kind { kImage, kCorrection, kFlush, kReset };
   Kind kind = Kind::kFlush;
   air_ground::PosedImage::ConstPtr image;
   std::shared_ptr<const SparseCloud> sparse;  ///< the newest one; null: none
+  nav_msgs::Path::ConstPtr corrected;         ///< where the map has earlier images now
 };
 
 /// Callbacks add, services wait, one worker takes; all may do so at once.
@@ -40,6 +42,8 @@ class WorkQueue {
 
   void add(const air_ground::PosedImage::ConstPtr& msg);
   void add(SparseCloud cloud);
+  /// Comes before the images that wait: it places them, too.
+  void add(const nav_msgs::Path::ConstPtr& corrected);
   /// Asks for a flush once when nothing has come for so long and all images are done [s].
   void flushAfter(double silence);
 
@@ -67,7 +71,7 @@ class WorkQueue {
   void stop();
 
  private:
-  enum Stream { kImages, kSparseClouds, kStreams };
+  enum Stream { kImages, kSparseClouds, kCorrections, kStreams };
   void forget();  // locked
 
   const std::size_t most_images_;
@@ -78,6 +82,7 @@ class WorkQueue {
   std::deque<air_ground::PosedImage::ConstPtr> images_;
   std::size_t bytes_ = 0;
   std::shared_ptr<const SparseCloud> sparse_;
+  nav_msgs::Path::ConstPtr corrected_;
   ros::WallTime last_arrival_;
   bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flushing_ = false, flush_due_ = false,
        busy_ = false;

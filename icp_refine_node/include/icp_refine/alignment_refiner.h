@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 
+#include "air_ground_common/map_correction.h"
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
 #include "icp_refine/view_alignment.h"
@@ -103,7 +104,9 @@ class AlignmentRefiner {
   /// What the robots know of gravity in their maps: where both do, the maps' verticals are parallel as surely as that.
   void setAerialVertical(const Vertical& vertical) { aerial_vertical_ = vertical; }
   void setGroundVertical(const Vertical& vertical) { ground_vertical_ = vertical; }
-  /// The aerial map was corrected as a whole: forgets the clouds so far.
+  /// The aerial map was corrected: its clouds follow, and the alignment stays right at the newest of them.
+  void correctAerial(const air_ground_common::CloudCorrections& corrections);
+  /// What was made of the aerial map is off in itself: forgets the clouds so far.
   void forgetAerial() { aerial_.clear(); }
   /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches, on the
   /// ground map that came just before, or comes next.

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/mesh.h"
 #include "icp_refine/cloud.h"
 
@@ -73,14 +74,16 @@ struct AugmentedMapSettings {
 class AugmentedMap {
  public:
   explicit AugmentedMap(const AugmentedMapSettings& settings)
-      : settings_(settings), aerial_(settings.leaf, settings.max_voxels) {}
+      : settings_(settings), settled_(settings.leaf, settings.max_voxels), aerial_(settled_) {}
 
   /// In the ground map's frame.
   void setGround(std::vector<LabeledPoint> points) { ground_ = std::move(points); }
   void clearGround() { ground_.clear(); }
-  /// In mav_map; their grey value is rgb[0].
-  void addAerial(const std::vector<LabeledPoint>& points);
-  void clearAerial() { aerial_.clear(); }
+  /// A cloud in mav_map, by its stamp [ns]; the points' grey value is rgb[0].
+  void addAerial(std::int64_t stamp, std::vector<LabeledPoint> points);
+  /// mav_map was corrected.
+  void correctAerial(const air_ground_common::CloudCorrections& corrections);
+  void clearAerial();
 
   /// Without a transform the map is the ground robot's alone.
   void align(const std::optional<Similarity>& T_ground_map_mav_map) { T_ground_map_mav_map_ = T_ground_map_mav_map; }
@@ -92,7 +95,8 @@ class AugmentedMap {
  private:
   AugmentedMapSettings settings_;
   std::vector<LabeledPoint> ground_;
-  AerialVoxels aerial_;
+  air_ground_common::FollowedClouds<LabeledPoint> clouds_;
+  AerialVoxels settled_, aerial_;  // of those before; of all
   std::optional<Similarity> T_ground_map_mav_map_;
 };
 

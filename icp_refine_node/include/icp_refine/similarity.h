@@ -4,10 +4,12 @@
 #include <Eigen/Geometry>
 #include <cmath>
 
-#include "air_ground_common/geometry.h"
+#include "air_ground_common/similarity.h"
 
 namespace icp_refine {
 
+using air_ground_common::compose;
+using air_ground_common::inverse;
 using air_ground_common::Matrix6d;
 using air_ground_common::Pose;
 using air_ground_common::Similarity;
@@ -27,16 +29,6 @@ inline Pose poseOf(const Similarity& T) {
   out.linear() = T.R;
   out.translation() = T.t;
   return out;
-}
-
-/// T_a_b T_b_c.
-inline Similarity compose(const Similarity& T_a_b, const Similarity& T_b_c) {
-  return {T_a_b.scale * T_b_c.scale, T_a_b.R * T_b_c.R, T_a_b * T_b_c.t};
-}
-
-inline Similarity inverse(const Similarity& T) {
-  const Eigen::Matrix3d R = T.R.transpose();
-  return {1 / T.scale, R, -(R * T.t) / T.scale};
 }
 
 /// The rigid transform of T's rotation that maps the point p_b to the same place as T does: what tf, which knows no

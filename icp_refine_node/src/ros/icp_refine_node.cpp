@@ -9,6 +9,7 @@
 #include <cmath>
 
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "alignment_input.h"
@@ -41,6 +42,7 @@ class IcpRefineNode {
     coarse_subscriber_ = handle_.subscribe("alignment/coarse", 50, &IcpRefineNode::onCoarse, this);
     views_subscriber_ = handle_.subscribe("alignment/views", 50, &IcpRefineNode::onViews, this);
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
+    corrections_subscriber_ = handle_.subscribe("mav/cloud_corrections", 20, &IcpRefineNode::onCorrections, this);
     ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
     ground_status_subscriber_ = handle_.subscribe("ground/slam_status", 100, &IcpRefineNode::onGroundStatus, this);
     odometry_subscriber_ = handle_.subscribe("mav/odometry", 100, &IcpRefineNode::onOdometry, this);
@@ -53,7 +55,7 @@ class IcpRefineNode {
   }
 
  private:
-  enum MavStream { kAerial, kCoarse, kViews, kOdometry, kMavStatus, kMavStreams };
+  enum MavStream { kAerial, kCorrections, kCoarse, kViews, kOdometry, kMavStatus, kMavStreams };
   enum GroundStream { kGround, kGroundStatus, kGroundStreams };
 
   // All callbacks run in the one thread that spins: what they alone use needs no lock.
@@ -93,6 +95,15 @@ class IcpRefineNode {
     auto points = ros_utils::readCloud(*msg, "dense clouds", health_);
     if (!points) return;
     postOfMav([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
+  }
+
+  void onCorrections(const air_ground::CloudCorrections::ConstPtr& msg) {
+    if (!mav_.admitMap(kCorrections, msg->header, "corrections of clouds")) return;
+    try {
+      worker_.post([corrections = ros_utils::fromMsg(*msg)](Inbox& inbox) { inbox.corrections = corrections; });
+    } catch (const std::exception& e) {
+      health_.count(std::string("corrections of clouds unreadable: ") + e.what());
+    }
   }
 
   void onGround(const sensor_msgs::PointCloud2::ConstPtr& msg) {
@@ -235,8 +246,9 @@ class IcpRefineNode {
   bool ground_forgotten_ = false;  // and none has come since
   ros_utils::RobotMapInput mav_, ground_;
 
-  ros::Subscriber coarse_subscriber_, views_subscriber_, aerial_subscriber_, ground_subscriber_,
-      ground_status_subscriber_, odometry_subscriber_, status_subscriber_, guess_subscriber_, scale_subscriber_;
+  ros::Subscriber coarse_subscriber_, views_subscriber_, aerial_subscriber_, corrections_subscriber_,
+      ground_subscriber_, ground_status_subscriber_, odometry_subscriber_, status_subscriber_, guess_subscriber_,
+      scale_subscriber_;
   ros::ServiceServer reset_service_, refine_service_;
 };
 

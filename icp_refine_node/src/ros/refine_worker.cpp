@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace icp_refine {
 namespace {
@@ -17,21 +18,15 @@ Cloud positionsOf(const std::vector<CloudPoint>& points) {
   return cloud;
 }
 
-constexpr std::size_t kOwnClouds = 300;  // kept of a map without scale
-constexpr double kWeakScale = 0.05;      // relative; the coarse stage's figure knows nothing of drift in the map
-constexpr double kOtherScale = 0.05;     // a coarse alignment that differs by more ...
-constexpr double kOtherLevel = 0.035;    // ... or is tilted by more, begins afresh while nothing is tracked [rad]
+constexpr double kWeakScale = 0.05;    // relative; the coarse stage's figure knows nothing of drift in the map
+constexpr double kOtherScale = 0.05;   // a coarse alignment that differs by more ...
+constexpr double kOtherLevel = 0.035;  // ... or is tilted by more, begins afresh while nothing is tracked [rad]
 
 /// The map of T's scale and vertical: T without heading and place.
 Similarity levelMetric(const Similarity& T_ground_visual) {
   return {T_ground_visual.scale,
           air_ground_common::levelingRotation(T_ground_visual.R.transpose() * Eigen::Vector3d::UnitZ()),
           Eigen::Vector3d::Zero()};
-}
-
-std::vector<CloudPoint> movedBy(const Similarity& S, std::vector<CloudPoint> points) {
-  for (auto& p : points) p.position = (S * p.position.cast<double>()).cast<float>();
-  return points;
 }
 
 std::chrono::steady_clock::duration secondsOf(double seconds) {
@@ -67,6 +62,7 @@ void Inbox::startMap(bool in_own_unit) {
   new_map = true;
   own_unit = in_own_unit;
   aerial.clear();
+  corrections.reset();
   scale_deviation.reset();
   aerial_vertical.reset();
   coarse.reset();
@@ -77,6 +73,7 @@ void Inbox::startMap(bool in_own_unit) {
 void Inbox::reviseMap() {
   aerial_revised = true;
   aerial.clear();
+  corrections.reset();
 }
 
 void Inbox::startGround() {
@@ -152,6 +149,7 @@ bool RefineWorker::use(Inbox& inbox) {
     refiner_.startMap();
     map_.clearAerial();
     own_clouds_.clear();
+    corrections_.clear();
     T_metric_visual_.reset();
   }
   if (inbox.reset || inbox.new_ground) {
@@ -163,6 +161,7 @@ bool RefineWorker::use(Inbox& inbox) {
     refiner_.forgetAerial();
     map_.clearAerial();
     own_clouds_.clear();
+    corrections_.clear();
     map_due_ |= map_.aligned();
   }
   if (inbox.ground_moved) refiner_.groundMoved();
@@ -172,11 +171,16 @@ bool RefineWorker::use(Inbox& inbox) {
     map_.setGround(std::move(*inbox.ground));
   }
   own_unit_ = inbox.own_unit;
-  for (const auto& aerial : inbox.aerial) {
-    if (own_unit_) own_clouds_.push_back(aerial);
-    if (own_clouds_.size() > kOwnClouds) own_clouds_.pop_front();
-    addAerial(aerial);
+  for (AerialCloud& aerial : inbox.aerial) {
+    const auto stamp = static_cast<std::int64_t>(aerial.stamp.toNSec());
+    if (const auto it = corrections_.find(stamp); it != corrections_.end()) {
+      if (!it->second) continue;
+      moveBy(*it->second, &aerial.points);
+    }
+    if (own_unit_) own_clouds_.add(stamp, aerial.points, [](const auto&) {});
+    addAerial(stamp, std::move(aerial.points));
   }
+  if (inbox.corrections) correct(*inbox.corrections);
   if (inbox.scale_deviation) refiner_.setScaleDeviation(*inbox.scale_deviation);
   if (inbox.aerial_vertical) refiner_.setAerialVertical(*inbox.aerial_vertical);
   if (inbox.ground_vertical) refiner_.setGroundVertical(*inbox.ground_vertical);
@@ -186,15 +190,29 @@ bool RefineWorker::use(Inbox& inbox) {
   map_due_ |= inbox.ground && map_.aligned();
   // While tracking, the next aerial cloud is soon enough.
   const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && !refiner_.tracking();
-  return inbox.refine || !inbox.aerial.empty() || inbox.manual || wanted;
+  return inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
 }
 
 // map_mutex_ held, as for the next.
-void RefineWorker::addAerial(const AerialCloud& aerial) {
+void RefineWorker::addAerial(std::int64_t stamp, std::vector<CloudPoint> points) {
   if (own_unit_ && !T_metric_visual_) return;  // once there is a coarse alignment
-  const auto points = own_unit_ ? movedBy(*T_metric_visual_, aerial.points) : aerial.points;
-  map_.addAerial(points);
-  refiner_.addAerial(static_cast<std::int64_t>(aerial.stamp.toNSec()), positionsOf(points));
+  if (own_unit_) moveBy(*T_metric_visual_, &points);
+  refiner_.addAerial(stamp, positionsOf(points));
+  map_.addAerial(stamp, std::move(points));
+}
+
+void RefineWorker::correct(const CloudCorrections& corrections) {
+  CloudCorrections since = correctionsSince(std::exchange(corrections_, corrections), corrections);
+  own_clouds_.correct(since);
+  if (own_unit_ && !T_metric_visual_) return;
+  if (own_unit_)
+    for (auto& [stamp, S] : since)
+      if (S) S = compose(compose(*T_metric_visual_, *S), inverse(*T_metric_visual_));
+  refiner_.correctAerial(since);
+  map_.correctAerial(since);
+  if (!map_.aligned()) return;
+  if (refiner_.tracking()) map_.align(refiner_.refined());
+  map_due_ = true;
 }
 
 void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
@@ -205,7 +223,7 @@ void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
   T_metric_visual_ = now;
   refiner_.startMap();
   map_.clearAerial();
-  for (const auto& aerial : own_clouds_) addAerial(aerial);
+  for (const auto& [stamp, points] : own_clouds_.clouds()) addAerial(stamp, points);
 }
 
 void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
@@ -219,7 +237,7 @@ void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
   // Rigid, and right where the newest cloud is.
   Eigen::Vector3d middle = Eigen::Vector3d::Zero();
   if (!own_clouds_.empty()) {
-    const auto& points = own_clouds_.back().points;
+    const auto& points = own_clouds_.clouds().back().second;
     for (const auto& p : points) middle += p.position.cast<double>() / static_cast<double>(points.size());
   }
   refiner_.setCoarse(rigidAt(compose(T, inverse(*T_metric_visual_)), *T_metric_visual_ * middle));

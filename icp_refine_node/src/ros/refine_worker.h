@@ -12,12 +12,14 @@
 #include <thread>
 #include <vector>
 
+#include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/ros/conversions.h"
 #include "alignment_input.h"
 #include "alignment_output.h"
 
 namespace icp_refine {
 
+using air_ground_common::CloudCorrections;
 using air_ground_common::ros_utils::CloudPoint;
 
 struct AerialCloud {
@@ -27,11 +29,12 @@ struct AerialCloud {
 
 /// What has come since the worker looked last.
 struct Inbox {
-  bool aerial_revised = false, ground_moved = false;  ///< a map was corrected as a whole
+  bool aerial_revised = false, ground_moved = false;  ///< see reviseMap(), reviseGround()
   bool reset = false, new_map = false, new_ground = false, refine = false, map_subscriber = false;
   std::optional<std::vector<CloudPoint>> ground;
   std::optional<double> ground_camera;  ///< greatest z of the ground robot's camera in its map [m]
   std::deque<AerialCloud> aerial;
+  std::optional<CloudCorrections> corrections;  ///< of the clouds, since each was published
   std::optional<CoarseAlignment> coarse;
   std::optional<ViewAlignment> views;
   std::optional<Pose> manual;
@@ -39,11 +42,11 @@ struct Inbox {
   std::optional<double> scale_deviation;  ///< relative, as the odometry states it
   std::optional<Vertical> aerial_vertical, ground_vertical;
   bool any() const {
-    return forgets() || aerial_revised || refine || map_subscriber || ground || !aerial.empty() || coarse || views ||
-           manual;
+    return forgets() || aerial_revised || refine || map_subscriber || ground || !aerial.empty() || corrections ||
+           coarse || views || manual;
   }
   void startMap(bool in_own_unit);
-  /// The map was corrected as a whole: what relates both maps stays about right, the clouds so far do not.
+  /// The MAV's calibration has changed: what relates both maps stays about right, the clouds so far do not.
   void reviseMap();
   void startGround();
   void reviseGround() { ground_moved = true; }
@@ -68,7 +71,8 @@ class RefineWorker {
 
   void work();
   bool use(Inbox& inbox);
-  void addAerial(const AerialCloud& aerial);
+  void addAerial(std::int64_t stamp, std::vector<CloudPoint> points);
+  void correct(const CloudCorrections& corrections);
   /// Of a map without scale: what makes it about metric and level. A start afresh where that differs from before.
   void makeMetric(const Similarity& T_ground_visual);
   void useCoarse(const CoarseAlignment& coarse);
@@ -83,8 +87,9 @@ class RefineWorker {
   AlignmentRefiner refiner_;  // worker alone, as the next three
   // Without IMU the refiner works in a map that is made about metric and level by the coarse alignment.
   bool own_unit_ = false;
-  std::deque<AerialCloud> own_clouds_;  // in the visual map, for when that alignment changes
+  air_ground_common::FollowedClouds<CloudPoint> own_clouds_;  // in the visual map, for when that alignment changes
   std::optional<Similarity> T_metric_visual_;
+  CloudCorrections corrections_;  // so far: a cloud may come after what it has gone through
 
   std::mutex mutex_;
   std::condition_variable wake_;

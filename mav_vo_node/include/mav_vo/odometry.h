@@ -126,7 +126,8 @@ struct VoResult {
   int inliers = 0;                      ///< landmarks that agree with the pose
   double depth_min = 0, depth_max = 0;  ///< 5 % and 95 % quantile of the landmarks' depth [m]; 0 unknown
   double scale = 1, scale_stddev = 0;   ///< metric over map unit; the deviation is infinite while unknown
-  std::uint32_t map_revision = 0;       ///< counts corrections after which what earlier poses made is off
+  std::uint32_t map_revision = 0;       ///< counts changes of the calibration: what earlier poses made is off
+  std::uint32_t map_corrections = 0;    ///< counts changes of earlier poses by more than 0.2 % of the scene's distance
   double tilt_stddev = 0;               ///< of the map's z axis against gravity [rad]; 0: not known
   ImuBias imu_bias;                     ///< as used for this image
   double gyro_bias_stddev = 0;          ///< of the least certain axis [rad/s]

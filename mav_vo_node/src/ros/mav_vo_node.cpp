@@ -6,11 +6,13 @@
 #include <memory>
 #include <mutex>
 #include <stdexcept>
+#include <utility>
 
 #include "../posed_image_selection.h"
 #include "air_ground_common/ros/calibration_report.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/pose_publisher.h"
 #include "mav_vo/external_scale.h"
@@ -37,6 +39,7 @@ class MavVoNode : private ros_utils::Estimator {
                *this) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
+    corrected_publisher_ = handle_.advertise<nav_msgs::Path>("mav/corrected_path", 20);
     increment_publisher_ = handle_.advertise<air_ground::VoIncrement>("mav/vo_increment", 100);
     track_publisher_ = handle_.advertise<sensor_msgs::Image>("mav/track_image", 5);
     scale_publisher_ = handle_.advertise<air_ground::AlignmentEstimate>("mav/map_scale", 5, true);
@@ -188,6 +191,10 @@ class MavVoNode : private ros_utils::Estimator {
     // What is reconstructed from them, and aligned, stays in one unit as long as the map lives.
     std_msgs::Header map_header = header;
     if (visual_) map_header.frame_id = settings_.visual_frame;
+    // Before the image that is posed in the corrected map.
+    if (std::exchange(corrections_, visual.map_corrections) != visual.map_corrections && (visual_ || r.metric) &&
+        corrected_publisher_.getNumSubscribers() > 0)
+      corrected_publisher_.publish(ros_utils::toMsg(odometry_->trajectory(), map_header));
     if (posed_publisher_.getNumSubscribers() > 0 && posed_selection_.selects(visual)) {
       air_ground::PosedImage posed = posedImage(grey, visual, settings_.posed_image_quality);
       posed.header = map_header;
@@ -237,7 +244,8 @@ class MavVoNode : private ros_utils::Estimator {
   const ros_utils::EstimatorSettings& frames_;
   ros::NodeHandle handle_;
   ros_utils::PosePublisher pose_publisher_;
-  ros::Publisher cloud_publisher_, posed_publisher_, increment_publisher_, track_publisher_, scale_publisher_;
+  ros::Publisher cloud_publisher_, posed_publisher_, corrected_publisher_, increment_publisher_, track_publisher_,
+      scale_publisher_;
   ros::Subscriber alignment_subscriber_;
   std::unique_ptr<Odometry> odometry_;
   PosedImageSelection posed_selection_{settings_.posed_image_spacing};
@@ -246,7 +254,7 @@ class MavVoNode : private ros_utils::Estimator {
   std::mutex alignment_mutex_;
   air_ground::AlignmentEstimate::ConstPtr alignment_;  // the newest that has not been used yet
   ros::Time last_stamp_, last_cloud_;
-  std::uint32_t map_id_ = 0;
+  std::uint32_t map_id_ = 0, corrections_ = 0;
   std::size_t frame_count_ = 0;
   bool noise_warned_ = false;
   ros_utils::EstimatorShell shell_;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "air_ground_common/camera_model.h"
+#include "air_ground_common/map_correction.h"
 #include "view_match/pose_consensus.h"
 #include "visual_frontend/place_recognition.h"
 
@@ -84,11 +85,13 @@ class ViewMatcher {
   void setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera);
   std::size_t keyframes() const { return ids_.size(); }
 
-  /// Looks for the image (CV_8UC1) in the keyframes; a view that is known already is left out. True: it was recognised.
-  /// `landmarks`: points of the MAV's map, in it: what of them the image shows tells the scale. Throws
-  /// std::invalid_argument for another image type.
-  bool addImage(const cv::Mat& image, const air_ground_common::CameraModel& camera, const Pose& T_mav_camera,
-                const std::vector<Eigen::Vector3f>& landmarks);
+  /// Looks for the image (CV_8UC1) of time `stamp` [ns] in the keyframes; a view that is known already is left out.
+  /// True: it was recognised. `landmarks`: points of the MAV's map, in it: what of them the image shows tells the
+  /// scale. Throws std::invalid_argument for another image type.
+  bool addImage(std::int64_t stamp, const cv::Mat& image, const air_ground_common::CameraModel& camera,
+                const Pose& T_mav_camera, const std::vector<Eigen::Vector3f>& landmarks);
+  /// The MAV's map was corrected: where it has its images now.
+  void correctAerial(const air_ground_common::PosesByStamp& T_mav_camera);
 
   /// The MAV's map has no scale: it is to be estimated.
   void setOwnUnit(bool own_unit) { own_unit_ = own_unit; }
@@ -101,6 +104,7 @@ class ViewMatcher {
 
  private:
   struct RecognisedImage {
+    std::int64_t stamp;  // [ns]
     Pose T_mav_camera, T_keyframe_camera;
     visual_frontend::KeyframeId keyframe;
     Matrix6d covariance;         // of T_keyframe_camera, in the keyframe's camera frame
@@ -108,6 +112,7 @@ class ViewMatcher {
     double scale, scale_stddev;  // metres per unit of the MAV's map, by depths; relative
   };
   struct WaitingImage {
+    std::int64_t stamp;  // [ns]
     visual_frontend::Keyframe features;
     air_ground_common::CameraModel camera;
     Pose T_mav_camera;

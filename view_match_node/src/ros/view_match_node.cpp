@@ -8,6 +8,7 @@
 #include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "messages.h"
@@ -34,6 +35,7 @@ class ViewMatchNode {
     publisher_ = handle_.advertise<AlignmentEstimate>("alignment/views", 20, true);
     image_subscriber_ = handle_.subscribe("mav/posed_image", 5, &ViewMatchNode::onImage, this);
     sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &ViewMatchNode::onSparseCloud, this);
+    corrected_subscriber_ = handle_.subscribe("mav/corrected_path", 20, &ViewMatchNode::onCorrection, this);
     status_subscriber_ = handle_.subscribe("mav/vo_status", 100, &ViewMatchNode::onMavStatus, this);
     keyframes_subscriber_ = handle_.subscribe("ground/map_keyframes", 20, &ViewMatchNode::onKeyframes, this);
     reset_service_ = ros::NodeHandle("~").advertiseService("reset", &ViewMatchNode::onReset, this);
@@ -41,7 +43,7 @@ class ViewMatchNode {
   }
 
  private:
-  enum MavStream { kImages, kLandmarks, kStatus, kMavStreams };
+  enum MavStream { kImages, kLandmarks, kCorrections, kStatus, kMavStreams };
   enum GroundStream { kKeyframes, kGroundStreams };
 
   void forgetAerial() {
@@ -63,6 +65,16 @@ class ViewMatchNode {
     if (!points) return;
     landmarks_.clear();
     for (const auto& p : *points) landmarks_.push_back(p.position);
+  }
+
+  void onCorrection(const nav_msgs::Path::ConstPtr& msg) {
+    if (!mav_.admitMap(kCorrections, msg->header, "corrections of the map")) return;
+    try {
+      matcher_.correctAerial(ros_utils::fromMsg(*msg));
+    } catch (const std::exception& e) {
+      return health_.count(std::string("corrections of the map not usable: ") + e.what());
+    }
+    publish();
   }
 
   void onKeyframes(const air_ground::MapKeyframes::ConstPtr& msg) {
@@ -96,8 +108,9 @@ class ViewMatchNode {
     try {
       const ros::WallTime start = ros::WallTime::now();
       matcher_.setOwnUnit(mav_.map().ownUnit());
-      const bool recognised = matcher_.addImage(ros_utils::greyFromMsg(*msg), ros_utils::fromMsg(msg->camera_info),
-                                                ros_utils::fromMsg(msg->pose.pose), landmarks_);
+      const bool recognised =
+          matcher_.addImage(static_cast<std::int64_t>(msg->header.stamp.toNSec()), ros_utils::greyFromMsg(*msg),
+                            ros_utils::fromMsg(msg->camera_info), ros_utils::fromMsg(msg->pose.pose), landmarks_);
       health_.timing("image", (ros::WallTime::now() - start).toSec());
       if (recognised) stamp_ = msg->header.stamp;
     } catch (const std::exception& e) {
@@ -129,7 +142,8 @@ class ViewMatchNode {
   ros_utils::RobotMapInput mav_, ground_;
   ros::Publisher publisher_;
   ros::ServiceServer reset_service_;
-  ros::Subscriber image_subscriber_, sparse_subscriber_, status_subscriber_, keyframes_subscriber_;
+  ros::Subscriber image_subscriber_, sparse_subscriber_, corrected_subscriber_, status_subscriber_,
+      keyframes_subscriber_;
 };
 
 }  // namespace

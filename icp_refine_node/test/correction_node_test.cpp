@@ -1,0 +1,116 @@
+// The MAV's odometry corrects its map while the running node holds clouds of it.
+#include "air_ground_common/ros/map_correction.h"
+#include "node_fixture.h"
+
+namespace icp_refine {
+namespace {
+
+class CorrectionTest : public NodeTest {
+ protected:
+  CorrectionTest() : corrections_(handle_.advertise<air_ground::CloudCorrections>("mav/cloud_corrections", 10)) {}
+
+  void SetUp() override {
+    NodeTest::SetUp();
+    ASSERT_TRUE(waitFor([this] { return corrections_.getNumSubscribers() > 0; }));
+  }
+
+  void send(const air_ground_common::CloudCorrections& corrections) {
+    std_msgs::Header header;
+    header.stamp = ros::Time(now_);
+    header.frame_id = "mav_map";
+    corrections_.publish(ros_utils::toMsg(corrections, header, 0));
+  }
+
+  /// Of where the alignment puts the cloud's middle, which the correction has moved.
+  double errorAfter(const Similarity& S, const synthetic::Scene& scene) const {
+    const Eigen::Vector3d centre = synthetic::centroid(scene.aerial);
+    const Similarity T = similarity(ros_utils::fromMsg(estimates_.back().pose.pose), estimates_.back().scale);
+    return (T * (S * centre) - scene.truth * centre).norm();
+  }
+
+  /// Share of the augmented map's aerial points that lie on the scene's surface.
+  double shareOnSurface(const synthetic::Scene& scene) const {
+    const air_ground_common::MeshScene mesh(scene.mesh);
+    double aerial = 0, near = 0;
+    for (const auto& p : ros_utils::cloudFromMsg(maps_.back())) {
+      aerial += p.source == 1;
+      near += p.source == 1 &&
+              mesh.distance((scene.T_world_ground_map * p.position.cast<double>()).cast<float>(), 1) < 0.08f;
+    }
+    return near / aerial;
+  }
+
+  ros::Publisher corrections_;
+};
+
+std::int64_t stampOf(const sensor_msgs::PointCloud2& cloud) {
+  return static_cast<std::int64_t>(cloud.header.stamp.toNSec());
+}
+
+TEST_F(CorrectionTest, CloudsAndAlignmentFollow) {
+  const auto scene = synthetic::makeScene(1);
+  const auto aerial = cloud(scene.aerial, "mav_map");
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  aerial_.publish(aerial);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
+
+  // By more than ICP reaches.
+  const Similarity S{1.005, Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitZ()).toRotationMatrix(), {1, -0.5, 0.2}};
+  estimates_.clear();
+  maps_.clear();
+  tick(1);
+  send({{stampOf(aerial), S}});
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  EXPECT_LT(errorAfter(S, scene), 0.08);
+  ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
+  EXPECT_GT(shareOnSurface(scene), 0.9);
+
+  // The correction may overtake its cloud; what came before says nothing new.
+  tick(1);
+  const auto late = cloud(scene.aerial, "mav_map");
+  estimates_.clear();
+  maps_.clear();
+  send({{stampOf(aerial), S}, {stampOf(late), S}});
+  ASSERT_TRUE(settle());
+  aerial_.publish(late);
+  ASSERT_TRUE(settle());
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  EXPECT_LT(errorAfter(S, scene), 0.08);
+
+  // Where the map has bent the clouds go, the pose stays.
+  maps_.clear();
+  tick(1);
+  send({{stampOf(aerial), std::nullopt}, {stampOf(late), std::nullopt}});
+  ASSERT_TRUE(waitFor([this] { return lastReason().find("aerial") != std::string::npos; })) << lastReason();
+  ASSERT_TRUE(waitFor([this] { return !maps_.empty() && aerialPoints(maps_.back()) == 0; }));
+}
+
+TEST_F(CorrectionTest, WhatCannotBeIsCountedAndChangesNothing) {
+  const auto scene = synthetic::makeScene(1);
+  const auto aerial = cloud(scene.aerial, "mav_map");
+  ground_.publish(cloud(scene.ground, "ground_map"));
+  aerial_.publish(aerial);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  air_ground::CloudCorrections msg;
+  msg.header.stamp = ros::Time(now_);
+  msg.header.frame_id = "mav_map";
+  msg.stamps = {aerial.header.stamp};
+  msg.scales = {2};
+  corrections_.publish(msg);  // no pose
+  msg.poses.emplace_back().orientation.w = 1;
+  msg.scales = {-1};
+  corrections_.publish(msg);
+  ASSERT_TRUE(awaitCount(
+      "corrections of clouds unreadable: corrections of clouds: stamps, poses and scales differ in number", 1));
+  ASSERT_TRUE(awaitCount(
+      "corrections of clouds unreadable: corrections of clouds: a scale is neither 0 nor between 0.1 and 10", 1));
+  estimates_.clear();
+  ASSERT_TRUE(settle());
+  EXPECT_LT(error(estimates_.back(), scene), 0.08);
+}
+
+}  // namespace
+}  // namespace icp_refine
