@@ -9,6 +9,7 @@
 
 #include "air_ground_common/first_exception.h"
 #include "dense_fusion/cost_kernels.h"
+#include "shifted_windows.h"
 
 namespace dense_fusion {
 namespace {
@@ -137,7 +138,7 @@ void PlaneSweep::sumCosts(int y, const Strip& strip, CostRow* row) const {
 }
 
 void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width,
-                             DepthMap* map) const {
+                             DepthMap* map, cv::Mat* cost) const {
   const int D = settings_.hypotheses;
   float* depth = map->depth.ptr<float>(y) + strip.begin;
   float* confidence = map->confidence.ptr<float>(y) + strip.begin;
@@ -176,12 +177,14 @@ void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, 
     if (c < settings_.min_confidence) continue;
     depth[i] = static_cast<float>(z);
     confidence[i] = static_cast<float>(c);
+    cost->at<float>(y, strip.begin + i) = static_cast<float>(best / n);
   }
 }
 
 // Rows [first, last) of a strip, one after the other: a window's columns are those of the row before, with one row more
 // and one less.
-void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map) const {
+void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map,
+                            cv::Mat* cost) const {
   const int height = camera_.height, D = settings_.hypotheses, r = settings_.aggregation_radius;
   const int slab = D * strip.stride, n = (strip.end - strip.begin + 15) / 16 * 16;  // whole vectors
   std::vector<std::uint32_t> column(slab, 0), count(strip.stride, 0);
@@ -206,7 +209,7 @@ void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_wi
     kernels::boxRows(count.data(), 1, strip.stride, n, r, winners.samples.data());
     kernels::winnerTakesAll(winners.cost.data(), D, strip.stride, n, 2 * half_width, winners.best.data(),
                             winners.index.data(), winners.second.data());
-    estimateRow(y, strip, winners, rowAt(y), half_width, map);
+    estimateRow(y, strip, winners, rowAt(y), half_width, map, cost);
   }
 }
 
@@ -227,6 +230,7 @@ DepthMap PlaneSweep::depthMap() const {
   const int half_width = std::clamp(static_cast<int>(std::lround(0.5 / per_hypothesis)), 1, D / 10);
   const int bands = settings_.threads, band = (height + bands - 1) / bands;
   const int strips = (width + kStrip - 1) / kStrip, columns = (width + strips - 1) / strips;
+  cv::Mat cost(height, width, CV_32F);
   air_ground_common::FirstException failure;
 #pragma omp parallel for collapse(2) schedule(dynamic, 1) num_threads(settings_.threads)
   for (int b = 0; b < bands; ++b)
@@ -234,9 +238,10 @@ DepthMap PlaneSweep::depthMap() const {
       failure.guard([&] {
         const int begin = std::min(width, s * columns), end = std::min(width, begin + columns);
         const int stride = kernels::costStride(end - begin + 2 * settings_.aggregation_radius);
-        sweepStrip({begin, end, stride}, b * band, std::min(height, (b + 1) * band), half_width, &map);
+        sweepStrip({begin, end, stride}, b * band, std::min(height, (b + 1) * band), half_width, &map, &cost);
       });
   failure.rethrow();
+  takeBestWindows(cost, settings_.aggregation_radius, settings_.threads, &map);
   return map;
 }
 

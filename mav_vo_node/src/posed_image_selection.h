@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <set>
 
 #include "mav_vo/odometry.h"
 
@@ -18,11 +19,14 @@ class PosedImageSelection {
   /// True for keyframes, for the first image of a map or of its correction, and for those that lie `spacing` or 0.05
   /// rad from the last one selected, or 0.2 s after it. `frame`: in the odometry's own map.
   bool selects(const VoResult& frame);
+  /// The poses of images that were selected; `trajectory`: of the present map.
+  air_ground_common::Trajectory selected(const air_ground_common::Trajectory& trajectory) const;
 
  private:
   const double spacing_;
   std::optional<std::uint32_t> map_id_;
   std::uint32_t map_revision_ = 0;
+  std::set<double> stamps_;  // of the map's, the newest [s]
   double stamp_ = 0;
   Pose T_map_camera_ = Pose::Identity();
 };

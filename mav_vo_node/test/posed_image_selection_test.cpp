@@ -65,6 +65,20 @@ TEST(PosedImageSelection, WithoutScaleAsIfTheSceneWereTwoMetresAway) {
   EXPECT_TRUE(flight.at(0.011));
 }
 
+TEST(PosedImageSelection, KnowsWhichOfTheMapItHasSelected) {
+  Flight flight;
+  for (const double x : {0.01, 0.03, 0.04, 0.06}) flight.at(x);
+  air_ground_common::Trajectory trajectory(5);
+  for (std::size_t i = 1; i < trajectory.size(); ++i) trajectory[i].stamp = trajectory[i - 1].stamp + 0.05;
+  const auto selected = flight.selection.selected(trajectory);
+  ASSERT_EQ(selected.size(), 3u);
+  EXPECT_EQ(selected[1].stamp, trajectory[2].stamp);
+  EXPECT_EQ(selected[2].stamp, trajectory[4].stamp);
+  flight.frame.map_id = 2;
+  flight.at(0);
+  EXPECT_TRUE(flight.selection.selected(trajectory).empty()) << "of another map";
+}
+
 TEST(PosedImageSelection, AllWithoutSpacing) {
   PosedImageSelection selection(0);
   VoResult frame;

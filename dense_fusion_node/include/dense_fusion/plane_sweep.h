@@ -47,6 +47,7 @@ class PlaneSweep {
 
   /// Winner takes all with a quadratic fit around it. Confidence is the product of how unique the winner is and of how
   /// well its valley fixes the depth: with cost S(rho) ~ S0 + a (rho - rho0)^2 over n samples, var(rho) = S0 / (n a).
+  /// At edges the best of all windows that hold a pixel tells its depth.
   DepthMap depthMap() const;
 
  private:
@@ -74,10 +75,10 @@ class PlaneSweep {
     std::vector<std::int32_t> index;
   };
 
-  void sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map) const;
+  void sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map, cv::Mat* cost) const;
   void sumCosts(int y, const Strip& strip, CostRow* row) const;
-  void estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width,
-                   DepthMap* map) const;
+  void estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width, DepthMap* map,
+                   cv::Mat* cost) const;
 
   air_ground_common::CameraModel camera_;
   PlaneSweepSettings settings_;

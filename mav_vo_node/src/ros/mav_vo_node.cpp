@@ -194,7 +194,7 @@ class MavVoNode : private ros_utils::Estimator {
     // Before the image that is posed in the corrected map.
     if (std::exchange(corrections_, visual.map_corrections) != visual.map_corrections && (visual_ || r.metric) &&
         corrected_publisher_.getNumSubscribers() > 0)
-      corrected_publisher_.publish(ros_utils::toMsg(odometry_->trajectory(), map_header));
+      corrected_publisher_.publish(ros_utils::toMsg(posed_selection_.selected(odometry_->trajectory()), map_header));
     if (posed_publisher_.getNumSubscribers() > 0 && posed_selection_.selects(visual)) {
       air_ground::PosedImage posed = posedImage(grey, visual, settings_.posed_image_quality);
       posed.header = map_header;
