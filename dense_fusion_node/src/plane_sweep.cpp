@@ -9,7 +9,7 @@
 
 #include "air_ground_common/first_exception.h"
 #include "dense_fusion/cost_kernels.h"
-#include "shifted_windows.h"
+#include "other_surfaces.h"
 
 namespace dense_fusion {
 namespace {
@@ -213,6 +213,37 @@ void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_wi
   }
 }
 
+// A window that straddles an edge finds either surface, and carries it over the edge; the pixel's nearest neighbourhood
+// tells on which side it lies.
+void PlaneSweep::chooseSurfaces(const cv::Mat& cost, DepthMap* map) const {
+  const cv::Mat depth = map->depth.clone(), confidence = map->confidence.clone();
+  const cv::Mat others = otherSurfaces(depth, cost, settings_.aggregation_radius, settings_.threads);
+#pragma omp parallel for schedule(dynamic, 8) num_threads(settings_.threads)
+  for (int y = 0; y < depth.rows; ++y)
+    for (int x = 0; x < depth.cols; ++x) {
+      const int other = others.at<int>(y, x);
+      if (other < 0) continue;
+      const float z = depth.ptr<float>()[other];
+      if (!(costAround(x, y, 1 / z) < costAround(x, y, 1 / depth.at<float>(y, x)))) continue;
+      map->depth.at<float>(y, x) = z;
+      map->confidence.at<float>(y, x) = confidence.ptr<float>()[other];
+    }
+}
+
+double PlaneSweep::costAround(int x, int y, float rho) const {
+  constexpr int kRadius = 1;
+  double sum = 0;
+  for (int v = std::max(0, y - kRadius); v <= std::min(camera_.height - 1, y + kRadius); ++v)
+    for (const View& view : views_) {
+      const kernels::RowOfFrame row = rowOfFrame(view.H, view.b, v);
+      const int first = std::max(view.x0[v], x - kRadius), last = std::min(view.x1[v] - 1, x + kRadius);
+      for (int u = first; u <= last; ++u)
+        sum += kernels::squaredDifference(reference_.normalized.at<std::uint8_t>(v, u), u, rho, row, view.packed.data(),
+                                          camera_.width);
+    }
+  return sum;
+}
+
 DepthMap PlaneSweep::depthMap() const {
   if (!started_) throw std::logic_error("plane sweep: depthMap() before start()");
   const int width = camera_.width, height = camera_.height, D = settings_.hypotheses;
@@ -241,7 +272,7 @@ DepthMap PlaneSweep::depthMap() const {
         sweepStrip({begin, end, stride}, b * band, std::min(height, (b + 1) * band), half_width, &map, &cost);
       });
   failure.rethrow();
-  takeBestWindows(cost, settings_.aggregation_radius, settings_.threads, &map);
+  chooseSurfaces(cost, &map);
   return map;
 }
 

@@ -56,6 +56,25 @@ TEST(CostKernels, AddRowMatchesTheReferenceOnRandomInput) {
   }
 }
 
+TEST(CostKernels, ASinglePixelIsThatOfItsRow) {
+  std::mt19937 random(8);
+  const int width = 120, height = 40;
+  std::vector<std::uint8_t> image(width * height), reference(width);
+  for (auto& v : image) v = static_cast<std::uint8_t>(random());
+  for (auto& v : reference) v = static_cast<std::uint8_t>(random());
+  std::vector<std::uint32_t> packed(image.size());
+  kernels::packNeighborhoods(image.data(), width, height, packed.data());
+  const kernels::RowOfFrame frame{{3.2f, 20.4f, 1.f}, {0.97f, 0.01f, 1e-5f}, {9.f, 12.f, 0.02f}};
+  for (const float rho : {0.2f, 0.4f, 0.9f})
+    for (int x = 5; x < 100; ++x) {
+      std::uint16_t cost = 0;
+      kernels::addRowReference(reference.data(), x, x + 1, frame, &rho, 1, image.data(), width, &cost, 1);
+      // That one rounds the sample to a grey level, and a quarter of the square down.
+      EXPECT_NEAR(std::sqrt(kernels::squaredDifference(reference[x], x, rho, frame, packed.data(), width)),
+                  std::sqrt(4.0 * cost), 1.3);
+    }
+}
+
 TEST(CostKernels, BoxRowsMatchesDirectSums) {
   std::mt19937 random(3);
   for (const int radius : {0, 1, 2, 4})

@@ -34,6 +34,10 @@ void addRow(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& fra
 void addRowReference(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& frame, const float* inverse_depth,
                      int hypotheses, const std::uint8_t* image, int stride, std::uint16_t* cost, int cost_stride);
 
+/// min(|sample - reference|, 63)^2 of pixel x alone, at inverse depth rho.
+float squaredDifference(std::uint8_t reference, int x, float rho, const RowOfFrame& frame, const std::uint32_t* packed,
+                        int stride);
+
 /// packed[y * width + x] = image(x, y) | image(x+1, y) << 8 | image(x, y+1) << 16 | image(x+1, y+1) << 24, borders
 /// replicated.
 void packNeighborhoods(const std::uint8_t* image, int width, int height, std::uint32_t* packed);

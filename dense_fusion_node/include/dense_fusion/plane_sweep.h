@@ -47,7 +47,7 @@ class PlaneSweep {
 
   /// Winner takes all with a quadratic fit around it. Confidence is the product of how unique the winner is and of how
   /// well its valley fixes the depth: with cost S(rho) ~ S0 + a (rho - rho0)^2 over n samples, var(rho) = S0 / (n a).
-  /// At edges the best of all windows that hold a pixel tells its depth.
+  /// Beside edges a pixel lies on that of the surfaces there which its own 3x3 neighbourhood prefers.
   DepthMap depthMap() const;
 
  private:
@@ -79,6 +79,10 @@ class PlaneSweep {
   void sumCosts(int y, const Strip& strip, CostRow* row) const;
   void estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width, DepthMap* map,
                    cv::Mat* cost) const;
+  /// `cost`: of the windows around the pixels, a sample.
+  void chooseSurfaces(const cv::Mat& cost, DepthMap* map) const;
+  /// Of the 3x3 pixels around one, at one depth.
+  double costAround(int x, int y, float rho) const;
 
   air_ground_common::CameraModel camera_;
   PlaneSweepSettings settings_;
