@@ -139,10 +139,14 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
   // Depth rests on baselines of the sweep's radius: where they have changed among each other, it was off.
   constexpr double kBent = 0.02;
   const double radius = settings_.fusion_radius / unit_, most = kBent * settings_.sweep_radius / unit_;
+  constexpr std::size_t kNewerOnes = 3;  // until then a poor map is better than none
   CloudCorrections since;
+  std::size_t newer = made_.size();
   for (auto& [stamp, made] : made_) {
     const auto [S, residual] = air_ground_common::localCorrection(poses_, now, made.place, radius);
-    if (residual > most || !made.T_now_returned) {
+    made.bent = made.bent || residual > most;
+    --newer;
+    if (!made.T_now_returned || (made.bent && newer >= kNewerOnes)) {
       since[stamp] = made.T_now_returned = std::nullopt;
       continue;
     }
@@ -150,8 +154,9 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
     made.place = S * made.place;
     since[stamp] = S;
   }
-  followHere(now, air_ground_common::localCorrection(poses_, now, last_.T_map_camera.translation() / unit_, radius),
-             most);
+  followHere(
+      now,
+      air_ground_common::localCorrection(poses_, now, last_.T_map_camera.translation() / unit_, radius).T_now_then);
   for (auto& [stamp, T] : poses_)
     if (const auto known = air_ground_common::poseOfImage(now, stamp)) T = *known;
   corrected_ = now;
@@ -160,28 +165,21 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
 }
 
 // What waits to be fused, and what is to be swept with images to come.
-void DenseMapper::followHere(const PosesByStamp& now, const air_ground_common::LocalCorrection& here,
-                             double most_bent) {
+void DenseMapper::followHere(const PosesByStamp& now, const Similarity& T_now_then) {
   const auto follow = [&](std::int64_t stamp, Eigen::Isometry3d* T_map_camera) {
     if (const auto known = air_ground_common::poseOfImage(now, stamp)) {
       *T_map_camera = *known;
     } else {
-      T_map_camera->translation() = here.T_now_then * (T_map_camera->translation() / unit_);
-      T_map_camera->linear() = here.T_now_then.R * T_map_camera->linear().eval();
+      T_map_camera->translation() = T_now_then * (T_map_camera->translation() / unit_);
+      T_map_camera->linear() = T_now_then.R * T_map_camera->linear().eval();
     }
     T_map_camera->translation() *= unit_;
   };
   follow(last_.stamp, &last_.T_map_camera);
   for (Frame& frame : recent_) follow(frame.stamp, &frame.T_map_camera);
-  if (here.residual > most_bent) {
-    group_.clear();
-    carried_over_ = 0;
-    sweeping_ = false;
-    return;
-  }
   for (DepthMap& map : group_) {
     follow(map.stamp, &map.T_map_camera);
-    map.depth *= here.T_now_then.scale;
+    map.depth *= T_now_then.scale;
   }
   if (!sweeping_) return;
   Eigen::Isometry3d T_map_reference = sweep_->reference().T_map_camera;
@@ -276,7 +274,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
     if (fused) {
       ++counters_.fused;
       fused->newest_image = recent_.back().stamp;
-      made_[fused->depth_map.stamp] = {fused->depth_map.T_map_camera.translation() / unit_, Similarity()};
+      made_[fused->depth_map.stamp] = {fused->depth_map.T_map_camera.translation() / unit_, Similarity(), false};
       if (made_.size() > air_ground_common::kFollowedClouds) made_.erase(made_.begin());
     }
   } else {

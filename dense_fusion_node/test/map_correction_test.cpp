@@ -94,20 +94,30 @@ TEST(DenseMapper, ImagesThatWaitedAreWhereTheCorrectionHasThem) {
   EXPECT_LT(heightError(fused->points), 0.012);
 }
 
-TEST(DenseMapper, WhereTheMapHasBentFusedMapsAreGivenUp) {
-  DenseMapper mapper(smallSettings());
-  std::optional<FusedMap> before;
+TEST(DenseMapper, WhereTheMapHasBentFusedMapsAreGivenUpForNewerOnes) {
+  MapperSettings settings = smallSettings();
+  settings.fusion_radius = 0.3;
+  settings.sweep_radius = 0.08;
+  settings.min_depth_maps = 2;
+  DenseMapper mapper(settings);
+  std::vector<std::int64_t> stamps;
   int i = 0;
-  for (; !before; ++i) before = add(&mapper, i, flightPose(i));
+  const auto fly = [&](std::size_t maps) {
+    for (; stamps.size() < maps && i < static_cast<int>(flight().size()); ++i)
+      if (const auto fused = add(&mapper, i, flightPose(i))) stamps.push_back(fused->depth_map.stamp);
+    ASSERT_EQ(stamps.size(), maps);
+  };
+  fly(1);
   PosesByStamp bent = truePoses(i - 1);
   std::mt19937 rng(1);
   std::normal_distribution<double> noise(0, 0.004);
   for (auto& [stamp, T] : bent) T.translation() += Eigen::Vector3d(noise(rng), noise(rng), noise(rng));
-  const auto corrections = mapper.correct(bent);
-  EXPECT_FALSE(corrections.at(before->depth_map.stamp));
-  EXPECT_FALSE(mapper.flush()) << "what waited to be fused is as bad";
-  mapper.correct(truePoses(i - 1));
-  EXPECT_FALSE(mapper.corrections().at(before->depth_map.stamp)) << "for good";
+  EXPECT_TRUE(mapper.correct(bent).at(stamps[0])) << "better than none";
+  fly(4);
+  const auto corrections = mapper.correct(truePoses(i - 1));
+  EXPECT_FALSE(corrections.at(stamps[0]));
+  EXPECT_TRUE(corrections.at(stamps[3]));
+  EXPECT_FALSE(mapper.corrections().at(stamps[0])) << "for good";
 }
 
 TEST(DenseMapper, DepthTakesItsScaleFromTheSparsePoints) {

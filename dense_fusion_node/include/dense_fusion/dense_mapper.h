@@ -81,7 +81,7 @@ class DenseMapper {
   /// The odometry has corrected its map: `now` says where it has earlier images [unit of the poses]. What waits to be
   /// fused follows, and images of these stamps that come later are taken to be there. Returns what the newest fused
   /// maps so far go through, by the stamps of their reference views: they are given up where cameras nearby moved
-  /// against each other by 2 % of sweep_radius.
+  /// against each other by 2 % of sweep_radius, once three newer ones are there.
   air_ground_common::CloudCorrections correct(const air_ground_common::PosesByStamp& now);
   /// The same, since each of them was returned.
   air_ground_common::CloudCorrections corrections() const;
@@ -109,8 +109,7 @@ class DenseMapper {
   void finishSweep();
   bool endsGroup(const Eigen::Isometry3d& T_map_reference) const;
   std::optional<FusedMap> fuseGroup();
-  void followHere(const air_ground_common::PosesByStamp& now, const air_ground_common::LocalCorrection& here,
-                  double most_bent);
+  void followHere(const air_ground_common::PosesByStamp& now, const air_ground_common::Similarity& T_now_then);
   std::optional<FusedMap> inPosesUnit(std::optional<FusedMap> fused) const;
   std::vector<Eigen::Vector3f> sparsePoints() const;  // in metres, as the next
 
@@ -132,7 +131,8 @@ class DenseMapper {
   air_ground_common::PosesByStamp poses_, corrected_;
   struct Made {
     Eigen::Vector3d place;                                        // of the reference view
-    std::optional<air_ground_common::Similarity> T_now_returned;  // empty: the map has bent there
+    std::optional<air_ground_common::Similarity> T_now_returned;  // empty: given up
+    bool bent;                                                    // its cameras have moved against each other
   };
   std::map<std::int64_t, Made> made_;
   std::vector<Eigen::Vector3f> sparse_points_;
