@@ -7,6 +7,7 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
 
@@ -62,16 +63,11 @@ void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
 
 void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& corrections) {
   std::optional<Similarity> newest;
-  for (auto aerial = aerial_.begin(); aerial != aerial_.end();) {
-    const auto it = corrections.find(aerial->first);
-    const bool bent = it != corrections.end() && !it->second;
-    if (it != corrections.end() && it->second) {
-      aerial->second = transformed(aerial->second, *it->second);
-      removeInvalid(aerial->second);
-      newest = it->second;
-    }
-    aerial = bent ? aerial_.erase(aerial) : std::next(aerial);
-  }
+  air_ground_common::correctClouds(corrections, &aerial_, [&](const Similarity& S, Cloud* cloud) {
+    *cloud = transformed(*cloud, S);
+    removeInvalid(*cloud);
+    newest = S;
+  });
   if (!newest) return;
   const Similarity T_then_now = inverse(*newest);
   if (tracked_) tracked_ = compose(*tracked_, T_then_now);

@@ -14,6 +14,15 @@ class CorrectionTest : public NodeTest {
     ASSERT_TRUE(waitFor([this] { return corrections_.getNumSubscribers() > 0; }));
   }
 
+  /// Until the pose is refined; `aerial`: the cloud as it was published.
+  void align(const synthetic::Scene& scene, sensor_msgs::PointCloud2* aerial) {
+    *aerial = cloud(scene.aerial, "mav_map");
+    ground_.publish(cloud(scene.ground, "ground_map"));
+    aerial_.publish(*aerial);
+    sendCoarse(offset(scene));
+    ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  }
+
   void send(const air_ground_common::CloudCorrections& corrections) {
     std_msgs::Header header;
     header.stamp = ros::Time(now_);
@@ -49,11 +58,8 @@ std::int64_t stampOf(const sensor_msgs::PointCloud2& cloud) {
 
 TEST_F(CorrectionTest, CloudsAndAlignmentFollow) {
   const auto scene = synthetic::makeScene(1);
-  const auto aerial = cloud(scene.aerial, "mav_map");
-  ground_.publish(cloud(scene.ground, "ground_map"));
-  aerial_.publish(aerial);
-  sendCoarse(offset(scene));
-  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  sensor_msgs::PointCloud2 aerial;
+  ASSERT_NO_FATAL_FAILURE(align(scene, &aerial));
   ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
 
   // By more than ICP reaches.
@@ -89,11 +95,8 @@ TEST_F(CorrectionTest, CloudsAndAlignmentFollow) {
 
 TEST_F(CorrectionTest, WhatCannotBeIsCountedAndChangesNothing) {
   const auto scene = synthetic::makeScene(1);
-  const auto aerial = cloud(scene.aerial, "mav_map");
-  ground_.publish(cloud(scene.ground, "ground_map"));
-  aerial_.publish(aerial);
-  sendCoarse(offset(scene));
-  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  sensor_msgs::PointCloud2 aerial;
+  ASSERT_NO_FATAL_FAILURE(align(scene, &aerial));
   air_ground::CloudCorrections msg;
   msg.header.stamp = ros::Time(now_);
   msg.header.frame_id = "mav_map";

@@ -18,6 +18,18 @@ void moveBy(const Similarity& S, std::vector<Point>* points) {
   for (Point& p : *points) p.position = (S * p.position.template cast<double>()).template cast<float>();
 }
 
+/// `move(S, &cloud)` for each cloud that went through S; those that are off in themselves go.
+template <typename Cloud, typename Move>
+void correctClouds(const CloudCorrections& corrections, std::deque<std::pair<std::int64_t, Cloud>>* clouds,
+                   const Move& move) {
+  for (auto cloud = clouds->begin(); cloud != clouds->end();) {
+    const auto it = corrections.find(cloud->first);
+    const bool bent = it != corrections.end() && !it->second;
+    if (it != corrections.end() && it->second) move(*it->second, &cloud->second);
+    cloud = bent ? clouds->erase(cloud) : std::next(cloud);
+  }
+}
+
 /// The newest clouds as they stand: bounded, since each is some hundred kilobytes. Not thread-safe.
 template <typename Point>
 class FollowedClouds {
@@ -32,14 +44,7 @@ class FollowedClouds {
     settle(clouds_.front().second);
     clouds_.pop_front();
   }
-  void correct(const CloudCorrections& corrections) {
-    for (auto cloud = clouds_.begin(); cloud != clouds_.end();) {
-      const auto it = corrections.find(cloud->first);
-      const bool bent = it != corrections.end() && !it->second;
-      if (it != corrections.end() && it->second) moveBy(*it->second, &cloud->second);
-      cloud = bent ? clouds_.erase(cloud) : std::next(cloud);
-    }
-  }
+  void correct(const CloudCorrections& corrections) { correctClouds(corrections, &clouds_, moveBy<Point>); }
   void clear() { clouds_.clear(); }
   bool empty() const { return clouds_.empty(); }
   /// Stamps [ns] and points, the oldest first.
