@@ -116,8 +116,8 @@ int main(int argc, char** argv) {
   app.add_option("--first-seed", first_seed, "seed of the first world");
   app.add_option("--runs", runs, "number of worlds");
   app.add_option("--maps", maps, "aerial clouds a world");
-  app.add_option("--world", world, "boxes, identical, flat, ridge or room")
-      ->check(CLI::IsMember({"boxes", "identical", "flat", "ridge", "room"}));
+  app.add_option("--world", world, "boxes, few, identical, flat, ridge or room")
+      ->check(CLI::IsMember({"boxes", "few", "identical", "flat", "ridge", "room"}));
   app.add_option("--csv", csv, "file for one line a map");
   app.add_option("--pictures", pictures, "prefix of PNG files for the first world");
   app.add_option("--known-heading", known_heading_deg,
@@ -167,11 +167,9 @@ int main(int argc, char** argv) {
   app.add_option("--ground-noise", options.ground_noise, "of the ground robot's depths, times that of a Kinect");
   CLI11_PARSE(app, argc, argv);
   if (own_unit) options.scale_error = 0;
-  const std::map<std::string, syn::World> worlds{{"boxes", syn::World::kBoxes},
-                                                 {"identical", syn::World::kIdenticalBoxes},
-                                                 {"flat", syn::World::kFlatFloor},
-                                                 {"ridge", syn::World::kRidge},
-                                                 {"room", syn::World::kRoom}};
+  const std::map<std::string, syn::World> worlds{
+      {"boxes", syn::World::kBoxes},    {"few", syn::World::kFewBoxes}, {"identical", syn::World::kIdenticalBoxes},
+      {"flat", syn::World::kFlatFloor}, {"ridge", syn::World::kRidge},  {"room", syn::World::kRoom}};
   s.air_map.dilation = s.ground_map.dilation = dilation == "none"    ? hm::Dilation::kNone
                                                : dilation == "holes" ? hm::Dilation::kHoles
                                                                      : hm::Dilation::kAll;

@@ -18,7 +18,7 @@ Agreement fromSums(const kernel::AgreementSums& sums, double cells, double offse
   if (sums.n < 1 || sums.n < settings.min_overlap * cells) return result;
   result.cost = sums.squares / sums.n;
   const double share = std::min(1.0, sums.n / cells);
-  result.score = share * result.cost + (1 - share) * 0.5 * settings.cutoff * settings.cutoff;
+  result.score = share * result.cost + (1 - share) * settings.unknown_share * settings.cutoff * settings.cutoff;
   result.raised = static_cast<int>(sums.raised + 0.5);
   result.agreeing = sums.raised > 0 ? sums.agree / sums.raised : 0;
   result.dz = lift - result.offset;

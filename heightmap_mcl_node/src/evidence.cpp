@@ -63,11 +63,19 @@ double HeightMapLocalizer::logLikelihoodRatio(double independent, double cost_le
   return independent * cost_less / (2 * sigma * sigma);
 }
 
-double HeightMapLocalizer::nothingKnown() const { return 0.5 * settings_.cutoff * settings_.cutoff; }
+double HeightMapLocalizer::unknownShare() const {
+  // Two unrelated cells differ where one of them has something on it. Below the least, chosen on scenes of a few boxes,
+  // places hide what stands there in the other map's holes.
+  constexpr double kLeast = 0.15, kMost = 0.5;
+  if (own_unit_) return kMost;  // scales are told apart better: a map of the wrong size has fewer partners
+  return std::clamp(ground_raised_ * (2 - ground_raised_), kLeast, kMost);
+}
+
+double HeightMapLocalizer::nothingKnown() const { return unknownShare() * settings_.cutoff * settings_.cutoff; }
 
 bool HeightMapLocalizer::toldApart(double agreement, double rival_ratio) const {
-  return estimate_.relief >= settings_.min_relief && estimate_.agreement >= agreement &&
-         estimate_.rival_ratio >= rival_ratio;
+  return estimate_.relief >= settings_.min_relief && estimate_.raised >= settings_.min_raised &&
+         estimate_.agreement >= agreement && estimate_.rival_ratio >= rival_ratio;
 }
 
 bool HeightMapLocalizer::isGuess() const {

@@ -269,4 +269,15 @@ double heightDeviation(const HeightMap& map) {
   return std::sqrt(std::max(0.0, squares / n - (sum / n) * (sum / n)));
 }
 
+double raisedShare(const HeightMap& map, double height) {
+  const double base = baseHeight(map);
+  std::size_t n = 0, raised = 0;
+  for (float h : map.heights) {
+    if (std::isnan(h)) continue;
+    raised += h - base > height;
+    ++n;
+  }
+  return n == 0 ? 0 : static_cast<double>(raised) / static_cast<double>(n);
+}
+
 }  // namespace heightmap_mcl

@@ -19,6 +19,8 @@ using air_ground_common::wrapAngle;
 
 /// Minima of eq. 2 that are compared: the right place is often not its lowest one.
 constexpr std::size_t kPlaces = 16;
+/// Of heights where the particles' sigma is as set [m^2]. Where less stands, costs differ by less.
+constexpr double kUsualVariance = 0.03;
 
 double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
@@ -91,6 +93,8 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   ground_levels_.clear();
   ground_piece_ = 0;
   ground_variance_ = std::pow(heightDeviation(ground_), 2);
+  ground_raised_ = raisedShare(ground_, kRaised * settings_.cutoff);
+  filter_.setSigmaShare(settings_.mode == Mode::kPaper ? 1 : std::clamp(ground_variance_ / kUsualVariance, 0.02, 1.0));
   direct_ = std::move(direct);
   coarse_fft_ = std::move(coarse_fft);
   full_fft_.reset();
@@ -162,7 +166,8 @@ CostSettings HeightMapLocalizer::costFor(const HeightMap& air) const {
           settings_.min_explained,
           settings_.min_relief,
           settings_.overlap_of_air,
-          settings_.cutoff};
+          settings_.cutoff,
+          unknownShare()};
 }
 
 AerialCells HeightMapLocalizer::cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const {

@@ -116,6 +116,8 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("rival_angle", s.rival_angle, {0.02, M_PI / 2}, "rad", "... or is turned by this");
   v("min_relief", s.min_relief, {0.0, 10.0}, "m",
     "standard deviation of the heights in the overlap; below: DEGENERATE (flat)");
+  v("min_raised", s.min_raised, {0.0, 100.0}, "m^2",
+    "of the overlap, on which something stands in either map; below: DEGENERATE (bare)");
   v("min_agreement", s.min_agreement, {0.0, 1.0}, "",
     "of what stands on the floor in either map, share whose heights agree (within 0.6 of cutoff)");
   v("probe_distance", s.probe_distance, {0.05, 5.0}, "m", "the cost this far along its flattest direction ...");

@@ -51,12 +51,13 @@ std::vector<PlanarPose> ParticleFilter::draw(const CostVolume& volume, const Pri
   if (count <= 0) return {};
   const int n = static_cast<int>(volume.slices.size());
   const bool use_prior = prior.any();
-  const double lowest = use_prior ? lowestWithPrior(volume, prior, settings_.sampling_sigma) : volume.lowest();
+  const double sigma = sigma_share_ * settings_.sampling_sigma;
+  const double lowest = use_prior ? lowestWithPrior(volume, prior, sigma) : volume.lowest();
   if (!std::isfinite(lowest)) return {};
   const auto weightOf = [&](const CostMap& map, int row, int column) -> double {
     const float cost = map.at(row, column);
     if (!std::isfinite(cost)) return 0;
-    double exponent = -(cost - lowest) / settings_.sampling_sigma;
+    double exponent = -(cost - lowest) / sigma;
     if (use_prior) exponent += prior.logDensity(map.pose(row, column), volume.pivot);
     return exponent > -50 ? std::exp(exponent) : 0;
   };
@@ -143,10 +144,11 @@ bool ParticleFilter::weigh(const DirectCost& cost, const AerialCells& cells, con
   double lowest = kInfinity;
   for (const Zmssd& v : values) lowest = std::min(lowest, v.score);
   if (!std::isfinite(lowest)) return false;
+  const double sigma = sigma_share_ * settings_.weight_sigma;
   std::vector<double> weights(particles_.size());
   double total = 0;
   for (std::size_t i = 0; i < particles_.size(); ++i) {
-    weights[i] = particles_[i].weight * std::exp(-(values[i].score - lowest) / settings_.weight_sigma);
+    weights[i] = particles_[i].weight * std::exp(-(values[i].score - lowest) / sigma);
     total += weights[i];
   }
   if (!(total > 0)) return false;

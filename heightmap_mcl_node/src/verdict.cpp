@@ -98,12 +98,19 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Placement& best, const AerialCel
   e.relief = std::min(zmssd.relief_air, zmssd.relief_ground);
   e.explained = zmssd.explained;
   e.agreement = best.agreement.agreeing;
+  e.raised = best.agreement.raised * ground_.resolution * ground_.resolution;
 
   const Eigen::Vector3d weakest = probe(best, cells, cost);
   gatherEvidence();
+  // Particles follow eq. 2: where much more speaks for the place, they are not asked.
+  const bool asked = e.evidence < 2 * s.min_evidence;
   if (e.relief < s.min_relief) {
     e.status = Status::kDegenerate;
     e.reason = formatted("the overlap is flat: heights vary by %.3f m, %.3f m are needed", e.relief, s.min_relief);
+  } else if (e.raised < s.min_raised) {
+    e.status = Status::kDegenerate;
+    e.reason = formatted("the overlap is bare: something stands on %.2f m^2 of it, %.2f m^2 are needed", e.raised,
+                         s.min_raised);
   } else if (e.probe_ratio < s.probe_ratio) {
     e.status = Status::kDegenerate;
     e.reason = formatted("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", weakest.x(),
@@ -119,12 +126,12 @@ Eigen::Vector3d HeightMapLocalizer::judge(const Placement& best, const AerialCel
     e.reason = formatted("%d of %d aerial maps seen", e.maps, s.min_maps);
   } else if (e.evidence < s.min_evidence) {
     e.reason = formatted("evidence for the place: %.1f of %.1f", e.evidence, s.min_evidence);
-  } else if (!particles_agree) {
+  } else if (asked && !particles_agree) {
     e.reason = "the particles have not gathered at the best place yet";
-  } else if (e.mode_weight < s.min_mode_weight) {
+  } else if (asked && e.mode_weight < s.min_mode_weight) {
     e.reason = formatted("%.0f %% of the particles are at the best place, %.0f %% are needed", 100 * e.mode_weight,
                          100 * s.min_mode_weight);
-  } else if (e.mode_spread > s.max_spread || e.mode_spread_yaw > s.max_spread_yaw) {
+  } else if (asked && (e.mode_spread > s.max_spread || e.mode_spread_yaw > s.max_spread_yaw)) {
     e.reason = formatted("the particles spread over %.2f m, %.1f deg", e.mode_spread, e.mode_spread_yaw / kDegree);
   } else {
     e.status = Status::kConverged;

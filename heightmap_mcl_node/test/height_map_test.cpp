@@ -308,3 +308,14 @@ TEST(HeightMap, BadSettingsAreNamed) {
     EXPECT_NE(std::string(e.what()).find("height_quantile"), std::string::npos);
   }
 }
+
+TEST(HeightMap, RaisedShareCountsWhatStandsOnTheFloor) {
+  HeightMap map;
+  map.width = 5;
+  map.height = 1;
+  map.floor = 1;
+  map.heights = {1.f, 1.05f, 1.3f, std::nanf(""), 1.09f};
+  EXPECT_DOUBLE_EQ(raisedShare(map, 0.08), 0.5);
+  EXPECT_DOUBLE_EQ(raisedShare(map, 1), 0);
+  EXPECT_DOUBLE_EQ(raisedShare(HeightMap(), 0.08), 0);
+}

@@ -92,13 +92,16 @@ TEST(ParticleFilter, SamplesFollowTheCost) {
   map.cost = {0.05f, 0.03f, std::numeric_limits<float>::infinity()};
   ParticleFilter filter(settings, 2);
   ASSERT_TRUE(filter.initialize(volume, {}, {0, 0}));
-  int second = 0, third = 0;
-  for (const auto& p : filter.particles()) {
-    second += std::abs(p.pose.x - 1) <= 0.5;
-    third += p.pose.x > 1.5;
-  }
-  EXPECT_EQ(third, 0);
-  EXPECT_NEAR(second / 1000.0, std::exp(1) / (1 + std::exp(1)), 0.02);  // eq. 5
+  const auto shareAt = [&filter](double x) {
+    int n = 0;
+    for (const auto& p : filter.particles()) n += std::abs(p.pose.x - x) <= 0.5;
+    return n / 1000.0;
+  };
+  EXPECT_EQ(shareAt(2), 0);
+  EXPECT_NEAR(shareAt(1), std::exp(1) / (1 + std::exp(1)), 0.02);  // eq. 5
+  filter.setSigmaShare(0.5);
+  ASSERT_TRUE(filter.initialize(volume, {}, {0, 0}));
+  EXPECT_NEAR(shareAt(1), std::exp(2) / (1 + std::exp(2)), 0.02);
   for (float& c : map.cost) c = std::numeric_limits<float>::infinity();
   EXPECT_FALSE(filter.initialize(volume, {}, {0, 0}));
   EXPECT_FALSE(filter.initialized());
@@ -362,6 +365,42 @@ TEST(HeightMapLocalizer, IdenticalBoxesAreAmbiguous) {
     if (outcome.last.rival_distance > 1) {
       EXPECT_GT(std::hypot(sigma[0], sigma[1]), 0.5);
     }
+  }
+}
+
+// Most cells are bare floor: costs differ by little, and heights vary by little.
+TEST(HeightMapLocalizer, AFewBoxesOnABareFloorAreEnough) {
+  synthetic::Options options;
+  options.world = synthetic::World::kFewBoxes;
+  options.aerial_clouds = 6;
+  options.cloud_noise = options.smooth_noise = 0.01;
+  int converged = 0;
+  for (int seed : {1, 2, 3}) {
+    options.seed = seed;
+    options.other_world = false;
+    HeightMapLocalizer there({});
+    const auto outcome = play(synthetic::makeRun(options), there);
+    EXPECT_EQ(outcome.wrong, 0) << seed;
+    converged += outcome.last.status == Status::kConverged;
+    options.other_world = true;
+    HeightMapLocalizer elsewhere({});
+    EXPECT_EQ(play(synthetic::makeRun(options), elsewhere).converged, 0) << seed;
+  }
+  EXPECT_GE(converged, 2);
+}
+
+TEST(HeightMapLocalizer, ASingleBoxIsNot) {
+  HeightMapLocalizer localizer({});
+  std::vector<Eigen::Vector3f> floor;
+  for (int i = 0; i < 200; ++i)
+    for (int j = 0; j < 200; ++j) {
+      const bool box = i > 90 && i < 120 && j > 90 && j < 120;
+      floor.emplace_back(0.02f * i, 0.02f * j, box ? 0.4f : 0.f);
+    }
+  localizer.setGround(floor);
+  for (int k = 0; k < 6; ++k) {
+    ASSERT_TRUE(localizer.addAerial({floor, {0.1 * k, 0, 2}}));
+    EXPECT_NE(localizer.estimate().status, Status::kConverged);
   }
 }
 

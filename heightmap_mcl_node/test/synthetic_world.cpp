@@ -82,15 +82,17 @@ TriangleMesh makeMesh(const Options& options, Random& random) {
   if (world == World::kRoom) return makeRoom(options, random);
   TriangleMesh mesh;
   addBox(mesh, 0, 0, -0.1, 0, {12, 12, 0.1});
-  if (world == World::kBoxes) {
+  if (world == World::kBoxes || world == World::kFewBoxes) {
     struct Placed {
       double x, y, radius;
     };
     std::vector<Placed> placed;
-    const int boxes = 11 + static_cast<int>(uniform(random, 0, 5));
+    const bool few = world == World::kFewBoxes;
+    const int boxes = few ? 3 + static_cast<int>(uniform(random, 0, 4)) : 11 + static_cast<int>(uniform(random, 0, 5));
     for (int attempt = 0; attempt < 400 && static_cast<int>(placed.size()) < boxes; ++attempt) {
-      const Eigen::Vector3d size(uniform(random, 0.25, 0.8), uniform(random, 0.25, 0.8),
-                                 uniform(random, 0, 1) < 0.6 ? uniform(random, 0.15, 0.6) : uniform(random, 0.6, 1.4));
+      Eigen::Vector3d size(uniform(random, 0.25, 0.8), uniform(random, 0.25, 0.8),
+                           uniform(random, 0, 1) < 0.6 ? uniform(random, 0.15, 0.6) : uniform(random, 0.6, 1.4));
+      if (few) size = uniform(random, 0, 1) < 0.5 ? Eigen::Vector3d(0.6, 0.4, 0.4) : Eigen::Vector3d(0.4, 0.4, 0.3);
       const double x = uniform(random, -2.2, 2.2), y = uniform(random, -2.7, 2.7);
       const double radius = 0.5 * size.head<2>().norm();
       if (std::any_of(placed.begin(), placed.end(),
@@ -100,11 +102,11 @@ TriangleMesh makeMesh(const Options& options, Random& random) {
       placed.push_back({x, y, radius});
       const double yaw = uniform(random, 0, M_PI);
       addBox(mesh, x, y, 0, yaw, size);
-      if (uniform(random, 0, 1) < 0.3) {
+      if (!few && uniform(random, 0, 1) < 0.3) {
         addBox(mesh, x + 0.05, y, size.z(), yaw + 0.4, {0.6 * size.x(), 0.6 * size.y(), uniform(random, 0.1, 0.3)});
       }
     }
-    for (int i = 0; i < 25; ++i) {
+    for (int i = 0; i < 25 && !few; ++i) {
       addBox(mesh, uniform(random, -2.4, 2.4), uniform(random, -2.9, 2.9), 0, uniform(random, 0, M_PI),
              {uniform(random, 0.08, 0.5), uniform(random, 0.05, 0.15), uniform(random, 0.03, 0.12)});
     }

@@ -13,7 +13,8 @@
 namespace heightmap_mcl::synthetic {
 
 /// kRoom: a furnished room with walls of 2.5 m, a door, a lamp and a ceiling, seen from within by both robots.
-enum class World { kBoxes, kIdenticalBoxes, kFlatFloor, kRidge, kRoom };
+/// kFewBoxes: three to six of two kinds, on bare floor.
+enum class World { kBoxes, kFewBoxes, kIdenticalBoxes, kFlatFloor, kRidge, kRoom };
 
 struct Options {
   World world = World::kBoxes;

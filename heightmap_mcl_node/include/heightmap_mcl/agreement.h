@@ -18,8 +18,8 @@ constexpr double kHeightDeviation = 0.3, kAgreeing = 0.6, kRaised = 0.8;
 struct Agreement {
   int overlap = 0;          ///< cells defined in both maps, bounds included
   double cost = kInfinity;  ///< mean of min(r, cutoff)^2 over them [m^2]; infinite below CostSettings::min_overlap
-  /// cost, where cells of the smaller map without a partner cost half of the most [m^2]: what placements are compared
-  /// by.
+  /// cost, where cells of the smaller map without a partner cost CostSettings::unknown_share of the most [m^2]: what
+  /// placements are compared by.
   double score = kInfinity;
   int raised = 0;       ///< partners of which at least one stands above the floor for certain
   double agreeing = 0;  ///< share of these whose heights agree: what is bare in both maps tells nothing

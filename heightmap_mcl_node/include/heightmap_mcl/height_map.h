@@ -128,4 +128,7 @@ double baseHeight(const HeightMap& map);
 /// Relief of a map: standard deviation of its heights [m]; 0 for fewer than two.
 double heightDeviation(const HeightMap& map);
 
+/// Share of the defined cells that stand higher than `height` [m] above baseHeight, bounds included.
+double raisedShare(const HeightMap& map, double height);
+
 }  // namespace heightmap_mcl

@@ -67,7 +67,8 @@ struct HeightMapLocalizerSettings {
   double noise_cost = 1e-4;      ///< [m^2] added to both sides of a ratio: differences below it mean nothing
   double rival_distance = 0.4;   ///< a rival lies at least this far off [m] ...
   double rival_angle = 0.26;     ///< ... or is turned by this [rad]
-  double min_relief = 0.05;      ///< standard deviation of the heights in the overlap [m]; below, the floor is flat
+  double min_relief = 0.02;      ///< standard deviation of the heights in the overlap [m]; below, the floor is flat ...
+  double min_raised = 0.16;      ///< ... or when less than this stands on it in either map [m^2]
   double min_explained = 0.25;   ///< see Zmssd::explained; the search charges a place with less as if without partners
   double min_agreement = 0.7;    ///< see Agreement::agreeing
   double probe_distance = 0.25;  ///< the cost this far along its flattest direction ... [m]
@@ -135,6 +136,7 @@ struct CoarseEstimate {
   double evidence_lead = 0;    ///< of the place over its best rival, see HeightMapLocalizerSettings::min_evidence
   double evidence = 0;         ///< that sum
   double relief = 0;           ///< smaller one of the two maps' height deviations in the overlap [m]
+  double raised = 0;           ///< area of the overlap where something stands on the floor in either map [m^2]
   double probe_ratio = 0;      ///< see HeightMapLocalizerSettings
   bool guess = false;          ///< not CONVERGED, but see HeightMapLocalizerSettings::guess_ratio
   int maps = 0;                ///< aerial maps used since the search began
@@ -264,6 +266,7 @@ class HeightMapLocalizer {
   double independentCells(const Agreement& place) const;
   /// The same for mean squared residuals that are less by `cost_less` [m^2] over that many independent measurements.
   double logLikelihoodRatio(double independent, double cost_less) const;
+  double unknownShare() const;  ///< see CostSettings
   double nothingKnown() const;  ///< score of a placement without partners [m^2]
   /// The best one that is not at `pose`; without a finite score where there is none.
   Placement bestElsewhere(const std::vector<Placement>& places, const PlanarPose& pose) const;
@@ -282,6 +285,7 @@ class HeightMapLocalizer {
   ParticleFilter filter_;
   HeightMap ground_, filter_map_;
   double ground_variance_ = 0;  // of the ground map's heights [m^2]
+  double ground_raised_ = 0;    // see raisedShare
   std::unique_ptr<DirectCost> direct_;
   std::unique_ptr<FftCost> coarse_fft_, full_fft_;
   std::deque<Kept> aerial_;

@@ -43,6 +43,8 @@ class ParticleFilter {
 
   bool initialized() const { return !particles_.empty(); }
   void clear() { particles_.clear(); }
+  /// Both sigmas are that share of the settings' from now on.
+  void setSigmaShare(double share) { sigma_share_ = share; }
   const std::vector<Particle>& particles() const { return particles_; }
   const Eigen::Vector2d& reference() const { return reference_; }
 
@@ -78,6 +80,7 @@ class ParticleFilter {
   std::vector<PlanarPose> draw(const CostVolume& volume, const Prior& prior, int count);
 
   FilterSettings settings_;
+  double sigma_share_ = 1;
   std::mt19937_64 random_;
   std::vector<Particle> particles_;
   Eigen::Vector2d reference_ = Eigen::Vector2d::Zero();

@@ -49,6 +49,7 @@ struct CostSettings {
   double min_relief = 0;        ///< see Zmssd::explained [m]
   bool overlap_of_air = false;  ///< the aerial map counts as the smaller one, whichever is (paper)
   double cutoff = 0.1;          ///< see agreement.h [m]
+  double unknown_share = 0.5;   ///< of cutoff^2, likewise
 
   /// Cells that a full overlap has.
   double cells(double aerial, double ground) const { return overlap_of_air ? aerial : std::min(aerial, ground); }
