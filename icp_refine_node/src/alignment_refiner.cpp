@@ -72,14 +72,26 @@ void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& 
   const Similarity T_then_now = inverse(*newest);
   if (tracked_) tracked_ = compose(*tracked_, T_then_now);
   if (unconfirmed_) unconfirmed_->second = compose(unconfirmed_->second, T_then_now);
+  if (coarse_known_) coarse_known_->T_ground_map_mav_map = compose(coarse_known_->T_ground_map_mav_map, T_then_now);
 }
 
 void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
   coarse_ = T;
   coarse_sure_ = sure;
+  coarse_known_.reset();
 }
 
-void AlignmentRefiner::setViews(const ViewAlignment& views) { views_ = views; }
+void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
+  setCoarse(poseOf(coarse.T_ground_map_mav_map));
+  coarse_known_ = coarse;
+}
+
+void AlignmentRefiner::groundMoved() {
+  moved_grounds_ = kMovedGrounds;
+  coarse_known_.reset();
+}
+
+void AlignmentRefiner::setViews(const KnownAlignment& views) { views_ = views; }
 
 void AlignmentRefiner::setManual(const Pose& T) { manual_ = T; }
 
@@ -123,6 +135,7 @@ void AlignmentRefiner::reset() {
 
 void AlignmentRefiner::forgetPoses() {
   coarse_.reset();
+  coarse_known_.reset();
   manual_.reset();
   views_.reset();
   tracked_.reset();
@@ -305,6 +318,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   out.iterations = icp.iterations;
   if (icp.outcome == IcpResult::Outcome::kConverged) {
     compareWithViews(out);
+    compareWithCoarse(out);
     out.heights = checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check,
                                ground_camera_);
     out.overlap = out.heights.overlap();
@@ -324,7 +338,15 @@ void AlignmentRefiner::compareWithViews(RefineOutcome& out) const {
   const double squared = squaredSigmas(*views_, out.icp);
   out.view_sigmas = std::sqrt(squared);
   out.seen = squared < settings_.view_squared_sigmas;
-  if (out.seen && !out.icp.localizability.complete()) out.covariance = heldByViews(*views_, out.icp);
+  if (out.seen && !out.icp.localizability.complete()) out.covariance = heldBy(*views_, out.icp);
+}
+
+void AlignmentRefiner::compareWithCoarse(RefineOutcome& out) const {
+  const Localizability& geometry = out.icp.localizability;
+  if (!coarse_known_ || out.seen || geometry.complete()) return;
+  if (geometry.needs_scale && !geometry.scale.localizable) return;
+  out.held = squaredSigmas(*coarse_known_, out.icp) < settings_.view_squared_sigmas;
+  if (out.held) out.covariance = heldBy(*coarse_known_, out.icp);
 }
 
 void AlignmentRefiner::judge(RefineOutcome& out) const {
@@ -340,7 +362,7 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
     return rejected(formatted("the maps overlap in %.0f %% of the aerial one, %.0f %% needed", 100 * out.overlap,
                               100 * settings_.min_overlap));
   }
-  if (!icp.localizability.complete() && !out.seen)
+  if (!icp.localizability.complete() && !out.seen && !out.held)
     return degenerate("the geometry does not fix: " + icp.localizability.describeMissing());
   const double sigma = largestSigma(out.covariance.topLeftCorner<3, 3>());
   const double sigma_angle = largestSigma(out.covariance.bottomRightCorner<3, 3>());
@@ -378,7 +400,10 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
                     sigma_angle / kDegree) +
               (icp.scale_estimated ? formatted("scale %.4f +- %.4f", scale, out.scale_stddev)
                                    : formatted("scale held at %.4f: the geometry does not fix it", scale)) +
-              (out.seen ? formatted(", the images agree within %.1f sigma", out.view_sigmas) : ""));
+              (out.seen ? formatted(", the images agree within %.1f sigma", out.view_sigmas) : "") +
+              (out.held ? "; as the coarse alignment has it, since the geometry does not fix it: " +
+                              icp.localizability.describeMissing()
+                        : ""));
 }
 
 }  // namespace icp_refine

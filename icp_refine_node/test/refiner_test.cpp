@@ -175,7 +175,8 @@ TEST_F(Refiner, AWrongCoarsePoseIsRejectedAndNotTracked) {
 /// Floor and one wall along x: nothing tells where along the wall the MAV was.
 class AlongAWall : public testing::Test {
  protected:
-  AlongAWall() : refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
+  explicit AlongAWall(bool with_box = false)
+      : refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
     std::mt19937 random(3);
     std::normal_distribution<float> noise(0, 0.005f);
     const auto scan = [&](float from, float to) {
@@ -184,10 +185,13 @@ class AlongAWall : public testing::Test {
         for (float y = 0; y < 2; y += 0.03f) cloud.points.emplace_back(x, y, noise(random));
         for (float z = 0; z < 1.5f; z += 0.03f) cloud.points.emplace_back(x, 2 + noise(random), z);
       }
+      for (float x = -0.6f; with_box && x < 0.6f; x += 0.03f)
+        for (float y = 0.6f; y < 1.2f; y += 0.03f) cloud.points.emplace_back(x, y, 0.3f + noise(random));
       return cloud;
     };
     refiner.setGround(scan(-3, 3));
-    refiner.addAerial(1, transformed(scan(-1.5, 1.5), truth.inverse()));
+    aerial = transformed(scan(-1.5, 1.5), truth.inverse());
+    refiner.addAerial(1, aerial);
     views.centre = {0, 1, 0.5};
     views.covariance = 9e-4 * Matrix6d::Identity();
     views.covariance.bottomRightCorner<3, 3>() *= 0.1;
@@ -199,7 +203,8 @@ class AlongAWall : public testing::Test {
 
   Pose truth = air_ground_common::yawPose(0.7, {1, 2, 0.1});  // T_ground_map_mav_map
   AlignmentRefiner refiner;
-  ViewAlignment views;
+  KnownAlignment views;
+  Cloud aerial;
 };
 
 TEST_F(AlongAWall, TheCloudsAloneAreDegenerate) {
@@ -220,6 +225,50 @@ TEST_F(AlongAWall, ViewsTellWhatTheGeometryLeavesOpen) {
   EXPECT_LT(std::sqrt(out.covariance(1, 1)), std::sqrt(out.covariance(0, 0)));
 }
 
+/// The same with a box that both robots see, too small to fix what the wall leaves open.
+class AlongAWallWithABox : public AlongAWall {
+ protected:
+  AlongAWallWithABox() : AlongAWall(true) {}
+  KnownAlignment coarseAt(double x, double y) const {
+    KnownAlignment coarse;
+    coarse.T_ground_map_mav_map = similarity(Pose(Eigen::Translation3d(x, y, 0) * truth));
+    coarse.centre = {0, 1, 0.5};
+    coarse.covariance = 49e-4 * Matrix6d::Identity();
+    coarse.covariance.bottomRightCorner<3, 3>() *= 0.2;
+    coarse.scale_stddev = 0;
+    return coarse;
+  }
+};
+
+TEST_F(AlongAWallWithABox, TheCoarsePoseHoldsWhatTheGeometryLeavesOpen) {
+  refiner.setCoarse(poseOf(coarseAt(0.02, 0.05).T_ground_map_mav_map));
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kDegenerate);
+  refiner.setCoarse(coarseAt(0.02, 0.05));
+  const RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_TRUE(out.held);
+  EXPECT_NE(out.reason.find("translation along x"), std::string::npos) << out.reason;
+  const Eigen::Vector3d error =
+      out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point;
+  EXPECT_NEAR(error.x(), 0.02, 0.01);  // as the coarse alignment has it
+  EXPECT_NEAR(error.y(), 0, 0.01);     // as the wall says
+  EXPECT_NEAR(std::sqrt(out.covariance(0, 0)), 0.07, 0.02);
+  EXPECT_LT(std::sqrt(out.covariance(1, 1)), 0.04);
+  // What is known of the ground map before a loop closed is not of this one.
+  refiner.groundMoved();
+  refiner.addAerial(2, aerial);
+  EXPECT_EQ(refiner.refine().status, RefineStatus::kDegenerate);
+  EXPECT_TRUE(refiner.tracking());
+}
+
+TEST_F(AlongAWallWithABox, ACoarsePoseThatTheWallContradictsHoldsNothing) {
+  refiner.setCoarse(coarseAt(0, 0.5));
+  const RefineOutcome out = refiner.refine();
+  EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(out.held);
+  EXPECT_FALSE(refiner.tracking());
+}
+
 TEST_F(AlongAWall, ViewsThatTheWallContradictsAreNotTaken) {
   seeAt(0, 0.3);
   const RefineOutcome out = refiner.refine();
@@ -237,7 +286,7 @@ TEST_F(AlongAWall, ViewsFiveSigmasAwayAreNotTaken) {
 }
 
 TEST_F(Refiner, ViewsThatTheCloudsContradictAreNotTaken) {
-  ViewAlignment views;
+  KnownAlignment views;
   views.T_ground_map_mav_map = similarity(moved(0.3, 0, 0, 0));
   views.covariance = 4e-4 * Matrix6d::Identity();
   views.centre = scene.T_ground_map_mav_map * centre;

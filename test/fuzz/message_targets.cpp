@@ -320,7 +320,7 @@ void views(const Bytes& bytes) {
     const auto read = icp_refine::viewAlignmentFrom(view_match::toMsg(estimate), true);
     icp_refine::IcpResult icp;
     icp.centre = read.centre;
-    require(icp_refine::heldByViews(read, icp).allFinite(), "covariance by views");
+    require(icp_refine::heldBy(read, icp).allFinite(), "covariance by views");
   });
 }
 

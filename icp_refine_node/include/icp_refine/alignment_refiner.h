@@ -11,7 +11,7 @@
 #include "air_ground_common/map_correction.h"
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
-#include "icp_refine/view_alignment.h"
+#include "icp_refine/known_alignment.h"
 
 namespace air_ground_common {
 class ParameterVisitor;
@@ -67,6 +67,7 @@ struct RefineOutcome {
   bool tracking = false;      ///< started from the last refined pose
   bool seen = false;          ///< agrees with what the images tell
   double view_sigmas = 0;     ///< how far it differs from that
+  bool held = false;          ///< directions that the geometry does not fix are known from the coarse alignment
   HeightCheck heights;
   IcpResult icp;
 };
@@ -92,9 +93,12 @@ class AlignmentRefiner {
   /// Coarse pose of a global localization. Not `sure`: a guess that the heights do not fix sharply; what is refined
   /// from it is believed when another aerial cloud, from a coarse pose of its own, confirms it.
   void setCoarse(const Pose& T_ground_map_mav_map, bool sure = true);
+  /// A sure one, and how well its stage knows it: directions that the geometry does not fix stay where it has them, and
+  /// are known as well as there.
+  void setCoarse(const KnownAlignment& coarse);
   /// What the robots' images tell: tried before the coarse pose. An alignment that agrees with it needs neither
   /// geometry that fixes all directions nor heights that prove it.
-  void setViews(const ViewAlignment& views);
+  void setViews(const KnownAlignment& views);
   /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
   /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);
@@ -110,7 +114,7 @@ class AlignmentRefiner {
   void forgetAerial() { aerial_.clear(); }
   /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches, on the
   /// ground map that came just before, or comes next.
-  void groundMoved() { moved_grounds_ = kMovedGrounds; }
+  void groundMoved();
   /// Forgets all but the ground map: another aerial map has begun.
   void startMap();
   /// Forgets the ground map and all poses, not the aerial clouds: another ground map has begun.
@@ -132,6 +136,7 @@ class AlignmentRefiner {
   Cloud prepareReading();
   RefineOutcome refineGuessed(const Cloud& reading);
   void compareWithViews(RefineOutcome& out) const;
+  void compareWithCoarse(RefineOutcome& out) const;
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
   void follow(bool from_tracking, RefineOutcome* out);
@@ -151,9 +156,10 @@ class AlignmentRefiner {
   std::deque<std::pair<std::int64_t, Cloud>> aerial_;
   std::optional<Pose> coarse_, manual_;
   bool coarse_sure_ = true;
+  std::optional<KnownAlignment> coarse_known_;
   std::optional<std::pair<std::int64_t, Similarity>>
       unconfirmed_;  // refined from a guess, with the newest cloud's stamp
-  std::optional<ViewAlignment> views_;
+  std::optional<KnownAlignment> views_;
   std::optional<Similarity> tracked_;
   ScalePrior scale_;
   Vertical aerial_vertical_, ground_vertical_;

@@ -25,9 +25,13 @@ bool isUsable(const air_ground::AlignmentEstimate& msg) {
 }
 
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
-  const bool sure = msg.status == air_ground::AlignmentEstimate::STATUS_CONVERGED;
-  if (!own_unit) return {similarity(ros_utils::fromMsg(msg.pose.pose)), 0, sure};
-  return {similarityFrom(msg), msg.scale_stddev / msg.scale, sure};
+  CoarseAlignment coarse;
+  coarse.T_ground_map_mav_map = own_unit ? similarityFrom(msg) : similarity(ros_utils::fromMsg(msg.pose.pose));
+  if (own_unit) coarse.scale_stddev = msg.scale_stddev / msg.scale;
+  coarse.sure = msg.status == air_ground::AlignmentEstimate::STATUS_CONVERGED;
+  coarse.covariance = ros_utils::covarianceFromMsg(msg.pose.covariance);
+  coarse.reference_point = {msg.reference_point.x, msg.reference_point.y, msg.reference_point.z};
+  return coarse;
 }
 
 Vertical verticalFrom(const air_ground::VoStatus& msg) {
@@ -42,8 +46,8 @@ Vertical verticalFrom(const air_ground::VoStatus& msg) {
   return vertical;
 }
 
-ViewAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
-  ViewAlignment views;
+KnownAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
+  KnownAlignment views;
   views.T_ground_map_mav_map = similarityFrom(msg);
   views.covariance = ros_utils::covarianceFromMsg(msg.pose.covariance);
   views.centre = {msg.reference_point.x, msg.reference_point.y, msg.reference_point.z};

@@ -4,8 +4,8 @@
 #include <air_ground/AlignmentEstimate.h>
 #include <air_ground/VoStatus.h>
 
+#include "icp_refine/known_alignment.h"
 #include "icp_refine/localizability.h"
-#include "icp_refine/view_alignment.h"
 
 namespace icp_refine {
 
@@ -22,8 +22,10 @@ Similarity similarityFrom(const air_ground::AlignmentEstimate& msg);
 /// Where the coarse stage has placed the MAV's map.
 struct CoarseAlignment {
   Similarity T_ground_map_mav_map;
-  double scale_stddev = 0;  ///< relative
-  bool sure = true;         ///< false: a guess
+  double scale_stddev = 0;                                    ///< relative
+  bool sure = true;                                           ///< false: a guess
+  Matrix6d covariance = 1e6 * Matrix6d::Identity();           ///< of the pose, about reference_point
+  Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< in the ground map [m]
 };
 
 /// CONVERGED, or a guess for a refinement.
@@ -35,6 +37,6 @@ CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bo
 /// Not known where the message's numbers are none; never throws.
 Vertical verticalFrom(const air_ground::VoStatus& msg);
 
-ViewAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit);
+KnownAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit);
 
 }  // namespace icp_refine

@@ -229,7 +229,10 @@ void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
 void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
   const Similarity& T = coarse.T_ground_map_mav_map;
   if (!own_unit_) {
-    refiner_.setCoarse(poseOf(T), coarse.sure);
+    if (coarse.sure && coarse.covariance.diagonal().minCoeff() > 0)
+      refiner_.setCoarse(KnownAlignment{T, coarse.covariance, coarse.reference_point, 0.0, false});
+    else
+      refiner_.setCoarse(poseOf(T), coarse.sure);
     return;
   }
   makeMetric(T);
@@ -243,7 +246,7 @@ void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
   refiner_.setCoarse(rigidAt(compose(T, inverse(*T_metric_visual_)), *T_metric_visual_ * middle));
 }
 
-void RefineWorker::useViews(ViewAlignment views) {
+void RefineWorker::useViews(KnownAlignment views) {
   if (own_unit_) {
     makeMetric(views.T_ground_map_mav_map);
     refiner_.setScaleDeviation(kWeakScale);

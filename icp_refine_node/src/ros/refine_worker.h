@@ -36,7 +36,7 @@ struct Inbox {
   std::deque<AerialCloud> aerial;
   std::optional<CloudCorrections> corrections;  ///< of the clouds, since each was published
   std::optional<CoarseAlignment> coarse;
-  std::optional<ViewAlignment> views;
+  std::optional<KnownAlignment> views;
   std::optional<Pose> manual;
   bool own_unit = false;                  ///< the clouds are in the visual map's unit
   std::optional<double> scale_deviation;  ///< relative, as the odometry states it
@@ -76,7 +76,7 @@ class RefineWorker {
   /// Of a map without scale: what makes it about metric and level. A start afresh where that differs from before.
   void makeMetric(const Similarity& T_ground_visual);
   void useCoarse(const CoarseAlignment& coarse);
-  void useViews(ViewAlignment views);
+  void useViews(KnownAlignment views);
   void refine();
   void dropMapPose();
   void publishMapWhenDue();

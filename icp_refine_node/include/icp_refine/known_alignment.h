@@ -1,11 +1,12 @@
-// What the robots' images tell of the alignment: a start for ICP, and what the clouds' geometry leaves open.
+// What another stage tells of the alignment (by the robots' images, or by height maps): a start for ICP, and what the
+// clouds' geometry leaves open.
 #pragma once
 
 #include "icp_refine/icp.h"
 
 namespace icp_refine {
 
-struct ViewAlignment {
+struct KnownAlignment {
   Similarity T_ground_map_mav_map;
   Matrix6d covariance = Matrix6d::Identity();        ///< translation [m], rotation [rad] about `centre`
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();  ///< in the ground map [m]
@@ -14,13 +15,13 @@ struct ViewAlignment {
 };
 
 /// Its covariance about another point of the ground map: a turn about `centre` moves that point, and so does the scale.
-Matrix6d covarianceAbout(const ViewAlignment& views, const Eigen::Vector3d& point);
+Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point);
 
 /// How far ICP's result lies from it, about ICP's centre, in sigmas of both: 6 degrees of freedom. Directions that the
-/// geometry does not fix count with what the images know alone.
-double squaredSigmas(const ViewAlignment& views, const IcpResult& icp);
+/// geometry does not fix count with what is known alone.
+double squaredSigmas(const KnownAlignment& known, const IcpResult& icp);
 
-/// ICP's covariance of the pose, where the directions that the geometry does not fix are known from the images.
-Matrix6d heldByViews(const ViewAlignment& views, const IcpResult& icp);
+/// ICP's covariance of the pose, where the directions that the geometry does not fix are as it is known.
+Matrix6d heldBy(const KnownAlignment& known, const IcpResult& icp);
 
 }  // namespace icp_refine

@@ -1,4 +1,4 @@
-#include "icp_refine/view_alignment.h"
+#include "icp_refine/known_alignment.h"
 
 #include <Eigen/Cholesky>
 
@@ -17,27 +17,27 @@ Matrix6d missingDirections(const Localizability& localizability) {
 
 }  // namespace
 
-Matrix6d covarianceAbout(const ViewAlignment& views, const Eigen::Vector3d& point) {
-  const Eigen::Vector3d lever = point - views.centre;
+Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point) {
+  const Eigen::Vector3d lever = point - known.centre;
   Matrix6d J = Matrix6d::Identity();
   J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
-  Matrix6d out = J * views.covariance * J.transpose();
-  out.topLeftCorner<3, 3>() += views.scale_stddev * views.scale_stddev * lever * lever.transpose();
+  Matrix6d out = J * known.covariance * J.transpose();
+  out.topLeftCorner<3, 3>() += known.scale_stddev * known.scale_stddev * lever * lever.transpose();
   return out;
 }
 
-Matrix6d heldByViews(const ViewAlignment& views, const IcpResult& icp) {
+Matrix6d heldBy(const KnownAlignment& known, const IcpResult& icp) {
   const Matrix6d missing = missingDirections(icp.localizability), fixed = Matrix6d::Identity() - missing;
   return fixed * icp.covariance.topLeftCorner<6, 6>() * fixed.transpose() +
-         missing * covarianceAbout(views, icp.centre) * missing.transpose();
+         missing * covarianceAbout(known, icp.centre) * missing.transpose();
 }
 
-double squaredSigmas(const ViewAlignment& views, const IcpResult& icp) {
+double squaredSigmas(const KnownAlignment& known, const IcpResult& icp) {
   const Eigen::Vector3d p_mav = inverse(icp.T_reference_reading) * icp.centre;
   Vector6d difference;
-  difference << icp.centre - views.T_ground_map_mav_map * p_mav,
-      air_ground_common::logSO3(icp.T_reference_reading.R * views.T_ground_map_mav_map.R.transpose());
-  const Matrix6d covariance = covarianceAbout(views, icp.centre) + heldByViews(views, icp);
+  difference << icp.centre - known.T_ground_map_mav_map * p_mav,
+      air_ground_common::logSO3(icp.T_reference_reading.R * known.T_ground_map_mav_map.R.transpose());
+  const Matrix6d covariance = covarianceAbout(known, icp.centre) + heldBy(known, icp);
   return difference.dot(covariance.ldlt().solve(difference));
 }
 
