@@ -319,8 +319,8 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   if (icp.outcome == IcpResult::Outcome::kConverged) {
     compareWithViews(out);
     compareWithCoarse(out);
-    out.heights = checkHeights(transformed(whole, icp.T_reference_reading), reference_->cloud(), settings_.height_check,
-                               ground_camera_);
+    out.heights = checkHeights(transformed(whole, out.T_ground_map_mav_map), reference_->cloud(),
+                               settings_.height_check, ground_camera_);
     out.overlap = out.heights.overlap();
     out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
                        (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
@@ -345,8 +345,13 @@ void AlignmentRefiner::compareWithCoarse(RefineOutcome& out) const {
   const Localizability& geometry = out.icp.localizability;
   if (!coarse_known_ || out.seen || geometry.complete()) return;
   if (geometry.needs_scale && !geometry.scale.localizable) return;
-  out.held = squaredSigmas(*coarse_known_, out.icp) < settings_.view_squared_sigmas;
-  if (out.held) out.covariance = heldBy(*coarse_known_, out.icp);
+  // ICP may move along what its last level finds open in levels before: back to the coarse pose, if it is not far.
+  constexpr double kMoved = 7.8;  // 95 % of three degrees of freedom, those of height maps
+  out.held = squaredSigmas(*coarse_known_, out.icp) < settings_.view_squared_sigmas &&
+             squaredSigmasOfMissing(*coarse_known_, out.icp) < kMoved;
+  if (!out.held) return;
+  out.T_ground_map_mav_map = heldAt(*coarse_known_, out.icp);
+  out.covariance = heldBy(*coarse_known_, out.icp);
 }
 
 void AlignmentRefiner::judge(RefineOutcome& out) const {

@@ -15,6 +15,15 @@ Matrix6d missingDirections(const Localizability& localizability) {
   return P;
 }
 
+/// Translation [m] and rotation [rad] about ICP's centre.
+Vector6d difference(const KnownAlignment& known, const IcpResult& icp) {
+  const Eigen::Vector3d p_mav = inverse(icp.T_reference_reading) * icp.centre;
+  Vector6d d;
+  d << icp.centre - known.T_ground_map_mav_map * p_mav,
+      air_ground_common::logSO3(icp.T_reference_reading.R * known.T_ground_map_mav_map.R.transpose());
+  return d;
+}
+
 }  // namespace
 
 Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point) {
@@ -26,6 +35,15 @@ Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& poi
   return out;
 }
 
+Similarity heldAt(const KnownAlignment& known, const IcpResult& icp) {
+  const Vector6d d = missingDirections(icp.localizability) * difference(known, icp);
+  const Eigen::Vector3d p_mav = inverse(icp.T_reference_reading) * icp.centre;
+  Similarity T = icp.T_reference_reading;
+  T.R = air_ground_common::expSO3(-d.tail<3>()) * T.R;
+  T.t = icp.centre - d.head<3>() - T.scale * (T.R * p_mav);
+  return T;
+}
+
 Matrix6d heldBy(const KnownAlignment& known, const IcpResult& icp) {
   const Matrix6d missing = missingDirections(icp.localizability), fixed = Matrix6d::Identity() - missing;
   return fixed * icp.covariance.topLeftCorner<6, 6>() * fixed.transpose() +
@@ -33,12 +51,17 @@ Matrix6d heldBy(const KnownAlignment& known, const IcpResult& icp) {
 }
 
 double squaredSigmas(const KnownAlignment& known, const IcpResult& icp) {
-  const Eigen::Vector3d p_mav = inverse(icp.T_reference_reading) * icp.centre;
-  Vector6d difference;
-  difference << icp.centre - known.T_ground_map_mav_map * p_mav,
-      air_ground_common::logSO3(icp.T_reference_reading.R * known.T_ground_map_mav_map.R.transpose());
+  const Vector6d d = difference(known, icp);
   const Matrix6d covariance = covarianceAbout(known, icp.centre) + heldBy(known, icp);
-  return difference.dot(covariance.ldlt().solve(difference));
+  return d.dot(covariance.ldlt().solve(d));
+}
+
+double squaredSigmasOfMissing(const KnownAlignment& known, const IcpResult& icp) {
+  const Matrix6d missing = missingDirections(icp.localizability), C = covarianceAbout(known, icp.centre);
+  // Directions that are fixed count for nothing: a variance of their own, and no difference.
+  const Matrix6d fixed = Matrix6d::Identity() - missing;
+  const Vector6d d = missing * difference(known, icp);
+  return d.dot((missing * C * missing.transpose() + fixed * C * fixed.transpose()).ldlt().solve(d));
 }
 
 }  // namespace icp_refine

@@ -238,6 +238,9 @@ class AlongAWallWithABox : public AlongAWall {
     coarse.scale_stddev = 0;
     return coarse;
   }
+  double along(const RefineOutcome& out) const {
+    return (out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point).x();
+  }
 };
 
 TEST_F(AlongAWallWithABox, TheCoarsePoseHoldsWhatTheGeometryLeavesOpen) {
@@ -259,6 +262,40 @@ TEST_F(AlongAWallWithABox, TheCoarsePoseHoldsWhatTheGeometryLeavesOpen) {
   refiner.addAerial(2, aerial);
   EXPECT_EQ(refiner.refine().status, RefineStatus::kDegenerate);
   EXPECT_TRUE(refiner.tracking());
+}
+
+TEST(KnownAlignment, WhereTheGeometryFixesNothingTheResultIsMovedThere) {
+  KnownAlignment known;
+  known.T_ground_map_mav_map = similarity(air_ground_common::yawPose(0.7, {1, 2, 0.1}));
+  IcpResult icp;
+  icp.centre = {3, -1, 0.5};
+  icp.T_reference_reading = similarity(air_ground_common::yawPose(0.8, {1.1, 2.2, 0.15}));
+  icp.localizability.mean_range = 2;
+  for (int k = 0; k < 6; ++k) icp.localizability.directions[k].v = Vector6d::Unit(k);
+  const Similarity all = heldAt(known, icp);
+  EXPECT_LT((all.R - known.T_ground_map_mav_map.R).norm(), 1e-9);
+  EXPECT_LT((all.t - known.T_ground_map_mav_map.t).norm(), 1e-9);
+  // Heading fixed: about ICP's centre it stays.
+  icp.localizability.directions[5].localizable = true;
+  const Similarity shifted = heldAt(known, icp);
+  EXPECT_LT((shifted.R - icp.T_reference_reading.R).norm(), 1e-9);
+  const Eigen::Vector3d p_mav = inverse(icp.T_reference_reading) * icp.centre;
+  EXPECT_LT((shifted * p_mav - known.T_ground_map_mav_map * p_mav).norm(), 1e-9);
+}
+
+TEST_F(AlongAWallWithABox, ATrackedPoseThatTheCoarseOneContradictsIsNotHeldByIt) {
+  refiner.setCoarse(coarseAt(0.02, 0));
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  refiner.addAerial(2, aerial);
+  refiner.setCoarse(coarseAt(0.16, 0));  // two sigma
+  RefineOutcome out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_NEAR(along(out), 0.16, 0.01);
+  refiner.addAerial(3, aerial);
+  refiner.setCoarse(coarseAt(0.41, 0));  // three and a half from there
+  out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kDegenerate) << out.reason;
+  EXPECT_FALSE(out.held);
 }
 
 TEST_F(AlongAWallWithABox, ACoarsePoseThatTheWallContradictsHoldsNothing) {

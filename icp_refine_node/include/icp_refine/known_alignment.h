@@ -21,6 +21,12 @@ Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& poi
 /// geometry does not fix count with what is known alone.
 double squaredSigmas(const KnownAlignment& known, const IcpResult& icp);
 
+/// How far ICP's result has moved from it along the directions that the geometry does not fix, in its sigmas alone.
+double squaredSigmasOfMissing(const KnownAlignment& known, const IcpResult& icp);
+
+/// ICP's result, moved along these directions to where they are known. To first order no residual changes.
+Similarity heldAt(const KnownAlignment& known, const IcpResult& icp);
+
 /// ICP's covariance of the pose, where the directions that the geometry does not fix are as it is known.
 Matrix6d heldBy(const KnownAlignment& known, const IcpResult& icp);
 
