@@ -51,13 +51,12 @@ std::vector<PlanarPose> ParticleFilter::draw(const CostVolume& volume, const Pri
   if (count <= 0) return {};
   const int n = static_cast<int>(volume.slices.size());
   const bool use_prior = prior.any();
-  const double sigma = sigma_share_ * settings_.sampling_sigma;
-  const double lowest = use_prior ? lowestWithPrior(volume, prior, sigma) : volume.lowest();
+  const double lowest = use_prior ? lowestWithPrior(volume, prior, samplingSigma()) : volume.lowest();
   if (!std::isfinite(lowest)) return {};
   const auto weightOf = [&](const CostMap& map, int row, int column) -> double {
     const float cost = map.at(row, column);
     if (!std::isfinite(cost)) return 0;
-    double exponent = -(cost - lowest) / sigma;
+    double exponent = -(cost - lowest) / samplingSigma();
     if (use_prior) exponent += prior.logDensity(map.pose(row, column), volume.pivot);
     return exponent > -50 ? std::exp(exponent) : 0;
   };

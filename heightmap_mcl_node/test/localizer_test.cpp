@@ -393,10 +393,8 @@ TEST(HeightMapLocalizer, ASingleBoxIsNot) {
   HeightMapLocalizer localizer({});
   std::vector<Eigen::Vector3f> floor;
   for (int i = 0; i < 200; ++i)
-    for (int j = 0; j < 200; ++j) {
-      const bool box = i > 90 && i < 120 && j > 90 && j < 120;
-      floor.emplace_back(0.02f * i, 0.02f * j, box ? 0.4f : 0.f);
-    }
+    for (int j = 0; j < 200; ++j)
+      floor.emplace_back(0.02f * i, 0.02f * j, i > 90 && i < 120 && j > 90 && j < 120 ? 0.4f : 0.f);
   localizer.setGround(floor);
   for (int k = 0; k < 6; ++k) {
     ASSERT_TRUE(localizer.addAerial({floor, {0.1 * k, 0, 2}}));

@@ -77,6 +77,7 @@ class ParticleFilter {
   Spread spread() const;
 
  private:
+  double samplingSigma() const { return sigma_share_ * settings_.sampling_sigma; }
   std::vector<PlanarPose> draw(const CostVolume& volume, const Prior& prior, int count);
 
   FilterSettings settings_;
