@@ -33,8 +33,12 @@ class AlongAWall : public testing::Test {
     views.covariance = 9e-4 * Matrix6d::Identity();
     views.covariance.bottomRightCorner<3, 3>() *= 0.1;
   }
+  Similarity beside(double x, double y) const { return similarity(Pose(Eigen::Translation3d(x, y, 0) * truth)); }
+  Eigen::Vector3d error(const RefineOutcome& out) const {
+    return out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point;
+  }
   void seeAt(double x, double y) {
-    views.T_ground_map_mav_map = similarity(Pose(Eigen::Translation3d(x, y, 0) * truth));
+    views.T_ground_map_mav_map = beside(x, y);
     refiner.setViews(views);
   }
 
@@ -54,10 +58,8 @@ TEST_F(AlongAWall, ViewsTellWhatTheGeometryLeavesOpen) {
   const RefineOutcome out = refiner.refine();
   ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
   EXPECT_TRUE(out.seen);
-  const Eigen::Vector3d error =
-      out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point;
-  EXPECT_NEAR(error.x(), 0.02, 0.01);  // as the images say
-  EXPECT_NEAR(error.y(), 0, 0.01);     // as the wall says
+  EXPECT_NEAR(error(out).x(), 0.02, 0.01);  // as the images say
+  EXPECT_NEAR(error(out).y(), 0, 0.01);     // as the wall says
   EXPECT_NEAR(std::sqrt(out.covariance(0, 0)), 0.03, 0.015);
   EXPECT_LT(std::sqrt(out.covariance(1, 1)), std::sqrt(out.covariance(0, 0)));
 }
@@ -68,15 +70,12 @@ class AlongAWallWithABox : public AlongAWall {
   AlongAWallWithABox() : AlongAWall(true) {}
   KnownAlignment coarseAt(double x, double y) const {
     KnownAlignment coarse;
-    coarse.T_ground_map_mav_map = similarity(Pose(Eigen::Translation3d(x, y, 0) * truth));
+    coarse.T_ground_map_mav_map = beside(x, y);
     coarse.centre = {0, 1, 0.5};
     coarse.covariance = 49e-4 * Matrix6d::Identity();
     coarse.covariance.bottomRightCorner<3, 3>() *= 0.2;
     coarse.scale_stddev = 0;
     return coarse;
-  }
-  double along(const RefineOutcome& out) const {
-    return (out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point).x();
   }
 };
 
@@ -88,10 +87,8 @@ TEST_F(AlongAWallWithABox, TheCoarsePoseHoldsWhatTheGeometryLeavesOpen) {
   ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
   EXPECT_TRUE(out.held);
   EXPECT_NE(out.reason.find("translation along x"), std::string::npos) << out.reason;
-  const Eigen::Vector3d error =
-      out.T_ground_map_mav_map * (truth.inverse() * out.reference_point) - out.reference_point;
-  EXPECT_NEAR(error.x(), 0.02, 0.01);  // as the coarse alignment has it
-  EXPECT_NEAR(error.y(), 0, 0.01);     // as the wall says
+  EXPECT_NEAR(error(out).x(), 0.02, 0.01);  // as the coarse alignment has it
+  EXPECT_NEAR(error(out).y(), 0, 0.01);     // as the wall says
   EXPECT_NEAR(std::sqrt(out.covariance(0, 0)), 0.07, 0.02);
   EXPECT_LT(std::sqrt(out.covariance(1, 1)), 0.04);
   // What is known of the ground map before a loop closed is not of this one.
@@ -127,7 +124,7 @@ TEST_F(AlongAWallWithABox, ATrackedPoseThatTheCoarseOneContradictsIsNotHeldByIt)
   refiner.setCoarse(coarseAt(0.16, 0));  // two sigma
   RefineOutcome out = refiner.refine();
   EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
-  EXPECT_NEAR(along(out), 0.16, 0.01);
+  EXPECT_NEAR(error(out).x(), 0.16, 0.01);
   refiner.addAerial(3, aerial);
   refiner.setCoarse(coarseAt(0.41, 0));  // three and a half from there
   out = refiner.refine();

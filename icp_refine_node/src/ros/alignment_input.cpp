@@ -13,6 +13,11 @@ namespace {
 
 constexpr double kSharedScaleError = 0.01;  // relative: depth and calibration, that all views share
 
+void readCovariance(const air_ground::AlignmentEstimate& msg, KnownAlignment* known) {
+  known->covariance = ros_utils::covarianceFromMsg(msg.pose.covariance);
+  known->centre = {msg.reference_point.x, msg.reference_point.y, msg.reference_point.z};
+}
+
 }  // namespace
 
 Similarity similarityFrom(const air_ground::AlignmentEstimate& msg) {
@@ -27,10 +32,9 @@ bool isUsable(const air_ground::AlignmentEstimate& msg) {
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
   CoarseAlignment coarse;
   coarse.T_ground_map_mav_map = own_unit ? similarityFrom(msg) : similarity(ros_utils::fromMsg(msg.pose.pose));
-  if (own_unit) coarse.scale_stddev = msg.scale_stddev / msg.scale;
+  coarse.scale_stddev = own_unit ? msg.scale_stddev / msg.scale : 0;
   coarse.sure = msg.status == air_ground::AlignmentEstimate::STATUS_CONVERGED;
-  coarse.covariance = ros_utils::covarianceFromMsg(msg.pose.covariance);
-  coarse.reference_point = {msg.reference_point.x, msg.reference_point.y, msg.reference_point.z};
+  readCovariance(msg, &coarse);
   return coarse;
 }
 
@@ -49,8 +53,7 @@ Vertical verticalFrom(const air_ground::VoStatus& msg) {
 KnownAlignment viewAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
   KnownAlignment views;
   views.T_ground_map_mav_map = similarityFrom(msg);
-  views.covariance = ros_utils::covarianceFromMsg(msg.pose.covariance);
-  views.centre = {msg.reference_point.x, msg.reference_point.y, msg.reference_point.z};
+  readCovariance(msg, &views);
   views.scale_stddev = std::hypot(kSharedScaleError, msg.scale_stddev / msg.scale);
   views.tells_scale = own_unit;
   if (!views.covariance.allFinite() || !(views.covariance.diagonal().minCoeff() > 0) || !views.centre.allFinite() ||

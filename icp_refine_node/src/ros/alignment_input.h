@@ -20,12 +20,8 @@ inline std_msgs::Header childHeader(const air_ground::AlignmentEstimate& msg) {
 Similarity similarityFrom(const air_ground::AlignmentEstimate& msg);
 
 /// Where the coarse stage has placed the MAV's map.
-struct CoarseAlignment {
-  Similarity T_ground_map_mav_map;
-  double scale_stddev = 0;                                    ///< relative
-  bool sure = true;                                           ///< false: a guess
-  Matrix6d covariance = 1e6 * Matrix6d::Identity();           ///< of the pose, about reference_point
-  Eigen::Vector3d reference_point = Eigen::Vector3d::Zero();  ///< in the ground map [m]
+struct CoarseAlignment : KnownAlignment {
+  bool sure = true;  ///< false: a guess
 };
 
 /// CONVERGED, or a guess for a refinement.

@@ -230,7 +230,7 @@ void RefineWorker::useCoarse(const CoarseAlignment& coarse) {
   const Similarity& T = coarse.T_ground_map_mav_map;
   if (!own_unit_) {
     if (coarse.sure && coarse.covariance.diagonal().minCoeff() > 0)
-      refiner_.setCoarse(KnownAlignment{T, coarse.covariance, coarse.reference_point, 0.0, false});
+      refiner_.setCoarse(coarse);
     else
       refiner_.setCoarse(poseOf(T), coarse.sure);
     return;
