@@ -34,6 +34,27 @@ def sources(node):
     return '\n'.join(read(path) for path in paths)
 
 
+IN_CODE = r'(?:advertise<[\w:]+>|subscribe(?:<[\w:]+>)?)\(\s*"([^"~]+)"'
+# What rviz shows of programs whose topics are no arguments: the report's, the second tracker's, height_map_cloud's; and of a tracker that may run beside.
+NOT_REMAPPED = {'tracked_magnetometer/path', 'alignment/height_map_air_cloud', 'alignment/height_map_ground_cloud'} | {f'report/{name}_path' for name in ('vo', 'gps', 'truth')}
+SHOWN = {'air_ground.launch': ('air_ground.rviz', NOT_REMAPPED), 'city.launch': ('city_tracking.rviz', NOT_REMAPPED), 'city_localizer.launch': ('city.rviz', {'tracked/path'})}
+
+
+def used_topics(launch, kind):
+    """Relative topics of a program that a launch file starts: as its source names them; rviz: as its configuration does."""
+    name = kind.replace('_node', '')
+    if name in NODES:
+        return set(re.findall(IN_CODE, sources(name)))
+    if kind == 'height_map_cloud':
+        return set(re.findall(r'relay\(&node, "([^"]+)"', read('air_ground_eval', 'tools', f'{kind}.cpp')))
+    if kind in ('replay_report', 'city_report'):
+        return set(re.findall(r"Subscriber\('([^'/][^']*)'", read('air_ground_eval', 'scripts', kind)))
+    if kind == 'rviz':
+        config, others = SHOWN[launch]
+        return set(re.findall(r'Topic: (\S+)', read('config', 'rviz', config))) - others
+    return set()
+
+
 def arguments(launch):
     """name -> default (None without) of a launch file."""
     root = ElementTree.fromstring(read('launch', launch))
@@ -71,16 +92,28 @@ class Documentation(unittest.TestCase):
         page = read('docs', 'frames_and_topics.md')
         defaults = set(arguments('air_ground.launch').values()) | set(arguments('city.launch').values())
         for node in NODES:
-            topics = set(re.findall(r'(?:advertise<[\w:]+>|subscribe(?:<[\w:]+>)?)\(\s*"([^"~]+)"', sources(node)))
+            topics = set(re.findall(IN_CODE, sources(node)))
             self.assertTrue(topics, node)
             for topic in topics:
                 self.assertIn(topic, defaults, f'{node}: no launch argument for the topic {topic}')
                 self.assertIn(f'`{topic}`', page, f'{node}: {topic} is not documented')
         for launch in ('mav.launch', 'ground.launch', 'tracker.launch', 'city_localizer.launch'):
             for node in ElementTree.fromstring(read('launch', launch)).findall('node'):
-                for remap in node.findall('remap'):
-                    name = node.get('type').replace('_node', '')
+                name = node.get('type').replace('_node', '')
+                for remap in node.findall('remap') if name in NODES else ():
                     self.assertIn(f'"{remap.get("from")}"', sources(name), f'{launch}: {name} does not use the topic')
+
+    def test_each_node_has_its_own_remaps(self):
+        """A topic that a node uses is remapped in that node, once: elsewhere an argument would do nothing, and nobody would say so."""
+        seen = set()
+        for launch in LAUNCH_FILES:
+            for node in ElementTree.fromstring(read('launch', launch)).iter('node'):
+                remapped = [remap.get('from') for remap in node.findall('remap')]
+                self.assertEqual(len(remapped), len(set(remapped)), f'{launch}: {node.get("type")} has a remap twice')
+                for topic in used_topics(launch, node.get('type')):
+                    self.assertIn(topic, remapped, f'{launch}: {node.get("type")} uses {topic}, which nothing remaps')
+                    seen.add(node.get('type'))
+        self.assertEqual(seen, {f'{node}_node' for node in NODES} | {'replay_report', 'city_report', 'rviz', 'height_map_cloud'})
 
     def test_services_are_documented(self):
         page = read('docs', 'frames_and_topics.md')
