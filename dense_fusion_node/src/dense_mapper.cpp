@@ -135,6 +135,11 @@ std::optional<FusedMap> DenseMapper::followDistance(double scene_distance) {
   return fused;
 }
 
+std::optional<FusedMap> DenseMapper::followMetricDistance(double scene_distance) {
+  constexpr double kSlack = 1.5;  // with followDistance's factor of two: three times
+  return followDistance(std::max(settings_.nominal_distance, scene_distance / kSlack));
+}
+
 CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
   // Depth rests on baselines of the sweep's radius: where they have changed among each other, it was off.
   constexpr double kBent = 0.02;

@@ -9,8 +9,7 @@ void describe(air_ground_common::ParameterVisitor& v, MapperSettings& m) {
   v.section("View selection");
   v("nominal_distance", m.nominal_distance, {0.01, 1000}, "m",
     "distance of the scene for which all lengths are meant: where the map has no scale, what is in view counts as "
-    "being "
-    "so far away; no effect on metric images");
+    "being so far away; of metric images beyond three times that, they grow with the scene's distance");
   v("view_selection/sweep_radius", m.sweep_radius, {0.005, 100}, "m",
     "frames this near to the reference view join its depth map (paper: 0.12)");
   v("view_selection/frame_spacing", m.frame_spacing, {0, 100}, "m",

@@ -83,9 +83,10 @@ class DenseFusionNodeTest : public ::testing::Test {
     msg.camera_info = ros_utils::toMsg(*camera_, optical);
     Eigen::Isometry3d T = pose(i);
     T.translation().x() += shift_x;
+    T.translation() *= size_;
     msg.pose.pose = ros_utils::toMsg(T);
-    msg.depth_min = 1.4f;
-    msg.depth_max = 2.1f;
+    msg.depth_min = static_cast<float>(1.4 * size_);
+    msg.depth_max = static_cast<float>(2.1 * size_);
     msg.metric = true;
     msg.map_id = map_id;
     msg.map_revision = map_revision;
@@ -153,7 +154,7 @@ class DenseFusionNodeTest : public ::testing::Test {
       ASSERT_GT(points.size(), 5000u);
       std::set<int> greys;
       for (const auto& p : points) {
-        const double x = p.position.x() - shift_x, y = p.position.y(), z = p.position.z();
+        const double x = p.position.x() / size_ - shift_x, y = p.position.y() / size_, z = p.position.z() / size_;
         bool fits = std::abs(z - scene.heightAt(x, y)) < 0.06;
         for (const auto& b : scene.boxes)
           fits = fits || (x > b.lower.x() - 0.06 && x < b.upper.x() + 0.06 && y > b.lower.y() - 0.06 &&
@@ -171,7 +172,8 @@ class DenseFusionNodeTest : public ::testing::Test {
       const cv::Mat depth = ros_utils::depthFromMsg(map->depth), confidence = ros_utils::depthFromMsg(map->confidence);
       std::size_t valid = 0;
       for (int v = 0; v < depth.rows; ++v)
-        for (int u = 0; u < depth.cols; ++u) valid += depth.at<float>(v, u) > 0.9 && depth.at<float>(v, u) < 2.4;
+        for (int u = 0; u < depth.cols; ++u)
+          valid += depth.at<float>(v, u) > 0.9 * size_ && depth.at<float>(v, u) < 2.4 * size_;
       EXPECT_GT(valid, depth.total() / 2);
       EXPECT_GT(map->frames, 10u);
       EXPECT_GT(map->camera_info.K[0], 100);
@@ -187,6 +189,7 @@ class DenseFusionNodeTest : public ::testing::Test {
   std::vector<sensor_msgs::PointCloud2::ConstPtr> clouds_;
   std::vector<air_ground::PosedDepthMap::ConstPtr> depth_maps_;
   std::set<ros::Time> sent_;
+  double size_ = 1;  // of the world
 };
 
 air_ground_common::CameraModel* DenseFusionNodeTest::camera_ = nullptr;
@@ -196,6 +199,28 @@ TEST_F(DenseFusionNodeTest, ReconstructsAFlightInTheMapFrame) {
   fly(100, 1);
   flushToCloud(100);
   checkOutput(0);
+}
+
+TEST_F(DenseFusionNodeTest, ReconstructsFromHighAbove) {
+  size_ = 6;  // 12 m: what frames 0.12 m apart tell of depth there is nothing
+  fly(150, 1);
+  flushToCloud(150);
+  checkOutput(0);
+}
+
+TEST_F(DenseFusionNodeTest, SaysWhyThereIsNoDepth) {
+  const cv::Mat grey(camera_->height, camera_->width, CV_8UC1, cv::Scalar(127));
+  for (int i = 0; i < kFrames; ++i) {
+    auto msg = message(i, 180, 1);
+    msg.compressed = sensor_msgs::CompressedImage();
+    msg.image = ros_utils::toMsg(grey, "mono8", msg.header);
+    msg.pose.pose.position.x = 0.1 * i;
+    send(msg);
+    ros_utils::pause(2);
+  }
+  ASSERT_TRUE(spinUntil([&] {
+    return diagnostics_.refresh() && diagnostics_.message().find("depth maps are too poor") != std::string::npos;
+  })) << diagnostics_.message();
 }
 
 TEST_F(DenseFusionNodeTest, ImagesWithoutScaleAreIgnored) {

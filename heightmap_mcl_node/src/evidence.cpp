@@ -78,11 +78,19 @@ bool HeightMapLocalizer::toldApart(double agreement, double rival_ratio) const {
          estimate_.agreement >= agreement && estimate_.rival_ratio >= rival_ratio;
 }
 
+bool HeightMapLocalizer::speaksFor() const {
+  return estimate_.has_pose && estimate_.probe_ratio >= settings_.probe_ratio &&
+         toldApart(settings_.min_agreement, settings_.ambiguity_ratio);
+}
+
+bool HeightMapLocalizer::speaksForGuess() const {
+  return estimate_.has_pose && estimate_.probe_ratio >= settings_.guess_ratio &&
+         toldApart(settings_.guess_agreement, settings_.guess_ratio);
+}
+
 bool HeightMapLocalizer::isGuess() const {
-  const HeightMapLocalizerSettings& s = settings_;
-  return !own_unit_ && estimate_.status != Status::kConverged && estimate_.maps >= s.min_maps &&
-         estimate_.probe_ratio >= s.guess_ratio && toldApart(s.guess_agreement, s.guess_ratio) &&
-         guess_evidence_ >= s.min_evidence;
+  return !own_unit_ && estimate_.status != Status::kConverged && estimate_.maps >= settings_.min_maps &&
+         speaksForGuess() && guess_evidence_ >= settings_.min_evidence;
 }
 
 void HeightMapLocalizer::gatherEvidence() {
@@ -98,9 +106,8 @@ void HeightMapLocalizer::gatherEvidence() {
       return std::clamp(before + std::clamp(estimate_.evidence_lead, -most, in_favour ? most : 0.0), 0.0,
                         2 * s.min_evidence);
     };
-    const double probe = estimate_.probe_ratio;
-    evidence_ = sum(evidence_, probe >= s.probe_ratio && toldApart(s.min_agreement, s.ambiguity_ratio));
-    guess_evidence_ = sum(guess_evidence_, probe >= s.guess_ratio && toldApart(s.guess_agreement, s.guess_ratio));
+    evidence_ = sum(evidence_, speaksFor());
+    guess_evidence_ = sum(guess_evidence_, speaksForGuess());
   }
   estimate_.evidence = evidence_;
 }

@@ -69,15 +69,39 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   }
   drawFromKeptMaps();
   updateEstimate();
+  hearKeptMaps();
 }
 
 void HeightMapLocalizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(aerial_.size());
-  if (scale_stddev_ == 0) updateScale();
+  if (scale_stddev_ == 0 || scale_evidence_ < settings_.scale_evidence) updateScale();
   updateFloor();
   filter_map_ = lastMaps(settings_.accumulate);
   filter_.initialize(verifyVolume(lastMaps(settings_.verify)), prior_, lastReference());
+}
+
+void HeightMapLocalizer::hearKeptMaps() {
+  const bool heard = evidence_ > 0 || guess_evidence_ > 0;
+  if (settings_.mode == Mode::kPaper || heard || aerial_.size() < 2 || !(speaksFor() || speaksForGuess())) return;
+  std::deque<Kept> maps;
+  maps.swap(aerial_);
+  filter_.clear();
+  maps_ = 0;
+  place_before_.reset();
+  for (Kept& map : maps) {
+    aerial_.push_back(std::move(map));
+    updateFloor();
+    useNewestMap();
+  }
+}
+
+void HeightMapLocalizer::useNewestMap() {
+  filter_map_ = lastMaps(settings_.accumulate);
+  if (hasGround()) updateFilter();
+  new_map_ = true;
+  updateEstimate();
+  new_map_ = false;
 }
 
 bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
@@ -103,6 +127,7 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   // What the particles drawn so far could not know lies in the new part of the map.
   if (estimate_.status != Status::kConverged) drawFromKeptMaps();
   updateEstimate();
+  hearKeptMaps();
   return true;
 }
 
@@ -129,22 +154,23 @@ bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* croppe
   aerial_.push_back({std::move(map), cloud.reference, {}});
   if (own_unit_) aerial_.back().points = kept(cloud.points);
   while (static_cast<int>(aerial_.size()) > settings_.verify) aerial_.pop_front();
-  // A bound on the memory of the merged map and of the search over it. A single map has a border of a cell.
-  const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
-  while (!own_unit_ && aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
-    aerial_.pop_front();
-    ++far_maps_dropped_;
-  }
+  boundKeptMaps();
   if (hasGround()) {
     updateScale();
     updateFloor();
   }
-  filter_map_ = lastMaps(settings_.accumulate);
-  if (hasGround()) updateFilter();
-  new_map_ = true;
-  updateEstimate();
-  new_map_ = false;
+  useNewestMap();
   return true;
+}
+
+void HeightMapLocalizer::boundKeptMaps() {
+  if (own_unit_ && scale_evidence_ < settings_.scale_evidence) return;  // nobody knows yet how large they are
+  // A single map has a border of a cell.
+  const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
+  while (aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
+    aerial_.pop_front();
+    ++far_maps_dropped_;
+  }
 }
 
 std::vector<const HeightMap*> HeightMapLocalizer::keptMaps(int count) const {

@@ -329,6 +329,7 @@ void HeightMapLocalizer::updateScale() {
   searchScales();
   if (!levelled && scale_ == scale_before) return;
   remakeKeptMaps();
+  boundKeptMaps();
   if (levelled || std::abs(std::log(scale_ / scale_before)) > kRestart) filter_.clear();
 }
 

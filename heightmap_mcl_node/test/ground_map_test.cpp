@@ -72,6 +72,36 @@ TEST(GroundMap, AConvergedEstimateHoldsUntilTheGroundMapChanges) {
   EXPECT_EQ(localizer.estimate().status, Status::kAmbiguous) << localizer.estimate().reason;
 }
 
+TEST(GroundMap, OneThatComesAfterTheLastCloudIsEnough) {
+  for (const std::uint32_t seed : {511, 512}) {
+    synthetic::Options options;
+    options.seed = seed;
+    options.aerial_clouds = 6;
+    const synthetic::Run run = synthetic::makeRun(options);
+    HeightMapLocalizer localizer({});
+    for (const auto& cloud : run.aerial) ASSERT_TRUE(localizer.addAerial(cloud));
+    // Of another world first: nothing of it may be left.
+    options.seed = seed + 100;
+    ASSERT_TRUE(localizer.setGround(synthetic::makeRun(options).ground));
+    EXPECT_NE(localizer.estimate().status, Status::kConverged) << localizer.estimate().reason;
+    std::vector<Eigen::Vector3f> part;
+    for (const auto& p : run.ground)
+      if (p.x() < run.ground.front().x()) part.push_back(p);
+    localizer.setGround(part);
+    ASSERT_TRUE(localizer.setGround(run.ground));
+    const CoarseEstimate& e = localizer.estimate();
+    EXPECT_EQ(e.status, Status::kConverged) << seed << ": " << e.reason;
+    const auto error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
+    EXPECT_LT(error.position, 0.1);
+    // The same again says nothing new; and a person who asks for another search gets the same answer.
+    const double evidence = e.evidence;
+    ASSERT_TRUE(localizer.setGround(run.ground));
+    EXPECT_EQ(localizer.estimate().evidence, evidence);
+    localizer.restart(false);
+    EXPECT_EQ(localizer.estimate().status, Status::kConverged) << seed << ": " << localizer.estimate().reason;
+  }
+}
+
 TEST(GroundMap, AGroundMapWithoutACellIsForgottenWhole) {
   const synthetic::Run run = runOf(2);
   HeightMapLocalizerSettings settings;

@@ -113,6 +113,29 @@ TEST_F(NodeTest, ACloudThatOvertakesItsOdometryWaitsForIt) {
   EXPECT_GE(waited, in_time - 1);  // the node may sleep once as well
 }
 
+TEST_F(NodeTest, TheSameCloudTwiceIsNoMoreEvidence) {
+  const auto run = world(604, 2);
+  ASSERT_TRUE(sendGround(run));
+  ASSERT_TRUE(sendAerial(run.aerial[0]));
+  EXPECT_EQ(last().iterations, 1u);
+  cloud_.publish(cloudMsg(run.aerial[0].points, "mav_map", stamp_));
+  ASSERT_TRUE(spinUntil([&] { return diagnostics_.refresh() && diagnostics_.counted("aerial clouds repeated") > 0; }));
+  ASSERT_TRUE(sendAerial(run.aerial[1]));
+  EXPECT_EQ(last().iterations, 2u);
+}
+
+TEST_F(NodeTest, CloudsInTheirOwnUnitDoNotWaitForMetricOdometry) {
+  const auto run = world(604, 3);
+  // As after a respawn: mav_vo has become metric before, its clouds stay in their unit.
+  sendOdometry(run.aerial[0].reference, stamp_);
+  pause(20);
+  for (const auto& cloud : run.aerial) {
+    stamp_ += ros::Duration(8);
+    cloud_.publish(cloudMsg(cloud.points, "mav_visual_map", stamp_));
+    ASSERT_TRUE(spinUntil([&] { return !air_.messages.empty() && air_.messages.back().header.stamp == stamp_; }));
+  }
+}
+
 TEST_F(NodeTest, LoopedTimeStartsAfresh) {
   const auto run = world(603, 6);
   const ros::Time begin = stamp_;

@@ -23,6 +23,14 @@ double largestSigma(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
 }
 
+/// No pose to be believed: nor does its covariance tell of one.
+void withhold(RefineStatus status, const std::string& reason, RefineOutcome* out) {
+  out->status = status;
+  out->reason = reason;
+  out->covariance = 1e6 * Matrix6d::Identity();
+  out->scale_stddev = 0;
+}
+
 Eigen::Vector3d middle(const Cloud& cloud) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (const auto& p : cloud.points) sum += p.cast<double>();
@@ -43,7 +51,7 @@ AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settin
 
 void AlignmentRefiner::setGround(Cloud cloud) {
   ground_ = std::move(cloud);
-  if (moved_grounds_ > 0) --moved_grounds_;
+  new_ground_ = true;
   reference_.reset();
 }
 
@@ -89,6 +97,13 @@ void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
 void AlignmentRefiner::groundMoved() {
   moved_grounds_ = kMovedGrounds;
   coarse_known_.reset();
+  forgetViews();
+}
+
+void AlignmentRefiner::forgetAerial() {
+  aerial_.clear();
+  coarse_known_.reset();
+  forgetViews();
 }
 
 void AlignmentRefiner::setViews(const KnownAlignment& views) { views_ = views; }
@@ -140,6 +155,7 @@ void AlignmentRefiner::forgetPoses() {
   views_.reset();
   tracked_.reset();
   unconfirmed_.reset();
+  contradicted_stamp_ = 0;
   rejections_ = disagreements_ = 0;
 }
 
@@ -193,8 +209,9 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
     tracked_ = out->T_ground_map_mav_map;
     rejections_ = 0;
   } else if (from_tracking && out->contradicted) {
-    // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be.
-    if (++rejections_ >= settings_.lost_after) {
+    // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be. The same clouds
+    // once more are no other contradiction.
+    if (out->stamp > std::exchange(contradicted_stamp_, out->stamp) && ++rejections_ >= settings_.lost_after) {
       tracked_.reset();
       rejections_ = disagreements_ = 0;
       out->reason += formatted("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);
@@ -208,19 +225,18 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
 void AlignmentRefiner::demandConfirmation(const Eigen::Vector3d& centre, RefineOutcome* out) {
   constexpr double kSameDistance = 0.06, kSameAngle = 0.03;  // [m], [rad]
   if (out->heights.conclusive && out->heights.agreement() < settings_.guess_agreement) {
-    out->status = RefineStatus::kRejected;
-    out->reason =
+    return withhold(
+        RefineStatus::kRejected,
         formatted("heights contradict what was refined from a guess: %.0f %% of %d cells agree, %.0f %% needed",
-                  100 * out->heights.agreement(), out->heights.relief_cells, 100 * settings_.guess_agreement);
-    return;
+                  100 * out->heights.agreement(), out->heights.relief_cells, 100 * settings_.guess_agreement),
+        out);
   }
   const Similarity& T = out->T_ground_map_mav_map;
   const bool same = unconfirmed_ && (unconfirmed_->second * centre - T * centre).norm() < kSameDistance &&
                     air_ground_common::rotationAngle(unconfirmed_->second.R, T.R) < kSameAngle;
   if (same && out->stamp > unconfirmed_->first) return unconfirmed_.reset();
   if (!same) unconfirmed_ = {out->stamp, T};
-  out->status = RefineStatus::kSearching;
-  out->reason = "refined from a guess: waits for another aerial cloud that confirms it";
+  withhold(RefineStatus::kSearching, "refined from a guess: waits for another aerial cloud that confirms it", out);
 }
 
 RefineOutcome AlignmentRefiner::refine() {
@@ -260,6 +276,7 @@ RefineOutcome AlignmentRefiner::refine() {
   if (guessed && out.status == RefineStatus::kConverged) demandConfirmation(centre, &out);
   if (from_tracking || guessed || out.status == RefineStatus::kConverged) coarse_.reset();
   follow(from_tracking, &out);
+  if (std::exchange(new_ground_, false) && moved_grounds_ > 0) --moved_grounds_;
   out.reason += refused;
   return out;
 }
@@ -267,10 +284,8 @@ RefineOutcome AlignmentRefiner::refine() {
 RefineOutcome AlignmentRefiner::refineGuessed(const Cloud& reading) {
   if (!views_) return attemptFromGuess(reading, *coarse_);
   RefineOutcome out = attempt(reading, views_->T_ground_map_mav_map);
-  if (out.status == RefineStatus::kConverged && !out.seen) {
-    out.status = RefineStatus::kRejected;
-    out.reason = "the clouds fit elsewhere than where the images tell";
-  }
+  if (out.status == RefineStatus::kConverged && !out.seen)
+    withhold(RefineStatus::kRejected, "the clouds fit elsewhere than where the images tell", &out);
   if (out.status == RefineStatus::kConverged || !coarse_) return out;
   RefineOutcome other = attemptFromGuess(reading, *coarse_);
   return other.status == RefineStatus::kConverged ? other : out;
@@ -326,10 +341,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
                        (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);
   }
   judge(out);
-  if (out.status == RefineStatus::kRejected) {
-    out.covariance = 1e6 * Matrix6d::Identity();
-    out.scale_stddev = 0;
-  }
+  if (out.status == RefineStatus::kRejected) withhold(out.status, out.reason, &out);
   return out;
 }
 

@@ -93,6 +93,26 @@ TEST_F(CorrectionTest, CloudsAndAlignmentFollow) {
   ASSERT_TRUE(waitFor([this] { return !maps_.empty() && aerialPoints(maps_.back()) == 0; }));
 }
 
+TEST_F(CorrectionTest, ACorrectedGroundMapIsFollowedByAMavThatHasLanded) {
+  const auto scene = synthetic::makeScene(1);
+  sendGroundStatus(1, 0);
+  sendScene(scene);
+  sendCoarse(offset(scene));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  const Eigen::Vector3d centre = scene.truth * synthetic::centroid(scene.aerial);
+  const Pose correction = Eigen::Translation3d(centre + Eigen::Vector3d(0.4, 0.3, 0)) *
+                          Eigen::AngleAxisd(0.04, Eigen::Vector3d::UnitZ()) * Eigen::Translation3d(-centre);
+  estimates_.clear();
+  tick(1);
+  sendGroundStatus(1, 1);
+  ground_.publish(cloud(transformed(scene.ground, correction), "ground_map"));
+  auto moved = scene;
+  moved.truth = Similarity{scene.truth.scale, correction.linear() * scene.truth.R, correction * scene.truth.t};
+  // No other cloud of the MAV comes.
+  EXPECT_TRUE(waitFor([&] { return !estimates_.empty() && error(estimates_.back(), moved) < 0.08; }, 1500))
+      << lastReason();
+}
+
 TEST_F(CorrectionTest, WhatCannotBeIsCountedAndChangesNothing) {
   const auto scene = synthetic::makeScene(1);
   sensor_msgs::PointCloud2 aerial;

@@ -133,6 +133,7 @@ TEST_F(NodeTest, ABusyWorkerDropsTheOldestClouds) {
   const int dropped = diagnostics_.counted("dense clouds dropped: refinement does not keep up");
   sendCoarse(offset(scene));
   for (int k = 0; k < 40; ++k) {  // queue_size is 4 in this test
+    now_ += 1e-3;
     aerial_.publish(cloud(scene.aerial, "mav_map"));
     ros::WallDuration(0.005).sleep();
   }
@@ -343,6 +344,15 @@ TEST_F(NodeTest, ACorrectedGroundMapIsFollowedWithinOneCloud) {
     EXPECT_GT(aerial, 2000u);
     EXPECT_GT(near, 0.9 * aerial);
   }
+}
+
+TEST_F(NodeTest, ACloudThatComesTwiceIsOne) {
+  const auto scene = synthetic::makeScene(1);
+  const int before = diagnostics_.counted("dense clouds repeated");
+  const auto once = cloud(scene.aerial, "mav_map");
+  aerial_.publish(once);
+  aerial_.publish(once);
+  ASSERT_TRUE(awaitCount("dense clouds repeated", before + 1));
 }
 
 TEST_F(NodeTest, ALostPoseLeavesTheAugmentedMap) {

@@ -57,6 +57,15 @@ TEST_F(OwnUnitTest, ViewsStartTheRefinement) {
   msg.reference_point.z = at.z();
   views_.publish(msg);
   ASSERT_TRUE(settle());
+  EXPECT_EQ(lastReason(), "waiting for aerial clouds");
+  // Their author takes them back, and tells them once more.
+  AlignmentEstimate withdrawn = msg;
+  withdrawn.status = AlignmentEstimate::STATUS_AMBIGUOUS;
+  views_.publish(withdrawn);
+  ASSERT_TRUE(settle());
+  EXPECT_EQ(lastReason(), "waiting for a coarse alignment or a manual guess");
+  views_.publish(msg);
+  ASSERT_TRUE(settle());
   ground_.publish(cloud(scene.ground, "ground_map"));
   aerial_.publish(cloud(visual, "mav_visual_map"));
   ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
@@ -105,6 +114,19 @@ TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
   EXPECT_EQ(transforms_.back().header.frame_id, "ground_map");
   EXPECT_EQ(transforms_.back().child_frame_id, "mav_map");
   const Eigen::Vector3d middle = truth * centre;
+  EXPECT_LT((lastTransform() * (T_mav_visual * centre) - middle).norm(), 0.1);
+
+  // A reset forgets the alignment, not what it was told once about the map that goes on.
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("/icp_refine/reset", reset));
+  tick(1);
+  aerial_.publish(cloud(visual, "mav_visual_map"));
+  ASSERT_TRUE(settle());
+  estimates_.clear();
+  transforms_.clear();
+  coarse_.publish(similarityMessage(coarse, "ground_map"));
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+  ASSERT_TRUE(waitFor([this] { return !transforms_.empty(); }));
   EXPECT_LT((lastTransform() * (T_mav_visual * centre) - middle).norm(), 0.1);
 
   // Metric again, for the tests to come.

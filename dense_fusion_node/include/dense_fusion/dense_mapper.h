@@ -75,7 +75,10 @@ class DenseMapper {
   /// is fused, and returned, and the next image starts a new depth map. Results are in the poses' unit. Throws
   /// std::invalid_argument for a distance that is not positive.
   std::optional<FusedMap> followDistance(double scene_distance);
-  /// Metres that a length of 1 in the poses counts as; 1 where followDistance was not called.
+  /// The same for metric poses, whose lengths are as set until the scene is three times nominal_distance away: then
+  /// baselines, radii and voxels grow with it, since what is seen from farther apart is all that tells its depth.
+  std::optional<FusedMap> followMetricDistance(double scene_distance);
+  /// Metres that a length of 1 in the poses counts as; 1 where neither was called.
   double unit() const { return unit_; }
 
   /// The odometry has corrected its map: `now` says where it has earlier images [unit of the poses]. What waits to be

@@ -179,7 +179,7 @@ class DenseFusionNode {
       frame_id_ = msg.header.frame_id;
       map_since_ = msg.header.stamp;
     }
-    if (own_unit && !followDistance(msg)) return;
+    if (!followDistance(msg, own_unit)) return;
     if (!last_stamp_.isZero() && msg.header.stamp <= last_stamp_) {
       health_.count("images refused: repeated or out of order");
       return;
@@ -193,27 +193,51 @@ class DenseFusionNode {
     });
     health_.timing(fused ? "image that completes a fused map [s]" : "image [s]",
                    (ros::WallTime::now() - start).toSec());
-    const MapperCounters& c = mapper_.counters();
-    health_.state(kOk, std::to_string(c.images) + " images, " + std::to_string(c.depth_maps) + " depth maps (" +
-                           std::to_string(c.poor_depth_maps) + " too poor), " + std::to_string(c.fused) +
-                           " fused maps (map corrected " + std::to_string(c.corrections) + " times), " +
-                           std::to_string(queue_.imagesWaiting()) + " images waiting, " +
-                           std::to_string(without_scale_) + " without scale ignored");
+    sayState(msg);
     if (fused) publish(*fused);
   }
 
-  /// False while the scene's distance is not known.
-  bool followDistance(const air_ground::PosedImage& msg) {
-    const double distance = std::sqrt(static_cast<double>(msg.depth_min) * msg.depth_max);
+  void sayState(const air_ground::PosedImage& msg) {
+    constexpr std::size_t kPoorInARow = 5;
+    const MapperCounters& c = mapper_.counters();
+    if (c.depth_maps != good_depth_maps_) {
+      good_depth_maps_ = c.depth_maps;
+      poor_before_ = c.poor_depth_maps;
+    }
+    const std::size_t poor = c.poor_depth_maps - poor_before_;
+    const bool bad = poor >= kPoorInARow;
+    std::ostringstream state;
+    if (bad) {
+      state << "no depth: the last " << poor << " depth maps are too poor, of a scene " << sceneDistance(msg)
+            << " m away: too little texture or parallax, or poses that are off";
+      ROS_WARN_STREAM_THROTTLE(10, "dense fusion has " << state.str());
+      state << "; ";
+    }
+    state << c.images << " images (" << c.redundant << " hardly moved), " << c.depth_maps << " depth maps ("
+          << c.poor_depth_maps << " too poor), " << c.fused << " fused maps (" << c.small_groups
+          << " groups too small, map corrected " << c.corrections << " times), " << queue_.imagesWaiting()
+          << " images waiting, " << without_scale_ << " without scale ignored";
+    health_.state(bad ? kWarn : kOk, state.str());
+  }
+
+  static double sceneDistance(const air_ground::PosedImage& msg) {
+    return std::sqrt(static_cast<double>(msg.depth_min) * msg.depth_max);
+  }
+
+  /// False while the unit rests on the scene's distance, and that is not known.
+  bool followDistance(const air_ground::PosedImage& msg, bool own_unit) {
+    const double distance = sceneDistance(msg);
     if (!(distance > 0) || !std::isfinite(distance)) {
-      if (mapper_.unit() != 1) return true;  // the last one known
+      if (!own_unit || mapper_.unit() != 1) return true;  // the last one known
       health_.state(kWarn, "waiting: the images have no scale, and do not tell the scene's distance either");
       ++without_scale_;
       return false;
     }
     const double before = mapper_.unit();
-    if (const auto fused = guarded([&] { return mapper_.followDistance(distance); })) publish(*fused);
-    if (before == 1 && mapper_.unit() != 1) map_.reset(mapper_.unit());
+    const auto fused =
+        guarded([&] { return own_unit ? mapper_.followDistance(distance) : mapper_.followMetricDistance(distance); });
+    if (fused) publish(*fused);
+    if (own_unit && before == 1 && mapper_.unit() != 1) map_.reset(mapper_.unit());
     return true;
   }
 
@@ -249,6 +273,7 @@ class DenseFusionNode {
   std::string frame_id_, camera_frame_;
   ros::Time last_stamp_, map_since_;
   std::size_t without_scale_ = 0;
+  std::size_t good_depth_maps_ = 0, poor_before_ = 0;  // when the last good depth map came
 
   MapStore map_{settings_, health_};
   std::thread worker_;

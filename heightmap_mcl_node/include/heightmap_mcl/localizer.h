@@ -151,8 +151,8 @@ class HeightMapLocalizer {
 
   /// Replaces the ground map. Where it is larger or smaller by a tenth than when the last search was made, or what was
   /// CONVERGED no longer agrees, the search is made again at once, else at the next aerial cloud; one that has not
-  /// converged begins anew on the kept aerial maps. Returns false (and forgets the ground map) when the cloud defines
-  /// no cell. `cropped`: see buildHeightMap.
+  /// converged begins anew on the kept aerial maps, and may converge on them. Returns false (and forgets the ground
+  /// map) when the cloud defines no cell. `cropped`: see buildHeightMap.
   bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
 
   /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent
@@ -198,6 +198,12 @@ class HeightMapLocalizer {
   /// A point of the aerial map, level and in metres.
   Eigen::Vector3d inMetres(const Eigen::Vector3d& p) const { return scale_ * (R_level_ * p); }
   void drawFromKeptMaps();
+  /// Where nothing has been heard for a place that now speaks for itself (the ground map came, grew or moved after the
+  /// MAV's last cloud): takes the kept maps once more, one by one, as if they came now.
+  void hearKeptMaps();
+  void useNewestMap();
+  /// Drops the oldest maps: a bound on the memory of the merged map and of the search over it.
+  void boundKeptMaps();
   void updateFilter();
   void updateEstimate();
   /// own_unit.cpp, scale_search.cpp: level and scale at which the kept clouds fit best, over all scales, or around the
@@ -256,6 +262,9 @@ class HeightMapLocalizer {
   Eigen::Vector3d probe(const Placement& best, const AerialCells& cells, const CostSettings& cost);
   /// There is relief, what stands on it agrees, and nowhere else as well.
   bool toldApart(double agreement, double rival_ratio) const;
+  /// All that a map must show to count in favour: of CONVERGED, of a guess.
+  bool speaksFor() const;
+  bool speaksForGuess() const;
   bool isGuess() const;
   void gatherEvidence();  ///< adds a new map's lead
   /// To be called with the verdict known.

@@ -24,6 +24,9 @@ Inbox::Inbox(const NodeSettings& settings, ros_utils::NodeHealth& health, std::f
 void Inbox::addAerial(const Cloud& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!mav_.admitMap(kAerial, msg->header, "aerial clouds")) return;
+  // Twice the same cloud would count as evidence twice.
+  if (msg->header.stamp == last_cloud_) return health_.count("aerial clouds repeated");
+  last_cloud_ = msg->header.stamp;
   clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                              std::chrono::duration<double>(ros_utils::kTopicsInStep))});
   while (static_cast<int>(clouds_.size()) > settings_.cloud_queue) {
@@ -126,6 +129,7 @@ void Inbox::relocalize() {
 
 void Inbox::forgetAerial() {
   clouds_.clear();
+  last_cloud_ = ros::Time();
   odometry_.clear();
   command_.forget_aerial = true;
   endSearch();
@@ -174,6 +178,11 @@ std::optional<Work> Inbox::next() {
 void Inbox::popCloud(Work& work) {
   work.aerial = clouds_.front().cloud;
   clouds_.pop_front();
+  if (mav_.map().ownUnit()) {
+    // What came before its first cloud is metric: of another map.
+    odometry_.clear();
+    return;
+  }
   const double stamp = work.aerial->header.stamp.toSec();
   if (!odometry_.empty() && stamp > odometry_.back().stamp + 5) {
     health_.count("aerial clouds later than the odometry by more than 5 s dropped");

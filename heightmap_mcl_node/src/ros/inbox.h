@@ -97,6 +97,7 @@ class Inbox {
   bool stop_ = false;
   Command command_;
   std::deque<WaitingCloud> clouds_;
+  ros::Time last_cloud_;  // stamp of the newest that came
   Cloud ground_;
   air_ground_common::ros_utils::RobotMapInput mav_, ground_robot_;
   air_ground_common::Trajectory odometry_;

@@ -99,6 +99,8 @@ class AlignmentRefiner {
   /// What the robots' images tell: tried before the coarse pose. An alignment that agrees with it needs neither
   /// geometry that fixes all directions nor heights that prove it.
   void setViews(const KnownAlignment& views);
+  /// The images tell nothing any more.
+  void forgetViews() { views_.reset(); }
   /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
   /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);
@@ -110,8 +112,8 @@ class AlignmentRefiner {
   void setGroundVertical(const Vertical& vertical) { ground_vertical_ = vertical; }
   /// The aerial map was corrected: its clouds follow, and the alignment stays right at the newest of them.
   void correctAerial(const air_ground_common::CloudCorrections& corrections);
-  /// What was made of the aerial map is off in itself: forgets the clouds so far.
-  void forgetAerial() { aerial_.clear(); }
+  /// What was made of the aerial map is off in itself: forgets the clouds so far, and what others said on such ones.
+  void forgetAerial();
   /// The ground map was corrected as a whole (a loop closed): the last pose may be off by more than ICP reaches, on the
   /// ground map that came just before, or comes next.
   void groundMoved();
@@ -126,6 +128,8 @@ class AlignmentRefiner {
   RefineOutcome refine();
 
   bool tracking() const { return tracked_.has_value(); }
+  /// The tracked pose may be of before a correction of the ground map.
+  bool groundHasMoved() const { return moved_grounds_ > 0; }
   /// Last believed pose.
   std::optional<Similarity> refined() const { return tracked_; }
 
@@ -164,8 +168,10 @@ class AlignmentRefiner {
   ScalePrior scale_;
   Vertical aerial_vertical_, ground_vertical_;
   int rejections_ = 0, disagreements_ = 0;
+  std::int64_t contradicted_stamp_ = 0;  ///< of the newest cloud of the last contradiction [ns]
   static constexpr int kMovedGrounds = 2;
-  int moved_grounds_ = 0;  ///< ground maps to come for which the ground counts as moved
+  int moved_grounds_ = 0;    ///< ground maps yet to be refined on for which the ground counts as moved
+  bool new_ground_ = false;  ///< not refined on so far
 };
 
 }  // namespace icp_refine

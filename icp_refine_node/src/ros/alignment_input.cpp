@@ -29,6 +29,11 @@ bool isUsable(const air_ground::AlignmentEstimate& msg) {
   return msg.status == air_ground::AlignmentEstimate::STATUS_CONVERGED || msg.guess;
 }
 
+bool isWithdrawal(const air_ground::AlignmentEstimate& msg) {
+  return !isUsable(msg) && (msg.status == air_ground::AlignmentEstimate::STATUS_AMBIGUOUS ||
+                            msg.status == air_ground::AlignmentEstimate::STATUS_DEGENERATE);
+}
+
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit) {
   CoarseAlignment coarse;
   coarse.T_ground_map_mav_map = own_unit ? similarityFrom(msg) : similarity(ros_utils::fromMsg(msg.pose.pose));

@@ -26,6 +26,8 @@ struct CoarseAlignment : KnownAlignment {
 
 /// CONVERGED, or a guess for a refinement.
 bool isUsable(const air_ground::AlignmentEstimate& msg);
+/// Its author does not stand by what was CONVERGED before.
+bool isWithdrawal(const air_ground::AlignmentEstimate& msg);
 
 /// `own_unit`: the MAV's map has no scale but this; else the message's is left out.
 CoarseAlignment coarseAlignmentFrom(const air_ground::AlignmentEstimate& msg, bool own_unit);

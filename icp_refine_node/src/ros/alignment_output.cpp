@@ -57,9 +57,11 @@ void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bo
   msg.child_frame_id = own_unit ? settings_.visual_map_frame : settings_.mav_map_frame;
   msg.map_id = map_id;
   const bool good = msg.status == AlignmentEstimate::STATUS_CONVERGED;
+  bool without_scale = false;
   {
     std::lock_guard<std::mutex> lock(mutex_);
     own_unit_ = own_unit;
+    without_scale = good && own_unit && !T_mav_map_visual_ && broadcaster_;
     if (good) {
       T_ground_mav_ = out.T_ground_map_mav_map;
       overlap_ = inverse(*T_ground_mav_) * out.reference_point;
@@ -71,7 +73,8 @@ void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bo
   if (good && broadcaster_) broadcaster_->send();
 
   static const char* kNames[] = {"SEARCHING", "AMBIGUOUS", "DEGENERATE", "CONVERGED", "REJECTED"};
-  health_.state(good ? 0 : 1, std::string(kNames[msg.status]) + ": " + out.reason);
+  health_.state(good ? 0 : 1, std::string(kNames[msg.status]) + ": " + out.reason +
+                                  (without_scale ? "; no tf before mav_vo tells mav/map_scale" : ""));
   if (msg.status == AlignmentEstimate::STATUS_DEGENERATE) health_.count("degenerate refinements");
   if (msg.status == AlignmentEstimate::STATUS_REJECTED) health_.count("rejected refinements");
   if (msg.status != last_status_) ROS_INFO_STREAM("alignment " << kNames[msg.status] << ": " << out.reason);

@@ -64,6 +64,7 @@ class IcpRefineNode {
     odometry_.reset();
     output_.setPosition(std::nullopt);
     output_.setMapScale(std::nullopt);
+    last_aerial_ = ros::Time();
     if (mav_.map().id()) worker_.setMapId(*mav_.map().id());
     worker_.post([this](Inbox& inbox) {
       inbox.startMap(mav_.map().ownUnit());
@@ -92,6 +93,8 @@ class IcpRefineNode {
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
     if (!mav_.admitMap(kAerial, msg->header, "dense clouds")) return;
+    if (msg->header.stamp == last_aerial_) return health_.count("dense clouds repeated");
+    last_aerial_ = msg->header.stamp;
     auto points = ros_utils::readCloud(*msg, "dense clouds", health_);
     if (!points) return;
     postOfMav([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
@@ -160,18 +163,22 @@ class IcpRefineNode {
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
-    useAlignment(*msg, kCoarse, "coarse alignments", coarseAlignmentFrom, &Inbox::coarse);
+    if (!isUsable(*msg)) return;
+    useAlignment(*msg, kCoarse, "coarse alignments",
+                 [&](Inbox& inbox) { inbox.coarse = coarseAlignmentFrom(*msg, inbox.own_unit); });
   }
 
   void onViews(const AlignmentEstimate::ConstPtr& msg) {
-    useAlignment(*msg, kViews, "alignments by views", viewAlignmentFrom, &Inbox::views);
+    if (isWithdrawal(*msg))
+      return useAlignment(*msg, kViews, "alignments by views", [](Inbox& inbox) { inbox.withdrawViews(); });
+    if (!isUsable(*msg)) return;
+    useAlignment(*msg, kViews, "alignments by views",
+                 [&](Inbox& inbox) { inbox.views = viewAlignmentFrom(*msg, inbox.own_unit); });
   }
 
   /// When it is of the maps that both robots have now.
-  template <typename Read, typename Kept>
-  void useAlignment(const AlignmentEstimate& msg, MavStream stream, const std::string& what, const Read& read,
-                    Kept Inbox::*kept) {
-    if (!isUsable(msg)) return;
+  template <typename Use>
+  void useAlignment(const AlignmentEstimate& msg, MavStream stream, const std::string& what, const Use& use) {
     if (!ground_.isFrame(msg.header.frame_id, settings_.ground_map_frame, what)) return;
     if (mav_.map().frame().empty() && !mav_.admitMap(stream, childHeader(msg), what + "' child")) return;
     if (!mav_.isFrame(msg.child_frame_id, mav_.map().expectedFrame(), what + "' child")) return;
@@ -179,7 +186,7 @@ class IcpRefineNode {
     mav_.observe(msg.map_id, msg.header.stamp, true);
     if (mav_.map().id() != msg.map_id) return health_.count(what + " of another map");
     try {
-      postOfMav([kept, value = read(msg, mav_.map().ownUnit())](Inbox& inbox) { inbox.*kept = value; });
+      postOfMav(use);
       worker_.setMapId(msg.map_id);
     } catch (const std::exception& e) {
       health_.count(what + " unreadable: " + e.what());
@@ -187,6 +194,14 @@ class IcpRefineNode {
   }
 
   void onMapScale(const AlignmentEstimate::ConstPtr& msg) {
+    map_scale_ = msg;
+    useMapScale();
+  }
+
+  // Latched, too.
+  void useMapScale() {
+    const auto& msg = map_scale_;
+    if (!msg) return;
     if (msg->child_frame_id != settings_.visual_map_frame || (mav_.map().id() && msg->map_id != *mav_.map().id()))
       return;
     try {
@@ -224,6 +239,7 @@ class IcpRefineNode {
       inbox.reset = true;
     });
     useLastGround();
+    useMapScale();
     return ros_utils::answer(response, [] { return "forgot all maps and poses"; });
   }
 
@@ -242,7 +258,9 @@ class IcpRefineNode {
                               [this](double z) { worker_.post([z](Inbox& inbox) { inbox.ground_camera = z; }); }};
 
   std::optional<Pose> odometry_;  // T_mav_map_base, the latest
+  ros::Time last_aerial_;
   sensor_msgs::PointCloud2::ConstPtr ground_map_;
+  AlignmentEstimate::ConstPtr map_scale_;
   bool ground_forgotten_ = false;  // and none has come since
   ros_utils::RobotMapInput mav_, ground_;
 

@@ -74,6 +74,17 @@ void Inbox::reviseMap() {
   aerial_revised = true;
   aerial.clear();
   corrections.reset();
+  withdrawViews();
+}
+
+void Inbox::reviseGround() {
+  ground_moved = true;
+  withdrawViews();
+}
+
+void Inbox::withdrawViews() {
+  views_withdrawn = true;
+  views.reset();
 }
 
 void Inbox::startGround() {
@@ -185,12 +196,15 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.aerial_vertical) refiner_.setAerialVertical(*inbox.aerial_vertical);
   if (inbox.ground_vertical) refiner_.setGroundVertical(*inbox.ground_vertical);
   if (inbox.coarse) useCoarse(*inbox.coarse);
+  if (inbox.views_withdrawn) refiner_.forgetViews();
   if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
   map_due_ |= inbox.ground && map_.aligned();
-  // While tracking, the next aerial cloud is soon enough.
+  // While tracking, the next aerial cloud is soon enough; but where the ground map was corrected, a MAV that hovers or
+  // has landed sends none.
   const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && !refiner_.tracking();
-  return inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
+  const bool moved = (inbox.ground || inbox.ground_moved) && refiner_.groundHasMoved();
+  return moved || inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
 }
 
 // map_mutex_ held, as for the next.
