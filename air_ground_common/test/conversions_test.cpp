@@ -294,6 +294,27 @@ TEST(Decompressed, ImagesOfAnyKind) {
   EXPECT_THROW(decompressed(broken), std::invalid_argument);
 }
 
+TEST(Decompressed, AMosaicIsNoGreyImage) {
+  for (const int type : {CV_8UC1, CV_16UC1}) {
+    const int step = type == CV_8UC1 ? 1 : 257;
+    cv::Mat mosaic(40, 60, type, cv::Scalar(40 * step));  // RGGB of an evenly red wall
+    for (int v = 0; v < 40; v += 2)
+      for (int u = 0; u < 60; u += 2) mosaic(cv::Rect(u, v, 1, 1)) = cv::Scalar(200 * step);
+    const std::string encoding = step == 1 ? "bayer_rggb8" : "bayer_rggb16";
+    const auto image = decompressed(compressed(encoding + "; png compressed ", ".png", mosaic));
+    EXPECT_EQ(image->encoding, encoding);
+    cv::Mat grey = greyFromMsg(*image)(cv::Rect(10, 10, 20, 20)).clone();
+    double least, most;
+    cv::minMaxLoc(grey, &least, &most);
+    EXPECT_LT(most - least, 2) << encoding << ": no chequerboard";
+    EXPECT_NEAR(least, 0.299 * 200 + 0.701 * 40, 2) << encoding;
+  }
+  const cv::Mat grey(40, 60, CV_8UC1, cv::Scalar(77)), colour(40, 60, CV_8UC3, cv::Scalar(10, 90, 200));
+  EXPECT_EQ(decompressed(compressed("bayer_grbg8; jpeg compressed ", ".jpg", grey))->encoding, "bayer_grbg8");
+  EXPECT_EQ(decompressed(compressed("bayer_grbg16; jpeg compressed mono8", ".jpg", grey))->encoding, "mono8");
+  EXPECT_EQ(decompressed(compressed("bayer_grbg8; jpeg compressed bgr8", ".jpg", colour))->encoding, "bgr8");
+}
+
 TEST(Compressed, PosedImageWhicheverWayItCame) {
   cv::Mat grey(48, 64, CV_8UC1);
   for (int v = 0; v < grey.rows; ++v)

@@ -4,6 +4,7 @@
 #include <ros/ros.h>
 
 #include <atomic>
+#include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 #include <thread>
 
@@ -30,8 +31,9 @@ class StandIn : public Estimator {
     last_sample_ = sample.stamp;
     return later;
   }
-  EstimatorResult process(const EstimatorFrame&) override {
+  EstimatorResult process(const EstimatorFrame& frame) override {
     if (fail) throw std::runtime_error("this one is spoilt");
+    if (frame.depth && frame.depth->encoding == "16UC1") ++depths;
     ++images;
     return {};
   }
@@ -44,7 +46,7 @@ class StandIn : public Estimator {
   Trajectory trajectory() override { return {}; }
 
   std::atomic<bool> fail{false}, fail_idle{false};
-  std::atomic<int> images{0}, samples{0}, disorder{0};
+  std::atomic<int> images{0}, depths{0}, samples{0}, disorder{0};
 
  private:
   bool made_ = false;
@@ -66,10 +68,10 @@ class Shell : public testing::Test {
     accel_ = handle_.advertise<sensor_msgs::Imu>("accel", 1000);
   }
 
-  void start() {
+  void start(const std::string& depth = "") {
     shell_.reset();
     shell_.emplace(handle_, settings_,
-                   EstimatorNames{"image", "camera_info", "imu", "status", "", "shell", "estimation", "", "", ""},
+                   EstimatorNames{"image", "camera_info", "imu", "status", depth, "shell", "estimation", "", "", ""},
                    estimator_);
     shell_->start();
   }
@@ -131,6 +133,36 @@ TEST_F(Shell, ImagesThatWaitTakeNoMoreThanTheQueuesMemory) {
     return shell_->health().counted(dropped) > 3;
   }));
   EXPECT_EQ(shell_->health().counted("images dropped: the queue was full"), 0u);
+}
+
+TEST_F(Shell, SaysWhetherDepthIsMissingOrOutOfStep) {
+  std::string reason;
+  const auto status = handle_.subscribe<air_ground::VoStatus>(
+      "status", 10, [&](const air_ground::VoStatus::ConstPtr& msg) { reason = msg->reason; });
+  const ros::Publisher depth = handle_.advertise<sensor_msgs::Image>("depth", 10);
+  settings_.use_imu = false;
+  start("depth");
+  EXPECT_TRUE(publishUntil([&] { return !reason.empty(); }));
+  EXPECT_EQ(reason, "no depth image has come on /depth");
+  std_msgs::Header header;
+  header.stamp = ros::Time(90);
+  depth.publish(toMsg(cv::Mat(6, 8, CV_16UC1, cv::Scalar(1500)), "16UC1", header));
+  EXPECT_TRUE(publishUntil([&] { return reason.find("missed by -") != std::string::npos; })) << reason;
+}
+
+// As image_transport's compressed records depth where it was told to take PNG.
+TEST_F(Shell, DepthMayBeCompressedAsAnyImage) {
+  const ros::Publisher depth = handle_.advertise<sensor_msgs::CompressedImage>("depth/compressed", 100);
+  settings_.use_imu = false;
+  start("depth/compressed");
+  sensor_msgs::CompressedImage msg;
+  msg.format = "16UC1; png compressed ";
+  cv::imencode(".png", cv::Mat(6, 8, CV_16UC1, cv::Scalar(1500)), msg.data);
+  EXPECT_TRUE(publishUntil([&] {
+    msg.header.stamp = ros::Time(100 + 0.1 * next_);
+    depth.publish(msg);
+    return estimator_.depths > 3;
+  }));
 }
 
 TEST_F(Shell, TwoStreamsOfAnImuStayOneSequenceWhateverTheThreads) {

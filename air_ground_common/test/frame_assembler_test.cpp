@@ -153,10 +153,19 @@ TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
   EXPECT_EQ(pairer.pop().depth, 2);
   EXPECT_EQ(pairer.unmatchedDepth(), 1u);
   pairer.addColour(0.2, 2, 0);
-  pairer.addDepth(0.3, 3, 0);
+  pairer.addDepth(0.29, 3, 0);
   EXPECT_FALSE(pairer.front(0));
   EXPECT_EQ(pairer.unmatchedColour(), 1u);
-  EXPECT_NEAR(pairer.closestMiss(), 0.1, 1e-9);
+  ASSERT_TRUE(pairer.closestMiss());
+  EXPECT_NEAR(*pairer.closestMiss(), 0.09, 1e-9);
+  pairer.addColour(0.45, 3, 0);  // depth is behind
+  EXPECT_FALSE(pairer.front(0));
+  EXPECT_NEAR(*pairer.closestMiss(), -0.16, 1e-9);
+  pairer.addDepth(0.5, 4, 0);
+  EXPECT_FALSE(pairer.front(0));
+  EXPECT_NEAR(*pairer.closestMiss(), 0.05, 1e-9) << "the nearer of both sides";
+  pairer.clear();
+  EXPECT_FALSE(pairer.closestMiss());
   // Without any depth, colour images give up after a while: not at once, as all depth images may come after all colour
   // images.
   FramePairer<int> alone(0.02, 1.0, 0.3, {100});
@@ -168,6 +177,7 @@ TEST(FramePairer, PairsTheNearestAndDropsTheRest) {
   EXPECT_FALSE(alone.overtaken(2.5, 0.5, 50.4));
   EXPECT_FALSE(alone.front(50.4));
   EXPECT_GT(alone.unmatchedColour(), 15u);
+  EXPECT_FALSE(alone.closestMiss());
   alone.addColour(0.5, 99, 50.4);  // out of order
   EXPECT_EQ(alone.outOfOrder(), 1u);
   EXPECT_EQ(alone.overflow().by_count, 0u);

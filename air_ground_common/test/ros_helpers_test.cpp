@@ -380,6 +380,23 @@ TEST(NodeHealth, NothingIsSilentBeforeTheClockRuns) {
   ros::Time::init();
 }
 
+// As a live node finds it on a master of its own where a replay was run before.
+TEST(NodeHealth, SaysThatNothingGivesTheClock) {
+  ros::Time::setNow(ros::Time());
+  const Console console;
+  NodeHealth health("clock_test");
+  health.expectInput("/of_a_camera");
+  EXPECT_TRUE(spinUntil(
+      [&] {
+        health.received("/of_a_camera", ros::Time(1.5e9));
+        return console.count("/use_sim_time is set, but nothing gives /clock: rosparam set /use_sim_time false") > 0;
+      },
+      2000));
+  pause(300);
+  EXPECT_EQ(console.count("nothing gives /clock"), 1);
+  ros::Time::init();
+}
+
 TEST(NodeHealth, KindsOfReasonsAndCounters) {
   EXPECT_EQ(kindOf("14 of 105 tracks fit"), kindOf("9 of 88 tracks fit"));
   EXPECT_EQ(kindOf("missed by -0.25 s, 1e-05 allowed"), kindOf("missed by 3.5 s, 2.5 allowed"));

@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
 """check_bag must name each of the usual faults of a recording, and accept a sound one."""
 import os
+import struct
 import subprocess
 import sys
 import tempfile
 import unittest
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -15,7 +17,7 @@ from sensor_msgs.msg import CompressedImage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, bag_guess, bag_player, bag_reader, geometry, messages  # noqa: E402
+from air_ground_eval import bag_camera, bag_check, bag_guess, bag_player, bag_reader, geometry, messages, replay  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
@@ -69,10 +71,14 @@ def write(path, **faults):
                 bag.write('/ground/rgb/camera_info', messages.camera_info(CAMERA, t + later, frame), messages.stamp(t))
                 shape = {None: (48, 64), 'half': (24, 32), 'cut': (24, 64)}[faults.get('small_depth')]
                 depth = faults.get('depth', 1500) if i >= faults.get('depth_from', 0) else 1500
+                for kind in faults.get('depth_as', ()):
+                    how, form = ('.png', '16UC1; png compressed ') if kind == 'png' else ('.jpg', '8UC1; jpeg compressed ')
+                    steps = np.full(shape, depth if kind == 'png' else 100, np.uint16 if kind == 'png' else np.uint8)
+                    bag.write('/ground/depth/image_raw/compressed', compressed(steps, t, frame, b'', how, form), messages.stamp(t))
                 if faults.get('compressed'):
                     picture = compressed(np.full(shape, depth, np.uint16), t, frame, bytes(12), '.png', '16UC1; compressedDepth')
                     bag.write('/ground/depth/image_raw/compressedDepth', picture, messages.stamp(t))
-                elif not faults.get('no_depth') and not (faults.get('slow_depth') and i % 20):
+                elif not faults.get('no_depth') and not faults.get('depth_as') and not (faults.get('slow_depth') and i % 20):
                     depth_frame = 'ground_depth_optical_frame' if faults.get('depth_frame') else frame
                     if faults.get('depth_calibrated'):
                         bag.write('/ground/depth/camera_info', messages.camera_info(CAMERA, t + later, depth_frame), messages.stamp(t))
@@ -115,6 +121,33 @@ class BagCheck(unittest.TestCase):
                              ('ground_depth_registered:=false', dict(depth_frame=True, depth_calibrated=True)), ('comes at 10.0 Hz', dict(slow_depth=True)),
                              ('(1.00, 0.00, 0.00) of mav_base_link, which is not up', dict(imu_axes=True)), ('the sign of gravity', dict(imu_factor=-1.0)), ('begins in motion', dict(moving=True)), ('image 3 is flat (brightness 128 +- 0.0', dict(flat=True))):
             self.assert_found(bag_check.WARNING, text, **faults)
+
+    def test_depth_compressed_as_any_image(self):
+        """image_transport's compressed keeps depth as PNG alone; `rosbag record -e '.*compressed.*'` takes a JPEG of it beside compressedDepth."""
+        self.assert_found(bag_check.WARNING, 'replay with ground_depth:=/ground/depth/image_raw/compressed', depth_as=['png'])
+        self.assert_found(bag_check.ERROR, 'hold no depth: record /ground/depth/image_raw/compressedDepth', depth_as=['jpeg'])
+        self.assert_found(bag_check.WARNING, 'taken for 5000 a metre', depth_as=['png'], depth=20000)
+        both = self.findings(depth_as=['jpeg'], compressed=True, depth=20000)
+        self.assertEqual([f.text for f in both if f.level == bag_check.ERROR], [])
+        self.assertTrue(any('/compressedDepth: median depth 20000 steps' in f.text for f in both), both)
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            for faults, word in ((dict(depth_as=['png']), 'ground_depth:=/ground/depth/image_raw/compressed'),
+                                 (dict(depth_as=['jpeg'], compressed=True), 'ground_depth_transport:=compressed')):
+                write(path, **faults)
+                facts = bag_reader.BagFacts(path)
+                words = bag_guess.command(facts, bag_guess.guess(facts), {}, {}).split()
+                self.assertEqual([w for w in words if w.startswith('ground_depth')], [word])
+                with mock.patch.object(replay, '_system_state', return_value=({}, {})):
+                    missing = replay._missing_now(facts, [('ground_depth', '/ground/depth/image_raw', 'sensor_msgs/Image')])
+                self.assertIn(f'set {word}', missing['/ground/depth/image_raw'])
+
+    def test_depth_in_metres_behind_its_header(self):
+        a, b = 10100.0, -1009.0  # steps = a / depth + b
+        steps = np.full((48, 64), round(a / 0.5 + b), np.uint16)
+        message = compressed(steps, 1, 'camera', struct.pack('<iff', 0, a, b), '.png', '32FC1; compressedDepth png')
+        self.assertAlmostEqual(float(np.median(bag_camera._depths(message))), 0.5, places=3)
+        self.assertEqual(bag_camera.check_depth('/depth', [message]), [])
 
     def test_a_pause_is_named_once(self):
         self.assertFalse([f.text for f in self.findings(gap=True) if 'are missing at' in f.text])
@@ -256,6 +289,17 @@ class BagCheck(unittest.TestCase):
             path = os.path.join(folder, 'x.bag')
             write(path, imu_elsewhere=True)
             self.assertEqual([f.text for f in bag_check.check(path, {'/mav/imu/data': '/imu0'}) if f.level == bag_check.ERROR], [])
+
+    def test_a_compressed_topic_may_be_named_itself(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            write(path, compressed=True)
+            facts = bag_reader.BagFacts(path)
+            names, findings, command = bag_check.examine(facts, given={'/mav/camera/image_raw': '/mav/camera/image_raw/compressed'})
+            self.assertEqual(names['/mav/camera/camera_info'], '/mav/camera/camera_info')
+            self.assertEqual([f.text for f in findings if f.level == bag_check.ERROR], [])
+            self.assertIn('mav_image:=/mav/camera/image_raw/compressed', command.split())
+            self.assertNotIn('mav_image_transport:=compressed', command.split())
 
     def test_a_flight_in_the_city_needs_no_ground_robot(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -3,12 +3,14 @@
 import os
 import sys
 import unittest
+from unittest import mock
 
 import numpy as np
 import rosunit
+from scipy.spatial.transform import Rotation, Slerp
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
-from air_ground_eval import city_database, city_evaluation, geometry  # noqa: E402
+from air_ground_eval import city_database, city_evaluation, geometry, track_calibration  # noqa: E402
 
 DURATION = 20.0
 
@@ -20,7 +22,56 @@ def truth_at(t):
                          (2 * t, 3 * np.sin(0.3 * t), 5 + np.sin(0.2 * t)))
 
 
+class OldRotation:
+    """Rotation with the names of SciPy 1.3, of Ubuntu 20.04."""
+
+    def __init__(self, rotation):
+        self.rotation = rotation
+        self.as_quat, self.as_rotvec, self.as_dcm = rotation.as_quat, rotation.as_rotvec, rotation.as_matrix
+
+    @classmethod
+    def from_dcm(cls, matrix):
+        return cls(Rotation.from_matrix(matrix))
+
+    @classmethod
+    def from_quat(cls, quaternion):
+        return cls(Rotation.from_quat(quaternion))
+
+    @classmethod
+    def from_rotvec(cls, vector):
+        return cls(Rotation.from_rotvec(vector))
+
+    @classmethod
+    def from_euler(cls, axes, angles):
+        return cls(Rotation.from_euler(axes, angles))
+
+
+def old_slerp(stamps, rotations):
+    slerp = Slerp(stamps, rotations.rotation)
+    return lambda query: OldRotation(slerp(query))
+
+
 class CityEvaluation(unittest.TestCase):
+    def test_scipy_before_and_after_it_renamed_matrices(self):
+        """Ground truth: turns about z."""
+        angles = np.array([0.1, 0.3])
+        matrices, half = np.array([geometry.rotation_z(a) for a in angles]), np.array([[0, 0, np.sin(a / 2), np.cos(a / 2)] for a in angles])
+        poses = np.array([geometry.pose(m) for m in matrices])
+
+        def check():
+            np.testing.assert_allclose(geometry.quaternion_from_matrix(matrices), half, atol=1e-12)
+            np.testing.assert_allclose(geometry.quaternion_from_matrix(matrices[1]), half[1], atol=1e-12)
+            np.testing.assert_allclose(geometry.matrix_from_quaternion(half), matrices, atol=1e-12)
+            np.testing.assert_allclose(geometry.rotation_angle(matrices), angles, atol=1e-12)
+            np.testing.assert_allclose(geometry.rotation_angle(matrices[0]), angles[0], atol=1e-12)
+            np.testing.assert_allclose(geometry.rotation_from_axes('Z', angles[:, None]), matrices, atol=1e-12)
+            np.testing.assert_allclose(geometry.interpolate_poses([0, 1], poses, [0.5], 2)[0][0, :3, :3], geometry.rotation_z(0.2), atol=1e-12)
+            np.testing.assert_allclose(track_calibration.expmap(track_calibration.logmap(matrices)), matrices, atol=1e-12)
+
+        check()
+        with mock.patch.multiple(geometry, Rotation=OldRotation, Slerp=old_slerp), mock.patch.object(track_calibration, 'Rotation', OldRotation):
+            check()
+
     def steps(self, metric=True, factor=1.0):
         times = np.arange(0, DURATION, 0.1)
         poses = [truth_at(t) for t in times]

@@ -18,6 +18,7 @@ from tf2_msgs.msg import TFMessage
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
 from air_ground_eval import calibration, geometry, messages  # noqa: E402
+from air_ground_eval.recording import Camera  # noqa: E402
 
 # The camera looks down, the IMU's axes are the body's, the camera 10 cm ahead of it: in the camera the IMU lies 10 cm towards +y (the image's
 # bottom), since the image's top points ahead.
@@ -85,6 +86,38 @@ class ImportKalibr(unittest.TestCase):
             stream.write('cam0: [\n')
         result = self.run_import()
         self.assertEqual((result.returncode, len(result.stderr.splitlines())), (1, 1), result.stderr)
+
+    def test_the_command_names_the_ground_robots_inputs_too(self):
+        """A bag without calibration and mounting of the MAV, and a ground robot of which nothing is as the launch files have it."""
+        eye = Camera(64, 48, 60, 60, 32, 24)
+        with rosbag.Bag(self.path('x.bag'), 'w') as bag:
+            edges = [('base_footprint', 'base', np.eye(4)), ('base', 'eye', np.eye(4)), ('base', 'depth_eye', np.eye(4))]
+            messages.write_latched(bag, '/tf_static', messages.static_transforms(edges, 99), 99)
+            for t in np.arange(100, 102, 0.05):
+                bag.write('/cam0/image_raw', messages.image(np.zeros((48, 64)), 'mono8', t, 'cam0'), messages.stamp(t))
+                bag.write('/imu0', messages.imu([0.01, 0, 0], [0, 0, 9.81], 1e-6, 1e-4, t, 'imu0'), messages.stamp(t))
+                bag.write('/camera/color/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t, 'eye'), messages.stamp(t))
+                bag.write('/camera/depth/image_raw', messages.image(np.full((48, 64), 20000), '16UC1', t, 'depth_eye'), messages.stamp(t))
+                for name, frame in (('color', 'eye'), ('depth', 'depth_eye')):
+                    bag.write(f'/camera/{name}/camera_info', messages.camera_info(eye, t, frame), messages.stamp(t))
+                bag.write('/camera/imu', messages.imu([0.01, 0, 0], [0, 0, 9.81], 1e-6, 1e-4, t, 'floating'), messages.stamp(t))
+        result = self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag'))
+        self.assertEqual(result.returncode, 0, result.stderr)
+        words = shlex.split(result.stdout.splitlines()[-1])
+        for word in ('ground_base_frame:=base', 'ground_camera_frame:=eye', 'ground_depth_registered:=false', 'ground_depth_camera_info:=/camera/depth/camera_info',
+                     'ground_imu:=none', 'ground_depth_unit:=0.0002', 'mav_imu:=/imu0', 'mav_camera_frame:=cam0'):
+            self.assertIn(word, words)
+        self.assertFalse([word for word in words if word.startswith(('mav_base_frame', 'mav_use_imu', 'ground_imu:=/'))], words)
+
+    def test_what_is_the_mavs_is_not_the_ground_robots(self):
+        with rosbag.Bag(self.path('x.bag'), 'w') as bag:
+            for t in (5, 6):
+                for topic, kind, shape in (('/cam0/image_raw', 'mono8', (48, 64)), ('/cam0/depth', '16UC1', (48, 64))):
+                    bag.write(topic, messages.image(np.full(shape, 1500 if kind == '16UC1' else 0), kind, t, 'left_eye'), messages.stamp(t))
+                bag.write('/imu0', messages.imu([0, 0, 0], [0, 0, 9.81], 1, 1, t, 'imu_of_mine'), messages.stamp(t))
+        words = shlex.split(self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag')).stdout.splitlines()[-1])
+        self.assertIn('rgbd_slam:=false', words)
+        self.assertFalse([word for word in words if word.startswith('ground_')], words)
 
     def test_launch_file_publishes_transforms_and_camera_info(self):
         with rosbag.Bag(self.path('x.bag'), 'w') as bag:

@@ -5,9 +5,11 @@ import sys
 import tempfile
 import unittest
 
+import cv2
 import numpy as np
 import rosbag
 import rostest
+from sensor_msgs.msg import CompressedImage
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
 from air_ground_eval import bag_check, bag_guess, bag_merge, bag_reader, geometry, messages  # noqa: E402
@@ -53,6 +55,45 @@ class MergeBags(unittest.TestCase):
             streams = bag_check.read(both, ['/mav/imu/data', '/ground/imu/data'])
             self.assertEqual(streams['/mav/imu/data'].stamps[0], streams['/ground/imu/data'].stamps[0])
             self.assertEqual(streams['/ground/imu/data'].frames, {'ground_imu'})
+
+    def test_one_robot_records_compressed_images(self):
+        """/camera/image_raw/compressed of the MAV beside /camera/image_raw of the ground robot: one camera's two transports, after a merge by names alone."""
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+            write(mav, 1000.0, False, 0.1)
+            with rosbag.Bag(mav) as bag, rosbag.Bag(os.path.join(folder, 'compressed.bag'), 'w') as small:
+                for topic, message, time, header in bag.read_messages(return_connection_header=True):
+                    if topic == '/camera/image_raw':
+                        picture = CompressedImage(message.header, 'mono8; jpeg compressed', cv2.imencode('.jpg', np.zeros((48, 64), np.uint8))[1].tobytes())
+                        small.write('/camera/image_raw/compressed', picture, time)
+                    elif topic != '/camera/camera_info':
+                        small.write(topic, message, time, connection_header=header)
+                    else:
+                        small.write('/camera/image_rect', messages.image(np.zeros((48, 64)), 'mono8', time.to_sec(), 'camera'), time)
+                        small.write(topic, message, time)
+            write(ground, 1000.0, True, 0.3)
+            parts = bag_merge.plan(small.filename, ground, begin_together=False)
+            bag_merge.merge(parts, both)
+            types = bag_reader.BagFacts(both).types
+            for topic in ('/mav/camera/image_raw/compressed', '/mav/camera/camera_info', '/mav/camera/image_rect', '/ground/camera/image_raw', '/ground/camera/camera_info',
+                          '/camera/depth/image_raw'):
+                self.assertIn(topic, types)
+            self.assertEqual([topic for topic in types if topic.startswith('/camera')], ['/camera/depth/image_raw'])
+            names = bag_guess.guess(bag_reader.BagFacts(both))
+            self.assertEqual((names['/mav/camera/camera_info'], names['/ground/rgb/image_raw']), ('/mav/camera/camera_info', '/ground/camera/image_raw'))
+
+    def test_calibration_follows_its_images(self):
+        """Only the MAV's bag has it."""
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [os.path.join(folder, name) for name in ('mav.bag', 'ground.bag')]
+            for path, info in zip(paths, (True, False)):
+                with rosbag.Bag(path, 'w') as bag:
+                    bag.write('/camera/image_raw', messages.image(np.zeros((48, 64)), 'mono8', 1, 'camera'), messages.stamp(1))
+                    bag.write('/odom' if info else '/scan', messages.text(''), messages.stamp(1))
+                    if info:
+                        bag.write('/camera/camera_info', messages.camera_info(CAMERA, 1, 'camera'), messages.stamp(1))
+            parts = bag_merge.plan(*paths, begin_together=False)
+            self.assertEqual([part.topics for part in parts], [{t: f'/mav{t}' for t in ('/camera/image_raw', '/camera/camera_info')}, {'/camera/image_raw': '/ground/camera/image_raw'}])
 
     def test_times_stay_unless_asked(self):
         with tempfile.TemporaryDirectory() as folder:

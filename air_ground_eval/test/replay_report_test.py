@@ -76,12 +76,12 @@ def replay(folder, stand_in, *arguments):
 
 
 class ReplayReport(unittest.TestCase):
-    def run_replay(self, stand_in, truth=True, **recording):
+    def run_replay(self, stand_in, truth=True, start=0.0, **recording):
         folder = tempfile.TemporaryDirectory(prefix='a folder with spaces ')
         self.addCleanup(folder.cleanup)
         write_bag(os.path.join(folder.name, 'x.bag'), truth, **recording)
         static_file = os.path.join(folder.name, 'static.txt')
-        output = replay(folder.name, dict(stand_in, static_file=static_file), *([] if truth else ['truth:=/hidden']))
+        output = replay(folder.name, dict(stand_in, static_file=static_file), f'start:={start}', *([] if truth else ['truth:=/hidden']))
         out = os.path.join(folder.name, 'out')
         self.assertTrue(os.path.isfile(os.path.join(out, 'report.yaml')), output)
         # One who listens late hears all static transforms of the bag.
@@ -89,6 +89,12 @@ class ReplayReport(unittest.TestCase):
             self.assertEqual(stream.read(), 'ground_camera_optical_frame mav_camera_optical_frame')
         with open(os.path.join(out, 'report.yaml'), encoding='utf-8') as stream:
             return out, yaml.safe_load(stream), output
+
+    def test_a_part_of_a_bag_is_counted_from_its_begin(self):
+        values = self.run_replay({}, start=2.0)[1]
+        self.assertAlmostEqual(values['bag_duration_s'], DURATION - 2, delta=0.1)
+        self.assertGreater(values['vo_coverage_percent'], 90)
+        self.assertLess(values['alignment_accepted_after_s'], 1.5)  # the first pose's
 
     def test_known_errors_are_found(self):
         out, values, output = self.run_replay({'refined_error': 0.05, 'refined_error_yaw': 0.02, 'vo_scale': 1.0})

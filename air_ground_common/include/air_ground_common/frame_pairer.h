@@ -42,13 +42,15 @@ class FramePairer {
       while (!depth.empty() && depth.front().stamp < stamp - tolerance_) dropDepth();
       while (depth.size() > 1 && std::abs(depth[1].stamp - stamp) < std::abs(depth[0].stamp - stamp)) dropDepth();
       if (!depth.empty() && depth.front().stamp <= stamp + tolerance_) {
-        Waiting a = colour_.pop(), b = depth_.pop();
+        Waiting a = colour_.pop(), b = popDepth();
         pair_ = Pair{stamp, std::move(a.image), std::move(b.image), a.bytes + b.bytes};
         break;
       }
       const bool missed = !depth.empty();  // depth is already newer
+      if (older_depth_) closest_miss_ = *older_depth_ - stamp;
+      if (missed && (!older_depth_ || depth.front().stamp - stamp < stamp - *older_depth_))
+        closest_miss_ = depth.front().stamp - stamp;
       if (!missed && !overtaken(stamp, patience_, now)) break;
-      if (missed) closest_miss_ = depth.front().stamp - stamp;
       colour_.pop();
       ++unmatched_colour_;
     }
@@ -65,6 +67,8 @@ class FramePairer {
     colour_.clear();
     depth_.clear();
     pair_.reset();
+    older_depth_.reset();
+    closest_miss_.reset();
     unmatched_colour_ = unmatched_depth_ = 0;
   }
 
@@ -84,8 +88,9 @@ class FramePairer {
     return {a.by_count + b.by_count, a.by_bytes + b.by_bytes};
   }
   std::size_t outOfOrder() const { return out_of_order_; }  ///< since the begin
-  /// Depth stamp minus colour stamp of the last colour image that found no partner [s].
-  double closestMiss() const { return closest_miss_; }
+  /// Depth stamp minus colour stamp of the last colour image without a partner, by the nearest depth image [s]; none
+  /// while no depth image has come.
+  std::optional<double> closestMiss() const { return closest_miss_; }
 
  private:
   struct Waiting {
@@ -103,8 +108,12 @@ class FramePairer {
     const std::size_t bytes = image.bytes;
     queue->push(std::move(image), bytes);
   }
+  Waiting popDepth() {
+    older_depth_ = depth_.entries().front().stamp;
+    return depth_.pop();
+  }
   void dropDepth() {
-    depth_.pop();
+    popDepth();
     ++unmatched_depth_;
   }
 
@@ -112,7 +121,7 @@ class FramePairer {
   Queue colour_, depth_;
   std::optional<Pair> pair_;
   std::size_t unmatched_colour_ = 0, unmatched_depth_ = 0, out_of_order_ = 0;
-  double closest_miss_ = 0;
+  std::optional<double> older_depth_, closest_miss_;  ///< stamp of the last depth image taken out; the miss [s]
 };
 
 }  // namespace air_ground_common

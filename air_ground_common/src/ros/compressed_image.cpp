@@ -59,15 +59,24 @@ sensor_msgs::Image::Ptr depthImage(const sensor_msgs::CompressedImage& msg) {
   return boost::make_shared<sensor_msgs::Image>(toMsg(depth, sensor_msgs::image_encodings::TYPE_32FC1, msg.header));
 }
 
+/// A mosaic is compressed as if it were grey; `format` of image_transport begins with what it was. Empty: none of so
+/// many bits.
+std::string mosaicOf(const std::string& format, int bits) {
+  namespace enc = sensor_msgs::image_encodings;
+  const std::string encoding = format.substr(0, format.find(';'));
+  return enc::isBayer(encoding) && enc::bitDepth(encoding) == bits ? encoding : "";
+}
+
 }  // namespace
 
 sensor_msgs::Image::Ptr decompressed(const sensor_msgs::CompressedImage& msg) {
   namespace enc = sensor_msgs::image_encodings;
   if (msg.format.find("compressedDepth") != std::string::npos) return depthImage(msg);
   const cv::Mat image = decoded(msg.data.data(), msg.data.size());
-  std::string encoding;
-  if (image.type() == CV_8UC1) encoding = enc::MONO8;
-  if (image.type() == CV_16UC1) encoding = msg.format.rfind(enc::MONO16, 0) == 0 ? enc::MONO16 : enc::TYPE_16UC1;
+  std::string encoding = image.channels() == 1 ? mosaicOf(msg.format, image.depth() == CV_8U ? 8 : 16) : "";
+  if (encoding.empty() && image.type() == CV_8UC1) encoding = enc::MONO8;
+  if (encoding.empty() && image.type() == CV_16UC1)
+    encoding = msg.format.rfind(enc::MONO16, 0) == 0 ? enc::MONO16 : enc::TYPE_16UC1;
   if (image.type() == CV_8UC3) encoding = enc::BGR8;
   if (image.type() == CV_8UC4) encoding = enc::BGRA8;
   if (encoding.empty()) throw std::invalid_argument("compressed image: its pixels are of no known kind");

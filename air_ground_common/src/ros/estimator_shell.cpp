@@ -238,9 +238,13 @@ bool EstimatorShell::frameReady() {
 EstimatorShell::Obstacle EstimatorShell::whyNotReady() const {
   const bool waits = assembler_.waiting() > 0;
   if (!waits && pairer_ && (pairer_->waiting() > 0 || pairer_->unmatchedColour() > reported_unmatched_)) {
+    if (!pairer_->closestMiss())
+      return {
+          "no depth image has come on " + depth_topic_,
+          "see whether the camera's driver sends depth, and whether the launch argument ground_depth names its topic"};
     return {"no image on " + image_topic_ + " has a depth image on " + depth_topic_ + " within " +
                 std::to_string(settings_.sync_tolerance) + " s; the last one missed by " +
-                std::to_string(pairer_->closestMiss()) + " s",
+                std::to_string(*pairer_->closestMiss()) + " s",
             "synchronise the drivers, or raise the parameter sync_tolerance"};
   }
   if (waits && !calibration_ && !calibration_problem_.empty())

@@ -19,8 +19,40 @@ namespace {
 constexpr double kSilence = 3.0;    // of an input or an output before it is warned of [s, wall clock]
 constexpr double kOpening = 60.0;   // of a bag, for the player to begin, before its topics are missed [s, wall clock]
 constexpr double kSayAgain = 60.0;  // a reason for silence [s]
+constexpr double kClockless = 5.0;  // messages may come before /clock [s, wall clock]
 constexpr double kMasterAnswers = 2.0;  // in this time, or is not waited for [s]
 constexpr std::size_t kMostKinds = 100;
+
+/// /use_sim_time outlives a replay where the master runs on, and leaves live nodes without time. One for the process,
+/// as its clock is.
+class ClockWatch {
+ public:
+  static ClockWatch& instance() {
+    static ClockWatch watch;
+    return watch;
+  }
+  /// `fed`: messages come, so that no player has yet to begin.
+  void watch(const ros::WallTime& now, const ros::Time& clock, bool fed) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!ros::Time::isSimTime() || !clock.isZero()) {
+      since_ = fed_since_ = ros::WallTime();
+      return;
+    }
+    if (since_.isZero()) since_ = now;
+    if (fed && fed_since_.isZero()) fed_since_ = now;
+    const bool missed = !fed_since_.isZero() && (now - fed_since_).toSec() >= kClockless;
+    if (!missed && (now - since_).toSec() < kOpening) return;
+    if (!said_.isZero() && (now - said_).toSec() < kSayAgain) return;
+    said_ = now;
+    ROS_WARN(
+        "/use_sim_time is set, but nothing gives /clock: rosparam set /use_sim_time false and start again, or play "
+        "with --clock");
+  }
+
+ private:
+  std::mutex mutex_;
+  ros::WallTime since_, fed_since_, said_;
+};
 
 }  // namespace
 
@@ -178,11 +210,13 @@ void NodeHealth::state(int level, const std::string& line) {
 void NodeHealth::watch() {
   const ros::WallTime now = ros::WallTime::now();
   const ros::Time clock = ros::Time::now();
-  bool paused;
+  bool paused, fed = false;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     paused = ros::Time::isSimTime() && clock == clock_;
+    for (const auto& [topic, input] : inputs_) fed = fed || (input.continuous && input.messages > 0);
   }
+  ClockWatch::instance().watch(now, clock, fed);
   if (paused) running_ = now;
   watchInputs(now, paused);
   watchSilence(now, paused);

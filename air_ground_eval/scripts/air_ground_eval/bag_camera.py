@@ -57,7 +57,13 @@ def check_info(topic, stream, image):
 def _depths(image):
     """Its depths in metres (32FC1) or steps, where it has any; None of an image that cannot be read."""
     if image._type == 'sensor_msgs/CompressedImage':
-        return picture(image)
+        steps = picture(image)
+        if steps is None or steps.dtype != np.uint16:
+            return None
+        if not image.format.startswith('32FC1; compressedDepth'):
+            return steps
+        a, b = np.frombuffer(image.data[4:12], '<f4')  # steps = a / depth + b
+        return np.where(steps > 0, a / np.maximum(steps - b, 1e-6), np.nan).astype(np.float32)
     if image.encoding not in DEPTH:
         return None
     dtype = np.dtype(DEPTH[image.encoding]).newbyteorder('>' if image.is_bigendian else '<')
@@ -93,7 +99,13 @@ def check_image(topic, stream, encodings):
     image = stream.samples[0]
     result = check_depth(topic, stream.spread) if encodings is DEPTH else []
     if image._type == 'sensor_msgs/CompressedImage':
-        return result if image_size(image) else [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
+        pixels = picture(image)
+        if pixels is None:
+            return [Finding(ERROR, f'{topic}: the first image cannot be decoded (format {image.format!r})')]
+        if encodings is DEPTH and (pixels.dtype != np.uint16 or pixels.ndim != 2):
+            result.append(Finding(ERROR, f'{topic}: its images ({image.format}) are of {8 * pixels.itemsize} bits, which hold no depth: record {topic.rsplit("/", 1)[0]}/compressedDepth, '
+                                  'or the raw images'))
+        return result
     if image.encoding not in encodings:
         result.append(Finding(ERROR, f'{topic}: encoding {image.encoding!r}; expected one of {", ".join(encodings)}'))
     bytes_a_pixel = np.dtype(DEPTH.get(image.encoding, np.uint8)).itemsize

@@ -100,8 +100,8 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             present[standard] = topic
         elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
             present[standard] = bag_guess.recorded(facts, topic)
-            argument = bag_guess.TRANSPORT_ARGUMENTS[standard] + ':=compressed'
-            findings.append(Finding(WARNING, f'{topic} is there as {present[standard]} alone: replay with {argument}'))
+            argument = bag_guess.compressed_argument(facts, bag_guess.ARGUMENTS[standard], topic)
+            findings.append(Finding(WARNING, f'{bag_guess.raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}'))
         elif standard not in ELSEWHERE:
             findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
     streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard == '/ground/depth/image_raw'])
@@ -132,6 +132,18 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
                                 f'tilted, rosrun air_ground publish_calibration --transform "ground_base_link {bases["ground"]} X Y Z QX QY QZ QW" beside the replay, with '
                                 'ground_base_frame:=ground_base_link'))
     return findings
+
+
+def examine(facts, city=False, present=('mav', 'ground'), given=None, bases=None, frames=None):
+    """(names, findings, the command that replays the bag), guessed but for what is known: `given`: standard topic -> its name; `bases`, `frames`: robot -> its
+    body frame, its images' frame. `present`: robots that may be in the bag."""
+    names = bag_guess.guess(facts, city, present, given)
+    robots = [robot for robot, image in IMAGES.items() if names.get(image) and not (city and robot == 'ground')] or list(present)
+    frames = {**first_frames(facts, names), **(frames or {})}
+    bases = {**{robot: bag_guess.guess_base(facts, robot, frame, names) or f'{robot}_base_link' for robot, frame in frames.items()}, **(bases or {})}
+    findings = check(facts, names, bases, city, robots)
+    arguments = dict.fromkeys(finding.argument for finding in findings if finding.argument)
+    return names, findings, bag_guess.command(facts, names, bases, frames, city, city or registered(facts, names), arguments)
 
 
 def _missing(facts, standard, topic, types, purpose, actual, city):
@@ -223,7 +235,7 @@ def _pairs(present, streams):
 def registered(facts, names):
     """Whether depth is as the colour camera sees it, by the size and frame of the first images; True without any."""
     wanted = [names.get(standard, standard) for standard in ('/ground/rgb/image_raw', '/ground/depth/image_raw')]
-    topics = [next((t for t in facts.of_type('sensor_msgs/Image', 'sensor_msgs/CompressedImage') if bag_guess.raw_name(t) == topic), None) for topic in wanted]
+    topics = [bag_guess.recorded(facts, topic) for topic in wanted]
     if None in topics:
         return True
     streams = read(facts.path, topics, limit=1)

@@ -19,9 +19,8 @@ DOWN_WORDS = ('down', 'bottom', 'nadir', 'belly')
 LIDAR_WORDS = ('os0', 'os1', 'ouster', 'lidar', 'livox', 'velodyne')
 INFRARED = re.compile(r'infra|(^|[/_])ir([/_]|$)')  # a depth camera's own eyes
 RIGHT = re.compile(r'right|rect|cam1|infra2|(^|[/_])r([/_]|$)')  # of a stereo pair the left image is taken, as it is
-TRANSPORTS = ('compressed', 'compressedDepth')
-TRANSPORT_ARGUMENTS = {'/mav/camera/image_raw': 'mav_image_transport', '/ground/rgb/image_raw': 'ground_image_transport',
-                       '/ground/depth/image_raw': 'ground_depth_transport'}
+IMAGE_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage')
+TRANSPORTS = ('compressedDepth', 'compressed')  # the better first: the second may be a JPEG, of depth too
 
 
 def raw_name(topic):
@@ -32,20 +31,26 @@ def raw_name(topic):
 
 def image_topics(facts):
     """Image topics, raw or compressed, under the raw name."""
-    return sorted({raw_name(t) for t in facts.of_type('sensor_msgs/Image', 'sensor_msgs/CompressedImage')})
+    return sorted({raw_name(t) for t in facts.of_type(*IMAGE_TYPES)})
 
 
 def transport(facts, topic):
     """'raw', 'compressed' or None, as an image topic is in the bag."""
-    if facts.types.get(topic) == 'sensor_msgs/Image':
-        return 'raw'
+    if facts.types.get(topic) in IMAGE_TYPES:
+        return 'raw' if facts.types[topic] == IMAGE_TYPES[0] else 'compressed'
     return 'compressed' if any(f'{topic}/{kind}' in facts.types for kind in TRANSPORTS) else None
 
 
 def recorded(facts, topic):
     """The topic under which the bag holds an image topic: itself, or compressed; None without."""
-    kind = transport(facts, topic)
-    return topic if kind == 'raw' else next(f'{topic}/{t}' for t in TRANSPORTS if f'{topic}/{t}' in facts.types) if kind else None
+    return topic if facts.types.get(topic) in IMAGE_TYPES else next((f'{topic}/{t}' for t in TRANSPORTS if f'{topic}/{t}' in facts.types), None)
+
+
+def compressed_argument(facts, argument, topic):
+    """The launch argument that has a node take an image topic that the bag holds compressed alone; `argument`: mav_image, ground_image or ground_depth. Compressed
+    depth is looked for on compressedDepth: where it is elsewhere, the topic is named in full."""
+    own = recorded(facts, topic)
+    return f'{argument}:={own}' if own == topic or argument == 'ground_depth' and own == f'{topic}/compressed' else f'{argument}_transport:=compressed'
 
 
 def _common(a, b):
@@ -85,11 +90,13 @@ def _infos(facts, parent):
     return [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rsplit('/', 1)[0] == parent]
 
 
-def guess(facts, city=False, robots=('mav', 'ground')):
-    """standard topic -> topic of the bag, for those that can be told; a standard topic that is there stays. robots: those that are in the bag."""
+def guess(facts, city=False, robots=('mav', 'ground'), given=None):
+    """standard topic -> topic of the bag, for those that can be told; a standard topic that is there stays. robots: those that are in the bag; given: what is known."""
     names = {standard: standard for standard in ARGUMENTS if (standard in facts.types or transport(facts, standard))
              and (standard.split('/')[1] in robots or standard.split('/')[1] not in ('mav', 'ground'))}
-    images = [t for t in image_topics(facts) if t not in names.values()]
+    names.update(given or {})
+    known = {raw_name(topic) for topic in names.values()}
+    images = [t for t in image_topics(facts) if t not in known]
     depths = [t for t in images if _is_depth(facts, t)]
     colours = [t for t in images if t not in depths and 'disparity' not in t.lower()]
     taken = set(names.values())
@@ -123,7 +130,7 @@ def guess(facts, city=False, robots=('mav', 'ground')):
         if image is None or robot not in robots:
             continue
         other = other if all(names.get(c) for c in cameras) else ()
-        parent = image.rsplit('/', 1)[0]
+        parent = raw_name(image).rsplit('/', 1)[0]
         choose(camera.replace('image_raw', 'camera_info'), _infos(facts, parent), lambda t: 0)
         imus = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)], image, [names.get(i) for i in cameras if i != camera])
         imu = choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t],
@@ -133,7 +140,7 @@ def guess(facts, city=False, robots=('mav', 'ground')):
         choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if _has(t, TRUTH_WORDS) and not _has(t, other)],
                lambda t, own=own: _has(t, own))
     if '/ground/depth/image_raw' in names:  # beside colour in one folder, it may have none of its own
-        choose('/ground/depth/camera_info', _infos(facts, names['/ground/depth/image_raw'].rsplit('/', 1)[0]), lambda t: 0)
+        choose('/ground/depth/camera_info', _infos(facts, raw_name(names['/ground/depth/image_raw']).rsplit('/', 1)[0]), lambda t: 0)
     if city:
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
             choose(standard, facts.of_type(kind), lambda t: _has(t, MAV_WORDS))
@@ -171,9 +178,10 @@ def command(facts, names, bases, frames, city=False, registered=True, arguments=
     robots = [robot for robot, image in (('mav', '/mav/camera/image_raw'), ('ground', '/ground/rgb/image_raw')) if image in names]
     words = ['roslaunch', 'air_ground', 'city.launch' if city else 'replay.launch', f'bag:={os.path.abspath(facts.path)}']
     words += ['db:=CITY.gpkg', 'world_config:=WORLD.yaml'] if city else []
-    words += [f'{ARGUMENTS[standard]}:={topic}' for standard, topic in names.items() if topic != standard]
-    words += [f'{argument}:=compressed' for standard, argument in TRANSPORT_ARGUMENTS.items()
-              if standard in names and transport(facts, names[standard]) == 'compressed']
+    compressed = [compressed_argument(facts, ARGUMENTS[standard], topic) for standard, topic in names.items() if transport(facts, topic) == 'compressed']
+    full = {argument.partition(':=')[0] for argument in compressed}
+    words += [f'{ARGUMENTS[standard]}:={topic}' for standard, topic in names.items() if topic != standard and ARGUMENTS[standard] not in full]
+    words += compressed
     words += [] if registered else ['ground_depth_registered:=false']
     words += ['mav_use_imu:=false'] if 'mav' in robots and '/mav/imu/data' not in names and not city else []
     for robot in robots:

@@ -4,11 +4,13 @@ import heapq
 import genpy
 import rosbag
 
+from .bag_guess import IMAGE_TYPES, raw_name
 from .bag_reader import BagError, BagFacts, open_bag
 
 SHARED = ('/tf', '/tf_static', '/clock', '/rosout', '/rosout_agg', '/diagnostics')  # topics of many publishers
 COMMON_FRAMES = {'world', 'earth', 'mocap'}  # of a reference that sees both robots
 TF_TYPES = ('tf2_msgs/TFMessage', 'tf/tfMessage')
+CAMERA_TYPES = (*IMAGE_TYPES, 'theora_image_transport/Packet', 'sensor_msgs/CameraInfo')
 DROPPED = ('/clock',)  # one for both: the player's
 
 
@@ -93,12 +95,28 @@ class Restamped:
                 yield time.to_nsec(), order, topic, message, header
 
 
+def _name(topic):
+    """What a topic is of, whatever its transport."""
+    return topic[:-len('/theora')] if topic.endswith('/theora') else raw_name(topic)
+
+
+def _folder(topic):
+    return _name(topic).rpartition('/')[0]
+
+
+def renamed(parts):
+    """Of each part the topics that both name, in any transport. A camera's images and calibration are known by their folder: they stay together."""
+    names = set.intersection(*({_name(topic) for topic in part.facts.types} for part in parts)) - set(SHARED)
+    cameras = [{topic for topic, kind in part.facts.types.items() if kind in CAMERA_TYPES} for part in parts]
+    folders = {_folder(topic) for topic in set.union(*cameras) if _name(topic) in names}
+    return [{topic for topic in part.facts.types if _name(topic) in names or topic in camera and _folder(topic) in folders} for part, camera in zip(parts, cameras)]
+
+
 def plan(mav, ground, begin_together):
     """The two parts. Topics and frames that both bags name get their robot's name in front, so that each is one robot's."""
     parts = [Part('mav', mav), Part('ground', ground)]
-    topics = (set(parts[0].facts.types) & set(parts[1].facts.types)) - set(SHARED)
     frames = frames_of(parts[0].facts) & (frames_of(parts[1].facts) - COMMON_FRAMES)
-    for part in parts:
+    for part, topics in zip(parts, renamed(parts)):
         part.topics = {topic: f'/{part.robot}{topic}' for topic in topics}
         part.frames = {frame: f'{part.robot}_{frame}' for frame in frames}
     if begin_together:

@@ -3,10 +3,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 
+def rotations_from_matrix(matrix):
+    """Rotation of matrices (..., 3, 3); SciPy before 1.4, as Ubuntu 20.04 has it, knows it by another name."""
+    return (Rotation.from_matrix if hasattr(Rotation, 'from_matrix') else Rotation.from_dcm)(matrix)
+
+
+def matrix_from_rotations(rotations):
+    """Matrices (..., 3, 3) of a Rotation; the same."""
+    return rotations.as_matrix() if hasattr(rotations, 'as_matrix') else rotations.as_dcm()
+
+
 def quaternion_from_matrix(rotation):
     """Unit quaternions x y z w (w >= 0) of rotation matrices (..., 3, 3)."""
     rotation = np.asarray(rotation, float)
-    q = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat().reshape(rotation.shape[:-2] + (4,))
+    q = rotations_from_matrix(rotation.reshape(-1, 3, 3)).as_quat().reshape(rotation.shape[:-2] + (4,))
     return np.where(q[..., 3:] < 0, -q, q)
 
 
@@ -16,7 +26,7 @@ def matrix_from_quaternion(q):
     norm = np.linalg.norm(q, axis=-1)
     if not np.all(np.isfinite(norm)) or np.any(norm < 1e-9):
         raise ValueError('a quaternion is zero or not finite')
-    return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(q.shape[:-1] + (3, 3))
+    return matrix_from_rotations(Rotation.from_quat(q.reshape(-1, 4))).reshape(q.shape[:-1] + (3, 3))
 
 
 def pose(rotation=None, translation=(0, 0, 0)):
@@ -57,7 +67,7 @@ def orthonormalized(transform):
 
 def rotation_angle(rotation):
     """Angles [rad] of rotation matrices (..., 3, 3)."""
-    return Rotation.from_matrix(rotation).magnitude()
+    return np.linalg.norm(rotations_from_matrix(rotation).as_rotvec(), axis=-1)
 
 
 def rotation_z(angle):
@@ -68,7 +78,7 @@ def rotation_z(angle):
 
 def rotation_from_axes(axes, angles):
     """Rotations (n, 3, 3) about the moving axes named in turn ('XYZ': Rx Ry Rz) by angles (n, len(axes)) [rad]."""
-    return Rotation.from_euler(axes, angles).as_matrix()
+    return matrix_from_rotations(Rotation.from_euler(axes, angles))
 
 
 def leveling_rotation(up):
@@ -97,7 +107,7 @@ def interpolate_poses(stamps, transforms, query, max_gap=0.5):
     inside = np.clip(query, stamps[0], stamps[-1])
     result = np.tile(np.eye(4), (len(query), 1, 1))
     if len(query):
-        result[:, :3, :3] = Slerp(stamps, Rotation.from_matrix(transforms[:, :3, :3]))(inside).as_matrix()
+        result[:, :3, :3] = matrix_from_rotations(Slerp(stamps, rotations_from_matrix(transforms[:, :3, :3]))(inside))
         result[:, :3, 3] = np.stack([np.interp(inside, stamps, transforms[:, axis, 3]) for axis in range(3)], 1)
     return result, valid
 

@@ -223,12 +223,12 @@ def _missing_now(bag, inputs):
     result = {}
     for argument, topic, kind in inputs:
         topic = rospy.resolve_name(topic)
-        compressed = [f'{topic}/{name}' for name in ('compressed', 'compressedDepth') if f'{topic}/{name}' in bag.types]
+        compressed = [f'{topic}/{name}' for name in bag_guess.TRANSPORTS if f'{topic}/{name}' in bag.types]
         if topic in bag.types or published.get(topic) or any(listeners.get(t) for t in compressed):
             continue
         others = bag.of_type(kind)
         if compressed:
-            hint = f'it has {compressed[0]}: set {"ground_depth" if argument == "ground_depth" else argument.split("_")[0] + "_image"}_transport:=compressed'
+            hint = f'it has {compressed[0]}: set {bag_guess.compressed_argument(bag, argument, topic)}'
         elif others:
             hint = f'of type {kind} it has {", ".join(others)}: set {argument}:='
         else:

@@ -16,7 +16,7 @@ class Recorded:
     """Inputs of a report. Tracks hold camera poses; truths are in the frame world, estimates in their maps."""
     out: str
     bag: str
-    begin: float
+    begin: float  # of the part that was played [s]
     end: float
     mav: Track
     ground: Track

@@ -151,11 +151,11 @@ def undistort(uv, p):
 
 def expmap(w):
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
-    return Rotation.from_rotvec(w).as_matrix()
+    return geometry.matrix_from_rotations(Rotation.from_rotvec(w))
 
 
 def logmap(R):
-    return Rotation.from_matrix(R).as_rotvec()
+    return geometry.rotations_from_matrix(R).as_rotvec()
 
 
 class Adjustment:

@@ -9,8 +9,8 @@
 
 namespace air_ground_common::ros_utils {
 
-/// Pixels of a JPEG or PNG, as mono8, mono16, bgr8, bgra8; or of compressedDepth of image_transport (PNG behind a
-/// header), as 16UC1 [mm] or 32FC1 [m]. Throws std::invalid_argument.
+/// Pixels of a JPEG or PNG, as mono8, mono16, bayer_*, bgr8, bgra8; or of compressedDepth of image_transport (PNG
+/// behind a header), as 16UC1 [mm] or 32FC1 [m]. Throws std::invalid_argument.
 sensor_msgs::Image::Ptr decompressed(const sensor_msgs::CompressedImage& msg);
 
 /// JPEG of an 8 bit image, grey or BGR. quality: 1..100. Throws std::invalid_argument for other pixels.

@@ -22,7 +22,8 @@ struct ImageMessage {
 };
 
 /// Subscribes to a topic of images: `transport` "raw": sensor_msgs/Image on it; "compressed":
-/// sensor_msgs/CompressedImage on <topic>/compressed, or <topic>/compressedDepth for depth images.
+/// sensor_msgs/CompressedImage on <topic>/compressed, or <topic>/compressedDepth for depth images. A topic that ends in
+/// /compressed or /compressedDepth itself is taken as that, whatever `transport` says.
 class ImageInput {
  public:
   using Callback = std::function<void(const ImageMessage&)>;
