@@ -1,6 +1,7 @@
-// What becomes of an IMU's messages; in the program of ros_helpers_test.
+// What becomes of the messages of IMU and camera; in the program of ros_helpers_test.
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <vector>
 
 #include "air_ground_common/ros/sensor_input.h"
@@ -59,6 +60,67 @@ TEST(ImuInput, SpreadsPacketsOfAnAccelerometerOfItsOwn) {
     EXPECT_NEAR(samples[i].stamp - samples[i - 1].stamp, 0.005, 1e-6);
     EXPECT_NEAR(samples[i].specific_force.z(), samples[i].stamp - 1, 1e-6);
   }
+}
+
+TEST(ImuInput, JudgesTheUnitAgainAndAgain) {
+  NodeHealth health("imu_unit_test");
+  ImuInput input(health, false);
+  double stamp = 10;
+  const auto feed = [&](double force, int samples) {
+    for (int i = 0; i < samples; ++i) {
+      sensor_msgs::Imu message;
+      message.header.stamp = ros::Time(stamp += 0.005);
+      message.linear_acceleration.z = force;
+      input.read(message);
+    }
+    return input.problem();
+  };
+  EXPECT_EQ(feed(0, 150), "");
+  EXPECT_NE(feed(0, 60).find("not about 9.81 m/s^2"), std::string::npos) << "zeros while it warms up";
+  EXPECT_EQ(feed(9.81, 400), "");
+  EXPECT_NE(feed(1, 400).find("not about 9.81 m/s^2"), std::string::npos);
+  input.reset();
+  EXPECT_EQ(feed(9.81, 600), "");
+}
+
+sensor_msgs::CameraInfo autofocus(double fx, double cx, double k1) {
+  sensor_msgs::CameraInfo info;
+  info.width = 1280;
+  info.height = 720;
+  info.distortion_model = "plumb_bob";
+  info.D = {k1, 0.01, 0, 0, 0};
+  info.K = {fx, 0, cx, 0, fx + 1, 360, 0, 0, 1};
+  info.R = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  info.P = {fx, 0, cx, 0, 0, fx + 1, 360, 0, 0, 0, 1, 0};
+  return info;
+}
+
+TEST(Calibration, AnAutofocusIsNoOtherCamera) {
+  const sensor_msgs::CameraInfo info = autofocus(1000, 640, 0.05);
+  EXPECT_TRUE(sameCalibration(info, autofocus(1000.7, 639.6, 0.05)));
+  EXPECT_TRUE(sameCalibration(info, autofocus(997.5, 642.5, 0.05)));
+  EXPECT_FALSE(sameCalibration(info, autofocus(1003.5, 640, 0.05)));
+  EXPECT_FALSE(sameCalibration(info, autofocus(1000, 636, 0.05)));
+  // The corners lie 0.73 off the axis: k1 moves them by 0.73^3 = 0.4 times itself, 1000 px away.
+  EXPECT_TRUE(sameCalibration(info, autofocus(1000, 640, 0.052)));
+  EXPECT_FALSE(sameCalibration(info, autofocus(1000, 640, 0.056)));
+  sensor_msgs::CameraInfo other = info;
+  other.D.resize(4);
+  EXPECT_TRUE(sameCalibration(info, other)) << "what is left out is zero";
+  other.D.assign(20, 0.1);
+  EXPECT_FALSE(sameCalibration(info, other)) << "no such model";
+  other = info;
+  other.distortion_model = "rational_polynomial";
+  EXPECT_FALSE(sameCalibration(info, other));
+  other = info;
+  other.K[1] = 0.1;  // skew is none of it
+  EXPECT_FALSE(sameCalibration(info, other));
+  other = info;
+  other.K[0] = NAN;
+  EXPECT_FALSE(sameCalibration(info, other));
+  other = info;
+  other.roi.x_offset = 1;
+  EXPECT_FALSE(sameCalibration(info, other));
 }
 
 }  // namespace

@@ -10,6 +10,7 @@
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 #include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/image_memory.h"
 #include "visual_frontend/pose_solver.h"
 #include "visual_frontend/triangulation.h"
 
@@ -126,7 +127,11 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
     result = attempt(first, current, gyro, turn);
     break;
   }
-  if (!result && (views_.empty() || stamp - views_.back().stamp >= settings_.frame_interval)) {
+  constexpr double kMemory = 200e6;  // of the candidates' images, at about the most: large ones are kept less often
+  constexpr int kNoLimit = 1000000;
+  const double interval =
+      std::max(settings_.frame_interval, settings_.max_age / visual_frontend::imagesKept(pyramid, kNoLimit, kMemory));
+  if (!result && (views_.empty() || stamp - views_.back().stamp >= interval)) {
     if (current.pyramid.empty())
       for (const cv::Mat& level : pyramid) current.pyramid.push_back(level.clone());
     views_.push_back(std::move(current));

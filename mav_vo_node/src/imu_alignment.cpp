@@ -78,6 +78,7 @@ ImuNoise ImuAlignment::noise() const {
 
 void ImuAlignment::reset() {
   imu_.clear();
+  coverage_.reset();
   accel_noise_.reset();
   attitude_.reset();
   gyro_alignment_.reset();
@@ -251,8 +252,8 @@ double ImuAlignment::mountingStddev() const {
   return mounting_alignment_ ? std::sqrt(mounting_alignment_->mountingCovariance().diagonal().maxCoeff()) : 0;
 }
 
-std::optional<UpDirection> ImuAlignment::attitude() const {
-  if (!attitude_.initialized()) return std::nullopt;
+std::optional<UpDirection> ImuAlignment::attitude(double stamp) const {
+  if (!attitude_.knownAt(imu_.stamp(stamp))) return std::nullopt;
   return UpDirection{imu_.mounting() * attitude_.up(), attitude_.upSigma()};
 }
 

@@ -30,6 +30,10 @@ class ImuAlignment {
 
   /// The IMU seemed to rest before the images began: a hint, no more.
   void useBiasAtRest();
+  /// Sees whether there are samples for the time between two images.
+  void checkCoverage(double stamp_a, double stamp_b) {
+    coverage_.add(imu_.buffer(), imu_.stamp(stamp_a), imu_.stamp(stamp_b));
+  }
   /// Up at the next image, `dt` [s] later; the camera turned by `R_previous_current`, none: not known.
   void carryUp(const std::optional<Eigen::Matrix3d>& R_previous_current, double dt);
   /// True when the vehicle rests: gyro bias and up are measured, unless a metric map knows them better.
@@ -61,12 +65,14 @@ class ImuAlignment {
   /// As given, or more where the accelerometer's samples show more.
   ImuNoise noise() const;
   std::string problem() const;  ///< empty: gyro and images agree
+  /// Empty: the samples cover most images, or there never were any.
+  const std::string& coverageProblem() const { return coverage_.problem(); }
   /// Empty: how far the clocks are apart is known well enough for a scale; else what is missing. Clocks that are
   /// farther apart than is looked for end in a false minimum, which never gets sure.
   std::string clockProblem() const;
 
   double imuStamp(double image_stamp) const { return imu_.stamp(image_stamp); }
-  std::optional<UpDirection> attitude() const;  ///< by the accelerometer; empty: no samples yet
+  std::optional<UpDirection> attitude(double stamp) const;  ///< by the accelerometer; empty: no samples up to `stamp`
   Eigen::Vector3d gyroBias() const { return imu_.mounting() * trusted().bias(); }  ///< [rad/s]
   double gyroBiasStddev() const { return trusted().biasStddev(); }                 ///< [rad/s]
   double timeOffset() const { return imu_.offset(); }                              ///< in use [s]
@@ -85,6 +91,7 @@ class ImuAlignment {
   OdometrySettings settings_;
   Eigen::Matrix3d R_camera_imu_;
   ImageClockImu imu_{12.0};
+  visual_frontend::ImuCoverage coverage_;
   visual_frontend::AccelNoise accel_noise_;
   visual_frontend::AttitudeFilter attitude_;
   GyroAlignment gyro_alignment_;

@@ -84,6 +84,7 @@ double Odometry::Impl::patience() const {
 std::string Odometry::Impl::scaleReason() const {
   if (!settings.use_imu) return "no IMU: lengths are in the map's own unit until the alignment tells it";
   if (!imu_problem.empty()) return imu_problem;
+  if (!imu.coverageProblem().empty()) return "metric scale is not known: " + imu.coverageProblem();
   if (const std::string problem = imu.problem(); !problem.empty()) return problem;
   if (!scale.known(mapAge())) return scale.reason(mapAge());
   const std::string clock = imu.clockProblem();
@@ -103,6 +104,7 @@ std::optional<GyroRotation> Odometry::Impl::cameraTurn(double stamp_a, double st
 // What the IMU and the tracks tell of each other, with or without a map.
 void Odometry::Impl::useImu(double stamp) {
   const std::vector<Feature>& features = pose.tracker().features();
+  if (last_stamp >= 0) imu.checkCoverage(last_stamp, stamp);
   imu.carryUp(pose.turnSincePrevious(), stamp - last_stamp);
   if (imu.detectStandstill(stamp, features, metric())) bias.gyro = imu.gyroBias();
   next_readout = imu.alignShutter(stamp, features, pose.readoutTime());
@@ -153,7 +155,7 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray) {
   gate.T_map_last = frames.lastPose(map);
   if (metric())
     gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - frames.lastStamp());
-  if (const auto up = imu.attitude(); up && metric() && settings.use_imu) {
+  if (const auto up = imu.attitude(last_stamp); up && metric() && settings.use_imu) {
     gate.up_camera = T_camera_imu.linear() * up->up_imu;
     gate.max_tilt = std::max(gate.max_tilt, 3 * up->sigma);
   }
@@ -252,7 +254,8 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   const ScaleFilter& estimate = scale.filter();
   result->state = state;
   result->reason = reason;
-  result->imu_contradicts = settings.use_imu && state != OdometryState::kTracking && !imu.problem().empty();
+  const bool uncovered = state == OdometryState::kScaling && !imu.coverageProblem().empty();
+  result->imu_at_fault = settings.use_imu && state != OdometryState::kTracking && (uncovered || !imu.problem().empty());
   result->metric = metric();
   result->map_id = map_id;
   result->map_revision = revision.count();

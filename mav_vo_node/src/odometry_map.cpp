@@ -5,6 +5,7 @@
 
 #include "increment.h"
 #include "odometry_impl.h"
+#include "visual_frontend/image_memory.h"
 #include "visual_frontend/local_landmarks.h"
 
 namespace mav_vo {
@@ -31,9 +32,9 @@ int mappedObservations(const Keyframe& keyframe) {
 }
 
 /// Up in the IMU's axes as it is known at the first views; without gravity the vehicle is taken to be level.
-std::optional<UpDirection> upAtStart(const ImuAlignment& imu, bool use_imu) {
+std::optional<UpDirection> upAtStart(const ImuAlignment& imu, double stamp, bool use_imu) {
   if (imu.up() && imu.up()->sigma < kMovingTilt) return imu.up();
-  if (const auto up = imu.attitude(); up && use_imu) return UpDirection{up->up_imu, kMovingTilt};
+  if (const auto up = imu.attitude(stamp); up && use_imu) return UpDirection{up->up_imu, kMovingTilt};
   return std::nullopt;
 }
 
@@ -105,7 +106,7 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
     reason = "initialising: " + (problem.empty() ? bootstrap.reason() : problem);
     return;
   }
-  const auto up = upAtStart(imu, settings.use_imu);
+  const auto up = upAtStart(imu, last_stamp, settings.use_imu);
   const double tilt = up ? up->sigma : kMovingTilt;
   Eigen::Matrix3d R_map_first = T_base_camera.linear();
   if (up)
@@ -177,7 +178,8 @@ void Odometry::Impl::addKeyframe(const cv::Mat& gray) {
   createLandmarks(id);
   pose.tracker().replenish();
   covariances.add(id, pose.result().covariance, map);
-  map.dropFarImages(pose.pose(), settings.max_image_keyframes, pose.sceneDistance());
+  map.dropFarImages(pose.pose(), visual_frontend::imagesKept(pose.tracker().pyramid(), settings.max_image_keyframes),
+                    pose.sceneDistance());
   thinKeyframes();
   adopt(adjuster.adjustNewest(map, inertial.data(), bundleSettings(), last_stamp));
   policy.setLandmarks(mappedObservations(map.keyframe(id)));

@@ -104,6 +104,15 @@ TEST(ImuAlignment, UpTurnsWithTheCameraUntilAGap) {
   EXPECT_FALSE(imu.up());
 }
 
+TEST(ImuAlignment, AnImuThatHasFallenSilentHasNoAttitude) {
+  ImuAlignment imu = make();
+  EXPECT_FALSE(imu.attitude(0));
+  turn(imu, Eigen::Vector3d::Zero(), 1);
+  ASSERT_TRUE(imu.attitude(1.4));
+  EXPECT_LT((imu.attitude(1.4)->up_imu - Eigen::Vector3d(std::sin(0.1), 0, std::cos(0.1))).norm(), 1e-6);
+  EXPECT_FALSE(imu.attitude(1.6));
+}
+
 TEST(ImuAlignment, KeepsOnlyABetterBias) {
   ImuAlignment imu = make();
   imu.keepBias({0, 0, 0.1}, 2 * imu.gyroBiasStddev());

@@ -1,5 +1,5 @@
-// An IMU that is mounted otherwise than the odometry is told, and a shutter that it is told nothing of, on rendered
-// flights.
+// An IMU that is mounted otherwise than the odometry is told, or misses the images, and a shutter that it is told
+// nothing of, on rendered flights.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -34,6 +34,23 @@ TEST(Odometry, FindsHowTheImuIsTurned) {
     ASSERT_GT(o.metric_at, 0) << last.reason;
     EXPECT_LT(std::abs(scale_error), 0.02);
     EXPECT_LT(error, 0.015 * air_ground_common::pathLength(o.truth));
+  }
+}
+
+TEST(Odometry, NamesAnImuThatMissesTheImages) {
+  Options slow, other_clock;
+  slow.end = other_clock.end = 6;
+  slow.nan_imu = [](double t) { return std::fmod(t + 10.001, 0.2) > 0.002; };
+  other_clock.imu_shift = -1000;
+  for (const bool of_other_clock : {false, true}) {
+    const Outcome o = fly(of_other_clock ? other_clock : slow);
+    const VoResult& last = o.frames.back();
+    EXPECT_EQ(last.state, OdometryState::kScaling);
+    EXPECT_EQ(last.reason.find("metric scale is not known: " +
+                               std::string(of_other_clock ? "the IMU's stamps end" : "IMU at 5 Hz: steadily")),
+              0u)
+        << last.reason;
+    EXPECT_TRUE(last.imu_at_fault) << "to accelerate is no help";
   }
 }
 

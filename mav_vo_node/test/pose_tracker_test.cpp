@@ -104,6 +104,19 @@ TEST_F(Floor, TheNextImageIsWhereTheMotionLeads) {
   EXPECT_LT(air_ground_common::rotationAngle(pose.pose().linear(), above(0, 0, -0.02).linear()), 0.003);
 }
 
+TEST_F(Floor, TwoImagesAMillisecondApartTellOfNoVelocity) {
+  const auto see = [this](const Pose& before, const Pose& now, double last, double stamp) {
+    pose.track(last, stamp, image(now), true);
+    ASSERT_TRUE(pose.locate(std::nullopt)) << pose.result().reason;
+    pose.settle(stamp, before);
+  };
+  see(above(0, 0), above(0.05, 0), 0, 0.1);
+  see(above(0.05, 0), above(0.1, 0), 0.1, 0.2);
+  see(above(0.1, 0), above(0.103, 0.002), 0.2, 0.201);
+  pose.track(0.201, 0.3, image(above(0.15, 0)), true);
+  EXPECT_LT(error(above(0.15, 0)), 0.01) << "before the landmarks are asked";
+}
+
 TEST_F(Floor, KeyframesKeepTheTracksFromDrifting) {
   const auto drift = [this](const Pose& T) {  // median [px]
     std::vector<double> pixels;

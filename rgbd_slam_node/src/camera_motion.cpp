@@ -135,6 +135,7 @@ void CameraMotion::endMap() {
 void CameraMotion::reset() {
   endMap();
   imu_.clear();
+  coverage_.reset();
   attitude_.reset();
   inertial_.reset();
   rows_.setReadoutTime(given_readout_time_);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <optional>
+#include <string>
 
 #include "rgbd_slam/slam.h"
 
@@ -21,6 +22,9 @@ class CameraMotion {
   double rotationSigma(double dt) const { return gyro_bias_sigma_ * dt; }
   /// How the gyro felt the base turn between two stamps: rotation vector in the base [rad]. None without its samples.
   std::optional<Eigen::Vector3d> feltTurn(double from, double to) const;
+  /// Sees whether there are samples for the time between two frames ...
+  void checkCoverage(double from, double to) { coverage_.add(imu_, from, to); }
+  const std::string& coverageProblem() const { return coverage_.problem(); }  ///< ... empty: there mostly are
   /// False: the gyro contradicts the images, and nothing is taken from it any more.
   void trustGyro(bool trusted);
   /// Motion during the frame at `stamp`, for the rows of the image; the camera is about at `T_map_camera`.
@@ -40,7 +44,9 @@ class CameraMotion {
   void addPose(double stamp, const Pose& T_map_camera, const Matrix6d& covariance);
 
   const visual_frontend::AttitudeFilter& attitude() const { return attitude_; }
-  Eigen::Vector3d upInCamera() const { return R_camera_imu_ * attitude_.up(); }  ///< by the accelerometer
+  bool upKnownAt(double stamp) const { return hasImu() && attitude_.knownAt(stamp); }  ///< by the accelerometer
+  Eigen::Vector3d upInBase() const { return *mounting_.R_base_imu * attitude_.up(); }  ///< likewise
+  Eigen::Vector3d upInCamera() const { return R_camera_imu_ * attitude_.up(); }        ///< by the accelerometer
   std::optional<visual_frontend::InertialEstimate> estimate() const;
   const Eigen::Vector3d& gyroBias() const { return gyro_bias_; }
 
@@ -52,6 +58,7 @@ class CameraMotion {
   double given_readout_time_, time_offset_, initial_gyro_bias_;
   Eigen::Matrix3d R_camera_imu_ = Eigen::Matrix3d::Identity();
   visual_frontend::ImuBuffer imu_;
+  visual_frontend::ImuCoverage coverage_;
   visual_frontend::AttitudeFilter attitude_;
   visual_frontend::InertialAlignment inertial_;
   visual_frontend::RollingShutter rows_;  ///< with the motion during the present frame

@@ -28,6 +28,13 @@ namespace {
 
 bool known(float z) { return std::isfinite(z) && z > 0; }
 
+/// Pixels from one cell to the next: images larger than 640x480 give no more cells than all pixels of one such.
+int strideFor(const cv::Size& size, int wanted) {
+  constexpr int kMostCells = 640 * 480;
+  while (size.area() / (wanted * wanted) > kMostCells) ++wanted;
+  return wanted;
+}
+
 /// Marks pixels whose neighbourhood holds a depth edge: a jump that no surface within the incidence limit explains.
 cv::Mat edges(const cv::Mat& depth, const DepthModel& model, double fx, double max_incidence) {
   cv::Mat mask(depth.size(), CV_8UC1, cv::Scalar(0));
@@ -77,8 +84,9 @@ KeyframeDepth::KeyframeDepth(const CameraModel& camera, const cv::Mat& depth, co
     }
     return count > 0 ? sum / count : 0.f;
   };
-  for (int v = kReach; v < depth.rows - kReach; v += settings.stride) {
-    for (int u = kReach; u < depth.cols - kReach; u += settings.stride) {
+  const int stride = strideFor(depth.size(), settings.stride);
+  for (int v = kReach; v < depth.rows - kReach; v += stride) {
+    for (int u = kReach; u < depth.cols - kReach; u += stride) {
       const float z = depth.at<float>(v, u);
       if (!known(z) || z < model.min_range || z > max_range || edge.at<std::uint8_t>(v, u)) continue;
       const float zl = meanDepth(u - kReach, v, true), zr = meanDepth(u + kReach, v, true),

@@ -20,10 +20,19 @@ void MapLevel::begin(const visual_frontend::AttitudeFilter* attitude) {
   vertical_ = {Eigen::Vector3d::UnitZ(), sigma_};
 }
 
-std::optional<std::pair<Eigen::Vector3d, double>> MapLevel::upInCamera(const Eigen::Matrix3d& R_map_camera,
+void MapLevel::distrust(const Pose& T_map_first_base) {
+  if (!known_) return;
+  known_ = false;
+  const Eigen::Vector3d up = T_map_first_base.linear().col(2);
+  sigma_ = std::hypot(kNoGravity, std::atan2(up.head<2>().norm(), up.z()));
+  vertical_ = {Eigen::Vector3d::UnitZ(), sigma_};
+}
+
+std::optional<std::pair<Eigen::Vector3d, double>> MapLevel::upInCamera(double stamp,
+                                                                       const Eigen::Matrix3d& R_map_camera,
                                                                        const CameraMotion& motion) const {
   const visual_frontend::AttitudeFilter& attitude = motion.attitude();
-  if (!settings_.use_gravity || !known_ || !attitude.initialized()) return std::nullopt;
+  if (!settings_.use_gravity || !known_ || !motion.upKnownAt(stamp)) return std::nullopt;
   const auto estimate = motion.estimate();
   if (estimate && estimate->up_sigma < kUpForKeyframes)
     return std::make_pair(Eigen::Vector3d(R_map_camera.transpose() * estimate->up), kUpForKeyframes);
@@ -32,13 +41,13 @@ std::optional<std::pair<Eigen::Vector3d, double>> MapLevel::upInCamera(const Eig
                                                                : std::max(settings_.gravity_sigma, attitude.upSigma()));
 }
 
-std::optional<MapLevel::Correction> MapLevel::update(const CameraMotion& motion, const Pose& T_map_camera,
+std::optional<MapLevel::Correction> MapLevel::update(double stamp, const CameraMotion& motion, const Pose& T_map_camera,
                                                      const Pose& T_map_first_base) {
   if (!motion.hasImu() || !known_) return std::nullopt;
   const visual_frontend::AttitudeFilter& attitude = motion.attitude();
   Vertical now;
   const auto estimate = motion.estimate();
-  const bool rest = !settled_ && attitude.atRest();
+  const bool rest = !settled_ && motion.upKnownAt(stamp) && attitude.atRest();
   if (estimate && (!rest || estimate->up_sigma < attitude.upSigma()))
     now = {estimate->up, estimate->up_sigma};
   else if (rest)

@@ -16,18 +16,20 @@ class MapLevel {
   void clear() { known_ = settled_ = false; }
   /// A new map, level as far as the accelerometer tells; null: nothing tells.
   void begin(const visual_frontend::AttitudeFilter* attitude);
-  /// The gyro contradicts the images: which way is up comes from it, too, whenever the robot moves.
-  void distrust() { known_ = false; }
+  /// The gyro contradicts the images: which way is up comes from it, too, whenever the robot moves, and by the same
+  /// mounting. From now on the base counts as level as it stood at first, in a map that may lean against that.
+  void distrust(const Pose& T_map_first_base);
 
   struct Correction {
     Eigen::Matrix3d R;      ///< levels the map, turned about its origin
     bool directions_false;  ///< up in the keyframes was of an accelerometer in motion
   };
-  /// When the map leans for certain, T_map_camera being the pose now. T_map_first_base: whose yaw stays.
-  std::optional<Correction> update(const CameraMotion& motion, const Pose& T_map_camera, const Pose& T_map_first_base);
+  /// When the map leans for certain, T_map_camera being the pose at `stamp`. T_map_first_base: whose yaw stays.
+  std::optional<Correction> update(double stamp, const CameraMotion& motion, const Pose& T_map_camera,
+                                   const Pose& T_map_first_base);
 
   /// Up in a camera and its standard deviation [rad], to hold a keyframe by.
-  std::optional<std::pair<Eigen::Vector3d, double>> upInCamera(const Eigen::Matrix3d& R_map_camera,
+  std::optional<std::pair<Eigen::Vector3d, double>> upInCamera(double stamp, const Eigen::Matrix3d& R_map_camera,
                                                                const CameraMotion& motion) const;
   bool known() const { return known_; }      ///< the map was levelled by the accelerometer
   bool settled() const { return settled_; }  ///< for good, or there is nothing to level with

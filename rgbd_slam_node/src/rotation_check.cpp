@@ -11,8 +11,10 @@ namespace {
 
 using air_ground_common::formatted;
 
-constexpr int kFrames = 50;
-constexpr double kTurning = 0.2;         // slower frames are mostly noise and bias [rad/s]
+constexpr int kTurns = 50;
+constexpr double kTurn = 0.09;           // a turn takes at least this: in less the images' noise looks like one [s]
+constexpr double kTurning = 0.2;         // slower ones are mostly noise and bias [rad/s]
+constexpr double kSurelyTurning = 0.3;   // a bias of 0.2 rad/s leaves more than a share 1 / kUnit of it [rad/s]
 constexpr double kLongest = 0.5;         // between two frames [s]
 constexpr double kMinCorrelation = 0.5;  // cosine of an error of 60 degrees: between right and any swapped axis
 constexpr double kUnit = 4;              // ratio that no bias explains; degrees for radians make 57
@@ -32,11 +34,23 @@ std::string axisOf(const Eigen::Vector3d& v) {
 
 void RotationCheck::add(const Eigen::Vector3d& seen, const Eigen::Vector3d& felt, double seconds) {
   if (!(seconds > 0) || seconds > kLongest || !seen.allFinite() || !felt.allFinite()) return;
-  if (std::min(seen.norm(), felt.norm()) < kTurning * seconds) return;
+  seen_ += seen;
+  felt_ += felt;
+  seconds_ += seconds;
+  if (seconds_ < kTurn) return;
+  addTurn(seen_, felt_, seconds_);
+  seen_.setZero();
+  felt_.setZero();
+  seconds_ = 0;
+}
+
+void RotationCheck::addTurn(const Eigen::Vector3d& seen, const Eigen::Vector3d& felt, double seconds) {
+  const bool both = std::min(seen.norm(), felt.norm()) >= kTurning * seconds;
+  if (!both && seen.norm() < kSurelyTurning * seconds) return;
   seen_seen_ += seen * seen.transpose();
   felt_seen_ += felt * seen.transpose();
   felt_felt_ += felt.squaredNorm();
-  if (++frames_ >= kFrames) judge();
+  if (++turns_ >= kTurns) judge();
 }
 
 void RotationCheck::judge() {
@@ -45,8 +59,10 @@ void RotationCheck::judge() {
   const double ratio = felt_turn / std::max(1e-12, seen_turn);
   std::string problem;
   if (ratio > kUnit || ratio < 1 / kUnit) {
-    problem =
-        formatted("gyro and images turn differently: the gyro by %.2g times as much; check its unit (rad/s)", ratio);
+    problem = formatted(
+        "gyro and images turn differently: the gyro by %.2g times as much; check its unit (rad/s), and that it "
+        "measures",
+        ratio);
   } else if (correlation < kMinCorrelation) {
     Eigen::Vector3d axis = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(seen_seen_).eigenvectors().col(2);
     if (axis[indexOf(axis)] < 0) axis = -axis;

@@ -12,7 +12,8 @@ using visual_frontend::Feature;
 
 namespace {
 
-constexpr double kPlaceRadius = 10;  // of the search for landmarks about where a recognised place puts them [px]
+constexpr double kPlaceRadius = 10;   // of the search for landmarks about where a recognised place puts them [px]
+constexpr double kUpsideDown = -0.7;  // cosine of a base's lean that no robot begins with: signs are wrong
 
 }  // namespace
 
@@ -93,27 +94,23 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
                     " features have depth, " + std::to_string(settings.min_start_features) + " are needed to start";
     return result;
   }
-  const visual_frontend::AttitudeFilter& attitude = motion.attitude();
-  const bool imu_ready = motion.hasImu() && attitude.initialized();
-  if (motion.hasImu() && !imu_ready && stamp - first_stamp < settings.gravity_timeout) {
+  const bool up_known = motion.upKnownAt(stamp);
+  const bool awaited = motion.gyroTrusted() && motion.coverageProblem().empty();
+  if (awaited && !up_known && stamp - first_stamp < settings.gravity_timeout) {
     result.reason = "waiting for the IMU to show which way is up";
     return result;
   }
-  // Level, yaw 0, origin at the base.
-  Eigen::Matrix3d R_map_base = Eigen::Matrix3d::Identity();
-  if (imu_ready) {
-    R_map_base = air_ground_common::levelingRotation(*mounting.R_base_imu * attitude.up());
-    R_map_base = Eigen::AngleAxisd(-air_ground_common::yawOf(R_map_base), Eigen::Vector3d::UnitZ()) * R_map_base;
-  }
-  level.begin(imu_ready ? &attitude : nullptr);
-  result.T_map_camera = Pose(R_map_base) * mounting.T_base_camera;
+  upside_down = up_known && motion.upInBase().z() < kUpsideDown;
+  const bool levelled = up_known && motion.gyroTrusted() && !upside_down;
+  level.begin(levelled ? &motion.attitude() : nullptr);
+  result.T_map_camera = Pose(firstAttitude(levelled)) * mounting.T_base_camera;
   ++map_id;
   ++counters.maps;
   TrackedPose first;
   first.pose.T_map_camera = result.T_map_camera;
   first.pose.covariance = Matrix6d::Identity() * 1e-10;
   const KeyframeId id = addKeyframe(images, first);
-  if (imu_ready) motion.startMap();
+  if (up_known) motion.startMap();
   frames.add(stamp, result.T_map_camera, id, map);
   result.state = state = State::kTracking;
   result.keyframe = result.new_map = true;
@@ -124,6 +121,19 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   result.covariance.diagonal().array() += 1e-10;
   result.inliers = tracks.count();
   return result;
+}
+
+Eigen::Matrix3d Slam::Impl::firstAttitude(bool levelled) const {
+  if (!levelled) return Eigen::Matrix3d::Identity();
+  const Eigen::Matrix3d R = air_ground_common::levelingRotation(motion.upInBase());
+  return Eigen::AngleAxisd(-air_ground_common::yawOf(R), Eigen::Vector3d::UnitZ()) * R;
+}
+
+std::string Slam::Impl::imuProblem() const {
+  if (!motion.coverageProblem().empty()) return motion.coverageProblem();
+  if (!turns.problem().empty() || !upside_down) return turns.problem();
+  return "the accelerometer's up points down in the base: at rest it must read +9.81 m/s^2 along the axis that points "
+         "up (specific force): check its signs and its transform to base_link";
 }
 
 void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const {
@@ -145,10 +155,17 @@ void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, co
 SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
   check(stamp, gray, bgr, depth);
   ++counters.frames;
+  if (last_stamp >= 0) motion.checkCoverage(last_stamp, stamp);
   last_stamp = stamp;
   const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth};
-  if (state == State::kWaiting || state == State::kInitializing) return initialize(images);
+  const bool begun = state != State::kWaiting && state != State::kInitializing;
+  SlamResult result = begun ? follow(images) : initialize(images);
+  result.imu_problem = imuProblem();
+  return result;
+}
 
+SlamResult Slam::Impl::follow(const RgbdImages& images) {
+  const double stamp = images.stamp;
   SlamResult result;
   const bool was_lost = state == State::kLost;
   TrackedPose tracked;
@@ -176,7 +193,6 @@ SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat&
 
   const Pose T_tracked = tracked.pose.T_map_camera;
   compareTurns(stamp, T_tracked);
-  result.imu_problem = turns.problem();
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
   const Matrix6d covariance = covariances.at(reference.id(), T_tracked.translation(), map) + tracked.pose.covariance;
@@ -196,7 +212,7 @@ void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
   const Eigen::Matrix3d R_previous_current = lastPose().linear().transpose() * T_map_camera.linear();
   turns.add(mounting.T_base_camera.linear() * air_ground_common::logSO3(R_previous_current), *felt, stamp - last);
   motion.trustGyro(turns.problem().empty());
-  if (!motion.gyroTrusted()) level.distrust();
+  if (!motion.gyroTrusted()) level.distrust(firstBase());
 }
 
 void Slam::Impl::beLost() {
@@ -237,7 +253,7 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images) {
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = lastPose();
   gate.max_distance = settings.relocalization_slack + settings.max_speed * (images.stamp - frames.lastStamp());
-  if (level.known() && motion.attitude().initialized()) {
+  if (level.known() && motion.upKnownAt(images.stamp)) {
     gate.up_camera = motion.upInCamera();
     gate.max_tilt = std::max(gate.max_tilt, 3 * motion.attitude().upSigma());
   }
@@ -309,6 +325,7 @@ void Slam::reset() {
   impl_->setCamera(impl_->given_camera);
   impl_->motion.reset();
   impl_->turns.reset();
+  impl_->upside_down = false;
   impl_->shutter.reset();
   impl_->last_stamp = -1;
 }

@@ -29,7 +29,11 @@ struct Slam::Impl {
   // ---- slam.cpp
   SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
   void check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const;
+  SlamResult follow(const RgbdImages& images);  ///< a frame after the first of a map
   SlamResult initialize(const RgbdImages& images);
+  /// Attitude of the first base in its map: level as gravity says it, if `levelled`, and yaw 0.
+  Eigen::Matrix3d firstAttitude(bool levelled) const;
+  std::string imuProblem() const;  ///< empty: it serves, or there is none
   TrackedPose relocalize(const RgbdImages& images);
   visual_frontend::PlaceMatch recognize(const RgbdImages& images);
   void beLost();
@@ -40,6 +44,7 @@ struct Slam::Impl {
   void concludePose(const Matrix6d& camera_covariance, const Matrix6d& frame_covariance, SlamResult* result) const;
   void clear();
   Pose lastPose() const { return frames.lastPose(map); }
+  Pose firstBase() const { return map.keyframes().begin()->second.T_map_camera * T_camera_base; }  ///< in the map
 
   // ---- slam_map.cpp
   /// Keeps the frame, in the view of a keyframe there is or as a new one.
@@ -87,7 +92,8 @@ struct Slam::Impl {
   std::size_t next_calibration = 0;  ///< keyframes of the map at which it is looked at again
   CameraMotion motion;
   FrameTracker tracking;
-  RotationCheck turns;  ///< gyro against images
+  RotationCheck turns;       ///< gyro against images
+  bool upside_down = false;  ///< the accelerometer said so as the map began
   ShutterAlignment shutter;
   PlaceSearch search;
   SlamCounters counters;

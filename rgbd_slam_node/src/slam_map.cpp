@@ -5,6 +5,7 @@
 
 #include "slam_impl.h"
 #include "visual_frontend/bundle_job.h"
+#include "visual_frontend/image_memory.h"
 #include "visual_frontend/local_landmarks.h"
 
 namespace rgbd_slam {
@@ -90,7 +91,7 @@ KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const TrackedPose& 
   keyframe.stamp = images.stamp;
   keyframe.T_map_camera = T_map_camera;
   keyframe.pyramid = tracking.tracker().pyramid();
-  if (const auto up = level.upInCamera(T_map_camera.linear(), motion)) {
+  if (const auto up = level.upInCamera(images.stamp, T_map_camera.linear(), motion)) {
     keyframe.up_camera = up->first;
     keyframe.up_sigma = up->second;
   }
@@ -108,7 +109,8 @@ KeyframeId Slam::Impl::addKeyframe(const RgbdImages& images, const TrackedPose& 
   }
   if (map.keyframeCount() > 1) adjustWindow(id);
   setReference(id);
-  map.dropFarImages(T_map_camera, settings.max_image_keyframes);
+  map.dropFarImages(T_map_camera,
+                    visual_frontend::imagesKept(tracking.tracker().pyramid(), settings.max_image_keyframes));
   dense.begin(id, images.depth, images.colour, motion.rows());
   return id;
 }
@@ -205,8 +207,7 @@ void Slam::Impl::setCamera(const CameraModel& better_known) {
 }
 
 bool Slam::Impl::levelMap() {
-  const auto correction =
-      level.update(motion, lastPose(), map.keyframes().begin()->second.T_map_camera * T_camera_base);
+  const auto correction = level.update(last_stamp, motion, lastPose(), firstBase());
   if (!correction) return false;
   air_ground_common::Similarity S;
   S.R = correction->R;
@@ -247,7 +248,7 @@ void Slam::Impl::adjustWhole() {
 visual_frontend::BundleSettings Slam::Impl::bundleSettings() const {
   visual_frontend::BundleSettings bundle = settings.bundle;
   bundle.pixel_sigma = settings.pixel_sigma;
-  bundle.use_gravity = settings.use_gravity && level.settled();
+  bundle.use_gravity = settings.use_gravity && level.known() && level.settled();
   return bundle;
 }
 

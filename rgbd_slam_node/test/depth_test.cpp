@@ -76,6 +76,26 @@ TEST(RotationCheck, NamesSwappedAxesAndUnits) {
   }
 }
 
+TEST(RotationCheck, NamesAGyroThatMeasuresNothing) {
+  synthetic::Random random(6);
+  const auto verdict = [&](double gain, double rate, double noise, const Eigen::Vector3d& bias, double fps) {
+    RotationCheck check;
+    for (int i = 0; i < 10 * fps; ++i) {
+      const Eigen::Vector3d turn = rate / fps * Eigen::Vector3d(0.2 * std::sin(0.3 * i), 0, 1);
+      check.add(turn + random.gaussVector(noise), gain * turn + bias / fps, 1 / fps);
+    }
+    return check.problem();
+  };
+  const Eigen::Vector3d none(0, 0, 0), large(0, 0, -0.2);  // [rad/s]
+  for (const double fps : {10.0, 30.0}) {
+    EXPECT_NE(verdict(0, 0.5, 0.002, none, fps).find("the gyro by 0 times"), std::string::npos);
+    EXPECT_NE(verdict(1e-3, 0.5, 0.002, none, fps).find("check its unit"), std::string::npos) << "not in mrad/s";
+    EXPECT_EQ(verdict(0, 0, 0.002, none, fps), "") << "it stands";
+    EXPECT_EQ(verdict(1, 0, 0.002, large, fps), "") << "with a bias";
+    for (const double rate : {0.1, 0.25, 0.3, 0.35, 1.0}) EXPECT_EQ(verdict(1, rate, 0.002, large, fps), "") << rate;
+  }
+}
+
 // A wall 2 m before the depth camera with a plate 1 m before it, seen by a colour camera of twice the focal length,
 // 0.1 m to the right: positions and depths by hand.
 TEST(DepthRegistration, SeesWhatTheColourCameraSees) {
@@ -174,6 +194,24 @@ TEST(KeyframeDepth, FusedFramesLowerTheNoise) {
     return std::sqrt(sum / points.size());
   };
   EXPECT_LT(rms(8), 0.5 * rms(0));
+}
+
+TEST(KeyframeDepth, LargeImagesGiveNoMoreCells) {
+  const auto cells = [](int width, int height, int stride) {
+    air_ground_common::CameraModel camera;
+    camera.width = width;
+    camera.height = height;
+    camera.fx = camera.fy = 0.8 * width;
+    camera.cx = 0.5 * width;
+    camera.cy = 0.5 * height;
+    CloudSettings settings;
+    settings.stride = stride;
+    const cv::Mat depth(height, width, CV_32F, cv::Scalar(2)), grey(height, width, CV_8U, cv::Scalar(100));
+    return KeyframeDepth(camera, depth, grey, DepthModel(), settings).cells();
+  };
+  EXPECT_NEAR(cells(640, 480, 3), 632 * 472 / 9.0, 300) << "as told";
+  EXPECT_GT(cells(640, 480, 1), 290000u);
+  EXPECT_NEAR(cells(3840, 2160, 3), 3840 * 2160 / 36.0, 3000);
 }
 
 TEST(KeyframeDepth, RowsLieWhereTheyWereSeenFrom) {

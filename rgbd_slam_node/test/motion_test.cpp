@@ -135,7 +135,7 @@ struct Level : ::testing::Test {
   /// The base in a map that leans: its pose there if it stands upright, facing along `yaw`.
   Pose baseInMap(double yaw) const { return Pose(lean * expSO3({0, 0, yaw})); }
   std::optional<MapLevel::Correction> update(double yaw = 1) {
-    return level.update(motion, baseInMap(yaw) * robot.mounting.T_base_camera, baseInMap(0.3));
+    return level.update(1.5, motion, baseInMap(yaw) * robot.mounting.T_base_camera, baseInMap(0.3));
   }
 
   Robot robot;
@@ -182,7 +182,7 @@ TEST_F(Level, BegunAtRestItStays) {
   EXPECT_TRUE(level.settled());
   EXPECT_FALSE(update());
   // Up in a camera that looks forward and down, as the accelerometer has it.
-  const auto up = level.upInCamera(Eigen::Matrix3d::Identity(), motion);
+  const auto up = level.upInCamera(1, Eigen::Matrix3d::Identity(), motion);
   ASSERT_TRUE(up);
   EXPECT_LT((robot.mounting.T_base_camera.linear() * up->first - Eigen::Vector3d::UnitZ()).norm(), 1e-6);
   EXPECT_NEAR(up->second, 1.5 * motion.attitude().upSigma(), 1e-9);
@@ -196,10 +196,22 @@ TEST_F(Level, WithoutAnAccelerometerThatIsRightNothingIsUp) {
   EXPECT_FALSE(update());
   level.clear();
   level.begin(&motion.attitude());
-  ASSERT_TRUE(level.upInCamera(Eigen::Matrix3d::Identity(), motion));
-  level.distrust();
+  ASSERT_TRUE(level.upInCamera(1, Eigen::Matrix3d::Identity(), motion));
+  EXPECT_LT(level.sigma(), 0.02);
+  level.distrust(Pose(expSO3({0, 0, 0.7}) * expSO3({0.3, 0, 0})));
   EXPECT_FALSE(level.known());
-  EXPECT_FALSE(level.upInCamera(Eigen::Matrix3d::Identity(), motion));
+  EXPECT_FALSE(level.upInCamera(1, Eigen::Matrix3d::Identity(), motion));
+  EXPECT_NEAR(level.sigma(), std::hypot(0.05, 0.3), 1e-9) << "the base may be level, and the map leans against it";
+  EXPECT_EQ(level.vertical().stddev, level.sigma());
+  level.distrust(Pose(expSO3({0.6, 0, 0})));
+  EXPECT_NEAR(level.sigma(), std::hypot(0.05, 0.3), 1e-9) << "once";
+}
+
+TEST_F(Level, AnImuThatHasFallenSilentTellsNothing) {
+  rest(0, 1);
+  level.begin(&motion.attitude());
+  EXPECT_TRUE(level.upInCamera(1.4, Eigen::Matrix3d::Identity(), motion));
+  EXPECT_FALSE(level.upInCamera(1.6, Eigen::Matrix3d::Identity(), motion));
 }
 
 TEST(MapLevel, TheMotionThatCameraAndImuAgreeOnTellsUp) {
@@ -218,7 +230,7 @@ TEST(MapLevel, TheMotionThatCameraAndImuAgreeOnTellsUp) {
     for (; next <= t + 0.005; next += 0.005) motion.addImu(robot.imu(next, random));
     if (t == 1) level.begin(&motion.attitude());
     motion.addPose(t, cameraAt(t), 1e-8 * Matrix6d::Identity());
-    const auto correction = level.update(motion, cameraAt(t), Pose(lean) * robot.base(1));
+    const auto correction = level.update(t, motion, cameraAt(t), Pose(lean) * robot.base(1));
     if (!correction) continue;
     corrected = true;
     EXPECT_LT((correction->R * lean * Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitZ()).norm(), 0.03) << t;
@@ -245,7 +257,7 @@ TEST(MapLevel, KeyframesAreHeldByTheMotionsUp) {
     if (t == 1) level.begin(&motion.attitude());
     motion.addPose(t, cameraAt(t), 1e-8 * Matrix6d::Identity());
     const Eigen::Matrix3d R_map_camera = cameraAt(t).linear();
-    const auto up = level.upInCamera(R_map_camera, motion);
+    const auto up = level.upInCamera(t, R_map_camera, motion);
     ASSERT_TRUE(up) << t;
     EXPECT_EQ(up->second <= 0.01, known()) << t;
     if (!known()) continue;

@@ -81,6 +81,7 @@ class NodeTest : public testing::Test {
     bool wrong_unit = false;    ///< depth in millimetres where metres are due
     bool swapped_imu = false;   ///< x, y, z come as z, y, -x
     bool unregistered = false;  ///< depth as a camera of its own sees it, 0.1 m beside the colour camera
+    bool other_frame = false;   ///< depth says that it is of the depth camera's frame
   };
 
   static constexpr int kMarginX = 40, kMarginY = 30;  ///< of the image's cropped middle [px]
@@ -165,6 +166,7 @@ class NodeTest : public testing::Test {
         header.frame_id = kDepthFrame;
         depth_info_.publish(ros_utils::toMsg(depth_robot_.camera, header));
       }
+      if (course.other_frame) header.frame_id = kDepthFrame;
       if (course.wrong_unit)
         depth_.publish(ros_utils::toMsg(1000 * frame.depth, "32FC1", header));
       else if (!(spoil && i == 9))
@@ -315,6 +317,46 @@ TEST_F(NodeTest, NamesAWrongUnitOfDepthAndGoesOnWithTheRightOne) {
   drive(40, false, course);
   ASSERT_TRUE(answered(40));
   EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+}
+
+// Receivers take a figure that changes for a correction of the map.
+TEST_F(NodeTest, ARefusedFrameTellsTheMapsRevision) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  // Begun in motion, the map is levelled later.
+  robot_.speed = 0.6;
+  robot_.tilt = {0.1, -0.06, 0};
+  robot_.accel_bias = {0.3, -0.3, 0.25};
+  robot_.sway = 0.02;
+  Course course;
+  course.first = 20;
+  drive(90, false, course);
+  ASSERT_TRUE(answered(90));
+  const std::uint32_t revision = status.back().map_revision;
+  ASSERT_GT(revision, 0u);
+  status.clear();
+  course.first = 90;
+  course.wrong_unit = true;
+  drive(96, false, course);
+  ASSERT_TRUE(answered(96));
+  EXPECT_NE(status.back().reason.find("wrong unit"), std::string::npos) << status.back().reason;
+  for (const auto& s : status) EXPECT_EQ(s.map_revision, revision);
+}
+
+TEST_F(NodeTest, DoubtsDepthOfAnotherFrameAndTakesIt) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  Course course;
+  drive(10, false, course);
+  ASSERT_TRUE(answered(10));
+  const std::string doubt = "depth images of the colour images' size in another frame: taken for registered";
+  EXPECT_EQ(diagnostics_.counted(doubt), 0);
+  course.first = 10;
+  course.other_frame = true;
+  drive(20, false, course);
+  ASSERT_TRUE(answered(20));
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.counted(doubt) >= 10; }));
 }
 
 TEST_F(NodeTest, NamesSwappedAxesOfTheImu) {

@@ -33,8 +33,10 @@ struct Robot {
   bool walls = false;                            ///< bare ones, without texture, about the floor
   Eigen::Vector3d tilt{0.03, -0.02, 0};          ///< the base is not level [rad]
   Eigen::Vector3d gyro_bias{0.01, -0.02, 0.015};
-  Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();  ///< what the gyro makes of a turn rate
+  Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();   ///< what the gyro makes of a turn rate
+  Eigen::Matrix3d accel_matrix = Eigen::Matrix3d::Identity();  ///< and the accelerometer of a force
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();
+  double imu_step = 0.005;  ///< between samples [s]
   double start = 0;         ///< when the map begins [s]
   double readout_time = 0;  ///< of a rolling shutter [s]
   double sway = 0;          ///< roll and pitch swing by this while it drives, as on uneven ground [rad]
@@ -114,8 +116,8 @@ struct Robot {
     ImuSample s;
     s.stamp = t;
     s.angular_velocity = gyro_matrix * mounting.R_base_imu->transpose() * rate + gyro_bias + random.gaussVector(0.003);
-    s.specific_force =
-        R_imu_world * (acceleration + Eigen::Vector3d(0, 0, 9.81)) + accel_bias + random.gaussVector(0.04);
+    s.specific_force = accel_matrix * R_imu_world * (acceleration + Eigen::Vector3d(0, 0, 9.81)) + accel_bias +
+                       random.gaussVector(0.04);
     return s;
   }
 };
@@ -134,7 +136,7 @@ inline Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool im
   double next_imu = t0;
   for (int i = 0; t0 + 0.1 * i <= t1; ++i) {
     const double t = t0 + 0.1 * i;
-    for (; imu && next_imu <= t + 0.005; next_imu += 0.005) slam.addImu(robot.imu(next_imu, random));
+    for (; imu && next_imu <= t + 0.005; next_imu += robot.imu_step) slam.addImu(robot.imu(next_imu, random));
     auto frame = robot.frame(t, random);
     if (blind && blind(t)) frame.gray.setTo(15);
     run.results.push_back(slam.process(t, frame.gray, cv::Mat(), frame.depth));

@@ -1,9 +1,11 @@
 #include "visual_frontend/imu_attitude.h"
 
 #include <algorithm>
+#include <bitset>
 #include <cmath>
 
 #include "air_ground_common/imu_combiner.h"
+#include "air_ground_common/text.h"
 
 namespace visual_frontend {
 
@@ -103,6 +105,34 @@ ImuBuffer::Mean ImuBuffer::mean(double t0, double t1) const {
   return m;
 }
 
+void ImuCoverage::add(const ImuBuffer& buffer, double t0, double t1) {
+  constexpr double kSteadyRate = 25;  // [Hz]; slower, even small delays leave gaps that are not bridged
+  constexpr double kEnds = 0.1;       // before or after an image, samples are of another time [s]
+  if (buffer.empty()) return;
+  const bool missed = !buffer.covers(t0, t1);
+  missed_ = missed_ << 1 | static_cast<std::uint64_t>(missed);
+  if (std::bitset<64>(missed_).count() < 32) {
+    problem_.clear();
+    return;
+  }
+  if (!missed) return;
+  using air_ground_common::formatted;
+  const double first = buffer.samples().front().stamp, last = buffer.samples().back().stamp;
+  const double rate = static_cast<double>(buffer.samples().size() - 1) / std::max(last - first, 1e-9);
+  if (last > first && rate < kSteadyRate)
+    problem_ = formatted(
+        "IMU at %.0f Hz: steadily more than 20 Hz are needed, 100 Hz are better: raise the rate of its driver", rate);
+  else if (last < t1 - kEnds)
+    problem_ = formatted(
+        "the IMU's stamps end %.1f s before the images': one clock is needed for both, and an IMU that goes on sending",
+        t1 - last);
+  else if (first > t0 + kEnds)
+    problem_ = formatted("the IMU's stamps are %.1f s ahead of the images': one clock is needed for both", first - t0);
+  else
+    problem_ = formatted(
+        "IMU at %.0f Hz, with gaps of more than 0.05 s at most of the images: see to its driver and connection", rate);
+}
+
 bool AttitudeFilter::detectRest(const ImuBuffer::Mean& m) const {
   if (m.count < 10 || m.angular_velocity_std > settings_.rest_gyro_std ||
       m.specific_force_std > settings_.rest_accel_std ||
@@ -124,6 +154,12 @@ void AttitudeFilter::add(const ImuSample& sample) {
   if (!window_.add(sample)) return;
   const double dt = last_stamp_ >= 0 ? sample.stamp - last_stamp_ : 0;
   last_stamp_ = sample.stamp;
+  if (dt >= kMaxAge) {
+    initialized_ = false;
+    up_.setZero();
+    window_.clear();
+    window_.add(sample);
+  }
   const ImuBuffer::Mean m = window_.mean(sample.stamp - settings_.rest_seconds, sample.stamp);
   at_rest_ = sample.stamp - window_.samples().front().stamp >= settings_.rest_seconds && detectRest(m);
   if (at_rest_) {
@@ -152,7 +188,7 @@ void AttitudeFilter::add(const ImuSample& sample) {
     return;
   }
   // A direction fixed in the world turns against the body: du/dt = -omega x u.
-  if (dt < 0.5) up_ = expSO3(-(sample.angular_velocity - gyro_bias_) * dt) * up_;
+  up_ = expSO3(-(sample.angular_velocity - gyro_bias_) * dt) * up_;
   age_ += dt;
   if (norm > 1e-3 && std::abs(norm - settings_.gravity) < settings_.max_norm_deviation) {
     // Young, the filter averages all it has seen.

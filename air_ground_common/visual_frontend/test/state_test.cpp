@@ -3,6 +3,7 @@
 
 #include "synthetic.h"
 #include "synthetic_map.h"
+#include "visual_frontend/image_memory.h"
 #include "visual_frontend/imu_attitude.h"
 #include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/map.h"
@@ -135,6 +136,86 @@ TEST(Imu, GapsAreNotCovered) {
   }
   EXPECT_TRUE(buffer.covers(0.0, 0.19));
   EXPECT_FALSE(buffer.covers(0.1, 0.4));
+}
+
+/// What is said of the images between 100 and 105 s, at 20 Hz, each after all samples up to its stamp and one more.
+std::string coverageOf(double rate, double stamps_ahead, double burst = 1e9) {
+  ImuBuffer buffer;
+  ImuCoverage coverage;
+  double next = 98;
+  for (int i = 1; i <= 100; ++i) {
+    const double t = 100 + 0.05 * i;
+    for (; buffer.empty() || buffer.samples().back().stamp < t + std::min(0.0, stamps_ahead); next += 1 / rate)
+      if (std::fmod(next, burst) < 0.5 * burst) buffer.add(imu(next + stamps_ahead, {0, 0, 0.1}, {0, 0, 9.81}));
+    coverage.add(buffer, t - 0.05, t);
+  }
+  return coverage.problem();
+}
+
+TEST(ImuCoverage, NamesWhatKeepsSamplesFromTheImages) {
+  for (const double rate : {30.0, 100.0, 1000.0}) EXPECT_EQ(coverageOf(rate, 0), "") << rate;
+  for (const double rate : {5.0, 10.0, 19.0})
+    EXPECT_EQ(coverageOf(rate, 0).find("IMU at " + std::to_string(static_cast<int>(rate)) + " Hz"), 0u)
+        << coverageOf(rate, 0);
+  EXPECT_NE(coverageOf(200, -1000).find("s before the images'"), std::string::npos) << coverageOf(200, -1000);
+  EXPECT_NE(coverageOf(200, 8).find("s ahead of the images': one clock"), std::string::npos) << coverageOf(200, 8);
+  EXPECT_NE(coverageOf(200, 0, 0.14).find("with gaps of more than 0.05 s"), std::string::npos)
+      << coverageOf(200, 0, 0.14);
+}
+
+TEST(ImuCoverage, AGapIsNoFaultAndOneThatIsOverIsForgotten) {
+  ImuBuffer buffer;
+  ImuCoverage coverage;
+  const auto images = [&](double from, double to) {
+    for (double t = from; t < to; t += 0.05) coverage.add(buffer, t, t + 0.05);
+  };
+  images(0, 5);
+  EXPECT_EQ(coverage.problem(), "") << "there is no IMU";
+  for (int i = 0; i <= 200; ++i) buffer.add(imu(i * 0.005, {0, 0, 0}, {0, 0, 9.81}));
+  images(0, 1);
+  images(2, 3);
+  EXPECT_EQ(coverage.problem(), "");
+  images(3, 5);
+  EXPECT_NE(coverage.problem().find("before the images'"), std::string::npos) << coverage.problem();
+  for (int i = 1000; i <= 2000; ++i) buffer.add(imu(i * 0.005, {0, 0, 0}, {0, 0, 9.81}));
+  images(6, 9);
+  EXPECT_EQ(coverage.problem(), "");
+}
+
+// The robot may be turned while its IMU is silent.
+TEST(Attitude, OfBeforeAGapIsNone) {
+  AttitudeFilter filter;
+  const auto feed = [&](double from, double to, const Eigen::Vector3d& up) {
+    for (double t = from; t <= to; t += 0.005) filter.add(imu(t, {0, 0, 0}, 9.81 * up));
+  };
+  const Eigen::Vector3d upright(0, 0, 1), leaning(std::sin(0.8), 0, std::cos(0.8));
+  feed(0, 2, upright);
+  ASSERT_TRUE(filter.atRest());
+  EXPECT_TRUE(filter.knownAt(2.1));
+  EXPECT_FALSE(filter.knownAt(2.6)) << "no sample tells of it";
+  filter.add(imu(2.8, {0, 0, 0}, 9.81 * leaning));
+  EXPECT_FALSE(filter.initialized() || filter.atRest() || filter.knownAt(2.8));
+  feed(2.805, 2.9, leaning);
+  ASSERT_TRUE(filter.knownAt(2.9));
+  EXPECT_LT((filter.up() - leaning).norm(), 1e-6);
+  EXPECT_GE(filter.upSigma(), 0.05) << "by a tenth of a second";
+  EXPECT_FALSE(filter.atRest());
+  feed(2.905, 4, leaning);
+  EXPECT_TRUE(filter.atRest());
+  EXPECT_LT((filter.up() - leaning).norm(), 1e-6);
+}
+
+TEST(ImageMemory, LargeImagesAreFewer) {
+  const auto pyramid = [](int width, int height) {
+    return std::vector<cv::Mat>{cv::Mat(height, width, CV_8U), cv::Mat(height / 2, width / 2, CV_8U)};
+  };
+  EXPECT_EQ(imagesKept(pyramid(640, 480), 300), 300);
+  EXPECT_EQ(imagesKept(pyramid(752, 480), 300), 300);
+  EXPECT_EQ(imagesKept(pyramid(1280, 960), 300), 300);
+  EXPECT_EQ(imagesKept(pyramid(3840, 2160), 300), 57);  // 10.4 MB each
+  EXPECT_EQ(imagesKept(pyramid(3840, 2160), 4), 4);
+  EXPECT_EQ(imagesKept(pyramid(8000, 8000), 300), 10);
+  EXPECT_EQ(imagesKept({}, 300), 300);
 }
 
 TEST(Attitude, RestGivesUpAndBiasThenFollowsRotation) {

@@ -112,7 +112,7 @@ struct VoResult {
   double stamp = 0;  ///< [s]
   OdometryState state = OdometryState::kWaiting;
   std::string reason;                  ///< why not tracking; empty while it is
-  bool imu_contradicts = false;        ///< the reason is that gyro and images turn differently: motion does not help
+  bool imu_at_fault = false;           ///< the reason is an IMU that contradicts or misses the images: no motion helps
   bool pose_valid = false;             ///< the poses below are of this image
   Pose T_map_base = Pose::Identity();  ///< [m], or the visual unit while not metric
   Pose T_map_camera = Pose::Identity();

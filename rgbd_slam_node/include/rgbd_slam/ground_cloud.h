@@ -17,7 +17,7 @@ namespace rgbd_slam {
 
 struct CloudSettings {
   double voxel = 0.015;           ///< edge of the output voxels [m]
-  int stride = 3;                 ///< every n-th pixel and row of the depth image
+  int stride = 3;                 ///< every n-th pixel and row of the depth image, or less of a large one
   double max_range = 4.0;         ///< [m]
   double max_incidence = 1.35;    ///< angle between ray and surface normal; more grazing points are dropped [rad]
   int edge_margin = 2;            ///< pixels around depth edges that are dropped

@@ -123,7 +123,7 @@ enum class State { kWaiting, kInitializing, kTracking, kLost };
 struct SlamResult {
   State state = State::kWaiting;
   std::string reason;       ///< why not tracking
-  std::string imu_problem;  ///< the gyro contradicts the images, and is left out; empty: no
+  std::string imu_problem;  ///< why the IMU, or what contradicts of it, is left out, and what to do; empty: it is not
   bool keyframe = false;
   bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, shutter or lens found
   bool recalibrated = false;             ///< what earlier keyframes saw lies elsewhere in their cameras

@@ -51,14 +51,21 @@ void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
 
 std::optional<cv::Mat> DepthInput::atColourSize(const cv::Mat& depth, const std::string& frame,
                                                 const std::string& colour_frame, std::string* why) {
-  if (depth.cols == colour_camera_.width && depth.rows == colour_camera_.height) return depth;
-  const auto scaled = depthAtSize(depth, colour_camera_.width, colour_camera_.height);
   const bool same_camera = frame.empty() || frame == colour_frame;
+  const std::string doubt = air_ground_common::formatted(
+      "depth images are %dx%d in frame '%s', colour images %dx%d in '%s': of another camera? Then depth_registered: "
+      "false (launch argument ground_depth_registered), with its camera_info",
+      depth.cols, depth.rows, frame.c_str(), colour_camera_.width, colour_camera_.height, colour_frame.c_str());
+  if (depth.cols == colour_camera_.width && depth.rows == colour_camera_.height) {
+    if (!same_camera) {  // a driver that registers may leave the frame as it was
+      health_.count("depth images of the colour images' size in another frame: taken for registered");
+      if (!std::exchange(other_frame_, true)) ROS_WARN_STREAM(doubt);
+    }
+    return depth;
+  }
+  const auto scaled = depthAtSize(depth, colour_camera_.width, colour_camera_.height);
   if (!scaled || !same_camera) {
-    *why = air_ground_common::formatted(
-        "depth images are %dx%d in frame '%s', colour images %dx%d in '%s': of another camera? Then depth_registered: "
-        "false (launch argument ground_depth_registered), with its camera_info",
-        depth.cols, depth.rows, frame.c_str(), colour_camera_.width, colour_camera_.height, colour_frame.c_str());
+    *why = doubt;
     health_.count("depth images of another size than the colour images', not of its camera");
     return std::nullopt;
   }

@@ -54,6 +54,7 @@ class DepthInput {
   sensor_msgs::CameraInfo built_with_;  ///< what that was made with
   bool doubted_ = false;                ///< its unit, on the console
   bool resized_ = false;                ///< said so on the console
+  bool other_frame_ = false;            ///< likewise
 
   std::mutex mutex_;  // of the next two
   std::optional<air_ground_common::ros_utils::Calibration> calibration_;

@@ -116,6 +116,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     const auto begin = std::chrono::steady_clock::now();
     ros_utils::EstimatorResult result;
     air_ground::VoStatus& status = result.status;
+    status.map_revision = map_revision_;  // of a refused frame, too: another figure tells of a correction
     const auto depth = depth_.read(*frame.depth, shell_.cameraFrame(), &status.reason);
     if (!depth) {
       status.state = air_ground::VoStatus::STATE_WAITING;
@@ -174,7 +175,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   }
 
   void tellImuProblem(const std::string& problem, std::string& reason) {
-    if (!imu_problem_told_) ROS_WARN_STREAM(problem << ". The map goes on without the gyro for as long as that lasts");
+    if (!imu_problem_told_) ROS_WARN_STREAM(problem << ". The map goes on without it for as long as that lasts");
     imu_problem_told_ = true;
     shell_.health().count(problem);
     if (reason.empty()) reason = problem;

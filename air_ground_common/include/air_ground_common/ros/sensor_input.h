@@ -7,8 +7,12 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <cmath>
+#include <initializer_list>
+#include <limits>
 #include <mutex>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -26,12 +30,50 @@ struct Calibration {
   sensor_msgs::CameraInfo info;
 };
 
-/// True when both describe the same camera; frame and stamp do not matter.
+/// How far `b`'s distortion moves what the border of the image shows by `a`'s, at most [px].
+inline double distortionShift(const sensor_msgs::CameraInfo& a, const sensor_msgs::CameraInfo& b) {
+  constexpr double kUnknown = std::numeric_limits<double>::infinity();
+  if (a.D == b.D) return 0;
+  CameraModel model_a, model_b;
+  try {
+    model_a.setDistortion(a.distortion_model, a.D);
+    model_b.setDistortion(b.distortion_model, b.D);
+  } catch (const std::invalid_argument&) {
+    return kUnknown;
+  }
+  for (CameraModel* model : {&model_a, &model_b}) {
+    model->fx = a.K[0];
+    model->fy = a.K[4];
+    model->cx = a.K[2];
+    model->cy = a.K[5];
+  }
+  double largest = -1;
+  for (const double u : {0.0, 0.5, 1.0}) {
+    for (const double v : {0.0, 0.5, 1.0}) {
+      const Eigen::Vector2d pixel(u * (a.width - 1.0), v * (a.height - 1.0)), ray = model_a.unproject(pixel);
+      if (!ray.allFinite()) continue;  // outside the circle of a fisheye
+      const auto seen = model_b.project(ray.homogeneous());
+      largest = std::max(largest, seen ? (*seen - pixel).norm() : kUnknown);
+    }
+  }
+  return largest < 0 ? kUnknown : largest;
+}
+
+/// True when both describe the same camera; frame and stamp do not matter, nor does what an autofocus changes from
+/// image to image: 0.3 % of the focal length, and a pixel by the distortion.
 inline bool sameCalibration(const sensor_msgs::CameraInfo& a, const sensor_msgs::CameraInfo& b) {
-  return a.width == b.width && a.height == b.height && a.distortion_model == b.distortion_model && a.D == b.D &&
-         a.K == b.K && a.R == b.R && a.P == b.P && a.binning_x == b.binning_x && a.binning_y == b.binning_y &&
-         a.roi.x_offset == b.roi.x_offset && a.roi.y_offset == b.roi.y_offset && a.roi.width == b.roi.width &&
-         a.roi.height == b.roi.height;
+  const double slack = 0.003 * a.K[0];
+  const auto close = [slack](const auto& x, const auto& y, std::initializer_list<std::size_t> those_that_vary) {
+    auto rest = y;
+    for (const std::size_t i : those_that_vary)
+      if (std::abs(x[i] - y[i]) < slack) rest[i] = x[i];
+    return x == rest;
+  };
+  return a.width == b.width && a.height == b.height && a.distortion_model == b.distortion_model &&
+         close(a.K, b.K, {0, 2, 4, 5}) && a.R == b.R && close(a.P, b.P, {0, 2, 3, 5, 6, 7}) &&
+         a.binning_x == b.binning_x && a.binning_y == b.binning_y && a.roi.x_offset == b.roi.x_offset &&
+         a.roi.y_offset == b.roi.y_offset && a.roi.width == b.roi.width && a.roi.height == b.roi.height &&
+         distortionShift(a, b) < 1;
 }
 
 /// True when the camera's calibration is another than the one in use, and the image is of it: images of the old size
@@ -50,7 +92,7 @@ inline std::string cameraFrame(const std::string& configured, const Calibration&
 }
 
 /// Samples of an IMU: refuses what is not finite, not measured or beyond any sensor's range, judges the unit by the
-/// mean acceleration, and spreads packets of samples that were stamped on arrival. Thread-safe.
+/// mean acceleration of the last samples, and spreads packets of samples that were stamped on arrival. Thread-safe.
 class ImuInput {
  public:
   using Sample = ImuCombiner::Sample;  ///< in the IMU's frame: stamp [s], angular velocity [rad/s], force [m/s^2]
@@ -148,11 +190,13 @@ class ImuInput {
   }
 
   void judgeUnit(double force) {
-    constexpr int kSamples = 200;
-    if (samples_ >= kSamples) return;
+    constexpr int kSamples = 200;  // then it is judged anew: an IMU may send zeros while it warms up
     sum_ += force;
     if (++samples_ < kSamples) return;
     const double mean = sum_ / kSamples;
+    sum_ = 0;
+    samples_ = 0;
+    problem_.clear();
     if (mean > 3.0 && mean < 30.0) return;
     problem_ = "the IMU's mean acceleration is " + std::to_string(mean) +
                ", not about 9.81 m/s^2: wrong unit, or gravity removed?";

@@ -1,8 +1,10 @@
 // Rotation between frames from the gyroscope, and which way is up.
 #pragma once
 
+#include <cstdint>
 #include <deque>
 #include <optional>
+#include <string>
 
 #include "visual_frontend/types.h"
 
@@ -49,6 +51,20 @@ class ImuBuffer {
   std::deque<ImuSample> samples_;
 };
 
+/// Notices an IMU whose samples do not serve the images, and why. One that never sent anything is none.
+class ImuCoverage {
+ public:
+  /// The time between two images, by the IMU's clock.
+  void add(const ImuBuffer& buffer, double t0, double t1);
+  /// What to do about it; empty: most of the last 64 images had their samples.
+  const std::string& problem() const { return problem_; }
+  void reset() { *this = {}; }
+
+ private:
+  std::uint64_t missed_ = 0;  ///< a bit for each of the last images
+  std::string problem_;
+};
+
 struct AttitudeSettings {
   double time_constant = 8.0;       ///< of the accelerometer's correction; shorter while the filter is young [s]
   double gravity = 9.81;            ///< [m/s^2]
@@ -68,11 +84,15 @@ class AttitudeFilter {
   explicit AttitudeFilter(const AttitudeSettings& settings = {})
       : settings_(settings), window_(2 * settings.rest_seconds) {}
 
-  /// Samples that are not finite or not newer are ignored.
+  /// Samples that are not finite or not newer are ignored. After a gap of kMaxAge it begins anew, but for the bias.
   void add(const ImuSample& sample);
   void reset();
 
+  static constexpr double kMaxAge = 0.5;  ///< of an attitude; the robot may have turned since [s]
+
   bool initialized() const { return initialized_; }
+  /// It is, and the last sample is not much older than `stamp`.
+  bool knownAt(double stamp) const { return initialized_ && stamp - last_stamp_ < kMaxAge; }
   /// Unit, IMU frame, at the last sample: +z of a level frame. Zero before initialisation.
   Eigen::Vector3d up() const { return up_; }
   /// Standard deviation of `up` [rad], a rough figure: small at rest, larger under acceleration.
