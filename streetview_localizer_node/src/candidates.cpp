@@ -181,7 +181,9 @@ std::string CandidateFinder::againstModel(const Candidate& c) const {
   const bool over_ground = below && !model.isBuilding(below->triangle);
   if (over_ground && below->distance < settings_.min_height)
     return formatted("%.2f m above the ground of the model, at least %.2f", below->distance, settings_.min_height);
-  if (above && !model.isBuilding(above->triangle)) return "the camera would be below the ground of the model";
+  // The underside of a bridge, a passage or an oriel is a ground surface too, but of a building.
+  if (above && model.building[above->triangle] < 0 && model.surface[above->triangle] == Surface::kGround)
+    return "the camera would be below the ground of the model";
   int visible = 0;
   for (const int i : c.pose.inliers) {
     const Correspondence& corr = c.correspondences[static_cast<std::size_t>(i)];

@@ -144,6 +144,29 @@ TEST_F(LocalizerTest, PanoramasWithoutViewsTakeNoPlaces) {
   EXPECT_EQ(r.searched, std::vector<int>{2});
 }
 
+// A ground surface of a building overhead is the underside of a bridge or an oriel; one of the terrain is the ground.
+TEST_F(LocalizerTest, UndersidesAreNoGroundAbove) {
+  const Pose T = TinyCity::look({5, 1, 4}, M_PI / 2, 0);
+  const cv::Mat image = city_->photograph(TinyCity::camera(), T);
+  StreetviewLocalizerSettings settings;
+  settings.index.method = IndexMethod::kBruteForce;
+  for (const bool bridge : {true, false}) {
+    auto db = std::make_shared<StreetviewDatabase>(*database_);
+    const int base = static_cast<int>(db->model.mesh.vertices.size());
+    for (const auto& [x, y] : {std::make_pair(-0.7f, -0.7f), {1.4f, 0.f}, {0.f, 1.4f}})
+      db->model.mesh.vertices.emplace_back(5 + x, 1 + y, 6.f);
+    db->model.mesh.triangles.emplace_back(base, base + 1, base + 2);
+    db->model.surface.push_back(Surface::kGround);
+    db->model.building.push_back(bridge ? static_cast<int>(db->model.building_ids.size()) : -1);
+    if (bridge) db->model.building_ids.push_back("bridge");
+    const LocalizerResult r = StreetviewLocalizer(db, settings).localize(image, TinyCity::camera());
+    EXPECT_EQ(r.accepted(), bridge) << r.reason;
+    if (!bridge) {
+      EXPECT_NE(r.reason.find("below the ground"), std::string::npos) << r.reason;
+    }
+  }
+}
+
 // Where the prediction looks at nothing, the reason says that the prediction chose.
 TEST_F(LocalizerTest, WrongPredictionIsNamed) {
   const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);

@@ -99,13 +99,7 @@ Flight readFlight(const Arguments& a) {
   else
     flight.cameras = readCameraList(a.cameras);
   if (!a.up.empty()) flight.ups = readUpList(a.up);
-  auto& names = flight.names = listImages(a.images);
-  // A list of calibrations is a choice of images too.
-  if (!flight.common)
-    names.erase(
-        std::remove_if(names.begin(), names.end(), [&](const std::string& n) { return flight.cameras.count(n) == 0; }),
-        names.end());
-  if (names.empty()) throw std::runtime_error("no image of " + a.images + " is listed in " + a.cameras);
+  flight.names = flight.common ? listImages(a.images) : listCalibratedImages(a.images, flight.cameras, a.cameras);
   return flight;
 }
 

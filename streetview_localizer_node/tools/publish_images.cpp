@@ -21,23 +21,62 @@ namespace {
 
 namespace ru = air_ground_common::ros_utils;
 
+const ros::WallDuration kPause(0.05);
+
 struct Arguments {
   std::string folder, images, camera, cameras, frame = "mav_camera_optical_frame", base_frame;
   double period = 2;
   bool loop = false;
 };
 
-void run(const Arguments& a) {
-  if (!a.folder.empty()) std::filesystem::current_path(a.folder);
-  if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
+/// Images with the calibration of each, or one of all.
+struct Album {
+  std::vector<std::string> names;
   std::optional<air_ground_common::CameraModel> common;
   std::map<std::string, air_ground_common::CameraModel> single;
-  if (!a.camera.empty())
-    common = air_ground_common::readCameraFile(a.camera);
-  else
-    single = streetview_localizer::readCameraList(a.cameras);
-  const std::vector<std::string> names = streetview_localizer::listImages(a.images);
+};
 
+Album readAlbum(const Arguments& a) {
+  if (a.camera.empty() == a.cameras.empty()) throw std::runtime_error("give either --camera or --cameras");
+  Album album;
+  if (!a.camera.empty()) {
+    album.common = air_ground_common::readCameraFile(a.camera);
+    album.names = streetview_localizer::listImages(a.images);
+  } else {
+    album.single = streetview_localizer::readCameraList(a.cameras);
+    album.names = streetview_localizer::listCalibratedImages(a.images, album.single, a.cameras);
+  }
+  return album;
+}
+
+/// All of them once, unless ROS ends before; returns how many could be read.
+int play(const Arguments& a, const Album& album, const ros::Publisher& images, const ros::Publisher& infos) {
+  int published = 0;
+  for (const std::string& name : album.names) {
+    if (!ros::ok()) break;
+    const cv::Mat image =
+        cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
+    if (image.empty()) {
+      ROS_WARN("%s cannot be read", name.c_str());
+      continue;
+    }
+    air_ground_common::CameraModel camera = album.common ? *album.common : album.single.at(name);
+    if (!album.common) camera.width = image.cols, camera.height = image.rows;
+    std_msgs::Header header;
+    header.stamp = ros::Time::now();
+    header.frame_id = a.frame;
+    infos.publish(ru::toMsg(camera, header));
+    kPause.sleep();  // the calibration first
+    images.publish(ru::toMsg(image, "bgr8", header));
+    ros::WallDuration(a.period).sleep();
+    ++published;
+  }
+  return published;
+}
+
+void run(const Arguments& a) {
+  if (!a.folder.empty()) std::filesystem::current_path(a.folder);
+  const Album album = readAlbum(a);
   ros::NodeHandle handle;
   ros::Publisher images = handle.advertise<sensor_msgs::Image>("mav/camera/image_raw", 5);
   ros::Publisher infos = handle.advertise<sensor_msgs::CameraInfo>("mav/camera/camera_info", 5);
@@ -51,29 +90,12 @@ void run(const Arguments& a) {
     edge.transform = ru::toTransformMsg(T_base_camera);
     mount.sendTransform(edge);
   }
-  const ros::WallDuration pause(0.05);
-  while (ros::ok() && (images.getNumSubscribers() == 0 || infos.getNumSubscribers() == 0)) pause.sleep();
+  while (ros::ok() && (images.getNumSubscribers() == 0 || infos.getNumSubscribers() == 0)) kPause.sleep();
   do {
-    for (const std::string& name : names) {
-      if (!common && single.count(name) == 0) continue;
-      const cv::Mat image =
-          cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
-      if (image.empty()) {
-        ROS_WARN("%s cannot be read", name.c_str());
-        continue;
-      }
-      air_ground_common::CameraModel camera = common ? *common : single.at(name);
-      if (!common) camera.width = image.cols, camera.height = image.rows;
-      std_msgs::Header header;
-      header.stamp = ros::Time::now();
-      header.frame_id = a.frame;
-      infos.publish(ru::toMsg(camera, header));
-      pause.sleep();  // the calibration first
-      images.publish(ru::toMsg(image, "bgr8", header));
-      ros::WallDuration(a.period).sleep();
-      if (!ros::ok()) return;
-    }
-  } while (a.loop);
+    // A round without a picture would not pause.
+    if (play(a, album, images, infos) == 0 && ros::ok())
+      throw std::runtime_error("none of the images of " + a.images + " can be read");
+  } while (a.loop && ros::ok());
 }
 
 }  // namespace

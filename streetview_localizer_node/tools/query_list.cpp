@@ -92,4 +92,14 @@ std::vector<std::string> listImages(const std::string& folder) {
   return names;
 }
 
+std::vector<std::string> listCalibratedImages(const std::string& folder,
+                                              const std::map<std::string, CameraModel>& cameras,
+                                              const std::string& list) {
+  std::vector<std::string> names = listImages(folder);
+  names.erase(std::remove_if(names.begin(), names.end(), [&](const auto& name) { return cameras.count(name) == 0; }),
+              names.end());
+  if (names.empty()) throw std::runtime_error("no image of " + folder + " is listed in " + list);
+  return names;
+}
+
 }  // namespace streetview_localizer

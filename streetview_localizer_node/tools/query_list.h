@@ -1,4 +1,4 @@
-// The images that localize_images works on, with the calibration of each.
+// The images that localize_images and publish_images work on, with the calibration of each.
 #pragma once
 
 #include <Eigen/Core>
@@ -21,5 +21,11 @@ std::map<std::string, Eigen::Vector3d> readUpList(const std::string& path);
 /// Names of the images (jpg, jpeg, png, any case) in a folder, sorted. Throws std::runtime_error for a missing folder,
 /// or one without images.
 std::vector<std::string> listImages(const std::string& folder);
+
+/// Those of them that have a calibration: a list of calibrations is a choice of images too. Throws std::runtime_error
+/// where that leaves none; `list` is the name of the calibrations' file.
+std::vector<std::string> listCalibratedImages(const std::string& folder,
+                                              const std::map<std::string, air_ground_common::CameraModel>& cameras,
+                                              const std::string& list);
 
 }  // namespace streetview_localizer

@@ -14,6 +14,8 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
+
 namespace streetview_localizer {
 
 namespace fs = std::filesystem;
@@ -58,6 +60,7 @@ struct Item {
   Panorama panorama;
   CameraModel camera;    // of a photograph
   bool readable = true;  // as far as is known: pose correction reads it first
+  bool known = false;    // to the database, from an earlier run
 };
 
 class Builder {
@@ -71,6 +74,7 @@ class Builder {
       throw std::invalid_argument("take_every must be at least 1, take_first at least 0");
     const CityModel model = readCityModel(s_.model, s_.model_options);
     report_.remarks = model.remarks;
+    height_unit_ = model.height_unit;
     listImages(model);
     if (items_.empty()) throw std::runtime_error(nothingLeft());
     DatabaseWriter writer(s_.output, model, s_.fingerprint());
@@ -126,7 +130,7 @@ class Builder {
     std::set<std::string> ids;
     const auto accept = [&](const std::string& image, Item* item) {
       item->path = (fs::path(folder()) / image).string();
-      item->panorama.id = fs::path(image).filename();
+      item->panorama.id = fs::path(image).lexically_normal().generic_string();
       if (!ids.insert(item->panorama.id).second) {
         refuse(image, "is listed twice");
         return false;
@@ -151,6 +155,7 @@ class Builder {
     }
     if (s_.geotags.empty() && s_.images.empty())
       throw std::invalid_argument("no images given: --geotags FILE, --images FOLDER (EXIF), or --poses FILE");
+    requireCoordinateSystem(model);
     for (const Geotag& geotag : s_.geotags.empty() ? readExif(s_.images) : readGeotags(s_.geotags)) {
       Item item;
       if (!taken()) continue;
@@ -187,8 +192,10 @@ class Builder {
     p.position_stddev = 0.02;  // bundle adjustment of good photographs
     p.orientation_stddev = 0.001;
     Pose T_world_camera = surveyed.T_crs_camera;
+    Eigen::Vector3d place = surveyed.T_crs_camera.translation();
+    place.z() *= height_unit_;
     try {
-      T_world_camera.translation() = model.worldFromCrs(surveyed.T_crs_camera.translation());
+      T_world_camera.translation() = model.worldFromCrs(place);
     } catch (const std::invalid_argument& e) {
       return refuse(surveyed.image, e.what());
     }
@@ -205,6 +212,9 @@ class Builder {
   void addGeotagged(Geotag geotag, const CityModel& model, Item* item) {
     const cv::Size size = usableSize(*item, geotag.image);
     if (size.empty()) return;
+    if (const auto full = fullSphereSize(item->path))
+      return refuse(geotag.image, "covers only part of the sphere (GPano): pad it to " + std::to_string(full->width) +
+                                      "x" + std::to_string(full->height));
     Panorama& p = item->panorama;
     p.equirectangular = std::abs(size.width - 2.0 * size.height) <= 0.02 * size.width;
     if (!p.equirectangular) {
@@ -232,18 +242,41 @@ class Builder {
     items_.push_back(*item);
   }
 
+  // Takes over what is stored of the images, also under their bare names, as databases had them once. An image whose
+  // name stands for one at another place is refused: its pose would be that one's.
+  void recall(const std::vector<Panorama>& stored) {
+    constexpr double kSamePlace = 0.1;  // geotags are written to centimetres [m]
+    std::map<std::string, const Panorama*> known;
+    for (const Panorama& p : stored) known[p.id] = &p;
+    std::vector<Item> kept;
+    for (Item& item : items_) {
+      const auto distance = [&](const Panorama& p) {
+        return (p.T_world_geotag.translation() - item.panorama.T_world_geotag.translation()).norm();
+      };
+      auto it = known.find(item.panorama.id);
+      if (it != known.end() && distance(*it->second) > kSamePlace) {
+        refuse(item.panorama.id, air_ground_common::formatted("another image of this name is in the database, %.1f m "
+                                                              "from here: list it with its folder, or rename it",
+                                                              distance(*it->second)));
+        continue;
+      }
+      if (it == known.end()) it = known.find(fs::path(item.panorama.id).filename());
+      if (it != known.end() && distance(*it->second) <= kSamePlace) {
+        item.panorama = *it->second;
+        item.known = true;
+        known.erase(it);  // it stands for one image
+      }
+      kept.push_back(std::move(item));
+    }
+    items_ = std::move(kept);
+  }
+
   // Corrects the images of the first stage and notes their poses, so that an interrupted build finds them.
   void place(DatabaseWriter* writer) {
-    std::map<std::string, Panorama> known;
-    for (const Panorama& p : writer->panoramas()) known[p.id] = p;
+    recall(writer->panoramas());
     std::vector<Item*> open;
-    for (Item& item : items_) {
-      const auto it = known.find(item.panorama.id);
-      if (it != known.end())
-        item.panorama = it->second;
-      else
-        open.push_back(&item);
-    }
+    for (Item& item : items_)
+      if (!item.known) open.push_back(&item);
     constexpr std::size_t kBatch = 100;  // corrected poses that an interruption may lose
     for (std::size_t first = 0; first < open.size(); first += kBatch) {
       const std::vector<Item*> batch(open.begin() + first, open.begin() + std::min(open.size(), first + kBatch));
@@ -392,6 +425,7 @@ class Builder {
   const BuildSettings& s_;
   std::function<void(const std::string&, int, int)> progress_;
   std::vector<Item> items_;
+  double height_unit_ = 1;  ///< of the model's file, and so of surveyed poses [m]
   BuildReport report_;
   std::mutex writer_mutex_;  ///< of the writer, the report and the progress; a failed write throws out of it, which a
                              ///< critical section of OpenMP may not

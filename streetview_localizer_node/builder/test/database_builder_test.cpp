@@ -14,6 +14,7 @@
 #include "streetview_localizer/textured_model.h"
 #include "test_files.h"
 #include "wall_scene.h"
+#include "xmp_jpeg.h"
 
 namespace streetview_localizer {
 namespace {
@@ -26,34 +27,48 @@ const Eigen::Vector3d kOrigin(2683500, 1247800, 410);
 class Street {
  public:
   Street() {
-    const air_ground_common::LocalFrame frame("EPSG:2056", kOrigin);
-    std::string obj = "o wall\n";
-    for (const auto& v : wallModel().mesh.vertices) {
-      const Eigen::Vector3d p = frame.toCrs(v.cast<double>());
-      obj += formatted("v %.6f %.6f %.6f\n", p.x(), p.y(), p.z());
-    }
-    settings.model = folder.write("wall.obj", obj + "f 1 2 3 4\n");
+    writeWall(1);
     settings.model_options.crs = "EPSG:2056";
-    settings.model_options.origin = kOrigin;
-    std::string csv = "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n";
+    std::string lines;
     for (int i = 0; i < 3; ++i) {
-      const air_ground_common::Pose T = panoramaPose(12.0 * (i - 1));
       const std::string name = "p" + std::to_string(i) + ".png";
-      cv::imwrite(folder / name, wallPanorama(1024, T, i == 1));
-      const auto g = frame.toGeodetic(T.translation());
-      csv += formatted("%s,%.10f,%.10f,%.4f,%.6f,0,0\n", name.c_str(), g.latitude, g.longitude, g.height,
-                       90 - 0.9 * 180 / M_PI);
+      cv::imwrite(folder / name, wallPanorama(1024, panoramaPose(12.0 * (i - 1)), i == 1));
+      lines += lineOf(name, 12.0 * (i - 1));
     }
-    settings.geotags = folder.write("geotags.csv", csv);
+    settings.geotags = listOf("geotags.csv", lines);
     settings.output = folder / "street.gpkg";
     settings.register_panoramas = false;
     settings.threads = 2;
     settings.views.width = settings.views.height = 256;
   }
 
+  /// The model, and its origin, with heights in units of so many metres.
+  void writeWall(double unit) {
+    std::string obj = "o wall\n";
+    for (const auto& v : wallModel().mesh.vertices) {
+      const Eigen::Vector3d p = frame.toCrs(v.cast<double>());
+      obj += formatted("v %.6f %.6f %.6f\n", p.x(), p.y(), p.z() / unit);
+    }
+    settings.model = folder.write("wall.obj", obj + "f 1 2 3 4\n");
+    settings.model_options.height_unit = unit;
+    settings.model_options.origin = Eigen::Vector3d(kOrigin.x(), kOrigin.y(), kOrigin.z() / unit);
+  }
+  /// The geotag of an image at (x, 0, 2.5).
+  std::string lineOf(const std::string& name, double x) const {
+    const auto g = frame.toGeodetic(panoramaPose(x).translation());
+    return formatted("%s,%.10f,%.10f,%.4f,%.6f,0,0\n", name.c_str(), g.latitude, g.longitude, g.height,
+                     90 - 0.9 * 180 / M_PI);
+  }
+  std::string listOf(const std::string& name, const std::string& lines) const {
+    return folder.write(name, "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n" + lines);
+  }
+
+  const air_ground_common::LocalFrame frame{"EPSG:2056", kOrigin};
   TemporaryFolder folder;
   BuildSettings settings;
 };
+
+bool contains(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 
 TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
   Street street;
@@ -122,12 +137,93 @@ TEST(DatabaseBuilder, AddsToAnExistingDatabaseWhatWasMissing) {
   EXPECT_NE(messageOf([&] { buildDatabase(other); }).find("other settings"), std::string::npos);
 }
 
-TEST(DatabaseBuilder, SurveyedPhotographsAndGridConvergence) {
+TEST(DatabaseBuilder, ImagesOfOneNameInSeveralFolders) {
   Street street;
+  BuildSettings s = street.settings;
+  for (const char* name : {"north", "south"}) {
+    std::filesystem::create_directory(street.folder / name);
+    std::filesystem::copy_file(street.folder / (*name == 'n' ? "p0.png" : "p2.png"),
+                               street.folder / (std::string(name) + "/p.png"));
+  }
+  // As databases were built before: by the name alone.
+  s.images = street.folder / "north";
+  s.geotags = street.listOf("names.csv", street.lineOf("p.png", -12));
+  EXPECT_EQ(buildDatabase(s).stored, 1);
+  // Known by its name at this place; another of that name; that one again.
+  s.images = street.folder / "";
+  s.geotags = street.listOf("paths.csv", street.lineOf("north/p.png", -12) + street.lineOf("./south/p.png", 12) +
+                                             street.lineOf("south//p.png", 12));
+  const BuildReport report = buildDatabase(s);
+  EXPECT_EQ(report.resumed, 1);
+  EXPECT_EQ(report.stored, 1);
+  ASSERT_EQ(report.refused.size(), 1u);
+  EXPECT_EQ(report.refused[0].reason, "is listed twice");
+  const StreetviewDatabase d = loadDatabase(s.output);
+  ASSERT_EQ(d.panoramas.size(), 2u);
+  EXPECT_EQ(d.panoramas[0].id, "p.png");
+  EXPECT_EQ(d.panoramas[1].id, "south/p.png");
+  EXPECT_NEAR(d.panoramas[1].T_world_panorama.translation().x(), 12, 0.01);
+  // A name that stands for another image.
+  s.images = street.folder / "south";
+  s.geotags = street.listOf("others.csv", street.lineOf("p.png", 12));
+  const BuildReport other = buildDatabase(s);
+  EXPECT_EQ(other.resumed + other.stored, 0);
+  ASSERT_EQ(other.refused.size(), 1u);
+  EXPECT_TRUE(contains(other.refused[0].reason, "another image of this name is in the database, 24.0 m from here"))
+      << other.refused[0].reason;
+}
+
+TEST(DatabaseBuilder, AGeotagOffTheGridRefusesItsImageAlone) {
+  Street street;
+  BuildSettings s = street.settings;
+  // The antipode, which lies right below, and what is a quarter of the globe away.
+  s.geotags = street.listOf(
+      "far.csv", "p0.png,-47.3756,-171.4556,412,0,0,0\np1.png,-42.6,8.54,412,0,0,0\n" + street.lineOf("p2.png", 12));
+  const BuildReport report = buildDatabase(s);
+  EXPECT_EQ(report.stored, 1);
+  ASSERT_EQ(report.refused.size(), 2u);
+  for (const auto& refusal : report.refused) EXPECT_TRUE(contains(refusal.reason, "km from the city model"));
+  s.model_options.crs.clear();
+  s.model_options.origin.reset();
+  s.model = street.folder.write("local.obj", "o wall\nv 0 0 0\nv 9 0 0\nv 9 0 9\nf 1 2 3\n");
+  s.geotags = street.listOf("missing.csv", "none.png,47,8,412,0,0,0\n");  // said even where no image is there
+  EXPECT_TRUE(contains(messageOf([&] { buildDatabase(s); }), "the city model has no coordinate system"));
+}
+
+TEST(DatabaseBuilder, PartsOfASphereAreRefused) {
+  Street street;
+  BuildSettings s = street.settings;
+  s.check_consistency = false;
+  s.camera.emplace();
+  s.camera->width = 1024, s.camera->height = 256;
+  s.camera->fx = s.camera->fy = 800, s.camera->cx = 511, s.camera->cy = 127;
+  std::string lines;
+  for (const int height : {512, 256}) {  // would pass for a sphere, and for a photograph
+    const std::string name = std::to_string(height) + ".jpg";
+    street.folder.write(name, panoramaJpeg({1024, height}, {1024, height}, {2048, 1024}));
+    lines += street.lineOf(name, 0);
+  }
+  street.folder.write("padded.jpg", panoramaJpeg({1024, 512}, {1024, 256}, {1024, 512}));
+  street.folder.write("whole.jpg", panoramaJpeg({1024, 512}, {4096, 2048}, {4096, 2048}));
+  s.geotags = street.listOf("parts.csv", lines + street.lineOf("padded.jpg", 0) + street.lineOf("whole.jpg", 0) +
+                                             street.lineOf("p0.png", -12));
+  const BuildReport report = buildDatabase(s);
+  EXPECT_EQ(report.stored, 1);
+  ASSERT_EQ(report.refused.size(), 4u);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_EQ(report.refused[i].reason, "covers only part of the sphere (GPano): pad it to 2048x1024");
+    EXPECT_EQ(report.refused[i + 2].reason, "sees no facade of the model");
+  }
+}
+
+TEST(DatabaseBuilder, SurveyedPhotographsGridConvergenceAndUnits) {
+  Street street;
+  constexpr double kUnit = 0.3048;  // heights of model, origin and poses in feet, on a grid in metres
+  street.writeWall(kUnit);
   BuildSettings s = street.settings;
   s.geotags.clear();
   // A view of the middle panorama as a photograph, its pose in the grid: turned back by the convergence.
-  const air_ground_common::LocalFrame frame("EPSG:2056", kOrigin);
+  const air_ground_common::LocalFrame& frame = street.frame;
   const View view = cutPanorama(wallPanorama(1024, panoramaPose(0), false), panoramaPose(0), s.views)[0];
   cv::imwrite(street.folder / "photo.png", view.image);
   const Eigen::Quaterniond q(Eigen::AngleAxisd(frame.meridianConvergence(), Eigen::Vector3d::UnitZ()) *
@@ -136,7 +232,7 @@ TEST(DatabaseBuilder, SurveyedPhotographsAndGridConvergence) {
   s.poses =
       street.folder.write("poses.txt", formatted("photo.png %.6f %.6f %.3f %.3f %.6f %.6f %.6f %.9f %.9f %.9f %.9f\n",
                                                  view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy, t.x(),
-                                                 t.y(), t.z(), q.x(), q.y(), q.z(), q.w()));
+                                                 t.y(), t.z() / kUnit, q.x(), q.y(), q.z(), q.w()));
   s.register_panoramas = true;  // must leave surveyed photographs alone
   EXPECT_EQ(buildDatabase(s).stored, 1);
   const StreetviewDatabase d = loadDatabase(s.output);

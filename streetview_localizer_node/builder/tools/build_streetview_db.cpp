@@ -79,9 +79,15 @@ int main(int argc, char** argv) {
   app.add_option("--first", s.take_first, "index of the first image taken")->capture_default_str();
   app.add_option("--crs", s.model_options.crs,
                  "coordinate system of the model, if its file does not tell, like EPSG:2056");
-  app.add_option("--origin", origin, "of the local frame: easting northing height in that system [middle of the model]")
+  app.add_option("--origin", origin,
+                 "of the local frame: easting northing height as the model counts them [middle of the model]")
       ->expected(3);
   app.add_option("--lod", s.model_options.lod, "level of detail to take of the model [finest]");
+  app.add_option(
+         "--height-unit", s.model_options.height_unit,
+         "of the heights of the model, --origin and --poses [m], 0.3048 for feet [as the model's vertical system "
+         "says, else 1]")
+      ->check(CLI::Range(1e-3, 1e3));
   app.add_option("--model-height-offset", s.model_options.height_offset, "added to the model's heights [m]");
   app.add_option("--geotag-height-offset", s.geotag_height_offset,
                  "added to the geotags' heights, into the model's vertical datum [m]");

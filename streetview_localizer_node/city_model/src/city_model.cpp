@@ -1,131 +1,25 @@
 #include "streetview_localizer/city_model.h"
 
-#include <ogr_spatialref.h>
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
-#include <limits>
 #include <map>
 #include <stdexcept>
 #include <unordered_map>
 
+#include "air_ground_common/text.h"
+#include "coordinate_system.h"
 #include "polygons.h"
 
 namespace streetview_localizer {
 
 namespace fs = std::filesystem;
+using air_ground_common::formatted;
 using air_ground_common::LocalFrame;
 
 namespace {
-
-/// Up to six digits that follow `key` in the text; empty where there are none.
-std::string digitsAfter(const std::string& text, const std::string& key) {
-  const std::size_t at = text.find(key);
-  if (at == std::string::npos) return "";
-  const std::size_t begin = at + key.size();
-  const std::size_t end = std::min(text.find_first_not_of("0123456789", begin), text.size());
-  return text.substr(begin, std::min<std::size_t>(6, end - begin));
-}
-
-}  // namespace
-
-CrsName parseCrs(const std::string& text) {
-  CrsName name;
-  std::string definition = text;
-  // The German surveys' own names: ETRS89_UTM32*DE_DHHN2016_NH, DE_DHDN_3GK4*...; coordinates come east first.
-  bool east_first = true;
-  const std::string utm = digitsAfter(text, "ETRS89_UTM"), gauss_krueger = digitsAfter(text, "DHDN_3GK");
-  const std::string gml = digitsAfter(text, "epsg.xml#");
-  if (utm == "31" || utm == "32" || utm == "33") {
-    definition = "EPSG:258" + utm;
-  } else if (gauss_krueger.size() == 1 && gauss_krueger >= "2" && gauss_krueger <= "5") {
-    definition = "EPSG:3146" + std::to_string(gauss_krueger[0] - '0' + 4);
-  } else if (!gml.empty()) {
-    definition = "EPSG:" + gml;
-  } else if (text.size() >= 4 && digitsAfter(text, "") == text) {
-    definition = "EPSG:" + text;
-  } else if (text.rfind("EPSG:", 0) != 0 && text.rfind("epsg:", 0) != 0) {
-    east_first = false;  // what is not in a short form, which by long custom goes east first, follows the authority
-  }
-  OGRSpatialReference srs;
-  CPLPushErrorHandler(CPLQuietErrorHandler);
-  // A name out of a city model must reach neither files nor the network.
-#if GDAL_VERSION_NUM >= GDAL_COMPUTE_VERSION(3, 3, 0)
-  OGRErr error = srs.SetFromUserInput(definition.c_str(), OGRSpatialReference::SET_FROM_USER_INPUT_LIMITATIONS);
-#else
-  OGRErr error = srs.SetFromUserInput(definition.c_str());
-#endif
-  if (error == OGRERR_NONE) srs.GetAreaOfUse(&name.west, &name.south, &name.east, &name.north, nullptr);
-  if (error == OGRERR_NONE && (srs.IsCompound() || srs.IsVertical())) error = srs.StripVertical();
-  CPLPopErrorHandler();
-  if (error != OGRERR_NONE || (!srs.IsProjected() && !srs.IsGeographic()))
-    throw std::runtime_error("unknown coordinate system '" + text +
-                             "': give a projected or geographic one, like EPSG:2056");
-  if (!east_first) name.north_first = srs.EPSGTreatsAsLatLong() || srs.EPSGTreatsAsNorthingEasting();
-  const char* authority = srs.GetAuthorityName(nullptr);
-  const char* code = srs.GetAuthorityCode(nullptr);
-  if (authority && code) {
-    name.horizontal = std::string(authority) + ":" + code;
-  } else {
-    char* wkt = nullptr;
-    srs.exportToWkt(&wkt);
-    name.horizontal = wkt;
-    CPLFree(wkt);
-  }
-  return name;
-}
-
-namespace {
-
-struct Box {
-  Eigen::Vector3d low = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
-  Eigen::Vector3d high = -low;
-  void add(const Eigen::Vector3d& p) {
-    low = low.cwiseMin(p);
-    high = high.cwiseMax(p);
-  }
-  Eigen::Vector3d centre() const { return 0.5 * (low + high); }
-};
-
-Box bounds(const PolygonModel& model) {
-  Box box;
-  for (const Polygon& polygon : model.polygons)
-    for (const Ring& ring : polygon.rings)
-      for (const Eigen::Vector3d& p : ring) box.add(p);
-  return box;
-}
-
-bool inAreaOfUse(const CrsName& crs, const Eigen::Vector3d& east_north) {
-  try {
-    const auto g = LocalFrame(crs.horizontal, east_north).origin();
-    constexpr double kMargin = 0.5;  // [deg]
-    return g.latitude > crs.south - kMargin && g.latitude < crs.north + kMargin && g.longitude > crs.west - kMargin &&
-           g.longitude < crs.east + kMargin;
-  } catch (const std::invalid_argument&) {
-    return false;
-  }
-}
-
-// Puts easting first. The declared order is believed where it lands in the system's area of use; many files break it.
-void normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* model) {
-  const Eigen::Vector3d c = bounds(*model).centre(), swapped(c.y(), c.x(), c.z());
-  bool swap = crs.north_first;
-  if (!inAreaOfUse(crs, swap ? swapped : c)) {
-    if (!inAreaOfUse(crs, swap ? c : swapped))
-      throw std::runtime_error(path + ": coordinates around (" + std::to_string(c.x()) + ", " + std::to_string(c.y()) +
-                               ") lie outside the area of " + crs.horizontal + ": give the right system with --crs");
-    swap = !swap;
-    model->remarks.push_back(path + ": axis order taken as " + (swap ? "north, east" : "east, north") +
-                             ", against its declaration, since only that lies in the area of " + crs.horizontal);
-  }
-  if (!swap) return;
-  for (Polygon& polygon : model->polygons)
-    for (Ring& ring : polygon.rings)
-      for (Eigen::Vector3d& p : ring) std::swap(p.x(), p.y());
-}
 
 // Beyond it a coordinate is no place on earth, in no system; and the tessellation's products would overflow.
 void checkCoordinates(const std::string& path, const PolygonModel& model) {
@@ -167,8 +61,11 @@ std::vector<std::string> filesOf(const std::string& path) {
   return files;
 }
 
-PolygonModel readAll(const std::string& path, const CityModelOptions& options, std::string* crs) {
+/// Polygons in metres of height; notes system and unit in `result`.
+PolygonModel readAll(const std::string& path, const CityModelOptions& options, CityModel* result) {
   PolygonModel all;
+  std::string height_remark;
+  double outside = 0;  // of the area of use, the file farthest off [km]
   for (const std::string& file : filesOf(path)) {
     PolygonModel model = readFile(file, options);
     checkCoordinates(file, model);
@@ -180,20 +77,32 @@ PolygonModel readAll(const std::string& path, const CityModelOptions& options, s
       } catch (const std::runtime_error& e) {
         throw std::runtime_error(file + ": " + e.what());
       }
-      normaliseAxes(file, name, &model);
+      outside = std::max(outside, normaliseAxes(file, name, &model));
     }
-    if (!all.polygons.empty() && name.horizontal != *crs)
+    const double unit = heightUnitOf(name, options.height_unit, &height_remark);
+    if (!all.polygons.empty() && name.horizontal != result->crs)
       throw std::runtime_error(file + " is in " + (srs.empty() ? "no coordinate system" : name.horizontal) +
-                               ", the files before it in " + (crs->empty() ? "none" : *crs) + ": convert them to one");
-    *crs = name.horizontal;
+                               ", the files before it in " + (result->crs.empty() ? "none" : result->crs) +
+                               ": convert them to one");
+    if (!all.polygons.empty() && unit != result->height_unit)
+      throw std::runtime_error(
+          file +
+          formatted(" counts heights in units of %.7f m, the files before it of %.7f m", unit, result->height_unit) +
+          ": give the one that holds, as --height-unit METRES");
+    result->crs = name.horizontal;
+    result->height_unit = unit;
     const int first = static_cast<int>(all.building_ids.size());
     for (Polygon& polygon : model.polygons) {
       if (polygon.building >= 0) polygon.building += first;
+      for (Ring& ring : polygon.rings)
+        for (Eigen::Vector3d& p : ring) p.z() *= unit;
       all.polygons.push_back(std::move(polygon));
     }
     all.building_ids.insert(all.building_ids.end(), model.building_ids.begin(), model.building_ids.end());
     all.remarks.insert(all.remarks.end(), model.remarks.begin(), model.remarks.end());
   }
+  if (outside > 0) all.remarks.push_back(remarkOnArea(result->crs, outside));
+  if (!height_remark.empty()) all.remarks.push_back(height_remark);
   return all;
 }
 
@@ -275,22 +184,42 @@ Eigen::Vector3d CityModel::crsFromWorld(const Eigen::Vector3d& point) const {
 
 namespace {
 
+/// Far from its origin the frame's z is no height, and float coordinates lose centimetres: a slip of the command line.
+void checkOrigin(const Box& box, const CityModelOptions& options, const CityModel& model) {
+  if (!options.origin) return;
+  constexpr double kFarthest = 50e3, kHighest = 10e3;  // [m]
+  const Eigen::Vector3d near = model.origin.cwiseMax(box.low).cwiseMin(box.high);
+  const auto level = [&](const Eigen::Vector3d& p) {
+    const Eigen::Vector3d foot(p.x(), p.y(), 0);
+    return model.frame ? model.frame->fromCrs(foot) : foot;
+  };
+  const double plan = (level(model.origin) - level(near)).norm(), height = std::abs(model.origin.z() - near.z());
+  if (plan <= kFarthest && height <= kHighest) return;
+  const Eigen::Vector3d& o = *options.origin;
+  throw std::runtime_error(formatted("--origin (%.10g, %.10g, %.10g) lies %.0f km from the model", o.x(), o.y(), o.z(),
+                                     std::max(plan, height) / 1000) +
+                           ": give easting, northing and height as its file counts them");
+}
+
 /// Origin and frame of the model, from its reference system and extent.
 void chooseFrame(const std::string& path, const Box& box, const CityModelOptions& options, CityModel* result) {
   CityModel& model = *result;
+  std::optional<Eigen::Vector3d> origin = options.origin;
+  if (origin) origin->z() *= model.height_unit;
   if (model.crs.empty()) {
     if (box.low.cwiseAbs().maxCoeff() > 1e5 || box.high.cwiseAbs().maxCoeff() > 1e5)
       throw std::runtime_error(
           path + " has coordinates of a national grid but does not name it: give its system, like --crs EPSG:2056");
-    model.origin = options.origin.value_or(Eigen::Vector3d::Zero());
+    model.origin = origin.value_or(Eigen::Vector3d::Zero());
   } else {
-    const Eigen::Vector3d c = box.centre();
+    const Eigen::Vector3d c = 0.5 * (box.low + box.high);
     const bool degrees = box.high.head<2>().cwiseAbs().maxCoeff() <= 360;
     const double step = degrees ? 1e-5 : 1;
-    model.origin = options.origin.value_or(
+    model.origin = origin.value_or(
         Eigen::Vector3d(std::round(c.x() / step) * step, std::round(c.y() / step) * step, std::floor(box.low.z())));
     model.frame = std::make_shared<LocalFrame>(model.crs, model.origin);
   }
+  checkOrigin(box, options, model);
 }
 
 /// Triangles of all polygons, welded within each building; `polygons` in the world frame.
@@ -334,7 +263,7 @@ void numberBuildings(const std::vector<std::string>& ids, CityModel* model) {
 
 CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
   CityModel model;
-  PolygonModel polygons = readAll(path, options, &model.crs);
+  PolygonModel polygons = readAll(path, options, &model);
   const auto move = [&](const auto& moved) {
     for (Polygon& polygon : polygons.polygons)
       for (Ring& ring : polygon.rings)

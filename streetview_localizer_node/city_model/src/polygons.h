@@ -43,14 +43,4 @@ PolygonModel readObj(const std::string& path);
 /// none.
 int chooseLod(const std::array<double, 4>& area_of_lod, int wanted);
 
-/// Horizontal part of a coordinate system as files name it (EPSG:7415, urn:ogc:def:crs:EPSG::2056,
-/// https://www.opengis.net/def/crs/EPSG/0/25832, urn:adv:crs:ETRS89_UTM32*DE_DHHN2016_NH, compound systems).
-struct CrsName {
-  std::string horizontal;    ///< for LocalFrame: "EPSG:28992", or WKT where there is no code
-  bool north_first = false;  ///< the file's coordinates come as (northing, easting) or (latitude, longitude)
-  double west = -180, south = -90, east = 180, north = 90;  ///< area of use [deg]
-};
-/// Throws std::runtime_error: "unknown coordinate system '...'".
-CrsName parseCrs(const std::string& text);
-
 }  // namespace streetview_localizer

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <random>
 
+#include "../src/coordinate_system.h"
 #include "../src/polygons.h"
 #include "air_ground_common/text.h"
 #include "test_files.h"

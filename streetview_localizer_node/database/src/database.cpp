@@ -3,6 +3,9 @@
 #include <boost/geometry.hpp>
 #include <boost/geometry/geometries/point.hpp>
 #include <boost/geometry/index/rtree.hpp>
+#include <cstdio>
+#include <fstream>
+#include <limits>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
@@ -135,9 +138,11 @@ std::map<GIntBig, int> readPanoramas(OGRLayer* layer, const std::string& path, c
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
   if (options.centre) {
     const Eigen::Vector2d& c = *options.centre;
-    double reach = options.radius * 1.001;  // grid lengths differ from true ones by less
+    double reach = options.radius * 1.02;  // the scale may differ so much within it
     if (database->model.frame && layer->GetSpatialRef() && layer->GetSpatialRef()->IsGeographic())
       reach /= 111000 * std::max(0.01, std::cos(c.y() * M_PI / 180));
+    else if (database->model.frame)  // grids may count in feet
+      reach *= air_ground_common::LocalFrame(database->crs, {c.x(), c.y(), 0}).gridScale();
     layer->SetSpatialFilterRect(c.x() - reach, c.y() - reach, c.x() + reach, c.y() + reach);
     centre = database->model.worldFromCrs({c.x(), c.y(), database->origin.z()});
   }
@@ -175,6 +180,40 @@ std::vector<std::string> viewFilters(const std::map<GIntBig, int>& index_of, boo
   return filters;
 }
 
+/// [bytes]; without end where the system does not say.
+double freeMemory() {
+  std::ifstream file("/proc/meminfo");
+  std::string line;
+  double kilobytes = 0;
+  while (std::getline(file, line))
+    if (std::sscanf(line.c_str(), "MemAvailable: %lf kB", &kilobytes) == 1) return 1024 * kilobytes;
+  return std::numeric_limits<double>::infinity();
+}
+
+/// A process that outgrows the memory ends without a word. Counts images and features alone; the index over them comes
+/// on top.
+void checkMemory(GDALDataset* dataset, const std::string& path, const std::vector<std::string>& filters,
+                 const DatabaseLoadOptions& options) {
+  constexpr double kPixel = 3, kFeature = 128 + 7 * sizeof(float) + 6 * sizeof(float);  // [bytes]
+  double needed = 0;
+  for (const std::string& filter : filters) {
+    const std::string sql = std::string("SELECT SUM(1.0 * width * height), SUM(1.0 * features) FROM ") + kViewTable +
+                            (filter.empty() ? "" : " WHERE " + filter);
+    OGRLayer* sums = dataset->ExecuteSQL(sql.c_str(), nullptr, nullptr);
+    if (!sums) continue;
+    for (auto& row : *sums)
+      needed += (options.images ? kPixel * row->GetFieldAsDouble(0) : 0) +
+                (options.features ? kFeature * row->GetFieldAsDouble(1) : 0);
+    dataset->ReleaseResultSet(sums);
+  }
+  const double available = options.memory > 0 ? static_cast<double>(options.memory) : freeMemory();
+  if (needed > available)
+    throw std::runtime_error(path +
+                             formatted(" needs %.3g GB of memory, and %.3g GB are free: load a part of it, by the "
+                                       "parameters region/... of the node or --region of localize_images",
+                                       needed / 1e9, available / 1e9));
+}
+
 }  // namespace
 
 StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptions& options) {
@@ -193,7 +232,9 @@ StreetviewDatabase loadDatabase(const std::string& path, const DatabaseLoadOptio
   if (!layer || !view_layer) throw std::runtime_error(path + " lacks a table: build it again");
   std::vector<int> expected;  // views that are still to come, by panorama
   const auto index_of = readPanoramas(layer, path, options, &database, &expected);
-  for (const std::string& filter : viewFilters(index_of, !options.centre)) {
+  const std::vector<std::string> filters = viewFilters(index_of, !options.centre);
+  checkMemory(dataset.get(), path, filters, options);
+  for (const std::string& filter : filters) {
     view_layer->SetAttributeFilter(filter.empty() ? nullptr : filter.c_str());
     view_layer->ResetReading();
     for (auto& row : view_layer) {

@@ -104,11 +104,16 @@ std::vector<Geotag> readGeoJson(const std::string& path) {
     const nlohmann::json j = nlohmann::json::parse(file);
     for (const auto& feature : j.at("features")) {
       const auto& properties = feature.at("properties");
-      const auto value = [&](const char* name, double fallback) {
-        return properties.contains(name) && properties[name].is_number() ? properties[name].get<double>() : fallback;
-      };
       Geotag g;
       g.image = properties.at("image").get<std::string>();
+      const auto value = [&](const char* name, double fallback) {
+        const auto property = properties.find(name);
+        if (property == properties.end()) return fallback;
+        if (property->is_number()) return property->get<double>();
+        if (!property->is_string()) return fallback;
+        CPLString text(property->get<std::string>());  // as ogr2ogr makes them of a CSV file
+        return number(text.Trim(), path + ", image " + g.image);
+      };
       const auto& geometry = feature.at("geometry");
       if (geometry.is_null() || geometry.at("type") != "Point") {
         g.position = {std::nan(""), std::nan(""), std::nan("")};
@@ -238,6 +243,27 @@ cv::Size imageSize(const std::string& path) {
   return image ? cv::Size(image->GetRasterXSize(), image->GetRasterYSize()) : cv::Size();
 }
 
+std::optional<cv::Size> fullSphereSize(const std::string& path) {
+  const QuietGdal quiet;
+  const Dataset image = openImage(path);
+  char** packet = image ? image->GetMetadata("xml:XMP") : nullptr;
+  if (!packet || !*packet) return std::nullopt;
+  const CPLXMLTreeCloser tree(CPLParseXMLString(*packet));
+  const auto sizeOf = [&](const std::string& what) {
+    return cv::Size2d(xmpNumber(tree.get(), "GPano:" + what + "WidthPixels"),
+                      xmpNumber(tree.get(), "GPano:" + what + "HeightPixels"));
+  };
+  const cv::Size2d full = sizeOf("FullPano"), part = sizeOf("CroppedAreaImage");
+  constexpr double kWhole = 0.99, kLargest = 1e6;  // [px]
+  const auto covers = [&](double some, double all) { return !(some > 0) || some >= kWhole * all; };
+  if (!(full.width >= 1 && full.height >= 1 && full.width < kLargest && full.height < kLargest) ||
+      (covers(part.width, full.width) && covers(part.height, full.height)))
+    return std::nullopt;
+  const cv::Size sphere(full);
+  if (sphere == cv::Size(image->GetRasterXSize(), image->GetRasterYSize())) return std::nullopt;
+  return sphere;
+}
+
 std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {
   std::ifstream file(path);
   if (!file) throw std::runtime_error("cannot open " + path);
@@ -265,11 +291,15 @@ std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {
   return images;
 }
 
-Pose worldPose(const Geotag& g, const CityModel& model, North north) {
+void requireCoordinateSystem(const CityModel& model) {
   if (!model.frame)
     throw std::invalid_argument(
         "the city model has no coordinate system, so geotags have no place in it: give its system, like --crs "
         "EPSG:2056");
+}
+
+Pose worldPose(const Geotag& g, const CityModel& model, North north) {
+  requireCoordinateSystem(model);
   Pose T = Pose::Identity();
   T.translation() = model.frame->fromGeodetic(g.position);
   double heading = g.heading;

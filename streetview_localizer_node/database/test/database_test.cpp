@@ -86,6 +86,51 @@ TEST(Database, PartOfAFileByItsSpatialIndex) {
   EXPECT_NE(m.find("no panorama within 30 m of 2683560, 1252800 in EPSG:2056"), std::string::npos) << m;
 }
 
+// A radius in metres, of a grid that counts in feet (New York) or whose metres are short ones (Web Mercator).
+TEST(Database, PartOfAFileInAGridOfOtherUnits) {
+  const TemporaryFolder folder;
+  for (const auto& [crs, origin] : {std::make_pair("EPSG:2263", Eigen::Vector3d(985000, 200000, 9)),
+                                    {"EPSG:3857", Eigen::Vector3d(930000, 6000000, 400)},
+                                    {"EPSG:4326", Eigen::Vector3d(8.54, 47.37, 400)}}) {
+    CityModel model = wallModel();
+    model.crs = crs;
+    model.origin = origin;
+    model.frame = std::make_shared<air_ground_common::LocalFrame>(model.crs, origin);
+    const std::string path = folder / (std::string(crs).substr(5) + ".gpkg");
+    DatabaseWriter writer(path, model, "settings");
+    for (int i = 0; i < 20; ++i) writer.add(panoramaAt(i), viewsAt(i));
+    writer.finish();
+    DatabaseLoadOptions options;
+    options.centre = origin.head<2>();
+    options.radius = 200;
+    EXPECT_EQ(loadDatabase(path, options).panoramas.size(), 17u) << crs;  // to 192 m
+  }
+}
+
+// Of images and features alone: what is larger than the memory is refused before it is read.
+TEST(Database, WhatTheMemoryDoesNotHoldIsRefused) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "a.gpkg";
+  writeDatabase(path, 20);
+  // 40 views of 64x48 in three colours, 20 features each: 128 bytes, a keypoint of 28, point and normal.
+  const std::uint64_t view = 64 * 48 * 3 + 20 * (128 + 28 + 24);
+  DatabaseLoadOptions options;
+  options.memory = 40 * view - 1;
+  const std::string m = messageOf([&] { loadDatabase(path, options); });
+  EXPECT_NE(m.find(path + " needs 0.000513 GB of memory, and 0.000513 GB are free: "), std::string::npos) << m;
+  EXPECT_NE(m.find("region/"), std::string::npos) << m;
+  options.memory = 40 * view;
+  EXPECT_EQ(loadDatabase(path, options).views.size(), 40u);
+  options.memory = 10 * view;  // what is asked for counts
+  options.centre = Eigen::Vector2d(2683500 + 60, 1247800);
+  options.radius = 30;
+  EXPECT_EQ(loadDatabase(path, options).views.size(), 10u);
+  options.memory -= 1;
+  EXPECT_NE(messageOf([&] { loadDatabase(path, options); }).find("needs"), std::string::npos);
+  options.images = false;
+  EXPECT_EQ(loadDatabase(path, options).views.size(), 10u);
+}
+
 TEST(Database, KilledBuildLeavesNoFileAndGoesOn) {
   const TemporaryFolder folder;
   const std::string path = folder / "a.gpkg", partial = folder / "a.partial.gpkg";

@@ -8,6 +8,7 @@
 
 #include "air_ground_common/units.h"
 #include "test_files.h"
+#include "xmp_jpeg.h"
 
 namespace streetview_localizer {
 namespace {
@@ -74,6 +75,29 @@ TEST(Geotags, GeoJson) {
   EXPECT_NEAR(tags[0].heading, 350 * kDegree, 1e-12);
   EXPECT_TRUE(tags[0].problem.empty());
   EXPECT_FALSE(tags[1].problem.empty());
+}
+
+// As ogr2ogr makes it of a CSV file: all properties are text.
+TEST(Geotags, GeoJsonNumbersAsText) {
+  const TemporaryFolder folder;
+  const auto tagOf = [&](const std::string& properties) {
+    return readGeotags(folder.write(
+        "a.geojson",
+        R"({"features":[{"geometry":{"type":"Point","coordinates":[8.54,47.37]},"properties":{"image":"a.jpg",)" +
+            properties + "}}]}"))[0];
+  };
+  const Geotag g = tagOf(R"("alt":"410.5","heading_deg":"350","pitch_deg":" 1.5 ","roll_deg":"-2")");
+  EXPECT_EQ(g.problem, "");
+  EXPECT_DOUBLE_EQ(g.position.height, 410.5);
+  EXPECT_NEAR(g.heading, 350 * kDegree, 1e-12);
+  EXPECT_NEAR(g.pitch, 1.5 * kDegree, 1e-12);
+  EXPECT_NEAR(g.roll, -2 * kDegree, 1e-12);
+  // A cell that is empty, as in a CSV file, is no number; one that is absent or null is none given.
+  EXPECT_EQ(tagOf(R"("alt":"410","heading_deg":"","pitch_deg":"1")").problem, "has no heading");
+  EXPECT_EQ(tagOf(R"("alt":"410","heading_deg":"1","pitch_deg":"")").problem, "has a pitch or roll that is no number");
+  EXPECT_EQ(tagOf(R"("alt":410,"heading_deg":1,"pitch_deg":null)").problem, "");
+  const std::string m = messageOf([&] { tagOf(R"("alt":"410","heading_deg":"north")"); });
+  EXPECT_NE(m.find("a.geojson, image a.jpg: 'north' is not a number"), std::string::npos) << m;
 }
 
 TEST(Geotags, BrokenListsGiveOneClearLine) {
@@ -172,12 +196,9 @@ TEST(Geotags, SurveyedImages) {
             std::string::npos);
 }
 
-// Google's panorama metadata, as attributes and as elements (Photo Sphere XMP), in a JPEG's APP1 segment.
+// As attributes and as elements; angles that are none.
 TEST(Geotags, AnglesOfPanoramasComeFromXmp) {
-  const std::string begin =
-      "<x:xmpmeta xmlns:x=\"adobe:ns:meta/\"><rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">"
-      "<rdf:Description xmlns:GPano=\"http://ns.google.com/photos/1.0/panorama/\"";
-  const std::string end = "</rdf:RDF></x:xmpmeta>";
+  const std::string begin = kXmpBegin, end = kXmpEnd;
   const std::string packets[] = {
       begin + " GPano:PoseHeadingDegrees=\"350.5\" GPano:PosePitchDegrees = '-2' GPano:PoseRollDegrees=\"\"/>" + end,
       begin +
@@ -185,16 +206,9 @@ TEST(Geotags, AnglesOfPanoramasComeFromXmp) {
           "</GPano:PosePitchDegrees></rdf:Description>" +
           end,
       begin + " GPano:PoseHeadingDegrees=\"350.5\"><broken"};
-  std::vector<uchar> jpeg;
-  cv::imencode(".jpg", cv::Mat(4, 6, CV_8UC1, cv::Scalar(90)), jpeg);
   const TemporaryFolder folder;
-  for (std::size_t k = 0; k < std::size(packets); ++k) {
-    const std::string xmp = "http://ns.adobe.com/xap/1.0/" + std::string(1, '\0') + packets[k];
-    const std::size_t length = xmp.size() + 2;
-    folder.write(std::to_string(k) + ".jpg", std::string("\xFF\xD8\xFF\xE1") + static_cast<char>(length >> 8) +
-                                                 static_cast<char>(length & 255) + xmp +
-                                                 std::string(jpeg.begin() + 2, jpeg.end()));
-  }
+  for (std::size_t k = 0; k < std::size(packets); ++k)
+    folder.write(std::to_string(k) + ".jpg", jpegWithXmp({6, 4}, packets[k]));
   const auto tags = readExif(folder / "");
   ASSERT_EQ(tags.size(), 3u);
   for (int k = 0; k < 2; ++k) {
@@ -203,6 +217,22 @@ TEST(Geotags, AnglesOfPanoramasComeFromXmp) {
     EXPECT_EQ(tags[k].roll, 0) << k;
   }
   EXPECT_TRUE(std::isnan(tags[2].heading));
+}
+
+// The size that the whole sphere would have, of an image that shows a part of it.
+TEST(Geotags, PartsOfASphereSaySo) {
+  const TemporaryFolder folder;
+  const auto full = [&](const cv::Size& size, const cv::Size& cropped, const cv::Size& whole) {
+    return fullSphereSize(folder.write("a.jpg", panoramaJpeg(size, cropped, whole))).value_or(cv::Size());
+  };
+  EXPECT_EQ(full({40, 20}, {4000, 2000}, {8000, 4000}), cv::Size(8000, 4000));  // also when made smaller since
+  EXPECT_EQ(full({40, 10}, {40, 10}, {40, 20}), cv::Size(40, 20));              // all around, without sky and ground
+  EXPECT_EQ(full({40, 20}, {8000, 4000}, {8000, 4000}), cv::Size());
+  EXPECT_EQ(full({40, 20}, {40, 10}, {40, 20}), cv::Size());  // padded since
+  EXPECT_EQ(full({40, 20}, {4000, 1990}, {4000, 2000}), cv::Size());
+  EXPECT_EQ(full({40, 20}, {0, 0}, {-1, 0}), cv::Size());
+  EXPECT_FALSE(fullSphereSize(folder.write("a.jpg", jpegWithXmp({6, 4}, ""))));
+  EXPECT_FALSE(fullSphereSize(folder.write("a.jpg", "no image")));
 }
 
 /// A JPEG whose EXIF has these GPS entries: letters or a byte, and rationals as pairs.

@@ -314,7 +314,7 @@ bool ModelOutline::insideBuilding(const Eigen::Vector3d& position) const {
   for (int i = 0; i < 16; ++i) {
     const auto hit = scene_->cast(origin, {0.001f, 0.0013f, 1.0f});
     if (!hit) break;
-    if (solid_[hit->triangle]) ++crossings;
+    if (building_[hit->triangle] >= 0) ++crossings;  // an underside closes the solid above it
     origin += (hit->distance + 0.01f) * Eigen::Vector3f(0.001f, 0.0013f, 1.0f);
   }
   return crossings % 2 == 1;

@@ -75,7 +75,7 @@ class ModelOutline {
   /// The same, or where the model has no terrain a guess from the buildings.
   GroundGuess groundGuess(const Eigen::Vector3d& position) const;
 
-  /// True when a place lies inside a building: an odd number of walls and roofs above it.
+  /// True when a place lies inside a building: an odd number of its surfaces, undersides too, above it.
   bool insideBuilding(const Eigen::Vector3d& position) const;
 
   const air_ground_common::MeshScene& scene() const { return *scene_; }

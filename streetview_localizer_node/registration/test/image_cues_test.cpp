@@ -158,5 +158,29 @@ TEST(ModelOutline, SkyProfileIsThatOfRays) {
   EXPECT_NEAR(model.groundHeight(position.x(), position.y()).value(), 40 * 0.03, 1e-3);
 }
 
+// A box on stilts: its underside closes it, so that who stands below is outside.
+TEST(ModelOutline, BelowAnUndersideIsOutside) {
+  CityModel model;
+  model.building_ids = {"oriel"};
+  for (const float z : {3.f, 9.f})
+    for (const auto& [x, y] : {std::make_pair(0.f, 0.f), {8.f, 0.f}, {8.f, 6.f}, {0.f, 6.f}})
+      model.mesh.vertices.emplace_back(x, y, z);
+  const auto face = [&](int a, int b, int c, int d, Surface surface) {
+    for (const Eigen::Vector3i& t : {Eigen::Vector3i(a, b, c), Eigen::Vector3i(a, c, d)}) {
+      model.mesh.triangles.push_back(t);
+      model.surface.push_back(surface);
+      model.building.push_back(0);
+    }
+  };
+  face(0, 3, 2, 1, Surface::kGround);
+  face(4, 5, 6, 7, Surface::kRoof);
+  for (int i = 0; i < 4; ++i) face(i, (i + 1) % 4, 4 + (i + 1) % 4, 4 + i, Surface::kWall);
+  const ModelOutline outline(model);
+  EXPECT_FALSE(outline.insideBuilding({4, 2, 1.7}));
+  EXPECT_TRUE(outline.insideBuilding({4, 2, 5}));
+  EXPECT_FALSE(outline.insideBuilding({4, 2, 12}));
+  EXPECT_FALSE(outline.insideBuilding({-2, 2, 5}));
+}
+
 }  // namespace
 }  // namespace streetview_localizer::registration

@@ -28,6 +28,7 @@ struct CityModel {
   std::string crs;
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();            ///< of world: (easting, northing, height) in crs [m]
   std::shared_ptr<const air_ground_common::LocalFrame> frame;  ///< null where crs is empty
+  double height_unit = 1;  ///< of the file's heights [m]; mesh, origin and world are in metres, whatever it is
 
   std::vector<std::string> remarks;  ///< one line each: what was odd in the file and what was done about it
 
@@ -42,13 +43,16 @@ struct CityModelOptions {
   /// "EPSG:2056"; overrides what the file says. Needed for an OBJ in a geographic system; empty = the file's own, or
   /// none.
   std::string crs;
-  /// Of world, in crs; empty = the middle of the model in plan and its lowest point, rounded to whole metres (a local
-  /// model without crs keeps its own origin).
+  /// Of world, in the file's coordinates (height in its unit, to which height_offset is not added); empty = the middle
+  /// of the model in plan and its lowest point, rounded to whole metres (a local model without crs keeps its own
+  /// origin).
   std::optional<Eigen::Vector3d> origin;
   /// Level of detail to take where a building has several; -1 = the finest.
   int lod = -1;
   /// Added to the file's heights [m], for models in another vertical datum than the geotags.
   double height_offset = 0;
+  /// Of the file's heights [m]; 0 = as its vertical system says, metres where it names none.
+  double height_unit = 0;
 };
 
 /// Reads one file, by its contents: CityGML 1.0-3.0 (LoD1-3), CityJSON 1.0-2.0, Wavefront OBJ; or every such file of a

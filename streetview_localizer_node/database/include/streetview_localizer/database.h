@@ -48,6 +48,8 @@ struct DatabaseLoadOptions {
   /// Only panoramas within `radius` of this place, given in the database's crs: answered by the file's spatial index.
   std::optional<Eigen::Vector2d> centre;
   double radius = 200;  ///< [m]
+  /// What images and features may take [bytes]; 0 = the memory that the machine has free.
+  std::uint64_t memory = 0;
 };
 
 /// True for "PG:...", a PostGIS database, false for a file.

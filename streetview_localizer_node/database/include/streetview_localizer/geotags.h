@@ -51,6 +51,13 @@ std::optional<double> exifFocalLength(const std::string& image, int width);
 /// From the file's header; empty for what is no image.
 cv::Size imageSize(const std::string& image);
 
+/// Of an image that by its XMP (GPano) shows a part of a sphere: the size in pixels that the sphere would have. Empty
+/// for whole spheres, also those that have been padded since, and for what does not say.
+std::optional<cv::Size> fullSphereSize(const std::string& image);
+
+/// Throws std::invalid_argument for a model without coordinate system: geotags have no place in it.
+void requireCoordinateSystem(const CityModel& model);
+
 /// Body pose in world (x towards the image's centre, y left, z up). Heights are taken in the model's vertical datum.
 /// Throws std::invalid_argument for a model without coordinate system, or a place outside it.
 air_ground_common::Pose worldPose(const Geotag& geotag, const CityModel& model, North north = North::kTrue);
