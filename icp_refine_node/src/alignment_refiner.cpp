@@ -23,6 +23,19 @@ double largestSigma(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
 }
 
+/// ICP may move along what its last level finds open in levels before: it is put back where that is known, if it is not
+/// far.
+bool isNearAlongOpen(const KnownAlignment& known, const IcpResult& icp) {
+  constexpr double kMoved = 7.8;  // 95 % of three degrees of freedom, those of height maps
+  return icp.localizability.complete() || squaredSigmasOfMissing(known, icp) < kMoved;
+}
+
+void hold(const KnownAlignment& known, RefineOutcome& out) {
+  if (out.icp.localizability.complete()) return;
+  out.T_ground_map_mav_map = heldAt(known, out.icp);
+  out.covariance = heldBy(known, out.icp);
+}
+
 /// No pose to be believed: nor does its covariance tell of one.
 void withhold(RefineStatus status, const std::string& reason, RefineOutcome* out) {
   out->status = status;
@@ -97,16 +110,21 @@ void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
 void AlignmentRefiner::groundMoved() {
   moved_grounds_ = kMovedGrounds;
   coarse_known_.reset();
-  forgetViews();
+  views_.reset();
 }
 
 void AlignmentRefiner::forgetAerial() {
   aerial_.clear();
   coarse_known_.reset();
-  forgetViews();
+  views_.reset();
 }
 
 void AlignmentRefiner::setViews(const KnownAlignment& views) { views_ = views; }
+
+void AlignmentRefiner::withdrawViews() {
+  views_.reset();
+  if (rests_on_views_) tracked_.reset();
+}
 
 void AlignmentRefiner::setManual(const Pose& T) { manual_ = T; }
 
@@ -198,6 +216,7 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen:
   if (other.status == RefineStatus::kConverged &&
       (out.status != RefineStatus::kConverged || other.heights.agreement() > out.heights.agreement())) {
     other.reason = "the coarse alignment disagreed and fits better: taken instead";
+    other.instead = true;
     return other;
   }
   return out;
@@ -207,6 +226,7 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen:
 void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
   if (out->status == RefineStatus::kConverged) {
     tracked_ = out->T_ground_map_mav_map;
+    rests_on_views_ = out->seen && !(out->icp.localizability.complete() && out->heights.conclusive);
     rejections_ = 0;
   } else if (from_tracking && out->contradicted) {
     // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be. The same clouds
@@ -222,12 +242,20 @@ void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
   }
 }
 
-void AlignmentRefiner::demandConfirmation(const Eigen::Vector3d& centre, RefineOutcome* out) {
+bool AlignmentRefiner::leaps(const RefineOutcome& out, const Eigen::Vector3d& centre) const {
+  constexpr double kFar = 0.15, kTurned = 0.06;  // [m], [rad]; right ones move by a third of it
+  if (out.status != RefineStatus::kConverged || out.instead || groundHasMoved()) return false;
+  const Similarity& T = out.T_ground_map_mav_map;
+  return (*tracked_ * centre - T * centre).norm() > kFar ||
+         air_ground_common::rotationAngle(tracked_->R, T.R) > kTurned;
+}
+
+void AlignmentRefiner::demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out) {
   constexpr double kSameDistance = 0.06, kSameAngle = 0.03;  // [m], [rad]
   if (out->heights.conclusive && out->heights.agreement() < settings_.guess_agreement) {
     return withhold(
         RefineStatus::kRejected,
-        formatted("heights contradict what was refined from a guess: %.0f %% of %d cells agree, %.0f %% needed",
+        formatted("%s, and heights contradict: %.0f %% of %d cells agree, %.0f %% needed", what,
                   100 * out->heights.agreement(), out->heights.relief_cells, 100 * settings_.guess_agreement),
         out);
   }
@@ -236,7 +264,7 @@ void AlignmentRefiner::demandConfirmation(const Eigen::Vector3d& centre, RefineO
                     air_ground_common::rotationAngle(unconfirmed_->second.R, T.R) < kSameAngle;
   if (same && out->stamp > unconfirmed_->first) return unconfirmed_.reset();
   if (!same) unconfirmed_ = {out->stamp, T};
-  withhold(RefineStatus::kSearching, "refined from a guess: waits for another aerial cloud that confirms it", out);
+  withhold(RefineStatus::kSearching, formatted("%s: waits for another aerial cloud that confirms it", what), out);
 }
 
 RefineOutcome AlignmentRefiner::refine() {
@@ -273,7 +301,8 @@ RefineOutcome AlignmentRefiner::refine() {
   const bool from_tracking = tracked_ && !decided;
   if (!decided) out = from_tracking ? refineTracked(reading, centre) : refineGuessed(reading);
   const bool guessed = !decided && !from_tracking && coarse_ && !coarse_sure_ && !out.seen;
-  if (guessed && out.status == RefineStatus::kConverged) demandConfirmation(centre, &out);
+  if (guessed && out.status == RefineStatus::kConverged) demandConfirmation("refined from a guess", centre, &out);
+  if (from_tracking && leaps(out, centre)) demandConfirmation("far from the last pose", centre, &out);
   if (from_tracking || guessed || out.status == RefineStatus::kConverged) coarse_.reset();
   follow(from_tracking, &out);
   if (std::exchange(new_ground_, false) && moved_grounds_ > 0) --moved_grounds_;
@@ -349,21 +378,17 @@ void AlignmentRefiner::compareWithViews(RefineOutcome& out) const {
   if (!views_) return;
   const double squared = squaredSigmas(*views_, out.icp);
   out.view_sigmas = std::sqrt(squared);
-  out.seen = squared < settings_.view_squared_sigmas;
-  if (out.seen && !out.icp.localizability.complete()) out.covariance = heldBy(*views_, out.icp);
+  out.seen = squared < settings_.view_squared_sigmas && isNearAlongOpen(*views_, out.icp);
+  if (out.seen) hold(*views_, out);
 }
 
 void AlignmentRefiner::compareWithCoarse(RefineOutcome& out) const {
   const Localizability& geometry = out.icp.localizability;
   if (!coarse_known_ || out.seen || geometry.complete()) return;
   if (geometry.needs_scale && !geometry.scale.localizable) return;
-  // ICP may move along what its last level finds open in levels before: back to the coarse pose, if it is not far.
-  constexpr double kMoved = 7.8;  // 95 % of three degrees of freedom, those of height maps
   out.held = squaredSigmas(*coarse_known_, out.icp) < settings_.view_squared_sigmas &&
-             squaredSigmasOfMissing(*coarse_known_, out.icp) < kMoved;
-  if (!out.held) return;
-  out.T_ground_map_mav_map = heldAt(*coarse_known_, out.icp);
-  out.covariance = heldBy(*coarse_known_, out.icp);
+             isNearAlongOpen(*coarse_known_, out.icp);
+  if (out.held) hold(*coarse_known_, out);
 }
 
 void AlignmentRefiner::judge(RefineOutcome& out) const {

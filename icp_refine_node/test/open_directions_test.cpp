@@ -64,6 +64,22 @@ TEST_F(AlongAWall, ViewsTellWhatTheGeometryLeavesOpen) {
   EXPECT_LT(std::sqrt(out.covariance(1, 1)), std::sqrt(out.covariance(0, 0)));
 }
 
+TEST_F(AlongAWall, TheResultIsPutWhereTheImagesHaveIt) {
+  seeAt(0, 0);
+  refiner.setManual(poseOf(beside(0.07, 0)));  // along the wall, where ICP stays as it began
+  const RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_NEAR(error(out).x(), 0, 0.01);
+}
+
+TEST_F(AlongAWall, WhatRestsOnImagesEndsWithThem) {
+  seeAt(0, 0);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  ASSERT_TRUE(refiner.tracking());
+  refiner.withdrawViews();
+  EXPECT_FALSE(refiner.tracking());
+}
+
 /// The same with a box that both robots see, too small to fix what the wall leaves open.
 class AlongAWallWithABox : public AlongAWall {
  protected:

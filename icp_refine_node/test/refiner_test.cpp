@@ -227,10 +227,28 @@ TEST_F(Refiner, ViewsThatAreWithdrawnStartNothing) {
     refiner.addAerial(5, scene.aerial);
     return refiner.refine().reason == "waiting for a coarse alignment or a manual guess";
   };
-  EXPECT_TRUE(ended_by([&] { refiner.forgetViews(); }));
+  EXPECT_TRUE(ended_by([&] { refiner.withdrawViews(); }));
   EXPECT_TRUE(ended_by([&] { refiner.groundMoved(); }));
   EXPECT_TRUE(ended_by([&] { refiner.forgetAerial(); }));
   EXPECT_FALSE(ended_by([] {}));
+}
+
+TEST_F(Refiner, ALeapIsBelievedOnceAnotherCloudConfirmsIt) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  // The ground map lies elsewhere, by what ICP reaches, and its robot says nothing of it.
+  const Pose shift(Eigen::Translation3d(0.2, 0, 0));
+  refiner.setGround(transformed(scene.ground, shift));
+  const auto errorOf = [&](const Similarity& T) { return (T * centre - shift * (scene.truth * centre)).norm(); };
+  RefineOutcome out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kSearching) << out.reason;
+  EXPECT_NE(out.reason.find("confirms"), std::string::npos) << out.reason;
+  EXPECT_NE(refiner.refine().status, RefineStatus::kConverged) << "the same clouds";
+  EXPECT_LT((*refiner.refined() * centre - scene.truth * centre).norm(), 0.08) << "the old pose is kept meanwhile";
+  refiner.addAerial(2, scene.aerial);
+  out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_LT(errorOf(*refiner.refined()), 0.08);
 }
 
 TEST_F(Refiner, AMovedGroundIsTriedOnTwoMapsHoweverManyCome) {

@@ -1,7 +1,7 @@
 #include "loop_closer.h"
 
+#include <algorithm>
 #include <cmath>
-#include <set>
 
 #include "visual_frontend/keyframe_covariances.h"
 
@@ -37,16 +37,23 @@ void LoopCloser::clear() {
   path_at_.clear();
 }
 
+// A camera that sees landmarks of an earlier keyframe lies right beside that one: it can have drifted only as far as
+// that one may have, seen from the place. Else it would leave a known bay of shelves for the next one that looks alike.
+double LoopCloser::wayBetween(KeyframeId place, KeyframeId id, const std::set<KeyframeId>& near) const {
+  double way = path_at_.at(id) - path_at_.at(place);
+  for (const KeyframeId other : near) way = std::min(way, std::abs(path_at_.at(other) - path_at_.at(place)));
+  return way;
+}
+
 // Only places whose view could overlap with this one, were the pose wrong by as much as a loop may correct.
-std::vector<KeyframeId> LoopCloser::placesInReach(KeyframeId id, const Map& map) const {
-  std::set<KeyframeId> near;
-  for (const auto& c : map.covisible(id, 15)) near.insert(c.keyframe);
+std::vector<KeyframeId> LoopCloser::placesInReach(KeyframeId id, const std::set<KeyframeId>& near,
+                                                  const Map& map) const {
   const Pose& now = map.keyframe(id).T_map_camera;
   std::vector<KeyframeId> places;
   for (const auto& [other, keyframe] : map.keyframes()) {
     if (other + settings_.loop_min_gap > id || near.count(other)) continue;
     const double reach =
-        settings_.loop_slack + settings_.loop_drift * wayBetween(other, id) + 0.7 * settings_.depth.max_range;
+        settings_.loop_slack + settings_.loop_drift * wayBetween(other, id, near) + 0.7 * settings_.depth.max_range;
     if ((keyframe.T_map_camera.translation() - now.translation()).norm() > reach) continue;
     if (keyframe.T_map_camera.linear().col(2).dot(now.linear().col(2)) > std::cos(0.8 + settings_.loop_max_rotation))
       places.push_back(other);
@@ -55,7 +62,9 @@ std::vector<KeyframeId> LoopCloser::placesInReach(KeyframeId id, const Map& map)
 }
 
 LoopCloser::Outcome LoopCloser::close(KeyframeId id, bool level, Map& map, LandmarkTracks& tracks) const {
-  const std::vector<KeyframeId> places = placesInReach(id, map);
+  std::set<KeyframeId> near;
+  for (const auto& c : map.covisible(id, 15)) near.insert(c.keyframe);
+  const std::vector<KeyframeId> places = placesInReach(id, near, map);
   if (places.empty()) return Outcome::kNone;
   const visual_frontend::PlaceMatch match =
       visual_frontend::recognizePlace(map, camera_, map.keyframe(id), places, settings_.place);
@@ -65,7 +74,7 @@ LoopCloser::Outcome LoopCloser::close(KeyframeId id, bool level, Map& map, Landm
   const Pose T_map_camera = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
   const double shift = (T_map_camera.translation() - now.translation()).norm();
   const double turn = air_ground_common::rotationAngle(T_map_camera.linear(), now.linear());
-  if (shift > settings_.loop_slack + settings_.loop_drift * wayBetween(match.keyframe, id) ||
+  if (shift > settings_.loop_slack + settings_.loop_drift * wayBetween(match.keyframe, id, near) ||
       turn > settings_.loop_max_rotation)
     return Outcome::kRefused;
   const bool correct = shift > kMovedShift || turn > kMovedTurn;

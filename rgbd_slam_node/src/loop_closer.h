@@ -3,6 +3,7 @@
 
 #include <map>
 #include <optional>
+#include <set>
 
 #include "rgbd_slam/slam.h"
 #include "visual_frontend/landmark_tracks.h"
@@ -29,8 +30,11 @@ class LoopCloser {
   Outcome close(KeyframeId id, bool level, visual_frontend::Map& map, visual_frontend::LandmarkTracks& tracks) const;
 
  private:
-  std::vector<KeyframeId> placesInReach(KeyframeId id, const visual_frontend::Map& map) const;
-  double wayBetween(KeyframeId earlier, KeyframeId later) const { return path_at_.at(later) - path_at_.at(earlier); }
+  /// `near`: keyframes that share landmarks with `id`.
+  std::vector<KeyframeId> placesInReach(KeyframeId id, const std::set<KeyframeId>& near,
+                                        const visual_frontend::Map& map) const;
+  /// Along which the pose of `id` may have drifted against that of `place` [m].
+  double wayBetween(KeyframeId place, KeyframeId id, const std::set<KeyframeId>& near) const;
   void mergeLandmarks(KeyframeId id, const std::vector<std::pair<int, LandmarkId>>& seen, visual_frontend::Map& map,
                       visual_frontend::LandmarkTracks& tracks) const;
 

@@ -237,6 +237,21 @@ TEST(LoopCloser, RefusesACorrectionThatTheWayDoesNotExplain) {
   EXPECT_EQ(loop.shared(), 0);
 }
 
+TEST(LoopCloser, WhereTheMapIsKnownAnotherPlaceThatLooksAlikeIsNoLoop) {
+  // 0.4 m are within 5 % of the way; but the camera sees what keyframe 1 has seen, 1.3 m from the place's.
+  Loop loop({0.4, 0, 0});
+  for (int k = 0; k < 20; ++k) {
+    const LandmarkId landmark = loop.map.addLandmark({1, 0.2, 0});
+    for (const KeyframeId id : {KeyframeId(1), KeyframeId(4)}) {
+      auto& observations = loop.map.keyframe(id).observations;
+      observations.emplace_back();
+      loop.map.connect(id, static_cast<int>(observations.size()) - 1, landmark);
+    }
+  }
+  EXPECT_EQ(loop.close(), LoopCloser::Outcome::kRefused);
+  EXPECT_NEAR(loop.error(4), 0.4, 1e-9);
+}
+
 TEST(LoopCloser, OfAPoseThatIsRightOnlyTheLandmarksAreJoined) {
   Loop loop(Eigen::Vector3d::Zero());
   EXPECT_EQ(loop.close(), LoopCloser::Outcome::kMerged);

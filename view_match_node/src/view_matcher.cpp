@@ -72,6 +72,9 @@ void ViewMatcher::addKeyframe(const KeyframeView& view) {
 }
 
 void ViewMatcher::setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera) {
+  std::vector<KeyframeId> gone, stay;
+  for (const auto& [name, id] : ids_) (T_ground_camera.count(name) ? stay : gone).push_back(id);
+  for (const KeyframeId id : gone) moveImages(id, stay);
   for (auto it = ids_.begin(); it != ids_.end();) {
     const auto pose = T_ground_camera.find(it->first);
     if (pose != T_ground_camera.end()) {
@@ -79,13 +82,39 @@ void ViewMatcher::setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera)
       ++it;
       continue;
     }
-    const KeyframeId gone = it->second;
+    map_.removeKeyframe(it->second);
+    scenes_.erase(it->second);
+    it = ids_.erase(it);
+  }
+}
+
+// The ground robot replaces keyframes by newer ones of the same view.
+void ViewMatcher::moveImages(KeyframeId gone, const std::vector<KeyframeId>& stay) {
+  constexpr double kShift = 0.5, kTurn = 0.5;  // [m], [rad]; else it is not the same view
+  const Pose& T_ground_gone = map_.keyframe(gone).T_map_camera;
+  std::optional<KeyframeId> nearest;
+  double least = kShift;
+  for (const KeyframeId id : stay) {
+    const Pose& T = map_.keyframe(id).T_map_camera;
+    const double shift = (T.translation() - T_ground_gone.translation()).norm();
+    if (shift >= least || air_ground_common::rotationAngle(T.linear(), T_ground_gone.linear()) > kTurn) continue;
+    least = shift;
+    nearest = id;
+  }
+  if (!nearest) {
     images_.erase(std::remove_if(images_.begin(), images_.end(),
                                  [gone](const RecognisedImage& image) { return image.keyframe == gone; }),
                   images_.end());
-    map_.removeKeyframe(gone);
-    scenes_.erase(gone);
-    it = ids_.erase(it);
+    return;
+  }
+  const Pose T_new_gone = map_.keyframe(*nearest).T_map_camera.inverse() * T_ground_gone;
+  Matrix6d turn = Matrix6d::Zero();
+  turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = T_new_gone.linear();
+  for (RecognisedImage& image : images_) {
+    if (image.keyframe != gone) continue;
+    image.keyframe = *nearest;
+    image.T_keyframe_camera = T_new_gone * image.T_keyframe_camera;
+    image.covariance = turn * image.covariance * turn.transpose();
   }
 }
 
@@ -102,21 +131,28 @@ bool ViewMatcher::recognise(WaitingImage& image) {
   among.min_lead = settings_.min_lead;
   // A metric map is level, as the ground robot's is. Features bear half of the difference that is let through.
   const double elevation = elevationOf(image.T_mav_camera);
-  const KeyframeId first = image.next_keyframe;
+  std::vector<KeyframeId> known;
   double least = std::numeric_limits<double>::infinity();
   for (const auto& [id, keyframe] : map_.keyframes()) {
-    if (id < first) continue;
-    image.next_keyframe = id + 1;
     const double difference = std::abs(elevationOf(keyframe.T_map_camera) - elevation);
+    const bool fits = own_unit_ || difference <= settings_.max_elevation;
+    if (fits) known.push_back(id);
+    if (id < image.next_keyframe) continue;
+    if (fits) among.places.push_back(id);
     least = std::min(least, difference);
-    if (own_unit_ || difference <= settings_.max_elevation) among.places.push_back(id);
   }
+  if (!map_.keyframes().empty()) image.next_keyframe = map_.keyframes().rbegin()->first + 1;
   if (among.places.empty()) {
     if (std::isfinite(least))
       last_reason_ = formatted("the ground robot's images look %.0f degrees higher or lower, or more", least / kDegree);
     return false;
   }
-  const auto match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
+  auto match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
+  if (match.success && known.size() > among.places.size()) {
+    // Of two places that look alike the image may have seen the other one before.
+    among.places = known;
+    match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
+  }
   last_reason_ = match.success ? "" : match.reason;
   if (!match.success) return false;
   RecognisedImage seen{image.stamp,

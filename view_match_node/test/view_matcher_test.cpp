@@ -137,6 +137,52 @@ TEST_F(ViewMatching, ImagesWaitForTheGroundRobotToSeeTheSame) {
   EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
 }
 
+// Two places that look alike, and a keyframe more of the wrong one: it alone has no rival.
+TEST_F(ViewMatching, AnImageOfTwoPlacesIsNotTakenAtTheNextKeyframeOfOne) {
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  const auto addTwins = [&](const Eigen::Vector3d& shift, std::uint32_t first_id) {
+    for (KeyframeView view : groundViews(corner)) {
+      view.T_ground_camera = Eigen::Translation3d(shift) * view.T_ground_camera;
+      view.id += first_id;
+      matcher.addKeyframe(view);
+    }
+  };
+  addTwins({0, 0, 0}, 0);
+  addTwins({6, 0, 0}, 1000);
+  addFlight(corner, matcher);
+  ASSERT_EQ(matcher.estimate().status, MatchStatus::kSearching);
+  addTwins({6.01, 0, 0}, 2000);
+  EXPECT_FALSE(matcher.matchWaiting());
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching) << matcher.estimate().reason;
+}
+
+TEST_F(ViewMatching, ImagesFollowAKeyframeThatIsReplaced) {
+  truth.scale = 1;
+  const Corner corner(3);
+  ViewMatcher matcher({});
+  addGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  const MatchEstimate before = matcher.estimate();
+  ASSERT_EQ(before.status, MatchStatus::kConverged) << before.reason;
+  std::map<std::uint32_t, Pose> poses;
+  for (KeyframeView view : groundViews(corner)) {
+    view.id += 500;
+    view.T_ground_camera = view.T_ground_camera * Pose(Eigen::Translation3d(0.02, 0.01, 0)) *
+                           Pose(Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitY()));
+    matcher.addKeyframe(view);
+    poses[view.id] = view.T_ground_camera;
+  }
+  matcher.setPoses(poses);
+  const MatchEstimate after = matcher.estimate();
+  EXPECT_EQ(after.status, MatchStatus::kConverged) << after.reason;
+  EXPECT_EQ(after.images, before.images);
+  EXPECT_LT((after.T_ground_mav.t - before.T_ground_mav.t).norm(), 1e-3);
+  const auto variance = [](const MatchEstimate& e) { return e.covariance.diagonal().head<3>().sum(); };
+  EXPECT_NEAR(variance(after) / variance(before), 1, 0.02);
+}
+
 TEST_F(ViewMatching, KeyframesThatComeAgainChangeNothing) {
   const Corner corner(1);
   ViewMatcher matcher({});

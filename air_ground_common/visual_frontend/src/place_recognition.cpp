@@ -151,16 +151,10 @@ PlaceMatch verify(const Map& map, const CameraModel& camera, const Keyframe& que
   return result;
 }
 
-/// The best candidates with what their geometric check gave, most descriptor matches first. `matches`: the most that
-/// any had.
-std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera, const Keyframe& query,
-                                      const std::vector<KeyframeId>& places, const PlaceSettings& settings,
-                                      int* matches) {
-  struct Scored {
-    KeyframeId keyframe;
-    std::vector<std::pair<int, int>> matches;
-  };
-  // Most places fall out by a quarter of the descriptors, one way only.
+/// The places by how many of a quarter of the query's descriptors find a partner there, one way only; most first. Most
+/// places fall out by that.
+std::vector<KeyframeId> rankedPlaces(const Map& map, const Keyframe& query, const std::vector<KeyframeId>& places,
+                                     const PlaceSettings& settings) {
   std::vector<std::pair<int, KeyframeId>> coarse;
   const cv::Mat& q = query.orb_descriptors;
   constexpr int kStep = 4;
@@ -177,13 +171,27 @@ std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera,
     coarse.emplace_back(-close, id);
   }
   std::sort(coarse.begin(), coarse.end());
-  if (coarse.size() > static_cast<std::size_t>(2 * settings.max_candidates)) coarse.resize(2 * settings.max_candidates);
+  std::vector<KeyframeId> ranked;
+  for (const auto& [score, id] : coarse) ranked.push_back(id);
+  return ranked;
+}
+
+/// The best candidates with what their geometric check gave, most descriptor matches first, at least `least` of them.
+/// `matches`: the most that any had.
+std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera, const Keyframe& query,
+                                      std::vector<KeyframeId> ranked, int least, const PlaceSettings& settings,
+                                      int* matches) {
+  struct Scored {
+    KeyframeId keyframe;
+    std::vector<std::pair<int, int>> matches;
+  };
+  if (ranked.size() > static_cast<std::size_t>(2 * settings.max_candidates)) ranked.resize(2 * settings.max_candidates);
   std::vector<Scored> scored;
   *matches = 0;
-  for (const auto& [score, id] : coarse) {
+  for (const KeyframeId id : ranked) {
     Scored s{id, matchDescriptors(query.orb_descriptors, map.keyframe(id).orb_descriptors, settings)};
     *matches = std::max(*matches, static_cast<int>(s.matches.size()));
-    if (static_cast<int>(s.matches.size()) >= settings.min_matches) scored.push_back(std::move(s));
+    if (static_cast<int>(s.matches.size()) >= least) scored.push_back(std::move(s));
   }
   std::stable_sort(scored.begin(), scored.end(),
                    [](const Scored& a, const Scored& b) { return a.matches.size() > b.matches.size(); });
@@ -194,7 +202,7 @@ std::vector<PlaceMatch> checkedPlaces(const Map& map, const CameraModel& camera,
   return checked;
 }
 
-PlaceMatch bestOf(std::vector<PlaceMatch>& checked, int matches) {
+PlaceMatch bestOf(std::vector<PlaceMatch> checked, int matches) {
   PlaceMatch best;
   best.reason = "no place has enough matching descriptors";
   best.matches = matches;
@@ -205,13 +213,68 @@ PlaceMatch bestOf(std::vector<PlaceMatch>& checked, int matches) {
   return best;
 }
 
+Pose poseIn(const Map& map, const PlaceMatch& match) {
+  return map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
+}
+
+/// A place where the camera cannot be is none.
+void refuseWhere(const RelocalizationGate& gate, const Map& map, PlaceMatch& m) {
+  if (!m.success) return;
+  const Pose T = poseIn(map, m);
+  const double jump = (T.translation() - gate.T_map_last.translation()).norm();
+  if (jump > gate.max_distance) {
+    m.success = false;
+    m.reason = "a place was recognised, but it is " + std::to_string(jump) + " away and only " +
+               std::to_string(gate.max_distance) + " can lie behind";
+  } else if (gate.up_camera) {
+    const double tilt =
+        std::acos(std::clamp(gate.up_camera->dot(T.linear().transpose() * Eigen::Vector3d::UnitZ()), -1.0, 1.0));
+    if (tilt > gate.max_tilt) {
+      m.success = false;
+      m.reason = "a place was recognised, but gravity contradicts it by " + std::to_string(tilt) + " rad";
+    }
+  }
+}
+
+/// Of what a keyframe sees [map unit]: its landmarks, else its depths; 1 without any.
+double sceneDepth(const Map& map, const Keyframe& keyframe) {
+  double depth = 0;
+  int seen = 0;
+  const Pose T_camera_map = keyframe.T_map_camera.inverse();
+  for (const auto& o : keyframe.observations) {
+    if (o.landmark == kNoLandmark) continue;
+    depth += (T_camera_map * map.landmark(o.landmark).position).z();
+    ++seen;
+  }
+  for (std::size_t i = 0; seen == 0 && i < keyframe.orb_depth.size(); ++i)
+    depth += std::max(0.0, keyframe.orb_depth[i]);
+  if (seen == 0)
+    seen = static_cast<int>(
+        std::count_if(keyframe.orb_depth.begin(), keyframe.orb_depth.end(), [](double z) { return z > 0; }));
+  return seen > 0 && depth > 0 ? depth / seen : 1;
+}
+
+/// The best places among those that do not see what the camera sees at T: neighbours of one place would take all the
+/// candidates, and a twin of it would never be heard.
+std::vector<KeyframeId> elsewhere(const Map& map, const std::vector<KeyframeId>& ranked, const Pose& T, double depth) {
+  constexpr double kSameShift = 0.5, kSameTurn = 0.6;  // of the depth; [rad]
+  std::vector<KeyframeId> others;
+  for (const KeyframeId id : ranked) {
+    const Pose& place = map.keyframe(id).T_map_camera;
+    if ((place.translation() - T.translation()).norm() > kSameShift * depth ||
+        air_ground_common::rotationAngle(place.linear(), T.linear()) > kSameTurn)
+      others.push_back(id);
+  }
+  return others;
+}
+
 }  // namespace
 
 PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query,
                           const std::vector<KeyframeId>& places, const PlaceSettings& settings) {
   int matches = 0;
-  std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
-  return bestOf(checked, matches);
+  const auto ranked = rankedPlaces(map, query, places, settings);
+  return bestOf(checkedPlaces(map, camera, query, ranked, settings.min_matches, settings, &matches), matches);
 }
 
 PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate,
@@ -219,50 +282,30 @@ PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe&
   std::vector<KeyframeId> places = gate.places;
   if (places.empty())
     for (const auto& entry : map.keyframes()) places.push_back(entry.first);
-  int matches = 0;
-  std::vector<PlaceMatch> checked = checkedPlaces(map, camera, query, places, settings, &matches);
-  const auto poseIn = [&](const PlaceMatch& m) {
-    return Pose(map.keyframe(m.keyframe).T_map_camera * m.T_place_query);
-  };
-  for (PlaceMatch& m : checked) {
-    if (!m.success) continue;
-    const Pose T = poseIn(m);
-    const double jump = (T.translation() - gate.T_map_last.translation()).norm();
-    if (jump > gate.max_distance) {
-      m.success = false;
-      m.reason = "a place was recognised, but it is " + std::to_string(jump) + " away and only " +
-                 std::to_string(gate.max_distance) + " can lie behind";
-    } else if (gate.up_camera) {
-      const double tilt =
-          std::acos(std::clamp(gate.up_camera->dot(T.linear().transpose() * Eigen::Vector3d::UnitZ()), -1.0, 1.0));
-      if (tilt > gate.max_tilt) {
-        m.success = false;
-        m.reason = "a place was recognised, but gravity contradicts it by " + std::to_string(tilt) + " rad";
-      }
-    }
-  }
-  // Places that put the camera elsewhere, by more than a fifth of the way to what it sees.
-  std::vector<std::pair<Pose, int>> poses;
-  for (const PlaceMatch& m : checked)
-    if (m.success) poses.emplace_back(poseIn(m), m.inliers);
+  int matches = 0, ignored = 0;
+  const auto ranked = rankedPlaces(map, query, places, settings);
+  auto checked = checkedPlaces(map, camera, query, ranked, settings.min_matches, settings, &matches);
+  for (PlaceMatch& m : checked) refuseWhere(gate, map, m);
   PlaceMatch best = bestOf(checked, matches);
   if (!best.success) return best;
-  const Pose T_best = poseIn(best);
-  double depth = 0;
-  int seen = 0;
-  for (const auto& o : map.keyframe(best.keyframe).observations) {
-    if (o.landmark == kNoLandmark) continue;
-    depth += (map.keyframe(best.keyframe).T_map_camera.inverse() * map.landmark(o.landmark).position).z();
-    ++seen;
+  const Pose T_best = poseIn(map, best);
+  const double depth = sceneDepth(map, map.keyframe(best.keyframe));
+  const int rival = std::max(settings.min_matches, static_cast<int>(best.inliers / gate.min_lead));
+  for (PlaceMatch& m :
+       checkedPlaces(map, camera, query, elsewhere(map, ranked, T_best, depth), rival, settings, &ignored)) {
+    refuseWhere(gate, map, m);
+    checked.push_back(std::move(m));
   }
-  const double elsewhere = seen > 0 ? 0.2 * depth / seen : 0.2;
-  for (const auto& [T, inliers] : poses) {
-    const bool other = (T.translation() - T_best.translation()).norm() > elsewhere ||
-                       air_ground_common::rotationAngle(T.linear(), T_best.linear()) > 0.2;
-    if (!other || best.inliers > gate.min_lead * inliers) continue;
+  // Places that put the camera elsewhere, by more than a fifth of the way to what it sees.
+  for (const PlaceMatch& m : checked) {
+    if (!m.success || best.inliers > gate.min_lead * m.inliers) continue;
+    const Pose T = poseIn(map, m);
+    if ((T.translation() - T_best.translation()).norm() <= 0.2 * depth &&
+        air_ground_common::rotationAngle(T.linear(), T_best.linear()) <= 0.2)
+      continue;
     best.success = false;
-    best.reason =
-        "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(inliers) + " points agree)";
+    best.reason = "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(m.inliers) +
+                  " points agree)";
     break;
   }
   return best;

@@ -295,6 +295,27 @@ TEST(Place, RelocalisesOnlyWhereItCanBe) {
   EXPECT_NE(relocalize(map, camera, query, gate, {}).reason.find("gravity"), std::string::npos);
 }
 
+TEST(Place, NeighboursOfOnePlaceDoNotHideItsTwin) {
+  const CameraModel camera = synthetic::camera();
+  Map map = planeMap(camera, above(0, 0, 2));
+  const auto copy = [&](const Eigen::Vector3d& shift) {
+    Keyframe keyframe = map.keyframe(0);
+    for (Observation& o : keyframe.observations)
+      if (o.landmark != kNoLandmark) o.landmark = map.addLandmark(map.landmark(o.landmark).position + shift);
+    keyframe.T_map_camera.translation() += shift;
+    return keyframe;
+  };
+  for (int k = 0; k < 10; ++k) map.addKeyframe(copy({0.01 * k, 0, 0}));
+  const Pose T = above(0.2, -0.1, 2.1, 0.4);
+  Keyframe query;
+  describeKeyframe(renderPlane(camera, T, planeTexture(), kPlane), camera, {}, query);
+  EXPECT_TRUE(relocalize(map, camera, query, {}, {}).success);
+  map.addKeyframe(copy({3, 0, 0}));
+  const PlaceMatch match = relocalize(map, camera, query, {}, {});
+  EXPECT_FALSE(match.success);
+  EXPECT_NE(match.reason.find("look alike"), std::string::npos) << match.reason;
+}
+
 TEST(Hamming, MatchesBitByBitCount) {
   cv::RNG rng(5);
   cv::Mat a(37, 32, CV_8U), b(53, 32, CV_8U);

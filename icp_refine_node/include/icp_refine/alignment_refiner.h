@@ -67,6 +67,7 @@ struct RefineOutcome {
   bool tracking = false;      ///< started from the last refined pose
   bool seen = false;          ///< agrees with what the images tell
   double view_sigmas = 0;     ///< how far it differs from that
+  bool instead = false;       ///< of the tracked pose, which the coarse alignment contradicted
   bool held = false;          ///< directions that the geometry does not fix are known from the coarse alignment
   HeightCheck heights;
   IcpResult icp;
@@ -99,8 +100,10 @@ class AlignmentRefiner {
   /// What the robots' images tell: tried before the coarse pose. An alignment that agrees with it needs neither
   /// geometry that fixes all directions nor heights that prove it.
   void setViews(const KnownAlignment& views);
-  /// The images tell nothing any more.
-  void forgetViews() { views_.reset(); }
+  /// The images tell nothing any more: nor does a pose stand that rests on them alone.
+  void withdrawViews();
+  /// The height maps tell no place from another any more.
+  void withdrawCoarse() { coarse_known_.reset(); }
   /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
   /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);
@@ -144,8 +147,10 @@ class AlignmentRefiner {
   void countDisagreement(const Eigen::Vector3d& centre);
   RefineOutcome refineTracked(const Cloud& reading, const Eigen::Vector3d& centre);
   void follow(bool from_tracking, RefineOutcome* out);
-  /// Takes what was refined from a guess back, unless an earlier cloud has led to the same place.
-  void demandConfirmation(const Eigen::Vector3d& centre, RefineOutcome* out);
+  /// Farther from the tracked pose than refinements of a right one move.
+  bool leaps(const RefineOutcome& out, const Eigen::Vector3d& centre) const;
+  /// Takes the result back, unless an earlier cloud has led to the same place. `what` it is: for the reason.
+  void demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out);
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
   /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
   RefineOutcome attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged = false);
@@ -165,6 +170,7 @@ class AlignmentRefiner {
       unconfirmed_;  // refined from a guess, with the newest cloud's stamp
   std::optional<KnownAlignment> views_;
   std::optional<Similarity> tracked_;
+  bool rests_on_views_ = false;  ///< the tracked pose: neither geometry nor heights prove it
   ScalePrior scale_;
   Vertical aerial_vertical_, ground_vertical_;
   int rejections_ = 0, disagreements_ = 0;

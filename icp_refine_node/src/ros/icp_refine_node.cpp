@@ -163,6 +163,9 @@ class IcpRefineNode {
   }
 
   void onCoarse(const AlignmentEstimate::ConstPtr& msg) {
+    // Elsewhere it is not known, or the MAV has flown off: that says nothing against what was CONVERGED.
+    if (msg->status == AlignmentEstimate::STATUS_AMBIGUOUS && !msg->guess)
+      return useAlignment(*msg, kCoarse, "coarse alignments", [](Inbox& inbox) { inbox.withdrawCoarse(); });
     if (!isUsable(*msg)) return;
     useAlignment(*msg, kCoarse, "coarse alignments",
                  [&](Inbox& inbox) { inbox.coarse = coarseAlignmentFrom(*msg, inbox.own_unit); });

@@ -74,17 +74,22 @@ void Inbox::reviseMap() {
   aerial_revised = true;
   aerial.clear();
   corrections.reset();
-  withdrawViews();
+  views.reset();
 }
 
 void Inbox::reviseGround() {
   ground_moved = true;
-  withdrawViews();
+  views.reset();
 }
 
 void Inbox::withdrawViews() {
   views_withdrawn = true;
   views.reset();
+}
+
+void Inbox::withdrawCoarse() {
+  coarse_withdrawn = true;
+  coarse.reset();
 }
 
 void Inbox::startGround() {
@@ -196,7 +201,9 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.aerial_vertical) refiner_.setAerialVertical(*inbox.aerial_vertical);
   if (inbox.ground_vertical) refiner_.setGroundVertical(*inbox.ground_vertical);
   if (inbox.coarse) useCoarse(*inbox.coarse);
-  if (inbox.views_withdrawn) refiner_.forgetViews();
+  const bool tracked = refiner_.tracking();
+  if (inbox.coarse_withdrawn) refiner_.withdrawCoarse();
+  if (inbox.views_withdrawn) refiner_.withdrawViews();
   if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
   map_due_ |= inbox.ground && map_.aligned();
@@ -204,7 +211,8 @@ bool RefineWorker::use(Inbox& inbox) {
   // has landed sends none.
   const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && !refiner_.tracking();
   const bool moved = (inbox.ground || inbox.ground_moved) && refiner_.groundHasMoved();
-  return moved || inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
+  const bool lost = tracked && !refiner_.tracking();
+  return lost || moved || inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
 }
 
 // map_mutex_ held, as for the next.

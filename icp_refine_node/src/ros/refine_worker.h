@@ -37,14 +37,14 @@ struct Inbox {
   std::optional<CloudCorrections> corrections;  ///< of the clouds, since each was published
   std::optional<CoarseAlignment> coarse;
   std::optional<KnownAlignment> views;
-  bool views_withdrawn = false;  ///< before `views` came, if they did
+  bool views_withdrawn = false, coarse_withdrawn = false;  ///< before `views`, `coarse` came, if they did
   std::optional<Pose> manual;
   bool own_unit = false;                  ///< the clouds are in the visual map's unit
   std::optional<double> scale_deviation;  ///< relative, as the odometry states it
   std::optional<Vertical> aerial_vertical, ground_vertical;
   bool any() const {
-    return forgets() || aerial_revised || ground_moved || refine || map_subscriber || ground || !aerial.empty() ||
-           corrections || coarse || views || manual;
+    return forgets() || aerial_revised || ground_moved || views_withdrawn || coarse_withdrawn || refine ||
+           map_subscriber || ground || !aerial.empty() || corrections || coarse || views || manual;
   }
   void startMap(bool in_own_unit);
   /// The MAV's calibration has changed: what relates both maps stays about right, the clouds so far do not.
@@ -52,6 +52,7 @@ struct Inbox {
   void startGround();
   void reviseGround();
   void withdrawViews();
+  void withdrawCoarse();
   bool forgets() const { return reset || new_map || new_ground; }
 };
 

@@ -81,7 +81,8 @@ class ViewMatcher {
   void addKeyframe(const KeyframeView& keyframe);
   /// Looks for the images that were not recognised so far in the keyframes that have come since. True: some were.
   bool matchWaiting();
-  /// The map as it stands now: keyframes that it does not name are forgotten, names without keyframe ignored.
+  /// The map as it stands now: keyframes that it does not name are forgotten, and the images recognised there with
+  /// them, unless another one of the same view stays; names without keyframe are ignored.
   void setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera);
   std::size_t keyframes() const { return ids_.size(); }
 
@@ -121,6 +122,8 @@ class ViewMatcher {
   };
   /// In the keyframes from `image.next_keyframe` on.
   bool recognise(WaitingImage& image);
+  /// To the one of the keyframes that stay which has the same view as one that goes, if there is one.
+  void moveImages(visual_frontend::KeyframeId gone, const std::vector<visual_frontend::KeyframeId>& stay);
   void compareDepths(const WaitingImage& image, RecognisedImage& seen) const;
   bool isKnownView(const Pose& T_mav_camera, double distance) const;
   CameraInBoth inBoth(const RecognisedImage& image) const;
