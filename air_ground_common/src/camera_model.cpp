@@ -142,7 +142,8 @@ Eigen::Vector2d undistortNewton(const CameraModel& c, const Eigen::Vector2d& tar
 }
 
 // The radial part alone gives a start inside the range of the model, from which the other terms are a small correction.
-Eigen::Vector2d undistortRational(const CameraModel& c, const Eigen::Vector2d& target) {
+// Not a number where the model sees nothing.
+Eigen::Vector2d undistortFromRadius(const CameraModel& c, const Eigen::Vector2d& target) {
   const double radius = target.norm();
   if (radius < 1e-8) return target;
   const double limit = std::min(std::tan(CameraModel::kMaxHalfAngle), c.max_radius);
@@ -281,9 +282,12 @@ Eigen::Vector2d CameraModel::unproject(const Eigen::Vector2d& pixel) const {
   const Eigen::Vector2d target((pixel.x() - cx) / fx, (pixel.y() - cy) / fy);
   if (!hasDistortion()) return target;
   if (model == DistortionModel::kEquidistant) return undistortEquidistant(*this, target);
-  if (model == DistortionModel::kRationalPolynomial) return undistortRational(*this, target);
-  bool converged = false;
-  return undistortNewton(*this, target, target, &converged);
+  if (model == DistortionModel::kPlumbBob) {
+    bool converged = false;
+    const Eigen::Vector2d n = undistortNewton(*this, target, target, &converged);
+    if (converged && n.norm() <= max_radius) return n;  // else lost, or beyond the fold
+  }
+  return undistortFromRadius(*this, target);
 }
 
 Eigen::Vector3d CameraModel::ray(const Eigen::Vector2d& pixel) const {
@@ -306,10 +310,13 @@ NormalizedNoise CameraModel::normalizedNoise(const Eigen::Vector2d& normalized, 
 
 bool CameraModel::contains(const Eigen::Vector2d& p, double border) const {
   const bool inside = p.x() >= border && p.y() >= border && p.x() <= width - 1 - border && p.y() <= height - 1 - border;
-  if (!inside || model == DistortionModel::kPlumbBob) return inside;
+  if (!inside || (model == DistortionModel::kPlumbBob && !std::isfinite(max_radius))) return inside;
   double derivative = 0;
   const double limit = distortedRadius(*this, std::min(max_radius, std::tan(kMaxHalfAngle)), &derivative);
-  return std::hypot((p.x() - cx) / fx, (p.y() - cy) / fy) + border / std::min(fx, fy) <= limit;
+  const double radius = std::hypot((p.x() - cx) / fx, (p.y() - cy) / fy);
+  if (!(radius + border / std::min(fx, fy) <= limit)) return false;
+  constexpr double kRound = 0.9;  // up to here the terms that are not radial, which bend the rim, do not matter
+  return radius <= kRound * limit || unproject(p).allFinite();
 }
 
 CameraModel CameraModel::scaled(double factor) const {

@@ -351,7 +351,8 @@ Eigen::Vector3f closestOnTriangle(const Eigen::Vector3f& p, const Eigen::Vector3
   const float d3 = ab.dot(bp), d4 = ac.dot(bp);
   if (d3 >= 0 && d4 <= d3) return b;
   const float vc = d1 * d4 - d3 * d2;
-  if (vc <= 0 && d1 >= 0 && d3 <= 0) return a + d1 / (d1 - d3) * ab;
+  // Where a and b are one point, the edges to c tell.
+  if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) return a + d1 / (d1 - d3) * ab;
   const Eigen::Vector3f cp = p - c;
   const float d5 = ab.dot(cp), d6 = ac.dot(cp);
   if (d6 >= 0 && d5 <= d6) return c;
@@ -375,7 +376,7 @@ bool visitTriangle(RTCPointQueryFunctionArguments* args) {
   const Eigen::Vector3i& t = (*query.triangles)[args->primID];
   const auto& v = *query.vertices;
   const float distance = (closestOnTriangle(query.point, v[t[0]], v[t[1]], v[t[2]]) - query.point).norm();
-  if (distance >= query.best) return false;
+  if (!(distance < query.best)) return false;
   query.best = distance;
   args->query->radius = distance;
   return true;

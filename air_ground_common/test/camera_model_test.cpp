@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <Eigen/Geometry>
+#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <opencv2/calib3d.hpp>
@@ -194,6 +196,59 @@ TEST(CameraModel, NothingIsSeenBeyondTheUsableCone) {
   EXPECT_NEAR(folding.max_radius, 1, 0.01);
   EXPECT_TRUE(folding.project({0.98, 0, 1}));
   EXPECT_FALSE(folding.project({1.3, 0, 1}));
+}
+
+// 92 degrees across by its focal length. The radius stops growing at 0.976, where that of the corners is 1.18.
+CameraModel foldingCamera(double p1, double p2) {
+  CameraModel c;
+  c.width = 1280;
+  c.height = 720;
+  c.fx = c.fy = 620;
+  c.cx = 639.5;
+  c.cy = 359.5;
+  c.setDistortion("plumb_bob", {-0.31, 0.105, p1, p2, -0.017});
+  return c;
+}
+
+TEST(CameraModel, NothingIsSeenWherePlumbBobFoldsInsideTheImage) {
+  const CameraModel camera = foldingCamera(0, 0);
+  const auto radiusOf = [&](const Eigen::Vector2d& pixel) {
+    return (pixel - Eigen::Vector2d(camera.cx, camera.cy)).norm() / camera.fx;
+  };
+  EXPECT_FALSE(camera.unproject({0, 0}).allFinite());
+  EXPECT_FALSE(camera.contains({0, 0}));
+  for (int y = 0; y < camera.height; y += 4)
+    for (int x = 0; x < camera.width; x += 4) {
+      const Eigen::Vector2d pixel(x, y), n = camera.unproject(pixel);
+      if (std::abs(radiusOf(pixel) - 0.976) < 1e-3) continue;  // the rim itself
+      ASSERT_EQ(n.allFinite(), radiusOf(pixel) < 0.976) << x << ' ' << y << ": " << n.transpose();
+      ASSERT_EQ(camera.contains(pixel), radiusOf(pixel) < 0.976) << x << ' ' << y;
+      if (!n.allFinite()) continue;
+      const auto seen = camera.project(n.homogeneous());
+      ASSERT_TRUE(seen) << x << ' ' << y;
+      EXPECT_LT((*seen - pixel).norm(), 1e-6) << x << ' ' << y;
+      EXPECT_GT(n.dot(pixel - Eigen::Vector2d(camera.cx, camera.cy)), 0) << x << ' ' << y << " is mirrored";
+    }
+  EXPECT_TRUE(camera.contains({camera.cx, 1}, 1));
+  EXPECT_TRUE(camera.contains({camera.cx + 595, camera.cy}, 10));
+  EXPECT_FALSE(camera.contains({camera.cx + 600, camera.cy}, 10)) << "10 px from the rim";
+}
+
+TEST(CameraModel, WhatItContainsHasARay) {
+  std::vector<CameraModel> cameras = wideCameras();
+  for (const double p : {-8e-3, 8e-3}) cameras.push_back(foldingCamera(p, -0.7 * p));
+  for (const CameraModel& camera : cameras) {
+    int seen = 0;
+    for (int y = 0; y < camera.height; ++y)
+      for (int x = 0; x < camera.width; ++x) {
+        if (!camera.contains({x, y})) continue;
+        const auto pixel = camera.project(camera.unproject({x, y}).homogeneous());
+        ASSERT_TRUE(pixel) << camera.distortionName() << ' ' << x << ' ' << y;
+        ASSERT_LT((*pixel - Eigen::Vector2d(x, y)).norm(), 1e-6) << camera.distortionName() << ' ' << x << ' ' << y;
+        ++seen;
+      }
+    EXPECT_GT(seen, 0.8 * camera.width * camera.height);
+  }
 }
 
 TEST(CameraModel, NoiseOnTheNormalizedPlaneFollowsThePixels) {

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstdio>
 #include <fstream>
 #include <random>
@@ -70,6 +71,25 @@ TEST(Mesh, DistanceAgreesWithTheAnalyticBox) {
     EXPECT_NEAR(scene.distance(p, 100.f), expected, 1e-4f);
   }
   EXPECT_FLOAT_EQ(scene.distance({10, 1, 1}, 2.f), 2.f) << "capped at max_distance";
+}
+
+// Of readers and exporters: two corners in one place make a triangle a line.
+TEST(Mesh, DistanceToTrianglesWithoutArea) {
+  for (const Eigen::Vector3i& corners : {Eigen::Vector3i(0, 0, 1), Eigen::Vector3i(0, 1, 0), Eigen::Vector3i(1, 0, 0),
+                                         Eigen::Vector3i(1, 1, 0), Eigen::Vector3i(1, 0, 1)}) {
+    TriangleMesh line;
+    line.vertices = {{0, 0, 0}, {0, 4, 0}};
+    line.triangles = {corners};
+    const MeshScene scene(line);
+    EXPECT_NEAR(scene.distance({3, 1, 4}, 100), 5, 1e-5f) << corners.transpose() << ": beside";
+    EXPECT_NEAR(scene.distance({3, -4, 0}, 100), 5, 1e-5f) << corners.transpose() << ": before";
+    EXPECT_NEAR(scene.distance({0, 7, 4}, 100), 5, 1e-5f) << corners.transpose() << ": beyond";
+  }
+  TriangleMesh both = box();
+  both.vertices.emplace_back(0.f, 0.f, 4.5f);
+  both.vertices.emplace_back(0.f, 2.f, 4.5f);
+  both.triangles.emplace_back(8, 8, 9);
+  EXPECT_NEAR(MeshScene(both).distance({0.5f, 1.f, 4.f}, 100.f), std::sqrt(0.5f), 1e-5f);
 }
 
 TEST(Mesh, PlyRoundTripKeepsMeshAndLabels) {

@@ -227,9 +227,11 @@ Increment Odometry::Impl::incrementSince(const Pose& T_map_previous) const {
                                     {pose.pose(), pose.result().covariance}, T_base_camera);
   if (settings.increment_covariance != IncrementCovariance::kMonteCarlo) return step;
   std::vector<RayPair> pairs;
-  for (const Feature& f : pose.tracker().features())
-    if (f.age >= 1 && tracks.landmarkIn(map, f.id) != visual_frontend::kNoLandmark)
-      pairs.push_back({camera.unproject(f.previous_pixel), f.normalized});
+  for (const Feature& f : pose.tracker().features()) {
+    if (f.age < 1 || tracks.landmarkIn(map, f.id) == visual_frontend::kNoLandmark) continue;
+    const Eigen::Vector2d previous = camera.unproject(f.previous_pixel);
+    if (previous.allFinite()) pairs.push_back({previous, f.normalized});
+  }
   MonteCarloSettings how;
   how.samples = settings.increment_samples;
   how.seed = settings.seed;

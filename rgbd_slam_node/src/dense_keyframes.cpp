@@ -45,8 +45,10 @@ void DenseKeyframes::recalibrate(const CameraModel& camera) {
     auto points = std::make_shared<Points>(*entry.second);
     for (KeyframeDepth::Point& point : *points) {
       const Eigen::Vector3d p = point.position.cast<double>();
-      if (const auto pixel = camera_.project(p))
-        point.position = (p.z() * camera.unproject(*pixel).homogeneous()).cast<float>();
+      const auto pixel = camera_.project(p);
+      if (!pixel) continue;
+      const Eigen::Vector2d ray = camera.unproject(*pixel);
+      if (ray.allFinite()) point.position = (p.z() * ray.homogeneous()).cast<float>();
     }
     entry.second = std::move(points);
   }

@@ -100,8 +100,9 @@ void DepthSurface::moveRows(const visual_frontend::RollingShutter& shift) {
 void DepthSurface::recalibrate(const CameraModel& before, const CameraModel& better_known) {
   for (Cell& cell : cells_) {
     const auto pixel = before.project(cell.position.cast<double>());
-    if (cell.sigma > 0 && pixel)
-      cell.position = (cell.position.z() * better_known.unproject(*pixel).homogeneous()).cast<float>();
+    if (!(cell.sigma > 0) || !pixel) continue;
+    const Eigen::Vector2d ray = better_known.unproject(*pixel);
+    if (ray.allFinite()) cell.position = (cell.position.z() * ray.homogeneous()).cast<float>();
   }
 }
 

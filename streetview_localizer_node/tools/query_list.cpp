@@ -55,13 +55,7 @@ std::map<std::string, CameraModel> readCameraList(const std::string& path) {
     c.fy = v[1];
     c.cx = v[2];
     c.cy = v[3];
-    if (v.size() == 9) {
-      c.k1 = v[4];
-      c.k2 = v[5];
-      c.p1 = v[6];
-      c.p2 = v[7];
-      c.k3 = v[8];
-    }
+    if (v.size() == 9) c.setDistortion("plumb_bob", {v[4], v[5], v[6], v[7], v[8]});
     if (!(c.fx > 0) || !(c.fy > 0)) throw std::runtime_error(path + ": focal lengths of " + name + " must be positive");
     cameras[name] = c;
   }

@@ -68,8 +68,10 @@ void CalibrationAlignment::followReadout(double readout_time) {
 }
 
 void CalibrationAlignment::recalibrate(const VelocityAt& velocity, Map* map) const {
-  const auto moved = [this](const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized) -> Eigen::Vector2d {
-    return normalized + camera_.unproject(pixel) - camera_before_.unproject(pixel);
+  // A pixel that one of the two does not see keeps its ray: no adjustment takes one that is no number.
+  const auto moved = [this](const Eigen::Vector2d& pixel, const Eigen::Vector2d& normalized) {
+    const Eigen::Vector2d now = normalized + camera_.unproject(pixel) - camera_before_.unproject(pixel);
+    return now.allFinite() ? now : normalized;
   };
   RollingShutter shift(camera_, readout_change_);
   for (const auto& entry : map->keyframes()) {

@@ -407,7 +407,10 @@ const ImagePyramid& FeatureTracker::pyramid() const { return impl_->pyramid; }
 const CameraModel& FeatureTracker::camera() const { return impl_->camera; }
 void FeatureTracker::setCamera(const CameraModel& camera) {
   impl_->camera = camera;
-  for (Feature& f : impl_->features) f.normalized = camera.unproject(f.pixel);
+  for (Feature& f : impl_->features) {
+    const Eigen::Vector2d ray = camera.unproject(f.pixel);
+    if (ray.allFinite()) f.normalized = ray;  // at the rim the better calibration may see nothing
+  }
 }
 const TrackerSettings& FeatureTracker::settings() const { return impl_->settings; }
 double FeatureTracker::lastSurvival() const { return impl_->survival; }

@@ -37,7 +37,7 @@ void KeyframeCovariances::add(KeyframeId id, const Matrix6d& pose_covariance, co
     if (!any || C.topLeftCorner<3, 3>().trace() < best.topLeftCorner<3, 3>().trace()) best = C;
     any = true;
   }
-  if (!any && !covariance_.empty()) best = covariance_.rbegin()->second;
+  if (!any && !covariance_.empty()) best = at(covariance_.rbegin()->first, p, map);
   // The pose takes the landmarks for exact; they err together with the keyframes that made them. Three times the
   // standard deviation makes up for it (normalised errors of simulated runs).
   covariance_[id] = best + 9 * pose_covariance;

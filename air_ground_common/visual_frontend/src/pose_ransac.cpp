@@ -30,7 +30,7 @@ int countInliers(const std::vector<PoseCorrespondence>& correspondences, const P
   if (flags) flags->assign(correspondences.size(), 0);
   int count = 0;
   for (std::size_t i = 0; i < correspondences.size(); ++i) {
-    if (squaredError(correspondences[i], T_camera_map) >= threshold2) continue;
+    if (!(squaredError(correspondences[i], T_camera_map) < threshold2)) continue;
     if (flags) (*flags)[i] = 1;
     ++count;
   }
@@ -210,7 +210,7 @@ class EpipolarConstraints {
   Eigen::Vector3d fit(const Eigen::Vector3d& t, double threshold) const {
     Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
     for (std::size_t i = 0; i < normal.size(); ++i) {
-      if (error(i, t) >= threshold) continue;
+      if (!(error(i, t) < threshold)) continue;
       const double size = uniform() ? t.cross(ray_b[i]).squaredNorm() : std::pow(deviation(i, t) / sigma_, 2);
       A += normal[i] * normal[i].transpose() / std::max(size, 1e-9);
     }
@@ -246,7 +246,7 @@ int depthVotes(const EpipolarConstraints& constraints, const Eigen::Vector3d& t,
                std::vector<double>* parallax) {
   int votes = 0;
   for (std::size_t i = 0; i < constraints.normal.size(); ++i) {
-    if (constraints.error(i, t) >= threshold) continue;
+    if (!(constraints.error(i, t) < threshold)) continue;
     const Eigen::Vector3d &a = constraints.ray_a[i], &b = constraints.ray_b[i];
     const double sine = a.normalized().cross(b.normalized()).norm();
     parallax->push_back(std::asin(std::min(1.0, sine)));

@@ -48,7 +48,10 @@ TEST(KeyframeCovariances, WithoutSharedViewsTheNewestKeyframeCounts) {
   KeyframeCovariances covariances;
   covariances.add(0, diagonal(1, 1), map);
   covariances.add(1, Matrix6d::Zero(), map);
-  EXPECT_NEAR(covariances.at(1, {10, 0, 0}, map)(1, 1), 9, 1e-12);
+  const Matrix6d C = covariances.at(1, {10, 0, 0}, map);
+  EXPECT_NEAR(C(0, 0), 9, 1e-12);
+  EXPECT_NEAR(C(1, 1), 9 + 9 * 100, 1e-9);  // keyframe 0 turns this one, 10 m away, sideways
+  EXPECT_NEAR(C(5, 5), 9, 1e-12);
   covariances.forget(1);
   EXPECT_EQ(covariances.at(1, {10, 0, 0}, map), Matrix6d::Zero());
 }

@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
+#include <algorithm>
+#include <limits>
 
 #include "air_ground_common/linear_algebra.h"
 #include "synthetic.h"
@@ -132,6 +134,20 @@ TEST_P(RansacTest, FindsPoseDespiteOutliersAndNoise) {
 }
 INSTANTIATE_TEST_SUITE_P(Sweep, RansacTest,
                          testing::Combine(testing::Values(0.0, 0.3, 0.5), testing::Values(0.0, 0.5, 1.5)));
+
+TEST(Ransac, WhatIsNoNumberIsNoInlier) {
+  Random random(8);
+  const Pose T = synthetic::randomPose(random);
+  auto c = scene(random, T, 45, 0, 0);
+  for (std::size_t i = 40; i < c.size(); ++i) c[i].normalized.y() = std::numeric_limits<double>::quiet_NaN();
+  for (const PoseResult& r : {ransacPose(c, {}), ransacKnownRotation(c, T.linear(), {})}) {
+    ASSERT_TRUE(r.success) << r.reason;
+    EXPECT_EQ(r.inlier_count, 40);
+    EXPECT_EQ(std::count(r.inliers.begin() + 40, r.inliers.end(), 0), 5);
+    EXPECT_LT(r.rms, 0.1);
+    EXPECT_LT(positionError(r.T_map_camera, T), 1e-3);
+  }
+}
 
 TEST(Ransac, SaysWhyItFails) {
   Random random(4);
@@ -266,6 +282,22 @@ TEST(TranslationDirection, NoMotionHasNoParallax) {
   for (int i = 0; i < 50; ++i) a.emplace_back(random.uniform(-0.5, 0.5), random.uniform(-0.4, 0.4));
   const auto result = translationFromKnownRotation(a, a, Eigen::Matrix3d::Identity(), 1e-3, {});
   EXPECT_TRUE(!result.success || result.median_parallax < 1e-6);
+}
+
+TEST(TranslationDirection, WhatIsNoNumberHasNoParallax) {
+  Random random(11);
+  std::vector<Eigen::Vector2d> a, b;
+  for (int i = 0; i < 85; ++i) {
+    const Eigen::Vector3d p(random.uniform(-1, 1), random.uniform(-1, 1), 3);
+    a.push_back(p.hnormalized());
+    b.push_back((p - Eigen::Vector3d(0.15, 0, 0)).eval().hnormalized());
+    if (i >= 40) b.back().y() = std::numeric_limits<double>::quiet_NaN();
+  }
+  const auto result = translationFromKnownRotation(a, b, Eigen::Matrix3d::Identity(), 1e-3, {});
+  ASSERT_TRUE(result.success) << result.reason;
+  EXPECT_EQ(result.inlier_count, 40);
+  EXPECT_GT(result.t_a_b.x(), 0.99);
+  EXPECT_NEAR(result.median_parallax, 0.05, 0.01);  // 0.15 m at 3 m
 }
 
 }  // namespace

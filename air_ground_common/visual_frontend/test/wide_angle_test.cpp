@@ -6,6 +6,7 @@
 
 #include "synthetic.h"
 #include "visual_frontend/bundle_adjustment.h"
+#include "visual_frontend/calibration_alignment.h"
 #include "visual_frontend/feature_tracker.h"
 #include "visual_frontend/pose_solver.h"
 #include "visual_frontend/triangulation.h"
@@ -174,6 +175,36 @@ TEST(WideAngle, NoFeatureOnTheRimOfTheImageCircle) {
   }
   tracker.track(image);
   EXPECT_GT(tracker.lastSurvival(), 0.9);
+}
+
+TEST(WideAngle, RaysStayWhereABetterCalibrationSeesNothing) {
+  const CameraModel before = fisheye(), after = withRadial(before, -0.02);  // circles of 399 and 383 px
+  const Eigen::Vector2d centre(before.cx, before.cy), rim = centre + 393 * Eigen::Vector2d(0.8, 0.6);
+  Map map;
+  Keyframe keyframe;
+  for (const Eigen::Vector2d& pixel : {Eigen::Vector2d(centre + Eigen::Vector2d(50, 20)), rim}) {
+    Observation o;
+    o.pixel = pixel;
+    o.normalized = before.unproject(pixel);
+    keyframe.observations.push_back(o);
+    keyframe.orb_pixels.push_back(pixel);
+    keyframe.orb_normalized.push_back(o.normalized);
+  }
+  const KeyframeId id = map.addKeyframe(keyframe);
+  const auto still = [](double) { return CameraVelocity{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}; };
+  CalibrationAlignment calibration(before, 0, 0.05, 0);
+  CalibrationEstimate estimate;
+  estimate.error[0] = -0.02;
+  calibration.follow(estimate);
+  calibration.recalibrate(still, &map);
+  const Keyframe& k = map.keyframe(id);
+  ASSERT_TRUE(before.unproject(rim).allFinite() && !after.unproject(rim).allFinite());
+  const Eigen::Vector2d moved = after.unproject(k.observations[0].pixel);
+  for (const Eigen::Vector2d& n : {k.observations[0].normalized, k.orb_normalized[0]})
+    EXPECT_LT((n - moved).norm(), 1e-12);
+  EXPECT_GT((moved - keyframe.observations[0].normalized).norm(), 1e-6);
+  for (const Eigen::Vector2d& n : {k.observations[1].normalized, k.orb_normalized[1]})
+    EXPECT_EQ(n, before.unproject(rim)) << n.transpose();
 }
 
 }  // namespace

@@ -83,9 +83,8 @@ View readView(OGRFeature& row, const std::string& path, const DatabaseLoadOption
   view.camera.width = row.GetFieldAsInteger("width");
   view.camera.height = row.GetFieldAsInteger("height");
   view.camera.fx = real("fx"), view.camera.fy = real("fy"), view.camera.cx = real("cx"), view.camera.cy = real("cy");
-  view.camera.k1 = real("k1"), view.camera.k2 = real("k2"), view.camera.p1 = real("p1"), view.camera.p2 = real("p2"),
-  view.camera.k3 = real("k3");
   try {
+    view.camera.setDistortion("plumb_bob", {real("k1"), real("k2"), real("p1"), real("p2"), real("k3")});
     view.camera.validate();
   } catch (const std::invalid_argument& e) {
     throw std::runtime_error(path + " holds a broken view (" + e.what() + "): build it again");
