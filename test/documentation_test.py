@@ -145,6 +145,7 @@ class Documentation(unittest.TestCase):
     def test_rviz_shows_existing_topics(self):
         aerial, city = arguments('air_ground.launch'), arguments('city.launch')
         shown = {'air_ground.rviz': (aerial['ground_map_frame'], set(aerial.values()) | {'alignment/height_map_air_cloud', 'alignment/height_map_ground_cloud'})}
+        shown['base_station.rviz'] = shown['air_ground.rviz']
         topics = set(city.values()) | {'tracked_magnetometer/path'} | {f'report/{name}_path' for name in ('vo', 'gps', 'truth')}
         shown['city.rviz'] = shown['city_tracking.rviz'] = (city['world_frame'], topics)
         for name, (frame, known) in shown.items():

@@ -4,7 +4,10 @@
 #include <ros/ros.h>
 
 #include <atomic>
+#include <cstdlib>
+#include <filesystem>
 #include <opencv2/imgcodecs.hpp>
+#include <set>
 #include <stdexcept>
 #include <thread>
 
@@ -135,7 +138,7 @@ TEST_F(Shell, ImagesThatWaitTakeNoMoreThanTheQueuesMemory) {
   EXPECT_EQ(shell_->health().counted("images dropped: the queue was full"), 0u);
 }
 
-TEST_F(Shell, SaysWhetherDepthIsMissingOrOutOfStep) {
+TEST_F(Shell, SaysWhetherDepthIsMissingOutOfStepOrOver) {
   std::string reason;
   const auto status = handle_.subscribe<air_ground::VoStatus>(
       "status", 10, [&](const air_ground::VoStatus::ConstPtr& msg) { reason = msg->reason; });
@@ -144,10 +147,53 @@ TEST_F(Shell, SaysWhetherDepthIsMissingOrOutOfStep) {
   start("depth");
   EXPECT_TRUE(publishUntil([&] { return !reason.empty(); }));
   EXPECT_EQ(reason, "no depth image has come on /depth");
-  std_msgs::Header header;
-  header.stamp = ros::Time(90);
-  depth.publish(toMsg(cv::Mat(6, 8, CV_16UC1, cv::Scalar(1500)), "16UC1", header));
-  EXPECT_TRUE(publishUntil([&] { return reason.find("missed by -") != std::string::npos; })) << reason;
+  EXPECT_TRUE(publishUntil([&] {
+    std_msgs::Header header;
+    header.stamp = ros::Time(90 + 0.1 * next_);  // of another clock
+    depth.publish(toMsg(cv::Mat(6, 8, CV_16UC1, cv::Scalar(1500)), "16UC1", header));
+    return reason.find("missed by -") != std::string::npos;
+  })) << reason;
+  EXPECT_TRUE(publishUntil([&] { return reason.find("no depth image has come on /depth for ") == 0; })) << reason;
+}
+
+// Whoever has heard of the map before must not take the new one for it, though a new master knows of no start.
+TEST_F(Shell, EachStartNumbersItsMapsAnew) {
+  std::set<std::uint32_t> ids;
+  for (int i = 0; i < 5; ++i) {
+    ros::NodeHandle("~").deleteParam("starts");
+    start();
+    ids.insert(shell_->mapId());
+    EXPECT_EQ(shell_->mapId() % 10000, 1u);
+  }
+  EXPECT_EQ(ids.size(), 5u);
+}
+
+TEST_F(Shell, InAReplayTheStartsAreCounted) {
+  ros::NodeHandle("~").deleteParam("starts");
+  ros::Time::setNow(ros::Time(5.0));
+  for (const std::uint32_t id : {1, 10001, 20001}) {
+    start();
+    EXPECT_EQ(shell_->mapId(), id);
+  }
+  ros::Time::init();
+}
+
+TEST_F(Shell, AnswersWithThePathFromTheRoot) {
+  const std::string home = testing::TempDir() + "home of this test";
+  std::filesystem::create_directories(home);
+  const char* before = std::getenv("HOME");
+  setenv("HOME", home.c_str(), 1);
+  ASSERT_TRUE(publishUntil([&] { return estimator_.images > 3; }));
+  ros::AsyncSpinner spinner(1);
+  spinner.start();
+  air_ground::SaveMap map;
+  map.request.path = "~/map.ply";
+  ASSERT_TRUE(ros::service::call(ros::this_node::getName() + "/save_map", map));
+  EXPECT_TRUE(map.response.success);
+  EXPECT_NE(map.response.message.find(" written to " + home + "/map.ply"), std::string::npos) << map.response.message;
+  EXPECT_TRUE(std::filesystem::exists(home + "/map.ply"));
+  if (before) setenv("HOME", before, 1);
+  std::filesystem::remove_all(home);
 }
 
 // As image_transport's compressed records depth where it was told to take PNG.
@@ -169,13 +215,14 @@ TEST_F(Shell, TwoStreamsOfAnImuStayOneSequenceWhateverTheThreads) {
   ros::AsyncSpinner spinner(4);
   spinner.start();
   std::atomic<bool> over{false};
+  std::atomic<int> answered{0};
   std::thread user([&] {
     while (!over) {
       std_srvs::Trigger reset;
-      ros::service::call("estimator_shell_test/reset", reset);
+      answered += ros::service::call(ros::this_node::getName() + "/reset", reset);
       air_ground::SaveTrajectory save;
       save.request.path = "/nowhere/at/all.txt";
-      ros::service::call("estimator_shell_test/save_trajectory", save);
+      answered += ros::service::call(ros::this_node::getName() + "/save_trajectory", save);
       ros::WallDuration(0.05).sleep();
     }
   });
@@ -187,6 +234,7 @@ TEST_F(Shell, TwoStreamsOfAnImuStayOneSequenceWhateverTheThreads) {
   user.join();
   spinner.stop();
   shell_->stop();
+  EXPECT_GT(answered, 2);
   EXPECT_GT(estimator_.samples, 500);
   EXPECT_EQ(estimator_.disorder, 0);
 }

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -79,6 +80,34 @@ TEST(WriteCloud, RefusesWhatItCannotWrite) {
   EXPECT_THROW(writeCloud(folder + "empty.ply", {}), std::runtime_error);
   EXPECT_THROW(writeCloud(folder + "cloud.xyz", threePoints()), std::runtime_error);
   EXPECT_THROW(writeCloud("/nonexistent/a.pcd", threePoints()), std::runtime_error);
+}
+
+TEST(AbsolutePath, KnowsTheHomeAndTheWorkingDirectory) {
+  const std::string here = std::filesystem::current_path();
+  const char* home = std::getenv("HOME");
+  const std::string before = home ? home : "/";
+  setenv("HOME", "/home/me", 1);
+  EXPECT_EQ(absolutePath("~/maps/a b.ply"), "/home/me/maps/a b.ply");
+  EXPECT_EQ(absolutePath("~"), "/home/me");
+  EXPECT_EQ(absolutePath("~x/a.ply"), here + "/~x/a.ply");
+  EXPECT_EQ(absolutePath("./maps/../a.ply"), here + "/a.ply");
+  EXPECT_EQ(absolutePath("/tmp/~/a.ply"), "/tmp/~/a.ply");
+  EXPECT_THROW(absolutePath(""), std::runtime_error);
+  unsetenv("HOME");
+  EXPECT_THROW(absolutePath("~/a.ply"), std::runtime_error);
+  EXPECT_EQ(absolutePath("/a.ply"), "/a.ply");
+  setenv("HOME", before.c_str(), 1);
+}
+
+TEST(Autosave, FindsTheHome) {
+  const char* home = std::getenv("HOME");
+  const std::string before = home ? home : "/", folder = testing::TempDir() + "autosave_home";
+  setenv("HOME", folder.c_str(), 1);
+  std::string written;
+  Autosave("~/maps").save("map.ply", [&](const std::string& path) { written = path; });
+  EXPECT_EQ(written.rfind(folder + "/maps/", 0), 0u) << written;
+  setenv("HOME", before.c_str(), 1);
+  std::filesystem::remove_all(folder);
 }
 
 TEST(Autosave, WritesUnderNewNamesAndRefusesAFolderThatIsNone) {

@@ -360,6 +360,18 @@ TEST_F(DenseFusionNodeTest, FlushesByItselfWhenTheInputEnds) {
   EXPECT_GT(clouds, 0);
 }
 
+TEST_F(DenseFusionNodeTest, SaysThatItIsBehind) {
+  bool said = false;  // once a second: a fast machine may be done before
+  for (double start = 2000; start < 4000 && !said; start += 100) {
+    for (int i = 0; i < kFrames; ++i) send(message(i, start, 1));
+    for (int i = 0; i < 2; ++i) send(message(i, start + 60, 1));
+    said = spinUntil([&] { return diagnostics_.message().find("too slow: ") == 0; }, 600);
+  }
+  EXPECT_TRUE(said) << diagnostics_.message();
+  EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::WARN);
+  EXPECT_GT(diagnostics_.counted("lag [s]"), 10);
+}
+
 // A slow disk: a file that cannot be opened until somebody writes into it.
 TEST(MapStore, PointsComeInWhileItWrites) {
   const dense_fusion::NodeSettings settings;

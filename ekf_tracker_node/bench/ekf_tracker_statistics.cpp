@@ -19,6 +19,7 @@ struct Options {
   int runs = 10000, first_seed = 1;
   double outliers = -1;  // share of the fixes; negative: drawn from 0 to 0.4
   bool repeated = false;
+  double gap = 0;  // the camera sees nothing for so long, in mid-flight [s]
   double max_false_start = ek::FilterSettings().max_false_start;
 };
 
@@ -31,7 +32,10 @@ struct Trial {
   double first_lie = 0;  ///< when the covariance first excluded the truth [s]
   bool metric = false;
   double started_after = 0;  ///< time of the first pose since take-off [s]; NaN: never
+  double sure_after = 0;     ///< from the end of the gap until the pose is sure again [s]; NaN: never
 };
+
+constexpr double kGapBegin = 130, kSure = 5;  ///< stamp [s]; largest standard deviation of a sure position [m]
 
 /// Of the squared distance; a right filter passes it once in a million looks.
 double bound() {
@@ -54,28 +58,57 @@ ek::SimulationSettings draw(const Options& o, unsigned seed, double* delay) {
   return s;
 }
 
+/// Neither odometry nor fixes for `gap` seconds; odometry in an unknown unit comes back with another one.
+void blind(double gap, unsigned seed, ek::Simulation* sim) {
+  std::mt19937 random(seed);
+  const double unit = std::exp(2 * std::uniform_real_distribution<double>(0, 1)(random) - 1);
+  const double end = kGapBegin + gap;
+  std::vector<ek::Measurement> fixes;
+  std::vector<bool> outlier;
+  for (std::size_t k = 0; k < sim->fixes.size(); ++k) {
+    if (sim->fixes[k].stamp > kGapBegin && sim->fixes[k].stamp < end) continue;
+    fixes.push_back(sim->fixes[k]);
+    outlier.push_back(sim->outlier[k]);
+  }
+  sim->fixes = fixes;
+  sim->outlier = outlier;
+  for (ek::Increment& i : sim->odometry) {
+    if (i.metric || i.stamp <= kGapBegin) continue;
+    const ek::Vector4d by(unit, unit, unit, 1);
+    i.map_id = 1;
+    i.motion = by.cwiseProduct(i.motion);
+    i.covariance = (by.asDiagonal() * i.covariance * by.asDiagonal()).eval();
+  }
+}
+
 Trial fly(const Options& o, unsigned seed) {
   double delay = 0;
   const ek::SimulationSettings s = draw(o, seed, &delay);
   ek::TrackerSettings settings;
   settings.filter.max_false_start = o.max_false_start;
-  const ek::Simulation sim = ek::simulate(s, settings.filter);
+  ek::Simulation sim = ek::simulate(s, settings.filter);
+  if (o.gap > 0) blind(o.gap, seed, &sim);
   ek::Tracker tracker(settings);
   Trial out;
   out.metric = s.metric;
   std::map<double, ek::Result> last_words;
   std::size_t next = 0;
   const std::size_t every = static_cast<std::size_t>(s.rate);
-  out.error = out.started_after = std::nan("");
+  out.error = out.started_after = out.sure_after = std::nan("");
   for (std::size_t i = 0; i < sim.odometry.size(); ++i) {
+    const double since_gap = sim.odometry[i].stamp - kGapBegin - o.gap;
+    if (since_gap <= 1e-6 && since_gap > 1e-6 - o.gap) continue;
     tracker.addIncrement(sim.odometry[i]);
     for (; next < sim.fixes.size() && sim.fixes[next].stamp + delay <= sim.odometry[i].stamp; ++next)
       tracker.addMeasurement(sim.fixes[next]);
     for (const ek::Outcome& outcome : tracker.popOutcomes()) last_words[outcome.measurement.stamp] = outcome.result;
     if (std::isnan(out.started_after) && tracker.latest()) out.started_after = sim.odometry[i].stamp - sim.stamps[0];
+    const auto estimate = tracker.latest();
+    if (o.gap > 0 && since_gap > 0 && std::isnan(out.sure_after) && estimate &&
+        estimate->covariance.diagonal().head<3>().maxCoeff() < kSure * kSure)
+      out.sure_after = since_gap;
     if (i % every != 0) continue;
     ++out.looks;
-    const auto estimate = tracker.latest();
     if (!estimate) continue;
     ++out.started;
     const ek::Vector4d e = ek::poseError(estimate->pose, sim.truth[i + 1]);
@@ -100,13 +133,12 @@ double upperBound(long seen, long all) {
   return 0.5 * ek::chiSquareQuantile(static_cast<int>(2 * (seen + 1)), 0.95) / static_cast<double>(all);
 }
 
-/// "median / 95 %" of the seconds until the first pose.
-std::string firstPose(const std::vector<Trial>& trials, bool metric, bool clean) {
+/// "median, 95 %" of the seconds until the first pose, or until it is sure again.
+std::string firstPose(const std::vector<Trial>& trials, double Trial::*after, bool metric, bool clean) {
   std::vector<double> seconds;
   for (const Trial& t : trials)
-    if (t.metric == metric && (!clean || t.wrong == 0) && std::isfinite(t.started_after))
-      seconds.push_back(t.started_after);
-  if (seconds.empty()) return "none started";
+    if (t.metric == metric && (!clean || t.wrong == 0) && std::isfinite(t.*after)) seconds.push_back(t.*after);
+  if (seconds.empty()) return "none";
   std::sort(seconds.begin(), seconds.end());
   char text[80];
   std::snprintf(text, sizeof text, "%.1f, %.1f s (%zu flights)", seconds[seconds.size() / 2],
@@ -144,8 +176,13 @@ void report(const Options& o, const std::vector<Trial>& trials) {
               100.0 * static_cast<double>(started) / static_cast<double>(looks), looks, o.runs - long(errors.size()));
   for (const bool metric : {true, false}) {
     const char* unit = metric ? "metric" : "unknown unit";
-    std::printf("| first pose, %s: median, 95 %% | %s | |\n", unit, firstPose(trials, metric, false).c_str());
-    std::printf("| the same, flights without a wrong fix | %s | |\n", firstPose(trials, metric, true).c_str());
+    std::printf("| first pose, %s: median, 95 %% | %s | |\n", unit,
+                firstPose(trials, &Trial::started_after, metric, false).c_str());
+    std::printf("| the same, flights without a wrong fix | %s | |\n",
+                firstPose(trials, &Trial::started_after, metric, true).c_str());
+    if (o.gap > 0)
+      std::printf("| sure again (%.0f m) after the gap, %s: median, 95 %% | %s | |\n", kSure, unit,
+                  firstPose(trials, &Trial::sure_after, metric, false).c_str());
   }
   if (!errors.empty())
     std::printf("| error at the end: median, 99 %%, largest | %.2f, %.2f, %.2f m | |\n", errors[errors.size() / 2],
@@ -163,6 +200,8 @@ int main(int argc, char** argv) {
   app.add_option("--max-false-start", o.max_false_start, "the tracker's parameter");
   app.add_flag("--repeated", o.repeated,
                "the wrong fixes of a flight are off by the same, as before a facade that repeats itself");
+  app.add_option("--gap", o.gap,
+                 "seconds in mid-flight without odometry and fixes; odometry in an unknown unit then has another");
   CLI11_PARSE(app, argc, argv);
 
   std::vector<Trial> trials(static_cast<std::size_t>(o.runs));

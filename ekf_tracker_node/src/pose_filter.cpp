@@ -9,16 +9,12 @@
 #include <string>
 
 #include "air_ground_common/geometry.h"
+#include "state_layout.h"
 
 namespace ekf_tracker {
 namespace {
 
 using air_ground_common::wrapAngle;
-
-enum { kYaw = 3, kScale = 4, kOffset = 5 };
-
-// Of wrong fixes: their share of all, and the heights that they spread over [m].
-constexpr double kWrongShare = 0.5, kWrongFixHeights = 10;
 
 // Rows of the state that a measurement observes; the barometer reads z plus its offset.
 Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> observation(Source source) {
@@ -63,8 +59,6 @@ void readBarometer(const Measurement& m, State* s) {
   s->barometer_known = true;
 }
 
-void symmetrise(Matrix6d* p) { *p = 0.5 * (*p + p->transpose()).eval(); }
-
 }  // namespace
 
 double chiSquareQuantile(int dof, double p) { return boost::math::quantile(boost::math::chi_squared(dof), p); }
@@ -76,11 +70,11 @@ const char* describe(Result result) {
     case Result::kRefusedByGate:
       return "outside the gate";
     case Result::kWaiting:
-      return "kept until the start";
+      return "kept until others agree with it";
     case Result::kNotStarted:
       return "no state to correct yet";
     case Result::kInitialised:
-      return "agreed with one kept before, which starts the filter";
+      return "agreed with those kept before: the filter starts with them, or goes on from them after a gap";
     case Result::kRecovered:
       return "replaced a state that was wrong";
     case Result::kAgreed:
@@ -116,12 +110,6 @@ Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {
 PoseFilter::PoseFilter(const FilterSettings& settings) : settings_(settings) {
   check(settings);
   for (int dof = 1; dof <= 4; ++dof) gates_[dof] = chiSquareQuantile(dof, settings.gate_probability);
-}
-
-int PoseFilter::strongestHypothesis() const {
-  int most = 0;
-  for (const Hypothesis& h : hypotheses_) most = std::max(most, h.state.support);
-  return most;
 }
 
 void PoseFilter::restart(bool metric, double scale_stddev) {
@@ -249,125 +237,6 @@ void PoseFilter::fuse(State* state, const Measurement& m) {
   if (m.source == Source::kFix) ++state->support;
 }
 
-PoseFilter::Hypothesis PoseFilter::hypothesisFrom(const Measurement& fix) const {
-  Hypothesis h;
-  h.anchor = fix.value;
-  h.anchor[3] = wrapAngle(h.anchor[3]);
-  h.anchor_covariance = fix.covariance;
-  h.stamps = {fix.stamp};
-  h.state.support = 1;
-  h.state.scale_known = false;
-  h.state.x << h.anchor, 1, 0;
-  h.state.covariance.setZero();
-  h.state.covariance.topLeftCorner<4, 4>() = fix.covariance;
-  h.state.covariance(kOffset, kOffset) = 1;  // without meaning until the first pressure
-  if (metric_) {
-    h.state.scale_known = true;
-    h.state.x[kScale] = state_ && state_->scale_known ? state_->x[kScale] : 1;
-    h.state.covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
-  } else if (state_ && state_->scale_known) {
-    // Likely the scale is right although the pose is not; solveScale() answers where it is not.
-    h.state.scale_known = true;
-    h.state.x[kScale] = state_->x[kScale];
-    h.state.covariance(kScale, kScale) = std::max(state_->covariance(kScale, kScale),
-                                                  std::pow(settings_.max_initial_scale_stddev * state_->x[kScale], 2));
-  }
-  return h;
-}
-
-// B-III.E: the scale from two global fixes and the odometry between them. The paper divides the two lengths; this is
-// the weighted least-squares factor, which noise does not bias upwards, and whose residual (three degrees of freedom:
-// the direction of travel twice, and the yaw) tells whether the two fixes belong together at all.
-PoseFilter::Solution PoseFilter::solveScale(Hypothesis* h, const Measurement& fix) const {
-  const double length = h->travelled.head<3>().norm();
-  const double ratio = (fix.value.head<3>() - h->anchor.head<3>()).norm() / length;
-  if (!(length > 0) || !std::isfinite(ratio) || ratio <= 0) return Solution::kNone;
-  const MotionJacobians j = motionJacobians(h->anchor, h->travelled, ratio);
-  const Matrix4d s = j.by_state * h->anchor_covariance * j.by_state.transpose() +
-                     j.by_increment * h->travelled_covariance * j.by_increment.transpose() + fix.covariance;
-  const Vector4d& direction = j.by_scale;
-  Vector4d difference = fix.value - move<double>(h->anchor, h->travelled, 0.0);
-  difference[3] = wrapAngle(difference[3]);
-  const Eigen::LLT<Matrix4d> llt(s);
-  const double information = direction.dot(llt.solve(direction));
-  const double scale = direction.dot(llt.solve(difference)) / information;
-  // Too close together, to go by the lengths, for a useful scale: neither for nor against this hypothesis.
-  if (1 / std::sqrt(information) > settings_.max_initial_scale_stddev * ratio) return Solution::kNone;
-  const Vector4d residual = difference - scale * direction;
-  if (residual.dot(llt.solve(residual)) > gates_[3] ||
-      1 / std::sqrt(information) > settings_.max_initial_scale_stddev * scale)
-    return Solution::kContradiction;
-
-  // The joint posterior of pose and scale: from the anchor with a scale that is as good as unknown, moved and
-  // corrected.
-  State& state = h->state;
-  state.x << h->anchor, scale, 0;
-  state.covariance.setZero();
-  state.covariance.topLeftCorner<4, 4>() = h->anchor_covariance;
-  state.covariance(kScale, kScale) = std::pow(10 * scale, 2);
-  state.covariance(kOffset, kOffset) = 1;
-  state.barometer_known = false;
-  state.support = 1;
-  Matrix6d f = Matrix6d::Identity();
-  const MotionJacobians at = motionJacobians(h->anchor, h->travelled, scale);
-  f.topLeftCorner<4, 4>() = at.by_state;
-  f.block<4, 1>(0, kScale) = at.by_scale;
-  state.x.head<4>() = move<double>(h->anchor, h->travelled, scale);
-  state.x[kYaw] = wrapAngle(state.x[kYaw]);
-  state.covariance = f * state.covariance * f.transpose();
-  state.covariance.topLeftCorner<4, 4>() += at.by_increment * h->travelled_covariance * at.by_increment.transpose();
-  symmetrise(&state.covariance);
-  fuse(&state, fix);
-  state.scale_known = true;
-  if (!(state.x[kScale] > 0)) return Solution::kContradiction;
-  // The density of the fix where any scale is as likely that leads to a place within wrong_fix_spread.
-  const double scales = settings_.wrong_fix_spread / direction.head<3>().norm();
-  countAgreement(-0.5 * (residual.dot(llt.solve(residual)) + std::log(s.determinant()) + std::log(information)) -
-                     1.5 * std::log(2 * M_PI) - std::log(scales),
-                 h);
-  return Solution::kFound;
-}
-
-// A fix agreed with a hypothesis: evidence for it is the density that this predicts over that of a wrong fix, which may
-// lie anywhere within wrong_fix_spread, kWrongFixHeights and with any heading. By Wald's inequality the product of such
-// ratios reaches 1 / p with a probability below p while only wrong fixes agree.
-void PoseFilter::countAgreement(double log_density, Hypothesis* h) const {
-  const double room = M_PI * std::pow(settings_.wrong_fix_spread, 2) * kWrongFixHeights * 2 * M_PI;
-  h->log_odds += std::log(1 - kWrongShare) + std::log(room) + log_density;
-}
-
-// The hypothesis that the fix agrees with best, corrected by it; null when it agrees with none.
-PoseFilter::Hypothesis* PoseFilter::correctBestHypothesis(const Measurement& fix) {
-  Hypothesis* supported = nullptr;
-  double best = std::numeric_limits<double>::infinity();
-  for (Hypothesis& h : hypotheses_) {
-    if (!h.state.scale_known) continue;
-    const Outcome o = test(h.state, fix);
-    if (o.result != Result::kFused)
-      h.log_odds += std::log(kWrongShare);
-    else if (o.nis < best)
-      best = o.nis, supported = &h;
-  }
-  if (supported) {
-    const Matrix4d spread = supported->state.covariance.topLeftCorner<4, 4>() + fix.covariance;
-    countAgreement(-0.5 * (best + std::log(spread.determinant())) - 2 * std::log(2 * M_PI), supported);
-    fuse(&supported->state, fix);
-    supported->stamps.push_back(fix.stamp);
-    return supported;
-  }
-  if (metric_) return nullptr;
-  for (Hypothesis& h : hypotheses_) {
-    if (h.state.support > 1) continue;
-    const Solution solution = solveScale(&h, fix);
-    if (solution == Solution::kFound) {
-      h.stamps.push_back(fix.stamp);
-      return &h;
-    }
-    if (solution == Solution::kContradiction && !h.state.scale_known) h.log_odds += std::log(kWrongShare);
-  }
-  return nullptr;
-}
-
 Outcome PoseFilter::unpredicted(const Measurement& m, Result result) const {
   Outcome out;
   out.measurement = m;
@@ -400,6 +269,7 @@ Outcome PoseFilter::correctByPart(const Measurement& m) {
 
 Outcome PoseFilter::correctByFix(const Measurement& m) {
   Outcome out = state_ ? test(*state_, m) : unpredicted(m, Result::kWaiting);
+  if (out.result == Result::kFused && needsAnother(m, out.nis)) out.result = Result::kWaiting;
   if (out.result == Result::kFused) {
     fuse(&*state_, m);
     if (state_->scale_known) {
@@ -409,39 +279,18 @@ Outcome PoseFilter::correctByFix(const Measurement& m) {
   }
   Hypothesis* supported = correctBestHypothesis(m);
   if (!supported) supported = addHypothesis(m);
-  // No contradiction where the scale is all that is missing.
-  const bool only_scale = out.result == Result::kFused;
-  if (!isTrusted(*supported, only_scale)) return out;
+  if (!isTrusted(*supported, out.result)) return out;
   out.joined.assign(supported->stamps.begin(), supported->stamps.end() - 1);
-  if (!only_scale) {
-    out.result = state_ ? Result::kRecovered : Result::kInitialised;
-    ++(state_ ? recoveries_ : starts_);
+  if (out.result == Result::kWaiting) {
+    out.result = Result::kInitialised;
+    ++starts_;
+  } else if (out.result == Result::kRefusedByGate) {
+    out.result = Result::kRecovered;
+    ++recoveries_;
   }
   state_ = supported->state;
   hypotheses_.clear();
   return out;
-}
-
-PoseFilter::Hypothesis* PoseFilter::addHypothesis(const Measurement& fix) {
-  if (static_cast<int>(hypotheses_.size()) >= settings_.max_hypotheses) {
-    // The least plausible goes; among equals the newest, as the oldest has the longest way behind it to give the scale.
-    auto worst = hypotheses_.begin();
-    for (auto h = hypotheses_.begin(); h != hypotheses_.end(); ++h)
-      if (h->log_odds <= worst->log_odds) worst = h;
-    hypotheses_.erase(worst);
-  }
-  hypotheses_.push_back(hypothesisFrom(fix));
-  return &hypotheses_.back();
-}
-
-// Fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior
-// it would keep the localizer from finding out. Two do where wrong ones hardly agree so well by chance; in an unknown
-// unit, where some scale fits many a wrong pair, at least a third confirms it. A state that few fixes support yields to
-// fewer hypotheses.
-bool PoseFilter::isTrusted(const Hypothesis& h, bool only_scale) const {
-  const int to_start = metric_ ? 2 : settings_.unscaled_start_fixes;
-  const int needed = only_scale ? 2 : state_ ? std::min(settings_.recovery_fixes, state_->support + 1) : to_start;
-  return h.state.scale_known && h.state.support >= needed && h.log_odds >= -std::log(settings_.max_false_start);
 }
 
 }  // namespace ekf_tracker

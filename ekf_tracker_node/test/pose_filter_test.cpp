@@ -38,6 +38,22 @@ FilterSettings twoStart() {
   return settings;
 }
 
+Measurement preciseFixAt(const Vector4d& value, double stamp = 0) {
+  Measurement m = fixAt(value, stamp);
+  m.covariance *= 0.01;
+  return m;
+}
+
+// The odometry is silent, as Tracker bridges it with the settings' speed and turn rate.
+void passGap(double seconds, PoseFilter* filter) {
+  Increment gap;
+  gap.gap = true;
+  gap.stamp = seconds;
+  const double moved = 1.5 * seconds, turned = std::min(0.3 * seconds, M_PI / std::sqrt(3.0));
+  gap.covariance = Vector4d(moved, moved, moved, turned).cwiseAbs2().asDiagonal();
+  filter->predict(gap);
+}
+
 // Two fixes at one place start the filter there, with half a fix's covariance.
 void startAt(const Vector4d& pose, PoseFilter* filter) {
   EXPECT_EQ(filter->correct(fixAt(pose)).result, Result::kWaiting);
@@ -156,8 +172,7 @@ TEST(PoseFilter, ASingleFixStartsNothing) {
 TEST(PoseFilter, PreciseFixesNeedNoThird) {
   // Standard deviations of a tenth: two such agree by chance ten thousand times more rarely.
   PoseFilter filter;
-  Measurement fix = fixAt({1, 2, 3, 0.5});
-  fix.covariance *= 0.01;
+  const Measurement fix = preciseFixAt({1, 2, 3, 0.5});
   EXPECT_EQ(filter.correct(fix).result, Result::kWaiting);
   EXPECT_EQ(filter.correct(fix).result, Result::kInitialised);
 }
@@ -203,6 +218,94 @@ TEST(PoseFilter, AFixThatNoneJoinsIsForgotten) {
   filter.predict(step);
   EXPECT_EQ(filter.hypotheses(), 0);
   EXPECT_EQ(filter.correct(fixAt({20, 0, 0, 0})).result, Result::kWaiting);
+}
+
+TEST(PoseFilter, WrongFixAfterAGapIsKeptAside) {
+  PoseFilter filter;
+  filter.correct(preciseFixAt({0, 0, 0, 0}));
+  filter.correct(preciseFixAt({0, 0, 0, 0}));
+  passGap(10, &filter);
+  const State before = filter.state();
+  const Outcome wrong = filter.correct(preciseFixAt({40, 0, 0, 0}, 1));
+  EXPECT_NEAR(wrong.nis, 40 * 40 / 225.0, 0.1);  // far inside the gate
+  EXPECT_EQ(wrong.result, Result::kWaiting);
+  EXPECT_EQ(filter.state().x, before.x);
+  EXPECT_EQ(filter.state().covariance, before.covariance);
+  const Vector4d truth(6, -9, 2, 0.8);
+  EXPECT_EQ(filter.correct(preciseFixAt(truth, 2)).result, Result::kWaiting);
+  EXPECT_EQ(filter.hypotheses(), 2);
+  const Outcome right = filter.correct(preciseFixAt(truth, 3));
+  EXPECT_EQ(right.result, Result::kInitialised);
+  EXPECT_EQ(right.joined, std::vector<double>({2}));
+  EXPECT_LT((filter.state().x.head<4>() - truth).norm(), 0.1);
+}
+
+TEST(PoseFilter, RightFixAfterAGapIsConfirmedByTheNext) {
+  const Vector4d truth(12, -9, 2, 0.8);
+  for (const double gap : {10.0, 60.0}) {
+    PoseFilter filter;
+    filter.correct(preciseFixAt({0, 0, 0, 0}));
+    filter.correct(preciseFixAt({0, 0, 0, 0}));
+    passGap(gap, &filter);
+    EXPECT_EQ(filter.correct(preciseFixAt(truth, 1)).result, Result::kWaiting);
+    EXPECT_GT(filter.state().covariance(0, 0), 200);
+    EXPECT_EQ(filter.correct(preciseFixAt(truth, 2)).result, Result::kInitialised);
+    EXPECT_LT((filter.state().x.head<4>() - truth).norm(), 0.1);
+    EXPECT_LT(filter.state().covariance(0, 0), 0.04);
+    EXPECT_EQ(filter.recoveries(), 0);
+    EXPECT_EQ(filter.correct(preciseFixAt(truth, 3)).result, Result::kFused);
+  }
+}
+
+TEST(PoseFilter, OneFixDoesWhereThePredictionSaysEnough) {
+  // Within metres after a second's silence; at the paper's noise, whose fixes never have the odds of precise ones,
+  // a second after another.
+  PoseFilter precise, noisy(twoStart());
+  precise.correct(preciseFixAt({0, 0, 0, 0}));
+  precise.correct(preciseFixAt({0, 0, 0, 0}));
+  passGap(1, &precise);
+  EXPECT_EQ(precise.correct(preciseFixAt({1.5, -1, 0.5, 0.2})).result, Result::kFused);
+  Measurement fix = fixAt({0, 0, 0, 0});
+  fix.covariance = Vector4d(4.2, 4.3, 3.6, 0.131).cwiseAbs2().asDiagonal();
+  noisy.correct(fix);
+  EXPECT_EQ(noisy.correct(fix).result, Result::kInitialised);
+  fix.value << 14, 14, 0, 0;
+  const Outcome out = noisy.correct(fix);
+  EXPECT_GT(out.nis, 12);
+  EXPECT_EQ(out.result, Result::kFused);
+}
+
+TEST(PoseFilter, WrongFixInANewMapOfUnknownScaleIsKeptAside) {
+  PoseFilter filter;
+  filter.restart(false, 0);
+  const double scale = 2.5;
+  Vector4d q(0, 0, 0, 0.4);
+  const auto fly = [&](bool new_unit) {
+    Increment increment = stepOf({20 / scale, 0, 0, 0.1}, 0.1 / scale);
+    increment.stamp = 10;
+    increment.metric = false;
+    increment.new_unit = new_unit;
+    filter.predict(increment);
+    q = move<double>(q, increment.motion, scale);
+  };
+  for (int i = 0; i < 3; ++i) {
+    filter.correct(preciseFixAt(q));
+    fly(false);
+  }
+  ASSERT_TRUE(filter.started());
+  fly(true);
+  const State before = filter.state();
+  const Outcome wrong = filter.correct(preciseFixAt(Vector4d(before.x.head<4>() + Vector4d(0, 40, 0, 0)), 1));
+  EXPECT_LT(wrong.nis, wrong.gate);
+  EXPECT_EQ(wrong.result, Result::kWaiting);
+  EXPECT_EQ(filter.state().x, before.x);
+  EXPECT_EQ(filter.state().covariance, before.covariance);
+  for (const Result expected : {Result::kWaiting, Result::kWaiting, Result::kInitialised}) {
+    fly(false);
+    EXPECT_EQ(filter.correct(preciseFixAt(q)).result, expected);
+  }
+  EXPECT_LT((filter.state().x.head<4>() - q).norm(), 0.5);
+  EXPECT_NEAR(filter.state().x[4], scale, 0.05);
 }
 
 TEST(PoseFilter, SteadyFilterNeedsThreeAgreeingFixesToGiveUp) {

@@ -23,13 +23,7 @@ double largestSigma(const Eigen::Matrix3d& covariance) {
   return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
 }
 
-/// ICP may move along what its last level finds open in levels before: it is put back where that is known, if it is not
-/// far.
-bool isNearAlongOpen(const KnownAlignment& known, const IcpResult& icp) {
-  constexpr double kMoved = 7.8;  // 95 % of three degrees of freedom, those of height maps
-  return icp.localizability.complete() || squaredSigmasOfMissing(known, icp) < kMoved;
-}
-
+/// ICP may move along what its last level finds open in levels before: it is put back where that is known.
 void hold(const KnownAlignment& known, RefineOutcome& out) {
   if (out.icp.localizability.complete()) return;
   out.T_ground_map_mav_map = heldAt(known, out.icp);

@@ -64,4 +64,9 @@ double squaredSigmasOfMissing(const KnownAlignment& known, const IcpResult& icp)
   return d.dot((missing * C * missing.transpose() + fixed * C * fixed.transpose()).ldlt().solve(d));
 }
 
+bool isNearAlongOpen(const KnownAlignment& known, const IcpResult& icp) {
+  constexpr double kMoved = 7.8;
+  return icp.localizability.complete() || squaredSigmasOfMissing(known, icp) < kMoved;
+}
+
 }  // namespace icp_refine

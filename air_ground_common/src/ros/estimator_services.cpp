@@ -45,16 +45,18 @@ std::size_t EstimatorShell::saveTrajectoryTo(const std::string& path) {
 
 bool EstimatorShell::saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
   return answer(response, [&] {
-    response.points = saveMapTo(request.path);
-    return std::to_string(response.points) + " points in " + settings_.map_frame + " written to " + request.path;
+    const std::string path = absolutePath(request.path);
+    response.points = saveMapTo(path);
+    return std::to_string(response.points) + " points in " + settings_.map_frame + " written to " + path;
   });
 }
 
 bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request,
                                     air_ground::SaveTrajectory::Response& response) {
   return answer(response, [&] {
-    response.poses = saveTrajectoryTo(request.path);
-    return std::to_string(response.poses) + " camera poses in " + settings_.map_frame + " written to " + request.path;
+    const std::string path = absolutePath(request.path);
+    response.poses = saveTrajectoryTo(path);
+    return std::to_string(response.poses) + " camera poses in " + settings_.map_frame + " written to " + path;
   });
 }
 

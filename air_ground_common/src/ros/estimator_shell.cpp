@@ -2,15 +2,15 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <utility>
 
-#include "air_ground_common/ros/parameters.h"
+#include "map_ids.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
 
 constexpr int kOk = 0, kWarn = 1;
-constexpr std::uint32_t kMapsOfOneStart = 10000;
 constexpr double kPatience =
     1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
 
@@ -33,13 +33,6 @@ std::string nameOf(std::uint8_t state) {
     default:
       return "lost";
   }
-}
-
-/// 0, then 1 and so on when the node is started again under the same master.
-std::uint32_t countStart(const ros::NodeHandle& private_handle) {
-  const int starts = private_handle.param(kStartsParameter, 0);
-  private_handle.setParam(kStartsParameter, starts + 1);
-  return static_cast<std::uint32_t>(starts);
 }
 
 /// With `share` of the memory.
@@ -72,8 +65,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       info_topic_(handle.resolveName(names.camera_info)),
       imu_topic_(handle.resolveName(names.imu)),
       assembler_(assemblerSettings(settings, names)) {
-  // A node that is respawned must not give its maps numbers that others know already.
-  map_id_offset_ = kMapsOfOneStart * countStart(private_handle_);
+  map_id_offset_ = mapIdOffset(private_handle_);
   status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
   health_.state(kWarn, "waiting for images");
   health_.expectInput(info_topic_);
@@ -166,6 +158,7 @@ void EstimatorShell::onDepth(const ImageMessage& message) {
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
     if (!gate_.admit(kDepth, message.header().stamp)) return;
+    depth_arrival_ = now();
     addToPairs(message, false);
   }
   queue_changed_.notify_all();
@@ -242,6 +235,10 @@ EstimatorShell::Obstacle EstimatorShell::whyNotReady() const {
       return {
           "no depth image has come on " + depth_topic_,
           "see whether the camera's driver sends depth, and whether the launch argument ground_depth names its topic"};
+    const double silence = now() - depth_arrival_;
+    if (*pairer_->closestMiss() < -kPatience && silence > kPatience)
+      return {"no depth image has come on " + depth_topic_ + " for " + std::to_string(std::lround(silence)) + " s",
+              "see whether the camera's driver still sends depth"};
     return {"no image on " + image_topic_ + " has a depth image on " + depth_topic_ + " within " +
                 std::to_string(settings_.sync_tolerance) + " s; the last one missed by " +
                 std::to_string(*pairer_->closestMiss()) + " s",

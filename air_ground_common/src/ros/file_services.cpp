@@ -1,15 +1,15 @@
 #include "air_ground_common/ros/file_services.h"
 
-#include <ros/console.h>
 #include <ros/this_node.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <filesystem>
-#include <ostream>
+#include <iostream>
 #include <system_error>
 
 #include "air_ground_common/atomic_file.h"
@@ -41,6 +41,15 @@ void writePcd(const std::string& path, const std::vector<CloudPoint>& points, Cl
 
 }  // namespace
 
+std::string absolutePath(const std::string& path) {
+  if (path.empty()) throw std::runtime_error("the path is empty");
+  const bool in_home = path == "~" || path.rfind("~/", 0) == 0;
+  const char* home = std::getenv("HOME");
+  if (in_home && (home == nullptr || *home == '\0'))
+    throw std::runtime_error("the node has no HOME: give a path that begins with / instead of " + path);
+  return std::filesystem::absolute(in_home ? home + path.substr(1) : path).lexically_normal();
+}
+
 void writeCloud(const std::string& path, const std::vector<CloudPoint>& points, CloudFields fields) {
   const auto ends = [&](const std::string& end) {
     return path.size() >= end.size() && path.compare(path.size() - end.size(), end.size(), end) == 0;
@@ -51,8 +60,9 @@ void writeCloud(const std::string& path, const std::vector<CloudPoint>& points, 
   writePly(path, points);
 }
 
-Autosave::Autosave(const std::string& folder) {
-  if (folder.empty()) return;
+Autosave::Autosave(const std::string& given) {
+  if (given.empty()) return;
+  const std::string folder = absolutePath(given);
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error || ::access(folder.c_str(), W_OK | X_OK) != 0)
@@ -72,9 +82,9 @@ void Autosave::save(const std::string& what, const std::function<void(const std:
   try {
     if (std::filesystem::exists(path)) throw std::runtime_error("it is there already");
     save(path);
-    ROS_INFO_STREAM("saved " << path);
+    std::cerr << "saved " << path << std::endl;
   } catch (const std::exception& e) {
-    ROS_WARN_STREAM("not saved, " << path << ": " << e.what());
+    std::cerr << "not saved, " << path << ": " << e.what() << std::endl;
   }
 }
 

@@ -21,6 +21,8 @@ constexpr double kOpening = 60.0;   // of a bag, for the player to begin, before
 constexpr double kSayAgain = 60.0;  // a reason for silence [s]
 constexpr double kClockless = 5.0;  // messages may come before /clock [s, wall clock]
 constexpr double kMasterAnswers = 2.0;  // in this time, or is not waited for [s]
+constexpr double kClocksApart = 5.0;    // stamps from this machine's clock [s]; tf keeps ten
+constexpr std::size_t kApartInARow = 5;
 constexpr std::size_t kMostKinds = 100;
 
 /// /use_sim_time outlives a replay where the master runs on, and leaves live nodes without time. One for the process,
@@ -53,6 +55,12 @@ class ClockWatch {
   std::mutex mutex_;
   ros::WallTime since_, fed_since_, said_;
 };
+
+/// This machine's clock minus the stamp [s]; 0 where that tells nothing: in a replay, and of a stamp that was not set.
+double behindClock(const ros::Time& stamp) {
+  const double t = stamp.toSec();
+  return ros::Time::isSimTime() || t == 0 || t > kEndOfStamps ? 0 : ros::Time::now().toSec() - t;
+}
 
 }  // namespace
 
@@ -149,6 +157,15 @@ void NodeHealth::received(const std::string& topic, const ros::Time& stamp) {
   input.last_stamp = stamp;
   input.last_arrival = ros::WallTime::now();
   input.warned = false;
+  input.behind = behindClock(stamp);
+  input.apart = std::abs(input.behind) > kClocksApart ? input.apart + 1 : 0;
+}
+
+/// Empty: none.
+std::string NodeHealth::Input::clockProblem(const std::string& topic) const {
+  if (!continuous || apart < kApartInARow) return "";
+  return topic + " is stamped " + std::to_string(std::lround(std::abs(behind))) + " s " +
+         (behind > 0 ? "behind" : "ahead of") + " this machine's clock";
 }
 
 void NodeHealth::published() {
@@ -220,6 +237,7 @@ void NodeHealth::watch() {
   if (paused) running_ = now;
   watchInputs(now, paused);
   watchSilence(now, paused);
+  watchClocks(now);
   const std::lock_guard<std::mutex> lock(mutex_);
   watched_ = now;
   clock_ = clock;
@@ -293,6 +311,23 @@ void NodeHealth::watchSilence(const ros::WallTime& now, bool paused) {
   ROS_WARN_STREAM(line);
 }
 
+void NodeHealth::watchClocks(const ros::WallTime& now) {
+  std::vector<std::string> lines;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (auto& [topic, input] : inputs_) {
+      const std::string problem = input.clockProblem(topic);
+      if (problem.empty() || (now - input.last_arrival).toSec() > kSilence) continue;
+      if (!input.told.isZero() && (now - input.told).toSec() < kSayAgain) continue;
+      input.told = now;
+      lines.push_back(problem);
+    }
+  }
+  for (const std::string& line : lines)
+    ROS_WARN_STREAM(line << ": synchronise the clocks (chrony), or see whether the link lags; if a bag is played: "
+                            "/use_sim_time true, and rosbag play --clock");
+}
+
 void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
   const std::lock_guard<std::mutex> lock(mutex_);
   status.summary(static_cast<unsigned char>(level_), line_);
@@ -301,6 +336,12 @@ void NodeHealth::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
       status.summaryf(diagnostic_msgs::DiagnosticStatus::ERROR, "%s; nothing on %s for %.0f s",
                       std::string(status.message).c_str(), topic.c_str(),
                       (ros::WallTime::now() - input.last_arrival).toSec());
+  for (const auto& [topic, input] : inputs_) {
+    const std::string problem = input.clockProblem(topic);
+    if (problem.empty()) continue;
+    status.summaryf(std::max<unsigned char>(status.level, diagnostic_msgs::DiagnosticStatus::WARN), "%s; %s",
+                    std::string(status.message).c_str(), problem.c_str());
+  }
   const double alive = (ros::WallTime::now() - started_).toSec();
   for (const auto& [topic, input] : inputs_) {
     status.addf(topic + " messages", "%zu", input.messages);

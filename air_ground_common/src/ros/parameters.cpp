@@ -2,6 +2,8 @@
 
 #include <ros/param.h>
 
+#include <csignal>
+
 namespace air_ground_common::ros_utils {
 
 void ServerReader::visit(const Parameter& p, ParameterField field) {
@@ -25,6 +27,10 @@ void ServerReader::finish() const {
       throw ParameterError("parameter " + full +
                            " is not one of this node's; see its file in config/ for the names it reads");
   }
+}
+
+void endOnSigterm() {
+  std::signal(SIGTERM, [](int) { ros::requestShutdown(); });  // sets a flag, as roscpp's own handler of SIGINT does
 }
 
 }  // namespace air_ground_common::ros_utils

@@ -98,9 +98,10 @@ class DenseFusionNode {
 
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
     return ros_utils::answer(response, [&] {
+      const std::string path = ros_utils::absolutePath(request.path);
       flushAndWait();
-      response.points = map_.write(request.path);
-      return "wrote " + std::to_string(response.points) + " points to " + request.path;
+      response.points = map_.write(path);
+      return "wrote " + std::to_string(response.points) + " points to " + path;
     });
   }
 
@@ -162,6 +163,7 @@ class DenseFusionNode {
 
   void process(const air_ground::PosedImage& msg) {
     const ros::WallTime start = ros::WallTime::now();
+    health_.value("lag [s]", queue_.lag(msg.header.stamp));
     // A map in the visual frame has no scale and keeps its unit; any other that is not metric will change it.
     const bool own_unit = !msg.metric && msg.header.frame_id == settings_.visual_map_frame;
     if (!msg.metric && !own_unit) {
@@ -199,13 +201,15 @@ class DenseFusionNode {
 
   void sayState(const air_ground::PosedImage& msg) {
     constexpr std::size_t kPoorInARow = 5;
+    constexpr double kMostLag = 10;  // [s]
     const MapperCounters& c = mapper_.counters();
     if (c.depth_maps != good_depth_maps_) {
       good_depth_maps_ = c.depth_maps;
       poor_before_ = c.poor_depth_maps;
     }
     const std::size_t poor = c.poor_depth_maps - poor_before_;
-    const bool bad = poor >= kPoorInARow;
+    const double lag = queue_.lag(msg.header.stamp);
+    const bool bad = poor >= kPoorInARow, late = lag > kMostLag;
     std::ostringstream state;
     if (bad) {
       state << "no depth: the last " << poor << " depth maps are too poor, of a scene " << sceneDistance(msg)
@@ -213,11 +217,13 @@ class DenseFusionNode {
       ROS_WARN_STREAM_THROTTLE(10, "dense fusion has " << state.str());
       state << "; ";
     }
+    if (late)
+      state << "too slow: " << std::lround(lag) << " s behind the newest image; lower image/scale, or raise threads; ";
     state << c.images << " images (" << c.redundant << " hardly moved), " << c.depth_maps << " depth maps ("
           << c.poor_depth_maps << " too poor), " << c.fused << " fused maps (" << c.small_groups
           << " groups too small, map corrected " << c.corrections << " times), " << queue_.imagesWaiting()
           << " images waiting, " << without_scale_ << " without scale ignored";
-    health_.state(bad ? kWarn : kOk, state.str());
+    health_.state(bad || late ? kWarn : kOk, state.str());
   }
 
   static double sceneDistance(const air_ground::PosedImage& msg) {

@@ -1,5 +1,6 @@
 #include "work_queue.h"
 
+#include <algorithm>
 #include <chrono>
 #include <utility>
 
@@ -22,6 +23,7 @@ void WorkQueue::add(const air_ground::PosedImage::ConstPtr& msg) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!gate_.admit(kImages, msg->header.stamp)) return;
+    newest_ = msg->header.stamp.toSec();
     images_.push_back(msg);
     bytes_ += bytesOf(*msg);
     while (images_.size() > most_images_ || (bytes_ > kMaxBytes && images_.size() > 1)) {
@@ -120,6 +122,11 @@ void WorkQueue::done() {
 std::size_t WorkQueue::imagesWaiting() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   return images_.size();
+}
+
+double WorkQueue::lag(const ros::Time& stamp) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return std::max(0.0, newest_ - stamp.toSec());
 }
 
 void WorkQueue::stop() {

@@ -67,6 +67,8 @@ class WorkQueue {
     return true;
   }
   std::size_t imagesWaiting() const;
+  /// How far the newest image is ahead of the one with this stamp [s].
+  double lag(const ros::Time& stamp) const;
 
   void stop();
 
@@ -83,6 +85,7 @@ class WorkQueue {
   std::size_t bytes_ = 0;
   std::shared_ptr<const SparseCloud> sparse_;
   nav_msgs::Path::ConstPtr corrected_;
+  double newest_ = 0;  ///< stamp of an image [s]
   ros::WallTime last_arrival_;
   bool stop_ = false, reset_requested_ = false, flush_requested_ = false, flushing_ = false, flush_due_ = false,
        busy_ = false;

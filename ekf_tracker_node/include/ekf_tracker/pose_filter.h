@@ -65,9 +65,9 @@ struct Measurement {
 enum class Result {
   kFused,
   kRefusedByGate,  ///< outside the gate (a fix then supports or founds a hypothesis)
-  kWaiting,        ///< a fix kept for the start: nothing is known yet
+  kWaiting,        ///< a fix kept until others agree: nothing is known yet, or since a gap too little to judge it by
   kNotStarted,     ///< not a fix, and no state to correct
-  kInitialised,    ///< it agrees with one kept before: the filter starts with both
+  kInitialised,    ///< it agrees with those kept before: the filter starts, or goes on after a gap, with them
   kRecovered,      ///< the fixes of a hypothesis agreed and replaced the state
   // Found by Tracker before the filter sees the measurement:
   kInvalid,     ///< not finite, or no positive definite covariance
@@ -115,7 +115,7 @@ class PoseFilter {
   /// Equations 7 and 8. Symmetric positive definite covariance in and out.
   void predict(const Increment& increment);
 
-  /// Equations 12 and 13 with the gate, or the start (B-III.E), or a step towards recovery.
+  /// Equations 12 and 13 with the gate, or the start (B-III.E; after a gap, too), or a step towards recovery.
   Outcome correct(const Measurement& measurement);
 
   /// Forgets the pose. `metric`, `scale_stddev`: of the odometry to come, which fixes before its first step must know.
@@ -126,7 +126,7 @@ class PoseFilter {
   const State& state() const { return *state_; }
   int recoveries() const { return recoveries_; }
   int starts() const { return starts_; }
-  /// Hypotheses that contradict the state, and fixes the strongest of them holds.
+  /// Hypotheses beside the state, and fixes the strongest of them holds.
   int hypotheses() const { return static_cast<int>(hypotheses_.size()); }
   int strongestHypothesis() const;
 
@@ -154,11 +154,13 @@ class PoseFilter {
   static void fuse(State* state, const Measurement& m);
   enum class Solution { kNone, kContradiction, kFound };
   Solution solveScale(Hypothesis* h, const Measurement& fix) const;
-  void countAgreement(double log_density, Hypothesis* h) const;
+  double logOdds(double log_density) const;
+  double logOdds(const State& state, const Measurement& fix, double nis) const;
+  bool needsAnother(const Measurement& fix, double nis) const;
   Hypothesis* correctBestHypothesis(const Measurement& fix);
   Hypothesis hypothesisFrom(const Measurement& fix) const;
   Hypothesis* addHypothesis(const Measurement& fix);
-  bool isTrusted(const Hypothesis& h, bool only_scale) const;
+  bool isTrusted(const Hypothesis& h, Result latest) const;
   double priorScaleStddev() const;
 
   FilterSettings settings_;

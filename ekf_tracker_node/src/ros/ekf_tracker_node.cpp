@@ -209,10 +209,11 @@ class EkfTrackerNode {
   bool onSave(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response) {
     return ru::answer(response, [&] {
       const auto& trajectory = publisher_.trajectory();
-      air_ground_common::writeTum(request.path, trajectory);
+      const std::string path = ru::absolutePath(request.path);
+      air_ground_common::writeTum(path, trajectory);
       response.poses = trajectory.size();
       return "wrote " + std::to_string(trajectory.size()) + " poses of " + settings_.base_frame + " in " +
-             settings_.world_frame + " to " + request.path;
+             settings_.world_frame + " to " + path;
     });
   }
 

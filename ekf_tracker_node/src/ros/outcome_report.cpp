@@ -26,7 +26,7 @@ void OutcomeReport::publish(const Outcome& o) {
     health_.count("results of earlier measurements revised by later ones");
   else if (o.result == Result::kRecovered || (!isUsed(o.result) && !waits))
     health_.count(std::string(nameOf(source)) + ": " + describe(o.result));
-  if (o.result == Result::kInitialised) ROS_INFO("fixes that agree start the tracker");
+  if (o.result == Result::kInitialised) ROS_INFO("fixes that agree start the tracker, or bring it back after a gap");
   publisher_.publish(o, tracker_);
 }
 

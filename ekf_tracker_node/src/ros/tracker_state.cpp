@@ -38,7 +38,7 @@ void TrackerState::tracking(const PoseEstimate& estimate, double stamp, bool dou
   if (!estimate.scale_known)
     health_.state(1, "the odometry's scale is not known: position is held by fixes alone; " + line);
   else if (doubtful)
-    health_.state(1, "doubtful, refused fixes agree; " + line);
+    health_.state(1, "doubtful, fixes that it does not rest on agree; " + line);
   else
     health_.state(0, line);
 }

@@ -24,6 +24,9 @@ double squaredSigmas(const KnownAlignment& known, const IcpResult& icp);
 /// How far ICP's result has moved from it along the directions that the geometry does not fix, in its sigmas alone.
 double squaredSigmasOfMissing(const KnownAlignment& known, const IcpResult& icp);
 
+/// That it has not moved farther than 95 % of right ones would: with three degrees of freedom, those of height maps.
+bool isNearAlongOpen(const KnownAlignment& known, const IcpResult& icp);
+
 /// ICP's result, moved along these directions to where they are known. To first order no residual changes.
 Similarity heldAt(const KnownAlignment& known, const IcpResult& icp);
 

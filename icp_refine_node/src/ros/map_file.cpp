@@ -18,7 +18,7 @@ MapFile::~MapFile() {
 
 bool MapFile::onSave(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
   return ros_utils::answer(response, [&]() -> std::string {
-    const auto [points, aligned] = write(request.path);
+    const auto [points, aligned] = write(ros_utils::absolutePath(request.path));
     response.points = points;
     return aligned ? "wrote ground and aerial points" : "wrote the ground points alone: no alignment yet";
   });

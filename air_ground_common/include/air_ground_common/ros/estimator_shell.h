@@ -198,6 +198,7 @@ class EstimatorShell {
   std::string calibration_problem_;  ///< of the last one that was refused
   std::string imu_frame_;
   ros::Time newest_image_;
+  double depth_arrival_ = 0;  ///< of the newest depth image, by the clock of the assembler [s]
   bool stop_ = false, reset_requested_ = false;
   std::atomic<double> imu_lead_{0};  ///< of the estimator [s]
 

@@ -10,6 +10,10 @@
 
 namespace air_ground_common::ros_utils {
 
+/// The path from the root, as a shell would take it: `~/` is the home of the node's user, a relative path is below the
+/// node's working directory (~/.ros under roslaunch). Throws std::runtime_error where it is empty or there is no home.
+std::string absolutePath(const std::string& path);
+
 /// By the path's ending: .ply (with colour and `source`) or .pcd (binary, with `fields`). Written through a temporary
 /// file. Throws std::runtime_error, also when there is no point.
 void writeCloud(const std::string& path, const std::vector<CloudPoint>& points,
@@ -41,7 +45,8 @@ class Autosave {
   /// Makes the folder. Throws std::runtime_error when it cannot be written to: better now than at the end.
   explicit Autosave(const std::string& folder);
 
-  /// `save` writes the file whose path it gets, or throws when there is nothing to save, which is said; never throws.
+  /// `save` writes the file whose path it gets, or throws when there is nothing to save. What became of it goes to
+  /// stderr: roscpp's console has ended by then. Never throws.
   void save(const std::string& what, const std::function<void(const std::string&)>& save) const;
 
  private:

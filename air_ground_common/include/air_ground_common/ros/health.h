@@ -45,7 +45,8 @@ class NodeHealth {
   /// `hint`, when not empty, ends the warning if somebody advertises `alternative`: the same data in another form.
   void expectInput(const std::string& resolved_topic, bool continuous = true, const std::string& alternative = "",
                    const std::string& hint = "");
-  /// Call in the callback of an expected input.
+  /// Call in the callback of an expected input. Where the stamps of a continuous one stay more than 5 s away from the
+  /// clock of a live node, a warning says so once a minute: tf would be of no use, and nothing else would tell.
   void received(const std::string& resolved_topic, const ros::Time& stamp);
 
   /// What became of an input that outputs are made from, an image say. While they come and nothing is published for
@@ -77,6 +78,10 @@ class NodeHealth {
     bool warned = false;
     bool continuous = true;
     std::string alternative, hint;
+    double behind = 0;      ///< the clock of this machine, the last stamp [s]
+    std::size_t apart = 0;  ///< messages in a row whose stamps were too far from it
+    ros::WallTime told;     ///< of that
+    std::string clockProblem(const std::string& topic) const;
   };
   struct Counter {
     std::string name;
@@ -99,6 +104,7 @@ class NodeHealth {
   void watch();
   void watchInputs(const ros::WallTime& now, bool paused);
   void watchSilence(const ros::WallTime& now, bool paused);
+  void watchClocks(const ros::WallTime& now);
 
   mutable std::mutex mutex_;
   std::map<std::string, Input> inputs_;

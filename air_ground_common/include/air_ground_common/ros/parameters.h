@@ -53,6 +53,9 @@ int nicenessOf(const Settings&, long) {
   return 0;
 }
 
+/// SIGTERM, as systemd and other supervisors send it, ends the node as SIGINT does: what it has is saved.
+void endOnSigterm();
+
 /// The main program of a node: `run(settings)` makes it and spins, with the niceness of its settings. With
 /// --parameters, prints its parameter file instead.
 template <typename Settings, typename Run>
@@ -60,6 +63,7 @@ int runNode(int argc, char** argv, const std::string& name, const Run& run) {
   if (argc == 2 && std::string(argv[1]) == "--parameters") return std::fputs(yamlFile(Settings()).c_str(), stdout) < 0;
   ros::init(argc, argv, name);
   const ros::NodeHandle keep_alive;  // with the last handle roscpp ends, and the console with it
+  endOnSigterm();
   try {
     const auto settings = readParameters<Settings>(ros::NodeHandle("~"));
     giveWay(nicenessOf(settings, 0));
