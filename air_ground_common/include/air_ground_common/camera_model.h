@@ -64,8 +64,8 @@ struct CameraModel {
   /// As project, with the 2x3 Jacobian d pixel / d p_camera.
   std::optional<Eigen::Vector2d> project(const Eigen::Vector3d& p_camera, Eigen::Matrix<double, 2, 3>* jacobian) const;
 
-  /// Normalised coordinates of a pixel: inverts the distortion by Newton iterations. Not finite where a wide-angle
-  /// model sees nothing (outside the image circle of a fisheye).
+  /// Normalised coordinates of a pixel: inverts the distortion by Newton iterations. Not finite where the model sees
+  /// nothing: outside the image circle of a fisheye, or beyond where a polynomial folds back.
   Eigen::Vector2d unproject(const Eigen::Vector2d& pixel) const;
 
   /// Unit-norm ray through a pixel, in the optical frame; not finite where unproject is not.
@@ -75,7 +75,8 @@ struct CameraModel {
   /// rim (by 1/cos^2 of the angle off the axis, radially).
   NormalizedNoise normalizedNoise(const Eigen::Vector2d& normalized, double pixel_sigma) const;
 
-  /// True when the pixel lies at least `border` pixels inside the image and inside a wide-angle model's image circle.
+  /// True when the pixel lies at least `border` pixels inside the image and inside the circle that the model describes:
+  /// its ray is then finite.
   bool contains(const Eigen::Vector2d& pixel, double border = 0) const;
 
   /// The same camera for an image resized by `factor` (keeps pixel-centre conventions).
