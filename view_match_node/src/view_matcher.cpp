@@ -9,6 +9,7 @@
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
+#include "visual_frontend/keyframe_covariances.h"
 
 namespace view_match {
 namespace {
@@ -108,13 +109,11 @@ void ViewMatcher::moveImages(KeyframeId gone, const std::vector<KeyframeId>& sta
     return;
   }
   const Pose T_new_gone = map_.keyframe(*nearest).T_map_camera.inverse() * T_ground_gone;
-  Matrix6d turn = Matrix6d::Zero();
-  turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = T_new_gone.linear();
   for (RecognisedImage& image : images_) {
     if (image.keyframe != gone) continue;
     image.keyframe = *nearest;
     image.T_keyframe_camera = T_new_gone * image.T_keyframe_camera;
-    image.covariance = turn * image.covariance * turn.transpose();
+    image.covariance = visual_frontend::aboutAxes(T_new_gone.linear(), image.covariance);
   }
 }
 
@@ -257,9 +256,7 @@ CameraInBoth ViewMatcher::inBoth(const RecognisedImage& image) const {
   out.scene = T_ground_keyframe * scenes_.at(image.keyframe);
   out.scale = image.scale;
   out.scale_stddev = image.scale_stddev;
-  Matrix6d turn = Matrix6d::Zero();
-  turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = T_ground_keyframe.linear();
-  out.covariance = turn * image.covariance * turn.transpose();
+  out.covariance = visual_frontend::aboutAxes(T_ground_keyframe.linear(), image.covariance);
   out.covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * image.distance, 2);
   out.covariance.diagonal().tail<3>().array() += std::pow(settings_.systematic_angle, 2);
   return out;

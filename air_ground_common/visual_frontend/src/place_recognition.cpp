@@ -246,11 +246,13 @@ double sceneDepth(const Map& map, const Keyframe& keyframe) {
     depth += (T_camera_map * map.landmark(o.landmark).position).z();
     ++seen;
   }
-  for (std::size_t i = 0; seen == 0 && i < keyframe.orb_depth.size(); ++i)
-    depth += std::max(0.0, keyframe.orb_depth[i]);
-  if (seen == 0)
-    seen = static_cast<int>(
-        std::count_if(keyframe.orb_depth.begin(), keyframe.orb_depth.end(), [](double z) { return z > 0; }));
+  if (seen == 0) {
+    for (const double z : keyframe.orb_depth) {
+      if (!(z > 0)) continue;
+      depth += z;
+      ++seen;
+    }
+  }
   return seen > 0 && depth > 0 ? depth / seen : 1;
 }
 
