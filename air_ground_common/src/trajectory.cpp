@@ -11,6 +11,17 @@
 #include "air_ground_common/statistics.h"
 
 namespace air_ground_common {
+namespace {
+
+const std::string kUnit = "# unit: ", kStamp = "# stamp[s]";  // begins of files that writeTum writes
+
+bool beginsWithUnit(const std::string& path) {
+  std::string line;
+  std::ifstream file(path);
+  return std::getline(file, line) && line.rfind(kUnit, 0) == 0;
+}
+
+}  // namespace
 
 Trajectory readTum(const std::string& path) {
   std::ifstream file(path);
@@ -37,8 +48,9 @@ Trajectory readTum(const std::string& path) {
   return trajectory;
 }
 
-void writeTum(const std::string& path, const Trajectory& trajectory) {
-  const std::string header = "# stamp[s] tx ty tz[m] qx qy qz qw\n";
+void writeTum(const std::string& path, const Trajectory& trajectory, const std::string& unit) {
+  const std::string header =
+      unit.empty() ? kStamp + " tx ty tz[m] qx qy qz qw\n" : kUnit + unit + "\n" + kStamp + " tx ty tz qx qy qz qw\n";
   const auto body = [&](std::ostream& file) {
     file << header << std::fixed << std::setprecision(9);
     for (const auto& p : trajectory) {
@@ -48,7 +60,7 @@ void writeTum(const std::string& path, const Trajectory& trajectory) {
            << ' ' << q.w() << '\n';
     }
   };
-  writeAtomically(path, body, header.substr(0, header.find(' ', 2)));
+  writeAtomically(path, body, beginsWithUnit(path) ? kUnit : kStamp);
 }
 
 std::optional<Pose> poseAt(const Trajectory& trajectory, double stamp, double max_gap) {

@@ -198,6 +198,74 @@ TEST(Conversions, ACameraOfTwelveBitsIsAsBrightAsOneOfEight) {
   EXPECT_EQ(greyFromMsg(*PixelRange().full(boost::make_shared<sensor_msgs::Image>(eight))).at<std::uint8_t>(2, 3), 3);
 }
 
+/// A picture of 96 x 64 pixels whose counts lie evenly between two.
+cv::Mat countsBetween(int low, int high) {
+  cv::Mat pixels(64, 96, CV_16UC1);
+  for (int i = 0; i < 64 * 96; ++i)
+    pixels.at<std::uint16_t>(i / 96, i % 96) =
+        static_cast<std::uint16_t>(low + (i * 7919 % 6144) * (high - low) / 6143);
+  return pixels;
+}
+
+cv::Mat greyThrough(PixelRange* range, const cv::Mat& pixels) {
+  return greyFromMsg(*range->full(boost::make_shared<sensor_msgs::Image>(toMsg(pixels, "mono16", std_msgs::Header()))));
+}
+
+double contrastOf(const cv::Mat& grey) {
+  cv::Scalar mean, deviation;
+  cv::meanStdDev(grey, mean, deviation);
+  return deviation[0];
+}
+
+TEST(Conversions, AThermalCameraShowsWhatItSees) {
+  PixelRange range;
+  const cv::Mat first = greyThrough(&range, countsBetween(7400, 7900));
+  EXPECT_GT(contrastOf(first), 50) << "1.3 when moved up by two bits";
+  // It warms up, and by and by sees more: no leap from image to image, and what it sees stays in the window.
+  cv::Mat pattern = countsBetween(0, 500);
+  double before = cv::mean(first)[0];
+  for (int i = 0; i < 150; ++i) {
+    cv::Mat pixels;
+    pattern.convertTo(pixels, CV_16U, 1 + 0.01 * i, 7400 + 4 * i);
+    const cv::Mat grey = greyThrough(&range, pixels);
+    EXPECT_NEAR(cv::mean(grey)[0], before, 12) << i;
+    EXPECT_GT(contrastOf(grey), 40) << i;
+    before = cv::mean(grey)[0];
+  }
+  // A window that would miss what there is goes there at once.
+  EXPECT_GT(contrastOf(greyThrough(&range, countsBetween(11000, 11500))), 50);
+}
+
+TEST(Conversions, ContrastChangesSlowly) {
+  PixelRange range;
+  cv::Mat grey = greyThrough(&range, countsBetween(100, 3900));
+  EXPECT_EQ(grey.at<std::uint8_t>(0, 0), 100 >> 4) << "as the shift by four bits has it";
+  double contrast = contrastOf(greyThrough(&range, countsBetween(1000, 1400)));
+  EXPECT_LT(contrast, 10);
+  for (int i = 0; i < 100; ++i) {
+    const double now = contrastOf(greyThrough(&range, countsBetween(1000, 1400)));
+    EXPECT_LT(now, 1.06 * contrast + 0.5) << i;
+    contrast = now;
+  }
+  EXPECT_GT(contrast, 50);
+  // An even grey tells nothing; the whole range, when it is there again, does at once.
+  EXPECT_NEAR(greyThrough(&range, cv::Mat(64, 96, CV_16UC1, cv::Scalar(1200))).at<std::uint8_t>(9, 9), 128, 3);
+  for (int i = 0; i < 2; ++i) grey = greyThrough(&range, countsBetween(100, 3900));
+  EXPECT_EQ(grey.at<std::uint8_t>(0, 0), 100 >> 4);
+}
+
+TEST(Conversions, AHotPixelDoesNotDarkenACamera) {
+  PixelRange range, other;
+  cv::Mat pixels = countsBetween(0, 4095);
+  const cv::Mat without = greyThrough(&other, pixels).clone();
+  pixels.at<std::uint16_t>(30, 40) = 65535;
+  for (int i = 0; i < 3; ++i) {
+    const cv::Mat grey = greyThrough(&range, pixels);
+    EXPECT_EQ(grey.at<std::uint8_t>(30, 40), 255) << "the hot one itself is white";
+    EXPECT_LE(cv::countNonZero(grey != without), 1);
+  }
+}
+
 TEST(Conversions, ImagesWhoseSizeIsALieAreRefused) {
   sensor_msgs::Image msg;
   msg.encoding = "mono8";

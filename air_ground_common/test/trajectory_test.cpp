@@ -44,6 +44,27 @@ TEST(Trajectory, TumFileRoundTrip) {
   std::remove(path.c_str());
 }
 
+TEST(Trajectory, AFileSaysWhereItIsNotInMetres) {
+  const std::string path = testing::TempDir() + "trajectory_unit_test.tum";
+  const auto firstLine = [&path] {
+    std::string line;
+    std::ifstream file(path);
+    std::getline(file, line);
+    return line;
+  };
+  writeTum(path, helix(), "the map's own");
+  EXPECT_EQ(firstLine(), "# unit: the map's own");
+  EXPECT_EQ(readTum(path).size(), helix().size());
+  writeTum(path, helix(), "the map's own");  // each over each
+  writeTum(path, helix());
+  EXPECT_EQ(firstLine(), "# stamp[s] tx ty tz[m] qx qy qz qw");
+  writeTum(path, helix(), "the map's own");
+  EXPECT_EQ(firstLine(), "# unit: the map's own");
+  std::ofstream(path) << "# a script\n";
+  EXPECT_THROW(writeTum(path, helix(), "the map's own"), std::runtime_error);
+  std::remove(path.c_str());
+}
+
 TEST(Trajectory, BrokenFilesAreNamedWithTheLine) {
   const std::string path = testing::TempDir() + "trajectory_broken.tum";
   const auto messageFor = [&](const std::string& content) -> std::string {

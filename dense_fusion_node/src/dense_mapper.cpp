@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/text.h"
 #include "sparse_depth.h"
 
 namespace dense_fusion {
@@ -34,6 +35,10 @@ double validShare(const cv::Mat& depth) {
   return static_cast<double>(valid) / static_cast<double>(depth.total());
 }
 
+bool known(double depth_min, double depth_max) {
+  return std::isfinite(depth_min) && std::isfinite(depth_max) && depth_min > 0 && depth_max >= depth_min;
+}
+
 bool sameCalibration(const air_ground_common::CameraModel& a, const air_ground_common::CameraModel& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
          a.model == b.model && a.distortionCoefficients() == b.distortionCoefficients();
@@ -41,7 +46,9 @@ bool sameCalibration(const air_ground_common::CameraModel& a, const air_ground_c
 
 }  // namespace
 
-DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings) { settings_.validate(); }
+DenseMapper::DenseMapper(const MapperSettings& settings) : settings_(settings), reach_{settings.sweep_radius, false} {
+  settings_.validate();
+}
 
 void DenseMapper::reset() {
   unit_ = 1;
@@ -56,6 +63,8 @@ void DenseMapper::forgetViews() {
   sweeping_ = false;
   waiting_range_.reset();
   recent_.clear();
+  spacing_.clear();
+  reach_ = {settings_.sweep_radius, false};
   last_ = {};
   group_.clear();
   carried_over_ = 0;
@@ -88,11 +97,11 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
     return std::nullopt;
   }
   startWaitingSweep();
+  if (!recent_.empty()) spacing_.add(distance(recent_.back().T_map_camera, T_map_camera));
+  reachOut(depth_min, depth_max);
   const Frame frame = rectifier_->rectify(image, stamp, T_map_camera, rows);
   std::optional<FusedMap> fused;
-  const bool joins = sweeping_ && distance(sweep_->reference().T_map_camera, T_map_camera) <= settings_.sweep_radius &&
-                     angle(sweep_->reference().T_map_camera, T_map_camera) <= settings_.max_rotation;
-  if (joins) {
+  if (sweeping_ && joinsSweep(sweep_->reference().T_map_camera, T_map_camera)) {
     counters_.swept += sweep_->add(frame);
   } else {
     if (sweeping_) finishSweep();
@@ -103,6 +112,25 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   if (recent_.size() > kRecentFrames) recent_.pop_front();
   if (!fused) startWaitingSweep();  // else it would only delay the map
   return inPosesUnit(std::move(fused));
+}
+
+void DenseMapper::reachOut(double depth_min, double depth_max) {
+  scene_distance_ = known(depth_min, depth_max) ? std::sqrt(depth_min * depth_max)
+                                                : std::sqrt(settings_.default_depth_min * settings_.default_depth_max);
+  reach_ = sweepReach(settings_.sweep_radius, spacing_.typical(), settings_.max_baseline * scene_distance_);
+}
+
+bool DenseMapper::joinsSweep(const Eigen::Isometry3d& T_map_reference, const Eigen::Isometry3d& T_map_camera) const {
+  return distance(T_map_reference, T_map_camera) <= reach_.radius &&
+         angle(T_map_reference, T_map_camera) <= settings_.max_rotation;
+}
+
+std::string DenseMapper::whyPoor(const std::string& unit) const {
+  const std::string scene =
+      air_ground_common::formatted("of a scene %.3g%s away: ", scene_distance_ / unit_, unit.c_str());
+  if (!reach_.few) return scene + "too little texture or parallax, or poses that are off";
+  return air_ground_common::formatted("images are %.2g%s apart, ", spacing_.typical() / unit_, unit.c_str()) + scene +
+         "too far to tell its depth; fly slower or raise the frame rate";
 }
 
 RowMotion DenseMapper::rowMotion(double readout_time, std::int64_t stamp, const Eigen::Isometry3d& T_map_camera,
@@ -143,13 +171,13 @@ std::optional<FusedMap> DenseMapper::followMetricDistance(double scene_distance)
 CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
   // Depth rests on baselines of the sweep's radius: where they have changed among each other, it was off.
   constexpr double kBent = 0.02;
-  const double radius = settings_.fusion_radius / unit_, most = kBent * settings_.sweep_radius / unit_;
+  const double radius = settings_.fusion_radius / unit_, most = kBent * settings_.sweep_radius / unit_;  // as set
   constexpr std::size_t kNewerOnes = 3;  // until then a poor map is better than none
   CloudCorrections since;
   std::size_t newer = made_.size();
   for (auto& [stamp, made] : made_) {
-    const auto [S, residual] = air_ground_common::localCorrection(poses_, now, made.place, radius);
-    made.bent = made.bent || residual > most;
+    const auto [S, residual] = air_ground_common::localCorrection(poses_, now, made.place, made.growth * radius);
+    made.bent = made.bent || residual > made.growth * most;
     --newer;
     if (!made.T_now_returned || (made.bent && newer >= kNewerOnes)) {
       since[stamp] = made.T_now_returned = std::nullopt;
@@ -159,9 +187,8 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
     made.place = S * made.place;
     since[stamp] = S;
   }
-  followHere(
-      now,
-      air_ground_common::localCorrection(poses_, now, last_.T_map_camera.translation() / unit_, radius).T_now_then);
+  const Eigen::Vector3d here = last_.T_map_camera.translation() / unit_;
+  followHere(now, air_ground_common::localCorrection(poses_, now, here, growth() * radius).T_now_then);
   for (auto& [stamp, T] : poses_)
     if (const auto known = air_ground_common::poseOfImage(now, stamp)) T = *known;
   corrected_ = now;
@@ -219,21 +246,19 @@ void DenseMapper::startWaitingSweep() {
   if (!waiting_range_) return;
   const auto [depth_min, depth_max] = *waiting_range_;
   waiting_range_.reset();
-  const bool known = std::isfinite(depth_min) && std::isfinite(depth_max) && depth_min > 0 && depth_max >= depth_min;
-  const double near = known ? depth_min / settings_.near_margin : settings_.default_depth_min;
-  const double far = known ? depth_max * settings_.far_margin : settings_.default_depth_max;
+  const bool told = known(depth_min, depth_max);
+  const double near = told ? depth_min / settings_.near_margin : settings_.default_depth_min;
+  const double far = told ? depth_max * settings_.far_margin : settings_.default_depth_max;
   const Frame& reference = recent_.back();
   sweep_->start(reference, near, std::max(far, near * 1.01));
   sweeping_ = true;
   // Frames from before the reference count as much as those after it: the baseline doubles.
   for (auto frame = recent_.begin(); frame != recent_.end() - 1; ++frame)
-    if (distance(frame->T_map_camera, reference.T_map_camera) <= settings_.sweep_radius &&
-        angle(frame->T_map_camera, reference.T_map_camera) <= settings_.max_rotation)
-      counters_.swept += sweep_->add(*frame);
+    if (joinsSweep(reference.T_map_camera, frame->T_map_camera)) counters_.swept += sweep_->add(*frame);
 }
 
 void DenseMapper::finishSweep() {
-  DepthMap map = sweep_->depthMap();
+  DepthMap map = sweep_->depthMap(reach_.few);
   sweeping_ = false;
   if (validShare(map.depth) < settings_.min_valid) {
     ++counters_.poor_depth_maps;
@@ -250,8 +275,9 @@ void DenseMapper::finishSweep() {
 // Told by where the next depth map begins: its end would come later.
 bool DenseMapper::endsGroup(const Eigen::Isometry3d& T_map_reference) const {
   constexpr std::size_t kMaxGroup = 255;
-  return !group_.empty() && (distance(group_.front().T_map_camera, T_map_reference) > settings_.fusion_radius ||
-                             group_.size() >= kMaxGroup);
+  return !group_.empty() &&
+         (distance(group_.front().T_map_camera, T_map_reference) > growth() * settings_.fusion_radius ||
+          group_.size() >= kMaxGroup);
 }
 
 std::optional<FusedMap> DenseMapper::fuseGroup() {
@@ -279,7 +305,8 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
     if (fused) {
       ++counters_.fused;
       fused->newest_image = recent_.back().stamp;
-      made_[fused->depth_map.stamp] = {fused->depth_map.T_map_camera.translation() / unit_, Similarity(), false};
+      made_[fused->depth_map.stamp] = {fused->depth_map.T_map_camera.translation() / unit_, Similarity(), false,
+                                       growth()};
       if (made_.size() > air_ground_common::kFollowedClouds) made_.erase(made_.begin());
     }
   } else {
@@ -287,7 +314,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
   }
   const Eigen::Isometry3d last = group.back().T_map_camera;
   for (DepthMap& map : group)
-    if (distance(map.T_map_camera, last) < settings_.overlap) group_.push_back(std::move(map));
+    if (distance(map.T_map_camera, last) < growth() * settings_.overlap) group_.push_back(std::move(map));
   carried_over_ = group_.size();
   return fused;
 }

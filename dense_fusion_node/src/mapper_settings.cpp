@@ -12,6 +12,9 @@ void describe(air_ground_common::ParameterVisitor& v, MapperSettings& m) {
     "being so far away; of metric images beyond three times that, they grow with the scene's distance");
   v("view_selection/sweep_radius", m.sweep_radius, {0.005, 100}, "m",
     "frames this near to the reference view join its depth map (paper: 0.12)");
+  v("view_selection/max_baseline", m.max_baseline, {0, 1}, "",
+    "where images lie so far apart that fewer than 2.5 fit in sweep_radius, this and fusion_radius grow until 3.5 do, "
+    "up to this share of the scene's distance; 0: they stay as set");
   v("view_selection/frame_spacing", m.frame_spacing, {0, 100}, "m",
     "frames nearer than this to the one before add nothing and are left out; below sweep_radius");
   v("view_selection/max_rotation", m.max_rotation, {0.05, 3.2}, "rad",

@@ -14,8 +14,10 @@
 namespace dense_fusion {
 namespace {
 
-constexpr double kBorder = 0.5;  // samples stay this far inside the image [px]
-constexpr int kStrip = 96;       // columns worked on at once, at most
+constexpr double kBorder = 0.5;    // samples stay this far inside the image [px]
+constexpr int kStrip = 96;         // columns worked on at once, at most
+constexpr int kFewSamples = 2;     // of a pixel where frames lie far apart ...
+constexpr double kFewRatio = 0.7;  // ... whose best cost must then be this share of max_peak_ratio
 
 kernels::RowOfFrame rowOfFrame(const Eigen::Matrix3d& H, const Eigen::Vector3d& b, int y) {
   return {{float(H(0, 1) * y + H(0, 2)), float(H(1, 1) * y + H(1, 2)), float(H(2, 1) * y + H(2, 2))},
@@ -137,14 +139,14 @@ void PlaneSweep::sumCosts(int y, const Strip& strip, CostRow* row) const {
   }
 }
 
-void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width,
-                             DepthMap* map, cv::Mat* cost) const {
+void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own,
+                             const Judgement& judgement, DepthMap* map, cv::Mat* cost) const {
   const int D = settings_.hypotheses;
   float* depth = map->depth.ptr<float>(y) + strip.begin;
   float* confidence = map->confidence.ptr<float>(y) + strip.begin;
   const double rho_step = (static_cast<double>(inverse_depth_.back()) - inverse_depth_.front()) / (D - 1);
   // Least-squares parabola c0 + c1 k + c2 k^2 over k = -w..w: closed form from the moments of k.
-  const int w = half_width;
+  const int w = judgement.half_width;
   double m2 = 0, m4 = 0;
   for (int k = -w; k <= w; ++k) {
     m2 += k * k;
@@ -152,9 +154,12 @@ void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, 
   }
   const double n_fit = 2 * w + 1, determinant = n_fit * m4 - m2 * m2;
   for (int i = 0; i < strip.end - strip.begin; ++i) {
-    if (own.samples[i + settings_.aggregation_radius] < settings_.min_samples) continue;
+    const int frames = own.samples[i + settings_.aggregation_radius];
+    if (frames < judgement.least_samples) continue;
     const int d = winners.index[i];
-    const double best = winners.best[i], limit = settings_.max_peak_ratio * winners.second[i];
+    const double ratio =
+        frames < settings_.min_samples ? kFewRatio * settings_.max_peak_ratio : settings_.max_peak_ratio;
+    const double best = winners.best[i], limit = ratio * winners.second[i];
     if (d < w || d + w >= D || !(best < limit)) continue;
     double s0 = 0, s1 = 0, s2 = 0;
     for (int k = -w; k <= w; ++k) {
@@ -183,7 +188,7 @@ void PlaneSweep::estimateRow(int y, const Strip& strip, const Winners& winners, 
 
 // Rows [first, last) of a strip, one after the other: a window's columns are those of the row before, with one row more
 // and one less.
-void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map,
+void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, const Judgement& judgement, DepthMap* map,
                             cv::Mat* cost) const {
   const int height = camera_.height, D = settings_.hypotheses, r = settings_.aggregation_radius;
   const int slab = D * strip.stride, n = (strip.end - strip.begin + 15) / 16 * 16;  // whole vectors
@@ -207,9 +212,9 @@ void PlaneSweep::sweepStrip(const Strip& strip, int first, int last, int half_wi
     slide(y + r, y == first ? -1 : y - r - 1);
     kernels::boxRows(column.data(), D, strip.stride, n, r, winners.cost.data());
     kernels::boxRows(count.data(), 1, strip.stride, n, r, winners.samples.data());
-    kernels::winnerTakesAll(winners.cost.data(), D, strip.stride, n, 2 * half_width, winners.best.data(),
+    kernels::winnerTakesAll(winners.cost.data(), D, strip.stride, n, 2 * judgement.half_width, winners.best.data(),
                             winners.index.data(), winners.second.data());
-    estimateRow(y, strip, winners, rowAt(y), half_width, map, cost);
+    estimateRow(y, strip, winners, rowAt(y), judgement, map, cost);
   }
 }
 
@@ -244,7 +249,7 @@ double PlaneSweep::costAround(int x, int y, float rho) const {
   return sum;
 }
 
-DepthMap PlaneSweep::depthMap() const {
+DepthMap PlaneSweep::depthMap(bool few) const {
   if (!started_) throw std::logic_error("plane sweep: depthMap() before start()");
   const int width = camera_.width, height = camera_.height, D = settings_.hypotheses;
   DepthMap map;
@@ -258,7 +263,8 @@ DepthMap PlaneSweep::depthMap() const {
   if (parallax() < settings_.min_parallax) return map;
   // The cost is near-quadratic within half a pixel of its minimum; fit over that range.
   const double per_hypothesis = parallax() / (D - 1);
-  const int half_width = std::clamp(static_cast<int>(std::lround(0.5 / per_hypothesis)), 1, D / 10);
+  const Judgement judgement{std::clamp(static_cast<int>(std::lround(0.5 / per_hypothesis)), 1, D / 10),
+                            few ? std::min(kFewSamples, settings_.min_samples) : settings_.min_samples};
   const int bands = settings_.threads, band = (height + bands - 1) / bands;
   const int strips = (width + kStrip - 1) / kStrip, columns = (width + strips - 1) / strips;
   cv::Mat cost(height, width, CV_32F);
@@ -269,7 +275,7 @@ DepthMap PlaneSweep::depthMap() const {
       failure.guard([&] {
         const int begin = std::min(width, s * columns), end = std::min(width, begin + columns);
         const int stride = kernels::costStride(end - begin + 2 * settings_.aggregation_radius);
-        sweepStrip({begin, end, stride}, b * band, std::min(height, (b + 1) * band), half_width, &map, &cost);
+        sweepStrip({begin, end, stride}, b * band, std::min(height, (b + 1) * band), judgement, &map, &cost);
       });
   failure.rethrow();
   chooseSurfaces(cost, &map);

@@ -364,38 +364,4 @@ void FftCost::compute(const HeightMap& turned, double yaw, const CostSettings& s
   impl_->release(*size, std::move(workspace));
 }
 
-CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground,
-                        const CostSettings& settings) {
-  CostMinimum best;
-  float lowest = std::numeric_limits<float>::infinity(), highest = 0;
-  for (float c : map.cost) {
-    if (!std::isfinite(c)) continue;
-    lowest = std::min(lowest, c);
-    highest = std::max(highest, c);
-  }
-  if (!std::isfinite(lowest)) return best;
-  const float bound = lowest + 1e-4f * highest + 1e-9f;
-  for (int row = 0; row < map.height; ++row) {
-    for (int column = 0; column < map.width; ++column) {
-      if (map.at(row, column) > bound) continue;
-      const PlanarPose pose = map.pose(row, column);
-      // The map is turned already and its pivot is its origin.
-      const Zmssd value = zmssdReference(turned, ground, Eigen::Vector2d::Zero(), {pose.x, pose.y, 0}, settings);
-      if (value.score < best.zmssd.score) best = {row, column, pose, pose, value};
-    }
-  }
-  const auto vertex = [&](float before, float after) {
-    const double centre = best.zmssd.score, bend = before - 2 * centre + after;
-    if (!std::isfinite(bend) || bend <= 0) return 0.0;
-    return std::clamp(0.5 * (before - after) / bend, -0.5, 0.5);
-  };
-  if (best.column > 0 && best.column + 1 < map.width) {
-    best.subcell.x += map.resolution * vertex(map.at(best.row, best.column - 1), map.at(best.row, best.column + 1));
-  }
-  if (best.row > 0 && best.row + 1 < map.height) {
-    best.subcell.y += map.resolution * vertex(map.at(best.row - 1, best.column), map.at(best.row + 1, best.column));
-  }
-  return best;
-}
-
 }  // namespace heightmap_mcl

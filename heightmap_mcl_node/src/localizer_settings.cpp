@@ -31,8 +31,8 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
       "mode", s.mode, {{"search", Mode::kSearch}, {"paper", Mode::kPaper}},
       "search: every cloud is searched for in the whole map, and the particles say when to believe it. paper: the "
       "particles alone after the first cloud, their mean is the estimate; sets tops highest, accumulate and "
-      "verify 1, merge highest, unknown_weight and min_explained 0, min_maps 4, both sigmas 0.08 and the overlap to "
-      "that of the aerial map's cells");
+      "verify 1, merge highest, unknown_weight, min_explained, edge_width and mixture_ratio 0, min_maps 4, both sigmas "
+      "0.08 and the overlap to that of the aerial map's cells");
 
   v.section("Height maps (VI-A)");
   HeightMapSettings& air = s.air_map;

@@ -210,26 +210,6 @@ TEST_P(FftMatchesReference, AtEveryOffset) {
 }
 INSTANTIATE_TEST_SUITE_P(Seeds, FftMatchesReference, ::testing::Range(0, 10));
 
-TEST(Fft, MinimumIsTheReferenceArgmin) {
-  const auto ground = randomMap(83, 59, 4, 0.2), air = randomMap(29, 33, 5, 0.2);
-  auto turned = air;
-  turned.origin_x = turned.origin_y = 0;
-  const CostSettings settings{0.5, 0};
-  const auto map = FftCost(ground)(turned, 0, settings);
-  const auto minimum = findMinimum(map, turned, ground, settings);
-  double best = kInfinity;
-  int row = -1, column = -1;
-  for (int r = 0; r < map.height; ++r) {
-    for (int c = 0; c < map.width; ++c) {
-      const auto value = zmssdReference(turned, ground, Eigen::Vector2d::Zero(), map.pose(r, c), settings);
-      if (value.score < best) best = value.score, row = r, column = c;
-    }
-  }
-  EXPECT_EQ(minimum.row, row);
-  EXPECT_EQ(minimum.column, column);
-  EXPECT_DOUBLE_EQ(minimum.zmssd.score, best);
-}
-
 TEST(Fft, FiveSmoothSizes) {
   EXPECT_EQ(fiveSmoothSize(1), 1);
   EXPECT_EQ(fiveSmoothSize(7), 8);

@@ -152,6 +152,7 @@ void AlignmentRefiner::startGround() {
   ground_camera_ = std::numeric_limits<double>::infinity();
   ground_vertical_ = {};
   reference_.reset();
+  moved_grounds_ = 0;
   forgetPoses();
 }
 

@@ -35,6 +35,17 @@ const char* toString(OdometryState state) {
   return "unknown";
 }
 
+namespace {
+
+BootstrapSettings startOf(const OdometrySettings& settings) {
+  BootstrapSettings start = settings.bootstrap;
+  start.pixel_sigma = settings.pixel_sigma;
+  start.seed = settings.seed;
+  return start;
+}
+
+}  // namespace
+
 Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, const Pose& T_base_imu,
                      const OdometrySettings& settings_)
     : given_camera(camera_),
@@ -48,7 +59,7 @@ Odometry::Impl::Impl(const CameraModel& camera_, const Pose& T_base_camera_, con
       calibration(givenCalibration()),
       imu(settings_, T_camera_imu.linear(), sigma(), camera_.height),
       pose(camera_, settings_, map, tracks, [this](double a, double b) { return cameraTurn(a, b); }),
-      bootstrap(camera_, settings_.bootstrap),
+      bootstrap(camera_, startOf(settings_)),
       policy(settings_),
       relocalizer(camera_, settings_) {
   settings.validate();
@@ -154,11 +165,14 @@ bool Odometry::Impl::relocalize(const cv::Mat& gray) {
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = frames.lastPose(map);
   if (metric())
-    gate.max_distance = settings.relocalization_slack + settings.max_speed * (last_stamp - frames.lastStamp());
+    gate.max_distance = settings.relocalization_slack +
+                        std::max(settings.max_speed, 1.5 * pose.speed()) * (last_stamp - frames.lastStamp());
   if (const auto up = imu.attitude(last_stamp); up && metric() && settings.use_imu) {
     gate.up_camera = T_camera_imu.linear() * up->up_imu;
     gate.max_tilt = std::max(gate.max_tilt, 3 * up->sigma);
   }
+  if (const auto turn = cameraTurn(frames.lastStamp(), last_stamp); turn && metric() && imu.problem().empty())
+    gate.setTurn(gate.T_map_last.linear() * turn->R_a_b, turn->sigma, last_stamp - frames.lastStamp());
   const bool found = relocalizer.find(last_stamp, gray, map, gate, turnSigma(), pose);
   if (!found && !relocalizer.reason().empty()) reason = relocalizer.reason();
   return found;
@@ -291,7 +305,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->T_map_base = pose.pose() * T_camera_base;
   result->covariance =
       visual_frontend::covarianceAt(result->camera_covariance, pose.pose().linear() * T_camera_base.translation());
-  if (metric() && estimate.initialized()) result->velocity = estimate.state().v;
+  if (metric() && estimate.initialized()) result->velocity = estimate.state().velocity();
 }
 
 Odometry::Odometry(const CameraModel& camera, const Pose& T_base_camera, const Pose& T_base_imu,

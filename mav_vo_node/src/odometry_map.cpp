@@ -153,7 +153,7 @@ KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {
   const KeyframeId id = map.addKeyframe(std::move(keyframe));
   tracks.addViews(map.keyframe(id));
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();
-  if (metric() && scale.filter().initialized()) velocity = scale.filter().state().v;
+  if (metric() && scale.filter().initialized()) velocity = scale.filter().state().velocity();
   inertial.add(id, previous, motion, bias, velocity);
   return id;
 }

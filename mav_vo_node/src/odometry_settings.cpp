@@ -41,7 +41,6 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v.section("Features");
   describe(v, o.tracker);
   v("pixel_sigma", o.pixel_sigma, {0.05, 10.0}, "px", "of a tracked feature");
-  o.bootstrap.pixel_sigma = o.pixel_sigma;
 
   v.section("Start, loss");
   v("start_parallax", o.bootstrap.min_parallax, {0.005, 1.0}, "rad",
@@ -65,7 +64,8 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v("window", o.window, {3, 100}, "", "keyframes that the local bundle adjustment moves");
   v("window_fixed", o.window_fixed, {0, 200}, "", "older keyframes that hold it");
   v("full_adjustment_interval", o.full_interval, {0.5, 1e6}, "s",
-    "between adjustments of the whole map; begins at half, doubles up to 4 times");
+    "between adjustments of the whole map: the first two after half of it each, then after 1, 2 and, from then on, 4 "
+    "times this");
   v("full_adjustment_keyframes", o.full_max_keyframes, {3, 2000}, "", "the newest of them move in it; at least window");
   v("bundle_threads", o.bundle_threads, {1, 64}, "", "of Ceres");
   v("synchronous", o.synchronous,
@@ -91,7 +91,6 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v("increment_samples", o.increment_samples, {50, 100000}, "", "of five correspondences each, for monte_carlo");
 
   v("seed", o.seed, {0, 1 << 30}, "", "of all random sampling");
-  o.bootstrap.seed = o.seed;
 }
 
 void OdometrySettings::validate() const {

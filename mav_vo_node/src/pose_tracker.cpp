@@ -285,8 +285,10 @@ void PoseTracker::reobserve(const visual_frontend::ReobservationSettings& how) {
   }
 }
 
-void PoseTracker::turnByGyro() {
-  if (R_previous_current_) T_map_camera_.linear() = T_map_camera_.linear() * *R_previous_current_;
+void PoseTracker::coast(double dt) {
+  T_map_camera_.translation() += velocity_ * dt;
+  T_map_camera_.linear() = T_map_camera_.linear() *
+                           (R_previous_current_ ? *R_previous_current_ : air_ground_common::expSO3(turn_rate_ * dt));
 }
 
 void PoseTracker::beginAround(const Pose& T_map_camera, const cv::Mat& gray,

@@ -35,8 +35,8 @@ class PoseTracker {
   /// Looks around the pose for landmarks that have no track.
   void reobserve(const visual_frontend::ReobservationSettings& how);
 
-  /// Lost, the camera was turned all the same.
-  void turnByGyro();
+  /// Lost, the camera flies on all the same: `dt` [s] further, as it did, by the gyro's turn where that is known.
+  void coast(double dt);
   /// Begins all tracks anew in the image, from landmarks as they are seen from a pose.
   void beginAround(const Pose& T_map_camera, const cv::Mat& gray, const visual_frontend::ReobservationSettings& how);
   /// The first views' map is at hand.
@@ -47,6 +47,7 @@ class PoseTracker {
   void transform(const air_ground_common::Similarity& S_new_old);
 
   const Pose& pose() const { return T_map_camera_; }      ///< T_map_camera
+  double speed() const { return velocity_.norm(); }       ///< when it was last located [map unit/s]
   double locatedStamp() const { return located_stamp_; }  ///< of the last image that was located [s]; -1: none
   const PoseResult& result() const { return result_; }    ///< of locate()
   const Matrix6d& previousCovariance() const { return previous_covariance_; }  ///< of the pose before

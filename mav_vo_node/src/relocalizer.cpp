@@ -1,5 +1,7 @@
 #include "relocalizer.h"
 
+#include <algorithm>
+
 namespace mav_vo {
 
 namespace {
@@ -7,13 +9,15 @@ namespace {
 constexpr int kPlaceEvery = 5;         // images between searches for a known place
 constexpr int kNearImages = 10;        // in which the camera is looked for near its last pose
 constexpr double kNearSeconds = 0.7;   // and so long at the most [s]
-constexpr double kNearRadius = 25;     // of the search about where a landmark should be [px]
+constexpr double kNearRadius = 25;     // of the search about where a landmark should be, at least ...
+constexpr double kMostRadius = 60;     // ... and at the most [px]
+constexpr double kSpeedChange = 0.25;  // of the speed, that may have come about unseen
 constexpr double kAtPlaceRadius = 15;  // likewise once a place is recognised [px]
 
 }  // namespace
 
 void Relocalizer::begin(double stamp) {
-  lost_since_ = stamp;
+  lost_since_ = last_ = stamp;
   frames_lost_ = 0;
   reason_.clear();
 }
@@ -24,6 +28,12 @@ visual_frontend::ReobservationSettings Relocalizer::within(double search_radius)
   return how;
 }
 
+// How far a landmark may be from where it would be had the camera flown on as it did.
+double Relocalizer::nearRadius(double stamp, const PoseTracker& pose) const {
+  const double strayed = kSpeedChange * pose.speed() * (stamp - pose.locatedStamp());
+  return std::min(kNearRadius + camera_.fx * strayed / pose.sceneDistance(), kMostRadius);
+}
+
 bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend::Map& map,
                        const visual_frontend::RelocalizationGate& gate, const std::optional<double>& turn_sigma,
                        PoseTracker& pose) {
@@ -31,8 +41,9 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   visual_frontend::FeatureTracker& tracker = pose.tracker();
   if (tracker.features().size() < 0.5 * settings_.tracker.max_features) tracker.replenish();
   if (frames_lost_ <= kNearImages && stamp - pose.locatedStamp() < kNearSeconds) {
-    if (frames_lost_ > 1) pose.turnByGyro();
-    pose.reobserve(within(kNearRadius));
+    if (frames_lost_ > 1) pose.coast(stamp - last_);
+    last_ = stamp;
+    pose.reobserve(within(nearRadius(stamp, pose)));
     if (pose.locate(turn_sigma)) {
       reason_.clear();
       return true;

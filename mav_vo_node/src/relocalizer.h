@@ -27,10 +27,11 @@ class Relocalizer {
 
  private:
   visual_frontend::ReobservationSettings within(double search_radius) const;  // [px]
+  double nearRadius(double stamp, const PoseTracker& pose) const;
 
   CameraModel camera_;
   OdometrySettings settings_;
-  double lost_since_ = 0;
+  double lost_since_ = 0, last_ = 0;  // images [s]
   int frames_lost_ = 0;
   std::string reason_;
 };

@@ -55,16 +55,16 @@ Eigen::Matrix<double, 3, 2> gravityJacobian(const Eigen::Vector3d& gravity) {
 
 Eigen::Vector3d lever(const ScaleMeasurement& m) { return m.R_map_imu * m.p_imu_camera; }
 
-/// Visual position of the camera: exp(-L) (p + R l).
+/// Visual position of the camera: p + exp(-L) R l.
 Eigen::Vector3d predictedVisual(const ScaleFilter::State& state, const ScaleMeasurement& m) {
-  return (state.p + lever(m)) / state.scale;
+  return state.p + lever(m) / state.scale;
 }
 
 /// Its derivative by the error.
 MeasurementMatrix measurementMatrix(const ScaleFilter::State& state, const ScaleMeasurement& m) {
   MeasurementMatrix H = MeasurementMatrix::Zero();
-  H.block<3, 3>(0, kP) = Eigen::Matrix3d::Identity() / state.scale;
-  H.col(kS) = -predictedVisual(state, m);
+  H.block<3, 3>(0, kP) = Eigen::Matrix3d::Identity();
+  H.col(kS) = -lever(m) / state.scale;
   return H;
 }
 
@@ -100,11 +100,8 @@ void ScaleFilter::startAt(const ScaleMeasurement& m, const Eigen::Vector3d& velo
   state_.p = m.p_map_camera - lever(m);
   state_.v = velocity;
   state_.accel_bias = accel_bias;
-  P_ = priorCovariance(m.p_map_camera, scale_stddev, settings_.position_stddev * m.scene_distance);
-  // The velocity comes from the map, so it is as uncertain as the map's scale.
+  P_ = priorCovariance(m, 1.0, scale_stddev);
   P_.diagonal().segment<3>(kV).setConstant(kMapVelocityStddev * kMapVelocityStddev);
-  const double map_speed = scale_stddev * velocity.norm();
-  P_.diagonal().segment<3>(kV).array() += map_speed * map_speed;
   window_.clear();
   R_before_ = m.R_map_imu;
   rejected_in_a_row_ = 0;
@@ -128,19 +125,25 @@ double ScaleFilter::relativeStddev() const {
 
 double ScaleFilter::scaleStddev() const { return initialized_ ? state_.scale * relativeStddev() : relativeStddev(); }
 
-ScaleFilter::Covariance ScaleFilter::priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev,
-                                                     double position_stddev) const {
+ScaleFilter::Covariance ScaleFilter::priorCovariance(const ScaleMeasurement& first, double inverse_scale,
+                                                     double scale_stddev) const {
+  const double speed = inverse_scale * settings_.velocity_stddev, tilt = kGravity * tilt_stddev_;
   Covariance P = Covariance::Zero();
-  P.diagonal().segment<3>(kV).setConstant(settings_.velocity_stddev * settings_.velocity_stddev);
+  P.diagonal().segment<3>(kV).setConstant(speed * speed);
   P.diagonal().segment<3>(kB).setConstant(settings_.accel_bias_stddev * settings_.accel_bias_stddev);
-  P.diagonal().segment<2>(kG).setConstant(kGravity * kGravity * tilt_stddev_ * tilt_stddev_);
-  // The first position is the visual one times the unknown scale.
+  P.diagonal().segment<2>(kG).setConstant(tilt * tilt);
   P(kS, kS) = scale_stddev * scale_stddev;
-  P.block<3, 1>(kP, kS) = dp_dscale * P(kS, kS);
-  P.block<1, 3>(kS, kP) = P.block<3, 1>(kP, kS).transpose();
-  P.block<3, 3>(kP, kP) =
-      dp_dscale * dp_dscale.transpose() * P(kS, kS) + Eigen::Matrix3d::Identity() * position_stddev * position_stddev;
+  seeFirst(first, inverse_scale, &P);
   return P;
+}
+
+// The IMU's place follows from the camera's by the lever arm, as long as the scale has it.
+void ScaleFilter::seeFirst(const ScaleMeasurement& first, double inverse_scale, Covariance* P) const {
+  Covariance J = Covariance::Identity();
+  J.topLeftCorner<3, 3>().setZero();
+  J.block<3, 1>(kP, kS) = inverse_scale * lever(first);
+  *P = (J * *P * J.transpose()).eval();
+  P->block<3, 3>(kP, kP) += visualNoise(first);
 }
 
 Eigen::Matrix3d ScaleFilter::visualNoise(const ScaleMeasurement& m) const {
@@ -148,35 +151,46 @@ Eigen::Matrix3d ScaleFilter::visualNoise(const ScaleMeasurement& m) const {
   return kAlikeImages * m.covariance + sigma * sigma * Eigen::Matrix3d::Identity();
 }
 
-void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out,
-                            Covariance* Q_out) const {
+ScaleFilter::Covariance ScaleFilter::processNoise(const Preintegration& motion, const Eigen::Matrix3d& R,
+                                                  double inverse_scale) const {
   const double dt = motion.duration();
-  const Eigen::Vector3d gravity = state->gravity();
-  // Rotation comes from vision, so the deltas use the gyro bias they were integrated at.
-  const ImuBias bias{motion.bias().gyro, state->accel_bias};
-  state->p += state->v * dt + 0.5 * dt * dt * gravity + R * motion.position(bias);
-  state->v += gravity * dt + R * motion.velocity(bias);
-
-  Covariance& F = *F_out;
-  F.setIdentity();
-  F.block<3, 3>(kP, kV) = Eigen::Matrix3d::Identity() * dt;
-  F.block<3, 3>(kP, kB) = R * motion.biasJacobian().block<3, 3>(6, 3);
-  F.block<3, 3>(kV, kB) = R * motion.biasJacobian().block<3, 3>(3, 3);
-  const Eigen::Matrix<double, 3, 2> D = gravityJacobian(gravity);
-  F.block<3, 2>(kP, kG) = 0.5 * dt * dt * D;
-  F.block<3, 2>(kV, kG) = dt * D;
-  Covariance& Q = *Q_out;
-  Q.setZero();
+  Covariance Q = Covariance::Zero();
   const auto& C = motion.covariance();
   Q.block<3, 3>(kV, kV) = R * C.block<3, 3>(3, 3) * R.transpose();
   Q.block<3, 3>(kV, kP) = R * C.block<3, 3>(3, 6) * R.transpose();
   Q.block<3, 3>(kP, kV) = R * C.block<3, 3>(6, 3) * R.transpose();
   Q.block<3, 3>(kP, kP) = R * C.block<3, 3>(6, 6) * R.transpose();
   Q.diagonal().segment<3>(kP).array() += settings_.position_drift * settings_.position_drift * dt;
+  Q.topLeftCorner<6, 6>() *= inverse_scale * inverse_scale;
   Q.diagonal().segment<3>(kB).setConstant(noise_.accel_bias_walk * noise_.accel_bias_walk * dt);
   const double gravity_walk = kGravity * settings_.rotation_walk;
   Q.diagonal().segment<2>(kG).setConstant(gravity_walk * gravity_walk * dt);
   Q(kS, kS) = settings_.scale_drift * settings_.scale_drift * dt;
+  return Q;
+}
+
+void ScaleFilter::propagate(const Preintegration& motion, const Eigen::Matrix3d& R, State* state, Covariance* F_out,
+                            Covariance* Q) const {
+  const double dt = motion.duration(), k = 1 / state->scale;
+  const Eigen::Vector3d gravity = state->gravity();
+  // Rotation comes from vision, so the deltas use the gyro bias they were integrated at.
+  const ImuBias bias{motion.bias().gyro, state->accel_bias};
+  const Eigen::Vector3d shift = k * (0.5 * dt * dt * gravity + R * motion.position(bias));
+  const Eigen::Vector3d gain = k * (gravity * dt + R * motion.velocity(bias));
+  state->p += state->v * dt + shift;
+  state->v += gain;
+
+  Covariance& F = *F_out;
+  F.setIdentity();
+  F.block<3, 3>(kP, kV) = Eigen::Matrix3d::Identity() * dt;
+  F.block<3, 3>(kP, kB) = k * R * motion.biasJacobian().block<3, 3>(6, 3);
+  F.block<3, 3>(kV, kB) = k * R * motion.biasJacobian().block<3, 3>(3, 3);
+  const Eigen::Matrix<double, 3, 2> D = gravityJacobian(gravity);
+  F.block<3, 2>(kP, kG) = 0.5 * dt * dt * k * D;
+  F.block<3, 2>(kV, kG) = dt * k * D;
+  F.block<3, 1>(kP, kS) = -shift;
+  F.block<3, 1>(kV, kS) = -gain;
+  *Q = processNoise(motion, R, k);
 }
 
 void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<Preintegration>& motion) {
@@ -209,43 +223,61 @@ void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<P
   window_.clear();
 }
 
+// Over (p, v, k b, k g_xy, k), of which everything is linear where the map leans little. Two passes: the second knows
+// the scale with which the priors of what is metric become visual.
 std::optional<ScaleFilter::State> ScaleFilter::linearSolution() {
-  // Two passes: the second knows the scale with which the visual noise becomes metric.
   double guess = 1.0;
-  State state;
+  ErrorVector x;
   for (int pass = 0; pass < 2; ++pass) {
     const ScaleMeasurement& first = window_.front().measurement;
-    state = State{};
-    state.scale = guess;
-    state.p = guess * first.p_map_camera - lever(first);
-    Covariance P = priorCovariance(first.p_map_camera, kDiffuseRatio * guess,
-                                   settings_.position_stddev * first.scene_distance * guess);
+    ErrorVector unit = ErrorVector::Ones();  // of the linear states' errors against those of the filter
+    unit.segment<5>(kB).setConstant(guess);
+    unit(kS) = -guess;
+    Covariance P = unit.asDiagonal() * priorCovariance(first, guess, kDiffuseRatio) * unit.asDiagonal();
+    x.setZero();
+    x(kS) = guess;
+    x.segment<3>(kP) = first.p_map_camera - guess * lever(first);
     for (std::size_t i = 1; i < window_.size(); ++i) {
       const ScaleMeasurement& m = window_[i].measurement;
-      Covariance F, Q;
-      propagate(*window_[i].motion, window_[i - 1].measurement.R_map_imu, &state, &F, &Q);
-      P = F * P * F.transpose() + Q;
+      const Preintegration& motion = *window_[i].motion;
+      const Eigen::Matrix3d& R = window_[i - 1].measurement.R_map_imu;
+      const double dt = motion.duration();
+      const ImuBias bias{motion.bias().gyro, Eigen::Vector3d::Zero()};
+      const Eigen::Vector3d gravity(0, 0, -kGravity);
+      Covariance F = Covariance::Identity();
+      F.block<3, 3>(kP, kV) = Eigen::Matrix3d::Identity() * dt;
+      F.block<3, 3>(kP, kB) = R * motion.biasJacobian().block<3, 3>(6, 3);
+      F.block<3, 3>(kV, kB) = R * motion.biasJacobian().block<3, 3>(3, 3);
+      F(kP, kG) = F(kP + 1, kG + 1) = 0.5 * dt * dt;
+      F(kV, kG) = F(kV + 1, kG + 1) = dt;
+      F.block<3, 1>(kP, kS) = 0.5 * dt * dt * gravity + R * motion.position(bias);
+      F.block<3, 1>(kV, kS) = gravity * dt + R * motion.velocity(bias);
+      x = (F * x).eval();
+      P = (F * P * F.transpose() + unit.asDiagonal() * processNoise(motion, R, guess) * unit.asDiagonal()).eval();
       MeasurementMatrix H = MeasurementMatrix::Zero();
-      H.block<3, 3>(0, kP) = -Eigen::Matrix3d::Identity();
-      H.col(kS) = m.p_map_camera;
-      const ErrorVector dx =
-          kalmanUpdate(H, state.p + lever(m) - state.scale * m.p_map_camera, guess * guess * visualNoise(m), &P);
-      addError(dx, &state);
-      state.scale += dx(kS);
+      H.block<3, 3>(0, kP) = Eigen::Matrix3d::Identity();
+      H.col(kS) = lever(m);
+      x += kalmanUpdate(H, m.p_map_camera - H * x, visualNoise(m), &P);
     }
     // A sure scale below zero: the accelerations point the other way.
-    inverted_ = state.scale < -kInvertedStddevs * std::sqrt(P(kS, kS));
-    if (!(state.scale > 0) || !std::isfinite(state.scale)) return std::nullopt;
-    guess = state.scale;
+    inverted_ = x(kS) < -kInvertedStddevs * std::sqrt(P(kS, kS));
+    if (!(x(kS) > 0) || !x.allFinite()) return std::nullopt;
+    guess = x(kS);
   }
+  State state;
+  state.p = x.segment<3>(kP);
+  state.v = x.segment<3>(kV);
+  state.accel_bias = x.segment<3>(kB) / guess;
+  state.gravity_xy = x.segment<2>(kG) / guess;
+  state.scale = 1 / guess;
   return state;
 }
 
 bool ScaleFilter::start() {
   const std::optional<State> linear = linearSolution();
   if (!linear) return false;
-  // The linear solution is biased (its regressor p_visual is noisy) and takes the length of gravity's vertical part for
-  // known: Gauss-Newton about the trajectory it predicts.
+  // The linear solution takes the length of gravity's vertical part for known: Gauss-Newton about the trajectory it
+  // predicts.
   State solution = *linear;
   Covariance P;
   double nis = 0;
@@ -253,15 +285,15 @@ bool ScaleFilter::start() {
     nis = 0;
     const ScaleMeasurement& first = window_.front().measurement;
     State nominal = solution;
-    nominal.p = solution.scale * first.p_map_camera - lever(first);
+    nominal.p = first.p_map_camera - lever(first) / solution.scale;
     const Eigen::Vector3d gravity = nominal.gravity();
     for (std::size_t i = 1; i < window_.size(); ++i) {
       const Preintegration& motion = *window_[i].motion;
       const ImuBias bias{motion.bias().gyro, nominal.accel_bias};
-      nominal.v -= gravity * motion.duration() + window_[i - 1].measurement.R_map_imu * motion.velocity(bias);
+      nominal.v -=
+          (gravity * motion.duration() + window_[i - 1].measurement.R_map_imu * motion.velocity(bias)) / nominal.scale;
     }
-    P = priorCovariance(solution.scale * first.p_map_camera, kDiffuseRatio,
-                        settings_.position_stddev * first.scene_distance * nominal.scale);
+    P = priorCovariance(first, 1 / nominal.scale, kDiffuseRatio);
     ErrorVector error = ErrorVector::Zero();  // mean of the error about the nominal state; the prior means are zero
     error.segment<3>(kV) = -nominal.v;
     error.segment<3>(kB) = -nominal.accel_bias;
@@ -298,10 +330,10 @@ void ScaleFilter::update(const ScaleMeasurement& m) {
   const Eigen::Matrix3d N = visualNoise(m);
   const Eigen::Vector3d innovation = m.p_map_camera - predictedVisual(state_, m);
   const Eigen::Matrix3d S = H * P_ * H.transpose() + N;
-  last_nis_ = innovation.dot(S.ldlt().solve(innovation));
+  const double nis = innovation.dot(S.ldlt().solve(innovation));
   ++updates_;
-  nis_sum_ += last_nis_ < settings_.gate ? last_nis_ : settings_.gate;
-  if (!(last_nis_ < settings_.gate)) {
+  nis_sum_ += nis < settings_.gate ? nis : settings_.gate;
+  if (!(nis < settings_.gate)) {
     ++rejected_;
     ++rejected_updates_;
     // A jump of the visual map (relocalisation) shows as a row of rejections: accept the new place. The scale may be
@@ -320,22 +352,20 @@ void ScaleFilter::update(const ScaleMeasurement& m) {
 }
 
 void ScaleFilter::restartMotion(const ScaleMeasurement& m) {
-  // The new position is the scale times the visual one, so it inherits the scale's correlations.
-  const Eigen::Vector3d camera = state_.scale * m.p_map_camera;
-  state_.p = camera - lever(m);
+  const double k = 1 / state_.scale;
+  state_.p = m.p_map_camera - k * lever(m);
   state_.v.setZero();
   Covariance J = Covariance::Identity();
-  J.topLeftCorner<6, 6>().setZero();
-  J.block<3, 1>(kP, kS) = camera;
+  J.block<3, 3>(kV, kV).setZero();
   P_ = (J * P_ * J.transpose()).eval();
-  P_.block<3, 3>(kP, kP) += state_.scale * state_.scale * visualNoise(m);
-  P_.diagonal().segment<3>(kV).array() += settings_.velocity_stddev * settings_.velocity_stddev;
+  P_.diagonal().segment<3>(kV).array() += std::pow(k * settings_.velocity_stddev, 2);
+  seeFirst(m, k, &P_);
 }
 
 void ScaleFilter::transform(const air_ground_common::Similarity& S) {
   state_.scale /= S.scale;
-  state_.p = S.R * state_.p + state_.scale * S.t;
-  state_.v = S.R * state_.v;
+  state_.p = S * state_.p;
+  state_.v = S.scale * (S.R * state_.v);
   const Eigen::Matrix<double, 3, 2> D = gravityJacobian(state_.gravity());
   state_.gravity_xy = (S.R * state_.gravity()).head<2>();
   R_before_ = S.R * R_before_;
@@ -345,9 +375,7 @@ void ScaleFilter::transform(const air_ground_common::Similarity& S) {
     frame.measurement.scene_distance *= S.scale;
   }
   Covariance T = Covariance::Identity();
-  T.block<3, 3>(kP, kP) = S.R;
-  T.block<3, 1>(kP, kS) = state_.scale * S.t;
-  T.block<3, 3>(kV, kV) = S.R;
+  T.block<3, 3>(kP, kP) = T.block<3, 3>(kV, kV) = S.scale * S.R;
   T.block<2, 2>(kG, kG) = S.R.topRows<2>() * D;
   P_ = T * P_ * T.transpose();
 }

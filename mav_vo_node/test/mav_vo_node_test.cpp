@@ -13,6 +13,7 @@
 #include <tf2_ros/static_transform_broadcaster.h>
 
 #include <cstdio>
+#include <fstream>
 #include <set>
 
 #include "air_ground_common/ros/compressed_image.h"
@@ -93,9 +94,9 @@ class MavVoNode : public testing::Test {
     return diagnostics_.awaitReceived(info_.getTopic(), cameraHeader(t).stamp);
   }
 
-  /// Plays the flight from `begin` (rest) to `duration`, with images smaller by `factor`; never more than 30 images
-  /// ahead of the node.
-  void play(double duration, double begin = 0, double factor = 1) {
+  /// Plays the flight from `begin` (rest) to `duration`, with images smaller by `factor`, or black ones; never more
+  /// than 30 images ahead of the node.
+  void play(double duration, double begin = 0, double factor = 1, bool black = false) {
     std::mt19937 random(11);
     cv::RNG grain(5);
     const auto samples = flight_.imuSamples(begin, duration, 200, visual_frontend::ImuNoise{1.7e-4, 2.9e-3, 2e-5, 6e-4},
@@ -127,7 +128,9 @@ class MavVoNode : public testing::Test {
       last = header.stamp;
       const auto camera = synthetic::camera().scaled(factor);
       info_.publish(ros_utils::toMsg(camera, header));
-      image_.publish(ros_utils::toMsg(world_.render(camera, T, 1.0, &grain), "mono8", header));
+      cv::Mat image = world_.render(camera, T, 1.0, &grain);
+      if (black) image.setTo(0);
+      image_.publish(ros_utils::toMsg(image, "mono8", header));
       ++sent;
       ros::spinOnce();
       spinUntil([&] { return sent <= status_.size() - before + 30; }, 4000);
@@ -302,6 +305,62 @@ TEST_F(MavVoNode, FliesALoopedBag) {
   EXPECT_GT(status_.back().map_id, second_map);
 
   EXPECT_TRUE(diagnostics_.await("IMU samples refused: not a finite number", 1));
+}
+
+// A flight that never becomes metric, or has not yet, leaves its map's own trajectory.
+TEST_F(MavVoNode, SavesATrajectoryWithoutScale) {
+  ASSERT_TRUE(waitForNode());
+  const auto scaling = [this] {
+    return !status_.empty() && status_.back().state == air_ground::VoStatus::STATE_SCALING;
+  };
+  double t = 0;
+  for (; t < 9 && !scaling(); t += 0.5) play(t + 0.5, t);
+  play(t + 1.0, t);
+  ASSERT_TRUE(scaling());
+  air_ground::SaveTrajectory trajectory;
+  trajectory.request.path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + "_unscaled.txt";
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_trajectory", trajectory));
+  EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
+  EXPECT_NE(trajectory.response.message.find("unit: the map's own (scale unknown)"), std::string::npos)
+      << trajectory.response.message;
+  std::string line;
+  std::ifstream file(trajectory.request.path);
+  std::getline(file, line);
+  EXPECT_EQ(line.rfind("# unit: the map's own (scale unknown): ", 0), 0u) << line;
+  const auto saved = air_ground_common::readTum(trajectory.request.path);
+  EXPECT_EQ(saved.size(), trajectory.response.poses);
+  ASSERT_GT(saved.size(), 5u);
+  const auto error =
+      air_ground_common::absoluteTrajectoryError(truth_camera_, saved, air_ground_common::Alignment::kSimilarity);
+  EXPECT_LT(error.rmse, 0.02 * error.path_length + 0.005);
+  std::remove(trajectory.request.path.c_str());
+}
+
+// Lost for too long, a map ends; what it knew of the flight is saved with the next one's.
+TEST_F(MavVoNode, SavesTheTrajectoryOfAMapThatEnded) {
+  ASSERT_TRUE(waitForNode());
+  play(9.0);
+  ASSERT_EQ(status_.back().state, air_ground::VoStatus::STATE_TRACKING);
+  const std::uint32_t before = status_.back().map_id;
+  play(14.0, 9.0, 1, true);
+  EXPECT_GT(status_.back().map_id, before);
+  air_ground::SaveTrajectory trajectory;
+  const std::string path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + "_ended";
+  trajectory.request.path = path + ".txt";
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_trajectory", trajectory));
+  EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
+  EXPECT_GT(trajectory.response.poses, 100u) << "there is no other map yet";
+  play(16.0, 14.0);
+  ASSERT_EQ(status_.back().state, air_ground::VoStatus::STATE_SCALING);
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_trajectory", trajectory));
+  EXPECT_GT(trajectory.response.poses, 100u) << "the metric one is the one that is meant";
+  EXPECT_NE(trajectory.response.message.find("; of another map "), std::string::npos) << trajectory.response.message;
+  const auto ended = air_ground_common::readTum(path + ".txt"),
+             present = air_ground_common::readTum(path + "_map1.txt");
+  EXPECT_LT(ended.back().stamp, kEpoch + 9.5);
+  ASSERT_FALSE(present.empty());
+  EXPECT_GT(present.front().stamp, kEpoch + 13.9);
+  for (const char* end : {".txt", "_map1.txt"}) std::remove((path + end).c_str());
 }
 
 TEST_F(MavVoNode, BeginsANewMapWithAnotherCalibration) {

@@ -299,6 +299,23 @@ TEST(Odometry, RecoversAfterBlackImagesInTheSameMap) {
   EXPECT_LT(ate(o, o.final_poses), 0.05);
 }
 
+// 2.5 m/s, 1.8 m above the ground, nothing seen for half a metre.
+TEST(Odometry, CoastsThroughAShortLossInFastFlight) {
+  Options options;
+  options.flight.period = 3;
+  options.end = 10;
+  options.black = [](double t) { return t > 9 && t < 9.2; };
+  const Outcome o = fly(options);
+  ASSERT_GT(o.metric_at, 0);
+  ASSERT_LT(o.metric_at, 8.5);
+  int blind = 0, lost = 0;
+  for (std::size_t i = 0; i < o.frames.size(); ++i)
+    if (o.truth[i].stamp > 9 && o.frames[i].state == OdometryState::kLost) ++(o.truth[i].stamp < 9.19 ? blind : lost);
+  EXPECT_GE(blind, 3);
+  EXPECT_LE(lost, 1);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
 TEST(Odometry, StartsANewMapWhenLostForLong) {
   Options options;
   options.end = 9;

@@ -56,39 +56,56 @@ air_ground_common::Pose poseOf(const YAML::Node& sensor, const std::string& path
   return air_ground_common::normalized(T);
 }
 
-}  // namespace
-
-EurocFolder readEurocFolder(const std::string& path) {
-  const std::string root = path + "/mav0/", cam = root + "cam0/", imu = root + "imu0/";
-  EurocFolder folder;
-  const YAML::Node camera = readSensor(cam + "sensor.yaml");
+air_ground_common::CameraModel cameraOf(const YAML::Node& camera, const std::string& path) {
   const auto size = camera["resolution"].as<std::vector<int>>();
   const auto f = camera["intrinsics"].as<std::vector<double>>();
-  const auto k = camera["distortion_coefficients"].as<std::vector<double>>();
-  auto& c = folder.camera;
+  std::vector<double> k;
+  if (camera["distortion_coefficients"]) k = camera["distortion_coefficients"].as<std::vector<double>>();
+  const YAML::Node name = camera["distortion_model"];
+  air_ground_common::CameraModel c;
   c.width = size.at(0);
   c.height = size.at(1);
   c.fx = f.at(0);
   c.fy = f.at(1);
   c.cx = f.at(2);
   c.cy = f.at(3);
-  double* const distortion[] = {&c.k1, &c.k2, &c.p1, &c.p2, &c.k3};
-  for (std::size_t i = 0; i < std::min<std::size_t>(5, k.size()); ++i) *distortion[i] = k[i];
-  c.validate();
+  try {
+    c.setDistortion(name ? name.as<std::string>() : "plumb_bob", k);
+    c.validate();
+  } catch (const std::invalid_argument& e) {
+    throw std::runtime_error(path + ": " + e.what());
+  }
+  return c;
+}
+
+void readTruth(const std::string& root, EurocFolder* folder) {
+  std::vector<std::vector<std::string>> rows = readRows(root + "state_groundtruth_estimate0/data.csv", false);
+  if (rows.empty()) rows = readRows(root + "mocap0/data.csv", false);
+  constexpr std::size_t kWithBiases = 17;
+  for (const auto& row : rows) {
+    air_ground_common::Pose T = air_ground_common::Pose::Identity();
+    T.translation() = vectorAt(row, 1);
+    const Eigen::Vector3d q = vectorAt(row, 5);
+    T.linear() = Eigen::Quaterniond(std::stod(row.at(4)), q.x(), q.y(), q.z()).normalized().toRotationMatrix();
+    folder->truth.push_back({stampOf(row.at(0)), T});
+    if (row.size() >= kWithBiases) folder->truth_bias.push_back({vectorAt(row, 11), vectorAt(row, 14)});
+  }
+}
+
+}  // namespace
+
+EurocFolder readEurocFolder(const std::string& path) {
+  const std::string root = path + "/mav0/", cam = root + "cam0/", imu = root + "imu0/";
+  EurocFolder folder;
+  const YAML::Node camera = readSensor(cam + "sensor.yaml");
+  folder.camera = cameraOf(camera, cam + "sensor.yaml");
   folder.T_base_camera = poseOf(camera, cam + "sensor.yaml");
   folder.T_base_imu = poseOf(readSensor(imu + "sensor.yaml"), imu + "sensor.yaml");
   for (const auto& row : readRows(cam + "data.csv", true))
     folder.images.push_back({stampOf(row.at(0)), cam + "data/" + row.at(1)});
   for (const auto& row : readRows(imu + "data.csv", true))
     folder.imu.push_back({stampOf(row.at(0)), vectorAt(row, 1), vectorAt(row, 4)});
-  for (const auto& row : readRows(root + "state_groundtruth_estimate0/data.csv", false)) {
-    air_ground_common::Pose T = air_ground_common::Pose::Identity();
-    T.translation() = vectorAt(row, 1);
-    const Eigen::Vector3d q = vectorAt(row, 5);
-    T.linear() = Eigen::Quaterniond(std::stod(row.at(4)), q.x(), q.y(), q.z()).normalized().toRotationMatrix();
-    folder.truth.push_back({stampOf(row.at(0)), T});
-    folder.truth_bias.push_back({vectorAt(row, 11), vectorAt(row, 14)});
-  }
+  readTruth(root, &folder);
   return folder;
 }
 

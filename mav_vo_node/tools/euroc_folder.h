@@ -1,4 +1,5 @@
-// Recordings in the EuRoC MAV layout (mav0/cam0, mav0/imu0, mav0/state_groundtruth_estimate0), read without ROS.
+// Recordings in the EuRoC MAV layout (mav0/cam0, mav0/imu0, and mav0/state_groundtruth_estimate0 or, as of TUM-VI,
+// mav0/mocap0), read without ROS.
 #pragma once
 
 #include <string>
@@ -21,10 +22,11 @@ struct EurocFolder {
   std::vector<Image> images;
   std::vector<ImuSample> imu;
   air_ground_common::Trajectory truth;  ///< of the body; empty without ground truth
-  std::vector<ImuBias> truth_bias;      ///< one a pose of `truth`
+  std::vector<ImuBias> truth_bias;      ///< one a pose of `truth`; empty where they are not known
 };
 
-/// Throws std::runtime_error, naming the file, when something needed is missing.
+/// Throws std::runtime_error, naming the file, when something needed is missing, or the lens is of a model that
+/// CameraModel does not know.
 EurocFolder readEurocFolder(const std::string& path);
 
 }  // namespace mav_vo

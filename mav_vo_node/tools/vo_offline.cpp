@@ -117,6 +117,7 @@ class OfflineRun {
       printShapeError(truth_, final_poses);
   }
   air_ground_common::Trajectory trajectory() const { return odometry_.trajectory(); }
+  std::string unit() const { return odometry_.metric() ? "" : air_ground_common::kOwnUnit; }
 
  private:
   struct Image {
@@ -278,6 +279,8 @@ void runBag(const rosbag::Bag& bag, const Topics& topics, double start, double d
 void runFolder(const mav_vo::EurocFolder& folder, double start, double duration, OfflineRun& run) {
   const double begin = folder.images.front().stamp + start;
   const double end = duration > 0 ? begin + duration : std::numeric_limits<double>::infinity();
+  if (folder.truth.empty())
+    std::printf("no errors below: there is no truth in mav0/state_groundtruth_estimate0 or mav0/mocap0\n");
   for (const auto& pose : folder.truth) run.addTruth(pose.stamp, pose.T_map_body);
   auto imu = folder.imu.begin();
   for (const auto& image : folder.images) {
@@ -367,6 +370,6 @@ int main(int argc, char** argv) {
   else
     runFolder(folder, start, duration, run);
   run.finish();
-  if (!out.empty()) air_ground_common::writeTum(out, run.trajectory());
+  if (!out.empty()) air_ground_common::writeTum(out, run.trajectory(), run.unit());
   return 0;
 }

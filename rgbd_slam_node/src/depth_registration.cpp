@@ -30,6 +30,17 @@ std::optional<cv::Mat> depthAtSize(const cv::Mat& depth, int width, int height) 
   return result;
 }
 
+bool seesAlike(const CameraModel& depth, const CameraModel& colour) {
+  constexpr double kFocal = 0.03, kCentre = 0.02;
+  const double sx = static_cast<double>(colour.width) / depth.width;
+  const double sy = static_cast<double>(colour.height) / depth.height;
+  const auto centre = [](double c, double scale) { return (c + 0.5) * scale - 0.5; };
+  return std::abs(depth.fx * sx - colour.fx) < kFocal * colour.fx &&
+         std::abs(depth.fy * sy - colour.fy) < kFocal * colour.fy &&
+         std::abs(centre(depth.cx, sx) - colour.cx) < kCentre * colour.width &&
+         std::abs(centre(depth.cy, sy) - colour.cy) < kCentre * colour.height;
+}
+
 DepthRegistration::DepthRegistration(const CameraModel& depth_camera, const CameraModel& colour_camera,
                                      const Pose& T_colour_depth)
     : depth_camera_(depth_camera),

@@ -106,6 +106,11 @@ void DepthSurface::recalibrate(const CameraModel& before, const CameraModel& bet
   }
 }
 
+double DepthSurface::area(const CameraModel& camera, const Cell& cell) const {
+  const double z = cell.position.z();
+  return edge_ * edge_ * z * z * z / (camera.fx * camera.fy * std::abs(cell.normal.dot(cell.position)));
+}
+
 const DepthSurface::Cell* DepthSurface::seenAt(const CameraModel& camera, const Eigen::Vector3d& p_camera) const {
   const auto pixel = camera.project(p_camera);
   if (!pixel) return nullptr;

@@ -10,7 +10,8 @@ namespace rgbd_slam {
 
 namespace {
 
-constexpr KeyframeId kRelinked = 20;  // newest keyframes: 0.3 s of work
+constexpr KeyframeId kRelinked = 20;          // newest keyframes: 0.3 s of work
+constexpr std::size_t kMostPatches = 20'000;  // evenly taken of all keyframes
 
 }  // namespace
 
@@ -92,6 +93,21 @@ std::vector<visual_frontend::KeyframeLink> KeyframeSurfaces::links() const {
   std::vector<visual_frontend::KeyframeLink> all = links_;
   all.insert(all.end(), ties_.begin(), ties_.end());
   return all;
+}
+
+std::vector<SurfacePatch> KeyframeSurfaces::patches(const visual_frontend::Map& map) const {
+  std::size_t known = 0;
+  for (const auto& entry : surfaces_) known += entry.second.known();
+  const std::size_t every = 1 + known / kMostPatches;
+  std::vector<SurfacePatch> patches;
+  std::size_t seen = 0;
+  for (const auto& [id, surface] : surfaces_) {
+    const Eigen::Matrix3d R_map_camera = map.keyframe(id).T_map_camera.linear();
+    for (const DepthSurface::Cell& cell : surface.cells())
+      if (cell.sigma > 0 && seen++ % every == 0)
+        patches.push_back({R_map_camera * cell.normal.cast<double>(), surface.area(camera_, cell)});
+  }
+  return patches;
 }
 
 std::vector<KeyframeId> KeyframeSurfaces::linkedTo(KeyframeId id) const {

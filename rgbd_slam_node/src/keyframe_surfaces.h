@@ -6,6 +6,7 @@
 
 #include "rgbd_slam/depth_surface.h"
 #include "rgbd_slam/slam.h"
+#include "rgbd_slam/surface_vertical.h"
 #include "visual_frontend/bundle_job.h"
 
 namespace rgbd_slam {
@@ -34,6 +35,7 @@ class KeyframeSurfaces {
   void tie(KeyframeId id, KeyframeId reference, const Matrix6d& covariance, const visual_frontend::Map& map);
   std::vector<KeyframeId> linkedTo(KeyframeId id) const;
   std::vector<visual_frontend::KeyframeLink> links() const;
+  std::vector<SurfacePatch> patches(const visual_frontend::Map& map) const;  ///< of all keyframes, or evenly taken
 
  private:
   CameraModel camera_;

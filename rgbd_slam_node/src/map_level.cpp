@@ -8,12 +8,14 @@ namespace rgbd_slam {
 namespace {
 
 constexpr double kUpForKeyframes = 0.01;  // [rad]; known so well, gravity holds the keyframes
+constexpr double kSurfaces = 0.02;        // by how much what lies flat leans, and a depth camera bends it [rad]
 constexpr double kSureOfTilt = 3;         // standard deviations, while the direction is still getting better
 
 }  // namespace
 
 void MapLevel::begin(const visual_frontend::AttitudeFilter* attitude) {
   known_ = attitude != nullptr;
+  by_surfaces_ = false;
   // Begun in motion, the first direction is coarse: update looks again when more is known.
   settled_ = !attitude || attitude->atRest();
   sigma_ = attitude ? attitude->upSigma() : kNoGravity;
@@ -62,11 +64,29 @@ std::optional<MapLevel::Correction> MapLevel::update(double stamp, const CameraM
   const bool settled_before = settled_;
   settled_ = settled_ || certain;
   if (angle < settings_.level_tolerance || !(certain || angle > kSureOfTilt * now.stddev)) return std::nullopt;
-  Eigen::Matrix3d R = air_ground_common::levelingRotation(now.up);
-  R = Eigen::AngleAxisd(-air_ground_common::yawOf(R * T_map_first_base.linear()), Eigen::Vector3d::UnitZ()) * R;
+  const Eigen::Matrix3d R = levelling(now.up, T_map_first_base);
   vertical_.up = R * now.up;
   sigma_ = now.stddev;
   return Correction{R, !settled_before};
+}
+
+std::optional<MapLevel::Correction> MapLevel::takeSurfaces(const Eigen::Vector3d& up, const Pose& T_map_first_base) {
+  if (known_) return std::nullopt;
+  by_surfaces_ = true;
+  const double angle = std::atan2(up.head<2>().norm(), up.z());
+  vertical_ = {up, kSurfaces};
+  sigma_ = std::hypot(kSurfaces, angle);
+  if (angle < 1.5 * kSurfaces) return std::nullopt;
+  const Eigen::Matrix3d R = levelling(up, T_map_first_base);
+  vertical_.up = R * up;
+  sigma_ = kSurfaces;
+  return Correction{R, false};
+}
+
+// Level, with the first base's yaw as it was.
+Eigen::Matrix3d MapLevel::levelling(const Eigen::Vector3d& up, const Pose& T_map_first_base) {
+  const Eigen::Matrix3d R = air_ground_common::levelingRotation(up);
+  return Eigen::AngleAxisd(-air_ground_common::yawOf(R * T_map_first_base.linear()), Eigen::Vector3d::UnitZ()) * R;
 }
 
 }  // namespace rgbd_slam

@@ -75,6 +75,7 @@ void Slam::Impl::clear() {
   shutter.interrupt();
   search.clear();
   next_calibration = kCalibrationKeyframes;
+  next_levelling = 1;
   state = State::kWaiting;
   first_stamp = -1;
 }
@@ -212,7 +213,9 @@ void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
   const Eigen::Matrix3d R_previous_current = lastPose().linear().transpose() * T_map_camera.linear();
   turns.add(mounting.T_base_camera.linear() * air_ground_common::logSO3(R_previous_current), *felt, stamp - last);
   motion.trustGyro(turns.problem().empty());
-  if (!motion.gyroTrusted()) level.distrust(firstBase());
+  if (motion.gyroTrusted() || !level.known()) return;
+  level.distrust(firstBase());
+  next_levelling = 1;
 }
 
 void Slam::Impl::beLost() {
@@ -257,6 +260,10 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images) {
     gate.up_camera = motion.upInCamera();
     gate.max_tilt = std::max(gate.max_tilt, 3 * motion.attitude().upSigma());
   }
+  bool from_gyro = false;
+  const Pose predicted = motion.predict(frames.lastStamp(), gate.T_map_last, images.stamp, &from_gyro);
+  const double lost_for = images.stamp - frames.lastStamp();
+  if (from_gyro) gate.setTurn(predicted.linear(), motion.rotationSigma(lost_for), lost_for);
   return visual_frontend::relocalize(map, camera, query, gate, settings.place);
 }
 
@@ -307,6 +314,8 @@ const std::vector<Feature>& Slam::features() const { return impl_->tracking.trac
 const SlamCounters& Slam::counters() const { return impl_->counters; }
 Eigen::Vector3d Slam::gyroBias() const { return impl_->motion.gyroBias(); }
 bool Slam::gravityKnown() const { return impl_->level.known(); }
+
+bool Slam::levelBySurfaces() const { return impl_->level.bySurfaces(); }
 double Slam::readoutTime() const { return impl_->motion.rows().readoutTime(); }
 double Slam::readoutTimeStddev() const { return impl_->shutter.stddev(); }
 Vertical Slam::vertical() const { return impl_->level.vertical(); }

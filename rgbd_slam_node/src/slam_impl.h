@@ -63,6 +63,7 @@ struct Slam::Impl {
   bool alignShutter(const RgbdImages& images);  ///< likewise
   bool alignCalibration();                      ///< likewise
   bool levelMap();                              ///< likewise
+  std::optional<MapLevel::Correction> levelBySurfaces();
   void setCamera(const CameraModel& better_known);
   void adjustWindow(KeyframeId id);
   void adjustWhole();
@@ -90,6 +91,7 @@ struct Slam::Impl {
   CameraModel camera;  ///< as it is known now
   visual_frontend::CalibrationAlignment calibration;
   std::size_t next_calibration = 0;  ///< keyframes of the map at which it is looked at again
+  std::size_t next_levelling = 1;    ///< likewise by surfaces, where no accelerometer levels
   CameraMotion motion;
   FrameTracker tracking;
   RotationCheck turns;       ///< gyro against images

@@ -206,12 +206,24 @@ void Slam::Impl::setCamera(const CameraModel& better_known) {
   motion.setCamera(camera);
 }
 
+// Ever more of the scene tells, so it is asked whenever the map has doubled.
+std::optional<MapLevel::Correction> Slam::Impl::levelBySurfaces() {
+  constexpr double kMaxTilt = 0.8;  // a camera that is carried looks down; a wall is no floor [rad]
+  if (level.known() || map.keyframeCount() < next_levelling) return std::nullopt;
+  next_levelling = 2 * map.keyframeCount();
+  const auto up = verticalOfSurfaces(surfaces.patches(map), kMaxTilt);
+  if (!up) return std::nullopt;
+  return level.takeSurfaces(*up, firstBase());
+}
+
 bool Slam::Impl::levelMap() {
-  const auto correction = level.update(last_stamp, motion, lastPose(), firstBase());
+  auto correction = level.update(last_stamp, motion, lastPose(), firstBase());
+  if (!correction) correction = levelBySurfaces();
   if (!correction) return false;
   air_ground_common::Similarity S;
   S.R = correction->R;
   map.transform(S);
+  covariances.transform(S);
   motion.turn(S.R);
   if (correction->directions_false)
     for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();

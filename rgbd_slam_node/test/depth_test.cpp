@@ -15,6 +15,7 @@ namespace rgbd_slam {
 namespace {
 
 namespace synthetic = visual_frontend::synthetic;
+using air_ground_common::CameraModel;
 using air_ground_common::Pose;
 
 TEST(SampleDepth, MedianOfTheKnownAndNothingAtEdges) {
@@ -138,6 +139,24 @@ TEST(DepthRegistration, SeesWhatTheColourCameraSees) {
   cv::minMaxLoc(alone == alone, nullptr, nullptr, nullptr, &found);
   EXPECT_NEAR(found.x, seen.x(), 2.0);
   EXPECT_NEAR(found.y, seen.y(), 2.0);
+}
+
+TEST(SeesAlike, TellsCamerasApartByTheirCalibration) {
+  const auto camera = [](int width, int height, double f, double cx, double cy) {
+    CameraModel c;
+    c.width = width;
+    c.height = height;
+    c.fx = c.fy = f;
+    c.cx = cx;
+    c.cy = cy;
+    return c;
+  };
+  const CameraModel colour = camera(1280, 720, 912, 640, 362);
+  EXPECT_TRUE(seesAlike(colour, colour));
+  EXPECT_TRUE(seesAlike(camera(640, 360, 456, 319.75, 180.75), colour));
+  // A D435's depth camera: nearly the same proportions, another field of view.
+  EXPECT_FALSE(seesAlike(camera(848, 480, 421, 424, 240), colour));
+  EXPECT_FALSE(seesAlike(camera(1280, 720, 912, 600, 362), colour));
 }
 
 TEST(DepthAtSize, TakesEachPixelFromWhereItIsSeen) {

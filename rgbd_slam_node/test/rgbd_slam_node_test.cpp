@@ -75,13 +75,14 @@ class NodeTest : public testing::Test {
   }
 
   struct Course {
-    int first = 0;              ///< frame
-    double imu_from = 0;        ///< the IMU's first sample [s]
-    bool cropped = false;       ///< images and calibration of the middle only
-    bool wrong_unit = false;    ///< depth in millimetres where metres are due
-    bool swapped_imu = false;   ///< x, y, z come as z, y, -x
-    bool unregistered = false;  ///< depth as a camera of its own sees it, 0.1 m beside the colour camera
-    bool other_frame = false;   ///< depth says that it is of the depth camera's frame
+    int first = 0;                   ///< frame
+    double imu_from = 0;             ///< the IMU's first sample [s]
+    bool cropped = false;            ///< images and calibration of the middle only
+    bool wrong_unit = false;         ///< depth in millimetres where metres are due
+    bool swapped_imu = false;        ///< x, y, z come as z, y, -x
+    bool other_calibration = false;  ///< on depth's camera_info, though depth is registered
+    bool unregistered = false;       ///< depth as a camera of its own sees it, 0.1 m beside the colour camera
+    bool other_frame = false;        ///< depth says that it is of the depth camera's frame
   };
 
   static constexpr int kMarginX = 40, kMarginY = 30;  ///< of the image's cropped middle [px]
@@ -165,6 +166,12 @@ class NodeTest : public testing::Test {
       if (course.unregistered) {
         header.frame_id = kDepthFrame;
         depth_info_.publish(ros_utils::toMsg(depth_robot_.camera, header));
+      }
+      if (course.other_calibration) {
+        auto other = robot_.camera;
+        other.fx *= 0.8;
+        other.fy *= 0.8;
+        depth_info_.publish(ros_utils::toMsg(other, header));
       }
       if (course.other_frame) header.frame_id = kDepthFrame;
       if (course.wrong_unit)
@@ -357,6 +364,16 @@ TEST_F(NodeTest, DoubtsDepthOfAnotherFrameAndTakesIt) {
   ASSERT_TRUE(answered(20));
   EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
   EXPECT_TRUE(spinUntil([&] { return diagnostics_.counted(doubt) >= 10; }));
+
+  const std::string calibration = "depth images whose calibration is not the colour camera's";
+  EXPECT_EQ(diagnostics_.counted(calibration), 0);
+  course.first = 20;
+  course.other_frame = false;
+  course.other_calibration = true;
+  drive(30, false, course);
+  ASSERT_TRUE(answered(30));
+  EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
+  EXPECT_TRUE(spinUntil([&] { return diagnostics_.counted(calibration) >= 8; }));
 }
 
 TEST_F(NodeTest, NamesSwappedAxesOfTheImu) {

@@ -20,9 +20,12 @@ using Trajectory = std::vector<StampedPose>;
 /// Reads "stamp tx ty tz qx qy qz qw" lines; '#' starts a comment. Throws std::runtime_error with file and line.
 Trajectory readTum(const std::string& path);
 
-/// Writes the TUM format with 9 digits; through a temporary file, so a failed write leaves no half file.
+/// Writes the TUM format with 9 digits; through a temporary file, so a failed write leaves no half file. `unit` of the
+/// lengths, unless it is metres: the first line says so, a comment that begins with "# unit: ".
 /// Throws std::runtime_error when the file cannot be written.
-void writeTum(const std::string& path, const Trajectory& trajectory);
+void writeTum(const std::string& path, const Trajectory& trajectory, const std::string& unit = "");
+/// Such a unit: of a map whose scale nobody knows.
+constexpr const char* kOwnUnit = "the map's own (scale unknown): lengths are right among each other, but not in metres";
 
 /// Pose at `stamp` by interpolation; empty outside the trajectory or across gaps longer than `max_gap` [s].
 std::optional<Pose> poseAt(const Trajectory& trajectory, double stamp, double max_gap = 0.5);

@@ -1,4 +1,5 @@
 // What a user asks of an estimator's node, and what it leaves behind.
+#include <filesystem>
 #include <stdexcept>
 
 #include "air_ground_common/ros/estimator_shell.h"
@@ -16,7 +17,10 @@ void EstimatorShell::stop() {
   queue_changed_.notify_all();
   if (!worker_.joinable()) return;
   worker_.join();
-  autosave_.save("trajectory.txt", [this](const std::string& path) { saveTrajectoryTo(path); });
+  autosave_.save("trajectory.txt", [this](const std::string& path) {
+    std::uint64_t poses = 0;
+    saveTrajectoryTo(path, &poses);
+  });
   autosave_.save("map.ply", [this](const std::string& path) { saveMapTo(path); });
 }
 
@@ -32,15 +36,27 @@ std::size_t EstimatorShell::saveMapTo(const std::string& path) {
   return points.size();
 }
 
-std::size_t EstimatorShell::saveTrajectoryTo(const std::string& path) {
-  Trajectory trajectory;
+/// Returns what was written.
+std::string EstimatorShell::saveTrajectoryTo(const std::string& path, std::uint64_t* poses) {
+  std::vector<MapTrajectory> maps;
   {
     const std::lock_guard<std::mutex> lock(estimator_mutex_);
     if (!estimator_.exists()) throw std::runtime_error("there is no trajectory yet");
-    trajectory = estimator_.trajectory();
+    maps = estimator_.trajectories();
   }
-  writeTum(path, trajectory);
-  return trajectory.size();
+  std::string written;
+  for (std::size_t i = 0; i < maps.size(); ++i) {
+    std::filesystem::path file = path;
+    if (i > 0) file.replace_filename(file.stem().string() + "_map" + std::to_string(i) + file.extension().string());
+    writeTum(file, maps[i].poses, maps[i].unit);
+    written += (i > 0 ? "; of another map " : "") + std::to_string(maps[i].poses.size()) + " camera poses" +
+               (!maps[i].unit.empty() ? ", unit: " + maps[i].unit + ","
+                : i == 0              ? " in " + settings_.map_frame
+                                      : " in its own frame") +
+               " written to " + file.string();
+  }
+  *poses = maps.front().poses.size();
+  return written;
 }
 
 bool EstimatorShell::saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response) {
@@ -55,8 +71,7 @@ bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request
                                     air_ground::SaveTrajectory::Response& response) {
   return answer(response, [&] {
     const std::string path = absolutePath(request.path);
-    response.poses = saveTrajectoryTo(path);
-    return std::to_string(response.poses) + " camera poses in " + settings_.map_frame + " written to " + path;
+    return saveTrajectoryTo(path, &response.poses);
   });
 }
 

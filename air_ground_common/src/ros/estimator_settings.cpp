@@ -19,7 +19,8 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
 
   v.section("Input");
   v("use_imu", s.use_imu,
-    "false: no prior of rotation; the MAV's scale stays unknown, the ground robot's base counts as level at the start");
+    "false: no prior of rotation; the MAV's map has a unit of its own until alignment/refined tells its scale, the "
+    "ground robot's base counts as level at the start");
   v("imu_wait", s.imu_wait, {0.0, 10.0}, "s",
     "an image waits for IMU samples until images this much newer have been here for 0.3 s");
   v("queue_size", s.queue_size, {2, 10000}, "", "images kept while the node is behind");

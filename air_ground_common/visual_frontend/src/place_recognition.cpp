@@ -5,6 +5,7 @@
 #include <opencv2/features2d.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/text.h"
 #include "hamming.h"
 
 namespace visual_frontend {
@@ -220,19 +221,22 @@ Pose poseIn(const Map& map, const PlaceMatch& match) {
 /// A place where the camera cannot be is none.
 void refuseWhere(const RelocalizationGate& gate, const Map& map, PlaceMatch& m) {
   if (!m.success) return;
+  const auto refuse = [&m](const char* format, auto... values) {
+    m.success = false;
+    m.reason = air_ground_common::formatted(format, values...);
+  };
   const Pose T = poseIn(map, m);
   const double jump = (T.translation() - gate.T_map_last.translation()).norm();
-  if (jump > gate.max_distance) {
-    m.success = false;
-    m.reason = "a place was recognised, but it is " + std::to_string(jump) + " away and only " +
-               std::to_string(gate.max_distance) + " can lie behind";
-  } else if (gate.up_camera) {
+  if (jump > gate.max_distance)
+    return refuse("a place was recognised, but it is %.2f away and only %.2f can lie behind", jump, gate.max_distance);
+  if (gate.up_camera) {
     const double tilt =
         std::acos(std::clamp(gate.up_camera->dot(T.linear().transpose() * Eigen::Vector3d::UnitZ()), -1.0, 1.0));
-    if (tilt > gate.max_tilt) {
-      m.success = false;
-      m.reason = "a place was recognised, but gravity contradicts it by " + std::to_string(tilt) + " rad";
-    }
+    if (tilt > gate.max_tilt) return refuse("a place was recognised, but gravity contradicts it by %.2f rad", tilt);
+  }
+  if (gate.R_map_camera) {
+    const double turn = air_ground_common::rotationAngle(*gate.R_map_camera, T.linear());
+    if (turn > gate.max_turn) return refuse("a place was recognised, but the gyro contradicts it by %.2f rad", turn);
   }
 }
 

@@ -295,6 +295,35 @@ TEST(Place, RelocalisesOnlyWhereItCanBe) {
   EXPECT_NE(relocalize(map, camera, query, gate, {}).reason.find("gravity"), std::string::npos);
 }
 
+TEST(Place, TheGyroTellsTwinsApart) {
+  const CameraModel camera = synthetic::camera();
+  Map map = planeMap(camera, above(0, 0, 2));
+  // The same patch of floor, three metres further on and turned about the vertical.
+  const Pose shift(Eigen::Translation3d(3, 0, 0) * Eigen::AngleAxisd(1.2, Eigen::Vector3d::UnitZ()));
+  Keyframe twin = map.keyframe(0);
+  for (Observation& o : twin.observations) {
+    if (o.landmark != kNoLandmark) o.landmark = map.addLandmark(shift * map.landmark(o.landmark).position);
+  }
+  twin.T_map_camera = shift * twin.T_map_camera;
+  map.addKeyframe(twin);
+  const Pose T = above(0.2, -0.1, 2.1, 0.4);
+  Keyframe query;
+  describeKeyframe(renderPlane(camera, T, planeTexture(), kPlane), camera, {}, query);
+
+  RelocalizationGate gate;
+  EXPECT_FALSE(relocalize(map, camera, query, gate, {}).success);
+  const Eigen::Matrix3d drift = air_ground_common::expSO3(Eigen::Vector3d(0.03, -0.05, 0.08));
+  for (const Pose& truth : {T, Pose(shift * T)}) {
+    gate.R_map_camera = truth.linear() * drift;
+    const PlaceMatch match = relocalize(map, camera, query, gate, {});
+    ASSERT_TRUE(match.success) << match.reason;
+    const Pose found = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
+    EXPECT_LT((found.translation() - truth.translation()).norm(), 0.03);
+    gate.R_map_camera = truth.linear() * Eigen::AngleAxisd(2.2, Eigen::Vector3d::UnitZ());
+    EXPECT_NE(relocalize(map, camera, query, gate, {}).reason.find("gyro"), std::string::npos);
+  }
+}
+
 TEST(Place, NeighboursOfOnePlaceDoNotHideItsTwin) {
   const CameraModel camera = synthetic::camera();
   Map map = planeMap(camera, above(0, 0, 2));

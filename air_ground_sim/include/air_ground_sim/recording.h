@@ -48,8 +48,6 @@ class Recording {
   void photograph(const air_ground_common::Pose& T_world_camera, const Eigen::Vector3d& velocity, int index,
                   std::vector<std::uint8_t>* image);
 
-  double mavExposure() const { return mav_exposure_.exposure(); }  ///< of the next frame [s]
-
   Imu makeMavImu() const;
   Imu makeGroundImu() const;
 

@@ -6,11 +6,13 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
 #include "air_ground_common/map_correction.h"
 #include "dense_fusion/depth_fusion.h"
+#include "dense_fusion/image_spacing.h"
 #include "dense_fusion/plane_sweep.h"
 #include "dense_fusion/rectifier.h"
 
@@ -24,7 +26,8 @@ struct MapperSettings {
   RectifierSettings rectifier;
   PlaneSweepSettings sweep;
   FusionSettings fusion;
-  double sweep_radius = 0.12;   ///< frames this near to the reference join its depth map (paper: 0.12) [m]
+  double sweep_radius = 0.12;  ///< frames this near to the reference join its depth map (paper: 0.12) [m]
+  double max_baseline = 0.15;  ///< the radius grows up to this share of the scene's distance where images are far apart
   double frame_spacing = 0.02;  ///< frames nearer than this to the one before are left out [m]
   double max_rotation = 0.5;    ///< frames turned further than this from the reference end its depth map [rad]
   double fusion_radius = 0.70;  ///< depth maps this near to the first are fused (paper: 0.70) [m]
@@ -81,10 +84,14 @@ class DenseMapper {
   /// Metres that a length of 1 in the poses counts as; 1 where neither was called.
   double unit() const { return unit_; }
 
+  /// Why depth maps come out poor: how far apart the images are, of a scene how far away, where that is too much; else
+  /// what it may be. `unit` of the poses: follows each length.
+  std::string whyPoor(const std::string& unit) const;
+
   /// The odometry has corrected its map: `now` says where it has earlier images [unit of the poses]. What waits to be
   /// fused follows, and images of these stamps that come later are taken to be there. Returns what the newest fused
   /// maps so far go through, by the stamps of their reference views: they are given up where cameras nearby moved
-  /// against each other by 2 % of sweep_radius, once three newer ones are there.
+  /// against each other by 2 % of the sweep's radius, once three newer ones are there.
   air_ground_common::CloudCorrections correct(const air_ground_common::PosesByStamp& now);
   /// The same, since each of them was returned.
   air_ground_common::CloudCorrections corrections() const;
@@ -110,6 +117,11 @@ class DenseMapper {
   /// Of the newest frame, when it is to start a depth map.
   void startWaitingSweep();
   void finishSweep();
+  /// How far from its reference view a depth map takes images now, of a scene with these depths [m].
+  void reachOut(double depth_min, double depth_max);
+  /// What the reach is of that which is set: all radii go with it.
+  double growth() const { return reach_.radius / settings_.sweep_radius; }
+  bool joinsSweep(const Eigen::Isometry3d& T_map_reference, const Eigen::Isometry3d& T_map_camera) const;
   bool endsGroup(const Eigen::Isometry3d& T_map_reference) const;
   std::optional<FusedMap> fuseGroup();
   void followHere(const air_ground_common::PosesByStamp& now, const air_ground_common::Similarity& T_now_then);
@@ -123,6 +135,9 @@ class DenseMapper {
   std::unique_ptr<PlaneSweep> sweep_;  // keeps its memory from one reference to the next
   bool sweeping_ = false;
   std::deque<Frame> recent_;
+  ImageSpacing spacing_;  // of those
+  SweepReach reach_;
+  double scene_distance_ = 0;                               // [m]
   std::optional<std::pair<double, double>> waiting_range_;  // depths in view of the newest frame, which starts a sweep
   struct {
     std::int64_t stamp = 0;  // [ns]
@@ -136,6 +151,7 @@ class DenseMapper {
     Eigen::Vector3d place;                                        // of the reference view
     std::optional<air_ground_common::Similarity> T_now_returned;  // empty: given up
     bool bent;                                                    // its cameras have moved against each other
+    double growth;                                                // of the radii it was made with
   };
   std::map<std::int64_t, Made> made_;
   std::vector<Eigen::Vector3f> sparse_points_;

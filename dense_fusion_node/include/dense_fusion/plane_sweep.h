@@ -47,8 +47,9 @@ class PlaneSweep {
 
   /// Winner takes all with a quadratic fit around it. Confidence is the product of how unique the winner is and of how
   /// well its valley fixes the depth: with cost S(rho) ~ S0 + a (rho - rho0)^2 over n samples, var(rho) = S0 / (n a).
-  /// Beside edges a pixel lies on that of the surfaces there which its own 3x3 neighbourhood prefers.
-  DepthMap depthMap() const;
+  /// Beside edges a pixel lies on that of the surfaces there which its own 3x3 neighbourhood prefers. `few`: so far
+  /// apart are the frames that pixels seen in two of them count, too, if they are far from ambiguous.
+  DepthMap depthMap(bool few = false) const;
 
  private:
   /// A frame as the reference's pixels see it: x at inverse depth rho lies at H x + rho b.
@@ -75,10 +76,17 @@ class PlaneSweep {
     std::vector<std::int32_t> index;
   };
 
-  void sweepStrip(const Strip& strip, int first, int last, int half_width, DepthMap* map, cv::Mat* cost) const;
+  /// How the costs of windows become depths.
+  struct Judgement {
+    int half_width;     ///< of the fitted parabola [hypotheses]
+    int least_samples;  ///< frames a pixel must be seen in
+  };
+
+  void sweepStrip(const Strip& strip, int first, int last, const Judgement& judgement, DepthMap* map,
+                  cv::Mat* cost) const;
   void sumCosts(int y, const Strip& strip, CostRow* row) const;
-  void estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, int half_width, DepthMap* map,
-                   cv::Mat* cost) const;
+  void estimateRow(int y, const Strip& strip, const Winners& winners, const CostRow& own, const Judgement& judgement,
+                   DepthMap* map, cv::Mat* cost) const;
   /// `cost`: of the windows around the pixels, a sample.
   void chooseSurfaces(const cv::Mat& cost, DepthMap* map) const;
   /// Of the 3x3 pixels around one, at one depth.

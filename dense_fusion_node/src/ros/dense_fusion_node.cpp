@@ -212,8 +212,8 @@ class DenseFusionNode {
     const bool bad = poor >= kPoorInARow, late = lag > kMostLag;
     std::ostringstream state;
     if (bad) {
-      state << "no depth: the last " << poor << " depth maps are too poor, of a scene " << sceneDistance(msg)
-            << " m away: too little texture or parallax, or poses that are off";
+      state << "no depth: the last " << poor << " depth maps are too poor, "
+            << mapper_.whyPoor(msg.metric ? " m" : " of the map's units");
       ROS_WARN_STREAM_THROTTLE(10, "dense fusion has " << state.str());
       state << "; ";
     }

@@ -58,16 +58,4 @@ class FftCost {
   std::unique_ptr<Impl> impl_;
 };
 
-struct CostMinimum {
-  int row = 0, column = 0;
-  PlanarPose pose;     ///< of the cell's offset
-  PlanarPose subcell;  ///< vertex of the parabolas through the neighbouring cells' costs
-  Zmssd zmssd;         ///< in double precision at `pose`
-};
-
-/// Minimum over the offsets of one heading (eq. 3): every cell that single precision cannot tell from the minimum is
-/// evaluated again in double precision. Returns an infinite cost when no offset has enough overlap.
-CostMinimum findMinimum(const CostMap& map, const HeightMap& turned, const HeightMap& ground,
-                        const CostSettings& settings);
-
 }  // namespace heightmap_mcl

@@ -28,7 +28,6 @@ class NeighborSearch {
     int index = -1;              ///< found
   };
 
-  float normalWeight() const { return normal_weight_; }
   /// Point of the cloud at place k of the tree, k in [0, size of the cloud): places near each other hold points that
   /// are.
   int pointAt(int k) const { return index_[k]; }

@@ -180,7 +180,7 @@ bool RefineWorker::use(Inbox& inbox) {
     corrections_.clear();
     map_due_ |= map_.aligned();
   }
-  if (inbox.ground_moved) refiner_.groundMoved();
+  if (inbox.ground_moved && !inbox.new_ground) refiner_.groundMoved();
   if (inbox.ground_camera) refiner_.setGroundCamera(*inbox.ground_camera);
   if (inbox.ground) {
     refiner_.setGround(positionsOf(*inbox.ground));

@@ -51,7 +51,7 @@ struct OdometrySettings {
   StandstillSettings standstill;
   ImuNoise imu_noise;
   double accel_scale_stddev = 0.01;  ///< of the accelerometer's scale factor: no motion tells it from the map's [1]
-  bool use_imu = true;               ///< false: five-point start, no gyro prior, never metric
+  bool use_imu = true;               ///< false: five-point start, no gyro prior, metric by an alignment alone
 
   double readout_time = 0;            ///< of a rolling shutter, first row to last; stamps are of the middle row [s]
   double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]

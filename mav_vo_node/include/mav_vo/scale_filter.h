@@ -1,6 +1,7 @@
 // Metric scale of monocular odometry from the accelerometer: Kalman filter over position, velocity, accelerometer bias,
 // tilt of the map and the logarithm of the scale (after Nuetzi, Weiss, Scaramuzza, Siegwart 2011), started by a linear
-// solution.
+// solution. Position and velocity are in the map's own unit: what is seen of them does not depend on the scale then,
+// and a camera that flies steadily, however fast, tells nothing of it.
 #pragma once
 
 #include <Eigen/Core>
@@ -18,7 +19,7 @@ struct ScaleFilterSettings {
   double position_drift = 0.004;       ///< random walk of the visual position against the truth [m/sqrt(s)]
   double scale_drift = 0.001;          ///< random walk of the logarithm of the scale [1/sqrt(s)]
   double accel_bias_stddev = 0.3;      ///< before the first measurement, per axis [m/s^2]
-  double velocity_stddev = 2.0;        ///< before the first measurement, per axis [m/s]
+  double velocity_stddev = 30.0;       ///< before the first measurement, per axis: of any aircraft [m/s]
   double rotation_walk = 2e-4;         ///< random walk of the tilt error of the visual attitude [rad/sqrt(s)]
   double min_start_duration = 1.0;     ///< shortest window of the start [s]
   double max_start_duration = 6.0;     ///< older frames leave the window of the start [s]
@@ -38,25 +39,26 @@ struct ScaleMeasurement {
   double scene_distance = 1.0;                              ///< median distance of the points seen [visual unit]
 };
 
-/// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1),
-/// all in the metric map. With a the preintegrated motion (Preintegration), g = (g_x, g_y, -sqrt(9.81^2 - g_x^2 -
-/// g_y^2)):
-///   p' = p + v dt + g dt^2 / 2 + R a_p(b),  v' = v + g dt + R a_v(b);   measurement: p_visual = exp(-L) (p + R l), l
+/// The state's error is (position 3, velocity 3, accelerometer bias 3, horizontal gravity 2, logarithm of the scale 1).
+/// With k = exp(-L) the visual unit's share of a metre, a the preintegrated motion (Preintegration), g = (g_x, g_y,
+/// -sqrt(9.81^2 - g_x^2 - g_y^2)):
+///   p' = p + v dt + k (g dt^2 / 2 + R a_p(b)),  v' = v + k (g dt + R a_v(b));   measurement: p_visual = p + k R l, l
 ///   the lever arm.
-/// The start solves a window: first linearly (scale itself as state, measurement 0 = s p_visual - p - R l, linear in
-/// (s, p)), then by Gauss-Newton steps about that trajectory, which remove the linear form's bias. A window whose
-/// innovations are too large for their covariance gives no start.
+/// The start solves a window: first linearly (k, k b and k g_xy themselves as states), then by Gauss-Newton steps about
+/// that trajectory, which take the length of gravity for known. A window whose innovations are too large for their
+/// covariance gives no start.
 class ScaleFilter {
  public:
   static constexpr int kStates = 12;
   using Covariance = Eigen::Matrix<double, kStates, kStates>;
   struct State {
-    Eigen::Vector3d p = Eigen::Vector3d::Zero();           ///< of the IMU [m]
-    Eigen::Vector3d v = Eigen::Vector3d::Zero();           ///< [m/s]
-    Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2]
-    Eigen::Vector2d gravity_xy = Eigen::Vector2d::Zero();  ///< error of the map's tilt [m/s^2]
-    double scale = 1.0;                                    ///< metric over visual unit
-    Eigen::Vector3d gravity() const;                       ///< in the map; its length is kGravity [m/s^2]
+    Eigen::Vector3d p = Eigen::Vector3d::Zero();            ///< of the IMU [visual unit]
+    Eigen::Vector3d v = Eigen::Vector3d::Zero();            ///< [visual unit/s]
+    Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();   ///< [m/s^2]
+    Eigen::Vector2d gravity_xy = Eigen::Vector2d::Zero();   ///< error of the map's tilt [m/s^2]
+    double scale = 1.0;                                     ///< metric over visual unit
+    Eigen::Vector3d gravity() const;                        ///< in the map; its length is kGravity [m/s^2]
+    Eigen::Vector3d velocity() const { return scale * v; }  ///< [m/s]
   };
 
   /// `tilt_stddev`: of the map's z axis against gravity [rad].
@@ -83,10 +85,7 @@ class ScaleFilter {
   double relativeStddev() const;                 ///< of the scale; infinite before initialisation
   const State& state() const { return state_; }
   const Covariance& covariance() const { return P_; }  ///< of the error in the order above, scale as logarithm
-  double lastNis() const {
-    return last_nis_;
-  }  ///< squared Mahalanobis distance of the last innovation, 3 degrees of freedom
-  int rejected() const { return rejected_; }  ///< measurements outside the gate so far
+  int rejected() const { return rejected_; }           ///< measurements outside the gate so far
   /// The scale is known within `relative_stddev`, and few measurements since the start spoke against it.
   bool certain(double relative_stddev) const;
   /// Relative standard deviation that the last attempt to start left; infinite before any.
@@ -106,7 +105,10 @@ class ScaleFilter {
     ScaleMeasurement measurement;
     std::optional<Preintegration> motion;
   };
-  Covariance priorCovariance(const Eigen::Vector3d& dp_dscale, double scale_stddev, double position_stddev) const;
+  /// Of the error at a first image that sees the IMU at the measured place less k R l; `inverse_scale`: k.
+  Covariance priorCovariance(const ScaleMeasurement& first, double inverse_scale, double scale_stddev) const;
+  void seeFirst(const ScaleMeasurement& first, double inverse_scale, Covariance* P) const;
+  Covariance processNoise(const Preintegration& motion, const Eigen::Matrix3d& R, double inverse_scale) const;
   Eigen::Matrix3d visualNoise(const ScaleMeasurement& measurement) const;  ///< of p_map_camera
   void propagate(const Preintegration& motion, const Eigen::Matrix3d& R_map_imu_before, State* state, Covariance* F,
                  Covariance* Q) const;
@@ -123,7 +125,6 @@ class ScaleFilter {
   State state_;
   Covariance P_ = Covariance::Zero();
   Eigen::Matrix3d R_before_ = Eigen::Matrix3d::Identity();
-  double last_nis_ = 0;
   int rejected_ = 0;
   int rejected_in_a_row_ = 0;
   int updates_ = 0, rejected_updates_ = 0;  ///< since the start

@@ -62,6 +62,8 @@ class MavVoNode : private ros_utils::Estimator {
   }
 
   void forgetMap() override {
+    ended_.clear();
+    last_lost_.reset();
     pose_publisher_.reset();
     last_cloud_ = ros::Time();
   }
@@ -81,6 +83,7 @@ class MavVoNode : private ros_utils::Estimator {
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
     VoResult visual = odometry_->process(frame.stamp.toSec(), grey);
     visual.map_id = shell_.mapId();
+    keepEnded(std::exchange(state_, visual.state), visual.state);
     last_stamp_ = frame.stamp;
     calibration_.update(odometry_->camera().k1);
     warnOfNoise(visual.accel_noise);
@@ -234,10 +237,40 @@ class MavVoNode : private ros_utils::Estimator {
     return [points = std::move(points)] { return points; };
   }
 
-  air_ground_common::Trajectory trajectory() override {
-    if (!metric()) throw std::runtime_error("there is no metric trajectory yet");
-    odometry_->finish();
-    return external_scale_->metric(odometry_->trajectory(), shell_.mapId());
+  /// A map that is lost for too long ends, and its trajectory with it.
+  void keepEnded(OdometryState before, OdometryState now) {
+    constexpr std::size_t kMost = 20, kWorthIt = 20;  // maps; poses
+    const std::uint32_t id = shell_.mapId();
+    if (last_lost_ && last_lost_->first != id) {
+      ended_.push_back(std::move(last_lost_->second));
+      last_lost_.reset();
+      if (ended_.size() > kMost) ended_.erase(ended_.begin());
+    }
+    if (now != OdometryState::kLost || before == now) return;
+    ros_utils::MapTrajectory lost = presentTrajectory();
+    if (lost.poses.size() >= kWorthIt) last_lost_.emplace(id, std::move(lost));
+  }
+
+  ros_utils::MapTrajectory presentTrajectory() const {
+    return {external_scale_->metric(odometry_->trajectory(), shell_.mapId()),
+            metric() ? "" : air_ground_common::kOwnUnit};
+  }
+
+  air_ground_common::Trajectory trajectory() override { return trajectories().front().poses; }
+
+  /// The present map's; a metric one before it where it is not.
+  std::vector<ros_utils::MapTrajectory> trajectories() override {
+    std::vector<ros_utils::MapTrajectory> maps;
+    if (odometry_->map().keyframeCount() > 0) {
+      odometry_->finish();
+      maps.push_back(presentTrajectory());
+    }
+    maps.insert(maps.end(), ended_.rbegin(), ended_.rend());
+    if (maps.empty()) throw std::runtime_error("there is no trajectory yet: no map has begun");
+    const auto metric =
+        std::find_if(maps.begin(), maps.end(), [](const ros_utils::MapTrajectory& map) { return map.unit.empty(); });
+    if (metric != maps.end()) std::rotate(maps.begin(), metric, std::next(metric));
+    return maps;
   }
 
   const NodeSettings settings_;
@@ -254,6 +287,9 @@ class MavVoNode : private ros_utils::Estimator {
   std::mutex alignment_mutex_;
   air_ground::AlignmentEstimate::ConstPtr alignment_;  // the newest that has not been used yet
   ros::Time last_stamp_, last_cloud_;
+  OdometryState state_ = OdometryState::kWaiting;
+  std::vector<ros_utils::MapTrajectory> ended_;                                  // of earlier maps
+  std::optional<std::pair<std::uint32_t, ros_utils::MapTrajectory>> last_lost_;  // of the map of this id, when it was
   std::uint32_t map_id_ = 0, corrections_ = 0;
   std::size_t frame_count_ = 0;
   bool noise_warned_ = false;

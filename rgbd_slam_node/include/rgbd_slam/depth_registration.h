@@ -15,6 +15,10 @@ namespace rgbd_slam {
 /// proportions differ by more than 1 %.
 std::optional<cv::Mat> depthAtSize(const cv::Mat& depth, int width, int height);
 
+/// Whether the depth camera's calibration, brought to the size of the colour images, is the colour camera's: within 3 %
+/// of the focal lengths and 2 % of the size. Else its depth images are hardly registered to it.
+bool seesAlike(const air_ground_common::CameraModel& depth_camera, const air_ground_common::CameraModel& colour_camera);
+
 class DepthRegistration {
  public:
   /// `T_colour_depth`: pose of the depth camera's optical frame in the colour camera's. Any distortion model.

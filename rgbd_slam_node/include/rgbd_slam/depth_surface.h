@@ -32,6 +32,9 @@ class DepthSurface {
   const std::vector<Cell>& cells() const { return cells_; }
   std::size_t known() const { return known_; }  ///< cells that show a surface
 
+  /// What a cell covers of its surface [m^2].
+  double area(const air_ground_common::CameraModel& camera, const Cell& cell) const;
+
   /// With a readout time that is longer by that of `shift`: each cell moves to where the middle row sees it.
   void moveRows(const visual_frontend::RollingShutter& shift);
 

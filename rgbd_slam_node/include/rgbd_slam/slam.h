@@ -174,6 +174,7 @@ class Slam {
   const SlamCounters& counters() const;
   Eigen::Vector3d gyroBias() const;  ///< estimate [rad/s]
   bool gravityKnown() const;         ///< the map was levelled by the accelerometer
+  bool levelBySurfaces() const;      ///< no accelerometer serves: the map is as level as what lies flat in it
   double readoutTime() const;        ///< of a rolling shutter, as it is in use [s]
   double readoutTimeStddev() const;  ///< of its estimate [s]; 0 = given, not estimated
   Vertical vertical() const;         ///< what is up in the map, which leans a little (`level_tolerance`)

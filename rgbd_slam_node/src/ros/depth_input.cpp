@@ -22,8 +22,7 @@ DepthInput::DepthInput(ros::NodeHandle handle, const std::string& image, const s
       health_(health),
       image_topic_(handle.resolveName(image)),
       info_topic_(handle.resolveName(camera_info)) {
-  if (settings.registered) return;
-  health_.expectInput(info_topic_);
+  if (!settings.registered) health_.expectInput(info_topic_);
   info_subscriber_ = handle.subscribe(camera_info, 20, &DepthInput::onInfo, this);
 }
 
@@ -34,7 +33,7 @@ void DepthInput::setColourCamera(const CameraModel& camera, const Pose& T_base_c
 }
 
 void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
-  health_.received(info_topic_, message->header.stamp);
+  if (!settings_.registered) health_.received(info_topic_, message->header.stamp);
   std::string problem;
   std::optional<ros_utils::Calibration> calibration;
   try {
@@ -42,16 +41,31 @@ void DepthInput::onInfo(const sensor_msgs::CameraInfo::ConstPtr& message) {
     calibration = ros_utils::Calibration{ros_utils::fromMsg(info), info};
   } catch (const std::exception& e) {
     problem = e.what();
-    health_.count("depth camera calibrations refused: " + problem);
+    if (!settings_.registered) health_.count("depth camera calibrations refused: " + problem);
   }
   const std::lock_guard<std::mutex> lock(mutex_);
   problem_ = problem;
   if (calibration) calibration_ = calibration;
 }
 
+// Drivers stamp images of two cameras with one frame, and some registered ones with the other calibration.
+bool DepthInput::ofColourCamera() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!calibration_ || seesAlike(calibration_->camera, colour_camera_)) return true;
+  const CameraModel& depth = calibration_->camera;
+  const std::string doubt = air_ground_common::formatted(
+      "%s tells of another camera (%dx%d, f %.0f) than that of the colour images (%dx%d, f %.0f)", info_topic_.c_str(),
+      depth.width, depth.height, depth.fx, colour_camera_.width, colour_camera_.height, colour_camera_.fx);
+  if (!std::exchange(other_calibration_, true))
+    ROS_WARN_STREAM(doubt << ": if the driver does not register depth images to colour, set depth_registered: false "
+                             "(launch argument ground_depth_registered)");
+  health_.count("depth images whose calibration is not the colour camera's");
+  return false;
+}
+
 std::optional<cv::Mat> DepthInput::atColourSize(const cv::Mat& depth, const std::string& frame,
                                                 const std::string& colour_frame, std::string* why) {
-  const bool same_camera = frame.empty() || frame == colour_frame;
+  const bool same_calibration = ofColourCamera(), same_camera = frame.empty() || frame == colour_frame;
   const std::string doubt = air_ground_common::formatted(
       "depth images are %dx%d in frame '%s', colour images %dx%d in '%s': of another camera? Then depth_registered: "
       "false (launch argument ground_depth_registered), with its camera_info",
@@ -64,7 +78,7 @@ std::optional<cv::Mat> DepthInput::atColourSize(const cv::Mat& depth, const std:
     return depth;
   }
   const auto scaled = depthAtSize(depth, colour_camera_.width, colour_camera_.height);
-  if (!scaled || !same_camera) {
+  if (!scaled || !same_camera || !same_calibration) {
     *why = doubt;
     health_.count("depth images of another size than the colour images', not of its camera");
     return std::nullopt;

@@ -41,6 +41,8 @@ class DepthInput {
 
  private:
   void onInfo(const sensor_msgs::CameraInfo::ConstPtr& message);
+  /// False: a calibration of the depth images has come, and it is another camera's.
+  bool ofColourCamera();
   std::optional<cv::Mat> atColourSize(const cv::Mat& depth, const std::string& frame, const std::string& colour_frame,
                                       std::string* why);
 
@@ -55,6 +57,7 @@ class DepthInput {
   bool doubted_ = false;                ///< its unit, on the console
   bool resized_ = false;                ///< said so on the console
   bool other_frame_ = false;            ///< likewise
+  bool other_calibration_ = false;      ///< likewise
 
   std::mutex mutex_;  // of the next two
   std::optional<air_ground_common::ros_utils::Calibration> calibration_;

@@ -60,7 +60,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
         shell_(handle_, settings.estimator,
                {"ground/rgb/image_raw", "ground/rgb/camera_info", "ground/imu/data", "ground/slam_status",
                 "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
-                "runs without rotation prior and takes the robot's base for level at the start"},
+                "runs without rotation prior, and levels the map by what lies flat in it"},
                *this),
         depth_(handle_, "ground/depth/image_raw", "ground/depth/camera_info", settings_.depth, shell_.mountings(),
                shell_.health()),
@@ -141,7 +141,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     map_revision_ += r.map_corrected;
     status.map_revision = map_revision_;
     status.scale = 1.0;
-    if (slam_->gravityKnown()) {
+    if (slam_->gravityKnown() || slam_->levelBySurfaces()) {
       const Vertical vertical = slam_->vertical();
       status.tilt_stddev = vertical.stddev;
       status.up.x = vertical.up.x();

@@ -82,6 +82,11 @@ struct EstimatorResult {
   std::function<void()> publish = [] {};
 };
 
+struct MapTrajectory {
+  Trajectory poses;
+  std::string unit;  ///< of their lengths; empty: metres
+};
+
 /// The library's side. The shell calls one function at a time; `drop` and later ones only while there is an estimator.
 class Estimator {
  public:
@@ -108,6 +113,8 @@ class Estimator {
   /// meanwhile.
   virtual std::function<std::vector<CloudPoint>()> mapForFile() = 0;
   virtual Trajectory trajectory() = 0;
+  /// The one to save, and those of other maps, each in a frame of its own.
+  virtual std::vector<MapTrajectory> trajectories() { return {{trajectory(), ""}}; }
 };
 
 class EstimatorShell {
@@ -123,7 +130,6 @@ class EstimatorShell {
 
   NodeHealth& health() { return health_; }
   const Mountings& mountings() const { return mountings_; }
-  const std::string& imuTopic() const { return imu_topic_; }
   /// What is wrong with the accelerometer; empty while nothing is known to be.
   std::string imuProblem() const { return imu_input_.problem(); }
 
@@ -170,7 +176,7 @@ class EstimatorShell {
   void reportObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
   std::size_t saveMapTo(const std::string& path);
-  std::size_t saveTrajectoryTo(const std::string& path);
+  std::string saveTrajectoryTo(const std::string& path, std::uint64_t* poses);
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response);
   bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response);
   bool reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);

@@ -1,6 +1,7 @@
 // Place recognition with ORB: for loop closure and to relocalise after tracking is lost.
 #pragma once
 
+#include <algorithm>
 #include <limits>
 #include <optional>
 #include <vector>
@@ -52,10 +53,20 @@ struct RelocalizationGate {
   Pose T_map_last = Pose::Identity();                             ///< camera when it was last known
   double max_distance = std::numeric_limits<double>::infinity();  ///< that it can have moved since [map unit]
   std::optional<Eigen::Vector3d>
-      up_camera;                   ///< against gravity, camera frame now, unit; the map's z axis is up. None: not known
-  double max_tilt = 0.15;          ///< between that and the map's up as the place has it [rad]
+      up_camera;           ///< against gravity, camera frame now, unit; the map's z axis is up. None: not known
+  double max_tilt = 0.15;  ///< between that and the map's up as the place has it [rad]
+  /// Orientation now, as a gyro has carried it on since the camera was last known. None: not known.
+  std::optional<Eigen::Matrix3d> R_map_camera;
+  double max_turn = 0.15;          ///< between that and the place's [rad]
   double min_lead = 1.4;           ///< inliers of the place over those of the best place that puts the camera elsewhere
   std::vector<KeyframeId> places;  ///< among which it is sought; empty: the whole map
+
+  /// R_map_camera, known to `sigma` [rad] after the camera was lost for so long [s]. It is worth less with time: a gyro
+  /// saturates where a vehicle is hit, and feels nothing while a recording begins again.
+  void setTurn(const Eigen::Matrix3d& R, double sigma, double lost_for) {
+    R_map_camera = R;
+    max_turn = std::max(max_turn, 3 * sigma) + 0.5 * lost_for;
+  }
 };
 
 /// recognizePlace for a camera that was lost: places that the gate excludes do not count, and of two
