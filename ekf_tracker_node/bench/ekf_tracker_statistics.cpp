@@ -21,6 +21,10 @@ struct Options {
   bool repeated = false;
   double gap = 0;  // the camera sees nothing for so long, in mid-flight [s]
   double max_false_start = ek::FilterSettings().max_false_start;
+  double places = 0;        // way along which fixes rest on one panorama [m]
+  double common = 0;        // share of a fix's variance that is common to those of a panorama
+  bool unnamed = false;     // the tracker is not told the panoramas
+  double fix_interval = 0;  // [s]; 0: drawn
 };
 
 /// What one flight showed.
@@ -31,8 +35,10 @@ struct Trial {
   double error = 0;      ///< position, at the end [m]; NaN: never started
   double first_lie = 0;  ///< when the covariance first excluded the truth [s]
   bool metric = false;
-  double started_after = 0;  ///< time of the first pose since take-off [s]; NaN: never
-  double sure_after = 0;     ///< from the end of the gap until the pose is sure again [s]; NaN: never
+  double started_after = 0;    ///< time of the first pose since take-off [s]; NaN: never
+  double distances = 0;        ///< sum over the looks of the squared Mahalanobis distance
+  std::vector<double> errors;  ///< position, at the looks [m]
+  double sure_after = 0;       ///< from the end of the gap until the pose is sure again [s]; NaN: never
 };
 
 constexpr double kGapBegin = 130, kSure = 5;  ///< stamp [s]; largest standard deviation of a sure position [m]
@@ -54,6 +60,9 @@ ek::SimulationSettings draw(const Options& o, unsigned seed, double* delay) {
   s.outlier_share = o.outliers >= 0 ? o.outliers : 0.4 * uniform(random);
   s.fix_stddev *= std::exp(1.4 * uniform(random) - 0.9);  // 0.8 to 3.3 m
   s.outliers_alike = o.repeated;
+  s.place_spacing = o.places;
+  s.common_share = o.common;
+  if (o.fix_interval > 0) s.fix_interval = o.fix_interval;
   *delay = 3 * uniform(random);
   return s;
 }
@@ -88,6 +97,8 @@ Trial fly(const Options& o, unsigned seed) {
   settings.filter.max_false_start = o.max_false_start;
   ek::Simulation sim = ek::simulate(s, settings.filter);
   if (o.gap > 0) blind(o.gap, seed, &sim);
+  if (o.unnamed)
+    for (ek::Measurement& fix : sim.fixes) fix.place = 0;
   ek::Tracker tracker(settings);
   Trial out;
   out.metric = s.metric;
@@ -112,7 +123,10 @@ Trial fly(const Options& o, unsigned seed) {
     if (!estimate) continue;
     ++out.started;
     const ek::Vector4d e = ek::poseError(estimate->pose, sim.truth[i + 1]);
-    out.largest = std::max(out.largest, air_ground_common::squaredMahalanobis(e, estimate->covariance));
+    const double distance = air_ground_common::squaredMahalanobis(e, estimate->covariance);
+    out.largest = std::max(out.largest, distance);
+    out.distances += distance;
+    out.errors.push_back(e.head<3>().norm());
     if (out.first_lie == 0 && out.largest > bound()) out.first_lie = sim.odometry[i].stamp - sim.stamps[0];
     out.error = e.head<3>().norm();
   }
@@ -144,6 +158,22 @@ std::string firstPose(const std::vector<Trial>& trials, double Trial::*after, bo
   std::snprintf(text, sizeof text, "%.1f, %.1f s (%zu flights)", seconds[seconds.size() / 2],
                 seconds[seconds.size() * 95 / 100], seconds.size());
   return text;
+}
+
+/// What fixes that share their panorama's error do to the state at the looks.
+void reportLooks(const std::vector<Trial>& trials) {
+  std::vector<double> errors;
+  double distances = 0;
+  for (const Trial& t : trials) {
+    errors.insert(errors.end(), t.errors.begin(), t.errors.end());
+    distances += t.distances;
+  }
+  if (errors.empty()) return;
+  std::sort(errors.begin(), errors.end());
+  std::printf("| error at the looks: median, 95 %% | %.2f, %.2f m | |\n", errors[errors.size() / 2],
+              errors[errors.size() * 95 / 100]);
+  std::printf("| mean squared distance of the truth (4 if honest) | %.2f | |\n",
+              distances / static_cast<double>(errors.size()));
 }
 
 /// Markdown, for docs/results; the flights that lie one by one to stderr.
@@ -184,6 +214,7 @@ void report(const Options& o, const std::vector<Trial>& trials) {
       std::printf("| sure again (%.0f m) after the gap, %s: median, 95 %% | %s | |\n", kSure, unit,
                   firstPose(trials, &Trial::sure_after, metric, false).c_str());
   }
+  if (o.places > 0) reportLooks(trials);
   if (!errors.empty())
     std::printf("| error at the end: median, 99 %%, largest | %.2f, %.2f, %.2f m | |\n", errors[errors.size() / 2],
                 errors[errors.size() * 99 / 100], errors.back());
@@ -202,6 +233,10 @@ int main(int argc, char** argv) {
                "the wrong fixes of a flight are off by the same, as before a facade that repeats itself");
   app.add_option("--gap", o.gap,
                  "seconds in mid-flight without odometry and fixes; odometry in an unknown unit then has another");
+  app.add_option("--places", o.places, "metres of way along which fixes rest on one panorama; 0: they name none");
+  app.add_option("--common", o.common, "share of a fix's variance that all fixes of its panorama have in common");
+  app.add_flag("--unnamed", o.unnamed, "the tracker is not told the panoramas");
+  app.add_option("--fix-interval", o.fix_interval, "[s]; 0: drawn from 1.5 to 5.5");
   CLI11_PARSE(app, argc, argv);
 
   std::vector<Trial> trials(static_cast<std::size_t>(o.runs));

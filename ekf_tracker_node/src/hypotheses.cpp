@@ -36,6 +36,8 @@ PoseFilter::Hypothesis PoseFilter::hypothesisFrom(const Measurement& fix) const 
   h.anchor[3] = wrapAngle(h.anchor[3]);
   h.anchor_covariance = fix.covariance;
   h.stamps = {fix.stamp};
+  h.place = fix.place;
+  if (fix.place != 0) h.state.places = {{fix.place, 0}};
   h.state.support = 1;
   h.state.scale_known = false;
   h.state.x << h.anchor, 1, 0;
@@ -128,6 +130,12 @@ bool PoseFilter::needsAnother(const Measurement& fix, double nis) const {
   return rest.llt().info() != Eigen::Success && logOdds(*state_, fix, nis) < std::log(kMinOdds);
 }
 
+PoseFilter::Hypothesis* PoseFilter::join(Hypothesis* h, const Measurement& fix) {
+  h->stamps.push_back(fix.stamp);
+  if (fix.place != h->place) h->place = 0;
+  return h;
+}
+
 // The hypothesis that the fix agrees with best, corrected by it; null when it agrees with none.
 PoseFilter::Hypothesis* PoseFilter::correctBestHypothesis(const Measurement& fix) {
   Hypothesis* supported = nullptr;
@@ -143,17 +151,13 @@ PoseFilter::Hypothesis* PoseFilter::correctBestHypothesis(const Measurement& fix
   if (supported) {
     supported->log_odds += logOdds(supported->state, fix, best);
     fuse(&supported->state, fix);
-    supported->stamps.push_back(fix.stamp);
-    return supported;
+    return join(supported, fix);
   }
   if (metric_) return nullptr;
   for (Hypothesis& h : hypotheses_) {
     if (h.state.support > 1) continue;
     const Solution solution = solveScale(&h, fix);
-    if (solution == Solution::kFound) {
-      h.stamps.push_back(fix.stamp);
-      return &h;
-    }
+    if (solution == Solution::kFound) return join(&h, fix);
     if (solution == Solution::kContradiction && !h.state.scale_known) h.log_odds += std::log(kWrongShare);
   }
   return nullptr;
@@ -174,11 +178,16 @@ PoseFilter::Hypothesis* PoseFilter::addHypothesis(const Measurement& fix) {
 // Fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior
 // it would keep the localizer from finding out. Two do where wrong ones hardly agree so well by chance; in an unknown
 // unit, where some scale fits many a wrong pair, at least a third confirms it. After a gap that left little of the
-// state it is no other. A state that few fixes support yields to fewer hypotheses. `latest`: what the newest fix did.
+// state it is no other. A state that few fixes support yields to fewer hypotheses; one that more support than replace
+// it yields to fixes of two panoramas at least, where those are known: the fixes of one agree with each other, be they
+// right or wrong. `latest`: what the newest fix did.
 bool PoseFilter::isTrusted(const Hypothesis& h, Result latest) const {
   int needed = metric_ ? 2 : settings_.unscaled_start_fixes;
   if (latest == Result::kFused) needed = 2;  // the scale is all that is missing
-  if (latest == Result::kRefusedByGate) needed = std::min(settings_.recovery_fixes, state_->support + 1);
+  if (latest == Result::kRefusedByGate) {
+    needed = std::min(settings_.recovery_fixes, state_->support + 1);
+    if (h.place != 0 && state_->support > settings_.recovery_fixes) return false;
+  }
   return h.state.scale_known && h.state.support >= needed && h.log_odds >= -std::log(settings_.max_false_start);
 }
 

@@ -1,6 +1,7 @@
 #include "ekf_tracker/pose_filter.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <boost/math/distributions/chi_squared.hpp>
 #include <cmath>
@@ -16,17 +17,23 @@ namespace {
 
 using air_ground_common::wrapAngle;
 
+using Small = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 4, 1>;
+using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 4, 4>;
+using Observation = Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6>;
+
+constexpr double kPlaceMemory = 60;  // so long after its last fix a panorama's error is taken for a new one [s]
+
 // Rows of the state that a measurement observes; the barometer reads z plus its offset.
-Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> observation(Source source) {
-  Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> h;
-  switch (source) {
+Observation observation(const Measurement& m) {
+  Observation h;
+  switch (m.source) {
     case Source::kFix:
       h.setZero(4, 6);
       h.leftCols<4>().setIdentity();
       break;
     case Source::kGps:
-      h.setZero(3, 6);
-      h.leftCols<3>().setIdentity();
+      h.setZero(m.size(), 6);
+      h.leftCols(m.size()).setIdentity();
       break;
     case Source::kHeading:
       h.setZero(1, 6);
@@ -40,11 +47,8 @@ Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6> observation(Source source) {
   return h;
 }
 
-using Small = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 4, 1>;
-using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 4, 4>;
-
 Small innovationOf(const State& s, const Measurement& m) {
-  Small v = m.value.head(m.size()) - observation(m.source) * s.x;
+  Small v = m.value.head(m.size()) - observation(m) * s.x;
   if (m.source == Source::kFix) v[3] = wrapAngle(v[3]);
   if (m.source == Source::kHeading) v[0] = wrapAngle(v[0]);
   return v;
@@ -57,6 +61,19 @@ void readBarometer(const Measurement& m, State* s) {
   s->covariance.col(kOffset) = -s->covariance.col(2);
   s->covariance(kOffset, kOffset) = s->covariance(2, 2) + m.covariance(0, 0);
   s->barometer_known = true;
+}
+
+// Equations 12 and 13: the innovation v of what the rows of h observe, with the covariance r.
+void update(State* state, const Observation& h, const Small& v, const SmallMatrix& r) {
+  Matrix6d& p = state->covariance;
+  const SmallMatrix s = h * p * h.transpose() + r;
+  const Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, 4> gain = s.llt().solve(h * p).transpose();
+  state->x += gain * v;
+  state->x[kYaw] = wrapAngle(state->x[kYaw]);
+  // In Joseph's form, which rounding cannot make indefinite.
+  const Matrix6d a = Matrix6d::Identity() - gain * h;
+  p = a * p * a.transpose() + gain * r * gain.transpose();
+  symmetrise(&p);
 }
 
 }  // namespace
@@ -148,19 +165,29 @@ void PoseFilter::propagate(State* state, const Increment& given) const {
   p.topLeftCorner<4, 4>() += j.by_increment * increment.covariance * j.by_increment.transpose();  // equation 8
   const double length = scale * increment.motion.head<3>().norm();
   p(kScale, kScale) += std::pow(x[kScale] * settings_.scale_drift, 2) * length;
-  p(kOffset, kOffset) += std::pow(settings_.barometer_drift, 2) * (increment.stamp - increment.previous_stamp);
+  const double dt = increment.stamp - increment.previous_stamp;
+  p(kOffset, kOffset) += std::pow(settings_.barometer_drift, 2) * dt;
   symmetrise(&p);
+  auto& places = state->places;
+  for (UsedPlace& used : places) used.age += dt;
+  places.erase(
+      std::remove_if(places.begin(), places.end(), [](const UsedPlace& used) { return used.age > kPlaceMemory; }),
+      places.end());
+}
+
+// A factor of one, as uncertain as odometry states it.
+void PoseFilter::takeStatedScale(State* state) const {
+  state->scale_known = true;
+  state->x[kScale] = 1;
+  state->covariance.row(kScale).setZero();
+  state->covariance.col(kScale).setZero();
+  state->covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
 }
 
 // The odometry found its own scale: what was known of its old unit says nothing about what is left to apply.
 void PoseFilter::becomeMetric() {
   hypotheses_.clear();
-  if (!state_) return;
-  state_->scale_known = true;
-  state_->x[kScale] = 1;
-  state_->covariance.row(kScale).setZero();
-  state_->covariance.col(kScale).setZero();
-  state_->covariance(kScale, kScale) = std::pow(priorScaleStddev(), 2);
+  if (state_) takeStatedScale(&*state_);
 }
 
 void PoseFilter::loseScale() {
@@ -182,8 +209,13 @@ void PoseFilter::predict(const Increment& given) {
                       hypotheses_.end());
   } else {
     scale_stddev_ = increment.metric ? increment.scale_stddev : 0;
-    if (increment.new_unit) loseScale();
+    if (increment.new_unit && !increment.metric) loseScale();
     if (increment.metric && !metric_) becomeMetric();
+    if (increment.new_unit && increment.metric) {
+      // Another metric map: what fixes told of the last one's scale is not of this one.
+      if (state_) takeStatedScale(&*state_);
+      for (Hypothesis& h : hypotheses_) takeStatedScale(&h.state);
+    }
     metric_ = increment.metric;
     increment.covariance = noiseOf(given, settings_);
   }
@@ -206,7 +238,7 @@ void PoseFilter::predict(const Increment& given) {
 }
 
 Outcome PoseFilter::test(const State& state, const Measurement& m) const {
-  const auto h = observation(m.source);
+  const auto h = observation(m);
   const int n = m.size();
   Outcome out;
   out.measurement = m;
@@ -222,19 +254,35 @@ Outcome PoseFilter::test(const State& state, const Measurement& m) const {
 }
 
 void PoseFilter::fuse(State* state, const Measurement& m) {
-  const auto h = observation(m.source);
   const int n = m.size();
-  Matrix6d& p = state->covariance;
-  const SmallMatrix r = m.covariance.topLeftCorner(n, n);
-  const SmallMatrix s = h * p * h.transpose() + r;
-  const Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, 4> gain = s.llt().solve(h * p).transpose();
-  state->x += gain * innovationOf(*state, m);  // equation 12
-  state->x[kYaw] = wrapAngle(state->x[kYaw]);
-  // Equation 13 in Joseph's form, which rounding cannot make indefinite.
-  const Matrix6d a = Matrix6d::Identity() - gain * h;
-  p = a * p * a.transpose() + gain * r * gain.transpose();
-  symmetrise(&p);
-  if (m.source == Source::kFix) ++state->support;
+  if (m.source == Source::kFix) {
+    ++state->support;
+    if (m.place != 0) {
+      auto& places = state->places;
+      const auto known =
+          std::find_if(places.begin(), places.end(), [&](const UsedPlace& used) { return used.place == m.place; });
+      if (known != places.end()) {
+        known->age = 0;
+        return fuseAgain(state, m);
+      }
+      places.push_back({m.place, 0});
+    }
+  }
+  update(state, observation(m), innovationOf(*state, m), m.covariance.topLeftCorner(n, n));
+}
+
+// A panorama stands wrong by the same in all its fixes: together they tell no more than one, and what one told may be
+// in the state already. In the basis V where the fix has unit covariance and the state the variances lambda_i, only
+// directions with lambda_i > 1 are corrected, by as much as leaves a variance of 1, that of one fix.
+void PoseFilter::fuseAgain(State* state, const Measurement& fix) {
+  const Eigen::GeneralizedSelfAdjointEigenSolver<Matrix4d> basis(state->covariance.topLeftCorner<4, 4>(),
+                                                                 fix.covariance);  // ascending lambda
+  const int n = static_cast<int>((basis.eigenvalues().array() > 1 + 1e-6).count());
+  if (n == 0) return;
+  const Eigen::Matrix<double, Eigen::Dynamic, 4, 0, 4, 4> directions = basis.eigenvectors().rightCols(n).transpose();
+  const Small lambda = basis.eigenvalues().tail(n);
+  const SmallMatrix r = lambda.cwiseQuotient((lambda.array() - 1).matrix()).asDiagonal();
+  update(state, directions * observation(fix), directions * innovationOf(*state, fix), r);
 }
 
 Outcome PoseFilter::unpredicted(const Measurement& m, Result result) const {

@@ -39,11 +39,6 @@ Tracker::Tracker(const TrackerSettings& settings) : settings_(settings), now_(se
 
 void Tracker::reset() { *this = Tracker(settings_); }
 
-std::optional<double> Tracker::newestStamp() const {
-  if (steps_.empty()) return std::nullopt;
-  return steps_.back().increment.stamp;
-}
-
 void Tracker::report(const Measurement& m, Result result, double delay) {
   Outcome out;
   out.measurement = m;
@@ -83,10 +78,9 @@ IncrementResult Tracker::addIncrement(const Increment& given, bool* covariance_r
   } else {
     const double newest = steps_.back().increment.stamp, silent = increment.previous_stamp - newest;
     if (silent < -settings_.same_time) return IncrementResult::kOutOfOrder;
-    if (!increment.metric && (increment.map_id != map_id_ || metric_)) {
-      increment.new_unit = true;
-      result = IncrementResult::kNewUnit;
-    }
+    const bool new_map = increment.map_id != map_id_;
+    increment.new_unit = increment.metric ? metric_ && new_map : metric_ || new_map;
+    if (increment.new_unit && !increment.metric) result = IncrementResult::kNewUnit;
     if (silent > settings_.same_time) {
       Increment gap;
       gap.gap = true;

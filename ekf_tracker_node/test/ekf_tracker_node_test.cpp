@@ -162,6 +162,35 @@ TEST_F(EkfTrackerNodeTest, BadOdometryGapsAndRepetitionsAreSurvived) {
   expectFinite();
 }
 
+// The match of a fix's stamp, which comes after it here, tells the panorama: three wrong fixes of one replace nothing.
+TEST_F(EkfTrackerNodeTest, MatchesTellWhichPanoramaAFixRestsOn) {
+  using I = air_ground::TrackerInnovation;
+  ros::Publisher matches = handle_.advertise<air_ground::StreetviewMatch>("streetview/match", 100);
+  ASSERT_TRUE(spinUntil([&] { return matches.getNumSubscribers() > 0; }));
+  const auto give = [&](int i, const std::string& panorama, const Eigen::Vector3d& error) {
+    fixes_.publish(fix(i, error));
+    pause(5);
+    air_ground::StreetviewMatch match;
+    match.header.stamp = timeOf(i);
+    match.status = air_ground::StreetviewMatch::STATUS_ACCEPTED;
+    match.panorama_id = panorama;
+    matches.publish(match);
+    const int before = answered();
+    return spinUntil([&] { return answered() > before; });
+  };
+  fly(0, 200);
+  ASSERT_TRUE(reach(200));
+  for (int i = 10; i <= 120; i += 10) ASSERT_TRUE(give(i, i < 60 ? "a.jpg" : "b.jpg", Eigen::Vector3d::Zero())) << i;
+  ASSERT_GT(results(I::RESULT_FUSED), 4);
+  for (int i = 140; i <= 180; i += 20) ASSERT_TRUE(give(i, "c.jpg", {30, 0, 0})) << i;
+  EXPECT_EQ(results(I::RESULT_REFUSED_BY_GATE), 3);
+  EXPECT_EQ(results(I::RESULT_RECOVERED), 0);
+  fly(200, 220);
+  expectOnTheWay(220, 1.0);
+  ASSERT_TRUE(give(210, "d.jpg", {30, 0, 0}));
+  EXPECT_TRUE(spinUntil([&] { return results(I::RESULT_RECOVERED) == 1; }));
+}
+
 TEST_F(EkfTrackerNodeTest, LoopedBagStartsAfresh) {
   for (int round = 0; round < 2; ++round) {
     fly(0, 60);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <air_ground/SaveTrajectory.h>
+#include <air_ground/StreetviewMatch.h>
 #include <air_ground/TrackerInnovation.h>
 #include <air_ground/VoIncrement.h>
 #include <diagnostic_msgs/DiagnosticStatus.h>

@@ -21,6 +21,9 @@ struct SimulationSettings {
   double fix_interval = 3.25;   ///< [s]: every 6.5 m
   double outlier_share = 0;     ///< of the fixes, thrown 25 to 100 m away with any yaw
   bool outliers_alike = false;  ///< all of them by the same
+  double place_spacing = 0;     ///< way along which fixes rest on one panorama; 0: fixes do not name theirs [m]
+  double common_share = 0;      ///< of a fix's variance, of an error that all fixes of its panorama have in common
+  double speed = 2;             ///< [m/s]
   Vector4d fix_stddev{2.0, 2.2, 1.5, 7.5 * M_PI / 180};
   Vector4d odometry_stddev{0.010, 0.010, 0.008, 0.003};  ///< of a step, translation [m]
 };
@@ -60,6 +63,9 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
   fix_covariance(0, 1) = fix_covariance(1, 0) = 0.4 * s.fix_stddev[0] * s.fix_stddev[1];
 
   std::optional<Vector4d> thrown;
+  double way = 0;
+  Vector4d common = Vector4d::Zero();
+  unsigned place = 0, wrong_place = 1000000;
   for (int i = 0; i <= steps; ++i) {
     const double t = 100 + i * dt;
     out.stamps.push_back(t);
@@ -68,7 +74,10 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
       Measurement fix;
       fix.stamp = t;
       fix.covariance = fix_covariance;
-      fix.value = q + gaussian(&random, fix_covariance);
+      if (s.place_spacing > 0) fix.place = 1 + static_cast<unsigned>(way / s.place_spacing);
+      if (fix.place != place && s.common_share > 0) common = gaussian(&random, s.common_share * fix_covariance);
+      place = fix.place;
+      fix.value = q + common + std::sqrt(1 - s.common_share) * gaussian(&random, fix_covariance);
       const bool wrong = uniform(random) < s.outlier_share;
       if (wrong) {
         const double away = 25 + 75 * uniform(random), direction = 2 * M_PI * uniform(random);
@@ -76,6 +85,7 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
                           2 * M_PI * uniform(random));
         if (!thrown || !s.outliers_alike) thrown = by;
         fix.value += *thrown;
+        if (fix.place != 0) fix.place = s.outliers_alike ? wrong_place : ++wrong_place;
       }
       fix.value[3] = air_ground_common::wrapAngle(fix.value[3]);
       out.fixes.push_back(fix);
@@ -83,7 +93,7 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
       out.truth_at_fix.push_back(q);
     }
     // Side-looking: it flies to its right, weaving, climbing and sinking.
-    const Vector4d motion(0.3 * std::sin(0.2 * t) * dt, -2.0 * dt, 0.3 * std::cos(0.3 * t) * dt,
+    const Vector4d motion(0.3 * std::sin(0.2 * t) * dt, -s.speed * dt, 0.3 * std::cos(0.3 * t) * dt,
                           0.15 * std::sin(0.25 * t) * dt);
     Increment increment;
     increment.previous_stamp = t;
@@ -94,6 +104,7 @@ inline Simulation simulate(const SimulationSettings& s, const FilterSettings& fi
     increment.motion += gaussian(&random, odometry_covariance);
     out.odometry.push_back(increment);
     q = move<double>(q, motion, 1);
+    way += motion.head<3>().norm();
     q[3] = air_ground_common::wrapAngle(q[3]);
     scale *= 1 + filter.scale_drift * std::sqrt(motion.head<3>().norm()) * normal(random);
   }

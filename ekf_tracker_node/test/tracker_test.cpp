@@ -229,6 +229,41 @@ TEST(Tracker, DefaultCovarianceIsNotMultiplied) {
   EXPECT_NEAR(rate->covariance(0, 0), (std::pow(0.101, 2) + 1e-6) / 0.0025, 1e-4);
 }
 
+// What fixes told of a map's scale says nothing of the next one's, which is metric by its own measure.
+TEST(Tracker, AnotherMetricMapHasAScaleOfItsOwn) {
+  for (const unsigned id : {0u, 1u}) {
+    Tracker tracker;
+    Increment step;
+    step.covariance = Matrix4d::Identity() * 1e-6;
+    step.scale_stddev = 0.1;
+    Measurement fix;
+    fix.covariance = Matrix4d::Identity() * 0.0025;
+    double x = 0;
+    const auto fly = [&](int steps, unsigned map, bool fixes) {
+      for (int i = 0; i < steps; ++i) {
+        step.previous_stamp = step.stamp;
+        step.stamp += 0.05;
+        step.motion << 0.1, 0, 0, 0;
+        step.map_id = map;
+        EXPECT_EQ(tracker.addIncrement(step), IncrementResult::kUsed);
+        x += 0.09;
+        fix.stamp = step.stamp;
+        fix.value[0] = x;
+        if (fixes && i % 20 == 0) tracker.addMeasurement(fix);
+      }
+    };
+    fly(400, 0, true);
+    EXPECT_NEAR(tracker.latest()->scale, 0.9, 0.02);
+    EXPECT_LT(tracker.latest()->scale_stddev, 0.05);
+    fly(1, id, false);
+    EXPECT_NEAR(tracker.latest()->scale, id == 0 ? 0.9 : 1, 0.02);
+    if (id != 0) {
+      EXPECT_NEAR(tracker.latest()->scale_stddev, 0.1, 0.01);
+    }
+    EXPECT_NEAR(tracker.latest()->pose[0], x, 0.1);
+  }
+}
+
 TEST(Tracker, RateTellsWhatIsUnknown) {
   for (const bool metric : {true, false}) {
     Tracker tracker;

@@ -51,6 +51,23 @@ const char* nameOf(Step step) {
   return "";
 }
 
+namespace {
+
+// An image of much finer resolution than the database's views shows nothing more that could be matched, while
+// tolerances in pixels become narrow in it and everything takes long: it is reduced to this multiple of the views'
+// focal length.
+constexpr double kSearchedFocal = 1.5, kWorthReducing = 1.25;
+
+double medianFocal(const StreetviewDatabase& database) {
+  std::vector<double> focals;
+  for (const View& view : database.views) focals.push_back(view.camera.fx);
+  const auto middle = focals.begin() + static_cast<std::ptrdiff_t>(focals.size() / 2);
+  std::nth_element(focals.begin(), middle, focals.end());
+  return *middle;
+}
+
+}  // namespace
+
 struct StreetviewLocalizer::Impl {
   std::shared_ptr<const StreetviewDatabase> database;
   StreetviewLocalizerSettings settings;
@@ -58,6 +75,7 @@ struct StreetviewLocalizer::Impl {
   ViewSearch search;
   CandidateFinder candidates;
   mutable PyramidCache pyramids;
+  const double searched_focal;  // of a large image, once reduced [px]
 
   Impl(std::shared_ptr<const StreetviewDatabase> db, const StreetviewLocalizerSettings& s)
       : database(std::move(db)),
@@ -65,7 +83,8 @@ struct StreetviewLocalizer::Impl {
         projector(database->model),
         search(*database, settings),
         candidates(*database, projector, settings),
-        pyramids(*database) {}
+        pyramids(*database),
+        searched_focal(kSearchedFocal * medianFocal(*database)) {}
 
   static void adopt(Candidate&& c, LocalizerResult* result) {
     result->pose = std::move(c.pose);
@@ -259,7 +278,17 @@ class StreetviewLocalizer::Query {
 
 LocalizerResult StreetviewLocalizer::Impl::locate(const cv::Mat& image, const CameraModel& camera,
                                                   const PosePrior& prior) const {
-  return Query(*this, image, camera, prior).locate();
+  if (camera.fx <= kWorthReducing * searched_focal) return Query(*this, image, camera, prior).locate();
+  const double factor = searched_focal / camera.fx;
+  cv::Mat reduced;
+  cv::resize(greyOf(image), reduced, {}, factor, factor, cv::INTER_AREA);
+  CameraModel reduced_camera = camera.scaled(factor);
+  reduced_camera.width = reduced.cols;
+  reduced_camera.height = reduced.rows;
+  LocalizerResult result = Query(*this, reduced, reduced_camera, prior).locate();
+  for (Correspondence& c : result.correspondences)
+    c.pixel = (c.pixel.array() + 0.5) / factor - 0.5;  // (0, 0) is a pixel's centre
+  return result;
 }
 
 // The panoramas' views are pinholes: features of a fisheye's image look like theirs only after rectification.

@@ -94,6 +94,43 @@ TEST_F(LocalizerTest, FindsAFisheye) {
   }
 }
 
+// What a camera of four times the resolution sees is found as surely and as quickly: as if it had been reduced before.
+TEST_F(LocalizerTest, LargeImagesAreFoundAsSmallOnesAre) {
+  const CameraModel large = TinyCity::camera().scaled(4);
+  const double factor = 1.5 * database_->views[0].camera.fx / large.fx;
+  for (const Pose& T : {TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05), TinyCity::look({4, 0, 3}, 0.2, 0.1, -0.1)}) {
+    const cv::Mat image = city_->photograph(large, T);
+    cv::Mat reduced;
+    cv::cvtColor(image, reduced, cv::COLOR_BGR2GRAY);
+    cv::resize(reduced, reduced, {}, factor, factor, cv::INTER_AREA);
+    const LocalizerResult small = locate(T), by_hand = localizer_->localize(reduced, large.scaled(factor)),
+                          r = localizer_->localize(image, large);
+    EXPECT_EQ(r.status, small.status) << r.reason;
+    EXPECT_EQ(r.features, by_hand.features);
+    EXPECT_EQ(r.pose.T_world_camera.matrix(), by_hand.pose.T_world_camera.matrix());
+    EXPECT_EQ(r.pose.covariance, by_hand.pose.covariance);
+    const Eigen::Vector3d apart = r.pose.T_world_camera.translation() - small.pose.T_world_camera.translation();
+    for (int axis = 0; axis < 3; ++axis) EXPECT_LT(std::abs(apart[axis]), std::sqrt(small.pose.covariance(axis, axis)));
+    // Matches are told as pixels of the large image.
+    for (const int i : r.pose.inliers) {
+      const Correspondence& c = r.correspondences[static_cast<std::size_t>(i)];
+      const auto pixel = large.project(T.inverse() * c.p_world);
+      ASSERT_TRUE(pixel);
+      EXPECT_LT((*pixel - c.pixel).norm(), 12 / factor) << c.pixel.transpose();
+    }
+  }
+}
+
+// Up to 1.9 times the views' focal length an image is searched as it is.
+TEST_F(LocalizerTest, ImagesThatAreHardlyLargerStayAsTheyAre) {
+  const Pose T = TinyCity::look({-4, 1, 4}, M_PI / 2, 0.05);
+  const CameraModel camera = TinyCity::camera().scaled(1.85 * database_->views[0].camera.fx / TinyCity::camera().fx);
+  const cv::Mat image = city_->photograph(camera, T);
+  const LocalizerResult r = localizer_->localize(image, camera);
+  EXPECT_TRUE(r.accepted()) << r.reason;
+  EXPECT_GE(r.features, static_cast<int>(extractFeatures(image).size()));
+}
+
 TEST_F(LocalizerTest, SameInSameOut) {
   const Pose T = TinyCity::look({-2, 0, 5}, M_PI / 2 + 0.1, -0.1);
   const LocalizerResult a = locate(T), b = locate(T);

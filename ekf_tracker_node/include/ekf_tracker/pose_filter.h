@@ -53,13 +53,15 @@ void check(const FilterSettings& settings);
 
 enum class Source { kFix, kHeading, kGps, kBarometer };
 
-/// value: kFix x y z yaw; kHeading yaw; kGps x y z; kBarometer height above any fixed level [m, rad; world].
+/// value: kFix x y z yaw; kHeading yaw; kGps x y z, or x y; kBarometer height above any fixed level [m, rad; world].
 struct Measurement {
   Source source = Source::kFix;
   double stamp = 0;  ///< [s]
   Vector4d value = Vector4d::Zero();
   Matrix4d covariance = Matrix4d::Identity();  ///< leading size() x size() block
-  int size() const { return source == Source::kFix ? 4 : source == Source::kGps ? 3 : 1; }
+  bool plan_only = false;                      ///< kGps: the datum of its height is not known, x and y count
+  unsigned place = 0;                          ///< kFix: number of the panorama behind it; 0: not known
+  int size() const { return source == Source::kFix ? 4 : source != Source::kGps ? 1 : plan_only ? 2 : 3; }
 };
 
 enum class Result {
@@ -95,14 +97,21 @@ struct Outcome {
   std::vector<double> joined;  ///< stamps of earlier fixes that entered the state together with this one [s]
 };
 
+/// A panorama whose fixes a state rests on.
+struct UsedPlace {
+  unsigned place = 0;  ///< as in Measurement
+  double age = 0;      ///< since its last fix [s]
+};
+
 /// Estimate of one hypothesis. x: position [m], yaw [rad] in `world`, scale of the odometry, offset of the barometer
 /// [m].
 struct State {
   Vector6d x = Vector6d::Zero();
   Matrix6d covariance = Matrix6d::Identity();
   bool barometer_known = false;
-  bool scale_known = true;  ///< false: the odometry began anew in an unknown unit, only its turns are used
-  int support = 0;          ///< fixes fused
+  bool scale_known = true;        ///< false: the odometry began anew in an unknown unit, only its turns are used
+  int support = 0;                ///< fixes fused
+  std::vector<UsedPlace> places;  ///< of the last minute, as far as they are known
 };
 
 /// Covariance that a step of odometry is predicted with: the stated one by the factor, and the floors.
@@ -138,6 +147,7 @@ class PoseFilter {
     double log_odds = 0;         ///< that its fixes are right, against that wrong ones agree by chance
     double age = 0;              ///< since the anchor [s]
     std::vector<double> stamps;  ///< of its fixes [s]
+    unsigned place = 0;          ///< of all its fixes; 0: of several, or not known
     Vector4d anchor = Vector4d::Zero();
     Matrix4d anchor_covariance = Matrix4d::Identity();
     Vector4d travelled = Vector4d::Zero();  ///< since the anchor, in its body frame, in the odometry's unit
@@ -145,6 +155,7 @@ class PoseFilter {
   };
 
   void becomeMetric();
+  void takeStatedScale(State* state) const;
   void loseScale();
   void propagate(State* state, const Increment& increment) const;
   Outcome test(const State& state, const Measurement& m) const;
@@ -152,11 +163,13 @@ class PoseFilter {
   Outcome correctByPart(const Measurement& m);
   Outcome correctByFix(const Measurement& m);
   static void fuse(State* state, const Measurement& m);
+  static void fuseAgain(State* state, const Measurement& fix);
   enum class Solution { kNone, kContradiction, kFound };
   Solution solveScale(Hypothesis* h, const Measurement& fix) const;
   double logOdds(double log_density) const;
   double logOdds(const State& state, const Measurement& fix, double nis) const;
   bool needsAnother(const Measurement& fix, double nis) const;
+  static Hypothesis* join(Hypothesis* h, const Measurement& fix);
   Hypothesis* correctBestHypothesis(const Measurement& fix);
   Hypothesis hypothesisFrom(const Measurement& fix) const;
   Hypothesis* addHypothesis(const Measurement& fix);

@@ -77,8 +77,6 @@ class Tracker {
   /// Empty before the start.
   std::optional<Rate> rate() const;
 
-  /// Newest odometry stamp; empty before the first.
-  std::optional<double> newestStamp() const;
   const PoseFilter& filter() const { return now_; }
   /// Measurements that wait for odometry.
   std::size_t waiting() const { return waiting_.size(); }

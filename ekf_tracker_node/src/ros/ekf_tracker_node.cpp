@@ -16,6 +16,7 @@
 #include "air_ground_common/ros/parameters.h"
 #include "attitude_input.h"
 #include "ekf_tracker/increment_synchronizer.h"
+#include "fix_input.h"
 #include "outcome_report.h"
 #include "sensor_bridge.h"
 #include "tracked_pose_publisher.h"
@@ -42,14 +43,21 @@ class EkfTrackerNode {
         health_("ekf_tracker"),
         state_(health_),
         attitude_(
-            handle_, settings_, bridge_, health_, [this] { drain(); }, [this](const Measurement& m) { add(m); }) {
+            handle_, settings_, bridge_, health_, [this] { drain(); }, [this](const Measurement& m) { add(m); }),
+        fixes_(
+            handle_, settings_, bridge_, health_, [this] { state_.fixHeard(); },
+            [this](const Measurement& m) { add(m); }) {
     increments_ = handle_.subscribe("mav/vo_increment", 400, &EkfTrackerNode::onIncrement, this);
-    fixes_ = handle_.subscribe("streetview/pose", 100, &EkfTrackerNode::onFix, this);
     // Fixes come seconds apart: their absence is told by the state, not by a watch for silence.
     health_.expectInput(increments_.getTopic());
     if (settings_.gps) {
       gps_ = handle_.subscribe("gps/fix", 100, &EkfTrackerNode::onGps, this);
       health_.expectInput(gps_.getTopic());
+      if (!settings_.geoid_undulation)
+        health_.count(
+            "GPS positions are used in plan only, without their height: set the parameter geoid_undulation "
+            "(ellipsoidal height minus the height used in origin; city_parameters prints it; 0 where origin is above "
+            "the ellipsoid)");
     }
     if (settings_.barometer) {
       barometer_ = handle_.subscribe("barometer", 200, &EkfTrackerNode::onPressure, this);
@@ -59,6 +67,7 @@ class EkfTrackerNode {
     save_ = private_handle_.advertiseService("save_trajectory", &EkfTrackerNode::onSave, this);
     timer_ = handle_.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) {
       drain();
+      fixes_.drain();
       attitude_.drainFields();
       state_.watch(increments_.getTopic());
     });
@@ -150,14 +159,6 @@ class EkfTrackerNode {
     report_.publishPending();
   }
 
-  void onFix(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& msg) {
-    state_.fixHeard();
-    if (msg->header.frame_id != settings_.world_frame)
-      return health_.count("fixes ignored: in frame '" + msg->header.frame_id + "', expected '" +
-                           settings_.world_frame + "'");
-    add(bridge_.fix(*msg));
-  }
-
   void onGps(const sensor_msgs::NavSatFix::ConstPtr& msg) {
     health_.received(gps_.getTopic(), msg->header.stamp);
     try {
@@ -182,7 +183,7 @@ class EkfTrackerNode {
                    const std::optional<Pose>& T_map_base) {
     const double stamp = cause.header.stamp.toSec();
     const auto estimate = tracker_.latest();
-    if (!estimate) return state_.unlocated(stamp, cause.metric != 0, fixes_);
+    if (!estimate) return state_.unlocated(stamp, cause.metric != 0, fixes_.subscriber());
     publisher_.publish(cause.header.stamp, *estimate, tracker_.rate(),
                        R_level_base.value_or(Eigen::Matrix3d::Identity()), T_map_base);
     state_.tracking(*estimate, stamp, tracker_.filter().strongestHypothesis() > 1);
@@ -192,6 +193,7 @@ class EkfTrackerNode {
   void forget() {
     state_.forget();
     attitude_.clear();
+    fixes_.clear();
     tracker_.reset();
     bridge_.reset();
     publisher_.reset();
@@ -228,9 +230,10 @@ class EkfTrackerNode {
   TrackerState state_;
   OutcomeReport report_{tracker_, publisher_, state_, health_};
   AttitudeInput attitude_;
+  FixInput fixes_;
   Synchronizer synchronizer_{settings_.odometry_wait, attitude_.tilts()};
   ru::TimeJumpDetector clock_;
-  ros::Subscriber increments_, fixes_, gps_, barometer_;
+  ros::Subscriber increments_, gps_, barometer_;
   ros::ServiceServer reset_, save_;
   ros::WallTimer timer_;
 };

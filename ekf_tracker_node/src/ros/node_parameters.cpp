@@ -4,6 +4,23 @@
 #include "air_ground_common/ros/file_services.h"
 
 namespace ekf_tracker {
+namespace {
+
+constexpr double kUnknownUndulation = -1000, kLeastUndulation = -120;  // [m]; on Earth from -107 to 86
+
+void describeUndulation(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
+  double undulation = s.geoid_undulation.value_or(kUnknownUndulation);
+  v("geoid_undulation", undulation, {kUnknownUndulation, 100}, "m",
+    "ellipsoidal height minus the height used in `origin`, at least -120; 47.3 in Zurich, 0 where `origin` is above "
+    "the "
+    "ellipsoid. -1000: not known; then GPS gives no height, and tracked/geodetic has the height of `origin`'s datum");
+  if (undulation > kUnknownUndulation && undulation < kLeastUndulation)
+    throw air_ground_common::ParameterError("parameter geoid_undulation = " + air_ground_common::toString(&undulation) +
+                                            " must lie in [-120, 100] m, or be -1000 where it is not known");
+  s.geoid_undulation = undulation < kLeastUndulation ? std::nullopt : std::make_optional(undulation);
+}
+
+}  // namespace
 
 void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v.about("ekf_tracker_node: position and heading in the city.");
@@ -22,8 +39,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("origin_crs", s.origin_crs,
     "e.g. EPSG:2056 (Swiss LV95), EPSG:32632 (UTM 32N); empty: no geodetic output, GPS is not used");
   v("origin", s.origin, {-1e9, 1e9}, "m", "easting, northing, height of the world's origin in that system");
-  v("geoid_undulation", s.geoid_undulation, {-120, 100}, "m",
-    "ellipsoidal height minus the height used in `origin`; 47.3 in Zurich");
+  describeUndulation(v, s);
 
   v.section("Visual odometry");
   v.choice("increment_frame", s.level_increments, {{"body", true}, {"level", false}},

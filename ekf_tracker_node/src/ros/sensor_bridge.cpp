@@ -27,6 +27,8 @@ std::optional<air_ground_common::LocalFrame> frameOf(const NodeSettings& setting
   if (settings.origin_crs.empty()) return std::nullopt;
   air_ground_common::LocalFrame frame(settings.origin_crs, Eigen::Vector3d(settings.origin.data()));
   const auto& o = frame.origin();
+  if (!settings.geoid_undulation)
+    ROS_INFO("tracked/geodetic: heights as in origin, not above the ellipsoid: geoid_undulation is not set");
   ROS_INFO("the world's origin is at latitude %.7f, longitude %.7f; grid north lies %.4f deg clockwise of its y axis%s",
            o.latitude, o.longitude, frame.meridianConvergence() * 180 / M_PI,
            frame.usesGrid() ? "; by a grid file" : "");
@@ -69,7 +71,9 @@ std::optional<Measurement> SensorBridge::gps(const sensor_msgs::NavSatFix& msg) 
   m.source = Source::kGps;
   m.stamp = msg.header.stamp.toSec();
   if (tooSoon(m.stamp, settings_.gps_interval, last_gps_)) return std::nullopt;
-  m.value.head<3>() = frame_->fromGeodetic({msg.latitude, msg.longitude, msg.altitude - settings_.geoid_undulation});
+  m.plan_only = !settings_.geoid_undulation;  // metres above the ellipsoid say nothing of those above the origin
+  const double height = m.plan_only ? 0 : msg.altitude - *settings_.geoid_undulation;
+  m.value.head<3>() = frame_->fromGeodetic({msg.latitude, msg.longitude, height});
   const bool stated = msg.position_covariance_type != sensor_msgs::NavSatFix::COVARIANCE_TYPE_UNKNOWN;
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {

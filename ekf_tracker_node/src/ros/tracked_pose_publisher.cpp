@@ -99,7 +99,7 @@ void TrackedPosePublisher::publishGeodetic(const ros::Time& stamp, const PoseEst
   fix.status.status = sensor_msgs::NavSatStatus::STATUS_FIX;
   fix.latitude = g.latitude;
   fix.longitude = g.longitude;
-  fix.altitude = g.height + settings_.geoid_undulation;
+  fix.altitude = g.height + settings_.geoid_undulation.value_or(0);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)
       fix.position_covariance[static_cast<std::size_t>(3 * i + j)] = estimate.covariance(i, j);

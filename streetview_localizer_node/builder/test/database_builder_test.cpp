@@ -9,66 +9,13 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "air_ground_common/text.h"
+#include "street_files.h"
 #include "streetview_localizer/facade_consistency.h"
 #include "streetview_localizer/textured_model.h"
-#include "test_files.h"
-#include "wall_scene.h"
 #include "xmp_jpeg.h"
 
 namespace streetview_localizer {
 namespace {
-
-using air_ground_common::formatted;
-
-const Eigen::Vector3d kOrigin(2683500, 1247800, 410);
-
-// The wall as OBJ in Swiss coordinates, panoramas at x = -12, 0, 12 and their geotags.
-class Street {
- public:
-  Street() {
-    writeWall(1);
-    settings.model_options.crs = "EPSG:2056";
-    std::string lines;
-    for (int i = 0; i < 3; ++i) {
-      const std::string name = "p" + std::to_string(i) + ".png";
-      cv::imwrite(folder / name, wallPanorama(1024, panoramaPose(12.0 * (i - 1)), i == 1));
-      lines += lineOf(name, 12.0 * (i - 1));
-    }
-    settings.geotags = listOf("geotags.csv", lines);
-    settings.output = folder / "street.gpkg";
-    settings.register_panoramas = false;
-    settings.threads = 2;
-    settings.views.width = settings.views.height = 256;
-  }
-
-  /// The model, and its origin, with heights in units of so many metres.
-  void writeWall(double unit) {
-    std::string obj = "o wall\n";
-    for (const auto& v : wallModel().mesh.vertices) {
-      const Eigen::Vector3d p = frame.toCrs(v.cast<double>());
-      obj += formatted("v %.6f %.6f %.6f\n", p.x(), p.y(), p.z() / unit);
-    }
-    settings.model = folder.write("wall.obj", obj + "f 1 2 3 4\n");
-    settings.model_options.height_unit = unit;
-    settings.model_options.origin = Eigen::Vector3d(kOrigin.x(), kOrigin.y(), kOrigin.z() / unit);
-  }
-  /// The geotag of an image at (x, 0, 2.5).
-  std::string lineOf(const std::string& name, double x) const {
-    const auto g = frame.toGeodetic(panoramaPose(x).translation());
-    return formatted("%s,%.10f,%.10f,%.4f,%.6f,0,0\n", name.c_str(), g.latitude, g.longitude, g.height,
-                     90 - 0.9 * 180 / M_PI);
-  }
-  std::string listOf(const std::string& name, const std::string& lines) const {
-    return folder.write(name, "image,lat,lon,alt,heading_deg,pitch_deg,roll_deg\n" + lines);
-  }
-
-  const air_ground_common::LocalFrame frame{"EPSG:2056", kOrigin};
-  TemporaryFolder folder;
-  BuildSettings settings;
-};
-
-bool contains(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 
 TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
   Street street;
@@ -182,7 +129,8 @@ TEST(DatabaseBuilder, AGeotagOffTheGridRefusesItsImageAlone) {
   const BuildReport report = buildDatabase(s);
   EXPECT_EQ(report.stored, 1);
   ASSERT_EQ(report.refused.size(), 2u);
-  for (const auto& refusal : report.refused) EXPECT_TRUE(contains(refusal.reason, "km from the city model"));
+  for (const auto& refusal : report.refused)
+    EXPECT_TRUE(contains(refusal.reason, "km from the city model, whose coordinates were taken as east, north"));
   s.model_options.crs.clear();
   s.model_options.origin.reset();
   s.model = street.folder.write("local.obj", "o wall\nv 0 0 0\nv 9 0 0\nv 9 0 9\nf 1 2 3\n");
@@ -260,6 +208,7 @@ TEST(DatabaseBuilder, APhotographWhosePoseIsNotCorrectedIsRefusedUnlessWanted) {
     ASSERT_EQ(report.refused.size(), 1u) << run;
     EXPECT_NE(report.refused[0].reason.find("pose not corrected: "), std::string::npos) << report.refused[0].reason;
   }
+  EXPECT_FALSE(buildDatabase(s).useful());
   EXPECT_TRUE(loadDatabase(s.output).views.empty());
   s.keep_unregistered = true;
   s.output = street.folder / "kept.gpkg";
@@ -340,14 +289,18 @@ TEST(DatabaseBuilder, AFullDiskGivesOneLineAndTheNextRunGoesOn) {
 
 TEST(DatabaseBuilder, TheFingerprintNamesWhatShapesThePoses) {
   BuildSettings a, b;
-  b.registration.camera_height = 1.7;
-  EXPECT_NE(a.fingerprint(), b.fingerprint());
+  b.registration.search_radius = 12;
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
   a.register_panoramas = b.register_panoramas = false;
-  EXPECT_EQ(a.fingerprint(), b.fingerprint());  // not used
+  EXPECT_EQ(a.fingerprint("m"), b.fingerprint("m"));  // not used
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("another model"));
+  b.registration.heading_stddev = 0.5;  // is what unregistered images state
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
+  a.registration.heading_stddev = 0.5;
   b.camera.emplace();
-  EXPECT_NE(a.fingerprint(), b.fingerprint());
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
   a.camera.emplace().k1 = 0.1;
-  EXPECT_NE(a.fingerprint(), b.fingerprint());
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
 }
 
 TEST(DatabaseBuilder, BrokenInputsGiveOneClearLineEach) {

@@ -2,6 +2,8 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cmath>
 #include <csignal>
 #include <cstdio>
 #include <string>
@@ -40,12 +42,16 @@ class Progress {
   int tenth_ = -1;
 };
 
-void print(const BuildReport& report, const std::string& output) {
+void printRemarks(const BuildReport& report) {
   for (const std::string& remark : report.remarks) std::printf("model: %s\n", remark.c_str());
+  for (const std::string& remark : report.image_remarks) std::printf("images: %s\n", remark.c_str());
   for (const auto& refusal : report.refused)
     std::printf("not used: %s: %s\n", refusal.image.c_str(), refusal.reason.c_str());
   for (const auto& image : report.uncorrected)
     std::printf("used with its geotag: %s: %s\n", image.image.c_str(), image.reason.c_str());
+}
+
+void printCounts(const BuildReport& report, const std::string& output) {
   const auto& f = report.features;
   std::printf("%s: %d images stored, %d were there already, %zu not used; %d views with %d features\n", output.c_str(),
               report.stored, report.resumed, report.refused.size(), report.views, f.kept - report.inconsistent);
@@ -53,6 +59,16 @@ void print(const BuildReport& report, const std::string& output) {
       "features left out: %d sky, %d ground and road, %d too near or far, %d grazing, %d at edges, %d unlike in other "
       "images\n",
       f.sky, f.ground, f.range, f.grazing, f.edge, report.inconsistent);
+}
+
+/// Angles in degrees. What is not given (`heading_stddev` 0) grows with the search: who searches wider believes less.
+void adoptSearch(double yaw, bool default_stddev, double heading_stddev, double tilt_stddev, RegistrationSettings* s) {
+  const RegistrationSettings usual;
+  if (default_stddev) s->geotag_stddev = usual.geotag_stddev * std::max(1.0, s->search_radius / usual.search_radius);
+  s->search_yaw = std::min(M_PI, yaw * kDegree);
+  s->heading_stddev = heading_stddev > 0 ? heading_stddev * kDegree
+                                         : usual.heading_stddev * std::max(1.0, s->search_yaw / usual.search_yaw);
+  s->tilt_stddev = tilt_stddev * kDegree;
 }
 
 }  // namespace
@@ -63,15 +79,18 @@ int main(int argc, char** argv) {
       "Interrupted, it goes on when started again; given an existing database, it adds the new images.");
   BuildSettings s;
   std::string camera, north = "true";
-  std::vector<double> origin;
+  std::vector<double> origin, offset;
   double fov = s.views.horizontal_fov / kDegree, step = s.views.yaw_step / kDegree,
-         incidence = s.back_projection.max_incidence / kDegree;
+         incidence = s.back_projection.max_incidence / kDegree, search_yaw = s.registration.search_yaw / kDegree,
+         heading_stddev = s.registration.heading_stddev / kDegree, tilt_stddev = s.registration.tilt_stddev / kDegree;
+  std::string up = "z";
+  BuildReport report;
   std::vector<double> pitches;
-  bool no_registration = false, no_consistency = false;
+  bool no_registration = false, no_consistency = false, built = false;
   app.add_option("output", s.output, "the database: FILE.gpkg, or \"PG:dbname=...\" for PostGIS")->required();
   app.add_option("--model", s.model, "city model: CityGML, CityJSON, OBJ, or a folder of them")->required();
   app.add_option("--geotags", s.geotags,
-                 "CSV (image,lat,lon,alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
+                 "CSV (image,lat,lon and, if known, alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
   app.add_option("--poses", s.poses,
                  "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model)");
   app.add_option("--images", s.images, "folder of the images [that of the list]; alone: geotags from EXIF");
@@ -88,6 +107,12 @@ int main(int argc, char** argv) {
          "of the heights of the model, --origin and --poses [m], 0.3048 for feet [as the model's vertical system "
          "says, else 1]")
       ->check(CLI::Range(1e-3, 1e3));
+  app.add_option("--model-offset", offset,
+                 "easting northing height of the place that the model's coordinates are counted from, added to them")
+      ->expected(3);
+  app.add_option("--up", up, "which axis of an OBJ is up, `z` or `y`")
+      ->check(CLI::IsMember({"z", "y"}))
+      ->capture_default_str();
   app.add_option("--model-height-offset", s.model_options.height_offset, "added to the model's heights [m]");
   app.add_option("--geotag-height-offset", s.geotag_height_offset,
                  "added to the geotags' heights, into the model's vertical datum [m]");
@@ -95,7 +120,7 @@ int main(int argc, char** argv) {
       ->check(CLI::IsMember({"true", "grid"}))
       ->capture_default_str();
   app.add_option("--camera", camera,
-                 "calibration (ROS camera_info YAML) of geotagged photographs that are no panoramas");
+                 "calibration (ROS camera_info YAML) of geotagged photographs; images of its size are no panoramas");
   app.add_flag("--no-registration", no_registration, "take the geotags as they are");
   app.add_flag("--keep-unregistered", s.keep_unregistered,
                "use the geotag of an image whose pose could not be corrected");
@@ -105,6 +130,22 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--camera-height", s.registration.camera_height,
                  "of the panoramas above the model's ground [m], 0 if not known")
+      ->capture_default_str();
+  app.add_option("--search-radius", s.registration.search_radius,
+                 "around a geotag in plan [m]: as far as it may be wrong")
+      ->check(CLI::Range(0.5, 50.0))
+      ->capture_default_str();
+  app.add_option("--search-yaw", search_yaw, "to either side of its heading [deg], 180 for the full circle")
+      ->check(CLI::Range(0.6, 180.0))
+      ->capture_default_str();
+  auto* geotag_stddev = app.add_option("--geotag-stddev", s.registration.geotag_stddev,
+                                       "of a geotag's place, one axis [m] [a third of --search-radius]")
+                            ->check(CLI::Range(0.01, 100.0));
+  auto* heading_given =
+      app.add_option("--heading-stddev", heading_stddev, "of its heading [deg] [--search-yaw / 3.43: 2 degrees of 6.9]")
+          ->check(CLI::Range(0.006, 180.0));
+  app.add_option("--tilt-stddev", tilt_stddev, "of its pitch and roll [deg]")
+      ->check(CLI::Range(0.006, 28.6))
       ->capture_default_str();
   app.add_option("--view-width", s.views.width, "of the cut views [px]")->capture_default_str();
   app.add_option("--view-height", s.views.height, "[px]")->capture_default_str();
@@ -130,13 +171,22 @@ int main(int argc, char** argv) {
     if (!pitches.empty()) s.views.pitches.clear();
     for (const double p : pitches) s.views.pitches.push_back(p * kDegree);
     if (!origin.empty()) s.model_options.origin = Eigen::Vector3d(origin[0], origin[1], origin[2]);
+    if (!offset.empty()) s.model_options.offset = Eigen::Vector3d(offset[0], offset[1], offset[2]);
+    s.model_options.y_up = up == "y";
+    adoptSearch(search_yaw, geotag_stddev->empty(), heading_given->empty() ? 0 : heading_stddev, tilt_stddev,
+                &s.registration);
     if (!camera.empty()) s.camera = air_ground_common::readCameraFile(camera);
     if (s.camera && s.camera->model != air_ground_common::DistortionModel::kPlumbBob)
       throw std::invalid_argument("--camera: photographs of the database must be plumb_bob, not " +
                                   s.camera->distortionName() + "; undistort them");
     Progress progress;
-    print(buildDatabase(s, std::ref(progress)), s.output);
+    buildDatabase(s, std::ref(progress), &report);
+    built = true;
+    printRemarks(report);
+    printCounts(report, s.output);
+    if (!report.useful()) throw std::runtime_error("no image can be used: see the reasons above");
   } catch (const std::exception& e) {
+    if (!built) printRemarks(report);  // they may say what went wrong
     std::fprintf(stderr, "build_streetview_db: %s\n", e.what());
     return 1;
   }

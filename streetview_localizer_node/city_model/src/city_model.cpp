@@ -3,108 +3,20 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
 #include <map>
 #include <stdexcept>
 #include <unordered_map>
 
 #include "air_ground_common/text.h"
-#include "coordinate_system.h"
+#include "model_files.h"
 #include "polygons.h"
 
 namespace streetview_localizer {
 
-namespace fs = std::filesystem;
 using air_ground_common::formatted;
 using air_ground_common::LocalFrame;
 
 namespace {
-
-// Beyond it a coordinate is no place on earth, in no system; and the tessellation's products would overflow.
-void checkCoordinates(const std::string& path, const PolygonModel& model) {
-  constexpr double kFarthest = 1e9;
-  for (const Polygon& polygon : model.polygons)
-    for (const Ring& ring : polygon.rings)
-      for (const Eigen::Vector3d& p : ring)
-        if (!(p.cwiseAbs().maxCoeff() < kFarthest) || !p.allFinite())
-          throw std::runtime_error(path + " has coordinates that are no place on earth: is its transform right?");
-}
-
-PolygonModel readFile(const std::string& path, const CityModelOptions& options) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::runtime_error("cannot open " + path);
-  std::string head(4096, '\0');
-  file.read(head.data(), static_cast<std::streamsize>(head.size()));
-  head.resize(static_cast<std::size_t>(file.gcount()));
-  const std::size_t start = head.find_first_not_of(" \t\r\n\xEF\xBB\xBF");
-  if (start == std::string::npos) throw std::runtime_error(path + " is empty");
-  if (head[start] == '<') return readCityGml(path, options.lod);
-  if (head[start] == '{') return readCityJson(path, options.lod);
-  std::string extension = fs::path(path).extension();
-  std::transform(extension.begin(), extension.end(), extension.begin(), ::tolower);
-  if (extension == ".obj") return readObj(path);
-  throw std::runtime_error(path + " is neither CityGML, nor CityJSON, nor OBJ");
-}
-
-std::vector<std::string> filesOf(const std::string& path) {
-  if (!fs::exists(path)) throw std::runtime_error("there is no " + path);
-  if (!fs::is_directory(path)) return {path};
-  std::vector<std::string> files;
-  for (const auto& entry : fs::directory_iterator(path)) {
-    const std::string e = entry.path().extension();
-    if (entry.is_regular_file() && (e == ".gml" || e == ".xml" || e == ".json" || e == ".jsonl" || e == ".obj"))
-      files.push_back(entry.path());
-  }
-  if (files.empty()) throw std::runtime_error("no .gml, .xml, .json, .jsonl or .obj file in " + path);
-  std::sort(files.begin(), files.end());
-  return files;
-}
-
-/// Polygons in metres of height; notes system and unit in `result`.
-PolygonModel readAll(const std::string& path, const CityModelOptions& options, CityModel* result) {
-  PolygonModel all;
-  std::string height_remark;
-  double outside = 0;  // of the area of use, the file farthest off [km]
-  for (const std::string& file : filesOf(path)) {
-    PolygonModel model = readFile(file, options);
-    checkCoordinates(file, model);
-    const std::string& srs = options.crs.empty() ? model.srs : options.crs;
-    CrsName name;
-    if (!srs.empty()) {
-      try {
-        name = parseCrs(srs);
-      } catch (const std::runtime_error& e) {
-        throw std::runtime_error(file + ": " + e.what());
-      }
-      outside = std::max(outside, normaliseAxes(file, name, &model));
-    }
-    const double unit = heightUnitOf(name, options.height_unit, &height_remark);
-    if (!all.polygons.empty() && name.horizontal != result->crs)
-      throw std::runtime_error(file + " is in " + (srs.empty() ? "no coordinate system" : name.horizontal) +
-                               ", the files before it in " + (result->crs.empty() ? "none" : result->crs) +
-                               ": convert them to one");
-    if (!all.polygons.empty() && unit != result->height_unit)
-      throw std::runtime_error(
-          file +
-          formatted(" counts heights in units of %.7f m, the files before it of %.7f m", unit, result->height_unit) +
-          ": give the one that holds, as --height-unit METRES");
-    result->crs = name.horizontal;
-    result->height_unit = unit;
-    const int first = static_cast<int>(all.building_ids.size());
-    for (Polygon& polygon : model.polygons) {
-      if (polygon.building >= 0) polygon.building += first;
-      for (Ring& ring : polygon.rings)
-        for (Eigen::Vector3d& p : ring) p.z() *= unit;
-      all.polygons.push_back(std::move(polygon));
-    }
-    all.building_ids.insert(all.building_ids.end(), model.building_ids.begin(), model.building_ids.end());
-    all.remarks.insert(all.remarks.end(), model.remarks.begin(), model.remarks.end());
-  }
-  if (outside > 0) all.remarks.push_back(remarkOnArea(result->crs, outside));
-  if (!height_remark.empty()) all.remarks.push_back(height_remark);
-  return all;
-}
 
 // Where the file is silent: steep is wall; what faces down is a floor; the rest is roof, unless it belongs to no
 // building.
@@ -263,15 +175,12 @@ void numberBuildings(const std::vector<std::string>& ids, CityModel* model) {
 
 CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
   CityModel model;
-  PolygonModel polygons = readAll(path, options, &model);
+  PolygonModel polygons = readModelFiles(path, options, &model);
   const auto move = [&](const auto& moved) {
     for (Polygon& polygon : polygons.polygons)
       for (Ring& ring : polygon.rings)
         for (Eigen::Vector3d& p : ring) p = moved(p);
   };
-  move([&](const Eigen::Vector3d& p) -> Eigen::Vector3d {
-    return p + options.height_offset * Eigen::Vector3d::UnitZ();
-  });
   model.remarks = std::move(polygons.remarks);
   try {
     chooseFrame(path, bounds(polygons), options, &model);

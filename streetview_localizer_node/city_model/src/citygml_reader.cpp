@@ -56,16 +56,13 @@ class Reader {
     if (document.LoadFile(path_.c_str()) != tinyxml2::XML_SUCCESS)
       throw std::runtime_error(path_ + " is not well-formed XML: " + document.ErrorStr());
     const XMLElement* root = document.RootElement();
-    if (!root || !is(*root, {"CityModel", "FeatureCollection"}))
-      throw std::runtime_error(path_ + " is XML but not CityGML");
+    if (!root || !is(*root, {"CityModel", "FeatureCollection"})) throw NoModel(path_ + " is XML but not CityGML");
     for (const XMLElement* e = root->FirstChildElement(); e; e = e->NextSiblingElement()) {
       if (is(*e, {"boundedBy"})) findSrs(*e);
       if (is(*e, {"cityObjectMember", "featureMember", "featureMembers", "member"}))
         for (const XMLElement* object = e->FirstChildElement(); object; object = object->NextSiblingElement())
           cityObject(*object);
     }
-    if (model_.building_ids.empty())
-      throw std::runtime_error(path_ + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
     if (implicit_ > 0)
       model_.remarks.push_back(path_ + ": " + std::to_string(implicit_) +
                                " implicit geometries (shared templates) were left out");

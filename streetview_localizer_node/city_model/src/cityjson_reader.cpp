@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <fstream>
+#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -42,7 +43,8 @@ class Reader {
     if (!file) throw std::runtime_error("cannot open " + path_);
     try {
       const json head = parseHead(&file);
-      if (head.value("type", "") != "CityJSON") throw std::runtime_error(path_ + " is JSON but not CityJSON");
+      if (!head.is_object()) throw NoModel(path_ + " is JSON but not CityJSON");
+      if (head.value("type", "") != "CityJSON") throw NoModel(path_ + " is JSON but not CityJSON");
       const std::string version = head.value("version", "");
       if (version.rfind("1.", 0) != 0 && version.rfind("2.", 0) != 0)
         throw std::runtime_error(path_ + " has CityJSON version '" + version +
@@ -66,12 +68,13 @@ class Reader {
       // CityJSONSeq: one feature a line after the first.
       std::string line;
       while (sequence_ && std::getline(file, line))
-        if (line.find_first_not_of(" \t\r\n") != std::string::npos) objects(parse(line));
+        if (line.find_first_not_of(" \t\r\n") != std::string::npos) {
+          endsClosed(line);
+          objects(json::parse(line));
+        }
     } catch (const json::exception& e) {
       throw std::runtime_error(path_ + " is no valid CityJSON: " + e.what());
     }
-    if (std::none_of(model_.polygons.begin(), model_.polygons.end(), [](const Polygon& p) { return p.building >= 0; }))
-      throw std::runtime_error(path_ + " has no buildings with walls (LoD1 to LoD3): a model of the facades is needed");
     if (templates_ > 0)
       model_.remarks.push_back(path_ + ": " + std::to_string(templates_) +
                                " geometry instances (shared templates) were left out");
@@ -79,29 +82,42 @@ class Reader {
   }
 
  private:
-  // Nothing in CityJSON is nested deeper than a MultiSolid's vertices, and deeper trees overflow the stack of who walks
-  // them.
-  template <typename Input>
-  json parse(Input&& input) const {
+  // True where all brackets that a text opens are closed at its end. Throws where they are nested deeper than anything
+  // in CityJSON is (a MultiSolid's vertices): such trees overflow the stack of who walks them. The parser's own
+  // callback would tell the depth as well, but takes time that grows with the square of the objects
+  // (nlohmann/json 3.11).
+  bool endsClosed(const std::string& text) const {
     constexpr int kDeepest = 64;
-    const auto check = [this](int depth, json::parse_event_t, json&) {
-      if (depth > kDeepest) throw std::runtime_error(path_ + " is nested too deeply for CityJSON");
-      return true;
-    };
-    return json::parse(input, check);
+    int depth = 0;
+    bool quoted = false;
+    for (std::size_t i = 0; i < text.size(); ++i) {
+      const char c = text[i];
+      if (quoted) {
+        if (c == '\\') ++i;
+        if (c == '"') quoted = false;
+      } else if (c == '"') {
+        quoted = true;
+      } else if (c == '{' || c == '[') {
+        if (++depth > kDeepest) throw std::runtime_error(path_ + " is nested too deeply for CityJSON");
+      } else if (c == '}' || c == ']') {
+        --depth;
+      }
+    }
+    return depth <= 0 && !quoted;
   }
 
   // The whole file, or of a sequence its first line.
   json parseHead(std::ifstream* file) {
-    std::string line;
-    std::getline(*file, line);
-    if (json::accept(line)) {
-      sequence_ = true;
-      return parse(line);
+    std::string text;
+    do std::getline(*file, text);
+    while (*file && text.find_first_not_of(" \t\r\n\xEF\xBB\xBF") == std::string::npos);
+    sequence_ = endsClosed(text);
+    if (!sequence_) {
+      text += '\n';
+      text.append(std::istreambuf_iterator<char>(*file), std::istreambuf_iterator<char>());
+      endsClosed(text);
     }
-    file->clear();
-    file->seekg(0);
-    return parse(*file);
+    return json::parse(text);
   }
 
   void objects(const json& j) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <stdexcept>
 
 #include "air_ground_common/geodesy.h"
@@ -114,34 +115,99 @@ double distanceToArea(const CrsName& crs, const Eigen::Vector3d& east_north) {
 
 }  // namespace
 
-double normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* model) {
+namespace {
+
+void swapAxes(PolygonModel* model) {
+  for (Polygon& polygon : model->polygons)
+    for (Ring& ring : polygon.rings)
+      for (Eigen::Vector3d& p : ring) std::swap(p.x(), p.y());
+}
+
+/// Of a model's closed buildings, how many there are and how many have their outsides inside.
+struct ClosedBuildings {
+  int all = 0, inside_out = 0;
+};
+
+ClosedBuildings countClosed(const PolygonModel& model) {
+  struct Sum {
+    Eigen::Vector3d area = Eigen::Vector3d::Zero(), reference = Eigen::Vector3d::Zero();
+    double total = 0, volume = 0;
+  };
+  std::map<int, Sum> sums;
+  for (const Polygon& polygon : model.polygons) {
+    if (polygon.building < 0) continue;
+    const Eigen::Vector3d& corner = polygon.rings[0][0];
+    const auto [it, first] = sums.emplace(polygon.building, Sum());
+    Sum& sum = it->second;
+    if (first) sum.reference = corner;
+    Eigen::Vector3d area = areaVector(polygon.rings[0]);
+    for (std::size_t i = 1; i < polygon.rings.size(); ++i) {
+      const Eigen::Vector3d hole = areaVector(polygon.rings[i]);
+      area -= hole.dot(area) > 0 ? hole : Eigen::Vector3d(-hole);  // however it is wound
+    }
+    sum.area += area;
+    sum.total += area.norm();
+    sum.volume += area.dot(corner - sum.reference);
+  }
+  constexpr double kOpen = 0.02;  // of the area of all faces: holes for windows may be left
+  ClosedBuildings count;
+  for (const auto& [building, sum] : sums) {
+    if (sum.area.norm() > kOpen * sum.total) continue;
+    ++count.all;
+    count.inside_out += sum.volume < 0;
+  }
+  return count;
+}
+
+const char* nameOf(bool north_first) { return north_first ? "north, east" : "east, north"; }
+
+}  // namespace
+
+double normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* model, std::string* axis_order) {
   constexpr double kMargin = 0.5, kFarthest = 10;  // [deg]
   const Box box = bounds(*model);
   const Eigen::Vector3d c = 0.5 * (box.low + box.high), swapped(c.y(), c.x(), c.z());
   bool swap = crs.north_first;
   const double declared = distanceToArea(crs, swap ? swapped : c), other = distanceToArea(crs, swap ? c : swapped);
   const bool against = declared > kMargin && (other <= kMargin || declared > kFarthest);
-  const double outside = against ? other : declared;
-  if (outside > kFarthest)
+  double outside = against ? other : declared;
+  if (outside > kFarthest) {
+    constexpr double kLocal = 2e4;  // [m]: national grids count farther
+    const bool local =
+        std::max(box.low.head<2>().cwiseAbs().maxCoeff(), box.high.head<2>().cwiseAbs().maxCoeff()) < kLocal;
     throw std::runtime_error(path + ": coordinates around (" + std::to_string(c.x()) + ", " + std::to_string(c.y()) +
-                             ") lie far outside the area of " + crs.horizontal + ": give the right system with --crs");
+                             ") lie far outside the area of " + crs.horizontal + ": give the right system with --crs" +
+                             (local ? ", or, if they are counted from a place of their own, its "
+                                      "coordinates as --model-offset EASTING NORTHING HEIGHT"
+                                    : ""));
+  }
   if (against) {
     swap = !swap;
-    model->remarks.push_back(path + ": axis order taken as " + (swap ? "north, east" : "east, north") +
+    model->remarks.push_back(path + ": axis order taken as " + nameOf(swap) +
                              ", against its declaration, since only that lies " + (outside > kMargin ? "near" : "in") +
                              " the area of " + crs.horizontal);
   }
-  if (swap)
-    for (Polygon& polygon : model->polygons)
-      for (Ring& ring : polygon.rings)
-        for (Eigen::Vector3d& p : ring) std::swap(p.x(), p.y());
+  if (swap) swapAxes(model);
+  if (!against && declared <= kMargin && other <= kMargin) {
+    const ClosedBuildings closed = countClosed(*model);
+    if (2 * closed.inside_out > closed.all) {
+      swap = !swap;
+      outside = other;
+      swapAxes(model);
+      model->remarks.push_back(path + ": axis order taken as " + nameOf(swap) + ", against its declaration: by that " +
+                               std::to_string(closed.inside_out) + " of " + std::to_string(closed.all) +
+                               " closed buildings are inside out, and both orders lie in the area of " +
+                               crs.horizontal);
+    }
+  }
+  *axis_order = nameOf(swap);
   return outside > kMargin ? outside * kKilometresPerDegree : 0;
 }
 
 std::string remarkOnArea(const std::string& crs, double outside) {
   return formatted(
       "the model lies %.0f km outside the area of %s: taken as it is; if that is wrong, give the right "
-      "system with --crs",
+      "system with --crs, or with --model-offset the place that its coordinates are counted from",
       outside, crs.c_str());
 }
 

@@ -32,9 +32,10 @@ struct Box {
 Box bounds(const PolygonModel& model);
 
 /// Puts easting first. The declared order is believed where it lands in the system's area of use; many files break it.
-/// Surveys also use a grid beyond its area: returns how far outside the model lies [km], 0 inside. Throws
-/// std::runtime_error where neither order lies near the area.
-double normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* model);
+/// Where both orders land there, the one counts by which closed buildings are not inside out. `axis_order`: what was
+/// taken, as CityModel has it. Surveys also use a grid beyond its area: returns how far outside the model lies [km], 0
+/// inside. Throws std::runtime_error where neither order lies near the area.
+double normaliseAxes(const std::string& path, const CrsName& crs, PolygonModel* model, std::string* axis_order);
 std::string remarkOnArea(const std::string& crs, double outside);
 
 /// Of a file's heights [m]: `wanted`, unless it is 0, or as the system says. Where only the plan has a system, and that

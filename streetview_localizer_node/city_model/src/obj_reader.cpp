@@ -89,7 +89,7 @@ PolygonModel readObj(const std::string& path) {
       model.polygons.push_back(polygon);
     }
   }
-  if (model.polygons.empty()) throw std::runtime_error(path + " has no faces");
+  if (model.polygons.empty()) throw NoModel(path + " has no faces");
   return model;
 }
 

@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -34,6 +35,13 @@ Eigen::Vector3d areaVector(const Ring& ring);
 /// without area.
 std::vector<std::array<int, 3>> triangulate(const std::vector<Ring>& rings, std::vector<Eigen::Vector3d>* points);
 
+/// A file that is no city model, where a folder may hold some: metadata, styles, packed files.
+struct NoModel : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// All may come back without polygons, or with terrain alone, as tiles have it. Throw NoModel, or std::runtime_error
+/// for a model that is broken.
 PolygonModel readCityGml(const std::string& path, int lod);
 PolygonModel readCityJson(const std::string& path, int lod);
 PolygonModel readObj(const std::string& path);

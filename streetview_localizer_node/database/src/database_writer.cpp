@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <filesystem>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
@@ -35,6 +36,32 @@ OGRLayer* createTable(GDALDataset* dataset, const char* name, OGRwkbGeometryType
       throw std::runtime_error(std::string("cannot create column ") + column.name + ": " + CPLGetLastErrorMsg());
   }
   return layer;
+}
+
+/// The parts ("; " between) in which two lines of settings differ, empty where they say the same. Databases of before
+/// say nothing from "model" on: any is right for them.
+std::string differenceOf(const std::string& old, const std::string& now) {
+  constexpr char kLater[] = "; model ";
+  if (now.compare(0, old.size(), old) == 0 && now.compare(old.size(), sizeof(kLater) - 1, kLater) == 0) return "";
+  const auto parts = [](const std::string& line) {
+    std::vector<std::string> list(1);
+    for (std::size_t i = 0; i < line.size(); ++i) {
+      if (line.compare(i, 2, "; ") == 0) {
+        list.emplace_back();
+        ++i;
+      } else {
+        list.back() += line[i];
+      }
+    }
+    return list;
+  };
+  const std::vector<std::string> before = parts(old), after = parts(now);
+  std::string difference;
+  for (std::size_t i = 0; i < std::max(before.size(), after.size()); ++i) {
+    const std::string a = i < before.size() ? before[i] : "nothing", b = i < after.size() ? after[i] : "nothing";
+    if (a != b) difference += (difference.empty() ? "" : "; ") + a + ", now " + b;
+  }
+  return difference;
 }
 
 std::vector<Column> withPose(std::vector<Column> columns, const std::vector<const char*>& names) {
@@ -196,8 +223,8 @@ struct DatabaseWriter::Impl {
   void resume(const std::string& settings) {
     checkVersion(dataset.get(), working);
     const std::string old = infoValue(dataset.get(), "settings");
-    if (old != settings)
-      throw std::runtime_error(working + " was made with other settings (" + old + ", now " + settings +
+    if (const std::string other = differenceOf(old, settings); !other.empty())
+      throw std::runtime_error(working + " was made with other settings (" + other +
                                "): use those, or another output, or delete it");
     model = readStoredModel(dataset.get(), working);
     readExisting();

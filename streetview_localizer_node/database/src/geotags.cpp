@@ -1,43 +1,27 @@
 #include "streetview_localizer/geotags.h"
 
-#include <cpl_minixml.h>
+#include <cpl_conv.h>
 #include <cpl_string.h>
-#include <gdal_priv.h>
 
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <fstream>
-#include <memory>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <stdexcept>
 
 #include "air_ground_common/units.h"
-#include "exif_gps.h"
-#include "geopackage.h"
+#include "photograph_header.h"
 
 namespace streetview_localizer {
 
-namespace fs = std::filesystem;
 using air_ground_common::Pose;
 
 namespace {
 
 using air_ground_common::kDegree;
-
-// Empty, or why the geotag cannot be used.
-std::string problemOf(const Geotag& g) {
-  const auto& p = g.position;
-  if (!std::isfinite(p.latitude) || !std::isfinite(p.longitude)) return "has no latitude and longitude";
-  if (std::abs(p.latitude) < 1e-6 && std::abs(p.longitude) < 1e-6) return "has the geotag 0,0: it was never located";
-  if (std::abs(p.latitude) > 90 || std::abs(p.longitude) > 360) return "has a latitude or longitude that is none";
-  if (!std::isfinite(p.height)) return "has no height";
-  if (!std::isfinite(g.heading)) return "has no heading";
-  if (!std::isfinite(g.pitch) || !std::isfinite(g.roll)) return "has a pitch or roll that is no number";
-  return "";
-}
 
 /// Of a line; semicolons as spreadsheets write them where a comma is the decimal mark.
 CPLStringList cellsOf(const std::string& line, const char* separator) {
@@ -52,6 +36,44 @@ double number(const char* text, const std::string& where) {
   const double v = CPLStrtod(text, &end);
   if (*end) throw std::runtime_error(where + ": '" + text + "' is not a number");
   return v;
+}
+
+// Columns and properties by what they are called here and there: Street View's metadata, Mapillary, KartaView, GIS.
+// Where several are there, the first that says something counts.
+using Names = std::initializer_list<const char*>;
+constexpr Names kImage = {"image", "filename", "file", "id", "pano_id"};
+constexpr Names kLatitude = {"lat", "latitude"};
+constexpr Names kLongitude = {"lon", "lng", "longitude"};
+constexpr Names kHeight = {"alt", "altitude", "elevation"};
+constexpr Names kHeading = {"heading_deg", "heading", "computed_compass_angle", "yaw", "compass_angle"};
+constexpr Names kPitch = {"pitch_deg", "pitch"};
+constexpr Names kRoll = {"roll_deg", "roll"};
+
+/// From values by name, NaN where nobody says; `value` gives nothing for a name that is not there.
+Geotag geotagOf(const std::string& image, const std::function<std::optional<double>(const char*)>& value) {
+  const auto first = [&](Names names, double fallback) {
+    for (const char* name : names) {
+      const std::optional<double> v = value(name);
+      if (v && std::isfinite(*v)) return *v;
+      if (v) fallback = *v;  // there, but no number
+    }
+    return fallback;
+  };
+  const double none = std::nan("");
+  Geotag g;
+  g.image = image;
+  g.position = {first(kLatitude, none), first(kLongitude, none), first(kHeight, none)};
+  g.heading = first(kHeading, none) * kDegree;
+  g.pitch = first(kPitch, 0) * kDegree;
+  g.roll = first(kRoll, 0) * kDegree;
+  return g;
+}
+
+/// Of the columns with one of these names, the first; -1 without.
+int columnOf(const CPLStringList& header, Names names) {
+  for (const char* name : names)
+    if (const int column = header.FindString(name); column >= 0) return column;
+  return -1;
 }
 
 std::vector<Geotag> readCsv(const std::string& path) {
@@ -69,10 +91,12 @@ std::vector<Geotag> readCsv(const std::string& path) {
   next();
   const char* separator = line.find(',') == std::string::npos ? ";" : ",";
   const CPLStringList header = cellsOf(line, separator);
-  for (const char* name : {"image", "lat", "lon", "alt", "heading_deg"})
-    if (header.FindString(name) < 0)
+  const int image = columnOf(header, kImage);
+  for (const auto& [column, name] :
+       {std::make_pair(image, "image"), {columnOf(header, kLatitude), "lat"}, {columnOf(header, kLongitude), "lon"}})
+    if (column < 0)
       throw std::runtime_error(path + " has no column " + name +
-                               ": needed are image, lat, lon, alt, heading_deg; pitch_deg and roll_deg may follow");
+                               ": needed are image, lat, lon; alt, heading_deg, pitch_deg and roll_deg may follow");
   std::vector<Geotag> tags;
   while (next()) {
     const CPLStringList cells = cellsOf(line, separator);
@@ -80,20 +104,47 @@ std::vector<Geotag> readCsv(const std::string& path) {
     if (cells.size() < header.size())
       throw std::runtime_error(where + " has " + std::to_string(cells.size()) + " columns instead of " +
                                std::to_string(header.size()));
-    const auto value = [&](const char* name, double fallback) {
+    Geotag g = geotagOf(cells[image], [&](const char* name) -> std::optional<double> {
       const int column = header.FindString(name);
-      return column < 0 ? fallback : number(cells[column], where);
-    };
-    Geotag g;
-    g.image = cells[header.FindString("image")];
-    g.position = {value("lat", 0), value("lon", 0), value("alt", 0)};
-    g.heading = value("heading_deg", 0) * kDegree;
-    g.pitch = value("pitch_deg", 0) * kDegree;
-    g.roll = value("roll_deg", 0) * kDegree;
-    g.problem = problemOf(g);
+      return column < 0 ? std::nullopt : std::optional<double>(number(cells[column], where));
+    });
+    checkGeotag(&g);
     tags.push_back(g);
   }
   return tags;
+}
+
+/// What names the image of a GeoJSON feature: a property, or the feature's own id. Throws json::exception.
+std::string imageOf(const nlohmann::json& feature, const nlohmann::json& properties) {
+  const auto text = [](const nlohmann::json& v) { return v.is_string() ? v.get<std::string>() : v.dump(); };
+  for (const char* name : kImage)
+    if (const auto p = properties.find(name); p != properties.end() && (p->is_string() || p->is_number_integer()))
+      return text(*p);
+  const auto id = feature.find("id");
+  if (id != feature.end() && (id->is_string() || id->is_number_integer())) return text(*id);
+  return properties.at("image").get<std::string>();
+}
+
+Geotag geotagOf(const nlohmann::json& feature, const std::string& path) {
+  const nlohmann::json& properties = feature.at("properties");
+  const std::string image = imageOf(feature, properties);
+  Geotag g = geotagOf(image, [&](const char* name) -> std::optional<double> {
+    const auto property = properties.find(name);
+    if (property == properties.end()) return std::nullopt;
+    if (property->is_number()) return property->get<double>();
+    if (!property->is_string()) return std::nullopt;
+    CPLString text(property->get<std::string>());  // as ogr2ogr makes them of a CSV file
+    return number(text.Trim(), path + ", image " + image);
+  });
+  const auto& geometry = feature.at("geometry");
+  if (geometry.is_null() || geometry.at("type") != "Point") {
+    g.position = {std::nan(""), std::nan(""), std::nan("")};
+  } else {
+    const auto& c = geometry.at("coordinates");
+    g.position = {c.at(1).get<double>(), c.at(0).get<double>(), c.size() > 2 ? c[2].get<double>() : g.position.height};
+  }
+  checkGeotag(&g);
+  return g;
 }
 
 std::vector<Geotag> readGeoJson(const std::string& path) {
@@ -102,166 +153,39 @@ std::vector<Geotag> readGeoJson(const std::string& path) {
   std::vector<Geotag> tags;
   try {
     const nlohmann::json j = nlohmann::json::parse(file);
-    for (const auto& feature : j.at("features")) {
-      const auto& properties = feature.at("properties");
-      Geotag g;
-      g.image = properties.at("image").get<std::string>();
-      const auto value = [&](const char* name, double fallback) {
-        const auto property = properties.find(name);
-        if (property == properties.end()) return fallback;
-        if (property->is_number()) return property->get<double>();
-        if (!property->is_string()) return fallback;
-        CPLString text(property->get<std::string>());  // as ogr2ogr makes them of a CSV file
-        return number(text.Trim(), path + ", image " + g.image);
-      };
-      const auto& geometry = feature.at("geometry");
-      if (geometry.is_null() || geometry.at("type") != "Point") {
-        g.position = {std::nan(""), std::nan(""), std::nan("")};
-      } else {
-        const auto& c = geometry.at("coordinates");
-        g.position = {c.at(1).get<double>(), c.at(0).get<double>(),
-                      c.size() > 2 ? c[2].get<double>() : value("alt", std::nan(""))};
-      }
-      g.heading = value("heading_deg", std::nan("")) * kDegree;
-      g.pitch = value("pitch_deg", 0) * kDegree;
-      g.roll = value("roll_deg", 0) * kDegree;
-      g.problem = problemOf(g);
-      tags.push_back(g);
-    }
+    for (const auto& feature : j.at("features")) tags.push_back(geotagOf(feature, path));
   } catch (const nlohmann::json::exception& e) {
     throw std::runtime_error(path + " is no GeoJSON of points with a property image: " + e.what());
   }
   return tags;
 }
 
-// EXIF rationals come from GDAL as "(47) (22) (30.5)".
-double angle(const char* text) {
-  const CPLStringList parts(CSLTokenizeString2(text ? text : "", " ()", 0));
-  double sum = parts.empty() ? std::nan("") : 0;
-  for (int i = 0; i < parts.size(); ++i) sum += CPLAtof(parts[i]) / std::pow(60, i);
-  return sum;
-}
-
-// Of the attribute or element of this name, wherever it stands.
-double xmpNumber(CPLXMLNode* xmp, const std::string& name) {
-  const CPLXMLNode* node = CPLSearchXMLNode(xmp, ("=" + name).c_str());
-  const char* text = node ? CPLGetXMLValue(node, nullptr, "") : "";
-  char* end = nullptr;
-  const double number = std::strtod(text, &end);
-  return end == text ? std::nan("") : number;
-}
-
-Dataset openImage(const std::string& path) {
-  GDALAllRegister();
-  // Photographs alone: a virtual raster or a web description named .jpg would reach other files.
-  const char* drivers[] = {"JPEG", "PNG", "GTiff", "WEBP", "BMP", nullptr};
-  return Dataset(GDALDataset::Open(path.c_str(), GDAL_OF_RASTER, drivers), &GDALClose);
-}
-
-Geotag exifOf(const std::string& path) {
-  Geotag g;
-  g.image = fs::path(path).filename();
-  g.position = {std::nan(""), std::nan(""), std::nan("")};
-  g.heading = std::nan("");
-  const QuietGdal quiet;
-  const Dataset image = openImage(path);
-  if (!image) {
-    g.problem = "cannot be read as an image";
-    return g;
-  }
-  const auto tag = [&](const char* name) { return image->GetMetadataItem(name); };
-  const std::set<std::uint16_t> over_zero = gpsTagsOverZero(path);
-  const auto gpsAngle = [&](GpsTag number, const char* name) {
-    return over_zero.count(number) > 0 ? std::nan("") : angle(tag(name));
-  };
-  const auto letter = [&](const char* name, char fallback) {
-    return tag(name) && *tag(name) ? tag(name)[0] : fallback;
-  };
-  g.position.latitude =
-      gpsAngle(kGpsLatitude, "EXIF_GPSLatitude") * (letter("EXIF_GPSLatitudeRef", 'N') == 'S' ? -1 : 1);
-  g.position.longitude =
-      gpsAngle(kGpsLongitude, "EXIF_GPSLongitude") * (letter("EXIF_GPSLongitudeRef", 'E') == 'W' ? -1 : 1);
-  const char* below = tag("EXIF_GPSAltitudeRef");
-  g.position.height = gpsAngle(kGpsAltitude, "EXIF_GPSAltitude") *
-                      (below && std::string(below).find('1') != std::string::npos ? -1 : 1);
-  g.heading = gpsAngle(kGpsImageDirection, "EXIF_GPSImgDirection") * kDegree;
-  bool magnetic = letter("EXIF_GPSImgDirectionRef", 'T') == 'M';
-  if (char** packet = image->GetMetadata("xml:XMP"); packet && *packet) {
-    const CPLXMLTreeCloser tree(CPLParseXMLString(*packet));
-    CPLXMLNode* xmp = tree.get();
-    if (const double heading = xmpNumber(xmp, "GPano:PoseHeadingDegrees"); std::isfinite(heading))
-      g.heading = heading * kDegree, magnetic = false;
-    if (const double pitch = xmpNumber(xmp, "GPano:PosePitchDegrees"); std::isfinite(pitch)) g.pitch = pitch * kDegree;
-    if (const double roll = xmpNumber(xmp, "GPano:PoseRollDegrees"); std::isfinite(roll)) g.roll = roll * kDegree;
-  }
-  g.problem = problemOf(g);
-  if (over_zero.count(kGpsLatitude) > 0 || over_zero.count(kGpsLongitude) > 0)
-    g.problem = "has a latitude or longitude over zero in its EXIF: it was never located";
-  if (g.problem.empty() && magnetic)
-    g.problem = "has a heading from magnetic north: add the declination and give a geotag file";
-  return g;
-}
-
-bool hasExtension(const std::string& path, std::initializer_list<const char*> extensions) {
-  return std::any_of(extensions.begin(), extensions.end(),
-                     [&](const char* extension) { return EQUAL(CPLGetExtension(path.c_str()), extension); });
-}
-
 }  // namespace
 
+void checkGeotag(Geotag* geotag) {
+  auto& p = geotag->position;
+  if (!std::isfinite(p.latitude) || !std::isfinite(p.longitude)) {
+    geotag->problem = "has no latitude and longitude";
+  } else if (std::abs(p.latitude) < 1e-6 && std::abs(p.longitude) < 1e-6) {
+    geotag->problem = "has the geotag 0,0: it was never located";
+  } else if (std::abs(p.latitude) > 90 || std::abs(p.longitude) > 360) {
+    geotag->problem = "has a latitude or longitude that is none";
+  } else if (!std::isfinite(geotag->pitch) || !std::isfinite(geotag->roll)) {
+    geotag->problem = "has a pitch or roll that is no number";
+  }
+  geotag->height_known = std::isfinite(p.height);
+  geotag->heading_known = std::isfinite(geotag->heading);
+  if (!geotag->height_known) p.height = 0;
+  if (!geotag->heading_known) geotag->heading = 0;
+}
+
 std::vector<Geotag> readGeotags(const std::string& path) {
-  std::vector<Geotag> tags = hasExtension(path, {"geojson", "json"}) ? readGeoJson(path) : readCsv(path);
+  std::vector<Geotag> tags =
+      (EQUAL(CPLGetExtension(path.c_str()), "geojson") || EQUAL(CPLGetExtension(path.c_str()), "json"))
+          ? readGeoJson(path)
+          : readCsv(path);
   if (tags.empty()) throw std::runtime_error(path + " lists no images");
   return tags;
-}
-
-std::vector<Geotag> readExif(const std::string& folder) {
-  if (!fs::is_directory(folder)) throw std::runtime_error("there is no folder " + folder);
-  std::vector<std::string> files;
-  for (const auto& entry : fs::directory_iterator(folder))
-    if (hasExtension(entry.path(), {"jpg", "jpeg"})) files.push_back(entry.path());
-  if (files.empty()) throw std::runtime_error("no JPEG files in " + folder);
-  std::sort(files.begin(), files.end());
-  std::vector<Geotag> tags;
-  for (const std::string& file : files) tags.push_back(exifOf(file));
-  return tags;
-}
-
-std::optional<double> exifFocalLength(const std::string& path, int width) {
-  const QuietGdal quiet;
-  const Dataset image = openImage(path);
-  if (!image) return std::nullopt;
-  const double equivalent = angle(image->GetMetadataItem("EXIF_FocalLengthIn35mmFilm"));
-  // The 35 mm frame is 36 mm wide.
-  if (equivalent > 5) return equivalent / 36 * std::max(width, image->GetRasterYSize());
-  return std::nullopt;
-}
-
-cv::Size imageSize(const std::string& path) {
-  const QuietGdal quiet;
-  const Dataset image = openImage(path);
-  return image ? cv::Size(image->GetRasterXSize(), image->GetRasterYSize()) : cv::Size();
-}
-
-std::optional<cv::Size> fullSphereSize(const std::string& path) {
-  const QuietGdal quiet;
-  const Dataset image = openImage(path);
-  char** packet = image ? image->GetMetadata("xml:XMP") : nullptr;
-  if (!packet || !*packet) return std::nullopt;
-  const CPLXMLTreeCloser tree(CPLParseXMLString(*packet));
-  const auto sizeOf = [&](const std::string& what) {
-    return cv::Size2d(xmpNumber(tree.get(), "GPano:" + what + "WidthPixels"),
-                      xmpNumber(tree.get(), "GPano:" + what + "HeightPixels"));
-  };
-  const cv::Size2d full = sizeOf("FullPano"), part = sizeOf("CroppedAreaImage");
-  constexpr double kWhole = 0.99, kLargest = 1e6;  // [px]
-  const auto covers = [&](double some, double all) { return !(some > 0) || some >= kWhole * all; };
-  if (!(full.width >= 1 && full.height >= 1 && full.width < kLargest && full.height < kLargest) ||
-      (covers(part.width, full.width) && covers(part.height, full.height)))
-    return std::nullopt;
-  const cv::Size sphere(full);
-  if (sphere == cv::Size(image->GetRasterXSize(), image->GetRasterYSize())) return std::nullopt;
-  return sphere;
 }
 
 std::vector<SurveyedImage> readSurveyedImages(const std::string& path) {

@@ -41,8 +41,35 @@ TEST(Geotags, CsvColumnsByNameAndProblemsOfSingleImages) {
   EXPECT_NEAR(tags[0].roll, 2 * kDegree, 1e-12);
   EXPECT_EQ(tags[0].pitch, 0);
   EXPECT_NE(tags[1].problem.find("0,0"), std::string::npos);
-  EXPECT_NE(tags[2].problem.find("no heading"), std::string::npos);
+  EXPECT_EQ(tags[2].problem, "");
+  EXPECT_TRUE(tags[0].heading_known);
+  EXPECT_FALSE(tags[2].heading_known);
+  EXPECT_TRUE(tags[2].height_known);
   EXPECT_NE(tags[3].problem.find("latitude"), std::string::npos);
+}
+
+// Street View's metadata, and what Mapillary's and KartaView's tools write: neither heights nor headings are a must.
+TEST(Geotags, CsvByOtherNames) {
+  const TemporaryFolder folder;
+  const auto first = [&](const std::string& text) { return readGeotags(folder.write("a.csv", text)).at(0); };
+  const Geotag street_view = first("pano_id,lat,lng\nCAoSLEFGMVFp,47.37,8.54\n");
+  EXPECT_EQ(street_view.image, "CAoSLEFGMVFp");
+  EXPECT_EQ(street_view.problem, "");
+  EXPECT_DOUBLE_EQ(street_view.position.longitude, 8.54);
+  EXPECT_FALSE(street_view.height_known);
+  EXPECT_FALSE(street_view.heading_known);
+  EXPECT_EQ(street_view.position.height + street_view.heading, 0);
+  const Geotag mapillary =
+      first("id,latitude,longitude,altitude,compass_angle,computed_compass_angle\n17,47.37,8.54,410,80,90\n");
+  EXPECT_EQ(mapillary.image, "17");
+  EXPECT_DOUBLE_EQ(mapillary.position.height, 410);
+  EXPECT_NEAR(mapillary.heading, M_PI / 2, 1e-12);
+  EXPECT_NEAR(first("id,lat,lon,compass_angle,computed_compass_angle\n17,47.37,8.54,90,\n").heading, M_PI / 2, 1e-12);
+  const Geotag drone = first("filename,latitude,longitude,elevation,yaw,pitch,roll\na.jpg,47.37,8.54,3,90,1,2\n");
+  EXPECT_DOUBLE_EQ(drone.position.height, 3);
+  EXPECT_NEAR(drone.heading, M_PI / 2, 1e-12);
+  EXPECT_NEAR(drone.pitch, kDegree, 1e-12);
+  EXPECT_NEAR(drone.roll, 2 * kDegree, 1e-12);
 }
 
 // As spreadsheets save them: a byte order mark, semicolons, carriage returns, quoted cells, spaces.
@@ -77,6 +104,23 @@ TEST(Geotags, GeoJson) {
   EXPECT_FALSE(tags[1].problem.empty());
 }
 
+// Mapillary's points: numbers for names, its own words for headings, no heights.
+TEST(Geotags, GeoJsonOfMapillary) {
+  const TemporaryFolder folder;
+  const auto tags = readGeotags(folder.write("a.geojson",
+                                             R"({"features":[
+    {"geometry":{"type":"Point","coordinates":[8.54,47.37]},"properties":{"id":498763468214164,"compass_angle":80,"computed_compass_angle":90.0}},
+    {"id":"abc","geometry":{"type":"Point","coordinates":[8.54,47.37]},"properties":{"compass_angle":90}}]})"));
+  ASSERT_EQ(tags.size(), 2u);
+  EXPECT_EQ(tags[0].image, "498763468214164");
+  EXPECT_EQ(tags[1].image, "abc");
+  for (const Geotag& g : tags) {
+    EXPECT_EQ(g.problem, "");
+    EXPECT_FALSE(g.height_known);
+    EXPECT_NEAR(g.heading, M_PI / 2, 1e-12);
+  }
+}
+
 // As ogr2ogr makes it of a CSV file: all properties are text.
 TEST(Geotags, GeoJsonNumbersAsText) {
   const TemporaryFolder folder;
@@ -93,7 +137,7 @@ TEST(Geotags, GeoJsonNumbersAsText) {
   EXPECT_NEAR(g.pitch, 1.5 * kDegree, 1e-12);
   EXPECT_NEAR(g.roll, -2 * kDegree, 1e-12);
   // A cell that is empty, as in a CSV file, is no number; one that is absent or null is none given.
-  EXPECT_EQ(tagOf(R"("alt":"410","heading_deg":"","pitch_deg":"1")").problem, "has no heading");
+  EXPECT_FALSE(tagOf(R"("alt":"410","heading_deg":"","pitch_deg":"1")").heading_known);
   EXPECT_EQ(tagOf(R"("alt":"410","heading_deg":"1","pitch_deg":"")").problem, "has a pitch or roll that is no number");
   EXPECT_EQ(tagOf(R"("alt":410,"heading_deg":1,"pitch_deg":null)").problem, "");
   const std::string m = messageOf([&] { tagOf(R"("alt":"410","heading_deg":"north")"); });
@@ -107,7 +151,7 @@ TEST(Geotags, BrokenListsGiveOneClearLine) {
     EXPECT_EQ(m.find('\n'), std::string::npos);
     return m;
   };
-  EXPECT_NE(error("a.csv", "image,lat,lon,alt\n").find("no column heading_deg"), std::string::npos);
+  EXPECT_NE(error("a.csv", "image,lat,alt\n").find("no column lon"), std::string::npos);
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\n").find("lists no images"), std::string::npos);
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2\n").find("line 2"), std::string::npos);
   EXPECT_NE(error("a.csv", "image,lat,lon,alt,heading_deg\na.jpg,1,2,3,north\n").find("'north' is not a number"),
@@ -216,7 +260,7 @@ TEST(Geotags, AnglesOfPanoramasComeFromXmp) {
     EXPECT_NEAR(tags[k].pitch, -2 * kDegree, 1e-12) << k;
     EXPECT_EQ(tags[k].roll, 0) << k;
   }
-  EXPECT_TRUE(std::isnan(tags[2].heading));
+  EXPECT_FALSE(tags[2].heading_known);
 }
 
 // The size that the whole sphere would have, of an image that shows a part of it.
@@ -233,6 +277,20 @@ TEST(Geotags, PartsOfASphereSaySo) {
   EXPECT_EQ(full({40, 20}, {0, 0}, {-1, 0}), cv::Size());
   EXPECT_FALSE(fullSphereSize(folder.write("a.jpg", jpegWithXmp({6, 4}, ""))));
   EXPECT_FALSE(fullSphereSize(folder.write("a.jpg", "no image")));
+}
+
+TEST(Geotags, OrientationsTurnTheImageOrMirrorIt) {
+  const TemporaryFolder folder;
+  std::vector<uchar> jpeg;
+  cv::imencode(".jpg", cv::Mat(4, 6, CV_8UC1, cv::Scalar(90)), jpeg);
+  const double rolls[] = {0, 0, 0, 180, 0, 0, 90, 0, -90};
+  for (int k = 1; k <= 8; ++k) {
+    const ExifOrientation o = exifOrientation(folder.write("a.jpg", withOrientation(jpeg, k)));
+    EXPECT_EQ(o.mirrored, k == 2 || k == 4 || k == 5 || k == 7) << k;
+    EXPECT_NEAR(o.roll, rolls[k] * kDegree, 1e-12) << k;
+  }
+  EXPECT_EQ(exifOrientation(folder.write("a.jpg", std::string(jpeg.begin(), jpeg.end()))).roll, 0);
+  EXPECT_FALSE(exifOrientation(folder / "none.jpg").mirrored);
 }
 
 /// A JPEG whose EXIF has these GPS entries: letters or a byte, and rationals as pairs.
@@ -314,8 +372,8 @@ TEST(Geotags, ExifRationalsOverZeroAreNoPlace) {
     for (const Geotag& g : {exifOf(broken, known), exifOf(known, broken)})
       EXPECT_NE(g.problem.find("over zero in its EXIF"), std::string::npos) << part << ": " << g.problem;
   }
-  EXPECT_EQ(exifOf({{33, 1}}, {{151, 1}}, 'T', {45, 0}).problem, "has no height");
-  EXPECT_EQ(exifOf({{33, 1}}, {{151, 1}}, 'T', {45, 10}, {2705, 0}).problem, "has no heading");
+  EXPECT_FALSE(exifOf({{33, 1}}, {{151, 1}}, 'T', {45, 0}).height_known);
+  EXPECT_FALSE(exifOf({{33, 1}}, {{151, 1}}, 'T', {45, 10}, {2705, 0}).heading_known);
 }
 
 TEST(Geotags, ExifOfRealPhotographs) {
@@ -326,7 +384,7 @@ TEST(Geotags, ExifOfRealPhotographs) {
   for (const Geotag& g : tags) {
     EXPECT_NEAR(g.position.latitude, 55.71, 0.03) << g.image;
     EXPECT_NEAR(g.position.longitude, 13.19, 0.05);
-    EXPECT_NE(g.problem.find("no heading"), std::string::npos);  // the telephone had no compass
+    EXPECT_FALSE(g.heading_known);  // the telephone had no compass
   }
 }
 

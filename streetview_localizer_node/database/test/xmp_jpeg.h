@@ -1,4 +1,4 @@
-// JPEGs with XMP, as cameras of panoramas write them.
+// JPEGs with XMP, as cameras of panoramas write them, and with an EXIF orientation, as telephones do.
 #pragma once
 
 #include <opencv2/imgcodecs.hpp>
@@ -33,6 +33,16 @@ inline std::string panoramaJpeg(const cv::Size& size, const cv::Size& cropped, c
                                    " GPano:FullPanoWidthPixels=\"%d\" GPano:FullPanoHeightPixels=\"%d\"/>",
                                    cropped.width, cropped.height, full.width, full.height) +
                                kXmpEnd);
+}
+
+/// A JPEG with this orientation (1 to 8) in its EXIF and nothing else.
+inline std::string withOrientation(const std::vector<uchar>& jpeg, int orientation) {
+  const char entries[] = "II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0";  // one, tag 0x112, a short
+  std::string exif = std::string("Exif\0\0", 6) + std::string(entries, sizeof(entries) - 1);
+  exif += static_cast<char>(orientation) + std::string(7, '\0');  // its value, no further directory
+  const std::size_t length = exif.size() + 2;
+  return std::string("\xFF\xD8\xFF\xE1") + static_cast<char>(length >> 8) + static_cast<char>(length & 255) + exif +
+         std::string(jpeg.begin() + 2, jpeg.end());
 }
 
 }  // namespace streetview_localizer

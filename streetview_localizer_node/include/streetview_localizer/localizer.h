@@ -117,7 +117,9 @@ class StreetviewLocalizer {
   ~StreetviewLocalizer();
 
   /// `image`: 8-bit, grey or BGR, as recorded with `camera`; of wide-angle cameras (rational_polynomial, equidistant)
-  /// the central 100 degrees are used, as a pinhole's view. Throws std::invalid_argument when they do not fit together,
+  /// the central 100 degrees are used, as a pinhole's view. One of much finer resolution than the database's views is
+  /// reduced to 1.5 times their focal length; the result's matches are in pixels of `image`, its thresholds and
+  /// pose.rms in those of the reduced one. Throws std::invalid_argument when they do not fit together,
   /// or the prior is not finite or its covariance not positive definite; everything that an image can show is answered
   /// in the result.
   LocalizerResult localize(const cv::Mat& image, const CameraModel& camera, const PosePrior& prior = {}) const;

@@ -168,7 +168,9 @@ VirtualViewWarp::VirtualViewWarp(const CameraModel& camera, const VirtualView& v
       const Eigen::Vector2d p(side < 2 ? s * (camera.width - 1) : (side - 2) * (camera.width - 1),
                               side < 2 ? side * (camera.height - 1) : s * (camera.height - 1));
       const Eigen::Vector3d q = H * camera.unproject(p).homogeneous();
-      if (q.z() < 0.2 * distance) {  // at grazing angles the view would be mostly of what is nearest
+      // At grazing angles the view would be mostly of what is nearest; a lens model that folds before the corner has
+      // no ray there (NaN).
+      if (!(q.z() >= 0.2 * distance)) {
         low = low.cwiseMin(Eigen::Vector2d(-limit, -limit));
         high = high.cwiseMax(Eigen::Vector2d(limit, limit));
         continue;

@@ -58,6 +58,21 @@ TEST(VirtualViewWarp, MapsThereAndBack) {
   }
 }
 
+TEST(VirtualViewWarp, BearsALensModelThatFoldsBeforeTheCorners) {
+  auto camera = distortedCamera();
+  camera.k1 = -1. / 3;  // rays end 2 / 3 f from the centre: 300 px, the corners are at 400
+  camera.k2 = camera.p1 = 0;
+  ASSERT_FALSE(camera.unproject({0, 0}).allFinite());
+  for (const VirtualView& view : airToGroundViews()) {
+    const VirtualViewWarp warp(camera, view);
+    EXPECT_GT(warp.size().width, 100);
+    EXPECT_LE(warp.size().width, 2 * 480 + 2);
+    EXPECT_LE(warp.size().height, 2 * 480 + 2);
+    const Eigen::Vector2d middle(320, 240);
+    EXPECT_LT((warp.toOriginal(warp.toWarped(middle)) - middle).norm(), 1e-6);
+  }
+}
+
 TEST(VirtualViewWarp, LooksFromWhereItSays) {
   air_ground_common::CameraModel camera = distortedCamera().undistorted();
   camera.cx = 319.5;

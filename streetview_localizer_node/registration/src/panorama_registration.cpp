@@ -44,15 +44,23 @@ void validate(const RegistrationSettings& s) {
   requireRange("threads", s.threads, 1, 256);
 }
 
+/// The settings for an image of which the heading is known, or is not: then any is as likely as any other.
+RegistrationSettings settingsFor(const RegistrationSettings& settings, bool heading_known) {
+  RegistrationSettings s = settings;
+  if (!heading_known) {
+    s.search_yaw = M_PI;
+    s.heading_stddev = M_PI / std::sqrt(3.0);
+  }
+  return s;
+}
+
 /// The geotag, and how far it is believed.
-RegistrationResult rejected(const Pose& geotag, const RegistrationSettings& s, const std::string& reason) {
+RegistrationResult rejected(const Pose& geotag, const RegistrationSettings& settings, const std::string& reason) {
   RegistrationResult result;
   result.T_world_panorama = geotag;
   result.reason = reason;
   result.cost = 1;
-  result.covariance.diagonal() << s.geotag_stddev * s.geotag_stddev, s.geotag_stddev * s.geotag_stddev,
-      s.height_stddev * s.height_stddev, s.tilt_stddev * s.tilt_stddev, s.tilt_stddev * s.tilt_stddev,
-      s.heading_stddev * s.heading_stddev;
+  result.covariance = geotagCovariance(settings);
   return result;
 }
 
@@ -62,6 +70,13 @@ void setStddevs(RegistrationResult* result) {
 }
 
 }  // namespace
+
+Matrix6d geotagCovariance(const RegistrationSettings& settings, bool heading_known) {
+  const RegistrationSettings s = settingsFor(settings, heading_known);
+  air_ground_common::Vector6d stddev;
+  stddev << s.geotag_stddev, s.geotag_stddev, s.height_stddev, s.tilt_stddev, s.tilt_stddev, s.heading_stddev;
+  return stddev.cwiseAbs2().asDiagonal();
+}
 
 namespace registration {
 namespace {
@@ -78,13 +93,22 @@ constexpr Demands kOfPanorama = {1.0, 0.62, 4, 0.5, 0.38, 0.025};
 constexpr Demands kOfPhotograph = {0.7, 0.8, 5, 0.7, 0.25, 0.05};
 
 /// Why the best fit is not believed; empty when it is. `second_cost`: of the best fit at another place.
+/// `out_of_search`: becomes true where the truth may lie where nobody has looked.
 std::string doubt(const Fit& best, double second_cost, const Demands& demands, const Pose& T_world_geotag,
-                  const RegistrationSettings& settings) {
+                  const RegistrationSettings& settings, bool* out_of_search) {
   const Matrix6d& c = best.covariance;
   const double a = c(0, 0), b = c(0, 1), d = c(1, 1);
   const double horizontal = std::sqrt(0.5 * (a + d) + std::sqrt(0.25 * (a - d) * (a - d) + b * b));
   const double turn = std::sqrt(c.diagonal().tail<3>().maxCoeff());
   const double off = (best.T_world_level.translation() - T_world_geotag.translation()).head<2>().norm();
+  const double turned = std::abs(air_ground_common::wrapAngle(air_ground_common::yawOf(best.T_world_level.linear()) -
+                                                              air_ground_common::yawOf(T_world_geotag.linear())));
+  constexpr double kEdge = 0.9;  // of the search
+  const bool at_edge = off > kEdge * settings.search_radius ||
+                       (settings.search_yaw < kEdge * M_PI && turned > kEdge * settings.search_yaw);
+  const bool misfit = best.sky_ratio < demands.sky_ratio || best.verticals < demands.verticals ||
+                      best.verticals < demands.vertical_ratio * best.verticals_seen || best.cost > demands.cost;
+  *out_of_search = at_edge || misfit;
   if (best.sky_angle < demands.sky_angle)
     return formatted("the model's sky line covers only %.0f degrees", best.sky_angle * 180 / M_PI);
   if (best.sky_ratio < demands.sky_ratio)
@@ -135,21 +159,33 @@ Selection selectPose(const ModelOutline& model, const ImageCues& cues, const Pos
   const Fit& best = selection.fit = fits[0];
   for (const Fit& other : fits) {
     const double apart = (other.T_world_level.translation() - best.T_world_level.translation()).head<2>().norm();
-    if (apart > 0.6) selection.second_cost = std::min(selection.second_cost, other.cost);
+    const double turn = air_ground_common::wrapAngle(air_ground_common::yawOf(other.T_world_level.linear()) -
+                                                     air_ground_common::yawOf(best.T_world_level.linear()));
+    if (apart > 0.6 || std::abs(turn) > kOtherHeading)
+      selection.second_cost = std::min(selection.second_cost, other.cost);
   }
 
-  selection.reason =
-      doubt(best, selection.second_cost, cues.mask.empty() ? kOfPanorama : kOfPhotograph, T_world_geotag, settings);
+  bool out_of_search = false;
+  selection.reason = doubt(best, selection.second_cost, cues.mask.empty() ? kOfPanorama : kOfPhotograph, T_world_geotag,
+                           settings, &out_of_search);
   selection.accepted = selection.reason.empty();
+  if (!selection.accepted && out_of_search) {
+    selection.reason += formatted("; the geotag may be wrong by more than the search: --search-radius (now %.3g m)",
+                                  settings.search_radius);
+    if (settings.search_yaw < M_PI)
+      selection.reason += formatted(", --search-yaw (now %.3g degrees)", settings.search_yaw * 180 / M_PI);
+  }
   return selection;
 }
 
 }  // namespace registration
 
 struct PanoramaRegistrar::Impl {
-  Impl(const CityModel& city, const RegistrationSettings& s) : settings(s), model(city) {}
+  Impl(const CityModel& city, const RegistrationSettings& s) : all_settings(s), model(city) {}
 
-  RegistrationResult registerImage(const cv::Mat& bgr, const cv::Mat& mask, const Pose& geotag) const {
+  RegistrationResult registerImage(const cv::Mat& bgr, const cv::Mat& mask, const Pose& geotag,
+                                   bool heading_known) const {
+    const RegistrationSettings settings = settingsFor(all_settings, heading_known);
     if (!air_ground_common::isValid(geotag)) throw std::invalid_argument("the geotag's pose is not a rigid transform");
     const reg::ImageCues cues = reg::findCues(bgr, mask, geotag.linear(), settings);
     const reg::Selection selection = reg::selectPose(model, cues, geotag, settings);
@@ -168,7 +204,7 @@ struct PanoramaRegistrar::Impl {
     return result;
   }
 
-  RegistrationSettings settings;
+  RegistrationSettings all_settings;
   reg::ModelOutline model;
 };
 
@@ -179,21 +215,23 @@ PanoramaRegistrar::PanoramaRegistrar(const CityModel& model, const RegistrationS
 
 PanoramaRegistrar::~PanoramaRegistrar() = default;
 
-RegistrationResult PanoramaRegistrar::registerPanorama(const cv::Mat& equirect_bgr, const Pose& T_world_geotag) const {
+RegistrationResult PanoramaRegistrar::registerPanorama(const cv::Mat& equirect_bgr, const Pose& T_world_geotag,
+                                                       bool heading_known) const {
   if (equirect_bgr.empty() || equirect_bgr.type() != CV_8UC3 || equirect_bgr.cols < 256 ||
       std::abs(equirect_bgr.cols - 2 * equirect_bgr.rows) > 0.02 * equirect_bgr.cols) {
     throw std::invalid_argument(
         "a panorama must be an 8-bit BGR image twice as wide as high, at least 256 pixels wide; this one is " +
         std::to_string(equirect_bgr.cols) + " x " + std::to_string(equirect_bgr.rows));
   }
-  if (equirect_bgr.cols == 2 * equirect_bgr.rows) return impl_->registerImage(equirect_bgr, {}, T_world_geotag);
+  if (equirect_bgr.cols == 2 * equirect_bgr.rows)
+    return impl_->registerImage(equirect_bgr, {}, T_world_geotag, heading_known);
   cv::Mat exact;
   cv::resize(equirect_bgr, exact, {equirect_bgr.cols / 2 * 2, equirect_bgr.cols / 2}, 0, 0, cv::INTER_AREA);
-  return impl_->registerImage(exact, {}, T_world_geotag);
+  return impl_->registerImage(exact, {}, T_world_geotag, heading_known);
 }
 
 RegistrationResult PanoramaRegistrar::registerPhotograph(const cv::Mat& full, const CameraModel& full_camera,
-                                                         const Pose& T_world_geotag) const {
+                                                         const Pose& T_world_geotag, bool heading_known) const {
   full_camera.validate();
   if (full.type() != CV_8UC3 || full.cols != full_camera.width || full.rows != full_camera.height) {
     throw std::invalid_argument("the photograph must be 8-bit BGR of the camera's size " +
@@ -223,21 +261,23 @@ RegistrationResult PanoramaRegistrar::registerPhotograph(const cv::Mat& full, co
   }
   cv::Mat panorama;
   cv::remap(bgr, panorama, map_x, map_y, cv::INTER_CUBIC, cv::BORDER_CONSTANT);
-  return impl_->registerImage(panorama, mask, T_world_geotag);
+  return impl_->registerImage(panorama, mask, T_world_geotag, heading_known);
 }
 
 std::vector<RegistrationResult> PanoramaRegistrar::registerPanoramas(
     const std::vector<RegistrationInput>& panoramas, const std::function<void(std::size_t)>& progress) const {
   std::vector<RegistrationResult> results(panoramas.size());
   std::size_t done = 0;
-#pragma omp parallel for schedule(dynamic, 1) num_threads(impl_->settings.threads)
+#pragma omp parallel for schedule(dynamic, 1) num_threads(impl_->all_settings.threads)
   for (std::size_t i = 0; i < panoramas.size(); ++i) {
     try {
       const RegistrationInput& input = panoramas[i];
-      results[i] = input.camera ? registerPhotograph(input.load(), *input.camera, input.T_world_geotag)
-                                : registerPanorama(input.load(), input.T_world_geotag);
+      results[i] = input.camera
+                       ? registerPhotograph(input.load(), *input.camera, input.T_world_geotag, input.heading_known)
+                       : registerPanorama(input.load(), input.T_world_geotag, input.heading_known);
     } catch (const std::exception& error) {
-      results[i] = rejected(panoramas[i].T_world_geotag, impl_->settings, error.what());
+      results[i] = rejected(panoramas[i].T_world_geotag, settingsFor(impl_->all_settings, panoramas[i].heading_known),
+                            error.what());
       setStddevs(&results[i]);
     }
 #pragma omp critical
@@ -246,9 +286,14 @@ std::vector<RegistrationResult> PanoramaRegistrar::registerPanoramas(
   return results;
 }
 
+std::optional<double> PanoramaRegistrar::groundHeight(const Eigen::Vector3d& position) const {
+  const reg::GroundGuess guess = impl_->model.groundGuess(position);
+  return guess.known || guess.guessed ? std::optional<double>(guess.height) : std::nullopt;
+}
+
 cv::Mat PanoramaRegistrar::drawOutline(const cv::Mat& equirect_bgr, const Pose& T_world_panorama) const {
   cv::Mat drawing = equirect_bgr.clone();
-  const auto edges = impl_->model.edgesNear(T_world_panorama.translation(), impl_->settings.model_radius);
+  const auto edges = impl_->model.edgesNear(T_world_panorama.translation(), impl_->all_settings.model_radius);
   const reg::Outline outline = impl_->model.visible(edges, T_world_panorama.translation());
   const Pose T_panorama_world = T_world_panorama.inverse();
   const int thickness = std::max(1, drawing.cols / 1024);

@@ -32,13 +32,16 @@ struct ImageCues {
 ImageCues findCues(const cv::Mat& bgr, const cv::Mat& mask, const Eigen::Matrix3d& R_world_geotag,
                    const RegistrationSettings& settings);
 
+/// Headings at one place that differ by more are places of their own; wider than the default search's window [rad].
+constexpr double kOtherHeading = 0.26;
+
 struct Candidate {
   Eigen::Vector3d position = Eigen::Vector3d::Zero();
   double yaw = 0;   ///< of level in world [rad]
   double cost = 0;  ///< mean of the sky line's truncated difference [rad]
 };
 
-/// Places where the model's sky line is like the image's, best first, none near a better one.
+/// Places and headings where the model's sky line is like the image's, best first, none near a better one.
 std::vector<Candidate> searchCandidates(const ModelOutline& model, const std::vector<ModelEdge>& edges,
                                         const ImageCues& cues, const air_ground_common::Pose& T_world_geotag,
                                         const RegistrationSettings& settings);

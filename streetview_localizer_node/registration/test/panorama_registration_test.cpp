@@ -111,6 +111,49 @@ TEST(PanoramaRegistration, ATiltIsFoundWithItsSign) {
   }
 }
 
+// Compasses of telephones and action cameras are off by tens of degrees, their places by 10 to 15 m.
+TEST(PanoramaRegistration, GeotagsAreBelievedAsFarAsTheSettingsSay) {
+  const SyntheticStreet street(streetOf(213));
+  std::mt19937_64 random(3);
+  const Pose truth = street.panoramaPose(60, &random);
+  const cv::Mat image = street.render(truth);
+  const auto turnedBy = [&](double degrees, double along) {
+    Pose geotag = truth;
+    geotag.translation() += along * truth.linear().col(0);
+    geotag.linear() = Eigen::AngleAxisd(degrees * M_PI / 180, Eigen::Vector3d::UnitZ()) * truth.linear();
+    return geotag;
+  };
+  const auto settingsOf = [](double yaw, double yaw_stddev, double radius) {
+    RegistrationSettings settings;
+    settings.search_yaw = yaw, settings.heading_stddev = yaw_stddev;
+    settings.search_radius = radius, settings.geotag_stddev = radius / 3;
+    return settings;
+  };
+  const auto expectRight = [&](const RegistrationResult& result, const char* what) {
+    ASSERT_TRUE(result.accepted) << what << ": " << result.reason;
+    EXPECT_LT(horizontalError(result.T_world_panorama, truth), 0.4) << what;
+    EXPECT_LT(air_ground_common::rotationAngle(result.T_world_panorama.linear(), truth.linear()), 0.01) << what;
+  };
+  const PanoramaRegistrar usual(street.model());
+  const RegistrationResult refused = usual.registerPanorama(image, turnedBy(15, 2));
+  EXPECT_FALSE(refused.accepted);
+  EXPECT_NE(
+      refused.reason.find("may be wrong by more than the search: --search-radius (now 9 m), --search-yaw (now 6.88"),
+      std::string::npos)
+      << refused.reason;
+  expectRight(PanoramaRegistrar(street.model(), settingsOf(0.5, 0.15, 9)).registerPanorama(image, turnedBy(15, 2)),
+              "15");
+  expectRight(PanoramaRegistrar(street.model(), settingsOf(0.12, 0.035, 18)).registerPanorama(image, turnedBy(1, 13)),
+              "far");
+  const PanoramaRegistrar all_around(street.model(), settingsOf(M_PI, 0.9, 9));
+  expectRight(all_around.registerPanorama(image, turnedBy(90, -3)), "90");
+  expectRight(usual.registerPanorama(image, turnedBy(170, 2), /*heading_known=*/false), "no heading");
+  // What is left of a geotag is as good as was said.
+  const cv::Mat blank(image.size(), image.type(), cv::Scalar(200, 200, 200));
+  EXPECT_GT(all_around.registerPanorama(blank, truth).orientation_stddev, 0.5);
+  EXPECT_NEAR(usual.registerPanorama(blank, truth, false).covariance(5, 5), M_PI * M_PI / 3, 1e-9);
+}
+
 TEST(PanoramaRegistration, CorrectsPhotographsOrRefusesThem) {
   air_ground_common::CameraModel camera;
   camera.width = 1024, camera.height = 768;
@@ -180,6 +223,27 @@ TEST(PanoramaRegistration, RefusesWhatIsNotThere) {
   }
   EXPECT_TRUE(results[0].second.T_world_panorama.isApprox(geotag));
   EXPECT_TRUE(registrar.registerPanorama(image, geotag).accepted);
+}
+
+// Whoever searches wider meets more that looks alike.
+TEST(PanoramaRegistration, AWideSearchRefusesWhatIsNotThereToo) {
+  RegistrationSettings settings;
+  settings.search_yaw = M_PI, settings.heading_stddev = 0.9;
+  settings.search_radius = 15, settings.geotag_stddev = 5;
+  const SyntheticStreet street(streetOf(221));
+  const PanoramaRegistrar registrar(street.model(), settings);
+  std::mt19937_64 random(5);
+  const Pose truth = street.panoramaPose(60, &random), geotag = drawGeotag(truth, &random);
+  cv::Mat mirrored;
+  cv::flip(street.render(truth), mirrored, 1);
+  EXPECT_FALSE(registrar.registerPanorama(mirrored, geotag).accepted);
+  for (int seed = 222; seed <= 225; ++seed) {
+    const SyntheticStreet other(streetOf(seed));
+    EXPECT_FALSE(registrar.registerPanorama(other.render(other.panoramaPose(60, &random)), geotag).accepted) << seed;
+  }
+  const RegistrationResult right = registrar.registerPanorama(street.render(truth), geotag);
+  ASSERT_TRUE(right.accepted) << right.reason;
+  EXPECT_LT(horizontalError(right.T_world_panorama, truth), 0.4);
 }
 
 TEST(PanoramaRegistration, AListKeepsItsOrderAndSurvivesAMissingFile) {

@@ -29,7 +29,7 @@ struct BuildSettings {
   CityModelOptions model_options;
   North north = North::kTrue;       ///< what the geotags' headings are counted from
   double geotag_height_offset = 0;  ///< added to their heights, into the model's vertical datum [m]
-  std::optional<air_ground_common::CameraModel> camera;  ///< of geotagged photographs that are no panoramas
+  std::optional<air_ground_common::CameraModel> camera;  ///< of geotagged photographs; of its size none is a sphere
 
   bool register_panoramas = true;  ///< correct geotagged panoramas and photographs against the model
   bool keep_unregistered = false;  ///< use the geotag where that failed, instead of storing the image without views
@@ -45,7 +45,8 @@ struct BuildSettings {
   ConsistencySettings consistency;
 
   /// One line that names all that shapes the contents, so that a build is only resumed with the same.
-  std::string fingerprint() const;
+  /// `model_identity`: CityModel::identity.
+  std::string fingerprint(const std::string& model_identity) const;
 };
 
 struct BuildReport {
@@ -56,15 +57,23 @@ struct BuildReport {
   int resumed = 0;  ///< stored by an earlier run
   int views = 0;
   BackProjectionCounts features;
-  int inconsistent = 0;              ///< features left out by the comparison of images
-  std::vector<Refusal> refused;      ///< images that are not used
-  std::vector<Refusal> uncorrected;  ///< images used with their geotag (keep_unregistered), and why
-  std::vector<std::string> remarks;  ///< of the city model
+  int inconsistent = 0;                    ///< features left out by the comparison of images
+  std::vector<Refusal> refused;            ///< images that are not used
+  std::vector<Refusal> uncorrected;        ///< images used with their geotag (keep_unregistered), and why
+  std::vector<std::string> remarks;        ///< of the city model
+  std::vector<std::string> image_remarks;  ///< of the images as a whole
+
+  /// True when the database holds an image that can be searched.
+  bool useful() const { return stored + resumed > 0; }
 };
 
 /// `progress`: called with the stage, images done and images in all; from one thread at a time. Throws
 /// std::runtime_error or std::invalid_argument with one line when nothing can be built.
 BuildReport buildDatabase(const BuildSettings& settings,
                           const std::function<void(const std::string&, int, int)>& progress = {});
+
+/// The same; what there is to be told is in `report` also when this throws.
+void buildDatabase(const BuildSettings& settings, const std::function<void(const std::string&, int, int)>& progress,
+                   BuildReport* report);
 
 }  // namespace streetview_localizer

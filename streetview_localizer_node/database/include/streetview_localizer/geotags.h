@@ -22,7 +22,9 @@ struct Geotag {
   std::string image;  ///< as the file names it
   air_ground_common::Geodetic position;
   double heading = 0, pitch = 0, roll = 0;  ///< [rad]
-  std::string problem;  ///< one line when the geotag cannot be used (at 0,0, no heading, not a number); else empty
+  bool height_known = true;                 ///< false: position.height is 0 and means nothing
+  bool heading_known = true;                ///< false: heading is 0 and means nothing
+  std::string problem;  ///< one line when the geotag cannot be used (at 0,0, not a number); else empty
 };
 
 /// One photograph of known pose.
@@ -33,9 +35,11 @@ struct SurveyedImage {
       air_ground_common::Pose::Identity();  ///< optical frame; position in the model's coordinates
 };
 
-/// CSV with a header line, commas or semicolons between; columns by name, in any order: image, lat, lon, alt,
-/// heading_deg and, optional, pitch_deg, roll_deg. GeoJSON: points [lon, lat, alt] with properties image, heading_deg
-/// and the optional ones. Throws std::runtime_error with one line: file, line, what is wrong.
+/// CSV with a header line, commas or semicolons between; columns by name, in any order: image (filename, file, id,
+/// pano_id), lat (latitude), lon (lng, longitude) and, optional, alt (altitude, elevation), heading_deg (heading,
+/// computed_compass_angle, yaw, compass_angle), pitch_deg (pitch), roll_deg (roll). GeoJSON: points [lon, lat, alt]
+/// with these properties, or the feature's id for the image. Throws std::runtime_error with one line: file, line, what
+/// is wrong.
 std::vector<Geotag> readGeotags(const std::string& path);
 
 /// EXIF GPS position and direction of the JPEGs of a folder, in order of their names; XMP GPano angles where present.
@@ -54,6 +58,16 @@ cv::Size imageSize(const std::string& image);
 /// Of an image that by its XMP (GPano) shows a part of a sphere: the size in pixels that the sphere would have. Empty
 /// for whole spheres, also those that have been padded since, and for what does not say.
 std::optional<cv::Size> fullSphereSize(const std::string& image);
+
+/// True when its XMP (GPano) says that an image is a sphere, or a part of one.
+bool marksSphere(const std::string& image);
+
+/// How the pixels of a file must be turned to be seen upright.
+struct ExifOrientation {
+  double roll = 0;        ///< of the stored image against the upright one, right side down [rad]
+  bool mirrored = false;  ///< no camera's picture
+};
+ExifOrientation exifOrientation(const std::string& image);
 
 /// Throws std::invalid_argument for a model without coordinate system: geotags have no place in it.
 void requireCoordinateSystem(const CityModel& model);

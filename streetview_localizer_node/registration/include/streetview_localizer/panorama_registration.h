@@ -18,9 +18,9 @@
 namespace streetview_localizer {
 
 struct RegistrationSettings {
-  // Search around the geotag.
+  // Search around the geotag. The defaults are of Street View; telephones and action cameras are far worse.
   double search_radius = 9.0;          ///< in the horizontal plane [m]
-  double search_yaw = 0.12;            ///< to either side [rad]
+  double search_yaw = 0.12;            ///< to either side, pi: the full circle [rad]
   double geotag_stddev = 3.0;          ///< horizontal, one axis [m]; 2.95 is a mean error of 3.7 m
   double heading_stddev = 0.035;       ///< of the geotag's yaw [rad]
   double tilt_stddev = 0.03;           ///< of the geotag's roll and pitch [rad]
@@ -63,7 +63,12 @@ struct RegistrationInput {
   std::function<cv::Mat()> load;                         ///< 8-bit BGR; called once
   std::optional<air_ground_common::CameraModel> camera;  ///< of a perspective photograph; none: equirectangular
   air_ground_common::Pose T_world_geotag = air_ground_common::Pose::Identity();
+  bool heading_known = true;  ///< false: the geotag's yaw means nothing, the full circle is searched
 };
+
+/// What is left of the geotag where it is not corrected: its covariance, in the order of RegistrationResult's.
+/// `heading_known`: false for a yaw that means nothing.
+air_ground_common::Matrix6d geotagCovariance(const RegistrationSettings& settings, bool heading_known = true);
 
 class PanoramaRegistrar {
  public:
@@ -76,12 +81,18 @@ class PanoramaRegistrar {
 
   /// `equirect_bgr`: 8-bit BGR, width = 2 height, column 0 looks backwards (azimuth +pi), azimuth falls to the right.
   /// Throws std::invalid_argument for another kind of image; what cannot be corrected is a result with a reason.
-  RegistrationResult registerPanorama(const cv::Mat& equirect_bgr, const air_ground_common::Pose& T_world_geotag) const;
+  /// `heading_known`: as in RegistrationInput.
+  RegistrationResult registerPanorama(const cv::Mat& equirect_bgr, const air_ground_common::Pose& T_world_geotag,
+                                      bool heading_known = true) const;
 
   /// The same for a wide perspective photograph, which must fit better to be believed. Body frame: x along the optical
   /// axis, y left, z up. Throws std::invalid_argument for an image of another size than the camera's.
   RegistrationResult registerPhotograph(const cv::Mat& bgr, const air_ground_common::CameraModel& camera,
-                                        const air_ground_common::Pose& T_world_geotag) const;
+                                        const air_ground_common::Pose& T_world_geotag, bool heading_known = true) const;
+
+  /// Height of the ground at a place in world [m]: the model's terrain, or where it has none as the feet of the walls
+  /// within 80 m tell; empty where there are none either.
+  std::optional<double> groundHeight(const Eigen::Vector3d& position) const;
 
   /// Registers each image on its own, several at once. `progress`, if given, is called with the number done. An image
   /// whose load() throws or returns an empty image is reported as rejected.

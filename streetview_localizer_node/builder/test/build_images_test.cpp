@@ -1,0 +1,255 @@
+// What becomes of images and geotags of others: telephones, Mapillary, Street View's metadata; and of another model.
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <Eigen/Geometry>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "street_files.h"
+#include "synthetic_street.h"
+#include "xmp_jpeg.h"
+
+namespace streetview_localizer {
+namespace {
+
+TEST(BuildImages, AnotherModelThanTheDatabasesIsRefused) {
+  Street street;
+  BuildSettings s = street.settings;
+  s.take_every = 3;
+  EXPECT_EQ(buildDatabase(s).stored, 1);
+  const auto error = [&](const BuildSettings& other) {
+    const std::string m = messageOf([&] { buildDatabase(other); });
+    EXPECT_TRUE(contains(m, "was made with other settings (model 1 buildings 1 polygons heights")) << m;
+    EXPECT_FALSE(contains(m, "sift")) << m;  // the same in both
+  };
+  BuildSettings other = s;
+  other.model_options.height_offset = -3;
+  error(other);
+  other = s;
+  other.model_options.height_unit = 0.3048;
+  error(other);
+  other = s;
+  other.model_options.crs = "EPSG:21781";  // the same survey's older grid: 2000 km and 1000 km less
+  other.model_options.offset = Eigen::Vector3d(-2e6, -1e6, 0);
+  other.model_options.origin.reset();
+  error(other);
+  // The same model may have moved, and settings may be told that databases of before do not hold.
+  std::filesystem::rename(s.model, street.folder / "moved.obj");
+  s.model = street.folder / "moved.obj";
+  EXPECT_EQ(buildDatabase(s).resumed, 1);
+}
+
+/// That the only image's features lie on the wall; the database.
+StreetviewDatabase expectOnTheWall(const BuildSettings& s, bool equirectangular) {
+  const BuildReport report = buildDatabase(s);
+  EXPECT_EQ(report.stored, 1) << (report.refused.empty() ? "" : report.refused[0].reason);
+  EXPECT_TRUE(report.useful());
+  StreetviewDatabase d = loadDatabase(s.output);
+  std::size_t features = 0;
+  for (const View& view : d.views) {
+    features += view.features.size();
+    for (const Eigen::Vector3f& p : view.points) EXPECT_NEAR(p.y(), 10, 2e-3);
+  }
+  EXPECT_GT(features, 30u);
+  EXPECT_EQ(d.panoramas.at(0).equirectangular, equirectangular);
+  return d;
+}
+
+/// Settings for one photograph as the panorama in the middle shows it, with its camera.
+BuildSettings photographOf(Street* street, int width, int height, cv::Mat* image) {
+  BuildSettings s = street->settings;
+  PanoramaViewSettings views = s.views;
+  views.width = width, views.height = height;
+  const View view = cutPanorama(wallPanorama(1024, panoramaPose(0), false), panoramaPose(0), views)[0];
+  *image = view.image;
+  s.camera = view.camera;
+  const auto g = street->frame.toGeodetic(panoramaPose(0).translation());
+  s.geotags = street->listOf("photo.csv", formatted("photo.jpg,%.10f,%.10f,%.4f,%.6f,15,0\n", g.latitude, g.longitude,
+                                                    g.height, 90 - 0.9 * 180 / M_PI));
+  return s;
+}
+
+TEST(BuildImages, APhotographTwiceAsWideAsHighIsNoSphere) {
+  Street street;
+  cv::Mat image;
+  BuildSettings s = photographOf(&street, 400, 200, &image);
+  cv::imwrite(street.folder / "photo.jpg", image, {cv::IMWRITE_JPEG_QUALITY, 98});
+  const StreetviewDatabase d = expectOnTheWall(s, false);
+  EXPECT_EQ(d.views.size(), 1u);
+  // Without camera nothing tells: that is said once.
+  s.camera.reset();
+  s.output = street.folder / "sphere.gpkg";
+  const BuildReport report = buildDatabase(s);
+  ASSERT_EQ(report.image_remarks.size(), 1u);
+  EXPECT_TRUE(contains(report.image_remarks[0], "1 images twice as wide as high are taken for full spheres"));
+  EXPECT_EQ(loadDatabase(s.output).panoramas.at(0).equirectangular, true);
+}
+
+// A telephone held upright stores what its sensor sees, and in EXIF how to turn it.
+TEST(BuildImages, OrientationsTurnPhotographs) {
+  const std::pair<int, int> cases[] = {
+      {1, -1}, {6, cv::ROTATE_90_COUNTERCLOCKWISE}, {8, cv::ROTATE_90_CLOCKWISE}, {3, cv::ROTATE_180}};
+  std::vector<std::size_t> features;
+  for (const auto& [orientation, turn] : cases) {
+    Street street;
+    cv::Mat upright, stored;
+    BuildSettings s = photographOf(&street, 240, 320, &upright);
+    stored = upright;
+    if (turn >= 0) cv::rotate(upright, stored, turn);
+    if (stored.cols != upright.cols) {
+      std::swap(s.camera->width, s.camera->height);
+      std::swap(s.camera->fx, s.camera->fy);
+      std::swap(s.camera->cx, s.camera->cy);
+    }
+    std::vector<uchar> jpeg;
+    cv::imencode(".jpg", stored, jpeg, {cv::IMWRITE_JPEG_QUALITY, 98});
+    street.folder.write("photo.jpg", withOrientation(jpeg, orientation));
+    const StreetviewDatabase d = expectOnTheWall(s, false);
+    // What the upright image shows at a feature's place is what the wall has there: noise of its formula.
+    double difference = 0;
+    for (const View& view : d.views)
+      for (std::size_t i = 0; i < view.points.size(); ++i) {
+        const cv::Point2f p = view.features.keypoints[i].pt;
+        difference += std::abs(stored.at<cv::Vec3b>(cv::Point(cvRound(p.x), cvRound(p.y)))[1] -
+                               noise(view.points[i].x(), view.points[i].z())) /
+                      view.points.size();
+      }
+    EXPECT_LT(difference, 30) << orientation;  // two places that have nothing to do with each other: 60
+    features.push_back(d.views.at(0).features.size());
+    EXPECT_NEAR(1.0 * features.back() / features[0], 1, 0.2);
+  }
+  Street street;
+  cv::Mat image;
+  const BuildSettings s = photographOf(&street, 240, 320, &image);
+  std::vector<uchar> jpeg;
+  cv::imencode(".jpg", image, jpeg);
+  street.folder.write("photo.jpg", withOrientation(jpeg, 5));
+  EXPECT_TRUE(contains(messageOf([&] { buildDatabase(s); }), "is mirrored by its EXIF orientation"));
+}
+
+/// A street that panoramas can be registered in: its model in the Swiss grid, one panorama, and what is listed of it.
+class RealisticStreet {
+ public:
+  RealisticStreet() {
+    SyntheticStreetSettings settings;
+    settings.seed = 213;
+    const SyntheticStreet street(settings);
+    std::string obj;
+    const CityModel& model = street.model();
+    for (const auto& v : model.mesh.vertices) {
+      const Eigen::Vector3d p = frame.toCrs(v.cast<double>());
+      obj += formatted("v %.4f %.4f %.4f\n", p.x(), p.y(), p.z());
+    }
+    for (std::size_t i = 0; i < model.mesh.triangles.size(); ++i) {
+      const Eigen::Vector3i t = model.mesh.triangles[i] + Eigen::Vector3i::Ones();
+      const bool ground = model.building[i] < 0;
+      const std::string group = model.surface[i] == Surface::kRoof ? "roof" : ground ? "ground" : "wall";
+      obj += formatted("o %s%d\ng %s\nf %d %d %d\n", ground ? "terrain " : "house", ground ? 0 : model.building[i],
+                       group.c_str(), t.x(), t.y(), t.z());
+    }
+    s.model = folder.write("street.obj", obj);
+    s.model_options.crs = "EPSG:2056";
+    s.model_options.origin = kOrigin;
+    std::mt19937_64 random(3);
+    truth = street.panoramaPose(60, &random);
+    cv::imwrite(folder / "17.jpg", street.render(truth), {cv::IMWRITE_JPEG_QUALITY, 95});
+    s.output = folder / "street.gpkg";
+    s.check_consistency = false;
+    s.threads = 2;
+    s.features.max_features = 50;
+    s.views.width = s.views.height = 256;
+  }
+  /// One line of a list for the image, by its bare name, one metre off.
+  std::string list(const std::string& header, const std::string& further) const {
+    const auto g = frame.toGeodetic(truth.translation() + Eigen::Vector3d(1, 0.5, 0));
+    return folder.write("list.csv", header + formatted("\n17,%.9f,%.9f", g.latitude, g.longitude) + further + "\n");
+  }
+
+  const air_ground_common::LocalFrame frame{"EPSG:2056", kOrigin};
+  TemporaryFolder folder;
+  BuildSettings s;
+  air_ground_common::Pose truth = air_ground_common::Pose::Identity();
+};
+
+TEST(BuildImages, NeitherHeightNorHeadingIsNeeded) {
+  RealisticStreet street;
+  BuildSettings& s = street.s;
+  const auto place = [&] {
+    const BuildReport report = buildDatabase(s);
+    EXPECT_EQ(report.stored, 1) << (report.refused.empty() ? "" : report.refused[0].reason);
+    const Panorama p = loadDatabase(s.output).panoramas.at(0);
+    std::filesystem::remove(s.output);
+    EXPECT_TRUE(p.registered) << p.remark;
+    EXPECT_LT((p.T_world_panorama.translation() - street.truth.translation()).norm(), 0.6);
+    EXPECT_LT(air_ground_common::rotationAngle(p.T_world_panorama.linear(), street.truth.linear()), 0.0175);
+    return p;
+  };
+  const double heading = 90 - air_ground_common::yawOf(street.truth.linear()) * 180 / M_PI;
+  s.geotags = street.list("id,latitude,longitude,compass_angle", formatted(",%.3f", heading + 1));
+  const Panorama no_height = place();
+  EXPECT_EQ(no_height.id, "17.jpg");
+  EXPECT_NEAR(no_height.T_world_geotag.translation().z(), street.truth.translation().z(), 0.5);
+  s.geotags = street.list("pano_id,lat,lng", "");
+  place();
+  // Nothing finds the heading where nothing is corrected.
+  s.register_panoramas = false;
+  EXPECT_TRUE(contains(messageOf([&] { buildDatabase(s); }), "has no heading, which only the correction finds"));
+  s.geotags = street.list("image,lat,lon,heading", ",10");
+  s.registration.camera_height = 0;
+  EXPECT_TRUE(contains(messageOf([&] { buildDatabase(s); }), "has no height: give the camera's above the ground"));
+}
+
+// A blank image is kept with its geotag where that is wanted; one without heading is never.
+TEST(BuildImages, WhatIsNotCorrectedStatesWhatItsGeotagIsWorth) {
+  RealisticStreet street;
+  BuildSettings& s = street.s;
+  cv::imwrite(street.folder / "17.jpg", cv::Mat(512, 1024, CV_8UC3, cv::Scalar(200, 200, 200)));
+  s.keep_unregistered = true;
+  s.registration.geotag_stddev = 12, s.registration.heading_stddev = 0.6;
+  for (const bool heading : {true, false}) {
+    s.geotags = heading ? street.list("image,lat,lon,heading", ",10") : street.list("image,lat,lon", "");
+    const BuildReport report = buildDatabase(s);
+    const Panorama p = loadDatabase(s.output).panoramas.at(0);
+    std::filesystem::remove(s.output);
+    EXPECT_NEAR(p.position_stddev, std::sqrt((2 * 144 + 9) / 3.0), 1e-3);
+    const double yaw = heading ? 0.6 : M_PI / std::sqrt(3.0);
+    EXPECT_NEAR(p.orientation_stddev, std::sqrt((2 * 0.03 * 0.03 + yaw * yaw) / 3), 1e-3);
+    EXPECT_EQ(report.refused.size(), 1u);  // without features, too, nothing is to be seen in it
+  }
+}
+
+// Scripts go by the status: a build of nothing is a failure, and says what the model's remarks were.
+TEST(BuildImages, TheProgramsStatusTellsWhetherThereIsAnythingToSearch) {
+  RealisticStreet street;
+  const std::string blank = street.folder / "17.jpg", said = street.folder / "said.txt";
+  street.folder.write("other.xml", "<Metadata/>");
+  street.s.geotags = street.list("image,lat,lon,heading", ",10");
+  const auto run = [&](const std::string& options) {
+    const std::string command = std::string(BUILD_STREETVIEW_DB) + " " + street.s.output + " --crs EPSG:2056 --model " +
+                                (street.folder / "") + " --geotags " + street.s.geotags +
+                                " --no-consistency --max-features 50 --threads 2 " + options + " > " + said + " 2>&1";
+    const int status = std::system(command.c_str());
+    std::ifstream file(said);
+    return std::make_pair(WEXITSTATUS(status), std::string(std::istreambuf_iterator<char>(file), {}));
+  };
+  const auto [good, good_text] = run("--search-yaw 180 --search-radius 5");
+  EXPECT_EQ(good, 0) << good_text;
+  EXPECT_TRUE(contains(good_text, "1 images stored")) << good_text;
+  std::filesystem::remove(street.s.output);
+  cv::imwrite(blank, cv::Mat(512, 1024, CV_8UC3, cv::Scalar(200, 200, 200)));
+  const auto [bad, bad_text] = run("--search-radius 5");
+  EXPECT_EQ(bad, 1);
+  EXPECT_TRUE(contains(bad_text, "no image can be used: see the reasons above")) << bad_text;
+  std::filesystem::remove(blank);
+  const auto [missing, missing_text] = run("");
+  EXPECT_EQ(missing, 1);
+  EXPECT_TRUE(contains(missing_text, "other.xml is XML but not CityGML: passed over")) << missing_text;
+}
+
+}  // namespace
+}  // namespace streetview_localizer

@@ -1,0 +1,136 @@
+// Files and folders as they are delivered, and the frames that their coordinates are counted in.
+#include <gtest/gtest.h>
+
+#include "box_model.h"
+#include "test_files.h"
+
+namespace streetview_localizer {
+namespace {
+
+/// Of the box around a model.
+Eigen::Vector3f sizeOf(const CityModel& m) {
+  Eigen::Vector3f low = m.mesh.vertices[0], high = low;
+  for (const auto& v : m.mesh.vertices) low = low.cwiseMin(v), high = high.cwiseMax(v);
+  return high - low;
+}
+
+// As downloads come: tiles in folders, names in capitals, terrain in a file of its own, and what is no model.
+TEST(ModelFiles, FoldersMayHoldOtherFiles) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(2683000, 1247000, 410);
+  std::filesystem::create_directories(folder / "city/tiles");
+  folder.write("city/a.GML", cityGml("EPSG:2056", o));
+  folder.write("city/tiles/b.gml", cityGml("EPSG:2056", o + Eigen::Vector3d(40, 0, 0)));
+  folder.write(
+      "city/dem.gml",
+      "<CityModel><boundedBy><Envelope srsName=\"EPSG:2056\" srsDimension=\"3\"/></boundedBy><cityObjectMember>"
+      "<ReliefFeature><tin><Triangle><exterior><LinearRing><posList>2683000 1246900 410 2683100 1246900 410 "
+      "2683000 1247000 410 2683000 1246900 410</posList></LinearRing></exterior></Triangle></tin></ReliefFeature>"
+      "</cityObjectMember></CityModel>");
+  folder.write("city/metadata.xml", "<?xml version=\"1.0\"?><gmd:MD_Metadata/>");
+  folder.write("city/style.json", "{\"colour\": \"red\"}");
+  folder.write("city/empty.json", "");
+  folder.write("city/tiles/c.gml.gz", "\x1F\x8B packed");
+  const CityModel m = readCityModel(folder / "city", {"", o});
+  EXPECT_EQ(m.building_ids.size(), 2u);
+  EXPECT_NEAR(areaOf(m, Surface::kGround), 2 * 200 + 5000, 2);
+  std::string remarks;
+  for (const std::string& remark : m.remarks) remarks += remark + "\n";
+  EXPECT_EQ(m.remarks.size(), 4u) << remarks;
+  for (const char* said :
+       {"metadata.xml is XML but not CityGML: passed over", "style.json is JSON but not CityJSON: passed",
+        "empty.json is empty: passed over", "c.gml.gz is packed: unpack it (gunzip, unzip): passed"})
+    EXPECT_NE(remarks.find(said), std::string::npos) << said << " in " << remarks;
+  // What is broken is still an error, and so is a folder without any building.
+  folder.write("city/broken.gml", "<CityModel><cityObjectMember>");
+  EXPECT_NE(messageOf([&] { readCityModel(folder / "city"); }).find("broken.gml is not well-formed"),
+            std::string::npos);
+  std::filesystem::create_directory(folder / "other");
+  folder.write("other/metadata.xml", "<gmd:MD_Metadata/>");
+  EXPECT_NE(messageOf([&] { readCityModel(folder / "other"); }).find("has no buildings with walls"), std::string::npos);
+  EXPECT_NE(messageOf([&] { readCityModel(folder / "city/tiles/c.gml.gz"); }).find("is packed"), std::string::npos);
+}
+
+TEST(ModelFiles, IsToldFromOthersByItsIdentity) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(2683000, 1247000, 410);
+  const std::string path = folder.write("a.gml", cityGml("EPSG:2056", o)),
+                    copy = folder.write("b.gml", cityGml("EPSG:2056", o));
+  const std::string identity = readCityModel(path).identity;
+  EXPECT_NE(identity.find("1 buildings 6 polygons heights 410.00 to 415.00"), std::string::npos) << identity;
+  EXPECT_EQ(readCityModel(copy, {"", Eigen::Vector3d(o + Eigen::Vector3d(100, 0, 0))}).identity, identity);
+  CityModelOptions options;
+  options.height_offset = -3;
+  EXPECT_NE(readCityModel(path, options).identity, identity);
+  options = {};
+  options.height_unit = 0.3048;
+  EXPECT_NE(readCityModel(path, options).identity, identity);
+  EXPECT_NE(readCityModel(folder.write("a.gml", cityGml("EPSG:2056", o + Eigen::Vector3d(0.01, 0, 0)))).identity,
+            identity);
+}
+
+/// Two boxes of boxFaces() 60 m apart, without their floors, with y up or z up, at an offset.
+std::string twoBoxes(bool y_up, const Eigen::Vector3d& offset) {
+  std::string text;
+  int n = 0;
+  for (const double east : {0.0, 60.0}) {
+    text += "o box" + std::to_string(east) + "\n";
+    const Faces faces = boxFaces(offset + Eigen::Vector3d(east, 0, 0));
+    for (std::size_t i = 1; i < faces.size(); ++i) {
+      std::string face;
+      for (const auto& p : faces[i][0]) {
+        const Eigen::Vector3d q = y_up ? Eigen::Vector3d(p.x(), p.z(), -p.y()) : p;
+        text += air_ground_common::formatted("v %.3f %.3f %.3f\n", q.x(), q.y(), q.z());
+        face += " " + std::to_string(++n);
+      }
+      text += "f" + face + "\n";
+    }
+  }
+  return text;
+}
+
+TEST(ModelFiles, ObjWithYUpAndOriginOfItsOwn) {
+  const TemporaryFolder folder;
+  const std::string lying = folder.write("a.obj", twoBoxes(true, {0, 0, 0}));
+  const CityModel wrong = readCityModel(lying);
+  ASSERT_EQ(wrong.remarks.size(), 1u);
+  EXPECT_NE(wrong.remarks[0].find("a.obj seems to lie on its side: if its y is up, give --up y"), std::string::npos);
+  CityModelOptions options;
+  options.y_up = true;
+  const CityModel right = readCityModel(lying, options);
+  EXPECT_TRUE(right.remarks.empty());
+  EXPECT_LT((sizeOf(right) - Eigen::Vector3f(70, 20, 5)).norm(), 1e-4f);
+  EXPECT_NEAR(areaOf(right, Surface::kRoof), 400, 1e-2);
+  EXPECT_NEAR(areaOf(right, Surface::kWall), 2 * 300, 1e-2);
+  EXPECT_TRUE(readCityModel(folder.write("up.obj", twoBoxes(false, {0, 0, 0}))).remarks.empty());
+  // In a grid, counted from a place of its own: told, and put there.
+  options.crs = "EPSG:2056";
+  const std::string m = messageOf([&] { readCityModel(lying, options); });
+  EXPECT_NE(m.find("--model-offset EASTING NORTHING HEIGHT"), std::string::npos) << m;
+  options.offset = Eigen::Vector3d(2683000, 1247000, 410);
+  const CityModel placed = readCityModel(lying, options);
+  EXPECT_LT((placed.crsFromWorld(Eigen::Vector3d::Zero()) - Eigen::Vector3d(2683035, 1247010, 410)).norm(), 1e-2);
+  EXPECT_NEAR(sizeOf(placed).z(), 5, 0.01);
+}
+
+// Soldner Berlin counts both ways from the middle of the town, and is defined north first.
+TEST(ModelFiles, WhereBothAxisOrdersLieInTheAreaBuildingsTell) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(20100, 20000, 30);
+  const auto check = [&](const std::string& srs, bool north_first, const char* order, std::size_t remarks) {
+    const CityModel m = readCityModel(folder.write("a.gml", cityGml(srs, o, 2, north_first)), {"", o});
+    EXPECT_EQ(m.axis_order, order);
+    EXPECT_LT((sizeOf(m) - Eigen::Vector3f(10, 20, 5)).norm(), 0.2f) << srs << ": " << sizeOf(m).transpose();
+    ASSERT_EQ(m.remarks.size(), remarks) << srs << ": " << m.remarks[0];
+    if (remarks > 0) {
+      EXPECT_NE(m.remarks[0].find("1 of 1 closed buildings are inside out"), std::string::npos) << m.remarks[0];
+    }
+  };
+  check("urn:ogc:def:crs:EPSG::3068", true, "north, east", 0);
+  check("urn:ogc:def:crs:EPSG::3068", false, "east, north", 1);
+  check("EPSG:3068", false, "east, north", 0);
+  check("EPSG:3068", true, "north, east", 1);
+}
+
+}  // namespace
+}  // namespace streetview_localizer
