@@ -50,7 +50,7 @@ class EndToEnd(DemonstrationTest):
             self.assertNotIn('refined_error_m', self.report)
 
     def test_files(self):
-        for name, columns in (('mav_trajectory.txt', 8), ('ground_trajectory.txt', 8), ('alignment.txt', 16)):
+        for name, columns in (('mav_trajectory.txt', 8), ('ground_trajectory.txt', 8), ('alignment.txt', 17)):
             rows = np.loadtxt(os.path.join(self.out, name), ndmin=2)
             self.assertEqual(rows.shape[1], columns, name)
             self.assertTrue(np.all(np.isfinite(rows)), name)

@@ -17,7 +17,7 @@ from sensor_msgs.msg import CompressedImage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_camera, bag_check, bag_guess, bag_player, bag_reader, geometry, messages, replay  # noqa: E402
+from air_ground_eval import bag_camera, bag_check, bag_depth, bag_guess, bag_player, bag_reader, geometry, messages, replay  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
@@ -146,7 +146,7 @@ class BagCheck(unittest.TestCase):
         a, b = 10100.0, -1009.0  # steps = a / depth + b
         steps = np.full((48, 64), round(a / 0.5 + b), np.uint16)
         message = compressed(steps, 1, 'camera', struct.pack('<iff', 0, a, b), '.png', '32FC1; compressedDepth png')
-        self.assertAlmostEqual(float(np.median(bag_camera._depths(message))), 0.5, places=3)
+        self.assertAlmostEqual(float(np.median(bag_camera.depths(message))), 0.5, places=3)
         self.assertEqual(bag_camera.check_depth('/depth', [message]), [])
 
     def test_a_pause_is_named_once(self):
@@ -278,10 +278,10 @@ class BagCheck(unittest.TestCase):
 
         published = []
         player = bag_player.BagPlayer.__new__(bag_player.BagPlayer)
-        player.others, player.left_out = {'kinect', 'camera', 'eye'}, set()
+        player.others, player.left_out, player.static = {'kinect', 'camera'}, set(), mock.Mock(claimed={'eye'})
         player.moving = type('Publisher', (), {'publish': lambda _, message: published.append(message)})()
         player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4)), ('/world', '/door', np.eye(4))], 100))
-        player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4))], 101))
+        player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4)), ('/world', '/eye', np.eye(4))], 101))
         self.assertEqual([[e.child_frame_id for e in m.transforms] for m in published], [['/door']])
 
     def test_mapped_names(self):
@@ -300,6 +300,58 @@ class BagCheck(unittest.TestCase):
             self.assertEqual([f.text for f in findings if f.level == bag_check.ERROR], [])
             self.assertIn('mav_image:=/mav/camera/image_raw/compressed', command.split())
             self.assertNotIn('mav_image_transport:=compressed', command.split())
+
+    def test_a_bag_of_something_else(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                messages.write_latched(bag, '/tf_static', messages.static_transforms([('base_link', 'laser', np.eye(4))], 99), 99)
+                bag.write('/chatter', messages.text('hello'), messages.stamp(100))
+            check = os.path.join(HERE, '..', 'scripts', 'check_bag')
+            result = subprocess.run(['/usr/bin/python3', check, path], capture_output=True, text=True, check=False)
+            self.assertEqual((result.returncode, result.stderr), (1, ''))
+            self.assertIn('ERROR   /mav/camera/image_raw is missing', result.stdout)
+            self.assertNotIn('roslaunch', result.stdout)
+
+    def test_how_far_depth_reaches(self):
+        with open(os.path.join(HERE, '..', '..', 'config', 'rgbd_slam.yaml'), encoding='utf-8') as stream:
+            self.assertIn(f'\ndepth_max_range: {bag_depth.MAX_RANGE} ', stream.read())
+        images = [messages.image(np.where(np.arange(64) < 64 * share, 5000, 1500) * np.ones((48, 1)), '16UC1', 1, 'cam') for share in (0.75,)]
+        self.assertIn('75 % of its depths lie beyond 4.5 m', bag_depth.check_range('/depth', images)[0].text)
+        self.assertEqual(bag_depth.check_range('/depth', images, ['ground_depth_unit:=0.0002']), [])
+        self.assert_found(bag_check.WARNING, 'set depth_max_range in a copy of config/rgbd_slam.yaml', depth=5000)
+
+    def test_the_last_step_of_16_bits_is_no_depth(self):
+        """Where half of an image has none, its driver's word for that decided what a step was."""
+        images = [messages.image(np.where(np.arange(64) < 40, 65535, 1500) * np.ones((48, 1)), '16UC1', 1, 'cam')]
+        self.assertEqual(bag_camera.check_depth('/depth', images) + bag_depth.check_range('/depth', images), [])
+
+    def test_topics_whose_names_are_none_in_ros_are_not_played(self):
+        names = ['/clock', '/cam/image_raw', '/device_0/option/Enable Auto Exposure/value', 'imu', '/a-b', '/1']
+        self.assertEqual(bag_player.playable(names), (['/1', '/cam/image_raw', 'imu'], ['/a-b', '/device_0/option/Enable Auto Exposure/value']))
+
+    def test_another_publisher_corrects_the_static_transforms(self):
+        """publish_calibration beside a replay takes the place of what the bag says of a frame, whichever comes first."""
+        def heard(caller, *edges):
+            message = messages.static_transforms(edges, 100)
+            message._connection_header = {'callerid': caller}
+            return message
+
+        turned = geometry.pose(geometry.R_BODY_FORWARD_CAMERA)
+        for first in (True, False):
+            published = []
+            with mock.patch.object(bag_player, 'rospy') as ros, mock.patch.object(bag_player.rosgraph, 'Master') as master:
+                ros.get_name.return_value, ros.is_shutdown.return_value = '/player', False
+                ros.Publisher.return_value.publish = published.append
+                master.return_value.getSystemState.return_value = [[['/tf_static', ['/player', '/other']]], [], []]
+                other = heard('/other', ('base', '/camera', turned))
+                ros.Subscriber.side_effect = lambda topic, kind, callback, **_: callback(other) if first else None
+                player = bag_player.StaticTransforms(messages.static_transforms([('base', 'camera', np.eye(4)), ('base', 'imu', np.eye(4))], 100), patience=0.1)
+                player.hear(heard('/player', ('base', 'imu', np.eye(4))))
+                if not first:
+                    player.hear(other)
+            frames = [[e.child_frame_id for e in m.transforms] for m in published]
+            self.assertEqual(frames, [['imu']] if first else [['camera', 'imu'], ['imu']])
 
     def test_a_flight_in_the_city_needs_no_ground_robot(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -5,34 +5,41 @@ import importlib.machinery
 import importlib.util
 import io
 import os
+import shlex
 import sys
 import tempfile
 import unittest
 from unittest import mock
 
+import cv2
 import numpy as np
 import rosbag
 import rosunit
-from sensor_msgs.msg import Image
-from std_msgs.msg import Header
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Float32, Header
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
 sys.path.insert(0, SCRIPTS)
-from air_ground_eval import geometry, messages  # noqa: E402
+from air_ground_eval import bag_guess, bag_reader, geometry, messages  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
-PICTURE = (np.indices((48, 64)).sum(0) % 16 * 16).astype(np.uint8)
+PICTURE = (np.indices((48, 80)).sum(0) % 16 * 16).astype(np.uint8)
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
-DEPTH = {'16UC1': np.full((48, 64), 1500, np.uint16), '32FC1': np.full((48, 64), 1.5, np.float32)}
+DEPTH = {'16UC1': np.full((48, 80), 1500, np.uint16), '32FC1': np.full((48, 80), 1.5, np.float32)}
 CHANNELS = {'mono8': 1, 'yuv422_yuy2': 2, 'rgb8': 3, 'bgr8': 3, 'bgra8': 4}
 
 
-def image(encoding, stamp, frame, factor=1):
-    pixels = PICTURE.astype(np.uint16) * 16 if encoding == 'mono16' else DEPTH[encoding] * factor if encoding in DEPTH else np.dstack([PICTURE] * CHANNELS[encoding])
-    message = Image(height=48, width=64, encoding=encoding, step=pixels.nbytes // 48, data=pixels.tobytes())
+def image(encoding, stamp, frame, factor=1, pixels=(64, 48)):
+    array = PICTURE.astype(np.uint16) * 16 if encoding == 'mono16' else DEPTH[encoding] * factor if encoding in DEPTH else np.dstack([PICTURE] * CHANNELS[encoding])
+    array = array[:pixels[1], :pixels[0]]
+    message = Image(height=pixels[1], width=pixels[0], encoding=encoding, step=array.nbytes // pixels[1], data=array.tobytes())
     message.header.stamp, message.header.frame_id = messages.stamp(stamp), frame
     return message
+
+
+def intrinsics(f, cx, cy):
+    return [f, 0, cx, 0, f, cy, 0, 0, 1]
 
 
 class Recording:
@@ -50,37 +57,51 @@ class Recording:
                 bag.write(topic, message(t), messages.stamp(t))
         return self
 
-    def camera(self, topic, encoding, frame, info=True, model='plumb_bob', distortion=(), size=None, info_frame=None, late=0.0, factor=1, **fields):
+    def camera(self, topic, encoding, frame, info=True, model='plumb_bob', distortion=(), size=None, info_frame=None, late=0.0, factor=1, pixels=(64, 48), info_topic=None, **fields):
         def calibration(t):
             message = messages.camera_info(CAMERA, t - (late or 0.0), frame if info_frame is None else info_frame)
             message.distortion_model, message.D = model, list(distortion)
-            message.width, message.height = size or (64, 48)
+            message.width, message.height = size or pixels
             for name, value in fields.items():
                 setattr(message, name, value)
             return message
 
-        self.add(topic, 20, lambda t: image(encoding, 0 if late is None else t - late, frame, factor))
-        return self.add(topic.rsplit('/', 1)[0] + '/camera_info', 20, calibration) if info else self
+        self.add(topic, 20, lambda t: image(encoding, 0 if late is None else t - late, frame, factor, pixels))
+        return self.add(info_topic or topic.rsplit('/', 1)[0] + '/camera_info', 20, calibration) if info else self
 
-    def imu(self, topic, frame, accel=(0, 0, 9.81), gyro=(0.01, 0, 0.001), measured=True):
+    def compressed(self, topic, form, frame, pixels=PICTURE, kind='.jpg', **options):
+        def picture(t):
+            message = CompressedImage(format=form, data=cv2.imencode(kind, pixels)[1].tobytes())
+            message.header.stamp, message.header.frame_id = messages.stamp(t), frame
+            return message
+
+        self.add(topic, 20, picture)
+        parent = bag_guess.raw_name(topic).rsplit('/', 1)[0]
+        return self.add(f'{parent}/camera_info', 20, lambda t: messages.camera_info(CAMERA, t, frame)) if options.get('info', True) else self
+
+    def imu(self, topic, frame, accel=(0, 0, 9.81), gyro=(0.01, 0, 0.001), measured=True, rate=200):
         def sample(t):
             message = messages.imu(gyro, accel, 1e-6, 1e-4, t, frame)
             message.angular_velocity_covariance[0] = 1e-6 if measured else -1
             return message
 
-        return self.add(topic, 200, sample)
+        return self.add(topic, rate, sample)
 
     def poses(self, topic):
         return self.add(topic, 50, lambda t: messages.pose_stamped(geometry.pose(), t, 'world'))
 
 
-def run(program, *arguments):
-    """(status, output)."""
-    path = os.path.join(SCRIPTS, program)
-    loader = importlib.machinery.SourceFileLoader(program, path)
+def load(program):
+    """A script as a module."""
+    loader = importlib.machinery.SourceFileLoader(program, os.path.join(SCRIPTS, program))
     module = importlib.util.module_from_spec(importlib.util.spec_from_loader(program, loader))
     loader.exec_module(module)
-    output = io.StringIO()
+    return module
+
+
+def run(program, *arguments):
+    """(status, output)."""
+    module, output = load(program), io.StringIO()
     with contextlib.redirect_stdout(output), mock.patch.object(sys, 'argv', [program, *arguments]):
         status = module.main()
     return status, output.getvalue()
@@ -171,7 +192,7 @@ class BagLayouts(unittest.TestCase):
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, ground_imu='none', ground_image='/camera/rgb/image_color', ground_base_frame='kinect')
         self.assertEqual(output.splitlines()[-1].count('ground_imu:='), 1)
-        self.assertIn('WARNING without IMU the ground map is as level as kinect is', output)
+        self.assertIn('WARNING without IMU the ground map is levelled by what lies flat in it', output)
 
     def test_of_two_cameras_the_one_that_looks_down(self):
         recording = Recording(self.path(), [('base_link', frame) for frame in ('front', 'down', 'imu')])
@@ -225,6 +246,121 @@ class BagLayouts(unittest.TestCase):
         status, output, command = self.check()
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, mav_base_frame='cam', mav_use_imu='false')
+
+    def warned(self, output, text):
+        return any(line.startswith('WARNING') and text in line for line in output.splitlines())
+
+    def test_depth_of_another_camera_is_told_by_its_calibration(self):
+        """Though frames are one and sizes nearly: 53x30 and 80x45 (848x480 and 1280x720, a sixteenth) differ by 0.6 % in their proportions."""
+        for name, pixels, f, colour_f, registered in (('depth', (64, 48), 38, 60, False), ('depth', (53, 30), 26.3, 57, False), ('depth', (64, 48), 60.5, 60, True),
+                                                      ('depth', (53, 30), 57 * 53 / 80, 57, True), ('aligned_depth_to_color', (64, 48), 38, 60, True)):
+            colour = (80, 45) if pixels == (53, 30) else (64, 48)
+            recording = Recording(self.path(), [('base_link', '0')])
+            recording.camera('/camera/color/image_raw', 'rgb8', '0', pixels=colour, K=intrinsics(colour_f, (colour[0] - 1) / 2, (colour[1] - 1) / 2))
+            recording.camera(f'/camera/{name}/image_raw', '16UC1', '0', pixels=pixels, K=intrinsics(f, (pixels[0] - 1) / 2, (pixels[1] - 1) / 2))
+            status, output, command = self.check()
+            self.assertEqual(status, 0, output)
+            self.assert_arguments(command, ground_depth_registered=None if registered else 'false', ground_depth_camera_info=None if registered else f'/camera/{name}/camera_info')
+            self.assertEqual(self.warned(output, 'differ in their calibration'), f / pixels[0] * colour[0] / colour_f < 0.9, output)
+            self.assertEqual(self.warned(output, 'realsense-ros of 2018'), name != 'depth', output)
+            self.assertEqual(self.warned(output, 'the distance between the two cameras counts as zero'), not registered, output)
+            self.assertEqual('calibration serves, scaled' in output, registered and pixels != colour, output)
+
+    def test_a_recording_of_realsense_viewer(self):
+        recording = Recording(self.path())
+        for sensor, stream, encoding, f in ((0, 'Depth_0', 'mono16', 38), (0, 'Infrared_1', 'mono8', 38), (1, 'Color_0', 'rgb8', 60)):
+            folder = f'/device_0/sensor_{sensor}/{stream}'
+            recording.camera(f'{folder}/image/data', encoding, '0', info_topic=f'{folder}/info/camera_info', info_frame='', K=intrinsics(f, 31.5, 23.5))
+        recording.imu('/device_0/sensor_2/Accel_0/imu/data', '0', gyro=(0, 0, 0)).imu('/device_0/sensor_2/Gyro_0/imu/data', '0', accel=(0, 0, 0))
+        recording.add('/device_0/sensor_0/option/Enable Auto Exposure/value', 1, lambda t: Float32(1))
+        status, output, command = self.check()
+        self.assertEqual(status, 1, output)
+        self.assert_arguments(command, ground_image='/device_0/sensor_1/Color_0/image/data', ground_depth='/device_0/sensor_0/Depth_0/image/data', mav_image=None,
+                              ground_camera_info='/device_0/sensor_1/Color_0/info/camera_info', ground_depth_camera_info='/device_0/sensor_0/Depth_0/info/camera_info',
+                              ground_imu='/device_0/sensor_2/Gyro_0/imu/data', ground_imu_accel='/device_0/sensor_2/Accel_0/imu/data', ground_depth_registered='false')
+        errors = [line for line in output.splitlines() if line.startswith('ERROR')]
+        self.assertEqual(len(errors), 1, output)
+        self.assertIn(f'roslaunch realsense2_camera rs_from_file.launch rosbag_filename:={self.path()} align_depth:=true', errors[0])
+
+    def test_compressed_colour_of_a_depth_camera(self):
+        """A folder may be named depth, and hold colour: the pixels tell."""
+        steps = dict(pixels=DEPTH['16UC1'][:, :64], kind='.png')
+        for depth in ('16UC1; png compressed ', 'png'):
+            recording = Recording(self.path(), [('base_link', 'cam')]).compressed('/depth_camera/color/image_raw/compressed', 'rgb8; jpeg compressed bgr8', 'cam', PICTURE[:, :64])
+            recording.compressed('/depth_camera/depth/image_raw/compressed', depth, 'cam', **steps)
+            status, output, command = self.check()
+            self.assertEqual(status, 0, output)
+            self.assert_arguments(command, ground_image='/depth_camera/color/image_raw', ground_depth='/depth_camera/depth/image_raw/compressed')
+        recording = Recording(self.path(), [('base', 'depth')]).compressed('/rgb_to_depth/image_raw/compressed', 'jpeg', 'depth', PICTURE[:, :64])
+        recording.camera('/depth/image_raw', '16UC1', 'depth')
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_image='/rgb_to_depth/image_raw', ground_depth='/depth/image_raw')
+
+    def published(self, output):
+        """The edges (parent, child, T_parent_child) of the commands to run beside the replay, as publish_calibration takes them."""
+        edges = []
+        for line in output.splitlines():
+            if line.startswith('rosrun air_ground publish_calibration '):
+                words = shlex.split(line)
+                edges += [load('publish_calibration').edge(words[i + 1].split()) for i, word in enumerate(words) if word == '--transform']
+        return edges
+
+    def test_a_ground_camera_without_transforms_looks_ahead(self):
+        """What is printed works as printed; an IMU in optical axes is no body, and optical frames alone are no robot."""
+        for mountings in ([], [('camera_color_optical_frame', 'camera_imu_optical_frame')], [('camera_imu_optical_frame', 'camera_color_optical_frame')]):
+            recording = Recording(self.path(), mountings).camera('/camera/color/image_raw', 'rgb8', 'camera_color_optical_frame')
+            recording.camera('/camera/aligned_depth_to_color/image_raw', '16UC1', 'camera_color_optical_frame').imu('/camera/imu', 'camera_imu_optical_frame', accel=(0, -9.81, 0))
+            status, output, command = self.check()
+            self.assertEqual(status, 0, output)
+            self.assertTrue(self.warned(output, 'taken for level, looking ahead'), output)
+            self.assert_arguments(command, ground_base_frame=None, ground_imu='/camera/imu' if mountings else 'none')
+            facts = bag_reader.BagFacts(self.path())
+            edges = self.published(output)
+            self.assertEqual([edge[:2] for edge in edges], [('ground_base_link', (mountings or [('camera_color_optical_frame',)])[0][0])])
+            facts.add_static(messages.static_transforms(edges, 100))
+            np.testing.assert_allclose(facts.static_transform('ground_base_link', 'camera_color_optical_frame'), geometry.pose(geometry.R_BODY_FORWARD_CAMERA), atol=1e-9)
+        self.assertIn('--transform "ground_base_link camera_color_optical_frame 0 0 0 -0.5 0.5 -0.5 0.5"', self.layout_without_tf())
+
+    def layout_without_tf(self):
+        Recording(self.path()).camera('/camera/color/image_raw', 'rgb8', 'camera_color_optical_frame').camera('/camera/depth/image_raw', '16UC1', 'camera_color_optical_frame')
+        return self.check()[1]
+
+    def test_images_in_a_body_frame(self):
+        """As Gazebo's cameras: camera_link, x forward. What is printed turns the camera alone, not what sits on it."""
+        recording = Recording(self.path(), [('base_link', 'camera_link'), ('camera_link', 'imu_link')])
+        recording.camera('/camera/rgb/image_raw', 'rgb8', 'camera_link').camera('/camera/depth/image_raw', '32FC1', 'camera_link').imu('/imu', 'imu_link')
+        status, output, _ = self.check()
+        self.assertEqual(status, 0, output)
+        self.assertTrue(self.warned(output, 'the map lie on its side'), output)
+        facts = bag_reader.BagFacts(self.path())
+        facts.add_static(messages.static_transforms(self.published(output), 100))
+        np.testing.assert_allclose(facts.static_transform('base_link', 'camera_link'), geometry.pose(geometry.R_BODY_FORWARD_CAMERA), atol=1e-9)
+        np.testing.assert_allclose(facts.static_transform('base_link', 'imu_link'), np.eye(4), atol=1e-9)
+        Recording(self.path(), [('base_link', 'camera_optical')]).camera('/rgb/image_raw', 'rgb8', 'camera_optical').camera('/depth/image_raw', '16UC1', 'camera_optical')
+        self.assertNotIn('on its side', self.check()[1])
+
+    def test_depth_belongs_to_the_rectified_image(self):
+        """As a ZED's first driver: depth is aligned to the rectified left image, which lies beside the raw one."""
+        distortion = [-0.17, 0.03, 0, 0, 0]
+        for f in (60, 58):
+            recording = Recording(self.path(), [('base_link', 'left')])
+            recording.camera('/zed/rgb_raw/image_raw_color', 'rgb8', 'left', distortion=distortion, K=intrinsics(60.5, 32, 24))
+            recording.camera('/zed/rgb/image_rect_color', 'rgb8', 'left').camera('/zed/depth/depth_registered', '32FC1', 'left', K=intrinsics(f, 32, 24))
+            self.assert_arguments(self.check()[2], ground_image='/zed/rgb/image_rect_color')
+        recording = Recording(self.path(), [('base_link', 'rgb')]).camera('/camera/rgb/image_rect_color', 'rgb8', 'rgb', distortion=distortion)
+        recording.camera('/camera/rgb/image_raw', 'rgb8', 'rgb', info=False).camera('/camera/depth_registered/image_raw', '16UC1', 'rgb', distortion=distortion)
+        self.assert_arguments(self.check()[2], ground_image='/camera/rgb/image_raw')
+
+    def test_words_are_whole(self):
+        for topic, flies in (('/stairs/camera', False), ('/quadruped/camera', False), ('/chair/camera', False), ('/uav1/camera', True), ('/mavros/imu', True), ('/air/camera', True),
+                             ('/airsim_node/a', True), ('/firefly/camera', True), ('/quad_2/camera', True), ('/hexacopter/camera', True), ('/Drone1/camera', True)):
+            self.assertEqual(bag_guess.has(topic, bag_guess.MAV_WORDS), flies, topic)
+        for topic, drives in (('/background/rgb', False), ('/ground_truth/pose', False), ('/groundtruth', False), ('/ground/rgb', True), ('/ugv_1/rgb', True), ('/robot1/rgb', True)):
+            self.assertEqual(bag_guess.has(topic, bag_guess.GROUND_WORDS), drives, topic)
+        self.assertFalse(bag_guess.has('/length', bag_guess.TRUTH_WORDS))
+        recording = Recording(self.path(), [('base_link', 'cam')]).camera('/stairs/camera/color/image_raw', 'rgb8', 'cam').camera('/stairs/camera/depth/image_raw', '16UC1', 'cam')
+        self.assert_arguments(self.check()[2], ground_image='/stairs/camera/color/image_raw', mav_image=None)
 
     def found(self, text, level='ERROR', imu=None, recording=None, **camera):
         if recording is None:

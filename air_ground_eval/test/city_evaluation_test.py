@@ -2,6 +2,7 @@
 """Dead reckoning, errors along the way and where world lies: against made truth."""
 import os
 import sys
+import tempfile
 import unittest
 from unittest import mock
 
@@ -10,7 +11,8 @@ import rosunit
 from scipy.spatial.transform import Rotation, Slerp
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
-from air_ground_eval import city_database, city_evaluation, geometry, track_calibration  # noqa: E402
+from air_ground_eval import city_database, city_evaluation, geometry, track_calibration, zurich_urban  # noqa: E402
+from air_ground_eval.recording import DatasetError  # noqa: E402
 
 DURATION = 20.0
 
@@ -170,6 +172,47 @@ class CityEvaluation(unittest.TestCase):
             city_database.tracker_parameters(city, {'crs': 'EPSG:2056', 'origin': [0, 0, 0]})
         with self.assertRaises(city_database.CityError):
             city_database.read_city('/nowhere.gpkg')
+
+    def test_origin_of_another_system(self):
+        """The database in Swiss LV95, the city file in UTM: one place, or an error that says the origin to build with."""
+        place = city_database.converted((465666.0, 5247973.0, 469.0), 'EPSG:32632', 'EPSG:2056')
+        self.assertTrue(np.allclose(place[:2], (2683400, 1248600), atol=3000), place)
+        city = city_database.City('EPSG:2056', np.round(place, 3))
+        facts = {'crs': 'EPSG:32632', 'origin': [465666.0, 5247973.0, 469.0], 'geoid_undulation': 47.3}
+        parameters = city_database.tracker_parameters(city, facts)
+        self.assertEqual(parameters['origin_crs'], 'EPSG:2056')
+        self.assertEqual(parameters['origin'], [round(x, 3) for x in place])
+        self.assertEqual(parameters['geoid_undulation'], 47.3)
+        for by in ((1, 0, 0), (0, 0, 1)):
+            with self.assertRaisesRegex(city_database.CityError, f'--origin {city_database.origin_text(place)}'):
+                city_database.tracker_parameters(city_database.City('EPSG:2056', np.add(place, by)), facts)
+        with self.assertRaisesRegex(city_database.CityError, 'without an origin'):
+            city_database.tracker_parameters(city, {'crs': 'EPSG:32632'})
+
+    def test_world_of_the_zurich_flight(self):
+        """`crs` alone puts the default origin into that system; an origin of another one is named."""
+        with tempfile.TemporaryDirectory() as folder:
+            for name, line in (('GroundTruthAGM.csv', '7000000, 1, 1,'), ('GroundTruthAGL.csv', '1, 465666.7, 5247973.2, 471.5, 90, 0, 0, 465669, 5247973, 470,')):
+                with open(os.path.join(folder, name), 'w', encoding='utf-8') as stream:
+                    stream.write(f'header\n{line}\n')
+            utm = zurich_urban.read_zurich_urban(folder, {})
+            self.assertEqual((utm.city['crs'], utm.city['origin']), ('EPSG:32632', [465666.0, 5247973.0, 471.0]))
+            place = city_database.converted(utm.city['origin'], 'EPSG:32632', 'EPSG:2056')
+            self.assertIn(f'in EPSG:2056: --origin {city_database.origin_text(place)}', ' '.join(utm.notes))
+            swiss = zurich_urban.read_zurich_urban(folder, {'crs': 'EPSG:2056'})
+            self.assertEqual(swiss.city['crs'], 'EPSG:2056')
+            self.assertTrue(np.allclose(swiss.city['origin'], place, atol=2), swiss.city['origin'])
+            self.assertLess(np.linalg.norm(swiss.poses[0][:3, 3]), 2)
+            self.assertTrue(np.allclose(swiss.poses[0][:3, :3], utm.poses[0][:3, :3], atol=1e-6))
+            with self.assertRaisesRegex(DatasetError, f'EPSG:2056, where the flight begins at {place[0]:.0f}'[:-1]):
+                zurich_urban.read_zurich_urban(folder, {'crs': 'EPSG:2056', 'origin': [465666, 5247973, 469]})
+            with self.assertRaisesRegex(DatasetError, 'expected easting'):
+                zurich_urban.read_zurich_urban(folder, {'origin': [465666]})
+
+    def test_undulation_that_is_not_known(self):
+        """-1000, as the tracker's parameter has it, is no kilometre."""
+        frame = city_database.WorldFrame('EPSG:4326', (8.5, 47.4, 400.0), -1000.0)
+        self.assertAlmostEqual(frame.from_geodetic(47.4, 8.5, 450.0)[2], 50.0)
 
 
 if __name__ == '__main__':

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Folders in the four layouts, written here with known content, must come out of dataset_to_bag as bags that check_bag accepts."""
+"""Folders in the four layouts and those of TUM-VI, written here with known content, must come out of dataset_to_bag as bags that check_bag accepts."""
 import os
 import subprocess
 import sys
@@ -14,7 +14,7 @@ from PIL import Image
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_check, calibration, datasets, geometry, imu_synthesis, registration  # noqa: E402
+from air_ground_eval import bag_check, bag_reader, calibration, datasets, geometry, imu_synthesis, registration  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 WIDTH, HEIGHT = 160, 120
@@ -52,6 +52,8 @@ def write_7scenes(folder, count=60, tilt=True):
 def write_tum(folder, count=60):
     os.makedirs(os.path.join(folder, 'rgb'))
     os.makedirs(os.path.join(folder, 'depth'))
+    with open(os.path.join(folder, 'calibration.txt'), 'w', encoding='utf-8') as stream:
+        stream.write('131.25 131 79.5 59.5\n')
     with open(os.path.join(folder, 'rgb.txt'), 'w', encoding='utf-8') as rgb, open(os.path.join(folder, 'depth.txt'), 'w', encoding='utf-8') as depth, \
             open(os.path.join(folder, 'groundtruth.txt'), 'w', encoding='utf-8') as truth:
         for stream in (rgb, depth, truth):
@@ -223,8 +225,7 @@ class DatasetToBag(unittest.TestCase):
         self.assertAlmostEqual(imu[5].linear_acceleration.z, 9.81)
         self.assertNotIn('SYNTHESISED', messages_of(self.bag, '/dataset_info')[0].data)
         # The camera relative to the IMU is what sensor.yaml says, whatever base_link was chosen.
-        from air_ground_eval.bag_reader import BagFacts
-        facts = BagFacts(self.bag)
+        facts = bag_reader.BagFacts(self.bag)
         self.assertTrue(np.allclose(facts.static_transform('mav_imu_link', 'mav_camera_optical_frame'), T_body_camera, atol=1e-6))
         truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
         expected = geometry.pose(None, (0.01 * 40, 0, 1)) @ T_body_camera
@@ -279,6 +280,40 @@ class DatasetToBag(unittest.TestCase):
         info = messages_of(self.bag, '/mav/camera/camera_info')[0]
         self.assertEqual((info.distortion_model, len(info.D)), ('equidistant', 4))
 
+    def test_tum_vi(self):
+        """Images of 16 bits, one calibration of kalibr for all, a motion capture's poses of the IMU."""
+        data = os.path.join(self.folder, 'dataset-room1_512_16')
+        os.mkdir(data)
+        T_imu_camera = write_euroc(data)
+        root, begin = os.path.join(data, 'mav0'), 1403636579000000000
+        for path in (('cam0', 'sensor.yaml'), ('imu0', 'sensor.yaml')):
+            os.remove(os.path.join(root, *path))
+        os.rename(os.path.join(root, 'state_groundtruth_estimate0'), os.path.join(root, 'mocap0'))
+        self.assertIn('dso/camchain.yaml', convert('--mav', data, '--out', self.bag).stderr)
+        os.mkdir(os.path.join(data, 'dso'))
+        with open(os.path.join(data, 'dso', 'camchain.yaml'), 'w', encoding='utf-8') as stream:
+            rows = ', '.join(str([round(float(v), 9) for v in row]) for row in geometry.inverse(T_imu_camera))
+            stream.write(f'cam0:\n  T_cam_imu: [{rows}]\n  camera_model: pinhole\n  distortion_model: equidistant\n  distortion_coeffs: [0.003, 0.0007, -0.002, 0.0002]\n'
+                         f'  intrinsics: [100, 101, 79.5, 59.5]\n  resolution: [{WIDTH}, {HEIGHT}]\n  rostopic: /cam0/image_raw\n')
+        gradient = np.linspace(2000, 60000, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+        for low, high, first, last in ((2000, 60000, 7, 234), (0, 1000, 0, 250), (7400, 7900, 21, 234)):  # 16 bits, 10 bits, a thermal camera's 14
+            counts = (low + (gradient - 2000) / 58000 * (high - low)).astype(np.uint16)
+            for i in range(40):  # fades in: one scale for all, or brightness would have no meaning
+                Image.fromarray((counts if i > 2 else low + (counts - low) // 2).astype(np.uint16)).save(os.path.join(root, 'cam0', 'data', f'{begin + i * 50000000}.png'))
+            result = convert('--mav', data, '--out', self.bag, '--keep-stamps')
+            self.assertEqual(result.returncode, 0, result.stderr)
+            self.assertIn('images of 16 bits', result.stdout)
+            images = [np.frombuffer(m.data, np.uint8).reshape(HEIGHT, WIDTH) for m in messages_of(self.bag, '/mav/camera/image_raw')]
+            np.testing.assert_allclose([images[9][0, 0], images[9][-1, -1]], [first, last], atol=2)
+            self.assertGreater(len(np.unique(images[9])), 0.9 * (last - first))
+            self.assertAlmostEqual(float(images[0][-1, -1]), (first + last) / 2, delta=2)
+        info = messages_of(self.bag, '/mav/camera/camera_info')[0]
+        self.assertEqual((info.distortion_model, info.K[4], len(info.D)), ('equidistant', 101, 4))
+        facts = bag_reader.BagFacts(self.bag)
+        np.testing.assert_allclose(facts.static_transform('mav_imu_link', 'mav_camera_optical_frame'), T_imu_camera, atol=1e-6)
+        truth = facts.pose_track('/ground_truth/mav', facts.static_transform('mav_base_link', 'mav_camera_optical_frame'))
+        np.testing.assert_allclose(truth.poses[40], geometry.pose(None, (0.01 * 40, 0, 1)) @ T_imu_camera, atol=1e-5)
+
     def test_zurich_urban(self):
         data = os.path.join(self.folder, 'AGZ')
         write_zurich(data)
@@ -296,8 +331,7 @@ class DatasetToBag(unittest.TestCase):
         self.assertAlmostEqual(fix.position_covariance[0], 2.5 ** 2)
         imu = messages_of(self.bag, '/mav/imu/data')[0]
         self.assertAlmostEqual(imu.linear_acceleration.z, -9.81)
-        from air_ground_eval.bag_reader import BagFacts
-        facts = BagFacts(self.bag)
+        facts = bag_reader.BagFacts(self.bag)
         # The autopilot's z is down, the camera looks to its left: base_link's x, along the camera, is its -y.
         T_base_imu = facts.static_transform('mav_base_link', 'mav_imu_link')
         self.assertTrue(np.allclose(T_base_imu[:3, :3] @ [0, 0, 1], [0, 0, -1], atol=1e-9))

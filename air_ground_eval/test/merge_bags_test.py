@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Two robots' bags with the same names in both become one that check_bag finds nothing wrong with."""
 import os
+import subprocess
 import sys
 import tempfile
 import unittest
@@ -11,7 +12,8 @@ import rosbag
 import rostest
 from sensor_msgs.msg import CompressedImage
 
-sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
+SCRIPTS = os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts')
+sys.path.insert(0, SCRIPTS)
 from air_ground_eval import bag_check, bag_guess, bag_merge, bag_reader, geometry, messages  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
@@ -36,7 +38,43 @@ def write(path, begin, depth, x):
                 bag.write('/camera/depth/image_raw', messages.image(np.full((48, 64), 1500), '16UC1', t, 'camera'), messages.stamp(t))
 
 
+def write_once(path, begin, seconds):
+    """A recording whose calibration and mountings come once, at its begin, the latter latched."""
+    with rosbag.Bag(path, 'w') as bag:
+        edges = [('base_link', 'camera_optical', geometry.pose(geometry.R_BODY_FORWARD_CAMERA)), ('base_link', 'imu', np.eye(4))]
+        messages.write_latched(bag, '/tf_static', messages.static_transforms(edges, begin), begin)
+        bag.write('/camera/camera_info', messages.camera_info(CAMERA, begin, 'camera_optical'), messages.stamp(begin))
+        picture = np.indices((48, 64)).sum(0) % 16 * 16
+        for i in range(round(200 * seconds)):
+            t = begin + i / 200
+            bag.write('/imu/data', messages.imu(np.array([0.01, 0, 0]), np.array([0, 0, 9.81]), 1e-6, 1e-4, t, 'imu'), messages.stamp(t))
+            if i % 10 == 0:
+                bag.write('/camera/image_raw', messages.image(np.dstack([picture] * 3), 'rgb8', t, 'camera_optical'), messages.stamp(t))
+                bag.write('/camera/depth/image_raw', messages.image(np.full((48, 64), 1500), '16UC1', t, 'camera_optical'), messages.stamp(t))
+
+
 class MergeBags(unittest.TestCase):
+    def test_two_stretches_of_one_recording(self):
+        with tempfile.TemporaryDirectory() as folder:
+            whole, pair = (os.path.join(folder, name) for name in ('x.bag', 'pair.bag'))
+            write_once(whole, 1000.0, 6)
+            program = os.path.join(SCRIPTS, 'merge_bags')
+            result = subprocess.run(['/usr/bin/python3', program, f'{whole}@0-3', f'{whole}@3-6', pair, '--begin-together'], capture_output=True, text=True, check=False)
+            self.assertEqual(result.returncode, 0, result.stdout + result.stderr)
+            with rosbag.Bag(pair) as bag:
+                self.assertEqual({header['latching'] for *_, header in bag.read_messages('/tf_static', return_connection_header=True)}, {b'1'})
+            facts = bag_reader.BagFacts(pair)
+            self.assertEqual([facts.counts[f'/{robot}/camera/{topic}'] for robot in ('mav', 'ground') for topic in ('image_raw', 'camera_info')], [60, 1, 60, 1])
+            self.assertAlmostEqual(facts.end - facts.begin, 599 / 200, places=3)
+            check = subprocess.run(['/usr/bin/python3', os.path.join(SCRIPTS, 'check_bag'), pair], capture_output=True, text=True, check=False)
+            self.assertEqual(check.returncode, 0, check.stdout + check.stderr)
+            self.assertIn('0 errors', check.stdout)
+            for word in ('mav_base_frame:=', 'rgbd_slam:=', 'mav_vo:='):  # both robots, with frames of standard names
+                self.assertNotIn(word, check.stdout.splitlines()[-1])
+            for wrong, text in ((f'{whole}@9-12', 'is 6.0 s long'), (f'{whole}@3-2', 'it ends before it begins')):
+                with self.assertRaisesRegex(bag_reader.BagError, text):
+                    bag_merge.Part('mav', wrong)
+
     def test_two_robots_of_the_same_make(self):
         with tempfile.TemporaryDirectory() as folder:
             mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))

@@ -14,18 +14,36 @@ import rospkg
 import rospy
 import rostest
 import yaml
+from geometry_msgs.msg import Point, PointStamped, TransformStamped
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import demo, evaluation, geometry, messages, pacing, ply  # noqa: E402
+from air_ground_eval import bag_reader, demo, evaluation, geometry, messages, pacing, ply, truth  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 sys.path.insert(0, HERE)
 DURATION = 6.0
 
 
-def write_bag(path, truth=True, ahead=None):
-    """A MAV that flies a helix and a ground robot that drives an arc; ground truth only, and images stamped so much `ahead` of the time of recording, as the truth is [s]."""
+# Of EuRoC's Vicon body in the MAV's: its markers lie behind and below, and their axes are turned.
+T_BASE_MARKERS = geometry.pose_from_tq((0.069, -0.028, -0.124), (0.3, -0.5, 0.6, 0.2))
+
+
+def other_truth(bag, mav, ground, t):
+    """The MAV's poses as a Vicon tells them, of its body of markers; a prism's positions, above the ground robot's camera, as a total station does."""
+    message = TransformStamped(child_frame_id='vicon/firefly_sbx/firefly_sbx')
+    message.header.stamp, message.header.frame_id = messages.stamp(100 + t), 'world'
+    edge = messages.static_transforms([('world', 'x', mav @ T_BASE_MARKERS)], 0).transforms[0]
+    message.transform = edge.transform
+    bag.write('/vicon/firefly_sbx/firefly_sbx', message, messages.stamp(100 + t))
+    point = PointStamped(point=Point(*(ground @ [0.1, 0, 0.7, 1])[:3]))
+    point.header.stamp = messages.stamp(100 + t)
+    bag.write('/leica/position', point, messages.stamp(100 + t))
+
+
+def write_bag(path, truth=True, ahead=None, vicon=False):
+    """A MAV that flies a helix and a ground robot that drives an arc; ground truth only, and images stamped so much `ahead` of the time of recording, as the truth is [s].
+    vicon: the same truth as other_truth has it, too."""
     with rosbag.Bag(path, 'w') as bag:
         edges = [('mav_base_link', 'mav_camera_optical_frame', geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))),
                  ('ground_base_link', 'ground_camera_optical_frame', geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.1, 0, 0.4)))]
@@ -37,6 +55,8 @@ def write_bag(path, truth=True, ahead=None):
             for name, pose in (('mav', mav), ('ground', ground)):
                 topic = f'/ground_truth/{name}' if truth else f'/hidden/{name}'
                 bag.write(topic, messages.pose_stamped(pose, 100 + t + (ahead or 0.0), 'world'), messages.stamp(100 + t))
+            if vicon:
+                other_truth(bag, mav, ground, t)
             if ahead is not None:
                 stamp = 100 + t + ahead
                 bag.write('/mav/camera/image_raw', messages.image(np.zeros((8, 8)), 'mono8', stamp, 'camera'), messages.stamp(100 + t))
@@ -76,12 +96,12 @@ def replay(folder, stand_in, *arguments):
 
 
 class ReplayReport(unittest.TestCase):
-    def run_replay(self, stand_in, truth=True, start=0.0, **recording):
+    def run_replay(self, stand_in, truth=True, start=0.0, arguments=(), **recording):
         folder = tempfile.TemporaryDirectory(prefix='a folder with spaces ')
         self.addCleanup(folder.cleanup)
         write_bag(os.path.join(folder.name, 'x.bag'), truth, **recording)
         static_file = os.path.join(folder.name, 'static.txt')
-        output = replay(folder.name, dict(stand_in, static_file=static_file), f'start:={start}', *([] if truth else ['truth:=/hidden']))
+        output = replay(folder.name, dict(stand_in, static_file=static_file), f'start:={start}', *arguments, *([] if truth else ['truth:=/hidden']))
         out = os.path.join(folder.name, 'out')
         self.assertTrue(os.path.isfile(os.path.join(out, 'report.yaml')), output)
         # One who listens late hears all static transforms of the bag.
@@ -116,8 +136,9 @@ class ReplayReport(unittest.TestCase):
         self.assertEqual(len(ply.read_points(os.path.join(out, 'augmented_map.ply'))), values['augmented_map_points'])
         self.assertGreater(os.path.getsize(os.path.join(out, 'report.png')), 20000)
         rows = np.loadtxt(os.path.join(out, 'alignment.txt'))
-        self.assertEqual(rows.shape[1], 16)
-        self.assertTrue(np.allclose(rows[:, 10:], 0.01, atol=1e-6))
+        self.assertEqual(rows.shape[1], 17)
+        self.assertTrue(np.allclose(rows[:, 10:16], 0.01, atol=1e-6))
+        self.assertIn(1.05, rows[:, 16])
         track = evaluation.read_tum(os.path.join(out, 'mav_trajectory.txt'))
         self.assertGreater(len(track), 0.9 * DURATION / 0.02)
         self.assertIn('refined error', output)
@@ -146,6 +167,84 @@ class ReplayReport(unittest.TestCase):
         self.assertGreater(values['augmented_map_points'], 1000)
         self.assertNotIn('map_surface_error_median_m', values)
         self.assertTrue(os.path.isfile(os.path.join(out, 'report.png')))
+
+    def test_truth_of_other_bodies(self):
+        """A Vicon's markers and a total station's prism: taken for base_link, the MAV's ATE would be 16 mm, and the ground robot's would be missing."""
+        values, output = self.run_replay({}, vicon=True, arguments=('mav_truth:=/vicon/firefly_sbx/firefly_sbx', 'ground_truth:=/leica/position'))[1:]
+        self.assertLess(values['vo_ate_rmse_m'], 2e-3)
+        self.assertLess(values['slam_ate_rmse_m'], 2e-3)
+        self.assertEqual(values['vo_truth'], 'poses of vicon/firefly_sbx/firefly_sbx, mounting estimated')
+        self.assertEqual(values['slam_truth'], 'positions of a body that is not named, mounting estimated')
+        self.assertIn('note: /vicon/firefly_sbx/firefly_sbx tells poses of vicon/firefly_sbx/firefly_sbx, which no static transform connects to mav_base_link', output)
+        self.assertIn("its attitudes are the odometry's own", output)
+
+    def test_a_map_without_scale(self):
+        """A MAV alone without IMU: its trajectory is saved in its map's unit, which the report must not take for metres."""
+        values, output = self.run_replay({'vo_scale': 0.4, 'vo_unit': 'the median depth of the first view', 'ground': 'false'})[1:]
+        self.assertEqual(values['vo_unit'], 'the median depth of the first view')
+        self.assertLess(values['vo_ate_rmse_scale_corrected_m'], 1e-3)
+        self.assertAlmostEqual(values['vo_metres_per_unit'], 2.5, delta=0.01)
+        for name in ('vo_ate_rmse_m', 'vo_scale_error_percent', 'vo_estimated_path_length_m'):
+            self.assertNotIn(name, values)
+        self.assertAlmostEqual(values['vo_estimated_path_length_units'] / values['vo_path_length_m'], 0.4, delta=0.01)
+        self.assertRegex(output, r'MAV odometry ATE RMSE, scale unknown +0\.000 m = 0\.0')
+        self.assertIn('mav: scale unknown', output)
+        self.assertIn('status 0', output)
+
+    def test_a_constant_mounting_changes_no_error(self):
+        """Truth of another body of the MAV gives the errors of the camera's own truth: told by static transforms, or estimated from a flight that turns."""
+        random, stamps = np.random.default_rng(4), np.arange(0, 40, 0.02)
+        angles = np.stack([0.15 * np.sin(1.3 * stamps), 0.12 * np.cos(0.9 * stamps), 0.4 * stamps + 0.5 * np.sin(0.7 * stamps)], 1)
+        base = np.tile(np.eye(4), (len(stamps), 1, 1))
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', angles)
+        base[:, :3, 3] = np.stack([2 * np.cos(0.3 * stamps), 3 * np.sin(0.2 * stamps), 1.5 + 0.5 * np.sin(0.5 * stamps)], 1)
+        T_base_camera = geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))
+        own = evaluation.Track(stamps, base @ T_base_camera)
+        poses = geometry.inverse(geometry.pose(geometry.rotation_z(1.1), (1, 2, 3))) @ own.poses
+        poses[:, :3, 3] = 1.01 * (poses[:, :3, 3] + np.cumsum(random.normal(size=(len(stamps), 3)), 0) * 4e-4)
+        estimate = evaluation.Track(stamps, poses)
+        expected = evaluation.trajectory_error(own, estimate)
+        positions = np.tile(np.eye(4), (len(stamps), 1, 1))
+        positions[:, :3, 3] = (base @ T_BASE_MARKERS)[:, :3, 3]
+        naive = evaluation.trajectory_error(evaluation.Track(stamps, base @ T_BASE_MARKERS @ T_base_camera), estimate)
+        self.assertGreater(naive['rmse_m'], 1.1 * expected['rmse_m'])
+        for reference in (truth.Reference(stamps, base @ T_BASE_MARKERS), truth.Reference(stamps, positions, attitude=False)):
+            mounting = truth.estimate_mounting(reference, estimate)
+            error = evaluation.trajectory_error(truth.mounted(reference, mounting, estimate), estimate)
+            for key in ('rmse_m', 'scale_error_percent', 'rmse_with_scale_m'):
+                self.assertAlmostEqual(error[key], expected[key], delta=0.05 * abs(expected[key]), msg=key)
+            self.assertEqual(len(mounting.free), 0)
+        T_markers_camera = geometry.inverse(T_BASE_MARKERS) @ T_base_camera
+        mounting = truth.estimate_mounting(truth.Reference(stamps, base @ T_BASE_MARKERS), estimate)
+        self.assertLess(np.linalg.norm(mounting.T_b_c[:3, 3] - T_markers_camera[:3, 3]), 0.03)
+        self.assertLess(geometry.rotation_angle(mounting.T_b_c[:3, :3].T @ T_markers_camera[:3, :3]), np.radians(0.5))
+        # Turned about the vertical alone, nothing tells how high the markers are.
+        base[:, :3, :3] = geometry.rotation_from_axes('xyz', angles * [0, 0, 1])
+        poses = base @ T_base_camera
+        mounting = truth.estimate_mounting(truth.Reference(stamps, base @ T_BASE_MARKERS), evaluation.Track(stamps, poses))
+        self.assertEqual(len(mounting.free), 1)
+        self.assertGreater(abs(geometry.inverse(T_BASE_MARKERS)[:3, :3].T @ mounting.free[0])[2], 0.99)
+
+    def test_what_a_truth_is_of(self):
+        """A body that static transforms connect needs no estimate; poses on our own topic are those of base_link."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            write_bag(path, vicon=True)
+            with rosbag.Bag(path, 'a') as bag:
+                bag.write('/tf_static', messages.static_transforms([('mav_base_link', 'vicon/firefly_sbx/firefly_sbx', T_BASE_MARKERS)], 99.9), messages.stamp(99.9))
+            facts = bag_reader.BagFacts(path)
+            T_base_camera = facts.static_transform('mav_base_link', 'mav_camera_optical_frame')
+            nothing = evaluation.Track(np.zeros(0), np.zeros((0, 4, 4)))
+            own = truth.camera_track(facts, '/ground_truth/mav', 'mav', 'mav_base_link', T_base_camera, nothing)
+            self.assertEqual(own[1:], ('poses of mav_base_link', ''))
+            self.assertTrue(np.array_equal(own[0].poses, facts.pose_track('/ground_truth/mav', T_base_camera).poses))
+            vicon = truth.camera_track(facts, '/vicon/firefly_sbx/firefly_sbx', 'mav', 'mav_base_link', T_base_camera, nothing)
+            self.assertEqual(vicon[1:], ('poses of vicon/firefly_sbx/firefly_sbx', ''))
+            self.assertTrue(np.allclose(vicon[0].poses, own[0].poses, atol=1e-9))
+            few = evaluation.Track(own[0].stamps[:5], own[0].poses[:5])
+            track, _, note = truth.camera_track(facts, '/leica/position', 'mav', 'mav_base_link', T_base_camera, few)
+            self.assertIsNone(track)
+            self.assertIn('fewer than 20 poses of mav are of its time', note)
 
     def test_stamps_of_another_clock(self):
         """As of a camera that counts from when it was switched on, or a computer without a network: how far the player is, nodes lag and time has gone is not for them to tell."""

@@ -2,7 +2,7 @@
 """Stands in for the five nodes: turns the ground truth topics of a bag into estimates with known errors.
 
 Parameters: ~refined_error [m, along x of ground_map], ~refined_error_yaw [rad], ~vo_scale, ~status (of the refinement), ~silent (a reason: the MAV
-gives no pose and says so), ~ground (false: no ground robot), ~static_file (gets the frames that a late listener finds on /tf_static).
+gives no pose and says so), ~ground (false: no ground robot), ~vo_unit (of a MAV without scale: it publishes no odometry, and says so in what it saves), ~static_file (gets the frames that a late listener finds on /tf_static).
 The MAV's map starts at MAV_MAP_IN_WORLD, the ground robot's at GROUND_MAP_IN_WORLD, both as a VO or SLAM would choose them.
 """
 import os
@@ -39,7 +39,7 @@ class StandIn:
         self.estimates = {0: rospy.Publisher('alignment/coarse', AlignmentEstimate, queue_size=10),
                           1: rospy.Publisher('alignment/refined', AlignmentEstimate, queue_size=10)}
         self.field = rospy.Publisher('mav/distance_field', DiagnosticArray, queue_size=10)
-        self.silent = rospy.get_param('~silent', '')
+        self.silent, self.unit = rospy.get_param('~silent', ''), rospy.get_param('~vo_unit', '')
         self.static, self.static_children = None, set()
         self.count = 0
         self.last_estimate = 0.0
@@ -71,13 +71,14 @@ class StandIn:
         odometry.header.stamp, odometry.header.frame_id = message.header.stamp, f'{name}_map'
         odometry.child_frame_id = f'{name}_base_link'
         messages.fill_pose(odometry.pose.pose, pose)
-        self.odometry[name].publish(odometry)
+        if name != 'mav' or not self.unit:
+            self.odometry[name].publish(odometry)
         status = VoStatus(state=VoStatus.STATE_TRACKING, processing_time=0.012)
         status.header.stamp = message.header.stamp
         self.status[name].publish(status)
         with self.lock:
             self.poses[name][stamp] = pose
-            if name == 'mav' and stamp - self.last_estimate >= 1.0:
+            if name == 'mav' and not self.unit and stamp - self.last_estimate >= 1.0:
                 self.last_estimate = stamp
                 self.count += 1
                 self.estimate(message.header.stamp, pose)
@@ -108,8 +109,16 @@ class StandIn:
             items = sorted(self.poses[name].items())
         if not items:
             return SaveTrajectoryResponse(False, 'no poses', 0)
-        track = evaluation.Track(np.array([s for s, _ in items]), np.array([p for _, p in items]) @ self.T_base_camera[name])
+        T_base_camera = self.T_base_camera[name].copy()
+        if name == 'mav' and self.unit:
+            T_base_camera[:3, 3] *= self.scale
+        track = evaluation.Track(np.array([s for s, _ in items]), np.array([p for _, p in items]) @ T_base_camera)
         evaluation.write_tum(request.path, track)
+        if name == 'mav' and self.unit:
+            with open(request.path, encoding='utf-8') as stream:
+                lines = stream.read()
+            with open(request.path, 'w', encoding='utf-8') as stream:
+                stream.write(f'# unit: {self.unit}\n{lines}')
         return SaveTrajectoryResponse(True, 'saved', len(track))
 
     def save_map(self, request):

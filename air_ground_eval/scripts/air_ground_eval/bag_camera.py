@@ -5,6 +5,7 @@ import re
 import cv2
 import numpy as np
 
+from . import pixel_range
 from .bag_finding import ERROR, OK, WARNING, Finding
 
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
@@ -54,7 +55,7 @@ def check_info(topic, stream, image):
     return result
 
 
-def _depths(image):
+def depths(image):
     """Its depths in metres (32FC1) or steps, where it has any; None of an image that cannot be read."""
     if image._type == 'sensor_msgs/CompressedImage':
         steps = picture(image)
@@ -73,10 +74,15 @@ def _depths(image):
     return np.ascontiguousarray(rows).view(dtype)
 
 
+def known(depth):
+    """Where an image of metres or steps has a depth: as the nodes, 0 and the last step of 16 bits are none."""
+    return np.isfinite(depth) & (depth > 0) & ((depth != 65535) | (depth.dtype.kind == 'f'))
+
+
 def check_depth(topic, images):
     """What is wrong with a topic's depth images: `images` from all over the recording, since its first may look at a wall."""
-    images = [depth for depth in map(_depths, images) if depth is not None and depth.ndim == 2]
-    valid = [depth[np.isfinite(depth) & (depth > 0)] for depth in images]
+    images = [depth for depth in map(depths, images) if depth is not None and depth.ndim == 2]
+    valid = [depth[known(depth)] for depth in images]
     shares = [len(v) / max(1, d.size) for v, d in zip(valid, images)]
     if images and np.median(shares) < 0.02:
         return [Finding(WARNING, f'{topic}: {100 * np.median(shares):.1f} % of an image has a depth')]
@@ -114,12 +120,16 @@ def check_image(topic, stream, encodings):
     elif image.step < image.width * bytes_a_pixel:
         result.append(Finding(ERROR, f'{topic}: rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}'))
     elif encodings is GREY:
-        wide = '16' in image.encoding
-        grey = np.frombuffer(stream.samples[-1].data, np.dtype(np.uint16).newbyteorder('>' if image.is_bigendian else '<') if wide else np.uint8)
-        if wide:
-            bits = next(bits for bits in (10, 12, 14, 16) if grey.max() < 1 << bits)
-            grey = grey / ((1 << bits) - 1) * 255
-            result += [Finding(OK, f'{topic}: its pixels use {bits} of 16 bits: the nodes move them up')] if bits < 16 else []
+        if '16' in image.encoding:
+            counts = [np.frombuffer(sample.data, np.dtype(np.uint16).newbyteorder('>' if sample.is_bigendian else '<')) for sample in stream.samples]
+            levels = pixel_range.levels(counts)
+            grey = levels.grey(counts[-1])
+            if levels.narrow():
+                result.append(Finding(OK, f'{topic}: its pixels use counts {levels.low:.0f} to {levels.high:.0f} of {1 << levels.bits}: the nodes stretch them, following slowly'))
+            elif levels.bits < 16:
+                result.append(Finding(OK, f'{topic}: its pixels use {levels.bits} of 16 bits: the nodes move them up'))
+        else:
+            grey = np.frombuffer(stream.samples[-1].data, np.uint8)
         if grey.std() < FLAT:
             result.append(Finding(WARNING, f'{topic}: image {len(stream.samples)} is flat (brightness {grey.mean():.0f} +- {grey.std():.1f} of 255): a covered lens? '
                                   'too dark?'))

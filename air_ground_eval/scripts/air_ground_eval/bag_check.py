@@ -4,10 +4,10 @@ import re
 
 import numpy as np
 
-from . import bag_camera, bag_guess, bag_imu
+from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_reader import POSE_TYPES, BagFacts, open_bag
-
+from .bag_registration import Registration
 
 # standard topic: (types, least rate [Hz], who needs it)
 MAV = {
@@ -30,10 +30,10 @@ CITY = {
     '/barometer': (('sensor_msgs/FluidPressure',), 0, 'height of the tracker with barometer')}
 OPTIONAL = {'/ground/imu/data', '/ground_truth/mav', '/ground_truth/ground', *CITY}
 ELSEWHERE = ('/ground/depth/camera_info', '/mav/imu/accel', '/ground/imu/accel')  # not there unless depth is not registered, or the IMU in two parts
-NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
 BURSTS = 3  # times the median step: a long one, as it lies between packets of messages
 LACKING = 0.05  # of the messages
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
+REGISTRATION = ('/ground/depth/image_raw', '/ground/rgb/image_raw', '/ground/depth/camera_info', '/ground/rgb/camera_info')
 SPREAD = 24  # messages from all over a topic that are kept, at most
 
 
@@ -65,6 +65,8 @@ class Stream:
 def read(path, topics, limit=None, spread=()):
     """One pass over the bag; images are kept only as a few samples. `limit`: ends when every topic has so many messages; `spread`: see Stream."""
     streams = {topic: Stream(topic in spread) for topic in topics}
+    if not streams:  # rosbag takes no topics for all of them
+        return streams
     with open_bag(path) as bag:
         for topic, message, time in bag.read_messages(list(topics)):
             streams[topic].add(message, time.to_sec())
@@ -108,12 +110,13 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     for robot in robots:
         bag_imu.unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
     for standard, topic in present.items():
-        findings += _stamps(topic, streams[topic], wanted[standard][1])
+        findings += _stamps(standard, topic, streams[topic], wanted[standard][1])
     for standard, topic in present.items():
         if standard.endswith('camera_info'):
             findings += bag_camera.check_info(topic, streams[topic], present.get(standard.replace('camera_info', 'image_raw'), topic))
         elif standard.endswith('image_raw'):
-            findings += bag_camera.check_image(topic, streams[topic], bag_camera.DEPTH if 'depth' in standard else bag_camera.GREY)
+            images = bag_camera.check_image(topic, streams[topic], bag_camera.DEPTH if 'depth' in standard else bag_camera.GREY)
+            findings += images + (bag_depth.check_range(topic, streams[topic].spread, [f.argument for f in images]) if 'depth' in standard else [])
         elif standard.endswith('imu/data'):
             findings += bag_imu.check(standard, topic, streams[topic], standard.replace('data', 'accel') in present)
             findings += bag_imu.gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
@@ -123,14 +126,13 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings.append(Finding(WARNING, f'{topic} is in frame {quoted(streams[topic].frames)}; the report takes both robots\' as one frame'))
     findings += _pairs(present, streams)
     findings += _clocks(present, streams)
-    findings += _static(facts)
+    findings += bag_frames.check_static(facts)
     findings += _parts(facts)
-    findings += _transforms(facts, present, streams, bases)
-    without_imu = '/ground/imu/data' not in present or any(f.argument == 'ground_imu:=none' for f in findings)
-    if without_imu and '/ground/rgb/image_raw' in present and not re.search('base|body|foot', bases['ground']):
-        findings.append(Finding(WARNING, f'without IMU the ground map is as level as {bases["ground"]} is at the start, and nothing else can tell: where that is a camera that may be '
-                                f'tilted, rosrun air_ground publish_calibration --transform "ground_base_link {bases["ground"]} X Y Z QX QY QZ QW" beside the replay, with '
-                                'ground_base_frame:=ground_base_link'))
+    registration = _registration(present, streams)
+    findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '')
+    without_imu = '/ground/imu/data' not in present or any(f.argument == bag_imu.without('/ground/imu/data') for f in findings)
+    if without_imu and '/ground/rgb/image_raw' in present:
+        findings += bag_frames.check_level(bases['ground'])
     return findings
 
 
@@ -163,7 +165,7 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
     return Finding(level, f'{topic} is missing ({purpose}){hint}')
 
 
-def _stamps(topic, stream, least_rate):
+def _stamps(standard, topic, stream, least_rate):
     stamps = np.array(stream.stamps)
     result = []
     if len(stamps) == 1 and not least_rate and 'camera_info' in topic:
@@ -188,7 +190,9 @@ def _stamps(topic, stream, least_rate):
         result.append(Finding(WARNING, f'{topic}: {1 / steps.mean():.0f} messages a second, but most of them within {1000 / rate:.2g} ms of another: stamped when a packet arrived, not '
                               'when they were measured; have the driver take the sensor\'s own clock'))
         return result
-    if rate < least_rate:
+    if rate < bag_imu.SLOWEST and bag_imu.without(standard):
+        result.append(bag_imu.too_slow(standard, topic, rate))
+    elif rate < least_rate:
         result.append(Finding(WARNING, f'{topic}: {rate:.1f} Hz; at least {least_rate} Hz are advised'))
     pause = max(0.5, 5 / rate)
     if least_rate > 0 and gap > pause:
@@ -227,49 +231,38 @@ def _pairs(present, streams):
             if size and stated != size:
                 result.append(Finding(ERROR, f'{present[other]} is for {stated[0]}x{stated[1]}, the images are {size[0]}x{size[1]}' + bag_camera.resized(info, size)))
         else:
-            result += _registration(present[image], streams[present[image]], present[other], streams[present[other]],
-                                    '/ground/depth/camera_info' in present)
+            result += _depth_and_colour(present, streams)
     return result
 
 
 def registered(facts, names):
-    """Whether depth is as the colour camera sees it, by the size and frame of the first images; True without any."""
-    wanted = [names.get(standard, standard) for standard in ('/ground/rgb/image_raw', '/ground/depth/image_raw')]
-    topics = [bag_guess.recorded(facts, topic) for topic in wanted]
-    if None in topics:
+    """Whether depth is as the colour camera sees it, by the first images and calibrations; True without any."""
+    present = {standard: bag_guess.recorded(facts, names.get(standard, standard)) for standard in REGISTRATION[:2]}
+    present.update({standard: names[standard] for standard in REGISTRATION[2:] if facts.counts.get(names.get(standard))})
+    if None in present.values():
         return True
-    streams = read(facts.path, topics, limit=1)
-    return not _mismatch(*(streams[t] for t in topics))
+    streams = {topic: Stream() for topic in present.values()}
+    for topic, stream in streams.items():
+        stream.add(facts.first_message(topic), 0.0)
+    return not _registration(present, streams).mismatch()
 
 
-def _same_proportions(a, b):
-    return abs(a[0] * b[1] / (a[1] * b[0]) - 1) < 0.01
+def _registration(present, streams):
+    """Of depth to colour, by their streams; None where one has no images."""
+    depth, colour, *infos = (streams.get(present.get(standard)) for standard in REGISTRATION)
+    if not (depth and colour and depth.samples and colour.samples):
+        return None
+    return Registration([s.samples[0] for s in (depth, colour)], [depth.frames, colour.frames], [s.samples[0] if s and s.samples else None for s in infos],
+                        [present[standard] for standard in REGISTRATION[:2]])
 
 
-def _mismatch(colour, depth):
-    """By what depth images show that another camera than the colour camera took them; empty where nothing does."""
-    if not colour.samples or not depth.samples:
-        return ''
-    sizes = bag_camera.image_size(colour.samples[0]), bag_camera.image_size(depth.samples[0])
-    if None not in sizes and sizes[0] != sizes[1] and not (depth.frames == colour.frames and _same_proportions(*sizes)):
-        return 'differ in size'
-    return '' if depth.frames == colour.frames else f'are in frames {quoted(depth.frames)} and {quoted(colour.frames)}'
-
-
-def _registration(colour_topic, colour, depth_topic, depth, calibrated):
+def _depth_and_colour(present, streams):
     """Depth is to be seen from the colour camera, image by image, or to be registered to it."""
-    result, mismatch = [], _mismatch(colour, depth)
-    if mismatch and calibrated:
-        result.append(Finding(WARNING, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour: replay with '
-                              'ground_depth_registered:=false, or record the registered one (aligned_depth_to_color, depth_registered)'))
-    elif mismatch:
-        result.append(Finding(ERROR, f'{depth_topic} and {colour_topic} {mismatch}: depth seems not to be registered to colour, and the depth camera\'s '
-                              'calibration is missing: record it (camera_info beside the images), or the registered depth (aligned_depth_to_color, depth_registered)'))
-    elif colour.samples and depth.samples and bag_camera.image_size(colour.samples[0]) != bag_camera.image_size(depth.samples[0]):
-        result.append(Finding(OK, f'{depth_topic} is {colour_topic} at another resolution: the colour camera\'s calibration serves, scaled'))
-    steps = [np.median(np.diff(s.stamps)) if len(s.stamps) > 1 else 0 for s in (colour, depth)]
+    topics, registration = [present[standard] for standard in REGISTRATION[:2]], _registration(present, streams)
+    result = registration.check(*topics) if registration else []
+    steps = [np.median(np.diff(streams[t].stamps)) if len(streams[t].stamps) > 1 else 0 for t in topics]
     if min(steps) > 0 and max(steps) > 1.2 * min(steps):
-        result.append(Finding(WARNING, f'{depth_topic} comes at {1 / steps[1]:.1f} Hz, {colour_topic} at {1 / steps[0]:.1f} Hz: what has no partner is left out'))
+        result.append(Finding(WARNING, f'{topics[0]} comes at {1 / steps[0]:.1f} Hz, {topics[1]} at {1 / steps[1]:.1f} Hz: what has no partner is left out'))
     return result
 
 
@@ -305,20 +298,6 @@ def _clocks(present, streams):
     return result + [Finding(WARNING, 'the robots were recorded one after the other: the replay runs through the pause between them')]
 
 
-def _static(facts):
-    """How the static transforms were recorded."""
-    result = [Finding(ERROR, f'/tf_static: the rotation of {edge} is zero or not finite') for edge in sorted(facts.broken_edges)]
-    how = [f'in {facts.static_messages} messages'] if facts.static_messages > 1 else []
-    how += ['not latched'] if facts.static_messages and not facts.static_latched else []
-    if how:
-        result.append(Finding(OK, f'/tf_static comes {" and ".join(how)}: replay.launch hands it on whole; rosbag play by itself does not'))
-    if facts.constant_on_tf:
-        result.append(Finding(OK, f'/tf holds transforms that never change, of {quoted(facts.constant_on_tf)}: replay.launch takes them as static'))
-    if '/clock' in facts.types:
-        result.append(Finding(OK, '/clock is in the bag: replay.launch leaves it out; rosbag play --clock by itself does not'))
-    return result
-
-
 def _parts(facts):
     """rosbag record --split writes x_0.bag, x_1.bag ...: one recording."""
     folder, name = os.path.split(os.path.abspath(facts.path))
@@ -330,39 +309,3 @@ def _parts(facts):
         return []
     return [Finding(WARNING, f'{name} seems to be a part of a recording that was split; transforms and calibration may be in the first part alone: '
                     f'rosrun air_ground join_bags {part[1]}_*.bag {part[1]}.bag makes one of them')]
-
-
-def _transforms(facts, present, streams, bases):
-    result = []
-    sensors = [('mav', '/mav/camera/image_raw'), ('mav', '/mav/imu/data'), ('ground', '/ground/rgb/image_raw'), ('ground', '/ground/imu/data')]
-    depth, colour = (streams[present[t]] if t in present else None for t in ('/ground/depth/image_raw', '/ground/rgb/image_raw'))
-    if depth and colour and _mismatch(colour, depth):
-        sensors.append(('ground', '/ground/depth/image_raw'))
-    if bases['mav'] == bases['ground'] and all(image in present for image in IMAGES.values()):
-        result.append(Finding(ERROR, f'the body frame of both robots is {bases["mav"]!r}, and a frame has one place: of the bags that each robot recorded, '
-                              'rosrun air_ground merge_bags FLIGHT.bag GROUND.bag BOTH.bag names the frames apart; else have each publish its own (tf_prefix)'))
-    imus = {frame.lstrip('/') for standard in ('/mav/imu/data', '/ground/imu/data') if standard in present for frame in streams[present[standard]].frames}
-    for robot, standard in sensors:
-        if standard not in present:
-            continue
-        topic, info = present[standard], present.get(standard.replace('image_raw', 'camera_info')) if 'image' in standard else None
-        frames = streams[topic].frames
-        named = streams[info].frames - {''} if info else set()  # the nodes take camera_info's, where it has one
-        sensor = 'imu' if 'imu' in standard else 'camera'
-        frame = sorted(named or frames)[0].lstrip('/')
-        if not frame and 'depth' not in standard:
-            result.append(Finding(ERROR, f'{topic}: the frame id is empty: set {sensor}_frame, or base_{sensor} (its pose on the robot), in a copy of '
-                                  f'config/{NODES[robot]}.yaml and replay with {NODES[robot]}_config:=COPY'))
-            continue
-        if len(frames) > 1:
-            result.append(Finding(WARNING, f'{topic}: several frame ids: {quoted(frames)}'))
-        if named and frame not in {f.lstrip('/') for f in frames | {''}}:
-            result.append(Finding(WARNING, f'{topic} is in frame {quoted(frames)}, {info} in {quoted(named)}: the nodes go by the latter'))
-        if facts.static_transform(bases[robot], frame) is None:
-            text = f'/tf_static does not connect {bases[robot]} with {frame} (of {topic})'
-            if standard == '/ground/imu/data':
-                result.append(Finding(WARNING, text + ': replay without it, ground_imu:=none, or publish where it sits', 'ground_imu:=none'))
-                continue
-            known = ', the pose of the camera in the IMU frame (kalibr: T_cam_imu inverted; import_kalibr does that)' if bases[robot] in imus else ''
-            result.append(Finding(ERROR, f'{text}: rosrun air_ground publish_calibration --transform "{bases[robot]} {frame} X Y Z QX QY QZ QW" beside the replay{known}'))
-    return result

@@ -2,7 +2,8 @@
 from collections import namedtuple
 
 ERROR, WARNING, OK = 'ERROR', 'WARNING', 'ok'
-Finding = namedtuple('Finding', 'level text argument', defaults=('',))  # argument: what the launch command needs because of it
+# argument: what the launch command needs because of it; beside: a command to run beside that one
+Finding = namedtuple('Finding', 'level text argument beside', defaults=('', ''))
 
 
 def quoted(frames):

@@ -3,7 +3,10 @@ import os
 import re
 import shlex
 
-from .bag_reader import POSE_TYPES
+import numpy as np
+
+from . import bag_camera, bag_registration
+from .bag_reader import POSE_TYPES, POSITION_TYPES
 
 # standard topic -> argument of the launch files
 ARGUMENTS = {
@@ -12,13 +15,19 @@ ARGUMENTS = {
     '/ground/depth/camera_info': 'ground_depth_camera_info', '/mav/imu/accel': 'mav_imu_accel', '/ground/imu/accel': 'ground_imu_accel',
     '/ground/imu/data': 'ground_imu', '/ground_truth/ground': 'ground_truth', '/gps/fix': 'gps_fix', '/mav/imu/mag': 'mav_magnetic_field',
     '/barometer': 'barometer_pressure'}
-MAV_WORDS = ('mav', 'uav', 'drone', 'quad', 'copter', 'air', 'fly', 'px4', 'dji', 'iris', 'hummingbird', 'bebop', 'tello', 'anafi')
-GROUND_WORDS = ('ground', 'ugv', 'rover', 'robot', 'husky', 'jackal', 'turtlebot', 'tb3', 'summit', 'pioneer', 'kinect', 'realsense')
-TRUTH_WORDS = ('truth', 'gt', 'vicon', 'vrpn', 'mocap', 'leica', 'optitrack', 'qualisys', 'natnet')
-DOWN_WORDS = ('down', 'bottom', 'nadir', 'belly')
-LIDAR_WORDS = ('os0', 'os1', 'ouster', 'lidar', 'livox', 'velodyne')
+# What topics say of whom they are: whole words, or beginnings of words, where a part of another word would mean something else (stairs, quadruped, background).
+MAV_WORDS = re.compile(r'drone|copter|quadrotor|multirotor|hummingbird|firefly|bebop|anafi|(?<![a-z])((mav|uav|dji|px4|airsim)|(quad|air|aerial|fly|flying|iris|tello)(?![a-z]))')
+GROUND_WORDS = re.compile(r'robot|husky|jackal|turtlebot|summit|pioneer|kinect|realsense|(?<![a-z])(ground|ugv|rover|tb3)')
+TRUTH_WORDS = re.compile(r'truth|vicon|vrpn|mocap|leica|optitrack|qualisys|natnet|(?<![a-z])gt(?![a-z])')
+LIDAR_WORDS = re.compile(r'ouster|lidar|livox|velodyne|(?<![a-z])os[01]')
+NO_WORDS = re.compile(r'(?!)')
+DOWN_WORDS = re.compile(r'down|bottom|nadir|belly')
+COLOUR_WORDS = re.compile(r'rgb|colou?r')
+LEFT_WORDS = re.compile(r'cam0|left|mono|gr[ae]y')
 INFRARED = re.compile(r'infra|(^|[/_])ir([/_]|$)')  # a depth camera's own eyes
 RIGHT = re.compile(r'right|rect|cam1|infra2|(^|[/_])r([/_]|$)')  # of a stereo pair the left image is taken, as it is
+CAMERAS = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
+FAST_IMU = 80 * 0.98  # [Hz]: what check_bag advises, for one that is nearly so
 IMAGE_TYPES = ('sensor_msgs/Image', 'sensor_msgs/CompressedImage')
 TRANSPORTS = ('compressedDepth', 'compressed')  # the better first: the second may be a JPEG, of depth too
 
@@ -63,8 +72,9 @@ def _common(a, b):
     return count
 
 
-def _has(topic, words):
-    return any(word in re.sub('ground_?truth', 'truth', topic.lower()) for word in words)
+def has(topic, words):
+    """Whether a topic's name says one of the words; ground_truth is no ground robot."""
+    return words.search(re.sub('ground_?truth', 'truth', topic.lower())) is not None
 
 
 def _best(topics, score):
@@ -73,11 +83,24 @@ def _best(topics, score):
 
 
 def _is_depth(facts, topic):
-    """By what its pixels are, where that tells; a folder named depth holds a depth camera's grey images, too."""
-    if transport(facts, topic) == 'compressed':
-        return 'depth' in topic.lower() or f'{topic}/compressedDepth' in facts.types
+    """By what its pixels are, where that tells; a folder named depth holds a depth camera's grey images, too, and those of a colour camera."""
     encoding = facts.encoding(topic)
+    if transport(facts, topic) == 'compressed':
+        kept = [t for t in (topic, *(f'{topic}/{kind}' for kind in TRANSPORTS)) if facts.types.get(t) == 'sensor_msgs/CompressedImage']
+        pictures = [picture for picture in map(facts.first_message, kept) if picture is not None]
+        if any('compressedDepth' in picture.format for picture in pictures):
+            return True
+        encoding = _compressed_encoding(pictures[0]) if pictures else None
     return 'disparity' not in topic.lower() and (encoding in ('16UC1', '32FC1') or encoding == 'mono16' and 'depth' in topic.lower())
+
+
+def _compressed_encoding(picture):
+    """Of the pixels of a CompressedImage: as its format says ('rgb8; jpeg compressed bgr8'); where that names the file's kind alone, 16 bits are no colours."""
+    stated, more, _ = picture.format.partition(';')
+    if more or 'jp' in stated.lower():
+        return stated.strip()
+    pixels = bag_camera.picture(picture)
+    return 'mono16' if pixels is not None and pixels.dtype == np.uint16 and pixels.ndim == 2 else None
 
 
 def _same_robot(facts, a, b):
@@ -86,8 +109,39 @@ def _same_robot(facts, a, b):
     return all(frames) and facts.static_transform(*frames) is not None or _common(a, b) > 0
 
 
-def _infos(facts, parent):
-    return [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rsplit('/', 1)[0] == parent]
+def infos(facts, image):
+    """The topics with the calibration of an image topic: beside it, or where RealSense Viewer keeps it (Color_0/info beside Color_0/image)."""
+    parent = raw_name(image).rpartition('/')[0]
+    folders = (parent, re.sub('/image$', '/info', parent))
+    return [t for t in facts.of_type('sensor_msgs/CameraInfo') if t.rpartition('/')[0] in folders]
+
+
+def _agreement(facts, colour, depth):
+    """How well a colour camera's calibration is that of the depth registered to it: 2 where both are one, 1 for a rectified image whose depth is without distortion, else 0."""
+    known = [[facts.first_message(t) for t in infos(facts, topic)[:1]] for topic in (colour, depth)]
+    if not all(known):
+        return 0
+    a, b = (bag_camera.of_images(found[0], topic) for found, topic in zip(known, (colour, depth)))
+    distortions = [np.trim_zeros(np.array(info.D), 'b') for info in (a, b)]
+    if len(distortions[0]) == len(distortions[1]) and np.allclose(*distortions) and not bag_registration.differences(a, b):
+        return 2
+    return int(not len(distortions[1]) and bag_camera.RECTIFIED.search(colour) is not None)
+
+
+class _Choices:
+    """standard topic -> topic of the bag; a topic is chosen once."""
+
+    def __init__(self, names):
+        self.names, self.taken = names, set(names.values())
+
+    def choose(self, standard, topics, score):
+        """Of the topics that of the highest score, unless the standard topic has one; None without."""
+        if standard not in self.names:
+            topic = _best([t for t in topics if t not in self.taken], score)
+            if topic is not None:
+                self.names[standard] = topic
+                self.taken.add(topic)
+        return self.names.get(standard)
 
 
 def guess(facts, city=False, robots=('mav', 'ground'), given=None):
@@ -99,75 +153,95 @@ def guess(facts, city=False, robots=('mav', 'ground'), given=None):
     images = [t for t in image_topics(facts) if t not in known]
     depths = [t for t in images if _is_depth(facts, t)]
     colours = [t for t in images if t not in depths and 'disparity' not in t.lower()]
-    taken = set(names.values())
-
-    def choose(standard, topics, score):
-        if standard not in names:
-            topic = _best([t for t in topics if t not in taken], score)
-            if topic is not None:
-                names[standard] = topic
-                taken.add(topic)
-        return names.get(standard)
-
+    choices = _Choices(names)
     if not city and 'ground' in robots:
-        depth = choose('/ground/depth/image_raw', depths,
-                       lambda t: (_has(t, GROUND_WORDS), not _has(t, MAV_WORDS), _has(t, ('aligned', 'registered', 'depth_to_rgb')), 'raw' in t))
-        if depth is not None:
-            frame = facts.frame(recorded(facts, depth))
-            choose('/ground/rgb/image_raw', [t for t in colours if not _has(t, MAV_WORDS) and not INFRARED.search(t)],
-                   lambda t: (_has(t, GROUND_WORDS), facts.frame(recorded(facts, t)) == frame, _has(t, ('rgb', 'color', 'colour')), _common(t, depth),
-                              not RIGHT.search(t), 'raw' in t))
-            if '/ground/rgb/image_raw' not in names:  # a MAV's, or of a camera for something else
-                taken.discard(names.pop('/ground/depth/image_raw'))
-    ground = names.get('/ground/rgb/image_raw') if 'ground' in robots else None
+        _guess_depth_camera(facts, choices, depths, colours)
+    ground = names.get(CAMERAS['ground']) if 'ground' in robots else None
     if 'mav' in robots:  # a camera that sits on the ground robot is not the MAV's
-        choose('/mav/camera/image_raw', [t for t in colours if ground is None or not _has(t, GROUND_WORDS) and (_has(t, MAV_WORDS) or not _same_robot(facts, t, ground))],
-               lambda t: (_has(t, MAV_WORDS), not city and _has(t, DOWN_WORDS), _has(t, ('cam0', 'left', 'mono', 'gray', 'grey')), not RIGHT.search(t),
-                          not INFRARED.search(t), 'raw' in t))
-    cameras = ('/mav/camera/image_raw', '/ground/rgb/image_raw')
-    for robot, camera, own, other in (('mav', '/mav/camera/image_raw', MAV_WORDS, GROUND_WORDS), ('ground', '/ground/rgb/image_raw', GROUND_WORDS, MAV_WORDS)):
-        image = names.get(camera)
-        if image is None or robot not in robots:
-            continue
-        other = other if all(names.get(c) for c in cameras) else ()
-        parent = raw_name(image).rsplit('/', 1)[0]
-        choose(camera.replace('image_raw', 'camera_info'), _infos(facts, parent), lambda t: 0)
-        imus = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not _has(t, other)], image, [names.get(i) for i in cameras if i != camera])
-        imu = choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t],
-                     lambda t, image=image, own=own: (_has(t, own), not _has(t, LIDAR_WORDS + TRUTH_WORDS), _common(t, image), 'raw' not in t, 'gyro' not in t))
-        if imu is not None and 'gyro' in imu:
-            choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t], lambda t, imu=imu: _common(t, imu))
-        choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if _has(t, TRUTH_WORDS) and not _has(t, other)],
-               lambda t, own=own: _has(t, own))
+        choices.choose(CAMERAS['mav'], [t for t in colours if ground is None or not has(t, GROUND_WORDS) and (has(t, MAV_WORDS) or not _same_robot(facts, t, ground))],
+                       lambda t: (has(t, MAV_WORDS), not city and has(t, DOWN_WORDS), has(t, LEFT_WORDS), not has(t, RIGHT), not has(t, INFRARED), 'raw' in t))
+    for robot in CAMERAS:
+        if names.get(CAMERAS[robot]) and robot in robots:
+            _guess_sensors(facts, choices, robot)
     if '/ground/depth/image_raw' in names:  # beside colour in one folder, it may have none of its own
-        choose('/ground/depth/camera_info', _infos(facts, raw_name(names['/ground/depth/image_raw']).rsplit('/', 1)[0]), lambda t: 0)
+        choices.choose('/ground/depth/camera_info', infos(facts, names['/ground/depth/image_raw']), lambda t: 0)
     if city:
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
-            choose(standard, facts.of_type(kind), lambda t: _has(t, MAV_WORDS))
+            choices.choose(standard, facts.of_type(kind), lambda t: has(t, MAV_WORDS))
     return names
 
 
+def _guess_depth_camera(facts, choices, depths, colours):
+    """The ground robot's images."""
+    depth = choices.choose('/ground/depth/image_raw', depths,
+                           lambda t: (has(t, GROUND_WORDS), not has(t, MAV_WORDS), has(t, bag_registration.REGISTERED), 'raw' in t))
+    if depth is None:
+        return
+    frame = facts.frame(recorded(facts, depth))
+    choices.choose('/ground/rgb/image_raw', [t for t in colours if not has(t, MAV_WORDS) and not has(t, INFRARED)],
+                   lambda t: (has(t, GROUND_WORDS), (same := facts.frame(recorded(facts, t)) == frame), _agreement(facts, t, depth) if same or has(depth, bag_registration.REGISTERED) else 0,
+                              has(t, COLOUR_WORDS), _common(t, depth), not has(t, RIGHT), 'raw' in t))
+    if '/ground/rgb/image_raw' not in choices.names:  # a MAV's, or of a camera for something else
+        choices.taken.discard(choices.names.pop('/ground/depth/image_raw'))
+
+
+def _guess_sensors(facts, choices, robot):
+    """What goes with a robot's images: their calibration, IMU, reference poses. What is named as this robot's comes first where there is another robot that it may be of."""
+    image, others = choices.names[CAMERAS[robot]], [choices.names[c] for r, c in CAMERAS.items() if r != robot and choices.names.get(c)]
+    own, other = (MAV_WORDS, GROUND_WORDS) if robot == 'mav' else (GROUND_WORDS, MAV_WORDS)
+    other = other if others else NO_WORDS
+    choices.choose(CAMERAS[robot].replace('image_raw', 'camera_info'), infos(facts, image), lambda t: 0)
+    imus, connected = _mounted(facts, [t for t in facts.of_type('sensor_msgs/Imu') if not has(t, other)], image, others)
+    doubt = others and not connected
+    imu = choices.choose(f'/{robot}/imu/data', [t for t in imus if 'accel' not in t.lower()],
+                         lambda t: (bool(doubt and has(t, own)), not has(t, LIDAR_WORDS) and not has(t, TRUTH_WORDS), _common(t, image), facts.rate(t) >= FAST_IMU, has(t, own), 'raw' not in t,
+                                    'gyro' not in t.lower()))
+    if imu is not None and 'gyro' in imu.lower():
+        choices.choose(f'/{robot}/imu/accel', [t for t in imus if 'accel' in t.lower()], lambda t: _common(t, imu))
+    choices.choose(f'/ground_truth/{robot}', [t for t in facts.of_type(*POSE_TYPES) if has(t, TRUTH_WORDS) and not has(t, other)],
+                   lambda t: (bool(others and has(t, own)), facts.types[t] not in POSITION_TYPES, has(t, own)))
+
+
 def _mounted(facts, imus, image, others):
-    """Of the IMUs those that /tf_static connects with the images' camera; where none is, those that are not on the other robot."""
+    """(Of the IMUs those that /tf_static connects with the images' camera, True); where none is, (those that are not on the other robot, False)."""
     def connected(imu, topic):
         seen = recorded(facts, topic)
         return seen is not None and facts.static_transform(facts.frame(seen), facts.frame(imu)) is not None
 
     own = [imu for imu in imus if connected(imu, image)]
-    return own or [imu for imu in imus if not any(other and connected(imu, other) for other in others)]
+    return own or [imu for imu in imus if not any(connected(imu, other) for other in others)], bool(own)
+
+
+def chain(facts, frame):
+    """A frame and those above it, up to the root of its tree of static transforms."""
+    parents = {child: parent for parent, child in facts.edges}
+    result = [frame]
+    while result[-1] in parents and len(result) < 100:
+        result.append(parents[result[-1]])
+    return result
 
 
 def guess_base(facts, robot, frame, names=None):
-    """The body frame that /tf_static connects with a sensor's frame: <robot>_base_link, another base_link, else the root. Where it connects the sensor with
-    nothing: the IMU's frame, as calibrations of camera and IMU tell their poses in it; without IMU the MAV's camera, whose vertical the ground map tells. None without."""
-    parents = {child: parent for parent, child in facts.edges}
-    chain = [frame]
-    while chain[-1] in parents and len(chain) < 100:
-        chain.append(parents[chain[-1]])
-    if len(chain) == 1 and chain[0] not in parents.values():
-        imu = facts.frame((names or {}).get(f'/{robot}/imu/data'))
-        return (guess_base(facts, robot, imu) or imu) if imu else frame or None if robot == 'mav' else None
-    return next((f for f in chain if f == f'{robot}_base_link'), None) or next((f for f in chain if 'base' in f or 'body' in f), chain[-1])
+    """The body frame that /tf_static connects with a camera's frame: <robot>_base_link, another base_link, else the root.
+
+    Where it connects the camera with nothing: the MAV's is that of the IMU, as calibrations of camera and IMU tell their poses in its frame, or without IMU the camera's
+    own, whose vertical the ground map tells. None for a ground robot of which only optical frames are known: its map would lie on its side.
+    """
+    frames = chain(facts, frame)
+    imu = facts.frame((names or {}).get(f'/{robot}/imu/data'))
+    if robot == 'mav':
+        if len(frames) == 1 and all(parent != frame for parent, _ in facts.edges):
+            return (guess_base(facts, robot, imu) or imu) if imu else frame or None
+        return _body(robot, frames)
+    bodies = [f for f in frames[1:] if 'optical' not in f.lower()]
+    if not bodies and imu:  # a body that the IMU sits on, though nothing tells where the camera does
+        bodies = [f for f in chain(facts, imu)[1:] if 'optical' not in f.lower() and f not in frames]
+    return _body(robot, bodies) if bodies else None
+
+
+def _body(robot, frames):
+    """Of frames, each above the one before, the robot's base: by name, else the uppermost."""
+    return f'{robot}_base_link' if f'{robot}_base_link' in frames else next((f for f in frames if 'base' in f or 'body' in f), frames[-1])
 
 
 def command(facts, names, bases, frames, city=False, registered=True, arguments=()):

@@ -7,6 +7,21 @@ FASTEST = 4  # [rad/s]: half of a recording's turn rates beyond this are of no r
 VANISHING = 0.3  # of a reading's size: vibration without gravity has a smaller mean, a robot that stays upright one of about 1
 REST = 0.02  # [rad/s]: spread of the turn rate's means over 0.1 s, above the noise of consumer gyros and below any motion of a hand or a robot
 
+SLOWEST = 25  # [Hz]: as in ImuCoverage of air_ground_common; what comes less often serves no image
+
+
+def without(standard):
+    """The launch argument that does without an IMU; '' for what is none."""
+    return {'/mav/imu/data': 'mav_use_imu:=false', '/ground/imu/data': 'ground_imu:=none'}.get(standard, '')
+
+
+def too_slow(standard, topic, rate):
+    """What a rate [Hz] below SLOWEST means."""
+    lost, instead = (('its map would never become metric', ': the alignment with the ground map (in the city, the localizer) then tells the scale') if standard.startswith('/mav') else
+                     ('it tells neither turns nor the vertical', ''))
+    return Finding(WARNING, f'{topic}: {rate:.1f} Hz; less than {SLOWEST} Hz leave gaps that no node bridges, so that {lost}: raise the rate of its driver to 100 Hz and record again, or replay '
+                   f'with {without(standard)}{instead}', without(standard))
+
 
 def unite(gyro, accelerometer):
     """Gives a gyro's stream the accelerations of an accelerometer's own, where there is one, at its stamps."""
@@ -16,13 +31,13 @@ def unite(gyro, accelerometer):
 
 def check(standard, topic, stream, apart):
     accel, gyro = np.array(stream.accel), np.array(stream.gyro)
-    without = 'ground_imu:=none' if standard.startswith('/ground') else 'mav_use_imu:=false'
+    instead = without(standard)
     result = []
     refused = [what for what, field in (('turn rates', 'angular_velocity_covariance'), ('accelerations', 'linear_acceleration_covariance'))
                if stream.samples and getattr(stream.samples[0], field)[0] == -1]
     if refused and not apart:
         result.append(Finding(ERROR, f'{topic}: its messages say that {" and ".join(refused)} are not measured (first covariance -1), so no node uses them: '
-                              f'take another topic of this IMU, or write 0 (unknown) there; or replay with {without}', without))
+                              f'take another topic of this IMU, or write 0 (unknown) there; or replay with {instead}', instead))
     if not (np.all(np.isfinite(accel)) and np.all(np.isfinite(gyro))):
         bad = np.count_nonzero(~np.isfinite(accel).all(1) | ~np.isfinite(gyro).all(1))
         result.append(Finding(WARNING, f'{topic}: {bad} readings are not finite'))
@@ -33,23 +48,23 @@ def check(standard, topic, stream, apart):
     norm, mean = np.median(np.linalg.norm(accel, axis=1)), np.linalg.norm(accel.mean(0))
     if norm == 0 and not gyro.any() and not apart:
         return result + [Finding(WARNING, f'{topic}: turn rates and accelerations are all zero, an attitude alone helps no node: take another topic of this IMU, or replay '
-                                 f'with {without}', without)]
+                                 f'with {instead}', instead)]
     if norm == 0:
         result.append(Finding(ERROR, f'{topic}: there is no acceleration in it; if the accelerometer has a topic of its own, name it: mav_imu_accel:= or '
                               'ground_imu_accel:= (here: --map TOPIC:=/mav/imu/accel)'))
     elif 0.9 < norm < 1.1 and mean > VANISHING * norm:
-        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed: convert it, or replay with {without}', without))
+        result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f}: it is in g; m/s^2 are needed: convert it, or replay with {instead}', instead))
     elif norm < 2 or norm < 8.5 and mean < VANISHING * norm:
         result.append(Finding(ERROR, f'{topic}: the acceleration is about {norm:.2f} m/s^2, its mean {mean:.2f}: gravity was removed; specific force is needed: take another topic of '
-                              f'this IMU (imu/data_raw, say), or replay with {without}', without))
+                              f'this IMU (imu/data_raw, say), or replay with {instead}', instead))
     elif not 8.5 < norm < 11.5:
         result.append(Finding(WARNING, f'{topic}: the acceleration is about {norm:.2f} m/s^2, not 9.81'))
     rate = np.median(np.linalg.norm(gyro, axis=1))
     if np.max(np.abs(gyro)) > 35 or rate > FASTEST:
         result.append(Finding(ERROR, f'{topic}: turn rates up to {np.max(np.abs(gyro)):.0f}, their median {rate:.1f}: they seem to be in degrees; rad/s are needed: convert them, '
-                              f'or replay with {without}', without))
+                              f'or replay with {instead}', instead))
     elif not gyro.any():
-        result.append(Finding(WARNING, f'{topic}: the turn rate is always zero, an accelerometer alone helps no node: replay with {without}', without))
+        result.append(Finding(WARNING, f'{topic}: the turn rate is always zero, an accelerometer alone helps no node: replay with {instead}', instead))
     return result
 
 

@@ -1,5 +1,7 @@
-"""One bag of two robots that each recorded their own."""
+"""One bag of two robots that each recorded their own, or of two stretches of one recording, each taken for a robot's."""
 import heapq
+import os
+import re
 
 import genpy
 import rosbag
@@ -10,6 +12,7 @@ from .bag_reader import BagError, BagFacts, open_bag
 SHARED = ('/tf', '/tf_static', '/clock', '/rosout', '/rosout_agg', '/diagnostics')  # topics of many publishers
 COMMON_FRAMES = {'world', 'earth', 'mocap'}  # of a reference that sees both robots
 TF_TYPES = ('tf2_msgs/TFMessage', 'tf/tfMessage')
+STATIC = ('/tf_static', 'tf_static')
 CAMERA_TYPES = (*IMAGE_TYPES, 'theora_image_transport/Packet', 'sensor_msgs/CameraInfo')
 DROPPED = ('/clock',)  # one for both: the player's
 
@@ -28,18 +31,35 @@ def frames_of(facts):
     return {name.lstrip('/') for name in names} - {''}
 
 
-class Part:
-    """A robot's bag, and what its topics, frames and times become in the merged one."""
+def stretch(argument):
+    """(path, first, last) of x.bag@FIRST-LAST, in seconds from the bag's begin; (path, 0, None) of x.bag, and None for the last of x.bag@FIRST-. BagError for an empty one."""
+    match = re.fullmatch(r'(.+)@(\d+(?:\.\d*)?)-(\d+(?:\.\d*)?)?', argument)
+    if match is None or os.path.exists(argument):
+        return argument, 0.0, None
+    first, last = float(match[2]), float(match[3]) if match[3] else None
+    if last is not None and last <= first:
+        raise BagError(f'{argument}: it ends before it begins: expected BAG@FIRST-LAST, seconds from the bag\'s begin')
+    return match[1], first, last
 
-    def __init__(self, robot, path):
+
+class Part:
+    """A robot's bag, or a stretch of it, and what its topics, frames and times become in the merged one."""
+
+    def __init__(self, robot, argument):
+        path, first, last = stretch(argument)
         self.robot, self.facts = robot, BagFacts(path)
+        self.whole = first == 0 and last is None
+        self.first = self.facts.begin + first
+        self.last = self.facts.end if last is None else min(self.facts.end, self.facts.begin + last)
+        if self.first >= self.last and not self.whole:
+            raise BagError(f'{argument}: nothing lies there: {path} is {self.facts.end - self.facts.begin:.1f} s long')
         self.frames, self.topics, self.shift = {}, {}, genpy.Duration()
 
     def begin(self):
-        return self.facts.begin + self.shift.to_sec()
+        return self.first + self.shift.to_sec()
 
     def end(self):
-        return self.facts.end + self.shift.to_sec()
+        return self.last + self.shift.to_sec()
 
     def frame(self, name):
         return self.frames.get(name.lstrip('/'), name)
@@ -59,10 +79,26 @@ class Part:
 
     def messages(self, order):
         """(time [ns], order, topic, message, connection header), in order of time."""
+        first, last = genpy.Time.from_sec(self.first), genpy.Time.from_sec(self.last)
+        window = {} if self.first == self.facts.begin else dict(start_time=first)
+        window.update({} if self.last == self.facts.end else dict(end_time=last - genpy.Duration(0, 1)))
         with open_bag(self.facts.path) as bag:
-            for topic, message, time, header in bag.read_messages(return_connection_header=True):
-                if topic not in DROPPED:
+            for topic, message, header in () if self.whole else self._held(bag, first):
+                yield (first + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message), header
+            for topic, message, time, header in bag.read_messages(return_connection_header=True, **window):
+                if topic not in DROPPED and (self.whole or topic not in STATIC):
                     yield (time + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message), header
+
+    def _held(self, bag, first):
+        """What a stretch holds from its begin on, though it was recorded before, or, static transforms, at any time: (topic, message, connection header)."""
+        static = [topic for topic in STATIC if topic in self.facts.types]
+        for topic, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
+            yield topic, message, {**header, 'latching': '1'}
+        infos, newest = self.facts.of_type('sensor_msgs/CameraInfo'), {}
+        for topic, message, _, header in bag.read_messages(infos, end_time=first - genpy.Duration(0, 1), return_connection_header=True) if infos else ():
+            newest[topic] = message, header
+        for topic, (message, header) in sorted(newest.items()):
+            yield topic, message, header
 
 
 def shifts(paths, topics):
@@ -113,14 +149,14 @@ def renamed(parts):
 
 
 def plan(mav, ground, begin_together):
-    """The two parts. Topics and frames that both bags name get their robot's name in front, so that each is one robot's."""
+    """The two parts, of bags or stretches of them (BAG@FIRST-LAST). Topics and frames that both bags name get their robot's name in front, so that each is one robot's."""
     parts = [Part('mav', mav), Part('ground', ground)]
     frames = frames_of(parts[0].facts) & (frames_of(parts[1].facts) - COMMON_FRAMES)
     for part, topics in zip(parts, renamed(parts)):
         part.topics = {topic: f'/{part.robot}{topic}' for topic in topics}
         part.frames = {frame: f'{part.robot}_{frame}' for frame in frames}
     if begin_together:
-        parts[1].shift = genpy.Duration.from_sec(parts[0].facts.begin - parts[1].facts.begin)
+        parts[1].shift = genpy.Duration.from_sec(parts[0].first - parts[1].first)
     return parts
 
 

@@ -3,15 +3,70 @@
 `rosbag play` publishes /tf_static as it was recorded: of several latched messages a node that connects late gets the last, of others none. So
 the union of all of them is published here, latched, for as long as the player lives, and the player's own goes where nobody listens. The same
 holds for those on /tf that never change. What else is on /tf is handed on but for the edges that say where a frame is that a node, or the static
-transforms, say otherwise: a frame with two parents leaves tf in pieces. A recorded /clock is left out.
+transforms, say otherwise: a frame with two parents leaves tf in pieces. A recorded /clock is left out. So is a static transform of a frame that another node
+publishes one of (publish_calibration): that one corrects the bag, and what it says on /tf.
 """
+import re
 import subprocess
 import time
 
+import rosgraph
 import rospy
 from roslib.packages import find_node
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
+
+
+NAME = re.compile(r'[A-Za-z~/][A-Za-z0-9_/]*')  # of a topic, as ROS takes it; a recording may hold others, of which rosbag play dies
+SHOWN = 3  # topics that are named as left out
+
+
+def playable(topics):
+    """(those that can be played, those that cannot: their names are none in ROS), in order."""
+    names = sorted(set(topics) - {'/clock'})
+    return [t for t in names if NAME.fullmatch(t)], [t for t in names if not NAME.fullmatch(t)]
+
+
+class StaticTransforms:
+    """Publishes the static transforms of a bag, latched, but for those of frames whose place another node publishes on /tf_static.
+
+    transforms: TFMessage; patience [s]: to hear those that publish there already.
+    """
+
+    def __init__(self, transforms, patience=2.0):
+        self.transforms, self.heard, self.claimed = transforms, set(), set()  # claimed: frames whose place others publish
+        self.publisher = None
+        self.subscriber = rospy.Subscriber('/tf_static', TFMessage, self.hear, queue_size=100)
+        end = time.monotonic() + patience
+        while not rospy.is_shutdown() and time.monotonic() < end and self._others() - self.heard:
+            time.sleep(0.05)
+        self.publisher = rospy.Publisher('/tf_static', TFMessage, queue_size=1, latch=True)
+        if self.transforms.transforms:
+            self.publisher.publish(self.transforms)
+
+    def _others(self):
+        """Names of the nodes that publish static transforms."""
+        try:
+            published = rosgraph.Master(rospy.get_name()).getSystemState()[0]
+        except (rosgraph.MasterException, OSError):
+            return set()
+        return {node for topic, nodes in published if topic == '/tf_static' for node in nodes} - {rospy.get_name()}
+
+    def hear(self, message):
+        """A message of any node, this one too."""
+        caller = message._connection_header.get('callerid', '')
+        if caller == rospy.get_name():
+            return
+        self.heard.add(caller)
+        self.claimed |= {edge.child_frame_id.lstrip('/') for edge in message.transforms}
+        ours = [edge for edge in self.transforms.transforms if edge.child_frame_id.lstrip('/') in self.claimed]
+        if not ours:
+            return
+        for edge in ours:
+            rospy.loginfo('where %s is, %s says: what the bag says of it is left out', edge.child_frame_id, caller)
+        self.transforms = TFMessage([edge for edge in self.transforms.transforms if edge not in ours])
+        if self.publisher is not None:  # for those who come later; who has heard both goes by the last, the other node's
+            self.publisher.publish(self.transforms)
 
 
 class BagPlayer:
@@ -20,13 +75,15 @@ class BagPlayer:
     def __init__(self, bag, name='player', rate=1.0, start=0.0, delay=0.0, paused=True, owned=()):
         self.static = None
         static = bag.static_transforms(owned)
-        if static.transforms:
-            self.static = rospy.Publisher('/tf_static', TFMessage, queue_size=1, latch=True)
-            self.static.publish(static)
+        if static.transforms or '/tf' in bag.types:
+            self.static = StaticTransforms(static)
         self.name = rospy.resolve_name(name)
         command = find_node('rosbag', 'play')[:1] + ['--quiet', '--clock', '--hz=200', '--queue=2000', f'--rate={rate}', f'--start={start}']
         command += (['--pause'] if paused else []) + ([f'--delay={delay}'] if delay else [])
-        command += ['--topics'] + sorted(set(bag.types) - {'/clock'}) + ['--bags', bag.path] if '/clock' in bag.types else [bag.path]
+        topics, others = playable(bag.types)
+        if others:
+            rospy.logwarn('%d topic(s) of the bag left out, whose names ROS does not take: %s%s', len(others), ', '.join(others[:SHOWN]), ' ...' if len(others) > SHOWN else '')
+        command += ['--topics', *topics, '--bags', bag.path] if len(topics) < len(bag.types) else [bag.path]
         command += ['/tf_static:=/tf_static_of_bag', f'__name:={name}']
         if '/tf' in bag.types:
             command.append('/tf:=/tf_of_bag')
@@ -38,8 +95,9 @@ class BagPlayer:
         rospy.on_shutdown(self.stop)
 
     def _hand_on(self, message):
-        kept = [edge for edge in message.transforms if edge.child_frame_id.lstrip('/') not in self.others]
-        new = {edge.child_frame_id.lstrip('/') for edge in message.transforms} & self.others - self.left_out
+        others = self.others | (self.static.claimed if self.static else set())
+        kept = [edge for edge in message.transforms if edge.child_frame_id.lstrip('/') not in others]
+        new = {edge.child_frame_id.lstrip('/') for edge in message.transforms} & others - self.left_out
         if new:
             self.left_out |= new
             rospy.loginfo('/tf of the bag: what it says of %s is left out, since nodes or the static transforms say so', ', '.join(sorted(new)))

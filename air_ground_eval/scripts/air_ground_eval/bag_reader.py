@@ -1,4 +1,5 @@
 """What the report needs from the bag itself: its time span, static transforms and reference poses."""
+import itertools
 import os
 import struct
 
@@ -9,6 +10,7 @@ import rospy
 
 from . import geometry, messages
 from .evaluation import Track
+from .truth import Reference
 from .video import is_video
 
 
@@ -16,12 +18,14 @@ class BagError(Exception):
     """A bag that cannot be read: one line that says what to do."""
 
 
-# Message types that carry the pose of a body, and where in the message it lies.
+# Message types that carry the pose of a body, or its position alone, and where in the message it lies.
 POSE_TYPES = {
     'geometry_msgs/PoseStamped': lambda m: (m.pose.position, m.pose.orientation),
     'geometry_msgs/PoseWithCovarianceStamped': lambda m: (m.pose.pose.position, m.pose.pose.orientation),
     'nav_msgs/Odometry': lambda m: (m.pose.pose.position, m.pose.pose.orientation),
-    'geometry_msgs/TransformStamped': lambda m: (m.transform.translation, m.transform.rotation)}
+    'geometry_msgs/TransformStamped': lambda m: (m.transform.translation, m.transform.rotation),
+    'geometry_msgs/PointStamped': lambda m: (m.point, None)}  # of a total station
+POSITION_TYPES = ('geometry_msgs/PointStamped',)
 
 
 def _numbers(edge):
@@ -70,6 +74,7 @@ class BagFacts:
             self.types = {topic: info.msg_type for topic, info in topics.items()}
             self.counts = {topic: info.message_count for topic, info in topics.items()}
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
+            self.rates = {}  # topic -> rate(topic), of those that were asked for
             self.delays = {}  # topic -> delay(topic), of those that were asked for
             self.first = {}  # topic -> its first message, of those that were asked for
             self.static_latched = bool(static)
@@ -161,6 +166,17 @@ class BagFacts:
             self.delays[topic] = float(np.median(delays)) if delays else 0.0
         return self.delays[topic]
 
+    def rate(self, topic, most=200, together=10):
+        """Messages a second by the stamps of the first ones, whether they come in packets or with a pause; 0 without stamps."""
+        if topic not in self.rates:
+            with open_bag(self.path) as bag:
+                messages_read = bag.read_messages([topic]) if topic in self.types else ()
+                stamps = [message.header.stamp.to_sec() for _, message, _ in itertools.islice(messages_read, most) if hasattr(message, 'header')]
+            together = min(together, len(stamps) - 1)
+            span = np.median(np.subtract(stamps[together:], stamps[:-together])) if together > 0 else 0.0
+            self.rates[topic] = together / span if span > 0 else 0.0
+        return self.rates[topic]
+
     def encoding(self, topic):
         """Of a raw image's pixels; None without one."""
         return getattr(self.first_message(topic), 'encoding', None)
@@ -181,23 +197,34 @@ class BagFacts:
                         frontier.append(b)
         return reached.get(source)
 
-    def pose_track(self, topic, T_base_camera):
-        """Camera track from a topic with the poses of base_link, or None when the bag holds no such topic or no poses."""
+    def reference(self, topic):
+        """The Reference on a topic, whatever body its poses are of; None when the bag holds no such topic or no poses. What is not finite is left out."""
         kind = self.types.get(topic)
         if kind not in POSE_TYPES:
             return None
-        stamps, positions, quaternions = [], [], []
+        stamps, positions, quaternions, frame = [], [], [], ''
         with open_bag(self.path) as bag:
             for _, message, _ in bag.read_messages([topic]):
                 p, q = POSE_TYPES[kind](message)
                 stamp = message.header.stamp.to_sec()
-                if not stamps or stamp > stamps[-1]:
+                if (not stamps or stamp > stamps[-1]) and np.all(np.isfinite([p.x, p.y, p.z])):
                     stamps.append(stamp)
                     positions.append((p.x, p.y, p.z))
-                    quaternions.append((q.x, q.y, q.z, q.w))
-        if len(stamps) < 2:
+                    quaternions.append((q.x, q.y, q.z, q.w) if q else (0, 0, 0, 0))
+                frame = getattr(message, 'child_frame_id', '') or frame
+        norms = np.linalg.norm(quaternions, axis=1) if stamps else np.zeros(0)
+        turned = np.isfinite(norms) & (norms > 1e-9)
+        attitude = bool(np.any(turned))
+        keep = turned if attitude else np.ones(len(stamps), bool)
+        if np.count_nonzero(keep) < 2:
             return None
-        poses = np.tile(np.eye(4), (len(stamps), 1, 1))
-        poses[:, :3, :3] = geometry.matrix_from_quaternion(quaternions)
-        poses[:, :3, 3] = positions
-        return Track(np.array(stamps), poses @ T_base_camera)
+        poses = np.tile(np.eye(4), (np.count_nonzero(keep), 1, 1))
+        if attitude:
+            poses[:, :3, :3] = geometry.matrix_from_quaternion(np.array(quaternions)[keep])
+        poses[:, :3, 3] = np.array(positions)[keep]
+        return Reference(np.array(stamps)[keep], poses, attitude, frame.lstrip('/'))
+
+    def pose_track(self, topic, T_base_camera):
+        """Camera track from a topic with the poses of base_link, or None when the bag holds no such topic or no poses."""
+        found = self.reference(topic)
+        return Track(found.stamps, found.poses @ T_base_camera) if found is not None and found.attitude else None

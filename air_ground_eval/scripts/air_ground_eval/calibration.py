@@ -1,21 +1,21 @@
-"""Calibrations: kalibr's files read, ROS camera_info files written and read, parameter files filled in. Free of ROS nodes."""
+"""Calibrations: what is known of a camera and an IMU, ROS camera_info files written and read, parameter files filled in. Free of ROS nodes."""
 import re
-from dataclasses import dataclass
-from typing import Optional
+from dataclasses import dataclass, field
+from typing import Dict, Optional
 
 import numpy as np
 import yaml
 from sensor_msgs.msg import CameraInfo
 
-from . import geometry
+from . import camera_models, geometry
 from .recording import Camera, DatasetError
 from .yaml_file import read_mapping
 
-MODELS = {'radtan': 'plumb_bob', 'none': 'plumb_bob', 'equidistant': 'equidistant'}  # of kalibr's pinhole -> of camera_info
+# Distortions by the names that other systems have for them -> of camera_info.
+DISTORTIONS = {'radtan': 'plumb_bob', 'radial-tangential': 'plumb_bob', 'radial_tangential': 'plumb_bob', 'plumb_bob': 'plumb_bob', 'none': 'plumb_bob', '': 'plumb_bob',
+               'equidistant': 'equidistant', 'equi': 'equidistant', 'kannala_brandt': 'equidistant', 'fov': 'fov', 'atan': 'fov', 'fisheye': 'fov'}
+MODELS = {'pinhole': 4, 'omni': 5, 'ds': 6, 'eucm': 6, 'ucm': 5}  # camera models: numbers in `intrinsics`, in kalibr's order
 COEFFICIENTS = {'plumb_bob': 5, 'equidistant': 4, 'rational_polynomial': 8}
-# Keys of kalibr's IMU files -> parameters of mav_vo; both are densities of white noise, and of the biases' random walks.
-IMU_NOISE = {'gyroscope_noise_density': 'gyro_noise_density', 'accelerometer_noise_density': 'accel_noise_density',
-             'gyroscope_random_walk': 'gyro_bias_walk', 'accelerometer_random_walk': 'accel_bias_walk'}
 
 
 class CalibrationError(Exception):
@@ -23,47 +23,70 @@ class CalibrationError(Exception):
 
 
 @dataclass
-class KalibrCamera:
-    """A camera of a camchain. T_camera_imu takes IMU to camera coordinates; t_imu = t_camera + time_offset, of one instant on both clocks [s]."""
+class CalibratedCamera:
+    """T_camera_body takes body (the IMU, where the file does not tell them apart) to camera coordinates; t_imu = t_camera + time_offset, of one instant on both
+    clocks [s]. noise: parameters of mav_vo, where the camera's file has the IMU's, too. notes: lines for the user."""
     name: str
     camera: Camera
     topic: str = ''
-    T_camera_imu: Optional[np.ndarray] = None
+    T_camera_body: Optional[np.ndarray] = None
     time_offset: Optional[float] = None
+    noise: Dict[str, float] = field(default_factory=dict)
+    imu_topic: str = ''
+    notes: tuple = ()
 
 
 def load(path):
     return read_mapping(path, CalibrationError, 'named values')
 
 
-def read_kalibr_camera(path, name):
-    """Camera `name` (cam0, ...) of kalibr's camchain; CalibrationError for a model that no node knows."""
-    chain = load(path)
-    section = chain.get(name)
-    if not isinstance(section, dict):
-        raise CalibrationError(f'{path} has no camera {name}; it has {", ".join(k for k in chain if str(k).startswith("cam")) or "none"}')
-    model, distortion = section.get('camera_model'), section.get('distortion_model')
-    if model != 'pinhole':
-        raise CalibrationError(f'{path}: {name} has the camera model {model}; known is pinhole: calibrate as pinhole-equi for wide lenses')
-    if distortion not in MODELS:
-        raise CalibrationError(f'{path}: {name} has the distortion model {distortion}; known are radtan and equidistant')
+def make_camera(model, distortion, intrinsics, coefficients, size, where):
+    """(Camera, a line about how its model was found or None) of kalibr's intrinsics and distortion coefficients; `where` names them in errors.
+
+    Models that camera_info has no name for become `equidistant`, as near as camera_models.fit_equidistant comes.
+    """
+    kind = DISTORTIONS.get(str(distortion or '').lower())
+    if model not in MODELS:
+        raise CalibrationError(f'{where} has the camera model {model}; known are {", ".join(MODELS)}: calibrate as pinhole-equi for wide lenses')
+    if kind is None:
+        raise CalibrationError(f'{where} has the distortion model {distortion}; known are radtan, equidistant and fov')
+    if model != 'pinhole' and kind != 'plumb_bob' or model in ('ds', 'eucm', 'ucm') and any(coefficients):
+        raise CalibrationError(f'{where} has the camera model {model} with the distortion {distortion}: no such combination is known')
+    if len(intrinsics) != MODELS[model] or len(size) != 2:
+        raise CalibrationError(f'{where}: {model} needs {MODELS[model]} intrinsics (found {len(intrinsics)}) and the images\' width and height')
+    fx, fy, cx, cy = intrinsics[-4:]
     try:
-        fx, fy, cx, cy = (float(x) for x in section['intrinsics'])
-        width, height = (int(x) for x in section['resolution'])
-        coefficients = [float(x) for x in section.get('distortion_coeffs') or []]
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f'{path}: {name} needs intrinsics [fx, fy, cx, cy], resolution [width, height], distortion_coeffs ({error})') from error
-    count = COEFFICIENTS[MODELS[distortion]]
+        if model == 'pinhole' and kind in COEFFICIENTS:
+            count = COEFFICIENTS[kind]
+            return Camera(*size, fx, fy, cx, cy, tuple((list(coefficients) + [0.0] * count)[:count]), kind), None
+        if kind == 'fov' and (len(coefficients) != 1 or not 1e-3 < coefficients[0] < 3.1):
+            raise CalibrationError(f'{where}: fov needs one coefficient, w, in radians')
+        project = {'pinhole': lambda: camera_models.fov(intrinsics, coefficients[0]), 'omni': lambda: camera_models.omni(intrinsics[1:], intrinsics[0], coefficients),
+                   'ds': lambda: camera_models.double_sphere(intrinsics[2:], *intrinsics[:2]), 'ucm': lambda: camera_models.extended_unified(intrinsics[1:], intrinsics[0], 1.0),
+                   'eucm': lambda: camera_models.extended_unified(intrinsics[2:], *intrinsics[:2])}[model]()
+        return fitted(*camera_models.seen_by(project, *size), size, cx, cy, 'fov' if kind == 'fov' else model)
+    except (DatasetError, camera_models.FitError) as error:
+        raise CalibrationError(f'{where}: {error}') from error
+
+
+def fitted(rays, pixels, size, cx, cy, name):
+    """The equidistant (Camera, line about the fit) to where a camera of the model `name` shows rays."""
+    fit = camera_models.fit_equidistant(rays, pixels, cx, cy)
+    return (Camera(*size, fit.fx, fit.fy, cx, cy, fit.coefficients, 'equidistant'),
+            f'{name} became equidistant: the two differ by {fit.residual:.3f} px at most, up to {np.degrees(fit.angle):.0f} degrees from the axis')
+
+
+def numbers(section, key, where):
+    """The list of numbers under `key`, be it OpenCV's matrix or a plain list; none without."""
+    value = section.get(key)
+    value = value.get('data') if isinstance(value, dict) else value
     try:
-        camera = Camera(width, height, fx, fy, cx, cy, tuple((coefficients + [0.0] * count)[:count]), MODELS[distortion])
-    except DatasetError as error:
-        raise CalibrationError(f'{path}: {name}: {error}') from error
-    result = KalibrCamera(name, camera, str(section.get('rostopic', '')))
-    if 'T_cam_imu' in section:
-        result.T_camera_imu = rigid(section['T_cam_imu'], f'{path}: {name}: T_cam_imu')
-    if 'timeshift_cam_imu' in section:
-        result.time_offset = float(section['timeshift_cam_imu'])
-    return result
+        found = [float(x) for x in np.array([] if value is None else value, dtype=object).ravel()]
+    except (TypeError, ValueError) as error:
+        raise CalibrationError(f'{where}: {key} must be numbers ({error})') from error
+    if not np.all(np.isfinite(found)):
+        raise CalibrationError(f'{where}: {key} must be finite')
+    return found
 
 
 def rigid(rows, name):
@@ -75,19 +98,6 @@ def rigid(rows, name):
     if not geometry.is_rigid(matrix, 1e-3) or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise CalibrationError(f'{name} is no rigid transform')
     return geometry.orthonormalized(matrix)
-
-
-def read_kalibr_imu(path):
-    """(parameters of mav_vo, topic) of an IMU file, kalibr's input or output (which has a section imu0)."""
-    content = load(path)
-    section = content.get('imu0', content)
-    found = {parameter: float(section[key]) for key, parameter in IMU_NOISE.items() if key in section}
-    if not found:
-        raise CalibrationError(f'{path}: none of {", ".join(IMU_NOISE)}')
-    for parameter, value in found.items():
-        if not (np.isfinite(value) and value > 0):
-            raise CalibrationError(f'{path}: {parameter} = {value}: it must be positive')
-    return found, str(section.get('rostopic', ''))
 
 
 def camera_info_yaml(camera, name):
@@ -119,10 +129,11 @@ def read_camera_info(path):
 
 
 def filled_in(text, values, source):
-    """The parameter file `text` with these values, its comments kept; and the names that it does not describe."""
+    """The parameter file `text` with these values (numbers and words), its comments kept; and the names that it does not describe."""
     unknown = []
     for name, value in values.items():
-        number = re.sub(r'^(-?\d+)e', r'\1.0e', f'{value:.6g}')  # YAML 1.1 takes 1e-05 for a word
+        # YAML 1.1 takes 1e-05 for a word.
+        number = f'"{value}"' if isinstance(value, str) else re.sub(r'^(-?\d+)e', r'\1.0e', f'{value:.6g}')
         text, count = re.subn(rf'^#? ?({re.escape(name)}:)[ ]*\S+', lambda match: f'{match.group(1)} {number}', text, count=1, flags=re.M)
         if not count:
             unknown.append(name)

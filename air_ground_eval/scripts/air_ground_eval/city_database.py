@@ -11,6 +11,10 @@ import numpy as np
 from .yaml_file import read_mapping
 
 
+UNKNOWN_UNDULATION = -1000.0  # of ekf_tracker's parameter geoid_undulation [m]
+SAME_ORIGIN = 0.05  # [m]
+
+
 class CityError(Exception):
     """One line that says what is wrong with a database or a city file."""
 
@@ -46,7 +50,7 @@ def read_city(path):
 class WorldFrame:
     """WGS 84 to the world frame: true east, north, up at `origin` of `crs`, as air_ground_common/geodesy.h defines it.
 
-    geoid_undulation: ellipsoidal height minus the height used in `origin` [m].
+    geoid_undulation: ellipsoidal height minus the height used in `origin` [m]; UNKNOWN_UNDULATION: heights pass as they are.
     """
 
     def __init__(self, crs, origin, geoid_undulation=0.0):
@@ -60,7 +64,7 @@ class WorldFrame:
             self.to_cartesian = pyproj.Transformer.from_crs('EPSG:4979', 'EPSG:4978', always_xy=True)
         except pyproj.exceptions.ProjError as error:
             raise CityError(f'PROJ knows no coordinate system {crs}: {error}') from error
-        self.undulation = geoid_undulation
+        self.undulation = 0.0 if geoid_undulation == UNKNOWN_UNDULATION else geoid_undulation
         self.height = origin[2]
         self.centre = np.array(self.to_cartesian.transform(longitude, latitude, 0.0))
         l, p = np.radians(longitude), np.radians(latitude)
@@ -76,6 +80,36 @@ class WorldFrame:
         return result
 
 
+def converted(point, crs, other):
+    """Easting and northing [m], or longitude and latitude [deg], of `point` of the system `crs` in the system `other`; its height passes as it is."""
+    try:
+        import pyproj
+        east, north = pyproj.Transformer.from_crs(crs, other, always_xy=True).transform(point[0], point[1], errcheck=True)
+    except ImportError as error:
+        raise CityError(f'{crs} and {other} cannot be compared: python3-pyproj is not installed') from error
+    except pyproj.exceptions.ProjError as error:
+        raise CityError(f'PROJ does not lead {point[0]:.10g} {point[1]:.10g} from {crs} to {other}: {error}') from error
+    return [float(east), float(north), float(point[2])]
+
+
+def origin_text(origin):
+    """As the option --origin takes it, to a millimetre."""
+    return ' '.join(f'{x:.3f}'.rstrip('0').rstrip('.') for x in origin)
+
+
+def is_same_origin(origin, crs, other_origin, other_crs):
+    """True when two origins, each in its system, are one place to SAME_ORIGIN: so are the worlds, east-north-up frames there."""
+    if crs == other_crs and np.abs(np.subtract(origin, other_origin)).max() <= 1e-3:
+        return True
+    try:
+        longitude, latitude, height = converted(other_origin, other_crs, 'EPSG:4979')
+        return bool(np.linalg.norm(WorldFrame(crs, origin).from_geodetic(latitude, longitude, height)) <= SAME_ORIGIN)
+    except CityError:
+        if crs == other_crs:  # outside its area
+            return False
+        raise
+
+
 def read_city_file(path):
     """Content of a city's YAML file, as `simulate` writes beside a street bag; CityError says what is wrong with it."""
     facts = read_mapping(path, CityError, 'lines such as "crs: EPSG:2056"')
@@ -88,15 +122,18 @@ def read_city_file(path):
 def tracker_parameters(city, facts):
     """Parameters of ekf_tracker_node: where the world of `city` (None without a database) lies, and what the city's file adds.
 
-    CityError when the two disagree on the origin.
+    CityError when the two disagree on the origin; they may name one place in two coordinate systems.
     """
     crs = city.crs if city is not None else facts.get('crs', '')
     origin = [float(x) for x in (city.origin if city is not None else facts.get('origin', (0, 0, 0)))]
     result = {}
     if crs:
-        if 'crs' in facts and (facts['crs'] != crs or np.abs(np.subtract(facts.get('origin', origin), origin)).max() > 1e-3):
-            raise CityError(f'the database has its origin at {origin} in {crs}, the city file at {facts.get("origin")} in {facts["crs"]}: '
-                            'build the database with that --origin')
+        given = facts.get('origin', origin if facts.get('crs') == crs else None)
+        if 'crs' in facts and given is None:
+            raise CityError(f'the database is in {crs}, the city file in {facts["crs"]} without an origin: give the city file one')
+        if 'crs' in facts and not is_same_origin(origin, crs, given, facts['crs']):
+            raise CityError(f'the database has its origin at {origin_text(origin)} in {crs}, the city file at {origin_text(given)} in {facts["crs"]}: '
+                            f'build the database with --origin {origin_text(converted(given, facts["crs"], crs))}')
         result.update({'origin_crs': crs, 'origin': origin})
     for name, parameter in (('geoid_undulation', 'geoid_undulation'), ('magnetic_declination', 'declination')):
         if name in facts:

@@ -74,6 +74,18 @@ def read_tum(path):
     return Track(rows[:, 0], poses)
 
 
+def tum_unit(path):
+    """What one unit of a trajectory is, where the comments before its lines say that it is not the metre ("# unit: ..."); else ''."""
+    with open(path, encoding='utf-8', errors='replace') as stream:
+        for line in stream:
+            if not line.startswith('#'):
+                break
+            key, _, value = line.lstrip('# ').partition(':')
+            if key.strip().lower() == 'unit' and value.strip().lower() not in ('m', 'metre', 'metres', 'meter', 'meters'):
+                return value.strip() or 'not known'
+    return ''
+
+
 def write_tum(path, track):
     with open(path, 'w', encoding='utf-8') as stream:
         stream.write('# stamp[s] tx ty tz[m] qx qy qz qw\n')
@@ -84,13 +96,13 @@ def write_tum(path, track):
 
 def write_alignment(path, estimates):
     with open(path, 'w', encoding='utf-8') as stream:
-        stream.write('# T_ground_map_mav_map: stamp[s] tx ty tz[m] qx qy qz qw status stage sigma_x sigma_y sigma_z[m] '
-                     'sigma_rotX sigma_rotY sigma_rotZ[rad]\n'
+        stream.write('# p_ground_map = scale R p_mav_map + t: stamp[s] tx ty tz[m] qx qy qz qw status stage sigma_x sigma_y '
+                     'sigma_z[m] sigma_rotX sigma_rotY sigma_rotZ[rad] scale\n'
                      '# status: 0 searching, 1 ambiguous, 2 degenerate, 3 converged, 4 rejected; stage: 0 coarse, 1 refined\n')
         for e in estimates:
             values = list(e.pose[:3, 3]) + list(geometry.quaternion_from_matrix(e.pose[:3, :3]))
             stream.write(f'{e.stamp:.9f} ' + ' '.join(f'{v:.9f}' for v in values) + f' {e.status} {e.stage} '
-                         + ' '.join(f'{v:.6g}' for v in e.deviations) + '\n')
+                         + ' '.join(f'{v:.6g}' for v in e.deviations) + f' {e.scale:.9g}\n')
 
 
 def path_length(positions):
@@ -101,8 +113,8 @@ def trajectory_error(truth, estimate):
     """Absolute trajectory error of camera positions after a rigid least-squares alignment, and the scale error apart.
 
     Returns None when fewer than 10 poses have a truth, else a dict of rmse_m, max_m, rmse_percent, path_length_m,
-    scale_error_percent (positive: the estimate is too large), rmse_with_scale_m, poses, and for figures stamps, errors_m,
-    T_world_map.
+    scale_error_percent (positive: the estimate is too large), rmse_with_scale_m and metres_per_unit of a similarity alignment,
+    poses, and for figures stamps, errors_m, errors_with_scale_m, T_world_map.
     """
     reference, valid = truth.at(estimate.stamps)
     if np.count_nonzero(valid) < 10:
@@ -118,9 +130,9 @@ def trajectory_error(truth, estimate):
         'rmse_m': rmse, 'max_m': float(errors.max()), 'path_length_m': length,
         'rmse_percent': 100 * rmse / length if length > 0 else float('nan'),
         'scale_error_percent': 100 * (1 / scale - 1) if scale > 0 else float('nan'),
-        'rmse_with_scale_m': float(np.sqrt(np.mean(errors_s ** 2))),
+        'rmse_with_scale_m': float(np.sqrt(np.mean(errors_s ** 2))), 'metres_per_unit': scale,
         'poses': int(np.count_nonzero(valid)),
-        'stamps': estimate.stamps[valid], 'errors_m': errors, 'T_world_map': geometry.pose(rotation, translation)}
+        'stamps': estimate.stamps[valid], 'errors_m': errors, 'errors_with_scale_m': errors_s, 'T_world_map': geometry.pose(rotation, translation)}
 
 
 def tie_to_world(truth, estimate, lever_arm=LEVER_ARM):

@@ -52,7 +52,7 @@ def _trajectories(axis, data):
 
 
 def _errors_over_time(axis, data):
-    axis.set_title('Trajectory error after rigid alignment')
+    axis.set_title('Trajectory error after alignment (rigid where the scale is known)')
     drawn = False
     for name, label, colour in (('mav', 'visual odometry', MAV_COLOUR), ('ground', 'RGB-D SLAM', GROUND_COLOUR)):
         error = data.get(f'{name}_error')

@@ -1,12 +1,15 @@
 """What a reader of a data set returns: images, inertial samples, reference poses and calibration, in metres, seconds and radians."""
+import os
 from dataclasses import dataclass, field
 from typing import List, Optional
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from . import geometry
+from . import geometry, pixel_range
 from .yaml_file import read_mapping
+
+LOOKED_AT = 20  # images of 16 bits, for the scale of all
 
 
 class DatasetError(Exception):
@@ -42,10 +45,11 @@ class Camera:
 class Frame:
     stamp: float  # [s]
     path: str
+    levels: Optional[pixel_range.Levels] = None  # of 16-bit grey
 
     def read(self):
         """Its colour or grey image, as read_image gives it."""
-        return read_image(self.path)
+        return read_image(self.path, levels=self.levels)
 
 
 @dataclass
@@ -89,8 +93,28 @@ class Recording:
     notes: List[str] = field(default_factory=list)
 
 
-def read_image(path, depth=False):
-    """The image as an array: uint8 (h, w, 3), uint8 (h, w), or uint16 (h, w) when depth."""
+def settle_levels(recording):
+    """One scale for all grey images of 16 bits, by some from all over the recording: brightness keeps its meaning from image to image."""
+    frames = [frame for frame in recording.colour if os.path.isfile(frame.path)]
+    if not frames or not _has_sixteen_bits(frames[0].path):
+        return
+    chosen = frames[::-(-len(frames) // LOOKED_AT)]
+    found = pixel_range.levels(read_image(frame.path, depth=True) for frame in chosen)
+    for frame in recording.colour:
+        frame.levels = found
+    recording.notes.append(f'images of 16 bits: counts {found.low:.0f} to {found.high:.0f} become 0 to 255, in all of them, by {len(chosen)} from all over the recording')
+
+
+def _has_sixteen_bits(path):
+    try:
+        with Image.open(path) as image:
+            return image.mode.startswith('I')
+    except (OSError, UnidentifiedImageError):
+        return False  # who reads it says why
+
+
+def read_image(path, depth=False, levels=None):
+    """The image as an array: uint8 (h, w, 3), uint8 (h, w), or uint16 (h, w) when depth. levels: of grey in 16 bits; None: the image's own."""
     try:
         with Image.open(path) as image:
             array = np.asarray(image)
@@ -98,6 +122,9 @@ def read_image(path, depth=False):
                 if array.ndim != 2:
                     raise DatasetError(f'{path}: a depth image must have one channel, this has shape {array.shape}')
                 return array.astype(np.uint16)
+            if image.mode.startswith('I'):
+                counts = np.clip(array, 0, 65535).astype(np.uint16)
+                return (levels or pixel_range.levels([counts])).grey(counts)
             if array.ndim == 3:
                 return np.asarray(image.convert('RGB'))
             return array.astype(np.uint8) if array.dtype == np.uint8 else np.asarray(image.convert('L'))

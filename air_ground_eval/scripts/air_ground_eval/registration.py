@@ -1,4 +1,5 @@
 """Depth images registered to the colour camera."""
+import cv2
 import numpy as np
 
 from .recording import DatasetError, read_image
@@ -17,11 +18,14 @@ def distort(x, y, distortion):
 def register_depth(depth, depth_camera, colour_camera, T_depth_colour):
     """Depth [m] (h, w; NaN invalid) seen from the colour camera: the nearest surface in each of its pixels, NaN for none.
 
-    The depth camera is taken without distortion; the colour camera's (k1 k2 p1 p2 k3) is applied where it is monotonic.
+    The depth camera's distortion (k1 k2 p1 p2 k3) is taken out of its pixels, the colour camera's is applied where it is monotonic.
     """
     v, u = np.nonzero(np.isfinite(depth))
     z = depth[v, u]
-    points = np.stack([(u - depth_camera.cx) / depth_camera.fx * z, (v - depth_camera.cy) / depth_camera.fy * z, z], 1)
+    rays = np.stack([(u - depth_camera.cx) / depth_camera.fx, (v - depth_camera.cy) / depth_camera.fy], 1)
+    if np.any(depth_camera.distortion) and len(rays):
+        rays = cv2.undistortPoints(rays[:, None], np.eye(3), np.array(depth_camera.distortion, float))[:, 0]
+    points = np.column_stack([rays * z[:, None], z])
     points = (points - T_depth_colour[:3, 3]) @ T_depth_colour[:3, :3]
     points = points[points[:, 2] > 0.05]
     z = points[:, 2]

@@ -23,6 +23,8 @@ class Recorded:
     estimates: List[evaluation.Estimate]
     mav_truth: Optional[Track] = None
     ground_truth: Optional[Track] = None
+    truths: Dict[str, str] = field(default_factory=dict)  # robot -> what its truth is, in words
+    units: Dict[str, str] = field(default_factory=dict)  # robot -> the unit of its map, where that is not the metre
     mesh: Optional[str] = None           # PLY of the true surface, in world
     evaluate_map: str = 'evaluate_map'   # the program
     has_map: bool = False                # augmented_map.ply was written
@@ -92,7 +94,14 @@ class Report:
             v[f'{prefix}_switched_off'] = True
             return
         v[f'{prefix}_poses'] = len(track)
-        v[f'{prefix}_estimated_path_length_m'] = evaluation.path_length(track.poses[:, :3, 3]) if len(track) else 0.0
+        unit = self.r.units.get(robot, '')
+        length = evaluation.path_length(track.poses[:, :3, 3]) if len(track) else 0.0
+        if unit:
+            v[f'{prefix}_unit'] = unit
+            v[f'{prefix}_estimated_path_length_units'] = length
+            self.r.notes.append(f'{robot}: scale unknown (unit of its trajectory: {unit}): its ATE is what a similarity alignment leaves, and it has no error of scale')
+        else:
+            v[f'{prefix}_estimated_path_length_m'] = length
         v[f'{prefix}_coverage_percent'] = 100 * evaluation.coverage(track.stamps, self.r.begin, self.r.end, max_gap=1.0)
         state = self.r.states.get(robot, {})
         if state:
@@ -100,15 +109,22 @@ class Report:
             v[f'{prefix}_final_reason'] = state['reason']
             v[f'{prefix}_processing_time_mean_ms'] = state['processing_ms']
             v[f'{prefix}_lost_frames'] = state['lost']
+        if self.r.truths.get(robot):
+            v[f'{prefix}_truth'] = self.r.truths[robot]
         if truth is None or len(track) < 10:
             return
         error = evaluation.trajectory_error(truth, track)
         if error is None:
             self.r.notes.append(f'{prefix}: fewer than 10 poses have a ground truth')
             return
-        for key, name in (('rmse_m', 'ate_rmse_m'), ('rmse_percent', 'ate_rmse_percent_of_path'), ('max_m', 'ate_max_m'),
-                          ('path_length_m', 'path_length_m'), ('scale_error_percent', 'scale_error_percent'),
-                          ('rmse_with_scale_m', 'ate_rmse_scale_corrected_m'), ('poses', 'poses_compared')):
+        names = {'path_length_m': 'path_length_m', 'rmse_with_scale_m': 'ate_rmse_scale_corrected_m', 'poses': 'poses_compared'}
+        if unit:
+            names['metres_per_unit'] = 'metres_per_unit'
+            error = {**error, 'rmse_m': error['rmse_with_scale_m'], 'errors_m': error['errors_with_scale_m']}
+        else:
+            names = {'rmse_m': 'ate_rmse_m', 'rmse_percent': 'ate_rmse_percent_of_path', 'max_m': 'ate_max_m', 'path_length_m': 'path_length_m',
+                     'scale_error_percent': 'scale_error_percent', **names}
+        for key, name in names.items():
             v[f'{prefix}_{name}'] = error[key]
         self.figure[f'{robot}_error'] = error
 

@@ -15,6 +15,11 @@ def table(v, notes):
             add(f'{label} ATE RMSE', f'{v[f"{prefix}_ate_rmse_m"]:.3f} m = {v[f"{prefix}_ate_rmse_percent_of_path"]:.2f} % of '
                 f'{v[f"{prefix}_path_length_m"]:.1f} m', paper)
             add(f'{label} scale error', f'{v[f"{prefix}_scale_error_percent"]:+.2f} %')
+        elif f'{prefix}_unit' in v:
+            if f'{prefix}_ate_rmse_scale_corrected_m' in v:
+                error, length = v[f'{prefix}_ate_rmse_scale_corrected_m'], v[f'{prefix}_path_length_m']
+                add(f'{label} ATE RMSE, scale unknown', f'{error:.3f} m = {100 * error / max(length, 1e-9):.2f} % of {length:.1f} m')
+            add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_units"]:.2f} of its map\'s unit, scale unknown, {v[f"{prefix}_poses"]} poses')
         else:
             add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_m"]:.2f} m, {v[f"{prefix}_poses"]} poses')
         if v.get(f'{prefix}_final_state', 'TRACKING') != 'TRACKING':

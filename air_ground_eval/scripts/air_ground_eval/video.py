@@ -87,5 +87,5 @@ def camera_of(path, config, config_path):
 
 def read_video(path, config, config_path):
     camera, video = camera_of(path, config, config_path), Video(path)
-    frames = [VideoFrame(stamp, f'{path}, image {index}', video, index) for index, stamp in enumerate(video.stamps())]
+    frames = [VideoFrame(stamp, f'{path}, image {index}', video=video, index=index) for index, stamp in enumerate(video.stamps())]
     return Recording(os.path.basename(path), frames, camera, notes=['a video: no IMU; replay it with mav_use_imu:=false, its scale comes from the ground map'])

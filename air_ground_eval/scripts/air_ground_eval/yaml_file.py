@@ -2,6 +2,13 @@
 import yaml
 
 
+class _Loader(yaml.SafeLoader):
+    """Knows the matrices that OpenCV writes: rows, cols, dt, data."""
+
+
+_Loader.add_constructor('tag:yaml.org,2002:opencv-matrix', lambda loader, node: loader.construct_mapping(node, deep=True))
+
+
 def read_mapping(path, error_type, expected):
     """Content of a YAML file of named values. Lines that begin with %, as "%YAML:1.0" of OpenCV and EuRoC, are no YAML.
 
@@ -9,7 +16,7 @@ def read_mapping(path, error_type, expected):
     """
     try:
         with open(path, encoding='utf-8') as stream:
-            content = yaml.safe_load(''.join(line for line in stream if not line.startswith('%')))
+            content = yaml.load(''.join(line for line in stream if not line.startswith('%')), _Loader)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise error_type(f'{path}: {" ".join(str(error).split())}') from error
     if not isinstance(content, dict):

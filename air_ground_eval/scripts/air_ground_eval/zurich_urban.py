@@ -1,7 +1,8 @@
 """Reader of the Zurich Urban MAV layout (Majdik, Till, Scaramuzza 2017): images of a side-looking camera, the autopilot's logs, Street View.
 
 The folder AGZ holds `MAV Images`, `Log Files`, `Street View Images` and calibration_data.npz; logs alone will do, also without that subfolder.
-World is the local frame, true east, north, up, at `origin` of `crs`: that of the Street View database. What the data set leaves open:
+World is the local frame, true east, north, up, at `origin` of `crs` (of the configuration): those of the Street View database. Without them, near the
+first pose, in the ground truth's UTM; with `crs` alone there too, but in that system. What the data set leaves open:
 
 - The IMU's mounting. The readings are the autopilot's, x ahead, y right, z down; the camera looks to the vehicle's left (it flies to the camera's
   right all along). `imu_from_camera` of the calibration file (translation_m, quaternion_xyzw) replaces that.
@@ -15,10 +16,12 @@ import re
 import numpy as np
 
 from . import geometry
-from .city_database import CityError, WorldFrame
+from .city_database import CityError, WorldFrame, converted, origin_text
 from .recording import DatasetError, Frame, Gps, Imu, Pressure, Recording, camera_from_config, orthonormal_pose, read_image
 
 CRS = 'EPSG:32632'  # of the ground truth
+LV95 = 'EPSG:2056'  # of Zurich's city models
+FARTHEST = 100e3  # of the flight from the origin of world [m]
 GEOID_UNDULATION = 47.3  # in Zurich [m]: the logs' heights are above the sea
 GPS_STDDEV = (5.0, 10.0)  # horizontal, vertical [m], where the log states none
 IMAGES, LOGS, PANORAMAS = 'MAV Images', 'Log Files', 'Street View Images'
@@ -75,17 +78,37 @@ class Surroundings:
 
     def __init__(self, config, first):
         self.crs = config.get('crs', CRS)
-        self.origin = [float(x) for x in config.get('origin', np.floor(first))]
         self.undulation = float(config.get('geoid_undulation_m', GEOID_UNDULATION))
         try:
             import pyproj
+            self.origin = [float(x) for x in config['origin']] if 'origin' in config else self.default_origin(first)
             self.frame = WorldFrame(self.crs, self.origin, self.undulation)
             self.to_geodetic = pyproj.Transformer.from_crs(CRS, 'EPSG:4326', always_xy=True)
         except (ImportError, CityError) as error:
             raise DatasetError(f'{self.crs}: {error}') from error
+        except (TypeError, ValueError, IndexError) as error:
+            raise DatasetError(f'origin: expected easting, northing and height in {self.crs}, as [465666, 5247973, 469] in {CRS}') from error
+        away = np.linalg.norm(self.positions(np.array([first]))[0])
+        if not away <= FARTHEST:
+            raise DatasetError(f'origin {origin_text(self.origin)} of --config lies {away / 1000:.0f} km from the flight: it counts in {self.crs}, '
+                               f'where the flight begins at {origin_text(converted(first, CRS, self.crs))}')
         ends = self.positions(np.array([first, first + [0, 1000.0, 0]]))
         east, north = (ends[1] - ends[0])[:2]
         self.convergence = np.arctan2(east, north)  # from true to grid north, clockwise [rad]
+
+    def default_origin(self, first):
+        """Whole metres of `crs` near the first position, degrees to 1e-6 where that is geographic."""
+        import pyproj
+        place = np.array(first if self.crs == CRS else converted(first, CRS, self.crs), float)
+        place[:2] = np.floor(place[:2]) if pyproj.CRS(self.crs).is_projected else np.round(place[:2], 6)
+        return [float(place[0]), float(place[1]), float(np.floor(place[2]))]
+
+    def description(self):
+        """Where world lies, for who builds the database: --origin counts in the city model's system."""
+        text = f'origin of world: {origin_text(self.origin)} in {self.crs}'
+        if self.crs == LV95:
+            return text
+        return f'{text}; for a city model in {LV95}: --origin {origin_text(converted(self.origin, self.crs, LV95))}'
 
     def geodetic(self, positions):
         """(n, 3) latitude, longitude [deg], height above the ellipsoid [m] of positions in CRS, height above the sea."""
@@ -192,6 +215,7 @@ def read_zurich_urban(folder, config):
         recording.pose_stamps = np.array([stamp_of[int(number)] for number in truth[:, 0]])
         recording.poses = world.poses(truth[:, 1:7])
         recording.gps = read_gps(logs, recording.pose_stamps, truth, world, notes)
+        notes.append(world.description())
         recording.city = {'crs': world.crs, 'origin': world.origin, 'geoid_undulation': world.undulation, 'geotags': 'geotags.csv',
                           'heading_reference': 'true_north', 'panoramas': os.path.abspath(os.path.join(folder, PANORAMAS))}
         recording.geotags = read_geotags(folder, logs, truth, config)

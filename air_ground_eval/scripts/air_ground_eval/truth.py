@@ -1,0 +1,133 @@
+"""Reference poses of a recording as those of a camera: through static transforms, or, where nothing connects the two, by one constant mounting that the odometry tells.
+
+World w of the reference, map m of the estimate, camera c, body b whose poses the reference tells. T_a_b takes b to a coordinates.
+"""
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from . import geometry
+from .evaluation import LEVER_ARM, Track
+
+FEWEST, MOST = 20, 1000  # poses with a reference that a mounting is estimated from
+# A lever arm along a direction shows as far as turns move its end in ways that no other place of the map would: so much [m], root mean square, for each metre of it.
+LEAST_SHOWN = 0.05
+
+
+@dataclass
+class Reference:
+    """Poses of a body: stamps [s], T_w_b (n, 4, 4). attitude: false where the recording tells positions alone. frame: its name, '' where the recording has none."""
+    stamps: np.ndarray
+    poses: np.ndarray
+    attitude: bool = True
+    frame: str = ''
+
+
+@dataclass
+class Mounting:
+    """T_b_c; without attitudes the body's axes are the camera's. free: directions of the lever arm (rows) that the motion leaves open: 0 along them.
+    T_w_m and scale: p_w = scale R p_m + t."""
+    T_b_c: np.ndarray
+    T_w_m: np.ndarray
+    scale: float
+    free: np.ndarray
+
+
+def _residuals(x, camera, body, attitude, arms):
+    """Distances [m] of camera positions, and rotations times LEVER_ARM, of map and reference; x: rotation vector and translation of T_w_m, logarithm of the scale,
+    lever arm along the rows of `arms`, rotation vector of R_b_c."""
+    R = geometry.matrix_from_rotations(Rotation.from_rotvec(x[:3]))
+    lever = x[7:7 + len(arms)] @ arms
+    placed = np.exp(x[6]) * camera[:, :3, 3] @ R.T + x[3:6]
+    turned = R @ camera[:, :3, :3]
+    if not attitude:  # p_b = p_c - R_w_c lever
+        return (placed - turned @ lever - body[:, :3, 3]).ravel()
+    R_b_c = geometry.matrix_from_rotations(Rotation.from_rotvec(x[7 + len(arms):]))
+    difference = geometry.rotations_from_matrix(np.swapaxes(body[:, :3, :3] @ R_b_c, 1, 2) @ turned).as_rotvec()
+    return np.concatenate([placed - body[:, :3, 3] - body[:, :3, :3] @ lever, LEVER_ARM * difference]).ravel()
+
+
+def _rotvec(rotation):
+    return geometry.rotations_from_matrix(rotation[None]).as_rotvec()[0]
+
+
+def _mean_rotation(rotations):
+    u, _, vt = np.linalg.svd(rotations.sum(0))
+    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+
+
+def estimate_mounting(reference, estimate):
+    """The Mounting with which the reference's camera is nearest to the estimated one, a similarity between their frames free; None with fewer than FEWEST common poses.
+
+    Least squares from the alignment of the positions. Directions of the lever arm in which it hardly shows (LEAST_SHOWN) are left at 0: they would be noise.
+    """
+    camera, known = estimate.at(reference.stamps)
+    if np.count_nonzero(known) < FEWEST:
+        return None
+    chosen = np.flatnonzero(known)[::max(1, np.count_nonzero(known) // MOST)]
+    camera, body = camera[chosen], reference.poses[chosen]
+    scale, R, t = geometry.align_points(body[:, :3, 3], camera[:, :3, 3], with_scale=True)
+    if not scale > 0:
+        return None
+    turn = _rotvec(_mean_rotation(np.swapaxes(body[:, :3, :3], 1, 2) @ R @ camera[:, :3, :3])) if reference.attitude else np.zeros(0)
+    arms, free = np.eye(3), np.zeros((0, 3))
+    while True:
+        start = np.concatenate([_rotvec(R), t, [np.log(scale)], np.zeros(len(arms)), turn])
+        solution = least_squares(_residuals, start, x_scale='jac', args=(camera, body, reference.attitude, arms))
+        lever = slice(7, 7 + len(arms))
+        others = np.delete(solution.jac, np.arange(lever.start, lever.stop), axis=1)
+        own = solution.jac[:, lever]
+        own = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]  # what nothing else explains
+        shown, axes = np.linalg.eigh(own.T @ own / len(camera))
+        hidden = shown < LEAST_SHOWN ** 2
+        if len(free) or not np.any(hidden):
+            break
+        free, arms = axes.T[hidden] @ arms, axes.T[~hidden] @ arms
+    x = solution.x
+    R_b_c = geometry.matrix_from_rotations(Rotation.from_rotvec(x[lever.stop:])) if reference.attitude else np.eye(3)
+    T_w_m = geometry.pose(geometry.matrix_from_rotations(Rotation.from_rotvec(x[:3])), x[3:6])
+    return Mounting(geometry.pose(R_b_c, x[lever] @ arms), T_w_m, float(np.exp(x[6])), free)
+
+
+def mounted(reference, mounting, estimate):
+    """Track of the camera by the reference; of positions alone with the attitudes of the estimate, where that is known."""
+    if reference.attitude:
+        return Track(reference.stamps, reference.poses @ mounting.T_b_c)
+    camera, known = estimate.at(reference.stamps)
+    poses = reference.poses.copy()
+    poses[:, :3, :3] = mounting.T_w_m[:3, :3] @ camera[:, :3, :3]
+    poses[:, :3, 3] += poses[:, :3, :3] @ mounting.T_b_c[:3, 3]
+    return Track(reference.stamps[known], poses[known])
+
+
+def camera_track(bag, topic, robot, base, T_base_camera, estimate):
+    """(Track of a robot's camera by the reference on a topic, or None; what that is, in words; a note, or ''). bag: its static transforms and reference(topic).
+
+    Poses without a frame of their own on /ground_truth/<robot> are those of `base`: our recordings' and dataset_to_bag's.
+    """
+    reference = bag.reference(topic)
+    if reference is None:
+        return None, '', ''
+    frame = reference.frame or (base if reference.attitude and topic.endswith(f'/ground_truth/{robot}') else '')
+    T_frame_base = bag.static_transform(frame, base) if frame and reference.attitude else None
+    if T_frame_base is not None:
+        return Track(reference.stamps, reference.poses @ T_frame_base @ T_base_camera), f'poses of {frame}', ''
+    kind = f'{"poses" if reference.attitude else "positions"} of {frame or "a body that is not named"}'
+    if not len(estimate):
+        return None, f'{kind}; no pose to compare', ''
+    mounting = estimate_mounting(reference, estimate)
+    if mounting is None:
+        return None, f'{kind}; no comparison', f'{topic} tells {kind}, and fewer than {FEWEST} poses of {robot} are of its time: no errors'
+    place = ' '.join(f'{x:.3f}' for x in mounting.T_b_c[:3, 3])
+    if reference.attitude:
+        turn = ' '.join(f'{x:.4f}' for x in geometry.quaternion_from_matrix(mounting.T_b_c[:3, :3]))
+        found = f'the camera in it was estimated from the odometry, x y z {place} m, qx qy qz qw {turn}'
+    else:
+        found = f'the camera to it was estimated from the odometry, {place} m along the camera\'s axes; its attitudes are the odometry\'s own'
+    if len(mounting.free):
+        found += f'; the motion turns too little to tell {"any" if len(mounting.free) == 3 else "all"} of the lever arm: 0 along ' + ' and '.join(
+            '(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
+    outcome = f'errors of {robot} contain what it is along these' if len(mounting.free) else f'errors of {robot} contain none of it'
+    return mounted(reference, mounting, estimate), f'{kind}, mounting estimated', f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}'

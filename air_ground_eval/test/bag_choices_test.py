@@ -1,0 +1,113 @@
+#!/usr/bin/env python3
+"""check_bag where a bag holds more than one topic that would do: which IMU, which reference poses; and what it says of an IMU that is too slow."""
+import os
+import re
+import sys
+import unittest
+
+import numpy as np
+import rosunit
+from geometry_msgs.msg import PointStamped
+
+HERE = os.path.dirname(os.path.realpath(__file__))
+sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
+from air_ground_eval import bag_imu, bag_reader, messages, pixel_range  # noqa: E402
+from bag_layouts_test import CAMERA, BagLayouts, Recording  # noqa: E402
+
+
+def position(t):
+    message = PointStamped()
+    message.header.stamp, message.header.frame_id = messages.stamp(t), 'world'
+    return message
+
+
+class BagChoices(unittest.TestCase):
+    setUp, path, check, assert_arguments = BagLayouts.setUp, BagLayouts.path, BagLayouts.check, BagLayouts.assert_arguments
+
+    def recording(self, *mountings):
+        return Recording(self.path(), mountings)
+
+    def test_the_cameras_own_imu_before_the_autopilots(self):
+        """Whatever its name says: by the driver's folder, by what /tf_static connects, and by its rate."""
+        self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu').imu('/mavros/imu/data', 'imu', rate=50)
+        self.assert_arguments(self.check()[2], mav_imu='/imu0', mav_use_imu=None)
+        self.recording().camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu').imu('/mavros/imu/data', 'fcu', rate=50)
+        self.assert_arguments(self.check()[2], mav_imu='/imu0')
+        self.recording().camera('/camera/fisheye1/image_raw', 'mono8', 'cam').imu('/camera/imu', 'imu').imu('/mavros/imu/data', 'fcu')
+        self.assert_arguments(self.check()[2], mav_imu='/camera/imu')
+        self.recording(('body', 'cam'), ('body', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu').imu('/mavros/imu/data', 'fcu')
+        self.assert_arguments(self.check()[2], mav_imu='/imu0')
+        self.recording().camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu', rate=50).imu('/mavros/imu/data', 'fcu', rate=50)
+        self.assert_arguments(self.check()[2], mav_imu='/mavros/imu/data')
+
+    def test_of_two_robots_the_name_tells_whose_imu_it_is(self):
+        """Where nothing else does: a faster one may be the other's."""
+        recording = self.recording(('ground_base_link', 'eye')).camera('/cam0/image_raw', 'mono8', 'cam')
+        recording.camera('/camera/color/image_raw', 'rgb8', 'eye').camera('/camera/aligned_depth_to_color/image_raw', '16UC1', 'eye')
+        recording.imu('/imu/data', 'imu').imu('/mavros/imu/data', 'fcu', rate=50)
+        self.assert_arguments(self.check()[2], mav_imu='/mavros/imu/data', ground_imu='none')
+
+    def test_the_rate_of_a_topic(self):
+        """Neither packets nor a pause count."""
+        recording = self.recording().imu('/imu', 'imu', rate=50)
+        recording.add('/packets', 50, lambda t: messages.imu((0, 0, 0), (0, 0, 9.81), 1e-6, 1e-4, 100 + 0.1 * int((t - 100) / 0.1) + 1e-5 * round(50 * t) % 5e-5, 'imu'))
+        recording.add('/paused', 100, lambda t: messages.imu((0, 0, 0), (0, 0, 9.81), 1e-6, 1e-4, t + (5 if t > 101 else 0), 'imu'))
+        facts = bag_reader.BagFacts(self.path())
+        for topic, rate in (('/imu', 50), ('/packets', 50), ('/paused', 100), ('/none', 0)):
+            self.assertAlmostEqual(facts.rate(topic), rate, delta=1, msg=topic)
+
+    def test_an_imu_that_is_too_slow(self):
+        """As the Zurich Urban MAV's, and MAVROS's unless its streams are set: nothing would ever become metric by it."""
+        self.recording(('base_link', 'cam'), ('base_link', 'fcu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/mavros/imu/data', 'fcu', rate=10)
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, mav_imu='/mavros/imu/data', mav_use_imu='false')
+        self.assertIn('WARNING /mavros/imu/data: 10.0 Hz; less than 25 Hz leave gaps', output)
+        self.assertEqual(output.count('/mavros/imu/data: 10.0 Hz'), 1)
+        recording = self.recording(('ground_base_link', 'cam'), ('ground_base_link', 'imu')).camera('/ground/rgb/image_raw', 'rgb8', 'cam')
+        recording.camera('/ground/depth/image_raw', '16UC1', 'cam').imu('/ground/imu/data', 'imu', rate=10)
+        status, output, command = self.check()
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, ground_imu='none')
+        self.assertIn('it tells neither turns nor the vertical', output)
+        for rate, used in ((30, None), (100, None)):
+            self.recording(('base_link', 'cam'), ('base_link', 'fcu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/mavros/imu/data', 'fcu', rate=rate)
+            _, output, command = self.check()
+            self.assert_arguments(command, mav_use_imu=used)
+            self.assertEqual('at least 80 Hz are advised' in output, rate < 80, output)
+
+    def test_reference_poses_before_positions(self):
+        recording = self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu')
+        recording.add('/leica/position', 20, position).poses('/optitrack/body')
+        self.assert_arguments(self.check()[2], mav_truth='/optitrack/body')
+        recording = self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu')
+        recording.add('/leica/position', 20, position)
+        self.assert_arguments(self.check()[2], mav_truth='/leica/position')
+
+    def test_thermal_images_are_not_dark(self):
+        """A microbolometer of 14 bits: all that it sees lies within 500 counts, which the nodes stretch."""
+        counts = (7400 + np.add.outer(np.arange(48), np.arange(64)) / 110 * 500).astype(np.uint16)
+        for array, text in ((counts, 'ok      /thermal/image_raw: its pixels use counts 7'), (0 * counts + 7400, 'image 3 is flat')):
+            def image(t, array=array):
+                message = messages.image(array, '16UC1', t, 'cam')
+                message.encoding = 'mono16'
+                return message
+
+            recording = self.recording(('base_link', 'cam')).add('/thermal/image_raw', 10, image)
+            recording.add('/thermal/camera_info', 10, lambda t: messages.camera_info(CAMERA, t, 'cam'))
+            output = self.check()[1]
+            self.assertIn(text, output)
+            self.assertEqual('is flat' in output, 'is flat' in text, output)
+
+    def test_as_the_nodes_have_it(self):
+        def constant(name, *path):
+            with open(os.path.join(HERE, '..', '..', 'air_ground_common', *path), encoding='utf-8') as stream:
+                return [float(a) / float(b or 1) for a, b in re.findall(rf'\b{name} = ([0-9.e-]+)(?: / ([0-9.]+))?[,;]', stream.read())]
+
+        for name, value in (('kHot', pixel_range.HOT), ('kTail', pixel_range.TAIL), ('kMargin', pixel_range.MARGIN), ('kNarrow', pixel_range.NARROW), ('kEven', pixel_range.EVEN)):
+            self.assertEqual(constant(name, 'src', 'ros', 'pixel_range.cpp'), [value], name)
+        self.assertEqual(constant('kSteadyRate', 'visual_frontend', 'src', 'imu_attitude.cpp'), [bag_imu.SLOWEST])
+
+
+if __name__ == '__main__':
+    rosunit.unitrun('air_ground', 'bag_choices_test', BagChoices)
