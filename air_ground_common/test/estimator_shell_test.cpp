@@ -46,7 +46,7 @@ class StandIn : public Estimator {
   std::function<std::vector<CloudPoint>()> mapForFile() override {
     return [] { return std::vector<CloudPoint>(1); };
   }
-  Trajectory trajectory() override { return {}; }
+  std::vector<MapTrajectory> trajectories() override { return {{{}, ""}}; }
 
   std::atomic<bool> fail{false}, fail_idle{false};
   std::atomic<int> images{0}, depths{0}, samples{0}, disorder{0};

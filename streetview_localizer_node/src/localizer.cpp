@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "air_ground_common/rectification.h"
+#include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 #include "candidates.h"
 #include "mirror_check.h"
@@ -61,9 +62,7 @@ constexpr double kSearchedFocal = 1.5, kWorthReducing = 1.25;
 double medianFocal(const StreetviewDatabase& database) {
   std::vector<double> focals;
   for (const View& view : database.views) focals.push_back(view.camera.fx);
-  const auto middle = focals.begin() + static_cast<std::ptrdiff_t>(focals.size() / 2);
-  std::nth_element(focals.begin(), middle, focals.end());
-  return *middle;
+  return air_ground_common::median(std::move(focals));
 }
 
 }  // namespace
@@ -278,7 +277,8 @@ class StreetviewLocalizer::Query {
 
 LocalizerResult StreetviewLocalizer::Impl::locate(const cv::Mat& image, const CameraModel& camera,
                                                   const PosePrior& prior) const {
-  if (camera.fx <= kWorthReducing * searched_focal) return Query(*this, image, camera, prior).locate();
+  // NaN in a database without views, in which nothing is found.
+  if (!(camera.fx > kWorthReducing * searched_focal)) return Query(*this, image, camera, prior).locate();
   const double factor = searched_focal / camera.fx;
   cv::Mat reduced;
   cv::resize(greyOf(image), reduced, {}, factor, factor, cv::INTER_AREA);

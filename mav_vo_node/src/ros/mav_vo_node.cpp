@@ -256,8 +256,6 @@ class MavVoNode : private ros_utils::Estimator {
             metric() ? "" : air_ground_common::kOwnUnit};
   }
 
-  air_ground_common::Trajectory trajectory() override { return trajectories().front().poses; }
-
   /// The present map's; a metric one before it where it is not.
   std::vector<ros_utils::MapTrajectory> trajectories() override {
     std::vector<ros_utils::MapTrajectory> maps;

@@ -53,12 +53,12 @@ bool DepthInput::ofColourCamera() {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!calibration_ || seesAlike(calibration_->camera, colour_camera_)) return true;
   const CameraModel& depth = calibration_->camera;
-  const std::string doubt = air_ground_common::formatted(
-      "%s tells of another camera (%dx%d, f %.0f) than that of the colour images (%dx%d, f %.0f)", info_topic_.c_str(),
-      depth.width, depth.height, depth.fx, colour_camera_.width, colour_camera_.height, colour_camera_.fx);
   if (!std::exchange(other_calibration_, true))
-    ROS_WARN_STREAM(doubt << ": if the driver does not register depth images to colour, set depth_registered: false "
-                             "(launch argument ground_depth_registered)");
+    ROS_WARN(
+        "%s tells of another camera (%dx%d, f %.0f) than that of the colour images (%dx%d, f %.0f): if the driver does "
+        "not register depth images to colour, set depth_registered: false (launch argument ground_depth_registered)",
+        info_topic_.c_str(), depth.width, depth.height, depth.fx, colour_camera_.width, colour_camera_.height,
+        colour_camera_.fx);
   health_.count("depth images whose calibration is not the colour camera's");
   return false;
 }

@@ -215,9 +215,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
         [points = slam_->posedPoints(), how = settings_.slam.cloud] { return messagePoints(fusePoints(points, how)); };
   }
 
-  air_ground_common::Trajectory trajectory() override {
+  std::vector<ros_utils::MapTrajectory> trajectories() override {
     if (slam_->map().keyframeCount() == 0) throw std::runtime_error("there is no trajectory yet");
-    return slam_->trajectory();
+    return {{slam_->trajectory(), ""}};
   }
 
   const NodeSettings settings_;

@@ -176,11 +176,7 @@ void numberBuildings(const std::vector<std::string>& ids, CityModel* model) {
 CityModel readCityModel(const std::string& path, const CityModelOptions& options) {
   CityModel model;
   PolygonModel polygons = readModelFiles(path, options, &model);
-  const auto move = [&](const auto& moved) {
-    for (Polygon& polygon : polygons.polygons)
-      for (Ring& ring : polygon.rings)
-        for (Eigen::Vector3d& p : ring) p = moved(p);
-  };
+  const auto move = [&](const auto& moved) { forEachPoint(&polygons, [&](Eigen::Vector3d& p) { p = moved(p); }); };
   model.remarks = std::move(polygons.remarks);
   try {
     chooseFrame(path, bounds(polygons), options, &model);

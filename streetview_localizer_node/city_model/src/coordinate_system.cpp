@@ -118,9 +118,7 @@ double distanceToArea(const CrsName& crs, const Eigen::Vector3d& east_north) {
 namespace {
 
 void swapAxes(PolygonModel* model) {
-  for (Polygon& polygon : model->polygons)
-    for (Ring& ring : polygon.rings)
-      for (Eigen::Vector3d& p : ring) std::swap(p.x(), p.y());
+  forEachPoint(model, [](Eigen::Vector3d& p) { std::swap(p.x(), p.y()); });
 }
 
 /// Of a model's closed buildings, how many there are and how many have their outsides inside.

@@ -17,13 +17,6 @@ using air_ground_common::formatted;
 
 namespace {
 
-template <typename F>
-void forEachPoint(PolygonModel* model, const F& f) {
-  for (Polygon& polygon : model->polygons)
-    for (Ring& ring : polygon.rings)
-      for (Eigen::Vector3d& p : ring) f(p);
-}
-
 // Beyond it a coordinate is no place on earth, in no system; and the tessellation's products would overflow.
 void checkCoordinates(const std::string& path, PolygonModel* model) {
   constexpr double kFarthest = 1e9;

@@ -27,6 +27,14 @@ struct PolygonModel {
   std::vector<std::string> remarks;
 };
 
+/// Calls `f` with each point, which it may move.
+template <typename F>
+void forEachPoint(PolygonModel* model, const F& f) {
+  for (Polygon& polygon : model->polygons)
+    for (Ring& ring : polygon.rings)
+      for (Eigen::Vector3d& p : ring) f(p);
+}
+
 /// Newell's normal, of length twice the area of the ring.
 Eigen::Vector3d areaVector(const Ring& ring);
 

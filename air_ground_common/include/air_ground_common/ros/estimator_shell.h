@@ -112,9 +112,8 @@ class Estimator {
   /// Throw std::runtime_error when there is none yet. The points are made without the estimator, which goes on
   /// meanwhile.
   virtual std::function<std::vector<CloudPoint>()> mapForFile() = 0;
-  virtual Trajectory trajectory() = 0;
   /// The one to save, and those of other maps, each in a frame of its own.
-  virtual std::vector<MapTrajectory> trajectories() { return {{trajectory(), ""}}; }
+  virtual std::vector<MapTrajectory> trajectories() = 0;
 };
 
 class EstimatorShell {
