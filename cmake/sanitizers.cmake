@@ -20,5 +20,5 @@ if(sanitizers)
   # Under AddressSanitizer Eigen aligns memory by hand; the distribution's OpenGV and PCL, built without, free it otherwise.
   add_compile_definitions(EIGEN_MALLOC_ALREADY_ALIGNED=1)
   # The function that chooses a clone runs before the sanitizer is up.
-  add_compile_options("-Dtarget_clones(...)=unused")
+  add_compile_definitions(AIR_GROUND_NO_CLONES)
 endif()

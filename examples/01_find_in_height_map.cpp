@@ -26,7 +26,7 @@ int main(int argc, char** argv) try {
     return 2;
   }
   heightmap_mcl::HeightMapLocalizerSettings settings;
-  settings.min_maps = 1;  // one cloud that holds all the MAV has seen, not one of many
+  settings.verdict.min_maps = 1;  // one cloud that holds all the MAV has seen, not one of many
   heightmap_mcl::HeightMapLocalizer localizer(settings);
   if (!localizer.setGround(positions(argv[2]))) {
     std::fprintf(stderr, "%s holds no surface\n", argv[2]);

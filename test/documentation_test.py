@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import unittest
+import unittest.mock
 import xml.etree.ElementTree as ElementTree
 
 import rospkg
@@ -142,6 +143,22 @@ class Documentation(unittest.TestCase):
         for path in files:
             self.assertIsInstance(yaml.safe_load(read(path)), dict, path)
 
+    def test_diagnostics_of_each_node_fall_into_one_group(self):
+        """As GenericAnalyzer of diagnostic_aggregator matches names, in namespaces, too."""
+        rules = yaml.safe_load(read('config', 'diagnostics.yaml'))['analyzers']
+        for rule in rules.values():
+            self.assertLessEqual(set(rule), {'type', 'path', 'regex', 'timeout', 'discard_stale'}, 'this test knows no other rule')
+
+        def groups(name):
+            return [group for group, rule in rules.items() if re.fullmatch(rule['regex'], name)]
+
+        for node in NODES + ('ekf_tracker_magnetometer',):
+            for space in ('', 'uav1/', 'fleet/uav1/'):
+                city = node.startswith(('streetview', 'ekf'))
+                self.assertEqual(groups(f'{space}{node}: state'), ['city' if city else 'indoors'])
+        for other in ('camera_driver: state', 'mav_voltage: battery', 'mav_vo/battery: state', 'my_icp_refine: state'):
+            self.assertEqual(groups(other), [], other)
+
     def test_rviz_shows_existing_topics(self):
         aerial, city = arguments('air_ground.launch'), arguments('city.launch')
         shown = {'air_ground.rviz': (aerial['ground_map_frame'], set(aerial.values()) | {'alignment/height_map_air_cloud', 'alignment/height_map_ground_cloud'})}
@@ -158,6 +175,15 @@ class Documentation(unittest.TestCase):
 
     def test_launch_files_resolve(self):
         """roslaunch accepts each file, and every node in it is a program of its package."""
+        self.check_launch_files()
+
+    def test_launch_files_resolve_without_shell(self):
+        """The same from a systemd unit, where nothing says which folder is the user's."""
+        with unittest.mock.patch.dict(os.environ):
+            os.environ.pop('PWD', None)
+            self.check_launch_files()
+
+    def check_launch_files(self):
         for launch, given in (('mav.launch', []), ('ground.launch', []), ('mav.launch', ['respawn:=false']), ('tracker.launch', ['respawn:=false']), ('air_ground.launch', ['rviz:=true']), ('replay.launch', ['bag:=x.bag', 'out:=/tmp/x']),
                               ('tracker.launch', []), ('city_localizer.launch', ['database:=x.gpkg', 'rviz:=true']), ('city.launch', ['db:=x.gpkg']),
                               ('city.launch', ['db:=x.gpkg', 'bag:=x.bag', 'out:=/tmp/x', 'rviz:=true'])):

@@ -2,6 +2,8 @@
 // be called from any thread meanwhile. Started by estimator_shell.test.
 #include <gtest/gtest.h>
 #include <ros/ros.h>
+#include <tf2_ros/static_transform_broadcaster.h>
+#include <tf2_ros/transform_broadcaster.h>
 
 #include <atomic>
 #include <cstdlib>
@@ -196,6 +198,57 @@ TEST_F(Shell, AnswersWithThePathFromTheRoot) {
   std::filesystem::remove_all(home);
 }
 
+geometry_msgs::TransformStamped edge(const std::string& parent, const std::string& child) {
+  geometry_msgs::TransformStamped msg;
+  msg.header.stamp = ros::Time::now();
+  msg.header.frame_id = parent;
+  msg.child_frame_id = child;
+  msg.transform = toTransformMsg(Pose::Identity());
+  return msg;
+}
+
+/// A node of its own, which says where frames of the shell are.
+void beRival() {
+  tf2_ros::StaticTransformBroadcaster fixed;
+  fixed.sendTransform(edge("mast", "static_base"));
+  tf2_ros::TransformBroadcaster moving;
+  while (ros::ok()) {
+    moving.sendTransform(
+        std::vector<geometry_msgs::TransformStamped>{edge("gps", "shared_base"), edge("gps", "shared_odom")});
+    ros::WallDuration(0.1).sleep();
+  }
+}
+
+TEST_F(Shell, CountsWhoElsePlacesItsFrames) {
+  const std::string on_base = "/rival publishes 'gps' -> 'shared_base' on tf",
+                    on_odom = "/rival publishes 'gps' -> 'shared_odom' on tf";
+  settings_.odom_frame = "shared_odom", settings_.base_frame = "/shared_base";
+  start();
+  tf2_ros::TransformBroadcaster own;
+  NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
+  EXPECT_TRUE(spinUntil([&] {
+    own.sendTransform(edge("shared_odom", "shared_base"));
+    return diagnostics.counted(on_base) > 2 && diagnostics.counted(on_odom) > 2;
+  }));
+  EXPECT_EQ(diagnostics.counted(ros::this_node::getName() + " publishes"), 0) << "this node itself";
+
+  settings_.odom_from_tf = true;
+  start();
+  const auto begun = [&] { return diagnostics.message().find("waiting for images") != std::string::npos; };
+  EXPECT_TRUE(diagnostics.refresh() && begun());
+  EXPECT_TRUE(diagnostics.await(on_odom, 3));
+  EXPECT_EQ(diagnostics.counted(on_base), 0) << "the robot's odometry publishes it";
+
+  settings_.odom_from_tf = false, settings_.base_frame = "static_base";
+  start();
+  EXPECT_TRUE(diagnostics.await("/rival publishes 'mast' -> 'static_base' on tf", 1));
+
+  settings_.publish_tf = false;
+  start();
+  EXPECT_TRUE(diagnostics.refresh() && diagnostics.refresh());
+  EXPECT_EQ(diagnostics.counted("/rival publishes"), 0);
+}
+
 // As image_transport's compressed records depth where it was told to take PNG.
 TEST_F(Shell, DepthMayBeCompressedAsAnyImage) {
   const ros::Publisher depth = handle_.advertise<sensor_msgs::CompressedImage>("depth/compressed", 100);
@@ -246,5 +299,9 @@ int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
   ros::init(argc, argv, "estimator_shell_test");
   const ros::NodeHandle keep_alive;
+  if (argc > 1 && std::string(argv[1]) == "--rival") {
+    air_ground_common::ros_utils::beRival();
+    return 0;
+  }
   return RUN_ALL_TESTS();
 }

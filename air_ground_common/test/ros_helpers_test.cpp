@@ -1,4 +1,4 @@
-// The helpers that need a master: parameters, health, pose publisher. Started by ros_helpers.test.
+// The helpers that need a master: parameters, health, mountings. Started by ros_helpers.test.
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
@@ -15,7 +15,6 @@
 #include "air_ground_common/ros/mountings.h"
 #include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/ros/parameters.h"
-#include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "console.h"
 
@@ -70,6 +69,31 @@ TEST(Parameters, MisspeltNameIsFoundAndIntegerReadsAsNumber) {
   EXPECT_EQ(errorOf([&] { parameters.finish(); }), "");
 }
 
+TEST(Parameters, ThePeriodOfDiagnosticsIsKnownToEveryNode) {
+  ros::NodeHandle pnh("~standard");
+  pnh.setParam("diagnostic_period", 0.2);
+  EXPECT_EQ(errorOf([&] { ServerReader(pnh).finish(); }), "");
+  pnh.setParam("diagnostic_period", 0);
+  EXPECT_NE(errorOf([&] { ServerReader(pnh).finish(); }).find("diagnostic_period"), std::string::npos);
+}
+
+TEST(NodeHealth, ReportsAsOftenAsItsParameterSays) {
+  std::vector<double> stamps;
+  const auto diagnostics = ros::NodeHandle().subscribe<diagnostic_msgs::DiagnosticArray>(
+      "/diagnostics", 100, [&](const diagnostic_msgs::DiagnosticArray::ConstPtr& m) {
+        if (m->status.front().hardware_id == "period_test") stamps.push_back(m->header.stamp.toSec());
+      });
+  ros::NodeHandle("~").setParam("diagnostic_period", 0.1);
+  const NodeHealth health("period_test");
+  EXPECT_TRUE(spinUntil([&] { return stamps.size() > 11; }));
+  ros::NodeHandle("~").deleteParam("diagnostic_period");
+  ASSERT_GT(stamps.size(), 11u);
+  std::vector<double> gaps;
+  for (std::size_t i = 2; i < stamps.size(); ++i) gaps.push_back(stamps[i] - stamps[i - 1]);
+  std::nth_element(gaps.begin(), gaps.begin() + 5, gaps.end());
+  EXPECT_LT(gaps[5], 0.5);
+}
+
 TEST(NodeHealth, AnInputThatDiesIsAnError) {
   NodeHealth health("silence_test");
   NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
@@ -122,78 +146,6 @@ TEST(NodeHealth, CountersReachDiagnostics) {
   EXPECT_EQ(health.counted("broken images"), 3u);
   EXPECT_TRUE(diagnostics.await("broken images", 3));
   EXPECT_EQ(diagnostics.counted("broken images"), 3);
-}
-
-TEST(PosePublisher, MapOdomBaseChainStaysWholeAndOdomDoesNotJump) {
-  ros::NodeHandle nh;
-  PosePublisherSettings settings{"m", "o", "b", "odometry", "path"};
-  PosePublisher publisher(nh, settings);
-  std::vector<tf2_msgs::TFMessage> tf;
-  std::vector<nav_msgs::Odometry> odometry;
-  const ros::Subscriber a =
-      nh.subscribe<tf2_msgs::TFMessage>("/tf", 10, [&](const tf2_msgs::TFMessage::ConstPtr& m) { tf.push_back(*m); });
-  const ros::Subscriber b = nh.subscribe<nav_msgs::Odometry>(
-      "odometry", 10, [&](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
-  ASSERT_TRUE(spinUntil([&] { return a.getNumPublishers() > 0 && b.getNumPublishers() > 0; }));
-
-  const Pose step = yawPose(0.1, {0.5, 0, 0});
-  const Matrix6d covariance = 0.01 * Matrix6d::Identity();
-  Matrix6d noise = Matrix6d::Identity() * 1e-4;
-  noise(0, 0) = 4e-4;
-  EXPECT_TRUE(publisher.publish(ros::Time(1.0), Pose::Identity(), {}, covariance));
-  EXPECT_TRUE(publisher.publish(ros::Time(1.5), step, {step, noise}, covariance));
-  EXPECT_FALSE(publisher.publish(ros::Time(1.5), step, {step, noise}, covariance)) << "a stamp is never sent twice";
-  // Loop closure moves the pose in the map by 1 m; the robot itself moved by one step.
-  const Pose corrected = yawPose(0, {1, 0, 0}) * step * step;
-  EXPECT_TRUE(publisher.publish(ros::Time(3.0), corrected, {step, std::nullopt}, covariance));
-  ASSERT_TRUE(spinUntil([&] { return tf.size() >= 3 && odometry.size() >= 3; }));
-  ASSERT_EQ(tf.size(), 3u);
-
-  const Pose T_map_odom = fromMsg(tf[2].transforms[0].transform), T_odom_base = fromMsg(tf[2].transforms[1].transform);
-  EXPECT_EQ(tf[2].transforms[0].header.frame_id, "m");
-  EXPECT_EQ(tf[2].transforms[1].child_frame_id, "b");
-  EXPECT_LT(((T_map_odom * T_odom_base).matrix() - corrected.matrix()).norm(), 1e-9);
-  EXPECT_LT((T_odom_base.matrix() - (step * step).matrix()).norm(), 1e-9) << "odom jumped";
-  EXPECT_LT((fromMsg(odometry[2].pose.pose).matrix() - corrected.matrix()).norm(), 1e-9);
-  // 0.5 m ahead while turning left by 0.1 rad in half a second, seen by the base at the end of it.
-  EXPECT_NEAR(odometry[1].twist.twist.linear.x, std::cos(0.1), 1e-9);
-  EXPECT_NEAR(odometry[1].twist.twist.linear.y, -std::sin(0.1), 1e-9);
-  EXPECT_NEAR(odometry[1].twist.twist.angular.z, 0.2, 1e-9);
-  EXPECT_NEAR(odometry[1].twist.covariance[0],
-              4 * (4e-4 * std::pow(std::cos(0.1), 2) + 1e-4 * std::pow(std::sin(0.1), 2)), 1e-9);
-  EXPECT_NEAR(odometry[1].twist.covariance[35], 4e-4, 1e-9);
-  EXPECT_EQ(odometry[0].twist.covariance[0], 1e6) << "not known";
-  EXPECT_EQ(odometry[2].twist.covariance[0], 1e6) << "not known";
-}
-
-TEST(BoundedPath, ThinsOutAndIsPublishedOnceASecond) {
-  BoundedPath path("m", 0.1, 50);
-  int published = 0;
-  std::size_t longest = 0;
-  geometry_msgs::PoseStamped pose;
-  for (int i = 0; i < 10000; ++i) {  // 20 Hz, 1 m/s
-    pose.header.stamp = ros::Time(100 + 0.05 * i);
-    pose.pose.position.x = 0.05 * i;
-    published += path.add(pose);
-    longest = std::max(longest, path.message().poses.size());
-  }
-  EXPECT_LE(published, 501);
-  EXPECT_GT(published, 50);
-  EXPECT_EQ(longest, 50u);
-  const auto& poses = path.message().poses;
-  EXPECT_GT(poses.size(), 20u);
-  EXPECT_EQ(poses.front().pose.position.x, 0);
-  EXPECT_GT(poses.back().pose.position.x, 500 - 2 * 500.0 / 25);
-  for (std::size_t i = 2; i < poses.size(); ++i) EXPECT_GT(poses[i].pose.position.x, poses[i - 1].pose.position.x);
-  // Time that ran back, as in a looped bag, does not silence it.
-  pose.header.stamp = ros::Time(100);
-  pose.pose.position.x = 0;
-  EXPECT_TRUE(path.add(pose));
-  EXPECT_EQ(path.message().header.stamp, pose.header.stamp);
-  EXPECT_FALSE(path.add(pose)) << "nothing new";
-  path.clear();
-  EXPECT_TRUE(path.message().poses.empty());
-  EXPECT_TRUE(path.add(pose));
 }
 
 geometry_msgs::TransformStamped edge(const std::string& parent, const std::string& child, const Pose& T) {

@@ -284,6 +284,12 @@ class BagCheck(unittest.TestCase):
         player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4)), ('/world', '/eye', np.eye(4))], 101))
         self.assertEqual([[e.child_frame_id for e in m.transforms] for m in published], [['/door']])
 
+    def test_the_odometry_of_a_robot_is_played_where_its_node_follows_that(self):
+        for given, owned in (({}, {'mav_odom', 'mav_base_link'}), ({'mav_vo/odom_from_tf': True}, {'mav_odom'}),
+                             ({'mav_vo/odom_from_tf': True, '~mav_odom_frame': 'wheels'}, {'wheels'}), ({'~mav_base_frame': 'base_link'}, {'mav_odom', 'base_link'})):
+            with mock.patch('rospy.get_param', side_effect=lambda name, default, given=given: given.get(name, default)):
+                self.assertEqual(set(replay.owned_frames('mav', 'mav_vo')), owned)
+
     def test_mapped_names(self):
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, 'x.bag')

@@ -168,6 +168,10 @@ class CityEvaluation(unittest.TestCase):
         city = city_database.City('EPSG:2056', np.array([2600000.0, 1200000.0, 500.0]))
         parameters = city_database.tracker_parameters(city, {'magnetic_declination': 2})
         self.assertEqual(parameters, {'origin_crs': 'EPSG:2056', 'origin': [2600000.0, 1200000.0, 500.0], 'declination': 2.0})
+        self.assertEqual([line.split()[0] for line in city_database.what_is_unknown(parameters)], ['geoid_undulation'])
+        without_file = city_database.what_is_unknown(city_database.tracker_parameters(city, {}))
+        self.assertEqual(len(without_file), 2)
+        self.assertRegex(without_file[1], '^declination .* magnetometer is not used.*magnetic_declination$')
         with self.assertRaises(city_database.CityError):
             city_database.tracker_parameters(city, {'crs': 'EPSG:2056', 'origin': [0, 0, 0]})
         with self.assertRaises(city_database.CityError):

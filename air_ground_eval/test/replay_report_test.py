@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import unittest
 from unittest import mock
 
@@ -323,7 +324,7 @@ class ReplayReport(unittest.TestCase):
         """A player that is held repeats the time at which it waited last: before what the ClockKeeper gave meanwhile, time went back by 2 s."""
         with mock.patch.object(pacing, 'rospy') as ros, mock.patch.object(pacing, 'CpuLoad') as load:
             ros.Time.from_sec = rospy.Time.from_sec
-            load.return_value.cores.return_value = {'mav_vo': 0.9}
+            load.return_value.cores.return_value = load.return_value.wanted = {'mav_vo': 0.9}
             player, recorder = mock.Mock(), mock.Mock(nodes=['mav_vo'], progress={'mav_vo': 95.0}, lock=threading.Lock(), cores=[])
             ros.get_time.return_value = 100.0
             keeper, pacer = pacing.ClockKeeper(), pacing.Pacer(recorder, player, {'mav_vo': 1.5})
@@ -336,6 +337,28 @@ class ReplayReport(unittest.TestCase):
             ros.get_time.return_value = 102.3  # the player waits again
             pacer.step(102.3, may_hold=not keeper.leads())
             player.pause.assert_called_once_with(True)
+
+    def test_who_waits_for_a_processor_is_not_idle(self):
+        """On a busy machine the nodes of lowest priority get hardly any time: the report must not be written meanwhile."""
+        processor = {min(os.sched_getaffinity(0))}
+        spin = 'import os; os.sched_setaffinity(0, {processor}); os.nice({nice})\nwhile True: pass'
+        processes = [subprocess.Popen([sys.executable, '-c', spin.format(processor=processor, nice=nice)]) for nice in (19, 0, 0, 0)]
+        try:
+            load = pacing.CpuLoad(['starved', 'asleep'])
+            with subprocess.Popen(['sleep', '60']) as asleep:
+                load.processes = {'starved': processes[0].pid, 'asleep': asleep.pid}
+                time.sleep(0.5)
+                load.cores()
+                time.sleep(2)
+                used = load.cores()
+                asleep.kill()
+            self.assertLess(used['starved'], 0.2)
+            self.assertGreater(load.wanted['starved'], 0.8)
+            self.assertLess(load.wanted['asleep'], 0.01)
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
 
 
 if __name__ == '__main__':

@@ -338,6 +338,7 @@ void read(Section s, FaultsConfig* f) {
   s.number("focal_error", &f->focal_error, -kAny, kAny);
   s.number("lost_images", &f->lost_images, -kAny, kAny);
   s.number("clock_offset", &f->clock_offset, -kAny, kAny);
+  s.number("depth_delay", &f->depth_delay, -kAny, kAny);
   s.choice<StaticTransforms>("tf_static", &f->tf_static,
                              {{"latched", StaticTransforms::kLatched},
                               {"split", StaticTransforms::kSplit},

@@ -47,7 +47,7 @@ std::string listOf(const std::vector<double>& numbers) {
 bool FaultsConfig::any() const {
   return time_offset != 0 || readout_time != 0 || vibration != 0 || !gyro_bias.empty() || !accel_bias.empty() ||
          start_in_motion || jpeg_quality != 0 || radial_error != 0 || focal_error != 0 || lost_images != 0 ||
-         clock_offset != 0 || tf_static != StaticTransforms::kLatched;
+         clock_offset != 0 || depth_delay != 0 || tf_static != StaticTransforms::kLatched;
 }
 
 void FaultsConfig::validate() const {
@@ -61,6 +61,7 @@ void FaultsConfig::validate() const {
   checkRange("focal_error", focal_error, -0.5, 0.5);
   checkRange("lost_images", lost_images, 0, 0.9);
   checkRange("clock_offset", clock_offset, -1000, 1000);
+  checkRange("depth_delay", depth_delay, -0.04, 0.04);  // less than from an end of the way to an image
 }
 
 std::string FaultsConfig::describe() const {
@@ -69,7 +70,8 @@ std::string FaultsConfig::describe() const {
     << "\ngyro_bias: " << listOf(gyro_bias) << "\naccel_bias: " << listOf(accel_bias)
     << "\nstart_in_motion: " << (start_in_motion ? "true" : "false") << "\njpeg_quality: " << jpeg_quality
     << "\nradial_error: " << radial_error << "\nfocal_error: " << focal_error << "\nlost_images: " << lost_images
-    << "\nclock_offset: " << clock_offset << "\ntf_static: " << nameOf(tf_static) << '\n';
+    << "\nclock_offset: " << clock_offset << "\ndepth_delay: " << depth_delay << "\ntf_static: " << nameOf(tf_static)
+    << '\n';
   return s.str();
 }
 

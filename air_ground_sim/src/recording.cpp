@@ -80,8 +80,9 @@ void Recording::groundImage(int i, RgbdFrame* frame) {
   ground_renderer_->light(posesOver(*ground_, config_.T_ground_base_camera, time, exposure, c.samples, c.camera.height),
                           3, &ground_light_);
   ground_exposure_.update(ground_imager_.expose(ground_light_, 3, exposure, i, &frame->rgb));
-  ground_renderer_->depth(posesOver(*ground_, config_.T_ground_base_camera, time, 0, 1, c.camera.height),
-                          config_.depth.noise ? static_cast<float>(config_.depth.baseline) : 0.0f, &depth_);
+  ground_renderer_->depth(
+      posesOver(*ground_, config_.T_ground_base_camera, time + config_.faults.depth_delay, 0, 1, c.camera.height),
+      config_.depth.noise ? static_cast<float>(config_.depth.baseline) : 0.0f, &depth_);
   measureDepth(depth_, config_.depth, mix(seed_, 23), i, &frame->depth_mm);
 }
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "air_ground_common/clones.h"
 #include "air_ground_sim/random.h"
 
 namespace air_ground_sim {
@@ -146,7 +147,7 @@ inline __attribute__((always_inline)) void writeLight(const LightJob& job, int x
 }
 
 // Two image rows.
-__attribute__((target_clones("avx512f", "avx2", "default"))) void lightRows(const LightJob& job, int y0) {
+AIR_GROUND_CLONES void lightRows(const LightJob& job, int y0) {
   const int w = job.width;
   const std::size_t pixels = static_cast<std::size_t>(w) * job.height;
   alignas(32) RTCRayHit8 packet;
@@ -184,7 +185,7 @@ struct PanoramaJob {
   const float *cos_elevation, *sin_elevation;  // samples x height
 };
 
-__attribute__((target_clones("avx512f", "avx2", "default"))) void panoramaRows(const PanoramaJob& job, int y0) {
+AIR_GROUND_CLONES void panoramaRows(const PanoramaJob& job, int y0) {
   const int w = job.light.width, h = job.light.height;
   alignas(32) RTCRayHit8 packet;
   alignas(32) int valid[kLanes];

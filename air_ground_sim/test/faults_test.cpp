@@ -35,6 +35,7 @@ TEST(Faults, NoneByDefaultAndRangesAreChecked) {
   refused([](FaultsConfig* f) { f->focal_error = -0.6; });
   refused([](FaultsConfig* f) { f->lost_images = 1; });
   refused([](FaultsConfig* f) { f->radial_error = 2; });
+  refused([](FaultsConfig* f) { f->depth_delay = 0.05; });
 }
 
 TEST(Faults, AreReadFromTheWorldFile) {
@@ -44,12 +45,12 @@ TEST(Faults, AreReadFromTheWorldFile) {
                          "faults: {time_offset: -0.03, readout_time: 0.025, vibration: 2, gyro_bias: 0.1,\n"
                          "         accel_bias: [0.1, -0.2, 0.3], start_in_motion: true, jpeg_quality: 70,\n"
                          "         radial_error: 0.04, focal_error: -0.01, lost_images: 0.1,\n"
-                         "         clock_offset: 1.5, tf_static: split}\n";
+                         "         clock_offset: 1.5, depth_delay: 0.015, tf_static: split}\n";
   const SimConfig c = loadSimConfig(path);
   EXPECT_EQ(c.faults.describe(),
             "time_offset: -0.03\nreadout_time: 0.025\nvibration: 2\ngyro_bias: [0.1]\naccel_bias: [0.1, -0.2, 0.3]\n"
             "start_in_motion: true\njpeg_quality: 70\nradial_error: 0.04\nfocal_error: -0.01\n"
-            "lost_images: 0.1\nclock_offset: 1.5\ntf_static: split\n");
+            "lost_images: 0.1\nclock_offset: 1.5\ndepth_delay: 0.015\ntf_static: split\n");
   EXPECT_TRUE(c.imu.ground_magnetometer);
   std::ofstream(path) << "lane: {points: [[1, 0], [2, 0], [3, 0]]}\nfaults: {readout_time: 0.2}\n";
   EXPECT_THROW(loadSimConfig(path), std::invalid_argument);
@@ -200,6 +201,34 @@ TEST(RollingShutter, RowsFollowTheDocumentedTime) {
     EXPECT_LE(different, 2) << "row " << row;
   }
   EXPECT_GT(moved, 100) << "the rows' times matter";
+}
+
+TEST(DepthDelay, DepthIsThatOfTheLaterPoseAndTheColourAsItWas) {
+  SimConfig c = smallConfig();
+  c.depth.noise = false;
+  c.depth.max_range = 10;
+  c.faults.start_in_motion = true;
+  Recording together(c, 4);
+  c.faults.depth_delay = 0.03;
+  Recording late(c, 4);
+  RgbdFrame a, b;
+  together.groundImage(0, &a);
+  late.groundImage(0, &b);
+  EXPECT_EQ(a.rgb, b.rgb);
+  const Renderer renderer(late.scene(), c.ground_camera.camera, 1, 1);
+  const auto differing = [&](const RgbdFrame& frame) {
+    DepthImage expected;
+    const double time = Recording::frameTime(c.ground_camera, 0) + 0.03;
+    renderer.depth(late.ground().pose(time) * c.T_ground_base_camera, 0, &expected);
+    int count = 0;
+    for (std::size_t i = 0; i < frame.depth_mm.size(); ++i) {
+      const float z = expected.depth[i];
+      count += std::abs(frame.depth_mm[i] - (z < 0.5f || z > 10 ? 0 : std::lround(1000 * z))) > 1;
+    }
+    return count;
+  };
+  EXPECT_LT(differing(b), 300);  // of 307200: rays along an edge
+  EXPECT_GT(differing(a), 30000);
 }
 
 TEST(StartInMotion, BothRobotsMoveFromTheFirstMomentToTheLast) {

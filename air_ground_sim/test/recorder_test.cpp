@@ -105,6 +105,18 @@ TEST_F(Recorder, TheGroundRobotsClockMayBeAhead) {
   EXPECT_LT((R_world_imu * Eigen::Vector3d(b.x, b.y, b.z) - earthMagneticField()).norm(), 4 * 3e-7);
 }
 
+TEST_F(Recorder, DepthMayBeLate) {
+  SimConfig c = smallConfig();
+  c.faults.depth_delay = 0.015;
+  record(c);
+  const auto depth = all<sensor_msgs::Image>("/ground/depth/image_raw"),
+             colour = all<sensor_msgs::Image>("/ground/rgb/image_raw");
+  ASSERT_EQ(depth.size(), colour.size());
+  for (std::size_t i = 0; i < depth.size(); ++i)
+    EXPECT_NEAR((depth[i].header.stamp - colour[i].header.stamp).toSec(), 0.015, 1e-6);
+  EXPECT_NEAR(timeOf(colour[0].header.stamp), 0.05, 1e-6);
+}
+
 TEST_F(Recorder, JpegComesOnTheCompressedTopicInPlaceOfTheImage) {
   SimConfig c = smallConfig();
   record(c);

@@ -3,8 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-// Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
-#define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#include "air_ground_common/clones.h"
 
 namespace dense_fusion::kernels {
 namespace {
@@ -117,7 +116,7 @@ __attribute__((always_inline)) inline void addRowAny(const std::uint8_t* referen
 
 using RowAdder = decltype(&addRow);
 
-// Not by target_clones, which knows AVX-512 without its 16-bit lanes only.
+// Not by AIR_GROUND_CLONES, which knows AVX-512 without its 16-bit lanes only.
 void addRowPlain(const std::uint8_t* reference, int x0, int x1, const RowOfFrame& frame, const float* inverse_depth,
                  int hypotheses, int between, const std::uint32_t* packed, int stride, std::uint16_t* cost,
                  int cost_stride) {

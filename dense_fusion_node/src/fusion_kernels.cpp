@@ -3,10 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "air_ground_common/clones.h"
 #include "dense_fusion/histogram.h"
-
-// Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
-#define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 
 namespace dense_fusion::kernels {
 

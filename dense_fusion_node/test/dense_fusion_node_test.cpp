@@ -1,14 +1,8 @@
 // The node from outside: rendered flights in, clouds and depth maps out.
 #include <air_ground/CloudCorrections.h>
-#include <air_ground/PosedDepthMap.h>
-#include <air_ground/PosedImage.h>
 #include <air_ground/SaveMap.h>
-#include <gtest/gtest.h>
 #include <nav_msgs/Path.h>
-#include <ros/ros.h>
-#include <sensor_msgs/PointCloud2.h>
 #include <sensor_msgs/image_encodings.h>
-#include <std_srvs/Trigger.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -21,110 +15,21 @@
 
 #include "../src/ros/map_store.h"
 #include "air_ground_common/mesh.h"
-#include "air_ground_common/ros/compressed_image.h"
-#include "air_ground_common/ros/conversions.h"
-#include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/statistics.h"
-#include "synthetic_scene.h"
+#include "flight_fixture.h"
 
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
-using dense_fusion::testing::lookDown;
+using dense_fusion::testing::kFrames;
 using ros_utils::spinUntil;
 
-constexpr int kFrames = 30;
-constexpr double kStep = 0.02;  // [m] between frames
-
-class DenseFusionNodeTest : public ::testing::Test {
+class DenseFusionNodeTest : public dense_fusion::testing::FlightTest {
  protected:
-  static void SetUpTestSuite() {
-    camera_ = new air_ground_common::CameraModel;
-    camera_->width = 376;
-    camera_->height = 240;
-    camera_->fx = camera_->fy = 210;
-    camera_->cx = 187.5;
-    camera_->cy = 119.5;
-    images_ = new std::vector<cv::Mat>;
-    const auto scene = dense_fusion::testing::boxScene();
-    for (int i = 0; i < kFrames; ++i) images_->push_back(scene.render(*camera_, pose(i), 1, 0));
-  }
-
-  static Eigen::Isometry3d pose(int i) { return lookDown({-0.3 + kStep * i, 0.05, 2}, 0.001 * i, 0.02, 0.3); }
-
   void SetUp() override {
-    publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
-    cloud_subscriber_ = handle_.subscribe<sensor_msgs::PointCloud2>(
-        "mav/dense_cloud", 100, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds_.push_back(m); });
-    depth_subscriber_ = handle_.subscribe<air_ground::PosedDepthMap>(
-        "mav/depth_map", 100, [this](const air_ground::PosedDepthMap::ConstPtr& m) { depth_maps_.push_back(m); });
     sparse_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 10);
-    ASSERT_TRUE(spinUntil([&] {
-      return publisher_.getNumSubscribers() > 0 && sparse_publisher_.getNumSubscribers() > 0 &&
-             cloud_subscriber_.getNumPublishers() > 0 && depth_subscriber_.getNumPublishers() > 0;
-    }));
-    std_srvs::Trigger trigger;
-    ASSERT_TRUE(ros_utils::callService("dense_fusion/reset", trigger));
-  }
-
-  // One image of the flight; the map frame may be shifted to tell maps apart.
-  air_ground::PosedImage message(int i, double start, std::uint32_t map_id, double shift_x = 0,
-                                 std::uint32_t map_revision = 0) {
-    air_ground::PosedImage msg;
-    msg.header.stamp.fromSec(start + 0.05 * i);
-    msg.header.stamp.nsec += 7;  // stamps must come back exactly
-    msg.header.frame_id = "mav_map";
-    std_msgs::Header optical = msg.header;
-    optical.frame_id = "mav_camera_optical_frame";
-    if (i % 2 == 0)
-      msg.image = ros_utils::toMsg((*images_)[i], "mono8", optical);
-    else
-      msg.compressed = ros_utils::compressed((*images_)[i], 90, optical);
-    msg.camera_info = ros_utils::toMsg(*camera_, optical);
-    Eigen::Isometry3d T = pose(i);
-    T.translation().x() += shift_x;
-    T.translation() *= size_;
-    msg.pose.pose = ros_utils::toMsg(T);
-    msg.depth_min = static_cast<float>(1.4 * size_);
-    msg.depth_max = static_cast<float>(2.1 * size_);
-    msg.metric = true;
-    msg.map_id = map_id;
-    msg.map_revision = map_revision;
-    return msg;
-  }
-
-  void send(const air_ground::PosedImage& msg) {
-    sent_.insert(msg.header.stamp);
-    publisher_.publish(msg);
-  }
-
-  void fly(double start, std::uint32_t map_id, double shift_x = 0, std::uint32_t map_revision = 0) {
-    for (int i = 0; i < kFrames; ++i) {
-      send(message(i, start, map_id, shift_x, map_revision));
-      ros_utils::pause(2);
-    }
-  }
-
-  // True when the node has taken the image in, and all before.
-  bool taken(const air_ground::PosedImage& msg) {
-    return diagnostics_.awaitReceived(publisher_.getTopic(), msg.header.stamp);
-  }
-
-  // Has the node fuse what was flown, the last time from `start`. The service answers when the worker is done; then
-  // everything published is on its way.
-  void flush(double start) {
-    ASSERT_TRUE(taken(message(kFrames - 1, start, 1)));
-    std_srvs::Trigger trigger;
-    ASSERT_TRUE(ros_utils::callService("dense_fusion/flush", trigger));
-    ASSERT_TRUE(trigger.response.success) << trigger.response.message;
-    ros_utils::pause(20);
-  }
-
-  // The same, and waits for the cloud and the depth map of the flight.
-  void flushToCloud(double start) {
-    const std::size_t before = clouds_.size();
-    flush(start);
-    ASSERT_TRUE(spinUntil([&] { return clouds_.size() > before && depth_maps_.size() == clouds_.size(); }));
+    ASSERT_TRUE(spinUntil([&] { return sparse_publisher_.getNumSubscribers() > 0; }));
+    FlightTest::SetUp();
   }
 
   // Points all over the flight's view at one height.
@@ -180,20 +85,8 @@ class DenseFusionNodeTest : public ::testing::Test {
     }
   }
 
-  static air_ground_common::CameraModel* camera_;
-  static std::vector<cv::Mat>* images_;
-  ros::NodeHandle handle_;
-  ros::Publisher publisher_, sparse_publisher_;
-  ros::Subscriber cloud_subscriber_, depth_subscriber_;
-  ros_utils::NodeDiagnostics diagnostics_{"dense_fusion"};
-  std::vector<sensor_msgs::PointCloud2::ConstPtr> clouds_;
-  std::vector<air_ground::PosedDepthMap::ConstPtr> depth_maps_;
-  std::set<ros::Time> sent_;
-  double size_ = 1;  // of the world
+  ros::Publisher sparse_publisher_;
 };
-
-air_ground_common::CameraModel* DenseFusionNodeTest::camera_ = nullptr;
-std::vector<cv::Mat>* DenseFusionNodeTest::images_ = nullptr;
 
 TEST_F(DenseFusionNodeTest, ReconstructsAFlightInTheMapFrame) {
   fly(100, 1);

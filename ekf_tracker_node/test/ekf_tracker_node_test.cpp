@@ -243,55 +243,114 @@ TEST_F(EkfTrackerNodeTest, OdometryOfForeignFramesGivesNoTf) {
       diagnostics_.await("mav/odometry ignored: of frame 'mav_camera', expected base_frame 'mav_base_link'", 80));
 }
 
-// As mav_vo before it knows the scale: increments in a unit of its own, no odometry. This node would wait for it for a
-// minute.
-TEST_F(EkfTrackerNodeTest, OdometryThatIsNotMetricYetIsNotWaitedFor) {
-  ros::NodeHandle other("unscaled");
-  const ros::Publisher increments = other.advertise<air_ground::VoIncrement>("mav/vo_increment", 400),
-                       imu = other.advertise<sensor_msgs::Imu>("mav/imu/data", 1000),
-                       fixes = other.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 100);
-  std::vector<nav_msgs::Odometry> tracked;
-  const ros::Subscriber sub = other.subscribe<nav_msgs::Odometry>(
-      "tracked/odometry", 1000, [&](const nav_msgs::Odometry::ConstPtr& m) { tracked.push_back(*m); });
-  const ros::Subscriber outcomes = other.subscribe<air_ground::TrackerInnovation>(
-      "tracked/innovation", 100,
-      [this](const air_ground::TrackerInnovation::ConstPtr& m) { innovations_.push_back(*m); });
-  ASSERT_TRUE(spinUntil([&] {
-    return increments.getNumSubscribers() && imu.getNumSubscribers() && fixes.getNumSubscribers() &&
-           sub.getNumPublishers() && outcomes.getNumPublishers();
-  }));
-  edges_.clear();
-  constexpr int kEnd = 300;
-  sensor_msgs::Imu gravity;
-  gravity.header.frame_id = "mav_base_link";
-  const auto feel = [&](int i) {
+// As mav_vo before it knows the scale: increments in a unit of its own, no odometry; of a node in another namespace.
+class UnscaledOdometryTest : public EkfTrackerNodeTest {
+ protected:
+  static constexpr int kEnd = 300;
+
+  void begin(const std::string& name) {
+    other_ = ros::NodeHandle(name);
+    other_increments_ = other_.advertise<air_ground::VoIncrement>("mav/vo_increment", 400);
+    imu_ = other_.advertise<sensor_msgs::Imu>("mav/imu/data", 1000);
+    accelerometer_ = other_.advertise<sensor_msgs::Imu>("mav/accel", 1000);
+    field_ = other_.advertise<sensor_msgs::MagneticField>("mav/imu/mag", 100);
+    other_fixes_ = other_.advertise<geometry_msgs::PoseWithCovarianceStamped>("streetview/pose", 100);
+    other_tracked_ = other_.subscribe<nav_msgs::Odometry>(
+        "tracked/odometry", 1000, [this](const nav_msgs::Odometry::ConstPtr& m) { tracked_.push_back(*m); });
+    outcomes_ = other_.subscribe<air_ground::TrackerInnovation>(
+        "tracked/innovation", 100,
+        [this](const air_ground::TrackerInnovation::ConstPtr& m) { innovations_.push_back(*m); });
+    ASSERT_TRUE(spinUntil([this] {
+      return other_increments_.getNumSubscribers() && other_fixes_.getNumSubscribers() &&
+             other_tracked_.getNumPublishers() && outcomes_.getNumPublishers();
+    }));
+    edges_.clear();
+  }
+
+  // What an accelerometer in the body feels.
+  static sensor_msgs::Imu gravity(int i, const std::string& frame = "mav_base_link") {
     const Eigen::Vector3d force = mapPose(i).linear().transpose() * Eigen::Vector3d(0, 0, 9.81);
-    gravity.header.stamp = timeOf(i);
-    gravity.linear_acceleration.x = force.x(), gravity.linear_acceleration.y = force.y(),
-    gravity.linear_acceleration.z = force.z();
-    imu.publish(gravity);
-  };
-  for (int i = 0; i <= kEnd; ++i) feel(i);
-  pause(200);
-  const auto flyOn = [&](int from, int to) {
+    sensor_msgs::Imu m;
+    m.header.stamp = timeOf(i);
+    m.header.frame_id = frame;
+    m.linear_acceleration.x = force.x(), m.linear_acceleration.y = force.y(), m.linear_acceleration.z = force.z();
+    return m;
+  }
+
+  void flyUnscaled(int from, int to) {
     for (int i = from; i < to; ++i) {
       auto m = increment(i, i + 1);
       m.metric = false;
       for (double* x : {&m.relative_pose.position.x, &m.relative_pose.position.y, &m.relative_pose.position.z}) *x /= 2;
-      increments.publish(m);
+      other_increments_.publish(m);
       if (i % 40 == 39) pause(4);
     }
-  };
-  flyOn(0, kEnd - 20);
-  for (int i : {20, 200, 270}) fixes.publish(fix(i));
-  ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1; }));
-  flyOn(kEnd - 20, kEnd);
-  ASSERT_TRUE(spinUntil([&] { return !tracked.empty() && tracked.back().header.stamp == timeOf(kEnd); }));
-  const Pose estimate = ru::fromMsg(tracked.back().pose.pose), truth = kWorldMap * mapPose(kEnd);
-  // Without the tilt of 0.15 rad the way of 22 m would climb by three.
-  EXPECT_LT((estimate.translation() - truth.translation()).norm(), 1.0);
-  EXPECT_LT(air_ground_common::rotationAngle(estimate.linear(), truth.linear()), 0.05);
-  EXPECT_TRUE(edges_.empty());
+  }
+
+  void expectTiltIsUsed() {
+    flyUnscaled(0, kEnd - 20);
+    for (int i : {20, 200, 270}) other_fixes_.publish(fix(i));
+    ASSERT_TRUE(spinUntil([&] { return results(air_ground::TrackerInnovation::RESULT_INITIALISED) == 1; }));
+    flyUnscaled(kEnd - 20, kEnd);
+    ASSERT_TRUE(spinUntil([&] { return !tracked_.empty() && tracked_.back().header.stamp == timeOf(kEnd); }));
+    // Without the tilt of 0.15 rad the way of 22 m would climb by three.
+    expectOnTheWay(kEnd, 1.0);
+    EXPECT_TRUE(edges_.empty());
+  }
+
+  ros::NodeHandle other_;
+  ros::Publisher other_increments_, imu_, accelerometer_, field_, other_fixes_;
+  ros::Subscriber other_tracked_, outcomes_;
+};
+
+// This node would wait for odometry for a minute.
+TEST_F(UnscaledOdometryTest, OdometryThatIsNotMetricYetIsNotWaitedFor) {
+  begin("unscaled");
+  ASSERT_TRUE(spinUntil([&] { return imu_.getNumSubscribers() > 0; }));
+  for (int i = 0; i <= kEnd; ++i) imu_.publish(gravity(i));
+  pause(200);
+  expectTiltIsUsed();
+}
+
+// RealSense without unite_imu_method: the IMU's topic holds turn rates alone. The declination is not set here.
+TEST_F(UnscaledOdometryTest, GyroAndAccelerometerApart) {
+  begin("apart");
+  const ru::NodeDiagnostics diagnostics("apart/ekf_tracker");
+  ASSERT_TRUE(spinUntil([&] { return accelerometer_.getNumSubscribers() && field_.getNumSubscribers(); }));
+  for (int i = 0; i <= kEnd; ++i) {
+    sensor_msgs::Imu turns = gravity(i);
+    turns.linear_acceleration = geometry_msgs::Vector3();
+    imu_.publish(turns);
+    accelerometer_.publish(gravity(i, "/mav_base_link"));
+    sensor_msgs::Imu bad = turns;
+    if (i % 2) bad.linear_acceleration.x = 90, bad.linear_acceleration_covariance[0] = -1;
+    accelerometer_.publish(bad);
+  }
+  const std::string ignored = "accelerations on " + accelerometer_.getTopic() + " ignored: not measured";
+  EXPECT_TRUE(diagnostics.await(ignored, kEnd + 1));
+  sensor_msgs::MagneticField field;
+  field.header.stamp = timeOf(kEnd);
+  field.header.frame_id = "mav_base_link";
+  field.magnetic_field.x = 21e-6, field.magnetic_field.z = -43e-6;
+  field_.publish(field);
+  EXPECT_TRUE(diagnostics.await("magnetometer readings ignored: the declination is not known: set", 1));
+  expectTiltIsUsed();
+  for (const auto& m : innovations_) EXPECT_NE(m.source, air_ground::TrackerInnovation::SOURCE_HEADING);
+}
+
+// The same with nobody having named the accelerometer's topic: zeros are no force, and the remedy is said.
+TEST_F(UnscaledOdometryTest, GyroAloneTellsNoTilt) {
+  begin("unscaled");
+  const ru::NodeDiagnostics diagnostics("unscaled/ekf_tracker");
+  ASSERT_TRUE(spinUntil([&] { return imu_.getNumSubscribers() > 0; }));
+  sensor_msgs::Imu turns;
+  turns.header.stamp = timeOf(0);
+  turns.header.frame_id = "mav_base_link";
+  imu_.publish(turns);
+  EXPECT_TRUE(diagnostics.await("accelerations on " + imu_.getTopic() +
+                                    " ignored: not measured. Where the accelerometer has a topic of its own, name it "
+                                    "by the launch argument mav_imu_accel",
+                                1));
 }
 
 TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {

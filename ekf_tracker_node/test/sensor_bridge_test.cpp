@@ -1,9 +1,11 @@
-// Heights of GPS: metres above the ellipsoid, of use only where the difference to the map's heights is known.
+// What readings are of use for: heights of GPS where the difference to the map's heights is known, magnetic headings
+// where the declination is.
 #include "../src/ros/sensor_bridge.h"
 
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <stdexcept>
 
 namespace ekf_tracker {
 namespace {
@@ -87,6 +89,16 @@ TEST(SensorBridge, PlanNeedsNoHeight) {
   const auto m = SensorBridge(unknown, &berlin()).gps(msg);
   ASSERT_TRUE(m);
   EXPECT_TRUE(m->value.allFinite());
+}
+
+TEST(SensorBridge, MagneticHeadingNeedsTheDeclination) {
+  sensor_msgs::MagneticField msg;
+  msg.magnetic_field.x = 20e-6, msg.magnetic_field.z = -40e-6;  // the body looks to magnetic north
+  const Eigen::Matrix3d level = Eigen::Matrix3d::Identity();
+  NodeSettings settings;
+  EXPECT_THROW(SensorBridge(settings, nullptr).heading(msg, level, level), std::invalid_argument);
+  settings.declination = 0.2;
+  EXPECT_NEAR(SensorBridge(settings, nullptr).heading(msg, level, level).value[0], M_PI / 2 - 0.2, 1e-12);
 }
 
 }  // namespace

@@ -130,8 +130,8 @@ int main(int argc, char** argv) {
   app.add_option("--min-overlap", s.min_overlap, "");
   app.add_option("--edge-width", s.edge_width, "[m]");
   app.add_option("--cutoff", s.cutoff, "[m]");
-  app.add_option("--min-agreement", s.min_agreement, "");
-  app.add_option("--probe-ratio", s.probe_ratio, "");
+  app.add_option("--min-agreement", s.verdict.min_agreement, "");
+  app.add_option("--probe-ratio", s.verdict.probe_ratio, "");
   app.add_option("--accumulate", s.accumulate, "");
   app.add_option("--verify", s.verify, "");
   app.add_option("--coarse", s.coarse_factor, "");
@@ -139,7 +139,7 @@ int main(int argc, char** argv) {
   app.add_option("--quantile", s.air_map.height_quantile, "");
   app.add_option("--dilation", dilation, "none, holes, all");
   app.add_option("--merge", merge, "highest, mean");
-  app.add_option("--ambiguity-ratio", s.ambiguity_ratio, "");
+  app.add_option("--ambiguity-ratio", s.verdict.ambiguity_ratio, "");
   app.add_option("--scale-error", options.scale_error, "");
 
   app.add_option("--noise", options.cloud_noise, "[m]");
@@ -150,9 +150,9 @@ int main(int argc, char** argv) {
   app.add_option("--region", region, "radius about the ground robot in which the MAV is looked for [m]; 0: everywhere");
   double tilt_deg = 0;
   app.add_option("--tops", tops, "highest, clipped, bounded");
-  app.add_option("--min-maps", s.min_maps, "");
-  app.add_option("--min-evidence", s.min_evidence, "");
-  app.add_option("--scale-evidence", s.scale_evidence, "");
+  app.add_option("--min-maps", s.verdict.min_maps, "");
+  app.add_option("--min-evidence", s.verdict.min_evidence, "");
+  app.add_option("--scale-evidence", s.own_unit.scale_evidence, "");
   double cells_per_metre = 50;
   app.add_option("--cells-per-metre", cells_per_metre, "fewer are faster");
   app.add_option("--cap", s.air_map.cap, "[m]");

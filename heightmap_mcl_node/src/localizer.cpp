@@ -1,51 +1,61 @@
 #include "heightmap_mcl/localizer.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <iterator>
-#include <limits>
-#include <stdexcept>
+#include <utility>
 
 #include "air_ground_common/text.h"
-#include "air_ground_common/units.h"
+#include "covariance.h"
+#include "evidence_sum.h"
+#include "kept_maps.h"
+#include "paper_estimate.h"
+#include "place_measures.h"
+#include "scale_search.h"
+#include "verdict.h"
 
 namespace heightmap_mcl {
 namespace {
 
 using air_ground_common::formatted;
-using air_ground_common::kDegree;
-using air_ground_common::wrapAngle;
 
-/// Minima of eq. 2 that are compared: the right place is often not its lowest one.
-constexpr std::size_t kPlaces = 16;
 /// Of heights where the particles' sigma is as set [m^2]. Where less stands, costs differ by less.
 constexpr double kUsualVariance = 0.03;
-
-double separation(const PlanarPose& a, const PlanarPose& b) { return std::hypot(a.x - b.x, a.y - b.y); }
+constexpr double kOtherScale = 0.015;  // a change of its logarithm by more moves the particles' map too far
 
 }  // namespace
 
 HeightMapLocalizer::HeightMapLocalizer(const HeightMapLocalizerSettings& settings)
-    : settings_(settings), filter_(settings.filter, settings.seed) {
+    : settings_(settings),
+      kept_(std::make_unique<KeptMaps>(settings)),
+      scale_(std::make_unique<ScaleSearch>(settings)),
+      evidence_(std::make_unique<EvidenceSum>(settings.verdict.min_evidence, settings.rival)),
+      filter_(settings.filter, settings.seed) {
   validate(settings_);
   restart(true);
 }
 HeightMapLocalizer::~HeightMapLocalizer() = default;
 
-air_ground_common::Pose CoarseEstimate::similarityPose() const {
-  air_ground_common::Pose T = T_ground_mav;
-  T.linear() = T_ground_mav.linear() * R_level;
-  return T;
+bool HeightMapLocalizer::hasAerial() const { return !kept_->empty(); }
+std::size_t HeightMapLocalizer::farMapsDropped() const { return kept_->farDropped(); }
+
+const HeightMap& HeightMapLocalizer::groundMap() const {
+  static const HeightMap none;
+  return ground_ ? ground_->map() : none;
+}
+
+void HeightMapLocalizer::setPrior(const Prior& prior) {
+  prior_ = prior;
+  verify_volume_.reset();
+}
+
+void HeightMapLocalizer::setOwnUnit(bool own_unit) {
+  if (own_unit == kept_->ownUnit()) return;
+  kept_->setOwnUnit(own_unit);
+  restart(true);
 }
 
 void HeightMapLocalizer::forgetGround() {
-  ground_ = HeightMap();
-  ground_levels_.clear();
-  ground_piece_ = 0;
-  direct_.reset();
-  coarse_fft_.reset();
-  full_fft_.reset();
+  ground_.reset();
   restart(false);
 }
 
@@ -53,55 +63,16 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   filter_.clear();
   maps_ = 0;
   restarts_ = 0;
-  evidence_ = guess_evidence_ = 0;
-  place_before_.reset();
-  new_map_ = false;
+  evidence_->clear();
   if (forget_aerial) {
-    floor_ = std::numeric_limits<double>::quiet_NaN();
+    kept_->clear();
+    scale_->clear();
     floor_rivals_.clear();
-    scale_ = 1;
-    scale_stddev_ = scale_evidence_ = 0;
-    R_level_.setIdentity();
-    scale_peaks_.clear();
-    grids_ = clouds_since_grid_ = 0;
-    aerial_.clear();
     filter_map_ = HeightMap();
   }
   drawFromKeptMaps();
-  updateEstimate();
+  updateEstimate(false);
   hearKeptMaps();
-}
-
-void HeightMapLocalizer::drawFromKeptMaps() {
-  if (!hasGround() || !hasAerial()) return;
-  maps_ = static_cast<int>(aerial_.size());
-  if (scale_stddev_ == 0 || scale_evidence_ < settings_.scale_evidence) updateScale();
-  updateFloor();
-  filter_map_ = lastMaps(settings_.accumulate);
-  filter_.initialize(verifyVolume(lastMaps(settings_.verify)), prior_, lastReference());
-}
-
-void HeightMapLocalizer::hearKeptMaps() {
-  const bool heard = evidence_ > 0 || guess_evidence_ > 0;
-  if (settings_.mode == Mode::kPaper || heard || aerial_.size() < 2 || !(speaksFor() || speaksForGuess())) return;
-  std::deque<Kept> maps;
-  maps.swap(aerial_);
-  filter_.clear();
-  maps_ = 0;
-  place_before_.reset();
-  for (Kept& map : maps) {
-    aerial_.push_back(std::move(map));
-    updateFloor();
-    useNewestMap();
-  }
-}
-
-void HeightMapLocalizer::useNewestMap() {
-  filter_map_ = lastMaps(settings_.accumulate);
-  if (hasGround()) updateFilter();
-  new_map_ = true;
-  updateEstimate();
-  new_map_ = false;
 }
 
 bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
@@ -110,51 +81,22 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
     forgetGround();
     return false;
   }
-  // All or nothing: what throws here leaves the map before it whole.
-  auto direct = std::make_unique<DirectCost>(map);
-  auto coarse_fft = std::make_unique<FftCost>(downsample(map, settings_.coarse_factor));
-  ground_ = std::move(map);
-  ground_levels_.clear();
-  ground_piece_ = 0;
-  ground_variance_ = std::pow(heightDeviation(ground_), 2);
-  ground_raised_ = raisedShare(ground_, kRaised * settings_.cutoff);
-  filter_.setSigmaShare(settings_.mode == Mode::kPaper ? 1 : std::clamp(ground_variance_ / kUsualVariance, 0.02, 1.0));
-  direct_ = std::move(direct);
-  coarse_fft_ = std::move(coarse_fft);
-  full_fft_.reset();
+  ground_ = std::make_unique<GroundModel>(std::move(map), settings_);
+  filter_.setSigmaShare(settings_.mode == Mode::kPaper ? 1
+                                                       : std::clamp(ground_->variance() / kUsualVariance, 0.02, 1.0));
   verify_volume_.reset();
   if (stillStands()) return true;
   // What the particles drawn so far could not know lies in the new part of the map.
   if (estimate_.status != Status::kConverged) drawFromKeptMaps();
-  updateEstimate();
+  updateEstimate(false);
   hearKeptMaps();
   return true;
 }
 
-bool HeightMapLocalizer::stillStands() const {
-  constexpr double kGrowth = 1.1, kWorse = 1.1;
-  if (!estimate_.has_pose || settings_.mode == Mode::kPaper) return false;
-  const auto now = static_cast<double>(ground_.defined()), then = static_cast<double>(searched_cells_);
-  if (now > kGrowth * then || then > kGrowth * now) return false;
-  if (estimate_.status != Status::kConverged) return true;
-  const HeightMap map = lastMaps(settings_.verify);
-  const AerialCells cells = cellsOf(map, centerOf(map));
-  const Placement place = placementAt(*direct_, cells, planarOf(estimate_.T_ground_mav, cells.reference), costFor(map));
-  return place.agreement.score <= kWorse * score_ && place.agreement.agreeing >= settings_.min_agreement;
-}
-
 bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* cropped) {
   if (cropped) *cropped = 0;
-  if (!cloud.reference.allFinite()) return false;
-  // A cloud that shows a table alone has the floor of those before it.
-  LevelHistogram levels;
-  for (const Kept& kept : aerial_) levels.add(kept.map.levels);
-  HeightMap map = mapOf(cloud.points, levels, cropped);
-  if (map.empty()) return false;
-  aerial_.push_back({std::move(map), cloud.reference, {}});
-  if (own_unit_) aerial_.back().points = kept(cloud.points);
-  while (static_cast<int>(aerial_.size()) > settings_.verify) aerial_.pop_front();
-  boundKeptMaps();
+  if (!cloud.reference.allFinite() || !kept_->add(cloud.points, cloud.reference, cropped)) return false;
+  dropFarMaps();
   if (hasGround()) {
     updateScale();
     updateFloor();
@@ -163,155 +105,201 @@ bool HeightMapLocalizer::addAerial(const AerialCloud& cloud, std::size_t* croppe
   return true;
 }
 
-void HeightMapLocalizer::boundKeptMaps() {
-  if (own_unit_ && scale_evidence_ < settings_.scale_evidence) return;  // nobody knows yet how large they are
-  // A single map has a border of a cell.
-  const double bound = settings_.air_map.max_extent + 3 * settings_.air_map.resolution;
-  while (aerial_.size() > 1 && unionExtent(keptMaps(settings_.verify)) > bound) {
-    aerial_.pop_front();
-    ++far_maps_dropped_;
-  }
-}
+Comparison HeightMapLocalizer::comparison() const { return {settings_, *ground_, kept_->largest(), kept_->ownUnit()}; }
 
-std::vector<const HeightMap*> HeightMapLocalizer::keptMaps(int count) const {
-  std::vector<const HeightMap*> maps;
-  const int n = static_cast<int>(aerial_.size());
-  for (int i = std::max(0, n - count); i < n; ++i) maps.push_back(&aerial_[i].map);
-  return maps;
-}
-
-CostSettings HeightMapLocalizer::costFor(const HeightMap& air) const {
-  // Of unrelated heights, eq. 2 is on average half the sum of both variances.
-  const double unrelated = 0.5 * (std::pow(heightDeviation(air), 2) + ground_variance_);
-  // The paper's share is of one cloud: what other clouds saw elsewhere takes nothing from what this one shares.
-  double largest = 0;
-  for (const Kept& kept : aerial_) largest = std::max(largest, static_cast<double>(kept.map.defined()));
-  const double smaller = static_cast<double>(std::min(air.defined(), ground_.defined()));
-  return {settings_.min_overlap * std::min(1.0, largest / std::max(smaller, 1.0)),
-          settings_.unknown_weight * unrelated,
-          settings_.min_explained,
-          settings_.min_relief,
-          settings_.overlap_of_air,
-          settings_.cutoff,
-          unknownShare()};
-}
-
-AerialCells HeightMapLocalizer::cellsOf(const HeightMap& air, const Eigen::Vector2d& reference) const {
-  return aerialCells(air, reference, static_cast<int>(std::lround(settings_.edge_width / air.resolution)));
-}
-
-CostVolume HeightMapLocalizer::coarseVolume(const HeightMap& map) const {
-  const auto headings = searchHeadings(settings_.headings, prior_);
-  const bool circular = static_cast<int>(headings.size()) == settings_.headings;
-  return computeCostVolume(*coarse_fft_, downsample(map, settings_.coarse_factor), headings, circular, costFor(map));
-}
+PlaceSearch HeightMapLocalizer::search() const { return {settings_, *ground_, prior_, comparison()}; }
 
 const CostVolume& HeightMapLocalizer::verifyVolume(const HeightMap& verify_map) {
-  if (!verify_volume_) verify_volume_ = coarseVolume(verify_map);
+  if (!verify_volume_) verify_volume_ = search().volumeOf(verify_map);
   return *verify_volume_;
 }
 
+bool HeightMapLocalizer::scaleIsOpen() const {
+  return kept_->ownUnit() && scale_->estimate().evidence < settings_.own_unit.scale_evidence;
+}
+
+bool HeightMapLocalizer::stillStands() const {
+  constexpr double kGrowth = 1.1, kWorse = 1.1;
+  if (!estimate_.has_pose || settings_.mode == Mode::kPaper) return false;
+  const auto now = static_cast<double>(ground_->map().defined()), then = static_cast<double>(searched_cells_);
+  if (now > kGrowth * then || then > kGrowth * now) return false;
+  if (estimate_.status != Status::kConverged) return true;
+  const HeightMap map = kept_->merged(settings_.verify);
+  const Comparison compare = comparison();
+  const AerialCells cells = compare.cellsOf(map, centerOf(map));
+  const Placement place =
+      placementAt(ground_->direct(), cells, planarOf(estimate_.T_ground_mav, cells.reference), compare.costFor(map));
+  return place.agreement.score <= kWorse * score_ && place.agreement.agreeing >= settings_.verdict.min_agreement;
+}
+
+void HeightMapLocalizer::drawFromKeptMaps() {
+  if (!hasGround() || !hasAerial()) return;
+  maps_ = static_cast<int>(kept_->size());
+  if (scale_->estimate().stddev == 0 || scaleIsOpen()) updateScale();
+  updateFloor();
+  filter_map_ = kept_->merged(settings_.accumulate);
+  filter_.initialize(verifyVolume(kept_->merged(settings_.verify)), prior_, kept_->reference());
+}
+
+void HeightMapLocalizer::hearKeptMaps() {
+  const bool speaks =
+      estimate_.has_pose && (speaksFor(estimate_, settings_.verdict) || speaksForGuess(estimate_, settings_.verdict));
+  if (settings_.mode == Mode::kPaper || evidence_->any() || kept_->size() < 2 || !speaks) return;
+  filter_.clear();
+  maps_ = 0;
+  evidence_->clear();
+  for (KeptMaps::Cloud& cloud : kept_->takeAll()) {
+    kept_->giveBack(std::move(cloud));
+    updateFloor();
+    useNewestMap();
+  }
+}
+
+void HeightMapLocalizer::useNewestMap() {
+  filter_map_ = kept_->merged(settings_.accumulate);
+  if (hasGround()) updateFilter();
+  updateEstimate(true);
+}
+
+void HeightMapLocalizer::dropFarMaps() {
+  if (!scaleIsOpen()) kept_->dropFar();  // else nobody knows yet how large they are
+}
+
+/// Level and scale at which the kept clouds fit best; the kept maps are made anew where these have changed.
+void HeightMapLocalizer::updateScale() {
+  if (!kept_->ownUnit() || !hasGround() || !hasAerial()) return;
+  const double before = kept_->scale();
+  const bool levelled = kept_->updateLevel();
+  std::optional<air_ground_common::Pose> converged;
+  if (estimate_.status == Status::kConverged) converged = estimate_.T_ground_mav;
+  scale_->update(*kept_, *ground_, prior_, comparison(), converged);
+  const double now = scale_->estimate().value;
+  if (!levelled && now == before) return;
+  kept_->remake(now);
+  dropFarMaps();
+  if (levelled || std::abs(std::log(now / before)) > kOtherScale) filter_.clear();
+}
+
+void HeightMapLocalizer::updateFloor() {
+  FloorChoice choice;
+  if (settings_.mode != Mode::kPaper && hasAerial()) choice = search().chooseFloor(kept_->mergedOnOwnFloor());
+  kept_->setFloor(choice.floor);
+  floor_rivals_ = std::move(choice.rivals);
+  verify_volume_ = std::move(choice.volume);
+}
+
 void HeightMapLocalizer::updateFilter() {
-  const Eigen::Vector2d reference = lastReference();
+  const Eigen::Vector2d reference = kept_->reference();
   ++maps_;
   if (filter_.initialized()) {
+    const Comparison compare = comparison();
+    const auto weighBy = [&](const HeightMap& map) {
+      return filter_.weigh(ground_->direct(), compare.cellsOf(map, reference), compare.costFor(map));
+    };
     filter_.move(reference);
-    weighed_ = filter_.weigh(*direct_, cellsOf(filter_map_, reference), costFor(filter_map_));
+    weighed_ = weighBy(filter_map_);
     if (weighed_ || settings_.mode == Mode::kPaper) return;
     // The last clouds lie outside the ground map: those before them still tell.
-    const HeightMap verify_map = lastMaps(settings_.verify);
-    weighed_ = filter_.weigh(*direct_, cellsOf(verify_map, reference), costFor(verify_map));
+    weighed_ = weighBy(kept_->merged(settings_.verify));
     if (weighed_) return;
     ++restarts_;
   }
-  if (!filter_.initialize(coarseVolume(filter_map_), prior_, reference)) maps_ = 0;
+  if (!filter_.initialize(search().volumeOf(filter_map_), prior_, reference)) maps_ = 0;
 }
 
-void HeightMapLocalizer::updateEstimate() {
-  estimate_ = CoarseEstimate();
-  estimate_.scale = scale_;
-  estimate_.scale_stddev = scale_stddev_;
-  estimate_.R_level = R_level_;
-  if (own_unit_) estimate_.scale_evidence = scale_evidence_;
-  estimate_.maps = maps_;
-  estimate_.restarts = restarts_;
-  if (!hasGround() || !hasAerial()) {
-    estimate_.reason = !hasGround() ? "waiting for the ground map" : "waiting for an aerial cloud";
-    return;
-  }
-  if (!filter_.initialized()) {
-    estimate_.reason =
-        formatted("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
-    return;
-  }
-  if (own_unit_ && scale_evidence_ < settings_.scale_evidence) {
-    // At a scale that nothing singles out there is no place to verify.
-    estimate_.status = Status::kSearching;
-    estimate_.reason = formatted("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", scale_,
-                                 scale_evidence_, settings_.scale_evidence);
-    return;
-  }
+void HeightMapLocalizer::updateEstimate(bool new_map) {
+  CoarseEstimate& e = estimate_;
+  e = CoarseEstimate();
+  e.scale = scale_->estimate().value;
+  e.scale_stddev = scale_->estimate().stddev;
+  e.R_level = kept_->level();
+  if (kept_->ownUnit()) e.scale_evidence = scale_->estimate().evidence;
+  e.maps = maps_;
+  e.restarts = restarts_;
+  if (!isPossible()) return;
   const auto spread = filter_.spread();
-  estimate_.particle_spread = spread.position;
-  estimate_.particle_spread_yaw = spread.yaw;
-  estimate_.particle_mean = filter_.mean();
+  e.particle_spread = spread.position;
+  e.particle_spread_yaw = spread.yaw;
+  e.particle_mean = filter_.mean();
   if (settings_.mode == Mode::kPaper) {
-    estimateFromParticles();
+    estimateFromParticles(filter_map_, filter_.reference(), ground_->direct(), comparison().costFor(filter_map_),
+                          settings_, &e);
+    if (weighed_) filter_.resample(nullptr, prior_);
+    weighed_ = false;
     return;
   }
-  const ParticleMode mode = filter_.modes(settings_.rival_distance, settings_.rival_angle).front();
-  estimate_.mode_weight = mode.weight;
-  estimate_.mode_spread = std::sqrt(mode.covariance.topLeftCorner<2, 2>().trace() / 2);
-  estimate_.mode_spread_yaw = std::sqrt(mode.covariance(2, 2));
-
-  estimateFromPlaces(mode);
+  estimateFromPlaces(new_map);
   verify_volume_.reset();  // tens of megabytes
 }
 
-/// The best of all places, its rivals and the verdict on it. Sought about the merged maps' centre, compared and judged
-/// about that of the overlap, where heading and position hardly interact.
-void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
-  const HeightMap verify_map = lastMaps(settings_.verify);
-  AerialCells cells = cellsOf(verify_map, centerOf(verify_map));
-  const CostSettings cost = costFor(verify_map);
-  PlanarPose mean = changeReference(mode.mean, filter_.reference(), cells.reference);
-  Placement best = descend(*direct_, cells, mean, 2 * ground_.resolution, 2 * kDegree, cost);
-  if (!std::isfinite(best.agreement.cost) || separation(best.pose, mean) > settings_.rival_distance) {
-    best = placementAt(*direct_, cells, mean, cost);
+bool HeightMapLocalizer::isPossible() {
+  if (!hasGround()) {
+    estimate_.reason = "waiting for the ground map";
+  } else if (!hasAerial()) {
+    estimate_.reason = "waiting for an aerial cloud";
+  } else if (!filter_.initialized()) {
+    estimate_.reason =
+        formatted("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
+  } else if (scaleIsOpen()) {
+    // At a scale that nothing singles out there is no place to verify.
+    estimate_.reason = formatted("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed",
+                                 estimate_.scale, estimate_.scale_evidence, settings_.own_unit.scale_evidence);
+  } else {
+    return true;
   }
+  return false;
+}
 
-  const CostVolume& volume = verifyVolume(verify_map);
-  std::vector<Placement> places = findPlaces(volume, cells, cost, best);
-  if (places.empty()) {
-    estimate_.reason = "nothing fits near the initial guess";
+/// The best of all places, its rivals and the verdict on it.
+void HeightMapLocalizer::estimateFromPlaces(bool new_map) {
+  CoarseEstimate& e = estimate_;
+  const ParticleMode mode = filter_.modes(settings_.rival.distance, settings_.rival.angle).front();
+  e.mode_weight = mode.weight;
+  e.mode_spread = std::sqrt(mode.covariance.topLeftCorner<2, 2>().trace() / 2);
+  e.mode_spread_yaw = std::sqrt(mode.covariance(2, 2));
+
+  const HeightMap map = kept_->merged(settings_.verify);
+  const CostVolume& volume = verifyVolume(map);
+  const PlanarPose mean = changeReference(mode.mean, filter_.reference(), centerOf(map));
+  const auto found = search().find(map, volume, {mean, evidence_->place(), floor_rivals_});
+  if (!found) {
+    e.reason = "nothing fits near the initial guess";
     return;
   }
-  best = bestOf(places);
-  const Eigen::Vector2d merged_center = cells.reference;
-  cells = about(std::move(cells), overlapCenter(cells, best.pose));
-  for (Placement& place : places) place.pose = changeReference(place.pose, merged_center, cells.reference);
-  mean = changeReference(mean, merged_center, cells.reference);
-  best.pose = changeReference(best.pose, merged_center, cells.reference);
-  const Placement refined = descend(*direct_, cells, best.pose, ground_.resolution, kDegree, cost);
-  if (refined.agreement.score < best.agreement.score) best = refined;
-  score_ = best.agreement.score;
-  searched_cells_ = ground_.defined();
-  const Placement rival = compareWithRivals(best, places);
-  const bool particles_agree = isSame(mean, best.pose);
-
-  estimate_.has_pose = std::isfinite(best.agreement.cost);
-  if (!estimate_.has_pose) {
-    estimate_.reason = "the maps do not overlap where the particles are";
+  score_ = found->best.agreement.score;
+  searched_cells_ = ground_->map().defined();
+  measure(*found, *ground_, comparison(), settings_, &e);
+  e.has_pose = std::isfinite(found->best.agreement.cost);
+  if (!e.has_pose) {
+    e.reason = "the maps do not overlap where the particles are";
     filter_.clear();
     return;
   }
-  const PlanarPose origin = changeReference(best.pose, cells.reference, Eigen::Vector2d::Zero());
-  estimate_.T_ground_mav = air_ground_common::yawPose(origin.yaw, {origin.x, origin.y, best.agreement.dz});
-  estimate_.overlap = best.agreement.overlap / static_cast<double>(cells.h.size());
-  estimate_.rival_distance = std::isfinite(rival.agreement.cost) ? separation(rival.pose, best.pose) : kInfinity;
-  const Eigen::Vector3d flattest = judge(best, cells, cost, particles_agree);
-  setCovariance(best, rival, cells, cost, mode, flattest);
-  if (!particles_agree && estimate_.rival_ratio >= settings_.ambiguity_ratio) {
+  believe(*found, new_map);
+  e.covariance = covarianceOf(*found, e, e.status, *ground_, mode, filter_.reference(), settings_);
+  renewParticles(volume);
+}
+
+/// Pose, evidence and verdict.
+void HeightMapLocalizer::believe(const FoundPlace& found, bool new_map) {
+  CoarseEstimate& e = estimate_;
+  const Placement& best = found.best;
+  const PlanarPose origin = changeReference(best.pose, found.cells.reference, Eigen::Vector2d::Zero());
+  e.T_ground_mav = air_ground_common::yawPose(origin.yaw, {origin.x, origin.y, best.agreement.dz});
+  // Height of the overlap's middle: the aerial maps' mean, lifted.
+  e.reference_point = {best.pose.x, best.pose.y, found.cells.mean_height + best.agreement.dz};
+  evidence_->placeAt(e.T_ground_mav, kept_->reference());
+  if (new_map) evidence_->add(e.evidence_lead, speaksFor(e, settings_.verdict), speaksForGuess(e, settings_.verdict));
+  e.evidence = evidence_->sum();
+  e.guess_evidence = evidence_->guessSum();
+  Verdict verdict = judge(e, settings_.verdict, !kept_->ownUnit());
+  e.status = verdict.status;
+  e.reason = std::move(verdict.reason);
+  e.guess = verdict.guess;
+}
+
+void HeightMapLocalizer::renewParticles(const CostVolume& volume) {
+  if (!estimate_.particles_agree && estimate_.rival_ratio >= settings_.verdict.ambiguity_ratio) {
     // The merged maps single out a place that the particles have missed: sensor resetting (Lenser and Veloso 2000).
     filter_.initialize(volume, prior_, filter_.reference());
     ++restarts_;
@@ -321,58 +309,11 @@ void HeightMapLocalizer::estimateFromPlaces(const ParticleMode& mode) {
   weighed_ = false;
 }
 
-/// In the aerial frame.
-Eigen::Vector2d HeightMapLocalizer::overlapCenter(const AerialCells& cells, const PlanarPose& pose) const {
-  const Eigen::Vector2d center = direct_->overlapAt(cells, pose).center;
-  return cells.reference + Eigen::Rotation2Dd(-pose.yaw) * (center - Eigen::Vector2d(pose.x, pose.y));
-}
-
-/// The lowest places of the full search beside the particles' mode. Where one fits better than that, it is the
-/// estimate, and the particles have yet to follow.
-std::vector<Placement> HeightMapLocalizer::findPlaces(const CostVolume& volume, const AerialCells& cells,
-                                                      const CostSettings& cost, const Placement& mode) const {
-  std::vector<Placement> places =
-      placesOfMinima(volume, kPlaces, settings_.rival_distance, settings_.rival_angle, *direct_, cells,
-                     settings_.coarse_factor * ground_.resolution, M_PI / settings_.headings, cost);
-  places.push_back(mode);
-  // Where the maps were before: few new cells may hide that place from the search over coarse ones.
-  if (place_before_)
-    places.push_back(
-        descend(*direct_, cells, planarOf(*place_before_, cells.reference), 2 * ground_.resolution, 2 * kDegree, cost));
-  places.insert(places.end(), floor_rivals_.begin(), floor_rivals_.end());
-  // Where a position is known, places beyond three standard deviations are no rivals.
-  places.erase(std::remove_if(places.begin(), places.end(),
-                              [&](const Placement& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
-               places.end());
-  return places;
-}
-
-bool HeightMapLocalizer::isSame(const PlanarPose& a, const PlanarPose& b) const {
-  return separation(a, b) < settings_.rival_distance && std::abs(wrapAngle(a.yaw - b.yaw)) < settings_.rival_angle;
-}
-
-Placement HeightMapLocalizer::bestElsewhere(const std::vector<Placement>& places, const PlanarPose& pose) const {
-  std::vector<Placement> others;
-  std::copy_if(places.begin(), places.end(), std::back_inserter(others),
-               [&](const Placement& place) { return !isSame(place.pose, pose); });
-  return bestOf(others);
-}
-
-/// Sets rival_ratio and evidence_lead; returns the best rival, without a finite cost where there is none.
-Placement HeightMapLocalizer::compareWithRivals(const Placement& best, const std::vector<Placement>& places) {
-  const Placement rival = bestElsewhere(places, best.pose);
-  const bool alone = !std::isfinite(rival.agreement.score);
-  estimate_.rival_ratio = alone ? kInfinity : rivalRatio(rival.agreement, best.agreement);
-  // Without any other place: the lead over nothing known.
-  estimate_.evidence_lead = evidenceLead(best.agreement, alone ? nothingKnown() : rival.agreement.score);
-  return rival;
-}
-
 CostMap HeightMapLocalizer::costMap(Eigen::Vector2d* pivot) {
   if (!hasGround() || filter_map_.empty()) return {};
-  if (!full_fft_) full_fft_ = std::make_unique<FftCost>(ground_);
   const double yaw = air_ground_common::yawOf(estimate_.T_ground_mav.rotation());
-  CostVolume volume = computeCostVolume(*full_fft_, filter_map_, {yaw}, false, costFor(filter_map_));
+  CostVolume volume =
+      computeCostVolume(ground_->fullFft(), filter_map_, {yaw}, false, comparison().costFor(filter_map_));
   *pivot = volume.pivot;
   return std::move(volume.slices.front());
 }

@@ -1,7 +1,8 @@
+#include "heightmap_mcl/localizer_settings.h"
+
 #include <stdexcept>
 
 #include "air_ground_common/parameters.h"
-#include "heightmap_mcl/localizer.h"
 
 namespace heightmap_mcl {
 namespace {
@@ -72,14 +73,15 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("cutoff", s.cutoff, {0.001, 10.0}, "m",
     "places that eq. 2 finds are compared, refined and judged by how much agrees: a height that differs by more than "
     "this costs no more than that");
-  v("scale_min", s.scale_min, {1e-3, 1e3}, "m per unit",
+  v("scale_min", s.own_unit.scale_min, {1e-3, 1e3}, "m per unit",
     "of the clouds of a MAV without IMU, whose unit is the distance of what it saw when its map began; the search "
     "takes all from here ...");
-  v("scale_max", s.scale_max, {1e-3, 1e3}, "m per unit", "... to there for equally likely by order of magnitude");
-  v("scale_evidence", s.scale_evidence, {0, 1000}, "",
+  v("scale_max", s.own_unit.scale_max, {1e-3, 1e3}, "m per unit",
+    "... to there for equally likely by order of magnitude");
+  v("scale_evidence", s.own_unit.scale_evidence, {0, 1000}, "",
     "by how much the place at the best scale must stand out more from the places beside it than at any other scale, "
     "before it is verified; summed over the ground that both maps know");
-  v("max_tilt", s.max_tilt, {0, 1.1}, "rad",
+  v("max_tilt", s.own_unit.max_tilt, {0, 1.1}, "rad",
     "without IMU the dominant plane within this of the map's z axis is made level; 0: the mounting on tf and a level "
     "start are trusted");
   v("headings", s.headings, {8, 720}, "", "headings of the coarse search over the full circle");
@@ -100,57 +102,42 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("yaw_noise_per_metre", f.yaw_noise_per_metre, {0.0, 0.8}, "rad/m", "");
 
   v.section("Verdict: when the pose is believed");
-  v("min_maps", s.min_maps, {1, 100}, "", "aerial maps before CONVERGED");
-  v("min_evidence", s.min_evidence, {0.1, 1e4}, "",
+  v("min_maps", s.verdict.min_maps, {1, 100}, "", "aerial maps before CONVERGED");
+  v("min_evidence", s.verdict.min_evidence, {0.1, 1e4}, "",
     "by which the place must lead all others, summed over the maps that had it as their best, each for at most half: "
     "logarithm of how much likelier the heights are there; clear scenes pass with two maps, rooms that look alike "
     "need more");
-  v("min_mode_weight", s.min_mode_weight, {0.05, 1.0}, "", "share of the particles in the dominant mode");
-  v("max_spread", s.max_spread, {0.01, 10.0}, "m", "standard deviation of the position within it");
-  v("max_spread_yaw", s.max_spread_yaw, {0.002, M_PI}, "rad", "of the heading within it");
-  v("ambiguity_ratio", s.ambiguity_ratio, {1.001, 100.0}, "",
+  v("min_mode_weight", s.verdict.min_mode_weight, {0.05, 1.0}, "", "share of the particles in the dominant mode");
+  v("max_spread", s.verdict.max_spread, {0.01, 10.0}, "m", "standard deviation of the position within it");
+  v("max_spread_yaw", s.verdict.max_spread_yaw, {0.002, M_PI}, "rad", "of the heading within it");
+  v("ambiguity_ratio", s.verdict.ambiguity_ratio, {1.001, 100.0}, "",
     "any other place must cost this many times as much, else AMBIGUOUS");
   v("noise_cost", s.noise_cost, {1e-9, 1.0}, "m^2",
     "added to both sides of a ratio: differences below it mean nothing");
-  v("rival_distance", s.rival_distance, {0.05, 10.0}, "m", "a rival lies at least this far away ...");
-  v("rival_angle", s.rival_angle, {0.02, M_PI / 2}, "rad", "... or is turned by this");
-  v("min_relief", s.min_relief, {0.0, 10.0}, "m",
+  v("rival_distance", s.rival.distance, {0.05, 10.0}, "m", "a rival lies at least this far away ...");
+  v("rival_angle", s.rival.angle, {0.02, M_PI / 2}, "rad", "... or is turned by this");
+  v("min_relief", s.verdict.min_relief, {0.0, 10.0}, "m",
     "standard deviation of the heights in the overlap; below: DEGENERATE (flat)");
-  v("min_raised", s.min_raised, {0.0, 100.0}, "m^2",
+  v("min_raised", s.verdict.min_raised, {0.0, 100.0}, "m^2",
     "of the overlap, on which something stands in either map; below: DEGENERATE (bare)");
-  v("min_agreement", s.min_agreement, {0.0, 1.0}, "",
+  v("min_agreement", s.verdict.min_agreement, {0.0, 1.0}, "",
     "of what stands on the floor in either map, share whose heights agree (within 0.6 of cutoff)");
   v("probe_distance", s.probe_distance, {0.05, 5.0}, "m", "the cost this far along its flattest direction ...");
-  v("probe_ratio", s.probe_ratio, {1.001, 100.0}, "",
+  v("probe_ratio", s.verdict.probe_ratio, {1.001, 100.0}, "",
     "... must be this much worse, else DEGENERATE (e.g. along an endless ridge)");
-  v("guess_ratio", s.guess_ratio, {1.001, 100.0}, "",
+  v("guess_ratio", s.verdict.guess_ratio, {1.001, 100.0}, "",
     "a place that is not CONVERGED but has min_evidence over maps with this instead of ambiguity_ratio and probe_ratio "
     "is a guess for icp_refine, which believes what becomes of it when later clouds confirm it");
-  v("guess_agreement", s.guess_agreement, {0.0, 1.0}, "", "and this instead of min_agreement");
+  v("guess_agreement", s.verdict.guess_agreement, {0.0, 1.0}, "", "and this instead of min_agreement");
 
   v.section("Covariance");
   v("cells_per_independent", s.cells_per_independent, {1.0, 1e6}, "",
     "cells whose residuals count as one independent measurement");
-  v("floor_position", s.floor_position, {1e-4, 1.0}, "m",
+  v("floor_position", s.covariance.floor_position, {1e-4, 1.0}, "m",
     "standard deviation that no amount of data removes: scale, drift of the merged clouds");
-  v("floor_z", s.floor_z, {1e-4, 1.0}, "m", "");
-  v("floor_yaw", s.floor_yaw, {1e-5, 0.8}, "rad", "");
-  v("gravity_sigma", s.gravity_sigma, {1e-5, 0.8}, "rad", "of each map's vertical");
-  if (s.mode == Mode::kPaper) s = paperSettings(s);
-}
-
-const char* toString(Status status) {
-  switch (status) {
-    case Status::kSearching:
-      return "SEARCHING";
-    case Status::kAmbiguous:
-      return "AMBIGUOUS";
-    case Status::kDegenerate:
-      return "DEGENERATE";
-    case Status::kConverged:
-      return "CONVERGED";
-  }
-  return "";
+  v("floor_z", s.covariance.floor_z, {1e-4, 1.0}, "m", "");
+  v("floor_yaw", s.covariance.floor_yaw, {1e-5, 0.8}, "rad", "");
+  v("gravity_sigma", s.covariance.gravity_sigma, {1e-5, 0.8}, "rad", "of each map's vertical");
 }
 
 void validate(const HeightMapLocalizerSettings& s) {
@@ -163,9 +150,9 @@ void validate(const HeightMapLocalizerSettings& s) {
   air_ground_common::checkRanges(s);
   validate(s.air_map);
   validate(s.ground_map);
-  validate(CostSettings{s.min_overlap, 0, s.min_explained, s.min_relief});
+  validate(CostSettings{s.min_overlap, 0, s.min_explained, s.verdict.min_relief});
   validate(s.filter);
-  require(s.scale_max >= s.scale_min, "scale_max must not be less than scale_min");
+  require(s.own_unit.scale_max >= s.own_unit.scale_min, "scale_max must not be less than scale_min");
   require(s.verify >= s.accumulate, "verify must not be less than accumulate");
 }
 
@@ -177,7 +164,7 @@ HeightMapLocalizerSettings paperSettings(HeightMapLocalizerSettings s) {
   s.unknown_weight = s.min_explained = 0;
   s.edge_width = 0;
   s.overlap_of_air = true;
-  s.min_maps = 4;  // particles alone have no other evidence
+  s.verdict.min_maps = 4;  // particles alone have no other evidence
   s.filter.sampling_sigma = s.filter.weight_sigma = 0.08;
   s.filter.mixture_ratio = 0;
   return s;

@@ -4,8 +4,9 @@
 #include <cstdint>
 #include <limits>
 
+#include "air_ground_common/clones.h"
+
 // Compiled with -O3 -fopenmp-simd (CMakeLists.txt): the loops below vectorise.
-#define HEIGHTMAP_MCL_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 
 namespace heightmap_mcl::kernel {
 
@@ -64,7 +65,7 @@ struct Pair {
 
 }  // namespace
 
-HEIGHTMAP_MCL_CLONES
+AIR_GROUND_CLONES
 OverlapSums overlapSums(const AirView& air, const ToCells& to_cells, const GroundView& ground) {
   const ToCells to = to_cells;
   const GroundView map = ground;
@@ -101,7 +102,7 @@ OverlapSums overlapSums(const AirView& air, const ToCells& to_cells, const Groun
   return total;
 }
 
-HEIGHTMAP_MCL_CLONES
+AIR_GROUND_CLONES
 AgreementSums agreementSums(const AirView& air, const ToCells& to_cells, const GroundView& ground,
                             const AgreementLimits& limits) {
   const ToCells to = to_cells;
@@ -142,7 +143,7 @@ AgreementSums agreementSums(const AirView& air, const ToCells& to_cells, const G
   return total;
 }
 
-HEIGHTMAP_MCL_CLONES
+AIR_GROUND_CLONES
 void correlate(const MapSpectra& air_known, const MapSpectra& air_all, const MapSpectra& ground_known,
                const MapSpectra& ground_all, int n, bool bounds, bool opposite, float* const out[kSums]) {
   const float turn = opposite ? -1.f : 1.f;
@@ -189,7 +190,7 @@ void correlate(const MapSpectra& air_known, const MapSpectra& air_all, const Map
   }
 }
 
-HEIGHTMAP_MCL_CLONES
+AIR_GROUND_CLONES
 void addCorrelation(const float* a, const float* b, int n, bool opposite, float* out) {
   const float turn = opposite ? -1.f : 1.f;
 #pragma omp simd
@@ -200,13 +201,13 @@ void addCorrelation(const float* a, const float* b, int n, bool opposite, float*
   }
 }
 
-HEIGHTMAP_MCL_CLONES
+AIR_GROUND_CLONES
 void addTo(const float* a, int n, float* out) {
 #pragma omp simd
   for (int i = 0; i < n; ++i) out[i] += a[i];
 }
 
-HEIGHTMAP_MCL_CLONES
+AIR_GROUND_CLONES
 void scoreRow(const float* const sums[kSums], int n, float scale, float cells, const CostSettings& settings,
               float* score) {
   constexpr float infinity = std::numeric_limits<float>::infinity();

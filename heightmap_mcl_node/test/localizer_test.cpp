@@ -243,7 +243,7 @@ TEST(HeightMapLocalizer, APlaceWithoutRivalIsAGuessWhereADirectionIsFixedLoosely
     EXPECT_NE(outcome.last.reason.find("guess"), std::string::npos) << outcome.last.reason;
     EXPECT_LT(outcome.error.position, 0.3);
     EXPECT_LT(outcome.error.yaw, 0.2);
-    settings.guess_ratio = settings.probe_ratio;
+    settings.verdict.guess_ratio = settings.verdict.probe_ratio;
     HeightMapLocalizer strict(settings);
     EXPECT_FALSE(play(synthetic::makeRun(options), strict).last.guess);
   }
@@ -439,7 +439,7 @@ TEST(HeightMapLocalizer, SameSeedSameResult) {
 
 TEST(HeightMapLocalizer, BadSettingsAreNamed) {
   HeightMapLocalizerSettings settings;
-  settings.ambiguity_ratio = 0.9;
+  settings.verdict.ambiguity_ratio = 0.9;
   try {
     HeightMapLocalizer localizer(settings);
     FAIL();

@@ -114,14 +114,22 @@ TEST_F(NodeTest, ACloudThatOvertakesItsOdometryWaitsForIt) {
 }
 
 TEST_F(NodeTest, TheSameCloudTwiceIsNoMoreEvidence) {
-  const auto run = world(604, 2);
+  const auto run = world(604, 3);
   ASSERT_TRUE(sendGround(run));
   ASSERT_TRUE(sendAerial(run.aerial[0]));
   EXPECT_EQ(last().iterations, 1u);
-  cloud_.publish(cloudMsg(run.aerial[0].points, "mav_map", stamp_));
-  ASSERT_TRUE(spinUntil([&] { return diagnostics_.refresh() && diagnostics_.counted("aerial clouds repeated") > 0; }));
+  const auto first = cloudMsg(run.aerial[0].points, "mav_map", stamp_);
+  ASSERT_TRUE(diagnostics_.refresh());
+  const int before = diagnostics_.counted("aerial clouds repeated");
+  cloud_.publish(first);
+  ASSERT_TRUE(diagnostics_.await("aerial clouds repeated", before + 1));
   ASSERT_TRUE(sendAerial(run.aerial[1]));
   EXPECT_EQ(last().iterations, 2u);
+  // Whoever subscribes again gets what came before once more: no jump of time.
+  cloud_.publish(first);
+  ASSERT_TRUE(diagnostics_.await("aerial clouds repeated", before + 2));
+  ASSERT_TRUE(sendAerial(run.aerial[2]));
+  EXPECT_EQ(last().iterations, 3u);
 }
 
 TEST_F(NodeTest, CloudsInTheirOwnUnitDoNotWaitForMetricOdometry) {

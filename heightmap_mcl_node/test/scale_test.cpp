@@ -101,8 +101,8 @@ TEST(OwnUnit, ScaleHasNoBiasWhereDepthIsExact) {
   options.aerial_clouds = 3;
   options.scale_error = options.drift_per_metre = options.yaw_drift_per_metre = options.ground_noise = 0;
   HeightMapLocalizerSettings settings;
-  settings.scale_min = 0.85;
-  settings.scale_max = 1.18;
+  settings.own_unit.scale_min = 0.85;
+  settings.own_unit.scale_max = 1.18;
   std::vector<double> errors;
   for (options.seed = 620; options.seed < 625; ++options.seed) {
     const Result r = play(synthetic::makeRun(options), {}, settings);
@@ -118,8 +118,8 @@ TEST(OwnUnit, AnotherWorldIsNotVerified) {
   options.aerial_clouds = 2;
   options.scale_error = 0;
   HeightMapLocalizerSettings settings;
-  settings.scale_min = 0.5;
-  settings.scale_max = 2;
+  settings.own_unit.scale_min = 0.5;
+  settings.own_unit.scale_max = 2;
   for (const auto world : {synthetic::World::kBoxes, synthetic::World::kIdenticalBoxes}) {
     options.world = world;
     options.other_world = world == synthetic::World::kBoxes;
@@ -135,8 +135,8 @@ TEST(OwnUnit, AScaleWithoutRivalHasNoMoreEvidenceThanItsFit) {
   options.other_world = true;
   options.seed = 641;
   HeightMapLocalizerSettings settings;
-  settings.scale_min = 0.99;
-  settings.scale_max = 1.01;
+  settings.own_unit.scale_min = 0.99;
+  settings.own_unit.scale_max = 1.01;
   const Result r = play(synthetic::makeRun(options), {}, settings);
   EXPECT_TRUE(std::isfinite(r.estimate.scale_evidence));
   EXPECT_LT(r.first_converged, 0);

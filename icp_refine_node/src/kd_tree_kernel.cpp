@@ -4,8 +4,7 @@
 #include <cstring>
 #include <limits>
 
-// Plain arrays only: no Eigen type may cross into these functions, whose alignment rules differ per clone.
-#define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#include "air_ground_common/clones.h"
 
 namespace icp_refine::kernel {
 namespace {

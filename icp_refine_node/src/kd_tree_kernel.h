@@ -1,4 +1,4 @@
-// Searches in a kd-tree on plain arrays; vectorised per CPU generation at run time (target_clones).
+// Searches in a kd-tree on plain arrays; vectorised per CPU generation at run time (clones.h).
 #pragma once
 
 #include <cstdint>

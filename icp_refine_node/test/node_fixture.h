@@ -42,6 +42,7 @@ class NodeTest : public testing::Test {
     guess_ = handle_.advertise<geometry_msgs::PoseWithCovarianceStamped>("initialpose", 10);
     refined_sub_ = handle_.subscribe("alignment/refined", 100, &NodeTest::onRefined, this);
     map_sub_ = handle_.subscribe("augmented_map", 10, &NodeTest::onMap, this);
+    pose_sub_ = handle_.subscribe("mav/pose_in_ground_map", 100, &NodeTest::onPose, this);
     tf_sub_ = handle_.subscribe("/tf", 1000, &NodeTest::onTf, this);
   }
 
@@ -50,28 +51,36 @@ class NodeTest : public testing::Test {
       return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 && aerial_.getNumSubscribers() > 0 &&
              ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && status_.getNumSubscribers() > 0 &&
              ground_status_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
-             refined_sub_.getNumPublishers() > 0 && map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
+             refined_sub_.getNumPublishers() > 0 && pose_sub_.getNumPublishers() > 0 &&
+             map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
     }));
     // Every test starts with an empty node and later than the one before.
     static double start = 100;
     start_ = now_ = start += 1000;
     tick();
+    resets_ = 0;
     std_srvs::Trigger reset;
     ASSERT_TRUE(ros_utils::callService("/icp_refine/reset", reset));
     EXPECT_TRUE(reset.response.success);
+    ASSERT_TRUE(waitFor([this] { return resets_ > 0; }));
     pause(10);
     estimates_.clear();
     maps_.clear();
     transforms_.clear();
+    poses_.clear();
   }
 
   // The looped bag goes back by 500 s.
   bool ofThisTest(const ros::Time& stamp) const { return stamp.toSec() > start_ - 505; }
   void onRefined(const AlignmentEstimate& msg) {
+    resets_ += msg.reason == "reset";
     if (ofThisTest(msg.header.stamp)) estimates_.push_back(msg);
   }
   void onMap(const sensor_msgs::PointCloud2& msg) {
     if (ofThisTest(msg.header.stamp)) maps_.push_back(msg);
+  }
+  void onPose(const geometry_msgs::PoseWithCovarianceStamped& msg) {
+    if (ofThisTest(msg.header.stamp)) poses_.push_back(msg);
   }
   void onTf(const tf2_msgs::TFMessage& msg) {
     for (const auto& t : msg.transforms)
@@ -225,13 +234,14 @@ class NodeTest : public testing::Test {
 
   ros::NodeHandle handle_;
   ros::Publisher clock_, coarse_, aerial_, ground_, status_, ground_status_, odometry_, guess_;
-  ros::Subscriber refined_sub_, map_sub_, tf_sub_;
+  ros::Subscriber refined_sub_, map_sub_, pose_sub_, tf_sub_;
   ros_utils::NodeDiagnostics diagnostics_{"icp_refine"};
   std::vector<AlignmentEstimate> estimates_;
   std::vector<sensor_msgs::PointCloud2> maps_;
+  std::vector<geometry_msgs::PoseWithCovarianceStamped> poses_;
   std::vector<geometry_msgs::TransformStamped> transforms_;
   double now_ = 0, start_ = 0;
-  int ground_connections_ = 0;
+  int ground_connections_ = 0, resets_ = 0;
 };
 
 }  // namespace icp_refine

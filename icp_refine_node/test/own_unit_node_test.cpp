@@ -1,4 +1,5 @@
 // The running node where clouds are in a unit of their own, and where it is told how high the ground camera stands.
+#include <air_ground/MapKeyframes.h>
 #include <sensor_msgs/CameraInfo.h>
 
 #include "node_fixture.h"
@@ -12,6 +13,7 @@ class OwnUnitTest : public NodeTest {
     map_scale_ = handle_.advertise<AlignmentEstimate>("mav/map_scale", 5);
     views_ = handle_.advertise<AlignmentEstimate>("alignment/views", 5);
     info_ = handle_.advertise<sensor_msgs::CameraInfo>("ground/rgb/camera_info", 5);
+    keyframes_ = handle_.advertise<air_ground::MapKeyframes>("ground/map_keyframes", 5);
     tf_static_ = handle_.advertise<tf2_msgs::TFMessage>("/tf_static", 5, true);
   }
 
@@ -19,7 +21,7 @@ class OwnUnitTest : public NodeTest {
     NodeTest::SetUp();
     ASSERT_TRUE(waitFor([this] {
       return views_.getNumSubscribers() > 0 && map_scale_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 &&
-             tf_static_.getNumSubscribers() > 0;
+             keyframes_.getNumSubscribers() > 0 && tf_static_.getNumSubscribers() > 0;
     }));
   }
 
@@ -36,7 +38,29 @@ class OwnUnitTest : public NodeTest {
     return msg;
   }
 
-  ros::Publisher map_scale_, info_, tf_static_, views_;
+  /// A large table top over floor that the ground robot saw: a contradiction, unless its camera stands lower.
+  synthetic::Scene sceneWithTable() const {
+    auto scene = synthetic::makeScene(1);
+    const Similarity T_mav_ground = inverse(scene.truth);
+    for (double x = -1.2; x < 2.2; x += 0.025) {
+      for (double y = -1.4; y < 1.4; y += 0.025) {
+        const Eigen::Vector3d p_ground_map = scene.T_world_ground_map.inverse() * Eigen::Vector3d(x, y, 0.9);
+        scene.aerial.points.push_back((T_mav_ground * p_ground_map).cast<float>());
+      }
+    }
+    return scene;
+  }
+
+  void expectContradiction(const synthetic::Scene& scene) {
+    sendScene(scene);
+    ASSERT_TRUE(settle());
+    estimates_.clear();
+    sendCoarse(scene.T_ground_map_mav_map);
+    ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_REJECTED)) << lastReason();
+    EXPECT_NE(lastReason().find("heights contradict"), std::string::npos) << lastReason();
+  }
+
+  ros::Publisher map_scale_, info_, keyframes_, tf_static_, views_;
 };
 
 // The node has seen no map yet, nor a cloud. The images that both robots took are the guess, of scale and vertical too.
@@ -107,7 +131,10 @@ TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
   EXPECT_LT(std::abs(refined.scale - truth.scale), 3 * estimate.scale_stddev);
 
   // tf is about mav_map: it waits until the odometry says what that is.
+  const Pose T_mav_map_base = air_ground_common::yawPose(0.4, T_mav_visual * centre + Eigen::Vector3d(0.3, 0.4, 1));
+  sendOdometry(T_mav_map_base);
   EXPECT_TRUE(noTransformAfter(now_));
+  EXPECT_TRUE(poses_.empty());
   map_scale_.publish(similarityMessage(T_mav_visual, "mav_map"));
   transforms_.clear();
   ASSERT_TRUE(waitFor([this] { return !transforms_.empty(); }));
@@ -115,6 +142,11 @@ TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
   EXPECT_EQ(transforms_.back().child_frame_id, "mav_map");
   const Eigen::Vector3d middle = truth * centre;
   EXPECT_LT((lastTransform() * (T_mav_visual * centre) - middle).norm(), 0.1);
+  sendOdometry(T_mav_map_base);
+  ASSERT_TRUE(waitFor([this] { return !poses_.empty(); }));
+  const Pose of_tf = lastTransform() * T_mav_map_base, told = ros_utils::fromMsg(poses_.back().pose.pose);
+  EXPECT_LT((told.translation() - of_tf.translation()).norm(), 1e-6);
+  EXPECT_LT(air_ground_common::rotationAngle(told.linear(), of_tf.linear()), 1e-6);
 
   // A reset forgets the alignment, not what it was told once about the map that goes on.
   std_srvs::Trigger reset;
@@ -134,21 +166,43 @@ TEST_F(OwnUnitTest, AnUnbiasedScaleComesOfABiasedGuess) {
   ASSERT_TRUE(settle());
 }
 
-// A large table top over floor that the ground robot saw: a contradiction, unless its camera stands lower.
-TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromTf) {
-  auto scene = synthetic::makeScene(1);
-  const Similarity T_mav_ground = inverse(scene.truth);
-  for (double x = -1.2; x < 2.2; x += 0.025) {
-    for (double y = -1.4; y < 1.4; y += 0.025) {
-      const Eigen::Vector3d p_ground_map = scene.T_world_ground_map.inverse() * Eigen::Vector3d(x, y, 0.9);
-      scene.aerial.points.push_back((T_mav_ground * p_ground_map).cast<float>());
-    }
-  }
-  sendScene(scene);
+// Where tf does not lead to the camera: another node owns the robot's edges, or a parameter tells the mounting.
+TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromKeyframes) {
+  const auto scene = sceneWithTable();
+  sensor_msgs::CameraInfo info;
+  info.header.frame_id = "camera_that_tf_does_not_know";
+  info_.publish(info);
+  sendGroundStatus(4);
+  ASSERT_TRUE(refresh());
+  const int unknown = diagnostics_.counted("the ground camera's height is not known"),
+            others = diagnostics_.counted("keyframes of another map");
+  ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
+  ASSERT_TRUE(awaitCount("the ground camera's height is not known", unknown + 1));
+
+  air_ground::MapKeyframes keyframes;
+  keyframes.header.stamp = ros::Time(now_);
+  keyframes.header.frame_id = "ground_map";
+  keyframes.map_id = 3;  // of a map that has ended: says nothing
+  keyframes.ids = {1, 2, 5};
+  keyframes.poses.resize(3);
+  for (auto& pose : keyframes.poses) pose.orientation.w = 1;
+  keyframes.poses[0].position.z = std::nan("");
+  keyframes.poses[1].position.z = (scene.T_world_ground_map.inverse() * Eigen::Vector3d(0, 0, 0.5)).z();
+  keyframes.poses[2].position.z = keyframes.poses[1].position.z - 0.1;
+  keyframes_.publish(keyframes);
+  ASSERT_TRUE(awaitCount("keyframes of another map", others + 1));
+  ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
+
+  keyframes.map_id = 4;
+  keyframes_.publish(keyframes);
   ASSERT_TRUE(settle());
   sendCoarse(scene.T_ground_map_mav_map);
-  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_REJECTED)) << lastReason();
-  EXPECT_NE(lastReason().find("heights contradict"), std::string::npos) << lastReason();
+  ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+}
+
+TEST_F(OwnUnitTest, TheGroundCamerasHeightComesFromTf) {
+  const auto scene = sceneWithTable();
+  ASSERT_NO_FATAL_FAILURE(expectContradiction(scene));
 
   geometry_msgs::TransformStamped mounting;
   mounting.header.frame_id = "ground_map";

@@ -13,7 +13,8 @@ namespace mav_vo {
 namespace {
 
 constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
-constexpr double kAdoptFullAfter = 1.0;  // one of the whole map, at the earliest; and so often it is asked for [s]
+constexpr double kAdoptFullAfter = 1.0;    // one of the whole map, at the earliest; and so often it is asked for [s]
+constexpr double kFullPerKeyframe = 0.04;  // for which an idle desktop's core takes less [s]
 
 /// A thread of the lowest priority delays neither tracking nor local adjustments.
 void yieldToOtherThreads() {
@@ -35,6 +36,7 @@ void AdjustmentThreads::start(BundleJob job, double stamp) {
   Running& slot = job.full ? full_ : local_;
   slot.stamp = stamp;
   slot.images = 0;
+  slot.keyframes = job.keyframes.size();
   slot.result = std::async(std::launch::async, [job = std::move(job)]() mutable {
     if (job.full) yieldToOtherThreads();
     job.solve();
@@ -47,6 +49,8 @@ bool AdjustmentThreads::localDue() { return localRuns() && ++local_.images >= kA
 
 bool AdjustmentThreads::fullDue(double stamp) {
   if (!fullRuns() || stamp - full_.stamp < kAdoptFullAfter) return false;
+  if (reproducible_)
+    return stamp - full_.stamp >= kAdoptFullAfter + kFullPerKeyframe * static_cast<double>(full_.keyframes);
   full_.stamp = stamp;
   return full_.result.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
 }

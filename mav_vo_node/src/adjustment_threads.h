@@ -12,6 +12,9 @@ using visual_frontend::BundleJob;
 
 class AdjustmentThreads {
  public:
+  /// `reproducible`: see OdometrySettings.
+  explicit AdjustmentThreads(bool reproducible) : reproducible_(reproducible) {}
+
   /// Waits for what runs; nothing comes of it.
   void discard();
   bool localRuns() const { return local_.result.valid(); }
@@ -24,7 +27,8 @@ class AdjustmentThreads {
   /// The image that takes a result over is known when the adjustment begins, not by when its thread has finished: what
   /// a recording gives does not depend on how busy the machine is. Called once an image.
   bool localDue();
-  /// Adjustments of the whole map may take seconds: asked for once a second of the recording.
+  /// Adjustments of the whole map may take seconds: asked for once a second of the recording; or due, and waited for,
+  /// at an image that their size decides.
   bool fullDue(double stamp);
 
   BundleJob awaitLocal() { return local_.result.get(); }  ///< waits
@@ -35,7 +39,9 @@ class AdjustmentThreads {
     std::future<BundleJob> result;
     double stamp = 0;  ///< begun, or last asked for, at this image [s]
     int images = 0;    ///< since
+    std::size_t keyframes = 0;
   };
+  bool reproducible_;
   Running local_, full_;
 };
 

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "air_ground_common/clones.h"
+
 namespace mav_vo {
 
 namespace {
@@ -10,9 +12,7 @@ constexpr int kIterations = 9;
 using Lane = double[L];
 }  // namespace
 
-__attribute__((target_clones("avx512f", "avx2", "default"))) void fivePointNewton(const double* p, const double* c,
-                                                                                  double* q, double* t,
-                                                                                  double* residual) {
+AIR_GROUND_CLONES void fivePointNewton(const double* p, const double* c, double* q, double* t, double* residual) {
   const auto P = [&](int i, int k) { return p + (3 * i + k) * L; };
   const auto C = [&](int i, int k) { return c + (3 * i + k) * L; };
   for (int iteration = 0; iteration <= kIterations; ++iteration) {

@@ -14,6 +14,7 @@ using visual_frontend::Map;
 namespace {
 
 constexpr double kMaxSeconds = 10, kMaxWholeSeconds = 20;  // of an adjustment, wall clock [s]
+constexpr double kNoLimit = 600;                           // where a slow machine shall give the same [s]
 constexpr double kParameterTolerance = 1e-8;               // relative step at which its iterations end
 constexpr int kMinShared = 8;                              // landmarks that make an older keyframe hold the window
 
@@ -38,7 +39,7 @@ MapAdjuster::Jobs MapAdjuster::adjustNewest(const Map& map, const InertialMap& i
       fixed.push_back(other.keyframe);
   }
   settings.max_iterations = settings_.local_iterations;
-  settings.max_seconds = kMaxSeconds;
+  settings.max_seconds = settings_.reproducible ? kNoLimit : kMaxSeconds;
   settings.parameter_tolerance = kParameterTolerance;
   return run(extractBundle(map, camera_, free, fixed, settings, &inertial), stamp);
 }
@@ -52,7 +53,7 @@ BundleJob MapAdjuster::wholeMap(const Map& map, const InertialMap& inertial, Bun
     free.erase(free.begin(), first);
   }
   settings.max_iterations = settings_.full_iterations;
-  settings.max_seconds = kMaxWholeSeconds;
+  settings.max_seconds = settings_.reproducible ? kNoLimit : kMaxWholeSeconds;
   settings.parameter_tolerance = kParameterTolerance;
   BundleJob job = extractBundle(map, camera_, free, fixed, settings, &inertial);
   job.full = true;

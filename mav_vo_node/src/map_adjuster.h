@@ -12,7 +12,8 @@ class MapAdjuster {
  public:
   using Jobs = std::vector<BundleJob>;  ///< solved, to be applied to the map in this order
 
-  MapAdjuster(const CameraModel& camera, const OdometrySettings& settings) : camera_(camera), settings_(settings) {}
+  MapAdjuster(const CameraModel& camera, const OdometrySettings& settings)
+      : camera_(camera), settings_(settings), threads_(settings.reproducible) {}
 
   void setCamera(const CameraModel& camera) { camera_ = camera; }
   /// Waits for what runs; nothing comes of it.

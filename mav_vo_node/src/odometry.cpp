@@ -86,10 +86,13 @@ double Odometry::Impl::mapAge() const {
   return map.keyframeCount() == 0 ? 0 : last_stamp - map.keyframes().begin()->second.stamp;
 }
 
-// A map that is not metric yet has little to lose: it is waited for no longer than it lived.
-double Odometry::Impl::patience() const {
-  if (metric() || map.keyframeCount() == 0) return settings.lost_timeout;
-  return std::min(settings.lost_timeout, relocalizer.lostSince() - map.keyframes().begin()->second.stamp);
+// A map that is waited for its scale has little to lose: no longer than it lived, whatever the images show.
+bool Odometry::Impl::givesUp() const {
+  const double lost = last_stamp - relocalizer.lostSince();
+  if (map.keyframeCount() == 0) return lost > settings.lost_timeout;
+  if (metric()) return relocalizer.strangeFor() > settings.lost_timeout;
+  const double lived = relocalizer.lostSince() - map.keyframes().begin()->second.stamp;
+  return (settings.use_imu ? lost : relocalizer.strangeFor()) > std::min(settings.lost_timeout, lived);
 }
 
 std::string Odometry::Impl::scaleReason() const {
@@ -153,7 +156,7 @@ void Odometry::Impl::advance(const cv::Mat& gray) {
       state = metric() ? OdometryState::kTracking : OdometryState::kScaling;
       relocalized = true;
       localized(gray, false);
-    } else if (last_stamp - relocalizer.lostSince() > patience()) {
+    } else if (givesUp()) {
       startMap();
       reason = "lost for too long: a new map starts";
     }

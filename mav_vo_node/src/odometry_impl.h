@@ -39,7 +39,7 @@ struct Odometry::Impl {
   bool tracking() const;  ///< in a map
   bool metric() const { return inertial.metric(); }
   double mapAge() const;                    ///< [s]
-  double patience() const;                  ///< of a lost odometry, before a new map starts [s]
+  bool givesUp() const;                     ///< of a lost odometry: a new map is better
   std::string scaleReason() const;          ///< why the map is not metric
   std::optional<double> turnSigma() const;  ///< of the rotation that the gyro predicts [rad]
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b) const;

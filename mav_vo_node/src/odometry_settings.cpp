@@ -47,7 +47,8 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
     "median angle between the rays of the first views");
   v("min_inliers", o.min_inliers, {6, 500}, "", "landmarks that must agree on a pose");
   v("lost_timeout", o.lost_timeout, {0.1, 600.0}, "s",
-    "lost for so long: start a new map; one that is not metric is waited for no longer than it lived");
+    "lost for so long in images that show something: start a new map; one that waits for its scale is waited for no "
+    "longer than it lived, dark images or not");
   v("max_speed", o.max_speed, {0.01, 100.0}, "m/s",
     "bounds, with the next one, how far a place recognised while lost can lie");
   v("relocalization_slack", o.relocalization_slack, {0.0, 100.0}, "m", "added to max_speed times the time lost");

@@ -1,12 +1,14 @@
 #include "relocalizer.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace mav_vo {
 
 namespace {
 
 constexpr int kPlaceEvery = 5;         // images between searches for a known place
+constexpr double kLongestGap = 1;      // between them, of which it is known what the camera saw [s]
 constexpr int kNearImages = 10;        // in which the camera is looked for near its last pose
 constexpr double kNearSeconds = 0.7;   // and so long at the most [s]
 constexpr double kNearRadius = 25;     // of the search about where a landmark should be, at least ...
@@ -17,7 +19,8 @@ constexpr double kAtPlaceRadius = 15;  // likewise once a place is recognised [p
 }  // namespace
 
 void Relocalizer::begin(double stamp) {
-  lost_since_ = last_ = stamp;
+  lost_since_ = last_ = last_search_ = stamp;
+  strange_for_ = 0;
   frames_lost_ = 0;
   reason_.clear();
 }
@@ -53,6 +56,8 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   visual_frontend::Keyframe query;
   query.stamp = stamp;
   visual_frontend::describeKeyframe(gray, camera_, settings_.place, query);
+  const double since = stamp - std::exchange(last_search_, stamp);
+  if (query.orb_pixels.size() >= 2u * settings_.place.min_inliers && since <= kLongestGap) strange_for_ += since;
   const auto match = visual_frontend::relocalize(map, camera_, query, gate, settings_.place);
   if (!match.success) {
     reason_ = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";

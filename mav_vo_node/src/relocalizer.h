@@ -17,6 +17,9 @@ class Relocalizer {
   void begin(double stamp);                         ///< lost at this image [s]
   void reset() { reason_.clear(); }                 ///< for another map
   double lostSince() const { return lost_since_; }  ///< [s]
+  /// Of the time since then, that of images that showed enough to be recognised, or to begin a map: a lens in the grass
+  /// of the landing place sees no other place [s].
+  double strangeFor() const { return strange_for_; }
   /// Tries the image: near the last pose by the landmarks' patches, elsewhere by its ORB features where `gate` allows.
   /// True: `pose` has found it.
   bool find(double stamp, const cv::Mat& gray, const visual_frontend::Map& map,
@@ -31,7 +34,8 @@ class Relocalizer {
 
   CameraModel camera_;
   OdometrySettings settings_;
-  double lost_since_ = 0, last_ = 0;  // images [s]
+  double lost_since_ = 0, last_ = 0, last_search_ = 0;  // images [s]
+  double strange_for_ = 0;                              // [s]
   int frames_lost_ = 0;
   std::string reason_;
 };

@@ -179,6 +179,20 @@ TEST_P(BesideTracking, OfTheWholeMapThereIsOneAtATimeAskedForOnceASecond) {
   EXPECT_TRUE(jobs[1].full);
 }
 
+// 1 s and 0.04 s a keyframe after it began, done or not.
+TEST_P(BesideTracking, InAReplayTheWholeMapsImageIsKnown) {
+  settings.reproducible = true;
+  MapAdjuster adjuster(synthetic::camera(), settings);
+  EXPECT_TRUE(adjuster.adjustWhole(adjuster.wholeMap(map, {}, {}), 10).empty());
+  pause();
+  const double due = 11 + 0.04 * static_cast<double>(map.keyframeCount());
+  EXPECT_TRUE(adjuster.due(11.05).empty());
+  EXPECT_TRUE(adjuster.due(due - 0.01).empty());
+  const auto jobs = adjuster.due(due + 0.01);
+  ASSERT_EQ(jobs.size(), 1u);
+  EXPECT_TRUE(jobs[0].full);
+}
+
 TEST_P(BesideTracking, NothingComesOfWhatIsDiscarded) {
   MapAdjuster adjuster(synthetic::camera(), settings);
   adjuster.adjustNewest(map, {}, {}, 10);

@@ -1,9 +1,6 @@
 // The whole odometry on rendered flights: accuracy, scale, determinism, and what a bad day brings.
 #include <gtest/gtest.h>
 
-#include <atomic>
-#include <thread>
-
 #include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/trajectory.h"
 #include "rendered_flight.h"
@@ -286,48 +283,6 @@ TEST(Odometry, WithoutImuItTracksButNeverClaimsMetres) {
   EXPECT_EQ(o.frames.back().state, OdometryState::kScaling);
 }
 
-TEST(Odometry, RecoversAfterBlackImagesInTheSameMap) {
-  Options options;
-  options.end = 11;
-  options.black = [](double t) { return t > 9 && t < 9.6; };
-  const Outcome o = fly(options);
-  bool lost = false;
-  for (const VoResult& r : o.frames) lost = lost || r.state == OdometryState::kLost;
-  EXPECT_TRUE(lost);
-  EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
-  EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
-  EXPECT_LT(ate(o, o.final_poses), 0.05);
-}
-
-// 2.5 m/s, 1.8 m above the ground, nothing seen for half a metre.
-TEST(Odometry, CoastsThroughAShortLossInFastFlight) {
-  Options options;
-  options.flight.period = 3;
-  options.end = 10;
-  options.black = [](double t) { return t > 9 && t < 9.2; };
-  const Outcome o = fly(options);
-  ASSERT_GT(o.metric_at, 0);
-  ASSERT_LT(o.metric_at, 8.5);
-  int blind = 0, lost = 0;
-  for (std::size_t i = 0; i < o.frames.size(); ++i)
-    if (o.truth[i].stamp > 9 && o.frames[i].state == OdometryState::kLost) ++(o.truth[i].stamp < 9.19 ? blind : lost);
-  EXPECT_GE(blind, 3);
-  EXPECT_LE(lost, 1);
-  EXPECT_LT(ate(o, o.final_poses), 0.05);
-}
-
-TEST(Odometry, StartsANewMapWhenLostForLong) {
-  Options options;
-  options.end = 9;
-  options.black = [](double t) { return t > 4 && t < 6; };
-  OdometrySettings settings;
-  settings.lost_timeout = 1.0;
-  const Outcome o = fly(options, settings);
-  EXPECT_GT(o.frames.back().map_id, o.frames.front().map_id);
-  EXPECT_GE(static_cast<int>(o.frames.back().state), static_cast<int>(OdometryState::kScaling));
-  EXPECT_NE(o.frames.back().state, OdometryState::kLost);
-}
-
 TEST(Odometry, SurvivesDroppedImagesExposureChangesAndBadImuSamples) {
   Options options;
   options.drop_image = [](double t) { return std::fmod(t, 1.7) < 0.16; };  // three in a row
@@ -400,51 +355,6 @@ TEST(Odometry, RefusesWhatItCannotUse) {
   OdometrySettings bad;
   bad.window = 1;
   EXPECT_THROW(Odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), bad), std::invalid_argument);
-}
-
-/// Threads that want the whole machine while this lives.
-class BusyMachine {
- public:
-  explicit BusyMachine(unsigned threads) {
-    for (unsigned i = 0; i < threads; ++i)
-      threads_.emplace_back([this] {
-        while (!stop_) ++work_;
-      });
-  }
-  ~BusyMachine() {
-    stop_ = true;
-    for (auto& thread : threads_) thread.join();
-  }
-
- private:
-  std::atomic<bool> stop_{false};
-  std::atomic<unsigned> work_{0};
-  std::vector<std::thread> threads_;
-};
-
-TEST(Odometry, OnABusyMachineItIsLateButNoWorse) {
-  Options options;
-  options.end = 8;
-  OdometrySettings settings;
-  settings.full_interval = 1000;
-  const Outcome synchronous = fly(options, settings);
-  settings.synchronous = false;
-  const Outcome idle = fly(options, settings);
-  Outcome busy;
-  {
-    const BusyMachine hog(3 * std::max(1u, std::thread::hardware_concurrency()));
-    busy = fly(options, settings);
-  }
-  // The same images tracked on the same maps: not a digit differs.
-  ASSERT_EQ(idle.frames.size(), busy.frames.size());
-  for (std::size_t i = 0; i < idle.frames.size(); ++i) {
-    ASSERT_EQ(idle.frames[i].pose_valid, busy.frames[i].pose_valid) << i;
-    ASSERT_EQ((idle.frames[i].T_map_camera.matrix() - busy.frames[i].T_map_camera.matrix()).norm(), 0) << i;
-  }
-  ASSERT_GT(busy.metric_at, 0);
-  std::printf("ATE of the published poses: synchronous %.5f m, on a busy machine %.5f m\n",
-              ate(synchronous, synchronous.online), ate(busy, busy.online));
-  EXPECT_LT(ate(busy, busy.online), 1.2 * ate(synchronous, synchronous.online) + 0.001);
 }
 
 }  // namespace

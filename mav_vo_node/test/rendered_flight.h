@@ -18,6 +18,7 @@ struct Options {
   std::function<bool(double)> drop_image = [](double) { return false; };
   std::function<double(double)> gain = [](double) { return 1.0; };
   std::function<bool(double)> black = [](double) { return false; };
+  std::function<bool(double)> elsewhere = [](double) { return false; };  ///< the camera sees another world
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
@@ -55,7 +56,7 @@ inline cv::Mat renderRows(const synthetic::PlateWorld& world, const Options& opt
 }
 
 inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odometry* given = nullptr) {
-  static const synthetic::PlateWorld world(3);
+  static const synthetic::PlateWorld here(3), elsewhere(77);
   settings.use_imu = options.imu;
   if (options.told) settings.readout_time = options.readout;
   std::unique_ptr<Odometry> own;
@@ -85,6 +86,7 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
     const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
     outcome.truth.push_back({t, T});
     if (options.drop_image(t)) continue;
+    const synthetic::PlateWorld& world = options.elsewhere(t) ? elsewhere : here;
     cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
                                          : renderRows(world, options, t, &grain);
     if (options.black(t)) image.setTo(3);

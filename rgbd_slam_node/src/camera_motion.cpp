@@ -13,6 +13,9 @@ namespace {
 // A rest tells the gyro's bias; a slow steady turn looks the same, up to the rate that a rest may have.
 constexpr double kRestBiasSigma = 0.03;  // [rad/s]
 constexpr double kBiasForRest = 0.003;   // [rad/s]; known so well, the bias tells rest from slow turns
+constexpr double kLongPrediction = 0.5;  // from the last pose: then it no longer tells how the camera moves [s]
+constexpr double kLeastHalf = 0.01;      // of the time over which samples are averaged [s]
+constexpr double kDelaySigma = 1e-3;     // of a turn during depth's delay by the gyro: half a pixel [rad]
 
 Pose imuOnCamera(const Mounting& mounting) {
   Pose T_base_imu = Pose::Identity();
@@ -51,9 +54,32 @@ Pose CameraMotion::predict(double last_stamp, const Pose& T_map_last, double sta
       *from_gyro = true;
     }
   }
-  if (!*from_gyro && dt < 0.5) T.linear() = T.linear() * expSO3(turn_rate_ * dt);
-  if (dt < 0.5) T.translation() += velocity_ * dt;
+  if (!*from_gyro && dt < kLongPrediction) T.linear() = T.linear() * expSO3(turn_rate_ * dt);
+  if (dt < kLongPrediction) T.translation() += velocity_ * dt;
   return T;
+}
+
+Pose CameraMotion::movedBy(double last_stamp, const Pose& T_map_last, double stamp, double delay) const {
+  Eigen::Vector3d rate = Eigen::Vector3d::Zero(), v_map = Eigen::Vector3d::Zero();
+  if (stamp - last_stamp < kLongPrediction) {
+    rate = turn_rate_;
+    v_map = velocityAt(stamp);
+  }
+  if (rotationSigma(std::abs(delay)) < kDelaySigma)
+    if (const auto felt = feltRate(stamp + 0.5 * delay, std::max(0.5 * std::abs(delay), kLeastHalf))) rate = *felt;
+  bool from_gyro = false;
+  const Eigen::Matrix3d R_map_camera = predict(last_stamp, T_map_last, stamp, &from_gyro).linear();
+  Pose T = Pose::Identity();
+  T.linear() = expSO3(Eigen::Vector3d(rate * delay));
+  T.translation() = R_map_camera.transpose() * v_map * delay;
+  return T;
+}
+
+std::optional<Eigen::Vector3d> CameraMotion::feltRate(double stamp, double half) const {
+  if (!gyroTrusted()) return std::nullopt;
+  const auto mean = imu_.mean(stamp - half, stamp + half);
+  if (mean.count == 0) return std::nullopt;
+  return Eigen::Vector3d(R_camera_imu_ * (mean.angular_velocity - gyro_bias_));
 }
 
 std::optional<Eigen::Vector3d> CameraMotion::feltTurn(double from, double to) const {
@@ -74,14 +100,14 @@ void CameraMotion::trustGyro(bool trusted) {
 
 void CameraMotion::setRowMotion(double stamp, const Pose& T_map_camera) {
   if (!rows_.active()) return;
-  Eigen::Vector3d rate = turn_rate_, v_map = velocity_;
-  const double half = std::max(0.5 * std::abs(rows_.readoutTime()), 0.01);
-  if (gyroTrusted()) {
-    const auto mean = imu_.mean(stamp - half, stamp + half);
-    if (mean.count > 0) rate = R_camera_imu_ * (mean.angular_velocity - gyro_bias_);
-    if (const auto v = inertial_.cameraVelocity(stamp, imu_)) v_map = *v;
-  }
-  rows_.setMotion(rate, T_map_camera.linear().transpose() * v_map);
+  Eigen::Vector3d rate = turn_rate_;
+  if (const auto felt = feltRate(stamp, std::max(0.5 * std::abs(rows_.readoutTime()), kLeastHalf))) rate = *felt;
+  rows_.setMotion(rate, T_map_camera.linear().transpose() * velocityAt(stamp));
+}
+
+Eigen::Vector3d CameraMotion::velocityAt(double stamp) const {
+  if (!gyroTrusted()) return velocity_;
+  return inertial_.cameraVelocity(stamp, imu_).value_or(velocity_);
 }
 
 void CameraMotion::update(double dt, const Pose& T_before, const Pose& T_now) {

@@ -18,7 +18,10 @@ class CameraMotion {
 
   /// Pose at `stamp` after the last one known; `from_gyro`: the gyro tells its rotation.
   Pose predict(double last_stamp, const Pose& T_map_last, double stamp, bool* from_gyro) const;
-  /// Standard deviation of that rotation by the gyro's bias [rad].
+  /// Pose of the camera `delay` [s] after `stamp` in its frame at `stamp`, by the gyro, where its bias is known well
+  /// enough for that, and by the last two poses, the last at `last_stamp`; what neither tells counts as no motion.
+  Pose movedBy(double last_stamp, const Pose& T_map_last, double stamp, double delay) const;
+  /// Standard deviation of the predicted rotation by the gyro's bias [rad].
   double rotationSigma(double dt) const { return gyro_bias_sigma_ * dt; }
   /// How the gyro felt the base turn between two stamps: rotation vector in the base [rad]. None without its samples.
   std::optional<Eigen::Vector3d> feltTurn(double from, double to) const;
@@ -54,6 +57,11 @@ class CameraMotion {
   void reset();
 
  private:
+  /// In the camera [rad/s], by the gyro's samples of `half` [s] before and after; none: not trusted, or no samples.
+  std::optional<Eigen::Vector3d> feltRate(double stamp, double half) const;
+  /// In the map [m/s]: by IMU and poses together, else by the last two poses.
+  Eigen::Vector3d velocityAt(double stamp) const;
+
   Mounting mounting_;
   double given_readout_time_, time_offset_, initial_gyro_bias_;
   Eigen::Matrix3d R_camera_imu_ = Eigen::Matrix3d::Identity();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "slam_impl.h"
@@ -14,6 +15,7 @@ namespace {
 
 constexpr double kPlaceRadius = 10;   // of the search for landmarks about where a recognised place puts them [px]
 constexpr double kUpsideDown = -0.7;  // cosine of a base's lean that no robot begins with: signs are wrong
+constexpr double kSameTime = 1e-3;    // of colour and depth: nothing moves much in less [s]
 
 }  // namespace
 
@@ -51,6 +53,7 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
       camera(camera_model),
       calibration(camera_model, slam_settings.readout_time, slam_settings.radial_stddev, 0),
       motion(camera_model, mounted, slam_settings),
+      carrier(camera_model),
       tracking(camera_model, slam_settings, map, frames, tracks, surfaces, motion),
       shutter(camera_model, slam_settings),
       search(slam_settings) {
@@ -153,12 +156,23 @@ void Slam::Impl::check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, co
     throw std::invalid_argument("Slam::process: the stamp is not newer than the last");
 }
 
-SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
+cv::Mat Slam::Impl::carriedTo(double stamp, const cv::Mat& depth, double depth_delay) {
+  if (!(std::abs(depth_delay) > kSameTime && std::abs(depth_delay) < kLongestDepthDelay)) return depth;
+  const double last = frames.empty() ? -std::numeric_limits<double>::infinity() : frames.lastStamp();
+  const Pose T_image_depth = motion.movedBy(last, frames.empty() ? Pose::Identity() : lastPose(), stamp, depth_delay);
+  cv::Mat carried = carrier.carry(depth, T_image_depth);
+  counters.depth_carried += carried.data != depth.data;
+  return carried;
+}
+
+SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth,
+                               double depth_delay) {
   check(stamp, gray, bgr, depth);
   ++counters.frames;
   if (last_stamp >= 0) motion.checkCoverage(last_stamp, stamp);
   last_stamp = stamp;
-  const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth};
+  const cv::Mat depth_now = carriedTo(stamp, depth, depth_delay);
+  const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth_now};
   const bool begun = state != State::kWaiting && state != State::kInitializing;
   SlamResult result = begun ? follow(images) : initialize(images);
   result.imu_problem = imuProblem();
@@ -301,8 +315,9 @@ Slam::~Slam() = default;
 
 bool Slam::addImu(const visual_frontend::ImuSample& sample) { return impl_->motion.addImu(sample); }
 
-SlamResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) {
-  return impl_->process(stamp, gray, bgr, depth);
+SlamResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth,
+                         double depth_delay) {
+  return impl_->process(stamp, gray, bgr, depth, depth_delay);
 }
 
 air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }

@@ -3,6 +3,7 @@
 
 #include "camera_motion.h"
 #include "dense_keyframes.h"
+#include "depth_carrier.h"
 #include "frame_tracker.h"
 #include "keyframe_surfaces.h"
 #include "loop_closer.h"
@@ -27,8 +28,10 @@ struct Slam::Impl {
   Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings);
 
   // ---- slam.cpp
-  SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth, double depth_delay);
   void check(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth) const;
+  /// Depth as of the image's time; as it came where the stamps agree, cannot be true, or no motion is known.
+  cv::Mat carriedTo(double stamp, const cv::Mat& depth, double depth_delay);
   SlamResult follow(const RgbdImages& images);  ///< a frame after the first of a map
   SlamResult initialize(const RgbdImages& images);
   /// Attitude of the first base in its map: level as gravity says it, if `levelled`, and yaw 0.
@@ -93,6 +96,7 @@ struct Slam::Impl {
   std::size_t next_calibration = 0;  ///< keyframes of the map at which it is looked at again
   std::size_t next_levelling = 1;    ///< likewise by surfaces, where no accelerometer levels
   CameraMotion motion;
+  DepthCarrier carrier;
   FrameTracker tracking;
   RotationCheck turns;       ///< gyro against images
   bool upside_down = false;  ///< the accelerometer said so as the map began

@@ -83,6 +83,7 @@ class NodeTest : public testing::Test {
     bool other_calibration = false;  ///< on depth's camera_info, though depth is registered
     bool unregistered = false;       ///< depth as a camera of its own sees it, 0.1 m beside the colour camera
     bool other_frame = false;        ///< depth says that it is of the depth camera's frame
+    double depth_after = 0.003;      ///< stamp of depth less that of its image [s]
   };
 
   static constexpr int kMarginX = 40, kMarginY = 30;  ///< of the image's cropped middle [px]
@@ -162,7 +163,7 @@ class NodeTest : public testing::Test {
       }
       colour_.publish(colour);
       if (spoil && i == 14) colour_.publish(colour);
-      header.stamp += ros::Duration(0.003);  // not quite the same stamp
+      header.stamp += ros::Duration(course.depth_after);
       if (course.unregistered) {
         header.frame_id = kDepthFrame;
         depth_info_.publish(ros_utils::toMsg(depth_robot_.camera, header));
@@ -374,6 +375,18 @@ TEST_F(NodeTest, DoubtsDepthOfAnotherFrameAndTakesIt) {
   ASSERT_TRUE(answered(30));
   EXPECT_EQ(status.back().state, air_ground::VoStatus::STATE_TRACKING) << status.back().reason;
   EXPECT_TRUE(spinUntil([&] { return diagnostics_.counted(calibration) >= 8; }));
+}
+
+TEST_F(NodeTest, CarriesDepthFromItsOwnStamp) {
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
+  Course course;
+  robot_.depth_delay = course.depth_after = 0.015;
+  drive(40, false, course);
+  ASSERT_TRUE(answered(40));
+  ASSERT_TRUE(diagnostics_.refresh());
+  EXPECT_GE(diagnostics_.counted("depth images carried to their colour image's time"), 20) << "since the reset";
+  EXPECT_EQ(diagnostics_.counted("depth images after their colour images by [ms]"), 15);
 }
 
 TEST_F(NodeTest, NamesSwappedAxesOfTheImu) {

@@ -39,6 +39,8 @@ struct Robot {
   double imu_step = 0.005;  ///< between samples [s]
   double start = 0;         ///< when the map begins [s]
   double readout_time = 0;  ///< of a rolling shutter [s]
+  double depth_delay = 0;   ///< depth is taken so long after the image [s]
+  double told_delay = 0;    ///< what SLAM hears of that [s]
   double sway = 0;          ///< roll and pitch swing by this while it drives, as on uneven ground [rad]
   double sway_rate = 1;     ///< how fast, over 2.1 and 1.7 rad/s
 
@@ -66,7 +68,8 @@ struct Robot {
   struct Frame {
     cv::Mat gray, depth;
   };
-  Frame frame(double t, synthetic::Random& random) const {
+  /// Without noise.
+  Frame render(double t) const {
     Frame f;
     const auto cameraOf = [&](int row) {
       return Pose(base(t + (static_cast<double>(row) / camera.height - 0.5) * readout_time) * mounting.T_base_camera);
@@ -75,6 +78,11 @@ struct Robot {
                  ? synthetic::renderPlane(camera, base(t) * mounting.T_base_camera, texture, floor, &f.depth)
                  : synthetic::renderPlaneByRows(camera, cameraOf, texture, floor, &f.depth);
     if (walls) addWalls(base(t) * mounting.T_base_camera, &f);
+    return f;
+  }
+  Frame frame(double t, synthetic::Random& random) const {
+    Frame f = render(t);
+    if (depth_delay != 0) f.depth = render(t + depth_delay).depth;
     cv::Mat noise(f.gray.size(), CV_16S), noisy;
     cv::RNG rng(static_cast<std::uint64_t>(t * 1000) + 5);
     rng.fill(noise, cv::RNG::NORMAL, 0, 2);
@@ -91,11 +99,15 @@ struct Robot {
   }
 
   /// Of a room with eight sides about the circle that is driven.
-  void addWalls(const Pose& T_world_camera, Frame* f) const {
+  static std::vector<synthetic::Plane> wallPlanes() {
     std::vector<synthetic::Plane> planes;
     for (int i = 0; i < 8; ++i)
       planes.emplace_back(Eigen::AngleAxisd(0.4 + M_PI / 4 * i, Eigen::Vector3d::UnitZ()) * Eigen::Vector3d::UnitX(),
                           2.2 + 0.2 * (i % 3));
+    return planes;
+  }
+  void addWalls(const Pose& T_world_camera, Frame* f) const {
+    const std::vector<synthetic::Plane> planes = wallPlanes();
     for (int v = 0; v < camera.height; ++v) {
       for (int u = 0; u < camera.width; ++u) {
         const double z = synthetic::depthOfPlanes(planes, camera, T_world_camera, {u, v});
@@ -139,7 +151,7 @@ inline Drive drive(const Robot& robot, Slam& slam, double t0, double t1, bool im
     for (; imu && next_imu <= t + 0.005; next_imu += robot.imu_step) slam.addImu(robot.imu(next_imu, random));
     auto frame = robot.frame(t, random);
     if (blind && blind(t)) frame.gray.setTo(15);
-    run.results.push_back(slam.process(t, frame.gray, cv::Mat(), frame.depth));
+    run.results.push_back(slam.process(t, frame.gray, cv::Mat(), frame.depth, robot.told_delay));
     run.stamps.push_back(t);
     run.truth.push_back({t, robot.mapped(t) * robot.mounting.T_base_camera});
   }

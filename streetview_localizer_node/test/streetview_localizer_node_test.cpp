@@ -1,6 +1,7 @@
 // The node over a painted courtyard: what comes out, and what it does with a looped bag, missing calibration and bad
 // input.
 #include <air_ground/StreetviewMatch.h>
+#include <diagnostic_msgs/DiagnosticStatus.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Odometry.h>
@@ -16,6 +17,8 @@
 #include <cstdio>
 #include <limits>
 #include <optional>
+#include <string>
+#include <utility>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/node_testing.h"
@@ -80,16 +83,16 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
     }));
   }
 
-  static std_msgs::Header header(double stamp) {
+  static std_msgs::Header header(double stamp, const std::string& frame = "mav_camera_optical_frame") {
     std_msgs::Header h;
     h.stamp = ros::Time(stamp);
-    h.frame_id = "mav_camera_optical_frame";
+    h.frame_id = frame;
     return h;
   }
 
   /// True when the node has it.
-  bool sendCalibration(double stamp) {
-    info_pub_.publish(ru::toMsg(TinyCity::camera(), header(stamp)));
+  bool sendCalibration(double stamp, const std::string& frame = "mav_camera_optical_frame") {
+    info_pub_.publish(ru::toMsg(TinyCity::camera(), header(stamp, frame)));
     return diagnostics_.awaitReceived(info_pub_.getTopic(), ros::Time(stamp));
   }
 
@@ -104,7 +107,9 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
 
   static Pose cameraAt(const Pose& T_world_base) { return T_world_base * baseFromCamera(); }
 
-  void sendImage(double stamp, const cv::Mat& image) { image_pub_.publish(ru::toMsg(image, "bgr8", header(stamp))); }
+  void sendImage(double stamp, const cv::Mat& image, const std::string& frame = "mav_camera_optical_frame") {
+    image_pub_.publish(ru::toMsg(image, "bgr8", header(stamp, frame)));
+  }
 
   bool awaitMatch(double stamp) {
     return spinUntil([&] { return !matches_.empty() && matches_.back().header.stamp == ros::Time(stamp); });
@@ -293,11 +298,47 @@ TEST_F(StreetviewLocalizerNodeTest, WrongPredictionIsSetAside) {
   EXPECT_LT((ru::fromMsg(poses_.back().pose.pose).translation() - T_world_base.translation()).norm(), 0.1);
 }
 
-TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
-  ASSERT_TRUE(sendCalibration(50));
+// Recordings of tf's first version name frames with a slash; some drivers name them in camera_info alone.
+TEST_F(StreetviewLocalizerNodeTest, FrameNamesOfOthersGiveAFix) {
+  const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(T_world_base));
+  double stamp = 46;
+  for (const auto& [of_info, of_image] : {std::pair<std::string, std::string>{"", "/mav_camera_optical_frame"},
+                                          {"/mav_camera_optical_frame", ""},
+                                          {"mav_camera_optical_frame", ""}}) {
+    ASSERT_TRUE(sendCalibration(++stamp, of_info));
+    sendImage(stamp, image, of_image);
+    ASSERT_TRUE(awaitMatch(stamp));
+    EXPECT_EQ(matches_.back().camera_frame, "mav_camera_optical_frame");
+    ASSERT_TRUE(spinUntil([&] { return !poses_.empty() && poses_.back().header.stamp == ros::Time(stamp); }))
+        << "'" << of_info << "' '" << of_image << "'";
+    EXPECT_LT((ru::fromMsg(poses_.back().pose.pose).translation() - T_world_base.translation()).norm(), 0.1);
+  }
+}
+
+TEST_F(StreetviewLocalizerNodeTest, WithoutMountingItSaysThatThereIsNoFix) {
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
-  sendImage(50, image);
-  ASSERT_TRUE(awaitMatch(50));
+  double stamp = 56;
+  for (const auto& [frame, why] :
+       {std::pair<std::string, std::string>{"nowhere", "no transform from 'nowhere' to 'mav_base_link'"},
+        {"", "neither images nor camera_info name a frame"}}) {
+    ASSERT_TRUE(sendCalibration(++stamp, frame));
+    sendImage(stamp, image, frame);
+    ASSERT_TRUE(awaitMatch(stamp));
+    EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+    EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("located, but " + why) == 0; }))
+        << diagnostics_.message();
+    EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::WARN);
+    EXPECT_TRUE(diagnostics_.await("images without prior and fix: " + why, 1));
+  }
+  EXPECT_TRUE(poses_.empty());
+}
+
+TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
+  ASSERT_TRUE(sendCalibration(60));
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
+  sendImage(60, image);
+  ASSERT_TRUE(awaitMatch(60));
   sendImage(5, image);
   ASSERT_TRUE(awaitMatch(5));
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;

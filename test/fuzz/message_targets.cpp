@@ -348,6 +348,7 @@ void tracking(const Bytes& bytes) {
   static const air_ground_common::LocalFrame frame("EPSG:2056", {2683500, 1247800, 410});
   ek::NodeSettings settings;
   settings.level_increments = source.take<std::uint8_t>() % 2;
+  settings.declination = 0.05;
   ek::SensorBridge bridge(settings, &frame);
   ek::TiltSource tilts;
   ek::Tracker tracker;

@@ -110,6 +110,7 @@ TEST_F(ViewMatchNode, TellsTheSimilarityOfAMapWithoutScaleAndForgetsWithTheGroun
   EXPECT_EQ(last_->header.frame_id, "ground_map");
   EXPECT_EQ(last_->child_frame_id, "mav_visual_map");
   EXPECT_EQ(last_->map_id, 1u);
+  EXPECT_EQ(last_->ground_map_id, 1u);
   const Pose T = ros_utils::fromMsg(last_->pose.pose);
   const Similarity found{last_->scale, T.linear(), T.translation()};
   EXPECT_NEAR(found.scale / truth.scale, 1, 0.02);
@@ -124,6 +125,7 @@ TEST_F(ViewMatchNode, TellsTheSimilarityOfAMapWithoutScaleAndForgetsWithTheGroun
   keyframes_.publish(other);
   ASSERT_TRUE(awaitStatus(AlignmentEstimate::STATUS_SEARCHING)) << reason();
   EXPECT_GE(last_->pose.covariance[0], 1e6);
+  EXPECT_EQ(last_->ground_map_id, 2u);
 }
 
 TEST_F(ViewMatchNode, BadInputIsCountedNotFatal) {

@@ -10,6 +10,9 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
   v("odom_frame", s.odom_frame, "");
   v("base_frame", s.base_frame, "");
   v("publish_tf", s.publish_tf, "map -> odom -> base_link");
+  v("odom_from_tf", s.odom_from_tf,
+    "true: an odometry of the robot's own publishes odom_frame -> base_frame on tf, and this node map -> odom "
+    "alone, to fit it at the images' stamps");
   v("camera_frame", s.camera_frame, "optical frame; \"\" = as camera_info says");
   v("imu_frame", s.imu_frame, "\"\" = as the IMU's messages say");
   v("base_camera", s.T_base_camera, "x y z qx qy qz qw of the (colour) camera in base_link [m]; all 0 = from tf");

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <utility>
 
+#include "frame_rivals.h"
 #include "map_ids.h"
 
 namespace air_ground_common::ros_utils {
@@ -59,7 +60,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       autosave_(settings.autosave),
       estimator_(estimator),
       health_(names.node),
-      mountings_(settings.base_frame),
+      mountings_(settings.base_frame, countRivals(settings, health_)),
       imu_input_(health_, !settings.accel_topic.empty()),
       handle_(handle),
       info_topic_(handle.resolveName(names.camera_info)),
@@ -436,6 +437,7 @@ void EstimatorShell::resetEstimator(bool all) {
   imu_input_.reset();
   if (all) imu_seen_ = false;
   estimator_.forgetMap();
+  estimator_.forgetOdometry();
   last_stamp_ = ros::Time();
   health_.state(kWarn, "started afresh: waiting for images");
 }

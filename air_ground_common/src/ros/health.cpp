@@ -129,14 +129,14 @@ NodeHealth::NodeHealth(const std::string& hardware_id)
   updater_.setHardwareID(hardware_id);
   updater_.add("state", this, &NodeHealth::report);
   // A wall timer: diagnostics and warnings must come when /clock stands still, too.
-  timer_ = ros::NodeHandle().createWallTimer(ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) {
-    watch();
-    updater_.force_update();
-  });
+  timer_ = ros::NodeHandle().createWallTimer(ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) { watch(); });
+  report_timer_ = ros::NodeHandle().createWallTimer(ros::WallDuration(updater_.getPeriod()),
+                                                    [this](const ros::WallTimerEvent&) { updater_.force_update(); });
 }
 
 NodeHealth::~NodeHealth() {
   timer_.stop();
+  report_timer_.stop();
   if (inquiry_) inquiry_->await(kMasterAnswers);  // it should not outlive roscpp
 }
 

@@ -1,6 +1,7 @@
 #include "air_ground_common/ros/mountings.h"
 
 #include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
@@ -19,7 +20,8 @@ std::string listed(std::vector<std::string> names) {
 
 }  // namespace
 
-Mountings::Mountings(const std::string& base_frame) : base_frame_(withoutSlash(base_frame)), transforms_(buffer_) {}
+Mountings::Mountings(const std::string& base_frame, TransformInput::Listener listener)
+    : base_frame_(withoutSlash(base_frame)), transforms_(buffer_, std::move(listener)) {}
 
 std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const std::string& frame,
                                       const std::string& sensor, std::string* why) const {

@@ -6,6 +6,12 @@
 
 namespace air_ground_common::ros_utils {
 
+ServerReader::ServerReader(const ros::NodeHandle& private_handle) : handle_(private_handle) {
+  others(kStartsParameter);
+  double period = 1;  // diagnostic_updater reads it by itself, and takes any
+  (*this)("diagnostic_period", period, {0.01, 3600}, "s", "");
+}
+
 void ServerReader::visit(const Parameter& p, ParameterField field) {
   known_.insert(p.name);
   const std::string full = handle_.resolveName(p.name);

@@ -1,24 +1,34 @@
 #include "air_ground_common/ros/pose_publisher.h"
 
-#include <geometry_msgs/TransformStamped.h>
 #include <nav_msgs/Odometry.h>
 
 #include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
+#include "map_to_odom.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
 
-geometry_msgs::TransformStamped edge(const ros::Time& stamp, const std::string& parent, const std::string& child,
-                                     const Pose& T) {
-  geometry_msgs::TransformStamped msg;
-  msg.header.stamp = stamp;
-  msg.header.frame_id = parent;
-  msg.child_frame_id = child;
-  msg.transform = toTransformMsg(T);
-  return msg;
+constexpr double kUnknown = 1e6;  // variance
+
+/// The mean velocity of a motion that took `dt` [s], in the base at its end.
+void setTwist(const Motion& motion, double dt, geometry_msgs::TwistWithCovariance* twist) {
+  const Eigen::Matrix3d R_current_previous = motion.T_previous_current.linear().transpose();
+  const Eigen::Vector3d v = R_current_previous * motion.T_previous_current.translation() / dt,
+                        w = logSO3(motion.T_previous_current.linear()) / dt;
+  twist->twist.linear.x = v.x();
+  twist->twist.linear.y = v.y();
+  twist->twist.linear.z = v.z();
+  twist->twist.angular.x = w.x();
+  twist->twist.angular.y = w.y();
+  twist->twist.angular.z = w.z();
+  if (!motion.covariance) return;
+  Matrix6d J = Matrix6d::Zero();
+  J.topLeftCorner<3, 3>() = J.bottomRightCorner<3, 3>() = R_current_previous / dt;
+  setCovariance(J * *motion.covariance * J.transpose(), &twist->covariance);
 }
 
 }  // namespace
@@ -57,59 +67,58 @@ void BoundedPath::clear() {
   published_ = ros::Time();
 }
 
-PosePublisher::PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings)
+PosePublisher::PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings, NodeHealth& health)
     : settings_(settings),
       odometry_(handle.advertise<nav_msgs::Odometry>(settings.odometry_topic, 100)),
       path_(handle.advertise<nav_msgs::Path>(settings.path_topic, 5, true)),
-      bounded_path_(settings.map_frame, settings.path_step) {}
+      bounded_path_(settings.map_frame, settings.path_step) {
+  if (settings.publish_tf && settings.odom_from_tf)
+    map_to_odom_ = std::make_unique<MapToOdom>(settings.map_frame, settings.odom_frame, settings.base_frame, health);
+}
+
+PosePublisher::~PosePublisher() = default;
 
 bool PosePublisher::publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion,
                             const Matrix6d& covariance) {
   if (stamp <= last_stamp_) return false;
-  const Pose T_odom_base = normalized(T_odom_base_ ? *T_odom_base_ * motion.T_previous_current : T_map_base);
+  const bool moved = !std::exchange(map_begins_, false);
   nav_msgs::Odometry odometry;
   odometry.header.stamp = stamp;
   odometry.header.frame_id = settings_.map_frame;
   odometry.child_frame_id = settings_.base_frame;
   odometry.pose.pose = toMsg(T_map_base);
   setCovariance(covariance, &odometry.pose.covariance);
-  Matrix6d twist_covariance = 1e6 * Matrix6d::Identity();
-  if (T_odom_base_ && !last_stamp_.isZero()) {
-    const double dt = stamp.toSec() - last_stamp_.toSec();
-    const Eigen::Matrix3d R_current_previous = motion.T_previous_current.linear().transpose();
-    const Eigen::Vector3d v = R_current_previous * motion.T_previous_current.translation() / dt,
-                          w = logSO3(motion.T_previous_current.linear()) / dt;
-    if (motion.covariance) {
-      Matrix6d J = Matrix6d::Zero();
-      J.topLeftCorner<3, 3>() = J.bottomRightCorner<3, 3>() = R_current_previous / dt;
-      twist_covariance = J * *motion.covariance * J.transpose();
-    }
-    odometry.twist.twist.linear.x = v.x();
-    odometry.twist.twist.linear.y = v.y();
-    odometry.twist.twist.linear.z = v.z();
-    odometry.twist.twist.angular.x = w.x();
-    odometry.twist.twist.angular.y = w.y();
-    odometry.twist.twist.angular.z = w.z();
-  }
-  setCovariance(twist_covariance, &odometry.twist.covariance);
+  setCovariance(kUnknown * Matrix6d::Identity(), &odometry.twist.covariance);
+  if (moved) setTwist(motion, stamp.toSec() - last_stamp_.toSec(), &odometry.twist);
   odometry_.publish(odometry);
-  if (settings_.publish_tf)
+  if (!T_odom_base_)
+    T_odom_base_ = normalized(T_map_base);
+  else if (moved)
+    T_odom_base_ = normalized(*T_odom_base_ * motion.T_previous_current);
+  if (map_to_odom_)
+    map_to_odom_->add(stamp, T_map_base);
+  else if (settings_.publish_tf)
     broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{
-        edge(stamp, settings_.map_frame, settings_.odom_frame, normalized(T_map_base * T_odom_base.inverse())),
-        edge(stamp, settings_.odom_frame, settings_.base_frame, T_odom_base)});
+        tfEdge(stamp, settings_.map_frame, settings_.odom_frame, normalized(T_map_base * T_odom_base_->inverse())),
+        tfEdge(stamp, settings_.odom_frame, settings_.base_frame, *T_odom_base_)});
   geometry_msgs::PoseStamped pose;
   pose.header = odometry.header;
   pose.pose = odometry.pose.pose;
   if (bounded_path_.add(pose)) path_.publish(bounded_path_.message());
-  T_odom_base_ = T_odom_base;
   last_stamp_ = stamp;
   return true;
 }
 
+void PosePublisher::beginMap() {
+  map_begins_ = true;
+  bounded_path_.clear();
+}
+
 void PosePublisher::reset() {
+  beginMap();
   T_odom_base_.reset();
   last_stamp_ = ros::Time();
-  bounded_path_.clear();
+  if (map_to_odom_) map_to_odom_->reset();
 }
 
 }  // namespace air_ground_common::ros_utils

@@ -3,11 +3,14 @@
 #include <ros/console.h>
 #include <ros/message_event.h>
 
+#include <utility>
+
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
 
-TransformInput::TransformInput(tf2_ros::Buffer& buffer) : buffer_(buffer) {
+TransformInput::TransformInput(tf2_ros::Buffer& buffer, Listener listener)
+    : buffer_(buffer), listener_(std::move(listener)) {
   using Event = ros::MessageEvent<tf2_msgs::TFMessage const>;
   buffer_.setUsingDedicatedThread(true);  // who waits for a transform may
   handle_.setCallbackQueue(&queue_);
@@ -40,7 +43,9 @@ void TransformInput::onMessage(const tf2_msgs::TFMessage& message, const std::st
     } catch (const tf2::TransformException& e) {
       ROS_ERROR_STREAM_THROTTLE(10, "tf: a transform to '" << transform.child_frame_id << "', from " << authority
                                                            << ", is left out: " << e.what());
+      continue;
     }
+    if (listener_) listener_(transform, authority);
   }
 }
 

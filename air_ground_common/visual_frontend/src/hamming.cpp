@@ -2,13 +2,14 @@
 
 #include <cstring>
 
+#include "air_ground_common/clones.h"
+
 namespace visual_frontend {
 
 // "avx2" brings the popcnt instruction with it.
-__attribute__((target_clones("avx2", "default"))) void nearestHamming(const std::uint8_t* a, std::size_t stride_a,
-                                                                      int n_a, const std::uint8_t* b,
-                                                                      std::size_t stride_b, int n_b, int* nearest,
-                                                                      int* distance, int* second) {
+AIR_GROUND_CLONES_FOR("avx2", "default")
+void nearestHamming(const std::uint8_t* a, std::size_t stride_a, int n_a, const std::uint8_t* b, std::size_t stride_b,
+                    int n_b, int* nearest, int* distance, int* second) {
   for (int i = 0; i < n_a; ++i) {
     std::uint64_t x[4];
     std::memcpy(x, a + i * stride_a, 32);

@@ -13,6 +13,8 @@ from .yaml_file import read_mapping
 
 UNKNOWN_UNDULATION = -1000.0  # of ekf_tracker's parameter geoid_undulation [m]
 SAME_ORIGIN = 0.05  # [m]
+# Name in a city file, parameter of ekf_tracker, what becomes of the tracker without.
+FACTS = (('geoid_undulation', 'geoid_undulation', 'GPS is used in plan only'), ('magnetic_declination', 'declination', 'the magnetometer is not used'))
 
 
 class CityError(Exception):
@@ -113,7 +115,7 @@ def is_same_origin(origin, crs, other_origin, other_crs):
 def read_city_file(path):
     """Content of a city's YAML file, as `simulate` writes beside a street bag; CityError says what is wrong with it."""
     facts = read_mapping(path, CityError, 'lines such as "crs: EPSG:2056"')
-    for name in ('geoid_undulation', 'magnetic_declination'):
+    for name, _, _ in FACTS:
         if name in facts and not isinstance(facts[name], (int, float)):
             raise CityError(f'{path}: {name} must be a number')
     return facts
@@ -135,7 +137,12 @@ def tracker_parameters(city, facts):
             raise CityError(f'the database has its origin at {origin_text(origin)} in {crs}, the city file at {origin_text(given)} in {facts["crs"]}: '
                             f'build the database with --origin {origin_text(converted(given, facts["crs"], crs))}')
         result.update({'origin_crs': crs, 'origin': origin})
-    for name, parameter in (('geoid_undulation', 'geoid_undulation'), ('magnetic_declination', 'declination')):
+    for name, parameter, _ in FACTS:
         if name in facts:
             result[parameter] = float(facts[name])
     return result
+
+
+def what_is_unknown(parameters):
+    """A line for each of the `parameters` of ekf_tracker that nobody has named: what follows, and what to do."""
+    return [f'{parameter} is not known, so {then}: name it in the --city file, as {name}' for name, parameter, then in FACTS if parameter not in parameters]

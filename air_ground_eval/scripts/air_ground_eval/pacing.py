@@ -11,13 +11,34 @@ from rosgraph_msgs.msg import Clock
 CALLER = '/replay_report'
 
 
+def _processor_time(pid):
+    """Of a process: CPU time used, and that with the time that its threads waited for a processor [s]. Raises OSError when it has ended."""
+    with open(f'/proc/{pid}/stat', encoding='ascii') as stream:
+        words = stream.read().rsplit(')', 1)[1].split()
+    used = (int(words[11]) + int(words[12])) / os.sysconf('SC_CLK_TCK')
+    run = waited = 0
+    for thread in os.listdir(f'/proc/{pid}/task'):
+        try:
+            with open(f'/proc/{pid}/task/{thread}/schedstat', encoding='ascii') as stream:
+                numbers = stream.read().split()
+        except OSError:
+            continue  # it has ended, or the kernel keeps none
+        run, waited = run + int(numbers[0]), waited + int(numbers[1])
+    return used, max(used, 1e-9 * run) + 1e-9 * waited
+
+
 class CpuLoad:
-    """CPU time that the nodes use, from /proc (zero for nodes on other machines)."""
+    """CPU time that the nodes use, from /proc (zero for nodes on other machines).
+
+    wanted: name -> mean number of cores that the node used or waited for, between the last two calls of cores(). On a busy machine a node that
+    has much to do may get hardly any time: that is not idle.
+    """
 
     def __init__(self, nodes):
         self.nodes = nodes
         self.processes = {}
         self.previous = {}
+        self.wanted = {}
         self.last_lookup = 0.0
 
     def cores(self):
@@ -26,18 +47,18 @@ class CpuLoad:
         if len(self.processes) < len(self.nodes) and now - self.last_lookup > 2.0:
             self.last_lookup = now
             self._find()
-        result = {}
+        result, self.wanted = {}, {}
         for name, pid in self.processes.items():
             try:
-                with open(f'/proc/{pid}/stat', encoding='ascii') as stream:
-                    words = stream.read().rsplit(')', 1)[1].split()
-                used = (int(words[11]) + int(words[12])) / os.sysconf('SC_CLK_TCK')
+                used, wanted = _processor_time(pid)
             except (OSError, IndexError):
                 continue
             before = self.previous.get(name)
-            self.previous[name] = (now, used)
+            self.previous[name] = (now, used, wanted)
             if before is not None:
-                result[name] = max(0.0, used - before[1]) / max(now - before[0], 1e-3)
+                seconds = max(now - before[0], 1e-3)
+                result[name] = max(0.0, used - before[1]) / seconds
+                self.wanted[name] = max(0.0, wanted - before[2]) / seconds
         return result
 
     def _find(self):
@@ -70,7 +91,7 @@ class Pacer:
             self.last_load = wall
             cores = self.load.cores()
             self.recorder.cores.append((now, cores))
-            self.busy = {name for name, used in cores.items() if used > 0.1}
+            self.busy = {name for name, wanted in self.load.wanted.items() if wanted > 0.1}
         with self.recorder.lock:
             lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
                     if name in self.busy and name in self.limits}

@@ -27,6 +27,12 @@ def pose_from_message(pose):
     return geometry.pose_from_tq([p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
 
 
+def owned_frames(robot, node):
+    """Frames of a robot whose place on tf its node publishes: odom and base, with `odom_from_tf` odom alone."""
+    frames = [rospy.get_param(f'~{robot}_odom_frame', f'{robot}_odom')]
+    return frames if rospy.get_param(f'{node}/odom_from_tf', False) else [rospy.get_param(f'~{robot}_base_frame', f'{robot}_base_link')] + frames
+
+
 class Robot:
     """What was heard from a robot's odometry. on: `node` runs; else another is in its place, or none. image: its input topic."""
 
@@ -300,14 +306,15 @@ def end_launch(line, failed=False):
 
 
 def wait_for_rest(recorder, idle_time, limit):
-    """Returns when the nodes publish nothing more and use little CPU, at the latest after `limit` [s]."""
+    """Returns when the nodes publish nothing more and want little CPU, at the latest after `limit` [s]."""
     load = CpuLoad(recorder.nodes)
     begin = quiet_since = time.monotonic()
     load.cores()
     while not rospy.is_shutdown() and time.monotonic() - begin < limit:
         time.sleep(min(1.0, idle_time))
         now = time.monotonic()
-        if sum(load.cores().values()) > 0.3 or now - recorder.last_output < 1.0:
+        load.cores()
+        if sum(load.wanted.values()) > 0.3 or now - recorder.last_output < 1.0:
             quiet_since = now
         if now - quiet_since >= idle_time:
             return

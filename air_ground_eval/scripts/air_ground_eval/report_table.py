@@ -22,6 +22,10 @@ def table(v, notes):
             add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_units"]:.2f} of its map\'s unit, scale unknown, {v[f"{prefix}_poses"]} poses')
         else:
             add(f'{label} path', f'{v[f"{prefix}_estimated_path_length_m"]:.2f} m, {v[f"{prefix}_poses"]} poses')
+        if v.get(f'{prefix}_coverage_percent', 100) < 90:
+            lost = v.get(f'{prefix}_lost_frames', 0)
+            add(f'{label} covers', f'{v[f"{prefix}_coverage_percent"]:.0f} % of the recording, and its errors are of that'
+                f'{f"; {lost} images lost" if lost else ""}')
         if v.get(f'{prefix}_final_state', 'TRACKING') != 'TRACKING':
             add(f'{label} state at the end', f'{v[f"{prefix}_final_state"]}: {v[f"{prefix}_final_reason"]}')
         if f'{prefix}_processing_time_mean_ms' in v:

@@ -25,6 +25,7 @@ struct FaultsConfig {
   double focal_error = 0;          ///< likewise: their focal lengths, relative
   double lost_images = 0;          ///< share of each robot's images that is not recorded, 1 to 5 in a row
   double clock_offset = 0;         ///< of the ground robot's clock: its stamps minus the MAV's [s]
+  double depth_delay = 0;          ///< its depth images are taken, and stamped, so long after the colour images [s]
   StaticTransforms tf_static = StaticTransforms::kLatched;
 
   bool any() const;
@@ -34,7 +35,7 @@ struct FaultsConfig {
   std::string describe() const;
 
   /// A consumer drone and a phone's camera: all of a recording's faults that an estimator has to live with at once. The
-  /// robots' clocks agree, /tf_static is latched.
+  /// robots' clocks agree, colour and depth are taken at once, /tf_static is latched.
   static FaultsConfig all();
 };
 

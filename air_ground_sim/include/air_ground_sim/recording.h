@@ -17,7 +17,7 @@ namespace air_ground_sim {
 
 struct RgbdFrame {
   std::vector<std::uint8_t> rgb;        ///< R G B, row by row
-  std::vector<std::uint16_t> depth_mm;  ///< registered to rgb; 0 = no measurement
+  std::vector<std::uint16_t> depth_mm;  ///< registered to rgb, `depth_delay` later; 0 = no measurement
 };
 
 class Recording {

@@ -16,6 +16,7 @@ void FaultOptions::apply(FaultsConfig* f) const {
   f->focal_error = focal_error.value_or(f->focal_error);
   f->lost_images = lost_images.value_or(f->lost_images);
   f->clock_offset = clock_offset.value_or(f->clock_offset);
+  f->depth_delay = depth_delay.value_or(f->depth_delay);
   if (!gyro_bias.empty()) f->gyro_bias = gyro_bias;
   if (!accel_bias.empty()) f->accel_bias = accel_bias;
   f->start_in_motion = f->start_in_motion || start_in_motion;
@@ -81,6 +82,9 @@ void addFaultOptions(CLI::App* app, FaultOptions* f) {
       ->transform(CLI::CheckedTransformer(modes))
       ->group(group);
   app->add_option("--clock-offset", f->clock_offset, "the ground robot's clock is ahead of the MAV's by this [s]")
+      ->group(group);
+  app->add_option("--depth-delay", f->depth_delay,
+                  "the ground robot's depth images are taken, and stamped, so long after its colour images [s]")
       ->group(group);
 }
 

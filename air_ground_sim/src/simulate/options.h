@@ -14,7 +14,8 @@ namespace air_ground_sim {
 /// Faults of the command line; what is not given there is the world file's.
 struct FaultOptions {
   bool all = false, start_in_motion = false;
-  std::optional<double> time_offset, readout_time, vibration, clock_offset, radial_error, focal_error, lost_images;
+  std::optional<double> time_offset, readout_time, vibration, clock_offset, depth_delay, radial_error, focal_error,
+      lost_images;
   std::vector<double> gyro_bias, accel_bias;
   std::optional<int> jpeg_quality;
   std::optional<StaticTransforms> tf_static;

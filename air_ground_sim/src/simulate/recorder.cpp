@@ -254,7 +254,9 @@ void BagRecorder::writeGroundImage(double time, int index, RgbdFrame frame) {
   std::memcpy(depth.data(), frame.depth_mm.data(), depth.size());
   writeImage("/ground/rgb/image_raw", time, imageMessage(ground_info_, encodings::RGB8, 3, std::move(frame.rgb)));
   bag_.write("/ground/rgb/camera_info", stampOf(time), ground_info_);
-  bag_.write("/ground/depth/image_raw", stampOf(time),
+  const double depth_time = time + sim_.config().faults.depth_delay;
+  ground_info_.header.stamp = headerOf(kGround, "", depth_time).stamp;
+  bag_.write("/ground/depth/image_raw", stampOf(depth_time),
              imageMessage(ground_info_, encodings::TYPE_16UC1, 2, std::move(depth)));
 }
 

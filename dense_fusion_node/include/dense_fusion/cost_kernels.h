@@ -1,4 +1,4 @@
-// Inner loops of the plane sweep on plain arrays; vectorised per CPU generation at run time (target_clones).
+// Inner loops of the plane sweep on plain arrays; vectorised per CPU generation at run time (clones.h).
 #pragma once
 
 #include <cstdint>

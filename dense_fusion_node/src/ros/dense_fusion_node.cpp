@@ -35,7 +35,8 @@ class DenseFusionNode {
       : settings_(settings),
         health_("dense_fusion"),
         queue_(static_cast<std::size_t>(settings.queue_size), health_),
-        publisher_(handle_),
+        map_(settings_, health_),
+        publisher_(handle_, map_, queue_, health_),
         mapper_(settings.mapper) {
     image_topic_ = handle_.resolveName("mav/posed_image");
     health_.expectInput(image_topic_);
@@ -142,6 +143,7 @@ class DenseFusionNode {
     mapper_.reset();
     last_stamp_ = ros::Time();
     map_id_.reset();
+    publisher_.startMap();
     map_.reset();
   }
 
@@ -167,6 +169,8 @@ class DenseFusionNode {
     // A map in the visual frame has no scale and keeps its unit; any other that is not metric will change it.
     const bool own_unit = !msg.metric && msg.header.frame_id == settings_.visual_map_frame;
     if (!msg.metric && !own_unit) {
+      // What there is stays for save_map, but is no part of the map that others know by now.
+      if (map_id_ != msg.map_id || map_revision_ != msg.map_revision) publisher_.startMap();
       health_.state(kWarn, "waiting: the images' poses have no metric scale yet");
       ++without_scale_;
       return;
@@ -248,9 +252,9 @@ class DenseFusionNode {
   }
 
   void publish(const FusedMap& fused) {
+    map_.add(fused.depth_map.stamp, fused.points);  // before anybody can ask for what was published
     if (!queue_.unlessReset([&] { publisher_.publish(fused, frame_id_, camera_frame_, *map_id_); }))
       return health_.count("fused maps of the time before a jump or reset dropped");
-    map_.add(fused.depth_map.stamp, fused.points);
     health_.timing("fusion: votes [s]", fused.timings.votes);
     health_.timing("fusion: minimisation [s]", fused.timings.minimisation);
     health_.timing("fusion: surface [s]", fused.timings.surface);
@@ -271,6 +275,7 @@ class DenseFusionNode {
   ros::WallTimer timer_;
   std::string image_topic_;
 
+  MapStore map_;
   // Touched by the worker only.
   FusedMapPublisher publisher_;
   DenseMapper mapper_;
@@ -281,7 +286,6 @@ class DenseFusionNode {
   std::size_t without_scale_ = 0;
   std::size_t good_depth_maps_ = 0, poor_before_ = 0;  // when the last good depth map came
 
-  MapStore map_{settings_, health_};
   std::thread worker_;
 };
 

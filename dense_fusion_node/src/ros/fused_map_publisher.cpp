@@ -64,11 +64,11 @@ std::vector<ros_utils::CloudPoint> messagePoints(const std::vector<SurfacePoint>
   return cloud;
 }
 
-FusedMapPublisher::FusedMapPublisher(ros::NodeHandle handle)
+FusedMapPublisher::FusedMapPublisher(ros::NodeHandle handle, const MapStore& map, WorkQueue& queue,
+                                     ros_utils::NodeHealth& health)
     : depth_map_(handle.advertise<air_ground::PosedDepthMap>("mav/depth_map", 20)),
-      cloud_(handle.advertise<sensor_msgs::PointCloud2>("mav/dense_cloud", 20)),
-      corrections_(handle.advertise<air_ground::CloudCorrections>("mav/cloud_corrections", 20)),
-      field_(handle.advertise<diagnostic_msgs::DiagnosticArray>("mav/distance_field", 20)) {}
+      field_(handle.advertise<diagnostic_msgs::DiagnosticArray>("mav/distance_field", 20)),
+      clouds_(handle, map, queue, health) {}
 
 void FusedMapPublisher::publish(const FusedMap& fused, const std::string& map_frame, const std::string& camera_frame,
                                 std::uint32_t map_id) {
@@ -89,13 +89,14 @@ void FusedMapPublisher::publish(const FusedMap& fused, const std::string& map_fr
   depth.map_id = map_id;
 
   depth_map_.publish(depth);
-  cloud_.publish(ros_utils::toMsg(messagePoints(fused.points), ros_utils::CloudFields::kXyzIntensity, header));
+  clouds_.publish(boost::make_shared<sensor_msgs::PointCloud2>(
+      ros_utils::toMsg(messagePoints(fused.points), ros_utils::CloudFields::kXyzIntensity, header)));
   field_.publish(fieldMessage(fused, header));
 }
 
 void FusedMapPublisher::publish(const air_ground_common::CloudCorrections& corrections, const std_msgs::Header& header,
                                 std::uint32_t map_id) {
-  corrections_.publish(ros_utils::toMsg(corrections, header, map_id));
+  clouds_.publish(ros_utils::toMsg(corrections, header, map_id));
 }
 
 }  // namespace dense_fusion

@@ -1,7 +1,9 @@
 #include "map_store.h"
 
+#include <algorithm>
 #include <stdexcept>
 
+#include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/ros/file_services.h"
 #include "fused_map_publisher.h"
 
@@ -18,19 +20,40 @@ void MapStore::add(std::int64_t stamp, std::vector<SurfacePoint> points) {
   PointMap thinned(settled_.cell(), settings_.map_max_points);
   health_.count("points left out of the map: not finite, or too far away", thinned.add(points));
   const double cell = settled_.cell();
-  clouds_.add(stamp, thinned.points(), [this](const std::vector<SurfacePoint>& old) { settled_.add(old); });
+  clouds_.emplace_back(stamp, Kept{thinned.points(), {}});
+  if (clouds_.size() > air_ground_common::kFollowedClouds) {
+    settled_.add(asTheyStand(clouds_.front().second));
+    clouds_.pop_front();
+  }
   if (settled_.cell() > cell) health_.count("map_max_points reached: the cells of the map were doubled");
 }
 
 void MapStore::correct(const air_ground_common::CloudCorrections& corrections) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  clouds_.correct(corrections);
+  air_ground_common::correctClouds(corrections, &clouds_, [](const air_ground_common::Similarity& S, Kept* cloud) {
+    cloud->T_now_published = compose(S, cloud->T_now_published);
+  });
+}
+
+std::optional<std::pair<std::int64_t, std::vector<SurfacePoint>>> MapStore::asPublished(std::int64_t first,
+                                                                                        std::int64_t last) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto it = std::find_if(clouds_.begin(), clouds_.end(),
+                               [&](const auto& cloud) { return cloud.first >= first && cloud.first <= last; });
+  if (it == clouds_.end()) return std::nullopt;
+  return std::make_pair(it->first, it->second.points);
+}
+
+std::vector<SurfacePoint> MapStore::asTheyStand(const Kept& cloud) {
+  std::vector<SurfacePoint> points = cloud.points;
+  air_ground_common::moveBy(cloud.T_now_published, &points);
+  return points;
 }
 
 PointMap MapStore::merged() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   PointMap map = settled_;
-  for (const auto& [stamp, points] : clouds_.clouds()) map.add(points);
+  for (const auto& [stamp, cloud] : clouds_) map.add(asTheyStand(cloud));
   return map;
 }
 

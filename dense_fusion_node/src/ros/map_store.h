@@ -1,11 +1,15 @@
 // The dense map so far: the worker adds, services read.
 #pragma once
 
+#include <cstdint>
+#include <deque>
 #include <mutex>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include "air_ground_common/followed_clouds.h"
+#include "air_ground_common/map_correction.h"
 #include "air_ground_common/ros/health.h"
 #include "dense_fusion/point_map.h"
 #include "node_parameters.h"
@@ -23,6 +27,10 @@ class MapStore {
   void add(std::int64_t stamp, std::vector<SurfacePoint> points);
   void correct(const air_ground_common::CloudCorrections& corrections);
   std::size_t size() const;
+  /// The first of the clouds that follow corrections still whose stamp [ns] lies in first ... last: thinned, and where
+  /// it was before all corrections. Empty: there is none.
+  std::optional<std::pair<std::int64_t, std::vector<SurfacePoint>>> asPublished(std::int64_t first,
+                                                                                std::int64_t last) const;
   /// Of the points now; others may come while it writes. Number of points written. Throws std::runtime_error, also when
   /// there is none.
   std::size_t write(const std::string& path) const;
@@ -30,11 +38,16 @@ class MapStore {
  private:
   const NodeSettings& settings_;
   air_ground_common::ros_utils::NodeHealth& health_;
+  struct Kept {
+    std::vector<SurfacePoint> points;  // as they were published
+    air_ground_common::Similarity T_now_published;
+  };
+  static std::vector<SurfacePoint> asTheyStand(const Kept& cloud);
   PointMap merged() const;
 
   mutable std::mutex mutex_;
-  air_ground_common::FollowedClouds<SurfacePoint> clouds_;
-  PointMap settled_;  // those before
+  std::deque<std::pair<std::int64_t, Kept>> clouds_;  // the oldest first
+  PointMap settled_;                                  // those before, as they stand
 };
 
 }  // namespace dense_fusion

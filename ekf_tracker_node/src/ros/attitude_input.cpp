@@ -1,6 +1,7 @@
 #include "attitude_input.h"
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/text.h"
 
 namespace ekf_tracker {
 namespace {
@@ -29,7 +30,9 @@ AttitudeInput::AttitudeInput(ros::NodeHandle handle, const NodeSettings& setting
     health_.expectInput(vo_poses_.getTopic());
   }
   if (settings_.magnetometer || settings_.odometry_wait > 0)
-    imu_ = handle.subscribe("mav/imu/data", 1000, &AttitudeInput::onImu, this);
+    accelerometer_ = settings_.accel_topic.empty()
+                         ? handle.subscribe("mav/imu/data", 1000, &AttitudeInput::onAcceleration, this)
+                         : handle.subscribe(settings_.accel_topic, 1000, &AttitudeInput::onAcceleration, this);
   if (settings_.magnetometer) {
     magnetometer_ = handle.subscribe("mav/imu/mag", 400, &AttitudeInput::onMagneticField, this);
     health_.expectInput(magnetometer_.getTopic());
@@ -54,8 +57,13 @@ void AttitudeInput::onVoPose(const nav_msgs::Odometry::ConstPtr& msg) {
   drainFields();
 }
 
-void AttitudeInput::onImu(const sensor_msgs::Imu::ConstPtr& msg) {
+void AttitudeInput::onAcceleration(const sensor_msgs::Imu::ConstPtr& msg) {
   const Eigen::Vector3d force(msg->linear_acceleration.x, msg->linear_acceleration.y, msg->linear_acceleration.z);
+  // A gyro's own messages say so, or hold zeros.
+  if (msg->linear_acceleration_covariance[0] == -1 || force == Eigen::Vector3d::Zero())
+    return health_.count("accelerations on " + accelerometer_.getTopic() +
+                         " ignored: not measured. Where the accelerometer has a topic of its own, name it by the "
+                         "launch argument mav_imu_accel, or the parameter accel_topic");
   const auto R_base_sensor = rotationFrom(msg->header.frame_id);
   if (force.allFinite() && R_base_sensor) tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
 }
@@ -85,7 +93,7 @@ void AttitudeInput::applyField(const sensor_msgs::MagneticField& msg) {
   const auto T_map_base = tilts_.poseAt(stamp, kFieldTolerance);
   const auto R_level_base = T_map_base ? tiltOf(T_map_base->linear()) : tilts_.accelerometerTiltAt(stamp);
   if (!R_level_base)
-    return health_.count("magnetometer readings ignored: no tilt from mav/odometry or mav/imu/data at their time");
+    return health_.count("magnetometer readings ignored: no tilt from mav/odometry or the accelerometer at their time");
   try {
     on_heading_(bridge_.heading(msg, *R_base_sensor, *R_level_base));
   } catch (const std::invalid_argument& e) {
@@ -99,12 +107,14 @@ std::optional<Eigen::Matrix3d> AttitudeInput::tiltAt(double stamp, const std::op
   return tilts_.accelerometerTiltAt(stamp);
 }
 
-std::optional<Eigen::Matrix3d> AttitudeInput::rotationFrom(const std::string& frame) {
-  if (frame.empty() || frame == settings_.base_frame) return Eigen::Matrix3d::Identity();
+std::optional<Eigen::Matrix3d> AttitudeInput::rotationFrom(const std::string& message_frame) {
+  const std::string frame = air_ground_common::withoutSlash(message_frame),
+                    base = air_ground_common::withoutSlash(settings_.base_frame);
+  if (frame.empty() || frame == base) return Eigen::Matrix3d::Identity();
   try {
-    return ru::fromMsg(tf_.lookupTransform(settings_.base_frame, frame, ros::Time(0)).transform).linear();
+    return ru::fromMsg(tf_.lookupTransform(base, frame, ros::Time(0)).transform).linear();
   } catch (const std::exception&) {
-    health_.count("readings ignored: no transform from " + frame + " to " + settings_.base_frame);
+    health_.count("readings ignored: no transform from " + frame + " to " + base);
     return std::nullopt;
   }
 }

@@ -20,7 +20,8 @@
 
 namespace ekf_tracker {
 
-/// Subscribes to mav/odometry, mav/imu/data and mav/imu/mag as the settings ask for them. Callbacks of one thread.
+/// Subscribes to mav/odometry, mav/imu/data (or the accelerometer's own topic) and mav/imu/mag as the settings ask for
+/// them. Callbacks of one thread.
 class AttitudeInput {
  public:
   /// `on_pose`: after each pose of the odometry; `on_heading`: a measurement of the magnetometer. What is given must
@@ -39,10 +40,10 @@ class AttitudeInput {
 
  private:
   void onVoPose(const nav_msgs::Odometry::ConstPtr& msg);
-  void onImu(const sensor_msgs::Imu::ConstPtr& msg);
+  void onAcceleration(const sensor_msgs::Imu::ConstPtr& msg);
   void onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg);
   void applyField(const sensor_msgs::MagneticField& msg);
-  std::optional<Eigen::Matrix3d> rotationFrom(const std::string& frame);
+  std::optional<Eigen::Matrix3d> rotationFrom(const std::string& message_frame);
 
   const NodeSettings& settings_;
   SensorBridge& bridge_;
@@ -52,7 +53,7 @@ class AttitudeInput {
   TiltSource tilts_;
   tf2_ros::Buffer tf_;
   air_ground_common::ros_utils::TransformInput transforms_{tf_};
-  ros::Subscriber vo_poses_, imu_, magnetometer_;
+  ros::Subscriber vo_poses_, accelerometer_, magnetometer_;
   std::deque<std::pair<sensor_msgs::MagneticField::ConstPtr, double>> pending_fields_;  ///< with their arrival [s]
 };
 

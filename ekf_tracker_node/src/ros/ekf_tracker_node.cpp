@@ -123,8 +123,8 @@ class EkfTrackerNode {
     if (settings_.odometry_wait > 0 && !T_map_base)
       health_.count(
           R_level_base
-              ? "increments without mav/odometry of their stamp: tilt from mav/imu/data, no tf"
-              : "increments without mav/odometry of their stamp, nor mav/imu/data: roll and pitch neglected, no tf");
+              ? "increments without mav/odometry of their stamp: tilt from the accelerometer, no tf"
+              : "increments without mav/odometry of their stamp, nor accelerations: roll and pitch neglected, no tf");
     bool replaced = false;
     IncrementResult result = IncrementResult::kInvalid;
     try {

@@ -2,22 +2,33 @@
 
 #include "air_ground_common/parameters.h"
 #include "air_ground_common/ros/file_services.h"
+#include "air_ground_common/text.h"
 
 namespace ekf_tracker {
 namespace {
 
-constexpr double kUnknownUndulation = -1000, kLeastUndulation = -120;  // [m]; on Earth from -107 to 86
+constexpr double kUnknown = -1000;  // what a user writes for a number that is not known
 
-void describeUndulation(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
-  double undulation = s.geoid_undulation.value_or(kUnknownUndulation);
-  v("geoid_undulation", undulation, {kUnknownUndulation, 100}, "m",
-    "ellipsoidal height minus the height used in `origin`, at least -120; 47.3 in Zurich, 0 where `origin` is above "
-    "the "
-    "ellipsoid. -1000: not known; then GPS gives no height, and tracked/geodetic has the height of `origin`'s datum");
-  if (undulation > kUnknownUndulation && undulation < kLeastUndulation)
-    throw air_ground_common::ParameterError("parameter geoid_undulation = " + air_ground_common::toString(&undulation) +
-                                            " must lie in [-120, 100] m, or be -1000 where it is not known");
-  s.geoid_undulation = undulation < kLeastUndulation ? std::nullopt : std::make_optional(undulation);
+// A number in `range` or, where it is not known, kUnknown.
+void describeKnown(air_ground_common::ParameterVisitor& v, const char* name, std::optional<double>& field,
+                   air_ground_common::ParameterRange range, const char* unit, const char* text) {
+  double value = field.value_or(kUnknown);
+  v(name, value, {kUnknown, range.max}, unit, text);
+  if (value > kUnknown && value < range.min)
+    throw air_ground_common::ParameterError(
+        std::string("parameter ") + name + " = " + air_ground_common::toString(&value) +
+        air_ground_common::formatted(" must lie in [%g, %g] %s, or be %g where it is not known", range.min, range.max,
+                                     unit, kUnknown));
+  field = value < range.min ? std::nullopt : std::make_optional(value);
+}
+
+void describeDeclination(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
+  std::optional<double> degrees;
+  if (s.declination) degrees = *s.declination * 180 / M_PI;
+  describeKnown(v, "declination", degrees, {-180, 180}, "deg",
+                "of magnetic from true north, east positive, at least -180; 3.2 in Zurich (2024). -1000: not known; "
+                "then no reading of the magnetometer is used");
+  s.declination = degrees ? std::make_optional(*degrees * M_PI / 180) : std::nullopt;
 }
 
 }  // namespace
@@ -39,23 +50,28 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("origin_crs", s.origin_crs,
     "e.g. EPSG:2056 (Swiss LV95), EPSG:32632 (UTM 32N); empty: no geodetic output, GPS is not used");
   v("origin", s.origin, {-1e9, 1e9}, "m", "easting, northing, height of the world's origin in that system");
-  describeUndulation(v, s);
+  describeKnown(v, "geoid_undulation", s.geoid_undulation, {-120, 100}, "m",  // on Earth from -107 to 86
+                "ellipsoidal height minus the height used in `origin`, at least -120; 47.3 in Zurich, 0 where `origin` "
+                "is above the ellipsoid. -1000: not known; then GPS gives no height, and tracked/geodetic has the "
+                "height of `origin`'s datum");
 
   v.section("Visual odometry");
   v.choice("increment_frame", s.level_increments, {{"body", true}, {"level", false}},
            "body: relative_pose is in the tilted body, levelled here; level: it is level already");
   v("odometry_wait", s.odometry_wait, {0, 60}, "s",
     "an increment waits so long (wall time) for mav/odometry of its stamp, for tilt and tf; one that is not metric "
-    "only while mav/odometry comes. Without it mav/imu/data gives the tilt. 0: neither is used, roll and pitch are "
-    "neglected as in the paper, and there is no tf");
+    "only while mav/odometry comes. Without it the accelerometer gives the tilt. 0: neither is used, roll and pitch "
+    "are neglected as in the paper, and there is no tf");
+  v("accel_topic", s.accel_topic,
+    "sensor_msgs/Imu of an accelerometer that has a topic of its own (launch argument mav_imu_accel); \"\" = in the "
+    "IMU's messages");
   v("clock_tolerance", s.clock_tolerance, {0, 60}, "s",
     "a fix or an increment stamped this far ahead of the ROS clock is refused");
   describe(v, s.tracker);
 
   v.section("Magnetometer (mav/imu/mag)");
   v("magnetometer", s.magnetometer, "");
-  v.degrees("declination", s.declination, {-180, 180},
-            "of magnetic from true north, east positive; 3.2 in Zurich (2024)");
+  describeDeclination(v, s);
   v.degrees("magnetometer_stddev", s.magnetometer_stddev, {0.1, 90},
             "of the heading; buildings and motors bend the field for seconds on end");
   v("magnetometer_interval", s.magnetometer_interval, {0, 600}, "s",

@@ -108,8 +108,12 @@ bool SensorBridge::isFieldDue(const sensor_msgs::MagneticField& msg) {
 
 Measurement SensorBridge::heading(const sensor_msgs::MagneticField& msg, const Eigen::Matrix3d& R_base_sensor,
                                   const Eigen::Matrix3d& R_level_base) const {
+  if (!settings_.declination)
+    throw std::invalid_argument(
+        "the declination is not known: set the parameter declination (of magnetic from true north, east positive, in "
+        "degrees; city_parameters prints the one that its --city file names)");
   const Eigen::Vector3d field(msg.magnetic_field.x, msg.magnetic_field.y, msg.magnetic_field.z);
-  const auto yaw = yawFromMagneticField(R_base_sensor * field, R_level_base, settings_.declination);
+  const auto yaw = yawFromMagneticField(R_base_sensor * field, R_level_base, *settings_.declination);
   if (!yaw) throw std::invalid_argument("no usable horizontal field");
   Measurement m;
   m.source = Source::kHeading;

@@ -36,7 +36,7 @@ class HeightmapMclNode {
         settings_(settings),
         health_("heightmap_mcl"),
         inbox_(settings_, health_, [this] { ground_sub_->renew(); }),
-        localizer_(settings_.localizer) {
+        localizer_(settings_.localizerSettings()) {
     localizer_.setPrior(settings_.prior);
     height_map_air_ = handle_.advertise<air_ground::HeightMap>("alignment/height_map_air", 5);
     height_map_ground_ = handle_.advertise<air_ground::HeightMap>("alignment/height_map_ground", 1, true);

@@ -23,10 +23,10 @@ Inbox::Inbox(const NodeSettings& settings, ros_utils::NodeHealth& health, std::f
 
 void Inbox::addAerial(const Cloud& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
+  // Twice the same cloud would count as evidence twice, and an older one's stamp as a jump of time.
+  if (stamps_.has(msg->header.stamp)) return health_.count("aerial clouds repeated");
   if (!mav_.admitMap(kAerial, msg->header, "aerial clouds")) return;
-  // Twice the same cloud would count as evidence twice.
-  if (msg->header.stamp == last_cloud_) return health_.count("aerial clouds repeated");
-  last_cloud_ = msg->header.stamp;
+  stamps_.add(msg->header.stamp);
   clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                              std::chrono::duration<double>(ros_utils::kTopicsInStep))});
   while (static_cast<int>(clouds_.size()) > settings_.cloud_queue) {
@@ -129,7 +129,7 @@ void Inbox::relocalize() {
 
 void Inbox::forgetAerial() {
   clouds_.clear();
-  last_cloud_ = ros::Time();
+  stamps_.clear();
   odometry_.clear();
   command_.forget_aerial = true;
   endSearch();

@@ -16,6 +16,7 @@
 #include <string>
 
 #include "air_ground_common/ros/alignment_broadcaster.h"
+#include "air_ground_common/ros/recent_stamps.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "air_ground_common/trajectory.h"
 #include "node_parameters.h"
@@ -97,7 +98,7 @@ class Inbox {
   bool stop_ = false;
   Command command_;
   std::deque<WaitingCloud> clouds_;
-  ros::Time last_cloud_;  // stamp of the newest that came
+  air_ground_common::ros_utils::RecentStamps stamps_;  // of clouds that came
   Cloud ground_;
   air_ground_common::ros_utils::RobotMapInput mav_, ground_robot_;
   air_ground_common::Trajectory odometry_;

@@ -1,6 +1,7 @@
 // When to refine, from which guess, and whether to believe the result: the decisions of the node, without ROS.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <deque>
 #include <limits>
@@ -89,6 +90,7 @@ class AlignmentRefiner {
   /// Greatest z in ground_map of the camera that made the ground map [m]: what is higher it cannot have seen from
   /// above.
   void setGroundCamera(double z) { ground_camera_ = z; }
+  bool knowsGroundCamera() const { return std::isfinite(ground_camera_); }
   /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
   void addAerial(std::int64_t stamp, Cloud cloud);
   /// Coarse pose of a global localization. Not `sure`: a guess that the heights do not fix sharply; what is refined

@@ -1,5 +1,7 @@
 #include "alignment_output.h"
 
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+
 #include "air_ground_common/ros/conversions.h"
 
 namespace icp_refine {
@@ -47,27 +49,41 @@ AlignmentEstimate messageOf(const RefineOutcome& out) {
 
 AlignmentOutput::AlignmentOutput(const NodeSettings& settings, ros_utils::NodeHealth& health)
     : settings_(settings), health_(health) {
-  refined_publisher_ = ros::NodeHandle().advertise<AlignmentEstimate>("alignment/refined", 10);
+  ros::NodeHandle handle;
+  refined_publisher_ = handle.advertise<AlignmentEstimate>("alignment/refined", 10, true);
+  pose_publisher_ = handle.advertise<geometry_msgs::PoseWithCovarianceStamped>("mav/pose_in_ground_map", 100);
   if (settings.publish_tf) broadcaster_.emplace(settings.tf_rate, [this] { return edge(); });
 }
 
-void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bool tracking, bool own_unit) {
+void AlignmentOutput::keep(const RefineOutcome& out, const std::optional<Similarity>& tracked, AlignmentEstimate* msg) {
+  const bool good = msg->status == AlignmentEstimate::STATUS_CONVERGED;
+  if (good) {
+    aligned_ = KnownAlignment{out.T_ground_map_mav_map, out.covariance, out.reference_point,
+                              out.scale_stddev / out.T_ground_map_mav_map.scale};
+    converged_stamp_ = msg->header.stamp;
+  } else if (!tracked) {
+    aligned_.reset();
+  } else if (aligned_ && isValid(*tracked)) {
+    aligned_->T_ground_map_mav_map = *tracked;  // it follows corrections of the MAV's map
+  }
+  msg->held = !good && alignment();
+  if (good || msg->held) msg->converged_stamp = converged_stamp_;
+}
+
+void AlignmentOutput::publish(const RefineOutcome& out, const MapIds& maps, const std::optional<Similarity>& tracked,
+                              bool own_unit) {
   AlignmentEstimate msg = messageOf(out);
   msg.header.frame_id = settings_.ground_map_frame;
   msg.child_frame_id = own_unit ? settings_.visual_map_frame : settings_.mav_map_frame;
-  msg.map_id = map_id;
+  msg.map_id = maps.mav;
+  msg.ground_map_id = maps.ground;
   const bool good = msg.status == AlignmentEstimate::STATUS_CONVERGED;
   bool without_scale = false;
   {
     std::lock_guard<std::mutex> lock(mutex_);
     own_unit_ = own_unit;
     without_scale = good && own_unit && !T_mav_map_visual_ && broadcaster_;
-    if (good) {
-      T_ground_mav_ = out.T_ground_map_mav_map;
-      overlap_ = inverse(*T_ground_mav_) * out.reference_point;
-    } else if (!tracking) {
-      T_ground_mav_.reset();
-    }
+    keep(out, tracked, &msg);
   }
   refined_publisher_.publish(msg);
   if (good && broadcaster_) broadcaster_->send();
@@ -81,9 +97,38 @@ void AlignmentOutput::publish(const RefineOutcome& out, std::uint32_t map_id, bo
   last_status_ = msg.status;
 }
 
-void AlignmentOutput::setPosition(const std::optional<Eigen::Vector3d>& p_mav_map) {
+void AlignmentOutput::withdraw(const std::string& why, const MapIds& maps, bool own_unit) {
+  RefineOutcome out;
+  out.reason = why;
+  publish(out, maps, std::nullopt, own_unit);
+}
+
+void AlignmentOutput::follow(const nav_msgs::Odometry& odometry, const Pose& T) {
+  const Matrix6d covariance = ros_utils::covarianceFromMsg(odometry.pose.covariance);
+  geometry_msgs::PoseWithCovarianceStamped msg;
+  msg.header.stamp = odometry.header.stamp;
+  msg.header.frame_id = settings_.ground_map_frame;
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    position_ = T.translation();
+    const auto T_ground_mav_map = alignment();
+    if (!T_ground_mav_map) return;
+    const Pose T_ground_base = rigidAt(*T_ground_mav_map, T.translation()) * T;
+    msg.pose.pose = ros_utils::toMsg(T_ground_base);
+    Matrix6d J = Matrix6d::Zero();
+    J.topLeftCorner<3, 3>() = T_ground_mav_map->scale * T_ground_mav_map->R;
+    J.bottomRightCorner<3, 3>() = T_ground_mav_map->R;
+    ros_utils::setCovariance(covarianceAbout(*aligned_, T_ground_base.translation()) + J * covariance * J.transpose(),
+                             &msg.pose.covariance);
+  }
+  if (!covariance.allFinite()) return health_.count("odometry whose covariance is not finite");
+  pose_publisher_.publish(msg);
+}
+
+void AlignmentOutput::forgetMav() {
   std::lock_guard<std::mutex> lock(mutex_);
-  position_ = p_mav_map;
+  position_.reset();
+  T_mav_map_visual_.reset();
 }
 
 void AlignmentOutput::setMapScale(const std::optional<Similarity>& T_mav_map_visual) {
@@ -91,17 +136,17 @@ void AlignmentOutput::setMapScale(const std::optional<Similarity>& T_mav_map_vis
   T_mav_map_visual_ = T_mav_map_visual;
 }
 
-void AlignmentOutput::drop() {
-  std::lock_guard<std::mutex> lock(mutex_);
-  T_ground_mav_.reset();
+std::optional<Similarity> AlignmentOutput::alignment() const {
+  if (!aligned_ || (own_unit_ && !T_mav_map_visual_)) return std::nullopt;
+  const Similarity& T = aligned_->T_ground_map_mav_map;
+  return own_unit_ ? compose(T, inverse(*T_mav_map_visual_)) : T;
 }
 
 std::optional<ros_utils::AlignmentBroadcaster::Edge> AlignmentOutput::edge() {
   std::lock_guard<std::mutex> lock(mutex_);
-  if (!T_ground_mav_ || (own_unit_ && !T_mav_map_visual_)) return std::nullopt;
-  const Similarity T_ground_mav_map = own_unit_ ? compose(*T_ground_mav_, inverse(*T_mav_map_visual_)) : *T_ground_mav_;
-  const Eigen::Vector3d overlap = own_unit_ ? *T_mav_map_visual_ * overlap_ : overlap_;
-  const Pose T = rigidAt(T_ground_mav_map, position_.value_or(overlap));
+  const auto T_ground_mav_map = alignment();
+  if (!T_ground_mav_map) return std::nullopt;
+  const Pose T = rigidAt(*T_ground_mav_map, position_ ? *position_ : inverse(*T_ground_mav_map) * aligned_->centre);
   using Edge = ros_utils::AlignmentBroadcaster::Edge;
   if (settings_.inverse_tf) return Edge{settings_.mav_map_frame, settings_.ground_map_frame, T.inverse()};
   return Edge{settings_.ground_map_frame, settings_.mav_map_frame, T};

@@ -17,15 +17,22 @@ void GroundCamera::forget() {
   tf_.clear();  // what moves; what is on /tf_static stays
 }
 
-void GroundCamera::onInfo(const sensor_msgs::CameraInfo& msg) {
+void GroundCamera::use(const air_ground::MapKeyframes& keyframes) {
+  for (const auto& pose : keyframes.poses) raise(pose.position.z);
+}
+
+void GroundCamera::raise(double z) {
   constexpr double kStep = 0.01;  // [m] less is not told
+  if (!std::isfinite(z) || z < greatest_ + kStep) return;
+  greatest_ = z;
+  tell_(z);
+}
+
+void GroundCamera::onInfo(const sensor_msgs::CameraInfo& msg) {
   const std::string frame = air_ground_common::withoutSlash(msg.header.frame_id);
   if (frame.empty() || !tf_.canTransform(map_frame_, frame, ros::Time(0))) return;
   try {
-    const double z = tf_.lookupTransform(map_frame_, frame, ros::Time(0)).transform.translation.z;
-    if (!std::isfinite(z) || z < greatest_ + kStep) return;
-    greatest_ = z;
-    tell_(z);
+    raise(tf_.lookupTransform(map_frame_, frame, ros::Time(0)).transform.translation.z);
   } catch (const tf2::TransformException&) {  // gone since it was asked for
   }
 }

@@ -1,6 +1,7 @@
-// How high the camera that makes the ground map stands: from its frame and tf.
+// How high the camera that makes the ground map stands: from its frame and tf, and where its keyframes stand.
 #pragma once
 
+#include <air_ground/MapKeyframes.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <tf2_ros/buffer.h>
@@ -18,11 +19,16 @@ class GroundCamera {
   /// `tell` is called, by the thread that spins, with the greatest z in `map_frame` [m] so far, whenever it grows.
   GroundCamera(ros::NodeHandle& handle, const std::string& map_frame, std::function<void(double)> tell);
 
+  /// Keyframes of the present map: tf may not lead to the camera (another node owns the robot's edges, or a parameter
+  /// tells the mounting). Poses that are not finite are left out.
+  void use(const air_ground::MapKeyframes& keyframes);
+
   /// Another ground map begins.
   void forget();
 
  private:
   void onInfo(const sensor_msgs::CameraInfo& msg);
+  void raise(double z);
 
   const std::string map_frame_;
   std::function<void(double)> tell_;

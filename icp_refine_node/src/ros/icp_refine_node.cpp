@@ -11,6 +11,7 @@
 #include "air_ground_common/ros/file_services.h"
 #include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/recent_stamps.h"
 #include "air_ground_common/ros/robot_map_input.h"
 #include "alignment_input.h"
 #include "chain_parameter.h"
@@ -44,6 +45,7 @@ class IcpRefineNode {
     aerial_subscriber_ = handle_.subscribe("mav/dense_cloud", 50, &IcpRefineNode::onAerial, this);
     corrections_subscriber_ = handle_.subscribe("mav/cloud_corrections", 20, &IcpRefineNode::onCorrections, this);
     ground_subscriber_ = handle_.subscribe("ground/map_cloud", 2, &IcpRefineNode::onGround, this);
+    keyframes_subscriber_ = handle_.subscribe("ground/map_keyframes", 5, &IcpRefineNode::onKeyframes, this);
     ground_status_subscriber_ = handle_.subscribe("ground/slam_status", 100, &IcpRefineNode::onGroundStatus, this);
     odometry_subscriber_ = handle_.subscribe("mav/odometry", 100, &IcpRefineNode::onOdometry, this);
     status_subscriber_ = handle_.subscribe("mav/vo_status", 500, &IcpRefineNode::onVoStatus, this);
@@ -56,29 +58,27 @@ class IcpRefineNode {
 
  private:
   enum MavStream { kAerial, kCorrections, kCoarse, kViews, kOdometry, kMavStatus, kMavStreams };
-  enum GroundStream { kGround, kGroundStatus, kGroundStreams };
+  enum GroundStream { kGround, kKeyframes, kGroundStatus, kGroundStreams };
 
   // All callbacks run in the one thread that spins: what they alone use needs no lock.
 
   void startMap() {
     odometry_.reset();
-    output_.setPosition(std::nullopt);
-    output_.setMapScale(std::nullopt);
-    last_aerial_ = ros::Time();
-    if (mav_.map().id()) worker_.setMapId(*mav_.map().id());
-    worker_.post([this](Inbox& inbox) {
-      inbox.startMap(mav_.map().ownUnit());
-      output_.drop();
-    });
+    output_.forgetMav();
+    aerial_stamps_.clear();
+    const auto& id = mav_.map().id();
+    if (id) worker_.setMapId(*id);
+    worker_.forget(id ? "the MAV began another map" : "the MAV's map starts afresh",
+                   [this](Inbox& inbox) { inbox.startMap(mav_.map().ownUnit()); });
   }
 
   void startGround() {
     ground_forgotten_ = true;
     ground_camera_.forget();
-    worker_.post([this](Inbox& inbox) {
-      inbox.startGround();
-      output_.drop();
-    });
+    const auto& id = ground_.map().id();
+    if (id) worker_.setGroundMapId(*id);
+    worker_.forget(id ? "the ground robot began another map" : "the ground robot's map starts afresh",
+                   [](Inbox& inbox) { inbox.startGround(); });
   }
 
   /// The first part of the first map tells the map's unit, without a change of map.
@@ -92,9 +92,10 @@ class IcpRefineNode {
 
   void onAerial(const sensor_msgs::PointCloud2::ConstPtr& msg) {
     health_.received(aerial_subscriber_.getTopic(), msg->header.stamp);
+    // Before their stamps, which lie in the past, are taken for a jump of time.
+    if (aerial_stamps_.has(msg->header.stamp)) return health_.count("dense clouds repeated");
     if (!mav_.admitMap(kAerial, msg->header, "dense clouds")) return;
-    if (msg->header.stamp == last_aerial_) return health_.count("dense clouds repeated");
-    last_aerial_ = msg->header.stamp;
+    aerial_stamps_.add(msg->header.stamp);
     auto points = ros_utils::readCloud(*msg, "dense clouds", health_);
     if (!points) return;
     postOfMav([&](Inbox& inbox) { inbox.aerial.push_back({msg->header.stamp, std::move(*points)}); });
@@ -129,8 +130,17 @@ class IcpRefineNode {
     if (ground_map_ && ground_subscriber_.getNumPublishers() > 0) useGround(*ground_map_);
   }
 
+  void onKeyframes(const air_ground::MapKeyframes::ConstPtr& msg) {
+    if (!ground_.isFrame(msg->header.frame_id, settings_.ground_map_frame, "keyframes")) return;
+    if (!ground_.admit(kKeyframes, msg->header.stamp)) return;
+    // Of a map that ended, or has just begun: then they come again.
+    if (ground_.map().id() && *ground_.map().id() != msg->map_id) return health_.count("keyframes of another map");
+    ground_camera_.use(*msg);
+  }
+
   void onGroundStatus(const air_ground::VoStatus::ConstPtr& msg) {
     if (!ground_.admitStatus(kGroundStatus, *msg)) return;
+    worker_.setGroundMapId(msg->map_id);
     if (msg->state == air_ground::VoStatus::STATE_TRACKING)
       worker_.post([&](Inbox& inbox) { inbox.ground_vertical = verticalFrom(*msg); });
     if (ground_forgotten_) useLastGround();
@@ -142,7 +152,7 @@ class IcpRefineNode {
       const Pose T = ros_utils::fromMsg(msg->pose.pose);
       if (!mav_.admit(kOdometry, msg->header.stamp) || mav_.map().isStale(msg->header.stamp.toSec())) return;
       odometry_ = T;
-      output_.setPosition(T.translation());
+      output_.follow(*msg, T);
     } catch (const std::exception& e) {
       health_.count(std::string("odometry unreadable: ") + e.what());
     }
@@ -236,7 +246,7 @@ class IcpRefineNode {
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     mav_.restart();
     ground_.restart();
-    worker_.post([this](Inbox& inbox) {
+    worker_.forget("reset", [this](Inbox& inbox) {
       inbox = Inbox();
       inbox.own_unit = mav_.map().ownUnit();
       inbox.reset = true;
@@ -261,15 +271,15 @@ class IcpRefineNode {
                               [this](double z) { worker_.post([z](Inbox& inbox) { inbox.ground_camera = z; }); }};
 
   std::optional<Pose> odometry_;  // T_mav_map_base, the latest
-  ros::Time last_aerial_;
+  ros_utils::RecentStamps aerial_stamps_;
   sensor_msgs::PointCloud2::ConstPtr ground_map_;
   AlignmentEstimate::ConstPtr map_scale_;
   bool ground_forgotten_ = false;  // and none has come since
   ros_utils::RobotMapInput mav_, ground_;
 
   ros::Subscriber coarse_subscriber_, views_subscriber_, aerial_subscriber_, corrections_subscriber_,
-      ground_subscriber_, ground_status_subscriber_, odometry_subscriber_, status_subscriber_, guess_subscriber_,
-      scale_subscriber_;
+      ground_subscriber_, keyframes_subscriber_, ground_status_subscriber_, odometry_subscriber_, status_subscriber_,
+      guess_subscriber_, scale_subscriber_;
   ros::ServiceServer reset_service_, refine_service_;
 };
 

@@ -113,9 +113,21 @@ void RefineWorker::post(const std::function<void(Inbox&)>& change) {
   wake_.notify_all();
 }
 
+void RefineWorker::forget(const std::string& why, const std::function<void(Inbox&)>& change) {
+  post([&](Inbox& inbox) {
+    change(inbox);
+    output_.withdraw(why, maps_, inbox.own_unit);
+  });
+}
+
 void RefineWorker::setMapId(std::uint32_t map_id) {
   std::lock_guard<std::mutex> lock(mutex_);
-  map_id_ = map_id;
+  maps_.mav = map_id;
+}
+
+void RefineWorker::setGroundMapId(std::uint32_t map_id) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  maps_.ground = map_id;
 }
 
 std::pair<std::vector<CloudPoint>, bool> RefineWorker::map() {
@@ -281,16 +293,23 @@ void RefineWorker::refine() {
   const auto start = Clock::now();
   const RefineOutcome out = refiner_.refine();
   health_.timing("refine", std::chrono::duration<double>(Clock::now() - start).count());
+  if (out.status != RefineStatus::kSearching && !refiner_.knowsGroundCamera()) {
+    health_.count(
+        "the ground camera's height is not known: neither tf to the frame of ground/rgb/camera_info nor "
+        "ground/map_keyframes tells it. What is higher than that camera may contradict right poses");
+  }
   {
     // Locked: nothing of the time before a reset goes out after it.
     std::lock_guard<std::mutex> lock(mutex_);
     if (inbox_.forgets()) return;  // it is about a map that has ended
     RefineOutcome said = out;
+    std::optional<Similarity> tracked = refiner_.refined();
     if (own_unit_ && T_metric_visual_) {
       said.T_ground_map_mav_map = compose(out.T_ground_map_mav_map, *T_metric_visual_);
       said.scale_stddev *= T_metric_visual_->scale;
+      if (tracked) tracked = compose(*tracked, *T_metric_visual_);
     }
-    output_.publish(said, map_id_, refiner_.tracking(), own_unit_);
+    output_.publish(said, maps_, tracked, own_unit_);
   }
   {
     std::lock_guard<std::mutex> lock(map_mutex_);

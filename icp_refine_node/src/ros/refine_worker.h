@@ -9,6 +9,7 @@
 #include <functional>
 #include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -64,8 +65,12 @@ class RefineWorker {
 
   /// Runs `change` on the inbox, and wakes the worker. No outcome of what `change` makes it forget is published after.
   void post(const std::function<void(Inbox&)>& change);
+  /// The same where a map has ended: what was published of it is withdrawn at once, with the reason `why`.
+  void forget(const std::string& why, const std::function<void(Inbox&)>& change);
   /// The MAV's map that outcomes are of from now on.
   void setMapId(std::uint32_t map_id);
+  /// The same of the ground robot's.
+  void setGroundMapId(std::uint32_t map_id);
   /// A copy of the augmented map; second: whether the aerial points are in it.
   std::pair<std::vector<CloudPoint>, bool> map();
 
@@ -98,7 +103,7 @@ class RefineWorker {
   std::condition_variable wake_;
   Inbox inbox_;
   bool stop_ = false;
-  std::uint32_t map_id_ = 0;
+  MapIds maps_;
 
   std::mutex map_mutex_;
   AugmentedMap map_;

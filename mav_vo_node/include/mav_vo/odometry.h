@@ -85,8 +85,11 @@ struct OdometrySettings {
   double min_metric_keyframes = 6;  ///< and at least as many keyframes
   double max_speed = 5.0;           ///< of the vehicle; bounds how far a place recognised while lost can lie [m/s]
   double relocalization_slack = 0.5;  ///< added to max_speed times the time lost [m]
-  double lost_timeout = 4.0;          ///< lost for so long: start a new map [s]
+  double lost_timeout = 4.0;          ///< lost for so long, see Relocalizer: start a new map [s]
   bool synchronous = true;  ///< bundle adjustment inside process(): deterministic; false: on a thread of its own
+  /// Beside the tracking: which image has the whole map's adjustment does not depend on the machine's speed, and waits
+  /// for it. For recordings, whose player can wait.
+  bool reproducible = false;
   unsigned seed = 1;
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.

@@ -31,12 +31,14 @@ class MavVoNode : private ros_utils::Estimator {
   explicit MavVoNode(const NodeSettings& settings)
       : settings_(settings),
         frames_(settings_.estimator),
-        pose_publisher_(handle_, {frames_.map_frame, frames_.odom_frame, frames_.base_frame, "mav/odometry", "mav/path",
-                                  frames_.publish_tf}),
         shell_(handle_, settings.estimator,
                {"mav/camera/image_raw", "mav/camera/camera_info", "mav/imu/data", "mav/vo_status", "", "mav_vo",
                 "visual odometry", "mav_image_transport", "", "runs without gyro prior and stays without metric scale"},
-               *this) {
+               *this),
+        pose_publisher_(handle_,
+                        {frames_.map_frame, frames_.odom_frame, frames_.base_frame, "mav/odometry", "mav/path",
+                         frames_.publish_tf, frames_.odom_from_tf},
+                        shell_.health()) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
     corrected_publisher_ = handle_.advertise<nav_msgs::Path>("mav/corrected_path", 20);
@@ -54,6 +56,7 @@ class MavVoNode : private ros_utils::Estimator {
   void make(const CameraModel& camera, const Pose& T_base_camera, const std::optional<Pose>& T_base_imu) override {
     OdometrySettings settings = settings_.odometry;
     settings.use_imu = T_base_imu.has_value();
+    settings.reproducible = ros::Time::isSimTime();
     visual_ = !settings.use_imu;
     external_scale_.emplace(T_base_camera);
     calibration_.setGiven(camera.k1);
@@ -64,10 +67,11 @@ class MavVoNode : private ros_utils::Estimator {
   void forgetMap() override {
     ended_.clear();
     last_lost_.reset();
-    pose_publisher_.reset();
+    pose_publisher_.beginMap();
     last_cloud_ = ros::Time();
   }
 
+  void forgetOdometry() override { pose_publisher_.reset(); }
   void drop() override { odometry_.reset(); }
   void reset() override { odometry_->reset(); }
   std::uint32_t mapId() const override { return odometry_ ? odometry_->mapId() : 1; }
@@ -186,7 +190,7 @@ class MavVoNode : private ros_utils::Estimator {
     }
     if (!usable) return;
     if (r.map_id != map_id_) {
-      if (map_id_ != 0) pose_publisher_.reset();
+      pose_publisher_.beginMap();
       map_id_ = r.map_id;
     }
     // Odometry and tf have no flag that says "not metric": they begin with the metric map.
@@ -274,7 +278,6 @@ class MavVoNode : private ros_utils::Estimator {
   const NodeSettings settings_;
   const ros_utils::EstimatorSettings& frames_;
   ros::NodeHandle handle_;
-  ros_utils::PosePublisher pose_publisher_;
   ros::Publisher cloud_publisher_, posed_publisher_, corrected_publisher_, increment_publisher_, track_publisher_,
       scale_publisher_;
   ros::Subscriber alignment_subscriber_;
@@ -292,6 +295,7 @@ class MavVoNode : private ros_utils::Estimator {
   std::size_t frame_count_ = 0;
   bool noise_warned_ = false;
   ros_utils::EstimatorShell shell_;
+  ros_utils::PosePublisher pose_publisher_;
   ros_utils::CalibrationReport calibration_{shell_.health(), "camera"};
   ros_utils::MountingReport mounting_{shell_.health(), frames_.base_frame};
 };

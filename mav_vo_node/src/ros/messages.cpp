@@ -36,7 +36,7 @@ std::string adviceFor(OdometryState state) {
     case OdometryState::kScaling:
       return "accelerate the vehicle for some seconds; without IMU fly over what the ground robot has seen";
     case OdometryState::kLost:
-      return "bring the camera back to where it has been, or wait: a new map begins after lost_timeout";
+      return "bring the camera back to where it has been, or to another one: a new map begins there after lost_timeout";
     default:
       return "";
   }

@@ -38,6 +38,8 @@ using visual_frontend::KeyframeId;
 using visual_frontend::LandmarkId;
 using visual_frontend::TrackId;
 
+constexpr double kLongestDepthDelay = 0.1;  ///< from so long on the camera's motion is not made up for [s]
+
 struct SlamSettings {
   SlamSettings();
 
@@ -47,7 +49,7 @@ struct SlamSettings {
 
   // Time
   double time_offset = 0;   ///< the IMU's stamps less the images': a sample was taken at its stamp less this [s]
-  double readout_time = 0;  ///< of a rolling shutter, colour and depth alike: row r is exposed at
+  double readout_time = 0;  ///< of a rolling shutter, colour and depth alike: row r is exposed at (each one's own)
                             ///< stamp + (r / height - 0.5) * readout_time [s]; negative: from the last row up
   double readout_time_stddev = 0.02;  ///< of that figure; it is estimated from there; 0 = exact [s]
 
@@ -144,6 +146,7 @@ struct SlamResult {
 struct SlamCounters {
   int frames = 0, lost_frames = 0, keyframes = 0, loops = 0, loops_refused = 0, relocalizations = 0, maps = 0;
   int by_depth = 0;                 ///< frames whose pose is that of the surfaces
+  int depth_carried = 0;            ///< frames whose depth was carried to the colour image's time
   int relocalization_attempts = 0;  ///< frames in which places were looked up
 };
 
@@ -157,8 +160,12 @@ class Slam {
   bool addImu(const visual_frontend::ImuSample& sample);
 
   /// Next frame: grey CV_8UC1, `bgr` CV_8UC3 (empty: grey is used) and depth CV_32F in metres (NaN or 0 unknown), all
-  /// of the camera's size and registered. Throws std::invalid_argument for other types or a stamp that is not newer.
-  SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth);
+  /// of the camera's size and registered. `depth_delay`: depth was taken so long after the colour image [s], before it
+  /// if negative, row by row as that one; its pixels are carried to the colour's time by the camera's motion where that
+  /// moves them by half a pixel. Within 1 ms, from kLongestDepthDelay on and where not finite it counts as 0; so it
+  /// does while no motion is known. Throws std::invalid_argument for other types or a stamp that is not newer.
+  SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth,
+                     double depth_delay = 0);
 
   /// Camera poses of all tracked frames in the map, placed by their keyframes as those stand now.
   air_ground_common::Trajectory trajectory() const;

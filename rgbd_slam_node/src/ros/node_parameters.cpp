@@ -20,6 +20,9 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
     "false: depth is registered to colour here, by ground/depth/camera_info and the mounting (launch argument)");
   v("depth_frame", n.depth.frame,
     "optical frame of the depth camera where that is not registered; \"\" = as its camera_info says");
+  v("use_depth_stamps", n.use_depth_stamps,
+    "depth is carried from its own stamp to that of its colour image, as the camera moves; false: it counts as taken "
+    "at once with that (a driver that stamps depth on arrival)");
   v("base_depth", n.depth.T_base_depth, "x y z qx qy qz qw of the depth camera in base_link [m]; all 0 = from tf");
 
   v.section("Output");

@@ -14,6 +14,7 @@ struct NodeSettings {
   SlamSettings slam;
   air_ground_common::ros_utils::EstimatorSettings estimator;
   DepthInputSettings depth;
+  bool use_depth_stamps = true;
   double cloud_interval = 2.0;
 
   void validate() const { slam.validate(); }

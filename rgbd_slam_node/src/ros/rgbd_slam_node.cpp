@@ -55,13 +55,15 @@ class RgbdSlamNode : private ros_utils::Estimator {
   explicit RgbdSlamNode(const NodeSettings& settings)
       : settings_(settings),
         frames_(settings_.estimator),
-        pose_publisher_(handle_, {frames_.map_frame, frames_.odom_frame, frames_.base_frame, "ground/odometry",
-                                  "ground/path", frames_.publish_tf}),
         shell_(handle_, settings.estimator,
                {"ground/rgb/image_raw", "ground/rgb/camera_info", "ground/imu/data", "ground/slam_status",
                 "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
                 "runs without rotation prior, and levels the map by what lies flat in it"},
                *this),
+        pose_publisher_(handle_,
+                        {frames_.map_frame, frames_.odom_frame, frames_.base_frame, "ground/odometry", "ground/path",
+                         frames_.publish_tf, frames_.odom_from_tf},
+                        shell_.health()),
         depth_(handle_, "ground/depth/image_raw", "ground/depth/camera_info", settings_.depth, shell_.mountings(),
                shell_.health()),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()),
@@ -91,6 +93,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     last_cloud_ = last_stamp_ = ros::Time();
   }
 
+  void forgetOdometry() override { pose_publisher_.reset(); }
   void drop() override { slam_.reset(); }
   void reset() override { slam_->reset(); }
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
@@ -106,7 +109,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
 
   /// Nothing of another map than `map_id` is published any more, and no cloud of one stays latched.
   void beginMap(std::uint32_t map_id) {
-    pose_publisher_.reset();
+    pose_publisher_.beginMap();
     cloud_outdated_ = false;
     clouds_.beginMap(map_id, last_stamp_);
   }
@@ -123,7 +126,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
       return result;
     }
     const cv::Mat grey = ros_utils::greyFromMsg(*frame.image);
-    const SlamResult r = slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image), *depth);
+    noteDelay(frame);
+    const SlamResult r =
+        slam_->process(frame.stamp.toSec(), grey, ros_utils::bgrFromMsg(*frame.image), *depth, depth_delay_);
+    shell_.health().value("depth images carried to their colour image's time", slam_->counters().depth_carried);
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     shell_.health().timing("frame", seconds);
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
@@ -157,6 +163,14 @@ class RgbdSlamNode : private ros_utils::Estimator {
         r.state == State::kTracking && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
     if (result.pose_published) result.publish = [this, stamp = frame.stamp, grey, r] { publish(stamp, grey, r); };
     return result;
+  }
+
+  void noteDelay(const ros_utils::EstimatorFrame& frame) {
+    const double delay = frame.depth->header.stamp.toSec() - frame.stamp.toSec();
+    shell_.health().value("depth images after their colour images by [ms]", 1e3 * delay);
+    if (std::abs(delay) >= kLongestDepthDelay)
+      shell_.health().count("depth images stamped far from their colour images (sync_tolerance): taken as they are");
+    depth_delay_ = settings_.use_depth_stamps && std::abs(delay) < kLongestDepthDelay ? delay : 0;
   }
 
   void tellReadoutTime() {
@@ -223,15 +237,15 @@ class RgbdSlamNode : private ros_utils::Estimator {
   const NodeSettings settings_;
   const ros_utils::EstimatorSettings& frames_;
   ros::NodeHandle handle_;
-  ros_utils::PosePublisher pose_publisher_;
   ros::Publisher keyframe_publisher_;
   std::unique_ptr<Slam> slam_;
   ros::Time last_stamp_, last_cloud_;
   bool cloud_outdated_ = false, imu_problem_told_ = false;
-  double told_readout_time_ = 0;
+  double told_readout_time_ = 0, depth_delay_ = 0;  ///< [s]
   std::uint32_t map_revision_ = 0;
 
   ros_utils::EstimatorShell shell_;
+  ros_utils::PosePublisher pose_publisher_;
   ros_utils::CalibrationReport calibration_{shell_.health(), "colour camera"};
   DepthInput depth_;
   CloudPublisher clouds_;

@@ -3,11 +3,10 @@
 #include <algorithm>
 #include <climits>
 
+#include "air_ground_common/clones.h"
+
 #if defined(__x86_64__)
 #include <immintrin.h>
-#define AIR_GROUND_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define AIR_GROUND_CLONES
 #endif
 
 namespace streetview_localizer {

@@ -6,16 +6,20 @@
 #include <string>
 #include <utility>
 
+#include "air_ground_common/text.h"
+
 namespace streetview_localizer {
 
-void ImageQueue::setCamera(const CameraModel& camera) {
+namespace ru = air_ground_common::ros_utils;
+
+void ImageQueue::setCamera(const ru::Calibration& calibration) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  camera_ = camera;
+  calibration_ = calibration;
 }
 
-void ImageQueue::add(const air_ground_common::ros_utils::ImageMessage& message) {
+void ImageQueue::add(const ru::ImageMessage& message) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!camera_) return health_.count("images without calibration");
+  if (!calibration_) return health_.count("images without calibration");
   const ros::Time stamp = message.header().stamp;
   if (!last_started_.isZero() && stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
   sensor_msgs::Image::ConstPtr msg;
@@ -24,12 +28,14 @@ void ImageQueue::add(const air_ground_common::ros_utils::ImageMessage& message) 
   } catch (const std::exception& e) {
     return health_.count(std::string("images that could not be used: ") + e.what());
   }
-  if (static_cast<int>(msg->width) != camera_->width || static_cast<int>(msg->height) != camera_->height)
+  const CameraModel& camera = calibration_->camera;
+  if (static_cast<int>(msg->width) != camera.width || static_cast<int>(msg->height) != camera.height)
     return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
-                         std::to_string(msg->height) + " against " + std::to_string(camera_->width) + " x " +
-                         std::to_string(camera_->height) + ")");
+                         std::to_string(msg->height) + " against " + std::to_string(camera.width) + " x " +
+                         std::to_string(camera.height) + ")");
   if (job_) ++skipped_;
-  job_ = Job{msg, *camera_, pass_};
+  const std::string frame = ru::cameraFrame(settings_.camera_frame, *calibration_, *msg);
+  job_ = Job{msg, camera, air_ground_common::withoutSlash(frame), pass_};
   wake_.notify_all();
 }
 
@@ -62,21 +68,19 @@ void ImageQueue::stop() {
 }
 
 std::optional<Job> ImageQueue::next(const std::function<bool()>& attitudes_come) {
-  std::optional<Job> job;
-  std::size_t skipped = 0;
-  {
-    std::unique_lock<std::mutex> lock(mutex_);
-    wake_.wait(lock, [this] { return stop_ || job_; });
-    if (stop_) return std::nullopt;
-    job.swap(job_);
-    last_started_ = job->image->header.stamp;
-    std::swap(skipped, skipped_);
-    // The attitude of the image's time may come a little later than the image.
-    if (attitudes_come())
-      wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
-                     [&] { return stop_ || attitudes_.newest() >= job->image->header.stamp.toSec(); });
-    if (stop_) return std::nullopt;
-  }
+  std::unique_lock<std::mutex> lock(mutex_);
+  wake_.wait(lock, [this] { return stop_ || job_; });
+  if (stop_) return std::nullopt;
+  Job job = std::move(*job_);
+  job_.reset();
+  last_started_ = job.image->header.stamp;
+  const std::size_t skipped = std::exchange(skipped_, 0);
+  // The attitude of the image's time may come a little later than the image.
+  if (attitudes_come())
+    wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
+                   [&] { return stop_ || attitudes_.newest() >= job.image->header.stamp.toSec(); });
+  if (stop_) return std::nullopt;
+  lock.unlock();
   if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
   return job;
 }

@@ -8,9 +8,11 @@
 #include <functional>
 #include <mutex>
 #include <optional>
+#include <string>
 
 #include "air_ground_common/ros/health.h"
 #include "air_ground_common/ros/image_input.h"
+#include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/stamped_buffer.h"
 #include "node_parameters.h"
 #include "streetview_localizer/localizer.h"
@@ -26,7 +28,8 @@ struct TimedPose {
 struct Job {
   sensor_msgs::Image::ConstPtr image;
   CameraModel camera;
-  unsigned pass = 0;  ///< counts the starts afresh
+  std::string camera_frame;  ///< without leading slash; empty where neither settings nor messages name one
+  unsigned pass = 0;         ///< counts the starts afresh
 };
 
 /// Callbacks add, one worker takes; all may do so at once.
@@ -37,7 +40,7 @@ class ImageQueue {
 
   // ---- Callbacks
 
-  void setCamera(const CameraModel& camera);
+  void setCamera(const air_ground_common::ros_utils::Calibration& calibration);
   /// Takes the place of an image that waits. Counts why one is not taken.
   void add(const air_ground_common::ros_utils::ImageMessage& message);
   void addPrediction(const TimedPose& T_world_base);
@@ -64,7 +67,7 @@ class ImageQueue {
   bool stop_ = false;
   unsigned pass_ = 0;
   std::size_t skipped_ = 0;
-  std::optional<CameraModel> camera_;
+  std::optional<air_ground_common::ros_utils::Calibration> calibration_;
   std::optional<Job> job_;
   ros::Time last_started_;
   air_ground_common::StampedBuffer<TimedPose> predictions_{kPosesKept}, attitudes_{kPosesKept};

@@ -11,7 +11,7 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
   v("database", s.database, "the file that build_streetview_db made (launch argument)");
   v("world_frame", s.world_frame, "local east-north-up frame of the database");
   v("base_frame", s.base_frame, "streetview/pose is its pose; the transform to the camera comes from tf");
-  v("camera_frame", s.camera_frame, "empty: as the images' headers say");
+  v("camera_frame", s.camera_frame, "empty: as camera_info says or, where it names none, as the images do");
   v("image_transport", s.image_transport,
     "compressed: CompressedImage on <topic>/compressed (launch argument mav_image_transport)", {"raw", "compressed"});
   v("niceness", s.niceness, {0, 19}, "", air_ground_common::kNiceness);

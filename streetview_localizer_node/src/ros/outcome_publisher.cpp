@@ -33,17 +33,17 @@ void OutcomePublisher::prepareDisplay(const StreetviewLocalizer& localizer) {
   }
 }
 
-void OutcomePublisher::publish(const Job& job, const cv::Mat& image, const std::string& camera_frame,
-                               const std::optional<Pose>& T_base_camera, const LocalizerResult& result,
+void OutcomePublisher::publish(const Job& job, const cv::Mat& image, const std::optional<Pose>& T_base_camera,
+                               const std::string& lacking, const LocalizerResult& result,
                                const StreetviewDatabase& database) {
   ++(result.accepted() ? accepted_ : refused_);
   air_ground::StreetviewMatch msg = matchMessage(result, database);
   msg.header.stamp = job.image->header.stamp;
   msg.header.frame_id = settings_.world_frame;
-  msg.camera_frame = camera_frame;
+  msg.camera_frame = job.camera_frame;
   match_.publish(msg);
   if (result.accepted() && T_base_camera) publishFix(job, result, *T_base_camera);
-  tellState(job, result, database);
+  tellState(job, lacking, result, database);
   if (displayed_) show(job, image, result);
 }
 
@@ -62,8 +62,10 @@ void OutcomePublisher::publishFix(const Job& job, const LocalizerResult& result,
   last_fix_ = msg.header.stamp;
 }
 
-void OutcomePublisher::tellState(const Job& job, const LocalizerResult& result, const StreetviewDatabase& database) {
+void OutcomePublisher::tellState(const Job& job, const std::string& lacking, const LocalizerResult& result,
+                                 const StreetviewDatabase& database) {
   const std::string tally = "; " + std::to_string(accepted_) + " images located, " + std::to_string(refused_) + " not";
+  if (result.accepted() && !lacking.empty()) return health_.state(1, "located, but " + lacking + ": no fix" + tally);
   if (result.accepted()) {
     const Eigen::Vector3d stddev = result.pose.covariance.diagonal().head<3>().cwiseSqrt();
     const std::string& panorama = database.panoramas[static_cast<std::size_t>(result.panorama)].id;

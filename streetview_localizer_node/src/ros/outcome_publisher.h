@@ -22,14 +22,14 @@ class OutcomePublisher {
   /// Reads what the pictures and markers need, seconds for a city, and publishes the city. `localizer` must live on.
   /// Without display, says why.
   void prepareDisplay(const StreetviewLocalizer& localizer);
-  /// Without `T_base_camera` the pose of the base is not known. `image`: BGR.
-  void publish(const Job& job, const cv::Mat& image, const std::string& camera_frame,
-               const std::optional<Pose>& T_base_camera, const LocalizerResult& result,
-               const StreetviewDatabase& database);
+  /// Without `T_base_camera` the pose of the base is not known, for the reason `lacking`. `image`: BGR.
+  void publish(const Job& job, const cv::Mat& image, const std::optional<Pose>& T_base_camera,
+               const std::string& lacking, const LocalizerResult& result, const StreetviewDatabase& database);
 
  private:
   void publishFix(const Job& job, const LocalizerResult& result, const Pose& T_base_camera);
-  void tellState(const Job& job, const LocalizerResult& result, const StreetviewDatabase& database);
+  void tellState(const Job& job, const std::string& lacking, const LocalizerResult& result,
+                 const StreetviewDatabase& database);
   void show(const Job& job, const cv::Mat& image, const LocalizerResult& result);
 
   const NodeSettings& settings_;

@@ -16,6 +16,7 @@
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/text.h"
 #include "outcome_publisher.h"
 
 namespace streetview_localizer {
@@ -97,7 +98,8 @@ class StreetviewLocalizerNode {
   void onCameraInfo(const sensor_msgs::CameraInfo::ConstPtr& msg) {
     health_.received(info_topic_, msg->header.stamp);
     try {
-      queue_.setCamera(ru::fromMsg(ru::infoOfImages(*msg, handle_.resolveName("mav/camera/image_raw"))));
+      const sensor_msgs::CameraInfo info = ru::infoOfImages(*msg, handle_.resolveName("mav/camera/image_raw"));
+      queue_.setCamera({ru::fromMsg(info), info});
     } catch (const std::invalid_argument& e) {
       health_.count(std::string("calibration ignored: ") + e.what());
     }
@@ -145,11 +147,18 @@ class StreetviewLocalizerNode {
     if (pose && gate_.admit(kAttitudes, msg->header.stamp)) queue_.addAttitude(*pose);
   }
 
-  std::optional<Pose> baseFromCamera(const std::string& frame) {
-    if (frame == settings_.base_frame) return Pose::Identity();
+  // Empty while it is not known, with the reason in `lacking`.
+  std::optional<Pose> baseFromCamera(const std::string& frame, std::string* lacking) {
+    const std::string base = air_ground_common::withoutSlash(settings_.base_frame);
+    if (frame == base) return Pose::Identity();
+    if (frame.empty()) {
+      *lacking = "neither images nor camera_info name a frame (parameter camera_frame)";
+      return std::nullopt;
+    }
     try {
-      return ru::fromMsg(tf_.lookupTransform(settings_.base_frame, frame, ros::Time(0)).transform);
+      return ru::fromMsg(tf_.lookupTransform(base, frame, ros::Time(0)).transform);
     } catch (const std::exception&) {
+      *lacking = "no transform from '" + frame + "' to '" + base + "' (publish_calibration can give one)";
       return std::nullopt;
     }
   }
@@ -169,10 +178,9 @@ class StreetviewLocalizerNode {
   }
 
   void process(const Job& job) {
-    const std::string frame = settings_.camera_frame.empty() ? job.image->header.frame_id : settings_.camera_frame;
-    const std::optional<Pose> T_base_camera = baseFromCamera(frame);
-    if (!T_base_camera)
-      health_.count("images without a transform from " + frame + " to " + settings_.base_frame + ": no prior, no fix");
+    std::string lacking;
+    const std::optional<Pose> T_base_camera = baseFromCamera(job.camera_frame, &lacking);
+    if (!T_base_camera) health_.count("images without prior and fix: " + lacking);
     PosePrior prior;
     if (T_base_camera) prior = queue_.priorFor(job, *T_base_camera, prior_misses_ < settings_.prior_misses);
     const cv::Mat image = ru::bgrFromMsg(*job.image);
@@ -182,7 +190,7 @@ class StreetviewLocalizerNode {
     health_.timing("image", result.total_time);
     for (int i = 0; i < kSteps; ++i)
       health_.timing(nameOf(static_cast<Step>(i)), result.times[static_cast<std::size_t>(i)]);
-    output_.publish(job, image, frame, T_base_camera, result, localizer_->database());
+    output_.publish(job, image, T_base_camera, lacking, result, localizer_->database());
   }
 
   void reset() {

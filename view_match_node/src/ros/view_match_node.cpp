@@ -129,6 +129,7 @@ class ViewMatchNode {
     msg.header.frame_id = settings_.ground_map_frame;
     msg.child_frame_id = mav_.map().expectedFrame();
     msg.map_id = mav_.map().id().value_or(0);
+    msg.ground_map_id = ground_.map().id().value_or(0);
     publisher_.publish(msg);
   }
 

@@ -44,6 +44,7 @@ struct EstimatorSettings {
   std::string camera_frame, imu_frame;            ///< empty: as the messages say
   std::optional<Pose> T_base_camera, T_base_imu;  ///< instead of tf
   bool publish_tf = true;
+  bool odom_from_tf = false;  ///< another node publishes odom -> base_link; map -> odom is made to fit it
   bool use_imu = true;
   double transform_timeout = 5.0;  ///< an image waits so long for its mounting, wall clock [s]
   double imu_wait = 0.5;           ///< and for the IMU's samples up to its stamp [s of data]
@@ -99,6 +100,8 @@ class Estimator {
   virtual std::uint32_t mapId() const = 0;
   /// Nothing of the map so far is published any more: it is given up.
   virtual void forgetMap() = 0;
+  /// After forgetMap at a jump of time or where a user asked for it: odom -> base_link begins anew, too.
+  virtual void forgetOdometry() {}
 
   virtual void drop() = 0;
   virtual void reset() = 0;

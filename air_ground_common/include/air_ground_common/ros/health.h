@@ -34,7 +34,8 @@ std::string kindOf(const std::string& text);
 /// node registers with a master that was started again: see MasterWatch.
 class NodeHealth {
  public:
-  /// `hardware_id` names the node in /diagnostics, e.g. "mav_vo".
+  /// `hardware_id` names the node in /diagnostics, e.g. "mav_vo". It reports there every `~diagnostic_period` [s, wall
+  /// clock], the parameter of diagnostic_updater, as it is now; once a second without.
   explicit NodeHealth(const std::string& hardware_id);
   ~NodeHealth();
 
@@ -120,7 +121,7 @@ class NodeHealth {
   ros::WallTime started_, watched_, running_;  ///< running_: since when the clock does without a pause
   ros::Time clock_;                            ///< when watched_
   diagnostic_updater::Updater updater_;
-  ros::WallTimer timer_;
+  ros::WallTimer timer_, report_timer_;
   MasterWatch master_watch_;
 };
 

@@ -16,8 +16,8 @@ namespace air_ground_common::ros_utils {
 /// Thread-safe.
 class Mountings {
  public:
-  /// `base_frame`: of the robot.
-  explicit Mountings(const std::string& base_frame);
+  /// `base_frame`: of the robot. `listener`: see TransformInput.
+  explicit Mountings(const std::string& base_frame, TransformInput::Listener listener = {});
 
   /// T_base_sensor: `given` or, without, as tf says at this moment; never waits. Empty, with the edge that is missing,
   /// the frames that are known and what to do in `why`, while it is not known. `sensor` names it as the parameter

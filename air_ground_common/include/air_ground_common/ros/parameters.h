@@ -20,7 +20,7 @@ constexpr const char* kStartsParameter = "starts";
 /// Reads the private parameters of a node. Throws ParameterError.
 class ServerReader : public ParameterReader {
  public:
-  explicit ServerReader(const ros::NodeHandle& private_handle) : handle_(private_handle) { others(kStartsParameter); }
+  explicit ServerReader(const ros::NodeHandle& private_handle);
 
   /// Call after describe: throws for a private parameter that nobody read (a misspelt name).
   void finish() const;

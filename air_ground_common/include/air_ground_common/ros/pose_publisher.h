@@ -6,10 +6,12 @@
 #include <ros/node_handle.h>
 #include <tf2_ros/transform_broadcaster.h>
 
+#include <memory>
 #include <optional>
 #include <string>
 
 #include "air_ground_common/geometry.h"
+#include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -34,11 +36,14 @@ class BoundedPath {
   ros::Time published_;
 };
 
+class MapToOdom;
+
 struct PosePublisherSettings {
   std::string map_frame, odom_frame, base_frame;
   std::string odometry_topic, path_topic;
   bool publish_tf = true;
-  double path_step = 0.02;  ///< the path gains a pose after this distance [m], more when it is long: see BoundedPath
+  bool odom_from_tf = false;  ///< odom -> base is another node's: map -> odom alone is published, to fit it
+  double path_step = 0.02;    ///< the path gains a pose after this distance [m], more when it is long: see BoundedPath
 };
 
 /// Motion of the base from the last published pose to this one as it was tracked, free of corrections.
@@ -49,24 +54,31 @@ struct Motion {
 };
 
 /// Publishes nav_msgs/Odometry (pose in the map frame, twist in the base frame), a nav_msgs/Path and, if switched on,
-/// the two tf edges. The odom frame never jumps: what loop closure or bundle adjustment corrects goes into map -> odom.
+/// the two tf edges. odom -> base never jumps but at reset(): what loop closure or bundle adjustment corrects, and
+/// where a new map begins, goes into map -> odom. Call it from one thread at a time.
 class PosePublisher {
  public:
-  PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings);
+  /// With `odom_from_tf`, poses for which tf has no odom -> base are counted in `health`, which must outlive this.
+  PosePublisher(ros::NodeHandle handle, const PosePublisherSettings& settings, NodeHealth& health);
+  ~PosePublisher();
 
   /// `T_map_base`: current best pose; `covariance`: of it in the map frame. The twist is the mean of the motion; where
   /// that is not known (the first pose, no covariance) its variances are 1e6. A stamp not later than the last one
   /// published is ignored (TF_REPEATED_DATA) and false is returned.
   bool publish(const ros::Time& stamp, const Pose& T_map_base, const Motion& motion, const Matrix6d& covariance);
 
-  /// Starts afresh: path and odometry are cleared.
+  /// The next pose is of another map: the path ends, odom -> base stays where it was.
+  void beginMap();
+  /// Time has jumped, or all begins anew: odom -> base, too.
   void reset();
 
  private:
   PosePublisherSettings settings_;
   ros::Publisher odometry_, path_;
   tf2_ros::TransformBroadcaster broadcaster_;
+  std::unique_ptr<MapToOdom> map_to_odom_;  ///< with odom_from_tf
   std::optional<Pose> T_odom_base_;
+  bool map_begins_ = true;  ///< with the next pose, which no motion leads to
   ros::Time last_stamp_;
   BoundedPath bounded_path_;
 };

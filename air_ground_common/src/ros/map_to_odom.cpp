@@ -1,0 +1,76 @@
+#include "map_to_odom.h"
+
+#include <iterator>
+#include <vector>
+
+#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/sensor_input.h"
+
+namespace air_ground_common::ros_utils {
+namespace {
+
+constexpr double kPatience = 1.0;  // of a pose for odom -> base [s of data]
+
+}  // namespace
+
+geometry_msgs::TransformStamped tfEdge(const ros::Time& stamp, const std::string& parent, const std::string& child,
+                                       const Pose& T_parent_child) {
+  geometry_msgs::TransformStamped msg;
+  msg.header.stamp = stamp;
+  msg.header.frame_id = parent;
+  msg.child_frame_id = child;
+  msg.transform = toTransformMsg(T_parent_child);
+  return msg;
+}
+
+MapToOdom::MapToOdom(const std::string& map_frame, const std::string& odom_frame, const std::string& base_frame,
+                     NodeHealth& health)
+    : map_frame_(map_frame),
+      odom_frame_(withoutSlash(odom_frame)),
+      base_frame_(withoutSlash(base_frame)),
+      health_(health),
+      transforms_(buffer_, [this](const geometry_msgs::TransformStamped&, const std::string&) {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        publishKnown();
+      }) {}
+
+void MapToOdom::add(const ros::Time& stamp, const Pose& T_map_base) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  waiting_.push_back({stamp, T_map_base});
+  publishKnown();
+  while (!waiting_.empty() && stamp.toSec() - waiting_.front().stamp.toSec() > kPatience) {
+    std::string why;
+    odomAt(waiting_.front().stamp, &why);
+    health_.count("poses without '" + odom_frame_ + "' -> '" + base_frame_ +
+                  "' on tf at their stamp, which odom_from_tf asks for: " + why);
+    waiting_.pop_front();
+  }
+}
+
+void MapToOdom::reset() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  waiting_.clear();
+  buffer_.clear();
+}
+
+void MapToOdom::publishKnown() {
+  std::vector<geometry_msgs::TransformStamped> known;
+  for (auto it = waiting_.begin(); it != waiting_.end();) {
+    const auto T_odom_base = odomAt(it->stamp, nullptr);
+    if (T_odom_base)
+      known.push_back(tfEdge(it->stamp, map_frame_, odom_frame_, normalized(it->T_map_base * T_odom_base->inverse())));
+    it = T_odom_base ? waiting_.erase(it) : std::next(it);
+  }
+  if (!known.empty()) broadcaster_.sendTransform(known);
+}
+
+std::optional<Pose> MapToOdom::odomAt(const ros::Time& stamp, std::string* why) const {
+  if (!buffer_.canTransform(odom_frame_, base_frame_, stamp, why)) return std::nullopt;
+  try {
+    return fromMsg(buffer_.lookupTransform(odom_frame_, base_frame_, stamp).transform);
+  } catch (const tf2::TransformException&) {  // tf was cleared since
+    return std::nullopt;
+  }
+}
+
+}  // namespace air_ground_common::ros_utils

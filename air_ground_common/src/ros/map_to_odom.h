@@ -1,0 +1,51 @@
+// map -> odom for a robot whose own odometry publishes odom -> base_link (REP-105).
+#pragma once
+
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_broadcaster.h>
+
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "air_ground_common/geometry.h"
+#include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/transform_input.h"
+
+namespace air_ground_common::ros_utils {
+
+geometry_msgs::TransformStamped tfEdge(const ros::Time& stamp, const std::string& parent, const std::string& child,
+                                       const Pose& T_parent_child);
+
+/// Publishes map -> odom at the stamp of each pose, as soon as tf knows odom -> base there. Never waits for it.
+/// Thread-safe.
+class MapToOdom {
+ public:
+  /// Poses for which tf has no odom -> base within a second of data are counted in `health`, with what tf says.
+  MapToOdom(const std::string& map_frame, const std::string& odom_frame, const std::string& base_frame,
+            NodeHealth& health);
+
+  /// Stamps go up.
+  void add(const ros::Time& stamp, const Pose& T_map_base);
+  /// Time has jumped: what waits and what moved on tf is forgotten.
+  void reset();
+
+ private:
+  struct Waiting {
+    ros::Time stamp;
+    Pose T_map_base;
+  };
+  void publishKnown();
+  std::optional<Pose> odomAt(const ros::Time& stamp, std::string* why) const;
+
+  const std::string map_frame_, odom_frame_, base_frame_;
+  NodeHealth& health_;
+  tf2_ros::Buffer buffer_;
+  tf2_ros::TransformBroadcaster broadcaster_;
+  std::mutex mutex_;
+  std::deque<Waiting> waiting_;
+  TransformInput transforms_;  ///< last: its thread uses the others
+};
+
+}  // namespace air_ground_common::ros_utils

@@ -1,0 +1,87 @@
+// The MAV's last clouds, level and in metres, and what they are together.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <deque>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "heightmap_mcl/localizer_settings.h"
+
+namespace heightmap_mcl {
+
+/// Points of all kept clouds, level, in their own unit.
+struct LevelCloud {
+  std::vector<Eigen::Vector3f> points;
+  Eigen::Vector2d centre = Eigen::Vector2d::Zero();
+  double extent = 0;  ///< longer edge in plan
+};
+
+/// Keeps the last `verify` clouds as height maps. Clouds in a unit of their own keep their points besides, and are made
+/// anew where level or scale change; a point p of theirs lies at scale() * level() * p.
+class KeptMaps {
+ public:
+  struct Cloud {
+    HeightMap map;                        ///< level [m]
+    Eigen::Vector3d reference;            ///< position of the MAV, as given
+    std::vector<Eigen::Vector3f> points;  ///< as given; of clouds in a unit of their own
+  };
+
+  explicit KeptMaps(const HeightMapLocalizerSettings& settings) : settings_(settings) {}
+
+  /// Forgets clouds, level, scale and floor; not how many were dropped.
+  void clear();
+  /// Whether the clouds to come are in a unit of their own; forgets those at hand.
+  void setOwnUnit(bool own_unit);
+  bool ownUnit() const { return own_unit_; }
+
+  /// Height map of a cloud in mav_map, on the floor of those before it; drops the oldest one beyond `verify`. Returns
+  /// false, changing nothing, when it defines no cell. `cropped`: see buildHeightMap.
+  bool add(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& reference, std::size_t* cropped);
+  /// Drops the oldest clouds that together with the newest exceed air_map.max_extent: a bound on the memory of the
+  /// merged map and of the search over it.
+  void dropFar();
+  std::size_t farDropped() const { return far_dropped_; }
+  /// Takes the clouds away, to be given back one by one as if they came now.
+  std::deque<Cloud> takeAll();
+  void giveBack(Cloud cloud) { clouds_.push_back(std::move(cloud)); }
+
+  bool empty() const { return clouds_.empty(); }
+  std::size_t size() const { return clouds_.size(); }
+  /// Defined cells of the largest map.
+  double largest() const;
+  /// Position of the MAV at the newest cloud, level [m].
+  Eigen::Vector2d reference() const;
+  /// Of the newest `count` ones, on the floor that was set.
+  HeightMap merged(int count) const;
+  /// Of all, on the floor that they show themselves.
+  HeightMap mergedOnOwnFloor() const;
+  /// z of the floor of merged maps [m]; NaN: their own.
+  void setFloor(double floor) { floor_ = floor; }
+
+  double scale() const { return scale_; }  ///< [m per unit]
+  const Eigen::Matrix3d& level() const { return R_level_; }
+  /// Turns the clouds' dominant floor level. Returns false where none is found or it is level: remake() else.
+  bool updateLevel();
+  /// All height maps anew, at that scale and the present level.
+  void remake(double scale);
+  /// Thinned evenly to `most` points or fewer. Empty where no cloud has kept points.
+  LevelCloud levelCloud(std::size_t most) const;
+
+ private:
+  HeightMap mapOf(const std::vector<Eigen::Vector3f>& points, const LevelHistogram& earlier,
+                  std::size_t* cropped = nullptr) const;
+  std::vector<const HeightMap*> newest(int count) const;
+
+  HeightMapLocalizerSettings settings_;
+  std::deque<Cloud> clouds_;
+  bool own_unit_ = false;
+  double scale_ = 1;
+  Eigen::Matrix3d R_level_ = Eigen::Matrix3d::Identity();
+  double floor_ = std::numeric_limits<double>::quiet_NaN();
+  std::size_t far_dropped_ = 0;
+};
+
+}  // namespace heightmap_mcl

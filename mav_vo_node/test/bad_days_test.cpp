@@ -1,0 +1,133 @@
+// The whole odometry where the camera is lost, or the machine busy.
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <thread>
+
+#include "rendered_flight.h"
+
+using namespace mav_vo;
+
+namespace {
+
+TEST(Odometry, RecoversAfterBlackImagesInTheSameMap) {
+  Options options;
+  options.end = 11;
+  options.black = [](double t) { return t > 9 && t < 9.6; };
+  const Outcome o = fly(options);
+  bool lost = false;
+  for (const VoResult& r : o.frames) lost = lost || r.state == OdometryState::kLost;
+  EXPECT_TRUE(lost);
+  EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
+  EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
+// 2.5 m/s, 1.8 m above the ground, nothing seen for half a metre.
+TEST(Odometry, CoastsThroughAShortLossInFastFlight) {
+  Options options;
+  options.flight.period = 3;
+  options.end = 10;
+  options.black = [](double t) { return t > 9 && t < 9.2; };
+  const Outcome o = fly(options);
+  ASSERT_GT(o.metric_at, 0);
+  ASSERT_LT(o.metric_at, 8.5);
+  int blind = 0, lost = 0;
+  for (std::size_t i = 0; i < o.frames.size(); ++i)
+    if (o.truth[i].stamp > 9 && o.frames[i].state == OdometryState::kLost) ++(o.truth[i].stamp < 9.19 ? blind : lost);
+  EXPECT_GE(blind, 3);
+  EXPECT_LE(lost, 1);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
+// It waits for its scale: little is lost with it.
+TEST(Odometry, StartsANewMapAfterLongDarknessAtItsStart) {
+  Options options;
+  options.end = 9;
+  options.black = [](double t) { return t > 4 && t < 6; };
+  OdometrySettings settings;
+  settings.lost_timeout = 1.0;
+  const Outcome o = fly(options, settings);
+  EXPECT_GT(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_GE(static_cast<int>(o.frames.back().state), static_cast<int>(OdometryState::kScaling));
+  EXPECT_NE(o.frames.back().state, OdometryState::kLost);
+}
+
+// It lands, and its lens is in the grass: that is no other place.
+TEST(Odometry, KeepsItsMapInTheDark) {
+  Options options;
+  options.end = 14;
+  options.black = [](double t) { return t > 9 && t < 13; };
+  OdometrySettings settings;
+  settings.lost_timeout = 1.0;
+  const Outcome o = fly(options, settings);
+  ASSERT_GT(o.metric_at, 0);
+  ASSERT_LT(o.metric_at, 8.5);
+  EXPECT_EQ(o.frames.back().state, OdometryState::kTracking);
+  EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
+TEST(Odometry, StartsANewMapElsewhere) {
+  Options options;
+  options.end = 12;
+  options.elsewhere = [](double t) { return t > 9; };
+  OdometrySettings settings;
+  settings.lost_timeout = 1.0;
+  const Outcome o = fly(options, settings);
+  ASSERT_GT(o.metric_at, 0);
+  ASSERT_LT(o.metric_at, 8.5);
+  for (std::size_t i = 0; i < o.frames.size() && o.frames[i].stamp < 9.9; ++i)
+    EXPECT_EQ(o.frames[i].map_id, o.frames.front().map_id);
+  EXPECT_GT(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_GE(static_cast<int>(o.frames.back().state), static_cast<int>(OdometryState::kScaling));
+  EXPECT_NE(o.frames.back().state, OdometryState::kLost);
+}
+
+/// Threads that want the whole machine while this lives.
+class BusyMachine {
+ public:
+  explicit BusyMachine(unsigned threads) {
+    for (unsigned i = 0; i < threads; ++i)
+      threads_.emplace_back([this] {
+        while (!stop_) ++work_;
+      });
+  }
+  ~BusyMachine() {
+    stop_ = true;
+    for (auto& thread : threads_) thread.join();
+  }
+
+ private:
+  std::atomic<bool> stop_{false};
+  std::atomic<unsigned> work_{0};
+  std::vector<std::thread> threads_;
+};
+
+TEST(Odometry, OnABusyMachineItIsLateButNoWorse) {
+  Options options;
+  options.end = 8;
+  OdometrySettings settings;
+  settings.full_interval = 3;
+  settings.reproducible = true;
+  const Outcome synchronous = fly(options, settings);
+  settings.synchronous = false;
+  const Outcome idle = fly(options, settings);
+  Outcome busy;
+  {
+    const BusyMachine hog(3 * std::max(1u, std::thread::hardware_concurrency()));
+    busy = fly(options, settings);
+  }
+  // The same images tracked on the same maps: not a digit differs.
+  ASSERT_EQ(idle.frames.size(), busy.frames.size());
+  for (std::size_t i = 0; i < idle.frames.size(); ++i) {
+    ASSERT_EQ(idle.frames[i].pose_valid, busy.frames[i].pose_valid) << i;
+    ASSERT_EQ((idle.frames[i].T_map_camera.matrix() - busy.frames[i].T_map_camera.matrix()).norm(), 0) << i;
+  }
+  ASSERT_GT(busy.metric_at, 0);
+  std::printf("ATE of the published poses: synchronous %.5f m, on a busy machine %.5f m\n",
+              ate(synchronous, synchronous.online), ate(busy, busy.online));
+  EXPECT_LT(ate(busy, busy.online), 1.2 * ate(synchronous, synchronous.online) + 0.001);
+}
+
+}  // namespace
