@@ -175,10 +175,10 @@ TEST_F(NodeTest, BadInputIsCountedNotFatal) {
   const auto scene = synthetic::makeScene(1);
   auto broken = scene;
   for (auto& p : broken.aerial.points) p.x() = std::nanf("");
+  aerial_.publish(cloud(scene.aerial, "ground_map"));  // wrong frame
   aerial_.publish(cloud(broken.aerial, "mav_map"));    // all NaN
   aerial_.publish(cloud(Cloud{}, "mav_map"));          // empty
   aerial_.publish(sensor_msgs::PointCloud2());         // no frame, no fields
-  aerial_.publish(cloud(scene.aerial, "ground_map"));  // wrong frame
   ground_.publish(cloud(Cloud{}, "ground_map"));
   Cloud few;
   few.points.assign(5, Eigen::Vector3f(1, 2, 3));
