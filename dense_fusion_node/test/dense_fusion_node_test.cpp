@@ -307,14 +307,7 @@ TEST_F(DenseFusionNodeTest, CloudsFollowACorrectionOfTheMap) {
   };
   const float before = air_ground_common::median(heights());
 
-  nav_msgs::Path path;
-  path.header = message(kFrames - 1, 1000, 1).header;
-  for (int i = 0; i < kFrames; ++i) {
-    const air_ground::PosedImage image = message(i, 1000, 1);
-    path.poses.emplace_back().header.stamp = image.header.stamp;
-    path.poses.back().pose = image.pose.pose;
-    path.poses.back().pose.position.z += 0.5;
-  }
+  const nav_msgs::Path path = correctedPath(1000, 0.5);
   nav_msgs::Path other = path;
   other.header.frame_id = "mav_visual_map";
   publisher.publish(other);  // of another map

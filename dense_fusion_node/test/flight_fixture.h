@@ -4,6 +4,7 @@
 #include <air_ground/PosedDepthMap.h>
 #include <air_ground/PosedImage.h>
 #include <gtest/gtest.h>
+#include <nav_msgs/Path.h>
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
@@ -93,6 +94,19 @@ class FlightTest : public ::testing::Test {
       send(message(i, start, map_id, shift_x, map_revision));
       ros_utils::pause(2);
     }
+  }
+
+  // Where the images flown from `start` are said to have been taken now: higher by `up` [m].
+  nav_msgs::Path correctedPath(double start, double up) {
+    nav_msgs::Path path;
+    path.header = message(kFrames - 1, start, 1).header;
+    for (int i = 0; i < kFrames; ++i) {
+      const air_ground::PosedImage image = message(i, start, 1);
+      path.poses.emplace_back().header.stamp = image.header.stamp;
+      path.poses.back().pose = image.pose.pose;
+      path.poses.back().pose.position.z += up;
+    }
+    return path;
   }
 
   // True when the node has taken the image in, and all before.

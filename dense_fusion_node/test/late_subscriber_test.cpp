@@ -15,7 +15,6 @@
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
-using dense_fusion::testing::kFrames;
 using ros_utils::spinUntil;
 using Clouds = std::vector<sensor_msgs::PointCloud2::ConstPtr>;
 
@@ -102,15 +101,7 @@ TEST_F(LateSubscriberTest, GetsCorrectionsToo) {
   fly(300, 1);
   flushToCloud(300);
   const auto early = clouds_.back();
-  nav_msgs::Path path;
-  path.header = message(kFrames - 1, 300, 1).header;
-  for (int i = 0; i < kFrames; ++i) {
-    const air_ground::PosedImage image = message(i, 300, 1);
-    path.poses.emplace_back().header.stamp = image.header.stamp;
-    path.poses.back().pose = image.pose.pose;
-    path.poses.back().pose.position.z += 0.5;
-  }
-  publisher.publish(path);
+  publisher.publish(correctedPath(300, 0.5));
   ASSERT_TRUE(spinUntil([&] { return !corrections.empty(); }));
 
   subscriber.shutdown();

@@ -15,6 +15,7 @@
 
 #include "air_ground_common/camera_file.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/tf_edge.h"
 #include "query_list.h"
 
 namespace {
@@ -84,11 +85,7 @@ void run(const Arguments& a) {
   if (!a.base_frame.empty()) {  // photographs have no body: the camera looks along its x axis
     air_ground_common::Pose T_base_camera = air_ground_common::Pose::Identity();
     T_base_camera.linear() = air_ground_common::opticalFromForwardBody().transpose();
-    geometry_msgs::TransformStamped edge;
-    edge.header.frame_id = a.base_frame;
-    edge.child_frame_id = a.frame;
-    edge.transform = ru::toTransformMsg(T_base_camera);
-    mount.sendTransform(edge);
+    mount.sendTransform(ru::tfEdge(ros::Time(), a.base_frame, a.frame, T_base_camera));
   }
   while (ros::ok() && (images.getNumSubscribers() == 0 || infos.getNumSubscribers() == 0)) kPause.sleep();
   do {

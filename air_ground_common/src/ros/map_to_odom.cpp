@@ -5,6 +5,7 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/sensor_input.h"
+#include "air_ground_common/ros/tf_edge.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -12,16 +13,6 @@ namespace {
 constexpr double kPatience = 1.0;  // of a pose for odom -> base [s of data]
 
 }  // namespace
-
-geometry_msgs::TransformStamped tfEdge(const ros::Time& stamp, const std::string& parent, const std::string& child,
-                                       const Pose& T_parent_child) {
-  geometry_msgs::TransformStamped msg;
-  msg.header.stamp = stamp;
-  msg.header.frame_id = parent;
-  msg.child_frame_id = child;
-  msg.transform = toTransformMsg(T_parent_child);
-  return msg;
-}
 
 MapToOdom::MapToOdom(const std::string& map_frame, const std::string& odom_frame, const std::string& base_frame,
                      NodeHealth& health)

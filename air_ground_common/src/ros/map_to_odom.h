@@ -15,9 +15,6 @@
 
 namespace air_ground_common::ros_utils {
 
-geometry_msgs::TransformStamped tfEdge(const ros::Time& stamp, const std::string& parent, const std::string& child,
-                                       const Pose& T_parent_child);
-
 /// Publishes map -> odom at the stamp of each pose, as soon as tf knows odom -> base there. Never waits for it.
 /// Thread-safe.
 class MapToOdom {

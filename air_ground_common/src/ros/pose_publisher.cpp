@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/tf_edge.h"
 #include "map_to_odom.h"
 
 namespace air_ground_common::ros_utils {

@@ -1,12 +1,12 @@
 #include "tracked_pose_publisher.h"
 
-#include <geometry_msgs/TransformStamped.h>
 #include <sensor_msgs/NavSatFix.h>
 
 #include <cmath>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/tf_edge.h"
 
 namespace ekf_tracker {
 namespace {
@@ -84,11 +84,7 @@ void TrackedPosePublisher::publishEdge(const std_msgs::Header& header, const Pos
   const double yaw = estimate.pose[3] - air_ground_common::yawOf(T_map_base.linear());
   Pose T_world_map = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
   T_world_map.translation() = estimate.pose.head<3>() - T_world_map.linear() * T_map_base.translation();
-  geometry_msgs::TransformStamped edge;
-  edge.header = header;
-  edge.child_frame_id = settings_.map_frame;
-  edge.transform = ru::toTransformMsg(T_world_map);
-  broadcaster_.sendTransform(edge);
+  broadcaster_.sendTransform(ru::tfEdge(header.stamp, header.frame_id, settings_.map_frame, T_world_map));
 }
 
 void TrackedPosePublisher::publishGeodetic(const ros::Time& stamp, const PoseEstimate& estimate) {

@@ -10,7 +10,7 @@
 #include <string>
 #include <utility>
 
-#include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/tf_edge.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -36,12 +36,7 @@ class AlignmentBroadcaster {
     const auto edge = edge_();
     if (!edge) return;
     sent_ = now;
-    geometry_msgs::TransformStamped msg;
-    msg.header.stamp = now;
-    msg.header.frame_id = edge->parent;
-    msg.child_frame_id = edge->child;
-    msg.transform = toTransformMsg(edge->T_parent_child);
-    broadcaster_.sendTransform(msg);
+    broadcaster_.sendTransform(tfEdge(now, edge->parent, edge->child, edge->T_parent_child));
   }
 
  private:
