@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kAdoptAfterImages = 2;  // a local adjustment beside the tracking moves the map before this image after it
 constexpr double kAdoptFullAfter = 1.0;    // one of the whole map, at the earliest; and so often it is asked for [s]
-constexpr double kFullPerKeyframe = 0.04;  // for which an idle desktop's core takes less [s]
+constexpr double kFullPerKeyframe = 0.02;  // for which an idle desktop's core takes less [s]
 
 /// A thread of the lowest priority delays neither tracking nor local adjustments.
 void yieldToOtherThreads() {

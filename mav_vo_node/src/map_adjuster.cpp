@@ -15,6 +15,8 @@ namespace {
 
 constexpr double kMaxSeconds = 10, kMaxWholeSeconds = 20;  // of an adjustment, wall clock [s]
 constexpr double kNoLimit = 600;                           // where a slow machine shall give the same [s]
+constexpr double kIntervalPerKeyframe = 0.16;              // of the whole map: a tenth of a core's time [s]
+constexpr int kYoungWindows = 3;                           // that move in a map which is not metric yet
 constexpr double kParameterTolerance = 1e-8;               // relative step at which its iterations end
 constexpr int kMinShared = 8;                              // landmarks that make an older keyframe hold the window
 
@@ -24,8 +26,11 @@ MapAdjuster::Jobs MapAdjuster::adjustNewest(const Map& map, const InertialMap& i
                                             double stamp) {
   if (threads_.localRuns()) throw std::logic_error("MapAdjuster: the adjustment before is not in the map yet");
   std::vector<KeyframeId> free, fixed;
+  // What begins the window's inertial chain holds its gyro bias, which the first seconds do not know yet.
+  const bool bias_open = !inertial.metric && !inertial.links.empty();
+  const int window = bias_open ? kYoungWindows * settings_.window : settings_.window;
   for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
-    if (static_cast<int>(free.size()) < settings_.window) {
+    if (static_cast<int>(free.size()) < window) {
       free.push_back(it->first);
     } else {
       fixed.push_back(it->first);  // where the window's inertial chain begins
@@ -61,14 +66,13 @@ BundleJob MapAdjuster::wholeMap(const Map& map, const InertialMap& inertial, Bun
 }
 
 MapAdjuster::Jobs MapAdjuster::adjustWhole(BundleJob whole, double stamp) {
-  next_whole_ = stamp + interval_;
-  interval_ = std::min(2 * interval_, 4 * settings_.full_interval);
+  schedule(stamp, whole.keyframes.size());
   return run(std::move(whole), stamp);
 }
 
-void MapAdjuster::restartSchedule(double stamp) {
-  interval_ = settings_.full_interval / 2;
-  next_whole_ = stamp + interval_;
+void MapAdjuster::schedule(double stamp, std::size_t keyframes) {
+  const double moved = static_cast<double>(std::min(keyframes, static_cast<std::size_t>(settings_.full_max_keyframes)));
+  next_whole_ = stamp + std::max(settings_.full_interval, kIntervalPerKeyframe * moved);
 }
 
 MapAdjuster::Jobs MapAdjuster::run(BundleJob job, double stamp) {

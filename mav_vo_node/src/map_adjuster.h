@@ -30,8 +30,8 @@ class MapAdjuster {
                      visual_frontend::BundleSettings settings) const;
   Jobs adjustWhole(BundleJob whole, double stamp);
   bool wholeDue(double stamp) const { return stamp >= next_whole_; }
-  /// The next adjustment of the whole map is due half an interval later; the interval grows from there.
-  void restartSchedule(double stamp);
+  /// When a map of so many keyframes is adjusted as a whole next.
+  void schedule(double stamp, std::size_t keyframes);
   /// What this image must have of the adjustments beside the tracking.
   Jobs due(double stamp);
   Jobs finish();  ///< waits for all that run
@@ -42,7 +42,7 @@ class MapAdjuster {
   CameraModel camera_;
   OdometrySettings settings_;
   AdjustmentThreads threads_;
-  double next_whole_ = 0, interval_ = 0;  // [s]
+  double next_whole_ = 0;  // [s]
 };
 
 }  // namespace mav_vo

@@ -124,8 +124,7 @@ void Odometry::Impl::useImu(double stamp) {
   next_readout = imu.alignShutter(stamp, features, pose.readoutTime());
   if (const auto turn = imu.alignMounting(stamp, features)) turnImu(*turn);
   if (!imu.alignGyro(stamp, features, metric())) return;
-  // Landmarks of a false start bend the turns of the gyro towards themselves.
-  if (!metric() && mapBiasRefuted()) startMap();
+  if (!metric() && mapBiasRefuted()) leaveRefutedBias();
   // A map knows the bias better: its adjustment sees all of its keyframes.
   if (map.keyframeCount() == 0) bias.gyro = imu.gyroBias();
   imu.followBias(bias.gyro);

@@ -51,6 +51,7 @@ struct Odometry::Impl {
   bool mapHasBias() const;
   double mapBiasSigma() const;  ///< of the gyro bias that the map's adjustment found [rad/s]
   bool mapBiasRefuted() const;  ///< by the tracks alone
+  void leaveRefutedBias();
   void keepMapsBias();
   void addKeyframe(const cv::Mat& gray);
   KeyframeId insertKeyframe(Keyframe keyframe);  ///< with its inertial link

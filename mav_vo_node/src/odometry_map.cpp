@@ -95,6 +95,14 @@ bool Odometry::Impl::mapBiasRefuted() const {
                              kOtherBias * std::hypot(mapBiasSigma(), imu.gyroBiasStddev());
 }
 
+// Keyframes that have left the window hold the newest ones to the bias of their time. Where it does not help to adjust
+// them, too, the landmarks of a false start bend the turns of the gyro towards themselves.
+void Odometry::Impl::leaveRefutedBias() {
+  adopt(adjuster.finish());
+  if (mapBiasRefuted()) adjustAnew();
+  if (mapBiasRefuted()) startMap();
+}
+
 void Odometry::Impl::initialize(const cv::Mat& gray) {
   visual_frontend::FeatureTracker& tracker = pose.tracker();
   if (tracker.lastSurvival() < 0.7 || tracker.features().size() < 0.7 * settings.tracker.max_features)
@@ -125,7 +133,7 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
     insertKeyframe(std::move(keyframe));
   }
   bootstrap.reset();
-  adjuster.restartSchedule(last_stamp);
+  adjuster.schedule(last_stamp, map.keyframeCount());
   scale.begin(tilt);
   const Pose& T_map_last = map.keyframe(map.lastKeyframe()).T_map_camera;
   pose.beginMap(T_map_last, (T_map_last.translation() - T_map_first.translation()) /
@@ -253,7 +261,7 @@ void Odometry::Impl::makeMetric() {
   for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
   adjustWholeMap();
   adopt(adjuster.finish());
-  adjuster.restartSchedule(last_stamp);
+  adjuster.schedule(last_stamp, map.keyframeCount());
 }
 
 // Links whose samples are gone keep the offset of their time.
@@ -324,7 +332,7 @@ void Odometry::Impl::setReadoutTime(double readout_time) {
 void Odometry::Impl::adjustAnew() {
   adopt(adjuster.adjustWhole(adjuster.wholeMap(map, inertial.data(), bundleSettings()), last_stamp));
   adopt(adjuster.finish());
-  adjuster.restartSchedule(last_stamp);
+  adjuster.schedule(last_stamp, map.keyframeCount());
 }
 
 void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& estimate) {
@@ -332,7 +340,7 @@ void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& est
   setCamera(calibration.camera());
   if (!settings.use_imu) pose.setReadoutTime(calibration.readoutTime());
   calibration.recalibrate(velocityAt(), &map);
-  adjuster.restartSchedule(last_stamp);
+  adjuster.schedule(last_stamp, map.keyframeCount());
   revision.next();
 }
 

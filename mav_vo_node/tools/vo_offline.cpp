@@ -298,7 +298,7 @@ int main(int argc, char** argv) {
   std::string path, out;
   Topics topics;
   double duration = 0, start = 0, imu_shift = 0;
-  bool verbose = false, live = false;
+  bool verbose = false, live = false, replay = false;
   int rounds = 1;
   std::vector<double> calibration;
   mav_vo::OdometrySettings settings;
@@ -316,6 +316,8 @@ int main(int argc, char** argv) {
   app.add_flag("--verbose", verbose, "a line a second");
   app.add_flag("--live", live,
                "at the bag's rate, with the bundle adjustment on a thread of its own, as the node runs");
+  app.add_flag("--replay", replay, "with what the node gives in a replay, whose player waits for it")
+      ->excludes("--live");
   app.add_option("--seed", settings.seed, "seed");
   app.add_option("--metric-stddev", settings.metric_stddev, "relative scale deviation at which the map becomes metric");
   app.add_option("--reobserve", settings.reobserve_matches, "old landmarks looked for in an image");
@@ -341,7 +343,8 @@ int main(int argc, char** argv) {
   app.add_option("--readout-time-stddev", settings.readout_time_stddev, "of that; 0 = exact [s]");
   app.add_option("--imu-shift", imu_shift, "added to the IMU's stamps, to try out a time offset [s]");
   CLI11_PARSE(app, argc, argv);
-  settings.synchronous = !live;
+  settings.synchronous = !live && !replay;
+  settings.reproducible = replay;
 
   std::unique_ptr<rosbag::Bag> bag;
   mav_vo::EurocFolder folder;
