@@ -18,16 +18,18 @@ class Console {
  public:
   Console() {
     subscriber_ = ros::NodeHandle().subscribe<rosgraph_msgs::Log>(
-        "/rosout", 1000, [this](const rosgraph_msgs::Log::ConstPtr& m) { lines_.push_back(m->msg); });
+        "/rosout", 1000, [this](const rosgraph_msgs::Log::ConstPtr& m) { lines_.push_back(*m); });
     spinUntil([this] { return subscriber_.getNumPublishers() > 0; });
   }
-  std::ptrdiff_t count(const std::string& part) const {
-    return std::count_if(lines_.begin(), lines_.end(),
-                         [&](const std::string& line) { return line.find(part) != std::string::npos; });
+  /// Lines with that in them, of at least this level.
+  std::ptrdiff_t count(const std::string& part, int level = rosgraph_msgs::Log::DEBUG) const {
+    return std::count_if(lines_.begin(), lines_.end(), [&](const rosgraph_msgs::Log& line) {
+      return line.level >= level && line.msg.find(part) != std::string::npos;
+    });
   }
 
  private:
-  std::vector<std::string> lines_;
+  std::vector<rosgraph_msgs::Log> lines_;
   ros::Subscriber subscriber_;
 };
 

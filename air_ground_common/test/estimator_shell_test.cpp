@@ -8,6 +8,7 @@
 #include <atomic>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <opencv2/imgcodecs.hpp>
 #include <set>
 #include <stdexcept>
@@ -48,7 +49,10 @@ class StandIn : public Estimator {
   std::function<std::vector<CloudPoint>()> mapForFile() override {
     return [] { return std::vector<CloudPoint>(1); };
   }
-  std::vector<MapTrajectory> trajectories() override { return {{{}, ""}}; }
+  std::vector<MapTrajectory> trajectories() override {
+    const Trajectory pose(1);
+    return {{pose, "", 9}, {pose, "", 8}, {pose, "", 7}};
+  }
 
   std::atomic<bool> fail{false}, fail_idle{false};
   std::atomic<int> images{0}, depths{0}, samples{0}, disorder{0};
@@ -196,6 +200,28 @@ TEST_F(Shell, AnswersWithThePathFromTheRoot) {
   EXPECT_TRUE(std::filesystem::exists(home + "/map.ply"));
   if (before) setenv("HOME", before, 1);
   std::filesystem::remove_all(home);
+}
+
+// An estimator may save a map when it ends, by the name that it has here.
+TEST_F(Shell, MapsThatEndedHaveTheirIdsAndAreSavedOnce) {
+  namespace fs = std::filesystem;
+  settings_.autosave = testing::TempDir() + "maps_" + std::to_string(getpid());
+  start();
+  ASSERT_TRUE(publishUntil([&] { return estimator_.images > 3; }));
+  shell_->autosave().save("trajectory_map7.txt",
+                          [](const std::string& path) { std::ofstream(path) << "# saved before\n"; });
+  shell_->stop();
+  const auto poses = [&](const std::string& end) {  // in the one file whose name ends so; -1: there is none
+    for (const auto& entry : fs::directory_iterator(settings_.autosave)) {
+      const std::string path = entry.path();
+      if (path.rfind(end) == path.size() - end.size()) return static_cast<int>(readTum(path).size());
+    }
+    return -1;
+  };
+  EXPECT_EQ(poses("_trajectory.txt"), 1);
+  EXPECT_EQ(poses("_trajectory_map8.txt"), 1);
+  EXPECT_EQ(poses("_trajectory_map7.txt"), 0) << "it was there";
+  fs::remove_all(settings_.autosave);
 }
 
 geometry_msgs::TransformStamped edge(const std::string& parent, const std::string& child) {

@@ -55,6 +55,7 @@ TEST(FrameAssembler, WithoutImuItGoesOnWhenNewerImagesHaveSettled) {
   assembler.addImage(1.5, 2, 10.5);
   EXPECT_FALSE(assembler.ready(20)) << "0.5 s newer is not yet more than 0.5 s";
   assembler.addImage(1.6, 3, 10.6);
+  EXPECT_FALSE(assembler.hasImu()) << "nobody need be told that images wait for it";
   EXPECT_FALSE(assembler.ready(10.85)) << "the IMU's topic may only be behind the images'";
   ASSERT_TRUE(assembler.ready(10.91));
   EXPECT_EQ(assembler.pop().image, 1);

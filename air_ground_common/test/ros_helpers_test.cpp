@@ -15,6 +15,7 @@
 #include "air_ground_common/ros/mountings.h"
 #include "air_ground_common/ros/node_testing.h"
 #include "air_ground_common/ros/parameters.h"
+#include "air_ground_common/ros/robot_map_input.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "console.h"
 
@@ -301,8 +302,10 @@ TEST(NodeHealth, NothingIsSilentBeforeTheClockRuns) {
   const Console console;
   const ros::Publisher publisher = ros::NodeHandle().advertise<nav_msgs::Odometry>("/of_the_player", 1);
   NodeHealth health("paused_test");
+  const ros::Publisher mapper = ros::NodeHandle().advertise<nav_msgs::Odometry>("/of_a_mapper", 1);
   health.expectInput("/of_the_player");
   health.expectInput("/of_nobody");
+  health.expectInput("/of_a_mapper", false);
   EXPECT_TRUE(spinUntil([&] { return console.count("nothing on /of_nobody") > 0; }));
   pause(300);
   EXPECT_EQ(console.count("nothing on /of_the_player"), 0);
@@ -311,7 +314,32 @@ TEST(NodeHealth, NothingIsSilentBeforeTheClockRuns) {
     ros::Time::setNow(ros::Time(t += 0.01));
     return console.count("nothing on /of_the_player for 3 s: it is advertised") > 0;
   }));
+  EXPECT_EQ(console.count("nothing on /of_a_mapper"), 0) << "that takes longer";
   ros::Time::init();
+}
+
+TEST(RobotMapInput, TheFirstMapIsNoWarning) {
+  constexpr int kWarn = rosgraph_msgs::Log::WARN;
+  const Console console;
+  NodeHealth health("maps_test");
+  int forgotten = 0;
+  RobotMapInput robot("ground robot", 1, RobotMapSession("ground_map"), health, [&] { ++forgotten; });
+  for (const std::uint32_t id : {0, 1, 1}) robot.observe(id, ros::Time(10), false);
+  EXPECT_TRUE(spinUntil([&] { return console.count("the ground robot has begun its first map (1)") > 0; }));
+  EXPECT_EQ(forgotten, 1);
+  robot.observe(2, ros::Time(20), false);
+  EXPECT_TRUE(spinUntil([&] { return console.count("the ground robot has begun map 2", kWarn) > 0; }));
+  EXPECT_EQ(console.count("first map", kWarn), 0);
+  EXPECT_EQ(health.counted("new maps of the ground robot"), 1u);
+
+  RobotMapInput mapped("ground robot", 1, RobotMapSession("ground_map"), health, [] {});
+  mapped.observe(0, ros::Time(10), false);
+  std_msgs::Header header;
+  header.stamp = ros::Time(11);
+  header.frame_id = "ground_map";
+  EXPECT_TRUE(mapped.admitMap(0, header, "ground clouds"));
+  mapped.observe(10001, ros::Time(20), false);  // started again, with a map at hand
+  EXPECT_TRUE(spinUntil([&] { return console.count("the ground robot has begun map 10001", kWarn) > 0; }));
 }
 
 // As a live node finds it on a master of its own where a replay was run before.

@@ -194,7 +194,7 @@ SlamResult Slam::Impl::follow(const RgbdImages& images) {
   result.tracked = static_cast<int>(tracking.tracker().features().size());
   if (!tracked.success) {
     result.state = State::kLost;
-    beLost();
+    beLost(&result);
     return result;
   }
   result.state = state = State::kTracking;
@@ -232,11 +232,13 @@ void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
   next_levelling = 1;
 }
 
-void Slam::Impl::beLost() {
+void Slam::Impl::beLost(SlamResult* result) {
   state = State::kLost;
   ++counters.lost_frames;
-  // A map this small is no loss; nor can much be recognised by it.
-  if (search.givesUp() || map.keyframeCount() < 2) clear();
+  // By a map this small not much can be recognised.
+  if (!search.givesUp() && map.keyframeCount() >= 2) return;
+  result->ended = std::make_shared<const EndedMap>(asEnded());
+  clear();
 }
 
 TrackedPose Slam::Impl::relocalize(const RgbdImages& images) {
@@ -323,6 +325,7 @@ SlamResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, 
 air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }
 
 std::vector<PosedPoints> Slam::posedPoints() const { return impl_->dense.posed(impl_->map); }
+EndedMap Slam::asEnded() const { return impl_->asEnded(); }
 const CameraModel& Slam::camera() const { return impl_->camera; }
 const visual_frontend::Map& Slam::map() const { return impl_->map; }
 const std::vector<Feature>& Slam::features() const { return impl_->tracking.tracker().features(); }

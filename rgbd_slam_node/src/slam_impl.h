@@ -39,7 +39,8 @@ struct Slam::Impl {
   std::string imuProblem() const;  ///< empty: it serves, or there is none
   TrackedPose relocalize(const RgbdImages& images);
   visual_frontend::PlaceMatch recognize(const RgbdImages& images);
-  void beLost();
+  void beLost(SlamResult* result);
+  EndedMap asEnded() const { return {frames.poses(map), dense.posed(map)}; }
   /// Compares the turn from the last frame to this one with the gyro's, and goes on without a gyro that contradicts.
   void compareTurns(double stamp, const Pose& T_map_camera);
   /// Takes the step from the last frame to this one; returns what the base moved by.

@@ -379,6 +379,12 @@ TEST(Slam, LostAmongUnknownPlacesItBeginsANewMap) {
   // A gap in the recording, and nothing known after it: a new map.
   t += 8;
   EXPECT_EQ(see(strange, 4.5).state, State::kLost);
+  const EndedMap before = slam.asEnded();
+  std::shared_ptr<const EndedMap> ended;
+  for (int i = 0; i < 10 && !ended; ++i) ended = see(strange, 0.1).ended;
+  ASSERT_TRUE(ended) << "what was mapped is not lost with the map";
+  EXPECT_EQ(ended->trajectory.size(), before.trajectory.size());
+  EXPECT_GT(fusePoints(ended->points, {}).size(), 3000u);
   const SlamResult anew = see(strange, 1.5);
   EXPECT_EQ(anew.state, State::kTracking) << anew.reason;
   EXPECT_EQ(slam.mapId(), 2);

@@ -81,6 +81,7 @@ class FrameAssembler {
     newest_image_ = newest_imu_ = 0;
   }
 
+  bool hasImu() const { return newest_imu_ > 0; }  ///< images wait for their samples, not for the first ever
   std::size_t waiting() const { return images_.entries().size(); }
   std::size_t waitingBytes() const { return images_.bytes(); }
   /// How far the oldest image is behind the newest [s of data].

@@ -19,7 +19,7 @@ void EstimatorShell::stop() {
   worker_.join();
   autosave_.save("trajectory.txt", [this](const std::string& path) {
     std::uint64_t poses = 0;
-    saveTrajectoryTo(path, &poses);
+    saveTrajectoryTo(path, false, &poses);
   });
   autosave_.save("map.ply", [this](const std::string& path) { saveMapTo(path); });
 }
@@ -36,8 +36,9 @@ std::size_t EstimatorShell::saveMapTo(const std::string& path) {
   return points.size();
 }
 
-/// Returns what was written.
-std::string EstimatorShell::saveTrajectoryTo(const std::string& path, std::uint64_t* poses) {
+/// Returns what was written. `overwrite` false: maps other than the first whose file is there already were saved
+/// before.
+std::string EstimatorShell::saveTrajectoryTo(const std::string& path, bool overwrite, std::uint64_t* poses) {
   std::vector<MapTrajectory> maps;
   {
     const std::lock_guard<std::mutex> lock(estimator_mutex_);
@@ -47,7 +48,10 @@ std::string EstimatorShell::saveTrajectoryTo(const std::string& path, std::uint6
   std::string written;
   for (std::size_t i = 0; i < maps.size(); ++i) {
     std::filesystem::path file = path;
-    if (i > 0) file.replace_filename(file.stem().string() + "_map" + std::to_string(i) + file.extension().string());
+    const std::size_t number = maps[i].id > 0 ? maps[i].id : i;
+    if (i > 0)
+      file.replace_filename(file.stem().string() + "_map" + std::to_string(number) + file.extension().string());
+    if (i > 0 && !overwrite && std::filesystem::exists(file)) continue;
     writeTum(file, maps[i].poses, maps[i].unit);
     written += (i > 0 ? "; of another map " : "") + std::to_string(maps[i].poses.size()) + " camera poses" +
                (!maps[i].unit.empty() ? ", unit: " + maps[i].unit + ","
@@ -71,7 +75,7 @@ bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request
                                     air_ground::SaveTrajectory::Response& response) {
   return answer(response, [&] {
     const std::string path = absolutePath(request.path);
-    return saveTrajectoryTo(path, &response.poses);
+    return saveTrajectoryTo(path, true, &response.poses);
   });
 }
 

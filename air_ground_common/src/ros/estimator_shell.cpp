@@ -177,7 +177,7 @@ void EstimatorShell::addToPairs(const ImageMessage& message, bool colour) {
 }
 
 void EstimatorShell::onTimeJump() {
-  ROS_WARN_STREAM("time jumped back: " << names_.subject << " starts afresh");
+  ROS_WARN_STREAM("time jumped back (a looped bag?): " << names_.subject << " starts afresh");
   mountings_.forgetMoving();
   clearQueues();
   reset_requested_ = true;
@@ -251,7 +251,7 @@ EstimatorShell::Obstacle EstimatorShell::whyNotReady() const {
   if (waits && !calibration_)
     return {"no calibration has come on " + info_topic_,
             "publish sensor_msgs/CameraInfo there, or remap the topic to where it is"};
-  if (waits)
+  if (waits && assembler_.hasImu())
     return {"images wait for the IMU's samples on " + imu_topic_,
             "see whether its stamps and the images' are of one clock, or set use_imu to false"};
   return {};
@@ -364,8 +364,7 @@ EstimatorShell::Obstacle EstimatorShell::prepare(const sensor_msgs::Image& image
   if (estimator_.exists()) {
     ROS_WARN_STREAM((changed ? "the camera's calibration has changed" : "an IMU has turned up")
                     << ": a new map begins");
-    map_id_offset_ += estimator_.mapId();
-    estimator_.drop();
+    dropEstimator();
     estimator_.forgetMap();
   }
   if (settings_.use_imu && !T_base_imu)
@@ -425,12 +424,18 @@ void EstimatorShell::reportObstacle(const Obstacle& obstacle, const ros::Time& s
   status_publisher_.publish(status);
 }
 
+/// The next one goes on with the maps' numbers; this one knows its own until it is gone.
+void EstimatorShell::dropEstimator() {
+  const std::uint32_t maps = estimator_.mapId();
+  estimator_.drop();
+  map_id_offset_ += maps;
+}
+
 /// `all`: calibration and mountings are read again, too.
 void EstimatorShell::resetEstimator(bool all) {
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   if (estimator_.exists() && all) {
-    map_id_offset_ += estimator_.mapId();
-    estimator_.drop();
+    dropEstimator();
   } else if (estimator_.exists()) {
     estimator_.reset();
   }

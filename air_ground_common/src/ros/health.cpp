@@ -17,6 +17,7 @@ namespace air_ground_common::ros_utils {
 namespace {
 
 constexpr double kSilence = 3.0;    // of an input or an output before it is warned of [s, wall clock]
+constexpr double kRare = 30.0;      // the same of one that may pause, for it takes a map, or a flight, to make
 constexpr double kOpening = 60.0;   // of a bag, for the player to begin, before its topics are missed [s, wall clock]
 constexpr double kSayAgain = 60.0;  // a reason for silence [s]
 constexpr double kClockless = 5.0;  // messages may come before /clock [s, wall clock]
@@ -261,20 +262,23 @@ void NodeHealth::watchInputs(const ros::WallTime& now, bool paused) {
   if (!over && (now - inquiry_->begun).toSec() < kMasterAnswers) return;
   for (const auto& [topic, input] : silent_) {
     const bool advertised = over && inquiry_->advertised.count(topic) > 0;
+    const bool rare = advertised && !input.continuous;
+    const double patience = rare ? kRare : kSilence;
     const bool opening = clock_.isZero() && (now - started_).toSec() < kOpening;
-    if ((advertised || opening) && input.messages == 0 && (now - running_).toSec() < kSilence) {
-      // The player has yet to begin.
+    if ((advertised || opening) && input.messages == 0 && (now - running_).toSec() < patience) {
+      // The player has yet to begin, or the map.
       const std::lock_guard<std::mutex> lock(mutex_);
       inputs_[topic].warned = false;
-      inputs_[topic].last_arrival = running_;
+      inputs_[topic].last_arrival = running_ + ros::WallDuration(patience - kSilence);
       continue;
     }
     std::ostringstream line;
-    line << "nothing on " << topic << " for " << kSilence << " s: ";
+    line << "nothing on " << topic << " for " << patience << " s: ";
     if (!over || !inquiry_->answered)
       line << "the ROS master does not answer";
     else if (advertised)
-      line << "it is advertised, but no message comes";
+      line << "it is advertised, but no message comes"
+           << (rare ? ". What its node waits for, that says on the console and in /diagnostics" : "");
     else
       line << "nobody publishes it (is a remapping or a namespace wrong?)";
     if (over && inquiry_->advertised.count(input.alternative) > 0)

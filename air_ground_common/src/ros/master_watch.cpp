@@ -92,9 +92,9 @@ void MasterWatch::Impl::run() {
     try {
       watch();
     } catch (const std::exception& e) {
-      ROS_WARN_STREAM_ONCE("the ROS master's answer cannot be read: " << e.what());
+      ROS_WARN_STREAM_ONCE("what answers at ROS_MASTER_URI is no ROS master, or one that fails: " << e.what());
     } catch (const XmlRpc::XmlRpcException& e) {
-      ROS_WARN_STREAM_ONCE("the ROS master's answer cannot be read: " << e.getMessage());
+      ROS_WARN_STREAM_ONCE("what answers at ROS_MASTER_URI is no ROS master, or one that fails: " << e.getMessage());
     }
   }
   const std::lock_guard<std::mutex> lock(mutex);

@@ -2,6 +2,8 @@
 
 #include <ros/console.h>
 
+#include "map_ids.h"
+
 namespace air_ground_common::ros_utils {
 
 std::optional<std::vector<CloudPoint>> readCloud(const sensor_msgs::PointCloud2& msg, const std::string& what,
@@ -26,7 +28,7 @@ RobotMapInput::RobotMapInput(const std::string& robot, std::size_t streams, Robo
       forget_(std::move(forget)),
       revise_(std::move(revise)),
       gate_(streams, health, [this] {
-        ROS_WARN_STREAM("the " << robot_ << "'s time jumped back: its map starts afresh");
+        ROS_WARN_STREAM("the " << robot_ << "'s time jumped back (a looped bag?): its map starts afresh");
         health_.count("time jumps");
         restart();
       }) {}
@@ -48,15 +50,20 @@ bool RobotMapInput::admitStatus(std::size_t stream, const air_ground::VoStatus& 
   if (!admit(stream, msg.header.stamp)) return false;
   observe(msg.map_id, msg.header.stamp, false);
   if (!revise_ || !map_.revise(msg.map_revision, msg.header.stamp.toSec())) return true;
-  health_.count("corrections of the map of the " + robot_);
+  health_.value("corrections of the map of the " + robot_, ++corrections_);
   revise_();
   return true;
 }
 
 void RobotMapInput::observe(std::uint32_t id, const ros::Time& stamp, bool second_hand) {
   if (!map_.observe(id, stamp.toSec(), second_hand)) return;
-  ROS_WARN_STREAM("the " << robot_ << " has begun map " << id << ": starting afresh");
-  health_.count("new maps of the " + robot_);
+  // The first one ends nothing.
+  if (id % kMapsOfOneStart == 1 && map_.frame().empty()) {
+    ROS_INFO_STREAM("the " << robot_ << " has begun its first map (" << id << ")");
+  } else {
+    ROS_WARN_STREAM("the " << robot_ << " has begun map " << id << ": what was made of the one before is forgotten");
+    health_.count("new maps of the " + robot_);
+  }
   forget_();
 }
 

@@ -28,21 +28,23 @@ TransformInput::TransformInput(tf2_ros::Buffer& buffer, Listener listener)
 void TransformInput::onMessage(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed) {
   const ros::Time now = ros::Time::now();
   if (now < last_) {
-    ROS_WARN("time jumped back: what moved on tf is forgotten");
+    ROS_WARN("time jumped back (a looped bag?): what moved on tf is forgotten");
     buffer_.clear();
   }
   last_ = now;
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
     if (transform.header.stamp.toSec() > kEndOfStamps) {
-      ROS_WARN_STREAM_ONCE("tf: a transform to '" << transform.child_frame_id << "', from " << authority
-                                                  << ", has no time: such are left out");
+      ROS_WARN_STREAM_ONCE("tf: a transform to '"
+                           << transform.child_frame_id << "', from " << authority
+                           << ", has no time: such are left out. Let that node stamp them, or send them on /tf_static");
       continue;
     }
     try {
       buffer_.setTransform(transform, authority, fixed);
     } catch (const tf2::TransformException& e) {
       ROS_ERROR_STREAM_THROTTLE(10, "tf: a transform to '" << transform.child_frame_id << "', from " << authority
-                                                           << ", is left out: " << e.what());
+                                                           << ", is left out: " << e.what()
+                                                           << ". That node is at fault");
       continue;
     }
     if (listener_) listener_(transform, authority);

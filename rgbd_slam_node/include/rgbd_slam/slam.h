@@ -122,6 +122,12 @@ struct Mounting {
 
 enum class State { kWaiting, kInitializing, kTracking, kLost };
 
+/// What is left of a map that the robot goes on without.
+struct EndedMap {
+  air_ground_common::Trajectory trajectory;  ///< of the camera
+  std::vector<PosedPoints> points;           ///< for fusePoints
+};
+
 struct SlamResult {
   State state = State::kWaiting;
   std::string reason;       ///< why not tracking
@@ -141,6 +147,8 @@ struct SlamResult {
   int tracked = 0;                               ///< features that reached this frame
   int inliers = 0;                               ///< landmarks that agree with the pose
   double rms = 0;                                ///< their reprojection error [sigma]
+  /// Lost for too long, the robot goes on without this map. Null: none.
+  std::shared_ptr<const EndedMap> ended;
 };
 
 struct SlamCounters {
@@ -172,6 +180,9 @@ class Slam {
 
   /// What fusePoints needs: posed points of all keyframes.
   std::vector<PosedPoints> posedPoints() const;
+
+  /// The map as it stands: what would be lost with it.
+  EndedMap asEnded() const;
 
   const CameraModel& camera() const;  ///< the given one, or what the images make of it (radial_stddev)
   const visual_frontend::Map& map() const;

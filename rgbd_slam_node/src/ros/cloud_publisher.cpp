@@ -80,7 +80,9 @@ void CloudPublisher::publish(const ros::Time& stamp, const std::vector<CloudPoin
   std_msgs::Header header;
   header.stamp = stamp;
   header.frame_id = frame_;
-  publisher_.publish(ros_utils::toMsg(messagePoints(cloud), ros_utils::CloudFields::kXyzRgb, header));
+  const auto msg = ros_utils::toMsg(messagePoints(cloud), ros_utils::CloudFields::kXyzRgb, header);
+  bytes_ = msg.data.size();
+  publisher_.publish(msg);
   latched_ = !cloud.empty();
 }
 

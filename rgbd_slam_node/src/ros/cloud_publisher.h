@@ -3,6 +3,7 @@
 
 #include <ros/node_handle.h>
 
+#include <atomic>
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
@@ -32,6 +33,9 @@ class CloudPublisher {
   /// A request not yet begun is replaced.
   void request(std::uint32_t map_id, const ros::Time& stamp, std::vector<PosedPoints> points);
 
+  /// Of the last cloud that was published.
+  std::size_t bytes() const { return bytes_; }
+
  private:
   struct Request {
     std::uint32_t map_id;
@@ -50,6 +54,7 @@ class CloudPublisher {
   std::condition_variable changed_;
   std::optional<Request> request_;
   std::uint32_t map_id_ = 0;
+  std::atomic<std::size_t> bytes_{0};
   bool latched_ = false;  ///< the last one published has points
   bool stop_ = false;
   std::thread worker_;

@@ -34,9 +34,16 @@ KeyframePublisher::KeyframePublisher(ros::NodeHandle handle, const std::string& 
       publisher_(handle.advertise<air_ground::MapKeyframes>(
           topic, 5, [this](const ros::SingleSubscriberPublisher&) { subscriber_came_ = true; })) {}
 
+bool KeyframePublisher::awaited() const {
+  using namespace std::chrono_literals;
+  return subscriber_came_ && publisher_.getNumSubscribers() > 0 && std::chrono::steady_clock::now() - served_ >= 1s;
+}
+
 void KeyframePublisher::publish(std::uint32_t map_id, const ros::Time& stamp, const visual_frontend::Map& map) {
   if (publisher_.getNumSubscribers() == 0) return;
-  if (subscriber_came_.exchange(false) || map_id != map_id_) known_.clear();
+  const bool anew = subscriber_came_.exchange(false);
+  if (anew) served_ = std::chrono::steady_clock::now();
+  if (anew || map_id != map_id_) known_.clear();
   map_id_ = map_id;
   air_ground::MapKeyframes msg;
   msg.header.stamp = stamp;

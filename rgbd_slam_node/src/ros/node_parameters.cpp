@@ -26,7 +26,11 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("base_depth", n.depth.T_base_depth, "x y z qx qy qz qw of the depth camera in base_link [m]; all 0 = from tf");
 
   v.section("Output");
-  v("cloud_interval", n.cloud_interval, {0.1, 600}, "s", "between clouds; a corrected map is sent at once");
+  v("cloud_interval", n.cloud_interval, {0.1, 600}, "s",
+    "between clouds, while the map grows; a corrected map is sent at once");
+  v("cloud_bandwidth", n.cloud_bandwidth, {0.001, 10000}, "MB/s",
+    "of the clouds, to each subscriber: one that takes longer than cloud_interval comes so much less often (16 bytes a "
+    "point)");
 
   describe(v, n.slam);
 }

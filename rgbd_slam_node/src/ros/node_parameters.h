@@ -15,7 +15,7 @@ struct NodeSettings {
   air_ground_common::ros_utils::EstimatorSettings estimator;
   DepthInputSettings depth;
   bool use_depth_stamps = true;
-  double cloud_interval = 2.0;
+  double cloud_interval = 2.0, cloud_bandwidth = 2.0;  ///< [s], [MB/s]
 
   void validate() const { slam.validate(); }
 };

@@ -4,9 +4,11 @@
 
 #include <algorithm>
 #include <chrono>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 
+#include "../map_pacer.h"
 #include "air_ground_common/ros/calibration_report.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/estimator_shell.h"
@@ -15,6 +17,7 @@
 #include "air_ground_common/text.h"
 #include "cloud_publisher.h"
 #include "depth_input.h"
+#include "ended_maps.h"
 #include "keyframe_publisher.h"
 #include "node_parameters.h"
 
@@ -22,6 +25,8 @@ namespace rgbd_slam {
 namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
+
+constexpr double kEnded = 1.0;  // without images, after which a recording is over, or is held [s, wall clock]
 
 std::uint8_t stateOf(State state) {
   switch (state) {
@@ -90,12 +95,25 @@ class RgbdSlamNode : private ros_utils::Estimator {
 
   void forgetMap() override {
     beginMap(0);
-    last_cloud_ = last_stamp_ = ros::Time();
+    last_stamp_ = ros::Time();
   }
 
-  void forgetOdometry() override { pose_publisher_.reset(); }
-  void drop() override { slam_.reset(); }
-  void reset() override { slam_->reset(); }
+  /// A user wants to begin afresh, or a recording begins again.
+  void forgetOdometry() override {
+    pose_publisher_.reset();
+    ended_.forget();
+  }
+
+  void drop() override {
+    ended_.add(shell_.mapId(), slam_->asEnded());
+    slam_.reset();
+  }
+
+  void reset() override {
+    ended_.add(shell_.mapId(), slam_->asEnded());
+    slam_->reset();
+  }
+
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
 
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
@@ -110,13 +128,15 @@ class RgbdSlamNode : private ros_utils::Estimator {
   /// Nothing of another map than `map_id` is published any more, and no cloud of one stays latched.
   void beginMap(std::uint32_t map_id) {
     pose_publisher_.beginMap();
-    cloud_outdated_ = false;
+    cloud_pacer_.restart();
+    keyframe_pacer_.restart();
     clouds_.beginMap(map_id, last_stamp_);
   }
 
   ros_utils::EstimatorResult process(const ros_utils::EstimatorFrame& frame) override {
+    serveKeyframes();
+    const auto begin = last_frame_ = std::chrono::steady_clock::now();
     last_stamp_ = frame.stamp;
-    const auto begin = std::chrono::steady_clock::now();
     ros_utils::EstimatorResult result;
     air_ground::VoStatus& status = result.status;
     status.map_revision = map_revision_;  // of a refused frame, too: another figure tells of a correction
@@ -139,6 +159,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     tellReadoutTime();
     calibration_.update(slam_->camera().k1);
     if (r.recalibrated) keyframes_.resendAll();
+    if (r.ended) ended_.add(shell_.mapId(), *r.ended);
     status.state = stateOf(r.state);
     status.tracked_features = static_cast<std::uint32_t>(r.tracked);
     status.inliers = static_cast<std::uint32_t>(r.inliers);
@@ -161,7 +182,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
     result.advice = adviceFor(r.state);
     result.pose_published =
         r.state == State::kTracking && r.T_map_base.matrix().allFinite() && r.covariance.allFinite();
-    if (result.pose_published) result.publish = [this, stamp = frame.stamp, grey, r] { publish(stamp, grey, r); };
+    result.publish = [this, stamp = frame.stamp, grey, r, pose = result.pose_published] {
+      if (pose) publish(stamp, grey, r);
+      publishMapWhenDue(stamp.toSec());
+    };
     return result;
   }
 
@@ -198,29 +222,42 @@ class RgbdSlamNode : private ros_utils::Estimator {
   void publish(const ros::Time& stamp, const cv::Mat& grey, const SlamResult& r) {
     if (r.new_map) beginMap(shell_.mapId());
     pose_publisher_.publish(stamp, r.T_map_base, {r.T_previous_current_base, r.increment_covariance}, r.covariance);
-    if (r.keyframe) {
-      cloud_outdated_ = true;
-      if (keyframe_publisher_.getNumSubscribers() > 0) {
-        std_msgs::Header header;
-        header.stamp = stamp;
-        header.frame_id = shell_.cameraFrame();
-        keyframe_publisher_.publish(
-            ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
-      }
+    if (r.keyframe && keyframe_publisher_.getNumSubscribers() > 0) {
+      std_msgs::Header header;
+      header.stamp = stamp;
+      header.frame_id = shell_.cameraFrame();
+      keyframe_publisher_.publish(
+          ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
     }
-    if ((cloud_outdated_ && stamp.toSec() - last_cloud_.toSec() >= settings_.cloud_interval) || r.map_corrected)
-      publishMap();
+    if (!r.keyframe && !r.map_corrected) return;
+    cloud_pacer_.changed(r.map_corrected);
+    keyframe_pacer_.changed(r.map_corrected);
   }
 
+  /// No images come: time goes on all the same, but that of a recording has ended.
   void idle() override {
-    if (cloud_outdated_) publishMap();  // no more images come: show what there is
+    serveKeyframes();
+    const double silence = std::chrono::duration<double>(std::chrono::steady_clock::now() - last_frame_).count();
+    if (ros::Time::isSimTime() && silence > kEnded) cloud_pacer_.hurry();
+    publishMapWhenDue(last_stamp_.toSec() + silence);
   }
 
-  void publishMap() {
-    cloud_outdated_ = false;
-    last_cloud_ = last_stamp_;
+  void publishMapWhenDue(double now) {
+    if (slam_->map().keyframeCount() == 0) return;
+    if (keyframe_pacer_.due(now, 0)) {
+      keyframe_pacer_.sent(now, 0);
+      keyframes_.publish(shell_.mapId(), last_stamp_, slam_->map());
+    }
+    const auto bytes = static_cast<double>(clouds_.bytes());  // of the last one: a map does not grow by much
+    if (!cloud_pacer_.due(now, bytes)) return;
+    cloud_pacer_.sent(now, bytes);
     clouds_.request(shell_.mapId(), last_stamp_, slam_->posedPoints());
-    keyframes_.publish(shell_.mapId(), last_stamp_, slam_->map());
+  }
+
+  /// Who has come late waits for no new keyframe: the robot may stand.
+  void serveKeyframes() {
+    if (keyframes_.awaited() && slam_->map().keyframeCount() > 0)
+      keyframes_.publish(shell_.mapId(), last_stamp_, slam_->map());
   }
 
   std::function<std::vector<ros_utils::CloudPoint>()> mapForFile() override {
@@ -230,8 +267,11 @@ class RgbdSlamNode : private ros_utils::Estimator {
   }
 
   std::vector<ros_utils::MapTrajectory> trajectories() override {
-    if (slam_->map().keyframeCount() == 0) throw std::runtime_error("there is no trajectory yet");
-    return {{slam_->trajectory(), ""}};
+    std::vector<ros_utils::MapTrajectory> maps;
+    if (slam_->map().keyframeCount() > 0) maps.push_back({slam_->trajectory(), "", shell_.mapId()});
+    ended_.appendTo(&maps);
+    if (maps.empty()) throw std::runtime_error("there is no trajectory yet");
+    return maps;
   }
 
   const NodeSettings settings_;
@@ -239,8 +279,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros::NodeHandle handle_;
   ros::Publisher keyframe_publisher_;
   std::unique_ptr<Slam> slam_;
-  ros::Time last_stamp_, last_cloud_;
-  bool cloud_outdated_ = false, imu_problem_told_ = false;
+  ros::Time last_stamp_;
+  std::chrono::steady_clock::time_point last_frame_;
+  bool imu_problem_told_ = false;
   double told_readout_time_ = 0, depth_delay_ = 0;  ///< [s]
   std::uint32_t map_revision_ = 0;
 
@@ -249,7 +290,10 @@ class RgbdSlamNode : private ros_utils::Estimator {
   ros_utils::CalibrationReport calibration_{shell_.health(), "colour camera"};
   DepthInput depth_;
   CloudPublisher clouds_;
+  MapPacer cloud_pacer_{settings_.cloud_interval, 1e6 * settings_.cloud_bandwidth};
+  MapPacer keyframe_pacer_{settings_.cloud_interval, std::numeric_limits<double>::infinity()};
   KeyframePublisher keyframes_;
+  EndedMaps ended_{settings_.slam.cloud, frames_.autosave, shell_.autosave()};
 };
 
 }  // namespace

@@ -85,7 +85,8 @@ struct EstimatorResult {
 
 struct MapTrajectory {
   Trajectory poses;
-  std::string unit;  ///< of their lengths; empty: metres
+  std::string unit;      ///< of their lengths; empty: metres
+  std::uint32_t id = 0;  ///< of the map, for its file's name where that is not the one to save; 0: as they are counted
 };
 
 /// The library's side. The shell calls one function at a time; `drop` and later ones only while there is an estimator.
@@ -131,6 +132,7 @@ class EstimatorShell {
   void stop();
 
   NodeHealth& health() { return health_; }
+  const Autosave& autosave() const { return autosave_; }
   const Mountings& mountings() const { return mountings_; }
   /// What is wrong with the accelerometer; empty while nothing is known to be.
   std::string imuProblem() const { return imu_input_.problem(); }
@@ -175,10 +177,11 @@ class EstimatorShell {
   Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
   void resetEstimator(bool all);
+  void dropEstimator();
   void reportObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
   std::size_t saveMapTo(const std::string& path);
-  std::string saveTrajectoryTo(const std::string& path, std::uint64_t* poses);
+  std::string saveTrajectoryTo(const std::string& path, bool overwrite, std::uint64_t* poses);
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response);
   bool saveTrajectory(air_ground::SaveTrajectory::Request& request, air_ground::SaveTrajectory::Response& response);
   bool reset(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);

@@ -41,8 +41,8 @@ class NodeHealth {
 
   /// Declares an input that the node waits for. After 3 s (wall time) without it a warning names the resolved topic,
   /// whether anybody publishes it, and the last stamp seen. `continuous` false: a topic that may rightly pause (a
-  /// latched map); the warning comes only while nothing at all has arrived. A replay that is paused (/clock stands
-  /// still) is no silence.
+  /// latched map); the warning comes only while nothing at all has arrived, and where somebody advertises it, after
+  /// 30 s: it takes a map first, or a flight. A replay that is paused (/clock stands still) is no silence.
   /// `hint`, when not empty, ends the warning if somebody advertises `alternative`: the same data in another form.
   void expectInput(const std::string& resolved_topic, bool continuous = true, const std::string& alternative = "",
                    const std::string& hint = "");

@@ -52,6 +52,7 @@ class RobotMapInput {
   RobotMapSession map_;
   const std::function<void()> forget_, revise_;
   StreamGate gate_;
+  int corrections_ = 0;
 };
 
 }  // namespace air_ground_common::ros_utils
