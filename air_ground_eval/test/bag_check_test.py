@@ -9,11 +9,12 @@ import unittest
 from unittest import mock
 
 import cv2
+import genpy.dynamic
 import numpy as np
 import rosbag
 import rosunit
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import CompressedImage, Imu
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
@@ -188,7 +189,7 @@ class BagCheck(unittest.TestCase):
             check = os.path.join(HERE, '..', 'scripts', 'check_bag')
             result = subprocess.run(['/usr/bin/python3', check, path], capture_output=True, text=True, check=False)
             self.assertEqual(result.returncode, 0, result.stdout + result.stderr)
-            self.assertEqual(result.stdout.splitlines()[-1], f'roslaunch air_ground replay.launch bag:={path} mav_image:=/cam0/image_raw '
+            self.assertEqual(result.stdout.splitlines()[-1], f'roslaunch air_ground replay.launch bag:={path} out:=out-x mav_image:=/cam0/image_raw '
                              'mav_camera_info:=/cam0/camera_info mav_imu:=/imu0 mav_base_frame:=imu4 mav_camera_frame:=cam0 rgbd_slam:=false '
                              'heightmap_mcl:=false view_match:=false icp_refine:=false')
 
@@ -289,6 +290,20 @@ class BagCheck(unittest.TestCase):
                              ({'mav_vo/odom_from_tf': True, '~mav_odom_frame': 'wheels'}, {'wheels'}), ({'~mav_base_frame': 'base_link'}, {'mav_odom', 'base_link'})):
             with mock.patch('rospy.get_param', side_effect=lambda name, default, given=given: given.get(name, default)):
                 self.assertEqual(set(replay.owned_frames('mav', 'mav_vo')), owned)
+
+    def test_messages_of_another_version(self):
+        old = genpy.dynamic.generate_dynamic('sensor_msgs/Imu', Imu._full_text.replace('float64[9] linear_acceleration_covariance', '#'))['sensor_msgs/Imu']
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            write(path, imu_elsewhere=True)
+            with rosbag.Bag(path, 'a') as bag:
+                for t in np.arange(100, 103, 0.005):
+                    message = old()
+                    message.header.stamp, message.header.frame_id, message.linear_acceleration.z = messages.stamp(t), 'mav_imu_link', 9.81
+                    bag.write('/mav/imu/data', message, messages.stamp(t))
+            errors = [f.text for f in bag_check.check(path, robots=('mav',)) if f.level == bag_check.ERROR]
+        self.assertEqual(len(errors), 1, errors)
+        self.assertIn('/mav/imu/data: no node takes it, since sensor_msgs/Imu is defined otherwise in the bag than here', errors[0])
 
     def test_mapped_names(self):
         with tempfile.TemporaryDirectory() as folder:

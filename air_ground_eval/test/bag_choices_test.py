@@ -70,6 +70,8 @@ class BagChoices(unittest.TestCase):
         self.assertEqual(status, 0, output)
         self.assert_arguments(command, ground_imu='none')
         self.assertIn('it tells neither turns nor the vertical', output)
+        self.recording(('ground_base_link', 'cam')).camera('/ground/rgb/image_raw', 'rgb8', 'cam').camera('/ground/depth/image_raw', '16UC1', 'cam')
+        self.assert_arguments(self.check()[2], ground_imu='none')  # its images would wait for what never comes
         for rate, used in ((30, None), (100, None)):
             self.recording(('base_link', 'cam'), ('base_link', 'fcu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/mavros/imu/data', 'fcu', rate=rate)
             _, output, command = self.check()

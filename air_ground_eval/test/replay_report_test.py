@@ -9,23 +9,27 @@ import time
 import unittest
 from unittest import mock
 
+import genpy.dynamic
 import numpy as np
 import rosbag
 import rospkg
 import rospy
 import rostest
 import yaml
+from air_ground.msg import VoStatus
 from geometry_msgs.msg import Point, PointStamped, TransformStamped
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
 from air_ground_eval import bag_reader, demo, evaluation, geometry, messages, pacing, ply, truth  # noqa: E402
+from air_ground_eval import replay as replays  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 sys.path.insert(0, HERE)
 DURATION = 6.0
 
 
+OldVoStatus = genpy.dynamic.generate_dynamic('air_ground/VoStatus', VoStatus._full_text.replace('uint32 map_revision', '#'))['air_ground/VoStatus']
 # Of EuRoC's Vicon body in the MAV's: its markers lie behind and below, and their axes are turned.
 T_BASE_MARKERS = geometry.pose_from_tq((0.069, -0.028, -0.124), (0.3, -0.5, 0.6, 0.2))
 
@@ -42,9 +46,9 @@ def other_truth(bag, mav, ground, t):
     bag.write('/leica/position', point, messages.stamp(100 + t))
 
 
-def write_bag(path, truth=True, ahead=None, vicon=False):
+def write_bag(path, truth=True, ahead=None, vicon=False, old=False):
     """A MAV that flies a helix and a ground robot that drives an arc; ground truth only, and images stamped so much `ahead` of the time of recording, as the truth is [s].
-    vicon: the same truth as other_truth has it, too."""
+    vicon: the same truth as other_truth has it, too; old: recorded with another version of the nodes' messages."""
     with rosbag.Bag(path, 'w') as bag:
         edges = [('mav_base_link', 'mav_camera_optical_frame', geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))),
                  ('ground_base_link', 'ground_camera_optical_frame', geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.1, 0, 0.4)))]
@@ -58,6 +62,8 @@ def write_bag(path, truth=True, ahead=None, vicon=False):
                 bag.write(topic, messages.pose_stamped(pose, 100 + t + (ahead or 0.0), 'world'), messages.stamp(100 + t))
             if vicon:
                 other_truth(bag, mav, ground, t)
+            if old:
+                bag.write('/ground/slam_status', OldVoStatus(), messages.stamp(100 + t))
             if ahead is not None:
                 stamp = 100 + t + ahead
                 bag.write('/mav/camera/image_raw', messages.image(np.zeros((8, 8)), 'mono8', stamp, 'camera'), messages.stamp(100 + t))
@@ -259,7 +265,9 @@ class ReplayReport(unittest.TestCase):
             self.assertGreater(values['vo_coverage_percent'], 90)
 
     def test_a_robot_without_pose_and_one_switched_off(self):
-        out, values, output = self.run_replay({'silent': 'too dark, says the stand-in', 'ground': 'false'})
+        out, values, output = self.run_replay({'silent': 'too dark, says the stand-in', 'ground': 'false'}, old=True)
+        for say in ('ERROR', 'note'):
+            self.assertRegex(output, say + r'.*: /ground/slam_status: no node takes it, since air_ground/VoStatus is defined otherwise in the bag than here')
         progress = [line for line in output.splitlines() if 'replay 50 %' in line]
         self.assertEqual(len(progress), 1, output)
         self.assertIn('mav initializing (too dark, says the stand-in), ground switched off', progress[0])
@@ -337,6 +345,20 @@ class ReplayReport(unittest.TestCase):
             ros.get_time.return_value = 102.3  # the player waits again
             pacer.step(102.3, may_hold=not keeper.leads())
             player.pause.assert_called_once_with(True)
+
+    def test_results_of_an_earlier_replay_stay(self):
+        with tempfile.TemporaryDirectory() as folder, mock.patch.object(replays, 'rospy'):
+            out = os.path.join(folder, 'out')
+            for text in ('first', 'second', 'third'):
+                replays.make_room(out, ('report.yaml', 'report.png'))
+                self.assertEqual([name for name in os.listdir(out) if name.startswith('report')], [])
+                with open(os.path.join(out, 'report.yaml'), 'w', encoding='ascii') as stream:
+                    stream.write(text)
+            found = {}
+            for name in ('earlier-1', 'earlier-2', '.'):
+                with open(os.path.join(out, name, 'report.yaml'), encoding='ascii') as stream:
+                    found[name] = stream.read()
+            self.assertEqual(found, {'earlier-1': 'first', 'earlier-2': 'second', '.': 'third'})
 
     def test_who_waits_for_a_processor_is_not_idle(self):
         """On a busy machine the nodes of lowest priority get hardly any time: the report must not be written meanwhile."""

@@ -39,8 +39,9 @@ void relay(ros::NodeHandle* node, const std::string& topic, std::vector<ros::Sub
   subscribers->push_back(
       node->subscribe<air_ground::HeightMap>(topic, 5, [publisher](const air_ground::HeightMap::ConstPtr& map) {
         if (map->heights.size() != static_cast<std::size_t>(map->width) * map->height) {
-          ROS_WARN_THROTTLE(10, "height map of %u x %u cells with %zu heights: dropped", map->width, map->height,
-                            map->heights.size());
+          ROS_WARN_THROTTLE(
+              10, "a height map of %u x %u cells holds %zu heights, and is not shown: its publisher is at fault",
+              map->width, map->height, map->heights.size());
           return;
         }
         publisher.publish(toCloud(*map));

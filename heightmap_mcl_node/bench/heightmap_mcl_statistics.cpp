@@ -1,6 +1,8 @@
 // Success statistics of the coarse alignment over synthetic worlds, as in Forster 2013, Fig. 11 and 12: error and
 // spread of the particles after each aerial map. Prints a table; writes one CSV line a map on demand, and pictures of
 // one run.
+#include <sys/resource.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
@@ -102,6 +104,27 @@ syn::Error similarityError(const hm::CoarseEstimate& e, const syn::OwnUnit& own,
   return {d.head<2>().norm(), std::abs(air_ground_common::wrapAngle(yaw)), std::abs(d.z())};
 }
 
+/// Other worlds around what the ground robot has seen, until that is a square of so many metres.
+void addNeighbours(syn::Options options, double extent, std::vector<Eigen::Vector3f>* ground) {
+  constexpr int kApart = 10;  // [m]
+  const int count = static_cast<int>(std::lround(extent / kApart));
+  options.aerial_clouds = 1;
+  for (int i = 0; i < count * count; ++i) {
+    const Eigen::Vector3f shift(static_cast<float>(kApart * (i % count - count / 2)),
+                                static_cast<float>(kApart * (i / count - count / 2)), 0);
+    if (shift.isZero()) continue;
+    options.seed += 100000;
+    for (const auto& p : syn::makeRun(options).ground) ground->push_back(p + shift);
+  }
+}
+
+/// Most memory of this process so far [GB].
+double peakMemory() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return 1e-6 * static_cast<double>(usage.ru_maxrss);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -164,6 +187,8 @@ int main(int argc, char** argv) {
   bool own_unit = false;
   app.add_flag("--own-unit", own_unit,
                "a MAV without IMU: unit and level of its map unknown; right: scale to 10 %, too");
+  double extent = 0;
+  app.add_option("--ground-extent", extent, "the ground robot has seen a square of other worlds around, too [m]");
   app.add_option("--ground-noise", options.ground_noise, "of the ground robot's depths, times that of a Kinect");
   CLI11_PARSE(app, argc, argv);
   if (own_unit) options.scale_error = 0;
@@ -198,12 +223,15 @@ int main(int argc, char** argv) {
   std::vector<int> good(maps, 0), mean_good(maps, 0), converged(maps, 0), wrong(maps, 0);
   std::map<std::string, int> statuses;
   std::vector<double> scale_errors;  // of converged estimates
-  double total_ms = 0, total_nees = 0, scale_nees = 0;
+  double total_ms = 0, most_ms = 0, ground_ms = 0, before = 0, total_nees = 0, scale_nees = 0;
   int nees_count = 0;
   for (int run_index = 0; run_index < runs; ++run_index) {
     options.seed = first_seed + run_index;
-    const auto run = syn::makeRun(options);
+    auto run = syn::makeRun(options);
+    if (extent > 0) addNeighbours(options, extent, &run.ground);
+    if (extent > 0) s.ground_map.max_extent = extent + 10;  // with its rims
     s.seed = options.seed;
+    before = peakMemory();
     hm::HeightMapLocalizer localizer(s);
     hm::Prior prior;
     if (region > 0) {
@@ -219,12 +247,15 @@ int main(int argc, char** argv) {
     }
     const syn::OwnUnit own = own_unit ? ownUnit(options.seed) : syn::OwnUnit();
     localizer.setOwnUnit(own_unit);
+    const auto begin = std::chrono::steady_clock::now();
     localizer.setGround(run.ground);
+    ground_ms += std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin).count();
     for (int k = 0; k < maps; ++k) {
       const auto start = std::chrono::steady_clock::now();
       localizer.addAerial(own.raw(run.aerial[k]));
       const double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
       total_ms += ms;
+      most_ms = std::max(most_ms, ms);
       const auto& e = localizer.estimate();
       const Eigen::Vector3d& reference = run.aerial[k].reference;
       const auto error = own_unit ? similarityError(e, own, run.T_ground_mav[k], run.aerial[k])
@@ -301,8 +332,12 @@ int main(int argc, char** argv) {
                 quantile(errors[k], 0.9), quantile(yaws[k], 0.5), quantile(spreads[k], 0.5));
   }
   for (const auto& status : statuses) std::printf("%s %d  ", status.first.c_str(), status.second);
-  std::printf("\nmean NEES of converged estimates (4 degrees of freedom): %.2f; %.0f ms a map\n",
-              nees_count ? total_nees / nees_count : 0.0, total_ms / (runs * maps));
+  std::printf(
+      "\nmean NEES of converged estimates (4 degrees of freedom): %.2f; %.0f ms a map, at most %.0f; %.0f ms a ground "
+      "map; "
+      "at most %.2f GB, %.2f of them without maps\n",
+      nees_count ? total_nees / nees_count : 0.0, total_ms / (runs * maps), most_ms, ground_ms / runs, peakMemory(),
+      before);
   if (!scale_errors.empty())
     std::printf(
         "scale of %zu right and converged estimates: median error %+.2f %%, 10 %% %+.2f, 90 %% %+.2f; NEES %.2f\n",

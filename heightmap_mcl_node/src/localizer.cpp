@@ -238,8 +238,9 @@ bool HeightMapLocalizer::isPossible() {
   } else if (!hasAerial()) {
     estimate_.reason = "waiting for an aerial cloud";
   } else if (!filter_.initialized()) {
-    estimate_.reason =
-        formatted("no placement where the maps share %.0f %% of the smaller one's cells", 100 * settings_.min_overlap);
+    estimate_.reason = formatted(
+        "no placement where the maps share %.0f %% of the smaller one's cells: fly over what the ground robot saw",
+        100 * settings_.min_overlap);
   } else if (scaleIsOpen()) {
     // At a scale that nothing singles out there is no place to verify.
     estimate_.reason = formatted("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed",

@@ -20,9 +20,9 @@ void describeMap(air_ground_common::ParameterVisitor& v, const std::string& grou
   v(group + "/max_spike", s.max_spike, {0.0, 100.0}, "m",
     "drop cells that stand above all their neighbours by more; 0 = off");
   v(group + "/max_extent", s.max_extent, {1.0, 200.0}, "m",
-    "of a larger cloud only the densest region of this edge is used (the rest is counted in /diagnostics); kept clouds "
-    "that reach farther than this with the newest are dropped. Raise it for a larger ground map: memory and time of "
-    "the search grow with its square");
+    "of a larger cloud only the densest region of this edge is used (a warning says which); kept clouds that reach "
+    "farther than this with the newest are dropped. Raise it for a larger ground map: memory and time of the search "
+    "grow with its square (docs/heightmap_mcl.md, Limits)");
 }
 
 }  // namespace

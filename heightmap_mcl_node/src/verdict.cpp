@@ -20,18 +20,28 @@ Verdict statusOf(const PlaceMeasures& p, const VerdictSettings& s) {
   const bool asked = p.evidence < 2 * s.min_evidence;
   if (p.relief < s.min_relief)
     return {Status::kDegenerate,
-            formatted("the overlap is flat: heights vary by %.3f m, %.3f m are needed", p.relief, s.min_relief)};
+            formatted("the overlap is flat: heights vary by %.3f m, %.3f m are needed. Fly over what stands there",
+                      p.relief, s.min_relief)};
   if (p.raised < s.min_raised)
-    return {Status::kDegenerate,
-            formatted("the overlap is bare: something stands on %.2f m^2 of it, %.2f m^2 are needed", p.raised,
-                      s.min_raised)};
+    return {
+        Status::kDegenerate,
+        formatted(
+            "the overlap is bare: something stands on %.2f m^2 of it, %.2f m^2 are needed. Fly over what stands there",
+            p.raised, s.min_raised)};
   if (p.probe_ratio < s.probe_ratio)
-    return {Status::kDegenerate,
-            formatted("a move of (%.2f m, %.2f m, %.1f deg) changes the cost by a factor of %.2f only", p.flattest.x(),
-                      p.flattest.y(), p.flattest.z() / kDegree, p.probe_ratio)};
+    return {
+        Status::kDegenerate,
+        formatted(
+            "moved by (%.2f m, %.2f m, %.1f deg) the map costs %.2f times as much, %.2f times are needed: it may slide "
+            "there. Fly over what stands across that way",
+            p.flattest.x(), p.flattest.y(), p.flattest.z() / kDegree, p.probe_ratio, s.probe_ratio)};
   if (p.rival_ratio < s.ambiguity_ratio)
-    return {Status::kAmbiguous, formatted("another place %.2f m away fits about as well: it costs %.2f times as much",
-                                          p.rival_distance, p.rival_ratio)};
+    return {
+        Status::kAmbiguous,
+        formatted(
+            "another place %.2f m away fits about as well: it costs %.2f times as much, %.2f times are needed. Fly on, "
+            "to where the two differ",
+            p.rival_distance, p.rival_ratio, s.ambiguity_ratio)};
   if (p.agreement < s.min_agreement)
     return {Status::kSearching, formatted("of what stands on the floor %.0f %% agree, %.0f %% are needed",
                                           100 * p.agreement, 100 * s.min_agreement)};

@@ -1,5 +1,7 @@
 // The node as other nodes see it: frames, order of inputs, bad input, services, looped time, refusal. Outputs of an
 // earlier test are told by their stamps.
+#include <rosgraph_msgs/Log.h>
+
 #include "node_fixture.h"
 
 TEST_F(NodeTest, GroundMapThatComesLateTriggersTheSearchAndTheChainConverges) {
@@ -85,6 +87,28 @@ TEST_F(NodeTest, SurvivesBadInput) {
   EXPECT_TRUE(spinUntil([&] { return last().header.stamp == stamp_; }));
   expectSane(last());
   EXPECT_TRUE(diagnostics_.await("aerial clouds without odometry", 1));
+}
+
+TEST_F(NodeTest, SaysWhichPartOfALargeGroundMapIsSearched) {
+  std::vector<std::string> warnings;
+  const ros::Subscriber console =
+      node_.subscribe<rosgraph_msgs::Log>("/rosout", 100, [&](const rosgraph_msgs::Log::ConstPtr& m) {
+        if (m->level == rosgraph_msgs::Log::WARN && m->name == "/heightmap_mcl") warnings.push_back(m->msg);
+      });
+  ASSERT_TRUE(spinUntil([&] { return console.getNumPublishers() >= 4; })) << "the nodes of the launch file, and this";
+  std::vector<Eigen::Vector3f> points;
+  for (float x = -20; x <= 40; x += x < 10 ? 0.05f : 0.2f)  // a gallery, densest at its begin
+    for (float y = 0; y <= 4; y += 0.1f) points.emplace_back(x, y, 0);
+  ground_.publish(cloudMsg(points, "ground_map", stamp_));
+  ASSERT_TRUE(spinUntil([&] { return !ground_map_.messages.empty(); }));
+  EXPECT_NEAR(ground_map_.messages.back().width * ground_map_.messages.back().resolution, 40, 8);
+  const auto says = [&](const std::string& part) {
+    return std::any_of(warnings.begin(), warnings.end(),
+                       [&](const std::string& line) { return line.find(part) != std::string::npos; });
+  };
+  ASSERT_TRUE(spinUntil([&] { return says("the ground cloud of 60 x 4 m is larger than ground/max_extent (40 m)"); }));
+  EXPECT_TRUE(says("only where it is densest, x -20 to ")) << warnings.back();
+  EXPECT_TRUE(says("Raise ground/max_extent"));
 }
 
 TEST_F(NodeTest, ACloudThatOvertakesItsOdometryWaitsForIt) {

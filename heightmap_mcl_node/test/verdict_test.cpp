@@ -50,7 +50,8 @@ TEST(Verdict, EachLackIsRefusedAndNamed) {
          p->probe_ratio *= 0.99;
          p->flattest = {0.25, 0, 0.1};
        },
-       Status::kDegenerate, "a move of (0.25 m, 0.00 m, 5.7 deg)"},
+       Status::kDegenerate,
+       "moved by (0.25 m, 0.00 m, 5.7 deg) the map costs 1.19 times as much, 1.20 times are needed"},
       {[](PlaceMeasures* p) {
          p->rival_ratio *= 0.99;
          p->rival_distance = 3.5;

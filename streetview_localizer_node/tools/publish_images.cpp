@@ -58,7 +58,7 @@ int play(const Arguments& a, const Album& album, const ros::Publisher& images, c
     const cv::Mat image =
         cv::imread(a.images + "/" + name, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);  // as the database's
     if (image.empty()) {
-      ROS_WARN("%s cannot be read", name.c_str());
+      ROS_WARN("%s is left out: it cannot be read as an image", name.c_str());
       continue;
     }
     air_ground_common::CameraModel camera = album.common ? *album.common : album.single.at(name);

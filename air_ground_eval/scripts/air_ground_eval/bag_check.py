@@ -98,7 +98,9 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     present = {}
     for standard, (types, _, purpose) in wanted.items():
         topic = actual[standard]
-        if topic in facts.types and facts.types[topic] in types:
+        if otherwise := facts.defined_otherwise(topic):  # its fields may be others, too
+            findings.append(Finding(ERROR, otherwise))
+        elif topic in facts.types and facts.types[topic] in types:
             present[standard] = topic
         elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
             present[standard] = bag_guess.recorded(facts, topic)
@@ -162,7 +164,11 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
         hint = f': publish it beside the replay: rosrun air_ground publish_calibration --camera-info FILE.yaml image:={image} camera_info:={standard}'
     if standard == '/mav/imu/data' and not similar and not city:
         level, hint = WARNING, ': mav_use_imu:=false lets the alignment with the ground robot\'s map tell the scale'
-    return Finding(level, f'{topic} is missing ({purpose}){hint}')
+    without = ''
+    if standard == '/ground/imu/data' and not similar:
+        without = bag_imu.without(standard)
+        hint = f': {without} waits for none'
+    return Finding(level, f'{topic} is missing ({purpose}){hint}', without)
 
 
 def _stamps(standard, topic, stream, least_rate):

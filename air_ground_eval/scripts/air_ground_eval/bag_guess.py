@@ -251,6 +251,7 @@ def command(facts, names, bases, frames, city=False, registered=True, arguments=
     names = {standard: topic for standard, topic in names.items() if (not registered or standard != '/ground/depth/camera_info') and ARGUMENTS[standard] not in told}
     robots = [robot for robot, image in (('mav', '/mav/camera/image_raw'), ('ground', '/ground/rgb/image_raw')) if image in names]
     words = ['roslaunch', 'air_ground', 'city.launch' if city else 'replay.launch', f'bag:={os.path.abspath(facts.path)}']
+    words.append(f'out:=out-{os.path.splitext(os.path.basename(facts.path))[0]}')  # where roslaunch is started, as its default is: a bag's folder may be read-only
     words += ['db:=CITY.gpkg', 'world_config:=WORLD.yaml'] if city else []
     compressed = [compressed_argument(facts, ARGUMENTS[standard], topic) for standard, topic in names.items() if transport(facts, topic) == 'compressed']
     full = {argument.partition(':=')[0] for argument in compressed}

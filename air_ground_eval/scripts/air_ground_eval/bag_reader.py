@@ -6,6 +6,7 @@ import struct
 import genpy
 import numpy as np
 import rosbag
+import roslib.message
 import rospy
 
 from . import geometry, messages
@@ -32,6 +33,15 @@ def _numbers(edge):
     """Translation [m] and quaternion (x, y, z, w) of a TransformStamped."""
     t, r = edge.transform.translation, edge.transform.rotation
     return [t.x, t.y, t.z], [r.x, r.y, r.z, r.w]
+
+
+def _definition_here(kind, otherwise):
+    """MD5 sum of a message type as it is defined here; `otherwise` where it is not."""
+    try:
+        found = roslib.message.get_message_class(kind)
+    except (ImportError, ValueError, AttributeError):
+        found = None
+    return otherwise if found is None else found._md5sum
 
 
 class _Bag(rosbag.Bag):
@@ -71,6 +81,7 @@ class BagFacts:
         with open_bag(path) as bag:
             self.begin, self.end = bag.get_start_time(), bag.get_end_time()
             topics = bag.get_type_and_topic_info().topics
+            self.foreign = {c.topic for c in bag._get_connections() if c.md5sum != _definition_here(c.datatype, c.md5sum)}  # topics whose messages are defined otherwise here
             self.types = {topic: info.msg_type for topic, info in topics.items()}
             self.counts = {topic: info.message_count for topic, info in topics.items()}
             static = [topic for topic in self.types if topic.strip('/') == 'tf_static']
@@ -180,6 +191,14 @@ class BagFacts:
     def encoding(self, topic):
         """Of a raw image's pixels; None without one."""
         return getattr(self.first_message(topic), 'encoding', None)
+
+    def defined_otherwise(self, topic):
+        """Why no node here takes a topic, and what to do; None where that is no reason."""
+        found = next((name for name in (topic, topic.lstrip('/')) if name in self.foreign), None)
+        if found is None:
+            return None
+        return (f'{topic}: no node takes it, since {self.types[found]} is defined otherwise in the bag than here (md5sum). Replay the bag with the version that recorded it, or convert it: '
+                f'rosbag check -g rules.bmr "{self.path}" writes rules, to be filled in, for rosbag fix "{self.path}" converted.bag rules.bmr')
 
     def of_type(self, *kinds):
         """Topics of these message types, in order."""

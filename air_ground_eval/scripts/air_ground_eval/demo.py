@@ -84,6 +84,15 @@ def unwatched(rviz_config, folder):
     return path
 
 
+def _report_of(out):
+    """What tells a folder's report from another one; None without."""
+    try:
+        found = os.stat(os.path.join(out, 'report.yaml'))
+        return found.st_ino, found.st_mtime_ns
+    except OSError:
+        return None
+
+
 def launch(program, file, arguments, out, rviz_config, bear_failure=False, **how):
     """Runs a launch file of the package, which must write report.yaml into `out`; exits when it does not, or (unless bear_failure) says that
     the replay failed. `rviz_config`: a file, or None for a replay without rviz. `how` goes to subprocess.run."""
@@ -108,11 +117,9 @@ def launch_in(folder, program, file, arguments, out, rviz_config, bear_failure, 
             rviz = False
             print('-- no display and no xvfb-run (package xvfb): the replay runs without rviz', flush=True)
     command.append(f'rviz:={"true" if rviz else "false"}')
-    report = os.path.join(out, 'report.yaml')
-    if os.path.exists(report):
-        os.remove(report)
+    before = _report_of(out)
     status = run_replay(command, environment, **how)
-    if not os.path.isfile(report):
+    if _report_of(out) in (None, before):
         sys.exit(f'{program}: the replay ended without a report; the first error among the lines above says why')
     if status and not bear_failure:
         sys.exit(f'{program}: the replay failed; the last error among the lines above says in what')

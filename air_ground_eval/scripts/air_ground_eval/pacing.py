@@ -119,7 +119,8 @@ class Pacer:
 class ClockKeeper:
     """Gives /clock while the player gives none: it does so only while it waits for the next message, so not where it reads more slowly than it plays.
 
-    A player that is held gives its own clock again and again, as it was when it waited last: time would jump between the two.
+    A player that is held gives its own clock again and again, as it was when it waited last: time would jump between the two. It would not be held anyhow: while it is late
+    it looks at no request. Stopped as a process (SIGSTOP), it would not send either what it has read, and not at all what is left so at the bag's end.
     """
 
     BEHIND = 0.5  # [s] of the clock behind what was played
@@ -138,6 +139,6 @@ class ClockKeeper:
             return
         if self.publisher is None:
             self.publisher = rospy.Publisher('/clock', Clock, queue_size=10)
-            rospy.logwarn('the player cannot read the bag as fast as it plays: /clock follows what it has read. Faster: rosbag decompress, a quicker disk, or rate:=0.5')
+            rospy.logwarn('the player cannot read the bag as fast as it plays: /clock follows what it has read. Faster: rosbag decompress, a quicker disk, fewer other programs, or rate:=0.5')
         self.given = played - self.MARGIN
         self.publisher.publish(Clock(rospy.Time.from_sec(self.given)))

@@ -1,4 +1,5 @@
 """What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
+import itertools
 import os
 import re
 import signal
@@ -71,6 +72,7 @@ class Recorder:
         self.missing = {}  # topic -> why no message of it can come
         self.tf_publishers = {}  # 'parent -> child': names of the nodes that publish it
         self.cores = []  # (time of the bag [s], {node: cores that it kept busy}), about every second
+        self.refused = []  # lines on topics of the bag that no node takes
         self.played = 0.0  # when the newest message of the bag's cameras or IMUs that was heard was recorded [s]
         self.last_output = time.monotonic()
         self.subscribers = [rospy.Subscriber('/diagnostics', DiagnosticArray, self.on_diagnostics, queue_size=100),
@@ -144,9 +146,9 @@ class Recorder:
                 self.tf_publishers.setdefault(name, set()).add(node)
 
     def losses(self):
-        """A line for each counter of dropped or doubtful data in the last diagnostics."""
+        """A line for each topic that no node takes, and for each counter of dropped or doubtful data in the last diagnostics."""
         with self.lock:
-            return [f'{node}: {key}: {value}' for node, values in sorted(self.diagnostics.items()) for key, value in values.items()
+            return self.refused + [f'{node}: {key}: {value}' for node, values in sorted(self.diagnostics.items()) for key, value in values.items()
                     if ('dropped' in key or 'in doubt' in key) and value.strip() not in ('', '0')]
 
 
@@ -202,7 +204,7 @@ def wait_to_listen(bag, nodes, more_topics=(), timeout=60.0):
         if not missing:
             return True
         if time.monotonic() - begin > timeout:
-            rospy.logerr('no sign of %s: not subscribed to any topic of the bag', ', '.join(missing))
+            rospy.logerr('no sign of %s: subscribed to no topic of the bag. The lines above say whether it started; its inputs are arguments of the launch file', ', '.join(missing))
             return False
         time.sleep(0.2)
     return False
@@ -230,6 +232,9 @@ def _missing_now(bag, inputs):
     for argument, topic, kind in inputs:
         topic = rospy.resolve_name(topic)
         compressed = [f'{topic}/{name}' for name in bag_guess.TRANSPORTS if f'{topic}/{name}' in bag.types]
+        if otherwise := bag.defined_otherwise(topic):
+            result[topic] = otherwise
+            continue
         if topic in bag.types or published.get(topic) or any(listeners.get(t) for t in compressed):
             continue
         others = bag.of_type(kind)
@@ -243,17 +248,24 @@ def _missing_now(bag, inputs):
     return result
 
 
-def let_go(player, timeout=30.0):
+def let_go(recorder, bag, player, timeout=30.0):
     """Lets a player that began paused go once all publishers and subscribers are connected; False when it has ended before."""
     if not player.wait_until_ready():
         return False
     begin = time.monotonic()
-    missing = unconnected()
-    while missing and not rospy.is_shutdown() and time.monotonic() - begin < timeout:
-        time.sleep(0.2)
+    while True:
         missing = unconnected()
+        refused = sorted({topic for topic, publisher, _ in missing if publisher == player.name and bag.defined_otherwise(topic)})
+        missing = [(topic, *nodes) for topic, *nodes in missing if topic not in refused]
+        if not missing or rospy.is_shutdown() or time.monotonic() - begin > timeout:
+            break
+        time.sleep(0.2)
+    recorder.refused = [bag.defined_otherwise(topic) for topic in refused]
+    for line in recorder.refused:
+        rospy.logerr('%s', line)
     for topic, publisher, listener in missing:
-        rospy.logwarn('%s: no connection from %s to %s; the bag plays without', topic, publisher, listener)
+        rospy.logwarn('%s: no connection from %s to %s; the bag plays without. Where a line above speaks of md5sum, they define the message otherwise: build both from one version; '
+                      'else see whether both machines know each other\'s address (ROS_IP)', topic, publisher, listener)
     return player.pause(False)
 
 
@@ -318,15 +330,20 @@ def wait_for_rest(recorder, idle_time, limit):
             quiet_since = now
         if now - quiet_since >= idle_time:
             return
-    rospy.logwarn('the nodes were still busy %.0f s after the end of the bag; the report is written now', limit)
+    rospy.logwarn('the nodes were still busy %.0f s after the end of the bag (idle_limit): the report is written now, without what they have yet to do', limit)
 
 
-def clear(folder, names):
-    """Makes the folder, without these files of an earlier replay."""
+def make_room(folder, names):
+    """Makes the folder. Files of these names, of an earlier replay, go into a new one in it: earlier-1, or the first number that is free."""
     os.makedirs(folder, exist_ok=True)
-    for name in names:
-        if os.path.exists(os.path.join(folder, name)):
-            os.remove(os.path.join(folder, name))
+    old = [name for name in names if os.path.exists(os.path.join(folder, name))]
+    if not old:
+        return
+    earlier = next(path for path in (os.path.join(folder, f'earlier-{i}') for i in itertools.count(1)) if not os.path.exists(path))
+    os.mkdir(earlier)
+    for name in old:
+        os.rename(os.path.join(folder, name), os.path.join(earlier, name))
+    rospy.loginfo('the results of an earlier replay are now in %s: another out:= keeps both apart', earlier)
 
 
 def save(service, kind, path, notes):

@@ -39,7 +39,7 @@ class DenseFusionNode {
         publisher_(handle_, map_, queue_, health_),
         mapper_(settings.mapper) {
     image_topic_ = handle_.resolveName("mav/posed_image");
-    health_.expectInput(image_topic_);
+    health_.expectInput(image_topic_, false);  // the first ones take a map
     health_.state(kWarn, "waiting for posed images");
     image_subscriber_ = handle_.subscribe("mav/posed_image", 400, &DenseFusionNode::onImage, this);
     sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &DenseFusionNode::onSparseCloud, this);
@@ -68,6 +68,8 @@ class DenseFusionNode {
   // ---- Inputs: only queueing happens in the callbacks ---------------------------------------------------------------
 
   void onImage(const air_ground::PosedImage::ConstPtr& msg) {
+    if (!images_come_) health_.expectInput(image_topic_);
+    images_come_ = true;
     health_.received(image_topic_, msg->header.stamp);
     queue_.add(msg);
   }
@@ -218,7 +220,7 @@ class DenseFusionNode {
     if (bad) {
       state << "no depth: the last " << poor << " depth maps are too poor, "
             << mapper_.whyPoor(msg.metric ? " m" : " of the map's units");
-      ROS_WARN_STREAM_THROTTLE(10, "dense fusion has " << state.str());
+      ROS_WARN_STREAM_THROTTLE(60, "dense fusion has " << state.str());
       state << "; ";
     }
     if (late)
@@ -274,6 +276,7 @@ class DenseFusionNode {
   ros::ServiceServer save_service_, flush_service_, reset_service_;
   ros::WallTimer timer_;
   std::string image_topic_;
+  bool images_come_ = false;
 
   MapStore map_;
   // Touched by the worker only.

@@ -15,7 +15,7 @@ std::size_t bytesOf(const air_ground::PosedImage& msg) { return msg.image.data.s
 
 WorkQueue::WorkQueue(std::size_t most_images, air_ground_common::ros_utils::NodeHealth& health)
     : most_images_(most_images), health_(health), gate_(kStreams, health, [this] {
-        ROS_WARN("time jumped back: the dense map starts afresh");
+        ROS_WARN("time jumped back (a looped bag?): the dense map starts afresh");
         forget();
       }) {}
 

@@ -8,6 +8,7 @@
 #include "air_ground_common/ros/alignment_broadcaster.h"
 #include "air_ground_common/ros/parameters.h"
 #include "air_ground_common/ros/renewable_subscriber.h"
+#include "air_ground_common/text.h"
 #include "compass_input.h"
 #include "inbox.h"
 #include "messages.h"
@@ -25,6 +26,22 @@ std::optional<std::vector<Eigen::Vector3f>> positionsOf(const sensor_msgs::Point
   result.reserve(points->size());
   for (const auto& p : *points) result.push_back(p.position);
   return result;
+}
+
+/// What of a cloud is searched where it is larger than its map may be. Empty: all of it, but for a few points far away.
+std::string cropping(const std::string& robot, const std::vector<Eigen::Vector3f>& points, std::size_t cropped,
+                     double scale, double max_extent, const std::string& part) {
+  constexpr double kOutliers = 0.01;
+  if (static_cast<double>(cropped) <= kOutliers * static_cast<double>(points.size())) return "";
+  Eigen::AlignedBox2f box;
+  for (const auto& p : points) box.extend(p.head<2>());
+  const std::string parameter = (robot == "ground" ? "ground" : "air") + std::string("/max_extent");
+  return air_ground_common::formatted(
+      "the %s cloud of %.0f x %.0f m is larger than %s (%.0f m): only %s is searched, %zu of %zu points are left out. "
+      "Raise %s in heightmap_mcl_config to search all of it; time and memory grow with its square "
+      "(docs/heightmap_mcl.md, Limits)",
+      robot.c_str(), scale * box.sizes().x(), scale * box.sizes().y(), parameter.c_str(), max_extent, part.c_str(),
+      cropped, points.size(), parameter.c_str());
 }
 
 }  // namespace
@@ -132,7 +149,15 @@ class HeightmapMclNode {
     if (!points) return;
     std::size_t cropped = 0;
     if (!localizer_.setGround(*points, &cropped)) health_.count("ground clouds that define no cell");
-    health_.count("ground points beyond ground/max_extent", cropped);
+    health_.value("ground points beyond ground/max_extent", static_cast<double>(cropped));
+    const HeightMap& map = localizer_.groundMap();
+    const Eigen::Vector2d low(map.origin_x, map.origin_y), size(map.width, map.height);
+    const Eigen::Vector2d high = low + map.resolution * size;
+    const std::string said =
+        cropping("ground", *points, cropped, 1, settings_.localizer.ground_map.max_extent,
+                 air_ground_common::formatted("where it is densest, x %.0f to %.0f and y %.0f to %.0f m,", low.x(),
+                                              high.x(), low.y(), high.y()));
+    if (!said.empty()) ROS_WARN_STREAM_THROTTLE(60, said);
     ground_stamp_ = msg->header.stamp;
     health_.timing("ground map", (ros::WallTime::now() - start).toSec());
   }
@@ -159,7 +184,10 @@ class HeightmapMclNode {
     std::size_t cropped = 0;
     const std::size_t far = localizer_.farMapsDropped();
     const bool added = localizer_.addAerial(cloud, &cropped);
-    health_.count("aerial points beyond air/max_extent", cropped);
+    health_.value("aerial points beyond air/max_extent", static_cast<double>(cropped));
+    const std::string said = cropping("aerial", cloud.points, cropped, own_unit ? localizer_.estimate().scale : 1,
+                                      settings_.localizer.air_map.max_extent, "its densest part of that edge");
+    if (!said.empty()) ROS_WARN_STREAM_THROTTLE(60, said);
     health_.count("aerial maps dropped: farther than air/max_extent from the newest",
                   localizer_.farMapsDropped() - far);
     if (!added) {

@@ -91,8 +91,14 @@ void AlignmentOutput::publish(const RefineOutcome& out, const MapIds& maps, cons
   static const char* kNames[] = {"SEARCHING", "AMBIGUOUS", "DEGENERATE", "CONVERGED", "REJECTED"};
   health_.state(good ? 0 : 1, std::string(kNames[msg.status]) + ": " + out.reason +
                                   (without_scale ? "; no tf before mav_vo tells mav/map_scale" : ""));
-  if (msg.status == AlignmentEstimate::STATUS_DEGENERATE) health_.count("degenerate refinements");
-  if (msg.status == AlignmentEstimate::STATUS_REJECTED) health_.count("rejected refinements");
+  if (msg.status == AlignmentEstimate::STATUS_DEGENERATE)
+    health_.count(
+        "refinements DEGENERATE: what both robots saw does not fix the pose. Its reason names the direction; fly over "
+        "more that stands out there");
+  if (msg.status == AlignmentEstimate::STATUS_REJECTED)
+    health_.count(
+        "refinements REJECTED: where they put the MAV's cloud, it contradicts the ground map. Wait for the next cloud, "
+        "or for another coarse alignment");
   if (msg.status != last_status_) ROS_INFO_STREAM("alignment " << kNames[msg.status] << ": " << out.reason);
   last_status_ = msg.status;
 }
