@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kMaxSeconds = 10, kMaxWholeSeconds = 20;  // of an adjustment, wall clock [s]
 constexpr double kNoLimit = 600;                           // where a slow machine shall give the same [s]
-constexpr double kIntervalPerKeyframe = 0.16;              // of the whole map: a tenth of a core's time [s]
+constexpr double kIntervalPerKeyframe = 0.16;              // of the whole map [s]
 constexpr int kYoungWindows = 3;                           // that move in a map which is not metric yet
 constexpr double kParameterTolerance = 1e-8;               // relative step at which its iterations end
 constexpr int kMinShared = 8;                              // landmarks that make an older keyframe hold the window
@@ -72,7 +72,9 @@ MapAdjuster::Jobs MapAdjuster::adjustWhole(BundleJob whole, double stamp) {
 
 void MapAdjuster::schedule(double stamp, std::size_t keyframes) {
   const double moved = static_cast<double>(std::min(keyframes, static_cast<std::size_t>(settings_.full_max_keyframes)));
-  next_whole_ = stamp + std::max(settings_.full_interval, kIntervalPerKeyframe * moved);
+  // Without IMU nothing but the views holds the turns against a calibration that is estimated, too.
+  const double least = settings_.use_imu ? settings_.full_interval : 2 * settings_.full_interval;
+  next_whole_ = stamp + std::max(least, kIntervalPerKeyframe * moved);
 }
 
 MapAdjuster::Jobs MapAdjuster::run(BundleJob job, double stamp) {

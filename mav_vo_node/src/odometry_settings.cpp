@@ -65,7 +65,8 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v("window", o.window, {3, 100}, "", "keyframes that the local bundle adjustment moves");
   v("window_fixed", o.window_fixed, {0, 200}, "", "older keyframes that hold it");
   v("full_adjustment_interval", o.full_interval, {0.5, 1e6}, "s",
-    "between adjustments of the whole map, at least: one of many keyframes is adjusted every 0.16 s a keyframe");
+    "between adjustments of the whole map, at least (without IMU twice that): one of many keyframes is adjusted every "
+    "0.16 s a keyframe");
   v("full_adjustment_keyframes", o.full_max_keyframes, {3, 2000}, "", "the newest of them move in it; at least window");
   v("bundle_threads", o.bundle_threads, {1, 64}, "", "of Ceres");
   v("synchronous", o.synchronous,

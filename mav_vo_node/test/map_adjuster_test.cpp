@@ -151,6 +151,11 @@ TEST(MapAdjuster, AWholeMapIsDueAsOftenAsItsSizeAllows) {
   expectDueAfter(adjuster, 200, 3);
   adjuster.adjustWhole(adjuster.wholeMap(rowOver(25), {}, {}), 300);
   expectDueAfter(adjuster, 300, 4);
+
+  settings.use_imu = false;
+  MapAdjuster without_imu(synthetic::camera(), settings);
+  without_imu.schedule(100, 2);
+  expectDueAfter(without_imu, 100, 6);
 }
 
 /// Beside the tracking: `slow` has much to solve, of another none; a quick thread is given time to finish.

@@ -73,7 +73,7 @@ struct OdometrySettings {
   int window_fixed = 15;          ///< older keyframes that hold it, at most
   int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
   int local_iterations = 8;
-  double full_interval = 2.0;  ///< between adjustments of the whole map, at least; 0.16 s a keyframe of a large one [s]
+  double full_interval = 2.0;    ///< between adjustments of the whole map, at least; without IMU twice that [s]
   int full_max_keyframes = 120;  ///< the newest of them move in it
   int full_iterations = 12;
   int bundle_threads = 1;
