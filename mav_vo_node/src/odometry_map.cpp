@@ -261,7 +261,6 @@ void Odometry::Impl::makeMetric() {
   for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
   adjustWholeMap();
   adopt(adjuster.finish());
-  adjuster.schedule(last_stamp, map.keyframeCount());
 }
 
 // Links whose samples are gone keep the offset of their time.
@@ -332,7 +331,6 @@ void Odometry::Impl::setReadoutTime(double readout_time) {
 void Odometry::Impl::adjustAnew() {
   adopt(adjuster.adjustWhole(adjuster.wholeMap(map, inertial.data(), bundleSettings()), last_stamp));
   adopt(adjuster.finish());
-  adjuster.schedule(last_stamp, map.keyframeCount());
 }
 
 void Odometry::Impl::recalibrate(const visual_frontend::CalibrationEstimate& estimate) {

@@ -39,8 +39,7 @@ class NodeTest : public testing::Test {
         "ground/odometry", 200, [this](const nav_msgs::Odometry::ConstPtr& m) { odometry.push_back(*m); });
     status_sub_ = handle_.subscribe<air_ground::VoStatus>(
         "ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
-    cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>(
-        "ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
+    hearClouds();
     tf_sub_ = handle_.subscribe("/tf", 500, &NodeTest::onTf, this);
     geometry_msgs::TransformStamped camera, imu, depth_camera;
     depth_robot_.camera.width = 320;
@@ -65,6 +64,11 @@ class NodeTest : public testing::Test {
     })) << "the node did not start";
     pause(20);
     clouds.clear();  // what an earlier test left latched
+  }
+
+  void hearClouds() {
+    cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>(
+        "ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
   }
 
   void onTf(const ros::MessageEvent<tf2_msgs::TFMessage const>& event) {

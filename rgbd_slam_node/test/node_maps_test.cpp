@@ -30,6 +30,12 @@ struct Maps : NodeTest {
     std_srvs::Trigger reset;
     ASSERT_TRUE(ros_utils::callService("rgbd_slam/reset", reset));
   }
+
+  ros::Subscriber hearKeyframes(std::vector<air_ground::MapKeyframes>* keyframes) {
+    return handle_.subscribe<air_ground::MapKeyframes>(
+        "ground/map_keyframes", 10,
+        [keyframes](const air_ground::MapKeyframes::ConstPtr& m) { keyframes->push_back(*m); });
+  }
 };
 
 TEST_F(Maps, ThoseThatEndAreSaved) {
@@ -88,8 +94,7 @@ TEST_F(Maps, WhoComesLateToARobotThatStandsGetsItOnce) {
   course.first = 15;
   for (const int until : {30, 45}) {  // it is started again
     std::vector<air_ground::MapKeyframes> keyframes;
-    const ros::Subscriber late = handle_.subscribe<air_ground::MapKeyframes>(
-        "ground/map_keyframes", 10, [&](const air_ground::MapKeyframes::ConstPtr& m) { keyframes.push_back(*m); });
+    const ros::Subscriber late = hearKeyframes(&keyframes);
     ASSERT_TRUE(spinUntil([&] { return !keyframes.empty(); })) << "no images come";
     drive(until, false, course);
     ASSERT_TRUE(answered(until));
@@ -100,15 +105,13 @@ TEST_F(Maps, WhoComesLateToARobotThatStandsGetsItOnce) {
     EXPECT_EQ(keyframes.front().features.size(), keyframes.front().ids.size());
   }
   std::vector<air_ground::MapKeyframes> keyframes;
-  const ros::Subscriber late = handle_.subscribe<air_ground::MapKeyframes>(
-      "ground/map_keyframes", 10, [&](const air_ground::MapKeyframes::ConstPtr& m) { keyframes.push_back(*m); });
+  const ros::Subscriber late = hearKeyframes(&keyframes);
   drive(75, false, course);
   EXPECT_FALSE(keyframes.empty()) << "images come";
 
   EXPECT_EQ(clouds.size(), 1u) << "it has not changed";
   cloud_sub_.shutdown();
-  cloud_sub_ = handle_.subscribe<sensor_msgs::PointCloud2>(
-      "ground/map_cloud", 20, [this](const sensor_msgs::PointCloud2::ConstPtr& m) { clouds.push_back(*m); });
+  hearClouds();
   ASSERT_TRUE(spinUntil([&] { return clouds.size() > 1; })) << "but is kept for who comes late";
   EXPECT_EQ(clouds[1].data, clouds[0].data);
 }

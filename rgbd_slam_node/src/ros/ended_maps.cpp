@@ -12,9 +12,10 @@ void EndedMaps::add(std::uint32_t map_id, const EndedMap& map) {
   if (map.trajectory.size() < kWorthIt) return;
   kept_.push_back({map.trajectory, "", map_id});
   ROS_WARN("map %u has ended after %zu poses: %s", map_id, map.trajectory.size(),
-           saves_ ? "it is saved in the folder autosave"
-                  : "its cloud is lost, and after a reset its trajectory too (parameter autosave: a folder for such)");
-  if (!saves_) return;
+           autosave_.on()
+               ? "it is saved in the folder autosave"
+               : "its cloud is lost, and after a reset its trajectory too (parameter autosave: a folder for such)");
+  if (!autosave_.on()) return;
   writing_ = std::async(std::launch::async, [this, map, name = "map" + std::to_string(map_id)] {
     autosave_.save("trajectory_" + name + ".txt",
                    [&](const std::string& path) { air_ground_common::writeTum(path, map.trajectory); });

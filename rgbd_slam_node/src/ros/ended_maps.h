@@ -16,10 +16,9 @@ namespace rgbd_slam {
 /// thread-safe.
 class EndedMaps {
  public:
-  /// `folder`: that of `autosave`, which outlives this; empty: none.
-  EndedMaps(const CloudSettings& cloud, const std::string& folder,
-            const air_ground_common::ros_utils::Autosave& autosave)
-      : cloud_(cloud), saves_(!folder.empty()), autosave_(autosave) {}
+  /// `autosave` outlives this.
+  EndedMaps(const CloudSettings& cloud, const air_ground_common::ros_utils::Autosave& autosave)
+      : cloud_(cloud), autosave_(autosave) {}
 
   /// Writes on another thread, after the map before it. A map of some frames is none.
   void add(std::uint32_t map_id, const EndedMap& map);
@@ -32,7 +31,6 @@ class EndedMaps {
 
  private:
   const CloudSettings cloud_;
-  const bool saves_;
   const air_ground_common::ros_utils::Autosave& autosave_;
   std::vector<air_ground_common::ros_utils::MapTrajectory> kept_;
   std::future<void> writing_;  // its destructor waits

@@ -293,7 +293,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   MapPacer cloud_pacer_{settings_.cloud_interval, 1e6 * settings_.cloud_bandwidth};
   MapPacer keyframe_pacer_{settings_.cloud_interval, std::numeric_limits<double>::infinity()};
   KeyframePublisher keyframes_;
-  EndedMaps ended_{settings_.slam.cloud, frames_.autosave, shell_.autosave()};
+  EndedMaps ended_{settings_.slam.cloud, shell_.autosave()};
 };
 
 }  // namespace

@@ -45,6 +45,9 @@ class Autosave {
   /// Makes the folder. Throws std::runtime_error when it cannot be written to: better now than at the end.
   explicit Autosave(const std::string& folder);
 
+  /// There is a folder.
+  bool on() const { return !begin_.empty(); }
+
   /// `save` writes the file whose path it gets, or throws when there is nothing to save. What became of it goes to
   /// stderr: roscpp's console has ended by then. Never throws.
   void save(const std::string& what, const std::function<void(const std::string&)>& save) const;
