@@ -86,7 +86,7 @@ void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& 
   if (!newest) return;
   const Similarity T_then_now = inverse(*newest);
   if (tracked_) tracked_ = compose(*tracked_, T_then_now);
-  if (unconfirmed_) unconfirmed_->second = compose(unconfirmed_->second, T_then_now);
+  unconfirmed_.correctAerial(T_then_now);
   if (coarse_known_) coarse_known_->T_ground_map_mav_map = compose(coarse_known_->T_ground_map_mav_map, T_then_now);
 }
 
@@ -167,7 +167,7 @@ void AlignmentRefiner::forgetPoses() {
   manual_.reset();
   views_.reset();
   tracked_.reset();
-  unconfirmed_.reset();
+  unconfirmed_.clear();
   contradicted_stamp_ = 0;
   rejections_ = disagreements_ = 0;
 }
@@ -246,7 +246,6 @@ bool AlignmentRefiner::leaps(const RefineOutcome& out, const Eigen::Vector3d& ce
 }
 
 void AlignmentRefiner::demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out) {
-  constexpr double kSameDistance = 0.06, kSameAngle = 0.03;  // [m], [rad]
   if (out->heights.conclusive && out->heights.agreement() < settings_.guess_agreement) {
     return withhold(
         RefineStatus::kRejected,
@@ -254,12 +253,9 @@ void AlignmentRefiner::demandConfirmation(const char* what, const Eigen::Vector3
                   100 * out->heights.agreement(), out->heights.relief_cells, 100 * settings_.guess_agreement),
         out);
   }
-  const Similarity& T = out->T_ground_map_mav_map;
-  const bool same = unconfirmed_ && (unconfirmed_->second * centre - T * centre).norm() < kSameDistance &&
-                    air_ground_common::rotationAngle(unconfirmed_->second.R, T.R) < kSameAngle;
-  if (same && out->stamp > unconfirmed_->first) return unconfirmed_.reset();
-  if (!same) unconfirmed_ = {out->stamp, T};
-  withhold(RefineStatus::kSearching, formatted("%s: waits for another aerial cloud that confirms it", what), out);
+  if (unconfirmed_.confirmedBy({out->stamp, out->heights.relief_cells, out->T_ground_map_mav_map}, centre)) return;
+  withhold(RefineStatus::kSearching,
+           formatted("%s: waits until another aerial cloud, or a ground map that shows more, confirms it", what), out);
 }
 
 RefineOutcome AlignmentRefiner::refine() {

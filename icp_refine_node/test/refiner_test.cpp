@@ -102,6 +102,32 @@ TEST_F(Refiner, WhatComesOfAGuessIsBelievedOnceAnotherCloudConfirmsIt) {
   EXPECT_TRUE(refiner.tracking());
 }
 
+// The MAV has landed and sends no more clouds; the ground robot drives on.
+TEST_F(Refiner, WhatComesOfAGuessIsBelievedOnceTheGroundMapShowsMore) {
+  const Eigen::Vector3f middle = (scene.T_ground_map_mav_map * centre).cast<float>();
+  const auto groundWithin = [&](float reach) {
+    Cloud part;
+    for (const auto& p : scene.ground.points)
+      if (p.x() < middle.x() + reach) part.points.push_back(p);
+    return part;
+  };
+  const auto guessOn = [&](const Cloud& ground) {
+    refiner.setGround(ground);
+    refiner.setCoarse(moved(0.1, -0.1, 0, 0.05), false);
+    return refiner.refine();
+  };
+  RefineOutcome out = guessOn(groundWithin(0.3f));
+  const int seen = out.heights.relief_cells;
+  ASSERT_EQ(out.status, RefineStatus::kSearching) << out.reason;
+  out = guessOn(groundWithin(0.35f));
+  EXPECT_LT(out.heights.relief_cells, 1.25 * seen);
+  EXPECT_EQ(out.status, RefineStatus::kSearching) << "hardly more than before";
+  out = guessOn(scene.ground);
+  ASSERT_GE(out.heights.relief_cells, 1.25 * seen);
+  EXPECT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_LT(error(out.T_ground_map_mav_map), 0.08);
+}
+
 TEST_F(Refiner, AGuessThatLedElsewhereConfirmsNothing) {
   refiner.setCoarse(scene.T_ground_map_mav_map, false);
   EXPECT_EQ(refiner.refine().status, RefineStatus::kSearching);

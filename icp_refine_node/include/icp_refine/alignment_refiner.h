@@ -10,6 +10,7 @@
 #include <string>
 
 #include "air_ground_common/map_correction.h"
+#include "icp_refine/confirmation.h"
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
 #include "icp_refine/known_alignment.h"
@@ -94,7 +95,8 @@ class AlignmentRefiner {
   /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
   void addAerial(std::int64_t stamp, Cloud cloud);
   /// Coarse pose of a global localization. Not `sure`: a guess that the heights do not fix sharply; what is refined
-  /// from it is believed when another aerial cloud, from a coarse pose of its own, confirms it.
+  /// from it is believed when another aerial cloud, or a ground map that shows a quarter more of what stands there,
+  /// confirms it from a coarse pose of its own.
   void setCoarse(const Pose& T_ground_map_mav_map, bool sure = true);
   /// A sure one, and how well its stage knows it: directions that the geometry does not fix stay where it has them, and
   /// are known as well as there.
@@ -151,7 +153,7 @@ class AlignmentRefiner {
   void follow(bool from_tracking, RefineOutcome* out);
   /// Farther from the tracked pose than refinements of a right one move.
   bool leaps(const RefineOutcome& out, const Eigen::Vector3d& centre) const;
-  /// Takes the result back, unless an earlier cloud has led to the same place. `what` it is: for the reason.
+  /// Takes the result back, unless other data have led to the same place. `what` it is: for the reason.
   void demandConfirmation(const char* what, const Eigen::Vector3d& centre, RefineOutcome* out);
   RefineOutcome attempt(const Cloud& reading, const Similarity& guess);
   /// `until_converged`: tries starts around the guess also where the geometry leaves its first result open.
@@ -168,8 +170,7 @@ class AlignmentRefiner {
   std::optional<Pose> coarse_, manual_;
   bool coarse_sure_ = true;
   std::optional<KnownAlignment> coarse_known_;
-  std::optional<std::pair<std::int64_t, Similarity>>
-      unconfirmed_;  // refined from a guess, with the newest cloud's stamp
+  Confirmation unconfirmed_;  ///< refined from a guess, or far from the last pose
   std::optional<KnownAlignment> views_;
   std::optional<Similarity> tracked_;
   bool rests_on_views_ = false;  ///< the tracked pose: neither geometry nor heights prove it
