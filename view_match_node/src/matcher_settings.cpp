@@ -25,7 +25,7 @@ void describe(air_ground_common::ParameterVisitor& v, MatcherSettings& m) {
   v("new_view_angle", m.new_view_angle, {0, 4}, "rad", "... unless turned by this");
   v("max_images", m.max_images, {2, 1000}, "", "recognised images kept, the newest");
   v("max_waiting", m.max_waiting, {0, 10000}, "",
-    "images not recognised that are kept, the newest: the ground robot may come to see the same later");
+    "images not recognised that are kept, of views that differ: the ground robot may come to see the same later");
   v("scale_stddev", m.scale_stddev, {1e-4, 1}, "", "relative, of a metric map; that of a MAV without IMU is estimated");
 
   v.section("Acceptance: CONVERGED only when all of these hold");

@@ -103,29 +103,50 @@ void ViewMatcher::moveImages(KeyframeId gone, const std::vector<KeyframeId>& sta
     nearest = id;
   }
   if (!nearest) {
-    images_.erase(std::remove_if(images_.begin(), images_.end(),
-                                 [gone](const RecognisedImage& image) { return image.keyframe == gone; }),
-                  images_.end());
+    const auto lost = std::stable_partition(images_.begin(), images_.end(),
+                                            [gone](const RecognisedImage& seen) { return seen.keyframe != gone; });
+    std::for_each(lost, images_.end(), [this](RecognisedImage& seen) { waitAgain(std::move(seen.image)); });
+    images_.erase(lost, images_.end());
     return;
   }
   const Pose T_new_gone = map_.keyframe(*nearest).T_map_camera.inverse() * T_ground_gone;
-  for (RecognisedImage& image : images_) {
-    if (image.keyframe != gone) continue;
-    image.keyframe = *nearest;
-    image.T_keyframe_camera = T_new_gone * image.T_keyframe_camera;
-    image.covariance = visual_frontend::aboutAxes(T_new_gone.linear(), image.covariance);
+  for (RecognisedImage& seen : images_) {
+    if (seen.keyframe != gone) continue;
+    seen.keyframe = *nearest;
+    seen.T_keyframe_camera = T_new_gone * seen.T_keyframe_camera;
+    seen.covariance = visual_frontend::aboutAxes(T_new_gone.linear(), seen.covariance);
   }
 }
 
-bool ViewMatcher::isKnownView(const Pose& T_mav_camera, double distance) const {
-  return std::any_of(images_.begin(), images_.end(), [&](const RecognisedImage& image) {
-    return (image.T_mav_camera.translation() - T_mav_camera.translation()).norm() <= settings_.new_view * distance &&
-           air_ground_common::rotationAngle(image.T_mav_camera.linear(), T_mav_camera.linear()) <
-               settings_.new_view_angle;
-  });
+double ViewMatcher::difference(const Pose& T_mav_camera, const Pose& T_mav_other, double distance) const {
+  const double shift = (T_mav_camera.translation() - T_mav_other.translation()).norm();
+  const double turn = air_ground_common::rotationAngle(T_mav_camera.linear(), T_mav_other.linear());
+  return std::max(shift > 0 ? shift / (settings_.new_view * distance) : 0, turn / settings_.new_view_angle);
 }
 
-bool ViewMatcher::recognise(WaitingImage& image) {
+// The images stay in order of time. A MAV that hovers must not displace what it saw before.
+void ViewMatcher::wait(Image image) {
+  const auto later =
+      std::find_if(waiting_.begin(), waiting_.end(), [&](const Image& other) { return other.stamp > image.stamp; });
+  waiting_.insert(later, std::move(image));
+  if (waiting_.size() <= static_cast<std::size_t>(settings_.max_waiting)) return;
+  auto most_alike = waiting_.begin();
+  double least = std::numeric_limits<double>::infinity();
+  for (auto it = waiting_.begin(); std::next(it) != waiting_.end(); ++it) {
+    const double d = difference(it->T_mav_camera, std::next(it)->T_mav_camera, it->distance);
+    if (d >= least) continue;
+    least = d;
+    most_alike = it;
+  }
+  waiting_.erase(most_alike);
+}
+
+void ViewMatcher::waitAgain(Image image) {
+  image.next_keyframe = 0;
+  wait(std::move(image));
+}
+
+bool ViewMatcher::recognise(Image& image) {
   visual_frontend::RelocalizationGate among;
   among.min_lead = settings_.min_lead;
   // A metric map is level, as the ground robot's is. Features bear half of the difference that is let through.
@@ -154,24 +175,19 @@ bool ViewMatcher::recognise(WaitingImage& image) {
   }
   last_reason_ = match.success ? "" : match.reason;
   if (!match.success) return false;
-  RecognisedImage seen{image.stamp,
-                       image.T_mav_camera,
-                       match.T_place_query,
-                       match.keyframe,
-                       match.covariance,
-                       0,
-                       1,
-                       std::numeric_limits<double>::infinity()};
+  RecognisedImage seen{
+      {}, match.T_place_query, match.keyframe, match.covariance, 0, 1, std::numeric_limits<double>::infinity()};
   seen.distance = (match.T_place_query.inverse() * scenes_.at(match.keyframe)).norm();
   compareDepths(image, seen);
-  images_.push_back(seen);
+  seen.image = std::move(image);
+  images_.push_back(std::move(seen));
   if (images_.size() > static_cast<std::size_t>(settings_.max_images)) images_.erase(images_.begin());
   return true;
 }
 
 // Points of the keyframe beside landmarks in the image: their depths differ by the scale, but where one is behind the
 // other's edge.
-void ViewMatcher::compareDepths(const WaitingImage& image, RecognisedImage& seen) const {
+void ViewMatcher::compareDepths(const Image& image, RecognisedImage& seen) const {
   const Keyframe& keyframe = map_.keyframe(seen.keyframe);
   const Pose T_camera_keyframe = seen.T_keyframe_camera.inverse();
   std::vector<double> logs;
@@ -200,14 +216,14 @@ void ViewMatcher::compareDepths(const WaitingImage& image, RecognisedImage& seen
 
 bool ViewMatcher::matchWaiting() {
   const std::size_t before = waiting_.size();
-  waiting_.erase(std::remove_if(waiting_.begin(), waiting_.end(), [this](WaitingImage& w) { return recognise(w); }),
+  waiting_.erase(std::remove_if(waiting_.begin(), waiting_.end(), [this](Image& image) { return recognise(image); }),
                  waiting_.end());
   return waiting_.size() < before;
 }
 
 bool ViewMatcher::addImage(std::int64_t stamp, const cv::Mat& image, const air_ground_common::CameraModel& camera,
                            const Pose& T_mav_camera, const std::vector<Eigen::Vector3f>& landmarks) {
-  WaitingImage query{stamp, {}, camera, T_mav_camera, {}, 0};
+  Image query{stamp, {}, camera, T_mav_camera, {}, 0, 0};
   const Pose T_camera_mav = T_mav_camera.inverse();
   std::vector<double> depths;
   for (const Eigen::Vector3f& p_mav : landmarks) {
@@ -217,27 +233,34 @@ bool ViewMatcher::addImage(std::int64_t stamp, const cv::Mat& image, const air_g
     query.seen.emplace_back(pixel->x(), pixel->y(), p.z());
     depths.push_back(p.z());
   }
-  if (isKnownView(T_mav_camera, depths.empty() ? 0 : air_ground_common::median(depths))) return false;
+  if (!depths.empty()) query.distance = air_ground_common::median(depths);
+  const auto is_same_view = [&](const Image& other) {
+    return difference(other.T_mav_camera, T_mav_camera, query.distance) < 1;
+  };
+  if (std::any_of(images_.begin(), images_.end(),
+                  [&](const RecognisedImage& seen) { return is_same_view(seen.image); }))
+    return false;
   visual_frontend::describeKeyframe(image, camera, settings_.place, query.features);
   ++tried_;
   if (recognise(query)) return true;
-  waiting_.push_back(std::move(query));
-  if (waiting_.size() > static_cast<std::size_t>(settings_.max_waiting)) waiting_.pop_front();
+  waiting_.erase(std::remove_if(waiting_.begin(), waiting_.end(), is_same_view), waiting_.end());
+  wait(std::move(query));
   return false;
 }
 
 void ViewMatcher::correctAerial(const air_ground_common::PosesByStamp& T_mav_camera) {
-  const auto follow = [&](auto& image) {
+  const auto follow = [&](Image& image) {
     if (const auto T = air_ground_common::poseOfImage(T_mav_camera, image.stamp)) image.T_mav_camera = *T;
   };
-  for (RecognisedImage& image : images_) follow(image);
-  for (WaitingImage& image : waiting_) follow(image);
+  for (RecognisedImage& seen : images_) follow(seen.image);
+  for (Image& image : waiting_) follow(image);
 }
 
 void ViewMatcher::forgetGround() {
   map_.clear();
   ids_.clear();
   scenes_.clear();
+  for (RecognisedImage& seen : images_) waitAgain(std::move(seen.image));
   images_.clear();
 }
 
@@ -248,23 +271,23 @@ void ViewMatcher::forgetAerial() {
   tried_ = 0;
 }
 
-CameraInBoth ViewMatcher::inBoth(const RecognisedImage& image) const {
-  const Pose& T_ground_keyframe = map_.keyframe(image.keyframe).T_map_camera;
+CameraInBoth ViewMatcher::inBoth(const RecognisedImage& seen) const {
+  const Pose& T_ground_keyframe = map_.keyframe(seen.keyframe).T_map_camera;
   CameraInBoth out;
-  out.T_a_camera = T_ground_keyframe * image.T_keyframe_camera;
-  out.T_b_camera = image.T_mav_camera;
-  out.scene = T_ground_keyframe * scenes_.at(image.keyframe);
-  out.scale = image.scale;
-  out.scale_stddev = image.scale_stddev;
-  out.covariance = visual_frontend::aboutAxes(T_ground_keyframe.linear(), image.covariance);
-  out.covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * image.distance, 2);
+  out.T_a_camera = T_ground_keyframe * seen.T_keyframe_camera;
+  out.T_b_camera = seen.image.T_mav_camera;
+  out.scene = T_ground_keyframe * scenes_.at(seen.keyframe);
+  out.scale = seen.scale;
+  out.scale_stddev = seen.scale_stddev;
+  out.covariance = visual_frontend::aboutAxes(T_ground_keyframe.linear(), seen.covariance);
+  out.covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * seen.distance, 2);
   out.covariance.diagonal().tail<3>().array() += std::pow(settings_.systematic_angle, 2);
   return out;
 }
 
 std::vector<CameraInBoth> ViewMatcher::cameras() const {
   std::vector<CameraInBoth> out;
-  for (const RecognisedImage& image : images_) out.push_back(inBoth(image));
+  for (const RecognisedImage& seen : images_) out.push_back(inBoth(seen));
   return out;
 }
 

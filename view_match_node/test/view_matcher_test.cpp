@@ -137,6 +137,77 @@ TEST_F(ViewMatching, ImagesWaitForTheGroundRobotToSeeTheSame) {
   EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
 }
 
+// It saw the corner, then for long something else: what it saw first is what the ground robot comes to.
+TEST_F(ViewMatching, AHoveringMavKeepsWhatItSawBefore) {
+  const Corner corner(4), elsewhere(99);
+  MatcherSettings settings;
+  settings.max_waiting = 8;
+  ViewMatcher matcher(settings);
+  matcher.setOwnUnit(true);
+  addFlight(corner, matcher);
+  cv::Mat depth;
+  const cv::Mat image = render(elsewhere, flown(3), &depth);
+  for (int i = 0; i < 20; ++i) {
+    const Pose T = Eigen::Translation3d(0.01 * (i % 3), 0, 0) * flown(3);
+    matcher.addImage(100 + i, image, camera, inMavMap(T), landmarks(depth, T));
+  }
+  addGroundViews(corner, matcher);
+  EXPECT_TRUE(matcher.matchWaiting());
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+}
+
+// More views than may wait: of neighbours one goes, and the first stays.
+TEST_F(ViewMatching, ViewsThatDifferLeastGoWhereTooManyWait) {
+  const Corner corner(4);
+  MatcherSettings settings;
+  settings.max_waiting = 7;
+  settings.new_view = 0.01;
+  ViewMatcher matcher(settings);
+  matcher.setOwnUnit(true);
+  addFlight(corner, matcher);
+  // On past the corner, in steps smaller than those of the flight.
+  for (int i = 0; i < 12; ++i) {
+    const double x = 0.75 + 0.06 * i;
+    addView(Corner(99), matcher, lookingAt({x, 0.6, 1.4}, {x + 0.2, 4, 0.7}), 100 + i);
+  }
+  addGroundViews(corner, matcher);
+  EXPECT_TRUE(matcher.matchWaiting());
+  EXPECT_GE(matcher.cameras().size(), 4u);
+}
+
+// The ground robot was lost and maps the same place anew: the MAV need not come again.
+TEST_F(ViewMatching, ImagesAreLookedForInTheNextGroundMap) {
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  const MatchEstimate before = matcher.estimate();
+  ASSERT_EQ(before.status, MatchStatus::kConverged) << before.reason;
+  matcher.forgetGround();
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching);
+  addGroundViews(corner, matcher);
+  EXPECT_TRUE(matcher.matchWaiting());
+  const MatchEstimate after = matcher.estimate();
+  EXPECT_EQ(after.status, MatchStatus::kConverged) << after.reason;
+  EXPECT_LT((after.T_ground_mav.t - before.T_ground_mav.t).norm(), 0.02);
+}
+
+// A keyframe is taken out of the map, and nothing of its view stays: one of that view comes later.
+TEST_F(ViewMatching, ImagesOfAKeyframeThatIsGoneWaitForAnother) {
+  const Corner corner(3);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  addFlight(corner, matcher);
+  ASSERT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+  matcher.setPoses({});
+  ASSERT_EQ(matcher.estimate().images, 0);
+  addGroundViews(corner, matcher);
+  EXPECT_TRUE(matcher.matchWaiting());
+  EXPECT_EQ(matcher.estimate().status, MatchStatus::kConverged) << matcher.estimate().reason;
+}
+
 // Two places that look alike, and a keyframe more of the wrong one: it alone has no rival.
 TEST_F(ViewMatching, AnImageOfTwoPlacesIsNotTakenAtTheNextKeyframeOfOne) {
   const Corner corner(4);

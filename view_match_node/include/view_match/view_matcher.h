@@ -31,7 +31,7 @@ struct MatcherSettings {
   double new_view = 0.05;          ///< an image is another view when the camera moved by this share of the distance ...
   double new_view_angle = 0.08;    ///< ... or turned by this [rad]
   int max_images = 40;             ///< recognised images kept, the newest
-  int max_waiting = 100;           ///< images kept for keyframes to come, the newest
+  int max_waiting = 100;           ///< images kept for keyframes to come, those of views that differ most
   double scale_stddev = 0.03;      ///< relative, of the scale of a metric map
   double max_elevation = 1.0;      ///< difference of the elevations at which two cameras look in level maps [rad]
 
@@ -81,8 +81,8 @@ class ViewMatcher {
   void addKeyframe(const KeyframeView& keyframe);
   /// Looks for the images that were not recognised so far in the keyframes that have come since. True: some were.
   bool matchWaiting();
-  /// The map as it stands now: keyframes that it does not name are forgotten, and the images recognised there with
-  /// them, unless another one of the same view stays; names without keyframe are ignored.
+  /// The map as it stands now: keyframes that it does not name are forgotten; the images recognised there go to another
+  /// one of the same view, or wait again. Names without keyframe are ignored.
   void setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera);
   std::size_t keyframes() const { return ids_.size(); }
 
@@ -96,6 +96,7 @@ class ViewMatcher {
 
   /// The MAV's map has no scale: it is to be estimated.
   void setOwnUnit(bool own_unit) { own_unit_ = own_unit; }
+  /// The MAV's images wait for another map.
   void forgetGround();
   void forgetAerial();
 
@@ -104,29 +105,35 @@ class ViewMatcher {
   std::vector<CameraInBoth> cameras() const;
 
  private:
-  struct RecognisedImage {
-    std::int64_t stamp;  // [ns]
-    Pose T_mav_camera, T_keyframe_camera;
-    visual_frontend::KeyframeId keyframe;
-    Matrix6d covariance;         // of T_keyframe_camera, in the keyframe's camera frame
-    double distance;             // of what it sees [m]
-    double scale, scale_stddev;  // metres per unit of the MAV's map, by depths; relative
-  };
-  struct WaitingImage {
+  struct Image {
     std::int64_t stamp;  // [ns]
     visual_frontend::Keyframe features;
     air_ground_common::CameraModel camera;
     Pose T_mav_camera;
     std::vector<Eigen::Vector3d> seen;          // landmarks before the camera: pixel and depth
+    double distance;                            // median of their depths; 0: none
     visual_frontend::KeyframeId next_keyframe;  // the first that it was not looked for in
   };
+  struct RecognisedImage {
+    Image image;
+    Pose T_keyframe_camera;
+    visual_frontend::KeyframeId keyframe;
+    Matrix6d covariance;         // of T_keyframe_camera, in the keyframe's camera frame
+    double distance;             // of what it sees [m]
+    double scale, scale_stddev;  // metres per unit of the MAV's map, by depths; relative
+  };
   /// In the keyframes from `image.next_keyframe` on.
-  bool recognise(WaitingImage& image);
+  bool recognise(Image& image);
+  /// For keyframes to come; where too many wait, one of the two views goes that differ least.
+  void wait(Image image);
+  /// For all keyframes: it has lost the one where it was recognised.
+  void waitAgain(Image image);
   /// To the one of the keyframes that stay which has the same view as one that goes, if there is one.
   void moveImages(visual_frontend::KeyframeId gone, const std::vector<visual_frontend::KeyframeId>& stay);
-  void compareDepths(const WaitingImage& image, RecognisedImage& seen) const;
-  bool isKnownView(const Pose& T_mav_camera, double distance) const;
-  CameraInBoth inBoth(const RecognisedImage& image) const;
+  void compareDepths(const Image& image, RecognisedImage& seen) const;
+  /// From 1 on they are two views of what lies at that distance; infinity where it is 0 and the camera has moved.
+  double difference(const Pose& T_mav_camera, const Pose& T_mav_other, double distance) const;
+  CameraInBoth inBoth(const RecognisedImage& seen) const;
   void judge(const std::vector<CameraInBoth>& cameras, const Consensus& consensus, MatchEstimate* out) const;
   std::string notRecognised() const;
 
@@ -135,7 +142,7 @@ class ViewMatcher {
   std::map<std::uint32_t, visual_frontend::KeyframeId> ids_;
   std::map<visual_frontend::KeyframeId, Eigen::Vector3d> scenes_;  // middle of a keyframe's points, in its camera
   std::vector<RecognisedImage> images_;
-  std::deque<WaitingImage> waiting_;
+  std::deque<Image> waiting_;
   std::string last_reason_;
   bool own_unit_ = false;
   int tried_ = 0;  // images, since a map began
