@@ -129,6 +129,7 @@ bool inView(const DepthMap& map, const Eigen::Vector3d& point) {
 std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const FusionSettings& settings,
                                  const std::vector<Eigen::Vector3f>& sparse_points) {
   Axes depths;
+  std::vector<double> footprints;  // of a pixel on what it sees [m]
   constexpr int kStride = 3;
   for (const DepthMap& map : maps)
     for (int v = 0; v < map.depth.rows; v += kStride)
@@ -137,6 +138,7 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
         if (std::isnan(z)) continue;
         const auto& c = map.camera;
         append(map.T_map_camera * (z * Eigen::Vector3d((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1)), &depths);
+        footprints.push_back(z / c.fx);
       }
   if (depths[0].size() < 100) return std::nullopt;
   Eigen::AlignedBox3d box = innerBox(std::move(depths), settings.extent_quantile);
@@ -158,7 +160,8 @@ std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const Fusion
   // The band grows with the voxels, and with it the room it needs around the box. Where the band alone is more than
   // max_voxels, that has no end: the last round's grid is within max_voxels all the same.
   VoxelGrid grid;
-  grid.voxel_size = settings.voxel_size;
+  grid.voxel_size =
+      std::max(settings.voxel_size, settings.voxel_pixels * air_ground_common::median(std::move(footprints)));
   constexpr int kRounds = 8;
   for (int round = 0; round < kRounds; ++round) {
     const double wanted = grid.voxel_size;

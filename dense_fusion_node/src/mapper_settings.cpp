@@ -65,6 +65,9 @@ void describe(air_ground_common::ParameterVisitor& v, MapperSettings& m) {
   v.section("Fusion");
   v("fusion/voxel_size", m.fusion.voxel_size, {0.001, 10}, "m",
     "grows where the scene would need more than max_voxels");
+  v("fusion/voxel_pixels", m.fusion.voxel_pixels, {0, 20}, "px",
+    "least edge of a voxel, in pixels of the swept images on what they see: finer ones of a scene far away take time "
+    "and tell nothing; 0: voxels stay as set");
   v("fusion/max_voxels", m.fusion.max_voxels, {1000, 200000000}, "",
     "the paper's 376x240x150; about 31 bytes each, 420 MB in all");
   v("fusion/truncation_voxels", m.fusion.truncation_voxels, {1, 50}, "",

@@ -5,6 +5,7 @@
 #include <opencv2/core.hpp>
 #include <random>
 
+#include "air_ground_common/statistics.h"
 #include "dense_fusion/depth_fusion.h"
 #include "dense_fusion/distance_field.h"
 #include "dense_fusion/fusion_kernels.h"
@@ -353,6 +354,27 @@ TEST(DepthFusion, SparsePointsInViewBoundTheGrid) {
   ASSERT_TRUE(few);
   EXPECT_EQ(few->voxels(), whole->voxels());
   EXPECT_FALSE(gridFor(maps, settings, pointsIn({-0.3f, -0.2f, 1.5f}, {0.4f, 0.3f, 1.6f}))) << "no depth is near these";
+}
+
+TEST(DepthFusion, VoxelsAreNoFinerThanPixelsOnWhatTheySee) {
+  const auto maps = noisyMaps(boxScene(), 3, 0, 0, 4);
+  std::vector<double> footprints;
+  for (const DepthMap& map : maps)
+    for (int v = 0; v < map.depth.rows; ++v)
+      for (int u = 0; u < map.depth.cols; ++u)
+        if (const float z = map.depth.at<float>(v, u); !std::isnan(z)) footprints.push_back(z / map.camera.fx);
+  const double footprint = air_ground_common::median(footprints);
+  FusionSettings settings;
+  settings.max_voxels = 200000000;
+  const auto sizeWhere = [&](double set, double pixels) {
+    settings.voxel_size = set;
+    settings.voxel_pixels = pixels;
+    const auto grid = gridFor(maps, settings, {});
+    return grid ? grid->voxel_size : 0;
+  };
+  EXPECT_NEAR(sizeWhere(0.5 * footprint, 2), 2 * footprint, 0.02 * footprint);
+  EXPECT_DOUBLE_EQ(sizeWhere(3 * footprint, 2), 3 * footprint);
+  EXPECT_DOUBLE_EQ(sizeWhere(0.5 * footprint, 0), 0.5 * footprint);
 }
 
 TEST(DepthFusion, TheBandFitsAroundTheBoxWhenVoxelsGrow) {

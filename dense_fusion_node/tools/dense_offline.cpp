@@ -415,9 +415,9 @@ int main(int argc, char** argv) {
   app.add_option("--noise-rotation", options.noise_rotation, "white noise added to the poses [rad]");
   app.add_option("--threads", options.threads, "threads");
   app.add_option("--voxel-size", settings.fusion.voxel_size, "[m]");
+  app.add_option("--voxel-pixels", settings.fusion.voxel_pixels, "least edge of a voxel [px of the swept images]");
   app.add_option("--truncation-voxels", settings.fusion.truncation_voxels, "half width of the band [voxels]");
-  app.add_option("--behind-voxels", settings.fusion.behind_voxels,
-                 "reach of votes for matter beyond the band [voxels]");
+  app.add_option("--behind-voxels", settings.fusion.behind_voxels, "reach of votes for matter beyond it [voxels]");
   app.add_option("--lambda", settings.fusion.tv_l1.lambda, "weight of the votes");
   app.add_option("--iterations", settings.fusion.tv_l1.iterations, "of TV-L1 at full resolution");
   app.add_option("--min-support", settings.fusion.min_support, "depth maps that must agree");

@@ -12,6 +12,7 @@ namespace dense_fusion {
 
 struct FusionSettings {
   double voxel_size = 0.02;           ///< [m]; grows when the scene would need more than max_voxels
+  double voxel_pixels = 1.2;          ///< least edge of a voxel, in pixels of the depth maps at their median depth
   std::size_t max_voxels = 13536000;  ///< 376 x 240 x 150, the paper's grid; about 31 bytes each
   double truncation_voxels = 4;  ///< half width of the band around a surface in which a depth map votes for distances
   double behind_voxels = 4;      ///< further reach of its votes for matter: keeps the regulariser from erasing sheets
@@ -45,8 +46,8 @@ struct FusedMap {
 
 /// The box of the `sparse_points` (map frame, [m]) that lie in the view of any of the maps, with `sparse_margin` on all
 /// sides, as far as the maps' depths reach (`extent_quantile` of them left out at each end of each axis), and room for
-/// the band. With fewer than `min_sparse_points` in view the depths alone. Empty when the maps hold fewer than 100
-/// depths, or none in the box.
+/// the band. With fewer than `min_sparse_points` in view the depths alone. Voxels are no finer than `voxel_pixels`.
+/// Empty when the maps hold fewer than 100 depths, or none in the box.
 std::optional<VoxelGrid> gridFor(const std::vector<DepthMap>& maps, const FusionSettings& settings,
                                  const std::vector<Eigen::Vector3f>& sparse_points);
 
