@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <deque>
+#include <limits>
 #include <mutex>
 #include <new>
 #include <stdexcept>
@@ -153,6 +154,71 @@ class Spectra {
   bool bounds_ = false;
 };
 
+/// The part of a map that holds its defined cells; rows and columns before it, and behind.
+struct Cropped {
+  explicit Cropped(const HeightMap& whole) {
+    int r0 = whole.height, r1 = -1, c0 = whole.width, c1 = -1;
+    for (int r = 0; r < whole.height; ++r) {
+      for (int c = 0; c < whole.width; ++c) {
+        if (std::isnan(whole.at(r, c))) continue;
+        r0 = std::min(r0, r);
+        r1 = std::max(r1, r);
+        c0 = std::min(c0, c);
+        c1 = std::max(c1, c);
+      }
+    }
+    if (r1 < 0) r0 = c0 = r1 = c1 = 0;
+    row[0] = r0;
+    row[1] = whole.height - 1 - r1;
+    column[0] = c0;
+    column[1] = whole.width - 1 - c1;
+    map.resolution = whole.resolution;
+    map.floor = whole.floor;
+    map.cap = whole.cap;
+    map.width = c1 - c0 + 1;
+    map.height = r1 - r0 + 1;
+    for (int r = r0; r <= r1; ++r) {
+      const std::ptrdiff_t from = static_cast<std::ptrdiff_t>(r) * whole.width;
+      map.heights.insert(map.heights.end(), whole.heights.begin() + from + c0, whole.heights.begin() + from + c1 + 1);
+      if (whole.bounds.empty()) continue;
+      map.bounds.insert(map.bounds.end(), whole.bounds.begin() + from + c0, whole.bounds.begin() + from + c1 + 1);
+    }
+  }
+
+  HeightMap map;
+  int row[2], column[2];
+};
+
+/// Defined cells in the first and in the last k rows, or columns.
+struct Margins {
+  Margins(const HeightMap& map, bool of_rows) {
+    std::vector<int> count(of_rows ? map.height : map.width);
+    for (int r = 0; r < map.height; ++r)
+      for (int c = 0; c < map.width; ++c) count[of_rows ? r : c] += !std::isnan(map.at(r, c));
+    first.push_back(0);
+    last.push_back(0);
+    for (auto n = count.begin(); n != count.end(); ++n) first.push_back(first.back() + *n);
+    for (auto n = count.rbegin(); n != count.rend(); ++n) last.push_back(last.back() + *n);
+  }
+  int lines() const { return static_cast<int>(first.size()) - 1; }
+
+  std::vector<int> first, last;
+};
+
+/// Rows (or columns) that a cyclic correlation needs. Offsets where the maps share too few lines for `needed` cells may
+/// fall on each other, whichever way the aerial map is turned: together they have too few cells as well.
+int linesFor(const Margins& air, const Margins& ground, double needed) {
+  const int fewer = std::min(air.lines(), ground.lines());
+  int shared = 0;
+  for (int k = 1; k < fewer; ++k, ++shared) {
+    const auto both = [k](const std::vector<int>& a, const std::vector<int>& b) { return std::min(a[k], b[k]); };
+    const int straight = both(air.last, ground.first) + both(air.first, ground.last);
+    const int opposite = both(air.first, ground.first) + both(air.last, ground.last);
+    if (std::max(straight, opposite) >= needed) break;
+  }
+  return air.lines() + ground.lines() - 1 - shared;
+}
+
 struct Workspace {
   explicit Workspace(const Plans& plans) : air(plans) {
     for (auto& p : product) p = allocate(2 * plans.spectrumSize());
@@ -188,7 +254,7 @@ struct FftCost::Impl {
     std::vector<std::unique_ptr<Workspace>> idle;  // guarded by Impl::mutex
   };
 
-  explicit Impl(const HeightMap& map) : ground(map), cells(map) {
+  explicit Impl(const HeightMap& map) : ground(map), cells(map), rows(map, true), columns(map, false) {
     if (cells.defined == 0) throw std::invalid_argument("FftCost: the ground height map has no defined cell");
   }
 
@@ -277,8 +343,13 @@ struct FftCost::Impl {
     }
   }
 
+  double smaller(double aerial_cells, const CostSettings& settings) const {
+    return std::max(settings.cells(aerial_cells, static_cast<double>(cells.defined)), 1.0);
+  }
+
   HeightMap ground;
   Cells cells;
+  Margins rows, columns;
   std::mutex mutex;
   // The merged map grows and moves: of the sizes it has had, the filter's and the verification's last ones matter.
   static constexpr std::size_t kSizesKept = 2;
@@ -292,7 +363,7 @@ FftCost& FftCost::operator=(FftCost&&) noexcept = default;
 
 namespace {
 
-/// Without costs.
+/// No offset has a cost.
 CostMap emptyMap(const HeightMap& ground, const HeightMap& turned, double yaw, int way) {
   CostMap map;
   map.resolution = ground.resolution;
@@ -303,62 +374,70 @@ CostMap emptyMap(const HeightMap& ground, const HeightMap& turned, double yaw, i
   const auto corner = [&](double origin, int cells) { return way == 0 ? origin : -origin - cells * turned.resolution; };
   map.x0 = ground.origin_x - corner(turned.origin_x, turned.width) - (turned.width - 1) * ground.resolution;
   map.y0 = ground.origin_y - corner(turned.origin_y, turned.height) - (turned.height - 1) * ground.resolution;
-  map.cost.resize(static_cast<std::size_t>(map.width) * map.height);
+  map.cost.assign(static_cast<std::size_t>(map.width) * map.height, std::numeric_limits<float>::infinity());
   return map;
 }
 
 }  // namespace
 
-CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSettings& settings) const {
+FftSize FftCost::sizeFor(const HeightMap& turned, const CostSettings& settings) const {
+  const Cropped air(turned);
+  const Margins rows(air.map, true), columns(air.map, false);
+  const double needed = settings.min_overlap * impl_->smaller(rows.first.back(), settings);
+  return {paddedSize(linesFor(rows, impl_->rows, needed)), paddedSize(linesFor(columns, impl_->columns, needed))};
+}
+
+CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSettings& settings,
+                            const FftSize& least) const {
   CostMap map;
-  compute(turned, yaw, settings, 1, &map);
+  compute(turned, yaw, settings, least, 1, &map);
   return map;
 }
 
-std::array<CostMap, 2> FftCost::andOpposite(const HeightMap& turned, double yaw, const CostSettings& settings) const {
+std::array<CostMap, 2> FftCost::andOpposite(const HeightMap& turned, double yaw, const CostSettings& settings,
+                                            const FftSize& least) const {
   std::array<CostMap, 2> maps;
-  compute(turned, yaw, settings, 2, maps.data());
+  compute(turned, yaw, settings, least, 2, maps.data());
   return maps;
 }
 
-void FftCost::compute(const HeightMap& turned, double yaw, const CostSettings& settings, int ways,
+void FftCost::compute(const HeightMap& turned, double yaw, const CostSettings& settings, const FftSize& least, int ways,
                       CostMap* maps) const {
   const HeightMap& ground = impl_->ground;
   if (std::abs(turned.resolution - ground.resolution) > 1e-9) {
     throw std::invalid_argument("FftCost: aerial and ground height map must have the same resolution");
   }
-  const Cells air(turned);
+  const Cropped cropped(turned);
+  const Cells air(cropped.map);
   if (air.bounds() && (ground.bounds.empty() || ground.cap != turned.cap)) {
     throw std::invalid_argument("FftCost: maps with bounds must have the same cap");
   }
-  const auto size =
-      impl_->sizeFor(paddedSize(ground.height + turned.height - 1), paddedSize(ground.width + turned.width - 1));
+  const FftSize needed = sizeFor(turned, settings);
+  const auto size = impl_->sizeFor(std::max(needed.rows, least.rows), std::max(needed.columns, least.columns));
   const Plans& plans = size->plans;
   auto workspace = impl_->acquire(*size);
   impl_->transform(air, *size, ways, *workspace);
 
   const auto scale = static_cast<float>(1.0 / static_cast<double>(plans.realSize()));
-  const double smaller =
-      std::max(settings.cells(static_cast<double>(air.defined), static_cast<double>(impl_->cells.defined)), 1.0);
+  const auto smaller = static_cast<float>(impl_->smaller(static_cast<double>(air.defined), settings));
   for (int way = 0; way < ways; ++way) {
-    maps[way] = emptyMap(ground, turned, yaw, way);
+    CostMap& map = maps[way] = emptyMap(ground, turned, yaw, way);
     impl_->sums(air, *size, way, *workspace);
-    for (int row = 0; row < maps[way].height; ++row) {
-      float* out = maps[way].cost.data() + static_cast<std::size_t>(row) * maps[way].width;
-      const auto segment = [&](std::size_t from, int count, float* to) {
+    // Offset u of the cropped map lies at u, cyclically; of the one turned by half a turn at u + its size - 1.
+    const int row0 = way == 0 ? 0 : air.height - 1, column0 = way == 0 ? 0 : air.width - 1;
+    const auto cyclic = [](int index, int period) { return (index + period) % period; };
+    for (int u = 1 - air.height; u < ground.height; ++u) {
+      const int row = u + turned.height - 1 - cropped.row[way];
+      const std::size_t line = static_cast<std::size_t>(cyclic(u + row0, plans.rows)) * plans.columns;
+      int column = turned.width - cropped.column[way] - air.width,
+          from = cyclic(1 - air.width + column0, plans.columns);
+      for (int left = air.width + ground.width - 1, count = 0; left > 0; left -= count, column += count, from = 0) {
+        count = std::min(left, plans.columns - from);
         const float* sums[kernel::kSums];
-        for (int k = 0; k < kernel::kSums; ++k) sums[k] = workspace->sum[k].get() + from;
-        kernel::scoreRow(sums, count, scale, static_cast<float>(smaller), settings, to);
-      };
-      if (way == 1) {
-        segment(static_cast<std::size_t>(row) * plans.columns, maps[way].width, out);
-        continue;
+        for (int k = 0; k < kernel::kSums; ++k) sums[k] = workspace->sum[k].get() + line + from;
+        kernel::scoreRow(sums, count, scale, smaller, settings,
+                         map.cost.data() + static_cast<std::size_t>(row) * map.width + column);
       }
-      // Negative offsets wrap to the far end of the padded grid.
-      const int u = row - (turned.height - 1), negative = turned.width - 1;
-      const std::size_t line = static_cast<std::size_t>(u < 0 ? u + plans.rows : u) * plans.columns;
-      segment(line + static_cast<std::size_t>(plans.columns - negative), negative, out);
-      segment(line, ground.width, out + negative);
     }
   }
   impl_->release(*size, std::move(workspace));

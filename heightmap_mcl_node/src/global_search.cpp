@@ -84,17 +84,28 @@ CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std
   // Round the circle the second half of an even number of headings is opposite to the first.
   const bool in_pairs = circular && all % 2 == 0;
   const int n = in_pairs ? all / 2 : all;
+  std::vector<HeightMap> turned(n);
+  std::vector<FftSize> sizes(n);
   air_ground_common::FirstException failure;
 #pragma omp parallel for schedule(dynamic)
   for (int i = 0; i < n; ++i) {
     failure.guard([&] {
-      const HeightMap turned = rotateAbout(air, volume.pivot, headings[i], cells);
+      turned[i] = rotateAbout(air, volume.pivot, headings[i], cells);
+      sizes[i] = fft.sizeFor(turned[i], settings);
+    });
+  }
+  failure.rethrow();
+  FftSize size;
+  for (const FftSize& s : sizes) size = {std::max(size.rows, s.rows), std::max(size.columns, s.columns)};
+#pragma omp parallel for schedule(dynamic)
+  for (int i = 0; i < n; ++i) {
+    failure.guard([&] {
       if (in_pairs) {
-        auto maps = fft.andOpposite(turned, headings[i], settings);
+        auto maps = fft.andOpposite(turned[i], headings[i], settings, size);
         volume.slices[i] = std::move(maps[0]);
         volume.slices[i + n] = std::move(maps[1]);
       } else {
-        volume.slices[i] = fft(turned, headings[i], settings);
+        volume.slices[i] = fft(turned[i], headings[i], settings, size);
       }
     });
   }

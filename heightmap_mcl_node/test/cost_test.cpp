@@ -210,6 +210,42 @@ TEST_P(FftMatchesReference, AtEveryOffset) {
 }
 INSTANTIATE_TEST_SUITE_P(Seeds, FftMatchesReference, ::testing::Range(0, 10));
 
+// An aerial map in the corner of a grid with room for any heading, and a ground map with nothing at its rims.
+TEST(Fft, TransformsAreNoLargerThanTheOverlapAsksFor) {
+  auto ground = randomMap(71, 53, 10, 0.25);
+  auto air = randomMap(64, 60, 20, 0.3);
+  for (int r = 0; r < air.height; ++r)
+    for (int c = 0; c < air.width; ++c)
+      if (r >= 31 || c < 17 || c >= 45) air.at(r, c) = kHole;
+  for (int r = 0; r < ground.height; ++r)
+    for (int c = 0; c < 9; ++c) ground.at(r, c) = kHole;
+  const CostSettings much{0.7, 0.02, 0.4, 0.05}, little{0.01, 0.02, 0.4, 0.05};
+  const FftCost fft(ground);
+  const FftSize needed = fft.sizeFor(air, much), most = fft.sizeFor(air, little);
+  EXPECT_LE(most.rows, 53 + 31 + 15);  // but for the rounding up
+  EXPECT_LE(most.columns, 71 + 28 + 21);
+  EXPECT_LT(needed.rows, most.rows);
+  EXPECT_LT(needed.columns, most.columns);
+  EXPECT_GE(needed.rows, 53);
+  EXPECT_GE(needed.columns, 71);
+  const auto small = fft.andOpposite(air, 0, much), large = fft.andOpposite(air, 0, much, {200, 200});
+  for (int way = 0; way < 2; ++way) {
+    int finite = 0;
+    for (int r = 0; r < small[way].height; ++r) {
+      for (int c = 0; c < small[way].width; ++c) {
+        const auto value = zmssdReference(air, ground, Eigen::Vector2d::Zero(), small[way].pose(r, c), much);
+        ASSERT_EQ(std::isfinite(value.score), std::isfinite(small[way].at(r, c))) << way << ' ' << r << ' ' << c;
+        ASSERT_EQ(std::isfinite(value.score), std::isfinite(large[way].at(r, c))) << way << ' ' << r << ' ' << c;
+        if (!std::isfinite(value.score)) continue;
+        ++finite;
+        ASSERT_NEAR(small[way].at(r, c), value.score, 1e-5);
+        ASSERT_NEAR(large[way].at(r, c), value.score, 1e-5);
+      }
+    }
+    EXPECT_GT(finite, 100);
+  }
+}
+
 TEST(Fft, FiveSmoothSizes) {
   EXPECT_EQ(fiveSmoothSize(1), 1);
   EXPECT_EQ(fiveSmoothSize(7), 8);

@@ -27,6 +27,11 @@ struct CostMap {
 /// Smallest product of powers of 2, 3 and 5 that is not below n.
 int fiveSmoothSize(int n);
 
+/// Of padded transforms, in cells.
+struct FftSize {
+  int rows = 0, columns = 0;
+};
+
 /// Keeps the transforms of one ground map; thread-safe.
 ///
 /// With M the masks of defined cells, a and g the heights (centred, zero in holes), d = a - g:
@@ -44,16 +49,22 @@ class FftCost {
   FftCost(FftCost&&) noexcept;
   FftCost& operator=(FftCost&&) noexcept;
 
+  /// What the aerial map's defined cells need where offsets with less than the least overlap may fall on each other.
+  FftSize sizeFor(const HeightMap& turned, const CostSettings& settings) const;
   /// `turned`: aerial map about its pivot, as from rotateAbout, of the ground map's resolution (else
   /// std::invalid_argument). All offsets with any overlap are covered: width = ground width + aerial width - 1.
-  /// The error is that of single precision, about 2e-5 of the largest cost.
-  CostMap operator()(const HeightMap& turned, double yaw, const CostSettings& settings) const;
+  /// The error is that of single precision, about 2e-5 of the largest cost. `least`: of several maps that share the
+  /// transforms of the ground map.
+  CostMap operator()(const HeightMap& turned, double yaw, const CostSettings& settings,
+                     const FftSize& least = {}) const;
   /// The same, and for the aerial map turned about its pivot by another half turn, whose transforms are the same but
   /// for their sign.
-  std::array<CostMap, 2> andOpposite(const HeightMap& turned, double yaw, const CostSettings& settings) const;
+  std::array<CostMap, 2> andOpposite(const HeightMap& turned, double yaw, const CostSettings& settings,
+                                     const FftSize& least = {}) const;
 
  private:
-  void compute(const HeightMap& turned, double yaw, const CostSettings& settings, int ways, CostMap* maps) const;
+  void compute(const HeightMap& turned, double yaw, const CostSettings& settings, const FftSize& least, int ways,
+               CostMap* maps) const;
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
