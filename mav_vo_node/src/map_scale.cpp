@@ -13,6 +13,7 @@ constexpr std::size_t kImages = 800;         // whose inertial motion is kept
 constexpr int kTrial = 40;                   // images after which a scale that most of them reject is given up
 constexpr int kLongTrial = 100;              // ... that neither holds nor fails
 constexpr double kPatience = 5;              // of a map for a scale as certain as asked for [s]
+constexpr double kYoung = 8;                 // until then the first keyframes may bend the map more than noise says [s]
 constexpr double kMostStddev = 2.5;          // of what was asked for, that serves in the end [1]
 constexpr double kAdjustedTilt = 0.005;      // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
@@ -101,14 +102,15 @@ double MapScale::neededStddev(double age) const {
 }
 
 std::string MapScale::reason(double age) const {
-  if (filter_.inverted())
+  if (filter_.inverted()) {
     return "metric scale is not known: the accelerations point the wrong way; at rest the IMU must read +9.81 m/s^2 "
-           "along "
-           "the axis that points up (specific force): check its signs and the static transform of its frame";
-  if (filter_.contradicted() || (filter_.updates() >= kTrial && !filter_.certain(1.0)))
+           "along the axis that points up (specific force): check its signs and the static transform of its frame";
+  }
+  if (filter_.contradicted() || (filter_.updates() >= kTrial && !filter_.certain(1.0))) {
+    if (age < kYoung) return "metric scale is not known yet: IMU and images do not agree in the first seconds";
     return "metric scale is not known: IMU and images tell of different motions; check the static transforms of IMU "
-           "and "
-           "camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
+           "and camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
+  }
   const double stddev = filter_.initialized() ? filter_.relativeStddev() : filter_.startStddev();
   if (!std::isfinite(stddev)) return "metric scale is not known yet: it needs a second of motion";
   return air_ground_common::formatted(
