@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import subprocess
+import tempfile
 import unittest
 import unittest.mock
 import xml.etree.ElementTree as ElementTree
@@ -196,6 +197,17 @@ class Documentation(unittest.TestCase):
             for node in config.nodes:
                 if node.package == 'air_ground':
                     self.assertTrue(find_node('air_ground', node.type), f'{launch}: no program {node.type}')
+
+    def test_empty_arguments_leave_what_the_yaml_says(self):
+        with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
+            file.write('publish_tf: false\naccel_topic: mav/accel\nimage_transport: compressed\n')
+            file.flush()
+            for launch, given, names in (('tracker.launch', [f'ekf_tracker_config:={file.name}'], ('publish_tf', 'accel_topic')),
+                                         ('city_localizer.launch', ['database:=x.gpkg', f'streetview_localizer_config:={file.name}'], ('image_transport',))):
+                config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+                params = {name.rsplit('/', 1)[-1]: p.value for name, p in config.params.items()}
+                for name in names:
+                    self.assertEqual(params[name], {'publish_tf': False, 'accel_topic': 'mav/accel', 'image_transport': 'compressed'}[name], launch)
 
     def test_folders_with_spaces(self):
         """roslaunch splits a node's args as a shell does: paths in them must be quoted."""

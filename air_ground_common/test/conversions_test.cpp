@@ -6,11 +6,8 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
-#include "air_ground_common/encoded_image.h"
-#include "air_ground_common/ros/compressed_image.h"
 #include "air_ground_common/ros/pixel_range.h"
 
 namespace air_ground_common::ros_utils {
@@ -329,113 +326,6 @@ TEST(Conversions, CloudRoundTripKeepsColourAndDropsWhatIsNowhere) {
   EXPECT_EQ(cloudFromMsg(broken).size(), 1u) << "a colour outside is left out";
   broken.is_bigendian = true;
   EXPECT_THROW(cloudFromMsg(broken), std::invalid_argument);
-}
-
-sensor_msgs::CompressedImage compressed(const std::string& format, const std::string& extension, const cv::Mat& image,
-                                        std::size_t offset = 0) {
-  sensor_msgs::CompressedImage msg;
-  msg.header.frame_id = "camera";
-  msg.header.stamp = ros::Time(3.5);
-  msg.format = format;
-  std::vector<unsigned char> bytes;
-  cv::imencode(extension, image, bytes);
-  msg.data.assign(offset, 0);
-  msg.data.insert(msg.data.end(), bytes.begin(), bytes.end());
-  return msg;
-}
-
-TEST(Decompressed, ImagesOfAnyKind) {
-  cv::Mat colour(40, 60, CV_8UC3, cv::Scalar(10, 90, 200));
-  auto image = decompressed(compressed("rgb8; jpeg compressed bgr8", ".jpg", colour));
-  EXPECT_EQ(image->encoding, "bgr8");
-  EXPECT_EQ(image->header.frame_id, "camera");
-  EXPECT_EQ(image->header.stamp, ros::Time(3.5));
-  const cv::Vec3b pixel = bgrFromMsg(*image).at<cv::Vec3b>(20, 30);
-  for (int c = 0; c < 3; ++c) EXPECT_NEAR(pixel[c], colour.at<cv::Vec3b>(20, 30)[c], 4);
-  const cv::Mat grey(40, 60, CV_8UC1, cv::Scalar(77));
-  image = decompressed(compressed("mono8; png compressed mono8", ".png", grey));
-  EXPECT_EQ(greyFromMsg(*image).at<std::uint8_t>(5, 5), 77);
-  sensor_msgs::CompressedImage broken = compressed("jpeg", ".jpg", colour);
-  broken.data.resize(30);
-  EXPECT_THROW(decompressed(broken), std::invalid_argument);
-  broken.data.clear();
-  EXPECT_THROW(decompressed(broken), std::invalid_argument);
-}
-
-TEST(Decompressed, AMosaicIsNoGreyImage) {
-  for (const int type : {CV_8UC1, CV_16UC1}) {
-    const int step = type == CV_8UC1 ? 1 : 257;
-    cv::Mat mosaic(40, 60, type, cv::Scalar(40 * step));  // RGGB of an evenly red wall
-    for (int v = 0; v < 40; v += 2)
-      for (int u = 0; u < 60; u += 2) mosaic(cv::Rect(u, v, 1, 1)) = cv::Scalar(200 * step);
-    const std::string encoding = step == 1 ? "bayer_rggb8" : "bayer_rggb16";
-    const auto image = decompressed(compressed(encoding + "; png compressed ", ".png", mosaic));
-    EXPECT_EQ(image->encoding, encoding);
-    cv::Mat grey = greyFromMsg(*image)(cv::Rect(10, 10, 20, 20)).clone();
-    double least, most;
-    cv::minMaxLoc(grey, &least, &most);
-    EXPECT_LT(most - least, 2) << encoding << ": no chequerboard";
-    EXPECT_NEAR(least, 0.299 * 200 + 0.701 * 40, 2) << encoding;
-  }
-  const cv::Mat grey(40, 60, CV_8UC1, cv::Scalar(77)), colour(40, 60, CV_8UC3, cv::Scalar(10, 90, 200));
-  EXPECT_EQ(decompressed(compressed("bayer_grbg8; jpeg compressed ", ".jpg", grey))->encoding, "bayer_grbg8");
-  EXPECT_EQ(decompressed(compressed("bayer_grbg16; jpeg compressed mono8", ".jpg", grey))->encoding, "mono8");
-  EXPECT_EQ(decompressed(compressed("bayer_grbg8; jpeg compressed bgr8", ".jpg", colour))->encoding, "bgr8");
-}
-
-TEST(Compressed, PosedImageWhicheverWayItCame) {
-  cv::Mat grey(48, 64, CV_8UC1);
-  for (int v = 0; v < grey.rows; ++v)
-    for (int u = 0; u < grey.cols; ++u) grey.at<std::uint8_t>(v, u) = static_cast<std::uint8_t>(2 * u + v);
-  air_ground::PosedImage raw, jpeg;
-  raw.image = toMsg(grey, "mono8", std_msgs::Header());
-  jpeg.compressed = ros_utils::compressed(grey, 90, std_msgs::Header());
-  EXPECT_LT(jpeg.compressed.data.size(), raw.image.data.size() / 2);
-  EXPECT_EQ(cv::norm(greyFromMsg(raw), grey, cv::NORM_INF), 0);
-  EXPECT_LT(cv::norm(greyFromMsg(jpeg), grey, cv::NORM_INF), 8);
-  jpeg.compressed.data.resize(20);
-  EXPECT_THROW(greyFromMsg(jpeg), std::invalid_argument);
-  EXPECT_THROW(greyFromMsg(air_ground::PosedImage()), std::invalid_argument);
-  EXPECT_THROW(ros_utils::compressed(cv::Mat(4, 4, CV_32F), 90, std_msgs::Header()), std::invalid_argument);
-}
-
-TEST(Decompressed, Depth) {
-  const cv::Mat millimetres(40, 60, CV_16UC1, cv::Scalar(1234));
-  for (const std::size_t header : {0, 12}) {
-    const auto msg =
-        compressed(header ? "16UC1; compressedDepth png" : "16UC1; png compressed ", ".png", millimetres, header);
-    EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 1.234, 1e-6);
-  }
-  // Inverse depth, as compressed_depth_image_transport quantises it: value = a / z + b.
-  const float a = 10000, b = -99;
-  auto msg = compressed("32FC1; compressedDepth png", ".png",
-                        cv::Mat(40, 60, CV_16UC1, cv::Scalar(std::lround(a / 2.5 + b))), 12);
-  std::memcpy(msg.data.data() + 4, &a, 4);
-  std::memcpy(msg.data.data() + 8, &b, 4);
-  EXPECT_NEAR(depthFromMsg(*decompressed(msg)).at<float>(3, 4), 2.5, 1e-3);
-  msg.data.resize(10);
-  EXPECT_THROW(decompressed(msg), std::invalid_argument);
-}
-
-// The header of a PNG of 65000 x 65000 pixels takes 33 bytes; what it promises 12 GB.
-TEST(Conversions, CompressedImagesAreMeasuredBeforeTheyAreDecoded) {
-  const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(10, 100, 200));
-  for (const char* extension : {".jpg", ".png"}) {
-    sensor_msgs::CompressedImage msg;
-    msg.format = extension + 1;
-    cv::imencode(extension, picture, msg.data);
-    EXPECT_EQ(air_ground_common::encodedSize(msg.data.data(), msg.data.size()), picture.size());
-    EXPECT_EQ(decompressed(msg)->width, 64u);
-    if (msg.format == "jpg") continue;
-    for (const std::size_t at : {16u, 20u}) msg.data[at + 2] = 0xfd, msg.data[at + 3] = 0xe8;
-    EXPECT_EQ(air_ground_common::encodedSize(msg.data.data(), msg.data.size()), cv::Size(65000, 65000));
-    try {
-      decompressed(msg);
-      ADD_FAILURE() << "an image of 65000 x 65000 pixels was decoded";
-    } catch (const std::invalid_argument& e) {
-      EXPECT_NE(std::string(e.what()).find("65000 x 65000"), std::string::npos) << e.what();
-    }
-  }
 }
 
 }  // namespace

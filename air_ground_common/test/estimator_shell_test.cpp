@@ -41,7 +41,10 @@ class StandIn : public Estimator {
     if (fail) throw std::runtime_error("this one is spoilt");
     if (frame.depth && frame.depth->encoding == "16UC1") ++depths;
     ++images;
-    return {};
+    EstimatorResult result;
+    result.pose_published = true;
+    result.publish = [this] { ++published; };
+    return result;
   }
   void idle() override {
     if (fail_idle.exchange(false)) throw std::bad_alloc();
@@ -55,7 +58,7 @@ class StandIn : public Estimator {
   }
 
   std::atomic<bool> fail{false}, fail_idle{false};
-  std::atomic<int> images{0}, depths{0}, samples{0}, disorder{0};
+  std::atomic<int> images{0}, published{0}, depths{0}, samples{0}, disorder{0};
 
  private:
   bool made_ = false;
@@ -243,6 +246,35 @@ void beRival() {
         std::vector<geometry_msgs::TransformStamped>{edge("gps", "shared_base"), edge("gps", "shared_odom")});
     ros::WallDuration(0.1).sleep();
   }
+}
+
+// A head that pans: where the base is follows from the camera no more.
+TEST_F(Shell, WithholdsPosesOfABaseThatTheCameraMovesAgainst) {
+  settings_.base_frame = "torso", settings_.camera_frame = "head";
+  settings_.T_base_camera.reset();
+  start();
+  tf2_ros::TransformBroadcaster neck;
+  const auto pan = [&](double angle) {
+    auto msg = edge("torso", "head");
+    msg.transform = toTransformMsg(Pose(Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitZ())));
+    neck.sendTransform(msg);
+  };
+  NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
+  ASSERT_TRUE(publishUntil([&] {
+    pan(0.005);
+    return estimator_.published > 3;
+  }));
+  ASSERT_TRUE(publishUntil([&] {
+    pan(0.3);
+    return diagnostics.message().find("'head' has moved against 'torso' by 16.9 deg") != std::string::npos;
+  })) << diagnostics.message();
+  const int before = estimator_.published, images = estimator_.images;
+  ASSERT_TRUE(publishUntil([&] { return estimator_.images > images + 3; }));
+  EXPECT_EQ(estimator_.published, before);
+  EXPECT_TRUE(publishUntil([&] {
+    pan(0);
+    return estimator_.published > before;
+  })) << "it looks ahead again";
 }
 
 TEST_F(Shell, CountsWhoElsePlacesItsFrames) {

@@ -18,7 +18,7 @@ from sensor_msgs.msg import CompressedImage, Imu
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_camera, bag_check, bag_depth, bag_guess, bag_player, bag_reader, geometry, messages, replay  # noqa: E402
+from air_ground_eval import bag_camera, bag_check, bag_depth, bag_frames, bag_guess, bag_player, bag_reader, geometry, messages, replay  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
@@ -256,6 +256,32 @@ class BagCheck(unittest.TestCase):
             self.assertEqual([f.text for f in bag_check.check(path, names) if f.level == bag_check.ERROR], [])
             self.assertIn('mav_imu_accel:=/drone/accel/sample', bag_guess.command(facts, names, {}, {}).split())
 
+    def test_depth_by_run_lengths(self):
+        """Against Wilson's description, number by number: of zeros, of others, and their differences."""
+        depth = np.random.default_rng(3).integers(0, 65536, (9, 11), np.uint16)
+        depth[2:4], depth[5], depth[8] = 0, 1500, 0
+        numbers, before, flat = [], 0, depth.ravel().tolist()
+        while flat:
+            zeros = next((i for i, z in enumerate(flat) if z), len(flat))
+            others = next((i for i, z in enumerate(flat[zeros:]) if not z), len(flat) - zeros)
+            numbers += [zeros, others]
+            for z in flat[zeros:zeros + others]:
+                numbers, before = numbers + [2 * (z - before) if z >= before else 2 * (before - z) - 1], z
+            flat = flat[zeros + others:]
+        groups = []
+        for number in numbers:
+            while number > 7:
+                groups, number = groups + [number % 8 + 8], number // 8
+            groups.append(number)
+        groups += [0] * (-len(groups) % 8)
+        words = [sum(group << (28 - 4 * i) for i, group in enumerate(groups[k:k + 8])) for k in range(0, len(groups), 8)]
+        data = struct.pack(f'<{len(words) + 2}I', 11, 9, *words)
+        message = CompressedImage(format='16UC1; compressedDepth rvl', data=bytes(12) + data)
+        np.testing.assert_array_equal(bag_camera.picture(message), depth)
+        np.testing.assert_array_equal(bag_camera.depths(message), depth)
+        for broken in (data[:40], b'', struct.pack('<III', 1 << 30, 9, 0)):
+            self.assertIsNone(bag_camera.picture(CompressedImage(format=message.format, data=bytes(12) + broken)))
+
     def test_mountings_on_tf_are_static_and_no_frame_has_two_parents(self):
         """As TUM's RGB-D bags have it: all on /tf, names with slashes, and a motion capture's pose of the body."""
         T_kinect_camera, T_camera_eye = geometry.pose_from_tq((0.1, 0.2, 0.3), (0.5, -0.5, 0.5, -0.5)), geometry.pose_from_tq((0, -0.045, 0), (0, 0.6, 0, 0.8))
@@ -271,6 +297,10 @@ class BagCheck(unittest.TestCase):
                     bag.write('/tf', messages.static_transforms(edges, t), messages.stamp(t))
             facts = bag_reader.BagFacts(path)
         self.assertEqual(facts.constant_on_tf, {'camera', 'eye', 'imu'})
+        self.assertEqual(facts.moving, {'kinect': 'world'})
+        self.assertEqual(bag_frames.check_odometry(facts, ['ground'], {'ground': 'camera'}), [])
+        finding, = bag_frames.check_odometry(facts, ['ground'], {'ground': 'kinect'})
+        self.assertIn('ground_odom_from_tf:=true ground_odom_frame:=world', finding.text)
         np.testing.assert_allclose(facts.static_transform('kinect', 'eye'), T_kinect_camera @ T_camera_eye, atol=1e-9)
         turned = {(e.header.frame_id, e.child_frame_id): e.transform.translation for e in facts.static_transforms(['camera']).transforms}
         self.assertEqual(set(turned), {('camera', 'kinect'), ('camera', 'eye'), ('camera', 'imu')})

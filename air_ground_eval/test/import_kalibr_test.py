@@ -12,7 +12,8 @@ import rosbag
 import rospy
 import rostest
 import yaml
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 HERE = os.path.dirname(os.path.realpath(__file__))
@@ -324,6 +325,17 @@ class ImportKalibr(unittest.TestCase):
         self.assertIn('rgbd_slam:=false', words)
         self.assertFalse([word for word in words if word.startswith('ground_')], words)
 
+    def test_a_recorded_camera_info_stays_alone_on_its_topic(self):
+        with rosbag.Bag(self.path('x.bag'), 'w') as bag:
+            bag.write('/cam0/image_raw', messages.image(np.zeros((480, 752)), 'mono8', 5, 'left_eye'), messages.stamp(5))
+            bag.write('/cam0/camera_info', CameraInfo(width=752, height=480, K=[400, 0, 376, 0, 400, 240, 0, 0, 1]), messages.stamp(5))
+            bag.write('/imu0', messages.imu([0, 0, 0], [0, 0, 9.81], 1, 1, 5, 'imu_of_mine'), messages.stamp(5))
+        result = self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag'))
+        self.assertEqual(result.returncode, 0, result.stderr)
+        self.assertIn('mav_camera_info:=/cam0/camera_info_kalibr', shlex.split(result.stdout.splitlines()[-1]))
+        with open(self.path('out', 'sensors.launch'), encoding='utf-8') as stream:
+            self.assertIn('to="/cam0/camera_info_kalibr"', stream.read())
+
     def test_launch_file_publishes_transforms_and_camera_info(self):
         with rosbag.Bag(self.path('x.bag'), 'w') as bag:
             bag.write('/cam0/image_raw', messages.image(np.zeros((480, 752)), 'mono8', 5, 'left_eye'), messages.stamp(5))
@@ -331,6 +343,7 @@ class ImportKalibr(unittest.TestCase):
         result = self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag'))
         self.assertEqual(result.returncode, 0, result.stderr)
         words = shlex.split(result.stdout.splitlines()[-1])
+        self.assertEqual(words[:2], ['roslaunch', '--wait'], 'the first command starts the master')
         for word in (f'bag:={self.path("x.bag")}', 'mav_image:=/cam0/image_raw', 'mav_camera_info:=/cam0/camera_info', 'mav_imu:=/imu0',
                      'mav_camera_frame:=left_eye', 'rgbd_slam:=false', f'mav_vo_config:={self.path("out", "mav_vo.yaml")}'):
             self.assertIn(word, words)
@@ -338,19 +351,27 @@ class ImportKalibr(unittest.TestCase):
         infos, edges = [], {}
         rospy.Subscriber('/cam0/camera_info', CameraInfo, infos.append)
         rospy.Subscriber('/tf_static', TFMessage, lambda m: edges.update({e.child_frame_id: e for e in m.transforms}))
-        images = rospy.Publisher('/cam0/image_raw', Image, queue_size=5)
+        images, jpegs = rospy.Publisher('/cam0/image_raw', Image, queue_size=5), rospy.Publisher('/cam0/image_raw/compressed', CompressedImage, queue_size=5)
         process = subprocess.Popen(['roslaunch', self.path('out', 'sensors.launch')], stdout=subprocess.DEVNULL)
-        try:
+
+        def publish_until(done, publish):
             for i in range(200):
-                if len(edges) == 2 and infos:
+                if done():
                     break
-                images.publish(messages.image(np.zeros((480, 752)), 'mono8', 100 + i, 'left_eye'))
+                publish(i)
                 rospy.rostime.wallsleep(0.1)
+
+        try:
+            publish_until(lambda: len(edges) == 2 and infos, lambda i: jpegs.publish(CompressedImage(header=Header(stamp=messages.stamp(50 + i), frame_id='left_eye'), format='jpeg')))
+            self.assertLess(infos[0].header.stamp.to_sec(), 100, 'of compressed images alone')
+            publish_until(lambda: infos[-1].header.stamp.to_sec() >= 100, lambda i: images.publish(messages.image(np.zeros((480, 752)), 'mono8', 100 + i, 'left_eye')))
+            publish_until(lambda: jpegs.get_num_connections() == 0, lambda i: None)
+            self.assertEqual(jpegs.get_num_connections(), 0, 'nobody needs them beside the raw ones')
         finally:
             process.terminate()
             process.wait(30)
-        self.assertEqual(infos[0].header.frame_id, 'left_eye')
-        self.assertGreaterEqual(infos[0].header.stamp.to_sec(), 100)
+        self.assertEqual(infos[-1].header.frame_id, 'left_eye')
+        self.assertGreaterEqual(infos[-1].header.stamp.to_sec(), 100)
         self.assertEqual(infos[0].width, 752)
         t = edges['left_eye'].transform.translation
         self.assertEqual(edges['left_eye'].header.frame_id, 'mav_base_link')

@@ -21,6 +21,10 @@ void TiltSource::addSpecificForce(double stamp, const Eigen::Vector3d& force_bas
   up_stamp_ = stamp;
   const double share = dt > 0 && dt < 1 ? dt : 1;
   up_base_ = share >= 1 ? force_base : Eigen::Vector3d(up_base_ + share * (force_base - up_base_));
+  if (isGravity(up_base_))
+    odd_since_.reset();
+  else if (!odd_since_ || stamp < *odd_since_)
+    odd_since_ = stamp;
   if (stamp < ups_.newest()) ups_.clear();
   if (stamp >= ups_.newest() + kTiltInterval) ups_.add(stamp, up_base_);
 }
@@ -32,15 +36,22 @@ std::optional<Pose> TiltSource::poseAt(double stamp, double tolerance) const {
 
 std::optional<Eigen::Matrix3d> TiltSource::accelerometerTiltAt(double stamp) const {
   const Eigen::Vector3d* up = ups_.nearest(stamp, kTiltTolerance);
-  if (!up || up->norm() < 1) return std::nullopt;
+  if (!up || !isGravity(*up)) return std::nullopt;
   return tiltOf(air_ground_common::levelingRotation(*up));
 }
+
+bool TiltSource::isGravity(const Eigen::Vector3d& force) {
+  return force.norm() >= kLeastGravity && force.norm() <= kMostGravity;
+}
+
+bool TiltSource::lacksGravity() const { return odd_since_ && *up_stamp_ - *odd_since_ > kLongestManoeuvre; }
 
 void TiltSource::clear() {
   poses_.clear();
   ups_.clear();
   up_base_.setZero();
   up_stamp_.reset();
+  odd_since_.reset();
 }
 
 }  // namespace ekf_tracker

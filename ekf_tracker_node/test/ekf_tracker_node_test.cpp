@@ -353,6 +353,21 @@ TEST_F(UnscaledOdometryTest, GyroAloneTellsNoTilt) {
                                 1));
 }
 
+// A driver that removes gravity leaves nothing to level by.
+TEST_F(UnscaledOdometryTest, AccelerationsWithoutGravityTellNoTilt) {
+  begin("unscaled");
+  const ru::NodeDiagnostics diagnostics("unscaled/ekf_tracker");
+  ASSERT_TRUE(spinUntil([&] { return imu_.getNumSubscribers() > 0; }));
+  for (int i = 0; i <= kEnd; ++i) {
+    sensor_msgs::Imu m = gravity(i);
+    m.linear_acceleration.x = 1.5, m.linear_acceleration.y = m.linear_acceleration.z = 0.2;
+    imu_.publish(m);
+  }
+  EXPECT_TRUE(diagnostics.await(
+      "accelerations on " + imu_.getTopic() + " tell no tilt: they are not about 9.81 m/s^2. Is gravity removed",
+      kEnd - 60));
+}
+
 TEST_F(EkfTrackerNodeTest, MagnetometerGpsAndBarometerAreHeard) {
   fly(0, 40);
   fixes_.publish(fix(20));

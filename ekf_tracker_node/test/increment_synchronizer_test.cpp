@@ -95,6 +95,27 @@ TEST(TiltSource, TheAccelerometerStandsInWithoutFlightAccelerations) {
   EXPECT_FALSE(tilts.poseAt(3.0));
 }
 
+// Drivers that remove gravity, or count in g: what is left points anywhere, or is right by chance alone.
+TEST(TiltSource, ForcesThatAreNotGravityTellNoTilt) {
+  for (const double size : {0.3, 1.0, 3.0, 6.5, 13.5, 96.0}) {
+    TiltSource tilts;
+    for (int i = 0; i <= 500; ++i) {
+      tilts.addSpecificForce(0.01 * i, size * Eigen::Vector3d(0.8, 0, 0.6));
+      EXPECT_FALSE(tilts.accelerometerTiltAt(0.01 * i)) << size;
+      EXPECT_EQ(tilts.lacksGravity(), i > 300) << size << " at " << 0.01 * i;
+    }
+    tilts.clear();
+    EXPECT_FALSE(tilts.lacksGravity());
+  }
+  // A turn at 45 degrees for two seconds is no fault of the driver.
+  TiltSource tilts;
+  for (int i = 0; i <= 600; ++i) {
+    tilts.addSpecificForce(0.01 * i, Eigen::Vector3d(0, 0, i < 200 || i > 400 ? 9.81 : 13.9));
+    EXPECT_FALSE(tilts.lacksGravity());
+  }
+  EXPECT_TRUE(tilts.accelerometerTiltAt(6.0));
+}
+
 TEST(TiltSource, PosesOfAnEarlierTimeBeginAfresh) {
   TiltSource tilts;
   tilts.addPose(100, at(1));

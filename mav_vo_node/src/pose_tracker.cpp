@@ -24,8 +24,6 @@ constexpr int kLocalKeyframes = 8;        // nearest ones, whose landmarks are l
 constexpr double kEqualShare = 0.6;       // so many of the best motion's landmarks make another one its equal
 constexpr double kOtherMotion = 4.0;      // median shift of the landmarks between two motions that are not one [sigma]
 constexpr double kClearlyNearer = 0.5;    // to the prediction than the other motion
-constexpr double kLeastInterval = 0.5;    // of the usual one between images, that tells of a velocity
-constexpr std::size_t kIntervals = 15;    // that tell the usual one
 
 /// How far the landmarks shift in the image between two poses, in the median [sigma].
 double shiftBetween(const Pose& a, const Pose& b, const std::vector<PoseCorrespondence>& points) {
@@ -247,24 +245,16 @@ bool PoseTracker::locate(const std::optional<double>& turn_sigma) {
   return true;
 }
 
-// Stamps a millisecond apart, by a driver's jitter or an image that came twice, would make the step between them, or
-// its noise, a leap of metres at the next image: the camera is taken to go on as before.
-bool PoseTracker::tooSoon(double interval) {
-  const bool too_soon = !intervals_.empty() && interval < kLeastInterval * quantile(intervals_, 0.5);
-  intervals_.push_back(interval);
-  if (intervals_.size() > kIntervals) intervals_.erase(intervals_.begin());
-  return too_soon;
-}
-
 void PoseTracker::settle(double stamp, const std::optional<Pose>& T_map_previous) {
   const double dt = stamp - located_stamp_;
   if (!T_map_previous) {
     velocity_.setZero();
     turn_rate_.setZero();
-  } else if (!tooSoon(dt)) {
+  } else if (!intervals_.tooShort(dt)) {  // else the camera is taken to go on as before
     velocity_ = (T_map_camera_.translation() - T_map_previous->translation()) / dt;
     turn_rate_ = logSO3(T_map_previous->linear().transpose() * T_map_camera_.linear()) / dt;
   }
+  if (T_map_previous) intervals_.add(dt);
   previous_covariance_ = result_.covariance;
   located_stamp_ = stamp;
 }

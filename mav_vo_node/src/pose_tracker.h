@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "mav_vo/odometry.h"
+#include "visual_frontend/image_intervals.h"
 #include "visual_frontend/landmark_tracks.h"
 #include "visual_frontend/pose_solver.h"
 
@@ -74,7 +75,6 @@ class PoseTracker {
   using Correspondences = std::vector<visual_frontend::PoseCorrespondence>;
   PoseResult solve(const Correspondences& points, const std::optional<double>& turn_sigma) const;
   PoseResult search(const Correspondences& points, bool turn_known) const;
-  bool tooSoon(double interval);  ///< after the image before, to tell how fast the camera moves
   bool chooseMotion(const Correspondences& points, bool turn_known, PoseResult* found) const;
 
   CameraModel camera_;
@@ -88,7 +88,7 @@ class PoseTracker {
   Pose T_map_camera_ = Pose::Identity();
   bool predicted_ = false;  // the pose before locate() is where the motion leads
   double located_stamp_ = -1;
-  std::vector<double> intervals_;                        // of the last images that were located [s]
+  visual_frontend::ImageIntervals intervals_;            // of the last images that were located
   Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   // of the camera in the map [unit/s]
   Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  // of the camera, by its last two poses, own axes [rad/s]
   PoseResult result_;

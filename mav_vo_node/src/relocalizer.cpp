@@ -7,9 +7,11 @@ namespace mav_vo {
 
 namespace {
 
-constexpr int kPlaceEvery = 5;         // images between searches for a known place
-constexpr double kLongestGap = 1;      // between them, of which it is known what the camera saw [s]
-constexpr int kNearImages = 10;        // in which the camera is looked for near its last pose
+constexpr int kPlaceEvery = 5;         // images between searches for a known place ...
+constexpr double kPlaceSeconds = 0.5;  // or so long, where they come slowly [s]
+constexpr double kLongestGap = 1;      // between images, of which it is known what the camera saw [s]
+constexpr int kNearImages = 10;        // in which the camera is looked for near its last pose ...
+constexpr double kNearLeast = 0.5;     // or so long, where they come fast ... [s]
 constexpr double kNearSeconds = 0.7;   // and so long at the most [s]
 constexpr double kNearRadius = 25;     // of the search about where a landmark should be, at least ...
 constexpr double kMostRadius = 60;     // ... and at the most [px]
@@ -19,8 +21,8 @@ constexpr double kAtPlaceRadius = 15;  // likewise once a place is recognised [p
 }  // namespace
 
 void Relocalizer::begin(double stamp) {
-  lost_since_ = last_ = last_search_ = stamp;
-  strange_for_ = 0;
+  lost_since_ = last_ = last_image_ = last_search_ = stamp;
+  strange_for_ = unsearched_ = 0;
   frames_lost_ = 0;
   reason_.clear();
 }
@@ -43,7 +45,8 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   ++frames_lost_;
   visual_frontend::FeatureTracker& tracker = pose.tracker();
   if (tracker.features().size() < 0.5 * settings_.tracker.max_features) tracker.replenish();
-  if (frames_lost_ <= kNearImages && stamp - pose.locatedStamp() < kNearSeconds) {
+  if (const double gap = stamp - std::exchange(last_image_, stamp); gap <= kLongestGap) unsearched_ += gap;
+  if ((frames_lost_ <= kNearImages || stamp - lost_since_ < kNearLeast) && stamp - pose.locatedStamp() < kNearSeconds) {
     if (frames_lost_ > 1) pose.coast(stamp - last_);
     last_ = stamp;
     pose.reobserve(within(nearRadius(stamp, pose)));
@@ -52,12 +55,13 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
       return true;
     }
   }
-  if ((frames_lost_ - 1) % kPlaceEvery != 0) return false;
+  if ((frames_lost_ - 1) % kPlaceEvery != 0 && stamp - last_search_ < kPlaceSeconds) return false;
   visual_frontend::Keyframe query;
   query.stamp = stamp;
   visual_frontend::describeKeyframe(gray, camera_, settings_.place, query);
-  const double since = stamp - std::exchange(last_search_, stamp);
-  if (query.orb_pixels.size() >= 2u * settings_.place.min_inliers && since <= kLongestGap) strange_for_ += since;
+  last_search_ = stamp;
+  const double since = std::exchange(unsearched_, 0);
+  if (query.orb_pixels.size() >= 2u * settings_.place.min_inliers) strange_for_ += since;
   const auto match = visual_frontend::relocalize(map, camera_, query, gate, settings_.place);
   if (!match.success) {
     reason_ = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";

@@ -84,6 +84,24 @@ TEST(Odometry, StartsANewMapElsewhere) {
   EXPECT_NE(o.frames.back().state, OdometryState::kLost);
 }
 
+// Four images a second, of the link that is left: it is lost as long as at twenty.
+TEST(Odometry, StartsANewMapElsewhereHoweverSlowlyImagesCome) {
+  Options options;
+  options.end = 13;
+  options.elsewhere = [](double t) { return t > 9; };
+  options.drop_image = [](double t) { return t > 9 && t < 11.5 && std::lround(20 * t) % 5 != 0; };
+  OdometrySettings settings;
+  settings.lost_timeout = 1.0;
+  const Outcome o = fly(options, settings);
+  ASSERT_GT(o.metric_at, 0);
+  ASSERT_LT(o.metric_at, 8.5);
+  std::size_t i = 0;
+  while (i < o.frames.size() && o.frames[i].map_id == o.frames.front().map_id) ++i;
+  ASSERT_LT(i, o.frames.size());
+  EXPECT_GT(o.frames[i].stamp, 9.9);
+  EXPECT_LT(o.frames[i].stamp, 11.5);
+}
+
 /// Threads that want the whole machine while this lives.
 class BusyMachine {
  public:

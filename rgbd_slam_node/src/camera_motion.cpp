@@ -111,6 +111,9 @@ Eigen::Vector3d CameraMotion::velocityAt(double stamp) const {
 }
 
 void CameraMotion::update(double dt, const Pose& T_before, const Pose& T_now) {
+  const bool too_short = intervals_.tooShort(dt);
+  intervals_.add(dt);
+  if (too_short) return;  // the camera is taken to go on as before
   velocity_ = (T_now.translation() - T_before.translation()) / dt;
   turn_rate_ = logSO3(T_before.linear().transpose() * T_now.linear()) / dt;
 }
@@ -165,6 +168,7 @@ void CameraMotion::reset() {
   attitude_.reset();
   inertial_.reset();
   rows_.setReadoutTime(given_readout_time_);
+  intervals_.clear();
   gyro_trusted_ = true;
   gyro_bias_.setZero();
   gyro_bias_sigma_ = initial_gyro_bias_;

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "rgbd_slam/slam.h"
+#include "visual_frontend/image_intervals.h"
 
 namespace rgbd_slam {
 
@@ -37,6 +38,8 @@ class CameraMotion {
   void setReadoutTime(double readout_time) { rows_.setReadoutTime(readout_time); }  ///< [s]
 
   void update(double dt, const Pose& T_before, const Pose& T_now);
+  /// Between two frames, by which a speed is told: stamps may jitter [s].
+  double plausibleInterval(double dt) const { return intervals_.plausible(dt); }
   void interrupt();                                        ///< after a loss or a gap
   void turn(const Eigen::Matrix3d& R);                     ///< the map was turned
   void moveMap(const Pose& T) { inertial_.transform(T); }  ///< by a loop closure
@@ -73,6 +76,7 @@ class CameraMotion {
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
   double gyro_bias_sigma_;
   bool gyro_trusted_ = true;
+  visual_frontend::ImageIntervals intervals_;
   Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();   ///< of the camera in the map [m/s]
   Eigen::Vector3d turn_rate_ = Eigen::Vector3d::Zero();  ///< of the camera, camera frame [rad/s]
 };

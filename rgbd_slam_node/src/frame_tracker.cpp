@@ -187,7 +187,8 @@ std::string FrameTracker::objection(double stamp, const PoseResult& pose, std::s
 }
 
 std::string FrameTracker::tooFast(double stamp, const Pose& T_map_camera) const {
-  const double speed = (T_map_camera.translation() - lastPose().translation()).norm() / (stamp - frames_.lastStamp());
+  const double dt = motion_.plausibleInterval(stamp - frames_.lastStamp());
+  const double speed = (T_map_camera.translation() - lastPose().translation()).norm() / dt;
   return speed > settings_.max_speed ? "the camera would have moved at " + std::to_string(speed) + " m/s" : "";
 }
 

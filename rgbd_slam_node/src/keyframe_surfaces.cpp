@@ -112,8 +112,9 @@ std::vector<SurfacePatch> KeyframeSurfaces::patches(const visual_frontend::Map& 
 
 std::vector<KeyframeId> KeyframeSurfaces::linkedTo(KeyframeId id) const {
   std::vector<KeyframeId> others;
-  for (const auto& link : links())
-    if (link.a == id || link.b == id) others.push_back(link.a == id ? link.b : link.a);
+  for (const auto* links : {&links_, &ties_})
+    for (const auto& link : *links)
+      if (link.a == id || link.b == id) others.push_back(link.a == id ? link.b : link.a);
   return others;
 }
 

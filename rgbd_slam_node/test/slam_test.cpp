@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <deque>
 #include <functional>
 
 #include "air_ground_common/linear_algebra.h"
@@ -97,41 +96,6 @@ TEST(Slam, LevelsAMapThatWasBegunInMotion) {
   EXPECT_LT((slam.gyroBias() - robot.gyro_bias).norm(), 0.004);
   EXPECT_LT((slam.inertialEstimate()->accel_bias - robot.accel_bias).norm(), 0.12);
   EXPECT_LT(worst(run, slam.trajectory()), 0.08);
-}
-
-TEST(Slam, ImuClockAheadOfTheCamera) {
-  Robot robot;
-  robot.sway = 0.06;
-  robot.sway_rate = 2;
-  // The same samples with stamps 50 ms ahead, and the setting that says so: the same results.
-  constexpr double kOffset = 0.05;
-  SlamSettings told;
-  told.time_offset = kOffset;
-  Slam plain(robot.camera, robot.mounting, {}), corrected(robot.camera, robot.mounting, told),
-      untold(robot.camera, robot.mounting, {});
-  Random random(11);
-  double next_imu = 0;
-  std::deque<visual_frontend::ImuSample> shifted;
-  SlamResult a, b;
-  for (int i = 0; i <= 50; ++i) {
-    const double t = 0.1 * i;
-    for (; next_imu <= t + 0.005; next_imu += 0.005) {
-      auto sample = robot.imu(next_imu, random);
-      plain.addImu(sample);
-      sample.stamp += kOffset;
-      corrected.addImu(sample);
-      untold.addImu(sample);
-    }
-    const auto frame = robot.frame(t, random);
-    a = plain.process(t, frame.gray, cv::Mat(), frame.depth);
-    b = corrected.process(t, frame.gray, cv::Mat(), frame.depth);
-    untold.process(t, frame.gray, cv::Mat(), frame.depth);
-  }
-  EXPECT_LT((a.T_map_base.translation() - b.T_map_base.translation()).norm(), 2e-3);
-  EXPECT_LT(air_ground_common::rotationAngle(a.T_map_base.linear(), b.T_map_base.linear()), 1e-3);
-  const double bias_error = (corrected.gyroBias() - robot.gyro_bias).norm();
-  EXPECT_LT(bias_error, 0.006);
-  EXPECT_GT((untold.gyroBias() - robot.gyro_bias).norm(), 2 * bias_error);
 }
 
 TEST(Slam, AGyroInDegreesIsNamedAndLeftOut) {

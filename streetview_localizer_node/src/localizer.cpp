@@ -127,15 +127,17 @@ struct StreetviewLocalizer::Impl {
 
   static void contradict(const std::string& why, LocalizerResult* result) {
     result->status = LocalizerStatus::kRefused;
+    result->contradicted = true;
     result->acceptance.accepted = false;
     result->acceptance.score = 0;
     result->acceptance.reason = result->reason = why;
   }
 
-  // Of two attempts at one image: the accepted one with more inliers, else the later. Both accepted, they must agree.
+  // Of two attempts at one image: the accepted one with more inliers, else the later. Both accepted, they must agree;
+  // what the later, with more matches, finds to be ambiguous is so for both.
   LocalizerResult better(LocalizerResult before, LocalizerResult after) const {
     after.features = std::max(after.features, before.features);
-    if (!before.accepted()) return after;
+    if (!before.accepted() || after.contradicted) return after;
     const bool second = after.accepted() && after.acceptance.evidence.inliers > before.acceptance.evidence.inliers;
     const std::string apart = after.accepted() ? disagreement(before.pose, after.pose) : "";
     LocalizerResult& chosen = second ? after : before;
@@ -173,8 +175,8 @@ class StreetviewLocalizer::Query {
         features_(times_.timed(Step::kFeatures, [&] { return extractFeatures(grey_, settings_.features.original); })),
         mirror_(features_, engine.search, *engine.database, settings_) {}
 
-  // Cheap first: the strongest features, then all, then the virtual views; each only where those before did not settle
-  // it.
+  // Cheap first: the strongest features, then all, then the virtual views; each only where those before neither settled
+  // it nor met a contradiction.
   LocalizerResult locate() {
     const int count = static_cast<int>(features_.size());
     const bool in_steps = settings_.quick_inliers > 0, has_virtual_views = !settings_.features.views.empty();
@@ -199,9 +201,8 @@ class StreetviewLocalizer::Query {
   // One more attempt; true when no other is needed.
   bool settle(const Features& query, int max_views, int enough) {
     LocalizerResult next = attempt(query, max_views);
-    const bool both = best_.accepted() && next.accepted();
     best_ = engine_.better(std::move(best_), std::move(next));
-    return best_.accepted() ? best_.acceptance.evidence.inliers >= enough : both;
+    return best_.accepted() ? best_.acceptance.evidence.inliers >= enough : best_.contradicted;
   }
 
   LocalizerResult attempt(const Features& query, int max_views) {

@@ -273,6 +273,7 @@ TEST_F(LocalizerTest, WrongGravityIsNoticed) {
   prior.up_camera = T.linear().transpose() * Eigen::Vector3d::UnitX();
   const LocalizerResult wrong = locate(T, prior);
   EXPECT_FALSE(wrong.accepted()) << "a pose that contradicts gravity was accepted";
+  EXPECT_NE(wrong.reason.find("90 degrees off gravity"), std::string::npos) << wrong.reason;
 }
 
 TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
@@ -294,6 +295,33 @@ TEST_F(LocalizerTest, RefusesWhatIsNotThere) {
     EXPECT_FALSE(r.accepted()) << name;
     EXPECT_FALSE(r.reason.empty()) << name;
     EXPECT_NO_THROW(drawMatch(query, localizer_->database(), r)) << name;
+  }
+}
+
+// A panorama that stands 1.6 m off, which only the second attempt looks at: the pose of the first is no better known.
+TEST_F(LocalizerTest, AContradictionIsFinal) {
+  auto db = std::make_shared<StreetviewDatabase>(*database_);
+  const Eigen::Vector3d shift(1.6, 0, 0);
+  db->panoramas[2].T_world_panorama.translation() += shift;
+  for (View& view : db->views) {
+    if (view.panorama != 2) continue;
+    view.T_world_camera.translation() += shift;
+    for (auto& p : view.points) p += shift.cast<float>();
+  }
+  const cv::Mat image = city_->photograph(TinyCity::camera(), TinyCity::look({3, 0, 4}, M_PI / 2, 0.05));
+  StreetviewLocalizerSettings settings;
+  settings.index.method = IndexMethod::kBruteForce;
+  settings.quick_inliers = 100000;  // whatever the first finds, the second is asked
+  settings.quick_views = settings.max_views = 1;
+  const LocalizerResult alone = StreetviewLocalizer(db, settings).localize(image, TinyCity::camera());
+  EXPECT_TRUE(alone.accepted() && !alone.contradicted) << alone.reason;
+  settings.max_views = 8;
+  for (const int quick_views : {1, 8}) {
+    settings.quick_views = quick_views;
+    const LocalizerResult r = StreetviewLocalizer(db, settings).localize(image, TinyCity::camera());
+    EXPECT_FALSE(r.accepted()) << quick_views;
+    EXPECT_TRUE(r.contradicted && r.quick) << "something else was tried: " << r.reason;
+    EXPECT_NE(r.reason.find("poses from two panoramas lie 1.6 m"), std::string::npos) << r.reason;
   }
 }
 

@@ -11,9 +11,11 @@
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_ros/static_transform_broadcaster.h>
+#include <tf2_ros/transform_broadcaster.h>
 #include <visualization_msgs/Marker.h>
 #include <visualization_msgs/MarkerArray.h>
 
+#include <cmath>
 #include <cstdio>
 #include <limits>
 #include <optional>
@@ -115,6 +117,16 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
     return spinUntil([&] { return !matches_.empty() && matches_.back().header.stamp == ros::Time(stamp); });
   }
 
+  /// The camera on a gimbal that swings by 2 rad/s, and passes the mounting of the other tests at whole seconds.
+  void sendGimbal(double stamp, const std::string& frame) {
+    geometry_msgs::TransformStamped edge;
+    edge.header = header(stamp, "mav_base_link");
+    edge.child_frame_id = frame;
+    edge.transform = ru::toTransformMsg(
+        TinyCity::look(baseFromCamera().translation(), M_PI / 2 + 2 * (stamp - std::round(stamp)), 0.1));
+    gimbal_.sendTransform(edge);
+  }
+
   static nav_msgs::Odometry odometry(double stamp, const std::string& frame, const Pose& T) {
     nav_msgs::Odometry m;
     m.header.stamp = ros::Time(stamp);
@@ -126,6 +138,7 @@ class StreetviewLocalizerNodeTest : public ::testing::Test {
   }
 
   ros::NodeHandle handle_;
+  tf2_ros::TransformBroadcaster gimbal_;
   ros::Publisher image_pub_, info_pub_, prior_pub_, attitude_pub_;
   ros::Subscriber match_sub_, pose_sub_, picture_sub_, view_sub_, model_sub_, panoramas_sub_, cameras_sub_;
   std::vector<StreetviewMatch> matches_;
@@ -334,11 +347,60 @@ TEST_F(StreetviewLocalizerNodeTest, WithoutMountingItSaysThatThereIsNoFix) {
   EXPECT_TRUE(poses_.empty());
 }
 
-TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
-  ASSERT_TRUE(sendCalibration(60));
+// As the camera was at the image's time, not as it is when the worker comes to it. tf and images have no order.
+TEST_F(StreetviewLocalizerNodeTest, GimbalIsTakenAtTheImagesTime) {
+  const std::string frame = "mav_gimbal";
+  const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(T_world_base));
+  ASSERT_TRUE(sendCalibration(70, frame));
+  for (int stamp = 70; poses_.empty() && stamp < 90; ++stamp) {
+    sendGimbal(stamp - 0.1, frame);
+    sendGimbal(stamp + 0.1, frame);
+    sendImage(stamp, image, frame);
+    ASSERT_TRUE(awaitMatch(stamp));
+    ru::pause(4);
+  }
+  ASSERT_FALSE(poses_.empty());
+  const Pose T = ru::fromMsg(poses_.back().pose.pose);
+  EXPECT_LT((T.translation() - T_world_base.translation()).norm(), 0.1);
+  EXPECT_LT(air_ground_common::rotationAngle(T.linear(), T_world_base.linear()), 0.01);
+}
+
+TEST_F(StreetviewLocalizerNodeTest, GimbalThatIsNotHeardOfAnyMoreGivesNoFix) {
+  const std::string frame = "mav_silent_gimbal",
+                    lacking =
+                        "images without prior and fix: the transform from 'mav_silent_gimbal' to "
+                        "'mav_base_link' is not known at the image's time: publish it on /tf";
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
-  sendImage(60, image);
-  ASSERT_TRUE(awaitMatch(60));
+  ASSERT_TRUE(sendCalibration(100, frame));
+  sendGimbal(100, frame);
+  for (int stamp = 101; diagnostics_.counted(lacking) == 0 && stamp < 120; ++stamp) {
+    sendImage(stamp, image, frame);
+    ASSERT_TRUE(awaitMatch(stamp));
+    EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+    ASSERT_TRUE(diagnostics_.refresh());
+  }
+  EXPECT_TRUE(diagnostics_.await(lacking, 1));
+  EXPECT_TRUE(poses_.empty());
+}
+
+// A camera of 10 bits in messages of 16, which fills them from below.
+TEST_F(StreetviewLocalizerNodeTest, TenBitsAreNotBlack) {
+  const Pose T_world_base = air_ground_common::yawPose(0.05, {-3, 0.5, 4});
+  cv::Mat grey;
+  cv::cvtColor(city_->photograph(TinyCity::camera(), cameraAt(T_world_base)), grey, cv::COLOR_BGR2GRAY);
+  grey.convertTo(grey, CV_16U, 4);
+  ASSERT_TRUE(sendCalibration(130));
+  image_pub_.publish(ru::toMsg(grey, "mono16", header(130)));
+  ASSERT_TRUE(awaitMatch(130));
+  EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
+}
+
+TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
+  ASSERT_TRUE(sendCalibration(140));
+  const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
+  sendImage(140, image);
+  ASSERT_TRUE(awaitMatch(140));
   sendImage(5, image);
   ASSERT_TRUE(awaitMatch(5));
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;

@@ -75,8 +75,12 @@ void image(const Bytes& bytes) {
 
 void compressedImage(const Bytes& bytes) {
   Source source(bytes);
-  const char* const formats[] = {"jpeg", "png", "32FC1; compressedDepth png", "16UC1; compressedDepth png",
-                                 "mono16; png compressed"};
+  const char* const formats[] = {"jpeg",
+                                 "png",
+                                 "32FC1; compressedDepth png",
+                                 "16UC1; compressedDepth png",
+                                 "mono16; png compressed",
+                                 "16UC1; compressedDepth rvl"};
   sensor_msgs::CompressedImage msg;
   msg.format = formats[source.take<std::uint8_t>() % std::size(formats)];
   msg.data = source.rest();

@@ -15,7 +15,7 @@ struct FrameAssemblerSettings {
   double imu_wait = 0.5;   ///< an image waits for the IMU until images this much newer ... [s of data]
   double settle = 0.3;     ///< ... have been here for so long [s]
   QueueLimits images;      ///< that wait
-  double max_latency = 0;  ///< images so far behind the newest are given up; 0 = none [s of data]
+  double max_latency = 0;  ///< images so far behind the newest are given up; 0 = none: a replay [s of data]
 };
 
 /// Image: anything movable, e.g. a message pointer or a pair of them; Imu: with a `stamp` [s]. Stamps in order of time.
@@ -23,7 +23,8 @@ struct FrameAssemblerSettings {
 template <typename Image, typename Imu>
 class FrameAssembler {
  public:
-  explicit FrameAssembler(const FrameAssemblerSettings& settings) : settings_(settings), images_(settings.images) {}
+  explicit FrameAssembler(const FrameAssemblerSettings& settings)
+      : settings_(settings), images_(settings.images), allowed_lag_(settings.max_latency) {}
 
   struct Frame {
     double stamp = 0, arrival = 0;  ///< by the data's clock and by that of `now` [s]
@@ -38,6 +39,7 @@ class FrameAssembler {
   }
 
   void addImu(const Imu& sample) {
+    waited_in_vain_ = 0;
     constexpr std::size_t kMost = 40000;
     if (imu_.size() >= kMost) imu_.pop_front();
     imu_.push_back(sample);
@@ -47,10 +49,12 @@ class FrameAssembler {
   /// An image needs the IMU up to its stamp plus this [s]: the IMU's clock may run ahead of the images'.
   void setImuLead(double lead) { imu_lead_ = lead; }
 
-  /// Gives up the images that are too far behind, oldest first; returns how many.
+  /// Gives up the images that are too far behind, oldest first, and then some with each that is taken until the lag is
+  /// half: what is slower than the images would lag by all that is allowed for ever. Returns how many.
   std::size_t dropLate() {
     std::size_t dropped = 0;
-    for (; settings_.max_latency > 0 && waiting() > 1 && lag() > settings_.max_latency; ++dropped) images_.pop();
+    for (; tooLate(); ++dropped) take();
+    if (dropped > 0 && allowed_lag_ == settings_.max_latency) catching_up_ = true;
     return dropped;
   }
 
@@ -58,7 +62,7 @@ class FrameAssembler {
   bool ready(double now) const {
     if (waiting() == 0) return false;
     const double stamp = oldest().stamp;
-    if (!settings_.use_imu || newest_imu_ >= stamp + imu_lead_) return true;
+    if (!awaitsImu(stamp)) return true;
     for (const Waiting& image : images_.entries())
       if (image.stamp - stamp > settings_.imu_wait) return now - image.arrival >= settings_.settle;
     return false;
@@ -66,7 +70,10 @@ class FrameAssembler {
 
   /// The oldest image; call when there is one.
   Frame pop() {
-    Waiting oldest = images_.pop();
+    constexpr double kStep = 0.05;  // of max_latency, an image: in a hole of half of it features would be lost
+    allowed_lag_ = catching_up_ ? allowed_lag_ - kStep * settings_.max_latency : settings_.max_latency;
+    catching_up_ = catching_up_ && allowed_lag_ > 0.5 * settings_.max_latency;
+    Waiting oldest = take();
     Frame frame{oldest.stamp, oldest.arrival, std::move(oldest.image), {}};
     while (!imu_.empty() && (frame.imu.empty() || frame.imu.back().stamp < frame.stamp + imu_lead_)) {
       frame.imu.push_back(imu_.front());
@@ -79,6 +86,9 @@ class FrameAssembler {
     images_.clear();
     imu_.clear();
     newest_image_ = newest_imu_ = 0;
+    waited_in_vain_ = 0;
+    allowed_lag_ = settings_.max_latency;
+    catching_up_ = false;
   }
 
   bool hasImu() const { return newest_imu_ > 0; }  ///< images wait for their samples, not for the first ever
@@ -97,10 +107,30 @@ class FrameAssembler {
 
   const Waiting& oldest() const { return images_.entries().front(); }
 
+  /// False once some in a row have waited in vain: later ones would be late for as long as the IMU is silent. In a
+  /// replay, where nothing need be in time, all wait: topics out of step are no silence.
+  bool awaitsImu(double stamp) const {
+    constexpr int kInVain = 5;
+    const bool silent = settings_.max_latency > 0 && waited_in_vain_ >= kInVain;
+    return settings_.use_imu && !silent && newest_imu_ < stamp + imu_lead_;
+  }
+  /// One that waits for the IMU is not late because somebody is slow.
+  bool tooLate() const {
+    return settings_.max_latency > 0 && waiting() > 1 &&
+           lag() > (awaitsImu(oldest().stamp) ? settings_.max_latency : allowed_lag_);
+  }
+  Waiting take() {
+    if (awaitsImu(oldest().stamp)) ++waited_in_vain_;
+    return images_.pop();
+  }
+
   FrameAssemblerSettings settings_;
   BoundedQueue<Waiting> images_;
   std::deque<Imu> imu_;
   double newest_image_ = 0, newest_imu_ = 0, imu_lead_ = 0;
+  int waited_in_vain_ = 0;  ///< images, since the last IMU sample
+  double allowed_lag_;      ///< falls while catching up [s of data]
+  bool catching_up_ = false;
 };
 
 }  // namespace air_ground_common

@@ -1,8 +1,10 @@
 // Pairs colour and depth images by their stamps.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <deque>
 #include <optional>
 #include <utility>
 
@@ -10,13 +12,15 @@
 
 namespace air_ground_common {
 
+/// Pairs are mutual nearest neighbours: an image waits for the next of its partner's rivals where that may be nearer.
+/// Which images pair follows from their stamps, not from when they come, unless a stream stops.
 /// T: anything copyable, e.g. a message pointer. Each stream in order of time. Not thread-safe.
 template <typename T>
 class FramePairer {
  public:
   /// `tolerance`: largest difference of the stamps of a pair [s]. A colour image waits for depth until one that is
-  /// `patience` [s] newer has been here for `settle` [s]: whole seconds of one topic may come before the other's.
-  /// `limits`: of each stream.
+  /// `patience` [s] newer has been here for `settle` [s]: whole seconds of one topic may come before the other's. Both
+  /// wait for a rival, which may never come, for `patience` of `now`. `limits`: of each stream.
   FramePairer(double tolerance, double patience, double settle, const QueueLimits& limits)
       : tolerance_(tolerance), patience_(patience), settle_(settle), colour_(limits), depth_(limits) {}
 
@@ -39,20 +43,20 @@ class FramePairer {
     while (!pair_ && !colour_.entries().empty()) {
       const double stamp = colour_.entries().front().stamp;
       const std::deque<Waiting>& depth = depth_.entries();
-      while (!depth.empty() && depth.front().stamp < stamp - tolerance_) dropDepth();
-      while (depth.size() > 1 && std::abs(depth[1].stamp - stamp) < std::abs(depth[0].stamp - stamp)) dropDepth();
-      if (!depth.empty() && depth.front().stamp <= stamp + tolerance_) {
-        Waiting a = colour_.pop(), b = popDepth();
-        pair_ = Pair{stamp, std::move(a.image), std::move(b.image), a.bytes + b.bytes};
-        break;
+      while (!depth.empty() && depth.front().stamp < stamp && gap() > tolerance_) dropDepth();
+      if (candidates()) {
+        const Rival rival = findRival(now);
+        if (rival == Rival::kAwaited) break;
+        if (rival == Rival::kNone)
+          takePair();
+        else
+          rival == Rival::kColour ? dropColour() : dropDepth();
+      } else {
+        noteMiss(stamp);
+        const bool missed = !depth.empty();  // depth is already newer
+        if (!missed && !overtaken(stamp, patience_, now)) break;
+        dropColour();
       }
-      const bool missed = !depth.empty();  // depth is already newer
-      if (older_depth_) closest_miss_ = *older_depth_ - stamp;
-      if (missed && (!older_depth_ || depth.front().stamp - stamp < stamp - *older_depth_))
-        closest_miss_ = depth.front().stamp - stamp;
-      if (!missed && !overtaken(stamp, patience_, now)) break;
-      colour_.pop();
-      ++unmatched_colour_;
     }
     return pair_ ? &*pair_ : nullptr;
   }
@@ -78,7 +82,8 @@ class FramePairer {
       if (colour.stamp - stamp > by) return now - colour.arrival >= settle_;
     return false;
   }
-  std::size_t waiting() const { return colour_.entries().size() + (pair_ ? 1 : 0); }
+  /// Colour images that wait for a depth image: one that waits for a rival alone has its own.
+  std::size_t waiting() const { return colour_.entries().size() + (pair_ ? 1 : 0) - (candidates() ? 1 : 0); }
   /// Counted since the last call of clear().
   std::size_t unmatchedColour() const { return unmatched_colour_; }
   std::size_t unmatchedDepth() const { return unmatched_depth_; }
@@ -99,6 +104,12 @@ class FramePairer {
     std::size_t bytes;
   };
   using Queue = BoundedQueue<Waiting>;
+  /// What fits one of the oldest two better than the other one does, which is in vain then.
+  enum class Rival { kNone, kAwaited, kColour, kDepth };
+
+  // Rivals count when they are nearer by more than this [s]: near half a period, jitter would change the partners,
+  // which costs an image each time.
+  static constexpr double kAlike = 0.004;
 
   void push(Queue* queue, Waiting image) {
     if (!queue->entries().empty() && image.stamp <= queue->entries().back().stamp) {
@@ -107,6 +118,36 @@ class FramePairer {
     }
     const std::size_t bytes = image.bytes;
     queue->push(std::move(image), bytes);
+  }
+  /// The oldest colour image and the oldest depth image may be a pair.
+  bool candidates() const { return !colour_.entries().empty() && !depth_.entries().empty() && gap() <= tolerance_; }
+  double gap() const { return std::abs(depth_.entries().front().stamp - colour_.entries().front().stamp); }
+
+  /// Only the stream of the older candidate can bring one: the other's next image is farther away.
+  Rival findRival(double now) const {
+    const Waiting &colour = colour_.entries().front(), &depth = depth_.entries().front();
+    const bool of_colour = colour.stamp <= depth.stamp;
+    const std::deque<Waiting>& rivals = of_colour ? colour_.entries() : depth_.entries();
+    if (gap() <= kAlike) return Rival::kNone;
+    if (rivals.size() < 2)
+      return now - std::max(colour.arrival, depth.arrival) < patience_ ? Rival::kAwaited : Rival::kNone;
+    const double nearest = std::abs(rivals[1].stamp - (of_colour ? depth : colour).stamp);
+    if (nearest >= gap() - kAlike) return Rival::kNone;
+    return of_colour ? Rival::kColour : Rival::kDepth;
+  }
+  void takePair() {
+    Waiting a = colour_.pop(), b = popDepth();
+    pair_ = Pair{a.stamp, std::move(a.image), std::move(b.image), a.bytes + b.bytes};
+  }
+  void noteMiss(double stamp) {
+    const std::deque<Waiting>& depth = depth_.entries();
+    if (older_depth_) closest_miss_ = *older_depth_ - stamp;
+    if (!depth.empty() && (!older_depth_ || depth.front().stamp - stamp < stamp - *older_depth_))
+      closest_miss_ = depth.front().stamp - stamp;
+  }
+  void dropColour() {
+    colour_.pop();
+    ++unmatched_colour_;
   }
   Waiting popDepth() {
     older_depth_ = depth_.entries().front().stamp;

@@ -11,11 +11,12 @@
 
 #include "air_ground_common/encoded_image.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/rvl.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
 
-/// What compressed_depth_image_transport writes before the PNG.
+/// What compressed_depth_image_transport writes before the image.
 struct DepthHeader {
   std::int32_t format = 0;
   float quantization[2] = {0, 0};  ///< inverse depth of 32FC1: z = [0] / (value - [1])
@@ -44,7 +45,10 @@ sensor_msgs::Image::Ptr depthImage(const sensor_msgs::CompressedImage& msg) {
   DepthHeader header;
   if (msg.data.size() <= sizeof header) throw std::invalid_argument("compressed depth: it has no data");
   std::memcpy(&header, msg.data.data(), sizeof header);
-  cv::Mat image = decoded(msg.data.data() + sizeof header, msg.data.size() - sizeof header);
+  const std::uint8_t* data = msg.data.data() + sizeof header;
+  const std::size_t size = msg.data.size() - sizeof header;
+  const bool rvl = msg.format.find("compressedDepth rvl") != std::string::npos;
+  const cv::Mat image = rvl ? decodeRvl(data, size) : decoded(data, size);
   if (image.type() != CV_16UC1) throw std::invalid_argument("compressed depth: not an image of 16 bits");
   const bool metres = msg.format.rfind(sensor_msgs::image_encodings::TYPE_32FC1, 0) == 0;
   if (!metres)

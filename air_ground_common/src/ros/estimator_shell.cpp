@@ -388,6 +388,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
       health_.count("IMU samples refused: stamp not later than the last one's, or a reading that leaps and comes back");
   last_stamp_ = frame.stamp;
   EstimatorResult result = estimator_.process(frame);
+  if (const std::string why = mountings_.moved(); result.pose_published && !why.empty()) result.withhold(why);
   imu_lead_ = estimator_.imuLead();
   air_ground::VoStatus& status = result.status;
   status.header.stamp = frame.stamp;
@@ -434,11 +435,7 @@ void EstimatorShell::dropEstimator() {
 /// `all`: calibration and mountings are read again, too.
 void EstimatorShell::resetEstimator(bool all) {
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
-  if (estimator_.exists() && all) {
-    dropEstimator();
-  } else if (estimator_.exists()) {
-    estimator_.reset();
-  }
+  if (estimator_.exists()) all ? dropEstimator() : estimator_.reset();
   imu_input_.reset();
   if (all) imu_seen_ = false;
   estimator_.forgetMap();

@@ -6,6 +6,8 @@
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/sensor_input.h"
+#include "air_ground_common/text.h"
+#include "air_ground_common/units.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -32,8 +34,12 @@ std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const st
     *why = "the " + sensor + "'s messages name no frame. Set the parameter " + sensor + "_frame, or base_" + sensor;
     return std::nullopt;
   }
-  if (buffer_.canTransform(base_frame_, sensor_frame, ros::Time(0)))
-    return fromMsg(buffer_.lookupTransform(base_frame_, sensor_frame, ros::Time(0)).transform);
+  if (buffer_.canTransform(base_frame_, sensor_frame, ros::Time(0))) {
+    const Pose T_base_sensor = fromMsg(buffer_.lookupTransform(base_frame_, sensor_frame, ros::Time(0)).transform);
+    const std::lock_guard<std::mutex> lock(mutex_);
+    looked_up_[sensor_frame] = T_base_sensor;
+    return T_base_sensor;
+  }
   std::vector<std::string> known;
   buffer_._getFrameStrings(known);
   *why = "the mounting of the " + sensor + " is not known: no transform '" + base_frame_ + "' <- '" + sensor_frame +
@@ -42,6 +48,23 @@ std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const st
          sensor_frame + "), or set the parameter base_" + sensor +
          (known.empty() ? "" : ", or base_frame or " + sensor + "_frame if they have other names here");
   return std::nullopt;
+}
+
+std::string Mountings::moved() const {
+  constexpr double kTurned = 0.02, kShifted = 0.01;  // [rad], [m]
+  const std::lock_guard<std::mutex> lock(mutex_);
+  for (const auto& [frame, T_base_sensor] : looked_up_) {
+    if (!buffer_.canTransform(base_frame_, frame, ros::Time(0))) continue;
+    const Pose T_now = fromMsg(buffer_.lookupTransform(base_frame_, frame, ros::Time(0)).transform);
+    const double turned = rotationAngle(T_base_sensor.linear(), T_now.linear());
+    const double shifted = (T_base_sensor.translation() - T_now.translation()).norm();
+    if (turned > kTurned || shifted > kShifted)
+      return formatted(
+          "'%s' has moved against '%s' by %.1f deg and %.3f m since the map began: name a frame that is "
+          "fixed to the sensors as base_frame, or call ~reset",
+          frame.c_str(), base_frame_.c_str(), turned / kDegree, shifted);
+  }
+  return "";
 }
 
 }  // namespace air_ground_common::ros_utils

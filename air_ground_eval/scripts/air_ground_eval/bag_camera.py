@@ -5,7 +5,7 @@ import re
 import cv2
 import numpy as np
 
-from . import pixel_range
+from . import pixel_range, run_lengths
 from .bag_finding import ERROR, OK, WARNING, Finding
 
 GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
@@ -139,6 +139,8 @@ def check_image(topic, stream, encodings):
 def picture(message):
     """The pixels of a compressed image, None where they cannot be decoded. A compressedDepth image begins with 12 bytes of its own."""
     data = np.frombuffer(message.data, np.uint8)
+    if 'compressedDepth rvl' in message.format:
+        return run_lengths.decode(data[12:].tobytes())
     try:
         return cv2.imdecode(data[12:] if 'compressedDepth' in message.format else data, cv2.IMREAD_UNCHANGED)
     except cv2.error:

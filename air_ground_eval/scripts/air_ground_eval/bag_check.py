@@ -129,6 +129,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += _pairs(present, streams)
     findings += _clocks(present, streams)
     findings += bag_frames.check_static(facts)
+    findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases)
     findings += _parts(facts)
     registration = _registration(present, streams)
     findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '')

@@ -82,6 +82,18 @@ def check_level(base):
                     f'--transform "ground_base_link {base} X Y Z QX QY QZ QW" beside the replay, with ground_base_frame:=ground_base_link')]
 
 
+def check_odometry(facts, robots, bases):
+    """Who else says where a base is: a replay leaves that out, and nobody does so on a live robot."""
+    result = []
+    for robot in robots:
+        parent = facts.moving.get(bases[robot], '')
+        if parent in ('', f'{robot}_odom', f'{robot}_map'):
+            continue
+        result.append(Finding(OK, f'/tf holds {parent} -> {bases[robot]}, which a replay leaves out, since {NODES[robot]} publishes where {bases[robot]} is: where that is the robot\'s own '
+                              f'odometry, run {NODES[robot]} with {robot}_odom_from_tf:=true {robot}_odom_frame:={parent} on the robot (and, to try it, in a replay)'))
+    return result
+
+
 def check(facts, present, streams, bases, unregistered):
     """Findings about the mountings. present: standard topic -> name; bases: robot -> body frame; unregistered: the depth camera's mounting is needed, too."""
     result, assumed = [], {}  # robot -> frames that a transform of ours connects with its base

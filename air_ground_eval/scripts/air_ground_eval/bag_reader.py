@@ -95,6 +95,7 @@ class BagFacts:
             for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
                 self.static_latched &= header.get('latching', b'0') in (b'1', '1')
                 self.add_static(message)
+            self.moving = {}  # child -> parent, of the transforms on /tf that change
             self.constant_on_tf = self._add_constant(bag)
 
     def add_static(self, message):
@@ -128,7 +129,9 @@ class BagFacts:
                         child = edge.child_frame_id.lstrip('/')
                         kept = first.setdefault(child, edge)
                         same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
-                        moved |= set() if same else {child}
+                        if not same:
+                            moved.add(child)
+                            self.moving[child] = edge.header.frame_id.lstrip('/')
                         seen.setdefault(child, set()).add(window)
             still = set(first) - moved - taken
             constant = {child for child in still if len(seen[child]) > windows // 2}

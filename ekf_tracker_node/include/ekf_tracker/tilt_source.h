@@ -25,8 +25,10 @@ class TiltSource {
   std::optional<air_ground_common::Pose> poseAt(double stamp, double tolerance = kSameStamp) const;
   /// Of the odometry [s]; minus infinity without any.
   double newestPose() const { return poses_.newest(); }
-  /// R_level_body by the accelerometer.
+  /// R_level_body by the accelerometer; empty where what it feels is not about gravity.
   std::optional<Eigen::Matrix3d> accelerometerTiltAt(double stamp) const;
+  /// It has not felt about gravity for so long that no flight explains it: its driver removes gravity, or counts in g.
+  bool lacksGravity() const;
 
   void clear();
 
@@ -36,11 +38,16 @@ class TiltSource {
   static constexpr double kKept = 30;            // [s]
   static constexpr double kTiltInterval = 0.02;  // of the accelerometer's tilts kept [s]
   static constexpr double kTiltTolerance = 0.2;  // [s]
+  // The smoothed specific force of a flight with its turns and climbs [m/s^2], and how long it may lie beyond [s].
+  static constexpr double kLeastGravity = 7, kMostGravity = 13, kLongestManoeuvre = 3;
+
+  static bool isGravity(const Eigen::Vector3d& force);
 
   air_ground_common::StampedBuffer<air_ground_common::Pose> poses_{kKept};
   air_ground_common::StampedBuffer<Eigen::Vector3d> ups_{kKept};  ///< specific force in the body, smoothed
   Eigen::Vector3d up_base_ = Eigen::Vector3d::Zero();
   std::optional<double> up_stamp_;
+  std::optional<double> odd_since_;  ///< up_base_ has not been about gravity [s]
 };
 
 }  // namespace ekf_tracker

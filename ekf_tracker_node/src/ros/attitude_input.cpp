@@ -65,7 +65,12 @@ void AttitudeInput::onAcceleration(const sensor_msgs::Imu::ConstPtr& msg) {
                          " ignored: not measured. Where the accelerometer has a topic of its own, name it by the "
                          "launch argument mav_imu_accel, or the parameter accel_topic");
   const auto R_base_sensor = rotationFrom(msg->header.frame_id);
-  if (force.allFinite() && R_base_sensor) tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
+  if (!force.allFinite() || !R_base_sensor) return;
+  tilts_.addSpecificForce(msg->header.stamp.toSec(), *R_base_sensor * force);
+  if (tilts_.lacksGravity())
+    health_.count("accelerations on " + accelerometer_.getTopic() +
+                  " tell no tilt: they are not about 9.81 m/s^2. Is gravity removed, or are they in g? Have the driver "
+                  "send specific force in m/s^2");
 }
 
 void AttitudeInput::onMagneticField(const sensor_msgs::MagneticField::ConstPtr& msg) {

@@ -121,10 +121,9 @@ class EkfTrackerNode {
     const ros::WallTime started = ros::WallTime::now();
     const auto R_level_base = attitude_.tiltAt(msg.header.stamp.toSec(), T_map_base);
     if (settings_.odometry_wait > 0 && !T_map_base)
-      health_.count(
-          R_level_base
-              ? "increments without mav/odometry of their stamp: tilt from the accelerometer, no tf"
-              : "increments without mav/odometry of their stamp, nor accelerations: roll and pitch neglected, no tf");
+      health_.count(R_level_base ? "increments without mav/odometry of their stamp: tilt from the accelerometer, no tf"
+                                 : "increments without mav/odometry of their stamp, nor usable accelerations: roll and "
+                                   "pitch neglected, no tf");
     bool replaced = false;
     IncrementResult result = IncrementResult::kInvalid;
     try {

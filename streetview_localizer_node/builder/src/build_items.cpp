@@ -136,8 +136,8 @@ class ImageList {
     Panorama& p = item->panorama;
     p.equirectangular = false;
     p.registered = true;
-    p.position_stddev = 0.02;  // bundle adjustment of good photographs
-    p.orientation_stddev = 0.001;
+    p.position_stddev = s_.pose_stddev;
+    p.orientation_stddev = s_.pose_angle_stddev;
     Pose T_world_camera = surveyed.T_crs_camera;
     Eigen::Vector3d place = surveyed.T_crs_camera.translation();
     place.z() *= model_.height_unit;

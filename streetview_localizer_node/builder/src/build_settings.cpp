@@ -35,6 +35,9 @@ std::string BuildSettings::fingerprint(const std::string& model_identity) const 
   // Behind "model" stands what databases did not tell before.
   out << "; model " << model_identity << "; geotags " << registration.geotag_stddev << " "
       << registration.heading_stddev << " " << registration.tilt_stddev << " " << registration.camera_height;
+  const BuildSettings usual;  // of databases that do not tell
+  if (pose_stddev != usual.pose_stddev || pose_angle_stddev != usual.pose_angle_stddev)
+    out << "; poses " << pose_stddev << " " << pose_angle_stddev;
   return out.str();
 }
 

@@ -189,6 +189,17 @@ TEST(DatabaseBuilder, SurveyedPhotographsGridConvergenceAndUnits) {
   EXPECT_LT((d.views[0].T_world_camera.translation() - view.T_world_camera.translation()).norm(), 5e-3);
   EXPECT_LT(air_ground_common::rotationAngle(d.views[0].T_world_camera.linear(), view.T_world_camera.linear()), 1e-5);
   EXPECT_GT(d.views[0].features.size(), 30u);
+  EXPECT_EQ(d.panoramas[0].position_stddev, 0.02);
+  EXPECT_EQ(d.panoramas[0].orientation_stddev, 0.001);
+  // A rough survey says so. What is stored was believed otherwise.
+  s.pose_stddev = 0.3;
+  s.pose_angle_stddev = 0.01;
+  EXPECT_TRUE(contains(messageOf([&] { buildDatabase(s); }), "poses 0.3 0.01"));
+  s.output = street.folder / "rough.gpkg";
+  EXPECT_EQ(buildDatabase(s).stored, 1);
+  const Panorama rough = loadDatabase(s.output).panoramas.at(0);
+  EXPECT_EQ(rough.position_stddev, 0.3);
+  EXPECT_EQ(rough.orientation_stddev, 0.01);
 }
 
 TEST(DatabaseBuilder, APhotographWhosePoseIsNotCorrectedIsRefusedUnlessWanted) {

@@ -82,7 +82,8 @@ int main(int argc, char** argv) {
   std::vector<double> origin, offset;
   double fov = s.views.horizontal_fov / kDegree, step = s.views.yaw_step / kDegree,
          incidence = s.back_projection.max_incidence / kDegree, search_yaw = s.registration.search_yaw / kDegree,
-         heading_stddev = s.registration.heading_stddev / kDegree, tilt_stddev = s.registration.tilt_stddev / kDegree;
+         heading_stddev = s.registration.heading_stddev / kDegree, tilt_stddev = s.registration.tilt_stddev / kDegree,
+         pose_angle_stddev = s.pose_angle_stddev / kDegree;
   std::string up = "z";
   BuildReport report;
   std::vector<double> pitches;
@@ -93,6 +94,14 @@ int main(int argc, char** argv) {
                  "CSV (image,lat,lon and, if known, alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
   app.add_option("--poses", s.poses,
                  "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model)");
+  app.add_option("--pose-stddev", s.pose_stddev,
+                 "of the positions of --poses, one axis [m]: the default is of bundle adjustment of good photographs, "
+                 "give what your survey states")
+      ->check(CLI::Range(1e-4, 100.0))
+      ->capture_default_str();
+  app.add_option("--pose-angle-stddev", pose_angle_stddev, "of their attitudes, one axis [deg]; the default the same")
+      ->check(CLI::Range(1e-4, 28.6))
+      ->capture_default_str();
   app.add_option("--images", s.images, "folder of the images [that of the list]; alone: geotags from EXIF");
   app.add_option("--every", s.take_every, "take every n-th image of the list")->capture_default_str();
   app.add_option("--first", s.take_first, "index of the first image taken")->capture_default_str();
@@ -173,6 +182,7 @@ int main(int argc, char** argv) {
     if (!origin.empty()) s.model_options.origin = Eigen::Vector3d(origin[0], origin[1], origin[2]);
     if (!offset.empty()) s.model_options.offset = Eigen::Vector3d(offset[0], offset[1], offset[2]);
     s.model_options.y_up = up == "y";
+    s.pose_angle_stddev = pose_angle_stddev * kDegree;
     adoptSearch(search_yaw, geotag_stddev->empty(), heading_given->empty() ? 0 : heading_stddev, tilt_stddev,
                 &s.registration);
     if (!camera.empty()) s.camera = air_ground_common::readCameraFile(camera);

@@ -112,8 +112,8 @@ std::optional<double> exifFocalLength(const std::string& path, int width) {
   const Dataset image = openImage(path);
   if (!image) return std::nullopt;
   const double equivalent = angle(image->GetMetadataItem("EXIF_FocalLengthIn35mmFilm"));
-  // The 35 mm frame is 36 mm wide.
-  if (equivalent > 5) return equivalent / 36 * std::max(width, image->GetRasterYSize());
+  // The same angle across the diagonal (CIPA DCG-001), which is that of 36 mm x 24 mm: sensors have other proportions.
+  if (equivalent > 5) return equivalent / std::hypot(36, 24) * std::hypot(width, image->GetRasterYSize());
   return std::nullopt;
 }
 

@@ -293,6 +293,19 @@ TEST(Geotags, OrientationsTurnTheImageOrMirrorIt) {
   EXPECT_FALSE(exifOrientation(folder / "none.jpg").mirrored);
 }
 
+// A lens of 26 mm sees 26 / 21.63 half diagonals far, whatever the proportions: by the width, 4:3 would be 4 % short.
+TEST(Geotags, EquivalentFocalLengthIsOfTheDiagonal) {
+  const TemporaryFolder folder;
+  for (const auto& [size, focal] :
+       {std::make_pair(cv::Size(360, 240), 260.0), {{400, 300}, 300.46}, {{300, 400}, 300.46}, {{480, 270}, 330.95}}) {
+    std::vector<uchar> jpeg;
+    cv::imencode(".jpg", cv::Mat(size, CV_8UC1, cv::Scalar(90)), jpeg);
+    const auto found = exifFocalLength(folder.write("a.jpg", withExifTag(jpeg, 0xA405, 26)), size.width);
+    ASSERT_TRUE(found) << size;
+    EXPECT_NEAR(*found, focal, 0.02) << size;
+  }
+}
+
 /// A JPEG whose EXIF has these GPS entries: letters or a byte, and rationals as pairs.
 class ExifImage {
  public:

@@ -35,14 +35,20 @@ inline std::string panoramaJpeg(const cv::Size& size, const cv::Size& cropped, c
                                kXmpEnd);
 }
 
-/// A JPEG with this orientation (1 to 8) in its EXIF and nothing else.
-inline std::string withOrientation(const std::vector<uchar>& jpeg, int orientation) {
-  const char entries[] = "II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0";  // one, tag 0x112, a short
-  std::string exif = std::string("Exif\0\0", 6) + std::string(entries, sizeof(entries) - 1);
-  exif += static_cast<char>(orientation) + std::string(7, '\0');  // its value, no further directory
+/// A JPEG whose EXIF has one tag, of a value below 256, and nothing else.
+inline std::string withExifTag(const std::vector<uchar>& jpeg, int tag, int value) {
+  std::string exif = std::string("Exif\0\0II*\0\x08\0\0\0\x01\0", 16);  // a directory of one
+  exif += static_cast<char>(tag & 255);
+  exif += static_cast<char>(tag >> 8);
+  exif += std::string("\x03\0\x01\0\0\0", 6) + static_cast<char>(value) + std::string(7, '\0');  // one short
   const std::size_t length = exif.size() + 2;
   return std::string("\xFF\xD8\xFF\xE1") + static_cast<char>(length >> 8) + static_cast<char>(length & 255) + exif +
          std::string(jpeg.begin() + 2, jpeg.end());
+}
+
+/// With this orientation (1 to 8).
+inline std::string withOrientation(const std::vector<uchar>& jpeg, int orientation) {
+  return withExifTag(jpeg, 0x112, orientation);
 }
 
 }  // namespace streetview_localizer

@@ -99,6 +99,7 @@ struct LocalizerResult {
   int view = -1;                       ///< its best view
   std::vector<int> searched;           ///< panoramas matched pairwise, best first
   bool used_prior = false;             ///< the prior chose them
+  bool contradicted = false;           ///< poses, or the mirror image, speak against each other: nothing more was tried
   bool quick = false;                  ///< no virtual views were made: the image itself was enough, or hopeless
   int features = 0;                    ///< of the image and, where made, its virtual views
   int matches = 0;                     ///< after k-VLD, all views together

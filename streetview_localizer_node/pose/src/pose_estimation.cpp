@@ -140,13 +140,27 @@ class Estimation {
   }
 
   PoseResult run() {
+    PoseResult result = found();
+    if (!prior_.up_camera) return result;
+    constexpr double kDoubtful = 0.3;  // of the matches
+    const std::size_t inliers = result.inliers.size();
+    double off = result.success ? detail::tilt(prior_, result.T_world_camera) : 0;
+    if (static_cast<double>(inliers) < kDoubtful * static_cast<double>(m_.size()))
+      off = std::max(off, tiltOfMore(inliers));
+    if (off <= detail::mostTilt(prior_)) return result;
+    refuse("the matches agree on an attitude " + std::to_string(std::lround(off * 180 / M_PI)) +
+           " degrees off gravity: is mav/odometry level with z up, and is the camera's frame optical (z forward)?");
+    return failed();
+  }
+
+ private:
+  PoseResult found() {
     if (!start() || !refine()) return failed();
     moveWalls();
     if (!chooseOnPlane()) return failed();
     return conclude();
   }
 
- private:
   bool refuse(const std::string& why) {
     reason_ = why;
     return false;
@@ -185,6 +199,20 @@ class Estimation {
       if (cost(*linear) < cost(pose_)) pose_ = *linear;
     }
     return true;
+  }
+
+  /// Where nothing, or a pose of a few chance inliers, fits the direction of gravity: how far from it the attitude is
+  /// on which far more matches agree without it [rad]; 0 where there is none.
+  double tiltOfMore(std::size_t inliers) const {
+    constexpr int kMostTries = 300;  // hopeless images, which come here too, shall not take twice the time
+    const std::size_t needed = std::max<std::size_t>(settings_.min_inliers, 2 * inliers);
+    if (m_.size() < needed) return 0;
+    PosePrior free = prior_;
+    free.up_camera.reset();
+    const auto start = detail::search(m_, free, settings_, std::min(kMostTries, settings_.max_iterations));
+    if (!start) return 0;
+    const auto T = detail::converge(m_, inliersOf(m_, *start), *start, settings_.inlier_threshold / 3, free, settings_);
+    return T && inliersOf(m_, *T).size() >= needed ? detail::tilt(prior_, *T) : 0;
   }
 
   /// Levenberg-Marquardt from the better of the two.

@@ -58,8 +58,7 @@ class ProgressiveSampler {
 bool plausible(const Matches& matches, const int (&sample)[3], const Pose& T, const PosePrior& prior) {
   const Eigen::Vector3d& centre = T.translation();
   if (centre.z() < prior.min_z - 1 || centre.z() > prior.max_z + 1) return false;
-  // Three noisy points fix gravity only roughly.
-  if (tilt(prior, T) > 0.35 + 3 * prior.up_stddev) return false;
+  if (tilt(prior, T) > mostTilt(prior)) return false;
   for (const int i : sample) {
     if (matches.normals[i].dot(centre - matches.points[i].p_map) < 0) return false;
   }
@@ -184,6 +183,8 @@ double tilt(const PosePrior& prior, const Pose& T_world_camera) {
   const Eigen::Vector3d up = T_world_camera.linear() * prior.up_camera->normalized();
   return std::atan2(up.head<2>().norm(), up.z());
 }
+
+double mostTilt(const PosePrior& prior) { return 0.35 + 3 * prior.up_stddev; }
 
 std::optional<Pose> refine(const Matches& m, const std::vector<int>& positions, const Pose& initial, double noise,
                            const PosePrior& prior, int iterations) {

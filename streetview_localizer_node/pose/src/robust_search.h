@@ -45,6 +45,9 @@ double facingShare(const Matches& matches, const std::vector<int>& positions, co
 /// Angle between the known and the hypothesis's direction up [rad]; 0 when unknown.
 double tilt(const PosePrior& prior, const Pose& T_world_camera);
 
+/// Tilt beyond which a sample is none: three noisy points fix gravity only roughly [rad].
+double mostTilt(const PosePrior& prior);
+
 /// Levenberg-Marquardt on the matches at `positions`, robust with the given noise [px], gravity as prior. Empty when it
 /// fails.
 std::optional<Pose> refine(const Matches& matches, const std::vector<int>& positions, const Pose& initial, double noise,

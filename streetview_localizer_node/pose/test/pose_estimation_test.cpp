@@ -336,6 +336,39 @@ TEST(PoseEstimation, RefusesWhatCannotGiveAPose) {
   EXPECT_FALSE(reasonOf(noise).empty());
 }
 
+// Odometry whose z is down, a camera's frame with the body's axes: named, not "walls seen from behind".
+TEST(PoseEstimation, WrongGravityIsNamedAndGivesNoPose) {
+  Random random(16);
+  for (int trial = 0; trial < 20; ++trial) {
+    const Scene s = facadeScene(random, {});
+    const Eigen::Vector3d up = s.T_world_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+    PosePrior prior;
+    prior.up_camera = up;
+    EXPECT_TRUE(estimatePose(s.matches, s.camera, s.source, prior, {}).success);
+    for (const Eigen::Vector3d& wrong : {Eigen::Vector3d(-up), Eigen::Vector3d(up.z(), -up.x(), -up.y())}) {
+      prior.up_camera = wrong;
+      const PoseResult r = estimatePose(s.matches, s.camera, s.source, prior, {});
+      EXPECT_FALSE(r.success);
+      int angle = 0;
+      EXPECT_EQ(std::sscanf(r.reason.c_str(), "the matches agree on an attitude %d degrees off gravity", &angle), 1)
+          << r.reason;
+      EXPECT_NEAR(angle, std::acos(std::max(-1.0, wrong.dot(up))) * 180 / M_PI, 5);
+    }
+  }
+  // Matches that agree on nothing say nothing of gravity.
+  FacadeSettings hopeless;
+  hopeless.inliers = 0;
+  hopeless.outliers = 60;
+  for (int trial = 0; trial < 20; ++trial) {
+    const Scene s = facadeScene(random, hopeless);
+    PosePrior prior;
+    prior.up_camera = s.T_world_camera.linear().transpose() * Eigen::Vector3d::UnitZ();
+    const PoseResult r = estimatePose(s.matches, s.camera, s.source, prior, {});
+    EXPECT_FALSE(r.success);
+    EXPECT_EQ(r.reason.find("gravity"), std::string::npos) << r.reason;
+  }
+}
+
 TEST(PoseEstimation, LeavesOutMatchesThatAreNotFinite) {
   Random random(7);
   Scene s = cloud(random, 60, 0, 0.5);

@@ -42,7 +42,8 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& s) {
     "tracker may be sure of a wrong place");
   v("use_gravity", s.use_gravity, "mav/odometry: roll and pitch of the body at the time of the image");
   v("gravity_max_age", s.gravity_max_age, {0.001, 10}, "s", "between its stamp and the image's");
-  v("gravity_wait", s.gravity_wait, {0, 10}, "s", "an image waits so long for it (wall time)");
+  v("gravity_wait", s.gravity_wait, {0, 10}, "s",
+    "an image waits so long for it, and for the transform of a camera that moves (wall time)");
   v.degrees("gravity_stddev", s.gravity_stddev, {0.01, 45}, "of the direction");
   describe(v, s.localizer);
 

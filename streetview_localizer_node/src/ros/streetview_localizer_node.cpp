@@ -4,7 +4,6 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/buffer.h>
 
 #include <atomic>
 #include <filesystem>
@@ -12,11 +11,12 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/parameters.h"
-#include "air_ground_common/ros/transform_input.h"
-#include "air_ground_common/text.h"
+#include "air_ground_common/ros/pixel_range.h"
+#include "camera_mounting.h"
 #include "outcome_publisher.h"
 
 namespace streetview_localizer {
@@ -147,22 +147,6 @@ class StreetviewLocalizerNode {
     if (pose && gate_.admit(kAttitudes, msg->header.stamp)) queue_.addAttitude(*pose);
   }
 
-  // Empty while it is not known, with the reason in `lacking`.
-  std::optional<Pose> baseFromCamera(const std::string& frame, std::string* lacking) {
-    const std::string base = air_ground_common::withoutSlash(settings_.base_frame);
-    if (frame == base) return Pose::Identity();
-    if (frame.empty()) {
-      *lacking = "neither images nor camera_info name a frame (parameter camera_frame)";
-      return std::nullopt;
-    }
-    try {
-      return ru::fromMsg(tf_.lookupTransform(base, frame, ros::Time(0)).transform);
-    } catch (const std::exception&) {
-      *lacking = "no transform from '" + frame + "' to '" + base + "' (publish_calibration can give one)";
-      return std::nullopt;
-    }
-  }
-
   // ---- Work ---------------------------------------------------------------------------------------------------------
 
   void work() {
@@ -179,11 +163,12 @@ class StreetviewLocalizerNode {
 
   void process(const Job& job) {
     std::string lacking;
-    const std::optional<Pose> T_base_camera = baseFromCamera(job.camera_frame, &lacking);
+    const std::optional<Pose> T_base_camera = mounting_.at(job.image->header.stamp, job.camera_frame, &lacking);
     if (!T_base_camera) health_.count("images without prior and fix: " + lacking);
     PosePrior prior;
     if (T_base_camera) prior = queue_.priorFor(job, *T_base_camera, prior_misses_ < settings_.prior_misses);
-    const cv::Mat image = ru::bgrFromMsg(*job.image);
+    if (std::exchange(pixel_pass_, job.pass) != job.pass) pixel_range_ = ru::PixelRange();  // another camera, maybe
+    const cv::Mat image = ru::bgrFromMsg(*pixel_range_.full(job.image));
     const LocalizerResult result = localizer_->localize(image, job.camera, prior);
     prior_misses_ = result.used_prior && !result.accepted() ? prior_misses_ + 1 : 0;
     if (!queue_.isCurrent(job)) return;  // time jumped back meanwhile: this image belongs to the past
@@ -195,7 +180,7 @@ class StreetviewLocalizerNode {
 
   void reset() {
     queue_.reset();
-    tf_.clear();  // of moving edges; fixed ones stay
+    mounting_.clear();
   }
 
   bool onReset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
@@ -210,12 +195,13 @@ class StreetviewLocalizerNode {
   const std::string info_topic_;
   ru::NodeHealth health_;
   ru::StreamGate gate_{kStreams, health_, [this] { onTimeJump(); }};  // of the callbacks, which share one thread
-  tf2_ros::Buffer tf_;
-  ru::TransformInput transforms_{tf_};
+  CameraMounting mounting_{settings_};
   ImageQueue queue_{settings_, health_};
-  std::unique_ptr<StreetviewLocalizer> localizer_;  // of the worker, as the next two
+  std::unique_ptr<StreetviewLocalizer> localizer_;  // of the worker, as the next four
   OutcomePublisher output_{settings_, health_};
   int prior_misses_ = 0;  // images in a row without a pose near the prediction
+  ru::PixelRange pixel_range_;
+  unsigned pixel_pass_ = 0;  // of the images that pixel_range_ has seen
   std::optional<ru::ImageInput> image_;
   ros::Subscriber camera_info_, prior_, attitude_;
   ros::ServiceServer reset_;

@@ -81,6 +81,14 @@ struct EstimatorResult {
   bool pose_published = false;  ///< by `publish`: what users wait for, in metres
   std::string advice;           ///< what to do about status.reason
   std::function<void()> publish = [] {};
+
+  /// No pose that is wrong for a reason that the estimator does not know.
+  void withhold(const std::string& reason) {
+    status.reason = reason;
+    pose_published = false;
+    advice.clear();
+    publish = [] {};
+  }
 };
 
 struct MapTrajectory {

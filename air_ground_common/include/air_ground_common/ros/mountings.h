@@ -3,6 +3,8 @@
 
 #include <tf2_ros/buffer.h>
 
+#include <map>
+#include <mutex>
 #include <optional>
 #include <string>
 
@@ -25,6 +27,10 @@ class Mountings {
   std::optional<Pose> lookup(const std::optional<Pose>& given, const std::string& frame, const std::string& sensor,
                              std::string* why) const;
 
+  /// What has moved against the base by more than 0.02 rad or 1 cm since it was last looked up, as a reason and what to
+  /// do; empty: nothing. A head that pans is no mounting.
+  std::string moved() const;
+
   /// Time has run back: tf would refuse, and complain of, all that comes until then. What is on /tf_static stays.
   void forgetMoving() { buffer_.clear(); }
 
@@ -32,6 +38,8 @@ class Mountings {
   std::string base_frame_;
   tf2_ros::Buffer buffer_;
   TransformInput transforms_;
+  mutable std::mutex mutex_;
+  mutable std::map<std::string, Pose> looked_up_;  // T_base_sensor by the sensor's frame, of those from tf
 };
 
 }  // namespace air_ground_common::ros_utils

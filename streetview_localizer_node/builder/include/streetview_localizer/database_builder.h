@@ -18,13 +18,15 @@
 namespace streetview_localizer {
 
 struct BuildSettings {
-  std::string model;    ///< CityGML, CityJSON, OBJ, or a folder of them
-  std::string images;   ///< folder; empty: the folder of the geotag file
-  std::string geotags;  ///< CSV or GeoJSON; empty: EXIF of the images, unless `poses` is given
-  std::string poses;    ///< surveyed photographs (readSurveyedImages) instead of geotags
-  std::string output;   ///< .gpkg, or "PG:..."
-  int take_every = 1;   ///< of the listed images ...
-  int take_first = 0;   ///< ... beginning with this one
+  std::string model;                 ///< CityGML, CityJSON, OBJ, or a folder of them
+  std::string images;                ///< folder; empty: the folder of the geotag file
+  std::string geotags;               ///< CSV or GeoJSON; empty: EXIF of the images, unless `poses` is given
+  std::string poses;                 ///< surveyed photographs (readSurveyedImages) instead of geotags
+  double pose_stddev = 0.02;         ///< of a surveyed position, one axis: bundle adjustment of good photographs [m]
+  double pose_angle_stddev = 0.001;  ///< of a surveyed attitude, one axis [rad]
+  std::string output;                ///< .gpkg, or "PG:..."
+  int take_every = 1;                ///< of the listed images ...
+  int take_first = 0;                ///< ... beginning with this one
 
   CityModelOptions model_options;
   North north = North::kTrue;       ///< what the geotags' headings are counted from

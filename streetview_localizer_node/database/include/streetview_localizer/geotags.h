@@ -49,7 +49,7 @@ std::vector<Geotag> readExif(const std::string& folder);
 /// comment.
 std::vector<SurveyedImage> readSurveyedImages(const std::string& path);
 
-/// Focal length in pixels from EXIF's 35 mm equivalent, if it has one.
+/// Focal length in pixels from EXIF's 35 mm equivalent, which is by the diagonal, if it has one.
 std::optional<double> exifFocalLength(const std::string& image, int width);
 
 /// From the file's header; empty for what is no image.
