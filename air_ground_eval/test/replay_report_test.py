@@ -369,10 +369,12 @@ class ReplayReport(unittest.TestCase):
             load = pacing.CpuLoad(['starved', 'asleep'])
             with subprocess.Popen(['sleep', '60']) as asleep:
                 load.processes = {'starved': processes[0].pid, 'asleep': asleep.pid}
-                time.sleep(0.5)
                 load.cores()
-                time.sleep(2)
-                used = load.cores()
+                for _ in range(20):  # until it has started, which waits for the processor, too
+                    time.sleep(1)
+                    used = load.cores()
+                    if load.wanted['starved'] > 0.8:
+                        break
                 asleep.kill()
             self.assertLess(used['starved'], 0.2)
             self.assertGreater(load.wanted['starved'], 0.8)
