@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "air_ground_common/geometry.h"
+#include "cell_box.h"
 #include "zmssd_kernel.h"
 
 namespace heightmap_mcl {
@@ -157,17 +158,7 @@ class Spectra {
 /// The part of a map that holds its defined cells; rows and columns before it, and behind.
 struct Cropped {
   explicit Cropped(const HeightMap& whole) {
-    int r0 = whole.height, r1 = -1, c0 = whole.width, c1 = -1;
-    for (int r = 0; r < whole.height; ++r) {
-      for (int c = 0; c < whole.width; ++c) {
-        if (std::isnan(whole.at(r, c))) continue;
-        r0 = std::min(r0, r);
-        r1 = std::max(r1, r);
-        c0 = std::min(c0, c);
-        c1 = std::max(c1, c);
-      }
-    }
-    if (r1 < 0) r0 = c0 = r1 = c1 = 0;
+    const auto [r0, r1, c0, c1] = definedBox(whole).value_or(CellBox{0, 0, 0, 0});
     row[0] = r0;
     row[1] = whole.height - 1 - r1;
     column[0] = c0;
@@ -343,6 +334,12 @@ struct FftCost::Impl {
     }
   }
 
+  FftSize neededFor(const Cropped& air, const CostSettings& settings) const {
+    const Margins air_rows(air.map, true), air_columns(air.map, false);
+    const double needed = settings.min_overlap * smaller(air_rows.first.back(), settings);
+    return {paddedSize(linesFor(air_rows, rows, needed)), paddedSize(linesFor(air_columns, columns, needed))};
+  }
+
   double smaller(double aerial_cells, const CostSettings& settings) const {
     return std::max(settings.cells(aerial_cells, static_cast<double>(cells.defined)), 1.0);
   }
@@ -381,10 +378,7 @@ CostMap emptyMap(const HeightMap& ground, const HeightMap& turned, double yaw, i
 }  // namespace
 
 FftSize FftCost::sizeFor(const HeightMap& turned, const CostSettings& settings) const {
-  const Cropped air(turned);
-  const Margins rows(air.map, true), columns(air.map, false);
-  const double needed = settings.min_overlap * impl_->smaller(rows.first.back(), settings);
-  return {paddedSize(linesFor(rows, impl_->rows, needed)), paddedSize(linesFor(columns, impl_->columns, needed))};
+  return impl_->neededFor(Cropped(turned), settings);
 }
 
 CostMap FftCost::operator()(const HeightMap& turned, double yaw, const CostSettings& settings,
@@ -412,7 +406,7 @@ void FftCost::compute(const HeightMap& turned, double yaw, const CostSettings& s
   if (air.bounds() && (ground.bounds.empty() || ground.cap != turned.cap)) {
     throw std::invalid_argument("FftCost: maps with bounds must have the same cap");
   }
-  const FftSize needed = sizeFor(turned, settings);
+  const FftSize needed = impl_->neededFor(cropped, settings);
   const auto size = impl_->sizeFor(std::max(needed.rows, least.rows), std::max(needed.columns, least.columns));
   const Plans& plans = size->plans;
   auto workspace = impl_->acquire(*size);

@@ -6,6 +6,7 @@
 
 #include "air_ground_common/first_exception.h"
 #include "air_ground_common/geometry.h"
+#include "cell_box.h"
 
 namespace heightmap_mcl {
 
@@ -52,18 +53,10 @@ double CostVolume::lowest() const {
 }
 
 Eigen::Vector2d centerOf(const HeightMap& map) {
-  int r0 = map.height, r1 = -1, c0 = map.width, c1 = -1;
-  for (int r = 0; r < map.height; ++r) {
-    for (int c = 0; c < map.width; ++c) {
-      if (std::isnan(map.at(r, c))) continue;
-      r0 = std::min(r0, r);
-      r1 = std::max(r1, r);
-      c0 = std::min(c0, c);
-      c1 = std::max(c1, c);
-    }
-  }
-  if (r1 < 0) return Eigen::Vector2d::Zero();
-  return {map.origin_x + 0.5 * (c0 + c1 + 1) * map.resolution, map.origin_y + 0.5 * (r0 + r1 + 1) * map.resolution};
+  const auto box = definedBox(map);
+  if (!box) return Eigen::Vector2d::Zero();
+  return {map.origin_x + 0.5 * (box->c0 + box->c1 + 1) * map.resolution,
+          map.origin_y + 0.5 * (box->r0 + box->r1 + 1) * map.resolution};
 }
 
 CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings,
