@@ -35,7 +35,9 @@ int main(int argc, char** argv) try {
   heightmap_mcl::AerialCloud aerial;
   aerial.points = positions(argv[1]);
   for (const auto& p : aerial.points) aerial.reference += p.cast<double>() / static_cast<double>(aerial.points.size());
-  for (int update = 0; update < 4; ++update)  // the particles gather around what the search found
+  // For the particles to gather around what the search found. Each time the cloud's evidence counts once more, which
+  // suits a demonstration: a robot adds each of its clouds once.
+  for (int update = 0; update < 4; ++update)
     if (!localizer.addAerial(aerial)) {
       std::fprintf(stderr, "%s holds no surface\n", argv[1]);
       return 1;

@@ -117,7 +117,7 @@ Matrix4d noiseOf(const Increment& increment, const FilterSettings& settings) {
   Matrix4d noise = increment.covariance;
   if (increment.gap) return noise;
   if (!increment.assumed_covariance) noise *= settings.covariance_factor;
-  // Spread over the parts that split() makes, floors would add up; as a rate at 20 Hz they do not.
+  // In proportion to time: the parts that split() makes of an increment add up to the same.
   const double steps = std::max(0.0, increment.stamp - increment.previous_stamp) * 20;
   noise.diagonal().head<3>().array() += std::pow(settings.min_translation_stddev, 2) * steps;
   noise(3, 3) += std::pow(settings.min_yaw_stddev, 2) * steps;

@@ -11,8 +11,8 @@ void describe(air_ground_common::ParameterVisitor& v, FilterSettings& f) {
     "multiplies the covariance that increments state; 0.1: the five-point samples of mav_vo scatter more than its "
     "poses. 1 for an odometry whose covariances are honest");
   v("min_translation_stddev", f.min_translation_stddev, {1e-6, 1}, "m, or the odometry's unit",
-    "floor of an increment; at 20 Hz");
-  v("min_yaw_stddev", f.min_yaw_stddev, {1e-7, 0.1}, "rad", "at 20 Hz");
+    "standard deviation that each 1/20 s adds to what increments state");
+  v("min_yaw_stddev", f.min_yaw_stddev, {1e-7, 0.1}, "rad", "the same of the heading");
   v("metric_scale_stddev", f.metric_scale_stddev, {0.001, 0.9}, "",
     "relative error of odometry that is metric and states no scale_variance");
   v("scale_drift", f.scale_drift, {0, 0.5}, "", "relative, per square root of metre travelled");

@@ -216,7 +216,8 @@ void HeightMapLocalizer::updateEstimate(bool new_map) {
   if (kept_->ownUnit()) e.scale_evidence = scale_->estimate().evidence;
   e.maps = maps_;
   e.restarts = restarts_;
-  if (!isPossible()) return;
+  e.reason = missing();
+  if (!e.reason.empty()) return;
   const auto spread = filter_.spread();
   e.particle_spread = spread.position;
   e.particle_spread_yaw = spread.yaw;
@@ -232,23 +233,20 @@ void HeightMapLocalizer::updateEstimate(bool new_map) {
   verify_volume_.reset();  // tens of megabytes
 }
 
-bool HeightMapLocalizer::isPossible() {
-  if (!hasGround()) {
-    estimate_.reason = "waiting for the ground map";
-  } else if (!hasAerial()) {
-    estimate_.reason = "waiting for an aerial cloud";
-  } else if (!filter_.initialized()) {
-    estimate_.reason = formatted(
+std::string HeightMapLocalizer::missing() const {
+  if (!hasGround()) return "waiting for the ground map";
+  if (!hasAerial()) return "waiting for an aerial cloud";
+  if (!filter_.initialized()) {
+    return formatted(
         "no placement where the maps share %.0f %% of the smaller one's cells: fly over what the ground robot saw",
         100 * settings_.min_overlap);
-  } else if (scaleIsOpen()) {
-    // At a scale that nothing singles out there is no place to verify.
-    estimate_.reason = formatted("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed",
-                                 estimate_.scale, estimate_.scale_evidence, settings_.own_unit.scale_evidence);
-  } else {
-    return true;
   }
-  return false;
+  // At a scale that nothing singles out there is no place to verify.
+  if (scaleIsOpen()) {
+    return formatted("another scale than %.3g fits about as well: evidence %.1f, %.1f is needed", estimate_.scale,
+                     estimate_.scale_evidence, settings_.own_unit.scale_evidence);
+  }
+  return "";
 }
 
 /// The best of all places, its rivals and the verdict on it.

@@ -7,6 +7,7 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
@@ -18,10 +19,6 @@ using air_ground_common::formatted;
 using air_ground_common::kDegree;
 
 constexpr int kTellingCells = 8;  // off the floor, that may contradict a pose though they are too few to verify one
-
-double largestSigma(const Eigen::Matrix3d& covariance) {
-  return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
-}
 
 /// ICP may move along what its last level finds open in levels before: it is put back where that is known.
 void hold(const KnownAlignment& known, RefineOutcome& out) {
@@ -369,7 +366,7 @@ void AlignmentRefiner::compareWithViews(RefineOutcome& out) const {
   if (!views_) return;
   const double squared = squaredSigmas(*views_, out.icp);
   out.view_sigmas = std::sqrt(squared);
-  out.seen = squared < settings_.view_squared_sigmas && isNearAlongOpen(*views_, out.icp);
+  out.seen = squared < settings_.known_squared_sigmas && isNearAlongOpen(*views_, out.icp);
   if (out.seen) hold(*views_, out);
 }
 
@@ -377,7 +374,7 @@ void AlignmentRefiner::compareWithCoarse(RefineOutcome& out) const {
   const Localizability& geometry = out.icp.localizability;
   if (!coarse_known_ || out.seen || geometry.complete()) return;
   if (geometry.needs_scale && !geometry.scale.localizable) return;
-  out.held = squaredSigmas(*coarse_known_, out.icp) < settings_.view_squared_sigmas &&
+  out.held = squaredSigmas(*coarse_known_, out.icp) < settings_.known_squared_sigmas &&
              isNearAlongOpen(*coarse_known_, out.icp);
   if (out.held) hold(*coarse_known_, out);
 }
@@ -397,8 +394,8 @@ void AlignmentRefiner::judge(RefineOutcome& out) const {
   }
   if (!icp.localizability.complete() && !out.seen && !out.held)
     return degenerate("the geometry does not fix: " + icp.localizability.describeMissing());
-  const double sigma = largestSigma(out.covariance.topLeftCorner<3, 3>());
-  const double sigma_angle = largestSigma(out.covariance.bottomRightCorner<3, 3>());
+  const double sigma = air_ground_common::largestStddev(out.covariance.topLeftCorner<3, 3>());
+  const double sigma_angle = air_ground_common::largestStddev(out.covariance.bottomRightCorner<3, 3>());
   if (sigma > settings_.max_sigma || sigma_angle > settings_.max_sigma_angle) {
     return degenerate(
         formatted("the geometry fixes the pose only to %.2f m and %.1f deg (1 sigma)", sigma, sigma_angle / kDegree));

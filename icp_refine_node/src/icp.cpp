@@ -240,8 +240,6 @@ IcpResult IcpChain::align(const Cloud& reading, const IcpReference& reference, c
   const auto start = std::chrono::steady_clock::now();
   IcpResult out;
   out.T_reference_reading = T_initial;
-  out.reading_points = reading.size();
-  out.reference_points = reference.cloud().size();
   const auto fail = [&](const std::string& why) {
     out.reason = why;
     out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

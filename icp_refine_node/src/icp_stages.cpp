@@ -199,10 +199,4 @@ NormalEquations normalEquations(const MatchedClouds& c, const std::vector<float>
   return out;
 }
 
-Similarity motion(const Vector7d& step, const Eigen::Vector3d& centre) {
-  Similarity out{std::exp(step[6]), air_ground_common::expSO3(step.segment<3>(3)), Eigen::Vector3d::Zero()};
-  out.t = centre + step.head<3>() - out * centre;
-  return out;
-}
-
 }  // namespace icp_refine

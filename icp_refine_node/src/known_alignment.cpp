@@ -1,4 +1,5 @@
 #include "icp_refine/known_alignment.h"
+#include "air_ground_common/covariance.h"
 
 #include <Eigen/Cholesky>
 
@@ -28,9 +29,7 @@ Vector6d difference(const KnownAlignment& known, const IcpResult& icp) {
 
 Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point) {
   const Eigen::Vector3d lever = point - known.centre;
-  Matrix6d J = Matrix6d::Identity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
-  Matrix6d out = J * known.covariance * J.transpose();
+  Matrix6d out = air_ground_common::covarianceAt(known.covariance, lever);
   out.topLeftCorner<3, 3>() += known.scale_stddev * known.scale_stddev * lever * lever.transpose();
   return out;
 }

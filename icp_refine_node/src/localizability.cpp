@@ -132,7 +132,6 @@ Localizability analyzeLocalizability(const MatchedClouds& c, const std::vector<f
   probes.bottomLeftCorner<1, 6>() = -(pseudoInverse(H.topLeftCorner<6, 6>()) * H.topRightCorner<6, 1>()).transpose();
   for (int k = 0; k < 6; ++k) {
     out.directions[k].v = eigen.vectors.col(k);
-    out.directions[k].eigenvalue = eigen.values[k];
   }
 
   std::array<Evidence*, 7> evidence;

@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/geometry.h"
+#include "increment.h"
+#include "metric_map.h"
 
 namespace mav_vo {
 
@@ -21,18 +24,6 @@ Pose moved(const Similarity& S, const Pose& T) {
 /// The ground map's vertical in the visual map.
 Eigen::Vector3d upIn(const AlignedScale& aligned) {
   return aligned.T_ground_visual.R.transpose() * Eigen::Vector3d::UnitZ();
-}
-
-void scaleIncrement(double scale, const Pose& T_base_camera, Increment* increment) {
-  // The camera moves by the scaled step; the base's lever arm is metric already.
-  Pose step = T_base_camera.inverse() * increment->T_previous_current * T_base_camera;
-  step.translation() *= scale;
-  increment->T_previous_current = T_base_camera * step * T_base_camera.inverse();
-  for (Eigen::Matrix4d* covariance : {&increment->covariance, &increment->pose_covariance}) {
-    covariance->topLeftCorner<3, 3>() *= scale * scale;
-    covariance->topRightCorner<3, 1>() *= scale;
-    covariance->bottomLeftCorner<1, 3>() *= scale;
-  }
 }
 
 }  // namespace
@@ -69,15 +60,8 @@ bool ExternalScale::differs(const AlignedScale& a, const AlignedScale& b) const 
 void ExternalScale::adopt(const AlignedScale& aligned) {
   adopted_ = aligned;
   candidate_.reset();
-  Similarity& S = T_map_visual_;
-  S.scale = aligned.T_ground_visual.scale;
-  S.R = air_ground_common::levelingRotation(upIn(aligned));
-  // Origin and heading 0 at the base_link of the first keyframe.
-  const Pose& first = aligned.T_visual_camera_first;
-  const double yaw = air_ground_common::yawOf(S.R * first.linear() * T_base_camera_.linear().transpose());
-  S.R = (Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()) * S.R).eval();
-  const Eigen::Vector3d p_camera_base = T_base_camera_.inverse().translation();
-  S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_camera_base);
+  T_map_visual_ =
+      metricMap(aligned.T_ground_visual.scale, upIn(aligned), aligned.T_visual_camera_first, T_base_camera_);
 }
 
 std::optional<Similarity> ExternalScale::T_map_visual(std::uint32_t map_id) const {
@@ -100,18 +84,14 @@ VoResult ExternalScale::metric(const VoResult& visual) const {
   r.depth_min *= S->scale;
   r.depth_max *= S->scale;
   r.T_map_camera = moved(*S, visual.T_map_camera);
-  Matrix6d J = Matrix6d::Zero();
-  J.topLeftCorner<3, 3>() = S->scale * S->R;
-  J.bottomRightCorner<3, 3>() = S->R;
-  r.camera_covariance = J * visual.camera_covariance * J.transpose();
+  r.camera_covariance = air_ground_common::transformed(visual.camera_covariance, *S);
   // What the scale leaves open grows from the map's origin.
   const Eigen::Vector3d p = r.T_map_camera.translation();
   r.camera_covariance.topLeftCorner<3, 3>() += adopted_->scale_stddev * adopted_->scale_stddev * p * p.transpose();
   const Pose T_camera_base = T_base_camera_.inverse();
   r.T_map_base = r.T_map_camera * T_camera_base;
-  J.setIdentity();
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(r.T_map_camera.linear() * T_camera_base.translation());
-  r.covariance = J * r.camera_covariance * J.transpose();
+  r.covariance =
+      air_ground_common::covarianceAt(r.camera_covariance, r.T_map_camera.linear() * T_camera_base.translation());
   if (r.increment) scaleIncrement(S->scale, T_base_camera_, &*r.increment);
   return r;
 }

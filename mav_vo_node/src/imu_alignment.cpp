@@ -30,7 +30,7 @@ constexpr double kMeanChi2Of3 = 3;            // likewise, the mean: an estimate
 constexpr double kMountingStep = 0.0175;      // least turn of an IMU against its mounting as told [rad]
 constexpr double kMountingRefinement = 4e-3;  // ... and of one that was estimated [rad]
 constexpr double kGyroMisfit = 4;             // of noise; above, gyro and images contradict each other
-constexpr double kMountingGain = 0.8;         // misfit of a first turn, as a share of that of what explains the rest
+constexpr double kMountingGain = 0.8;         // a first turn must cut the misfit to this share of the best without it
 constexpr int kMountingTracks = 50;           // of a pair; there is time to find it
 constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
 constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
@@ -211,7 +211,8 @@ std::optional<GyroRotation> ImuAlignment::cameraTurn(double stamp_a, double stam
                       std::hypot(gyroBiasStddev() * duration, trusted().timeOffsetStddev() * rate)};
 }
 
-// Hausman's test: a readout time that is taken for known makes the estimate surer, and wrong where it is not true.
+// After Hausman, with the wider covariance alone, which is cautious: a readout time that is taken for known makes the
+// estimate surer, and wrong where it is not true.
 bool ImuAlignment::contradictsShutter() const {
   const Eigen::Vector3d difference = shutter_alignment_->bias() - gyro_alignment_.bias();
   return difference.dot(shutter_alignment_->biasCovariance().ldlt().solve(difference)) > kChi2Of3;

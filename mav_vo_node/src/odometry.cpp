@@ -5,6 +5,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "air_ground_common/covariance.h"
 #include "increment.h"
 #include "odometry_impl.h"
 
@@ -188,6 +189,7 @@ VoResult Odometry::Impl::process(double stamp, const cv::Mat& gray) {
   made_keyframe = false;
   if (!std::isfinite(stamp) || stamp <= last_stamp) {
     fillResult(&result);
+    result.pose_valid = false;  // a repeated stamp is that of the last pose
     result.reason = "the image's stamp is not later than the last one's";
     return result;
   }
@@ -263,7 +265,7 @@ Matrix6d Odometry::Impl::mapCovariance() const {
   const Eigen::Vector3d p = pose.pose().translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
   if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
-  if (metric()) C += visual_frontend::tiltCovariance(kMapTilt, p);
+  if (metric()) C += air_ground_common::tiltCovariance(kMapTilt, p);
   C.diagonal().array() += 1e-10;
   return C;
 }
@@ -306,7 +308,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   if (!metric()) T_camera_base.translation() *= estimate.initialized() ? 1.0 / estimate.scale() : 0.0;
   result->T_map_base = pose.pose() * T_camera_base;
   result->covariance =
-      visual_frontend::covarianceAt(result->camera_covariance, pose.pose().linear() * T_camera_base.translation());
+      air_ground_common::covarianceAt(result->camera_covariance, pose.pose().linear() * T_camera_base.translation());
   if (metric() && estimate.initialized()) result->velocity = estimate.state().velocity();
 }
 

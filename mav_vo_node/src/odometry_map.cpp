@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "increment.h"
+#include "metric_map.h"
 #include "odometry_impl.h"
 #include "visual_frontend/image_memory.h"
 #include "visual_frontend/local_landmarks.h"
@@ -36,11 +37,6 @@ std::optional<UpDirection> upAtStart(const ImuAlignment& imu, double stamp, bool
   if (imu.up() && imu.up()->sigma < kMovingTilt) return imu.up();
   if (const auto up = imu.attitude(stamp); up && use_imu) return UpDirection{up->up_imu, kMovingTilt};
   return std::nullopt;
-}
-
-/// Rotation about the vertical that gives base_link heading 0.
-Eigen::Matrix3d headingZero(const Eigen::Matrix3d& R_map_base) {
-  return Eigen::AngleAxisd(-air_ground_common::yawOf(R_map_base), Eigen::Vector3d::UnitZ()).toRotationMatrix();
 }
 
 /// A view of the start as a keyframe.
@@ -245,15 +241,8 @@ void Odometry::Impl::transformMap(const air_ground_common::Similarity& S) {
 void Odometry::Impl::makeMetric() {
   adopt(adjuster.finish());
   const ScaleFilter::State estimate = scale.filter().state();
-  air_ground_common::Similarity S;
-  S.scale = estimate.scale;
-  S.R = air_ground_common::levelingRotation(-estimate.gravity());
-  const Pose first = map.keyframes().begin()->second.T_map_camera;
-  // Origin and heading 0 at the base_link of the first keyframe.
-  S.R = (headingZero(S.R * first.linear() * T_base_camera.linear().transpose()) * S.R).eval();
-  const Eigen::Vector3d p_first_base = T_base_camera.inverse().translation();
-  S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_first_base);
-  transformMap(S);
+  transformMap(
+      metricMap(estimate.scale, -estimate.gravity(), map.keyframes().begin()->second.T_map_camera, T_base_camera));
   revision.restart();
   metric_since = last_stamp;
   bias.accel = estimate.accel_bias;

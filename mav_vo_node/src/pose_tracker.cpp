@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "air_ground_common/statistics.h"
-#include "visual_frontend/keyframe_covariances.h"
 #include "visual_frontend/local_landmarks.h"
 
 namespace mav_vo {
@@ -297,7 +296,7 @@ void PoseTracker::transform(const air_ground_common::Similarity& S) {
   depth_min_ *= S.scale;
   depth_max_ *= S.scale;
   for (Matrix6d* covariance : {&result_.covariance, &previous_covariance_})
-    *covariance = visual_frontend::transformed(*covariance, S);
+    *covariance = air_ground_common::transformed(*covariance, S);
 }
 
 }  // namespace mav_vo

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/linear_algebra.h"
-#include "visual_frontend/keyframe_covariances.h"
 
 namespace rgbd_slam {
 
@@ -84,7 +84,7 @@ void KeyframeSurfaces::tie(KeyframeId id, KeyframeId reference, const Matrix6d& 
                            const visual_frontend::Map& map) {
   const Pose& T_map_camera = map.keyframe(id).T_map_camera;
   const Matrix6d information =
-      visual_frontend::aboutAxes(T_map_camera.linear().transpose(), air_ground_common::inverse(covariance));
+      air_ground_common::aboutAxes(T_map_camera.linear().transpose(), air_ground_common::inverse(covariance));
   ties_.push_back({reference, id, map.keyframe(reference).T_map_camera.inverse() * T_map_camera,
                    0.5 * (information + information.transpose())});
 }

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "visual_frontend/keyframe_covariances.h"
+#include "air_ground_common/covariance.h"
 
 namespace rgbd_slam {
 
@@ -24,7 +24,7 @@ visual_frontend::LoopEdge edgeOf(const visual_frontend::PlaceMatch& match, Keyfr
   loop.b = id;
   loop.T_a_b = match.T_place_query;
   // From the axes of the place to those of this camera.
-  loop.covariance = visual_frontend::aboutAxes(match.T_place_query.linear().transpose(), match.covariance);
+  loop.covariance = air_ground_common::aboutAxes(match.T_place_query.linear().transpose(), match.covariance);
   loop.covariance.diagonal().head<3>().array() += kPositionFloor * kPositionFloor;
   loop.covariance.diagonal().tail<3>().array() += kRotationFloor * kRotationFloor;
   return loop;

@@ -5,6 +5,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "air_ground_common/covariance.h"
 #include "slam_impl.h"
 
 namespace rgbd_slam {
@@ -38,7 +39,6 @@ SlamSettings::SlamSettings() {
   tracker.min_shi_tomasi = 4e-5;  // with depth, a faint corner is better than none
   bundle.max_iterations = 6;
   bundle.max_seconds = 0.5;
-  bundle.pixel_sigma = 1.0;
 }
 
 Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const SlamSettings& slam_settings)
@@ -121,7 +121,7 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   result.T_map_base = result.T_map_camera * T_camera_base;
   motion.addPose(stamp, result.T_map_camera, Matrix6d::Zero());
   result.covariance = covariances.at(id, result.T_map_camera.translation(), map) +
-                      visual_frontend::tiltCovariance(level.sigma(), result.T_map_base.translation());
+                      air_ground_common::tiltCovariance(level.sigma(), result.T_map_base.translation());
   result.covariance.diagonal().array() += 1e-10;
   result.inliers = tracks.count();
   return result;
@@ -301,12 +301,14 @@ void Slam::Impl::concludePose(const Matrix6d& camera_covariance, const Matrix6d&
   result->T_map_camera = lastPose();
   result->T_map_base = result->T_map_camera * T_camera_base;
   const Eigen::Vector3d lever = result->T_map_base.translation() - result->T_map_camera.translation();
-  result->covariance = visual_frontend::covarianceAt(camera_covariance, lever) +
-                       visual_frontend::tiltCovariance(level.sigma(), result->T_map_base.translation());
+  result->covariance = air_ground_common::covarianceAt(camera_covariance, lever) +
+                       air_ground_common::tiltCovariance(level.sigma(), result->T_map_base.translation());
   result->covariance.diagonal().array() += 1e-10;
   if (result->relocalized) return;
-  result->increment_covariance = 2 * visual_frontend::aboutAxes(result->T_map_base.linear().transpose(),
-                                                                visual_frontend::covarianceAt(frame_covariance, lever));
+  const Pose T_map_previous = result->T_map_base * result->T_previous_current_base.inverse();
+  result->increment_covariance =
+      2 * air_ground_common::aboutAxes(T_map_previous.linear().transpose(),
+                                       air_ground_common::covarianceAt(frame_covariance, lever));
 }
 
 // ---- Public interface

@@ -77,12 +77,6 @@ class Cameras {
   std::vector<Matrix7d> information_;
 };
 
-Similarity moved(const Vector7d& step, const Eigen::Vector3d& centre, const Similarity& T) {
-  const Eigen::Matrix3d R = air_ground_common::expSO3(step.segment<3>(3));
-  const double scale = std::exp(step[6]);
-  return {scale * T.scale, R * T.R, centre + scale * (R * (T.t - centre)) + step.head<3>()};
-}
-
 /// One guess a camera that the scale is known of, one a pair that lie apart.
 std::vector<Similarity> guesses(const std::vector<CameraInBoth>& cameras, const ScaleKnowledge& scale) {
   std::vector<Similarity> out;
@@ -141,7 +135,7 @@ Consensus consensusOf(const std::vector<CameraInBoth>& cameras, const ScaleKnowl
       return out;
     }
     const Vector7d step = solver.solve(n.g);
-    out.T_a_b = moved(step, out.centre, out.T_a_b);
+    out.T_a_b = air_ground_common::compose(air_ground_common::motion(step, out.centre), out.T_a_b);
     double cost = 0;
     out.agreeing = all.agreeing(out.T_a_b, settings.max_squared_sigmas, &cost);
     if (out.agreeing.empty()) {

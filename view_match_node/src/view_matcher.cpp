@@ -6,10 +6,10 @@
 #include <limits>
 #include <stdexcept>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
-#include "visual_frontend/keyframe_covariances.h"
 
 namespace view_match {
 namespace {
@@ -24,10 +24,6 @@ constexpr std::size_t kLeastDepths = 15;  // that tell the scale
 
 /// Of the optical axis over the horizon [rad].
 double elevationOf(const Pose& T_map_camera) { return std::asin(std::clamp(T_map_camera.linear()(2, 2), -1.0, 1.0)); }
-
-double largestSigma(const Eigen::Matrix3d& covariance) {
-  return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2]);
-}
 
 }  // namespace
 
@@ -114,7 +110,7 @@ void ViewMatcher::moveImages(KeyframeId gone, const std::vector<KeyframeId>& sta
     if (seen.keyframe != gone) continue;
     seen.keyframe = *nearest;
     seen.T_keyframe_camera = T_new_gone * seen.T_keyframe_camera;
-    seen.covariance = visual_frontend::aboutAxes(T_new_gone.linear(), seen.covariance);
+    seen.covariance = air_ground_common::aboutAxes(T_new_gone.linear(), seen.covariance);
   }
 }
 
@@ -279,7 +275,7 @@ CameraInBoth ViewMatcher::inBoth(const RecognisedImage& seen) const {
   out.scene = T_ground_keyframe * scenes_.at(seen.keyframe);
   out.scale = seen.scale;
   out.scale_stddev = seen.scale_stddev;
-  out.covariance = visual_frontend::aboutAxes(T_ground_keyframe.linear(), seen.covariance);
+  out.covariance = air_ground_common::aboutAxes(T_ground_keyframe.linear(), seen.covariance);
   out.covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * seen.distance, 2);
   out.covariance.diagonal().tail<3>().array() += std::pow(settings_.systematic_angle, 2);
   return out;
@@ -341,8 +337,8 @@ void ViewMatcher::judge(const std::vector<CameraInBoth>& cameras, const Consensu
   Matrix7d covariance = consensus.covariance;
   covariance.diagonal().head<3>().array() += std::pow(settings_.systematic * distance, 2);
   covariance.diagonal().segment<3>(3).array() += std::pow(settings_.systematic_angle, 2);
-  const double sigma = largestSigma(covariance.topLeftCorner<3, 3>());
-  const double sigma_angle = largestSigma(covariance.block<3, 3>(3, 3));
+  const double sigma = air_ground_common::largestStddev(covariance.topLeftCorner<3, 3>());
+  const double sigma_angle = air_ground_common::largestStddev(covariance.block<3, 3>(3, 3));
   const double sigma_scale = std::sqrt(covariance(6, 6));
   const std::string figures = formatted(
       "%d of %zu recognised images agree, 1 sigma %.3f m %.2f deg, scale %.4f +- %.4f", out->images, cameras.size(),

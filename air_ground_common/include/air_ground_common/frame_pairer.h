@@ -12,9 +12,9 @@
 
 namespace air_ground_common {
 
-/// Pairs are mutual nearest neighbours: an image waits for the next of its partner's rivals where that may be nearer.
-/// Which images pair follows from their stamps, not from when they come, unless a stream stops.
-/// T: anything copyable, e.g. a message pointer. Each stream in order of time. Not thread-safe.
+/// Pairs are mutual nearest neighbours: before two images are paired, the next one of the older image's stream is
+/// waited for where it could be nearer. Which images pair follows from their stamps, not from when they come, unless a
+/// stream stops. T: anything copyable, e.g. a message pointer. Each stream in order of time. Not thread-safe.
 template <typename T>
 class FramePairer {
  public:

@@ -289,7 +289,7 @@ void EstimatorShell::work() {
     } else {
       const bool image = frame_.has_value();
       try {
-        image ? attempt(*frame_) : idle();
+        image ? attemptFrame() : idle();
       } catch (const std::exception& e) {
         health_.count(std::string(image ? "images refused: " : "between images: ") + e.what());
         if (image) health_.withheld(std::string("images are refused: ") + e.what());
@@ -304,24 +304,24 @@ void EstimatorShell::idle() {
   if (estimator_.exists()) estimator_.idle();
 }
 
-/// Frees `frame_` unless its image is to wait for its mounting.
-void EstimatorShell::attempt(Assembler::Frame& waiting) {
+/// Leaves `frame_` only while its image waits for its mounting.
+void EstimatorShell::attemptFrame() {
   EstimatorFrame frame;
-  ImagePair& pair = waiting.image;
+  ImagePair& pair = frame_->image;
   frame.image = pair.image.pixels();
   pair.image = {frame.image, nullptr};  // once
   frame.stamp = frame.image->header.stamp;
-  const Obstacle obstacle = prepare(*frame.image, waiting.imu);
+  const Obstacle obstacle = prepare(*frame.image, frame_->imu);
   if (!obstacle.reason.empty()) {
     reportObstacle(obstacle, frame.stamp);
-    if (now() - waiting.arrival < settings_.transform_timeout) return;
+    if (now() - frame_->arrival < settings_.transform_timeout) return;
     health_.count("images without " + obstacle.lacking);
     frame_.reset();
     return;
   }
   frame.image = pixel_range_.full(frame.image);
   if (pairer_) frame.depth = pair.depth.pixels();
-  const std::deque<ImuInput::Sample> imu = std::move(waiting.imu);
+  const std::deque<ImuInput::Sample> imu = std::move(frame_->imu);
   frame_.reset();
   obstructed_since_ = -1;
   step(frame, imu);

@@ -178,7 +178,7 @@ void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial) {
   for (std::size_t i = 0; i < job.landmarks.size(); ++i)
     if (map.hasLandmark(job.landmarks[i])) map.landmark(job.landmarks[i]).position = job.problem.points[i];
   carryAlong(job, correction, map, inertial);
-  if (job.settings.remove_outliers) removeOutliers(job, map);
+  removeOutliers(job, map);
 }
 
 BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,

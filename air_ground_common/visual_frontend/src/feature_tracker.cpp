@@ -166,7 +166,6 @@ struct FeatureTracker::Impl {
     std::vector<float> error;
     cv::calcOpticalFlowPyrLK(lk_pyramid, current, before, *after, status, error, window, levels, criteria,
                              cv::OPTFLOW_USE_INITIAL_FLOW, 1e-4);
-    if (!settings.forward_backward) return status;
     std::vector<cv::Point2f> back = before;
     std::vector<unsigned char> back_status;
     // From a near start the coarse levels only cost time.

@@ -136,7 +136,7 @@ void ImuCoverage::add(const ImuBuffer& buffer, double t0, double t1) {
 bool AttitudeFilter::detectRest(const ImuBuffer::Mean& m) const {
   if (m.count < 10 || m.angular_velocity_std > settings_.rest_gyro_std ||
       m.specific_force_std > settings_.rest_accel_std ||
-      std::abs(m.specific_force.norm() - settings_.gravity) > settings_.max_norm_deviation) {
+      std::abs(m.specific_force.norm() - kGravity) > settings_.max_norm_deviation) {
     return false;
   }
   if (bias_known_ ? (m.angular_velocity - gyro_bias_).norm() > settings_.rest_gyro_change
@@ -179,8 +179,7 @@ void AttitudeFilter::add(const ImuSample& sample) {
   rest_samples_ = 0;
   const double norm = sample.specific_force.norm();
   if (!initialized_) {
-    if (m.count < 10 || std::abs(m.specific_force.norm() - settings_.gravity) > 2 * settings_.max_norm_deviation)
-      return;
+    if (m.count < 10 || std::abs(m.specific_force.norm() - kGravity) > 2 * settings_.max_norm_deviation) return;
     up_ = m.specific_force.normalized();
     up_sigma_ = 0.1;
     age_ = 0;
@@ -190,7 +189,7 @@ void AttitudeFilter::add(const ImuSample& sample) {
   // A direction fixed in the world turns against the body: du/dt = -omega x u.
   up_ = expSO3(-(sample.angular_velocity - gyro_bias_) * dt) * up_;
   age_ += dt;
-  if (norm > 1e-3 && std::abs(norm - settings_.gravity) < settings_.max_norm_deviation) {
+  if (norm > 1e-3 && std::abs(norm - kGravity) < settings_.max_norm_deviation) {
     // Young, the filter averages all it has seen.
     const double gain = std::min(1.0, dt / std::min(settings_.time_constant, age_ + 0.2));
     up_ += gain * (sample.specific_force / norm - up_);

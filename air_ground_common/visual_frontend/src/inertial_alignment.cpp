@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/linear_algebra.h"
 
 namespace visual_frontend {
@@ -19,13 +20,6 @@ namespace {
 double square(double x) { return x * x; }
 
 Eigen::Matrix3d isotropic(double sigma) { return Eigen::Matrix3d::Identity() * square(sigma); }
-
-/// Standard deviation along the worst direction.
-double worstSigma(const Eigen::Matrix3d& covariance) {
-  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen;
-  eigen.computeDirect(covariance, Eigen::EigenvaluesOnly);
-  return std::sqrt(std::max(0.0, eigen.eigenvalues().maxCoeff()));
-}
 
 constexpr int kRefusedInARow = 3;         // poses beyond the gate that mean a jump of the map, not an outlier
 constexpr double kInnovationMemory = 50;  // poses
@@ -125,12 +119,12 @@ bool InertialAlignment::start(const PoseMeasurement& pose, const ImuBuffer& imu)
   const double gap = stamp_ > 0 ? std::max(0.0, pose.stamp - stamp_) : 0;
   if (!gravity_started_) {
     const ImuBuffer::Mean mean = imu.mean(pose.stamp - 0.1, pose.stamp + 0.05);
-    if (mean.count == 0 || mean.specific_force.norm() < 0.1 * settings_.gravity) return false;
-    gravity_ = -settings_.gravity * (T_map_imu.linear() * mean.specific_force).normalized();
+    if (mean.count == 0 || mean.specific_force.norm() < 0.1 * kGravity) return false;
+    gravity_ = -kGravity * (T_map_imu.linear() * mean.specific_force).normalized();
     restartBlock(kGravityAt, isotropic(settings_.initial_acceleration));
     gravity_started_ = true;
   } else {
-    P_.block<3, 3>(kGravityAt, kGravityAt) += isotropic(settings_.gravity * settings_.map_tilt_walk * std::sqrt(gap));
+    P_.block<3, 3>(kGravityAt, kGravityAt) += isotropic(kGravity * settings_.map_tilt_walk * std::sqrt(gap));
     P_.block<3, 3>(kGyro, kGyro) += isotropic(settings_.noise.gyro_bias_walk * std::sqrt(gap));
     P_.block<3, 3>(kAccel, kAccel) += isotropic(settings_.noise.accel_bias_walk * std::sqrt(gap));
   }
@@ -169,7 +163,7 @@ void InertialAlignment::predict(const std::vector<ImuSample>& samples) {
   P_.topLeftCorner<9, 9>() += G * motion.covariance() * G.transpose();
   P_.block<3, 3>(kGyro, kGyro) += isotropic(settings_.noise.gyro_bias_walk * std::sqrt(dt));
   P_.block<3, 3>(kAccel, kAccel) += isotropic(settings_.noise.accel_bias_walk * std::sqrt(dt));
-  P_.block<3, 3>(kGravityAt, kGravityAt) += isotropic(settings_.gravity * settings_.map_tilt_walk * std::sqrt(dt));
+  P_.block<3, 3>(kGravityAt, kGravityAt) += isotropic(kGravity * settings_.map_tilt_walk * std::sqrt(dt));
 
   T_map_imu_.translation() += velocity_ * dt + 0.5 * dt * dt * gravity_ + R * motion.position();
   velocity_ += gravity_ * dt + R * motion.velocity();
@@ -227,7 +221,7 @@ void InertialAlignment::transform(const Pose& S_new_old) {
 std::optional<Eigen::Vector3d> InertialAlignment::cameraVelocity(double stamp, const ImuBuffer& imu) const {
   constexpr double kSettled = 0.15;  // standard deviation [m/s]
   if (!kinematics_known_ || stamp < stamp_ || stamp - stamp_ > 0.5 ||
-      worstSigma(P_.block<3, 3>(kVelocity, kVelocity)) > kSettled)
+      air_ground_common::largestStddev(P_.block<3, 3>(kVelocity, kVelocity)) > kSettled)
     return std::nullopt;
   Preintegration motion(settings_.noise, bias_);
   if (stamp > stamp_) {
@@ -254,7 +248,7 @@ std::optional<InertialEstimate> InertialAlignment::estimate() const {
     const Vector PHt = P_.middleCols<3>(kGravityAt) * H;
     S = H.dot(PHt.segment<3>(kGravityAt)) + square(settings_.gravity_norm_sigma);
     K = PHt / S;
-    dx = K * (settings_.gravity - gravity.norm() - H.dot(gravity_ - gravity));
+    dx = K * (kGravity - gravity.norm() - H.dot(gravity_ - gravity));
     gravity = gravity_ + dx.segment<3>(kGravityAt);
   }
   if (!(gravity.norm() > 1e-3)) return std::nullopt;
@@ -262,12 +256,11 @@ std::optional<InertialEstimate> InertialAlignment::estimate() const {
   InertialEstimate e;
   e.up = -gravity.normalized();
   const Eigen::Matrix3d tangent = Eigen::Matrix3d::Identity() - e.up * e.up.transpose();
-  e.up_sigma = worstSigma(tangent * P.block<3, 3>(kGravityAt, kGravityAt) * tangent) / settings_.gravity;
+  e.up_sigma = air_ground_common::largestStddev(tangent * P.block<3, 3>(kGravityAt, kGravityAt) * tangent) / kGravity;
   e.velocity = velocity_ + dx.segment<3>(kVelocity);
   e.gyro_bias = bias_.gyro + dx.segment<3>(kGyro);
-  e.gyro_bias_sigma = worstSigma(P.block<3, 3>(kGyro, kGyro));
+  e.gyro_bias_sigma = air_ground_common::largestStddev(P.block<3, 3>(kGyro, kGyro));
   e.accel_bias = bias_.accel + dx.segment<3>(kAccel);
-  e.accel_bias_sigma = worstSigma(P.block<3, 3>(kAccel, kAccel));
   e.poses = poses_;
   return e;
 }

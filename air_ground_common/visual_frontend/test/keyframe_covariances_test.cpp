@@ -71,13 +71,5 @@ TEST(KeyframeCovariances, MoveWithTheMap) {
   EXPECT_LT((C - Matrix6d(9 * d.asDiagonal())).norm(), 1e-9);
 }
 
-TEST(TiltCovariance, GrowsWithTheDistanceFromTheOrigin) {
-  const Matrix6d C = tiltCovariance(0.01, {3, 0, 2});
-  EXPECT_NEAR(C(0, 0), 4e-4, 1e-15);  // pitch, 2 m up
-  EXPECT_NEAR(C(1, 1), 4e-4, 1e-15);  // roll, 2 m up
-  EXPECT_NEAR(C(2, 2), 9e-4, 1e-15);  // pitch, 3 m along x
-  EXPECT_EQ(C(5, 5), 0);
-}
-
 }  // namespace
 }  // namespace visual_frontend

@@ -57,7 +57,7 @@ def estimated_from_poses(stamps, poses, covariances):
 class Noise:
     """What the tracker makes of an increment's covariance: its parameters of the same names."""
     covariance_factor: float = 1.0
-    min_translation_stddev: float = 0.001  # floor at 20 Hz [m, or the odometry's unit]
+    min_translation_stddev: float = 0.001  # added each 1/20 s [m, or the odometry's unit]
     min_yaw_stddev: float = 1e-4  # [rad]
 
     def of(self, increment):

@@ -27,9 +27,10 @@ struct FilterSettings {
   double max_initial_scale_stddev =
       0.3;  ///< relative: fixes too close together to give the scale better than this must wait
   // Odometry.
-  double covariance_factor = 1;           ///< multiplies the covariance that increments state
-  double min_translation_stddev = 0.001;  ///< floor of an increment [m, or the odometry's unit]
-  double min_yaw_stddev = 1e-4;           ///< floor of an increment [rad]
+  double covariance_factor = 1;  ///< multiplies the covariance that increments state
+  // Random walk added to what increments state: their variance grows by the square of these each 1/20 s.
+  double min_translation_stddev = 0.001;  ///< [m, or the odometry's unit]
+  double min_yaw_stddev = 1e-4;           ///< [rad]
   double gap_speed_stddev = 1.5;          ///< velocity while the odometry is silent [m/s]
   double gap_yaw_rate_stddev = 0.3;       ///< [rad/s]
   // Barometer.

@@ -89,8 +89,7 @@ class HeightMapLocalizer {
   void updateFilter();
   /// `new_map`: its evidence has not been gathered yet.
   void updateEstimate(bool new_map);
-  /// Sets the reason of an estimate that cannot be made yet.
-  bool isPossible();
+  std::string missing() const;  ///< for an estimate; empty: nothing
   void estimateFromPlaces(bool new_map);
   void believe(const FoundPlace& found, bool new_map);
   void renewParticles(const CostVolume& volume);

@@ -31,14 +31,14 @@ struct RefinerSettings {
   double retry_angle = 0.1;         ///< of heading [rad]
   double min_overlap = 0.08;        ///< smallest share of the aerial map that overlaps the ground map, by columns
   double max_rms = 0.05;            ///< largest RMS point-to-plane residual [m]
-  double guess_agreement = 0.85;    ///< the same where the coarse pose was but a guess
   double min_agreement = 0.7;       ///< smallest share of relief cells without contradiction (height_check.h)
-  double max_sigma = 0.15;          ///< largest standard deviation of the position, any direction [m]
-  double max_sigma_angle = 0.09;    ///< and of the rotation, any axis [rad]
-  int lost_after = 3;               ///< refinements in a row that contradict the tracked pose end tracking
-  /// By which it may differ from what the images tell: 99 % of six degrees of freedom. Wrong minima of little overlap
-  /// have been seen at 4.6 to 4.7 squared, right poses at 1.9.
-  double view_squared_sigmas = 16.8;
+  double guess_agreement = 0.85;  ///< instead of min_agreement: for what began at a guess, or far from the tracked pose
+  double max_sigma = 0.15;        ///< largest standard deviation of the position, any direction [m]
+  double max_sigma_angle = 0.09;  ///< and of the rotation, any axis [rad]
+  int lost_after = 3;             ///< refinements in a row that contradict the tracked pose end tracking
+  /// Largest squared distance, in sigmas of both, from the pose that images or the coarse alignment tell: 99 % of six
+  /// degrees of freedom. Wrong minima of little overlap were seen at 4.6 and 4.7 sigma, right poses within 2.1.
+  double known_squared_sigmas = 16.8;
   double coarse_distance = 0.5;  ///< a coarse pose this far from the refined one disagrees [m]
   double coarse_angle = 0.26;    ///< or this far in heading [rad]
   int coarse_disagreements = 3;  ///< in a row: then the coarse pose is tried against the refined one

@@ -24,12 +24,11 @@ struct IcpResult {
   Matrix7d covariance = 1e6 * Matrix7d::Identity();
   bool scale_estimated = false;  ///< false: held at the prior's mean
   Localizability localizability;
-  std::size_t reading_points = 0, reference_points = 0;  ///< after the filters
-  std::size_t inliers = 0;                               ///< matches with a weight > 0 in the last iteration
-  double overlap = 0;                                    ///< share of the reading's points that have an inlier match
-  double residual_rms = 0;                               ///< weighted RMS point-to-plane residual of the inliers [m]
-  int iterations = 0;                                    ///< over all levels
-  double seconds = 0;                                    ///< of align() alone
+  std::size_t inliers = 0;  ///< matches with a weight > 0 in the last iteration
+  double overlap = 0;       ///< share of the reading's points that have an inlier match
+  double residual_rms = 0;  ///< weighted RMS point-to-plane residual of the inliers [m]
+  int iterations = 0;       ///< over all levels
+  double seconds = 0;       ///< of align() alone
 };
 
 /// A reference cloud after the filters, with the search trees that the levels need. Make it once a change of the map.

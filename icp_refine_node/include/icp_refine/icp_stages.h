@@ -67,9 +67,6 @@ Vector7d jacobian(const MatchedClouds& clouds, std::size_t i, const Eigen::Vecto
 
 NormalEquations normalEquations(const MatchedClouds& clouds, const std::vector<float>& weights);
 
-/// The change that a step makes: p' = centre + exp(scale) exp(rotation) (p - centre) + translation.
-Similarity motion(const Vector7d& step, const Eigen::Vector3d& centre);
-
 enum class Check { kContinue, kConverged, kFailed };
 
 class TransformationChecker {

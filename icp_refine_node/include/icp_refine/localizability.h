@@ -52,7 +52,6 @@ struct Evidence {
 
 struct Direction : Evidence {
   Vector6d v = Vector6d::Zero();  ///< unit; translation, then rotation times mean_range
-  double eigenvalue = 0;          ///< of the scaled Hessian, as a share of the matches
 };
 
 struct Localizability {

@@ -11,12 +11,12 @@ namespace icp_refine {
 using air_ground_common::compose;
 using air_ground_common::inverse;
 using air_ground_common::Matrix6d;
+using air_ground_common::Matrix7d;
+using air_ground_common::motion;
 using air_ground_common::Pose;
 using air_ground_common::Similarity;
 using air_ground_common::Vector6d;
-/// Translation [m], rotation vector [rad], relative scale: p' = c + exp(scale) exp(rotation) (p - c) + translation.
-using Vector7d = Eigen::Matrix<double, 7, 1>;
-using Matrix7d = Eigen::Matrix<double, 7, 7>;
+using air_ground_common::Vector7d;
 
 /// The rigid transform, followed or not by a change of scale about the origin of frame b.
 inline Similarity similarity(const Pose& T_a_b, double scale = 1) {

@@ -2,6 +2,7 @@
 
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/ros/conversions.h"
 
 namespace icp_refine {
@@ -121,10 +122,8 @@ void AlignmentOutput::follow(const nav_msgs::Odometry& odometry, const Pose& T) 
     if (!T_ground_mav_map) return;
     const Pose T_ground_base = rigidAt(*T_ground_mav_map, T.translation()) * T;
     msg.pose.pose = ros_utils::toMsg(T_ground_base);
-    Matrix6d J = Matrix6d::Zero();
-    J.topLeftCorner<3, 3>() = T_ground_mav_map->scale * T_ground_mav_map->R;
-    J.bottomRightCorner<3, 3>() = T_ground_mav_map->R;
-    ros_utils::setCovariance(covarianceAbout(*aligned_, T_ground_base.translation()) + J * covariance * J.transpose(),
+    ros_utils::setCovariance(covarianceAbout(*aligned_, T_ground_base.translation()) +
+                                 air_ground_common::transformed(covariance, *T_ground_mav_map),
                              &msg.pose.covariance);
   }
   if (!covariance.allFinite()) return health_.count("odometry whose covariance is not finite");

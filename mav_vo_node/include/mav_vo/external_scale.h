@@ -40,7 +40,7 @@ class ExternalScale {
 
   /// Of that map, once known.
   std::optional<air_ground_common::Similarity> T_map_visual(std::uint32_t map_id) const;
-  double scaleStddev() const { return adopted_ ? adopted_->scale_stddev : 0; }  ///< relative
+  double relativeStddev() const { return adopted_ ? adopted_->scale_stddev : 0; }  ///< of the scale
   /// The result in the metric map, as an odometry with IMU gives it; unchanged while the scale of its map is not known.
   VoResult metric(const VoResult& visual) const;
   air_ground_common::Trajectory metric(const air_ground_common::Trajectory& visual, std::uint32_t map_id) const;

@@ -26,19 +26,33 @@ namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
 
+ros_utils::EstimatorNames names() {
+  ros_utils::EstimatorNames names;
+  names.image = "mav/camera/image_raw";
+  names.camera_info = "mav/camera/camera_info";
+  names.imu = "mav/imu/data";
+  names.status = "mav/vo_status";
+  names.node = "mav_vo";
+  names.subject = "visual odometry";
+  names.transport_argument = "mav_image_transport";
+  names.without_imu = "runs without gyro prior and stays without metric scale";
+  return names;
+}
+
+ros_utils::PosePublisherSettings poseOutput(const ros_utils::EstimatorSettings& frames) {
+  ros_utils::PosePublisherSettings output = ros_utils::poseOutputIn(frames);
+  output.odometry_topic = "mav/odometry";
+  output.path_topic = "mav/path";
+  return output;
+}
+
 class MavVoNode : private ros_utils::Estimator {
  public:
   explicit MavVoNode(const NodeSettings& settings)
       : settings_(settings),
         frames_(settings_.estimator),
-        shell_(handle_, settings.estimator,
-               {"mav/camera/image_raw", "mav/camera/camera_info", "mav/imu/data", "mav/vo_status", "", "mav_vo",
-                "visual odometry", "mav_image_transport", "", "runs without gyro prior and stays without metric scale"},
-               *this),
-        pose_publisher_(handle_,
-                        {frames_.map_frame, frames_.odom_frame, frames_.base_frame, "mav/odometry", "mav/path",
-                         frames_.publish_tf, frames_.odom_from_tf},
-                        shell_.health()) {
+        shell_(handle_, settings.estimator, names(), *this),
+        pose_publisher_(handle_, poseOutput(frames_), shell_.health()) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
     corrected_publisher_ = handle_.advertise<nav_msgs::Path>("mav/corrected_path", 20);

@@ -142,11 +142,12 @@ struct SlamResult {
   Pose T_map_base = Pose::Identity();
   Pose T_previous_current_base = Pose::Identity();  ///< motion since the last tracked frame, free of map corrections
   Matrix6d covariance = Matrix6d::Zero();           ///< of T_map_base's translation and rotation about the map's axes
-  std::optional<Matrix6d> increment_covariance;  ///< of T_previous_current_base by the noise of both frames, about the
-                                                 ///< base's axes; none after a loss
-  int tracked = 0;                               ///< features that reached this frame
-  int inliers = 0;                               ///< landmarks that agree with the pose
-  double rms = 0;                                ///< their reprojection error [sigma]
+  /// Of T_previous_current_base, about the axes of the earlier base: twice what this frame's noise tells stands for
+  /// both frames. None after a loss.
+  std::optional<Matrix6d> increment_covariance;
+  int tracked = 0;  ///< features that reached this frame
+  int inliers = 0;  ///< landmarks that agree with the pose
+  double rms = 0;   ///< their reprojection error [sigma]
   /// Lost for too long, the robot goes on without this map. Null: none.
   std::shared_ptr<const EndedMap> ended;
 };

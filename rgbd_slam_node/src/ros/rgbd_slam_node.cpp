@@ -55,20 +55,35 @@ std::string adviceFor(State state) {
   }
 }
 
+ros_utils::EstimatorNames names() {
+  ros_utils::EstimatorNames names;
+  names.image = "ground/rgb/image_raw";
+  names.camera_info = "ground/rgb/camera_info";
+  names.imu = "ground/imu/data";
+  names.status = "ground/slam_status";
+  names.depth = "ground/depth/image_raw";
+  names.node = "rgbd_slam";
+  names.subject = "SLAM";
+  names.transport_argument = "ground_image_transport";
+  names.depth_transport_argument = "ground_depth_transport";
+  names.without_imu = "runs without rotation prior, and levels the map by what lies flat in it";
+  return names;
+}
+
+ros_utils::PosePublisherSettings poseOutput(const ros_utils::EstimatorSettings& frames) {
+  ros_utils::PosePublisherSettings output = ros_utils::poseOutputIn(frames);
+  output.odometry_topic = "ground/odometry";
+  output.path_topic = "ground/path";
+  return output;
+}
+
 class RgbdSlamNode : private ros_utils::Estimator {
  public:
   explicit RgbdSlamNode(const NodeSettings& settings)
       : settings_(settings),
         frames_(settings_.estimator),
-        shell_(handle_, settings.estimator,
-               {"ground/rgb/image_raw", "ground/rgb/camera_info", "ground/imu/data", "ground/slam_status",
-                "ground/depth/image_raw", "rgbd_slam", "SLAM", "ground_image_transport", "ground_depth_transport",
-                "runs without rotation prior, and levels the map by what lies flat in it"},
-               *this),
-        pose_publisher_(handle_,
-                        {frames_.map_frame, frames_.odom_frame, frames_.base_frame, "ground/odometry", "ground/path",
-                         frames_.publish_tf, frames_.odom_from_tf},
-                        shell_.health()),
+        shell_(handle_, settings.estimator, names(), *this),
+        pose_publisher_(handle_, poseOutput(frames_), shell_.health()),
         depth_(handle_, "ground/depth/image_raw", "ground/depth/camera_info", settings_.depth, shell_.mountings(),
                shell_.health()),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()),

@@ -7,15 +7,16 @@
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
+#include "air_ground_common/units.h"
+
 namespace streetview_localizer {
 namespace {
 
 constexpr int kDisks = LineDescriptor::kDisks, kHistogram = LineDescriptor::kHistogram;
 constexpr int kDirections = LineDescriptor::kDirections;
-constexpr float kMinimumRadius = 3;     // of a disk, at the level it is read from [px]
-constexpr int kSmallestLevel = 48;      // [px]
-constexpr double kBlank = 60;           // mean magnitude of the Scharr filter (16 a grey level) that is noise
-constexpr double kRadian = M_PI / 180;  // a degree
+constexpr float kMinimumRadius = 3;  // of a disk, at the level it is read from [px]
+constexpr int kSmallestLevel = 48;   // [px]
+constexpr double kBlank = 60;        // mean magnitude of the Scharr filter (16 a grey level) that is noise
 
 /// Samples of a disk: a 5 x 5 grid without its corners.
 constexpr int kSamples = 21;
@@ -39,7 +40,8 @@ struct MatchFrame {
   MatchFrame(const cv::KeyPoint& q, const cv::KeyPoint& v)
       : query(q.pt.x, q.pt.y),
         view(v.pt.x, v.pt.y),
-        view_from_query(std::polar(v.size / q.size, static_cast<float>((v.angle - q.angle) * kRadian))),
+        view_from_query(
+            std::polar(v.size / q.size, static_cast<float>((v.angle - q.angle) * air_ground_common::kDegree))),
         query_from_view(1.f / view_from_query) {}
   Complex query, view;
   Complex view_from_query, query_from_view;

@@ -8,6 +8,7 @@
 #include <set>
 #include <stdexcept>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/text.h"
 
 namespace streetview_localizer {
@@ -106,10 +107,6 @@ void describeSpread(const std::vector<int>& inliers, const std::vector<Correspon
   e->view_angle = 4 * values[1] / std::max(1e-6, (mean - centre).norm());
 }
 
-double largestStddev(const Eigen::Matrix3d& covariance) {
-  return std::sqrt(covariance.selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff());
-}
-
 }  // namespace
 
 PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspondence>& correspondences,
@@ -149,8 +146,8 @@ PoseEvidence gatherEvidence(const PoseResult& result, const std::vector<Correspo
   if (result.alternative) e.alternative_distance = (result.alternative->T_world_camera.translation() - centre).norm();
   if (result.competitor)
     e.competitor_share = static_cast<double>(distinct(result.competitor->inliers, correspondences).size()) / k;
-  e.position_stddev = largestStddev(result.image_covariance.topLeftCorner<3, 3>());
-  e.angle_stddev = largestStddev(result.image_covariance.bottomRightCorner<3, 3>());
+  e.position_stddev = air_ground_common::largestStddev(result.image_covariance.topLeftCorner<3, 3>());
+  e.angle_stddev = air_ground_common::largestStddev(result.image_covariance.bottomRightCorner<3, 3>());
   return e;
 }
 

@@ -341,19 +341,4 @@ PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspon
   return hypothesis(detail::prepare(correspondences, camera), T_world_camera, correspondences, camera, settings);
 }
 
-Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever) {
-  Matrix6d J = Matrix6d::Identity();  // d (p + lever) = dp + rot x lever
-  J.topRightCorner<3, 3>() = -air_ground_common::skew(lever);
-  return J * covariance * J.transpose();
-}
-
-Eigen::Matrix4d xyzYawCovariance(const Matrix6d& covariance) {
-  const int index[4] = {0, 1, 2, 5};
-  Eigen::Matrix4d C;
-  for (int i = 0; i < 4; ++i) {
-    for (int j = 0; j < 4; ++j) C(i, j) = covariance(index[i], index[j]);
-  }
-  return C;
-}
-
 }  // namespace streetview_localizer

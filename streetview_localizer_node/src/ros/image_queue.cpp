@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/text.h"
 
 namespace streetview_localizer {
@@ -105,7 +106,7 @@ PosePrior ImageQueue::priorFor(const Job& job, const Pose& T_base_camera, bool u
   } else if (predicted) {
     prior.T_world_camera = predicted->pose * T_base_camera;
     const Eigen::Vector3d lever = predicted->pose.linear() * T_base_camera.translation();
-    prior.covariance = covarianceAt(predicted->covariance, lever);
+    prior.covariance = air_ground_common::covarianceAt(predicted->covariance, lever);
     const double moved = settings_.prior_speed * std::abs(predicted->stamp - stamp);
     prior.covariance.topLeftCorner<3, 3>() += moved * moved * Eigen::Matrix3d::Identity();
     if (Eigen::LLT<Matrix6d>(prior.covariance).info() != Eigen::Success) {

@@ -5,6 +5,7 @@
 
 #include <cmath>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/text.h"
 #include "match_message.h"
@@ -49,8 +50,8 @@ void OutcomePublisher::publish(const Job& job, const cv::Mat& image, const std::
 
 void OutcomePublisher::publishFix(const Job& job, const LocalizerResult& result, const Pose& T_base_camera) {
   const Pose T_world_base = result.pose.T_world_camera * T_base_camera.inverse();
-  const Matrix6d covariance =
-      covarianceAt(result.pose.covariance, T_world_base.translation() - result.pose.T_world_camera.translation());
+  const Matrix6d covariance = air_ground_common::covarianceAt(
+      result.pose.covariance, T_world_base.translation() - result.pose.T_world_camera.translation());
   if (!air_ground_common::isValid(T_world_base) || !covariance.allFinite())
     return health_.count("poses that are not finite");
   geometry_msgs::PoseWithCovarianceStamped msg;

@@ -5,16 +5,15 @@
 #include <string>
 #include <vector>
 
-#include "air_ground_common/geometry.h"
+#include "air_ground_common/similarity.h"
 
 namespace view_match {
 
 using air_ground_common::Matrix6d;
+using air_ground_common::Matrix7d;
 using air_ground_common::Pose;
 using air_ground_common::Similarity;
-/// Translation [m], rotation [rad], relative scale: p' = c + exp(scale) exp(rotation) (p - c) + translation.
-using Vector7d = Eigen::Matrix<double, 7, 1>;
-using Matrix7d = Eigen::Matrix<double, 7, 7>;
+using air_ground_common::Vector7d;
 
 /// One camera in both maps: T_a_camera as recognised in map a, T_b_camera as the odometry in map b has it.
 struct CameraInBoth {

@@ -29,6 +29,7 @@
 #include "air_ground_common/ros/image_input.h"
 #include "air_ground_common/ros/mountings.h"
 #include "air_ground_common/ros/pixel_range.h"
+#include "air_ground_common/ros/pose_publisher.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/trajectory.h"
 
@@ -59,6 +60,9 @@ struct EstimatorSettings {
 
 /// All but sync_tolerance and depth_transport.
 void describe(ParameterVisitor& visitor, EstimatorSettings& settings);
+
+/// Frames and tf as these settings say; the topics remain to be named.
+PosePublisherSettings poseOutputIn(const EstimatorSettings& settings);
 
 /// Names by which a node knows its topics (remapping applies), and what it calls things when it speaks to people.
 struct EstimatorNames {
@@ -180,7 +184,7 @@ class EstimatorShell {
 
   // Worker
   void work();
-  void attempt(Assembler::Frame& frame);
+  void attemptFrame();
   void idle();
   Obstacle prepare(const sensor_msgs::Image& image, const std::deque<ImuInput::Sample>& imu);
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);

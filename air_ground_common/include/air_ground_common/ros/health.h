@@ -18,8 +18,8 @@
 
 namespace air_ground_common::ros_utils {
 
-/// Topics have no order between them: after the process stood still, what has come on one is handled before what has
-/// come on another meanwhile. So long after a message is here, it tells what the other topics lack [s, wall clock].
+/// ROS keeps no order between topics: after a pause of the process, messages of one topic are handled before older ones
+/// of another. Wait this long after a message before concluding that another topic lacks its partner [s, wall clock].
 constexpr double kTopicsInStep = 0.3;
 
 /// Where the time ends that a stamp can hold [s], but for a day: beyond, roscpp and tf2 throw when they add to it or
@@ -112,12 +112,12 @@ class NodeHealth {
   std::map<std::string, Counter> counters_;  ///< by kind
   std::map<std::string, double> values_;
   Silence silence_;
-  // Of the timer's thread.
-  std::map<std::string, Input> silent_;  ///< to be said when the inquiry is over
-  std::shared_ptr<Inquiry> inquiry_;
   std::map<std::string, Timing> timings_;
   int level_ = 1;
   std::string line_ = "starting";
+  // Of the timer's thread.
+  std::map<std::string, Input> silent_;  ///< to be said when the inquiry is over
+  std::shared_ptr<Inquiry> inquiry_;
   ros::WallTime started_, watched_, running_;  ///< running_: since when the clock does without a pause
   ros::Time clock_;                            ///< when watched_
   diagnostic_updater::Updater updater_;

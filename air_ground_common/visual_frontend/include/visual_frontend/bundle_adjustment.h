@@ -28,7 +28,6 @@ struct BundleSettings {
   double max_seconds = 1.0;           ///< wall clock [s]; a result stopped by it is usable but not reproducible
   int threads = 1;
   double outlier_threshold = 3.0;  ///< sigmas; larger residuals are reported (and disconnected by applyBundle)
-  bool remove_outliers = true;     ///< applyBundle: disconnect them
 };
 
 struct InertialState {

@@ -31,7 +31,6 @@ struct TrackerSettings {
   int max_iterations = 20;            ///< per level
   double convergence = 0.02;          ///< step at which an iteration ends [px]
   double max_forward_backward = 1.0;  ///< distance after tracking there and back [px]
-  bool forward_backward = true;       ///< switch of that check (it costs one more tracking)
   double max_patch_difference =
       30.0;            ///< mean absolute difference of the windows after removing their means [grey levels]
   int border = 10;     ///< features nearer to the image's edge are dropped [px]

@@ -67,7 +67,6 @@ class ImuCoverage {
 
 struct AttitudeSettings {
   double time_constant = 8.0;       ///< of the accelerometer's correction; shorter while the filter is young [s]
-  double gravity = 9.81;            ///< [m/s^2]
   double max_norm_deviation = 0.6;  ///< samples whose specific force differs more from gravity do not correct [m/s^2]
   double rest_seconds = 0.5;        ///< at rest: for this long [s]
   double rest_gyro_std = 0.02;      ///< the scatter of the rates stays below [rad/s]

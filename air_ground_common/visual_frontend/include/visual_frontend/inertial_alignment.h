@@ -13,8 +13,7 @@ struct InertialAlignmentSettings {
   /// Coarser than the sensor's data sheet: vibration, time jitter and scale factors count as noise, and for the gyro
   /// the drift of the camera's rotation, some milliradians in a second.
   ImuNoise noise{3e-3, 2e-2, 1e-4, 1e-3};
-  double gravity = kGravity;         ///< [m/s^2]
-  double gravity_norm_sigma = 0.03;  ///< of that: latitude, height, scale factor of the accelerometer [m/s^2]
+  double gravity_norm_sigma = 0.03;  ///< of kGravity: latitude, height, scale factor of the accelerometer [m/s^2]
   double initial_gyro_bias = 0.1;    ///< standard deviation of each component before anything is known [rad/s]
   double initial_accel_bias = 0.2;   ///< the same [m/s^2]
   double initial_velocity = 1.5;     ///< the same [m/s]
@@ -37,7 +36,6 @@ struct InertialEstimate {
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< [rad/s]
   double gyro_bias_sigma = 0;                            ///< of the worst direction [rad/s]
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2]
-  double accel_bias_sigma = 0;                           ///< of the worst direction [m/s^2]
   int poses = 0;                                         ///< used so far
 };
 

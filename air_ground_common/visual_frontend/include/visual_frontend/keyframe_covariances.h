@@ -1,4 +1,4 @@
-// How well the keyframes of a map are known in it, and what follows for other poses.
+// How well the keyframes of a map are known in it.
 #pragma once
 
 #include <map>
@@ -6,18 +6,6 @@
 #include "visual_frontend/map.h"
 
 namespace visual_frontend {
-
-/// Covariance of a pose (x y z rotX rotY rotZ, map axes) carried over to a point that `lever` leads to, fixed to it.
-Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
-
-/// Of a pose at `position` in a map that leans by `sigma` [rad] about its origin's horizontal axes.
-Matrix6d tiltCovariance(double sigma, const Eigen::Vector3d& position);
-
-/// Of a pose after Map::transform.
-Matrix6d transformed(const Matrix6d& covariance, const air_ground_common::Similarity& S_new_old);
-
-/// About the axes of another frame, which R_new_old turns into.
-Matrix6d aboutAxes(const Eigen::Matrix3d& R_new_old, const Matrix6d& covariance);
 
 class KeyframeCovariances {
  public:

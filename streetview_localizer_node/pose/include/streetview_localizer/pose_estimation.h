@@ -106,11 +106,4 @@ std::vector<Correspondence> onMovedWalls(std::vector<Correspondence> corresponde
 PoseHypothesis scorePose(const Pose& T_world_camera, const std::vector<Correspondence>& correspondences,
                          const CameraModel& camera, const PoseSettings& settings);
 
-/// Covariance, in the order above, of the pose of another point of the same rigid body; `lever` leads to it, in world
-/// [m].
-Matrix6d covarianceAt(const Matrix6d& covariance, const Eigen::Vector3d& lever);
-
-/// (x, y, z, yaw) of a covariance in the order above: yaw is the rotation about the world's z.
-Eigen::Matrix4d xyzYawCovariance(const Matrix6d& covariance);
-
 }  // namespace streetview_localizer
