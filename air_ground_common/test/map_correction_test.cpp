@@ -39,7 +39,7 @@ double distance(const Similarity& a, const Similarity& b, const Eigen::Vector3d&
 TEST(MapCorrection, IsTheSimilarityThatThePosesWentThrough) {
   const PosesByStamp then = straightFlight();
   const Similarity S = someCorrection();
-  const auto [found, residual] = localCorrection(then, corrected(then, S), {2, 1, 2}, 1.4);
+  const auto [found, residual] = MapCorrection(then, corrected(then, S)).around({2, 1, 2}, 1.4);
   EXPECT_LT(residual, 2e-4);
   EXPECT_NEAR(found.scale, S.scale, 1e-4) << "a little less where the cameras' spread counts as small";
   EXPECT_LT(rotationAngle(found.R, S.R), 1e-9);
@@ -51,10 +51,38 @@ TEST(MapCorrection, CountsWhatIsNear) {
   const PosesByStamp then = straightFlight();
   PosesByStamp now = then;
   for (auto& [stamp, T] : now) T.translation().y() += 0.02 * T.translation().x();  // the flight has bent
-  const Similarity begin = localCorrection(then, now, {0, 1, 2}, 0.3).T_now_then,
-                   end = localCorrection(then, now, {4, 1, 2}, 0.3).T_now_then;
+  const Similarity begin = MapCorrection(then, now).around({0, 1, 2}, 0.3).T_now_then,
+                   end = MapCorrection(then, now).around({4, 1, 2}, 0.3).T_now_then;
   EXPECT_NEAR((begin * Eigen::Vector3d(0, 1, 2)).y(), 1, 0.006);
   EXPECT_NEAR((end * Eigen::Vector3d(4, 1, 2)).y(), 1.08, 0.006);
+}
+
+// Half an hour of flight: by definition, over all cameras.
+TEST(MapCorrection, LeavesOutOnlyWhatDoesNotCount) {
+  std::mt19937 rng(3);
+  std::normal_distribution<double> noise(0, 0.01);
+  PosesByStamp then, now;
+  for (int i = 0; i < 20000; ++i) {
+    Pose T(Eigen::Translation3d(20 * std::cos(0.003 * i), 15 * std::sin(0.007 * i), 2));
+    then[i * kStep] = T;
+    T.translation() += Eigen::Vector3d(noise(rng), noise(rng), 0.01 * T.translation().x());
+    T.linear() = expSO3({noise(rng), noise(rng), noise(rng)});
+    now[i * kStep] = T;
+  }
+  const MapCorrection correction(then, now);
+  for (const Eigen::Vector3d& centre : {Eigen::Vector3d(10, 3, 0), Eigen::Vector3d(-19, 0, 2)}) {
+    constexpr double kRadius = 0.7;
+    double sum = 0;
+    Eigen::Vector3d shift = Eigen::Vector3d::Zero(), middle = Eigen::Vector3d::Zero();
+    for (const auto& [stamp, T] : then) {
+      const double w = std::exp(-(T.translation() - centre).squaredNorm() / (2 * kRadius * kRadius));
+      sum += w;
+      middle += w * T.translation();
+      shift += w * (now[stamp].translation() - T.translation());
+    }
+    middle /= sum;
+    EXPECT_LT((correction.around(centre, kRadius).T_now_then * middle - middle - shift / sum).norm(), 1e-5);
+  }
 }
 
 TEST(MapCorrection, TellsHowFarTheMapHasBent) {
@@ -62,14 +90,14 @@ TEST(MapCorrection, TellsHowFarTheMapHasBent) {
   PosesByStamp now = corrected(then, someCorrection());
   int i = 0;
   for (auto& [stamp, T] : now) T.translation().z() += ++i % 2 ? 0.005 : -0.005;
-  EXPECT_NEAR(localCorrection(then, now, {2, 1, 2}, 0.7).residual, 0.005, 0.0003);
+  EXPECT_NEAR(MapCorrection(then, now).around({2, 1, 2}, 0.7).residual, 0.005, 0.0003);
 }
 
 TEST(MapCorrection, AFactorOfTwoIsNoCorrection) {
   const PosesByStamp then = straightFlight();
   for (const double scale : {2.1, 0.4}) {
     const auto correction =
-        localCorrection(then, corrected(then, {scale, Eigen::Matrix3d::Identity(), {0, 0, 0}}), {2, 1, 2}, 1.4);
+        MapCorrection(then, corrected(then, {scale, Eigen::Matrix3d::Identity(), {0, 0, 0}})).around({2, 1, 2}, 1.4);
     EXPECT_TRUE(std::isinf(correction.residual)) << scale;
     EXPECT_EQ(correction.T_now_then.scale, 1) << scale;
   }
@@ -86,7 +114,7 @@ TEST(MapCorrection, ACameraThatStoodTellsNoScale) {
     T.translation() *= 3;
     now[i * kStep] = T;
   }
-  EXPECT_NEAR(localCorrection(then, now, Eigen::Vector3d::Zero(), 1.4).T_now_then.scale, 1, 0.02);
+  EXPECT_NEAR(MapCorrection(then, now).around(Eigen::Vector3d::Zero(), 1.4).T_now_then.scale, 1, 0.02);
 }
 
 TEST(MapCorrection, NothingInCommonChangesNothing) {
@@ -94,7 +122,7 @@ TEST(MapCorrection, NothingInCommonChangesNothing) {
   PosesByStamp now;
   for (const auto& [stamp, T] : corrected(then, someCorrection())) now[stamp + kStep / 2] = T;
   for (const PosesByStamp& other : {PosesByStamp(), now}) {
-    const Similarity S = localCorrection(then, other, {2, 1, 2}, 1.4).T_now_then;
+    const Similarity S = MapCorrection(then, other).around({2, 1, 2}, 1.4).T_now_then;
     EXPECT_EQ(S.scale, 1);
     EXPECT_EQ(S.R, Eigen::Matrix3d::Identity());
     EXPECT_EQ(S.t, Eigen::Vector3d::Zero());

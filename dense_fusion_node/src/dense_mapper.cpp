@@ -173,10 +173,11 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
   constexpr double kBent = 0.02;
   const double radius = settings_.fusion_radius / unit_, most = kBent * settings_.sweep_radius / unit_;  // as set
   constexpr std::size_t kNewerOnes = 3;  // until then a poor map is better than none
+  const air_ground_common::MapCorrection correction(poses_, now);
   CloudCorrections since;
   std::size_t newer = made_.size();
   for (auto& [stamp, made] : made_) {
-    const auto [S, residual] = air_ground_common::localCorrection(poses_, now, made.place, made.growth * radius);
+    const auto [S, residual] = correction.around(made.place, made.growth * radius);
     made.bent = made.bent || residual > made.growth * most;
     --newer;
     if (!made.T_now_returned || (made.bent && newer >= kNewerOnes)) {
@@ -188,7 +189,7 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
     since[stamp] = S;
   }
   const Eigen::Vector3d here = last_.T_map_camera.translation() / unit_;
-  followHere(now, air_ground_common::localCorrection(poses_, now, here, growth() * radius).T_now_then);
+  followHere(now, correction.around(here, growth() * radius).T_now_then);
   for (auto& [stamp, T] : poses_)
     if (const auto known = air_ground_common::poseOfImage(now, stamp)) T = *known;
   corrected_ = now;
@@ -274,10 +275,11 @@ void DenseMapper::finishSweep() {
 
 // Told by where the next depth map begins: its end would come later.
 bool DenseMapper::endsGroup(const Eigen::Isometry3d& T_map_reference) const {
-  constexpr std::size_t kMaxGroup = 255;
+  // A camera that hovers or turns around never leaves the radius; on the way through it there are about ten.
+  constexpr std::size_t kMaxGroup = 30;
   return !group_.empty() &&
          (distance(group_.front().T_map_camera, T_map_reference) > growth() * settings_.fusion_radius ||
-          group_.size() >= kMaxGroup);
+          group_.size() - carried_over_ >= kMaxGroup);
 }
 
 std::optional<FusedMap> DenseMapper::fuseGroup() {

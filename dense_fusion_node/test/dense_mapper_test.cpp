@@ -146,6 +146,20 @@ TEST(DenseMapper, HoveringAndFlushingTwiceGiveNothing) {
   EXPECT_FALSE(mapper.flush());
 }
 
+// Forth and back over half a metre, as in an inspection: the fusion's radius is never left.
+TEST(DenseMapper, WanderingWithinTheRadiusGivesMapsToo) {
+  DenseMapper mapper(smallSettings());
+  constexpr int kFirst = 20, kLast = 36;
+  std::size_t maps = 0;
+  int i = kFirst, step = 1;
+  for (int k = 0; k < 240; ++k, i += step) {
+    maps += mapper.add(flight()[i], smallCamera(), std::int64_t{k} * 50000000, flightPose(i), 1.3, 2.05).has_value();
+    if (i + step < kFirst || i + step > kLast) step = -step;
+  }
+  EXPECT_GE(mapper.counters().depth_maps, 30u);
+  EXPECT_GE(maps, 1u);
+}
+
 TEST(DenseMapper, ResetForgetsTheMap) {
   DenseMapper mapper(smallSettings());
   for (int i = 0; i < 20; ++i) mapper.add(flight()[i], smallCamera(), i, flightPose(i), 1.3, 2.05);

@@ -35,20 +35,7 @@ void withhold(RefineStatus status, const std::string& reason, RefineOutcome* out
   out->scale_stddev = 0;
 }
 
-Eigen::Vector3d middle(const Cloud& cloud) {
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const auto& p : cloud.points) sum += p.cast<double>();
-  return sum / static_cast<double>(std::max<std::size_t>(1, cloud.size()));
-}
-
 }  // namespace
-
-Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base) {
-  const double yaw =
-      air_ground_common::yawOf(T_ground_map_base.linear()) - air_ground_common::yawOf(T_mav_map_base.linear());
-  const Pose turn = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
-  return air_ground_common::yawPose(yaw, T_ground_map_base.translation() - turn * T_mav_map_base.translation());
-}
 
 AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settings)
     : chain_(std::move(chain)), settings_(settings), scale_(settings.scale) {}
@@ -74,17 +61,21 @@ void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
 }
 
 void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& corrections) {
-  std::optional<Similarity> newest;
+  Similarity newest;
   air_ground_common::correctClouds(corrections, &aerial_, [&](const Similarity& S, Cloud* cloud) {
     *cloud = transformed(*cloud, S);
     removeInvalid(*cloud);
     newest = S;
   });
-  if (!newest) return;
-  const Similarity T_then_now = inverse(*newest);
-  if (tracked_) tracked_ = compose(*tracked_, T_then_now);
-  unconfirmed_.correctAerial(T_then_now);
-  if (coarse_known_) coarse_known_->T_ground_map_mav_map = compose(coarse_known_->T_ground_map_mav_map, T_then_now);
+  // Of the map around the clouds that a pose was found with, which may lie far behind.
+  const auto follow = [&](std::int64_t stamp, Similarity* T_ground_map_mav_map) {
+    const auto it = corrections.find(stamp);
+    const Similarity& S = it != corrections.end() && it->second ? *it->second : newest;
+    *T_ground_map_mav_map = compose(*T_ground_map_mav_map, inverse(S));
+  };
+  if (tracked_) follow(tracked_stamp_, &*tracked_);
+  if (UnconfirmedPose* first = unconfirmed_.first()) follow(first->stamp, &first->T_ground_map_mav_map);
+  if (coarse_known_) follow(coarse_stamp_, &coarse_known_->T_ground_map_mav_map);
 }
 
 void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
@@ -96,10 +87,13 @@ void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
 void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
   setCoarse(poseOf(coarse.T_ground_map_mav_map));
   coarse_known_ = coarse;
+  coarse_stamp_ = aerial_.empty() ? 0 : aerial_.back().first;
 }
 
 void AlignmentRefiner::groundMoved() {
   moved_grounds_ = kMovedGrounds;
+  unproven_ = tracked_.has_value();
+  coarse_.reset();
   coarse_known_.reset();
   views_.reset();
 }
@@ -202,7 +196,16 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen:
     if (other.status == RefineStatus::kConverged) out = other;
   }
   out.tracking = true;
-  if (disagreements_ < settings_.coarse_disagreements) return out;
+  const bool unproven = unproven_ && out.status != RefineStatus::kConverged;
+  if (unproven && views_) {
+    RefineOutcome other = attempt(reading, views_->T_ground_map_mav_map);
+    if (other.status == RefineStatus::kConverged && other.seen) {
+      other.reason = "the ground map was corrected; found where the images tell";
+      other.instead = true;
+      return other;
+    }
+  }
+  if (disagreements_ < (unproven ? 1 : settings_.coarse_disagreements)) return out;
   disagreements_ = 0;
   RefineOutcome other = attemptFromGuess(reading, *coarse_);
   if (other.status == RefineStatus::kConverged &&
@@ -218,12 +221,15 @@ RefineOutcome AlignmentRefiner::refineTracked(const Cloud& reading, const Eigen:
 void AlignmentRefiner::follow(bool from_tracking, RefineOutcome* out) {
   if (out->status == RefineStatus::kConverged) {
     tracked_ = out->T_ground_map_mav_map;
+    tracked_stamp_ = out->stamp;
+    unproven_ = false;
     rests_on_views_ = out->seen && !(out->icp.localizability.complete() && out->heights.conclusive);
     rejections_ = 0;
   } else if (from_tracking && out->contradicted) {
     // Whatever the status: a pose that is also degenerate is no excuse for heights that cannot be. The same clouds
-    // once more are no other contradiction.
-    if (out->stamp > std::exchange(contradicted_stamp_, out->stamp) && ++rejections_ >= settings_.lost_after) {
+    // once more are no other contradiction, but on another ground map where the last one has moved.
+    const bool other_data = out->stamp > std::exchange(contradicted_stamp_, out->stamp) || (unproven_ && new_ground_);
+    if (other_data && ++rejections_ >= settings_.lost_after) {
       tracked_.reset();
       rejections_ = disagreements_ = 0;
       out->reason += formatted("; lost after %d contradictions, back to the coarse alignment", settings_.lost_after);

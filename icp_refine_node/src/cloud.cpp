@@ -1,5 +1,6 @@
 #include "icp_refine/cloud.h"
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -43,6 +44,12 @@ Cloud transformed(const Cloud& cloud, const Similarity& T) {
 }
 
 Cloud transformed(const Cloud& cloud, const Pose& T) { return transformed(cloud, similarity(T)); }
+
+Eigen::Vector3d middle(const Cloud& cloud) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const auto& p : cloud.points) sum += p.cast<double>();
+  return sum / static_cast<double>(std::max<std::size_t>(1, cloud.size()));
+}
 
 std::size_t removeInvalid(Cloud& cloud) {
   std::vector<char> mask(cloud.size());

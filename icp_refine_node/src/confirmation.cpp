@@ -23,8 +23,4 @@ bool Confirmation::confirmedBy(const UnconfirmedPose& pose, const Eigen::Vector3
   return true;
 }
 
-void Confirmation::correctAerial(const Similarity& T_then_now) {
-  if (first_) first_->T_ground_map_mav_map = compose(first_->T_ground_map_mav_map, T_then_now);
-}
-
 }  // namespace icp_refine

@@ -121,12 +121,6 @@ class Iteration {
   NormalEquations equations_;
 };
 
-Eigen::Vector3d middle(const Cloud& cloud) {
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const auto& p : cloud.points) sum += p.cast<double>();
-  return sum / static_cast<double>(cloud.size());
-}
-
 Similarity normalized(Similarity T) {
   T.R = air_ground_common::normalized(poseOf(T)).linear();
   return T;

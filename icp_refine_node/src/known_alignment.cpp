@@ -27,6 +27,13 @@ Vector6d difference(const KnownAlignment& known, const IcpResult& icp) {
 
 }  // namespace
 
+Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base) {
+  const double yaw =
+      air_ground_common::yawOf(T_ground_map_base.linear()) - air_ground_common::yawOf(T_mav_map_base.linear());
+  const Pose turn = air_ground_common::yawPose(yaw, Eigen::Vector3d::Zero());
+  return air_ground_common::yawPose(yaw, T_ground_map_base.translation() - turn * T_mav_map_base.translation());
+}
+
 Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point) {
   const Eigen::Vector3d lever = point - known.centre;
   Matrix6d out = air_ground_common::covarianceAt(known.covariance, lever);

@@ -98,6 +98,73 @@ TEST_F(OutputTest, WhatIsHeldFollowsCorrectionsOfTheMavsMap) {
   EXPECT_LT((lastTransform() * (S * p) - centre).norm(), 1e-6);
 }
 
+TEST_F(OutputTest, TheAlignmentOfOldCloudsMovesNothingWhenTheMapIsCorrectedElsewhere) {
+  const auto scene = synthetic::makeScene(1);
+  ASSERT_NO_FATAL_FAILURE(align(scene));
+  const auto aligned = static_cast<std::int64_t>(converged_.header.stamp.toNSec());
+  ASSERT_NO_FATAL_FAILURE(flyOff(scene));
+  if (converged_.header.stamp.toNSec() != static_cast<std::uint64_t>(aligned))
+    GTEST_SKIP() << "found with other clouds";
+  expectHeld();
+  const Pose before = lastTransform();
+  air_ground_common::CloudCorrections corrections{{aligned, Similarity()}};
+  for (const std::int64_t stamp : far_) corrections[stamp] = Similarity{1, Eigen::Matrix3d::Identity(), {0.8, 0.3, 0}};
+  std_msgs::Header header;
+  header.stamp = ros::Time(now_);
+  header.frame_id = "mav_map";
+  estimates_.clear();
+  corrections_.publish(ros_utils::toMsg(corrections, header, 7));
+  ASSERT_TRUE(waitFor([this] { return !estimates_.empty(); }));
+  expectHeld();
+  EXPECT_LT((lastTransform().translation() - before.translation()).norm(), 1e-6);
+}
+
+// heightmap_mcl was started again, and dense_fusion sends it the clouds that it kept, the oldest first.
+TEST_F(OutputTest, CoarsePosesOfOldCloudsAreNoJumpOfTime) {
+  const auto scene = synthetic::makeScene(1);
+  ASSERT_NO_FATAL_FAILURE(align(scene));
+  for (int k = 0; k < 12; ++k) {
+    tick(0.5);
+    sendCoarse(offset(scene), AlignmentEstimate::STATUS_CONVERGED, 7);
+    ASSERT_TRUE(settle());
+  }
+  ASSERT_TRUE(waitFor([this] { return anyAerialPoint(); }));
+  maps_.clear();
+  estimates_.clear();
+  AlignmentEstimate old = converged_;
+  old.header.stamp = ros::Time(now_ - 60);
+  old.ground_map_id = 0;
+  coarse_.publish(old);
+  ASSERT_TRUE(settle());
+  for (const AlignmentEstimate& e : estimates_) EXPECT_NE(e.status, AlignmentEstimate::STATUS_SEARCHING) << e.reason;
+  transforms_.clear();
+  EXPECT_TRUE(waitFor([this] { return transforms_.size() >= 3; })) << "tf goes on";
+  for (const auto& map : maps_) EXPECT_GT(aerialPoints(map), 0u);
+}
+
+TEST_F(OutputTest, CoarsePosesInAnotherGroundMapAreNotTaken) {
+  const auto scene = synthetic::makeScene(1);
+  sendGroundStatus(3);
+  sendStatus(7);
+  ASSERT_TRUE(settle());
+  sendScene(scene);
+  AlignmentEstimate coarse;
+  coarse.header.stamp = ros::Time(now_);
+  coarse.header.frame_id = "ground_map";
+  coarse.child_frame_id = "mav_map";
+  coarse.pose.pose = ros_utils::toMsg(offset(scene));
+  coarse.status = AlignmentEstimate::STATUS_CONVERGED;
+  coarse.map_id = 7;
+  coarse.ground_map_id = 2;
+  coarse_.publish(coarse);
+  ASSERT_TRUE(awaitCount("coarse alignments of another ground map", 1));
+  ASSERT_TRUE(settle());
+  EXPECT_EQ(lastReason(), "waiting for a coarse alignment or a manual guess");
+  coarse.ground_map_id = 3;
+  coarse_.publish(coarse);
+  EXPECT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
+}
+
 TEST_F(OutputTest, WhoComesLaterHearsTheLastWord) {
   ASSERT_TRUE(settle());
   AlignmentEstimate last;

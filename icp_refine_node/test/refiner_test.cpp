@@ -1,40 +1,10 @@
 // The decisions around the chain: which guess, tracking, loss, competition with the coarse pose.
-#include <gtest/gtest.h>
-#include <yaml-cpp/yaml.h>
-
 #include <functional>
 
-#include "icp_refine/alignment_refiner.h"
-#include "synthetic_scene.h"
+#include "refiner_fixture.h"
 
 namespace icp_refine {
 namespace {
-
-class Refiner : public testing::Test {
- protected:
-  Refiner()
-      : scene(synthetic::makeScene(1)),
-        refiner(IcpChain(YAML::LoadFile(AIR_GROUND_SOURCE_DIR "/config/icp_refine.yaml")["chain"]), {}) {
-    refiner.setGround(scene.ground);
-    refiner.addAerial(1, scene.aerial);
-    centre = synthetic::centroid(scene.aerial);
-  }
-
-  Pose moved(double x, double y, double z, double yaw) const {
-    const Eigen::Vector3d m = scene.T_ground_map_mav_map * centre;
-    const Eigen::Matrix3d R = Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix();
-    Pose D = Pose::Identity();
-    D.linear() = R;
-    D.translation() = m + Eigen::Vector3d(x, y, z) - R * m;
-    return D * scene.T_ground_map_mav_map;
-  }
-
-  double error(const Similarity& T) const { return (T * centre - scene.T_ground_map_mav_map * centre).norm(); }
-
-  synthetic::Scene scene;
-  AlignmentRefiner refiner;
-  Eigen::Vector3d centre;
-};
 
 TEST_F(Refiner, SaysWhatItWaitsFor) {
   EXPECT_NE(refiner.refine().reason.find("coarse"), std::string::npos);
@@ -277,21 +247,6 @@ TEST_F(Refiner, ALeapIsBelievedOnceAnotherCloudConfirmsIt) {
   EXPECT_LT(errorOf(*refiner.refined()), 0.08);
 }
 
-TEST_F(Refiner, AMovedGroundIsTriedOnTwoMapsHoweverManyCome) {
-  refiner.setCoarse(scene.T_ground_map_mav_map);
-  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
-  refiner.groundMoved();
-  for (int k = 0; k < 5; ++k) refiner.setGround(scene.ground);
-  EXPECT_TRUE(refiner.groundHasMoved());
-  refiner.refine();
-  EXPECT_TRUE(refiner.groundHasMoved());
-  refiner.refine();  // on the same map
-  EXPECT_TRUE(refiner.groundHasMoved());
-  refiner.setGround(scene.ground);
-  refiner.refine();
-  EXPECT_FALSE(refiner.groundHasMoved());
-}
-
 TEST_F(Refiner, ACoarsePoseThatKeepsDisagreeingDoesNotReplaceABetterOne) {
   refiner.setCoarse(scene.T_ground_map_mav_map);
   ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
@@ -399,28 +354,6 @@ TEST_F(Refiner, AFlatFloorStaysDegenerateWhateverItsScale) {
   const auto out = refiner.refine();
   EXPECT_EQ(out.status, RefineStatus::kDegenerate) << out.reason;
   EXPECT_EQ(out.T_ground_map_mav_map.scale, 1);
-}
-
-// The MAV's map grows by 2 % about its origin and shifts; the ground robot's stays.
-TEST_F(Refiner, FollowsACorrectionOfTheAerialMap) {
-  refiner.setCoarse(moved(0.2, -0.1, 0.1, 0.06));
-  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
-  const Similarity S{1.02, Eigen::AngleAxisd(0.03, Eigen::Vector3d::UnitZ()).toRotationMatrix(), {0.2, -0.1, 0.05}};
-  refiner.correctAerial({{1, S}, {99, std::nullopt}});
-  const auto errorNow = [&](const Similarity& T) {
-    return (T * (S * centre) - scene.T_ground_map_mav_map * centre).norm();
-  };
-  EXPECT_LT(errorNow(*refiner.refined()), 0.08) << "at once";
-  EXPECT_NEAR(refiner.refined()->scale, 1 / 1.02, 0.01);
-  refiner.setScaleDeviation(0.02);
-  const auto out = refiner.refine();
-  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
-  EXPECT_TRUE(out.tracking);
-  EXPECT_LT(errorNow(out.T_ground_map_mav_map), 0.08);
-
-  refiner.correctAerial({{1, std::nullopt}});
-  EXPECT_NE(refiner.refine().reason.find("aerial"), std::string::npos) << "a cloud that is off in itself goes";
-  EXPECT_TRUE(refiner.tracking());
 }
 
 TEST(Similarity, InverseProductAndTheRigidTransformAtAPoint) {

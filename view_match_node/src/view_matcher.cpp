@@ -245,10 +245,21 @@ bool ViewMatcher::addImage(std::int64_t stamp, const cv::Mat& image, const air_g
 }
 
 void ViewMatcher::correctAerial(const air_ground_common::PosesByStamp& T_mav_camera) {
+  air_ground_common::PosesByStamp then;
+  for (const RecognisedImage& seen : images_) then[seen.image.stamp] = seen.image.T_mav_camera;
+  for (const Image& image : waiting_) then[image.stamp] = image.T_mav_camera;
+  const air_ground_common::MapCorrection correction(then, T_mav_camera);
+  // The factor by which the map has grown around it: depths in it are of its unit.
   const auto follow = [&](Image& image) {
-    if (const auto T = air_ground_common::poseOfImage(T_mav_camera, image.stamp)) image.T_mav_camera = *T;
+    const auto T = air_ground_common::poseOfImage(T_mav_camera, image.stamp);
+    if (!T) return 1.0;
+    const double grown = correction.around(image.T_mav_camera.translation(), image.distance).T_now_then.scale;
+    image.T_mav_camera = *T;
+    image.distance *= grown;
+    for (Eigen::Vector3d& landmark : image.seen) landmark.z() *= grown;
+    return grown;
   };
-  for (RecognisedImage& seen : images_) follow(seen.image);
+  for (RecognisedImage& seen : images_) seen.scale /= follow(seen.image);
   for (Image& image : waiting_) follow(image);
 }
 

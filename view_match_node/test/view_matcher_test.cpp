@@ -78,6 +78,25 @@ TEST_F(ViewMatching, ImagesFollowACorrectionOfTheMavsMap) {
   EXPECT_LT(error(e), 0.04);
 }
 
+// The MAV's map was 6 % too small: so are the depths of what its images showed then.
+TEST_F(ViewMatching, ScalesFollowACorrectionOfTheMavsMap) {
+  constexpr std::int64_t kStep = 50000000;
+  const Corner corner(1);
+  ViewMatcher matcher({});
+  matcher.setOwnUnit(true);
+  addGroundViews(corner, matcher);
+  const Similarity right = truth;
+  truth.scale *= 1.06;
+  for (int i = 0; i < 7; ++i) addView(corner, matcher, flown(i), i * kStep);
+  truth = right;
+  air_ground_common::PosesByStamp now;
+  for (int i = 0; i < 7; ++i) now[i * kStep] = inMavMap(flown(i));
+  matcher.correctAerial(now);
+  const MatchEstimate e = matcher.estimate();
+  ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
+  EXPECT_NEAR(e.T_ground_mav.scale / truth.scale, 1, 0.01);
+}
+
 TEST_F(ViewMatching, AMetricMapKeepsItsScale) {
   truth.scale = 1;
   const Corner corner(2);

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <vector>
 
 #include "air_ground_common/similarity.h"
 
@@ -34,12 +35,23 @@ struct LocalCorrection {
   double residual = 0;
 };
 
-/// Of the surroundings of `centre` (in the map as it was), by the cameras there: the similarity that takes poses as
-/// they were to what they are now, in the least-squares sense (Umeyama 1991, its rotation that of the attitudes, which
-/// positions along a straight flight leave open). A pose weighs exp(-d^2 / (2 radius^2)), d: its distance, beyond that
-/// of the nearest. Identity where no image is in both. Where the cameras lie within a small part of the radius they do
-/// not tell the scale, and it stays.
-LocalCorrection localCorrection(const PosesByStamp& then, const PosesByStamp& now, const Eigen::Vector3d& centre,
-                                double radius);
+/// A correction of a map, by the poses of the images that are in it before and after.
+class MapCorrection {
+ public:
+  MapCorrection(const PosesByStamp& then, const PosesByStamp& now);
+
+  /// Of the surroundings of `centre` (in the map as it was), by the cameras there: the similarity that takes poses as
+  /// they were to what they are now, in the least-squares sense (Umeyama 1991, its rotation that of the attitudes,
+  /// which positions along a straight flight leave open). A pose weighs exp(-(d^2 - n^2) / (2 radius^2)), d: its
+  /// distance, n: that of the nearest; below a millionth it is left out. Identity where no image is in both. Where the
+  /// cameras lie within a small part of the radius they do not tell the scale, and it stays.
+  LocalCorrection around(const Eigen::Vector3d& centre, double radius) const;
+
+ private:
+  struct Camera {
+    Pose then, now;
+  };
+  std::vector<Camera> cameras_;
+};
 
 }  // namespace air_ground_common

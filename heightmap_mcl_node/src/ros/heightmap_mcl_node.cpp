@@ -224,7 +224,9 @@ class HeightmapMclNode {
     // tf has no scale.
     const bool for_tf = converged && !work.own_unit;
     if (!inbox_.conclude(for_tf ? std::make_optional(e.T_ground_mav) : std::nullopt)) return;
-    coarse_.publish(toMsg(e, header, work.mav_frame, work.map_id));
+    air_ground::AlignmentEstimate coarse = toMsg(e, header, work.mav_frame, work.map_id);
+    coarse.ground_map_id = work.ground_map_id;
+    coarse_.publish(coarse);
     if (!e.has_pose) return;
 
     const Eigen::Vector3d reference = e.scale * (e.R_level * reference_);

@@ -168,6 +168,7 @@ std::optional<Work> Inbox::next() {
     if (cloudReady()) popCloud(work);
     if (!work.aerial && !work.ground && !work.command.any()) continue;
     work.map_id = mav_.map().id().value_or(0);
+    work.ground_map_id = ground_robot_.map().id().value_or(0);
     work.own_unit = mav_.map().ownUnit();
     work.ground_frame = ground_robot_.map().frame();
     work.mav_frame = mav_.map().frame();

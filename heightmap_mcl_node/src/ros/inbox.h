@@ -39,7 +39,7 @@ struct Work {
   sensor_msgs::PointCloud2ConstPtr ground, aerial;          // null: none
   std::optional<air_ground_common::StampedPose> reference;  // of the MAV at the aerial cloud's stamp
   bool own_unit = false;                                    // the aerial clouds are of a map without scale
-  std::uint32_t map_id = 0;
+  std::uint32_t map_id = 0, ground_map_id = 0;
   std::string ground_frame, mav_frame;
 };
 

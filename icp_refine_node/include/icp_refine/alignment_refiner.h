@@ -75,9 +75,6 @@ struct RefineOutcome {
   IcpResult icp;
 };
 
-/// Both maps hang from gravity: heading and place of one body in both fix the MAV's map in the ground robot's.
-Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base);
-
 /// Not thread-safe: one caller.
 class AlignmentRefiner {
  public:
@@ -117,7 +114,8 @@ class AlignmentRefiner {
   /// What the robots know of gravity in their maps: where both do, the maps' verticals are parallel as surely as that.
   void setAerialVertical(const Vertical& vertical) { aerial_vertical_ = vertical; }
   void setGroundVertical(const Vertical& vertical) { ground_vertical_ = vertical; }
-  /// The aerial map was corrected: its clouds follow, and the alignment stays right at the newest of them.
+  /// The aerial map was corrected: its clouds follow, and each pose stays right where the clouds lie that it was found
+  /// with (where those are not followed any longer: at the newest).
   void correctAerial(const air_ground_common::CloudCorrections& corrections);
   /// What was made of the aerial map is off in itself: forgets the clouds so far, and what others said on such ones.
   void forgetAerial();
@@ -137,6 +135,8 @@ class AlignmentRefiner {
   bool tracking() const { return tracked_.has_value(); }
   /// The tracked pose may be of before a correction of the ground map.
   bool groundHasMoved() const { return moved_grounds_ > 0; }
+  /// The ground map was corrected, and no refinement has converged since.
+  bool unproven() const { return tracked_ && unproven_; }
   /// Last believed pose.
   std::optional<Similarity> refined() const { return tracked_; }
 
@@ -170,10 +170,12 @@ class AlignmentRefiner {
   std::optional<Pose> coarse_, manual_;
   bool coarse_sure_ = true;
   std::optional<KnownAlignment> coarse_known_;
-  Confirmation unconfirmed_;  ///< refined from a guess, or far from the last pose
+  std::int64_t coarse_stamp_ = 0;  ///< of the newest cloud when that came [ns]
+  Confirmation unconfirmed_;       ///< refined from a guess, or far from the last pose
   std::optional<KnownAlignment> views_;
   std::optional<Similarity> tracked_;
-  bool rests_on_views_ = false;  ///< the tracked pose: neither geometry nor heights prove it
+  std::int64_t tracked_stamp_ = 0;  ///< of the newest cloud that it was refined with [ns]
+  bool rests_on_views_ = false;     ///< the tracked pose: neither geometry nor heights prove it
   ScalePrior scale_;
   Vertical aerial_vertical_, ground_vertical_;
   int rejections_ = 0, disagreements_ = 0;
@@ -181,6 +183,7 @@ class AlignmentRefiner {
   static constexpr int kMovedGrounds = 2;
   int moved_grounds_ = 0;    ///< ground maps yet to be refined on for which the ground counts as moved
   bool new_ground_ = false;  ///< not refined on so far
+  bool unproven_ = false;    ///< the tracked pose: the ground map has moved since it was found
 };
 
 }  // namespace icp_refine

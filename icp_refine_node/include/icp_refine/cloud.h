@@ -27,6 +27,9 @@ struct Cloud {
 Cloud transformed(const Cloud& cloud, const Similarity& T);
 Cloud transformed(const Cloud& cloud, const Pose& T);
 
+/// Mean of the points [m]; zero for an empty cloud.
+Eigen::Vector3d middle(const Cloud& cloud);
+
 /// Removes points with a coordinate that is not finite or beyond 1e6 m; returns how many.
 std::size_t removeInvalid(Cloud& cloud);
 

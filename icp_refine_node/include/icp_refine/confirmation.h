@@ -22,8 +22,8 @@ class Confirmation {
   /// True, and forgets it, where an earlier pose leads to the same place (0.06 m, 0.03 rad) at `p_mav_map` [m]. Else
   /// the pose waits for the next.
   bool confirmedBy(const UnconfirmedPose& pose, const Eigen::Vector3d& p_mav_map);
-  /// The aerial map was corrected.
-  void correctAerial(const Similarity& T_then_now);
+  /// What waits for the next; null: nothing.
+  UnconfirmedPose* first() { return first_ ? &*first_ : nullptr; }
   void clear() { first_.reset(); }
 
  private:

@@ -14,6 +14,9 @@ struct KnownAlignment {
   bool tells_scale = false;                          ///< of a map that has none: a prior for the clouds
 };
 
+/// Both maps hang from gravity: heading and place of one body in both fix the MAV's map in the ground robot's.
+Pose alignmentFrom(const Pose& T_ground_map_base, const Pose& T_mav_map_base);
+
 /// Its covariance about another point of the ground map: a turn about `centre` moves that point, and so does the scale.
 Matrix6d covarianceAbout(const KnownAlignment& known, const Eigen::Vector3d& point);
 

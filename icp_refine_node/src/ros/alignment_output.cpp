@@ -110,6 +110,11 @@ void AlignmentOutput::withdraw(const std::string& why, const MapIds& maps, bool 
   publish(out, maps, std::nullopt, own_unit);
 }
 
+void AlignmentOutput::correct(const Similarity& T_ground_map_mav_map) {
+  std::lock_guard<std::mutex> lock(mutex_);
+  if (aligned_ && isValid(T_ground_map_mav_map)) aligned_->T_ground_map_mav_map = T_ground_map_mav_map;
+}
+
 void AlignmentOutput::follow(const nav_msgs::Odometry& odometry, const Pose& T) {
   const Matrix6d covariance = ros_utils::covarianceFromMsg(odometry.pose.covariance);
   geometry_msgs::PoseWithCovarianceStamped msg;

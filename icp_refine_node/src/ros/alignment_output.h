@@ -33,6 +33,8 @@ class AlignmentOutput {
   void withdraw(const std::string& why, const MapIds& maps, bool own_unit);
   /// The visual map in mav_map, as the odometry has taken it over: until then tf says nothing of a map without scale.
   void setMapScale(const std::optional<Similarity>& T_mav_map_visual);
+  /// The MAV's map was corrected: what stays on tf follows before the next refinement.
+  void correct(const Similarity& T_ground_map_mav_map);
   /// The MAV's odometry, `T` = T_mav_map_base: tf is made true to where the MAV is (without odometry, to the centre of
   /// the overlap), and while there is an alignment mav/pose_in_ground_map tells where that is in the ground map. A
   /// covariance that is not finite is counted, and the pose not published.

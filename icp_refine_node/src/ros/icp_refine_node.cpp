@@ -195,9 +195,13 @@ class IcpRefineNode {
     if (!ground_.isFrame(msg.header.frame_id, settings_.ground_map_frame, what)) return;
     if (mav_.map().frame().empty() && !mav_.admitMap(stream, childHeader(msg), what + "' child")) return;
     if (!mav_.isFrame(msg.child_frame_id, mav_.map().expectedFrame(), what + "' child")) return;
-    if (!mav_.admit(stream, msg.header.stamp)) return;
+    // Not taken for a jump of time: a stage that was started again begins with old clouds.
+    if (mav_.map().isStale(msg.header.stamp.toSec())) return health_.count(what + " of an earlier map dropped");
     mav_.observe(msg.map_id, msg.header.stamp, true);
     if (mav_.map().id() != msg.map_id) return health_.count(what + " of another map");
+    const auto& ground_id = ground_.map().id();
+    if (msg.ground_map_id != 0 && ground_id && *ground_id != msg.ground_map_id)
+      return health_.count(what + " of another ground map");
     try {
       postOfMav(use);
       worker_.setMapId(msg.map_id);

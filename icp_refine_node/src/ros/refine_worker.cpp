@@ -221,7 +221,7 @@ bool RefineWorker::use(Inbox& inbox) {
   map_due_ |= inbox.ground && map_.aligned();
   // While tracking, the next aerial cloud is soon enough; but where the ground map was corrected, a MAV that hovers or
   // has landed sends none.
-  const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && !refiner_.tracking();
+  const bool wanted = (inbox.coarse || inbox.views || inbox.ground) && (!refiner_.tracking() || refiner_.unproven());
   const bool moved = (inbox.ground || inbox.ground_moved) && refiner_.groundHasMoved();
   const bool lost = tracked && !refiner_.tracking();
   return lost || moved || inbox.refine || !inbox.aerial.empty() || inbox.corrections || inbox.manual || wanted;
@@ -244,9 +244,15 @@ void RefineWorker::correct(const CloudCorrections& corrections) {
       if (S) S = compose(compose(*T_metric_visual_, *S), inverse(*T_metric_visual_));
   refiner_.correctAerial(since);
   map_.correctAerial(since);
+  if (const auto tracked = trackedInMavMap()) output_.correct(*tracked);
   if (!map_.aligned()) return;
   if (refiner_.tracking()) map_.align(refiner_.refined());
   map_due_ = true;
+}
+
+std::optional<Similarity> RefineWorker::trackedInMavMap() const {
+  const std::optional<Similarity> tracked = refiner_.refined();
+  return tracked && own_unit_ && T_metric_visual_ ? compose(*tracked, *T_metric_visual_) : tracked;
 }
 
 void RefineWorker::makeMetric(const Similarity& T_ground_visual) {
@@ -303,13 +309,11 @@ void RefineWorker::refine() {
     std::lock_guard<std::mutex> lock(mutex_);
     if (inbox_.forgets()) return;  // it is about a map that has ended
     RefineOutcome said = out;
-    std::optional<Similarity> tracked = refiner_.refined();
     if (own_unit_ && T_metric_visual_) {
       said.T_ground_map_mav_map = compose(out.T_ground_map_mav_map, *T_metric_visual_);
       said.scale_stddev *= T_metric_visual_->scale;
-      if (tracked) tracked = compose(*tracked, *T_metric_visual_);
     }
-    output_.publish(said, maps_, tracked, own_unit_);
+    output_.publish(said, maps_, trackedInMavMap(), own_unit_);
   }
   {
     std::lock_guard<std::mutex> lock(map_mutex_);

@@ -81,6 +81,8 @@ class RefineWorker {
   bool use(Inbox& inbox);
   void addAerial(std::int64_t stamp, std::vector<CloudPoint> points);
   void correct(const CloudCorrections& corrections);
+  /// T_ground_map_mav_map of the last believed pose, in the unit of the MAV's map.
+  std::optional<Similarity> trackedInMavMap() const;
   /// Of a map without scale: what makes it about metric and level. A start afresh where that differs from before.
   void makeMetric(const Similarity& T_ground_visual);
   void useCoarse(const CoarseAlignment& coarse);
