@@ -1,6 +1,5 @@
 #include "icp_refine/alignment_refiner.h"
 
-#include <Eigen/Eigenvalues>
 #include <cmath>
 #include <limits>
 #include <utility>

@@ -1,7 +1,8 @@
 #include "icp_refine/known_alignment.h"
-#include "air_ground_common/covariance.h"
 
 #include <Eigen/Cholesky>
+
+#include "air_ground_common/covariance.h"
 
 namespace icp_refine {
 namespace {

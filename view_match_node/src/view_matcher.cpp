@@ -1,6 +1,5 @@
 #include "view_match/view_matcher.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>

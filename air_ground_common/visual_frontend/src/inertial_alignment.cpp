@@ -1,6 +1,5 @@
 #include "visual_frontend/inertial_alignment.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
