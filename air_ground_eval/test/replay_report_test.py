@@ -370,10 +370,10 @@ class ReplayReport(unittest.TestCase):
             with subprocess.Popen(['sleep', '60']) as asleep:
                 load.processes = {'starved': processes[0].pid, 'asleep': asleep.pid}
                 load.cores()
-                for _ in range(20):  # until it has started, which waits for the processor, too
+                for _ in range(20):  # until both have started, which waits for the processor, too
                     time.sleep(1)
                     used = load.cores()
-                    if load.wanted['starved'] > 0.8:
+                    if load.wanted['starved'] > 0.8 and load.wanted['asleep'] < 0.01:
                         break
                 asleep.kill()
             self.assertLess(used['starved'], 0.2)
