@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import subprocess
+import sys
 import tempfile
 import unittest
 import unittest.mock
@@ -17,6 +18,9 @@ import yaml
 from roslib.packages import find_node
 
 ROOT = rospkg.RosPack().get_path('air_ground')
+sys.path.insert(0, os.path.join(ROOT, 'air_ground_eval', 'scripts'))
+from air_ground_eval import own_outputs  # noqa: E402
+
 NODES = ('mav_vo', 'rgbd_slam', 'dense_fusion', 'heightmap_mcl', 'view_match', 'icp_refine', 'streetview_localizer', 'ekf_tracker')
 LAUNCH_FILES = ('mav.launch', 'ground.launch', 'air_ground.launch', 'replay.launch', 'tracker.launch', 'city_localizer.launch', 'city.launch')
 # What city.launch sets itself in the files that it includes.
@@ -50,7 +54,8 @@ def used_topics(launch, kind):
     if kind == 'height_map_cloud':
         return set(re.findall(r'relay\(&node, "([^"]+)"', read('air_ground_eval', 'tools', f'{kind}.cpp')))
     if kind in ('replay_report', 'city_report'):
-        return set(re.findall(r"Subscriber\('([^'/][^']*)'", read('air_ground_eval', 'scripts', kind)))
+        names = re.findall(r"(?:Subscriber|resolve_name)\('([^'/][^']*)'", read('air_ground_eval', 'scripts', kind))
+        return {name for name in names if name.split('/')[0] not in NODES}  # a node's services
     if kind == 'rviz':
         config, others = SHOWN[launch]
         return set(re.findall(r'Topic: (\S+)', read('config', 'rviz', config))) - others
@@ -116,6 +121,33 @@ class Documentation(unittest.TestCase):
                     self.assertIn(topic, remapped, f'{launch}: {node.get("type")} uses {topic}, which nothing remaps')
                     seen.add(node.get('type'))
         self.assertEqual(seen, {f'{node}_node' for node in NODES} | {'replay_report', 'city_report', 'rviz', 'height_map_cloud'})
+
+    def test_a_replay_knows_what_its_nodes_publish(self):
+        """For each node that a launch file runs beside a player: the topics that it advertises, under the names that its arguments give them."""
+        for node in NODES:
+            text = sources(node)
+            advertised = set(re.findall(r'advertise<[\w:]+>\(\s*"([^"~]+)"', text))
+            self.assertLessEqual(advertised, set(own_outputs.OUTPUTS[node]), node)
+            for topic in own_outputs.OUTPUTS[node]:
+                self.assertIn(f'"{topic}"', text, node)
+                self.assertNotRegex(text, rf'subscribe(?:<[\w:]+>)?\(\s*"{topic}"', node)
+        self.assertEqual({f'{topic}_cloud' for topic in used_topics('', 'height_map_cloud')}, set(own_outputs.OUTPUTS['height_map_cloud']))
+        bag = {'bag': 'x.bag', 'db': 'x.gpkg', 'database': 'x.gpkg', 'compare_magnetometer': 'true', 'rviz': 'true'}
+        for launch, player, nodes in (('replay.launch', 'replay_report', {*NODES[:6], 'height_map_cloud'}), ('city_localizer.launch', 'play_bag', {'streetview_localizer'}),
+                                      ('city.launch', 'city_report', {'mav_vo', 'streetview_localizer', 'ekf_tracker', 'ekf_tracker_magnetometer', 'city_report'})):
+            known = arguments(launch)
+            given = [f'{name}:={value}' for name, value in bag.items() if name in known]
+            for name, topic in known.items():  # each has another name
+                given += [f'{name}:=/other/{topic}'] if f'/{topic}' in own_outputs.ALL else []
+            config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+            told = {name.rsplit('/', 1)[-1]: set(p.value.split()) for name, p in config.params.items() if name.startswith(f'/{player}/outputs/')}
+            self.assertEqual(set(told), nodes, launch)
+            for node, topics in told.items():
+                fixed = node in ('height_map_cloud', 'ekf_tracker_magnetometer', 'city_report')
+                self.assertEqual(topics, {topic if fixed else f'/other/{topic}' for topic in own_outputs.OUTPUTS[node]}, f'{launch}: {node}')
+            for node in nodes & {node for node in known if node in own_outputs.OUTPUTS}:
+                off = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), [*given, f'{node}:=false'])], 11999)
+                self.assertNotIn(f'/{player}/outputs/{node}', off.params, launch)
 
     def test_services_are_documented(self):
         page = read('docs', 'frames_and_topics.md')
@@ -197,6 +229,28 @@ class Documentation(unittest.TestCase):
             for node in config.nodes:
                 if node.package == 'air_ground':
                     self.assertTrue(find_node('air_ground', node.type), f'{launch}: no program {node.type}')
+
+    def test_names_in_the_home_folder(self):
+        """No shell opens up the ~ of bag:=~/x.bag: the launch files, or the scripts that read it, do."""
+        with unittest.mock.patch.dict(os.environ, HOME=tempfile.gettempdir()):
+            with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
+                file.write('declination: 2.5\n')
+                file.flush()
+                home, world = os.environ['HOME'], f'world_config:=~/{os.path.basename(file.name)}'
+                for launch, given in (('replay.launch', ['bag:=~/x', 'out:=~/x', 'mesh:=~/x']), ('city.launch', ['bag:=~/x', 'out:=~/x', 'db:=~/x', world]),
+                                      ('city_localizer.launch', ['database:=~/x', 'bag:=~/x']), ('tracker.launch', [world])):
+                    config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+                    paths = {name: p.value for name, p in config.params.items() if name.rsplit('/', 1)[-1] in ('bag', 'out', 'mesh', 'database')}
+                    for name, path in paths.items():
+                        self.assertEqual(os.path.expanduser(path), f'{home}/x', f'{launch}: {name}')
+                        if name == '/streetview_localizer/database':  # its reader is C++
+                            self.assertEqual(path, f'{home}/x', launch)
+                    self.assertTrue(world not in given or config.params['/ekf_tracker/declination'].value == 2.5, launch)
+            for images in (['cameras:=~/x.csv'], ['camera:=~/x.yaml']):
+                config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', 'city_localizer.launch'), ['database:=x.gpkg', 'images:=~/x', *images])], 11999)
+                words = shlex.split(next(node for node in config.nodes if node.type == 'publish_images').args)
+                option, path = images[0].split(':=~')
+                self.assertEqual([words[words.index(name) + 1] for name in ('--images', f'--{option}')], [f'{home}/x', home + path])
 
     def test_empty_arguments_leave_what_the_yaml_says(self):
         with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:

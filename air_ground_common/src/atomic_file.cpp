@@ -27,6 +27,8 @@ int syncToDisk(const std::string& path) {
   return error;
 }
 
+}  // namespace
+
 void refuseOtherKind(const std::string& path, const std::string& begins_with) {
   if (begins_with.empty() || !std::filesystem::exists(path)) return;
   std::string begin(begins_with.size(), '\0');
@@ -36,8 +38,6 @@ void refuseOtherKind(const std::string& path, const std::string& begins_with) {
   if (begin != begins_with)
     throw std::runtime_error(path + " is there already and is another kind of file: give another path, or delete it");
 }
-
-}  // namespace
 
 void writeAtomically(const std::string& path, const std::function<void(std::ostream&)>& body,
                      const std::string& begins_with) {

@@ -67,6 +67,8 @@ TEST_F(AtomicFile, DoesNotOverwriteAnotherKindOfFile) {
   std::ofstream(path()) << "#!/bin/sh";
   EXPECT_THROW(writeText(path(), "ply\n", "ply"), std::runtime_error);
   EXPECT_EQ(content(), "#!/bin/sh");
+  EXPECT_THROW(refuseOtherKind(path(), "ply"), std::runtime_error) << "asked before";
+  EXPECT_NO_THROW(refuseOtherKind((folder_ / "absent").string(), "ply"));
   std::ofstream(path()) << "";
   EXPECT_NO_THROW(writeText(path(), "ply\n1", "ply")) << "an empty file holds nothing";
   EXPECT_NO_THROW(writeText(path(), "ply\n2", "ply"));

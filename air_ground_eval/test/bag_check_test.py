@@ -18,7 +18,7 @@ from sensor_msgs.msg import CompressedImage, Imu
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_camera, bag_check, bag_depth, bag_frames, bag_guess, bag_player, bag_reader, geometry, messages, replay  # noqa: E402
+from air_ground_eval import bag_camera, bag_check, bag_depth, bag_frames, bag_guess, bag_player, bag_reader, geometry, messages, own_outputs, replay  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
@@ -309,17 +309,17 @@ class BagCheck(unittest.TestCase):
 
         published = []
         player = bag_player.BagPlayer.__new__(bag_player.BagPlayer)
-        player.others, player.left_out, player.static = {'kinect', 'camera'}, set(), mock.Mock(claimed={'eye'})
+        player.others, player.left_out, player.chains, player.static = {'kinect', 'camera'}, set(), [], mock.Mock(claimed={'eye'})
         player.moving = type('Publisher', (), {'publish': lambda _, message: published.append(message)})()
         player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4)), ('/world', '/door', np.eye(4))], 100))
         player._hand_on(messages.static_transforms([('/world', '/kinect', np.eye(4)), ('/world', '/eye', np.eye(4))], 101))
         self.assertEqual([[e.child_frame_id for e in m.transforms] for m in published], [['/door']])
 
     def test_the_odometry_of_a_robot_is_played_where_its_node_follows_that(self):
-        for given, owned in (({}, {'mav_odom', 'mav_base_link'}), ({'mav_vo/odom_from_tf': True}, {'mav_odom'}),
-                             ({'mav_vo/odom_from_tf': True, '~mav_odom_frame': 'wheels'}, {'wheels'}), ({'~mav_base_frame': 'base_link'}, {'mav_odom', 'base_link'})):
+        for given, frames in (({}, ['mav_map', 'mav_odom', 'mav_base_link']), ({'mav_vo/odom_from_tf': True}, ['mav_map', 'mav_odom']),
+                              ({'mav_vo/odom_from_tf': True, 'mav_vo/odom_frame': 'wheels'}, ['mav_map', 'wheels']), ({'mav_vo/base_frame': 'base_link'}, ['mav_map', 'mav_odom', 'base_link'])):
             with mock.patch('rospy.get_param', side_effect=lambda name, default, given=given: given.get(name, default)):
-                self.assertEqual(set(replay.owned_frames('mav', 'mav_vo')), owned)
+                self.assertEqual(own_outputs.chains(['mav_vo']), [frames])
 
     def test_messages_of_another_version(self):
         old = genpy.dynamic.generate_dynamic('sensor_msgs/Imu', Imu._full_text.replace('float64[9] linear_acceleration_covariance', '#'))['sensor_msgs/Imu']

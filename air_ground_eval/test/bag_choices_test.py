@@ -1,23 +1,36 @@
 #!/usr/bin/env python3
 """check_bag where a bag holds more than one topic that would do: which IMU, which reference poses; and what it says of an IMU that is too slow."""
+import contextlib
+import io
 import os
 import re
 import sys
 import unittest
+from unittest import mock
 
 import numpy as np
 import rosunit
 from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import FluidPressure
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
-from air_ground_eval import bag_imu, bag_reader, messages, pixel_range  # noqa: E402
-from bag_layouts_test import CAMERA, BagLayouts, Recording  # noqa: E402
+from air_ground_eval import bag_check, bag_imu, bag_reader, messages, pixel_range  # noqa: E402
+from bag_layouts_test import CAMERA, BagLayouts, Recording, load  # noqa: E402
 
 
 def position(t):
     message = PointStamped()
     message.header.stamp, message.header.frame_id = messages.stamp(t), 'world'
+    return message
+
+
+def pressure(value):
+    def message(t):
+        result = FluidPressure(fluid_pressure=value)
+        result.header.stamp, result.header.frame_id = messages.stamp(t), 'fcu'
+        return result
+
     return message
 
 
@@ -86,6 +99,12 @@ class BagChoices(unittest.TestCase):
         recording.add('/leica/position', 20, position)
         self.assert_arguments(self.check()[2], mav_truth='/leica/position')
 
+    def test_a_reference_pose_without_stamp_is_left_out(self):
+        """The first one's, of an age ago."""
+        self.recording().add('/vicon', 50, lambda t: messages.pose_stamped(np.eye(4), 0 if t < 100.01 else t, 'world'))
+        reference = bag_reader.BagFacts(self.path()).reference('/vicon')
+        self.assertEqual((len(reference.stamps), reference.stamps[0]), (99, 100.02))
+
     def test_thermal_images_are_not_dark(self):
         """A microbolometer of 14 bits: all that it sees lies within 500 counts, which the nodes stretch."""
         counts = (7400 + np.add.outer(np.arange(48), np.arange(64)) / 110 * 500).astype(np.uint16)
@@ -101,6 +120,35 @@ class BagChoices(unittest.TestCase):
             self.assertIn(text, output)
             self.assertEqual('is flat' in output, 'is flat' in text, output)
 
+    def test_rules_of_map_as_people_write_them(self):
+        """STANDARD by its launch argument, without slash, or on the left, as launch files have it; a name that is none of these is named before the bag is read."""
+        self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/eye/image_raw', 'mono8', 'cam').imu('/imu0', 'imu').imu('/imu1', 'imu').imu('bare', 'imu')
+        for rule in ('/imu1:=/mav/imu/data', '/imu1:=mav_imu', 'imu1:=mav/imu/data', 'mav_imu:=/imu1', 'mav_imu:=imu1', '/mav/imu/data:=/imu1'):
+            status, output, command = self.check('--map', rule)
+            self.assertEqual(status, 0, f'{rule}: {output}')
+            self.assert_arguments(command, mav_imu='/imu1')
+        self.assert_arguments(self.check('--map', 'bare:=mav_imu')[2], mav_imu='bare')  # recorded without slash
+        self.assert_arguments(self.check('--map', '/ground/imu/data:=/mav/imu/data')[2], mav_imu='/ground/imu/data')  # both are standard: as it is written
+        for rule in ('/imu1:=/mav/imu', 'imu1', ':=mav_imu', 'mav_imu:='):
+            said = io.StringIO()
+            with contextlib.redirect_stderr(said), mock.patch.object(sys, 'argv', ['check_bag', '/no/such.bag', '--map', rule]), self.assertRaises(SystemExit) as ended:
+                load('check_bag').main()
+            self.assertEqual(ended.exception.code, 2, rule)
+            self.assertIn(f'--map {rule}: expected TOPIC:=STANDARD', said.getvalue())
+            self.assertIn('/mav/imu/data (mav_imu)', said.getvalue())
+
+    def test_the_barometer_is_no_airspeed_sensor(self):
+        """/mavros/imu/diff_pressure comes first by name, and holds some hundred Pa."""
+        recording = self.recording(('base_link', 'cam'), ('base_link', 'imu')).camera('/cam0/image_raw', 'mono8', 'cam').imu('/imu0', 'imu')
+        recording.add('/mavros/imu/diff_pressure', 10, pressure(120.0)).add('/mavros/imu/static_pressure', 10, pressure(95800.0))
+        status, output, command = self.check('--city')
+        self.assertEqual(status, 0, output)
+        self.assert_arguments(command, barometer_pressure='/mavros/imu/static_pressure')
+        self.assertNotIn('kPa', output)
+        self.assertIn('WARNING /mavros/imu/diff_pressure: its median pressure is 120, not between 20 and 120 kPa', self.check('--city', '--map', 'barometer_pressure:=/mavros/imu/diff_pressure')[1])
+        recording.add('/hpa', 10, pressure(958.0))
+        self.assertIn('WARNING /hpa: its median pressure is 958, not between 20 and 120 kPa', self.check('--city', '--map', '/hpa:=/barometer')[1])
+
     def test_as_the_nodes_have_it(self):
         def constant(name, *path):
             with open(os.path.join(HERE, '..', '..', 'air_ground_common', *path), encoding='utf-8') as stream:
@@ -108,6 +156,9 @@ class BagChoices(unittest.TestCase):
 
         for name, value in (('kHot', pixel_range.HOT), ('kTail', pixel_range.TAIL), ('kMargin', pixel_range.MARGIN), ('kNarrow', pixel_range.NARROW), ('kEven', pixel_range.EVEN)):
             self.assertEqual(constant(name, 'src', 'ros', 'pixel_range.cpp'), [value], name)
+        with open(os.path.join(HERE, '..', '..', 'ekf_tracker_node', 'src', 'sensors.cpp'), encoding='utf-8') as stream:
+            least, most = (f'{value / 1e3:g}e3' for value in bag_check.PRESSURES)
+            self.assertIn(f'pressure >= {least} && pressure <= {most}', stream.read())
         self.assertEqual(constant('kSteadyRate', 'visual_frontend', 'src', 'imu_attitude.cpp'), [bag_imu.SLOWEST])
 
 

@@ -7,11 +7,15 @@ import unittest
 from unittest import mock
 
 import numpy as np
+import rosbag
 import rosunit
 from scipy.spatial.transform import Rotation, Slerp
+from sensor_msgs.msg import NavSatFix
 
-sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts'))
-from air_ground_eval import city_database, city_evaluation, geometry, track_calibration, zurich_urban  # noqa: E402
+HERE = os.path.dirname(os.path.realpath(__file__))
+sys.path[:0] = [os.path.join(HERE, '..', 'scripts'), HERE]
+import as_module  # noqa: E402
+from air_ground_eval import bag_reader, city_database, city_evaluation, city_table, geometry, messages, track_calibration, zurich_urban  # noqa: E402
 from air_ground_eval.recording import DatasetError  # noqa: E402
 
 DURATION = 20.0
@@ -54,6 +58,31 @@ def old_slerp(stamps, rotations):
 
 
 class CityEvaluation(unittest.TestCase):
+    def test_gps_is_that_of_the_tracker(self):
+        """A receiver more, whose topic comes first by name, 0.01 degrees (1.1 km) further north; and the tracker's own output of another run."""
+        module = as_module.load('city_report')
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                for t in range(100, 103):
+                    for topic, north in (('/backup/fix', 0.01), ('/gps/fix', 0.0), ('/tracked/geodetic', 0.5)):
+                        fix = NavSatFix(latitude=46.9 + north, longitude=7.4, altitude=500.0)
+                        fix.header.stamp = messages.stamp(t)
+                        bag.write(topic, fix, messages.stamp(t))
+            bag = bag_reader.BagFacts(path)
+            east, north = city_database.converted((7.4, 46.9, 0), 'EPSG:4326', 'EPSG:2056')[:2]
+            parameters = {'origin_crs': 'EPSG:2056', 'origin': (east, north, 500.0)}
+            for name, topic, distance in (('/gps/fix', '/gps/fix', 0.0), ('/backup/fix', '/backup/fix', 1112.0), ('/ublox/fix', '/backup/fix', 1112.0)):
+                notes = []
+                with mock.patch.object(module.rospy, 'resolve_name', return_value=name):
+                    found = module.gps_topic(bag, notes)
+                self.assertEqual((found, len(notes)), (topic, name != topic))
+                self.assertAlmostEqual(module.read_gps(bag, found, parameters).positions[0][1], distance, delta=2.0)
+            self.assertIn('GPS is that of /backup/fix, since the bag has no /ublox/fix', notes[0])
+            self.assertIsNone(module.read_gps(bag, '', parameters))
+        values = {'bag': 'x.bag', 'bag_duration_s': 3, 'wall_time_s': 3, 'images_tried': 0, 'fixes': 0, 'gps_topic': '/backup/fix'}
+        self.assertIn('\nGPS: /backup/fix\n', city_table.table(values, ['gps', 'tracker'], '', {}, []))
+
     def test_scipy_before_and_after_it_renamed_matrices(self):
         """Ground truth: turns about z."""
         angles = np.array([0.1, 0.3])

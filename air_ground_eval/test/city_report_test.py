@@ -50,6 +50,8 @@ def write_bag(path):
             gps.position_covariance[0] = gps.position_covariance[4] = 16.0
             gps.position_covariance[8] = 64.0
             bag.write('/gps/fix', gps, gps.header.stamp)
+            gps.latitude += 0.01  # of another receiver, whose topic comes first by name
+            bag.write('/backup/fix', gps, gps.header.stamp)
 
 
 def write_database(path):
@@ -106,6 +108,7 @@ class CityReport(unittest.TestCase):
         self.assertLess(values['vo_from_true_start_position_error_at_end_m'], 0.75 * drift * length ** 2)
         self.assertAlmostEqual(values['vo_from_true_start_yaw_error_max_deg'], np.degrees(drift * length), delta=1.0)
         self.assertAlmostEqual(values['gps_position_error_mean_m'], 5.0, delta=0.01)
+        self.assertEqual(values['gps_topic'], '/gps/fix')
         self.assertAlmostEqual(values['gps_error_x_rms_m'], 3.0, delta=0.01)
         self.assertAlmostEqual(values['gps_stated_sigma_z_mean_m'], 8.0, delta=1e-6)
         self.assertLess(values['tracker_position_error_mean_m'], 0.5)

@@ -134,9 +134,9 @@ def write_zurich(folder):
     log('StreetViewGPS.csv', 'lat, lon, yaw_degree', [(47.384345, 8.545037, 161.01, -94.94, 1.97, 1)])
 
 
-def convert(*arguments):
+def convert(*arguments, force=True):
     program = os.path.join(HERE, '..', 'scripts', 'dataset_to_bag')
-    return subprocess.run(['/usr/bin/python3', program, *arguments], capture_output=True, text=True, check=False)
+    return subprocess.run(['/usr/bin/python3', program, *arguments, *(['--force'] if force else [])], capture_output=True, text=True, check=False)
 
 
 def messages_of(path, topic):

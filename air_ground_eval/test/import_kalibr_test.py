@@ -268,6 +268,26 @@ class ImportKalibr(unittest.TestCase):
             self.assertAlmostEqual(parameters[name], value, places=9)
         self.assertIn('mav_image:=/cam0/image_raw mav_camera_info:=/cam0/camera_info mav_imu:=/imu0', result.stdout)
 
+    def test_parameters_set_by_hand_are_kept_beside(self):
+        """Run again, it writes over nothing: what is otherwise goes into earlier-1, then earlier-2; what is the same stays."""
+        def text(*names):
+            with open(self.path('out', *names), encoding='utf-8') as stream:
+                return stream.read()
+
+        first = self.run_import(self.path('imu.yaml'))
+        self.assertNotIn('earlier', first.stdout)
+        self.assertNotIn('earlier', self.run_import(self.path('imu.yaml')).stdout)
+        written = text('mav_vo.yaml')
+        for name in ('earlier-1', 'earlier-2'):
+            tuned = written + f'# tuned before {name}\n'
+            self.write(os.path.join('out', 'mav_vo.yaml'), tuned)
+            result = self.run_import(self.path('imu.yaml'))
+            self.assertEqual(result.returncode, 0, result.stderr)
+            self.assertIn(f'mav_vo.yaml moved to {self.path("out", name)}: set again what was set there by hand', result.stdout)
+            self.assertEqual((os.listdir(self.path('out', name)), text(name, 'mav_vo.yaml'), text('mav_vo.yaml')), (['mav_vo.yaml'], tuned, written))
+        self.run_import(self.path('imu.yaml'), '--mount', 'forward')
+        self.assertEqual(os.listdir(self.path('out', 'earlier-3')), ['sensors.launch'])
+
     def test_values_replace_lines_commented_or_not(self):
         text, unknown = calibration.filled_in('# time_offset: 0        # [s] (-0.1..0.1)\nrate: 3\n', {'time_offset': -8.1e-05, 'other': 1.0}, 'x')
         self.assertEqual(yaml.safe_load(text), {'time_offset': -8.1e-05, 'rate': 3})

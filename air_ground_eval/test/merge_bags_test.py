@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """Two robots' bags with the same names in both become one that check_bag finds nothing wrong with."""
 import os
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -10,6 +12,7 @@ import cv2
 import numpy as np
 import rosbag
 import rostest
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CompressedImage
 
 SCRIPTS = os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', 'scripts')
@@ -51,6 +54,25 @@ def write_once(path, begin, seconds):
             if i % 10 == 0:
                 bag.write('/camera/image_raw', messages.image(np.dstack([picture] * 3), 'rgb8', t, 'camera_optical'), messages.stamp(t))
                 bag.write('/camera/depth/image_raw', messages.image(np.full((48, 64), 1500), '16UC1', t, 'camera_optical'), messages.stamp(t))
+
+
+def write_imu(path, lacking, own_clock=0.0):
+    """600 messages every 5 ms, recorded 6 to 20 ms later, four together; those of the indices `lacking` without stamp, the others of a clock that is `own_clock` behind. Returns the true times."""
+    true = 1000.0 + np.arange(600) / 200
+    with rosbag.Bag(path, 'w') as bag:
+        for i, t in enumerate(true):
+            message = messages.imu(np.array([0.01, 0, 0]), np.array([0, 0, 9.81]), 1e-6, 1e-4, 0 if i in lacking else t - own_clock, 'imu')
+            bag.write('/imu', message, messages.stamp(t + 0.02 - 0.0047 * (i % 4)))
+    return true
+
+
+def stamps_of(path, topic):
+    with rosbag.Bag(path) as bag:
+        return np.array([message.header.stamp.to_sec() for _, message, _ in bag.read_messages([topic])])
+
+
+def run(program, *arguments, before=None):
+    return subprocess.run(['/usr/bin/python3', os.path.join(SCRIPTS, program), *arguments], capture_output=True, text=True, check=False, preexec_fn=before)
 
 
 class MergeBags(unittest.TestCase):
@@ -142,6 +164,125 @@ class MergeBags(unittest.TestCase):
             streams = bag_check.read(both, ['/mav/imu/data', '/ground/imu/data'])
             self.assertEqual((streams['/mav/imu/data'].stamps[0], streams['/ground/imu/data'].stamps[0]), (1000.0, 1001.0))
             self.assertEqual(sorted(streams['/mav/imu/data'].times), streams['/mav/imu/data'].times)
+
+    def test_messages_without_stamp_follow_the_others(self):
+        """A driver's first message, one in the midst, the last two: the others keep their stamps, and with them their distances."""
+        lacking = {0, 1, 300, 598, 599}
+        with tempfile.TemporaryDirectory() as folder:
+            bag, out = (os.path.join(folder, name) for name in ('x.bag', 'y.bag'))
+            true = write_imu(bag, lacking)
+            others = [i for i in range(600) if i not in lacking]
+            result = run('join_bags', bag, out, '--restamp', '/imu')
+            self.assertEqual(result.returncode, 0, result.stderr)
+            self.assertIn('/imu: 5 of 600 stamps were zero: these follow the others, which stay as they are', result.stdout)
+            stamps = stamps_of(out, '/imu')
+            self.assertTrue(np.allclose(stamps[others], true[others], rtol=0, atol=1e-6))
+            self.assertTrue(np.all(np.diff(stamps) > 0), np.diff(stamps).min())
+            self.assertLess(np.abs(stamps - true).max(), 0.02)
+            os.remove(out)
+            true = write_imu(bag, lacking, own_clock=300.0)  # of another clock all are shifted, the zero ones with them
+            result = run('join_bags', bag, out, '--restamp', '/imu')
+            self.assertIn('5 of 600 stamps were zero: these follow the others, stamps shifted by +300.0', result.stdout)
+            stamps = stamps_of(out, '/imu')
+            self.assertLess(np.ptp(stamps[others] - true[others]), 1e-6)
+            self.assertLess(np.abs(stamps - true).max(), 0.03)
+            self.assertTrue(np.all(np.diff(stamps) > 0))
+            os.remove(out)
+            write_imu(bag, set(range(400)))  # what the few others say of the delay is not to be trusted
+            self.assertIn('/imu: stamped with the times of recording', run('join_bags', bag, out, '--restamp', '/imu').stdout)
+            facts = bag_check.read(out, ['/imu'])['/imu']
+            self.assertTrue(np.array_equal(facts.stamps, facts.times))
+
+    def test_a_few_messages_without_stamp_are_no_error(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag = os.path.join(folder, 'x.bag')
+            for lacking, level in (({0}, bag_check.WARNING), ({0, 5, 6, 7, 8, 400}, bag_check.WARNING), (set(range(7)), bag_check.ERROR), (set(range(600)), bag_check.ERROR)):
+                write_imu(bag, lacking)
+                found = [f for f in bag_check.check(bag, {'/mav/imu/data': '/imu'}, robots=('mav',)) if 'have no stamp' in f.text]
+                self.assertEqual([f.level for f in found], [level])
+                self.assertIn(f'{len(lacking)} of 600 messages', found[0].text)
+                self.assertIn('the nodes drop these', found[0].text)
+            write_imu(bag, {0, 300})
+            texts = [f.text for f in bag_check.check(bag, {'/mav/imu/data': '/imu'}, robots=('mav',)) if f.text.startswith('/imu')]
+            self.assertEqual(len([text for text in texts if 'tf_static' not in text and 'no stamp' not in text]), 0, texts)  # neither a gap, nor stamps that go back
+
+    def test_stamps_that_are_zero_stay(self):
+        """As publish_calibration's of static transforms: to shift them back ended with a traceback."""
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+            write(mav, 1000.0, False, 0.1)
+            write(ground, 1000.0 + LATER, True, 0.3)
+            with rosbag.Bag(ground, 'a') as bag:
+                edges = messages.static_transforms([('base_link', 'lidar', np.eye(4))], 0)
+                self.assertFalse(edges.transforms[0].header.stamp)
+                messages.write_latched(bag, '/tf_static', edges, 1000.0 + LATER)
+            bag_merge.merge(bag_merge.plan(mav, ground, begin_together=True), both)
+            with rosbag.Bag(both) as bag:
+                stamps = {edge.child_frame_id: edge.header.stamp.to_sec() for _, m, _ in bag.read_messages('/tf_static') for edge in m.transforms}
+            self.assertEqual((stamps['lidar'], stamps['ground_imu'], stamps['mav_imu']), (0, 1000, 1000))
+
+    def test_a_stamp_that_cannot_be_shifted_names_its_topic(self):
+        for kind, topic, way in (('imu', '/boot', '--restamp /boot'), ('tf', '/tf', 'rosbag filter')):
+            with tempfile.TemporaryDirectory() as folder:
+                mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+                write(mav, 1000.0, False, 0.1)
+                write(ground, 1000.0 + LATER, True, 0.3)
+                with rosbag.Bag(ground, 'a') as bag:  # seconds since the driver's start
+                    message = messages.imu([0, 0, 0], [0, 0, 9.81], 1, 1, 5, 'imu') if kind == 'imu' else messages.static_transforms([('base_link', 'arm', np.eye(4))], 5)
+                    bag.write(topic, message, messages.stamp(1001.0 + LATER))
+                result = run('merge_bags', mav, ground, both, '--begin-together')
+                self.assertEqual((result.returncode, result.stderr), (1, ''))
+                self.assertIn(f'{topic} has a stamp of 5.000 s', result.stdout)
+                self.assertIn(way, result.stdout)
+                self.assertEqual(sorted(os.listdir(folder)), ['ground.bag', 'mav.bag'])
+
+    def test_a_bag_that_is_not_whole_has_no_name(self):
+        """After a damaged input, a full disk or an interruption."""
+        def full():
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100000, 100000))
+
+        class Interrupted:
+            def messages(self, order):
+                yield 10**12, order, '/text', messages.text('x'), None
+                raise KeyboardInterrupt
+
+        with tempfile.TemporaryDirectory() as folder:
+            mav, ground, both = (os.path.join(folder, name) for name in ('mav.bag', 'ground.bag', 'both.bag'))
+            write(mav, 1000.0, False, 0.1)
+            write(ground, 1000.0, True, 0.3)
+            names = sorted(os.listdir(folder))
+            for arguments in (('merge_bags', mav, ground, both, '--compression', 'none'), ('join_bags', mav, ground, both, '--compression', 'none')):
+                result = run(*arguments, before=full)
+                self.assertEqual(result.returncode, 1, result.stdout + result.stderr)
+                self.assertIn(f'{both} cannot be written', result.stdout)
+                self.assertEqual(sorted(os.listdir(folder)), names)
+            with self.assertRaises(KeyboardInterrupt):
+                bag_merge.merge([Interrupted()], both)
+            self.assertEqual(sorted(os.listdir(folder)), names)
+            with open(ground, 'r+b') as file:
+                content = file.read()
+                at = content.index(b'/camera/image_raw', len(content) // 2)
+                file.seek(at - 200)
+                file.write(b'?' * 400)
+            result = run('join_bags', mav, ground, both)
+            self.assertEqual((result.returncode, sorted(os.listdir(folder))), (1, names), result.stdout + result.stderr)
+
+    def test_frames_of_every_message(self):
+        """On /tf each publisher has messages of its own: `odom` stood in none of the first ones, and was shared by both robots. Odometry may come without any transform."""
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [os.path.join(folder, name) for name in ('mav.bag', 'ground.bag')]
+            for path in paths:
+                with rosbag.Bag(path, 'w') as bag:
+                    for i, edge in enumerate([('base_link', 'wheel'), ('odom', 'base_link')] * 3):
+                        moved = geometry.pose(np.eye(3), (0.1 * i, 0, 0))  # else it would be a mounting, which is known
+                        bag.write('/tf', messages.static_transforms([(*edge, moved)], 100 + i), messages.stamp(100 + i))
+                    odometry = Odometry(child_frame_id='footprint')
+                    odometry.header.stamp, odometry.header.frame_id = messages.stamp(100), 'start'
+                    bag.write('/odometry', odometry, messages.stamp(100))
+            parts = bag_merge.plan(*paths, begin_together=False)
+            for part in parts:
+                self.assertEqual(part.frames, {name: f'{part.robot}_{name}' for name in ('base_link', 'wheel', 'odom', 'footprint', 'start')})
 
 
 if __name__ == '__main__':

@@ -16,7 +16,7 @@ import rospkg
 import rospy
 import rostest
 import yaml
-from air_ground.msg import VoStatus
+from air_ground.msg import AlignmentEstimate, VoStatus
 from geometry_msgs.msg import Point, PointStamped, TransformStamped
 
 HERE = os.path.dirname(os.path.realpath(__file__))
@@ -46,9 +46,17 @@ def other_truth(bag, mav, ground, t):
     bag.write('/leica/position', point, messages.stamp(100 + t))
 
 
-def write_bag(path, truth=True, ahead=None, vicon=False, old=False):
+def accepted(seconds):
+    """A refined alignment."""
+    message = AlignmentEstimate(stage=AlignmentEstimate.STAGE_REFINED, status=AlignmentEstimate.STATUS_CONVERGED, scale=1.0)
+    message.header.stamp, message.pose.pose.orientation.w = messages.stamp(seconds), 1.0
+    return message
+
+
+def write_bag(path, truth=True, ahead=None, vicon=False, old=False, earlier=False):
     """A MAV that flies a helix and a ground robot that drives an arc; ground truth only, and images stamped so much `ahead` of the time of recording, as the truth is [s].
-    vicon: the same truth as other_truth has it, too; old: recorded with another version of the nodes' messages."""
+    vicon: the same truth as other_truth has it, too; old: recorded with another version of the nodes' messages; earlier: while
+    the nodes ran, icp_refine accepted an alignment and mav_map lay elsewhere."""
     with rosbag.Bag(path, 'w') as bag:
         edges = [('mav_base_link', 'mav_camera_optical_frame', geometry.pose(geometry.R_BODY_DOWN_CAMERA, (0.05, 0, -0.02))),
                  ('ground_base_link', 'ground_camera_optical_frame', geometry.pose(geometry.R_BODY_FORWARD_CAMERA, (0.1, 0, 0.4)))]
@@ -60,6 +68,9 @@ def write_bag(path, truth=True, ahead=None, vicon=False, old=False):
             for name, pose in (('mav', mav), ('ground', ground)):
                 topic = f'/ground_truth/{name}' if truth else f'/hidden/{name}'
                 bag.write(topic, messages.pose_stamped(pose, 100 + t + (ahead or 0.0), 'world'), messages.stamp(100 + t))
+            if earlier:
+                bag.write('/alignment/refined', accepted(100 + t), messages.stamp(100 + t))
+                bag.write('/tf', messages.static_transforms([('ground_map', 'mav_map', geometry.pose(translation=(t, 7, 0)))], 100 + t), messages.stamp(100 + t))
             if vicon:
                 other_truth(bag, mav, ground, t)
             if old:
@@ -94,6 +105,7 @@ def replay(folder, stand_in, *arguments):
     params = ''.join(f'<param name="{k}" value="{v}"/>' for k, v in stand_in.items())
     with open(launch, 'w', encoding='utf-8') as stream:
         stream.write('<launch><arg name="truth" default="/ground_truth"/><arg name="bag"/><arg name="out"/>'
+                     '<param name="replay_report/outputs/icp_refine" value="alignment/refined"/>'  # the stand-in publishes it
                      f'<node pkg="air_ground" type="stand_in_pipeline.py" name="stand_in_pipeline">{params}'
                      '<remap from="ground_truth/mav" to="$(arg truth)/mav"/><remap from="ground_truth/ground" to="$(arg truth)/ground"/></node>'
                      f'<include file="{package}/launch/replay.launch" pass_all_args="true"><arg name="wait_for" value="stand_in_pipeline"/>'
@@ -163,6 +175,12 @@ class ReplayReport(unittest.TestCase):
         self.assertIn('DEGENERATE', values['alignment_verdict'])
         self.assertIn('no alignment accepted', output)
         self.assertFalse(os.path.exists(os.path.join(out, 'augmented_map.ply')))
+
+    def test_results_of_an_earlier_run_are_not_this_ones(self):
+        _, values, output = self.run_replay({'status': 2}, earlier=True)
+        self.assertFalse(values['alignment_accepted'])
+        self.assertIn('topics of the bag that are not played, since nodes of this launch publish them: /alignment/refined', output)
+        self.assertNotIn('ground_map -> mav_map', values['tf_publishers'])
 
     def test_without_ground_truth(self):
         out, values, _ = self.run_replay({}, truth=False)
@@ -350,8 +368,10 @@ class ReplayReport(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder, mock.patch.object(replays, 'rospy'):
             out = os.path.join(folder, 'out')
             for text in ('first', 'second', 'third'):
-                replays.make_room(out, ('report.yaml', 'report.png'))
-                self.assertEqual([name for name in os.listdir(out) if name.startswith('report')], [])
+                replays.make_room(out, ('report.yaml', 'report.png', 'mav_trajectory_map*.txt'))
+                self.assertEqual([name for name in os.listdir(out) if not name.startswith('earlier')], [])
+                with open(os.path.join(out, f'mav_trajectory_map{len(text)}.txt'), 'w', encoding='ascii'):
+                    pass
                 with open(os.path.join(out, 'report.yaml'), 'w', encoding='ascii') as stream:
                     stream.write(text)
             found = {}
@@ -359,6 +379,7 @@ class ReplayReport(unittest.TestCase):
                 with open(os.path.join(out, name, 'report.yaml'), encoding='ascii') as stream:
                     found[name] = stream.read()
             self.assertEqual(found, {'earlier-1': 'first', 'earlier-2': 'second', '.': 'third'})
+            self.assertEqual(sorted(os.listdir(os.path.join(out, 'earlier-2'))), ['mav_trajectory_map6.txt', 'report.yaml'])
 
     def test_who_waits_for_a_processor_is_not_idle(self):
         """On a busy machine the nodes of lowest priority get hardly any time: the report must not be written meanwhile."""

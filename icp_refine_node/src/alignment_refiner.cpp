@@ -4,10 +4,7 @@
 #include <limits>
 #include <utility>
 
-#include <yaml-cpp/yaml.h>
-
 #include "air_ground_common/covariance.h"
-#include "air_ground_common/followed_clouds.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
 
@@ -37,7 +34,10 @@ void withhold(RefineStatus status, const std::string& reason, RefineOutcome* out
 }  // namespace
 
 AlignmentRefiner::AlignmentRefiner(IcpChain chain, const RefinerSettings& settings)
-    : chain_(std::move(chain)), settings_(settings), scale_(settings.scale) {}
+    : chain_(std::move(chain)),
+      settings_(settings),
+      aerial_(settings.accumulation_leaf, settings.recent_clouds),
+      scale_(settings.scale) {}
 
 void AlignmentRefiner::setGround(Cloud cloud) {
   ground_ = std::move(cloud);
@@ -49,23 +49,10 @@ void AlignmentRefiner::prepareGround() {
   if (tracked_ && !reference_ && !ground_.empty()) reference_ = chain_.prepareReference(ground_);
 }
 
-void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) {
-  removeInvalid(cloud);
-  YAML::Node leaf;
-  leaf["leaf"] = settings_.accumulation_leaf;
-  makeDataFilter("VoxelGrid", leaf)->apply(cloud);
-  if (cloud.empty()) return;
-  aerial_.emplace_back(stamp, std::move(cloud));
-  while (aerial_.size() > static_cast<std::size_t>(settings_.recent_clouds)) aerial_.pop_front();
-}
+void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) { aerial_.add(stamp, std::move(cloud)); }
 
 void AlignmentRefiner::correctAerial(const air_ground_common::CloudCorrections& corrections) {
-  Similarity newest;
-  air_ground_common::correctClouds(corrections, &aerial_, [&](const Similarity& S, Cloud* cloud) {
-    *cloud = transformed(*cloud, S);
-    removeInvalid(*cloud);
-    newest = S;
-  });
+  const Similarity newest = aerial_.correct(corrections);
   // Of the map around the clouds that a pose was found with, which may lie far behind.
   const auto follow = [&](std::int64_t stamp, Similarity* T_ground_map_mav_map) {
     const auto it = corrections.find(stamp);
@@ -86,7 +73,7 @@ void AlignmentRefiner::setCoarse(const Pose& T, bool sure) {
 void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
   setCoarse(poseOf(coarse.T_ground_map_mav_map));
   coarse_known_ = coarse;
-  coarse_stamp_ = aerial_.empty() ? 0 : aerial_.back().first;
+  coarse_stamp_ = aerial_.newestStamp();
 }
 
 void AlignmentRefiner::groundMoved() {
@@ -169,11 +156,15 @@ std::string AlignmentRefiner::missing() const {
   return "";
 }
 
+// While a pose is tracked the newest clouds tell; a guess may be about those that the MAV has left behind.
 Cloud AlignmentRefiner::prepareReading() {
-  Cloud reading;
-  for (const auto& [stamp, cloud] : aerial_)
-    reading.points.insert(reading.points.end(), cloud.points.begin(), cloud.points.end());
-  return chain_.prepareReading(std::move(reading));
+  const auto on = [this](const Similarity& T) { return aerial_.on(ground_, T, settings_.margin); };
+  AerialClouds::Reading reading = tracked_  ? aerial_.newest()
+                                  : manual_ ? on(similarity(*manual_))
+                                  : views_  ? on(views_->T_ground_map_mav_map)
+                                            : on(similarity(*coarse_));
+  reading_stamp_ = reading.stamp;
+  return chain_.prepareReading(std::move(reading.cloud));
 }
 
 // A coarse pose that keeps disagreeing competes with the tracked one; the heights decide.
@@ -341,7 +332,7 @@ RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose gues
 
 RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& guess) {
   RefineOutcome out;
-  out.stamp = aerial_.back().first;
+  out.stamp = reading_stamp_;
   // What lies beyond the ground map cannot match, and would take the samples of what can.
   Cloud reading = whole;
   reading.keep(nearGroundMap(transformed(whole, guess), reference_->cloud(), settings_.margin));

@@ -1,9 +1,11 @@
 #include "icp_refine/height_check.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
+#include <random>
 
 #include "air_ground_common/statistics.h"
 #include "key_table.h"
@@ -23,11 +25,14 @@ int cellOf(float v, double cell) {
 struct Columns {
   Columns(const Cloud& cloud, double cell) {
     for (const auto& p : cloud.points) {
-      const auto k = static_cast<std::size_t>(keys.insert(column(cellOf(p.x(), cell), cellOf(p.y(), cell))));
-      if (k == tops.size())
+      const int x = cellOf(p.x(), cell), y = cellOf(p.y(), cell);
+      const auto k = static_cast<std::size_t>(keys.insert(column(x, y)));
+      if (k == tops.size()) {
         tops.push_back(p.z());
-      else
+        places.emplace_back(static_cast<float>(x), static_cast<float>(y));
+      } else {
         tops[k] = std::max(tops[k], p.z());
+      }
     }
   }
   /// `unseen` where there is no point.
@@ -39,17 +44,62 @@ struct Columns {
 
   KeyTable keys;
   std::vector<float> tops;
+  std::vector<Eigen::Vector2f> places;  // in cells
 };
 
-// Most frequent height, by 5 cm bins.
+constexpr double kFloorNoise = 0.05;  // [m]
+
+// Most frequent height, by bins of that.
 double mode(const Columns& columns) {
   std::map<int, int> histogram;
-  for (float z : columns.tops) ++histogram[static_cast<int>(std::lround(z / 0.05))];
+  for (float z : columns.tops) ++histogram[static_cast<int>(std::lround(z / kFloorNoise))];
   int best = 0, count = -1;
   for (const auto& [bin, n] : histogram) {
     if (n > count) best = bin, count = n;
   }
-  return 0.05 * best;
+  return kFloorNoise * best;
+}
+
+struct Floor {
+  Eigen::Vector2d slope = Eigen::Vector2d::Zero();  // [m a cell]
+  double height = 0;                                // at cell (0, 0) [m]
+  double at(double x, double y) const { return height + slope.x() * x + slope.y() * y; }
+};
+
+/// Level at the most frequent height, or the plane that clearly more columns lie on: a slope tells no place along its
+/// contours.
+Floor floorOf(const Columns& columns, double cell) {
+  constexpr int kTrials = 200, kSamples = 1500;
+  constexpr double kSteepest = 0.3, kClearly = 1.3;
+  Floor best;
+  best.height = mode(columns);
+  const std::size_t n = columns.tops.size(), step = std::max<std::size_t>(1, n / kSamples);
+  const auto support = [&](const Floor& floor) {
+    int count = 0;
+    for (std::size_t k = 0; k < n; k += step)
+      count += std::abs(columns.tops[k] - floor.at(columns.places[k].x(), columns.places[k].y())) < kFloorNoise;
+    return count;
+  };
+  double needed = kClearly * support(best);
+  std::mt19937 random(1);
+  for (int trial = 0; trial < kTrials && n >= 3; ++trial) {
+    Eigen::Matrix3d A;
+    Eigen::Vector3d z;
+    for (int i = 0; i < 3; ++i) {
+      const std::size_t k = random() % n;
+      A.row(i) << columns.places[k].x(), columns.places[k].y(), 1;
+      z[i] = columns.tops[k];
+    }
+    if (std::abs(A.determinant()) < 1) continue;
+    const Eigen::Vector3d plane = A.inverse() * z;
+    const Floor floor{plane.head<2>(), plane[2]};
+    if (floor.slope.norm() > kSteepest * cell) continue;
+    const int count = support(floor);
+    if (count <= needed) continue;
+    needed = count;
+    best = floor;
+  }
+  return best;
 }
 
 }  // namespace
@@ -57,7 +107,7 @@ double mode(const Columns& columns) {
 HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& s, double ground_camera) {
   HeightCheck out;
   const Columns air(aerial, s.cell), floor_robot(ground, s.cell);
-  out.floor_height = mode(floor_robot);
+  const Floor floor = floorOf(floor_robot, s.cell);
   out.aerial_cells = air.keys.size();
   const int reach = std::max(1, static_cast<int>(std::lround(s.tolerance_xy / s.cell)));
 
@@ -87,15 +137,16 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
     if (!floor_robot.seen(key) || done.insert(key) != out.cells) continue;
     ++out.cells;
     const float from_air = air.top(key, 0), from_ground = floor_robot.top(key, 0);
-    const bool air_relief = std::abs(from_air - out.floor_height) > s.relief;
-    const bool ground_relief = std::abs(from_ground - out.floor_height) > s.relief;
+    const double level = floor.at(x, y);
+    const bool air_relief = std::abs(from_air - level) > s.relief;
+    const bool ground_relief = std::abs(from_ground - level) > s.relief;
     if (!air_relief && !ground_relief) continue;
     if (from_ground > from_air + s.tolerance_z) {
       count(highest(air, x, y), from_ground - s.tolerance_z);
     } else if (air_relief && !ground_relief && from_air > from_ground + s.tolerance_z) {
       const float beside = highest(floor_robot, x, y);
-      const bool hidden = from_air > ground_camera - s.tolerance_z && beside < out.floor_height + s.relief;
-      if (!hidden) count(beside, out.floor_height + s.relief);
+      const bool hidden = from_air > ground_camera - s.tolerance_z && beside < level + s.relief;
+      if (!hidden) count(beside, level + s.relief);
     } else {
       ++out.relief_cells;
     }

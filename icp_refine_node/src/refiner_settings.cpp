@@ -5,7 +5,8 @@ namespace icp_refine {
 
 void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
   v.section("Refinement");
-  v("recent_clouds", r.recent_clouds, {1, 10000}, "", "latest aerial clouds that make up the reading");
+  v("recent_clouds", r.recent_clouds, {1, 10000}, "",
+    "aerial clouds in a row that make up the reading: the newest, or those that a guess puts on the ground map");
   v("accumulation_leaf", r.accumulation_leaf, {0.001, 10}, "m", "each of them is thinned to this");
   v("margin", r.margin, {0.01, 1000}, "m",
     "aerial points farther than this from the ground map, in plan, are left out");

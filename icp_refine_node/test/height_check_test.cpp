@@ -30,6 +30,25 @@ TEST(HeightCheck, ATableAboveTheGroundCameraSaysNothing) {
   }
 }
 
+// Five boxes on a slope, and the aerial cloud half a metre off along a contour: bare slope agrees wherever it is put.
+TEST(HeightCheck, ASlopeProvesNoPlaceAlongItsContours) {
+  for (const double slope : {0.0, 0.07, -0.2}) {
+    const auto scene = [slope](double shift) {
+      Cloud cloud;
+      addLevel(cloud, -1, 7, -1, 7, 0);
+      for (const auto& [x, y] : {std::pair(1.0, 1.2), {4.3, 0.9}, {2.6, 2.9}, {0.8, 4.6}, {4.9, 4.4}})
+        addLevel(cloud, x + shift, x + shift + 0.5, y, y + 0.5, 0.4);
+      for (auto& p : cloud.points) p.z() += static_cast<float>(slope * p.y());
+      return cloud;
+    };
+    const HeightCheck right = checkHeights(scene(0), scene(0)), wrong = checkHeights(scene(0.6), scene(0));
+    EXPECT_TRUE(right.conclusive) << slope;
+    EXPECT_GT(right.agreement(), 0.98) << slope;
+    EXPECT_LT(wrong.agreement(), 0.5) << slope << ": of " << wrong.relief_cells;
+    EXPECT_LT(right.relief_cells, 600) << slope << ": the boxes alone";
+  }
+}
+
 // Half a metre of wall in the ground map, at the edge of what the image showed or amid it.
 TEST(HeightCheck, AWallThatTheImageCutSaysNothing) {
   HeightCheckSettings s;

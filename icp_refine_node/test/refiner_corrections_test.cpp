@@ -57,6 +57,24 @@ TEST_F(Refiner, AMovedGroundIsTriedOnTwoMapsHoweverManyCome) {
   EXPECT_FALSE(refiner.groundHasMoved());
 }
 
+// The MAV scouted here, and flew on before the ground robot came.
+TEST_F(Refiner, AGuessIsRefinedWithTheCloudsThatItPutsOnTheGroundMap) {
+  Cloud far = scene.aerial;
+  for (auto& p : far.points) p += Eigen::Vector3f(40, 0, 0);
+  for (std::int64_t stamp = 2; stamp < 12; ++stamp) refiner.addAerial(stamp, far);
+  refiner.setCoarse(moved(0.1, -0.1, 0.05, 0.03));
+  auto out = refiner.refine();
+  ASSERT_EQ(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_LT(error(out.T_ground_map_mav_map), 0.08);
+  EXPECT_LT(out.stamp, 7) << "of the six clouds with the one that was made here";
+  // What is tracked is judged by where the MAV is now.
+  refiner.addAerial(12, far);
+  out = refiner.refine();
+  EXPECT_NE(out.status, RefineStatus::kConverged);
+  EXPECT_EQ(out.stamp, 12);
+  EXPECT_LT(error(*refiner.refined()), 0.08);
+}
+
 /// The ground map after a loop closure that moves the overlap farther than ICP reaches.
 class MovedGround : public Refiner {
  protected:

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "air_ground_common/covariance.h"
 #include "air_ground_common/statistics.h"
 #include "visual_frontend/local_landmarks.h"
 

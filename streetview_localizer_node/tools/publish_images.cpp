@@ -22,7 +22,7 @@ namespace {
 
 namespace ru = air_ground_common::ros_utils;
 
-const ros::WallDuration kPause(0.05);
+const ros::WallDuration kPause(0.05), kReminder(10);
 
 struct Arguments {
   std::string folder, images, camera, cameras, frame = "mav_camera_optical_frame", base_frame;
@@ -75,6 +75,23 @@ int play(const Arguments& a, const Album& album, const ros::Publisher& images, c
   return published;
 }
 
+/// Until both topics have a listener; says every ten seconds which one has none.
+void waitForListeners(const ros::Publisher& images, const ros::Publisher& infos) {
+  ros::WallTime said = ros::WallTime::now();
+  for (; ros::ok(); kPause.sleep()) {
+    std::string alone;
+    for (const ros::Publisher* topic : {&images, &infos})
+      if (topic->getNumSubscribers() == 0) alone += (alone.empty() ? "" : " and ") + topic->getTopic();
+    if (alone.empty()) return;
+    if (ros::WallTime::now() - said < kReminder) continue;
+    said = ros::WallTime::now();
+    ROS_WARN(
+        "no photograph is played before a node listens to %s: does the one that takes them run, has it loaded its "
+        "database, and does it listen to these names (rosnode info)?",
+        alone.c_str());
+  }
+}
+
 void run(const Arguments& a) {
   if (!a.folder.empty()) std::filesystem::current_path(a.folder);
   const Album album = readAlbum(a);
@@ -87,7 +104,7 @@ void run(const Arguments& a) {
     T_base_camera.linear() = air_ground_common::opticalFromForwardBody().transpose();
     mount.sendTransform(ru::tfEdge(ros::Time(), a.base_frame, a.frame, T_base_camera));
   }
-  while (ros::ok() && (images.getNumSubscribers() == 0 || infos.getNumSubscribers() == 0)) kPause.sleep();
+  waitForListeners(images, infos);
   do {
     // A round without a picture would not pause.
     if (play(a, album, images, infos) == 0 && ros::ok())

@@ -14,4 +14,8 @@ namespace air_ground_common {
 void writeAtomically(const std::string& path, const std::function<void(std::ostream&)>& body,
                      const std::string& begins_with = "");
 
+/// Throws std::runtime_error for what writeAtomically would not overwrite with `begins_with`; whoever takes long to
+/// make the content asks before.
+void refuseOtherKind(const std::string& path, const std::string& begins_with);
+
 }  // namespace air_ground_common

@@ -6,6 +6,7 @@
 
 #include "air_ground_common/imu_combiner.h"
 #include "air_ground_common/text.h"
+#include "visual_frontend/imu_preintegration.h"
 
 namespace visual_frontend {
 

@@ -30,7 +30,6 @@ void InertialAlignmentSettings::validate() const {
   const auto require = [](bool ok, const char* field) {
     if (!ok) throw std::invalid_argument(std::string("InertialAlignmentSettings::") + field + " must be positive");
   };
-  require(gravity > 0, "gravity");
   require(gravity_norm_sigma > 0, "gravity_norm_sigma");
   require(initial_gyro_bias > 0, "initial_gyro_bias");
   require(initial_accel_bias > 0, "initial_accel_bias");

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu
+from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_reader import POSE_TYPES, BagFacts, open_bag
 from .bag_registration import Registration
@@ -35,6 +35,8 @@ LACKING = 0.05  # of the messages
 IMAGES = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 REGISTRATION = ('/ground/depth/image_raw', '/ground/rgb/image_raw', '/ground/depth/camera_info', '/ground/rgb/camera_info')
 SPREAD = 24  # messages from all over a topic that are kept, at most
+FEW = 0.01  # of the messages, or one, may lack a stamp: the nodes do without these
+PRESSURES = (20e3, 120e3)  # [Pa]: as ekf_tracker takes them
 
 
 class Stream:
@@ -42,6 +44,7 @@ class Stream:
 
     def __init__(self, spread=False):
         self.stamps, self.times, self.frames, self.samples, self.spread, self.accel, self.gyro = [], [], set(), [], [], [], []
+        self.unstamped = 0  # messages without stamp that were left out
         self._step = 1 if spread else None
 
     def add(self, message, time):
@@ -60,6 +63,17 @@ class Stream:
             a, w = message.linear_acceleration, message.angular_velocity
             self.accel.append((a.x, a.y, a.z))
             self.gyro.append((w.x, w.y, w.z))
+
+    def leave_out_unstamped(self):
+        """Messages without stamp, where they are few, as the nodes do. Calibrations need none."""
+        kept = np.flatnonzero(np.array(self.stamps) > 0)
+        lacking = len(self.stamps) - len(kept)
+        if not 0 < lacking <= max(1, FEW * len(self.stamps)) or len(kept) < 2 or self.samples[0]._type == 'sensor_msgs/CameraInfo':
+            return
+        self.unstamped = lacking
+        for column in ('stamps', 'times', 'accel', 'gyro'):
+            values = getattr(self, column)
+            setattr(self, column, [values[i] for i in kept] if values else [])
 
 
 def read(path, topics, limit=None, spread=()):
@@ -108,7 +122,9 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
             findings.append(Finding(WARNING, f'{bag_guess.raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}'))
         elif standard not in ELSEWHERE:
             findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
-    streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard == '/ground/depth/image_raw'])
+    streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard in ('/ground/depth/image_raw', '/barometer')])
+    for stream in streams.values():
+        stream.leave_out_unstamped()
     for robot in robots:
         bag_imu.unite(*(streams.get(present.get(f'/{robot}/imu/{part}')) for part in ('data', 'accel')))
     for standard, topic in present.items():
@@ -122,6 +138,8 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         elif standard.endswith('imu/data'):
             findings += bag_imu.check(standard, topic, streams[topic], standard.replace('data', 'accel') in present)
             findings += bag_imu.gravity_and_start(topic, streams[topic], facts, bases[standard.split('/')[1]])
+        elif standard == '/barometer':
+            findings += _pressure(topic, streams[topic].spread)
         elif standard in CITY or city or standard.endswith('imu/accel') or not facts.counts[topic]:
             continue
         elif streams[topic].frames != {'world'}:
@@ -130,7 +148,7 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += _clocks(present, streams)
     findings += bag_frames.check_static(facts)
     findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases)
-    findings += _parts(facts)
+    findings += own_outputs.check(facts) + _parts(facts)
     registration = _registration(present, streams)
     findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '')
     without_imu = '/ground/imu/data' not in present or any(f.argument == bag_imu.without('/ground/imu/data') for f in findings)
@@ -182,8 +200,11 @@ def _stamps(standard, topic, stream, least_rate):
     if np.any(stamps <= 0) and stream.samples[0]._type == 'sensor_msgs/CameraInfo':
         return [Finding(OK, f'{topic}: {len(stamps)} messages without stamp: each holds until the next one')]
     if np.any(stamps <= 0):
-        return [Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} of {len(stamps)} messages have no stamp (header.stamp is zero): set it in the driver, or to the '
-                        'time of recording (rosrun air_ground join_bags BAG OUT --restamp TOPIC)')]
+        return [Finding(ERROR, f'{topic}: {np.count_nonzero(stamps <= 0)} of {len(stamps)} messages have no stamp (header.stamp is zero), and the nodes drop these: set it in the driver, or by '
+                        f'rosrun air_ground join_bags BAG OUT --restamp {topic}, which goes by the others\' stamps or, where most have none, by the times of recording')]
+    if stream.unstamped:
+        result.append(Finding(WARNING, f'{topic}: {stream.unstamped} of {len(stamps) + stream.unstamped} messages have no stamp (header.stamp is zero): the nodes drop these, so few do no harm; '
+                              f'rosrun air_ground join_bags BAG OUT --restamp {topic} gives them stamps between the others\', which stay as they are'))
     steps = np.diff(stamps)
     if np.any(steps < 0):
         result.append(Finding(WARNING, f'{topic}: stamps go back {np.count_nonzero(steps < 0)} times (by up to {-steps.min():.3f} s); '
@@ -211,6 +232,15 @@ def _stamps(standard, topic, stream, least_rate):
     if not result:
         result.append(Finding(OK, f'{topic}: {len(stamps)} messages, {rate:.1f} Hz'))
     return result
+
+
+def _pressure(topic, samples):
+    """Of the air, in Pa."""
+    median = np.median([message.fluid_pressure for message in samples]) if samples else PRESSURES[0]
+    if PRESSURES[0] <= median <= PRESSURES[1]:
+        return []
+    return [Finding(WARNING, f'{topic}: its median pressure is {median:.4g}, not between 20 and 120 kPa, so that the tracker refuses it: is it in hPa (Pa are needed), or an airspeed sensor\'s '
+                    'differential pressure (then name the barometer\'s topic: barometer_pressure:=, here --map)?')]
 
 
 def _pairs(present, streams):

@@ -128,6 +128,26 @@ def _agreement(facts, colour, depth):
     return int(not len(distortions[1]) and bag_camera.RECTIFIED.search(colour) is not None)
 
 
+def mapped(rules):
+    """standard topic -> topic, of the --map rules TOPIC:=STANDARD. ValueError where a rule has no standard topic. That may go by its launch argument and on either side, as
+    launch files have the argument on the left, and its slash may be missing."""
+    result = {}
+    for rule in rules:
+        left, separator, right = rule.partition(':=')
+        standard, topic = (_standard(right), left) if _standard(right) or not _standard(left) else (_standard(left), right)
+        if not separator or not topic or not standard:
+            known = ', '.join(f'{name} ({argument})' for name, argument in ARGUMENTS.items())
+            raise ValueError(f'{rule}: expected TOPIC:=STANDARD, where STANDARD is one of {known}')
+        result[standard] = topic
+    return result
+
+
+def _standard(name):
+    """The standard topic of this name, with or without slash, or of this launch argument; None for others."""
+    slashed = '/' + name.lstrip('/')
+    return slashed if slashed in ARGUMENTS else next((standard for standard, argument in ARGUMENTS.items() if argument == name), None)
+
+
 class _Choices:
     """standard topic -> topic of the bag; a topic is chosen once."""
 
@@ -167,7 +187,7 @@ def guess(facts, city=False, robots=('mav', 'ground'), given=None):
         choices.choose('/ground/depth/camera_info', infos(facts, names['/ground/depth/image_raw']), lambda t: 0)
     if city:
         for standard, kind in (('/gps/fix', 'sensor_msgs/NavSatFix'), ('/mav/imu/mag', 'sensor_msgs/MagneticField'), ('/barometer', 'sensor_msgs/FluidPressure')):
-            choices.choose(standard, facts.of_type(kind), lambda t: has(t, MAV_WORDS))
+            choices.choose(standard, facts.of_type(kind), lambda t: ('diff' not in t.lower(), has(t, MAV_WORDS)))  # differential pressure is of an airspeed sensor
     return names
 
 

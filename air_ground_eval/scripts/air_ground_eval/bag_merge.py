@@ -4,6 +4,7 @@ import os
 import re
 
 import genpy
+import numpy as np
 import rosbag
 
 from .bag_guess import IMAGE_TYPES, raw_name
@@ -15,17 +16,21 @@ TF_TYPES = ('tf2_msgs/TFMessage', 'tf/tfMessage')
 STATIC = ('/tf_static', 'tf_static')
 CAMERA_TYPES = (*IMAGE_TYPES, 'theora_image_transport/Packet', 'sensor_msgs/CameraInfo')
 DROPPED = ('/clock',)  # one for both: the player's
+OTHER_CLOCK = 10**9  # [ns]: stamps so far from the times of recording are of another clock, as check_bag says
+STAMPS_END = 2**32 * 10**9  # [ns]: what ROS's stamps can hold
 
 
 def frames_of(facts):
-    """Frames that a bag names: in transforms, and in the first message of each topic with a header."""
+    """Frames that a bag names: in all transforms, as each message may hold others, and in the first message of each other topic with a header."""
     names = {frame for edge in facts.edges for frame in edge}
     with open_bag(facts.path) as bag:
         for topic in facts.types:
             for _, message, _ in bag.read_messages([topic]):
-                if message._type in TF_TYPES:
-                    names |= {frame for edge in message.transforms for frame in (edge.header.frame_id, edge.child_frame_id)}
-                elif hasattr(message, 'header'):
+                edges = message.transforms if message._type in TF_TYPES else [message] if hasattr(message, 'child_frame_id') else []
+                names |= {frame for edge in edges for frame in (edge.header.frame_id, edge.child_frame_id)}
+                if message._type in TF_TYPES or edges:
+                    continue
+                if hasattr(message, 'header'):
                     names.add(message.header.frame_id)
                 break
     return {name.lstrip('/') for name in names} - {''}
@@ -64,14 +69,24 @@ class Part:
     def frame(self, name):
         return self.frames.get(name.lstrip('/'), name)
 
-    def changed(self, message):
+    def moved(self, stamp, topic):
+        """A stamp in the merged bag's time; zero is none, and stays."""
+        if not stamp:
+            return stamp
+        if not 0 < stamp.to_nsec() + self.shift.to_nsec() < STAMPS_END:
+            path = self.facts.path
+            way = (f'rosbag filter "{path}" NEW.bag "topic != \'{topic}\'" leaves it out' if self.facts.types[topic] in TF_TYPES else
+                   f'rosrun air_ground join_bags "{path}" NEW.bag --restamp {topic} takes the times of recording')
+            raise BagError(f'{path}: {topic} has a stamp of {stamp.to_sec():.3f} s, of another clock than the bag\'s, which cannot be shifted by {self.shift.to_sec():.3f} s: {way}')
+        return stamp + self.shift
+
+    def changed(self, message, topic):
         if message._type in TF_TYPES:
             for edge in message.transforms:
-                edge.header.stamp += self.shift
+                edge.header.stamp = self.moved(edge.header.stamp, topic)
                 edge.header.frame_id, edge.child_frame_id = self.frame(edge.header.frame_id), self.frame(edge.child_frame_id)
         elif hasattr(message, 'header'):
-            if message.header.stamp:
-                message.header.stamp += self.shift
+            message.header.stamp = self.moved(message.header.stamp, topic)
             message.header.frame_id = self.frame(message.header.frame_id)
             if hasattr(message, 'child_frame_id'):
                 message.child_frame_id = self.frame(message.child_frame_id)
@@ -84,10 +99,10 @@ class Part:
         window.update({} if self.last == self.facts.end else dict(end_time=last - genpy.Duration(0, 1)))
         with open_bag(self.facts.path) as bag:
             for topic, message, header in () if self.whole else self._held(bag, first):
-                yield (first + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message), header
+                yield (first + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message, topic), header
             for topic, message, time, header in bag.read_messages(return_connection_header=True, **window):
                 if topic not in DROPPED and (self.whole or topic not in STATIC):
-                    yield (time + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message), header
+                    yield (time + self.shift).to_nsec(), order, self.topics.get(topic, topic), self.changed(message, topic), header
 
     def _held(self, bag, first):
         """What a stretch holds from its begin on, though it was recorded before, or, static transforms, at any time: (topic, message, connection header)."""
@@ -101,33 +116,76 @@ class Part:
             yield topic, message, header
 
 
-def shifts(paths, topics):
-    """topic -> what its stamps lack to the times of recording (the median); None where they are zero. BagError for a topic that no part has."""
-    delays = {topic: [] for topic in topics}
-    for path in paths:
+def _filled(times, stamps, delay):
+    """Stamps [ns] in which those that are zero follow their neighbours; times: of recording [ns]; delay: after the stamps, the usual one [ns]."""
+    known = np.flatnonzero(stamps)
+    if not len(known):
+        return times - delay
+    first, last, filled = known[0], known[-1], stamps.copy()
+    step = max(1, int(np.median(np.diff(stamps[known])))) if len(known) > 1 else 1
+    lacking = first + np.flatnonzero(stamps[first:last] == 0)
+    # Between two that are known it is between their stamps, however late it was recorded; counted from the first, as a double holds no nanoseconds since 1970.
+    filled[lacking] = stamps[first] + np.rint(np.interp(times[lacking] - times[first], times[known] - times[first], stamps[known] - stamps[first])).astype(np.int64)
+    if first > 0:
+        head = times[:first] - delay
+        filled[:first] = head + min(0, stamps[first] - step - head[-1])
+    if last + 1 < len(stamps):
+        tail = times[last + 1:] - delay
+        filled[last + 1:] = tail + max(0, stamps[last] + step - tail[0])
+    return filled
+
+
+def _mended(times, stamps):
+    """(new stamps of each part [ns], what became of them); times, stamps: of each part's messages of one topic, in order [ns], 0 where there is no stamp."""
+    all_times, all_stamps = np.concatenate(times), np.concatenate(stamps)
+    count, lacking = len(all_stamps), np.count_nonzero(all_stamps == 0)
+    if 2 * lacking > count:
+        return times, 'stamped with the times of recording'
+    delays = np.sort((all_times - all_stamps)[all_stamps > 0])
+    delay = int(delays[len(delays) // 2])
+    # Where some alone are zero, the others are right unless they are of another clock: to shift them by what a message takes would part them from the other sensors.
+    shift = delay if not lacking or abs(delay) > OTHER_CLOCK else 0
+    done = ([f'{lacking} of {count} stamps were zero: these follow the others' + ('' if shift else ', which stay as they are')] if lacking else [])
+    done += [f'stamps shifted by {shift * 1e-9:+.3f} s'] if shift or not lacking else []
+    return [_filled(t, s, delay) + shift for t, s in zip(times, stamps)], ', '.join(done)
+
+
+def restamped(paths, topics):
+    """(the parts of a recording with mended stamps on some topics, topic -> what became of them). Stamps of another clock are all shifted by what they lack to the times of recording, the
+    median; those that are zero follow the others, or take the times of recording where most are zero. BagError for a topic that no part has."""
+    found = {topic: [([], []) for _ in paths] for topic in topics}
+    for part, path in enumerate(paths):
         with open_bag(path) as bag:
             for topic, message, time in bag.read_messages(topics) if topics else ():
                 if hasattr(message, 'header'):
-                    delays[topic].append((time - message.header.stamp).to_nsec() if message.header.stamp else None)
-    for topic, found in delays.items():
-        if not found:
+                    for column, value in zip(found[topic][part], (time, message.header.stamp)):
+                        column.append(value.to_nsec())
+    stamps, done = [{} for _ in paths], {}
+    for topic, columns in found.items():
+        if not any(times for times, _ in columns):
             raise BagError(f'--restamp {topic}: no bag has stamps on this topic')
-    return {topic: None if None in found else genpy.Duration(0, sorted(found)[len(found) // 2]) for topic, found in delays.items()}
+        new, done[topic] = _mended(*([np.array(column, np.int64) for column in kind] for kind in zip(*columns)))
+        for part, values in zip(stamps, new):
+            if np.any(values <= 0) or np.any(values >= STAMPS_END):
+                raise BagError(f'--restamp {topic}: its stamps are of several clocks, so that one shift serves them not all: have its driver stamp by one')
+            part[topic] = values
+    return [Restamped(path, part) for path, part in zip(paths, stamps)], done
 
 
 class Restamped:
-    """A part of a recording, with other stamps on some topics."""
+    """A part of a recording, with other stamps on some topics: topic -> those of its messages, in order [ns]."""
 
-    def __init__(self, path, shifts_of_topics):
-        self.path, self.shifts = path, shifts_of_topics
+    def __init__(self, path, stamps):
+        self.path, self.stamps = path, stamps
 
     def messages(self, order):
         """As Part's."""
+        next_stamps = {topic: iter(stamps.tolist()) for topic, stamps in self.stamps.items()}
         with open_bag(self.path) as bag:
             for topic, message, time, header in bag.read_messages(return_connection_header=True):
-                if topic in self.shifts:
-                    shift = self.shifts[topic]
-                    message.header.stamp = time if shift is None else message.header.stamp + shift
+                if topic in next_stamps and hasattr(message, 'header'):
+                    stamp = next(next_stamps[topic])
+                    message.header.stamp = genpy.Time(stamp // 10**9, stamp % 10**9)
                 yield time.to_nsec(), order, topic, message, header
 
 
@@ -161,14 +219,18 @@ def plan(mav, ground, begin_together):
 
 
 def merge(parts, out, compression='lz4'):
-    """Writes the bag and gives the number of messages. BagError where it cannot be written."""
-    count = 0
+    """Writes the bag and gives the number of messages; it has its name once it is whole. BagError where it cannot be written."""
+    count, partial = 0, out + '.part'
     try:
-        with rosbag.Bag(out, 'w', compression=compression) as bag:
+        with rosbag.Bag(partial, 'w', compression=compression) as bag:
             # Stamps and topics decide, never the messages themselves, which have no order.
             for time, order, topic, message, header in heapq.merge(*(part.messages(i) for i, part in enumerate(parts)), key=lambda item: item[:2]):
                 bag.write(topic, message, genpy.Time(time // 10**9, time % 10**9), connection_header={**header, 'topic': topic} if header else None)
                 count += 1
+        os.replace(partial, out)
     except OSError as error:
         raise BagError(f'{out} cannot be written ({error.strerror or error})') from error
+    finally:
+        if os.path.exists(partial):
+            os.remove(partial)
     return count

@@ -4,7 +4,8 @@
 the union of all of them is published here, latched, for as long as the player lives, and the player's own goes where nobody listens. The same
 holds for those on /tf that never change. What else is on /tf is handed on but for the edges that say where a frame is that a node, or the static
 transforms, say otherwise: a frame with two parents leaves tf in pieces. A recorded /clock is left out. So is a static transform of a frame that another node
-publishes one of (publish_calibration): that one corrects the bag, and what it says on /tf.
+publishes one of (publish_calibration): that one corrects the bag, and what it says on /tf. So are the topics that the launch's own nodes publish (own_outputs.py): a bag that was
+recorded while the suite ran holds that run's.
 """
 import re
 import subprocess
@@ -16,6 +17,7 @@ from roslib.packages import find_node
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
+from . import own_outputs
 
 NAME = re.compile(r'[A-Za-z~/][A-Za-z0-9_/]*')  # of a topic, as ROS takes it; a recording may hold others, of which rosbag play dies
 SHOWN = 3  # topics that are named as left out
@@ -70,34 +72,52 @@ class StaticTransforms:
 
 
 class BagPlayer:
-    """`rosbag play` as a child of this node, under its own node name. bag: BagFacts; owned: frames whose place nodes publish."""
+    """`rosbag play` as a child of this node, under its own node name. bag: BagFacts; nodes: whose outputs are not played (own_outputs.running).
 
-    def __init__(self, bag, name='player', rate=1.0, start=0.0, delay=0.0, paused=True, owned=()):
-        self.static = None
-        static = bag.static_transforms(owned)
+    topics: those that are played.
+    """
+
+    def __init__(self, bag, name='player', rate=1.0, start=0.0, delay=0.0, paused=True, nodes=None):
+        self.static, self.chains = None, own_outputs.chains(nodes or {})
+        static = bag.static_transforms(chains=self.chains)
         if static.transforms or '/tf' in bag.types:
             self.static = StaticTransforms(static)
         self.name = rospy.resolve_name(name)
         command = find_node('rosbag', 'play')[:1] + ['--quiet', '--clock', '--hz=200', '--queue=2000', f'--rate={rate}', f'--start={start}']
         command += (['--pause'] if paused else []) + ([f'--delay={delay}'] if delay else [])
-        topics, others = playable(bag.types)
+        self.topics, others = playable(bag.types)
         if others:
             rospy.logwarn('%d topic(s) of the bag left out, whose names ROS does not take: %s%s', len(others), ', '.join(others[:SHOWN]), ' ...' if len(others) > SHOWN else '')
-        command += ['--topics', *topics, '--bags', bag.path] if len(topics) < len(bag.types) else [bag.path]
+        self._leave_out(own_outputs.published(nodes or {}))
+        command += ['--topics', *self.topics, '--bags', bag.path] if len(self.topics) < len(bag.types) else [bag.path]
         command += ['/tf_static:=/tf_static_of_bag', f'__name:={name}']
         if '/tf' in bag.types:
             command.append('/tf:=/tf_of_bag')
-            self.others = {*owned, *(edge.child_frame_id for edge in static.transforms)}
+            self.others = {*(frame for chain in self.chains for frame in chain[1:]), *(edge.child_frame_id for edge in static.transforms)}
             self.left_out = set()
             self.moving = rospy.Publisher('/tf', TFMessage, queue_size=100)
             self.relay = rospy.Subscriber('/tf_of_bag', TFMessage, self._hand_on, queue_size=1000)
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         rospy.on_shutdown(self.stop)
 
+    def _leave_out(self, published):
+        """What was recorded of the topics that nodes publish in this run, too."""
+        own = [topic for topic in self.topics if f'/{topic.lstrip("/")}' in published]
+        self.topics = [topic for topic in self.topics if topic not in own]
+        if own:
+            rospy.loginfo('topics of the bag that are not played, since nodes of this launch publish them: %s', ', '.join(own))
+        if not self.topics:
+            rospy.logerr('there is nothing else in the bag: no images, no IMU')
+
+    def _is_said_otherwise(self, edge):
+        """By nodes or static transforms. Between two frames of a chain the other way round, too: mav_map -> ground_map, where that was recorded with inverse_tf."""
+        parent, child = edge.header.frame_id.lstrip('/'), edge.child_frame_id.lstrip('/')
+        return child in self.others or self.static is not None and child in self.static.claimed or any(parent in chain and child in chain for chain in self.chains)
+
     def _hand_on(self, message):
-        others = self.others | (self.static.claimed if self.static else set())
-        kept = [edge for edge in message.transforms if edge.child_frame_id.lstrip('/') not in others]
-        new = {edge.child_frame_id.lstrip('/') for edge in message.transforms} & others - self.left_out
+        said = [(edge, self._is_said_otherwise(edge)) for edge in message.transforms]
+        kept = [edge for edge, otherwise in said if not otherwise]
+        new = {edge.child_frame_id.lstrip('/') for edge, otherwise in said if otherwise} - self.left_out
         if new:
             self.left_out |= new
             rospy.loginfo('/tf of the bag: what it says of %s is left out, since nodes or the static transforms say so', ', '.join(sorted(new)))

@@ -9,7 +9,7 @@ import rosbag
 import roslib.message
 import rospy
 
-from . import geometry, messages
+from . import geometry, messages, own_outputs
 from .evaluation import Track
 from .truth import Reference
 from .video import is_video
@@ -141,15 +141,17 @@ class BagFacts:
             self._add_edge(first[child])
         return constant
 
-    def static_transforms(self, bases):
-        """The static transforms as a TFMessage, for nodes that publish where the frames `bases` are: since a frame has one parent, the edges above them are
-        turned around."""
-        edges = dict(self.edges)
+    def static_transforms(self, bases=(), chains=()):
+        """The static transforms as a TFMessage, for nodes that publish where the frames `bases` are, and the transforms along `chains` of frames, parent before child: since a
+        frame has one parent, the edges above them are turned around, but those within a chain left out (of an earlier run that never changed)."""
+        edges = {(parent, child): transform for (parent, child), transform in self.edges.items() if not any(parent in chain and child in chain for chain in chains)}
+        bases = [*bases, *(frame for chain in chains for frame in reversed(chain[1:]))]
+        known = {*bases, *(frame for chain in chains for frame in chain)}
         for base in bases:
             frame, below = base, None
             while parent := next((parent for parent, child in edges if child == frame and parent != below), None):
                 transform = edges.pop((parent, frame))
-                if parent in bases:
+                if parent in known:
                     break
                 edges[frame, parent] = geometry.inverse(transform)
                 frame, below = parent, frame
@@ -204,8 +206,8 @@ class BagFacts:
                 f'rosbag check -g rules.bmr "{self.path}" writes rules, to be filled in, for rosbag fix "{self.path}" converted.bag rules.bmr')
 
     def of_type(self, *kinds):
-        """Topics of these message types, in order."""
-        return sorted(topic for topic, kind in self.types.items() if kind in kinds)
+        """Topics of these message types, in order; without what the nodes published, which is no input."""
+        return sorted(topic for topic, kind in self.types.items() if kind in kinds and topic not in own_outputs.ALL)
 
     def static_transform(self, target, source):
         """T_target_source through the static transforms, or None when they do not connect the two."""
@@ -229,7 +231,7 @@ class BagFacts:
             for _, message, _ in bag.read_messages([topic]):
                 p, q = POSE_TYPES[kind](message)
                 stamp = message.header.stamp.to_sec()
-                if (not stamps or stamp > stamps[-1]) and np.all(np.isfinite([p.x, p.y, p.z])):
+                if stamp > (stamps[-1] if stamps else 0) and np.all(np.isfinite([p.x, p.y, p.z])):
                     stamps.append(stamp)
                     positions.append((p.x, p.y, p.z))
                     quaternions.append((q.x, q.y, q.z, q.w) if q else (0, 0, 0, 0))

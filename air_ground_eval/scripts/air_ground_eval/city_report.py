@@ -38,6 +38,7 @@ class Recorded:
     matches: dict = field(default_factory=dict)  # status -> number of images
     match_times: list = field(default_factory=list)  # [s]
     gps: Optional[Estimated] = None
+    gps_topic: str = ''
     truth: Optional[Track] = None
     city: City = field(default_factory=City)
     states: dict = field(default_factory=dict)
@@ -114,6 +115,7 @@ class Report:
                 self.values.update({f'vo_from_true_start_{k}': x for k, x in evaluate.statistics(way, ideal).items()})
         if r.gps is not None and len(r.gps):
             self.sources['gps'] = r.gps.after(start)
+            self.values['gps_topic'] = r.gps_topic
         self.sources['tracker'] = r.tracker
         if r.magnetometer is not None and len(r.magnetometer):
             self.sources['magnetometer'] = r.magnetometer.after(start)

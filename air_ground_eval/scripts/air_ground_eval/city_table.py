@@ -29,6 +29,7 @@ def table(v, sources, scale, along, notes):
                 cells = ''.join(f'{v[f"{name}_{key}"]:>15.2f} {unit:3}' if f'{name}_{key}' in v else f'{"":19}' for name in names)
                 lines.append(f'{label:30}{cells}   {PAPER.get(key, "")}'.rstrip())
         lines += _along(v, names, along)
+        lines += [f'GPS: {v["gps_topic"]}'] if 'gps' in sources else []
     lines += _localizer_lines(v)
     if 'vo_from_true_start_position_error_mean_m' in v:
         lines.append(f'pure VO from the true pose at its start: {v["vo_from_true_start_position_error_mean_m"]:.2f} m mean, '

@@ -12,7 +12,7 @@ import numpy as np
 
 from . import calibration, calibration_files, geometry, numbered, reference_poses, rgbd_cameras, zurich_urban
 from .reference_poses import unique_poses
-from .recording import Camera, DatasetError, Frame, Imu, Recording, settle_levels
+from .recording import Camera, DatasetError, Frame, Imu, Recording, settle_depth_unit, settle_levels
 from .yaml_file import read_mapping
 
 Z_UP = np.array([0.0, 0.0, 1.0])
@@ -52,6 +52,7 @@ def read_recording(folder, layout, config, R_base_camera=geometry.R_BODY_FORWARD
         raise DatasetError(f'{folder}: image stamps do not increase at image {int(np.argmax(np.diff(stamps) <= 0)) + 1}')
     reference_poses.level(recording, up, R_base_camera, mirrored)
     settle_levels(recording)
+    settle_depth_unit(recording, config)
     return recording
 
 

@@ -1,4 +1,5 @@
 """What a reader of a data set returns: images, inertial samples, reference poses and calibration, in metres, seconds and radians."""
+import contextlib
 import os
 from dataclasses import dataclass, field
 from typing import List, Optional
@@ -80,6 +81,7 @@ class Recording:
     depth: List[Frame] = field(default_factory=list)
     depth_camera: Optional[Camera] = None            # None: depth is registered to colour
     depth_unit: float = 0.001                        # metres per count
+    float_depth_unit: float = 1.0                    # metres per unit of depth in floating point
     depth_invalid: tuple = (0, 65535)
     T_depth_colour: np.ndarray = field(default_factory=lambda: np.eye(4))
     pose_stamps: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -96,40 +98,80 @@ class Recording:
 def settle_levels(recording):
     """One scale for all grey images of 16 bits, by some from all over the recording: brightness keeps its meaning from image to image."""
     frames = [frame for frame in recording.colour if os.path.isfile(frame.path)]
-    if not frames or not _has_sixteen_bits(frames[0].path):
+    if not frames or not _mode(frames[0].path).startswith('I'):
         return
     chosen = frames[::-(-len(frames) // LOOKED_AT)]
-    found = pixel_range.levels(read_image(frame.path, depth=True) for frame in chosen)
+    found = pixel_range.levels(_sixteen_bits(frame.path) for frame in chosen)
     for frame in recording.colour:
         frame.levels = found
     recording.notes.append(f'images of 16 bits: counts {found.low:.0f} to {found.high:.0f} become 0 to 255, in all of them, by {len(chosen)} from all over the recording')
 
 
-def _has_sixteen_bits(path):
+def settle_depth_unit(recording, config):
+    """Depth in floating point is in metres, as in ROS, whatever a count is in this layout, unless --config says how many of its units are a metre."""
+    if 'depth_counts_per_metre' in config:
+        recording.float_depth_unit = recording.depth_unit
+    elif recording.depth and _mode(recording.depth[0].path).startswith('F'):
+        recording.notes.append('depth images in floating point: taken for metres; depth_counts_per_metre of --config states another unit')
+
+
+def _mode(path):
+    """Of Pillow: 'I...' of more than 8 bits, 'F' of floating point."""
     try:
         with Image.open(path) as image:
-            return image.mode.startswith('I')
+            return image.mode
     except (OSError, UnidentifiedImageError):
-        return False  # who reads it says why
+        return ''  # who reads it says why
+
+
+def _counts(image):
+    return np.clip(np.asarray(image), 0, 65535).astype(np.uint16)
+
+
+def _sixteen_bits(path):
+    """Grey in 16 bits, as counts."""
+    with _opened(path) as image:
+        return _counts(image)
+
+
+@contextlib.contextmanager
+def _opened(path):
+    """DatasetError for what is none, or is cut short, as its pixels are read."""
+    try:
+        with Image.open(path) as image:
+            yield image
+    except (OSError, UnidentifiedImageError) as error:
+        raise DatasetError(f'{path}: cannot be read as an image ({error})') from error
 
 
 def read_image(path, depth=False, levels=None):
-    """The image as an array: uint8 (h, w, 3), uint8 (h, w), or uint16 (h, w) when depth. levels: of grey in 16 bits; None: the image's own."""
-    try:
-        with Image.open(path) as image:
-            array = np.asarray(image)
-            if depth:
-                if array.ndim != 2:
-                    raise DatasetError(f'{path}: a depth image must have one channel, this has shape {array.shape}')
-                return array.astype(np.uint16)
-            if image.mode.startswith('I'):
-                counts = np.clip(array, 0, 65535).astype(np.uint16)
-                return (levels or pixel_range.levels([counts])).grey(counts)
-            if array.ndim == 3:
-                return np.asarray(image.convert('RGB'))
-            return array.astype(np.uint8) if array.dtype == np.uint8 else np.asarray(image.convert('L'))
-    except (OSError, UnidentifiedImageError) as error:
-        raise DatasetError(f'{path}: cannot be read as an image ({error})') from error
+    """The image as an array: uint8 (h, w, 3), uint8 (h, w), or when depth uint16 (h, w) of counts, float32 (h, w) of what is stored so. levels: of grey in 16 bits; None: the image's own."""
+    with _opened(path) as image:
+        if depth:
+            return _depth(path, image)
+        if image.mode.startswith('I'):
+            counts = _counts(image)
+            return (levels or pixel_range.levels([counts])).grey(counts)
+        if image.mode.startswith('P'):  # its pixels are places in a palette
+            image = image.convert('RGB')
+        array = np.asarray(image)
+        if array.ndim == 3:
+            return np.asarray(image.convert('RGB'))
+        return array.astype(np.uint8) if array.dtype == np.uint8 else np.asarray(image.convert('L'))
+
+
+def _depth(path, image):
+    array = np.asarray(image)
+    if array.ndim != 2:
+        raise DatasetError(f'{path}: a depth image must have one channel, this has shape {array.shape}')
+    if array.dtype.kind == 'f':
+        return array.astype(np.float32)
+    if image.mode.startswith('P') or array.dtype.itemsize == 1:
+        raise DatasetError(f'{path}: depth of 8 bits ({image.mode}) is a picture of depth, no measurement: give the images that it was made of, 16-bit PNG of counts or TIFF of floats in metres')
+    if array.max(initial=0) > 65535:
+        raise DatasetError(f'{path}: depth of {array.max()} counts, of which 16 bits hold 65535: write it as 16-bit PNG in a unit that fits (depth_counts_per_metre of --config names it), or '
+                           'as TIFF of floats in metres')
+    return _counts(array)
 
 
 def load_config(path):

@@ -4,6 +4,8 @@ import numpy as np
 
 from .recording import DatasetError, read_image
 
+FARTHEST = 65.535  # [m]: what 16 bits of millimetres hold
+
 
 def distort(x, y, distortion):
     """Distorted image coordinates of normalised ones (plumb bob, k1 k2 p1 p2 k3), and where the model still increases outwards."""
@@ -45,13 +47,29 @@ def register_depth(depth, depth_camera, colour_camera, T_depth_colour):
     return result
 
 
+def metres(recording, path):
+    """A depth image of a recording as its own camera sees it, float [m], NaN where it is invalid."""
+    raw = read_image(path, depth=True)
+    if raw.dtype.kind == 'f':
+        return np.where(np.isfinite(raw) & (raw > 0), raw * recording.float_depth_unit, np.nan)
+    return np.where(np.isin(raw, recording.depth_invalid), np.nan, raw * recording.depth_unit)
+
+
+def check_unit(recording, path):
+    """DatasetError where depth in floating point, taken for metres, is so far that nothing of it is kept."""
+    if read_image(path, depth=True).dtype.kind == 'f':
+        depth = metres(recording, path)
+        if np.any(np.isfinite(depth)) and np.nanmin(depth) >= FARTHEST:
+            raise DatasetError(f'{path}: its depths begin at {np.nanmin(depth):.0f}, farther than {FARTHEST:.0f} m if they are metres: are they millimetres? Say so by '
+                               '"depth_counts_per_metre: 1000" in --config')
+
+
 def depth_in_millimetres(recording, path):
     """The depth image of a recording, registered to its colour camera, uint16 [mm], 0 invalid."""
-    raw = read_image(path, depth=True)
+    depth = metres(recording, path)
     camera = recording.depth_camera or recording.camera
-    if raw.shape != (camera.height, camera.width):
-        raise DatasetError(f'{path}: is {raw.shape[1]}x{raw.shape[0]}, its camera {camera.width}x{camera.height}')
-    depth = np.where(np.isin(raw, recording.depth_invalid), np.nan, raw * recording.depth_unit)
+    if depth.shape != (camera.height, camera.width):
+        raise DatasetError(f'{path}: is {depth.shape[1]}x{depth.shape[0]}, its camera {camera.width}x{camera.height}')
     if recording.depth_camera is not None:
         depth = register_depth(depth, recording.depth_camera, recording.camera, recording.T_depth_colour)
     millimetres = np.rint(depth * 1000)

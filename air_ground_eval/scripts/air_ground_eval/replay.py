@@ -1,4 +1,5 @@
 """What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
+import glob
 import itertools
 import os
 import re
@@ -26,12 +27,6 @@ def pose_from_message(pose):
     """4x4 transform of a geometry_msgs/Pose. ValueError for a quaternion that is zero or not finite."""
     p, q = pose.position, pose.orientation
     return geometry.pose_from_tq([p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
-
-
-def owned_frames(robot, node):
-    """Frames of a robot whose place on tf its node publishes: odom and base, with `odom_from_tf` odom alone."""
-    frames = [rospy.get_param(f'~{robot}_odom_frame', f'{robot}_odom')]
-    return frames if rospy.get_param(f'{node}/odom_from_tf', False) else [rospy.get_param(f'~{robot}_base_frame', f'{robot}_base_link')] + frames
 
 
 class Robot:
@@ -195,9 +190,9 @@ def unconnected():
     return missing
 
 
-def wait_to_listen(bag, nodes, more_topics=(), timeout=60.0):
-    """Waits until each of the nodes has subscribed to a topic of the bag (tf aside) or one of `more_topics`. False when one did not come."""
-    topics = [topic for topic in bag.types if topic.strip('/') not in ('tf', 'tf_static', 'clock')] + list(more_topics)
+def wait_to_listen(topics, nodes, more_topics=(), timeout=60.0):
+    """Waits until each of the nodes has subscribed to one of the topics that are played (tf aside) or of `more_topics`. False when one did not come."""
+    topics = [topic for topic in topics if topic.strip('/') not in ('tf', 'tf_static', 'clock')] + list(more_topics)
     begin = time.monotonic()
     while not rospy.is_shutdown():
         missing = not_listening(nodes, topics)
@@ -333,17 +328,24 @@ def wait_for_rest(recorder, idle_time, limit):
     rospy.logwarn('the nodes were still busy %.0f s after the end of the bag (idle_limit): the report is written now, without what they have yet to do', limit)
 
 
-def make_room(folder, names):
-    """Makes the folder. Files of these names, of an earlier replay, go into a new one in it: earlier-1, or the first number that is free."""
+def move_aside(folder, names):
+    """Makes the folder. Files of these names (or patterns), of an earlier run, go into a new one in it: earlier-1, or the first number that is free. Returns that one, or None."""
     os.makedirs(folder, exist_ok=True)
-    old = [name for name in names if os.path.exists(os.path.join(folder, name))]
+    old = sorted({path for name in names for path in glob.glob(os.path.join(glob.escape(folder), name))})
     if not old:
-        return
+        return None
     earlier = next(path for path in (os.path.join(folder, f'earlier-{i}') for i in itertools.count(1)) if not os.path.exists(path))
     os.mkdir(earlier)
-    for name in old:
-        os.rename(os.path.join(folder, name), os.path.join(earlier, name))
-    rospy.loginfo('the results of an earlier replay are now in %s: another out:= keeps both apart', earlier)
+    for path in old:
+        os.rename(path, os.path.join(earlier, os.path.basename(path)))
+    return earlier
+
+
+def make_room(folder, names):
+    """move_aside, which it says."""
+    earlier = move_aside(folder, names)
+    if earlier:
+        rospy.loginfo('the results of an earlier replay are now in %s: another out:= keeps both apart', earlier)
 
 
 def save(service, kind, path, notes):

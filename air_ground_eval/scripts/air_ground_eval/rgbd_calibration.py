@@ -52,8 +52,7 @@ class EdgeObjective:
         self.depth_camera, self.frames = recording.depth_camera, []
         depth_of = {f.stamp: f for f in recording.depth}
         for frame in frames:
-            raw = read_image(depth_of[frame.stamp].path, depth=True)
-            depth = np.where(np.isin(raw, recording.depth_invalid), np.nan, raw * recording.depth_unit)
+            depth = registration.metres(recording, depth_of[frame.stamp].path)
             depth[depth > 5] = np.nan
             smooth = blur(grey_image(frame.path), 1.2)
             gradients = [np.abs(np.gradient(smooth, axis=axis)) for axis in (0, 1)]

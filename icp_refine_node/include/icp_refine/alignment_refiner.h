@@ -3,13 +3,13 @@
 
 #include <cmath>
 #include <cstdint>
-#include <deque>
 #include <limits>
 #include <map>
 #include <optional>
 #include <string>
 
 #include "air_ground_common/map_correction.h"
+#include "icp_refine/aerial_clouds.h"
 #include "icp_refine/confirmation.h"
 #include "icp_refine/height_check.h"
 #include "icp_refine/icp.h"
@@ -22,7 +22,7 @@ class ParameterVisitor;
 namespace icp_refine {
 
 struct RefinerSettings {
-  int recent_clouds = 6;            ///< latest aerial clouds that make up the reading
+  int recent_clouds = 6;            ///< aerial clouds in a row that make up the reading
   double accumulation_leaf = 0.03;  ///< each cloud is thinned to this when it comes in [m]
   int min_points = 300;             ///< aerial or ground points that a refinement needs after the filters
   double margin = 0.6;              ///< aerial points farther than this from the ground map, in plan, are left out [m]
@@ -166,7 +166,8 @@ class AlignmentRefiner {
   Cloud ground_;
   double ground_camera_ = std::numeric_limits<double>::infinity();  // not known
   std::optional<IcpReference> reference_;
-  std::deque<std::pair<std::int64_t, Cloud>> aerial_;
+  AerialClouds aerial_;
+  std::int64_t reading_stamp_ = 0;  ///< of the newest cloud that is refined [ns]
   std::optional<Pose> coarse_, manual_;
   bool coarse_sure_ = true;
   std::optional<KnownAlignment> coarse_known_;

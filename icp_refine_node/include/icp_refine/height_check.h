@@ -23,7 +23,6 @@ struct HeightCheck {
   /// Of them, off the floor in one of the clouds, where the other would show it: the rest speaks for nobody.
   int relief_cells = 0;
   int contradictions = 0;   ///< relief cells where one cloud has a surface in the other's free space
-  double floor_height = 0;  ///< [m]
   bool conclusive = false;  ///< enough relief cells
   /// Share of the aerial map that overlaps the ground map, by columns.
   double overlap() const { return aerial_cells ? static_cast<double>(cells) / aerial_cells : 0.0; }
@@ -31,7 +30,8 @@ struct HeightCheck {
   double agreement() const { return relief_cells ? 1.0 - static_cast<double>(contradictions) / relief_cells : 1.0; }
 };
 
-/// Both clouds in one gravity-aligned frame. The highest point of each column is compared:
+/// Both clouds in one gravity-aligned frame. The floor is level at the ground map's most frequent height, or the slope
+/// that clearly more of it lies on. The highest point of each column is compared:
 /// - a ground point clearly above the aerial surface: the aerial camera, looking down, would have seen it, unless an
 /// aerial column beside it was not seen (a wall that the image cut). Contradiction.
 /// - an aerial surface clearly above a place where the ground robot saw the floor: seen from above it would have hidden

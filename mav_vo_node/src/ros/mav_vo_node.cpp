@@ -170,7 +170,7 @@ class MavVoNode : private ros_utils::Estimator {
     }
     const auto S = *external_scale_->T_map_visual(map_id);
     ROS_INFO("Scale from the ground map: %.4f m a unit of the visual map (+- %.1f %%)", S.scale,
-             100 * external_scale_->scaleStddev());
+             100 * external_scale_->relativeStddev());
     air_ground::AlignmentEstimate scale;
     scale.header.stamp = stamp;
     scale.header.frame_id = frames_.map_frame;
@@ -180,7 +180,7 @@ class MavVoNode : private ros_utils::Estimator {
     T_map_visual.translation() = S.t;
     scale.pose.pose = ros_utils::toMsg(T_map_visual);
     scale.scale = S.scale;
-    scale.scale_stddev = S.scale * external_scale_->scaleStddev();
+    scale.scale_stddev = S.scale * external_scale_->relativeStddev();
     scale.status = air_ground::AlignmentEstimate::STATUS_CONVERGED;
     scale.stage = air_ground::AlignmentEstimate::STAGE_REFINED;
     scale.reason = "scale and vertical of the visual map as its alignment tells them";

@@ -11,6 +11,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
+#include <system_error>
 
 #include "air_ground_common/text.h"
 #include "build_items.h"
@@ -32,6 +33,7 @@ class Builder {
     if (s_.output.empty()) throw std::invalid_argument("no output given");
     if (s_.take_every < 1 || s_.take_first < 0)
       throw std::invalid_argument("take_every must be at least 1, take_first at least 0");
+    checkTexturedModel();
     const CityModel model = readCityModel(s_.model, s_.model_options);
     report_.remarks = model.remarks;
     listImages(model, model.axis_order);
@@ -62,6 +64,16 @@ class Builder {
   }
 
  private:
+  // Before hours of work: what stands there may be the survey's own.
+  void checkTexturedModel() const {
+    if (s_.textured_model.empty()) return;
+    std::error_code absent;
+    if (s_.textured_model == s_.model || fs::equivalent(s_.textured_model, s_.model, absent))
+      throw std::invalid_argument("--textured-model " + s_.textured_model +
+                                  " is the city model itself: give another path");
+    refuseOtherFiles(s_.textured_model);
+  }
+
   std::string nothingLeft() const {
     std::string text = "no image can be used";
     if (!report_.refused.empty()) text += "; the first: " + report_.refused[0].image + " " + report_.refused[0].reason;

@@ -9,6 +9,7 @@
 #include <numeric>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
+#include <system_error>
 
 #include "air_ground_common/atomic_file.h"
 
@@ -20,6 +21,9 @@ using air_ground_common::writeAtomically;
 
 constexpr int kPad = 2;  // texels beside a facet, so that filtering does not pull in its neighbour in the atlas
 const cv::Vec3b kUnseen(170, 170, 170);
+// How our files begin.
+constexpr char kObjBegin[] = "# city model with facade textures, local east-north-up frame [m]\n";
+constexpr char kMtlBegin[] = "newmtl plain\nKd 0.67 0.67 0.67\n";
 
 // Triangles of a building in one plane, and their rectangle in it.
 struct Facet {
@@ -161,6 +165,23 @@ void pack(std::vector<std::pair<Facet*, cv::Mat>>* painted, int size, std::vecto
     image.copyTo((*pages)[facet->page](cv::Rect(facet->x, facet->y, facet->width, facet->height)));
 }
 
+// The names that a textured model's files have.
+struct ObjFiles {
+  explicit ObjFiles(const std::string& path) : obj(path), stem(obj.stem().string()) {}
+  std::string mtl() const { return (obj.parent_path() / (stem + ".mtl")).string(); }
+  std::string pageName(std::size_t i) const { return stem + "_" + std::to_string(i) + ".jpg"; }
+  std::string page(std::size_t i) const { return (obj.parent_path() / pageName(i)).string(); }
+
+  std::filesystem::path obj;
+  std::string stem;
+};
+
+bool holdsSomething(const std::string& path) {
+  std::error_code error;
+  const auto size = std::filesystem::file_size(path, error);
+  return !error && size > 0;
+}
+
 }  // namespace
 
 TexturedModel makeTexturedModel(const StreetviewDatabase& database, const TextureSettings& settings) {
@@ -195,13 +216,29 @@ TexturedModel makeTexturedModel(const StreetviewDatabase& database, const Textur
   return out;
 }
 
+void refuseOtherFiles(const std::string& path, std::size_t pages) {
+  const ObjFiles files(path);
+  air_ground_common::refuseOtherKind(path, kObjBegin);
+  air_ground_common::refuseOtherKind(files.mtl(), kMtlBegin);
+  if (holdsSomething(path) || holdsSomething(files.mtl())) return;  // ours, and the pages with them
+  for (std::size_t i = 0; i < pages; ++i)
+    if (std::filesystem::exists(files.page(i)))
+      throw std::runtime_error(files.page(i) + " is there already, and of no textured model: give another path than " +
+                               path + ", or delete it");
+}
+
 void writeObj(const TexturedModel& model, const std::string& path) {
-  namespace fs = std::filesystem;
-  const fs::path p(path);
-  const std::string stem = p.stem().string();
-  const auto beside = [&](const std::string& name) { return (p.parent_path() / name).string(); };
+  const ObjFiles files(path);
+  refuseOtherFiles(path, model.pages.size());
+  // First, so that the pages of a run that is interrupted are known for ours.
+  const auto materials = [&](std::ostream& mtl) {
+    mtl << kMtlBegin;
+    for (std::size_t i = 0; i < model.pages.size(); ++i)
+      mtl << "newmtl page" << i << "\nKa 1 1 1\nKd 1 1 1\nmap_Kd " << files.pageName(i) << "\n";
+  };
+  writeAtomically(files.mtl(), materials, kMtlBegin);
   for (std::size_t i = 0; i < model.pages.size(); ++i) {
-    const std::string page = beside(stem + "_" + std::to_string(i) + ".jpg"), partial_page = page + ".partial.jpg";
+    const std::string page = files.page(i), partial_page = page + ".partial.jpg";
     bool written = false;
     try {
       written = cv::imwrite(partial_page, model.pages[i], {cv::IMWRITE_JPEG_QUALITY, 92});
@@ -210,14 +247,9 @@ void writeObj(const TexturedModel& model, const std::string& path) {
     if (!written || std::rename(partial_page.c_str(), page.c_str()) != 0)
       throw std::runtime_error("cannot write " + page);
   }
-  writeAtomically(beside(stem + ".mtl"), [&](std::ostream& mtl) {
-    mtl << "newmtl plain\nKd 0.67 0.67 0.67\n";
-    for (std::size_t i = 0; i < model.pages.size(); ++i)
-      mtl << "newmtl page" << i << "\nKa 1 1 1\nKd 1 1 1\nmap_Kd " << stem << "_" << i << ".jpg\n";
-  });
-  writeAtomically(path, [&](std::ostream& obj) {
+  const auto faces = [&](std::ostream& obj) {
     obj.precision(9);
-    obj << "# city model with facade textures, local east-north-up frame [m]\nmtllib " << stem << ".mtl\n";
+    obj << kObjBegin << "mtllib " << files.stem << ".mtl\n";
     for (const auto& v : model.mesh.vertices) obj << "v " << v.x() << " " << v.y() << " " << v.z() << "\n";
     std::vector<int> order(model.mesh.triangles.size());
     std::iota(order.begin(), order.end(), 0);
@@ -241,50 +273,8 @@ void writeObj(const TexturedModel& model, const std::string& path) {
       for (int k = 0; k < 3; ++k) obj << " " << c[k] << "/" << ++texture;
       obj << "\n";
     }
-  });
-}
-
-struct TexturedRenderer::Impl {
-  explicit Impl(TexturedModel m) : model(std::move(m)), scene(model.mesh) {}
-  TexturedModel model;
-  MeshScene scene;
-};
-
-TexturedRenderer::TexturedRenderer(TexturedModel model) : impl_(std::make_unique<Impl>(std::move(model))) {}
-TexturedRenderer::~TexturedRenderer() = default;
-TexturedRenderer::TexturedRenderer(TexturedRenderer&&) noexcept = default;
-const TexturedModel& TexturedRenderer::model() const { return impl_->model; }
-
-cv::Mat TexturedRenderer::render(const air_ground_common::CameraModel& camera,
-                                 const air_ground_common::Pose& T_world_camera) const {
-  camera.validate();
-  const TexturedModel& m = impl_->model;
-  cv::Mat image(camera.height, camera.width, CV_8UC3, cv::Scalar(235, 215, 190));
-  const Eigen::Vector3f origin = T_world_camera.translation().cast<float>();
-  const Eigen::Matrix3d R = T_world_camera.linear();
-#pragma omp parallel for schedule(dynamic, 16)
-  for (int y = 0; y < camera.height; ++y) {
-    std::vector<Eigen::Vector3f> directions;
-    for (int x = 0; x < camera.width; ++x) directions.push_back((R * camera.ray({double(x), double(y)})).cast<float>());
-    const auto hits = impl_->scene.castMany(origin, directions);
-    for (int x = 0; x < camera.width; ++x) {
-      const auto& hit = hits[x];
-      if (hit.triangle < 0) continue;
-      cv::Vec3b colour = kUnseen;
-      if (m.page[hit.triangle] >= 0) {
-        const auto& uv = m.uv[hit.triangle];
-        const Eigen::Vector2f p = (1 - hit.uv.x() - hit.uv.y()) * uv[0] + hit.uv.x() * uv[1] + hit.uv.y() * uv[2];
-        const cv::Mat& page = m.pages[m.page[hit.triangle]];
-        colour = page.at<cv::Vec3b>(std::clamp(int(std::lround(p.y())), 0, page.rows - 1),
-                                    std::clamp(int(std::lround(p.x())), 0, page.cols - 1));
-      } else {
-        const float shade = 0.6f + 0.4f * std::abs(hit.normal.dot(directions[x]));  // so that edges of plain parts show
-        colour = cv::Vec3b(uchar(shade * 170), uchar(shade * 170), uchar(shade * 170));
-      }
-      image.at<cv::Vec3b>(y, x) = colour;
-    }
-  }
-  return image;
+  };
+  writeAtomically(path, faces, kObjBegin);
 }
 
 }  // namespace streetview_localizer

@@ -4,11 +4,13 @@
 #include <sys/resource.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <csignal>
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "air_ground_common/mesh.h"
 #include "street_files.h"
 #include "streetview_localizer/facade_consistency.h"
 #include "streetview_localizer/textured_model.h"
@@ -16,6 +18,16 @@
 
 namespace streetview_localizer {
 namespace {
+
+/// What a textured model shows where a ray meets it.
+double greenOf(const TexturedModel& model, const air_ground_common::RayHit& hit) {
+  if (model.page[hit.triangle] < 0) return 0;
+  const auto& uv = model.uv[hit.triangle];
+  const Eigen::Vector2f p = (1 - hit.uv.x() - hit.uv.y()) * uv[0] + hit.uv.x() * uv[1] + hit.uv.y() * uv[2];
+  const cv::Mat& page = model.pages[model.page[hit.triangle]];
+  return page.at<cv::Vec3b>(std::clamp(cvRound(p.y()), 0, page.rows - 1),
+                            std::clamp(cvRound(p.x()), 0, page.cols - 1))[1];
+}
 
 TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
   Street street;
@@ -46,14 +58,14 @@ TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
   EXPECT_GT(features, 600u);
   EXPECT_LT(on_car, 8u);  // of some hundred
   EXPECT_GT(report.inconsistent, 5);
-  // The synthesised view from a new place shows the painted wall.
+  // From a new place the painted wall shows.
   const TexturedModel textured = makeTexturedModel(d);
   EXPECT_EQ(textured.pages.size(), 1u);
   View camera = d.views[0];
   camera.camera = camera.camera.scaled(0.5);
   camera.T_world_camera.translation() = Eigen::Vector3d(3, 2, 5);
   camera.T_world_camera.linear() = (Eigen::Matrix3d() << 1, 0, 0, 0, 0, 1, 0, -1, 0).finished();
-  const cv::Mat image = TexturedRenderer(textured).render(camera.camera, camera.T_world_camera);
+  const air_ground_common::MeshScene scene(textured.mesh);
   double mean = 0, difference = 0;
   int count = 0;
   for (int y = 30; y < 70; ++y)
@@ -61,13 +73,53 @@ TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
       const auto hit = (camera.T_world_camera.linear() * camera.camera.ray({double(x), double(y)})).eval();
       const Eigen::Vector3d p = camera.T_world_camera.translation() + 8 / hit.y() * hit;
       const double expected = noise(p.x(), p.z());
-      difference += std::abs(image.at<cv::Vec3b>(y, x)[1] - expected);
+      const auto on_wall = scene.cast(camera.T_world_camera.translation().cast<float>(), hit.cast<float>());
+      ASSERT_TRUE(on_wall);
+      difference += std::abs(greenOf(textured, *on_wall) - expected);
       mean += std::abs(expected - 127);
       ++count;
     }
   EXPECT_LT(difference, 0.6 * mean) << count;  // blurred by 4 cm a pixel of the panoramas
   EXPECT_TRUE(std::filesystem::exists(street.folder / "street.mtl"));
   EXPECT_TRUE(std::filesystem::exists(street.folder / "street_0.jpg"));
+}
+
+TEST(DatabaseBuilder, TheTexturedModelOverwritesNothingButAnotherOfItsKind) {
+  Street street;
+  BuildSettings s = street.settings;
+  const auto content = [](const std::string& path) {
+    std::ifstream file(path, std::ios::binary);
+    return std::string(std::istreambuf_iterator<char>(file), {});
+  };
+  const auto refused = [&](const std::string& reason) {
+    const std::string message = messageOf([&] { buildDatabase(s); });
+    EXPECT_TRUE(contains(message, reason)) << message;
+    EXPECT_EQ(message.find('\n'), std::string::npos) << message;
+    EXPECT_FALSE(std::filesystem::exists(s.output));  // said before anything is built
+  };
+  const std::string survey = content(s.model);
+  std::filesystem::create_symlink(s.model, street.folder / "link.obj");
+  for (const std::string& path : {s.model, street.folder / "./wall.obj", street.folder / "link.obj"}) {
+    s.textured_model = path;
+    refused("is the city model itself");
+  }
+  EXPECT_EQ(content(s.model), survey);
+  s.textured_model = street.folder / "street.obj";
+  for (const char* name : {"street.obj", "street.mtl", "street_0.jpg"}) {
+    const std::string path = street.folder.write(name, "of somebody else\n");
+    refused(name);
+    EXPECT_EQ(content(path), "of somebody else\n");
+    std::filesystem::remove(path);
+  }
+  for (int run = 0; run < 2; ++run) {  // the second time over its own
+    EXPECT_EQ(messageOf([&] { buildDatabase(s); }), "");
+    EXPECT_EQ(content(s.textured_model).rfind("# city model with facade textures", 0), 0u);
+    EXPECT_TRUE(std::filesystem::exists(street.folder / "street_0.jpg"));
+  }
+  // As after an interruption between the pages and the model.
+  std::filesystem::remove(s.textured_model);
+  EXPECT_EQ(messageOf([&] { buildDatabase(s); }), "");
+  EXPECT_TRUE(std::filesystem::exists(s.textured_model));
 }
 
 TEST(DatabaseBuilder, AddsToAnExistingDatabaseWhatWasMissing) {

@@ -1,8 +1,7 @@
-// The city model with the facades' pictures on it, as in figure 5 (c) of Majdik 2014, and views synthesised from it.
+// The city model with the facades' pictures on it, as in figure 5 (c) of Majdik 2014.
 #pragma once
 
 #include <array>
-#include <memory>
 #include <opencv2/core.hpp>
 #include <string>
 #include <vector>
@@ -30,22 +29,12 @@ struct TexturedModel {
 /// metre, not occluded by the model). Squares that none sees stay grey. Needs a database loaded with images.
 TexturedModel makeTexturedModel(const StreetviewDatabase& database, const TextureSettings& settings = {});
 
-/// Wavefront OBJ with its MTL and one JPEG a page beside it, in world. Throws std::runtime_error.
+/// Throws std::runtime_error where writeObj would overwrite what is no textured model: at `path`, or of the files
+/// beside it with so many pages. A model of ours may be overwritten.
+void refuseOtherFiles(const std::string& path, std::size_t pages = 1);
+
+/// Wavefront OBJ with its MTL and one JPEG a page beside it, in world. Throws std::runtime_error, and for what
+/// refuseOtherFiles does before anything is written.
 void writeObj(const TexturedModel& model, const std::string& path);
-
-/// Renders a textured model by casting rays. Methods are thread-safe.
-class TexturedRenderer {
- public:
-  explicit TexturedRenderer(TexturedModel model);
-  ~TexturedRenderer();
-  TexturedRenderer(TexturedRenderer&&) noexcept;
-  /// BGR image of a camera; sky in light blue.
-  cv::Mat render(const air_ground_common::CameraModel& camera, const air_ground_common::Pose& T_world_camera) const;
-  const TexturedModel& model() const;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
-};
 
 }  // namespace streetview_localizer
