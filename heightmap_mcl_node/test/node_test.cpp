@@ -273,6 +273,38 @@ TEST_F(NodeTest, FreshMapOfTheMavAndRelocalizeStartTheSearchAgain) {
   EXPECT_EQ(last().iterations, 1u);
 }
 
+// The MAV scouted here and flew on; then the ground robot comes.
+TEST_F(NodeTest, CloudsThatTheMavHasLeftBehindAreSearchedWhileNothingElseIsToBeDone) {
+  const auto run = world(4, 8), other = world(9, 8);
+  const auto fly = [&](const heightmap_mcl::AerialCloud& cloud) {
+    const std::size_t before = air_.messages.size();
+    stamp_ += ros::Duration(2);
+    sendOdometry(cloud.reference, stamp_ - ros::Duration(0.05));
+    sendOdometry(cloud.reference, stamp_ + ros::Duration(0.05));
+    cloud_.publish(cloudMsg(cloud.points, "mav_map", stamp_));
+    return spinUntil([&] { return air_.messages.size() > before; });
+  };
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(fly(cloud));
+  const ros::Time left = stamp_;
+  for (heightmap_mcl::AerialCloud cloud : other.aerial) {
+    for (auto& p : cloud.points) p.x() += 60;
+    cloud.reference.x() += 60;
+    ASSERT_TRUE(fly(cloud));
+  }
+  coarse_.messages.clear();
+  ASSERT_TRUE(sendGround(run));
+  const auto found = [&] {
+    for (const AlignmentEstimate& e : coarse_.messages)
+      if (e.status == AlignmentEstimate::STATUS_CONVERGED) return &e;
+    return static_cast<const AlignmentEstimate*>(nullptr);
+  };
+  ASSERT_TRUE(spinUntil([&] { return found() != nullptr; }));
+  EXPECT_LE(found()->header.stamp, left);
+  expectSane(*found());
+  const auto error = syn::errorOf(ros_utils::fromMsg(found()->pose.pose), run.T_ground_mav[7], run.aerial[7].reference);
+  EXPECT_LT(error.position, 0.3);
+}
+
 TEST_F(NodeTest, InitialPoseIsUsed) {
   const auto run = world(605, 2, syn::World::kIdenticalBoxes);
   ASSERT_TRUE(sendGround(run));

@@ -10,6 +10,7 @@
 #include "air_ground_common/ros/renewable_subscriber.h"
 #include "air_ground_common/text.h"
 #include "compass_input.h"
+#include "heightmap_mcl/earlier_clouds.h"
 #include "inbox.h"
 #include "messages.h"
 
@@ -53,8 +54,9 @@ class HeightmapMclNode {
         settings_(settings),
         health_("heightmap_mcl"),
         inbox_(settings_, health_, [this] { ground_sub_->renew(); }),
-        localizer_(settings_.localizerSettings()) {
-    localizer_.setPrior(settings_.prior);
+        localizer_(settings_.localizerSettings()),
+        earlier_(settings_.localizerSettings()) {
+    setPrior(settings_.prior);
     height_map_air_ = handle_.advertise<air_ground::HeightMap>("alignment/height_map_air", 5);
     height_map_ground_ = handle_.advertise<air_ground::HeightMap>("alignment/height_map_ground", 1, true);
     costmap_ = handle_.advertise<nav_msgs::OccupancyGrid>("alignment/costmap", 1, true);
@@ -72,6 +74,7 @@ class HeightmapMclNode {
       });
     });
     ground_status_sub_ = handle_.subscribe("ground/slam_status", 100, &Inbox::addGroundStatus, &inbox_);
+    corrections_sub_ = handle_.subscribe("mav/cloud_corrections", 20, &Inbox::addCorrections, &inbox_);
     odometry_sub_ = handle_.subscribe("mav/odometry", 500, &Inbox::addOdometry, &inbox_);
     status_sub_ = handle_.subscribe("mav/vo_status", 500, &Inbox::addMavStatus, &inbox_);
     guess_sub_ = handle_.subscribe("initialpose", 1, &Inbox::setInitialPose, &inbox_);
@@ -107,45 +110,66 @@ class HeightmapMclNode {
   }
 
   void work() {
-    while (const auto work = inbox_.next()) {
+    constexpr double kQuiet = 1;  // [s] before clouds of before are searched ...
+    constexpr double kRest =
+        4;  // ... and between two of them, times as long as one takes: odometry needs the processor
+    std::optional<double> patience;
+    while (const auto work = inbox_.next(patience)) {
+      const ros::WallTime start = ros::WallTime::now();
       try {
         applyCommand(work->command);
         useCompass();
         localizer_.setOwnUnit(work->own_unit);
+        earlier_.setOwnUnit(work->own_unit);
         if (work->ground) useGround(work->ground);
         if (work->aerial) useAerial(work->aerial, work->reference, work->own_unit);
-        publish(*work);
+        if (work->corrections) earlier_.correct(*work->corrections);
+        work->idle ? searchEarlier(*work) : publish(*work);
       } catch (const std::exception& e) {
         health_.count(std::string("maps not usable: ") + e.what());
       }
+      patience.reset();
+      if (localizer_.estimate().status != Status::kConverged && earlier_.pending())
+        patience = work->idle ? kRest * (ros::WallTime::now() - start).toSec() : kQuiet;
     }
   }
 
+  void setPrior(const Prior& prior) {
+    localizer_.setPrior(prior);
+    earlier_.setPrior(prior);
+  }
+
   void applyCommand(const Command& command) {
-    if (command.forgets()) localizer_.setPrior(settings_.prior);
-    if (command.prior) localizer_.setPrior(*command.prior);
+    if (command.forgets()) setPrior(settings_.prior);
+    if (command.prior) setPrior(*command.prior);
     if (command.forgets() || command.prior) heading_known_ = false;
     guessed_ = command.prior ? command.prior->position.has_value() : guessed_ && !command.forgets();
     if (compass_ && (command.reset || command.forget_aerial)) compass_->forgetMav();
     if (compass_ && (command.reset || command.forget_ground)) compass_->forgetGround();
-    if (command.reset || command.forget_ground) localizer_.forgetGround();
+    if (command.reset || command.forget_ground) {
+      localizer_.forgetGround();
+      earlier_.forgetGround();
+    }
     if (command.reset || command.forget_aerial || command.relocalize)
       localizer_.restart(command.reset || command.forget_aerial);
-    if (command.reset || command.forget_aerial) aerial_stamp_ = ros::Time();
+    if (command.reset || command.forget_aerial) {
+      aerial_stamp_ = ros::Time();
+      earlier_.forgetAerial();
+    }
   }
 
   /// A person's guess of the pose comes before the compass.
   void useCompass() {
     const auto prior = compass_ && !guessed_ ? compass_->prior() : std::nullopt;
     if (!prior) return;
-    localizer_.setPrior(*prior);
+    heading_known_ ? localizer_.setPrior(*prior) : setPrior(*prior);
     if (!heading_known_) localizer_.restart(false);
     heading_known_ = true;
   }
 
   void useGround(const Cloud& msg) {
     const ros::WallTime start = ros::WallTime::now();
-    const auto points = positionsOf(*msg, "ground clouds", health_);
+    auto points = positionsOf(*msg, "ground clouds", health_);
     if (!points) return;
     std::size_t cropped = 0;
     if (!localizer_.setGround(*points, &cropped)) health_.count("ground clouds that define no cell");
@@ -158,6 +182,7 @@ class HeightmapMclNode {
                  air_ground_common::formatted("where it is densest, x %.0f to %.0f and y %.0f to %.0f m,", low.x(),
                                               high.x(), low.y(), high.y()));
     if (!said.empty()) ROS_WARN_STREAM_THROTTLE(60, said);
+    earlier_.setGround(std::move(*points), map.defined());
     ground_stamp_ = msg->header.stamp;
     health_.timing("ground map", (ros::WallTime::now() - start).toSec());
   }
@@ -195,7 +220,33 @@ class HeightmapMclNode {
       return;
     }
     aerial_stamp_ = msg->header.stamp;
+    earlier_.add(static_cast<std::int64_t>(aerial_stamp_.toNSec()), std::move(cloud));
     health_.timing("aerial map", (ros::WallTime::now() - start).toSec());
+  }
+
+  /// The MAV has flown on, or landed; the ground robot may have come to where it was before.
+  void searchEarlier(const Work& work) {
+    const ros::WallTime start = ros::WallTime::now();
+    const auto found = earlier_.step();
+    health_.timing("clouds left behind", (ros::WallTime::now() - start).toSec());
+    if (!found || work.ground_frame.empty() || work.mav_frame.empty()) return;
+    ROS_INFO("Coarse alignment %s on clouds that the MAV has left behind: %s", toString(found->estimate.status),
+             found->estimate.reason.c_str());
+    std_msgs::Header header;
+    header.frame_id = work.ground_frame;
+    header.stamp.fromNSec(static_cast<std::uint64_t>(found->stamp));
+    publishCoarse(found->estimate, header, work);
+  }
+
+  /// False where it is about a map that has ended meanwhile.
+  bool publishCoarse(const CoarseEstimate& e, const std_msgs::Header& header, const Work& work) {
+    // tf has no scale.
+    const bool for_tf = e.status == Status::kConverged && !work.own_unit;
+    if (!inbox_.conclude(for_tf ? std::make_optional(e.T_ground_mav) : std::nullopt)) return false;
+    air_ground::AlignmentEstimate coarse = toMsg(e, header, work.mav_frame, work.map_id);
+    coarse.ground_map_id = work.ground_map_id;
+    coarse_.publish(coarse);
+    return true;
   }
 
   void publish(const Work& work) {
@@ -220,14 +271,7 @@ class HeightmapMclNode {
     }
     // Without both frames there is nothing that a pose could refer to.
     if (work.ground_frame.empty() || work.mav_frame.empty()) return;
-    const bool converged = e.status == Status::kConverged;
-    // tf has no scale.
-    const bool for_tf = converged && !work.own_unit;
-    if (!inbox_.conclude(for_tf ? std::make_optional(e.T_ground_mav) : std::nullopt)) return;
-    air_ground::AlignmentEstimate coarse = toMsg(e, header, work.mav_frame, work.map_id);
-    coarse.ground_map_id = work.ground_map_id;
-    coarse_.publish(coarse);
-    if (!e.has_pose) return;
+    if (!publishCoarse(e, header, work) || !e.has_pose) return;
 
     const Eigen::Vector3d reference = e.scale * (e.R_level * reference_);
     const double z = reference.z() + e.T_ground_mav.translation().z();
@@ -248,7 +292,7 @@ class HeightmapMclNode {
   ros_utils::NodeHealth health_;
   Inbox inbox_;
   ros::Publisher height_map_air_, height_map_ground_, costmap_, particles_, coarse_;
-  ros::Subscriber cloud_sub_, ground_status_sub_, odometry_sub_, status_sub_, guess_sub_;
+  ros::Subscriber cloud_sub_, corrections_sub_, ground_status_sub_, odometry_sub_, status_sub_, guess_sub_;
   std::optional<ros_utils::RenewableSubscriber> ground_sub_;
   ros::ServiceServer reset_, relocalize_;
   std::optional<ros_utils::AlignmentBroadcaster> broadcaster_;
@@ -257,6 +301,7 @@ class HeightmapMclNode {
 
   // The worker's own.
   HeightMapLocalizer localizer_;
+  EarlierClouds earlier_;
   bool heading_known_ = false;  // by the compass
   bool guessed_ = false;        // initialpose is in force
   ros::Time aerial_stamp_, ground_stamp_;

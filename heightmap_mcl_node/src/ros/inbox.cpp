@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/map_correction.h"
 
 namespace heightmap_mcl {
 
@@ -34,6 +35,16 @@ void Inbox::addAerial(const Cloud& msg) {
     health_.count("aerial clouds dropped: the queue is full");
   }
   wake_.notify_one();
+}
+
+void Inbox::addCorrections(const air_ground::CloudCorrectionsConstPtr& msg) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!mav_.admitMap(kCorrections, msg->header, "corrections of clouds")) return;
+  try {
+    corrections_ = ros_utils::fromMsg(*msg);
+  } catch (const std::exception& e) {
+    health_.count(std::string("corrections of clouds unreadable: ") + e.what());
+  }
 }
 
 void Inbox::addGround(const Cloud& msg) {
@@ -131,6 +142,7 @@ void Inbox::forgetAerial() {
   clouds_.clear();
   stamps_.clear();
   odometry_.clear();
+  corrections_.reset();
   command_.forget_aerial = true;
   endSearch();
 }
@@ -150,23 +162,29 @@ void Inbox::endSearch() {
   wake_.notify_one();
 }
 
-std::optional<Work> Inbox::next() {
+std::optional<Work> Inbox::next(const std::optional<double>& patience) {
+  const auto idle_at =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience.value_or(0)));
   std::unique_lock<std::mutex> lock(mutex_);
   while (true) {
-    while (!stop_ && !pending()) {
-      if (clouds_.empty()) {
+    Work work;
+    while (!stop_ && !pending() && !work.idle) {
+      if (clouds_.empty() && !patience) {
         wake_.wait(lock);
       } else {
-        const Clock::time_point until = clouds_.front().until;
+        const Clock::time_point until = patience && clouds_.empty() ? idle_at
+                                        : patience                  ? std::min(idle_at, clouds_.front().until)
+                                                                    : clouds_.front().until;
         wake_.wait_until(lock, until);
+        work.idle = patience && Clock::now() >= idle_at && !pending();
       }
     }
     if (stop_) return std::nullopt;
-    Work work;
     work.command = std::exchange(command_, {});
     work.ground = std::exchange(ground_, nullptr);
     if (cloudReady()) popCloud(work);
-    if (!work.aerial && !work.ground && !work.command.any()) continue;
+    if (!work.aerial && !work.ground && !work.command.any() && !work.idle) continue;
+    work.corrections = std::exchange(corrections_, std::nullopt);
     work.map_id = mav_.map().id().value_or(0);
     work.ground_map_id = ground_robot_.map().id().value_or(0);
     work.own_unit = mav_.map().ownUnit();

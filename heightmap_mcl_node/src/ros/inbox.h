@@ -2,6 +2,7 @@
 // commands. Decides which messages are of the maps that the robots have now.
 #pragma once
 
+#include <air_ground/CloudCorrections.h>
 #include <air_ground/VoStatus.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <nav_msgs/Odometry.h>
@@ -15,6 +16,7 @@
 #include <optional>
 #include <string>
 
+#include "air_ground_common/map_correction.h"
 #include "air_ground_common/ros/alignment_broadcaster.h"
 #include "air_ground_common/ros/recent_stamps.h"
 #include "air_ground_common/ros/robot_map_input.h"
@@ -41,6 +43,8 @@ struct Work {
   bool own_unit = false;                                    // the aerial clouds are of a map without scale
   std::uint32_t map_id = 0, ground_map_id = 0;
   std::string ground_frame, mav_frame;
+  std::optional<air_ground_common::CloudCorrections> corrections;
+  bool idle = false;  // nothing came: there is time for clouds of before
 };
 
 /// Thread-safe.
@@ -54,6 +58,7 @@ class Inbox {
 
   void addAerial(const Cloud& msg);
   void addGround(const Cloud& msg);
+  void addCorrections(const air_ground::CloudCorrectionsConstPtr& msg);
   void addOdometry(const nav_msgs::OdometryConstPtr& msg);
   void addMavStatus(const air_ground::VoStatusConstPtr& msg);
   void addGroundStatus(const air_ground::VoStatusConstPtr& msg);
@@ -61,8 +66,8 @@ class Inbox {
   void reset();
   void relocalize();
 
-  /// Waits for something to do; empty after stop().
-  std::optional<Work> next();
+  /// Waits for something to do, not longer than `patience` [s] where that is given; empty after stop().
+  std::optional<Work> next(const std::optional<double>& patience);
   void stop();
 
   /// Keeps the alignment for tf, or none. False, and none, when it is about a map that has ended meanwhile.
@@ -77,7 +82,7 @@ class Inbox {
     Cloud cloud;
     Clock::time_point until;  // the cloud waits for odometry up to its stamp
   };
-  enum MavStream { kAerial, kOdometry, kMavStatus, kMavStreams };
+  enum MavStream { kAerial, kCorrections, kOdometry, kMavStatus, kMavStreams };
   enum GroundStream { kGround, kGroundStatus, kGroundStreams };
   static constexpr std::size_t kOdometryKept = 4000;
 
@@ -100,6 +105,7 @@ class Inbox {
   std::deque<WaitingCloud> clouds_;
   air_ground_common::ros_utils::RecentStamps stamps_;  // of clouds that came
   Cloud ground_;
+  std::optional<air_ground_common::CloudCorrections> corrections_;
   air_ground_common::ros_utils::RobotMapInput mav_, ground_robot_;
   air_ground_common::Trajectory odometry_;
   std::optional<air_ground_common::Pose> T_ground_mav_;  // what tf says: while CONVERGED

@@ -1,0 +1,73 @@
+// Clouds that the MAV has left behind: the ground robot may come to where it was.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "air_ground_common/map_correction.h"
+#include "heightmap_mcl/localizer.h"
+
+namespace heightmap_mcl {
+
+/// Keeps the clouds of the MAV's map and searches them in groups of `verify`, from the newest that HeightMapLocalizer
+/// no longer holds, whenever the ground map has grown by a tenth since a group was searched last. A group is one more
+/// HeightMapLocalizer's, whose verdict counts. Not thread-safe.
+class EarlierClouds {
+ public:
+  explicit EarlierClouds(const HeightMapLocalizerSettings& settings);
+  ~EarlierClouds();
+
+  /// In mav_map, stamp in nanoseconds, each later than the one before.
+  void add(std::int64_t stamp, AerialCloud cloud);
+  /// What clouds have gone through since they were published.
+  void correct(const air_ground_common::CloudCorrections& corrections);
+  /// In ground_map [m].
+  void setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells);
+  void forgetAerial();
+  void forgetGround();
+  /// As HeightMapLocalizer's; what has been searched is searched again.
+  void setPrior(const Prior& prior);
+  void setOwnUnit(bool own_unit);
+
+  /// Whether a group is worth a search.
+  bool pending() const;
+
+  struct Found {
+    std::int64_t stamp;  ///< of the newest cloud of the group [ns]
+    CoarseEstimate estimate;
+    Eigen::Vector3d reference;  ///< position of the MAV at that cloud, in mav_map
+  };
+  /// Takes one cloud further, which takes as long as it does in HeightMapLocalizer. The place of a group that is
+  /// CONVERGED; then nothing is pending until the ground map grows.
+  std::optional<Found> step();
+
+ private:
+  struct Cloud {
+    std::int64_t stamp;
+    AerialCloud cloud;
+    std::size_t searched;  // ground cells when it was searched last; 0: never
+  };
+  /// One past the newest cloud of the next group; 0: none.
+  std::size_t nextGroup() const;
+  void begin(std::size_t end);
+  void searchAgain();
+
+  HeightMapLocalizerSettings settings_;
+  std::size_t in_group_;
+  std::deque<Cloud> clouds_;
+  air_ground_common::CloudCorrections corrections_;  // so far: a cloud may come after what it has gone through
+  std::vector<Eigen::Vector3f> ground_;
+  std::size_t ground_cells_ = 0;
+  bool ground_is_new_ = false;  // to the localizer
+  Prior prior_;
+  bool own_unit_ = false;
+
+  std::unique_ptr<HeightMapLocalizer> localizer_;  // null until a group is searched
+  std::vector<std::int64_t> group_;                // stamps that are left of the present one, the oldest last
+};
+
+}  // namespace heightmap_mcl

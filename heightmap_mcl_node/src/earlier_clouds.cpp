@@ -1,0 +1,122 @@
+#include "heightmap_mcl/earlier_clouds.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace heightmap_mcl {
+namespace {
+
+constexpr double kGrowth = 1.1;
+
+void moveBy(const air_ground_common::Similarity& S, AerialCloud* cloud) {
+  for (Eigen::Vector3f& p : cloud->points) p = (S * p.cast<double>()).cast<float>();
+  cloud->reference = S * cloud->reference;
+}
+
+}  // namespace
+
+EarlierClouds::EarlierClouds(const HeightMapLocalizerSettings& settings)
+    : settings_(settings), in_group_(static_cast<std::size_t>(settings.verify)) {}
+EarlierClouds::~EarlierClouds() = default;
+
+void EarlierClouds::add(std::int64_t stamp, AerialCloud cloud) {
+  if (const auto it = corrections_.find(stamp); it != corrections_.end()) {
+    if (!it->second) return;
+    moveBy(*it->second, &cloud);
+  }
+  clouds_.push_back({stamp, std::move(cloud), ground_cells_});
+  if (clouds_.size() > air_ground_common::kFollowedClouds) clouds_.pop_front();
+}
+
+void EarlierClouds::correct(const air_ground_common::CloudCorrections& corrections) {
+  const auto since = air_ground_common::correctionsSince(std::exchange(corrections_, corrections), corrections);
+  const auto bent = [&](Cloud& kept) {
+    const auto it = since.find(kept.stamp);
+    if (it == since.end()) return false;
+    if (it->second) moveBy(*it->second, &kept.cloud);
+    return !it->second;
+  };
+  clouds_.erase(std::remove_if(clouds_.begin(), clouds_.end(), bent), clouds_.end());
+}
+
+void EarlierClouds::setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells) {
+  ground_ = std::move(points);
+  ground_cells_ = defined_cells;
+  ground_is_new_ = true;
+  // The newest ones are HeightMapLocalizer's, which searches them now.
+  for (std::size_t i = clouds_.size() - std::min(in_group_, clouds_.size()); i < clouds_.size(); ++i)
+    clouds_[i].searched = ground_cells_;
+}
+
+void EarlierClouds::forgetAerial() {
+  clouds_.clear();
+  corrections_.clear();
+  group_.clear();
+}
+
+void EarlierClouds::forgetGround() {
+  ground_.clear();
+  ground_cells_ = 0;
+  searchAgain();
+}
+
+void EarlierClouds::setPrior(const Prior& prior) {
+  prior_ = prior;
+  searchAgain();
+}
+
+void EarlierClouds::setOwnUnit(bool own_unit) {
+  if (own_unit == own_unit_) return;
+  own_unit_ = own_unit;
+  forgetAerial();
+}
+
+void EarlierClouds::searchAgain() {
+  group_.clear();
+  for (Cloud& kept : clouds_) kept.searched = 0;
+}
+
+bool EarlierClouds::pending() const { return !group_.empty() || nextGroup() > 0; }
+
+std::size_t EarlierClouds::nextGroup() const {
+  if (ground_cells_ == 0 || settings_.mode == Mode::kPaper || clouds_.size() <= in_group_) return 0;
+  const auto now = static_cast<double>(ground_cells_);
+  for (std::size_t end = clouds_.size() - in_group_; end > 0; --end)
+    if (now > kGrowth * static_cast<double>(clouds_[end - 1].searched)) return end;
+  return 0;
+}
+
+void EarlierClouds::begin(std::size_t end) {
+  const std::size_t first = end - std::min(in_group_, end);
+  for (std::size_t i = end; i > first; --i) group_.push_back(clouds_[i - 1].stamp);
+  // Half of a group is in the next one, too.
+  for (std::size_t i = first + (end - first) / 2; i < end; ++i) clouds_[i].searched = ground_cells_;
+  if (first == 0)
+    for (std::size_t i = 0; i < end; ++i) clouds_[i].searched = ground_cells_;
+  if (!localizer_) {
+    localizer_ = std::make_unique<HeightMapLocalizer>(settings_);
+    ground_is_new_ = true;
+  }
+  localizer_->setOwnUnit(own_unit_);
+  localizer_->setPrior(prior_);
+  localizer_->restart(true);
+  if (std::exchange(ground_is_new_, false)) localizer_->setGround(ground_);
+}
+
+std::optional<EarlierClouds::Found> EarlierClouds::step() {
+  if (group_.empty()) {
+    const std::size_t end = nextGroup();
+    if (end == 0) return std::nullopt;
+    begin(end);
+  }
+  const std::int64_t stamp = group_.back();
+  group_.pop_back();
+  const auto kept = std::find_if(clouds_.begin(), clouds_.end(), [stamp](const Cloud& c) { return c.stamp == stamp; });
+  if (kept == clouds_.end() || !localizer_->addAerial(kept->cloud)) return std::nullopt;
+  if (localizer_->estimate().status != Status::kConverged) return std::nullopt;
+  group_.clear();
+  for (Cloud& other : clouds_) other.searched = ground_cells_;
+  return Found{stamp, localizer_->estimate(), kept->cloud.reference};
+}
+
+}  // namespace heightmap_mcl
