@@ -37,7 +37,7 @@ TEST(Parameters, OutOfRangeNamesParameterValueAndRange) {
   ServerReader parameters(pnh);
   double voxel = 0.02;
   const std::string error = errorOf([&] { parameters("voxel", voxel, {0.001, 1}, "m", ""); });
-  EXPECT_NE(error.find("range/voxel = 7 must lie in [0.001, 1] m"), std::string::npos) << error;
+  EXPECT_NE(error.find("range/voxel = 7.0 must lie in [0.001, 1] m"), std::string::npos) << error;
 }
 
 TEST(Parameters, WrongTypeChoiceAndSizeAreRefused) {

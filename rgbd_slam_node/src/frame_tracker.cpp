@@ -221,7 +221,10 @@ TrackedPose FrameTracker::track(const RgbdImages& images, const ReferenceKeyfram
   if (settings_.reobserve_every > 0 && (since_reobservation_ >= settings_.reobserve_every ||
                                         reference.due(map_, tracked.pose.T_map_camera, tracks_.count()))) {
     since_reobservation_ = 0;
-    reobserve(tracked.pose.T_map_camera, kReobserveRadius, images.depth, &tracked.pose);
+    PoseResult refined = tracked.pose;
+    reobserve(tracked.pose.T_map_camera, kReobserveRadius, images.depth, &refined);
+    // A handful of landmarks moves nothing that the surfaces fix.
+    if (!tracked.by_depth || objection(images.stamp, refined, tracks_.count()).empty()) tracked.pose = refined;
   }
   tracked.success = true;
   tracked.landmarks = tracks_.count();
@@ -237,6 +240,45 @@ TrackedPose FrameTracker::findNearLast(const RgbdImages& images) {
   tracked = findAround(predicted, kNearRadius, images);
   if (from_gyro && !tracked.success) tracked = findAround(lastPose(), kNearRadius, images);
   return tracked;
+}
+
+TrackedPose FrameTracker::findByDepth(const RgbdImages& images, KeyframeId reference) {
+  TrackedPose found;
+  if (!settings_.use_surfaces || images.stamp - frames_.lastStamp() >= kNearSeconds) return found;
+  bool from_gyro = false;
+  const Pose predicted = motion_.predict(frames_.lastStamp(), lastPose(), images.stamp, &from_gyro);
+  motion_.setRowMotion(images.stamp, predicted);
+  const double sigma = from_gyro ? motion_.rotationSigma(images.stamp - frames_.lastStamp()) : 0;
+  found.pose = solveByDepth({}, predicted, sigma, reference, images.depth);
+  found.success = found.by_depth = found.pose.success && tooFast(images.stamp, found.pose.T_map_camera).empty();
+  if (found.success) restart(images.gray);
+  return found;
+}
+
+TrackedPose FrameTracker::findByFeatures(const visual_frontend::Keyframe& query,
+                                         const visual_frontend::PlaceMatch& match, const Pose& around,
+                                         const RgbdImages& images) {
+  const Pose T_camera_map = around.inverse();
+  Correspondences seen;
+  std::vector<LandmarkMatch> matches;
+  for (const auto& [feature, landmark] : match.landmarks) {
+    if (!map_.hasLandmark(landmark)) continue;
+    const Eigen::Vector2d& pixel = query.orb_pixels[static_cast<std::size_t>(feature)];
+    matches.push_back({landmark, pixel, camera_.unproject(pixel)});
+    seen.push_back(correspondence(landmark, pixel, matches.back().normalized, images.depth, T_camera_map));
+  }
+  TrackedPose found;
+  found.reason = "a place was recognised but too few of its landmarks were found";
+  found.pose = solve(seen, around, false);
+  if (!found.pose.success || found.pose.inlier_count < settings_.min_inliers) return found;
+  std::vector<LandmarkMatch> agreeing;
+  for (std::size_t i = 0; i < matches.size(); ++i)
+    if (found.pose.inliers[i]) agreeing.push_back(matches[i]);
+  startTracks(agreeing);
+  found.landmarks = tracks_.count();
+  found.success = true;
+  found.reason.clear();
+  return found;
 }
 
 TrackedPose FrameTracker::findAround(const Pose& around, double radius, const RgbdImages& images) {

@@ -11,6 +11,7 @@
 #include "rgbd_slam/slam.h"
 #include "visual_frontend/keyframe_trajectory.h"
 #include "visual_frontend/landmark_tracks.h"
+#include "visual_frontend/place_recognition.h"
 #include "visual_frontend/pose_solver.h"
 
 namespace rgbd_slam {
@@ -51,6 +52,12 @@ class FrameTracker {
   TrackedPose track(const RgbdImages& images, const ReferenceKeyframe& reference);
   /// Not far from where it was, the camera is found by the local map; `restart` first.
   TrackedPose findNearLast(const RgbdImages& images);
+  /// Just after it was lost: by the surfaces of the reference keyframe, as where landmarks are too few while tracking.
+  TrackedPose findByDepth(const RgbdImages& images, KeyframeId reference);
+  /// At a recognised place whose keyframes have lost their images: by the features that were recognised; `restart`
+  /// first.
+  TrackedPose findByFeatures(const visual_frontend::Keyframe& query, const visual_frontend::PlaceMatch& match,
+                             const Pose& T_map_camera, const RgbdImages& images);
   /// Searches the local map around a pose within `radius` [px]; without success no track is left.
   TrackedPose findAround(const Pose& T_map_camera, double radius, const RgbdImages& images);
   /// The next search for landmarks without a track is a whole interval away.

@@ -108,6 +108,7 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   const bool levelled = up_known && motion.gyroTrusted() && !upside_down;
   level.begin(levelled ? &motion.attitude() : nullptr);
   result.T_map_camera = Pose(firstAttitude(levelled)) * mounting.T_base_camera;
+  way_anchor = result.T_map_camera.translation();
   ++map_id;
   ++counters.maps;
   TrackedPose first;
@@ -210,8 +211,12 @@ SlamResult Slam::Impl::follow(const RgbdImages& images) {
   compareTurns(stamp, T_tracked);
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
-  const Matrix6d covariance = covariances.at(reference.id(), T_tracked.translation(), map) + tracked.pose.covariance;
+  const auto uncertainty = [&] {
+    return covariances.at(reference.id(), T_tracked.translation(), map) + tracked.pose.covariance;
+  };
+  Matrix6d covariance = uncertainty();
   addToMap(images, tracked, &result);
+  if (result.relocalized) covariance = uncertainty();  // by now the reference is there, not where it was lost
   motion.addPose(stamp, lastPose(), tracked.pose.covariance);
   result.recalibrated = result.keyframe && alignCalibration();
   if (alignShutter(images) || levelMap() || result.recalibrated) result.map_corrected = true;
@@ -235,13 +240,23 @@ void Slam::Impl::compareTurns(double stamp, const Pose& T_map_camera) {
 void Slam::Impl::beLost(SlamResult* result) {
   state = State::kLost;
   ++counters.lost_frames;
-  // By a map this small not much can be recognised.
-  if (!search.givesUp() && map.keyframeCount() >= 2) return;
+  // A map that has hardly begun is not worth the wait.
+  constexpr std::size_t kYoung = 20;  // poses
+  const bool young = map.keyframeCount() < 2 && frames.size() < kYoung && settings.restart_after > 0;
+  if (!search.givesUp() && !young) return;
   result->ended = std::make_shared<const EndedMap>(asEnded());
   clear();
 }
 
 TrackedPose Slam::Impl::relocalize(const RgbdImages& images) {
+  TrackedPose tracked = relocalizeByImages(images);
+  // While tracking, the surfaces have been asked already.
+  if (tracked.success || state != State::kLost) return tracked;
+  TrackedPose by_depth = tracking.findByDepth(images, reference.id());
+  return by_depth.success ? by_depth : tracked;
+}
+
+TrackedPose Slam::Impl::relocalizeByImages(const RgbdImages& images) {
   TrackedPose tracked;
   tracking.reset();
   if (state == State::kLost && !search.due(images.stamp)) {
@@ -254,20 +269,23 @@ TrackedPose Slam::Impl::relocalize(const RgbdImages& images) {
   tracking.restart(images.gray);
   tracked = tracking.findNearLast(images);
   if (tracked.success) return tracked;
-  const visual_frontend::PlaceMatch match = recognize(images);
-  if (match.success)
-    tracked =
-        tracking.findAround(map.keyframe(match.keyframe).T_map_camera * match.T_place_query, kPlaceRadius, images);
-  else
+  Keyframe query;
+  const visual_frontend::PlaceMatch match = recognize(images, &query);
+  if (match.success) {
+    const Pose around = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
+    tracked = tracking.findAround(around, kPlaceRadius, images);
+    if (!tracked.success) tracked = tracking.findByFeatures(query, match, around, images);
+  } else {
     tracked.reason = "lost: " + match.reason;
+  }
   search.conclude(match, tracked.reason);
   return tracked;
 }
 
-visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images) {
-  Keyframe query;
-  describe(images, query);
-  const auto with_depth = std::count_if(query.orb_depth.begin(), query.orb_depth.end(), [](double z) { return z > 0; });
+visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images, Keyframe* query) {
+  describe(images, *query);
+  const auto with_depth =
+      std::count_if(query->orb_depth.begin(), query->orb_depth.end(), [](double z) { return z > 0; });
   if (with_depth >= settings.min_start_features) search.sawAPlace();
   visual_frontend::RelocalizationGate gate;
   gate.T_map_last = lastPose();
@@ -280,13 +298,18 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images) {
   const Pose predicted = motion.predict(frames.lastStamp(), gate.T_map_last, images.stamp, &from_gyro);
   const double lost_for = images.stamp - frames.lastStamp();
   if (from_gyro) gate.setTurn(predicted.linear(), motion.rotationSigma(lost_for), lost_for);
-  return visual_frontend::relocalize(map, camera, query, gate, settings.place);
+  return visual_frontend::relocalize(map, camera, *query, gate, settings.place);
 }
 
 Pose Slam::Impl::step(double stamp, const Pose& T_map_camera, bool relocalized) {
   const Pose T_before = lastPose();
   const double dt = stamp - frames.lastStamp();
-  loops.advance((T_map_camera.translation() - T_before.translation()).norm());
+  // By steps: the noise of a camera that stands is no way.
+  constexpr double kStep = 0.05;  // [m]
+  if (const double way = (T_map_camera.translation() - way_anchor).norm(); way > kStep) {
+    loops.advance(way);
+    way_anchor = T_map_camera.translation();
+  }
   if (relocalized || dt > 1.0) {
     motion.interrupt();
   } else {

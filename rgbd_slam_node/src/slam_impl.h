@@ -38,7 +38,8 @@ struct Slam::Impl {
   Eigen::Matrix3d firstAttitude(bool levelled) const;
   std::string imuProblem() const;  ///< empty: it serves, or there is none
   TrackedPose relocalize(const RgbdImages& images);
-  visual_frontend::PlaceMatch recognize(const RgbdImages& images);
+  TrackedPose relocalizeByImages(const RgbdImages& images);
+  visual_frontend::PlaceMatch recognize(const RgbdImages& images, Keyframe* query);
   void beLost(SlamResult* result);
   EndedMap asEnded() const { return {frames.poses(map), dense.posed(map)}; }
   /// Compares the turn from the last frame to this one with the gyro's, and goes on without a gyro that contradicts.
@@ -86,6 +87,7 @@ struct Slam::Impl {
   visual_frontend::KeyframeCovariances covariances;
   MapLevel level;
   LoopCloser loops;
+  Eigen::Vector3d way_anchor = Eigen::Vector3d::Zero();  // where the camera was when its way was counted last
   DenseKeyframes dense;
   KeyframeSurfaces surfaces;
   ReferenceKeyframe reference;

@@ -127,8 +127,9 @@ void Slam::Impl::describe(const RgbdImages& images, Keyframe& keyframe) const {
 
 void Slam::Impl::createLandmarks(KeyframeId id) {
   visual_frontend::TriangulationSettings triangulation;
-  triangulation.max_depth = 15.0;
-  triangulation.min_depth = 0.2;
+  // What counts as a feature with depth makes a landmark, a noisy last metre aside.
+  triangulation.max_depth = std::max(15.0, 1.1 * settings.depth.max_range);
+  triangulation.min_depth = std::min(0.2, 0.9 * settings.depth.min_range);
   tracks.addViews(map.keyframe(id));
   for (const auto& unplaced :
        visual_frontend::createLandmarks(id, camera, settings.pixel_sigma, triangulation, map, tracks)) {

@@ -1,0 +1,87 @@
+// What a robot that was lost goes by to be found again.
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <limits>
+
+#include "simulated_robot.h"
+
+namespace rgbd_slam {
+namespace {
+
+using simulated::drive;
+using simulated::Robot;
+
+struct Step {
+  double stamp, seen_at;  ///< the image is that of the time `seen_at` [s]
+  bool black = false, without_depth = false;
+};
+
+SlamResult take(const Robot& robot, Slam& slam, const Step& step) {
+  simulated::synthetic::Random random(17);
+  auto frame = robot.frame(step.seen_at, random);
+  if (step.black) frame.gray.setTo(15);
+  if (step.without_depth) frame.depth.setTo(std::numeric_limits<float>::quiet_NaN());
+  return slam.process(step.stamp, frame.gray, cv::Mat(), frame.depth, robot.told_delay);
+}
+
+// A long map keeps few images; the robot is carried back to where it began.
+TEST(Lost, APlaceWhoseImagesAreGoneIsEnteredByItsFeatures) {
+  Robot robot;
+  SlamSettings settings;
+  settings.local_keyframes = settings.max_image_keyframes = 4;
+  Slam slam(robot.camera, robot.mounting, settings);
+  drive(robot, slam, 0, 6, false);
+  ASSERT_EQ(slam.counters().maps, 1);
+  ASSERT_TRUE(slam.map().keyframes().begin()->second.pyramid.empty());
+  double stamp = 6.1;
+  for (; stamp < 8; stamp += 0.1) take(robot, slam, {stamp, stamp, true, true});
+  SlamResult last;
+  for (; stamp < 14; stamp += 0.1) {
+    last = take(robot, slam, {stamp, 0.5});
+    if (last.state == State::kTracking) break;
+  }
+  ASSERT_EQ(last.state, State::kTracking) << last.reason;
+  EXPECT_TRUE(last.relocalized);
+  EXPECT_EQ(slam.counters().maps, 1);
+  EXPECT_LT((last.T_map_base.translation() - robot.mapped(0.5).translation()).norm(), 0.05);
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(take(robot, slam, {stamp += 0.1, 0.5}).state, State::kTracking);
+}
+
+TEST(Lost, OneBadDepthImageInTheDarkIsForgiven) {
+  Robot robot;
+  robot.walls = true;
+  robot.mounting.T_base_camera.linear() = Eigen::AngleAxisd(0.6, Eigen::Vector3d::UnitY()).toRotationMatrix() *
+                                          air_ground_common::opticalFromForwardBody().transpose();
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 4.05, true, [](double t) { return t > 3; });
+  ASSERT_EQ(slam.counters().lost_frames, 0);
+  EXPECT_EQ(take(robot, slam, {4.1, 4.1, true, true}).state, State::kLost);
+  SlamResult last;
+  for (double stamp = 4.2; stamp < 5; stamp += 0.1) last = take(robot, slam, {stamp, stamp, true});
+  EXPECT_EQ(last.state, State::kTracking) << last.reason;
+  EXPECT_TRUE(last.by_depth);
+  EXPECT_LE(slam.counters().lost_frames, 2);
+  EXPECT_LT((last.T_map_base.translation() - robot.mapped(4.9).translation()).norm(), 0.03);
+}
+
+// A robot that stands has one keyframe, and many poses.
+TEST(Lost, AHandBeforeTheLensOfAStandingRobotEndsNoMap) {
+  Robot robot;
+  robot.rest = 1e3;
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 6);
+  ASSERT_EQ(slam.map().keyframeCount(), 1u);
+  double stamp = 6.1;
+  EXPECT_EQ(take(robot, slam, {stamp, stamp, true, true}).state, State::kLost);
+  SlamResult last;
+  for (int i = 0; i < 4; ++i) {
+    stamp += 0.1;
+    last = take(robot, slam, {stamp, stamp});
+  }
+  EXPECT_EQ(last.state, State::kTracking) << last.reason;
+  EXPECT_EQ(slam.counters().maps, 1);
+}
+
+}  // namespace
+}  // namespace rgbd_slam
