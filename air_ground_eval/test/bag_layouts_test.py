@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """check_bag on bags as public data sets and the drivers of others record them: which topic is which, and a clear line about what is wrong."""
 import contextlib
-import importlib.machinery
-import importlib.util
 import io
 import os
 import shlex
@@ -20,9 +18,10 @@ from std_msgs.msg import Float32, Header
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
-sys.path.insert(0, SCRIPTS)
+sys.path[:0] = [HERE, SCRIPTS]
 from air_ground_eval import bag_guess, bag_reader, geometry, messages  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
+from as_module import load  # noqa: E402
 
 PICTURE = (np.indices((48, 80)).sum(0) % 16 * 16).astype(np.uint8)
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
@@ -89,14 +88,6 @@ class Recording:
 
     def poses(self, topic):
         return self.add(topic, 50, lambda t: messages.pose_stamped(geometry.pose(), t, 'world'))
-
-
-def load(program):
-    """A script as a module."""
-    loader = importlib.machinery.SourceFileLoader(program, os.path.join(SCRIPTS, program))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(program, loader))
-    loader.exec_module(module)
-    return module
 
 
 def run(program, *arguments):

@@ -2,7 +2,6 @@
 """dataset_to_bag: depth in floating point or 32 bits, images with a palette, what is no measurement; and no bag is overwritten unasked."""
 import os
 import sys
-import tempfile
 import unittest
 import warnings
 
@@ -15,6 +14,7 @@ sys.path[:0] = [HERE, os.path.join(HERE, '..', 'scripts')]
 from air_ground_eval import datasets, recording, registration  # noqa: E402
 from air_ground_eval.recording import DatasetError, read_image  # noqa: E402
 from dataset_to_bag_test import convert, messages_of  # noqa: E402
+from rgbd_folders_test import RgbdFolders  # noqa: E402
 
 WIDTH, HEIGHT = 64, 48
 
@@ -24,14 +24,7 @@ def ramp(kind, low, high):
 
 
 class DatasetImages(unittest.TestCase):
-    def setUp(self):
-        temporary = tempfile.TemporaryDirectory()
-        self.addCleanup(temporary.cleanup)
-        self.folder = temporary.name
-        self.bag = os.path.join(self.folder, 'out.bag')
-
-    def inside(self, *names):
-        return os.path.join(self.folder, *names)
+    setUp, inside = RgbdFolders.setUp, RgbdFolders.inside
 
     def save(self, image, *names):
         os.makedirs(os.path.dirname(self.inside(*names)), exist_ok=True)

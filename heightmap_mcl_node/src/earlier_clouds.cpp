@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "air_ground_common/followed_clouds.h"
+
 namespace heightmap_mcl {
 namespace {
 
@@ -24,19 +26,14 @@ void EarlierClouds::add(std::int64_t stamp, AerialCloud cloud) {
     if (!it->second) return;
     moveBy(*it->second, &cloud);
   }
-  clouds_.push_back({stamp, std::move(cloud), ground_cells_});
+  clouds_.emplace_back(stamp, Kept{std::move(cloud), ground_cells_});
   if (clouds_.size() > air_ground_common::kFollowedClouds) clouds_.pop_front();
 }
 
 void EarlierClouds::correct(const air_ground_common::CloudCorrections& corrections) {
   const auto since = air_ground_common::correctionsSince(std::exchange(corrections_, corrections), corrections);
-  const auto bent = [&](Cloud& kept) {
-    const auto it = since.find(kept.stamp);
-    if (it == since.end()) return false;
-    if (it->second) moveBy(*it->second, &kept.cloud);
-    return !it->second;
-  };
-  clouds_.erase(std::remove_if(clouds_.begin(), clouds_.end(), bent), clouds_.end());
+  air_ground_common::correctClouds(since, &clouds_,
+                                   [](const air_ground_common::Similarity& S, Kept* kept) { moveBy(S, &kept->cloud); });
 }
 
 void EarlierClouds::setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells) {
@@ -45,7 +42,7 @@ void EarlierClouds::setGround(std::vector<Eigen::Vector3f> points, std::size_t d
   ground_is_new_ = true;
   // The newest ones are HeightMapLocalizer's, which searches them now.
   for (std::size_t i = clouds_.size() - std::min(in_group_, clouds_.size()); i < clouds_.size(); ++i)
-    clouds_[i].searched = ground_cells_;
+    clouds_[i].second.searched = ground_cells_;
 }
 
 void EarlierClouds::forgetAerial() {
@@ -73,7 +70,7 @@ void EarlierClouds::setOwnUnit(bool own_unit) {
 
 void EarlierClouds::searchAgain() {
   group_.clear();
-  for (Cloud& kept : clouds_) kept.searched = 0;
+  for (auto& [stamp, kept] : clouds_) kept.searched = 0;
 }
 
 bool EarlierClouds::pending() const { return !group_.empty() || nextGroup() > 0; }
@@ -82,17 +79,16 @@ std::size_t EarlierClouds::nextGroup() const {
   if (ground_cells_ == 0 || settings_.mode == Mode::kPaper || clouds_.size() <= in_group_) return 0;
   const auto now = static_cast<double>(ground_cells_);
   for (std::size_t end = clouds_.size() - in_group_; end > 0; --end)
-    if (now > kGrowth * static_cast<double>(clouds_[end - 1].searched)) return end;
+    if (now > kGrowth * static_cast<double>(clouds_[end - 1].second.searched)) return end;
   return 0;
 }
 
 void EarlierClouds::begin(std::size_t end) {
   const std::size_t first = end - std::min(in_group_, end);
-  for (std::size_t i = end; i > first; --i) group_.push_back(clouds_[i - 1].stamp);
-  // Half of a group is in the next one, too.
-  for (std::size_t i = first + (end - first) / 2; i < end; ++i) clouds_[i].searched = ground_cells_;
-  if (first == 0)
-    for (std::size_t i = 0; i < end; ++i) clouds_[i].searched = ground_cells_;
+  for (std::size_t i = end; i > first; --i) group_.push_back(clouds_[i - 1].first);
+  // Half of a group is in the next one, too, if there is one.
+  for (std::size_t i = first == 0 ? 0 : first + (end - first) / 2; i < end; ++i)
+    clouds_[i].second.searched = ground_cells_;
   if (!localizer_) {
     localizer_ = std::make_unique<HeightMapLocalizer>(settings_);
     ground_is_new_ = true;
@@ -111,12 +107,13 @@ std::optional<EarlierClouds::Found> EarlierClouds::step() {
   }
   const std::int64_t stamp = group_.back();
   group_.pop_back();
-  const auto kept = std::find_if(clouds_.begin(), clouds_.end(), [stamp](const Cloud& c) { return c.stamp == stamp; });
-  if (kept == clouds_.end() || !localizer_->addAerial(kept->cloud)) return std::nullopt;
+  const auto cloud =
+      std::find_if(clouds_.begin(), clouds_.end(), [stamp](const auto& kept) { return kept.first == stamp; });
+  if (cloud == clouds_.end() || !localizer_->addAerial(cloud->second.cloud)) return std::nullopt;
   if (localizer_->estimate().status != Status::kConverged) return std::nullopt;
   group_.clear();
-  for (Cloud& other : clouds_) other.searched = ground_cells_;
-  return Found{stamp, localizer_->estimate(), kept->cloud.reference};
+  for (auto& [other, kept] : clouds_) kept.searched = ground_cells_;
+  return Found{stamp, localizer_->estimate(), cloud->second.cloud.reference};
 }
 
 }  // namespace heightmap_mcl

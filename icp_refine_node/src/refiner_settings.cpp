@@ -38,8 +38,7 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
     "share of the columns off the floor whose heights do not contradict each other, else REJECTED");
   v("accept/guess_agreement", r.guess_agreement, {0, 1}, "",
     "instead of min_agreement where the coarse stage gave but a guess, or the result lies far from the tracked pose; "
-    "another "
-    "cloud, or more of the ground map, must confirm it, too");
+    "another cloud, or more of the ground map, must confirm it, too");
   v("accept/min_relief_cells", r.height_check.min_relief_cells, {0, 1000000}, "",
     "fewer such columns cannot verify a pose: DEGENERATE");
   v("accept/height_cell", r.height_check.cell, {0.005, 10}, "m", "edge of a column");
@@ -49,8 +48,7 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
   v("accept/relief", r.height_check.relief, {0, 100}, "m", "off the floor: farther than this from its height");
   v("accept/view_squared_sigmas", r.known_squared_sigmas, {0, 1e6}, "",
     "by which the pose may differ from what images (alignment/views) or a CONVERGED coarse alignment tell, in sigmas "
-    "of "
-    "both, squared: then directions that the geometry does not fix are theirs, and heights need not verify it");
+    "of both, squared: then directions that the geometry does not fix are theirs, and heights need not verify it");
 
   v.section("Tracking: once CONVERGED, the next refinements start from the last refined pose");
   v("tracking/lost_after", r.lost_after, {1, 1000}, "",

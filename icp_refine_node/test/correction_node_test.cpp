@@ -1,5 +1,4 @@
 // The MAV's odometry corrects its map while the running node holds clouds of it.
-#include "air_ground_common/ros/map_correction.h"
 #include "node_fixture.h"
 
 namespace icp_refine {
@@ -7,13 +6,6 @@ namespace {
 
 class CorrectionTest : public NodeTest {
  protected:
-  CorrectionTest() : corrections_(handle_.advertise<air_ground::CloudCorrections>("mav/cloud_corrections", 10)) {}
-
-  void SetUp() override {
-    NodeTest::SetUp();
-    ASSERT_TRUE(waitFor([this] { return corrections_.getNumSubscribers() > 0; }));
-  }
-
   /// Until the pose is refined; `aerial`: the cloud as it was published.
   void align(const synthetic::Scene& scene, sensor_msgs::PointCloud2* aerial) {
     *aerial = cloud(scene.aerial, "mav_map");
@@ -23,12 +15,7 @@ class CorrectionTest : public NodeTest {
     ASSERT_TRUE(waitForStatus(AlignmentEstimate::STATUS_CONVERGED)) << lastReason();
   }
 
-  void send(const air_ground_common::CloudCorrections& corrections) {
-    std_msgs::Header header;
-    header.stamp = ros::Time(now_);
-    header.frame_id = "mav_map";
-    corrections_.publish(ros_utils::toMsg(corrections, header, 0));
-  }
+  void send(const air_ground_common::CloudCorrections& corrections) { sendCorrections(corrections, 0); }
 
   /// Of where the alignment puts the cloud's middle, which the correction has moved.
   double errorAfter(const Similarity& S, const synthetic::Scene& scene) const {
@@ -48,8 +35,6 @@ class CorrectionTest : public NodeTest {
     }
     return near / aerial;
   }
-
-  ros::Publisher corrections_;
 };
 
 std::int64_t stampOf(const sensor_msgs::PointCloud2& cloud) {

@@ -20,6 +20,7 @@
 #include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/mesh.h"
 #include "air_ground_common/ros/conversions.h"
+#include "air_ground_common/ros/map_correction.h"
 #include "air_ground_common/ros/node_testing.h"
 #include "synthetic_scene.h"
 
@@ -40,6 +41,7 @@ class NodeTest : public testing::Test {
     ground_status_ = handle_.advertise<air_ground::VoStatus>("ground/slam_status", 10);
     odometry_ = handle_.advertise<nav_msgs::Odometry>("mav/odometry", 10);
     guess_ = handle_.advertise<geometry_msgs::PoseWithCovarianceStamped>("initialpose", 10);
+    corrections_ = handle_.advertise<air_ground::CloudCorrections>("mav/cloud_corrections", 10);
     refined_sub_ = handle_.subscribe("alignment/refined", 100, &NodeTest::onRefined, this);
     map_sub_ = handle_.subscribe("augmented_map", 10, &NodeTest::onMap, this);
     pose_sub_ = handle_.subscribe("mav/pose_in_ground_map", 100, &NodeTest::onPose, this);
@@ -51,8 +53,8 @@ class NodeTest : public testing::Test {
       return clock_.getNumSubscribers() > 0 && coarse_.getNumSubscribers() > 0 && aerial_.getNumSubscribers() > 0 &&
              ground_.getNumSubscribers() > 0 && guess_.getNumSubscribers() > 0 && status_.getNumSubscribers() > 0 &&
              ground_status_.getNumSubscribers() > 0 && odometry_.getNumSubscribers() > 0 &&
-             refined_sub_.getNumPublishers() > 0 && pose_sub_.getNumPublishers() > 0 &&
-             map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
+             corrections_.getNumSubscribers() > 0 && refined_sub_.getNumPublishers() > 0 &&
+             pose_sub_.getNumPublishers() > 0 && map_sub_.getNumPublishers() > 0 && tf_sub_.getNumPublishers() > 0;
     }));
     // Every test starts with an empty node and later than the one before.
     static double start = 100;
@@ -211,6 +213,13 @@ class NodeTest : public testing::Test {
     status_.publish(msg);
   }
 
+  void sendCorrections(const air_ground_common::CloudCorrections& corrections, std::uint32_t map_id) {
+    std_msgs::Header header;
+    header.stamp = ros::Time(now_);
+    header.frame_id = "mav_map";
+    corrections_.publish(ros_utils::toMsg(corrections, header, map_id));
+  }
+
   Pose offset(const synthetic::Scene& scene) {
     std::mt19937 rng(4);
     return synthetic::perturbed(scene.T_ground_map_mav_map, synthetic::centroid(scene.aerial), 0.12, 0.05, true, rng);
@@ -233,7 +242,7 @@ class NodeTest : public testing::Test {
   }
 
   ros::NodeHandle handle_;
-  ros::Publisher clock_, coarse_, aerial_, ground_, status_, ground_status_, odometry_, guess_;
+  ros::Publisher clock_, coarse_, aerial_, ground_, status_, ground_status_, odometry_, guess_, corrections_;
   ros::Subscriber refined_sub_, map_sub_, pose_sub_, tf_sub_;
   ros_utils::NodeDiagnostics diagnostics_{"icp_refine"};
   std::vector<AlignmentEstimate> estimates_;

@@ -268,16 +268,10 @@ TrackedPose FrameTracker::findByFeatures(const visual_frontend::Keyframe& query,
     seen.push_back(correspondence(landmark, pixel, matches.back().normalized, images.depth, T_camera_map));
   }
   TrackedPose found;
-  found.reason = "a place was recognised but too few of its landmarks were found";
   found.pose = solve(seen, around, false);
-  if (!found.pose.success || found.pose.inlier_count < settings_.min_inliers) return found;
-  std::vector<LandmarkMatch> agreeing;
-  for (std::size_t i = 0; i < matches.size(); ++i)
-    if (found.pose.inliers[i]) agreeing.push_back(matches[i]);
-  startTracks(agreeing);
+  found.success = found.pose.success && found.pose.inlier_count >= settings_.min_inliers;
+  if (found.success) startTracks(matches, found.pose, 0);
   found.landmarks = tracks_.count();
-  found.success = true;
-  found.reason.clear();
   return found;
 }
 
@@ -312,21 +306,19 @@ void FrameTracker::reobserve(const Pose& around, double radius, const cv::Mat& d
     seen.push_back(correspondence(m.landmark, m.pixel, m.normalized, depth, T_camera_map));
   const PoseResult refined = tracked > 0 ? visual_frontend::refinePose(seen, around, {}) : solve(seen, around, false);
   if (!refined.success || refined.inlier_count < pose->inlier_count) return;
-  std::vector<LandmarkMatch> agreeing;
-  for (std::size_t i = 0; i < matches.size(); ++i) {
-    if (refined.inliers[tracked + i]) agreeing.push_back(matches[i]);
-  }
-  startTracks(agreeing);
+  startTracks(matches, refined, tracked);
   *pose = refined;
 }
 
-void FrameTracker::startTracks(const std::vector<LandmarkMatch>& matches) {
+void FrameTracker::startTracks(const std::vector<LandmarkMatch>& matches, const PoseResult& pose, std::size_t first) {
   // Tracks that may turn out to be one of the landmarks. Copies: starting tracks moves the features.
   std::vector<std::pair<TrackId, Eigen::Vector2d>> loose;
   for (const Feature& f : tracker_.features()) {
     if (!tracks_.has(f.id)) loose.emplace_back(f.id, f.pixel);
   }
-  for (const LandmarkMatch& match : matches) {
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    if (!pose.inliers[first + i]) continue;
+    const LandmarkMatch& match = matches[i];
     TrackId track = kNoTrack;
     for (const auto& [id, pixel] : loose) {
       if ((pixel - match.pixel).squaredNorm() < 2.0 * 2.0 && !tracks_.has(id)) track = id;

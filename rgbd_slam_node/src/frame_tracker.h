@@ -88,7 +88,9 @@ class FrameTracker {
   std::string tooFast(double stamp, const Pose& T_map_camera) const;  ///< likewise
   /// Searches the local map around a pose, refines it with what was found, and starts tracks there.
   void reobserve(const Pose& around, double radius, const cv::Mat& depth, visual_frontend::PoseResult* pose);
-  void startTracks(const std::vector<visual_frontend::LandmarkMatch>& matches);
+  /// Of the matches that agree with the pose; `first`: place of the first of them among its inliers.
+  void startTracks(const std::vector<visual_frontend::LandmarkMatch>& matches, const visual_frontend::PoseResult& pose,
+                   std::size_t first);
   Pose lastPose() const { return frames_.lastPose(map_); }
 
   CameraModel camera_;

@@ -274,7 +274,10 @@ TrackedPose Slam::Impl::relocalizeByImages(const RgbdImages& images) {
   if (match.success) {
     const Pose around = map.keyframe(match.keyframe).T_map_camera * match.T_place_query;
     tracked = tracking.findAround(around, kPlaceRadius, images);
-    if (!tracked.success) tracked = tracking.findByFeatures(query, match, around, images);
+    if (!tracked.success) {
+      const TrackedPose by_features = tracking.findByFeatures(query, match, around, images);
+      if (by_features.success) tracked = by_features;
+    }
   } else {
     tracked.reason = "lost: " + match.reason;
   }

@@ -1,6 +1,8 @@
 // A textured corner seen by both robots: the MAV's map, of unknown unit and turned, is found in the ground robot's.
 #include <gtest/gtest.h>
 
+#include <utility>
+
 #include "textured_corner.h"
 
 namespace view_match {
@@ -16,6 +18,25 @@ class ViewMatching : public testing::Test, protected CornerScene {
     cv::Mat depth;
     const cv::Mat image = render(corner, T_ground_camera, &depth);
     return matcher.addImage(stamp, image, camera, inMavMap(T_ground_camera), landmarks(depth, T_ground_camera));
+  }
+
+  static constexpr std::int64_t kStep = 50000000;  // [ns]
+
+  /// A matcher that saw the flight while the MAV's map was another than `truth` says.
+  ViewMatcher afterFlightIn(const Similarity& map, const Corner& corner) {
+    ViewMatcher matcher({});
+    matcher.setOwnUnit(true);
+    addGroundViews(corner, matcher);
+    const Similarity right = std::exchange(truth, map);
+    for (int i = 0; i < 7; ++i) addView(corner, matcher, flown(i), i * kStep);
+    truth = right;
+    return matcher;
+  }
+
+  air_ground_common::PosesByStamp flightAsItIs() const {
+    air_ground_common::PosesByStamp now;
+    for (int i = 0; i < 7; ++i) now[i * kStep + 200] = inMavMap(flown(i));  // stamps that were seconds
+    return now;
   }
 
   void addFlight(const Corner& corner, ViewMatcher& matcher) const {
@@ -56,23 +77,15 @@ TEST_F(ViewMatching, DepthsTellTheScaleBeforeTheMavHasMovedFar) {
 
 // Images of a map that is 10 cm and some degrees off at first.
 TEST_F(ViewMatching, ImagesFollowACorrectionOfTheMavsMap) {
-  constexpr std::int64_t kStep = 50000000;
-  const Corner corner(1);
-  ViewMatcher matcher({});
-  matcher.setOwnUnit(true);
-  addGroundViews(corner, matcher);
-  const Similarity right = truth;
-  truth.R = truth.R * air_ground_common::expSO3({0.05, 0.02, -0.04});
-  truth.t += Eigen::Vector3d(0.06, -0.06, 0.05);
-  for (int i = 0; i < 7; ++i) addView(corner, matcher, flown(i), i * kStep);
-  truth = right;
-  air_ground_common::PosesByStamp now;
-  for (int i = 0; i < 7; ++i) now[i * kStep + 200] = inMavMap(flown(i));  // stamps that were seconds
+  Similarity off = truth;
+  off.R = truth.R * air_ground_common::expSO3({0.05, 0.02, -0.04});
+  off.t += Eigen::Vector3d(0.06, -0.06, 0.05);
+  ViewMatcher matcher = afterFlightIn(off, Corner(1));
   const auto error = [&](const MatchEstimate& e) {
     return (e.T_ground_mav * inMavMap(flown(3)).translation() - flown(3).translation()).norm();
   };
   EXPECT_GT(error(matcher.estimate()), 0.05);
-  matcher.correctAerial(now);
+  matcher.correctAerial(flightAsItIs());
   const MatchEstimate e = matcher.estimate();
   ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
   EXPECT_LT(error(e), 0.04);
@@ -80,18 +93,10 @@ TEST_F(ViewMatching, ImagesFollowACorrectionOfTheMavsMap) {
 
 // The MAV's map was 6 % too small: so are the depths of what its images showed then.
 TEST_F(ViewMatching, ScalesFollowACorrectionOfTheMavsMap) {
-  constexpr std::int64_t kStep = 50000000;
-  const Corner corner(1);
-  ViewMatcher matcher({});
-  matcher.setOwnUnit(true);
-  addGroundViews(corner, matcher);
-  const Similarity right = truth;
-  truth.scale *= 1.06;
-  for (int i = 0; i < 7; ++i) addView(corner, matcher, flown(i), i * kStep);
-  truth = right;
-  air_ground_common::PosesByStamp now;
-  for (int i = 0; i < 7; ++i) now[i * kStep] = inMavMap(flown(i));
-  matcher.correctAerial(now);
+  Similarity large = truth;
+  large.scale *= 1.06;
+  ViewMatcher matcher = afterFlightIn(large, Corner(1));
+  matcher.correctAerial(flightAsItIs());
   const MatchEstimate e = matcher.estimate();
   ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
   EXPECT_NEAR(e.T_ground_mav.scale / truth.scale, 1, 0.01);

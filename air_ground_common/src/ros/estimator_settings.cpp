@@ -38,11 +38,14 @@ void describe(ParameterVisitor& v, EstimatorSettings& s) {
     "compressed: sensor_msgs/CompressedImage on <topic>/compressed (a launch argument)", {"raw", "compressed"});
 }
 
-PosePublisherSettings poseOutputIn(const EstimatorSettings& settings) {
+PosePublisherSettings poseOutput(const EstimatorSettings& settings, const std::string& odometry_topic,
+                                 const std::string& path_topic) {
   PosePublisherSettings output;
   output.map_frame = settings.map_frame;
   output.odom_frame = settings.odom_frame;
   output.base_frame = settings.base_frame;
+  output.odometry_topic = odometry_topic;
+  output.path_topic = path_topic;
   output.publish_tf = settings.publish_tf;
   output.odom_from_tf = settings.odom_from_tf;
   return output;

@@ -1,6 +1,4 @@
 """What the reports of replays share: hearing nodes, holding the player while they lag, their services, rviz's picture."""
-import glob
-import itertools
 import os
 import re
 import signal
@@ -17,6 +15,7 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from . import bag_guess, geometry
+from .earlier_files import move_aside
 from .pacing import CALLER, ClockKeeper, CpuLoad, Pacer
 
 STATES = {VoStatus.STATE_WAITING: 'WAITING', VoStatus.STATE_INITIALIZING: 'INITIALIZING', VoStatus.STATE_SCALING: 'SCALING',
@@ -326,19 +325,6 @@ def wait_for_rest(recorder, idle_time, limit):
         if now - quiet_since >= idle_time:
             return
     rospy.logwarn('the nodes were still busy %.0f s after the end of the bag (idle_limit): the report is written now, without what they have yet to do', limit)
-
-
-def move_aside(folder, names):
-    """Makes the folder. Files of these names (or patterns), of an earlier run, go into a new one in it: earlier-1, or the first number that is free. Returns that one, or None."""
-    os.makedirs(folder, exist_ok=True)
-    old = sorted({path for name in names for path in glob.glob(os.path.join(glob.escape(folder), name))})
-    if not old:
-        return None
-    earlier = next(path for path in (os.path.join(folder, f'earlier-{i}') for i in itertools.count(1)) if not os.path.exists(path))
-    os.mkdir(earlier)
-    for path in old:
-        os.rename(path, os.path.join(earlier, os.path.basename(path)))
-    return earlier
 
 
 def make_room(folder, names):

@@ -6,6 +6,7 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "air_ground_common/map_correction.h"
@@ -46,8 +47,7 @@ class EarlierClouds {
   std::optional<Found> step();
 
  private:
-  struct Cloud {
-    std::int64_t stamp;
+  struct Kept {
     AerialCloud cloud;
     std::size_t searched;  // ground cells when it was searched last; 0: never
   };
@@ -58,8 +58,8 @@ class EarlierClouds {
 
   HeightMapLocalizerSettings settings_;
   std::size_t in_group_;
-  std::deque<Cloud> clouds_;
-  air_ground_common::CloudCorrections corrections_;  // so far: a cloud may come after what it has gone through
+  std::deque<std::pair<std::int64_t, Kept>> clouds_;  // by stamp [ns], the oldest first
+  air_ground_common::CloudCorrections corrections_;   // so far: a cloud may come after what it has gone through
   std::vector<Eigen::Vector3f> ground_;
   std::size_t ground_cells_ = 0;
   bool ground_is_new_ = false;  // to the localizer

@@ -110,9 +110,9 @@ class HeightmapMclNode {
   }
 
   void work() {
-    constexpr double kQuiet = 1;  // [s] before clouds of before are searched ...
-    constexpr double kRest =
-        4;  // ... and between two of them, times as long as one takes: odometry needs the processor
+    // Before clouds that were left behind are searched [s]; and between two of them, times as long as one takes:
+    // odometry needs the processor.
+    constexpr double kQuiet = 1, kRest = 4;
     std::optional<double> patience;
     while (const auto work = inbox_.next(patience)) {
       const ros::WallTime start = ros::WallTime::now();

@@ -163,21 +163,17 @@ void Inbox::endSearch() {
 }
 
 std::optional<Work> Inbox::next(const std::optional<double>& patience) {
-  const auto idle_at =
-      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience.value_or(0)));
+  std::optional<Clock::time_point> idle_at;
+  if (patience)
+    idle_at = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(*patience));
   std::unique_lock<std::mutex> lock(mutex_);
   while (true) {
     Work work;
     while (!stop_ && !pending() && !work.idle) {
-      if (clouds_.empty() && !patience) {
-        wake_.wait(lock);
-      } else {
-        const Clock::time_point until = patience && clouds_.empty() ? idle_at
-                                        : patience                  ? std::min(idle_at, clouds_.front().until)
-                                                                    : clouds_.front().until;
-        wake_.wait_until(lock, until);
-        work.idle = patience && Clock::now() >= idle_at && !pending();
-      }
+      std::optional<Clock::time_point> until = idle_at;
+      if (!clouds_.empty()) until = until ? std::min(*until, clouds_.front().until) : clouds_.front().until;
+      until ? static_cast<void>(wake_.wait_until(lock, *until)) : wake_.wait(lock);
+      work.idle = idle_at && Clock::now() >= *idle_at && !pending();
     }
     if (stop_) return std::nullopt;
     work.command = std::exchange(command_, {});

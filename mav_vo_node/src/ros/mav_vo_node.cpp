@@ -39,20 +39,13 @@ ros_utils::EstimatorNames names() {
   return names;
 }
 
-ros_utils::PosePublisherSettings poseOutput(const ros_utils::EstimatorSettings& frames) {
-  ros_utils::PosePublisherSettings output = ros_utils::poseOutputIn(frames);
-  output.odometry_topic = "mav/odometry";
-  output.path_topic = "mav/path";
-  return output;
-}
-
 class MavVoNode : private ros_utils::Estimator {
  public:
   explicit MavVoNode(const NodeSettings& settings)
       : settings_(settings),
         frames_(settings_.estimator),
         shell_(handle_, settings.estimator, names(), *this),
-        pose_publisher_(handle_, poseOutput(frames_), shell_.health()) {
+        pose_publisher_(handle_, ros_utils::poseOutput(frames_, "mav/odometry", "mav/path"), shell_.health()) {
     cloud_publisher_ = handle_.advertise<sensor_msgs::PointCloud2>("mav/sparse_cloud", 5);
     posed_publisher_ = handle_.advertise<air_ground::PosedImage>("mav/posed_image", 100);
     corrected_publisher_ = handle_.advertise<nav_msgs::Path>("mav/corrected_path", 20);

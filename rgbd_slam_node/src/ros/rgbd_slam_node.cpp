@@ -70,20 +70,13 @@ ros_utils::EstimatorNames names() {
   return names;
 }
 
-ros_utils::PosePublisherSettings poseOutput(const ros_utils::EstimatorSettings& frames) {
-  ros_utils::PosePublisherSettings output = ros_utils::poseOutputIn(frames);
-  output.odometry_topic = "ground/odometry";
-  output.path_topic = "ground/path";
-  return output;
-}
-
 class RgbdSlamNode : private ros_utils::Estimator {
  public:
   explicit RgbdSlamNode(const NodeSettings& settings)
       : settings_(settings),
         frames_(settings_.estimator),
         shell_(handle_, settings.estimator, names(), *this),
-        pose_publisher_(handle_, poseOutput(frames_), shell_.health()),
+        pose_publisher_(handle_, ros_utils::poseOutput(frames_, "ground/odometry", "ground/path"), shell_.health()),
         depth_(handle_, "ground/depth/image_raw", "ground/depth/camera_info", settings_.depth, shell_.mountings(),
                shell_.health()),
         clouds_(handle_, "ground/map_cloud", frames_.map_frame, settings_.slam.cloud, shell_.health()),

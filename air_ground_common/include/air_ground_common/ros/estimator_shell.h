@@ -61,8 +61,9 @@ struct EstimatorSettings {
 /// All but sync_tolerance and depth_transport.
 void describe(ParameterVisitor& visitor, EstimatorSettings& settings);
 
-/// Frames and tf as these settings say; the topics remain to be named.
-PosePublisherSettings poseOutputIn(const EstimatorSettings& settings);
+/// Frames and tf as these settings say.
+PosePublisherSettings poseOutput(const EstimatorSettings& settings, const std::string& odometry_topic,
+                                 const std::string& path_topic);
 
 /// Names by which a node knows its topics (remapping applies), and what it calls things when it speaks to people.
 struct EstimatorNames {
