@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "icp_refine/data_filters.h"
-#include "icp_refine/height_check.h"
 
 namespace icp_refine {
 
@@ -44,7 +43,7 @@ AerialClouds::Reading AerialClouds::newest() const {
   return readingFrom(clouds_.size() - std::min(in_row_, clouds_.size()));
 }
 
-AerialClouds::Reading AerialClouds::on(const Cloud& ground, const Similarity& T, double margin) const {
+AerialClouds::Reading AerialClouds::on(const GroundHeights& ground, const Similarity& T) const {
   constexpr std::size_t kSamples = 200;  // of a cloud
   constexpr double kBeside = 0.1;        // least share of the newest clouds that lies on the ground map
   if (clouds_.size() <= in_row_) return newest();
@@ -55,7 +54,7 @@ AerialClouds::Reading AerialClouds::on(const Cloud& ground, const Similarity& T,
     for (std::size_t i = 0; i < cloud.size(); i += step) samples.points.push_back(cloud.points[i]);
     ends.push_back(samples.size());
   }
-  const std::vector<char> near = nearGroundMap(transformed(samples, T), ground, margin);
+  const std::vector<char> near = ground.near(transformed(samples, T));
   std::vector<double> share;
   for (std::size_t k = 0, begin = 0; k < ends.size(); begin = ends[k++]) {
     const auto count = std::count(near.begin() + static_cast<std::ptrdiff_t>(begin),

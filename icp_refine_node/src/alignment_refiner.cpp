@@ -46,7 +46,12 @@ void AlignmentRefiner::setGround(Cloud cloud) {
 }
 
 void AlignmentRefiner::prepareGround() {
-  if (tracked_ && !reference_ && !ground_.empty()) reference_ = chain_.prepareReference(ground_);
+  if (tracked_ && !reference_ && !ground_.empty()) makeReference();
+}
+
+void AlignmentRefiner::makeReference() {
+  reference_ = chain_.prepareReference(ground_);
+  heights_.emplace(reference_->cloud(), settings_.height_check);
 }
 
 void AlignmentRefiner::addAerial(std::int64_t stamp, Cloud cloud) { aerial_.add(stamp, std::move(cloud)); }
@@ -158,7 +163,7 @@ std::string AlignmentRefiner::missing() const {
 
 // While a pose is tracked the newest clouds tell; a guess may be about those that the MAV has left behind.
 Cloud AlignmentRefiner::prepareReading() {
-  const auto on = [this](const Similarity& T) { return aerial_.on(ground_, T, settings_.margin); };
+  const auto on = [this](const Similarity& T) { return aerial_.on(*heights_, T); };
   AerialClouds::Reading reading = tracked_  ? aerial_.newest()
                                   : manual_ ? on(similarity(*manual_))
                                   : views_  ? on(views_->T_ground_map_mav_map)
@@ -259,7 +264,7 @@ RefineOutcome AlignmentRefiner::refine() {
     return out;
   };
   if (const std::string what = missing(); !what.empty()) return wait(what);
-  if (!reference_) reference_ = chain_.prepareReference(ground_);
+  if (!reference_) makeReference();
   const Cloud reading = prepareReading();
   const std::size_t needed = static_cast<std::size_t>(settings_.min_points);
   const auto few = [&](std::size_t count, const char* whose) {
@@ -306,7 +311,7 @@ RefineOutcome AlignmentRefiner::refineGuessed(const Cloud& reading) {
 
 RefineOutcome AlignmentRefiner::attemptFromGuess(const Cloud& reading, Pose guess, bool until_converged) {
   // The height is the one thing that the maps tell at once, and a guess drawn on a plane knows nothing of it.
-  const auto dz = heightOffset(transformed(reading, guess), reference_->cloud(), settings_.height_check.cell);
+  const auto dz = heights_->offset(transformed(reading, guess));
   if (dz) guess.translation().z() += *dz;
   RefineOutcome best = attempt(reading, similarity(guess, scale_.mean));
   const Eigen::Vector3d centre = guess * middle(reading);
@@ -335,7 +340,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   out.stamp = reading_stamp_;
   // What lies beyond the ground map cannot match, and would take the samples of what can.
   Cloud reading = whole;
-  reading.keep(nearGroundMap(transformed(whole, guess), reference_->cloud(), settings_.margin));
+  reading.keep(heights_->near(transformed(whole, guess)));
   out.icp = chain_.align(reading, *reference_, guess, priors());
   const IcpResult& icp = out.icp;
   out.T_ground_map_mav_map = icp.T_reference_reading;
@@ -347,8 +352,7 @@ RefineOutcome AlignmentRefiner::attempt(const Cloud& whole, const Similarity& gu
   if (icp.outcome == IcpResult::Outcome::kConverged) {
     compareWithViews(out);
     compareWithCoarse(out);
-    out.heights = checkHeights(transformed(whole, out.T_ground_map_mav_map), reference_->cloud(),
-                               settings_.height_check, ground_camera_);
+    out.heights = heights_->check(transformed(whole, out.T_ground_map_mav_map), ground_camera_);
     out.overlap = out.heights.overlap();
     out.contradicted = out.overlap >= settings_.min_overlap && out.heights.conclusive &&
                        (out.heights.agreement() < settings_.min_agreement || icp.residual_rms > settings_.max_rms);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <memory>
 #include <random>
 
 #include "air_ground_common/statistics.h"
@@ -41,6 +42,9 @@ struct Columns {
     return k < 0 ? unseen : tops[static_cast<std::size_t>(k)];
   }
   bool seen(std::uint64_t key) const { return keys.find(key) >= 0; }
+  int x(std::size_t k) const { return static_cast<int>(places[k].x()); }
+  int y(std::size_t k) const { return static_cast<int>(places[k].y()); }
+  std::uint64_t key(std::size_t k) const { return column(x(k), y(k)); }
 
   KeyTable keys;
   std::vector<float> tops;
@@ -104,10 +108,33 @@ Floor floorOf(const Columns& columns, double cell) {
 
 }  // namespace
 
-HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& s, double ground_camera) {
+struct GroundHeights::Maps {
+  Maps(const Cloud& ground, const HeightCheckSettings& s)
+      : columns(ground, s.cell), floor(floorOf(columns, s.cell)), near_cell(std::max(s.margin / 2, 1e-3)) {
+    KeyTable seen;
+    for (const auto& p : ground.points) {
+      const int x = cellOf(p.x(), near_cell), y = cellOf(p.y(), near_cell);
+      const int before = seen.size();
+      if (seen.insert(column(x, y)) < before) continue;
+      for (int dy = -2; dy <= 2; ++dy) {
+        for (int dx = -2; dx <= 2; ++dx) near.insert(column(x + dx, y + dy));
+      }
+    }
+  }
+  Columns columns;
+  Floor floor;
+  double near_cell;  // half the margin [m]
+  KeyTable near;     // cells of that edge where the map is, grown by two
+};
+
+GroundHeights::GroundHeights(const Cloud& ground, const HeightCheckSettings& settings)
+    : settings_(settings), maps_(std::make_shared<const Maps>(ground, settings)) {}
+
+HeightCheck GroundHeights::check(const Cloud& aerial, double ground_camera) const {
+  const HeightCheckSettings& s = settings_;
+  const Columns& floor_robot = maps_->columns;
   HeightCheck out;
-  const Columns air(aerial, s.cell), floor_robot(ground, s.cell);
-  const Floor floor = floorOf(floor_robot, s.cell);
+  const Columns air(aerial, s.cell);
   out.aerial_cells = air.keys.size();
   const int reach = std::max(1, static_cast<int>(std::lround(s.tolerance_xy / s.cell)));
 
@@ -130,14 +157,12 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
     out.contradictions += seen_beside < needed;
   };
 
-  KeyTable done;
-  for (const auto& p : aerial.points) {
-    const int x = cellOf(p.x(), s.cell), y = cellOf(p.y(), s.cell);
-    const auto key = column(x, y);
-    if (!floor_robot.seen(key) || done.insert(key) != out.cells) continue;
+  for (std::size_t k = 0; k < air.tops.size(); ++k) {
+    if (!floor_robot.seen(air.key(k))) continue;
     ++out.cells;
-    const float from_air = air.top(key, 0), from_ground = floor_robot.top(key, 0);
-    const double level = floor.at(x, y);
+    const int x = air.x(k), y = air.y(k);
+    const float from_air = air.tops[k], from_ground = floor_robot.top(air.key(k), 0);
+    const double level = maps_->floor.at(x, y);
     const bool air_relief = std::abs(from_air - level) > s.relief;
     const bool ground_relief = std::abs(from_ground - level) > s.relief;
     if (!air_relief && !ground_relief) continue;
@@ -155,34 +180,21 @@ HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightC
   return out;
 }
 
-std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, double cell) {
-  const Columns air(aerial, cell), below(ground, cell);
+std::optional<double> GroundHeights::offset(const Cloud& aerial) const {
+  const Columns air(aerial, settings_.cell);
   std::vector<double> differences;
-  KeyTable done;
-  for (const auto& p : aerial.points) {
-    const auto key = column(cellOf(p.x(), cell), cellOf(p.y(), cell));
-    const int before = done.size();
-    if (below.seen(key) && done.insert(key) == before) differences.push_back(below.top(key, 0) - air.top(key, 0));
+  for (std::size_t k = 0; k < air.tops.size(); ++k) {
+    if (maps_->columns.seen(air.key(k))) differences.push_back(maps_->columns.top(air.key(k), 0) - air.tops[k]);
   }
   if (differences.size() < 50) return std::nullopt;
   return air_ground_common::median(std::move(differences));
 }
 
-std::vector<char> nearGroundMap(const Cloud& aerial, const Cloud& ground, double margin) {
-  // Cells of half the margin, grown by two.
-  const double cell = std::max(margin / 2, 1e-3);
-  KeyTable seen, grown;
-  for (const auto& p : ground.points) {
-    const int x = cellOf(p.x(), cell), y = cellOf(p.y(), cell);
-    const int before = seen.size();
-    if (seen.insert(column(x, y)) < before) continue;
-    for (int dy = -2; dy <= 2; ++dy) {
-      for (int dx = -2; dx <= 2; ++dx) grown.insert(column(x + dx, y + dy));
-    }
-  }
+std::vector<char> GroundHeights::near(const Cloud& aerial) const {
   std::vector<char> mask(aerial.size());
   for (std::size_t i = 0; i < aerial.size(); ++i) {
-    mask[i] = grown.find(column(cellOf(aerial.points[i].x(), cell), cellOf(aerial.points[i].y(), cell))) >= 0;
+    const auto& p = aerial.points[i];
+    mask[i] = maps_->near.find(column(cellOf(p.x(), maps_->near_cell), cellOf(p.y(), maps_->near_cell))) >= 0;
   }
   return mask;
 }

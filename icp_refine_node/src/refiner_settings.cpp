@@ -8,7 +8,7 @@ void describe(air_ground_common::ParameterVisitor& v, RefinerSettings& r) {
   v("recent_clouds", r.recent_clouds, {1, 10000}, "",
     "aerial clouds in a row that make up the reading: the newest, or those that a guess puts on the ground map");
   v("accumulation_leaf", r.accumulation_leaf, {0.001, 10}, "m", "each of them is thinned to this");
-  v("margin", r.margin, {0.01, 1000}, "m",
+  v("margin", r.height_check.margin, {0.01, 1000}, "m",
     "aerial points farther than this from the ground map, in plan, are left out");
   v("retries", r.retries, {0, 100}, "", "other starts around a coarse or manual guess that was rejected");
   v("retry_distance", r.retry_distance, {0, 10}, "m", "this far from it");

@@ -21,10 +21,10 @@ TEST(HeightCheck, ATableAboveTheGroundCameraSaysNothing) {
   addLevel(ground, 0, 3, 0, 3, 0);
   addLevel(aerial, 0, 3, 0, 3, 0);
   addLevel(aerial, 1, 2, 1, 1.6, 0.72);
-  EXPECT_EQ(checkHeights(aerial, ground, s, 0.5).relief_cells, 0);
+  EXPECT_EQ(GroundHeights(ground, s).check(aerial, 0.5).relief_cells, 0);
   // Who looks from above sees the top where there is one.
   for (const double camera : {1.5, std::numeric_limits<double>::infinity()}) {
-    const auto seen = checkHeights(aerial, ground, s, camera);
+    const auto seen = GroundHeights(ground, s).check(aerial, camera);
     EXPECT_EQ(seen.relief_cells, 60);
     EXPECT_EQ(seen.contradictions, 60);
   }
@@ -41,7 +41,8 @@ TEST(HeightCheck, ASlopeProvesNoPlaceAlongItsContours) {
       for (auto& p : cloud.points) p.z() += static_cast<float>(slope * p.y());
       return cloud;
     };
-    const HeightCheck right = checkHeights(scene(0), scene(0)), wrong = checkHeights(scene(0.6), scene(0));
+    const HeightCheck right = GroundHeights(scene(0)).check(scene(0)),
+                      wrong = GroundHeights(scene(0)).check(scene(0.6));
     EXPECT_TRUE(right.conclusive) << slope;
     EXPECT_GT(right.agreement(), 0.98) << slope;
     EXPECT_LT(wrong.agreement(), 0.5) << slope << ": of " << wrong.relief_cells;
@@ -57,9 +58,9 @@ TEST(HeightCheck, AWallThatTheImageCutSaysNothing) {
   addLevel(ground, 0, 3, 0, 3, 0);
   addLevel(ground, 1.9, 2, 1, 2, 0.5);
   addLevel(aerial, 0, 2, 0, 3, 0);
-  EXPECT_EQ(checkHeights(aerial, ground, s).relief_cells, 0);
+  EXPECT_EQ(GroundHeights(ground, s).check(aerial).relief_cells, 0);
   addLevel(aerial, 2, 3, 0, 3, 0);
-  EXPECT_EQ(checkHeights(aerial, ground, s).contradictions, 10);
+  EXPECT_EQ(GroundHeights(ground, s).check(aerial).contradictions, 10);
 }
 
 }  // namespace

@@ -416,8 +416,9 @@ TEST(HeightCheck, TellsTheTruthFromAWrongBasin) {
   for (unsigned seed = 1; seed <= 2; ++seed) {
     const auto scene = synthetic::makeScene(seed);
     const auto reference = shipped().prepareReference(scene.ground);
+    const GroundHeights heights(reference.cloud());
     const Cloud reading = shipped().prepareReading(scene.aerial);
-    const auto right = checkHeights(transformed(reading, scene.T_ground_map_mav_map), reference.cloud());
+    const auto right = heights.check(transformed(reading, scene.T_ground_map_mav_map));
     EXPECT_TRUE(right.conclusive);
     EXPECT_GT(right.agreement(), 0.85) << "seed " << seed;
     for (int k = 0; k < 4; ++k) {
@@ -427,7 +428,7 @@ TEST(HeightCheck, TellsTheTruthFromAWrongBasin) {
           0.15)
         continue;
       ++wrong_basins;
-      const auto wrong = checkHeights(transformed(reading, result.T_reference_reading), reference.cloud());
+      const auto wrong = heights.check(transformed(reading, result.T_reference_reading));
       EXPECT_LT(wrong.agreement(), 0.65) << "seed " << seed << " case " << k;
     }
   }
@@ -438,10 +439,10 @@ TEST(HeightCheck, SaysNothingWithoutRelief) {
   SceneSettings s;
   s.world = World::kFlat;
   const auto scene = synthetic::makeScene(1, s);
-  const auto check = checkHeights(transformed(scene.aerial, scene.T_ground_map_mav_map), scene.ground);
+  const auto check = GroundHeights(scene.ground).check(transformed(scene.aerial, scene.T_ground_map_mav_map));
   EXPECT_GT(check.cells, 100);
   EXPECT_FALSE(check.conclusive);
-  EXPECT_EQ(checkHeights(Cloud{}, Cloud{}).cells, 0);
+  EXPECT_EQ(GroundHeights(Cloud{}).check(Cloud{}).cells, 0);
 }
 
 }  // namespace

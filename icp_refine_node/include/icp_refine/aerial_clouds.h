@@ -8,6 +8,7 @@
 
 #include "air_ground_common/followed_clouds.h"
 #include "icp_refine/cloud.h"
+#include "icp_refine/height_check.h"
 
 namespace icp_refine {
 
@@ -30,9 +31,9 @@ class AerialClouds {
     Cloud cloud;             ///< in mav_map
   };
   Reading newest() const;
-  /// What `T_ground_map_mav_map` puts on the ground map (by columns, `margin` [m]): the newest clouds, unless they lie
+  /// What `T_ground_map_mav_map` puts on the ground map (GroundHeights::near): the newest clouds, unless they lie
   /// beside it, and earlier ones of a MAV that has flown on do not.
-  Reading on(const Cloud& ground, const Similarity& T_ground_map_mav_map, double margin) const;
+  Reading on(const GroundHeights& ground, const Similarity& T_ground_map_mav_map) const;
 
  private:
   Reading readingFrom(std::size_t first) const;

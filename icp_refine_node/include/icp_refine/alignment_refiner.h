@@ -25,7 +25,6 @@ struct RefinerSettings {
   int recent_clouds = 6;            ///< aerial clouds in a row that make up the reading
   double accumulation_leaf = 0.03;  ///< each cloud is thinned to this when it comes in [m]
   int min_points = 300;             ///< aerial or ground points that a refinement needs after the filters
-  double margin = 0.6;              ///< aerial points farther than this from the ground map, in plan, are left out [m]
   int retries = 6;                  ///< starts around a coarse or manual guess that is rejected
   double retry_distance = 0.3;      ///< [m]
   double retry_angle = 0.1;         ///< of heading [rad]
@@ -142,6 +141,7 @@ class AlignmentRefiner {
 
  private:
   void forgetPoses();
+  void makeReference();
   std::string missing() const;  ///< what a refinement waits for; empty: nothing
   Priors priors() const;
   Cloud prepareReading();
@@ -166,6 +166,7 @@ class AlignmentRefiner {
   Cloud ground_;
   double ground_camera_ = std::numeric_limits<double>::infinity();  // not known
   std::optional<IcpReference> reference_;
+  std::optional<GroundHeights> heights_;  ///< of the reference
   AerialClouds aerial_;
   std::int64_t reading_stamp_ = 0;  ///< of the newest cloud that is refined [ns]
   std::optional<Pose> coarse_, manual_;

@@ -3,7 +3,9 @@
 #pragma once
 
 #include <limits>
+#include <memory>
 #include <optional>
+#include <vector>
 
 #include "icp_refine/cloud.h"
 
@@ -15,6 +17,7 @@ struct HeightCheckSettings {
   double tolerance_z = 0.10;   ///< [m]
   double relief = 0.12;        ///< cells farther than this from the floor's height carry information [m]
   int min_relief_cells = 40;   ///< with fewer the check says nothing
+  double margin = 0.6;         ///< farther than this from the ground map, in plan, a point is not near() it [m]
 };
 
 struct HeightCheck {
@@ -30,23 +33,33 @@ struct HeightCheck {
   double agreement() const { return relief_cells ? 1.0 - static_cast<double>(contradictions) / relief_cells : 1.0; }
 };
 
-/// Both clouds in one gravity-aligned frame. The floor is level at the ground map's most frequent height, or the slope
-/// that clearly more of it lies on. The highest point of each column is compared:
-/// - a ground point clearly above the aerial surface: the aerial camera, looking down, would have seen it, unless an
-/// aerial column beside it was not seen (a wall that the image cut). Contradiction.
-/// - an aerial surface clearly above a place where the ground robot saw the floor: seen from above it would have hidden
-/// it. Contradiction; but a surface higher than `ground_camera` (z of the ground robot's camera [m]; infinite: not
-/// known) may be a table, under which that camera looked, and says nothing.
-/// - an aerial surface above the ground robot's view of a steep face: no contradiction, its top may be above the
-/// camera.
-HeightCheck checkHeights(const Cloud& aerial, const Cloud& ground, const HeightCheckSettings& settings = {},
-                         double ground_camera = std::numeric_limits<double>::infinity());
+/// Columns and floor of the ground map, gravity-aligned: made once, for all poses that are tried on it. The floor is
+/// level at the map's most frequent height, or the slope that clearly more of it lies on.
+class GroundHeights {
+ public:
+  explicit GroundHeights(const Cloud& ground, const HeightCheckSettings& settings = {});
 
-/// Median of ground minus aerial height over the columns that both saw [m]; empty with fewer than 50 of them.
-std::optional<double> heightOffset(const Cloud& aerial, const Cloud& ground, double cell);
+  /// The aerial cloud is in the ground map's frame, as everywhere here. The highest point of each column is compared:
+  /// - a ground point clearly above the aerial surface: the aerial camera, looking down, would have seen it, unless an
+  /// aerial column beside it was not seen (a wall that the image cut). Contradiction.
+  /// - an aerial surface clearly above a place where the ground robot saw the floor: seen from above it would have
+  /// hidden it. Contradiction; but a surface higher than `ground_camera` (z of the ground robot's camera [m]; infinite:
+  /// not known) may be a table, under which that camera looked, and says nothing.
+  /// - an aerial surface above the ground robot's view of a steep face: no contradiction, its top may be above the
+  /// camera.
+  HeightCheck check(const Cloud& aerial, double ground_camera = std::numeric_limits<double>::infinity()) const;
 
-/// Mask of the aerial points (in the ground map's frame) with a ground point within about `margin` [m], heights aside:
-/// the rest cannot match anything.
-std::vector<char> nearGroundMap(const Cloud& aerial, const Cloud& ground, double margin);
+  /// Median of ground minus aerial height over the columns that both saw [m]; empty with fewer than 50 of them.
+  std::optional<double> offset(const Cloud& aerial) const;
+
+  /// Mask of the aerial points with a ground point within about the margin, heights aside: the rest cannot match
+  /// anything.
+  std::vector<char> near(const Cloud& aerial) const;
+
+ private:
+  struct Maps;
+  HeightCheckSettings settings_;
+  std::shared_ptr<const Maps> maps_;
+};
 
 }  // namespace icp_refine
