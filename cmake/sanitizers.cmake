@@ -21,4 +21,6 @@ if(sanitizers)
   add_compile_definitions(EIGEN_MALLOC_ALREADY_ALIGNED=1)
   # The function that chooses a clone runs before the sanitizer is up.
   add_compile_definitions(AIR_GROUND_NO_CLONES)
+  # hnswlib prefetches what it reads behind the end of a list of neighbours.
+  add_compile_definitions(NO_MANUAL_VECTORIZATION)
 endif()

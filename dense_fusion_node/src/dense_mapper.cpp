@@ -171,16 +171,17 @@ std::optional<FusedMap> DenseMapper::followMetricDistance(double scene_distance)
 CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
   // Depth rests on baselines of the sweep's radius: where they have changed among each other, it was off.
   constexpr double kBent = 0.02;
-  const double radius = settings_.fusion_radius / unit_, most = kBent * settings_.sweep_radius / unit_;  // as set
+  const double radius = settings_.fusion_radius, most = kBent * settings_.sweep_radius;  // as set
   constexpr std::size_t kNewerOnes = 3;  // until then a poor map is better than none
   const air_ground_common::MapCorrection correction(poses_, now);
   CloudCorrections since;
   std::size_t newer = made_.size();
   for (auto& [stamp, made] : made_) {
-    const auto [S, residual] = correction.around(made.place, made.growth * radius);
-    made.bent = made.bent || residual > made.growth * most;
+    const auto [S, residual] = correction.around(made.place, made.radii * radius);
+    made.bent = made.bent || residual > made.radii * most;
     --newer;
     if (!made.T_now_returned || (made.bent && newer >= kNewerOnes)) {
+      counters_.given_up += made.T_now_returned.has_value();
       since[stamp] = made.T_now_returned = std::nullopt;
       continue;
     }
@@ -189,7 +190,7 @@ CloudCorrections DenseMapper::correct(const PosesByStamp& now) {
     since[stamp] = S;
   }
   const Eigen::Vector3d here = last_.T_map_camera.translation() / unit_;
-  followHere(now, correction.around(here, growth() * radius).T_now_then);
+  followHere(now, correction.around(here, growth() / unit_ * radius).T_now_then);
   for (auto& [stamp, T] : poses_)
     if (const auto known = air_ground_common::poseOfImage(now, stamp)) T = *known;
   corrected_ = now;
@@ -308,7 +309,7 @@ std::optional<FusedMap> DenseMapper::fuseGroup() {
       ++counters_.fused;
       fused->newest_image = recent_.back().stamp;
       made_[fused->depth_map.stamp] = {fused->depth_map.T_map_camera.translation() / unit_, Similarity(), false,
-                                       growth()};
+                                       growth() / unit_};
       if (made_.size() > air_ground_common::kFollowedClouds) made_.erase(made_.begin());
     }
   } else {

@@ -202,5 +202,39 @@ TEST_F(SparseDepth, FewPointsOrNoisyOnesTellNothing) {
   EXPECT_FALSE(sparseDepthRatio(map, points));
 }
 
+// Ten times as far: what was made from on high is judged by the lengths of then, wherever the camera is by now.
+TEST(DenseMapper, ALandingKeepsWhatWasMadeAtAltitude) {
+  static constexpr double kFactor = 10;
+  MapperSettings s = smallSettings();
+  s.fusion_radius = 0.3;
+  s.sweep_radius = 0.08;
+  s.min_depth_maps = 2;
+  DenseMapper mapper(s);
+  const auto pose = [](std::size_t i) {
+    Eigen::Isometry3d T = flightPose(static_cast<int>(i));
+    T.translation() *= kFactor;
+    return T;
+  };
+  int clouds = 0;
+  for (std::size_t i = 0; i < flight().size(); ++i) {
+    clouds += mapper.followMetricDistance(std::sqrt(1.3 * 2.05) * kFactor).has_value();
+    clouds += mapper
+                  .add(flight()[i], smallCamera(), static_cast<std::int64_t>(i) * kStep, pose(i), 1.3 * kFactor,
+                       2.05 * kFactor)
+                  .has_value();
+  }
+  clouds += mapper.followMetricDistance(2.0).has_value();
+  ASSERT_GE(clouds, 4);
+  PosesByStamp now;
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal(0, 0.004);
+  for (std::size_t i = 0; i < flight().size(); ++i) {
+    Eigen::Isometry3d& T = now[static_cast<std::int64_t>(i) * kStep] = pose(i);
+    T.translation() += Eigen::Vector3d(normal(random), normal(random), normal(random));
+  }
+  for (const auto& [stamp, S] : mapper.correct(now)) EXPECT_TRUE(S) << stamp;
+  EXPECT_EQ(mapper.counters().given_up, 0u);
+}
+
 }  // namespace
 }  // namespace dense_fusion

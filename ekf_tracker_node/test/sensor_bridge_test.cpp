@@ -83,12 +83,15 @@ TEST(SensorBridge, WithUndulationGpsTellsTheHeight) {
 
 // Receivers that see three satellites give none.
 TEST(SensorBridge, PlanNeedsNoHeight) {
-  const NodeSettings unknown = settingsWith(std::nullopt);
-  sensor_msgs::NavSatFix msg = fixInBerlin(100);
-  msg.altitude = std::numeric_limits<double>::quiet_NaN();
-  const auto m = SensorBridge(unknown, &berlin()).gps(msg);
-  ASSERT_TRUE(m);
-  EXPECT_TRUE(m->value.allFinite());
+  for (const auto& undulation : {std::optional<double>(), std::optional<double>(39)}) {
+    const NodeSettings settings = settingsWith(undulation);
+    sensor_msgs::NavSatFix msg = fixInBerlin(100);
+    msg.altitude = std::numeric_limits<double>::quiet_NaN();
+    const auto m = SensorBridge(settings, &berlin()).gps(msg);
+    ASSERT_TRUE(m);
+    EXPECT_TRUE(m->plan_only);
+    EXPECT_TRUE(m->value.allFinite());
+  }
 }
 
 TEST(SensorBridge, MagneticHeadingNeedsTheDeclination) {

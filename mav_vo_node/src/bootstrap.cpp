@@ -111,7 +111,7 @@ std::optional<BootstrapResult> Bootstrap::add(double stamp, const std::vector<Fe
     const auto turn = gyro ? gyro(first.stamp, stamp) : std::nullopt;
     if (turn && turn->sigma > settings_.max_gyro_sigma) {
       reason_ = "estimating the gyro's bias: keep the camera moving over texture";
-      break;
+      continue;  // a younger view leaves less of the turn open
     }
     const Eigen::Matrix3d R = turn ? turn->R_a_b : Eigen::Matrix3d::Identity();
     std::vector<double> angles;

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <utility>
+#include <vector>
+
+#include "air_ground_common/statistics.h"
 
 namespace mav_vo {
 
@@ -17,12 +20,22 @@ constexpr double kNearRadius = 25;     // of the search about where a landmark s
 constexpr double kMostRadius = 60;     // ... and at the most [px]
 constexpr double kSpeedChange = 0.25;  // of the speed, that may have come about unseen
 constexpr double kAtPlaceRadius = 15;  // likewise once a place is recognised [px]
+constexpr int kSteadyImages = 5;       // that a corner must have lived to begin a map with
+
+/// Corners too faint to be described may begin a map, where the camera moves: a lens in the grass does not.
+bool couldBegin(const std::vector<visual_frontend::Feature>& features, const OdometrySettings& settings) {
+  std::vector<double> steps;
+  for (const auto& f : features)
+    if (f.age >= kSteadyImages) steps.push_back((f.pixel - f.previous_pixel).norm());
+  return static_cast<int>(steps.size()) >= settings.bootstrap.min_common &&
+         air_ground_common::median(std::move(steps)) > settings.standstill.pixels;
+}
 
 }  // namespace
 
 void Relocalizer::begin(double stamp) {
   lost_since_ = last_ = last_image_ = last_search_ = stamp;
-  strange_for_ = unsearched_ = 0;
+  strange_for_ = unsearched_ = could_begin_for_ = 0;
   frames_lost_ = 0;
   reason_.clear();
 }
@@ -45,7 +58,10 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   ++frames_lost_;
   visual_frontend::FeatureTracker& tracker = pose.tracker();
   if (tracker.features().size() < 0.5 * settings_.tracker.max_features) tracker.replenish();
-  if (const double gap = stamp - std::exchange(last_image_, stamp); gap <= kLongestGap) unsearched_ += gap;
+  if (const double gap = stamp - std::exchange(last_image_, stamp); gap <= kLongestGap) {
+    unsearched_ += gap;
+    if (couldBegin(tracker.features(), settings_)) could_begin_for_ += gap;
+  }
   if ((frames_lost_ <= kNearImages || stamp - lost_since_ < kNearLeast) && stamp - pose.locatedStamp() < kNearSeconds) {
     if (frames_lost_ > 1) pose.coast(stamp - last_);
     last_ = stamp;
@@ -60,8 +76,8 @@ bool Relocalizer::find(double stamp, const cv::Mat& gray, const visual_frontend:
   query.stamp = stamp;
   visual_frontend::describeKeyframe(gray, camera_, settings_.place, query);
   last_search_ = stamp;
-  const double since = std::exchange(unsearched_, 0);
-  if (query.orb_pixels.size() >= 2u * settings_.place.min_inliers) strange_for_ += since;
+  const double since = std::exchange(unsearched_, 0), begins = std::exchange(could_begin_for_, 0);
+  strange_for_ += query.orb_pixels.size() >= 2u * settings_.place.min_inliers ? since : begins;
   const auto match = visual_frontend::relocalize(map, camera_, query, gate, settings_.place);
   if (!match.success) {
     reason_ = "lost: no known place recognised (" + match.reason + "); show the camera what it has seen before";

@@ -35,7 +35,7 @@ class Relocalizer {
   CameraModel camera_;
   OdometrySettings settings_;
   double lost_since_ = 0, last_ = 0, last_image_ = 0, last_search_ = 0;  // images [s]
-  double strange_for_ = 0, unsearched_ = 0;                              // [s]
+  double strange_for_ = 0, unsearched_ = 0, could_begin_for_ = 0;        // [s]
   int frames_lost_ = 0;
   std::string reason_;
 };

@@ -84,6 +84,21 @@ TEST(Odometry, StartsANewMapElsewhere) {
   EXPECT_NE(o.frames.back().state, OdometryState::kLost);
 }
 
+// So dark there that no corner can be described; the tracks live on fainter ones.
+TEST(Odometry, StartsANewMapInADimmerPlace) {
+  Options options;
+  options.end = 14;
+  options.elsewhere = [](double t) { return t > 9; };
+  options.contrast = [](double t) { return t > 9 ? 0.1 : 1; };
+  OdometrySettings settings;
+  settings.lost_timeout = 1.0;
+  const Outcome o = fly(options, settings);
+  ASSERT_GT(o.metric_at, 0);
+  ASSERT_LT(o.metric_at, 8.5);
+  EXPECT_GT(o.frames.back().map_id, o.frames.front().map_id);
+  EXPECT_NE(o.frames.back().state, OdometryState::kLost);
+}
+
 // Four images a second, of the link that is left: it is lost as long as at twenty.
 TEST(Odometry, StartsANewMapElsewhereHoweverSlowlyImagesCome) {
   Options options;

@@ -149,6 +149,26 @@ TEST(Bootstrap, WaitsWithoutFeatures) {
   EXPECT_NE(bootstrap.reason().find("too few"), std::string::npos);
 }
 
+// The gyro's bias is known so poorly that a turn over five seconds is not, of a camera that has hovered for eight.
+TEST(Bootstrap, BeginsWithYoungerViewsWhereTheGyroLeavesOldOnesOpen) {
+  Scene scene(8);
+  Bootstrap bootstrap(scene.camera, BootstrapSettings{});
+  const Pose hover = synthetic::Flight{}.T_world_imu(6.0) * synthetic::T_imu_camera();
+  const GyroRotations rotations = [](double a, double b) {
+    return GyroRotation{Eigen::Matrix3d::Identity(), 0.0042 * (b - a)};
+  };
+  for (int i = 0; i < 200; ++i) {
+    const double t = 0.05 * i;
+    Pose T = hover;
+    T.translation() += hover.linear() * Eigen::Vector3d(0.1 * std::max(0.0, t - 8), 0, 0);
+    if (const auto result = bootstrap.add(t, scene.view(T, 0.4), {}, rotations)) {
+      EXPECT_GT(result->views.back().stamp, 8);
+      return;
+    }
+  }
+  ADD_FAILURE() << bootstrap.reason();
+}
+
 // Tracks three times as noisy as believed: many points come out uncertain.
 TEST(Bootstrap, SaysWhatToDoWhereTooFewPointsAreSure) {
   const synthetic::Flight flight;

@@ -18,6 +18,7 @@ struct Options {
   std::function<bool(double)> drop_image = [](double) { return false; };
   std::function<double(double)> gain = [](double) { return 1.0; };
   std::function<bool(double)> black = [](double) { return false; };
+  std::function<double(double)> contrast = [](double) { return 1.0; };
   std::function<bool(double)> elsewhere = [](double) { return false; };  ///< the camera sees another world
   std::function<bool(double)> nan_imu = [](double) { return false; };
   synthetic::Flight flight;
@@ -90,6 +91,7 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
     cv::Mat image = options.readout == 0 ? world.render(synthetic::camera(), T, options.gain(t), &grain)
                                          : renderRows(world, options, t, &grain);
     if (options.black(t)) image.setTo(3);
+    if (const double contrast = options.contrast(t); contrast != 1) image.convertTo(image, CV_8U, contrast, 30);
     const VoResult r = given->process(t + options.replay, image);
     EXPECT_TRUE(!r.pose_valid || (r.T_map_base.matrix().allFinite() && r.covariance.allFinite()));
     EXPECT_TRUE(!r.metric || options.imu);

@@ -211,7 +211,7 @@ SlamResult Slam::Impl::follow(const RgbdImages& images) {
   compareTurns(stamp, T_tracked);
   result.T_previous_current_base = step(stamp, T_tracked, result.relocalized);
   // Uncertainty of the map here, then of the camera in the map.
-  const auto uncertainty = [&] {
+  const auto uncertainty = [&]() -> Matrix6d {
     return covariances.at(reference.id(), T_tracked.translation(), map) + tracked.pose.covariance;
   };
   Matrix6d covariance = uncertainty();

@@ -114,7 +114,7 @@ std::optional<LandmarkMatch> find(const Candidate& c, const CameraModel& camera,
                                   SearchRegion* region) {
   const Pose T_reference_map = c.reference->T_map_camera.inverse();
   const double depth = (T_reference_map * c.landmark->position).z();
-  if (!(depth > 0.05)) return std::nullopt;
+  if (!(depth > 0)) return std::nullopt;
   // From where the landmark would appear in the reference, so that a reprojection error there does not bend the warp.
   const auto reference_pixel = camera.project(T_reference_map * c.landmark->position);
   if (!reference_pixel) return std::nullopt;

@@ -56,6 +56,7 @@ struct MapperCounters {
   std::size_t fused = 0;            ///< fused maps
   std::size_t small_groups = 0;     ///< dropped: fewer than min_depth_maps
   std::size_t corrections = 0;      ///< of the map, followed
+  std::size_t given_up = 0;         ///< fused maps, since the map has bent where they are
 };
 
 class DenseMapper {
@@ -151,7 +152,7 @@ class DenseMapper {
     Eigen::Vector3d place;                                        // of the reference view
     std::optional<air_ground_common::Similarity> T_now_returned;  // empty: given up
     bool bent;                                                    // its cameras have moved against each other
-    double growth;                                                // of the radii it was made with
+    double radii;  // that it was made with, over those set; in the poses' unit
   };
   std::map<std::int64_t, Made> made_;
   std::vector<Eigen::Vector3f> sparse_points_;

@@ -227,8 +227,9 @@ class DenseFusionNode {
       state << "too slow: " << std::lround(lag) << " s behind the newest image; lower image/scale, or raise threads; ";
     state << c.images << " images (" << c.redundant << " hardly moved), " << c.depth_maps << " depth maps ("
           << c.poor_depth_maps << " too poor), " << c.fused << " fused maps (" << c.small_groups
-          << " groups too small, map corrected " << c.corrections << " times), " << queue_.imagesWaiting()
-          << " images waiting, " << without_scale_ << " without scale ignored";
+          << " groups too small, map corrected " << c.corrections << " times, " << c.given_up
+          << " given up since it has bent there), " << queue_.imagesWaiting() << " images waiting, " << without_scale_
+          << " without scale ignored";
     health_.state(bad || late ? kWarn : kOk, state.str());
   }
 

@@ -71,7 +71,8 @@ std::optional<Measurement> SensorBridge::gps(const sensor_msgs::NavSatFix& msg) 
   m.source = Source::kGps;
   m.stamp = msg.header.stamp.toSec();
   if (tooSoon(m.stamp, settings_.gps_interval, last_gps_)) return std::nullopt;
-  m.plan_only = !settings_.geoid_undulation;  // metres above the ellipsoid say nothing of those above the origin
+  // Metres above the ellipsoid say nothing of those above the origin; and a fix in two dimensions has none (NaN).
+  m.plan_only = !settings_.geoid_undulation || !std::isfinite(msg.altitude);
   const double height = m.plan_only ? 0 : msg.altitude - *settings_.geoid_undulation;
   m.value.head<3>() = frame_->fromGeodetic({msg.latitude, msg.longitude, height});
   const bool stated = msg.position_covariance_type != sensor_msgs::NavSatFix::COVARIANCE_TYPE_UNKNOWN;
