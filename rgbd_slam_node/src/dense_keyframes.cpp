@@ -1,11 +1,14 @@
 #include "dense_keyframes.h"
 
+#include <utility>
+
 namespace rgbd_slam {
 
 using Points = std::vector<KeyframeDepth::Point>;
 
 void DenseKeyframes::clear() {
   points_.clear();
+  gone_.clear();
   active_.reset();
 }
 
@@ -18,8 +21,21 @@ void DenseKeyframes::begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& c
 
 void DenseKeyframes::fuse(const cv::Mat& depth, const Pose& T_frame_keyframe,
                           const visual_frontend::RollingShutter& rows) {
-  if (active_ && active_->frames() <= max_frames_)
-    active_->fuse(camera_, depth, T_frame_keyframe, depth_, cloud_, &rows);
+  if (!active_) return;
+  if (active_->frames() > max_frames_) return finish();
+  active_->fuse(camera_, depth, T_frame_keyframe, depth_, cloud_, &rows);
+}
+
+bool DenseKeyframes::lookThrough(KeyframeId id, const cv::Mat& depth, const Pose& T_frame_keyframe,
+                                 const visual_frontend::RollingShutter& rows) {
+  const auto dense = points_.find(id);
+  if (dense == points_.end()) return false;
+  GonePoints& gone = gone_[id];
+  gone.look(camera_, *dense->second, depth, T_frame_keyframe, depth_, cloud_, rows);
+  KeyframePoints left = gone.left(*dense->second);
+  if (!left) return false;
+  dense->second = std::move(left);
+  return true;
 }
 
 void DenseKeyframes::finish() {

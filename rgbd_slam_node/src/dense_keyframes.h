@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "gone_points.h"
 #include "rgbd_slam/slam.h"
 
 namespace rgbd_slam {
@@ -17,11 +18,18 @@ class DenseKeyframes {
   void clear();
   /// A new keyframe saw this.
   void begin(KeyframeId id, const cv::Mat& depth, const cv::Mat& colour, const visual_frontend::RollingShutter& rows);
-  /// Refines the newest keyframe, as long as it is not finished and few frames have. T_frame_keyframe: from its camera
-  /// to the frame's.
+  /// Refines the newest keyframe, as long as it is not finished, which it is after some frames. T_frame_keyframe: from
+  /// its camera to the frame's.
   void fuse(const cv::Mat& depth, const Pose& T_frame_keyframe, const visual_frontend::RollingShutter& rows);
   void finish();  ///< the frames' view is no longer the newest keyframe's
-  void forget(KeyframeId id) { points_.erase(id); }
+  void forget(KeyframeId id) {
+    points_.erase(id);
+    gone_.erase(id);
+  }
+  /// A depth image that shares the view of a keyframe: what it and some before it see through goes out of that one's
+  /// points. True: some did.
+  bool lookThrough(KeyframeId id, const cv::Mat& depth, const Pose& T_frame_keyframe,
+                   const visual_frontend::RollingShutter& rows);
   /// Moves the points of a finished keyframe to where the middle row sees them.
   void moveRows(KeyframeId id, const visual_frontend::RollingShutter& shift);
   /// Points of all keyframes, now finished, by a better calibration than the one they were made with.
@@ -34,6 +42,7 @@ class DenseKeyframes {
   CloudSettings cloud_;
   int max_frames_;
   std::map<KeyframeId, KeyframePoints> points_;
+  std::map<KeyframeId, GonePoints> gone_;  // of those that were looked through
   std::unique_ptr<KeyframeDepth> active_;
   KeyframeId active_id_ = visual_frontend::kNoKeyframe;
 };

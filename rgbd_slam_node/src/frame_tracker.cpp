@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "air_ground_common/covariance.h"
+#include "air_ground_common/linear_algebra.h"
 #include "air_ground_common/statistics.h"
 #include "visual_frontend/local_landmarks.h"
 
@@ -24,6 +26,24 @@ constexpr double kNearRadius = 16;      // likewise just after the camera was lo
 constexpr double kNearSeconds = 0.5;    // so long after it was lost the camera is near where it was [s]
 constexpr double kGyroSigma = 0.003;    // of a turn between frames beside the bias [rad]
 constexpr double kDepthPosition = 0.02, kDepthTurn = 0.01;  // of a pose by depth, at most, in all [m], [rad]
+
+constexpr double kUnanimous = 0.85;  // share of the landmarks that agree, above: there is nobody else to ask
+constexpr double kBackground = 0.004, kBackgroundTurn = 0.002;  // by which landmarks and surfaces may differ [m], [rad]
+constexpr double kChance = 22.5;  // 99.9 % of the squared errors of six numbers lie below, over their covariance
+
+/// Along the directions that the surfaces fix the pose is another than theirs.
+bool contradicts(const visual_frontend::PosePrior& surfaces, const PoseResult& pose) {
+  const Pose difference = surfaces.T_map_camera.inverse() * pose.T_map_camera;
+  air_ground_common::Vector6d d;
+  d << difference.translation(), air_ground_common::logSO3(Eigen::Matrix3d(difference.linear()));
+  // Landmarks err together, as in the covariance of the keyframes.
+  Matrix6d noise = 9 * air_ground_common::aboutAxes(pose.T_map_camera.linear().transpose(), pose.covariance);
+  noise.diagonal().head<3>().array() += kBackground * kBackground;
+  noise.diagonal().tail<3>().array() += kBackgroundTurn * kBackgroundTurn;
+  const Matrix6d& told = surfaces.information;
+  const Matrix6d together = told - told * air_ground_common::inverse(told + air_ground_common::inverse(noise)) * told;
+  return d.dot(together * d) > kChance;
+}
 
 /// Of a point at depth z, to move what a row sees; 0: too near to be one [1/m].
 double inverseDepth(double z) { return z > 0.1 ? 1 / z : 0; }
@@ -136,16 +156,45 @@ PoseResult FrameTracker::solve(const Correspondences& c, const Pose& predicted, 
   return second.success && (!result.success || second.inlier_count > result.inlier_count) ? second : result;
 }
 
-PoseResult FrameTracker::solveByDepth(const Correspondences& c, const Pose& predicted, double rotation_sigma,
-                                      KeyframeId reference, const cv::Mat& depth) const {
-  PoseResult result;
-  if (!surfaces_.has(reference)) return result;
+void FrameTracker::preferBackground(const Correspondences& c, const Pose& predicted, bool rotation_known,
+                                    KeyframeId reference, const cv::Mat& depth, PoseResult* pose) const {
+  const auto count = static_cast<double>(c.size());
+  if (!pose->success || pose->inlier_count > kUnanimous * count || count - pose->inlier_count < settings_.min_inliers)
+    return;
+  const auto surfaces = placedBySurfaces(predicted, reference, depth);
+  if (!surfaces || !contradicts(*surfaces, *pose)) return;
+  Correspondences rest;
+  std::vector<std::size_t> places;
+  for (std::size_t i = 0; i < c.size(); ++i) {
+    if (pose->inliers[i]) continue;
+    rest.push_back(c[i]);
+    places.push_back(i);
+  }
+  const PoseResult others = solve(rest, predicted, rotation_known);
+  if (!others.success) return;
+  std::vector<unsigned char> chosen(c.size(), 0);
+  for (std::size_t i = 0; i < rest.size(); ++i) chosen[places[i]] = others.inliers[i];
+  PoseResult background = visual_frontend::refinePose(c, others.T_map_camera, {}, chosen);
+  if (background.success && background.inlier_count >= settings_.min_inliers && !contradicts(*surfaces, background))
+    *pose = std::move(background);
+}
+
+std::optional<visual_frontend::PosePrior> FrameTracker::placedBySurfaces(const Pose& predicted, KeyframeId reference,
+                                                                         const cv::Mat& depth) const {
+  if (!settings_.use_surfaces || !surfaces_.has(reference)) return std::nullopt;
   const Pose& T_map_reference = map_.keyframe(reference).T_map_camera;
   const SurfaceAlignment aligned =
       surfaces_.align(reference, surfaces_.surfaceOf(depth, motion_.rows()), T_map_reference.inverse() * predicted);
-  if (!aligned.success) return result;
+  if (!aligned.success) return std::nullopt;
+  return visual_frontend::PosePrior{T_map_reference * aligned.T_a_b, aligned.information};
+}
+
+PoseResult FrameTracker::solveByDepth(const Correspondences& c, const Pose& predicted, double rotation_sigma,
+                                      KeyframeId reference, const cv::Mat& depth) const {
+  PoseResult result;
   visual_frontend::RefineSettings refine;
-  refine.prior = {T_map_reference * aligned.T_a_b, aligned.information};
+  refine.prior = placedBySurfaces(predicted, reference, depth);
+  if (!refine.prior) return result;
   if (rotation_sigma > 0) {
     refine.R_map_camera_prior = predicted.linear();
     refine.rotation_prior_sigma = std::hypot(rotation_sigma, kGyroSigma);
@@ -201,7 +250,9 @@ TrackedPose FrameTracker::track(const RgbdImages& images, const ReferenceKeyfram
   const Correspondences seen = correspondences(images.depth, predicted.inverse(), &ids);
   // A rotation that may be off by more than a pixel is no known rotation.
   const double rotation_sigma = motion_.rotationSigma(images.stamp - frames_.lastStamp());
-  tracked.pose = solve(seen, predicted, from_gyro && focal_ * rotation_sigma < 1.5);
+  const bool rotation_known = from_gyro && focal_ * rotation_sigma < 1.5;
+  tracked.pose = solve(seen, predicted, rotation_known);
+  preferBackground(seen, predicted, rotation_known, reference.id(), images.depth, &tracked.pose);
   tracked.reason = objection(images.stamp, tracked.pose, seen.size());
   if (!tracked.reason.empty() && settings_.use_surfaces) {
     const PoseResult by_depth =

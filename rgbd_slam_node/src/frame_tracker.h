@@ -2,6 +2,7 @@
 // landmarks of the local map that have no track.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -79,6 +80,13 @@ class FrameTracker {
                                                      const Eigen::Vector2d& normalized, const cv::Mat& depth,
                                                      const Pose& T_camera_map) const;
   visual_frontend::PoseResult solve(const Correspondences& c, const Pose& predicted, bool rotation_known) const;
+  /// Where the pose of most landmarks contradicts the surfaces, that of the others that agree, if it does not: most may
+  /// be on one thing that moves by itself.
+  void preferBackground(const Correspondences& c, const Pose& predicted, bool rotation_known, KeyframeId reference,
+                        const cv::Mat& depth, visual_frontend::PoseResult* pose) const;
+  /// Where the reference keyframe's surfaces place the camera, from `predicted`; none: they do not lie upon each other.
+  std::optional<visual_frontend::PosePrior> placedBySurfaces(const Pose& predicted, KeyframeId reference,
+                                                             const cv::Mat& depth) const;
   /// Where the reference keyframe's surfaces place the camera, together with what landmarks and, with a rotation known
   /// to `rotation_sigma` [rad] (0: it is not), the gyro tell. Without success where that leaves a direction open.
   visual_frontend::PoseResult solveByDepth(const Correspondences& c, const Pose& predicted, double rotation_sigma,

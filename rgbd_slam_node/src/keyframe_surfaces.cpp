@@ -1,6 +1,7 @@
 #include "keyframe_surfaces.h"
 
 #include <algorithm>
+#include <set>
 #include <utility>
 
 #include "air_ground_common/covariance.h"
@@ -12,6 +13,16 @@ namespace {
 
 constexpr KeyframeId kRelinked = 20;          // newest keyframes: 0.3 s of work
 constexpr std::size_t kMostPatches = 20'000;  // evenly taken of all keyframes
+
+/// Of several links between two keyframes the newest stays: they are of one view and err alike, so that together they
+/// would count for more than they know.
+void keepNewestOfEachPair(std::vector<visual_frontend::KeyframeLink>* links) {
+  std::set<std::pair<KeyframeId, KeyframeId>> linked;
+  const auto kept = std::remove_if(links->rbegin(), links->rend(), [&](const visual_frontend::KeyframeLink& link) {
+    return !linked.insert({std::min(link.a, link.b), std::max(link.a, link.b)}).second;
+  });
+  links->erase(links->begin(), kept.base());
+}
 
 }  // namespace
 
@@ -46,6 +57,7 @@ void KeyframeSurfaces::replace(KeyframeId from, KeyframeId to, const visual_fron
     }
     links->erase(std::remove_if(links->begin(), links->end(), [](const auto& link) { return link.a == link.b; }),
                  links->end());
+    keepNewestOfEachPair(links);
   }
 }
 

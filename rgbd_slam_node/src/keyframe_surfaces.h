@@ -18,7 +18,7 @@ class KeyframeSurfaces {
   void clear();
   DepthSurface surfaceOf(const cv::Mat& depth, const visual_frontend::RollingShutter& rows) const;
   void add(KeyframeId id, DepthSurface surface);
-  /// Before keyframe `from` leaves the map: its links go on from `to`.
+  /// Before keyframe `from` leaves the map: its links go on from `to`, where that has none of its own to the other.
   void replace(KeyframeId from, KeyframeId to, const visual_frontend::Map& map);
   void setCamera(const CameraModel& better_known);  ///< before `relink`
   /// Before `relink`: the keyframe's surface as of another readout time.

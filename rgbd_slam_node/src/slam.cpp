@@ -108,7 +108,7 @@ SlamResult Slam::Impl::initialize(const RgbdImages& images) {
   const bool levelled = up_known && motion.gyroTrusted() && !upside_down;
   level.begin(levelled ? &motion.attitude() : nullptr);
   result.T_map_camera = Pose(firstAttitude(levelled)) * mounting.T_base_camera;
-  way_anchor = result.T_map_camera.translation();
+  loops.moveTo(result.T_map_camera.translation());
   ++map_id;
   ++counters.maps;
   TrackedPose first;
@@ -307,12 +307,7 @@ visual_frontend::PlaceMatch Slam::Impl::recognize(const RgbdImages& images, Keyf
 Pose Slam::Impl::step(double stamp, const Pose& T_map_camera, bool relocalized) {
   const Pose T_before = lastPose();
   const double dt = stamp - frames.lastStamp();
-  // By steps: the noise of a camera that stands is no way.
-  constexpr double kStep = 0.05;  // [m]
-  if (const double way = (T_map_camera.translation() - way_anchor).norm(); way > kStep) {
-    loops.advance(way);
-    way_anchor = T_map_camera.translation();
-  }
+  loops.moveTo(T_map_camera.translation());
   if (relocalized || dt > 1.0) {
     motion.interrupt();
   } else {

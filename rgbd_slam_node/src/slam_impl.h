@@ -54,6 +54,8 @@ struct Slam::Impl {
   // ---- slam_map.cpp
   /// Keeps the frame, in the view of a keyframe there is or as a new one.
   void addToMap(const RgbdImages& images, const TrackedPose& tracked, SlamResult* result);
+  /// Takes out of one of the keyframes that share the frame's view, by turns, what is there no more; true: something.
+  bool lookThrough(const cv::Mat& depth, const Pose& T_map_camera);
   /// The keyframe there is whose view a frame has; kNoKeyframe: it needs one of its own.
   KeyframeId keyframeOfView(const RgbdImages& images, const TrackedPose& tracked, bool relocalized);
   int featuresWithDepth(const RgbdImages& images) const;
@@ -87,7 +89,6 @@ struct Slam::Impl {
   visual_frontend::KeyframeCovariances covariances;
   MapLevel level;
   LoopCloser loops;
-  Eigen::Vector3d way_anchor = Eigen::Vector3d::Zero();  // where the camera was when its way was counted last
   DenseKeyframes dense;
   KeyframeSurfaces surfaces;
   ReferenceKeyframe reference;

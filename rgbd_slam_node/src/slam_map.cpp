@@ -14,6 +14,7 @@ namespace {
 
 constexpr int kMostLinks = 3;                 // of a new keyframe to others by their surfaces
 constexpr std::size_t kMostCalibrating = 40;  // keyframes that tell of the calibration, the newest
+constexpr int kMostLookedThrough = 6;         // keyframes of a view, one each frame: a millisecond of work
 
 bool contains(const std::vector<KeyframeId>& list, KeyframeId id) {
   return std::find(list.begin(), list.end(), id) != list.end();
@@ -42,6 +43,16 @@ void Slam::Impl::addToMap(const RgbdImages& images, const TrackedPose& tracked, 
   frames.add(images.stamp, T_map_camera, known, map);
   const Pose T_reference_camera = map.keyframe(known).T_map_camera.inverse() * T_map_camera;
   dense.fuse(images.depth, T_reference_camera.inverse(), motion.rows());
+  if (!tracked.by_depth) result->points_gone = lookThrough(images.depth, T_map_camera);
+}
+
+bool Slam::Impl::lookThrough(const cv::Mat& depth, const Pose& T_map_camera) {
+  // Keyframes that share landmarks are right to each other: of others a wrong pose would be seen through, too.
+  std::vector<KeyframeId> sharing{reference.id()};
+  for (const auto& c : map.covisible(reference.id(), 2 * settings.min_inliers))
+    addOnce(c.keyframe, kMostLookedThrough, &sharing);
+  const KeyframeId id = sharing[counters.frames % sharing.size()];
+  return dense.lookThrough(id, depth, T_map_camera.inverse() * map.keyframe(id).T_map_camera, motion.rows());
 }
 
 KeyframeId Slam::Impl::keyframeOfView(const RgbdImages& images, const TrackedPose& tracked, bool relocalized) {
@@ -77,7 +88,7 @@ void Slam::Impl::removeReplacedBy(KeyframeId id) {
     frames.rebase(c.keyframe, id, map);
     tracks.forgetKeyframe(c.keyframe);
     covariances.forget(c.keyframe);
-    loops.forget(c.keyframe);
+    loops.replace(c.keyframe, id);
     dense.forget(c.keyframe);
     surfaces.replace(c.keyframe, id, map);
     map.removeKeyframe(c.keyframe);
@@ -148,7 +159,7 @@ void Slam::Impl::linkBySurfaces(KeyframeId id) {
 }
 
 bool Slam::Impl::closeLoop(KeyframeId id) {
-  const LoopCloser::Outcome outcome = loops.close(id, level.known(), map, tracks);
+  const LoopCloser::Outcome outcome = loops.close(id, level.known(), covariances, map, tracks);
   const bool corrected = outcome == LoopCloser::Outcome::kCorrected;
   counters.loops_refused += outcome == LoopCloser::Outcome::kRefused;
   if (corrected || outcome == LoopCloser::Outcome::kMerged) ++counters.loops;

@@ -6,6 +6,7 @@
 #include <limits>
 #include <vector>
 
+#include "../src/keyframe_surfaces.h"
 #include "air_ground_common/linear_algebra.h"
 #include "synthetic.h"
 
@@ -134,6 +135,44 @@ TEST(AlignSurfaces, OtherPlacesAreNotTheSame) {
   EXPECT_NE(blind.reason.find("0 of 0 cells"), std::string::npos) << blind.reason;
   EXPECT_THROW(surfaceOf(camera, cv::Mat(10, 10, CV_32F, cv::Scalar(1))), std::invalid_argument);
   EXPECT_THROW(surfaceOf(camera, cv::Mat(camera.height, camera.width, CV_16U, cv::Scalar(1))), std::invalid_argument);
+}
+
+TEST(KeyframeSurfaces, TwoKeyframesHaveOneLinkHoweverManyWereReplaced) {
+  const CameraModel camera = synthetic::camera(true);
+  KeyframeSurfaces surfaces(camera, SlamSettings());
+  visual_frontend::Map map;
+  const auto add = [&](const Pose& T) {
+    visual_frontend::Keyframe keyframe;
+    keyframe.T_map_camera = T;
+    const KeyframeId id = map.addKeyframe(keyframe);
+    surfaces.add(id, surfaceOf(camera, depthOf(camera, T, corner(), 0.3, static_cast<unsigned>(id) + 1)));
+    return id;
+  };
+  const KeyframeId first = add(standing(0, 0, 0)), second = add(standing(0.15, -0.1, 0.1));
+  KeyframeId there = add(standing(0.1, 0.1, -0.1));
+  surfaces.link(second, {first}, map);
+  surfaces.link(there, {first, second}, map);
+  surfaces.tie(there, first, 1e-4 * Matrix6d::Identity(), map);
+  ASSERT_EQ(surfaces.links().size(), 4u);
+  // Another keyframe takes the place of the third, and another one that of this.
+  for (int i = 1; i < 4; ++i) {
+    const KeyframeId again = add(standing(0.1 + 0.01 * i, 0.1, -0.1));
+    surfaces.link(again, {there, first, second}, map);
+    surfaces.tie(again, first, 1e-4 * Matrix6d::Identity(), map);
+    surfaces.replace(there, again, map);
+    map.removeKeyframe(there);
+    there = again;
+    EXPECT_EQ(surfaces.links().size(), 4u) << i;
+    EXPECT_EQ(surfaces.linkedTo(there).size(), 3u) << "to both by the surfaces, and once by all that gave its pose";
+    for (const auto& link : surfaces.links()) {
+      const Pose T_a_b = map.keyframe(link.a).T_map_camera.inverse() * map.keyframe(link.b).T_map_camera;
+      EXPECT_LT((link.T_a_b.translation() - T_a_b.translation()).norm(), 3e-3);
+    }
+  }
+  // What only the replaced one was linked to goes on.
+  const KeyframeId fresh = add(standing(0.12, 0.1, -0.1));
+  surfaces.replace(there, fresh, map);
+  EXPECT_EQ(surfaces.links().size(), 4u);
 }
 
 }  // namespace

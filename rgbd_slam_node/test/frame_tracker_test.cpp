@@ -1,9 +1,10 @@
-// FrameTracker and LoopCloser above a textured floor, whose depth is known.
+// FrameTracker above a textured floor, whose depth is known, and before walls that show nothing.
 #include "../src/frame_tracker.h"
 
 #include <gtest/gtest.h>
 
-#include "../src/loop_closer.h"
+#include <memory>
+
 #include "air_ground_common/statistics.h"
 #include "simulated_robot.h"
 
@@ -165,104 +166,88 @@ TEST_F(Tracked, WithoutSuccessNoTrackIsLeft) {
   EXPECT_TRUE(tracker.tracker().features().empty());
 }
 
-/// A way of five keyframes from above(0, 0) far away and back, whose map has drifted by `drift` at the last one.
-struct Loop : Floor {
-  explicit Loop(const Eigen::Vector3d& drift_) : drift(drift_) {
-    settings.loop_min_gap = 3;
-    settings.loop_slack = 0.15;
-    settings.loop_drift = 0.05;
-    closer = std::make_unique<LoopCloser>(camera, settings);
-    const double xs[] = {0, 1.2, 2.4, 1.2, 0};
-    const double ys[] = {0, 0.4, 1.0, 2.0, 0};
-    std::vector<LandmarkId> shared;
-    for (int i = 0; i < 5; ++i) {
-      truth.push_back(above(xs[i], ys[i], kHeight, 0.1 * i));
-      if (i > 0) closer->advance((truth[i].translation() - truth[i - 1].translation()).norm());
-      closer->add(add(i));
-    }
+/// In a room whose walls show nothing but their shape, with one keyframe where the robot stands at first.
+struct InARoom : ::testing::Test {
+  InARoom() {
+    robot.walls = true;
+    robot.mounting.T_base_camera.linear() = Eigen::AngleAxisd(0.6, Eigen::Vector3d::UnitY()).toRotationMatrix() *
+                                            air_ground_common::opticalFromForwardBody().transpose();
+    settings.reobserve_every = 1;
   }
-  /// With a landmark for each of its ORB features, where the drifted map has it.
-  KeyframeId add(int i) {
-    const Image image = see(truth[i]);
+  /// With a landmark for each feature that has depth.
+  void begin(const simulated::Robot::Frame& frame) {
+    tracker = std::make_unique<FrameTracker>(robot.camera, settings, map, frames, tracks, surfaces, motion);
+    tracker->restart(frame.gray);
+    tracker->tracker().replenish();
     Keyframe keyframe;
-    keyframe.T_map_camera = truth[i];
-    keyframe.T_map_camera.translation() += 0.25 * i * drift;
-    visual_frontend::describeKeyframe(image.gray, camera, settings.place, keyframe);
-    for (std::size_t k = 0; k < keyframe.orb_pixels.size(); ++k) {
-      const auto z = sampleDepth(image.depth, keyframe.orb_pixels[k], settings.depth);
-      keyframe.orb_depth.push_back(z.value_or(0));
-      Observation o;
-      o.pixel = keyframe.orb_pixels[k];
-      o.normalized = keyframe.orb_normalized[k];
-      o.depth = z.value_or(0);
-      if (z) o.landmark = map.addLandmark(keyframe.T_map_camera * (*z * o.normalized.homogeneous()));
-      if (z && i == 4) tracks.assign(static_cast<TrackId>(k), o.landmark);
-      keyframe.observations.push_back(o);
+    keyframe.T_map_camera = at(0);
+    keyframe.pyramid = tracker->tracker().pyramid();
+    keyframe.observations = tracker->observations(keyframe.T_map_camera, frame.depth);
+    for (Observation& o : keyframe.observations) {
+      if (!(o.depth > 0)) continue;
+      o.landmark = map.addLandmark(keyframe.T_map_camera * (o.depth * o.normalized.homogeneous()));
+      tracks.assign(o.track, o.landmark);
     }
-    return map.addKeyframe(keyframe);
+    const KeyframeId id = map.addKeyframe(keyframe);
+    for (std::size_t i = 0; i < keyframe.observations.size(); ++i)
+      if (keyframe.observations[i].landmark != kNoLandmark)
+        map.landmark(keyframe.observations[i].landmark).observations = {{id, static_cast<int>(i)}};
+    surfaces.add(id, surfaces.surfaceOf(frame.depth, motion.rows()));
+    reference.set(id);
+    frames.add(0, keyframe.T_map_camera, id, map);
   }
-  LoopCloser::Outcome close() { return closer->close(4, true, map, tracks); }
-  double error(KeyframeId id) const {
-    return (map.keyframe(id).T_map_camera.translation() - truth[id].translation()).norm();
+  TrackedPose track(const simulated::Robot::Frame& frame, double stamp) {
+    return tracker->track({stamp, frame.gray, frame.gray, frame.depth}, reference);
   }
-  /// Of the first and the last keyframe.
-  int shared() const {
-    for (const auto& c : map.covisible(4))
-      if (c.keyframe == 0) return c.shared;
-    return 0;
-  }
+  Pose at(double t) const { return robot.base(t) * robot.mounting.T_base_camera; }
 
-  Eigen::Vector3d drift;
+  simulated::Robot robot;
+  SlamSettings settings;
   Map map;
+  Frames frames;
   visual_frontend::LandmarkTracks tracks;
-  std::vector<Pose> truth;
-  std::unique_ptr<LoopCloser> closer;
+  CameraMotion motion{robot.camera, Mounting(), settings};
+  ReferenceKeyframe reference{settings};
+  KeyframeSurfaces surfaces{robot.camera, settings};
+  std::unique_ptr<FrameTracker> tracker;
 };
 
-TEST(LoopCloser, TakesTheDriftOutOfTheWay) {
-  Loop loop({0.2, -0.1, 0.05});
-  ASSERT_EQ(loop.close(), LoopCloser::Outcome::kCorrected);
-  EXPECT_LT(loop.error(4), 0.02);
-  EXPECT_LT(loop.error(2), 0.07) << "half of the drift was 0.11 m";
-  EXPECT_EQ(loop.error(0), 0);
-  EXPECT_GT(loop.shared(), 30);
-  // What is tracked goes on with the landmarks that stayed.
-  for (const LandmarkId id : loop.tracks.landmarks()) EXPECT_TRUE(loop.map.hasLandmark(id));
+TEST_F(InARoom, AFewLandmarksMoveNoPoseThatTheSurfacesFix) {
+  begin(robot.render(0));
+  std::vector<LandmarkId> few = map.landmarkIds();
+  for (std::size_t i = 9; i < few.size(); ++i) map.removeLandmark(few[i]);
+  few.resize(9);
+  for (const LandmarkId id : few) map.landmark(id).position += at(0).linear() * Eigen::Vector3d(0.015, 0, 0);
+  tracker->restart(cv::Mat(robot.camera.height, robot.camera.width, CV_8U, cv::Scalar(15)));
+  const double t = robot.rest + 0.3;
+  const TrackedPose found = track(robot.render(t), 0.3);
+  ASSERT_TRUE(found.success) << found.reason;
+  EXPECT_TRUE(found.by_depth);
+  EXPECT_GE(found.landmarks, 5) << "found by their patches";
+  EXPECT_LT((found.pose.T_map_camera.translation() - at(t).translation()).norm(), 0.005);
 }
 
-TEST(LoopCloser, RefusesACorrectionThatTheWayDoesNotExplain) {
-  Loop loop({0.6, 0, 0});  // 0.15 m and 5 % of 6 m are 0.45 m
-  EXPECT_EQ(loop.close(), LoopCloser::Outcome::kRefused);
-  EXPECT_NEAR(loop.error(4), 0.6, 1e-9);
-  EXPECT_EQ(loop.shared(), 0);
-}
-
-TEST(LoopCloser, WhereTheMapIsKnownAnotherPlaceThatLooksAlikeIsNoLoop) {
-  // 0.4 m are within 5 % of the way; but the camera sees what keyframe 1 has seen, 1.3 m from the place's.
-  Loop loop({0.4, 0, 0});
-  for (int k = 0; k < 20; ++k) {
-    const LandmarkId landmark = loop.map.addLandmark({1, 0.2, 0});
-    for (const KeyframeId id : {KeyframeId(1), KeyframeId(4)}) {
-      auto& observations = loop.map.keyframe(id).observations;
-      observations.emplace_back();
-      loop.map.connect(id, static_cast<int>(observations.size()) - 1, landmark);
-    }
+TEST_F(InARoom, ThePoseFollowsNobodyWhoWalksBeforeTheCamera) {
+  // 0.9 m away, over most of the landmarks; by 23 mm to the right, and on.
+  const auto withSomebody = [&](int shift) {
+    simulated::Robot::Frame frame = robot.render(0);
+    const cv::Rect place(120 + shift, 150, 330, 330);
+    robot.texture(cv::Rect(300, 300, place.width, place.height)).copyTo(frame.gray(place));
+    frame.depth(place) = 0.9f;
+    return frame;
+  };
+  begin(withSomebody(0));
+  int nearby = 0;
+  for (const auto& entry : map.landmarks()) nearby += (at(0).inverse() * entry.second.position).z() < 1;
+  ASSERT_GT(nearby, 0.55 * static_cast<double>(map.landmarkCount()));
+  ASSERT_LT(nearby, 0.85 * static_cast<double>(map.landmarkCount()));
+  for (int i = 1; i < 5; ++i) {
+    const TrackedPose found = track(withSomebody(13 * i), 0.1 * i);
+    ASSERT_TRUE(found.success) << found.reason;
+    EXPECT_FALSE(found.by_depth);
+    EXPECT_LT((found.pose.T_map_camera.translation() - at(0).translation()).norm(), 0.004) << i;
+    EXPECT_LT(air_ground_common::rotationAngle(found.pose.T_map_camera.linear(), at(0).linear()), 0.003) << i;
   }
-  EXPECT_EQ(loop.close(), LoopCloser::Outcome::kRefused);
-  EXPECT_NEAR(loop.error(4), 0.4, 1e-9);
-}
-
-TEST(LoopCloser, OfAPoseThatIsRightOnlyTheLandmarksAreJoined) {
-  Loop loop(Eigen::Vector3d::Zero());
-  EXPECT_EQ(loop.close(), LoopCloser::Outcome::kMerged);
-  EXPECT_EQ(loop.error(4), 0);
-  EXPECT_GT(loop.shared(), 30);
-}
-
-TEST(LoopCloser, PlacesJustLeftAreNoLoop) {
-  Loop loop(Eigen::Vector3d::Zero());
-  loop.settings.loop_min_gap = 5;
-  EXPECT_EQ(LoopCloser(loop.camera, loop.settings).close(4, true, loop.map, loop.tracks), LoopCloser::Outcome::kNone);
 }
 
 }  // namespace

@@ -83,5 +83,22 @@ TEST(Lost, AHandBeforeTheLensOfAStandingRobotEndsNoMap) {
   EXPECT_EQ(slam.counters().maps, 1);
 }
 
+// Where it was lost it knew less of its place than where it began, and is found.
+TEST(Lost, FoundAgainItsCovarianceIsThatOfThePlace) {
+  Robot robot;
+  Slam slam(robot.camera, robot.mounting, {});
+  drive(robot, slam, 0, 9);
+  double stamp = 9.1;
+  for (; stamp < 10; stamp += 0.1) take(robot, slam, {stamp, stamp, true, true});
+  SlamResult found;
+  for (; stamp < 14 && !found.relocalized; stamp += 0.1) found = take(robot, slam, {stamp, 0.5});
+  ASSERT_TRUE(found.relocalized) << found.reason;
+  const SlamResult next = take(robot, slam, {stamp, 0.5});
+  ASSERT_EQ(next.state, State::kTracking);
+  const auto sum = [](const Matrix6d& m, int first) { return m.diagonal().segment<3>(first).sum(); };
+  EXPECT_LT(sum(found.covariance, 0), 2 * sum(next.covariance, 0));
+  EXPECT_LT(sum(found.covariance, 3), 2 * sum(next.covariance, 3));
+}
+
 }  // namespace
 }  // namespace rgbd_slam

@@ -384,6 +384,25 @@ TEST(Slam, LoopClosureRemovesDrift) {
   EXPECT_LT(end_error[1], 0.5 * end_error[0]);
 }
 
+TEST(Slam, LandmarksBeginWhereverDepthIsInRange) {
+  for (const double scale : {1.0, 0.1, 15.0}) {  // the camera is up to 18 m above the floor
+    Robot robot;
+    robot.mounting.T_base_camera.linear() = Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitX()).toRotationMatrix();
+    robot.mounting.T_base_camera.translation() = Eigen::Vector3d(0, 0, 1.2 * scale);
+    robot.mounting.R_base_imu.reset();
+    robot.tilt.setZero();
+    robot.floor *= scale;
+    SlamSettings settings;
+    settings.depth.min_range = 0.05;
+    settings.depth.max_range = 20;
+    Slam slam(robot.camera, robot.mounting, settings);
+    const auto frame = robot.render(0);
+    ASSERT_EQ(slam.process(0, frame.gray, cv::Mat(), frame.depth).state, State::kTracking);
+    EXPECT_GT(slam.map().landmarkCount(), 100u) << scale;
+    for (const auto& entry : slam.map().landmarks()) EXPECT_NEAR(entry.second.position.z(), 0, 0.02 * scale);
+  }
+}
+
 TEST(Slam, WaitsForDepthAndRefusesBadInput) {
   Robot robot;
   Slam slam(robot.camera, robot.mounting, {});

@@ -274,6 +274,24 @@ std::vector<KeyframeId> elsewhere(const Map& map, const std::vector<KeyframeId>&
   return others;
 }
 
+/// The best among the places that do not see what the camera sees by `best`, with what their geometric check gave.
+std::vector<PlaceMatch> checkedElsewhere(const PlaceMatch& best, const Map& map, const CameraModel& camera,
+                                         const Keyframe& query, const std::vector<KeyframeId>& ranked, double min_lead,
+                                         const PlaceSettings& settings) {
+  const int least = std::max(settings.min_matches, static_cast<int>(best.inliers / min_lead));
+  const double depth = sceneDepth(map, map.keyframe(best.keyframe));
+  int ignored = 0;
+  return checkedPlaces(map, camera, query, elsewhere(map, ranked, poseIn(map, best), depth), least, settings, &ignored);
+}
+
+/// `best` has no lead over a place that puts the camera elsewhere, by more than a fifth of the way to what it sees.
+bool contests(const PlaceMatch& match, const PlaceMatch& best, const Map& map, double min_lead) {
+  if (!match.success || best.inliers > min_lead * match.inliers) return false;
+  const Pose T = poseIn(map, match), T_best = poseIn(map, best);
+  return (T.translation() - T_best.translation()).norm() > 0.2 * sceneDepth(map, map.keyframe(best.keyframe)) ||
+         air_ground_common::rotationAngle(T.linear(), T_best.linear()) > 0.2;
+}
+
 }  // namespace
 
 PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query,
@@ -283,32 +301,34 @@ PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyfr
   return bestOf(checkedPlaces(map, camera, query, ranked, settings.min_matches, settings, &matches), matches);
 }
 
+std::vector<PlaceMatch> rivalsOf(const PlaceMatch& best, const Map& map, const CameraModel& camera,
+                                 const Keyframe& query, const std::vector<KeyframeId>& places, double min_lead,
+                                 const PlaceSettings& settings) {
+  const auto ranked = rankedPlaces(map, query, places, settings);
+  auto rivals = checkedElsewhere(best, map, camera, query, ranked, min_lead, settings);
+  rivals.erase(std::remove_if(rivals.begin(), rivals.end(),
+                              [&](const PlaceMatch& m) { return !contests(m, best, map, min_lead); }),
+               rivals.end());
+  return rivals;
+}
+
 PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe& query, const RelocalizationGate& gate,
                       const PlaceSettings& settings) {
   std::vector<KeyframeId> places = gate.places;
   if (places.empty())
     for (const auto& entry : map.keyframes()) places.push_back(entry.first);
-  int matches = 0, ignored = 0;
+  int matches = 0;
   const auto ranked = rankedPlaces(map, query, places, settings);
   auto checked = checkedPlaces(map, camera, query, ranked, settings.min_matches, settings, &matches);
   for (PlaceMatch& m : checked) refuseWhere(gate, map, m);
   PlaceMatch best = bestOf(checked, matches);
   if (!best.success) return best;
-  const Pose T_best = poseIn(map, best);
-  const double depth = sceneDepth(map, map.keyframe(best.keyframe));
-  const int rival = std::max(settings.min_matches, static_cast<int>(best.inliers / gate.min_lead));
-  for (PlaceMatch& m :
-       checkedPlaces(map, camera, query, elsewhere(map, ranked, T_best, depth), rival, settings, &ignored)) {
+  for (PlaceMatch& m : checkedElsewhere(best, map, camera, query, ranked, gate.min_lead, settings)) {
     refuseWhere(gate, map, m);
     checked.push_back(std::move(m));
   }
-  // Places that put the camera elsewhere, by more than a fifth of the way to what it sees.
   for (const PlaceMatch& m : checked) {
-    if (!m.success || best.inliers > gate.min_lead * m.inliers) continue;
-    const Pose T = poseIn(map, m);
-    if ((T.translation() - T_best.translation()).norm() <= 0.2 * depth &&
-        air_ground_common::rotationAngle(T.linear(), T_best.linear()) <= 0.2)
-      continue;
+    if (!contests(m, best, map, gate.min_lead)) continue;
     best.success = false;
     best.reason = "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(m.inliers) +
                   " points agree)";

@@ -135,6 +135,7 @@ struct SlamResult {
   bool keyframe = false;
   bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, shutter or lens found
   bool recalibrated = false;             ///< what earlier keyframes saw lies elsewhere in their cameras
+  bool points_gone = false;              ///< what posedPoints has of earlier keyframes is less: things went away
   bool relocalized = false;              ///< found again after being lost
   bool by_depth = false;                 ///< too few landmarks: the pose is that of the surfaces
   bool new_map = false;                  ///< the map frame starts here

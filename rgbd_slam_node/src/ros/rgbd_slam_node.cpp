@@ -237,9 +237,8 @@ class RgbdSlamNode : private ros_utils::Estimator {
       keyframe_publisher_.publish(
           ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
     }
-    if (!r.keyframe && !r.map_corrected) return;
-    cloud_pacer_.changed(r.map_corrected);
-    keyframe_pacer_.changed(r.map_corrected);
+    if (r.keyframe || r.map_corrected || r.points_gone) cloud_pacer_.changed(r.map_corrected);
+    if (r.keyframe || r.map_corrected) keyframe_pacer_.changed(r.map_corrected);
   }
 
   /// No images come: time goes on all the same, but that of a recording has ended.

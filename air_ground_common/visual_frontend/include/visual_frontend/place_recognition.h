@@ -48,6 +48,12 @@ struct PlaceMatch {
 PlaceMatch recognizePlace(const Map& map, const CameraModel& camera, const Keyframe& query,
                           const std::vector<KeyframeId>& places, const PlaceSettings& settings);
 
+/// Of `places`, what puts the camera elsewhere than `best` does, by more than a fifth of the way to what it sees or
+/// 0.2 rad, while `best` has less than `min_lead` times as many inliers. Places beside `best` are not asked.
+std::vector<PlaceMatch> rivalsOf(const PlaceMatch& best, const Map& map, const CameraModel& camera,
+                                 const Keyframe& query, const std::vector<KeyframeId>& places, double min_lead,
+                                 const PlaceSettings& settings);
+
 /// What a jump back into the map must look like after tracking was lost.
 struct RelocalizationGate {
   Pose T_map_last = Pose::Identity();                             ///< camera when it was last known
