@@ -109,20 +109,33 @@ struct StreetviewLocalizer::Impl {
     for (std::size_t i = 1; i < candidates.size() && candidates[i].acceptance.accepted; ++i) {
       const double inliers = candidates[i].acceptance.evidence.inliers;
       if (inliers < settings.min_rival_share * candidates[0].acceptance.evidence.inliers) continue;
-      if (const std::string apart = disagreement(candidates[0].pose, candidates[i].pose); !apart.empty())
+      if (const std::string apart = disagreement(candidates[0], candidates[i]); !apart.empty())
         contradiction = "poses from two panoramas lie " + apart;
     }
     adopt(std::move(candidates[0]), result);
     if (!contradiction.empty()) contradict(contradiction, result);
   }
 
-  // How two poses disagree; empty if they do not.
-  std::string disagreement(const PoseResult& a, const PoseResult& b) const {
-    const double apart = (a.T_world_camera.translation() - b.T_world_camera.translation()).norm();
-    const double turn = air_ground_common::rotationAngle(a.T_world_camera.linear(), b.T_world_camera.linear());
-    if (apart <= settings.max_disagreement && turn <= settings.max_turn) return "";
+  // How two poses, each with its panorama, disagree by more than their panoramas' own errors explain; empty if they do
+  // not. Poses from one panorama share its error.
+  template <typename Posed>
+  std::string disagreement(const Posed& a, const Posed& b) const {
+    constexpr double kDeviations = 3;
+    const auto panorama = [&](const Posed& p) -> const Panorama& {
+      return database->panoramas[static_cast<std::size_t>(p.panorama)];
+    };
+    const Pose &A = a.pose.T_world_camera, &B = b.pose.T_world_camera;
+    const double apart = (A.translation() - B.translation()).norm(),
+                 turn = air_ground_common::rotationAngle(A.linear(), B.linear());
+    double allowed = settings.max_disagreement, allowed_turn = settings.max_turn;
+    if (a.panorama != b.panorama) {
+      const Panorama &p = panorama(a), &q = panorama(b);
+      allowed = std::max(allowed, kDeviations * std::hypot(p.position_stddev, q.position_stddev));
+      allowed_turn = std::max(allowed_turn, kDeviations * std::hypot(p.orientation_stddev, q.orientation_stddev));
+    }
+    if (apart <= allowed && turn <= allowed_turn) return "";
     return formatted("%.1f m and %.1f degrees apart, the second with %zu inliers", apart, turn * 180 / M_PI,
-                     b.inliers.size());
+                     b.pose.inliers.size());
   }
 
   static void contradict(const std::string& why, LocalizerResult* result) {
@@ -139,7 +152,7 @@ struct StreetviewLocalizer::Impl {
     after.features = std::max(after.features, before.features);
     if (!before.accepted() || after.contradicted) return after;
     const bool second = after.accepted() && after.acceptance.evidence.inliers > before.acceptance.evidence.inliers;
-    const std::string apart = after.accepted() ? disagreement(before.pose, after.pose) : "";
+    const std::string apart = after.accepted() ? disagreement(before, after) : "";
     LocalizerResult& chosen = second ? after : before;
     chosen.features = after.features;
     if (!apart.empty()) contradict("poses from the image and its virtual views lie " + apart, &chosen);

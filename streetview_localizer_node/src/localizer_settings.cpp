@@ -7,7 +7,8 @@ namespace streetview_localizer {
 
 void describe(air_ground_common::ParameterVisitor& v, StreetviewLocalizerSettings& l) {
   v.section("Search near a prediction");
-  v("near_panoramas", l.near_panoramas, {1, 1000}, "", "that have views and are searched then; the paper: 4 to 8");
+  v("near_panoramas", l.near_panoramas, {1, 1000}, "",
+    "the nearest that show what would be seen from there, which are searched then; the paper: 4 to 8");
   v("max_prior_stddev", l.max_prior_stddev, {0.1, 10000}, "m",
     "a prediction worse than this in x or y is not used for the search");
 
@@ -79,7 +80,8 @@ void describe(air_ground_common::ParameterVisitor& v, StreetviewLocalizerSetting
   v("accept/min_visible_share", l.min_visible_share, {0, 1}, "",
     "of the matched points that the model does not hide from the pose");
   v("accept/max_disagreement", l.max_disagreement, {0.01, 1000}, "m",
-    "poses from two panoramas, both accepted, that lie farther apart contradict each other");
+    "poses from two panoramas, both accepted, that lie farther apart contradict each other, unless the panoramas' own "
+    "standard deviations explain it");
   v("accept/min_rival_share", l.min_rival_share, {0, 10}, "",
     "a panorama with fewer than this share of the best one's inliers has no say in that");
 }

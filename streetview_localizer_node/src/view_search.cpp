@@ -97,29 +97,22 @@ void ViewSearch::prepareIndex() {
   }
 }
 
-// The nearest panoramas that have views; those that could not be placed have none.
-std::vector<int> ViewSearch::panoramasNear(const Eigen::Vector3d& position) const {
-  const auto total = static_cast<int>(database_.panoramas.size());
-  std::vector<int> found;
-  for (int count = std::min(settings_.near_panoramas, total);; count = std::min(2 * count, total)) {
-    found.clear();
-    for (const int p : database_.nearest(position, count))
-      if (!database_.viewsOf(p).empty() && static_cast<int>(found.size()) < settings_.near_panoramas)
-        found.push_back(p);
-    if (static_cast<int>(found.size()) == settings_.near_panoramas || count == total) return found;
-  }
-}
-
 std::vector<int> ViewSearch::byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const {
   const Pose& T = *prior.T_world_camera;
   const Pose T_camera_world = T.inverse();
   // Two standard deviations of the attitude, and of the position seen at 10 m.
-  const double angle = 2 * std::sqrt(prior.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff()) +
-                       0.2 * std::sqrt(prior.covariance.topLeftCorner<3, 3>().diagonal().maxCoeff());
+  const double position_stddev = std::sqrt(prior.covariance.topLeftCorner<3, 3>().diagonal().maxCoeff());
+  const double angle =
+      2 * std::sqrt(prior.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff()) + 0.2 * position_stddev;
   const double half = std::min(std::atan(0.5 * std::hypot(camera.width, camera.height) / camera.fx) + angle, M_PI);
   const double min_cosine = std::cos(half);
   std::vector<std::pair<int, int>> ranked;
-  for (const int p : panoramasNear(T.translation())) {
+  // Photographs look one way each, and some have no views at all: only what shows something takes a place. No pose is
+  // accepted from farther away.
+  int shown = 0;
+  for (const int p : database_.near(T.translation(), settings_.acceptance.max_range + 3 * position_stddev)) {
+    if (shown == settings_.near_panoramas) break;
+    const std::size_t before = ranked.size();
     for (const int v : database_.viewsOf(p)) {
       const View& candidate = database_.views[static_cast<std::size_t>(v)];
       int seen = 0;
@@ -131,6 +124,7 @@ std::vector<int> ViewSearch::byPrior(const CameraModel& camera, const PosePrior&
       }
       if (seen >= settings_.min_view_matches) ranked.emplace_back(-seen, v);
     }
+    shown += ranked.size() > before;
   }
   std::sort(ranked.begin(), ranked.end());
   std::vector<int> views;

@@ -30,8 +30,8 @@ class ViewSearch {
   FoundDescriptors nearest(const Features& query) const;
   std::vector<int> votedBy(const FoundDescriptors& found, const Features& query, int max_views) const;
 
-  /// Views of the panoramas around a predicted pose, those first whose facade points fall into the predicted image
-  /// most.
+  /// Views of the nearest panoramas around a predicted pose that show what would be seen from there, those first whose
+  /// facade points fall into the predicted image most.
   std::vector<int> byPrior(const CameraModel& camera, const PosePrior& prior, int max_views) const;
 
   /// Voted by all of the few features of a mirror image.
@@ -42,7 +42,6 @@ class ViewSearch {
 
  private:
   void prepareIndex();
-  std::vector<int> panoramasNear(const Eigen::Vector3d& position) const;
 
   const StreetviewDatabase& database_;
   const StreetviewLocalizerSettings& settings_;

@@ -51,6 +51,7 @@ cv::Vec3b sampleBilinear(const cv::Mat& image, const Eigen::Vector2d& pixel) {
 
 ViewSynthesizer::ViewSynthesizer(const StreetviewDatabase& database, const BackProjector& projector)
     : database_(database), projector_(projector), depth_(database.views.size()), depth_camera_(database.views.size()) {
+#pragma omp parallel for schedule(dynamic, 4)
   for (std::size_t i = 0; i < database.views.size(); ++i) {
     const View& view = database.views[i];
     depth_camera_[i] = view.camera.scaled(1.0 / kReduction);

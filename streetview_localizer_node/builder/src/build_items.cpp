@@ -13,6 +13,9 @@
 #include <set>
 #include <stdexcept>
 
+#include "air_ground_common/statistics.h"
+#include "air_ground_common/text.h"
+
 namespace streetview_localizer {
 
 namespace fs = std::filesystem;
@@ -20,6 +23,9 @@ using air_ground_common::CameraModel;
 using air_ground_common::Pose;
 
 namespace {
+
+const char kCountAsModel[] =
+    "; --poses are taken as the model's file counts: --up, --model-offset and --model-height-offset move them, too";
 
 /// Image files of a folder by their names without extension: lists of Mapillary's or Street View's ids have none.
 class Stems {
@@ -73,6 +79,7 @@ class ImageList {
       }
       if (accept(geotag.image, &item)) addGeotagged(geotag, &item);
     }
+    remarkOnHeights();
     if (unmarked_ > 0)
       report_.image_remarks.push_back(std::to_string(unmarked_) +
                                       " images twice as wide as high are taken for full spheres, though they do not "
@@ -124,6 +131,17 @@ class ImageList {
     return {};
   }
 
+  /// A pose that counts as the model's file does, after what the options do to the file (CityModelOptions); in its
+  /// system, heights in metres.
+  Pose movedAsModel(const Pose& T_file_camera) const {
+    Pose T = T_file_camera;
+    if (model_.turned) T = Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitX()) * T;
+    const CityModelOptions& options = s_.model_options;
+    T.translation() += options.offset;
+    T.translation().z() = T.translation().z() * model_.height_unit + options.height_offset;
+    return T;
+  }
+
   void addSurveyed(const SurveyedImage& surveyed, BuildItem* item) {
     const cv::Size size = usableSize(*item, surveyed.image);
     if (size.empty()) return;
@@ -138,18 +156,19 @@ class ImageList {
     p.registered = true;
     p.position_stddev = s_.pose_stddev;
     p.orientation_stddev = s_.pose_angle_stddev;
-    Pose T_world_camera = surveyed.T_crs_camera;
-    Eigen::Vector3d place = surveyed.T_crs_camera.translation();
-    place.z() *= model_.height_unit;
+    const Pose T_crs_camera = movedAsModel(surveyed.T_crs_camera);
+    Pose T_world_camera = T_crs_camera;
     try {
-      T_world_camera.translation() = model_.worldFromCrs(place);
+      T_world_camera.translation() = model_.worldFromCrs(T_crs_camera.translation());
     } catch (const std::invalid_argument& e) {
-      return refuse(surveyed.image, e.what());
+      return refuse(surveyed.image, std::string(e.what()) + kCountAsModel);
     }
+    if (const std::string reason = farAway(T_world_camera.translation()); !reason.empty())
+      return refuse(surveyed.image, reason + kCountAsModel);
     // Grid north lies clockwise of the frame's true north by the convergence.
     if (model_.frame)
-      T_world_camera.linear() = Eigen::AngleAxisd(-model_.frame->meridianConvergence(), Eigen::Vector3d::UnitZ()) *
-                                surveyed.T_crs_camera.linear();
+      T_world_camera.linear() =
+          Eigen::AngleAxisd(-model_.frame->meridianConvergence(), Eigen::Vector3d::UnitZ()) * T_crs_camera.linear();
     p.T_world_panorama = T_world_camera;
     p.T_world_panorama.linear() = T_world_camera.linear() * air_ground_common::opticalFromForwardBody();
     p.T_world_geotag = p.T_world_panorama;
@@ -185,15 +204,35 @@ class ImageList {
     return true;
   }
 
+  std::optional<double> groundAt(const Eigen::Vector3d& place) {
+    if (!ground_) ground_ = std::make_unique<PanoramaRegistrar>(model_, registrationOf(s_));
+    return ground_->groundHeight(place);
+  }
+
+  /// Ellipsoidal heights, or those of another vertical datum, put all cameras equally far above or below the street.
+  void remarkOnHeights() {
+    constexpr std::size_t kAsked = 200;  // of the images, spread over the list
+    constexpr double kFarOff = 5;        // no camera and no error of a good receiver [m]
+    std::vector<double> above;
+    for (std::size_t i = 0; i < with_height_.size(); i += 1 + with_height_.size() / kAsked)
+      if (const auto ground = groundAt(with_height_[i]))
+        above.push_back(with_height_[i].z() - *ground - s_.registration.camera_height);
+    if (above.empty()) return;
+    const double median = air_ground_common::median(std::move(above));
+    if (std::abs(median) <= kFarOff) return;
+    report_.image_remarks.push_back(air_ground_common::formatted(
+        "geotags lie %.0f m %s where the model's ground and --camera-height put them: if their heights are not in the "
+        "model's vertical datum, give --geotag-height-offset %.0f",
+        std::abs(median), median > 0 ? "above" : "below", s_.geotag_height_offset - median));
+  }
+
   /// Of a geotag that has none, from the ground below it [m]; empty, and refused, where that is not known.
   std::optional<double> heightAt(const Geotag& geotag) {
     if (!(s_.registration.camera_height > 0)) {
       refuse(geotag.image, "has no height: give the camera's above the ground, as --camera-height");
       return std::nullopt;
     }
-    if (!ground_) ground_ = std::make_unique<PanoramaRegistrar>(model_, registrationOf(s_));
-    const Eigen::Vector3d place = worldPose(geotag, model_, s_.north).translation();
-    const std::optional<double> ground = ground_->groundHeight(place);
+    const std::optional<double> ground = groundAt(worldPose(geotag, model_, s_.north).translation());
     if (!ground) {
       refuse(geotag.image, "has no height, and the model no ground there: give heights (alt)");
       return std::nullopt;
@@ -228,7 +267,9 @@ class ImageList {
     p.T_world_geotag = worldPose(geotag, model_, s_.north);
     if (const std::string reason = farAway(p.T_world_geotag.translation()); !reason.empty())
       return refuse(geotag.image, reason);
-    if (!geotag.height_known) {
+    if (geotag.height_known) {
+      with_height_.push_back(p.T_world_geotag.translation());
+    } else {
       const std::optional<double> height = heightAt(geotag);
       if (!height) return;
       p.T_world_geotag.translation().z() = *height;
@@ -247,7 +288,8 @@ class ImageList {
   std::vector<BuildItem> items_;
   std::set<std::string> ids_;
   Stems stems_;
-  std::unique_ptr<PanoramaRegistrar> ground_;  ///< made where a geotag without height asks
+  std::unique_ptr<PanoramaRegistrar> ground_;  ///< made where a height is asked for
+  std::vector<Eigen::Vector3d> with_height_;   ///< places of geotags that have one, in world
   int index_ = 0;                              ///< in the list
   int unmarked_ = 0;                           ///< spheres by their shape alone
 };

@@ -38,6 +38,11 @@ std::string BuildSettings::fingerprint(const std::string& model_identity) const 
   const BuildSettings usual;  // of databases that do not tell
   if (pose_stddev != usual.pose_stddev || pose_angle_stddev != usual.pose_angle_stddev)
     out << "; poses " << pose_stddev << " " << pose_angle_stddev;
+  if (!register_panoramas && registration.height_stddev != usual.registration.height_stddev)
+    out << "; heights " << registration.height_stddev;
+  const CityModelOptions& m = model_options;
+  if (!poses.empty() && (m.y_up || !m.offset.isZero(0) || m.height_offset != 0)) out << "; poses as the model's file";
+  if (photograph_focal != usual.photograph_focal) out << "; photographs " << photograph_focal;
   return out.str();
 }
 

@@ -10,6 +10,7 @@
 #include <mutex>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 #include <stdexcept>
 #include <system_error>
 
@@ -22,6 +23,8 @@ namespace fs = std::filesystem;
 using air_ground_common::Pose;
 
 namespace {
+
+constexpr double kWorthReducing = 0.8;  // a photograph that is hardly finer stays as it is
 
 class Builder {
  public:
@@ -46,7 +49,7 @@ class Builder {
     if ((writer.model().origin - model.origin).norm() > 1e-6) {
       report_.refused.clear();
       CityModel stored = writer.model();
-      stored.height_unit = model.height_unit;
+      stored.height_unit = model.height_unit, stored.turned = model.turned;
       listImages(stored, model.axis_order);
     }
     const BackProjector projector(writer.model(), s_.back_projection);
@@ -131,11 +134,13 @@ class Builder {
     std::vector<BuildItem*> open;
     for (BuildItem& item : items_)
       if (!item.known) open.push_back(&item);
+    const bool wanted = std::any_of(open.begin(), open.end(), [](const auto* i) { return !i->panorama.registered; });
+    std::optional<PanoramaRegistrar> registrar;  // of a large model it takes a while to make
+    if (s_.register_panoramas && wanted) registrar.emplace(writer->model(), registrationOf(s_));
     constexpr std::size_t kBatch = 100;  // corrected poses that an interruption may lose
     for (std::size_t first = 0; first < open.size(); first += kBatch) {
       const std::vector<BuildItem*> batch(open.begin() + first, open.begin() + std::min(open.size(), first + kBatch));
-      if (s_.register_panoramas)
-        correct(writer->model(), batch, static_cast<int>(first), static_cast<int>(open.size()));
+      if (registrar) correct(*registrar, batch, static_cast<int>(first), static_cast<int>(open.size()));
       std::vector<Panorama> panoramas;
       for (const BuildItem* item : batch)
         if (item->readable) panoramas.push_back(item->panorama);  // else the next run tries again
@@ -143,12 +148,10 @@ class Builder {
     }
   }
 
-  void correct(const CityModel& model, const std::vector<BuildItem*>& batch, int before, int all) {
+  void correct(const PanoramaRegistrar& registrar, const std::vector<BuildItem*>& batch, int before, int all) {
     std::vector<BuildItem*> wanted;
     for (BuildItem* item : batch)
       if (!item->panorama.registered) wanted.push_back(item);  // surveyed ones are
-    if (wanted.empty()) return;
-    const PanoramaRegistrar registrar(model, registrationOf(s_));
     std::vector<RegistrationInput> inputs;
     for (BuildItem* item : wanted) {
       RegistrationInput input;
@@ -180,12 +183,21 @@ class Builder {
     return item.readable && (item.panorama.registered || trusted);
   }
 
+  /// Whether the same piece of facade is found in it: the comparison seeks within decimetres. Corrected poses are that
+  /// good; others where they say so.
+  bool comparable(const BuildItem& item) const {
+    constexpr double kSurePosition = 0.5, kSureAngle = 0.02;  // [m], [rad]: as much again at 25 m
+    const Panorama& p = item.panorama;
+    const bool corrected = p.registered && s_.poses.empty();
+    return usable(item) && (corrected || (p.position_stddev <= kSurePosition && p.orientation_stddev <= kSureAngle));
+  }
+
   void storeViews(DatabaseWriter* writer, const BackProjector& projector) {
     std::vector<ConsistencyImage> images;
     for (const BuildItem& item : items_) {
       const bool panorama = item.panorama.equirectangular;
-      images.push_back(
-          {usable(item), panorama, item.camera, panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
+      images.push_back({comparable(item), panorama, item.camera,
+                        panorama ? item.panorama.T_world_panorama : cameraPose(item.panorama)});
     }
     const FacadeConsistency consistency(
         projector, images,
@@ -245,7 +257,7 @@ class Builder {
         const BackProjectionCounts c = projector.apply(&view);
         counts.kept += c.kept, counts.sky += c.sky, counts.ground += c.ground, counts.range += c.range,
             counts.grazing += c.grazing, counts.edge += c.edge;
-        if (s_.check_consistency) inconsistent += consistency.apply(index, &view);
+        if (s_.check_consistency && comparable(item)) inconsistent += consistency.apply(index, &view);
       }
       views.erase(std::remove_if(views.begin(), views.end(), [](const View& v) { return v.features.size() == 0; }),
                   views.end());
@@ -274,6 +286,12 @@ class Builder {
     view.camera = item.camera;
     view.image = image;
     view.T_world_camera = cameraPose(item.panorama);
+    // Finer detail matches nothing that an image from the air shows, and fills the memory.
+    if (const double factor = s_.photograph_focal / view.camera.fx; factor < kWorthReducing) {
+      cv::resize(image, view.image, {}, factor, factor, cv::INTER_AREA);
+      view.camera = view.camera.scaled(factor);
+      view.camera.width = view.image.cols, view.camera.height = view.image.rows;
+    }
     return {view};
   }
 

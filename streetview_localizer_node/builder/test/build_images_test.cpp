@@ -223,6 +223,126 @@ TEST(BuildImages, WhatIsNotCorrectedStatesWhatItsGeotagIsWorth) {
   }
 }
 
+// Ellipsoidal heights, 47 m above those of the model: cameras would stand above the roofs, and be believed.
+TEST(BuildImages, GeotagsFarAboveTheGroundAreRemarkedOn) {
+  Street street;
+  BuildSettings s = street.settings;
+  const auto remarks = [&](double height) {
+    const auto g = street.frame.toGeodetic(panoramaPose(0).translation() + Eigen::Vector3d(0, 0, height));
+    s.geotags = street.listOf("heights.csv",
+                              formatted("p1.png,%.10f,%.10f,%.4f,38.4,0,0\n", g.latitude, g.longitude, g.height));
+    std::string text;
+    for (const std::string& remark : buildDatabase(s).image_remarks)
+      if (contains(remark, "geotags lie")) text += remark;
+    std::filesystem::remove(s.output);
+    return text;
+  };
+  EXPECT_EQ(remarks(0), "");
+  EXPECT_EQ(remarks(3), "");
+  const std::string high = remarks(47);
+  EXPECT_TRUE(contains(high, "geotags lie 47 m above where") && contains(high, "--geotag-height-offset -47")) << high;
+  EXPECT_TRUE(contains(remarks(-20), "geotags lie 20 m below where"));
+  s.geotag_height_offset = -40;  // not enough: the remark tells what would be
+  EXPECT_TRUE(contains(remarks(47), "--geotag-height-offset -47"));
+  s.geotag_height_offset = -47;
+  EXPECT_EQ(remarks(47), "");
+}
+
+TEST(BuildImages, ImagesOfRoughPoseHaveNoSayInWhatOthersShow) {
+  Street street;
+  BuildSettings s = street.settings;
+  const auto featuresOfMiddle = [&] {
+    const StreetviewDatabase d = loadDatabase(s.output);
+    std::size_t features = 0;
+    for (const View& view : d.views)
+      if (d.panoramas[view.panorama].id == "p1.png") features += view.features.size();
+    return features;
+  };
+  s.check_consistency = false;
+  EXPECT_EQ(buildDatabase(s).stored, 3);
+  const std::size_t all = featuresOfMiddle();
+  s.check_consistency = true;
+  s.output = street.folder / "rough.gpkg";
+  // The middle one corrected, as by an earlier run; the others with geotags that are 2 m off.
+  s.geotags = street.listOf("rough.csv",
+                            street.lineOf("p0.png", -14) + street.lineOf("p1.png", 0) + street.lineOf("p2.png", 14));
+  Panorama middle;
+  middle.id = "p1.png";
+  middle.T_world_geotag = middle.T_world_panorama = panoramaPose(0);
+  middle.registered = true;
+  middle.position_stddev = 0.15, middle.orientation_stddev = 0.003;
+  {
+    const CityModel model = readCityModel(s.model, s.model_options);
+    DatabaseWriter(s.output, model, s.fingerprint(model.identity)).plan({middle});
+  }
+  const BuildReport report = buildDatabase(s);
+  EXPECT_EQ(report.stored, 3);
+  EXPECT_EQ(report.inconsistent, 0);
+  EXPECT_GT(all, 300u);
+  EXPECT_GT(featuresOfMiddle(), 0.9 * all);
+}
+
+// Surveyed in the model's file: what moves the file moves its cameras.
+TEST(BuildImages, SurveyedPosesCountAsTheModelsFileDoes) {
+  Street street;
+  BuildSettings s = street.settings;
+  s.geotags.clear();
+  s.check_consistency = false;
+  const View view = cutPanorama(wallPanorama(1024, panoramaPose(0), false), panoramaPose(0), s.views)[0];
+  cv::imwrite(street.folder / "photo.png", view.image);
+  air_ground_common::Pose T_crs_camera = view.T_world_camera;
+  T_crs_camera.translation() = street.frame.toCrs(view.T_world_camera.translation());
+  T_crs_camera.linear() =
+      Eigen::AngleAxisd(street.frame.meridianConvergence(), Eigen::Vector3d::UnitZ()) * view.T_world_camera.linear();
+  // To the file's coordinates, with y up and counted from elsewhere.
+  const Eigen::Vector3d offset(2683000, 1247000, 400), height(0, 0, 7);
+  const Eigen::AngleAxisd turn(-M_PI / 2, Eigen::Vector3d::UnitX());
+  const auto build = [&](bool moved, const std::string& output) {
+    air_ground_common::Pose T = T_crs_camera;
+    if (moved) T = turn * air_ground_common::Pose(Eigen::Translation3d(-offset - height) * T);
+    const Eigen::Quaterniond q(T.linear());
+    const Eigen::Vector3d t = T.translation();
+    s.poses = street.folder.write(
+        output + ".txt",
+        formatted("photo.png %.6f %.6f %.3f %.3f %.6f %.6f %.6f %.9f %.9f %.9f %.9f\n", view.camera.fx, view.camera.fy,
+                  view.camera.cx, view.camera.cy, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()));
+    s.output = street.folder / (output + ".gpkg");
+    const BuildReport report = buildDatabase(s);
+    EXPECT_EQ(report.stored, 1) << (report.refused.empty() ? "" : report.refused[0].reason);
+    return loadDatabase(s.output);
+  };
+  const StreetviewDatabase plain = build(false, "plain");
+  std::string obj = "o wall\n";
+  for (const auto& v : wallModel().mesh.vertices) {
+    const Eigen::Vector3d p = turn * (street.frame.toCrs(v.cast<double>()) - offset - height);
+    obj += formatted("v %.6f %.6f %.6f\n", p.x(), p.y(), p.z());
+  }
+  s.model = street.folder.write("moved.obj", obj + "f 1 2 3 4\n");
+  s.model_options.offset = offset;
+  s.model_options.height_offset = height.z();
+  s.model_options.y_up = true;
+  const StreetviewDatabase moved = build(true, "moved");
+  ASSERT_EQ(moved.views.size(), 1u);
+  EXPECT_TRUE(moved.views[0].T_world_camera.isApprox(plain.views.at(0).T_world_camera, 1e-6));
+  EXPECT_EQ(moved.views[0].features.size(), plain.views[0].features.size());
+  // In the grid already: said, with what the options do.
+  s.poses = street.folder / "plain.txt";
+  s.output = street.folder / "twice.gpkg";
+  const std::string twice = messageOf([&] { buildDatabase(s); });
+  EXPECT_TRUE(contains(twice, "--model-offset and --model-height-offset move them, too")) << twice;
+}
+
+TEST(BuildImages, HowFarHeightsAreBelievedCanBeSaid) {
+  Street street;
+  const BuildSettings& s = street.settings;
+  const std::string command = std::string(BUILD_STREETVIEW_DB) + " " + s.output + " --crs EPSG:2056 --model " +
+                              s.model + " --geotags " + s.geotags +
+                              " --no-registration --no-consistency --view-width 256 --view-height 256 --threads 2 "
+                              "--geotag-stddev 0.05 --height-stddev 0.05 > /dev/null 2>&1";
+  EXPECT_EQ(WEXITSTATUS(std::system(command.c_str())), 0);
+  EXPECT_NEAR(loadDatabase(s.output).panoramas.at(0).position_stddev, 0.05, 1e-6);
+}
+
 // Scripts go by the status: a build of nothing is a failure, and says what the model's remarks were.
 TEST(BuildImages, TheProgramsStatusTellsWhetherThereIsAnythingToSearch) {
   RealisticStreet street;

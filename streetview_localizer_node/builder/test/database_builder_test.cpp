@@ -32,6 +32,8 @@ double greenOf(const TexturedModel& model, const air_ground_common::RayHit& hit)
 TEST(DatabaseBuilder, FeaturesLieOnTheWallWhereTheyAppear) {
   Street street;
   street.settings.textured_model = street.folder / "street.obj";
+  RegistrationSettings& geotags = street.settings.registration;  // exact, so that images may be compared
+  geotags.geotag_stddev = geotags.height_stddev = 0.05, geotags.heading_stddev = geotags.tilt_stddev = 0.002;
   int calls = 0;
   const BuildReport report = buildDatabase(street.settings, [&](const std::string&, int done, int all) {
     ++calls;
@@ -360,6 +362,13 @@ TEST(DatabaseBuilder, TheFingerprintNamesWhatShapesThePoses) {
   b.registration.heading_stddev = 0.5;  // is what unregistered images state
   EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
   a.registration.heading_stddev = 0.5;
+  a.registration.height_stddev = 0.05;
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
+  b.registration.height_stddev = 0.05;
+  a.photograph_focal = 700;
+  EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
+  b.photograph_focal = 700;
+  EXPECT_EQ(a.fingerprint("m"), b.fingerprint("m"));
   b.camera.emplace();
   EXPECT_NE(a.fingerprint("m"), b.fingerprint("m"));
   a.camera.emplace().k1 = 0.1;

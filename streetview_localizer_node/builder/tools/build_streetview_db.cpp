@@ -93,7 +93,8 @@ int main(int argc, char** argv) {
   app.add_option("--geotags", s.geotags,
                  "CSV (image,lat,lon and, if known, alt,heading_deg,pitch_deg,roll_deg) or GeoJSON of the images");
   app.add_option("--poses", s.poses,
-                 "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model)");
+                 "instead: surveyed photographs, lines of `image fx fy cx cy tx ty tz qx qy qz qw` (camera to model, "
+                 "as its file counts: --up, --model-offset and --model-height-offset move them, too)");
   app.add_option("--pose-stddev", s.pose_stddev,
                  "of the positions of --poses, one axis [m]: the default is of bundle adjustment of good photographs, "
                  "give what your survey states")
@@ -150,6 +151,9 @@ int main(int argc, char** argv) {
   auto* geotag_stddev = app.add_option("--geotag-stddev", s.registration.geotag_stddev,
                                        "of a geotag's place, one axis [m] [a third of --search-radius]")
                             ->check(CLI::Range(0.01, 100.0));
+  app.add_option("--height-stddev", s.registration.height_stddev, "of its height [m]")
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
   auto* heading_given =
       app.add_option("--heading-stddev", heading_stddev, "of its heading [deg] [--search-yaw / 3.43: 2 degrees of 6.9]")
           ->check(CLI::Range(0.006, 180.0));
@@ -161,6 +165,10 @@ int main(int argc, char** argv) {
   app.add_option("--view-fov", fov, "their horizontal field of view [deg]")->capture_default_str();
   app.add_option("--view-step", step, "angle between them [deg]")->capture_default_str();
   app.add_option("--view-pitch", pitches, "of their axes, one ring of views each [15 deg]");
+  app.add_option("--photograph-focal", s.photograph_focal,
+                 "focal length of photographs in the database [px]: those of more than 1.25 times as much are reduced")
+      ->check(CLI::Range(100.0, 1e5))
+      ->capture_default_str();
   app.add_option("--max-depth", s.back_projection.max_depth, "of features [m]")->capture_default_str();
   app.add_option("--max-incidence", incidence, "between ray and facade normal [deg]")->capture_default_str();
   app.add_option("--max-features", s.features.max_features, "of a view, 0: all")->capture_default_str();

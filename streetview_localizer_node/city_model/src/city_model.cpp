@@ -8,6 +8,7 @@
 #include <unordered_map>
 
 #include "air_ground_common/text.h"
+#include "ground_themes.h"
 #include "model_files.h"
 #include "polygons.h"
 
@@ -184,6 +185,7 @@ CityModel readCityModel(const std::string& path, const CityModelOptions& options
   } catch (const std::invalid_argument& e) {
     throw std::runtime_error(path + ": " + e.what());
   }
+  leaveOutStrayGround(&polygons, &model.remarks);
   triangulateAll(polygons, &model);
   numberBuildings(polygons.building_ids, &model);
   if (model.building_ids.empty())

@@ -44,6 +44,7 @@ struct Context {
   std::optional<Surface> surface;
   int lod = -1;
   bool reversed = false;
+  bool surfaces_only = false;  // solids are passed over
   int dimension = 3;
 };
 
@@ -92,7 +93,10 @@ class Reader {
       std::vector<const XMLElement*> parts;
       Context context;
       context.surface = Surface::kGround;
+      // A wood as a solid reaches up to its crowns; as a surface it is the ground under it.
+      context.surfaces_only = is(e, {"PlantCover"});
       collect(e, context, &found, &parts);
+      for (FoundPolygon& f : found) f.polygon.theme = localName(e);
       keepLod(&found, -1, /*any_lod=*/true);
     }
   }
@@ -137,6 +141,7 @@ class Reader {
     if (is(e, {"interiorRoom", "BuildingRoom", "Room", "ClosureSurface", "InteriorWallSurface", "CeilingSurface",
                "FloorSurface", "appearance", "appearanceMember", "address"}))
       return;
+    if (context.surfaces_only && is(e, {"Solid", "CompositeSolid", "MultiSolid"})) return;
     if (is(e, {"WallSurface"})) context.surface = Surface::kWall;
     if (is(e, {"RoofSurface"})) context.surface = Surface::kRoof;
     if (is(e, {"GroundSurface"})) context.surface = Surface::kGround;

@@ -142,8 +142,9 @@ class Reader {
       }
       const bool attached =
           type.find("Installation") != std::string::npos || type.find("Constructi") != std::string::npos;
-      object_ = {index, building ? (attached ? std::optional<Surface>(Surface::kOther) : std::nullopt)
-                                 : std::optional<Surface>(Surface::kGround)};
+      object_ = {type, index,
+                 building ? (attached ? std::optional<Surface>(Surface::kOther) : std::nullopt)
+                          : std::optional<Surface>(Surface::kGround)};
       geometries(object["geometry"], building);
     }
   }
@@ -179,6 +180,9 @@ class Reader {
         ++templates_;
         continue;
       }
+      // A wood as a solid reaches up to its crowns; as a surface it is the ground under it.
+      if (object_.type == "PlantCover" && list[g]["type"].get<std::string>().find("Solid") != std::string::npos)
+        continue;
       read[g] = polygons(list[g]);
       const int lod = lodOf(list[g]);
       // Of LoD 2.0 to 2.3 the fullest counts, not their sum.
@@ -238,6 +242,7 @@ class Reader {
     Polygon polygon;
     polygon.building = object_.building;
     polygon.surface = object_.surface;
+    if (polygon.building < 0) polygon.theme = object_.type;
     if (value.is_number_integer() && !object_.surface) {
       const json& semantic = surfaces.at(value.get<std::size_t>());
       const std::string type = semantic.value("type", "");
@@ -263,6 +268,7 @@ class Reader {
   }
 
   struct Object {
+    std::string type;
     int building = -1;
     std::optional<Surface> surface;
   };

@@ -52,7 +52,8 @@ bool liesOnItsSide(const PolygonModel& model) {
 
 PolygonModel readObjFile(const std::string& path, const CityModelOptions& options) {
   PolygonModel model = readObj(path);
-  if (options.y_up) {
+  model.turned = options.y_up;
+  if (model.turned) {
     forEachPoint(&model, [](Eigen::Vector3d& p) { p = Eigen::Vector3d(p.x(), -p.z(), p.y()); });
   } else if (liesOnItsSide(model)) {
     model.remarks.push_back(path + " seems to lie on its side: if its y is up, give --up y");
@@ -144,6 +145,7 @@ class Merger {
     checkUnity(file, srs, name, unit);
     result_->crs = name.horizontal;
     result_->height_unit = unit;
+    result_->turned = result_->turned || model.turned;
     forEachPoint(&model, [&](Eigen::Vector3d& p) { p.z() = p.z() * unit + options_.height_offset; });
     const int first = static_cast<int>(all_.building_ids.size());
     for (Polygon& polygon : model.polygons) {

@@ -18,6 +18,7 @@ struct Polygon {
   std::vector<Ring> rings;         ///< the outer one first; not closed (last point differs from the first)
   std::optional<Surface> surface;  ///< empty: the file does not say
   int building = -1;
+  std::string theme;  ///< of what is no building: the file's word, "Road"; empty where it has none
 };
 
 struct PolygonModel {
@@ -25,6 +26,7 @@ struct PolygonModel {
   std::vector<std::string> building_ids;
   std::string srs;  ///< as in the file, empty if it does not say
   std::vector<std::string> remarks;
+  bool turned = false;  ///< from y up to z up
 };
 
 /// Calls `f` with each point, which it may move.

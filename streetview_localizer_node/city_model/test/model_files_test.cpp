@@ -1,6 +1,8 @@
 // Files and folders as they are delivered, and the frames that their coordinates are counted in.
 #include <gtest/gtest.h>
 
+#include <tuple>
+
 #include "box_model.h"
 #include "test_files.h"
 
@@ -49,6 +51,78 @@ TEST(ModelFiles, FoldersMayHoldOtherFiles) {
   folder.write("other/metadata.xml", "<gmd:MD_Metadata/>");
   EXPECT_NE(messageOf([&] { readCityModel(folder / "other"); }).find("has no buildings with walls"), std::string::npos);
   EXPECT_NE(messageOf([&] { readCityModel(folder / "city/tiles/c.gml.gz"); }).find("is packed"), std::string::npos);
+}
+
+/// The house at `o` with things around it that are no buildings: `theme` at a height above its feet, as `geometry`
+/// (MultiSurface, MultiSolid).
+std::string houseAnd(const Eigen::Vector3d& o,
+                     const std::vector<std::tuple<std::string, double, std::string>>& things) {
+  std::string out = cityGml("EPSG:2056", o);
+  out.resize(out.rfind("</CityModel>"));
+  for (const auto& [theme, height, geometry] : things) {
+    const auto p = [&, z = height](double x, double y) { return Eigen::Vector3d(o + Eigen::Vector3d(x, y, z)); };
+    const bool solid = geometry == "MultiSolid";
+    out += "<cityObjectMember><" + theme + "><lod1" + geometry + "><" + geometry + "><member>" +
+           (solid ? "<Solid><exterior><surfaceMember>" : "") +
+           gmlPolygon({{p(20, 0), p(30, 0), p(30, 10), p(20, 10)}}, false) +
+           (solid ? "</surfaceMember></exterior></Solid>" : "") + "</member></" + geometry + "></lod1" + geometry +
+           "></" + theme + "></cityObjectMember>";
+  }
+  return out + "</CityModel>";
+}
+
+/// Area of what belongs to no building [m2].
+double groundOf(const CityModel& m) { return areaOf(m, Surface::kGround) - 200; }
+
+// Roads of PLATEAU's LOD1 lie at height 0 by its standard, its flood zones metres above the street.
+TEST(ModelFiles, RoadsAndWatersFarFromTheBuildingsFeetAreNoGround) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(2683000, 1247000, 410);
+  const auto read = [&](const std::vector<std::tuple<std::string, double, std::string>>& things) {
+    return readCityModel(folder.write("a.gml", houseAnd(o, things)), {"", o});
+  };
+  const CityModel plateau = read({{"Road", -410, "MultiSurface"}, {"WaterBody", 5, "MultiSurface"}});
+  EXPECT_NEAR(groundOf(plateau), 0, 0.1);
+  ASSERT_EQ(plateau.remarks.size(), 2u);
+  EXPECT_EQ(plateau.remarks[0],
+            "Road surfaces lie 410 m below the ground at the buildings: they are no ground, and were left out");
+  EXPECT_EQ(plateau.remarks[1].rfind("WaterBody surfaces lie 5 m above the ground", 0), 0u) << plateau.remarks[1];
+  // A street above a cellar, a canal below a quay; a relief, whatever the walls do.
+  const CityModel usual = read({{"Road", 2.5, "MultiSurface"}, {"WaterBody", -2, "MultiSurface"}});
+  EXPECT_NEAR(groundOf(usual), 200, 0.1);
+  EXPECT_TRUE(usual.remarks.empty());
+  const CityModel relief = read({{"ReliefFeature", 8, "MultiSurface"}, {"Road", 8.1, "MultiSurface"}});
+  EXPECT_NEAR(groundOf(relief), 200, 0.1);
+  EXPECT_TRUE(relief.remarks.empty());
+}
+
+TEST(ModelFiles, CrownsOfWoodsAreNoGround) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(2683000, 1247000, 410);
+  const auto read = [&](const char* geometry) {
+    return readCityModel(folder.write("a.gml", houseAnd(o, {{"PlantCover", 2, geometry}})), {"", o});
+  };
+  EXPECT_NEAR(groundOf(read("MultiSolid")), 0, 0.1);
+  EXPECT_NEAR(groundOf(read("MultiSurface")), 100, 0.1);
+  // CityJSON: a house of one wall, a wood as solid and as surface, a road that hovers.
+  const auto json = [&](const std::string& wood, const std::string& road_height) {
+    return readCityModel(folder.write(
+        "a.json",
+        R"({"type": "CityJSON", "version": "1.1", "vertices": [[0,0,0],[10,0,0],[10,0,5],[0,0,5],[0,10,1],[10,10,1],
+            [10,20,1],[0,20,1],[0,10,)" +
+            road_height + "],[10,10," + road_height + "],[10,20," + road_height + R"(]],
+            "CityObjects": {
+            "h": {"type": "Building", "geometry": [{"type": "MultiSurface", "lod": "2", "boundaries": [[[0,1,2,3]]]}]},
+            "w": {"type": "PlantCover", "geometry": [{"type": )" +
+            wood + R"(}]},
+            "r": {"type": "Road", "geometry": [{"type": "MultiSurface", "lod": "1", "boundaries": [[[8,9,10]]]}]}}})"));
+  };
+  const CityModel surface = json(R"("MultiSurface", "lod": "1", "boundaries": [[[4,5,6,7]]])", "0.5");
+  EXPECT_NEAR(areaOf(surface, Surface::kGround), 150, 0.1);
+  const CityModel solid = json(R"("Solid", "lod": "1", "boundaries": [[[[4,5,6,7]]]])", "31");
+  EXPECT_NEAR(areaOf(solid, Surface::kGround), 0, 0.1);
+  ASSERT_EQ(solid.remarks.size(), 1u);
+  EXPECT_EQ(solid.remarks[0].rfind("Road surfaces lie 31 m above", 0), 0u) << solid.remarks[0];
 }
 
 TEST(ModelFiles, IsToldFromOthersByItsIdentity) {

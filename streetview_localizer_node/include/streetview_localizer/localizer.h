@@ -51,7 +51,7 @@ struct StreetviewLocalizerSettings {
   int search_features = 2000;    ///< of the query, the strongest, looked for in the whole database; 0: all
   int neighbors = 12;            ///< found of each
   int max_views = 8;             ///< of the database, matched pairwise with an image
-  int near_panoramas = 6;        ///< searched where the prior tells the position; the paper: 4 to 8
+  int near_panoramas = 6;        ///< that show the place, searched where the prior tells it; the paper: 4 to 8
   double max_prior_stddev = 15;  ///< a prior position worse than this is not used for the search [m]
   int min_view_matches = 6;      ///< a view with fewer matches after k-VLD is dropped
   /// Panoramas with poses better than these are matched as one: a point of the facade gets its place from several of
@@ -67,9 +67,11 @@ struct StreetviewLocalizerSettings {
   double min_fusion_inliers = 0.9;  ///< [0, 1]
   double min_height = 0.2;          ///< of the camera above the model's ground, where it has one [m]
   double min_visible_share = 0.7;   ///< of the inliers' points not hidden by the model from the estimated pose [0, 1]
-  double max_disagreement = 1.0;    ///< between poses from different panoramas that are both accepted [m]
-  double min_rival_share = 0.25;    ///< a panorama with fewer of the best one's inliers has no say in this [0, 1]
-  double max_turn = 0.1;            ///< the same for the attitude [rad]
+  /// Between poses from different panoramas that are both accepted [m]; three standard deviations of what the
+  /// panoramas state are allowed where that is more.
+  double max_disagreement = 1.0;
+  double min_rival_share = 0.25;  ///< a panorama with fewer of the best one's inliers has no say in this [0, 1]
+  double max_turn = 0.1;          ///< the same for the attitude [rad]
 
   /// Throws std::invalid_argument, naming the field, when a value cannot work.
   void validate() const;

@@ -24,6 +24,7 @@ void OutcomePublisher::advertise(ros::NodeHandle* handle) {
 }
 
 void OutcomePublisher::prepareDisplay(const StreetviewLocalizer& localizer) {
+  health_.state(1, "preparing the display (display: false leaves it out)");
   try {
     display_.prepare(localizer, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points),
                      settings_.cameras_shown);

@@ -150,7 +150,10 @@ class StreetviewLocalizerNode {
   // ---- Work ---------------------------------------------------------------------------------------------------------
 
   void work() {
-    if (settings_.display) output_.prepareDisplay(*localizer_);
+    if (settings_.display) {
+      output_.prepareDisplay(*localizer_);
+      health_.state(1, "waiting for images");
+    }
     const auto attitudesCome = [this] { return settings_.use_gravity && attitude_.getNumPublishers() > 0; };
     while (const std::optional<Job> job = queue_.next(attitudesCome)) {
       try {

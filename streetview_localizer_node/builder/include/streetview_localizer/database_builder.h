@@ -41,6 +41,7 @@ struct BuildSettings {
   TextureSettings texture;
 
   PanoramaViewSettings views;
+  double photograph_focal = 900;  ///< photographs of more than 1.25 times this focal length are reduced to it [px]
   FeatureSettings features;
   BackProjectionSettings back_projection;
   RegistrationSettings registration;

@@ -23,7 +23,7 @@ struct ConsistencySettings {
 
 /// An image to compare with: a panorama, or a photograph.
 struct ConsistencyImage {
-  bool usable = true;  ///< false: its place is not known
+  bool usable = true;  ///< false: its pose is not known to decimetres
   bool equirectangular = true;
   air_ground_common::CameraModel camera;  ///< of a photograph
   air_ground_common::Pose T_world_image =

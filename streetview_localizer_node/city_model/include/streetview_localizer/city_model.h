@@ -28,6 +28,7 @@ struct CityModel {
   std::string crs;
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();            ///< of world: (easting, northing, height) in crs [m]
   std::shared_ptr<const air_ground_common::LocalFrame> frame;  ///< null where crs is empty
+  bool turned = false;     ///< y was up in the file (CityModelOptions::y_up); false for a model out of a database
   double height_unit = 1;  ///< of the file's heights [m]; mesh, origin and world are in metres, whatever it is
 
   /// What the coordinates of the files were taken as, "east, north" or "north, east"; empty without crs, and of a model

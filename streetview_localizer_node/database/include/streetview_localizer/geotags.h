@@ -32,7 +32,7 @@ struct SurveyedImage {
   std::string image;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< [px]
   air_ground_common::Pose T_crs_camera =
-      air_ground_common::Pose::Identity();  ///< optical frame; position in the model's coordinates
+      air_ground_common::Pose::Identity();  ///< optical frame to the coordinates of the model's file
 };
 
 /// CSV with a header line, commas or semicolons between; columns by name, in any order: image (filename, file, id,
