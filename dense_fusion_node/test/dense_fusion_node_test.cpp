@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <future>
 #include <limits>
@@ -189,6 +190,17 @@ TEST_F(DenseFusionNodeTest, ANewMapStartsAfresh) {
   save.request.path = "/nonexistent/map.ply";
   ASSERT_TRUE(ros_utils::callService("dense_fusion/save_map", save));
   EXPECT_FALSE(save.response.success);
+
+  // What ended is not lost.
+  const std::string folder = ros::param::param<std::string>("/dense_fusion/autosave", "");
+  std::size_t kept = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+    if (entry.path().filename().string().find("_map_map") == std::string::npos) continue;
+    ++kept;
+    EXPECT_GT(air_ground_common::readPlyPoints(entry.path().string()).size(), 5000u) << entry.path();
+  }
+  EXPECT_GE(kept, 2u);
+  std::filesystem::remove_all(folder);
 }
 
 TEST_F(DenseFusionNodeTest, StartsAfreshWhenABagLoops) {

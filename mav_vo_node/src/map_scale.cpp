@@ -17,6 +17,7 @@ constexpr double kYoung = 8;                 // until then the first keyframes m
 constexpr double kMostStddev = 2.5;          // of what was asked for, that serves in the end [1]
 constexpr double kAdjustedTilt = 0.005;      // of the map's z axis after an inertial adjustment [rad]
 constexpr double kRestartScaleStddev = 0.1;  // the filter judges the adjusted map afresh [1]
+constexpr int kBrokenWindows = 3;            // by gaps of the IMU: then these are the reason
 constexpr double kHistory = 3.0;             // images from so long before the map became metric are judged too [s]
 
 }  // namespace
@@ -110,6 +111,10 @@ std::string MapScale::reason(double age) const {
     if (age < kYoung) return "metric scale is not known yet: IMU and images do not agree in the first seconds";
     return "metric scale is not known: IMU and images tell of different motions; check the static transforms of IMU "
            "and camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
+  }
+  if (!filter_.initialized() && filter_.brokenWindows() >= kBrokenWindows) {
+    return "metric scale is not known yet: the IMU's samples have gaps of more than 0.05 s, so that no motion is known "
+           "long enough; see to its driver, rate and link";
   }
   const double stddev = filter_.initialized() ? filter_.relativeStddev() : filter_.startStddev();
   if (!std::isfinite(stddev)) return "metric scale is not known yet: it needs a second of motion";

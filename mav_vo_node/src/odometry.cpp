@@ -16,6 +16,7 @@ using visual_frontend::Feature;
 namespace {
 
 constexpr double kMapTilt = 0.002;         // of the adjusted map as a whole, against gravity [rad]
+constexpr double kMeanAccel = 0.006;       // to which images tell an acceleration that lasts [m/s^2]
 constexpr std::size_t kMaxFrames = 40000;  // half an hour at 20 Hz; older ones are thinned
 
 }  // namespace
@@ -257,6 +258,17 @@ Increment Odometry::Impl::incrementSince(const Pose& T_map_previous) const {
   return step;
 }
 
+// While the IMU keeps its attitude, a bias of its accelerometer is as good as a tilt of the map. With R_mean the mean
+// of its rotations, (3 - |R_mean|^2) / 2 is the variance of the angle by which they differ.
+double Odometry::Impl::mapTilt() const {
+  Eigen::Matrix3d sum = Eigen::Matrix3d::Zero();
+  for (const auto& [id, keyframe] : map.keyframes()) sum += keyframe.T_map_camera.linear();
+  const double count = static_cast<double>(std::max<std::size_t>(1, map.keyframeCount()));
+  const double turned = std::sqrt(std::max(0.0, 0.5 * (3 - (sum / count).squaredNorm())));
+  const double bias_stddev = settings.scale.accel_bias_stddev;
+  return std::hypot(kMapTilt, std::min(bias_stddev, kMeanAccel / std::max(turned, 1e-6)) / kGravity);
+}
+
 // Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
 // leave open, which grows from its origin.
 Matrix6d Odometry::Impl::mapCovariance() const {
@@ -265,7 +277,7 @@ Matrix6d Odometry::Impl::mapCovariance() const {
   const Eigen::Vector3d p = pose.pose().translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
   if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
-  if (metric()) C += air_ground_common::tiltCovariance(kMapTilt, p);
+  if (metric()) C += air_ground_common::tiltCovariance(mapTilt(), p);
   C.diagonal().array() += 1e-10;
   return C;
 }
@@ -286,7 +298,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->increment = increment;
   result->scale = estimate.initialized() ? estimate.scale() : 1.0;
   result->scale_stddev = result->scale * scale.relativeStddev();
-  if (metric() && settings.use_imu) result->tilt_stddev = kMapTilt;
+  if (metric() && settings.use_imu) result->tilt_stddev = mapTilt();
   result->imu_bias = bias;
   result->gyro_bias_stddev = imu.gyroBiasStddev();
   result->time_offset = imu.timeOffset();

@@ -33,6 +33,7 @@ struct Odometry::Impl {
   void localized(const cv::Mat& gray, bool continuous);  ///< bookkeeping after a pose was found
   Increment incrementSince(const Pose& T_map_previous) const;
   void fillResult(VoResult* result) const;
+  double mapTilt() const;          ///< of a metric map against gravity, standard deviation [rad]
   Matrix6d mapCovariance() const;  ///< of the camera's pose
   void reset();
 

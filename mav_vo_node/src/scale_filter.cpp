@@ -83,6 +83,7 @@ ScaleFilter::ScaleFilter(const ScaleFilterSettings& settings, const ImuNoise& no
 void ScaleFilter::reset(double tilt_stddev) {
   tilt_stddev_ = tilt_stddev;
   window_.clear();
+  broken_windows_ = 0;
   initialized_ = false;
   state_ = State{};
   P_.setZero();
@@ -208,7 +209,10 @@ void ScaleFilter::add(const ScaleMeasurement& measurement, const std::optional<P
     R_before_ = measurement.R_map_imu;
     return;
   }
-  if (!motion) window_.clear();
+  if (!motion) {
+    broken_windows_ += window_.size() > 1;
+    window_.clear();
+  }
   window_.push_back({measurement, motion});
   double duration = 0;
   for (std::size_t i = 1; i < window_.size(); ++i) duration += window_[i].motion->duration();

@@ -10,10 +10,11 @@ namespace {
 constexpr double kFrame = 0.05;  // [s]
 constexpr double kScale = 2.5;   // metres a unit of the map
 
-/// A flight seen without noise in a map of another unit, with two keyframes; the IMU shows it from `begin` on.
+/// A flight seen without noise in a map of another unit, with two keyframes; the IMU shows it from `begin` on, but for
+/// an image's interval in every `gap_every` [s].
 class Flight {
  public:
-  explicit Flight(double duration) {
+  explicit Flight(double duration, double gap_every = 0) : gap_every_(gap_every) {
     std::mt19937 random(1);
     for (const auto& s : flight_.imuSamples(kBegin - 0.1, kBegin + duration + 0.1, 200, ImuNoise{}, ImuBias{}, random))
       buffer_.add(s);
@@ -43,10 +44,12 @@ class Flight {
     if (!frames.empty()) {
       motion.emplace(ImuNoise{}, ImuBias{});
       motion->integrate(samplesBetween(buffer_, frames.lastStamp(), t));
+      if (gap_every_ > 0 && std::fmod(t, gap_every_) < 0.05) motion.reset();
     }
     frames.add(t, seen(t), t < kBegin + 1 ? 0 : 1, map);
     scale.add(frames, map, 1 / kScale, 1e-8 * Eigen::Matrix3d::Identity(), motion);
   }
+  double gap_every_;
   synthetic::Flight flight_;
   ImuBuffer buffer_{1000};
 };
@@ -74,6 +77,13 @@ TEST(MapScale, JudgesTheMapAsItIsNow) {
   inertial.states[1].velocity = synthetic::Flight{}.velocity(Flight::kBegin + 1);
   flight.scale.judgeAnew(flight.frames, flight.map, inertial, Flight::kBegin + 3);
   EXPECT_NEAR(flight.scale.filter().scale(), 1 / 1.1, 0.02);
+}
+
+// A second of motion never comes: "it needs a second of motion" would send the pilot, not the mechanic.
+TEST(MapScale, NamesGapsOfTheImu) {
+  Flight flight(12, 0.9);
+  EXPECT_FALSE(flight.scale.known(60));
+  EXPECT_NE(flight.scale.reason(60).find("gaps"), std::string::npos) << flight.scale.reason(60);
 }
 
 TEST(MapScale, AsksForLessOfAMapThatWaits) {

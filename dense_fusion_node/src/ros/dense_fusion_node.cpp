@@ -149,6 +149,14 @@ class DenseFusionNode {
     map_.reset();
   }
 
+  /// The map has ended, and with it what save_map writes.
+  void keepEndedMap() {
+    if (const auto fused = guarded([this] { return mapper_.flush(); })) map_.add(fused->depth_map.stamp, fused->points);
+    if (map_.size() == 0) return;
+    autosave_.save("map_map" + std::to_string(++ended_maps_) + ".ply",
+                   [this](const std::string& path) { map_.write(path); });
+  }
+
   void correct(const nav_msgs::Path& msg) {
     if (!map_id_ || msg.header.frame_id != frame_id_ || msg.header.stamp < map_since_) return;  // of another map
     map_.correct(mapper_.correct(ros_utils::fromMsg(msg)));
@@ -179,8 +187,10 @@ class DenseFusionNode {
     }
     const bool other = map_id_ != msg.map_id || frame_id_ != msg.header.frame_id;
     if (other || map_revision_ != msg.map_revision) {
-      if (map_id_)
+      if (map_id_) {
         ROS_WARN("the MAV's %s: the dense map starts afresh", other ? "map is another" : "calibration has changed");
+        keepEndedMap();
+      }
       startMap();
       map_id_ = msg.map_id;
       map_revision_ = msg.map_revision;
@@ -288,6 +298,7 @@ class DenseFusionNode {
   std::string frame_id_, camera_frame_;
   ros::Time last_stamp_, map_since_;
   std::size_t without_scale_ = 0;
+  int ended_maps_ = 0;                                 // kept
   std::size_t good_depth_maps_ = 0, poor_before_ = 0;  // when the last good depth map came
 
   std::thread worker_;

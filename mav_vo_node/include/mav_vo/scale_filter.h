@@ -90,6 +90,8 @@ class ScaleFilter {
   bool certain(double relative_stddev) const;
   /// Relative standard deviation that the last attempt to start left; infinite before any.
   double startStddev() const { return start_stddev_; }
+  /// Windows that a gap in the IMU's data has ended since the last reset, before one gave a start.
+  int brokenWindows() const { return broken_windows_; }
   int updates() const { return updates_; }  ///< measurements since the start
   double rejectedShare() const;             ///< of them, outside the gate
   /// Mean squared normalised innovation by degrees of freedom since the start, the far ones counted as the gate; about
@@ -121,6 +123,7 @@ class ScaleFilter {
   ImuNoise noise_;
   double tilt_stddev_;
   std::deque<Frame> window_;
+  int broken_windows_ = 0;
   bool initialized_ = false;
   State state_;
   Covariance P_ = Covariance::Zero();
