@@ -278,6 +278,31 @@ TEST_F(DenseFusionNodeTest, SaysThatItIsBehind) {
   EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::WARN);
 }
 
+// In a map without scale the cells are a share of the scene's distance, which a landing makes small.
+TEST(MapStore, WhatIsSeenFromNearerIsKeptFiner) {
+  const dense_fusion::NodeSettings settings;
+  ros_utils::NodeHealth health("map_store");
+  dense_fusion::MapStore store(settings, health);
+  const auto level = [](double step, float z) {
+    std::vector<dense_fusion::SurfacePoint> points;
+    for (int i = 0; i < 50 * 50; ++i) {
+      dense_fusion::SurfacePoint p;
+      p.position = {static_cast<float>(step * (i % 50 + 0.5)), static_cast<float>(step * (i / 50 + 0.5)), z};
+      points.push_back(p);
+    }
+    return points;
+  };
+  store.followUnit(0.05);
+  store.add(1, level(settings.map_cell, 0));
+  EXPECT_LT(store.size(), 20u);
+  store.followUnit(1);
+  store.add(2, level(settings.map_cell, 1));
+  store.followUnit(0.05);
+  store.add(3, level(settings.map_cell, 2));
+  EXPECT_GE(store.size(), 2500u);
+  EXPECT_LT(store.size(), 2540u);
+}
+
 // A slow disk: a file that cannot be opened until somebody writes into it.
 TEST(MapStore, PointsComeInWhileItWrites) {
   const dense_fusion::NodeSettings settings;

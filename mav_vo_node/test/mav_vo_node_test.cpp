@@ -379,6 +379,15 @@ TEST_F(MavVoNode, BeginsANewMapWithAnotherCalibration) {
     EXPECT_NEAR(p->camera_info.K[0], width == 752 ? 420 : 210, 1e-6);
   }
   EXPECT_EQ(ros_utils::greyFromMsg(*posed_.back()).cols, 376);
+
+  // What was flown with the first one is saved, too.
+  air_ground::SaveTrajectory trajectory;
+  const std::string path = "/tmp/mav_vo_node_test_" + std::to_string(getpid()) + "_recalibrated";
+  trajectory.request.path = path + ".txt";
+  ASSERT_TRUE(ros_utils::callService("/mav_vo/save_trajectory", trajectory));
+  EXPECT_TRUE(trajectory.response.success) << trajectory.response.message;
+  EXPECT_NE(trajectory.response.message.find("; of another map "), std::string::npos) << trajectory.response.message;
+  for (const char* end : {".txt", "_map1.txt"}) std::remove((path + end).c_str());
 }
 
 }  // namespace

@@ -260,7 +260,7 @@ class DenseFusionNode {
     const auto fused =
         guarded([&] { return own_unit ? mapper_.followDistance(distance) : mapper_.followMetricDistance(distance); });
     if (fused) publish(*fused);
-    if (own_unit && before == 1 && mapper_.unit() != 1) map_.reset(mapper_.unit());
+    if (own_unit && mapper_.unit() != before) map_.followUnit(mapper_.unit());
     return true;
   }
 

@@ -9,15 +9,25 @@
 
 namespace dense_fusion {
 
-void MapStore::reset(double unit) {
+void MapStore::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   clouds_.clear();
-  settled_ = PointMap(settings_.map_cell / unit, settings_.map_max_points);
+  cell_ = settings_.map_cell;
+  settled_ = PointMap(cell_, settings_.map_max_points);
+}
+
+void MapStore::followUnit(double unit) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  cell_ = settings_.map_cell / unit;
+  if (!clouds_.empty() && cell_ >= settled_.cell()) return;  // those from nearer keep what they show
+  PointMap other(cell_, settings_.map_max_points);
+  other.add(settled_.points());
+  settled_ = std::move(other);
 }
 
 void MapStore::add(std::int64_t stamp, std::vector<SurfacePoint> points) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  PointMap thinned(settled_.cell(), settings_.map_max_points);
+  PointMap thinned(std::max(cell_, settled_.cell()), settings_.map_max_points);
   health_.count("points left out of the map: not finite, or too far away", thinned.add(points));
   const double cell = settled_.cell();
   clouds_.emplace_back(stamp, Kept{thinned.points(), {}});

@@ -19,10 +19,15 @@ namespace dense_fusion {
 class MapStore {
  public:
   MapStore(const NodeSettings& settings, air_ground_common::ros_utils::NodeHealth& health)
-      : settings_(settings), health_(health), settled_(settings.map_cell, settings.map_max_points) {}
+      : settings_(settings),
+        health_(health),
+        cell_(settings.map_cell),
+        settled_(settings.map_cell, settings.map_max_points) {}
 
-  /// Begins anew. `unit`: DenseMapper::unit().
-  void reset(double unit = 1);
+  /// Begins anew, in metres.
+  void reset();
+  /// Clouds to come are in the map's own unit, of a scene as near as DenseMapper::unit() says.
+  void followUnit(double unit);
   /// A fused map, by its stamp [ns].
   void add(std::int64_t stamp, std::vector<SurfacePoint> points);
   void correct(const air_ground_common::CloudCorrections& corrections);
@@ -47,6 +52,7 @@ class MapStore {
 
   mutable std::mutex mutex_;
   std::deque<std::pair<std::int64_t, Kept>> clouds_;  // the oldest first
+  double cell_;                                       // of those to come, in the poses' unit
   PointMap settled_;                                  // those before, as they stand
 };
 

@@ -72,15 +72,26 @@ class MavVoNode : private ros_utils::Estimator {
   }
 
   void forgetMap() override {
-    ended_.clear();
     last_lost_.reset();
     pose_publisher_.beginMap();
     last_cloud_ = ros::Time();
   }
 
-  void forgetOdometry() override { pose_publisher_.reset(); }
-  void drop() override { odometry_.reset(); }
-  void reset() override { odometry_->reset(); }
+  /// A user wants to begin afresh, or a recording begins again.
+  void forgetOdometry() override {
+    pose_publisher_.reset();
+    ended_.clear();
+  }
+
+  void drop() override {
+    keepPresent();
+    odometry_.reset();
+  }
+
+  void reset() override {
+    keepPresent();
+    odometry_->reset();
+  }
   std::uint32_t mapId() const override { return odometry_ ? odometry_->mapId() : 1; }
 
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
@@ -248,18 +259,34 @@ class MavVoNode : private ros_utils::Estimator {
     return [points = std::move(points)] { return points; };
   }
 
+  static bool isWorthIt(const ros_utils::MapTrajectory& map) {
+    constexpr std::size_t kLeast = 20;  // poses
+    return map.poses.size() >= kLeast;
+  }
+
+  void addEnded(ros_utils::MapTrajectory map) {
+    constexpr std::size_t kMost = 20;  // maps
+    ended_.push_back(std::move(map));
+    if (ended_.size() > kMost) ended_.erase(ended_.begin());
+  }
+
   /// A map that is lost for too long ends, and its trajectory with it.
   void keepEnded(OdometryState before, OdometryState now) {
-    constexpr std::size_t kMost = 20, kWorthIt = 20;  // maps; poses
     const std::uint32_t id = shell_.mapId();
     if (last_lost_ && last_lost_->first != id) {
-      ended_.push_back(std::move(last_lost_->second));
+      addEnded(std::move(last_lost_->second));
       last_lost_.reset();
-      if (ended_.size() > kMost) ended_.erase(ended_.begin());
     }
     if (now != OdometryState::kLost || before == now) return;
     ros_utils::MapTrajectory lost = presentTrajectory();
-    if (lost.poses.size() >= kWorthIt) last_lost_.emplace(id, std::move(lost));
+    if (isWorthIt(lost)) last_lost_.emplace(id, std::move(lost));
+  }
+
+  /// Another calibration, or an IMU that turns up, ends a map that is not lost.
+  void keepPresent() {
+    odometry_->finish();
+    ros_utils::MapTrajectory present = presentTrajectory();
+    if (isWorthIt(present)) addEnded(std::move(present));
   }
 
   ros_utils::MapTrajectory presentTrajectory() const {
