@@ -31,8 +31,9 @@ class ImageClockImu {
     return R_given_imu_ * *R * R_given_imu_.transpose();
   }
 
-  std::optional<Preintegration> motion(double t0, double t1, const ImuNoise& noise, const ImuBias& bias) const {
-    auto samples = samplesBetween(buffer_, stamp(t0), stamp(t1));
+  std::optional<Preintegration> motion(double t0, double t1, const ImuNoise& noise, const ImuBias& bias,
+                                       double max_gap) const {
+    auto samples = samplesBetween(buffer_, stamp(t0), stamp(t1), max_gap);
     if (samples.size() < 2) return std::nullopt;
     for (ImuSample& sample : samples) sample = visual_frontend::turned(R_given_imu_, sample);
     Preintegration motion(noise, bias);

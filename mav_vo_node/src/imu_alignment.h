@@ -22,6 +22,9 @@ struct UpDirection {
 
 class ImuAlignment {
  public:
+  /// Without samples so long the motion between is not known: a packet that was lost [s].
+  static constexpr double kLongestGap = 0.09;
+
   /// `ray_sigma`: of a normalised image coordinate; `rows`: of the images.
   ImuAlignment(const OdometrySettings& settings, const Eigen::Matrix3d& R_camera_imu, double ray_sigma, int rows);
 
@@ -60,7 +63,8 @@ class ImuAlignment {
   /// R_a_b of the camera between two images' stamps, and its standard deviation; empty where samples are missing.
   std::optional<GyroRotation> cameraTurn(double stamp_a, double stamp_b, const Eigen::Vector3d& gyro_bias) const;
   std::optional<Preintegration> motion(double stamp_a, double stamp_b, const ImuBias& bias) const {
-    return imu_.motion(stamp_a, stamp_b, noise(), bias);
+    constexpr double kSlowest = 0.05;  // of an IMU's samples, that tells a vehicle's motion [s]
+    return imu_.motion(stamp_a, stamp_b, noise(), bias, coverageProblem().empty() ? kLongestGap : kSlowest);
   }
   /// As given, or more where the accelerometer's samples show more.
   ImuNoise noise() const;

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "air_ground_common/text.h"
+#include "imu_alignment.h"
 
 namespace mav_vo {
 
@@ -113,8 +114,10 @@ std::string MapScale::reason(double age) const {
            "and camera, the accelerometer's unit (m/s^2, with gravity) and noise densities, time stamps";
   }
   if (!filter_.initialized() && filter_.brokenWindows() >= kBrokenWindows) {
-    return "metric scale is not known yet: the IMU's samples have gaps of more than 0.05 s, so that no motion is known "
-           "long enough; see to its driver, rate and link";
+    return air_ground_common::formatted(
+        "metric scale is not known yet: the IMU's samples have gaps of more than %.2f s, so that no motion is known "
+        "long enough; see to its driver, rate and link",
+        ImuAlignment::kLongestGap);
   }
   const double stddev = filter_.initialized() ? filter_.relativeStddev() : filter_.startStddev();
   if (!std::isfinite(stddev)) return "metric scale is not known yet: it needs a second of motion";

@@ -102,9 +102,10 @@ InertialMap turningBy(const Eigen::Vector3d& rate, const Map& map) {
     inertial.states[id] = {};
     if (id == 0) continue;
     Preintegration motion(ImuNoise{}, ImuBias{});
-    for (double t = 0; t < 0.99; t += 0.1) {
+    for (int i = 0; i < 50; ++i) {
+      const double t = keyframe.stamp - 1 + 0.02 * i;
       const Eigen::Vector3d up(0, 0, kGravity);
-      motion.integrate({keyframe.stamp - 1 + t, rate, up}, {keyframe.stamp - 1 + t + 0.1, rate, up});
+      motion.integrate({t, rate, up}, {t + 0.02, rate, up});
     }
     inertial.links.emplace(id, motion);
   }

@@ -318,6 +318,16 @@ TEST(Odometry, SurvivesDroppedImagesExposureChangesAndBadImuSamples) {
   EXPECT_LT(std::abs(scale_error), 0.02);
 }
 
+// A link that loses a packet of 60 ms more often than once a second: the scale starts all the same.
+TEST(Odometry, FindsItsScaleOverLostPackets) {
+  Options options;
+  options.nan_imu = [](double t) { return std::fmod(t + 10, 0.9) < 0.06; };
+  const Outcome o = fly(options);
+  ASSERT_GT(o.metric_at, 0) << o.frames.back().reason;
+  EXPECT_LT(o.metric_at, 9);
+  EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
 TEST(Odometry, BridgesAGapInTheImu) {
   Options options;
   options.nan_imu = [](double t) { return t > 9 && t < 10.3; };

@@ -9,6 +9,15 @@
 
 namespace visual_frontend {
 
+namespace {
+
+// Where samples are missing, what the vehicle did between is a random walk pinned at both ends, whose mean has the
+// variance q dt / 12. A MAV changes by about 0.3 rad/s and 1 m/s^2 in a tenth of a second.
+constexpr double kUnseen = 0.025;                   // an ordinary IMU's samples are no further apart [s]
+constexpr double kTurnWalk = 0.9, kForceWalk = 10;  // q [rad^2/s^3], [m^2/s^5]
+
+}  // namespace
+
 using air_ground_common::expSO3;
 using air_ground_common::rightJacobianSO3;
 using air_ground_common::skew;
@@ -59,8 +68,9 @@ void Preintegration::integrate(const ImuSample& a, const ImuSample& b) {
 
   // White noise enters where the biases do, with variance density^2 / dt over the step.
   Eigen::Matrix<double, 6, 1> variance;
-  variance << Eigen::Vector3d::Constant(noise_.gyro_density * noise_.gyro_density / dt),
-      Eigen::Vector3d::Constant(noise_.accel_density * noise_.accel_density / dt);
+  const double unseen = dt > kUnseen ? dt / 12 : 0;
+  variance << Eigen::Vector3d::Constant(noise_.gyro_density * noise_.gyro_density / dt + kTurnWalk * unseen),
+      Eigen::Vector3d::Constant(noise_.accel_density * noise_.accel_density / dt + kForceWalk * unseen);
   covariance_ = F * covariance_ * F.transpose() + G * variance.asDiagonal() * G.transpose();
   bias_jacobian_ = F * bias_jacobian_ + G;
 
