@@ -14,7 +14,7 @@ namespace {
 std::vector<int> groupByPlace(const std::vector<int>& queried, const std::vector<cv::KeyPoint>& query, double radius) {
   std::unordered_map<std::int64_t, std::vector<int>> cells;  // of first features
   const auto cell = [&](float x) { return static_cast<std::int64_t>(std::floor(x / std::max(radius, 1e-3))); };
-  const auto key = [](std::int64_t x, std::int64_t y) { return (y << 32) + x; };
+  const auto key = [](std::int64_t x, std::int64_t y) { return y * (std::int64_t{1} << 32) + x; };
   std::vector<int> group(queried.size(), -1);
   for (int i = 0; i < static_cast<int>(queried.size()); ++i) {
     const cv::Point2f p = query.at(queried[i]).pt;
