@@ -271,13 +271,13 @@ double Odometry::Impl::mapTilt() const {
 
 // Error of the pose in the map: image noise, that of the keyframe it was made from, and what scale and tilt of the map
 // leave open, which grows from its origin.
-Matrix6d Odometry::Impl::mapCovariance() const {
+Matrix6d Odometry::Impl::mapCovariance(double tilt_stddev) const {
   Matrix6d C = pose.result().covariance;
   const double relative = metric() && scale.filter().initialized() ? scale.relativeStddev() : 0.0;
   const Eigen::Vector3d p = pose.pose().translation();
   C.topLeftCorner<3, 3>() += relative * relative * p * p.transpose();
   if (!frames.empty()) C += covariances.at(frames.lastReference(), p, map);
-  if (metric()) C += air_ground_common::tiltCovariance(mapTilt(), p);
+  C += air_ground_common::tiltCovariance(tilt_stddev, p);
   C.diagonal().array() += 1e-10;
   return C;
 }
@@ -314,7 +314,7 @@ void Odometry::Impl::fillResult(VoResult* result) const {
   result->depth_min = pose.depthMin();
   result->depth_max = pose.depthMax();
   result->T_map_camera = pose.pose();
-  result->camera_covariance = mapCovariance();
+  result->camera_covariance = mapCovariance(result->tilt_stddev);
   // In the visual unit the lever arm between camera and base_link is not known: the base is put at the camera.
   Pose T_camera_base = T_base_camera.inverse();
   if (!metric()) T_camera_base.translation() *= estimate.initialized() ? 1.0 / estimate.scale() : 0.0;
