@@ -2,9 +2,9 @@
 #pragma once
 
 #include <future>
-#include <optional>
 
 #include "visual_frontend/bundle_job.h"
+#include "visual_frontend/whole_map_thread.h"
 
 namespace mav_vo {
 
@@ -13,36 +13,30 @@ using visual_frontend::BundleJob;
 class AdjustmentThreads {
  public:
   /// `reproducible`: see OdometrySettings.
-  explicit AdjustmentThreads(bool reproducible) : reproducible_(reproducible) {}
+  explicit AdjustmentThreads(bool reproducible) : full_(reproducible) {}
 
-  /// Waits for what runs; nothing comes of it.
+  /// Waits for a local one that runs, and for an iteration of one of the whole map; nothing comes of either.
   void discard();
-  bool localRuns() const { return local_.result.valid(); }
-  bool fullRuns() const { return full_.result.valid(); }
+  bool localRuns() const { return local_.valid(); }
+  bool fullRuns() const { return full_.runs(); }
 
-  /// Solves the job on a thread of its own, one of the whole map on one of lowest priority. `stamp`: of the image [s].
-  /// None of its kind may be running.
+  /// Solves the job on a thread of its own. `stamp`: of the image [s]. None of its kind may be running.
   void start(BundleJob job, double stamp);
 
-  /// The image that takes a result over is known when the adjustment begins, not by when its thread has finished: what
-  /// a recording gives does not depend on how busy the machine is. Called once an image.
-  bool localDue();
-  /// Adjustments of the whole map may take seconds: asked for once a second of the recording; or due, and waited for,
-  /// at an image that their size decides.
-  bool fullDue(double stamp);
+  /// The image that takes a local result over is known when the adjustment begins, not by when its thread has finished:
+  /// what a recording gives does not depend on how busy the machine is. Called once an image.
+  bool localDue() { return localRuns() && ++images_ >= kAdoptAfterImages; }
+  bool fullDue(double stamp) { return full_.due(stamp); }  ///< see WholeMapThread
 
-  BundleJob awaitLocal() { return local_.result.get(); }  ///< waits
-  BundleJob awaitFull() { return full_.result.get(); }    ///< waits
+  BundleJob awaitLocal() { return local_.get(); }  ///< waits, so that no image is tracked on a map older than due
+  BundleJob awaitFull() { return full_.await(); }  ///< waits
 
  private:
-  struct Running {
-    std::future<BundleJob> result;
-    double stamp = 0;  ///< begun, or last asked for, at this image [s]
-    int images = 0;    ///< since
-    std::size_t keyframes = 0;
-  };
-  bool reproducible_;
-  Running local_, full_;
+  static constexpr int kAdoptAfterImages = 2;
+
+  std::future<BundleJob> local_;
+  int images_ = 0;  // since it began
+  visual_frontend::WholeMapThread full_;
 };
 
 }  // namespace mav_vo

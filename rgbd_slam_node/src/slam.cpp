@@ -50,6 +50,7 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
       dense(camera_model, slam_settings),
       surfaces(camera_model, slam_settings),
       reference(slam_settings),
+      whole(slam_settings.reproducible),
       camera(camera_model),
       calibration(camera_model, slam_settings.readout_time, slam_settings.radial_stddev, 0),
       motion(camera_model, mounted, slam_settings),
@@ -64,6 +65,8 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
 }
 
 void Slam::Impl::clear() {
+  whole.discard();
+  whole_outdated = false;
   tracking.reset();
   tracking.postponeReobservation();
   map.clear();
@@ -172,10 +175,12 @@ SlamResult Slam::Impl::process(double stamp, const cv::Mat& gray, const cv::Mat&
   ++counters.frames;
   if (last_stamp >= 0) motion.checkCoverage(last_stamp, stamp);
   last_stamp = stamp;
+  const bool adjusted = adoptWhole(stamp);
   const cv::Mat depth_now = carriedTo(stamp, depth, depth_delay);
   const RgbdImages images{stamp, gray, bgr.empty() ? gray : bgr, depth_now};
   const bool begun = state != State::kWaiting && state != State::kInitializing;
   SlamResult result = begun ? follow(images) : initialize(images);
+  result.map_corrected = result.map_corrected || adjusted;
   result.imu_problem = imuProblem();
   return result;
 }
@@ -344,6 +349,8 @@ SlamResult Slam::process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, 
                          double depth_delay) {
   return impl_->process(stamp, gray, bgr, depth, depth_delay);
 }
+
+bool Slam::finish() { return impl_->whole.runs() && impl_->takeWhole(); }
 
 air_ground_common::Trajectory Slam::trajectory() const { return impl_->frames.poses(impl_->map); }
 

@@ -16,6 +16,7 @@
 #include "visual_frontend/calibration_alignment.h"
 #include "visual_frontend/keyframe_covariances.h"
 #include "visual_frontend/landmark_tracks.h"
+#include "visual_frontend/whole_map_thread.h"
 
 namespace rgbd_slam {
 
@@ -73,7 +74,11 @@ struct Slam::Impl {
   std::optional<MapLevel::Correction> levelBySurfaces();
   void setCamera(const CameraModel& better_known);
   void adjustWindow(KeyframeId id);
-  void adjustWhole();
+  visual_frontend::BundleJob wholeMap() const;
+  void adjustWhole();             ///< beside the tracking, unless `synchronous`
+  void adjustWholeAtOnce();       ///< instead of what runs beside the tracking
+  bool adoptWhole(double stamp);  ///< what this frame must have of it; true when it moved the map
+  bool takeWhole();               ///< waits for it; likewise
   visual_frontend::BundleSettings bundleSettings() const;
 
   // ---- Fixed
@@ -92,6 +97,8 @@ struct Slam::Impl {
   DenseKeyframes dense;
   KeyframeSurfaces surfaces;
   ReferenceKeyframe reference;
+  visual_frontend::WholeMapThread whole;
+  bool whole_outdated = false;  ///< what runs began before the map was moved: it is to begin again
   int map_id = 0;
 
   // ---- Frame by frame

@@ -14,6 +14,10 @@ namespace {
 
 constexpr int kMostLinks = 3;                 // of a new keyframe to others by their surfaces
 constexpr std::size_t kMostCalibrating = 40;  // keyframes that tell of the calibration, the newest
+constexpr int kWholeIterations = 10;          // of an adjustment of the whole map
+constexpr double kMaxWholeSeconds = 2;        // and its wall clock while the frames wait [s]
+constexpr double kMaxBesideSeconds = 20;      // beside the tracking [s]
+constexpr double kNoLimit = 600;              // where a slow machine shall give the same [s]
 constexpr int kMostLookedThrough = 6;         // keyframes of a view, one each frame: a millisecond of work
 
 bool contains(const std::vector<KeyframeId>& list, KeyframeId id) {
@@ -175,7 +179,7 @@ bool Slam::Impl::alignShutter(const RgbdImages& images) {
   const Pose T_map_before = lastPose();
   moveRows(*readout - in_use, camera, frames, map, dense, surfaces);
   motion.setReadoutTime(*readout);
-  if (map.keyframeCount() > 1) adjustWhole();
+  if (map.keyframeCount() > 1) adjustWholeAtOnce();
   motion.moveMap(lastPose() * T_map_before.inverse());
   return true;
 }
@@ -204,7 +208,7 @@ bool Slam::Impl::alignCalibration() {
   dense.recalibrate(camera);
   surfaces.relink(map);
   shutter.distrust();
-  adjustWhole();
+  adjustWholeAtOnce();
   motion.moveMap(lastPose() * T_map_before.inverse());
   next_calibration = map.keyframeCount() + kCalibrationKeyframes / 2;
   return true;
@@ -239,6 +243,7 @@ bool Slam::Impl::levelMap() {
   motion.turn(S.R);
   if (correction->directions_false)
     for (const auto& entry : map.keyframes()) map.keyframe(entry.first).up_camera.reset();
+  if (whole.runs()) adjustWhole();
   return true;
 }
 
@@ -259,19 +264,66 @@ void Slam::Impl::adjustWindow(KeyframeId id) {
     free.erase(oldest);
   }
   if (free.empty()) return;
-  visual_frontend::adjustMap(map, camera, free, fixed, bundleSettings(), surfaces.links());
+  visual_frontend::BundleJob job =
+      visual_frontend::extractBundle(map, camera, free, fixed, bundleSettings(), surfaces.links());
+  job.solve();
+  visual_frontend::applyBundle(job, map);
+}
+
+visual_frontend::BundleJob Slam::Impl::wholeMap() const {
+  visual_frontend::BundleSettings bundle = bundleSettings();
+  bundle.max_iterations = kWholeIterations;
+  return visual_frontend::extractWholeMap(map, camera, bundle, surfaces.links());
+}
+
+void Slam::Impl::adjustWholeAtOnce() {
+  whole.discard();
+  whole_outdated = false;
+  visual_frontend::BundleJob job = wholeMap();
+  if (!settings.reproducible) job.settings.max_seconds = kMaxWholeSeconds;
+  job.solve();
+  visual_frontend::applyBundle(job, map);
 }
 
 void Slam::Impl::adjustWhole() {
-  visual_frontend::BundleSettings bundle = bundleSettings();
-  bundle.max_iterations = 10;
-  bundle.max_seconds = 2.0;
-  visual_frontend::adjustFullMap(map, camera, bundle, surfaces.links());
+  if (settings.synchronous) return adjustWholeAtOnce();
+  if (whole.runs()) {
+    whole.cancel();
+    whole_outdated = true;
+    return;
+  }
+  visual_frontend::BundleJob job = wholeMap();
+  if (!settings.reproducible) job.settings.max_seconds = kMaxBesideSeconds;
+  whole.start(std::move(job), last_stamp);
+}
+
+bool Slam::Impl::adoptWhole(double stamp) {
+  if (!whole.due(stamp)) return false;
+  if (!whole_outdated) return takeWhole();
+  whole.discard();
+  whole_outdated = false;
+  adjustWhole();
+  return false;
+}
+
+bool Slam::Impl::takeWhole() {
+  const Pose T_map_before = lastPose();
+  if (whole_outdated) {
+    adjustWholeAtOnce();
+  } else {
+    const visual_frontend::BundleJob job = whole.await();
+    if (!job.result.usable) return false;
+    visual_frontend::applyBundle(job, map);
+  }
+  motion.moveMap(lastPose() * T_map_before.inverse());
+  shutter.interrupt();
+  return true;
 }
 
 visual_frontend::BundleSettings Slam::Impl::bundleSettings() const {
   visual_frontend::BundleSettings bundle = settings.bundle;
   bundle.pixel_sigma = settings.pixel_sigma;
+  if (settings.reproducible) bundle.max_seconds = kNoLimit;
   bundle.use_gravity = settings.use_gravity && level.known() && level.settled();
   return bundle;
 }

@@ -78,6 +78,8 @@ void describe(air_ground_common::ParameterVisitor& v, SlamSettings& s) {
   v("loop_drift", s.loop_drift, {0.0, 1.0}, "",
     "plus this share of the way driven between its ends; others are refused");
   v("loop_max_rotation", s.loop_max_rotation, {0.01, 3.2}, "rad", "and may turn it by this");
+  v("synchronous", s.synchronous,
+    "the adjustment of the whole map that follows on the tracking thread, 2 s at most: frames wait for it");
 
   v.section("Ground cloud");
   v("voxel", s.cloud.voxel, {0.002, 0.5}, "m", "edge of a voxel, one point each");

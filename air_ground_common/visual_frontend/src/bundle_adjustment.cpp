@@ -1,6 +1,7 @@
 #include "visual_frontend/bundle_adjustment.h"
 
 #include <ceres/crs_matrix.h>
+#include <ceres/iteration_callback.h>
 #include <ceres/loss_function.h>
 #include <ceres/normal_prior.h>
 #include <ceres/problem.h>
@@ -87,6 +88,18 @@ std::unique_ptr<ceres::LossFunction> makeLoss(RobustLoss loss, double width) {
   return nullptr;
 }
 
+/// Ends the iterations once nobody wants the result any more.
+class Cancellation : public ceres::IterationCallback {
+ public:
+  explicit Cancellation(const std::atomic<bool>* cancelled) : cancelled_(cancelled) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
+    return *cancelled_ ? ceres::SOLVER_ABORT : ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  const std::atomic<bool>* cancelled_;
+};
+
 /// What is estimated of a camera.
 struct Block {
   Eigen::Matrix<double, 6, 1, Eigen::DontAlign> camera;  ///< centre in the map, rotation vector from R_0
@@ -141,6 +154,8 @@ class Solver {
     options.function_tolerance = problem_.calibration ? kCalibratedTolerance : kTolerance;
     options.parameter_tolerance = settings_.parameter_tolerance;
     options.logging_type = ceres::SILENT;
+    Cancellation cancellation(settings_.cancelled.get());
+    if (settings_.cancelled) options.callbacks.push_back(&cancellation);
     ceres::Solver::Summary summary;
     ceres::Solve(options, &ceres_, &summary);
     if (summary.IsSolutionUsable()) writeBack();

@@ -158,6 +158,29 @@ BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::ve
   return job;
 }
 
+BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
+                        const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
+                        const std::vector<KeyframeLink>& links) {
+  BundleJob job = extractBundle(map, camera, free, fixed, settings);
+  CameraIndex index;
+  for (std::size_t i = 0; i < job.keyframes.size(); ++i) index[job.keyframes[i]] = static_cast<int>(i);
+  for (const KeyframeLink& link : links) {
+    const auto a = index.find(link.a), b = index.find(link.b);
+    if (a != index.end() && b != index.end())
+      job.problem.priors.push_back({a->second, b->second, link.T_a_b, squareRoot(link.information), true});
+  }
+  return job;
+}
+
+BundleJob extractWholeMap(const Map& map, const CameraModel& camera, const BundleSettings& settings,
+                          const std::vector<KeyframeLink>& links) {
+  std::vector<KeyframeId> ids;
+  for (const auto& entry : map.keyframes()) ids.push_back(entry.first);
+  const std::size_t held = ids.empty() ? 0 : 1;
+  return extractBundle(map, camera, {ids.begin() + held, ids.end()}, {ids.begin(), ids.begin() + held}, settings,
+                       links);
+}
+
 void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial) {
   if (!job.result.usable) return;
   Pose correction = Pose::Identity();
@@ -179,30 +202,6 @@ void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial) {
     if (map.hasLandmark(job.landmarks[i])) map.landmark(job.landmarks[i]).position = job.problem.points[i];
   carryAlong(job, correction, map, inertial);
   removeOutliers(job, map);
-}
-
-BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
-                       const std::vector<KeyframeLink>& links) {
-  BundleJob job = extractBundle(map, camera, free, fixed, settings);
-  CameraIndex index;
-  for (std::size_t i = 0; i < job.keyframes.size(); ++i) index[job.keyframes[i]] = static_cast<int>(i);
-  for (const KeyframeLink& link : links) {
-    const auto a = index.find(link.a), b = index.find(link.b);
-    if (a != index.end() && b != index.end())
-      job.problem.priors.push_back({a->second, b->second, link.T_a_b, squareRoot(link.information), true});
-  }
-  job.solve();
-  applyBundle(job, map);
-  return job.result;
-}
-
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings,
-                           const std::vector<KeyframeLink>& links) {
-  std::vector<KeyframeId> ids;
-  for (const auto& entry : map.keyframes()) ids.push_back(entry.first);
-  const std::size_t held = ids.empty() ? 0 : 1;
-  return adjustMap(map, camera, {ids.begin() + held, ids.end()}, {ids.begin(), ids.begin() + held}, settings, links);
 }
 
 }  // namespace visual_frontend

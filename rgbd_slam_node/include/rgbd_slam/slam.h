@@ -103,6 +103,11 @@ struct SlamSettings {
   int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
   int max_fused_frames = 12;      ///< frames after a keyframe that refine its depth
 
+  bool synchronous = true;  ///< adjustments of the whole map inside process(): false: on a thread of their own
+  /// Beside the tracking: which frame has the result does not depend on the machine's speed, and waits for it; no
+  /// adjustment ends by the clock. For recordings, whose player can wait.
+  bool reproducible = false;
+
   /// Lost, and for so long images showed enough to begin a map, but no known place: begin a new map [s]; 0 = never
   double restart_after = 5;
 
@@ -133,7 +138,8 @@ struct SlamResult {
   std::string reason;       ///< why not tracking
   std::string imu_problem;  ///< why the IMU, or what contradicts of it, is left out, and what to do; empty: it is not
   bool keyframe = false;
-  bool map_corrected = false;            ///< earlier poses moved: loop closed, map levelled, shutter or lens found
+  bool map_corrected = false;            ///< earlier poses moved: loop closed, map adjusted or levelled, shutter or
+                                         ///< lens found
   bool recalibrated = false;             ///< what earlier keyframes saw lies elsewhere in their cameras
   bool points_gone = false;              ///< what posedPoints has of earlier keyframes is less: things went away
   bool relocalized = false;              ///< found again after being lost
@@ -176,6 +182,9 @@ class Slam {
   /// does while no motion is known. Throws std::invalid_argument for other types or a stamp that is not newer.
   SlamResult process(double stamp, const cv::Mat& gray, const cv::Mat& bgr, const cv::Mat& depth,
                      double depth_delay = 0);
+
+  /// Waits for the adjustment that runs beside the tracking. True: it has moved the map.
+  bool finish();
 
   /// Camera poses of all tracked frames in the map, placed by their keyframes as those stand now.
   air_ground_common::Trajectory trajectory() const;

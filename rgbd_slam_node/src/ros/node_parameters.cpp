@@ -7,6 +7,7 @@ NodeSettings::NodeSettings() {
   estimator.odom_frame = "ground_odom";
   estimator.base_frame = "ground_base_link";
   estimator.queue_size = 300;
+  slam.synchronous = false;
 }
 
 void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {

@@ -96,7 +96,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
       mounting.R_base_imu = T_base_imu->linear();
       mounting.p_base_imu = T_base_imu->translation();
     }
-    slam_ = std::make_unique<Slam>(camera, mounting, settings_.slam);
+    SlamSettings settings = settings_.slam;
+    settings.reproducible = ros::Time::isSimTime();
+    slam_ = std::make_unique<Slam>(camera, mounting, settings);
     depth_.setColourCamera(camera, T_base_camera);
     calibration_.setGiven(camera.k1);
   }
@@ -113,11 +115,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
   }
 
   void drop() override {
+    slam_->finish();
     ended_.add(shell_.mapId(), slam_->asEnded());
     slam_.reset();
   }
 
   void reset() override {
+    slam_->finish();
     ended_.add(shell_.mapId(), slam_->asEnded());
     slam_->reset();
   }
@@ -163,7 +167,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     if (r.keyframe) shell_.health().timing("keyframe", seconds);
     if (r.relocalized) ROS_INFO_THROTTLE(10, "found the way back into the map");
     if (r.map_corrected)
-      ROS_INFO("the map was corrected as a whole (loop closed, levelled, readout time or distortion found)");
+      ROS_INFO("the map was corrected as a whole (loop closed, adjusted, levelled, readout time or distortion found)");
     tellReadoutTime();
     calibration_.update(slam_->camera().k1);
     if (r.recalibrated) keyframes_.resendAll();
@@ -267,15 +271,27 @@ class RgbdSlamNode : private ros_utils::Estimator {
       keyframes_.publish(shell_.mapId(), last_stamp_, slam_->map());
   }
 
+  /// What is saved is the map with its adjustment, and receivers get the same.
+  void finishMap() {
+    if (!slam_->finish()) return;
+    ++map_revision_;
+    cloud_pacer_.changed(true);
+    keyframe_pacer_.changed(true);
+  }
+
   std::function<std::vector<ros_utils::CloudPoint>()> mapForFile() override {
     if (slam_->map().keyframeCount() == 0) throw std::runtime_error("there is no map yet");
+    finishMap();
     return
         [points = slam_->posedPoints(), how = settings_.slam.cloud] { return messagePoints(fusePoints(points, how)); };
   }
 
   std::vector<ros_utils::MapTrajectory> trajectories() override {
     std::vector<ros_utils::MapTrajectory> maps;
-    if (slam_->map().keyframeCount() > 0) maps.push_back({slam_->trajectory(), "", shell_.mapId()});
+    if (slam_->map().keyframeCount() > 0) {
+      finishMap();
+      maps.push_back({slam_->trajectory(), "", shell_.mapId()});
+    }
     ended_.appendTo(&maps);
     if (maps.empty()) throw std::runtime_error("there is no trajectory yet");
     return maps;

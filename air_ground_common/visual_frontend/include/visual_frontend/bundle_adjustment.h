@@ -2,6 +2,8 @@
 // inertial motion between the cameras, which makes scale and gravity direction observable (Forster 2017).
 #pragma once
 
+#include <atomic>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -28,6 +30,8 @@ struct BundleSettings {
   double max_seconds = 1.0;           ///< wall clock [s]; a result stopped by it is usable but not reproducible
   int threads = 1;
   double outlier_threshold = 3.0;  ///< sigmas; larger residuals are reported (and disconnected by applyBundle)
+  /// Set to true from another thread, the iterations end, and the result is not usable. Null: they run to their end.
+  std::shared_ptr<const std::atomic<bool>> cancelled = {};
 };
 
 struct InertialState {

@@ -51,17 +51,16 @@ BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::ve
                         const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
                         const InertialMap* inertial = nullptr);
 
+/// The same with `links`, of which those between keyframes of the job count.
+BundleJob extractBundle(const Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
+                        const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
+                        const std::vector<KeyframeLink>& links);
+/// The same of all keyframes; the oldest is held.
+BundleJob extractWholeMap(const Map& map, const CameraModel& camera, const BundleSettings& settings,
+                          const std::vector<KeyframeLink>& links);
+
 /// Puts a usable result into the map. Keyframes and landmarks that came since are carried along with the newest
 /// keyframe of the job. Disconnects outliers; landmarks left with one observation without depth are removed.
 void applyBundle(const BundleJob& job, Map& map, InertialMap* inertial = nullptr);
-
-/// extractBundle, solve and applyBundle at once. Of `links` those between keyframes of the job count.
-BundleResult adjustMap(Map& map, const CameraModel& camera, const std::vector<KeyframeId>& free,
-                       const std::vector<KeyframeId>& fixed, const BundleSettings& settings,
-                       const std::vector<KeyframeLink>& links = {});
-
-/// adjustMap over all keyframes; the oldest is held.
-BundleResult adjustFullMap(Map& map, const CameraModel& camera, const BundleSettings& settings,
-                           const std::vector<KeyframeLink>& links = {});
 
 }  // namespace visual_frontend
