@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 #include "air_ground_common/covariance.h"
 #include "air_ground_common/statistics.h"
@@ -68,32 +69,67 @@ void ViewMatcher::addKeyframe(const KeyframeView& view) {
 }
 
 void ViewMatcher::setPoses(const std::map<std::uint32_t, Pose>& T_ground_camera) {
-  std::vector<KeyframeId> gone, stay;
-  for (const auto& [name, id] : ids_) (T_ground_camera.count(name) ? stay : gone).push_back(id);
-  for (const KeyframeId id : gone) moveImages(id, stay);
-  for (auto it = ids_.begin(); it != ids_.end();) {
-    const auto pose = T_ground_camera.find(it->first);
-    if (pose != T_ground_camera.end()) {
-      map_.keyframe(it->second).T_map_camera = pose->second;
-      ++it;
-      continue;
-    }
-    map_.removeKeyframe(it->second);
-    scenes_.erase(it->second);
-    it = ids_.erase(it);
+  Poses now;
+  std::vector<KeyframeId> gone;
+  for (const auto& [name, id] : ids_) {
+    const auto pose = T_ground_camera.find(name);
+    if (pose == T_ground_camera.end())
+      gone.push_back(id);
+    else
+      now[id] = pose->second;
   }
+  for (const KeyframeId id : gone) moveImages(id, now);
+  if (bends(now))
+    for (Image& image : waiting_)
+      if (std::exchange(image.ambiguous, false)) image.next_keyframe = 0;
+  for (const auto& [id, T] : now) map_.keyframe(id).T_map_camera = T;
+  for (const KeyframeId id : gone) {
+    map_.removeKeyframe(id);
+    scenes_.erase(id);
+  }
+  for (auto it = ids_.begin(); it != ids_.end();) it = now.count(it->second) ? std::next(it) : ids_.erase(it);
+  placed_ = std::move(now);
 }
 
-// The ground robot replaces keyframes by newer ones of the same view.
-void ViewMatcher::moveImages(KeyframeId gone, const std::vector<KeyframeId>& stay) {
+bool ViewMatcher::bends(const Poses& now) const {
+  constexpr double kShift = 0.1, kTurn = 0.05;  // [m], [rad]
+  std::optional<Pose> T_now_then;
+  for (const auto& [id, T] : now) {
+    const auto then = placed_.find(id);
+    if (then == placed_.end()) continue;
+    if (!T_now_then) T_now_then = T * then->second.inverse();
+    const Pose moved = *T_now_then * then->second;
+    if ((moved.translation() - T.translation()).norm() > kShift ||
+        air_ground_common::rotationAngle(moved.linear(), T.linear()) > kTurn)
+      return true;
+  }
+  return false;
+}
+
+std::optional<Pose> ViewMatcher::carriedAlong(const Pose& T_ground_gone, const Poses& now) const {
+  double least = 2.0;  // further away a correction may be another one [m]
+  std::optional<Pose> carried;
+  for (const auto& [id, T] : now) {
+    const auto then = placed_.find(id);
+    if (then == placed_.end()) continue;
+    const double distance = (then->second.translation() - T_ground_gone.translation()).norm();
+    if (distance >= least) continue;
+    least = distance;
+    carried = T * then->second.inverse() * T_ground_gone;
+  }
+  return carried;
+}
+
+// The ground robot replaces keyframes by newer ones of the same view, which are of the map as it is now.
+void ViewMatcher::moveImages(KeyframeId gone, const Poses& now) {
   constexpr double kShift = 0.5, kTurn = 0.5;  // [m], [rad]; else it is not the same view
-  const Pose& T_ground_gone = map_.keyframe(gone).T_map_camera;
+  const auto T_ground_gone = carriedAlong(map_.keyframe(gone).T_map_camera, now);
   std::optional<KeyframeId> nearest;
   double least = kShift;
-  for (const KeyframeId id : stay) {
-    const Pose& T = map_.keyframe(id).T_map_camera;
-    const double shift = (T.translation() - T_ground_gone.translation()).norm();
-    if (shift >= least || air_ground_common::rotationAngle(T.linear(), T_ground_gone.linear()) > kTurn) continue;
+  for (const auto& [id, T] : now) {
+    if (!T_ground_gone) break;
+    const double shift = (T.translation() - T_ground_gone->translation()).norm();
+    if (shift >= least || air_ground_common::rotationAngle(T.linear(), T_ground_gone->linear()) > kTurn) continue;
     least = shift;
     nearest = id;
   }
@@ -104,7 +140,7 @@ void ViewMatcher::moveImages(KeyframeId gone, const std::vector<KeyframeId>& sta
     images_.erase(lost, images_.end());
     return;
   }
-  const Pose T_new_gone = map_.keyframe(*nearest).T_map_camera.inverse() * T_ground_gone;
+  const Pose T_new_gone = now.at(*nearest).inverse() * *T_ground_gone;
   for (RecognisedImage& seen : images_) {
     if (seen.keyframe != gone) continue;
     seen.keyframe = *nearest;
@@ -168,6 +204,7 @@ bool ViewMatcher::recognise(Image& image) {
     among.places = known;
     match = visual_frontend::relocalize(map_, image.camera, image.features, among, settings_.place);
   }
+  image.ambiguous = image.ambiguous || match.ambiguous;
   last_reason_ = match.success ? "" : match.reason;
   if (!match.success) return false;
   RecognisedImage seen{
@@ -265,6 +302,7 @@ void ViewMatcher::correctAerial(const air_ground_common::PosesByStamp& T_mav_cam
 void ViewMatcher::forgetGround() {
   map_.clear();
   ids_.clear();
+  placed_.clear();
   scenes_.clear();
   for (RecognisedImage& seen : images_) waitAgain(std::move(seen.image));
   images_.clear();

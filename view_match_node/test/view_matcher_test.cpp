@@ -14,6 +14,14 @@ class ViewMatching : public testing::Test, protected CornerScene {
     for (const KeyframeView& view : groundViews(corner)) matcher.addKeyframe(view);
   }
 
+  /// As the node adds them.
+  void placeGroundViews(const Corner& corner, ViewMatcher& matcher) const {
+    addGroundViews(corner, matcher);
+    std::map<std::uint32_t, Pose> poses;
+    for (const KeyframeView& view : groundViews(corner)) poses[view.id] = view.T_ground_camera;
+    matcher.setPoses(poses);
+  }
+
   bool addView(const Corner& corner, ViewMatcher& matcher, const Pose& T_ground_camera, std::int64_t stamp = 0) const {
     cv::Mat depth;
     const cv::Mat image = render(corner, T_ground_camera, &depth);
@@ -253,29 +261,82 @@ TEST_F(ViewMatching, AnImageOfTwoPlacesIsNotTakenAtTheNextKeyframeOfOne) {
   EXPECT_EQ(matcher.estimate().status, MatchStatus::kSearching) << matcher.estimate().reason;
 }
 
+// Once as they stand, once while the loop that they close moves all of the map.
 TEST_F(ViewMatching, ImagesFollowAKeyframeThatIsReplaced) {
   truth.scale = 1;
   const Corner corner(3);
+  for (const double shift : {0.0, 0.3}) {
+    const Pose T_now_then(Eigen::Translation3d(shift, -0.5 * shift, 0));
+    ViewMatcher matcher({});
+    placeGroundViews(corner, matcher);
+    addFlight(corner, matcher);
+    const MatchEstimate before = matcher.estimate();
+    ASSERT_EQ(before.status, MatchStatus::kConverged) << before.reason;
+    std::map<std::uint32_t, Pose> poses;
+    for (KeyframeView view : groundViews(corner)) {
+      if (!poses.empty()) {  // one stays
+        view.id += 500;
+        view.T_ground_camera = view.T_ground_camera * Pose(Eigen::Translation3d(0.02, 0.01, 0)) *
+                               Pose(Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitY()));
+      }
+      poses[view.id] = view.T_ground_camera = T_now_then * view.T_ground_camera;
+      matcher.addKeyframe(view);
+    }
+    matcher.setPoses(poses);
+    const MatchEstimate after = matcher.estimate();
+    EXPECT_EQ(after.status, MatchStatus::kConverged) << after.reason;
+    EXPECT_EQ(after.images, before.images);
+    EXPECT_LT((after.T_ground_mav.t - T_now_then * before.T_ground_mav.t).norm(), 1e-3) << shift;
+    const auto variance = [](const MatchEstimate& e) { return e.covariance.diagonal().head<3>().sum(); };
+    EXPECT_NEAR(variance(after) / variance(before), 1, 0.02);
+  }
+}
+
+// All of them are replaced at once: nobody knows how the map has moved.
+TEST_F(ViewMatching, ImagesOfKeyframesOfWhichNoneStaysWait) {
+  truth.scale = 1;
+  const Corner corner(3);
   ViewMatcher matcher({});
-  addGroundViews(corner, matcher);
+  placeGroundViews(corner, matcher);
   addFlight(corner, matcher);
-  const MatchEstimate before = matcher.estimate();
-  ASSERT_EQ(before.status, MatchStatus::kConverged) << before.reason;
   std::map<std::uint32_t, Pose> poses;
   for (KeyframeView view : groundViews(corner)) {
     view.id += 500;
-    view.T_ground_camera = view.T_ground_camera * Pose(Eigen::Translation3d(0.02, 0.01, 0)) *
-                           Pose(Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitY()));
+    poses[view.id] = view.T_ground_camera = Pose(Eigen::Translation3d(0.3, 0, 0)) * view.T_ground_camera;
     matcher.addKeyframe(view);
-    poses[view.id] = view.T_ground_camera;
   }
+  const MatchEstimate before = matcher.estimate();
   matcher.setPoses(poses);
+  EXPECT_EQ(matcher.estimate().images, 0);
+  EXPECT_TRUE(matcher.matchWaiting());
   const MatchEstimate after = matcher.estimate();
-  EXPECT_EQ(after.status, MatchStatus::kConverged) << after.reason;
-  EXPECT_EQ(after.images, before.images);
-  EXPECT_LT((after.T_ground_mav.t - before.T_ground_mav.t).norm(), 1e-3);
-  const auto variance = [](const MatchEstimate& e) { return e.covariance.diagonal().head<3>().sum(); };
-  EXPECT_NEAR(variance(after) / variance(before), 1, 0.02);
+  ASSERT_EQ(after.status, MatchStatus::kConverged) << after.reason;
+  EXPECT_LT((after.T_ground_mav.t - before.T_ground_mav.t - Eigen::Vector3d(0.3, 0, 0)).norm(), 0.02);
+}
+
+// A corner that drift has mapped twice is one when the loop closes: what was seen of it is looked for again.
+TEST_F(ViewMatching, ImagesOfAPlaceMappedTwiceAreFoundOnceTheLoopCloses) {
+  truth.scale = 1;
+  const Corner corner(4);
+  ViewMatcher matcher({});
+  std::map<std::uint32_t, Pose> drifted, closed;
+  for (const std::uint32_t round : {0, 1000})
+    for (KeyframeView view : groundViews(corner)) {
+      view.id += round;
+      closed[view.id] = view.T_ground_camera;
+      if (round > 0) view.T_ground_camera = Pose(Eigen::Translation3d(1.2, 0, 0)) * view.T_ground_camera;
+      drifted[view.id] = view.T_ground_camera;
+      matcher.addKeyframe(view);
+    }
+  matcher.setPoses(drifted);
+  addFlight(corner, matcher);
+  ASSERT_NE(matcher.estimate().status, MatchStatus::kConverged);
+  EXPECT_FALSE(matcher.matchWaiting());
+  matcher.setPoses(closed);
+  EXPECT_TRUE(matcher.matchWaiting());
+  const MatchEstimate e = matcher.estimate();
+  ASSERT_EQ(e.status, MatchStatus::kConverged) << e.reason;
+  EXPECT_LT((e.T_ground_mav * inMavMap(flown(3)).translation() - flown(3).translation()).norm(), 0.04);
 }
 
 TEST_F(ViewMatching, KeyframesThatComeAgainChangeNothing) {

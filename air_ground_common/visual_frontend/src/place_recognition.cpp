@@ -330,6 +330,7 @@ PlaceMatch relocalize(const Map& map, const CameraModel& camera, const Keyframe&
   for (const PlaceMatch& m : checked) {
     if (!contests(m, best, map, gate.min_lead)) continue;
     best.success = false;
+    best.ambiguous = true;
     best.reason = "two places look alike (" + std::to_string(best.inliers) + " and " + std::to_string(m.inliers) +
                   " points agree)";
     break;

@@ -6,6 +6,7 @@
 #include <deque>
 #include <map>
 #include <opencv2/core/mat.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -113,6 +114,7 @@ class ViewMatcher {
     std::vector<Eigen::Vector3d> seen;          // landmarks before the camera: pixel and depth
     double distance;                            // median of their depths; 0: none
     visual_frontend::KeyframeId next_keyframe;  // the first that it was not looked for in
+    bool ambiguous = false;                     // it was found, at two places
   };
   struct RecognisedImage {
     Image image;
@@ -128,8 +130,13 @@ class ViewMatcher {
   void wait(Image image);
   /// For all keyframes: it has lost the one where it was recognised.
   void waitAgain(Image image);
-  /// To the one of the keyframes that stay which has the same view as one that goes, if there is one.
-  void moveImages(visual_frontend::KeyframeId gone, const std::vector<visual_frontend::KeyframeId>& stay);
+  using Poses = std::map<visual_frontend::KeyframeId, Pose>;
+  /// To the keyframe `now` which has the same view as the one that goes, if there is one.
+  void moveImages(visual_frontend::KeyframeId gone, const Poses& now);
+  /// Where a keyframe that goes would stand now: it was corrected as one that stays close by. Empty: none does.
+  std::optional<Pose> carriedAlong(const Pose& T_ground_gone, const Poses& now) const;
+  /// The keyframes that stay have moved against each other: a place that was mapped twice may be one now.
+  bool bends(const Poses& now) const;
   void compareDepths(const Image& image, RecognisedImage& seen) const;
   /// From 1 on they are two views of what lies at that distance; infinity where it is 0 and the camera has moved.
   double difference(const Pose& T_mav_camera, const Pose& T_mav_other, double distance) const;
@@ -140,6 +147,7 @@ class ViewMatcher {
   MatcherSettings settings_;
   visual_frontend::Map map_;
   std::map<std::uint32_t, visual_frontend::KeyframeId> ids_;
+  Poses placed_;  // by the last setPoses; those that have come since are as of the map to come
   std::map<visual_frontend::KeyframeId, Eigen::Vector3d> scenes_;  // middle of a keyframe's points, in its camera
   std::vector<RecognisedImage> images_;
   std::deque<Image> waiting_;

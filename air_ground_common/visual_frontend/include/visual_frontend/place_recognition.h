@@ -33,6 +33,7 @@ std::vector<std::pair<int, int>> matchDescriptors(const cv::Mat& a, const cv::Ma
 struct PlaceMatch {
   bool success = false;
   std::string reason;
+  bool ambiguous = false;                  ///< no success, since another place looks alike
   KeyframeId keyframe = kNoKeyframe;       ///< the place
   Pose T_place_query = Pose::Identity();   ///< camera of the query in the camera frame of the place
   Matrix6d covariance = Matrix6d::Zero();  ///< of T_place_query, in the place's camera frame
