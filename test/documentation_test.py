@@ -36,7 +36,7 @@ def read(*path):
 def sources(node):
     paths = [path for kind in ('cpp', 'h') for path in glob.glob(os.path.join(ROOT, f'{node}_node', 'src', '**', f'*.{kind}'), recursive=True)]
     if node in ('mav_vo', 'rgbd_slam'):
-        paths.append(os.path.join(ROOT, 'air_ground_common', 'src', 'ros', 'estimator_shell.cpp'))
+        paths += [os.path.join(ROOT, 'air_ground_common', 'src', 'ros', f'estimator_{part}.cpp') for part in ('shell', 'services')]
     return '\n'.join(read(path) for path in paths)
 
 
@@ -253,15 +253,25 @@ class Documentation(unittest.TestCase):
                 self.assertEqual([words[words.index(name) + 1] for name in ('--images', f'--{option}')], [f'{home}/x', home + path])
 
     def test_empty_arguments_leave_what_the_yaml_says(self):
+        said = {'publish_tf': False, 'accel_topic': 'mav/accel', 'image_transport': 'compressed', 'depth_transport': 'compressed', 'depth_registered': False}
         with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
-            file.write('publish_tf: false\naccel_topic: mav/accel\nimage_transport: compressed\n')
+            yaml.safe_dump(said, file)
             file.flush()
             for launch, given, names in (('tracker.launch', [f'ekf_tracker_config:={file.name}'], ('publish_tf', 'accel_topic')),
-                                         ('city_localizer.launch', ['database:=x.gpkg', f'streetview_localizer_config:={file.name}'], ('image_transport',))):
-                config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
-                params = {name.rsplit('/', 1)[-1]: p.value for name, p in config.params.items()}
-                for name in names:
-                    self.assertEqual(params[name], {'publish_tf': False, 'accel_topic': 'mav/accel', 'image_transport': 'compressed'}[name], launch)
+                                         ('city_localizer.launch', ['database:=x.gpkg', f'streetview_localizer_config:={file.name}'], ('image_transport',)),
+                                         ('mav.launch', [f'mav_vo_config:={file.name}'], ('accel_topic', 'image_transport')),
+                                         ('ground.launch', [f'rgbd_slam_config:={file.name}'], ('accel_topic', 'image_transport', 'depth_transport', 'depth_registered'))):
+                self.assertEqual(self.parameters(launch, given, names), {name: said[name] for name in names}, launch)
+            given = [f'rgbd_slam_config:={file.name}', 'ground_depth_registered:=true', 'ground_depth_transport:=raw', 'ground_image_transport:=raw', 'ground_imu_accel:=/accel']
+            given += [f'mav_vo_config:={file.name}', 'mav_image_transport:=raw', 'mav_imu_accel:=/accel']
+            for launch, names in (('ground.launch', ('depth_registered', 'depth_transport', 'image_transport', 'accel_topic')), ('mav.launch', ('image_transport', 'accel_topic'))):
+                known = [word for word in given if word.partition(':=')[0] in arguments(launch)]
+                self.assertEqual(self.parameters(launch, known, names), {name: {'depth_registered': True, 'accel_topic': '/accel'}.get(name, 'raw') for name in names}, launch)
+
+    def parameters(self, launch, given, names):
+        """Of the first node that a launch file starts with these."""
+        config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), given)], 11999)
+        return {name: next(p.value for key, p in config.params.items() if key.rsplit('/', 1)[-1] == name) for name in names}
 
     def test_folders_with_spaces(self):
         """roslaunch splits a node's args as a shell does: paths in them must be quoted."""

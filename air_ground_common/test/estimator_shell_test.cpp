@@ -29,7 +29,10 @@ class StandIn : public Estimator {
   std::uint32_t mapId() const override { return map_id_; }
   void forgetMap() override {}
   void drop() override { made_ = false; }
-  void reset() override { ++map_id_; }
+  void reset() override {
+    if (fail_reset.exchange(false)) throw std::bad_alloc();
+    ++map_id_;
+  }
   bool addImu(const ImuInput::Sample& sample) override {
     ++samples;
     const bool later = sample.stamp > last_sample_;
@@ -50,15 +53,19 @@ class StandIn : public Estimator {
     if (fail_idle.exchange(false)) throw std::bad_alloc();
   }
   std::function<std::vector<CloudPoint>()> mapForFile() override {
-    return [] { return std::vector<CloudPoint>(1); };
+    return [this] {
+      for (++saving; slow; std::this_thread::sleep_for(std::chrono::milliseconds(5))) {
+      }
+      return std::vector<CloudPoint>(1);
+    };
   }
   std::vector<MapTrajectory> trajectories() override {
     const Trajectory pose(1);
     return {{pose, "", 9}, {pose, "", 8}, {pose, "", 7}};
   }
 
-  std::atomic<bool> fail{false}, fail_idle{false};
-  std::atomic<int> images{0}, published{0}, depths{0}, samples{0}, disorder{0};
+  std::atomic<bool> fail{false}, fail_idle{false}, fail_reset{false}, slow{false};
+  std::atomic<int> saving{0}, images{0}, published{0}, depths{0}, samples{0}, disorder{0};
 
  private:
   bool made_ = false;
@@ -131,6 +138,30 @@ TEST_F(Shell, NothingThatTheEstimatorThrowsEndsTheWorker) {
   ASSERT_TRUE(spinUntil([&] { return !estimator_.fail_idle; }));  // no more images
   const int before = estimator_.images;
   EXPECT_TRUE(publishUntil([&] { return estimator_.images > before; })) << "it works on";
+  // A recording begins again, and what there was cannot be kept.
+  estimator_.fail_reset = true;
+  next_ = -500;
+  ASSERT_TRUE(publishUntil([&] { return shell_->health().counted("starting afresh: std::bad_alloc") > 0; }));
+  const int images = estimator_.images;
+  EXPECT_TRUE(publishUntil([&] { return estimator_.images > images; })) << "the time that comes counts";
+}
+
+TEST_F(Shell, ServicesThatTakeLongHoldUpNoInput) {
+  ASSERT_TRUE(publishUntil([&] { return estimator_.images > 3; }));
+  estimator_.slow = true;
+  std::vector<std::thread> users;
+  for (int i = 0; i < 3; ++i)
+    users.emplace_back([i] {
+      air_ground::SaveMap map;
+      map.request.path = testing::TempDir() + "held_" + std::to_string(getpid()) + std::to_string(i) + ".ply";
+      EXPECT_TRUE(ros::service::call(ros::this_node::getName() + "/save_map", map) && map.response.success);
+      std::filesystem::remove(map.request.path);
+    });
+  EXPECT_TRUE(publishUntil([&] { return estimator_.saving > 0; }));
+  const int before = estimator_.images;
+  EXPECT_TRUE(publishUntil([&] { return estimator_.images > before + 5; }));
+  estimator_.slow = false;
+  for (std::thread& user : users) user.join();
 }
 
 // Without calibration images wait.

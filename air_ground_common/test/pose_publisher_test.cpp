@@ -155,6 +155,51 @@ TEST(PosePublisher, FitsMapToOdomToTheOdometryOnTf) {
   ASSERT_TRUE(spinUntil([&] { return mapToOdom().back().header.stamp == ros::Time(50.5); }));
 }
 
+// Odometry of wheels that divides by a time of 0, say; and edges that pass one by one.
+TEST(PosePublisher, TransformsThatAreNoneEndNothing) {
+  NodeHealth health("pose_publisher_test");
+  const NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
+  PosePublisherSettings settings{"map", "wheels", "robot", "odometry", "path"};
+  settings.odom_from_tf = true;
+  PosePublisher publisher(ros::NodeHandle(), settings, health);
+  const Listener listener;
+  tf2_ros::TransformBroadcaster wheels;
+  const auto send = [&](double stamp, double x, double w) {
+    const std::vector<std::string> frames{"wheels", "axle", "body", "robot"};
+    std::vector<geometry_msgs::TransformStamped> chain(3);
+    for (std::size_t i = 0; i < chain.size(); ++i) {
+      chain[i].header.stamp = ros::Time(stamp);
+      chain[i].header.frame_id = frames[i];
+      chain[i].child_frame_id = frames[i + 1];
+      chain[i].transform.rotation.z = chain[i].transform.rotation.w = w;
+      chain[i].transform.translation.x = x;
+    }
+    wheels.sendTransform(chain);
+  };
+  const auto mapToOdom = [&] {
+    for (const auto& message : listener.tf)
+      for (const auto& edge : message.transforms)
+        if (edge.child_frame_id == "wheels") return edge.header.stamp.toSec();
+    return 0.0;
+  };
+  const Matrix6d covariance = 0.01 * Matrix6d::Identity();
+  double stamp = 100;
+  const auto publishUntil = [&](double x, double w, const std::function<bool()>& done) {
+    return spinUntil([&] {
+      publisher.publish(ros::Time(stamp += 0.1), Pose::Identity(), {}, covariance);
+      send(stamp, x, w);
+      return done();
+    });
+  };
+  const std::string none = "poses without 'wheels' -> 'robot'";
+  ASSERT_TRUE(publishUntil(INFINITY, std::sqrt(0.5), [&] { return diagnostics.counted(none) > 0; }));
+  EXPECT_EQ(mapToOdom(), 0);
+  const int before = diagnostics.counted(none);
+  ASSERT_TRUE(publishUntil(0, 0.71, [&] { return diagnostics.counted(none) > before + 20; }));
+  EXPECT_EQ(mapToOdom(), 0);
+  EXPECT_TRUE(publishUntil(0, std::sqrt(0.5), [&] { return mapToOdom() > 0; })) << "right ones count";
+}
+
 TEST(BoundedPath, ThinsOutAndIsPublishedOnceASecond) {
   BoundedPath path("m", 0.1, 50);
   int published = 0;

@@ -7,9 +7,27 @@
 
 namespace air_ground_common::ros_utils {
 
-void EstimatorShell::start() { worker_ = std::thread(&EstimatorShell::work, this); }
+namespace {
+
+constexpr int kWarn = 1;
+
+}  // namespace
+
+// By a thread of their own: one that writes a file, or waits for an image that is worked on, holds no input up.
+void EstimatorShell::advertiseServices() {
+  service_handle_.setCallbackQueue(&service_queue_);
+  services_ = {service_handle_.advertiseService("save_map", &EstimatorShell::saveMap, this),
+               service_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
+               service_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
+}
+
+void EstimatorShell::start() {
+  worker_ = std::thread(&EstimatorShell::work, this);
+  service_spinner_.start();
+}
 
 void EstimatorShell::stop() {
+  service_spinner_.stop();
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
     stop_ = true;
@@ -77,6 +95,29 @@ bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request
     const std::string path = absolutePath(request.path);
     return saveTrajectoryTo(path, true, &response.poses);
   });
+}
+
+/// The next one goes on with the maps' numbers; this one knows its own until it is gone.
+void EstimatorShell::dropEstimator() {
+  const std::uint32_t maps = estimator_.mapId();
+  estimator_.drop();
+  map_id_offset_ += maps;
+}
+
+/// `all`: calibration and mountings are read again, too.
+void EstimatorShell::resetEstimator(bool all) {
+  const std::lock_guard<std::mutex> lock(estimator_mutex_);
+  try {
+    if (estimator_.exists()) all ? dropEstimator() : estimator_.reset();
+  } catch (const std::exception& e) {  // of keeping what there was: the time that comes must not wait for that
+    health_.count(std::string("starting afresh: ") + e.what());
+  }
+  imu_input_.reset();
+  if (all) imu_seen_ = false;
+  estimator_.forgetMap();
+  estimator_.forgetOdometry();
+  last_stamp_ = ros::Time();
+  health_.state(kWarn, "started afresh: waiting for images");
 }
 
 bool EstimatorShell::reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {

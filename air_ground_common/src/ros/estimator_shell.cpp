@@ -96,9 +96,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
     depth_topic_ = listen(names.depth, true, &EstimatorShell::onDepth);
   }
   image_topic_ = listen(names.image, false, &EstimatorShell::onImage);
-  services_ = {private_handle_.advertiseService("save_map", &EstimatorShell::saveMap, this),
-               private_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
-               private_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
+  advertiseServices();
 }
 
 // ---- Inputs
@@ -281,20 +279,22 @@ void EstimatorShell::work() {
       }
       reportUnmatched();
     }
-    if (restart) {
-      frame_.reset();
-      resetEstimator(false);
-    } else if (!frame_ && !obstacle.reason.empty()) {
-      reportObstacle(obstacle, newest);
-    } else {
-      const bool image = frame_.has_value();
-      try {
-        image ? attemptFrame() : idle();
-      } catch (const std::exception& e) {
-        health_.count(std::string(image ? "images refused: " : "between images: ") + e.what());
-        if (image) health_.withheld(std::string("images are refused: ") + e.what());
+    const bool image = !restart && frame_;
+    try {
+      if (restart) {
         frame_.reset();
+        resetEstimator(false);
+      } else if (image) {
+        attemptFrame();
+      } else if (!obstacle.reason.empty()) {
+        reportObstacle(obstacle, newest);
+      } else {
+        idle();
       }
+    } catch (const std::exception& e) {
+      health_.count(std::string(image ? "images refused: " : "between images: ") + e.what());
+      if (image) health_.withheld(std::string("images are refused: ") + e.what());
+      frame_.reset();
     }
   }
 }
@@ -423,25 +423,6 @@ void EstimatorShell::reportObstacle(const Obstacle& obstacle, const ros::Time& s
   status.reason = obstacle.reason;
   status.map_id = mapId();
   status_publisher_.publish(status);
-}
-
-/// The next one goes on with the maps' numbers; this one knows its own until it is gone.
-void EstimatorShell::dropEstimator() {
-  const std::uint32_t maps = estimator_.mapId();
-  estimator_.drop();
-  map_id_offset_ += maps;
-}
-
-/// `all`: calibration and mountings are read again, too.
-void EstimatorShell::resetEstimator(bool all) {
-  const std::lock_guard<std::mutex> lock(estimator_mutex_);
-  if (estimator_.exists()) all ? dropEstimator() : estimator_.reset();
-  imu_input_.reset();
-  if (all) imu_seen_ = false;
-  estimator_.forgetMap();
-  estimator_.forgetOdometry();
-  last_stamp_ = ros::Time();
-  health_.state(kWarn, "started afresh: waiting for images");
 }
 
 }  // namespace air_ground_common::ros_utils

@@ -1,6 +1,7 @@
 #include "map_to_odom.h"
 
 #include <iterator>
+#include <stdexcept>
 #include <vector>
 
 #include "air_ground_common/ros/conversions.h"
@@ -59,9 +60,12 @@ std::optional<Pose> MapToOdom::odomAt(const ros::Time& stamp, std::string* why) 
   if (!buffer_.canTransform(odom_frame_, base_frame_, stamp, why)) return std::nullopt;
   try {
     return fromMsg(buffer_.lookupTransform(odom_frame_, base_frame_, stamp).transform);
-  } catch (const tf2::TransformException&) {  // tf was cleared since
-    return std::nullopt;
+  } catch (const tf2::TransformException& e) {  // tf was cleared since
+    if (why) *why = e.what();
+  } catch (const std::invalid_argument& e) {  // edges that are hardly rotations make none together
+    if (why) *why = e.what();
   }
+  return std::nullopt;
 }
 
 }  // namespace air_ground_common::ros_utils

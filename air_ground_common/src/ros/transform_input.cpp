@@ -3,11 +3,23 @@
 #include <ros/console.h>
 #include <ros/message_event.h>
 
+#include <cmath>
 #include <utility>
 
 #include "air_ground_common/ros/health.h"
 
 namespace air_ground_common::ros_utils {
+namespace {
+
+/// tf2 looks for NaN, and takes infinity.
+bool isFinite(const geometry_msgs::Transform& T) {
+  for (const double number :
+       {T.translation.x, T.translation.y, T.translation.z, T.rotation.x, T.rotation.y, T.rotation.z, T.rotation.w})
+    if (!std::isfinite(number)) return false;
+  return true;
+}
+
+}  // namespace
 
 TransformInput::TransformInput(tf2_ros::Buffer& buffer, Listener listener)
     : buffer_(buffer), listener_(std::move(listener)) {
@@ -40,6 +52,7 @@ void TransformInput::onMessage(const tf2_msgs::TFMessage& message, const std::st
       continue;
     }
     try {
+      if (!isFinite(transform.transform)) throw tf2::InvalidArgumentException("a number is not finite");
       buffer_.setTransform(transform, authority, fixed);
     } catch (const tf2::TransformException& e) {
       ROS_ERROR_STREAM_THROTTLE(10, "tf: a transform to '" << transform.child_frame_id << "', from " << authority

@@ -116,7 +116,8 @@ void AlignmentOutput::correct(const Similarity& T_ground_map_mav_map) {
 }
 
 void AlignmentOutput::follow(const nav_msgs::Odometry& odometry, const Pose& T) {
-  const Matrix6d covariance = ros_utils::covarianceFromMsg(odometry.pose.covariance);
+  const Matrix6d covariance =
+      Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(odometry.pose.covariance.data());
   geometry_msgs::PoseWithCovarianceStamped msg;
   msg.header.stamp = odometry.header.stamp;
   msg.header.frame_id = settings_.ground_map_frame;

@@ -284,9 +284,13 @@ class MavVoNode : private ros_utils::Estimator {
 
   /// Another calibration, or an IMU that turns up, ends a map that is not lost.
   void keepPresent() {
-    odometry_->finish();
-    ros_utils::MapTrajectory present = presentTrajectory();
-    if (isWorthIt(present)) addEnded(std::move(present));
+    try {
+      odometry_->finish();
+      ros_utils::MapTrajectory present = presentTrajectory();
+      if (isWorthIt(present)) addEnded(std::move(present));
+    } catch (const std::exception& e) {  // the map that comes does not wait for this one's
+      shell_.health().count(std::string("a map that ended is not kept: ") + e.what());
+    }
   }
 
   ros_utils::MapTrajectory presentTrajectory() const {
@@ -340,6 +344,6 @@ class MavVoNode : private ros_utils::Estimator {
 int main(int argc, char** argv) {
   return air_ground_common::ros_utils::runNode<mav_vo::NodeSettings>(argc, argv, "mav_vo", [](const auto& settings) {
     mav_vo::MavVoNode node(settings);
-    ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
+    ros::spin();
   });
 }

@@ -115,15 +115,22 @@ class RgbdSlamNode : private ros_utils::Estimator {
   }
 
   void drop() override {
-    slam_->finish();
-    ended_.add(shell_.mapId(), slam_->asEnded());
+    keepPresent();
     slam_.reset();
   }
 
   void reset() override {
-    slam_->finish();
-    ended_.add(shell_.mapId(), slam_->asEnded());
+    keepPresent();
     slam_->reset();
+  }
+
+  void keepPresent() {
+    try {
+      slam_->finish();
+      ended_.add(shell_.mapId(), slam_->asEnded());
+    } catch (const std::exception& e) {  // the map that comes does not wait for this one's
+      shell_.health().count(std::string("a map that ended is not kept: ") + e.what());
+    }
   }
 
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
@@ -323,9 +330,9 @@ class RgbdSlamNode : private ros_utils::Estimator {
 }  // namespace rgbd_slam
 
 int main(int argc, char** argv) {
-  return air_ground_common::ros_utils::runNode<rgbd_slam::NodeSettings>(
-      argc, argv, "rgbd_slam", [](const auto& settings) {
-        rgbd_slam::RgbdSlamNode node(settings);
-        ros::MultiThreadedSpinner(2).spin();  // a service that writes a file does not hold the inputs up
-      });
+  return air_ground_common::ros_utils::runNode<rgbd_slam::NodeSettings>(argc, argv, "rgbd_slam",
+                                                                        [](const auto& settings) {
+                                                                          rgbd_slam::RgbdSlamNode node(settings);
+                                                                          ros::spin();
+                                                                        });
 }

@@ -5,7 +5,9 @@
 #include <air_ground/SaveMap.h>
 #include <air_ground/SaveTrajectory.h>
 #include <air_ground/VoStatus.h>
+#include <ros/callback_queue.h>
 #include <ros/node_handle.h>
+#include <ros/spinner.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Imu.h>
 #include <std_srvs/Trigger.h>
@@ -193,6 +195,7 @@ class EstimatorShell {
   void dropEstimator();
   void reportObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
+  void advertiseServices();
   std::size_t saveMapTo(const std::string& path);
   std::string saveTrajectoryTo(const std::string& path, bool overwrite, std::uint64_t* poses);
   bool saveMap(air_ground::SaveMap::Request& request, air_ground::SaveMap::Response& response);
@@ -206,7 +209,7 @@ class EstimatorShell {
   NodeHealth health_;
   Mountings mountings_;
   ImuInput imu_input_;
-  ros::NodeHandle handle_, private_handle_{"~"};
+  ros::NodeHandle handle_, private_handle_{"~"}, service_handle_{"~"};
   std::string image_topic_, depth_topic_, info_topic_, imu_topic_, accel_topic_;
   ros::Publisher status_publisher_;
 
@@ -242,7 +245,9 @@ class EstimatorShell {
 
   std::vector<ImageInput> images_;
   ros::Subscriber info_subscriber_, imu_subscriber_, accel_subscriber_;
+  ros::CallbackQueue service_queue_;
   std::vector<ros::ServiceServer> services_;
+  ros::AsyncSpinner service_spinner_{1, &service_queue_};
 };
 
 }  // namespace air_ground_common::ros_utils
