@@ -335,6 +335,19 @@ class ImportKalibr(unittest.TestCase):
             self.assertIn(word, words)
         self.assertFalse([word for word in words if word.startswith(('mav_base_frame', 'mav_use_imu', 'ground_imu:=/'))], words)
 
+    def test_what_the_ground_robot_needs_beside_the_replay_is_printed_too(self):
+        """The mounting that nothing tells, once, as check_bag prints it: without it the ground robot has no pose."""
+        with rosbag.Bag(self.path('x.bag'), 'w') as bag:
+            for t in np.arange(100, 102, 0.05):
+                bag.write('/cam0/image_raw', messages.image(np.zeros((48, 64)), 'mono8', t, 'cam0'), messages.stamp(t))
+                bag.write('/imu0', messages.imu([0.01, 0, 0], [0, 0, 9.81], 1e-6, 1e-4, t, 'imu0'), messages.stamp(t))
+                bag.write('/camera/color/image_raw', messages.image(np.zeros((48, 64, 3)), 'rgb8', t, 'eye'), messages.stamp(t))
+                bag.write('/camera/color/camera_info', messages.camera_info(Camera(64, 48, 60, 60, 32, 24), t, 'eye'), messages.stamp(t))
+                bag.write('/camera/aligned_depth_to_color/image_raw', messages.image(np.full((48, 64), 1500), '16UC1', t, 'eye'), messages.stamp(t))
+        lines = self.run_import(self.path('imu.yaml'), '--bag', self.path('x.bag')).stdout.splitlines()[-3:]
+        self.assertEqual([shlex.split(line, comments=True)[0] for line in lines], ['roslaunch', 'rosrun', 'roslaunch'], lines)
+        self.assertEqual(shlex.split(lines[1], comments=True)[1:], ['air_ground', 'publish_calibration', '--transform', 'ground_base_link eye 0 0 0 -0.5 0.5 -0.5 0.5', '&'])
+
     def test_what_is_the_mavs_is_not_the_ground_robots(self):
         with rosbag.Bag(self.path('x.bag'), 'w') as bag:
             for t in (5, 6):
@@ -382,7 +395,7 @@ class ImportKalibr(unittest.TestCase):
                 rospy.rostime.wallsleep(0.1)
 
         try:
-            publish_until(lambda: len(edges) == 2 and infos, lambda i: jpegs.publish(CompressedImage(header=Header(stamp=messages.stamp(50 + i), frame_id='left_eye'), format='jpeg')))
+            publish_until(lambda: len(edges) == 2 and infos, lambda i: jpegs.publish(CompressedImage(header=Header(stamp=messages.stamp(50 + 0.1 * i), frame_id='left_eye'), format='jpeg')))
             self.assertLess(infos[0].header.stamp.to_sec(), 100, 'of compressed images alone')
             publish_until(lambda: infos[-1].header.stamp.to_sec() >= 100, lambda i: images.publish(messages.image(np.zeros((480, 752)), 'mono8', 100 + i, 'left_eye')))
             publish_until(lambda: jpegs.get_num_connections() == 0, lambda i: None)

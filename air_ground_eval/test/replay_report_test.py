@@ -346,6 +346,30 @@ class ReplayReport(unittest.TestCase):
             keeper.step(102.2)
             self.assertEqual(ros.Publisher.return_value.publish.call_count, 3)
 
+    def test_a_robots_clock_that_steps_tells_nothing_of_the_player(self):
+        """Stamps 5 s behind until chrony corrects them: what is heard was never played later than it was recorded, whoever else publishes it."""
+        with tempfile.TemporaryDirectory() as folder, mock.patch.object(replays, 'rospy') as ros:
+            path = os.path.join(folder, 'x.bag')
+            with rosbag.Bag(path, 'w') as bag:
+                bag.write('/imu', messages.imu([0] * 3, [0] * 3, 1, 1, 99, 'imu'), messages.stamp(99))
+                for k in range(300):
+                    info = messages.camera_info(Camera(8, 8, 8, 8, 4, 4), 100 + 0.1 * k - (5 if k < 150 else 0), 'camera')
+                    bag.write('/camera_info', info, messages.stamp(100 + 0.1 * k))
+            facts = bag_reader.BagFacts(path)
+            for start in (0.0, 8.0):
+                recorder = replays.Recorder(facts.begin + start, [])
+                recorder.follow(facts, '/player')
+                (topic, _, hear, argument), _ = ros.Subscriber.call_args
+                self.assertEqual(topic, '/camera_info')
+                with rosbag.Bag(path) as bag:
+                    for _, info, time_played in bag.read_messages('/camera_info', rospy.Time.from_sec(facts.begin + start)):
+                        for caller in ('/player', '/publish_calibration'):
+                            info._connection_header = {'callerid': caller}
+                            hear(info, argument)
+                        self.assertAlmostEqual(recorder.played, time_played.to_sec(), delta=1e-6)
+                hear(mock.Mock(_connection_header={'callerid': '/player'}), argument)
+                self.assertAlmostEqual(recorder.played, facts.end, delta=1e-6)
+
     def test_who_is_late_is_not_held(self):
         """A player that is held repeats the time at which it waited last: before what the ClockKeeper gave meanwhile, time went back by 2 s."""
         with mock.patch.object(pacing, 'rospy') as ros, mock.patch.object(pacing, 'CpuLoad') as load:

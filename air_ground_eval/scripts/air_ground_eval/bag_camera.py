@@ -8,8 +8,8 @@ import numpy as np
 from . import pixel_range, run_lengths
 from .bag_finding import ERROR, OK, WARNING, Finding
 
-GREY = ('mono8', 'mono16', 'bgr8', 'rgb8', 'bgra8', 'rgba8', 'yuv422', 'yuv422_yuy2', *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)),
-        '8UC1', '8UC3', '8UC4', '16UC1')
+GREY = ('mono8', 'mono16', *(f'{colours}{bits}' for colours in ('bgr', 'rgb', 'bgra', 'rgba') for bits in (8, 16)), 'yuv422', 'yuv422_yuy2', 'yuyv',
+        *(f'bayer_{order}{bits}' for order in ('rggb', 'bggr', 'gbrg', 'grbg') for bits in (8, 16)), '8UC1', '8UC3', '8UC4', '16UC1')
 DEPTH = {'16UC1': np.uint16, 'mono16': np.uint16, '32FC1': np.float32}  # encoding: type of a pixel
 MODELS = {**dict.fromkeys(('plumb_bob', 'radtan', 'radial_tangential', 'brown_conrady', 'rational_polynomial'), 12), **dict.fromkeys(('equidistant', 'equi', 'fisheye', 'kannala_brandt'), 4),
           **dict.fromkeys(('', 'none', 'pinhole', 'perspective', 'inverse_brown_conrady'), 0)}  # as the nodes take them: how many coefficients each may have
@@ -120,7 +120,7 @@ def check_image(topic, stream, encodings):
     elif image.step < image.width * bytes_a_pixel:
         result.append(Finding(ERROR, f'{topic}: rows of {image.step} bytes are too short for {image.width} pixels of {image.encoding}'))
     elif encodings is GREY:
-        if '16' in image.encoding:
+        if '16' in image.encoding and 'a16' not in image.encoding:  # the nodes stretch none with an alpha channel
             counts = [np.frombuffer(sample.data, np.dtype(np.uint16).newbyteorder('>' if sample.is_bigendian else '<')) for sample in stream.samples]
             levels = pixel_range.levels(counts)
             grey = levels.grey(counts[-1])

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, own_outputs
+from . import bag_camera, bag_depth, bag_frames, bag_guess, bag_imu, bag_names, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 from .bag_reader import POSE_TYPES, BagFacts, open_bag
 from .bag_registration import Registration
@@ -119,7 +119,9 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
         elif 'sensor_msgs/Image' in types and bag_guess.transport(facts, topic) == 'compressed':
             present[standard] = bag_guess.recorded(facts, topic)
             argument = bag_guess.compressed_argument(facts, bag_guess.ARGUMENTS[standard], topic)
-            findings.append(Finding(WARNING, f'{bag_guess.raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}'))
+            relay = bag_guess.relay(bag_guess.ARGUMENTS[standard], present[standard])
+            instead = f', and beside it {relay}, since no node takes compressed images under this name' if relay else ''
+            findings.append(Finding(WARNING, f'{bag_guess.raw_name(topic)} is there compressed, as {present[standard]}: replay with {argument}{instead}', beside=relay))
         elif standard not in ELSEWHERE:
             findings.append(_missing(facts, standard, topic, types, purpose, actual, city))
     streams = read(facts.path, present.values(), spread=[topic for standard, topic in present.items() if standard in ('/ground/depth/image_raw', '/barometer')])
@@ -147,7 +149,8 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
     findings += _pairs(present, streams)
     findings += _clocks(present, streams)
     findings += bag_frames.check_static(facts)
-    findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases)
+    frames = {robot: {frame.lstrip('/') for standard, topic in present.items() if standard.startswith(f'/{robot}/') for frame in streams[topic].frames} for robot in robots}
+    findings += bag_frames.check_odometry(facts, [image.split('/')[1] for image in bag_frames.IMAGES if image in present], bases, frames)
     findings += own_outputs.check(facts) + _parts(facts)
     registration = _registration(present, streams)
     findings += bag_frames.check_viewer(facts) or bag_frames.check(facts, present, streams, bases, registration is not None and registration.mismatch() != '')
@@ -160,11 +163,12 @@ def check(path, names=None, bases=None, city=False, robots=('mav', 'ground')):
 def examine(facts, city=False, present=('mav', 'ground'), given=None, bases=None, frames=None):
     """(names, findings, the command that replays the bag), guessed but for what is known: `given`: standard topic -> its name; `bases`, `frames`: robot -> its
     body frame, its images' frame. `present`: robots that may be in the bag."""
+    adopted = bag_names.adopt(facts)
     names = bag_guess.guess(facts, city, present, given)
     robots = [robot for robot, image in IMAGES.items() if names.get(image) and not (city and robot == 'ground')] or list(present)
     frames = {**first_frames(facts, names), **(frames or {})}
     bases = {**{robot: bag_guess.guess_base(facts, robot, frame, names) or f'{robot}_base_link' for robot, frame in frames.items()}, **(bases or {})}
-    findings = check(facts, names, bases, city, robots)
+    findings = adopted + check(facts, names, bases, city, robots)
     arguments = dict.fromkeys(finding.argument for finding in findings if finding.argument)
     return names, findings, bag_guess.command(facts, names, bases, frames, city, city or registered(facts, names), arguments)
 
@@ -174,7 +178,8 @@ def _missing(facts, standard, topic, types, purpose, actual, city):
     if topic in facts.types:
         return Finding(level, f'{topic} has type {facts.types[topic]}, expected {" or ".join(types)}')
     if f'{topic}/theora' in facts.types:
-        return Finding(level, f'{topic} is there as {topic}/theora alone, which no node decodes: republish it as compressed (rosrun image_transport republish)')
+        return Finding(level, f'{topic} is there as {topic}/theora alone, which no node decodes: on a machine with ros-noetic-image-transport-plugins, '
+                       f'rosrun image_transport republish theora in:={topic} compressed out:={topic}  beside the bag\'s player, and record {topic}/compressed')
     argument = bag_guess.ARGUMENTS[standard]
     similar = [t for t in facts.of_type(*types) if t not in actual.values()]
     hint = f'; the bag has {", ".join(similar[:4])} of this type: set {argument}:= (here: --map)' if similar else ''

@@ -5,7 +5,7 @@ import shlex
 
 import numpy as np
 
-from . import bag_guess, geometry
+from . import bag_guess, bag_imu, geometry, own_outputs
 from .bag_finding import ERROR, OK, WARNING, Finding, quoted
 
 NODES = {'mav': 'mav_vo', 'ground': 'rgbd_slam'}
@@ -37,6 +37,9 @@ def check_viewer(facts):
 def check_static(facts):
     """How the static transforms were recorded."""
     result = [Finding(ERROR, f'/tf_static: the rotation of {edge} is zero or not finite') for edge in sorted(facts.broken_edges)]
+    result += [Finding(WARNING, f'/tf_static has several parents of {child!r}, {", ".join(map(repr, parents))}, and a frame has one: the last is taken, {parents[-1]!r}. Let one node alone publish '
+                       f'where {child} is; where another is right, rosrun air_ground publish_calibration --transform "PARENT {child} X Y Z QX QY QZ QW" beside the replay says so')
+               for child, parents in sorted(facts.rivals.items())]
     how = [f'in {facts.static_messages} messages'] if facts.static_messages > 1 else []
     how += ['not latched'] if facts.static_messages and not facts.static_latched else []
     if how:
@@ -82,16 +85,51 @@ def check_level(base):
                     f'--transform "ground_base_link {base} X Y Z QX QY QZ QW" beside the replay, with ground_base_frame:=ground_base_link')]
 
 
-def check_odometry(facts, robots, bases):
-    """Who else says where a base is: a replay leaves that out, and nobody does so on a live robot."""
+def check_odometry(facts, robots, bases, frames=None):
+    """Who else says where a base is: a replay leaves that out, and nobody does so on a live robot. frames: robot -> those of its sensors: what carries one is no odometry's frame, but
+    the body that a gimbal sits on."""
     result = []
     for robot in robots:
-        parent = facts.moving.get(bases[robot], '')
-        if parent in ('', f'{robot}_odom', f'{robot}_map'):
+        node = NODES[robot]
+        child = next((frame for frame in bag_guess.chain(facts, bases[robot]) if frame in facts.moving), None)
+        parent = facts.moving.get(child, '')
+        own = parent in (f'{robot}_odom', f'{robot}_map') and any(f'/{topic}' in facts.types for topic in own_outputs.OUTPUTS[node])
+        carries = any(facts.static_transform(parent, frame) is not None for frame in (frames or {}).get(robot, ()))
+        if not parent or own or carries:
             continue
-        result.append(Finding(OK, f'/tf holds {parent} -> {bases[robot]}, which a replay leaves out, since {NODES[robot]} publishes where {bases[robot]} is: where that is the robot\'s own '
-                              f'odometry, run {NODES[robot]} with {robot}_odom_from_tf:=true {robot}_odom_frame:={parent} on the robot (and, to try it, in a replay)'))
+        above = '' if child == bases[robot] else f', to which {bases[robot]} is fixed'
+        result.append(Finding(OK, f'/tf holds {parent} -> {child}{above}, which a replay leaves out, since {node} publishes where {bases[robot]} is: where that is the robot\'s own '
+                              f'odometry, run {node} with {robot}_odom_from_tf:=true {robot}_odom_frame:={parent} on the robot (and, to try it, in a replay)'))
     return result
+
+
+def _move(facts, a, b):
+    """Whether two frames that no static transform connects are in one tree with what changes on /tf."""
+    parents = {**{child: parent for parent, child in facts.edges}, **facts.moving}
+    above = []
+    for frame in (a, b):
+        above.append({frame})
+        while (frame := parents.get(frame)) is not None and frame not in above[-1]:
+            above[-1].add(frame)
+    return bool(above[0] & above[1])
+
+
+def _unconnected(facts, standard, base, frame, topic, imus):
+    """A sensor that no static transform connects with its base. imus: frames of IMUs."""
+    without = bag_imu.without(standard)
+    if _move(facts, base, frame):
+        text = f'{base} and {frame} (of {topic}) move against each other, by /tf (a gimbal, a pan-tilt head?), and the nodes need them fixed'
+        if without:
+            return Finding(WARNING, f'{text}: replay without this IMU, {without}, or with one that is fixed to the camera', without)
+        return Finding(ERROR, f'{text}: ' + ('record depth registered to colour by its driver' if 'depth' in standard else
+                                             f'name a body frame that is fixed to the camera (--{standard.split("/")[1]}-base)'))
+    if standard == '/ground/rgb/image_raw':
+        return _unmounted(facts, base, frame, topic)
+    text = f'/tf_static does not connect {base} with {frame} (of {topic})'
+    if standard == '/ground/imu/data':
+        return Finding(WARNING, f'{text}: replay without it, {without}, or publish where it sits', without)
+    known = ', the pose of the camera in the IMU frame (kalibr: T_cam_imu inverted; import_kalibr does that)' if base in imus else ''
+    return Finding(ERROR, f'{text}: rosrun air_ground publish_calibration --transform "{base} {frame} X Y Z QX QY QZ QW" beside the replay{known}')
 
 
 def check(facts, present, streams, bases, unregistered):
@@ -123,16 +161,10 @@ def check(facts, present, streams, bases, unregistered):
         if robot == 'mav' and sensor == 'camera' and (frame == bases[robot] or 'optical' in bases[robot].lower()):
             result.append(Finding(OK, f'the body frame of the MAV is {bases[robot]!r}, for want of another: mav/odometry tells how that moves (z forward, where it is a camera\'s)'))
         connected = any(facts.static_transform(root, frame) is not None for root in (bases[robot], *assumed.get(robot, ())))
+        if not connected:
+            result.append(_unconnected(facts, standard, bases[robot], frame, topic, imus))
         if standard == '/ground/rgb/image_raw' and connected:
             result += _on_its_side(facts, bases[robot], frame, topic)
         elif standard == '/ground/rgb/image_raw':
-            result.append(_unmounted(facts, bases[robot], frame, topic))
             assumed[robot] = (frame,)
-        elif not connected:
-            text = f'/tf_static does not connect {bases[robot]} with {frame} (of {topic})'
-            if standard == '/ground/imu/data':
-                result.append(Finding(WARNING, text + ': replay without it, ground_imu:=none, or publish where it sits', 'ground_imu:=none'))
-                continue
-            known = ', the pose of the camera in the IMU frame (kalibr: T_cam_imu inverted; import_kalibr does that)' if bases[robot] in imus else ''
-            result.append(Finding(ERROR, f'{text}: rosrun air_ground publish_calibration --transform "{bases[robot]} {frame} X Y Z QX QY QZ QW" beside the replay{known}'))
     return result

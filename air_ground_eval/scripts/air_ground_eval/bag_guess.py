@@ -25,6 +25,7 @@ DOWN_WORDS = re.compile(r'down|bottom|nadir|belly')
 COLOUR_WORDS = re.compile(r'rgb|colou?r')
 LEFT_WORDS = re.compile(r'cam0|left|mono|gr[ae]y')
 INFRARED = re.compile(r'infra|(^|[/_])ir([/_]|$)')  # a depth camera's own eyes
+EYES = re.compile(r'/?(ir|infra(red)?_?\d?|(depth|rgb|ir)_to_(depth|rgb|ir))/')  # a depth camera's images of other kinds, in no folder of its driver (Azure Kinect)
 RIGHT = re.compile(r'right|rect|cam1|infra2|(^|[/_])r([/_]|$)')  # of a stereo pair the left image is taken, as it is
 CAMERAS = {'mav': '/mav/camera/image_raw', 'ground': '/ground/rgb/image_raw'}
 FAST_IMU = 80 * 0.98  # [Hz]: what check_bag advises, for one that is nearly so
@@ -57,9 +58,15 @@ def recorded(facts, topic):
 
 def compressed_argument(facts, argument, topic):
     """The launch argument that has a node take an image topic that the bag holds compressed alone; `argument`: mav_image, ground_image or ground_depth. Compressed
-    depth is looked for on compressedDepth: where it is elsewhere, the topic is named in full."""
+    depth is looked for on compressedDepth: where it is elsewhere, the topic is named in full. One of another name needs its relay()."""
     own = recorded(facts, topic)
-    return f'{argument}:={own}' if own == topic or argument == 'ground_depth' and own == f'{topic}/compressed' else f'{argument}_transport:=compressed'
+    full = own == topic != raw_name(own) or argument == 'ground_depth' and own == f'{topic}/compressed'
+    return f'{argument}:={own}' if full else f'{argument}_transport:=compressed'
+
+
+def relay(argument, topic):
+    """The command that hands on compressed images whose topic's name does not say so, under one by which the nodes take them; '' where it says so."""
+    return '' if topic != raw_name(topic) else f'rosrun topic_tools relay {topic} {topic}/{TRANSPORTS[0] if argument == "ground_depth" else TRANSPORTS[1]}'
 
 
 def _common(a, b):
@@ -103,10 +110,21 @@ def _compressed_encoding(picture):
     return 'mono16' if pixels is not None and pixels.dtype == np.uint16 and pixels.ndim == 2 else None
 
 
-def _same_robot(facts, a, b):
-    """Whether two image topics are of cameras on one body, by /tf_static or, without it, by the folder of their driver."""
+def _connected(facts, a, b):
+    """Whether /tf_static has the cameras of two image topics on one body; None where it does not know both."""
     frames = [facts.frame(recorded(facts, topic)) for topic in (a, b)]
-    return all(frames) and facts.static_transform(*frames) is not None or _common(a, b) > 0
+    if all(frames) and facts.static_transform(*frames) is not None:
+        return True
+    return False if {frame for edge in facts.edges for frame in edge}.issuperset(frames) else None
+
+
+def _may_fly(facts, topic, ground):
+    """Whether a camera may be the MAV's, beside that of the ground robot's images (None: there is none): not one that sits on it, by /tf_static or, without it, by the folder of
+    their driver, nor another eye of it where the driver has no folder."""
+    if ground is None or has(topic, GROUND_WORDS):
+        return ground is None
+    connected = _connected(facts, topic, ground)
+    return has(topic, MAV_WORDS) or (not connected if connected is not None else _common(topic, ground) == 0 and not EYES.match(topic))
 
 
 def infos(facts, image):
@@ -178,8 +196,8 @@ def guess(facts, city=False, robots=('mav', 'ground'), given=None):
         _guess_depth_camera(facts, choices, depths, colours)
     ground = names.get(CAMERAS['ground']) if 'ground' in robots else None
     if 'mav' in robots:  # a camera that sits on the ground robot is not the MAV's
-        choices.choose(CAMERAS['mav'], [t for t in colours if ground is None or not has(t, GROUND_WORDS) and (has(t, MAV_WORDS) or not _same_robot(facts, t, ground))],
-                       lambda t: (has(t, MAV_WORDS), not city and has(t, DOWN_WORDS), has(t, LEFT_WORDS), not has(t, RIGHT), not has(t, INFRARED), 'raw' in t))
+        choices.choose(CAMERAS['mav'], [t for t in colours if _may_fly(facts, t, ground)],
+                       lambda t: (has(t, MAV_WORDS), not city and has(t, DOWN_WORDS), has(t, LEFT_WORDS), not has(t, RIGHT), not has(t, INFRARED), bool(infos(facts, t)), 'raw' in t))
     for robot in CAMERAS:
         if names.get(CAMERAS[robot]) and robot in robots:
             _guess_sensors(facts, choices, robot)
@@ -260,8 +278,9 @@ def guess_base(facts, robot, frame, names=None):
 
 
 def _body(robot, frames):
-    """Of frames, each above the one before, the robot's base: by name, else the uppermost."""
-    return f'{robot}_base_link' if f'{robot}_base_link' in frames else next((f for f in frames if 'base' in f or 'body' in f), frames[-1])
+    """Of frames, each above the one before, the robot's base: by name (camera_base is an Azure Kinect's), else the uppermost."""
+    named = [f for f in frames if f in (f'{robot}_base_link', f'{robot}_base_footprint')] + [f for f in frames if f.rpartition('/')[2] in ('base_link', 'base', 'base_footprint')]
+    return next(iter(named + [f for f in frames if 'base' in f or 'body' in f]), frames[-1])
 
 
 def command(facts, names, bases, frames, city=False, registered=True, arguments=()):

@@ -35,6 +35,15 @@ def _numbers(edge):
     return [t.x, t.y, t.z], [r.x, r.y, r.z, r.w]
 
 
+def _named(edge):
+    """((parent, child), T_parent_child) of a TransformStamped; None in place of a transform whose quaternion is zero or not finite."""
+    names = edge.header.frame_id.lstrip('/'), edge.child_frame_id.lstrip('/')
+    try:
+        return names, geometry.pose_from_tq(*_numbers(edge))
+    except ValueError:
+        return names, None
+
+
 def _definition_here(kind, otherwise):
     """MD5 sum of a message type as it is defined here; `otherwise` where it is not."""
     try:
@@ -92,37 +101,57 @@ class BagFacts:
             self.static_messages = 0
             self.edges = {}  # (parent, child) -> T_parent_child: the last of each child, as tf keeps them
             self.broken_edges = set()  # 'parent -> child' of those whose quaternion is zero or not finite
+            self.rivals = {}  # child -> its parents in /tf_static, in order, of those that have several
             for _, message, _, header in bag.read_messages(static, return_connection_header=True) if static else ():
                 self.static_latched &= header.get('latching', b'0') in (b'1', '1')
-                self.add_static(message)
+                self.static_messages += 1
+                for edge in message.transforms:
+                    self._add_edge(edge)
             self.moving = {}  # child -> parent, of the transforms on /tf that change
             self.constant_on_tf = self._add_constant(bag)
+            self.elsewhere = self._of_namespaces(bag)  # namespace -> {(parent, child): T_parent_child}: its static transforms, on /x/tf_static and /x/tf, which no node hears
 
     def add_static(self, message):
-        """Transforms of a TFMessage: of this bag, or of another publisher."""
-        self.static_messages += 1
+        """Transforms of another publisher's TFMessage, which take the place of the bag's."""
         for edge in message.transforms:
             self._add_edge(edge)
+            self.rivals.pop(edge.child_frame_id.lstrip('/'), None)
 
     def _add_edge(self, edge):
-        parent, child = edge.header.frame_id.lstrip('/'), edge.child_frame_id.lstrip('/')
-        try:
-            transform = geometry.pose_from_tq(*_numbers(edge))
-        except ValueError:
+        (parent, child), transform = _named(edge)
+        if transform is None:
             self.broken_edges.add(f'{parent} -> {child}')
             return
+        before = next((a for a, b in self.edges if b == child and a != parent), None)
+        if before is not None:
+            self.rivals[child] = [a for a in self.rivals.get(child, [before]) if a != parent] + [parent]
         self.edges = {**{names: T for names, T in self.edges.items() if names[1] != child}, (parent, child): transform}
 
-    def _add_constant(self, bag, windows=40, lengths=(0.5, 2.0)):
-        """Transforms on /tf that never change are mountings: recordings of tf's first version have all of theirs there.
+    def _add_constant(self, bag):
+        """Transforms on /tf that never change are mountings: recordings of tf's first version have all of theirs there. Returns their children."""
+        constant, self.moving = self._constant(bag, [topic for topic in self.types if topic.strip('/') == 'tf'], {child for _, child in self.edges})
+        for edge in constant:
+            self._add_edge(edge)
+        return {edge.child_frame_id.lstrip('/') for edge in constant}
+
+    def _of_namespaces(self, bag):
+        result = {}
+        for topic, kind in sorted(self.types.items()):
+            space, _, last = topic.strip('/').rpartition('/')
+            if not space or last not in ('tf', 'tf_static') or kind not in ('tf2_msgs/TFMessage', 'tf/tfMessage'):
+                continue
+            edges = self._constant(bag, [topic], ())[0] if last == 'tf' else (edge for _, message, _ in bag.read_messages([topic]) for edge in message.transforms)
+            result.setdefault(f'/{space}', {}).update({names: transform for names, transform in map(_named, edges) if transform is not None})
+        return result
+
+    def _constant(self, bag, topics, taken, windows=40, lengths=(0.5, 2.0)):
+        """(Edges of transforms that never change, without those of the children `taken`; child -> parent of those that do.)
 
         Looked at in so many windows over the recording, since a robot may stand for a while; in longer ones where one is told too rarely, as once a second.
-        Returns their children.
         """
-        topics = [topic for topic in self.types if topic.strip('/') == 'tf']
-        taken, constant = {child for _, child in self.edges}, set()
+        constant, first, moving = set(), {}, {}
         for seconds in lengths if topics else ():
-            first, moved, seen = {}, set(), {}
+            first, seen = {}, {}
             for window, start in enumerate(np.linspace(self.begin, max(self.begin, self.end - seconds), windows)):
                 for _, message, _ in bag.read_messages(topics, rospy.Time(start), rospy.Time(start + seconds)):
                     for edge in message.transforms:
@@ -130,16 +159,13 @@ class BagFacts:
                         kept = first.setdefault(child, edge)
                         same = kept.header.frame_id == edge.header.frame_id and np.allclose(np.concatenate(_numbers(kept)), np.concatenate(_numbers(edge)), rtol=0, atol=1e-6)
                         if not same:
-                            moved.add(child)
-                            self.moving[child] = edge.header.frame_id.lstrip('/')
+                            moving[child] = edge.header.frame_id.lstrip('/')
                         seen.setdefault(child, set()).add(window)
-            still = set(first) - moved - taken
+            still = set(first) - set(moving) - set(taken)
             constant = {child for child in still if len(seen[child]) > windows // 2}
             if constant == still:
                 break
-        for child in sorted(constant):
-            self._add_edge(first[child])
-        return constant
+        return [first[child] for child in sorted(constant)], moving
 
     def static_transforms(self, bases=(), chains=()):
         """The static transforms as a TFMessage, for nodes that publish where the frames `bases` are, and the transforms along `chains` of frames, parent before child: since a
@@ -181,6 +207,12 @@ class BagFacts:
                         break
             self.delays[topic] = float(np.median(delays)) if delays else 0.0
         return self.delays[topic]
+
+    def times(self, topic, begin=0.0):
+        """When a topic's messages were recorded, from `begin` on [s]: by the index, without reading them."""
+        with open_bag(self.path) as bag:
+            times = [entry.time.to_sec() for entry in bag._get_entries(bag._get_connections([topic]))]
+        return [time for time in times if time > begin - 1e-3]
 
     def rate(self, topic, most=200, together=10):
         """Messages a second by the stamps of the first ones, whether they come in packets or with a pause; 0 without stamps."""

@@ -75,20 +75,22 @@ class Recorder:
     def touch(self):
         self.last_output = time.monotonic()
 
-    def follow(self, bag):
-        """Hears how far the player is: it gives no /clock while it is behind its own time, as on a busy machine."""
+    def follow(self, bag, player):
+        """Hears how far the player of this name is: it gives no /clock while it is behind its own time, as on a busy machine. By the bag's index: stamps may be of a clock that steps."""
         self.end = bag.end
         for robot in self.robots.values():
             robot.delay = bag.delay(bag_guess.recorded(bag, robot.image))
         for name, kind in (('sensor_msgs/CameraInfo', CameraInfo), ('sensor_msgs/Imu', Imu)):
             topics = [topic for topic, of in bag.types.items() if of == name]
             if topics:
-                self.subscribers += [rospy.Subscriber(topic, kind, self.on_played, bag.delay(topic), queue_size=1000) for topic in topics]
+                self.subscribers += [rospy.Subscriber(topic, kind, self.on_played, (player, iter(bag.times(topic, self.begin))), queue_size=1000) for topic in topics]
                 return
 
-    def on_played(self, message, delay):
-        time = message.header.stamp.to_sec() + delay
-        self.played = max(self.played, time) if time <= self.end else self.played  # a stamp that leaps tells nothing
+    def on_played(self, message, expected):
+        """expected: name of the player, and when its next messages on this topic were recorded. One that is lost has them told too early, not too late."""
+        player, times = expected
+        if message._connection_header.get('callerid') == player:  # publish_calibration may publish it, too
+            self.played = max(self.played, next(times, self.played))
 
     def now(self):
         """The bag's time: the clock's, or what was played where the player gives none [s]."""
