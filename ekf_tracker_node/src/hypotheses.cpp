@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "air_ground_common/geometry.h"
 #include "ekf_tracker/pose_filter.h"
@@ -22,6 +23,9 @@ constexpr double kWrongShare = 0.5, kWrongFixHeights = 10;
 // seconds after, the odds of one where it was expected are even, of one 40 m away 1:34.
 constexpr double kOutweighs = 9, kMinOdds = 100;
 
+// A rival that fits the fixes which the state takes, but far worse than it, is given up below these odds (1:55).
+constexpr double kHopeless = -4;
+
 }  // namespace
 
 int PoseFilter::strongestHypothesis() const {
@@ -36,9 +40,8 @@ PoseFilter::Hypothesis PoseFilter::hypothesisFrom(const Measurement& fix) const 
   h.anchor[3] = wrapAngle(h.anchor[3]);
   h.anchor_covariance = fix.covariance;
   h.stamps = {fix.stamp};
-  h.place = fix.place;
   if (fix.place != 0) h.state.places = {{fix.place, 0}};
-  h.state.support = 1;
+  supportBy(fix, &h.state);
   h.state.scale_known = false;
   h.state.x << h.anchor, 1, 0;
   h.state.covariance.setZero();
@@ -101,6 +104,7 @@ PoseFilter::Solution PoseFilter::solveScale(Hypothesis* h, const Measurement& fi
   state.covariance.topLeftCorner<4, 4>() += at.by_increment * h->travelled_covariance * at.by_increment.transpose();
   symmetrise(&state.covariance);
   fuse(&state, fix);
+  supportBy(fix, &state);
   state.scale_known = true;
   if (!(state.x[kScale] > 0)) return Solution::kContradiction;
   // The density of the fix where any scale is as likely that leads to a place within wrong_fix_spread.
@@ -130,10 +134,26 @@ bool PoseFilter::needsAnother(const Measurement& fix, double nis) const {
   return rest.llt().info() != Eigen::Success && logOdds(*state_, fix, nis) < std::log(kMinOdds);
 }
 
-PoseFilter::Hypothesis* PoseFilter::join(Hypothesis* h, const Measurement& fix) {
-  h->stamps.push_back(fix.stamp);
-  if (fix.place != h->place) h->place = 0;
-  return h;
+// A fix whose panorama is not known, as where its match comes late, tells nothing of how many there are.
+void PoseFilter::supportBy(const Measurement& fix, State* state) {
+  ++state->support;
+  if (fix.place == 0) return;
+  if (state->place == 0) state->place = fix.place;
+  if (fix.place != state->place) state->several_places = true;
+}
+
+// The state took the fix at these odds. It ends the rivals that it contradicts; one that it fits too, as a vague fix
+// may, is corrected, and supported no more than the fix is more likely by it than by the state.
+void PoseFilter::judgeRivals(const Measurement& fix, double log_odds) {
+  std::vector<Hypothesis> left;
+  for (Hypothesis& h : hypotheses_) {
+    const Outcome o = test(h.state, fix);
+    h.log_odds += logOdds(h.state, fix, o.nis) - log_odds;
+    if (o.result != Result::kFused || h.log_odds < kHopeless) continue;
+    fuse(&h.state, fix);
+    left.push_back(std::move(h));
+  }
+  hypotheses_ = std::move(left);
 }
 
 // The hypothesis that the fix agrees with best, corrected by it; null when it agrees with none.
@@ -151,13 +171,14 @@ PoseFilter::Hypothesis* PoseFilter::correctBestHypothesis(const Measurement& fix
   if (supported) {
     supported->log_odds += logOdds(supported->state, fix, best);
     fuse(&supported->state, fix);
-    return join(supported, fix);
+    supportBy(fix, &supported->state);
+    return supported;
   }
   if (metric_) return nullptr;
   for (Hypothesis& h : hypotheses_) {
     if (h.state.support > 1) continue;
     const Solution solution = solveScale(&h, fix);
-    if (solution == Solution::kFound) return join(&h, fix);
+    if (solution == Solution::kFound) return &h;
     if (solution == Solution::kContradiction && !h.state.scale_known) h.log_odds += std::log(kWrongShare);
   }
   return nullptr;
@@ -178,15 +199,17 @@ PoseFilter::Hypothesis* PoseFilter::addHypothesis(const Measurement& fix) {
 // Fixes that agree by the odometry between them start the filter (B-III.E): a single one may be wrong, and as a prior
 // it would keep the localizer from finding out. Two do where wrong ones hardly agree so well by chance; in an unknown
 // unit, where some scale fits many a wrong pair, at least a third confirms it. After a gap that left little of the
-// state it is no other. A state that few fixes support yields to fewer hypotheses; one that more support than replace
-// it yields to fixes of two panoramas at least, where those are known: the fixes of one agree with each other, be they
-// right or wrong. `latest`: what the newest fix did.
+// state it is no other. A state that few fixes support yields to fewer. One that more support than replace it yields to
+// fixes of a single panorama, which agree with each other, be they right or wrong, only where it rests on a single one
+// itself, and on fewer fixes. `latest`: what the newest fix did.
 bool PoseFilter::isTrusted(const Hypothesis& h, Result latest) const {
   int needed = metric_ ? 2 : settings_.unscaled_start_fixes;
   if (latest == Result::kFused) needed = 2;  // the scale is all that is missing
   if (latest == Result::kRefusedByGate) {
     needed = std::min(settings_.recovery_fixes, state_->support + 1);
-    if (h.place != 0 && state_->support > settings_.recovery_fixes) return false;
+    if (h.state.ofOnePlace() && state_->support > settings_.recovery_fixes &&
+        !(state_->ofOnePlace() && state_->support < h.state.support))
+      return false;
   }
   return h.state.scale_known && h.state.support >= needed && h.log_odds >= -std::log(settings_.max_false_start);
 }

@@ -21,7 +21,8 @@ using Small = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 4, 1>;
 using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 4, 4>;
 using Observation = Eigen::Matrix<double, Eigen::Dynamic, 6, 0, 4, 6>;
 
-constexpr double kPlaceMemory = 60;  // so long after its last fix a panorama's error is taken for a new one [s]
+constexpr double kPlaceMemory = 60;    // so long after its last fix a panorama's error is taken for a new one [s]
+constexpr double kShortSilence = 0.5;  // the velocity before it bridges it in an unknown unit, too [s]
 
 // Rows of the state that a measurement observes; the barometer reads z plus its offset.
 Observation observation(const Measurement& m) {
@@ -200,14 +201,28 @@ void PoseFilter::loseScale() {
   state_->covariance(kScale, kScale) = 1;
 }
 
+// A silence in the odometry's own unit: its last velocity, wrong by as much all the time, however the gap is split.
+Increment PoseFilter::coast(const Increment& gap) const {
+  Increment way = gap;
+  const double dt = gap.stamp - gap.previous_stamp;
+  way.motion.head<3>() = dt * velocity_;
+  way.covariance.diagonal().head<3>().setConstant(velocity_.squaredNorm() * dt * (2 * silent_ - dt));
+  return way;
+}
+
 void PoseFilter::predict(const Increment& given) {
   Increment increment = given;
+  const double dt = increment.stamp - increment.previous_stamp;
   if (increment.gap) {
-    // A hypothesis that still needs the scale cannot bridge a silence of unknown length in the odometry's unit.
-    hypotheses_.erase(std::remove_if(hypotheses_.begin(), hypotheses_.end(),
-                                     [](const Hypothesis& h) { return !h.state.scale_known; }),
-                      hypotheses_.end());
+    // A hypothesis that still needs the scale cannot bridge more in the odometry's unit.
+    silent_ += dt;
+    if (silent_ > kShortSilence)
+      hypotheses_.erase(std::remove_if(hypotheses_.begin(), hypotheses_.end(),
+                                       [](const Hypothesis& h) { return !h.state.scale_known; }),
+                        hypotheses_.end());
   } else {
+    silent_ = 0;
+    if (dt > 0) velocity_ = increment.motion.head<3>() / dt;
     scale_stddev_ = increment.metric ? increment.scale_stddev : 0;
     if (increment.new_unit && !increment.metric) loseScale();
     if (increment.metric && !metric_) becomeMetric();
@@ -220,13 +235,14 @@ void PoseFilter::predict(const Increment& given) {
     increment.covariance = noiseOf(given, settings_);
   }
   if (state_) propagate(&*state_, increment);
+  const Increment way = increment.gap && !metric_ ? coast(increment) : increment;
   for (Hypothesis& h : hypotheses_) {
-    h.age += increment.stamp - increment.previous_stamp;
+    h.age += dt;
     if (h.state.scale_known) propagate(&h.state, increment);
-    const MotionJacobians j = motionJacobians(h.travelled, increment.motion, 1);
-    h.travelled = move<double>(h.travelled, increment.motion, 1);
+    const MotionJacobians j = motionJacobians(h.travelled, way.motion, 1);
+    h.travelled = move<double>(h.travelled, way.motion, 1);
     h.travelled_covariance = j.by_state * h.travelled_covariance * j.by_state.transpose() +
-                             j.by_increment * increment.covariance * j.by_increment.transpose();
+                             j.by_increment * way.covariance * j.by_increment.transpose();
   }
   // When long has passed, or the odometry was silent, almost anything agrees with a single fix.
   const double drift = std::pow(settings_.pairing_drift, 2);
@@ -255,18 +271,15 @@ Outcome PoseFilter::test(const State& state, const Measurement& m) const {
 
 void PoseFilter::fuse(State* state, const Measurement& m) {
   const int n = m.size();
-  if (m.source == Source::kFix) {
-    ++state->support;
-    if (m.place != 0) {
-      auto& places = state->places;
-      const auto known =
-          std::find_if(places.begin(), places.end(), [&](const UsedPlace& used) { return used.place == m.place; });
-      if (known != places.end()) {
-        known->age = 0;
-        return fuseAgain(state, m);
-      }
-      places.push_back({m.place, 0});
+  if (m.source == Source::kFix && m.place != 0) {
+    auto& places = state->places;
+    const auto known =
+        std::find_if(places.begin(), places.end(), [&](const UsedPlace& used) { return used.place == m.place; });
+    if (known != places.end()) {
+      known->age = 0;
+      return fuseAgain(state, m);
     }
+    places.push_back({m.place, 0});
   }
   update(state, observation(m), innovationOf(*state, m), m.covariance.topLeftCorner(n, n));
 }
@@ -319,14 +332,19 @@ Outcome PoseFilter::correctByFix(const Measurement& m) {
   Outcome out = state_ ? test(*state_, m) : unpredicted(m, Result::kWaiting);
   if (out.result == Result::kFused && needsAnother(m, out.nis)) out.result = Result::kWaiting;
   if (out.result == Result::kFused) {
+    const double log_odds = logOdds(*state_, m, out.nis);
     fuse(&*state_, m);
+    supportBy(m, &*state_);
     if (state_->scale_known) {
-      hypotheses_.clear();
+      judgeRivals(m, log_odds);
       return out;
     }
   }
   Hypothesis* supported = correctBestHypothesis(m);
-  if (!supported) supported = addHypothesis(m);
+  if (supported)
+    supported->stamps.push_back(m.stamp);
+  else
+    supported = addHypothesis(m);
   if (!isTrusted(*supported, out.result)) return out;
   out.joined.assign(supported->stamps.begin(), supported->stamps.end() - 1);
   if (out.result == Result::kWaiting) {

@@ -122,5 +122,52 @@ TEST(Places, ThreeWrongFixesOfOnePanoramaReplaceNothing) {
   }
 }
 
+// Hovering: `count` fixes of a panorama, a second apart. How many of them it takes to replace the state; 0: all do not.
+int fixesToReplace(const Vector4d& value, unsigned place, int count, double* time, PoseFilter* filter) {
+  for (int i = 1; i <= count; ++i, ++*time) {
+    if (filter->correct(fixAt(value, place, *time)).result == Result::kRecovered) return i;
+    filter->predict(still(1, 0.02));
+  }
+  return 0;
+}
+
+TEST(Places, AStateOfOnePanoramaYieldsToMoreFixesOfAnother) {
+  const Vector4d wrong(12, 0, 0, 0), right(0, 0, 0, 0);
+  for (const int fixes : {2, 3, 4, 5, 20}) {
+    PoseFilter filter;
+    double time = 0;
+    EXPECT_EQ(fixesToReplace(wrong, 1, fixes, &time, &filter), 0);
+    ASSERT_TRUE(filter.started());
+    EXPECT_EQ(fixesToReplace(right, 2, 30, &time, &filter), fixes <= 3 ? 3 : fixes + 1);
+    EXPECT_NEAR(filter.state().x[0], 0, 0.5);
+  }
+  // One that rests on two does not, however many they are.
+  PoseFilter filter;
+  double time = 0;
+  fixesToReplace(right, 1, 5, &time, &filter);
+  fixesToReplace(right, 2, 5, &time, &filter);
+  EXPECT_EQ(fixesToReplace(wrong, 3, 100, &time, &filter), 0);
+  EXPECT_EQ(fixesToReplace(wrong, 4, 1, &time, &filter), 1);
+}
+
+TEST(Places, AFixWhosePanoramaIsNotKnownIsNoSecondPanorama) {
+  const Vector4d wrong(12, 0, 0, 0), right(0, 0, 0, 0);
+  for (int unknown = 0; unknown < 4; ++unknown) {
+    PoseFilter filter;
+    double time = 0;
+    for (unsigned place = 1; place <= 6; ++place) fixesToReplace(right, place, 10, &time, &filter);
+    EXPECT_EQ(fixesToReplace(wrong, 50, unknown, &time, &filter), 0);
+    EXPECT_EQ(fixesToReplace(wrong, 0, 1, &time, &filter), 0);
+    EXPECT_EQ(fixesToReplace(wrong, 50, 20, &time, &filter), 0) << unknown;
+    EXPECT_EQ(fixesToReplace(wrong, 51, 1, &time, &filter), 1);
+  }
+  // Nor does it make several of the one that a state rests on.
+  PoseFilter filter;
+  double time = 0;
+  fixesToReplace(wrong, 1, 3, &time, &filter);
+  fixesToReplace(wrong, 0, 1, &time, &filter);
+  EXPECT_EQ(fixesToReplace(right, 2, 30, &time, &filter), 5);
+}
+
 }  // namespace
 }  // namespace ekf_tracker

@@ -111,8 +111,13 @@ struct State {
   Matrix6d covariance = Matrix6d::Identity();
   bool barometer_known = false;
   bool scale_known = true;        ///< false: the odometry began anew in an unknown unit, only its turns are used
-  int support = 0;                ///< fixes fused
+  int support = 0;                ///< fixes that speak for it
+  unsigned place = 0;             ///< of the first of these whose panorama is known; 0: none is
+  bool several_places = false;    ///< another of these is of another panorama
   std::vector<UsedPlace> places;  ///< of the last minute, as far as they are known
+
+  /// Of all fixes that speak for it and whose panorama is known.
+  bool ofOnePlace() const { return place != 0 && !several_places; }
 };
 
 /// Covariance that a step of odometry is predicted with: the stated one by the factor, and the floors.
@@ -148,7 +153,6 @@ class PoseFilter {
     double log_odds = 0;         ///< that its fixes are right, against that wrong ones agree by chance
     double age = 0;              ///< since the anchor [s]
     std::vector<double> stamps;  ///< of its fixes [s]
-    unsigned place = 0;          ///< of all its fixes; 0: of several, or not known
     Vector4d anchor = Vector4d::Zero();
     Matrix4d anchor_covariance = Matrix4d::Identity();
     Vector4d travelled = Vector4d::Zero();  ///< since the anchor, in its body frame, in the odometry's unit
@@ -159,18 +163,20 @@ class PoseFilter {
   void takeStatedScale(State* state) const;
   void loseScale();
   void propagate(State* state, const Increment& increment) const;
+  Increment coast(const Increment& gap) const;
   Outcome test(const State& state, const Measurement& m) const;
   Outcome unpredicted(const Measurement& m, Result result) const;
   Outcome correctByPart(const Measurement& m);
   Outcome correctByFix(const Measurement& m);
   static void fuse(State* state, const Measurement& m);
   static void fuseAgain(State* state, const Measurement& fix);
+  static void supportBy(const Measurement& fix, State* state);
   enum class Solution { kNone, kContradiction, kFound };
   Solution solveScale(Hypothesis* h, const Measurement& fix) const;
   double logOdds(double log_density) const;
   double logOdds(const State& state, const Measurement& fix, double nis) const;
   bool needsAnother(const Measurement& fix, double nis) const;
-  static Hypothesis* join(Hypothesis* h, const Measurement& fix);
+  void judgeRivals(const Measurement& fix, double log_odds);
   Hypothesis* correctBestHypothesis(const Measurement& fix);
   Hypothesis hypothesisFrom(const Measurement& fix) const;
   Hypothesis* addHypothesis(const Measurement& fix);
@@ -183,6 +189,8 @@ class PoseFilter {
   std::vector<Hypothesis> hypotheses_;
   bool metric_ = true;
   double scale_stddev_ = 0;
+  Eigen::Vector3d velocity_ = Eigen::Vector3d::Zero();  ///< of the last odometry, in its unit per second, body frame
+  double silent_ = 0;                                   ///< since then [s]
   int recoveries_ = 0, starts_ = 0;
 };
 
