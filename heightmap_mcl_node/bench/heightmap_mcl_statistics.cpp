@@ -202,7 +202,6 @@ int main(int argc, char** argv) {
                                        : tops == "clipped" ? hm::Tops::kClipped
                                                            : hm::Tops::kBounded;
   s.ground_map.cap = s.air_map.cap;
-  s.cells_per_independent *= std::pow(cells_per_metre / 50, 2);
   s.air_map.resolution = s.ground_map.resolution = 1 / cells_per_metre;
   if (mode == "paper") s = hm::paperSettings(s);
   options.tilt = tilt_deg * M_PI / 180;

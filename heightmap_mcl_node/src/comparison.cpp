@@ -28,8 +28,9 @@ double rivalRatio(const Agreement& other, const Agreement& best, double noise_co
   return std::max(0.0, cost + other.score - best.score) / cost;
 }
 
-double independentCells(const Agreement& place, double cells_per_independent) {
-  return std::max(place.overlap / cells_per_independent, 1.0);
+double independentMeasurements(const Agreement& place, const HeightMapLocalizerSettings& settings) {
+  const double cell = settings.ground_map.resolution;
+  return std::max(place.overlap / (settings.independent_area / (cell * cell)), 1.0);
 }
 
 double logLikelihoodRatio(double independent, double cost_less, double cutoff) {
@@ -72,7 +73,7 @@ double Comparison::scoreElsewhere(const Agreement& rival) const {
 
 double Comparison::lead(const Agreement& best, const Agreement& rival) const {
   if (!std::isfinite(best.score)) return 0;
-  return logLikelihoodRatio(independentCells(best, settings_.cells_per_independent), scoreElsewhere(rival) - best.score,
+  return logLikelihoodRatio(independentMeasurements(best, settings_), scoreElsewhere(rival) - best.score,
                             settings_.cutoff);
 }
 

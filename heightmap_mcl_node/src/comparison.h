@@ -21,7 +21,7 @@ Placement bestElsewhere(const std::vector<Placement>& places, const PlanarPose& 
 double rivalRatio(const Agreement& other, const Agreement& best, double noise_cost);
 
 /// Measurements in the overlap that are independent, at least 1.
-double independentCells(const Agreement& place, double cells_per_independent);
+double independentMeasurements(const Agreement& place, const HeightMapLocalizerSettings& settings);
 /// Logarithm of how much likelier heights are whose mean squared residual is less by `cost_less` [m^2], over so many
 /// independent measurements. `cutoff`: see agreement.h [m].
 double logLikelihoodRatio(double independent, double cost_less, double cutoff);

@@ -66,7 +66,7 @@ Matrix6d covarianceOf(const FoundPlace& place, const PlaceMeasures& measures, St
   if (status == Status::kSearching) return CoarseEstimate().covariance;
   const CovarianceSettings& s = settings.covariance;
   const Placement &best = place.best, &rival = place.rival;
-  const double independent = independentCells(best.agreement, settings.cells_per_independent);
+  const double independent = independentMeasurements(best.agreement, settings);
   const Eigen::Matrix3d planar =
       planarCovariance(place, measures, status == Status::kDegenerate, ground, independent, settings);
 

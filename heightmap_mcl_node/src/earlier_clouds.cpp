@@ -21,12 +21,12 @@ EarlierClouds::EarlierClouds(const HeightMapLocalizerSettings& settings)
     : settings_(settings), in_group_(static_cast<std::size_t>(settings.verify)) {}
 EarlierClouds::~EarlierClouds() = default;
 
-void EarlierClouds::add(std::int64_t stamp, AerialCloud cloud) {
+void EarlierClouds::add(std::int64_t stamp, AerialCloud cloud, bool searched) {
   if (const auto it = corrections_.find(stamp); it != corrections_.end()) {
     if (!it->second) return;
     moveBy(*it->second, &cloud);
   }
-  clouds_.emplace_back(stamp, Kept{std::move(cloud), ground_cells_});
+  clouds_.emplace_back(stamp, Kept{std::move(cloud), searched ? ground_cells_ : 0, !searched});
   if (clouds_.size() > air_ground_common::kFollowedClouds) clouds_.pop_front();
 }
 
@@ -36,13 +36,14 @@ void EarlierClouds::correct(const air_ground_common::CloudCorrections& correctio
                                    [](const air_ground_common::Similarity& S, Kept* kept) { moveBy(S, &kept->cloud); });
 }
 
-void EarlierClouds::setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells) {
+void EarlierClouds::setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells, bool corrected) {
   ground_ = std::move(points);
   ground_cells_ = defined_cells;
   ground_is_new_ = true;
+  if (corrected) searchAgain();
   // The newest ones are HeightMapLocalizer's, which searches them now.
   for (std::size_t i = clouds_.size() - std::min(in_group_, clouds_.size()); i < clouds_.size(); ++i)
-    clouds_[i].second.searched = ground_cells_;
+    if (!clouds_[i].second.passed_by) clouds_[i].second.searched = ground_cells_;
 }
 
 void EarlierClouds::forgetAerial() {
@@ -78,8 +79,10 @@ bool EarlierClouds::pending() const { return !group_.empty() || nextGroup() > 0;
 std::size_t EarlierClouds::nextGroup() const {
   if (ground_cells_ == 0 || settings_.mode == Mode::kPaper || clouds_.size() <= in_group_) return 0;
   const auto now = static_cast<double>(ground_cells_);
-  for (std::size_t end = clouds_.size() - in_group_; end > 0; --end)
-    if (now > kGrowth * static_cast<double>(clouds_[end - 1].second.searched)) return end;
+  for (std::size_t end = clouds_.size() - in_group_; end > 0; --end) {
+    const auto then = static_cast<double>(clouds_[end - 1].second.searched);
+    if (now > kGrowth * then || then > kGrowth * now) return end;
+  }
   return 0;
 }
 

@@ -26,8 +26,6 @@ class EvidenceSum {
 
   double sum() const { return sum_; }
   double guessSum() const { return guess_sum_; }
-  /// Something has counted in favour of the place.
-  bool any() const { return sum_ > 0 || guess_sum_ > 0; }
   /// T_ground_mav at the last call of placeAt.
   const std::optional<air_ground_common::Pose>& place() const { return place_; }
 

@@ -106,7 +106,8 @@ CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std
   return volume;
 }
 
-std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle) {
+std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                                        const Prior& prior) {
   struct Entry {
     float cost;
     int slice, row, column;
@@ -134,7 +135,7 @@ std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t co
             }
           }
         }
-        if (minimum) entries.push_back({cost, k, r, c});
+        if (minimum && prior.allows(map.pose(r, c), volume.pivot)) entries.push_back({cost, k, r, c});
       }
     }
   }
@@ -199,9 +200,9 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
 }
 
 std::vector<Placement> placesOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
-                                      const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
-                                      const CostSettings& settings) {
-  const std::vector<PlanarPose> minima = findLocalMinima(volume, count, distance, angle);
+                                      const Prior& prior, const DirectCost& cost, const AerialCells& cells,
+                                      double step_xy, double step_yaw, const CostSettings& settings) {
+  const std::vector<PlanarPose> minima = findLocalMinima(volume, count, distance, angle, prior);
   std::vector<Placement> places(minima.size());
   const int n = static_cast<int>(minima.size());
 #pragma omp parallel for schedule(dynamic)

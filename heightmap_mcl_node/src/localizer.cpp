@@ -64,9 +64,10 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   maps_ = 0;
   restarts_ = 0;
   evidence_->clear();
+  scale_->clear();
+  estimate_ = CoarseEstimate();  // what was CONVERGED would hold the scale where it was
   if (forget_aerial) {
     kept_->clear();
-    scale_->clear();
     floor_rivals_.clear();
     filter_map_ = HeightMap();
   }
@@ -75,7 +76,7 @@ void HeightMapLocalizer::restart(bool forget_aerial) {
   hearKeptMaps();
 }
 
-bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped) {
+bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped, bool corrected) {
   HeightMap map = buildHeightMap(points, settings_.ground_map, cropped);
   if (map.empty()) {
     forgetGround();
@@ -85,9 +86,12 @@ bool HeightMapLocalizer::setGround(const std::vector<Eigen::Vector3f>& points, s
   filter_.setSigmaShare(settings_.mode == Mode::kPaper ? 1
                                                        : std::clamp(ground_->variance() / kUsualVariance, 0.02, 1.0));
   verify_volume_.reset();
-  if (stillStands()) return true;
-  // What the particles drawn so far could not know lies in the new part of the map.
-  if (estimate_.status != Status::kConverged) drawFromKeptMaps();
+  if (!corrected && stillStands()) return true;
+  if (estimate_.status != Status::kConverged) {
+    if (corrected) evidence_->clear();
+    // What the particles drawn so far could not know lies in the new part of the map.
+    drawFromKeptMaps();
+  }
   updateEstimate(false);
   hearKeptMaps();
   return true;
@@ -123,28 +127,33 @@ bool HeightMapLocalizer::stillStands() const {
   if (!estimate_.has_pose || settings_.mode == Mode::kPaper) return false;
   const auto now = static_cast<double>(ground_->map().defined()), then = static_cast<double>(searched_cells_);
   if (now > kGrowth * then || then > kGrowth * now) return false;
-  if (estimate_.status != Status::kConverged) return true;
   const HeightMap map = kept_->merged(settings_.verify);
   const Comparison compare = comparison();
   const AerialCells cells = compare.cellsOf(map, centerOf(map));
   const Placement place =
       placementAt(ground_->direct(), cells, planarOf(estimate_.T_ground_mav, cells.reference), compare.costFor(map));
-  return place.agreement.score <= kWorse * score_ && place.agreement.agreeing >= settings_.verdict.min_agreement;
+  const double score = place.agreement.score;
+  if (score > kWorse * score_) return false;
+  // What was not CONVERGED may be so where it fits better now.
+  return estimate_.status == Status::kConverged ? place.agreement.agreeing >= settings_.verdict.min_agreement
+                                                : score_ <= kWorse * score;
 }
 
 void HeightMapLocalizer::drawFromKeptMaps() {
   if (!hasGround() || !hasAerial()) return;
   maps_ = static_cast<int>(kept_->size());
-  if (scale_->estimate().stddev == 0 || scaleIsOpen()) updateScale();
+  updateScale();
   updateFloor();
   filter_map_ = kept_->merged(settings_.accumulate);
   filter_.initialize(verifyVolume(kept_->merged(settings_.verify)), prior_, kept_->reference());
 }
 
 void HeightMapLocalizer::hearKeptMaps() {
-  const bool speaks =
-      estimate_.has_pose && (speaksFor(estimate_, settings_.verdict) || speaksForGuess(estimate_, settings_.verdict));
-  if (settings_.mode == Mode::kPaper || evidence_->any() || kept_->size() < 2 || !speaks) return;
+  if (settings_.mode == Mode::kPaper || !estimate_.has_pose || kept_->size() < 2) return;
+  // What counts for a guess must not keep the same maps from counting for more.
+  const bool unheard = (evidence_->sum() == 0 && speaksFor(estimate_, settings_.verdict)) ||
+                       (evidence_->guessSum() == 0 && speaksForGuess(estimate_, settings_.verdict));
+  if (!unheard) return;
   filter_.clear();
   maps_ = 0;
   evidence_->clear();

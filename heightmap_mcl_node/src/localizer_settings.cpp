@@ -131,8 +131,8 @@ void describe(air_ground_common::ParameterVisitor& v, HeightMapLocalizerSettings
   v("guess_agreement", s.verdict.guess_agreement, {0.0, 1.0}, "", "and this instead of min_agreement");
 
   v.section("Covariance");
-  v("cells_per_independent", s.cells_per_independent, {1.0, 1e6}, "",
-    "cells whose residuals count as one independent measurement");
+  v("independent_area", s.independent_area, {1e-4, 1e3}, "m^2",
+    "of the overlap, whose residuals count as one independent measurement, whatever cells_per_metre is");
   v("floor_position", s.covariance.floor_position, {1e-4, 1.0}, "m",
     "standard deviation that no amount of data removes: scale, drift of the merged clouds");
   v("floor_z", s.covariance.floor_z, {1e-4, 1.0}, "m", "");

@@ -27,7 +27,7 @@ CostVolume PlaceSearch::volumeOf(const HeightMap& air) const {
 
 std::vector<Placement> PlaceSearch::placesOf(const CostVolume& volume, std::size_t count, const AerialCells& cells,
                                              const CostSettings& cost) const {
-  return placesOfMinima(volume, count, settings_.rival.distance, settings_.rival.angle, ground_.direct(), cells,
+  return placesOfMinima(volume, count, settings_.rival.distance, settings_.rival.angle, prior_, ground_.direct(), cells,
                         settings_.coarse_factor * ground_.map().resolution, M_PI / settings_.headings, cost);
 }
 
@@ -100,9 +100,9 @@ std::vector<Placement> PlaceSearch::allowedPlaces(const CostVolume& volume, cons
     places.push_back(descend(ground_.direct(), cells, planarOf(*hints.T_ground_before, cells.reference),
                              2 * ground_.map().resolution, 2 * kDegree, cost));
   places.insert(places.end(), hints.others.begin(), hints.others.end());
-  // Where a position is known, places beyond three standard deviations are no rivals.
+  // Descents may have led out of what is allowed, and what is hinted at may lie there.
   places.erase(std::remove_if(places.begin(), places.end(),
-                              [&](const Placement& c) { return prior_.logDensity(c.pose, cells.reference) < -4.5; }),
+                              [&](const Placement& c) { return !prior_.allows(c.pose, cells.reference); }),
                places.end());
   return places;
 }

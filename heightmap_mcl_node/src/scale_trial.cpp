@@ -92,7 +92,7 @@ ScaleTrial ScaleTrials::anywhere(double scale, const LevelCloud& cloud) const {
     const CostSettings cost = comparison_.costFor(lifted);
     const CostVolume volume = computeCostVolume(map.ground.fft(), lifted, headings, circular, cost);
     const std::vector<Placement> found =
-        placesOfMinima(volume, kPlaces, settings_.rival.distance, settings_.rival.angle, map.ground.direct,
+        placesOfMinima(volume, kPlaces, settings_.rival.distance, settings_.rival.angle, prior_, map.ground.direct,
                        aerialCells(lifted, map.centre), lifted.resolution, M_PI / kHeadings, cost);
     places.insert(places.end(), found.begin(), found.end());
     const Placement lowest = bestOf(found);

@@ -302,6 +302,26 @@ INSTANTIATE_TEST_SUITE_P(Placements, SearchRecovers,
                          ::testing::Values(Cut{1.2, 4.1, 0, 0.3}, Cut{1.7, 3.6, 33, -1.2}, Cut{2.1, 4.4, 90, 2},
                                            Cut{1.9, 4.5, -128, 0}, Cut{2.6, 4.9, 178, 0.5}));
 
+// However many lower ones lie elsewhere.
+TEST(Search, TheMinimaAreThoseThatThePriorAllows) {
+  CostVolume volume;
+  volume.pivot = {0.5, 0};
+  CostMap map;
+  map.width = 9;
+  map.height = 1;
+  map.resolution = 1;
+  map.cost = {1, 9, 2, 9, 3, 9, 4, 9, 5};
+  volume.slices = {map};
+  Prior prior;
+  prior.position = Eigen::Vector2d(map.pose(0, 6).x - 0.5, map.pose(0, 6).y);  // of the frame's origin
+  prior.position_sigma = 0.7;
+  const auto minima = findLocalMinima(volume, 2, 0.4, 0.3, prior);
+  ASSERT_EQ(minima.size(), 2u);
+  EXPECT_EQ(minima[0].x, map.pose(0, 4).x);
+  EXPECT_EQ(minima[1].x, map.pose(0, 6).x);
+  EXPECT_EQ(findLocalMinima(volume, 2, 0.4, 0.3)[0].x, map.pose(0, 0).x);
+}
+
 TEST(Search, KnownHeadingLimitsTheHeadings) {
   Prior prior;
   prior.yaw = 3.1;

@@ -81,6 +81,38 @@ TEST_F(Scout, FollowsCorrectionsOfItsMap) {
   EXPECT_FALSE(search());
 }
 
+// It has as many cells as before.
+TEST_F(Scout, IsFoundWhereALoopOfTheGroundMapWasClosed) {
+  const std::vector<Eigen::Vector3f> closed = run.ground;
+  run.ground = synthetic::drifted(closed);
+  setGround(10000);
+  EXPECT_FALSE(search());
+  run.ground = closed;
+  earlier.setGround(closed, 10000, true);
+  EXPECT_TRUE(search());
+}
+
+TEST_F(Scout, IsSearchedAgainInASmallerGroundMap) {
+  setGround(10000);
+  ASSERT_TRUE(search());
+  setGround(9500);
+  EXPECT_FALSE(earlier.pending()) << "about the same";
+  setGround(9000);
+  EXPECT_TRUE(earlier.pending());
+}
+
+// Clouds that came faster than HeightMapLocalizer takes them.
+TEST_F(Scout, CloudsThatNobodySearchedAreSearched) {
+  setGround(10000);
+  ASSERT_TRUE(search());
+  for (const AerialCloud& cloud : run.aerial) earlier.add(++stamp, cloud);
+  EXPECT_FALSE(earlier.pending()) << "HeightMapLocalizer has had them";
+  for (const AerialCloud& cloud : run.aerial) earlier.add(++stamp, cloud, false);
+  EXPECT_TRUE(earlier.pending());
+  setGround(10000);
+  EXPECT_TRUE(earlier.pending()) << "nor has it now";
+}
+
 TEST_F(Scout, SearchesNothingElsewhereTwice) {
   synthetic::Options options;
   options.seed = 23;

@@ -1,9 +1,12 @@
-// What counts for a place, how much at most, and when it is forgotten.
+// What counts for a place, how much at most, and when it is forgotten; how many measurements an overlap holds.
 #include "evidence_sum.h"
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "air_ground_common/geometry.h"
+#include "comparison.h"
 
 namespace heightmap_mcl {
 namespace {
@@ -15,7 +18,6 @@ air_ground_common::Pose at(double x, double yaw = 0) { return air_ground_common:
 
 TEST(EvidenceSum, OneMapCountsForAtMostHalf) {
   EvidenceSum evidence(kEnough, kRival);
-  EXPECT_FALSE(evidence.any());
   evidence.placeAt(at(0), {0, 0});
   evidence.add(3, true, true);
   EXPECT_DOUBLE_EQ(evidence.sum(), 3);
@@ -27,7 +29,7 @@ TEST(EvidenceSum, OneMapCountsForAtMostHalf) {
   EXPECT_DOUBLE_EQ(evidence.sum(), 1.5 * kEnough);
   for (int i = 0; i < 10; ++i) evidence.add(-1000, true, true);
   EXPECT_DOUBLE_EQ(evidence.sum(), 0) << "what spoke against it can be made up for at once";
-  EXPECT_FALSE(evidence.any());
+  EXPECT_DOUBLE_EQ(evidence.guessSum(), 0);
 }
 
 TEST(EvidenceSum, WhatCannotTellPlacesApartCountsAgainstOnly) {
@@ -36,7 +38,6 @@ TEST(EvidenceSum, WhatCannotTellPlacesApartCountsAgainstOnly) {
   evidence.add(4, false, true);
   EXPECT_DOUBLE_EQ(evidence.sum(), 0);
   EXPECT_DOUBLE_EQ(evidence.guessSum(), 4);
-  EXPECT_TRUE(evidence.any());
   evidence.add(4, true, true);
   evidence.add(-1, false, false);
   EXPECT_DOUBLE_EQ(evidence.sum(), 3);
@@ -70,6 +71,18 @@ TEST(EvidenceSum, APlaceThatDriftsKeepsWhatItHas) {
     evidence.add(1, true, true);
   }
   EXPECT_DOUBLE_EQ(evidence.sum(), 6);
+}
+
+TEST(IndependentMeasurements, AreAsManyInCellsOfAnySize) {
+  HeightMapLocalizerSettings settings;
+  Agreement place;
+  for (const double resolution : {0.01, 0.02, 0.05}) {
+    settings.air_map.resolution = settings.ground_map.resolution = resolution;
+    place.overlap = static_cast<int>(std::lround(8 / (resolution * resolution)));  // 8 m^2
+    EXPECT_NEAR(independentMeasurements(place, settings), 50, 1e-9) << resolution;
+  }
+  place.overlap = 1;
+  EXPECT_DOUBLE_EQ(independentMeasurements(place, settings), 1);
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // What the localizer makes of ground maps that come late, change, or hold nothing.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <string>
 #include <vector>
 
@@ -60,6 +61,10 @@ TEST(GroundMap, AConvergedEstimateHoldsUntilTheGroundMapChanges) {
   ASSERT_TRUE(localizer.setGround(moved(0, {0.004, 0, 0})));
   EXPECT_EQ(localizer.estimate().status, Status::kConverged);
   EXPECT_TRUE(localizer.estimate().T_ground_mav.isApprox(before, 0));
+  // The ground robot says that it was corrected: another search.
+  ASSERT_TRUE(localizer.setGround(moved(0, {0.004, 0, 0}), nullptr, true));
+  EXPECT_EQ(localizer.estimate().status, Status::kConverged);
+  EXPECT_FALSE(localizer.estimate().T_ground_mav.isApprox(before, 0));
   // Corrected as a whole, by more than any descent reaches from the place of before.
   const Eigen::Vector3d shift(1.5, -0.8, 0);
   ASSERT_TRUE(localizer.setGround(moved(0.5, shift)));
@@ -100,6 +105,63 @@ TEST(GroundMap, OneThatComesAfterTheLastCloudIsEnough) {
     localizer.restart(false);
     EXPECT_EQ(localizer.estimate().status, Status::kConverged) << seed << ": " << localizer.estimate().reason;
   }
+}
+
+HeightMapLocalizerSettings inCellsOf(double resolution) {
+  HeightMapLocalizerSettings settings;
+  settings.air_map.resolution = settings.ground_map.resolution = resolution;
+  settings.coarse_factor = 2;
+  return settings;
+}
+
+/// A MAV that has landed after four clouds over what the ground robot has mapped badly.
+struct Landed {
+  explicit Landed(std::uint64_t seed) : localizer(inCellsOf(0.04)) {
+    synthetic::Options options;
+    options.seed = seed;
+    options.aerial_clouds = 4;
+    run = synthetic::makeRun(options);
+    EXPECT_TRUE(localizer.setGround(synthetic::drifted(run.ground)));
+    for (const auto& cloud : run.aerial) EXPECT_TRUE(localizer.addAerial(cloud));
+    EXPECT_NE(localizer.estimate().status, Status::kConverged) << seed;
+  }
+
+  void expectConverged() const {
+    const CoarseEstimate& e = localizer.estimate();
+    EXPECT_EQ(e.status, Status::kConverged) << e.reason;
+    const auto error = synthetic::errorOf(e.T_ground_mav, run.T_ground_mav.back(), run.aerial.back().reference);
+    EXPECT_LT(error.position, 0.15);
+  }
+
+  synthetic::Run run;
+  HeightMapLocalizer localizer;
+};
+
+// It has about as many cells as before, but the place that was not believed agrees better.
+TEST(GroundMap, AClosedLoopIsSeenInHowThePlaceAgrees) {
+  Landed mav(503);
+  ASSERT_TRUE(mav.localizer.setGround(mav.run.ground));
+  mav.expectConverged();
+}
+
+// Evidence for a guess, gathered in the map of before, does not keep the clouds from being heard once more.
+TEST(GroundMap, AGuessMayBecomeMoreAfterTheLastCloud) {
+  Landed mav(505);
+  EXPECT_EQ(mav.localizer.estimate().evidence, 0);
+  EXPECT_GT(mav.localizer.estimate().guess_evidence, 0);
+  // The loop is closed, and bare floor beside comes in view.
+  std::vector<Eigen::Vector3f> ground = mav.run.ground;
+  Eigen::Vector3f right = ground.front();
+  for (const auto& p : ground)
+    if (p.x() > right.x()) right = p;
+  std::vector<float> heights;
+  for (const auto& p : ground) heights.push_back(p.z());
+  const auto floor = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 3);
+  std::nth_element(heights.begin(), floor, heights.end());
+  for (float x = 0.5; x < 3.5; x += 0.03f)
+    for (float y = 0; y < 2.6; y += 0.03f) ground.emplace_back(right.x() + x, right.y() + y, *floor);
+  ASSERT_TRUE(mav.localizer.setGround(ground));
+  mav.expectConverged();
 }
 
 TEST(GroundMap, AGroundMapWithoutACellIsForgottenWhole) {

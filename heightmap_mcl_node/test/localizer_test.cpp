@@ -157,7 +157,6 @@ TEST(HeightMapLocalizer, WhatTheMavSeesElsewhereDoesNotHideWhereItIs) {
 
   HeightMapLocalizerSettings settings;
   settings.air_map.resolution = settings.ground_map.resolution = 0.05;
-  settings.cells_per_independent *= std::pow(0.02 / 0.05, 2);
   settings.coarse_factor = 2;
   HeightMapLocalizer localizer(settings);
   ASSERT_TRUE(localizer.setGround(run.ground));

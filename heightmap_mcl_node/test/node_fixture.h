@@ -125,11 +125,14 @@ class NodeTest : public ::testing::Test {
   }
 
   void sendStatus(std::uint32_t map_id) { sendStatus(status_, map_id); }
-  void sendGroundStatus(std::uint32_t map_id) { sendStatus(ground_status_, map_id); }
-  void sendStatus(const ros::Publisher& publisher, std::uint32_t map_id) {
+  void sendGroundStatus(std::uint32_t map_id, std::uint32_t map_revision = 0) {
+    sendStatus(ground_status_, map_id, map_revision);
+  }
+  void sendStatus(const ros::Publisher& publisher, std::uint32_t map_id, std::uint32_t map_revision = 0) {
     air_ground::VoStatus status;
     status.header.stamp = stamp_;
     status.map_id = map_id;
+    status.map_revision = map_revision;
     publisher.publish(status);
   }
 

@@ -305,6 +305,29 @@ TEST_F(NodeTest, CloudsThatTheMavHasLeftBehindAreSearchedWhileNothingElseIsToBeD
   EXPECT_LT(error.position, 0.3);
 }
 
+// A loop of the ground robot's map is closed, while the MAV stands: the map has hardly more cells than before.
+TEST_F(NodeTest, ACorrectedGroundMapIsSearchedAgain) {
+  const auto run = world(501, 4);
+  sendGroundStatus(1, 1);
+  auto before = run;
+  before.ground = syn::drifted(run.ground);
+  ASSERT_TRUE(sendGround(before));
+  for (const auto& cloud : run.aerial) ASSERT_TRUE(sendAerial(cloud));
+  ASSERT_NE(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+  clear();
+  sendGroundStatus(1, 2);
+  // What was on its way is of the map as it was.
+  ASSERT_TRUE(diagnostics_.await("corrections of the map of the ground robot", 1));
+  const int dropped = diagnostics_.counted("ground clouds of an earlier map dropped");
+  stamp_ -= ros::Duration(1);
+  ground_.publish(cloudMsg(before.ground, "ground_map", stamp_));
+  ASSERT_TRUE(diagnostics_.await("ground clouds of an earlier map dropped", dropped + 1));
+  stamp_ += ros::Duration(2);
+  ASSERT_TRUE(sendGround(run));
+  ASSERT_TRUE(spinUntil([&] { return !coarse_.messages.empty(); }));
+  EXPECT_EQ(last().status, AlignmentEstimate::STATUS_CONVERGED) << last().reason;
+}
+
 TEST_F(NodeTest, InitialPoseIsUsed) {
   const auto run = world(605, 2, syn::World::kIdenticalBoxes);
   ASSERT_TRUE(sendGround(run));

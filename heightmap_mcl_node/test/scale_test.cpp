@@ -142,6 +142,34 @@ TEST(OwnUnit, AScaleWithoutRivalHasNoMoreEvidenceThanItsFit) {
   EXPECT_LT(r.first_converged, 0);
 }
 
+// A ground map of another scene fits at some scale, too: not the one for the map that comes next.
+TEST(OwnUnit, ScaleEndsWithTheGroundMap) {
+  synthetic::Options options;
+  options.aerial_clouds = 3;
+  options.scale_error = 0;
+  HeightMapLocalizerSettings settings;
+  settings.air_map.resolution = settings.ground_map.resolution = 0.04;
+  settings.coarse_factor = 2;
+  settings.own_unit.scale_min = 0.7;
+  settings.own_unit.scale_max = 3.5;
+  options.seed = 31;
+  const synthetic::Run run = synthetic::makeRun(options);
+  options.seed = 81;
+  options.aerial_clouds = 1;
+  const synthetic::Run other = synthetic::makeRun(options);
+  const OwnUnit own{2.5, Eigen::Matrix3d::Identity()};
+  HeightMapLocalizer localizer(settings);
+  localizer.setOwnUnit(true);
+  ASSERT_TRUE(localizer.setGround(other.ground));
+  for (const AerialCloud& cloud : run.aerial) ASSERT_TRUE(localizer.addAerial(own.raw(cloud)));
+  EXPECT_GT(std::abs(localizer.estimate().scale / own.unit - 1), 0.1);
+  localizer.forgetGround();
+  EXPECT_EQ(localizer.estimate().scale_evidence, 0);
+  ASSERT_TRUE(localizer.setGround(run.ground));
+  EXPECT_NEAR(localizer.estimate().scale / own.unit, 1, 0.1) << localizer.estimate().reason;
+  EXPECT_EQ(localizer.estimate().status, Status::kConverged) << localizer.estimate().reason;
+}
+
 TEST(OwnUnit, AFlatFloorHasNoScale) {
   synthetic::Options options;
   options.world = synthetic::World::kFlatFloor;

@@ -297,6 +297,15 @@ Run makeRun(const Options& options) {
   return run;
 }
 
+std::vector<Eigen::Vector3f> drifted(std::vector<Eigen::Vector3f> ground) {
+  Eigen::Vector2f centre = Eigen::Vector2f::Zero();
+  for (const auto& p : ground) centre += p.head<2>() / static_cast<float>(ground.size());
+  const Eigen::Rotation2Df turn(0.17f);
+  for (std::size_t i = ground.size() / 2; i < ground.size(); ++i)
+    ground[i].head<2>() = centre + turn * (ground[i].head<2>() - centre) + Eigen::Vector2f(0.35f, 0.35f);
+  return ground;
+}
+
 AerialCloud OwnUnit::raw(const AerialCloud& cloud) const {
   AerialCloud out = cloud;
   const Eigen::Matrix3f S = (R_raw_level / unit).cast<float>();

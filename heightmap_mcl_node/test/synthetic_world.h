@@ -43,6 +43,9 @@ struct Run {
 
 Run makeRun(const Options& options);
 
+/// A ground map whose second half has drifted, before its loop is closed: 0.5 m and 10 degrees.
+std::vector<Eigen::Vector3f> drifted(std::vector<Eigen::Vector3f> ground);
+
 /// What a MAV without IMU makes of a run: its length 1 is `unit` metres, its z axis is tilted.
 struct OwnUnit {
   double unit = 1;

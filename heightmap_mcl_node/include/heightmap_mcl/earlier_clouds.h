@@ -15,19 +15,21 @@
 namespace heightmap_mcl {
 
 /// Keeps the clouds of the MAV's map and searches them in groups of `verify`, from the newest that HeightMapLocalizer
-/// no longer holds, whenever the ground map has grown by a tenth since a group was searched last. A group is one more
+/// no longer holds, whenever the ground map has grown or shrunk by a tenth since a group was searched last, or was
+/// corrected. A group is one more
 /// HeightMapLocalizer's, whose verdict counts. Not thread-safe.
 class EarlierClouds {
  public:
   explicit EarlierClouds(const HeightMapLocalizerSettings& settings);
   ~EarlierClouds();
 
-  /// In mav_map, stamp in nanoseconds, each later than the one before.
-  void add(std::int64_t stamp, AerialCloud cloud);
+  /// In mav_map, stamp in nanoseconds, each later than the one before. `searched`: by HeightMapLocalizer, in the ground
+  /// map of now.
+  void add(std::int64_t stamp, AerialCloud cloud, bool searched = true);
   /// What clouds have gone through since they were published.
   void correct(const air_ground_common::CloudCorrections& corrections);
-  /// In ground_map [m].
-  void setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells);
+  /// In ground_map [m]. `corrected` as a whole (a loop closed): what has been searched is searched again.
+  void setGround(std::vector<Eigen::Vector3f> points, std::size_t defined_cells, bool corrected = false);
   void forgetAerial();
   void forgetGround();
   /// As HeightMapLocalizer's; what has been searched is searched again.
@@ -43,13 +45,14 @@ class EarlierClouds {
     Eigen::Vector3d reference;  ///< position of the MAV at that cloud, in mav_map
   };
   /// Takes one cloud further, which takes as long as it does in HeightMapLocalizer. The place of a group that is
-  /// CONVERGED; then nothing is pending until the ground map grows.
+  /// CONVERGED; then nothing is pending until the ground map changes.
   std::optional<Found> step();
 
  private:
   struct Kept {
     AerialCloud cloud;
     std::size_t searched;  // ground cells when it was searched last; 0: never
+    bool passed_by;        // HeightMapLocalizer never had it
   };
   /// One past the newest cloud of the next group; 0: none.
   std::size_t nextGroup() const;

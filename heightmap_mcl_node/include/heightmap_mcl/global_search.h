@@ -21,6 +21,10 @@ struct Prior {
   bool any() const { return yaw || position; }
   /// Logarithm of the density up to a constant, for a pose of `reference`.
   double logDensity(const PlanarPose& pose, const Eigen::Vector2d& reference) const;
+  /// Within three standard deviations: what lies beyond is no place, and no rival.
+  bool allows(const PlanarPose& pose, const Eigen::Vector2d& reference) const {
+    return logDensity(pose, reference) >= -4.5;
+  }
 };
 
 /// Headings to try [rad]: `count` over the full circle, or the same spacing (at most yaw_sigma) over +-3 sigma of a
@@ -44,8 +48,9 @@ Eigen::Vector2d centerOf(const HeightMap& map);
 CostVolume computeCostVolume(const FftCost& fft, const HeightMap& air, const std::vector<double>& headings,
                              bool circular, const CostSettings& settings);
 
-/// Local minima of the volume, lowest first, at least `distance` [m] or `angle` [rad] apart.
-std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle);
+/// Local minima of the volume that the prior allows, lowest first, at least `distance` [m] or `angle` [rad] apart.
+std::vector<PlanarPose> findLocalMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
+                                        const Prior& prior = {});
 
 /// Descends from `start` on the score of what agrees (agreement.h) at full resolution: the neighbours at steps that are
 /// halved down to about half a cell, the first ones on a quarter of the cells, then a parabola along each axis.
@@ -55,8 +60,8 @@ Placement descend(const DirectCost& cost, const AerialCells& cells, const Planar
 
 /// What descents from the volume's `count` lowest minima reach (OpenMP); see findLocalMinima and descend.
 std::vector<Placement> placesOfMinima(const CostVolume& volume, std::size_t count, double distance, double angle,
-                                      const DirectCost& cost, const AerialCells& cells, double step_xy, double step_yaw,
-                                      const CostSettings& settings);
+                                      const Prior& prior, const DirectCost& cost, const AerialCells& cells,
+                                      double step_xy, double step_yaw, const CostSettings& settings);
 /// The lowest score; without a finite one where there is none.
 Placement bestOf(const std::vector<Placement>& places);
 

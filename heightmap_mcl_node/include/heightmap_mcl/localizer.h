@@ -34,11 +34,12 @@ class HeightMapLocalizer {
   explicit HeightMapLocalizer(const HeightMapLocalizerSettings& settings);
   ~HeightMapLocalizer();
 
-  /// Replaces the ground map. Where it is larger or smaller by a tenth than when the last search was made, or what was
-  /// CONVERGED no longer agrees, the search is made again at once, else at the next aerial cloud; one that has not
-  /// converged begins anew on the kept aerial maps, and may converge on them. Returns false (and forgets the ground
-  /// map) when the cloud defines no cell. `cropped`: see buildHeightMap.
-  bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr);
+  /// Replaces the ground map. Where it is larger or smaller by a tenth than when the last search was made, the place of
+  /// that agrees more or less by a tenth (what is CONVERGED: less), or the map was `corrected` as a whole (a loop
+  /// closed), the search is made again at once, else at the next aerial cloud; one that has not converged begins anew
+  /// on the kept aerial maps, and may converge on them. Returns false (and forgets the ground map) when the cloud
+  /// defines no cell. `cropped`: see buildHeightMap.
+  bool setGround(const std::vector<Eigen::Vector3f>& points, std::size_t* cropped = nullptr, bool corrected = false);
 
   /// Adds an aerial cloud and updates the particles. Earlier ones that together with it would exceed air_map.max_extent
   /// are dropped. Returns false, changing nothing, when the cloud defines no cell or the reference is not finite.
@@ -47,7 +48,7 @@ class HeightMapLocalizer {
   /// The verdict for the present maps; `has_pose` false while one of them is missing.
   const CoarseEstimate& estimate() const { return estimate_; }
 
-  /// Begins the global search again. Aerial maps are kept unless `forget_aerial` (new mav_map).
+  /// Begins the global search again, that of the scale, too. Aerial maps are kept unless `forget_aerial` (new mav_map).
   void restart(bool forget_aerial);
   void forgetGround();
 
@@ -80,7 +81,7 @@ class HeightMapLocalizer {
   bool stillStands() const;
   void drawFromKeptMaps();
   /// Where nothing has been heard for a place that now speaks for itself (the ground map came, grew or moved after the
-  /// MAV's last cloud): takes the kept maps once more, one by one, as if they came now.
+  /// MAV's last cloud), or only what makes it a guess: takes the kept maps once more, one by one, as if they came now.
   void hearKeptMaps();
   void useNewestMap();
   void dropFarMaps();

@@ -40,7 +40,7 @@ struct VerdictSettings {
   /// By which the place leads all others, summed over the maps that had it as their best (a cumulative sum, Page 1954;
   /// each counts for at most half of it, and nothing in favour while places cannot be told apart): logarithm of how
   /// much likelier the heights are there, n / (2 sigma^2) times the difference of both scores (see agreement.h) over n
-  /// independent cells. 15: the logarithm of some 7e4 places that differ (72 headings, 1000 offsets), and of 50.
+  /// independent measurements. 15: the logarithm of some 7e4 places that differ (72 headings, 1000 offsets), and of 50.
   double min_evidence = 15;
   double min_mode_weight = 0.7;  ///< share of the particles in the dominant mode
   double max_spread = 0.20;      ///< of the position within the dominant mode [m]
@@ -84,9 +84,9 @@ struct HeightMapLocalizerSettings {
 
   // How places are compared.
   RivalSettings rival;
-  double noise_cost = 1e-4;            ///< [m^2] added to both sides of a ratio: differences below it mean nothing
-  double cells_per_independent = 400;  ///< cells whose residuals count as one independent measurement
-  double probe_distance = 0.25;  ///< along the flattest direction of the cost, see VerdictSettings::probe_ratio [m]
+  double noise_cost = 1e-4;        ///< [m^2] added to both sides of a ratio: differences below it mean nothing
+  double independent_area = 0.16;  ///< [m^2] whose residuals count as one independent measurement
+  double probe_distance = 0.25;    ///< along the flattest direction of the cost, see VerdictSettings::probe_ratio [m]
   VerdictSettings verdict;
   CovarianceSettings covariance;
 };

@@ -121,8 +121,9 @@ class HeightmapMclNode {
         useCompass();
         localizer_.setOwnUnit(work->own_unit);
         earlier_.setOwnUnit(work->own_unit);
-        if (work->ground) useGround(work->ground);
-        if (work->aerial) useAerial(work->aerial, work->reference, work->own_unit);
+        if (work->ground) useGround(work->ground, work->ground_corrected);
+        for (const AerialMessage& msg : work->passed_by) keepForLater(msg, work->own_unit);
+        if (work->aerial.cloud) useAerial(work->aerial, work->own_unit);
         if (work->corrections) earlier_.correct(*work->corrections);
         work->idle ? searchEarlier(*work) : publish(*work);
       } catch (const std::exception& e) {
@@ -167,12 +168,12 @@ class HeightmapMclNode {
     heading_known_ = true;
   }
 
-  void useGround(const Cloud& msg) {
+  void useGround(const Cloud& msg, bool corrected) {
     const ros::WallTime start = ros::WallTime::now();
     auto points = positionsOf(*msg, "ground clouds", health_);
     if (!points) return;
     std::size_t cropped = 0;
-    if (!localizer_.setGround(*points, &cropped)) health_.count("ground clouds that define no cell");
+    if (!localizer_.setGround(*points, &cropped, corrected)) health_.count("ground clouds that define no cell");
     health_.value("ground points beyond ground/max_extent", static_cast<double>(cropped));
     const HeightMap& map = localizer_.groundMap();
     const Eigen::Vector2d low(map.origin_x, map.origin_y), size(map.width, map.height);
@@ -182,29 +183,40 @@ class HeightmapMclNode {
                  air_ground_common::formatted("where it is densest, x %.0f to %.0f and y %.0f to %.0f m,", low.x(),
                                               high.x(), low.y(), high.y()));
     if (!said.empty()) ROS_WARN_STREAM_THROTTLE(60, said);
-    earlier_.setGround(std::move(*points), map.defined());
+    earlier_.setGround(std::move(*points), map.defined(), corrected);
     ground_stamp_ = msg->header.stamp;
     health_.timing("ground map", (ros::WallTime::now() - start).toSec());
   }
 
-  void useAerial(const Cloud& msg, const std::optional<air_ground_common::StampedPose>& reference, bool own_unit) {
-    const ros::WallTime start = ros::WallTime::now();
-    auto points = positionsOf(*msg, "aerial clouds", health_);
-    if (!points) return;
+  std::optional<AerialCloud> aerialCloud(const AerialMessage& msg, bool own_unit) {
+    auto points = positionsOf(*msg.cloud, "aerial clouds", health_);
+    if (!points) return std::nullopt;
     AerialCloud cloud;
     cloud.points = std::move(*points);
-    if (reference) {
-      cloud.reference = reference->T_map_body.translation();
-      heading_ = air_ground_common::yawOf(reference->T_map_body.rotation());
-    } else {
-      // Any point known in mav_map can carry the particles; only what "the MAV's position" means is lost.
-      if (!own_unit)
-        health_.count("aerial clouds without odometry at their stamp: the cloud's middle stands for the MAV");
-      Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-      for (const auto& p : cloud.points) sum += p.cast<double>();
-      cloud.reference = sum / static_cast<double>(cloud.points.size());
-      heading_ = 0;
+    if (msg.reference) {
+      cloud.reference = msg.reference->T_map_body.translation();
+      return cloud;
     }
+    // Any point known in mav_map can carry the particles; only what "the MAV's position" means is lost.
+    if (!own_unit)
+      health_.count("aerial clouds without odometry at their stamp: the cloud's middle stands for the MAV");
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    for (const auto& p : cloud.points) sum += p.cast<double>();
+    cloud.reference = sum / static_cast<double>(cloud.points.size());
+    return cloud;
+  }
+
+  void keepForLater(const AerialMessage& msg, bool own_unit) {
+    auto cloud = aerialCloud(msg, own_unit);
+    if (cloud) earlier_.add(static_cast<std::int64_t>(msg.cloud->header.stamp.toNSec()), std::move(*cloud), false);
+  }
+
+  void useAerial(const AerialMessage& msg, bool own_unit) {
+    const ros::WallTime start = ros::WallTime::now();
+    auto usable = aerialCloud(msg, own_unit);
+    if (!usable) return;
+    AerialCloud& cloud = *usable;
+    heading_ = msg.reference ? air_ground_common::yawOf(msg.reference->T_map_body.rotation()) : 0;
     reference_ = cloud.reference;
     std::size_t cropped = 0;
     const std::size_t far = localizer_.farMapsDropped();
@@ -219,7 +231,7 @@ class HeightmapMclNode {
       health_.count("aerial clouds that define no cell");
       return;
     }
-    aerial_stamp_ = msg->header.stamp;
+    aerial_stamp_ = msg.cloud->header.stamp;
     earlier_.add(static_cast<std::int64_t>(aerial_stamp_.toNSec()), std::move(cloud));
     health_.timing("aerial map", (ros::WallTime::now() - start).toSec());
   }
@@ -259,7 +271,7 @@ class HeightmapMclNode {
       ground.stamp = ground_stamp_;
       height_map_ground_.publish(toMsg(localizer_.groundMap(), ground, 0));
     }
-    if (work.aerial && localizer_.hasAerial()) {
+    if (work.aerial.cloud && localizer_.hasAerial()) {
       std_msgs::Header air = header;
       air.frame_id = work.mav_frame;
       height_map_air_.publish(toMsg(localizer_.aerialMap(), air, work.map_id));

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "air_ground_common/map_correction.h"
 #include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/map_correction.h"
 
@@ -19,8 +20,9 @@ Inbox::Inbox(const NodeSettings& settings, ros_utils::NodeHealth& health, std::f
       resubscribe_ground_(std::move(resubscribe_ground)),
       mav_("MAV", kMavStreams, RobotMapSession(settings.mav_map_frame, settings.visual_map_frame), health,
            [this] { forgetAerial(); }),
-      ground_robot_("ground robot", kGroundStreams, RobotMapSession(settings.ground_map_frame), health,
-                    [this] { forgetGround(); }) {}
+      ground_robot_(
+          "ground robot", kGroundStreams, RobotMapSession(settings.ground_map_frame), health,
+          [this] { forgetGround(); }, [this] { reviseGround(); }) {}
 
 void Inbox::addAerial(const Cloud& msg) {
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -31,9 +33,12 @@ void Inbox::addAerial(const Cloud& msg) {
   clouds_.push_back({msg, Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                              std::chrono::duration<double>(ros_utils::kTopicsInStep))});
   while (static_cast<int>(clouds_.size()) > settings_.cloud_queue) {
+    passed_by_.push_back(clouds_.front().cloud);
     clouds_.pop_front();
-    health_.count("aerial clouds dropped: the queue is full");
+    health_.count("aerial clouds not searched when they came: the queue is full");
   }
+  // No more would be kept.
+  while (passed_by_.size() > air_ground_common::kFollowedClouds) passed_by_.pop_front();
   wake_.notify_one();
 }
 
@@ -55,6 +60,7 @@ void Inbox::addGround(const Cloud& msg) {
   }
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!ground_robot_.admitMap(kGround, msg->header, "ground clouds")) return;
+  ground_stamp_ = msg->header.stamp;
   ground_ = msg;  // the newest replaces one that still waits
   wake_.notify_one();
 }
@@ -140,6 +146,7 @@ void Inbox::relocalize() {
 
 void Inbox::forgetAerial() {
   clouds_.clear();
+  passed_by_.clear();
   stamps_.clear();
   odometry_.clear();
   corrections_.reset();
@@ -149,10 +156,22 @@ void Inbox::forgetAerial() {
 
 void Inbox::forgetGround() {
   ground_.reset();
+  ground_corrected_ = false;
   command_.forget_ground = true;
   // A latched map that has come already comes again.
   resubscribe_ground_();
   endSearch();
+}
+
+/// The next ground cloud is searched, however little it differs.
+void Inbox::reviseGround() {
+  ground_corrected_ = true;
+  if (ground_robot_.map().isStale(ground_stamp_.toSec())) {
+    ground_.reset();
+  } else if (!ground_) {
+    // The corrected map came before the word of it, and the robot may stand.
+    resubscribe_ground_();
+  }
 }
 
 /// Pose and guesses refer to a map that is no more.
@@ -178,8 +197,11 @@ std::optional<Work> Inbox::next(const std::optional<double>& patience) {
     if (stop_) return std::nullopt;
     work.command = std::exchange(command_, {});
     work.ground = std::exchange(ground_, nullptr);
+    if (work.ground) work.ground_corrected = std::exchange(ground_corrected_, false);
+    for (const Cloud& cloud : std::exchange(passed_by_, {}))
+      work.passed_by.push_back({cloud, referenceAt(cloud->header.stamp.toSec())});
     if (cloudReady()) popCloud(work);
-    if (!work.aerial && !work.ground && !work.command.any() && !work.idle) continue;
+    if (!work.aerial.cloud && !work.ground && work.passed_by.empty() && !work.command.any() && !work.idle) continue;
     work.corrections = std::exchange(corrections_, std::nullopt);
     work.map_id = mav_.map().id().value_or(0);
     work.ground_map_id = ground_robot_.map().id().value_or(0);
@@ -191,20 +213,27 @@ std::optional<Work> Inbox::next(const std::optional<double>& patience) {
 }
 
 void Inbox::popCloud(Work& work) {
-  work.aerial = clouds_.front().cloud;
+  work.aerial.cloud = clouds_.front().cloud;
   clouds_.pop_front();
   if (mav_.map().ownUnit()) {
     // What came before its first cloud is metric: of another map.
     odometry_.clear();
     return;
   }
-  const double stamp = work.aerial->header.stamp.toSec();
+  const double stamp = work.aerial.cloud->header.stamp.toSec();
   if (!odometry_.empty() && stamp > odometry_.back().stamp + 5) {
     health_.count("aerial clouds later than the odometry by more than 5 s dropped");
-    work.aerial.reset();
-  } else if (const auto pose = air_ground_common::poseAt(odometry_, stamp, settings_.odometry_gap)) {
-    work.reference = air_ground_common::StampedPose{stamp, *pose};
+    work.aerial.cloud.reset();
+  } else {
+    work.aerial.reference = referenceAt(stamp);
   }
+}
+
+std::optional<air_ground_common::StampedPose> Inbox::referenceAt(double stamp) const {
+  if (mav_.map().ownUnit()) return std::nullopt;
+  const auto pose = air_ground_common::poseAt(odometry_, stamp, settings_.odometry_gap);
+  if (!pose) return std::nullopt;
+  return air_ground_common::StampedPose{stamp, *pose};
 }
 
 void Inbox::stop() {

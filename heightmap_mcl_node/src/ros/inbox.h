@@ -15,6 +15,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "air_ground_common/map_correction.h"
 #include "air_ground_common/ros/alignment_broadcaster.h"
@@ -35,12 +36,19 @@ struct Command {
   bool any() const { return forgets() || relocalize; }
 };
 
+struct AerialMessage {
+  sensor_msgs::PointCloud2ConstPtr cloud;                   // null: none
+  std::optional<air_ground_common::StampedPose> reference;  // of the MAV at its stamp
+};
+
 /// What is to be done next.
 struct Work {
   Command command;
-  sensor_msgs::PointCloud2ConstPtr ground, aerial;          // null: none
-  std::optional<air_ground_common::StampedPose> reference;  // of the MAV at the aerial cloud's stamp
-  bool own_unit = false;                                    // the aerial clouds are of a map without scale
+  sensor_msgs::PointCloud2ConstPtr ground;  // null: none
+  bool ground_corrected = false;            // as a whole, since the ground cloud before
+  AerialMessage aerial;
+  std::vector<AerialMessage> passed_by;  // older ones that came faster than they were searched
+  bool own_unit = false;                 // the aerial clouds are of a map without scale
   std::uint32_t map_id = 0, ground_map_id = 0;
   std::string ground_frame, mav_frame;
   std::optional<air_ground_common::CloudCorrections> corrections;
@@ -89,10 +97,12 @@ class Inbox {
   // mutex_ held.
   void forgetAerial();
   void forgetGround();
+  void reviseGround();
   void endSearch();
   bool pending() const;
   bool cloudReady() const;
   void popCloud(Work& work);
+  std::optional<air_ground_common::StampedPose> referenceAt(double stamp) const;
 
   const NodeSettings settings_;
   air_ground_common::ros_utils::NodeHealth& health_;
@@ -103,8 +113,11 @@ class Inbox {
   bool stop_ = false;
   Command command_;
   std::deque<WaitingCloud> clouds_;
+  std::deque<Cloud> passed_by_;                        // fell out of clouds_
   air_ground_common::ros_utils::RecentStamps stamps_;  // of clouds that came
   Cloud ground_;
+  ros::Time ground_stamp_;  // of the last one that came
+  bool ground_corrected_ = false;
   std::optional<air_ground_common::CloudCorrections> corrections_;
   air_ground_common::ros_utils::RobotMapInput mav_, ground_robot_;
   air_ground_common::Trajectory odometry_;

@@ -19,7 +19,8 @@ void describe(air_ground_common::ParameterVisitor& v, NodeSettings& n) {
   v("tf_rate", n.tf_rate, {0.1, 1000}, "Hz", "of that transform, stamped with the clock");
   v("niceness", n.niceness, {0, 19}, "", air_ground_common::kNiceness);
   v("cloud_queue", n.cloud_queue, {1, 10000}, "",
-    "aerial clouds that may wait; the oldest is dropped (and counted) beyond that");
+    "aerial clouds that may wait for their search; the oldest is beyond that kept (and counted) among those that the "
+    "MAV has left behind");
   v("odometry_gap", n.odometry_gap, {0.01, 10.0}, "s",
     "longest gap in mav/odometry over which the pose at a cloud's stamp is interpolated; a cloud waits 0.3 s for it "
     "(wall time)");
