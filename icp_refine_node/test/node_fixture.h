@@ -187,12 +187,13 @@ class NodeTest : public testing::Test {
     return false;
   }
 
-  void sendOdometry(const Pose& T_mav_map_base) {
+  void sendOdometry(const Pose& T_mav_map_base, double covariance = 0) {
     nav_msgs::Odometry msg;
     msg.header.stamp = ros::Time(now_);
     msg.header.frame_id = "mav_map";
     msg.child_frame_id = "mav_base_link";
     msg.pose.pose = ros_utils::toMsg(T_mav_map_base);
+    msg.pose.covariance.fill(covariance);
     odometry_.publish(msg);
   }
 

@@ -76,6 +76,18 @@ TEST_F(OutputTest, APoseThatIsKeptIsHeldUntilItIsLost) {
   EXPECT_TRUE(noTransformAfter(now_));
 }
 
+// Some fill what they do not know with NaN. Then nobody gets a pose, but tf is right where the MAV is.
+TEST_F(OutputTest, OdometryWithoutCovarianceStillSaysWhereTheMavIs) {
+  const auto scene = synthetic::makeScene(1);
+  ASSERT_NO_FATAL_FAILURE(align(scene));
+  poses_.clear();
+  sendOdometry(Pose::Identity(), std::nan(""));
+  EXPECT_TRUE(awaitCount("odometry whose covariance is not finite", 1));
+  EXPECT_TRUE(poses_.empty());
+  sendOdometry(Pose::Identity());
+  EXPECT_TRUE(waitFor([this] { return !poses_.empty(); }));
+}
+
 TEST_F(OutputTest, WhatIsHeldFollowsCorrectionsOfTheMavsMap) {
   const auto scene = synthetic::makeScene(1);
   ASSERT_NO_FATAL_FAILURE(align(scene));
