@@ -341,7 +341,7 @@ TEST_F(StreetviewLocalizerNodeTest, WithoutMountingItSaysThatThereIsNoFix) {
     EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;
     EXPECT_TRUE(spinUntil([&] { return diagnostics_.message().find("located, but " + why) == 0; }))
         << diagnostics_.message();
-    EXPECT_EQ(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::WARN);
+    EXPECT_NE(diagnostics_.level(), diagnostic_msgs::DiagnosticStatus::OK);  // on a busy machine images are missed, too
     EXPECT_TRUE(diagnostics_.await("images without prior and fix: " + why, 1));
   }
   EXPECT_TRUE(poses_.empty());
