@@ -101,14 +101,23 @@ TEST(PosePublisher, ANewMapMovesMapToOdomAlone) {
   EXPECT_LT((odomToBase(8).matrix() - step.matrix()).norm(), 1e-9) << "after a jump of time nothing is kept";
 }
 
-TEST(PosePublisher, FitsMapToOdomToTheOdometryOnTf) {
-  NodeHealth health("pose_publisher_test");
-  const NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
-  PosePublisherSettings settings{"map", "wheels", "robot", "odometry", "path"};
-  settings.odom_from_tf = true;
-  PosePublisher publisher(ros::NodeHandle(), settings, health);
+/// A robot whose wheels say on tf where it is.
+struct OdomFromTf : testing::Test {
+  static PosePublisherSettings settings() {
+    PosePublisherSettings settings{"map", "wheels", "robot", "odometry", "path"};
+    settings.odom_from_tf = true;
+    return settings;
+  }
+
+  NodeHealth health{"pose_publisher_test"};
+  const NodeDiagnostics diagnostics{ros::this_node::getName().substr(1)};
+  PosePublisher publisher{ros::NodeHandle(), settings(), health};
   const Listener listener;
   tf2_ros::TransformBroadcaster wheels;
+  const Matrix6d covariance = 0.01 * Matrix6d::Identity();
+};
+
+TEST_F(OdomFromTf, FitsMapToOdomToTheOdometryOnTf) {
   const auto sendWheels = [&](double stamp, double yaw, double x) {
     geometry_msgs::TransformStamped msg;
     msg.header.stamp = ros::Time(stamp);
@@ -125,7 +134,6 @@ TEST(PosePublisher, FitsMapToOdomToTheOdometryOnTf) {
     return edges;
   };
   const Pose T_map_base = yawPose(0.5, {1, 2, 0});
-  const Matrix6d covariance = 0.01 * Matrix6d::Identity();
   publisher.publish(ros::Time(100.5), T_map_base, {}, covariance);
   ASSERT_TRUE(spinUntil([&] { return listener.odometry.size() == 1; }));
   EXPECT_TRUE(mapToOdom().empty()) << "it waits for the wheels";
@@ -156,14 +164,7 @@ TEST(PosePublisher, FitsMapToOdomToTheOdometryOnTf) {
 }
 
 // Odometry of wheels that divides by a time of 0, say; and edges that pass one by one.
-TEST(PosePublisher, TransformsThatAreNoneEndNothing) {
-  NodeHealth health("pose_publisher_test");
-  const NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
-  PosePublisherSettings settings{"map", "wheels", "robot", "odometry", "path"};
-  settings.odom_from_tf = true;
-  PosePublisher publisher(ros::NodeHandle(), settings, health);
-  const Listener listener;
-  tf2_ros::TransformBroadcaster wheels;
+TEST_F(OdomFromTf, TransformsThatAreNoneEndNothing) {
   const auto send = [&](double stamp, double x, double w) {
     const std::vector<std::string> frames{"wheels", "axle", "body", "robot"};
     std::vector<geometry_msgs::TransformStamped> chain(3);
@@ -182,7 +183,6 @@ TEST(PosePublisher, TransformsThatAreNoneEndNothing) {
         if (edge.child_frame_id == "wheels") return edge.header.stamp.toSec();
     return 0.0;
   };
-  const Matrix6d covariance = 0.01 * Matrix6d::Identity();
   double stamp = 100;
   const auto publishUntil = [&](double x, double w, const std::function<bool()>& done) {
     return spinUntil([&] {

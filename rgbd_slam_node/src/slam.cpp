@@ -66,7 +66,6 @@ Slam::Impl::Impl(const CameraModel& camera_model, const Mounting& mounted, const
 
 void Slam::Impl::clear() {
   whole.discard();
-  whole_outdated = false;
   tracking.reset();
   tracking.postponeReobservation();
   map.clear();

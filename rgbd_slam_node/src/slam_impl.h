@@ -97,8 +97,7 @@ struct Slam::Impl {
   DenseKeyframes dense;
   KeyframeSurfaces surfaces;
   ReferenceKeyframe reference;
-  visual_frontend::WholeMapThread whole;
-  bool whole_outdated = false;  ///< what runs began before the map was moved: it is to begin again
+  visual_frontend::WholeMapThread whole;  ///< cancelled: it began before the map was moved, and is to begin again
   int map_id = 0;
 
   // ---- Frame by frame

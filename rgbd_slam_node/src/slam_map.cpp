@@ -278,7 +278,6 @@ visual_frontend::BundleJob Slam::Impl::wholeMap() const {
 
 void Slam::Impl::adjustWholeAtOnce() {
   whole.discard();
-  whole_outdated = false;
   visual_frontend::BundleJob job = wholeMap();
   if (!settings.reproducible) job.settings.max_seconds = kMaxWholeSeconds;
   job.solve();
@@ -287,11 +286,7 @@ void Slam::Impl::adjustWholeAtOnce() {
 
 void Slam::Impl::adjustWhole() {
   if (settings.synchronous) return adjustWholeAtOnce();
-  if (whole.runs()) {
-    whole.cancel();
-    whole_outdated = true;
-    return;
-  }
+  if (whole.runs()) return whole.cancel();
   visual_frontend::BundleJob job = wholeMap();
   if (!settings.reproducible) job.settings.max_seconds = kMaxBesideSeconds;
   whole.start(std::move(job), last_stamp);
@@ -299,16 +294,15 @@ void Slam::Impl::adjustWhole() {
 
 bool Slam::Impl::adoptWhole(double stamp) {
   if (!whole.due(stamp)) return false;
-  if (!whole_outdated) return takeWhole();
+  if (!whole.cancelled()) return takeWhole();
   whole.discard();
-  whole_outdated = false;
   adjustWhole();
   return false;
 }
 
 bool Slam::Impl::takeWhole() {
   const Pose T_map_before = lastPose();
-  if (whole_outdated) {
+  if (whole.cancelled()) {
     adjustWholeAtOnce();
   } else {
     const visual_frontend::BundleJob job = whole.await();

@@ -45,7 +45,7 @@ bool WholeMapThread::due(double stamp) {
 }
 
 void WholeMapThread::cancel() {
-  if (cancelled_) *cancelled_ = true;
+  if (runs()) *cancelled_ = true;
 }
 
 void WholeMapThread::discard() {

@@ -30,6 +30,7 @@ class WholeMapThread {
   BundleJob await() { return result_.get(); }
   /// What runs ends with its present iteration: its result, which await() still gives, is of no use.
   void cancel();
+  bool cancelled() const { return runs() && *cancelled_; }
   /// The same, and waits for the end of that iteration; nothing comes of it.
   void discard();
 
