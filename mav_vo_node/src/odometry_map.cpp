@@ -138,6 +138,8 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
   reason = scaleReason();
   if (pose.locate(std::nullopt)) {
     localized(gray, false);
+    // The first landmarks are poor, and so is a pose by them; the keyframe is adjusted.
+    if (!made_keyframe) frames.lastIsKeyframe(map.lastKeyframe());
     createLandmarks(map.lastKeyframe());
   } else {
     startMap();

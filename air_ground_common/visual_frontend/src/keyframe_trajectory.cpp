@@ -30,15 +30,46 @@ CompactPose::operator Pose() const {
 
 template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::add(double stamp, const Pose& T_map_camera, KeyframeId reference, const Map& map) {
-  T_reference_last_ = map.keyframe(reference).T_map_camera.inverse() * T_map_camera;
+  const Keyframe& keyframe = map.keyframe(reference);
+  if (frames_.empty() || reference != lastReference()) {
+    if (!frames_.empty() && keyframe.stamp == stamp)
+      link(reference, map.keyframe(lastReference()).T_map_camera.inverse() * keyframe.T_map_camera);
+    run_begin_ = stamp;
+  }
+  T_reference_last_ = keyframe.T_map_camera.inverse() * T_map_camera;
   frames_.push_back({stamp, reference, T_reference_last_});
 }
 
 template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::lastIsKeyframe(KeyframeId id) {
-  T_reference_last_.setIdentity();
+  if (id != lastReference()) {
+    link(id, T_reference_last_);
+    T_reference_last_.setIdentity();
+  }
+  run_begin_ = lastStamp();
   frames_.back().reference = id;
-  frames_.back().T_reference_camera = T_reference_last_;
+  frames_.back().T_reference_camera = Pose(Pose::Identity());
+}
+
+/// The last reference's frames of this run lead to keyframe `next`, made of the newest image.
+template <class StoredPose>
+void KeyframeTrajectory<StoredPose>::link(KeyframeId next, const Pose& T_reference_next) {
+  // Where one has a link already, the camera has come back to it: frames of then lead elsewhere.
+  links_.emplace(lastReference(), Link{next, run_begin_, lastStamp(), T_reference_next});
+}
+
+/// Null: the frame goes by its reference alone.
+template <class StoredPose>
+const typename KeyframeTrajectory<StoredPose>::Link* KeyframeTrajectory<StoredPose>::linkOf(const Frame& frame) const {
+  const auto found = links_.find(frame.reference);
+  if (found == links_.end()) return nullptr;
+  return frame.stamp > found->second.begin && frame.stamp <= found->second.end ? &found->second : nullptr;
+}
+
+template <class StoredPose>
+void KeyframeTrajectory<StoredPose>::clear() {
+  frames_.clear();
+  links_.clear();
 }
 
 template <class StoredPose>
@@ -48,7 +79,15 @@ bool KeyframeTrajectory<StoredPose>::isKeyframe(std::size_t i) const {
 
 template <class StoredPose>
 Pose KeyframeTrajectory<StoredPose>::pose(std::size_t i, const Map& map) const {
-  return map.keyframe(frames_[i].reference).T_map_camera * Pose(frames_[i].T_reference_camera);
+  const Frame& frame = frames_[i];
+  const Pose T_reference_camera = frame.T_reference_camera;
+  const Pose T = map.keyframe(frame.reference).T_map_camera * T_reference_camera;
+  const Link* const link = linkOf(frame);
+  if (!link) return T;
+  const Keyframe& next = map.keyframe(link->next);
+  const Pose by_next = next.T_map_camera * link->T_this_next.inverse() * T_reference_camera;
+  const double share = (frame.stamp - link->begin) / (next.stamp - link->begin);
+  return air_ground_common::interpolate(T, by_next, share);
 }
 
 template <class StoredPose>
@@ -77,16 +116,22 @@ template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::rebase(KeyframeId from, KeyframeId to, const Map& map) {
   const Pose T_to_from = map.keyframe(to).T_map_camera.inverse() * map.keyframe(from).T_map_camera;
   if (!frames_.empty() && lastReference() == from) T_reference_last_ = T_to_from * T_reference_last_;
-  for (Frame& f : frames_) {
-    if (f.reference != from) continue;
-    f.reference = to;
-    f.T_reference_camera = Pose(T_to_from * Pose(f.T_reference_camera));
+  for (std::size_t i = 0; i < frames_.size(); ++i) {
+    Frame& frame = frames_[i];
+    const Link* const link = linkOf(frame);
+    if (frame.reference != from && !(link && link->next == from)) continue;
+    const Pose T_map_camera = pose(i, map);
+    if (frame.reference == from) frame.reference = to;
+    frame.T_reference_camera = Pose(map.keyframe(frame.reference).T_map_camera.inverse() * T_map_camera);
   }
+  links_.erase(from);
+  for (auto it = links_.begin(); it != links_.end();) it = it->second.next == from ? links_.erase(it) : std::next(it);
 }
 
 template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::rescale(double scale) {
   T_reference_last_.translation() *= scale;
+  for (auto& [id, link] : links_) link.T_this_next.translation() *= scale;
   for (Frame& f : frames_) {
     Pose T = f.T_reference_camera;
     T.translation() *= scale;

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 namespace visual_frontend {
 namespace {
 
@@ -54,6 +56,71 @@ TYPED_TEST(KeyframeTrajectoryTest, FramesMoveWithTheMap) {
     EXPECT_TRUE(after[i].T_map_body.linear().isApprox(R * before[i].T_map_body.linear(), 1e-6));
   }
   EXPECT_TRUE(drive.frames.lastPose(drive.map).isApprox(after[1].T_map_body, 1e-6));
+}
+
+/// Along x, a keyframe each second, the frames between by the one before.
+template <class StoredPose>
+struct Line {
+  explicit Line(bool added_as_keyframes) {
+    for (int i = 0; i <= 8; ++i) {
+      const double t = 0.25 * i;
+      const Pose T = yawPose(0, {t, 0, 0});
+      const bool keyframe = i % 4 == 0;
+      if (keyframe && (i == 0 || added_as_keyframes)) frames.add(t, T, addKeyframe(t), map);
+      if (keyframe && (i == 0 || added_as_keyframes)) continue;
+      frames.add(t, T, map.lastKeyframe(), map);
+      if (keyframe) frames.lastIsKeyframe(addKeyframe(t));
+    }
+  }
+  KeyframeId addKeyframe(double t) {
+    Keyframe keyframe;
+    keyframe.stamp = t;
+    keyframe.T_map_camera = yawPose(0, {t, 0, 0});
+    return map.addKeyframe(keyframe);
+  }
+  double x(std::size_t i) const { return frames.pose(i, map).translation().x(); }
+
+  Map map;
+  KeyframeTrajectory<StoredPose> frames;
+};
+
+TYPED_TEST(KeyframeTrajectoryTest, FramesBetweenTwoKeyframesFollowBoth) {
+  for (const bool added_as_keyframes : {true, false}) {
+    Line<TypeParam> line(added_as_keyframes);
+    for (std::size_t i = 0; i < 9; ++i) EXPECT_NEAR(line.x(i), 0.25 * static_cast<double>(i), 1e-6);
+    // The first stretch was taken for half as long as it is.
+    line.map.keyframe(1).T_map_camera = yawPose(0.4, {2, 0, 0});
+    line.map.keyframe(2).T_map_camera = yawPose(0.4, {2 + std::cos(0.4), std::sin(0.4), 0});
+    for (std::size_t i = 0; i < 4; ++i) EXPECT_LT(line.x(i + 1) - line.x(i), 0.75) << "a leap";
+    EXPECT_NEAR(air_ground_common::yawOf(line.frames.pose(2, line.map).linear()), 0.2, 1e-6);
+    EXPECT_TRUE(
+        line.frames.pose(6, line.map).isApprox(yawPose(0.4, {2 + 0.5 * std::cos(0.4), 0.5 * std::sin(0.4), 0}), 1e-6));
+    const auto before = line.frames.poses(line.map);
+    line.frames.rebase(1, 0, line.map);
+    line.map.removeKeyframe(1);
+    const auto after = line.frames.poses(line.map);
+    for (std::size_t i = 0; i < 9; ++i) EXPECT_TRUE(after[i].T_map_body.isApprox(before[i].T_map_body, 1e-6)) << i;
+  }
+}
+
+TYPED_TEST(KeyframeTrajectoryTest, AChangeOfScaleBetweenTwoKeyframesBendsNothing) {
+  Line<TypeParam> line(false);
+  line.map.keyframe(1).T_map_camera.translation().x() = 1.5;
+  line.map.keyframe(2).T_map_camera.translation().x() = 2.5;
+  for (std::size_t i = 0; i <= 4; ++i) EXPECT_NEAR(line.x(i), 1.5 * 0.25 * static_cast<double>(i), 1e-6);
+  // In another unit, too.
+  line.map.transform({2, Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()});
+  line.frames.rescale(2);
+  for (std::size_t i = 0; i <= 4; ++i) EXPECT_NEAR(line.x(i), 3 * 0.25 * static_cast<double>(i), 1e-6);
+}
+
+TYPED_TEST(KeyframeTrajectoryTest, TheImageOfAKeyframeIsWhereThatIsHoweverItWasPlaced) {
+  Drive<TypeParam> drive;
+  const Pose placed = yawPose(0.5, {1.1, 2, 3});
+  drive.frames.add(1, placed, 1, drive.map);
+  drive.frames.lastIsKeyframe(1);
+  EXPECT_TRUE(drive.frames.pose(0, drive.map).isApprox(drive.map.keyframe(1).T_map_camera, 1e-6));
+  EXPECT_TRUE(drive.frames.lastPose(drive.map).isApprox(placed, 1e-12)) << "what the next image moved from";
 }
 
 TYPED_TEST(KeyframeTrajectoryTest, AFrameThatBecomesAKeyframeIsWhereThatIs) {
