@@ -44,7 +44,7 @@ air_ground_precompiled_headers(plain)
 if(CATKIN_ENABLE_TESTING)
   air_ground_precompiled_headers(test HEADERS <gtest/gtest.h> LINK GTest::gtest)
 endif()
-air_ground_precompiled_headers(ros HEADERS <ros/ros.h> <diagnostic_updater/diagnostic_updater.h>
+air_ground_precompiled_headers(ros HEADERS <ros/ros.h>
   <nav_msgs/Odometry.h> <sensor_msgs/CameraInfo.h> <sensor_msgs/Image.h> <sensor_msgs/Imu.h> <sensor_msgs/PointCloud2.h>
-  <std_srvs/Trigger.h> <tf2_ros/transform_broadcaster.h> <tf2_ros/transform_listener.h>
+  <std_srvs/Trigger.h> <tf2_ros/transform_broadcaster.h>
   LINK ${catkin_LIBRARIES})

@@ -28,10 +28,13 @@ class StandIn : public Estimator {
   void make(const CameraModel&, const Pose&, const std::optional<Pose>&) override { made_ = true; }
   std::uint32_t mapId() const override { return map_id_; }
   void forgetMap() override {}
+  void keep() override {
+    if (fail_keep.exchange(false)) throw std::bad_alloc();
+  }
   void drop() override { made_ = false; }
   void reset() override {
-    if (fail_reset.exchange(false)) throw std::bad_alloc();
     ++map_id_;
+    ++resets;
   }
   bool addImu(const ImuInput::Sample& sample) override {
     ++samples;
@@ -64,8 +67,8 @@ class StandIn : public Estimator {
     return {{pose, "", 9}, {pose, "", 8}, {pose, "", 7}};
   }
 
-  std::atomic<bool> fail{false}, fail_idle{false}, fail_reset{false}, slow{false};
-  std::atomic<int> saving{0}, images{0}, published{0}, depths{0}, samples{0}, disorder{0};
+  std::atomic<bool> fail{false}, fail_idle{false}, fail_keep{false}, slow{false};
+  std::atomic<int> saving{0}, images{0}, published{0}, depths{0}, samples{0}, disorder{0}, resets{0};
 
  private:
   bool made_ = false;
@@ -139,9 +142,11 @@ TEST_F(Shell, NothingThatTheEstimatorThrowsEndsTheWorker) {
   const int before = estimator_.images;
   EXPECT_TRUE(publishUntil([&] { return estimator_.images > before; })) << "it works on";
   // A recording begins again, and what there was cannot be kept.
-  estimator_.fail_reset = true;
+  estimator_.fail_keep = true;
   next_ = -500;
-  ASSERT_TRUE(publishUntil([&] { return shell_->health().counted("starting afresh: std::bad_alloc") > 0; }));
+  ASSERT_TRUE(publishUntil([&] {
+    return shell_->health().counted("a map that ended is not kept: std::bad_alloc") > 0 && estimator_.resets;
+  }));
   const int images = estimator_.images;
   EXPECT_TRUE(publishUntil([&] { return estimator_.images > images; })) << "the time that comes counts";
 }

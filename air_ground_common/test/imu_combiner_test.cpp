@@ -36,7 +36,9 @@ TEST(ImuCombiner, InterpolatesTheForceAtTheGyrosStamps) {
     EXPECT_NEAR(samples[i].angular_velocity.z(), samples[i].stamp, 1e-12);
     EXPECT_NEAR(samples[i].specific_force.x(), samples[i].stamp, 1e-9);
     EXPECT_NEAR(samples[i].specific_force.z(), 9.81, 1e-12);
-    if (i > 0) EXPECT_NEAR(samples[i].stamp - samples[i - 1].stamp, 0.005, 1e-9);
+    if (i > 0) {
+      EXPECT_NEAR(samples[i].stamp - samples[i - 1].stamp, 0.005, 1e-9);
+    }
   }
 }
 

@@ -80,7 +80,7 @@ TEST(NodeHealth, SaysThatClocksDiffer) {
   NodeHealth health("clocks_test");
   NodeDiagnostics diagnostics(ros::this_node::getName().substr(1));
   const auto says = [&](const std::string& line) { return diagnostics.message().find(line) != std::string::npos; };
-  health.state(0, "tracking");
+  health.state(health.kOk, "tracking");
   health.expectInput("/behind");
   health.expectInput("/ahead");
   health.expectInput("/near");

@@ -106,7 +106,7 @@ TEST(NodeHealth, AnInputThatDiesIsAnError) {
     });
   };
   health.expectInput("/camera/image_raw");
-  health.state(0, "tracking");
+  health.state(health.kOk, "tracking");
   EXPECT_TRUE(alive());
   EXPECT_EQ(diagnostics.level(), diagnostic_msgs::DiagnosticStatus::OK);
   EXPECT_TRUE(spinUntil([&] { return says(silent); }));

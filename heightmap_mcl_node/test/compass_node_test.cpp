@@ -50,7 +50,7 @@ class CompassNodeTest : public NodeTest {
     sendOdometry({0, 0, 2}, stamp_);
     for (int k = 0; k < 30; ++k) {
       mav_field_.publish(field(0, "mav_base_link", stamp_));
-      ground_field_.publish(field(yaw - 1.1 - 0.7, "ground_mag", stamp_));
+      ground_field_.publish(field(yaw - 1.1 - 0.7, "/ground_mag", stamp_));  // as old drivers name frames
     }
   }
 

@@ -7,18 +7,12 @@
 
 namespace air_ground_common::ros_utils {
 
-namespace {
-
-constexpr int kWarn = 1;
-
-}  // namespace
-
 // By a thread of their own: one that writes a file, or waits for an image that is worked on, holds no input up.
 void EstimatorShell::advertiseServices() {
-  service_handle_.setCallbackQueue(&service_queue_);
-  services_ = {service_handle_.advertiseService("save_map", &EstimatorShell::saveMap, this),
-               service_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
-               service_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
+  private_handle_.setCallbackQueue(&service_queue_);
+  services_ = {private_handle_.advertiseService("save_map", &EstimatorShell::saveMap, this),
+               private_handle_.advertiseService("save_trajectory", &EstimatorShell::saveTrajectory, this),
+               private_handle_.advertiseService("reset", &EstimatorShell::reset, this)};
 }
 
 void EstimatorShell::start() {
@@ -100,24 +94,34 @@ bool EstimatorShell::saveTrajectory(air_ground::SaveTrajectory::Request& request
 /// The next one goes on with the maps' numbers; this one knows its own until it is gone.
 void EstimatorShell::dropEstimator() {
   const std::uint32_t maps = estimator_.mapId();
+  keepMap();
   estimator_.drop();
   map_id_offset_ += maps;
+}
+
+/// The map that comes does not wait for what fails with this one's.
+void EstimatorShell::keepMap() {
+  try {
+    estimator_.keep();
+  } catch (const std::exception& e) {
+    health_.count(std::string("a map that ended is not kept: ") + e.what());
+  }
 }
 
 /// `all`: calibration and mountings are read again, too.
 void EstimatorShell::resetEstimator(bool all) {
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
-  try {
-    if (estimator_.exists()) all ? dropEstimator() : estimator_.reset();
-  } catch (const std::exception& e) {  // of keeping what there was: the time that comes must not wait for that
-    health_.count(std::string("starting afresh: ") + e.what());
+  if (estimator_.exists() && all) dropEstimator();
+  if (estimator_.exists()) {
+    keepMap();
+    estimator_.reset();
   }
   imu_input_.reset();
   if (all) imu_seen_ = false;
   estimator_.forgetMap();
   estimator_.forgetOdometry();
   last_stamp_ = ros::Time();
-  health_.state(kWarn, "started afresh: waiting for images");
+  health_.state(health_.kWarn, "started afresh: waiting for images");
 }
 
 bool EstimatorShell::reset(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {

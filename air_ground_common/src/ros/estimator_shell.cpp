@@ -11,7 +11,6 @@
 namespace air_ground_common::ros_utils {
 namespace {
 
-constexpr int kOk = 0, kWarn = 1;
 constexpr double kPatience =
     1.0;  // of a colour image for its depth image [s of data]; of a status without estimator [s]
 
@@ -68,7 +67,7 @@ EstimatorShell::EstimatorShell(ros::NodeHandle handle, const EstimatorSettings& 
       assembler_(assemblerSettings(settings, names)) {
   map_id_offset_ = mapIdOffset(private_handle_);
   status_publisher_ = handle_.advertise<air_ground::VoStatus>(names.status, 200);
-  health_.state(kWarn, "waiting for images");
+  health_.state(health_.kWarn, "waiting for images");
   health_.expectInput(info_topic_);
   if (settings.use_imu) health_.expectInput(imu_topic_);
   info_subscriber_ = handle_.subscribe(names.camera_info, 20, &EstimatorShell::onInfo, this);
@@ -394,7 +393,7 @@ void EstimatorShell::step(const EstimatorFrame& frame, const std::deque<ImuInput
   status.header.stamp = frame.stamp;
   status.header.frame_id = settings_.map_frame;
   status.map_id = mapId();
-  health_.state(status.state == air_ground::VoStatus::STATE_TRACKING ? kOk : kWarn,
+  health_.state(status.state == air_ground::VoStatus::STATE_TRACKING ? health_.kOk : health_.kWarn,
                 nameOf(status.state) + (status.reason.empty() ? "" : ": " + status.reason) + ", " +
                     std::to_string(status.inliers) + " landmarks in view" +
                     (settings_.use_imu && !with_imu_ ? ", without IMU" : ""));
@@ -411,7 +410,7 @@ void EstimatorShell::reportObstacle(const Obstacle& obstacle, const ros::Time& s
   health_.withheld(obstacle.reason, obstacle.advice);
   const std::lock_guard<std::mutex> lock(estimator_mutex_);
   if (estimator_.exists()) return;
-  health_.state(kWarn, "waiting: " + obstacle.reason);
+  health_.state(health_.kWarn, "waiting: " + obstacle.reason);
   const double t = now();
   if (obstructed_since_ < 0) obstructed_since_ = t;
   if (t - obstructed_since_ < kPatience || t - obstacle_told_ < kPatience) return;

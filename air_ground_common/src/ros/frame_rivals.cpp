@@ -6,7 +6,7 @@
 
 namespace air_ground_common::ros_utils {
 
-TransformInput::Listener countRivals(const EstimatorSettings& settings, NodeHealth& health) {
+TransformBuffer::Listener countRivals(const EstimatorSettings& settings, NodeHealth& health) {
   if (!settings.publish_tf) return {};
   std::set<std::string> own{withoutSlash(settings.odom_frame)};
   if (!settings.odom_from_tf) own.insert(withoutSlash(settings.base_frame));

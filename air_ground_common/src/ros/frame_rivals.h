@@ -8,6 +8,6 @@ namespace air_ground_common::ros_utils {
 /// For the tf input of a node that publishes map -> odom -> base (with `odom_from_tf`: map -> odom): transforms of
 /// other nodes to these frames are counted in `health`, which must outlive the listener, and said once. Empty without
 /// `publish_tf`.
-TransformInput::Listener countRivals(const EstimatorSettings& settings, NodeHealth& health);
+TransformBuffer::Listener countRivals(const EstimatorSettings& settings, NodeHealth& health);
 
 }  // namespace air_ground_common::ros_utils

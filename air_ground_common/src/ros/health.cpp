@@ -1,5 +1,6 @@
 #include "air_ground_common/ros/health.h"
 
+#include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/master.h>
 #include <ros/this_node.h>
 #include <xmlrpcpp/XmlRpcException.h>
@@ -126,13 +127,16 @@ struct NodeHealth::Inquiry {
 };
 
 NodeHealth::NodeHealth(const std::string& hardware_id)
-    : started_(ros::WallTime::now()), watched_(started_), running_(started_) {
-  updater_.setHardwareID(hardware_id);
-  updater_.add("state", this, &NodeHealth::report);
+    : started_(ros::WallTime::now()),
+      watched_(started_),
+      running_(started_),
+      updater_(std::make_unique<diagnostic_updater::Updater>()) {
+  updater_->setHardwareID(hardware_id);
+  updater_->add("state", this, &NodeHealth::report);
   // A wall timer: diagnostics and warnings must come when /clock stands still, too.
   timer_ = ros::NodeHandle().createWallTimer(ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) { watch(); });
-  report_timer_ = ros::NodeHandle().createWallTimer(ros::WallDuration(updater_.getPeriod()),
-                                                    [this](const ros::WallTimerEvent&) { updater_.force_update(); });
+  report_timer_ = ros::NodeHandle().createWallTimer(ros::WallDuration(updater_->getPeriod()),
+                                                    [this](const ros::WallTimerEvent&) { updater_->force_update(); });
 }
 
 NodeHealth::~NodeHealth() {
@@ -219,7 +223,7 @@ void NodeHealth::timing(const std::string& step, double seconds) {
   t.max = std::max(t.max, seconds);
 }
 
-void NodeHealth::state(int level, const std::string& line) {
+void NodeHealth::state(Level level, const std::string& line) {
   const std::lock_guard<std::mutex> lock(mutex_);
   level_ = level;
   line_ = line;

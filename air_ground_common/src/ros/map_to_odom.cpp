@@ -1,10 +1,8 @@
 #include "map_to_odom.h"
 
 #include <iterator>
-#include <stdexcept>
 #include <vector>
 
-#include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/ros/tf_edge.h"
 
@@ -21,7 +19,7 @@ MapToOdom::MapToOdom(const std::string& map_frame, const std::string& odom_frame
       odom_frame_(withoutSlash(odom_frame)),
       base_frame_(withoutSlash(base_frame)),
       health_(health),
-      transforms_(buffer_, [this](const geometry_msgs::TransformStamped&, const std::string&) {
+      transforms_([this](const geometry_msgs::TransformStamped&, const std::string&) {
         const std::lock_guard<std::mutex> lock(mutex_);
         publishKnown();
       }) {}
@@ -32,7 +30,7 @@ void MapToOdom::add(const ros::Time& stamp, const Pose& T_map_base) {
   publishKnown();
   while (!waiting_.empty() && stamp.toSec() - waiting_.front().stamp.toSec() > kPatience) {
     std::string why;
-    odomAt(waiting_.front().stamp, &why);
+    transforms_.lookup(odom_frame_, base_frame_, waiting_.front().stamp, &why);
     health_.count("poses without '" + odom_frame_ + "' -> '" + base_frame_ +
                   "' on tf at their stamp, which odom_from_tf asks for: " + why);
     waiting_.pop_front();
@@ -42,30 +40,18 @@ void MapToOdom::add(const ros::Time& stamp, const Pose& T_map_base) {
 void MapToOdom::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   waiting_.clear();
-  buffer_.clear();
+  transforms_.clear();
 }
 
 void MapToOdom::publishKnown() {
   std::vector<geometry_msgs::TransformStamped> known;
   for (auto it = waiting_.begin(); it != waiting_.end();) {
-    const auto T_odom_base = odomAt(it->stamp, nullptr);
+    const auto T_odom_base = transforms_.lookup(odom_frame_, base_frame_, it->stamp);
     if (T_odom_base)
       known.push_back(tfEdge(it->stamp, map_frame_, odom_frame_, normalized(it->T_map_base * T_odom_base->inverse())));
     it = T_odom_base ? waiting_.erase(it) : std::next(it);
   }
   if (!known.empty()) broadcaster_.sendTransform(known);
-}
-
-std::optional<Pose> MapToOdom::odomAt(const ros::Time& stamp, std::string* why) const {
-  if (!buffer_.canTransform(odom_frame_, base_frame_, stamp, why)) return std::nullopt;
-  try {
-    return fromMsg(buffer_.lookupTransform(odom_frame_, base_frame_, stamp).transform);
-  } catch (const tf2::TransformException& e) {  // tf was cleared since
-    if (why) *why = e.what();
-  } catch (const std::invalid_argument& e) {  // edges that are hardly rotations make none together
-    if (why) *why = e.what();
-  }
-  return std::nullopt;
 }
 
 }  // namespace air_ground_common::ros_utils

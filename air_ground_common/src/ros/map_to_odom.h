@@ -1,7 +1,6 @@
 // map -> odom for a robot whose own odometry publishes odom -> base_link (REP-105).
 #pragma once
 
-#include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
 
 #include <deque>
@@ -11,7 +10,7 @@
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/health.h"
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 
 namespace air_ground_common::ros_utils {
 
@@ -34,15 +33,13 @@ class MapToOdom {
     Pose T_map_base;
   };
   void publishKnown();
-  std::optional<Pose> odomAt(const ros::Time& stamp, std::string* why) const;
 
   const std::string map_frame_, odom_frame_, base_frame_;
   NodeHealth& health_;
-  tf2_ros::Buffer buffer_;
   tf2_ros::TransformBroadcaster broadcaster_;
   std::mutex mutex_;
   std::deque<Waiting> waiting_;
-  TransformInput transforms_;  ///< last: its thread uses the others
+  TransformBuffer transforms_;  ///< last: its thread uses the others
 };
 
 }  // namespace air_ground_common::ros_utils

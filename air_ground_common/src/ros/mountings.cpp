@@ -4,7 +4,6 @@
 #include <utility>
 #include <vector>
 
-#include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/sensor_input.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
@@ -22,8 +21,8 @@ std::string listed(std::vector<std::string> names) {
 
 }  // namespace
 
-Mountings::Mountings(const std::string& base_frame, TransformInput::Listener listener)
-    : base_frame_(withoutSlash(base_frame)), transforms_(buffer_, std::move(listener)) {}
+Mountings::Mountings(const std::string& base_frame, TransformBuffer::Listener listener)
+    : base_frame_(withoutSlash(base_frame)), transforms_(std::move(listener)) {}
 
 std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const std::string& frame,
                                       const std::string& sensor, std::string* why) const {
@@ -34,14 +33,12 @@ std::optional<Pose> Mountings::lookup(const std::optional<Pose>& given, const st
     *why = "the " + sensor + "'s messages name no frame. Set the parameter " + sensor + "_frame, or base_" + sensor;
     return std::nullopt;
   }
-  if (buffer_.canTransform(base_frame_, sensor_frame, ros::Time(0))) {
-    const Pose T_base_sensor = fromMsg(buffer_.lookupTransform(base_frame_, sensor_frame, ros::Time(0)).transform);
+  if (const auto T_base_sensor = transforms_.lookup(base_frame_, sensor_frame)) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    looked_up_[sensor_frame] = T_base_sensor;
+    looked_up_[sensor_frame] = *T_base_sensor;
     return T_base_sensor;
   }
-  std::vector<std::string> known;
-  buffer_._getFrameStrings(known);
+  const std::vector<std::string> known = transforms_.frames();
   *why = "the mounting of the " + sensor + " is not known: no transform '" + base_frame_ + "' <- '" + sensor_frame +
          "'; " + (known.empty() ? "nothing has come on /tf_static or /tf" : "tf knows the frames " + listed(known)) +
          ". Publish it (rosrun tf2_ros static_transform_publisher x y z qx qy qz qw " + base_frame_ + " " +
@@ -54,10 +51,10 @@ std::string Mountings::moved() const {
   constexpr double kTurned = 0.02, kShifted = 0.01;  // [rad], [m]
   const std::lock_guard<std::mutex> lock(mutex_);
   for (const auto& [frame, T_base_sensor] : looked_up_) {
-    if (!buffer_.canTransform(base_frame_, frame, ros::Time(0))) continue;
-    const Pose T_now = fromMsg(buffer_.lookupTransform(base_frame_, frame, ros::Time(0)).transform);
-    const double turned = rotationAngle(T_base_sensor.linear(), T_now.linear());
-    const double shifted = (T_base_sensor.translation() - T_now.translation()).norm();
+    const auto T_now = transforms_.lookup(base_frame_, frame);
+    if (!T_now) continue;
+    const double turned = rotationAngle(T_base_sensor.linear(), T_now->linear());
+    const double shifted = (T_base_sensor.translation() - T_now->translation()).norm();
     if (turned > kTurned || shifted > kShifted)
       return formatted(
           "'%s' has moved against '%s' by %.1f deg and %.3f m since the map began: name a frame that is "

@@ -27,8 +27,6 @@ namespace {
 
 namespace ros_utils = air_ground_common::ros_utils;
 
-constexpr int kOk = 0, kWarn = 1;
-
 class DenseFusionNode {
  public:
   explicit DenseFusionNode(const NodeSettings& settings)
@@ -40,7 +38,7 @@ class DenseFusionNode {
         mapper_(settings.mapper) {
     image_topic_ = handle_.resolveName("mav/posed_image");
     health_.expectInput(image_topic_, false);  // the first ones take a map
-    health_.state(kWarn, "waiting for posed images");
+    health_.state(health_.kWarn, "waiting for posed images");
     image_subscriber_ = handle_.subscribe("mav/posed_image", 400, &DenseFusionNode::onImage, this);
     sparse_subscriber_ = handle_.subscribe("mav/sparse_cloud", 5, &DenseFusionNode::onSparseCloud, this);
     corrected_subscriber_ = handle_.subscribe<nav_msgs::Path>(
@@ -181,7 +179,7 @@ class DenseFusionNode {
     if (!msg.metric && !own_unit) {
       // What there is stays for save_map, but is no part of the map that others know by now.
       if (map_id_ != msg.map_id || map_revision_ != msg.map_revision) publisher_.startMap();
-      health_.state(kWarn, "waiting: the images' poses have no metric scale yet");
+      health_.state(health_.kWarn, "waiting: the images' poses have no metric scale yet");
       ++without_scale_;
       return;
     }
@@ -240,7 +238,7 @@ class DenseFusionNode {
           << " groups too small, map corrected " << c.corrections << " times, " << c.given_up
           << " given up since it has bent there), " << queue_.imagesWaiting() << " images waiting, " << without_scale_
           << " without scale ignored";
-    health_.state(bad || late ? kWarn : kOk, state.str());
+    health_.state(bad || late ? health_.kWarn : health_.kOk, state.str());
   }
 
   static double sceneDistance(const air_ground::PosedImage& msg) {
@@ -252,7 +250,7 @@ class DenseFusionNode {
     const double distance = sceneDistance(msg);
     if (!(distance > 0) || !std::isfinite(distance)) {
       if (!own_unit || mapper_.unit() != 1) return true;  // the last one known
-      health_.state(kWarn, "waiting: the images have no scale, and do not tell the scene's distance either");
+      health_.state(health_.kWarn, "waiting: the images have no scale, and do not tell the scene's distance either");
       ++without_scale_;
       return false;
     }

@@ -116,17 +116,14 @@ std::optional<Eigen::Matrix3d> AttitudeInput::rotationFrom(const std::string& me
   const std::string frame = air_ground_common::withoutSlash(message_frame),
                     base = air_ground_common::withoutSlash(settings_.base_frame);
   if (frame.empty() || frame == base) return Eigen::Matrix3d::Identity();
-  try {
-    return ru::fromMsg(tf_.lookupTransform(base, frame, ros::Time(0)).transform).linear();
-  } catch (const std::exception&) {
-    health_.count("readings ignored: no transform from " + frame + " to " + base);
-    return std::nullopt;
-  }
+  if (const auto T_base_sensor = transforms_.lookup(base, frame)) return T_base_sensor->linear();
+  health_.count("readings ignored: no transform from " + frame + " to " + base);
+  return std::nullopt;
 }
 
 void AttitudeInput::clear() {
   tilts_.clear();
-  tf_.clear();  // of moving edges; fixed ones stay
+  transforms_.clear();
   pending_fields_.clear();
 }
 

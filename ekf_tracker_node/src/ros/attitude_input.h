@@ -5,7 +5,6 @@
 #include <ros/ros.h>
 #include <sensor_msgs/Imu.h>
 #include <sensor_msgs/MagneticField.h>
-#include <tf2_ros/buffer.h>
 
 #include <deque>
 #include <functional>
@@ -14,7 +13,7 @@
 #include <utility>
 
 #include "air_ground_common/ros/health.h"
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 #include "ekf_tracker/tilt_source.h"
 #include "sensor_bridge.h"
 
@@ -51,8 +50,7 @@ class AttitudeInput {
   const std::function<void()> on_pose_;
   const std::function<void(const Measurement&)> on_heading_;
   TiltSource tilts_;
-  tf2_ros::Buffer tf_;
-  air_ground_common::ros_utils::TransformInput transforms_{tf_};
+  air_ground_common::ros_utils::TransformBuffer transforms_;
   ros::Subscriber vo_poses_, accelerometer_, magnetometer_;
   std::deque<std::pair<sensor_msgs::MagneticField::ConstPtr, double>> pending_fields_;  ///< with their arrival [s]
 };

@@ -71,7 +71,7 @@ class EkfTrackerNode {
       attitude_.drainFields();
       state_.watch(increments_.getTopic());
     });
-    health_.state(1, "waiting for visual odometry");
+    health_.state(health_.kWarn, "waiting for visual odometry");
   }
 
   ~EkfTrackerNode() {

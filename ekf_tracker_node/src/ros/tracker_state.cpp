@@ -23,7 +23,7 @@ void TrackerState::unlocated(double stamp, bool metric, const ros::Subscriber& f
                             : "waiting for fixes that agree, two of them far enough apart to give the odometry's scale";
   line += "; " + std::to_string(fixes_heard_) + " came on " + fixes.getTopic() + ", which has " +
           std::to_string(fixes.getNumPublishers()) + " publishers";
-  health_.state(1, line);
+  health_.state(health_.kWarn, line);
   if (fixes_heard_ > 0) return;
   if (!unlocated_since_ || stamp < *unlocated_since_) unlocated_since_ = stamp;
   if (stamp > *unlocated_since_ + kUnlocated) ROS_WARN_STREAM_ONCE("odometry has come for 10 s, but no fix: " << line);
@@ -36,11 +36,11 @@ void TrackerState::tracking(const PoseEstimate& estimate, double stamp, bool dou
       stddev[0], stddev[1], stddev[2], stddev[3] * 180 / M_PI, estimate.scale, estimate.scale_stddev, estimate.support,
       stamp - last_fix_);
   if (!estimate.scale_known)
-    health_.state(1, "the odometry's scale is not known: position is held by fixes alone; " + line);
+    health_.state(health_.kWarn, "the odometry's scale is not known: position is held by fixes alone; " + line);
   else if (doubtful)
-    health_.state(1, "doubtful, fixes that it does not rest on agree; " + line);
+    health_.state(health_.kWarn, "doubtful, fixes that it does not rest on agree; " + line);
   else
-    health_.state(0, line);
+    health_.state(health_.kOk, line);
 }
 
 void TrackerState::watch(const std::string& topic) {
@@ -50,14 +50,15 @@ void TrackerState::watch(const std::string& topic) {
   if (silent < kSilence) return;
   lost_ = true;
   health_.count("visual odometry was lost");
-  health_.state(2, "no usable visual odometry on " + topic + " for more than a second: no pose is published");
+  health_.state(health_.kError,
+                "no usable visual odometry on " + topic + " for more than a second: no pose is published");
 }
 
 void TrackerState::forget() {
   used_.reset();
   lost_ = false;
   last_fix_ = 0;
-  health_.state(1, "forgot the pose; waiting for visual odometry");
+  health_.state(health_.kWarn, "forgot the pose; waiting for visual odometry");
 }
 
 }  // namespace ekf_tracker

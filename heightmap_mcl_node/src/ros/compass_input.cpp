@@ -1,7 +1,5 @@
 #include "compass_input.h"
 
-#include <tf2/exceptions.h>
-
 #include <cmath>
 
 #include "air_ground_common/ros/conversions.h"
@@ -42,13 +40,12 @@ void CompassInput::onOdometry(Robot& robot, const nav_msgs::Odometry& msg) {
 void CompassInput::onField(Robot& robot, const sensor_msgs::MagneticField& msg) {
   Eigen::Quaterniond R_base_sensor = Eigen::Quaterniond::Identity();
   if (msg.header.frame_id != robot.base_frame) {
-    try {
-      const auto q = tf_.lookupTransform(robot.base_frame, msg.header.frame_id, ros::Time(0)).transform.rotation;
-      R_base_sensor = Eigen::Quaterniond(q.w, q.x, q.y, q.z);
-    } catch (const tf2::TransformException&) {
+    const auto T_base_sensor = transforms_.lookup(robot.base_frame, msg.header.frame_id);
+    if (!T_base_sensor) {
       health_.count("magnetic field of the " + robot.name + " without a transform from its frame to the robot's base");
       return;
     }
+    R_base_sensor = T_base_sensor->linear();
   }
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!robot.R_map_base || std::abs(msg.header.stamp.toSec() - robot.stamp.toSec()) > kAttitudeAge) {

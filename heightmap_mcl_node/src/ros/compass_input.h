@@ -4,7 +4,6 @@
 #include <nav_msgs/Odometry.h>
 #include <ros/ros.h>
 #include <sensor_msgs/MagneticField.h>
-#include <tf2_ros/buffer.h>
 
 #include <mutex>
 #include <optional>
@@ -12,7 +11,7 @@
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/ros/health.h"
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 #include "heightmap_mcl/compass.h"
 
 namespace heightmap_mcl {
@@ -42,8 +41,7 @@ class CompassInput {
 
   air_ground_common::ros_utils::NodeHealth& health_;
   const double sigma_;
-  tf2_ros::Buffer tf_;
-  air_ground_common::ros_utils::TransformInput transforms_{tf_};
+  air_ground_common::ros_utils::TransformBuffer transforms_;
   mutable std::mutex mutex_;
   Robot mav_{"mav", {}, {}, {}, {}, {}, {}}, ground_{"ground", {}, {}, {}, {}, {}, {}};
 };

@@ -276,7 +276,8 @@ class HeightmapMclNode {
       air.frame_id = work.mav_frame;
       height_map_air_.publish(toMsg(localizer_.aerialMap(), air, work.map_id));
     }
-    health_.state(e.status == Status::kConverged ? 0 : 1, std::string(toString(e.status)) + ": " + e.reason);
+    health_.state(e.status == Status::kConverged ? health_.kOk : health_.kWarn,
+                  std::string(toString(e.status)) + ": " + e.reason);
     if (e.status != last_status_) {
       ROS_INFO("Coarse alignment %s: %s", toString(e.status), e.reason.c_str());
       last_status_ = e.status;

@@ -90,8 +90,9 @@ void AlignmentOutput::publish(const RefineOutcome& out, const MapIds& maps, cons
   if (good && broadcaster_) broadcaster_->send();
 
   static const char* kNames[] = {"SEARCHING", "AMBIGUOUS", "DEGENERATE", "CONVERGED", "REJECTED"};
-  health_.state(good ? 0 : 1, std::string(kNames[msg.status]) + ": " + out.reason +
-                                  (without_scale ? "; no tf before mav_vo tells mav/map_scale" : ""));
+  health_.state(good ? health_.kOk : health_.kWarn,
+                std::string(kNames[msg.status]) + ": " + out.reason +
+                    (without_scale ? "; no tf before mav_vo tells mav/map_scale" : ""));
   if (msg.status == AlignmentEstimate::STATUS_DEGENERATE)
     health_.count(
         "refinements DEGENERATE: what both robots saw does not fix the pose. Its reason names the direction; fly over "

@@ -3,8 +3,6 @@
 #include <cmath>
 #include <utility>
 
-#include "air_ground_common/ros/sensor_input.h"
-
 namespace icp_refine {
 
 GroundCamera::GroundCamera(ros::NodeHandle& handle, const std::string& map_frame, std::function<void(double)> tell)
@@ -14,7 +12,7 @@ GroundCamera::GroundCamera(ros::NodeHandle& handle, const std::string& map_frame
 
 void GroundCamera::forget() {
   greatest_ = -std::numeric_limits<double>::infinity();
-  tf_.clear();  // what moves; what is on /tf_static stays
+  transforms_.clear();
 }
 
 void GroundCamera::use(const air_ground::MapKeyframes& keyframes) {
@@ -29,12 +27,8 @@ void GroundCamera::raise(double z) {
 }
 
 void GroundCamera::onInfo(const sensor_msgs::CameraInfo& msg) {
-  const std::string frame = air_ground_common::withoutSlash(msg.header.frame_id);
-  if (frame.empty() || !tf_.canTransform(map_frame_, frame, ros::Time(0))) return;
-  try {
-    raise(tf_.lookupTransform(map_frame_, frame, ros::Time(0)).transform.translation.z);
-  } catch (const tf2::TransformException&) {  // gone since it was asked for
-  }
+  if (const auto T_map_camera = transforms_.lookup(map_frame_, msg.header.frame_id))
+    raise(T_map_camera->translation().z());
 }
 
 }  // namespace icp_refine

@@ -4,13 +4,12 @@
 #include <air_ground/MapKeyframes.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
-#include <tf2_ros/buffer.h>
 
 #include <functional>
 #include <limits>
 #include <string>
 
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 
 namespace icp_refine {
 
@@ -33,8 +32,7 @@ class GroundCamera {
   const std::string map_frame_;
   std::function<void(double)> tell_;
   double greatest_ = -std::numeric_limits<double>::infinity();
-  tf2_ros::Buffer tf_;
-  air_ground_common::ros_utils::TransformInput transforms_{tf_};
+  air_ground_common::ros_utils::TransformBuffer transforms_;
   ros::Subscriber subscriber_;
 };
 

@@ -83,15 +83,14 @@ class MavVoNode : private ros_utils::Estimator {
     ended_.clear();
   }
 
-  void drop() override {
-    keepPresent();
-    odometry_.reset();
+  void keep() override {
+    odometry_->finish();
+    ros_utils::MapTrajectory present = presentTrajectory();
+    if (isWorthIt(present)) addEnded(std::move(present));
   }
 
-  void reset() override {
-    keepPresent();
-    odometry_->reset();
-  }
+  void drop() override { odometry_.reset(); }
+  void reset() override { odometry_->reset(); }
   std::uint32_t mapId() const override { return odometry_ ? odometry_->mapId() : 1; }
 
   bool addImu(const ros_utils::ImuInput::Sample& sample) override {
@@ -280,17 +279,6 @@ class MavVoNode : private ros_utils::Estimator {
     if (now != OdometryState::kLost || before == now) return;
     ros_utils::MapTrajectory lost = presentTrajectory();
     if (isWorthIt(lost)) last_lost_.emplace(id, std::move(lost));
-  }
-
-  /// Another calibration, or an IMU that turns up, ends a map that is not lost.
-  void keepPresent() {
-    try {
-      odometry_->finish();
-      ros_utils::MapTrajectory present = presentTrajectory();
-      if (isWorthIt(present)) addEnded(std::move(present));
-    } catch (const std::exception& e) {  // the map that comes does not wait for this one's
-      shell_.health().count(std::string("a map that ended is not kept: ") + e.what());
-    }
   }
 
   ros_utils::MapTrajectory presentTrajectory() const {

@@ -114,24 +114,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
     ended_.forget();
   }
 
-  void drop() override {
-    keepPresent();
-    slam_.reset();
+  void keep() override {
+    slam_->finish();
+    ended_.add(shell_.mapId(), slam_->asEnded());
   }
 
-  void reset() override {
-    keepPresent();
-    slam_->reset();
-  }
-
-  void keepPresent() {
-    try {
-      slam_->finish();
-      ended_.add(shell_.mapId(), slam_->asEnded());
-    } catch (const std::exception& e) {  // the map that comes does not wait for this one's
-      shell_.health().count(std::string("a map that ended is not kept: ") + e.what());
-    }
-  }
+  void drop() override { slam_.reset(); }
+  void reset() override { slam_->reset(); }
 
   std::uint32_t mapId() const override { return slam_ ? static_cast<std::uint32_t>(slam_->mapId()) : 0; }
 

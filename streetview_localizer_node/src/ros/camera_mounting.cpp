@@ -4,7 +4,6 @@
 
 #include <cmath>
 
-#include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/text.h"
 
 namespace streetview_localizer {
@@ -23,24 +22,23 @@ std::optional<Pose> CameraMounting::at(const ros::Time& stamp, const std::string
     *lacking = "neither images nor camera_info name a frame (parameter camera_frame)";
     return std::nullopt;
   }
-  const auto lookup = [&](const ros::Time& time) { return tf_.lookupTransform(base, camera_frame, time); };
-  try {
-    // By the wall clock: that of a paused replay stands still.
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(settings_.gravity_wait);
-    lookup(ros::Time(0));  // throws where the frames are not connected: no wait
-    while (!tf_.canTransform(base, camera_frame, stamp) && ros::ok() && ros::WallTime::now() < end)
-      ros::WallDuration(kPoll).sleep();
-    if (tf_.canTransform(base, camera_frame, stamp))
-      return air_ground_common::ros_utils::fromMsg(lookup(stamp).transform);
-    const geometry_msgs::TransformStamped newest = lookup(ros::Time(0));
-    if (std::abs(newest.header.stamp.toSec() - stamp.toSec()) <= kTolerance)
-      return air_ground_common::ros_utils::fromMsg(newest.transform);
-    *lacking = "the transform from '" + camera_frame + "' to '" + base +
-               "' is not known at the image's time: publish it on /tf with the images' clock or, where it is fixed, on "
-               "/tf_static";
-  } catch (const std::exception&) {
+  if (!transforms_.lookup(base, camera_frame)) {
     *lacking = "no transform from '" + camera_frame + "' to '" + base + "' (publish_calibration can give one)";
+    return std::nullopt;
   }
+  // By the wall clock: that of a paused replay stands still.
+  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(settings_.gravity_wait);
+  auto T_base_camera = transforms_.lookup(base, camera_frame, stamp);
+  while (!T_base_camera && ros::ok() && ros::WallTime::now() < end) {
+    ros::WallDuration(kPoll).sleep();
+    T_base_camera = transforms_.lookup(base, camera_frame, stamp);
+  }
+  if (T_base_camera) return T_base_camera;
+  const auto newest = transforms_.newest(base, camera_frame);
+  if (newest && std::abs(newest->toSec() - stamp.toSec()) <= kTolerance) return transforms_.lookup(base, camera_frame);
+  *lacking = "the transform from '" + camera_frame + "' to '" + base +
+             "' is not known at the image's time: publish it on /tf with the images' clock or, where it is fixed, on "
+             "/tf_static";
   return std::nullopt;
 }
 

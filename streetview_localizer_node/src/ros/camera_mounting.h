@@ -2,12 +2,11 @@
 #pragma once
 
 #include <ros/time.h>
-#include <tf2_ros/buffer.h>
 
 #include <optional>
 #include <string>
 
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 #include "node_parameters.h"
 
 namespace streetview_localizer {
@@ -21,12 +20,11 @@ class CameraMounting {
   /// the image, and is waited for. Empty while it is not known, with the reason in `lacking`.
   std::optional<Pose> at(const ros::Time& stamp, const std::string& camera_frame, std::string* lacking) const;
   /// Forgets moving edges; fixed ones stay.
-  void clear() { tf_.clear(); }
+  void clear() { transforms_.clear(); }
 
  private:
   const NodeSettings& settings_;
-  tf2_ros::Buffer tf_;
-  air_ground_common::ros_utils::TransformInput transforms_{tf_};
+  air_ground_common::ros_utils::TransformBuffer transforms_;
 };
 
 }  // namespace streetview_localizer

@@ -24,7 +24,7 @@ void OutcomePublisher::advertise(ros::NodeHandle* handle) {
 }
 
 void OutcomePublisher::prepareDisplay(const StreetviewLocalizer& localizer) {
-  health_.state(1, "preparing the display (display: false leaves it out)");
+  health_.state(health_.kWarn, "preparing the display (display: false leaves it out)");
   try {
     display_.prepare(localizer, settings_.model_spacing, static_cast<std::size_t>(settings_.model_max_points),
                      settings_.cameras_shown);
@@ -67,20 +67,22 @@ void OutcomePublisher::publishFix(const Job& job, const LocalizerResult& result,
 void OutcomePublisher::tellState(const Job& job, const std::string& lacking, const LocalizerResult& result,
                                  const StreetviewDatabase& database) {
   const std::string tally = "; " + std::to_string(accepted_) + " images located, " + std::to_string(refused_) + " not";
-  if (result.accepted() && !lacking.empty()) return health_.state(1, "located, but " + lacking + ": no fix" + tally);
+  if (result.accepted() && !lacking.empty())
+    return health_.state(health_.kWarn, "located, but " + lacking + ": no fix" + tally);
   if (result.accepted()) {
     const Eigen::Vector3d stddev = result.pose.covariance.diagonal().head<3>().cwiseSqrt();
     const std::string& panorama = database.panoramas[static_cast<std::size_t>(result.panorama)].id;
-    return health_.state(0, formatted("located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
-                                      panorama.c_str(), result.pose.inliers.size(), result.acceptance.score, stddev.x(),
-                                      stddev.y(), stddev.z(), result.total_time) +
-                                tally);
+    return health_.state(health_.kOk,
+                         formatted("located from %s: %zu inliers, score %.3f, %.2f %.2f %.2f m (1 sigma), in %.2f s",
+                                   panorama.c_str(), result.pose.inliers.size(), result.acceptance.score, stddev.x(),
+                                   stddev.y(), stddev.z(), result.total_time) +
+                             tally);
   }
   std::string state = formatted("last image %s: %s", nameOf(result.status), result.reason.c_str()) + tally;
-  if (!last_fix_.isZero())
+  if (!last_fix_.isZero() && job.image->header.stamp >= last_fix_)  // else of before time jumped back
     state +=
         "; last fix " + std::to_string(std::lround(job.image->header.stamp.toSec() - last_fix_.toSec())) + " s ago";
-  health_.state(1, state);
+  health_.state(health_.kWarn, state);
 }
 
 void OutcomePublisher::show(const Job& job, const cv::Mat& image, const LocalizerResult& result) {

@@ -34,7 +34,7 @@ class StreetviewLocalizerNode {
         settings_(settings),
         info_topic_(handle.resolveName("mav/camera/camera_info")),
         health_("streetview_localizer") {
-    health_.state(1, "reading the database " + settings_.database);
+    health_.state(health_.kWarn, "reading the database " + settings_.database);
     worker_ = std::thread([this] { run(); });
   }
 
@@ -70,9 +70,10 @@ class StreetviewLocalizerNode {
         database->views.size(),
         database->crs.empty() ? "local, without coordinate system" : ("at the origin in " + database->crs).c_str());
     const std::string& index = settings_.localizer.index_file;
-    health_.state(1, "preparing the search index over " + std::to_string(database->views.size()) + " views" +
-                         (std::filesystem::exists(index) ? ", from " + index
-                                                         : ": building it, which takes minutes for a large city"));
+    health_.state(health_.kWarn,
+                  "preparing the search index over " + std::to_string(database->views.size()) + " views" +
+                      (std::filesystem::exists(index) ? ", from " + index
+                                                      : ": building it, which takes minutes for a large city"));
     localizer_ = std::make_unique<StreetviewLocalizer>(database, settings_.localizer);
     ROS_INFO("%s", localizer_->indexRemark().c_str());
   }
@@ -82,7 +83,7 @@ class StreetviewLocalizerNode {
     output_.advertise(&handle_);
     reset_ = private_handle_.advertiseService("reset", &StreetviewLocalizerNode::onReset, this);
     health_.expectInput(info_topic_);
-    health_.state(1, "waiting for images");
+    health_.state(health_.kWarn, "waiting for images");
     if (settings_.use_prior)
       prior_ = handle_.subscribe("tracked/odometry", 200, &StreetviewLocalizerNode::onPrior, this);
     if (settings_.use_gravity)
@@ -152,7 +153,7 @@ class StreetviewLocalizerNode {
   void work() {
     if (settings_.display) {
       output_.prepareDisplay(*localizer_);
-      health_.state(1, "waiting for images");
+      health_.state(health_.kWarn, "waiting for images");
     }
     const auto attitudesCome = [this] { return settings_.use_gravity && attitude_.getNumPublishers() > 0; };
     while (const std::optional<Job> job = queue_.next(attitudesCome)) {

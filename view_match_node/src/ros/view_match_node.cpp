@@ -121,7 +121,7 @@ class ViewMatchNode {
 
   void publish() {
     const MatchEstimate e = matcher_.estimate();
-    health_.state(0, std::string(toString(e.status)) + ": " + e.reason);
+    health_.state(health_.kOk, std::string(toString(e.status)) + ": " + e.reason);
     if (e.status != status_) ROS_INFO("Alignment by views %s: %s", toString(e.status), e.reason.c_str());
     status_ = e.status;
     AlignmentEstimate msg = toMsg(e);

@@ -119,6 +119,9 @@ class Estimator {
   /// After forgetMap at a jump of time or where a user asked for it: odom -> base_link begins anew, too.
   virtual void forgetOdometry() {}
 
+  /// The present map has ended: keeps what is worth it for the services that save. May throw.
+  virtual void keep() = 0;
+  /// After keep.
   virtual void drop() = 0;
   virtual void reset() = 0;
   /// False: stamp not later than the last one's.
@@ -193,6 +196,7 @@ class EstimatorShell {
   void step(const EstimatorFrame& frame, const std::deque<ImuInput::Sample>& imu);
   void resetEstimator(bool all);
   void dropEstimator();
+  void keepMap();
   void reportObstacle(const Obstacle& obstacle, const ros::Time& stamp);
 
   void advertiseServices();
@@ -209,7 +213,7 @@ class EstimatorShell {
   NodeHealth health_;
   Mountings mountings_;
   ImuInput imu_input_;
-  ros::NodeHandle handle_, private_handle_{"~"}, service_handle_{"~"};
+  ros::NodeHandle handle_, private_handle_{"~"};
   std::string image_topic_, depth_topic_, info_topic_, imu_topic_, accel_topic_;
   ros::Publisher status_publisher_;
 

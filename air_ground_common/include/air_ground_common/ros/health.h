@@ -2,9 +2,9 @@
 // nothing comes of them, and detection of time jumping back (a looped bag).
 #pragma once
 
-#include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/node_handle.h>
 #include <ros/time.h>
+#include <ros/wall_timer.h>
 
 #include <functional>
 #include <map>
@@ -15,6 +15,11 @@
 #include <vector>
 
 #include "air_ground_common/ros/master_watch.h"
+
+namespace diagnostic_updater {
+class DiagnosticStatusWrapper;
+class Updater;
+}  // namespace diagnostic_updater
 
 namespace air_ground_common::ros_utils {
 
@@ -68,8 +73,10 @@ class NodeHealth {
   /// A figure as it is now, in /diagnostics, e.g. value("lag [s]", 0.2).
   void value(const std::string& name, double value);
 
-  /// Sets the state line; level as in diagnostic_msgs::DiagnosticStatus (0 OK, 1 WARN, 2 ERROR).
-  void state(int level, const std::string& line);
+  /// As in diagnostic_msgs::DiagnosticStatus.
+  enum Level { kOk, kWarn, kError };
+  /// Sets the state line.
+  void state(Level level, const std::string& line);
 
  private:
   struct Input {
@@ -113,14 +120,14 @@ class NodeHealth {
   std::map<std::string, double> values_;
   Silence silence_;
   std::map<std::string, Timing> timings_;
-  int level_ = 1;
+  Level level_ = kWarn;
   std::string line_ = "starting";
   // Of the timer's thread.
   std::map<std::string, Input> silent_;  ///< to be said when the inquiry is over
   std::shared_ptr<Inquiry> inquiry_;
   ros::WallTime started_, watched_, running_;  ///< running_: since when the clock does without a pause
   ros::Time clock_;                            ///< when watched_
-  diagnostic_updater::Updater updater_;
+  const std::unique_ptr<diagnostic_updater::Updater> updater_;
   ros::WallTimer timer_, report_timer_;
   MasterWatch master_watch_;
 };

@@ -1,25 +1,22 @@
 // Where sensors sit on a robot: from parameters, or from tf.
 #pragma once
 
-#include <tf2_ros/buffer.h>
-
 #include <map>
 #include <mutex>
 #include <optional>
 #include <string>
 
 #include "air_ground_common/geometry.h"
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 
 namespace air_ground_common::ros_utils {
 
-/// Listens to tf for as long as it lives, on a thread of its own: static transforms are kept whoever publishes them,
-/// latched or not, and those on /tf too. Make it before the first image can come: an unlatched message is sent once.
-/// Thread-safe.
+/// Listens to tf for as long as it lives. Make it before the first image can come: an unlatched message on /tf_static
+/// is sent once. Thread-safe.
 class Mountings {
  public:
-  /// `base_frame`: of the robot. `listener`: see TransformInput.
-  explicit Mountings(const std::string& base_frame, TransformInput::Listener listener = {});
+  /// `base_frame`: of the robot. `listener`: see TransformBuffer.
+  explicit Mountings(const std::string& base_frame, TransformBuffer::Listener listener = {});
 
   /// T_base_sensor: `given` or, without, as tf says at this moment; never waits. Empty, with the edge that is missing,
   /// the frames that are known and what to do in `why`, while it is not known. `sensor` names it as the parameter
@@ -32,12 +29,11 @@ class Mountings {
   std::string moved() const;
 
   /// Time has run back: tf would refuse, and complain of, all that comes until then. What is on /tf_static stays.
-  void forgetMoving() { buffer_.clear(); }
+  void forgetMoving() { transforms_.clear(); }
 
  private:
   std::string base_frame_;
-  tf2_ros::Buffer buffer_;
-  TransformInput transforms_;
+  TransformBuffer transforms_;
   mutable std::mutex mutex_;
   mutable std::map<std::string, Pose> looked_up_;  // T_base_sensor by the sensor's frame, of those from tf
 };

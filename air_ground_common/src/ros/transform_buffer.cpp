@@ -1,12 +1,17 @@
-#include "air_ground_common/ros/transform_input.h"
+#include "air_ground_common/ros/transform_buffer.h"
 
 #include <ros/console.h>
 #include <ros/message_event.h>
+#include <tf2/buffer_core.h>
+#include <tf2/exceptions.h>
 
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
+#include "air_ground_common/ros/conversions.h"
 #include "air_ground_common/ros/health.h"
+#include "air_ground_common/ros/sensor_input.h"
 
 namespace air_ground_common::ros_utils {
 namespace {
@@ -21,10 +26,9 @@ bool isFinite(const geometry_msgs::Transform& T) {
 
 }  // namespace
 
-TransformInput::TransformInput(tf2_ros::Buffer& buffer, Listener listener)
-    : buffer_(buffer), listener_(std::move(listener)) {
+TransformBuffer::TransformBuffer(Listener listener)
+    : core_(std::make_unique<tf2::BufferCore>()), listener_(std::move(listener)) {
   using Event = ros::MessageEvent<tf2_msgs::TFMessage const>;
-  buffer_.setUsingDedicatedThread(true);  // who waits for a transform may
   handle_.setCallbackQueue(&queue_);
   const auto listen = [this](const char* topic, bool fixed) {
     return handle_.subscribe<tf2_msgs::TFMessage>(
@@ -37,11 +41,43 @@ TransformInput::TransformInput(tf2_ros::Buffer& buffer, Listener listener)
   spinner_.start();
 }
 
-void TransformInput::onMessage(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed) {
+TransformBuffer::~TransformBuffer() { spinner_.stop(); }
+
+std::optional<Pose> TransformBuffer::lookup(const std::string& target, const std::string& source,
+                                            const ros::Time& stamp, std::string* why) const {
+  const std::string to = withoutSlash(target), from = withoutSlash(source);
+  if (!core_->canTransform(to, from, stamp, why)) return std::nullopt;
+  try {
+    return fromMsg(core_->lookupTransform(to, from, stamp).transform);
+  } catch (const tf2::TransformException& e) {  // gone since it was asked for
+    if (why) *why = e.what();
+  } catch (const std::invalid_argument& e) {
+    if (why) *why = e.what();
+  }
+  return std::nullopt;
+}
+
+std::optional<ros::Time> TransformBuffer::newest(const std::string& target, const std::string& source) const {
+  try {
+    return core_->lookupTransform(withoutSlash(target), withoutSlash(source), ros::Time()).header.stamp;
+  } catch (const tf2::TransformException&) {
+    return std::nullopt;
+  }
+}
+
+std::vector<std::string> TransformBuffer::frames() const {
+  std::vector<std::string> names;
+  core_->_getFrameStrings(names);
+  return names;
+}
+
+void TransformBuffer::clear() { core_->clear(); }
+
+void TransformBuffer::onMessage(const tf2_msgs::TFMessage& message, const std::string& authority, bool fixed) {
   const ros::Time now = ros::Time::now();
   if (now < last_) {
     ROS_WARN("time jumped back (a looped bag?): what moved on tf is forgotten");
-    buffer_.clear();
+    core_->clear();
   }
   last_ = now;
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
@@ -53,7 +89,7 @@ void TransformInput::onMessage(const tf2_msgs::TFMessage& message, const std::st
     }
     try {
       if (!isFinite(transform.transform)) throw tf2::InvalidArgumentException("a number is not finite");
-      buffer_.setTransform(transform, authority, fixed);
+      core_->setTransform(transform, authority, fixed);
     } catch (const tf2::TransformException& e) {
       ROS_ERROR_STREAM_THROTTLE(10, "tf: a transform to '" << transform.child_frame_id << "', from " << authority
                                                            << ", is left out: " << e.what()
