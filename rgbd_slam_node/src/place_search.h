@@ -21,7 +21,7 @@ class PlaceSearch {
   void begin(double stamp);                          ///< with this image [s]
   void sawAPlace() { strange_for_ += since_last_; }  ///< the image shows enough to be recognised, or to begin a map
   void conclude(const visual_frontend::PlaceMatch& match, const std::string& reason);
-  void found() { strange_for_ = 0; }
+  void found();
   /// The camera has seen other places than those of the map for so long that a new one is better.
   bool givesUp() const { return restart_after_ > 0 && strange_for_ >= restart_after_ - 1e-6; }
   const std::string& reason() const { return reason_; }  ///< why the last search found nothing
@@ -29,8 +29,9 @@ class PlaceSearch {
  private:
   double interval_, restart_after_, near_miss_;
   double strange_for_ = 0;     // seen other places than those of the map [s]
-  double since_last_ = 0;      // from the last search to this one [s]
-  double last_ = -1;           // [s]
+  double since_last_ = 0;      // of that, from the last search to this one [s]
+  double last_ = -1;           // search since the camera was lost [s]; negative: none
+  double step_ = 0;            // from the one before to the last one [s]
   bool nearly_found_ = false;  // some of a place's points agreed, too few to be sure
   std::string reason_;
 };

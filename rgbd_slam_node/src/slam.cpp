@@ -222,8 +222,9 @@ SlamResult Slam::Impl::follow(const RgbdImages& images) {
   addToMap(images, tracked, &result);
   if (result.relocalized) covariance = uncertainty();  // by now the reference is there, not where it was lost
   motion.addPose(stamp, lastPose(), tracked.pose.covariance);
-  result.recalibrated = result.keyframe && alignCalibration();
-  if (alignShutter(images) || levelMap() || result.recalibrated) result.map_corrected = true;
+  const bool calibrated = result.keyframe && alignCalibration();
+  result.recalibrated = alignShutter(images) || calibrated;
+  if (levelMap() || result.recalibrated) result.map_corrected = true;
   if (result.map_corrected) shutter.interrupt();
   concludePose(covariance, tracked.pose.covariance, &result);
   return result;

@@ -205,7 +205,6 @@ bool Slam::Impl::alignCalibration() {
   const Pose T_map_before = lastPose();
   setCamera(calibration.camera());
   calibration.recalibrate(velocity, &map);
-  dense.recalibrate(camera);
   surfaces.relink(map);
   shutter.distrust();
   adjustWholeAtOnce();
@@ -218,6 +217,7 @@ void Slam::Impl::setCamera(const CameraModel& better_known) {
   camera = better_known;
   tracking.setCamera(camera);
   loops.setCamera(camera);
+  dense.recalibrate(camera);
   surfaces.setCamera(camera);
   motion.setCamera(camera);
 }

@@ -62,6 +62,23 @@ TEST(PlaceSearch, GivesUpAfterStrangePlacesOnly) {
   EXPECT_FALSE(search.givesUp());
 }
 
+// Looks that are seconds apart, because the settings or the camera's rate say so, hide no more than others.
+TEST(PlaceSearch, GivesUpHoweverSlowlyItLooks) {
+  for (const double interval : {0.1, 3.0}) {
+    PlaceSearch search(searching(interval, 5));
+    double stamp = 100;
+    for (int i = 0; i < 4 && !search.givesUp(); ++i, stamp += 3) {
+      search.begin(stamp);
+      search.sawAPlace();
+    }
+    EXPECT_TRUE(search.givesUp()) << interval;
+    search.found();
+    search.begin(stamp += 30);
+    search.sawAPlace();
+    EXPECT_FALSE(search.givesUp()) << "it was not lost meanwhile";
+  }
+}
+
 TEST(PlaceSearch, NeverGivesUpWhereItIsToldSo) {
   PlaceSearch search(searching(0.5, 0));
   for (int i = 0; i < 100; ++i) {

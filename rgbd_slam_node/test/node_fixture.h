@@ -41,22 +41,21 @@ class NodeTest : public testing::Test {
         "ground/slam_status", 200, [this](const air_ground::VoStatus::ConstPtr& m) { status.push_back(*m); });
     hearClouds();
     tf_sub_ = handle_.subscribe("/tf", 500, &NodeTest::onTf, this);
-    geometry_msgs::TransformStamped camera, imu, depth_camera;
+    geometry_msgs::TransformStamped imu, depth_camera;
     depth_robot_.camera.width = 320;
     depth_robot_.camera.height = 240;
     depth_robot_.camera.cx = 159.5;
     depth_robot_.camera.cy = 119.5;
     depth_robot_.camera.fx = depth_robot_.camera.fy = 180;
     depth_robot_.mounting.T_base_camera.translation() += Eigen::Vector3d(0.05, -0.08, 0.03);
-    camera.header.frame_id = imu.header.frame_id = "ground_base_link";
-    camera.child_frame_id = "ground_camera_optical_frame";
+    imu.header.frame_id = "ground_base_link";
     imu.child_frame_id = "ground_imu_link";
     depth_camera.header.frame_id = "ground_base_link";
     depth_camera.child_frame_id = kDepthFrame;
     depth_camera.transform = ros_utils::toTransformMsg(depth_robot_.mounting.T_base_camera);
-    camera.transform = ros_utils::toTransformMsg(robot_.mounting.T_base_camera);
     imu.transform = ros_utils::toTransformMsg(Pose(*robot_.mounting.R_base_imu));
-    broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{camera, imu, depth_camera});
+    broadcaster_.sendTransform(std::vector<geometry_msgs::TransformStamped>{imu, depth_camera});
+    mountCamera(robot_.mounting.T_base_camera);
     ASSERT_TRUE(spinUntil([&] {
       return colour_.getNumSubscribers() > 0 && depth_.getNumSubscribers() > 0 && info_.getNumSubscribers() > 0 &&
              imu_.getNumSubscribers() > 0 && odometry_sub_.getNumPublishers() > 0 &&
@@ -64,6 +63,15 @@ class NodeTest : public testing::Test {
     })) << "the node did not start";
     pause(20);
     clouds.clear();  // what an earlier test left latched
+  }
+
+  /// What tf says of it from now on.
+  void mountCamera(const Pose& T_base_camera) {
+    geometry_msgs::TransformStamped camera;
+    camera.header.frame_id = "ground_base_link";
+    camera.child_frame_id = "ground_camera_optical_frame";
+    camera.transform = ros_utils::toTransformMsg(T_base_camera);
+    broadcaster_.sendTransform(camera);
   }
 
   void hearClouds() {

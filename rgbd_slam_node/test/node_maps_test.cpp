@@ -84,6 +84,31 @@ TEST_F(Maps, ThoseThatEndAreSaved) {
   std::remove((path + ".txt").c_str());
 }
 
+// A head that pans as the map begins: its cloud goes out when poses do.
+TEST_F(Maps, OneThatBeginsWhilePosesAreWithheldIsPublished) {
+  Course course;
+  course.wrong_unit = true;  // the mounting is read, and no map begins
+  drive(5, false, course);
+  ASSERT_TRUE(answered(5));
+  Pose panned = robot_.mounting.T_base_camera;
+  panned.translation().x() += 0.05;
+  mountCamera(panned);
+  pause(200);
+  course.wrong_unit = false;
+  course.first = 5;
+  drive(10, false, course);
+  ASSERT_TRUE(spinUntil([&] { return status.back().header.stamp == cameraHeader(0.9).stamp; }));
+  ASSERT_NE(status.back().reason.find("has moved"), std::string::npos) << status.back().reason;
+  ASSERT_TRUE(odometry.empty());
+  mountCamera(robot_.mounting.T_base_camera);
+  pause(200);
+  course.first = 10;
+  drive(30, false, course);
+  ASSERT_TRUE(answered(30));
+  EXPECT_FALSE(odometry.empty());
+  EXPECT_TRUE(spinUntil([&] { return !clouds.empty() && clouds.back().width > 3000; }));
+}
+
 TEST_F(Maps, WhoComesLateToARobotThatStandsGetsItOnce) {
   robot_.rest = 100;
   drive(15, false, {});

@@ -135,6 +135,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
 
   /// Nothing of another map than `map_id` is published any more, and no cloud of one stays latched.
   void beginMap(std::uint32_t map_id) {
+    map_id_ = map_id;
     pose_publisher_.beginMap();
     cloud_pacer_.restart();
     keyframe_pacer_.restart();
@@ -173,6 +174,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
     status.inliers = static_cast<std::uint32_t>(r.inliers);
     status.keyframes = static_cast<std::uint32_t>(slam_->map().keyframeCount());
     status.map_points = static_cast<std::uint32_t>(slam_->map().landmarkCount());
+    noteMap(r);
     map_revision_ += r.map_corrected;
     status.map_revision = map_revision_;
     status.scale = 1.0;
@@ -195,6 +197,13 @@ class RgbdSlamNode : private ros_utils::Estimator {
       publishMapWhenDue(stamp.toSec());
     };
     return result;
+  }
+
+  /// Of frames whose poses are not published, too.
+  void noteMap(const SlamResult& r) {
+    if (slam_->map().keyframeCount() > 0 && shell_.mapId() != map_id_) beginMap(shell_.mapId());
+    if (r.keyframe || r.map_corrected || r.points_gone) cloud_pacer_.changed(r.map_corrected);
+    if (r.keyframe || r.map_corrected) keyframe_pacer_.changed(r.map_corrected);
   }
 
   void noteDelay(const ros_utils::EstimatorFrame& frame) {
@@ -228,7 +237,6 @@ class RgbdSlamNode : private ros_utils::Estimator {
   }
 
   void publish(const ros::Time& stamp, const cv::Mat& grey, const SlamResult& r) {
-    if (r.new_map) beginMap(shell_.mapId());
     pose_publisher_.publish(stamp, r.T_map_base, {r.T_previous_current_base, r.increment_covariance}, r.covariance);
     if (r.keyframe && keyframe_publisher_.getNumSubscribers() > 0) {
       std_msgs::Header header;
@@ -237,8 +245,6 @@ class RgbdSlamNode : private ros_utils::Estimator {
       keyframe_publisher_.publish(
           ros_utils::toMsg(visual_frontend::drawTracks(grey, slam_->features(), slam_->mapped()), "bgr8", header));
     }
-    if (r.keyframe || r.map_corrected || r.points_gone) cloud_pacer_.changed(r.map_corrected);
-    if (r.keyframe || r.map_corrected) keyframe_pacer_.changed(r.map_corrected);
   }
 
   /// No images come: time goes on all the same, but that of a recording has ended.
@@ -302,7 +308,7 @@ class RgbdSlamNode : private ros_utils::Estimator {
   std::chrono::steady_clock::time_point last_frame_;
   bool imu_problem_told_ = false;
   double told_readout_time_ = 0, depth_delay_ = 0;  ///< [s]
-  std::uint32_t map_revision_ = 0;
+  std::uint32_t map_id_ = 0, map_revision_ = 0;     ///< of what is published; id 0: none is
 
   ros_utils::EstimatorShell shell_;
   ros_utils::PosePublisher pose_publisher_;
