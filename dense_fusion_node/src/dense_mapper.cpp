@@ -17,8 +17,9 @@ using air_ground_common::Similarity;
 
 namespace {
 
-constexpr std::size_t kMostPoses = 40000;  // half an hour of images 0.02 m apart
-constexpr std::size_t kRecentFrames = 65;  // the newest and what joins its depth map when it starts one
+constexpr std::size_t kMostPoses = 40000;       // half an hour of images 0.02 m apart
+constexpr std::int64_t kStanding = 4000000000;  // after so long without a motion what there is is fused [ns]
+constexpr std::size_t kRecentFrames = 65;       // the newest and what joins its depth map when it starts one
 
 double distance(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
   return (a.translation() - b.translation()).norm();
@@ -94,14 +95,14 @@ std::optional<FusedMap> DenseMapper::add(const cv::Mat& image, const air_ground_
   if (!recent_.empty() && distance(recent_.back().T_map_camera, T_map_camera) < settings_.frame_spacing &&
       angle(recent_.back().T_map_camera, T_map_camera) < kRedundantRotation) {
     ++counters_.redundant;
-    return std::nullopt;
+    return stamp - recent_.back().stamp > kStanding ? flush() : std::nullopt;
   }
   startWaitingSweep();
   if (!recent_.empty()) spacing_.add(distance(recent_.back().T_map_camera, T_map_camera));
   reachOut(depth_min, depth_max);
   const Frame frame = rectifier_->rectify(image, stamp, T_map_camera, rows);
   std::optional<FusedMap> fused;
-  if (sweeping_ && joinsSweep(sweep_->reference().T_map_camera, T_map_camera)) {
+  if (sweeping_ && !sweep_->full() && joinsSweep(sweep_->reference().T_map_camera, T_map_camera)) {
     counters_.swept += sweep_->add(frame);
   } else {
     if (sweeping_) finishSweep();
@@ -254,9 +255,14 @@ void DenseMapper::startWaitingSweep() {
   const Frame& reference = recent_.back();
   sweep_->start(reference, near, std::max(far, near * 1.01));
   sweeping_ = true;
-  // Frames from before the reference count as much as those after it: the baseline doubles.
-  for (auto frame = recent_.begin(); frame != recent_.end() - 1; ++frame)
-    if (joinsSweep(reference.T_map_camera, frame->T_map_camera)) counters_.swept += sweep_->add(*frame);
+  const auto joins = [&](const Frame& frame) { return joinsSweep(reference.T_map_camera, frame.T_map_camera); };
+  // Frames from before the reference count as much as those after it: the baseline doubles. Where the camera hovers
+  // they would be all, and the depth map the last one once more.
+  auto frame = recent_.end() - 1;
+  for (int earlier = 0; frame != recent_.begin() && 2 * earlier < settings_.sweep.max_frames;)
+    earlier += joins(*--frame);
+  for (; frame != recent_.end() - 1; ++frame)
+    if (joins(*frame)) counters_.swept += sweep_->add(*frame);
 }
 
 void DenseMapper::finishSweep() {
@@ -326,7 +332,8 @@ std::optional<FusedMap> DenseMapper::flush() {
   std::optional<FusedMap> fused;
   startWaitingSweep();
   if (sweeping_) finishSweep();
-  if (group_.size() > carried_over_) fused = fuseGroup();  // what is carried over alone brings nothing new
+  // What is carried over alone brings nothing new; what is too little waits for more.
+  if (group_.size() > carried_over_ && static_cast<int>(group_.size()) >= settings_.min_depth_maps) fused = fuseGroup();
   return inPosesUnit(std::move(fused));
 }
 

@@ -90,7 +90,7 @@ bool PlaneSweep::add(const Frame& frame) {
   if (!started_) throw std::logic_error("plane sweep: add() before start()");
   if (frame.normalized.cols != camera_.width || frame.normalized.rows != camera_.height)
     throw std::invalid_argument("plane sweep: the frame's size differs from the camera's");
-  if (frames() >= settings_.max_frames) return false;
+  if (full()) return false;
   const int width = camera_.width, height = camera_.height;
   // A point at inverse depth rho on the reference pixel x = (u, v, 1): K (R K^-1 x + rho t), up to scale.
   const Eigen::Isometry3d T_frame_reference = frame.T_map_camera.inverse() * reference_.T_map_camera;

@@ -160,6 +160,50 @@ TEST(DenseMapper, WanderingWithinTheRadiusGivesMapsToo) {
   EXPECT_GE(maps, 1u);
 }
 
+// A MAV that hovers about a place never leaves the sweep's radius either.
+TEST(DenseMapper, HoveringAboutAPlaceGivesMapsToo) {
+  MapperSettings settings = smallSettings();
+  settings.sweep.max_frames = 12;
+  settings.fusion.voxel_size = 0.06;
+  DenseMapper mapper(settings);
+  std::vector<std::int64_t> references;
+  mapper.onDepthMap([&](const DepthMap& map) { references.push_back(map.stamp); });
+  constexpr int kFirst = 26, kLast = 29;  // 0.09 m
+  std::size_t maps = 0;
+  int i = kFirst, step = 1;
+  for (int k = 0; k < 250; ++k, i += step) {
+    maps += mapper.add(flight()[i], smallCamera(), std::int64_t{k} * 50000000, flightPose(i), 1.3, 2.05).has_value();
+    if (i + step < kFirst || i + step > kLast) step = -step;
+  }
+  EXPECT_GE(maps, 1u);
+  ASSERT_GE(references.size(), 30u);
+  for (std::size_t k = 1; k < references.size(); ++k)
+    EXPECT_GE(references[k] - references[k - 1], std::int64_t{settings.sweep.max_frames / 2} * 50000000)
+        << "half of a depth map's images are new";
+}
+
+// It has landed, and its camera goes on: what was flown last is not kept back.
+TEST(DenseMapper, AStandingCameraFusesWhatThereIs) {
+  DenseMapper mapper(smallSettings());
+  std::int64_t stamp = 0;
+  const auto add = [&](int i) {
+    return mapper.add(flight()[i], smallCamera(), stamp += 50000000, flightPose(i), 1.3, 2.05);
+  };
+  const auto stand = [&](int at, double seconds) {
+    std::size_t maps = 0;
+    for (const std::int64_t end = stamp + static_cast<std::int64_t>(1e9 * seconds); stamp < end;)
+      maps += add(at).has_value();
+    return maps;
+  };
+  // Too little for a map: it is kept for what comes.
+  for (int i = 0; i < 9; ++i) ASSERT_FALSE(add(i));
+  EXPECT_EQ(stand(8, 10), 0u);
+  for (int i = 9; i < 20; ++i) ASSERT_FALSE(add(i));
+  EXPECT_EQ(stand(19, 2), 0u) << "it may fly on";
+  EXPECT_EQ(stand(19, 10), 1u) << "once";
+  EXPECT_EQ(mapper.counters().small_groups, 0u);
+}
+
 TEST(DenseMapper, ResetForgetsTheMap) {
   DenseMapper mapper(smallSettings());
   for (int i = 0; i < 20; ++i) mapper.add(flight()[i], smallCamera(), i, flightPose(i), 1.3, 2.05);

@@ -7,6 +7,7 @@
 #include "air_ground_common/covariance.h"
 #include "air_ground_common/text.h"
 #include "air_ground_common/units.h"
+#include "icp_refine/ceilings.h"
 
 namespace icp_refine {
 namespace {
@@ -50,7 +51,7 @@ void AlignmentRefiner::prepareGround() {
 }
 
 void AlignmentRefiner::makeReference() {
-  reference_ = chain_.prepareReference(ground_);
+  reference_ = referenceBelowCeilings(chain_, ground_, ground_camera_);
   heights_.emplace(reference_->cloud(), settings_.height_check);
 }
 
@@ -81,9 +82,15 @@ void AlignmentRefiner::setCoarse(const KnownAlignment& coarse) {
   coarse_stamp_ = aerial_.newestStamp();
 }
 
+void AlignmentRefiner::setGroundCamera(double z) {
+  if (!knowsGroundCamera()) reference_.reset();
+  ground_camera_ = z;
+}
+
 void AlignmentRefiner::groundMoved() {
   moved_grounds_ = kMovedGrounds;
   unproven_ = tracked_.has_value();
+  disagreements_ = 0;
   coarse_.reset();
   coarse_known_.reset();
   views_.reset();

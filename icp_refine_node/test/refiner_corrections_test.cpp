@@ -111,6 +111,23 @@ TEST_F(MovedGround, IsFollowedWhereTheImagesTell) {
   EXPECT_LT(errorNow(), 0.08);
 }
 
+// That was one before the loop closed: the pose is of the map as it was, and has come and gone.
+TEST_F(Refiner, ACoarsePoseThatDisagreedBeforeTheGroundMovedIsNotTried) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  const Pose elsewhere(Eigen::Translation3d(1.6, -1.1, 0) * Eigen::AngleAxisd(0.2, Eigen::Vector3d::UnitZ()));
+  refiner.setCoarse(elsewhere * scene.T_ground_map_mav_map);
+  ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);
+  refiner.groundMoved();
+  refiner.setGround(transformed(scene.ground, elsewhere));
+  const auto out = refiner.refine();
+  EXPECT_NE(out.status, RefineStatus::kConverged) << out.reason;
+  EXPECT_FALSE(out.instead);
+  // Nor is a guess for that: what comes of it needs another cloud.
+  refiner.setCoarse(elsewhere * scene.T_ground_map_mav_map, false);
+  EXPECT_NE(refiner.refine().status, RefineStatus::kConverged);
+}
+
 TEST_F(MovedGround, EndsThePoseThatItContradicts) {
   int maps = 1;
   for (; maps < 8 && refiner.tracking(); ++maps) {

@@ -229,6 +229,15 @@ TEST_F(Refiner, ViewsThatAreWithdrawnStartNothing) {
   EXPECT_FALSE(ended_by([] {}));
 }
 
+// Its author no longer tells that place from another.
+TEST_F(Refiner, ACoarsePoseThatIsWithdrawnStartsNothing) {
+  refiner.setCoarse(scene.T_ground_map_mav_map);
+  refiner.withdrawCoarse();
+  const auto out = refiner.refine();
+  EXPECT_EQ(out.status, RefineStatus::kSearching);
+  EXPECT_EQ(out.reason, "waiting for a coarse alignment or a manual guess");
+}
+
 TEST_F(Refiner, ALeapIsBelievedOnceAnotherCloudConfirmsIt) {
   refiner.setCoarse(scene.T_ground_map_mav_map);
   ASSERT_EQ(refiner.refine().status, RefineStatus::kConverged);

@@ -65,7 +65,8 @@ class DenseMapper {
   explicit DenseMapper(const MapperSettings& settings = {});
 
   /// Adds an image (CV_8UC1 or CV_8UC3 BGR) of time `stamp` [ns] with the pose of its camera. depth_min, depth_max:
-  /// expected depths in view [m], 0 if unknown. Returns a fused map whenever one is complete. A changed calibration
+  /// expected depths in view [m], 0 if unknown. Returns a fused map whenever one is complete, and what there is once
+  /// the camera has stood for 4 s. A changed calibration
   /// starts afresh. `readout_time` of a rolling shutter [s], whose stamp is its middle row's: the camera's motion is
   /// that since the image before, so all images are to be given. Throws std::invalid_argument for an image, calibration
   /// or pose that cannot be used.
@@ -97,7 +98,8 @@ class DenseMapper {
   /// The same, since each of them was returned.
   air_ground_common::CloudCorrections corrections() const;
 
-  /// Fuses what there is; empty when that is less than min_depth_maps. The next image starts a new depth map.
+  /// Fuses what there is; empty when that is less than min_depth_maps, which then waits for more. The next image starts
+  /// a new depth map.
   std::optional<FusedMap> flush();
 
   /// Forgets images, depth maps and the unit, not the counters.

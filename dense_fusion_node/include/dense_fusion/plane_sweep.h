@@ -41,6 +41,7 @@ class PlaneSweep {
   /// The map was corrected: where the reference is in it now, for frames to come. What was added stays.
   void moveReference(const Eigen::Isometry3d& T_map_camera) { reference_.T_map_camera = T_map_camera; }
   int frames() const { return static_cast<int>(views_.size()); }  ///< added so far, without the reference
+  bool full() const { return frames() >= settings_.max_frames; }
   /// RMS shift of a pixel over the frames between the nearest and the farthest plane [px].
   double parallax() const;
   double inverseDepth(int hypothesis) const { return inverse_depth_[hypothesis]; }  ///< [1/m], rising

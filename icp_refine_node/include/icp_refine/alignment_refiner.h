@@ -85,8 +85,8 @@ class AlignmentRefiner {
   /// called when there is nothing else to do.
   void prepareGround();
   /// Greatest z in ground_map of the camera that made the ground map [m]: what is higher it cannot have seen from
-  /// above.
-  void setGroundCamera(double z) { ground_camera_ = z; }
+  /// above, and where that is a ceiling (ceilings.h) the map counts without it.
+  void setGroundCamera(double z);
   bool knowsGroundCamera() const { return std::isfinite(ground_camera_); }
   /// Adds one aerial cloud (mav_map frame), stamp in nanoseconds.
   void addAerial(std::int64_t stamp, Cloud cloud);
@@ -102,8 +102,11 @@ class AlignmentRefiner {
   void setViews(const KnownAlignment& views);
   /// The images tell nothing any more: nor does a pose stand that rests on them alone.
   void withdrawViews();
-  /// The height maps tell no place from another any more.
-  void withdrawCoarse() { coarse_known_.reset(); }
+  /// The height maps tell no place from another any more: where they put it last is neither tried nor holds anything.
+  void withdrawCoarse() {
+    coarse_.reset();
+    coarse_known_.reset();
+  }
   /// A person's guess of x, y and heading, tried once: replaces what is tracked when it converges. The height is taken
   /// from the maps.
   void setManual(const Pose& T_ground_map_mav_map);

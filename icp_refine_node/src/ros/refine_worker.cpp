@@ -79,6 +79,7 @@ void Inbox::reviseMap() {
 
 void Inbox::reviseGround() {
   ground_moved = true;
+  coarse.reset();
   views.reset();
 }
 
@@ -212,9 +213,9 @@ bool RefineWorker::use(Inbox& inbox) {
   if (inbox.scale_deviation) refiner_.setScaleDeviation(*inbox.scale_deviation);
   if (inbox.aerial_vertical) refiner_.setAerialVertical(*inbox.aerial_vertical);
   if (inbox.ground_vertical) refiner_.setGroundVertical(*inbox.ground_vertical);
-  if (inbox.coarse) useCoarse(*inbox.coarse);
   const bool tracked = refiner_.tracking();
   if (inbox.coarse_withdrawn) refiner_.withdrawCoarse();
+  if (inbox.coarse) useCoarse(*inbox.coarse);
   if (inbox.views_withdrawn) refiner_.withdrawViews();
   if (inbox.views) useViews(*inbox.views);
   if (inbox.manual) refiner_.setManual(*inbox.manual);
@@ -302,7 +303,8 @@ void RefineWorker::refine() {
   if (out.status != RefineStatus::kSearching && !refiner_.knowsGroundCamera()) {
     health_.count(
         "the ground camera's height is not known: neither tf to the frame of ground/rgb/camera_info nor "
-        "ground/map_keyframes tells it. What is higher than that camera may contradict right poses");
+        "ground/map_keyframes tells it. What is higher than that camera, a ceiling above all, may contradict right "
+        "poses");
   }
   {
     // Locked: nothing of the time before a reset goes out after it.
