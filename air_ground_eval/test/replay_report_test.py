@@ -149,6 +149,11 @@ class ReplayReport(unittest.TestCase):
         self.assertTrue(np.allclose(values['coarse_error_overlap'], 0.8))
         self.assertGreater(values['refined_latency_median_s'], 0.7 - 0.1)  # the clock of a replay has steps
         self.assertLess(values['refined_latency_median_s'], 0.7 + 2)
+        self.assertGreater(values['cloud_latency_median_s'], 0.7 - 0.1)
+        self.assertLess(values['cloud_latency_median_s'], 0.7 + 2)
+        for name in ('vo', 'slam'):
+            self.assertGreater(values[f'{name}_latency_median_s'], -0.1)
+            self.assertLess(values[f'{name}_latency_median_s'], 0.6)
         self.assertAlmostEqual(values['ground_surface_error_median_m'], 0.0, delta=2e-3)
         self.assertAlmostEqual(values['aerial_surface_error_median_m'], 0.02, delta=2e-3)
         self.assertAlmostEqual(values['added_area_m2'], 4.0, delta=0.4)

@@ -72,19 +72,18 @@ class StaticTransforms:
 
 
 class BagPlayer:
-    """`rosbag play` as a child of this node, under its own node name. bag: BagFacts; nodes: whose outputs are not played (own_outputs.running).
+    """`rosbag play` as a child of this node, under its own node name; it begins paused. bag: BagFacts; nodes: whose outputs are not played (own_outputs.running).
 
     topics: those that are played.
     """
 
-    def __init__(self, bag, name='player', rate=1.0, start=0.0, delay=0.0, paused=True, nodes=None):
+    def __init__(self, bag, name='player', rate=1.0, start=0.0, nodes=None):
         self.static, self.chains = None, own_outputs.chains(nodes or {})
         static = bag.static_transforms(chains=self.chains)
         if static.transforms or '/tf' in bag.types:
             self.static = StaticTransforms(static)
         self.name = rospy.resolve_name(name)
-        command = find_node('rosbag', 'play')[:1] + ['--quiet', '--clock', '--hz=200', '--queue=2000', f'--rate={rate}', f'--start={start}']
-        command += (['--pause'] if paused else []) + ([f'--delay={delay}'] if delay else [])
+        command = find_node('rosbag', 'play')[:1] + ['--quiet', '--clock', '--hz=200', '--queue=2000', f'--rate={rate}', f'--start={start}', '--pause']
         self.topics, others = playable(bag.types)
         if others:
             rospy.logwarn('%d topic(s) of the bag left out, whose names ROS does not take: %s%s', len(others), ', '.join(others[:SHOWN]), ' ...' if len(others) > SHOWN else '')
@@ -136,12 +135,12 @@ class BagPlayer:
             return False
 
     def wait_until_ready(self, timeout=60.0):
-        """Until it has opened the bag and advertised its topics."""
+        """Until it has opened the bag and advertised its topics: its service is there before, but answers only then."""
         end = time.monotonic() + timeout
         while self.running() and time.monotonic() < end and not rospy.is_shutdown():
             try:
                 rospy.wait_for_service(self.name + '/pause_playback', timeout=1.0)
-                return True
+                return self.pause(True)
             except rospy.ROSException:
                 continue
         return False

@@ -153,7 +153,10 @@ def _latency(axis, data):
     axis.set_title('From the last image of a dense cloud to the pose refined with it')
     if 'latencies' not in data:
         return _empty(axis, data.get('no_alignment', 'no refined pose'))
-    axis.plot(data['latencies'][:, 0], data['latencies'][:, 1], 's-', color='#8a1a8a', ms=5, lw=1)
+    time, cloud, pose = data['latencies'].T
+    axis.plot(time, pose, 's-', color='#8a1a8a', ms=5, lw=1, label='pose')
+    axis.plot(time, cloud, 's-', color='#d09ad0', ms=4, lw=1, label='cloud alone')
+    axis.legend(fontsize=9)
     axis.set_xlabel('time [s]')
     axis.set_ylabel('delay [s]')
     axis.set_ylim(bottom=0)

@@ -21,6 +21,9 @@ from .pacing import CALLER, ClockKeeper, CpuLoad, Pacer
 STATES = {VoStatus.STATE_WAITING: 'WAITING', VoStatus.STATE_INITIALIZING: 'INITIALIZING', VoStatus.STATE_SCALING: 'SCALING',
           VoStatus.STATE_TRACKING: 'TRACKING', VoStatus.STATE_LOST: 'LOST'}
 
+LOADING = ('reading ', 'preparing ')  # how the state of a node begins that does not listen yet, in the diagnostics
+SAY_AGAIN = 60.0  # [s]
+
 
 def pose_from_message(pose):
     """4x4 transform of a geometry_msgs/Pose. ValueError for a quaternion that is zero or not finite."""
@@ -35,6 +38,7 @@ class Robot:
         self.node, self.image, self.on = node, rospy.resolve_name(image), on
         self.delay = 0.0  # of the bag's time of its images after their stamps [s], which may be another clock's
         self.odometry = {}  # stamp -> T_map_base
+        self.latencies = []  # from each image to its pose, on the bag's clock [s]
         self.last_status = None
         self.processing, self.lost, self.frames = 0.0, 0, 0
 
@@ -118,6 +122,12 @@ class Recorder:
                         self.said[name] = status.message
                         break
 
+    def loading(self, node):
+        """What a node says that still reads what it needs; else ''."""
+        with self.lock:
+            said = self.said.get(node.strip('/'), '')
+        return said if said.startswith(LOADING) else ''
+
     def reason(self, robot):
         """Why a robot gives no pose, as far as anything was heard."""
         status = robot.last_status
@@ -191,15 +201,25 @@ def unconnected():
     return missing
 
 
-def wait_to_listen(topics, nodes, more_topics=(), timeout=60.0):
-    """Waits until each of the nodes has subscribed to one of the topics that are played (tf aside) or of `more_topics`. False when one did not come."""
+def wait_to_listen(topics, nodes, more_topics=(), timeout=60.0, loading=lambda node: ''):
+    """Waits until each of the nodes has subscribed to one of the topics that are played (tf aside) or of `more_topics`. False when one did not come.
+
+    loading: what a node says that still reads what it needs, else ''. The time [s] begins when none does.
+    """
     topics = [topic for topic in topics if topic.strip('/') not in ('tf', 'tf_static', 'clock')] + list(more_topics)
-    begin = time.monotonic()
+    begin = shown = time.monotonic()
     while not rospy.is_shutdown():
         missing = not_listening(nodes, topics)
         if not missing:
             return True
-        if time.monotonic() - begin > timeout:
+        busy = [f'{node} is {line}' for node, line in zip(missing, map(loading, missing)) if line]
+        now = time.monotonic()
+        if busy:
+            begin = now
+            if now - shown > SAY_AGAIN:
+                shown = now
+                rospy.loginfo('still waiting: %s', '; '.join(busy))
+        elif now - begin > timeout:
             rospy.logerr('no sign of %s: subscribed to no topic of the bag. The lines above say whether it started; its inputs are arguments of the launch file', ', '.join(missing))
             return False
         time.sleep(0.2)
@@ -242,6 +262,25 @@ def _missing_now(bag, inputs):
             hint = f'it has none of type {kind}'
         result[topic] = f'no message on {topic}: the bag has no such topic; {hint}'
     return result
+
+
+def begin(recorder, bag, player, inputs, more_topics=()):
+    """Lets the bag go when the nodes of ~wait_for listen to it, or to `more_topics`, and all connections stand; else says why not, and what to do. inputs: see missing_inputs."""
+    if not player.wait_until_ready():
+        return f'rosbag play did not start with {bag.path}: its lines above say why'
+    nodes = rospy.get_param('~wait_for', '').split()
+    if nodes:
+        rospy.loginfo('waiting for %s: a localizer loads its database', ', '.join(nodes))
+    if not wait_to_listen(player.topics, nodes, [*(topic for _, topic, _ in inputs), *more_topics], 600.0, recorder.loading):
+        return 'a node did not start: the lines above say why'
+    recorder.missing = missing_inputs(bag, inputs)
+    for line in recorder.missing.values():
+        rospy.logerr('%s', line)
+    if recorder.missing:
+        return 'nothing to replay: the lines above say which arguments to set; rosrun air_ground check_bag --city proposes them'
+    if not let_go(recorder, bag, player):
+        return f'rosbag play ended with {bag.path} before it began: its lines above say why'
+    return None
 
 
 def let_go(recorder, bag, player, timeout=30.0):

@@ -31,7 +31,8 @@ class Recorded:
     wall_time: float = 0.0
     held: float = 0.0                    # the player, so that the nodes could keep up [s]
     cores: List[Tuple[float, Dict[str, float]]] = field(default_factory=list)  # (time of the bag [s], node -> cores that it kept busy)
-    latencies: List[Tuple[float, float]] = field(default_factory=list)  # (stamp of a dense cloud, from its last image to the refined pose) [s]
+    pose_latencies: Dict[str, List[float]] = field(default_factory=dict)  # robot -> from each image to its pose [s]
+    latencies: List[Tuple[float, float, float]] = field(default_factory=list)  # (stamp of a dense cloud, from its last image to it, to the refined pose) [s]
     delays: Dict[str, float] = field(default_factory=dict)  # robot -> the bag's clock less that of its images' stamps [s]
     switched_off: List[str] = field(default_factory=list)  # robots that were not to give poses
     states: Dict[str, dict] = field(default_factory=dict)  # what the odometry nodes said about themselves
@@ -195,11 +196,15 @@ class Report:
             curves = {name: np.array([cores.get(name, 0.0) for _, cores in r.cores]) for name in names}
             v['cpu_cores_mean'] = {name: float(curve.mean()) for name, curve in curves.items()}
             self.figure['cores'] = (np.array([now for now, _ in r.cores]) - r.begin, curves)
+        for robot, name in (('mav', 'vo'), ('ground', 'slam')):
+            if r.pose_latencies.get(robot):
+                v[f'{name}_latency_median_s'] = float(np.median(r.pose_latencies[robot]))
+                v[f'{name}_latency_95_percent_s'] = float(np.quantile(r.pose_latencies[robot], 0.95))
         if r.latencies:
-            delays = [delay for _, delay in r.latencies]
-            v['refined_latency_median_s'] = float(np.median(delays))
-            v['refined_latency_95_percent_s'] = float(np.quantile(delays, 0.95))
-            self.figure['latencies'] = np.array(r.latencies) - [self.begins['mav'], 0]
+            self.figure['latencies'] = np.array(r.latencies) - [self.begins['mav'], 0, 0]
+            for name, delays in zip(('cloud', 'refined'), self.figure['latencies'][:, 1:].T):
+                v[f'{name}_latency_median_s'] = float(np.median(delays))
+                v[f'{name}_latency_95_percent_s'] = float(np.quantile(delays, 0.95))
 
     def refusal(self):
         """Why nothing was accepted, in one line."""

@@ -30,6 +30,8 @@ def table(v, notes):
             add(f'{label} state at the end', f'{v[f"{prefix}_final_state"]}: {v[f"{prefix}_final_reason"]}')
         if f'{prefix}_processing_time_mean_ms' in v:
             add(f'{label} time a frame', f'{v[f"{prefix}_processing_time_mean_ms"]:.1f} ms', {'vo': '14 ms', 'slam': '15 ms'}[prefix])
+        if f'{prefix}_latency_median_s' in v:
+            add(f'{label} image to pose', f'median {v[f"{prefix}_latency_median_s"]:.2f} s, 95 % {v[f"{prefix}_latency_95_percent_s"]:.2f} s')
 
     odometry('vo', 'MAV odometry', '0.012 m over 23 m')
     odometry('slam', 'RGB-D SLAM', '0.038 m over 7.7 m')
@@ -52,6 +54,7 @@ def table(v, notes):
         add('alignment', v['alignment_verdict'])
     if 'refined_latency_median_s' in v:
         add('last image of a cloud to refined pose', f'median {v["refined_latency_median_s"]:.2f} s, 95 % {v["refined_latency_95_percent_s"]:.2f} s')
+        add('  of that until the cloud is there', f'median {v["cloud_latency_median_s"]:.2f} s, 95 % {v["cloud_latency_95_percent_s"]:.2f} s')
     if 'cpu_cores_mean' in v:
         add('processor cores in use', f'{sum(v["cpu_cores_mean"].values()):.2f} on average')
     if 'augmented_map_points' in v:
