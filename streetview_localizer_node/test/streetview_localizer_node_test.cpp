@@ -401,6 +401,10 @@ TEST_F(StreetviewLocalizerNodeTest, SurvivesALoopedBag) {
   const cv::Mat image = city_->photograph(TinyCity::camera(), cameraAt(air_ground_common::yawPose(0.05, {-3, 0.5, 4})));
   sendImage(140, image);
   ASSERT_TRUE(awaitMatch(140));
+  sendImage(4, cv::Mat(image.size(), CV_8UC3, cv::Scalar::all(0)));
+  ASSERT_TRUE(awaitMatch(4));
+  ASSERT_TRUE(diagnostics_.refresh());
+  EXPECT_EQ(diagnostics_.message().find("last fix"), std::string::npos) << diagnostics_.message();
   sendImage(5, image);
   ASSERT_TRUE(awaitMatch(5));
   EXPECT_EQ(matches_.back().status, StreetviewMatch::STATUS_ACCEPTED) << matches_.back().reason;

@@ -67,6 +67,9 @@ class Reader {
     if (implicit_ > 0)
       model_.remarks.push_back(path_ + ": " + std::to_string(implicit_) +
                                " implicit geometries (shared templates) were left out");
+    if (unread_ > 0)
+      model_.remarks.push_back(path_ + ": " + std::to_string(unread_) +
+                               " polygons without three coordinates a corner, or three corners, were left out");
     return std::move(model_);
   }
 
@@ -158,7 +161,10 @@ class Reader {
       hrefs_.emplace(href + 1, *context.surface);
     if (is(e, {"Polygon", "PolygonPatch", "Triangle", "Rectangle"})) {
       FoundPolygon f;
-      if (!polygon(e, context, &f.polygon)) return;
+      if (!polygon(e, context, &f.polygon)) {
+        ++unread_;
+        return;
+      }
       if (const char* id = attribute(e, "id")) f.id = id;
       f.lod = context.lod;
       found->push_back(std::move(f));
@@ -190,39 +196,48 @@ class Reader {
     return !polygon->rings.empty();
   }
 
+  /// Of a LinearRing, or of a Ring of curves; empty where its corners have no three coordinates.
   Ring ring(const XMLElement& e, int dimension) {
     Ring ring;
-    for (const XMLElement* c = e.FirstChildElement(); c; c = c->NextSiblingElement()) {
-      if (!is(*c, {"posList", "pos", "coordinates"}) || !c->GetText()) continue;
-      if (const char* d = attribute(*c, "srsDimension")) dimension = std::atoi(d);
-      if (dimension != 3) return {};
-      std::vector<double> values;
-      for (const char* p = c->GetText(); *p;) {
-        char* end = nullptr;
-        const double v = std::strtod(p, &end);
-        if (end == p) {
-          if (!std::strchr(" \t\r\n,", *p))
-            throw std::runtime_error(path_ + " line " + std::to_string(c->GetLineNum()) +
-                                     ": not a number in a coordinate list");
-          ++p;
-          continue;
-        }
-        values.push_back(v);
-        p = end;
-      }
-      for (std::size_t i = 0; i + 2 < values.size(); i += 3) ring.emplace_back(values[i], values[i + 1], values[i + 2]);
-    }
-    while (ring.size() > 1 && (ring.back() - ring.front()).norm() < 1e-9) ring.pop_back();
+    if (!collectCorners(e, dimension, &ring)) return {};
+    const auto same = [](const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return (a - b).norm() < 1e-9; };
+    if (!is(e, {"LinearRing"})) ring.erase(std::unique(ring.begin(), ring.end(), same), ring.end());  // ends of curves
+    while (ring.size() > 1 && same(ring.back(), ring.front())) ring.pop_back();
     for (const Eigen::Vector3d& p : ring)
       if (!p.allFinite()) return {};
     return ring;
+  }
+
+  /// Adds the corners that an element holds, in itself or in those in it. False where they have no three coordinates.
+  bool collectCorners(const XMLElement& e, int dimension, Ring* ring) {
+    if (const char* d = attribute(e, "srsDimension")) dimension = std::atoi(d);
+    for (const XMLElement* c = e.FirstChildElement(); c; c = c->NextSiblingElement())
+      if (!collectCorners(*c, dimension, ring)) return false;
+    if (!is(e, {"posList", "pos", "coordinates"}) || !e.GetText()) return true;
+    if (dimension != 3) return false;
+    std::vector<double> values;
+    for (const char* p = e.GetText(); *p;) {
+      char* end = nullptr;
+      const double v = std::strtod(p, &end);
+      if (end == p) {
+        if (!std::strchr(" \t\r\n,", *p))
+          throw std::runtime_error(path_ + " line " + std::to_string(e.GetLineNum()) +
+                                   ": not a number in a coordinate list");
+        ++p;
+        continue;
+      }
+      values.push_back(v);
+      p = end;
+    }
+    for (std::size_t i = 0; i + 2 < values.size(); i += 3) ring->emplace_back(values[i], values[i + 1], values[i + 2]);
+    return true;
   }
 
   std::string path_;
   int lod_;
   PolygonModel model_;
   std::map<std::string, Surface> hrefs_;
-  int implicit_ = 0;
+  int implicit_ = 0, unread_ = 0;
 };
 
 }  // namespace

@@ -174,6 +174,7 @@ class Reader {
 
   void geometries(const json& list, bool building) {
     std::vector<std::vector<Polygon>> read(list.size());
+    std::vector<double> areas(list.size(), 0);
     std::array<double, 4> area{};
     for (std::size_t g = 0; g < list.size(); ++g) {
       if (list[g].at("type") == "GeometryInstance") {
@@ -186,19 +187,20 @@ class Reader {
       read[g] = polygons(list[g]);
       const int lod = lodOf(list[g]);
       // Of LoD 2.0 to 2.3 the fullest counts, not their sum.
-      double sum = 0;
-      for (const Polygon& p : read[g]) sum += areaVector(p.rings[0]).norm();
-      if (lod >= 0 && lod <= 3) area[lod] = std::max(area[lod], sum);
+      for (const Polygon& p : read[g]) areas[g] += areaVector(p.rings[0]).norm();
+      if (lod >= 0 && lod <= 3) area[lod] = std::max(area[lod], areas[g]);
     }
     const int lod = chooseLod(area, lod_);
     if (building && lod < 0) return;
-    // Several geometries of the level: the last, which by custom is the finest (2.0, 2.1, 2.2).
+    // Several geometries of the level (2.0, 2.1, 2.2): the finest of those that are no mere part of the fullest.
+    const auto wanted = [&](std::size_t g) { return !read[g].empty() && (lod < 0 || lodOf(list[g]) == lod); };
+    double fullest = 0;
+    for (std::size_t g = 0; g < list.size(); ++g)
+      if (wanted(g)) fullest = std::max(fullest, areas[g]);
     int chosen = -1;
     for (std::size_t g = 0; g < list.size(); ++g)
-      if (!read[g].empty() && (lod < 0 || lodOf(list[g]) == lod)) {
-        const bool finer = chosen < 0 || lodText(list[g]) >= lodText(list[chosen]);
-        if (finer) chosen = static_cast<int>(g);
-      }
+      if (wanted(g) && areas[g] >= 0.5 * fullest && (chosen < 0 || lodText(list[g]) >= lodText(list[chosen])))
+        chosen = static_cast<int>(g);
     if (chosen < 0) return;
     for (Polygon& p : read[chosen]) model_.polygons.push_back(std::move(p));
   }

@@ -8,6 +8,7 @@
 #include <map>
 #include <stdexcept>
 
+#include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 
 namespace streetview_localizer {
@@ -24,6 +25,33 @@ void checkCoordinates(const std::string& path, PolygonModel* model) {
     if (!(p.cwiseAbs().maxCoeff() < kFarthest) || !p.allFinite())
       throw std::runtime_error(path + " has coordinates that are no place on earth: is its transform right?");
   });
+}
+
+/// Takes away what lies so far from all else that it is no part of the city: corners at 0 0 0, things of a test. The
+/// frame would be put between it and the city.
+void leaveOutStrays(const std::string& path, PolygonModel* model) {
+  constexpr double kTimes = 20;                      // as far out as nine tenths of the model, ...
+  constexpr double kLeast = 1e4, kLeastAngle = 0.1;  // ... and at least so far, in the plan's unit
+  std::vector<double> x, y, distances;
+  for (const Polygon& polygon : model->polygons)
+    x.push_back(polygon.rings[0][0].x()), y.push_back(polygon.rings[0][0].y());
+  const Eigen::Vector2d middle(air_ground_common::median(x), air_ground_common::median(y));
+  for (std::size_t i = 0; i < x.size(); ++i) distances.push_back((Eigen::Vector2d(x[i], y[i]) - middle).norm());
+  const bool degrees = middle.cwiseAbs().maxCoeff() <= 360;
+  const double reach = air_ground_common::quantile(std::move(distances), 0.9);
+  const double limit = std::max(degrees ? kLeastAngle : kLeast, kTimes * reach);
+  const auto strays = [&](const Polygon& polygon) {
+    return std::any_of(polygon.rings[0].begin(), polygon.rings[0].end(),
+                       [&](const Eigen::Vector3d& p) { return (p.head<2>() - middle).norm() > limit; });
+  };
+  auto& all = model->polygons;
+  const auto kept = std::remove_if(all.begin(), all.end(), strays);
+  const auto count = std::distance(kept, all.end());
+  all.erase(kept, all.end());
+  if (count > 0)
+    model->remarks.push_back(path + formatted(": %ld polygons lie more than %.6g units of its plan from the city: they "
+                                              "were left out",
+                                              static_cast<long>(count), limit));
 }
 
 /// True when y, not z, seems to be up: buildings stand on one level of y and all over z, or their roofs look along y.
@@ -51,13 +79,10 @@ bool liesOnItsSide(const PolygonModel& model) {
 }
 
 PolygonModel readObjFile(const std::string& path, const CityModelOptions& options) {
-  PolygonModel model = readObj(path);
+  PolygonModel model = readObj(path, options.y_up);
   model.turned = options.y_up;
-  if (model.turned) {
-    forEachPoint(&model, [](Eigen::Vector3d& p) { p = Eigen::Vector3d(p.x(), -p.z(), p.y()); });
-  } else if (liesOnItsSide(model)) {
+  if (!model.turned && liesOnItsSide(model))
     model.remarks.push_back(path + " seems to lie on its side: if its y is up, give --up y");
-  }
   return model;
 }
 
@@ -139,6 +164,7 @@ class Merger {
       } catch (const std::runtime_error& e) {
         throw std::runtime_error(file + ": " + e.what());
       }
+      leaveOutStrays(file, &model);
       outside_ = std::max(outside_, normaliseAxes(file, name, &model, &result_->axis_order));
     }
     const double unit = heightUnitOf(name, options_.height_unit, &height_remark_);

@@ -54,7 +54,8 @@ struct NoModel : std::runtime_error {
 /// for a model that is broken.
 PolygonModel readCityGml(const std::string& path, int lod);
 PolygonModel readCityJson(const std::string& path, int lod);
-PolygonModel readObj(const std::string& path);
+/// `y_up`: CityModelOptions::y_up.
+PolygonModel readObj(const std::string& path, bool y_up);
 
 /// Of an object's polygons by level of detail, the level to use: the wanted one, or the finest that holds at least half
 /// the area of the fullest (a building may carry one detailed door beside a complete coarser shell). -1 if there is

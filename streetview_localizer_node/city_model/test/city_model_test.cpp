@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numeric>
 #include <random>
+#include <sstream>
 
 #include "../src/coordinate_system.h"
 #include "../src/polygons.h"
@@ -184,6 +185,59 @@ TEST(CityModel, TheFinestCompleteLevelIsTaken) {
   expectBox(readCityModel(path, {"", o}), 0.06);
   EXPECT_NEAR(areaOf(readCityModel(path, {"", o, 1}), Surface::kWall), 400, 0.1);
   EXPECT_NEAR(areaOf(readCityModel(path, {"", o, 3}), Surface::kWall), 2, 0.01);
+}
+
+// Converters write what a solid does not hold, overhangs of the roof say, as a second geometry of its level.
+TEST(CityModel, OfTwoGeometriesOfOneLevelTheFullerIsTaken) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(84700, 447500, 1);
+  for (const bool first : {false, true}) {
+    std::string text = cityJson("2.0", "EPSG:7415", o, true);
+    const std::string overhang = R"({"type":"MultiSurface","lod":"2.2","boundaries":[[[4,5,6]]]})";
+    if (first)
+      text.insert(text.find("\"geometry\":[") + 12, overhang + ",");
+    else
+      text.insert(text.find("}}]},\"house\"") + 2, "," + overhang);
+    expectBox(readCityModel(folder.write("a.json", text), {"", o}), 0.06);
+  }
+}
+
+// As cadastres write rings: of curves, and of points that are elements.
+TEST(CityModel, RingsOfCurvesAndOfPointsAreRead) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(2683000, 1247000, 410);
+  const auto replaced = [](std::string text, const std::string& from, const std::string& to) {
+    for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size())
+      text.replace(at, from.size(), to);
+    return text;
+  };
+  const std::string usual = cityGml("EPSG:2056", o);
+  std::string curves = replaced(usual, "<gml:LinearRing>", "<gml:Ring><gml:curveMember><gml:LineString>");
+  curves = replaced(curves, "</gml:LinearRing>", "</gml:LineString></gml:curveMember></gml:Ring>");
+  expectBox(readCityModel(folder.write("a.gml", curves), {"", o}), 0.06);
+  std::string points;
+  for (std::size_t at = 0, end = 0; at < usual.size(); at = end) {  // each corner in an element of its own
+    const std::size_t begin = usual.find("<gml:posList>", at);
+    if (begin == std::string::npos) {
+      points += usual.substr(at);
+      break;
+    }
+    end = usual.find("</gml:posList>", begin);
+    points += usual.substr(at, begin - at);
+    std::istringstream numbers(usual.substr(begin + 13, end - begin - 13));
+    for (std::string x, y, z; numbers >> x >> y >> z;)
+      points += "<gml:pointProperty><gml:Point><gml:pos>" + x + " " + y + " " + z +
+                "</gml:pos></gml:Point></gml:pointProperty>";
+    end += 14;
+  }
+  expectBox(readCityModel(folder.write("a.gml", points), {"", o}), 0.06);
+  // What is not read is told: walls in plan alone.
+  std::string flat = usual;
+  flat.insert(flat.find("<gml:posList>") + 12, " srsDimension=\"2\"");
+  const CityModel m = readCityModel(folder.write("a.gml", flat), {"", o});
+  ASSERT_EQ(m.remarks.size(), 1u);
+  EXPECT_NE(m.remarks[0].find("a.gml: 1 polygons without three coordinates a corner"), std::string::npos)
+      << m.remarks[0];
 }
 
 TEST(CityModel, ObjKeepsItsFrameAndTellsWallsFromGround) {

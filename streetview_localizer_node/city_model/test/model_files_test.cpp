@@ -1,6 +1,8 @@
 // Files and folders as they are delivered, and the frames that their coordinates are counted in.
 #include <gtest/gtest.h>
 
+#include <cstdio>
+#include <sstream>
 #include <tuple>
 
 #include "box_model.h"
@@ -185,6 +187,83 @@ TEST(ModelFiles, ObjWithYUpAndOriginOfItsOwn) {
   const CityModel placed = readCityModel(lying, options);
   EXPECT_LT((placed.crsFromWorld(Eigen::Vector3d::Zero()) - Eigen::Vector3d(2683035, 1247010, 410)).norm(), 1e-2);
   EXPECT_NEAR(sizeOf(placed).z(), 5, 0.01);
+}
+
+/// A box of boxFaces() at `o` with `names` (lines of OBJ) before its faces.
+std::string namedBox(const Eigen::Vector3d& o, const std::string& names, int* vertices) {
+  std::string text = names;
+  for (const auto& rings : boxFaces(o)) {
+    std::string face;
+    for (const auto& p : rings[0]) {
+      text += air_ground_common::formatted("v %.3f %.3f %.3f\n", p.x(), p.y(), p.z());
+      face += " " + std::to_string(++*vertices);
+    }
+    text += "f" + face + "\n";
+  }
+  return text;
+}
+
+// Exporters of street maps call houses by their addresses, architects call storeys ground floor.
+TEST(ModelFiles, HousesCalledAfterRoadsAreNoGround) {
+  const TemporaryFolder folder;
+  int n = 0;
+  std::string text = namedBox({0, 0, 0}, "o 12_Church_Road\n", &n);
+  text += namedBox({40, 0, 0}, "o house\ng ground_floor\nusemtl brick\n", &n);
+  text += namedBox({80, 0, 0}, "o Pavement Lane 3\nusemtl ground\n", &n);
+  // A road with kerbs of 15 cm, and a terrain that ends in a skirt of 8 m.
+  const auto strip = [&](const std::string& name, double width, double depth) {
+    text += "o " + name + "\n";
+    for (const auto& [y, z] :
+         {std::make_pair(-30.0, -depth), {-30.0, 0.0}, {-30.0 + width, 0.0}, {-30.0 + width, -depth}})
+      text += air_ground_common::formatted("v -50 %.2f %.2f\nv 150 %.2f %.2f\n", y, z, y, z);
+    for (int i = 0; i < 3; ++i, n += 2)
+      text += air_ground_common::formatted("f %d %d %d %d\n", n + 1, n + 2, n + 4, n + 3);
+    n += 2;
+  };
+  strip("Church_Road", 6, 0.15);
+  strip("terrain", 20, 8);
+  for (const bool y_up : {false, true}) {
+    std::string turned;
+    std::istringstream lines(text);
+    for (std::string line; std::getline(lines, line);) {
+      Eigen::Vector3d p;
+      if (y_up && std::sscanf(line.c_str(), "v %lf %lf %lf", &p.x(), &p.y(), &p.z()) == 3)
+        line = air_ground_common::formatted("v %.3f %.3f %.3f", p.x(), p.z(), -p.y());
+      turned += line + "\n";
+    }
+    CityModelOptions options;
+    options.y_up = y_up;
+    const CityModel m = readCityModel(folder.write("a.obj", turned), options);
+    EXPECT_EQ(m.building_ids, (std::vector<std::string>{"12_Church_Road", "house", "Pavement Lane 3"}));
+    EXPECT_NEAR(areaOf(m, Surface::kWall), 3 * 300, 0.1);
+    EXPECT_NEAR(areaOf(m, Surface::kRoof), 3 * 200, 0.1);
+    EXPECT_NEAR(groundOf(m), 2 * 200 + 200 * (6 + 2 * 0.15) + 200 * (20 + 2 * 8), 0.1);
+  }
+}
+
+// Corners at 0 0 0, things of a test: the frame would lie between them and the city.
+TEST(ModelFiles, WhatLiesFarFromTheCityIsNoPartOfIt) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3d o(691000, 5335000, 500);
+  const auto withStray = [&](const Eigen::Vector3d& at, int houses) {
+    std::string gml = cityGml("EPSG:25832", at);
+    gml.resize(gml.rfind("</CityModel>"));
+    for (int i = 0; i < houses; ++i) {
+      const std::string other = cityGml("EPSG:25832", o + Eigen::Vector3d(30.0 * i, 0, 0));
+      gml += other.substr(other.find("<cityObjectMember>"),
+                          other.rfind("</CityModel>") - other.find("<cityObjectMember>"));
+    }
+    return readCityModel(folder.write("a.gml", gml + "</CityModel>"));
+  };
+  for (const Eigen::Vector3d& at : {Eigen::Vector3d(0, 0, 0), Eigen::Vector3d(491000, 5335000, 500)}) {
+    const CityModel m = withStray(at, 20);
+    EXPECT_EQ(m.building_ids.size(), 20u);
+    EXPECT_LT((m.origin - Eigen::Vector3d(o.x() + 290, o.y() + 10, 500)).norm(), 2) << m.origin.transpose();
+    ASSERT_EQ(m.remarks.size(), 1u);
+    EXPECT_NE(m.remarks[0].find("a.gml: 6 polygons lie "), std::string::npos) << m.remarks[0];
+  }
+  // A village and a hamlet.
+  EXPECT_EQ(withStray(o + Eigen::Vector3d(0, 9000, 0), 20).building_ids.size(), 21u);
 }
 
 // Soldner Berlin counts both ways from the middle of the town, and is defined north first.

@@ -24,7 +24,7 @@ struct Features {
 
 /// A panorama, or a photograph, and what is known of its place. Body frame: x towards the image's centre, y left, z up.
 struct Panorama {
-  std::string id;               ///< unique; the file's name without folder
+  std::string id;               ///< unique; the file as its list names it, with folders
   bool equirectangular = true;  ///< false: one perspective photograph
   air_ground_common::Pose T_world_geotag = air_ground_common::Pose::Identity();  ///< as recorded
   air_ground_common::Pose T_world_panorama =

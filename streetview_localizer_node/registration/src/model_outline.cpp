@@ -121,6 +121,8 @@ ModelOutline::ModelOutline(const CityModel& model) : mesh_(model.mesh), building
   if (!ground.triangles.empty()) {
     ground.vertices = mesh_.vertices;
     ground_ = std::make_unique<air_ground_common::MeshScene>(ground);
+    for (const Eigen::Vector3i& t : ground.triangles)
+      for (int k = 0; k < 3; ++k) above_ = std::max(above_, ground.vertices[t[k]].z() + 1);
   }
 }
 
@@ -271,11 +273,9 @@ Outline ModelOutline::visible(const std::vector<ModelEdge>& edges, const Eigen::
 
 std::optional<double> ModelOutline::groundHeight(double x, double y) const {
   if (!ground_) return std::nullopt;
-  constexpr float kAbove = 5000;
-  const auto hit = ground_->cast({static_cast<float>(x), static_cast<float>(y), kAbove}, {0, 0, -1}, 2 * kAbove);
+  const auto hit = ground_->cast({static_cast<float>(x), static_cast<float>(y), above_}, {0, 0, -1});
   if (!hit) return std::nullopt;
-  // A ray from so high up resolves half a millimetre.
-  return static_cast<double>(kAbove) - hit->distance;
+  return static_cast<double>(above_) - hit->distance;
 }
 
 GroundGuess ModelOutline::groundGuess(const Eigen::Vector3d& position) const {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -106,6 +107,7 @@ class ModelOutline {
   std::vector<Eigen::Vector3d> feet_;  // one a building
   int building_count_ = 0;
   std::unique_ptr<air_ground_common::MeshScene> scene_, ground_;
+  float above_ = std::numeric_limits<float>::lowest();  ///< the highest of the ground [m]
 };
 
 }  // namespace streetview_localizer::registration

@@ -158,6 +158,29 @@ TEST(ModelOutline, SkyProfileIsThatOfRays) {
   EXPECT_NEAR(model.groundHeight(position.x(), position.y()).value(), 40 * 0.03, 1e-3);
 }
 
+// A town at 5400 m, in a frame that counts from sea level.
+TEST(ModelOutline, GroundIsFoundAtAnyHeight) {
+  for (const float height : {-6000.f, 0.f, 5400.f}) {
+    CityModel model;
+    model.building_ids = {"wall"};
+    const auto triangle = [&](const Eigen::Vector3f& a, const Eigen::Vector3f& b, const Eigen::Vector3f& c,
+                              Surface surface, int building) {
+      const int first = static_cast<int>(model.mesh.vertices.size());
+      for (const Eigen::Vector3f& p : {a, b, c}) model.mesh.vertices.push_back(p + Eigen::Vector3f(0, 0, height));
+      model.mesh.triangles.emplace_back(first, first + 1, first + 2);
+      model.surface.push_back(surface);
+      model.building.push_back(building);
+    };
+    triangle({-50, -50, 0}, {50, -50, 0}, {0, 50, 5}, Surface::kGround, -1);
+    triangle({0, 0, 0}, {8, 0, 0}, {8, 0, 6}, Surface::kWall, 0);
+    const ModelOutline outline(model);
+    const auto ground = outline.groundHeight(0, 0);
+    ASSERT_TRUE(ground) << height;
+    EXPECT_NEAR(*ground, height + 2.5, 2e-3);
+    EXPECT_FALSE(outline.groundHeight(200, 0));
+  }
+}
+
 // A box on stilts: its underside closes it, so that who stands below is outside.
 TEST(ModelOutline, BelowAnUndersideIsOutside) {
   CityModel model;

@@ -23,21 +23,30 @@ void ImageQueue::add(const ru::ImageMessage& message) {
   if (!calibration_) return health_.count("images without calibration");
   const ros::Time stamp = message.header().stamp;
   if (!last_started_.isZero() && stamp.toSec() - last_started_.toSec() < settings_.min_period) return;
+  if (waiting_) ++skipped_;
+  waiting_ = Arrival{message, *calibration_, pass_};
+  wake_.notify_all();
+}
+
+/// Not before its turn: to decompress an image takes tens of milliseconds, which those that are skipped need not cost,
+/// nor the callbacks.
+std::optional<Job> ImageQueue::jobOf(const Arrival& arrival) const {
   sensor_msgs::Image::ConstPtr msg;
   try {
-    msg = message.pixels();
+    msg = arrival.message.pixels();
   } catch (const std::exception& e) {
-    return health_.count(std::string("images that could not be used: ") + e.what());
+    health_.count(std::string("images that could not be used: ") + e.what());
+    return std::nullopt;
   }
-  const CameraModel& camera = calibration_->camera;
-  if (static_cast<int>(msg->width) != camera.width || static_cast<int>(msg->height) != camera.height)
-    return health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
-                         std::to_string(msg->height) + " against " + std::to_string(camera.width) + " x " +
-                         std::to_string(camera.height) + ")");
-  if (job_) ++skipped_;
-  const std::string frame = ru::cameraFrame(settings_.camera_frame, *calibration_, *msg);
-  job_ = Job{msg, camera, air_ground_common::withoutSlash(frame), pass_};
-  wake_.notify_all();
+  const CameraModel& camera = arrival.calibration.camera;
+  if (static_cast<int>(msg->width) != camera.width || static_cast<int>(msg->height) != camera.height) {
+    health_.count("images of another size than their calibration (" + std::to_string(msg->width) + " x " +
+                  std::to_string(msg->height) + " against " + std::to_string(camera.width) + " x " +
+                  std::to_string(camera.height) + ")");
+    return std::nullopt;
+  }
+  const std::string frame = ru::cameraFrame(settings_.camera_frame, arrival.calibration, *msg);
+  return Job{msg, camera, air_ground_common::withoutSlash(frame), arrival.pass};
 }
 
 void ImageQueue::addPrediction(const TimedPose& T_world_base) {
@@ -54,7 +63,7 @@ void ImageQueue::addAttitude(const TimedPose& T_map_base) {
 void ImageQueue::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   ++pass_;
-  job_.reset();
+  waiting_.reset();
   predictions_.clear();
   attitudes_.clear();
   last_started_ = ros::Time();
@@ -70,20 +79,24 @@ void ImageQueue::stop() {
 
 std::optional<Job> ImageQueue::next(const std::function<bool()>& attitudes_come) {
   std::unique_lock<std::mutex> lock(mutex_);
-  wake_.wait(lock, [this] { return stop_ || job_; });
-  if (stop_) return std::nullopt;
-  Job job = std::move(*job_);
-  job_.reset();
-  last_started_ = job.image->header.stamp;
-  const std::size_t skipped = std::exchange(skipped_, 0);
-  // The attitude of the image's time may come a little later than the image.
-  if (attitudes_come())
-    wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
-                   [&] { return stop_ || attitudes_.newest() >= job.image->header.stamp.toSec(); });
-  if (stop_) return std::nullopt;
-  lock.unlock();
-  if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
-  return job;
+  while (true) {
+    wake_.wait(lock, [this] { return stop_ || waiting_; });
+    if (stop_) return std::nullopt;
+    const Arrival arrival = *std::exchange(waiting_, std::nullopt);
+    last_started_ = arrival.message.header().stamp;
+    const std::size_t skipped = std::exchange(skipped_, 0);
+    lock.unlock();
+    if (skipped) health_.count("images skipped for newer ones while one was worked on", skipped);
+    std::optional<Job> job = jobOf(arrival);
+    lock.lock();
+    if (!job || job->pass != pass_) continue;
+    // The attitude of the image's time may come a little later than the image.
+    if (attitudes_come())
+      wake_.wait_for(lock, std::chrono::duration<double>(settings_.gravity_wait),
+                     [&] { return stop_ || attitudes_.newest() >= job->image->header.stamp.toSec(); });
+    if (stop_) return std::nullopt;
+    return job;
+  }
 }
 
 bool ImageQueue::isCurrent(const Job& job) const {

@@ -41,7 +41,7 @@ class ImageQueue {
   // ---- Callbacks
 
   void setCamera(const air_ground_common::ros_utils::Calibration& calibration);
-  /// Takes the place of an image that waits. Counts why one is not taken.
+  /// Takes the place of an image that waits.
   void add(const air_ground_common::ros_utils::ImageMessage& message);
   void addPrediction(const TimedPose& T_world_base);
   void addAttitude(const TimedPose& T_map_base);
@@ -51,8 +51,8 @@ class ImageQueue {
 
   // ---- The worker
 
-  /// Waits for an image and, where `attitudes_come` then, a little for the attitude of its time. Empty when stop() was
-  /// called.
+  /// Waits for an image that can be used (counts why others cannot) and, where `attitudes_come` then, a little for the
+  /// attitude of its time. Empty when stop() was called.
   std::optional<Job> next(const std::function<bool()>& attitudes_come);
   /// Nothing of it was forgotten meanwhile.
   bool isCurrent(const Job& job) const;
@@ -60,6 +60,14 @@ class ImageQueue {
   PosePrior priorFor(const Job& job, const Pose& T_base_camera, bool use_prediction);
 
  private:
+  /// An image as it came, with the calibration of then.
+  struct Arrival {
+    air_ground_common::ros_utils::ImageMessage message;
+    air_ground_common::ros_utils::Calibration calibration;
+    unsigned pass = 0;
+  };
+  std::optional<Job> jobOf(const Arrival& arrival) const;
+
   const NodeSettings& settings_;
   air_ground_common::ros_utils::NodeHealth& health_;
   mutable std::mutex mutex_;  // guards what follows
@@ -68,7 +76,7 @@ class ImageQueue {
   unsigned pass_ = 0;
   std::size_t skipped_ = 0;
   std::optional<air_ground_common::ros_utils::Calibration> calibration_;
-  std::optional<Job> job_;
+  std::optional<Arrival> waiting_;
   ros::Time last_started_;
   air_ground_common::StampedBuffer<TimedPose> predictions_{kPosesKept}, attitudes_{kPosesKept};
   static constexpr double kPosesKept = 10;  // [s]
