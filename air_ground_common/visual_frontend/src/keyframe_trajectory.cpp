@@ -35,9 +35,10 @@ void KeyframeTrajectory<StoredPose>::add(double stamp, const Pose& T_map_camera,
     if (!frames_.empty() && keyframe.stamp == stamp)
       link(reference, map.keyframe(lastReference()).T_map_camera.inverse() * keyframe.T_map_camera);
     run_begin_ = stamp;
+    T_reference_run_.setIdentity();
   }
   T_reference_last_ = keyframe.T_map_camera.inverse() * T_map_camera;
-  frames_.push_back({stamp, reference, T_reference_last_});
+  frames_.push_back({stamp, reference, Pose(T_reference_run_.inverse() * T_reference_last_)});
 }
 
 template <class StoredPose>
@@ -46,6 +47,7 @@ void KeyframeTrajectory<StoredPose>::lastIsKeyframe(KeyframeId id) {
     link(id, T_reference_last_);
     T_reference_last_.setIdentity();
   }
+  T_reference_run_ = T_reference_last_;
   run_begin_ = lastStamp();
   frames_.back().reference = id;
   frames_.back().T_reference_camera = Pose(Pose::Identity());
@@ -55,7 +57,7 @@ void KeyframeTrajectory<StoredPose>::lastIsKeyframe(KeyframeId id) {
 template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::link(KeyframeId next, const Pose& T_reference_next) {
   // Where one has a link already, the camera has come back to it: frames of then lead elsewhere.
-  links_.emplace(lastReference(), Link{next, run_begin_, lastStamp(), T_reference_next});
+  links_.emplace(lastReference(), Link{next, run_begin_, lastStamp(), T_reference_run_.inverse() * T_reference_next});
 }
 
 /// Null: the frame goes by its reference alone.
@@ -115,7 +117,10 @@ std::optional<CameraVelocity> KeyframeTrajectory<StoredPose>::velocityAt(double 
 template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::rebase(KeyframeId from, KeyframeId to, const Map& map) {
   const Pose T_to_from = map.keyframe(to).T_map_camera.inverse() * map.keyframe(from).T_map_camera;
-  if (!frames_.empty() && lastReference() == from) T_reference_last_ = T_to_from * T_reference_last_;
+  if (!frames_.empty() && lastReference() == from) {
+    T_reference_last_ = T_to_from * T_reference_last_;
+    T_reference_run_.setIdentity();
+  }
   for (std::size_t i = 0; i < frames_.size(); ++i) {
     Frame& frame = frames_[i];
     const Link* const link = linkOf(frame);
@@ -131,6 +136,7 @@ void KeyframeTrajectory<StoredPose>::rebase(KeyframeId from, KeyframeId to, cons
 template <class StoredPose>
 void KeyframeTrajectory<StoredPose>::rescale(double scale) {
   T_reference_last_.translation() *= scale;
+  T_reference_run_.translation() *= scale;
   for (auto& [id, link] : links_) link.T_this_next.translation() *= scale;
   for (Frame& f : frames_) {
     Pose T = f.T_reference_camera;

@@ -121,6 +121,19 @@ TYPED_TEST(KeyframeTrajectoryTest, TheImageOfAKeyframeIsWhereThatIsHoweverItWasP
   drive.frames.lastIsKeyframe(1);
   EXPECT_TRUE(drive.frames.pose(0, drive.map).isApprox(drive.map.keyframe(1).T_map_camera, 1e-6));
   EXPECT_TRUE(drive.frames.lastPose(drive.map).isApprox(placed, 1e-12)) << "what the next image moved from";
+  // The landmarks that placed it place the next ones with the same error.
+  const Pose step = yawPose(0.1, {0.2, 0, 0});
+  drive.frames.add(2, placed * step, 1, drive.map);
+  EXPECT_TRUE(drive.frames.lastPose(drive.map).isApprox(placed * step, 1e-12));
+  EXPECT_TRUE(drive.frames.pose(1, drive.map).isApprox(drive.map.keyframe(1).T_map_camera * step, 1e-6));
+  Keyframe next;
+  next.stamp = 3;
+  next.T_map_camera = placed * step * step;
+  drive.frames.add(3, next.T_map_camera, 1, drive.map);
+  drive.frames.lastIsKeyframe(drive.map.addKeyframe(next));
+  // The adjustment moves it by that error.
+  drive.map.keyframe(2).T_map_camera = drive.map.keyframe(1).T_map_camera * step * step;
+  EXPECT_TRUE(drive.frames.pose(1, drive.map).isApprox(drive.map.keyframe(1).T_map_camera * step, 1e-6));
 }
 
 TYPED_TEST(KeyframeTrajectoryTest, AFrameThatBecomesAKeyframeIsWhereThatIs) {

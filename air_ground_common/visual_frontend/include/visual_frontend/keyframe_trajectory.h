@@ -71,7 +71,8 @@ class KeyframeTrajectory {
 
   std::vector<Frame> frames_;
   std::map<KeyframeId, Link> links_;
-  double run_begin_ = 0;  ///< since when frames go by the last one's reference [s]
+  double run_begin_ = 0;                     ///< since when frames go by the last one's reference [s]
+  Pose T_reference_run_ = Pose::Identity();  ///< where its own image was placed, and those after it with the same error
   Pose T_reference_last_ = Pose::Identity();
 };
 
