@@ -378,6 +378,26 @@ TEST(Odometry, TheSameRoundAgainNeedsNoMoreMemory) {
   }
 }
 
+// A fast flight, or one over poor texture: each keyframe is placed by the one before while that one's adjustment is
+// awaited, and so are the errors of their rotations, which grew threefold a keyframe until none was a rotation any
+// more.
+TEST(Odometry, ManyKeyframesOneAfterTheOtherStayPoses) {
+  OdometrySettings settings;
+  settings.synchronous = false;
+  settings.reproducible = true;
+  settings.keyframe_distance = 0.002;
+  Options options;
+  options.end = 6;
+  const Outcome o = fly(options, settings);
+  std::size_t keyframes = 0;
+  for (const VoResult& r : o.frames) keyframes += r.keyframe;
+  EXPECT_GT(keyframes, 50u);
+  for (const VoResult& r : o.frames)
+    EXPECT_LT((r.T_map_camera.linear() * r.T_map_camera.linear().transpose() - Eigen::Matrix3d::Identity()).norm(),
+              1e-12);
+  EXPECT_LT(shapeError(o), 0.01);
+}
+
 TEST(Odometry, RefusesWhatItCannotUse) {
   Odometry odometry(synthetic::camera(), synthetic::T_imu_camera(), Pose::Identity(), OdometrySettings{});
   EXPECT_THROW(odometry.process(0.1, cv::Mat(10, 10, CV_8UC1)), std::invalid_argument);

@@ -17,6 +17,7 @@ double changeOfView(const Pose& T_map_a, const Pose& T_map_b, double scene_dista
 KeyframeId Map::addKeyframe(Keyframe keyframe) {
   const KeyframeId id = next_keyframe_++;
   keyframe.id = id;
+  keyframe.T_map_camera = air_ground_common::normalized(keyframe.T_map_camera);
   for (std::size_t i = 0; i < keyframe.observations.size(); ++i) {
     const LandmarkId landmark = keyframe.observations[i].landmark;
     if (landmark != kNoLandmark) landmarks_.at(landmark).observations.push_back({id, static_cast<int>(i)});
