@@ -1,5 +1,6 @@
 #include "mav_vo/bootstrap.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <opengv/relative_pose/CentralRelativeAdapter.hpp>
@@ -7,6 +8,7 @@
 #include <opengv/sac_problems/relative_pose/CentralRelativePoseSacProblem.hpp>
 #include <unordered_map>
 
+#include "air_ground_common/geometry.h"
 #include "air_ground_common/statistics.h"
 #include "air_ground_common/text.h"
 #include "visual_frontend/bundle_adjustment.h"
@@ -23,6 +25,9 @@ using visual_frontend::TrackId;
 namespace {
 
 constexpr double kPatience = 0.6;  // of the parallax of the first views, given up at their greatest age [1]
+
+constexpr double kTurnShare = 0.9;  // of the tracks that fit a motion: if a turn explains as many, it is one
+constexpr const char* kTurnReason = "the first views turn rather than move: move the camera sideways";
 
 using air_ground_common::median;
 
@@ -49,6 +54,38 @@ Common commonTracks(const std::vector<Feature>& a, const std::vector<Feature>& b
     common.b.push_back(f.normalized);
   }
   return common;
+}
+
+/// How many of the tracks a turn alone explains, to 2.5 `sigma`, of a camera whose rows are read one after the other:
+/// there it moves the rays by a share of their height in the image, which five points take for parallax.
+int explainedByTurn(const Common& common, const Eigen::Matrix3d& R_a_b_guess, double sigma) {
+  using Vector5d = Eigen::Matrix<double, 5, 1>;
+  constexpr int kIterations = 6;
+  const double width = 2.5 * sigma;
+  Eigen::Matrix3d R_b_a = R_a_b_guess.transpose();
+  Eigen::Vector2d by_row = Eigen::Vector2d::Zero();
+  int explained = 0;
+  for (int iteration = 0; iteration <= kIterations; ++iteration) {
+    Eigen::Matrix<double, 5, 5> H = 1e-9 * Eigen::Matrix<double, 5, 5>::Identity();
+    Vector5d g = Vector5d::Zero();
+    explained = 0;
+    for (std::size_t i = 0; i < common.a.size(); ++i) {
+      const Eigen::Vector3d p = R_b_a * common.a[i].homogeneous();
+      if (p.z() < 0.1) continue;
+      const Eigen::Vector2d n = p.hnormalized(), error = n + common.b[i].y() * by_row - common.b[i];
+      explained += error.norm() < width;
+      Eigen::Matrix<double, 2, 5> J;
+      J << -n.x() * n.y(), 1 + n.x() * n.x(), -n.y(), common.b[i].y(), 0,  //
+          -1 - n.y() * n.y(), n.x() * n.y(), n.x(), 0, common.b[i].y();
+      const double weight = 1 / (1 + error.squaredNorm() / (width * width));
+      H += weight * J.transpose() * J;
+      g += weight * J.transpose() * error;
+    }
+    const Vector5d step = H.ldlt().solve(-g);
+    R_b_a = air_ground_common::expSO3(step.head<3>()) * R_b_a;
+    by_row += step.tail<2>();
+  }
+  return explained;
 }
 
 }  // namespace
@@ -168,6 +205,11 @@ bool Bootstrap::findMotion(Attempt* a) {
     const auto pose = fivePointPose(a->common.a, a->common.b, a->sigma, &a->inliers);
     if (!pose) {
       reason_ = "five-point start found no motion";
+      return false;
+    }
+    const auto moved = std::count(a->inliers.begin(), a->inliers.end(), 1);
+    if (explainedByTurn(a->common, pose->linear(), a->sigma) >= kTurnShare * static_cast<double>(moved)) {
+      reason_ = kTurnReason;
       return false;
     }
     a->T_first_last = *pose;
@@ -292,7 +334,7 @@ std::optional<BootstrapResult> Bootstrap::adjust(Attempt* a) {
   result.rotation_from_gyro = a->turn.has_value();
   result.median_parallax = median(angles);
   if (result.median_parallax < 0.5 * (1 - kPatience) * settings_.min_parallax) {
-    reason_ = "first views turn rather than move";
+    reason_ = kTurnReason;
     return std::nullopt;
   }
   const double unit = 1.0 / median(depths);

@@ -10,6 +10,7 @@
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/statistics.h"
+#include "gyro_turn.h"
 #include "visual_frontend/feature_tracker.h"
 
 namespace mav_vo {
@@ -45,30 +46,6 @@ constexpr double kYoung = 10;                 // an older estimate goes when it 
 constexpr int kRepeated = 4;                  // times in a row
 constexpr int kIterations = 4;                // from the last estimate
 constexpr int kStartIterations = 14;          // while the bias may be anything, with a loss that narrows
-
-/// Rotation between two times of the gyro's clock and its derivatives.
-struct Turn {
-  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();      ///< R_begin_end of the IMU
-  Eigen::Matrix3d by_bias = Eigen::Matrix3d::Zero();    ///< right-multiplied rotation by bias
-  Eigen::Vector3d by_offset = Eigen::Vector3d::Zero();  ///< by a shift of both ends [rad/s]
-};
-
-std::optional<Turn> integrateTurn(const ImuBuffer& imu, double begin, double end, const Eigen::Vector3d& bias) {
-  const auto samples = samplesBetween(imu, begin, end);
-  if (samples.size() < 2) return std::nullopt;
-  Turn turn;
-  for (std::size_t i = 1; i < samples.size(); ++i) {
-    const double dt = samples[i].stamp - samples[i - 1].stamp;
-    if (!(dt > 0)) continue;
-    const Eigen::Vector3d w = (0.5 * (samples[i - 1].angular_velocity + samples[i].angular_velocity) - bias) * dt;
-    const Eigen::Matrix3d step = expSO3(w);
-    turn.by_bias = step.transpose() * turn.by_bias - rightJacobianSO3(w) * dt;
-    turn.R = turn.R * step;
-  }
-  turn.by_offset =
-      (samples.back().angular_velocity - bias) - turn.R.transpose() * (samples.front().angular_velocity - bias);
-  return turn;
-}
 
 Eigen::Matrix<double, 3, 2> tangent(const Eigen::Vector3d& t) {
   Eigen::Matrix<double, 3, 2> B;
@@ -147,6 +124,7 @@ void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
   covariance_.bottomLeftCorner<kStates - 3, 3>().setZero();
   prior_ = covariance_.inverse();
   pairs_.clear();  // what they say of the offset is in the covariance
+  chain_end_ = {};
   old_H_.setZero();
   old_h_.setZero();
 }
@@ -308,7 +286,7 @@ void GyroAlignment::addPairs(const std::shared_ptr<const View>& view) {
 
 std::optional<GyroAlignment::Normal> GyroAlignment::linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu,
                                                               double width, std::vector<double>* errors) const {
-  const auto turn = integrateTurn(imu, pair.begin + x(3), pair.end + x(3), x.head<3>());
+  const auto turn = gyroTurn(imu, pair.begin + x(3), pair.end + x(3), x.head<3>());
   if (!turn) return std::nullopt;
   const Eigen::Matrix3d R_camera_imu = R_camera_imu_ * expSO3(Eigen::Vector3d(x.tail<3>()));
   const Eigen::Matrix3d R = R_camera_imu * turn->R * R_camera_imu.transpose(), R_b_a = R.transpose();

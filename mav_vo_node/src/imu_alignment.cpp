@@ -117,6 +117,7 @@ bool ImuAlignment::detectStandstill(double stamp, const std::vector<visual_front
   gyro_alignment_.setBias(rest->gyro_bias, kRestBiasSigma);
   if (shutter_alignment_) shutter_alignment_->setBias(rest->gyro_bias, kRestBiasSigma);
   if (mounting_alignment_) mounting_alignment_->setBias(rest->gyro_bias, kRestBiasSigma);
+  attitude_.setGyroBias(rest->gyro_bias);
   up_ = UpDirection{imu_.mounting() * rest->up_imu, kRestTilt};
   return true;
 }

@@ -231,6 +231,7 @@ void Odometry::Impl::localized(const cv::Mat& gray, bool continuous) {
     pose.reobserve(how);
   }
   if (keyframe) addKeyframe(gray);
+  if (!levelled && !metric()) level();
   if (!metric()) scale.dropRefuted(frames, map);
   if (!metric() && settings.use_imu && imu_problem.empty() && scale.known(mapAge()) && imu.clockProblem().empty() &&
       map.keyframeCount() >= settings.min_metric_keyframes)

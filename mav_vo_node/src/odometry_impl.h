@@ -49,6 +49,7 @@ struct Odometry::Impl {
 
   // ---- odometry_map.cpp
   void initialize(const cv::Mat& gray);
+  void level();     ///< of a map that began without gravity, once it is known
   void startMap();  ///< forgets map and tracks, keeps gyro bias and attitude; a new map id
   bool mapHasBias() const;
   double mapBiasSigma() const;  ///< of the gyro bias that the map's adjustment found [rad/s]
@@ -88,6 +89,7 @@ struct Odometry::Impl {
   MapAdjuster adjuster;
   MapScale scale;
   std::uint32_t map_id = 1;
+  bool levelled = false;    ///< gravity was known when the map began, or has told since what is up
   double metric_since = 0;  ///< [s]
 
   // ---- Image by image

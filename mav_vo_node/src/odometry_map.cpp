@@ -32,7 +32,7 @@ int mappedObservations(const Keyframe& keyframe) {
                     [](const visual_frontend::Observation& o) { return o.landmark != kNoLandmark; }));
 }
 
-/// Up in the IMU's axes as it is known at the first views; without gravity the vehicle is taken to be level.
+/// Up in the IMU's axes as it is known at the first views; until gravity is known the vehicle is taken to be level.
 std::optional<UpDirection> upAtStart(const ImuAlignment& imu, double stamp, bool use_imu) {
   if (imu.up() && imu.up()->sigma < kMovingTilt) return imu.up();
   if (const auto up = imu.attitude(stamp); up && use_imu) return UpDirection{up->up_imu, kMovingTilt};
@@ -131,6 +131,7 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
   bootstrap.reset();
   adjuster.schedule(last_stamp, map.keyframeCount());
   scale.begin(tilt);
+  levelled = up.has_value() || !settings.use_imu;
   const Pose& T_map_last = map.keyframe(map.lastKeyframe()).T_map_camera;
   pose.beginMap(T_map_last, (T_map_last.translation() - T_map_first.translation()) /
                                 (start->views.back().stamp - start->views.front().stamp));
@@ -145,6 +146,22 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
     startMap();
     reason = "initialising: the first map did not hold in the next image; another is tried";
   }
+}
+
+// A vehicle that was taken to be level may have leaned by any angle, and base_link's z axis need not point up.
+void Odometry::Impl::level() {
+  const auto up = imu.attitude(last_stamp);
+  if (!up) return;
+  adopt(adjuster.finish());
+  air_ground_common::Similarity S;
+  S.R = air_ground_common::levelingRotation(frames.lastPose(map).linear() * (T_camera_imu.linear() * up->up_imu));
+  const Eigen::Matrix3d R_camera_base = T_base_camera.linear().transpose();
+  S.R = (headingZero(S.R * map.keyframes().begin()->second.T_map_camera.linear() * R_camera_base) * S.R).eval();
+  transformMap(S);
+  pose.setPose(frames.lastPose(map));
+  revision.restart();
+  scale.estimateAnew(frames, map);
+  levelled = true;
 }
 
 KeyframeId Odometry::Impl::insertKeyframe(Keyframe keyframe) {

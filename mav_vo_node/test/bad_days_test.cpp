@@ -1,6 +1,7 @@
 // The whole odometry where the camera is lost, or the machine busy.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <thread>
 
@@ -38,6 +39,23 @@ TEST(Odometry, CoastsThroughAShortLossInFastFlight) {
   EXPECT_GE(blind, 3);
   EXPECT_LE(lost, 1);
   EXPECT_LT(ate(o, o.final_poses), 0.05);
+}
+
+// The map begins while the IMU is silent, and no axis of base_link points up: nothing tells how it lies, until later.
+TEST(Odometry, LevelsAMapThatBeganWithoutTheImu) {
+  Options options;
+  options.flight.wobble = 0.15;
+  options.end = 14;
+  options.silent_imu = [](double t) { return t < 2.5; };
+  options.R_base_body = Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  const Outcome o = fly(options);
+  ASSERT_TRUE(
+      std::any_of(o.frames.begin(), o.frames.end(), [](const VoResult& r) { return r.stamp < 2.5 && r.pose_valid; }));
+  EXPECT_EQ(o.frames.back().map_id, o.frames.front().map_id);
+  ASSERT_GT(o.metric_at, 0) << o.frames.back().reason;
+  double scale_error = 1;
+  EXPECT_LT(ate(o, o.final_poses, &scale_error), 0.02 * air_ground_common::pathLength(o.truth));
+  EXPECT_LT(std::abs(scale_error), 0.02);
 }
 
 // It waits for its scale: little is lost with it.

@@ -112,6 +112,37 @@ TEST(Bootstrap, FlatFloorHasOneSolutionWithGyro) {
   expectRight(*result, T_truth, scene, 0.03);
 }
 
+// A drone that turns on the spot, its rows read within 25 ms, which nobody told; no gyro.
+TEST(Bootstrap, ATurnUnderARollingShutterIsNoMotion) {
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    Scene scene(seed);
+    Bootstrap bootstrap(scene.camera, BootstrapSettings{});
+    bool told = false;
+    const auto at = [](double t) {
+      Pose T = synthetic::Flight().T_world_imu(2.5) * synthetic::T_imu_camera();
+      T.linear() *= air_ground_common::expSO3(0.3 * Eigen::Vector3d(std::sin(2 * t), 1 - std::cos(1.7 * t), 0));
+      return T;
+    };
+    for (double t = 0; t < 6; t += 0.05) {
+      std::vector<Feature> features = scene.view(at(t), 0);
+      for (Feature& f : features) {
+        const Eigen::Vector3d& p = scene.points[static_cast<std::size_t>(f.id)];
+        for (int round = 0; round < 3; ++round)
+          f.pixel =
+              scene.camera.project(at(t + 0.025 * ((f.pixel.y() + 0.5) / scene.camera.height - 0.5)).inverse() * p)
+                  .value_or(f.pixel);
+        std::normal_distribution<double> noise(0, 0.3);
+        f.pixel += Eigen::Vector2d(noise(scene.random), noise(scene.random));
+        f.normalized = scene.camera.unproject(f.pixel);
+      }
+      const auto result = bootstrap.add(t, features, {}, {});
+      told = told || bootstrap.reason().find("turn rather than move") != std::string::npos;
+      ASSERT_FALSE(result) << "seed " << seed << ", " << t << " s: parallax " << result->median_parallax;
+    }
+    EXPECT_TRUE(told) << "seed " << seed;
+  }
+}
+
 TEST(Bootstrap, FivePointsWithoutGyro) {
   Scene scene(4);
   Pose T_truth;

@@ -182,6 +182,53 @@ TEST(ImuAlignment, AdoptsASureTimeOffset) {
   EXPECT_FALSE(imu.adoptTimeOffset()) << "it is in use";
 }
 
+/// A camera and an IMU at rest before take-off: tracks with the noise of pixels, a gyro with that of idling rotors, per
+/// axis [rad/s].
+void standStill(ImuAlignment& imu, double duration, double gyro_noise) {
+  const auto camera = synthetic::camera();
+  std::mt19937 random(4);
+  std::normal_distribution<double> normal;
+  const auto vector = [&](double sigma) {
+    return Eigen::Vector3d(sigma * normal(random), sigma * normal(random), sigma * normal(random));
+  };
+  std::vector<Feature> features(120);
+  std::vector<Eigen::Vector2d> places;
+  for (std::size_t i = 0; i < features.size(); ++i)
+    places.emplace_back(30.0 + camera.width / 13.0 * (i % 12), 30.0 + camera.height / 11.0 * (i / 12));
+  int samples = 0;
+  for (int image = 0; 0.05 * image < duration; ++image) {
+    const double t = 0.05 * image;
+    for (; 0.005 * samples < t + 0.1; ++samples)
+      imu.add({0.005 * samples, kBias + vector(gyro_noise), Eigen::Vector3d(0, 0, kGravity) + vector(0.05)});
+    for (std::size_t i = 0; i < features.size(); ++i) {
+      Feature& f = features[i];
+      f.id = static_cast<visual_frontend::TrackId>(i);
+      f.previous_pixel = image > 0 ? f.pixel : places[i];
+      f.pixel = places[i] + vector(0.1).head<2>();
+      f.normalized = camera.unproject(f.pixel);
+      f.age = image;
+    }
+    imu.detectStandstill(t, features, false);
+    imu.alignShutter(t, features, 0);
+    imu.alignMounting(t, features);
+    if (imu.alignGyro(t, features, false)) imu.adoptTimeOffset();
+  }
+}
+
+// What neither turns nor moves tells neither how far the clocks are apart nor when which row is read, however long.
+TEST(ImuAlignment, RestTellsNothingOfClocksShutterAndMounting) {
+  const OdometrySettings settings;
+  for (const double gyro_noise : {0.001, 0.008, 0.03}) {  // the last one does not count as rest
+    ImuAlignment imu = make();
+    standStill(imu, 25, gyro_noise);
+    EXPECT_GT(imu.timeOffsetStddev(), 0.4 * settings.gyro_alignment.time_offset_stddev) << gyro_noise;
+    EXPECT_LT((imu.gyroBias() - kBias).norm(), 0.004) << gyro_noise;
+    if (gyro_noise > 0.01) continue;
+    EXPECT_GT(imu.readoutTimeStddev(), 0.7 * settings.readout_time_stddev) << gyro_noise;
+    EXPECT_GT(imu.mountingStddev(), 0.9 * settings.imu_rotation_stddev) << gyro_noise;
+  }
+}
+
 // Images stamped on arrival, by radio: none of the offsets that are looked for explains them.
 TEST(ImuAlignment, ClocksTooFarApartTellNoScale) {
   for (const double offset : {0.25, -0.3}) {

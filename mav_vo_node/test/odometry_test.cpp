@@ -385,7 +385,8 @@ TEST(Odometry, ManyKeyframesOneAfterTheOtherStayPoses) {
   OdometrySettings settings;
   settings.synchronous = false;
   settings.reproducible = true;
-  settings.keyframe_distance = 0.002;
+  settings.keyframe_distance = 0.01;
+  settings.keyframe_angle = 0.02;
   Options options;
   options.end = 6;
   const Outcome o = fly(options, settings);

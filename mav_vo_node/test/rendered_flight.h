@@ -21,6 +21,8 @@ struct Options {
   std::function<double(double)> contrast = [](double) { return 1.0; };
   std::function<bool(double)> elsewhere = [](double) { return false; };  ///< the camera sees another world
   std::function<bool(double)> nan_imu = [](double) { return false; };
+  std::function<bool(double)> silent_imu = [](double) { return false; };
+  Eigen::Matrix3d R_base_body = Eigen::Matrix3d::Identity();  ///< of base_link's axes: z of some points forwards
   synthetic::Flight flight;
   double imu_shift = 0;  ///< added to the IMU's stamps [s]
   /// The IMU's axes against those that the odometry is told.
@@ -63,7 +65,8 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
   std::unique_ptr<Odometry> own;
   if (!given) {
     own = std::make_unique<Odometry>(visual_frontend::withRadial(synthetic::camera(), options.radial),
-                                     synthetic::T_imu_camera(), Pose::Identity(), settings);
+                                     Pose(options.R_base_body) * synthetic::T_imu_camera(), Pose(options.R_base_body),
+                                     settings);
     given = own.get();
   }
   std::mt19937 random(options.seed);
@@ -82,7 +85,7 @@ inline Outcome fly(const Options& options, OdometrySettings settings = {}, Odome
          ++next) {
       ImuSample sample = samples[next];
       if (options.nan_imu(sample.stamp)) sample.angular_velocity.x() = std::nan("");
-      given->addImu(sample);
+      if (!options.silent_imu(sample.stamp)) given->addImu(sample);
     }
     const Pose T = options.flight.T_world_imu(t) * synthetic::T_imu_camera();
     outcome.truth.push_back({t, T});

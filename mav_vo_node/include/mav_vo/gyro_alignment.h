@@ -53,7 +53,8 @@ class GyroAlignment {
   /// when the estimate changed.
   bool add(double stamp, const std::vector<visual_frontend::Feature>& features, const ImuBuffer& imu);
 
-  /// A bias from elsewhere, a rest for example [rad/s].
+  /// A bias from elsewhere, a rest for example; images before are not compared with later ones: what is seen at rest
+  /// tells nothing but the bias, however often [rad/s].
   void setBias(const Eigen::Vector3d& bias, double stddev);
 
   /// One from elsewhere, where it is not estimated [s].

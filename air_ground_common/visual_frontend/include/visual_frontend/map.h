@@ -67,8 +67,8 @@ double changeOfView(const Pose& T_map_a, const Pose& T_map_b, double scene_dista
 class Map {
  public:
   /// Takes the keyframe with its observations (their landmark fields must name existing landmarks or none); sets its
-  /// id. Its rotation is made one to the last digit: poses are products of those of keyframes before, whose errors would
-  /// grow with each.
+  /// id. Its rotation is made one to the last digit: poses are products of those of keyframes before, whose errors
+  /// would grow with each.
   KeyframeId addKeyframe(Keyframe keyframe);
 
   /// New landmark without observations.
