@@ -8,9 +8,13 @@
 #   make tidy       looks for hidden mistakes with clang-tidy (.clang-tidy), in what is no test: half an hour on two cores
 #   make docs       pages of the libraries' interfaces, by Doxygen: build/doxygen/html/index.html
 #   make build      builds all of it into build/ and devel/
-# Works from a plain clone anywhere; inside a catkin workspace use catkin_make or catkin build instead.
+# Works from a plain clone anywhere but below a folder with a space in its name; inside a catkin workspace use catkin_make or catkin build instead.
 
 SHELL := /bin/bash
+# make splits names at spaces: what is built, and what make clean removes, would lie beside this folder.
+ifneq ($(words $(abspath $(MAKEFILE_LIST))),1)
+$(error there is a space in the path of this folder, which neither make nor catkin can handle: move the clone)
+endif
 ROOT := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
 SANITIZE ?=
 # Below build/, which rosrun overlooks: what lies beside would be found as a second program of each name. A linker's option (-rpath)
@@ -40,8 +44,9 @@ ifeq ($(SANITIZE),thread)
 export OMP_THREAD_LIMIT := 1
 endif
 
-NOETIC := $(wildcard /opt/ros/noetic/setup.bash)
-ENVIRONMENT := $(if $(NOETIC),source $(NOETIC) &&)
+# Of a Noetic that was built from its sources: make NOETIC=... demo
+export NOETIC ?= /opt/ros/noetic
+ENVIRONMENT := $(if $(wildcard $(NOETIC)/setup.bash),source $(NOETIC)/setup.bash &&)
 
 .PHONY: build configured benchmarks demo demo-city test bench fuzz tidy docs packages clean
 
@@ -63,11 +68,11 @@ build: configured
 
 demo: configured
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) demo_programs
-	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_demo $(OUT)
+	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_demo "$(OUT)"
 
 demo-city: configured
 	@$(ENVIRONMENT) ninja -C $(BUILD) -j $(JOBS) demo_city_programs
-	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_city_demo $(OUT_CITY)
+	@$(ENVIRONMENT) source $(DEVEL)/setup.bash && rosrun air_ground run_city_demo "$(OUT_CITY)"
 
 benchmarks: packages
 	@$(call configure,-DAIR_GROUND_BENCHMARKS=ON)

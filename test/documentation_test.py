@@ -281,6 +281,10 @@ class Documentation(unittest.TestCase):
         words = shlex.split(node.args)
         self.assertEqual(words[words.index('--images') + 1], '/my photographs')
         self.assertEqual(words[words.index('--cameras') + 1], '/my cameras.csv')
+        for launch, given in (('air_ground.launch', []), ('city.launch', ['db:=x.gpkg']), ('city_localizer.launch', ['database:=x.gpkg'])):
+            config = roslaunch.config.load_config_default([(os.path.join(ROOT, 'launch', launch), [*given, 'rviz:=true', 'rviz_config:=/my views/x.rviz'])], 11999)
+            rviz = next(node for node in config.nodes if node.type == 'rviz')
+            self.assertEqual(shlex.split(rviz.args), ['-d', '/my views/x.rviz'], launch)
 
 
 if __name__ == '__main__':
