@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import unittest
 from unittest import mock
@@ -21,7 +20,7 @@ from geometry_msgs.msg import Point, PointStamped, TransformStamped
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 sys.path.insert(0, os.path.join(HERE, '..', 'scripts'))
-from air_ground_eval import bag_reader, demo, evaluation, geometry, messages, pacing, ply, truth  # noqa: E402
+from air_ground_eval import bag_reader, demo, evaluation, geometry, messages, ply, truth  # noqa: E402
 from air_ground_eval import replay as replays  # noqa: E402
 from air_ground_eval.recording import Camera  # noqa: E402
 
@@ -333,24 +332,6 @@ class ReplayReport(unittest.TestCase):
             self.assert_refused('no message on /mav/camera/image_raw: the bag has no such topic; of type sensor_msgs/Image it has /cam0/image_raw: set mav_image:=',
                                 'no message on /ground/depth/image_raw', bag=whole)
 
-    def test_the_clock_follows_what_was_played_and_never_leads(self):
-        """The player gives no /clock while it is behind its own time."""
-        with mock.patch.object(pacing, 'rospy') as ros:
-            ros.Time.from_sec = rospy.Time.from_sec
-            ros.get_time.return_value = 100.0
-            keeper = pacing.ClockKeeper()
-            keeper.step(100.4)
-            ros.Publisher.assert_not_called()  # the player's own clock is there
-            for played in (101.0, 102.0, 102.0):
-                keeper.step(played)
-            ros.Publisher.assert_called_once_with('/clock', mock.ANY, queue_size=10)
-            ros.logwarn.assert_called_once()
-            given = [call.args[0].clock.to_sec() for call in ros.Publisher.return_value.publish.call_args_list]
-            np.testing.assert_allclose(given, [100.95, 101.95, 101.95])
-            ros.get_time.return_value = 102.1
-            keeper.step(102.2)
-            self.assertEqual(ros.Publisher.return_value.publish.call_count, 3)
-
     def test_a_robots_clock_that_steps_tells_nothing_of_the_player(self):
         """Stamps 5 s behind until chrony corrects them: what is heard was never played later than it was recorded, whoever else publishes it."""
         with tempfile.TemporaryDirectory() as folder, mock.patch.object(replays, 'rospy') as ros:
@@ -375,24 +356,6 @@ class ReplayReport(unittest.TestCase):
                 hear(mock.Mock(_connection_header={'callerid': '/player'}), argument)
                 self.assertAlmostEqual(recorder.played, facts.end, delta=1e-6)
 
-    def test_who_is_late_is_not_held(self):
-        """A player that is held repeats the time at which it waited last: before what the ClockKeeper gave meanwhile, time went back by 2 s."""
-        with mock.patch.object(pacing, 'rospy') as ros, mock.patch.object(pacing, 'CpuLoad') as load:
-            ros.Time.from_sec = rospy.Time.from_sec
-            load.return_value.cores.return_value = load.return_value.wanted = {'mav_vo': 0.9}
-            player, recorder = mock.Mock(), mock.Mock(nodes=['mav_vo'], progress={'mav_vo': 95.0}, lock=threading.Lock(), cores=[])
-            ros.get_time.return_value = 100.0
-            keeper, pacer = pacing.ClockKeeper(), pacing.Pacer(recorder, player, {'mav_vo': 1.5})
-            self.assertFalse(keeper.leads())
-            keeper.step(102.0)
-            ros.get_time.return_value = 101.95
-            self.assertTrue(keeper.leads())
-            pacer.step(101.95, may_hold=not keeper.leads())
-            player.pause.assert_not_called()
-            ros.get_time.return_value = 102.3  # the player waits again
-            pacer.step(102.3, may_hold=not keeper.leads())
-            player.pause.assert_called_once_with(True)
-
     def test_results_of_an_earlier_replay_stay(self):
         with tempfile.TemporaryDirectory() as folder, mock.patch.object(replays, 'rospy'):
             out = os.path.join(folder, 'out')
@@ -409,30 +372,6 @@ class ReplayReport(unittest.TestCase):
                     found[name] = stream.read()
             self.assertEqual(found, {'earlier-1': 'first', 'earlier-2': 'second', '.': 'third'})
             self.assertEqual(sorted(os.listdir(os.path.join(out, 'earlier-2'))), ['mav_trajectory_map6.txt', 'report.yaml'])
-
-    def test_who_waits_for_a_processor_is_not_idle(self):
-        """On a busy machine the nodes of lowest priority get hardly any time: the report must not be written meanwhile."""
-        processor = {min(os.sched_getaffinity(0))}
-        spin = 'import os; os.sched_setaffinity(0, {processor}); os.nice({nice})\nwhile True: pass'
-        processes = [subprocess.Popen([sys.executable, '-c', spin.format(processor=processor, nice=nice)]) for nice in (19, 0, 0, 0)]
-        try:
-            load = pacing.CpuLoad(['starved', 'asleep'])
-            with subprocess.Popen(['sleep', '60']) as asleep:
-                load.processes = {'starved': processes[0].pid, 'asleep': asleep.pid}
-                load.cores()
-                for _ in range(20):  # until both have started, which waits for the processor, too
-                    time.sleep(1)
-                    used = load.cores()
-                    if load.wanted['starved'] > 0.8 and load.wanted['asleep'] < 0.01:
-                        break
-                asleep.kill()
-            self.assertLess(used['starved'], 0.2)
-            self.assertGreater(load.wanted['starved'], 0.8)
-            self.assertLess(load.wanted['asleep'], 0.01)
-        finally:
-            for process in processes:
-                process.kill()
-                process.wait()
 
 
 if __name__ == '__main__':

@@ -82,7 +82,7 @@ class Pacer:
         self.recorder, self.limits, self.player = recorder, limits, player
         self.load, self.busy, self.last_load = CpuLoad(recorder.nodes), set(), 0.0
         self.paused, self.since, self.slowest = False, None, ''
-        self.held_for = collections.Counter()  # node: wall time [s]
+        self.held_for = collections.Counter()  # node: wall time for which it was the slowest [s]
 
     def step(self, now, may_hold=True):
         """now: time of the bag [s]; may_hold: no ClockKeeper leads."""
@@ -96,24 +96,28 @@ class Pacer:
             lags = {name: (now - stamp) / self.limits[name] for name, stamp in self.recorder.progress.items()
                     if name in self.busy and name in self.limits}
         lag = max(lags.values(), default=0.0)
-        if not self.paused and may_hold and lag > 1.0:
+        if self.paused:
+            self._count(wall)
+        if lags:
             self.slowest = max(lags, key=lags.get)
+        if not self.paused and may_hold and lag > 1.0:
             self._set(True)
         elif self.paused and lag < 0.6:
             self._set(False)
 
     def release(self):
         if self.paused:
+            self._count(time.monotonic())
             self._set(False)
+
+    def _count(self, wall):
+        self.held_for[self.slowest] += wall - self.since
+        self.since = wall
 
     def _set(self, pause):
         if not self.player.pause(pause):
             return
-        if pause:
-            self.since = time.monotonic()
-        elif self.since is not None:
-            self.held_for[self.slowest] += time.monotonic() - self.since
-        self.paused = pause
+        self.since, self.paused = time.monotonic(), pause
 
 
 class ClockKeeper:

@@ -129,5 +129,5 @@ def camera_track(bag, topic, robot, base, T_base_camera, estimate):
     if len(mounting.free):
         found += f'; the motion turns too little to tell {"any" if len(mounting.free) == 3 else "all"} of the lever arm: 0 along ' + ' and '.join(
             '(' + ' '.join(f'{x:.2f}' for x in axis) + ')' for axis in mounting.free)
-    outcome = f'errors of {robot} contain what it is along these' if len(mounting.free) else f'errors of {robot} contain none of it'
+    outcome = f'errors of {robot}, and those of the alignment, contain what it is along these' if len(mounting.free) else f'errors of {robot} contain none of it'
     return mounted(reference, mounting, estimate), f'{kind}, mounting estimated', f'{topic} tells {kind}, which no static transform connects to {base}: {found}; {outcome}'
