@@ -2,8 +2,11 @@
 
 namespace mav_vo {
 
-Eigen::Matrix3d headingZero(const Eigen::Matrix3d& R_map_base) {
-  return Eigen::AngleAxisd(-air_ground_common::yawOf(R_map_base), Eigen::Vector3d::UnitZ()).toRotationMatrix();
+Eigen::Matrix3d levelRotation(const Eigen::Vector3d& up, const Eigen::Matrix3d& R_visual_camera_first,
+                              const air_ground_common::Pose& T_base_camera) {
+  const Eigen::Matrix3d R = air_ground_common::levelingRotation(up);
+  const double yaw = air_ground_common::yawOf(R * R_visual_camera_first * T_base_camera.linear().transpose());
+  return Eigen::AngleAxisd(-yaw, Eigen::Vector3d::UnitZ()).toRotationMatrix() * R;
 }
 
 air_ground_common::Similarity metricMap(double scale, const Eigen::Vector3d& up,
@@ -12,8 +15,7 @@ air_ground_common::Similarity metricMap(double scale, const Eigen::Vector3d& up,
   const air_ground_common::Pose& first = T_visual_camera_first;
   air_ground_common::Similarity S;
   S.scale = scale;
-  S.R = air_ground_common::levelingRotation(up);
-  S.R = (headingZero(S.R * first.linear() * T_base_camera.linear().transpose()) * S.R).eval();
+  S.R = levelRotation(up, first.linear(), T_base_camera);
   // The lever from the camera to base_link is metric already.
   const Eigen::Vector3d p_camera_base = T_base_camera.inverse().translation();
   S.t = -(S.scale * (S.R * first.translation()) + S.R * first.linear() * p_camera_base);

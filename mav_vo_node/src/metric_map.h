@@ -1,12 +1,14 @@
-// The frame of a map that has become metric: level, its origin and heading 0 at base_link of the first keyframe.
+// The frame of a map: level, heading 0 at base_link of the first keyframe, and its origin, too, once it is metric.
 #pragma once
 
 #include "air_ground_common/geometry.h"
 
 namespace mav_vo {
 
-/// Rotation about the vertical that gives base_link heading 0.
-Eigen::Matrix3d headingZero(const Eigen::Matrix3d& R_map_base);
+/// R_map_visual that makes `up` upright and gives base_link of the first camera heading 0. `up`: the vertical in the
+/// visual map, of any length. Throws std::invalid_argument where that is zero or not finite.
+Eigen::Matrix3d levelRotation(const Eigen::Vector3d& up, const Eigen::Matrix3d& R_visual_camera_first,
+                              const air_ground_common::Pose& T_base_camera);
 
 /// p_metric [m] = scale R p_visual + t. `up`: the vertical in the visual map, of any length.
 /// Throws std::invalid_argument where that is zero or not finite.

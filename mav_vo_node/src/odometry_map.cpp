@@ -112,12 +112,10 @@ void Odometry::Impl::initialize(const cv::Mat& gray) {
   }
   const auto up = upAtStart(imu, last_stamp, settings.use_imu);
   const double tilt = up ? up->sigma : kMovingTilt;
-  Eigen::Matrix3d R_map_first = T_base_camera.linear();
+  Pose T_map_first(T_base_camera.linear());
   if (up)
-    R_map_first = air_ground_common::levelingRotation(start->views.back().T_first_camera.linear() *
-                                                      (T_camera_imu.linear() * up->up_imu));
-  Pose T_map_first = Pose::Identity();
-  T_map_first.linear() = headingZero(R_map_first * T_base_camera.linear().transpose()) * R_map_first;
+    T_map_first = levelRotation(start->views.back().T_first_camera.linear() * (T_camera_imu.linear() * up->up_imu),
+                                Eigen::Matrix3d::Identity(), T_base_camera);
 
   for (const auto& point : start->points) tracks.assign(point.track, map.addLandmark(T_map_first * point.position));
   for (BootstrapView& view : start->views) {
@@ -154,11 +152,9 @@ void Odometry::Impl::level() {
   if (!up) return;
   adopt(adjuster.finish());
   air_ground_common::Similarity S;
-  S.R = air_ground_common::levelingRotation(frames.lastPose(map).linear() * (T_camera_imu.linear() * up->up_imu));
-  const Eigen::Matrix3d R_camera_base = T_base_camera.linear().transpose();
-  S.R = (headingZero(S.R * map.keyframes().begin()->second.T_map_camera.linear() * R_camera_base) * S.R).eval();
+  S.R = levelRotation(frames.lastPose(map).linear() * (T_camera_imu.linear() * up->up_imu),
+                      map.keyframes().begin()->second.T_map_camera.linear(), T_base_camera);
   transformMap(S);
-  pose.setPose(frames.lastPose(map));
   revision.restart();
   scale.estimateAnew(frames, map);
   levelled = true;

@@ -43,7 +43,7 @@ class PoseTracker {
   /// The first views' map is at hand.
   void beginMap(const Pose& T_map_camera, const Eigen::Vector3d& velocity);
   /// As the corrected map has it.
-  void setPose(const Pose& T_map_camera) { T_map_camera_ = air_ground_common::normalized(T_map_camera); }
+  void setPose(const Pose& T_map_camera) { T_map_camera_ = T_map_camera; }
   /// With Map::transform; the pose comes with the trajectory.
   void transform(const air_ground_common::Similarity& S_new_old);
 

@@ -94,7 +94,7 @@ void carryAlong(const BundleJob& job, const Pose& correction, Map& map, Inertial
   if (map.lastKeyframe() == job.newest_keyframe) return;
   for (auto it = map.keyframes().upper_bound(job.newest_keyframe); it != map.keyframes().end(); ++it) {
     Keyframe& keyframe = map.keyframe(it->first);
-    keyframe.T_map_camera = air_ground_common::normalized(correction * keyframe.T_map_camera);
+    keyframe.T_map_camera = correction * keyframe.T_map_camera;
     if (!inertial) continue;
     const auto state = inertial->states.find(it->first);
     if (state != inertial->states.end()) state->second.velocity = correction.linear() * state->second.velocity;
