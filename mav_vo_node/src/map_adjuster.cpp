@@ -28,14 +28,16 @@ MapAdjuster::Jobs MapAdjuster::adjustNewest(const Map& map, const InertialMap& i
   std::vector<KeyframeId> free, fixed;
   // What begins the window's inertial chain holds its gyro bias, which the first seconds do not know yet.
   const bool bias_open = !inertial.metric && !inertial.links.empty();
-  const int window = bias_open ? kYoungWindows * settings_.window : settings_.window;
+  const int least = bias_open ? kYoungWindows * settings_.window : settings_.window;
+  const int most = inertial.metric ? mostInWindow(settings_) : least;
+  const double begin = map.keyframe(map.lastKeyframe()).stamp - settings_.window_duration;
   for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
-    if (static_cast<int>(free.size()) < window) {
-      free.push_back(it->first);
-    } else {
+    const int count = static_cast<int>(free.size());
+    if (count >= (it->second.stamp < begin ? least : most)) {
       fixed.push_back(it->first);  // where the window's inertial chain begins
       break;
     }
+    free.push_back(it->first);
   }
   std::sort(free.begin(), free.end());
   for (const auto& other : map.observers(map.landmarksOf(free), kMinShared)) {

@@ -8,6 +8,9 @@
 
 namespace mav_vo {
 
+/// Keyframes that adjustNewest() moves, at most, once the map is metric.
+inline int mostInWindow(const OdometrySettings& settings) { return 2 * settings.window; }
+
 class MapAdjuster {
  public:
   using Jobs = std::vector<BundleJob>;  ///< solved, to be applied to the map in this order

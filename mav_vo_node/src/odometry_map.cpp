@@ -227,7 +227,7 @@ void Odometry::Impl::createLandmarks(KeyframeId id) {
 
 // Only keyframes that no adjustment moves any more: what they tell is in their landmarks.
 void Odometry::Impl::thinKeyframes() {
-  const int newest = std::max(settings.full_max_keyframes, settings.window + 1);
+  const int newest = std::max(settings.full_max_keyframes, mostInWindow(settings) + 1);
   if (static_cast<int>(map.keyframeCount()) <= newest) return;
   inertial.forgetLinksBefore(std::prev(map.keyframes().end(), newest)->first);
   const KeyframeId id = map.redundantKeyframe(newest, {settings.keyframe_distance, settings.keyframe_angle});

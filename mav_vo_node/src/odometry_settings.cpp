@@ -63,6 +63,8 @@ void describe(air_ground_common::ParameterVisitor& v, OdometrySettings& o) {
   v("max_image_keyframes", o.max_image_keyframes, {10, 100000}, "",
     "keyframes that keep their image for patch search, 0.5 MB each at 752x480; the farthest lose it");
   v("window", o.window, {3, 100}, "", "keyframes that the local bundle adjustment moves");
+  v("window_duration", o.window_duration, {0.0, 100.0}, "s",
+    "that they span where the IMU holds the scale, as far as twice as many keyframes do");
   v("window_fixed", o.window_fixed, {0, 200}, "", "older keyframes that hold it");
   v("full_adjustment_interval", o.full_interval, {0.5, 1e6}, "s",
     "between adjustments of the whole map, at least (without IMU twice that): one of many keyframes is adjusted every "

@@ -67,6 +67,22 @@ TEST(MapAdjuster, TheNewestMoveAndOlderObserversHoldThem) {
   for (const KeyframeId id : held) EXPECT_LT(id, 9);
 }
 
+// Close to the floor, or turning, ten keyframes are two seconds: too short for the accelerometer to hold the scale.
+TEST(MapAdjuster, WhereTheImuHoldsTheScaleTheWindowLastsLonger) {
+  const Map map = rowOver(12);  // one a second
+  const auto moving = [&map](bool metric, double duration) {
+    OdometrySettings settings = windowOf(3, 3, true);
+    settings.window_duration = duration;
+    InertialMap inertial;
+    inertial.metric = metric;
+    return camerasOf(MapAdjuster(synthetic::camera(), settings).adjustNewest(map, inertial, {}, 0).at(0), false).size();
+  };
+  EXPECT_EQ(moving(false, 4.5), 3u);
+  EXPECT_EQ(moving(true, 1.5), 3u);
+  EXPECT_EQ(moving(true, 4.5), 5u) << "those from 4.5 s ago";
+  EXPECT_EQ(moving(true, 100), 6u) << "twice as many, at most";
+}
+
 TEST(MapAdjuster, MovesAKeyframeToWhereItsLandmarksSayItIs) {
   Map map = rowOver(6);
   map.keyframe(5).T_map_camera.translation() += Eigen::Vector3d(0.05, -0.03, 0.02);

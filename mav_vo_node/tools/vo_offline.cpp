@@ -329,6 +329,7 @@ int main(int argc, char** argv) {
   app.add_option("--keyframe-distance", settings.keyframe_distance, "over the scene's distance");
   app.add_option("--full-interval", settings.full_interval, "between adjustments of the whole map [s]");
   app.add_option("--window", settings.window, "keyframes in the local adjustment");
+  app.add_option("--window-duration", settings.window_duration, "that they span [s]");
   app.add_option("--gyro-noise", settings.imu_noise.gyro_density, "[rad/s/sqrt(Hz)]");
   app.add_option("--accel-noise", settings.imu_noise.accel_density, "[m/s^2/sqrt(Hz)]");
   app.add_option("--position-drift", settings.scale.position_drift, "of the visual position [m/sqrt(s)]");

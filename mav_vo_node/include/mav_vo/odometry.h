@@ -69,7 +69,8 @@ struct OdometrySettings {
   double triangulation_parallax = 0.025;  ///< smallest angle for a new landmark [rad]
 
   int reobserve_matches = 40;     ///< old landmarks looked for in a frame, at most; 0 = off
-  int window = 10;                ///< keyframes the local bundle adjustment moves
+  int window = 10;                ///< keyframes the local bundle adjustment moves; up to twice as many, to last
+  double window_duration = 5.0;   ///< so long, where the IMU holds the scale: over less time it hardly does [s]
   int window_fixed = 15;          ///< older keyframes that hold it, at most
   int max_image_keyframes = 300;  ///< keyframes that keep their image for patch search; the farthest lose it first
   int local_iterations = 8;
