@@ -2,6 +2,12 @@
 set(AIR_GROUND_SANITIZE "" CACHE STRING "address, undefined, both (address,undefined) or thread")
 option(AIR_GROUND_FUZZ "Build libFuzzer's program, by clang" OFF)
 
+# By how much longer tests may take: a node under ThreadSanitizer takes ten times as long.
+set(air_ground_slower 1)
+if(AIR_GROUND_SANITIZE)
+  set(air_ground_slower 4)
+endif()
+
 if(AIR_GROUND_FUZZ)
   set(sanitizers address,undefined,float-cast-overflow)
   add_compile_options(-fsanitize=fuzzer-no-link)

@@ -98,6 +98,8 @@ def _map_from_above(axis, data):
     axis.scatter(points['x'], points['y'], c=colours, s=1.2, linewidths=0, rasterized=True)
     for name, colour in (('mav', MAV_COLOUR), ('ground', GROUND_COLOUR)):
         track = data.get(f'{name}_estimate')
+        if name == 'mav' and data.get('mav_in_own_map'):
+            continue  # where it flew in the ground map is not known
         if track is not None and len(track):
             axis.plot(track[:, 0], track[:, 1], color=colour, lw=1)
     axis.set_aspect('equal', 'datalim')
