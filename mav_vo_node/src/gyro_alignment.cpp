@@ -38,8 +38,6 @@ constexpr double kSearchInterval = 0.5;       // between such searches [s]
 constexpr double kRoughBias = 0.02;           // a less certain bias is solved for with a loss that narrows [rad/s]
 constexpr double kUsualTurn = 0.2;            // of a short pair, by which an unknown mounting errs [rad]
 constexpr double kRestartInterval = 1.0;      // between searches from the bias that was given first [s]
-constexpr double kOtherMinimum = 9;           // in cost over the window, by which another minimum must be better
-constexpr double kAgreement = 2;              // misfit of gyro and images that are of one mounting
 constexpr double kContradiction = 3;          // likewise: the bias is none of the usual ones
 constexpr double kFirstLook = 1;              // in which no bias is the less likely one [s]
 constexpr double kYoung = 10;                 // an older estimate goes when it is refuted repeatedly only [s]
@@ -113,6 +111,13 @@ void GyroAlignment::reset() {
   prior_ = variance.cwiseInverse().asDiagonal();
   misfit_ = 0;
   inflation_ = kTrackCorrelation;
+}
+
+void GyroAlignment::restartAt(double time_offset) {
+  const Eigen::Vector3d mounting = x_.tail<3>();
+  settings_.time_offset = time_offset;
+  reset();
+  setMounting(mounting);
 }
 
 void GyroAlignment::setBias(const Eigen::Vector3d& bias, double stddev) {
@@ -211,31 +216,15 @@ void GyroAlignment::growOld(double elapsed) {
   old_h_ *= std::exp(-elapsed / kMemory);
 }
 
-std::optional<Eigen::Matrix3d> GyroAlignment::rightAngles(const ImuBuffer& imu) const {
-  double best = std::numeric_limits<double>::infinity(), second = best;
-  Eigen::Matrix3d R_best = Eigen::Matrix3d::Identity();
-  for (int i = 0; i < 24; ++i) {  // each axis up, four headings
-    Eigen::Matrix3d R = Eigen::Matrix3d::Zero();
-    R((i / 4) % 3, 0) = i < 12 ? 1 : -1;
-    R((i / 4 + 1 + i % 2) % 3, 1) = i % 4 < 2 ? 1 : -1;
-    R.col(2) = R.col(0).cross(R.col(1));
-    GyroAlignment turned(*this);
-    turned.R_camera_imu_ = R_camera_imu_ * R;
-    turned.old_H_.setZero();
-    turned.old_h_.setZero();
-    turned.inflation_ = kTrackCorrelation;
-    const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
-    Vector solution;
-    const double cost = turned.solveFrom(prior_mean_, kStartIterations, std::max(kLossWidth, width), imu, &solution);
-    second = std::min(second, std::max(cost, best));
-    if (cost >= best) continue;
-    turned.x_ = solution;
-    turned.summarize(imu);
-    best = cost;
-    R_best = turned.misfit_ > kAgreement ? Eigen::Matrix3d(Eigen::Matrix3d::Identity()) : R;
-  }
-  if (R_best.isIdentity() || second < best + kOtherMinimum) return std::nullopt;
-  return R_best;
+double GyroAlignment::beginAnew(const ImuBuffer& imu) {
+  old_H_.setZero();
+  old_h_.setZero();
+  inflation_ = kTrackCorrelation;
+  const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
+  Vector solution;
+  const double cost = solveFrom(prior_mean_, kStartIterations, std::max(kLossWidth, width), imu, &solution);
+  x_ = solution;
+  return cost;
 }
 
 // The first pairs may have led to a wrong minimum, where every pair that leaves the window is linearised anew.

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "air_ground_common/geometry.h"
 #include "air_ground_common/text.h"
@@ -33,6 +34,9 @@ constexpr double kGyroMisfit = 4;             // of noise; above, gyro and image
 constexpr double kMountingGain = 0.8;         // a first turn must cut the misfit to this share of the best without it
 constexpr int kMountingTracks = 50;           // of a pair; there is time to find it
 constexpr double kGuessInterval = 3;          // between guesses of axes that were taken for each other [s]
+constexpr double kClockInterval = 2;          // between searches for clocks that are far apart [s]
+constexpr double kClockReach = 0.1;           // nearer ones the tracks find [s]
+constexpr double kSameClock = 0.02;           // of two searches that agree [s]
 constexpr double kKnownOffset = 0.01;  // standard deviation of the offset between the clocks, enough for a scale [s]
 constexpr double kCloseMisfit = 0.5;   // of a gyro that fits so well that another offset cannot matter
 
@@ -81,17 +85,38 @@ void ImuAlignment::reset() {
   coverage_.reset();
   accel_noise_.reset();
   attitude_.reset();
-  gyro_alignment_.reset();
+  gyro_alignment_.setMounting(Eigen::Vector3d::Zero());
   gyro_alignment_.setReadoutTime(settings_.readout_time);
+  if (shutter_alignment_) shutter_alignment_->setMounting(Eigen::Vector3d::Zero());
+  if (mounting_alignment_) mounting_alignment_->setMounting(Eigen::Vector3d::Zero());
   imu_.setMounting(Eigen::Matrix3d::Identity());
-  if (shutter_alignment_) shutter_alignment_->reset();
-  if (mounting_alignment_) mounting_alignment_->reset();
-  metric_ = shutter_open_ = false;
-  last_guess_ = -1;
-  right_angles_.reset();
+  restartAt(settings_.gyro_alignment.time_offset);
+  metric_ = false;
   standstill_.reset();
-  imu_.setOffset(settings_.gyro_alignment.time_offset);
   up_.reset();
+}
+
+void ImuAlignment::restartAt(double time_offset) {
+  gyro_alignment_.restartAt(time_offset);
+  if (shutter_alignment_) shutter_alignment_->restartAt(time_offset);
+  if (mounting_alignment_) mounting_alignment_->restartAt(time_offset);
+  imu_.setOffset(time_offset);
+  shutter_open_ = false;
+  last_guess_ = last_clock_search_ = -1;
+  right_angles_.reset();
+  clocks_apart_.reset();
+}
+
+bool ImuAlignment::findClock(double stamp) {
+  if (settings_.gyro_alignment.time_offset_stddev <= 0 || stamp - last_clock_search_ < kClockInterval) return false;
+  last_clock_search_ = stamp;
+  if (problem().empty() && clockProblem().empty()) return false;
+  const auto before = std::exchange(clocks_apart_, gyro_alignment_.otherTime(imu_.buffer()));
+  if (!before || !clocks_apart_ || std::abs(*before - *clocks_apart_) > kSameClock) return false;
+  const double offset = *clocks_apart_;
+  if (std::abs(offset - gyro_alignment_.givenTimeOffset()) < kClockReach) return false;
+  restartAt(offset);
+  return true;
 }
 
 void ImuAlignment::useBiasAtRest() {

@@ -57,6 +57,9 @@ class ImuAlignment {
   void followBias(const Eigen::Vector3d& gyro_bias);
   /// True when a sure offset between the clocks replaced the one in use.
   bool adoptTimeOffset();
+  /// True when the clocks turn out to be farther apart than the tracks can tell: what gyro and images told of each
+  /// other is forgotten, and begins anew there.
+  bool findClock(double stamp);
   /// A bias from elsewhere, kept where it is better known than the tracks'.
   void keepBias(const Eigen::Vector3d& gyro_bias, double sigma);
 
@@ -88,6 +91,7 @@ class ImuAlignment {
  private:
   const GyroAlignment& trusted() const { return shutter_open_ ? *shutter_alignment_ : gyro_alignment_; }
   bool mountingExplainsMore() const;
+  void restartAt(double time_offset);
   bool contradictsShutter() const;
 
   static constexpr double kMetricTilt = 0.01;  // of the metric map's z axis against gravity [rad]
@@ -105,6 +109,8 @@ class ImuAlignment {
   bool metric_ = false;
   double last_guess_ = -1;                       ///< of right angles [s]
   std::optional<Eigen::Matrix3d> right_angles_;  ///< R_given_imu by which gyro and images would agree
+  double last_clock_search_ = -1;                ///< [s]
+  std::optional<double> clocks_apart_;           ///< as found once, to be found again [s]
   StandstillDetector standstill_;
   std::optional<UpDirection> up_;
 };

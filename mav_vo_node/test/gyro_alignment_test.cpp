@@ -33,6 +33,7 @@ struct Case {
   double mounting_stddev = 0;
   double wobble = 0.2;  ///< of roll and pitch [rad]
   double period = 9;    ///< of the loop [s]
+  double margin = 0.3;  ///< of the samples around the images [s]
   double strange = 0;   ///< so long all tracks turn by another bias: a mirror, a passing lorry [s]
   unsigned seed = 1;
 };
@@ -50,7 +51,8 @@ Case openCase(double duration, unsigned seed) {
 
 const Eigen::Vector3d kStrangeBias(-0.05, 0.09, 0.02);  // seen in the strange tracks [rad/s]
 
-GyroAlignment align(const Case& run) {
+/// `samples`: takes those of the IMU.
+GyroAlignment align(const Case& run, ImuBuffer* samples = nullptr) {
   synthetic::Flight flight;
   flight.wobble = run.wobble;
   flight.period = run.period;
@@ -61,7 +63,7 @@ GyroAlignment align(const Case& run) {
   const double begin = 5.0;
   const auto points = synthetic::pointCloud(1200, random);
   ImuBuffer buffer(100);
-  for (ImuSample s : flight.imuSamples(begin - 0.3, begin + run.duration + 0.3, 200, ImuNoise{},
+  for (ImuSample s : flight.imuSamples(begin - run.margin, begin + run.duration + run.margin, 200, ImuNoise{},
                                        {run.bias, Eigen::Vector3d::Zero()}, random)) {
     s.stamp += run.offset;
     buffer.add(visual_frontend::turned(expSO3(-run.mounting), s));
@@ -97,6 +99,7 @@ GyroAlignment align(const Case& run) {
     }
     alignment.add(t, features, buffer);
   }
+  if (samples) *samples = buffer;
   return alignment;
 }
 
@@ -147,6 +150,35 @@ TEST(GyroAlignment, FindsTheTimeOffset) {
     EXPECT_LT(std::abs(a.timeOffset() - offset), 5 * a.timeOffsetStddev() + 2e-4);
     EXPECT_LT((a.bias() - run.bias).norm(), 0.005) << "offset " << offset;
   }
+}
+
+TEST(GyroAlignment, FindsClocksThatAreFarApart) {
+  for (const double offset : {-0.85, -0.3, -0.14, 0.2, 0.6}) {
+    Case run;
+    run.offset = offset;
+    run.bias = {0.03, 0.08, -0.05};
+    run.duration = 4;
+    run.margin = 2.5;
+    ImuBuffer samples;
+    const GyroAlignment a = align(run, &samples);
+    const auto found = a.otherTime(samples);
+    ASSERT_TRUE(found) << offset;
+    EXPECT_NEAR(*found, offset, 0.01);
+  }
+}
+
+TEST(GyroAlignment, FindsNoOtherTimeWhereNoneAgreesOrAllDo) {
+  Case run;
+  run.duration = 4;
+  run.margin = 2.5;
+  run.offset = 0.3;
+  run.mounting = {0, 0, 90 * kDegree};
+  ImuBuffer samples;
+  EXPECT_FALSE(align(run, &samples).otherTime(samples)) << "other axes";
+  run.mounting.setZero();
+  run.wobble = 0;
+  EXPECT_FALSE(align(run, &samples).otherTime(samples)) << "a steady turn";
+  EXPECT_FALSE(align(run).otherTime(ImuBuffer(12.0))) << "no samples";
 }
 
 TEST(GyroAlignment, FindsTheReadoutTime) {

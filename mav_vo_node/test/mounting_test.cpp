@@ -37,6 +37,24 @@ TEST(Odometry, FindsHowTheImuIsTurned) {
   }
 }
 
+// A camera on USB that is stamped when its image arrives, or drivers on two computers.
+TEST(Odometry, FindsClocksThatAreFarApart) {
+  for (const double shift : {0.25, -0.4}) {
+    Options options;
+    options.flight.wobble = 0.15;
+    options.imu_shift = shift;
+    options.end = 16;
+    const Outcome o = fly(options);
+    const VoResult& last = o.frames.back();
+    std::printf("clocks %.2f s apart: found %.4f, metric after %.2f s\n", shift, last.time_offset, o.metric_at);
+    EXPECT_NEAR(last.time_offset, shift, 0.006);
+    ASSERT_GT(o.metric_at, 0) << last.reason;
+    double scale_error = 1;
+    EXPECT_LT(ate(o, o.final_poses, &scale_error), 0.015 * air_ground_common::pathLength(o.truth));
+    EXPECT_LT(std::abs(scale_error), 0.02);
+  }
+}
+
 TEST(Odometry, NamesAnImuThatMissesTheImages) {
   Options slow, other_clock;
   slow.end = other_clock.end = 6;

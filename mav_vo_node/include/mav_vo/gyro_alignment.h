@@ -64,14 +64,17 @@ class GyroAlignment {
   void setMounting(const Eigen::Vector3d& mounting);
 
   void reset();
+  /// Begins anew with the clocks so far apart, and what is in use of readout time and mounting [s].
+  void restartAt(double time_offset);
 
   Eigen::Vector3d bias() const { return x_.head<3>(); }  ///< [rad/s]
   double biasStddev() const;                             ///< of the least certain axis [rad/s]
   Eigen::Matrix3d biasCovariance() const { return covariance_.topLeftCorner<3, 3>(); }  ///< [rad^2/s^2]
-  double timeOffset() const { return x_(3); }   ///< t_imu - t_image of the same instant [s]
-  double timeOffsetStddev() const;              ///< [s]
-  double readoutTime() const { return x_(4); }  ///< [s]
-  double readoutTimeStddev() const;             ///< [s]
+  double givenTimeOffset() const { return settings_.time_offset; }  ///< about which it is estimated [s]
+  double timeOffset() const { return x_(3); }                       ///< t_imu - t_image of the same instant [s]
+  double timeOffsetStddev() const;                                  ///< [s]
+  double readoutTime() const { return x_(4); }                      ///< [s]
+  double readoutTimeStddev() const;                                 ///< [s]
   /// Rotation vector of R_given_imu: what the IMU reads, turned by it, is in the axes that `R_camera_imu` was given for
   /// [rad].
   Eigen::Vector3d mounting() const { return x_.tail<3>(); }
@@ -81,9 +84,14 @@ class GyroAlignment {
   /// R_given_imu by right angles with which they would agree, where no other does nearly as well. Takes as long as 24
   /// images.
   std::optional<Eigen::Matrix3d> rightAngles(const ImuBuffer& imu) const;
+  /// Time offset within a second at which they would agree, where they do nearly as well at no other [s]. Takes twice
+  /// as long.
+  std::optional<double> otherTime(const ImuBuffer& imu) const;
 
  private:
-  static constexpr int kStates = 8;  ///< gyro bias, time offset, readout time, mounting
+  static constexpr double kOtherMinimum = 9;  ///< in cost over the window, by which another minimum must be better
+  static constexpr double kAgreement = 2;     ///< misfit of gyro and images that are of one mounting and time
+  static constexpr int kStates = 8;           ///< gyro bias, time offset, readout time, mounting
   using Vector = Eigen::Matrix<double, kStates, 1, Eigen::DontAlign>;
   using Matrix = Eigen::Matrix<double, kStates, kStates, Eigen::DontAlign>;
   /// Where a track is seen, and how far it moves by the readout time of 1 s until its row is read, as (x, y, 1).
@@ -105,6 +113,8 @@ class GyroAlignment {
     Vector g = Vector::Zero();
     double cost = 0;
   };
+  /// Solves for what the pairs alone tell; the cost.
+  double beginAnew(const ImuBuffer& imu);
   void growOld(double elapsed);
   void addPairs(const std::shared_ptr<const View>& view);
   std::optional<Normal> linearize(const Pair& pair, const Vector& x, const ImuBuffer& imu, double width,

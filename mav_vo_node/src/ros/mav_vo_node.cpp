@@ -3,6 +3,7 @@
 #include <ros/ros.h>
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
 #include <mutex>
 #include <stdexcept>
@@ -68,6 +69,7 @@ class MavVoNode : private ros_utils::Estimator {
     external_scale_.emplace(T_base_camera);
     calibration_.setGiven(camera.k1);
     if (T_base_imu) mounting_.setGiven(T_base_imu->linear());
+    clocks_apart_ = settings.gyro_alignment.time_offset;
     odometry_ = std::make_unique<Odometry>(camera, T_base_camera, T_base_imu.value_or(Pose::Identity()), settings);
   }
 
@@ -108,6 +110,7 @@ class MavVoNode : private ros_utils::Estimator {
     last_stamp_ = frame.stamp;
     calibration_.update(odometry_->camera().k1);
     warnOfNoise(visual.accel_noise);
+    warnOfClocks(visual.time_offset);
     if (visual_)
       useAlignment(frame.stamp, visual.map_id);
     else
@@ -121,6 +124,16 @@ class MavVoNode : private ros_utils::Estimator {
     result.pose_published = usable && r.metric;
     result.publish = [this, image = frame.image, grey, visual, r, usable] { publish(image, grey, visual, r, usable); };
     return result;
+  }
+
+  void warnOfClocks(double time_offset) {
+    constexpr double kFar = 0.1;  // [s]
+    if (std::abs(time_offset - clocks_apart_) < kFar) return;
+    clocks_apart_ = time_offset;
+    ROS_WARN(
+        "the IMU's stamps are %.2f s %s the images', as both turn: a new map starts with that. Set time_offset: %.2f, "
+        "or have both drivers stamp when they measure",
+        std::abs(time_offset), time_offset > 0 ? "ahead of" : "behind", time_offset);
   }
 
   void warnOfNoise(double density) {
@@ -320,6 +333,7 @@ class MavVoNode : private ros_utils::Estimator {
   std::uint32_t map_id_ = 0, corrections_ = 0;
   std::size_t frame_count_ = 0;
   bool noise_warned_ = false;
+  double clocks_apart_ = 0;  // as last told [s]
   ros_utils::EstimatorShell shell_;
   ros_utils::PosePublisher pose_publisher_;
   ros_utils::CalibrationReport calibration_{shell_.health(), "camera"};
