@@ -216,15 +216,16 @@ void GyroAlignment::growOld(double elapsed) {
   old_h_ *= std::exp(-elapsed / kMemory);
 }
 
+double GyroAlignment::solveFromAfar(const Vector& start, const ImuBuffer& imu, Vector* solution) const {
+  const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
+  return solveFrom(start, kStartIterations, std::max(kLossWidth, width), imu, solution);
+}
+
 double GyroAlignment::beginAnew(const ImuBuffer& imu) {
   old_H_.setZero();
   old_h_.setZero();
   inflation_ = kTrackCorrelation;
-  const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
-  Vector solution;
-  const double cost = solveFrom(prior_mean_, kStartIterations, std::max(kLossWidth, width), imu, &solution);
-  x_ = solution;
-  return cost;
+  return solveFromAfar(prior_mean_, imu, &x_);
 }
 
 // The first pairs may have led to a wrong minimum, where every pair that leaves the window is linearised anew.
@@ -234,8 +235,7 @@ void GyroAlignment::leaveWrongMinimum(int times, const ImuBuffer& imu, Vector* b
   start.tail<3>() = prior_mean_.tail<3>();
   const Matrix old_H = std::exchange(old_H_, Matrix::Zero());
   const Vector old_h = std::exchange(old_h_, Vector::Zero());
-  const double width = 2 * settings_.bias_stddev * settings_.spans.front() / sigma_;
-  const double cost = solveFrom(start, kStartIterations, std::max(kLossWidth, width), imu, &other);
+  const double cost = solveFromAfar(start, imu, &other);
   refuted_ = cost + kOtherMinimum < costAt(*best, imu) ? refuted_ + 1 : 0;
   if (refuted_ >= times) {
     refuted_ = 0;

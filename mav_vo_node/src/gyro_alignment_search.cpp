@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "mav_vo/gyro_alignment.h"
 
@@ -48,23 +49,26 @@ std::optional<double> GyroAlignment::otherTime(const ImuBuffer& imu) const {
               pairs.end());
   if (pairs.size() < kLeastPairs) return std::nullopt;
   struct Minimum {
-    double offset, cost, misfit;
+    double offset, cost;
   };
   std::vector<Minimum> minima;
+  Minimum best{0, std::numeric_limits<double>::infinity()};
+  double misfit = 0;  // there
   const int steps = static_cast<int>(std::lround(kReach / kStep));
   for (int i = -steps; i <= steps; ++i) {
     GyroAlignment moved(covered);
     moved.settings_.time_offset = moved.prior_mean_(3) = kStep * i;
     const double cost = moved.beginAnew(imu);
+    minima.push_back({moved.timeOffset(), cost});
+    if (cost >= best.cost) continue;
+    best = minima.back();
     moved.summarize(imu);
-    minima.push_back({moved.timeOffset(), cost, moved.misfit_});
+    misfit = moved.misfit_;
   }
-  const Minimum best =
-      *std::min_element(minima.begin(), minima.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
   const bool alone = std::all_of(minima.begin(), minima.end(), [&](const Minimum& other) {
     return std::abs(other.offset - best.offset) < kApart || other.cost > best.cost + kOtherMinimum;
   });
-  if (!alone || best.misfit > kAgreement) return std::nullopt;
+  if (!alone || misfit > kAgreement) return std::nullopt;
   return best.offset;
 }
 

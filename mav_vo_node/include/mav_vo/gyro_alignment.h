@@ -63,7 +63,6 @@ class GyroAlignment {
   /// Likewise [rad].
   void setMounting(const Eigen::Vector3d& mounting);
 
-  void reset();
   /// Begins anew with the clocks so far apart, and what is in use of readout time and mounting [s].
   void restartAt(double time_offset);
 
@@ -113,6 +112,9 @@ class GyroAlignment {
     Vector g = Vector::Zero();
     double cost = 0;
   };
+  void reset();
+  /// Where the bias may be anything; the cost.
+  double solveFromAfar(const Vector& start, const ImuBuffer& imu, Vector* solution) const;
   /// Solves for what the pairs alone tell; the cost.
   double beginAnew(const ImuBuffer& imu);
   void growOld(double elapsed);
